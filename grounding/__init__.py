@@ -1,0 +1,1 @@
+"""Frames to gripper track: masks, metric depth, CAD registration, tracking."""

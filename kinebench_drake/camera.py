@@ -1,0 +1,165 @@
+"""The pinhole camera: intrinsics in pixels and its pose on the robot's base."""
+
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from kinebench_drake.errors import UsageError
+from kinebench_drake.geometry import Array, invert, make_pose, orthonormalize
+
+_KEYS = ("width", "height", "fx", "fy", "cx", "cy", "base_from_camera")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Camera:
+    """A pinhole camera without distortion; OpenCV axes (x right, y down, z forward), pixel centres at half-integers."""
+
+    width: int
+    """Image width [px]."""
+    height: int
+    """Image height [px]."""
+    fx: float
+    """Focal length along x [px]."""
+    fy: float
+    """Focal length along y [px]."""
+    cx: float
+    """Principal point along x [px]; width / 2 when centred."""
+    cy: float
+    """Principal point along y [px]; height / 2 when centred."""
+    X_BC: Array
+    """Pose (4, 4) of the camera in the robot base frame panda_link0 [m]; `base_from_camera` in files."""
+
+    def __post_init__(self) -> None:
+        """Check every field.
+
+        Raises:
+            UsageError: a size is not positive, a number is not finite, or the pose is not rigid.
+        """
+        if self.width < 1 or self.height < 1:
+            raise UsageError(f"camera: width and height must be positive, found {self.width} x {self.height}")
+        numbers = (self.fx, self.fy, self.cx, self.cy)
+        if not np.isfinite(numbers).all() or self.fx <= 0 or self.fy <= 0:
+            raise UsageError(f"camera: fx, fy, cx, cy must be finite and fx, fy positive, found {numbers}")
+        X = np.asarray(self.X_BC, dtype=np.float64)
+        if X.shape != (4, 4) or not np.isfinite(X).all():
+            raise UsageError(f"camera: base_from_camera must be a finite 4x4 matrix, found shape {X.shape}")
+        R = X[:3, :3]
+        error = float(np.abs(R @ R.T - np.eye(3)).max())
+        if error > 1e-3 or np.linalg.det(R) < 0 or not np.allclose(X[3], [0, 0, 0, 1], atol=1e-9):
+            raise UsageError(
+                f"camera: base_from_camera is not a rigid pose (rotation off by {error:.1e}, determinant "
+                f"{np.linalg.det(R):.3f}); expected a rotation, a position in metres and the last row 0 0 0 1"
+            )
+        object.__setattr__(self, "X_BC", make_pose(orthonormalize(R), X[:3, 3]))
+
+    @property
+    def K(self) -> Array:
+        """Intrinsic matrix (3, 3) [px]."""
+        return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+    def project(self, p_C: ArrayLike) -> Array:
+        """Pixel coordinates (..., 2) [px] of points (..., 3) in the camera frame [m]; z must be positive."""
+        p_C = np.asarray(p_C, dtype=np.float64)
+        return p_C[..., :2] / p_C[..., 2:] * [self.fx, self.fy] + [self.cx, self.cy]
+
+    def rays(self) -> Array:
+        """Directions (height, width, 3) through the pixel centres, scaled so that z = 1: `depth * rays` is the cloud."""
+        u = (np.arange(self.width) + 0.5 - self.cx) / self.fx
+        v = (np.arange(self.height) + 0.5 - self.cy) / self.fy
+        grid = np.ones((self.height, self.width, 3))
+        grid[..., 0], grid[..., 1] = np.meshgrid(u, v)
+        return grid
+
+    def resized(self, width: int, height: int) -> "Camera":
+        """The same camera for images scaled to `width` x `height`.
+
+        Raises:
+            UsageError: the aspect ratio differs by more than 1 % (a crop or a letter-box, which scaling cannot undo).
+        """
+        sx, sy = width / self.width, height / self.height
+        if abs(sx / sy - 1.0) > 0.01:
+            raise UsageError(
+                f"camera is {self.width} x {self.height}, the video {width} x {height}: the aspect ratios differ; "
+                "give the video's own camera.json"
+            )
+        return replace(
+            self, width=width, height=height, fx=self.fx * sx, fy=self.fy * sy, cx=self.cx * sx, cy=self.cy * sy
+        )
+
+    def to_json(self) -> dict[str, int | float | list[list[float]]]:
+        """The object that `camera.json` holds."""
+        return {
+            "width": self.width,
+            "height": self.height,
+            "fx": self.fx,
+            "fy": self.fy,
+            "cx": self.cx,
+            "cy": self.cy,
+            "base_from_camera": self.X_BC.tolist(),
+        }
+
+    def save(self, path: Path) -> None:
+        """Write `camera.json`."""
+        path.write_text(json.dumps(self.to_json(), indent=1) + "\n")
+
+    @classmethod
+    def from_json(cls, data: object, source: str) -> "Camera":
+        """Camera from a parsed `camera.json` object; `source` names it in messages.
+
+        Raises:
+            UsageError: a key is missing, unknown or of the wrong type, or the values are no camera.
+        """
+        if not isinstance(data, dict):
+            raise UsageError(f"{source}: expected an object with {', '.join(_KEYS)}, found {type(data).__name__}")
+        missing, unknown = sorted(set(_KEYS) - set(data)), sorted(map(str, set(data) - set(_KEYS)))
+        if missing or unknown:
+            raise UsageError(f"{source}: missing keys {missing}, unknown keys {unknown}; expected {', '.join(_KEYS)}")
+        for key in _KEYS[:6]:
+            value = data[key]
+            if (
+                isinstance(value, bool)
+                or not isinstance(value, int | float)
+                or (key in _KEYS[:2] and value != int(value))
+            ):
+                raise UsageError(f"{source}: {key} must be a number, found {value!r}")
+        try:
+            X_BC = np.array(data["base_from_camera"], dtype=np.float64)
+        except (TypeError, ValueError):
+            raise UsageError(f"{source}: base_from_camera must be a 4x4 list of numbers") from None
+        try:
+            return cls(
+                width=int(data["width"]),
+                height=int(data["height"]),
+                fx=float(data["fx"]),
+                fy=float(data["fy"]),
+                cx=float(data["cx"]),
+                cy=float(data["cy"]),
+                X_BC=X_BC,
+            )
+        except UsageError as error:
+            raise UsageError(f"{source}: {error}") from None
+
+    @classmethod
+    def load(cls, path: Path) -> "Camera":
+        """Read `camera.json`.
+
+        Raises:
+            UsageError: the file cannot be read, is not JSON, or holds no camera.
+        """
+        try:
+            data = json.loads(path.read_text())
+        except (OSError, ValueError) as error:
+            raise UsageError(f"{path.name}: cannot be read as JSON ({error})") from None
+        return cls.from_json(data, path.name)
+
+
+def benchmark_camera() -> Camera:
+    """The benchmark's camera: 384x384, 60 degrees field of view, robot base at (-0.615, 0, 0) of the ManiSkill world."""
+    R_WC = np.array([[0.0, 0.529999, -0.847998], [1.0, 0.0, 0.0], [0.0, -0.847998, -0.529999]])
+    X_WC = make_pose(orthonormalize(R_WC), [0.4, 0.0, 0.45])
+    X_WB = make_pose(np.eye(3), [-0.615, 0.0, 0.0])
+    focal = float(192.0 / np.tan(np.deg2rad(30.0)))
+    return Camera(width=384, height=384, fx=focal, fy=focal, cx=192.0, cy=192.0, X_BC=invert(X_WB) @ X_WC)

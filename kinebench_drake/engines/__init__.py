@@ -1,0 +1,1 @@
+"""Where samples are worked on: this process or several."""

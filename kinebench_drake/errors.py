@@ -1,0 +1,24 @@
+"""The one family of errors this package raises on purpose.
+
+Every message is one line and names what was found, what was expected and what to do about it.
+"""
+
+
+class KinebenchError(Exception):
+    """Base of all expected failures; its text is fit to show to a user as it is."""
+
+
+class UsageError(KinebenchError):
+    """The command line or a function's arguments cannot be used (exit status 2)."""
+
+
+class InputError(KinebenchError):
+    """One sample's input is broken: a row with status `error`."""
+
+
+class UnmeasurableError(KinebenchError):
+    """One sample's input is sound but cannot be measured: a row with status `unmeasurable`."""
+
+
+class SetupError(KinebenchError):
+    """Something is missing on this machine (driver, library, weights, disk space)."""

@@ -1,0 +1,1 @@
+"""Drake: plant, inverse kinematics, manipulability, limits."""

@@ -1,0 +1,1 @@
+"""The robot model and the perception networks."""

@@ -1,0 +1,1 @@
+"""The Franka Panda: URDF, CAD meshes and frame constants."""

@@ -1,0 +1,1 @@
+"""The perception network and its weights."""

@@ -1,0 +1,1 @@
+"""Tasks, experts and rollouts in ManiSkill."""
