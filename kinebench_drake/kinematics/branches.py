@@ -1,0 +1,97 @@
+"""The postures that reach a pose, all of them to a grid's fineness, and the smoothest path through those of a track."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from kinebench_drake.geometry import Array
+from kinebench_drake.kinematics.analytic import analytic_ik
+from kinebench_drake.kinematics.plant import PandaPlant
+
+SWEEP = 128
+"""Angles of joint 7 tried over a full turn (one every 2.8 degrees)."""
+
+_GRID_RAD = 0.15  # joint change that a path along the grid may owe to the grid alone
+_TOO_FAST = 1000.0  # weight of a step that no joint speed allows
+
+
+def postures(X_BG: Array, samples: int = SWEEP) -> Array:
+    """Postures (N, 7) [rad] that reach `X_BG` (4, 4), joint limits ignored, for joint 7 over a full turn; N may be 0."""
+    q7 = np.linspace(-np.pi, np.pi, samples, endpoint=False)
+    q = analytic_ik(X_BG, q7).reshape(-1, 7)
+    return q[np.isfinite(q[:, 0])]
+
+
+def excess(plant: PandaPlant, q: Array) -> Array:
+    """How far (..., 7) [rad] each joint of `q` is past its limit; 0 within."""
+    return np.asarray(np.maximum(np.maximum(plant.lower - q, q - plant.upper), 0.0))
+
+
+def least_excess(plant: PandaPlant, X_BG: Array) -> Array | None:
+    """Of the postures that reach `X_BG` with limits ignored, the one (7,) [rad] whose worst joint is least past its
+    limit; None if the pose is out of reach.
+    """  # noqa: D205
+    q = postures(X_BG)
+    return None if len(q) == 0 else np.asarray(q[np.argmin(excess(plant, q).max(axis=-1))])
+
+
+def smoothest_path(plant: PandaPlant, t_s: Array, X_BG: Array, q_start: Array) -> Array:
+    """One posture a pose (T, 7) [rad], all within limits, of the path that asks least of the joints.
+
+    Dynamic programming over the grid of postures of every pose. A step costs (its greatest joint speed / that joint's
+    limit)^2, and very much more where it is faster than the limit; the first posture's distance from `q_start`
+    decides between equals. So a branch that leads to a dead end is left before the track begins, not at the end.
+    Poses without a posture within limits get NaN and are bridged.
+
+    Args:
+        plant: the robot.
+        t_s: (T,) times [s], increasing.
+        X_BG: (T, 4, 4) poses of panda_hand_tcp in panda_link0 [m].
+        q_start: (7,) posture [rad] to start near.
+    """
+    layers: list[Array] = []
+    for X in X_BG:
+        q = postures(X, SWEEP // 2)
+        layers.append(q[excess(plant, q).max(axis=-1, initial=0.0) <= 0.0])
+    path = np.full((len(t_s), 7), np.nan)
+    frames = [i for i, layer in enumerate(layers) if len(layer)]
+    if not frames:
+        return path
+    cost = 1e-3 * np.sum((layers[frames[0]] - q_start) ** 2, axis=-1)
+    parents: list[Array] = []
+    for i, j in zip(frames[:-1], frames[1:], strict=True):
+        allowed = plant.velocity_limits * (t_s[j] - t_s[i])
+        step = np.abs(layers[j][:, None] - layers[i][None])
+        ratio = (step / allowed).max(axis=-1)
+        over = (np.maximum(step - allowed - _GRID_RAD, 0.0) / allowed).max(axis=-1)
+        total = cost + ratio**2 + _TOO_FAST * over**2
+        best = np.argmin(total, axis=-1)
+        parents.append(best)
+        cost = total[np.arange(len(best)), best]
+    k = int(np.argmin(cost))
+    for n in range(len(frames) - 1, -1, -1):
+        path[frames[n]] = layers[frames[n]][k]
+        if n:
+            k = int(parents[n - 1][k])
+    return path
+
+
+def speed_ratios(plant: PandaPlant, t_s: Array, q: Array) -> Array:
+    """Greatest joint speed / its limit (n - 1,) between consecutive finite rows of `q` (T, 7) [rad]."""
+    kept = np.isfinite(q[:, 0])
+    rate = np.abs(np.diff(q[kept], axis=0)) / np.diff(t_s[kept])[:, None]
+    return np.asarray((rate / plant.velocity_limits).max(axis=-1, initial=0.0))
+
+
+def smooth(q: Array, passes: int) -> Array:
+    """Rows `q` (n, 7) [rad] after so many passes of the kernel (1, 2, 1) / 4, ends and jumps over 0.5 rad kept."""
+    q = q.copy()
+    for _ in range(passes):
+        step = np.abs(np.diff(q, axis=0)).max(axis=-1, initial=0.0) < 0.5
+        inner = step[:-1] & step[1:]
+        mean = 0.25 * q[:-2] + 0.5 * q[1:-1] + 0.25 * q[2:]
+        q[1:-1][inner] = mean[inner]
+    return q
+
+
+__all__: Sequence[str] = ("SWEEP", "excess", "least_excess", "postures", "smooth", "smoothest_path", "speed_ratios")

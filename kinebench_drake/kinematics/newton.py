@@ -1,0 +1,122 @@
+"""Local inverse kinematics: from a starting posture to the nearest one that reaches a pose, within joint limits."""
+
+import numpy as np
+from pydrake.math import RotationMatrix
+from pydrake.multibody.inverse_kinematics import InverseKinematics
+from pydrake.solvers import SnoptSolver, SolverOptions
+
+from kinebench_drake.geometry import Array, rotation_log
+from kinebench_drake.kinematics.plant import N_JOINTS, PandaPlant
+
+ROTATION_ARM_M = 0.1
+"""Metres that a radian counts for when both errors cannot vanish: 10 mm weigh as much as 5.7 degrees."""
+
+_DONE = 1e-10  # weighted error [m] below which no further step is worth its time
+_STALLED = 1e-4  # relative gain below which a fit that cannot reach the pose has found its best
+
+
+def _error(X_BG: Array, X_now: Array) -> Array:
+    """Twist (6,) [rad; m] from `X_now` to `X_BG`, expressed in B."""
+    R = X_BG[:3, :3] @ X_now[:3, :3].T
+    twice_sin = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
+    cos = 0.5 * (R[0, 0] + R[1, 1] + R[2, 2] - 1.0)
+    e = np.empty(6)
+    e[3:] = X_BG[:3, 3] - X_now[:3, 3]
+    if cos > -0.9:
+        sin = 0.5 * float(np.sqrt(twice_sin @ twice_sin))
+        e[:3] = twice_sin * (0.5 if sin < 1e-9 else 0.5 * np.arctan2(sin, cos) / sin)
+    else:  # near half a turn the axis drowns in rounding here
+        e[:3] = rotation_log(R)
+    return e
+
+
+def _step(J: Array, e: Array, damping: float, below: Array, above: Array) -> Array:
+    """Least damped change (7,) of the joints that removes `e`, joints stopping at `below` and `above` (7,).
+
+    A joint that would pass its bound is put there and the rest of the error is left to the others.
+    """
+    dq = np.zeros(N_JOINTS)
+    free = np.ones(N_JOINTS, dtype=bool)
+    for _ in range(N_JOINTS):
+        A = J[:, free]
+        M = A @ A.T
+        M.flat[::7] += damping
+        dq[free] = A.T @ np.linalg.solve(M, e)
+        past = free & ((dq < below) | (dq > above))
+        if not past.any():
+            return dq
+        dq[past] = np.clip(dq[past], below[past], above[past])
+        e = e - J[:, past] @ dq[past]
+        free &= ~past
+        if not free.any():
+            return dq
+    return dq
+
+
+def newton(
+    plant: PandaPlant, X_BG: Array, q: Array, *, bounded: bool = True, iterations: int = 40
+) -> tuple[Array, float]:
+    """Damped Newton (Levenberg-Marquardt) steps on Drake's Jacobian from posture `q`, with an active set of limits.
+
+    Minimises |dp|^2 + (ROTATION_ARM_M |dtheta|)^2. Of the joint changes that do the same, each step takes the least
+    (the damped pseudo-inverse: Y. Nakamura and H. Hanafusa, "Inverse Kinematic Solutions With Singularity Robustness
+    for Robot Manipulator Control", J. Dyn. Syst. Meas. Control 108, 1986), so that the result stays near the start.
+
+    Args:
+        plant: the robot.
+        X_BG: wanted pose (4, 4) of panda_hand_tcp in panda_link0 [m].
+        q: starting posture (7,) [rad]; clipped to the limits when `bounded`.
+        bounded: whether joint limits hold.
+        iterations: the most Jacobians to compute.
+
+    Returns:
+        The best posture (7,) [rad] and its weighted error [m].
+    """
+    lower, upper = (plant.lower, plant.upper) if bounded else (np.full(N_JOINTS, -np.inf), np.full(N_JOINTS, np.inf))
+    weight = np.array([ROTATION_ARM_M] * 3 + [1.0] * 3)
+    q = np.clip(q, lower, upper)
+    X_now, J = plant.forward_and_jacobian(q)
+    e = weight * _error(X_BG, X_now)
+    cost = float(e @ e)
+    damping, slow = 1e-8, 0
+    for _ in range(iterations):
+        if cost < _DONE**2:
+            break
+        step = _step(weight[:, None] * J, e, damping, lower - q, upper - q)
+        size = float(np.abs(step).max())
+        q_new = np.clip(q + step * min(1.0, 0.7 / max(size, 1e-12)), lower, upper)
+        X_new, J_new = plant.forward_and_jacobian(q_new)
+        e_new = weight * _error(X_BG, X_new)
+        cost_new = float(e_new @ e_new)
+        if cost_new < cost:
+            slow = slow + 1 if cost_new > (1.0 - _STALLED) * cost else 0
+            q, J, e, cost = q_new, J_new, e_new, cost_new
+            damping = max(damping * 0.1, 1e-12)
+        else:
+            slow += damping > 1.0
+            damping = max(damping * 30.0, 1e-6)
+        if slow >= 3:
+            break
+    return q, float(np.sqrt(cost))
+
+
+def snopt(plant: PandaPlant, X_BG: Array, q: Array) -> Array:
+    """Posture (7,) [rad] within limits from Drake's InverseKinematics with SNOPT, started at `q`; not verified.
+
+    Slower than `newton` by ten times, but its path through the joint space is another: worth asking before a pose is
+    given up.
+    """
+    ik = InverseKinematics(plant.drake, plant.context)
+    tcp, base = plant.tcp_frame, plant.base_frame
+    tolerance = np.full(3, 1e-7)
+    ik.AddPositionConstraint(tcp, np.zeros(3), base, X_BG[:3, 3] - tolerance, X_BG[:3, 3] + tolerance)
+    wanted = RotationMatrix.ProjectToRotationMatrix(X_BG[:3, :3])
+    ik.AddOrientationConstraint(base, wanted, tcp, RotationMatrix(), 1e-7)
+    program, variables = ik.prog(), ik.q()
+    fingers = plant.drake.GetPositions(plant.context)[N_JOINTS:]
+    program.AddBoundingBoxConstraint(fingers, fingers, variables[N_JOINTS:])
+    program.SetInitialGuess(variables, np.concatenate([np.clip(q, plant.lower, plant.upper), fingers]))
+    options = SolverOptions()
+    options.SetOption(SnoptSolver.id(), "Major iterations limit", 100)
+    result = SnoptSolver().Solve(program, program.GetInitialGuess(variables), options)
+    return np.clip(np.asarray(result.GetSolution(variables))[:N_JOINTS], plant.lower, plant.upper)
