@@ -8,21 +8,32 @@ needs them: the dynamic linker then finds each by its name, without LD_LIBRARY_P
 import ctypes
 import os
 import sys
+import warnings
 from functools import cache
 from pathlib import Path
 
 from kinebench_drake.errors import SetupError
 
 ROOT = Path(sys.prefix) / "share" / "kinebench_drake" / "native"
-"""Where the set-up script unpacks libraries; `open3d.txt` and `vulkan.txt` there list what to load (paths below it)."""
+"""Where the set-up script unpacks libraries; `open3d.txt`, `vulkan.txt`, ... list what to load, as paths below it."""
 
-_NVIDIA_DRIVERS = ("/usr/share/vulkan/icd.d/nvidia_icd.json", "/etc/vulkan/icd.d/nvidia_icd.json")
+RENDER_VARIABLE = "KINEBENCH_DRAKE_RENDER"
+"""Set to `cpu` to render with the software driver although an NVIDIA driver is installed."""
+
+_DRIVER_FOLDERS = (Path("/usr/share/vulkan/icd.d"), Path("/etc/vulkan/icd.d"))
+_NVIDIA_CONTROL = Path("/dev/nvidiactl")
+_DRIVER_VARIABLES = ("VK_DRIVER_FILES", "VK_ICD_FILENAMES")
+
+
+def _listed(purpose: str) -> list[Path]:
+    """Libraries that the set-up script unpacked for a purpose; none where the system has them all."""
+    listing = ROOT / f"{purpose}.txt"
+    return [ROOT / line for line in listing.read_text().splitlines() if line] if listing.is_file() else []
 
 
 def _preload(purpose: str) -> None:
     """Load the libraries of `ROOT/purpose.txt`, in whatever order their dependencies allow."""
-    listing = ROOT / f"{purpose}.txt"
-    waiting = [ROOT / line for line in listing.read_text().split()] if listing.is_file() else []
+    waiting = _listed(purpose)
     while waiting:
         failed, reason = [], ""
         for library in waiting:
@@ -32,13 +43,25 @@ def _preload(purpose: str) -> None:
                 failed.append(library)
                 reason = str(error)
         if len(failed) == len(waiting):
-            raise SetupError(f"cannot load {failed[0].name} ({reason}); run setup/install.sh again")
+            raise SetupError(f"cannot load {failed[0].name} ({reason}); delete {ROOT} and run setup/install.sh again")
         waiting = failed
 
 
 @cache
+def prepare_drake() -> None:
+    """Make `import pydrake` work on a system without GLib.
+
+    The set-up script has this called whenever the environment's Python starts, so modules import pydrake as usual.
+
+    Raises:
+        SetupError: an unpacked library cannot be loaded.
+    """
+    _preload("drake")
+
+
+@cache
 def prepare_open3d() -> None:
-    """Make `import open3d` work on a system without libusb; call before importing it.
+    """Make `import open3d` work on a system without libusb, libGL or libEGL; call before importing it.
 
     Raises:
         SetupError: an unpacked library cannot be loaded.
@@ -48,22 +71,36 @@ def prepare_open3d() -> None:
 
 def has_nvidia_vulkan() -> bool:
     """Whether an NVIDIA Vulkan driver is installed with a device to drive."""
-    return Path("/dev/nvidiactl").exists() and any(Path(p).is_file() for p in _NVIDIA_DRIVERS)
+    return _NVIDIA_CONTROL.exists() and any(
+        driver for folder in _DRIVER_FOLDERS for driver in folder.glob("*nvidia*.json")
+    )
 
 
 @cache
 def prepare_vulkan() -> str:
     """Make SAPIEN render; call before importing sapien or mani_skill. Returns their render backend: "gpu" or "cpu".
 
-    An NVIDIA driver or VK_DRIVER_FILES set by the user goes before the unpacked software driver (Mesa lavapipe).
+    A driver named by the user (VK_DRIVER_FILES or VK_ICD_FILENAMES) goes before an NVIDIA driver, that before the
+    unpacked software driver (Mesa lavapipe), that before what else the system has.
 
     Raises:
         SetupError: an unpacked library cannot be loaded.
     """
-    if has_nvidia_vulkan():
+    _preload("vulkan")
+    # The set-up's driver needs no newer loader than the one SAPIEN brings, so this says nothing that users must act on.
+    warnings.filterwarnings("ignore", message="Failed to find system libvulkan")
+    chosen = [os.environ[name] for name in _DRIVER_VARIABLES if os.environ.get(name)]
+    if chosen:
+        return "gpu" if "nvidia" in chosen[0] else "cpu"
+    if os.environ.get(RENDER_VARIABLE) != "cpu" and has_nvidia_vulkan():
         return "gpu"
     driver = ROOT / "lavapipe.json"
-    if driver.is_file() and "VK_DRIVER_FILES" not in os.environ:
-        _preload("vulkan")
-        os.environ["VK_DRIVER_FILES"] = os.environ["VK_ICD_FILENAMES"] = str(driver)
+    if driver.is_file():
+        for name in _DRIVER_VARIABLES:
+            os.environ[name] = str(driver)
     return "cpu"
+
+
+def allocator() -> Path | None:
+    """The unpacked tcmalloc, for LD_PRELOAD of a training process; None where the set-up script found none."""
+    return next(iter(_listed("tcmalloc")), None)

@@ -1,0 +1,31 @@
+# make demo: set up and score the example videos.  make test: set up and run every check.  Both are safe to repeat.
+BIN := .venv/bin
+JOBS ?= 2
+
+.PHONY: demo test check setup format constraints clean
+
+demo: setup
+	$(BIN)/kinebench-drake score examples/videos --out demo-output --overlay
+	@echo "Look at demo-output/report.html (the report), demo-output/overlays (what was tracked), demo-output/results.json."
+
+test: check
+	$(BIN)/python -m pytest -n $(JOBS)
+
+check: setup
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+
+setup:
+	setup/install.sh
+
+format:
+	$(BIN)/ruff format .
+	$(BIN)/ruff check --fix .
+
+# Pins what is installed now; run it after a dependency changed and the tests passed.
+constraints:
+	setup/freeze.sh
+
+clean:
+	rm -rf demo-output build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
