@@ -3,12 +3,12 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array, make_pose, orthonormalize, pose_difference
 from kinebench_drake.kinematics.branches import excess, postures, smooth, smoothest_path, speed_ratios
-from kinebench_drake.kinematics.newton import newton, snopt
+from kinebench_drake.kinematics.newton import REACHED_M, newton, snopt
 from kinebench_drake.kinematics.plant import PandaPlant
 from kinebench_drake.models.panda.robot import rest_q
 from kinebench_drake.products import GripperTrack, IkStatus, JointTrack
@@ -117,8 +117,9 @@ def solve_track(plant: PandaPlant, track: GripperTrack) -> JointTrack:
 
     The first frame takes the posture nearest to ManiSkill's rest posture, every later one starts from the frame
     before. If that path asks a joint for more than its speed (a dead end at a limit, so that the arm must fall into
-    another posture), the smoothest of all paths is looked for instead (`branches.smoothest_path`), and the better of
-    the two is returned. Frames that are not tracked are left out, their time counted.
+    another posture), the smoothest of all paths is looked for (`branches.smoothest_path`) and its ends are followed
+    forward and backward; of these paths the one with the lowest peak speed is returned. Frames that are not tracked
+    are left out, their time counted.
 
     Args:
         plant: the robot.
@@ -130,19 +131,15 @@ def solve_track(plant: PandaPlant, track: GripperTrack) -> JointTrack:
     if not (np.diff(track.t_s) > 0.0).all():
         raise InputError("t_s must increase from frame to frame")
     frames = np.flatnonzero(track.tracked)
-    poses = [_rigid(track.X_BG[i]) for i in frames]
-    t_s = track.t_s[frames]
-    solutions: list[IkSolution] = []
-    seed = _first_seed(plant, poses[0]) if poses else rest_q()
-    for X_BG in poses:
-        solutions.append(solve_pose(plant, X_BG, seed))
-        seed = solutions[-1].q
-    if solutions:
-        peak = _peak_speed(plant, t_s, solutions)
-        if peak > 1.0:
-            other = _solve_globally(plant, t_s, np.array(poses), solutions)
-            if _peak_speed(plant, t_s, other) < peak:
-                solutions = other
+    poses, t_s = [_rigid(track.X_BG[i]) for i in frames], track.t_s[frames]
+    solutions = _follow(plant, poses, _first_seed(plant, poses[0])) if poses else []
+    peak = _peak_speed(plant, t_s, solutions)
+    if peak > 1.0:
+        smoothest = _follow_smoothest(plant, t_s, poses)
+        forward = _follow(plant, poses, smoothest[0].q)
+        backward = _follow(plant, poses[::-1], smoothest[-1].q)[::-1]
+        paths = (solutions, smoothest, forward, backward)
+        solutions = min(paths, key=lambda path: _peak_speed(plant, t_s, path))
     return _joint_track(track, frames, solutions)
 
 
@@ -153,24 +150,39 @@ def _first_seed(plant: PandaPlant, X_BG: Array) -> Array:
 
 
 def _peak_speed(plant: PandaPlant, t_s: Array, solutions: list[IkSolution]) -> float:
-    q = np.array([s.q if s.status is IkStatus.OK else np.full(7, np.nan) for s in solutions])
-    return float(speed_ratios(plant, t_s, q).max(initial=0.0))
+    q = [s.q if s.status is IkStatus.OK else np.full(7, np.nan) for s in solutions]
+    return float(speed_ratios(plant, t_s, np.reshape(q, (-1, 7))).max(initial=0.0))
 
 
-def _solve_globally(plant: PandaPlant, t_s: Array, poses: Array, greedy: list[IkSolution]) -> list[IkSolution]:
-    """Solutions along the smoothest path; frames that have no posture on its grid keep their greedy solution."""
-    q = smoothest_path(plant, t_s, poses, rest_q())
-    kept = np.flatnonzero(np.isfinite(q[:, 0]))
-    path = q[kept]
-    for _ in range(_SMOOTHING):
-        path = np.array([newton(plant, poses[i], start)[0] for i, start in zip(kept, smooth(path, 1), strict=True)])
-    solutions = list(greedy)
-    for i, posture in zip(kept, path, strict=True):
-        solutions[i] = solve_pose(plant, poses[i], posture)
+def _follow(plant: PandaPlant, poses: list[Array], seed: Array) -> list[IkSolution]:
+    """Solutions of `poses`, each started from the one before, the first from `seed`."""
+    solutions = []
+    for X_BG in poses:
+        solutions.append(solve_pose(plant, X_BG, seed))
+        seed = solutions[-1].q
     return solutions
 
 
-def _joint_track(track: GripperTrack, frames: np.ndarray, solutions: list[IkSolution]) -> JointTrack:
+def _follow_smoothest(plant: PandaPlant, t_s: Array, poses: list[Array]) -> list[IkSolution]:
+    """Solutions near the smoothest path of the grid, smoothed further; gaps in it start from their neighbours."""
+    grid = smoothest_path(plant, t_s, np.array(poses), rest_q())
+    kept = np.flatnonzero(np.isfinite(grid[:, 0]))
+    if len(kept) == 0:
+        return _follow(plant, poses, rest_q())
+    nearest = kept[np.argmin(np.abs(np.arange(len(poses))[:, None] - kept), axis=-1)]
+    solutions = [solve_pose(plant, X_BG, q) for X_BG, q in zip(poses, grid[nearest], strict=True)]
+    path = np.array([s.q for s in solutions])
+    for _ in range(_SMOOTHING):
+        for i, q in enumerate(smooth(path)):
+            q_new, error = newton(plant, poses[i], q, iterations=20)
+            if error <= REACHED_M:
+                path[i] = q_new
+    return [
+        _solution(plant, X, q) if s.status is IkStatus.OK else s for X, q, s in zip(poses, path, solutions, strict=True)
+    ]
+
+
+def _joint_track(track: GripperTrack, frames: NDArray[np.intp], solutions: list[IkSolution]) -> JointTrack:
     n = len(track.t_s)
     q = np.full((n, 7), np.nan)
     position, rotation = np.full(n, np.nan), np.full(n, np.nan)

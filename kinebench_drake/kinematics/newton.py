@@ -1,5 +1,7 @@
 """Local inverse kinematics: from a starting posture to the nearest one that reaches a pose, within joint limits."""
 
+from typing import Any
+
 import numpy as np
 from pydrake.math import RotationMatrix
 from pydrake.multibody.inverse_kinematics import InverseKinematics
@@ -11,7 +13,9 @@ from kinebench_drake.kinematics.plant import N_JOINTS, PandaPlant
 ROTATION_ARM_M = 0.1
 """Metres that a radian counts for when both errors cannot vanish: 10 mm weigh as much as 5.7 degrees."""
 
-_DONE = 1e-10  # weighted error [m] below which no further step is worth its time
+REACHED_M = 1e-10
+"""Weighted error [m] below which the pose counts as reached and no further step is worth its time."""
+
 _STALLED = 1e-4  # relative gain below which a fit that cannot reach the pose has found its best
 
 
@@ -80,7 +84,7 @@ def newton(
     cost = float(e @ e)
     damping, slow = 1e-8, 0
     for _ in range(iterations):
-        if cost < _DONE**2:
+        if cost < REACHED_M**2:
             break
         step = _step(weight[:, None] * J, e, damping, lower - q, upper - q)
         size = float(np.abs(step).max())
@@ -106,12 +110,12 @@ def snopt(plant: PandaPlant, X_BG: Array, q: Array) -> Array:
     Slower than `newton` by ten times, but its path through the joint space is another: worth asking before a pose is
     given up.
     """
-    ik = InverseKinematics(plant.drake, plant.context)
+    ik: Any = InverseKinematics(plant.drake, plant.context)
     tcp, base = plant.tcp_frame, plant.base_frame
     tolerance = np.full(3, 1e-7)
     ik.AddPositionConstraint(tcp, np.zeros(3), base, X_BG[:3, 3] - tolerance, X_BG[:3, 3] + tolerance)
-    wanted = RotationMatrix.ProjectToRotationMatrix(X_BG[:3, :3])
-    ik.AddOrientationConstraint(base, wanted, tcp, RotationMatrix(), 1e-7)
+    rotation: Any = RotationMatrix
+    ik.AddOrientationConstraint(base, rotation(X_BG[:3, :3]), tcp, rotation(), 1e-7)
     program, variables = ik.prog(), ik.q()
     fingers = plant.drake.GetPositions(plant.context)[N_JOINTS:]
     program.AddBoundingBoxConstraint(fingers, fingers, variables[N_JOINTS:])
@@ -119,4 +123,5 @@ def snopt(plant: PandaPlant, X_BG: Array, q: Array) -> Array:
     options = SolverOptions()
     options.SetOption(SnoptSolver.id(), "Major iterations limit", 100)
     result = SnoptSolver().Solve(program, program.GetInitialGuess(variables), options)
-    return np.clip(np.asarray(result.GetSolution(variables))[:N_JOINTS], plant.lower, plant.upper)
+    q_found: Array = np.asarray(result.GetSolution(variables), dtype=np.float64)[:N_JOINTS]
+    return np.asarray(np.clip(q_found, plant.lower, plant.upper))

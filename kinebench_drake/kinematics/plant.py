@@ -40,8 +40,9 @@ class PandaPlant:
         Raises:
             SetupError: the robot's files are missing or cannot be converted.
         """
-        plant = MultibodyPlant(time_step=0.0)
-        Parser(plant).AddModels(str(panda_urdf()))
+        plant: Any = MultibodyPlant(time_step=0.0)
+        parser: Any = Parser(plant)
+        parser.AddModels(str(panda_urdf()))
         plant.WeldFrames(plant.world_frame(), plant.GetFrameByName(BASE_LINK), RigidTransform())
         plant.Finalize()
         self.drake: Any = plant

@@ -86,8 +86,8 @@ def panda_urdf() -> Path:
         SetupError: mani_skill is missing, or the cache folder cannot be written.
     """
     source = source_urdf()
-    tree = ElementTree.parse(source)
-    meshes = sorted({str(mesh.get("filename")) for mesh in tree.iter("mesh")})
+    root = ElementTree.parse(source).getroot()
+    meshes = sorted({str(mesh.get("filename")) for mesh in root.iter("mesh")})
     digest = hashlib.sha256(_CONVERSION.encode() + source.read_bytes())
     for name in meshes:
         digest.update(name.encode() + (source.parent / name).read_bytes())
@@ -95,7 +95,7 @@ def panda_urdf() -> Path:
     urdf = folder / "panda.urdf"
     if not urdf.is_file():
         try:
-            _convert(source.parent, tree, folder)
+            _convert(source.parent, root, folder)
         except OSError as error:
             raise SetupError(
                 f"cannot write the converted robot to {folder} ({error}); set XDG_CACHE_HOME to a writable folder"
@@ -103,12 +103,11 @@ def panda_urdf() -> Path:
     return urdf
 
 
-def _convert(source: Path, tree: ElementTree.ElementTree, folder: Path) -> None:
+def _convert(source: Path, root: ElementTree.Element, folder: Path) -> None:
     """Write URDF and meshes to a folder beside `folder`, then move it there in one step: a race has no loser."""
     folder.parent.mkdir(parents=True, exist_ok=True)
     work = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
     try:
-        root = tree.getroot()
         for parent in list(root.iter()):
             for tag in ("mimic", "safety_controller"):
                 for child in parent.findall(tag):
