@@ -74,6 +74,7 @@ packages_key() { { pwd && "$venv/bin/python" -V && cat pyproject.toml "$constrai
 
 install_packages() {
     local pip=("$venv/bin/python" -m pip --disable-pip-version-check) stamp=$venv/share/kinebench_drake/packages.sha256
+    [ -t 1 ] || pip+=(--quiet) # on a terminal pip's progress bars pass the time, in a log they are noise
     if [ "$(packages_key)" = "$(cat "$stamp" 2>/dev/null)" ] && "${pip[@]}" check >/dev/null 2>&1; then
         say "Python packages: as in $constraints, nothing to do"
         return
@@ -84,7 +85,7 @@ install_packages() {
     # By itself: beside other packages pip prefers the CUDA build and gigabytes of libraries, where a smaller one is at hand.
     "${pip[@]}" install -c "$constraints" "$(grep '^torch==' "$constraints")"
     "${pip[@]}" install -c "$constraints" -e '.[dev]'
-    "${pip[@]}" check
+    "$venv/bin/python" -m pip check
     mkdir -p "$(dirname "$stamp")"
     packages_key >"$stamp"
 }
@@ -142,6 +143,17 @@ has_vulkan_driver() {
     say "Vulkan: the system's Mesa $version is used"
 }
 
+# A file of apt's sources with a further suite from the mirrors that serve the first one.
+with_suite() { # $1: codename, $2: the further suite (may be empty), $3: file
+    if [ -z "$2" ] || grep -q "$2" "$3"; then
+        cat "$3"
+    elif [[ $3 == *.sources ]]; then
+        sed -E "/^Suites:/ s/(\s)$1(\s|\$)/\1$1 $2\2/" "$3"
+    else
+        sed -nE "p; s/^(deb +(\[[^]]*\] +)?\S+ +)$1( )/\1$2\3/p" "$3"
+    fi
+}
+
 # A private apt: the machine's own sources (with its backports suite on Debian 12), lists and cache below $work.
 # It needs no root, and neither the system's package lists nor its packages change.
 private_apt() {
@@ -151,13 +163,7 @@ private_apt() {
     [ "$codename" = bookworm ] && suite=$codename-backports
     for file in /etc/apt/sources.list /etc/apt/sources.list.d/*.list /etc/apt/sources.list.d/*.sources; do
         [ -r "$file" ] || continue
-        if [ -z "$suite" ] || grep -q "$suite" "$file"; then
-            cp "$file" "$work/sources/"
-        elif [[ $file == *.sources ]]; then
-            sed -E "/^Suites:/ s/(\s)$codename(\s|\$)/\1$codename $suite\2/" "$file" >"$work/sources/${file##*/}"
-        else
-            sed -nE "p; s/^(deb +(\[[^]]*\] +)?\S+ +)$codename( )/\1$suite\3/p" "$file" >"$work/sources/${file##*/}"
-        fi
+        with_suite "$codename" "$suite" "$file" >"$work/sources/${file##*/}"
     done
     cat >"$work/apt.conf" <<CONF
 Dir::Etc::sourcelist "/dev/null";

@@ -1,0 +1,138 @@
+import importlib.metadata
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from safetensors.numpy import save_file
+
+from kinebench_drake import doctor
+from kinebench_drake.doctor import Check
+
+
+def test_render_shows_every_check_and_the_fix_of_failures_only() -> None:
+    text = doctor.render(
+        [Check("Drake", True, "1.51.1", "mend Drake"), Check("Vulkan device", False, "no device", "mend Vulkan")]
+    )
+    assert text.splitlines() == [
+        "ok    Drake          1.51.1",
+        "FAIL  Vulkan device  no device",
+        "                     fix: mend Vulkan",
+        "1 of 2 checks failed.",
+    ]
+
+
+def test_render_of_success() -> None:
+    assert doctor.render([Check("Drake", True, "1.51.1", "")]).endswith("All 1 checks passed.")
+
+
+def test_a_raising_look_is_a_failed_check() -> None:
+    def look() -> str:
+        raise ImportError("libEGL.so.1: cannot open\nmore")
+
+    assert doctor._check("Open3D", look, "again") == Check("Open3D", False, "libEGL.so.1: cannot open", "again")
+
+
+@pytest.mark.parametrize(
+    ("code", "reason"),
+    [
+        ("import os, signal; os.kill(os.getpid(), signal.SIGSEGV)", "crashed with signal 11"),
+        ("raise ValueError('no such device')", "ValueError: no such device"),
+        ("import sys; sys.exit(3)", "exit status 3"),
+    ],
+)
+def test_probe_survives_what_its_process_does_not(code: str, reason: str) -> None:
+    check = doctor._check("probe", lambda: doctor._probe(code), "")
+    assert (check.ok, check.found) == (False, reason)
+
+
+def test_probe_gives_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(doctor, "PROBE_TIMEOUT_S", 0.2)
+    check = doctor._check("probe", lambda: doctor._probe("import time; time.sleep(60)"), "")
+    assert (check.ok, "no answer" in check.found) == (False, True)
+
+
+def test_probe_returns_the_last_line() -> None:
+    assert doctor._probe("print('noise'); print('1.2.3')") == "1.2.3"
+
+
+@pytest.mark.parametrize(
+    ("version", "ok"), [((3, 10, 9), False), ((3, 11, 0), True), ((3, 12, 9), True), ((3, 13, 0), False)]
+)
+def test_python_version(monkeypatch: pytest.MonkeyPatch, version: tuple[int, int, int], ok: bool) -> None:
+    monkeypatch.setattr(sys, "version_info", version)
+    assert doctor._check("Python", doctor._python, "").ok is ok
+
+
+def owned_by(monkeypatch: pytest.MonkeyPatch, owners: dict[str, list[str]]) -> None:
+    def files(name: str) -> list[Path]:
+        if name not in owners:
+            raise importlib.metadata.PackageNotFoundError(name)
+        return [Path(file) for file in owners[name]]
+
+    monkeypatch.setattr(importlib.metadata, "files", files)
+
+
+def test_two_owners_of_cv2_are_a_clash(monkeypatch: pytest.MonkeyPatch) -> None:
+    owned_by(monkeypatch, {"opencv-python": ["cv2/cv2.so"], "opencv-python-headless": ["cv2/cv2.so"]})
+    check = doctor._check("cv2", doctor._cv2, "")
+    assert not check.ok
+    assert "opencv-python and opencv-python-headless" in check.found
+
+
+def test_the_stand_in_owns_no_cv2(monkeypatch: pytest.MonkeyPatch) -> None:
+    owned_by(
+        monkeypatch, {"opencv-python": ["opencv_python.dist-info/RECORD"], "opencv-python-headless": ["cv2/cv2.so"]}
+    )
+    assert doctor._check("cv2", doctor._cv2, "").ok
+
+
+def test_cv2_with_windows_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    owned_by(monkeypatch, {"opencv-python": ["cv2/cv2.so"]})
+    assert not doctor._check("cv2", doctor._cv2, "").ok
+
+
+def test_weights_are_counted(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(doctor, "WEIGHTS", tmp_path)
+    save_file({"a": np.zeros((1000, 1200), np.float32), "b": np.zeros(1, np.float32)}, tmp_path / "net.safetensors")
+    assert doctor._weights() == "net (1.2 M parameters)"
+
+
+@pytest.mark.parametrize("content", [b"", b"version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 1\n"])
+def test_torn_weights_are_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, content: bytes) -> None:
+    monkeypatch.setattr(doctor, "WEIGHTS", tmp_path)
+    (tmp_path / "net.safetensors").write_bytes(content)
+    check = doctor._check("weights", doctor._weights, "")
+    assert not check.ok
+    assert "net.safetensors cannot be read" in check.found
+
+
+def test_missing_weights_fail(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(doctor, "WEIGHTS", tmp_path)
+    assert not doctor._check("weights", doctor._weights, "").ok
+
+
+def test_unusable_cache_folder_fails(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
+    assert not doctor._check("cache", doctor._cache_folder, "").ok
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    assert doctor._check("cache", doctor._cache_folder, "").ok
+    assert list((tmp_path / "kinebench_drake").iterdir()) == []
+
+
+def test_cache_folder_is_the_one_that_is_used(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    from kinebench_drake.models.panda.robot import cache_folder
+
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    assert doctor._cache_folder() == str(cache_folder())
+
+
+@pytest.mark.slow
+@pytest.mark.sapien
+def test_everything_works_after_the_set_up() -> None:
+    checks = doctor.run_checks()
+    assert len({check.name for check in checks}) == len(checks) == 10
+    assert all(check.found and check.fix for check in checks)
+    failed = [f"{check.name}: {check.found}" for check in checks if not check.ok]
+    assert failed == []

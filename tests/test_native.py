@@ -1,0 +1,135 @@
+import ctypes.util
+import os
+import shutil
+import subprocess
+import sys
+import sysconfig
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from kinebench_drake import native
+from kinebench_drake.errors import SetupError
+
+NEEDS_COMPILER = pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler")
+
+
+@pytest.fixture
+def root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """An empty folder in place of the unpacked libraries, on a machine without an NVIDIA driver or chosen driver."""
+    monkeypatch.setattr(native, "ROOT", tmp_path)
+    monkeypatch.setattr(native, "_NVIDIA_CONTROL", tmp_path / "nvidiactl")
+    monkeypatch.setattr(native, "_DRIVER_FOLDERS", (tmp_path / "icd.d",))
+    for name in ("VK_DRIVER_FILES", "VK_ICD_FILENAMES", native.RENDER_VARIABLE):
+        monkeypatch.setenv(name, "")  # so that what the code sets is undone too
+        monkeypatch.delenv(name)
+    native.prepare_vulkan.cache_clear()
+    yield tmp_path
+    native.prepare_vulkan.cache_clear()
+
+
+def install_nvidia(root: Path) -> None:
+    (root / "nvidiactl").touch()
+    (root / "icd.d").mkdir()
+    (root / "icd.d" / "nvidia_icd.x86_64.json").touch()
+
+
+def test_nothing_unpacked_is_nothing_to_do(root: Path) -> None:
+    assert native.prepare_vulkan() == "cpu"
+    assert "VK_DRIVER_FILES" not in os.environ
+    assert native.allocator() is None
+
+
+def test_unpacked_driver_is_chosen(root: Path) -> None:
+    driver = root / "lavapipe.json"
+    driver.touch()
+    assert native.prepare_vulkan() == "cpu"
+    assert os.environ["VK_DRIVER_FILES"] == os.environ["VK_ICD_FILENAMES"] == str(driver)
+
+
+def test_nvidia_goes_before_the_software_driver(root: Path) -> None:
+    (root / "lavapipe.json").touch()
+    install_nvidia(root)
+    assert native.prepare_vulkan() == "gpu"
+    assert "VK_DRIVER_FILES" not in os.environ
+
+
+def test_software_driver_on_demand(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (root / "lavapipe.json").touch()
+    install_nvidia(root)
+    monkeypatch.setenv(native.RENDER_VARIABLE, "cpu")
+    assert native.prepare_vulkan() == "cpu"
+    assert os.environ["VK_DRIVER_FILES"] == str(root / "lavapipe.json")
+
+
+@pytest.mark.parametrize(
+    ("file", "backend"), [("/opt/mesa/lvp_icd.json", "cpu"), ("/etc/vulkan/nvidia_icd.json", "gpu")]
+)
+@pytest.mark.parametrize("variable", ["VK_DRIVER_FILES", "VK_ICD_FILENAMES"])
+def test_users_driver_is_kept(
+    root: Path, monkeypatch: pytest.MonkeyPatch, variable: str, file: str, backend: str
+) -> None:
+    (root / "lavapipe.json").touch()
+    monkeypatch.setenv(variable, file)
+    assert native.prepare_vulkan() == backend
+    assert os.environ[variable] == file
+
+
+def test_nvidia_driver_without_a_device_is_not_used(root: Path) -> None:
+    install_nvidia(root)
+    (root / "nvidiactl").unlink()
+    assert not native.has_nvidia_vulkan()
+
+
+def test_unloadable_library_names_the_library_and_the_fix(root: Path) -> None:
+    (root / "libbroken.so").write_bytes(b"not a library")
+    (root / "vulkan.txt").write_text("libbroken.so\n")
+    with pytest.raises(SetupError, match=r"libbroken\.so.*setup/install\.sh"):
+        native.prepare_vulkan()
+
+
+@NEEDS_COMPILER
+def test_preloaded_libraries_are_found_by_name_in_any_order(root: Path) -> None:
+    """libuser needs libbase, which lies in no folder that the linker searches, and stands first in the list."""
+    (root / "base.c").write_text("int base(void) { return 41; }")
+    (root / "user.c").write_text("int base(void); int user(void) { return base() + 1; }")
+    build = ["cc", "-shared", "-fPIC"]
+    subprocess.run([*build, "base.c", "-Wl,-soname,libkbbase.so.1", "-o", "libkbbase.so.1"], cwd=root, check=True)
+    subprocess.run([*build, "user.c", "./libkbbase.so.1", "-o", "libkbuser.so"], cwd=root, check=True)
+    (root / "open3d.txt").write_text("libkbuser.so\nlibkbbase.so.1\n")
+    with pytest.raises(OSError, match=r"libkbbase\.so\.1"):
+        ctypes.CDLL(str(root / "libkbuser.so"))
+    native._preload("open3d")
+    assert ctypes.CDLL(str(root / "libkbuser.so")).user() == 42
+
+
+def test_allocator_is_the_listed_library(root: Path) -> None:
+    (root / "tcmalloc.txt").write_text("usr/lib/libtcmalloc_minimal.so.4\n")
+    assert native.allocator() == root / "usr/lib/libtcmalloc_minimal.so.4"
+
+
+def test_listed_libraries_exist() -> None:
+    """What the set-up script wrote for this environment is whole."""
+    for listing in native.ROOT.glob("*.txt"):
+        if listing.stem != "wanted":
+            assert all(library.is_file() for library in native._listed(listing.stem)), listing
+
+
+def test_importing_native_loads_no_heavy_module() -> None:
+    code = "import sys, kinebench_drake.native; print({'torch', 'open3d', 'sapien', 'pydrake'} & set(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "set()"
+
+
+def test_wheels_find_their_libraries() -> None:
+    """The modules load in a fresh process after their prepare function, in one process together."""
+    code = (
+        "from kinebench_drake import native\n"
+        "native.prepare_drake(), native.prepare_open3d(), native.prepare_vulkan()\n"
+        "import pydrake.multibody.plant, open3d, sapien\n"
+    )
+    assert Path(sysconfig.get_path("platlib")).is_dir()
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "libvulkan" not in done.stderr

@@ -1,0 +1,180 @@
+"""The set-up script, on an imitated machine: what it asks of apt and what it makes of the answers."""
+
+import itertools
+import os
+import re
+import subprocess
+import tomllib
+from pathlib import Path
+
+import pytest
+
+REPOSITORY = Path(__file__).parent.parent
+SCRIPT = REPOSITORY / "setup" / "install.sh"
+
+
+def pinned() -> dict[str, str]:
+    lines = (REPOSITORY / "setup" / "constraints.txt").read_text().splitlines()
+    pairs = [line.split("==") for line in lines if line and not line.startswith("#")]
+    return {normal(name): version for name, version in pairs}
+
+
+def normal(name: str) -> str:
+    return re.sub(r"[-_.]+", "-", name).lower()
+
+
+def run_functions(code: str, *, folder: Path, path: str = "") -> subprocess.CompletedProcess[str]:
+    """Run code with the script's functions, but not its steps, in a folder of its own."""
+    text = SCRIPT.read_text()
+    functions = text[: text.index('\n[ "$(uname -sm)"')]
+    functions = functions.replace('cd "$(dirname "${BASH_SOURCE[0]}")/.."', f'cd "{folder}"')
+    return subprocess.run(
+        ["bash", "-c", f"{functions}\n{code}"],
+        capture_output=True,
+        text=True,
+        check=False,
+        env={**os.environ, "PATH": f"{path}:{os.environ['PATH']}" if path else os.environ["PATH"]},
+    )
+
+
+def command(folder: Path, name: str, body: str) -> None:
+    folder.mkdir(exist_ok=True)
+    file = folder / name
+    file.write_text(f"#!/bin/bash\n{body}\n")
+    file.chmod(0o755)
+
+
+def test_every_dependency_is_pinned() -> None:
+    project = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["project"]
+    requirements = [*project["dependencies"], *itertools.chain(*project["optional-dependencies"].values())]
+    names = [normal(re.split(r"[\s\[<>=!~;]", requirement)[0]) for requirement in requirements]
+    assert [name for name in names if name not in pinned()] == []
+
+
+def test_pins_are_plain_versions() -> None:
+    versions = pinned()
+    assert len(versions) > 50
+    assert [name for name, version in versions.items() if not re.fullmatch(r"[0-9][0-9a-z.]*", version)] == []
+
+
+def test_the_pin_of_opencv_python_is_met_by_the_stand_in_alone() -> None:
+    """No index has the stand-in's version."""
+    stand_in = tomllib.loads((REPOSITORY / "setup" / "opencv-python" / "pyproject.toml").read_text())["project"]
+    assert pinned()["opencv-python"] == stand_in["version"] == "4.99.0"
+    assert stand_in["dependencies"] == ["opencv-python-headless"]
+
+
+@pytest.mark.parametrize("script", [SCRIPT, REPOSITORY / "setup" / "freeze.sh", REPOSITORY / ".ci" / "run"])
+def test_scripts_parse_and_run(script: Path) -> None:
+    assert os.access(script, os.X_OK)
+    subprocess.run(["bash", "-n", str(script)], check=True)
+
+
+def test_ci_runs_the_command_of_the_readme() -> None:
+    lines = (REPOSITORY / ".ci" / "run").read_text().splitlines()
+    assert lines[-1] == "make test"
+    readme = (REPOSITORY / "README.md").read_text()
+    assert re.search(r"^make test\b", readme, re.MULTILINE)
+    assert re.search(r"^make demo\b", readme, re.MULTILINE)
+
+
+@pytest.mark.parametrize(("version", "fit"), [("3.10", False), ("3.11", True), ("3.12", True), ("3.13", False)])
+def test_python_is_chosen_by_version(tmp_path: Path, version: str, fit: bool) -> None:
+    major, minor = version.split(".")
+    command(tmp_path / "bin", "fake", f'exec python3 -c "import sys; sys.version_info=({major},{minor},0); $2"')
+    done = run_functions("is_fit fake && echo fit || echo unfit", folder=tmp_path, path=str(tmp_path / "bin"))
+    assert done.stdout.strip() == ("fit" if fit else "unfit")
+
+
+def test_no_python_is_one_clear_message(tmp_path: Path) -> None:
+    done = run_functions("PYTHON=/nonexistent; make_venv", folder=tmp_path)
+    assert done.returncode == 1
+    assert done.stderr.startswith("setup: no Python 3.11 or 3.12 found")
+    assert len(done.stderr.splitlines()) == 1
+
+
+ONE_LINE = (
+    "deb [signed-by=/k.gpg] http://mirror.example/debian bookworm main\ndeb http://s.example/ bookworm-security main\n"
+)
+DEB822 = """\
+Types: deb
+URIs: http://mirror.example/debian
+Suites: bookworm bookworm-updates
+Components: main
+Signed-By: /k.gpg
+"""
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "added"),
+    [
+        ("a.list", ONE_LINE, "deb [signed-by=/k.gpg] http://mirror.example/debian bookworm-backports main"),
+        ("a.sources", DEB822, "Suites: bookworm bookworm-backports bookworm-updates"),
+        ("b.sources", DEB822.replace("bookworm bookworm-updates", "bookworm"), "Suites: bookworm bookworm-backports"),
+    ],
+)
+def test_backports_come_from_the_machines_own_mirror(tmp_path: Path, name: str, text: str, added: str) -> None:
+    (tmp_path / name).write_text(text)
+    done = run_functions(f"with_suite bookworm bookworm-backports {name}", folder=tmp_path)
+    assert done.stdout.splitlines().count(added) == 1, done
+    kept = [line for line in done.stdout.splitlines() if line != added]
+    assert kept == [line for line in text.splitlines() if not (name.endswith("sources") and line.startswith("Suites"))]
+
+
+def test_sources_with_backports_stay_as_they_are(tmp_path: Path) -> None:
+    text = ONE_LINE + "deb http://mirror.example/debian bookworm-backports main\n"
+    (tmp_path / "a.list").write_text(text)
+    assert run_functions("with_suite bookworm bookworm-backports a.list", folder=tmp_path).stdout == text
+
+
+APT_CACHE = """
+case "$*" in
+*"policy mesa-vulkan-drivers"*) echo "  Candidate: {mesa}" ;;
+*"policy libusb-1.0-0"*) echo "  Candidate: 2:1.0.26-1" ;;
+*) echo "  Candidate: (none)" ;;
+esac
+"""
+
+
+def fetch(tmp_path: Path, mesa: str, names: str) -> subprocess.CompletedProcess[str]:
+    command(tmp_path / "bin", "apt-get", f'echo "$*" >>"{tmp_path}/asked"')
+    command(tmp_path / "bin", "apt-cache", APT_CACHE.format(mesa=mesa))
+    command(tmp_path / "bin", "dpkg", '[ "$1" != --compare-versions ] || exec /usr/bin/dpkg "$@"')
+    return run_functions(f"work={tmp_path}/work; fetch_libraries {names}", folder=tmp_path, path=str(tmp_path / "bin"))
+
+
+@pytest.mark.skipif(not Path("/usr/bin/dpkg").exists(), reason="needs a Debian family system")
+def test_packages_are_downloaded_and_never_installed(tmp_path: Path) -> None:
+    done = fetch(tmp_path, "25.0.7-2~bpo12+1", "libusb-1.0.so.0 mesa tcmalloc")
+    assert done.returncode == 0, done.stderr
+    update, install = (tmp_path / "asked").read_text().splitlines()
+    assert update.endswith("update")
+    assert "--download-only" in install
+    assert install.endswith("libusb-1.0-0 mesa-vulkan-drivers")  # tcmalloc cannot be had here, and is not missed
+
+
+@pytest.mark.skipif(not Path("/usr/bin/dpkg").exists(), reason="needs a Debian family system")
+@pytest.mark.parametrize(
+    ("mesa", "names", "message"),
+    [
+        ("22.3.6-1", "mesa", "needs Mesa 24.3 or newer, this system's newest is 22.3.6-1"),
+        ("(none)", "mesa", "the package for mesa cannot be had"),
+        ("25.0.7-2", "libnovel.so.7", "no package is known for libnovel.so.7"),
+    ],
+)
+def test_what_cannot_be_had_is_said(tmp_path: Path, mesa: str, names: str, message: str) -> None:
+    done = fetch(tmp_path, mesa, names)
+    assert done.returncode == 1
+    assert message in done.stderr
+    assert "--download-only" not in (tmp_path / "asked").read_text()
+
+
+def test_nothing_shipped_names_a_machine() -> None:
+    """Set-up files hold no mirror, no registry host and no absolute home path."""
+    for file in (
+        SCRIPT,
+        REPOSITORY / "setup" / "freeze.sh",
+        REPOSITORY / "setup" / "constraints.txt",
+        REPOSITORY / "Makefile",
+    ):
+        assert not re.search(r"https?://|/root/|/home/", file.read_text()), file
