@@ -1,1 +1,1 @@
-"""Scripted experts planned with Drake."""
+"""Scripted experts: waypoints from the scene's true state, planned with Drake, no learning."""

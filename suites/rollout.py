@@ -1,0 +1,286 @@
+"""Perform a task in ManiSkill, then film it: apart, so that one performance can be filmed twice.
+
+The module loads sapien and mani_skill only when a `Stage` is made.
+"""
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from kinebench_drake.camera import Camera, benchmark_camera
+from kinebench_drake.errors import InputError
+from kinebench_drake.geometry import Array, from_quaternion, invert, make_pose, to_quaternion
+from kinebench_drake.kinematics.plant import PandaPlant
+from kinebench_drake.models.panda.robot import FINGER_LINKS, HAND_LINK, TCP_LINK
+from kinebench_drake.native import prepare_vulkan
+from kinebench_drake.suites.experts.motion import CONTROL_PERIOD_S, plan
+from kinebench_drake.suites.experts.registry import Expert
+
+STEPS_PER_FRAME = 4
+"""Control steps between two frames."""
+FRAME_PERIOD_S = STEPS_PER_FRAME * CONTROL_PERIOD_S
+"""Task time between two frames."""
+GRIPPER_LINKS = (HAND_LINK, *FINGER_LINKS, *(f"{finger}_pad" for finger in FINGER_LINKS))
+"""What counts as the gripper in masks; some of ManiSkill's Pandas have no pad links."""
+ROBOTS = ("panda", "panda_wristcam")
+"""Robots of ManiSkill that the experts know."""
+
+_CAMERA = "base_camera"
+_FINGER_RANGE_M = (-0.01, 0.04)  # of one finger joint's target, for actions -1 and 1 (ManiSkill's Panda)
+
+
+def sapien_from_opencv(X_AC: ArrayLike) -> Array:
+    """The pose (4, 4) of a camera with SAPIEN's axes (x forward, y left, z up), from OpenCV's (z forward, x right)."""
+    R_CS = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+    return np.asarray(X_AC) @ make_pose(R_CS, np.zeros(3))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Snapshot:
+    """Where everything is at one moment."""
+
+    q: Array
+    """(7,) arm joint angles [rad]."""
+    fingers_m: Array
+    """(2,) finger joints [m]."""
+    objects: dict[str, Array]
+    """Position and quaternion wxyz (7,) of each object in the ManiSkill world [m]."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Performance:
+    """One episode as it happened in the simulation."""
+
+    task: str
+    """ManiSkill environment id."""
+    seed: int
+    """Seed of the scene."""
+    prompt: str
+    """The task in words."""
+    snapshots: tuple[Snapshot, ...]
+    """The T moments to film, `FRAME_PERIOD_S` apart."""
+    success: bool
+    """ManiSkill's own verdict at the end."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Clip:
+    """A filmed performance with its ground truth."""
+
+    camera: Camera
+    """The camera that filmed it."""
+    rgb: NDArray[np.uint8]
+    """(T, H, W, 3) frames."""
+    t_s: Array
+    """(T,) task time [s]."""
+    q: Array
+    """(T, 7) arm joint angles [rad]; NaN where the gripper is not drawn, as in the poses."""
+    finger_width_m: Array
+    """(T,) gap between the finger pads [m]."""
+    X_CH: Array
+    """(T, 4, 4) panda_hand in the camera frame [m]."""
+    X_BG: Array
+    """(T, 4, 4) panda_hand_tcp in the robot base frame [m]."""
+    depth_mm: NDArray[np.uint16]
+    """(T, H, W) distance along the camera's z in whole millimetres, towards zero; 0 where nothing is."""
+    mask: NDArray[np.bool_]
+    """(T, H, W) pixels of the gripper (hand and fingers)."""
+
+    def save_truth(self, path: Path, *, with_images: bool) -> None:
+        """Write the ground truth as npz, the same bytes every time; `with_images`: depth and packed masks as well.
+
+        Masks are packed along the width: `np.unpackbits(mask, axis=-1, count=width)`.
+        """
+        arrays: dict[str, Any] = {
+            "t_s": self.t_s,
+            "base_from_tcp": self.X_BG,
+            "camera_from_hand": self.X_CH,
+            "q": self.q,
+            "finger_width_m": self.finger_width_m,
+        }
+        if with_images:
+            arrays |= {"depth_mm": self.depth_mm, "mask": np.packbits(self.mask, axis=-1)}
+        np.savez_compressed(path, **arrays)
+
+
+class Stage:
+    """A ManiSkill task with one Panda and one camera, on the CPU's physics."""
+
+    def __init__(self, task: str, *, robot: str = "panda", camera: Camera | None = None) -> None:
+        """Build the scene (a third of a second, the first time in a process some seconds).
+
+        Args:
+            task: ManiSkill environment id.
+            robot: one of `ROBOTS`.
+            camera: where to film from; the benchmark's camera if not given.
+
+        Raises:
+            SetupError: no Vulkan driver can be loaded.
+        """
+        backend = prepare_vulkan()
+        import gymnasium
+        import mani_skill.envs  # noqa: F401 (registers the tasks)
+        import sapien
+
+        self.camera = benchmark_camera() if camera is None else camera
+        self._pose_class = sapien.Pose
+        X_WB = make_pose(np.eye(3), [-0.615, 0.0, 0.0])  # where the tabletop tasks put the Panda; checked in reset
+        X_WS = sapien_from_opencv(X_WB @ self.camera.X_BC)
+        self._env: Any = gymnasium.make(
+            task,
+            obs_mode="none",
+            reward_mode="none",
+            control_mode="pd_joint_pos",
+            robot_uids=robot,
+            sim_backend="cpu",
+            render_backend=backend,
+            sensor_configs={
+                _CAMERA: {
+                    "pose": sapien.Pose(X_WS[:3, 3], to_quaternion(X_WS[:3, :3])),
+                    "width": self.camera.width,
+                    "height": self.camera.height,
+                    "fov": None,
+                    "intrinsic": self.camera.K,
+                }
+            },
+        ).unwrapped
+        self._X_WB = X_WB
+
+    def __enter__(self) -> "Stage":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Free the scene."""
+        self._env.close()
+
+    def reset(self, seed: int) -> None:
+        """Set up the scene of `seed`; what ManiSkill hides from observations (goal markers in the air) is not drawn."""
+        self._env.reset(seed=seed)
+        X_WB = self._pose(self._env.agent.robot)
+        if not np.allclose(X_WB, self._X_WB, atol=1e-6):
+            raise InputError(f"the robot's base is at {X_WB[:3, 3].tolist()}, expected {self._X_WB[:3, 3].tolist()}")
+        for thing in self._env._hidden_objects:
+            thing.hide_visual()
+
+    @staticmethod
+    def _pose(entity: Any) -> Array:
+        """Pose (4, 4) in the ManiSkill world of an actor, link or articulation."""
+        raw = np.asarray(entity.pose.raw_pose[0], dtype=np.float64)
+        return from_quaternion(raw[3:], raw[:3])
+
+    def object_poses(self) -> dict[str, Array]:
+        """Poses (4, 4) in the robot base frame [m] of the scene's actors by name."""
+        X_BW = invert(self._X_WB)
+        return {name: X_BW @ self._pose(actor) for name, actor in self._env.scene.actors.items()}
+
+    def link_pose(self, link: str) -> Array:
+        """Pose (4, 4) of one of the robot's links in its base frame [m]."""
+        return invert(self._X_WB) @ self._pose(self._env.agent.robot.links_map[link])
+
+    def step(self, q: ArrayLike, finger_width_m: float) -> None:
+        """One control step with the arm's servos set to `q` (7,) [rad] and the fingers' to a gap [m]."""
+        low, high = _FINGER_RANGE_M
+        finger = float(np.clip(2.0 * (finger_width_m / 2.0 - low) / (high - low) - 1.0, -1.0, 1.0))
+        self._env.step(np.concatenate([np.asarray(q), [finger]]).astype(np.float32))
+
+    def success(self) -> bool:
+        """ManiSkill's verdict on the present state."""
+        return bool(self._env.evaluate()["success"][0])
+
+    def snapshot(self) -> Snapshot:
+        """The present state."""
+        qpos = np.asarray(self._env.agent.robot.get_qpos()[0], dtype=np.float64)
+        objects = {
+            name: np.asarray(actor.pose.raw_pose[0], dtype=np.float64) for name, actor in self._env.scene.actors.items()
+        }
+        return Snapshot(q=qpos[:7], fingers_m=qpos[7:9], objects=objects)
+
+    def show(self, snapshot: Snapshot) -> None:
+        """Put everything where the snapshot has it, without simulating."""
+        self._env.agent.robot.set_qpos(np.concatenate([snapshot.q, snapshot.fingers_m])[None].astype(np.float32))
+        for name, raw in snapshot.objects.items():
+            self._env.scene.actors[name].set_pose(self._pose_class(raw[:3], raw[3:]))
+
+    def draw(self, links: Collection[str], *, visible: bool) -> None:
+        """Draw some of the robot's links, or do not."""
+        import sapien
+
+        for name, link in self._env.agent.robot.links_map.items():
+            if name in links:
+                body = link._objs[0].entity.find_component_by_type(sapien.render.RenderBodyComponent)
+                if body is not None:
+                    body.visibility = float(visible)
+
+    def picture(self) -> tuple[NDArray[np.uint8], NDArray[np.uint16], NDArray[np.bool_]]:
+        """Colour (H, W, 3), depth (H, W) [mm] and gripper mask (H, W) of the present state."""
+        self._env.scene.update_render(update_sensors=True, update_human_render_cameras=False)
+        sensor = self._env._sensors[_CAMERA]
+        sensor.capture()
+        images = sensor.get_obs(rgb=True, depth=True, position=False, segmentation=True)
+        rgb, depth, labels = (images[name][0].cpu().numpy() for name in ("rgb", "depth", "segmentation"))
+        links = self._env.agent.robot.links_map
+        gripper = [int(links[name].per_scene_id[0]) for name in GRIPPER_LINKS if name in links]
+        return (
+            np.array(rgb, dtype=np.uint8),
+            np.clip(depth[..., 0], 0, None).astype(np.uint16),
+            np.isin(labels[..., 0], gripper),
+        )
+
+
+def perform(stage: Stage, expert: Expert, seed: int) -> Performance:
+    """Let the expert do its task once; nothing is rendered.
+
+    Raises:
+        InputError: the expert finds no path in this scene.
+    """
+    stage.reset(seed)
+    start = stage.snapshot()
+    steps = STEPS_PER_FRAME * (expert.frames - 1)
+    waypoints = expert.waypoints(stage.link_pose(TCP_LINK), stage.object_poses())
+    motion = plan(PandaPlant(), start.q, float(start.fingers_m.sum()), waypoints, steps)
+    snapshots = [start]
+    for i in range(steps):
+        stage.step(motion.q[i], motion.finger_width_m[i])
+        if (i + 1) % STEPS_PER_FRAME == 0:
+            snapshots.append(stage.snapshot())
+    return Performance(
+        task=expert.task, seed=seed, prompt=expert.prompt, snapshots=tuple(snapshots), success=stage.success()
+    )
+
+
+def film(stage: Stage, snapshots: Sequence[Snapshot], *, first_frame: int = 0) -> Clip:
+    """Render snapshots with the stage's camera; the stage must have been reset to the same scene.
+
+    Args:
+        stage: the scene they were taken in.
+        snapshots: what to show, one a frame.
+        first_frame: index of the first of them in the whole video (it sets `t_s`).
+    """
+    pictures, X_BH, X_BG = [], [], []
+    for snapshot in snapshots:
+        stage.show(snapshot)
+        pictures.append(stage.picture())
+        X_BH.append(stage.link_pose(HAND_LINK))
+        X_BG.append(stage.link_pose(TCP_LINK))
+    rgb, depth_mm, mask = (np.stack(images) for images in zip(*pictures, strict=True))
+    return Clip(
+        camera=stage.camera,
+        rgb=rgb,
+        t_s=FRAME_PERIOD_S * np.arange(first_frame, first_frame + len(snapshots), dtype=np.float64),
+        q=np.stack([s.q for s in snapshots]),
+        finger_width_m=np.array([s.fingers_m.sum() for s in snapshots]),
+        X_CH=invert(stage.camera.X_BC) @ np.stack(X_BH),
+        X_BG=np.stack(X_BG),
+        depth_mm=depth_mm,
+        mask=mask,
+    )
