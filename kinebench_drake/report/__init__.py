@@ -1,1 +1,18 @@
-"""The self-contained html report."""
+"""The self-contained html report of an output folder."""
+
+from pathlib import Path
+
+from kinebench_drake.report.page import build_page
+from kinebench_drake.results import REPORT, write_atomically
+
+
+def write_report(out: Path) -> Path:
+    """Write `report.html` from the rows and files of an output folder; the same folder gives the same bytes.
+
+    Raises:
+        InputError: the folder's files are broken.
+        SetupError: writing failed.
+    """
+    path = out / REPORT
+    write_atomically(path, build_page(out).encode())
+    return path

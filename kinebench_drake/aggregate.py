@@ -1,0 +1,137 @@
+"""From rows to numbers over many samples: means with intervals, and how many samples stand behind each."""
+
+import math
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from kinebench_drake.row import Json, SampleRow, Status
+
+CONFIDENCE = 0.95
+_RESAMPLES = 2000
+_EXTRA = ("success", "progress")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Estimate:
+    """A mean or a share with its 95 % interval and its coverage."""
+
+    mean: float | None
+    """Mean of the values, or share of true ones; None without a value."""
+    low: float | None
+    """Lower end of the interval; None where the samples are too few to say."""
+    high: float | None
+    """Upper end of the interval."""
+    n: int
+    """Samples with a value."""
+    total: int
+    """Samples in the group, measurable or not."""
+
+    def to_json(self) -> dict[str, Json]:
+        """The object that `results.json` holds."""
+        return {"mean": self.mean, "low": self.low, "high": self.high, "n": self.n, "total": self.total}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Aggregate:
+    """A group of samples in numbers."""
+
+    status: Mapping[Status, int]
+    """Samples of each status."""
+    estimates: Mapping[str, Estimate]
+    """`feasible` and every metric that is a number or a truth value, over the samples that are ok."""
+    violations: Mapping[str, int]
+    """Samples that show a violation, for each kind."""
+    anomalies: Mapping[str, int]
+    """Samples that show an anomaly, for each kind."""
+
+    @property
+    def total(self) -> int:
+        """Samples in the group."""
+        return sum(self.status.values())
+
+    def to_json(self) -> dict[str, Json]:
+        """The object that `results.json` holds."""
+        return {
+            "samples": {"total": self.total, **{s.value: self.status[s] for s in Status}},
+            **{name: estimate.to_json() for name, estimate in self.estimates.items() if name == "feasible"},
+            "metrics": {name: e.to_json() for name, e in self.estimates.items() if name != "feasible"},
+            "violations": dict(self.violations),
+            "anomalies": dict(self.anomalies),
+        }
+
+
+def aggregate(rows: Sequence[SampleRow], seed: int = 0) -> Aggregate:
+    """Put a group of rows into numbers. The same rows and seed give the same numbers."""
+    columns: dict[str, list[Json]] = {"feasible": []}
+    for row in (r for r in rows if r.status is Status.OK):
+        columns["feasible"].append(row.feasible)
+        extra = {name: row.extra[name] for name in _EXTRA if name in row.extra}
+        for name, value in {**row.metrics, **extra}.items():
+            if value is None or isinstance(value, bool | int | float):
+                columns.setdefault(name, []).append(value)
+    counts = Counter(r.status for r in rows)
+    return Aggregate(
+        status={status: counts[status] for status in Status},
+        estimates={name: estimate(values, total=len(rows), seed=seed) for name, values in columns.items()},
+        violations=_share({str(v.get("kind")) for v in row.violations} for row in rows),
+        anomalies=_share(_anomaly_kinds(row) for row in rows),
+    )
+
+
+def by_key(rows: Iterable[SampleRow], key: str) -> dict[str, list[SampleRow]]:
+    """Rows grouped by their `task` or `model`, sorted; rows without one are left out."""
+    groups: dict[str, list[SampleRow]] = {}
+    for row in rows:
+        name = getattr(row, key)
+        if name is not None:
+            groups.setdefault(name, []).append(row)
+    return dict(sorted(groups.items()))
+
+
+def estimate(values: Sequence[Json], *, total: int, seed: int = 0) -> Estimate:
+    """Mean and interval of `values`, of which None does not count.
+
+    Truth values give a share with Wilson's score interval (Wilson 1927); numbers give a mean with the percentile
+    bootstrap interval (Efron 1979). A single number has no interval.
+    """
+    known = [float(v) for v in values if isinstance(v, bool | int | float) and math.isfinite(v)]
+    n = len(known)
+    if not n:
+        return Estimate(mean=None, low=None, high=None, n=0, total=total)
+    mean = math.fsum(known) / n
+    low: float | None = None
+    high: float | None = None
+    if all(isinstance(v, bool) for v in values if v is not None):
+        from scipy.stats import binomtest
+
+        interval = binomtest(round(sum(known)), n).proportion_ci(confidence_level=CONFIDENCE, method="wilson")
+        low, high = float(interval.low), float(interval.high)
+    elif n > 1 and min(known) == max(known):
+        low = high = mean
+    elif n > 1:
+        from scipy.stats import bootstrap
+
+        result = bootstrap(
+            (np.array(known),),
+            np.mean,
+            n_resamples=_RESAMPLES,
+            confidence_level=CONFIDENCE,
+            method="percentile",
+            rng=np.random.default_rng(seed),
+        )
+        low, high = float(result.confidence_interval.low), float(result.confidence_interval.high)
+    return Estimate(mean=mean, low=low, high=high, n=n, total=total)
+
+
+def _share(kinds: Iterable[set[str]]) -> dict[str, int]:
+    return dict(sorted(Counter(kind for found in kinds for kind in found).items()))
+
+
+def _anomaly_kinds(row: SampleRow) -> set[str]:
+    found = row.metrics.get("anomalies")
+    if isinstance(found, str) or not isinstance(found, Sequence):
+        return set()
+    return {str(a.get("kind")) for a in found if isinstance(a, Mapping)}

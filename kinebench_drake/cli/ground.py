@@ -1,0 +1,26 @@
+"""`kinebench-drake ground`."""
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from kinebench_drake.cli.options import run_options, video_options
+
+
+@click.command(epilog="\b\nExample:\n  kinebench-drake ground videos/ --out tracks/ --overlay")
+@click.argument("source", metavar="PATH", type=click.Path(path_type=Path))
+@run_options
+@video_options
+@click.pass_context
+def ground(ctx: click.Context, /, **options: Any) -> None:
+    """Take the gripper's track from each video of PATH, without judging it.
+
+    PATH is what `score` takes. Tracks go to tracks/ID.npz in the output folder, videos with the gripper drawn in to
+    overlays/ID.mp4.
+    """
+    from kinebench_drake.cli.run import run
+    from kinebench_drake.measure import Kind
+    from kinebench_drake.score import RunConfig
+
+    ctx.exit(run(RunConfig(kind=Kind.GROUND, **options)))

@@ -1,0 +1,85 @@
+"""Options that commands share."""
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+
+from kinebench_drake.engines import EngineKind
+from kinebench_drake.inputs import Shard
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+def _shard(ctx: click.Context, param: click.Parameter, value: str | None) -> Shard | None:
+    return None if value is None else Shard.parse(value)
+
+
+def _engine(ctx: click.Context, param: click.Parameter, value: str) -> EngineKind:
+    return EngineKind(value)
+
+
+def _tags(ctx: click.Context, param: click.Parameter, values: tuple[str, ...]) -> dict[str, str]:
+    tags = {}
+    for value in values:
+        match = re.fullmatch(r"([^=]+)=(.*)", value, re.DOTALL)
+        if not match:
+            raise click.BadParameter(f"{value!r} is not of the form KEY=VALUE", ctx, param)
+        tags[match[1]] = match[2]
+    return tags
+
+
+_COUNT = click.IntRange(min=1)
+
+_RUN = (
+    click.option("--out", type=click.Path(path_type=Path), required=True, help="Output folder; made if absent."),
+    click.option("--limit", type=_COUNT, help="Work on the first N samples only.", metavar="N"),
+    click.option("--jobs", type=_COUNT, default=1, show_default=True, help="Worker processes.", metavar="N"),
+    click.option(
+        "--shard", callback=_shard, help="Work on part I of N, for several machines, such as 1/4.", metavar="I/N"
+    ),
+    click.option(
+        "--engine",
+        type=click.Choice([kind.value for kind in EngineKind]),
+        callback=_engine,
+        default=EngineKind.LOCAL.value,
+        show_default=True,
+        help="Where workers run.",
+    ),
+    click.option(
+        "--overwrite/--resume",
+        default=False,
+        help="Start anew, or keep finished samples whose video and settings are the same.  [default: resume]",
+    ),
+    click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of all randomness."),
+    click.option("--model", help="World model behind the videos, where a manifest does not tell.", metavar="NAME"),
+    click.option("--task", help="Task in the videos, where a manifest does not tell.", metavar="NAME"),
+    click.option("--tag", "tags", multiple=True, callback=_tags, help="Label kept in results.", metavar="KEY=VALUE"),
+)
+
+_VIDEO = (
+    click.option(
+        "--frame-period",
+        "frame_period_s",
+        type=float,
+        help="Task time between two frames; benchmark videos: 0.2.  [default: 1 / fps]",
+        metavar="SECONDS",
+    ),
+    click.option("--overlay/--no-overlay", default=False, help="Write videos with the gripper drawn in."),
+)
+
+
+def run_options(function: Function) -> Function:
+    """Add what `score`, `ground`, `audit` and `suite run` share."""
+    for option in reversed(_RUN):
+        function = option(function)
+    return function
+
+
+def video_options(function: Function) -> Function:
+    """Add what commands that read videos share."""
+    for option in reversed(_VIDEO):
+        function = option(function)
+    return function

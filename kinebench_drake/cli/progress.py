@@ -1,0 +1,67 @@
+"""How a run's progress is shown: a bar on a terminal, plain lines elsewhere; both on standard error."""
+
+import sys
+from types import TracebackType
+
+import click
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.text import Text
+
+from kinebench_drake.row import SampleRow, Status
+
+_STYLES = {Status.OK: "green", Status.UNMEASURABLE: "yellow", Status.ERROR: "red"}
+
+
+class ProgressView:
+    """An observer of runs that writes to standard error. Use as a context."""
+
+    def __init__(self) -> None:
+        self.total = 0
+        """Samples to be done in all."""
+        self.done = 0
+        """Samples done, those kept from before included."""
+        self._bar: Progress | None = None
+        if sys.stderr.isatty():
+            columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+            self._bar = Progress(*columns, console=Console(stderr=True))
+            self._task = self._bar.add_task("samples", total=None)
+
+    def __enter__(self) -> "ProgressView":
+        if self._bar:
+            self._bar.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._bar:
+            self._bar.stop()
+
+    def warned(self, message: str) -> None:
+        """Tell a warning."""
+        self._say(Text(f"warning: {message}", style="yellow"))
+
+    def started(self, total: int, kept: int) -> None:
+        """Begin to count."""
+        self.total, self.done = total, kept
+        if kept:
+            self._say(Text(f"{kept} of {total} samples are finished already and kept"))
+        if self._bar:
+            self._bar.update(self._task, total=total, completed=kept)
+
+    def finished(self, row: SampleRow, wall_s: float) -> None:
+        """Tell of a sample; on a terminal only of those that failed."""
+        self.done += 1
+        reason = f": {row.reason}" if row.reason else ""
+        if self._bar is None or row.status is not Status.OK:
+            line = f"[{self.done}/{self.total}] {row.id} {row.status.value}{reason} ({wall_s:.1f} s)"
+            self._say(Text(line, style=_STYLES[row.status]))
+        if self._bar:
+            self._bar.update(self._task, completed=self.done)
+
+    def _say(self, text: Text) -> None:
+        if self._bar:
+            self._bar.console.print(text, soft_wrap=True)
+        else:
+            click.echo(text.plain, err=True)

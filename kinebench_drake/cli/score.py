@@ -1,0 +1,32 @@
+"""`kinebench-drake score`."""
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from kinebench_drake.cli.options import run_options, video_options
+
+
+@click.command(
+    epilog=(
+        "\b\nExamples:\n"
+        "  kinebench-drake score videos/ --out results/\n"
+        "  kinebench-drake score videos/manifest.jsonl --out results/ --jobs 4 --tag run=7\n"
+        "  kinebench-drake score episode.mp4 --out results/ --frame-period 0.2 --overlay"
+    )
+)
+@click.argument("source", metavar="PATH", type=click.Path(path_type=Path))
+@run_options
+@video_options
+@click.pass_context
+def score(ctx: click.Context, /, **options: Any) -> None:
+    """Score the videos of PATH: gripper tracks, kinematic metrics, report.
+
+    PATH is a video (mp4, mov, avi, gif, webm, mkv), a folder of videos or frame folders, a npy or npz file
+    (T,H,W,3 uint8) or a manifest.jsonl. A camera.json beside the videos gives their camera.
+    """
+    from kinebench_drake.cli.run import run
+    from kinebench_drake.score import RunConfig
+
+    ctx.exit(run(RunConfig(**options)))

@@ -1,0 +1,72 @@
+"""The heavy steps of measuring: the grounding pipeline and Drake, behind the `Stages` protocol."""
+
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinebench_drake.camera import Camera
+from kinebench_drake.geometry import Array
+from kinebench_drake.grounding.overlay import draw_overlay
+from kinebench_drake.grounding.pipeline import Grounding, GroundingPipeline
+from kinebench_drake.kinematics.ik import solve_track
+from kinebench_drake.kinematics.plant import PandaPlant
+from kinebench_drake.metrics.kinematic import Violation, evaluate_track
+from kinebench_drake.products import GripperTrack
+from kinebench_drake.row import Json
+from kinebench_drake.stages import Judgement
+
+
+class DrakeStages:
+    """Grounding with the shipped networks, kinematics in Drake."""
+
+    def __init__(self) -> None:
+        """Load weights, meshes and the plant.
+
+        Raises:
+            SetupError: one of them is missing.
+        """
+        self._pipeline = GroundingPipeline.create()
+        self._plant = PandaPlant()
+
+    def ground(self, frames: NDArray[np.uint8], camera: Camera, t_s: Array) -> Grounding:
+        """Find the gripper in frames (T, H, W, 3)."""
+        return self._pipeline.ground(frames, camera, t_s)
+
+    def judge(self, track: GripperTrack) -> Judgement:
+        """Solve inverse kinematics along a track and hold it against the robot's limits."""
+        joints = solve_track(self._plant, track)
+        result = evaluate_track(self._plant, track, joints)
+        return Judgement(
+            joints=joints,
+            feasible=result.feasible,
+            metrics=dict(result.metrics),
+            violations=tuple(_violation_json(v) for v in result.violations),
+            per_frame=self._per_frame(joints.q),
+        )
+
+    def overlay(self, frames: NDArray[np.uint8], camera: Camera, track: GripperTrack) -> Iterator[NDArray[np.uint8]]:
+        """Draw the posed gripper on the frames."""
+        return draw_overlay(frames, camera, track)
+
+    def _per_frame(self, q: Array) -> Mapping[str, Array]:
+        """Manipulability and joint-limit margin of each frame of joint angles (T, 7) [rad]."""
+        known = np.isfinite(q).all(axis=1)
+        manipulability = np.full(len(q), np.nan)
+        for k in np.flatnonzero(known):
+            J = self._plant.jacobian(q[k])
+            manipulability[k] = np.sqrt(max(0.0, float(np.linalg.det(J @ J.T))))
+        half_range = (self._plant.upper - self._plant.lower) / 2.0
+        margin = (np.minimum(q - self._plant.lower, self._plant.upper - q) / half_range).min(axis=1)
+        return {"manipulability": manipulability, "joint_margin": np.where(known, margin, np.nan)}
+
+
+def _violation_json(violation: Violation) -> dict[str, Json]:
+    return {
+        "kind": violation.kind.value,
+        "frame_start": violation.frame_start,
+        "frame_end": violation.frame_end,
+        "joint": violation.joint,
+        "value": violation.value,
+        "limit": violation.limit,
+    }

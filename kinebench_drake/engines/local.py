@@ -1,0 +1,158 @@
+"""Workers on this machine: in this process, or several of one thread each.
+
+Every worker computes with one thread, also a single one: sums then come in one order, so that the number of jobs does
+not change a byte of the results.
+"""
+
+import multiprocessing
+import os
+import signal
+import sys
+from collections import deque
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from multiprocessing.connection import Connection, wait
+from multiprocessing.process import BaseProcess
+from typing import Generic, cast
+
+from kinebench_drake.engines import Crashed, Done, Item, Result
+from kinebench_drake.errors import KinebenchError
+
+_THREAD_VARIABLES = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LocalEngine:
+    """An `Engine` on this machine."""
+
+    jobs: int
+    """Number of processes; 1 works in this very process."""
+
+    def run(
+        self, make_worker: Callable[[], Callable[[Item], Result]], items: Sequence[Item]
+    ) -> Generator[Done[Item, Result] | Crashed[Item], None, None]:
+        """See `Engine.run`."""
+        if not items:
+            return
+        if self.jobs == 1:
+            with _one_thread():
+                work = make_worker()
+                for item in items:
+                    yield Done(item=item, result=work(item))
+        else:
+            yield from _Pool(make_worker, items, min(self.jobs, len(items))).outcomes()
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """One thread for numeric libraries: those not loaded yet read the environment, torch also listens later."""
+    before = {name: os.environ.get(name) for name in _THREAD_VARIABLES}
+    torch = sys.modules.get("torch")
+    threads = torch.get_num_threads() if torch else 0
+    os.environ.update(dict.fromkeys(_THREAD_VARIABLES, "1"))
+    if torch:
+        torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
+        if torch:
+            torch.set_num_threads(threads)
+
+
+@dataclass(slots=True)
+class _Slot(Generic[Item]):
+    """One worker process and what it is busy with."""
+
+    process: BaseProcess
+    pipe: Connection
+    item: Item | None = None
+
+
+class _Pool(Generic[Item, Result]):
+    """Processes fed one item at a time over a pipe each: when one dies, only its item is lost."""
+
+    def __init__(self, make_worker: Callable[[], Callable[[Item], Result]], items: Sequence[Item], size: int) -> None:
+        self._make_worker = make_worker
+        self._waiting = deque(items)
+        self._size = size
+        self._slots: list[_Slot[Item]] = []
+
+    def outcomes(self) -> Generator[Done[Item, Result] | Crashed[Item], None, None]:
+        try:
+            while self._waiting or self._slots:
+                while self._waiting and len(self._slots) < self._size:
+                    self._slots.append(self._start())
+                ready = wait([slot.pipe for slot in self._slots])
+                for slot in [slot for slot in self._slots if slot.pipe in ready]:
+                    outcome = self._receive(slot)
+                    if outcome is not None:
+                        yield outcome
+        finally:
+            for slot in self._slots:
+                slot.process.terminate()
+            for slot in self._slots:
+                slot.process.join()
+                slot.pipe.close()
+
+    def _start(self) -> _Slot[Item]:
+        context = multiprocessing.get_context("spawn")
+        ours, theirs = context.Pipe()
+        process = context.Process(target=_serve, args=(theirs, self._make_worker), daemon=True)
+        with _one_thread():  # children inherit the environment of this moment
+            process.start()
+        theirs.close()
+        slot: _Slot[Item] = _Slot(process=process, pipe=ours)
+        self._feed(slot)
+        return slot
+
+    def _feed(self, slot: _Slot[Item]) -> None:
+        """Hand the next item to a worker, or send it home."""
+        slot.item = self._waiting.popleft() if self._waiting else None
+        with suppress(BrokenPipeError, ConnectionResetError):  # it died; the next receive tells
+            slot.pipe.send(slot.item)
+        if slot.item is None:
+            self._dismiss(slot)
+
+    def _dismiss(self, slot: _Slot[Item]) -> None:
+        self._slots.remove(slot)
+        slot.process.join()
+        slot.pipe.close()
+
+    def _receive(self, slot: _Slot[Item]) -> Done[Item, Result] | Crashed[Item] | None:
+        item = cast(Item, slot.item)
+        try:
+            answer = slot.pipe.recv()
+        except (EOFError, ConnectionResetError):
+            self._dismiss(slot)
+            return Crashed(item=item, reason=_cause_of_death(slot.process.exitcode))
+        if isinstance(answer, KinebenchError):
+            raise answer
+        self._feed(slot)
+        return Done(item=item, result=answer)
+
+
+def _cause_of_death(code: int | None) -> str:
+    if code is not None and code < 0:
+        name = signal.Signals(-code).name if -code in set(signal.Signals) else f"signal {-code}"
+        hint = " (often the system is out of memory: use fewer --jobs)" if -code == signal.SIGKILL else ""
+        return f"the worker process was ended by {name}{hint}"
+    return f"the worker process ended with status {code}"
+
+
+def _serve(pipe: Connection, make_worker: Callable[[], Callable[[Item], Result]]) -> None:
+    """Body of a worker process: items in, results out, until None or until the parent is gone."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides what an interrupt means
+    try:
+        work = make_worker()
+        while (item := pipe.recv()) is not None:
+            pipe.send(work(item))
+    except KinebenchError as error:
+        pipe.send(error)
+    except (EOFError, BrokenPipeError, ConnectionResetError):
+        return

@@ -1,0 +1,133 @@
+"""`manifest.jsonl`: one JSON object a line, naming a video and what is known about it."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from kinebench_drake.camera import Camera
+from kinebench_drake.errors import InputError, UsageError
+
+NAME = "manifest.jsonl"
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+
+
+class Entry(BaseModel):
+    """One line of a manifest: keys, types and limits."""
+
+    model_config = ConfigDict(strict=True, extra="ignore", frozen=True)
+
+    video: Annotated[str, Field(min_length=1)]
+    """Path of the video (file, frame folder, npy or npz), relative to the manifest and inside its folder."""
+    id: Annotated[str, Field(min_length=1)] | None = None
+    task: str | None = None
+    seed: int | None = None
+    model: str | None = None
+    prompt: str | None = None
+    fps: Positive | None = None
+    """Frames per second the video plays at, over what the file says [1/s]."""
+    frame_period_s: Positive | None = None
+    """Task time between two frames [s]."""
+    camera: dict[str, object] | Annotated[str, Field(min_length=1)] | None = None
+    """The camera as an object, or the relative path of its file."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Line:
+    """One line as read: an entry, or what is wrong with it."""
+
+    number: int
+    """Line number from 1."""
+    entry: Entry | None
+    """The line's content; None when it cannot be used."""
+    problem: str | None
+    """Why it cannot be used; None when it can."""
+    video: str
+    """The video as named on the line; empty when the line names none."""
+    id: str | None
+    """The id as named on the line, if it is a text."""
+    unknown: tuple[str, ...]
+    """Keys nobody reads."""
+
+
+def read_manifest(path: Path) -> list[Line]:
+    """Read every line; lines that cannot be used carry their problem instead of stopping the others.
+
+    Raises:
+        UsageError: the file cannot be read, or holds no line.
+    """
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise UsageError(f"{path.name}: cannot be read as text ({error})") from None
+    lines = [_read_line(n, line) for n, line in enumerate(text.split("\n"), 1) if line.strip()]
+    if not lines:
+        raise UsageError(f'{path.name}: is empty, expected one JSON object a line, such as {{"video": "a.mp4"}}')
+    return lines
+
+
+def _read_line(number: int, text: str) -> Line:
+    try:
+        data = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        return _broken(number, f"line {number} is not JSON ({error})")
+    if not isinstance(data, dict):
+        return _broken(number, f"line {number} is a {type(data).__name__}, expected an object with the key video")
+    video, id = (data.get(key) if isinstance(data.get(key), str) else None for key in ("video", "id"))
+    unknown = tuple(sorted(set(data) - set(Entry.model_fields)))
+    try:
+        entry, problem = Entry.model_validate(data), None
+    except ValidationError as error:
+        entry, problem = None, f"line {number}: {_explain(error)}"
+    return Line(number=number, entry=entry, problem=problem, video=video or "", id=id or None, unknown=unknown)
+
+
+def _broken(number: int, problem: str) -> Line:
+    return Line(number=number, entry=None, problem=problem, video="", id=None, unknown=())
+
+
+def _explain(error: ValidationError) -> str:
+    """One clause a wrong key: its name, what was found and what was expected."""
+    told: dict[str, str] = {}
+    for fault in error.errors(include_url=False):
+        key = str(fault["loc"][0]) if fault["loc"] else "the line"
+        found = "is missing" if fault["type"] == "missing" else f"is {fault['input']!r:.60}"
+        told.setdefault(key, f"{key} {found} ({fault['msg'].lower()})")
+    return "; ".join(told.values())
+
+
+def inside(folder: Path, relative: str, what: str) -> Path:
+    """The path of `relative`, which must stay inside `folder` even after links are followed.
+
+    Raises:
+        InputError: it is absolute, climbs out by `..` or follows a link out.
+    """
+    pure = PurePosixPath(relative)
+    if pure.is_absolute() or ".." in pure.parts or "\0" in relative:
+        raise InputError(f"{what} {relative!r} must be a relative path inside the manifest's folder")
+    path = folder / pure
+    try:
+        if not path.resolve().is_relative_to(folder.resolve()):
+            raise InputError(f"{what} {relative!r} is a link that leads out of the manifest's folder")
+    except (OSError, RuntimeError) as error:
+        raise InputError(f"{what} {relative!r} cannot be followed ({error})") from None
+    return path
+
+
+def entry_camera(entry: Entry, folder: Path) -> Camera | None:
+    """The camera a line brings along; None when it leaves that to the folder.
+
+    Raises:
+        InputError: the camera cannot be used or lies outside the manifest's folder.
+    """
+    if entry.camera is None:
+        return None
+    try:
+        if isinstance(entry.camera, str):
+            return Camera.load(inside(folder, entry.camera, "camera"))
+        return Camera.from_json(entry.camera, "camera")
+    except UsageError as error:
+        raise InputError(str(error)) from None

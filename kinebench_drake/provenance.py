@@ -1,0 +1,48 @@
+"""What a result came from besides its inputs: versions, weights and the machine. Holds no clock time and no path."""
+
+import hashlib
+import os
+import platform
+from functools import cache
+from importlib import metadata
+from pathlib import Path
+
+import kinebench_drake
+from kinebench_drake.row import Json
+
+_PACKAGES = ("numpy", "scipy", "drake", "open3d", "torch", "av", "mani_skill", "sapien")
+
+
+def versions() -> dict[str, Json]:
+    """Versions of this package, of Python and of what the numbers depend on; None where not installed."""
+    found: dict[str, Json] = {"kinebench_drake": kinebench_drake.__version__, "python": platform.python_version()}
+    for name in _PACKAGES:
+        try:
+            found[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            found[name] = None
+    return found
+
+
+@cache
+def weights_hash() -> str:
+    """SHA-256 over the networks' weights that lie in the package."""
+    digest = hashlib.sha256()
+    for file in sorted((Path(kinebench_drake.__file__).parent / "models" / "perception").glob("*.safetensors")):
+        digest.update(file.name.encode() + b"\0")
+        with file.open("rb") as data:
+            digest.update(hashlib.file_digest(data, "sha256").digest())
+    return digest.hexdigest()
+
+
+def host() -> dict[str, Json]:
+    """The machine in few words: system, processor, cores; nothing that names its owner."""
+    return {"system": platform.system(), "machine": platform.machine(), "cpu": _cpu(), "cores": os.cpu_count()}
+
+
+def _cpu() -> str | None:
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        return platform.processor() or None
+    return next((line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), None)

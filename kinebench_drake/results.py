@@ -1,0 +1,195 @@
+"""The output folder: rows appended as samples end, kept over any kind of stop, and summed up at the end."""
+
+import errno
+import fcntl
+import json
+import os
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+
+from kinebench_drake.errors import InputError, SetupError, UsageError
+from kinebench_drake.row import Json, SampleRow, dump
+
+SAMPLES, TIMINGS, RESULTS, REPORT = "samples.jsonl", "timings.jsonl", "results.json", "report.html"
+_PARTS = {"tracks": "npz", "overlays": "mp4", "thumbnails": "jpg"}
+
+
+@contextmanager
+def storage(name: str) -> Iterator[None]:
+    """Turn a failing disk into one line that says what to do.
+
+    Raises:
+        SetupError: writing failed (disk full, no permission, ...).
+    """
+    try:
+        yield
+    except OSError as error:
+        full = error.errno in (errno.ENOSPC, errno.EDQUOT)
+        fix = "free some space" if full else "make the folder writable"
+        raise SetupError(
+            f"cannot write {name} ({error.strerror or error}): {fix} and run the same command again, "
+            "finished samples are kept"
+        ) from None
+
+
+def write_atomically(path: Path, data: bytes) -> None:
+    """Write a file that is there whole or not at all, whatever stops the program.
+
+    Raises:
+        SetupError: writing failed.
+    """
+    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+    with storage(path.name):
+        try:
+            with part.open("wb") as file:
+                file.write(data)
+                file.flush()
+                os.fsync(file.fileno())
+            os.replace(part, path)
+        except OSError:
+            part.unlink(missing_ok=True)
+            raise
+
+
+def part_path(out: Path, part: str, id: str) -> Path:
+    """Path of a sample's file of its own: part is "tracks", "overlays" or "thumbnails"."""
+    return out / part / f"{id}.{_PARTS[part]}"
+
+
+def read_rows(out: Path) -> dict[str, SampleRow]:
+    """All whole rows of an output folder by id; a torn last line is passed over, a later row of an id wins.
+
+    Raises:
+        InputError: a line other than the last is no row.
+    """
+    path = out / SAMPLES
+    lines = path.read_bytes().split(b"\n") if path.is_file() else [b""]
+    rows: dict[str, SampleRow] = {}
+    for number, line in enumerate(lines[:-1], 1):  # what follows the last line feed is torn
+        try:
+            row = SampleRow.from_json(json.loads(line))
+        except (ValueError, InputError) as error:
+            if number == len(lines) - 1:
+                break
+            raise InputError(f"{path}: line {number} is broken ({error}); --overwrite starts anew") from None
+        rows[row.id] = row
+    return rows
+
+
+class ResultStore:
+    """An output folder opened for writing, by one program at a time."""
+
+    def __init__(self, out: Path, *, overwrite: bool = False) -> None:
+        """Open or make the folder.
+
+        Args:
+            out: the folder.
+            overwrite: forget what it holds instead of going on from there.
+
+        Raises:
+            UsageError: the folder cannot be made, written or locked, or holds a broken file.
+        """
+        self.out = out
+        self._lock = -1
+        try:
+            out.mkdir(parents=True, exist_ok=True)
+            for part in _PARTS:
+                (out / part).mkdir(exist_ok=True)
+            self._lock = os.open(out, os.O_RDONLY)
+            self._claim()
+            self._sweep(everything=overwrite)
+            with (out / SAMPLES).open("ab"):
+                pass
+            self.rows = read_rows(out)
+        except OSError as error:
+            self.close()
+            raise UsageError(f"--out {out}: cannot be written ({error.strerror or error})") from None
+        except InputError as error:
+            self.close()
+            raise UsageError(str(error)) from None
+
+    def __enter__(self) -> "ResultStore":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Let other programs have the folder."""
+        if self._lock >= 0:
+            os.close(self._lock)
+            self._lock = -1
+
+    def keep(self, wanted: Callable[[SampleRow], bool]) -> None:
+        """Drop every row that is not `wanted`, with its files, and tidy the file of rows.
+
+        Raises:
+            SetupError: writing failed.
+        """
+        for id in [id for id, row in self.rows.items() if not wanted(row)]:
+            del self.rows[id]
+            for part in _PARTS:
+                part_path(self.out, part, id).unlink(missing_ok=True)
+        self._rewrite()
+
+    def append(self, row: SampleRow, wall_s: float) -> None:
+        """Put a finished sample on disk for good: after this returns, no crash loses it.
+
+        Raises:
+            SetupError: writing failed; the file is as before.
+        """
+        with storage(SAMPLES):
+            self._append(self.out / SAMPLES, dump(row.to_json()))
+        self.rows[row.id] = row
+        with storage(TIMINGS):
+            self._append(self.out / TIMINGS, dump({"id": row.id, "wall_s": round(wall_s, 4)}))
+
+    def finish(self, results: Mapping[str, Json]) -> None:
+        """Sort the rows and write `results.json`.
+
+        Raises:
+            SetupError: writing failed.
+        """
+        self._rewrite()
+        write_atomically(self.out / RESULTS, dump(results, indent=1).encode())
+        for part in _PARTS:
+            folder = self.out / part
+            if folder.is_dir() and not any(folder.iterdir()):
+                folder.rmdir()
+
+    def _rewrite(self) -> None:
+        text = "".join(dump(self.rows[id].to_json()) for id in sorted(self.rows))
+        write_atomically(self.out / SAMPLES, text.encode())
+
+    @staticmethod
+    def _append(path: Path, line: str) -> None:
+        with path.open("ab", buffering=0) as file:
+            before = file.seek(0, os.SEEK_END)
+            data = line.encode()
+            try:
+                while data:
+                    data = data[file.write(data) or 0 :]
+                os.fsync(file.fileno())
+            except OSError:
+                file.truncate(before)
+                raise
+
+    def _claim(self) -> None:
+        try:
+            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            self.close()
+            raise UsageError(
+                f"--out {self.out}: another run writes there; wait for it, or give each its own folder"
+            ) from None
+
+    def _sweep(self, *, everything: bool) -> None:
+        """Remove what a killed run left half-written, and on demand all that any run wrote."""
+        doomed = [*self.out.glob(".*.part")]
+        for part, suffix in _PARTS.items():
+            doomed += (self.out / part).glob(f"*.{suffix}" if everything else ".*.part")
+        if everything:
+            doomed += [self.out / name for name in (SAMPLES, TIMINGS, RESULTS, REPORT)]
+        for file in doomed:
+            file.unlink(missing_ok=True)

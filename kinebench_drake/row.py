@@ -1,0 +1,86 @@
+"""One line of `samples.jsonl`: what became of one sample."""
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from enum import Enum
+from typing import TypeAlias, cast
+
+from kinebench_drake.errors import InputError
+
+Json: TypeAlias = bool | int | float | str | Sequence["Json"] | Mapping[str, "Json"] | None
+"""What JSON can hold."""
+
+
+class Status(Enum):
+    """How far a sample got."""
+
+    OK = "ok"
+    UNMEASURABLE = "unmeasurable"
+    ERROR = "error"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SampleRow:
+    """The result of one sample."""
+
+    id: str
+    video: str
+    """The video as named by the input, relative to it."""
+    task: str | None
+    model: str | None
+    status: Status
+    reason: str | None
+    """One line saying why the status is not ok."""
+    content_hash: str
+    """SHA-256 of everything the result follows from: the same hash need not be computed again."""
+    feasible: bool | None = None
+    violations: tuple[Mapping[str, Json], ...] = ()
+    """Objects of kind, frame_start, frame_end, joint, value, limit."""
+    metrics: Mapping[str, Json] = field(default_factory=dict)
+    """Metric names to numbers, booleans, lists, or null where there is nothing to measure."""
+    extra: Mapping[str, Json] = field(default_factory=dict)
+    """Further top-level keys. Of a video: frames, width, height, fps, frame_period_s, frame_period_source,
+    camera_source, seed, prompt. Of a suite run: success, progress, rounds, verdict."""
+
+    def to_json(self) -> dict[str, Json]:
+        """The object as written, in a fixed order of keys, without NaN or infinity."""
+        named = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "extra"}
+        named["status"] = self.status.value
+        return cast(dict[str, Json], finite({**named, **self.extra}))
+
+    @classmethod
+    def from_json(cls, data: object) -> "SampleRow":
+        """Row from a parsed line; keys of no field of their own go to `extra`.
+
+        Raises:
+            InputError: the object is no row.
+        """
+        if not isinstance(data, dict):
+            raise InputError(f"expected an object, found {type(data).__name__}")
+        names = {f.name for f in fields(cls)} - {"extra"}
+        known = {k: v for k, v in data.items() if k in names}
+        try:
+            known["status"] = Status(known["status"])
+            known["violations"] = tuple(known.get("violations") or ())
+            known["metrics"] = known.get("metrics") or {}
+            return cls(**known, extra={k: v for k, v in data.items() if k not in names})
+        except (KeyError, TypeError, ValueError) as error:
+            raise InputError(f"not a row of samples.jsonl ({error})") from None
+
+
+def finite(value: Json) -> Json:
+    """`value` with every NaN and infinity turned into null, as strict JSON asks."""
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {k: finite(v) for k, v in value.items()}
+    if isinstance(value, Sequence) and not isinstance(value, str):
+        return [finite(v) for v in value]
+    return value
+
+
+def dump(value: Json, *, indent: int | None = None) -> str:
+    """Strict JSON text of `value`, in ASCII, ending with a line feed."""
+    return json.dumps(value, allow_nan=False, indent=indent) + "\n"

@@ -1,0 +1,47 @@
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from kinebench_drake.grounding.video import write_video
+from kinebench_drake.score import RunConfig
+
+HERE = Path(__file__).parent
+STAGES = "fake_stages:FakeStages"
+
+
+@pytest.fixture(autouse=True)
+def _fake_stages_importable(monkeypatch):
+    """Here and in worker processes."""
+    monkeypatch.syspath_prepend(str(HERE))
+    monkeypatch.setenv("PYTHONPATH", str(HERE))
+    yield
+    sys.modules.pop("fake_stages", None)
+
+
+@pytest.fixture
+def film(tmp_path):
+    """Writes a small film that makes the fake stages do something."""
+
+    def write(name, act=0, *, frames=8, side=96, fps=17):
+        path = tmp_path / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        images = np.full((frames, side, side, 3), 90, dtype=np.uint8)
+        for k, image in enumerate(images):
+            image[side // 2 :, 4 * k : 4 * k + 20] = [30, 60 + 10 * (len(name) % 7), 200]
+        images[:, :20, :20] = [40 * act, 0, 0]
+        write_video(path, images, fps)
+        return path
+
+    return write
+
+
+@pytest.fixture
+def config(tmp_path):
+    """A run over tmp_path/videos into tmp_path/out with the fake stages."""
+
+    def make(**changes):
+        return RunConfig(**{"source": tmp_path / "videos", "out": tmp_path / "out", "stages": STAGES, **changes})
+
+    return make

@@ -1,0 +1,105 @@
+"""Stages that need no network and no robot: what they do is told by the red of a video's upper left corner."""
+
+import os
+import signal
+import time
+from dataclasses import dataclass
+from enum import IntEnum
+from pathlib import Path
+
+import numpy as np
+
+from kinebench_drake.geometry import make_pose
+from kinebench_drake.products import Anomaly, AnomalyKind, GripperTrack, IkStatus, JointTrack
+from kinebench_drake.stages import Judgement
+
+LOG = "FAKE_STAGES_LOG"
+"""Environment variable: file to which every call of `ground` adds a line."""
+
+
+class Act(IntEnum):
+    """What to do with a video; times 40 it is the red of its upper left corner."""
+
+    FEASIBLE = 0
+    NO_ROBOT = 1
+    RAISE = 2
+    DIE = 3
+    SLOW = 4
+    INFEASIBLE = 5
+
+
+def act_of(frames):
+    return Act(round(float(frames[0, :12, :12, 0].mean()) / 40.0))
+
+
+@dataclass(frozen=True)
+class FakeGrounding:
+    track: GripperTrack
+    anomalies: tuple[Anomaly, ...]
+    camera_motion_px: float | None
+
+
+class FakeStages:
+    def ground(self, frames, camera, t_s):
+        act = act_of(frames)
+        if LOG in os.environ:
+            with Path(os.environ[LOG]).open("a") as log:
+                log.write(f"{act.name} {os.getpid()}\n")
+        if act is Act.RAISE:
+            raise RuntimeError("the fake\nfell over")
+        if act is Act.DIE:
+            os.kill(os.getpid(), signal.SIGKILL)
+        if act is Act.SLOW:
+            time.sleep(0.4)
+        self._infeasible = act is Act.INFEASIBLE
+        n = len(t_s)
+        s = np.linspace(0.0, 1.0, n)
+        p = np.stack([0.4 + 0.1 * s, 0.2 * np.sin(3 * s), 0.3 + 0.05 * np.cos(5 * s)], axis=1)
+        X = make_pose(np.broadcast_to(np.diag([1.0, -1.0, -1.0]), (n, 3, 3)), p)
+        tracked = np.ones(n, dtype=bool)
+        anomalies = ()
+        if act is Act.NO_ROBOT:
+            tracked[:] = False
+        if self._infeasible:
+            tracked[n // 2 : n // 2 + 2] = False
+            anomalies = (Anomaly(kind=AnomalyKind.VANISH, frame_start=n // 2, frame_end=n // 2 + 1, severity=2.0),)
+        X[~tracked] = np.nan
+        confidence = np.where(tracked, 0.95 - 0.3 * np.sin(np.pi * s) ** 2, 0.0)
+        track = GripperTrack(
+            t_s=t_s,
+            X_CH=X,
+            X_BG=X,
+            tracked=tracked,
+            confidence=confidence,
+            finger_width_m=np.where(tracked, 0.04 + 0.03 * np.cos(4 * s), np.nan),
+        )
+        return FakeGrounding(track, anomalies, 0.12)
+
+    def judge(self, track):
+        n = len(track.t_s)
+        q = np.linspace(-0.5, 0.5, n)[:, None] * np.ones(7)
+        q[~track.tracked] = np.nan
+        joints = JointTrack(
+            t_s=track.t_s,
+            q=q,
+            status=tuple(IkStatus.OK if t else IkStatus.NOT_TRACKED for t in track.tracked),
+            position_error_m=np.where(track.tracked, 1e-6, np.nan),
+            rotation_error_rad=np.where(track.tracked, 1e-6, np.nan),
+        )
+        speed = float(np.abs(np.diff(track.t_s)).mean())
+        violation = {"kind": "velocity", "frame_start": 3, "frame_end": 5, "joint": 2, "value": 1.7, "limit": 1.0}
+        return Judgement(
+            joints=joints,
+            feasible=not self._infeasible,
+            metrics={"sparc": -1.6 - speed, "ik_success_rate": 1.0, "trajopt_feasible": True, "ldlj": float("nan")},
+            violations=(violation,) if self._infeasible else (),
+            per_frame={"manipulability": 0.05 + 0.02 * np.cos(q[:, 0] * 5), "joint_margin": 0.4 - q[:, 0] ** 2},
+        )
+
+    def overlay(self, frames, camera, track):
+        for frame, X in zip(frames, track.X_BG, strict=True):
+            image = frame.copy()
+            if np.isfinite(X).all():
+                u = int(np.clip((X[0, 3] - 0.35) / 0.2, 0, 0.9) * image.shape[1])
+                image[image.shape[0] // 2 :, u : u + 6] = [255, 220, 0]
+            yield image
