@@ -1,0 +1,152 @@
+"""From frames to hand poses: find the gripper in every frame, look closely, fit, refine, then judge along the video."""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from kinebench_drake.camera import Camera
+from kinebench_drake.geometry import Array, interpolate_pose, transform_points
+from kinebench_drake.grounding.crop import GRIPPER_CENTRE_H, Crop
+from kinebench_drake.grounding.fit import Fit, fit
+from kinebench_drake.grounding.registration import IcpRefiner
+from kinebench_drake.grounding.view import DepthEstimator, Frames, GripperView
+from kinebench_drake.models.panda.cad import GripperCad
+
+DETECTION_SIZE = 192
+"""Width of the view of the whole frame that finds the gripper [px]."""
+CLOSE_SIZE = 128
+"""Width of the close view [px]."""
+CLOSE_MARGIN = 1.3
+"""Half width of the close view over the gripper's radius."""
+_RECENTRE = 0.2  # offset of the gripper from the middle of its view, over half the view, that asks for a new look
+_RESCALE = 1.25  # likewise the factor between its size there and the wanted one
+_MIN_DETECTION_CELLS = 12
+_PROPOSAL_GAP = 12  # frames across which a lost gripper is looked for between its neighbours
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FramePose:
+    """The gripper in one frame, with what its confidence rests on."""
+
+    X_CH: Array
+    """(4, 4) pose of panda_hand in the camera frame [m]."""
+    finger_m: float
+    """Opening of each finger [m]; NaN when no finger was seen."""
+    fit: Fit
+    view: GripperView
+    fitness: float
+    """Fraction of the observed cloud on the visible CAD surface (ICP); 0 when ICP failed."""
+    rmse_m: float
+    """Root mean square distance there [m]."""
+    overlap: float
+    """Intersection over union of the seen and the rendered gripper."""
+
+
+class PoseTracker(Protocol):
+    """What turns frames into hand poses: the CAD tracker here, or another program's."""
+
+    def track(self, frames: Frames, camera: Camera) -> list[FramePose | None]:
+        """One pose for each of `frames` (T, H, W, 3), None where the gripper was not found."""
+        ...
+
+
+def whole_frame(camera: Camera, size: int = DETECTION_SIZE) -> Crop:
+    """The square view that holds the whole frame."""
+    half = np.array([camera.width / 2, camera.height / 2])
+    direction = np.array([(half[0] - camera.cx) / camera.fx, (half[1] - camera.cy) / camera.fy, 1.0])
+    return Crop.towards(direction, float(max(half / [camera.fx, camera.fy])), size)
+
+
+class CadTracker:
+    """Detection in the whole frame, a close look, a fit to CAD coordinates and depth, ICP on the visible surface.
+
+    Every frame is measured by itself, so that an error cannot drift on; neighbours only propose where to look again
+    for a gripper that was not found.
+    """
+
+    def __init__(self, estimator: DepthEstimator, cad: GripperCad | None = None, *, trust_depth: bool = False) -> None:
+        """Track with `estimator`; `trust_depth` says that its depth is exact, so that ICP has the last word."""
+        self._estimator = estimator
+        self._cad = cad or GripperCad()
+        self._icp = IcpRefiner(self._cad)
+        self._trust_depth = trust_depth
+
+    def track(self, frames: Frames, camera: Camera) -> list[FramePose | None]:
+        """One pose a frame, None where the gripper was not found."""
+        crops: dict[int, Crop] = {}
+        detections = self._estimator.estimate(frames, camera, [whole_frame(camera)] * len(frames))
+        for i, view in enumerate(detections):
+            found = fit(view) if view.gripper.sum() >= _MIN_DETECTION_CELLS else None
+            if found is not None:
+                crops[i] = Crop.of_gripper(view.crop.X_CV @ found.X_VH, CLOSE_MARGIN, CLOSE_SIZE)
+        poses: dict[int, FramePose] = {}
+        self._look(frames, camera, crops, poses)
+        self._look(frames, camera, self._badly_framed(poses), poses)
+        self._look(frames, camera, self._proposals(len(frames), poses), poses)
+        return [poses.get(i) for i in range(len(frames))]
+
+    def _look(self, frames: Frames, camera: Camera, crops: dict[int, Crop], poses: dict[int, FramePose]) -> None:
+        """Measure the frames of `crops` in their views and enter what was found into `poses`."""
+        if not crops:
+            return
+        indices = sorted(crops)
+        for i, view in zip(indices, self._views(frames, camera, crops), strict=True):
+            pose = self._measure(view)
+            if pose is not None:
+                poses[i] = pose
+
+    def _views(self, frames: Frames, camera: Camera, crops: dict[int, Crop]) -> list[GripperView]:
+        indices = sorted(crops)
+        return self._estimator.estimate(frames[indices], camera, [crops[i] for i in indices])
+
+    def _measure(self, view: GripperView) -> FramePose | None:
+        first = fit(view)
+        if first is None:
+            return None
+        finger = first.finger_m if np.isfinite(first.finger_m) else 0.02
+        refined = self._icp.refine(view, first.X_VH, finger, 1.0 if self._trust_depth else first.depth_factor)
+        X_VH = refined.X_VH if refined is not None and self._trust_depth else first.X_VH
+        rendered = self._cad.cast(X_VH, view.rays().reshape(-1, 3), finger).part.reshape(view.part.shape) > 0
+        union = (rendered & (view.part != 4)) | view.gripper
+        return FramePose(
+            X_CH=view.crop.X_CV @ X_VH,
+            finger_m=first.finger_m,
+            fit=first,
+            view=view,
+            fitness=refined.fitness if refined else 0.0,
+            rmse_m=refined.rmse_m if refined else float("nan"),
+            overlap=float((rendered & view.gripper).sum() / max(1, union.sum())),
+        )
+
+    @staticmethod
+    def _badly_framed(poses: dict[int, FramePose]) -> dict[int, Crop]:
+        """New crops for the frames whose close view turned out off centre or of the wrong size."""
+        crops = {}
+        for i, pose in poses.items():
+            wanted = Crop.of_gripper(pose.X_CH, CLOSE_MARGIN, CLOSE_SIZE)
+            had = pose.view.crop
+            centre = transform_points(had.X_CV.T @ pose.X_CH, GRIPPER_CENTRE_H[None])[0]
+            offset = np.abs(centre[:2] / centre[2]).max() * had.focal / (had.size / 2)
+            scale = wanted.focal / had.focal
+            if offset > _RECENTRE or max(scale, 1 / scale) > _RESCALE:
+                crops[i] = wanted
+        return crops
+
+    @staticmethod
+    def _proposals(n: int, poses: dict[int, FramePose]) -> dict[int, Crop]:
+        """Crops for frames without a pose, between the nearest frames that have one."""
+        crops = {}
+        known = sorted(poses)
+        for i in set(range(n)) - set(known):
+            before = max((k for k in known if i - _PROPOSAL_GAP <= k < i), default=None)
+            after = min((k for k in known if i < k <= i + _PROPOSAL_GAP), default=None)
+            if before is not None and after is not None:
+                s = (i - before) / (after - before)
+                guess = interpolate_pose(poses[before].X_CH, poses[after].X_CH, s)
+            elif before is not None or after is not None:
+                guess = poses[before if before is not None else after].X_CH  # type: ignore[index]
+            else:
+                continue
+            crops[i] = Crop.of_gripper(guess, 1.5 * CLOSE_MARGIN, CLOSE_SIZE)
+        return crops

@@ -1,0 +1,70 @@
+"""What video models, codecs and cameras do to pixels: colour shift, contrast, blur, noise, compression, occluders."""
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+Image = NDArray[np.uint8]
+
+
+def _colour(image: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.float32]:
+    gain = rng.uniform(0.55, 1.5) * rng.uniform(0.85, 1.15, 3)
+    offset = rng.uniform(-25, 25) + rng.uniform(-10, 10, 3)
+    image = image * gain.astype(np.float32) + offset.astype(np.float32)
+    if rng.random() < 0.3:
+        image = 255.0 * np.clip(image / 255.0, 0, 1) ** np.float32(rng.uniform(0.6, 1.7))
+    if rng.random() < 0.25:
+        grey = image.mean(axis=2, keepdims=True)
+        image = grey + (image - grey) * np.float32(rng.uniform(0.0, 1.6))
+    return image
+
+
+def _blur(image: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.float32]:
+    kind = rng.integers(3)
+    if kind == 0:
+        return np.asarray(cv2.GaussianBlur(image, (0, 0), float(rng.uniform(0.3, 1.8))))
+    if kind == 1:  # motion: a short line as kernel
+        length, angle = int(rng.integers(3, 10)), rng.uniform(0, np.pi)
+        kernel = np.zeros((length, length), np.float32)
+        centre, reach = (length - 1) / 2, (length - 1) / 2
+        step = np.array([np.cos(angle), np.sin(angle)]) * reach
+        start, end = (centre - step).round().astype(int), (centre + step).round().astype(int)
+        cv2.line(kernel, tuple(start.tolist()), tuple(end.tolist()), 1.0)
+        return np.asarray(cv2.filter2D(image, -1, kernel / kernel.sum()))
+    size, factor = image.shape[0], rng.uniform(1.2, 2.5)
+    small = cv2.resize(image, (int(size / factor),) * 2, interpolation=cv2.INTER_AREA)
+    return np.asarray(cv2.resize(small, (size, size), interpolation=cv2.INTER_LINEAR))
+
+
+def degrade(image: Image, rng: np.random.Generator) -> Image:
+    """A degraded copy of an image (S, S, 3)."""
+    x = image.astype(np.float32)
+    if rng.random() < 0.8:
+        x = _colour(x, rng)
+    if rng.random() < 0.5:
+        x = _blur(x, rng)
+    if rng.random() < 0.4:
+        x = x + rng.normal(0, rng.uniform(1, 14), x.shape).astype(np.float32)
+    out = np.clip(x, 0, 255).astype(np.uint8)
+    if rng.random() < 0.4:
+        quality = int(rng.integers(15, 90))
+        encoded = cv2.imencode(".jpg", out, [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
+        out = np.asarray(cv2.imdecode(encoded, cv2.IMREAD_COLOR), dtype=np.uint8)
+    return out
+
+
+def occlude(image: Image, part: NDArray[np.uint8], rng: np.random.Generator) -> None:
+    """Paint one or two random ellipses or boxes over `image` (S, S, 3) and mark them background in `part` (s, s)."""
+    size, scale = image.shape[0], image.shape[0] // part.shape[0]
+    for _ in range(rng.integers(1, 3)):
+        shape = np.zeros(image.shape[:2], np.uint8)
+        centre = tuple(int(c) for c in rng.uniform(0, size, 2))
+        axes = tuple(int(a) for a in rng.uniform(0.04, 0.22, 2) * size)
+        if rng.random() < 0.5:
+            cv2.ellipse(shape, centre, axes, float(rng.uniform(0, 180)), 0, 360, 1, -1)
+        else:
+            corners = cv2.boxPoints((centre, (2 * axes[0], 2 * axes[1]), float(rng.uniform(0, 180))))
+            cv2.fillPoly(shape, [corners.astype(np.int32)], 1)
+        texture = rng.uniform(0, 255, 3) + rng.normal(0, rng.uniform(0, 25), (size, size, 3))
+        image[shape > 0] = np.clip(texture, 0, 255).astype(np.uint8)[shape > 0]
+        part[shape[scale // 2 :: scale, scale // 2 :: scale] > 0] = 0

@@ -1,0 +1,144 @@
+"""Training crops drawn from rendered shards: views, labels, degradation."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from torch.utils.data import Dataset
+
+from kinebench_drake.camera import Camera
+from kinebench_drake.errors import UsageError
+from kinebench_drake.geometry import invert, transform_points
+from kinebench_drake.grounding.crop import GRIPPER_CENTRE_H, GRIPPER_RADIUS_M, Crop
+from kinebench_drake.grounding.training.augment import degrade, occlude
+from kinebench_drake.grounding.training.frames import DEPTH_UNIT_M, Frame, Part
+from kinebench_drake.models.perception.network import COORDINATE_SCALE_M, DEPTH_CENTRE, STRIDE
+
+CROP_SIZE = 128
+_MIN_GRIPPER_PX = 60
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """One training crop; h = w = CROP_SIZE / STRIDE."""
+
+    image: NDArray[np.uint8]
+    """(S, S, 3)."""
+    part: NDArray[np.uint8]
+    """(h, w)."""
+    coordinates: NDArray[np.float32]
+    """(h, w, 3) network units."""
+    log_depth: NDArray[np.float32]
+    """(h, w) network units."""
+
+
+def frame_camera(frame: Frame) -> Camera:
+    """The camera of a frame, for its intrinsics; its pose on the base is not known here."""
+    height, width = frame.part.shape
+    K = frame.K
+    return Camera(width=width, height=height, fx=K[0, 0], fy=K[1, 1], cx=K[0, 2], cy=K[1, 2], X_BC=np.eye(4))
+
+
+def random_view(frame: Frame, rng: np.random.Generator) -> Crop:
+    """A view near the gripper: mostly close, as tracking has it, sometimes wide, as detection has it."""
+    centre = transform_points(frame.X_CH, GRIPPER_CENTRE_H[None])[0]
+    distance = float(np.linalg.norm(centre))
+    low, high = (0.95, 1.7) if rng.random() < 0.75 else (1.7, 5.0)
+    margin = np.exp(rng.uniform(np.log(low), np.log(high)))
+    half_tangent = margin * GRIPPER_RADIUS_M / distance
+    shift = rng.normal(0, 0.18, 3) * half_tangent * distance
+    return Crop.towards(centre + shift, half_tangent, CROP_SIZE, roll=float(rng.normal(0, np.deg2rad(12))))
+
+
+def label(frame: Frame, crop: Crop) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.float32]]:
+    """Part, CAD coordinates and log depth of `frame` on the output grid of `crop`, in network units."""
+    camera = frame_camera(frame)
+    part = np.asarray(crop.warp(frame.part, camera, STRIDE, nearest=True), dtype=np.uint8)
+    depth_C = np.asarray(crop.warp(frame.depth, camera, STRIDE, nearest=True), dtype=np.float64) * DEPTH_UNIT_M
+    rays_V = crop.rays(STRIDE)
+    rays_C = rays_V @ crop.R_CV.T
+    z_V = depth_C / rays_C[..., 2]  # the depth map is along the real camera's axis
+    p_H = transform_points(invert(frame.X_CH) @ crop.X_CV, (rays_V * z_V[..., None]).reshape(-1, 3)).reshape(
+        rays_V.shape
+    )
+    p_H[..., 1] -= frame.finger_m * ((part == Part.LEFT_FINGER).astype(float) - (part == Part.RIGHT_FINGER))
+    log_depth = np.log(np.maximum(z_V, 1e-3) * crop.size / crop.focal / DEPTH_CENTRE)
+    return part, (p_H / COORDINATE_SCALE_M).astype(np.float32), log_depth.astype(np.float32)
+
+
+class Shards:
+    """The frames of a data folder, mapped into memory."""
+
+    def __init__(self, folder: Path) -> None:
+        """Open every complete shard below `folder`.
+
+        Raises:
+            UsageError: there is none.
+        """
+        paths = sorted(p.parent for p in folder.glob("*/truth.npz"))
+        if not paths:
+            raise UsageError(f"{folder.name}: no rendered shards (*/truth.npz) found; render some first")
+        self._arrays: list[dict[str, NDArray[np.generic]]] = []
+        self._index: list[tuple[int, int]] = []
+        for number, path in enumerate(paths):
+            arrays = {n: np.load(path / f"{n}.npy", mmap_mode="r") for n in ("rgb", "depth", "part")}
+            with np.load(path / "truth.npz", allow_pickle=False) as truth:
+                arrays |= {n: truth[n] for n in truth.files}
+            self._arrays.append(arrays)
+            self._index += [(number, i) for i in range(len(arrays["finger_m"]))]
+
+    def __len__(self) -> int:
+        """Number of frames."""
+        return len(self._index)
+
+    def __getitem__(self, index: int) -> Frame:
+        """Frame `index`."""
+        shard, i = self._index[index]
+        a = self._arrays[shard]
+        return Frame(
+            rgb=np.asarray(a["rgb"][i], dtype=np.uint8),
+            depth=np.asarray(a["depth"][i], dtype=np.uint16),
+            part=np.asarray(a["part"][i], dtype=np.uint8),
+            K=np.asarray(a["K"][i], dtype=np.float64),
+            X_CH=np.asarray(a["camera_from_hand"][i], dtype=np.float64),
+            finger_m=float(a["finger_m"][i]),
+        )
+
+
+class Crops(Dataset[dict[str, Tensor]]):
+    """Item i is a random degraded crop, the same for the same seed and i whatever the order of reading."""
+
+    def __init__(self, shards: Shards, seed: int, length: int) -> None:
+        self._shards, self._seed, self._length = shards, seed, length
+
+    def __len__(self) -> int:
+        """Number of crops an epoch is said to have."""
+        return self._length
+
+    def sample(self, index: int) -> Sample:
+        """Crop `index` before conversion to tensors."""
+        rng = np.random.default_rng([self._seed, index])
+        for _ in range(20):
+            frame = self._shards[int(rng.integers(len(self._shards)))]
+            crop = random_view(frame, rng)
+            part, coordinates, log_depth = label(frame, crop)
+            gripper = (part >= Part.HAND) & (part <= Part.RIGHT_FINGER)
+            if gripper.sum() >= _MIN_GRIPPER_PX / STRIDE**2 or rng.random() < 0.1:
+                break
+        image = np.ascontiguousarray(crop.warp(frame.rgb, frame_camera(frame)), dtype=np.uint8)
+        if rng.random() < 0.25:
+            occlude(image, part, rng)
+        return Sample(degrade(image, rng), part, coordinates, log_depth)
+
+    def __getitem__(self, index: int) -> dict[str, Tensor]:
+        """Crop `index` as tensors: image (3, S, S) uint8, part (h, w), coordinates (3, h, w), log_depth (h, w)."""
+        s = self.sample(index)
+        return {
+            "image": torch.from_numpy(s.image).permute(2, 0, 1),
+            "part": torch.from_numpy(s.part).long(),
+            "coordinates": torch.from_numpy(s.coordinates).permute(2, 0, 1),
+            "log_depth": torch.from_numpy(s.log_depth),
+        }

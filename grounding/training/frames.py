@@ -1,0 +1,307 @@
+"""Training frames: a Panda in random poses before random tables, walls, objects, lights and cameras, rendered by SAPIEN.
+
+A data set is a folder of shards, each a scene's worth of frames stored as plain `.npy` files that training maps into
+memory: `rgb` (N, S, S, 3) uint8, `depth` (N, S, S) uint16 [0.1 mm] of the gripper's pixels (0 elsewhere), `part`
+(N, S, S) uint8 (`Part`), and `truth.npz` with `K` (N, 3, 3), `camera_from_hand` (N, 4, 4), `finger_m` (N,).
+"""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from enum import IntEnum
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinebench_drake import native
+from kinebench_drake.camera import Camera, benchmark_camera
+from kinebench_drake.geometry import Array, invert, make_pose, orthonormalize, rotation_exp
+from kinebench_drake.grounding.training.textures import random_texture
+from kinebench_drake.models.panda.robot import source_urdf
+
+DEPTH_UNIT_M = 1e-4
+FRAMES_PER_SCENE = 20
+IMAGE_SIZE = 384
+
+_STREAM = 0x4B42  # keeps these random streams apart from others with the same seed
+_TABLE_HALF = (0.9, 1.2, 0.02)
+_OPENCV_FROM_SAPIEN = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+
+
+class Part(IntEnum):
+    """What a pixel shows."""
+
+    BACKGROUND = 0
+    HAND = 1
+    LEFT_FINGER = 2
+    RIGHT_FINGER = 3
+    ARM = 4
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Frame:
+    """One rendered frame with its truth."""
+
+    rgb: NDArray[np.uint8]
+    """(S, S, 3)."""
+    depth: NDArray[np.uint16]
+    """(S, S) depth of gripper pixels along the camera's z [0.1 mm], 0 elsewhere."""
+    part: NDArray[np.uint8]
+    """(S, S) values of `Part`."""
+    K: Array
+    """(3, 3) intrinsics [px]."""
+    X_CH: Array
+    """(4, 4) pose of panda_hand in the camera frame [m]."""
+    finger_m: float
+    """Opening of each finger, 0..0.04 [m]."""
+
+
+def random_camera(rng: np.random.Generator) -> Camera:
+    """The benchmark camera moved by up to about 6 cm and 6 degrees, field of view 45 to 75 degrees."""
+    camera = benchmark_camera()
+    X_BC = camera.X_BC @ make_pose(rotation_exp(np.deg2rad(rng.uniform(-6, 6, 3))), rng.uniform(-0.06, 0.06, 3))
+    fov = np.deg2rad(rng.uniform(45, 75)) if rng.random() < 0.6 else np.deg2rad(60)
+    focal = float(IMAGE_SIZE / 2 / np.tan(fov / 2))
+    centre = IMAGE_SIZE / 2
+    return Camera(width=IMAGE_SIZE, height=IMAGE_SIZE, fx=focal, fy=focal, cx=centre, cy=centre, X_BC=X_BC)
+
+
+class Scene:
+    """A table, walls, loose objects, lights and a Panda; `frame` puts all of them somewhere new and renders."""
+
+    def __init__(self, rng: np.random.Generator) -> None:
+        native.prepare_vulkan()
+        import sapien
+
+        self._sapien: Any = sapien
+        self._rng = rng
+        self._minimal = bool(rng.random() < 0.8)
+        sapien.render.set_camera_shader_dir("minimal" if self._minimal else "default")
+        if self._minimal:
+            sapien.render.set_picture_format("Color", "r8g8b8a8unorm")
+            sapien.render.set_picture_format("ColorRaw", "r8g8b8a8unorm")
+            sapien.render.set_picture_format("PositionSegmentation", "r16g16b16a16sint")
+        else:
+            sapien.render.set_picture_format("Color", "r32g32b32a32sfloat")
+            sapien.render.set_picture_format("Position", "r32g32b32a32sfloat")
+        self._scene = sapien.Scene()
+        self._add_room()
+        self._add_lights()
+        self._objects = [self._random_object() for _ in range(10)]
+        self._held = self._random_object(held=True)
+        self._add_robot()
+        self._component: Any = None
+
+    def _material(self) -> Any:
+        material = self._sapien.render.RenderMaterial()
+        if self._rng.random() < 0.6:
+            texture = self._sapien.render.RenderTexture2D(random_texture(self._rng), "R8G8B8A8Unorm", srgb=True)
+            material.set_base_color_texture(texture)
+        else:
+            material.set_base_color([*self._rng.uniform(0, 1, 3), 1.0])
+        material.set_roughness(float(self._rng.uniform(0.1, 1.0)))
+        material.set_metallic(float(self._rng.choice([0.0, 0.0, 0.0, 0.7])))
+        material.set_specular(float(self._rng.uniform(0, 0.8)))
+        return material
+
+    def _box(self, half: tuple[float, ...], position: tuple[float, ...], material: Any = None) -> Any:
+        builder = self._scene.create_actor_builder()
+        builder.add_box_visual(half_size=half, material=material or self._material())
+        builder.set_initial_pose(self._sapien.Pose(position))
+        return builder.build_kinematic(name="room")
+
+    def _add_room(self) -> None:
+        """Table top at z = 0 of the base frame, floor and perhaps walls."""
+        rng = self._rng
+        if rng.random() < 0.3:
+            builder = self._scene.create_actor_builder()
+            scale = 1.75
+            pose = self._sapien.Pose([0.615 - 0.12, 0, -0.9196429], [np.sqrt(0.5), 0, 0, np.sqrt(0.5)])
+            mesh = source_urdf().parents[3] / "utils/scene_builder/table/assets/table.glb"
+            builder.add_visual_from_file(str(mesh), scale=[scale] * 3, pose=self._sapien.Pose())
+            builder.set_initial_pose(pose)
+            builder.build_kinematic(name="room")
+        else:
+            self._box(_TABLE_HALF, (float(rng.uniform(0.2, 0.6)), 0.0, -_TABLE_HALF[2]))
+        self._box((4, 4, 0.01), (0, 0, -0.93))
+        if rng.random() < 0.6:
+            self._box((0.02, 4, 3), (float(rng.uniform(-2.5, -0.4)), 0, 1))
+        if rng.random() < 0.4:
+            self._box((3, 0.02, 3), (0, float(rng.choice([-1, 1]) * rng.uniform(1.0, 2.5)), 1))
+
+    def _add_lights(self) -> None:
+        rng = self._rng
+        self._scene.set_ambient_light((rng.uniform(0.15, 0.7) * rng.uniform(0.8, 1.0, 3)).tolist())
+        for number in range(rng.integers(1, 4)):
+            direction = rng.normal(size=3)
+            direction[2] = -abs(direction[2]) - 0.3
+            colour = (rng.uniform(0.3, 1.4) * rng.uniform(0.75, 1.0, 3)).tolist()
+            shadow = number == 0 and not self._minimal  # the renderer allows one light with shadows
+            self._scene.add_directional_light(direction.tolist(), colour, shadow=shadow, shadow_scale=2.0)
+        if rng.random() < 0.4:
+            position = [*rng.uniform(-0.5, 1.2, 2), rng.uniform(0.6, 1.5)]
+            self._scene.add_point_light(position, (rng.uniform(0.3, 1.5, 3)).tolist())
+
+    def _random_object(self, held: bool = False) -> tuple[Any, float]:
+        """A primitive or slab with its half thickness across the fingers [m]."""
+        rng = self._rng
+        builder = self._scene.create_actor_builder()
+        material = self._material()
+        half = rng.uniform(0.008, 0.036) if held else rng.uniform(0.01, 0.06)
+        kind = rng.integers(4)
+        if kind == 0:
+            builder.add_sphere_visual(radius=half, material=material)
+        elif kind == 1:
+            builder.add_capsule_visual(radius=half, half_length=float(rng.uniform(0.01, 0.1)), material=material)
+        elif kind == 2:
+            builder.add_cylinder_visual(radius=half, half_length=float(rng.uniform(0.01, 0.1)), material=material)
+        else:
+            size = [float(rng.uniform(0.01, 0.08)), half, float(rng.uniform(0.01, 0.08))]
+            builder.add_box_visual(half_size=size, material=material)
+        builder.set_initial_pose(self._sapien.Pose([0, 0, -5]))
+        return builder.build_kinematic(name="object"), float(half)
+
+    def _add_robot(self) -> None:
+        """The plain Panda or, in three scenes of ten, the one with a wrist camera; its paint slightly changed."""
+        rng = self._rng
+        urdf = "panda_v3.urdf" if rng.random() < 0.3 else "panda_v2.urdf"
+        loader = self._scene.create_urdf_loader()
+        loader.fix_root_link = True
+        self._robot = loader.load(str(source_urdf().with_name(urdf)))
+        self._links = {link.name: link for link in self._robot.get_links()}
+        recolour, tint = rng.random() < 0.3, rng.uniform(0.7, 1.1, 3)
+        self._part_of_id = {}
+        for name, link in self._links.items():
+            part = {
+                "panda_hand": Part.HAND,
+                "panda_leftfinger": Part.LEFT_FINGER,
+                "panda_rightfinger": Part.RIGHT_FINGER,
+            }.get(name, Part.ARM)
+            self._part_of_id[link.entity.per_scene_id] = part
+            body = link.entity.find_component_by_type(self._sapien.render.RenderBodyComponent)
+            if recolour and body is not None:
+                for shape in body.render_shapes:
+                    for piece in getattr(shape, "parts", []):
+                        colour = np.clip(np.array(piece.material.base_color[:3]) * tint, 0, 1)
+                        piece.material.set_base_color([*colour, 1.0])
+        limits = self._robot.get_qlimits()
+        self._lower, self._upper = limits[:7, 0], limits[:7, 1]
+
+    def _camera(self, camera: Camera) -> Any:
+        if self._component is None:
+            self._component = self._scene.add_camera("camera", camera.width, camera.height, 1.0, 0.01, 10.0)
+        component = self._component
+        component.set_perspective_parameters(0.01, 10.0, camera.fx, camera.fy, camera.cx, camera.cy, 0.0)
+        X_BS = camera.X_BC @ make_pose(_OPENCV_FROM_SAPIEN, np.zeros(3))
+        component.set_local_pose(self._sapien.Pose(X_BS))
+        return component
+
+    def _place_robot(self, camera: Camera, finger: float) -> Array:
+        """Joint angles by rejection: above the table, in view, mostly pointing down. Returns X_CH."""
+        rng = self._rng
+        X_CB = invert(camera.X_BC)
+        rest = np.array([0.0, 0.4, 0.0, -2.0, 0.0, 2.4, 0.785])
+        for _ in range(20000):
+            if rng.random() < 0.8:
+                q = rest + rng.normal(0, [0.6, 0.5, 0.4, 0.5, 0.5, 0.5, 1.2])
+            else:
+                q = rng.uniform(self._lower, self._upper)
+            if (q < self._lower).any() or (q > self._upper).any():
+                continue
+            self._robot.set_qpos(np.array([*q, finger, finger], dtype=np.float32))
+            X_BH = self._links["panda_hand"].entity_pose.to_transformation_matrix().astype(np.float64)
+            tip = X_BH[:3, 3] + 0.11 * X_BH[:3, 2]
+            low = min(float(self._links[n].entity_pose.p[2]) for n in ("panda_link5", "panda_link6", "panda_link7"))
+            if tip[2] < 0.0 or X_BH[2, 3] < 0.03 or low < 0.05 or tip[2] > 0.75:
+                continue
+            if rng.random() > np.exp(2.5 * (-X_BH[2, 2] - 1.0)) or (X_BH[0, 3] < 0.2 and rng.random() < 0.8):
+                continue
+            X_CH = X_CB @ X_BH
+            middle = X_CH[:3, 3] + 0.05 * X_CH[:3, 2]
+            if middle[2] < 0.25:
+                continue
+            pixel = camera.project(middle)
+            margin = 0.0 if rng.random() < 0.8 else 40.0
+            if (pixel < -margin).any() or (pixel > IMAGE_SIZE + margin).any():
+                continue
+            return X_CH
+        raise RuntimeError("no robot pose in view after 20,000 draws; the camera does not see the work space")
+
+    def _place_objects(self, X_BH: Array, holds: bool) -> None:
+        rng = self._rng
+        for actor, half in self._objects:
+            if rng.random() < 0.4:
+                position = np.array([0, 0, -5.0])
+            elif rng.random() < 0.7:
+                position = np.array([*rng.uniform([0.2, -0.5], [0.8, 0.5]), half])
+            else:  # near the gripper, so that it hides parts of it now and then
+                position = X_BH[:3, 3] + 0.08 * X_BH[:3, 2] + rng.normal(0, 0.1, 3)
+                position[2] = max(position[2], half)
+                if np.linalg.norm(position - X_BH[:3, 3] - 0.06 * X_BH[:3, 2]) < 0.09 + half:
+                    position = np.array([0, 0, -5.0])
+            quaternion = rng.normal(size=4)
+            actor.set_pose(self._sapien.Pose(position, quaternion / np.linalg.norm(quaternion)))
+        held, _ = self._held
+        if holds:
+            X_BO = X_BH @ make_pose(np.eye(3), [0, 0, 0.1034 + rng.uniform(-0.02, 0.04)])
+            held.set_pose(self._sapien.Pose(X_BO))
+        else:
+            held.set_pose(self._sapien.Pose([0, 0, -5]))
+
+    def frame(self) -> Frame:
+        """Move everything, render once."""
+        camera = random_camera(self._rng)
+        holds = bool(self._rng.random() < 0.35)
+        finger = (
+            self._held[1]
+            if holds
+            else float(self._rng.choice([self._rng.uniform(0, 0.04), 0.04, 0.0], p=[0.7, 0.2, 0.1]))
+        )
+        X_CH = self._place_robot(camera, finger)
+        X_BH = camera.X_BC @ X_CH
+        X_BH[:3, :3] = orthonormalize(X_BH[:3, :3])
+        self._place_objects(X_BH, holds)
+        component = self._camera(camera)
+        self._scene.update_render()
+        component.take_picture()
+        if self._minimal:
+            rgb = component.get_picture("Color")[..., :3]
+            packed = component.get_picture("PositionSegmentation")
+            depth_m, ids = -packed[..., 2].astype(np.float64) / 1000.0, packed[..., 3]
+        else:
+            rgb = (np.clip(component.get_picture("Color")[..., :3], 0, 1) * 255).astype(np.uint8)
+            depth_m, ids = -component.get_picture("Position")[..., 2], component.get_picture("Segmentation")[..., 1]
+        part = np.zeros(ids.shape, np.uint8)
+        for entity_id, value in self._part_of_id.items():
+            part[ids == entity_id] = value
+        gripper = (part >= Part.HAND) & (part <= Part.RIGHT_FINGER)
+        depth = np.where(gripper, np.round(depth_m / DEPTH_UNIT_M), 0).astype(np.uint16)
+        return Frame(rgb=rgb, depth=depth, part=part, K=camera.K, X_CH=X_CH, finger_m=finger)
+
+
+def render_shards(folder: Path, seeds: Iterable[int]) -> Iterator[int]:
+    """Render one scene's frames for each seed into `folder/SEED`, skipping complete ones; yields each seed when done.
+
+    The same seed gives the same scene.
+    """
+    for seed in seeds:
+        shard = folder / f"{seed:06d}"
+        if not (shard / "truth.npz").is_file():
+            # The name keeps the last scene alive until the next is built: SAPIEN compiles its shaders anew, for
+            # seconds, whenever no scene is left.
+            scene = Scene(np.random.default_rng([seed, _STREAM]))
+            _save([scene.frame() for _ in range(FRAMES_PER_SCENE)], shard)
+        yield seed
+
+
+def _save(frames: list[Frame], shard: Path) -> None:
+    shard.mkdir(parents=True, exist_ok=True)
+    for name in ("rgb", "depth", "part"):
+        np.save(shard / f"{name}.npy", np.stack([getattr(f, name) for f in frames]))
+    np.savez(
+        shard / "truth.npz",
+        K=np.stack([f.K for f in frames]),
+        camera_from_hand=np.stack([f.X_CH for f in frames]),
+        finger_m=np.array([f.finger_m for f in frames]),
+    )

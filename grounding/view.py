@@ -1,0 +1,51 @@
+"""What is known of the gripper in one crop, whoever measured it: masks, depth and CAD coordinates on a grid."""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinebench_drake.camera import Camera
+from kinebench_drake.geometry import Array
+from kinebench_drake.grounding.crop import Crop
+
+Frames = NDArray[np.uint8]
+"""(T, H, W, 3) RGB."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GripperView:
+    """Dense estimates of one crop on a grid of h x w cells, every `stride`-th pixel of the crop."""
+
+    crop: Crop
+    stride: int
+    part: NDArray[np.uint8]
+    """(h, w) labels: 0 background, 1 hand, 2 left finger, 3 right finger, 4 rest of the arm."""
+    gripper_probability: Array
+    """(h, w) 0..1."""
+    depth_m: Array
+    """(h, w) along the crop's optical axis [m]."""
+    depth_sigma: Array
+    """(h, w) standard deviation of the depth, relative."""
+    coordinates_H: Array
+    """(h, w, 3) point seen, in the hand frame with closed fingers [m]."""
+    coordinates_sigma_m: Array
+    """(h, w) standard deviation of each coordinate [m]."""
+
+    @property
+    def gripper(self) -> NDArray[np.bool_]:
+        """(h, w) cells that show hand or fingers."""
+        return (self.part >= 1) & (self.part <= 3)
+
+    def rays(self) -> Array:
+        """(h, w, 3) directions in the crop's frame with z = 1."""
+        return self.crop.rays(self.stride)
+
+
+class DepthEstimator(Protocol):
+    """Where masks and metric depth come from: the trained network, true values, or another model."""
+
+    def estimate(self, frames: Frames, camera: Camera, crops: list[Crop]) -> list[GripperView]:
+        """One view a frame, for `frames` (T, H, W, 3) and as many crops."""
+        ...

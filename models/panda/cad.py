@@ -1,0 +1,120 @@
+"""The gripper's CAD surface: hand and fingers as the URDF's visual meshes, rendered by ray casting.
+
+Everything is in the frame of panda_hand, metres. The left finger opens towards +y, the right one towards -y.
+"""
+
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+import trimesh
+from numpy.typing import ArrayLike, NDArray
+
+from kinebench_drake import native
+from kinebench_drake.geometry import Array, invert, transform_points
+from kinebench_drake.models.panda.robot import source_urdf
+
+FINGER_ORIGIN_H = np.array([0.0, 0.0, 0.0584])
+"""Where the fingers' frames lie when closed (panda_finger_joint1/2)."""
+MAX_FINGER_M = 0.04
+"""Upper limit of each finger joint [m]; the gap between the pads is twice the joint's value."""
+
+HAND, LEFT_FINGER, RIGHT_FINGER = 1, 2, 3
+"""Labels of the parts, as in masks; 0 is background."""
+_OPENING_SIGN = {HAND: 0.0, LEFT_FINGER: 1.0, RIGHT_FINGER: -1.0}
+
+
+@cache
+def part_meshes() -> dict[int, trimesh.Trimesh]:
+    """The meshes of hand, left and right finger (closed), by label.
+
+    Raises:
+        SetupError: mani_skill, whose assets these are, is not installed.
+    """
+    visual = source_urdf().parent / "franka_description" / "meshes" / "visual"
+    hand, finger = (trimesh.load(visual / name, force="mesh") for name in ("hand.glb", "finger.glb"))
+    for mesh in (hand, finger):
+        mesh.merge_vertices(merge_tex=True, merge_norm=True)
+    left, right = finger.copy(), finger.copy()
+    right.apply_transform(trimesh.transformations.rotation_matrix(np.pi, [0, 0, 1]))
+    for mesh in (left, right):
+        mesh.apply_translation(FINGER_ORIGIN_H)
+    return {HAND: hand, LEFT_FINGER: left, RIGHT_FINGER: right}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Surface:
+    """What a set of N rays meets."""
+
+    distance: Array
+    """(N,) ray parameter of the first hit; inf where the gripper is missed."""
+    part: NDArray[np.uint8]
+    """(N,) label of the part met, 0 where missed."""
+    normal_H: Array
+    """(N, 3) unit normal of the surface met, 0 where missed."""
+
+
+class GripperCad:
+    """Ray casting against the gripper at any opening (Open3D's RaycastingScene, one a part)."""
+
+    def __init__(self) -> None:
+        """Build the scenes.
+
+        Raises:
+            SetupError: Open3D's native libraries or mani_skill's meshes are missing.
+        """
+        native.prepare_open3d()
+        import open3d
+
+        self._scenes: dict[int, Any] = {}
+        self._tensor = open3d.core.Tensor
+        for label, mesh in part_meshes().items():
+            scene = open3d.t.geometry.RaycastingScene(nthreads=1)
+            vertices, faces = np.asarray(mesh.vertices, np.float32), np.asarray(mesh.faces, np.uint32)
+            scene.add_triangles(self._tensor(vertices), self._tensor(faces))
+            self._scenes[label] = scene
+
+    def cast(self, X_VH: ArrayLike, rays_V: ArrayLike, finger_m: float) -> Surface:
+        """First hits of `rays_V` (N, 3), which start at the origin of V, with the gripper at pose `X_VH` (4, 4).
+
+        `distance` is in units of each ray's length: for rays with z = 1 it is the depth along V's z [m].
+        """
+        X_HV = invert(X_VH)
+        directions = np.asarray(rays_V, dtype=np.float64) @ X_HV[:3, :3].T
+        n = len(directions)
+        distance = np.full(n, np.inf)
+        part, normal = np.zeros(n, np.uint8), np.zeros((n, 3))
+        rays = np.empty((n, 6), np.float32)
+        rays[:, 3:] = directions
+        for label, scene in self._scenes.items():
+            rays[:, :3] = X_HV[:3, 3] - [0.0, _OPENING_SIGN[label] * finger_m, 0.0]
+            hits = scene.cast_rays(self._tensor(rays), nthreads=1)
+            t = hits["t_hit"].numpy()
+            nearer = t < distance
+            distance[nearer], part[nearer] = t[nearer], label
+            normal[nearer] = hits["primitive_normals"].numpy()[nearer]
+        norm = np.linalg.norm(normal, axis=1, keepdims=True)
+        normal = np.divide(normal, norm, out=normal, where=norm > 0)
+        normal[(normal * directions).sum(axis=1) > 0] *= -1.0  # towards the viewer
+        return Surface(distance=distance, part=part, normal_H=normal)
+
+    def outline(self, finger_m: float) -> list[tuple[Array, NDArray[np.int64]]]:
+        """Vertices (N, 3) in the hand frame and edges (M, 2) with a sharp fold, a part each: what an overlay draws."""
+        return [
+            (transform_points(_shift(label, finger_m), mesh.vertices), sharp_edges(label))
+            for label, mesh in part_meshes().items()
+        ]
+
+
+def _shift(label: int, finger_m: float) -> Array:
+    X = np.eye(4)
+    X[1, 3] = _OPENING_SIGN[label] * finger_m
+    return X
+
+
+@cache
+def sharp_edges(label: int) -> NDArray[np.int64]:
+    """Edges (M, 2) of a part whose faces meet at more than 40 degrees."""
+    mesh = part_meshes()[label]
+    return np.asarray(mesh.face_adjacency_edges[mesh.face_adjacency_angles > np.deg2rad(40)], dtype=np.int64)

