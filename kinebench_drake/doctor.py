@@ -81,7 +81,9 @@ def _one_line(error: Exception) -> str:
 def _probe(code: str) -> str:
     """Run code in a fresh interpreter; return its last line of output, or raise with the last line of its complaint."""
     try:
-        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=PROBE_TIMEOUT_S)
+        # -P: a file in the current folder must not stand in for a library of the same name.
+        command = [sys.executable, "-P", "-c", code]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=PROBE_TIMEOUT_S)
     except subprocess.TimeoutExpired as error:
         raise _BrokenError(f"no answer within {PROBE_TIMEOUT_S:.0f} s") from error
     if done.returncode < 0:

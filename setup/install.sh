@@ -63,8 +63,9 @@ make_venv() {
     python=$(find_python)
     [ -n "$python" ] || stop "no Python 3.11 or 3.12 found; install one (Debian 12, Ubuntu 24.04: apt-get install python3 python3-venv) or set PYTHON."
     "$python" -c 'import ensurepip, venv' 2>/dev/null || install_venv_module "$python"
+    [ ! -e "$venv" ] || say "Emptying .venv, which has no working Python or pip"
     say "Making .venv with $python ($("$python" -V))"
-    "$python" -m venv "$venv"
+    "$python" -m venv --clear "$venv"
 }
 
 # --- Python packages ---------------------------------------------------------------------------------------------

@@ -52,6 +52,12 @@ def test_probe_gives_up(monkeypatch: pytest.MonkeyPatch) -> None:
     assert (check.ok, "no answer" in check.found) == (False, True)
 
 
+def test_probe_ignores_files_of_the_current_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    (tmp_path / "click.py").write_text("raise RuntimeError('shadowed')")
+    monkeypatch.chdir(tmp_path)
+    assert doctor._probe("import click; print('real')") == "real"
+
+
 def test_probe_returns_the_last_line() -> None:
     assert doctor._probe("print('noise'); print('1.2.3')") == "1.2.3"
 

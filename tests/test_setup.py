@@ -3,6 +3,7 @@
 import itertools
 import os
 import re
+import shutil
 import subprocess
 import tomllib
 from pathlib import Path
@@ -76,6 +77,15 @@ def test_ci_runs_the_command_of_the_readme() -> None:
     readme = (REPOSITORY / "README.md").read_text()
     assert re.search(r"^make test\b", readme, re.MULTILINE)
     assert re.search(r"^make demo\b", readme, re.MULTILINE)
+
+
+@pytest.mark.skipif(shutil.which("make") is None, reason="needs make")
+def test_make_test_sets_up_and_runs_every_check() -> None:
+    done = subprocess.run(["make", "-n", "test"], cwd=REPOSITORY, capture_output=True, text=True, check=True)
+    steps = ["setup/install.sh", "ruff format --check .", "ruff check .", "mypy", "pytest"]
+    found = [done.stdout.find(step) for step in steps]
+    assert -1 not in found
+    assert found == sorted(found)
 
 
 @pytest.mark.parametrize(("version", "fit"), [("3.10", False), ("3.11", True), ("3.12", True), ("3.13", False)])
