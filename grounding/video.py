@@ -1,9 +1,8 @@
-"""Videos as arrays: films (PyAV), folders of frames (Pillow) and npy/npz files; films written back as H.264."""
+"""Videos as arrays: films (PyAV), folders of frames (Pillow) and npy/npz files."""
 
 import os
 import re
 import zipfile
-from collections.abc import Iterable
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -93,32 +92,6 @@ def read_video(path: Path) -> Video:
     if path.suffix.lower() in ARRAY_SUFFIXES:
         return _read_array(path)
     return _read_film(path)
-
-
-def write_video(path: Path, frames: Iterable[NDArray[np.uint8]], fps: float) -> None:
-    """Write frames (H, W, 3) RGB as H.264 in mp4: same frames, same bytes. The file appears only when it is whole.
-
-    Odd sizes lose nothing: the last row or column is repeated, as yuv420p needs even ones.
-    """
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        with av.open(part, "w", format="mp4", container_options={"fflags": "+bitexact"}) as container:
-            stream: VideoStream | None = None
-            for image in frames:
-                if stream is None:
-                    rate = Fraction(fps).limit_denominator(10_000)
-                    stream = container.add_stream("libx264", rate=rate, options={"crf": "16", "preset": "veryfast"})
-                    stream.height, stream.width = (side + side % 2 for side in image.shape[:2])
-                    stream.pix_fmt = "yuv420p"
-                    stream.thread_count = 1
-                pad = ((0, stream.height - image.shape[0]), (0, stream.width - image.shape[1]), (0, 0))
-                even = np.ascontiguousarray(np.pad(image, pad, mode="edge"))
-                container.mux(stream.encode(VideoFrame.from_ndarray(even, format="rgb24")))
-            if stream is not None:
-                container.mux(stream.encode())
-        os.replace(part, path)
-    finally:
-        part.unlink(missing_ok=True)
 
 
 def frame_files(folder: Path) -> list[Path]:

@@ -39,8 +39,8 @@ class DrakeStages:
         result = evaluate_track(self._plant, track, joints)
         return Judgement(
             joints=joints,
-            feasible=result.feasible,
-            metrics=dict(result.metrics),
+            feasible=None if result.feasible is None else bool(result.feasible),
+            metrics={name: _plain(value) for name, value in result.metrics.items()},
             violations=tuple(_violation_json(v) for v in result.violations),
             per_frame=self._per_frame(joints.q),
         )
@@ -64,9 +64,14 @@ class DrakeStages:
 def _violation_json(violation: Violation) -> dict[str, Json]:
     return {
         "kind": violation.kind.value,
-        "frame_start": violation.frame_start,
-        "frame_end": violation.frame_end,
+        "frame_start": int(violation.frame_start),
+        "frame_end": int(violation.frame_end),
         "joint": violation.joint,
-        "value": violation.value,
-        "limit": violation.limit,
+        "value": float(violation.value),
+        "limit": float(violation.limit),
     }
+
+
+def _plain(value: float | bool | None) -> float | bool | None:
+    """The value in Python's own types, as JSON wants them."""
+    return value if value is None else bool(value) if isinstance(value, bool | np.bool_) else float(value)

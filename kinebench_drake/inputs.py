@@ -215,7 +215,8 @@ def _from_manifest(path: Path) -> Inputs:
 def _from_line(line: manifest.Line, folder: Path, cameras: _Cameras) -> Sample:
     name = line.video or f"line-{line.number}"
     stem = Path(name).name if (folder / name).is_dir() else Path(name).stem
-    given = line.id if line.id is None or stem in line.id else f"{line.id}-{stem}"
+    given = None if line.id is None else _short(line.id)
+    given = given if given is None or stem in given else f"{given}-{stem}"
     entry, problem, camera, path = line.entry, line.problem, None, folder
     if entry is not None:
         try:
@@ -251,7 +252,7 @@ def _with_unique_ids(samples: Sequence[Sample]) -> tuple[Sample, ...]:
     for sample in samples:
         id = _safe(sample.id)
         folders = Path(sample.video).parent.parts if sample.problem is None else ()
-        if shared[id.casefold()] > 1 and folders:
+        if shared[id.casefold()] > 1 and folders and sample.id in (Path(sample.video).stem, Path(sample.video).name):
             id = _safe("-".join((*folders, sample.id)))
         named.append(id)
     counts, taken = Counter[str](), {id.casefold() for id in named}
@@ -272,7 +273,12 @@ def _safe(text: str) -> str:
     name = re.sub(r'[\x00-\x1f\x7f/\\:*?"<>|]', "_", text).rstrip(". ")
     name = f"_{name}" if name.startswith(".") or not name else name
     name = name.encode(errors="replace").decode()
-    if len(name.encode()) > _ID_BYTES:
-        digest = blake2b(text.encode(errors="replace"), digest_size=4).hexdigest()
-        name = name.encode()[: _ID_BYTES - 9].decode(errors="ignore") + "-" + digest
-    return name
+    return _short(name)
+
+
+def _short(text: str) -> str:
+    """`text`, or its beginning and a digest of all of it where it is long."""
+    data = text.encode(errors="replace")
+    if len(data) <= _ID_BYTES:
+        return text
+    return data[:40].decode(errors="ignore") + "-" + blake2b(data, digest_size=4).hexdigest()

@@ -13,8 +13,9 @@ import kinebench_drake
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import InputError, KinebenchError, SetupError, UnmeasurableError, UsageError
 from kinebench_drake.geometry import Array
-from kinebench_drake.grounding.video import Video, frame_files, read_video, write_video
+from kinebench_drake.grounding.video import Video, frame_files, read_video
 from kinebench_drake.inputs import Sample
+from kinebench_drake.mp4 import write_video
 from kinebench_drake.products import Anomaly, GripperTrack
 from kinebench_drake.provenance import weights_hash
 from kinebench_drake.results import part_path, storage, write_atomically

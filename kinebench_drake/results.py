@@ -188,7 +188,8 @@ class ResultStore:
         """Remove what a killed run left half-written, and on demand all that any run wrote."""
         doomed = [*self.out.glob(".*.part")]
         for part, suffix in _PARTS.items():
-            doomed += (self.out / part).glob(f"*.{suffix}" if everything else ".*.part")
+            doomed += (self.out / part).glob(".*.part")
+            doomed += (self.out / part).glob(f"*.{suffix}") if everything else ()
         if everything:
             doomed += [self.out / name for name in (SAMPLES, TIMINGS, RESULTS, REPORT)]
         for file in doomed:

@@ -35,7 +35,7 @@ def _tell(config: RunConfig, summary: RunSummary) -> None:
         click.echo(counted)
     if summary.feasible is not None and summary.feasible.mean is not None:
         share = summary.feasible
-        interval = f"95 % interval {share.low:.0%} to {share.high:.0%}"
+        interval = f"95% interval {share.low:.0%} to {share.high:.0%}"
         click.echo(f"{share.mean:.0%} of {share.n} judged samples are feasible ({interval})")
     click.echo(summary.report or config.out / "results.json")
 

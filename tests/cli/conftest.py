@@ -4,7 +4,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kinebench_drake.grounding.video import write_video
+from kinebench_drake.mp4 import write_video
 from kinebench_drake.score import RunConfig
 
 HERE = Path(__file__).parent

@@ -1,0 +1,182 @@
+from fractions import Fraction
+
+import av
+import numpy as np
+import pytest
+from PIL import Image
+
+from kinebench_drake.errors import InputError, UnmeasurableError
+from kinebench_drake.grounding import video as module
+from kinebench_drake.grounding.video import Video, read_video
+from kinebench_drake.mp4 import write_video
+
+T, H, W = 20, 96, 130
+
+
+@pytest.fixture(scope="module")
+def frames():
+    """A red square that moves over a gradient."""
+    images = np.zeros((T, H, W, 3), dtype=np.uint8)
+    images[..., 1] = np.linspace(40, 120, W).astype(np.uint8)
+    for k, image in enumerate(images):
+        image[10 + k : 50 + k, 20 + 2 * k : 60 + 2 * k] = [200, 30, 60]
+    return images
+
+
+def encode(path, frames, codec, pixel_format, *, options=None, stamps=None):
+    with av.open(path, "w", options=options or {}) as container:
+        stream = container.add_stream(codec, rate=17)
+        stream.height, stream.width = frames.shape[1:3]
+        stream.pix_fmt = pixel_format
+        if stamps:
+            stream.codec_context.time_base = Fraction(1, 1000)
+        for k, image in enumerate(frames):
+            frame = av.VideoFrame.from_ndarray(image, format="rgb24")
+            if stamps:
+                frame.pts, frame.time_base = stamps[k], Fraction(1, 1000)
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode())
+
+
+@pytest.mark.parametrize(
+    ("name", "codec", "pixel_format", "tolerance"),
+    [
+        ("a.mp4", "libx264", "yuv420p", 2.0),
+        ("a.mov", "libx264", "yuv420p", 2.0),
+        ("a.avi", "mpeg4", "yuv420p", 4.0),
+        ("a.webm", "libvpx-vp9", "yuv420p", 2.0),
+        ("a.mkv", "libx264", "yuv420p", 2.0),
+        ("a.gif", "gif", "rgb8", 20.0),
+    ],
+)
+def test_every_container_gives_back_its_frames(tmp_path, frames, name, codec, pixel_format, tolerance):
+    encode(tmp_path / name, frames, codec, pixel_format)
+    video = read_video(tmp_path / name)
+    assert video.frames.shape == frames.shape
+    assert np.abs(video.frames.astype(int) - frames).mean() < tolerance
+    if video.stamps_s is None:
+        assert video.fps == pytest.approx(17.0)
+    else:  # a gif counts hundredths of a second
+        assert video.stamps_s == pytest.approx(np.arange(T) / 17.0, abs=0.03)
+
+
+def test_written_film_reads_back_and_has_the_same_bytes_each_time(tmp_path, frames):
+    write_video(tmp_path / "a.mp4", frames, 12.5)
+    write_video(tmp_path / "b.mp4", iter(frames), 12.5)
+    assert (tmp_path / "a.mp4").read_bytes() == (tmp_path / "b.mp4").read_bytes()
+    video = read_video(tmp_path / "a.mp4")
+    assert video.fps == pytest.approx(12.5)
+    assert np.abs(video.frames.astype(int) - frames).mean() < 1.5
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["a.mp4", "b.mp4"]
+
+
+def test_odd_sizes_are_padded_by_one_pixel(tmp_path, frames):
+    write_video(tmp_path / "a.mp4", frames[:, :95, :129], 17)
+    assert read_video(tmp_path / "a.mp4").frames.shape[1:3] == (96, 130)
+
+
+def test_a_writer_that_fails_leaves_nothing_behind(tmp_path, frames):
+    def broken():
+        yield frames[0]
+        raise RuntimeError("no more")
+
+    with pytest.raises(RuntimeError):
+        write_video(tmp_path / "a.mp4", broken(), 17)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_irregular_films_keep_their_time_stamps(tmp_path, frames):
+    stamps = [0, 50, 100, 400, 450, 500, 900, 950, 1000, 1050]
+    encode(tmp_path / "a.mkv", frames[:10], "libx264", "yuv420p", stamps=stamps)
+    video = read_video(tmp_path / "a.mkv")
+    assert video.stamps_s == pytest.approx(np.array(stamps) / 1000.0, abs=2e-3)
+
+
+def test_frame_folders_are_sorted_by_number(tmp_path, frames):
+    for k in range(11):
+        Image.fromarray(frames[k]).save(tmp_path / f"frame_{k}.png")
+    (tmp_path / "notes.txt").write_text("not a frame")
+    video = read_video(tmp_path)
+    assert (video.frames == frames[:11]).all()
+    assert video.fps is None
+
+
+@pytest.mark.parametrize("key", ["frames", "video", "anything"])
+def test_arrays_are_read_as_they_are(tmp_path, frames, key):
+    np.save(tmp_path / "a.npy", frames)
+    np.savez(tmp_path / "b.npz", **{key: frames})
+    assert (read_video(tmp_path / "a.npy").frames == frames).all()
+    assert (read_video(tmp_path / "b.npz").frames == frames).all()
+
+
+@pytest.mark.parametrize("part", [0.3, 0.6, 0.9])
+@pytest.mark.parametrize(
+    ("name", "codec", "pixel_format", "options"),
+    [
+        ("a.mp4", "libx264", "yuv420p", {}),
+        ("a.mp4", "libx264", "yuv420p", {"movflags": "faststart"}),
+        ("a.avi", "mpeg4", "yuv420p", {}),
+        ("a.mkv", "libx264", "yuv420p", {}),
+        ("a.gif", "gif", "rgb8", {}),
+    ],
+)
+def test_cut_off_films_are_refused(tmp_path, frames, name, codec, pixel_format, options, part):
+    path = tmp_path / name
+    encode(path, frames, codec, pixel_format, options=options)
+    data = path.read_bytes()
+    path.write_bytes(data[: int(len(data) * part)])
+    with pytest.raises(InputError, match=rf"^{name}: ") as caught:
+        read_video(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_files_that_are_no_video_are_told_by_name(tmp_path, frames):
+    (tmp_path / "empty.mp4").touch()
+    (tmp_path / "text.mp4").write_text("this is no film\n" * 50)
+    np.save(tmp_path / "float.npy", frames.astype(np.float32))
+    np.save(tmp_path / "flat.npy", frames[..., 0])
+    np.save(tmp_path / "none.npy", frames[:0])
+    np.savez(tmp_path / "two.npz", a=frames, b=frames)
+    np.save(tmp_path / "pickle.npy", np.array([{"a": 1}], dtype=object), allow_pickle=True)
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "bad").mkdir()
+    (tmp_path / "bad" / "0.png").write_bytes(b"\x89PNG\r\n\x1a\n broken")
+    for name, told in {
+        "absent.mp4": "no such file",
+        "empty.mp4": "empty",
+        "text.mp4": "not a readable video",
+        "float.npy": "float32",
+        "flat.npy": "shape",
+        "none.npy": "no frame",
+        "two.npz": "expected one array",
+        "pickle.npy": "pickle",
+        "folder": "no png or jpg",
+        "bad": "0.png",
+    }.items():
+        with pytest.raises(InputError, match=told) as caught:
+            read_video(tmp_path / name)
+        assert name in str(caught.value)
+        assert "\n" not in str(caught.value)
+
+
+def test_frames_of_different_sizes_are_refused(tmp_path, frames):
+    Image.fromarray(frames[0]).save(tmp_path / "0.png")
+    Image.fromarray(frames[1, :50]).save(tmp_path / "1.png")
+    with pytest.raises(InputError, match=r"1\.png: size 130 x 50"):
+        read_video(tmp_path)
+
+
+def test_what_would_not_fit_in_memory_is_refused(tmp_path, frames, monkeypatch):
+    monkeypatch.setattr(module, "MAX_BYTES", 3 * frames[0].nbytes)
+    write_video(tmp_path / "a.mp4", frames, 17)
+    np.save(tmp_path / "a.npy", frames)
+    for name in ("a.mp4", "a.npy"):
+        with pytest.raises(InputError, match="shorter clips"):
+            read_video(tmp_path / name)
+
+
+@pytest.mark.parametrize(("shape", "told"), [((1, 96, 96, 3), "at least 2"), ((8, 8, 8, 3), "at least 64 px")])
+def test_too_little_to_measure(shape, told):
+    video = Video(frames=np.zeros(shape, dtype=np.uint8), fps=17.0, stamps_s=None)
+    with pytest.raises(UnmeasurableError, match=told):
+        video.require_measurable()

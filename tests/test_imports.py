@@ -1,0 +1,120 @@
+"""The architecture, held: imports go one way, importing the package is cheap, every package is shipped."""
+
+import ast
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+PACKAGE = "kinebench_drake"
+
+LEAF = {"__init__", "errors", "geometry", "camera", "products", "native", "mp4"}
+RESULTS = {"row", "aggregate", "results", "trackfile", "provenance", "report", "engines"}
+MAY_IMPORT = {
+    **dict.fromkeys(LEAF, LEAF),
+    "models": LEAF,
+    "kinematics": LEAF | {"models"},
+    "metrics": LEAF | {"models", "kinematics"},
+    "audit": LEAF | RESULTS | {"models", "kinematics", "metrics", "inputs"},
+    "grounding": LEAF | {"models", "kinematics"},
+    "suites": LEAF | {"models", "kinematics"},
+    **dict.fromkeys(RESULTS, LEAF | RESULTS),
+    "manifest": LEAF,
+    "stages": LEAF | {"row"},
+    "thumbnail": LEAF | {"stages"},
+}
+"""What each part may import besides itself. Parts not named here see all but the command line."""
+ABOVE_ALL = {"cli", "__main__"}
+TRAINING = ROOT / "grounding" / "training"
+"""Training renders its pictures from the suites' scenes; nothing else of grounding may."""
+
+
+def modules():
+    folders = [ROOT / PACKAGE, *(ROOT / name for name in ("grounding", "models", "suites"))]
+    return sorted({p for folder in folders for p in folder.rglob("*.py") if not linked(p)})
+
+
+def linked(path):
+    return path.resolve() != path
+
+
+def part_of(path):
+    first = path.relative_to(ROOT).parts[0]
+    return path.relative_to(ROOT / PACKAGE).parts[0].removesuffix(".py") if first == PACKAGE else first
+
+
+def imported_parts(path):
+    """First names below the package that a module imports anywhere in it."""
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: relative import"
+            names = [node.module] if node.module != PACKAGE else [f"{PACKAGE}.{a.name}" for a in node.names]
+        elif isinstance(node, ast.Import):
+            names = [a.name for a in node.names]
+        else:
+            continue
+        for name in names:
+            if name.split(".")[0] == PACKAGE:
+                part = name.split(".")[1] if "." in name else "__init__"
+                yield part if part != "__version__" else "__init__"
+
+
+@pytest.mark.parametrize("path", modules(), ids=lambda p: p.relative_to(ROOT).as_posix())
+def test_imports_go_one_way(path):
+    part = part_of(path)
+    for target in set(imported_parts(path)) - {part}:
+        if part in ABOVE_ALL:
+            continue
+        assert target not in ABOVE_ALL, f"{part} imports the command line"
+        if part in MAY_IMPORT and not (TRAINING in path.parents and target == "suites"):
+            assert target in MAY_IMPORT[part], f"{part} may not import {target}"
+
+
+def test_the_test_sees_forbidden_imports(tmp_path):
+    path = tmp_path / "a.py"
+    path.write_text("def f():\n    from kinebench_drake.suites.x import y\n    import kinebench_drake.cli\n")
+    assert set(imported_parts(path)) == {"suites", "cli"}
+
+
+def loaded_by(statement):
+    code = f"import sys\n{statement}\nprint(*sorted({{m.split('.')[0] for m in sys.modules}}))"
+    return set(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split())
+
+
+HEAVY = {"torch", "open3d", "sapien", "mani_skill", "pydrake", "matplotlib", "cv2"}
+
+
+def test_importing_the_package_loads_nothing_heavy():
+    assert not loaded_by("import kinebench_drake") & (HEAVY | {"numpy", "click"})
+
+
+@pytest.mark.parametrize("module", ["score", "inputs", "results", "measure", "report", "cli.score", "cli.run"])
+def test_the_frame_of_a_run_loads_nothing_heavy(module):
+    assert not loaded_by(f"import kinebench_drake.{module}") & HEAVY
+
+
+def test_help_loads_no_command():
+    code = "from kinebench_drake.cli import main\ntry: main(['--help'])\nexcept SystemExit: pass"
+    assert not loaded_by(code) & (HEAVY | {"numpy", "scipy", "av", "rich", "pydantic"})
+
+
+def test_every_package_and_data_file_is_shipped():
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]
+    found = {PACKAGE}
+    for path in modules():
+        first, *rest = path.relative_to(ROOT).parent.parts
+        found.add(".".join([PACKAGE, *([] if first == PACKAGE else [first]), *rest]))
+    assert sorted(settings["packages"]) == sorted(found)
+    template = ROOT / PACKAGE / "report" / "page.html.j2"
+    assert any(template.match(pattern) for pattern in settings["package-data"][f"{PACKAGE}.report"])
+
+
+def test_the_folders_at_the_top_are_the_packages_within():
+    for name in ("grounding", "models", "suites"):
+        link = ROOT / PACKAGE / name
+        assert link.is_symlink()
+        assert not link.readlink().is_absolute()
+        assert link.resolve() == (ROOT / name).resolve()

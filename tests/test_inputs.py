@@ -1,0 +1,213 @@
+import json
+
+import numpy as np
+import pytest
+
+from kinebench_drake.camera import benchmark_camera
+from kinebench_drake.errors import UsageError
+from kinebench_drake.inputs import CameraSource, Shard, find_samples
+
+
+def touch(folder, *names):
+    for name in names:
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(b"x")
+
+
+def write_manifest(folder, *lines):
+    path = folder / "manifest.jsonl"
+    path.write_text("".join((line if isinstance(line, str) else json.dumps(line)) + "\n" for line in lines))
+    return path
+
+
+def test_a_folder_counts_films_and_frame_folders_only(tmp_path):
+    touch(tmp_path, "b.mp4", "a.MOV", "c.gif", "d.webm", "e.mkv", "f.avi", "g.npy", "h.npz", "i.txt", ".j.mp4")
+    touch(tmp_path, "frames/0.png", "frames/1.png", "deep/er/k.mp4", "deep/er/preview.png")
+    found = find_samples(tmp_path).samples
+    assert sorted(s.video for s in found) == [
+        *("a.MOV", "b.mp4", "c.gif", "d.webm", "deep/er/k.mp4", "e.mkv", "f.avi", "frames")
+    ]
+    assert {s.id for s in found} == {"a", "b", "c", "d", "e", "f", "k", "frames"}
+
+
+def test_single_inputs_are_named_by_their_stem(tmp_path):
+    touch(tmp_path, "v/one.mp4", "v/two.npy", "still/0.png")
+    for name, id in {"v/one.mp4": "one", "v/two.npy": "two", "still": "still"}.items():
+        (sample,) = find_samples(tmp_path / name).samples
+        assert (sample.id, sample.problem) == (id, None)
+
+
+def test_the_runs_own_output_and_other_outputs_are_passed_over(tmp_path):
+    touch(tmp_path, "a.mp4", "out/overlays/a.mp4", "old/samples.jsonl", "old/results.json", "old/overlays/b.mp4")
+    assert [s.video for s in find_samples(tmp_path, out=tmp_path / "out").samples] == ["a.mp4"]
+    with pytest.raises(UsageError, match="input folder itself"):
+        find_samples(tmp_path, out=tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("names", "told"),
+    [
+        ((), "found nothing"),
+        (("a.txt", "b.txt", "c.npy"), r"found 2 x \.txt"),
+        (("meta/info.json", "data/a.parquet"), "LeRobot"),
+    ],
+)
+def test_folders_without_video_say_what_they_hold(tmp_path, names, told):
+    touch(tmp_path, *names)
+    with pytest.raises(UsageError, match=told) as caught:
+        find_samples(tmp_path)
+    assert "expected" in str(caught.value)
+
+
+def test_paths_that_cannot_be_input(tmp_path):
+    touch(tmp_path, "a.txt")
+    with pytest.raises(UsageError, match="no such file"):
+        find_samples(tmp_path / "absent")
+    with pytest.raises(UsageError, match=r"found a \.txt file, expected a video"):
+        find_samples(tmp_path / "a.txt")
+
+
+def test_equal_stems_get_ids_of_their_own_the_same_each_time(tmp_path):
+    touch(tmp_path, "x/a.mp4", "y/a.mp4", "a.mp4", "a.gif", "b.mp4")
+    first = find_samples(tmp_path).samples
+    ids = {s.video: s.id for s in first}
+    assert ids["b.mp4"] == "b"
+    assert (ids["x/a.mp4"], ids["y/a.mp4"]) == ("x-a", "y-a")
+    assert len({i.casefold() for i in ids.values()}) == 5
+    assert [s.id for s in find_samples(tmp_path).samples] == list(ids.values())
+
+
+def test_ids_are_safe_as_file_names(tmp_path):
+    (tmp_path / "v.mp4").touch()
+    evil = ["../../etc/passwd", "a/b", ".hidden", "", "x" * 400, "nul\x00l", "con:*?", "ä b"]
+    path = write_manifest(tmp_path, *({"video": "v.mp4", **({"id": e} if e else {})} for e in evil))
+    samples = find_samples(path).samples
+    assert len({s.id for s in samples}) == len(evil)
+    for sample in samples:
+        assert "v" in sample.id
+        assert not set(sample.id) & set('/\\:*?"<>|\0')
+        assert not sample.id.startswith(".")
+        assert len(f".{sample.id}.npz.1234567.part".encode()) < 200
+        (tmp_path / f"{sample.id}.npz").touch()
+
+
+def test_explicit_ids_are_kept_and_bear_the_stem(tmp_path):
+    touch(tmp_path, "clips/v1.mp4")
+    video = {"video": "clips/v1.mp4"}
+    path = write_manifest(tmp_path, {**video, "id": "run-v1"}, {**video, "id": "run-v1"}, {**video, "id": "episode 7"})
+    assert [s.id for s in find_samples(path).samples] == ["run-v1", "run-v1-2", "episode 7-v1"]
+
+
+def test_a_numbered_id_never_takes_the_place_of_another(tmp_path):
+    touch(tmp_path, "a.mp4", "a.gif", "a-2.mp4")
+    assert len({s.id for s in find_samples(tmp_path).samples}) == 3
+
+
+def test_a_manifest_carries_labels_and_times(tmp_path):
+    touch(tmp_path, "v.mp4")
+    line = {"video": "v.mp4", "task": "StackCube-v1", "seed": 3, "model": "m", "prompt": "p", "fps": 17, "id": "v3"}
+    path = write_manifest(tmp_path, {**line, "frame_period_s": 0.2}, {"video": "v.mp4"})
+    full, bare = find_samples(path, model="other", task="T").samples
+    assert (full.task, full.seed, full.model, full.prompt, full.fps) == ("StackCube-v1", 3, "m", "p", 17.0)
+    assert full.frame_period_s == 0.2
+    assert (bare.task, bare.model, bare.frame_period_s) == ("T", "other", None)
+
+
+def test_unknown_keys_are_a_warning(tmp_path):
+    touch(tmp_path, "v.mp4")
+    path = write_manifest(tmp_path, {"video": "v.mp4", "frame_periods": 0.2}, {"video": "v.mp4"})
+    inputs = find_samples(path)
+    assert all(s.problem is None for s in inputs.samples)
+    (warning,) = inputs.warnings
+    assert "'frame_periods'" in warning
+
+
+@pytest.mark.parametrize(
+    ("line", "told"),
+    [
+        ('{"video": "v.mp4", "frame_period_s": NaN}', "frame_period_s"),
+        ('{"video": "v.mp4", "fps": Infinity}', "fps"),
+        ({"video": "v.mp4", "fps": 0}, "fps"),
+        ({"video": "v.mp4", "fps": "17"}, "fps is '17'"),
+        ({"video": "v.mp4", "fps": True}, "fps"),
+        ({"video": "v.mp4", "seed": 1.5}, "seed"),
+        ({"video": 7}, "video is 7"),
+        ({"task": "x"}, "video is missing"),
+        ({"video": "v.mp4", "camera": {"width": 3}}, "missing keys"),
+        ({"video": "v.mp4", "camera": "absent.json"}, "absent.json"),
+        ({"video": "v.mp4", "camera": "../camera.json"}, "relative path inside"),
+        ({"video": "../v.mp4"}, "relative path inside"),
+        ({"video": "a/../../v.mp4"}, "relative path inside"),
+        ({"video": "/etc/passwd"}, "relative path inside"),
+        ({"video": "link.mp4"}, "leads out"),
+        ({"video": "linked/v.mp4"}, "leads out"),
+        ("[1, 2]", "is a list"),
+        ('{"video": ', "not JSON"),
+        ("[" * 100_000, "not JSON"),
+    ],
+)
+def test_a_bad_line_is_one_bad_sample(tmp_path, line, told):
+    touch(tmp_path, "elsewhere/v.mp4", "in/v.mp4")
+    (tmp_path / "in" / "link.mp4").symlink_to(tmp_path / "elsewhere" / "v.mp4")
+    (tmp_path / "in" / "linked").symlink_to(tmp_path / "elsewhere")
+    path = write_manifest(tmp_path / "in", {"video": "v.mp4", "id": "good v"}, line)
+    good, bad = find_samples(path).samples
+    assert good.problem is None
+    assert told in bad.problem
+    assert "line 2" in bad.problem
+    assert bad.id
+
+
+def test_an_empty_manifest_is_a_usage_error(tmp_path):
+    path = write_manifest(tmp_path, "  ")
+    with pytest.raises(UsageError, match="is empty"):
+        find_samples(path)
+    path.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(UsageError, match="cannot be read as text"):
+        find_samples(path)
+
+
+def test_camera_precedence(tmp_path):
+    touch(tmp_path, "v.mp4", "sub/w.mp4", "own/x.mp4")
+    benchmark = benchmark_camera()
+    assert {s.camera_source for s in find_samples(tmp_path).samples} == {CameraSource.BENCHMARK}
+    other = benchmark.resized(192, 192)
+    third = benchmark.resized(96, 96)
+    other.save(tmp_path / "camera.json")
+    third.save(tmp_path / "own" / "camera.json")
+    widths = {s.video: (s.camera.width, s.camera_source) for s in find_samples(tmp_path).samples}
+    assert widths == {
+        "v.mp4": (192, CameraSource.FOLDER),
+        "sub/w.mp4": (192, CameraSource.FOLDER),
+        "own/x.mp4": (96, CameraSource.FOLDER),
+    }
+    given = [{"video": "v.mp4", "camera": third.to_json()}, {"video": "v.mp4", "camera": "own/camera.json"}]
+    samples = find_samples(write_manifest(tmp_path, *given, {"video": "v.mp4"})).samples
+    assert [s.camera_source for s in samples] == [CameraSource.MANIFEST, CameraSource.MANIFEST, CameraSource.FOLDER]
+    assert [s.camera.width for s in samples] == [96, 96, 192]
+    assert np.allclose(samples[0].camera.X_BC, benchmark.X_BC)
+
+
+@pytest.mark.parametrize("text", ["{", "[]", '{"width": 3}', '{"width": NaN}'])
+def test_an_unusable_camera_file_is_a_usage_error(tmp_path, text):
+    touch(tmp_path, "v.mp4")
+    (tmp_path / "camera.json").write_text(text)
+    for source in (tmp_path, tmp_path / "v.mp4", write_manifest(tmp_path, {"video": "v.mp4"})):
+        with pytest.raises(UsageError, match=r"camera\.json"):
+            find_samples(source)
+
+
+@pytest.mark.parametrize("texts", [["0/3", "1/3", "2/3"], ["1/3", "2/3", "3/3"]])
+def test_shards_are_a_partition_however_they_are_counted(tmp_path, texts):
+    touch(tmp_path, *(f"{k}.mp4" for k in range(7)))
+    samples = find_samples(tmp_path).samples
+    parts = [Shard.parse(text).take(samples) for text in texts]
+    assert sorted(s.id for part in parts for s in part) == [s.id for s in samples]
+    assert {len(part) for part in parts} <= {2, 3}
+
+
+@pytest.mark.parametrize("text", ["", "1", "4/3", "1/0", "-1/3", "a/b", "1/3/5"])
+def test_impossible_shards(text):
+    with pytest.raises(UsageError, match="expected I/N"):
+        Shard.parse(text)

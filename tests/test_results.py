@@ -1,0 +1,210 @@
+import errno
+import json
+import os
+
+import numpy as np
+import pytest
+
+from kinebench_drake import results
+from kinebench_drake.aggregate import aggregate, by_key, estimate
+from kinebench_drake.errors import InputError, SetupError, UsageError
+from kinebench_drake.geometry import make_pose
+from kinebench_drake.products import GripperTrack
+from kinebench_drake.results import ResultStore, read_rows, write_atomically
+from kinebench_drake.row import SampleRow, Status, dump
+from kinebench_drake.trackfile import read_track, write_track
+
+
+def row(id="a", status=Status.OK, **changes):
+    reason = None if status is Status.OK else "because"
+    return SampleRow(
+        **{
+            **{"id": id, "video": f"{id}.mp4", "task": None, "model": None, "status": status, "reason": reason},
+            **{"content_hash": "0" * 64, "feasible": True, "metrics": {"sparc": -1.5, "ldlj": float("nan")}},
+            **changes,
+        }
+    )
+
+
+def test_rows_survive_the_file(tmp_path):
+    violation = {"kind": "jerk", "frame_start": 1, "frame_end": 2, "joint": 3, "value": float("inf"), "limit": 1.0}
+    first = row(extra={"frames": 9, "camera_source": "folder"}, violations=(violation,))
+    with ResultStore(tmp_path) as store:
+        store.append(first, 0.1)
+    (read,) = read_rows(tmp_path).values()
+    assert read.extra == first.extra
+    assert read.metrics == {"sparc": -1.5, "ldlj": None}
+    assert read.violations[0]["value"] is None
+    assert dump(read.to_json()) == dump(first.to_json())
+
+
+def test_rows_hold_strict_json_only():
+    assert "NaN" not in dump(row(metrics={"a": [float("nan"), {"b": float("inf")}]}).to_json())
+    with pytest.raises(ValueError, match="not JSON compliant"):
+        dump({"a": float("nan")})
+
+
+@pytest.mark.parametrize("torn", ["{", '{"id": "b", "status": "ok"', '{"id": "b", "vid\n', "\0\0\0\0"])
+def test_a_torn_last_line_is_dropped(tmp_path, torn):
+    with ResultStore(tmp_path) as store:
+        store.append(row("a"), 0.1)
+    with (tmp_path / results.SAMPLES).open("a") as file:
+        file.write(torn)
+    with ResultStore(tmp_path) as store:
+        assert list(store.rows) == ["a"]
+        store.keep(lambda _: True)
+        store.append(row("c"), 0.1)
+    assert list(read_rows(tmp_path)) == ["a", "c"]
+
+
+def test_a_broken_line_in_the_middle_is_told(tmp_path):
+    (tmp_path / results.SAMPLES).write_text("garbage\n" + dump(row().to_json()))
+    with pytest.raises(InputError, match="line 1 is broken"):
+        read_rows(tmp_path)
+    with pytest.raises(UsageError, match="--overwrite"):
+        ResultStore(tmp_path)
+    with ResultStore(tmp_path, overwrite=True) as store:
+        assert not store.rows
+
+
+def test_rows_end_up_sorted_and_timings_apart(tmp_path):
+    with ResultStore(tmp_path) as store:
+        for id in "cab":
+            store.append(row(id), 0.123)
+        store.finish({"schema_version": 1})
+    lines = (tmp_path / "samples.jsonl").read_text().splitlines()
+    assert [json.loads(line)["id"] for line in lines] == ["a", "b", "c"]
+    assert not any("wall" in line for line in lines)
+    timings = [json.loads(line) for line in (tmp_path / "timings.jsonl").read_text().splitlines()]
+    assert [t["id"] for t in timings] == ["c", "a", "b"]
+
+
+def test_only_one_run_at_a_time(tmp_path):
+    with ResultStore(tmp_path), pytest.raises(UsageError, match="another run"):
+        ResultStore(tmp_path)
+    with ResultStore(tmp_path):
+        pass
+
+
+def test_a_folder_that_cannot_be_written_is_a_usage_error(tmp_path):
+    (tmp_path / "file").touch()
+    for out in (tmp_path / "file", tmp_path / "file" / "below"):
+        with pytest.raises(UsageError, match="cannot be written"):
+            ResultStore(out)
+
+
+def test_overwrite_removes_what_runs_wrote_and_nothing_else(tmp_path):
+    for name in ("tracks/a.npz", "overlays/a.mp4", "thumbnails/a.jpg", "tracks/.b.npz.7.part", "report.html"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).touch()
+    (tmp_path / "tracks" / "mine.txt").touch()
+    (tmp_path / "notes.md").touch()
+    with ResultStore(tmp_path, overwrite=True):
+        left = {p.relative_to(tmp_path).as_posix() for p in tmp_path.rglob("*") if p.is_file()}
+    assert left == {"tracks/mine.txt", "notes.md", "samples.jsonl"}
+
+
+def test_a_full_disk_leaves_the_rows_as_they_were(tmp_path, monkeypatch):
+    with ResultStore(tmp_path) as store:
+        store.append(row("a"), 0.1)
+        before = (tmp_path / results.SAMPLES).read_bytes()
+
+        def full(*_):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+        monkeypatch.setattr(results.os, "fsync", full)
+        for write in (lambda: store.append(row("b"), 0.1), lambda: store.finish({})):
+            with pytest.raises(SetupError, match=r"No space left.*free some space.*kept") as caught:
+                write()
+            assert "\n" not in str(caught.value)
+            assert (tmp_path / results.SAMPLES).read_bytes() == before
+        assert list(store.rows) == ["a"]
+    assert not list(tmp_path.glob(".*.part"))
+
+
+def test_atomic_files_are_whole_or_absent(tmp_path, monkeypatch):
+    write_atomically(tmp_path / "a", b"old")
+    monkeypatch.setattr(results.os, "replace", lambda *_: (_ for _ in ()).throw(OSError(errno.EIO, "I/O error")))
+    with pytest.raises(SetupError, match="I/O error"):
+        write_atomically(tmp_path / "a", b"new")
+    assert (tmp_path / "a").read_bytes() == b"old"
+    assert [p.name for p in tmp_path.iterdir()] == ["a"]
+
+
+def make_track(n=5):
+    X = make_pose(np.broadcast_to(np.eye(3), (n, 3, 3)), np.arange(3 * n).reshape(n, 3))
+    X[1] = np.nan
+    on = np.isfinite(X[:, 0, 0])
+    return GripperTrack(
+        t_s=np.arange(n) * 0.2, X_CH=X, X_BG=X + 0, tracked=on, confidence=on * 0.9, finger_width_m=np.full(n, 0.04)
+    )
+
+
+def test_tracks_survive_the_file_with_the_same_bytes(tmp_path):
+    track = make_track()
+    write_track(tmp_path / "a.npz", track, None, {})
+    write_track(tmp_path / "b.npz", track, None, {})
+    assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
+    file = read_track(tmp_path / "a.npz")
+    for name in ("t_s", "X_CH", "X_BG", "tracked", "confidence", "finger_width_m"):
+        np.testing.assert_array_equal(getattr(file.track, name), getattr(track, name))
+    assert np.isnan(file.q).all()
+    assert file.q.shape == (5, 7)
+    assert file.ik_ok.dtype == bool
+    assert not file.ik_ok.any()
+    with np.load(tmp_path / "a.npz", allow_pickle=False) as archive:
+        assert {"t_s", "camera_from_hand", "base_from_tcp", "tracked", "q", "ik_ok"} <= set(archive.files)
+
+
+def test_damaged_track_files_are_told(tmp_path):
+    write_track(tmp_path / "a.npz", make_track(), None, {})
+    (tmp_path / "b.npz").write_bytes((tmp_path / "a.npz").read_bytes()[:200])
+    for name in ("b.npz", "absent.npz"):
+        with pytest.raises(InputError, match="not a track file"):
+            read_track(tmp_path / name)
+
+
+def test_wilson_interval_agrees_with_the_formula():
+    k, n, z = 7, 10, 1.959963984540054
+    found = estimate([True] * k + [False] * (n - k) + [None], total=12)
+    centre = (k + z * z / 2) / (n + z * z)
+    half = z / (n + z * z) * (k * (n - k) / n + z * z / 4) ** 0.5
+    assert (found.mean, found.n, found.total) == (0.7, 10, 12)
+    assert (found.low, found.high) == pytest.approx((centre - half, centre + half))
+
+
+def test_bootstrap_interval_covers_the_mean_about_as_often_as_it_says():
+    rng = np.random.default_rng(0)
+    hits = 0
+    for _ in range(200):
+        e = estimate([float(v) for v in rng.normal(3.0, 1.0, size=40)], total=40)
+        hits += e.low <= 3.0 <= e.high
+    assert 0.88 <= hits / 200 <= 0.99
+
+
+def test_estimates_of_little():
+    assert estimate([], total=3).mean is None
+    assert estimate([None, float("nan")], total=3).n == 0
+    one = estimate([2.0], total=3)
+    assert (one.mean, one.low, one.high, one.n, one.total) == (2.0, None, None, 1, 3)
+    same = estimate([2.0, 2.0], total=2)
+    assert (same.low, same.high) == (2.0, 2.0)
+
+
+def test_aggregates_count_everything_and_average_only_what_was_measured():
+    vanish = [{"kind": "vanish", "frame_start": 1, "frame_end": 2, "severity": 1.0}] * 2
+    rows = [
+        row("a", metrics={"sparc": -1.0, "anomalies": vanish}, model="m"),
+        row("b", metrics={"sparc": None}, feasible=False, violations=({"kind": "jerk"}, {"kind": "jerk"}), model="m"),
+        row("c", Status.UNMEASURABLE, metrics={"sparc": 0.0}, feasible=None, model="n"),
+        row("d", Status.ERROR, metrics={}, feasible=None),
+    ]
+    told = aggregate(rows).to_json()
+    assert told["samples"] == {"total": 4, "ok": 2, "unmeasurable": 1, "error": 1}
+    assert told["feasible"]["mean"] == 0.5
+    assert (told["metrics"]["sparc"]["mean"], told["metrics"]["sparc"]["n"], told["metrics"]["sparc"]["total"]) == (
+        *(-1.0, 1, 4),
+    )
+    assert told["violations"] == {"jerk": 1}
+    assert told["anomalies"] == {"vanish": 1}
+    assert {name: len(group) for name, group in by_key(rows, "model").items()} == {"m": 2, "n": 1}
