@@ -25,8 +25,8 @@ FREEZE_SPEED_M_S = 0.05
 """The gripper moves at least this fast, on average, through the frames frozen."""
 TELEPORT_M = 0.15
 """How far the gripper jumps."""
-LEAST_VISIBLE_PX = 1500
-"""Gripper pixels that a frame needs for a fault in it to be seen."""
+LEAST_VISIBLE = 0.01
+"""Part of the image that the gripper must cover for a fault to be seen."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,12 +61,12 @@ def _moving(clip: Clip, frames: int) -> list[int]:
 
     Stretches end two frames before the clip does, so that the clip recovers, and begin three in.
     """
-    visible = clip.mask.sum(axis=(1, 2)) >= LEAST_VISIBLE_PX
+    visible = clip.mask.mean(axis=(1, 2)) >= LEAST_VISIBLE
     p = clip.X_BG[:, :3, 3]
     starts = [i for i in range(3, len(p) - frames - 1) if visible[i - 1 : i + frames + 1].all()]
     if not starts:
         raise InputError(
-            f"no {frames} frames in a row show {LEAST_VISIBLE_PX} pixels of the gripper; take another seed"
+            f"in no {frames} frames in a row the gripper covers {LEAST_VISIBLE:.0%} of the image; take another seed"
         )
     way = {i: float(np.linalg.norm(np.diff(p[i - 1 : i + frames + 1], axis=0), axis=1).sum()) for i in starts}
     return sorted(starts, key=lambda i: (-way[i], i))
@@ -132,8 +132,8 @@ def plant_teleport(
 ) -> tuple[Clip, PlantedFault]:
     """The clip with the gripper `TELEPORT_M` off from one frame to the end: the arm is drawn on the displaced path.
 
-    The way it jumps is the first of left, right, up, back (in the robot's frame) that the arm can follow to the
-    end, beginning with the gripper in view.
+    The way it jumps is the first of inwards, outwards (along y, seen from the middle of the table), up, back that the
+    arm can follow to the end, beginning with the gripper in view.
 
     Args:
         stage: the scene of the performance, after its `reset`.
@@ -145,13 +145,14 @@ def plant_teleport(
         InputError: no direction will do.
     """
     start = len(clip.t_s) // 2 if start is None else start
-    for direction in ((0.0, 1.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, 1.0), (-1.0, 0.0, 0.0)):
+    inwards = -1.0 if clip.X_BG[start, 1, 3] > 0.0 else 1.0
+    for direction in ((0.0, inwards, 0.0), (0.0, -inwards, 0.0), (0.0, 0.0, 1.0), (-1.0, 0.0, 0.0)):
         q = _displaced(performance, clip.X_BG[start:], start, TELEPORT_M * np.array(direction))
         if q is None:
             continue
         shifted = [replace(s, q=angles) for s, angles in zip(performance.snapshots[start:], q, strict=True)]
         part = film(stage, shifted, first_frame=start)
-        if part.mask[0].sum() >= LEAST_VISIBLE_PX:
+        if part.mask[0].mean() >= LEAST_VISIBLE:
             fault = PlantedFault(
                 kind=AnomalyKind.TELEPORT, frame_start=start, frame_end=len(clip.t_s) - 1, size=TELEPORT_M
             )

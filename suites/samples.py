@@ -13,7 +13,7 @@ Folder written, the same bytes for the same arguments:
 
 import json
 import multiprocessing
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -51,6 +51,8 @@ class Order:
     """Whether the truth holds depth and masks."""
     crf: int
     """x264's quality."""
+    dry_run: bool
+    """Perform only: no video, no file."""
     out: Path
     """Folder to write to."""
 
@@ -69,7 +71,7 @@ class Sample:
     """The task in words."""
     success: bool
     """ManiSkill's verdict on the episode it was made from."""
-    fault: PlantedFault | None
+    fault: PlantedFault | None = None
     """The planted fault, if any."""
 
     def manifest_line(self) -> str:
@@ -106,9 +108,19 @@ def make(order: Order) -> list[Sample]:
     Raises:
         InputError: the expert or a fault does not work in this scene.
     """
-    samples = []
+    samples: list[Sample] = []
     with Stage(order.task, robot=order.robot) as stage:
         performance = perform(stage, find_expert(order.task), order.seed)
+        if order.dry_run:
+            return [
+                Sample(
+                    id=f"{order.task}_s{order.seed:04d}",
+                    task=order.task,
+                    seed=order.seed,
+                    prompt=performance.prompt,
+                    success=performance.success,
+                )
+            ]
         clip = film(stage, performance.snapshots)
         for version, fault in _versions(stage, performance, clip, order):
             name = f"{order.task}_s{order.seed:04d}" + (f"_{fault.kind.value}" if fault else "")
@@ -134,6 +146,14 @@ def _make(order: Order) -> tuple[list[Sample], str]:
         return make(order), ""
     except InputError as error:
         return [], f"{order.task} seed {order.seed}: {error}"
+
+
+def _run(orders: Sequence[Order], jobs: int) -> Iterator[tuple[list[Sample], str]]:
+    if jobs == 1:
+        yield from map(_make, orders)
+        return
+    with multiprocessing.get_context("spawn").Pool(min(jobs, len(orders))) as pool:
+        yield from pool.imap(_make, orders)
 
 
 def write_index(out: Path, samples: list[Sample]) -> None:
@@ -181,8 +201,10 @@ def parse_seeds(text: str) -> list[int]:
 @click.option("--with-depth", is_flag=True, help="Keep depth and gripper masks in truth/ (some MB a video).")
 @click.option("--faults", is_flag=True, help="Also write each video with each kind of planted fault.")
 @click.option("--kinds", default=",".join(KINDS), show_default=True, help="Kinds of faults for --faults.")
+@click.option("--one-each", is_flag=True, help="With --faults: each kind once, on the first episodes in turn.")
 @click.option("--only-faults", is_flag=True, help="Write no video without a fault.")
 @click.option("--crf", type=click.IntRange(0, 51), default=18, show_default=True, help="H.264 quality, 0 is lossless.")
+@click.option("--dry-run", is_flag=True, help="Write nothing: only perform, and count each task's successes.")
 @click.option("--jobs", type=click.IntRange(1), default=1, show_default=True, help="Worker processes.")
 def main(
     out: Path,
@@ -192,8 +214,10 @@ def main(
     with_depth: bool,
     faults: bool,
     kinds: str,
+    one_each: bool,
     only_faults: bool,
     crf: int,
+    dry_run: bool,
     jobs: int,
 ) -> None:
     r"""Render videos of the Panda doing ManiSkill tasks, with ground truth.
@@ -216,27 +240,33 @@ def main(
             seed=seed,
             robot=robot,
             clean=not only_faults,
-            faults=planted,
+            faults=planted[i : i + 1] if one_each else planted,
             with_depth=with_depth,
             crf=crf,
+            dry_run=dry_run,
             out=out,
         )
-        for task, seed in episodes
+        for i, (task, seed) in enumerate(episodes)
     ]
-    (out / "truth").mkdir(parents=True, exist_ok=True)
+    if not dry_run:
+        (out / "truth").mkdir(parents=True, exist_ok=True)
     samples: list[Sample] = []
     try:
-        with multiprocessing.get_context("spawn").Pool(min(jobs, len(orders))) as pool:
-            for made, reason in pool.imap(_make, orders):
-                samples += made
-                if reason:
-                    click.echo(reason, err=True)
-                for sample in made:
-                    click.echo(f"{sample.id}  {'success' if sample.success else 'FAILED'}")
+        for made, reason in _run(orders, jobs):
+            samples += made
+            if reason:
+                click.echo(reason, err=True)
+            for sample in made:
+                click.echo(f"{sample.id}  {'success' if sample.success else 'FAILED'}")
     except KinebenchError as error:
         raise click.ClickException(str(error)) from None
     if not samples:
-        raise click.ClickException("no video was made; the reasons stand above")
+        raise click.ClickException("no episode was done; the reasons stand above")
+    if dry_run:
+        for task in dict.fromkeys(order.task for order in orders):
+            done = sum(sample.success for sample in samples if sample.task == task)
+            click.echo(f"{task}: {done} of {sum(order.task == task for order in orders)} succeeded")
+        return
     write_index(out, samples)
 
 

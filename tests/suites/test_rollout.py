@@ -1,0 +1,87 @@
+"""The experts in the simulation, and the camera that films them."""
+
+import numpy as np
+import pytest
+
+from kinebench_drake.camera import benchmark_camera
+from kinebench_drake.errors import UsageError
+from kinebench_drake.geometry import invert, pose_difference, transform_points
+from kinebench_drake.kinematics.plant import PandaPlant
+from kinebench_drake.suites.experts.registry import EXPERTS, find_expert
+from kinebench_drake.suites.rollout import FRAME_PERIOD_S, Clip, Performance, Stage, film, perform, sapien_from_opencv
+
+Filmed = tuple[Stage, Performance, Clip]
+
+
+def test_unknown_task_is_a_usage_error() -> None:
+    with pytest.raises(UsageError, match="StackCube-v1"):
+        find_expert("StackCubes")
+
+
+def test_sapien_camera_looks_along_its_x_axis() -> None:
+    X_WC = benchmark_camera().X_BC
+    X_WS = sapien_from_opencv(X_WC)
+    assert np.allclose(X_WS[:3, 0], X_WC[:3, 2])
+    assert np.allclose(X_WS[:3, 1], -X_WC[:3, 0])
+    assert np.allclose(X_WS[:3, 2], -X_WC[:3, 1])
+
+
+@pytest.mark.sapien
+@pytest.mark.parametrize(
+    ("task", "robot", "seeds"),
+    [*((task, "panda", (11, 12)) for task in EXPERTS), *((task, "panda_wristcam", (13,)) for task in EXPERTS)],
+)
+def test_expert_succeeds_within_speed_limits(task: str, robot: str, seeds: tuple[int, ...]) -> None:
+    plant = PandaPlant()
+    for seed in seeds:
+        with Stage(task, robot=robot) as stage:
+            performance = perform(stage, find_expert(task), seed)
+        assert performance.success, f"{task} seed {seed} failed"
+        q = np.stack([snapshot.q for snapshot in performance.snapshots])
+        assert len(q) == EXPERTS[task].frames
+        assert (np.abs(np.diff(q, axis=0)) / FRAME_PERIOD_S <= plant.velocity_limits).all()
+        assert (q > plant.lower).all()
+        assert (q < plant.upper).all()
+
+
+@pytest.mark.sapien
+def test_pixels_of_the_gripper_lie_on_the_gripper(filmed: Filmed) -> None:
+    """Camera, mask, depth and pose agree: masked pixels, carried through depth and pose, fall into the hand's box."""
+    _, _, clip = filmed
+    rays = clip.camera.rays()
+    for i in range(0, len(clip.t_s), 8):
+        assert clip.mask[i].sum() > 100
+        z_m = (clip.depth_mm[i][clip.mask[i]] + 0.5) / 1000.0  # the renderer drops fractions of a millimetre
+        p_H = transform_points(invert(clip.X_CH[i]), z_m[:, None] * rays[clip.mask[i]])
+        low, high = p_H.min(axis=0), p_H.max(axis=0)
+        assert (low > [-0.04, -0.11, -0.03]).all()
+        assert (high < [0.04, 0.11, 0.12]).all()
+        assert high[1] - low[1] > 0.15  # both sides of the 0.2 m wide hand are seen
+
+
+@pytest.mark.sapien
+def test_truth_agrees_with_drake(filmed: Filmed) -> None:
+    _, _, clip = filmed
+    plant = PandaPlant()
+    X_BG = np.stack([plant.forward(q) for q in clip.q])
+    X_CH = invert(clip.camera.X_BC) @ np.stack([plant.forward_hand(q) for q in clip.q])
+    for found, expected in ((clip.X_BG, X_BG), (clip.X_CH, X_CH)):
+        distance, angle = pose_difference(found, expected)
+        assert distance.max() < 1e-5
+        assert angle.max() < 1e-5
+    assert clip.finger_width_m.max() == pytest.approx(0.08, abs=2e-3)
+    assert clip.finger_width_m.min() == pytest.approx(0.04, abs=5e-3)  # the cube, which the physics lets pads dent
+
+
+@pytest.mark.sapien
+def test_filming_changes_nothing(filmed: Filmed) -> None:
+    stage, performance, clip = filmed
+    again = film(stage, performance.snapshots[30:33], first_frame=30)
+    assert np.array_equal(again.rgb, clip.rgb[30:33])
+    assert np.array_equal(again.depth_mm, clip.depth_mm[30:33])
+    assert np.array_equal(again.t_s, clip.t_s[30:33])
+    with Stage("StackCube-v1", camera=clip.camera) as other:
+        assert perform(other, find_expert("StackCube-v1"), 0).success
+        rgb, _, mask = other.picture()  # straight from the simulation, no snapshot between
+    assert np.array_equal(rgb, clip.rgb[-1])
+    assert np.array_equal(mask, clip.mask[-1])

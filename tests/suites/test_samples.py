@@ -1,0 +1,61 @@
+"""The sample maker: what it writes, twice the same."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from kinebench_drake.camera import Camera
+from kinebench_drake.errors import UsageError
+from kinebench_drake.mp4 import write_video
+from kinebench_drake.suites.samples import main, parse_seeds
+
+
+def test_parse_seeds() -> None:
+    assert parse_seeds("7") == [7]
+    assert parse_seeds("0:3,9") == [0, 1, 2, 9]
+    for wrong in ("", "a", "3:1", "-2", "1:b"):
+        with pytest.raises(UsageError, match="seeds"):
+            parse_seeds(wrong)
+
+
+@pytest.mark.parametrize("arguments", [["--tasks", "Nothing-v1"], ["--seeds", "x"], ["--faults", "--kinds", "melt"]])
+def test_usage_errors(tmp_path: Path, arguments: list[str]) -> None:
+    assert CliRunner().invoke(main, ["--out", str(tmp_path / "out"), *arguments]).exit_code == 2
+    assert not (tmp_path / "out").exists()
+
+
+def test_video_bytes_repeat(tmp_path: Path) -> None:
+    frames = np.random.default_rng(0).integers(0, 255, (5, 33, 65, 3), dtype=np.uint8)
+    for name in ("a.mp4", "b.mp4"):
+        write_video(tmp_path / name, frames, 17)
+    assert (tmp_path / "a.mp4").read_bytes() == (tmp_path / "b.mp4").read_bytes()
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["a.mp4", "b.mp4"]
+
+
+@pytest.mark.sapien
+def test_same_arguments_same_bytes(tmp_path: Path) -> None:
+    def made(name: str) -> dict[str, bytes]:
+        out = tmp_path / name
+        arguments = ["--out", str(out), "--tasks", "PullCube-v1", "--seeds", "3"]
+        result = CliRunner().invoke(main, [*arguments, "--with-depth", "--faults", "--kinds", "freeze"])
+        assert result.exit_code == 0, result.output
+        return {str(p.relative_to(out)): p.read_bytes() for p in sorted(out.rglob("*")) if p.is_file()}
+
+    first, second = made("a"), made("b")
+    assert first == second
+    out = tmp_path / "a"
+    lines = [json.loads(line) for line in (out / "manifest.jsonl").read_text().splitlines()]
+    assert [line["id"] for line in lines] == ["PullCube-v1_s0003", "PullCube-v1_s0003_freeze"]
+    assert Camera.load(out / "camera.json").width == 384
+    faults = json.loads((out / "truth" / "faults.json").read_text())
+    assert set(faults) == {"PullCube-v1_s0003_freeze"}
+    with np.load(out / "truth" / "PullCube-v1_s0003.npz") as truth:
+        assert truth["base_from_tcp"].shape == truth["camera_from_hand"].shape == (49, 4, 4)
+        assert truth["q"].shape == (49, 7)
+        assert truth["t_s"][-1] == pytest.approx(9.6)
+        mask = np.unpackbits(truth["mask"], axis=-1, count=384).astype(bool)
+        assert mask.shape == truth["depth_mm"].shape == (49, 384, 384)
+        assert (truth["depth_mm"][mask] > 100).all()
