@@ -14,7 +14,7 @@ from kinebench_drake.kinematics.branches import excess, least_excess
 from kinebench_drake.kinematics.ik import POSITION_TOLERANCE_M, ROTATION_TOLERANCE_RAD
 from kinebench_drake.kinematics.manipulability import manipulability
 from kinebench_drake.kinematics.plant import PandaPlant
-from kinebench_drake.metrics.smoothness import track_smoothness
+from kinebench_drake.metrics.smoothness import runs, track_smoothness
 from kinebench_drake.models.panda.robot import ARM_JOINTS
 from kinebench_drake.products import GripperTrack, IkStatus, JointTrack
 
@@ -99,9 +99,9 @@ def evaluate_track(plant: PandaPlant, track: GripperTrack, joints: JointTrack) -
     """
     if len(track.t_s) != len(joints.t_s):
         raise InputError(f"the gripper track has {len(track.t_s)} frames, the joint track {len(joints.t_s)}")
-    known = np.isfinite(joints.q).all(axis=-1)
+    known = np.asarray(np.isfinite(joints.q).all(axis=-1), dtype=bool)
     within = (joints.position_error_m <= POSITION_TOLERANCE_M) & (joints.rotation_error_rad <= ROTATION_TOLERANCE_RAD)
-    reached = np.asarray(known & within)
+    reached = known & within
     speed = joint_speed(joints.t_s, np.where(reached[:, None], joints.q, np.nan))
     violations = sorted(
         (
@@ -164,7 +164,7 @@ def joint_speed(t_s: Array, q: Array) -> Array:
     frame have no speed.
     """
     speed = np.full_like(q, np.nan)
-    for run in _runs(np.asarray(np.isfinite(q).all(axis=-1))):
+    for run in runs(np.asarray(np.isfinite(q).all(axis=-1))):
         t, angles = t_s[run], q[run]
         n = len(t)
         if n < 2:
@@ -178,15 +178,8 @@ def joint_speed(t_s: Array, q: Array) -> Array:
     return speed
 
 
-def _runs(mask: NDArray[np.bool_]) -> Iterator[slice]:
-    """Stretches of consecutive true values of `mask` (T,)."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
-    for start, end in zip(edges[::2], edges[1::2], strict=True):
-        yield slice(int(start), int(end))
-
-
 def _unreachable(joints: JointTrack) -> Iterator[Violation]:
-    for run in _runs(np.array([s is IkStatus.UNREACHABLE for s in joints.status], dtype=bool)):
+    for run in runs(np.array([s is IkStatus.UNREACHABLE for s in joints.status], dtype=bool)):
         yield Violation(
             kind=ViolationKind.UNREACHABLE,
             frame_start=run.start,
@@ -208,7 +201,7 @@ def _past_limits(plant: PandaPlant, track: GripperTrack, joints: JointTrack) -> 
     past = np.nan_to_num(excess(plant, q)) * (failed | np.isfinite(joints.q).all(axis=-1))[:, None]
     named = np.zeros(len(q), dtype=bool)
     for j, name in enumerate(ARM_JOINTS):
-        for run in _runs(past[:, j] > _LIMIT_TOLERANCE_RAD):
+        for run in runs(past[:, j] > _LIMIT_TOLERANCE_RAD):
             named[run] = True
             worst = float(q[run, j][np.argmax(past[run, j])])
             yield Violation(
@@ -219,7 +212,7 @@ def _past_limits(plant: PandaPlant, track: GripperTrack, joints: JointTrack) -> 
                 value=worst,
                 limit=float(plant.upper[j] if worst > plant.upper[j] else plant.lower[j]),
             )
-    for run in _runs(failed & ~named):  # past a limit between the sweep's samples: no posture to name a joint by
+    for run in runs(failed & ~named):  # past a limit between the sweep's samples: no posture to name a joint by
         yield Violation(
             kind=ViolationKind.JOINT_LIMIT,
             frame_start=run.start,
@@ -232,7 +225,7 @@ def _past_limits(plant: PandaPlant, track: GripperTrack, joints: JointTrack) -> 
 
 def _too_fast(speed: Array, limits: Array) -> Iterator[Violation]:
     for j, name in enumerate(ARM_JOINTS):
-        for run in _runs(np.abs(speed[:, j]) > limits[j]):
+        for run in runs(np.abs(speed[:, j]) > limits[j]):
             yield Violation(
                 kind=ViolationKind.VELOCITY,
                 frame_start=run.start,

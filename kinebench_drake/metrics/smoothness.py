@@ -87,14 +87,10 @@ class Smoothness:
     """LDLJ of the TCP's translation speed."""
 
 
-def longest_run(mask: NDArray[np.bool_]) -> slice:
-    """The longest stretch of consecutive true values of `mask` (T,), the first of equals; empty if there is none."""
+def runs(mask: NDArray[np.bool_]) -> list[slice]:
+    """Stretches of consecutive true values of `mask` (T,)."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
-    if len(edges) == 0:
-        return slice(0, 0)
-    starts, ends = edges[::2], edges[1::2]
-    k = int(np.argmax(ends - starts))
-    return slice(int(starts[k]), int(ends[k]))
+    return [slice(int(start), int(end)) for start, end in zip(edges[::2], edges[1::2], strict=True)]
 
 
 def track_smoothness(track: GripperTrack) -> Smoothness:
@@ -104,7 +100,7 @@ def track_smoothness(track: GripperTrack) -> Smoothness:
     even times by linear interpolation. A run of fewer than MIN_FRAMES frames gives None, and so does a gripper that
     stays within STILL_M (translation) or STILL_RAD (rotation): what would be judged there is the tracking noise.
     """
-    run = longest_run(track.tracked)
+    run = max(runs(track.tracked), key=lambda run: run.stop - run.start, default=slice(0, 0))
     X, t_s = track.X_BG[run], track.t_s[run]
     if len(t_s) < MIN_FRAMES:
         return Smoothness(sparc=None, sparc_rotation=None, ldlj=None)
