@@ -101,6 +101,7 @@ def test_preloaded_libraries_are_found_by_name_in_any_order(root: Path) -> None:
     with pytest.raises(OSError, match=r"libkbbase\.so\.1"):
         ctypes.CDLL(str(root / "libkbuser.so"))
     native._preload("open3d")
+    assert "libkbuser.so" in Path("/proc/self/maps").read_text()
     assert ctypes.CDLL(str(root / "libkbuser.so")).user() == 42
 
 
