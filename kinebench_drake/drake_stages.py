@@ -10,8 +10,9 @@ from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.overlay import draw_overlay
 from kinebench_drake.grounding.pipeline import Grounding, GroundingPipeline
 from kinebench_drake.kinematics.ik import solve_track
+from kinebench_drake.kinematics.manipulability import manipulability
 from kinebench_drake.kinematics.plant import PandaPlant
-from kinebench_drake.metrics.kinematic import Violation, evaluate_track
+from kinebench_drake.metrics.kinematic import Violation, evaluate_track, limit_margin
 from kinebench_drake.products import GripperTrack
 from kinebench_drake.row import Json
 from kinebench_drake.stages import Judgement
@@ -50,15 +51,11 @@ class DrakeStages:
         return draw_overlay(frames, camera, track)
 
     def _per_frame(self, q: Array) -> Mapping[str, Array]:
-        """Manipulability and joint-limit margin of each frame of joint angles (T, 7) [rad]."""
-        known = np.isfinite(q).all(axis=1)
-        manipulability = np.full(len(q), np.nan)
-        for k in np.flatnonzero(known):
-            J = self._plant.jacobian(q[k])
-            manipulability[k] = np.sqrt(max(0.0, float(np.linalg.det(J @ J.T))))
-        half_range = (self._plant.upper - self._plant.lower) / 2.0
-        margin = (np.minimum(q - self._plant.lower, self._plant.upper - q) / half_range).min(axis=1)
-        return {"manipulability": manipulability, "joint_margin": np.where(known, margin, np.nan)}
+        """Manipulability and least joint-limit margin of each frame of joint angles (T, 7) [rad]; NaN where q is."""
+        return {
+            "manipulability": manipulability(self._plant, q).full,
+            "joint_margin": limit_margin(self._plant, q).min(axis=-1),
+        }
 
 
 def _violation_json(violation: Violation) -> dict[str, Json]:

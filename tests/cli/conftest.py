@@ -11,13 +11,13 @@ HERE = Path(__file__).parent
 STAGES = "fake_stages:FakeStages"
 
 
+sys.path.insert(0, str(HERE))
+
+
 @pytest.fixture(autouse=True)
-def _fake_stages_importable(monkeypatch):
-    """Here and in worker processes."""
-    monkeypatch.syspath_prepend(str(HERE))
+def _fake_stages_in_workers(monkeypatch):
+    """Worker processes can import the fake stages, too."""
     monkeypatch.setenv("PYTHONPATH", str(HERE))
-    yield
-    sys.modules.pop("fake_stages", None)
 
 
 @pytest.fixture

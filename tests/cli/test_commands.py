@@ -1,0 +1,201 @@
+"""The program as a user meets it: exit statuses, one-line errors, help."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+from fake_stages import Act
+
+from kinebench_drake import cli
+from kinebench_drake import score as job
+from kinebench_drake.results import read_rows
+
+COMMANDS = ["score", "ground", "report", "doctor"]
+
+
+@pytest.fixture
+def program(capfd, monkeypatch):
+    """Runs the program in this process; returns exit status, standard output and standard error."""
+    fields = dict(job.RunConfig.__dataclass_fields__)
+    assert fields["stages"].default.endswith(":DrakeStages")
+    make = job.RunConfig
+
+    def config(**options):
+        return make(stages="fake_stages:FakeStages", **options)
+
+    monkeypatch.setattr(job, "RunConfig", config)
+
+    def call(*arguments):
+        capfd.readouterr()
+        with pytest.raises(SystemExit) as stop:
+            cli.main([str(a) for a in arguments])
+        out, err = capfd.readouterr()
+        return stop.value.code, out, err
+
+    return call
+
+
+def one_line(err):
+    assert len(err.splitlines()) == 1, err
+    assert "Traceback" not in err
+    return err
+
+
+def test_score_tells_what_it_did(program, film, tmp_path):
+    film("videos/a.mp4")
+    film("videos/b.mp4", Act.INFEASIBLE)
+    film("videos/c.mp4", Act.RAISE)
+    code, out, err = program(
+        "score", tmp_path / "videos", "--out", tmp_path / "out", "--tag", "run=7", "--tag", "x=a=b"
+    )
+    assert code == 0
+    assert "2 ok, 1 error" in out
+    assert "50% of 2 judged samples are feasible" in out
+    assert str(tmp_path / "out" / "report.html") in out
+    assert [line.split("]")[0] for line in err.splitlines()] == ["[1/3", "[2/3", "[3/3"]
+    assert '"x": "a=b"' in (tmp_path / "out" / "results.json").read_text()
+    code, _, err = program("score", tmp_path / "videos", "--out", tmp_path / "out", "--overwrite", "--limit", 1)
+    assert (code, list(read_rows(tmp_path / "out"))) == (0, ["a"])
+
+
+def test_ground_and_report(program, film, tmp_path):
+    film("a.mp4")
+    code, out, _ = program(
+        "ground", tmp_path / "a.mp4", "--out", tmp_path / "out", "--overlay", "--frame-period", "0.2"
+    )
+    assert code == 0
+    assert "results.json" in out
+    assert (tmp_path / "out" / "overlays" / "a.mp4").is_file()
+    code, out, _ = program("report", tmp_path / "out")
+    assert code == 0
+    assert (tmp_path / "out" / "report.html").read_text().startswith("<!doctype html>")
+    code, _, err = program("report", tmp_path)
+    assert code == 2
+    assert "samples.jsonl" in one_line(err)
+
+
+def test_status_1_when_nothing_could_be_scored(program, film, tmp_path):
+    film("videos/a.mp4", Act.NO_ROBOT)
+    (tmp_path / "videos" / "b.mp4").write_text("text")
+    code, _, err = program("score", tmp_path / "videos", "--out", tmp_path / "out")
+    assert code == 1
+    assert "nothing could be measured (1 unmeasurable, 1 error)" in err.splitlines()[-1]
+    assert (tmp_path / "out" / "report.html").is_file()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["nowhere", "--out", "out"], "no such file"),
+        (["empty", "--out", "out"], "holds no video"),
+        (["text.txt", "--out", "out"], "expected a video"),
+        (["videos"], "--out"),
+        (["videos", "--out", "file/below"], "cannot be written"),
+        (["videos", "--out", "videos"], "input folder itself"),
+        (["videos", "--out", "out", "--engine", "ray"], "ray is not available"),
+        (["videos", "--out", "out", "--engine", "slurm"], "slurm"),
+        (["videos", "--out", "out", "--shard", "5/4"], "I/N"),
+        (["videos", "--out", "out", "--jobs", "0"], "--jobs"),
+        (["videos", "--out", "out", "--limit", "x"], "--limit"),
+        (["videos", "--out", "out", "--tag", "novalue"], "KEY=VALUE"),
+        (["videos", "--out", "out", "--frame-period", "nan"], "--frame-period"),
+        (["videos", "--out", "out", "--frame-period", "0"], "--frame-period"),
+        (["videos", "--out", "out", "--nonsense"], "--nonsense"),
+        (["bad_camera", "--out", "out"], "camera.json"),
+        (["empty.jsonl", "--out", "out"], "is empty"),
+    ],
+)
+def test_status_2_and_one_line_for_usage_errors(program, film, tmp_path, monkeypatch, arguments, told):
+    film("videos/a.mp4")
+    film("bad_camera/a.mp4")
+    (tmp_path / "bad_camera" / "camera.json").write_text('{"width": "wide"}')
+    (tmp_path / "empty").mkdir()
+    for name in ("file", "text.txt", "empty.jsonl"):
+        (tmp_path / name).touch()
+    monkeypatch.chdir(tmp_path)
+    code, out, err = program("score", *arguments)
+    assert (code, out) == (2, "")
+    assert told in one_line(err)
+    assert not (tmp_path / "out").exists()
+
+
+def test_missing_parts_of_the_machine_are_one_line_and_status_1(program, film, tmp_path, monkeypatch):
+    film("videos/a.mp4")
+    monkeypatch.setitem(sys.modules, "fake_stages", None)
+    code, _, err = program("score", tmp_path / "videos", "--out", tmp_path / "out")
+    assert code == 1
+    assert "doctor" in one_line(err)
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_help_has_an_example(program, command):
+    code, out, err = program(command, "--help")
+    assert (code, err) == (0, "")
+    assert re.search(rf"Examples?:\n +kinebench-drake {command}", out)
+
+
+def test_the_list_of_commands(program):
+    code, out, _ = program("--help")
+    assert code == 0
+    assert all(re.search(rf"^  {command} ", out, re.MULTILINE) for command in COMMANDS)
+    code, _, err = program("conjure")
+    assert code == 2
+    assert "conjure" in one_line(err)
+    code, out, _ = program("--version")
+    assert (code, out.startswith("kinebench-drake")) == (0, True)
+
+
+def test_commands_not_built_do_not_appear(program, monkeypatch):
+    monkeypatch.setitem(cli._COMMANDS, "tomorrow", "Not built.")
+    assert "tomorrow" not in program("--help")[1]
+    assert program("tomorrow")[0] == 2
+
+
+def test_help_answers_at_once():
+    times = []
+    for _ in range(3):
+        start = time.perf_counter()
+        subprocess.run([sys.executable, "-m", "kinebench_drake", "--help"], check=True, capture_output=True)
+        times.append(time.perf_counter() - start)
+    assert min(times) < 1.0
+
+
+SCORE = """
+import sys
+from kinebench_drake import cli, score
+make = score.RunConfig
+score.RunConfig = lambda **options: make(stages="fake_stages:FakeStages", **options)
+if __name__ == "__main__":
+    cli.main(sys.argv[1:])
+"""
+
+
+@pytest.mark.parametrize("jobs", ["1", "2"])
+@pytest.mark.parametrize("signal_sent", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupt_says_how_to_go_on(program, film, tmp_path, jobs, signal_sent):
+    for k in range(6):
+        film(f"videos/v{k}.mp4", Act.SLOW)
+    script = tmp_path / "score.py"
+    script.write_text(SCORE)
+    out = tmp_path / "out"
+    arguments = ["score", tmp_path / "videos", "--out", out, "--jobs", jobs]
+    process = subprocess.Popen(
+        [sys.executable, script, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, process_group=0
+    )
+    deadline = time.monotonic() + 60
+    while not (out.is_dir() and read_rows(out)) and time.monotonic() < deadline:
+        time.sleep(0.02)
+    os.killpg(process.pid, signal_sent) if signal_sent == signal.SIGINT else process.send_signal(signal_sent)
+    _, err = process.communicate(timeout=30)
+    assert process.returncode == 130
+    assert "Traceback" not in err
+    assert re.search(r"interrupted with \d of 6 samples finished; run the same command again", err.splitlines()[-1])
+    kept = len(read_rows(out))
+    assert 1 <= kept < 6
+    code, _, err = program(*arguments)
+    assert code == 0
+    assert f"{kept} of 6 samples are finished already" in err

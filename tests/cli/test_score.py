@@ -1,0 +1,310 @@
+"""Whole runs over tiny films with fake stages: rows, resume, crashes, full disks."""
+
+import errno
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+from fake_stages import LOG, Act
+from PIL import Image
+
+from kinebench_drake import results
+from kinebench_drake.camera import benchmark_camera
+from kinebench_drake.engines import EngineKind
+from kinebench_drake.errors import SetupError, UsageError
+from kinebench_drake.grounding.video import read_video
+from kinebench_drake.inputs import Shard
+from kinebench_drake.measure import KINEMATIC_METRICS, VISUAL_METRICS, Kind
+from kinebench_drake.results import read_rows
+from kinebench_drake.row import Status
+from kinebench_drake.score import Silence, score_videos
+
+
+@pytest.fixture
+def log(tmp_path, monkeypatch):
+    path = tmp_path / "log"
+    path.touch()
+    monkeypatch.setenv(LOG, str(path))
+    return path
+
+
+def content(out):
+    """Every byte of an output folder but the timings."""
+    return {
+        p.relative_to(out).as_posix(): p.read_bytes() for p in out.rglob("*") if p.is_file() and "timings" not in p.name
+    }
+
+
+def test_every_kind_of_sample_becomes_a_row(film, config, tmp_path):
+    film("videos/good.mp4")
+    film("videos/bad.mp4", Act.INFEASIBLE)
+    film("videos/empty_room.mp4", Act.NO_ROBOT)
+    film("videos/bug.mp4", Act.RAISE)
+    film("videos/single.mp4", frames=1)
+    film("videos/tiny.mp4", side=8)
+    (tmp_path / "videos" / "zero.mp4").touch()
+    (tmp_path / "videos" / "text.mp4").write_text("no film")
+    cut = film("videos/cut.mp4")
+    cut.write_bytes(cut.read_bytes()[:-600])
+    summary = score_videos(config())
+    rows = read_rows(tmp_path / "out")
+    told = {id: (row.status.value, row.feasible) for id, row in rows.items()}
+    assert told == {
+        "good": ("ok", True),
+        "bad": ("ok", False),
+        "empty_room": ("unmeasurable", None),
+        "bug": ("error", None),
+        "single": ("unmeasurable", None),
+        "tiny": ("unmeasurable", None),
+        "zero": ("error", None),
+        "text": ("error", None),
+        "cut": ("error", None),
+    }
+    assert summary.counts == {Status.OK: 2, Status.UNMEASURABLE: 3, Status.ERROR: 4}
+    assert rows["bug"].reason == "unexpected RuntimeError: the fake fell over"
+    assert "0 of 8 frames" in rows["empty_room"].reason
+    assert "at least 2" in rows["single"].reason
+    assert "at least 64 px" in rows["tiny"].reason
+    for row in rows.values():
+        assert set(row.metrics) >= {*KINEMATIC_METRICS, *VISUAL_METRICS}
+        if row.status is not Status.OK:
+            assert row.reason
+            assert "\n" not in row.reason
+            assert set(row.metrics.values()) == {None}
+    assert rows["good"].metrics["ldlj"] is None
+    assert rows["bad"].metrics["anomalies"] == [{"kind": "vanish", "frame_start": 4, "frame_end": 5, "severity": 2.0}]
+    assert {p.stem for p in (tmp_path / "out" / "tracks").iterdir()} == {"good", "bad"}
+    told = json.loads((tmp_path / "out" / "results.json").read_text())
+    assert told["aggregates"]["feasible"]["n"] == 2
+    assert told["aggregates"]["samples"] == {"total": 9, "ok": 2, "unmeasurable": 3, "error": 4}
+
+
+def test_same_arguments_same_bytes_however_many_jobs(film, config, tmp_path):
+    for k in range(4):
+        film(f"videos/v{k}.mp4", Act.INFEASIBLE if k == 2 else Act.FEASIBLE)
+    score_videos(config(out=tmp_path / "a", overlay=True))
+    score_videos(config(out=tmp_path / "b", overlay=True))
+    first = content(tmp_path / "a")
+    assert first == content(tmp_path / "b")
+    assert len(first) == 4 * 3 + 3
+    score_videos(config(out=tmp_path / "c", overlay=True, jobs=2))
+    third = content(tmp_path / "c")
+    unlike = {name for name in first if first[name] != third[name]}
+    assert unlike <= {"results.json", "report.html"}  # they tell the number of jobs
+    assert str(tmp_path) not in b"".join(first.values()).decode(errors="ignore")
+
+
+def test_ground_gives_tracks_and_no_judgement(film, config, tmp_path):
+    film("videos/a.mp4")
+    summary = score_videos(config(kind=Kind.GROUND, overlay=True))
+    assert (summary.report, summary.feasible) == (None, None)
+    (row,) = read_rows(tmp_path / "out").values()
+    assert set(row.metrics) == set(VISUAL_METRICS)
+    assert (row.feasible, row.violations) == (None, ())
+    with np.load(tmp_path / "out" / "tracks" / "a.npz") as track:
+        assert np.isnan(track["q"]).all()
+        assert not track["ik_ok"].any()
+    assert not (tmp_path / "out" / "report.html").exists()
+    assert len(read_video(tmp_path / "out" / "overlays" / "a.mp4").frames) == 8
+
+
+def test_finished_samples_are_kept_and_only_as_long_as_nothing_changes(film, config, tmp_path, log):
+    def grounded(**changes):
+        log.write_text("")
+        score_videos(config(**changes))
+        return len(log.read_text().splitlines())
+
+    film("videos/a.mp4")
+    film("videos/b.mp4", Act.NO_ROBOT)
+    assert grounded() == 2
+    first = content(tmp_path / "out")
+    assert grounded() == 0
+    assert content(tmp_path / "out") == first
+    assert grounded(overwrite=True) == 2
+    assert content(tmp_path / "out") == first
+    film("videos/c.mp4")
+    assert grounded() == 1
+    film("videos/a.mp4", frames=9)  # other bytes
+    assert grounded() == 1
+    assert grounded(frame_period_s=0.2) == 3
+    assert grounded(frame_period_s=0.2, model="m") == 3
+    benchmark_camera().resized(192, 192).save(tmp_path / "videos" / "camera.json")
+    assert grounded(frame_period_s=0.2, model="m") == 3
+    assert grounded(frame_period_s=0.2, model="m", overlay=True) == 2  # the unmeasurable one has no overlay
+    (tmp_path / "out" / "tracks" / "c.npz").unlink()
+    assert grounded(frame_period_s=0.2, model="m") == 1
+    (tmp_path / "videos" / "c.mp4").unlink()
+    assert grounded(frame_period_s=0.2, model="m") == 0
+    assert set(read_rows(tmp_path / "out")) == {"a", "b"}
+    assert not (tmp_path / "out" / "tracks" / "c.npz").exists()
+
+
+def test_errors_are_tried_again(film, config, tmp_path):
+    path = film("videos/a.mp4")
+    data = path.read_bytes()
+    path.write_bytes(b"")
+    assert score_videos(config()).counts[Status.ERROR] == 1
+    path.write_bytes(data)
+    assert score_videos(config()).counts[Status.OK] == 1
+
+
+def test_results_of_other_videos_are_not_mixed_in(film, config, tmp_path):
+    film("videos/a.mp4")
+    film("others/b.mp4")
+    score_videos(config())
+    with pytest.raises(UsageError, match="other videos"):
+        score_videos(config(source=tmp_path / "others"))
+    assert set(read_rows(tmp_path / "out")) == {"a"}
+    score_videos(config(source=tmp_path / "others", overwrite=True))
+    assert set(read_rows(tmp_path / "out")) == {"b"}
+
+
+def test_shards_and_limits_work_on_their_part_only(film, config, tmp_path):
+    for k in range(5):
+        film(f"videos/v{k}.mp4")
+    score_videos(config(limit=2))
+    assert set(read_rows(tmp_path / "out")) == {"v0", "v1"}
+    for index in range(2):
+        out = tmp_path / f"part{index}"
+        score_videos(config(out=out, shard=Shard(index=index, count=2)))
+        assert set(read_rows(out)) == {f"v{k}" for k in range(index, 5, 2)}
+        score_videos(config(shard=Shard(index=index, count=2)))  # into one folder, one after the other
+    assert set(read_rows(tmp_path / "out")) == {f"v{k}" for k in range(5)}
+
+
+def test_a_killed_worker_costs_its_sample_only(film, config, tmp_path):
+    for k, act in enumerate([Act.FEASIBLE, Act.DIE, Act.FEASIBLE, Act.DIE, Act.FEASIBLE]):
+        film(f"videos/v{k}.mp4", act)
+    score_videos(config(jobs=2))
+    rows = read_rows(tmp_path / "out")
+    assert {id for id, row in rows.items() if row.status is Status.OK} == {"v0", "v2", "v4"}
+    assert "SIGKILL" in rows["v1"].reason
+    assert rows["v1"].status is rows["v3"].status is Status.ERROR
+
+
+def test_missing_stages_stop_the_run_at_once(film, config, tmp_path):
+    for k in range(3):
+        film(f"videos/v{k}.mp4")
+    for jobs in (1, 2):
+        with pytest.raises(SetupError, match="doctor"):
+            score_videos(config(stages="no_such_module:Stages", jobs=jobs))
+    assert read_rows(tmp_path / "out") == {}
+
+
+def test_impossible_configurations(film, config):
+    film("videos/a.mp4")
+    with pytest.raises(UsageError, match="ray is not available"):
+        score_videos(config(engine=EngineKind.RAY))
+    for changes in ({"limit": 0}, {"seed": -1}, {"frame_period_s": float("nan")}, {"frame_period_s": 0.0}):
+        with pytest.raises(UsageError, match="expected"):
+            config(**changes)
+    with pytest.raises(UsageError, match="--jobs is 0"):
+        score_videos(config(jobs=0))
+
+
+def frame_period(row):
+    return row.extra["frame_period_s"], row.extra["frame_period_source"]
+
+
+def test_the_task_time_between_frames_and_where_it_comes_from(film, config, tmp_path):
+    film("videos/a.mp4", fps=10)
+    folder = tmp_path / "videos" / "still"
+    folder.mkdir()
+    for k in range(3):
+        Image.fromarray(np.full((96, 96, 3), 90 * (k > 3), dtype=np.uint8)).save(folder / f"{k}.png")
+    warnings = []
+
+    class Ear(Silence):
+        def warned(self, message):
+            warnings.append(message)
+
+    score_videos(config(), Ear())
+    rows = read_rows(tmp_path / "out")
+    assert frame_period(rows["a"]) == (pytest.approx(0.1), "fps")
+    assert frame_period(rows["still"]) == (0.2, "benchmark")
+    assert any("--frame-period" in w for w in warnings)
+    score_videos(config(frame_period_s=0.5))
+    assert frame_period(read_rows(tmp_path / "out")["a"]) == (0.5, "option")
+    lines = [{"video": "a.mp4", "frame_period_s": 0.25, "fps": 4, "id": "a1"}, {"video": "a.mp4", "fps": 4, "id": "a2"}]
+    manifest = tmp_path / "videos" / "manifest.jsonl"
+    manifest.write_text("\n".join(map(json.dumps, lines)))
+    score_videos(config(source=manifest, out=tmp_path / "m"))
+    rows = read_rows(tmp_path / "m")
+    assert [frame_period(rows[i]) for i in ("a1", "a2")] == [(0.25, "manifest"), (0.25, "manifest_fps")]
+    with np.load(tmp_path / "m" / "tracks" / "a1.npz") as track:
+        assert track["t_s"] == pytest.approx(0.25 * np.arange(8))
+
+
+def test_a_camera_of_another_shape_makes_the_sample_unmeasurable(film, config, tmp_path):
+    images = np.zeros((4, 96, 160, 3), dtype=np.uint8)
+    film("videos/a.mp4")
+    np.save(tmp_path / "videos" / "wide.npy", images)
+    for source, status in (("wide.npy", Status.UNMEASURABLE), ("a.mp4", Status.OK)):
+        score_videos(config(source=tmp_path / "videos" / source, out=tmp_path / source[0]))
+        (row,) = read_rows(tmp_path / source[0]).values()
+        assert row.status is status
+        assert row.extra["camera_source"] == "benchmark"
+    assert "aspect ratios differ" in read_rows(tmp_path / "w")["wide"].reason
+
+
+def test_a_disk_that_fills_up_stops_the_run_and_keeps_what_is_done(film, config, tmp_path, monkeypatch):
+    for k in range(3):
+        film(f"videos/v{k}.mp4")
+    append = results.ResultStore._append
+    written = []
+
+    def full(path, line):
+        if path.name == results.SAMPLES:
+            if written:
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            written.append(line)
+        append(path, line)
+
+    monkeypatch.setattr(results.ResultStore, "_append", staticmethod(full))
+    with pytest.raises(SetupError, match="No space left"):
+        score_videos(config())
+    assert set(read_rows(tmp_path / "out")) == {"v0"}
+    monkeypatch.setattr(results.ResultStore, "_append", staticmethod(append))
+    assert score_videos(config()).counts[Status.OK] == 3
+
+
+RUN = """
+import sys
+from pathlib import Path
+from kinebench_drake.score import RunConfig, score_videos
+if __name__ == "__main__":
+    source, out, jobs = sys.argv[1:]
+    score_videos(RunConfig(source=Path(source), out=Path(out), jobs=int(jobs), stages="fake_stages:FakeStages"))
+"""
+
+
+@pytest.mark.parametrize("jobs", ["1", "2"])
+def test_kill_9_in_mid_run_then_resume_gives_the_same_files(film, config, tmp_path, log, jobs):
+    for k in range(5):
+        film(f"videos/v{k}.mp4", Act.SLOW)
+    score_videos(config(out=tmp_path / "whole", jobs=int(jobs)))
+    script = tmp_path / "run.py"
+    script.write_text(RUN)
+    out = tmp_path / "killed"
+    command = [sys.executable, str(script), str(tmp_path / "videos"), str(out), jobs]
+    log.write_text("")
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    deadline = time.monotonic() + 60
+    while len(read_rows(out) if out.is_dir() else {}) < 2 and time.monotonic() < deadline:
+        time.sleep(0.02)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    done = read_rows(out)
+    assert 2 <= len(done) < 5
+    with (out / "samples.jsonl").open("a") as file:
+        file.write('{"id": "v4", "sta')  # as if it had been writing
+    time.sleep(1.0)  # orphaned workers end
+    log.write_text("")
+    score_videos(config(out=out, jobs=int(jobs)))
+    assert len(log.read_text().splitlines()) == 5 - len(done)
+    assert content(out) == content(tmp_path / "whole")
