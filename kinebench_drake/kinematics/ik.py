@@ -118,8 +118,8 @@ def solve_track(plant: PandaPlant, track: GripperTrack) -> JointTrack:
     The first frame takes the posture nearest to ManiSkill's rest posture, every later one starts from the frame
     before. If that path asks a joint for more than its speed (a dead end at a limit, so that the arm must fall into
     another posture), the smoothest of all paths is looked for (`branches.smoothest_path`) and its ends are followed
-    forward and backward; of these paths the one with the lowest peak speed is returned. Frames that are not tracked
-    are left out, their time counted.
+    forward and backward; of these paths the one with the fewest failed frames, then the lowest peak speed, is
+    returned. Frames that are not tracked are left out, their time counted.
 
     Args:
         plant: the robot.
@@ -139,7 +139,7 @@ def solve_track(plant: PandaPlant, track: GripperTrack) -> JointTrack:
         forward = _follow(plant, poses, smoothest[0].q)
         backward = _follow(plant, poses[::-1], smoothest[-1].q)[::-1]
         paths = (solutions, smoothest, forward, backward)
-        solutions = min(paths, key=lambda path: _peak_speed(plant, t_s, path))
+        solutions = min(paths, key=lambda path: (_failures(path), _peak_speed(plant, t_s, path)))
     return _joint_track(track, frames, solutions)
 
 
@@ -147,6 +147,10 @@ def _first_seed(plant: PandaPlant, X_BG: Array) -> Array:
     candidates = postures(X_BG)
     inside = candidates[excess(plant, candidates).max(axis=-1, initial=0.0) <= 0.0]
     return inside[np.argmin(np.sum((inside - rest_q()) ** 2, axis=-1))] if len(inside) else rest_q()
+
+
+def _failures(solutions: list[IkSolution]) -> int:
+    return sum(s.status is not IkStatus.OK for s in solutions)
 
 
 def _peak_speed(plant: PandaPlant, t_s: Array, solutions: list[IkSolution]) -> float:
