@@ -63,10 +63,10 @@ class Camera:
     def project(self, p_C: ArrayLike) -> Array:
         """Pixel coordinates (..., 2) [px] of points (..., 3) in the camera frame [m]; z must be positive."""
         p_C = np.asarray(p_C, dtype=np.float64)
-        return p_C[..., :2] / p_C[..., 2:] * [self.fx, self.fy] + [self.cx, self.cy]
+        return np.asarray(p_C[..., :2] / p_C[..., 2:] * [self.fx, self.fy] + [self.cx, self.cy])
 
     def rays(self) -> Array:
-        """Directions (height, width, 3) through the pixel centres, scaled so that z = 1: `depth * rays` is the cloud."""
+        """Directions (height, width, 3) through the pixel centres with z = 1: `depth * rays` is the cloud."""
         u = (np.arange(self.width) + 0.5 - self.cx) / self.fx
         v = (np.arange(self.height) + 0.5 - self.cy) / self.fy
         grid = np.ones((self.height, self.width, 3))
@@ -157,7 +157,7 @@ class Camera:
 
 
 def benchmark_camera() -> Camera:
-    """The benchmark's camera: 384x384, 60 degrees field of view, robot base at (-0.615, 0, 0) of the ManiSkill world."""
+    """The benchmark's camera: 384x384, field of view 60 degrees, robot base at (-0.615, 0, 0) in ManiSkill."""
     R_WC = np.array([[0.0, 0.529999, -0.847998], [1.0, 0.0, 0.0], [0.0, -0.847998, -0.529999]])
     X_WC = make_pose(orthonormalize(R_WC), [0.4, 0.0, 0.45])
     X_WB = make_pose(np.eye(3), [-0.615, 0.0, 0.0])

@@ -31,14 +31,14 @@ def invert(X: ArrayLike) -> Array:
 def transform_points(X: ArrayLike, points: ArrayLike) -> Array:
     """Points (..., N, 3) [m] carried through poses `X` (..., 4, 4)."""
     X, points = np.asarray(X, dtype=np.float64), np.asarray(points, dtype=np.float64)
-    return points @ np.swapaxes(X[..., :3, :3], -1, -2) + X[..., None, :3, 3]
+    return np.asarray(points @ np.swapaxes(X[..., :3, :3], -1, -2) + X[..., None, :3, 3])
 
 
 def rotation_angle(R: ArrayLike) -> Array:
     """Angle [rad] in [0, pi] of rotation matrices (..., 3, 3), accurate near 0 and near pi."""
     R = np.asarray(R, dtype=np.float64)
     skew = np.stack([R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], axis=-1)
-    return np.arctan2(np.linalg.norm(skew, axis=-1), np.trace(R, axis1=-2, axis2=-1) - 1.0)
+    return np.asarray(np.arctan2(np.linalg.norm(skew, axis=-1), np.trace(R, axis1=-2, axis2=-1) - 1.0))
 
 
 def pose_difference(X_1: ArrayLike, X_2: ArrayLike) -> tuple[Array, Array]:

@@ -1,4 +1,4 @@
-"""Training frames: a Panda in random poses before random tables, walls, objects, lights and cameras, rendered by SAPIEN.
+"""Training frames: a Panda in random poses among random tables, walls, objects, lights and cameras, by SAPIEN.
 
 A data set is a folder of shards, each a scene's worth of frames stored as plain `.npy` files that training maps into
 memory: `rgb` (N, S, S, 3) uint8, `depth` (N, S, S) uint16 [0.1 mm] of the gripper's pixels (0 elsewhere), `part`
@@ -22,6 +22,8 @@ from kinebench_drake.models.panda.robot import source_urdf
 
 DEPTH_UNIT_M = 1e-4
 FRAMES_PER_SCENE = 20
+HANDLESS_EVERY = 16
+"""One scene in so many shows an arm whose gripper has vanished."""
 IMAGE_SIZE = 384
 
 _STREAM = 0x4B42  # keeps these random streams apart from others with the same seed
@@ -70,7 +72,8 @@ def random_camera(rng: np.random.Generator) -> Camera:
 class Scene:
     """A table, walls, loose objects, lights and a Panda; `frame` puts all of them somewhere new and renders."""
 
-    def __init__(self, rng: np.random.Generator) -> None:
+    def __init__(self, rng: np.random.Generator, *, handless: bool = False) -> None:
+        """Build everything from `rng`; a `handless` scene leaves hand and fingers undrawn, as videos do at times."""
         native.prepare_vulkan()
         import sapien
 
@@ -90,7 +93,7 @@ class Scene:
         self._add_lights()
         self._objects = [self._random_object() for _ in range(10)]
         self._held = self._random_object(held=True)
-        self._add_robot()
+        self._add_robot(handless)
         self._component: Any = None
 
     def _material(self) -> Any:
@@ -162,7 +165,7 @@ class Scene:
         builder.set_initial_pose(self._sapien.Pose([0, 0, -5]))
         return builder.build_kinematic(name="object"), float(half)
 
-    def _add_robot(self) -> None:
+    def _add_robot(self, handless: bool) -> None:
         """The plain Panda or, in three scenes of ten, the one with a wrist camera; its paint slightly changed."""
         rng = self._rng
         urdf = "panda_v3.urdf" if rng.random() < 0.3 else "panda_v2.urdf"
@@ -180,6 +183,8 @@ class Scene:
             }.get(name, Part.ARM)
             self._part_of_id[link.entity.per_scene_id] = part
             body = link.entity.find_component_by_type(self._sapien.render.RenderBodyComponent)
+            if handless and part is not Part.ARM and body is not None:
+                body.visibility = 0.0
             if recolour and body is not None:
                 for shape in body.render_shapes:
                     for piece in getattr(shape, "parts", []):
@@ -225,7 +230,7 @@ class Scene:
             margin = 0.0 if rng.random() < 0.8 else 40.0
             if (pixel < -margin).any() or (pixel > IMAGE_SIZE + margin).any():
                 continue
-            return X_CH
+            return np.asarray(X_CH)
         raise RuntimeError("no robot pose in view after 20,000 draws; the camera does not see the work space")
 
     def _place_objects(self, X_BH: Array, holds: bool) -> None:
@@ -290,7 +295,7 @@ def render_shards(folder: Path, seeds: Iterable[int]) -> Iterator[int]:
         if not (shard / "truth.npz").is_file():
             # The name keeps the last scene alive until the next is built: SAPIEN compiles its shaders anew, for
             # seconds, whenever no scene is left.
-            scene = Scene(np.random.default_rng([seed, _STREAM]))
+            scene = Scene(np.random.default_rng([seed, _STREAM]), handless=seed % HANDLESS_EVERY == HANDLESS_EVERY - 1)
             _save([scene.frame() for _ in range(FRAMES_PER_SCENE)], shard)
         yield seed
 

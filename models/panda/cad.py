@@ -68,10 +68,11 @@ class GripperCad:
         import open3d
 
         self._scenes: dict[int, Any] = {}
-        self._tensor = open3d.core.Tensor
+        self._tensor: Any = open3d.core.Tensor
         for label, mesh in part_meshes().items():
             scene = open3d.t.geometry.RaycastingScene(nthreads=1)
-            vertices, faces = np.asarray(mesh.vertices, np.float32), np.asarray(mesh.faces, np.uint32)
+            vertices: Any = np.asarray(mesh.vertices, np.float32)
+            faces: Any = np.asarray(mesh.faces, np.uint32)
             scene.add_triangles(self._tensor(vertices), self._tensor(faces))
             self._scenes[label] = scene
 

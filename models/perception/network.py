@@ -85,7 +85,7 @@ class _Block(nn.Module):
         y = functional.relu6(self._bn0(self._expand_conv(x))) if self._expands else x
         y = functional.relu6(self._bn1(self._depthwise_conv(self._pad(y))))
         y = self._bn2(self._project_conv(y))
-        return x + y if self._residual else y
+        return torch.add(x, y) if self._residual else y
 
 
 class _Encoder(nn.Module):

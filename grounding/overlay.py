@@ -1,0 +1,78 @@
+"""The tracked CAD model drawn over the video: what people look at to believe a track."""
+
+from collections.abc import Iterator
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from kinebench_drake.camera import Camera
+from kinebench_drake.geometry import Array, transform_points
+from kinebench_drake.grounding.crop import GRIPPER_CENTRE_H, GRIPPER_RADIUS_M
+from kinebench_drake.models.panda.cad import HAND, LEFT_FINGER, RIGHT_FINGER, GripperCad
+from kinebench_drake.models.panda.robot import hand_from_tcp
+from kinebench_drake.products import GripperTrack
+
+Image = NDArray[np.uint8]
+
+_COLOURS = {HAND: (0, 190, 200), LEFT_FINGER: (255, 140, 0), RIGHT_FINGER: (230, 60, 160)}
+_AXES = ((235, 60, 60), (60, 200, 60), (70, 110, 255))
+_AXIS_M = 0.05
+_OPACITY = 0.35
+
+
+def _part_map(camera: Camera, X_CH: Array, finger_m: float, cad: GripperCad) -> NDArray[np.uint8]:
+    """Labels (H, W) of the gripper at a pose."""
+    labels = np.zeros((camera.height, camera.width), np.uint8)
+    centre = transform_points(X_CH, GRIPPER_CENTRE_H[None])[0]
+    if centre[2] < GRIPPER_RADIUS_M:
+        return labels
+    reach = max(camera.fx, camera.fy) * GRIPPER_RADIUS_M / (centre[2] - GRIPPER_RADIUS_M) + 2
+    u, v = camera.project(centre)
+    left, right = (int(np.clip(x, 0, camera.width)) for x in (u - reach, u + reach))
+    top, bottom = (int(np.clip(y, 0, camera.height)) for y in (v - reach, v + reach))
+    if left < right and top < bottom:
+        rays = camera.rays()[top:bottom, left:right]
+        part = cad.cast(X_CH, rays.reshape(-1, 3), finger_m).part
+        labels[top:bottom, left:right] = part.reshape(bottom - top, right - left)
+    return labels
+
+
+def draw_pose(frame: Image, camera: Camera, X_CH: Array, finger_width_m: float, cad: GripperCad) -> Image:
+    """A copy of `frame` (H, W, 3) with the gripper at `X_CH` tinted, outlined, and the axes of its TCP."""
+    finger_m = finger_width_m / 2 if np.isfinite(finger_width_m) else 0.02
+    labels = _part_map(camera, X_CH, finger_m, cad)
+    out = frame.astype(np.float32)
+    for label, colour in _COLOURS.items():
+        region = labels == label
+        out[region] = (1 - _OPACITY) * out[region] + _OPACITY * np.array(colour, np.float32)
+    image = np.ascontiguousarray(out.astype(np.uint8))
+    for label, colour in _COLOURS.items():
+        contours, _ = cv2.findContours((labels == label).astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+        cv2.drawContours(image, contours, -1, colour, 1, cv2.LINE_AA)
+    X_CG = X_CH @ hand_from_tcp()
+    tips = transform_points(X_CG, np.vstack([np.zeros(3), _AXIS_M * np.eye(3)]))
+    if (tips[:, 2] > 0.05).all():
+        origin, *ends = (tuple(round(float(c)) for c in pixel) for pixel in camera.project(tips))
+        for end, colour in zip(ends, _AXES, strict=True):
+            cv2.line(image, origin, end, colour, 2, cv2.LINE_AA)
+    return image
+
+
+def _caption(image: Image, text: str, colour: tuple[int, int, int]) -> None:
+    size = max(0.35, image.shape[0] / 1000)
+    for width, paint in ((3, (0, 0, 0)), (1, colour)):
+        cv2.putText(image, text, (6, int(14 + 14 * size)), cv2.FONT_HERSHEY_SIMPLEX, size, paint, width, cv2.LINE_AA)
+
+
+def draw_overlay(frames: NDArray[np.uint8], camera: Camera, track: GripperTrack) -> Iterator[Image]:
+    """Each of `frames` (T, H, W, 3) with its tracked gripper, the frame number and the confidence."""
+    cad = GripperCad()
+    for i, frame in enumerate(frames):
+        if track.tracked[i]:
+            image = draw_pose(frame, camera, track.X_CH[i], float(track.finger_width_m[i]), cad)
+            _caption(image, f"{i}  t {track.t_s[i]:.1f} s  confidence {track.confidence[i]:.2f}", (255, 255, 255))
+        else:
+            image = frame.copy()
+            _caption(image, f"{i}  t {track.t_s[i]:.1f} s  not tracked", (255, 110, 110))
+        yield image

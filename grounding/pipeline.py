@@ -1,0 +1,100 @@
+"""The grounding of one video: frames in, gripper track and anomalies out."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinebench_drake.camera import Camera
+from kinebench_drake.geometry import Array, transform_points
+from kinebench_drake.grounding.anomalies import find_anomalies
+from kinebench_drake.grounding.confidence import Confidence
+from kinebench_drake.grounding.crop import GRIPPER_CENTRE_H
+from kinebench_drake.grounding.estimator import NetworkEstimator
+from kinebench_drake.grounding.motion import camera_motion_px
+from kinebench_drake.grounding.reading import settle
+from kinebench_drake.grounding.smoothing import smooth_track
+from kinebench_drake.grounding.tracker import CadTracker, FramePose, PoseTracker
+from kinebench_drake.grounding.view import Frames
+from kinebench_drake.models.panda.robot import hand_from_tcp
+from kinebench_drake.models.perception.weights import load_network
+from kinebench_drake.products import Anomaly, AnomalyKind, GripperTrack
+
+MIN_TRACKED_CONFIDENCE = 0.1
+"""Below this a pose is not called tracked."""
+MIN_SEEN_CONFIDENCE = 0.02
+"""Below this what was found is no gripper at all."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Grounding:
+    """What a video shows."""
+
+    track: GripperTrack
+    anomalies: tuple[Anomaly, ...]
+    camera_motion_px: float | None
+    """Largest displacement of the background [px]; None where it has too few features to tell."""
+
+
+class GroundingPipeline:
+    """Tracker, confidence, smoothing, anomalies; one instance serves any number of videos."""
+
+    def __init__(self, tracker: PoseTracker, confidence: Confidence, *, smooth: bool = True) -> None:
+        """Compose the stages; `smooth` pulls each pose to its neighbours."""
+        self._tracker, self.confidence, self._smooth = tracker, confidence, smooth
+
+    @classmethod
+    def create(cls, device: str | None = None) -> "GroundingPipeline":
+        """The pipeline with the shipped weights.
+
+        Raises:
+            SetupError: weights, calibration, meshes or native libraries are missing.
+        """
+        return cls(CadTracker(NetworkEstimator(load_network(), device)), Confidence.load())
+
+    def ground(self, frames: Frames, camera: Camera, t_s: Array) -> Grounding:
+        """Track the gripper through `frames` (T, H, W, 3) taken by `camera` at task times `t_s` (T,) [s]."""
+        camera = camera.resized(frames.shape[2], frames.shape[1])
+        poses = settle(self._tracker.track(frames, camera))
+        confidence = np.array([self.confidence.probability(p) if p is not None else 0.0 for p in poses])
+        X_CH = _stack(poses)
+        p_C = _centres(X_CH)
+        seen = confidence >= MIN_SEEN_CONFIDENCE
+        anomalies = find_anomalies(frames=frames, t_s=t_s, p_C=p_C, seen=seen, camera=camera)
+        tracked = confidence >= MIN_TRACKED_CONFIDENCE
+        X_CH[~tracked] = np.nan
+        if self._smooth:
+            X_CH = smooth_track(X_CH, confidence, _breaks(anomalies))
+        track = GripperTrack(
+            t_s=t_s,
+            X_CH=X_CH,
+            X_BG=camera.X_BC @ X_CH @ hand_from_tcp(),
+            tracked=tracked,
+            confidence=confidence,
+            finger_width_m=np.array(
+                [2 * p.finger_m if p and ok else np.nan for p, ok in zip(poses, tracked, strict=True)]
+            ),
+        )
+        return Grounding(track=track, anomalies=anomalies, camera_motion_px=camera_motion_px(frames))
+
+
+def _stack(poses: Sequence[FramePose | None]) -> Array:
+    unknown = np.full((4, 4), np.nan)
+    return np.stack([p.X_CH if p is not None else unknown for p in poses])
+
+
+def _centres(X_CH: Array) -> Array:
+    """(T, 3) centre of the gripper in the camera frame [m]."""
+    return np.asarray(transform_points(X_CH, GRIPPER_CENTRE_H[None])[:, 0])
+
+
+def _breaks(anomalies: tuple[Anomaly, ...]) -> NDArray[np.intp]:
+    """Frames that begin after a jump."""
+    frames = []
+    for anomaly in anomalies:
+        if anomaly.kind is AnomalyKind.TELEPORT:
+            frames.append(anomaly.frame_start)
+        else:
+            frames += [anomaly.frame_start, anomaly.frame_end + 1]
+    return np.array(sorted(frames), dtype=np.intp)

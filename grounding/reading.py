@@ -1,0 +1,68 @@
+"""The two readings of the gripper: turned by 180 degrees about its own axis it looks almost the same.
+
+Each frame says how much better its CAD coordinates suit the pose as fitted than the turned one; the video as a whole
+then picks the sequence of readings that suits the frames and does not spin (Viterbi 1967).
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+
+from kinebench_drake.geometry import Array, invert, make_pose, rotation_angle, rotation_exp, transform_points
+from kinebench_drake.grounding.tracker import FramePose
+from kinebench_drake.models.panda.cad import LEFT_FINGER, RIGHT_FINGER
+
+X_HALF_TURN = make_pose(rotation_exp([0.0, 0.0, np.pi]), np.zeros(3))
+"""Pose (4, 4) of the hand turned by 180 degrees in the hand's frame."""
+_INDEPENDENT_CELLS = 40.0  # neighbouring cells err alike: a view is worth about as many measurements
+_TURN_SIGMA_RAD = np.deg2rad(20.0)  # usual turn from one frame to the next
+_TURN_CAP = 8.0  # cost at which a turn counts as a jump
+
+
+def evidence(pose: FramePose) -> float:
+    """Log-likelihood ratio of the pose as fitted against the turned one, from the view's CAD coordinates."""
+    view = pose.view
+    cells = view.gripper
+    cloud_V = view.rays()[cells] * (view.depth_m[cells] * pose.fit.depth_factor)[:, None]
+    p_H = transform_points(invert(pose.X_CH) @ view.crop.X_CV, cloud_V)
+    finger = pose.finger_m if np.isfinite(pose.finger_m) else 0.0
+    sign = (view.part[cells] == LEFT_FINGER).astype(float) - (view.part[cells] == RIGHT_FINGER)
+    p_H[:, 1] -= sign * finger
+    scale = view.coordinates_sigma_m[cells] / np.sqrt(2.0)
+    said = view.coordinates_H[cells]
+    as_fitted = np.abs(p_H - said).sum(axis=1) / scale
+    turned = np.abs(p_H * [-1.0, -1.0, 1.0] - said).sum(axis=1) / scale
+    gain = np.clip(turned - as_fitted, -20.0, 20.0)
+    return float(gain.mean() * min(_INDEPENDENT_CELLS, len(gain)))
+
+
+def _turn_cost(X_1: Array, X_2: Array) -> float:
+    angle = float(rotation_angle(X_1[:3, :3].T @ X_2[:3, :3]))
+    return float(min((angle / _TURN_SIGMA_RAD) ** 2, _TURN_CAP))
+
+
+def settle(poses: Sequence[FramePose | None]) -> list[FramePose | None]:
+    """The poses in the readings that suit the whole video best."""
+    known = [(i, pose) for i, pose in enumerate(poses) if pose is not None]
+    if not known:
+        return list(poses)
+    variants = [((pose.X_CH, pose.X_CH @ X_HALF_TURN), evidence(pose)) for _, pose in known]
+    cost = np.array([0.0, variants[0][1]])
+    back: list[list[int]] = []
+    for previous, current in pairwise(variants):
+        step = np.array([[_turn_cost(previous[0][a], current[0][b]) for b in (0, 1)] for a in (0, 1)])
+        total = cost[:, None] + step
+        back.append(total.argmin(axis=0).tolist())
+        cost = total.min(axis=0) + np.array([0.0, current[1]])
+    state = int(cost.argmin())
+    states = [state]
+    for choices in reversed(back):
+        state = choices[state]
+        states.append(state)
+    settled = list(poses)
+    for (i, pose), turned in zip(known, reversed(states), strict=True):
+        if turned:
+            settled[i] = replace(pose, X_CH=pose.X_CH @ X_HALF_TURN)
+    return settled
