@@ -1,0 +1,186 @@
+"""The html report: one file, safe against its content, readable without a finished run."""
+
+import re
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from kinebench_drake.errors import InputError
+from kinebench_drake.geometry import make_pose
+from kinebench_drake.products import GripperTrack
+from kinebench_drake.report import write_report
+from kinebench_drake.report.plot import Band, Curve, draw_plot
+from kinebench_drake.results import ResultStore
+from kinebench_drake.row import SampleRow, Status
+from kinebench_drake.trackfile import write_track
+
+EVIL = "<script>alert('x')</script>"
+VOID = {"meta", "img", "input", "br", "circle", "path", "rect", "polyline", "line"}
+
+
+class Page(HTMLParser):
+    """Collects what a page would load, and whether its tags balance."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.links, self.open, self.scripts = [], [], 0
+        self.feed(text)
+        self.close()
+
+    def handle_starttag(self, tag, attributes):
+        self.links += [v for k, v in attributes if k in ("src", "href", "xlink:href", "srcset", "data", "action") if v]
+        self.scripts += tag == "script"
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attributes):
+        pass
+
+    def handle_endtag(self, tag):
+        if tag not in VOID:
+            assert self.open.pop() == tag
+
+
+def row(id, status=Status.OK, **changes):
+    return SampleRow(
+        **{
+            **{"id": id, "video": f"{id}.mp4", "task": "T", "model": "m", "status": status, "content_hash": "0"},
+            **{"reason": None if status is Status.OK else "because", **changes},
+        }
+    )
+
+
+@pytest.fixture
+def out(tmp_path):
+    """An output folder with a sample of every kind."""
+    n = 9
+    X = make_pose(np.broadcast_to(np.eye(3), (n, 3, 3)), np.linspace(0, 1, 3 * n).reshape(n, 3))
+    X[4] = np.nan
+    on = np.isfinite(X[:, 0, 0])
+    track = GripperTrack(
+        t_s=np.arange(n) * 0.2, X_CH=X, X_BG=X, tracked=on, confidence=on * 0.9, finger_width_m=np.full(n, 0.04)
+    )
+    violation = {
+        "kind": "velocity",
+        "frame_start": 2,
+        "frame_end": 3,
+        "joint": "panda_joint2",
+        "value": 3.0,
+        "limit": None,
+    }
+    vanish = {"kind": "vanish", "frame_start": 4, "frame_end": 4, "severity": 1.0}
+    good = {"tracked_fraction": 8 / 9, "sparc": -1.5, "ik_success_rate": 1.0, "anomalies": []}
+    with ResultStore(tmp_path) as store:
+        for r in (
+            row("good", feasible=True, metrics=good),
+            row("shaky", feasible=True, metrics={**good, "anomalies": [vanish], "tracked_fraction": 0.5}),
+            row("bad", feasible=False, metrics={**good, "sparc": None}, violations=(violation,)),
+            row("unknown", feasible=None, metrics=good),
+            row("dark", Status.UNMEASURABLE, reason="no robot", metrics={"sparc": None}),
+            row("evil", Status.ERROR, reason=EVIL, task=EVIL, model=EVIL, video=EVIL),
+        ):
+            store.append(r, 0.1)
+            if r.status is Status.OK:
+                write_track(tmp_path / "tracks" / f"{r.id}.npz", track, None, {})
+        tags = {"note": EVIL}
+        store.finish({"kind": "score", "tags": tags, "config": {"source": EVIL}, "seeds": {"bootstrap": 0}})
+    return tmp_path
+
+
+def test_the_page_stands_alone_and_its_tags_balance(out):
+    text = write_report(out).read_text()
+    page = Page(text)
+    assert page.open == []
+    assert all(link.startswith("data:image/jpeg;base64,") for link in page.links)
+    assert not re.search(r"https?://|url\(|@import", text)
+    assert str(out) not in text
+
+
+def test_nothing_from_outside_is_taken_for_html(out):
+    text = write_report(out).read_text()
+    assert Page(text).scripts == 1
+    assert EVIL not in text
+    assert text.count("&lt;script&gt;") >= 5
+
+
+def test_the_worst_comes_first(out):
+    text = write_report(out).read_text()
+    assert re.findall(r'aria-expanded="false">(\w+)<', text) == ["evil", "bad", "dark", "unknown", "shaky", "good"]
+
+
+def test_numbers_come_with_interval_and_coverage(out):
+    text = re.sub(r"\s+", " ", write_report(out).read_text())
+    tile = text[text.index("Feasible for the robot") :]
+    assert re.match(
+        r"Feasible for the robot</span><b>67%</b> <div class=\"note\">95% interval 21% to 94%<br>3 of 6", tile
+    )
+    sparc = text[text.index('<span class="name">SPARC') :]
+    assert re.match(r'<span class="name">SPARC</span><b>-1.50</b> <div class="note">all samples alike<br>3 of 6', sparc)
+
+
+def test_the_same_folder_gives_the_same_bytes(out):
+    first = write_report(out).read_bytes()
+    assert write_report(out).read_bytes() == first
+
+
+def test_both_colour_schemes_are_there(out):
+    text = write_report(out).read_text()
+    assert "prefers-color-scheme: dark" in text
+    light, dark = (
+        set(re.findall(r"(--[\w]+):", block)) for block in re.findall(r":root \{(.*?)\}", text, re.DOTALL)[:2]
+    )
+    assert dark
+    assert dark == light
+
+
+def test_an_unfinished_run_has_a_report_too(out):
+    (out / "results.json").unlink()
+    assert "has not been finished" in write_report(out).read_text()
+
+
+def test_a_run_without_a_measured_sample_has_a_report(tmp_path):
+    with ResultStore(tmp_path) as store:
+        store.append(row("dark", Status.UNMEASURABLE, metrics={"sparc": None}), 0.1)
+        store.finish({})
+    assert "0 / 1" in write_report(tmp_path).read_text()
+
+
+def test_damaged_files_are_told(out):
+    (out / "tracks" / "good.npz").write_bytes(b"PK broken")
+    with pytest.raises(InputError, match=r"good\.npz"):
+        write_report(out)
+
+
+def points(svg):
+    return [
+        [tuple(map(float, p.split(","))) for p in line.split()]
+        for line in re.findall(r'<polyline[^>]*points="([^"]+)"', svg)
+    ]
+
+
+def test_curves_break_where_nothing_is_known_and_stay_inside():
+    t = np.arange(10) * 0.2
+    values = np.array([0.0, 1.0, 2.0, np.nan, 4.0, 5.0, np.nan, 7.0, np.nan, np.nan])
+    svg = draw_plot(
+        "p", t, [Curve(label="a", values=values, css="c0")], [Band(label="b", start=-5, end=99, css="anomaly")]
+    )
+    lines = points(svg)
+    assert [len(line) for line in lines] == [3, 2]
+    assert svg.count("<circle") == 1
+    ys = [y for line in lines for _, y in line]
+    assert ys == sorted(ys, reverse=True)  # greater is higher
+    assert all(0 <= x <= 430 and 0 <= y <= 128 for line in lines for x, y in line)
+
+
+@pytest.mark.parametrize("values", [np.full(5, np.nan), np.zeros(5), np.full(5, 1e9), np.array([0, 1e-12, 0, 0, 0])])
+def test_plots_of_nothing_much(values):
+    svg = draw_plot("p", np.arange(5) * 1.0, [Curve(label="a", values=values, css="c0")])
+    assert "nan" not in svg
+    assert "inf" not in svg
+
+
+def test_long_curves_are_thinned():
+    t = np.arange(5000) * 0.01
+    (line,) = points(draw_plot("p", t, [Curve(label="a", values=np.sin(t), css="c0")]))
+    assert 100 < len(line) <= 400
