@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from scipy.special import expit
 
 from kinebench_drake.errors import SetupError
 from kinebench_drake.geometry import Array
@@ -31,7 +32,7 @@ def features(pose: FramePose) -> Array:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Confidence:
-    """Logistic regression on `features`, fitted to held-out frames by `kinebench-drake perception evaluate`."""
+    """Logistic regression on `features`, fitted to held-out frames by `kinebench-drake perception calibrate`."""
 
     intercept: float
     weights: Array
@@ -39,7 +40,11 @@ class Confidence:
 
     def probability(self, pose: FramePose) -> float:
         """Probability that the pose is within 10 mm and 5 degrees."""
-        return float(1.0 / (1.0 + np.exp(-(self.intercept + self.weights @ features(pose)))))
+        return self.probability_of(features(pose))
+
+    def probability_of(self, values: Array) -> float:
+        """The same from `features` (5,)."""
+        return float(expit(self.intercept + self.weights @ values))
 
     @classmethod
     def load(cls, path: Path = CALIBRATION) -> "Confidence":
@@ -54,7 +59,7 @@ class Confidence:
                 raise ValueError(f"has features {data['features']}")
             return cls(intercept=float(data["intercept"]), weights=np.array(data["weights"], dtype=np.float64))
         except (OSError, ValueError, KeyError, TypeError) as error:
-            raise SetupError(f"{path.name}: no usable calibration ({error}); run `perception evaluate`") from None
+            raise SetupError(f"{path.name}: no usable calibration ({error}); run `perception calibrate`") from None
 
     def save(self, path: Path) -> None:
         """Write the calibration."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from kinebench_drake.camera import Camera
+from kinebench_drake.camera import Camera, benchmark_camera
 from kinebench_drake.geometry import Array, transform_points
 from kinebench_drake.grounding.anomalies import find_anomalies
 from kinebench_drake.grounding.confidence import Confidence
@@ -52,6 +52,12 @@ class GroundingPipeline:
             SetupError: weights, calibration, meshes or native libraries are missing.
         """
         return cls(CadTracker(NetworkEstimator(load_network(), device)), Confidence.load())
+
+    def warm_up(self) -> None:
+        """Run once on a blank picture: the first use of the network and of the ray caster is slow."""
+        camera = benchmark_camera()
+        blank = np.zeros((2, camera.height, camera.width, 3), np.uint8)
+        self.ground(blank, camera, np.array([0.0, 1.0]))
 
     def ground(self, frames: Frames, camera: Camera, t_s: Array) -> Grounding:
         """Track the gripper through `frames` (T, H, W, 3) taken by `camera` at task times `t_s` (T,) [s]."""

@@ -2,7 +2,6 @@
 
 import json
 import time
-from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,7 +14,7 @@ from kinebench_drake.geometry import Array, pose_difference
 from kinebench_drake.grounding.estimator import NetworkEstimator, TrueDepthEstimator
 from kinebench_drake.grounding.pipeline import Grounding, GroundingPipeline
 from kinebench_drake.grounding.tracker import CadTracker
-from kinebench_drake.grounding.video import Video, read_video
+from kinebench_drake.grounding.video import read_video
 from kinebench_drake.models.panda.cad import GripperCad
 from kinebench_drake.products import Anomaly, AnomalyKind
 
@@ -81,8 +80,8 @@ class ClipErrors:
         return longest
 
 
-def load_clips(folder: Path) -> list[Clip]:
-    """The clips of a folder written by `python -m kinebench_drake.suites.samples`.
+def load_clips(folder: Path, *, with_depth: bool = False) -> list[Clip]:
+    """The clips of a folder written by `python -m kinebench_drake.suites.samples`, with their true depth if asked for.
 
     Raises:
         UsageError: there is no manifest or no truth.
@@ -102,8 +101,8 @@ def load_clips(folder: Path) -> list[Clip]:
         if not truth_path.is_file():
             raise UsageError(f"{folder.name}: truth/{truth_path.name} is missing, so errors cannot be measured")
         with np.load(truth_path, allow_pickle=False) as truth:
-            depth = truth["depth_mm"] / 1000.0 if "depth_mm" in truth else None
-            mask = truth.get("mask")
+            depth = truth["depth_mm"] / 1000.0 if with_depth and "depth_mm" in truth else None
+            mask = truth["mask"] if with_depth and "mask" in truth else None
             clips.append(
                 Clip(
                     id=row["id"],
@@ -135,14 +134,6 @@ def _fault(data: dict[str, object]) -> Anomaly:
     )
 
 
-def ground_clip(pipeline: GroundingPipeline, clip: Clip) -> tuple[Grounding, Video, float]:
-    """Ground one clip; returns the result, the video and the seconds it took."""
-    began = time.perf_counter()
-    video = read_video(clip.path)
-    grounding = pipeline.ground(video.frames, clip.camera, clip.t_s)
-    return grounding, video, time.perf_counter() - began
-
-
 def compare(clip: Clip, grounding: Grounding, wall_s: float) -> ClipErrors:
     """Hold a grounding against the truth."""
     position, rotation = pose_difference(clip.X_CH, grounding.track.X_CH)
@@ -160,18 +151,11 @@ def compare(clip: Clip, grounding: Grounding, wall_s: float) -> ClipErrors:
     )
 
 
-def evaluate(
-    clips: Iterable[Clip],
-    make_pipeline: Callable[[Clip], GroundingPipeline],
-    report: Callable[[ClipErrors], None] = lambda _: None,
-) -> list[ClipErrors]:
-    """Ground every clip and measure its errors; `report` hears of each."""
-    results = []
-    for clip in clips:
-        grounding, _, wall_s = ground_clip(make_pipeline(clip), clip)
-        results.append(compare(clip, grounding, wall_s))
-        report(results[-1])
-    return results
+def evaluate(clip: Clip, pipeline: GroundingPipeline) -> ClipErrors:
+    """Ground one clip and measure its errors."""
+    began = time.perf_counter()
+    grounding = pipeline.ground(read_video(clip.path).frames, clip.camera, clip.t_s)
+    return compare(clip, grounding, time.perf_counter() - began)
 
 
 def true_depth_pipeline(

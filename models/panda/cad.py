@@ -12,7 +12,7 @@ import trimesh
 from numpy.typing import ArrayLike, NDArray
 
 from kinebench_drake import native
-from kinebench_drake.geometry import Array, invert, transform_points
+from kinebench_drake.geometry import Array, invert
 from kinebench_drake.models.panda.robot import source_urdf
 
 FINGER_ORIGIN_H = np.array([0.0, 0.0, 0.0584])
@@ -68,11 +68,12 @@ class GripperCad:
         import open3d
 
         self._scenes: dict[int, Any] = {}
-        self._tensor: Any = open3d.core.Tensor
+        core: Any = open3d.core
+        self._tensor = core.Tensor
         for label, mesh in part_meshes().items():
             scene = open3d.t.geometry.RaycastingScene(nthreads=1)
-            vertices: Any = np.asarray(mesh.vertices, np.float32)
-            faces: Any = np.asarray(mesh.faces, np.uint32)
+            vertices = np.asarray(mesh.vertices, np.float32)
+            faces = np.asarray(mesh.faces, np.uint32)
             scene.add_triangles(self._tensor(vertices), self._tensor(faces))
             self._scenes[label] = scene
 
@@ -99,23 +100,3 @@ class GripperCad:
         normal = np.divide(normal, norm, out=normal, where=norm > 0)
         normal[(normal * directions).sum(axis=1) > 0] *= -1.0  # towards the viewer
         return Surface(distance=distance, part=part, normal_H=normal)
-
-    def outline(self, finger_m: float) -> list[tuple[Array, NDArray[np.int64]]]:
-        """Vertices (N, 3) in the hand frame and edges (M, 2) with a sharp fold, a part each: what an overlay draws."""
-        return [
-            (transform_points(_shift(label, finger_m), mesh.vertices), sharp_edges(label))
-            for label, mesh in part_meshes().items()
-        ]
-
-
-def _shift(label: int, finger_m: float) -> Array:
-    X = np.eye(4)
-    X[1, 3] = _OPENING_SIGN[label] * finger_m
-    return X
-
-
-@cache
-def sharp_edges(label: int) -> NDArray[np.int64]:
-    """Edges (M, 2) of a part whose faces meet at more than 40 degrees."""
-    mesh = part_meshes()[label]
-    return np.asarray(mesh.face_adjacency_edges[mesh.face_adjacency_angles > np.deg2rad(40)], dtype=np.int64)

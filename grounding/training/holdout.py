@@ -1,0 +1,118 @@
+"""Held-out rendered frames: what the network gets right in single frames, and the calibration of the confidence."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+
+from kinebench_drake.geometry import Array, pose_difference
+from kinebench_drake.grounding.confidence import FEATURES, Confidence, features
+from kinebench_drake.grounding.tracker import CadTracker
+from kinebench_drake.grounding.training.augment import degrade
+from kinebench_drake.grounding.training.dataset import Shards, frame_camera
+from kinebench_drake.grounding.training.frames import DEPTH_UNIT_M, Part
+
+HOLDOUT_SEED = 1_000_000
+"""First seed of held-out scenes; training uses seeds from 0."""
+GOOD_M, GOOD_RAD = 0.010, np.deg2rad(5.0)
+"""The confidence is the probability of an error below both."""
+_MIN_VISIBLE_PX = 150
+_PENALTY = 1.0
+_BATCH = 20
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FrameErrors:
+    """One held-out frame on which a gripper was found."""
+
+    features: Array
+    """(5,) what the confidence rests on."""
+    position_m: float
+    """Position error of panda_hand [m]; inf where there is no gripper."""
+    rotation_rad: float
+    """Rotation error [rad]; inf where there is no gripper."""
+    mask_iou: float
+    """Intersection over union of estimated and true gripper cells in the close view; NaN where there is none."""
+    depth_error: float
+    """Median relative depth error over cells that both call gripper; NaN where there are none."""
+
+    @property
+    def good(self) -> bool:
+        """Whether the pose is as right as the confidence asks for."""
+        return self.position_m <= GOOD_M and self.rotation_rad <= GOOD_RAD
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Holdout:
+    """The outcome over all held-out frames."""
+
+    found: tuple[FrameErrors, ...]
+    visible: int
+    """Frames that show at least 150 px of the gripper."""
+    missed: int
+    """Of those, frames in which it was not found."""
+
+
+def measure(
+    tracker: CadTracker, shards: Shards, seed: int = 0, progress: Callable[[int, int], None] = lambda done, total: None
+) -> Holdout:
+    """Find the gripper in every held-out frame by itself, every other frame degraded as in training."""
+    rng = np.random.default_rng([seed, HOLDOUT_SEED])
+    found: list[FrameErrors] = []
+    visible = missed = 0
+    for start in range(0, len(shards), _BATCH):
+        for i in range(start, min(start + _BATCH, len(shards))):
+            frame = shards[i]
+            rgb = degrade(frame.rgb, rng) if i % 2 else frame.rgb
+            gripper = (frame.part >= Part.HAND) & (frame.part <= Part.RIGHT_FINGER)
+            shown = bool(gripper.sum() >= _MIN_VISIBLE_PX)
+            visible += shown
+            pose = tracker.track(rgb[None], frame_camera(frame))[0]
+            if pose is None:
+                missed += shown
+                continue
+            position, rotation, iou, depth_error = np.inf, np.inf, np.nan, np.nan
+            if gripper.any():
+                d, a = pose_difference(frame.X_CH, pose.X_CH)
+                view, camera = pose.view, frame_camera(frame)
+                true = np.asarray(view.crop.warp(gripper.astype(np.uint8), camera, view.stride, nearest=True)) > 0
+                both = true & view.gripper
+                depth_C = np.asarray(view.crop.warp(frame.depth, camera, view.stride, nearest=True), dtype=np.float64)
+                z = depth_C * DEPTH_UNIT_M / (view.rays() @ view.crop.R_CV.T)[..., 2]
+                position, rotation = float(d), float(a)
+                iou = float(both.sum() / max(1, (true | view.gripper).sum()))
+                if both.any():
+                    depth_error = float(np.median(np.abs(view.depth_m[both] / z[both] - 1.0)))
+            found.append(
+                FrameErrors(
+                    features=features(pose),
+                    position_m=position,
+                    rotation_rad=rotation,
+                    mask_iou=iou,
+                    depth_error=depth_error,
+                )
+            )
+        progress(min(start + _BATCH, len(shards)), len(shards))
+    return Holdout(found=tuple(found), visible=visible, missed=missed)
+
+
+def calibrate(frames: tuple[FrameErrors, ...]) -> Confidence:
+    """Logistic regression of `good` on the features, with a small ridge penalty."""
+    A = np.array([[1.0, *f.features] for f in frames])
+    good = np.array([f.good for f in frames], dtype=np.float64)
+
+    def loss(w: Array) -> float:
+        score = A @ w
+        return float(np.logaddexp(0.0, score).sum() - good @ score + 0.5 * _PENALTY * (w[1:] ** 2).sum())
+
+    w = minimize(loss, np.zeros(1 + len(FEATURES)), method="BFGS").x
+    return Confidence(intercept=float(w[0]), weights=np.asarray(w[1:]))
+
+
+def reliability(probability: Array, good: NDArray[np.bool_], bins: int = 5) -> Iterator[tuple[float, float, int]]:
+    """Mean probability, share of good frames and number of frames in equally filled bins: equal when calibrated."""
+    for part in np.array_split(np.argsort(probability), bins):
+        if len(part):
+            yield float(probability[part].mean()), float(good[part].mean()), len(part)

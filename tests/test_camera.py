@@ -1,0 +1,78 @@
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from kinebench_drake.camera import Camera, benchmark_camera
+from kinebench_drake.errors import UsageError
+
+
+def test_the_benchmark_camera_sees_the_table_in_front_of_the_robot() -> None:
+    camera = benchmark_camera()
+    p_C = np.linalg.inv(camera.X_BC) @ [0.615, 0.0, 0.0, 1.0]
+    u, v = camera.project(p_C[:3])
+    assert u == pytest.approx(192.0)
+    assert 192.0 < v < 384.0
+    assert camera.fx == pytest.approx(192.0 / np.tan(np.pi / 6))
+
+
+def test_rays_are_what_projection_undoes() -> None:
+    camera = benchmark_camera().resized(96, 96)
+    v, u = np.mgrid[0:96, 0:96] + 0.5
+    pixels = camera.project(camera.rays() * 0.7)
+    np.testing.assert_allclose(pixels, np.stack([u, v], axis=-1), atol=1e-9)
+
+
+def test_resizing_keeps_directions() -> None:
+    camera = benchmark_camera()
+    small = camera.resized(192, 192)
+    p = np.array([0.1, -0.05, 0.8])
+    np.testing.assert_allclose(small.project(p) * 2, camera.project(p))
+    with pytest.raises(UsageError, match="aspect"):
+        camera.resized(832, 480)
+
+
+def test_save_and_load(tmp_path: Path) -> None:
+    camera = benchmark_camera()
+    camera.save(tmp_path / "camera.json")
+    loaded = Camera.load(tmp_path / "camera.json")
+    assert loaded.K.tolist() == camera.K.tolist()
+    np.testing.assert_allclose(loaded.X_BC, camera.X_BC, atol=1e-12)
+
+
+def _broken(**changes: Any) -> dict[str, Any]:
+    return {k: v for k, v in (benchmark_camera().to_json() | changes).items() if v is not None}
+
+
+@pytest.mark.parametrize(
+    ("data", "says"),
+    [
+        (_broken(fx=None), "missing keys"),
+        (_broken(focal=3.0), "unknown keys"),
+        (_broken(fx="300"), "fx must be a number"),
+        (_broken(width=383.5), "width must be a number"),
+        (_broken(fy=-1.0), "positive"),
+        (_broken(cx=float("nan")), "finite"),
+        (_broken(base_from_camera=[[1, 2], [3, 4]]), "4x4"),
+        (_broken(base_from_camera="identity"), "4x4"),
+        (_broken(base_from_camera=(2 * np.eye(4)).tolist()), "not a rigid pose"),
+        (_broken(base_from_camera=np.diag([1.0, 1.0, -1.0, 1.0]).tolist()), "not a rigid pose"),
+        ([1, 2, 3], "expected an object"),
+    ],
+)
+def test_unusable_cameras_are_refused_by_name(tmp_path: Path, data: object, says: str) -> None:
+    path = tmp_path / "camera.json"
+    path.write_text(json.dumps(data))
+    with pytest.raises(UsageError, match=says) as caught:
+        Camera.load(path)
+    assert "camera.json" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_file_that_is_no_json(tmp_path: Path) -> None:
+    path = tmp_path / "camera.json"
+    path.write_text("{")
+    with pytest.raises(UsageError, match="JSON"):
+        Camera.load(path)
