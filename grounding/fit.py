@@ -16,7 +16,7 @@ from kinebench_drake.models.panda.cad import LEFT_FINGER, MAX_FINGER_M, RIGHT_FI
 _MAX_POINTS = 600
 _LEVEL_SIGMA = 0.012
 """Prior standard deviation of the depth's common relative error."""
-_HUBER = 1.5
+_CAUCHY = 2.0  # residual, in standard deviations, that counts half
 _ITERATIONS = 8
 
 
@@ -131,7 +131,7 @@ def _residuals(points: _Points, X_VH: Array, finger: float, level: float) -> tup
 def fit(view: GripperView, level_sigma: float = _LEVEL_SIGMA) -> Fit | None:
     """Fit the gripper to one view; None when fewer than 12 cells show it.
 
-    Huber-weighted Gauss-Newton on reprojection and depth residuals. Cells next to each other err alike, so the
+    Cauchy-weighted Gauss-Newton on reprojection and depth residuals. Cells next to each other err alike, so the
     common depth factor gets a prior (`level_sigma`) worth many cells.
     """
     points = _points(view)
@@ -146,7 +146,7 @@ def fit(view: GripperView, level_sigma: float = _LEVEL_SIGMA) -> Fit | None:
         r, J = _residuals(points, X_VH, finger, level)
         size = np.abs(r)
         size[:, :2] = np.linalg.norm(r[:, :2], axis=1, keepdims=True)
-        weight = np.minimum(1.0, _HUBER / np.maximum(size, 1e-9)) / cells_alike
+        weight = 1.0 / (1.0 + (size / _CAUCHY) ** 2) / cells_alike
         flat = J.reshape(-1, 8)
         W = weight.reshape(-1, 1)
         H = flat.T @ (flat * W)

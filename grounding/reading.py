@@ -16,9 +16,9 @@ from kinebench_drake.models.panda.cad import LEFT_FINGER, RIGHT_FINGER
 
 X_HALF_TURN = make_pose(rotation_exp([0.0, 0.0, np.pi]), np.zeros(3))
 """Pose (4, 4) of the hand turned by 180 degrees in the hand's frame."""
-_INDEPENDENT_CELLS = 40.0  # neighbouring cells err alike: a view is worth about as many measurements
+_EVIDENCE_CAP = 6.0  # the cells of a view are misread together: no frame outweighs several others
 _TURN_SIGMA_RAD = np.deg2rad(20.0)  # usual turn from one frame to the next
-_TURN_CAP = 8.0  # cost at which a turn counts as a jump
+_TURN_CAP = 40.0  # cost of a jump: half a turn in one frame is no motion of an arm
 
 
 def evidence(pose: FramePose) -> float:
@@ -34,8 +34,7 @@ def evidence(pose: FramePose) -> float:
     said = view.coordinates_H[cells]
     as_fitted = np.abs(p_H - said).sum(axis=1) / scale
     turned = np.abs(p_H * [-1.0, -1.0, 1.0] - said).sum(axis=1) / scale
-    gain = np.clip(turned - as_fitted, -20.0, 20.0)
-    return float(gain.mean() * min(_INDEPENDENT_CELLS, len(gain)))
+    return float(np.clip((turned - as_fitted).mean(), -_EVIDENCE_CAP, _EVIDENCE_CAP))
 
 
 def _turn_cost(X_1: Array, X_2: Array) -> float:

@@ -12,22 +12,28 @@ from kinebench_drake.geometry import Array, make_pose, rotation_exp, rotation_lo
 HALF_WINDOW = 3
 """Frames before and after that a pose is smoothed with."""
 _DEGREE = 2
-_ROBUST_PASSES = 3
-_FLOOR = (1e-4, 1e-3)  # residuals [m, rad] below which no neighbour is doubted
+_L1_PASSES, _TUKEY_PASSES = 4, 2
+_FLOOR = (1e-3, 1e-2)  # residuals [m, rad] below which no neighbour is doubted
 
 
 def _local_value(offset: Array, values: Array, weight: Array, floor: float) -> Array:
-    """Value at offset 0 of a polynomial fitted to `values` (n, 3) at `offset` (n,), outliers down-weighted (Tukey)."""
+    """Value at offset 0 of a polynomial fitted to `values` (n, 3) at `offset` (n,).
+
+    Least absolute deviations first, which a wild frame cannot bend, then Tukey's weights about that.
+    """
     degree = min(_DEGREE, int((weight > 0).sum()) - 1)
     A = np.vander(offset, degree + 1, increasing=True)
     robust = np.ones(len(offset))
     coefficients: Array = np.zeros((degree + 1, values.shape[1]))
-    for _ in range(_ROBUST_PASSES):
+    for number in range(1 + _L1_PASSES + _TUKEY_PASSES):
         w = np.sqrt(weight * robust)[:, None]
         coefficients = np.asarray(np.linalg.lstsq(A * w, values * w, rcond=None)[0], dtype=np.float64)
         residual = np.linalg.norm(values - A @ coefficients, axis=1)
-        scale = max(3.0 * float(np.median(residual)), floor)
-        robust = np.clip(1.0 - (residual / (2.0 * scale)) ** 2, 0.0, 1.0) ** 2 + 1e-9
+        if number < _L1_PASSES:
+            robust = floor / np.maximum(residual, 0.1 * floor)
+        else:
+            cut = max(6.0 * float(np.median(residual)), 3.0 * floor)
+            robust = np.clip(1.0 - (residual / cut) ** 2, 0.0, 1.0) ** 2 + 1e-9
     return np.asarray(coefficients[0])
 
 

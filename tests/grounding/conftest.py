@@ -1,0 +1,54 @@
+"""Views of the gripper made from the CAD model alone: what a perfect network would say."""
+
+import numpy as np
+import pytest
+
+from kinebench_drake.geometry import Array, invert, make_pose, rotation_exp, transform_points
+from kinebench_drake.grounding.crop import Crop
+from kinebench_drake.grounding.view import GripperView
+from kinebench_drake.models.panda.cad import LEFT_FINGER, RIGHT_FINGER, GripperCad
+
+
+@pytest.fixture(scope="session")
+def cad() -> GripperCad:
+    return GripperCad()
+
+
+def hand_pose(seed: int) -> Array:
+    """A gripper 0.5 to 0.8 m before the camera, seen from the side of its fingers."""
+    rng = np.random.default_rng(seed)
+    down = rotation_exp([np.pi / 2, 0, 0]) @ rotation_exp([0, 0, rng.uniform(-0.8, 0.8)])
+    R = rotation_exp(rng.normal(0, 0.25, 3)) @ np.diag([1.0, -1.0, -1.0]) @ down
+    return make_pose(R, [*rng.uniform(-0.15, 0.15, 2), rng.uniform(0.5, 0.8)])
+
+
+def perfect_view(
+    cad: GripperCad,
+    X_CH: Array,
+    finger_m: float = 0.02,
+    *,
+    crop: Crop | None = None,
+    noise_m: float = 0.0,
+    depth_factor: float = 1.0,
+    seed: int = 0,
+) -> GripperView:
+    """The view of a gripper with coordinates noisy by `noise_m` and depth off by a common factor."""
+    rng = np.random.default_rng(seed)
+    crop = crop or Crop.of_gripper(X_CH, 1.3, 128)
+    X_VH = invert(crop.X_CV) @ X_CH
+    rays = crop.rays(2)
+    surface = cad.cast(X_VH, rays.reshape(-1, 3), finger_m)
+    part = surface.part.reshape(rays.shape[:2])
+    z = np.where(np.isfinite(surface.distance), surface.distance, 1.0).reshape(part.shape)
+    p_H = transform_points(invert(X_VH), (rays * z[..., None]).reshape(-1, 3)).reshape(rays.shape)
+    p_H[..., 1] -= finger_m * ((part == LEFT_FINGER).astype(float) - (part == RIGHT_FINGER))
+    return GripperView(
+        crop=crop,
+        stride=2,
+        part=part,
+        gripper_probability=(part > 0).astype(float),
+        depth_m=z * depth_factor,
+        depth_sigma=np.full(part.shape, 0.01),
+        coordinates_H=p_H + rng.normal(0, noise_m, p_H.shape),
+        coordinates_sigma_m=np.full(part.shape, max(noise_m, 1e-3)),
+    )
