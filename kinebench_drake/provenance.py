@@ -26,9 +26,10 @@ def versions() -> dict[str, Json]:
 
 @cache
 def weights_hash() -> str:
-    """SHA-256 over the networks' weights that lie in the package."""
+    """SHA-256 over the networks' weights and calibrations that lie in the package."""
     digest = hashlib.sha256()
-    for file in sorted((Path(kinebench_drake.__file__).parent / "models" / "perception").glob("*.safetensors")):
+    folder = Path(kinebench_drake.__file__).parent / "models" / "perception"
+    for file in sorted(p for p in folder.iterdir() if p.suffix in (".safetensors", ".json")):
         digest.update(file.name.encode() + b"\0")
         with file.open("rb") as data:
             digest.update(hashlib.file_digest(data, "sha256").digest())

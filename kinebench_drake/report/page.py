@@ -45,7 +45,7 @@ METRICS = tuple(
             "how far the background moves; a fixed camera gives about 0",
         ),
         ("ik_success_rate", "IK success", "{:.0%}", "share of tracked frames reached within joint limits"),
-        ("ik_position_error_max_m", "IK error, worst [m]", "{:.4f}", "largest distance left to the wanted pose"),
+        ("ik_position_error_max_m", "IK error, worst [m]", "{:.2g}", "largest distance left to the wanted pose"),
         (
             "joint_limit_margin_min",
             "Joint margin, least",
