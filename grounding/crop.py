@@ -65,11 +65,15 @@ class Crop:
         self, image: NDArray[np.generic], camera: Camera, stride: int = 1, nearest: bool = False
     ) -> NDArray[np.generic]:
         """The crop of an image (H, W[, 3]) of `camera`; what lies outside the frame is 0."""
-        shift = np.array([[1.0, 0.0, 0.5], [0.0, 1.0, 0.5], [0.0, 0.0, 1.0]])  # OpenCV's centres are integers
-        M = np.linalg.inv(shift) @ self.homography(camera, stride) @ shift
+        M = _in_opencv(self.homography(camera, stride))
         n = self.size // stride
         flags = (cv2.INTER_NEAREST if nearest else cv2.INTER_LINEAR) | cv2.WARP_INVERSE_MAP
         return np.asarray(cv2.warpPerspective(image, M, (n, n), flags=flags))
+
+    def unwarp(self, cells: NDArray[np.uint8], camera: Camera, stride: int = 1) -> NDArray[np.uint8]:
+        """An image (H, W) of `camera` from labels (n, n) of every `stride`-th pixel of the crop; 0 elsewhere."""
+        M = _in_opencv(self.homography(camera, stride))
+        return np.asarray(cv2.warpPerspective(cells, M, (camera.width, camera.height), flags=cv2.INTER_NEAREST))
 
     def rays(self, stride: int = 1) -> Array:
         """Directions (n, n, 3) in V through the centres of every `stride`-th pixel, scaled so that z = 1."""
@@ -78,3 +82,9 @@ class Crop:
         grid = np.ones((n, n, 3))
         grid[..., 0], grid[..., 1] = np.meshgrid(u, u)
         return grid
+
+
+def _in_opencv(M: Array) -> Array:
+    """A homography between pixels with half-integer centres for OpenCV, whose centres are integers."""
+    shift = np.array([[1.0, 0.0, 0.5], [0.0, 1.0, 0.5], [0.0, 0.0, 1.0]])
+    return np.asarray(np.linalg.inv(shift) @ M @ shift)

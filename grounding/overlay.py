@@ -60,9 +60,10 @@ def draw_pose(frame: Image, camera: Camera, X_CH: Array, finger_width_m: float, 
 
 
 def _caption(image: Image, text: str, colour: tuple[int, int, int]) -> None:
-    size = max(0.35, image.shape[0] / 1000)
-    for width, paint in ((3, (0, 0, 0)), (1, colour)):
-        cv2.putText(image, text, (6, int(14 + 14 * size)), cv2.FONT_HERSHEY_SIMPLEX, size, paint, width, cv2.LINE_AA)
+    size = max(0.4, image.shape[0] / 900)
+    (width, height), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, size, 1)
+    image[: height + 10, : width + 10] //= 3
+    cv2.putText(image, text, (5, height + 5), cv2.FONT_HERSHEY_SIMPLEX, size, colour, 1, cv2.LINE_AA)
 
 
 def draw_overlay(frames: NDArray[np.uint8], camera: Camera, track: GripperTrack) -> Iterator[Image]:

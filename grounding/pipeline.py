@@ -62,7 +62,8 @@ class GroundingPipeline:
     def ground(self, frames: Frames, camera: Camera, t_s: Array) -> Grounding:
         """Track the gripper through `frames` (T, H, W, 3) taken by `camera` at task times `t_s` (T,) [s]."""
         camera = camera.resized(frames.shape[2], frames.shape[1])
-        poses = settle(self._tracker.track(frames, camera))
+        tracking = self._tracker.track(frames, camera)
+        poses = settle(tracking.poses)
         confidence = np.array([self.confidence.probability(p) if p is not None else 0.0 for p in poses])
         X_CH = _stack(poses)
         p_C = _centres(X_CH)
@@ -82,7 +83,7 @@ class GroundingPipeline:
                 [2 * p.finger_m if p and ok else np.nan for p, ok in zip(poses, tracked, strict=True)]
             ),
         )
-        return Grounding(track=track, anomalies=anomalies, camera_motion_px=camera_motion_px(frames))
+        return Grounding(track=track, anomalies=anomalies, camera_motion_px=camera_motion_px(frames, tracking.robot))
 
 
 def _stack(poses: Sequence[FramePose | None]) -> Array:

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, interpolate_pose, transform_points
@@ -43,11 +44,21 @@ class FramePose:
     """Intersection over union of the seen and the rendered gripper."""
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Tracking:
+    """What a tracker saw in a video."""
+
+    poses: tuple[FramePose | None, ...]
+    """(T,) the gripper in each frame, None where it was not found."""
+    robot: NDArray[np.bool_]
+    """(H, W) pixels of the first frame that show the robot: no background."""
+
+
 class PoseTracker(Protocol):
     """What turns frames into hand poses: the CAD tracker here, or another program's."""
 
-    def track(self, frames: Frames, camera: Camera) -> list[FramePose | None]:
-        """One pose for each of `frames` (T, H, W, 3), None where the gripper was not found."""
+    def track(self, frames: Frames, camera: Camera) -> Tracking:
+        """Track the gripper through `frames` (T, H, W, 3)."""
         ...
 
 
@@ -72,8 +83,8 @@ class CadTracker:
         self._icp = IcpRefiner(self._cad)
         self._trust_depth = trust_depth
 
-    def track(self, frames: Frames, camera: Camera) -> list[FramePose | None]:
-        """One pose a frame, None where the gripper was not found."""
+    def track(self, frames: Frames, camera: Camera) -> Tracking:
+        """Track the gripper through `frames` (T, H, W, 3)."""
         crops: dict[int, Crop] = {}
         detections = self._estimator.estimate(frames, camera, [whole_frame(camera)] * len(frames))
         for i, view in enumerate(detections):
@@ -84,7 +95,8 @@ class CadTracker:
         self._look(frames, camera, crops, poses)
         self._look(frames, camera, self._badly_framed(poses), poses)
         self._look(frames, camera, self._proposals(len(frames), poses), poses)
-        return [poses.get(i) for i in range(len(frames))]
+        robot = detections[0].to_frame(detections[0].part > 0, camera)
+        return Tracking(poses=tuple(poses.get(i) for i in range(len(frames))), robot=robot)
 
     def _look(self, frames: Frames, camera: Camera, crops: dict[int, Crop], poses: dict[int, FramePose]) -> None:
         """Measure the frames of `crops` in their views and enter what was found into `poses`."""

@@ -42,6 +42,10 @@ class GripperView:
         """(h, w, 3) directions in the crop's frame with z = 1."""
         return self.crop.rays(self.stride)
 
+    def to_frame(self, cells: NDArray[np.bool_], camera: Camera) -> NDArray[np.bool_]:
+        """Cells (h, w) of the view as pixels (H, W) of the frame."""
+        return self.crop.unwarp(cells.astype(np.uint8), camera, self.stride) > 0
+
 
 class DepthEstimator(Protocol):
     """Where masks and metric depth come from: the trained network, true values, or another model."""

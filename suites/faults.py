@@ -103,19 +103,18 @@ def plant_freeze(clip: Clip, start: int | None = None) -> tuple[Clip, PlantedFau
 
     Args:
         clip: the clip without a fault.
-        start: first frozen frame; where the gripper moves most, if not given.
+        start: first frozen frame; where the gripper comes in fastest and goes on, if not given.
 
     Raises:
-        InputError: the gripper nowhere moves at `FREEZE_SPEED_M_S` for so long.
+        InputError: the gripper does not come in at `FREEZE_SPEED_M_S` and go on as fast on average.
     """
-    start = _moving(clip, FREEZE_FRAMES)[0] if start is None else start
+    start = _fastest_entry(clip) if start is None else start
     end = start + FREEZE_FRAMES
-    way = np.linalg.norm(np.diff(clip.X_BG[start - 1 : end + 1, :3, 3], axis=0), axis=1)
-    speed = float(way.mean() / FRAME_PERIOD_S)
+    speed = _freeze_speed(clip, start)
     if speed < FREEZE_SPEED_M_S:
         raise InputError(
-            f"the gripper moves at {speed:.3f} m/s in frames {start} to {end - 1}, a freeze there would not show; "
-            f"at least {FREEZE_SPEED_M_S} m/s is needed, take another seed"
+            f"the gripper moves at {speed:.3f} m/s into or on from frames {start} to {end - 1}, a freeze there would "
+            f"not show; at least {FREEZE_SPEED_M_S} m/s is needed, take another seed"
         )
     frozen = {
         field.name: np.repeat(getattr(clip, field.name)[start - 1 : start], FREEZE_FRAMES, axis=0)
@@ -125,6 +124,19 @@ def plant_freeze(clip: Clip, start: int | None = None) -> tuple[Clip, PlantedFau
     part = Clip(camera=clip.camera, t_s=clip.t_s[start:end], **frozen)
     fault = PlantedFault(kind=AnomalyKind.FREEZE, frame_start=start, frame_end=end - 1, size=float(FREEZE_FRAMES))
     return _splice(clip, part, start), fault
+
+
+def _freeze_speed(clip: Clip, start: int) -> float:
+    """The lower of the speeds before a freeze and, as the crow flies, through it [m/s]: what makes it show."""
+    p = clip.X_BG[:, :3, 3]
+    before = float(np.linalg.norm(p[start - 1] - p[start - 2]))
+    through = float(np.linalg.norm(p[start + FREEZE_FRAMES] - p[start - 1])) / (FREEZE_FRAMES + 1)
+    return min(before, through) / FRAME_PERIOD_S
+
+
+def _fastest_entry(clip: Clip) -> int:
+    """The start at which a freeze shows best; the earliest of equals."""
+    return max(_moving(clip, FREEZE_FRAMES), key=lambda start: (_freeze_speed(clip, start), -start))
 
 
 def plant_teleport(

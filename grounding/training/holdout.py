@@ -69,7 +69,7 @@ def measure(
             gripper = (frame.part >= Part.HAND) & (frame.part <= Part.RIGHT_FINGER)
             shown = bool(gripper.sum() >= _MIN_VISIBLE_PX)
             visible += shown
-            pose = tracker.track(rgb[None], frame_camera(frame))[0]
+            pose = tracker.track(rgb[None], frame_camera(frame)).poses[0]
             if pose is None:
                 missed += shown
                 continue
