@@ -5,7 +5,7 @@ JOBS ?= 2
 .PHONY: demo test check setup format constraints clean
 
 demo: setup
-	$(BIN)/kinebench-drake score examples/videos --out demo-output --overlay
+	$(BIN)/kinebench-drake score examples/videos/manifest.jsonl --out demo-output --overlay
 	@echo "Look at demo-output/report.html (the report), demo-output/overlays (what was tracked), demo-output/results.json."
 
 test: check

@@ -26,6 +26,7 @@ FREEZE_JUMP = 2.0
 """... and before a step this many times as long as those before the freeze and after that step."""
 _STILL_M = 0.004  # a track of a still picture moves less than this a frame: codec and network noise
 _STILL_LEVELS = 4.0  # and its pixels change by less than this, 99.5th percentile of 255, after a slight blur
+_SPEED_TOLERANCE = 0.7  # a measured speed may be this much too low
 _BORDER_PX = 8.0
 
 
@@ -119,7 +120,7 @@ def find_freezes(p: ArrayLike, seen: NDArray[np.bool_], still: NDArray[np.bool_]
         before, jump = step[start - 1], step[end + 1]
         after = step[end + 2] if end + 2 < len(p) and seen[end + 2] else before
         is_jump = jump >= FREEZE_JUMP * max(before, after)
-        if before / (t_s[start - 1] - t_s[start - 2]) >= FREEZE_SPEED_M_S and is_jump:
+        if before / (t_s[start - 1] - t_s[start - 2]) >= _SPEED_TOLERANCE * FREEZE_SPEED_M_S and is_jump:
             found.append(
                 Anomaly(kind=AnomalyKind.FREEZE, frame_start=start, frame_end=end, severity=float(end - start + 1))
             )

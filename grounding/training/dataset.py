@@ -81,6 +81,7 @@ class Shards:
         paths = sorted(p.parent for p in folder.glob("*/truth.npz"))
         if not paths:
             raise UsageError(f"{folder.name}: no rendered shards (*/truth.npz) found; render some first")
+        self.folder = folder
         self._arrays: list[dict[str, NDArray[np.generic]]] = []
         self._index: list[tuple[int, int]] = []
         for number, path in enumerate(paths):

@@ -51,3 +51,12 @@ def test_the_whole_frame_fits_into_its_view(width: int, height: int) -> None:
     for corner in ((0, 0), (width, 0), (0, height), (width, height)):
         p = to_crop @ [*corner, 1.0]
         assert ((p[:2] / p[2] > -4) & (p[:2] / p[2] < crop.size + 4)).all()
+
+
+def test_labels_go_back_to_where_they_came_from() -> None:
+    camera = benchmark_camera()
+    crop = whole_frame(camera)
+    frame = np.zeros((384, 384), np.uint8)
+    frame[100:220, 60:300] = 1
+    cells = np.asarray(crop.warp(frame, camera, 2, nearest=True), dtype=np.uint8)
+    assert (crop.unwarp(cells, camera, 2) != frame).mean() < 0.01

@@ -1,0 +1,81 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from safetensors.torch import load_file
+
+from kinebench_drake.errors import SetupError, UsageError
+from kinebench_drake.grounding.training import train as training
+from kinebench_drake.grounding.training.dataset import Shards
+from kinebench_drake.grounding.training.train import TrainingConfig, losses, train
+from kinebench_drake.models.perception.network import DenseOutput
+from kinebench_drake.models.perception.weights import load_network
+
+
+def config(shards: Shards, out: Path) -> TrainingConfig:
+    return TrainingConfig(
+        data=shards.folder, out=out, steps=4, batch_size=2, learning_rate=1e-3, workers=0, checkpoint_every=2
+    )
+
+
+@pytest.mark.sapien
+def test_an_interrupted_training_goes_on_to_the_same_weights(
+    shards: Shards, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = load_file(train(config(shards, tmp_path / "whole"), lambda _: None))
+
+    def power_cut(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(training, "save_weights", power_cut)
+        with pytest.raises(KeyboardInterrupt):
+            train(config(shards, tmp_path / "cut"), lambda _: None)
+    said: list[str] = []
+    resumed = load_file(train(config(shards, tmp_path / "cut"), said.append))
+    assert said == ["going on from step 2"]
+    assert whole.keys() == resumed.keys()
+    for key, value in whole.items():
+        torch.testing.assert_close(resumed[key], value, atol=2e-3, rtol=2e-2, msg=key)
+    network = load_network(tmp_path / "cut" / "gripper.safetensors")
+    with torch.inference_mode():
+        assert torch.isfinite(network(torch.rand(1, 3, 64, 64)).coordinates).all()
+
+
+def test_training_without_frames_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="no rendered shards"):
+        Shards(tmp_path)
+
+
+def test_weights_that_are_none_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "w.safetensors"
+    with pytest.raises(SetupError, match="no such weights"):
+        load_network(path)
+    path.write_bytes(b"not safetensors at all")
+    with pytest.raises(SetupError, match="not weights"):
+        load_network(path)
+
+
+def output_for(batch: dict[str, torch.Tensor], error: float, log_scale: float) -> DenseOutput:
+    h = batch["part"].shape[1]
+    return DenseOutput(
+        part_logits=torch.zeros(1, 5, h, h),
+        coordinates=batch["coordinates"] + error,
+        coordinate_log_scale=torch.full((1, h, h), log_scale),
+        log_depth=batch["log_depth"].clone(),
+        depth_log_scale=torch.zeros(1, h, h),
+    )
+
+
+def test_the_likelihood_is_best_at_the_true_scale() -> None:
+    batch = {
+        "part": torch.ones(1, 8, 8, dtype=torch.long),
+        "coordinates": torch.zeros(1, 3, 8, 8),
+        "log_depth": torch.zeros(1, 8, 8),
+    }
+    scales = np.linspace(-4, 0, 41)
+    values = [float(losses(output_for(batch, 0.1, float(s)), batch).coordinates) for s in scales]
+    assert scales[int(np.argmin(values))] == pytest.approx(np.log(0.1), abs=0.06)
+    batch["part"][:] = 4  # the arm's coordinates are nobody's business
+    assert float(losses(output_for(batch, 5.0, 0.0), batch).coordinates) == 0.0
