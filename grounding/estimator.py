@@ -11,6 +11,7 @@ from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.crop import Crop
 from kinebench_drake.grounding.view import DepthEstimator, Frames, GripperView
+from kinebench_drake.models.panda.part import Part
 from kinebench_drake.models.perception.network import (
     COORDINATE_SCALE_M,
     DEPTH_CENTRE,
@@ -54,7 +55,7 @@ def _views(output: DenseOutput, crops: list[Crop]) -> list[GripperView]:
     def numpy(x: torch.Tensor) -> Array:
         return np.asarray(x.cpu().numpy(), dtype=np.float64)
 
-    probability = numpy(torch.softmax(output.part_logits, dim=1))
+    part = output.part_logits.argmax(dim=1).cpu().numpy().astype(np.uint8)
     coordinates = numpy(output.coordinates).transpose(0, 2, 3, 1) * COORDINATE_SCALE_M
     sigma = numpy(torch.exp(output.coordinate_log_scale)) * COORDINATE_SCALE_M * _LAPLACE_TO_SIGMA
     depth = numpy(torch.exp(output.log_depth)) * DEPTH_CENTRE
@@ -63,8 +64,7 @@ def _views(output: DenseOutput, crops: list[Crop]) -> list[GripperView]:
         GripperView(
             crop=crop,
             stride=STRIDE,
-            part=probability[i].argmax(axis=0).astype(np.uint8),
-            gripper_probability=probability[i, 1:4].sum(axis=0),
+            part=part[i],
             depth_m=depth[i] * crop.focal / crop.size,
             depth_sigma=depth_sigma[i],
             coordinates_H=coordinates[i],
@@ -103,11 +103,12 @@ class TrueDepthEstimator:
         seen = np.asarray(crop.warp(mask.astype(np.uint8), camera, view.stride, nearest=True)) > 0
         depth_C = np.asarray(crop.warp(depth.astype(np.float32), camera, view.stride, nearest=True), dtype=np.float64)
         z = depth_C / (view.rays() @ crop.R_CV.T)[..., 2]
-        part = np.where(seen, np.where(view.gripper, view.part, 1), np.where(view.gripper, 0, view.part))
+        part = np.where(
+            seen, np.where(view.gripper, view.part, Part.HAND), np.where(view.gripper, Part.BACKGROUND, view.part)
+        )
         return replace(
             view,
             part=part.astype(np.uint8),
-            gripper_probability=seen.astype(np.float64),
             depth_m=np.where(seen & (z > 0), z, view.depth_m),
             depth_sigma=np.full(z.shape, 1e-3),
         )

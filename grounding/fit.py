@@ -11,7 +11,7 @@ import numpy as np
 
 from kinebench_drake.geometry import Array, make_pose, orthonormalize, rotation_exp
 from kinebench_drake.grounding.view import GripperView
-from kinebench_drake.models.panda.cad import LEFT_FINGER, MAX_FINGER_M, RIGHT_FINGER
+from kinebench_drake.models.panda.cad import MAX_FINGER_M
 
 _MAX_POINTS = 600
 _LEVEL_SIGMA = 0.012
@@ -55,15 +55,13 @@ def _points(view: GripperView) -> _Points:
     if len(v) > _MAX_POINTS:
         chosen = np.linspace(0, len(v) - 1, _MAX_POINTS).astype(int)
         v, u = v[chosen], u[chosen]
-    part = view.part[v, u]
-    sign = (part == LEFT_FINGER).astype(float) - (part == RIGHT_FINGER)
     return _Points(
         view.rays()[v, u],
         view.depth_m[v, u],
         view.depth_sigma[v, u],
         view.coordinates_H[v, u],
         view.coordinates_sigma_m[v, u],
-        sign,
+        view.opening_sign[v, u],
     )
 
 

@@ -12,7 +12,6 @@ import numpy as np
 
 from kinebench_drake.geometry import Array, invert, make_pose, rotation_angle, rotation_exp, transform_points
 from kinebench_drake.grounding.tracker import FramePose
-from kinebench_drake.models.panda.cad import LEFT_FINGER, RIGHT_FINGER
 
 X_HALF_TURN = make_pose(rotation_exp([0.0, 0.0, np.pi]), np.zeros(3))
 """Pose (4, 4) of the hand turned by 180 degrees in the hand's frame."""
@@ -28,8 +27,7 @@ def evidence(pose: FramePose) -> float:
     cloud_V = view.rays()[cells] * (view.depth_m[cells] * pose.fit.depth_factor)[:, None]
     p_H = transform_points(invert(pose.X_CH) @ view.crop.X_CV, cloud_V)
     finger = pose.finger_m if np.isfinite(pose.finger_m) else 0.0
-    sign = (view.part[cells] == LEFT_FINGER).astype(float) - (view.part[cells] == RIGHT_FINGER)
-    p_H[:, 1] -= sign * finger
+    p_H[:, 1] -= view.opening_sign[cells] * finger
     scale = view.coordinates_sigma_m[cells] / np.sqrt(2.0)
     said = view.coordinates_H[cells]
     as_fitted = np.abs(p_H - said).sum(axis=1) / scale

@@ -13,6 +13,7 @@ from kinebench_drake.grounding.fit import Fit, fit
 from kinebench_drake.grounding.registration import IcpRefiner
 from kinebench_drake.grounding.view import DepthEstimator, Frames, GripperView
 from kinebench_drake.models.panda.cad import GripperCad
+from kinebench_drake.models.panda.part import Part
 
 DETECTION_SIZE = 192
 """Width of the view of the whole frame that finds the gripper [px]."""
@@ -120,7 +121,7 @@ class CadTracker:
         refined = self._icp.refine(view, first.X_VH, finger, 1.0 if self._trust_depth else first.depth_factor)
         X_VH = refined.X_VH if refined is not None and self._trust_depth else first.X_VH
         rendered = self._cad.cast(X_VH, view.rays().reshape(-1, 3), finger).part.reshape(view.part.shape) > 0
-        union = (rendered & (view.part != 4)) | view.gripper
+        union = (rendered & (view.part != Part.ARM)) | view.gripper
         return FramePose(
             X_CH=view.crop.X_CV @ X_VH,
             finger_m=first.finger_m,

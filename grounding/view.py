@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.crop import Crop
+from kinebench_drake.models.panda.part import GRIPPER, Part
 
 Frames = NDArray[np.uint8]
 """(T, H, W, 3) RGB."""
@@ -21,9 +22,7 @@ class GripperView:
     crop: Crop
     stride: int
     part: NDArray[np.uint8]
-    """(h, w) labels: 0 background, 1 hand, 2 left finger, 3 right finger, 4 rest of the arm."""
-    gripper_probability: Array
-    """(h, w) 0..1."""
+    """(h, w) values of `Part`."""
     depth_m: Array
     """(h, w) along the crop's optical axis [m]."""
     depth_sigma: Array
@@ -36,7 +35,12 @@ class GripperView:
     @property
     def gripper(self) -> NDArray[np.bool_]:
         """(h, w) cells that show hand or fingers."""
-        return (self.part >= 1) & (self.part <= 3)
+        return np.isin(self.part, GRIPPER)
+
+    @property
+    def opening_sign(self) -> Array:
+        """(h, w) 1 on the left finger, -1 on the right, else 0: where cells go along y as the gripper opens."""
+        return np.asarray((self.part == Part.LEFT_FINGER).astype(np.float64) - (self.part == Part.RIGHT_FINGER))
 
     def rays(self) -> Array:
         """(h, w, 3) directions in the crop's frame with z = 1."""

@@ -14,7 +14,8 @@ from kinebench_drake.errors import UsageError
 from kinebench_drake.geometry import invert, transform_points
 from kinebench_drake.grounding.crop import GRIPPER_CENTRE_H, GRIPPER_RADIUS_M, Crop
 from kinebench_drake.grounding.training.augment import degrade, occlude
-from kinebench_drake.grounding.training.frames import DEPTH_UNIT_M, Frame, Part
+from kinebench_drake.grounding.training.frame import DEPTH_UNIT_M, Frame
+from kinebench_drake.models.panda.part import GRIPPER, Part
 from kinebench_drake.models.perception.network import COORDINATE_SCALE_M, DEPTH_CENTRE, STRIDE
 
 CROP_SIZE = 128
@@ -126,8 +127,7 @@ class Crops(Dataset[dict[str, Tensor]]):
             frame = self._shards[int(rng.integers(len(self._shards)))]
             crop = random_view(frame, rng)
             part, coordinates, log_depth = label(frame, crop)
-            gripper = (part >= Part.HAND) & (part <= Part.RIGHT_FINGER)
-            if gripper.sum() >= _MIN_GRIPPER_PX / STRIDE**2 or rng.random() < 0.1:
+            if np.isin(part, GRIPPER).sum() >= _MIN_GRIPPER_PX / STRIDE**2 or rng.random() < 0.1:
                 break
         image = np.ascontiguousarray(crop.warp(frame.rgb, frame_camera(frame)), dtype=np.uint8)
         if rng.random() < 0.25:

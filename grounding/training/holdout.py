@@ -12,7 +12,7 @@ from kinebench_drake.grounding.confidence import FEATURES, Confidence, features
 from kinebench_drake.grounding.tracker import CadTracker
 from kinebench_drake.grounding.training.augment import degrade
 from kinebench_drake.grounding.training.dataset import Shards, frame_camera
-from kinebench_drake.grounding.training.frames import DEPTH_UNIT_M, Part
+from kinebench_drake.grounding.training.frame import DEPTH_UNIT_M
 
 HOLDOUT_SEED = 1_000_000
 """First seed of held-out scenes; training uses seeds from 0."""
@@ -66,7 +66,7 @@ def measure(
         for i in range(start, min(start + _BATCH, len(shards))):
             frame = shards[i]
             rgb = degrade(frame.rgb, rng) if i % 2 else frame.rgb
-            gripper = (frame.part >= Part.HAND) & (frame.part <= Part.RIGHT_FINGER)
+            gripper = frame.gripper
             shown = bool(gripper.sum() >= _MIN_VISIBLE_PX)
             visible += shown
             pose = tracker.track(rgb[None], frame_camera(frame)).poses[0]

@@ -1,17 +1,41 @@
-"""Rendering of training frames by several processes."""
+"""Rendering of training frames, by several processes."""
 
 import multiprocessing
 import os
 import queue
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
+import numpy as np
+
+from kinebench_drake.errors import SetupError
+from kinebench_drake.grounding.training.frame import is_complete, save_shard, shard_folder
+from kinebench_drake.grounding.training.scene import Scene
+
+FRAMES_PER_SCENE = 20
+HANDLESS_EVERY = 16
+"""One scene in so many shows an arm whose gripper has vanished."""
+
 _REPORT_EVERY = 20
+_STREAM = 0x4B42  # keeps these random streams apart from others with the same seed
+
+
+def render_shards(folder: Path, seeds: Iterable[int]) -> Iterator[int]:
+    """Render one scene's frames for each seed into `folder`, skipping complete ones; yields each seed when done.
+
+    The same seed gives the same scene.
+    """
+    for seed in seeds:
+        shard = shard_folder(folder, seed)
+        if not is_complete(shard):
+            # The name keeps the last scene alive until the next is built: SAPIEN compiles its shaders anew, for
+            # seconds, whenever no scene is left.
+            scene = Scene(np.random.default_rng([seed, _STREAM]), handless=seed % HANDLESS_EVERY == HANDLESS_EVERY - 1)
+            save_shard([scene.frame() for _ in range(FRAMES_PER_SCENE)], shard)
+        yield seed
 
 
 def _work(folder: Path, seeds: list[int], done: "multiprocessing.Queue[int | None]") -> None:
-    from kinebench_drake.grounding.training.frames import render_shards
-
     for seed in render_shards(folder, seeds):
         done.put(seed)
     done.put(None)
@@ -23,9 +47,7 @@ def render(folder: Path, seeds: Iterable[int], jobs: int, report: Callable[[str]
     Raises:
         SetupError: a rendering process died, most often for want of a Vulkan driver.
     """
-    from kinebench_drake.errors import SetupError
-
-    missing = [s for s in seeds if not (folder / f"{s:06d}" / "truth.npz").is_file()]
+    missing = [s for s in seeds if not is_complete(shard_folder(folder, s))]
     if not missing:
         return
     report(f"rendering {len(missing)} scenes into {folder}")

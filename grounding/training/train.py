@@ -12,7 +12,7 @@ from torch.nn import functional
 from torch.utils.data import DataLoader, Subset
 
 from kinebench_drake.grounding.training.dataset import Crops, Shards
-from kinebench_drake.grounding.training.frames import Part
+from kinebench_drake.models.panda.part import Part
 from kinebench_drake.models.perception.network import DenseOutput, GripperNetwork
 
 _PIXEL_WEIGHTS = (1.0, 1.0, 5.0, 5.0, 1.0)  # by Part

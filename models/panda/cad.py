@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from kinebench_drake import native
 from kinebench_drake.geometry import Array, invert
+from kinebench_drake.models.panda.part import GRIPPER, OPENING_SIGN, Part
 from kinebench_drake.models.panda.robot import source_urdf
 
 FINGER_ORIGIN_H = np.array([0.0, 0.0, 0.0584])
@@ -20,14 +21,10 @@ FINGER_ORIGIN_H = np.array([0.0, 0.0, 0.0584])
 MAX_FINGER_M = 0.04
 """Upper limit of each finger joint [m]; the gap between the pads is twice the joint's value."""
 
-HAND, LEFT_FINGER, RIGHT_FINGER = 1, 2, 3
-"""Labels of the parts, as in masks; 0 is background."""
-_OPENING_SIGN = {HAND: 0.0, LEFT_FINGER: 1.0, RIGHT_FINGER: -1.0}
-
 
 @cache
-def part_meshes() -> dict[int, trimesh.Trimesh]:
-    """The meshes of hand, left and right finger (closed), by label.
+def part_meshes() -> dict[Part, trimesh.Trimesh]:
+    """The meshes of hand, left and right finger (closed).
 
     Raises:
         SetupError: mani_skill, whose assets these are, is not installed.
@@ -40,7 +37,7 @@ def part_meshes() -> dict[int, trimesh.Trimesh]:
     right.apply_transform(trimesh.transformations.rotation_matrix(np.pi, [0, 0, 1]))
     for mesh in (left, right):
         mesh.apply_translation(FINGER_ORIGIN_H)
-    return {HAND: hand, LEFT_FINGER: left, RIGHT_FINGER: right}
+    return dict(zip(GRIPPER, (hand, left, right), strict=True))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -50,7 +47,7 @@ class Surface:
     distance: Array
     """(N,) ray parameter of the first hit; inf where the gripper is missed."""
     part: NDArray[np.uint8]
-    """(N,) label of the part met, 0 where missed."""
+    """(N,) values of `Part`, BACKGROUND where missed."""
     normal_H: Array
     """(N, 3) unit normal of the surface met, 0 where missed."""
 
@@ -67,15 +64,15 @@ class GripperCad:
         native.prepare_open3d()
         import open3d
 
-        self._scenes: dict[int, Any] = {}
+        self._scenes: dict[Part, Any] = {}
         core: Any = open3d.core
         self._tensor = core.Tensor
-        for label, mesh in part_meshes().items():
+        for part, mesh in part_meshes().items():
             scene = open3d.t.geometry.RaycastingScene(nthreads=1)
             vertices = np.asarray(mesh.vertices, np.float32)
             faces = np.asarray(mesh.faces, np.uint32)
             scene.add_triangles(self._tensor(vertices), self._tensor(faces))
-            self._scenes[label] = scene
+            self._scenes[part] = scene
 
     def cast(self, X_VH: ArrayLike, rays_V: ArrayLike, finger_m: float) -> Surface:
         """First hits of `rays_V` (N, 3), which start at the origin of V, with the gripper at pose `X_VH` (4, 4).
@@ -86,17 +83,17 @@ class GripperCad:
         directions = np.asarray(rays_V, dtype=np.float64) @ X_HV[:3, :3].T
         n = len(directions)
         distance = np.full(n, np.inf)
-        part, normal = np.zeros(n, np.uint8), np.zeros((n, 3))
+        parts, normal = np.zeros(n, np.uint8), np.zeros((n, 3))
         rays = np.empty((n, 6), np.float32)
         rays[:, 3:] = directions
-        for label, scene in self._scenes.items():
-            rays[:, :3] = X_HV[:3, 3] - [0.0, _OPENING_SIGN[label] * finger_m, 0.0]
+        for part, scene in self._scenes.items():
+            rays[:, :3] = X_HV[:3, 3] - [0.0, OPENING_SIGN[part] * finger_m, 0.0]
             hits = scene.cast_rays(self._tensor(rays), nthreads=1)
             t = hits["t_hit"].numpy()
             nearer = t < distance
-            distance[nearer], part[nearer] = t[nearer], label
+            distance[nearer], parts[nearer] = t[nearer], part
             normal[nearer] = hits["primitive_normals"].numpy()[nearer]
         norm = np.linalg.norm(normal, axis=1, keepdims=True)
         normal = np.divide(normal, norm, out=normal, where=norm > 0)
         normal[(normal * directions).sum(axis=1) > 0] *= -1.0  # towards the viewer
-        return Surface(distance=distance, part=part, normal_H=normal)
+        return Surface(distance=distance, part=parts, normal_H=normal)

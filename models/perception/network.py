@@ -12,8 +12,9 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-PARTS = 5
-"""Background, hand, left finger, right finger, arm."""
+from kinebench_drake.models.panda.part import Part
+
+PARTS = len(Part)
 STRIDE = 2
 """Input pixels per output pixel."""
 COORDINATE_SCALE_M = 0.1

@@ -6,7 +6,8 @@ import pytest
 from kinebench_drake.geometry import Array, invert, make_pose, rotation_exp, transform_points
 from kinebench_drake.grounding.crop import Crop
 from kinebench_drake.grounding.view import GripperView
-from kinebench_drake.models.panda.cad import LEFT_FINGER, RIGHT_FINGER, GripperCad
+from kinebench_drake.models.panda.cad import GripperCad
+from kinebench_drake.models.panda.part import Part
 
 
 @pytest.fixture(scope="session")
@@ -41,12 +42,11 @@ def perfect_view(
     part = surface.part.reshape(rays.shape[:2])
     z = np.where(np.isfinite(surface.distance), surface.distance, 1.0).reshape(part.shape)
     p_H = transform_points(invert(X_VH), (rays * z[..., None]).reshape(-1, 3)).reshape(rays.shape)
-    p_H[..., 1] -= finger_m * ((part == LEFT_FINGER).astype(float) - (part == RIGHT_FINGER))
+    p_H[..., 1] -= finger_m * ((part == Part.LEFT_FINGER).astype(float) - (part == Part.RIGHT_FINGER))
     return GripperView(
         crop=crop,
         stride=2,
         part=part,
-        gripper_probability=(part > 0).astype(float),
         depth_m=z * depth_factor,
         depth_sigma=np.full(part.shape, 0.01),
         coordinates_H=p_H + rng.normal(0, noise_m, p_H.shape),

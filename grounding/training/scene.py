@@ -1,62 +1,22 @@
-"""Training frames: a Panda in random poses among random tables, walls, objects, lights and cameras, by SAPIEN.
+"""Random scenes by SAPIEN: a Panda in random poses among random tables, walls, objects, lights and cameras."""
 
-A data set is a folder of shards, each a scene's worth of frames stored as plain `.npy` files that training maps into
-memory: `rgb` (N, S, S, 3) uint8, `depth` (N, S, S) uint16 [0.1 mm] of the gripper's pixels (0 elsewhere), `part`
-(N, S, S) uint8 (`Part`), and `truth.npz` with `K` (N, 3, 3), `camera_from_hand` (N, 4, 4), `finger_m` (N,).
-"""
-
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
-from enum import IntEnum
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinebench_drake import native
 from kinebench_drake.camera import Camera, benchmark_camera
 from kinebench_drake.geometry import Array, invert, make_pose, orthonormalize, rotation_exp
+from kinebench_drake.grounding.training.frame import DEPTH_UNIT_M, Frame
 from kinebench_drake.grounding.training.textures import random_texture
+from kinebench_drake.models.panda.part import GRIPPER, Part
 from kinebench_drake.models.panda.robot import source_urdf
 
-DEPTH_UNIT_M = 1e-4
-FRAMES_PER_SCENE = 20
-HANDLESS_EVERY = 16
-"""One scene in so many shows an arm whose gripper has vanished."""
 IMAGE_SIZE = 384
+"""Width and height of frames [px]."""
 
-_STREAM = 0x4B42  # keeps these random streams apart from others with the same seed
 _TABLE_HALF = (0.9, 1.2, 0.02)
 _OPENCV_FROM_SAPIEN = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
-
-
-class Part(IntEnum):
-    """What a pixel shows."""
-
-    BACKGROUND = 0
-    HAND = 1
-    LEFT_FINGER = 2
-    RIGHT_FINGER = 3
-    ARM = 4
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Frame:
-    """One rendered frame with its truth."""
-
-    rgb: NDArray[np.uint8]
-    """(S, S, 3)."""
-    depth: NDArray[np.uint16]
-    """(S, S) depth of gripper pixels along the camera's z [0.1 mm], 0 elsewhere."""
-    part: NDArray[np.uint8]
-    """(S, S) values of `Part`."""
-    K: Array
-    """(3, 3) intrinsics [px]."""
-    X_CH: Array
-    """(4, 4) pose of panda_hand in the camera frame [m]."""
-    finger_m: float
-    """Opening of each finger, 0..0.04 [m]."""
 
 
 def random_camera(rng: np.random.Generator) -> Camera:
@@ -280,33 +240,5 @@ class Scene:
         part = np.zeros(ids.shape, np.uint8)
         for entity_id, value in self._part_of_id.items():
             part[ids == entity_id] = value
-        gripper = (part >= Part.HAND) & (part <= Part.RIGHT_FINGER)
-        depth = np.where(gripper, np.round(depth_m / DEPTH_UNIT_M), 0).astype(np.uint16)
+        depth = np.where(np.isin(part, GRIPPER), np.round(depth_m / DEPTH_UNIT_M), 0).astype(np.uint16)
         return Frame(rgb=rgb, depth=depth, part=part, K=camera.K, X_CH=X_CH, finger_m=finger)
-
-
-def render_shards(folder: Path, seeds: Iterable[int]) -> Iterator[int]:
-    """Render one scene's frames for each seed into `folder/SEED`, skipping complete ones; yields each seed when done.
-
-    The same seed gives the same scene.
-    """
-    for seed in seeds:
-        shard = folder / f"{seed:06d}"
-        if not (shard / "truth.npz").is_file():
-            # The name keeps the last scene alive until the next is built: SAPIEN compiles its shaders anew, for
-            # seconds, whenever no scene is left.
-            scene = Scene(np.random.default_rng([seed, _STREAM]), handless=seed % HANDLESS_EVERY == HANDLESS_EVERY - 1)
-            _save([scene.frame() for _ in range(FRAMES_PER_SCENE)], shard)
-        yield seed
-
-
-def _save(frames: list[Frame], shard: Path) -> None:
-    shard.mkdir(parents=True, exist_ok=True)
-    for name in ("rgb", "depth", "part"):
-        np.save(shard / f"{name}.npy", np.stack([getattr(f, name) for f in frames]))
-    np.savez(
-        shard / "truth.npz",
-        K=np.stack([f.K for f in frames]),
-        camera_from_hand=np.stack([f.X_CH for f in frames]),
-        finger_m=np.array([f.finger_m for f in frames]),
-    )

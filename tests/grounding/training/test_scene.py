@@ -4,8 +4,11 @@ import pytest
 from kinebench_drake.geometry import invert, transform_points
 from kinebench_drake.grounding.crop import Crop
 from kinebench_drake.grounding.training.dataset import CROP_SIZE, Crops, Shards, frame_camera, label
-from kinebench_drake.grounding.training.frames import DEPTH_UNIT_M, FRAMES_PER_SCENE, Part, Scene
+from kinebench_drake.grounding.training.frame import DEPTH_UNIT_M
+from kinebench_drake.grounding.training.render import FRAMES_PER_SCENE
+from kinebench_drake.grounding.training.scene import Scene
 from kinebench_drake.models.panda.cad import GripperCad
+from kinebench_drake.models.panda.part import Part
 from kinebench_drake.models.perception.network import COORDINATE_SCALE_M
 
 pytestmark = pytest.mark.sapien
@@ -22,7 +25,7 @@ def test_the_cad_model_lies_where_the_renderer_draws_the_gripper(shards: Shards,
     for i in clear_frames(shards):
         frame = shards[i]
         camera = frame_camera(frame)
-        v, u = np.nonzero((frame.part >= Part.HAND) & (frame.part <= Part.RIGHT_FINGER))
+        v, u = np.nonzero(frame.gripper)
         hit = cad.cast(frame.X_CH, camera.rays()[v, u], frame.finger_m)
         assert (hit.part == frame.part[v, u]).mean() > 0.9
         both = hit.part > 0

@@ -1,0 +1,122 @@
+"""The shipped networks on rendered videos with known poses: the bars that users are promised."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from kinebench_drake.camera import benchmark_camera
+from kinebench_drake.grounding.confidence import Confidence
+from kinebench_drake.grounding.estimator import NetworkEstimator
+from kinebench_drake.grounding.overlay import draw_overlay
+from kinebench_drake.grounding.pipeline import GroundingPipeline
+from kinebench_drake.grounding.tracker import CadTracker
+from kinebench_drake.grounding.training.evaluate import Clip, ClipErrors, evaluate, load_clips, true_depth_pipeline
+from kinebench_drake.grounding.training.report import summarize
+from kinebench_drake.grounding.video import read_video
+from kinebench_drake.models.panda.cad import GripperCad
+from kinebench_drake.models.perception.weights import load_network
+
+EXAMPLES = Path(__file__).parents[2] / "examples" / "videos"
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="session")
+def estimator() -> NetworkEstimator:
+    return NetworkEstimator(load_network(), "cpu")
+
+
+@pytest.fixture(scope="session")
+def pipeline(estimator: NetworkEstimator, cad: GripperCad) -> GroundingPipeline:
+    return GroundingPipeline(CadTracker(estimator, cad), Confidence.load())
+
+
+@pytest.fixture(scope="session")
+def results(pipeline: GroundingPipeline) -> list[ClipErrors]:
+    return [evaluate(clip, pipeline) for clip in load_clips(EXAMPLES)]
+
+
+def test_clean_videos_are_tracked_to_the_bar(results: list[ClipErrors]) -> None:
+    clean = [e for e in results if not e.planted]
+    assert len(clean) == 4
+    figures = summarize(clean)
+    assert figures["tracked_fraction_worst"] >= 0.95
+    assert figures["position_median_mm"] <= 15.0
+    assert figures["position_p95_mm"] <= 40.0
+    assert figures["rotation_median_deg"] <= 8.0
+    assert figures["longest_flip_frames"] <= 1
+    assert figures["anomalies_not_planted"] == 0
+
+
+def test_planted_faults_are_named_with_their_frames(results: list[ClipErrors]) -> None:
+    faulty = [e for e in results if e.planted]
+    assert {e.planted[0].kind.value for e in faulty} == {"vanish", "teleport", "freeze"}
+    figures = summarize(faulty)
+    assert figures["faults_found"] == figures["faults_planted"] == 3
+    assert figures["anomalies_not_planted"] == 0
+
+
+def test_a_vanished_gripper_is_not_tracked(results: list[ClipErrors]) -> None:
+    (vanish,) = [e for e in results if e.planted and e.planted[0].kind.value == "vanish"]
+    assert not vanish.tracked[~vanish.visible].any()
+
+
+def test_pictures_without_a_robot_give_no_track(pipeline: GroundingPipeline) -> None:
+    rng = np.random.default_rng(0)
+    coarse = rng.integers(0, 255, (8, 12, 12, 3), dtype=np.uint8)
+    frames = np.repeat(np.repeat(coarse, 32, axis=1), 32, axis=2)
+    grounding = pipeline.ground(frames, benchmark_camera(), 0.2 * np.arange(8))
+    assert not grounding.track.tracked.any()
+    assert np.isnan(grounding.track.X_BG).all()
+    assert grounding.anomalies == ()
+
+
+def test_a_smaller_video_of_the_same_camera_gives_the_same_path(pipeline: GroundingPipeline) -> None:
+    import cv2
+
+    clip = next(c for c in load_clips(EXAMPLES) if not c.faults)
+    frames = read_video(clip.path).frames[:12]
+    small = np.stack([cv2.resize(f, (320, 320), interpolation=cv2.INTER_AREA) for f in frames])
+    errors = []
+    for video in (frames, small):
+        track = pipeline.ground(video, clip.camera, clip.t_s[:12]).track
+        errors.append(np.linalg.norm(track.X_CH[:, :3, 3] - clip.X_CH[:12, :3, 3], axis=1))
+    assert np.median(errors[1]) < 0.015
+
+
+def test_the_track_is_that_of_the_tcp_on_the_base(pipeline: GroundingPipeline) -> None:
+    clip = next(c for c in load_clips(EXAMPLES) if not c.faults)
+    track = pipeline.ground(read_video(clip.path).frames[:4], clip.camera, clip.t_s[:4]).track
+    with np.load(EXAMPLES / "truth" / f"{clip.id}.npz", allow_pickle=False) as truth:
+        distance = np.linalg.norm(track.X_BG[:, :3, 3] - truth["base_from_tcp"][:4, :3, 3], axis=1)
+    assert np.median(distance) < 0.015
+
+
+def test_the_overlay_lies_on_the_gripper(pipeline: GroundingPipeline) -> None:
+    clip = next(c for c in load_clips(EXAMPLES) if not c.faults)
+    frames = read_video(clip.path).frames[:2]
+    track = pipeline.ground(frames, clip.camera, clip.t_s[:2]).track
+    drawn = next(iter(draw_overlay(frames, clip.camera, track)))
+    changed = np.abs(drawn[30:].astype(int) - frames[0][30:]).sum(axis=2) > 20
+    v, u = np.nonzero(changed)
+    centre = clip.camera.project(clip.X_CH[0, :3, 3] + 0.05 * clip.X_CH[0, :3, 2])
+    assert np.hypot(u.mean() - centre[0], v.mean() + 30 - centre[1]) < 15.0
+
+
+@pytest.mark.sapien
+def test_true_depth_leaves_two_millimetres_and_a_degree(
+    tmp_path: Path, pipeline: GroundingPipeline, estimator: NetworkEstimator, cad: GripperCad
+) -> None:
+    from click.testing import CliRunner
+
+    from kinebench_drake.suites.samples import main
+
+    arguments = ["--out", str(tmp_path), "--tasks", "PullCube-v1", "--seeds", "7", "--with-depth"]
+    assert CliRunner().invoke(main, arguments).exit_code == 0
+    (clip,) = load_clips(tmp_path, with_depth=True)
+    assert isinstance(clip, Clip)
+    errors = evaluate(clip, true_depth_pipeline(pipeline, estimator, clip, cad))
+    figures = summarize([errors])
+    assert figures["tracked_fraction"] >= 0.95
+    assert figures["position_median_mm"] <= 2.0
+    assert figures["rotation_median_deg"] <= 1.0
