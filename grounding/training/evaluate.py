@@ -101,7 +101,7 @@ def load_clips(folder: Path, *, with_depth: bool = False) -> list[Clip]:
         if not truth_path.is_file():
             raise UsageError(f"{folder.name}: truth/{truth_path.name} is missing, so errors cannot be measured")
         with np.load(truth_path, allow_pickle=False) as truth:
-            depth = truth["depth_mm"] / 1000.0 if with_depth and "depth_mm" in truth else None
+            depth = (truth["depth_mm"] + 0.5) / 1000.0 if with_depth and "depth_mm" in truth else None
             mask = truth["mask"] if with_depth and "mask" in truth else None
             clips.append(
                 Clip(
