@@ -128,7 +128,7 @@ def find_freezes(p: ArrayLike, seen: NDArray[np.bool_], still: NDArray[np.bool_]
 
 
 def find_anomalies(
-    *, frames: Frames, t_s: Array, p_C: Array, seen: NDArray[np.bool_], camera: Camera
+    *, frames: Frames, t_s: Array, p_C: Array, seen: NDArray[np.bool_], sure: NDArray[np.bool_], camera: Camera
 ) -> tuple[Anomaly, ...]:
     """All anomalies in the order of their frames; the jump that ends a freeze is part of it, no teleport.
 
@@ -137,10 +137,11 @@ def find_anomalies(
         t_s: (T,) task time [s].
         p_C: (T, 3) centre of the gripper in the camera frame [m]; NaN where unknown.
         seen: (T,) whether the gripper is in the frame.
+        sure: (T,) whether its position counts, too.
         camera: the camera.
     """
-    freezes = find_freezes(p_C, seen, still_frames(frames), t_s)
+    freezes = find_freezes(p_C, sure, still_frames(frames), t_s)
     ends = {a.frame_end + 1 for a in freezes}
-    teleports = [a for a in find_teleports(p_C, seen) if a.frame_start not in ends]
+    teleports = [a for a in find_teleports(p_C, sure) if a.frame_start not in ends]
     found = [*find_vanishing(p_C, seen, camera), *teleports, *freezes]
     return tuple(sorted(found, key=lambda a: (a.frame_start, a.kind.value)))

@@ -4,10 +4,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera, benchmark_camera
-from kinebench_drake.geometry import Array, transform_points
+from kinebench_drake.geometry import Array, pose_difference, transform_points
 from kinebench_drake.grounding.anomalies import find_anomalies
 from kinebench_drake.grounding.confidence import Confidence
 from kinebench_drake.grounding.crop import GRIPPER_CENTRE_H
@@ -21,10 +20,14 @@ from kinebench_drake.models.panda.robot import hand_from_tcp
 from kinebench_drake.models.perception.weights import load_network
 from kinebench_drake.products import Anomaly, AnomalyKind, GripperTrack
 
-MIN_TRACKED_CONFIDENCE = 0.1
-"""Below this a pose is not called tracked."""
-MIN_SEEN_CONFIDENCE = 0.02
-"""Below this what was found is no gripper at all."""
+SURE_CONFIDENCE = 0.3
+"""From here on a pose is tracked whatever its neighbours say."""
+FAIR_CONFIDENCE = 0.1
+"""From here on a position counts when jumps are looked for."""
+MIN_CONFIDENCE = 0.02
+"""From here on what was found is a gripper: tracked if its neighbours agree."""
+AGREE_M, AGREE_RAD = 0.03, np.deg2rad(20.0)
+"""How near to what its neighbours say a doubtful pose must lie to be tracked."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,12 +70,15 @@ class GroundingPipeline:
         confidence = np.array([self.confidence.probability(p) if p is not None else 0.0 for p in poses])
         X_CH = _stack(poses)
         p_C = _centres(X_CH)
-        seen = confidence >= MIN_SEEN_CONFIDENCE
-        anomalies = find_anomalies(frames=frames, t_s=t_s, p_C=p_C, seen=seen, camera=camera)
-        tracked = confidence >= MIN_TRACKED_CONFIDENCE
+        seen, sure = confidence >= MIN_CONFIDENCE, confidence >= FAIR_CONFIDENCE
+        anomalies = find_anomalies(frames=frames, t_s=t_s, p_C=p_C, seen=seen, sure=sure, camera=camera)
+        breaks = _breaks(anomalies)
+        X_CH[~seen] = np.nan
+        distance, angle = pose_difference(X_CH, smooth_track(X_CH, confidence, breaks, leave_out=True))
+        tracked = (confidence >= SURE_CONFIDENCE) | ((distance <= AGREE_M) & (angle <= AGREE_RAD))
         X_CH[~tracked] = np.nan
         if self._smooth:
-            X_CH = smooth_track(X_CH, confidence, _breaks(anomalies))
+            X_CH = smooth_track(X_CH, confidence, breaks)
         track = GripperTrack(
             t_s=t_s,
             X_CH=X_CH,
@@ -96,12 +102,12 @@ def _centres(X_CH: Array) -> Array:
     return np.asarray(transform_points(X_CH, GRIPPER_CENTRE_H[None])[:, 0])
 
 
-def _breaks(anomalies: tuple[Anomaly, ...]) -> NDArray[np.intp]:
+def _breaks(anomalies: tuple[Anomaly, ...]) -> list[int]:
     """Frames that begin after a jump."""
-    frames = []
+    frames: list[int] = []
     for anomaly in anomalies:
         if anomaly.kind is AnomalyKind.TELEPORT:
             frames.append(anomaly.frame_start)
         else:
             frames += [anomaly.frame_start, anomaly.frame_end + 1]
-    return np.array(sorted(frames), dtype=np.intp)
+    return sorted(frames)

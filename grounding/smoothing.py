@@ -4,14 +4,17 @@ Local polynomial regression with tricube and robust weights (LOESS, Cleveland 19
 space at the frame's own rotation, on rotations.
 """
 
+from collections.abc import Iterable
+
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from kinebench_drake.geometry import Array, make_pose, rotation_exp, rotation_log
 
 HALF_WINDOW = 3
 """Frames before and after that a pose is smoothed with."""
 _DEGREE = 2
+_MIN_NEIGHBOURS = 4
 _L1_PASSES, _TUKEY_PASSES = 4, 2
 _FLOOR = (1e-3, 1e-2)  # residuals [m, rad] below which no neighbour is doubted
 
@@ -37,24 +40,25 @@ def _local_value(offset: Array, values: Array, weight: Array, floor: float) -> A
     return np.asarray(coefficients[0])
 
 
-def smooth_track(X: ArrayLike, weight: ArrayLike, breaks: NDArray[np.intp] | None = None) -> Array:
+def smooth_track(X: ArrayLike, weight: ArrayLike, breaks: Iterable[int] = (), *, leave_out: bool = False) -> Array:
     """Smoothed poses (T, 4, 4) [m].
 
     Args:
         X: (T, 4, 4) poses; NaN where there is none, and so in the result.
         weight: (T,) how far each is trusted, 0 for not at all.
         breaks: frames that begin after a jump; nothing is smoothed across them.
+        leave_out: give what the neighbours alone say of each frame; NaN where there are fewer than four.
     """
     X, weight = np.asarray(X, dtype=np.float64), np.asarray(weight, dtype=np.float64)
     known = np.isfinite(X).all(axis=(1, 2))
     segment = np.zeros(len(X), dtype=int)
-    for frame in breaks if breaks is not None else ():
+    for frame in breaks:
         segment[frame:] += 1
-    smoothed = X.copy()
+    smoothed = np.full_like(X, np.nan) if leave_out else X.copy()
     for i in np.flatnonzero(known).tolist():
         near = np.arange(max(0, i - HALF_WINDOW), min(len(X), i + HALF_WINDOW + 1))
-        near = near[known[near] & (segment[near] == segment[i])]
-        if len(near) < 4:
+        near = near[known[near] & (segment[near] == segment[i]) & ~(leave_out & (near == i))]
+        if len(near) < _MIN_NEIGHBOURS:
             continue
         offset = (near - i).astype(np.float64)
         w = (1.0 - np.abs(offset / (HALF_WINDOW + 1)) ** 3) ** 3 * np.maximum(weight[near], 1e-3)

@@ -10,7 +10,7 @@ from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, interpolate_pose, transform_points
 from kinebench_drake.grounding.crop import GRIPPER_CENTRE_H, Crop
 from kinebench_drake.grounding.fit import Fit, fit
-from kinebench_drake.grounding.registration import IcpRefiner
+from kinebench_drake.grounding.registration import IcpRefiner, Registration
 from kinebench_drake.grounding.view import DepthEstimator, Frames, GripperView
 from kinebench_drake.models.panda.cad import GripperCad
 from kinebench_drake.models.panda.part import Part
@@ -37,10 +37,8 @@ class FramePose:
     """Opening of each finger [m]; NaN when no finger was seen."""
     fit: Fit
     view: GripperView
-    fitness: float
-    """Fraction of the observed cloud on the visible CAD surface (ICP); 0 when ICP failed."""
-    rmse_m: float
-    """Root mean square distance there [m]."""
+    registration: Registration | None
+    """How the cloud lies on the CAD surface; None where the depth is not exact, or ICP found no hold."""
     overlap: float
     """Intersection over union of the seen and the rendered gripper."""
 
@@ -71,7 +69,7 @@ def whole_frame(camera: Camera, size: int = DETECTION_SIZE) -> Crop:
 
 
 class CadTracker:
-    """Detection in the whole frame, a close look, a fit to CAD coordinates and depth, ICP on the visible surface.
+    """Detection in the whole frame, a close look, a fit to CAD coordinates and depth, ICP where the depth is exact.
 
     Every frame is measured by itself, so that an error cannot drift on; neighbours only propose where to look again
     for a gripper that was not found.
@@ -118,8 +116,8 @@ class CadTracker:
         if first is None:
             return None
         finger = first.finger_m if np.isfinite(first.finger_m) else 0.02
-        refined = self._icp.refine(view, first.X_VH, finger, 1.0 if self._trust_depth else first.depth_factor)
-        X_VH = refined.X_VH if refined is not None and self._trust_depth else first.X_VH
+        refined = self._icp.refine(view, first.X_VH, finger) if self._trust_depth else None
+        X_VH = refined.X_VH if refined is not None else first.X_VH
         rendered = self._cad.cast(X_VH, view.rays().reshape(-1, 3), finger).part.reshape(view.part.shape) > 0
         union = (rendered & (view.part != Part.ARM)) | view.gripper
         return FramePose(
@@ -127,8 +125,7 @@ class CadTracker:
             finger_m=first.finger_m,
             fit=first,
             view=view,
-            fitness=refined.fitness if refined else 0.0,
-            rmse_m=refined.rmse_m if refined else float("nan"),
+            registration=refined,
             overlap=float((rendered & view.gripper).sum() / max(1, union.sum())),
         )
 

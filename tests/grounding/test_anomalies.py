@@ -97,5 +97,5 @@ def test_the_jump_at_the_end_of_a_freeze_is_part_of_it() -> None:
     rng = np.random.default_rng(0)
     frames = rng.integers(0, 255, (N, 64, 64, 3), dtype=np.uint8)
     frames[20:28] = frames[19]
-    found = find_anomalies(frames=frames, t_s=T_S, p_C=p, seen=SEEN, camera=benchmark_camera())
+    found = find_anomalies(frames=frames, t_s=T_S, p_C=p, seen=SEEN, sure=SEEN, camera=benchmark_camera())
     assert [a.kind for a in found] == [AnomalyKind.FREEZE]

@@ -17,7 +17,7 @@ def frame_pose(cad: GripperCad, X_CH: Array, *, turned: bool, noise_m: float = 0
     found = fit(view)
     assert isinstance(found, Fit)
     return FramePose(
-        X_CH=view.crop.X_CV @ found.X_VH, finger_m=0.02, fit=found, view=view, fitness=1.0, rmse_m=0.001, overlap=1.0
+        X_CH=view.crop.X_CV @ found.X_VH, finger_m=0.02, fit=found, view=view, registration=None, overlap=1.0
     )
 
 

@@ -38,8 +38,19 @@ def test_jumps_are_kept_and_gaps_stay_open() -> None:
     X = motion()
     X[25:, :3, 3] += 0.15
     X[10] = np.nan
-    Z = smooth_track(X, np.ones(len(X)), np.array([25]))
+    Z = smooth_track(X, np.ones(len(X)), [25])
     assert np.isnan(Z[10]).all()
     assert np.isfinite(np.delete(Z, 10, axis=0)).all()
     assert np.linalg.norm(Z[25, :3, 3] - Z[24, :3, 3]) > 0.14
     assert np.nanmax(pose_difference(X, Z)[0]) < 2e-3
+
+
+def test_neighbours_alone_tell_a_wild_frame_from_a_good_one() -> None:
+    X = motion()
+    Y = noisy(X, 0.001)
+    Y[20, :3, 3] += 0.08
+    told = smooth_track(Y, np.ones(len(X)), leave_out=True)
+    distance = pose_difference(Y, told)[0]
+    assert distance[20] > 0.06
+    assert np.nanmedian(distance) < 0.005
+    assert np.isnan(smooth_track(X[:4], np.ones(4), leave_out=True)).all()
