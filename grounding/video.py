@@ -14,7 +14,7 @@ from av.video.stream import VideoStream
 from numpy.typing import NDArray
 from PIL import Image
 
-from kinebench_drake.errors import InputError, UnmeasurableError
+from kinebench_drake.errors import InputError, UnmeasurableError, cause
 from kinebench_drake.geometry import Array
 
 FILM_SUFFIXES = frozenset({".mp4", ".mov", ".avi", ".gif", ".webm", ".mkv"})
@@ -192,7 +192,7 @@ def _read_folder(folder: Path) -> Video:
             with Image.open(file) as picture:
                 image = np.asarray(picture.convert("RGB"), dtype=np.uint8)
         except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
-            raise InputError(f"{folder.name}/{file.name}: not a readable image ({error})".split("\n")[0]) from None
+            raise InputError(f"{folder.name}/{file.name}: not a readable image ({cause(error)})") from None
         if images and image.shape != images[0].shape:
             raise InputError(
                 f"{folder.name}/{file.name}: size {image.shape[1]} x {image.shape[0]}, the first frame has "
@@ -217,7 +217,7 @@ def _read_array(path: Path) -> Video:
                     raise InputError(f"{path.name}: holds {archive.files}, expected one array or one named 'frames'")
                 frames = archive[names[0]]
     except (OSError, ValueError, EOFError, zipfile.BadZipFile, MemoryError) as error:
-        raise InputError(f"{path.name}: not a readable array ({error})".split("\n")[0]) from None
+        raise InputError(f"{path.name}: not a readable array ({cause(error)})") from None
     try:
         return Video(frames=np.ascontiguousarray(frames), fps=None, stamps_s=None)
     except InputError as error:

@@ -7,10 +7,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kinebench_drake.errors import UsageError
+from kinebench_drake.errors import UsageError, cause
 from kinebench_drake.geometry import Array, invert, make_pose, orthonormalize
 
 _KEYS = ("width", "height", "fx", "fy", "cx", "cy", "base_from_camera")
+_HUGE = 1e9  # no camera's number; NaN and infinity fail the comparison as well
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -119,11 +120,8 @@ class Camera:
             raise UsageError(f"{source}: missing keys {missing}, unknown keys {unknown}; expected {', '.join(_KEYS)}")
         for key in _KEYS[:6]:
             value = data[key]
-            if (
-                isinstance(value, bool)
-                or not isinstance(value, int | float)
-                or (key in _KEYS[:2] and value != int(value))
-            ):
+            number = isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < _HUGE
+            if not number or (key in _KEYS[:2] and value != int(value)):
                 raise UsageError(f"{source}: {key} must be a number, found {value!r}")
         try:
             X_BC = np.array(data["base_from_camera"], dtype=np.float64)
@@ -152,7 +150,7 @@ class Camera:
         try:
             data = json.loads(path.read_text())
         except (OSError, ValueError) as error:
-            raise UsageError(f"{path.name}: cannot be read as JSON ({error})") from None
+            raise UsageError(f"{path.name}: cannot be read as JSON ({cause(error)})") from None
         return cls.from_json(data, path.name)
 
 

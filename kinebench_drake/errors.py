@@ -22,3 +22,10 @@ class UnmeasurableError(KinebenchError):
 
 class SetupError(KinebenchError):
     """Something is missing on this machine (driver, library, weights, disk space)."""
+
+
+def cause(error: Exception) -> str:
+    """What went wrong in one line, without the paths of this machine that an OSError names."""
+    if isinstance(error, OSError):
+        return error.strerror or "of an unknown kind, or damaged"
+    return str(error).split("\n")[0]

@@ -8,7 +8,7 @@ from typing import Annotated
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from kinebench_drake.camera import Camera
-from kinebench_drake.errors import InputError, UsageError
+from kinebench_drake.errors import InputError, UsageError, cause
 
 NAME = "manifest.jsonl"
 
@@ -113,7 +113,7 @@ def inside(folder: Path, relative: str, what: str) -> Path:
         if not path.resolve().is_relative_to(folder.resolve()):
             raise InputError(f"{what} {relative!r} is a link that leads out of the manifest's folder")
     except (OSError, RuntimeError) as error:
-        raise InputError(f"{what} {relative!r} cannot be followed ({error})") from None
+        raise InputError(f"{what} {relative!r} cannot be followed ({cause(error)})") from None
     return path
 
 

@@ -95,9 +95,13 @@ def load_clips(folder: Path, *, with_depth: bool = False) -> list[Clip]:
     faults_path = folder / "truth" / "faults.json"
     planted = json.loads(faults_path.read_text()) if faults_path.is_file() else {}
     clips = []
-    for line in manifest.read_text().splitlines():
-        row = json.loads(line)
-        truth_path = folder / "truth" / f"{row['id']}.npz"
+    for number, line in enumerate(manifest.read_text().splitlines(), 1):
+        try:
+            video = str(json.loads(line)["video"])
+        except (ValueError, KeyError, TypeError):
+            raise UsageError(f"{manifest.name} line {number}: expected a JSON object with the key video") from None
+        name = Path(video).stem
+        truth_path = folder / "truth" / f"{name}.npz"
         if not truth_path.is_file():
             raise UsageError(f"{folder.name}: truth/{truth_path.name} is missing, so errors cannot be measured")
         with np.load(truth_path, allow_pickle=False) as truth:
@@ -105,17 +109,19 @@ def load_clips(folder: Path, *, with_depth: bool = False) -> list[Clip]:
             mask = truth["mask"] if with_depth and "mask" in truth else None
             clips.append(
                 Clip(
-                    id=row["id"],
-                    path=folder / row["video"],
+                    id=name,
+                    path=folder / video,
                     camera=camera,
                     t_s=truth["t_s"],
                     X_CH=truth["camera_from_hand"],
                     finger_width_m=truth["finger_width_m"],
                     depth_m=depth,
                     mask=None if mask is None else np.unpackbits(mask, axis=-1, count=camera.width).astype(bool),
-                    faults=tuple(_fault(f) for f in _as_list(planted.get(row["id"]))),
+                    faults=tuple(_fault(f) for f in _as_list(planted.get(name))),
                 )
             )
+    if not clips:
+        raise UsageError(f"{folder.name}: its manifest lists no video")
     return clips
 
 

@@ -1,6 +1,6 @@
 """Held-out rendered frames: what the network gets right in single frames, and the calibration of the confidence."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +13,7 @@ from kinebench_drake.grounding.tracker import CadTracker
 from kinebench_drake.grounding.training.augment import degrade
 from kinebench_drake.grounding.training.dataset import Shards, frame_camera
 from kinebench_drake.grounding.training.frame import DEPTH_UNIT_M
+from kinebench_drake.grounding.training.render import FRAMES_PER_SCENE
 
 HOLDOUT_SEED = 1_000_000
 """First seed of held-out scenes; training uses seeds from 0."""
@@ -20,13 +21,14 @@ GOOD_M, GOOD_RAD = 0.010, np.deg2rad(5.0)
 """The confidence is the probability of an error below both."""
 _MIN_VISIBLE_PX = 150
 _PENALTY = 1.0
-_BATCH = 20
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FrameErrors:
     """One held-out frame on which a gripper was found."""
 
+    scene: int
+    """Number of the scene that the frame shows."""
     features: Array
     """(5,) what the confidence rests on."""
     position_m: float
@@ -55,46 +57,43 @@ class Holdout:
     """Of those, frames in which it was not found."""
 
 
-def measure(
-    tracker: CadTracker, shards: Shards, seed: int = 0, progress: Callable[[int, int], None] = lambda done, total: None
-) -> Holdout:
+def measure(tracker: CadTracker, shards: Shards, seed: int = 0) -> Holdout:
     """Find the gripper in every held-out frame by itself, every other frame degraded as in training."""
     rng = np.random.default_rng([seed, HOLDOUT_SEED])
     found: list[FrameErrors] = []
     visible = missed = 0
-    for start in range(0, len(shards), _BATCH):
-        for i in range(start, min(start + _BATCH, len(shards))):
-            frame = shards[i]
-            rgb = degrade(frame.rgb, rng) if i % 2 else frame.rgb
-            gripper = frame.gripper
-            shown = bool(gripper.sum() >= _MIN_VISIBLE_PX)
-            visible += shown
-            pose = tracker.track(rgb[None], frame_camera(frame)).poses[0]
-            if pose is None:
-                missed += shown
-                continue
-            position, rotation, iou, depth_error = np.inf, np.inf, np.nan, np.nan
-            if gripper.any():
-                d, a = pose_difference(frame.X_CH, pose.X_CH)
-                view, camera = pose.view, frame_camera(frame)
-                true = np.asarray(view.crop.warp(gripper.astype(np.uint8), camera, view.stride, nearest=True)) > 0
-                both = true & view.gripper
-                depth_C = np.asarray(view.crop.warp(frame.depth, camera, view.stride, nearest=True), dtype=np.float64)
-                z = depth_C * DEPTH_UNIT_M / (view.rays() @ view.crop.R_CV.T)[..., 2]
-                position, rotation = float(d), float(a)
-                iou = float(both.sum() / max(1, (true | view.gripper).sum()))
-                if both.any():
-                    depth_error = float(np.median(np.abs(view.depth_m[both] / z[both] - 1.0)))
-            found.append(
-                FrameErrors(
-                    features=features(pose),
-                    position_m=position,
-                    rotation_rad=rotation,
-                    mask_iou=iou,
-                    depth_error=depth_error,
-                )
+    for i in range(len(shards)):
+        frame = shards[i]
+        rgb = degrade(frame.rgb, rng) if i % 2 else frame.rgb
+        gripper = frame.gripper
+        shown = bool(gripper.sum() >= _MIN_VISIBLE_PX)
+        visible += shown
+        pose = tracker.track(rgb[None], frame_camera(frame)).poses[0]
+        if pose is None:
+            missed += shown
+            continue
+        position, rotation, iou, depth_error = np.inf, np.inf, np.nan, np.nan
+        if gripper.any():
+            d, a = pose_difference(frame.X_CH, pose.X_CH)
+            view, camera = pose.view, frame_camera(frame)
+            true = np.asarray(view.crop.warp(gripper.astype(np.uint8), camera, view.stride, nearest=True)) > 0
+            both = true & view.gripper
+            depth_C = np.asarray(view.crop.warp(frame.depth, camera, view.stride, nearest=True), dtype=np.float64)
+            z = depth_C * DEPTH_UNIT_M / (view.rays() @ view.crop.R_CV.T)[..., 2]
+            position, rotation = float(d), float(a)
+            iou = float(both.sum() / max(1, (true | view.gripper).sum()))
+            if both.any():
+                depth_error = float(np.median(np.abs(view.depth_m[both] / z[both] - 1.0)))
+        found.append(
+            FrameErrors(
+                scene=i // FRAMES_PER_SCENE,
+                features=features(pose),
+                position_m=position,
+                rotation_rad=rotation,
+                mask_iou=iou,
+                depth_error=depth_error,
             )
-        progress(min(start + _BATCH, len(shards)), len(shards))
+        )
     return Holdout(found=tuple(found), visible=visible, missed=missed)
 
 

@@ -34,7 +34,7 @@ def holdout_lines(data: Path, weights: Path | None, scenes: int, out: Path | Non
     yield f"depth error       median {100 * np.nanmedian([f.depth_error for f in good]):.2f} %"
     yield f"position error    {_spread(position)} mm (median, 90 %, 95 %)"
     yield f"rotation error    {_spread(rotation)} degrees (median, 90 %, 95 %)"
-    first, second = holdout.found[0::2], holdout.found[1::2]
+    first, second = (tuple(f for f in holdout.found if f.scene % 2 == odd) for odd in (0, 1))
     tested = calibrate(first)
     probability = np.array([tested.probability_of(f.features) for f in second])
     for mean, share, n in reliability(probability, np.array([f.good for f in second])):

@@ -11,6 +11,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 from torch.utils.data import DataLoader, Subset
 
+from kinebench_drake.errors import UsageError
 from kinebench_drake.grounding.training.dataset import Crops, Shards
 from kinebench_drake.models.panda.part import Part
 from kinebench_drake.models.perception.network import DenseOutput, GripperNetwork
@@ -30,11 +31,16 @@ class TrainingConfig:
     out: Path
     """Folder for checkpoints and the final weights."""
     seed: int = 0
-    steps: int = 5000
+    steps: int = 4000
     batch_size: int = 32
     learning_rate: float = 1.2e-3
     workers: int = 1
     checkpoint_every: int = 250
+
+    def identity(self) -> dict[str, float]:
+        """What a checkpoint must have in common with the run that goes on from it."""
+        names = ("seed", "steps", "batch_size", "learning_rate")
+        return {name: getattr(self, name) for name in names}
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +107,9 @@ def _update_average(average: nn.Module, network: nn.Module, step: int) -> None:
 def save_weights(network: nn.Module, path: Path) -> None:
     """Write the network's weights in half precision as safetensors."""
     state = {k: (v.half() if v.dtype.is_floating_point else v).contiguous() for k, v in network.state_dict().items()}
-    save_file(state, path)
+    partial = path.with_suffix(".tmp")
+    save_file(state, partial)
+    partial.replace(path)
 
 
 def train(config: TrainingConfig, report: Callable[[str], None]) -> Path:
@@ -110,7 +118,7 @@ def train(config: TrainingConfig, report: Callable[[str], None]) -> Path:
     `report` is called with one line of text every 50 steps.
 
     Raises:
-        UsageError: `config.data` holds no shards.
+        UsageError: `config.data` holds no shards, or `config.out` another training.
     """
     device = pick_device()
     torch.manual_seed(config.seed)
@@ -129,6 +137,11 @@ def train(config: TrainingConfig, report: Callable[[str], None]) -> Path:
     checkpoint, start = config.out / "checkpoint.pt", 0
     if checkpoint.is_file():
         state = torch.load(checkpoint, weights_only=True, map_location=device)
+        if state["config"] != config.identity():
+            raise UsageError(
+                f"{config.out.name}: holds a training with {state['config']}, asked for was {config.identity()}; "
+                "name another folder, or remove this one"
+            )
         network.load_state_dict(state["network"])
         average.load_state_dict(state["average"])
         optimizer.load_state_dict(state["optimizer"])
@@ -163,7 +176,9 @@ def train(config: TrainingConfig, report: Callable[[str], None]) -> Path:
         if (step + 1) % config.checkpoint_every == 0 or step + 1 == config.steps:
             state = {"network": network.state_dict(), "average": average.state_dict(), "step": step + 1}
             state |= {"optimizer": optimizer.state_dict(), "scheduler": scheduler.state_dict()}
+            state |= {"config": config.identity()}
             torch.save(state, checkpoint.with_suffix(".tmp"))
             checkpoint.with_suffix(".tmp").replace(checkpoint)
-            save_weights(average, config.out / "gripper.safetensors")
-    return config.out / "gripper.safetensors"
+    weights = config.out / "gripper.safetensors"
+    save_weights(average, weights)
+    return weights

@@ -15,7 +15,7 @@ _WEIGHTS = click.option(
 )  # fmt: skip
 
 
-@click.group()
+@click.group(epilog="\b\nExample:\n  kinebench-drake perception evaluate samples/")
 def perception() -> None:
     """Train and measure the perception networks."""
 

@@ -29,7 +29,9 @@ def run(config: RunConfig) -> int:
 
 def _tell(config: RunConfig, summary: RunSummary) -> None:
     counted = ", ".join(f"{n} {status.value}" for status, n in summary.counts.items() if n)
-    if not summary.counts[Status.OK]:
+    if not any(summary.counts.values()):
+        click.echo("there was nothing to do: this shard holds no sample", err=True)
+    elif not summary.counts[Status.OK]:
         click.echo(f"nothing could be measured ({counted}); {config.out / 'samples.jsonl'} has the reasons", err=True)
     else:
         click.echo(counted)

@@ -15,7 +15,9 @@ def drawn_frames(n: int, intercept: float, weights: list[float]) -> tuple[FrameE
     x = rng.normal(size=(n, len(FEATURES)))
     good = rng.random(n) < expit(intercept + x @ np.array(weights))
     return tuple(
-        FrameErrors(features=row, position_m=0.002 if ok else 0.05, rotation_rad=0.01, mask_iou=0.9, depth_error=0.01)
+        FrameErrors(
+            scene=0, features=row, position_m=0.002 if ok else 0.05, rotation_rad=0.01, mask_iou=0.9, depth_error=0.01
+        )
         for row, ok in zip(x, good, strict=True)
     )
 

@@ -25,11 +25,15 @@ def test_an_interrupted_training_goes_on_to_the_same_weights(
 ) -> None:
     whole = load_file(train(config(shards, tmp_path / "whole"), lambda _: None))
 
-    def power_cut(*_: object) -> None:
-        raise KeyboardInterrupt
+    update = training._update_average
+
+    def cut_at_step_3(average: torch.nn.Module, network: torch.nn.Module, step: int) -> None:
+        if step == 2:
+            raise KeyboardInterrupt
+        update(average, network, step)
 
     with monkeypatch.context() as patch:
-        patch.setattr(training, "save_weights", power_cut)
+        patch.setattr(training, "_update_average", cut_at_step_3)
         with pytest.raises(KeyboardInterrupt):
             train(config(shards, tmp_path / "cut"), lambda _: None)
     said: list[str] = []
@@ -79,3 +83,13 @@ def test_the_likelihood_is_best_at_the_true_scale() -> None:
     assert scales[int(np.argmin(values))] == pytest.approx(np.log(0.1), abs=0.06)
     batch["part"][:] = 4  # the arm's coordinates are nobody's business
     assert float(losses(output_for(batch, 5.0, 0.0), batch).coordinates) == 0.0
+
+
+@pytest.mark.sapien
+def test_another_training_does_not_go_on_from_this_one(shards: Shards, tmp_path: Path) -> None:
+    from dataclasses import replace
+
+    first = replace(config(shards, tmp_path), steps=2)
+    train(first, lambda _: None)
+    with pytest.raises(UsageError, match="holds a training with"):
+        train(replace(first, seed=1), lambda _: None)
