@@ -1,3 +1,3 @@
-"""Judge robot videos by geometry: gripper tracks from pixels, Drake kinematics, closed-loop success."""
+"""Judge robot videos by geometry: gripper tracks from pixels, kinematics in Drake."""
 
 __version__ = "0.1.0"

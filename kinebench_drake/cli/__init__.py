@@ -56,7 +56,7 @@ class LazyGroup(click.Group):
 )
 @click.version_option(kinebench_drake.__version__, prog_name=PROGRAM)
 def cli() -> None:
-    """Judge robot videos by geometry: gripper tracks, Drake kinematics, closed-loop success."""
+    """Judge robot videos by geometry: gripper tracks and Drake kinematics."""
 
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
