@@ -43,9 +43,9 @@ class Grounding:
 class GroundingPipeline:
     """Tracker, confidence, smoothing, anomalies; one instance serves any number of videos."""
 
-    def __init__(self, tracker: PoseTracker, confidence: Confidence, *, smooth: bool = True) -> None:
-        """Compose the stages; `smooth` pulls each pose to its neighbours."""
-        self._tracker, self.confidence, self._smooth = tracker, confidence, smooth
+    def __init__(self, tracker: PoseTracker, confidence: Confidence) -> None:
+        """Compose the stages."""
+        self._tracker, self.confidence = tracker, confidence
 
     @classmethod
     def create(cls, device: str | None = None) -> "GroundingPipeline":
@@ -77,8 +77,7 @@ class GroundingPipeline:
         distance, angle = pose_difference(X_CH, smooth_track(X_CH, confidence, breaks, leave_out=True))
         tracked = (confidence >= SURE_CONFIDENCE) | ((distance <= AGREE_M) & (angle <= AGREE_RAD))
         X_CH[~tracked] = np.nan
-        if self._smooth:
-            X_CH = smooth_track(X_CH, confidence, breaks)
+        X_CH = smooth_track(X_CH, confidence, breaks)
         track = GripperTrack(
             t_s=t_s,
             X_CH=X_CH,

@@ -44,9 +44,9 @@ class IcpRefiner:
         self._vector = open3d.utility.Vector3dVector
         self._icp: Any = open3d.pipelines.registration
 
-    def refine(self, view: GripperView, X_VH: Array, finger_m: float, depth_factor: float = 1.0) -> Registration | None:
+    def refine(self, view: GripperView, X_VH: Array, finger_m: float) -> Registration | None:
         """Refine `X_VH` (4, 4) on the view's cloud; None when too few points match to say anything."""
-        cloud_V = gripper_cloud(view, depth_factor)
+        cloud_V = gripper_cloud(view)
         if len(cloud_V) < _MIN_POINTS:
             return None
         rays = view.rays().reshape(-1, 3)

@@ -10,7 +10,7 @@ from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, interpolate_pose, transform_points
 from kinebench_drake.grounding.crop import GRIPPER_CENTRE_H, Crop
 from kinebench_drake.grounding.fit import Fit, fit
-from kinebench_drake.grounding.registration import IcpRefiner, Registration
+from kinebench_drake.grounding.registration import IcpRefiner
 from kinebench_drake.grounding.view import DepthEstimator, Frames, GripperView
 from kinebench_drake.models.panda.cad import GripperCad
 from kinebench_drake.models.panda.part import Part
@@ -37,8 +37,6 @@ class FramePose:
     """Opening of each finger [m]; NaN when no finger was seen."""
     fit: Fit
     view: GripperView
-    registration: Registration | None
-    """How the cloud lies on the CAD surface; None where the depth is not exact, or ICP found no hold."""
     overlap: float
     """Intersection over union of the seen and the rendered gripper."""
 
@@ -125,7 +123,6 @@ class CadTracker:
             finger_m=first.finger_m,
             fit=first,
             view=view,
-            registration=refined,
             overlap=float((rendered & view.gripper).sum() / max(1, union.sum())),
         )
 

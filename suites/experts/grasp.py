@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kinebench_drake.geometry import Array, make_pose
+from kinebench_drake.geometry import Array
 
 OPEN_M = 0.08
 """Fingers wide open."""
@@ -45,8 +45,3 @@ def raised(X: ArrayLike, height_m: float) -> Array:
     X = np.array(X, dtype=np.float64)
     X[2, 3] += height_m
     return X
-
-
-def backed_off(X_BG: ArrayLike, distance_m: float) -> Array:
-    """The gripper pose (4, 4) drawn back along its own approach direction."""
-    return np.asarray(X_BG) @ make_pose(np.eye(3), [0.0, 0.0, -distance_m])

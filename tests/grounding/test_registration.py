@@ -31,20 +31,15 @@ def test_a_start_far_off_is_not_called_a_fit(cad: GripperCad) -> None:
 
 def test_the_cloud_lies_on_the_rays_at_the_depth(cad: GripperCad) -> None:
     view = perfect_view(cad, hand_pose(2))
-    cloud = gripper_cloud(view, 1.1)
+    cloud = gripper_cloud(view)
     assert 0.5 * view.gripper.sum() < len(cloud) <= view.gripper.sum()
     pixel = cloud[:, :2] / cloud[:, 2:] * view.crop.focal + view.crop.size / 2
     cell = (pixel / view.stride).astype(int)
-    np.testing.assert_allclose(cloud[:, 2], 1.1 * view.depth_m[cell[:, 1], cell[:, 0]])
+    np.testing.assert_allclose(cloud[:, 2], view.depth_m[cell[:, 1], cell[:, 0]])
 
 
 def test_rays_meet_the_fingers_where_the_opening_puts_them(cad: GripperCad) -> None:
-    X_VH = make_pose(np.eye(3), [0, 0, 0.4])
     tip = 0.1034
-    for opening in (0.0, 0.03):
-        side = np.array([[0.0, y, 0.4 + tip] for y in (opening + 0.005, -opening - 0.005)])
-        parts = cad.cast(X_VH @ make_pose(rotation_exp([np.pi / 2, 0, 0]), [0, 0, 0]), side, opening).part
-        assert parts.shape == (2,)
     down = make_pose(rotation_exp([np.pi, 0, 0]), [0.0, 0.0, 0.5])  # fingers towards the camera
     for opening in (0.01, 0.03):
         rays = np.array(

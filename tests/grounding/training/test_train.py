@@ -23,6 +23,7 @@ def config(shards: Shards, out: Path) -> TrainingConfig:
 def test_an_interrupted_training_goes_on_to_the_same_weights(
     shards: Shards, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(training, "_WARM_UP_STEPS", 1)  # steps large enough to tell a lost state
     whole = load_file(train(config(shards, tmp_path / "whole"), lambda _: None))
 
     update = training._update_average
@@ -41,7 +42,7 @@ def test_an_interrupted_training_goes_on_to_the_same_weights(
     assert said == ["going on from step 2"]
     assert whole.keys() == resumed.keys()
     for key, value in whole.items():
-        torch.testing.assert_close(resumed[key], value, atol=2e-3, rtol=2e-2, msg=key)
+        torch.testing.assert_close(resumed[key], value, atol=2e-4, rtol=2e-3, msg=key)
     network = load_network(tmp_path / "cut" / "gripper.safetensors")
     with torch.inference_mode():
         assert torch.isfinite(network(torch.rand(1, 3, 64, 64)).coordinates).all()
