@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from enum import Enum
 from types import MappingProxyType
 
 import numpy as np
@@ -15,6 +14,8 @@ from kinebench_drake.kinematics.ik import POSITION_TOLERANCE_M, ROTATION_TOLERAN
 from kinebench_drake.kinematics.manipulability import manipulability
 from kinebench_drake.kinematics.plant import PandaPlant
 from kinebench_drake.metrics.smoothness import runs, track_smoothness
+from kinebench_drake.metrics.violation import Violation as Violation
+from kinebench_drake.metrics.violation import ViolationKind as ViolationKind
 from kinebench_drake.models.panda.robot import ARM_JOINTS
 from kinebench_drake.products import GripperTrack, IkStatus, JointTrack
 
@@ -37,37 +38,6 @@ _LATER = (
     "self_distance_min_m",
     "table_distance_min_m",
 )
-
-
-class ViolationKind(Enum):
-    """What a track asks of the robot that it cannot do."""
-
-    UNREACHABLE = "unreachable"
-    JOINT_LIMIT = "joint_limit"
-    SELF_COLLISION = "self_collision"
-    TABLE_COLLISION = "table_collision"
-    VELOCITY = "velocity"
-    ACCELERATION = "acceleration"
-    JERK = "jerk"
-    TORQUE = "torque"
-    DISCONTINUITY = "discontinuity"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Violation:
-    """One limit broken over a range of frames."""
-
-    kind: ViolationKind
-    frame_start: int
-    """First affected frame (0-based)."""
-    frame_end: int
-    """Last affected frame, inclusive."""
-    joint: str | None
-    """Name of the joint, such as panda_joint4; None if no single joint is at fault."""
-    value: float
-    """The worst value: distance left to the pose [m] (unreachable), angle [rad] (joint_limit), speed [rad/s]."""
-    limit: float
-    """What the value may be at most, or at least for a lower joint limit; in the value's unit."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
