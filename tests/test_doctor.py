@@ -128,7 +128,7 @@ def test_unusable_cache_folder_fails(monkeypatch: pytest.MonkeyPatch, tmp_path: 
 
 
 def test_cache_folder_is_the_one_that_is_used(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    from kinebench_drake.models.panda.robot import cache_folder
+    from kinebench_drake.models.urdf import cache_folder
 
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     assert doctor._cache_folder() == str(cache_folder())

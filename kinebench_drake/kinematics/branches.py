@@ -6,7 +6,7 @@ import numpy as np
 
 from kinebench_drake.geometry import Array
 from kinebench_drake.kinematics.analytic import analytic_ik
-from kinebench_drake.kinematics.plant import PandaPlant
+from kinebench_drake.kinematics.plant import ArmPlant
 
 SWEEP = 128
 """Angles of joint 7 tried over a full turn (one every 2.8 degrees)."""
@@ -25,18 +25,18 @@ def postures(X_BG: Array, samples: int = SWEEP) -> Array:
     return q[np.isfinite(q[:, 0])]
 
 
-def excess(plant: PandaPlant, q: Array) -> Array:
+def excess(plant: ArmPlant, q: Array) -> Array:
     """How far (..., 7) [rad] each joint of `q` is past its limit; 0 within."""
     return np.asarray(np.maximum(np.maximum(plant.lower - q, q - plant.upper), 0.0))
 
 
-def least_excess(plant: PandaPlant, X_BG: Array) -> Array | None:
+def least_excess(plant: ArmPlant, X_BG: Array) -> Array | None:
     """Posture (7,) [rad] that reaches `X_BG` with its worst joint least past its limit; None if out of reach."""
     q = postures(X_BG)
     return None if len(q) == 0 else np.asarray(q[np.argmin(excess(plant, q).max(axis=-1))])
 
 
-def smoothest_path(plant: PandaPlant, t_s: Array, X_BG: Array, q_start: Array) -> Array:
+def smoothest_path(plant: ArmPlant, t_s: Array, X_BG: Array, q_start: Array) -> Array:
     """One posture a pose (T, 7) [rad] of the path that asks least of the joints, to the grid's fineness.
 
     Dynamic programming over the grid of postures of every pose, then again over finer grids around the path found. A
@@ -63,11 +63,11 @@ def smoothest_path(plant: PandaPlant, t_s: Array, X_BG: Array, q_start: Array) -
     return path
 
 
-def _allowed(plant: PandaPlant, q: Array, slack: float) -> Array:
+def _allowed(plant: ArmPlant, q: Array, slack: float) -> Array:
     return np.asarray(q[excess(plant, q).max(axis=-1, initial=0.0) <= slack])
 
 
-def _cheapest(plant: PandaPlant, t_s: Array, layers: list[Array], q_start: Array, grid: float) -> Array:
+def _cheapest(plant: ArmPlant, t_s: Array, layers: list[Array], q_start: Array, grid: float) -> Array:
     """Path (T, 7) through `layers` (T of (N_t, 7), some empty); a step may owe `grid` [rad] to the grid alone."""
     path = np.full((len(t_s), 7), np.nan)
     frames = [i for i, layer in enumerate(layers) if len(layer)]
@@ -92,7 +92,7 @@ def _cheapest(plant: PandaPlant, t_s: Array, layers: list[Array], q_start: Array
     return path
 
 
-def speed_ratios(plant: PandaPlant, t_s: Array, q: Array) -> Array:
+def speed_ratios(plant: ArmPlant, t_s: Array, q: Array) -> Array:
     """Greatest joint speed / its limit (n - 1,) between consecutive finite rows of `q` (T, 7) [rad]."""
     kept = np.isfinite(q[:, 0])
     rate = np.abs(np.diff(q[kept], axis=0)) / np.diff(t_s[kept])[:, None]

@@ -9,7 +9,7 @@ from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array, make_pose, orthonormalize, pose_difference
 from kinebench_drake.kinematics.branches import excess, postures, smooth, smoothest_path, speed_ratios
 from kinebench_drake.kinematics.newton import REACHED_M, newton, snopt
-from kinebench_drake.kinematics.plant import PandaPlant
+from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.models.panda.robot import rest_q
 from kinebench_drake.products import GripperTrack, IkStatus, JointTrack
 
@@ -43,7 +43,7 @@ def _rigid(X_BG: ArrayLike) -> Array:
     return make_pose(orthonormalize(X_BG[:3, :3]), X_BG[:3, 3])
 
 
-def _solution(plant: PandaPlant, X_BG: Array, q: Array, failure: IkStatus = IkStatus.UNREACHABLE) -> IkSolution:
+def _solution(plant: ArmPlant, X_BG: Array, q: Array, failure: IkStatus = IkStatus.UNREACHABLE) -> IkSolution:
     position, rotation = (float(d) for d in pose_difference(plant.forward(q), X_BG))
     reached = position <= POSITION_TOLERANCE_M and rotation <= ROTATION_TOLERANCE_RAD
     return IkSolution(
@@ -54,7 +54,7 @@ def _solution(plant: PandaPlant, X_BG: Array, q: Array, failure: IkStatus = IkSt
     )
 
 
-def solve_pose(plant: PandaPlant, X_BG: ArrayLike, q_seed: ArrayLike) -> IkSolution:
+def solve_pose(plant: ArmPlant, X_BG: ArrayLike, q_seed: ArrayLike) -> IkSolution:
     """Joint angles that bring panda_hand_tcp to a pose, near `q_seed` where there is a choice.
 
     Newton steps from the seed do it as a rule (some 0.15 ms). If not, all postures that reach the pose come from the
@@ -78,7 +78,7 @@ def solve_pose(plant: PandaPlant, X_BG: ArrayLike, q_seed: ArrayLike) -> IkSolut
     return _solve_anywhere(plant, X_BG, q_seed, near, near_error)
 
 
-def _solve_anywhere(plant: PandaPlant, X_BG: Array, q_seed: Array, near: Array, near_error: float) -> IkSolution:
+def _solve_anywhere(plant: ArmPlant, X_BG: Array, q_seed: Array, near: Array, near_error: float) -> IkSolution:
     candidates = postures(X_BG)
     worst = excess(plant, candidates).max(axis=-1, initial=0.0)
     inside = candidates[worst <= 0.0]
@@ -106,13 +106,13 @@ def _solve_anywhere(plant: PandaPlant, X_BG: Array, q_seed: Array, near: Array, 
     return _solution(plant, X_BG, q, failure) if e < error else solution
 
 
-def _spread(plant: PandaPlant) -> list[Array]:
+def _spread(plant: ArmPlant) -> list[Array]:
     """A few fixed postures all over the joint ranges, the rest posture first."""
     rng = np.random.default_rng(0)
     return [rest_q(), *rng.uniform(plant.lower, plant.upper, size=(_STARTS - 1, 7))]
 
 
-def solve_track(plant: PandaPlant, track: GripperTrack) -> JointTrack:
+def solve_track(plant: ArmPlant, track: GripperTrack) -> JointTrack:
     """Joint angles along a track, continuous from frame to frame wherever the poses and limits allow it.
 
     The first frame takes the posture nearest to ManiSkill's rest posture, every later one starts from the frame
@@ -143,7 +143,7 @@ def solve_track(plant: PandaPlant, track: GripperTrack) -> JointTrack:
     return _joint_track(track, frames, solutions)
 
 
-def _first_seed(plant: PandaPlant, X_BG: Array) -> Array:
+def _first_seed(plant: ArmPlant, X_BG: Array) -> Array:
     candidates = postures(X_BG)
     inside = candidates[excess(plant, candidates).max(axis=-1, initial=0.0) <= 0.0]
     return inside[np.argmin(np.sum((inside - rest_q()) ** 2, axis=-1))] if len(inside) else rest_q()
@@ -153,12 +153,12 @@ def _failures(solutions: list[IkSolution]) -> int:
     return sum(s.status is not IkStatus.OK for s in solutions)
 
 
-def _peak_speed(plant: PandaPlant, t_s: Array, solutions: list[IkSolution]) -> float:
+def _peak_speed(plant: ArmPlant, t_s: Array, solutions: list[IkSolution]) -> float:
     q = [s.q if s.status is IkStatus.OK else np.full(7, np.nan) for s in solutions]
     return float(speed_ratios(plant, t_s, np.reshape(q, (-1, 7))).max(initial=0.0))
 
 
-def _follow(plant: PandaPlant, poses: list[Array], seed: Array) -> list[IkSolution]:
+def _follow(plant: ArmPlant, poses: list[Array], seed: Array) -> list[IkSolution]:
     """Solutions of `poses`, each started from the one before, the first from `seed`."""
     solutions = []
     for X_BG in poses:
@@ -167,7 +167,7 @@ def _follow(plant: PandaPlant, poses: list[Array], seed: Array) -> list[IkSoluti
     return solutions
 
 
-def _follow_smoothest(plant: PandaPlant, t_s: Array, poses: list[Array]) -> list[IkSolution]:
+def _follow_smoothest(plant: ArmPlant, t_s: Array, poses: list[Array]) -> list[IkSolution]:
     """Solutions near the smoothest path of the grid, smoothed further; gaps in it start from their neighbours."""
     grid = smoothest_path(plant, t_s, np.array(poses), rest_q())
     kept = np.flatnonzero(np.isfinite(grid[:, 0]))

@@ -7,7 +7,8 @@ from numpy.typing import ArrayLike
 
 from kinebench_drake.errors import UsageError
 from kinebench_drake.geometry import Array
-from kinebench_drake.kinematics.plant import N_JOINTS, PandaPlant
+from kinebench_drake.kinematics.plant import ArmPlant
+from kinebench_drake.models.robot import N_JOINTS
 
 COST_OFFSET = 1e-6
 """Added to the manipulability in PyRoki's cost, which is then at most 1e6."""
@@ -44,7 +45,7 @@ class Manipulability:
     """(T,) PyRoki's cost of `translation`."""
 
 
-def manipulability(plant: PandaPlant, q: ArrayLike) -> Manipulability:
+def manipulability(plant: ArmPlant, q: ArrayLike) -> Manipulability:
     """Manipulability at each row of `q` (T, 7) [rad].
 
     Raises:

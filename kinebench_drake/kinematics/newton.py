@@ -8,7 +8,8 @@ from pydrake.multibody.inverse_kinematics import InverseKinematics
 from pydrake.solvers import SnoptSolver, SolverOptions
 
 from kinebench_drake.geometry import Array, rotation_log
-from kinebench_drake.kinematics.plant import N_JOINTS, PandaPlant
+from kinebench_drake.kinematics.plant import ArmPlant
+from kinebench_drake.models.robot import N_JOINTS
 
 ROTATION_ARM_M = 0.1
 """Metres that a radian counts for when both errors cannot vanish: 10 mm weigh as much as 5.7 degrees."""
@@ -58,7 +59,7 @@ def _step(J: Array, e: Array, damping: float, below: Array, above: Array) -> Arr
 
 
 def newton(
-    plant: PandaPlant, X_BG: Array, q: Array, *, bounded: bool = True, iterations: int = 40
+    plant: ArmPlant, X_BG: Array, q: Array, *, bounded: bool = True, iterations: int = 40
 ) -> tuple[Array, float]:
     """Damped Newton (Levenberg-Marquardt) steps on Drake's Jacobian from posture `q`, with an active set of limits.
 
@@ -104,7 +105,7 @@ def newton(
     return q, float(np.sqrt(cost))
 
 
-def snopt(plant: PandaPlant, X_BG: Array, q: Array) -> Array:
+def snopt(plant: ArmPlant, X_BG: Array, q: Array) -> Array:
     """Posture (7,) [rad] within limits from Drake's InverseKinematics with SNOPT, started at `q`; not verified.
 
     Slower than `newton` by ten times, but its path through the joint space is another: worth asking before a pose is

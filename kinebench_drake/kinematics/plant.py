@@ -1,102 +1,119 @@
-"""The Panda as a Drake plant: forward kinematics, Jacobian, limits."""
+"""The arm as a Drake plant: forward kinematics, Jacobian, limits, dynamics, and the geometry for distances."""
 
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+from pydrake.geometry import CollisionFilterDeclaration, GeometrySet
 from pydrake.math import RigidTransform
 from pydrake.multibody.parsing import Parser
-from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import JacobianWrtVariable
+from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
+from pydrake.multibody.tree import JacobianWrtVariable, MultibodyForces
+from pydrake.systems.framework import DiagramBuilder
 
 from kinebench_drake.errors import UsageError
 from kinebench_drake.geometry import Array
-from kinebench_drake.models.panda.robot import (
-    ARM_JOINTS,
-    BASE_LINK,
-    FINGER_JOINTS,
-    HAND_LINK,
-    LINKS,
-    TCP_LINK,
-    panda_urdf,
-)
-
-N_JOINTS = 7
+from kinebench_drake.models.panda.robot import panda
+from kinebench_drake.models.robot import N_JOINTS, Robot
 
 
-class PandaPlant:
-    """Kinematics of the Panda's seven arm joints, with panda_link0 (B) fixed; no geometry, no collisions.
+class ArmPlant:
+    """A seven-joint arm with its base link fixed at the origin of B.
 
     Holds one Drake context that every call overwrites: make one object a thread. The fingers are present in the plant
-    (as positions 8 and 9) but stay where `finger_width_m` puts them.
+    (as positions 8 and beyond) but stay where `finger_width_m` puts them.
     """
 
-    def __init__(self, *, finger_width_m: float = 0.08) -> None:
-        """Load the robot (some 10 ms; the first time ever some seconds, to convert the meshes).
+    def __init__(self, robot: Robot | None = None, *, finger_width_m: float = 0.08) -> None:
+        """Load the robot (some 100 ms; the first time ever some seconds, to convert the meshes).
 
         Args:
-            finger_width_m: gap between the finger pads, 0..0.08 [m].
+            robot: the arm; None takes the Panda.
+            finger_width_m: gap between the finger pads where a call names none, 0..0.08 [m].
 
         Raises:
-            SetupError: the robot's files are missing or cannot be converted.
+            SetupError: the Panda's files are missing or cannot be converted.
         """
-        plant: Any = MultibodyPlant(time_step=0.0)
-        parser: Any = Parser(plant)
-        parser.AddModels(str(panda_urdf()))
-        plant.WeldFrames(plant.world_frame(), plant.GetFrameByName(BASE_LINK), RigidTransform())
+        self.robot = robot or panda()
+        """Names, files and published limits."""
+        builder: Any = DiagramBuilder()
+        plant: Any
+        plant, scene_graph = AddMultibodyPlantSceneGraph(builder, 0.0)
+        Parser(plant).AddModels(str(self.robot.urdf))
+        plant.WeldFrames(plant.world_frame(), plant.GetFrameByName(self.robot.base_link), RigidTransform())
         plant.Finalize()
+        _allow(plant, scene_graph, self.robot)
         self.drake: Any = plant
-        """The Drake plant itself, finalised: 7 arm joints, then 2 finger joints."""
-        self.context: Any = plant.CreateDefaultContext()
-        """The context that the methods use."""
-        joints = [plant.GetJointByName(name) for name in ARM_JOINTS]
-        fingers = [plant.GetJointByName(name) for name in FINGER_JOINTS]
-        if [joint.position_start() for joint in (*joints, *fingers)] != list(range(N_JOINTS + len(fingers))):
-            raise RuntimeError("the plant's joints are not in the URDF's order")
+        """The Drake plant itself, finalised: 7 arm joints, then the fingers."""
+        self.diagram: Any = builder.Build()
+        """The plant connected to its scene graph."""
+        self._root = self.diagram.CreateDefaultContext()
+        self.context: Any = plant.GetMyMutableContextFromRoot(self._root)
+        """The plant's context that the methods use."""
+        joints = [plant.GetJointByName(name) for name in self.robot.joints]
+        fingers = [plant.GetJointByName(name) for name in self.robot.finger_joints]
+        if [joint.position_start() for joint in (*joints, *fingers)] != list(range(plant.num_positions())):
+            raise RuntimeError("the plant's joints are not in the robot's order")
         self.lower = np.array([joint.position_lower_limit() for joint in joints])
         """(7,) lower joint limits [rad]."""
         self.upper = np.array([joint.position_upper_limit() for joint in joints])
         """(7,) upper joint limits [rad]."""
         self.velocity_limits = np.array([float(joint.velocity_upper_limits()[0]) for joint in joints])
         """(7,) greatest joint speeds [rad/s]."""
-        self._positions = np.full(N_JOINTS + len(fingers), finger_width_m / 2.0)
-        self.base_frame: Any = plant.GetFrameByName(BASE_LINK)
+        self.effort_limits = self.robot.effort_limits
+        """(7,) greatest joint torques [N m]."""
+        self.acceleration_limits = self.robot.acceleration_limits
+        """(7,) greatest joint accelerations [rad/s^2]; None where unpublished."""
+        self.jerk_limits = self.robot.jerk_limits
+        """(7,) greatest joint jerks [rad/s^3]; None where unpublished."""
+        self.finger_width_m = finger_width_m
+        """Gap between the finger pads where a call names none [m]."""
+        self._positions = np.full(plant.num_positions(), finger_width_m / 2.0)
+        self.base_frame: Any = plant.GetFrameByName(self.robot.base_link)
         """Frame B."""
-        self.tcp_frame: Any = plant.GetFrameByName(TCP_LINK)
+        self.tcp_frame: Any = plant.GetFrameByName(self.robot.tcp_link)
         """Frame G."""
-        self._hand = plant.GetFrameByName(HAND_LINK)
-        self._links = {name: plant.GetFrameByName(name) for name in LINKS}
+        self._hand = plant.GetFrameByName(self.robot.hand_link)
+        self._links = {name: plant.GetFrameByName(name) for name in self.robot.links}
         self._origin = np.zeros(3)
+        self._rates = np.zeros((2, plant.num_velocities()))
 
-    def _set(self, q: ArrayLike) -> None:
+    def set_posture(self, q: ArrayLike, finger_width_m: float | None = None) -> None:
+        """Put the plant's context into a posture `q` (7,) [rad], the fingers `finger_width_m` apart.
+
+        Raises:
+            UsageError: `q` is not (7,).
+        """
         q = np.asarray(q, dtype=np.float64)
         if q.shape != (N_JOINTS,):
             raise UsageError(f"q has shape {q.shape}, expected the 7 arm joints in radians")
         self._positions[:N_JOINTS] = q
+        width = self.finger_width_m if finger_width_m is None else finger_width_m
+        self._positions[N_JOINTS:] = width / 2.0
         self.drake.SetPositions(self.context, self._positions)
 
     def forward(self, q: ArrayLike) -> Array:
-        """Pose X_BG (4, 4) of panda_hand_tcp in panda_link0 [m] at joint angles `q` (7,) [rad]."""
-        self._set(q)
+        """Pose X_BG (4, 4) of the TCP in the base [m] at joint angles `q` (7,) [rad]."""
+        self.set_posture(q)
         return np.asarray(self.tcp_frame.CalcPoseInWorld(self.context).GetAsMatrix4())
 
     def forward_hand(self, q: ArrayLike) -> Array:
-        """Pose X_BH (4, 4) of panda_hand in panda_link0 [m] at joint angles `q` (7,) [rad]."""
-        self._set(q)
+        """Pose X_BH (4, 4) of the hand in the base [m] at joint angles `q` (7,) [rad]."""
+        self.set_posture(q)
         return np.asarray(self._hand.CalcPoseInWorld(self.context).GetAsMatrix4())
 
     def link_poses(self, q: ArrayLike) -> dict[str, Array]:
-        """Poses (4, 4) in panda_link0 [m] of all links of `robot.LINKS`, by name, at joint angles `q` (7,) [rad]."""
-        self._set(q)
+        """Poses (4, 4) in the base [m] of all links of `robot.links`, by name, at joint angles `q` (7,) [rad]."""
+        self.set_posture(q)
         return {name: np.asarray(f.CalcPoseInWorld(self.context).GetAsMatrix4()) for name, f in self._links.items()}
 
     def jacobian(self, q: ArrayLike) -> Array:
-        """Geometric Jacobian (6, 7) of panda_hand_tcp in B at `q` (7,) [rad]: `V_BG = J @ qdot`.
+        """Geometric Jacobian (6, 7) of the TCP in B at `q` (7,) [rad]: `V_BG = J @ qdot`.
 
         Rows 0-2 are the angular velocity [rad/s], rows 3-5 the velocity of the TCP's origin [m/s], both expressed in
         B (Drake's order of a spatial velocity).
         """
-        self._set(q)
+        self.set_posture(q)
         return self._jacobian()
 
     def _jacobian(self) -> Array:
@@ -107,5 +124,38 @@ class PandaPlant:
 
     def forward_and_jacobian(self, q: ArrayLike) -> tuple[Array, Array]:
         """Both `forward(q)` and `jacobian(q)`, at the price of one."""
-        self._set(q)
+        self.set_posture(q)
         return np.asarray(self.tcp_frame.CalcPoseInWorld(self.context).GetAsMatrix4()), self._jacobian()
+
+    def torque(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Array:
+        """Joint torques (7,) [N m] that move the arm with nothing in its hand, by Drake's inverse dynamics.
+
+        tau = M(q) a + C(q, v) v - tau_g(q), without friction: `q` (7,) [rad], `v` [rad/s], `a` [rad/s^2]. The fingers
+        stay still.
+        """
+        self.set_posture(q)
+        self._rates[:, :N_JOINTS] = v, a
+        self.drake.SetVelocities(self.context, self._rates[0])
+        inverse = self.drake.CalcInverseDynamics(self.context, self._rates[1], MultibodyForces(self.drake))
+        gravity = self.drake.CalcGravityGeneralizedForces(self.context)
+        return np.asarray((inverse - gravity)[:N_JOINTS])
+
+    def mass_matrix(self, q: ArrayLike) -> Array:
+        """Mass matrix (7, 7) [kg m^2] of the arm at `q` (7,) [rad], the fingers held."""
+        self.set_posture(q)
+        return np.asarray(self.drake.CalcMassMatrix(self.context)[:N_JOINTS, :N_JOINTS])
+
+    def query(self, q: ArrayLike, finger_width_m: float | None = None) -> Any:
+        """Drake's QueryObject of all geometry at `q` (7,) [rad]; allowed pairs of links are left out."""
+        self.set_posture(q, finger_width_m)
+        return self.drake.get_geometry_query_input_port().Eval(self.context)
+
+
+def _allow(plant: Any, scene_graph: Any, robot: Robot) -> None:
+    """Take the robot's allowed pairs out of the search for contacts."""
+    manager = scene_graph.collision_filter_manager()
+    for pair in sorted(robot.allowed_pairs, key=sorted):
+        bodies = [plant.GetBodyByName(name) for name in pair if plant.HasBodyNamed(name)]
+        if len(bodies) == 2:
+            first, second = (GeometrySet(plant.GetCollisionGeometriesForBody(body)) for body in bodies)
+            manager.Apply(CollisionFilterDeclaration().ExcludeBetween(first, second))

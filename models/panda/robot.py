@@ -1,22 +1,19 @@
-"""The Franka Panda for Drake: the URDF of the installed mani_skill package with meshes that Drake can read.
+"""The Franka Panda for Drake: the URDF of the installed mani_skill package, and the maker's limits.
 
 ManiSkill's `panda_v2.urdf` is the robot that the tasks are executed with; its collision meshes are .stl and its visual
-meshes .glb, which Drake's collision engine does not take. They are converted once into the user's cache folder.
+meshes .glb, which Drake's collision engine does not take: they are converted (`models.urdf`).
 """
 
-import hashlib
 import importlib.util
-import os
-import shutil
-import tempfile
-import xml.etree.ElementTree as ElementTree
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 
-from kinebench_drake.errors import SetupError
+from kinebench_drake.errors import InputError, SetupError
 from kinebench_drake.geometry import Array, make_pose
+from kinebench_drake.models.robot import Robot
+from kinebench_drake.models.urdf import convert_urdf, read_allowed_pairs, read_effort_limits
 
 BASE_LINK = "panda_link0"
 """Frame B."""
@@ -36,9 +33,13 @@ FINGER_JOINTS = ("panda_finger_joint1", "panda_finger_joint2")
 HAND_TO_TCP_M = 0.1034
 """Distance of panda_hand_tcp from panda_hand along z [m]."""
 
+ACCELERATION_LIMITS = (15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0)
+"""Greatest joint accelerations [rad/s^2]: Franka Control Interface documentation, "Robot and interface specifications"
+(Panda), as in libfranka's rate_limiting.h."""
+JERK_LIMITS = (7500.0, 3750.0, 5000.0, 6250.0, 7500.0, 10000.0, 10000.0)
+"""Greatest joint jerks [rad/s^3], from the same source."""
+
 _URDF = Path("assets/robots/panda/panda_v2.urdf")
-_CONVERSION = "2"  # raise it when the conversion changes, so that caches of an older version are not used
-_VISUAL_COLOR = "0.9 0.92 0.93 1"
 
 
 def hand_from_tcp() -> Array:
@@ -68,74 +69,37 @@ def source_urdf() -> Path:
     return path
 
 
-def cache_folder() -> Path:
-    """Where converted models are kept: $XDG_CACHE_HOME/kinebench_drake, else ~/.cache/kinebench_drake."""
-    base = os.environ.get("XDG_CACHE_HOME")
-    return (Path(base) if base else Path.home() / ".cache") / "kinebench_drake"
-
-
 @cache
 def panda_urdf() -> Path:
-    """Path of a URDF that Drake can load, converted on first use (seconds) and then taken from the cache.
-
-    Collision meshes become their convex hulls (.obj), visual meshes one-colour .obj files with the source's triangles.
-    The second finger's `mimic` and the `safety_controller` elements are dropped: Drake has no use for them in a
-    continuous-time plant. Everything else is the source's.
+    """Path of the Panda's URDF with meshes that Drake can load, converted on first use.
 
     Raises:
-        SetupError: mani_skill is missing, or the cache folder cannot be written.
+        SetupError: mani_skill is missing or damaged, or the cache folder cannot be written.
     """
-    source = source_urdf()
-    root = ElementTree.parse(source).getroot()
-    meshes = sorted({str(mesh.get("filename")) for mesh in root.iter("mesh")})
-    digest = hashlib.sha256(_CONVERSION.encode() + source.read_bytes())
-    for name in meshes:
-        digest.update(name.encode() + (source.parent / name).read_bytes())
-    folder = cache_folder() / f"panda-{digest.hexdigest()[:16]}"
-    urdf = folder / "panda.urdf"
-    if not urdf.is_file():
-        try:
-            _convert(source.parent, root, folder)
-        except OSError as error:
-            raise SetupError(
-                f"cannot write the converted robot to {folder} ({error}); set XDG_CACHE_HOME to a writable folder"
-            ) from error
-    return urdf
-
-
-def _convert(source: Path, root: ElementTree.Element, folder: Path) -> None:
-    """Write URDF and meshes to a folder beside `folder`, then move it there in one step: a race has no loser."""
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    work = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
     try:
-        for parent in list(root.iter()):
-            for tag in ("mimic", "safety_controller"):
-                for child in parent.findall(tag):
-                    parent.remove(child)
-        for kind in ("collision", "visual"):
-            for element in root.iter(kind):
-                if kind == "visual" and element.find("material") is None:
-                    material = ElementTree.SubElement(element, "material", name="panda_white")
-                    ElementTree.SubElement(material, "color", rgba=_VISUAL_COLOR)
-                for node in element.iter("mesh"):
-                    origin = source / str(node.get("filename"))
-                    target = f"{kind}_{origin.stem}.obj"
-                    node.set("filename", target)
-                    if not (work / target).exists():
-                        _convert_mesh(origin, work / target, hull=kind == "collision")
-        ElementTree.ElementTree(root).write(work / "panda.urdf", encoding="utf-8", xml_declaration=True)
-        try:
-            os.replace(work, folder)
-        except OSError:
-            if not (folder / "panda.urdf").is_file():  # else another process was first, with the same bytes
-                raise
-    finally:
-        shutil.rmtree(work, ignore_errors=True)
+        return convert_urdf(source_urdf(), "panda")
+    except InputError as error:
+        raise SetupError(f"mani_skill's Panda is damaged, reinstall mani-skill 3.0.x ({error})") from None
 
 
-def _convert_mesh(source: Path, target: Path, *, hull: bool) -> None:
-    import trimesh  # half a second that only the first run ever needs
+def panda() -> Robot:
+    """The Panda with its own gripper, as ManiSkill has it.
 
-    mesh = trimesh.load(source, force="mesh")
-    mesh = mesh.convex_hull if hull else trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
-    target.write_text(trimesh.exchange.obj.export_obj(mesh, include_normals=False, include_texture=False, header=None))
+    Raises:
+        SetupError: mani_skill is missing or damaged, or the cache folder cannot be written.
+    """
+    return Robot(
+        name="panda",
+        urdf=panda_urdf(),
+        base_link=BASE_LINK,
+        tcp_link=TCP_LINK,
+        hand_link=HAND_LINK,
+        joints=ARM_JOINTS,
+        finger_joints=FINGER_JOINTS,
+        links=LINKS,
+        rest_q=rest_q(),
+        effort_limits=read_effort_limits(source_urdf(), ARM_JOINTS),
+        acceleration_limits=np.array(ACCELERATION_LIMITS),
+        jerk_limits=np.array(JERK_LIMITS),
+        allowed_pairs=read_allowed_pairs(source_urdf().with_suffix(".srdf")),
+    )

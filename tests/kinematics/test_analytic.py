@@ -2,10 +2,10 @@ import numpy as np
 
 from kinebench_drake.geometry import make_pose, pose_difference
 from kinebench_drake.kinematics.analytic import analytic_ik
-from kinebench_drake.kinematics.plant import PandaPlant
+from kinebench_drake.kinematics.plant import ArmPlant
 
 
-def test_every_branch_reaches_the_pose_and_one_is_the_posture_it_came_from(plant: PandaPlant) -> None:
+def test_every_branch_reaches_the_pose_and_one_is_the_posture_it_came_from(plant: ArmPlant) -> None:
     rng = np.random.default_rng(0)
     branches_seen = set()
     for q in rng.uniform(plant.lower, plant.upper, size=(100, 7)):
@@ -20,7 +20,7 @@ def test_every_branch_reaches_the_pose_and_one_is_the_posture_it_came_from(plant
     assert branches_seen == set(range(8))
 
 
-def test_branches_differ_from_each_other(plant: PandaPlant) -> None:
+def test_branches_differ_from_each_other(plant: ArmPlant) -> None:
     q = np.array([0.3, -0.4, 0.5, -1.9, 0.2, 1.8, -0.6])
     solutions = analytic_ik(plant.forward(q), q[6])[0]
     solutions = solutions[np.isfinite(solutions[:, 0])]

@@ -7,7 +7,7 @@ from kinebench_drake.geometry import Array, make_pose, pose_difference, rotation
 from kinebench_drake.kinematics.branches import excess, least_excess, postures, smoothest_path, speed_ratios
 from kinebench_drake.kinematics.ik import solve_pose, solve_track
 from kinebench_drake.kinematics.newton import newton, snopt
-from kinebench_drake.kinematics.plant import PandaPlant
+from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.models.panda.robot import rest_q
 from kinebench_drake.products import GripperTrack, IkStatus
 
@@ -46,7 +46,7 @@ PAST_LIMIT = {
 """Postures with one joint past its limit whose poses no posture within limits reaches (a dense sweep says so)."""
 
 
-def test_forward_of_ik_is_the_pose_within_limits(plant: PandaPlant) -> None:
+def test_forward_of_ik_is_the_pose_within_limits(plant: ArmPlant) -> None:
     rng = np.random.default_rng(0)
     for q in rng.uniform(plant.lower, plant.upper, size=(100, 7)):
         X_BG = plant.forward(q)
@@ -58,25 +58,25 @@ def test_forward_of_ik_is_the_pose_within_limits(plant: PandaPlant) -> None:
         assert (solution.q <= plant.upper).all()
 
 
-def test_a_seed_at_the_solution_is_kept(plant: PandaPlant) -> None:
+def test_a_seed_at_the_solution_is_kept(plant: ArmPlant) -> None:
     rng = np.random.default_rng(1)
     for q in rng.uniform(plant.lower, plant.upper, size=(20, 7)):
         np.testing.assert_allclose(solve_pose(plant, plant.forward(q), q).q, q, atol=1e-9)
 
 
-def test_a_near_seed_leads_to_a_near_solution(plant: PandaPlant) -> None:
+def test_a_near_seed_leads_to_a_near_solution(plant: ArmPlant) -> None:
     q = np.array([0.3, 0.4, 0.2, -1.9, 0.2, 2.2, 0.6])
     X_BG = plant.forward(q)
     assert np.abs(solve_pose(plant, X_BG, q + 0.02).q - q).max() < 0.1
 
 
-def test_rotations_that_are_slightly_off_are_made_orthonormal(plant: PandaPlant) -> None:
+def test_rotations_that_are_slightly_off_are_made_orthonormal(plant: ArmPlant) -> None:
     X_BG = plant.forward(rest_q())
     X_BG[:3, :3] *= 0.9997
     assert solve_pose(plant, X_BG, rest_q()).status is IkStatus.OK
 
 
-def test_a_pose_far_away_is_unreachable_and_approached(plant: PandaPlant) -> None:
+def test_a_pose_far_away_is_unreachable_and_approached(plant: ArmPlant) -> None:
     solution = solve_pose(plant, FAR_POSE, rest_q())
     assert solution.status is IkStatus.UNREACHABLE
     assert excess(plant, solution.q).max() == 0.0
@@ -86,7 +86,7 @@ def test_a_pose_far_away_is_unreachable_and_approached(plant: PandaPlant) -> Non
 
 
 @pytest.mark.parametrize("name", PAST_LIMIT)
-def test_a_pose_only_reached_past_a_limit_is_told_from_one_out_of_reach(plant: PandaPlant, name: str) -> None:
+def test_a_pose_only_reached_past_a_limit_is_told_from_one_out_of_reach(plant: ArmPlant, name: str) -> None:
     X_BG = plant.forward(PAST_LIMIT[name])
     dense = postures(X_BG, samples=5000)
     assert excess(plant, dense).max(axis=-1).min() > 0.1
@@ -100,20 +100,20 @@ def test_a_pose_only_reached_past_a_limit_is_told_from_one_out_of_reach(plant: P
     assert excess(plant, posture).max() <= excess(plant, np.array(PAST_LIMIT[name])).max()
 
 
-def test_a_window_between_the_samples_of_the_sweep_is_found(plant: PandaPlant) -> None:
+def test_a_window_between_the_samples_of_the_sweep_is_found(plant: ArmPlant) -> None:
     X_BG = plant.forward([0.6, -2.1, -0.8, -0.5, -0.2, 1.3, -0.9])
     assert excess(plant, postures(X_BG)).max(axis=-1).min() > 0.02
     assert solve_pose(plant, X_BG, rest_q()).status is IkStatus.OK
 
 
 @pytest.mark.parametrize("joint", range(7))
-def test_a_joint_at_its_limit_is_no_obstacle(plant: PandaPlant, joint: int) -> None:
+def test_a_joint_at_its_limit_is_no_obstacle(plant: ArmPlant, joint: int) -> None:
     q = np.array([0.3, 0.4, 0.2, -1.9, 0.2, 2.2, 0.6])
     q[joint] = plant.upper[joint]
     assert solve_pose(plant, plant.forward(q), rest_q()).status is IkStatus.OK
 
 
-def test_newton_without_limits_goes_past_them_and_with_limits_does_not(plant: PandaPlant) -> None:
+def test_newton_without_limits_goes_past_them_and_with_limits_does_not(plant: ArmPlant) -> None:
     q = np.array(PAST_LIMIT["panda_joint2"])
     X_BG, start = plant.forward(q), np.clip(q, plant.lower, plant.upper)
     free, free_error = newton(plant, X_BG, start, bounded=False, iterations=100)
@@ -124,7 +124,7 @@ def test_newton_without_limits_goes_past_them_and_with_limits_does_not(plant: Pa
     assert excess(plant, held).max() == 0.0
 
 
-def test_newton_finishes_what_snopt_begins(plant: PandaPlant) -> None:
+def test_newton_finishes_what_snopt_begins(plant: ArmPlant) -> None:
     X_BG = plant.forward(rest_q() + 0.2)
     q = snopt(plant, X_BG, rest_q())
     assert max(pose_difference(plant.forward(q), X_BG)) < 2e-3
@@ -132,12 +132,12 @@ def test_newton_finishes_what_snopt_begins(plant: PandaPlant) -> None:
 
 
 @pytest.mark.parametrize("bad", [np.full((4, 4), np.nan), np.eye(3)])
-def test_a_pose_that_is_none_is_refused(plant: PandaPlant, bad: Array) -> None:
+def test_a_pose_that_is_none_is_refused(plant: ArmPlant, bad: Array) -> None:
     with pytest.raises(InputError, match="X_BG"):
         solve_pose(plant, bad, rest_q())
 
 
-def test_a_track_is_followed_exactly_and_continuously(plant: PandaPlant) -> None:
+def test_a_track_is_followed_exactly_and_continuously(plant: ArmPlant) -> None:
     for seed in range(4):
         track = _tabletop_track(seed=seed)
         joints = solve_track(plant, track)
@@ -150,13 +150,13 @@ def test_a_track_is_followed_exactly_and_continuously(plant: PandaPlant) -> None
         assert speed_ratios(plant, joints.t_s, joints.q).max() < 1.0
 
 
-def test_the_first_frame_takes_the_branch_of_the_rest_posture(plant: PandaPlant) -> None:
+def test_the_first_frame_takes_the_branch_of_the_rest_posture(plant: ArmPlant) -> None:
     X_BG = np.array([plant.forward(rest_q() + 0.02 * k) for k in range(5)])
     joints = solve_track(plant, _track(X_BG, 0.2))
     assert np.abs(joints.q[0] - rest_q()).max() < 0.1
 
 
-def test_frames_that_are_not_tracked_are_left_out(plant: PandaPlant) -> None:
+def test_frames_that_are_not_tracked_are_left_out(plant: ArmPlant) -> None:
     track = _tabletop_track(20)
     seen = np.ones(20, dtype=bool)
     seen[[0, 7, 8, 19]] = False
@@ -167,12 +167,12 @@ def test_frames_that_are_not_tracked_are_left_out(plant: PandaPlant) -> None:
     np.testing.assert_array_equal(np.isnan(joints.position_error_m), ~seen)
 
 
-def test_a_track_of_nothing_is_solved_to_nothing(plant: PandaPlant) -> None:
+def test_a_track_of_nothing_is_solved_to_nothing(plant: ArmPlant) -> None:
     joints = solve_track(plant, _track(np.tile(np.eye(4), (3, 1, 1)), 0.2, np.zeros(3)))
     assert set(joints.status) == {IkStatus.NOT_TRACKED}
 
 
-def test_one_frame_out_of_reach_does_not_spoil_its_neighbours(plant: PandaPlant) -> None:
+def test_one_frame_out_of_reach_does_not_spoil_its_neighbours(plant: ArmPlant) -> None:
     X_BG = _tabletop_track().X_BG.copy()
     X_BG[5] = FAR_POSE
     joints = solve_track(plant, _track(X_BG, 0.2))
@@ -183,7 +183,7 @@ def test_one_frame_out_of_reach_does_not_spoil_its_neighbours(plant: PandaPlant)
 
 
 @pytest.mark.slow
-def test_dead_ends_are_avoided_by_other_paths(plant: PandaPlant) -> None:
+def test_dead_ends_are_avoided_by_other_paths(plant: ArmPlant) -> None:
     """Joint paths at half speed all over the joint space: where greedy steps fail, a path within limits is found.
 
     Two of these nine graze a singularity, where the sweep's grid is too coarse; none may become worse.
@@ -210,7 +210,7 @@ def test_dead_ends_are_avoided_by_other_paths(plant: PandaPlant) -> None:
     assert (np.array(peaks) < np.array(greedy_peaks)).all()
 
 
-def test_the_smoothest_path_lies_on_the_poses(plant: PandaPlant) -> None:
+def test_the_smoothest_path_lies_on_the_poses(plant: ArmPlant) -> None:
     track = _tabletop_track()
     path = smoothest_path(plant, track.t_s, track.X_BG, rest_q())
     for q, X_BG in zip(path, track.X_BG, strict=True):
@@ -218,11 +218,11 @@ def test_the_smoothest_path_lies_on_the_poses(plant: PandaPlant) -> None:
     assert speed_ratios(plant, track.t_s, path).max() < 1.0
 
 
-def test_times_must_increase(plant: PandaPlant) -> None:
+def test_times_must_increase(plant: ArmPlant) -> None:
     with pytest.raises(InputError, match="increase"):
         solve_track(plant, _track(_tabletop_track(3).X_BG, 0.0))
 
 
-def test_the_same_track_gives_the_same_bytes(plant: PandaPlant) -> None:
+def test_the_same_track_gives_the_same_bytes(plant: ArmPlant) -> None:
     track = _tabletop_track(15)
-    assert solve_track(plant, track).q.tobytes() == solve_track(PandaPlant(), track).q.tobytes()
+    assert solve_track(plant, track).q.tobytes() == solve_track(ArmPlant(), track).q.tobytes()

@@ -6,7 +6,7 @@ import pytest
 
 from kinebench_drake.errors import UsageError
 from kinebench_drake.geometry import rotation_log
-from kinebench_drake.kinematics.plant import PandaPlant
+from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.models.panda.robot import LINKS, hand_from_tcp, rest_q
 
 
@@ -27,19 +27,19 @@ def _dh_forward(q: np.ndarray) -> np.ndarray:
     return X @ [[c, c, 0, 0], [-c, c, 0, 0], [0, 0, 1, 0.107 + 0.1034], [0, 0, 0, 1]]
 
 
-def test_forward_is_the_makers_denavit_hartenberg_chain(plant: PandaPlant) -> None:
+def test_forward_is_the_makers_denavit_hartenberg_chain(plant: ArmPlant) -> None:
     rng = np.random.default_rng(0)
     for q in rng.uniform(plant.lower, plant.upper, size=(20, 7)):
         np.testing.assert_allclose(plant.forward(q), _dh_forward(q), atol=1e-12)
 
 
-def test_rest_posture_points_the_gripper_down_in_front_of_the_base(plant: PandaPlant) -> None:
+def test_rest_posture_points_the_gripper_down_in_front_of_the_base(plant: ArmPlant) -> None:
     X_BG = plant.forward(rest_q())
     np.testing.assert_allclose(X_BG[:3, 3], [0.615, 0.0, 0.17], atol=1e-3)
     np.testing.assert_allclose(X_BG[:3, :3], np.diag([1.0, -1.0, -1.0]), atol=1e-12)
 
 
-def test_frames_of_hand_tcp_and_links_agree(plant: PandaPlant) -> None:
+def test_frames_of_hand_tcp_and_links_agree(plant: ArmPlant) -> None:
     q = np.array([0.3, -0.4, 0.5, -1.9, 0.2, 1.8, -0.6])
     poses = plant.link_poses(q)
     assert set(poses) == set(LINKS)
@@ -48,7 +48,7 @@ def test_frames_of_hand_tcp_and_links_agree(plant: PandaPlant) -> None:
     np.testing.assert_allclose(plant.forward_hand(q) @ hand_from_tcp(), plant.forward(q), atol=1e-12)
 
 
-def test_jacobian_is_the_finite_difference_of_forward(plant: PandaPlant) -> None:
+def test_jacobian_is_the_finite_difference_of_forward(plant: ArmPlant) -> None:
     rng = np.random.default_rng(1)
     h = 1e-6
     for q in rng.uniform(plant.lower, plant.upper, size=(10, 7)):
@@ -60,28 +60,28 @@ def test_jacobian_is_the_finite_difference_of_forward(plant: PandaPlant) -> None
             np.testing.assert_allclose(J[:, j], [*angular, *linear], atol=1e-8)
 
 
-def test_forward_and_jacobian_are_those_of_one_posture(plant: PandaPlant) -> None:
+def test_forward_and_jacobian_are_those_of_one_posture(plant: ArmPlant) -> None:
     X_BG, J = plant.forward_and_jacobian(rest_q() + 0.1)
     plant.forward(np.zeros(7))
     np.testing.assert_array_equal(X_BG, plant.forward(rest_q() + 0.1))
     np.testing.assert_array_equal(J, plant.jacobian(rest_q() + 0.1))
 
 
-def test_limits_are_the_urdfs(plant: PandaPlant) -> None:
+def test_limits_are_the_urdfs(plant: ArmPlant) -> None:
     np.testing.assert_array_equal(plant.upper, [2.8973, 1.7628, 2.8973, -0.0698, 2.8973, 3.7525, 2.8973])
     np.testing.assert_array_equal(plant.lower, [-2.8973, -1.7628, -2.8973, -3.0718, -2.8973, -0.0175, -2.8973])
     np.testing.assert_array_equal(plant.velocity_limits, [2.175] * 4 + [2.61] * 3)
 
 
-def test_fingers_open_without_moving_the_tcp(plant: PandaPlant) -> None:
-    shut = PandaPlant(finger_width_m=0.0).link_poses(rest_q())
+def test_fingers_open_without_moving_the_tcp(plant: ArmPlant) -> None:
+    shut = ArmPlant(finger_width_m=0.0).link_poses(rest_q())
     wide = plant.link_poses(rest_q())
     gap = [np.linalg.norm(p["panda_leftfinger"][:3, 3] - p["panda_rightfinger"][:3, 3]) for p in (shut, wide)]
     np.testing.assert_allclose(gap, [0.0, 0.08], atol=1e-12)
     np.testing.assert_array_equal(shut["panda_hand_tcp"], wide["panda_hand_tcp"])
 
 
-def test_wrong_shape_is_refused(plant: PandaPlant) -> None:
+def test_wrong_shape_is_refused(plant: ArmPlant) -> None:
     with pytest.raises(UsageError, match=r"\(9,\)"):
         plant.forward(np.zeros(9))
 
