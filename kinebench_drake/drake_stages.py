@@ -11,7 +11,7 @@ from kinebench_drake.grounding.overlay import draw_overlay
 from kinebench_drake.grounding.pipeline import Grounding, GroundingPipeline
 from kinebench_drake.kinematics.ik import solve_track
 from kinebench_drake.kinematics.manipulability import manipulability
-from kinebench_drake.kinematics.plant import PandaPlant
+from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.metrics.kinematic import Violation, evaluate_track, limit_margin
 from kinebench_drake.products import GripperTrack
 from kinebench_drake.row import Json
@@ -28,7 +28,7 @@ class DrakeStages:
             SetupError: one of them is missing.
         """
         self._pipeline = GroundingPipeline.create()
-        self._plant = PandaPlant()
+        self._plant = ArmPlant()
 
     def ground(self, frames: NDArray[np.uint8], camera: Camera, t_s: Array) -> Grounding:
         """Find the gripper in frames (T, H, W, 3)."""

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array
 from kinebench_drake.kinematics.ik import solve_pose
-from kinebench_drake.kinematics.plant import PandaPlant
+from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.products import AnomalyKind, IkStatus
 from kinebench_drake.suites.rollout import FRAME_PERIOD_S, GRIPPER_LINKS, Clip, Performance, Stage, film
 
@@ -174,7 +174,7 @@ def plant_teleport(
 
 def _displaced(performance: Performance, X_BG: Array, start: int, offset_m: ArrayLike) -> Sequence[Array] | None:
     """Joint angles of the path moved by `offset_m` (3,), or None where the arm cannot follow it smoothly."""
-    plant = PandaPlant()
+    plant = ArmPlant()
     path: list[Array] = []
     seed = performance.snapshots[start].q
     for X in X_BG:

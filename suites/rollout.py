@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from kinebench_drake.camera import Camera, benchmark_camera
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array, from_quaternion, invert, make_pose, to_quaternion
-from kinebench_drake.kinematics.plant import PandaPlant
+from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.models.panda.robot import FINGER_LINKS, HAND_LINK, TCP_LINK
 from kinebench_drake.native import prepare_vulkan
 from kinebench_drake.suites.experts.motion import CONTROL_PERIOD_S, plan
@@ -247,7 +247,7 @@ def perform(stage: Stage, expert: Expert, seed: int) -> Performance:
     start = stage.snapshot()
     steps = STEPS_PER_FRAME * (expert.frames - 1)
     waypoints = expert.waypoints(stage.link_pose(TCP_LINK), stage.object_poses())
-    motion = plan(PandaPlant(), start.q, float(start.fingers_m.sum()), waypoints, steps)
+    motion = plan(ArmPlant(), start.q, float(start.fingers_m.sum()), waypoints, steps)
     snapshots = [start]
     for i in range(steps):
         stage.step(motion.q[i], motion.finger_width_m[i])

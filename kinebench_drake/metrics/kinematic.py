@@ -12,7 +12,7 @@ from kinebench_drake.geometry import Array
 from kinebench_drake.kinematics.branches import excess, least_excess
 from kinebench_drake.kinematics.ik import POSITION_TOLERANCE_M, ROTATION_TOLERANCE_RAD
 from kinebench_drake.kinematics.manipulability import manipulability
-from kinebench_drake.kinematics.plant import PandaPlant
+from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.metrics.smoothness import runs, track_smoothness
 from kinebench_drake.metrics.violation import Violation as Violation
 from kinebench_drake.metrics.violation import ViolationKind as ViolationKind
@@ -52,7 +52,7 @@ class KinematicResult:
     """False if there is a violation, None if too few frames are tracked to tell, else True."""
 
 
-def evaluate_track(plant: PandaPlant, track: GripperTrack, joints: JointTrack) -> KinematicResult:
+def evaluate_track(plant: ArmPlant, track: GripperTrack, joints: JointTrack) -> KinematicResult:
     """Metrics, violations and verdict of a gripper track and the joint path that follows it.
 
     Manipulability and joint speeds are taken at the frames whose joint angles do reach the pose; the joint-limit
@@ -91,7 +91,7 @@ def evaluate_track(plant: PandaPlant, track: GripperTrack, joints: JointTrack) -
 
 
 def _metrics(
-    plant: PandaPlant,
+    plant: ArmPlant,
     track: GripperTrack,
     joints: JointTrack,
     known: NDArray[np.bool_],
@@ -120,7 +120,7 @@ def _metrics(
     }
 
 
-def limit_margin(plant: PandaPlant, q: Array) -> Array:
+def limit_margin(plant: ArmPlant, q: Array) -> Array:
     """Distance to the nearer limit / half the joint's range (..., 7) of `q` (..., 7) [rad]: 1 mid-way, 0 at a limit."""
     return np.asarray(np.minimum(q - plant.lower, plant.upper - q) / (0.5 * (plant.upper - plant.lower)))
 
@@ -160,7 +160,7 @@ def _unreachable(joints: JointTrack) -> Iterator[Violation]:
         )
 
 
-def _past_limits(plant: PandaPlant, track: GripperTrack, joints: JointTrack) -> Iterator[Violation]:
+def _past_limits(plant: ArmPlant, track: GripperTrack, joints: JointTrack) -> Iterator[Violation]:
     """Joint angles past a limit, as given or, where none were found within, as the least bad posture has them."""
     q = joints.q.copy()
     for i, status in enumerate(joints.status):

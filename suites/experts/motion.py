@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array, make_pose, rotation_angle, rotation_exp, rotation_log
 from kinebench_drake.kinematics.ik import solve_pose
-from kinebench_drake.kinematics.plant import PandaPlant
+from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.products import IkStatus
 
 CONTROL_PERIOD_S = 0.05
@@ -95,7 +95,7 @@ def cartesian_path(
 
 
 def plan(
-    plant: PandaPlant, q_start: ArrayLike, finger_width_start_m: float, waypoints: Sequence[Waypoint], steps: int
+    plant: ArmPlant, q_start: ArrayLike, finger_width_start_m: float, waypoints: Sequence[Waypoint], steps: int
 ) -> Motion:
     """Joint path of `steps` control steps through the waypoints, from rest at `q_start` (7,) [rad] to rest.
 

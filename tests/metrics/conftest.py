@@ -1,8 +1,8 @@
 import pytest
 
-from kinebench_drake.kinematics.plant import PandaPlant
+from kinebench_drake.kinematics.plant import ArmPlant
 
 
 @pytest.fixture(scope="session")
-def plant() -> PandaPlant:
-    return PandaPlant()
+def plant() -> ArmPlant:
+    return ArmPlant()

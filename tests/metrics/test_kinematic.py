@@ -8,7 +8,7 @@ from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array, make_pose
 from kinebench_drake.kinematics.ik import solve_track
 from kinebench_drake.kinematics.manipulability import manipulability
-from kinebench_drake.kinematics.plant import PandaPlant
+from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.metrics.kinematic import (
     KinematicResult,
     Violation,
@@ -44,7 +44,7 @@ def _gripper(t_s: Array, X_BG: Array) -> GripperTrack:
     )
 
 
-def _along(plant: PandaPlant, q: Array, period_s: float = 0.2) -> tuple[GripperTrack, JointTrack]:
+def _along(plant: ArmPlant, q: Array, period_s: float = 0.2) -> tuple[GripperTrack, JointTrack]:
     """Gripper track of joint angles (T, 7), and those angles as given."""
     n = len(q)
     track = _gripper(period_s * np.arange(n), np.array([plant.forward(row) for row in q]))
@@ -70,7 +70,7 @@ def _number(metrics: Mapping[str, float | bool | None], name: str) -> float:
     return value
 
 
-def test_a_gentle_track_is_feasible_and_has_every_metric(plant: PandaPlant) -> None:
+def test_a_gentle_track_is_feasible_and_has_every_metric(plant: ArmPlant) -> None:
     track, _ = _along(plant, _gentle())
     joints = solve_track(plant, track)
     result = evaluate_track(plant, track, joints)
@@ -91,7 +91,7 @@ def test_a_gentle_track_is_feasible_and_has_every_metric(plant: PandaPlant) -> N
     assert _number(metrics, "sparc") == pytest.approx(-1.4, abs=0.1)
 
 
-def test_every_value_is_a_finite_number_or_none(plant: PandaPlant) -> None:
+def test_every_value_is_a_finite_number_or_none(plant: ArmPlant) -> None:
     X = np.full((6, 4, 4), np.nan)
     far = np.tile(make_pose(np.eye(3), [3.0, 0.0, 0.0]), (6, 1, 1))
     for track in (_gripper(0.2 * np.arange(6), X), _gripper(0.2 * np.arange(6), far), _along(plant, _gentle(2))[0]):
@@ -101,21 +101,21 @@ def test_every_value_is_a_finite_number_or_none(plant: PandaPlant) -> None:
             assert value is None or np.isfinite(value)
 
 
-def test_nothing_tracked_is_not_measurable(plant: PandaPlant) -> None:
+def test_nothing_tracked_is_not_measurable(plant: ArmPlant) -> None:
     track = _gripper(0.2 * np.arange(6), np.full((6, 4, 4), np.nan))
     result = evaluate_track(plant, track, solve_track(plant, track))
     assert set(result.metrics.values()) == {None}
     assert result.feasible is None
 
 
-def test_the_result_cannot_be_changed(plant: PandaPlant) -> None:
+def test_the_result_cannot_be_changed(plant: ArmPlant) -> None:
     result = evaluate_track(plant, *_along(plant, _gentle(10)))
     with pytest.raises(TypeError):
         result.metrics["sparc"] = 0.0  # type: ignore[index]
 
 
 @pytest.mark.parametrize(("kept", "verdict"), [(40, True), (20, True), (19, None), (4, None)])
-def test_few_tracked_frames_are_no_proof(plant: PandaPlant, kept: int, verdict: bool | None) -> None:
+def test_few_tracked_frames_are_no_proof(plant: ArmPlant, kept: int, verdict: bool | None) -> None:
     X = _along(plant, _gentle())[0].X_BG.copy()
     X[kept:] = np.nan
     track = _gripper(0.2 * np.arange(40), X)
@@ -124,7 +124,7 @@ def test_few_tracked_frames_are_no_proof(plant: PandaPlant, kept: int, verdict: 
     assert result.metrics["ik_success_rate"] == 1.0  # over tracked frames
 
 
-def test_frames_out_of_reach_are_named(plant: PandaPlant) -> None:
+def test_frames_out_of_reach_are_named(plant: ArmPlant) -> None:
     X = _along(plant, _gentle())[0].X_BG.copy()
     X[10:13, :3, 3] = [1.2, 0.0, 0.3]
     track = _gripper(0.2 * np.arange(40), X)
@@ -137,7 +137,7 @@ def test_frames_out_of_reach_are_named(plant: PandaPlant) -> None:
     assert result.metrics["ik_position_error_max_m"] == result.violations[0].value > 0.1
 
 
-def test_a_pose_past_a_joint_limit_names_joint_value_and_limit(plant: PandaPlant) -> None:
+def test_a_pose_past_a_joint_limit_names_joint_value_and_limit(plant: ArmPlant) -> None:
     X = np.tile(plant.forward([-0.4, 2.1, -0.4, -0.6, -2.8, 2.7, -0.6]), (6, 1, 1))
     track = _gripper(0.2 * np.arange(6), X)
     result = evaluate_track(plant, track, solve_track(plant, track))
@@ -151,7 +151,7 @@ def test_a_pose_past_a_joint_limit_names_joint_value_and_limit(plant: PandaPlant
         )
 
 
-def test_given_angles_past_a_limit_are_judged_as_given(plant: PandaPlant) -> None:
+def test_given_angles_past_a_limit_are_judged_as_given(plant: ArmPlant) -> None:
     """The pose may be reached otherwise; the angles asked for break the limit all the same."""
     q = _gentle()
     q[15:20, 3] = plant.upper[3] + 0.1
@@ -172,7 +172,7 @@ def test_given_angles_past_a_limit_are_judged_as_given(plant: PandaPlant) -> Non
     assert result.metrics["joint_limit_margin_min"] == pytest.approx(margin)
 
 
-def test_a_lower_limit_is_told_from_an_upper_one(plant: PandaPlant) -> None:
+def test_a_lower_limit_is_told_from_an_upper_one(plant: ArmPlant) -> None:
     q = _gentle()
     q[3, 3] = plant.lower[3] - 0.2
     violation = evaluate_track(plant, *_along(plant, q, period_s=10.0)).violations[0]
@@ -181,7 +181,7 @@ def test_a_lower_limit_is_told_from_an_upper_one(plant: PandaPlant) -> None:
 
 
 @pytest.mark.parametrize(("factor", "broken"), [(0.99, False), (1.01, True)])
-def test_speed_is_judged_against_the_limit(plant: PandaPlant, factor: float, broken: bool) -> None:
+def test_speed_is_judged_against_the_limit(plant: ArmPlant, factor: float, broken: bool) -> None:
     q = np.tile(rest_q(), (30, 1))
     q[:, 4] += factor * plant.velocity_limits[4] * 0.05 * (np.arange(30) - 15.0)
     result = evaluate_track(plant, *_along(plant, q, period_s=0.05))
@@ -194,14 +194,14 @@ def test_speed_is_judged_against_the_limit(plant: PandaPlant, factor: float, bro
         assert violation.value == pytest.approx(factor * violation.limit)
 
 
-def test_a_track_played_slower_is_slower_in_proportion(plant: PandaPlant) -> None:
+def test_a_track_played_slower_is_slower_in_proportion(plant: ArmPlant) -> None:
     fast, slow = (evaluate_track(plant, *_along(plant, _gentle(), period)).metrics for period in (0.3, 0.6))
     assert _number(fast, "velocity_ratio_max") == pytest.approx(2 * _number(slow, "velocity_ratio_max"), rel=1e-9)
     ratio = _number(slow, "manipulability_integral") / _number(fast, "manipulability_integral")
     assert ratio == pytest.approx(2.0)
 
 
-def test_a_pose_track_is_too_fast_when_the_hand_jumps(plant: PandaPlant) -> None:
+def test_a_pose_track_is_too_fast_when_the_hand_jumps(plant: ArmPlant) -> None:
     q = _gentle()
     q[20:, 0] += 2.0
     track, _ = _along(plant, q)
@@ -229,7 +229,7 @@ def test_joint_speed_of_steady_motion_is_exact_also_at_ends_and_gaps() -> None:
     assert np.isnan(joint_speed(t_s[:1], q[:1])).all()
 
 
-def test_limit_margin_is_one_in_the_middle_and_zero_at_limits(plant: PandaPlant) -> None:
+def test_limit_margin_is_one_in_the_middle_and_zero_at_limits(plant: ArmPlant) -> None:
     q = np.array([0.5 * (plant.lower + plant.upper), plant.lower, plant.upper, 2 * plant.upper - plant.lower])
     np.testing.assert_allclose(limit_margin(plant, q), np.tile([[1.0], [0.0], [0.0], [-2.0]], 7), atol=1e-12)
 
@@ -238,7 +238,7 @@ def test_kinds_are_those_of_the_output_format() -> None:
     assert [kind.value for kind in ViolationKind] == KINDS
 
 
-def test_tracks_of_different_length_are_refused(plant: PandaPlant) -> None:
+def test_tracks_of_different_length_are_refused(plant: ArmPlant) -> None:
     track, _ = _along(plant, _gentle(5))
     _, longer = _along(plant, _gentle(6))
     with pytest.raises(InputError, match="5 frames"):

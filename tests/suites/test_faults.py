@@ -7,7 +7,7 @@ import pytest
 
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import transform_points
-from kinebench_drake.kinematics.plant import PandaPlant
+from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.products import AnomalyKind
 from kinebench_drake.suites.faults import (
     FREEZE_FRAMES,
@@ -84,7 +84,7 @@ def test_teleport(filmed: Filmed) -> None:
     moved = faulty.X_BG[fault.frame_start :, :3, 3] - clip.X_BG[fault.frame_start :, :3, 3]
     assert np.allclose(np.linalg.norm(moved, axis=1), TELEPORT_M, atol=1e-5)
     assert np.allclose(moved, moved[0], atol=1e-5)
-    plant = PandaPlant()
+    plant = ArmPlant()
     assert np.allclose([plant.forward(q) for q in faulty.q], faulty.X_BG, atol=1e-5)
     # The picture shows it there: the masked pixels' middle lies by the displaced hand, not by the true one.
     i = fault.frame_start

@@ -5,7 +5,7 @@ import pytest
 
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import make_pose, pose_difference
-from kinebench_drake.kinematics.plant import PandaPlant
+from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.models.panda.robot import rest_q
 from kinebench_drake.suites.experts.grasp import DOWN, grasp_rotation, level_axes, raised
 from kinebench_drake.suites.experts.motion import CONTROL_PERIOD_S, Waypoint, cartesian_path, minimum_jerk, plan
@@ -59,7 +59,7 @@ def test_only_stops_are_stopped_at() -> None:
 
 
 def test_plan_follows_the_path_within_speed_limits() -> None:
-    plant = PandaPlant()
+    plant = ArmPlant()
     X_goal = raised(plant.forward(rest_q()), 0.1)
     motion = plan(plant, rest_q(), 0.08, [Waypoint(X_BG=X_goal, finger_width_m=0.04)], 40)
     reached = np.stack([plant.forward(q) for q in motion.q])
@@ -71,7 +71,7 @@ def test_plan_follows_the_path_within_speed_limits() -> None:
 
 
 def test_plan_refuses_what_the_arm_cannot_do() -> None:
-    plant = PandaPlant()
+    plant = ArmPlant()
     start = plant.forward(rest_q())
     with pytest.raises(InputError, match="leaves the workspace"):
         plan(plant, rest_q(), 0.08, [Waypoint(X_BG=raised(start, 2.0), finger_width_m=0.08)], 40)

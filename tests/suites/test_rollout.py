@@ -6,7 +6,7 @@ import pytest
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.errors import UsageError
 from kinebench_drake.geometry import invert, pose_difference, transform_points
-from kinebench_drake.kinematics.plant import PandaPlant
+from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.suites.experts.registry import EXPERTS, find_expert
 from kinebench_drake.suites.rollout import FRAME_PERIOD_S, Clip, Performance, Stage, film, perform, sapien_from_opencv
 
@@ -32,7 +32,7 @@ def test_sapien_camera_looks_along_its_x_axis() -> None:
     [*((task, "panda", (11, 12)) for task in EXPERTS), *((task, "panda_wristcam", (13,)) for task in EXPERTS)],
 )
 def test_expert_succeeds_within_speed_limits(task: str, robot: str, seeds: tuple[int, ...]) -> None:
-    plant = PandaPlant()
+    plant = ArmPlant()
     for seed in seeds:
         with Stage(task, robot=robot) as stage:
             performance = perform(stage, find_expert(task), seed)
@@ -62,7 +62,7 @@ def test_pixels_of_the_gripper_lie_on_the_gripper(filmed: Filmed) -> None:
 @pytest.mark.sapien
 def test_truth_agrees_with_drake(filmed: Filmed) -> None:
     _, _, clip = filmed
-    plant = PandaPlant()
+    plant = ArmPlant()
     X_BG = np.stack([plant.forward(q) for q in clip.q])
     X_CH = invert(clip.camera.X_BC) @ np.stack([plant.forward_hand(q) for q in clip.q])
     for found, expected in ((clip.X_BG, X_BG), (clip.X_CH, X_CH)):
