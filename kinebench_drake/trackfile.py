@@ -1,4 +1,4 @@
-"""`tracks/ID.npz`: a gripper track and its joint angles, the same bytes for the same numbers."""
+"""`tracks/ID.npz`: a gripper track, its joint angles and what was found along it, the same bytes for the same numbers."""
 
 import io
 import zipfile
@@ -11,11 +11,16 @@ from numpy.typing import NDArray
 
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array
-from kinebench_drake.products import GripperTrack, JointTrack
+from kinebench_drake.products import GripperTrack, IkStatus, JointTrack
 from kinebench_drake.results import write_atomically
 
 _EPOCH = (1980, 1, 1, 0, 0, 0)
 """The earliest date a zip entry can bear: a fixed one, as clock times would change the bytes."""
+_OWN = (
+    *("t_s", "camera_from_hand", "base_from_tcp", "tracked", "confidence", "finger_width_m"),
+    *("q", "ik_ok", "status"),
+)
+"""Arrays that are no curves."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -27,26 +32,30 @@ class TrackFile:
     """(T, 7) joint angles [rad]; NaN where there are none."""
     ik_ok: NDArray[np.bool_]
     """(T,) whether the pose is reached within limits."""
-    manipulability: Array
-    """(T,) sqrt(det(J J^T)) of the 6x7 Jacobian of panda_hand_tcp; NaN where there is none."""
-    joint_margin: Array
-    """(T,) distance to the nearest joint limit over half its range; NaN where there is none."""
+    status: tuple[IkStatus, ...] | None
+    """(T,) outcome of inverse kinematics; None in a file without joint angles."""
+    curves: Mapping[str, Array]
+    """What was found along the track by name, such as `manipulability` (T,) or `torque` (T, 7); NaN where there is
+    none. Names that a file lacks are absent."""
 
 
-def write_track(path: Path, track: GripperTrack, joints: JointTrack | None, per_frame: Mapping[str, Array]) -> None:
+def write_track(path: Path, track: GripperTrack, joints: JointTrack | None, curves: Mapping[str, Array]) -> None:
     """Write a track; without `joints` (video only) q is NaN and ik_ok false.
+
+    The errors and the outcome of inverse kinematics are written from `joints`. A curve that bears the name of another
+    array of the file is passed over.
 
     Args:
         path: the file, `tracks/ID.npz`.
         track: poses in the camera and in the base frame.
         joints: joint angles that follow them.
-        per_frame: `manipulability` and `joint_margin`, each (T,); NaN where left out.
+        curves: further arrays, (T,) or (T, 7), NaN where there is none; stored under their names.
 
     Raises:
+        InputError: a curve is not (T,) or (T, 7).
         SetupError: writing failed.
     """
     n = len(track.t_s)
-    nothing = np.full(n, np.nan)
     arrays: dict[str, NDArray[np.generic]] = {
         "t_s": track.t_s,
         "camera_from_hand": track.X_CH,
@@ -56,9 +65,19 @@ def write_track(path: Path, track: GripperTrack, joints: JointTrack | None, per_
         "finger_width_m": track.finger_width_m,
         "q": joints.q if joints else np.full((n, 7), np.nan),
         "ik_ok": joints.ok if joints else np.zeros(n, dtype=bool),
-        "manipulability": per_frame.get("manipulability", nothing),
-        "joint_margin": per_frame.get("joint_margin", nothing),
     }
+    if joints:
+        arrays["status"] = np.array([status.value for status in joints.status], dtype=np.str_)
+        curves = {
+            "ik_position_error_m": joints.position_error_m,
+            "ik_rotation_error_rad": joints.rotation_error_rad,
+            **curves,
+        }
+    for name in sorted(curves.keys() - set(_OWN)):
+        shape = np.shape(curves[name])
+        if shape not in ((n,), (n, 7)):
+            raise InputError(f"curve {name!r} has shape {shape}, expected {(n,)} or {(n, 7)}")
+        arrays[name] = np.asarray(curves[name], dtype=np.float64)
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w") as archive:
         for name, array in arrays.items():
@@ -70,7 +89,7 @@ def write_track(path: Path, track: GripperTrack, joints: JointTrack | None, per_
 
 
 def read_track(path: Path) -> TrackFile:
-    """Read what `write_track` wrote.
+    """Read what `write_track` wrote, in this or an earlier version.
 
     Raises:
         InputError: the file is absent, damaged, or lacks an array.
@@ -85,8 +104,12 @@ def read_track(path: Path) -> TrackFile:
                 confidence=a["confidence"],
                 finger_width_m=a["finger_width_m"],
             )
-            nothing = np.full(len(track.t_s), np.nan)
-            extra = {name: a[name] if name in a.files else nothing for name in ("manipulability", "joint_margin")}
-            return TrackFile(track=track, q=a["q"], ik_ok=a["ik_ok"], **extra)
+            return TrackFile(
+                track=track,
+                q=a["q"],
+                ik_ok=a["ik_ok"],
+                status=tuple(IkStatus(str(s)) for s in a["status"]) if "status" in a.files else None,
+                curves={name: a[name] for name in sorted(set(a.files) - set(_OWN))},
+            )
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
         raise InputError(f"{path.name}: not a track file ({error})") from None

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
@@ -185,8 +186,9 @@ def _plots(file: TrackFile, row: SampleRow, anomalies: Sequence[Mapping[str, Jso
     axes = [Curve(label=a, values=track.X_BG[:, k, 3], css=f"c{k}") for k, a in enumerate("xyz")]
     sure = Curve(label="confidence", values=track.confidence, css="c0")
     gap = Curve(label="gap", values=track.finger_width_m * 1000.0, css="c0")
-    able = Curve(label="manipulability", values=file.manipulability, css="c0")
-    margin = Curve(label="margin", values=file.joint_margin, css="c0")
+    nothing = np.full(len(track.t_s), np.nan)
+    able = Curve(label="manipulability", values=file.curves.get("manipulability", nothing), css="c0")
+    margin = Curve(label="margin", values=file.curves.get("joint_margin", nothing), css="c0")
     plots = [
         draw_plot("TCP position in the base frame [m]", track.t_s, axes, bands),
         draw_plot("Confidence of the pose", track.t_s, [sure], bands, limits=(0.0, 1.0)),
