@@ -1,4 +1,4 @@
-"""`tracks/ID.npz`: a gripper track, its joint angles and what was found along it, the same bytes for the same numbers."""
+"""`tracks/ID.npz`: a gripper track, its joint angles and what was found along it; equal numbers give equal bytes."""
 
 import io
 import zipfile
