@@ -1,0 +1,213 @@
+"""Derivatives of a noisy path that never overstate, each with its standard error; and the path itself, smoothed.
+
+The k-th derivative is k! times the leading coefficient of the polynomial of degree k fitted to a window of samples by
+least squares: k!/||r|| times the projection on r/||r||, r being t^k less its fit by lower powers (the discrete
+Legendre polynomials of Gram; A. Savitzky and M. J. E. Golay, Anal. Chem. 36, 1964, tabulate them for even times).
+Such a functional annihilates polynomials of lower degree and its weights change sign k times, so by Peano's theorem
+(P. J. Davis, Interpolation and Approximation, 1963, chapter 3) it is a mean of the k-th derivative over the window
+with weights that are nowhere negative and sum to 1. Two things follow. Its magnitude is never above the greatest
+magnitude of the k-th derivative within the window: it may convict a path of breaking a limit, not acquit it. And white
+noise sigma on the samples puts k! sigma/||r|| on it: the window is as long as that takes.
+"""
+
+from dataclasses import dataclass
+from math import factorial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinebench_drake.geometry import Array
+from kinebench_drake.metrics.runs import runs
+
+NOISE_SHARE = 0.1
+"""The window grows until the standard error is this share of the limit ..."""
+LONGEST_S = {1: 1.0, 2: 1.5, 3: 0.5}
+"""... or the window this long [s], by order of the derivative.
+
+No joint of the Panda could keep to a limit for much longer: its range is used up after 1.4 to 2.7 s at its limit of
+speed, 1.2 to 1.9 s at that of acceleration (braking, then starting back: 8 range = a w^2), 0.3 to 0.4 s at that of jerk
+(96 range = j w^3). So a longer window could hardly convict.
+"""
+NEGLIGIBLE_RAD = 1e-4
+"""Noise below this is not smoothed [rad]."""
+SMOOTHING_S = 1.0
+"""Longest window of `smooth_path` [s]; five samples at least."""
+SMOOTHING_MISFIT = 1.1
+"""A smoothing window is too long where the residuals exceed what the noise explains by this factor."""
+
+_DEGREE = 2  # of the polynomials of smooth_path; in the middle of a window as good as 3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Derivative:
+    """One derivative of a joint path."""
+
+    order: int
+    """1 velocity, 2 acceleration, 3 jerk."""
+    value: Array
+    """(T, 7) weighted mean of the derivative over each frame's window [rad/s^order]; NaN where there is none."""
+    standard_error: Array
+    """(T, 7) standard deviation of `value` by the samples' noise [rad/s^order]; NaN if that is unknown."""
+    window: int
+    """Samples in a window; runs of fewer known frames use what they have."""
+    window_s: float
+    """From the first to the last sample of a window [s]."""
+    bandwidth_hz: float
+    """Up to here at least 1/sqrt(2) of a sinusoid's derivative is seen (-3 dB); at most half the frame rate."""
+
+
+def differentiate(t_s: Array, q: Array, sigma: Array, order: int, limits: Array) -> Derivative:
+    """The derivative of a joint path, over the shortest window that makes the noise small beside the limits.
+
+    One window, in samples, serves the whole track: the smallest at which the standard error, for every joint's median
+    noise, is NOISE_SHARE of its limit, at most LONGEST_S long, at least order + 1 samples. A frame's window is centred
+    on it (for an even number it reaches one sample further back); at the ends of a run of known frames it is the
+    nearest whole one. Gaps are not bridged.
+
+    Args:
+        t_s: (T,) times [s], increasing; even times are faster.
+        q: (T, 7) joint angles [rad], NaN where unknown.
+        sigma: (7,) or (T, 7) standard deviations of the noise of `q` [rad]; NaN where unknown.
+        order: 1, 2 or 3.
+        limits: (7,) greatest magnitudes of the derivative allowed [rad/s^order].
+    """
+    known = np.isfinite(q).all(axis=-1)
+    variance = np.broadcast_to(np.asarray(sigma, dtype=np.float64) ** 2, q.shape)
+    period = float(np.median(np.diff(t_s))) if len(t_s) > 1 else 1.0
+    size = _window(period, _noise_ratio(variance[known], limits), order)
+    value, error = np.full(q.shape, np.nan), np.full(q.shape, np.nan)
+    for run in runs(known):
+        n = min(size, run.stop - run.start)
+        if n <= order:
+            continue
+        weights = _weights(_windows(t_s[run], n), order)  # (N or 1, n)
+        first = np.clip(np.arange(run.stop - run.start) - n // 2, 0, run.stop - run.start - n)
+        value[run] = _apply(weights, q[run])[first]
+        error[run] = np.sqrt(_apply(weights**2, variance[run]))[first]
+    return Derivative(
+        order=order,
+        value=value,
+        standard_error=error,
+        window=size,
+        window_s=(size - 1) * period,
+        bandwidth_hz=_bandwidth(period, size, order),
+    )
+
+
+def smooth_path(t_s: Array, q: Array, sigma: Array) -> Array:
+    """The path (T, 7) [rad] with its noise smoothed away, as far as that can be told from the motion; NaN where `q` is.
+
+    The value of a parabola fitted to a window of samples around each frame (at the ends of a run: the nearest whole
+    window). The window is the longest, up to SMOOTHING_S, whose residuals the noise alone explains: growing it stops
+    where they exceed that by SMOOTHING_MISFIT, for there the parabola begins to cut the motion's corners. Noise below
+    NEGLIGIBLE_RAD, or unknown, is left alone. Any number of columns will do, and any unit, if `sigma` shares it.
+
+    Args:
+        t_s: (T,) times [s], increasing.
+        q: (T, 7) samples, NaN where unknown.
+        sigma: (7,) or (T, 7) standard deviations of their noise.
+    """
+    variance = np.broadcast_to(np.asarray(sigma, dtype=np.float64) ** 2, q.shape)
+    smoothed = q.copy()
+    for run in runs(np.isfinite(q).all(axis=-1)):
+        scale = float(np.sqrt(np.median(variance[run].sum(axis=-1))))
+        if scale / np.sqrt(q.shape[1]) > NEGLIGIBLE_RAD:
+            smoothed[run] = _smooth_run(t_s[run], q[run], variance[run])
+    return smoothed
+
+
+def _smooth_run(t_s: Array, q: Array, variance: Array) -> Array:
+    best, n = q, 5
+    period = float(np.median(np.diff(t_s))) if len(t_s) > 1 else 1.0
+    while n <= min(len(t_s), max(5, round(SMOOTHING_S / period) + 1)):
+        basis = _basis(_windows(t_s, n), _DEGREE)  # (N or 1, n, 3)
+        first = np.clip(np.arange(len(t_s)) - n // 2, 0, len(t_s) - n)
+        at = np.arange(len(t_s)) - first
+        which = first if len(basis) > 1 else np.zeros_like(first)
+        hat = np.einsum("tk,tnk->tn", basis[which, at], basis[which])  # (T, n): smoothed = hat @ window
+        fitted = np.einsum("tn,tcn->tc", hat, np.lib.stride_tricks.sliding_window_view(q, n, axis=0)[first])
+        # A least-squares fit leaves 1 - h of the noise's variance at a sample of leverage h.
+        left = (1.0 - hat[np.arange(len(t_s)), at])[:, None] * variance
+        if np.median(np.sum((q - fitted) ** 2, axis=-1)) > SMOOTHING_MISFIT**2 * np.median(left.sum(axis=-1)):
+            break
+        best = fitted
+        n = 2 * int(0.65 * n) + 1  # 5, 7, 9, 11, 15, 19, ...
+    return best
+
+
+def _basis(t: Array, degree: int) -> Array:
+    """Orthonormal polynomials (N, n, degree + 1) on the samples of each window `t` (N, n), by Gram and Schmidt."""
+    return _orthogonal(t, degree)[0]
+
+
+def _orthogonal(t: Array, degree: int) -> tuple[Array, Array]:
+    """Orthonormal polynomials (N, n, degree + 1), and the norm (N,) of t^degree less its fit by lower powers."""
+    x = t - t.mean(axis=-1, keepdims=True)
+    scale = np.abs(x).max(axis=-1, keepdims=True)
+    x = x / scale
+    basis = np.empty((*t.shape, degree + 1))
+    for k in range(degree + 1):
+        r = x**k
+        for _ in range(2):  # twice is enough for orthogonality to rounding
+            for lower in range(k):
+                e = basis[..., lower]
+                r = r - np.sum(e * r, axis=-1, keepdims=True) * e
+        norm = np.linalg.norm(r, axis=-1, keepdims=True)
+        basis[..., k] = r / norm
+    return basis, np.asarray((norm * scale**degree)[..., 0])
+
+
+def _weights(t: Array, order: int) -> Array:
+    """Weights (N, n) [1/s^order] of the samples of each window `t` (N, n) [s] in its derivative."""
+    basis, norm = _orthogonal(t, order)
+    return np.asarray(factorial(order) * basis[..., order] / norm[:, None])
+
+
+def _windows(t_s: Array, n: int) -> Array:
+    """Times (N, n) of all windows of `n` samples, or (1, n) if the times are even."""
+    dt = np.diff(t_s)
+    if np.ptp(dt) <= 1e-6 * dt.mean():
+        return np.arange(n)[None] * float(dt.mean())
+    return np.lib.stride_tricks.sliding_window_view(t_s, n)
+
+
+def _apply(weights: Array, samples: Array) -> Array:
+    """Weighted sums (T - n + 1, 7) of the windows of `samples` (T, 7), by `weights` (T - n + 1 or 1, n)."""
+    windows = np.lib.stride_tricks.sliding_window_view(samples, weights.shape[1], axis=0)  # (N, 7, n)
+    if len(weights) == 1:
+        return np.asarray(windows @ weights[0])
+    return np.asarray((windows @ weights[:, :, None])[..., 0])
+
+
+def _noise_ratio(variance: Array, limits: Array) -> float:
+    """Greatest, over the joints, of the median noise / limit; 0 if unknown."""
+    ratio = np.sqrt(np.median(variance, axis=0)) / limits if len(variance) else np.zeros(1)
+    return float(np.nan_to_num(ratio).max())
+
+
+def _window(period: float, ratio: float, order: int) -> int:
+    """Samples of the shortest window at which noise of `ratio` x limit [s^order] is NOISE_SHARE of the limit."""
+    sizes = np.arange(order + 1, max(order + 1, int(LONGEST_S[order] / period + 1e-9) + 1) + 1)
+    enough = ratio * noise_gain(period, sizes, order) <= NOISE_SHARE
+    return int(sizes[np.argmax(enough)] if enough.any() else sizes[-1])
+
+
+def noise_gain(period: float, sizes: Array | NDArray[np.intp], order: int) -> Array:
+    """Standard error [1/s^order] of the derivative over windows of `sizes` even samples, for noise of unit deviation.
+
+    k!/||r||, with the norm of Gram's polynomials ||r||^2 = h^2k (k!)^4/((2k)! (2k+1)!) n (n^2 - 1) ... (n^2 - k^2).
+    """
+    n2 = np.asarray(sizes, dtype=np.float64) ** 2
+    k = order
+    squared = np.sqrt(n2) * np.prod([n2 - j**2 for j in range(1, k + 1)], axis=0)
+    squared *= factorial(k) ** 4 / (factorial(2 * k) * factorial(2 * k + 1))
+    return np.asarray(factorial(k) / (np.sqrt(squared) * period**k))
+
+
+def _bandwidth(period: float, size: int, order: int) -> float:
+    weights = _weights(np.arange(size)[None] * period, order)[0]
+    frequency = np.linspace(0.0, 0.5 / period, 129)[1:]
+    time = (np.arange(size) - 0.5 * (size - 1)) * period
+    seen = np.abs(np.exp(2j * np.pi * frequency[:, None] * time) @ weights) / (2 * np.pi * frequency) ** order
+    below = np.flatnonzero(seen < np.sqrt(0.5))
+    return float(frequency[below[0]] if len(below) else 0.5 / period)
