@@ -1,56 +1,99 @@
 """The heavy steps of measuring: the grounding pipeline and Drake, behind the `Stages` protocol."""
 
 from collections.abc import Iterator, Mapping
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array
-from kinebench_drake.grounding.overlay import draw_overlay
-from kinebench_drake.grounding.pipeline import Grounding, GroundingPipeline
 from kinebench_drake.kinematics.ik import solve_track
 from kinebench_drake.kinematics.manipulability import manipulability
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.metrics.kinematic import Violation, evaluate_track, limit_margin
-from kinebench_drake.products import GripperTrack
+from kinebench_drake.products import GripperTrack, IkStatus, JointTrack
 from kinebench_drake.row import Json
-from kinebench_drake.stages import Judgement
+from kinebench_drake.stages import Judgement, StageOptions
+
+if TYPE_CHECKING:  # torch and Open3D, seconds to load, which trajectories never need
+    from kinebench_drake.grounding.pipeline import Grounding, GroundingPipeline
 
 
 class DrakeStages:
     """Grounding with the shipped networks, kinematics in Drake."""
 
-    def __init__(self) -> None:
-        """Load weights, meshes and the plant.
+    def __init__(self, options: StageOptions) -> None:
+        """Load the robot; weights and meshes of the gripper follow with the first video.
 
         Raises:
-            SetupError: one of them is missing.
+            SetupError: the robot's files are missing.
         """
-        self._pipeline = GroundingPipeline.create()
+        self._options = options
         self._plant = ArmPlant()
 
-    def ground(self, frames: NDArray[np.uint8], camera: Camera, t_s: Array) -> Grounding:
-        """Find the gripper in frames (T, H, W, 3)."""
+    @cached_property
+    def _pipeline(self) -> "GroundingPipeline":
+        from kinebench_drake.grounding.pipeline import GroundingPipeline
+
+        return GroundingPipeline.create()
+
+    def ground(self, frames: NDArray[np.uint8], camera: Camera, t_s: Array) -> "Grounding":
+        """Find the gripper in frames (T, H, W, 3).
+
+        Raises:
+            SetupError: weights or libraries are missing.
+        """
         return self._pipeline.ground(frames, camera, t_s)
 
     def judge(self, track: GripperTrack) -> Judgement:
         """Solve inverse kinematics along a track and hold it against the robot's limits."""
-        joints = solve_track(self._plant, track)
+        return self._judged(track, solve_track(self._plant, track))
+
+    def judge_joints(self, t_s: Array, q: Array, finger_width_m: Array) -> Judgement:
+        """Hold joint angles (T, 7) [rad] against the robot's limits as they are given; NaN where unknown."""
+        known = np.isfinite(q).all(axis=-1)
+        X_BG = np.full((len(q), 4, 4), np.nan)
+        X_BG[known] = [self._plant.forward(row) for row in q[known]]
+        track = GripperTrack(
+            t_s=t_s,
+            X_CH=np.full_like(X_BG, np.nan),
+            X_BG=X_BG,
+            tracked=known,
+            confidence=known.astype(np.float64),
+            finger_width_m=finger_width_m,
+        )
+        inside = known & (q >= self._plant.lower).all(axis=-1) & (q <= self._plant.upper).all(axis=-1)
+        failed = {True: IkStatus.JOINT_LIMIT, False: IkStatus.NOT_TRACKED}
+        error = np.where(known, 0.0, np.nan)
+        joints = JointTrack(
+            t_s=t_s,
+            q=q,
+            status=tuple(IkStatus.OK if i else failed[bool(k)] for i, k in zip(inside, known, strict=True)),
+            position_error_m=error,
+            rotation_error_rad=error,
+        )
+        return self._judged(track, joints)
+
+    def _judged(self, track: GripperTrack, joints: JointTrack) -> Judgement:
         result = evaluate_track(self._plant, track, joints)
         return Judgement(
+            track=track,
             joints=joints,
             feasible=None if result.feasible is None else bool(result.feasible),
             metrics={name: _plain(value) for name, value in result.metrics.items()},
             violations=tuple(_violation_json(v) for v in result.violations),
-            per_frame=self._per_frame(joints.q),
+            curves=self._curves(joints.q),
         )
 
     def overlay(self, frames: NDArray[np.uint8], camera: Camera, track: GripperTrack) -> Iterator[NDArray[np.uint8]]:
         """Draw the posed gripper on the frames."""
+        from kinebench_drake.grounding.overlay import draw_overlay
+
         return draw_overlay(frames, camera, track)
 
-    def _per_frame(self, q: Array) -> Mapping[str, Array]:
+    def _curves(self, q: Array) -> Mapping[str, Array]:
         """Manipulability and least joint-limit margin of each frame of joint angles (T, 7) [rad]; NaN where q is."""
         return {
             "manipulability": manipulability(self._plant, q).full,

@@ -1,21 +1,19 @@
 """From what the user named (a video, a folder, a manifest) to the list of samples to work on."""
 
 import os
-import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
-from hashlib import blake2b
 from pathlib import Path
 
 from kinebench_drake import manifest
 from kinebench_drake.camera import Camera, benchmark_camera
 from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.grounding.video import ARRAY_SUFFIXES, FILM_SUFFIXES, FRAME_SUFFIXES
+from kinebench_drake.identity import shorten, unique_ids
 
 CAMERA_NAME = "camera.json"
-_ID_BYTES = 120
 
 
 class CameraSource(Enum):
@@ -57,30 +55,6 @@ class Inputs:
 
     samples: tuple[Sample, ...]
     warnings: tuple[str, ...]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Shard:
-    """One of `count` equal parts of a list: every sample whose number is `index` modulo `count`."""
-
-    index: int
-    count: int
-
-    @classmethod
-    def parse(cls, text: str) -> "Shard":
-        """Read "I/N"; parts may be counted 0 .. N-1 or 1 .. N (part N is part 0).
-
-        Raises:
-            UsageError: it is not of that form.
-        """
-        match = re.fullmatch(r"(\d+)/(\d+)", text.strip())
-        if not match or int(match[2]) < 1 or int(match[1]) > int(match[2]):
-            raise UsageError(f"--shard is {text!r}, expected I/N with I from 0 to N, such as 1/4")
-        return cls(index=int(match[1]) % int(match[2]), count=int(match[2]))
-
-    def take(self, samples: Sequence[Sample]) -> list[Sample]:
-        """This part of `samples`."""
-        return [s for k, s in enumerate(samples) if k % self.count == self.index]
 
 
 def find_samples(source: Path, *, out: Path | None = None, model: str | None = None, task: str | None = None) -> Inputs:
@@ -215,7 +189,7 @@ def _from_manifest(path: Path) -> Inputs:
 def _from_line(line: manifest.Line, folder: Path, cameras: _Cameras) -> Sample:
     name = line.video or f"line-{line.number}"
     stem = Path(name).name if (folder / name).is_dir() else Path(name).stem
-    given = None if line.id is None else _short(line.id)
+    given = None if line.id is None else shorten(line.id)
     given = given if given is None or stem in given else f"{given}-{stem}"
     entry, problem, camera, path = line.entry, line.problem, None, folder
     if entry is not None:
@@ -243,42 +217,11 @@ def _from_line(line: manifest.Line, folder: Path, cameras: _Cameras) -> Sample:
 
 
 def _with_unique_ids(samples: Sequence[Sample]) -> tuple[Sample, ...]:
-    """Give every sample an id of its own, the same whenever the same samples come in the same order.
-
-    Samples that share a stem take their folders' names along; what is still equal is numbered.
-    """
-    shared = Counter(_safe(s.id).casefold() for s in samples)
-    named = []
-    for sample in samples:
-        id = _safe(sample.id)
-        folders = Path(sample.video).parent.parts if sample.problem is None else ()
-        if shared[id.casefold()] > 1 and folders and sample.id in (Path(sample.video).stem, Path(sample.video).name):
-            id = _safe("-".join((*folders, sample.id)))
-        named.append(id)
-    counts, taken = Counter[str](), {id.casefold() for id in named}
-    unique = []
-    for sample, id in zip(samples, named, strict=True):
-        counts[id.casefold()] += 1
-        number, final = counts[id.casefold()], id
-        while number > 1 and final.casefold() in taken:
-            final = f"{id}-{number}"
-            number += 1
-        taken.add(final.casefold())
-        unique.append(replace(sample, id=final))
-    return tuple(unique)
+    """Give every sample an id of its own; of those that share a stem, the ones named by it take folders along."""
+    ids = unique_ids([(s.id, _folders(s)) for s in samples])
+    return tuple(replace(sample, id=id) for sample, id in zip(samples, ids, strict=True))
 
 
-def _safe(text: str) -> str:
-    """`text` as a file name on any system: no separators, controls or reserved signs, not hidden, not too long."""
-    name = re.sub(r'[\x00-\x1f\x7f/\\:*?"<>|]', "_", text).rstrip(". ")
-    name = f"_{name}" if name.startswith(".") or not name else name
-    name = name.encode(errors="replace").decode()
-    return _short(name)
-
-
-def _short(text: str) -> str:
-    """`text`, or its beginning and a digest of all of it where it is long."""
-    data = text.encode(errors="replace")
-    if len(data) <= _ID_BYTES:
-        return text
-    return data[:40].decode(errors="ignore") + "-" + blake2b(data, digest_size=4).hexdigest()
+def _folders(sample: Sample) -> tuple[str, ...]:
+    video = Path(sample.video)
+    return video.parent.parts if sample.problem is None and sample.id in (video.stem, video.name) else ()

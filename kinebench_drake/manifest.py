@@ -12,7 +12,8 @@ from kinebench_drake.errors import InputError, UsageError, cause
 
 NAME = "manifest.jsonl"
 
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+MIN_PERIOD_S, MAX_PERIOD_S = 1e-4, 1e3
+"""Shortest and longest task time between two frames [s]."""
 
 
 class Entry(BaseModel):
@@ -27,9 +28,9 @@ class Entry(BaseModel):
     seed: int | None = None
     model: str | None = None
     prompt: str | None = None
-    fps: Positive | None = None
+    fps: Annotated[float, Field(ge=1.0 / MAX_PERIOD_S, le=1.0 / MIN_PERIOD_S, allow_inf_nan=False)] | None = None
     """Frames per second the video plays at, over what the file says [1/s]."""
-    frame_period_s: Positive | None = None
+    frame_period_s: Annotated[float, Field(ge=MIN_PERIOD_S, le=MAX_PERIOD_S, allow_inf_nan=False)] | None = None
     """Task time between two frames [s]."""
     camera: dict[str, object] | Annotated[str, Field(min_length=1)] | None = None
     """The camera as an object, or the relative path of its file."""

@@ -12,6 +12,8 @@ from kinebench_drake.row import Json
 
 _PACKAGES = ("numpy", "scipy", "drake", "open3d", "torch", "av", "mani_skill", "sapien")
 
+_NOT_MEASURING = ("cli", "report")
+
 
 def versions() -> dict[str, Json]:
     """Versions of this package, of Python and of what the numbers depend on; None where not installed."""
@@ -33,6 +35,24 @@ def weights_hash() -> str:
         digest.update(file.name.encode() + b"\0")
         with file.open("rb") as data:
             digest.update(hashlib.file_digest(data, "sha256").digest())
+    return digest.hexdigest()
+
+
+@cache
+def code_hash() -> str:
+    """SHA-256 over the package's own sources, those of the command line and the report left out.
+
+    It stands for the code's version where results are recognised: changed code computes anew.
+    """
+    digest = hashlib.sha256()
+    top = Path(kinebench_drake.__file__).parent
+    files = []
+    for root, folders, names in os.walk(top, followlinks=True):  # grounding, models and suites may be links
+        if Path(root) == top:
+            folders[:] = [name for name in folders if name not in _NOT_MEASURING]
+        files += [Path(root) / name for name in names if name.endswith(".py")]
+    for file in sorted(files):
+        digest.update(file.relative_to(top).as_posix().encode() + b"\0" + file.read_bytes() + b"\0")
     return digest.hexdigest()
 
 

@@ -130,7 +130,8 @@ class ResultStore:
         for id in [id for id, row in self.rows.items() if not wanted(row)]:
             del self.rows[id]
             for part in _PARTS:
-                part_path(self.out, part, id).unlink(missing_ok=True)
+                with storage(f"{part}/"):
+                    part_path(self.out, part, id).unlink(missing_ok=True)
         self._rewrite()
 
     def append(self, row: SampleRow, wall_s: float) -> None:

@@ -40,9 +40,14 @@ class SampleRow:
     """Objects of kind, frame_start, frame_end, joint, value, limit."""
     metrics: Mapping[str, Json] = field(default_factory=dict)
     """Metric names to numbers, booleans, lists, or null where there is nothing to measure."""
+    null_reasons: Mapping[str, str] = field(default_factory=dict)
+    """Why a metric is null, by its name; of a sample that is not ok `reason` says it."""
+    details: Mapping[str, Json] = field(default_factory=dict)
+    """What stands behind the verdict: noise, limits joint by joint and the like."""
     extra: Mapping[str, Json] = field(default_factory=dict)
     """Further top-level keys. Of a video: frames, width, height, fps, frame_period_s, frame_period_source,
-    camera_source, seed, prompt. Of a suite run: success, progress, rounds, verdict."""
+    camera_source, seed, prompt. Of a trajectory: frames, duration_s, format, columns, warnings, seed, prompt,
+    success. Of a suite run: success, progress, rounds, verdict."""
 
     def to_json(self) -> dict[str, Json]:
         """The object as written, in a fixed order of keys, without NaN or infinity."""
@@ -64,7 +69,8 @@ class SampleRow:
         try:
             known["status"] = Status(known["status"])
             known["violations"] = tuple(known.get("violations") or ())
-            known["metrics"] = known.get("metrics") or {}
+            for name in ("metrics", "null_reasons", "details"):
+                known[name] = known.get(name) or {}
             return cls(**known, extra={k: v for k, v in data.items() if k not in names})
         except (KeyError, TypeError, ValueError) as error:
             raise InputError(f"not a row of samples.jsonl ({error})") from None

@@ -2,17 +2,21 @@
 
 import importlib
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Protocol, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera
-from kinebench_drake.errors import SetupError
+from kinebench_drake.errors import SetupError, UsageError
 from kinebench_drake.geometry import Array
 from kinebench_drake.products import Anomaly, GripperTrack, JointTrack
 from kinebench_drake.row import Json
+
+MAX_TABLE_HEIGHT_M = 2.0
+"""Farthest that a table's top may be from the robot's base, up or down [m]."""
 
 
 class Grounded(Protocol):
@@ -38,12 +42,47 @@ class Grounded(Protocol):
 class Judgement:
     """What kinematics says about a track."""
 
+    track: GripperTrack
+    """The track as judged; of given joint angles, where they put the TCP."""
     joints: JointTrack
     feasible: bool | None
     metrics: Mapping[str, Json]
+    """Metric names to values; None where not measurable."""
+    reasons: Mapping[str, str] = field(default_factory=dict)
+    """Why a metric is None, by its name."""
     violations: tuple[Mapping[str, Json], ...]
-    per_frame: Mapping[str, Array]
-    """`manipulability` and `joint_margin`, each (T,)."""
+    details: Mapping[str, Json] = field(default_factory=dict)
+    """Further findings for the row, such as noise and limits joint by joint."""
+    curves: Mapping[str, Array] = field(default_factory=dict)
+    """Further arrays for the track's file, each (T,) or (T, 7), such as `manipulability` and `joint_margin`."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StageOptions:
+    """What the command line tells the stages."""
+
+    table_height_m: float = 0.0
+    """Height of the table's top in the robot's base frame B [m]."""
+    urdf: Path | None = None
+    """The robot's URDF; None for mani_skill's Panda."""
+    tcp_frame: str | None = None
+    """Name of the URDF's TCP frame; None for the Panda's."""
+
+    def __post_init__(self) -> None:
+        """Check the options against each other.
+
+        Raises:
+            UsageError: the table's height is no height, or only one of robot and frame is given.
+        """
+        if not abs(self.table_height_m) <= MAX_TABLE_HEIGHT_M:
+            raise UsageError(
+                f"--table-height is {self.table_height_m}, expected metres from {-MAX_TABLE_HEIGHT_M} to "
+                f"{MAX_TABLE_HEIGHT_M} in the robot's base frame"
+            )
+        if (self.urdf is None) is not (self.tcp_frame is None):
+            raise UsageError("--robot and --tcp-frame go together: the URDF and the name of its TCP frame")
+        if self.urdf is not None and not self.urdf.is_file():
+            raise UsageError(f"--robot {self.urdf}: there is no such file, expected a URDF")
 
 
 class Stages(Protocol):
@@ -54,7 +93,17 @@ class Stages(Protocol):
         ...
 
     def judge(self, track: GripperTrack) -> Judgement:
-        """Hold a track against the robot."""
+        """Hold a track against the robot: it is infeasible only if no joint path does it."""
+        ...
+
+    def judge_joints(self, t_s: Array, q: Array, finger_width_m: Array) -> Judgement:
+        """Hold joint angles (T, 7) [rad] at times (T,) [s] against the robot, as they are given.
+
+        Args:
+            t_s: (T,) times [s], increasing.
+            q: (T, 7) joint angles [rad]; NaN where unknown.
+            finger_width_m: (T,) gap between the finger pads [m]; NaN where unknown.
+        """
         ...
 
     def overlay(self, frames: NDArray[np.uint8], camera: Camera, track: GripperTrack) -> Iterator[NDArray[np.uint8]]:
@@ -62,14 +111,14 @@ class Stages(Protocol):
         ...
 
 
-def load_stages(path: str) -> Stages:
-    """The stages of an import path "module:Class", made ready.
+def load_stages(path: str, options: StageOptions) -> Stages:
+    """The stages of an import path "module:Class", made ready with what the command line told.
 
     Raises:
         SetupError: a library, a driver or the weights are missing.
     """
     module, _, name = path.partition(":")
     try:
-        return cast(Stages, getattr(importlib.import_module(module), name)())
+        return cast(Stages, getattr(importlib.import_module(module), name)(options))
     except (ImportError, AttributeError) as error:
         raise SetupError(f"cannot load {path} ({error}); `kinebench-drake doctor` tells what is missing") from None

@@ -5,7 +5,7 @@ import pytest
 
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.errors import UsageError
-from kinebench_drake.inputs import CameraSource, Shard, find_samples
+from kinebench_drake.inputs import CameraSource, find_samples
 
 
 def touch(folder, *names):
@@ -196,18 +196,3 @@ def test_an_unusable_camera_file_is_a_usage_error(tmp_path, text):
     for source in (tmp_path, tmp_path / "v.mp4", write_manifest(tmp_path, {"video": "v.mp4"})):
         with pytest.raises(UsageError, match=r"camera\.json"):
             find_samples(source)
-
-
-@pytest.mark.parametrize("texts", [["0/3", "1/3", "2/3"], ["1/3", "2/3", "3/3"]])
-def test_shards_are_a_partition_however_they_are_counted(tmp_path, texts):
-    touch(tmp_path, *(f"{k}.mp4" for k in range(7)))
-    samples = find_samples(tmp_path).samples
-    parts = [Shard.parse(text).take(samples) for text in texts]
-    assert sorted(s.id for part in parts for s in part) == [s.id for s in samples]
-    assert {len(part) for part in parts} <= {2, 3}
-
-
-@pytest.mark.parametrize("text", ["", "1", "4/3", "1/0", "-1/3", "a/b", "1/3/5"])
-def test_impossible_shards(text):
-    with pytest.raises(UsageError, match="expected I/N"):
-        Shard.parse(text)

@@ -21,6 +21,7 @@ def ground(ctx: click.Context, /, **options: Any) -> None:
     """
     from kinebench_drake.cli.run import run
     from kinebench_drake.measure import Kind
-    from kinebench_drake.score import RunConfig
+    from kinebench_drake.score import ScoreConfig, score_videos
 
-    ctx.exit(run(RunConfig(kind=Kind.GROUND, **options)))
+    config = ScoreConfig(kind=Kind.GROUND, **options)
+    ctx.exit(run(lambda observer: score_videos(config, observer), config.out))

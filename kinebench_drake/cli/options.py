@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 import click
 
 from kinebench_drake.engines import EngineKind
-from kinebench_drake.inputs import Shard
+from kinebench_drake.shard import Shard
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -27,6 +27,8 @@ def _tags(ctx: click.Context, param: click.Parameter, values: tuple[str, ...]) -
         match = re.fullmatch(r"([^=]+)=(.*)", value, re.DOTALL)
         if not match:
             raise click.BadParameter(f"{value!r} is not of the form KEY=VALUE", ctx, param)
+        if match[1] in tags:
+            raise click.BadParameter(f"{match[1]!r} is given twice, expected each KEY once", ctx, param)
         tags[match[1]] = match[2]
     return tags
 
@@ -37,9 +39,7 @@ _RUN = (
     click.option("--out", type=click.Path(path_type=Path), required=True, help="Output folder; made if absent."),
     click.option("--limit", type=_COUNT, help="Work on the first N samples only.", metavar="N"),
     click.option("--jobs", type=_COUNT, default=1, show_default=True, help="Worker processes.", metavar="N"),
-    click.option(
-        "--shard", callback=_shard, help="Work on part I of N, for several machines, such as 1/4.", metavar="I/N"
-    ),
+    click.option("--shard", callback=_shard, help="Work on part I (1 to N) of N, for several machines.", metavar="I/N"),
     click.option(
         "--engine",
         type=click.Choice([kind.value for kind in EngineKind]),
@@ -51,11 +51,11 @@ _RUN = (
     click.option(
         "--overwrite/--resume",
         default=False,
-        help="Start anew, or keep finished samples whose video and settings are the same.  [default: resume]",
+        help="Start anew, or keep finished samples whose input and settings are the same.  [default: resume]",
     ),
     click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of all randomness."),
-    click.option("--model", help="World model behind the videos, where a manifest does not tell.", metavar="NAME"),
-    click.option("--task", help="Task in the videos, where a manifest does not tell.", metavar="NAME"),
+    click.option("--model", help="World model behind the samples, where the input does not tell.", metavar="NAME"),
+    click.option("--task", help="Task of the samples, where the input does not tell.", metavar="NAME"),
     click.option("--tag", "tags", multiple=True, callback=_tags, help="Label kept in results.", metavar="KEY=VALUE"),
 )
 
@@ -71,9 +71,29 @@ _VIDEO = (
 )
 
 
+_JUDGING = (
+    click.option(
+        "--table-height",
+        "table_height_m",
+        type=float,
+        default=0.0,
+        show_default=True,
+        help="Height of the table's top in the robot's base frame.",
+        metavar="METRES",
+    ),
+)
+
+
 def run_options(function: Function) -> Function:
     """Add what `score`, `ground`, `audit` and `suite run` share."""
     for option in reversed(_RUN):
+        function = option(function)
+    return function
+
+
+def judging_options(function: Function) -> Function:
+    """Add what commands that hold tracks against the robot share."""
+    for option in reversed(_JUDGING):
         function = option(function)
     return function
 

@@ -1,45 +1,46 @@
-"""Carrying out a run of `score` or `ground` from the command line."""
+"""Carrying out a run from the command line."""
 
 import signal
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 import click
 
 from kinebench_drake.cli.progress import ProgressView
 from kinebench_drake.row import Status
-from kinebench_drake.score import RunConfig, RunSummary, score_videos
+from kinebench_drake.run import Observer, RunSummary
 
 
-def run(config: RunConfig) -> int:
-    """Work through a run with progress shown; returns the exit status."""
+def run(job: Callable[[Observer], RunSummary], out: Path) -> int:
+    """Work through a run that fills the folder `out`, with progress shown; returns the exit status."""
     view = ProgressView()
     try:
         with view, _terminate_as_interrupt():
-            summary = score_videos(config, view)
+            summary = job(view)
     except KeyboardInterrupt:
         click.echo(
             f"interrupted with {view.done} of {view.total} samples finished; run the same command again to go on",
             err=True,
         )
         return 130
-    _tell(config, summary)
+    _tell(out, summary)
     return 0 if summary.counts[Status.OK] else 1
 
 
-def _tell(config: RunConfig, summary: RunSummary) -> None:
+def _tell(out: Path, summary: RunSummary) -> None:
     counted = ", ".join(f"{n} {status.value}" for status, n in summary.counts.items() if n)
     if not any(summary.counts.values()):
         click.echo("there was nothing to do: this shard holds no sample", err=True)
     elif not summary.counts[Status.OK]:
-        click.echo(f"nothing could be measured ({counted}); {config.out / 'samples.jsonl'} has the reasons", err=True)
+        click.echo(f"nothing could be measured ({counted}); {out / 'samples.jsonl'} has the reasons", err=True)
     else:
         click.echo(counted)
     if summary.feasible is not None and summary.feasible.mean is not None:
         share = summary.feasible
         interval = f"95% interval {share.low:.0%} to {share.high:.0%}"
         click.echo(f"{share.mean:.0%} of {share.n} judged samples are feasible ({interval})")
-    click.echo(summary.report or config.out / "results.json")
+    click.echo(summary.report or out / "results.json")
 
 
 @contextmanager

@@ -5,7 +5,7 @@ from typing import Any
 
 import click
 
-from kinebench_drake.cli.options import run_options, video_options
+from kinebench_drake.cli.options import judging_options, run_options, video_options
 
 
 @click.command(
@@ -19,6 +19,7 @@ from kinebench_drake.cli.options import run_options, video_options
 @click.argument("source", metavar="PATH", type=click.Path(path_type=Path))
 @run_options
 @video_options
+@judging_options
 @click.pass_context
 def score(ctx: click.Context, /, **options: Any) -> None:
     """Score the videos of PATH: gripper tracks, kinematic metrics, report.
@@ -27,6 +28,7 @@ def score(ctx: click.Context, /, **options: Any) -> None:
     (T,H,W,3 uint8) or a manifest.jsonl. A camera.json beside the videos gives their camera.
     """
     from kinebench_drake.cli.run import run
-    from kinebench_drake.score import RunConfig
+    from kinebench_drake.score import ScoreConfig, score_videos
 
-    ctx.exit(run(RunConfig(**options)))
+    config = ScoreConfig(**options)
+    ctx.exit(run(lambda observer: score_videos(config, observer), config.out))

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from kinebench_drake.mp4 import write_video
-from kinebench_drake.score import RunConfig
+from kinebench_drake.score import ScoreConfig
 
 HERE = Path(__file__).parent
 STAGES = "fake_stages:FakeStages"
@@ -42,6 +42,6 @@ def config(tmp_path):
     """A run over tmp_path/videos into tmp_path/out with the fake stages."""
 
     def make(**changes):
-        return RunConfig(**{"source": tmp_path / "videos", "out": tmp_path / "out", "stages": STAGES, **changes})
+        return ScoreConfig(**{"source": tmp_path / "videos", "out": tmp_path / "out", "stages": STAGES, **changes})
 
     return make

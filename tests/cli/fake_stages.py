@@ -3,7 +3,7 @@
 import os
 import signal
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from pathlib import Path
 
@@ -40,6 +40,10 @@ class FakeGrounding:
 
 
 class FakeStages:
+    def __init__(self, options):
+        self._options = options
+        self._infeasible = False
+
     def ground(self, frames, camera, t_s):
         act = act_of(frames)
         if LOG in os.environ:
@@ -89,12 +93,31 @@ class FakeStages:
         speed = float(np.abs(np.diff(track.t_s)).mean())
         violation = {"kind": "velocity", "frame_start": 3, "frame_end": 5, "joint": 2, "value": 1.7, "limit": 1.0}
         return Judgement(
+            track=track,
             joints=joints,
             feasible=not self._infeasible,
             metrics={"sparc": -1.6 - speed, "ik_success_rate": 1.0, "trajopt_feasible": True, "ldlj": float("nan")},
             violations=(violation,) if self._infeasible else (),
-            per_frame={"manipulability": 0.05 + 0.02 * np.cos(q[:, 0] * 5), "joint_margin": 0.4 - q[:, 0] ** 2},
+            reasons={"ldlj": "the fake has none"},
+            details={"table_height_m": self._options.table_height_m},
+            curves={"manipulability": 0.05 + 0.02 * np.cos(q[:, 0] * 5), "joint_margin": 0.4 - q[:, 0] ** 2},
         )
+
+    def judge_joints(self, t_s, q, finger_width_m):
+        """Infeasible where the first joint starts beyond 1 rad."""
+        known = np.isfinite(q).all(axis=1)
+        X = np.where(known[:, None, None], make_pose(np.eye(3), np.nan_to_num(q[:, :3])), np.nan)
+        track = GripperTrack(
+            t_s=t_s,
+            X_CH=np.full_like(X, np.nan),
+            X_BG=X,
+            tracked=known,
+            confidence=known.astype(float),
+            finger_width_m=finger_width_m,
+        )
+        self._infeasible = bool(q[0, 0] > 1.0)
+        judgement = self.judge(track)
+        return replace(judgement, joints=replace(judgement.joints, q=q), details={"given": "q"})
 
     def overlay(self, frames, camera, track):
         for frame, X in zip(frames, track.X_BG, strict=True):

@@ -20,14 +20,14 @@ COMMANDS = ["score", "ground", "report", "doctor"]
 @pytest.fixture
 def program(capfd, monkeypatch):
     """Runs the program in this process; returns exit status, standard output and standard error."""
-    fields = dict(job.RunConfig.__dataclass_fields__)
+    fields = dict(job.ScoreConfig.__dataclass_fields__)
     assert fields["stages"].default.endswith(":DrakeStages")
-    make = job.RunConfig
+    make = job.ScoreConfig
 
     def config(**options):
         return make(stages="fake_stages:FakeStages", **options)
 
-    monkeypatch.setattr(job, "RunConfig", config)
+    monkeypatch.setattr(job, "ScoreConfig", config)
 
     def call(*arguments):
         capfd.readouterr()
@@ -99,11 +99,16 @@ def test_status_1_when_nothing_could_be_scored(program, film, tmp_path):
         (["videos", "--out", "out", "--engine", "ray"], "ray is not available"),
         (["videos", "--out", "out", "--engine", "slurm"], "slurm"),
         (["videos", "--out", "out", "--shard", "5/4"], "I/N"),
+        (["videos", "--out", "out", "--shard", "0/4"], "I from 1 to N"),
         (["videos", "--out", "out", "--jobs", "0"], "--jobs"),
         (["videos", "--out", "out", "--limit", "x"], "--limit"),
         (["videos", "--out", "out", "--tag", "novalue"], "KEY=VALUE"),
+        (["videos", "--out", "out", "--tag", "x=1", "--tag", "x=2"], "given twice"),
         (["videos", "--out", "out", "--frame-period", "nan"], "--frame-period"),
         (["videos", "--out", "out", "--frame-period", "0"], "--frame-period"),
+        (["videos", "--out", "out", "--frame-period", "1e300"], "seconds from 0.0001 to 1000"),
+        (["videos", "--out", "out", "--table-height", "nan"], "--table-height"),
+        (["videos", "--out", "out", "--table-height", "720"], "metres"),
         (["videos", "--out", "out", "--nonsense"], "--nonsense"),
         (["bad_camera", "--out", "out"], "camera.json"),
         (["empty.jsonl", "--out", "out"], "is empty"),
@@ -167,8 +172,8 @@ def test_help_answers_at_once():
 SCORE = """
 import sys
 from kinebench_drake import cli, score
-make = score.RunConfig
-score.RunConfig = lambda **options: make(stages="fake_stages:FakeStages", **options)
+make = score.ScoreConfig
+score.ScoreConfig = lambda **options: make(stages="fake_stages:FakeStages", **options)
 if __name__ == "__main__":
     cli.main(sys.argv[1:])
 """

@@ -1,0 +1,221 @@
+"""One run over many samples, whatever they are: resumed, shared out, stored, summed up."""
+
+from collections.abc import Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Protocol
+
+from kinebench_drake.aggregate import Estimate, aggregate, by_key, estimate
+from kinebench_drake.engines import Crashed, EngineKind, create_engine
+from kinebench_drake.errors import UsageError
+from kinebench_drake.measure import SCHEMA_VERSION, Kind, Measure, Sample
+from kinebench_drake.provenance import code_hash, host, versions, weights_hash
+from kinebench_drake.results import REPORT, ResultStore, storage
+from kinebench_drake.row import Json, SampleRow, Status
+from kinebench_drake.shard import Shard
+from kinebench_drake.stages import StageOptions
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunConfig:
+    """What every run is told."""
+
+    source: Path
+    """What to work on."""
+    out: Path
+    """Output folder, made if absent."""
+    kind: Kind
+    limit: int | None = None
+    """Work on the first so many samples only."""
+    shard: Shard | None = None
+    """Work on this part of the samples only."""
+    jobs: int = 1
+    """Worker processes."""
+    engine: EngineKind = EngineKind.LOCAL
+    overwrite: bool = False
+    """Forget what `out` holds instead of going on from there."""
+    seed: int = 0
+    """Seed of the intervals' resampling."""
+    model: str | None = None
+    """Model of samples that name none."""
+    task: str | None = None
+    """Task of samples that name none."""
+    tags: Mapping[str, str] = field(default_factory=dict)
+    """Free labels, kept in the results."""
+    stages: str = "kinebench_drake.drake_stages:DrakeStages"
+    """Import path of the heavy steps."""
+    table_height_m: float = 0.0
+    """Height of the table's top in the robot's base frame [m]."""
+
+    def __post_init__(self) -> None:
+        """Check the numbers.
+
+        Raises:
+            UsageError: one of them makes no sense.
+        """
+        if self.limit is not None and self.limit < 1:
+            raise UsageError(f"--limit is {self.limit}, expected 1 or more")
+        if self.seed < 0:
+            raise UsageError(f"--seed is {self.seed}, expected 0 or more")
+        self.stage_options()
+
+    def stage_options(self) -> StageOptions:
+        """What the stages are told.
+
+        Raises:
+            UsageError: it cannot be used.
+        """
+        return StageOptions(table_height_m=self.table_height_m)
+
+    def to_json(self) -> dict[str, Json]:
+        """What results tell of the configuration; paths by their last name only."""
+        return {
+            "kind": self.kind.value,
+            "source": self.source.resolve().name,
+            "limit": self.limit,
+            "shard": str(self.shard) if self.shard else None,
+            "jobs": self.jobs,
+            "engine": self.engine.value,
+            "seed": self.seed,
+            "model": self.model,
+            "task": self.task,
+            "table_height_m": self.table_height_m,
+        }
+
+
+class Observer(Protocol):
+    """Who wants to hear how a run goes."""
+
+    def warned(self, message: str) -> None:
+        """Something the user should know."""
+        ...
+
+    def started(self, total: int, kept: int) -> None:
+        """So many samples are to be done in all, of which so many are done from before."""
+        ...
+
+    def finished(self, row: SampleRow, wall_s: float) -> None:
+        """One more sample is done and on disk."""
+        ...
+
+
+class Silence:
+    """An `Observer` that does not care."""
+
+    def warned(self, message: str) -> None:
+        """Ignore it."""
+
+    def started(self, total: int, kept: int) -> None:
+        """Ignore it."""
+
+    def finished(self, row: SampleRow, wall_s: float) -> None:
+        """Ignore it."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunSummary:
+    """How a run ended."""
+
+    rows: tuple[SampleRow, ...]
+    """All rows of the output folder, by id."""
+    counts: Mapping[Status, int]
+    """Samples of each status in the output folder."""
+    feasible: Estimate | None
+    """Share of the measured samples that the robot can do; None where none was judged."""
+    report: Path | None
+    """The html report; None for kinds that have none."""
+
+
+def run_samples(
+    config: RunConfig, samples: Sequence[Sample], measure: Measure[Sample], observer: Observer
+) -> RunSummary:
+    """Measure every sample and fill the output folder.
+
+    Samples whose results are there already, from the same bytes and settings, are kept. A sample that fails is a row
+    like any other.
+
+    Raises:
+        UsageError: the configuration or the output folder cannot be used.
+        SetupError: something is missing on this machine, or the disk is full. What was finished is kept.
+    """
+    engine = create_engine(config.engine, config.jobs)
+    chosen = list(samples[: config.limit])
+    chosen = config.shard.take(chosen) if config.shard else chosen
+    with ResultStore(config.out, overwrite=config.overwrite) as store:
+        waiting = _resume(store, samples, chosen, measure, observer)
+        observer.started(total=len(chosen), kept=len(chosen) - len(waiting))
+        with closing(engine.run(measure.make, waiting)) as outcomes:
+            for outcome in outcomes:
+                if isinstance(outcome, Crashed):
+                    row, wall_s = measure.failed(outcome.item, Status.ERROR, outcome.reason), 0.0
+                else:
+                    row, wall_s = outcome.result
+                store.append(row, wall_s)
+                observer.finished(row, wall_s)
+        rows = [store.rows[id] for id in sorted(store.rows)]
+        store.finish(summarize(rows, config, found=len(samples)))
+        report = _report(config) if config.kind.judges else None
+    feasible = estimate([r.feasible for r in rows if r.status is Status.OK], total=len(rows), seed=config.seed)
+    return RunSummary(
+        rows=tuple(rows),
+        counts={status: sum(row.status is status for row in rows) for status in Status},
+        feasible=feasible if feasible.n else None,
+        report=report,
+    )
+
+
+def summarize(rows: Sequence[SampleRow], config: RunConfig, found: int) -> dict[str, Json]:
+    """The content of `results.json`."""
+
+    def groups(key: str) -> dict[str, Json]:
+        return {name: aggregate(group, config.seed).to_json() for name, group in by_key(rows, key).items()}
+
+    return {
+        "schema_version": SCHEMA_VERSION,
+        "suite_version": None,
+        "kind": config.kind.value,
+        "samples_found": found,
+        "aggregates": aggregate(rows, config.seed).to_json(),
+        "per_task": groups("task"),
+        "per_model": groups("model"),
+        "config": config.to_json(),
+        "tags": dict(sorted(config.tags.items())),
+        "seeds": {"bootstrap": config.seed},
+        "versions": versions(),
+        "code_sha256": code_hash(),
+        "weights_sha256": weights_hash(),
+        "host": host(),
+    }
+
+
+def _resume(
+    store: ResultStore,
+    samples: Sequence[Sample],
+    chosen: Sequence[Sample],
+    measure: Measure[Sample],
+    observer: Observer,
+) -> list[Sample]:
+    """Drop kept rows that no longer hold; return the samples still to do."""
+    known = {sample.id for sample in samples}
+    if store.rows and not known & store.rows.keys():
+        raise UsageError(
+            f"--out {store.out}: holds results of other {measure.kind.noun} (such as {min(store.rows)!r}); name "
+            "another folder, or give --overwrite to drop them"
+        )
+    strangers = sorted(store.rows.keys() - known)
+    if strangers:
+        observer.warned(
+            f"{len(strangers)} earlier results are dropped, their {measure.kind.noun} are gone (such as "
+            f"{strangers[0]!r})"
+        )
+    waiting = {s.id: s for s in chosen if not measure.is_finished(s, store.rows.get(s.id))}
+    store.keep(lambda row: row.id in known and row.id not in waiting)
+    return list(waiting.values())
+
+
+def _report(config: RunConfig) -> Path:
+    from kinebench_drake.report import write_report
+
+    with storage(REPORT):
+        return write_report(config.out)

@@ -1,0 +1,170 @@
+"""What is done to one video: read, ground, judge, write its files."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import Enum
+from pathlib import Path
+
+import numpy as np
+
+from kinebench_drake.camera import Camera
+from kinebench_drake.errors import InputError, UnmeasurableError, UsageError
+from kinebench_drake.geometry import Array
+from kinebench_drake.grounding.video import Video, frame_files, read_video
+from kinebench_drake.inputs import Sample
+from kinebench_drake.measure import KINEMATIC_METRICS, MIN_TRACKED, Measure, Measured
+from kinebench_drake.mp4 import write_video
+from kinebench_drake.products import Anomaly, GripperTrack
+from kinebench_drake.provenance import weights_hash
+from kinebench_drake.results import part_path, storage, write_atomically
+from kinebench_drake.row import Json
+from kinebench_drake.stages import Judgement, Stages
+from kinebench_drake.thumbnail import side_by_side, track_at, worst_frame
+from kinebench_drake.trackfile import write_track
+
+BENCHMARK_PERIOD_S = 0.2
+"""Task time between two frames of a benchmark video (4 control steps at 20 Hz) [s]."""
+
+VISUAL_METRICS = ("tracked_fraction", "camera_motion_px", "anomalies")
+"""Names every row of a video bears; null where there is nothing to measure."""
+
+
+class PeriodSource(Enum):
+    """Where the task time between two frames comes from, in order of precedence."""
+
+    MANIFEST = "manifest"
+    OPTION = "option"
+    MANIFEST_FPS = "manifest_fps"
+    TIME_STAMPS = "time_stamps"
+    FPS = "fps"
+    BENCHMARK = "benchmark"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class VideoMeasure(Measure[Sample]):
+    """How the videos of one run are measured."""
+
+    frame_period_s: float | None
+    """Task time between two frames from the command line [s]."""
+    overlay: bool
+    """Whether to write overlays/ID.mp4."""
+
+    @property
+    def metric_names(self) -> tuple[str, ...]:
+        """See `Measure`."""
+        return (*VISUAL_METRICS, *(KINEMATIC_METRICS if self.kind.judges else ()))
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """See `Measure`."""
+        return ("tracks", *(["overlays"] if self.overlay else []))
+
+    def facts(self, sample: Sample) -> Mapping[str, Json]:
+        """See `Measure`."""
+        return {
+            "weights": weights_hash(),
+            "camera": sample.camera.to_json(),
+            "camera_source": sample.camera_source.value,
+            "option_period_s": self.frame_period_s,
+            "labels": [sample.seed, sample.prompt, sample.fps, sample.frame_period_s, sample.problem],
+        }
+
+    def files(self, sample: Sample) -> Sequence[Path]:
+        """See `Measure`."""
+        if sample.problem is not None:
+            return ()
+        return frame_files(sample.path) if sample.path.is_dir() else [sample.path]
+
+    def labels(self, sample: Sample) -> Mapping[str, Json]:
+        """See `Measure`."""
+        return {"camera_source": sample.camera_source.value, "seed": sample.seed, "prompt": sample.prompt}
+
+    def measure(self, sample: Sample, stages: Stages) -> Measured:
+        """See `Measure`."""
+        if sample.problem is not None:
+            raise InputError(sample.problem)
+        video = read_video(sample.path)
+        video.require_measurable()
+        try:
+            camera = sample.camera.resized(video.width, video.height)
+        except UsageError as error:
+            raise UnmeasurableError(f"{sample.camera_source.value} {error}") from None
+        t_s, period_s, period_source = self._times(sample, video)
+        grounding = stages.ground(video.frames, camera, t_s)
+        track = grounding.track
+        tracked = int(track.tracked.sum())
+        if tracked < MIN_TRACKED:
+            raise UnmeasurableError(
+                f"the gripper was found in {tracked} of {len(t_s)} frames, a path needs {MIN_TRACKED}: is the robot in "
+                "view, and is this the video's camera?"
+            )
+        judgement = stages.judge(track) if self.kind.judges else None
+        self._write_files(sample, video, camera, track, judgement, stages, period_s)
+        return Measured(
+            judgement=judgement,
+            metrics={
+                "tracked_fraction": tracked / len(t_s),
+                "camera_motion_px": grounding.camera_motion_px,
+                "anomalies": [_anomaly_json(a) for a in grounding.anomalies],
+            },
+            extra={
+                "frames": len(t_s),
+                "width": video.width,
+                "height": video.height,
+                "fps": video.fps,
+                "frame_period_s": period_s,
+                "frame_period_source": period_source.value,
+            },
+        )
+
+    def _times(self, sample: Sample, video: Video) -> tuple[Array, float, PeriodSource]:
+        """Task time of each frame [s], the period between two [s], and where it comes from."""
+        if sample.frame_period_s is not None:
+            period_s, source = sample.frame_period_s, PeriodSource.MANIFEST
+        elif self.frame_period_s is not None:
+            period_s, source = self.frame_period_s, PeriodSource.OPTION
+        elif sample.fps is not None:
+            period_s, source = 1.0 / sample.fps, PeriodSource.MANIFEST_FPS
+        elif video.stamps_s is not None:
+            period_s = float(np.median(np.diff(video.stamps_s)))
+            return video.stamps_s, period_s, PeriodSource.TIME_STAMPS
+        elif video.fps is not None:
+            period_s, source = 1.0 / video.fps, PeriodSource.FPS
+        else:
+            period_s, source = BENCHMARK_PERIOD_S, PeriodSource.BENCHMARK
+        return np.arange(len(video.frames), dtype=np.float64) * period_s, period_s, source
+
+    def _write_files(
+        self,
+        sample: Sample,
+        video: Video,
+        camera: Camera,
+        track: GripperTrack,
+        judgement: Judgement | None,
+        stages: Stages,
+        period_s: float,
+    ) -> None:
+        """Write the sample's files, each whole or not at all; the row that vouches for them comes later.
+
+        Raises:
+            SetupError: writing failed.
+        """
+        if self.overlay:
+            path = part_path(self.out, "overlays", sample.id)
+            fps = float(np.clip(video.fps or 1.0 / period_s, 1.0, 60.0))
+            with storage(f"overlays/{path.name}"):
+                write_video(path, stages.overlay(video.frames, camera, track), fps)
+        chosen = np.unique([0, worst_frame(track, judgement)])
+        images = list(stages.overlay(video.frames[chosen], camera, track_at(track, chosen)))
+        write_atomically(part_path(self.out, "thumbnails", sample.id), side_by_side(images))
+        joints, curves = (judgement.joints, judgement.curves) if judgement else (None, {})
+        write_track(part_path(self.out, "tracks", sample.id), track, joints, curves)
+
+
+def _anomaly_json(anomaly: Anomaly) -> dict[str, Json]:
+    return {
+        "kind": anomaly.kind.value,
+        "frame_start": int(anomaly.frame_start),
+        "frame_end": int(anomaly.frame_end),
+        "severity": float(anomaly.severity),
+    }
