@@ -3,7 +3,7 @@
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from pydrake.geometry import CollisionFilterDeclaration, GeometrySet
 from pydrake.math import RigidTransform
 from pydrake.multibody.parsing import Parser
@@ -44,7 +44,7 @@ class ArmPlant:
         plant.Finalize()
         _allow(plant, scene_graph, self.robot)
         self.drake: Any = plant
-        """The Drake plant itself, finalised: 7 arm joints, then the fingers."""
+        """The Drake plant itself, finalised: for the Panda 7 arm joints, then the fingers."""
         self.diagram: Any = builder.Build()
         """The plant connected to its scene graph."""
         self._root = self.diagram.CreateDefaultContext()
@@ -52,8 +52,10 @@ class ArmPlant:
         """The plant's context that the methods use."""
         joints = [plant.GetJointByName(name) for name in self.robot.joints]
         fingers = [plant.GetJointByName(name) for name in self.robot.finger_joints]
-        if [joint.position_start() for joint in (*joints, *fingers)] != list(range(plant.num_positions())):
-            raise RuntimeError("the plant's joints are not in the robot's order")
+        self._arm = _index([joint.position_start() for joint in joints])
+        self._arm_rates = _index([joint.velocity_start() for joint in joints])
+        self._fingers = np.array([joint.position_start() for joint in fingers], dtype=np.intp)
+        self._opening = np.array([[j.position_lower_limit(), j.position_upper_limit()] for j in fingers]).reshape(-1, 2)
         self.lower = np.array([joint.position_lower_limit() for joint in joints])
         """(7,) lower joint limits [rad]."""
         self.upper = np.array([joint.position_upper_limit() for joint in joints])
@@ -68,7 +70,10 @@ class ArmPlant:
         """(7,) greatest joint jerks [rad/s^3]; None where unpublished."""
         self.finger_width_m = finger_width_m
         """Gap between the finger pads where a call names none [m]."""
-        self._positions = np.full(plant.num_positions(), finger_width_m / 2.0)
+        low, high = plant.GetPositionLowerLimits(), plant.GetPositionUpperLimits()
+        self._held = np.clip(np.zeros(plant.num_positions()), low, high)
+        self._held[self._fingers] = np.clip(finger_width_m / 2.0, *self._opening.T)
+        self._positions = self._held.copy()
         self.base_frame: Any = plant.GetFrameByName(self.robot.base_link)
         """Frame B."""
         self.tcp_frame: Any = plant.GetFrameByName(self.robot.tcp_link)
@@ -87,10 +92,31 @@ class ArmPlant:
         q = np.asarray(q, dtype=np.float64)
         if q.shape != (N_JOINTS,):
             raise UsageError(f"q has shape {q.shape}, expected the 7 arm joints in radians")
-        self._positions[:N_JOINTS] = q
-        width = self.finger_width_m if finger_width_m is None else finger_width_m
-        self._positions[N_JOINTS:] = width / 2.0
+        self._positions[:] = self._held
+        self._positions[self._arm] = q
+        if finger_width_m is not None:
+            self._positions[self._fingers] = np.clip(finger_width_m / 2.0, *self._opening.T)
         self.drake.SetPositions(self.context, self._positions)
+
+    def positions(self, q: ArrayLike, finger_width_m: ArrayLike | None = None) -> Array:
+        """All the plant's positions (N, n) at postures `q` (N, 7) [rad], in Drake's order.
+
+        The fingers are `finger_width_m` (N,) [m] apart, as far as their limits let them; where it is None or NaN, as
+        `set_posture` has them. Joints that are neither the arm's nor fingers stay at 0, or at their limit nearest to 0.
+
+        Raises:
+            UsageError: `q` is not (N, 7).
+        """
+        q = np.asarray(q, dtype=np.float64)
+        if q.ndim != 2 or q.shape[1] != N_JOINTS:
+            raise UsageError(f"q has shape {q.shape}, expected (N, {N_JOINTS}) arm joints in radians")
+        positions = np.tile(self._held, (len(q), 1))
+        positions[:, self._arm] = q
+        if finger_width_m is not None:
+            width = np.asarray(finger_width_m, dtype=np.float64)[:, None]
+            asked = np.clip(width / 2.0, *self._opening.T)
+            positions[:, self._fingers] = np.where(np.isfinite(width), asked, self._held[self._fingers])
+        return positions
 
     def forward(self, q: ArrayLike) -> Array:
         """Pose X_BG (4, 4) of the TCP in the base [m] at joint angles `q` (7,) [rad]."""
@@ -120,7 +146,7 @@ class ArmPlant:
         J = self.drake.CalcJacobianSpatialVelocity(
             self.context, JacobianWrtVariable.kV, self.tcp_frame, self._origin, self.base_frame, self.base_frame
         )
-        return np.asarray(J[:, :N_JOINTS])
+        return np.asarray(J[:, self._arm_rates])
 
     def forward_and_jacobian(self, q: ArrayLike) -> tuple[Array, Array]:
         """Both `forward(q)` and `jacobian(q)`, at the price of one."""
@@ -134,21 +160,27 @@ class ArmPlant:
         stay still.
         """
         self.set_posture(q)
-        self._rates[:, :N_JOINTS] = v, a
+        self._rates[:, self._arm_rates] = v, a
         self.drake.SetVelocities(self.context, self._rates[0])
         inverse = self.drake.CalcInverseDynamics(self.context, self._rates[1], MultibodyForces(self.drake))
         gravity = self.drake.CalcGravityGeneralizedForces(self.context)
-        return np.asarray((inverse - gravity)[:N_JOINTS])
+        return np.asarray((inverse - gravity)[self._arm_rates])
 
     def mass_matrix(self, q: ArrayLike) -> Array:
         """Mass matrix (7, 7) [kg m^2] of the arm at `q` (7,) [rad], the fingers held."""
         self.set_posture(q)
-        return np.asarray(self.drake.CalcMassMatrix(self.context)[:N_JOINTS, :N_JOINTS])
+        return np.asarray(self.drake.CalcMassMatrix(self.context)[self._arm_rates][:, self._arm_rates])
 
     def query(self, q: ArrayLike, finger_width_m: float | None = None) -> Any:
         """Drake's QueryObject of all geometry at `q` (7,) [rad]; allowed pairs of links are left out."""
         self.set_posture(q, finger_width_m)
         return self.drake.get_geometry_query_input_port().Eval(self.context)
+
+
+def _index(starts: list[int]) -> slice | NDArray[np.intp]:
+    """Where the arm's joints are among all: a slice in the usual case that they stand in a row, which is faster."""
+    in_row = starts == list(range(starts[0], starts[0] + len(starts)))
+    return slice(starts[0], starts[-1] + 1) if in_row else np.array(starts, dtype=np.intp)
 
 
 def _allow(plant: Any, scene_graph: Any, robot: Robot) -> None:

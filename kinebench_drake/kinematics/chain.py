@@ -1,0 +1,143 @@
+"""Link poses and Jacobians of many postures at once, in NumPy, with the geometry read off Drake's plant.
+
+Drake answers one posture a call; where hundreds are wanted, the calls cost more than the arithmetic.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from kinebench_drake.geometry import Array, make_pose
+from kinebench_drake.kinematics.plant import ArmPlant
+from kinebench_drake.models.robot import N_JOINTS
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Joint:
+    """One moving joint, its axis as it lies in B at the zero posture."""
+
+    name: str
+    position: int
+    """Index into the plant's positions."""
+    parent: int
+    """Stage of the link that carries the joint."""
+    axis: Array
+    """(3,) unit vector."""
+    point: Array
+    """(3,) a point on the axis [m]."""
+    prismatic: bool
+
+    @staticmethod
+    def read(joint: Any, context: Any, parent: int) -> "_Joint":
+        X_BF = np.asarray(joint.frame_on_parent().CalcPoseInWorld(context).GetAsMatrix4())
+        prismatic = joint.type_name() == "prismatic"
+        axis = joint.translation_axis() if prismatic else joint.revolute_axis()
+        return _Joint(
+            name=joint.name(),
+            position=joint.position_start(),
+            parent=parent,
+            axis=X_BF[:3, :3] @ axis,
+            point=X_BF[:3, 3],
+            prismatic=prismatic,
+        )
+
+    def motion(self, position: Array) -> Array:
+        """Motions (N, 4, 4) by joint positions (N,) [rad or m]: Rodrigues' formula about the axis, or a shift."""
+        if self.prismatic:
+            return make_pose(np.eye(3), position[:, None] * self.axis)
+        x, y, z = self.axis
+        K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        s, c = np.sin(position)[:, None, None], np.cos(position)[:, None, None]
+        R = np.eye(3) + s * K + (1.0 - c) * (K @ K)
+        return make_pose(R, self.point - R @ self.point)
+
+
+class LinkChain:
+    """The plant's joints as a product of exponentials.
+
+    Each link's pose is X_BL(q) = exp(S_1 q_1) ... exp(S_k q_k) X_BL(0), over the joints between base and link, with
+    every joint's axis as it lies in B at the zero posture. Source: R. W. Brockett, "Robotic manipulators and the product
+    of exponentials formula", Mathematical Theory of Networks and Systems, 1984.
+    """
+
+    def __init__(self, plant: ArmPlant) -> None:
+        """Read axes and poses off the plant's zero posture; the plant's context is left as it was."""
+        drake = plant.drake
+        context = drake.CreateDefaultContext()
+        drake.SetPositions(context, np.zeros(drake.num_positions()))
+        joints = [drake.get_joint(index) for index in drake.GetJointIndices()]
+        inboard = {joint.child_body().name(): joint for joint in joints}
+        names = [drake.get_body(index).name() for index in drake.GetBodyIndices(drake.GetBodyByName(plant.robot.base_link).model_instance())]
+        home = {n: np.asarray(drake.GetBodyByName(n).EvalPoseInWorld(context).GetAsMatrix4()) for n in names}
+        self._plant = plant
+        self._joints: list[_Joint] = []
+        self.stage: dict[str, int] = {}
+        """Number of the motion that carries each link, 0 for those that never move."""
+        self.home: dict[str, Array] = home
+        """Poses (4, 4) of the links in B at the zero posture [m]."""
+        world = drake.world_body().name()
+
+        def visit(name: str) -> int:
+            if name == world:
+                return 0
+            if name not in self.stage:
+                joint = inboard[name]
+                stage = visit(joint.parent_body().name())
+                if joint.num_positions():
+                    self._joints.append(_Joint.read(joint, context, stage))
+                    stage = len(self._joints)
+                self.stage[name] = stage
+            return self.stage[name]
+
+        for name in names:
+            visit(name)
+        self._upstream = np.zeros((len(self._joints) + 1, N_JOINTS), dtype=bool)
+        arm = {name: j for j, name in enumerate(plant.robot.joints)}
+        for i, joint in enumerate(self._joints):
+            self._upstream[i + 1] = self._upstream[joint.parent]
+            if joint.name in arm:
+                self._upstream[i + 1, arm[joint.name]] = True
+        self._arm = [next(i for i, joint in enumerate(self._joints) if joint.name == n) for n in plant.robot.joints]
+
+    def motions(self, q: ArrayLike, finger_width_m: ArrayLike | None = None) -> Array:
+        """Motions (N, stages, 4, 4) from the zero posture to postures `q` (N, 7) [rad], by stage; stage 0 stands still.
+
+        A link's pose is `motions[:, stage[link]] @ home[link]`. The fingers are `finger_width_m` (N,) [m] apart, by
+        default and where it is NaN as the plant has them.
+        """
+        positions = self._plant.positions(q, finger_width_m)
+        M = np.zeros((len(positions), len(self._joints) + 1, 4, 4))
+        M[:, 0] = np.eye(4)
+        for i, joint in enumerate(self._joints):
+            M[:, i + 1] = M[:, joint.parent] @ joint.motion(positions[:, joint.position])
+        return M
+
+    def poses(self, q: ArrayLike, link: str, finger_width_m: ArrayLike | None = None) -> Array:
+        """Poses (N, 4, 4) of `link` in B [m] at postures `q` (N, 7) [rad]."""
+        return np.asarray(self.motions(q, finger_width_m)[:, self.stage[link]] @ self.home[link])
+
+    def axes(self, motions: Array) -> tuple[Array, Array]:
+        """Unit axes (N, 7, 3) of the arm's joints in B and a point (N, 7, 3) [m] on each, from `motions`."""
+        parents = [self._joints[i].parent for i in self._arm]
+        M = motions[:, parents]
+        axis = np.array([self._joints[i].axis for i in self._arm])
+        point = np.array([self._joints[i].point for i in self._arm])
+        return (
+            np.asarray((M[..., :3, :3] @ axis[..., None])[..., 0]),
+            np.asarray((M[..., :3, :3] @ point[..., None])[..., 0] + M[..., :3, 3]),
+        )
+
+    def carries(self, link: str) -> Array:
+        """(7,) 1 for each arm joint between base and `link`, else 0."""
+        return self._upstream[self.stage[link]].astype(np.float64)
+
+    def jacobians(self, q: ArrayLike) -> Array:
+        """Geometric Jacobians (N, 6, 7) of the TCP in B at `q` (N, 7) [rad], as `ArmPlant.jacobian` has them."""
+        M = self.motions(q)
+        tcp = self._plant.robot.tcp_link
+        p = (M[:, self.stage[tcp]] @ self.home[tcp])[:, None, :3, 3]
+        axis, point = self.axes(M)
+        J = np.concatenate([axis, np.cross(axis, p - point)], axis=-1)
+        return np.ascontiguousarray(np.swapaxes(J, -1, -2))
