@@ -1,0 +1,191 @@
+"""Jumps that no continuous motion explains: the gripper is here in one frame and elsewhere in the next.
+
+At video rates a jump can lie within every speed limit (at 0.2 s a frame the Panda may move 34 cm in one), so this is a
+statistical finding, not a physical one: one step that neither side of it announces. Each step is predicted from the two
+steps before it and the two after, once as if the velocity there were constant and once as if it changed linearly; a
+smooth motion lies between the two predictions or near. A step farther from both than the stated floor, than noise could
+put it, and than is usual around it is a jump. Where only one side is known, at the ends of a run of tracked frames, a
+quick start or stop looks the same, and twice the floor is asked.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import fdtri
+
+from kinebench_drake.geometry import Array
+from kinebench_drake.metrics.noise import FREEDOM_A_FRAME, TrackNoise, joint_noise, rotation_steps
+from kinebench_drake.metrics.runs import runs
+from kinebench_drake.metrics.violation import Violation, ViolationKind
+
+JUMP_M = 0.06
+"""Least jump of the TCP's position [m] ..."""
+JUMP_RAD = 0.35
+"""... of its orientation, or of a joint [rad], for steps of JUMP_PERIOD_S."""
+JUMP_PERIOD_S = 0.2
+"""Over longer steps the floors grow with the square of the time, as the effect of an acceleration does."""
+ACCELERATION_M_S2, ACCELERATION_RAD_S2, JOINT_ACCELERATION_RAD_S2 = 13.0, 25.0, 20.0
+"""Over shorter steps the floors are at most what these limits of the Panda allow: Cartesian, and of its quickest joint.
+
+Source: libfranka, `rate_limiting.h` (limits of the Franka Emika Robot, also in its control interface's documentation).
+"""
+CONTRAST = 3.0
+"""A jump is this many times the median deviation of the steps around it."""
+FALSE_ALARM = 0.001
+"""Chance, at most, that white noise alone makes a jump out of a still track, for each of position, rotation, joints."""
+
+_AROUND = 5  # steps on either side that are "around"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Jump:
+    start: int
+    end: int
+    size: float
+    threshold: float
+
+
+def find_discontinuities(
+    t_s: Array,
+    X_BG: Array,
+    tracked: NDArray[np.bool_],
+    noise: TrackNoise,
+    q: Array | None = None,
+    joints: tuple[str, ...] = (),
+) -> tuple[Violation, ...]:
+    """Jumps of the TCP within runs of tracked frames, and of given joint angles.
+
+    A violation's frames are the last good one before the jump and the first after it; a jump away and straight back is
+    one violation. `value` is how far the step lies from its predictions and `limit` the threshold: in metres for a jump
+    of the TCP's position, in radians for one of its orientation alone (`joint` is None for both) or of a joint.
+
+    Args:
+        t_s: (T,) times [s], increasing.
+        X_BG: (T, 4, 4) poses of the TCP in B [m].
+        tracked: (T,) frames whose pose counts.
+        noise: of the poses (`noise.track_noise`); where unknown (NaN), nothing is called a jump.
+        q: (T, 7) joint angles [rad] if they were given, NaN where unknown; not those of inverse kinematics, whose jumps
+            from one branch to another are the solver's.
+        joints: names of the columns of `q`.
+    """
+    pieces = [run for run in runs(tracked) if run.stop - run.start > 2]
+    found: list[Violation] = []
+    moved: set[int] = set()
+    for run in pieces:
+        n = run.stop - run.start
+        t, step = t_s[run], np.diff(X_BG[run, :3, 3], axis=0)
+        for jump in _jumps(t, step, _floor(t, JUMP_M, ACCELERATION_M_S2), _noise_norm(noise.position_m, 3, n)):
+            moved.update(range(run.start + jump.start, run.start + jump.end))
+            found.append(_violation(jump, run, None))
+    for run in pieces:
+        n = run.stop - run.start
+        t, step = t_s[run], rotation_steps(X_BG[run, :3, :3])
+        for jump in _jumps(t, step, _floor(t, JUMP_RAD, ACCELERATION_RAD_S2), _noise_norm(noise.rotation_rad, 3, n)):
+            if moved.isdisjoint(range(run.start + jump.start, run.start + jump.end)):
+                found.append(_violation(jump, run, None))
+    if q is not None:
+        found += _joint_jumps(t_s, q, joints)
+    return tuple(sorted(found, key=lambda v: (v.frame_start, v.frame_end, v.joint or "")))
+
+
+def _joint_jumps(t_s: Array, q: Array, joints: tuple[str, ...]) -> list[Violation]:
+    sigma = joint_noise(t_s, q)
+    found = []
+    for run in runs(np.isfinite(q).all(axis=-1)):
+        t, n = t_s[run], run.stop - run.start
+        floor = _floor(t, JUMP_RAD, JOINT_ACCELERATION_RAD_S2)
+        for j, name in enumerate(joints):
+            step = np.diff(q[run, j : j + 1], axis=0)
+            # All joints together are looked at as often as there are steps times joints.
+            found += [
+                _violation(jump, run, name) for jump in _jumps(t, step, floor, _noise_norm(sigma[j], 1, n, q.shape[1]))
+            ]
+    return found
+
+
+def _violation(jump: _Jump, run: slice, joint: str | None) -> Violation:
+    return Violation(
+        kind=ViolationKind.DISCONTINUITY,
+        frame_start=run.start + jump.start,
+        frame_end=run.start + jump.end,
+        joint=joint,
+        value=jump.size,
+        limit=jump.threshold,
+    )
+
+
+def _floor(t_s: Array, floor: float, acceleration: float) -> Array:
+    """Least jump (n - 1,) that counts, for steps between the times `t_s` (n,) [s]."""
+    dt2 = np.diff(t_s) ** 2
+    return np.minimum(floor * np.maximum(dt2 / JUMP_PERIOD_S**2, 1.0), acceleration * dt2)
+
+
+def _noise_norm(sigma: float, axes: int, frames: int, groups: int = 1) -> float:
+    """Deviation of a step that noise `sigma` an axis exceeds anywhere with probability FALSE_ALARM, at even times.
+
+    A step less one beside it has sqrt(6) sigma an axis (less the mean of both sides: sqrt(5)); its squared norm over
+    measured variance, a mean over axes, follows Fisher's distribution.
+    """
+    chance = 1.0 - FALSE_ALARM / (frames * groups)
+    return float(np.sqrt(6.0 * axes * fdtri(axes, max(FREEDOM_A_FRAME * frames, 1.0), chance)) * sigma)
+
+
+def _jumps(t_s: Array, steps: Array, floor: Array, noise_norm: float) -> list[_Jump]:
+    """Jumps among `steps` (n - 1, axes) between the times `t_s` (n,) [s], largest first found, in order of frames."""
+    dt = np.diff(t_s)
+    velocity, middle = steps / dt[:, None], 0.5 * (t_s[:-1] + t_s[1:])
+    known = np.ones(len(dt), dtype=bool)
+    sizes, thresholds = np.zeros(len(dt)), np.zeros(len(dt))
+    while known.sum() > 2:
+        deviation, sides = _deviation(middle, velocity, known)
+        deviation *= dt
+        threshold = np.maximum(floor * np.where(sides == 2, 1.0, 2.0), noise_norm)  # NaN if the noise is unknown
+        for i in np.argsort(-np.nan_to_num(deviation / threshold)).tolist():
+            if not deviation[i] > threshold[i]:
+                return _merged(~known, sizes, thresholds)
+            around = [k for k in range(max(0, i - _AROUND), min(len(dt), i + _AROUND + 1)) if k != i and known[k]]
+            if deviation[i] > CONTRAST * float(np.median(deviation[around])):
+                known[i], sizes[i], thresholds[i] = False, deviation[i], threshold[i]
+                break
+        else:
+            break
+    return _merged(~known, sizes, thresholds)
+
+
+def _merged(called: NDArray[np.bool_], sizes: Array, thresholds: Array) -> list[_Jump]:
+    found = []
+    for run in runs(called):
+        worst = run.start + int(np.argmax(sizes[run]))
+        found.append(_Jump(start=run.start, end=run.stop, size=float(sizes[worst]), threshold=float(thresholds[worst])))
+    return found
+
+
+def _deviation(t_s: Array, velocity: Array, known: NDArray[np.bool_]) -> tuple[Array, NDArray[np.int_]]:
+    """Distance (n,) of each velocity (n, axes) at `t_s` (n,) from what those beside it foretell; NaN if not known.
+
+    What they foretell is the segment from the constant to the linear prediction, each the mean of what the known
+    velocities before and after foretell. Also returns how many sides (n,) there are.
+    """
+    n = len(t_s)
+    index = np.flatnonzero(known)
+    here = np.searchsorted(index, np.arange(n))
+    constant, linear = np.zeros_like(velocity), np.zeros_like(velocity)
+    sides = np.zeros(n, dtype=int)
+    for near, far in ((here - 1, here - 2), (here + 1, here + 2)):
+        has = known & (near >= 0) & (near < len(index))
+        two = has & (far >= 0) & (far < len(index))
+        a, b = index[np.clip(near, 0, len(index) - 1)], index[np.clip(far, 0, len(index) - 1)]
+        constant[has] += velocity[a[has]]
+        linear[has] += velocity[a[has]]
+        slope = (velocity[a[two]] - velocity[b[two]]) / (t_s[a[two]] - t_s[b[two]])[:, None]
+        linear[two] += slope * (t_s[two] - t_s[a[two]])[:, None]
+        sides += has
+    with np.errstate(divide="ignore", invalid="ignore"):
+        constant, linear = constant / sides[:, None], linear / sides[:, None]
+        way = linear - constant
+        length2 = np.sum(way**2, axis=-1)
+        along = np.sum((velocity - constant) * way, axis=-1)
+        share = np.where(length2 > 0.0, np.clip(along / length2, 0.0, 1.0), 0.0)
+        distance = np.linalg.norm(velocity - constant - share[:, None] * way, axis=-1)
+    return np.where(known & (sides > 0), distance, np.nan), sides
