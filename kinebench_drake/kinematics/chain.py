@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kinebench_drake.geometry import Array, make_pose
+from kinebench_drake.geometry import Array, invert, make_pose
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.models.robot import N_JOINTS
 
@@ -69,7 +69,10 @@ class LinkChain:
         drake.SetPositions(context, np.zeros(drake.num_positions()))
         joints = [drake.get_joint(index) for index in drake.GetJointIndices()]
         inboard = {joint.child_body().name(): joint for joint in joints}
-        names = [drake.get_body(index).name() for index in drake.GetBodyIndices(drake.GetBodyByName(plant.robot.base_link).model_instance())]
+        names = [
+            drake.get_body(index).name()
+            for index in drake.GetBodyIndices(drake.GetBodyByName(plant.robot.base_link).model_instance())
+        ]
         home = {n: np.asarray(drake.GetBodyByName(n).EvalPoseInWorld(context).GetAsMatrix4()) for n in names}
         self._plant = plant
         self._joints: list[_Joint] = []
@@ -93,6 +96,8 @@ class LinkChain:
 
         for name in names:
             visit(name)
+        first = [next(name for name in names if self.stage[name] == i + 1) for i in range(len(self._joints))]
+        self._carried = [(drake.GetBodyByName(name), invert(home[name])) for name in first]
         self._upstream = np.zeros((len(self._joints) + 1, N_JOINTS), dtype=bool)
         arm = {name: j for j, name in enumerate(plant.robot.joints)}
         for i, joint in enumerate(self._joints):
@@ -112,6 +117,14 @@ class LinkChain:
         M[:, 0] = np.eye(4)
         for i, joint in enumerate(self._joints):
             M[:, i + 1] = M[:, joint.parent] @ joint.motion(positions[:, joint.position])
+        return M
+
+    def current(self) -> Array:
+        """Motions (stages, 4, 4) of the one posture that the plant's context holds, asked of Drake: faster for one."""
+        M = np.empty((len(self._joints) + 1, 4, 4))
+        M[0] = np.eye(4)
+        for i, (body, to_zero) in enumerate(self._carried):
+            M[i + 1] = body.EvalPoseInWorld(self._plant.context).GetAsMatrix4() @ to_zero
         return M
 
     def poses(self, q: ArrayLike, link: str, finger_width_m: ArrayLike | None = None) -> Array:

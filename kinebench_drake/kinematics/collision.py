@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 from pydrake.geometry import Box, Capsule, Cylinder, Ellipsoid, Role, Sphere
+from scipy.optimize import nnls
 
 from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.geometry import Array, transform_points
@@ -23,6 +24,12 @@ TABLE = "table"
 """Name of the table where links are named."""
 
 _REACH_M = 0.2  # self distances are searched this far first; the Panda is never farther from itself
+# Drake's iteration for the distance of two hulls stops early now and then, with points that are not the nearest:
+# 8 mm too far at worst, in a million random postures, never on the wrong side of 0. So each distance is held against
+# the width of the slab that parts the two solids, and computed anew where the two disagree.
+_CERTAIN_M = 1e-6
+_DOUBT_M = 0.02
+_UP = np.array([0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -60,19 +67,33 @@ class _Solid:
     axes: Array | None
     """(3, 3) the ellipsoid's semi-axes as columns, in B at the zero posture [m]; None: a polytope."""
 
-    def heights(self, R: Array, p: Array) -> Array:
-        """Least z (N, V) in B of each swollen point, moved by R (N, 3, 3) and p (N, 3): the support function at -z."""
-        z = R[:, 2] @ self.points.T + p[:, 2:]
-        return z if self.axes is None else z - np.linalg.norm(R[:, 2] @ self.axes, axis=-1, keepdims=True)
+    def least(self, n: Array) -> Array:
+        """Least n . x (N,) over the solid's points x at the zero posture, for directions `n` (N, 3)."""
+        least = np.asarray((n @ self.points.T).min(axis=-1))
+        return least if self.axes is None else least - np.linalg.norm(n @ self.axes, axis=-1)
 
-    def lowest(self, R: Array, p: Array) -> Array:
-        """Lowest point (3,) in B of the solid moved by R (3, 3) and p (3,)."""
-        point = self.points[np.argmin(self.points @ R[2])]
-        if self.axes is not None:
-            down = R[2] @ self.axes
-            norm = np.linalg.norm(down)
-            point = point - self.axes @ down / norm if norm > 0.0 else point
-        return np.asarray(R @ point + p)
+    def ball(self) -> tuple[Array, float]:
+        """Centre (3,) and radius [m] of a ball around the solid at the zero posture."""
+        center = 0.5 * (self.points.min(axis=0) + self.points.max(axis=0))
+        radius = float(np.linalg.norm(self.points - center, axis=-1).max())
+        return center, radius if self.axes is None else radius + float(np.linalg.norm(self.axes, ord=2))
+
+    def lowest(self, n: Array) -> Array:
+        """Point x (3,) of the solid at the zero posture with the least n . x."""
+        point = self.points[np.argmin(self.points @ n)]
+        if self.axes is not None and (norm := np.linalg.norm(n @ self.axes)) > 0.0:
+            point = point - self.axes @ (n @ self.axes) / norm
+        return np.asarray(point)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Near:
+    """A pair that Drake found near at one posture."""
+
+    frame: int
+    distance: float
+    n: Array
+    """(3,) unit vector from B's nearest point to A's, in the robot's base; the other way in penetration."""
 
 
 class CollisionModel:
@@ -101,6 +122,10 @@ class CollisionModel:
             link = plant.drake.GetBodyFromFrameId(inspector.GetFrameId(geometry)).name()
             self._solids[geometry] = _solid(inspector, geometry, link, self._chain)
         self._movable = [solid for solid in self._solids.values() if solid.stage > 0]
+        self._stages = np.array([solid.stage for solid in self._movable], dtype=np.intp)
+        balls = [solid.ball() for solid in self._movable]
+        self._centers = np.reshape([center for center, _ in balls], (-1, 3))
+        self._radii = np.array([radius for _, radius in balls])
 
     def self_distance(self, q: ArrayLike, finger_width_m: ArrayLike | None = None) -> Clearance:
         """Least distance between two links that must not touch, at postures `q` (N, 7) [rad].
@@ -112,17 +137,36 @@ class CollisionModel:
             UsageError: `q` is not (N, 7), or `finger_width_m` not (N,).
         """
         q, width = _arguments(q, finger_width_m)
-        distance = np.full(len(q), np.nan)
-        pairs: list[tuple[str, str] | None] = [None] * len(q)
-        for i in np.flatnonzero(np.isfinite(q).all(axis=-1)):
-            query = self._plant.query(q[i], None if np.isnan(width[i]) else float(width[i]))
+        known = np.flatnonzero(np.isfinite(q).all(axis=-1))
+        near: dict[tuple[Any, Any], list[_Near]] = {}
+        for i, row in enumerate(known):
+            query = self._plant.query(q[row], None if np.isnan(width[row]) else float(width[row]))
             found = query.ComputeSignedDistancePairwiseClosestPoints(_REACH_M)
             if not found:
                 found = query.ComputeSignedDistancePairwiseClosestPoints(np.inf)
-            if found:
-                nearest = min(found, key=_distance)
-                distance[i] = nearest.distance
-                pairs[i] = self._links(nearest)
+            farthest = min((pair.distance for pair in found), default=0.0) + _DOUBT_M
+            for pair in found:
+                if pair.distance <= farthest:
+                    entry = _Near(frame=i, distance=pair.distance, n=pair.nhat_BA_W)
+                    near.setdefault((pair.id_A, pair.id_B), []).append(entry)
+        least = np.full(len(known), np.inf)
+        pairs: list[tuple[str, str] | None] = [None] * len(q)
+        M = self._chain.motions(q[known], width[known])
+        for (id_A, id_B), entries in near.items():
+            A, B = self._solids[id_A], self._solids[id_B]
+            frames = np.array([entry.frame for entry in entries])
+            distance = np.array([entry.distance for entry in entries])
+            gap = _gap(A, B, M[frames], np.array([entry.n for entry in entries]))
+            for k in np.flatnonzero((distance > 0.0) & (gap < distance - _CERTAIN_M)):
+                if A.axes is None and B.axes is None:
+                    a, b = _nearest(A, B, M[frames[k]])
+                    distance[k] = np.linalg.norm(a - b)
+            for frame, value in zip(frames, distance, strict=True):
+                if value < least[frame]:
+                    least[frame] = value
+                    pairs[known[frame]] = _names(A, B)
+        distance = np.full(len(q), np.nan)
+        distance[known] = np.where(np.isfinite(least), least, np.nan)
         return Clearance(distance_m=distance, pair=tuple(pairs))
 
     def table_distance(self, q: ArrayLike, finger_width_m: ArrayLike | None = None) -> Clearance:
@@ -139,9 +183,8 @@ class CollisionModel:
         distance = np.full(len(q), np.nan)
         pairs: list[tuple[str, str] | None] = [None] * len(q)
         if known.any() and self._movable:
-            M = self._chain.motions(q[known], width[known])
-            R, p = M[..., :3, :3], M[..., :3, 3]
-            heights = np.stack([s.heights(R[:, s.stage], p[:, s.stage]).min(axis=-1) for s in self._movable])
+            z = self._chain.motions(q[known], width[known])[:, :, 2]  # (N, stages, 4): R's third row and p's
+            heights = np.stack([s.least(z[:, s.stage, :3]) + z[:, s.stage, 3] for s in self._movable])
             distance[known] = heights.min(axis=0) - self.table_height_m
             for i, lowest in zip(np.flatnonzero(known), heights.argmin(axis=0), strict=True):
                 pairs[i] = (self._movable[lowest].link, TABLE)
@@ -158,26 +201,32 @@ class CollisionModel:
         Raises:
             UsageError: `q` is not (7,).
         """
-        q = np.asarray(q, dtype=np.float64)
         query = self._plant.query(q, finger_width_m)
-        width = None if finger_width_m is None else [finger_width_m]
-        M = self._chain.motions(q[None], width)
-        axis, point = (array[0] for array in self._chain.axes(M))
+        M = self._chain.current()
+        axis, point = (array[0] for array in self._chain.axes(M[None]))
         found = []
         for pair in query.ComputeSignedDistancePairwiseClosestPoints(within_m):
-            n = np.asarray(pair.nhat_BA_W)
-            link_a, link_b = (self._solids[id].link for id in (pair.id_A, pair.id_B))
+            A, B = self._solids[pair.id_A], self._solids[pair.id_B]
+            distance, n = pair.distance, np.asarray(pair.nhat_BA_W)
             a = query.GetPoseInWorld(pair.id_A) @ pair.p_ACa
             b = query.GetPoseInWorld(pair.id_B) @ pair.p_BCb
-            gradient = self._rate(link_a, a, n, axis, point) - self._rate(link_b, b, n, axis, point)
-            names = self._links(pair)
-            found.append(Proximity(link_a=names[0], link_b=names[1], distance_m=pair.distance, gradient=gradient))
-        up = np.array([0.0, 0.0, 1.0])
-        for solid in self._movable:
-            lowest = solid.lowest(M[0, solid.stage, :3, :3], M[0, solid.stage, :3, 3])
-            distance = float(lowest[2]) - self.table_height_m
+            if distance > 0.0 and A.axes is None and B.axes is None:
+                if float(_gap(A, B, M[None], n[None])[0]) < distance - _CERTAIN_M:
+                    a, b = _nearest(A, B, M)
+                    distance = float(np.linalg.norm(a - b))
+                    n = (a - b) / distance
+            gradient = self._rate(A.link, a, n, axis, point) - self._rate(B.link, b, n, axis, point)
+            link_a, link_b = _names(A, B)
+            found.append(Proximity(link_a=link_a, link_b=link_b, distance_m=distance, gradient=gradient))
+        z = M[self._stages, 2]  # (solids, 4)
+        height = np.sum(z[:, :3] * self._centers, axis=-1) + z[:, 3] - self._radii - self.table_height_m
+        for i in np.flatnonzero(height <= within_m):
+            solid = self._movable[i]
+            low = solid.lowest(z[i, :3])
+            distance = float(z[i, :3] @ low + z[i, 3]) - self.table_height_m
             if distance <= within_m:
-                gradient = self._rate(solid.link, lowest, up, axis, point)
+                low = M[solid.stage, :3, :3] @ low + M[solid.stage, :3, 3]
+                gradient = self._rate(solid.link, low, _UP, axis, point)
                 found.append(Proximity(link_a=solid.link, link_b=TABLE, distance_m=distance, gradient=gradient))
         return sorted(found, key=lambda proximity: proximity.distance_m)
 
@@ -185,13 +234,38 @@ class CollisionModel:
         """Speed (7,) along `n` of the link's material point `p` per joint rate [m/rad]: n . (axis x (p - point))."""
         return np.asarray(self._chain.carries(link) * (np.cross(axis, p - point) @ n))
 
-    def _links(self, pair: Any) -> tuple[str, str]:
-        solids = sorted((self._solids[pair.id_A], self._solids[pair.id_B]), key=lambda s: (s.stage, s.link))
-        return solids[0].link, solids[1].link
+
+def _names(A: _Solid, B: _Solid) -> tuple[str, str]:
+    first, second = sorted((A, B), key=lambda solid: (solid.stage, solid.link))
+    return first.link, second.link
 
 
-def _distance(pair: Any) -> float:
-    return float(pair.distance)
+def _gap(A: _Solid, B: _Solid, M: Array, n: Array) -> Array:
+    """Width (N,) [m] of the empty slab between A and B across `n` (N, 3), by motions `M` (N, stages, 4, 4).
+
+    It is at most the distance between them, and equal to it where `n` is the direction between the nearest points.
+    """
+    X_A, X_B = M[:, A.stage], M[:, B.stage]
+    offset = np.einsum("ni,ni->n", n, X_A[:, :3, 3] - X_B[:, :3, 3])
+    n_A, n_B = (np.einsum("ni,nij->nj", n, X[:, :3, :3]) for X in (X_A, X_B))
+    return np.asarray(A.least(n_A) + B.least(-n_B) + offset)
+
+
+def _nearest(A: _Solid, B: _Solid, M: Array) -> tuple[Array, Array]:
+    """Nearest points (3,) of two polytopes that are apart, in B, by motions `M` (stages, 4, 4).
+
+    Both are convex combinations of vertices; the weights are the non-negative least-squares solution of a - b = 0 with
+    the two sums of weights held at 1 by a heavy weight (C. L. Lawson and R. J. Hanson, "Solving Least Squares Problems",
+    1974, ch. 22-23).
+    """
+    points_A, points_B = (transform_points(M[solid.stage], solid.points) for solid in (A, B))
+    heavy, n = 1e3, len(points_A)
+    system = np.zeros((5, n + len(points_B)))
+    system[:3, :n], system[:3, n:] = points_A.T, -points_B.T
+    system[3, :n] = system[4, n:] = heavy
+    weights, _ = nnls(system, np.array([0.0, 0.0, 0.0, heavy, heavy]), maxiter=100 * system.shape[1])
+    a, b = weights[:n], weights[n:]
+    return np.asarray(a @ points_A / a.sum()), np.asarray(b @ points_B / b.sum())
 
 
 def _arguments(q: ArrayLike, finger_width_m: ArrayLike | None) -> tuple[Array, Array]:

@@ -78,6 +78,9 @@ class ArmPlant:
         """Frame B."""
         self.tcp_frame: Any = plant.GetFrameByName(self.robot.tcp_link)
         """Frame G."""
+        moved = plant.GetBodiesKinematicallyAffectedBy([joints[-1].index()])
+        self.tool = frozenset(plant.get_body(index).name() for index in moved)
+        """Links beyond the last arm joint: the TCP's pose alone says where they are."""
         self._hand = plant.GetFrameByName(self.robot.hand_link)
         self._links = {name: plant.GetFrameByName(name) for name in self.robot.links}
         self._origin = np.zeros(3)
