@@ -112,7 +112,7 @@ def build_page(out: Path) -> str:
         InputError: the folder's files are broken.
     """
     rows = sorted(read_rows(out).values(), key=lambda row: row.id)
-    results = _results(out)
+    results = read_results(out)
     seeds = results.get("seeds")
     seed = seeds.get("bootstrap", 0) if isinstance(seeds, Mapping) else 0
     total = aggregate(rows, int(seed) if isinstance(seed, int) else 0)
@@ -152,10 +152,15 @@ def _measured(total: Aggregate, name: str) -> bool:
     return found is not None and found.n > 0
 
 
-def _results(out: Path) -> Mapping[str, Json]:
+def read_results(out: Path) -> Mapping[str, Json]:
+    """What `results.json` holds; nothing for a run that was interrupted.
+
+    Raises:
+        InputError: the file is damaged.
+    """
     try:
         data = json.loads((out / RESULTS).read_text())
-    except FileNotFoundError:  # an interrupted run: rows only
+    except FileNotFoundError:
         return {}
     except ValueError as error:
         raise InputError(f"{out / RESULTS}: not JSON ({error})") from None

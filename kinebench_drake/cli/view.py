@@ -1,0 +1,44 @@
+"""`kinebench-drake view`."""
+
+from pathlib import Path
+
+import click
+
+from kinebench_drake.errors import InputError, UsageError
+
+
+@click.command(epilog="\b\nExample:\n  kinebench-drake view results/ episode_0003 --open")
+@click.argument("out", metavar="OUT", type=click.Path(path_type=Path))
+@click.argument("id", metavar="ID")
+@click.option("--open/--no-open", "opened", default=False, help="Show it in the browser.")
+def view(out: Path, id: str, opened: bool) -> None:
+    """Write a 3D replay of sample ID of the output folder OUT and print its path.
+
+    The replay, OUT/replays/ID.html, needs nothing but a browser. It shows the arm on its way, coloured by what it
+    cannot do.
+    """
+    from difflib import get_close_matches
+
+    from kinebench_drake.results import SAMPLES, part_path, read_rows
+
+    if not (out / SAMPLES).is_file():
+        raise UsageError(f"{out}: holds no {SAMPLES}, expected the output folder of a run")
+    try:
+        rows = read_rows(out)
+        if id not in rows:
+            near = get_close_matches(id, rows, n=3, cutoff=0.5) or sorted(rows)[:3]
+            hint = f"such as {', '.join(near)}" if near else "it is empty"
+            raise UsageError(f"{out}: holds no sample {id!r} ({len(rows)} samples, {hint})")
+        row = rows[id]
+        if not part_path(out, "tracks", id).is_file():
+            raise UsageError(f"{id}: has no track to show ({row.reason or f'tracks/{id}.npz is absent'})")
+        from kinebench_drake.replay import write_replays
+
+        paths = write_replays(out, [id])
+    except InputError as error:
+        raise UsageError(str(error)) from None
+    if not paths:
+        raise UsageError(f"{id}: no frame is tracked, there is nothing to show")
+    click.echo(paths[0])
+    if opened and click.launch(paths[0].resolve().as_uri()) != 0:
+        click.echo("no browser could be started; open the file by hand", err=True)

@@ -1,0 +1,88 @@
+"""`view`: what it writes, and what it says when there is nothing to write."""
+
+import numpy as np
+import pytest
+
+from kinebench_drake import cli
+from kinebench_drake.geometry import make_pose
+from kinebench_drake.products import GripperTrack
+from kinebench_drake.results import ResultStore
+from kinebench_drake.row import SampleRow, Status
+from kinebench_drake.trackfile import write_track
+
+
+def make_track(n=4, *, tracked=True):
+    p = np.stack([np.full(n, 0.5), np.linspace(-0.1, 0.1, n), np.full(n, 0.2)], axis=-1)
+    X = make_pose(np.broadcast_to(np.diag([1.0, -1.0, -1.0]), (n, 3, 3)), p) * (1.0 if tracked else np.nan)
+    on = np.full(n, tracked)
+    return GripperTrack(
+        t_s=np.arange(n) * 0.2, X_CH=X, X_BG=X, tracked=on, confidence=on * 0.9, finger_width_m=np.full(n, 0.04)
+    )
+
+
+@pytest.fixture
+def out(tmp_path):
+    with ResultStore(tmp_path) as store:
+        for id, status in (
+            ("reach_01", Status.OK),
+            ("reach_02", Status.OK),
+            ("lost", Status.OK),
+            ("dark", Status.UNMEASURABLE),
+        ):
+            reason = None if status is Status.OK else "no robot in view"
+            store.append(
+                SampleRow(id=id, video="", task=None, model=None, status=status, reason=reason, content_hash="0"), 0.1
+            )
+        write_track(tmp_path / "tracks" / "reach_01.npz", make_track(), None, {})
+        write_track(tmp_path / "tracks" / "lost.npz", make_track(tracked=False), None, {})
+        (tmp_path / "tracks" / "reach_02.npz").write_bytes(b"PK broken")
+    return tmp_path
+
+
+@pytest.fixture
+def program(capfd):
+    def call(*arguments):
+        with pytest.raises(SystemExit) as stop:
+            cli.main(["view", *map(str, arguments)])
+        out, err = capfd.readouterr()
+        return stop.value.code, out, err
+
+    return call
+
+
+def test_it_writes_the_replay_and_prints_its_path_alone(program, out):
+    code, told, err = program(out, "reach_01")
+    assert (code, err) == (0, "")
+    assert told == f"{out / 'replays' / 'reach_01.html'}\n"
+    assert "reach_01" in (out / "replays" / "reach_01.html").read_text()
+
+
+@pytest.mark.parametrize(
+    ("id", "told"),
+    [
+        ("raech_01", "such as reach_01"),
+        ("entirely different", "4 samples, such as dark"),
+        ("dark", "no robot in view"),
+        ("lost", "no frame is tracked"),
+        ("reach_02", "not a track file"),
+    ],
+)
+def test_what_cannot_be_shown_is_one_line(program, out, id, told):
+    code, printed, err = program(out, id)
+    assert (code, printed) == (2, "")
+    assert len(err.splitlines()) == 1
+    assert told in err
+    assert not (out / "replays").exists()
+
+
+def test_a_folder_of_no_run_is_told(program, tmp_path):
+    code, _, err = program(tmp_path / "nowhere", "a")
+    assert code == 2
+    assert "output folder of a run" in err
+
+
+def test_the_help_has_an_example(program):
+    code, told, err = program("--help")
+    assert (code, err) == (0, "")
+    assert "kinebench-drake view" in told
+    assert "Example" in told

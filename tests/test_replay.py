@@ -1,0 +1,256 @@
+"""Replays: self-contained, repeatable, coloured by feasibility, and the server is gone afterwards."""
+
+import base64
+import re
+import socket
+
+import numpy as np
+import pytest
+from pydrake.geometry import Meshcat
+
+from kinebench_drake import replay
+from kinebench_drake.errors import UnmeasurableError, UsageError
+from kinebench_drake.geometry import invert, make_pose, rotation_exp
+from kinebench_drake.kinematics.plant import ArmPlant
+from kinebench_drake.products import GripperTrack, IkStatus, JointTrack
+from kinebench_drake.replay import ReplayWriter, replay_path, write_replays
+from kinebench_drake.replay_scene import _along, _linear, _tube
+from kinebench_drake.results import ResultStore
+from kinebench_drake.row import SampleRow, Status
+from kinebench_drake.trackfile import TrackFile, read_track, write_track
+from kinebench_drake.visuals import MAX_TRIANGLES
+
+N = 12
+
+
+@pytest.fixture(scope="module")
+def plant():
+    return ArmPlant()
+
+
+@pytest.fixture(scope="module")
+def writer(plant):
+    return ReplayWriter(plant)
+
+
+@pytest.fixture
+def joints(plant):
+    """A swing of two joints, of which frame 5 is not known and frame 8 does not get where it is wanted."""
+    t_s = np.arange(N) * 0.2
+    q = plant.robot.rest_q + np.outer(np.sin(t_s), [0.3, 0.0, 0.0, 0.2, 0.0, 0.0, 0.0])
+    q[5] = np.nan
+    status = [IkStatus.OK] * N
+    status[5], status[8] = IkStatus.NOT_TRACKED, IkStatus.UNREACHABLE
+    error = np.where(np.isfinite(q[:, 0]), 0.0, np.nan)
+    error[8] = 0.05
+    return JointTrack(t_s=t_s, q=q, status=tuple(status), position_error_m=error, rotation_error_rad=error * 0.0)
+
+
+@pytest.fixture
+def track(plant, joints):
+    X = np.full((N, 4, 4), np.nan)
+    known = np.isfinite(joints.q[:, 0])
+    X[known] = [plant.forward(q) for q in joints.q[known]]
+    X[8, 2, 3] += 0.05
+    return GripperTrack(
+        t_s=joints.t_s,
+        X_CH=X,
+        X_BG=X,
+        tracked=known,
+        confidence=known * 0.9,
+        finger_width_m=np.where(known, 0.04, np.nan),
+    )
+
+
+@pytest.fixture
+def file(tmp_path, track, joints):
+    write_track(tmp_path / "a.npz", track, joints, {})
+    return read_track(tmp_path / "a.npz")
+
+
+def row(id="a", **changes):
+    velocity = {
+        "kind": "velocity",
+        "frame_start": 2,
+        "frame_end": 3,
+        "joint": "panda_joint4",
+        "value": 3.0,
+        "limit": 2.6,
+    }
+    fields = {"feasible": False, "violations": (velocity,), **changes}
+    return SampleRow(id=id, video="", task=None, model=None, status=Status.OK, reason=None, content_hash="0", **fields)
+
+
+def commands(html):
+    """What the page tells its viewer, decoded."""
+    return [base64.b64decode(c) for c in re.findall(r'fetch\("data:application/octet-binary;base64,([^"]+)"', html)]
+
+
+def paths(html):
+    """Objects that the page shows."""
+    return {
+        m[1].decode()
+        for command in commands(html)
+        if b"set_object" in command
+        for m in [re.search(rb"\xa4path(?:[\xa0-\xbf]|\xd9.)([ -~]+?)\xa6object", command)]
+        if m
+    }
+
+
+def test_the_same_track_gives_the_same_bytes_below_five_megabytes(writer, file):
+    page = writer.page(row(), file)
+    assert writer.page(row(), file) == page
+    assert len(page.encode()) < 5e6
+
+
+def test_the_page_may_fetch_nothing_but_its_own_data(writer, file):
+    page = writer.page(row(), file)
+    head = page[: page.index("<body")]
+    policy = re.search(r'http-equiv="Content-Security-Policy" content="([^"]+)"', head)[1]
+    assert "default-src 'none'" in policy
+    assert "connect-src data: blob:" in policy
+    assert not re.search(r"https?:|[*]", policy)
+    assert not re.search(r"<(?:script|link|img)[^>]+(?:src|href)=", page)
+
+
+def test_arm_and_wanted_gripper_are_there_where_they_differ(writer, plant, file, joints, track, tmp_path):
+    shown = paths(writer.page(row(), file))
+    assert {f"/arm/{name}" for name in ("panda_link0", "panda_link7", "panda_hand", "panda_leftfinger")} <= shown
+    assert {"/gripper/panda_hand", "/reached", "/broken", "/table"} <= shown
+    X = track.X_BG.copy()
+    X[8] = plant.forward(joints.q[8])
+    agreed = TrackFile(
+        track=GripperTrack(
+            t_s=track.t_s, X_CH=X, X_BG=X, tracked=track.tracked, confidence=track.confidence,
+            finger_width_m=track.finger_width_m,
+        ),
+        q=file.q, ik_ok=file.ik_ok, status=None, curves={},
+    )  # fmt: skip
+    shown = paths(writer.page(row(violations=()), agreed))
+    assert not {p for p in shown if p.startswith("/gripper")} | ({"/reached", "/broken"} & shown)
+
+
+def test_the_gripper_alone_is_shown_without_joint_angles(writer, track, tmp_path):
+    write_track(tmp_path / "b.npz", track, None, {})
+    page = writer.page(row(feasible=None, violations=()), read_track(tmp_path / "b.npz"))
+    shown = paths(page)
+    assert not {p for p in shown if p.startswith("/arm")}
+    assert {"/gripper/panda_hand", "/gripper/panda_leftfinger", "/gripper/panda_rightfinger", "/tcp/x"} <= shown
+    assert "Not judged" in page
+
+
+def test_the_bar_shows_each_frame_by_its_state(writer, file):
+    page = writer.page(row(), file)
+    bar = re.findall(r'<i class="(\w+)" style="flex: (\d+)"', page)
+    assert bar == [
+        ("ok", "2"),
+        ("broken", "2"),
+        ("ok", "1"),
+        ("untracked", "1"),
+        ("ok", "2"),
+        ("broken", "1"),
+        ("ok", "3"),
+    ]
+    assert "velocity, panda_joint4: 0.40 to 0.60 s" in page
+
+
+def test_names_are_not_taken_for_html(writer, file):
+    evil = "<script>alert(1)</script>"
+    page = writer.page(
+        row(id=evil, violations=({"kind": evil, "frame_start": 0, "frame_end": 0, "joint": evil},)), file
+    )
+    assert evil not in page
+    assert page.count("&lt;script&gt;") >= 4
+
+
+def test_the_server_is_gone(writer, file, monkeypatch):
+    ports = []
+
+    def meshcat(parameters):
+        assert parameters.host == "localhost"
+        server = Meshcat(parameters)
+        ports.append(server.port())
+        return server
+
+    monkeypatch.setattr(replay, "Meshcat", meshcat)
+    writer.page(row(), file)
+    (port,) = ports
+    with pytest.raises(ConnectionRefusedError):
+        socket.create_connection(("localhost", port), timeout=5.0)
+
+
+def test_a_track_of_one_frame_and_an_empty_one(writer, file):
+    track = file.track
+    one = np.zeros(N, dtype=bool)
+    one[3] = True
+    X = np.where(one[:, None, None], track.X_BG, np.nan)
+    lone = GripperTrack(
+        t_s=track.t_s, X_CH=X, X_BG=X, tracked=one, confidence=one * 0.9, finger_width_m=np.full(N, np.nan)
+    )
+    none = GripperTrack(
+        t_s=track.t_s,
+        X_CH=X,
+        X_BG=X * np.nan,
+        tracked=~one & one,
+        confidence=one * 0.0,
+        finger_width_m=np.full(N, np.nan),
+    )
+    q, ok = np.full((N, 7), np.nan), np.zeros(N, dtype=bool)
+    assert "/gripper/panda_hand" in paths(
+        writer.page(row(), TrackFile(track=lone, q=q, ik_ok=ok, status=None, curves={}))
+    )
+    with pytest.raises(UnmeasurableError, match="nothing to show"):
+        writer.page(row(), TrackFile(track=none, q=q, ik_ok=ok, status=None, curves={}))
+
+
+def test_replays_of_a_folder(tmp_path, plant, track, joints):
+    with ResultStore(tmp_path / "out") as store:
+        for id in ("a", "b", "trackless"):
+            store.append(row(id=id), 0.1)
+        for id in ("a", "b"):
+            write_track(tmp_path / "out" / "tracks" / f"{id}.npz", track, joints, {})
+        store.finish({"config": {"table_height_m": -0.02}})
+    written = write_replays(tmp_path / "out", ["b", "trackless"], plant)
+    assert written == [replay_path(tmp_path / "out", "b")]
+    assert written[0].is_file()
+    assert not list(written[0].parent.glob(".*"))
+    with pytest.raises(UsageError, match="'c'"):
+        write_replays(tmp_path / "out", ["c"], plant)
+
+
+def test_surfaces_are_light_and_cover_the_links(plant, writer):
+    by_link = {surface.link: surface for surface in writer._surfaces}
+    assert set(by_link) == {
+        *(f"panda_link{k}" for k in range(8)),
+        "panda_hand",
+        "panda_leftfinger",
+        "panda_rightfinger",
+    }
+    for surface in by_link.values():
+        assert len(surface.faces) <= MAX_TRIANGLES
+        assert surface.faces.max() < len(surface.vertices)
+    size = np.ptp(by_link["panda_hand"].vertices, axis=0)
+    np.testing.assert_allclose(size, [0.063, 0.204, 0.092], atol=0.005)  # the hand as its maker draws it
+
+
+def test_tubes_are_closed_around_their_line():
+    points = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.1, 0.0, 0.0], [0.1, 0.2, 0.1]])
+    vertices, faces = _tube(points, 0.01)
+    rings = vertices.reshape(len(points), -1, 3)
+    np.testing.assert_allclose(rings.mean(axis=1), points, atol=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(rings - points[:, None], axis=-1), 0.01, atol=1e-12)
+    edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
+    _, count = np.unique(edges, axis=0, return_counts=True)
+    assert np.sum(count == 1) == 2 * rings.shape[1]  # only both ends are open
+
+
+def test_poses_between_frames_move_straight_and_turn_evenly():
+    X = make_pose(rotation_exp([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), [[0.0, 0.0, 0.0], [0.4, 0.0, 0.0]])
+    (quarter,) = _along(np.array([0.25]), np.array([0.0, 1.0]), X)
+    np.testing.assert_allclose(
+        quarter @ invert(make_pose(rotation_exp([0.0, 0.0, 0.25]), [0.1, 0.0, 0.0])), np.eye(4), atol=1e-12
+    )
+
+
+def test_colours_are_turned_linear():
+    assert _linear((0.0, 0.5, 1.0)) == pytest.approx([0.0, 0.21404, 1.0], abs=1e-5)
