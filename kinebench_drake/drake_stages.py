@@ -53,7 +53,7 @@ class DrakeStages:
 
     def judge_joints(self, t_s: Array, q: Array, finger_width_m: Array) -> Judgement:
         """Hold joint angles (T, 7) [rad] against the robot's limits as they are given; NaN where unknown."""
-        known = np.isfinite(q).all(axis=-1)
+        known: NDArray[np.bool_] = np.asarray(np.isfinite(q).all(axis=-1), dtype=bool)
         X_BG = np.full((len(q), 4, 4), np.nan)
         X_BG[known] = [self._plant.forward(row) for row in q[known]]
         track = GripperTrack(
@@ -61,10 +61,10 @@ class DrakeStages:
             X_CH=np.full_like(X_BG, np.nan),
             X_BG=X_BG,
             tracked=known,
-            confidence=known.astype(np.float64),
+            confidence=np.asarray(known, dtype=np.float64),
             finger_width_m=finger_width_m,
         )
-        inside = known & (q >= self._plant.lower).all(axis=-1) & (q <= self._plant.upper).all(axis=-1)
+        inside = np.asarray(known & ((q >= self._plant.lower) & (q <= self._plant.upper)).all(axis=-1))
         failed = {True: IkStatus.JOINT_LIMIT, False: IkStatus.NOT_TRACKED}
         error = np.where(known, 0.0, np.nan)
         joints = JointTrack(

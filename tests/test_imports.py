@@ -11,19 +11,23 @@ import pytest
 ROOT = Path(__file__).parent.parent
 PACKAGE = "kinebench_drake"
 
-LEAF = {"__init__", "errors", "geometry", "camera", "products", "native", "mp4"}
+LEAF = {"__init__", "errors", "geometry", "camera", "products", "native", "mp4", "identity", "shard"}
 RESULTS = {"row", "aggregate", "results", "trackfile", "provenance", "report", "engines"}
 MAY_IMPORT = {
     **dict.fromkeys(LEAF, LEAF),
     "models": LEAF,
     "kinematics": LEAF | {"models"},
     "metrics": LEAF | {"models", "kinematics"},
-    "audit": LEAF | RESULTS | {"models", "kinematics", "metrics", "inputs"},
     "grounding": LEAF | {"models", "kinematics"},
     "suites": LEAF | {"models", "kinematics"},
     **dict.fromkeys(RESULTS, LEAF | RESULTS),
     "manifest": LEAF,
     "stages": LEAF | {"row"},
+    "trajectories": LEAF | {"results"},
+    "measure": LEAF | RESULTS | {"stages"},
+    "run": LEAF | RESULTS | {"stages", "measure"},
+    "trajectory_measure": LEAF | RESULTS | {"stages", "measure", "trajectories"},
+    "audit": LEAF | RESULTS | {"stages", "measure", "run", "trajectories", "trajectory_measure"},
     "thumbnail": LEAF | {"stages"},
 }
 """What each part may import besides itself. Parts not named here see all but the command line."""
@@ -91,7 +95,9 @@ def test_importing_the_package_loads_nothing_heavy():
     assert not loaded_by("import kinebench_drake") & (HEAVY | {"numpy", "click"})
 
 
-@pytest.mark.parametrize("module", ["score", "inputs", "results", "measure", "report", "cli.score", "cli.run"])
+@pytest.mark.parametrize(
+    "module", ["score", "audit", "inputs", "results", "measure", "report", "cli.score", "cli.audit", "cli.run"]
+)
 def test_the_frame_of_a_run_loads_nothing_heavy(module):
     assert not loaded_by(f"import kinebench_drake.{module}") & HEAVY
 

@@ -1,0 +1,88 @@
+"""Trajectories to kinematic metrics to an output folder, no video."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from kinebench_drake.measure import Kind
+from kinebench_drake.row import Json
+from kinebench_drake.run import Observer, RunConfig, RunSummary, Silence, run_samples
+from kinebench_drake.stages import StageOptions
+from kinebench_drake.trajectories.source import find_trajectories
+from kinebench_drake.trajectories.trajectory import Choice
+from kinebench_drake.trajectory_measure import TrajectoryMeasure
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AuditConfig(RunConfig):
+    """Everything a run over trajectories is told. `source`: file, LeRobot dataset, output folder or folder of these."""
+
+    kind: Kind = Kind.AUDIT
+    rate_hz: float | None = None
+    """Frames per second, over the files' times [Hz]."""
+    joints: str | None = None
+    """Name of the array, data set or column that holds the joint angles."""
+    poses: str | None = None
+    """Name of the array or column that holds the poses of the TCP."""
+    urdf: Path | None = None
+    """The robot's URDF; None for mani_skill's Panda."""
+    tcp_frame: str | None = None
+    """Name of the URDF's TCP frame."""
+
+    def __post_init__(self) -> None:
+        """Check the numbers and names.
+
+        Raises:
+            UsageError: one of them makes no sense.
+        """
+        RunConfig.__post_init__(self)
+        self.choice()
+
+    def choice(self) -> Choice:
+        """What the user says about the data.
+
+        Raises:
+            UsageError: it cannot be used.
+        """
+        return Choice(rate_hz=self.rate_hz, joints=self.joints, poses=self.poses)
+
+    def stage_options(self) -> StageOptions:
+        """What the stages are told.
+
+        Raises:
+            UsageError: it cannot be used.
+        """
+        return StageOptions(table_height_m=self.table_height_m, urdf=self.urdf, tcp_frame=self.tcp_frame)
+
+    def to_json(self) -> dict[str, Json]:
+        """What results tell of the configuration; paths by their last name only."""
+        return {
+            **RunConfig.to_json(self),
+            "rate_hz": self.rate_hz,
+            "joints": self.joints,
+            "poses": self.poses,
+            "robot": self.urdf.name if self.urdf else None,
+            "tcp_frame": self.tcp_frame,
+        }
+
+
+def audit_trajectories(config: AuditConfig, observer: Observer | None = None) -> RunSummary:
+    """Judge every trajectory of `config.source` and fill the output folder.
+
+    Raises:
+        UsageError: the configuration, the input or the output folder cannot be used.
+        SetupError: something is missing on this machine, or the disk is full. What was finished is kept.
+    """
+    observer = observer or Silence()
+    samples = find_trajectories(config.source, config.choice(), out=config.out, model=config.model, task=config.task)
+    measure = TrajectoryMeasure(
+        kind=config.kind,
+        out=config.out,
+        stages=config.stages,
+        stage_options=config.stage_options(),
+        choice=config.choice(),
+    )
+    summary = run_samples(config, samples, measure, observer)
+    warned = [row for row in summary.rows if row.extra.get("warnings")]
+    if warned:
+        observer.warned(f"{len(warned)} trajectories have warnings (such as {warned[0].id!r}); their rows name them")
+    return summary

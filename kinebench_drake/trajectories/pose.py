@@ -1,0 +1,120 @@
+"""Poses out of the numbers of a file: what is nearly rigid is made so, what is not is refused with its frame."""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from kinebench_drake.errors import InputError
+from kinebench_drake.geometry import Array, make_pose, orthonormalize
+
+REPAIRABLE = 1e-3
+"""Greatest deviation of R^T R from the identity, or of a quaternion's norm from 1, that is mended."""
+FAR_M = 10.0
+"""No coordinate of the gripper is farther from the robot's base [m]: beyond it the unit is not metres."""
+
+_ROUNDING = 1e-5  # deviations that single precision explains are mended without a word
+_LAST_ROW = (0.0, 0.0, 0.0, 1.0)
+
+
+def rigid_poses(X: Array, known: NDArray[np.bool_]) -> tuple[Array, tuple[str, ...]]:
+    """Rigid poses (T, 4, 4) from matrices that should be, and what was mended; frames that are not `known` are NaN.
+
+    Raises:
+        InputError: a frame holds no finite number, no homogeneous matrix, a left-handed or a distorted frame, or a
+            position that cannot be in metres.
+    """
+    frames = np.flatnonzero(known)
+    matrices = X[known]
+    _require_finite(matrices.reshape(len(frames), -1), frames, "the pose")
+    off = np.abs(matrices[:, 3] - _LAST_ROW).max(axis=-1, initial=0.0)
+    if (off > REPAIRABLE).any():
+        k = int(np.argmax(off > REPAIRABLE))
+        row = ", ".join(f"{v:.4g}" for v in matrices[k, 3])
+        turned = np.abs(matrices[k, :, 3] - _LAST_ROW).max() <= REPAIRABLE
+        fix = "the matrices are transposed, store them row by row" if turned else "expected 0, 0, 0, 1"
+        raise InputError(f"the last row of the pose of frame {frames[k]} is {row}: {fix}")
+    R = matrices[:, :3, :3]
+    deviation = np.abs(np.swapaxes(R, -1, -2) @ R - np.eye(3)).max(axis=(-1, -2), initial=0.0)
+    wrong = (deviation > REPAIRABLE) | (np.linalg.det(R) < 0.0)
+    if wrong.any():
+        k = int(np.argmax(wrong))
+        if deviation[k] <= REPAIRABLE:
+            raise InputError(
+                f"the rotation of frame {frames[k]} is left-handed (determinant {np.linalg.det(R[k]):.3f}): one of its "
+                "axes is mirrored, expected a right-handed frame"
+            )
+        raise InputError(
+            f"the rotation of frame {frames[k]} is not orthonormal: R^T R is off the identity by {deviation[k]:.2g}, "
+            f"at most {REPAIRABLE:g} is mended"
+        )
+    _require_metres(matrices[:, :3, 3], frames)
+    poses = np.full((len(X), 4, 4), np.nan)
+    poses[known] = make_pose(orthonormalize(R), matrices[:, :3, 3])
+    mended = int((deviation > _ROUNDING).sum())
+    told = f"{mended} rotations, off by up to {deviation.max(initial=0.0):.1e}, were made orthonormal"
+    return poses, ((told,) if mended else ())
+
+
+def from_quaternions(p: Array, quaternion: Array) -> tuple[Array, tuple[str, ...]]:
+    """Poses (T, 4, 4) from positions (T, 3) [m] and quaternions wxyz (T, 4), and what was mended.
+
+    Raises:
+        InputError: a quaternion holds no finite number, or its norm is not 1.
+    """
+    frames = np.arange(len(p))
+    _require_finite(np.concatenate([p, quaternion], axis=1), frames, "the pose")
+    deviation = np.abs(np.linalg.norm(quaternion, axis=-1) - 1.0)
+    if (deviation > REPAIRABLE).any():
+        k = int(np.argmax(deviation > REPAIRABLE))
+        raise InputError(
+            f"the quaternion of frame {frames[k]} has norm {np.linalg.norm(quaternion[k]):.4g}, expected 1; at most "
+            f"{REPAIRABLE:g} is mended"
+        )
+    mended = int((deviation > _ROUNDING).sum())
+    told = f"{mended} quaternions, off by up to {deviation.max(initial=0.0):.1e}, were given the norm 1"
+    R = Rotation.from_quat(quaternion, scalar_first=True).as_matrix()
+    return make_pose(R, p), ((told,) if mended else ())
+
+
+def from_vectors(p: Array, rotation: Array, *, angles: bool) -> Array:
+    """Poses (T, 4, 4) from positions (T, 3) [m] and three numbers a rotation (T, 3) [rad].
+
+    Args:
+        p: positions.
+        rotation: rotation vectors, or roll, pitch and yaw.
+        angles: whether `rotation` is roll, pitch and yaw about the fixed axes x, y and z, in this order.
+
+    Raises:
+        InputError: a number is not finite, or the angles cannot be radians.
+    """
+    frames = np.arange(len(p))
+    _require_finite(np.concatenate([p, rotation], axis=1), frames, "the pose")
+    largest = np.abs(rotation).max(axis=-1, initial=0.0)
+    limit = 2.0 * np.pi + 1e-3
+    if (largest > limit).any():
+        k = int(np.argmax(largest))
+        raise InputError(
+            f"rotations go up to {largest[k]:.4g} (frame {k}), more than a full turn in radians: they look like "
+            "degrees, convert them to radians"
+        )
+    turn = Rotation.from_euler("xyz", rotation) if angles else Rotation.from_rotvec(rotation)
+    return make_pose(turn.as_matrix(), p)
+
+
+def _require_finite(rows: Array, frames: NDArray[np.intp], what: str) -> None:
+    broken = ~np.isfinite(rows).all(axis=-1)
+    if broken.any():
+        k = int(np.argmax(broken))
+        found = "NaN" if np.isnan(rows[k]).any() else "infinity"
+        more = f" and {int(broken.sum()) - 1} more frames" if broken.sum() > 1 else ""
+        raise InputError(f"{what} of frame {frames[k]}{more} holds {found}, expected finite numbers")
+
+
+def _require_metres(p: Array, frames: NDArray[np.intp]) -> None:
+    largest = np.abs(p).max(axis=-1, initial=0.0)
+    if (largest > FAR_M).any():
+        k = int(np.argmax(largest))
+        raise InputError(
+            f"positions go up to {largest[k]:.4g} m (frame {frames[k]}), no gripper is more than {FAR_M:g} m from its "
+            "robot's base: they look like millimetres, convert them to metres"
+        )

@@ -1,0 +1,98 @@
+"""Trajectories in csv files with a header."""
+
+import csv
+from pathlib import Path
+
+import numpy as np
+
+from kinebench_drake.errors import InputError, cause
+from kinebench_drake.geometry import Array
+from kinebench_drake.trajectories.check import MAX_FRAMES
+from kinebench_drake.trajectories.pose import from_quaternions
+from kinebench_drake.trajectories.trajectory import Choice, Recording
+
+SUFFIXES = frozenset({".csv"})
+
+TIME, WIDTH = "t_s", "finger_width_m"
+POSE = ("x_m", "y_m", "z_m", "qw", "qx", "qy", "qz")
+JOINTS = tuple(f"q{j}_rad" for j in range(1, 8))
+_EXPECTED = f"{TIME} and {','.join(POSE)} or {JOINTS[0]}..{JOINTS[-1]}"
+
+
+def read_table(path: Path, choice: Choice) -> Recording:
+    """Read `t_s` with x_m, y_m, z_m, qw, qx, qy, qz or with q1_rad .. q7_rad; columns in any order.
+
+    Where both are there the joint angles are taken, or what `choice` names (any name will do: it tells which of the
+    two). Columns that nobody reads are a warning.
+
+    Raises:
+        InputError: the file is no such table; the message names the line.
+    """
+    if not path.stat().st_size:
+        raise InputError("the file is empty (0 bytes)")
+    header, rows = _rows(path)
+    double = sorted({name for name in header if header.count(name) > 1})
+    if double:
+        raise InputError(f"the header names {', '.join(double)} more than once")
+    complete = [group for group in (JOINTS, POSE) if set(group) <= set(header)]
+    wanted = JOINTS if choice.joints else POSE if choice.poses else complete[0] if complete else None
+    if wanted is None or wanted not in complete:
+        began = next((g for g in (wanted or JOINTS, POSE) if set(g) & set(header)), ())
+        lacking = f", lacks {', '.join(n for n in began if n not in header)}" if began else ""
+        raise InputError(f"the header has {', '.join(header[:12]) or 'no name'}{lacking}; expected {_EXPECTED}")
+    warnings = []
+    if len(complete) > 1:
+        warnings.append(f"holds joint angles and poses: {wanted[0]}..{wanted[-1]} were taken")
+    unread = [name for name in header if name not in (*JOINTS, *POSE, TIME, WIDTH)]
+    if unread:
+        warnings.append(f"columns {', '.join(unread[:12])} are not read")
+
+    def columns(*names: str) -> Array:
+        return rows[:, [header.index(name) for name in names]]
+
+    values = columns(*wanted)
+    X_BG: Array | None = None
+    if wanted is POSE:
+        X_BG, mended = from_quaternions(values[:, :3], values[:, 3:])
+        warnings += mended
+    return Recording(
+        t_s=columns(TIME)[:, 0] if TIME in header else None,
+        X_BG=X_BG,
+        q=values if wanted is JOINTS else None,
+        finger_width_m=columns(WIDTH)[:, 0] if WIDTH in header else None,
+        columns=",".join(wanted),
+        warnings=tuple(warnings),
+    )
+
+
+def _rows(path: Path) -> tuple[list[str], Array]:
+    """The header's names and the numbers (T, columns) below it."""
+    rows: list[list[float]] = []
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            reader = csv.reader(file)
+            header = [name.strip() for name in next(reader, [])]
+            for fields in reader:
+                if any(field.strip() for field in fields):
+                    rows.append(_numbers(fields, header, reader.line_num))
+                if len(rows) > MAX_FRAMES:
+                    raise InputError(f"has more than {MAX_FRAMES} frames: cut it into parts")
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"cannot be read as a comma-separated text ({cause(error)})") from None
+    if len(header) == 1 and (";" in header[0] or "\t" in header[0]):
+        raise InputError("the header's names are not separated by commas, expected a comma-separated table")
+    return header, np.reshape(np.array(rows, dtype=np.float64), (len(rows), len(header)))
+
+
+def _numbers(fields: list[str], header: list[str], line: int) -> list[float]:
+    if len(fields) != len(header):
+        raise InputError(f"line {line} has {len(fields)} fields, the header {len(header)}")
+    numbers = []
+    for name, text in zip(header, fields, strict=True):
+        try:
+            numbers.append(float(text))
+        except ValueError:
+            if name in (TIME, WIDTH, *POSE, *JOINTS) and (text.strip() or name != WIDTH):
+                raise InputError(f"line {line}: {name} is {text.strip()!r:.40}, expected a number") from None
+            numbers.append(np.nan)  # a column that nobody reads, or an unknown width
+    return numbers
