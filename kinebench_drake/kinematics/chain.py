@@ -58,8 +58,8 @@ class LinkChain:
     """The plant's joints as a product of exponentials.
 
     Each link's pose is X_BL(q) = exp(S_1 q_1) ... exp(S_k q_k) X_BL(0), over the joints between base and link, with
-    every joint's axis as it lies in B at the zero posture. Source: R. W. Brockett, "Robotic manipulators and the product
-    of exponentials formula", Mathematical Theory of Networks and Systems, 1984.
+    every joint's axis as it lies in B at the zero posture. Source: R. W. Brockett, "Robotic manipulators and the
+    product of exponentials formula", Mathematical Theory of Networks and Systems, 1984.
     """
 
     def __init__(self, plant: ArmPlant) -> None:
@@ -144,7 +144,7 @@ class LinkChain:
 
     def carries(self, link: str) -> Array:
         """(7,) 1 for each arm joint between base and `link`, else 0."""
-        return self._upstream[self.stage[link]].astype(np.float64)
+        return np.asarray(self._upstream[self.stage[link]], dtype=np.float64)
 
     def jacobians(self, q: ArrayLike) -> Array:
         """Geometric Jacobians (N, 6, 7) of the TCP in B at `q` (N, 7) [rad], as `ArmPlant.jacobian` has them."""

@@ -1,11 +1,12 @@
 """How far the arm is from itself and from the table, and which way it should move to get farther.
 
 Every link is the convex hull of its collision mesh (or the primitive that stands in its place), as Drake's proximity
-engine has it. Pairs of links that the robot's SRDF allows are never looked at. The table is the plane z = const of B;
-the links that are fixed to the base stand on it and are exempt.
+engine has it; ManiSkill simulates the Panda with the same hulls. Hulls fill the links' hollows: a penetration means
+contact in simulation, while the real arm may have up to about 2 cm left there. Pairs of links that the robot's SRDF
+allows are never looked at. The table is the plane z = const of B; the links that are fixed to the base stand on it and
+are exempt.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -25,8 +26,8 @@ TABLE = "table"
 
 _REACH_M = 0.2  # self distances are searched this far first; the Panda is never farther from itself
 # Drake's iteration for the distance of two hulls stops early now and then, with points that are not the nearest:
-# 8 mm too far at worst, in a million random postures, never on the wrong side of 0. So each distance is held against
-# the width of the slab that parts the two solids, and computed anew where the two disagree.
+# too far by 8 mm at worst in a million random postures of the Panda, never on the wrong side of 0. So each distance is
+# held against the width of the slab that parts the two solids, and computed anew where the two disagree.
 _CERTAIN_M = 1e-6
 _DOUBT_M = 0.02
 _UP = np.array([0.0, 0.0, 1.0])
@@ -210,11 +211,11 @@ class CollisionModel:
             distance, n = pair.distance, np.asarray(pair.nhat_BA_W)
             a = query.GetPoseInWorld(pair.id_A) @ pair.p_ACa
             b = query.GetPoseInWorld(pair.id_B) @ pair.p_BCb
-            if distance > 0.0 and A.axes is None and B.axes is None:
-                if float(_gap(A, B, M[None], n[None])[0]) < distance - _CERTAIN_M:
-                    a, b = _nearest(A, B, M)
-                    distance = float(np.linalg.norm(a - b))
-                    n = (a - b) / distance
+            polytopes = A.axes is None and B.axes is None
+            if polytopes and distance > 0.0 and float(_gap(A, B, M[None], n[None])[0]) < distance - _CERTAIN_M:
+                a, b = _nearest(A, B, M)
+                distance = float(np.linalg.norm(a - b))
+                n = (a - b) / distance
             gradient = self._rate(A.link, a, n, axis, point) - self._rate(B.link, b, n, axis, point)
             link_a, link_b = _names(A, B)
             found.append(Proximity(link_a=link_a, link_b=link_b, distance_m=distance, gradient=gradient))
@@ -255,8 +256,8 @@ def _nearest(A: _Solid, B: _Solid, M: Array) -> tuple[Array, Array]:
     """Nearest points (3,) of two polytopes that are apart, in B, by motions `M` (stages, 4, 4).
 
     Both are convex combinations of vertices; the weights are the non-negative least-squares solution of a - b = 0 with
-    the two sums of weights held at 1 by a heavy weight (C. L. Lawson and R. J. Hanson, "Solving Least Squares Problems",
-    1974, ch. 22-23).
+    the two sums of weights held at 1 by a heavy weight (C. L. Lawson and R. J. Hanson, "Solving Least Squares
+    Problems", 1974, ch. 22 and 23).
     """
     points_A, points_B = (transform_points(M[solid.stage], solid.points) for solid in (A, B))
     heavy, n = 1e3, len(points_A)
@@ -307,12 +308,11 @@ def _shape(shape: Any, hull: Any) -> tuple[Array, Array | None]:
             return _ends(shape.length()), shape.radius() * np.eye(3)
         case _ if hull is not None:
             return np.array([hull.vertex(i) for i in range(hull.num_vertices())]), None
-    raise InputError(
-        f"a collision geometry is a {type(shape).__name__}; expected a mesh, box, cylinder, sphere, capsule or ellipsoid"
-    )
+    kind = type(shape).__name__
+    raise InputError(f"a collision geometry is a {kind}; expected a mesh, box, cylinder, sphere, capsule or ellipsoid")
 
 
-def _corners(size: Sequence[float]) -> Array:
+def _corners(size: ArrayLike) -> Array:
     signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=np.float64)
     return np.asarray(0.5 * signs * np.asarray(size))
 

@@ -39,7 +39,7 @@ class ArmPlant:
         builder: Any = DiagramBuilder()
         plant: Any
         plant, scene_graph = AddMultibodyPlantSceneGraph(builder, 0.0)
-        Parser(plant).AddModels(str(self.robot.urdf))
+        Parser(plant).AddModels(self.robot.urdf)
         plant.WeldFrames(plant.world_frame(), plant.GetFrameByName(self.robot.base_link), RigidTransform())
         plant.Finalize()
         _allow(plant, scene_graph, self.robot)
