@@ -1,0 +1,211 @@
+"""One convex program: a joint trajectory within a tube of poses, its limits kept, poses and distances linearised.
+
+Drake's KinematicTrajectoryOptimization supplies the program, its B-spline and the variables. With the duration fixed,
+bounds on all derivatives are linear in the control points; a tube of radius r about a pose, linearised in the joint
+angles, is a second-order cone. So the least radius is itself the answer of a convex program, which Clarabel solves
+(P. Goulart and Y. Chen, "Clarabel: An interior-point solver for conic programs with quadratic objectives", 2024).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from pydrake.math import BsplineBasis
+from pydrake.planning import KinematicTrajectoryOptimization
+from pydrake.solvers import ClarabelSolver
+from pydrake.trajectories import BsplineTrajectory
+from scipy.sparse import coo_matrix, diags, hstack, identity, kron, vstack
+
+from kinebench_drake.geometry import Array
+from kinebench_drake.kinematics.spline import ORDER, SplineBasis
+from kinebench_drake.models.robot import N_JOINTS
+
+INSIDE = 1.0 - 1e-6
+"""Share of each limit that the program may use: the solver's own tolerance stays within the rest."""
+
+_MM = 1000.0  # radii and slacks are in millimetres within the program: costs of the order of one
+_FRAMES = 49.0  # frames of a usual clip: costs over frames are per so many
+_STEP_RAD = 0.1  # a change of all joints by this costs as much as `proximity` millimetres of radius
+_SMOOTHNESS = 1e-3  # cost [mm] of accelerations at their limits all the time
+_ACCELERATION = 10.0  # stands for acceleration limits in the cost where none are published [rad/s^2]
+_EXCESS = 10.0  # cost of a limit broken once by its own size
+_PENETRATION = 20.0  # cost of a millimetre of penetration, in millimetres of radius
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LimitSet:
+    """What the arm may do; each (7,)."""
+
+    lower: Array
+    """[rad]."""
+    upper: Array
+    """[rad]."""
+    rates: tuple[Array | None, Array | None, Array | None]
+    """Greatest speeds [rad/s], accelerations [rad/s^2] and jerks [rad/s^3]; None where there is no limit."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PoseLinearisation:
+    """Poses near a joint path: moving the joints by dq leaves the error e - J dq."""
+
+    t_s: Array
+    """(T,) times of the frames on the spline [s]."""
+    q: Array
+    """(T, 7) joint path [rad]."""
+    J: Array
+    """(T, 6, 7) Jacobians, the rows of rotation multiplied by their arm [m/rad]."""
+    e: Array
+    """(T, 6) what is left to the wanted poses, rotation (by its arm) and position [m]."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Obstacle:
+    """A distance that shall not shrink below a least one."""
+
+    t_s: float
+    """When [s]."""
+    offset_m: float
+    """Distance at zero joint angles, as the linearisation has it [m]."""
+    gradient: Array
+    """(7,) [m/rad]."""
+    least_m: float
+    """What it shall be at least [m]."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TubeSolution:
+    """A joint trajectory and what it cost."""
+
+    control: Array
+    """(n, 7) control points [rad]."""
+    radius_m: float
+    """Radius of the linearised tube [m]."""
+    excess: tuple[Array, Array, Array]
+    """By how much (n - k, 7) the control points of the k-th derivative exceed their limits, over the limit."""
+
+
+def solve_tube(
+    basis: SplineBasis,
+    poses: PoseLinearisation,
+    limits: LimitSet,
+    *,
+    radius_m: float | None,
+    proximity: float,
+    obstacles: Sequence[Obstacle] = (),
+    elastic: bool = False,
+) -> TubeSolution | None:
+    """The trajectory that stays in the tube at the frames and keeps all limits at all times; None if there is none.
+
+    Args:
+        basis: the spline.
+        poses: the track's poses, linearised about a joint path.
+        limits: joint limits, kept on the control points (stricter than on the curve by a hair: `spline`).
+        radius_m: the tube's radius [m]; None asks for the least one.
+        proximity: weight that holds the trajectory near the path that the linearisation is about: the radius may
+            grow by so many millimetres to save a common change of all joints by 0.1 rad.
+        obstacles: distances to keep; breaking one costs 20 times its depth in radius.
+        elastic: whether derivatives may exceed their limits, at a price: the least sum of relative excesses is found.
+    """
+    n, frames = basis.size, len(poses.t_s)
+    spline: Any = BsplineTrajectory(BsplineBasis(ORDER, basis.knots.tolist()), np.zeros((N_JOINTS, n)))
+    kto: Any = KinematicTrajectoryOptimization(spline)
+    prog = kto.get_mutable_prog()
+    duration = float(basis.breaks_s[-1] - basis.breaks_s[0])
+    prog.AddBoundingBoxConstraint(duration, duration, kto.duration())
+    C = kto.control_points().T  # (n, 7)
+    x = C.ravel()
+    r = prog.NewContinuousVariables(1, "r")
+    lower, upper = (np.tile(bound, n) for bound in (limits.lower, limits.upper))
+    prog.AddBoundingBoxConstraint(lower, upper, x)
+    if radius_m is None:
+        prog.AddLinearCost(np.ones(1), r)
+    else:
+        prog.AddBoundingBoxConstraint(0.0, _MM * radius_m, r)
+
+    rows, sizes = [], []
+    for D, limit in zip(basis.derivatives[1:], limits.rates, strict=True):
+        sizes.append(D.shape[0] if limit is not None else 0)
+        if limit is not None:
+            rows.append(diags(np.tile(1.0 / limit, D.shape[0])) @ kron(D, identity(N_JOINTS)))
+    A = vstack(rows).tocsc()
+    one = np.ones(A.shape[0])
+    slack = None
+    if elastic:
+        slack = prog.NewContinuousVariables(A.shape[0], "excess")
+        prog.AddBoundingBoxConstraint(0.0, np.inf, slack)
+        prog.AddLinearCost(_EXCESS * one, slack)
+        both = vstack([hstack([A, -identity(len(one))]), hstack([-A, -identity(len(one))])]).tocsc()
+        prog.AddLinearConstraint(
+            both, np.full(2 * len(one), -np.inf), np.full(2 * len(one), INSIDE), np.concatenate([x, slack])
+        )
+    else:
+        prog.AddLinearConstraint(A, -INSIDE * one, INSIDE * one, x)
+
+    B = basis.values(poses.t_s)
+    for i in range(frames):
+        first, values = _row(B, i)
+        near = x[N_JOINTS * first : N_JOINTS * (first + len(values))]
+        variables = np.concatenate([r, near])
+        target = _MM * (poses.J[i] @ poses.q[i] + poses.e[i])
+        for part in (slice(0, 3), slice(3, 6)):
+            M = np.zeros((4, len(variables)))
+            M[0, 0] = 1.0
+            M[1:, 1:] = _MM * np.kron(values, poses.J[i, part])
+            prog.AddLorentzConeConstraint(M, np.concatenate([[0.0], -target[part]]), variables)
+        # proximity |B C - q|^2
+        weight = 2.0 * proximity / (_STEP_RAD**2 * _FRAMES)
+        Q = weight * np.kron(np.outer(values, values), np.eye(N_JOINTS))
+        prog.AddQuadraticCost(Q, -weight * np.kron(values, poses.q[i]), near, is_convex=True)
+    scale = _ACCELERATION if limits.rates[1] is None else limits.rates[1]
+    D = basis.derivatives[2]
+    for k in range(D.shape[0]):
+        first, values = _row(D, k)
+        near = x[N_JOINTS * first : N_JOINTS * (first + len(values))]
+        Q = 2.0 * _SMOOTHNESS / _FRAMES * np.kron(np.outer(values, values), np.diag(np.ones(N_JOINTS) / scale**2))
+        prog.AddQuadraticCost(Q, np.zeros(len(near)), near, is_convex=True)
+    if obstacles:
+        _keep_clear(prog, basis, x, obstacles)
+
+    result = ClarabelSolver().Solve(prog, None, None)
+    if not result.is_success():
+        return None
+    excess: list[Array] = []
+    found = np.maximum(result.GetSolution(slack), 0.0) if slack is not None else np.zeros(A.shape[0])
+    at = 0
+    for size in sizes:
+        excess.append(np.asarray(found[at : at + size * N_JOINTS]).reshape(size, N_JOINTS))
+        at += size * N_JOINTS
+    control = np.clip(result.GetSolution(x), lower, upper).reshape(n, N_JOINTS)
+    return TubeSolution(
+        control=control, radius_m=float(result.GetSolution(r)[0]) / _MM, excess=(excess[0], excess[1], excess[2])
+    )
+
+
+def _row(matrix: Any, i: int) -> tuple[int, Array]:
+    """First column and values of the i-th row of a sparse banded matrix, zeros within the band filled in."""
+    span = slice(matrix.indptr[i], matrix.indptr[i + 1])
+    columns = matrix.indices[span]
+    first = int(columns.min())
+    values = np.zeros(int(columns.max()) - first + 1)
+    values[columns - first] = matrix.data[span]
+    return first, values
+
+
+def _keep_clear(prog: Any, basis: SplineBasis, x: Any, obstacles: Sequence[Obstacle]) -> None:
+    """Add the linearised distances, each with a slack of its own."""
+    count = len(obstacles)
+    B = basis.values(np.array([o.t_s for o in obstacles])).tocoo()
+    gradients = np.array([o.gradient for o in obstacles])
+    joint = np.arange(N_JOINTS)
+    rows = np.repeat(B.row, N_JOINTS)
+    columns = (N_JOINTS * B.col[:, None] + joint).ravel()
+    data = (B.data[:, None] * gradients[B.row]).ravel() * _MM
+    A = coo_matrix((data, (rows, columns)), shape=(count, len(x)))
+    slack = prog.NewContinuousVariables(count, "penetration")
+    prog.AddBoundingBoxConstraint(0.0, np.inf, slack)
+    prog.AddLinearCost(_PENETRATION * np.ones(count), slack)
+    least = _MM * np.array([o.least_m - o.offset_m for o in obstacles])
+    prog.AddLinearConstraint(
+        hstack([A, identity(count)]).tocsc(), least, np.full(count, np.inf), np.concatenate([x, slack])
+    )
