@@ -4,8 +4,8 @@ At video rates a jump can lie within every speed limit (at 0.2 s a frame the Pan
 statistical finding, not a physical one: one step that neither side of it announces. Each step is predicted from the two
 steps before it and the two after, once as if the velocity there were constant and once as if it changed linearly; a
 smooth motion lies between the two predictions or near. A step farther from both than the stated floor, than noise could
-put it, and than is usual around it is a jump. Where only one side is known, at the ends of a run of tracked frames, a
-quick start or stop looks the same, and twice the floor is asked.
+put it, than a share of the steps beside it and than is usual around it is a jump. Near the ends of a run of tracked
+frames, where less than two steps announce it on either side, a quick start or stop looks the same, and more is asked.
 """
 
 from dataclasses import dataclass
@@ -31,7 +31,11 @@ ACCELERATION_M_S2, ACCELERATION_RAD_S2, JOINT_ACCELERATION_RAD_S2 = 13.0, 25.0, 
 Source: libfranka, `rate_limiting.h` (limits of the Franka Emika Robot, also in its control interface's documentation).
 """
 CONTRAST = 3.0
-"""A jump is this many times the median deviation of the steps around it."""
+"""A jump deviates this many times as much as the median of the steps around it ..."""
+SHARE = 0.5
+"""... and by this share of the longer step beside it: what moves fast may turn fast."""
+NEAR_END, AT_END = 2.0, 4.0
+"""Factors of the floor where one side has only one step, and where it has none."""
 FALSE_ALARM = 0.001
 """Chance, at most, that white noise alone makes a jump out of a still track, for each of position, rotation, joints."""
 
@@ -132,46 +136,52 @@ def _noise_norm(sigma: float, axes: int, frames: int, groups: int = 1) -> float:
 
 
 def _jumps(t_s: Array, steps: Array, floor: Array, noise_norm: float) -> list[_Jump]:
-    """Jumps among `steps` (n - 1, axes) between the times `t_s` (n,) [s], largest first found, in order of frames."""
+    """Jumps among `steps` (n - 1, axes) between the times `t_s` (n,) [s], in order of frames."""
     dt = np.diff(t_s)
     velocity, middle = steps / dt[:, None], 0.5 * (t_s[:-1] + t_s[1:])
     known = np.ones(len(dt), dtype=bool)
     sizes, thresholds = np.zeros(len(dt)), np.zeros(len(dt))
-    while known.sum() > 2:
-        deviation, sides = _deviation(middle, velocity, known)
-        deviation *= dt
-        threshold = np.maximum(floor * np.where(sides == 2, 1.0, 2.0), noise_norm)  # NaN if the noise is unknown
+    while True:
+        speed, beside, factor = _deviation(middle, velocity, known)
+        deviation = speed * dt
+        threshold = np.maximum(np.maximum(factor * floor, SHARE * beside * dt), noise_norm)  # NaN: noise unknown
         for i in np.argsort(-np.nan_to_num(deviation / threshold)).tolist():
             if not deviation[i] > threshold[i]:
-                return _merged(~known, sizes, thresholds)
+                return _merged(steps, ~known, sizes, thresholds)
             around = [k for k in range(max(0, i - _AROUND), min(len(dt), i + _AROUND + 1)) if k != i and known[k]]
             if deviation[i] > CONTRAST * float(np.median(deviation[around])):
                 known[i], sizes[i], thresholds[i] = False, deviation[i], threshold[i]
                 break
         else:
-            break
-    return _merged(~known, sizes, thresholds)
+            return _merged(steps, ~known, sizes, thresholds)
 
 
-def _merged(called: NDArray[np.bool_], sizes: Array, thresholds: Array) -> list[_Jump]:
+def _merged(steps: Array, called: NDArray[np.bool_], sizes: Array, thresholds: Array) -> list[_Jump]:
+    """Neighbouring jumps as one, save a frame that is out by less than the threshold: it deviates on both sides."""
     found = []
     for run in runs(called):
         worst = run.start + int(np.argmax(sizes[run]))
-        found.append(_Jump(start=run.start, end=run.stop, size=float(sizes[worst]), threshold=float(thresholds[worst])))
+        size, threshold = float(sizes[worst]), float(thresholds[worst])
+        if run.stop - run.start == 2 and float(steps[run.start] @ steps[run.stop - 1]) < 0.0:
+            size = 0.5 * float(np.linalg.norm(steps[run.start] - steps[run.stop - 1]))
+        if size > threshold:
+            found.append(_Jump(start=run.start, end=run.stop, size=size, threshold=threshold))
     return found
 
 
-def _deviation(t_s: Array, velocity: Array, known: NDArray[np.bool_]) -> tuple[Array, NDArray[np.int_]]:
+def _deviation(t_s: Array, velocity: Array, known: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
     """Distance (n,) of each velocity (n, axes) at `t_s` (n,) from what those beside it foretell; NaN if not known.
 
     What they foretell is the segment from the constant to the linear prediction, each the mean of what the known
-    velocities before and after foretell. Also returns how many sides (n,) there are.
+    velocities before and after foretell. Also returns the greater speed (n,) beside each, and the factor (n,) that the
+    floor takes for want of velocities beside it.
     """
     n = len(t_s)
     index = np.flatnonzero(known)
     here = np.searchsorted(index, np.arange(n))
     constant, linear = np.zeros_like(velocity), np.zeros_like(velocity)
-    sides = np.zeros(n, dtype=int)
+    beside = np.zeros(n)
+    ones, twos = np.zeros(n, dtype=int), np.zeros(n, dtype=int)
     for near, far in ((here - 1, here - 2), (here + 1, here + 2)):
         has = known & (near >= 0) & (near < len(index))
         two = has & (far >= 0) & (far < len(index))
@@ -180,12 +190,15 @@ def _deviation(t_s: Array, velocity: Array, known: NDArray[np.bool_]) -> tuple[A
         linear[has] += velocity[a[has]]
         slope = (velocity[a[two]] - velocity[b[two]]) / (t_s[a[two]] - t_s[b[two]])[:, None]
         linear[two] += slope * (t_s[two] - t_s[a[two]])[:, None]
-        sides += has
+        beside[has] = np.maximum(beside[has], np.linalg.norm(velocity[a[has]], axis=-1))
+        ones += has
+        twos += two
     with np.errstate(divide="ignore", invalid="ignore"):
-        constant, linear = constant / sides[:, None], linear / sides[:, None]
+        constant, linear = constant / ones[:, None], linear / ones[:, None]
         way = linear - constant
         length2 = np.sum(way**2, axis=-1)
         along = np.sum((velocity - constant) * way, axis=-1)
         share = np.where(length2 > 0.0, np.clip(along / length2, 0.0, 1.0), 0.0)
         distance = np.linalg.norm(velocity - constant - share[:, None] * way, axis=-1)
-    return np.where(known & (sides > 0), distance, np.nan), sides
+    factor = np.where(ones < 2, AT_END, np.where(twos < 2, NEAR_END, 1.0))
+    return np.where(known & (ones > 0), distance, np.nan), beside, factor
