@@ -48,6 +48,8 @@ class IkStatus(Enum):
     NOT_TRACKED = "not_tracked"
     UNREACHABLE = "unreachable"
     JOINT_LIMIT = "joint_limit"
+    SELF_COLLISION = "self_collision"
+    TABLE_COLLISION = "table_collision"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,7 +78,7 @@ class JointTrack:
 
     @property
     def ok(self) -> NDArray[np.bool_]:
-        """(T,) frames whose pose is reached within limits."""
+        """(T,) frames whose pose is reached within limits and without collision."""
         return np.array([s is IkStatus.OK for s in self.status], dtype=bool)
 
 

@@ -3,95 +3,150 @@
 The arm has seven joints for six coordinates; once joint 7 is chosen, at most 2 x 2 x 2 postures remain: the elbow's
 bend (joint 4), the wrist's side (joint 6) and the shoulder's flip (joint 2). Derivation after Y. He and S. Liu,
 "Analytical Inverse Kinematics for Franka Emika Panda - a Geometrical Solver for 7-DOF Manipulators with Unconventional
-Design", ICCMA 2021; written here for whole arrays of joint-7 angles at once. Joint limits play no part here.
+Design", ICCMA 2021; written here for whole arrays of poses and joint-7 angles at once. Joint limits play no part here.
 """
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from kinebench_drake.geometry import Array
-from kinebench_drake.models.panda.robot import HAND_TO_TCP_M
+
+N_BRANCHES = 8
+"""Postures a joint-7 angle leaves at most."""
 
 # Lengths of the URDF [m]: base to shoulder, shoulder to elbow, elbow to wrist, the elbow's offset, wrist to flange
-# axis, link 7 to hand; and the hand's turn about the flange [rad].
-_D1, _D3, _D5, _A4, _A7, _D_HAND = 0.333, 0.316, 0.384, 0.0825, 0.088, 0.107
-_HAND_YAW = -np.pi / 4
-_UPPER, _LOWER = np.hypot(_D3, _A4), np.hypot(_D5, _A4)
+# axis, link 7 to flange.
+_D1, _D3, _D5, _A4, _A7, _D_FLANGE = 0.333, 0.316, 0.384, 0.0825, 0.088, 0.107
+_UPPER, _LOWER = float(np.hypot(_D3, _A4)), float(np.hypot(_D5, _A4))
 # Angle at the elbow joint from the shoulder (at q4 = 0) to the wrist.
-_ELBOW = np.arctan2(_D5, -_A4) - np.arctan2(-_D3, -_A4)
+_ELBOW = float(np.arctan2(_D5, -_A4) - np.arctan2(-_D3, -_A4))
+_REACH = _UPPER + _LOWER
+# The chain in modified Denavit-Hartenberg parameters (a, d, alpha), as its maker documents it.
+_CHAIN = (
+    (0.0, _D1, 0.0),
+    (0.0, 0.0, -np.pi / 2),
+    (0.0, _D3, np.pi / 2),
+    (_A4, 0.0, np.pi / 2),
+    (-_A4, _D5, -np.pi / 2),
+    (0.0, 0.0, np.pi / 2),
+    (_A7, 0.0, np.pi / 2),
+)
 
 
-def _wrap(angle: Array) -> Array:
-    return np.asarray((angle + np.pi) % (2 * np.pi) - np.pi)
+def flange_pose(q: ArrayLike) -> Array:
+    """Pose X_BF (..., 4, 4) [m] of the flange (panda_link8) at joint angles `q` (..., 7) [rad]."""
+    q = np.asarray(q, dtype=np.float64)
+    X = np.broadcast_to(np.eye(4), (*q.shape[:-1], 4, 4))
+    for j, (a, d, alpha) in enumerate(_CHAIN):
+        c, s = np.cos(q[..., j]), np.sin(q[..., j])
+        ca, sa = np.cos(alpha), np.sin(alpha)
+        step = np.zeros((*q.shape[:-1], 4, 4))
+        step[..., 0, 0], step[..., 0, 1], step[..., 0, 3] = c, -s, a
+        step[..., 1, 0], step[..., 1, 1], step[..., 1, 2], step[..., 1, 3] = s * ca, c * ca, -sa, -d * sa
+        step[..., 2, 0], step[..., 2, 1], step[..., 2, 2], step[..., 2, 3] = s * sa, c * sa, ca, d * ca
+        step[..., 3, 3] = 1.0
+        X = X @ step
+    return np.asarray(X + _D_FLANGE * X[..., :, 2:3] * np.array([0.0, 0.0, 0.0, 1.0]))
 
 
-def _rotation_z(angle: Array) -> Array:
-    c, s = np.cos(angle), np.sin(angle)
-    R = np.zeros((*np.shape(angle), 3, 3))
-    R[..., 0, 0], R[..., 0, 1], R[..., 1, 0], R[..., 1, 1] = c, -s, s, c
-    R[..., 2, 2] = 1.0
-    return R
+def reach_window(X_BF: ArrayLike) -> tuple[Array, Array, Array]:
+    """Joint-7 angles at which flange poses (..., 4, 4) are not too far for the arm, joint limits ignored.
+
+    Joint 7 carries the wrist round a circle of radius 0.088 m; the window is where that circle lies within the
+    stretched arm's sphere about the shoulder.
+
+    Returns:
+        Its centre (...) [rad]; its half width (...) [rad], pi where all angles do, 0 where none does; and by how much
+        (...) [m] the wrist is out of reach at the centre, 0 within reach.
+    """
+    X_BF = np.asarray(X_BF, dtype=np.float64)
+    p = X_BF[..., :3, 3] - _D_FLANGE * X_BF[..., :3, 2] - np.array([0.0, 0.0, _D1])
+    x, y = np.sum(p * X_BF[..., :3, 0], axis=-1), np.sum(p * X_BF[..., :3, 1], axis=-1)
+    side, square = np.hypot(x, y), np.sum(p * p, axis=-1) + _A7**2
+    cos = (square - _REACH**2) / np.maximum(2 * _A7 * side, 1e-12)
+    least = np.sqrt(np.maximum(square - 2 * _A7 * side, 0.0))
+    return np.arctan2(-y, x), np.arccos(np.clip(cos, -1.0, 1.0)), np.maximum(least - _REACH, 0.0)
 
 
-def analytic_ik(X_BG: ArrayLike, q7: ArrayLike) -> Array:
-    """Joint angles (N, 8, 7) [rad] that reach `X_BG` for each joint-7 angle `q7` (N,) [rad], limits ignored.
+def analytic_ik(X_BF: ArrayLike, q7: ArrayLike) -> Array:
+    """Joint angles (..., 8, 7) [rad] that bring the flange to `X_BF` for joint-7 angles `q7`, limits ignored.
 
     The branch index is 4 * elbow + 2 * wrist + shoulder; a branch is a continuous function of the pose and q7 away
     from singularities. Rows are NaN where there is no solution. Angles lie in [-pi, pi), save joint 4 in
-    (-3 pi/2, pi/2] and joint 6 in [-pi/2, 3 pi/2), the turns that hold their limits.
+    (-3 pi/2, pi/2] and joint 6 in [-pi/2, 3 pi/2), the turns that hold their limits, and joint 7, which is as given.
 
     Args:
-        X_BG: pose (4, 4) of panda_hand_tcp in panda_link0 [m].
-        q7: joint-7 angles (N,) [rad].
+        X_BF: poses (..., 4, 4) of panda_link8 in panda_link0 [m].
+        q7: joint-7 angles (...) [rad]; the two shapes are broadcast.
     """
-    X_BG, q7 = np.asarray(X_BG, dtype=np.float64), np.atleast_1d(np.asarray(q7, dtype=np.float64))
-    n = len(q7)
-    # Link 6: its origin is the wrist centre W, which joint 5's axis passes too.
-    R_B7 = X_BG[:3, :3] @ _rotation_z(np.array(-_HAND_YAW))
-    p_7 = X_BG[:3, 3] - (_D_HAND + HAND_TO_TCP_M) * X_BG[:3, 2]
-    R_unturned = R_B7 @ _rotation_z(-q7)  # columns x6, z6, -y6
-    x6, z6, y6 = R_unturned[..., 0], R_unturned[..., 1], -R_unturned[..., 2]
-    SW = p_7 - _A7 * x6 - [0.0, 0.0, _D1]  # (n, 3) shoulder S to wrist W
-    reach = np.linalg.norm(SW, axis=-1)
+    X_BF, q7 = np.asarray(X_BF, dtype=np.float64), np.asarray(q7, dtype=np.float64)
+    shape = np.broadcast_shapes(X_BF.shape[:-2], q7.shape)
+    x6, y6, z6, SW = _wrist(X_BF, q7)
+    reach_2 = np.einsum("...i,...i->...", SW, SW)
 
-    # Elbow: the triangle S, elbow joint, W has three known sides.
+    q = np.full((*shape, 2, 2, 2, 7), np.nan)
+    # Elbow: the triangle shoulder, elbow joint, wrist has three known sides.
     with np.errstate(invalid="ignore", divide="ignore"):
-        bend = np.arccos((_UPPER**2 + _LOWER**2 - reach**2) / (2 * _UPPER * _LOWER))  # NaN out of reach
-        q4 = np.stack([bend - _ELBOW, -bend - _ELBOW + 2 * np.pi])  # (2 elbow, n)
-        q4 = q4 - 2 * np.pi * (q4 > np.pi / 2)
-        # In frame 4, whose y is joint 5's axis: from S to W.
+        bend = np.arccos((_UPPER**2 + _LOWER**2 - reach_2) / (2 * _UPPER * _LOWER))  # NaN out of reach
+        q4 = np.stack([bend - _ELBOW, -bend - _ELBOW + 2 * np.pi], axis=-1)  # (..., 2 elbow)
+        q4 -= 2 * np.pi * (q4 > np.pi / 2)
+        # In frame 4, whose y is joint 5's axis: from the shoulder S to the wrist W.
         c4, s4 = np.cos(q4), np.sin(q4)
         along_x = c4 * _A4 + s4 * _D3 - _A4
         along_y = -s4 * _A4 + c4 * _D3 + _D5
 
         # Wrist: joint 5's axis z5 is normal to z6 and has the component along_y of S-W.
-        u, v = np.sum(SW * x6, axis=-1), np.sum(SW * y6, axis=-1)
-        size = np.hypot(u, v)
-        half = np.arccos(along_y / size)  # (2, n); NaN where joint 6 cannot turn that far
-        phi = np.arctan2(v, u) + np.stack([half, -half], axis=1)  # (2 elbow, 2 wrist, n)
-    z5 = np.cos(phi)[..., None] * x6 + np.sin(phi)[..., None] * y6
+        u, v = np.einsum("...i,...i->...", SW, x6)[..., None], np.einsum("...i,...i->...", SW, y6)[..., None]
+        half = np.arccos(along_y / np.hypot(u, v))  # NaN where joint 6 cannot turn that far
+        phi = np.arctan2(v, u)[..., None] + half[..., None] * np.array([1.0, -1.0])  # (..., 2 elbow, 2 wrist)
+    z5 = np.cos(phi)[..., None] * x6[..., None, None, :] + np.sin(phi)[..., None] * y6[..., None, None, :]
     # Frame 4: y4 = z5 and S-W = along_x x4 + along_y y4.
-    x4 = (SW - along_y[:, None, :, None] * z5) / along_x[:, None, :, None]
-    x4 /= np.linalg.norm(x4, axis=-1, keepdims=True)
-    z4 = np.cross(x4, z5)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        x4 = (SW[..., None, None, :] - along_y[..., None, None] * z5) / along_x[..., None, None]
+    z4 = _cross(x4, z5)
     # From frame 4 by q5 to frame 5, whose -y is z6; from there by q6 to x6.
-    q5 = np.arctan2(np.sum(z6 * x4, axis=-1), np.sum(z6 * z4, axis=-1))
+    z6, x6 = z6[..., None, None, :], x6[..., None, None, :]
+    q5 = np.arctan2(_dot(z6, x4), _dot(z6, z4))
     x5 = np.cos(q5)[..., None] * x4 - np.sin(q5)[..., None] * z4
-    q6 = np.arctan2(np.sum(x6 * z5, axis=-1), np.sum(x6 * x5, axis=-1))
+    q6 = np.arctan2(_dot(x6, z5), _dot(x6, x5))
+    q6 += 2 * np.pi * (q6 < -np.pi / 2)
 
     # Shoulder: R_B3 = Rz(q1) Ry(q2) Rz(q3), whose z axis leaves two ways.
-    q4_all = np.broadcast_to(q4[:, None], z5.shape[:-1])
-    c4, s4 = np.cos(q4_all)[..., None], np.sin(q4_all)[..., None]
-    x3, z3, y3 = c4 * x4 - s4 * z5, s4 * x4 + c4 * z5, -z4
-    q = np.full((2, 2, 2, n, 7), np.nan)
+    c4, s4 = c4[..., None, None], s4[..., None, None]
+    x3_z = c4[..., 0] * x4[..., 2] - s4[..., 0] * z5[..., 2]
+    z3, y3_z = s4 * x4 + c4 * z5, -z4[..., 2]
     sine = np.hypot(z3[..., 0], z3[..., 1])
-    for shoulder, sign in enumerate((1.0, -1.0)):
-        out = q[:, :, shoulder]
-        out[..., 0] = np.arctan2(sign * z3[..., 1], sign * z3[..., 0])
-        out[..., 1] = np.arctan2(sign * sine, z3[..., 2])
-        out[..., 2] = np.arctan2(sign * y3[..., 2], -sign * x3[..., 2])
-        out[..., 3], out[..., 4], out[..., 5], out[..., 6] = q4_all, q5, q6, q7
-    q[..., 5] += 2 * np.pi * (q[..., 5] < -np.pi / 2)
-    q[..., :3] = _wrap(q[..., :3])
-    q[~np.isfinite(q).all(axis=-1)] = np.nan
-    return np.asarray(np.moveaxis(q, 3, 0).reshape(n, 8, 7))
+    q1, q2, q3 = (
+        np.arctan2(z3[..., 1], z3[..., 0]),
+        np.arctan2(sine, z3[..., 2]),
+        np.arctan2(y3_z, -x3_z),
+    )
+    q[..., 0, 0], q[..., 0, 1], q[..., 0, 2] = q1, q2, q3
+    q[..., 1, 0], q[..., 1, 1], q[..., 1, 2] = q1 - np.copysign(np.pi, q1), -q2, q3 - np.copysign(np.pi, q3)
+    q[..., 3], q[..., 4], q[..., 5] = q4[..., None, None], q5[..., None], q6[..., None]
+    q[..., 6] = q7[..., None, None, None]
+    q = q.reshape(*shape, N_BRANCHES, 7)
+    q[~np.isfinite(q[..., 4])] = np.nan
+    return np.asarray(q)
+
+
+def _wrist(X_BF: Array, q7: Array) -> tuple[Array, Array, Array, Array]:
+    """Axes x6, y6, z6 of link 6 and its origin, the wrist, as seen from the shoulder, each (..., 3)."""
+    c, s = np.cos(q7)[..., None], np.sin(q7)[..., None]
+    x7, y7, z7 = X_BF[..., :3, 0], X_BF[..., :3, 1], X_BF[..., :3, 2]
+    x6, z6 = c * x7 - s * y7, s * x7 + c * y7
+    SW = X_BF[..., :3, 3] - _D_FLANGE * z7 - _A7 * x6 - np.array([0.0, 0.0, _D1])
+    return x6, np.broadcast_to(-z7, x6.shape), z6, SW
+
+
+def _dot(a: Array, b: Array) -> Array:
+    return np.asarray(a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2])
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """Cross product of (..., 3), several times faster here than NumPy's general one."""
+    c = np.empty(np.broadcast_shapes(a.shape, b.shape))
+    c[..., 0] = a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1]
+    c[..., 1] = a[..., 2] * b[..., 0] - a[..., 0] * b[..., 2]
+    c[..., 2] = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+    return c

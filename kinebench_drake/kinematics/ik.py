@@ -1,25 +1,36 @@
 """Inverse kinematics of one pose and of a whole track, with a verdict on why a pose cannot be reached."""
 
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from kinebench_drake.errors import InputError
-from kinebench_drake.geometry import Array, make_pose, orthonormalize, pose_difference
-from kinebench_drake.kinematics.branches import excess, postures, smooth, smoothest_path, speed_ratios
-from kinebench_drake.kinematics.newton import REACHED_M, newton, snopt
+from kinebench_drake.geometry import Array, make_pose, orthonormalize, pose_difference, rotation_log
+from kinebench_drake.kinematics.collision import CollisionModel
+from kinebench_drake.kinematics.newton import newton, snopt
+from kinebench_drake.kinematics.path import continued_path, excess, is_sound, smoothest_path
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.models.panda.robot import rest_q
+from kinebench_drake.kinematics.postures import Postures, find_postures
 from kinebench_drake.products import GripperTrack, IkStatus, JointTrack
 
 POSITION_TOLERANCE_M = 1e-6
 """Greatest distance [m] from the wanted TCP of a pose that counts as reached."""
 ROTATION_TOLERANCE_RAD = 1e-6
 """Greatest angle [rad] from the wanted TCP of a pose that counts as reached."""
+CONTACT_TOLERANCE_M = 0.002
+"""Depth [m] up to which bodies that touch do not collide: tasks touch the table."""
+JUMP_RAD = 0.5
+"""A step in which a joint turns this much more than the gripper's motion asks for is a jump between branches [rad]."""
 
+_SWEEP = 128  # angles of the redundancy tried before a pose is given up (of the Panda: every 2.8 degrees)
+_ROUNDS = 5  # times the sweep is halved where postures lie far apart
+_REFINED_RAD = np.linspace(-0.05, 0.05, 41)  # finer angles about the least bad of them
+_DAMPING = 1e-6  # of the pseudo-inverse near singularities
+_DETOURS = 3  # times a path that collides is searched anew
 _STARTS = 8  # postures tried as starts before a pose is given up
-_SMOOTHING = 10  # passes of smoothing, each followed by a return to the poses
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -36,11 +47,126 @@ class IkSolution:
     """Angle left between the wanted and the reached TCP [rad]."""
 
 
-def _rigid(X_BG: ArrayLike) -> Array:
-    X_BG = np.asarray(X_BG, dtype=np.float64)
+@lru_cache(maxsize=4)
+def postures_of(plant: ArmPlant) -> Postures:
+    """How the postures of a plant are found: decided once a plant."""
+    return find_postures(plant)
+
+
+def least_excess(plant: ArmPlant, X_BG: Array) -> Array | None:
+    """Posture (7,) [rad] that reaches `X_BG` (4, 4) with its worst joint least past its limit; None if none is known.
+
+    All branches on _SWEEP angles of the redundancy, then on finer ones about the least bad of them.
+    """
+    postures = postures_of(plant)
+    q = postures.all(X_BG[None], _SWEEP, _ROUNDS)[0]
+    if len(q) == 0:
+        return None
+    coarse = q[np.argmin(excess(plant, q).max(axis=-1))]
+    fine = np.vstack([coarse[None], postures.around(X_BG[None], coarse[None], _REFINED_RAD)[0]])
+    return np.asarray(fine[np.argmin(excess(plant, fine).max(axis=-1))])
+
+
+def solve_pose(plant: ArmPlant, X_BG: ArrayLike, q_seed: ArrayLike) -> IkSolution:
+    """Joint angles that bring the TCP to a pose, near `q_seed` where there is a choice.
+
+    Newton steps from the seed do it as a rule (some 0.15 ms). If not, all postures that reach the pose are listed
+    (of the Panda in closed form, joint 7 swept over its turn): the one within limits nearest to the seed is taken. If
+    none is within limits, Newton steps start from those least past their limits, then SNOPT, before the pose is given
+    up; the verdict is JOINT_LIMIT if the pose is reached without limits, else UNREACHABLE.
+
+    Args:
+        plant: the robot.
+        X_BG: wanted pose (4, 4) of the TCP in the base [m]; its rotation is made orthonormal first.
+        q_seed: (7,) posture [rad] to start from.
+
+    Raises:
+        InputError: the pose is not a finite 4x4 matrix.
+    """
+    X_BG, q_seed = np.asarray(X_BG, dtype=np.float64), np.asarray(q_seed, dtype=np.float64)
     if X_BG.shape != (4, 4) or not np.isfinite(X_BG).all():
         raise InputError(f"X_BG must be a finite 4x4 pose, found shape {X_BG.shape} with values {X_BG.ravel()[:4]}...")
-    return make_pose(orthonormalize(X_BG[:3, :3]), X_BG[:3, 3])
+    X_BG = make_pose(orthonormalize(X_BG[:3, :3]), X_BG[:3, 3])
+    near, near_error = newton(plant, X_BG, q_seed, iterations=20)
+    solution = _solution(plant, X_BG, near)
+    if solution.status is IkStatus.OK:
+        return solution
+    return _solve_anywhere(plant, X_BG, q_seed, near, near_error)
+
+
+def solve_track(
+    plant: ArmPlant,
+    track: GripperTrack,
+    collision: CollisionModel | None = None,
+    *,
+    contact_tolerance_m: float = CONTACT_TOLERANCE_M,
+    noise_rad: float = 0.0,
+) -> JointTrack:
+    """Joint angles along a track: the path that asks least of the joints, continuous wherever poses and limits allow.
+
+    The path is searched among all postures of all tracked poses (`path.smoothest_path`) and verified in Drake. Poses
+    without a posture within limits get the nearest that limits allow. Where the path collides, it is searched again
+    among the postures that do not; poses that leave none keep theirs and say so. Frames that are not tracked are left
+    out, their time counted.
+
+    Args:
+        plant: the robot.
+        track: the gripper's path; `t_s`, `X_BG`, `tracked` and, for collisions, `finger_width_m` are used.
+        collision: bodies to keep clear of; None ignores them.
+        contact_tolerance_m: depth up to which touching is no collision [m].
+        noise_rad: standard deviation of the noise that the poses bring into the joints [rad].
+
+    Raises:
+        InputError: a tracked frame's pose is not finite, or the times do not increase.
+    """
+    if not (np.diff(track.t_s) > 0.0).all():
+        raise InputError("t_s must increase from frame to frame")
+    frames = np.flatnonzero(track.tracked)
+    t_s, X_BG = track.t_s[frames], track.X_BG[frames]
+    if not np.isfinite(X_BG).all():
+        bad = int(frames[np.flatnonzero(~np.isfinite(X_BG).all(axis=(1, 2)))[0]])
+        raise InputError(f"frame {bad} is tracked but its pose is not finite")
+    X_BG = make_pose(orthonormalize(X_BG[:, :3, :3]), X_BG[:, :3, 3])
+    path = _search(plant, t_s, X_BG, plant.robot.rest_q, noise_rad)
+    joints = _verified(plant, t_s, X_BG, path, plant.robot.rest_q)
+    if collision is not None:
+        joints = _clear(plant, collision, X_BG, track.finger_width_m[frames], joints, contact_tolerance_m, noise_rad)
+    return _with_gaps(joints, track, frames)
+
+
+def follow(plant: ArmPlant, t_s: Array, X_BG: Array, q_start: Array) -> JointTrack:
+    """Joint angles along a smooth track of poses, started warm from a posture near its first pose: the quick way.
+
+    The path goes on from the start through few frames and is then relaxed as a whole; if that leaves the limits or is
+    too fast, the whole search of `solve_track` is done.
+
+    Args:
+        plant: the robot.
+        t_s: (T,) times [s], increasing.
+        X_BG: (T, 4, 4) poses of the TCP in the base [m], rotations orthonormal.
+        q_start: (7,) posture [rad] near the first pose.
+    """
+    q = continued_path(plant, postures_of(plant), t_s, X_BG, np.asarray(q_start, dtype=np.float64))
+    if not is_sound(plant, t_s, q):
+        q = _search(plant, t_s, X_BG, q_start)
+    return _verified(plant, t_s, X_BG, q, q_start)
+
+
+def branch_jumps(plant: ArmPlant, X_BG: Array, q: Array) -> NDArray[np.intp]:
+    """Indices (N,) of postures in `q` (n, 7) [rad] whose step from the one before the poses (n, 4, 4) do not explain.
+
+    A step is explained by the least joint motion that moves the TCP as wanted, J^+ V, the mean of both ends' (the
+    trapezoid rule); a branch jump is what remains.
+    """
+    if len(q) < 2:
+        return np.zeros(0, dtype=np.intp)
+    J = np.array([plant.jacobian(row) for row in q])
+    turn = rotation_log(X_BG[1:, :3, :3] @ np.swapaxes(X_BG[:-1, :3, :3], -1, -2))
+    V = np.concatenate([turn, np.diff(X_BG[:, :3, 3], axis=0)], axis=-1)[..., None]
+    J_T = np.swapaxes(J, -1, -2)
+    inverse = J_T @ np.linalg.inv(J @ J_T + _DAMPING * np.eye(6))
+    explained = 0.5 * (inverse[:-1] + inverse[1:]) @ V
+    return np.flatnonzero(np.abs(np.diff(q, axis=0) - explained[..., 0]).max(axis=-1) > JUMP_RAD) + 1
 
 
 def _solution(plant: ArmPlant, X_BG: Array, q: Array, failure: IkStatus = IkStatus.UNREACHABLE) -> IkSolution:
@@ -54,32 +180,12 @@ def _solution(plant: ArmPlant, X_BG: Array, q: Array, failure: IkStatus = IkStat
     )
 
 
-def solve_pose(plant: ArmPlant, X_BG: ArrayLike, q_seed: ArrayLike) -> IkSolution:
-    """Joint angles that bring panda_hand_tcp to a pose, near `q_seed` where there is a choice.
-
-    Newton steps from the seed do it as a rule (some 0.15 ms). If not, all postures that reach the pose come from the
-    closed form, joint 7 swept over its turn: the one within limits nearest to the seed is taken. If none is within
-    limits, Newton steps start from those least past their limits, then SNOPT, before the pose is given up; the
-    verdict is JOINT_LIMIT if the closed form (or Newton without limits) reaches it, else UNREACHABLE.
-
-    Args:
-        plant: the robot.
-        X_BG: wanted pose (4, 4) of panda_hand_tcp in panda_link0 [m]; its rotation is made orthonormal first.
-        q_seed: (7,) posture [rad] to start from.
-
-    Raises:
-        InputError: the pose is not a finite 4x4 matrix.
-    """
-    X_BG, q_seed = _rigid(X_BG), np.asarray(q_seed, dtype=np.float64)
-    near, near_error = newton(plant, X_BG, q_seed, iterations=20)
-    solution = _solution(plant, X_BG, near)
-    if solution.status is IkStatus.OK:
-        return solution
-    return _solve_anywhere(plant, X_BG, q_seed, near, near_error)
-
-
 def _solve_anywhere(plant: ArmPlant, X_BG: Array, q_seed: Array, near: Array, near_error: float) -> IkSolution:
-    candidates = postures(X_BG)
+    postures = postures_of(plant)
+    if postures.out_of_reach_m(X_BG[None])[0] > 0.0:
+        q, error = newton(plant, X_BG, plant.robot.rest_q)
+        return _solution(plant, X_BG, q if error < near_error else near)
+    candidates = postures.all(X_BG[None], _SWEEP, _ROUNDS)[0]
     worst = excess(plant, candidates).max(axis=-1, initial=0.0)
     inside = candidates[worst <= 0.0]
     if len(inside):
@@ -109,89 +215,85 @@ def _solve_anywhere(plant: ArmPlant, X_BG: Array, q_seed: Array, near: Array, ne
 def _spread(plant: ArmPlant) -> list[Array]:
     """A few fixed postures all over the joint ranges, the rest posture first."""
     rng = np.random.default_rng(0)
-    return [rest_q(), *rng.uniform(plant.lower, plant.upper, size=(_STARTS - 1, 7))]
+    return [plant.robot.rest_q, *rng.uniform(plant.lower, plant.upper, size=(_STARTS - 1, 7))]
 
 
-def solve_track(plant: ArmPlant, track: GripperTrack) -> JointTrack:
-    """Joint angles along a track, continuous from frame to frame wherever the poses and limits allow it.
-
-    The first frame takes the posture nearest to ManiSkill's rest posture, every later one starts from the frame
-    before. If that path asks a joint for more than its speed (a dead end at a limit, so that the arm must fall into
-    another posture), the smoothest of all paths is looked for (`branches.smoothest_path`) and its ends are followed
-    forward and backward; of these paths the one with the fewest failed frames, then the lowest peak speed, is
-    returned. Frames that are not tracked are left out, their time counted.
-
-    Args:
-        plant: the robot.
-        track: the gripper's path; `t_s`, `X_BG` and `tracked` are used.
-
-    Raises:
-        InputError: a tracked frame's pose is not finite, or the times do not increase.
-    """
-    if not (np.diff(track.t_s) > 0.0).all():
-        raise InputError("t_s must increase from frame to frame")
-    frames = np.flatnonzero(track.tracked)
-    poses, t_s = [_rigid(track.X_BG[i]) for i in frames], track.t_s[frames]
-    solutions = _follow(plant, poses, _first_seed(plant, poses[0])) if poses else []
-    peak = _peak_speed(plant, t_s, solutions)
-    if peak > 1.0:
-        smoothest = _follow_smoothest(plant, t_s, poses)
-        forward = _follow(plant, poses, smoothest[0].q)
-        backward = _follow(plant, poses[::-1], smoothest[-1].q)[::-1]
-        paths = (solutions, smoothest, forward, backward)
-        solutions = min(paths, key=lambda path: (_failures(path), _peak_speed(plant, t_s, path)))
-    return _joint_track(track, frames, solutions)
+def _search(
+    plant: ArmPlant,
+    t_s: Array,
+    X_BG: Array,
+    q_start: Array,
+    noise_rad: float = 0.0,
+    allowed: Mapping[int, Callable[[Array], NDArray[np.bool_]]] | None = None,
+) -> Array:
+    if len(X_BG) == 0:
+        return np.zeros((0, 7))
+    return smoothest_path(plant, postures_of(plant), t_s, X_BG, q_start, noise_rad, allowed)
 
 
-def _first_seed(plant: ArmPlant, X_BG: Array) -> Array:
-    candidates = postures(X_BG)
-    inside = candidates[excess(plant, candidates).max(axis=-1, initial=0.0) <= 0.0]
-    return inside[np.argmin(np.sum((inside - rest_q()) ** 2, axis=-1))] if len(inside) else rest_q()
+def _verified(plant: ArmPlant, t_s: Array, X_BG: Array, path: Array, q_start: Array) -> JointTrack:
+    """The path (n, 7) as it is where Drake confirms it, solved anew from the frame before elsewhere."""
+    known = np.isfinite(path).all(axis=-1)
+    q = np.where(known[:, None], path, q_start)
+    position, rotation = pose_difference(np.reshape([plant.forward(row) for row in q], (-1, 4, 4)), X_BG)
+    ok = known & (excess(plant, q).max(axis=-1, initial=0.0) <= 0.0)
+    ok &= (position <= POSITION_TOLERANCE_M) & (rotation <= ROTATION_TOLERANCE_RAD)
+    status = [IkStatus.OK] * len(q)
+    for i in np.flatnonzero(~ok):
+        solution = solve_pose(plant, X_BG[i], q[i] if known[i] or i == 0 else q[i - 1])
+        q[i], status[i] = solution.q, solution.status
+        position[i], rotation[i] = solution.position_error_m, solution.rotation_error_rad
+    return JointTrack(t_s=t_s, q=q, status=tuple(status), position_error_m=position, rotation_error_rad=rotation)
 
 
-def _failures(solutions: list[IkSolution]) -> int:
-    return sum(s.status is not IkStatus.OK for s in solutions)
+def _clear(
+    plant: ArmPlant,
+    collision: CollisionModel,
+    X_BG: Array,
+    finger_width_m: Array,
+    joints: JointTrack,
+    tolerance_m: float,
+    noise_rad: float,
+) -> JointTrack:
+    """The path bent around collisions where postures allow it; frames where none does get a colliding status."""
+    widths = np.where(np.isfinite(finger_width_m), finger_width_m, plant.finger_width_m)
+    allowed: dict[int, Callable[[Array], NDArray[np.bool_]]] = {}
+    stuck: set[int] = set()
+
+    def clear(frame: int, q: Array) -> NDArray[np.bool_]:
+        width = np.full(len(q), widths[frame])
+        depth = np.minimum(collision.table_distance(q, width).distance_m, collision.self_distance(q, width).distance_m)
+        if (depth >= -tolerance_m).any():
+            return np.asarray(depth >= -tolerance_m)
+        stuck.add(frame)  # whatever the posture
+        return np.ones(len(q), dtype=bool)
+
+    for _ in range(_DETOURS):
+        own = collision.self_distance(joints.q, widths)
+        table = collision.table_distance(joints.q, widths)
+        bad = joints.ok & (np.minimum(own.distance_m, table.distance_m) < -tolerance_m)
+        # The tool goes where the pose puts it: if it is the tool that meets the table, no posture helps.
+        by_tool = [pair is not None and pair[0] in plant.tool for pair in table.pair]
+        stuck |= {int(i) for i in np.flatnonzero(bad & by_tool & (table.distance_m < -tolerance_m))}
+        fresh = {int(i) for i in np.flatnonzero(bad)} - stuck - set(allowed)
+        if not fresh:
+            break
+        allowed |= {i: partial(clear, i) for i in fresh}
+        path = _search(plant, joints.t_s, X_BG, plant.robot.rest_q, noise_rad, allowed)
+        joints = _verified(plant, joints.t_s, X_BG, path, plant.robot.rest_q)
+    status = list(joints.status)
+    for i in np.flatnonzero(bad):
+        status[i] = IkStatus.SELF_COLLISION if own.distance_m[i] < table.distance_m[i] else IkStatus.TABLE_COLLISION
+    return replace(joints, status=tuple(status))
 
 
-def _peak_speed(plant: ArmPlant, t_s: Array, solutions: list[IkSolution]) -> float:
-    q = [s.q if s.status is IkStatus.OK else np.full(7, np.nan) for s in solutions]
-    return float(speed_ratios(plant, t_s, np.reshape(q, (-1, 7))).max(initial=0.0))
-
-
-def _follow(plant: ArmPlant, poses: list[Array], seed: Array) -> list[IkSolution]:
-    """Solutions of `poses`, each started from the one before, the first from `seed`."""
-    solutions = []
-    for X_BG in poses:
-        solutions.append(solve_pose(plant, X_BG, seed))
-        seed = solutions[-1].q
-    return solutions
-
-
-def _follow_smoothest(plant: ArmPlant, t_s: Array, poses: list[Array]) -> list[IkSolution]:
-    """Solutions near the smoothest path of the grid, smoothed further; gaps in it start from their neighbours."""
-    grid = smoothest_path(plant, t_s, np.array(poses), rest_q())
-    kept = np.flatnonzero(np.isfinite(grid[:, 0]))
-    if len(kept) == 0:
-        return _follow(plant, poses, rest_q())
-    nearest = kept[np.argmin(np.abs(np.arange(len(poses))[:, None] - kept), axis=-1)]
-    solutions = [solve_pose(plant, X_BG, q) for X_BG, q in zip(poses, grid[nearest], strict=True)]
-    path = np.array([s.q for s in solutions])
-    for _ in range(_SMOOTHING):
-        for i, q in enumerate(smooth(path)):
-            q_new, error = newton(plant, poses[i], q, iterations=20)
-            if error <= REACHED_M:
-                path[i] = q_new
-    return [
-        _solution(plant, X, q) if s.status is IkStatus.OK else s for X, q, s in zip(poses, path, solutions, strict=True)
-    ]
-
-
-def _joint_track(track: GripperTrack, frames: NDArray[np.intp], solutions: list[IkSolution]) -> JointTrack:
+def _with_gaps(joints: JointTrack, track: GripperTrack, frames: NDArray[np.intp]) -> JointTrack:
+    """The joint track with its untracked frames back in."""
     n = len(track.t_s)
     q = np.full((n, 7), np.nan)
     position, rotation = np.full(n, np.nan), np.full(n, np.nan)
     status = [IkStatus.NOT_TRACKED] * n
-    for i, solution in zip(frames, solutions, strict=True):
-        q[i], status[i] = solution.q, solution.status
-        position[i], rotation[i] = solution.position_error_m, solution.rotation_error_rad
+    q[frames], position[frames], rotation[frames] = joints.q, joints.position_error_m, joints.rotation_error_rad
+    for i, s in zip(frames, joints.status, strict=True):
+        status[i] = s
     return JointTrack(t_s=track.t_s, q=q, status=tuple(status), position_error_m=position, rotation_error_rad=rotation)

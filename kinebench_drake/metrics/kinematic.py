@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array
-from kinebench_drake.kinematics.branches import excess, least_excess
-from kinebench_drake.kinematics.ik import POSITION_TOLERANCE_M, ROTATION_TOLERANCE_RAD
+from kinebench_drake.kinematics.path import excess
+from kinebench_drake.kinematics.ik import POSITION_TOLERANCE_M, ROTATION_TOLERANCE_RAD, least_excess
 from kinebench_drake.kinematics.manipulability import manipulability
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.metrics.smoothness import runs, track_smoothness

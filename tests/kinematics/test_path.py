@@ -1,0 +1,103 @@
+import numpy as np
+import pytest
+from scipy.interpolate import CubicSpline
+
+from kinebench_drake.geometry import Array, pose_difference
+from kinebench_drake.kinematics.ik import postures_of
+from kinebench_drake.kinematics.path import anchors, cheapest, excess, relax, smoothest_path, speed_ratios
+from kinebench_drake.kinematics.plant import ArmPlant
+from kinebench_drake.kinematics.postures import Numeric
+from kinebench_drake.models.panda.robot import rest_q
+
+
+def _path(n: int, seed: int = 0) -> Array:
+    rng = np.random.default_rng(seed)
+    knots = rest_q() + rng.uniform(-0.4, 0.4, size=(4, 7))
+    return np.asarray(CubicSpline(np.linspace(0, 1, 4), knots)(np.linspace(0, 1, n)))
+
+
+def _poses(plant: ArmPlant, q: Array) -> Array:
+    return np.array([plant.forward(row) for row in q])
+
+
+def test_the_cheapest_path_is_that_of_all_paths(plant: ArmPlant) -> None:
+    """Against every combination of three layers."""
+    rng = np.random.default_rng(0)
+    t_s = np.array([0.0, 0.3, 0.5])
+    layers = [rest_q() + rng.normal(0.0, 0.1, size=(k, 7)) for k in (4, 5, 3)]
+    path = cheapest(plant, t_s, layers, rest_q(), spacing=0.1)
+
+    def cost(a: int, b: int, c: int) -> float:
+        q = np.array([layers[0][a], layers[1][b], layers[2][c]])
+        ratio = speed_ratios(plant, t_s, q).max(axis=-1)
+        pull = 1e-2 * np.sum((q[0] - rest_q()) ** 2) + 1e-3 * np.sum((q - rest_q()) ** 2)
+        return float(np.sum(ratio**2 + 4 * ratio**8) + pull)
+
+    best = min(((a, b, c) for a in range(4) for b in range(5) for c in range(3)), key=lambda k: cost(*k))
+    np.testing.assert_array_equal(path, [layer[k] for layer, k in zip(layers, best, strict=True)])
+
+
+def test_layers_without_a_posture_are_bridged(plant: ArmPlant) -> None:
+    layers = [rest_q()[None], np.zeros((0, 7)), rest_q()[None] + 0.1]
+    path = cheapest(plant, np.arange(3.0), layers, rest_q(), spacing=0.1)
+    assert np.isnan(path[1]).all()
+    np.testing.assert_array_equal(path[[0, 2]], [rest_q(), rest_q() + 0.1])
+
+
+def test_relaxing_keeps_the_poses_and_asks_less(plant: ArmPlant) -> None:
+    """A path that wags along the redundancy, straightened."""
+    q = _path(30)
+    X_BG, t_s = _poses(plant, q), 0.1 * np.arange(30)
+    wagging = q.copy()
+    wagging[:, 6] += 0.15 * (-1.0) ** np.arange(30)
+    wagging = postures_of(plant).nearest(X_BG, wagging)
+    straight = relax(plant, postures_of(plant), t_s, X_BG, wagging)
+    assert max(d.max() for d in pose_difference(_poses(plant, straight), X_BG)) < 1e-9
+    before, after = (np.sum(speed_ratios(plant, t_s, path) ** 2) for path in (wagging, straight))
+    assert after < 0.1 * before
+    assert after <= 1.01 * np.sum(speed_ratios(plant, t_s, q) ** 2)
+
+
+def test_relaxing_brings_a_path_back_within_limits(plant: ArmPlant) -> None:
+    q = _path(20, seed=1)
+    q[:, 6] += plant.upper[6] - 0.02 - q[:, 6].max()
+    X_BG, t_s = _poses(plant, q), 0.2 * np.arange(20)
+    past = postures_of(plant).nearest(X_BG, q + [0, 0, 0, 0, 0, 0, 0.06])
+    assert excess(plant, past).max() > 0.01
+    assert excess(plant, relax(plant, postures_of(plant), t_s, X_BG, past)).max() == 0.0
+
+
+def test_the_redundancy_is_used_to_stay_below_the_speed_limit(plant: ArmPlant) -> None:
+    """Joint 7 alone turns the gripper too fast: with the whole arm's help the turn is possible."""
+    q = np.tile([0.0, 0.3, 0.0, -2.0, 0.0, 2.3, 0.0], (15, 1))
+    q[:, 6] = np.linspace(-1.4, 1.4, 15)
+    X_BG = _poses(plant, q)
+    t_s = 0.95 * 0.2 / 2.61 * np.arange(15)
+    assert speed_ratios(plant, t_s, q).max() > 1.0
+    path = smoothest_path(plant, postures_of(plant), t_s, X_BG, q[0])
+    assert speed_ratios(plant, t_s, path).max() <= 1.0
+    assert max(d.max() for d in pose_difference(_poses(plant, path), X_BG)) < 1e-9
+
+
+@pytest.mark.parametrize("period", [0.02, 0.2, 1.0])
+def test_anchors_keep_their_distance_and_both_ends(period: float) -> None:
+    t_s = period * np.arange(40)
+    chosen = anchors(t_s, 0.15)
+    assert chosen[0] == 0
+    assert chosen[-1] == 39
+    assert (np.diff(t_s[chosen[:-1]]) >= 0.15 - 1e-9).all()
+    assert list(anchors(t_s[:1], 0.15)) == [0]
+
+
+def test_the_numeric_way_agrees_with_the_closed_form(plant: ArmPlant) -> None:
+    """What serves arms without a closed form, tried on the Panda, whose postures are known."""
+    q = _path(12, seed=2)
+    X_BG, t_s = _poses(plant, q), 0.2 * np.arange(12)
+    numeric, closed = Numeric(plant), postures_of(plant)
+    cross = np.einsum("ti,ti->t", numeric.direction(X_BG, q), closed.direction(X_BG, q))
+    np.testing.assert_allclose(np.abs(cross), 1.0, atol=1e-6)
+    np.testing.assert_allclose(numeric.nearest(X_BG, q), q, atol=1e-6)
+    path = smoothest_path(plant, numeric, t_s, X_BG, q[0])
+    assert max(d.max() for d in pose_difference(_poses(plant, path), X_BG)) < 1e-6
+    assert excess(plant, path).max() == 0.0
+    assert speed_ratios(plant, t_s, path).max() < 1.0
