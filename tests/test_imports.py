@@ -29,6 +29,7 @@ MAY_IMPORT = {
     "trajectory_measure": LEAF | RESULTS | {"stages", "measure", "trajectories"},
     "audit": LEAF | RESULTS | {"stages", "measure", "run", "trajectories", "trajectory_measure"},
     "thumbnail": LEAF | {"stages"},
+    "validation": LEAF | RESULTS | {"models", "kinematics", "metrics", "suites", "stages", "drake_stages", "audit"},
 }
 """What each part may import besides itself. Parts not named here see all but the command line."""
 ABOVE_ALL = {"cli", "__main__"}

@@ -1,0 +1,85 @@
+"""`python -m kinebench_drake.validation`: trajectories with known truth, and an audit's results held against it."""
+
+from pathlib import Path
+
+import click
+import numpy as np
+
+from kinebench_drake.errors import KinebenchError
+from kinebench_drake.row import dump
+
+
+@click.group()
+def main() -> None:
+    r"""Trajectories whose truth is known by proof.
+
+    \b
+    Example:
+      python -m kinebench_drake.validation make --out tracks --kind infeasible --count 1000 --seed 0 --jobs 2
+      kinebench-drake audit tracks --out results
+      python -m kinebench_drake.validation check results tracks
+    """
+
+
+@main.command()
+@click.option("--out", type=click.Path(path_type=Path, file_okay=False), required=True, help="Folder; made if absent.")
+@click.option(
+    "--kind",
+    type=click.Choice(["feasible", "infeasible", "perturbed", "noisy"]),
+    required=True,
+    help="What to draw: motions the arm can make (also with noise), planted faults, or anything at all.",
+)
+@click.option("--count", type=click.IntRange(min=1), default=1000, show_default=True, metavar="N")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
+@click.option(
+    "--noise-mm",
+    type=click.FloatRange(min=0.0),
+    default=0.0,
+    help="Noise of `noisy`: standard deviation along each axis [mm]; half as many degrees about each.",
+)
+@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True, help="Worker processes.")
+def make(out: Path, kind: str, count: int, seed: int, noise_mm: float, jobs: int) -> None:
+    r"""Draw trajectories and write them as npz files, with truth.jsonl beside them.
+
+    \b
+    Example:
+      python -m kinebench_drake.validation make --out tracks --kind feasible --count 1000
+    """
+    from kinebench_drake.validation.tracks import Recipe, Set
+    from kinebench_drake.validation.tracks import make as make_set
+
+    if noise_mm and kind != "noisy":
+        raise click.UsageError(f"--noise-mm goes with --kind noisy, found --kind {kind}")
+    recipe = Recipe(set=Set(kind), seed=seed, noise_m=1e-3 * noise_mm, noise_rad=float(np.deg2rad(0.5 * noise_mm)))
+    try:
+        with click.progressbar(make_set(recipe, count, out, jobs=jobs), length=count, label=kind) as truths:
+            for _ in truths:
+                pass
+    except KinebenchError as error:
+        raise click.ClickException(str(error)) from None
+    click.echo(out)
+
+
+@main.command()
+@click.argument("results", type=click.Path(path_type=Path, exists=True))
+@click.argument("tracks", type=click.Path(path_type=Path, exists=True, file_okay=False))
+@click.option("--json", "as_json", is_flag=True, help="As JSON.")
+def check(results: Path, tracks: Path, as_json: bool) -> None:
+    r"""Compare an audit's output folder RESULTS with the truth in the folder TRACKS.
+
+    \b
+    Example:
+      python -m kinebench_drake.validation check results tracks
+    """
+    from kinebench_drake.validation.check import compare, read_rows, table
+    from kinebench_drake.validation.sample import TRUTH, read_truth
+
+    try:
+        verdicts = compare(read_rows(results), read_truth(tracks / TRUTH))
+    except KinebenchError as error:
+        raise click.ClickException(str(error)) from None
+    click.echo(dump([v.to_json() for v in verdicts], indent=2) if as_json else table(verdicts))
+
+
+if __name__ == "__main__":
+    main(prog_name="python -m kinebench_drake.validation")

@@ -1,0 +1,42 @@
+import numpy as np
+import pytest
+from pydrake.multibody.tree import BodyIndex
+
+from kinebench_drake.geometry import transform_points
+from kinebench_drake.validation.body import _vertices
+
+
+@pytest.fixture
+def postures(arm):
+    rng = np.random.default_rng(0)
+    return rng.uniform(arm.plant.lower, arm.plant.upper, (20, 7)), rng.uniform(0.0, 0.08, 20)
+
+
+def test_forward_kinematics_is_drakes(arm, postures):
+    q, _ = postures
+    np.testing.assert_allclose(arm.body.forward(q), [arm.plant.forward(x) for x in q], atol=1e-13)
+
+
+def lowest_by_drake(arm, q, width, leave_out):
+    inspector = arm.plant.diagram.GetSubsystemByName("scene_graph").model_inspector()
+    query = arm.plant.query(q, width)
+    heights = []
+    for i in range(arm.plant.drake.num_bodies()):
+        body = arm.plant.drake.get_body(BodyIndex(i))
+        if not leave_out(body.name()):
+            for geometry in arm.plant.drake.GetCollisionGeometriesForBody(body):
+                X = query.GetPoseInWorld(geometry).GetAsMatrix4()
+                heights.append(transform_points(X, _vertices(inspector.GetShape(geometry)))[:, 2].min())
+    return min(heights)
+
+
+def test_the_lowest_point_is_that_of_drakes_geometry(arm, postures):
+    q, width = postures
+    expected = [lowest_by_drake(arm, x, w, "panda_link0".__eq__) for x, w in zip(q, width, strict=True)]
+    np.testing.assert_allclose(arm.body.lowest(q, width), expected, atol=1e-12)
+
+
+def test_the_grippers_lowest_point_follows_from_its_pose_alone(arm, postures):
+    q, width = postures
+    expected = [lowest_by_drake(arm, x, w, lambda name: "link" in name) for x, w in zip(q, width, strict=True)]
+    np.testing.assert_allclose(arm.body.lowest_of_gripper(arm.body.forward(q), width), expected, atol=1e-12)

@@ -1,0 +1,91 @@
+import pytest
+
+from kinebench_drake.errors import InputError
+from kinebench_drake.row import SampleRow, Status, dump
+from kinebench_drake.validation.check import compare, read_rows, table
+from kinebench_drake.validation.sample import REASONS, Kind, Truth
+
+
+def truth(kind, n):
+    return Truth(id=f"{kind.value}-{n}", kind=kind, family="cartesian", reasons=REASONS.get(kind, ()))
+
+
+def row(name, feasible, kinds=(), **changes):
+    values = {
+        "id": name,
+        "video": f"{name}.npz",
+        "task": None,
+        "model": None,
+        "status": Status.OK,
+        "reason": None,
+        "content_hash": "",
+        "feasible": feasible,
+        "violations": tuple({"kind": kind} for kind in kinds),
+    }
+    return SampleRow(**{**values, **changes})
+
+
+@pytest.fixture
+def verdicts():
+    truths = [truth(Kind.FEASIBLE, n) for n in range(4)] + [truth(Kind.FAST, n) for n in range(4)]
+    truths += [truth(Kind.PERTURBED, n) for n in range(3)]
+    rows = [
+        row("feasible-0", True, metrics={"sparc": None}, null_reasons={"sparc": "nearly still"}),
+        row("feasible-1", False, ["jerk"]),
+        row("feasible-2", None, metrics={"sparc": None}),
+        row("fast-0", False, ["velocity", "torque"]),
+        row("fast-1", False, ["torque"]),
+        row("fast-2", True),
+        row("renamed", False, ["velocity"], video="folder/fast-3.npz"),
+        row("perturbed-0", None, status=Status.UNMEASURABLE, reason="no frame is tracked"),
+        row("perturbed-1", None, status=Status.ERROR, reason="it failed"),
+        row("perturbed-2", None, status=Status.UNMEASURABLE),
+    ]
+    return {v.kind: v for v in compare(rows, {t.id: t for t in truths})}
+
+
+def test_false_alarms(verdicts):
+    v = verdicts[Kind.FEASIBLE]
+    assert v.judged_infeasible.hits == 1
+    assert v.judged_infeasible.share.n == 3
+    assert v.judged_infeasible.ids == ("feasible-1",)
+    assert v.reason_named is None
+    assert v.undecided == ("feasible-2",)
+    assert v.missing == ("feasible-3",)
+    assert v.unexplained == ("feasible-2",)
+
+
+def test_detections_and_reasons(verdicts):
+    v = verdicts[Kind.FAST]
+    assert v.judged_infeasible.hits == 3
+    assert v.judged_infeasible.ids == ("fast-2",)
+    assert v.reason_named.hits == 2
+    assert v.reason_named.ids == ("fast-1", "fast-2")
+    assert v.missing == ()
+    # Wilson's interval of 3 in 4, by the closed form
+    n, p, z = 4, 0.75, 1.959963984540054
+    middle, half = (p + z**2 / (2 * n)), z * (p * (1 - p) / n + z**2 / (4 * n**2)) ** 0.5
+    assert v.judged_infeasible.share.low == pytest.approx((middle - half) / (1 + z**2 / n))
+    assert v.judged_infeasible.share.high == pytest.approx((middle + half) / (1 + z**2 / n))
+
+
+def test_rows_that_explain_nothing(verdicts):
+    v = verdicts[Kind.PERTURBED]
+    assert v.errors == ("perturbed-1",)
+    assert v.unexplained == ("perturbed-1", "perturbed-2")
+    assert v.judged_infeasible.ids == ()
+
+
+def test_the_table_names_what_to_look_at(verdicts):
+    text = table(verdicts.values())
+    assert "| fast | 4 | 3/4 = 75.0 %" in text
+    assert "fast, not found: fast-2" in text
+    assert "fast, found for another reason: fast-1" in text
+    assert "feasible, false alarms: feasible-1" in text
+
+
+def test_rows_are_read_from_an_output_folder(tmp_path):
+    (tmp_path / "samples.jsonl").write_text(dump(row("a", True).to_json()))
+    assert [r.id for r in read_rows(tmp_path)] == ["a"]
+    with pytest.raises(InputError, match="cannot be read"):
+        read_rows(tmp_path / "nowhere")

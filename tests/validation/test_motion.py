@@ -1,0 +1,80 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from kinebench_drake.validation.feasible import draw_feasible
+from kinebench_drake.validation.motion import CLEARANCE_M, Motion, prove
+from kinebench_drake.validation.moves import Family, trapezoid
+
+
+def swing(arm, joint, size, duration):
+    """A half sine of one joint out of the rest posture, sampled so densely that the spline is the sine."""
+    t_s = np.linspace(0.0, duration, 201)
+    q = np.tile(arm.plant.robot.rest_q, (201, 1))
+    q[:, joint] += 0.5 * size * (1.0 - np.cos(np.pi * t_s / duration))
+    return Motion.through(t_s, q, np.full(201, 0.04))
+
+
+def test_ratios_are_those_of_a_sine(arm):
+    size, duration = 0.8, 2.0
+    proof = prove(arm, swing(arm, 0, size, duration), 0.5, 1.5)  # away from the ends, which are at rest
+    rate = np.pi / duration
+    assert proof.velocity == pytest.approx(0.5 * size * rate / 2.175, rel=1e-4)
+    assert proof.acceleration == pytest.approx(0.5 * size * rate**2 * np.cos(0.25 * np.pi) / 15.0, rel=1e-3)
+    assert proof.jerk == pytest.approx(0.5 * size * rate**3 / 7500.0, rel=1e-2)
+    assert proof.holds
+
+
+def test_a_resting_arm_bears_its_weight(arm):
+    t_s = np.linspace(0.0, 1.0, 20)
+    rest = Motion.through(t_s, np.tile(arm.plant.robot.rest_q, (20, 1)), np.full(20, 0.04))
+    gravity = np.abs(arm.plant.torque(arm.plant.robot.rest_q, np.zeros(7), np.zeros(7))) / arm.plant.effort_limits
+    assert prove(arm, rest, 0.0, 1.0).torque == pytest.approx(gravity.max(), rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("joint", "size", "duration", "fault"),
+    [
+        (0, 2.0, 0.5, "velocity"),
+        (1, 0.1, 0.15, "acceleration"),
+        (6, 2.5, 20.0, "position_margin_rad"),
+        (1, 0.9, 8.0, "table_distance_m"),
+    ],
+)
+def test_the_proof_fails_where_it_must(arm, joint, size, duration, fault):
+    proof = prove(arm, swing(arm, joint, size, duration), 0.0, duration)
+    value = getattr(proof, fault)
+    assert value < 0.0 if fault.endswith(("_m", "_rad")) else value > 1.0
+    assert not proof.holds
+
+
+def test_every_part_of_the_proof_counts(arm):
+    proof = prove(arm, swing(arm, 0, 0.3, 3.0), 0.0, 3.0)
+    assert proof.holds
+    for name in ("velocity", "acceleration", "jerk", "torque"):
+        assert not replace(proof, **{name: 1.01}).holds
+    assert not replace(proof, self_distance_m=0.5 * CLEARANCE_M).holds
+    assert not replace(proof, torque=np.nan).holds
+
+
+@pytest.mark.parametrize("family", list(Family))
+def test_drawn_motions_are_proven_and_follow_their_frames(arm, family):
+    base = draw_feasible(np.random.default_rng(3), arm, family=family)
+    assert base.proof is not None
+    assert base.proof.holds
+    trajectory = base.trajectory(arm)
+    assert len(trajectory.t_s) == base.frames
+    np.testing.assert_allclose(np.diff(trajectory.t_s), base.period_s)
+    np.testing.assert_allclose(arm.body.forward(trajectory.q), trajectory.X_BG, atol=1e-12)
+    assert (arm.body.lowest_of_gripper(trajectory.X_BG, trajectory.finger_width_m) >= 0.0).all()
+
+
+def test_a_trapezoid_of_speed_goes_all_the_way():
+    s = np.linspace(-0.5, 1.5, 4001)
+    way = trapezoid(s, 0.25)
+    assert way[0] == 0.0
+    assert way[-1] == pytest.approx(1.0)
+    speed = np.gradient(way, s)
+    assert speed.max() == pytest.approx(1.0 / 0.75, rel=1e-6)
+    np.testing.assert_allclose(speed[(s > 0.3) & (s < 0.7)], speed.max(), rtol=1e-6)

@@ -1,0 +1,111 @@
+import io
+
+import numpy as np
+import pytest
+
+from kinebench_drake.validation.planted import (
+    DEPTH_M,
+    JUMP_BEND,
+    JUMP_STEP,
+    LIMIT_EXCESS_RAD,
+    OVERLAP_M,
+    POSE_EXCESS_RAD,
+    REACH_EXCESS_M,
+    SPEED_RATIO,
+)
+from kinebench_drake.validation.sample import REASONS, TRUTH, Kind, read_truth
+from kinebench_drake.validation.sweep import REACH_M, least_excess, least_step, wrist_distance
+from kinebench_drake.validation.tracks import Recipe, Set, draw, make
+
+
+@pytest.fixture(scope="module")
+def planted(arm):
+    recipe = Recipe(set=Set.INFEASIBLE, seed=4)
+    pairs = [draw(recipe, i, arm) for i in range(7)]
+    return {truth.kind: (trajectory, truth) for trajectory, truth in pairs}
+
+
+def test_every_kind_is_planted_in_turn(planted):
+    assert list(planted) == list(REASONS)
+    for kind, (_, truth) in planted.items():
+        assert truth.feasible is False
+        assert truth.reasons == REASONS[kind]
+
+
+def test_out_of_reach(planted):
+    trajectory, _ = planted[Kind.REACH]
+    assert wrist_distance(trajectory.X_BG).max() - REACH_M >= 0.99 * REACH_EXCESS_M[0]
+
+
+def test_too_fast(arm, planted):
+    trajectory, truth = planted[Kind.FAST]
+    i, period = truth.parameters["step"], truth.parameters["period_s"]
+    assert trajectory.t_s[i + 1] - trajectory.t_s[i] == pytest.approx(period)
+    assert least_step(arm, *trajectory.X_BG[i : i + 2], period) >= SPEED_RATIO[0]
+
+
+def test_into_the_table(arm, planted):
+    trajectory, _ = planted[Kind.TABLE]
+    assert arm.body.lowest_of_gripper(trajectory.X_BG, trajectory.finger_width_m).min() <= -0.99 * DEPTH_M[0]
+
+
+def test_elsewhere_at_once(planted):
+    _, truth = planted[Kind.TELEPORT]
+    p = truth.parameters
+    assert p["step_ratio"] >= JUMP_STEP or p["bend_ratio"] >= JUMP_BEND
+
+
+def test_past_a_limit(arm, planted):
+    trajectory, _ = planted[Kind.LIMIT_Q]
+    past = np.maximum(arm.plant.lower - trajectory.q, trajectory.q - arm.plant.upper).max()
+    assert past >= 0.99 * LIMIT_EXCESS_RAD[0]
+
+
+def test_into_itself(arm, planted):
+    trajectory, truth = planted[Kind.SELF_Q]
+    frames = range(truth.parameters["frame_start"], truth.parameters["frame_end"] + 1)
+    depths = [
+        -pair.distance
+        for i in frames
+        for pair in arm.plant.query(
+            trajectory.q[i], trajectory.finger_width_m[i]
+        ).ComputeSignedDistancePairwiseClosestPoints(0.0)
+    ]
+    assert max(depths) >= OVERLAP_M
+    assert ((trajectory.q >= arm.plant.lower) & (trajectory.q <= arm.plant.upper)).all()
+
+
+def test_a_pose_only_limits_forbid(arm, planted):
+    trajectory, truth = planted[Kind.LIMIT_POSE]
+    finer = least_excess(arm, trajectory.X_BG[truth.parameters["frame"]], 3 * 4096)
+    assert 0.5 * POSE_EXCESS_RAD < finer <= truth.parameters["excess_rad"] + 1e-9
+
+
+def test_noise_has_the_size_asked_for_and_the_same_trajectory_under_it(arm):
+    noisy, truth = draw(Recipe(set=Set.NOISY, seed=4, noise_m=3e-3, noise_rad=0.02), 0, arm)
+    clean, _ = draw(Recipe(set=Set.FEASIBLE, seed=4), 0, arm)
+    assert truth.feasible is True
+    off = noisy.X_BG[:, :3, 3] - clean.X_BG[:, :3, 3]
+    assert off.std() == pytest.approx(3e-3, rel=0.3)
+    assert noisy.q is None
+
+
+def test_disturbed_trajectories_can_be_written(arm):
+    for i in range(40):
+        trajectory, truth = draw(Recipe(set=Set.PERTURBED, seed=4), i, arm)
+        assert truth.feasible is None
+        with np.load(io.BytesIO(trajectory.to_bytes()), allow_pickle=False) as arrays:
+            assert (np.diff(arrays["t_s"]) > 0.0).all()
+            name = "base_from_tcp" if "base_from_tcp" in arrays.files else "q"
+            assert len(arrays[name]) == len(arrays["t_s"]) == truth.parameters["frames"]
+
+
+def test_the_same_seed_gives_the_same_bytes(tmp_path):
+    recipe = Recipe(set=Set.INFEASIBLE, seed=5)
+    first = list(make(recipe, 3, tmp_path / "a"))
+    list(make(recipe, 2, tmp_path / "b"))
+    for path in (tmp_path / "b").glob("*.npz"):
+        assert path.read_bytes() == (tmp_path / "a" / path.name).read_bytes()
+    list(make(Recipe(set=Set.INFEASIBLE, seed=6), 1, tmp_path / "c"))
+    assert (tmp_path / "c" / "reach-00000.npz").read_bytes() != (tmp_path / "a" / "reach-00000.npz").read_bytes()
+    assert read_truth(tmp_path / "a" / TRUTH) == {truth.id: truth for truth in first}
