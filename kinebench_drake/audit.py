@@ -1,10 +1,11 @@
 """Trajectories to kinematic metrics to an output folder, no video."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from kinebench_drake.measure import Kind
-from kinebench_drake.row import Json
+from kinebench_drake.row import Json, SampleRow
 from kinebench_drake.run import Observer, RunConfig, RunSummary, Silence, run_samples
 from kinebench_drake.stages import StageOptions
 from kinebench_drake.trajectories.source import find_trajectories
@@ -82,7 +83,16 @@ def audit_trajectories(config: AuditConfig, observer: Observer | None = None) ->
         choice=config.choice(),
     )
     summary = run_samples(config, samples, measure, observer)
-    warned = [row for row in summary.rows if row.extra.get("warnings")]
-    if warned:
-        observer.warned(f"{len(warned)} trajectories have warnings (such as {warned[0].id!r}); their rows name them")
+    for text, ids in _warnings(summary.rows).items():
+        observer.warned(f"{ids[0]}: {text}" + (f" ({len(ids) - 1} more have the same warning)" if ids[1:] else ""))
     return summary
+
+
+def _warnings(rows: Sequence[SampleRow]) -> dict[str, list[str]]:
+    """What rows warn of, with the ids of those that do."""
+    found: dict[str, list[str]] = {}
+    for row in rows:
+        texts = row.extra.get("warnings")
+        for text in texts if isinstance(texts, list) else ():
+            found.setdefault(str(text), []).append(row.id)
+    return found

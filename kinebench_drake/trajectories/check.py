@@ -13,6 +13,7 @@ MAX_FRAMES = 100_000
 MIN_FRAMES = 2
 """A path needs two postures."""
 
+_JOINT_SHAPES = ((N_JOINTS,), (N_JOINTS + 1,), (N_JOINTS + 2,))  # the arm, and fingers behind it
 _MANY_RAD = 10.0  # no joint of an arm turns this far; in degrees all but the smallest movements do
 _MOST_DEGREES = 720.0
 _WIDTH_M = 0.08  # gap between the Panda's pads when open
@@ -37,10 +38,10 @@ def check(recording: Recording, rate_hz: float | None = None) -> Trajectory:
     if given is None:
         raise InputError("holds neither poses nor joint angles")
     values = numbers(name, given)
-    tail = "4, 4" if recording.q is None else "7"
-    fits = values.ndim == 3 and values.shape[1:] == (4, 4) if tail == "4, 4" else values.ndim == 2
-    if not fits:
-        raise InputError(f"{name} has shape {values.shape}, expected (T, {tail})")
+    if values.shape[1:] not in (((4, 4),) if recording.q is None else _JOINT_SHAPES):
+        expected = "(T, 4, 4)" if recording.q is None else f"(T, {N_JOINTS}) in radians"
+        turned = ", transposed?" if recording.q is not None and values.shape[:1] == (N_JOINTS,) else ""
+        raise InputError(f"{name} has shape {values.shape}, expected {expected}{turned}")
     n = len(values)
     if n > MAX_FRAMES:
         raise InputError(f"has {n} frames, at most {MAX_FRAMES} are taken: cut it into parts")
@@ -133,9 +134,6 @@ def _unrounded(t_s: Array, dtype: np.dtype[np.generic]) -> Array:
 def _joints(values: Array, tracked: NDArray[np.bool_], warnings: list[str]) -> tuple[Array, Array | None]:
     """Arm angles (T, 7) and, where both fingers stand behind them, the gap (T,) [m]."""
     columns = values.shape[1]
-    if columns not in (N_JOINTS, N_JOINTS + 1, N_JOINTS + 2):
-        turned = ", transposed?" if len(values) == N_JOINTS else ""
-        raise InputError(f"q has shape {values.shape}, expected (T, {N_JOINTS}) in radians{turned}")
     q = np.where(tracked[:, None], values[:, :N_JOINTS], np.nan)
     fingers: Array | None = None
     if columns > N_JOINTS:

@@ -45,7 +45,10 @@ _FINGER = re.compile(r".*finger.*joint.*|.*joint.*finger.*")
 _WIDTH = re.compile(r"(?:.*[^a-z])?(?:gripper|finger)s?[_. ]?width(?:_m)?")
 _ROTATION_VECTOR = re.compile(r".*(?:axis_?angle|rot_?vec)[_. ]?(?P<axis>[xyz]|\d)")
 _QUATERNION_WORDS = {"quat", "quaternion", "q", "orientation", "ori", "orn", "rot", "rotation"}
-_OTHER_WORDS = {"vel", "velocity", "acc", "acceleration", "force", "torque", "effort", "delta", "target", "goal"}
+_OTHER_WORDS = {
+    *("vel", "velocity", "velocities", "acc", "acceleration", "accelerations", "force", "forces", "torque", "torques"),
+    *("effort", "efforts", "delta", "deltas", "target", "targets", "goal", "desired", "commanded", "command"),
+}
 _JOINT_WORDS, _POSITION_WORDS = {"joint", "joints"}, {"pos", "position", "positions", "state", "angle", "angles"}
 _NO_NUMBERS = ("video", "image", "string", "bool")
 _INDEX_COLUMNS = ("timestamp", "frame_index", "episode_index", "index", "task_index")
