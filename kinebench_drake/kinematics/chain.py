@@ -4,14 +4,16 @@ Drake answers one posture a call; where hundreds are wanted, the calls cost more
 """
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from kinebench_drake.geometry import Array, invert, make_pose
-from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.models.robot import N_JOINTS
+
+if TYPE_CHECKING:
+    from kinebench_drake.kinematics.plant import ArmPlant
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -62,7 +64,7 @@ class LinkChain:
     product of exponentials formula", Mathematical Theory of Networks and Systems, 1984.
     """
 
-    def __init__(self, plant: ArmPlant) -> None:
+    def __init__(self, plant: "ArmPlant") -> None:
         """Read axes and poses off the plant's zero posture; the plant's context is left as it was."""
         drake = plant.drake
         context = drake.CreateDefaultContext()

@@ -116,7 +116,7 @@ class CollisionModel:
         self.table_height_m = table_height_m
         """z of the table in B [m]."""
         self._plant = plant
-        self._chain = LinkChain(plant)
+        self._chain = plant.chain
         inspector = plant.query(plant.robot.rest_q).inspector()
         self._solids: dict[Any, _Solid] = {}
         for geometry in inspector.GetAllGeometryIds(Role.kProximity):

@@ -13,6 +13,7 @@ from pydrake.systems.framework import DiagramBuilder
 
 from kinebench_drake.errors import UsageError
 from kinebench_drake.geometry import Array
+from kinebench_drake.kinematics.chain import LinkChain
 from kinebench_drake.models.panda.robot import panda
 from kinebench_drake.models.robot import N_JOINTS, Robot
 
@@ -85,6 +86,8 @@ class ArmPlant:
         self._links = {name: plant.GetFrameByName(name) for name in self.robot.links}
         self._origin = np.zeros(3)
         self._rates = np.zeros((2, plant.num_velocities()))
+        self.chain = LinkChain(self)
+        """Poses and Jacobians of many postures at once."""
 
     def set_posture(self, q: ArrayLike, finger_width_m: float | None = None) -> None:
         """Put the plant's context into a posture `q` (7,) [rad], the fingers `finger_width_m` apart.

@@ -2,7 +2,6 @@ import numpy as np
 import pytest
 
 from kinebench_drake.errors import UsageError
-from kinebench_drake.kinematics.chain import LinkChain
 from kinebench_drake.kinematics.plant import ArmPlant
 
 
@@ -12,7 +11,7 @@ def postures(plant: ArmPlant) -> np.ndarray:
 
 
 def test_poses_are_drakes_link_by_link(plant: ArmPlant, postures: np.ndarray) -> None:
-    chain = LinkChain(plant)
+    chain = plant.chain
     expected = [plant.link_poses(q) for q in postures]
     for link in plant.robot.links:
         np.testing.assert_allclose(chain.poses(postures, link), [poses[link] for poses in expected], atol=1e-13)
@@ -20,19 +19,19 @@ def test_poses_are_drakes_link_by_link(plant: ArmPlant, postures: np.ndarray) ->
 
 def test_jacobians_are_drakes(plant: ArmPlant, postures: np.ndarray) -> None:
     expected = [plant.jacobian(q) for q in postures]
-    np.testing.assert_allclose(LinkChain(plant).jacobians(postures), expected, atol=1e-13)
-    assert LinkChain(plant).jacobians(postures[:0]).shape == (0, 6, 7)
+    np.testing.assert_allclose(plant.chain.jacobians(postures), expected, atol=1e-13)
+    assert plant.chain.jacobians(postures[:0]).shape == (0, 6, 7)
 
 
 @pytest.mark.parametrize("width", [0.0, 0.03, 0.08])
 def test_motions_of_one_posture_are_drakes(plant: ArmPlant, postures: np.ndarray, width: float) -> None:
-    chain = LinkChain(plant)
+    chain = plant.chain
     plant.set_posture(postures[0], width)
     np.testing.assert_allclose(chain.motions(postures[:1], [width])[0], chain.current(), atol=1e-13)
 
 
 def test_fingers_part_by_their_width_and_no_farther_than_they_can(plant: ArmPlant, postures: np.ndarray) -> None:
-    chain = LinkChain(plant)
+    chain = plant.chain
     q = np.tile(postures[:1], (5, 1))
     widths = [0.0, 0.05, 0.3, -0.01, np.nan]
     left, right = (chain.poses(q, link, widths)[:, :3, 3] for link in plant.robot.links[-2:])
@@ -41,7 +40,7 @@ def test_fingers_part_by_their_width_and_no_farther_than_they_can(plant: ArmPlan
 
 
 def test_only_the_joints_before_a_link_carry_it(plant: ArmPlant) -> None:
-    chain = LinkChain(plant)
+    chain = plant.chain
     for i in range(8):
         np.testing.assert_array_equal(chain.carries(f"panda_link{i}"), np.arange(7) < i)
     assert chain.carries("panda_leftfinger").all()
@@ -49,4 +48,4 @@ def test_only_the_joints_before_a_link_carry_it(plant: ArmPlant) -> None:
 
 def test_wrong_shape_is_refused(plant: ArmPlant) -> None:
     with pytest.raises(UsageError, match="expected"):
-        LinkChain(plant).motions(np.zeros(7))
+        plant.chain.motions(np.zeros(7))

@@ -2,7 +2,17 @@ import numpy as np
 import pytest
 
 from kinebench_drake.errors import UsageError
-from kinebench_drake.kinematics.manipulability import cost, manipulability, yoshikawa
+from kinebench_drake.kinematics.manipulability import (
+    characteristic_length,
+    condition_number,
+    cost,
+    limit_weight,
+    manipulability,
+    manipulability_of,
+    robust_normalize,
+    time_integral,
+    yoshikawa,
+)
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.models.panda.robot import rest_q
 
@@ -15,7 +25,108 @@ def test_w_is_the_product_of_the_singular_values(plant: ArmPlant) -> None:
     np.testing.assert_allclose(result.full, np.prod(np.linalg.svd(J, compute_uv=False), axis=-1), rtol=1e-6, atol=1e-9)
     linear = np.prod(np.linalg.svd(J[:, 3:], compute_uv=False), axis=-1)
     np.testing.assert_allclose(result.translation, linear, rtol=1e-6, atol=1e-9)
+    angular = np.prod(np.linalg.svd(J[:, :3], compute_uv=False), axis=-1)
+    np.testing.assert_allclose(result.rotation, angular, rtol=1e-9)
     assert (result.full > 0).any()
+
+
+def test_w_is_the_root_of_the_grams_determinant(plant: ArmPlant) -> None:
+    q = np.random.default_rng(4).uniform(plant.lower, plant.upper, size=(20, 7))
+    J = plant.chain.jacobians(q)
+    result = manipulability(plant, q)
+    for w, rows in ((result.full, J), (result.translation, J[:, 3:]), (result.rotation, J[:, :3])):
+        np.testing.assert_allclose(w**2, np.linalg.det(rows @ np.swapaxes(rows, -1, -2)), rtol=1e-7)
+
+
+def test_w_of_lengths_in_another_unit_scales_with_it(plant: ArmPlant) -> None:
+    J = plant.jacobian(rest_q())
+    millimetres = np.repeat([1.0, 1e3], 3)[:, None]
+    assert yoshikawa(millimetres * J) == pytest.approx(1e9 * yoshikawa(J))
+    assert yoshikawa(1e3 * J[3:]) == pytest.approx(1e9 * yoshikawa(J[3:]))
+
+
+def test_condition_number_is_that_of_the_ellipsoid(plant: ArmPlant) -> None:
+    assert condition_number(np.diag([3.0, 3.0])) == 1.0
+    assert condition_number(np.diag([1.0, 4.0, 2.0])) == 4.0
+    assert np.isinf(condition_number([[1.0, 1.0], [0.0, 0.0]]))
+    q = np.random.default_rng(5).uniform(plant.lower, plant.upper, size=(10, 7))
+    result, J = manipulability(plant, q), plant.chain.jacobians(q)
+    np.testing.assert_allclose(result.condition_translation, np.linalg.cond(J[:, 3:]))
+    np.testing.assert_allclose(result.condition_rotation, np.linalg.cond(J[:, :3]))
+    J[:, 3:] /= characteristic_length(plant)
+    np.testing.assert_allclose(result.condition, np.linalg.cond(J))
+
+
+def test_characteristic_length_evens_out_turning_and_moving(plant: ArmPlant) -> None:
+    """Each angular column is a unit vector, each linear one as long as the TCP is far from the joint's axis."""
+    J = plant.jacobian(rest_q())
+    length = characteristic_length(plant)
+    assert np.linalg.norm(J[3:] / length) == pytest.approx(np.linalg.norm(J[:3]))
+    assert 0.4 < length < 0.6
+
+
+def test_limit_weight_is_the_published_formula_inside() -> None:
+    """Against the derivative of H = (upper - lower)^2 / (4 (upper - q) (q - lower)) by differences."""
+    lower, upper, h = -1.2, 2.9, 1e-6
+    q = np.linspace(lower + 0.1, upper - 0.1, 25)
+
+    def H(q: np.ndarray) -> np.ndarray:
+        return np.asarray((upper - lower) ** 2 / (4 * (upper - q) * (q - lower)))
+
+    slope = (H(q + h) - H(q - h)) / (2 * h)
+    np.testing.assert_allclose(limit_weight(q, lower, upper), 1 / np.sqrt(1 + np.abs(slope)), rtol=1e-6)
+
+
+def test_limit_weight_falls_from_one_mid_way_to_nothing_at_and_past_the_limits() -> None:
+    np.testing.assert_array_equal(limit_weight([-2.0, -1.0, 3.0, 4.0, 1.0], -1.0, 3.0), [0.0, 0.0, 0.0, 0.0, 1.0])
+    outwards = limit_weight(np.linspace(1.0, 3.0, 50), -1.0, 3.0)
+    assert (np.diff(outwards) < 0).all()
+    np.testing.assert_array_equal(limit_weight(np.array([np.nan, 0.5]), -1.0, 3.0) > 0, [False, True])
+
+
+def test_w_falls_at_a_limit_only_with_the_weights(plant: ArmPlant) -> None:
+    q = np.tile(rest_q(), (4, 1))
+    q[:, 6] = [0.0, plant.upper[6] - 1e-3, plant.upper[6], plant.upper[6] + 0.1]
+    result = manipulability(plant, q)
+    np.testing.assert_allclose(result.full, result.full[0], rtol=1e-9)
+    assert result.limited[0] > 100 * result.limited[1] > 0
+    np.testing.assert_array_equal(result.limited[2:], 0.0)
+    weights = limit_weight(q[0], plant.lower, plant.upper)
+    assert result.limited[0] == pytest.approx(yoshikawa(plant.jacobian(q[0])) * np.prod(weights))
+
+
+def test_given_jacobians_give_the_same(plant: ArmPlant) -> None:
+    q = np.random.default_rng(6).uniform(plant.lower, plant.upper, size=(5, 7))
+    given = manipulability_of(plant, [plant.jacobian(row) for row in q], q)
+    computed = manipulability(plant, q)
+    for name in ("full", "translation", "rotation", "limited", "cost", "condition"):
+        np.testing.assert_allclose(getattr(given, name), getattr(computed, name), rtol=1e-6)
+    with pytest.raises(UsageError, match="expected"):
+        manipulability_of(plant, np.zeros((4, 6, 7)), q)
+
+
+def test_integral_of_a_straight_line_bridges_gaps() -> None:
+    t_s = np.array([0.0, 0.1, 0.4, 1.0])
+    assert time_integral(t_s, 2 * t_s) == pytest.approx(1.0)
+    assert time_integral(t_s, [0.0, np.nan, 0.8, 2.0]) == pytest.approx(1.0)
+    assert time_integral(t_s, [np.nan, np.nan, 1.0, np.nan]) is None
+
+
+def test_robust_scale_runs_between_the_percentiles() -> None:
+    values = np.arange(101.0)
+    scaled = robust_normalize(values)
+    np.testing.assert_allclose(scaled, np.clip((values - 10) / 80, 0, 1))
+    np.testing.assert_allclose(robust_normalize(1e3 - 5 * values), 1 - scaled, atol=1e-12)
+    np.testing.assert_array_equal(robust_normalize([1.0, np.nan, 3.0], 0, 100), [0.0, np.nan, 1.0])
+
+
+def test_robust_scale_of_equal_values_is_the_middle() -> None:
+    np.testing.assert_array_equal(robust_normalize([2.0, 2.0]), [0.5, 0.5])
+    np.testing.assert_array_equal(robust_normalize([1.0] + 40 * [2.0] + [7.0]), [0.0] + 40 * [0.5] + [1.0])
+    assert len(robust_normalize([])) == 0
+    assert np.isnan(robust_normalize([np.nan])).all()
+    with pytest.raises(UsageError, match="low < high"):
+        robust_normalize([1.0], 90, 10)
 
 
 def test_w_of_two_links_in_a_plane_is_the_textbook_one() -> None:
@@ -44,7 +155,7 @@ def test_turning_the_base_changes_nothing(plant: ArmPlant) -> None:
     turned = np.tile(rest_q(), (3, 1))
     turned[:, 0] = [-1.0, 0.0, 2.0]
     result = manipulability(plant, turned)
-    for values in (result.full, result.translation, result.cost):
+    for values in (result.full, result.translation, result.rotation, result.cost, result.condition):
         np.testing.assert_allclose(values, values[0], rtol=1e-9)
 
 
@@ -56,7 +167,7 @@ def test_unknown_frames_stay_unknown(plant: ArmPlant) -> None:
     q = np.tile(rest_q(), (3, 1))
     q[1, 4] = np.nan
     result = manipulability(plant, q)
-    for values in (result.full, result.translation, result.cost):
+    for values in (result.full, result.translation, result.rotation, result.limited, result.cost, result.condition):
         np.testing.assert_array_equal(np.isnan(values), [False, True, False])
     assert len(manipulability(plant, np.empty((0, 7))).full) == 0
 
