@@ -139,34 +139,77 @@ def _jumps(t_s: Array, steps: Array, floor: Array, noise_norm: float) -> list[_J
     """Jumps among `steps` (n - 1, axes) between the times `t_s` (n,) [s], in order of frames."""
     dt = np.diff(t_s)
     velocity, middle = steps / dt[:, None], 0.5 * (t_s[:-1] + t_s[1:])
-    known = np.ones(len(dt), dtype=bool)
-    sizes, thresholds = np.zeros(len(dt)), np.zeros(len(dt))
+    sizes, thresholds = _excursions(middle, velocity, dt, floor, noise_norm)
     while True:
+        known = sizes == 0.0
         speed, beside, factor = _deviation(middle, velocity, known)
         deviation = speed * dt
         threshold = np.maximum(np.maximum(factor * floor, SHARE * beside * dt), noise_norm)  # NaN: noise unknown
         for i in np.argsort(-np.nan_to_num(deviation / threshold)).tolist():
             if not deviation[i] > threshold[i]:
-                return _merged(steps, ~known, sizes, thresholds)
+                return _merged(velocity, dt, sizes, thresholds)
             around = [k for k in range(max(0, i - _AROUND), min(len(dt), i + _AROUND + 1)) if k != i and known[k]]
             if deviation[i] > CONTRAST * float(np.median(deviation[around])):
-                known[i], sizes[i], thresholds[i] = False, deviation[i], threshold[i]
+                sizes[i], thresholds[i] = deviation[i], threshold[i]
                 break
         else:
-            return _merged(steps, ~known, sizes, thresholds)
+            return _merged(velocity, dt, sizes, thresholds)
 
 
-def _merged(steps: Array, called: NDArray[np.bool_], sizes: Array, thresholds: Array) -> list[_Jump]:
-    """Neighbouring jumps as one, save a frame that is out by less than the threshold: it deviates on both sides."""
+def _merged(velocity: Array, dt: Array, sizes: Array, thresholds: Array) -> list[_Jump]:
+    """Neighbouring jumps as one. A single frame that is out deviates on both sides: its own distance is what counts."""
     found = []
-    for run in runs(called):
+    for run in runs(sizes > 0.0):
         worst = run.start + int(np.argmax(sizes[run]))
-        size, threshold = float(sizes[worst]), float(thresholds[worst])
-        if run.stop - run.start == 2 and float(steps[run.start] @ steps[run.stop - 1]) < 0.0:
-            size = 0.5 * float(np.linalg.norm(steps[run.start] - steps[run.stop - 1]))
-        if size > threshold:
-            found.append(_Jump(start=run.start, end=run.stop, size=size, threshold=threshold))
+        first, last, size = run.start, run.stop - 1, float(sizes[worst])
+        pairs = [(i, i + 1) for i in range(max(last - 1, 0), min(first + 1, len(dt) - 1)) if last - first <= 1]
+        for pair in pairs:  # of which the second way may have stayed below the threshold
+            beside = [k for k in (pair[0] - 1, pair[1] + 1) if 0 <= k < len(dt)]
+            left = (velocity[list(pair)] - velocity[beside].mean(axis=0)) * dt[list(pair), None]
+            if float(np.linalg.norm(left.sum(axis=0))) < 0.5 * size:
+                (first, last), size = pair, 0.5 * float(np.linalg.norm(left[0] - left[1]))
+                break
+        if size > thresholds[worst]:
+            found.append(_Jump(start=first, end=last + 1, size=size, threshold=float(thresholds[worst])))
     return found
+
+
+def _excursions(t_s: Array, velocity: Array, dt: Array, floor: Array, noise_norm: float) -> tuple[Array, Array]:
+    """Sizes and thresholds (n,) of steps that make two frames an excursion: out, nearly still, and back; else 0.
+
+    Each such step would announce the other. So the way out is held against the two steps before it alone, the way back
+    against the two after it.
+    """
+    n = len(dt)
+    sizes, thresholds = np.zeros((2, n))
+    out = np.arange(2, n - 4)  # of five steps on, the first of the three
+    back = out + 2
+    if len(out) == 0:
+        return sizes, thresholds
+    away, home = np.zeros((2, len(out), velocity.shape[1]))
+    for steps, here, side in ((away, out, -1), (home, back, 1)):
+        near, far = here + side, here + 2 * side
+        slope = (velocity[near] - velocity[far]) / (t_s[near] - t_s[far])[:, None]
+        steps[:] = _beyond(velocity[here], velocity[near], velocity[near] + slope * (t_s[here] - t_s[near])[:, None])
+    away, home = away * dt[out, None], home * dt[back, None]
+    quiet = 0.5 * (velocity[out - 1] + velocity[back + 1])
+    still = (velocity[out + 1] - quiet) * dt[out + 1, None]
+    size = np.minimum(np.linalg.norm(away, axis=-1), np.linalg.norm(home, axis=-1))
+    beside = np.maximum(np.linalg.norm(velocity[out - 1], axis=-1), np.linalg.norm(velocity[back + 1], axis=-1))
+    threshold = np.maximum(np.maximum(floor[out], SHARE * beside * dt[out]), noise_norm)
+    returns = np.linalg.norm(away + home, axis=-1) < 0.5 * size
+    for i in np.flatnonzero((size > threshold) & returns & (np.linalg.norm(still, axis=-1) < 0.5 * size)):
+        sizes[out[i] : back[i] + 1], thresholds[out[i] : back[i] + 1] = size[i], threshold[i]
+    return sizes, thresholds
+
+
+def _beyond(velocity: Array, constant: Array, linear: Array) -> Array:
+    """What is left (n, axes) of velocities beyond the nearest points of the segments from `constant` to `linear`."""
+    way = linear - constant
+    length2 = np.sum(way**2, axis=-1)
+    along = np.sum((velocity - constant) * way, axis=-1)
+    share = np.clip(np.divide(along, length2, out=np.zeros_like(along), where=length2 > 0.0), 0.0, 1.0)
+    return np.asarray(velocity - constant - share[:, None] * way)
 
 
 def _deviation(t_s: Array, velocity: Array, known: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
@@ -194,11 +237,7 @@ def _deviation(t_s: Array, velocity: Array, known: NDArray[np.bool_]) -> tuple[A
         ones += has
         twos += two
     with np.errstate(divide="ignore", invalid="ignore"):
-        constant, linear = constant / ones[:, None], linear / ones[:, None]
-        way = linear - constant
-        length2 = np.sum(way**2, axis=-1)
-        along = np.sum((velocity - constant) * way, axis=-1)
-        share = np.where(length2 > 0.0, np.clip(along / length2, 0.0, 1.0), 0.0)
-        distance = np.linalg.norm(velocity - constant - share[:, None] * way, axis=-1)
+        left = _beyond(velocity, constant / ones[:, None], linear / ones[:, None])
+    distance = np.linalg.norm(left, axis=-1)
     factor = np.where(ones < 2, AT_END, np.where(twos < 2, NEAR_END, 1.0))
     return np.where(known & (ones > 0), distance, np.nan), beside, factor
