@@ -103,8 +103,8 @@ class ReplayScene:
         """The table's top as a thin slab, instead of Meshcat's grid."""
         for path in ("/Grid", "/Axes"):
             self._meshcat.SetProperty(path, "visible", False)
-        self._meshcat.SetProperty("/Background", "top_color", [0.97, 0.98, 1.0])
-        self._meshcat.SetProperty("/Background", "bottom_color", [0.80, 0.83, 0.87])
+        self._meshcat.SetProperty("/Background/<object>", "top_color", [0.97, 0.98, 1.0])
+        self._meshcat.SetProperty("/Background/<object>", "bottom_color", [0.80, 0.83, 0.87])
         self._meshcat.SetObject("/table", Box(*_TABLE_SIZE_M), _TABLE)
         self._meshcat.SetTransform("/table", RigidTransform([0.4, 0.0, height_m - 0.5 * _TABLE_SIZE_M[2]]))
 

@@ -1,21 +1,17 @@
 """What the report shows, gathered from an output folder and put into the template."""
 
-import base64
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
-from markupsafe import Markup
 
 from kinebench_drake.aggregate import Aggregate, Estimate, aggregate, by_key
 from kinebench_drake.errors import InputError
-from kinebench_drake.report.plot import Band, Curve, draw_plot
-from kinebench_drake.results import RESULTS, part_path, read_rows
+from kinebench_drake.report.sample import RANK, badness, view_sample
+from kinebench_drake.results import RESULTS, read_rows
 from kinebench_drake.row import Json, SampleRow, Status
-from kinebench_drake.trackfile import TrackFile, read_track
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,34 +71,17 @@ METRICS = tuple(
     )
 )
 HEADLINES = ("tracked_fraction", "ik_success_rate", "manipulability_mean", "sparc")
-COLUMNS = ("tracked_fraction", "ik_success_rate", "joint_limit_margin_min", "manipulability_min", "sparc")
+COLUMNS = (
+    *("tracked_fraction", "ik_success_rate", "joint_limit_margin_min", "slowdown_min", "manipulability_min", "sparc"),
+)
+AUDIT_HEADLINES = ("ik_success_rate", "slowdown_min", "trajopt_feasible", "manipulability_mean", "sparc")
+AUDIT_COLUMNS = (
+    *("slowdown_min", "velocity_ratio_max", "acceleration_ratio_max", "torque_ratio_max", "joint_limit_margin_min"),
+    *("table_distance_min_m", "manipulability_min", "sparc"),
+)
+DRAWN = 200
+"""Samples, the worst first, whose curves and findings stand on the page: the rest would make it slow to open."""
 _BY_NAME = {metric.name: metric for metric in METRICS}
-_RANK = {"error": 0, "infeasible": 1, "unmeasurable": 2, "unjudged": 3, "feasible": 4}
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SampleView:
-    """One sample as the page shows it."""
-
-    row: SampleRow
-    verdict: str
-    """feasible, infeasible, unjudged, unmeasurable or error."""
-    anomalies: Sequence[Mapping[str, Json]]
-    thumbnail: str | None
-    """Picture as a data URI."""
-    plots: Sequence[Markup]
-
-    def value(self, name: str) -> float | None:
-        """A metric as a number; None where it has none."""
-        value = self.row.metrics.get(name)
-        return float(value) if isinstance(value, bool | int | float) else None
-
-    @property
-    def badness(self) -> tuple[float | str, ...]:
-        """Sorts the worst first."""
-        tracked = self.value("tracked_fraction")
-        faults = len(self.row.violations) + len(self.anomalies)
-        return _RANK[self.verdict], -faults, 1.0 if tracked is None else tracked, self.row.id
 
 
 def build_page(out: Path) -> str:
@@ -116,7 +95,9 @@ def build_page(out: Path) -> str:
     seeds = results.get("seeds")
     seed = seeds.get("bootstrap", 0) if isinstance(seeds, Mapping) else 0
     total = aggregate(rows, int(seed) if isinstance(seed, int) else 0)
-    samples = sorted((_view(out, row) for row in rows), key=lambda sample: sample.badness)
+    samples = [view_sample(out, row, drawn=k < DRAWN) for k, row in enumerate(sorted(rows, key=badness))]
+    audit = results.get("kind") == "audit"
+    headlines, columns = (AUDIT_HEADLINES, AUDIT_COLUMNS) if audit else (HEADLINES, COLUMNS)
     environment = Environment(
         loader=PackageLoader("kinebench_drake.report", "."),
         autoescape=True,
@@ -128,16 +109,18 @@ def build_page(out: Path) -> str:
     return environment.get_template("page.html.j2").render(
         results=results,
         total=total,
-        headlines=[(_BY_NAME[n], total.estimates[n]) for n in HEADLINES if _measured(total, n)],
-        metrics=[(m, total.estimates[m.name]) for m in METRICS if _measured(total, m.name)],
+        headlines=[(_BY_NAME[n], total.estimates[n]) for n in headlines if _measured(total, n)],
+        metrics=[(m, total.estimates[m.name]) for m in (*METRICS, *_others(total)) if _measured(total, m.name)],
         groups=[
             (title, [(name, aggregate(group)) for name, group in groups.items()])
             for title, key in (("task", "task"), ("model", "model"))
             if (groups := by_key(rows, key))
         ],
-        columns=[_BY_NAME[n] for n in COLUMNS if _measured(total, n)],
+        columns=[_BY_NAME[n] for n in columns if _measured(total, n)],
         samples=samples,
-        verdicts=[v for v in _RANK if any(s.verdict == v for s in samples)],
+        left_out=max(len(samples) - DRAWN, 0),
+        normalization=_normalization(results, rows),
+        verdicts=[v for v in RANK if any(s.verdict == v for s in samples)],
         Status=Status,
     )
 
@@ -145,6 +128,12 @@ def build_page(out: Path) -> str:
 def shown(value: float | None, pattern: str) -> str:
     """A number in its format; a dash where there is none."""
     return "–" if value is None else pattern.format(value)
+
+
+def _others(total: Aggregate) -> list[Metric]:
+    """Metrics that the page knows nothing about but their names."""
+    known = {*_BY_NAME, "feasible"}
+    return [Metric(name=n, label=n, pattern="{:.4g}", meaning="") for n in total.estimates if n not in known]
 
 
 def _measured(total: Aggregate, name: str) -> bool:
@@ -167,39 +156,29 @@ def read_results(out: Path) -> Mapping[str, Json]:
     return data if isinstance(data, dict) else {}
 
 
-def _view(out: Path, row: SampleRow) -> SampleView:
-    verdict = row.status.value
-    if row.status is Status.OK:
-        verdict = {True: "feasible", False: "infeasible", None: "unjudged"}[row.feasible]
-    found = row.metrics.get("anomalies")
-    anomalies = [a for a in found if isinstance(a, Mapping)] if isinstance(found, list | tuple) else []
-    picture = part_path(out, "thumbnails", row.id)
-    uri = f"data:image/jpeg;base64,{base64.b64encode(picture.read_bytes()).decode()}" if picture.is_file() else None
-    file = part_path(out, "tracks", row.id)
-    plots = _plots(read_track(file), row, anomalies) if row.status is Status.OK and file.is_file() else []
-    return SampleView(row=row, verdict=verdict, anomalies=anomalies, thumbnail=uri, plots=plots)
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Normalized:
+    """A metric put on the scale that its own run spans."""
+
+    metric: str
+    low: float
+    """Value that counts as 0: the run's 10th percentile."""
+    high: float
+    """Value that counts as 1: the run's 90th percentile."""
+    mean: float
+    """Mean over samples of (value - low) / (high - low), held within 0..1."""
+    n: int
 
 
-def _plots(file: TrackFile, row: SampleRow, anomalies: Sequence[Mapping[str, Json]]) -> list[Markup]:
-    track = file.track
-    marks = [(a, "anomaly") for a in anomalies] + [(v, "violation") for v in row.violations]
-    bands = [
-        Band(label=f"{m['kind']}, frames {start} to {end}", start=start, end=end, css=css)
-        for m, css in marks
-        if isinstance(start := m.get("frame_start"), int) and isinstance(end := m.get("frame_end"), int)
-    ]
-    axes = [Curve(label=a, values=track.X_BG[:, k, 3], css=f"c{k}") for k, a in enumerate("xyz")]
-    sure = Curve(label="confidence", values=track.confidence, css="c0")
-    gap = Curve(label="gap", values=track.finger_width_m * 1000.0, css="c0")
-    nothing = np.full(len(track.t_s), np.nan)
-    able = Curve(label="manipulability", values=file.curves.get("manipulability", nothing), css="c0")
-    margin = Curve(label="margin", values=file.curves.get("joint_margin", nothing), css="c0")
-    plots = [
-        draw_plot("TCP position in the base frame [m]", track.t_s, axes, bands),
-        draw_plot("Confidence of the pose", track.t_s, [sure], bands, limits=(0.0, 1.0)),
-        draw_plot("Gap between the finger pads [mm]", track.t_s, [gap], bands, limits=(0.0, 85.0)),
-        draw_plot("Manipulability", track.t_s, [able], bands, line=0.0),
-        draw_plot("Joint-limit margin", track.t_s, [margin], bands, line=0.0),
-    ]
-    judged = row.feasible is not None or "ik_success_rate" in row.metrics
-    return plots if judged else plots[:3]
+def _normalization(results: Mapping[str, Json], rows: Sequence[SampleRow]) -> list[Normalized]:
+    found = results.get("normalization")
+    told = []
+    for name, ends in found.items() if isinstance(found, Mapping) else ():
+        low, high = (ends.get("low"), ends.get("high")) if isinstance(ends, Mapping) else (None, None)
+        values = [row.metrics.get(name) for row in rows]
+        known = [float(v) for v in values if isinstance(v, int | float)]
+        if isinstance(low, int | float) and isinstance(high, int | float) and high > low and known:
+            scaled = [min(max((v - low) / (high - low), 0.0), 1.0) for v in known]
+            mean = sum(scaled) / len(scaled)
+            told.append(Normalized(metric=name, low=float(low), high=float(high), mean=mean, n=len(known)))
+    return told

@@ -2,15 +2,17 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from markupsafe import Markup, escape
+from numpy.typing import NDArray
 
 from kinebench_drake.geometry import Array
 
 _WIDTH, _HEIGHT = 430.0, 128.0
 _LEFT, _RIGHT, _TOP, _BOTTOM = 44.0, 8.0, 8.0, 20.0
-_MAX_POINTS = 400
+_MAX_POINTS = 240
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,7 +46,7 @@ def draw_plot(
     bands: Sequence[Band] = (),
     *,
     limits: tuple[float, float] | None = None,
-    line: float | None = None,
+    lines: Sequence[float] = (),
 ) -> Markup:
     """Curves over time as one `<figure>`.
 
@@ -54,9 +56,9 @@ def draw_plot(
         curves: what to draw.
         bands: frame ranges to shade behind the curves.
         limits: fixed range of the vertical axis; None takes that of the values.
-        line: a value to mark, such as a limit.
+        lines: values to mark, such as limits.
     """
-    low, high = limits or _range([c.values for c in curves], line)
+    low, high = limits or _range([c.values for c in curves], lines)
     t_first, t_last = float(t_s[0]), float(t_s[-1])
     span = (t_last - t_first) or 1.0
     half_frame = span / max(len(t_s) - 1, 1) / 2.0
@@ -80,7 +82,7 @@ def draw_plot(
         parts.append(f'<text class="tick" x="{_LEFT - 5:.0f}" y="{y(value) + 3.5:.1f}">{value:.4g}</text>')
     for time in _ticks(t_first, t_last):
         parts.append(f'<text class="tick time" x="{x(time):.1f}" y="{_HEIGHT - 5:.0f}">{time:.4g}</text>')
-    if line is not None:
+    for line in lines:
         parts.append(f'<path class="limit" d="M{_LEFT:.0f} {y(line):.1f}H{_WIDTH - _RIGHT:.0f}"/>')
     for curve in curves:
         for piece in _pieces(t_s, curve.values):
@@ -89,16 +91,17 @@ def draw_plot(
                 centre_x, centre_y = points.split(",")
                 parts.append(f'<circle class="dot {curve.css}" cx="{centre_x}" cy="{centre_y}" r="1.8"/>')
             else:
-                parts.append(f'<polyline class="curve {curve.css}" points="{points}"/>')
+                named = f"<title>{escape(curve.label)}</title>" if len(curves) > 1 else ""
+                parts.append(f'<polyline class="curve {curve.css}" points="{points}">{named}</polyline>')
     parts.append("</svg>")
     key = "".join(f'<span class="key {c.css}">{escape(c.label)}</span>' for c in curves if len(curves) > 1)
     return Markup(f"<figure><figcaption>{escape(title)}{key}</figcaption>{''.join(parts)}</figure>")
 
 
-def _range(values: Sequence[Array], line: float | None) -> tuple[float, float]:
-    """A range that holds every finite value and the marked one, with a little air, never empty."""
-    known = [v[np.isfinite(v)] for v in values] + ([np.array([line])] if line is not None else [])
-    every = np.concatenate(known) if known else np.array([])
+def _range(values: Sequence[Array], lines: Sequence[float]) -> tuple[float, float]:
+    """A range that holds every finite value and the marked ones, with a little air, never empty."""
+    known = [v[np.isfinite(v)] for v in values] + [np.asarray(lines, dtype=np.float64)]
+    every = np.concatenate(known)
     if not every.size:
         return 0.0, 1.0
     low, high = float(every.min()), float(every.max())
@@ -118,8 +121,23 @@ def _ticks(low: float, high: float) -> list[float]:
 
 def _pieces(t_s: Array, values: Array) -> list[list[tuple[float, float]]]:
     """Runs of finite points, thinned where there are more than the eye can see."""
-    stride = max(1, -(-len(t_s) // _MAX_POINTS))
-    t_s, values = t_s[::stride], values[::stride]
-    known = np.flatnonzero(np.isfinite(values))
-    runs = np.split(known, np.flatnonzero(np.diff(known) > 1) + 1)
+    kept = _thinned(values)
+    known = kept[np.isfinite(values[kept])]
+    breaks = np.flatnonzero([not np.isfinite(values[a:b]).all() for a, b in pairwise(known)])
+    runs = np.split(known, breaks + 1)
     return [[(float(t_s[k]), float(values[k])) for k in run] for run in runs if len(run)]
+
+
+def _thinned(values: Array) -> NDArray[np.intp]:
+    """Indices of at most _MAX_POINTS values: the least and the greatest of each stretch, so that no peak is lost."""
+    n = len(values)
+    if n <= _MAX_POINTS:
+        return np.arange(n)
+    edges = np.linspace(0, n, _MAX_POINTS // 2 + 1).astype(int)
+    kept: set[int] = set()
+    for start, end in pairwise(edges):
+        known = np.flatnonzero(np.isfinite(values[start:end]))
+        if len(known):
+            part = values[start:end][known]
+            kept |= {int(start + known[np.argmin(part)]), int(start + known[np.argmax(part)])}
+    return np.array(sorted(kept), dtype=np.intp)

@@ -1,0 +1,94 @@
+"""One sample as the report shows it."""
+
+import base64
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from urllib.parse import quote
+
+from markupsafe import Markup
+
+from kinebench_drake.report.curves import draw_curves
+from kinebench_drake.report.facts import Fact, list_facts
+from kinebench_drake.report.frames import anomalies_of
+from kinebench_drake.report.moments import Moment, worst_moments
+from kinebench_drake.results import part_path
+from kinebench_drake.row import Json, SampleRow, Status
+from kinebench_drake.trackfile import read_track
+
+RANK = {"error": 0, "infeasible": 1, "unmeasurable": 2, "unjudged": 3, "feasible": 4}
+"""Verdicts, the worst first."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SampleView:
+    """One sample as the page shows it."""
+
+    row: SampleRow
+    verdict: str
+    """A key of RANK."""
+    anomalies: Sequence[Mapping[str, Json]]
+    thumbnail: str | None
+    """Picture as a data URI."""
+    moments: Sequence[Moment]
+    plots: Sequence[Markup]
+    facts: Sequence[Fact]
+    """What stands behind the verdict."""
+    replay: str | None
+    """Link to the 3D replay, relative to the page; None if none was written."""
+    viewable: bool
+    """Whether there is a track that `kinebench-drake view` can replay."""
+
+    def value(self, name: str) -> float | None:
+        """A metric as a number; None where it has none."""
+        return _number(self.row, name)
+
+
+def verdict_of(row: SampleRow) -> str:
+    """The key of RANK that a row deserves."""
+    if row.status is not Status.OK:
+        return str(row.status.value)
+    return "unjudged" if row.feasible is None else "feasible" if row.feasible else "infeasible"
+
+
+def badness(row: SampleRow) -> tuple[float | str, ...]:
+    """Sorts the worst first."""
+    tracked = _number(row, "tracked_fraction")
+    faults = len(row.violations) + len(anomalies_of(row))
+    return RANK[verdict_of(row)], -faults, 1.0 if tracked is None else tracked, row.id
+
+
+def view_sample(out: Path, row: SampleRow, *, drawn: bool) -> SampleView:
+    """Gather a sample's findings from an output folder.
+
+    Args:
+        out: the folder.
+        row: the sample's row.
+        drawn: whether to draw its curves and list its findings; else the row alone is used.
+
+    Raises:
+        InputError: the track's file is damaged.
+    """
+    picture = part_path(out, "thumbnails", row.id)
+    uri = f"data:image/jpeg;base64,{base64.b64encode(picture.read_bytes()).decode()}" if picture.is_file() else None
+    track = part_path(out, "tracks", row.id)
+    viewable = row.status is Status.OK and track.is_file()
+    file = read_track(track) if viewable and drawn else None
+    details = {name: value for name, value in row.details.items() if name != "limits"}
+    reasons = {f"no {name.replace('_', ' ')}": reason for name, reason in row.null_reasons.items()}
+    return SampleView(
+        row=row,
+        verdict=verdict_of(row),
+        anomalies=anomalies_of(row),
+        thumbnail=uri,
+        moments=worst_moments(row, file),
+        plots=draw_curves(row, file) if file else [],
+        facts=[*list_facts(details), *list_facts(reasons)] if drawn else [],
+        replay=f"replays/{quote(row.id)}.html" if (out / "replays" / f"{row.id}.html").is_file() else None,
+        viewable=viewable,
+    )
+
+
+def _number(row: SampleRow, name: str) -> float | None:
+    value = row.metrics.get(name)
+    return float(value) if isinstance(value, bool | int | float) else None
