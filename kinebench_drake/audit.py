@@ -12,6 +12,8 @@ from kinebench_drake.trajectories.source import find_trajectories
 from kinebench_drake.trajectories.trajectory import Choice
 from kinebench_drake.trajectory_measure import TrajectoryMeasure
 
+_MOST_WARNINGS = 5  # told on the screen
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AuditConfig(RunConfig):
@@ -83,8 +85,11 @@ def audit_trajectories(config: AuditConfig, observer: Observer | None = None) ->
         choice=config.choice(),
     )
     summary = run_samples(config, samples, measure, observer)
-    for text, ids in _warnings(summary.rows).items():
+    warnings = _warnings(summary.rows)
+    for text, ids in list(warnings.items())[:_MOST_WARNINGS]:
         observer.warned(f"{ids[0]}: {text}" + (f" ({len(ids) - 1} more have the same warning)" if ids[1:] else ""))
+    if len(warnings) > _MOST_WARNINGS:
+        observer.warned(f"{len(warnings) - _MOST_WARNINGS} more kinds of warnings; the rows have them all")
     return summary
 
 

@@ -122,6 +122,14 @@ def test_a_full_disk_leaves_the_rows_as_they_were(tmp_path, monkeypatch):
     assert not list(tmp_path.glob(".*.part"))
 
 
+def test_a_file_that_cannot_be_dropped_is_one_line(tmp_path, monkeypatch):
+    with ResultStore(tmp_path) as store:
+        store.append(row("a"), 0.1)
+        monkeypatch.setattr(results, "part_path", lambda out, part, id: out / part)  # a folder cannot be unlinked
+        with pytest.raises(SetupError, match="make the folder writable"):
+            store.keep(lambda _: False)
+
+
 def test_atomic_files_are_whole_or_absent(tmp_path, monkeypatch):
     write_atomically(tmp_path / "a", b"old")
     monkeypatch.setattr(results.os, "replace", lambda *_: (_ for _ in ()).throw(OSError(errno.EIO, "I/O error")))

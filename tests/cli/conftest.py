@@ -1,9 +1,11 @@
 import sys
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from kinebench_drake import audit, cli, score
 from kinebench_drake.mp4 import write_video
 from kinebench_drake.score import ScoreConfig
 
@@ -45,3 +47,21 @@ def config(tmp_path):
         return ScoreConfig(**{"source": tmp_path / "videos", "out": tmp_path / "out", "stages": STAGES, **changes})
 
     return make
+
+
+@pytest.fixture
+def program(capfd, monkeypatch):
+    """Runs the program in this process with the fake stages; returns exit status, standard output and error."""
+    for job, name in ((score, "ScoreConfig"), (audit, "AuditConfig")):
+        make = getattr(job, name)
+        assert make.__dataclass_fields__["stages"].default.endswith(":DrakeStages")
+        monkeypatch.setattr(job, name, partial(make, stages=STAGES))
+
+    def call(*arguments):
+        capfd.readouterr()
+        with pytest.raises(SystemExit) as stop:
+            cli.main([str(a) for a in arguments])
+        out, err = capfd.readouterr()
+        return stop.value.code, out, err
+
+    return call

@@ -117,6 +117,7 @@ class FakeStages:
         )
         self._infeasible = bool(q[0, 0] > 1.0)
         judgement = self.judge(track)
+        self._infeasible = False
         return replace(judgement, joints=replace(judgement.joints, q=q), details={"given": "q"})
 
     def overlay(self, frames, camera, track):

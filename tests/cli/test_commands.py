@@ -11,32 +11,9 @@ import pytest
 from fake_stages import Act
 
 from kinebench_drake import cli
-from kinebench_drake import score as job
 from kinebench_drake.results import read_rows
 
-COMMANDS = ["score", "ground", "report", "doctor"]
-
-
-@pytest.fixture
-def program(capfd, monkeypatch):
-    """Runs the program in this process; returns exit status, standard output and standard error."""
-    fields = dict(job.ScoreConfig.__dataclass_fields__)
-    assert fields["stages"].default.endswith(":DrakeStages")
-    make = job.ScoreConfig
-
-    def config(**options):
-        return make(stages="fake_stages:FakeStages", **options)
-
-    monkeypatch.setattr(job, "ScoreConfig", config)
-
-    def call(*arguments):
-        capfd.readouterr()
-        with pytest.raises(SystemExit) as stop:
-            cli.main([str(a) for a in arguments])
-        out, err = capfd.readouterr()
-        return stop.value.code, out, err
-
-    return call
+COMMANDS = ["score", "ground", "audit", "report", "doctor"]
 
 
 def one_line(err):

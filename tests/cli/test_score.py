@@ -13,7 +13,7 @@ import pytest
 from fake_stages import LOG, Act
 from PIL import Image
 
-from kinebench_drake import results
+from kinebench_drake import measure, results
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.engines import EngineKind
 from kinebench_drake.errors import SetupError, UsageError
@@ -79,6 +79,11 @@ def test_every_kind_of_sample_becomes_a_row(film, config, tmp_path):
             assert "\n" not in row.reason
             assert set(row.metrics.values()) == {None}
     assert rows["good"].metrics["ldlj"] is None
+    assert rows["good"].null_reasons["ldlj"] == "the fake has none"
+    assert rows["good"].details == {"table_height_m": 0.0}
+    for id in ("good", "bad"):  # what is null has a reason, what is not has none
+        assert set(rows[id].null_reasons) == {name for name, value in rows[id].metrics.items() if value is None}
+        assert all(rows[id].null_reasons.values())
     assert rows["bad"].metrics["anomalies"] == [{"kind": "vanish", "frame_start": 4, "frame_end": 5, "severity": 2.0}]
     assert {p.stem for p in (tmp_path / "out" / "tracks").iterdir()} == {"good", "bad"}
     told = json.loads((tmp_path / "out" / "results.json").read_text())
@@ -135,6 +140,8 @@ def test_finished_samples_are_kept_and_only_as_long_as_nothing_changes(film, con
     assert grounded() == 1
     assert grounded(frame_period_s=0.2) == 3
     assert grounded(frame_period_s=0.2, model="m") == 3
+    assert grounded(frame_period_s=0.2, model="m", table_height_m=0.1) == 3
+    assert grounded(frame_period_s=0.2, model="m") == 3
     benchmark_camera().resized(192, 192).save(tmp_path / "videos" / "camera.json")
     assert grounded(frame_period_s=0.2, model="m") == 3
     assert grounded(frame_period_s=0.2, model="m", overlay=True) == 2  # the unmeasurable one has no overlay
@@ -144,6 +151,16 @@ def test_finished_samples_are_kept_and_only_as_long_as_nothing_changes(film, con
     assert grounded(frame_period_s=0.2, model="m") == 0
     assert set(read_rows(tmp_path / "out")) == {"a", "b"}
     assert not (tmp_path / "out" / "tracks" / "c.npz").exists()
+
+
+def test_changed_code_computes_anew(film, config, log, monkeypatch):
+    film("videos/a.mp4")
+    score_videos(config())
+    score_videos(config())
+    assert len(log.read_text().splitlines()) == 1
+    monkeypatch.setattr(measure, "code_hash", lambda: "another version")
+    score_videos(config())
+    assert len(log.read_text().splitlines()) == 2
 
 
 def test_errors_are_tried_again(film, config, tmp_path):

@@ -1,0 +1,233 @@
+"""Whole audits of tiny files with fake stages: rows, files, resume, and the program as a user meets it."""
+
+import json
+
+import h5py
+import numpy as np
+import pytest
+from fake_stages import LOG
+
+from kinebench_drake.audit import AuditConfig, audit_trajectories
+from kinebench_drake.measure import KINEMATIC_METRICS, robot_files
+from kinebench_drake.results import read_rows
+from kinebench_drake.row import Status
+from kinebench_drake.run import Silence
+from kinebench_drake.shard import Shard
+from kinebench_drake.trackfile import read_track
+
+STAGES = "fake_stages:FakeStages"
+N = 10
+Q = 0.1 * np.ones((N, 7)) + 0.01 * np.arange(N)[:, None]
+T_S = 0.1 * np.arange(N)
+
+
+@pytest.fixture
+def source(tmp_path):
+    folder = tmp_path / "in"
+    folder.mkdir()
+    np.savez(folder / "good.npz", t_s=T_S, q=Q, base_from_tcp=np.tile(np.eye(4), (N, 1, 1)))
+    np.savez(folder / "far.npz", t_s=T_S, q=Q + 1.0)
+    np.savez(folder / "poses.npz", t_s=T_S, base_from_tcp=np.tile(np.eye(4), (N, 1, 1)))
+    np.savez(folder / "degrees.npz", t_s=T_S, q=np.rad2deg(Q) * 10)
+    np.savez(folder / "single.npz", t_s=T_S[:1], q=Q[:1])
+    (folder / "empty.npz").touch()
+    with h5py.File(folder / "demo.h5", "w") as file:
+        for k in range(2):
+            file[f"traj_{k}/obs/agent/qpos"] = Q
+    episodes = [{"episode_id": k, "episode_seed": 7 + k, "success": k == 1} for k in range(2)]
+    about = {"env_info": {"env_id": "StackCube-v1", "control_freq": 20}, "episodes": episodes}
+    (folder / "demo.json").write_text(json.dumps(about))
+    return folder
+
+
+@pytest.fixture
+def run(source, tmp_path):
+    def call(observer=None, **changes):
+        config = {"source": source, "out": tmp_path / "out", "stages": STAGES, **changes}
+        return audit_trajectories(AuditConfig(**config), observer)
+
+    return call
+
+
+def content(out):
+    return {
+        p.relative_to(out).as_posix(): p.read_bytes() for p in out.rglob("*") if p.is_file() and "timings" not in p.name
+    }
+
+
+def test_every_kind_of_trajectory_becomes_a_row(run, tmp_path):
+    summary = run()
+    rows = read_rows(tmp_path / "out")
+    assert {id: (row.status.value, row.feasible) for id, row in rows.items()} == {
+        "good": ("ok", True),
+        "far": ("ok", False),
+        "poses": ("ok", True),
+        "degrees": ("error", None),
+        "single": ("unmeasurable", None),
+        "empty": ("error", None),
+        "demo-traj_0": ("ok", True),
+        "demo-traj_1": ("ok", True),
+    }
+    assert summary.counts == {Status.OK: 5, Status.UNMEASURABLE: 1, Status.ERROR: 2}
+    for row in rows.values():
+        assert set(KINEMATIC_METRICS) <= set(row.metrics)
+        assert "tracked_fraction" not in row.metrics
+        assert (row.reason is None) is (row.status is Status.OK)
+        if row.status is Status.OK:
+            assert set(row.null_reasons) == {name for name, value in row.metrics.items() if value is None}
+    assert "degrees" in rows["degrees"].reason
+    told = rows["demo-traj_1"]
+    assert (told.task, told.extra["seed"], told.extra["success"]) == ("StackCube-v1", 8, True)
+    assert told.extra["columns"] == "traj_1/obs/agent/qpos"
+    assert (told.extra["format"], told.extra["judged"], told.extra["frames"]) == ("maniskill", "joints", N)
+    assert told.extra["duration_s"] == pytest.approx((N - 1) / 20)
+    assert rows["poses"].extra["judged"] == "poses"
+    assert rows["good"].details == {"given": "q"}
+    assert "q was taken" in rows["good"].extra["warnings"][0]
+    results = json.loads((tmp_path / "out" / "results.json").read_text())
+    assert (results["kind"], results["samples_found"]) == ("audit", 8)
+    assert results["aggregates"]["metrics"]["success"]["mean"] == 0.5
+
+
+def test_the_judged_track_is_written_with_all_arrays(run, tmp_path):
+    run()
+    assert {p.stem for p in (tmp_path / "out" / "tracks").iterdir()} == {
+        *("good", "far", "poses", "demo-traj_0", "demo-traj_1"),
+    }
+    file = read_track(tmp_path / "out" / "tracks" / "good.npz")
+    np.testing.assert_array_equal(file.q, Q)
+    np.testing.assert_array_equal(file.track.t_s, T_S)
+    assert np.isnan(file.track.X_CH).all()
+    assert np.isfinite(file.track.X_BG).all()
+    assert file.track.tracked.all()
+    assert set(file.track.confidence) == {1.0}
+    assert {"manipulability", "joint_margin"} <= set(file.curves)
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == [
+        *("report.html", "results.json", "samples.jsonl", "timings.jsonl", "tracks"),
+    ]
+
+
+def test_same_arguments_same_bytes_however_many_jobs(run, tmp_path):
+    run(out=tmp_path / "a")
+    run(out=tmp_path / "b")
+    first, second = content(tmp_path / "a"), content(tmp_path / "b")
+    assert first == second
+    run(out=tmp_path / "c", jobs=2)
+    third = content(tmp_path / "c")
+    assert {name for name in first if first[name] != third[name]} <= {"results.json", "report.html"}
+    assert str(tmp_path) not in b"".join(first.values()).decode(errors="ignore")
+
+
+class Count(Silence):
+    def __init__(self):
+        self.done, self.warnings = [], []
+
+    def finished(self, row, wall_s):
+        self.done.append(row.id)
+
+    def warned(self, message):
+        self.warnings.append(message)
+
+
+def test_finished_trajectories_are_kept_and_only_as_long_as_nothing_changes(run, source, tmp_path):
+    def done(**changes):
+        count = Count()
+        run(count, **changes)
+        return set(count.done)
+
+    everything = {"good", "far", "poses", "degrees", "single", "empty", "demo-traj_0", "demo-traj_1"}
+    tried_again = {"degrees", "empty"}
+    assert done() == everything
+    assert done() == tried_again
+    np.savez(source / "far.npz", t_s=T_S, q=Q + 1.1)
+    assert done() == {"far", *tried_again}
+    about = json.loads((source / "demo.json").read_text())
+    about["episodes"][0]["success"] = True
+    (source / "demo.json").write_text(json.dumps(about))
+    assert done() == {"demo-traj_0", *tried_again}
+    for changes in ({"rate_hz": 20.0}, {"table_height_m": -0.1}, {"poses": "base_from_tcp"}):
+        assert done(**changes) == everything
+    assert done(poses="base_from_tcp") < everything
+    assert done(overwrite=True) == everything
+    (tmp_path / "out" / "tracks" / "good.npz").unlink()
+    assert done() == {"good", *tried_again}
+
+
+def test_another_robot_computes_anew(run, tmp_path):
+    (tmp_path / "mesh.obj").write_text("v 0 0 0")
+    urdf = tmp_path / "arm.urdf"
+    urdf.write_text('<robot><mesh filename="mesh.obj"/><mesh filename="package://no/such.obj"/></robot>')
+    assert robot_files(urdf) == [urdf, tmp_path / "mesh.obj"]
+    sums = [len(run_counted(run, urdf=urdf, tcp_frame="tool")) for _ in range(2)]
+    assert sums[0] > sums[1]
+    (tmp_path / "mesh.obj").write_text("v 0 0 1")
+    assert len(run_counted(run, urdf=urdf, tcp_frame="tool")) == sums[0]
+    assert len(run_counted(run, urdf=urdf, tcp_frame="flange")) == sums[0]
+
+
+def run_counted(run, **changes):
+    count = Count()
+    run(count, **changes)
+    return count.done
+
+
+def test_shards_share_the_trajectories_of_one_file(run, source, tmp_path):
+    for index in (1, 2):
+        run(source=source / "demo.h5", out=tmp_path / f"part{index}", shard=Shard(index=index, count=2))
+        assert set(read_rows(tmp_path / f"part{index}")) == {f"demo-traj_{index - 1}"}
+
+
+def test_an_output_folder_can_be_audited_again(run, source, tmp_path):
+    run(source=source / "demo.h5")
+    run(source=tmp_path / "out", out=tmp_path / "again")
+    first, again = read_rows(tmp_path / "out"), read_rows(tmp_path / "again")
+    assert first.keys() == again.keys()
+    assert {row.extra["judged"] for row in again.values()} == {"poses"}
+    assert {row.task for row in again.values()} == {"StackCube-v1"}
+
+
+def test_nothing_is_grounded(run, tmp_path, monkeypatch):
+    log = tmp_path / "log"
+    monkeypatch.setenv(LOG, str(log))
+    run()
+    assert not log.exists()
+
+
+def test_audit_tells_what_it_did(program, source, tmp_path):
+    code, out, err = program("audit", source, "--out", tmp_path / "out", "--tag", "run=7", "--rate", "20")
+    assert code == 0
+    assert "5 ok, 1 unmeasurable, 2 error" in out
+    assert str(tmp_path / "out" / "report.html") in out
+    assert "warning: good: holds q and base_from_tcp" in err
+    results = json.loads((tmp_path / "out" / "results.json").read_text())
+    assert results["tags"] == {"run": "7"}
+    assert results["config"]["rate_hz"] == 20.0
+    code, _, err = program("audit", source / "degrees.npz", "--out", tmp_path / "none")
+    assert code == 1
+    assert "nothing could be measured (1 error)" in err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["nowhere", "--out", "out"], "no such file"),
+        (["in/good.npz"], "--out"),
+        (["in", "--out", "in"], "input folder itself"),
+        (["in", "--out", "out", "--rate", "0"], "--rate is 0.0"),
+        (["in", "--out", "out", "--rate", "x"], "--rate"),
+        (["in", "--out", "out", "--joints", "a", "--poses", "b"], "exclude each other"),
+        (["in", "--out", "out", "--robot", "arm.urdf"], "--robot and --tcp-frame go together"),
+        (["in", "--out", "out", "--tcp-frame", "tool"], "--robot and --tcp-frame go together"),
+        (["in", "--out", "out", "--robot", "arm.urdf", "--tcp-frame", "tool"], "no such file, expected a URDF"),
+        (["in", "--out", "out", "--table-height", "inf"], "--table-height"),
+        (["in", "--out", "out", "--overlay"], "--overlay"),
+        (["in", "--out", "out", "--shard", "0/2"], "I from 1 to N"),
+    ],
+)
+def test_status_2_and_one_line_for_usage_errors(program, source, tmp_path, monkeypatch, arguments, told):
+    monkeypatch.chdir(tmp_path)
+    code, out, err = program("audit", *arguments)
+    assert (code, out) == (2, "")
+    assert told in err
+    assert len(err.splitlines()) == 1
+    assert not (tmp_path / "out").exists()
