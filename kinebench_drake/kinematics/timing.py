@@ -1,8 +1,5 @@
 """The least time in which a joint path can be run: Toppra under the limits of speed, acceleration and torque."""
 
-import logging
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import Enum
 from typing import Any
@@ -14,6 +11,7 @@ from pydrake.trajectories import PiecewisePolynomial
 from scipy.interpolate import CubicSpline
 
 from kinebench_drake.geometry import Array
+from kinebench_drake.kinematics.drake_log import silent_drake
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.models.robot import N_JOINTS
 
@@ -153,7 +151,7 @@ class _Motion:
             toppra.AddJointAccelerationLimit(-acceleration, acceleration, ToppraDiscretization.kInterpolation)
         torque = _bounds(plant.effort_limits, fingers)
         toppra.AddJointTorqueLimit(-torque, torque, ToppraDiscretization.kInterpolation)
-        with _quiet():
+        with silent_drake():
             return toppra.SolvePathParameterization(start, end)
 
     def ratios(self, index: int, rate: float, change: float) -> Array:
@@ -188,18 +186,6 @@ def _grid(t: Array) -> Array:
 
 def _bounds(limits: Array, fingers: Array) -> Array:
     return np.concatenate([np.minimum(limits, _UNBOUNDED), fingers])
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Drake logs an error where there is no solution; here that is an answer."""
-    logger = logging.getLogger("drake")
-    level = logger.level
-    logger.setLevel(logging.CRITICAL)
-    try:
-        yield
-    finally:
-        logger.setLevel(level)
 
 
 def _describe(motion: _Motion, s: Any) -> TimeScale:

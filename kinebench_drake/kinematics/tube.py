@@ -18,6 +18,7 @@ from pydrake.trajectories import BsplineTrajectory
 from scipy.sparse import coo_matrix, diags, hstack, identity, kron, vstack
 
 from kinebench_drake.geometry import Array
+from kinebench_drake.kinematics.drake_log import silent_drake
 from kinebench_drake.kinematics.spline import ORDER, SplineBasis
 from kinebench_drake.models.robot import N_JOINTS
 
@@ -30,6 +31,7 @@ _STEP_RAD = 0.1  # a change of all joints by this costs as much as `proximity` m
 _SMOOTHNESS = 1e-3  # cost [mm] of accelerations at their limits all the time
 _ACCELERATION = 10.0  # stands for acceleration limits in the cost where none are published [rad/s^2]
 _EXCESS = 10.0  # cost of a limit broken once by its own size
+_STRETCH = 100.0  # cost of a millimetre by which the tube is widened where only limits are to give way
 _PENETRATION = 20.0  # cost of a millimetre of penetration, in millimetres of radius
 
 
@@ -105,7 +107,8 @@ def solve_tube(
         proximity: weight that holds the trajectory near the path that the linearisation is about: the radius may
             grow by so many millimetres to save a common change of all joints by 0.1 rad.
         obstacles: distances to keep; breaking one costs 20 times its depth in radius.
-        elastic: whether derivatives may exceed their limits, at a price: the least sum of relative excesses is found.
+        elastic: whether derivatives may exceed their limits, at a price: the least sum of relative excesses is found
+            (the tube gives way too, but only where no excess would help).
     """
     n, frames = basis.size, len(poses.t_s)
     spline: Any = BsplineTrajectory(BsplineBasis(ORDER, basis.knots.tolist()), np.zeros((N_JOINTS, n)))
@@ -120,6 +123,9 @@ def solve_tube(
     prog.AddBoundingBoxConstraint(lower, upper, x)
     if radius_m is None:
         prog.AddLinearCost(np.ones(1), r)
+    elif elastic:
+        prog.AddBoundingBoxConstraint(_MM * radius_m, np.inf, r)
+        prog.AddLinearCost(np.full(1, _STRETCH), r)
     else:
         prog.AddBoundingBoxConstraint(0.0, _MM * radius_m, r)
 
@@ -167,7 +173,8 @@ def solve_tube(
     if obstacles:
         _keep_clear(prog, basis, x, obstacles)
 
-    result = ClarabelSolver().Solve(prog, None, None)
+    with silent_drake():
+        result = ClarabelSolver().Solve(prog, None, None)
     if not result.is_success():
         return None
     excess: list[Array] = []
