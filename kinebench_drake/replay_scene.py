@@ -42,12 +42,13 @@ _GHOST = 0.45
 """Opacity of the gripper where it is wanted."""
 
 _STEP_S = 0.04
-_MAX_STEPS = 500
+_MAX_STEPS = 400
 _FPS = 1000.0
 """Ticks a second of the animation: keyframes lie on whole ticks."""
 _APART_M, _APART_RAD = 0.002, 0.02
 """Errors beyond which the wanted gripper is shown beside the arm's own."""
 _MAX_BEADS = 300
+_MAX_POINTS = 500
 _SIDES = 6
 
 
@@ -115,8 +116,10 @@ class ReplayScene:
         for k in np.flatnonzero(np.diff(frames) > 1):
             self._mesh(f"/wanted/gap{k}", *_tube(points[k : k + 2], 0.002), COLORS[FrameState.UNTRACKED])
         for run in runs(self._posed):
-            color = np.array([_linear(COLORS[state]) for state in self._states[run]])
-            self._paint(f"/wanted/{run.start}", *_tube(self._X_BG[run, :3, 3], 0.004), np.repeat(color, _SIDES, axis=0))
+            kept = _thinned(run.start, run.stop)
+            color = np.array([_linear(COLORS[self._states[k]]) for k in kept])
+            tube = _tube(self._X_BG[kept, :3, 3], 0.004)
+            self._paint(f"/wanted/{run.start}", *tube, np.repeat(color, _SIDES, axis=0))
         broken = [k for k in frames if self._states[k] is FrameState.BROKEN]
         broken = broken[:: -(-len(broken) // _MAX_BEADS) or 1]
         if broken:
@@ -124,7 +127,7 @@ class ReplayScene:
             beads = trimesh.util.concatenate([bead.copy().apply_translation(self._X_BG[k, :3, 3]) for k in broken])
             self._mesh("/broken", beads.vertices, beads.faces, COLORS[FrameState.BROKEN])
         if self._apart.any():
-            self._mesh("/reached", *_tube(self._reached[:, :3, 3], 0.0025), _REACHED)
+            self._mesh("/reached", *_tube(self._reached[_thinned(0, len(self._reached)), :3, 3], 0.0025), _REACHED)
 
     def place_camera(self) -> None:
         """Look at base and path from the robot's front left."""
@@ -157,11 +160,12 @@ class ReplayScene:
         gripper = self._gripper()
         rest = np.broadcast_to(self._plant.robot.rest_q, (len(times), 7))
         X_GB = invert(self._plant.forward(self._plant.robot.rest_q))
+        self._move(animation, "/gripper", times, wanted)
         for surface, poses in zip(gripper, self._poses(rest, width, gripper), strict=True):
             path = f"/gripper/{surface.link}"
             opacity = _GHOST if self.has_arm else 1.0
             self._mesh(path, surface.vertices, surface.faces, _ARM[FrameState.OK], opacity)
-            self._move(animation, path, times, wanted @ X_GB @ poses)
+            self._move(animation, path, times, X_GB @ poses)
             self._tint(animation, path, [(COLORS if self.has_arm else _ARM)[s] for s in self._states])
         if self.has_arm:
             self._switch(animation, "/gripper", self._apart)
@@ -251,6 +255,11 @@ def _along(times: Array, t_s: Array, X: Array) -> Array:
     inside = np.clip(times, t_s[0], t_s[-1])
     p = np.stack([np.interp(inside, t_s, X[:, k, 3]) for k in range(3)], axis=-1)
     return make_pose(Slerp(t_s, Rotation.from_matrix(X[:, :3, :3]))(inside).as_matrix(), p)
+
+
+def _thinned(start: int, stop: int) -> NDArray[np.intp]:
+    """Frames from `start` to `stop`, both ends kept, no more than a path needs to look smooth."""
+    return np.unique(np.linspace(start, stop - 1, min(stop - start, _MAX_POINTS)).round().astype(np.intp))
 
 
 def _tube(points: Array, radius: float) -> tuple[Array, NDArray[np.int32]]:

@@ -13,7 +13,7 @@ from kinebench_drake.errors import UnmeasurableError, UsageError
 from kinebench_drake.geometry import invert, make_pose, rotation_exp
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.products import GripperTrack, IkStatus, JointTrack
-from kinebench_drake.replay import ReplayWriter, replay_path, write_replays
+from kinebench_drake.replay import ReplayWriter, replay_path, worst_samples, write_replays
 from kinebench_drake.replay_scene import _along, _linear, _tube
 from kinebench_drake.results import ResultStore
 from kinebench_drake.row import SampleRow, Status
@@ -206,10 +206,13 @@ def test_a_track_of_one_frame_and_an_empty_one(writer, file):
 def test_replays_of_a_folder(tmp_path, plant, track, joints):
     with ResultStore(tmp_path / "out") as store:
         for id in ("a", "b", "trackless"):
-            store.append(row(id=id), 0.1)
+            faults = {"feasible": True, "violations": ()} if id == "a" else {}
+            store.append(row(id=id, **faults), 0.1)
         for id in ("a", "b"):
             write_track(tmp_path / "out" / "tracks" / f"{id}.npz", track, joints, {})
         store.finish({"config": {"table_height_m": -0.02}})
+    assert worst_samples(tmp_path / "out", 5) == ["b", "a"]
+    assert worst_samples(tmp_path / "out", 1) == ["b"]
     written = write_replays(tmp_path / "out", ["b", "trackless"], plant)
     assert written == [replay_path(tmp_path / "out", "b")]
     assert written[0].is_file()

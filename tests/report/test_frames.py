@@ -1,0 +1,64 @@
+"""The state of each frame."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from kinebench_drake.products import IkStatus
+from kinebench_drake.report.frames import FrameState, frame_states, frames_of, joint_limits, limit_ratios
+
+OK, DOUBT, BROKEN, UNTRACKED = FrameState.OK, FrameState.DOUBT, FrameState.BROKEN, FrameState.UNTRACKED
+
+
+def test_a_good_track_is_ok_where_it_is_tracked(judged, file):
+    assert frame_states(judged(), file()) == (OK,) * 7 + (UNTRACKED,) + (OK,) * 2
+
+
+def test_a_limit_broken_outranks_all(judged, file):
+    violation = {"kind": "discontinuity", "frame_start": 6, "frame_end": 7, "joint": None, "value": 1.0, "limit": 0.1}
+    assert frame_states(judged(violations=(violation,)), file())[5:9] == (OK, BROKEN, BROKEN, OK)
+
+
+def test_poses_out_of_reach_are_broken(judged, file):
+    track = file()
+    status = list(track.status)
+    status[1], status[2] = IkStatus.UNREACHABLE, IkStatus.JOINT_LIMIT
+    assert frame_states(judged(), replace(track, status=tuple(status)))[:4] == (OK, BROKEN, BROKEN, OK)
+
+
+@pytest.mark.parametrize("name", ["joint_margin", "self_distance_m", "table_distance_m", "velocity"])
+def test_past_a_limit_without_a_verdict_is_doubt(judged, file, name):
+    values = np.full((10, 7), 2.1) if name == "velocity" else np.full(10, -0.001)
+    values[1:] = 0.0
+    assert frame_states(judged(), file(**{name: values}))[:2] == (DOUBT, OK)
+
+
+def test_anomalies_and_unsure_poses_are_doubt(judged, file):
+    track = file()
+    confidence = track.track.confidence.copy()
+    confidence[0] = 0.4
+    vanish = {"kind": "vanish", "frame_start": 6, "frame_end": 7, "severity": 1.0}
+    states = frame_states(
+        judged(metrics={"anomalies": [vanish]}), replace(track, track=replace(track.track, confidence=confidence))
+    )
+    assert (states[0], states[1], states[6], states[7]) == (DOUBT, OK, DOUBT, UNTRACKED)
+
+
+def test_limits_are_read_as_far_as_a_row_has_them(judged, file):
+    limits = joint_limits(judged())
+    assert limits.joints[0] == "arm_joint1"
+    assert set(limits.rates) == {"velocity", "jerk", "torque"}
+    assert np.isinf(limits.rates["torque"][4:]).all()
+    assert limits.position[0].tolist() == [-2.0] * 7
+    assert set(limit_ratios(file(), limits)) == {"velocity"}
+    for details in ({}, {"limits": None}, {"limits": {"velocity": [1.0] * 6, "position": {"lower": "x"}}}):
+        limits = joint_limits(judged(details=details))
+        assert limits.position is None
+        assert not limits.rates
+        assert len(limits.joints) == 7
+
+
+def test_ranges_outside_the_track_are_cut():
+    marks = [{"frame_start": -3, "frame_end": 1}, {"frame_start": 4, "frame_end": 99}, {"frame_start": None}]
+    assert frames_of(marks, 6).tolist() == [True, True, False, False, True, True]

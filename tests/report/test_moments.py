@@ -1,0 +1,89 @@
+"""The table of worst moments: limits broken first, then how near the track comes to the others."""
+
+import numpy as np
+import pytest
+
+from kinebench_drake.report.moments import find_checks, worst_moments
+
+VIOLATION = {
+    "kind": "velocity",
+    "frame_start": 3,
+    "frame_end": 5,
+    "joint": "arm_joint3",
+    "value": 3.0,
+    "limit": 2.0,
+}
+
+
+def by_kind(moments):
+    return {moment.kind: moment for moment in moments}
+
+
+def test_limits_broken_come_first_with_time_and_ratio(judged, file):
+    first, *rest = worst_moments(judged(violations=(VIOLATION,)), file())
+    assert (first.kind, first.broken, first.joint, first.value, first.limit) == (
+        "velocity",
+        True,
+        "arm_joint3",
+        3.0,
+        2.0,
+    )
+    assert first.ratio == pytest.approx(1.5)
+    assert first.when == "1.30 to 1.50 s (frames 3 to 5)"
+    assert first.after_s == pytest.approx(0.3)
+    assert not {"velocity"} & {moment.kind for moment in rest}
+
+
+def test_without_a_track_frames_are_given(judged):
+    (moment,) = worst_moments(judged(violations=(VIOLATION,)), None)
+    assert moment.when == "frames 3 to 5"
+    assert moment.after_s is None
+
+
+def test_the_nearest_approach_to_each_limit_is_found_in_the_curves(judged, file):
+    found = by_kind(worst_moments(judged(), file()))
+    assert not any(moment.broken for moment in found.values())
+    speed, angle, table = found["velocity"], found["joint_limit"], found["table_collision"]
+    assert (speed.joint, speed.when, speed.value) == ("arm_joint3", "1.40 s", 1.9)
+    assert speed.ratio == pytest.approx(0.95)
+    assert (angle.joint, angle.when, angle.unit) == ("arm_joint6", "1.20 s", "°")
+    assert angle.value == pytest.approx(np.degrees(-1.7))
+    assert angle.limit == pytest.approx(np.degrees(-2.0))
+    assert angle.ratio == pytest.approx(0.8)
+    assert table.value == pytest.approx(12.0)
+    assert table.unit == "mm"
+    assert table.when == "1.90 s"
+
+
+def test_the_nearest_comes_first_and_distances_last(judged, file):
+    kinds = [moment.kind for moment in worst_moments(judged(), file())]
+    assert kinds == ["velocity", "joint_limit", "table_collision"]
+
+
+def test_what_the_details_say_goes_before_the_curves(judged, file):
+    row = judged()
+    details = {**row.details, "checks": {"velocity": {"ratio_max": 0.5, "joint": "arm_joint1", "t_worst_s": 1.8}}}
+    moment = by_kind(worst_moments(judged(details=details), file()))["velocity"]
+    assert (moment.joint, moment.value, moment.ratio, moment.when) == ("arm_joint1", 1.0, 0.5, "1.80 s")
+
+
+def test_limits_of_no_known_joint_are_not_believed(judged, file):
+    row = judged()
+    details = {**row.details, "velocity": {"ratio_max": 0.5, "joint": "elbow", "t_worst_s": 1.8}}
+    assert by_kind(worst_moments(judged(details=details), file()))["velocity"].joint == "arm_joint3"
+
+
+def test_joints_without_a_limit_have_no_ratio(judged, file):
+    torque = np.zeros((10, 7))
+    torque[6, 1], torque[6, 5] = 40.0, 1e6
+    moment = by_kind(worst_moments(judged(), file(torque=torque)))["torque"]
+    assert (moment.joint, moment.ratio) == ("arm_joint2", 0.5)
+
+
+def test_rows_without_details_have_none(judged, file):
+    assert [m.kind for m in worst_moments(judged(details={}), file())] == ["table_collision"]
+
+
+def test_checks_are_found_at_any_depth():
+    check = {"ratio_max": 0.3}
+    assert find_checks({"a": {"b": {"jerk": check}}, "velocity": {"bandwidth_hz": 2.0}}) == {"jerk": check}
