@@ -15,6 +15,7 @@ from math import factorial
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solveh_banded
 
 from kinebench_drake.geometry import Array
 from kinebench_drake.metrics.runs import runs
@@ -30,12 +31,11 @@ speed, 1.2 to 1.9 s at that of acceleration (braking, then starting back: 8 rang
 """
 NEGLIGIBLE_RAD = 1e-4
 """Noise below this is not smoothed [rad]."""
-SMOOTHING_S = 1.0
-"""Longest window of `smooth_path` [s]; five samples at least."""
-SMOOTHING_MISFIT = 1.1
-"""A smoothing window is too long where the residuals exceed what the noise explains by this factor."""
+LOWEST_HZ = 0.25
+"""`smooth_path` keeps what is slower than this, however noisy the path [Hz]."""
 
-_DEGREE = 2  # of the polynomials of smooth_path; in the middle of a window as good as 3
+_ROUGHNESS = 3  # order of the differences that smooth_path keeps small
+_BISECTIONS = 12
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -97,47 +97,60 @@ def differentiate(t_s: Array, q: Array, sigma: Array, order: int, limits: Array)
 def smooth_path(t_s: Array, q: Array, sigma: Array) -> Array:
     """The path (T, 7) [rad] with its noise smoothed away, as far as that can be told from the motion; NaN where `q` is.
 
-    The value of a parabola fitted to a window of samples around each frame (at the ends of a run: the nearest whole
-    window). The window is the longest, up to SMOOTHING_S, whose residuals the noise alone explains: growing it stops
-    where they exceed that by SMOOTHING_MISFIT, for there the parabola begins to cut the motion's corners. Noise below
-    NEGLIGIBLE_RAD, or unknown, is left alone. Any number of columns will do, and any unit, if `sigma` shares it.
+    In each run of known frames, of all paths whose residuals are no more than the noise explains, the one with the
+    least third differences: a smoothing spline in discrete time (E. T. Whittaker, Proc. Edinburgh Math. Soc. 41, 1923;
+    C. H. Reinsch, Numer. Math. 10, 1967, who chooses the weight by the residuals, too; P. H. C. Eilers, Anal. Chem. 75,
+    2003). What the noise explains is counted less the degrees of freedom that the smooth path itself takes up. All
+    joints share one weight. Noise below NEGLIGIBLE_RAD, or unknown, is left alone. Any number of columns will do, and
+    any unit, if `sigma` shares it.
 
     Args:
         t_s: (T,) times [s], increasing.
         q: (T, 7) samples, NaN where unknown.
         sigma: (7,) or (T, 7) standard deviations of their noise.
     """
-    variance = np.broadcast_to(np.asarray(sigma, dtype=np.float64) ** 2, q.shape)
+    variance = np.maximum(np.broadcast_to(np.asarray(sigma, dtype=np.float64), q.shape), 0.1 * NEGLIGIBLE_RAD) ** 2
     smoothed = q.copy()
     for run in runs(np.isfinite(q).all(axis=-1)):
-        scale = float(np.sqrt(np.median(variance[run].sum(axis=-1))))
-        if scale / np.sqrt(q.shape[1]) > NEGLIGIBLE_RAD:
+        noisy = float(np.median(variance[run].mean(axis=-1))) > NEGLIGIBLE_RAD**2
+        if noisy and run.stop - run.start > _ROUGHNESS + 1:
             smoothed[run] = _smooth_run(t_s[run], q[run], variance[run])
     return smoothed
 
 
 def _smooth_run(t_s: Array, q: Array, variance: Array) -> Array:
-    best, n = q, 5
-    period = float(np.median(np.diff(t_s))) if len(t_s) > 1 else 1.0
-    while n <= min(len(t_s), max(5, round(SMOOTHING_S / period) + 1)):
-        basis = _basis(_windows(t_s, n), _DEGREE)  # (N or 1, n, 3)
-        first = np.clip(np.arange(len(t_s)) - n // 2, 0, len(t_s) - n)
-        at = np.arange(len(t_s)) - first
-        which = first if len(basis) > 1 else np.zeros_like(first)
-        hat = np.einsum("tk,tnk->tn", basis[which, at], basis[which])  # (T, n): smoothed = hat @ window
-        fitted = np.einsum("tn,tcn->tc", hat, np.lib.stride_tricks.sliding_window_view(q, n, axis=0)[first])
-        # A least-squares fit leaves 1 - h of the noise's variance at a sample of leverage h.
-        left = (1.0 - hat[np.arange(len(t_s)), at])[:, None] * variance
-        if np.median(np.sum((q - fitted) ** 2, axis=-1)) > SMOOTHING_MISFIT**2 * np.median(left.sum(axis=-1)):
-            break
-        best = fitted
-        n = 2 * int(0.65 * n) + 1  # 5, 7, 9, 11, 15, 19, ...
+    """Minimise sum (q - s)^2 / w + weight * sum (D s)^2, D the third differences, w the noise relative to its median.
+
+    In the form s = q - w D^T u, (I / weight + D w D^T) u = D q, which keeps parabolas to rounding.
+    """
+    n = len(t_s)
+    w = (variance / np.median(variance, axis=0)).mean(axis=-1)
+    window = np.lib.stride_tricks.sliding_window_view(t_s, _ROUGHNESS + 1)
+    apart = window[:, :, None] - window[:, None, :] + np.eye(_ROUGHNESS + 1)
+    period = float(t_s[-1] - t_s[0]) / (n - 1)
+    D = factorial(_ROUGHNESS) * period**_ROUGHNESS / apart.prod(axis=-1)  # (n - 3, 4): -1, 3, -3, 1 at even times
+    rough = np.einsum("nk,nkj->nj", D, np.lib.stride_tricks.sliding_window_view(q, _ROUGHNESS + 1, axis=0).mT)
+    DwD = np.zeros((_ROUGHNESS + 1, len(D)))
+    for k in range(min(_ROUGHNESS + 1, len(D))):  # the lower diagonals of D w D^T
+        shared = w[k + np.arange(len(D) - k)[:, None] + np.arange(_ROUGHNESS + 1 - k)]
+        DwD[k, : len(D) - k] = np.sum(D[: len(D) - k, k:] * D[k:, : _ROUGHNESS + 1 - k] * shared, axis=-1)
+    stiffness = (2.0 - 2.0 * np.cos(np.pi * np.arange(n) / n)) ** _ROUGHNESS  # eigenvalues of D^T D, nearly
+    best, low, high = q, -4.0, max(-4.0, -2.0 * _ROUGHNESS * np.log10(2.0 * np.pi * LOWEST_HZ * period))
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (low + high)
+        banded = DwD.copy()
+        banded[0] += 10.0**-middle
+        u = solveh_banded(banded, rough, lower=True, check_finite=False)
+        correction = np.zeros_like(q)
+        for k in range(_ROUGHNESS + 1):
+            correction[k : k + len(D)] += D[:, k, None] * u
+        correction *= w[:, None]
+        freedom = float(np.sum(1.0 / (1.0 + 10.0**middle * stiffness)))
+        if float(np.sum(correction**2 / variance)) <= (n - freedom) * q.shape[1]:
+            best, low = q - correction, middle
+        else:
+            high = middle
     return best
-
-
-def _basis(t: Array, degree: int) -> Array:
-    """Orthonormal polynomials (N, n, degree + 1) on the samples of each window `t` (N, n), by Gram and Schmidt."""
-    return _orthogonal(t, degree)[0]
 
 
 def _orthogonal(t: Array, degree: int) -> tuple[Array, Array]:

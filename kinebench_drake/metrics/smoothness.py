@@ -2,16 +2,24 @@
 
 Both are negative, do not change with the size of the motion, and are nearer to 0 the smoother it is. A gripper that
 does not move has no smoothness: None, never 0. Both follow the reference implementation of their authors
-(github.com/siva82kb/smoothness) to the digits it documents.
+(github.com/siva82kb/smoothness) to the digits it documents. Noise makes any motion look rough, the more so the higher
+the frame rate; two things tell that apart. The filtered SPARC looks at the slow part of a motion alone, the same at any
+frame rate. And each metric comes with its noise floor: what it would be for this motion, smoothed, if nothing but the
+track's own noise were added.
 """
 
-from collections.abc import Callable
+from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+from scipy.interpolate import CubicSpline
 
 from kinebench_drake.geometry import Array, rotation_angle
+from kinebench_drake.metrics.derivatives import smooth_path
+from kinebench_drake.metrics.noise import TrackNoise, rotation_steps, track_noise
+from kinebench_drake.metrics.runs import runs as runs
 from kinebench_drake.products import GripperTrack
 
 PAD_LEVEL = 4
@@ -28,6 +36,16 @@ STILL_M = 0.005
 STILL_RAD = 0.05
 """A gripper that stays within this angle of its first orientation does not turn [rad]."""
 
+FILTER_HZ = 1.0
+"""The filtered SPARC sees a motion through a Gaussian filter without delay, at -3 dB here ..."""
+FILTERED_CUTOFF_HZ = 2.0
+"""... and its arc ends here, whatever the amplitude: video must have at least twice as many frames a second."""
+
+DRAWS = 64
+"""Noisy copies of the smoothed motion that a noise floor is made from."""
+
+_GRID_HZ = 10.0  # the filtered speed is sampled this often at least
+
 
 def sparc(speed: ArrayLike, sampling_hz: float) -> float | None:
     """Spectral arc length of a speed profile `speed` (N,) sampled at `sampling_hz`; None for a profile of zeros.
@@ -42,19 +60,28 @@ def sparc(speed: ArrayLike, sampling_hz: float) -> float | None:
     speed = np.asarray(speed, dtype=np.float64)
     if len(speed) < 2 or not np.isfinite(speed).all() or not np.any(speed):
         return None
-    bins = int(2 ** (np.ceil(np.log2(len(speed))) + PAD_LEVEL))
-    frequency = np.arange(bins) * (sampling_hz / bins)
-    magnitude = np.abs(np.fft.fft(speed, bins))
-    magnitude /= magnitude.max()
-    kept = frequency <= min(CUTOFF_HZ, sampling_hz / 2.0)
-    frequency, magnitude = frequency[kept], magnitude[kept]
-    above = np.flatnonzero(magnitude >= AMPLITUDE_THRESHOLD)
-    if len(above) == 0 or above[-1] == above[0]:
-        return None
-    arc = slice(int(above[0]), int(above[-1]) + 1)
-    frequency, magnitude = frequency[arc], magnitude[arc]
-    df = np.diff(frequency) / (frequency[-1] - frequency[0])
-    return float(-np.sum(np.hypot(df, np.diff(magnitude))))
+    value = float(_arcs(speed[None], sampling_hz, CUTOFF_HZ, AMPLITUDE_THRESHOLD)[0])
+    return value if np.isfinite(value) else None
+
+
+def _arcs(speed: Array, sampling_hz: float, cutoff_hz: float, threshold: float) -> Array:
+    """SPARC (M,) of speed profiles (M, N), none of them all zero; NaN where no arc is left. Threshold 0 keeps all."""
+    bins = int(2 ** (np.ceil(np.log2(speed.shape[-1])) + PAD_LEVEL))
+    frequency = np.arange(bins // 2 + 1) * (sampling_hz / bins)
+    spectrum = np.fft.rfft(speed, bins)
+    magnitude = np.hypot(spectrum.real, spectrum.imag)
+    magnitude /= magnitude.max(axis=-1, keepdims=True)
+    kept = int(np.count_nonzero(frequency <= min(cutoff_hz, sampling_hz / 2.0)))
+    frequency, magnitude = frequency[:kept], magnitude[:, :kept]
+    above = magnitude >= threshold
+    first, last = np.argmax(above, axis=-1), kept - 1 - np.argmax(above[:, ::-1], axis=-1)
+    span = frequency[last] - frequency[first]
+    bin_index = np.arange(kept - 1)
+    inside = (bin_index >= first[:, None]) & (bin_index < last[:, None])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        arc = np.hypot(np.diff(frequency) / span[:, None], np.diff(magnitude, axis=-1))
+        length = np.sum(arc, axis=-1, where=inside)
+    return np.where(above.any(axis=-1) & (last > first), -length, np.nan)
 
 
 def ldlj(speed: ArrayLike, sampling_hz: float) -> float | None:
@@ -69,10 +96,73 @@ def ldlj(speed: ArrayLike, sampling_hz: float) -> float | None:
     speed = np.asarray(speed, dtype=np.float64)
     if len(speed) < 3 or not np.isfinite(speed).all() or not np.any(speed):
         return None
-    duration = len(speed) / sampling_hz
-    jerk = np.diff(speed, 2) * sampling_hz**2
-    value = duration**3 / float(np.abs(speed).max()) ** 2 * float(np.sum(jerk**2)) / sampling_hz
-    return -float(np.log(value)) if value > 0.0 else None
+    value = float(_jerks(speed[None], sampling_hz)[0])
+    return value if np.isfinite(value) else None
+
+
+def _jerks(speed: Array, sampling_hz: float) -> Array:
+    """LDLJ (M,) of speed profiles (M, N), none of them all zero; infinite where there is no jerk."""
+    duration = speed.shape[-1] / sampling_hz
+    jerk = np.diff(speed, 2, axis=-1) * sampling_hz**2
+    with np.errstate(divide="ignore"):
+        value = duration**3 / np.abs(speed).max(axis=-1) ** 2 * np.sum(jerk**2, axis=-1) / sampling_hz
+        return np.asarray(-np.log(value))
+
+
+def filtered_sparc(t_s: ArrayLike, p: ArrayLike) -> float | None:
+    """SPARC of a path `p` (N, 3) at times `t_s` (N,) [s] through one fixed filter, comparable between frame rates.
+
+    The path is interpolated by a natural cubic spline; its velocity is smoothed by the Gaussian filter that passes
+    1/sqrt(2) at FILTER_HZ, at rest before and after; the arc of the resulting speed runs to FILTERED_CUTOFF_HZ with no
+    threshold of amplitude. None below 2 FILTERED_CUTOFF_HZ frames a second, and for a path that stays where it is.
+    """
+    t_s, p = np.asarray(t_s, dtype=np.float64), np.asarray(p, dtype=np.float64)
+    if len(t_s) < 3 or _rate(t_s) < 2.0 * FILTERED_CUTOFF_HZ or not np.any(np.diff(p, axis=0)):
+        return None
+    return float(_filtered_arcs(t_s, p[:, None])[0])
+
+
+def _rate(t_s: Array) -> float:
+    return (len(t_s) - 1) / float(t_s[-1] - t_s[0])
+
+
+def _filtered_arcs(t_s: Array, p: Array) -> Array:
+    """Filtered SPARC (M,) of paths `p` (N, M, 3)."""
+    rate = _rate(t_s)
+    fine_hz = rate * max(1.0, np.ceil(_GRID_HZ / rate - 1e-9))
+    width = fine_hz * np.sqrt(np.log(2.0)) / (2.0 * np.pi * FILTER_HZ)
+    reach = int(np.ceil(4.0 * width))
+    times = t_s[0] + (np.arange(round(float(t_s[-1] - t_s[0]) * fine_hz)) + 0.5) / fine_hz
+    kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / width) ** 2)
+    velocity = CubicSpline(t_s, p, bc_type="natural")(times, 1)
+    every = max(1, int(fine_hz / _GRID_HZ))  # what the filter leaves needs no finer grid
+    padded = np.pad(velocity, ((2 * reach, 2 * reach), (0, 0), (0, 0)))
+    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1, axis=0)[::every]
+    speed = np.linalg.norm(windows @ (kernel / kernel.sum()), axis=-1).T
+    return _arcs(speed, fine_hz / every, FILTERED_CUTOFF_HZ, 0.0)
+
+
+def _speeds(t_s: Array, p: Array) -> Array:
+    """Speeds (M, N - 1) of paths `p` (N, M, 3) at even times."""
+    dt = np.diff(t_s)
+    speed = np.linalg.norm(np.diff(p, axis=0), axis=-1).T / dt
+    period = 1.0 / _rate(t_s)
+    if float(np.abs(dt - period).max()) > 1e-3 * period:
+        middle, even = 0.5 * (t_s[:-1] + t_s[1:]), t_s[0] + period * (np.arange(len(dt)) + 0.5)
+        speed = np.array([np.interp(even, middle, row) for row in speed])
+    return speed
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Floor:
+    """What a metric is for the smoothed motion with the track's measured noise: percentiles over DRAWS noisy copies."""
+
+    low: float
+    """5th percentile."""
+    median: float
+    """50th percentile."""
+    high: float
+    """95th percentile."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -85,43 +175,114 @@ class Smoothness:
     """SPARC of the TCP's rotation speed."""
     ldlj: float | None
     """LDLJ of the TCP's translation speed."""
+    sparc_filtered: float | None
+    """SPARC of the TCP's translation through the fixed filter."""
+    sparc_rotation_filtered: float | None
+    """SPARC of the TCP's rotation through the fixed filter."""
+    floors: Mapping[str, Floor]
+    """Noise floors by metric, of those metrics that have one."""
+    reasons: Mapping[str, str]
+    """Why a metric is None, or else its floor, by metric."""
+
+    @property
+    def metrics(self) -> dict[str, float | None]:
+        """All numbers by name; those of the floor of `sparc` are `sparc_floor_low`, `_median`, `_high`, and so on."""
+        values = {name: getattr(self, name) for name in METRICS}
+        for name in METRICS:
+            floor = self.floors.get(name)
+            for part in ("low", "median", "high"):
+                values[f"{name}_floor_{part}"] = None if floor is None else getattr(floor, part)
+        return values
 
 
-def runs(mask: NDArray[np.bool_]) -> list[slice]:
-    """Stretches of consecutive true values of `mask` (T,)."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
-    return [slice(int(start), int(end)) for start, end in zip(edges[::2], edges[1::2], strict=True)]
+METRICS = ("sparc", "sparc_rotation", "ldlj", "sparc_filtered", "sparc_rotation_filtered")
+"""Names of the metrics."""
 
 
-def track_smoothness(track: GripperTrack) -> Smoothness:
+def track_smoothness(track: GripperTrack, noise: TrackNoise | None = None, seed: int = 0) -> Smoothness:
     """Smoothness of the longest run of consecutive tracked frames of `track`: gaps are neither bridged nor guessed.
 
     Speeds are those between neighbouring frames. If the frames are unevenly spaced in time, the speed is read off at
     even times by linear interpolation. A run of fewer than MIN_FRAMES frames gives None, and so does a gripper that
     stays within STILL_M (translation) or STILL_RAD (rotation): what would be judged there is the tracking noise.
+
+    Args:
+        track: the gripper's path.
+        noise: its noise; None measures it (`noise.track_noise`).
+        seed: of the draws for the noise floor: the same track gives the same floor.
     """
     run = max(runs(track.tracked), key=lambda run: run.stop - run.start, default=slice(0, 0))
     X, t_s = track.X_BG[run], track.t_s[run]
-    if len(t_s) < MIN_FRAMES:
-        return Smoothness(sparc=None, sparc_rotation=None, ldlj=None)
+    n = len(t_s)
+    if n < MIN_FRAMES:
+        short = f"the longest run of tracked frames has {n}, {MIN_FRAMES} are needed"
+        return _smoothness(dict.fromkeys(METRICS, (None, None, short)))
+    noise = noise or track_noise(track.t_s, track.X_BG, track.tracked)
     p, R = X[:, :3, 3], X[:, :3, :3]
-    distance = np.linalg.norm(np.diff(p, axis=0), axis=-1)
-    angle = rotation_angle(np.swapaxes(R[:-1], -1, -2) @ R[1:])
-    moves = float(np.linalg.norm(p - p[0], axis=-1).max()) > STILL_M
-    turns = float(rotation_angle(R[0].T @ R).max()) > STILL_RAD
+    # Turns from frame to frame, added up, make a path whose steps are the rotation's.
+    turned = np.concatenate([np.zeros((1, 3)), np.cumsum(rotation_steps(R), axis=0)])
+    rng = np.random.default_rng(seed)
+    found = {
+        **_judge(
+            ("sparc", "ldlj", "sparc_filtered"),
+            t_s,
+            p,
+            noise.position_m,
+            rng,
+            None if np.linalg.norm(p - p[0], axis=-1).max() > STILL_M else f"the gripper stays within {STILL_M} m",
+        ),
+        **_judge(
+            ("sparc_rotation", "sparc_rotation_filtered"),
+            t_s,
+            turned,
+            noise.rotation_rad,
+            rng,
+            None if rotation_angle(R[0].T @ R).max() > STILL_RAD else f"the gripper stays within {STILL_RAD} rad",
+        ),
+    }
+    return _smoothness(found)
+
+
+_Judged = tuple[float | None, Floor | None, str]
+
+
+def _judge(
+    names: tuple[str, ...], t_s: Array, p: Array, sigma: float, rng: np.random.Generator, still: str | None
+) -> dict[str, _Judged]:
+    """Value, floor and reason of each metric of a path `p` (N, 3) whose noise is `sigma` an axis."""
+    if still is not None:
+        return dict.fromkeys(names, (None, None, still))
+    paths = p[:, None]
+    if np.isfinite(sigma):
+        smooth = smooth_path(t_s, p, np.full(3, sigma))
+        paths = np.concatenate([paths, smooth[:, None] + sigma * rng.standard_normal((len(p), DRAWS, 3))], axis=1)
+    rate, speeds = _rate(t_s), _speeds(t_s, paths)
+    found: dict[str, _Judged] = {}
+    for name in names:
+        if name == "ldlj":
+            values = _jerks(speeds, rate)
+        elif not name.endswith("_filtered"):
+            values = _arcs(speeds, rate, CUTOFF_HZ, AMPLITUDE_THRESHOLD)
+        elif rate >= 2.0 * FILTERED_CUTOFF_HZ * (1.0 - 1e-9):
+            values = _filtered_arcs(t_s, paths)
+        else:
+            needed = 2.0 * FILTERED_CUTOFF_HZ
+            found[name] = (None, None, f"{rate:.3g} frames a second are too few; the filter needs {needed:g}")
+            continue
+        value = float(values[0]) if np.isfinite(values[0]) else None
+        drawn = values[1:][np.isfinite(values[1:])]
+        floor = None
+        if len(drawn):
+            low, median, high = (float(v) for v in np.percentile(drawn, (5.0, 50.0, 95.0)))
+            floor = Floor(low=low, median=median, high=high)
+        reason = "the noise is not known" if floor is None else ""
+        found[name] = (value, floor, reason if value is not None else "the speed has no spectrum to measure")
+    return found
+
+
+def _smoothness(found: Mapping[str, _Judged]) -> Smoothness:
     return Smoothness(
-        sparc=_judge(sparc, distance, t_s) if moves else None,
-        sparc_rotation=_judge(sparc, angle, t_s) if turns else None,
-        ldlj=_judge(ldlj, distance, t_s) if moves else None,
+        **{name: found[name][0] for name in METRICS},
+        floors=MappingProxyType({name: floor for name in METRICS if (floor := found[name][1]) is not None}),
+        reasons=MappingProxyType({name: reason for name in METRICS if (reason := found[name][2])}),
     )
-
-
-def _judge(metric: Callable[[ArrayLike, float], float | None], step: Array, t_s: Array) -> float | None:
-    """`metric` of the speed of steps (N - 1,) between the times `t_s` (N,)."""
-    dt = np.diff(t_s)
-    period = float(t_s[-1] - t_s[0]) / len(dt)
-    speed = step / dt
-    if float(np.abs(dt - period).max()) > 1e-3 * period:
-        middle = 0.5 * (t_s[:-1] + t_s[1:])
-        speed = np.interp(t_s[0] + period * (np.arange(len(dt)) + 0.5), middle, speed)
-    return metric(speed, 1.0 / period)
