@@ -20,6 +20,7 @@ NEAR_M = 0.02
 KEPT = 1.0 + 1e-6
 """Ratio up to which a limit counts as kept."""
 
+_WATCHED = 4  # pairs a sample, the nearest, that are watched
 _MARGIN_M = 5e-4  # aimed at beyond the least distance
 
 
@@ -222,7 +223,7 @@ class Trajectory:
         return min(self.contacts, key=lambda contact: contact.distance_m - contact.least_m, default=None)
 
     def obstacles(self) -> list[Obstacle]:
-        """The distances below `NEAR_M`, linearised, twice a span."""
+        """The distances below `NEAR_M`, linearised, twice a span; of each sample the few least."""
         collision = self.course.collision
         if collision is None:
             return []
@@ -230,7 +231,8 @@ class Trajectory:
         widths = self.course.widths(self.samples_s)
         for k in range(0, len(self.samples_s), SAMPLES // 2):
             q = self.motion[0][k]
-            for near in collision.near_pairs(q, NEAR_M, None if widths is None else float(widths[k])):
+            near_pairs = collision.near_pairs(q, NEAR_M, None if widths is None else float(widths[k]))
+            for near in near_pairs[:_WATCHED]:
                 least = -self.course.table_tolerance_m if near.link_b == TABLE else 0.0
                 found.append(
                     Obstacle(

@@ -17,7 +17,7 @@ from kinebench_drake.kinematics.refusal import (
     steepest_rate,
 )
 from kinebench_drake.kinematics.spline import SplineBasis
-from kinebench_drake.kinematics.trajectory import KEPT, Course, Trajectory, TrajectoryCheck
+from kinebench_drake.kinematics.trajectory import Course, Trajectory, TrajectoryCheck
 from kinebench_drake.kinematics.tube import Obstacle, TubeSolution, solve_tube
 
 SMALLEST_M = 1e-4
@@ -33,6 +33,7 @@ _PROXIMITY = 0.5  # see solve_tube: the first weight; raised where a step went w
 _ELASTIC_PROXIMITY = 0.01
 _PROGRAMS = 5  # programs at most that leave the radius free
 _BISECTIONS = 3  # and after them, programs with the radius given
+_AIM = 0.99  # of a given radius, to leave room for the poses' curvature
 _ROUNDS = 4  # rounds of pushing a trajectory out of collisions
 _ROUND_PROGRAMS = 2  # programs a round
 _TIGHTENINGS = 2  # attempts to save torque by accelerating less
@@ -82,10 +83,10 @@ def optimize_in_tube(
     First the spline through `q` itself is checked; if it keeps everything, no program is solved. Else the program of
     `solve_tube` is linearised about `q`, then about its own result, until its least radius (which, to first order, no
     trajectory near by undercuts) and the radius that the trajectory really needs are within `RATIO` of each other;
-    where they do not meet, the radius is bisected between them. A trajectory that collides is pushed out by linearised
-    distances; one that asks for too much torque is made to accelerate less. Before a track of up to 200 frames is
-    refused, a spline twice as fine is tried. All this is local: a path elsewhere in the joint space (another elbow) is
-    not looked for, so that "infeasible" holds near `q`.
+    where they do not meet, or the tube's limit lies between them, the radius is bisected. A trajectory that collides
+    is pushed out by linearised distances; one that asks for too much torque is made to accelerate less. Before a track
+    of up to 200 frames is refused, a spline twice as fine is tried. All this is local: a path elsewhere in the joint
+    space (another elbow) is not looked for, so that "infeasible" holds near `q`.
 
     Args:
         plant: the robot.
@@ -215,16 +216,17 @@ class _Search:
         if best is None:
             return None
         for _ in range(_BISECTIONS):
-            if best.radius_m <= RATIO * low or low > LARGEST_M:
+            in_doubt = low < self.tube_limit_m < best.radius_m
+            if low > LARGEST_M or (best.radius_m <= RATIO * low and not in_doubt):
                 break
-            middle = float(np.sqrt(low * best.radius_m))
-            solution = self._solve(basis, best.q, middle, proximity, obstacles)
+            middle = self.tube_limit_m if in_doubt else float(np.sqrt(low * best.radius_m))
+            solution = self._solve(basis, best.q, _AIM * middle, proximity, obstacles)
             found = Trajectory(self.course, basis, solution.control) if solution else best
-            if found.radius_m <= middle * KEPT:
+            if found.radius_m <= middle:
                 best = found
             else:
                 low = middle
-        self.infeasible_m = low if low > SMALLEST_M else None
+        self.infeasible_m = low if SMALLEST_M < low < best.radius_m else None
         return best
 
     def _solve(
@@ -257,7 +259,7 @@ class _Search:
                 return trajectory
             obstacles += trajectory.obstacles()
             moved = self._shrink(trajectory.basis, trajectory.q, tuple(obstacles), _ROUND_PROGRAMS)
-            if moved is None:
+            if moved is None or moved.radius_m > LARGEST_M:
                 return None
             trajectory = moved
         contact = trajectory.worst_contact
