@@ -77,7 +77,8 @@ def row(id="a", **changes):
         "value": 3.0,
         "limit": 2.6,
     }
-    fields = {"feasible": False, "violations": (velocity,), **changes}
+    unreachable = {"kind": "unreachable", "frame_start": 8, "frame_end": 8, "joint": None, "value": 0.05, "limit": 1e-6}
+    fields = {"feasible": False, "violations": (velocity, unreachable), **changes}
     return SampleRow(id=id, video="", task=None, model=None, status=Status.OK, reason=None, content_hash="0", **fields)
 
 

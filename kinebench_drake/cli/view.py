@@ -1,17 +1,29 @@
 """`kinebench-drake view`."""
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from kinebench_drake.errors import InputError, UsageError
 
+if TYPE_CHECKING:
+    from kinebench_drake.kinematics.plant import ArmPlant
+
 
 @click.command(epilog="\b\nExample:\n  kinebench-drake view results/ episode_0003 --open")
 @click.argument("out", metavar="OUT", type=click.Path(path_type=Path))
 @click.argument("id", metavar="ID")
+@click.option(
+    "--robot",
+    "urdf",
+    type=click.Path(path_type=Path),
+    help="The robot's URDF, of a run that was not judged by the Panda.",
+    metavar="URDF",
+)
 @click.option("--open/--no-open", "opened", default=False, help="Show it in the browser.")
-def view(out: Path, id: str, opened: bool) -> None:
+def view(out: Path, id: str, urdf: Path | None, opened: bool) -> None:
     """Write a 3D replay of sample ID of the output folder OUT and print its path.
 
     The replay, OUT/replays/ID.html, needs nothing but a browser. It shows the arm on its way, coloured by what it
@@ -34,7 +46,7 @@ def view(out: Path, id: str, opened: bool) -> None:
             raise UsageError(f"{id}: has no track to show ({row.reason or f'tracks/{id}.npz is absent'})")
         from kinebench_drake.replay import write_replays
 
-        paths = write_replays(out, [id])
+        paths = write_replays(out, [id], _plant(out, urdf))
     except InputError as error:
         raise UsageError(str(error)) from None
     if not paths:
@@ -42,3 +54,21 @@ def view(out: Path, id: str, opened: bool) -> None:
     click.echo(paths[0])
     if opened and click.launch(paths[0].resolve().as_uri()) != 0:
         click.echo("no browser could be started; open the file by hand", err=True)
+
+
+def _plant(out: Path, urdf: Path | None) -> "ArmPlant | None":
+    """The robot that a run was judged by; None for the Panda."""
+    from kinebench_drake.report.page import read_results
+
+    config = read_results(out).get("config")
+    robot, tcp_frame = (config.get(key) if isinstance(config, Mapping) else None for key in ("robot", "tcp_frame"))
+    if robot is None and urdf is None:
+        return None
+    if robot is None:
+        raise UsageError(f"{out}: was judged by the Panda, leave out --robot")
+    if urdf is None:
+        raise UsageError(f"{out}: was judged by {robot}, name that file with --robot")
+    from kinebench_drake.kinematics.plant import ArmPlant
+    from kinebench_drake.models.arm import load_robot
+
+    return ArmPlant(load_robot(urdf, str(tcp_frame)))

@@ -23,10 +23,10 @@ class FrameState(Enum):
 
     OK = "ok"
     DOUBT = "doubt"
-    """A limit is exceeded by no more than noise explains, or the pose itself is doubtful."""
+    """A limit is exceeded, or the pose missed, by no more than noise explains; or the pose itself is doubtful."""
     UNTRACKED = "untracked"
     BROKEN = "broken"
-    """A limit is broken, or the pose is out of reach."""
+    """A violation covers it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -94,9 +94,9 @@ def frame_states(row: SampleRow, file: TrackFile) -> tuple[FrameState, ...]:
     for name in ("joint_margin", "self_distance_m", "table_distance_m"):
         if name in file.curves:
             doubt |= np.nan_to_num(file.curves[name]) < 0.0
-    broken = frames_of(row.violations, n)
     if file.status is not None:
-        broken |= np.array([s not in (IkStatus.OK, IkStatus.NOT_TRACKED) for s in file.status], dtype=bool)
+        doubt |= np.array([s not in (IkStatus.OK, IkStatus.NOT_TRACKED) for s in file.status], dtype=bool)
+    broken = frames_of(row.violations, n)
     states = np.full(n, FrameState.OK, dtype=object)
     for mask, state in ((doubt, FrameState.DOUBT), (~track.tracked, FrameState.UNTRACKED), (broken, FrameState.BROKEN)):
         states[mask] = state

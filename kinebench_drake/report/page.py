@@ -53,8 +53,21 @@ METRICS = tuple(
         ("manipulability_min", "Manipulability, least", "{:.4f}", "volume of the 6x7 Jacobian at its worst frame"),
         ("manipulability_integral", "Manipulability, integral", "{:.4f}", "over task time"),
         ("manipulability_cost_mean", "Manipulability cost", "{:.2f}", "1 / (translational volume); lower is better"),
+        ("manipulability_translation_mean", "Manipulability, moving", "{:.4f}", "volume of the translational Jacobian"),
+        ("manipulability_rotation_mean", "Manipulability, turning", "{:.4f}", "volume of the rotational Jacobian"),
+        ("manipulability_limited_mean", "Manipulability within limits, mean", "{:.4f}", "weighed by joint limits"),
+        ("manipulability_limited_min", "Manipulability within limits, least", "{:.4f}", "weighed by joint limits"),
+        (
+            "condition_number_max",
+            "Condition number, greatest",
+            "{:.1f}",
+            "of the 6x7 Jacobian; great near a singularity",
+        ),
+        ("branch_jumps", "Branch jumps", "{:.2f}", "changes of posture that the joint path needs"),
         ("sparc", "SPARC", "{:.2f}", "smoothness of the position; nearer 0 is smoother"),
         ("sparc_rotation", "SPARC, rotation", "{:.2f}", "smoothness of the turning; nearer 0 is smoother"),
+        ("sparc_filtered", "SPARC, filtered", "{:.2f}", "SPARC behind one fixed filter, to compare frame rates"),
+        ("sparc_rotation_filtered", "SPARC, rotation, filtered", "{:.2f}", "behind one fixed filter"),
         ("ldlj", "Log dimensionless jerk", "{:.2f}", "nearer 0 is smoother"),
         ("velocity_ratio_max", "Joint speed / limit", "{:.2f}", "above 1 breaks the limit"),
         ("acceleration_ratio_max", "Joint acceleration / limit", "{:.2f}", "above 1 breaks the limit"),
@@ -131,9 +144,10 @@ def shown(value: float | None, pattern: str) -> str:
 
 
 def _others(total: Aggregate) -> list[Metric]:
-    """Metrics that the page knows nothing about but their names."""
+    """Metrics that the page knows nothing about but their names; noise floors mean nothing apart from their track."""
     known = {*_BY_NAME, "feasible"}
-    return [Metric(name=n, label=n, pattern="{:.4g}", meaning="") for n in total.estimates if n not in known]
+    names = [name for name in total.estimates if name not in known and "_floor_" not in name]
+    return [Metric(name=name, label=name, pattern="{:.4g}", meaning="") for name in names]
 
 
 def _measured(total: Aggregate, name: str) -> bool:

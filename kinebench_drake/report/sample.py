@@ -1,7 +1,7 @@
 """One sample as the report shows it."""
 
 import base64
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import quote
@@ -75,7 +75,7 @@ def view_sample(out: Path, row: SampleRow, *, drawn: bool) -> SampleView:
     viewable = row.status is Status.OK and track.is_file()
     file = read_track(track) if viewable and drawn else None
     details = {name: value for name, value in row.details.items() if name != "limits"}
-    reasons = {f"no {name.replace('_', ' ')}": reason for name, reason in row.null_reasons.items()}
+    reasons = {f"no {name}": reason for name, reason in row.null_reasons.items() if "_floor_" not in name}
     return SampleView(
         row=row,
         verdict=verdict_of(row),
@@ -83,10 +83,20 @@ def view_sample(out: Path, row: SampleRow, *, drawn: bool) -> SampleView:
         thumbnail=uri,
         moments=worst_moments(row, file),
         plots=draw_curves(row, file) if file else [],
-        facts=[*list_facts(details), *list_facts(reasons)] if drawn else [],
+        facts=[*list_facts(details), *_floors(row), *list_facts(reasons)] if drawn else [],
         replay=f"replays/{quote(row.id)}.html" if (out / "replays" / f"{row.id}.html").is_file() else None,
         viewable=viewable,
     )
+
+
+def _floors(row: SampleRow) -> Iterator[Fact]:
+    """Smoothness beside what this track's motion would score with its noise."""
+    for name in row.metrics:
+        value = _number(row, name)
+        median, low, high = (_number(row, f"{name}_floor_{part}") for part in ("median", "low", "high"))
+        if value is not None and median is not None and low is not None and high is not None:
+            text = f"{value:.2f}; smoothed and with its noise {median:.2f} ({low:.2f} to {high:.2f})"
+            yield Fact(depth=0, name=name.replace("_", " "), text=text)
 
 
 def _number(row: SampleRow, name: str) -> float | None:

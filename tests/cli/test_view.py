@@ -5,6 +5,7 @@ import pytest
 
 from kinebench_drake import cli
 from kinebench_drake.geometry import make_pose
+from kinebench_drake.models.panda.robot import panda_urdf
 from kinebench_drake.products import GripperTrack
 from kinebench_drake.results import ResultStore
 from kinebench_drake.row import SampleRow, Status
@@ -86,3 +87,28 @@ def test_the_help_has_an_example(program):
     assert (code, err) == (0, "")
     assert "kinebench-drake view" in told
     assert "Example" in told
+
+
+def test_another_robot_must_be_named(program, out):
+    with ResultStore(out) as store:
+        store.finish({"config": {"robot": "arm.urdf", "tcp_frame": "tool0"}})
+    code, _, err = program(out, "reach_01")
+    assert code == 2
+    assert "arm.urdf" in err
+    code, _, err = program(out, "reach_01", "--robot", out / "nowhere.urdf")
+    assert code == 2
+    assert "nowhere.urdf" in err
+
+
+def test_another_robot_is_shown_by_its_own_meshes(program, out):
+    with ResultStore(out) as store:
+        store.finish({"config": {"robot": "panda.urdf", "tcp_frame": "panda_hand_tcp"}})
+    code, told, err = program(out, "reach_01", "--robot", panda_urdf())
+    assert (code, err) == (0, "")
+    assert told.endswith("reach_01.html\n")
+
+
+def test_the_panda_needs_no_name(program, out):
+    code, _, err = program(out, "reach_01", "--robot", out / "arm.urdf")
+    assert code == 2
+    assert "leave out --robot" in err

@@ -20,11 +20,13 @@ def test_a_limit_broken_outranks_all(judged, file):
     assert frame_states(judged(violations=(violation,)), file())[5:9] == (OK, BROKEN, BROKEN, OK)
 
 
-def test_poses_out_of_reach_are_broken(judged, file):
+def test_poses_that_are_missed_without_a_violation_are_doubt(judged, file):
     track = file()
     status = list(track.status)
     status[1], status[2] = IkStatus.UNREACHABLE, IkStatus.JOINT_LIMIT
-    assert frame_states(judged(), replace(track, status=tuple(status)))[:4] == (OK, BROKEN, BROKEN, OK)
+    violation = {"kind": "unreachable", "frame_start": 1, "frame_end": 1, "joint": None, "value": 0.1, "limit": 1e-6}
+    states = frame_states(judged(violations=(violation,)), replace(track, status=tuple(status)))
+    assert states[:4] == (OK, BROKEN, DOUBT, OK)
 
 
 @pytest.mark.parametrize("name", ["joint_margin", "self_distance_m", "table_distance_m", "velocity"])
