@@ -37,8 +37,13 @@ class Robot:
     """(7,) greatest joint accelerations [rad/s^2]; None where unpublished."""
     jerk_limits: Array | None
     """(7,) greatest joint jerks [rad/s^3]; None where unpublished."""
-    allowed_pairs: frozenset[frozenset[str]]
-    """Pairs of links whose contact is not looked for, as the robot's SRDF has them."""
+    allowed_pairs: frozenset[frozenset[str]] | None
+    """Pairs of links whose contact is not looked for, as the robot's SRDF has them.
+
+    Links that a joint connects are never looked at, nor are links without an arm joint between them, such as two
+    fingers. None: nor are those that touch with every joint in the middle of its range."""
+    remarks: tuple[str, ...] = ()
+    """What was assumed or left out when the robot was read, a line each, for the user to see."""
 
     def __post_init__(self) -> None:
         """Check the number of joints."""

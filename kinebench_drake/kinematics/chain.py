@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+from pydrake.multibody.tree import BodyIndex
 
 from kinebench_drake.geometry import Array, invert, make_pose
 from kinebench_drake.models.robot import N_JOINTS
@@ -71,22 +72,17 @@ class LinkChain:
         drake.SetPositions(context, np.zeros(drake.num_positions()))
         joints = [drake.get_joint(index) for index in drake.GetJointIndices()]
         inboard = {joint.child_body().name(): joint for joint in joints}
-        names = [
-            drake.get_body(index).name()
-            for index in drake.GetBodyIndices(drake.GetBodyByName(plant.robot.base_link).model_instance())
-        ]
-        home = {n: np.asarray(drake.GetBodyByName(n).EvalPoseInWorld(context).GetAsMatrix4()) for n in names}
+        bodies = [drake.get_body(BodyIndex(i)) for i in range(drake.num_bodies())]
+        names = [body.name() for body in bodies]
+        home = {b.name(): np.asarray(b.EvalPoseInWorld(context).GetAsMatrix4()) for b in bodies}
         self._plant = plant
         self._joints: list[_Joint] = []
-        self.stage: dict[str, int] = {}
+        self.stage = {drake.world_body().name(): 0}
         """Number of the motion that carries each link, 0 for those that never move."""
         self.home: dict[str, Array] = home
         """Poses (4, 4) of the links in B at the zero posture [m]."""
-        world = drake.world_body().name()
 
         def visit(name: str) -> int:
-            if name == world:
-                return 0
             if name not in self.stage:
                 joint = inboard[name]
                 stage = visit(joint.parent_body().name())

@@ -8,10 +8,10 @@ from pydrake.geometry import CollisionFilterDeclaration, GeometrySet
 from pydrake.math import RigidTransform
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
-from pydrake.multibody.tree import JacobianWrtVariable, MultibodyForces
+from pydrake.multibody.tree import BodyIndex, JacobianWrtVariable, MultibodyForces
 from pydrake.systems.framework import DiagramBuilder
 
-from kinebench_drake.errors import UsageError
+from kinebench_drake.errors import InputError, UsageError, cause
 from kinebench_drake.geometry import Array
 from kinebench_drake.kinematics.chain import LinkChain
 from kinebench_drake.models.panda.robot import panda
@@ -34,23 +34,25 @@ class ArmPlant:
 
         Raises:
             SetupError: the Panda's files are missing or cannot be converted.
+            InputError: Drake does not take the given robot.
         """
         self.robot = robot or panda()
         """Names, files and published limits."""
         builder: Any = DiagramBuilder()
         plant: Any
         plant, scene_graph = AddMultibodyPlantSceneGraph(builder, 0.0)
-        Parser(plant).AddModels(self.robot.urdf)
-        plant.WeldFrames(plant.world_frame(), plant.GetFrameByName(self.robot.base_link), RigidTransform())
-        plant.Finalize()
-        _allow(plant, scene_graph, self.robot)
+        try:
+            Parser(plant).AddModels(self.robot.urdf)
+            base = plant.GetFrameByName(self.robot.base_link)
+            if base.body().index() != plant.world_body().index():
+                plant.WeldFrames(plant.world_frame(), base, RigidTransform())
+            plant.Finalize()
+        except RuntimeError as error:
+            raise InputError(f"{self.robot.name}: Drake cannot load this robot ({cause(error)})") from None
         self.drake: Any = plant
         """The Drake plant itself, finalised: for the Panda 7 arm joints, then the fingers."""
         self.diagram: Any = builder.Build()
         """The plant connected to its scene graph."""
-        self._root = self.diagram.CreateDefaultContext()
-        self.context: Any = plant.GetMyMutableContextFromRoot(self._root)
-        """The plant's context that the methods use."""
         joints = [plant.GetJointByName(name) for name in self.robot.joints]
         fingers = [plant.GetJointByName(name) for name in self.robot.finger_joints]
         self._arm = _index([joint.position_start() for joint in joints])
@@ -75,6 +77,15 @@ class ArmPlant:
         self._held = np.clip(np.zeros(plant.num_positions()), low, high)
         self._held[self._fingers] = np.clip(finger_width_m / 2.0, *self._opening.T)
         self._positions = self._held.copy()
+        self.chain = LinkChain(self)
+        """Poses and Jacobians of many postures at once."""
+        given = self.robot.allowed_pairs
+        self.allowed_pairs = self._touching(0.5 * (self.lower + self.upper)) if given is None else given
+        """Pairs of links that are never checked for contact, beyond those that Drake leaves out by itself."""
+        self._filter(scene_graph)
+        self._root = self.diagram.CreateDefaultContext()
+        self.context: Any = plant.GetMyMutableContextFromRoot(self._root)
+        """The plant's context that the methods use."""
         self.base_frame: Any = plant.GetFrameByName(self.robot.base_link)
         """Frame B."""
         self.tcp_frame: Any = plant.GetFrameByName(self.robot.tcp_link)
@@ -86,8 +97,6 @@ class ArmPlant:
         self._links = {name: plant.GetFrameByName(name) for name in self.robot.links}
         self._origin = np.zeros(3)
         self._rates = np.zeros((2, plant.num_velocities()))
-        self.chain = LinkChain(self)
-        """Poses and Jacobians of many postures at once."""
 
     def set_posture(self, q: ArrayLike, finger_width_m: float | None = None) -> None:
         """Put the plant's context into a posture `q` (7,) [rad], the fingers `finger_width_m` apart.
@@ -182,18 +191,34 @@ class ArmPlant:
         self.set_posture(q, finger_width_m)
         return self.drake.get_geometry_query_input_port().Eval(self.context)
 
+    def _filter(self, scene_graph: Any) -> None:
+        """Take pairs out of the search for contacts: the allowed ones, and links with no arm joint between them."""
+        manager = scene_graph.collision_filter_manager()
+        bodies = [self.drake.get_body(BodyIndex(i)) for i in range(self.drake.num_bodies())]
+        geometry = {body.name(): self.drake.GetCollisionGeometriesForBody(body) for body in bodies}
+        for pair in sorted(self.allowed_pairs, key=sorted):
+            first, second = (GeometrySet(geometry.get(name, [])) for name in (sorted(pair) * 2)[:2])
+            manager.Apply(CollisionFilterDeclaration().ExcludeBetween(first, second))
+        together: dict[tuple[float, ...], list[Any]] = {}
+        for name, ids in geometry.items():
+            together.setdefault(tuple(self.chain.carries(name)), []).extend(ids)
+        for ids in together.values():
+            manager.Apply(CollisionFilterDeclaration().ExcludeWithin(GeometrySet(ids)))
+
+    def _touching(self, q: Array) -> frozenset[frozenset[str]]:
+        """Pairs of links that touch at `q` (7,) [rad] with nothing left out but what Drake leaves out by itself."""
+        root = self.diagram.CreateDefaultContext()
+        context = self.drake.GetMyMutableContextFromRoot(root)
+        self.drake.SetPositions(context, self.positions(q[None])[0])
+        query = self.drake.get_geometry_query_input_port().Eval(context)
+        inspector = query.inspector()
+        return frozenset(
+            frozenset(self.drake.GetBodyFromFrameId(inspector.GetFrameId(id)).name() for id in (pair.id_A, pair.id_B))
+            for pair in query.ComputeSignedDistancePairwiseClosestPoints(0.0)
+        )
+
 
 def _index(starts: list[int]) -> slice | NDArray[np.intp]:
     """Where the arm's joints are among all: a slice in the usual case that they stand in a row, which is faster."""
     in_row = starts == list(range(starts[0], starts[0] + len(starts)))
     return slice(starts[0], starts[-1] + 1) if in_row else np.array(starts, dtype=np.intp)
-
-
-def _allow(plant: Any, scene_graph: Any, robot: Robot) -> None:
-    """Take the robot's allowed pairs out of the search for contacts."""
-    manager = scene_graph.collision_filter_manager()
-    for pair in sorted(robot.allowed_pairs, key=sorted):
-        bodies = [plant.GetBodyByName(name) for name in pair if plant.HasBodyNamed(name)]
-        if len(bodies) == 2:
-            first, second = (GeometrySet(plant.GetCollisionGeometriesForBody(body)) for body in bodies)
-            manager.Apply(CollisionFilterDeclaration().ExcludeBetween(first, second))
