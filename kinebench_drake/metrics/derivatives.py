@@ -35,7 +35,7 @@ LOWEST_HZ = 0.25
 """`smooth_path` keeps what is slower than this, however noisy the path [Hz]."""
 
 _ROUGHNESS = 3  # order of the differences that smooth_path keeps small
-_BISECTIONS = 12
+_BISECTIONS = 10
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

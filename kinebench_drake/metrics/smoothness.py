@@ -14,7 +14,9 @@ from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.fft import rfft
 from scipy.interpolate import CubicSpline
+from scipy.ndimage import convolve1d
 
 from kinebench_drake.geometry import Array, rotation_angle
 from kinebench_drake.metrics.derivatives import smooth_path
@@ -68,19 +70,21 @@ def _arcs(speed: Array, sampling_hz: float, cutoff_hz: float, threshold: float) 
     """SPARC (M,) of speed profiles (M, N), none of them all zero; NaN where no arc is left. Threshold 0 keeps all."""
     bins = int(2 ** (np.ceil(np.log2(speed.shape[-1])) + PAD_LEVEL))
     frequency = np.arange(bins // 2 + 1) * (sampling_hz / bins)
-    spectrum = np.fft.rfft(speed, bins)
-    magnitude = np.hypot(spectrum.real, spectrum.imag)
-    magnitude /= magnitude.max(axis=-1, keepdims=True)
     kept = int(np.count_nonzero(frequency <= min(cutoff_hz, sampling_hz / 2.0)))
+    spectrum = rfft(speed, bins)
+    if speed.min() >= 0.0:  # then no bin exceeds the first
+        spectrum = spectrum[:, :kept]
+    magnitude = np.sqrt(spectrum.real**2 + spectrum.imag**2)
+    magnitude /= magnitude.max(axis=-1, keepdims=True)
     frequency, magnitude = frequency[:kept], magnitude[:, :kept]
     above = magnitude >= threshold
     first, last = np.argmax(above, axis=-1), kept - 1 - np.argmax(above[:, ::-1], axis=-1)
-    span = frequency[last] - frequency[first]
-    bin_index = np.arange(kept - 1)
-    inside = (bin_index >= first[:, None]) & (bin_index < last[:, None])
+    index = np.arange(kept - 1)
+    inside = (index >= first[:, None]) & (index < last[:, None])
     with np.errstate(divide="ignore", invalid="ignore"):
-        arc = np.hypot(np.diff(frequency) / span[:, None], np.diff(magnitude, axis=-1))
-        length = np.sum(arc, axis=-1, where=inside)
+        df = (frequency[1] - frequency[0]) / (frequency[last] - frequency[first])
+        arc = np.sqrt(np.diff(magnitude, axis=-1) ** 2 + df[:, None] ** 2)
+        length = np.einsum("mf,mf->m", arc, inside)
     return np.where(above.any(axis=-1) & (last > first), -length, np.nan)
 
 
@@ -134,11 +138,11 @@ def _filtered_arcs(t_s: Array, p: Array) -> Array:
     reach = int(np.ceil(4.0 * width))
     times = t_s[0] + (np.arange(round(float(t_s[-1] - t_s[0]) * fine_hz)) + 0.5) / fine_hz
     kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / width) ** 2)
-    velocity = CubicSpline(t_s, p, bc_type="natural")(times, 1)
+    velocity = CubicSpline(t_s, p.reshape(len(t_s), -1), bc_type="natural")(times, 1)
     every = max(1, int(fine_hz / _GRID_HZ))  # what the filter leaves needs no finer grid
-    padded = np.pad(velocity, ((2 * reach, 2 * reach), (0, 0), (0, 0)))
-    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1, axis=0)[::every]
-    speed = np.linalg.norm(windows @ (kernel / kernel.sum()), axis=-1).T
+    padded = np.pad(velocity, ((reach, reach), (0, 0)))
+    smooth = convolve1d(padded, kernel / kernel.sum(), axis=0, mode="constant")[::every]
+    speed = np.linalg.norm(smooth.reshape(len(smooth), -1, 3), axis=-1).T
     return _arcs(speed, fine_hz / every, FILTERED_CUTOFF_HZ, 0.0)
 
 
