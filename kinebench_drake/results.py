@@ -143,8 +143,8 @@ class ResultStore:
         with storage(SAMPLES):
             self._append(self.out / SAMPLES, dump(row.to_json()))
         self.rows[row.id] = row
-        with storage(TIMINGS):
-            self._append(self.out / TIMINGS, dump({"id": row.id, "wall_s": round(wall_s, 4)}))
+        with storage(TIMINGS), (self.out / TIMINGS).open("a") as file:  # no loss if a power cut takes it
+            file.write(dump({"id": row.id, "wall_s": round(wall_s, 4)}))
 
     def finish(self, results: Mapping[str, Json]) -> None:
         """Sort the rows and write `results.json`.

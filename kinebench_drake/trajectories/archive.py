@@ -30,7 +30,7 @@ def read_archive(path: Path, choice: Choice) -> Recording:
     if not zipfile.is_zipfile(path):
         raise InputError("is not a whole zip archive, expected an npz file as np.savez writes it")
     try:
-        with np.load(path, allow_pickle=False) as archive:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
             return _recording(path, archive, choice)
     except (OSError, ValueError, EOFError, MemoryError, RuntimeError, zipfile.BadZipFile, zlib.error) as error:
         if "pickle" in str(error):

@@ -178,7 +178,7 @@ def _rows(path: Path, episode: int, columns: Columns) -> pyarrow.Table:
 def _schema(path: Path) -> list[str]:
     try:
         return list(parquet.read_schema(path).names)
-    except (OSError, pyarrow.ArrowException) as error:
+    except (OSError, ValueError, pyarrow.ArrowException) as error:
         raise InputError(f"{path.name} is not a readable parquet file ({_told(path, error)})") from None
 
 
@@ -186,7 +186,7 @@ def _read(path: Path, columns: list[str], episode: int | None = None) -> pyarrow
     only = None if episode is None else [("episode_index", "==", episode)]
     try:
         return parquet.read_table(path, columns=columns, filters=only)
-    except (OSError, pyarrow.ArrowException) as error:
+    except (OSError, ValueError, pyarrow.ArrowException) as error:
         raise InputError(f"{path.name} is not a readable parquet file ({_told(path, error)})") from None
 
 

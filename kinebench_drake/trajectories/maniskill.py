@@ -39,8 +39,8 @@ def list_maniskill(path: Path, video: str) -> list[TrajectorySample]:
     bare = TrajectorySample(id=path.stem, path=path, video=video, format=Format.MANISKILL)
     try:
         with h5py.File(path, "r") as file:
-            names = [name for name in file if re.fullmatch(r"traj_\d+", name)]
-            held = ", ".join(list(file)[:8])
+            names = [name for name in map(str, file) if re.fullmatch(r"traj_\d+", name)]
+            held = ", ".join(map(str, list(file)[:8]))
     except (OSError, RuntimeError, KeyError) as error:
         size = path.stat().st_size if path.is_file() else 0
         told = f"is not a readable HDF5 file ({cause(error)})" if size else "the file is empty (0 bytes)"
@@ -132,7 +132,7 @@ def _found(trajectory: h5py.Group) -> str:
         return _QPOS
     articulations = trajectory.get(_ARTICULATIONS)
     names = list(articulations) if isinstance(articulations, h5py.Group) else []
-    robots = [name for name in names if _ROBOT.search(name)]
+    robots = [name for name in map(str, names) if _ROBOT.search(name)]
     if len(robots) == 1:
         return f"{_ARTICULATIONS}/{robots[0]}"
     if robots:
@@ -153,7 +153,7 @@ def _joints_of_state(state: NDArray[np.generic], name: str) -> tuple[NDArray[np.
 
 def _listed(trajectory: h5py.Group) -> str:
     names: list[str] = []
-    trajectory.visititems(lambda name, item: names.append(name) if isinstance(item, h5py.Dataset) else None)
+    trajectory.visititems(lambda name, item: names.append(str(name)) if isinstance(item, h5py.Dataset) else None)
     return ", ".join(names[:10]) + (", ..." if len(names) > 10 else "") if names else "nothing"
 
 
