@@ -12,12 +12,14 @@ from kinebench_drake.report.curves import draw_curves
 from kinebench_drake.report.facts import Fact, list_facts
 from kinebench_drake.report.frames import anomalies_of
 from kinebench_drake.report.moments import Moment, worst_moments
+from kinebench_drake.report.summary import Resolution, resolutions, summarize_checks
 from kinebench_drake.results import part_path
 from kinebench_drake.row import Json, SampleRow, Status
 from kinebench_drake.trackfile import read_track
 
 RANK = {"error": 0, "infeasible": 1, "unmeasurable": 2, "unjudged": 3, "feasible": 4}
 """Verdicts, the worst first."""
+_SHOWN_ELSEWHERE = ("limits", "checks")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,8 +34,12 @@ class SampleView:
     """Picture as a data URI."""
     moments: Sequence[Moment]
     plots: Sequence[Markup]
+    summary: Sequence[Fact]
+    """What the checks came to."""
+    resolutions: Sequence[Resolution]
+    """How well each kind of limit could be looked at."""
     facts: Sequence[Fact]
-    """What stands behind the verdict."""
+    """What else stands behind the verdict."""
     replay: str | None
     """Link to the 3D replay, relative to the page; None if none was written."""
     viewable: bool
@@ -74,7 +80,7 @@ def view_sample(out: Path, row: SampleRow, *, drawn: bool) -> SampleView:
     track = part_path(out, "tracks", row.id)
     viewable = row.status is Status.OK and track.is_file()
     file = read_track(track) if viewable and drawn else None
-    details = {name: value for name, value in row.details.items() if name != "limits"}
+    details = {name: value for name, value in row.details.items() if name not in _SHOWN_ELSEWHERE}
     reasons = {f"no {name}": reason for name, reason in row.null_reasons.items() if "_floor_" not in name}
     return SampleView(
         row=row,
@@ -83,6 +89,8 @@ def view_sample(out: Path, row: SampleRow, *, drawn: bool) -> SampleView:
         thumbnail=uri,
         moments=worst_moments(row, file),
         plots=draw_curves(row, file) if file else [],
+        summary=summarize_checks(row, file.track.t_s) if file else [],
+        resolutions=resolutions(row) if drawn else [],
         facts=[*list_facts(details), *_floors(row), *list_facts(reasons)] if drawn else [],
         replay=f"replays/{quote(row.id)}.html" if (out / "replays" / f"{row.id}.html").is_file() else None,
         viewable=viewable,

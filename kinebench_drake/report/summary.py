@@ -1,0 +1,109 @@
+"""What the checks of a trajectory came to, in a line each."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from kinebench_drake.geometry import Array
+from kinebench_drake.report.facts import Fact, list_facts
+from kinebench_drake.report.moments import find_checks
+from kinebench_drake.row import Json, SampleRow
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Resolution:
+    """How well one kind of limit could be looked at."""
+
+    kind: str
+    window_s: float | None
+    bandwidth_hz: float | None
+    noise_ratio: float | None
+    """Standard error / limit."""
+    ratios: tuple[float | None, ...]
+    """Greatest value / limit of each joint; None where the noise hides it or there is no limit."""
+
+
+def resolutions(row: SampleRow) -> list[Resolution]:
+    """Windows, bandwidths and joint ratios of the checks in a row's details."""
+    found = []
+    for kind, check in find_checks(row.details).items():
+        ratios = check.get("ratios")
+        found.append(
+            Resolution(
+                kind=kind,
+                window_s=_number(check.get("window_s")),
+                bandwidth_hz=_number(check.get("bandwidth_hz")),
+                noise_ratio=_number(check.get("noise_ratio")),
+                ratios=tuple(_number(r) for r in ratios) if isinstance(ratios, list | tuple) else (),
+            )
+        )
+    return found
+
+
+def summarize_checks(row: SampleRow, t_s: Array | None) -> list[Fact]:
+    """Noise, slow-down, fastest run and tube of a row, as far as it has them."""
+    lines = [
+        ("noise of the track", _noise(row)),
+        ("slow-down needed", _slowdown(row, t_s)),
+        ("fastest run", _fastest(row, t_s)),
+        ("smooth trajectory within all limits", _tube(row, t_s)),
+    ]
+    return [Fact(depth=0, name=name, text=text) for name, text in lines if text is not None]
+
+
+def _noise(row: SampleRow) -> str | None:
+    noise = _part(row, "noise")
+    text = ", ".join(f"{fact.text}" for fact in list_facts({k: noise.get(k) for k in ("position_m", "rotation_rad")}))
+    if not text:
+        return None
+    return f"{text} (assumed: the track is too short to tell)" if noise.get("assumed") is True else text
+
+
+def _slowdown(row: SampleRow, t_s: Array | None) -> str | None:
+    factor, by = _number(row.metrics.get("slowdown_min")), _limiter(_part(row, "slowdown"), t_s)
+    if factor is None:
+        return None
+    verdict = "none, " if factor <= 1.0 else ""
+    return f"{verdict}{factor:.3g}{by and f', for {by}'}"
+
+
+def _fastest(row: SampleRow, t_s: Array | None) -> str | None:
+    scale, by = _number(row.metrics.get("time_scale")), _limiter(_part(row, "time_scale"), t_s)
+    return None if scale is None else f"{scale:.3g} of its own time{by and f', held back by {by}'}"
+
+
+def _tube(row: SampleRow, t_s: Array | None) -> str | None:
+    feasible, radius = row.metrics.get("trajopt_feasible"), _number(row.metrics.get("trajopt_position_tube_m"))
+    part = _part(row, "trajopt")
+    against = part.get("against")
+    asked = _number(part.get("tube_limit_m"))
+    bound = "" if asked is None else f" (allowed: {asked * 1000.0:.3g} mm)"
+    if not isinstance(feasible, bool):
+        return None
+    found = f"within {radius * 1000.0:.3g} mm of the track{bound}" if radius is not None else f"none{bound}"
+    if feasible or not isinstance(against, Mapping):
+        return found
+    value, limit = _number(against.get("value")), _number(against.get("limit"))
+    numbers = "" if value is None or limit is None else f", {value:.4g} against {limit:.4g}"
+    return f"{found}; {_limiter({**against, 'limit': against.get('kind')}, t_s)} stands against it{numbers}"
+
+
+def _limiter(part: Mapping[str, Json], t_s: Array | None) -> str:
+    """The limit, joint and time that a finding names; empty if it names no limit."""
+    limit, joint, frame = part.get("limit"), part.get("joint"), part.get("frame")
+    if limit is None:
+        return ""
+    whose = f" of {joint}" if joint is not None else ""
+    when = ""
+    if isinstance(frame, int):
+        inside = t_s is not None and 0 <= frame < len(t_s)
+        when = f" at {t_s[frame]:.2f} s" if inside and t_s is not None else f" in frame {frame}"
+    return f"{str(limit).replace('_', ' ')}{whose}{when}"
+
+
+def _part(row: SampleRow, name: str) -> Mapping[str, Json]:
+    found = row.details.get(name)
+    return found if isinstance(found, Mapping) else {}
+
+
+def _number(value: Json) -> float | None:
+    return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None
