@@ -139,7 +139,8 @@ def _from_folder(folder: Path, out: Path | None) -> Inputs:
     if not samples:
         if (folder / "meta" / "info.json").is_file():
             raise UsageError(
-                f"{folder}: found a LeRobot dataset, which this version does not read; expected {_expected()}"
+                f"{folder}: found a LeRobot dataset, whose videos this version does not read (`audit` reads its "
+                f"trajectories); expected {_expected()}"
             )
         held = Counter(p.suffix.lower() or "no suffix" for p in folder.iterdir() if p.is_file())
         found = ", ".join(f"{n} x {suffix}" for suffix, n in held.most_common(4)) or "nothing"

@@ -145,7 +145,7 @@ class Measure(ABC, Generic[Sample]):
         }
         digest = hashlib.sha256(dump(told).encode())
         robot = self.stage_options.urdf
-        for file in (*self.files(sample), *(robot_files(robot) if robot else ())):
+        for file in (*self.files(sample), *((robot, *mesh_files(robot)) if robot else ())):
             digest.update(file.name.encode(errors="surrogateescape") + b"\0" + _digest(file))
         return digest.hexdigest()
 
@@ -230,12 +230,15 @@ def _null_reasons(metrics: Mapping[str, Json], judgement: Judgement | None) -> d
     return reasons
 
 
-def robot_files(urdf: Path) -> list[Path]:
-    """A URDF and those of its meshes that lie where it says, relative to its folder."""
-    text = urdf.read_text(errors="replace")
+def mesh_files(urdf: Path) -> list[Path]:
+    """Those of a URDF's meshes that lie where it says, relative to its folder; none where it cannot be read."""
+    try:
+        text = urdf.read_text(errors="replace")
+    except OSError:
+        return []
     named = sorted(set(re.findall(r'filename\s*=\s*["\']([^"\']+)["\']', text)))
     meshes = (urdf.parent / re.sub(r"^(package|file|model)://", "", name) for name in named)
-    return [urdf, *(mesh for mesh in meshes if mesh.is_file())]
+    return [mesh for mesh in meshes if mesh.is_file()]
 
 
 def _digest(file: Path) -> bytes:

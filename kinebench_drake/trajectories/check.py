@@ -103,7 +103,8 @@ def _times(given: NDArray[np.generic] | None, n: int, rate_hz: float | None, war
     broken = ~np.isfinite(t_s)
     if broken.any():
         raise InputError(f"the time of frame {int(np.argmax(broken))} is {t_s[broken][0]}, expected finite seconds")
-    steps = np.diff(t_s)
+    with np.errstate(over="ignore"):
+        steps = np.diff(t_s)
     for bad, told in ((steps < 0.0, "is before"), (steps == 0.0, "is the same as")):
         if bad.any():
             k = int(np.argmax(bad))

@@ -146,6 +146,7 @@ def _pose(name: str, size: int, names: Sequence[str] | None) -> Columns | None:
         roles.setdefault(_role(element.lower()), []).append(k)
     for layout, rotation in (
         (Layout.QUATERNION, ("qw", "qx", "qy", "qz")),
+        (Layout.QUATERNION, ("rw", "rx", "ry", "rz")),  # without rw they may be a rotation vector, or angles
         (Layout.ROLL_PITCH_YAW, ("roll", "pitch", "yaw")),
         (Layout.ROTATION_VECTOR, ("v0", "v1", "v2")),
         (Layout.ROTATION_VECTOR, ("v1", "v2", "v3")),
@@ -171,7 +172,7 @@ def _role(element: str) -> str:
         axis = vector["axis"]
         return f"v{'xyz'.index(axis)}" if axis in "xyz" else f"v{axis}"
     last, before = words[-1], set(words[:-1])
-    if last in ("roll", "pitch", "yaw", "qw", "qx", "qy", "qz"):
+    if last in ("roll", "pitch", "yaw") or re.fullmatch(r"[qr][wxyz]", last):
         return last
     if last in ("w", "x", "y", "z"):
         return f"q{last}" if last == "w" or before & _QUATERNION_WORDS else last

@@ -14,6 +14,7 @@ from kinebench_drake.errors import InputError, cause
 from kinebench_drake.geometry import Array
 from kinebench_drake.trajectories.check import MAX_FRAMES, numbers
 from kinebench_drake.trajectories.columns import Columns, Layout, find_columns
+from kinebench_drake.trajectories.description import mapping, read_description
 from kinebench_drake.trajectories.pose import from_quaternions, from_vectors
 from kinebench_drake.trajectories.sample import Format, TrajectorySample
 from kinebench_drake.trajectories.trajectory import Choice, Recording
@@ -36,10 +37,10 @@ def read_info(folder: Path) -> Mapping[str, object]:
         InputError: it is no JSON object, names no features, or is of a version that is not read.
     """
     try:
-        info = json.loads((folder / INFO).read_text())
-    except (OSError, ValueError, RecursionError) as error:
-        raise InputError(f"{INFO.as_posix()} cannot be read as JSON ({cause(error)})") from None
-    if not isinstance(info, Mapping) or not isinstance(info.get("features"), Mapping):
+        info = read_description(folder / INFO)
+    except FileNotFoundError:
+        raise InputError(f"there is no {INFO.as_posix()}, expected a LeRobot v2 or v3 dataset") from None
+    if not isinstance(info.get("features"), Mapping):
         raise InputError(f"{INFO.as_posix()} names no features, expected a LeRobot v2 or v3 dataset")
     version = str(info.get("codebase_version"))
     if not re.match(r"v?[23]\.", version):
@@ -59,7 +60,7 @@ def list_lerobot(folder: Path, name: str, choice: Choice) -> list[TrajectorySamp
         InputError: the dataset cannot be used: no description, no fitting column, no episode.
     """
     info = read_info(folder)
-    find_columns(_mapping(info["features"]), choice)  # told once, not once an episode
+    find_columns(mapping(info["features"]), choice)  # told once, not once an episode
     stem = folder.resolve().name
     samples = []
     for number, file, tasks in _episodes(folder, info):
@@ -93,7 +94,7 @@ def read_lerobot(path: Path, episode: int, info_path: Path, choice: Choice) -> R
         InputError: the file is damaged, or lacks a column or the episode.
     """
     info = read_info(info_path.parent.parent)
-    columns = find_columns(_mapping(info["features"]), choice)
+    columns = find_columns(mapping(info["features"]), choice)
     table = _rows(path, episode, columns)
     values = _matrix(table, columns.column)
     if max(columns.indices) >= values.shape[1]:
@@ -236,7 +237,3 @@ def _width(values: Array, columns: Columns) -> Array | None:
     if columns.fingers:
         return np.asarray(2.0 * values[:, columns.fingers].mean(axis=1))
     return None
-
-
-def _mapping(value: object) -> Mapping[str, object]:
-    return value if isinstance(value, Mapping) else {}

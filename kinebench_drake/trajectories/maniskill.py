@@ -4,7 +4,6 @@ The layout is that of mani_skill 3's `RecordEpisode` wrapper: groups `traj_K` wi
 articulation's state being its root's pose (7), velocities (6), then joint positions, then joint velocities.
 """
 
-import json
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 
 from kinebench_drake.errors import InputError, cause
 from kinebench_drake.trajectories.check import MAX_FRAMES
+from kinebench_drake.trajectories.description import mapping, read_description
 from kinebench_drake.trajectories.sample import Format, TrajectorySample
 from kinebench_drake.trajectories.trajectory import Choice, Recording
 
@@ -48,11 +48,11 @@ def list_maniskill(path: Path, video: str) -> list[TrajectorySample]:
     if not names:
         return [_replaced(bare, problem=f"holds no trajectory traj_0, traj_1, ... but {held or 'nothing'}")]
     about, note = _description(path.with_suffix(".json"))
-    info, episodes = _mapping(about.get("env_info")), about.get("episodes")
+    info, episodes = mapping(about.get("env_info")), about.get("episodes")
     by_id = {e.get("episode_id"): e for e in episodes if isinstance(e, Mapping)} if isinstance(episodes, list) else {}
     samples = []
     for name in sorted(names, key=lambda n: int(n.removeprefix("traj_"))):
-        episode = _mapping(by_id.get(int(name.removeprefix("traj_"))))
+        episode = mapping(by_id.get(int(name.removeprefix("traj_"))))
         task, seed, success = info.get("env_id"), episode.get("episode_seed"), episode.get("success")
         samples.append(
             TrajectorySample(
@@ -160,24 +160,19 @@ def _listed(trajectory: h5py.Group) -> str:
 def _description(path: Path) -> tuple[Mapping[str, object], str | None]:
     """The description beside a file, and what is wrong with it."""
     try:
-        data = json.loads(path.read_text())
+        return read_description(path), None
     except FileNotFoundError:
         return {}, f"{path.name} is not there: task, seed and success are unknown"
-    except (OSError, ValueError, RecursionError) as error:
-        return {}, f"{path.name} cannot be read as JSON ({cause(error)}): task, seed and success are unknown"
-    return _mapping(data), None
+    except InputError as error:
+        return {}, f"{error}: task, seed and success are unknown"
 
 
 def _rate(about: Mapping[str, object]) -> float | None:
     """Control steps per second that a description tells [Hz]."""
-    info = _mapping(about.get("env_info"))
-    arguments = _mapping(info.get("env_kwargs"))
-    for place in (info, arguments, _mapping(arguments.get("sim_config")), _mapping(arguments.get("sim_cfg"))):
+    info = mapping(about.get("env_info"))
+    arguments = mapping(info.get("env_kwargs"))
+    for place in (info, arguments, mapping(arguments.get("sim_config")), mapping(arguments.get("sim_cfg"))):
         value = place.get("control_freq")
         if isinstance(value, int | float) and not isinstance(value, bool) and value > 0:
             return float(value)
     return None
-
-
-def _mapping(value: object) -> Mapping[str, object]:
-    return value if isinstance(value, Mapping) else {}

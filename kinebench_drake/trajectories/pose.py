@@ -16,6 +16,7 @@ _ROUNDING = 1e-5  # deviations that single precision explains are mended without
 _LAST_ROW = (0.0, 0.0, 0.0, 1.0)
 
 
+@np.errstate(over="ignore", invalid="ignore")  # numbers that overflow are refused
 def rigid_poses(X: Array, known: NDArray[np.bool_]) -> tuple[Array, tuple[str, ...]]:
     """Rigid poses (T, 4, 4) from matrices that should be, and what was mended; frames that are not `known` are NaN.
 
@@ -35,7 +36,7 @@ def rigid_poses(X: Array, known: NDArray[np.bool_]) -> tuple[Array, tuple[str, .
         raise InputError(f"the last row of the pose of frame {frames[k]} is {row}: {fix}")
     R = matrices[:, :3, :3]
     deviation = np.abs(np.swapaxes(R, -1, -2) @ R - np.eye(3)).max(axis=(-1, -2), initial=0.0)
-    wrong = (deviation > REPAIRABLE) | (np.linalg.det(R) < 0.0)
+    wrong = ~(deviation <= REPAIRABLE) | (np.linalg.det(R) < 0.0)
     if wrong.any():
         k = int(np.argmax(wrong))
         if deviation[k] <= REPAIRABLE:
@@ -55,6 +56,7 @@ def rigid_poses(X: Array, known: NDArray[np.bool_]) -> tuple[Array, tuple[str, .
     return poses, ((told,) if mended else ())
 
 
+@np.errstate(over="ignore", invalid="ignore")
 def from_quaternions(p: Array, quaternion: Array) -> tuple[Array, tuple[str, ...]]:
     """Poses (T, 4, 4) from positions (T, 3) [m] and quaternions wxyz (T, 4), and what was mended.
 
@@ -64,8 +66,9 @@ def from_quaternions(p: Array, quaternion: Array) -> tuple[Array, tuple[str, ...
     frames = np.arange(len(p))
     _require_finite(np.concatenate([p, quaternion], axis=1), frames, "the pose")
     deviation = np.abs(np.linalg.norm(quaternion, axis=-1) - 1.0)
-    if (deviation > REPAIRABLE).any():
-        k = int(np.argmax(deviation > REPAIRABLE))
+    wrong = ~(deviation <= REPAIRABLE)
+    if wrong.any():
+        k = int(np.argmax(wrong))
         raise InputError(
             f"the quaternion of frame {frames[k]} has norm {np.linalg.norm(quaternion[k]):.4g}, expected 1; at most "
             f"{REPAIRABLE:g} is mended"

@@ -8,7 +8,7 @@ import pytest
 from fake_stages import LOG
 
 from kinebench_drake.audit import AuditConfig, audit_trajectories
-from kinebench_drake.measure import KINEMATIC_METRICS, robot_files
+from kinebench_drake.measure import KINEMATIC_METRICS, mesh_files
 from kinebench_drake.results import read_rows
 from kinebench_drake.row import Status
 from kinebench_drake.run import Silence
@@ -157,7 +157,7 @@ def test_another_robot_computes_anew(run, tmp_path):
     (tmp_path / "mesh.obj").write_text("v 0 0 0")
     urdf = tmp_path / "arm.urdf"
     urdf.write_text('<robot><mesh filename="mesh.obj"/><mesh filename="package://no/such.obj"/></robot>')
-    assert robot_files(urdf) == [urdf, tmp_path / "mesh.obj"]
+    assert mesh_files(urdf) == [tmp_path / "mesh.obj"]
     sums = [len(run_counted(run, urdf=urdf, tcp_frame="tool")) for _ in range(2)]
     assert sums[0] > sums[1]
     (tmp_path / "mesh.obj").write_text("v 0 0 1")

@@ -150,6 +150,15 @@ def test_poses_that_are_not_rigid(t_s, X_BG):
     )
 
 
+@pytest.mark.parametrize("value", [1e300, -1e308])
+def test_numbers_that_overflow(t_s, X_BG, q, value, recwarn):
+    assert "frame 3 is not orthonormal" in told(InputError, t_s=t_s, X_BG=changed(X_BG, (3, 0), value))
+    assert "look like millimetres" in told(InputError, t_s=t_s, X_BG=changed(X_BG, (3, 0, 3), value))
+    assert "no joint angles" in told(InputError, t_s=t_s, q=changed(q, (3, 0), value))
+    told(InputError, t_s=changed(changed(t_s, 0, -value), 3, value), q=q)
+    assert not recwarn.list
+
+
 def test_the_repair_is_the_nearest_rotation(t_s, X_BG):
     """Of all rotations near the repaired one none is nearer to what was given."""
     rng = np.random.default_rng(3)

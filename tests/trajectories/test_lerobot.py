@@ -63,6 +63,7 @@ def test_poses_in_every_layout(dataset, X_BG, quaternion):
             ["ee.pos.x", "ee.pos.y", "ee.pos.z", "ee.quat.x", "ee.quat.y", "ee.quat.z", "ee.quat.w"],
             np.hstack([p, quaternion[:, [1, 2, 3, 0]]]),
         ),
+        "rw": (["x", "y", "z", "rx", "ry", "rz", "rw"], np.hstack([p, quaternion[:, [1, 2, 3, 0]]])),
         "rpy": (["x", "y", "z", "roll", "pitch", "yaw", "pad"], np.column_stack([p, roll, pitch, yaw, 0 * yaw])),
         "vector": (["x", "y", "z", "axis_angle1", "axis_angle2", "axis_angle3"], np.hstack([p, rotation_log(R)])),
         "shuffled": (
