@@ -87,7 +87,7 @@ def audit_trajectories(config: AuditConfig, observer: Observer | None = None) ->
     summary = run_samples(config, samples, measure, observer)
     warnings = _warnings(summary.rows)
     for text, ids in list(warnings.items())[:_MOST_WARNINGS]:
-        observer.warned(f"{ids[0]}: {text}" + (f" ({len(ids) - 1} more have the same warning)" if ids[1:] else ""))
+        observer.warned(f"{ids[0]}: {text}" + (f" (and {len(ids) - 1} more)" if ids[1:] else ""))
     if len(warnings) > _MOST_WARNINGS:
         observer.warned(f"{len(warnings) - _MOST_WARNINGS} more kinds of warnings; the rows have them all")
     return summary

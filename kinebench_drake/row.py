@@ -27,7 +27,7 @@ class SampleRow:
 
     id: str
     video: str
-    """The video as named by the input, relative to it."""
+    """The video or trajectory as named by the input, relative to it."""
     task: str | None
     model: str | None
     status: Status
@@ -46,8 +46,8 @@ class SampleRow:
     """What stands behind the verdict: noise, limits joint by joint and the like."""
     extra: Mapping[str, Json] = field(default_factory=dict)
     """Further top-level keys. Of a video: frames, width, height, fps, frame_period_s, frame_period_source,
-    camera_source, seed, prompt. Of a trajectory: frames, duration_s, format, columns, warnings, seed, prompt,
-    success. Of a suite run: success, progress, rounds, verdict."""
+    camera_source, seed, prompt. Of a trajectory: frames, frames_tracked, duration_s, frame_period_s, judged,
+    columns, warnings, format, seed, prompt, success. Of a suite run: success, progress, rounds, verdict."""
 
     def to_json(self) -> dict[str, Json]:
         """The object as written, in a fixed order of keys, without NaN or infinity."""

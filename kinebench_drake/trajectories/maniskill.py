@@ -16,7 +16,7 @@ from kinebench_drake.errors import InputError, cause
 from kinebench_drake.trajectories.check import MAX_FRAMES
 from kinebench_drake.trajectories.description import mapping, read_description
 from kinebench_drake.trajectories.sample import Format, TrajectorySample
-from kinebench_drake.trajectories.trajectory import Choice, Recording
+from kinebench_drake.trajectories.trajectory import N_JOINTS, Choice, Recording
 
 SUFFIXES = frozenset({".h5", ".hdf5"})
 
@@ -106,18 +106,20 @@ def read_maniskill(path: Path, group: str, rate_hz: float | None, choice: Choice
             values: NDArray[np.generic] = np.asarray(data)
     except (OSError, RuntimeError, KeyError, ValueError) as error:
         raise InputError(f"{group} cannot be read ({cause(error)})") from None
-    columns = f"{group}/{name}"
+    columns, first = f"{group}/{name}", 0
     if name.startswith(_ARTICULATIONS):
-        values, taken = _joints_of_state(values, columns)
-        columns = f"{columns}[:, {taken}]"
+        values, first = _joints_of_state(values, columns), _ROOT
     if values.ndim != 2:
-        raise InputError(f"{group}/{name} has shape {values.shape}, expected (T, 7) to (T, 9)")
+        raise InputError(f"{columns} has shape {values.shape}, expected (T, 7) to (T, 9)")
+    fingers = values[:, N_JOINTS:].sum(axis=1) if values.shape[1] == N_JOINTS + 2 else None
+    values = values if fingers is None else values[:, :N_JOINTS]
     assumed = rate_hz is None and choice.rate_hz is None
     told = f"no control_freq is told: ManiSkill's default of {DEFAULT_RATE_HZ:g} Hz was taken; --rate HZ overrides it"
     return Recording(
         t_s=np.arange(len(values)) / (rate_hz or DEFAULT_RATE_HZ),
         q=values,
-        columns=columns,
+        finger_width_m=fingers,
+        columns=f"{columns}[:, {first}:{first + values.shape[1]}]",
         warnings=(told,) if assumed else (),
     )
 
@@ -143,12 +145,11 @@ def _found(trajectory: h5py.Group) -> str:
     )
 
 
-def _joints_of_state(state: NDArray[np.generic], name: str) -> tuple[NDArray[np.generic], str]:
-    """Joint positions (T, n) in an articulation's states (T, 13 + 2 n), and which columns they are."""
+def _joints_of_state(state: NDArray[np.generic], name: str) -> NDArray[np.generic]:
+    """Joint positions (T, n) in an articulation's states (T, 13 + 2 n)."""
     if state.ndim != 2 or state.shape[1] <= _ROOT or (state.shape[1] - _ROOT) % 2:
         raise InputError(f"{name} has shape {state.shape}, expected (T, {_ROOT} + 2 x joints)")
-    end = _ROOT + (state.shape[1] - _ROOT) // 2
-    return state[:, _ROOT:end], f"{_ROOT}:{end}"
+    return state[:, _ROOT : _ROOT + (state.shape[1] - _ROOT) // 2]
 
 
 def _listed(trajectory: h5py.Group) -> str:

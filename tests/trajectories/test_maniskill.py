@@ -44,7 +44,7 @@ def test_many_trajectories_of_a_file_in_the_order_of_their_numbers(maniskill, q)
     np.testing.assert_array_equal(found[1].q, q + 0.02)
     np.testing.assert_allclose(found[0].finger_width_m, 0.03)
     np.testing.assert_allclose(found[0].t_s, np.arange(len(q)) / 50.0)
-    assert found[0].columns == "traj_0/obs/agent/qpos"
+    assert found[0].columns == "traj_0/obs/agent/qpos[:, 0:7]"
 
 
 def test_joints_of_the_articulations_state_where_nothing_was_observed(maniskill, q):
@@ -52,8 +52,9 @@ def test_joints_of_the_articulations_state_where_nothing_was_observed(maniskill,
     path = maniskill({"traj_0": {"env_states/articulations/panda_wristcam": state(q), **cabinet}}, about())
     _, (found,) = read_all(path)
     np.testing.assert_array_equal(found.q, q)
-    assert found.columns == "traj_0/env_states/articulations/panda_wristcam[:, 13:22]"
+    assert found.columns == "traj_0/env_states/articulations/panda_wristcam[:, 13:20]"
     np.testing.assert_allclose(found.finger_width_m, 0.03)
+    assert all("control_freq" in w for w in found.warnings)
 
 
 def test_flat_observations_are_passed_over(maniskill, q):
