@@ -2,7 +2,7 @@
 BIN := .venv/bin
 JOBS ?= 2
 
-.PHONY: demo test check setup format constraints clean
+.PHONY: demo test bench check setup format constraints clean
 
 demo: setup
 	$(BIN)/kinebench-drake score examples/videos/manifest.jsonl --out demo-output --overlay
@@ -10,6 +10,11 @@ demo: setup
 
 test: check
 	$(BIN)/python -m pytest -n $(JOBS)
+
+# Inverse kinematics beside that of other packages (installed first), throughput, whole audits: a few minutes.
+bench: setup
+	$(BIN)/python -m pip --disable-pip-version-check install --quiet -c setup/constraints.txt -e '.[bench]'
+	$(BIN)/python -m kinebench_drake.validation bench --out docs/benchmarks.md
 
 check: setup
 	$(BIN)/ruff format --check .

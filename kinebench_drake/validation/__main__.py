@@ -1,9 +1,10 @@
 """`python -m kinebench_drake.validation`: trajectories with known truth, and an audit's results held against it."""
 
+import math
+import os
 from pathlib import Path
 
 import click
-import numpy as np
 
 from kinebench_drake.errors import KinebenchError
 from kinebench_drake.row import dump
@@ -50,7 +51,7 @@ def make(out: Path, kind: str, count: int, seed: int, noise_mm: float, jobs: int
 
     if noise_mm and kind != "noisy":
         raise click.UsageError(f"--noise-mm goes with --kind noisy, found --kind {kind}")
-    recipe = Recipe(set=Set(kind), seed=seed, noise_m=1e-3 * noise_mm, noise_rad=float(np.deg2rad(0.5 * noise_mm)))
+    recipe = Recipe(set=Set(kind), seed=seed, noise_m=1e-3 * noise_mm, noise_rad=math.radians(0.5 * noise_mm))
     try:
         with click.progressbar(make_set(recipe, count, out, jobs=jobs), length=count, label=kind) as truths:
             for _ in truths:
@@ -79,6 +80,38 @@ def check(results: Path, tracks: Path, as_json: bool) -> None:
     except KinebenchError as error:
         raise click.ClickException(str(error)) from None
     click.echo(dump([v.to_json() for v in verdicts], indent=2) if as_json else table(verdicts))
+
+
+@main.command()
+@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="Markdown file.  [default: on screen]")
+@click.option("--json", "json_out", type=click.Path(path_type=Path, dir_okay=False), help="All numbers, as JSON.")
+@click.option("--repeats", type=click.IntRange(min=1), default=9, show_default=True, help="Turns of each solver.")
+@click.option("--tracks", type=click.IntRange(min=1), default=1000, show_default=True, help="Tracks of the throughput.")
+@click.option("--audits", type=click.IntRange(min=1), default=200, show_default=True, help="Tracks audited whole.")
+def bench(out: Path | None, json_out: Path | None, repeats: int, tracks: int, audits: int) -> None:
+    r"""Measure the audit's speed, and its inverse kinematics beside that of other packages.
+
+    Those that are not installed are left out and said to be: pip install 'kinebench-drake[bench]' brings them.
+
+    \b
+    Example:
+      python -m kinebench_drake.validation bench --out docs/benchmarks.md
+    """
+    # Before NumPy is loaded: afterwards its libraries do not listen.
+    os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"))
+    from kinebench_drake.validation.bench import document, run_bench
+
+    try:
+        result = run_bench(repeats=repeats, tracks=tracks, audits=audits, note=lambda text: click.echo(text, err=True))
+    except KinebenchError as error:
+        raise click.ClickException(str(error)) from None
+    if json_out is not None:
+        json_out.write_text(dump(result.to_json(), indent=2))
+    if out is None:
+        click.echo(document(result))
+    else:
+        out.write_text(document(result))
+        click.echo(out)
 
 
 if __name__ == "__main__":

@@ -106,7 +106,7 @@ class Body:
             near = np.flatnonzero(z - solid.radius < height)
             if len(near):
                 height[near] = np.minimum(height[near], z[near] + (X[near, 2, :3] @ solid.vertices.T).min(axis=-1))
-        return height
+        return np.asarray(height)
 
 
 def _bodies(drake: Any) -> list[Any]:
@@ -133,7 +133,7 @@ def _about(axis: Array, point: Array, angle: Array) -> Array:
 
 def _vertices(shape: Any) -> Array:
     if isinstance(shape, Box):
-        return np.array(list(product((-0.5, 0.5), repeat=3))) * shape.size()
+        return np.asarray(np.array(list(product((-0.5, 0.5), repeat=3))) * shape.size())
     if isinstance(shape, Mesh | Convex):
         hull = shape.GetConvexHull()
         return np.array([hull.vertex(i) for i in range(hull.num_vertices())])

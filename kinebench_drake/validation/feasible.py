@@ -37,7 +37,7 @@ class Feasible:
     @property
     def t_s(self) -> Array:
         """(T,) times of the frames from 0 [s]."""
-        return self.period_s * np.arange(self.frames)
+        return np.asarray(self.period_s * np.arange(self.frames), dtype=np.float64)
 
     def trajectory(self, arm: Arm, motion_s: Array | None = None, t_s: Array | None = None) -> Trajectory:
         """The frames, or those at other times of the motion (T,) [s] with other time stamps (T,) [s]."""

@@ -73,8 +73,7 @@ def cartesian(rng: np.random.Generator, arm: Arm, at_least_s: float) -> Motion |
     )
     speed_m_s, turn_rad_s = rng.uniform(0.06, 0.35), rng.uniform(0.3, 0.9)
     start = Move(X_BG=plant.forward(q), finger_width_m=float(rng.choice([0.0, 0.04, 0.08])))
-    moves, lengths = [start], []
-    starts = [0.0]
+    moves, lengths, starts = [start], list[float](), [0.0]
     end_s = 0.0
     profile = float(rng.uniform(0.2, 0.45)) if rng.random() < 0.4 else None
     while end_s < at_least_s:
@@ -244,7 +243,7 @@ def shipped(rng: np.random.Generator, arm: Arm, at_least_s: float) -> Motion | N
         motion = plan(plant, q, 0.08, EXPERTS[task].waypoints(X_BG, _scene(rng)), steps)
     except InputError:
         return None
-    t_s = CONTROL_PERIOD_S * np.arange(steps + 1)
+    t_s = np.asarray(CONTROL_PERIOD_S * np.arange(steps + 1), dtype=np.float64)
     widths = np.concatenate([[0.08], np.maximum(motion.finger_width_m, 0.0)])
     return Motion.through(t_s, np.vstack([q, motion.q]), widths)
 

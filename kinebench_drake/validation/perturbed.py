@@ -85,8 +85,8 @@ def _long(rng: np.random.Generator, arm: Arm, x: Trajectory) -> Trajectory:
     """400 frames: to and fro."""
     n = len(x.t_s)
     to_and_fro = np.abs((np.arange(400) + n - 1) % max(2 * n - 2, 1) - (n - 1))
-    period = float(np.median(np.diff(x.t_s)))
-    return replace(_taken(x, to_and_fro), t_s=period * np.arange(400))
+    t_s = np.asarray(np.median(np.diff(x.t_s)) * np.arange(400), dtype=np.float64)
+    return replace(_taken(x, to_and_fro), t_s=t_s)
 
 
 def _taken(x: Trajectory, index: NDArray[np.intp]) -> Trajectory:

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 import numpy as np
+from numpy.typing import NDArray
 
 from kinebench_drake.geometry import Array, pose_difference, rotation_exp
 from kinebench_drake.row import Json
@@ -55,7 +56,7 @@ def _size(rng: np.random.Generator, low: float, high: float) -> float:
 def _excursion(rng: np.random.Generator, frames: int, centre: int, rise_s: float, period_s: float) -> Array:
     """Weights (T,) 0..1 of going out and back, 1 at `centre`, at rest there for a while in half of the cases."""
     rise = float(np.clip(np.ceil(rise_s / period_s), 3, max(3, frames // 2)))
-    hold = float(rng.choice([0.0, rng.integers(1, 6)]))
+    hold = float(rng.choice([0, int(rng.integers(1, 6))]))
     return minimum_jerk(1.0 - np.maximum(np.abs(np.arange(frames) - centre) - hold, 0.0) / rise)
 
 
@@ -206,8 +207,8 @@ def plant_teleport(rng: np.random.Generator, arm: Arm, base: Feasible) -> Plante
     bend = None
     if step < JUMP_STEP:
         bend = max(
-            least_bend(arm, *X[first - 2 : first + 1], base.period_s),
-            least_bend(arm, *X[first - 1 : first + 2], base.period_s),
+            least_bend(arm, X[first - 2 : first + 1], base.period_s),
+            least_bend(arm, X[first - 1 : first + 2], base.period_s),
         )
         if bend < JUMP_BEND:
             return None
@@ -313,7 +314,7 @@ def plant_limit_pose(rng: np.random.Generator, arm: Arm, base: Feasible) -> Plan
     return None
 
 
-def _range(frames: Array) -> dict[str, Json]:
+def _range(frames: NDArray[np.intp]) -> dict[str, Json]:
     return {"frame_start": int(frames[0]), "frame_end": int(frames[-1])}
 
 

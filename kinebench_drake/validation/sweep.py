@@ -77,14 +77,14 @@ def least_step(arm: Arm, X_1: Array, X_2: Array, period_s: float) -> float:
     return float(distance.min())
 
 
-def least_bend(arm: Arm, X_1: Array, X_2: Array, X_3: Array, period_s: float) -> float:
+def least_bend(arm: Arm, X_BG: Array, period_s: float) -> float:
     """Least over all triples of postures of |second difference| / (limit of acceleration * period^2), worst joint.
 
-    More than 1: no joint path within the limits passes the three poses (4, 4) at even times, since a second difference
+    More than 1: no joint path within the limits passes three poses (3, 4, 4) at even times, since a second difference
     of a path is a weighted mean of its second derivative times the squared period (its Peano kernel is a hat). Only
     triples whose first step keeps the speed limits count. Values over 2 are told as infinite.
     """
-    q_1, q_2, q_3 = (_allowed(arm, X, period_s, 512) for X in (X_1, X_2, X_3))
+    q_1, q_2, q_3 = (_allowed(arm, X, period_s, 512) for X in X_BG)
     if not len(q_1) or not len(q_2) or not len(q_3):
         return np.inf
     speed, bend = arm.plant.velocity_limits * period_s, accelerations(arm) * period_s**2

@@ -77,7 +77,7 @@ def test_the_least_bend_is_at_most_that_of_a_known_path(arm):
     q = arm.plant.robot.rest_q
     steps = 0.5 * arm.plant.acceleration_limits * 0.2**2 * np.array([1, 0, 0, 0.5, 0, 0, 0])
     X = [arm.plant.forward(x) for x in (q, q, q + steps)]
-    assert least_bend(arm, *X, 0.2) <= 0.55
+    assert least_bend(arm, np.array(X), 0.2) <= 0.55
     far = X[0].copy()
     far[:3, 3] += [0.0, 0.3, 0.0]
-    assert least_bend(arm, X[0], far, X[0], 0.2) > 1.2
+    assert least_bend(arm, np.array([X[0], far, X[0]]), 0.2) > 1.2

@@ -1,0 +1,318 @@
+"""How fast the audit is, and its inverse kinematics beside that of other packages, in one run.
+
+Ratios are what counts: all solvers do the same problems in turn, one thread each, several times over, so that whatever
+else the machine does meets them all; what is measured is this process's time on the processor. Every posture found is
+verified by Drake's forward kinematics.
+"""
+
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import numpy as np
+
+from kinebench_drake.geometry import Array
+from kinebench_drake.kinematics.ik import solve_track
+from kinebench_drake.kinematics.manipulability import manipulability_of
+from kinebench_drake.kinematics.plant import ArmPlant
+from kinebench_drake.metrics.kinematic import TrackJudge
+from kinebench_drake.metrics.limits import check_limits
+from kinebench_drake.metrics.noise import carried_noise, track_noise
+from kinebench_drake.metrics.smoothness import track_smoothness
+from kinebench_drake.products import GripperTrack
+from kinebench_drake.provenance import host
+from kinebench_drake.row import Json
+from kinebench_drake.validation.feasible import BENCHMARK_FRAMES, BENCHMARK_PERIOD_S
+from kinebench_drake.validation.motion import Arm, Motion, accelerations
+from kinebench_drake.validation.moves import cartesian
+from kinebench_drake.validation.peers import (
+    OURS,
+    OWN_PARTS,
+    PEERS,
+    PLAIN_DRAKE,
+    POSITION_M,
+    ROTATION_RAD,
+    TOLD,
+    Peer,
+    Problem,
+    Solve,
+    reached,
+)
+
+IK_TRACKS = 10
+"""Tracks of the comparison: 490 poses."""
+REPEATS = 9
+"""How often each solver does them all."""
+TRACKS = 1000
+"""Tracks of the throughput."""
+AUDITS = 200
+"""Tracks that are audited whole."""
+
+COMMAND = "make bench"
+
+_WINDOWS = 4  # tracks cut out of one long motion
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Timing:
+    """One solver on the comparison's poses."""
+
+    name: str
+    label: str
+    """With the version."""
+    how: str
+    us_a_pose: Array | None
+    """(R,) microseconds a pose of each repeat; None if the package is missing."""
+    reached: float | None
+    """Share of poses reached within limits, by Drake's forward kinematics."""
+
+    @property
+    def median(self) -> float | None:
+        """Median of the repeats [us]."""
+        return None if self.us_a_pose is None else float(np.median(self.us_a_pose))
+
+    def to_json(self) -> dict[str, Json]:
+        """As an object."""
+        return {
+            "name": self.name,
+            "label": self.label,
+            "how": self.how,
+            "us_a_pose": None if self.us_a_pose is None else self.us_a_pose.tolist(),
+            "reached": self.reached,
+        }
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Bench:
+    """What one run measured."""
+
+    timings: tuple[Timing, ...]
+    throughput_s: float
+    """Seconds for all tracks through inverse kinematics, manipulability, limits and smoothness."""
+    throughput_parts_s: Mapping[str, float]
+    """The same by part [s]."""
+    tracks: int
+    audit_s: Array
+    """(N,) seconds of each whole audit."""
+    judged_feasible: int
+    """Audits that ended in `feasible`; all tracks are expert-like."""
+    host: Mapping[str, Json]
+
+    def ratio(self, name: str) -> Array | None:
+        """Time of a solver / ours (R,), repeat by repeat."""
+        by_name = {t.name: t.us_a_pose for t in self.timings}
+        ours, theirs = by_name[OURS], by_name.get(name)
+        return None if ours is None or theirs is None else np.asarray(theirs / ours)
+
+    def to_json(self) -> dict[str, Json]:
+        """As an object."""
+        return {
+            "inverse_kinematics": [t.to_json() for t in self.timings],
+            "throughput": {
+                "tracks": self.tracks,
+                "seconds": self.throughput_s,
+                "parts_s": dict(self.throughput_parts_s),
+            },
+            "audit": {"seconds": self.audit_s.tolist(), "feasible": self.judged_feasible},
+            "host": dict(self.host),
+        }
+
+
+def smooth_motions(rng: np.random.Generator, arm: Arm, count: int) -> Iterator[tuple[Motion, Array]]:
+    """Expert-like motions within the limits of speed and acceleration, each with the times (T,) [s] of its frames."""
+    span = BENCHMARK_PERIOD_S * (BENCHMARK_FRAMES - 1)
+    found = 0
+    while found < count:
+        motion = cartesian(rng, arm, _WINDOWS * span)
+        if motion is None:
+            continue
+        for k in range(_WINDOWS):
+            t_s = np.asarray(k * span + BENCHMARK_PERIOD_S * np.arange(BENCHMARK_FRAMES), dtype=np.float64)
+            fine = np.linspace(t_s[0], t_s[-1], 1000)
+            q, v, a = (motion.q(fine, order) for order in range(3))
+            within = (q >= arm.plant.lower).all() and (q <= arm.plant.upper).all()
+            slow = (np.abs(v) <= arm.plant.velocity_limits).all() and (np.abs(a) <= accelerations(arm)).all()
+            if within and slow and found < count:
+                found += 1
+                yield motion, t_s
+
+
+def problem(arm: Arm, motion: Motion, t_s: Array) -> Problem:
+    """The poses of a motion at some times (T,) [s]."""
+    q = motion.q(t_s)
+    return Problem(t_s=t_s - t_s[0], X_BG=np.array([arm.plant.forward(row) for row in q]), q=q)
+
+
+def track_of(arm: Arm, motion: Motion, t_s: Array) -> GripperTrack:
+    """The same as a track for the audit."""
+    poses = problem(arm, motion, t_s)
+    n = len(t_s)
+    return GripperTrack(
+        t_s=poses.t_s,
+        X_CH=np.full((n, 4, 4), np.nan),
+        X_BG=poses.X_BG,
+        tracked=np.ones(n, dtype=bool),
+        confidence=np.ones(n),
+        finger_width_m=motion.width(t_s),
+    )
+
+
+def compare_ik(problems: Sequence[Problem], peers: Sequence[Peer], repeats: int) -> tuple[Timing, ...]:
+    """Time all solvers on the same problems, in turn, `repeats` times; the first, untimed turn warms them up."""
+    plant = ArmPlant()
+    solvers: dict[str, Solve] = {}
+    for peer in peers:
+        try:
+            solvers[peer.name] = peer.make(plant)
+        except ImportError:
+            continue
+    shares = {name: reached(plant, problems, solve(problems)) for name, solve in solvers.items()}
+    seconds: dict[str, list[float]] = {name: [] for name in solvers}
+    for _ in range(repeats):
+        for name, solve in solvers.items():
+            start = time.process_time()
+            solve(problems)
+            seconds[name].append(time.process_time() - start)
+    poses = sum(len(p.t_s) for p in problems)
+    return tuple(
+        Timing(
+            name=peer.name,
+            label=peer.label,
+            how=peer.how,
+            us_a_pose=1e6 * np.array(seconds[peer.name]) / poses if peer.name in seconds else None,
+            reached=shares.get(peer.name),
+        )
+        for peer in peers
+    )
+
+
+def measure_throughput(tracks: Sequence[GripperTrack]) -> dict[str, float]:
+    """Seconds that the parts of a quick audit take for all `tracks` in turn."""
+    plant = ArmPlant()
+    parts = dict.fromkeys(("inverse kinematics", "manipulability", "limits", "smoothness"), 0.0)
+
+    @contextmanager
+    def timed(part: str) -> Iterator[None]:
+        start = time.process_time()
+        yield
+        parts[part] += time.process_time() - start
+
+    for track in tracks:
+        with timed("inverse kinematics"):
+            joints = solve_track(plant, track)
+        with timed("manipulability"):
+            J = plant.chain.jacobians(joints.q)
+            manipulability_of(plant, J, joints.q)
+        with timed("limits"):
+            noise = track_noise(track.t_s, track.X_BG, track.tracked)
+            check_limits(plant, track.t_s, joints.q, carried_noise(J, noise))
+        with timed("smoothness"):
+            track_smoothness(track)
+    return parts
+
+
+def measure_audits(tracks: Sequence[GripperTrack]) -> tuple[Array, int]:
+    """Seconds (N,) of each whole audit with both trajectory optimisations, and how many end in feasible."""
+    judge = TrackJudge(ArmPlant())
+    judge.judge_poses(tracks[0])
+    seconds, feasible = [], 0
+    for track in tracks:
+        start = time.process_time()
+        result = judge.judge_poses(track)
+        seconds.append(time.process_time() - start)
+        feasible += result.feasible is True
+    return np.array(seconds), feasible
+
+
+def run_bench(
+    *,
+    seed: int = 0,
+    ik_tracks: int = IK_TRACKS,
+    repeats: int = REPEATS,
+    tracks: int = TRACKS,
+    audits: int = AUDITS,
+    peers: Sequence[Peer] = PEERS,
+    note: Callable[[str], None] = lambda text: None,
+) -> Bench:
+    """Draw the tracks, then measure; `note` is told what comes next."""
+    arm = Arm()
+    rng = np.random.default_rng(seed)
+    note(f"drawing {ik_tracks + max(tracks, audits)} tracks")
+    motions = list(smooth_motions(rng, arm, ik_tracks + max(tracks, audits)))
+    problems = [problem(arm, *drawn) for drawn in motions[:ik_tracks]]
+    drawn = [track_of(arm, *d) for d in motions[ik_tracks:]]
+    note(f"inverse kinematics of {ik_tracks} tracks, {repeats} times each")
+    timings = compare_ik(problems, peers, repeats)
+    note(f"{tracks} tracks through inverse kinematics, manipulability, limits and smoothness")
+    parts = measure_throughput(drawn[:tracks])
+    note(f"{audits} whole audits")
+    audit_s, feasible = measure_audits(drawn[:audits])
+    return Bench(
+        timings=timings,
+        throughput_s=sum(parts.values()),
+        throughput_parts_s=parts,
+        tracks=tracks,
+        audit_s=audit_s,
+        judged_feasible=feasible,
+        host=host(),
+    )
+
+
+def document(bench: Bench) -> str:
+    """The bench as a page of Markdown."""
+    poses = BENCHMARK_FRAMES * IK_TRACKS
+    lines = [
+        "# Benchmarks",
+        "",
+        f"Written by `{COMMAND}`, one thread, on {bench.host.get('cpu')} ({bench.host.get('cores')} cores). Times are "
+        "those of the process on the processor, so that other load hardly counts. Seconds are this machine's; ratios "
+        "carry over.",
+        "",
+        "## Inverse kinematics along smooth tracks",
+        "",
+        f"{poses} poses ({IK_TRACKS} expert-like tracks of {BENCHMARK_FRAMES} frames at {BENCHMARK_PERIOD_S} s), "
+        f"started from the posture of the first, reached to {1e3 * POSITION_M:g} mm and {1e3 * ROTATION_RAD:g} mrad. "
+        "The solvers take turns; ratios are of the same turn. Reached: share of poses at which Drake's forward "
+        "kinematics finds the TCP where it should be, joints within limits.",
+        "",
+        "| solver | used as | us a pose, median (least to most) | times ours, median (least to most) | reached |",
+        "| --- | --- | --- | --- | --- |",
+    ]
+    for t in bench.timings:
+        ratio = bench.ratio(t.name)
+        if t.us_a_pose is None or ratio is None or t.reached is None:
+            lines.append(f"| {t.label} | {t.how} | not installed | | |")
+            continue
+        spread = f"{t.median:.0f} ({t.us_a_pose.min():.0f} to {t.us_a_pose.max():.0f})"
+        times = f"{np.median(ratio):.1f} ({ratio.min():.1f} to {ratio.max():.1f})"
+        lines.append(f"| {t.label} | {t.how} | {spread} | {times} | {100 * t.reached:.1f} % |")
+    lines += ["", _summary(bench), "", "## Throughput", ""]
+    lines += [
+        f"{bench.tracks} tracks of {BENCHMARK_FRAMES} frames on one core, in this process: "
+        f"{bench.throughput_s:.1f} s ("
+        + ", ".join(f"{part} {seconds:.1f} s" for part, seconds in bench.throughput_parts_s.items())
+        + ").",
+        "",
+        "## The whole audit",
+        "",
+        f"{len(bench.audit_s)} tracks with collisions and both trajectory optimisations: median "
+        f"{np.median(bench.audit_s):.3f} s a track, 95th percentile {np.percentile(bench.audit_s, 95):.3f} s, most "
+        f"{bench.audit_s.max():.3f} s.",
+        "",
+    ]
+    return "\n".join(lines)
+
+
+def _summary(bench: Bench) -> str:
+    drake = bench.ratio(PLAIN_DRAKE)
+    ratios = {
+        t.label: ratio
+        for t in bench.timings
+        if t.name not in (OURS, PLAIN_DRAKE, OWN_PARTS, TOLD) and (ratio := bench.ratio(t.name)) is not None
+    }
+    said = [] if drake is None else [f"{np.median(drake):.1f} times as fast as plain Drake InverseKinematics"]
+    if ratios:
+        fastest = min(ratios, key=lambda label: float(np.median(ratios[label])))
+        said.append(f"{np.median(ratios[fastest]):.1f} times as fast as {fastest}, the fastest of the other packages")
+    return f"So ours is {' and '.join(said)}." if said else ""

@@ -1,0 +1,91 @@
+import numpy as np
+import pytest
+
+from kinebench_drake.provenance import host
+from kinebench_drake.validation.bench import (
+    Bench,
+    Timing,
+    compare_ik,
+    document,
+    measure_audits,
+    measure_throughput,
+    problem,
+    smooth_motions,
+    track_of,
+)
+from kinebench_drake.validation.peers import OURS, OWN_PARTS, PEERS, PLAIN_DRAKE, Peer, reached
+
+
+@pytest.fixture(scope="module")
+def motion(arm):
+    return next(smooth_motions(np.random.default_rng(0), arm, 1))
+
+
+def missing(plant):
+    raise ImportError("no such package")
+
+
+def test_our_and_drakes_solvers_reach_every_pose_and_missing_ones_are_said_to_be(arm, motion):
+    always = [peer for peer in PEERS if peer.name in (OURS, OWN_PARTS, PLAIN_DRAKE)]
+    absent = Peer(name="absent", how="not at all", package="absent-package", make=missing)
+    timings = {t.name: t for t in compare_ik([problem(arm, *motion)], [*always, absent], repeats=2)}
+    assert timings["absent"].us_a_pose is None
+    for name in (OURS, OWN_PARTS, PLAIN_DRAKE):
+        assert timings[name].reached == 1.0
+        assert timings[name].us_a_pose.shape == (2,)
+        assert (timings[name].us_a_pose > 0.0).all()
+
+
+@pytest.mark.parametrize("peer", [p for p in PEERS if p.name not in (OURS, PLAIN_DRAKE)], ids=lambda p: p.name)
+def test_other_packages_do_the_same_task(arm, motion, peer):
+    if peer.package is not None:
+        pytest.importorskip(peer.package.removeprefix("pin-").replace("-", "_"))
+    (timing,) = compare_ik([problem(arm, *motion)], [peer], repeats=1)
+    assert timing.reached > 0.8  # used rightly: a wrong frame or unit would reach none
+
+
+def test_verification_sees_a_wrong_posture_and_one_past_its_limits(arm, motion):
+    p = problem(arm, *motion)
+    assert reached(arm.plant, [p], [p.q]) == 1.0
+    off = p.q.copy()
+    off[:10, 0] += 1e-3
+    assert reached(arm.plant, [p], [off]) == pytest.approx(1.0 - 10 / len(off))
+    assert reached(arm.plant, [p], [p.q + 2.0 * np.pi]) == 0.0
+
+
+def test_tracks_are_benchmark_episodes_the_arm_can_make(arm, motion):
+    track = track_of(arm, *motion)
+    assert len(track.t_s) == 49
+    np.testing.assert_allclose(np.diff(track.t_s), 0.2)
+    assert set(measure_throughput([track])) == {"inverse kinematics", "manipulability", "limits", "smoothness"}
+    seconds, feasible = measure_audits([track])
+    assert seconds.shape == (1,)
+    assert feasible == 1
+
+
+def timing(name, us):
+    return Timing(name=name, label=name, how="so", us_a_pose=None if us is None else np.array(us), reached=1.0)
+
+
+def test_the_page_tells_ratios_turn_by_turn():
+    bench = Bench(
+        timings=(
+            timing(OURS, [10.0, 20.0, 10.0]),
+            timing(PLAIN_DRAKE, [300.0, 600.0, 200.0]),
+            timing("slow", [100.0, 200.0, 100.0]),
+            timing("quick", [40.0, 60.0, 30.0]),
+            timing("gone", None),
+        ),
+        throughput_s=12.34,
+        throughput_parts_s={"inverse kinematics": 12.34},
+        tracks=1000,
+        audit_s=np.array([0.1, 0.2, 0.3]),
+        judged_feasible=3,
+        host=host(),
+    )
+    text = document(bench)
+    assert "| quick | so | 40 (30 to 60) | 3.0 (3.0 to 4.0) | 100.0 % |" in text
+    assert "ours is 30.0 times as fast as plain Drake InverseKinematics and 3.0 times as fast as quick" in text
+    assert "| gone | so | not installed | | |" in text
+    assert "12.3 s" in text
+    assert "median 0.200 s" in text
