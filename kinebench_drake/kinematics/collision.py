@@ -131,8 +131,8 @@ class CollisionModel:
     def self_distance(self, q: ArrayLike, finger_width_m: ArrayLike | None = None) -> Clearance:
         """Least distance between two links that must not touch, at postures `q` (N, 7) [rad].
 
-        Exact for the convex hulls, far postures included; by Drake's SceneGraph. The fingers are `finger_width_m` (N,)
-        [m] apart; None or NaN: as the plant has them.
+        By Drake's SceneGraph; exact to 1e-6 m for polytopes, far postures included. The fingers are `finger_width_m`
+        (N,) [m] apart; None or NaN: as the plant has them.
 
         Raises:
             UsageError: `q` is not (N, 7), or `finger_width_m` not (N,).
@@ -196,8 +196,8 @@ class CollisionModel:
 
         A link made of several solids appears once for each that is near. The gradient is n . (J_A(a) - J_B(b)) with a
         and b the nearest points, J their translational Jacobians and n the direction from b to a (from a to b in
-        penetration): the derivative wherever the nearest points are unique, and one of the one-sided derivatives'
-        bounds where they are not (parallel faces).
+        penetration): the derivative wherever the nearest points are unique. Where they are not (parallel faces) it is
+        the derivative of one of the candidates.
 
         Raises:
             UsageError: `q` is not (7,).

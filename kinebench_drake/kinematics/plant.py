@@ -47,7 +47,7 @@ class ArmPlant:
             if base.body().index() != plant.world_body().index():
                 plant.WeldFrames(plant.world_frame(), base, RigidTransform())
             plant.Finalize()
-        except RuntimeError as error:
+        except (RuntimeError, ValueError) as error:
             raise InputError(f"{self.robot.name}: Drake cannot load this robot ({cause(error)})") from None
         self.drake: Any = plant
         """The Drake plant itself, finalised: for the Panda 7 arm joints, then the fingers."""

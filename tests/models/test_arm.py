@@ -1,0 +1,266 @@
+from collections.abc import Callable
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from kinebench_drake.errors import InputError, UsageError
+from kinebench_drake.kinematics.collision import CollisionModel
+from kinebench_drake.kinematics.plant import ArmPlant
+from kinebench_drake.models.arm import load_robot
+from kinebench_drake.models.panda.robot import TCP_LINK, panda, source_urdf
+from kinebench_drake.models.robot import Robot
+
+Write = Callable[..., Path]
+ROBOTS = source_urdf().parent.parent
+FINGERS = "".join(
+    f'<link name="f{i}"><collision><origin xyz="0 0 0.15"/><geometry><box size="0.02 0.02 0.04"/></geometry>'
+    f'</collision></link><joint name="slide{i}" type="prismatic"><parent link="l7"/><child link="f{i}"/>'
+    f'<axis xyz="0 {axis} 0"/>'
+    '<limit lower="0" upper="0.03" velocity="1" effort="1"/></joint>'
+    for i, axis in ((1, 1), (2, -1))
+)
+
+
+def _chain(robot: Robot, q: np.ndarray) -> np.ndarray:
+    """Pose of the made-up arm's tool, written out: 0.2 m up, then a turn about z or y, seven times."""
+    X = np.eye(4)
+    for i, angle in enumerate(q):
+        c, s = np.cos(angle), np.sin(angle)
+        R = [[c, -s, 0], [s, c, 0], [0, 0, 1]] if i % 2 == 0 else [[c, 0, s], [0, 1, 0], [-s, 0, c]]
+        step = np.eye(4)
+        step[:3, :3], step[2, 3] = R, 0.2
+        X = X @ step
+    tool = np.eye(4)
+    tool[2, 3] = 0.1
+    return np.asarray(X @ tool)
+
+
+def test_the_pandas_own_urdf_gives_the_panda() -> None:
+    loaded, own = load_robot(source_urdf(), TCP_LINK), panda()
+    for name in ("base_link", "tcp_link", "hand_link", "joints", "finger_joints", "allowed_pairs", "remarks"):
+        assert getattr(loaded, name) == getattr(own, name)
+    np.testing.assert_array_equal(loaded.rest_q, own.rest_q)
+    np.testing.assert_array_equal(loaded.effort_limits, own.effort_limits)
+    assert set(own.links) < set(loaded.links)
+    assert loaded.acceleration_limits is None
+    assert loaded.jerk_limits is None
+    assert {field.name for field in fields(Robot)} >= {"rest_q", "remarks"}
+
+
+def test_a_made_up_arm_moves_as_written(write_arm: Write) -> None:
+    plant = ArmPlant(load_robot(write_arm(), "tool"))
+    robot = plant.robot
+    assert (robot.name, robot.base_link, robot.tcp_link) == ("small", "l0", "tool")
+    assert robot.joints == tuple(f"j{i}" for i in range(1, 8))
+    assert robot.finger_joints == ()
+    assert robot.links == (*(f"l{i}" for i in range(8)), "tool")
+    np.testing.assert_array_equal(robot.rest_q, np.full(7, 0.5))  # the middle of -1 .. 2
+    np.testing.assert_array_equal(robot.effort_limits, np.full(7, 20.0))
+    np.testing.assert_array_equal([plant.lower, plant.upper, plant.velocity_limits], [[-1.0] * 7, [2.0] * 7, [1.5] * 7])
+    for q in np.random.default_rng(0).uniform(plant.lower, plant.upper, size=(5, 7)):
+        np.testing.assert_allclose(plant.forward(q), _chain(robot, q), atol=1e-12)
+
+
+def test_joints_need_not_come_first_in_drakes_order(write_arm: Write) -> None:
+    """A slide and a wheel hang on the base, before the arm's joints: the arm must not notice."""
+    more = (
+        '<link name="wheel"/><joint name="a_wheel" type="revolute"><parent link="l0"/><child link="wheel"/>'
+        '<axis xyz="1 0 0"/><limit lower="0.3" upper="1" velocity="1" effort="1"/></joint>'
+        '<link name="box"/><joint name="a_slide" type="prismatic"><parent link="wheel"/><child link="box"/>'
+        '<axis xyz="1 0 0"/><limit lower="0" upper="0.01" velocity="1" effort="1"/></joint>'
+    )
+    urdf = write_arm(more=more)
+    joints = urdf.read_text().split("\n")
+    urdf.write_text(
+        "\n".join([joints[0], joints[-1].split("</joint>", 1)[1].removesuffix("</robot>"), *joints[1:-1]])
+        + joints[-1].split("</joint>", 1)[0]
+        + "</joint></robot>"
+    )
+    plant, plain = ArmPlant(load_robot(urdf, "tool")), ArmPlant(load_robot(write_arm(), "tool"))
+    assert plant.robot.finger_joints == ("a_slide",)
+    rng = np.random.default_rng(1)
+    q, v, a = rng.uniform(plant.lower, plant.upper, size=(3, 7))
+    np.testing.assert_allclose(plant.forward(q), plain.forward(q), atol=1e-12)
+    np.testing.assert_allclose(plant.jacobian(q), plain.jacobian(q), atol=1e-12)
+    np.testing.assert_allclose(plant.chain.jacobians(q[None])[0], plain.jacobian(q), atol=1e-12)
+    np.testing.assert_allclose(plant.torque(q, v, a), plain.torque(q, v, a), atol=1e-9)
+    np.testing.assert_allclose(plant.mass_matrix(q), plain.mass_matrix(q), atol=1e-9)
+    wheel = plant.link_poses(q)["wheel"]
+    assert wheel[2, 1] == pytest.approx(np.sin(0.3))  # held at its limit nearest to 0
+
+
+def test_fingers_open_by_half_the_gap_each_and_may_close(write_arm: Write) -> None:
+    plant = ArmPlant(load_robot(write_arm(more=FINGERS), "tool"))
+    assert plant.robot.finger_joints == ("slide1", "slide2")
+    assert plant.robot.hand_link == "l7"
+    q = plant.robot.rest_q[None]
+    for width, apart in ((0.0, 0.0), (0.05, 0.05), (0.2, 0.06)):
+        left, right = (plant.chain.poses(q, link, [width])[0, :3, 3] for link in ("f1", "f2"))
+        assert np.linalg.norm(left - right) == pytest.approx(apart)
+    model = CollisionModel(plant)
+    closed = model.near_pairs(plant.robot.rest_q, 10.0, 0.0)
+    assert not any({p.link_a, p.link_b} == {"f1", "f2"} for p in closed)
+    assert any("f1" in (p.link_a, p.link_b) for p in closed)
+
+
+def test_links_that_touch_mid_way_may_touch_without_an_srdf_and_not_with_one(write_arm: Write) -> None:
+    big = {3: '<sphere radius="0.21"/>', 5: '<sphere radius="0.21"/>'}
+    urdf = write_arm(shapes=big)
+    robot = load_robot(urdf, "tool")
+    assert robot.allowed_pairs is None
+    assert any("small.srdf" in remark for remark in robot.remarks)
+    plant = ArmPlant(robot)
+    assert frozenset({"l3", "l5"}) in plant.allowed_pairs
+    near = CollisionModel(plant).near_pairs(robot.rest_q, 1.0)
+    assert not any((p.link_a, p.link_b) == ("l3", "l5") for p in near)
+    urdf.with_suffix(".srdf").write_text('<robot><disable_collisions link1="l0" link2="l2"/></robot>')
+    given = ArmPlant(load_robot(urdf, "tool"))
+    assert given.allowed_pairs == {frozenset({"l0", "l2"})}
+    near = CollisionModel(given).near_pairs(robot.rest_q, 0.0)
+    assert any((p.link_a, p.link_b) == ("l3", "l5") for p in near)
+    assert CollisionModel(given).self_distance(robot.rest_q[None]).distance_m[0] < 0.0
+
+
+def test_primitive_shapes_meet_the_table_where_geometry_says(write_arm: Write) -> None:
+    """Arm upright (q = 0), then its last part turned by 0.5 rad about y: each shape's lowest point in closed form."""
+    shapes = {
+        6: '<sphere radius="0.03"/>',
+        7: '<cylinder radius="0.03" length="0.1"/>',
+    }
+    plant = ArmPlant(load_robot(write_arm(shapes=shapes), "tool"))
+    q = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.5, 0.0])
+    lowest = {p.link_a: p.distance_m for p in CollisionModel(plant).near_pairs(q, 10.0) if p.link_b == "table"}
+    c, s = np.cos(0.5), np.sin(0.5)
+    assert lowest["l1"] == pytest.approx(0.2 + 0.1 - 0.05)  # a box 0.1 m high
+    assert lowest["l6"] == pytest.approx(1.2 + 0.1 * c - 0.03)
+    assert lowest["l7"] == pytest.approx(1.2 + 0.3 * c - 0.05 * c - 0.03 * s)
+    assert "l0" not in lowest
+    table = CollisionModel(plant, table_height_m=0.5).table_distance(q[None])
+    assert table.distance_m[0] == pytest.approx(0.25 - 0.5)
+    assert table.pair == (("l1", "table"),)
+
+
+def test_round_shapes_have_exact_distances_and_gradients(write_arm: Write) -> None:
+    shapes = {2: '<sphere radius="0.04"/>', 5: '<cylinder radius="0.03" length="0.1"/>', 7: '<sphere radius="0.05"/>'}
+    plant = ArmPlant(load_robot(write_arm(shapes=shapes), "tool"))
+    model = CollisionModel(plant)
+    q = np.array([0.2, 1.9, 0.4, 1.8, -0.3, 1.5, 0.1])
+
+    def distances(q: np.ndarray) -> dict[tuple[str, str], float]:
+        return {(p.link_a, p.link_b): p.distance_m for p in model.near_pairs(q, 10.0)}
+
+    centers = {link: plant.link_poses(q)[link] @ [0.0, 0.0, 0.1, 1.0] for link in ("l2", "l7")}
+    expected = np.linalg.norm(centers["l2"] - centers["l7"]) - 0.09
+    assert distances(q)["l2", "l7"] == pytest.approx(expected, abs=1e-9)
+    checked = set()
+    for p in model.near_pairs(q, 10.0):
+        pair = (p.link_a, p.link_b)
+        rounded = "l5" in pair and "table" not in pair  # cylinders: Drake iterates, to about 1e-6 m
+        h, atol = (1e-4, 2e-2) if rounded else (1e-6, 1e-5)
+        slope = [(distances(q + h * e)[pair] - distances(q - h * e)[pair]) / (2 * h) for e in np.eye(7)]
+        np.testing.assert_allclose(p.gradient, slope, atol=atol, err_msg=str(pair))
+        checked.add(pair)
+    assert {("l2", "l7"), ("l2", "l5"), ("l5", "table"), ("l7", "table")} <= checked
+
+
+def test_joints_without_end_turn_half_a_turn_each_way_and_are_remarked(write_arm: Write) -> None:
+    plant = ArmPlant(load_robot(write_arm(types={1: "continuous", 7: "continuous"}), "tool"))
+    assert plant.lower[[0, 6]].tolist() == [-np.pi, -np.pi]
+    assert plant.upper[[0, 6]].tolist() == [np.pi, np.pi]
+    assert plant.robot.rest_q[0] == 0.0
+    assert any("j1, j7" in remark for remark in plant.robot.remarks)
+
+
+def test_visuals_that_cannot_be_read_are_remarked(write_arm: Write) -> None:
+    robot = load_robot(write_arm(visuals={2: '<mesh filename="no.dae"/>'}), "tool")
+    assert any("not drawn: those of l2" in remark for remark in robot.remarks)
+    ArmPlant(robot)
+
+
+@pytest.mark.parametrize(
+    ("arm", "tcp", "error", "message"),
+    [
+        ({}, "hand", UsageError, "no link 'hand'; it has l0, l1, "),
+        ({"joints": 6}, "tool", InputError, "6 turning joints between l0 and tool .*j6.*, expected 7"),
+        ({"joints": 8}, "tool", InputError, "8 turning joints"),
+        ({}, "l0", InputError, "0 turning joints between l0 and l0 .none."),
+        ({"types": {2: "prismatic"}}, "tool", InputError, "joint j2 between l0 and tool is prismatic"),
+        ({"types": {2: "floating"}}, "tool", InputError, "joint j2 is floating, expected revolute"),
+        ({"limits": {4: ""}}, "tool", InputError, "joint j4 has no positive velocity limit"),
+        ({"limits": {4: '<limit lower="0" upper="1" velocity="0"/>'}}, "tool", InputError, "joint j4 has no positive"),
+        ({"limits": {4: '<limit lower="1" upper="0" velocity="1"/>'}}, "tool", InputError, "joint j4 has the limits 1"),
+        (
+            {"limits": {4: '<limit lower="a" upper="1" velocity="1"/>'}},
+            "tool",
+            InputError,
+            "joint j4 has the limits nan",
+        ),
+        ({"more": '<link name="loose"/>'}, "tool", InputError, "2 links hang on no joint .l0, loose."),
+        (
+            {"more": '<joint name="x" type="fixed"><parent link="l1"/><child link="l3"/></joint>'},
+            "tool",
+            InputError,
+            "link l3 hangs on two joints, j3 and x",
+        ),
+        (
+            {"more": '<joint name="x" type="fixed"><parent link="l1"/><child link="gone"/></joint>'},
+            "tool",
+            InputError,
+            "joint x names the link 'gone'",
+        ),
+        (
+            {
+                "more": '<link name="a"/><link name="b"/>'
+                '<joint name="x" type="fixed"><parent link="a"/><child link="b"/></joint>'
+                '<joint name="y" type="fixed"><parent link="b"/><child link="a"/></joint>'
+            },
+            "tool",
+            InputError,
+            "the joints of a, b form a loop",
+        ),
+    ],
+)
+def test_an_arm_that_cannot_be_judged_is_refused_in_one_line(
+    write_arm: Write, arm: dict[str, object], tcp: str, error: type[Exception], message: str
+) -> None:
+    with pytest.raises(error, match=message) as caught:
+        load_robot(write_arm(**arm), tcp)
+    assert "\n" not in str(caught.value)
+    assert str(caught.value).startswith("small.urdf")
+
+
+def test_missing_file_is_a_usage_error(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"^no\.urdf: there is no such file"):
+        load_robot(tmp_path / "no.urdf", "tool")
+
+
+def test_what_drake_refuses_is_one_line(write_arm: Write) -> None:
+    robot = load_robot(write_arm(shapes={2: '<box size="a b"/>'}), "tool")
+    with pytest.raises(InputError, match="small: Drake cannot load this robot") as caught:
+        ArmPlant(robot)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("file", "tcp", "fingers"),
+    [
+        ("panda/panda_v3.urdf", "camera_link", 2),
+        ("panda/panda_stick.urdf", "panda_hand_tcp", 0),
+        ("panda/panda_pinch.urdf", "panda_hand_tcp", 2),
+        ("xarm7/xarm7.urdf", "link_eef", 0),
+        ("xarm7/xarm7_ability_right_hand.urdf", "link7", 0),
+    ],
+)
+def test_maniskills_seven_joint_arms_load(file: str, tcp: str, fingers: int) -> None:
+    plant = ArmPlant(load_robot(ROBOTS / file, tcp))
+    assert len(plant.robot.finger_joints) == fingers
+    model = CollisionModel(plant)
+    rest = plant.robot.rest_q
+    assert ((plant.lower <= rest) & (rest <= plant.upper)).all()
+    assert model.self_distance(rest[None]).distance_m[0] > 0.0
+    assert model.table_distance(rest[None]).distance_m[0] > 0.0
+    np.testing.assert_allclose(plant.chain.jacobians(rest[None])[0], plant.jacobian(rest), atol=1e-12)
+    assert np.isfinite(plant.torque(rest, np.zeros(7), np.zeros(7))).all()
