@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera
-from kinebench_drake.errors import SetupError, UsageError
+from kinebench_drake.errors import InputError, SetupError, UsageError
 from kinebench_drake.geometry import Array
 from kinebench_drake.products import Anomaly, GripperTrack, JointTrack
 from kinebench_drake.row import Json
@@ -116,9 +116,12 @@ def load_stages(path: str, options: StageOptions) -> Stages:
 
     Raises:
         SetupError: a library, a driver or the weights are missing.
+        UsageError: the robot that the command line named cannot be used.
     """
     module, _, name = path.partition(":")
     try:
         return cast(Stages, getattr(importlib.import_module(module), name)(options))
     except (ImportError, AttributeError) as error:
         raise SetupError(f"cannot load {path} ({error}); `kinebench-drake doctor` tells what is missing") from None
+    except InputError as error:
+        raise UsageError(f"--robot and --tcp-frame: {error}") from None

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import make_pose
 from kinebench_drake.products import Anomaly, AnomalyKind, GripperTrack, IkStatus, JointTrack
 from kinebench_drake.stages import Judgement
@@ -41,6 +42,8 @@ class FakeGrounding:
 
 class FakeStages:
     def __init__(self, options):
+        if options.tcp_frame == "nowhere":
+            raise InputError("arm.urdf has no frame nowhere")
         self._options = options
         self._infeasible = False
 

@@ -207,6 +207,15 @@ def test_audit_tells_what_it_did(program, source, tmp_path):
     assert "nothing could be measured (1 error)" in err
 
 
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_a_robot_that_cannot_be_used_stops_the_run_at_once(program, source, tmp_path, jobs):
+    (tmp_path / "arm.urdf").write_text("<robot/>")
+    robot = ["--robot", tmp_path / "arm.urdf", "--tcp-frame", "nowhere"]
+    code, _, err = program("audit", source, "--out", tmp_path / "out", "--jobs", jobs, *robot)
+    assert code == 2
+    assert err.splitlines() == ["kinebench-drake: --robot and --tcp-frame: arm.urdf has no frame nowhere"]
+
+
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
