@@ -273,7 +273,7 @@ def _clear(
         table = collision.table_distance(joints.q, widths)
         bad = joints.ok & (np.minimum(own.distance_m, table.distance_m) < -tolerance_m)
         # The tool goes where the pose puts it: if it is the tool that meets the table, no posture helps.
-        by_tool = [pair is not None and pair[0] in plant.tool for pair in table.pair]
+        by_tool = np.array([pair is not None and pair[0] in plant.tool for pair in table.pair], dtype=bool)
         stuck |= {int(i) for i in np.flatnonzero(bad & by_tool & (table.distance_m < -tolerance_m))}
         fresh = {int(i) for i in np.flatnonzero(bad)} - stuck - set(allowed)
         if not fresh:

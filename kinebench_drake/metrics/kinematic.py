@@ -1,7 +1,7 @@
-"""What the robot makes of a track: kinematic metrics, and the limits that it would break."""
+"""What the robot makes of a track: metrics, the limits that it would break, and whether it can be done at all."""
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 import numpy as np
@@ -9,115 +9,226 @@ from numpy.typing import NDArray
 
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array
+from kinebench_drake.kinematics.collision import Clearance, CollisionModel
+from kinebench_drake.kinematics.ik import (
+    POSITION_TOLERANCE_M,
+    ROTATION_TOLERANCE_RAD,
+    branch_jumps,
+    solve_track,
+)
+from kinebench_drake.kinematics.manipulability import Manipulability, manipulability_of, time_integral
+from kinebench_drake.kinematics.newton import ROTATION_ARM_M
 from kinebench_drake.kinematics.path import excess
-from kinebench_drake.kinematics.ik import POSITION_TOLERANCE_M, ROTATION_TOLERANCE_RAD, least_excess
-from kinebench_drake.kinematics.manipulability import manipulability
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.metrics.smoothness import runs, track_smoothness
-from kinebench_drake.metrics.violation import Violation as Violation
-from kinebench_drake.metrics.violation import ViolationKind as ViolationKind
-from kinebench_drake.models.panda.robot import ARM_JOINTS
+from kinebench_drake.kinematics.timing import TimeScale, time_scale
+from kinebench_drake.kinematics.trajopt import TubeResult, optimize_in_tube
+from kinebench_drake.metrics.derivatives import smooth_path
+from kinebench_drake.metrics.discontinuity import find_discontinuities
+from kinebench_drake.metrics.limits import LimitChecks, check_limits
+from kinebench_drake.metrics.noise import TrackNoise, carried_noise, joint_noise, track_noise
+from kinebench_drake.metrics.reach import collisions, contact_tolerance, given_past_limits, past_limits, unreachable
+from kinebench_drake.metrics.smoothness import Smoothness, track_smoothness
+from kinebench_drake.metrics.violation import Violation, ViolationKind
 from kinebench_drake.products import GripperTrack, IkStatus, JointTrack
 
 MIN_TRACKED_FRAMES = 5
 """Fewest tracked frames on which a track can be called feasible."""
 MIN_TRACKED_FRACTION = 0.5
 """Least share of tracked frames on which a track can be called feasible."""
-VELOCITY_WINDOW_S = 0.25
-"""Joint speeds are slopes over about this time, and over three frames at least [s]."""
+ASSUMED_NOISE = TrackNoise(position_m=0.005, rotation_rad=float(np.deg2rad(2.5)))
+"""Noise granted to tracks too short to tell theirs: that of a fair tracker."""
+TUBE_M = 0.005
+"""Radius of the tube about a track in which a feasible trajectory is looked for [m], if the noise asks for no more."""
+TUBE_SIGMAS = 4.5
+"""Standard deviations of the noise that the tube's radius is at least: white noise leaves it in one track of 300."""
 
-_LIMIT_TOLERANCE_RAD = 1e-6
-_LATER = (
-    "acceleration_ratio_max",
-    "jerk_ratio_max",
-    "torque_ratio_max",
-    "time_scale",
-    "slowdown_min",
-    "trajopt_feasible",
-    "trajopt_position_tube_m",
-    "self_distance_min_m",
-    "table_distance_min_m",
-)
+_LEVER_M = 0.3  # noise of position over this is about what it brings into the joints
+
+Value = float | bool | None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class KinematicResult:
     """Everything that kinematics says about one track."""
 
-    metrics: Mapping[str, float | bool | None]
+    track: GripperTrack
+    """The track as judged; of given joint angles, where they put the TCP."""
+    joints: JointTrack
+    """The joint path, with collisions in its status."""
+    metrics: Mapping[str, Value]
     """Metric names of the output format; None where not measurable."""
+    reasons: Mapping[str, str]
+    """Why a metric is None, by its name."""
     violations: tuple[Violation, ...]
     """Limits broken, by first frame."""
     feasible: bool | None
     """False if there is a violation, None if too few frames are tracked to tell, else True."""
+    noise: TrackNoise
+    """The track's noise, measured or ASSUMED_NOISE."""
+    noise_assumed: bool
+    """Whether the track is too short to tell its noise."""
+    checks: LimitChecks
+    """Speed, acceleration, jerk and torque against their limits."""
+    timing: TimeScale
+    """How fast the path could be run."""
+    tube: TubeResult
+    """The smallest tube that holds a feasible trajectory."""
+    tube_limit_m: float
+    """Radius that it may have to call the track feasible for it [m]."""
+    jumps: NDArray[np.intp]
+    """Frames (N,) before which the joint path changes its branch."""
+    fit_residual_rad: float | None
+    """Root mean square of what smoothing took off the joint path [rad]; None without a path."""
+    curves: Mapping[str, Array]
+    """What was found along the track, (T,) or (T, 7) each; NaN where there is nothing."""
 
 
-def evaluate_track(plant: ArmPlant, track: GripperTrack, joints: JointTrack) -> KinematicResult:
-    """Metrics, violations and verdict of a gripper track and the joint path that follows it.
+class TrackJudge:
+    """Holds tracks against one robot and its table. Uses the plant's context: one object a thread."""
 
-    Manipulability and joint speeds are taken at the frames whose joint angles do reach the pose; the joint-limit
-    margin and the errors at all tracked frames. The manipulability's integral runs over `t_s` by the trapezoid rule
-    and bridges gaps; mean and least value are those of the frames.
+    def __init__(self, plant: ArmPlant, *, table_height_m: float = 0.0) -> None:
+        """Take the robot.
 
-    Args:
-        plant: the robot.
-        track: the gripper's path.
-        joints: `solve_track(plant, track)`, or given joint angles to be judged as they are.
+        Args:
+            plant: the robot.
+            table_height_m: z of the table's top in B [m].
 
-    Raises:
-        InputError: the two tracks differ in length.
-    """
-    if len(track.t_s) != len(joints.t_s):
-        raise InputError(f"the gripper track has {len(track.t_s)} frames, the joint track {len(joints.t_s)}")
-    known = np.asarray(np.isfinite(joints.q).all(axis=-1), dtype=bool)
-    within = (joints.position_error_m <= POSITION_TOLERANCE_M) & (joints.rotation_error_rad <= ROTATION_TOLERANCE_RAD)
-    reached = known & within
-    speed = joint_speed(joints.t_s, np.where(reached[:, None], joints.q, np.nan))
-    violations = sorted(
-        (
-            *_unreachable(joints),
-            *_past_limits(plant, track, joints),
-            *_too_fast(speed, plant.velocity_limits),
-        ),
-        key=lambda v: (v.frame_start, v.frame_end, v.kind.value, v.joint or ""),
-    )
-    tracked = int(track.tracked.sum())
-    enough = tracked >= max(MIN_TRACKED_FRAMES, MIN_TRACKED_FRACTION * len(track.t_s))
-    return KinematicResult(
-        metrics=MappingProxyType(_metrics(plant, track, joints, known, reached, speed)),
-        violations=tuple(violations),
-        feasible=False if violations else (True if enough else None),
-    )
+        Raises:
+            InputError: a collision geometry of the robot cannot be used.
+            UsageError: the table's height is not finite.
+        """
+        self._plant = plant
+        self._collision = CollisionModel(plant, table_height_m=table_height_m)
 
+    def judge_poses(self, track: GripperTrack) -> KinematicResult:
+        """A track of poses: infeasible only if no joint path does it.
 
-def _metrics(
-    plant: ArmPlant,
-    track: GripperTrack,
-    joints: JointTrack,
-    known: NDArray[np.bool_],
-    reached: NDArray[np.bool_],
-    speed: Array,
-) -> dict[str, float | bool | None]:
-    smoothness = track_smoothness(track)
-    w = manipulability(plant, joints.q[reached])
-    tracked = int(track.tracked.sum())
-    position_error = joints.position_error_m[track.tracked & np.isfinite(joints.position_error_m)]
-    margin = limit_margin(plant, joints.q[known])
-    ratio = speed[np.isfinite(speed).all(axis=-1)] / plant.velocity_limits
-    return {
-        "sparc": smoothness.sparc,
-        "sparc_rotation": smoothness.sparc_rotation,
-        "ldlj": smoothness.ldlj,
-        "manipulability_mean": float(w.full.mean()) if len(w.full) else None,
-        "manipulability_min": float(w.full.min()) if len(w.full) else None,
-        "manipulability_integral": float(np.trapezoid(w.full, joints.t_s[reached])) if len(w.full) > 1 else None,
-        "manipulability_cost_mean": float(w.cost.mean()) if len(w.cost) else None,
-        "ik_success_rate": float(joints.ok[track.tracked].mean()) if tracked else None,
-        "ik_position_error_max_m": float(position_error.max()) if len(position_error) else None,
-        "joint_limit_margin_min": float(margin.min()) if len(margin) else None,
-        "velocity_ratio_max": float(np.abs(ratio).max()) if len(ratio) else None,
-        **dict.fromkeys(_LATER, None),
-    }
+        Raises:
+            InputError: a tracked frame's pose is not finite, or the times do not increase.
+        """
+        noise, assumed = _noise(track)
+        joints = solve_track(
+            self._plant,
+            track,
+            self._collision,
+            contact_tolerance_m=contact_tolerance(noise),
+            noise_rad=noise.rotation_rad + noise.position_m / _LEVER_M,
+        )
+        return self._judge(track, joints, noise, assumed, given=False)
+
+    def judge_joints(self, t_s: Array, q: Array, finger_width_m: Array) -> KinematicResult:
+        """Joint angles as they are given, not a better path to the same poses.
+
+        Args:
+            t_s: (T,) times [s], increasing.
+            q: (T, 7) joint angles [rad]; NaN where unknown.
+            finger_width_m: (T,) gap between the finger pads [m]; NaN where unknown.
+
+        Raises:
+            InputError: the shapes do not fit, or the times do not increase.
+        """
+        if not (np.diff(t_s) > 0.0).all():
+            raise InputError("t_s must increase from frame to frame")
+        known = np.isfinite(q).all(axis=-1)
+        X_BG = np.full((len(q), 4, 4), np.nan)
+        X_BG[known] = np.reshape([self._plant.forward(row) for row in q[known]], (-1, 4, 4))
+        track = GripperTrack(
+            t_s=t_s,
+            X_CH=np.full_like(X_BG, np.nan),
+            X_BG=X_BG,
+            tracked=known,
+            confidence=known.astype(np.float64),
+            finger_width_m=finger_width_m,
+        )
+        error = np.where(known, 0.0, np.nan)
+        past = excess(self._plant, q).max(axis=-1, initial=0.0) > 0.0
+        status = [
+            IkStatus.NOT_TRACKED if not k else IkStatus.JOINT_LIMIT if p else IkStatus.OK
+            for k, p in zip(known, past, strict=True)
+        ]
+        joints = JointTrack(
+            t_s=t_s,
+            q=np.where(known[:, None], q, np.nan),
+            status=tuple(status),
+            position_error_m=error,
+            rotation_error_rad=error,
+        )
+        noise, assumed = _noise(track)
+        return self._judge(track, joints, noise, assumed, given=True)
+
+    def _judge(
+        self, track: GripperTrack, joints: JointTrack, noise: TrackNoise, assumed: bool, *, given: bool
+    ) -> KinematicResult:
+        plant, t_s = self._plant, track.t_s
+        known = np.isfinite(joints.q).all(axis=-1)
+        # Where the pose is not reached, speeds and torques of the nearest posture would be made up.
+        reached = known & (joints.position_error_m <= POSITION_TOLERANCE_M)
+        reached &= joints.rotation_error_rad <= ROTATION_TOLERANCE_RAD
+        q = np.where(reached[:, None], joints.q, np.nan)
+        J = np.full((len(q), 6, q.shape[1]), np.nan)
+        J[known] = plant.chain.jacobians(joints.q[known])
+        sigma = (
+            _filled(joint_noise(t_s, q), noise)
+            if given
+            else carried_noise(np.where(reached[:, None, None], J, np.nan), noise)
+        )
+        q_smooth = smooth_path(t_s, q, sigma)
+        own = self._collision.self_distance(joints.q, track.finger_width_m)
+        table = self._collision.table_distance(joints.q, track.finger_width_m)
+        checks = check_limits(plant, t_s, q, sigma)
+        jumps = find_discontinuities(
+            t_s, track.X_BG, track.tracked, noise, *((joints.q, plant.robot.joints) if given else ())
+        )
+        limits = given_past_limits(plant, joints.q, sigma) if given else past_limits(plant, track, joints, noise)
+        violations = sorted(
+            (
+                *unreachable(joints, noise),
+                *limits,
+                *collisions(self._collision, track, replace(joints, q=q), own, table, q_smooth, noise),
+                *checks.violations,
+                *jumps,
+            ),
+            key=lambda v: (v.frame_start, v.frame_end, v.kind.value, v.joint or ""),
+        )
+        joints = _with_collisions(joints, violations) if given else joints
+        timing = time_scale(plant, t_s, q_smooth)
+        tube_limit = max(TUBE_M, TUBE_SIGMAS * max(noise.position_m, ROTATION_ARM_M * noise.rotation_rad))
+        tube = optimize_in_tube(
+            plant,
+            self._collision,
+            t_s,
+            np.where(track.tracked[:, None, None], track.X_BG, np.nan),
+            joints.q,
+            tube_limit_m=tube_limit,
+            table_tolerance_m=contact_tolerance(noise),
+            finger_width_m=np.where(np.isfinite(track.finger_width_m), track.finger_width_m, plant.finger_width_m),
+        )
+        w = manipulability_of(plant, np.where(reached[:, None, None], J, np.nan), q)
+        smoothness = track_smoothness(track, None if assumed else noise)
+        branches = np.flatnonzero(reached)
+        metrics, reasons = _metrics(plant, track, joints, reached, w, own, table, smoothness, checks, timing, tube)
+        branch = branch_jumps(plant, track.X_BG[branches], joints.q[branches])
+        metrics["branch_jumps"] = float(len(branch))
+        tracked = int(track.tracked.sum())
+        enough = tracked >= max(MIN_TRACKED_FRAMES, MIN_TRACKED_FRACTION * len(t_s))
+        residual = (q_smooth - q)[np.isfinite(q_smooth).all(axis=-1)]
+        return KinematicResult(
+            track=track,
+            joints=joints,
+            metrics=MappingProxyType(metrics),
+            reasons=MappingProxyType(reasons),
+            violations=tuple(violations),
+            feasible=False if violations else (True if enough else None),
+            noise=noise,
+            noise_assumed=assumed,
+            checks=checks,
+            timing=timing,
+            tube=tube,
+            tube_limit_m=tube_limit,
+            jumps=branches[branch] if len(branch) else branch,
+            fit_residual_rad=float(np.sqrt(np.mean(residual**2))) if residual.size else None,
+            curves=MappingProxyType(_curves(plant, joints, w, own, table, q_smooth, checks)),
+        )
 
 
 def limit_margin(plant: ArmPlant, q: Array) -> Array:
@@ -125,82 +236,124 @@ def limit_margin(plant: ArmPlant, q: Array) -> Array:
     return np.asarray(np.minimum(q - plant.lower, plant.upper - q) / (0.5 * (plant.upper - plant.lower)))
 
 
-def joint_speed(t_s: Array, q: Array) -> Array:
-    """Smoothed joint speeds (T, 7) [rad/s] of `q` (T, 7) [rad] at times `t_s` (T,) [s]; NaN beside NaN.
-
-    The slope of a straight line fitted to the frames within VELOCITY_WINDOW_S / 2 of each frame, its two neighbours
-    at least: at even times the Savitzky-Golay first derivative of order 1 and 2 (A. Savitzky and M. J. E. Golay,
-    Anal. Chem. 36, 1964). At the ends of a run of known frames the nearest whole window is used. Runs of a single
-    frame have no speed.
-    """
-    speed = np.full_like(q, np.nan)
-    for run in runs(np.asarray(np.isfinite(q).all(axis=-1))):
-        t, angles = t_s[run], q[run]
-        n = len(t)
-        if n < 2:
-            continue
-        half = max(1, round(0.5 * VELOCITY_WINDOW_S * (n - 1) / float(t[-1] - t[0])))
-        width = min(2 * half + 1, n)
-        first = np.clip(np.arange(n) - width // 2, 0, n - width)
-        index = first[:, None] + np.arange(width)
-        dt = t[index] - t[index].mean(axis=-1, keepdims=True)
-        speed[run] = np.einsum("nw,nwj->nj", dt, angles[index]) / np.sum(dt**2, axis=-1, keepdims=True)
-    return speed
+def _noise(track: GripperTrack) -> tuple[TrackNoise, bool]:
+    """The track's noise, and whether it had to be assumed."""
+    noise = track_noise(track.t_s, track.X_BG, track.tracked)
+    assumed = not np.isfinite([noise.position_m, noise.rotation_rad]).all()
+    return (ASSUMED_NOISE if assumed else noise), assumed
 
 
-def _unreachable(joints: JointTrack) -> Iterator[Violation]:
-    for run in runs(np.array([s is IkStatus.UNREACHABLE for s in joints.status], dtype=bool)):
-        yield Violation(
-            kind=ViolationKind.UNREACHABLE,
-            frame_start=run.start,
-            frame_end=run.stop - 1,
-            joint=None,
-            value=float(joints.position_error_m[run].max()),
-            limit=POSITION_TOLERANCE_M,
-        )
+def _filled(sigma: Array, noise: TrackNoise) -> Array:
+    """Noise of given joint angles (7,) [rad]; where it cannot be told, that of the poses at a usual lever."""
+    return np.where(np.isfinite(sigma), sigma, noise.rotation_rad)
 
 
-def _past_limits(plant: ArmPlant, track: GripperTrack, joints: JointTrack) -> Iterator[Violation]:
-    """Joint angles past a limit, as given or, where none were found within, as the least bad posture has them."""
-    q = joints.q.copy()
-    for i, status in enumerate(joints.status):
-        if status is IkStatus.JOINT_LIMIT and excess(plant, q[i]).max() <= _LIMIT_TOLERANCE_RAD:
-            posture = least_excess(plant, track.X_BG[i])
-            q[i] = np.nan if posture is None else posture
-    failed = np.array([s is IkStatus.JOINT_LIMIT for s in joints.status], dtype=bool)
-    past = np.nan_to_num(excess(plant, q)) * (failed | np.isfinite(joints.q).all(axis=-1))[:, None]
-    named = np.zeros(len(q), dtype=bool)
-    for j, name in enumerate(ARM_JOINTS):
-        for run in runs(past[:, j] > _LIMIT_TOLERANCE_RAD):
-            named[run] = True
-            worst = float(q[run, j][np.argmax(past[run, j])])
-            yield Violation(
-                kind=ViolationKind.JOINT_LIMIT,
-                frame_start=run.start,
-                frame_end=run.stop - 1,
-                joint=name,
-                value=worst,
-                limit=float(plant.upper[j] if worst > plant.upper[j] else plant.lower[j]),
-            )
-    for run in runs(failed & ~named):  # past a limit between the sweep's samples: no posture to name a joint by
-        yield Violation(
-            kind=ViolationKind.JOINT_LIMIT,
-            frame_start=run.start,
-            frame_end=run.stop - 1,
-            joint=None,
-            value=float(joints.position_error_m[run].max()),
-            limit=POSITION_TOLERANCE_M,
-        )
+def _with_collisions(joints: JointTrack, violations: list[Violation]) -> JointTrack:
+    """Given joint angles with the collisions found in their status, as inverse kinematics has them."""
+    kinds = {
+        ViolationKind.SELF_COLLISION: IkStatus.SELF_COLLISION,
+        ViolationKind.TABLE_COLLISION: IkStatus.TABLE_COLLISION,
+    }
+    status = list(joints.status)
+    for violation in violations:
+        for i in range(violation.frame_start, violation.frame_end + 1):
+            if violation.kind in kinds and status[i] is IkStatus.OK:
+                status[i] = kinds[violation.kind]
+    return replace(joints, status=tuple(status))
 
 
-def _too_fast(speed: Array, limits: Array) -> Iterator[Violation]:
-    for j, name in enumerate(ARM_JOINTS):
-        for run in runs(np.abs(speed[:, j]) > limits[j]):
-            yield Violation(
-                kind=ViolationKind.VELOCITY,
-                frame_start=run.start,
-                frame_end=run.stop - 1,
-                joint=name,
-                value=float(np.abs(speed[run, j]).max()),
-                limit=float(limits[j]),
-            )
+def _metrics(
+    plant: ArmPlant,
+    track: GripperTrack,
+    joints: JointTrack,
+    reached: NDArray[np.bool_],
+    w: Manipulability,
+    own: Clearance,
+    table: Clearance,
+    smoothness: Smoothness,
+    checks: LimitChecks,
+    timing: TimeScale,
+    tube: TubeResult,
+) -> tuple[dict[str, Value], dict[str, str]]:
+    tracked = int(track.tracked.sum())
+    nothing = "no frame is tracked" if tracked == 0 else "no frame's pose is reached"
+    error = joints.position_error_m[track.tracked]
+    margin = limit_margin(plant, joints.q)
+    metrics: dict[str, Value] = {
+        "manipulability_mean": _mean(w.full),
+        "manipulability_min": _least(w.full),
+        "manipulability_integral": time_integral(track.t_s, w.full),
+        "manipulability_cost_mean": _mean(w.cost),
+        "manipulability_translation_mean": _mean(w.translation),
+        "manipulability_rotation_mean": _mean(w.rotation),
+        "manipulability_limited_mean": _mean(w.limited),
+        "manipulability_limited_min": _least(w.limited),
+        "condition_number_max": _greatest(w.condition),
+        "ik_success_rate": float(joints.ok[track.tracked].mean()) if tracked else None,
+        "ik_position_error_max_m": _greatest(error),
+        "joint_limit_margin_min": _least(margin),
+        "self_distance_min_m": _least(own.distance_m),
+        "table_distance_min_m": _least(table.distance_m),
+    }
+    reasons = {name: nothing for name, value in metrics.items() if value is None}
+    for kind in (ViolationKind.VELOCITY, ViolationKind.ACCELERATION, ViolationKind.JERK, ViolationKind.TORQUE):
+        name, check = f"{kind.value}_ratio_max", checks.checks.get(kind)
+        metrics[name] = None if check is None or not np.isfinite(check.ratio_max) else check.ratio_max
+        if metrics[name] is None:
+            reasons[name] = checks.reasons.get(kind, "noise hides it throughout")
+    metrics["time_scale"] = timing.value
+    if timing.value is None:
+        reasons["time_scale"] = timing.reason or "Toppra gave none"
+    slowdown = checks.slowdown
+    metrics["slowdown_min"] = None if slowdown is None or np.isinf(slowdown.factor) else slowdown.factor
+    if slowdown is None:
+        reasons["slowdown_min"] = "too few consecutive frames are reached to take a derivative"
+    elif np.isinf(slowdown.factor):
+        reasons["slowdown_min"] = f"however slow, the arm's own weight asks too much of {slowdown.joint}"
+    metrics["trajopt_feasible"], metrics["trajopt_position_tube_m"] = tube.feasible, tube.radius_m
+    for name in ("trajopt_feasible", "trajopt_position_tube_m"):
+        if metrics[name] is None:
+            reasons[name] = tube.reason or "no tube was found"
+    smooth = smoothness.metrics
+    for name in (name for name, value in smooth.items() if value is None):
+        told = smoothness.reasons.get(name.partition("_floor_")[0], "")
+        reasons[name] = told or "the track's noise is not known"
+    return {**smooth, **metrics}, reasons
+
+
+def _curves(
+    plant: ArmPlant,
+    joints: JointTrack,
+    w: Manipulability,
+    own: Clearance,
+    table: Clearance,
+    q_smooth: Array,
+    checks: LimitChecks,
+) -> dict[str, Array]:
+    return {
+        "manipulability": w.full,
+        "manipulability_translation": w.translation,
+        "manipulability_rotation": w.rotation,
+        "manipulability_weighted": w.limited,
+        "condition_number": w.condition,
+        "joint_margin": limit_margin(plant, joints.q).min(axis=-1),
+        "self_distance_m": own.distance_m,
+        "table_distance_m": table.distance_m,
+        "q_smooth": q_smooth,
+        **{kind.value: check.value for kind, check in checks.checks.items()},
+    }
+
+
+def _mean(values: Array) -> float | None:
+    known = values[np.isfinite(values)]
+    return float(known.mean()) if known.size else None
+
+
+def _least(values: Array) -> float | None:
+    known = values[np.isfinite(values)]
+    return float(known.min()) if known.size else None
+
+
+def _greatest(values: Array) -> float | None:
+    known = values[np.isfinite(values)]
+    return float(known.max()) if known.size else None

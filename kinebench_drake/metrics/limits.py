@@ -46,6 +46,8 @@ class LimitCheck:
     """(7,) limit - greatest |value| of each joint; NaN where the noise hides it throughout."""
     ratios: Array
     """(7,) greatest |value| / limit of each joint; NaN likewise."""
+    value: Array
+    """(T, 7) point estimates; NaN where there is none."""
     window_s: float
     """Length of the windows that the derivatives are means over [s]."""
     bandwidth_hz: float
@@ -53,17 +55,18 @@ class LimitCheck:
     noise_ratio: float
     """Standard error / limit: median over frames, of the joint where that is greatest; NaN if unknown."""
     slowdown: Array
-    """(T, 7) least k for which the track played k times slower keeps the limit, after the noise; NaN if unknown."""
+    """(T, 7) least k for which the track played k times slower keeps the limit, by the point estimate, but no more than
+    1 where the noise explains what is above; NaN if unknown."""
     violations: tuple[Violation, ...]
     """Runs of frames in which a joint breaks the limit; value is the worst |value|."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Slowdown:
-    """The least k for which the track played k times slower keeps every limit, after the noise."""
+    """The least k for which the track played k times slower keeps every limit."""
 
     factor: float
-    """k; 1 or less if no limit is broken, 0 if all is noise, inf if gravity alone breaks one."""
+    """k; above 1 exactly if a limit is broken, inf if gravity alone breaks one."""
     kind: ViolationKind
     """The limit that decides it ..."""
     joint: str
@@ -124,9 +127,12 @@ def check_limits(plant: ArmPlant, t_s: Array, q: Array, sigma: Array) -> LimitCh
         elif limit is None:
             reasons[kind] = f"no {kind.value} limits are published for {plant.robot.name}"
         else:
-            error = z * derivative.standard_error
-            k = np.maximum((np.abs(derivative.value) - error) / limit, 0.0) ** (1.0 / order)
-            checks[kind] = _check(plant, kind, t_s, derivative.value, error / z, limit, k, derivative, z)
+            error = derivative.standard_error
+            k = [
+                np.maximum((np.abs(derivative.value) - room) / limit, 0.0) ** (1.0 / order)
+                for room in (z * error, np.zeros_like(error))
+            ]
+            checks[kind] = _check(plant, kind, t_s, derivative.value, error, limit, (k[0], k[1]), derivative, z)
     acceleration = derivatives[ViolationKind.ACCELERATION]
     if np.isfinite(acceleration.value).any():
         smooth = smooth_path(t_s, q, sigma)
@@ -176,7 +182,11 @@ def _check_torque(
         torque[i] = plant.torque(q[i], velocity.value[i], acceleration.value[i])
         gravity[i] = plant.torque(q[i], at_rest, at_rest)
         error[i] = np.sqrt(plant.mass_matrix(q[i]) ** 2 @ acceleration.standard_error[i] ** 2)
-    k = torque_slowdown(gravity, torque - gravity, z * error, plant.effort_limits)
+    moving = torque - gravity
+    k = (
+        torque_slowdown(gravity, moving, z * error, plant.effort_limits),
+        torque_slowdown(gravity, moving, np.zeros_like(error), plant.effort_limits),
+    )
     return _check(plant, ViolationKind.TORQUE, t_s, torque, error, plant.effort_limits, k, acceleration, z)
 
 
@@ -187,12 +197,14 @@ def _check(
     value: Array,
     error: Array,
     limits: Array,
-    k: Array,
+    k: tuple[Array, Array],
     derivative: Derivative,
     z: float,
 ) -> LimitCheck:
-    magnitude = np.abs(value)
-    seen = np.isfinite(value) & (~(z * error > limits) | (k > 1.0))  # the rest may be all noise: it tells nothing
+    """One check; `k` are the slow-downs (T, 7) that the limit asks for at least, after the noise, and by the value."""
+    magnitude, (least, own) = np.abs(value), k
+    broken = np.asarray(least > 1.0)
+    seen = np.isfinite(value) & (~(z * error > limits) | broken)  # the rest may be all noise: it tells nothing
     ratio = np.where(seen, magnitude / limits, -1.0)
     frame, joint = np.unravel_index(int(np.argmax(ratio)), ratio.shape)
     ratios = np.where(seen.any(axis=0), ratio.max(axis=0), np.nan)
@@ -204,11 +216,12 @@ def _check(
         t_worst_s=float(t_s[frame]),
         margins=limits * (1.0 - ratios),
         ratios=ratios,
+        value=value,
         window_s=derivative.window_s,
         bandwidth_hz=derivative.bandwidth_hz,
         noise_ratio=float((np.median(error[np.isfinite(value).all(axis=-1)], axis=0) / limits).max()),
-        slowdown=k,
-        violations=tuple(_violations(plant, kind, magnitude, limits, np.asarray(k > 1.0))),
+        slowdown=np.where(seen, np.maximum(least, np.minimum(own, 1.0)), least),
+        violations=tuple(_violations(plant, kind, magnitude, limits, broken)),
     )
 
 

@@ -62,7 +62,7 @@ def test_relaxing_brings_a_path_back_within_limits(plant: ArmPlant) -> None:
     q = _path(20, seed=1)
     q[:, 6] += plant.upper[6] - 0.02 - q[:, 6].max()
     X_BG, t_s = _poses(plant, q), 0.2 * np.arange(20)
-    past = postures_of(plant).nearest(X_BG, q + [0, 0, 0, 0, 0, 0, 0.06])
+    past = postures_of(plant).nearest(X_BG, q + 0.06 * np.eye(7)[6])
     assert excess(plant, past).max() > 0.01
     assert excess(plant, relax(plant, postures_of(plant), t_s, X_BG, past)).max() == 0.0
 
