@@ -197,18 +197,20 @@ class CollisionModel:
         A link made of several solids appears once for each that is near. The gradient is n . (J_A(a) - J_B(b)) with a
         and b the nearest points, J their translational Jacobians and n the direction from b to a (from a to b in
         penetration): the derivative wherever the nearest points are unique. Where they are not (parallel faces) it is
-        the derivative of one of the candidates.
+        the derivative of one of the candidates; it is 0 where Drake knows no direction. The fingers are
+        `finger_width_m` [m] apart; None or NaN: as the plant has them.
 
         Raises:
             UsageError: `q` is not (7,).
         """
-        query = self._plant.query(q, finger_width_m)
+        width = None if finger_width_m is None or np.isnan(finger_width_m) else finger_width_m
+        query = self._plant.query(q, width)
         M = self._chain.current()
         axis, point = (array[0] for array in self._chain.axes(M[None]))
         found = []
         for pair in query.ComputeSignedDistancePairwiseClosestPoints(within_m):
             A, B = self._solids[pair.id_A], self._solids[pair.id_B]
-            distance, n = pair.distance, np.asarray(pair.nhat_BA_W)
+            distance, n = pair.distance, np.nan_to_num(pair.nhat_BA_W)
             a = query.GetPoseInWorld(pair.id_A) @ pair.p_ACa
             b = query.GetPoseInWorld(pair.id_B) @ pair.p_BCb
             polytopes = A.axes is None and B.axes is None

@@ -194,6 +194,11 @@ def test_unknown_rows_stay_unknown_and_unknown_widths_take_the_plants(plant: Arm
         assert np.isnan(measure(np.full((2, 7), np.nan)).distance_m).all()
 
 
+def test_near_pairs_with_an_unknown_width_take_the_plants(model: CollisionModel) -> None:
+    known, unknown = (_nearest_by_pair(model, rest_q(), 1.0, width) for width in (None, np.nan))
+    assert known == unknown
+
+
 def test_wrong_shapes_are_refused(model: CollisionModel, plant: ArmPlant) -> None:
     for measure in (model.self_distance, model.table_distance):
         with pytest.raises(UsageError, match="expected"):
