@@ -23,9 +23,13 @@ ACTIVE = 0.98
 """Share of a limit from which on the fastest motion counts as held back by it."""
 
 _GRID = 192  # cells of the grid along the path, rounded up to whole cells a frame
-_LONGEST_GRID = 1600  # cells at most: beyond so many frames the path is looked at between the frames no more
-_HALVINGS = 4  # the first and the last cell are halved so often: a path from rest starts with the steepest change
+_GRID_MAX = 1600  # cells at most: a track of more frames is looked at in even steps of its time instead
+_FINEST = 64  # cells between two frames at most
+_HALVINGS = 4  # of cells at the brink of a rest,
+_BRINK = 0.6  # where the slower end has at most this share of the faster end's speed,
+_REST = 1e-3  # unless both are slower than this share of the greatest speed
 _FINGER_RATE = 1e-6  # metres that the last finger moves in a second of the path's own time, to cap the speed-up
+_STRETCHES = (100.0, 1000.0, 10.0, 1.0)  # of the path's parameter, the next where the one before finds no solution
 _UNBOUNDED = 1e9  # what Toppra takes for a limit that is not there
 
 
@@ -89,7 +93,7 @@ def time_scale(plant: ArmPlant, t_s: Array, q: Array) -> TimeScale:
         q: (T, 7) joint angles [rad], already free of noise; rows with NaN are left out.
     """
     frames = np.flatnonzero(np.isfinite(q).all(axis=-1) & np.isfinite(t_s))
-    t, rows = t_s[frames] - (t_s[frames[0]] if len(frames) else 0.0), q[frames]
+    t, rows = t_s[frames], q[frames]
     if len(frames) < 2:
         return _nothing("fewer than two frames with joint angles: there is no path")
     if not (np.diff(t) > 0.0).all():
@@ -98,12 +102,10 @@ def time_scale(plant: ArmPlant, t_s: Array, q: Array) -> TimeScale:
         return _nothing("the joints do not move: a rest has no fastest duration")
     motion = _Motion(plant, t, rows, frames)
     try:
-        s = motion.fastest(1.0, 1.0)
+        profile = motion.fastest(1.0, 1.0)
     except RuntimeError as error:  # Drake's own checks of its input
         return _nothing(f"Toppra refused the path: {str(error).splitlines()[0]}")
-    if s is None:
-        return _explain(motion)
-    return _describe(motion, s)
+    return _explain(motion) if profile is None else _describe(motion, *profile)
 
 
 def _nothing(
@@ -125,23 +127,41 @@ def _nothing(
 class _Motion:
     """The path of one track with its limits, on a grid."""
 
-    def __init__(self, plant: ArmPlant, t: Array, q: Array, frames: NDArray[np.intp]) -> None:
-        self.plant, self.t, self.frames = plant, t, frames
+    def __init__(self, plant: ArmPlant, t_s: Array, q: Array, frames: NDArray[np.intp]) -> None:
+        self.plant, self.frames = plant, frames
+        self.origin_s, self.t = float(t_s[0]), t_s - t_s[0]
+        t = self.t
         spline: Any = CubicSpline(t, q)
-        positions = np.full((len(t), plant.drake.num_positions()), plant.finger_width_m / 2.0)
-        rates = np.zeros_like(positions)
-        positions[:, :N_JOINTS], rates[:, :N_JOINTS] = q, spline(t, 1)
-        if positions.shape[1] > N_JOINTS:
-            positions[:, -1], rates[:, -1] = _FINGER_RATE * t, _FINGER_RATE
-        self.path: Any = PiecewisePolynomial.CubicHermite(t, positions.T, rates.T)
-        self.grid = _grid(t)
+        self.spline = spline
+        self.grid = _grid(t, spline, plant.velocity_limits)
         self.q, self.v, self.a = (np.asarray(spline(self.grid, order)) for order in range(3))
 
-    def fastest(self, start: float, end: float) -> Any:
-        """Drake's piecewise polynomial s(t) with ds/dt = `start` and `end` at the ends, or None."""
+    def fastest(self, start: float, end: float) -> tuple[Array, Array] | None:
+        """Times (G,) [s] and rates ds/dt (G,) at the grid points, with those of the ends given; None if there are none.
+
+        Toppra's linear programs miss solutions where their unknown, (ds/dt)^2, is of the order of one: the solver's
+        tolerance is absolute. So the path's parameter is stretched, farther if need be.
+        """
+        for stretch in _STRETCHES:
+            with silent_drake():
+                s: Any = self._toppra(stretch).SolvePathParameterization(stretch * start, stretch * end)
+            if s is not None:
+                times = np.asarray(s.get_segment_times())
+                return times, np.array([s.EvalDerivative(t, 1)[0, 0] for t in times]) / stretch
+        return None
+
+    def _toppra(self, stretch: float) -> Any:
+        """Drake's Toppra with all limits on the path whose parameter is own time * `stretch`."""
         plant = self.plant
-        fingers = np.full(plant.drake.num_positions() - N_JOINTS, _UNBOUNDED)
-        toppra: Any = Toppra(self.path, plant.drake, self.grid)
+        positions = np.full((len(self.t), plant.drake.num_positions()), plant.finger_width_m / 2.0)
+        rates = np.zeros_like(positions)
+        positions[:, :N_JOINTS], rates[:, :N_JOINTS] = self.spline(self.t), self.spline(self.t, 1) / stretch
+        fingers = np.full(positions.shape[1] - N_JOINTS, _UNBOUNDED)
+        if len(fingers):
+            positions[:, -1], rates[:, -1] = _FINGER_RATE * self.t, _FINGER_RATE / stretch
+        # Toppra refers to the path without keeping it alive.
+        self._path: Any = PiecewisePolynomial.CubicHermite(stretch * self.t, positions.T, rates.T)
+        toppra: Any = Toppra(self._path, plant.drake, stretch * self.grid)
         speed = _bounds(plant.velocity_limits, fingers)
         if len(fingers):
             speed[-1] = FASTEST * _FINGER_RATE
@@ -151,8 +171,7 @@ class _Motion:
             toppra.AddJointAccelerationLimit(-acceleration, acceleration, ToppraDiscretization.kInterpolation)
         torque = _bounds(plant.effort_limits, fingers)
         toppra.AddJointTorqueLimit(-torque, torque, ToppraDiscretization.kInterpolation)
-        with silent_drake():
-            return toppra.SolvePathParameterization(start, end)
+        return toppra
 
     def ratios(self, index: int, rate: float, change: float) -> Array:
         """Velocity, acceleration and torque over their limits (3, 7) at a grid point, with ds/dt and d2s/dt2 given."""
@@ -171,26 +190,32 @@ class _Motion:
         return int(self.frames[np.argmin(np.abs(self.t - self.grid[index]))])
 
 
-def _grid(t: Array) -> Array:
-    """Grid points (G,) along the path's own time, whole cells a frame as far as the cap allows."""
+def _grid(t: Array, spline: Any, speeds: Array) -> Array:
+    """Grid points (G,) along the path's own time: whole cells a frame, those at the brink of a rest halved and again.
+
+    There the fastest motion runs ahead of the path's own time by a factor that changes steeply, and Toppra takes the
+    square of that factor as linear in a cell.
+    """
     cells = len(t) - 1
-    if cells > _LONGEST_GRID:
-        grid = np.linspace(t[0], t[-1], _LONGEST_GRID + 1)
-    else:
-        parts = min(-(-_GRID // cells), 64)
-        grid = np.interp(np.arange(cells * parts + 1) / parts, np.arange(cells + 1), t)
-    halves = 0.5 ** np.arange(1, _HALVINGS + 1)
-    first, last = (grid[1] - grid[0]) * halves[::-1], (grid[-1] - grid[-2]) * halves
-    return np.concatenate([grid[:1], grid[0] + first, grid[1:-1], grid[-1] - last, grid[-1:]])
+    parts = min(-(-_GRID // cells), _FINEST)
+    even = np.arange(cells * parts + 1) / parts
+    grid = np.interp(even, np.arange(cells + 1), t) if cells <= _GRID_MAX else np.linspace(t[0], t[-1], _GRID_MAX + 1)
+    for _ in range(_HALVINGS):
+        speed = np.abs(spline(grid, 1) / speeds).max(axis=-1)
+        slow, fast = np.minimum(speed[1:], speed[:-1]), np.maximum(speed[1:], speed[:-1])
+        brink = (slow < _BRINK * fast) & (fast > _REST * speed.max())
+        middle = 0.5 * (grid[1:] + grid[:-1])[brink]
+        if len(grid) + len(middle) > 2 * _GRID_MAX:
+            break
+        grid = np.sort(np.concatenate([grid, middle]))
+    return grid
 
 
 def _bounds(limits: Array, fingers: Array) -> Array:
     return np.concatenate([np.minimum(limits, _UNBOUNDED), fingers])
 
 
-def _describe(motion: _Motion, s: Any) -> TimeScale:
-    times = np.asarray(s.get_segment_times())
-    rate = np.array([s.EvalDerivative(t, 1)[0, 0] for t in times])
+def _describe(motion: _Motion, times: Array, rate: Array) -> TimeScale:
     # ds/dt squared is linear in s between grid points, so the change is constant there.
     change = np.diff(rate**2) / (2.0 * np.diff(motion.grid))
     spent = np.diff(times)
@@ -211,7 +236,7 @@ def _describe(motion: _Motion, s: Any) -> TimeScale:
         active=tuple(
             ActiveLimit(constraint=kinds[c], joint=joints[j], share=float(share[c, j])) for c, j in order if share[c, j]
         ),
-        own_s=motion.grid,
+        own_s=motion.grid + motion.origin_s,
         fastest_s=times - times[0],
     )
 
