@@ -1,8 +1,6 @@
 """A replay of one track in 3D: a Meshcat page that needs nothing but a browser, coloured by feasibility."""
 
-import base64
 import logging
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -26,8 +24,6 @@ from kinebench_drake.row import Json, SampleRow
 from kinebench_drake.trackfile import TrackFile, read_track
 from kinebench_drake.visuals import link_surfaces
 
-_COMMAND = re.compile(r'(fetch\("data:application/octet-binary;base64,)([A-Za-z0-9+/=]+)')
-_UUID = re.compile(rb"[0-9a-f]{8}-[0-9a-f]{4}-[0-9a-f]{4}-[0-9a-f]{4}-[0-9a-f]{12}")
 _POLICY = (
     "default-src 'none'; script-src 'unsafe-inline' 'unsafe-eval'; style-src 'unsafe-inline'; "
     "img-src data: blob:; connect-src data: blob:"
@@ -153,7 +149,7 @@ def _server() -> Iterator[Any]:
 
 
 def _finished(html: str, row: SampleRow, file: TrackFile, has_arm: bool) -> str:
-    """The page with its name, controls and key, shut off from the network, without random identifiers."""
+    """The page with its name, controls and key, shut off from the network."""
     t_s = file.track.t_s
     marks = [_mark(v, "broken", t_s) for v in row.violations] + [_mark(a, "doubt", t_s) for a in anomalies_of(row)]
     states = [state.value for state in frame_states(row, file)]
@@ -174,7 +170,7 @@ def _finished(html: str, row: SampleRow, file: TrackFile, has_arm: bool) -> str:
     html = html.replace("<meta charset=utf-8>", head, 1)
     html = html.replace("<title>Drake MeshCat</title>", f"<title>{escape(row.id)} · kinebench-drake</title>", 1)
     before, end, after = html.rpartition("</body>")
-    return _numbered(before) + panel + end + after
+    return before + panel + end + after
 
 
 def _mark(fault: Mapping[str, Json], css: str, t_s: Array) -> Mark:
@@ -184,17 +180,3 @@ def _mark(fault: Mapping[str, Json], css: str, t_s: Array) -> Mark:
     span = f"{t_s[first]:.2f}" if first == last else f"{t_s[first]:.2f} to {t_s[last]:.2f}"
     kind = str(fault.get("kind")).replace("_", " ")
     return Mark(text=f"{kind}{joint}: {span} s", time=float(t_s[first] - t_s[0]), css=css)
-
-
-def _numbered(html: str) -> str:
-    """The page with Meshcat's random identifiers numbered instead: the same scene gives the same bytes."""
-    numbers: dict[bytes, bytes] = {}
-
-    def number(match: re.Match[bytes]) -> bytes:
-        return numbers.setdefault(match[0], b"00000000-0000-4000-8000-%012d" % len(numbers))
-
-    def renumber(match: re.Match[str]) -> str:
-        command = _UUID.sub(number, base64.b64decode(match[2]))
-        return match[1] + base64.b64encode(command).decode()
-
-    return _COMMAND.sub(renumber, html)

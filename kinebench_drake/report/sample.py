@@ -78,6 +78,7 @@ def view_sample(out: Path, row: SampleRow, *, drawn: bool) -> SampleView:
     picture = part_path(out, "thumbnails", row.id)
     uri = f"data:image/jpeg;base64,{base64.b64encode(picture.read_bytes()).decode()}" if picture.is_file() else None
     track = part_path(out, "tracks", row.id)
+    replay = out / "replays" / f"{row.id}.html"
     viewable = row.status is Status.OK and track.is_file()
     file = read_track(track) if viewable and drawn else None
     details = {name: value for name, value in row.details.items() if name not in _SHOWN_ELSEWHERE}
@@ -92,7 +93,7 @@ def view_sample(out: Path, row: SampleRow, *, drawn: bool) -> SampleView:
         summary=summarize_checks(row, file.track.t_s) if file else [],
         resolutions=resolutions(row) if drawn else [],
         facts=[*list_facts(details), *_floors(row), *list_facts(reasons)] if drawn else [],
-        replay=f"replays/{quote(row.id)}.html" if (out / "replays" / f"{row.id}.html").is_file() else None,
+        replay=f"replays/{quote(row.id)}.html" if viewable and replay.is_file() else None,
         viewable=viewable,
     )
 

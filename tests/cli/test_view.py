@@ -1,5 +1,7 @@
 """`view`: what it writes, and what it says when there is nothing to write."""
 
+import importlib
+
 import numpy as np
 import pytest
 
@@ -10,6 +12,9 @@ from kinebench_drake.products import GripperTrack
 from kinebench_drake.results import ResultStore
 from kinebench_drake.row import SampleRow, Status
 from kinebench_drake.trackfile import write_track
+
+
+view_module = importlib.import_module("kinebench_drake.cli.view")
 
 
 def make_track(n=4, *, tracked=True):
@@ -56,6 +61,16 @@ def test_it_writes_the_replay_and_prints_its_path_alone(program, out):
     assert (code, err) == (0, "")
     assert told == f"{out / 'replays' / 'reach_01.html'}\n"
     assert "reach_01" in (out / "replays" / "reach_01.html").read_text()
+
+
+@pytest.mark.parametrize(("status", "told"), [(0, ""), (1, "no browser")])
+def test_it_opens_the_browser_on_demand(program, out, monkeypatch, status, told):
+    opened = []
+    monkeypatch.setattr(view_module.click, "launch", lambda url: opened.append(url) or status)
+    code, _, err = program(out, "reach_01", "--open")
+    assert code == 0
+    assert told in err
+    assert opened == [(out / "replays" / "reach_01.html").resolve().as_uri()]
 
 
 @pytest.mark.parametrize(
