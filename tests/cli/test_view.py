@@ -13,7 +13,6 @@ from kinebench_drake.results import ResultStore
 from kinebench_drake.row import SampleRow, Status
 from kinebench_drake.trackfile import write_track
 
-
 view_module = importlib.import_module("kinebench_drake.cli.view")
 
 
