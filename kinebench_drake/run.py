@@ -10,6 +10,7 @@ from kinebench_drake.aggregate import Estimate, aggregate, by_key, estimate
 from kinebench_drake.engines import Crashed, EngineKind, create_engine
 from kinebench_drake.errors import UsageError
 from kinebench_drake.measure import SCHEMA_VERSION, Kind, Measure, Sample
+from kinebench_drake.normalization import normalize_run
 from kinebench_drake.provenance import code_hash, host, versions, weights_hash
 from kinebench_drake.results import REPORT, ResultStore, storage
 from kinebench_drake.row import Json, SampleRow, Status
@@ -179,6 +180,7 @@ def summarize(rows: Sequence[SampleRow], config: RunConfig, found: int) -> dict[
         "aggregates": aggregate(rows, config.seed).to_json(),
         "per_task": groups("task"),
         "per_model": groups("model"),
+        "normalization": normalize_run(rows),
         "config": config.to_json(),
         "tags": dict(sorted(config.tags.items())),
         "seeds": {"bootstrap": config.seed},

@@ -12,7 +12,7 @@ ROOT = Path(__file__).parent.parent
 PACKAGE = "kinebench_drake"
 
 LEAF = {"__init__", "errors", "geometry", "camera", "products", "native", "mp4", "identity", "shard"}
-RESULTS = {"row", "aggregate", "results", "trackfile", "provenance", "report", "engines"}
+RESULTS = {"row", "aggregate", "normalization", "results", "trackfile", "provenance", "report", "engines"}
 MAY_IMPORT = {
     **dict.fromkeys(LEAF, LEAF),
     "models": LEAF,

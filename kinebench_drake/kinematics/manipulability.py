@@ -151,30 +151,6 @@ def time_integral(t_s: ArrayLike, values: ArrayLike) -> float | None:
     return float(np.trapezoid(values[known], t_s[known])) if int(known.sum()) > 1 else None
 
 
-def robust_normalize(values: ArrayLike, low: float = 10.0, high: float = 90.0) -> Array:
-    """Values (N,) of a run's samples on the scale 0 (at the `low`-th percentile or below) to 1 (`high`-th or above).
-
-    clip((v - p_low) / (p_high - p_low), 0, 1) over the finite values, percentiles by linear interpolation; NaN stays
-    NaN. Where both percentiles are the same number there is no scale: what is below it becomes 0, what is above it 1,
-    the number itself 0.5. The result compares samples of one run with each other, never with another run's.
-
-    Raises:
-        UsageError: the percentiles are not 0 <= low < high <= 100.
-    """
-    if not 0.0 <= low < high <= 100.0:
-        raise UsageError(f"percentiles are {low:g} and {high:g}, expected 0 <= low < high <= 100")
-    values = np.asarray(values, dtype=np.float64)
-    finite = values[np.isfinite(values)]
-    if len(finite) == 0:
-        return np.full(values.shape, np.nan)
-    bottom, top = np.percentile(finite, [low, high])
-    if top > bottom:
-        scaled = np.clip((values - bottom) / (top - bottom), 0.0, 1.0)
-    else:
-        scaled = 0.5 + 0.5 * np.sign(values - bottom)
-    return np.asarray(np.where(np.isnan(values), np.nan, scaled))
-
-
 def _stretches(J: ArrayLike) -> Array:
     """Singular values (..., m) of `J` (..., m, n), greatest first."""
     return np.asarray(np.linalg.svd(np.asarray(J, dtype=np.float64), compute_uv=False))

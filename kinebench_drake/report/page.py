@@ -1,7 +1,7 @@
 """What the report shows, gathered from an output folder and put into the template."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,7 +11,7 @@ from kinebench_drake.aggregate import Aggregate, Estimate, aggregate, by_key
 from kinebench_drake.errors import InputError
 from kinebench_drake.report.sample import RANK, badness, view_sample
 from kinebench_drake.results import RESULTS, read_rows
-from kinebench_drake.row import Json, SampleRow, Status
+from kinebench_drake.row import Json, Status
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -132,7 +132,7 @@ def build_page(out: Path) -> str:
         columns=[_BY_NAME[n] for n in columns if _measured(total, n)],
         samples=samples,
         left_out=max(len(samples) - DRAWN, 0),
-        normalization=_normalization(results, rows),
+        normalization=_normalization(results),
         verdicts=[v for v in RANK if any(s.verdict == v for s in samples)],
         Status=Status,
     )
@@ -184,15 +184,14 @@ class Normalized:
     n: int
 
 
-def _normalization(results: Mapping[str, Json], rows: Sequence[SampleRow]) -> list[Normalized]:
+_SCALE = ("low", "high", "mean", "n")
+
+
+def _normalization(results: Mapping[str, Json]) -> list[Normalized]:
     found = results.get("normalization")
-    told = []
-    for name, ends in found.items() if isinstance(found, Mapping) else ():
-        low, high = (ends.get("low"), ends.get("high")) if isinstance(ends, Mapping) else (None, None)
-        values = [row.metrics.get(name) for row in rows]
-        known = [float(v) for v in values if isinstance(v, int | float)]
-        if isinstance(low, int | float) and isinstance(high, int | float) and high > low and known:
-            scaled = [min(max((v - low) / (high - low), 0.0), 1.0) for v in known]
-            mean = sum(scaled) / len(scaled)
-            told.append(Normalized(metric=name, low=float(low), high=float(high), mean=mean, n=len(known)))
-    return told
+    return [
+        Normalized(metric=name, **{key: entry[key] for key in ("low", "high", "mean", "n")})
+        for name, entry in (found.items() if isinstance(found, Mapping) else ())
+        if isinstance(entry, Mapping)
+        and all(isinstance(entry.get(k), int | float) for k in ("low", "high", "mean", "n"))
+    ]

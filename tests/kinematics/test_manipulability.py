@@ -9,7 +9,6 @@ from kinebench_drake.kinematics.manipulability import (
     limit_weight,
     manipulability,
     manipulability_of,
-    robust_normalize,
     time_integral,
     yoshikawa,
 )
@@ -110,23 +109,6 @@ def test_integral_of_a_straight_line_bridges_gaps() -> None:
     assert time_integral(t_s, 2 * t_s) == pytest.approx(1.0)
     assert time_integral(t_s, [0.0, np.nan, 0.8, 2.0]) == pytest.approx(1.0)
     assert time_integral(t_s, [np.nan, np.nan, 1.0, np.nan]) is None
-
-
-def test_robust_scale_runs_between_the_percentiles() -> None:
-    values = np.arange(101.0)
-    scaled = robust_normalize(values)
-    np.testing.assert_allclose(scaled, np.clip((values - 10) / 80, 0, 1))
-    np.testing.assert_allclose(robust_normalize(1e3 - 5 * values), 1 - scaled, atol=1e-12)
-    np.testing.assert_array_equal(robust_normalize([1.0, np.nan, 3.0], 0, 100), [0.0, np.nan, 1.0])
-
-
-def test_robust_scale_of_equal_values_is_the_middle() -> None:
-    np.testing.assert_array_equal(robust_normalize([2.0, 2.0]), [0.5, 0.5])
-    np.testing.assert_array_equal(robust_normalize([1.0] + 40 * [2.0] + [7.0]), [0.0] + 40 * [0.5] + [1.0])
-    assert len(robust_normalize([])) == 0
-    assert np.isnan(robust_normalize([np.nan])).all()
-    with pytest.raises(UsageError, match="low < high"):
-        robust_normalize([1.0], 90, 10)
 
 
 def test_w_of_two_links_in_a_plane_is_the_textbook_one() -> None:

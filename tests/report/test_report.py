@@ -249,7 +249,7 @@ def audit(tmp_path):
             {
                 "kind": "audit",
                 "config": {"source": "tracks"},
-                "normalization": {"noise_floor": {"low": 0.2, "high": 0.4}},
+                "normalization": {"noise_floor": {"low": 0.2, "high": 0.4, "mean": 0.25, "n": 2}},
             }
         )
     (tmp_path / "replays").mkdir(exist_ok=True)
