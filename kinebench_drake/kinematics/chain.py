@@ -95,7 +95,8 @@ class LinkChain:
         for name in names:
             visit(name)
         first = [next(name for name in names if self.stage[name] == i + 1) for i in range(len(self._joints))]
-        self._carried = [(drake.GetBodyByName(name), invert(home[name])) for name in first]
+        self._carried = [drake.GetBodyByName(name) for name in first]
+        self._to_zero = invert([home[name] for name in first])
         self._upstream = np.zeros((len(self._joints) + 1, N_JOINTS), dtype=bool)
         arm = {name: j for j, name in enumerate(plant.robot.joints)}
         for i, joint in enumerate(self._joints):
@@ -121,8 +122,9 @@ class LinkChain:
         """Motions (stages, 4, 4) of the one posture that the plant's context holds, asked of Drake: faster for one."""
         M = np.empty((len(self._joints) + 1, 4, 4))
         M[0] = np.eye(4)
-        for i, (body, to_zero) in enumerate(self._carried):
-            M[i + 1] = body.EvalPoseInWorld(self._plant.context).GetAsMatrix4() @ to_zero
+        for i, body in enumerate(self._carried):
+            M[i + 1] = body.EvalPoseInWorld(self._plant.context).GetAsMatrix4()
+        M[1:] = M[1:] @ self._to_zero
         return M
 
     def poses(self, q: ArrayLike, link: str, finger_width_m: ArrayLike | None = None) -> Array:

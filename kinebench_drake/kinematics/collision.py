@@ -207,10 +207,12 @@ class CollisionModel:
         query = self._plant.query(q, width)
         M = self._chain.current()
         axis, point = (array[0] for array in self._chain.axes(M[None]))
+        moment = _cross(point.T, axis.T).T
         found = []
         for pair in query.ComputeSignedDistancePairwiseClosestPoints(within_m):
             A, B = self._solids[pair.id_A], self._solids[pair.id_B]
-            distance, n = pair.distance, np.nan_to_num(pair.nhat_BA_W)
+            distance, n = pair.distance, np.asarray(pair.nhat_BA_W)
+            n = n if np.isfinite(n).all() else np.zeros(3)
             a = query.GetPoseInWorld(pair.id_A) @ pair.p_ACa
             b = query.GetPoseInWorld(pair.id_B) @ pair.p_BCb
             polytopes = A.axes is None and B.axes is None
@@ -218,7 +220,7 @@ class CollisionModel:
                 a, b = _nearest(A, B, M)
                 distance = float(np.linalg.norm(a - b))
                 n = (a - b) / distance
-            gradient = self._rate(A.link, a, n, axis, point) - self._rate(B.link, b, n, axis, point)
+            gradient = self._rate(A.link, a, n, axis, moment) - self._rate(B.link, b, n, axis, moment)
             link_a, link_b = _names(A, B)
             found.append(Proximity(link_a=link_a, link_b=link_b, distance_m=distance, gradient=gradient))
         z = M[self._stages, 2]  # (solids, 4)
@@ -229,13 +231,21 @@ class CollisionModel:
             distance = float(z[i, :3] @ low + z[i, 3]) - self.table_height_m
             if distance <= within_m:
                 low = M[solid.stage, :3, :3] @ low + M[solid.stage, :3, 3]
-                gradient = self._rate(solid.link, low, _UP, axis, point)
+                gradient = self._rate(solid.link, low, _UP, axis, moment)
                 found.append(Proximity(link_a=solid.link, link_b=TABLE, distance_m=distance, gradient=gradient))
         return sorted(found, key=lambda proximity: proximity.distance_m)
 
-    def _rate(self, link: str, p: Array, n: Array, axis: Array, point: Array) -> Array:
-        """Speed (7,) along `n` of the link's material point `p` per joint rate [m/rad]: n . (axis x (p - point))."""
-        return np.asarray(self._chain.carries(link) * (np.cross(axis, p - point) @ n))
+    def _rate(self, link: str, p: Array, n: Array, axis: Array, moment: Array) -> Array:
+        """Speed (7,) along `n` of the link's material point `p` per joint rate [m/rad].
+
+        n . (axis x (p - point)) = axis . (p x n) + n . moment, with moment = point x axis.
+        """
+        return np.asarray(self._chain.carries(link) * (axis @ _cross(p, n) + moment @ n))
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """Cross product of vectors (3, ...): for a handful of them NumPy's own takes ten times as long."""
+    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 
 def _names(A: _Solid, B: _Solid) -> tuple[str, str]:
