@@ -1,8 +1,7 @@
 """A replay of one track in 3D: a Meshcat page that needs nothing but a browser, coloured by feasibility."""
 
 import logging
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
@@ -12,7 +11,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import escape
 from pydrake.geometry import Meshcat, MeshcatParams
 
-from kinebench_drake.errors import UnmeasurableError, UsageError
+from kinebench_drake.errors import SetupError, UnmeasurableError, UsageError, cause
 from kinebench_drake.geometry import Array
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.replay_scene import COLORS, ReplayScene, posed_frames
@@ -76,14 +75,13 @@ class ReplayWriter:
         """The html text that `write` writes."""
         if not posed_frames(file).any():
             raise UnmeasurableError(f"{row.id}: no frame is tracked, there is nothing to show")
-        with _server() as meshcat:
-            scene = ReplayScene(self._plant, self._surfaces, meshcat, row, file)
-            scene.draw_table(table_height_m)
-            scene.draw_paths()
-            scene.animate()
-            scene.place_camera()
-            html = str(meshcat.StaticHtml())
-        return _finished(html, row, file, scene.has_arm)
+        meshcat = _server()
+        scene = ReplayScene(self._plant, self._surfaces, meshcat, row, file)
+        scene.draw_table(table_height_m)
+        scene.draw_paths()
+        scene.animate()
+        scene.place_camera()
+        return _finished(str(meshcat.StaticHtml()), row, file, scene.has_arm)
 
 
 def write_replays(out: Path, ids: Sequence[str], plant: ArmPlant | None = None) -> list[Path]:
@@ -136,16 +134,22 @@ def _table_height_m(out: Path) -> float:
     return float(height) if isinstance(height, int | float) else 0.0
 
 
-@contextmanager
-def _server() -> Iterator[Any]:
-    """A Meshcat server on a free port of this machine alone; gone when the context ends."""
+def _server() -> Any:
+    """A Meshcat server on a free port of this machine alone; gone with its last name.
+
+    Raises:
+        SetupError: no port can be opened.
+    """
     log = logging.getLogger("drake")
     level = log.level
     log.setLevel(logging.WARNING)  # else it tells of its port, which nobody needs
     try:
-        yield Meshcat(MeshcatParams(host="localhost", port=0))
+        server = Meshcat(MeshcatParams(host="localhost", port=0))
+    except RuntimeError as error:
+        raise SetupError(f"Meshcat, which draws replays, cannot open a port of this machine ({cause(error)})") from None
     finally:
         log.setLevel(level)
+    return server
 
 
 def _finished(html: str, row: SampleRow, file: TrackFile, has_arm: bool) -> str:

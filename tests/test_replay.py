@@ -9,7 +9,7 @@ import pytest
 from pydrake.geometry import Meshcat
 
 from kinebench_drake import replay
-from kinebench_drake.errors import UnmeasurableError, UsageError
+from kinebench_drake.errors import SetupError, UnmeasurableError, UsageError
 from kinebench_drake.geometry import invert, make_pose, rotation_exp
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.products import GripperTrack, IkStatus, JointTrack
@@ -18,7 +18,6 @@ from kinebench_drake.replay_scene import _along, _linear, _tube
 from kinebench_drake.results import ResultStore
 from kinebench_drake.row import SampleRow, Status
 from kinebench_drake.trackfile import TrackFile, read_track, write_track
-from kinebench_drake.visuals import MAX_TRIANGLES
 
 N = 12
 
@@ -180,6 +179,15 @@ def test_the_server_is_gone(writer, file, monkeypatch):
         socket.create_connection(("localhost", port), timeout=5.0)
 
 
+def test_a_machine_without_ports_is_told(writer, file, monkeypatch):
+    def refuse(parameters):
+        raise RuntimeError("Meshcat failed to open a websocket port.")
+
+    monkeypatch.setattr(replay, "Meshcat", refuse)
+    with pytest.raises(SetupError, match="port of this machine"):
+        writer.page(row(), file)
+
+
 def test_a_track_of_one_frame_and_an_empty_one(writer, file):
     track = file.track
     one = np.zeros(N, dtype=bool)
@@ -220,21 +228,6 @@ def test_replays_of_a_folder(tmp_path, plant, track, joints):
     assert not list(written[0].parent.glob(".*"))
     with pytest.raises(UsageError, match="'c'"):
         write_replays(tmp_path / "out", ["c"], plant)
-
-
-def test_surfaces_are_light_and_cover_the_links(plant, writer):
-    by_link = {surface.link: surface for surface in writer._surfaces}
-    assert set(by_link) == {
-        *(f"panda_link{k}" for k in range(8)),
-        "panda_hand",
-        "panda_leftfinger",
-        "panda_rightfinger",
-    }
-    for surface in by_link.values():
-        assert len(surface.faces) <= MAX_TRIANGLES
-        assert surface.faces.max() < len(surface.vertices)
-    size = np.ptp(by_link["panda_hand"].vertices, axis=0)
-    np.testing.assert_allclose(size, [0.063, 0.204, 0.092], atol=0.005)  # the hand as its maker draws it
 
 
 def test_tubes_are_closed_around_their_line():
