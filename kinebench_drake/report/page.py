@@ -184,14 +184,12 @@ class Normalized:
     n: int
 
 
-_SCALE = ("low", "high", "mean", "n")
-
-
 def _normalization(results: Mapping[str, Json]) -> list[Normalized]:
     found = results.get("normalization")
-    return [
-        Normalized(metric=name, **{key: entry[key] for key in ("low", "high", "mean", "n")})
-        for name, entry in (found.items() if isinstance(found, Mapping) else ())
-        if isinstance(entry, Mapping)
-        and all(isinstance(entry.get(k), int | float) for k in ("low", "high", "mean", "n"))
-    ]
+    told = []
+    for name, entry in found.items() if isinstance(found, Mapping) else ():
+        numbers = [entry.get(key) if isinstance(entry, Mapping) else None for key in ("low", "high", "mean", "n")]
+        low, high, mean, n = (float(v) if isinstance(v, int | float) else None for v in numbers)
+        if low is not None and high is not None and mean is not None and n is not None:
+            told.append(Normalized(metric=name, low=low, high=high, mean=mean, n=int(n)))
+    return told
