@@ -98,6 +98,8 @@ class Measure(ABC, Generic[Sample]):
     stages: str
     """Import path of the `Stages`."""
     stage_options: StageOptions
+    code: str = field(default_factory=code_hash)
+    """SHA-256 of the program's sources when the run began; workers take it over."""
 
     @property
     @abstractmethod
@@ -137,7 +139,7 @@ class Measure(ABC, Generic[Sample]):
             "schema": SCHEMA_VERSION,
             "kind": self.kind.value,
             "stages": self.stages,
-            "code": code_hash(),
+            "code": self.code,
             "table_height_m": self.stage_options.table_height_m,
             "tcp_frame": self.stage_options.tcp_frame,
             "sample": [sample.id, sample.video, sample.task, sample.model],

@@ -7,13 +7,14 @@ import signal
 import subprocess
 import sys
 import time
+from functools import partial
 
 import numpy as np
 import pytest
 from fake_stages import LOG, Act
 from PIL import Image
 
-from kinebench_drake import measure, results
+from kinebench_drake import results, score
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.engines import EngineKind
 from kinebench_drake.errors import SetupError, UsageError
@@ -158,7 +159,7 @@ def test_changed_code_computes_anew(film, config, log, monkeypatch):
     score_videos(config())
     score_videos(config())
     assert len(log.read_text().splitlines()) == 1
-    monkeypatch.setattr(measure, "code_hash", lambda: "another version")
+    monkeypatch.setattr(score, "VideoMeasure", partial(score.VideoMeasure, code="another version"))
     score_videos(config())
     assert len(log.read_text().splitlines()) == 2
 
