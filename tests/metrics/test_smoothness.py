@@ -1,11 +1,14 @@
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
 
 from kinebench_drake.geometry import Array, make_pose, rotation_exp
-from kinebench_drake.metrics.smoothness import ldlj, runs, sparc, track_smoothness
+from kinebench_drake.metrics.noise import TrackNoise, track_noise
+from kinebench_drake.metrics.smoothness import METRICS, filtered_sparc, ldlj, runs, sparc, track_smoothness
 from kinebench_drake.products import GripperTrack
+from tests.metrics.motions import gripper, reach_and_place, with_noise
 
 
 def _bell(n: int) -> Array:
@@ -40,6 +43,34 @@ def test_the_references_documented_values() -> None:
     move = np.exp(-5 * t**2)
     assert sparc(move, 100.0) == pytest.approx(-1.41403, abs=5e-6)
     assert ldlj(move, 100.0) == pytest.approx(-5.81636, abs=5e-6)
+
+
+def _published_sparc(speed: Array, fs: float) -> float:
+    """SPARC as the 2015 paper defines it, step by step: the spectrum, its cut at 10 Hz, at 5 %, the arc's length."""
+    bins = 2 ** (int(np.ceil(np.log2(len(speed)))) + 4)
+    spectrum = [abs(np.sum(speed * np.exp(-2j * np.pi * k * np.arange(len(speed)) / bins))) for k in range(bins)]
+    hz = [k * fs / bins for k in range(bins)]
+    peak = max(spectrum)
+    selected = [(f, v / peak) for f, v in zip(hz, spectrum, strict=True) if f <= 10.0]
+    strong = [i for i, (_, v) in enumerate(selected) if v >= 0.05]
+    selected = selected[strong[0] : strong[-1] + 1]
+    width = selected[-1][0] - selected[0][0]
+    return -sum(float(np.sqrt(((f2 - f1) / width) ** 2 + (v2 - v1) ** 2)) for (f1, v1), (f2, v2) in pairwise(selected))
+
+
+def _published_ldlj(speed: Array, fs: float) -> float:
+    """LDLJ of a speed profile as published: the squared second derivative integrated, times duration^3 / peak^2."""
+    jerk = [(speed[i + 2] - 2 * speed[i + 1] + speed[i]) * fs**2 for i in range(len(speed) - 2)]
+    return -float(np.log((len(speed) / fs) ** 3 / max(speed) ** 2 * sum(j**2 for j in jerk) / fs))
+
+
+@pytest.mark.parametrize("fs", [20.0, 30.0, 100.0])
+@pytest.mark.parametrize("n", [17, 64, 101])
+def test_both_are_what_is_published(fs: float, n: int) -> None:
+    rng = np.random.default_rng(n)
+    for speed in (_bell(n), _bell(n) + 0.3 * rng.random(n), rng.random(n)):
+        assert sparc(speed, fs) == pytest.approx(_published_sparc(speed, fs), abs=1e-12)
+        assert ldlj(speed, fs) == pytest.approx(_published_ldlj(speed, fs), abs=1e-12)
 
 
 @pytest.mark.parametrize("fs", [5.0, 10.0, 12.0, 17.0, 30.0, 100.0])
@@ -151,6 +182,118 @@ def test_uneven_times_change_little() -> None:
     X = make_pose(np.tile(np.eye(3), (80, 1, 1)), 0.3 * s[:, None] * [1.0, 0.0, 0.0])
     uneven = track_smoothness(replace(track, t_s=track.t_s + jitter, X_BG=X))
     assert uneven.sparc == pytest.approx(-1.40, abs=0.03)
+
+
+@pytest.mark.parametrize("fs", [5.0, 8.0, 12.0, 17.0, 20.0, 30.0, 60.0])
+def test_filtered_sparc_is_the_same_at_any_frame_rate(fs: float) -> None:
+    t_s, X = reach_and_place(1.0 / fs)
+    fine_s, fine = reach_and_place(0.005)
+    reference = filtered_sparc(fine_s, fine[:, :3, 3])
+    assert filtered_sparc(t_s, X[:, :3, 3]) == pytest.approx(reference, abs=0.03)
+
+
+def test_filtered_sparc_bears_noise_at_high_frame_rates() -> None:
+    """Noise that changes the plain SPARC beyond recognition leaves the filtered one nearly as it was."""
+    t_s, X = reach_and_place(1.0 / 30.0)
+    noisy = with_noise(X, 0.002, 0.0, np.random.default_rng(0))
+    clean, rough = track_smoothness(gripper(t_s, X)), track_smoothness(gripper(t_s, noisy))
+    assert clean.sparc is not None
+    assert clean.sparc_filtered is not None
+    assert rough.sparc is not None
+    assert abs(rough.sparc - clean.sparc) > 1.0
+    assert rough.sparc_filtered == pytest.approx(clean.sparc_filtered, abs=0.15)
+
+
+def test_filtered_sparc_tells_stops_from_one_move() -> None:
+    t_s, X = reach_and_place(0.2)
+    one = filtered_sparc(t_s, np.outer(np.cumsum(_bell(len(t_s))), [1.0, 0.0, 0.0]))
+    four = filtered_sparc(t_s, X[:, :3, 3])
+    assert one is not None
+    assert four is not None
+    assert four < one - 0.5
+    assert filtered_sparc(t_s, 3.0 * X[:, :3, 3]) == pytest.approx(four, rel=1e-9)
+
+
+def test_filtered_sparc_needs_the_frames() -> None:
+    t_s, X = reach_and_place(0.3)
+    assert filtered_sparc(t_s, X[:, :3, 3]) is None
+    result = track_smoothness(gripper(t_s, X))
+    assert result.sparc_filtered is None
+    assert "3.33 frames a second" in result.reasons["sparc_filtered"]
+    assert result.sparc is not None
+    assert filtered_sparc(0.1 * np.arange(20), np.ones((20, 3))) is None
+
+
+@pytest.mark.parametrize("millimetres", [1.0, 3.0])
+def test_a_smooth_motion_with_noise_lies_on_its_noise_floor(millimetres: float) -> None:
+    t_s, X = reach_and_place(0.05)
+    rng = np.random.default_rng(0)
+    inside = dict.fromkeys(("sparc", "sparc_rotation", "ldlj"), 0)
+    for _ in range(20):
+        track = gripper(t_s, with_noise(X, 1e-3 * millimetres, np.deg2rad(0.5 * millimetres), rng))
+        metrics = track_smoothness(track).metrics
+        for name in inside:
+            value, low, high = (metrics[f"{name}{part}"] for part in ("", "_floor_low", "_floor_high"))
+            assert value is not None
+            assert low is not None
+            assert high is not None
+            inside[name] += low <= value <= high
+    assert min(inside.values()) >= 13  # of the 18 that nine in ten would be
+
+
+def test_quick_moves_at_few_frames_lie_near_their_noise_floor() -> None:
+    """Six frames a move: the smoothed motion is a little smoother than the true one."""
+    t_s, X = reach_and_place(0.2)
+    rng = np.random.default_rng(0)
+    for _ in range(10):
+        result = track_smoothness(gripper(t_s, with_noise(X, 0.003, np.deg2rad(1.5), rng)))
+        for name in METRICS:
+            assert getattr(result, name) == pytest.approx(result.floors[name].median, abs=0.7)
+
+
+def test_a_rough_motion_lies_below_its_noise_floor() -> None:
+    t_s, X = reach_and_place(0.02)
+    X[:, 0, 3] += 0.004 * np.sin(2 * np.pi * 3.0 * t_s)
+    result = track_smoothness(gripper(t_s, X), TrackNoise(position_m=2e-4, rotation_rad=1e-3))
+    assert result.ldlj is not None
+    floor = result.floors["ldlj"]
+    assert floor.low <= floor.median <= floor.high
+    calm = track_smoothness(gripper(*reach_and_place(0.02)), TrackNoise(position_m=2e-4, rotation_rad=1e-3))
+    assert result.sparc is not None
+    assert result.sparc < calm.floors["sparc"].low
+
+
+def test_the_floor_falls_with_the_noise_and_is_narrow_without() -> None:
+    t_s, X = reach_and_place(0.05)
+    floors = []
+    for size in (0.0, 1e-3, 4e-3):
+        result = track_smoothness(gripper(t_s, X), TrackNoise(position_m=size, rotation_rad=size))
+        floors.append(result.floors["ldlj"])
+        if size == 0.0:
+            assert result.ldlj == pytest.approx(floors[0].median, abs=1e-9)
+            assert floors[0].high - floors[0].low < 1e-9
+    assert floors[0].median > floors[1].high > floors[1].low > floors[2].median
+
+
+def test_the_same_track_gives_the_same_floor() -> None:
+    t_s, X = reach_and_place(0.2)
+    track = gripper(t_s, with_noise(X, 0.003, 0.02, np.random.default_rng(0)))
+    first = track_smoothness(track)
+    assert first == track_smoothness(track, track_noise(track.t_s, track.X_BG, track.tracked))
+    assert first.floors["sparc"] != track_smoothness(track, seed=1).floors["sparc"]
+
+
+def test_numbers_have_flat_names_and_what_is_missing_a_reason() -> None:
+    result = track_smoothness(_track(size_rad=0.0))
+    names = {f"{name}{part}" for name in METRICS for part in ("", "_floor_low", "_floor_median", "_floor_high")}
+    assert set(result.metrics) == names
+    assert set(result.reasons) == {"sparc_rotation", "sparc_rotation_filtered"}
+    assert "0.05 rad" in result.reasons["sparc_rotation"]
+    short = track_smoothness(_with_gap(_track(), slice(5, 50)))
+    assert set(short.reasons) == set(METRICS)
+    assert set(short.metrics.values()) == {None}
+    assert "has 5, 8 are needed" in short.reasons["sparc"]
+    assert track_smoothness(_track()).reasons == {}
 
 
 def test_runs_are_the_stretches_of_true() -> None:
