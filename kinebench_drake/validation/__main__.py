@@ -99,7 +99,8 @@ def bench(out: Path | None, json_out: Path | None, repeats: int, tracks: int, au
     """
     # Before NumPy is loaded: afterwards its libraries do not listen.
     os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"))
-    from kinebench_drake.validation.bench import document, run_bench
+    from kinebench_drake.validation.bench import run_bench
+    from kinebench_drake.validation.page import document
 
     try:
         result = run_bench(repeats=repeats, tracks=tracks, audits=audits, note=lambda text: click.echo(text, err=True))

@@ -28,15 +28,11 @@ from kinebench_drake.validation.motion import Arm, Motion, accelerations
 from kinebench_drake.validation.moves import cartesian
 from kinebench_drake.validation.peers import (
     OURS,
-    OWN_PARTS,
     PEERS,
-    PLAIN_DRAKE,
-    POSITION_M,
-    ROTATION_RAD,
-    TOLD,
     Peer,
     Problem,
     Solve,
+    kept_up,
     reached,
 )
 
@@ -48,8 +44,6 @@ TRACKS = 1000
 """Tracks of the throughput."""
 AUDITS = 200
 """Tracks that are audited whole."""
-
-COMMAND = "make bench"
 
 _WINDOWS = 4  # tracks cut out of one long motion
 
@@ -66,6 +60,8 @@ class Timing:
     """(R,) microseconds a pose of each repeat; None if the package is missing."""
     reached: float | None
     """Share of poses reached within limits, by Drake's forward kinematics."""
+    kept_up: float | None
+    """Share of tracks whose joint path keeps the limits of speed."""
 
     @property
     def median(self) -> float | None:
@@ -80,6 +76,7 @@ class Timing:
             "how": self.how,
             "us_a_pose": None if self.us_a_pose is None else self.us_a_pose.tolist(),
             "reached": self.reached,
+            "kept_up": self.kept_up,
         }
 
 
@@ -167,7 +164,7 @@ def compare_ik(problems: Sequence[Problem], peers: Sequence[Peer], repeats: int)
             solvers[peer.name] = peer.make(plant)
         except ImportError:
             continue
-    shares = {name: reached(plant, problems, solve(problems)) for name, solve in solvers.items()}
+    paths = {name: solve(problems) for name, solve in solvers.items()}
     seconds: dict[str, list[float]] = {name: [] for name in solvers}
     for _ in range(repeats):
         for name, solve in solvers.items():
@@ -181,7 +178,8 @@ def compare_ik(problems: Sequence[Problem], peers: Sequence[Peer], repeats: int)
             label=peer.label,
             how=peer.how,
             us_a_pose=1e6 * np.array(seconds[peer.name]) / poses if peer.name in seconds else None,
-            reached=shares.get(peer.name),
+            reached=reached(plant, problems, paths[peer.name]) if peer.name in paths else None,
+            kept_up=kept_up(plant, problems, paths[peer.name]) if peer.name in paths else None,
         )
         for peer in peers
     )
@@ -257,62 +255,3 @@ def run_bench(
         judged_feasible=feasible,
         host=host(),
     )
-
-
-def document(bench: Bench) -> str:
-    """The bench as a page of Markdown."""
-    poses = BENCHMARK_FRAMES * IK_TRACKS
-    lines = [
-        "# Benchmarks",
-        "",
-        f"Written by `{COMMAND}`, one thread, on {bench.host.get('cpu')} ({bench.host.get('cores')} cores). Times are "
-        "those of the process on the processor, so that other load hardly counts. Seconds are this machine's; ratios "
-        "carry over.",
-        "",
-        "## Inverse kinematics along smooth tracks",
-        "",
-        f"{poses} poses ({IK_TRACKS} expert-like tracks of {BENCHMARK_FRAMES} frames at {BENCHMARK_PERIOD_S} s), "
-        f"started from the posture of the first, reached to {1e3 * POSITION_M:g} mm and {1e3 * ROTATION_RAD:g} mrad. "
-        "The solvers take turns; ratios are of the same turn. Reached: share of poses at which Drake's forward "
-        "kinematics finds the TCP where it should be, joints within limits.",
-        "",
-        "| solver | used as | us a pose, median (least to most) | times ours, median (least to most) | reached |",
-        "| --- | --- | --- | --- | --- |",
-    ]
-    for t in bench.timings:
-        ratio = bench.ratio(t.name)
-        if t.us_a_pose is None or ratio is None or t.reached is None:
-            lines.append(f"| {t.label} | {t.how} | not installed | | |")
-            continue
-        spread = f"{t.median:.0f} ({t.us_a_pose.min():.0f} to {t.us_a_pose.max():.0f})"
-        times = f"{np.median(ratio):.1f} ({ratio.min():.1f} to {ratio.max():.1f})"
-        lines.append(f"| {t.label} | {t.how} | {spread} | {times} | {100 * t.reached:.1f} % |")
-    lines += ["", _summary(bench), "", "## Throughput", ""]
-    lines += [
-        f"{bench.tracks} tracks of {BENCHMARK_FRAMES} frames on one core, in this process: "
-        f"{bench.throughput_s:.1f} s ("
-        + ", ".join(f"{part} {seconds:.1f} s" for part, seconds in bench.throughput_parts_s.items())
-        + ").",
-        "",
-        "## The whole audit",
-        "",
-        f"{len(bench.audit_s)} tracks with collisions and both trajectory optimisations: median "
-        f"{np.median(bench.audit_s):.3f} s a track, 95th percentile {np.percentile(bench.audit_s, 95):.3f} s, most "
-        f"{bench.audit_s.max():.3f} s.",
-        "",
-    ]
-    return "\n".join(lines)
-
-
-def _summary(bench: Bench) -> str:
-    drake = bench.ratio(PLAIN_DRAKE)
-    ratios = {
-        t.label: ratio
-        for t in bench.timings
-        if t.name not in (OURS, PLAIN_DRAKE, OWN_PARTS, TOLD) and (ratio := bench.ratio(t.name)) is not None
-    }
-    said = [] if drake is None else [f"{np.median(drake):.1f} times as fast as plain Drake InverseKinematics"]
-    if ratios:
-        fastest = min(ratios, key=lambda label: float(np.median(ratios[label])))
-        said.append(f"{np.median(ratios[fastest]):.1f} times as fast as {fastest}, the fastest of the other packages")
-    return f"So ours is {' and '.join(said)}." if said else ""

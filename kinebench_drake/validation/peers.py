@@ -7,6 +7,7 @@ frame, starting from its own posture of the frame before, until the pose is reac
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any, TypeAlias
 
@@ -80,7 +81,8 @@ def _ours(plant: ArmPlant) -> Solve:
     return lambda problems: [follow(plant, p.t_s, p.X_BG, p.q[0]).q for p in problems]
 
 
-def _drake(plant: ArmPlant) -> Solve:
+def _drake(plant: ArmPlant, *, near: bool) -> Solve:
+    """`near`: with the cost of leaving the posture before, as in Drake's own course."""
     from pydrake.math import RotationMatrix
     from pydrake.multibody.inverse_kinematics import InverseKinematics
     from pydrake.solvers import SnoptSolver, SolverOptions
@@ -99,6 +101,8 @@ def _drake(plant: ArmPlant) -> Solve:
         turn = (plant.base_frame, rotation(X_BG[:3, :3]), plant.tcp_frame, rotation(), 0.5 * ROTATION_RAD)
         ik.AddOrientationConstraint(*turn)
         guess: Any = np.concatenate([q, fingers])
+        if near:
+            ik.prog().AddQuadraticErrorCost(np.eye(len(guess)), guess, ik.q())
         found: Any = solver.Solve(ik.prog(), guess, options)
         return np.asarray(found.GetSolution(ik.q()), dtype=np.float64)[:N_JOINTS]
 
@@ -119,13 +123,14 @@ def _newton(plant: ArmPlant) -> Solve:
     return frame_by_frame(step)
 
 
-def _pink(plant: ArmPlant) -> Solve:
+def _pink(plant: ArmPlant, *, limited: bool) -> Solve:
     import pink
     import pinocchio
 
     model = pinocchio.buildModelFromXML(_bare_urdf(plant))
     configuration = pink.Configuration(model, model.createData(), plant.robot.rest_q)
     task = pink.tasks.FrameTask(plant.robot.tcp_link, position_cost=1.0, orientation_cost=1.0)
+    limits: list[Any] | None = None if limited else []
 
     def step(X_BG: Array, q: Array) -> Array:
         task.set_target(pinocchio.SE3(X_BG[:3, :3], X_BG[:3, 3]))
@@ -134,14 +139,14 @@ def _pink(plant: ArmPlant) -> Solve:
             error = task.compute_error(configuration)
             if np.linalg.norm(error[:3]) < POSITION_M and np.linalg.norm(error[3:]) < ROTATION_RAD:
                 break
-            rate = pink.solve_ik(configuration, [task], 1.0, solver="daqp", damping=1e-12)
+            rate = pink.solve_ik(configuration, [task], 1.0, solver="daqp", damping=1e-12, limits=limits)
             configuration.integrate_inplace(rate, 1.0)
         return np.array(configuration.q)
 
     return frame_by_frame(step)
 
 
-def _mink(plant: ArmPlant) -> Solve:
+def _mink(plant: ArmPlant, *, limited: bool) -> Solve:
     import mink
     import mujoco
 
@@ -151,6 +156,7 @@ def _mink(plant: ArmPlant) -> Solve:
     model = mujoco.MjModel.from_xml_string(ElementTree.tostring(urdf, encoding="unicode"))
     configuration = mink.Configuration(model)
     task = mink.FrameTask(plant.robot.tcp_link, "body", position_cost=1.0, orientation_cost=1.0)
+    limits: list[Any] | None = None if limited else []
 
     def step(X_BG: Array, q: Array) -> Array:
         task.set_target(mink.SE3.from_matrix(X_BG))
@@ -159,7 +165,7 @@ def _mink(plant: ArmPlant) -> Solve:
             error = task.compute_error(configuration)
             if np.linalg.norm(error[:3]) < POSITION_M and np.linalg.norm(error[3:]) < ROTATION_RAD:
                 break
-            rate = mink.solve_ik(configuration, [task], 1.0, "daqp")
+            rate = mink.solve_ik(configuration, [task], 1.0, "daqp", limits=limits)
             configuration.integrate_inplace(rate, 1.0)
         return np.array(configuration.q)
 
@@ -202,7 +208,8 @@ def _batched(plant: ArmPlant, start: Callable[[Problem], Array]) -> Solve:
     return solve
 
 
-def _frankik(plant: ArmPlant) -> Solve:
+def _frankik(plant: ArmPlant, *, sweep: bool) -> Solve:
+    """`sweep`: joint 7 tried at 60 angles; else held, and swept where that finds nothing."""
     from frankik import FrankaKinematics, RobotType
 
     solver = FrankaKinematics(RobotType.PANDA)
@@ -210,7 +217,8 @@ def _frankik(plant: ArmPlant) -> Solve:
     X_GF = invert(plant.forward(plant.robot.rest_q)) @ plant.link_poses(plant.robot.rest_q)["panda_link8"]
 
     def step(X_BG: Array, q: Array) -> Array:
-        found = solver.inverse(X_BG @ X_GF, q0=q)
+        found = None if sweep else solver.inverse(X_BG @ X_GF, q0=q, q7=q[6])
+        found = solver.inverse(X_BG @ X_GF, q0=q) if found is None else found
         return q if found is None else np.asarray(found)
 
     return frame_by_frame(step)
@@ -237,10 +245,18 @@ TOLD = "pytorch_kinematics, told"
 
 PEERS = (
     Peer(name=OURS, how="`kinematics.ik.follow`, a track at a time, to 1e-6 m and 1e-6 rad", package=None, make=_ours),
-    Peer(name=PLAIN_DRAKE, how="one program a pose, SNOPT", package="drake", make=_drake),
+    Peer(name=PLAIN_DRAKE, how="one program a pose, SNOPT", package="drake", make=partial(_drake, near=False)),
+    Peer(
+        name=f"{PLAIN_DRAKE}, near",
+        how="the same with the quadratic cost of leaving the posture before",
+        package="drake",
+        make=partial(_drake, near=True),
+    ),
     Peer(name=OWN_PARTS, how="a plain loop in Python, pseudo-inverse steps", package="drake", make=_newton),
-    Peer(name="pin-pink", how="FrameTask, daqp, its own limits, a step a second", package="pin-pink", make=_pink),
-    Peer(name="mink", how="FrameTask, daqp, its own limits, a step a second", package="mink", make=_mink),
+    Peer(name="pin-pink", how="FrameTask, daqp, its own limits", package="pin-pink", make=partial(_pink, limited=True)),
+    Peer(name="pin-pink, free", how="the same without limits", package="pin-pink", make=partial(_pink, limited=False)),
+    Peer(name="mink", how="FrameTask, daqp, its own limits", package="mink", make=partial(_mink, limited=True)),
+    Peer(name="mink, free", how="the same without limits", package="mink", make=partial(_mink, limited=False)),
     Peer(
         name="pytorch_kinematics",
         how="PseudoInverseIK, all poses in one batch, each from the start of its track",
@@ -254,7 +270,16 @@ PEERS = (
         make=_pytorch_kinematics_told,
     ),
     Peer(
-        name="frankik", how="closed form, its sweep of joint 7, the solution nearest", package="frankik", make=_frankik
+        name="frankik",
+        how="closed form, its sweep of joint 7, the solution nearest",
+        package="frankik",
+        make=partial(_frankik, sweep=True),
+    ),
+    Peer(
+        name="frankik, held",
+        how="closed form, joint 7 as in the frame before, the sweep where that finds nothing",
+        package="frankik",
+        make=partial(_frankik, sweep=False),
     ),
 )
 
@@ -268,3 +293,15 @@ def reached(plant: ArmPlant, problems: Sequence[Problem], paths: Sequence[Array]
         inside = ((path >= plant.lower) & (path <= plant.upper)).all(axis=-1)
         good.append((position <= POSITION_M) & (rotation <= ROTATION_RAD) & inside)
     return float(np.concatenate(good).mean())
+
+
+def kept_up(plant: ArmPlant, problems: Sequence[Problem], paths: Sequence[Array]) -> float:
+    """Share of tracks whose postures follow each other within the limits of joint speed, as those they were made from.
+
+    A path that does not is one of poses: it jumps between postures, and nobody can drive it.
+    """
+    good = [
+        (np.abs(np.diff(path, axis=0)) <= plant.velocity_limits * np.diff(problem.t_s)[:, None]).all()
+        for problem, path in zip(problems, paths, strict=True)
+    ]
+    return float(np.mean(good))
