@@ -12,7 +12,7 @@ from kinebench_drake.details import details_json, violation_json
 from kinebench_drake.geometry import Array
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.metrics.kinematic import KinematicResult, TrackJudge
-from kinebench_drake.models.arm import load_robot
+from kinebench_drake.models.arm import choose_robot
 from kinebench_drake.products import GripperTrack
 from kinebench_drake.stages import Judgement, StageOptions
 
@@ -30,8 +30,7 @@ class DrakeStages:
             InputError: the robot named cannot be used.
             SetupError: the Panda's files are missing.
         """
-        robot = None if options.urdf is None else load_robot(options.urdf, options.tcp_frame or "")
-        self._plant = ArmPlant(robot)
+        self._plant = ArmPlant(choose_robot(options.urdf, options.tcp_frame))
         self._judge = TrackJudge(self._plant, table_height_m=options.table_height_m)
 
     @cached_property

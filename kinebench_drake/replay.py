@@ -125,7 +125,7 @@ def worst_samples(out: Path, n: int) -> list[str]:
 
 def replay_path(out: Path, id: str) -> Path:
     """Where a sample's replay lies."""
-    return out / "replays" / f"{id}.html"
+    return part_path(out, "replays", id)
 
 
 def _table_height_m(out: Path) -> float:

@@ -12,7 +12,7 @@ from kinebench_drake.errors import InputError, SetupError, UsageError
 from kinebench_drake.row import Json, SampleRow, dump
 
 SAMPLES, TIMINGS, RESULTS, REPORT = "samples.jsonl", "timings.jsonl", "results.json", "report.html"
-_PARTS = {"tracks": "npz", "overlays": "mp4", "thumbnails": "jpg"}
+_PARTS = {"tracks": "npz", "overlays": "mp4", "thumbnails": "jpg", "replays": "html"}
 
 
 @contextmanager
@@ -53,7 +53,7 @@ def write_atomically(path: Path, data: bytes) -> None:
 
 
 def part_path(out: Path, part: str, id: str) -> Path:
-    """Path of a sample's file of its own: part is "tracks", "overlays" or "thumbnails"."""
+    """Path of a sample's file of its own: part is "tracks", "overlays", "thumbnails" or "replays"."""
     return out / part / f"{id}.{_PARTS[part]}"
 
 

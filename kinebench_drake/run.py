@@ -48,6 +48,8 @@ class RunConfig:
     """Import path of the heavy steps."""
     table_height_m: float = 0.0
     """Height of the table's top in the robot's base frame [m]."""
+    replays: int = 0
+    """3D replays to write, of the worst samples."""
 
     def __post_init__(self) -> None:
         """Check the numbers.
@@ -59,6 +61,8 @@ class RunConfig:
             raise UsageError(f"--limit is {self.limit}, expected 1 or more")
         if self.seed < 0:
             raise UsageError(f"--seed is {self.seed}, expected 0 or more")
+        if self.replays < 0:
+            raise UsageError(f"--replays is {self.replays}, expected 0 or more")
         self.stage_options()
 
     def stage_options(self) -> StageOptions:
@@ -156,6 +160,8 @@ def run_samples(
                 observer.finished(row, wall_s)
         rows = [store.rows[id] for id in sorted(store.rows)]
         store.finish(summarize(rows, config, found=len(samples)))
+        if config.replays:
+            _replay(config)
         report = _report(config) if config.kind.judges else None
     feasible = estimate([r.feasible for r in rows if r.status is Status.OK], total=len(rows), seed=config.seed)
     return RunSummary(
@@ -214,6 +220,18 @@ def _resume(
     waiting = {s.id: s for s in chosen if not measure.is_finished(s, store.rows.get(s.id))}
     store.keep(lambda row: row.id in known and row.id not in waiting)
     return list(waiting.values())
+
+
+def _replay(config: RunConfig) -> None:
+    """Write the replays of the worst samples; their meshes are simplified anew each time (some two seconds)."""
+    from kinebench_drake.kinematics.plant import ArmPlant
+    from kinebench_drake.models.arm import choose_robot
+    from kinebench_drake.replay import worst_samples, write_replays
+
+    worst = worst_samples(config.out, config.replays)
+    if worst:
+        options = config.stage_options()
+        write_replays(config.out, worst, ArmPlant(choose_robot(options.urdf, options.tcp_frame)))
 
 
 def _report(config: RunConfig) -> Path:

@@ -9,13 +9,28 @@ import numpy as np
 
 from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.geometry import Array
-from kinebench_drake.models.panda.robot import ARM_JOINTS
+from kinebench_drake.models.panda.robot import ARM_JOINTS, panda
 from kinebench_drake.models.panda.robot import rest_q as panda_rest_q
 from kinebench_drake.models.robot import N_JOINTS, Robot
 from kinebench_drake.models.urdf import convert_urdf, read_allowed_pairs, read_effort_limits, read_number, read_urdf
 
 _TURNING = ("revolute", "continuous")
 _KNOWN = (*_TURNING, "prismatic", "fixed")
+
+
+def choose_robot(urdf: Path | None, tcp_link: str | None) -> Robot:
+    """The arm that the user named, or the Panda.
+
+    Args:
+        urdf: its URDF; None for mani_skill's Panda.
+        tcp_link: the URDF's link whose poses count; None with the Panda.
+
+    Raises:
+        InputError: the URDF or its SRDF cannot be used.
+        SetupError: the Panda's files are missing, or the cache folder cannot be written.
+        UsageError: it has no such link.
+    """
+    return panda() if urdf is None else load_robot(urdf, tcp_link or "")
 
 
 def load_robot(urdf: Path, tcp_link: str) -> Robot:

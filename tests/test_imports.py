@@ -25,7 +25,7 @@ MAY_IMPORT = {
     "stages": LEAF | {"row"},
     "trajectories": LEAF | {"results"},
     "measure": LEAF | RESULTS | {"stages"},
-    "run": LEAF | RESULTS | {"stages", "measure"},
+    "run": LEAF | RESULTS | {"stages", "measure", "replay", "kinematics", "models"},
     "trajectory_measure": LEAF | RESULTS | {"stages", "measure", "trajectories"},
     "audit": LEAF | RESULTS | {"stages", "measure", "run", "trajectories", "trajectory_measure"},
     "thumbnail": LEAF | {"stages"},

@@ -56,19 +56,17 @@ def view(out: Path, id: str, urdf: Path | None, opened: bool) -> None:
         click.echo("no browser could be started; open the file by hand", err=True)
 
 
-def _plant(out: Path, urdf: Path | None) -> "ArmPlant | None":
-    """The robot that a run was judged by; None for the Panda."""
+def _plant(out: Path, urdf: Path | None) -> "ArmPlant":
+    """The robot that a run was judged by."""
     from kinebench_drake.report.page import read_results
 
     config = read_results(out).get("config")
     robot, tcp_frame = (config.get(key) if isinstance(config, Mapping) else None for key in ("robot", "tcp_frame"))
-    if robot is None and urdf is None:
-        return None
-    if robot is None:
+    if robot is None and urdf is not None:
         raise UsageError(f"{out}: was judged by the Panda, leave out --robot")
-    if urdf is None:
+    if robot is not None and urdf is None:
         raise UsageError(f"{out}: was judged by {robot}, name that file with --robot")
     from kinebench_drake.kinematics.plant import ArmPlant
-    from kinebench_drake.models.arm import load_robot
+    from kinebench_drake.models.arm import choose_robot
 
-    return ArmPlant(load_robot(urdf, str(tcp_frame)))
+    return ArmPlant(choose_robot(urdf, None if tcp_frame is None else str(tcp_frame)))

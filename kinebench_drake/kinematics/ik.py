@@ -233,7 +233,7 @@ def _search(
 
 def _verified(plant: ArmPlant, t_s: Array, X_BG: Array, path: Array, q_start: Array) -> JointTrack:
     """The path (n, 7) as it is where Drake confirms it, solved anew from the frame before elsewhere."""
-    known = np.isfinite(path).all(axis=-1)
+    known = np.asarray(np.isfinite(path).all(axis=-1))
     q = np.where(known[:, None], path, q_start)
     position, rotation = pose_difference(np.reshape([plant.forward(row) for row in q], (-1, 4, 4)), X_BG)
     ok = known & (excess(plant, q).max(axis=-1, initial=0.0) <= 0.0)

@@ -355,4 +355,4 @@ class _Smoothing:
         gradient += np.sum((held * past + _FROM_REST * (q - self._rest)) * n, axis=-1)
         bands[0] += damping * (bands[0] + 1e-6) + 1e-9
         delta = solveh_banded(bands[: min(3, T)], -gradient, lower=True, check_finite=False)
-        return np.clip(delta, -_LARGEST_STEP_RAD, _LARGEST_STEP_RAD)
+        return np.asarray(np.clip(delta, -_LARGEST_STEP_RAD, _LARGEST_STEP_RAD))

@@ -129,7 +129,7 @@ class TrackJudge:
         """
         if not (np.diff(t_s) > 0.0).all():
             raise InputError("t_s must increase from frame to frame")
-        known = np.isfinite(q).all(axis=-1)
+        known = np.asarray(np.isfinite(q).all(axis=-1))
         X_BG = np.full((len(q), 4, 4), np.nan)
         X_BG[known] = np.reshape([self._plant.forward(row) for row in q[known]], (-1, 4, 4))
         track = GripperTrack(
@@ -141,7 +141,7 @@ class TrackJudge:
             finger_width_m=finger_width_m,
         )
         error = np.where(known, 0.0, np.nan)
-        past = excess(self._plant, q).max(axis=-1, initial=0.0) > 0.0
+        past = np.asarray(excess(self._plant, q).max(axis=-1, initial=0.0) > 0.0)
         status = [
             IkStatus.NOT_TRACKED if not k else IkStatus.JOINT_LIMIT if p else IkStatus.OK
             for k, p in zip(known, past, strict=True)

@@ -19,6 +19,8 @@ from kinebench_drake.trackfile import read_track
 
 RANK = {"error": 0, "infeasible": 1, "unmeasurable": 2, "unjudged": 3, "feasible": 4}
 """Verdicts, the worst first."""
+MOST_BROKEN = 20
+"""Broken limits that a sample's table lists, the first ones."""
 _SHOWN_ELSEWHERE = ("limits", "checks")
 
 
@@ -33,6 +35,8 @@ class SampleView:
     thumbnail: str | None
     """Picture as a data URI."""
     moments: Sequence[Moment]
+    left_out: int
+    """Limits broken that `moments` leaves out, being too many."""
     plots: Sequence[Markup]
     summary: Sequence[Fact]
     """What the checks came to."""
@@ -78,17 +82,20 @@ def view_sample(out: Path, row: SampleRow, *, drawn: bool) -> SampleView:
     picture = part_path(out, "thumbnails", row.id)
     uri = f"data:image/jpeg;base64,{base64.b64encode(picture.read_bytes()).decode()}" if picture.is_file() else None
     track = part_path(out, "tracks", row.id)
-    replay = out / "replays" / f"{row.id}.html"
+    replay = part_path(out, "replays", row.id)
     viewable = row.status is Status.OK and track.is_file()
     file = read_track(track) if viewable and drawn else None
     details = {name: value for name, value in row.details.items() if name not in _SHOWN_ELSEWHERE}
     reasons = {f"no {name}": reason for name, reason in row.null_reasons.items() if "_floor_" not in name}
+    moments = worst_moments(row, file)
+    broken = [moment for moment in moments if moment.broken]
     return SampleView(
         row=row,
         verdict=verdict_of(row),
         anomalies=anomalies_of(row),
         thumbnail=uri,
-        moments=worst_moments(row, file),
+        moments=[*broken[:MOST_BROKEN], *(moment for moment in moments if not moment.broken)],
+        left_out=max(len(broken) - MOST_BROKEN, 0),
         plots=draw_curves(row, file) if file else [],
         summary=summarize_checks(row, file.track.t_s) if file else [],
         resolutions=resolutions(row) if drawn else [],
