@@ -324,3 +324,16 @@ def test_only_the_worst_are_drawn(audit, monkeypatch):
     assert "<svg" in section(text, "fast")
     assert "<svg" not in section(text, "slow")
     assert "for the 1 worst only" in text
+
+
+def test_endless_violations_are_cut_short(tmp_path):
+    faults = tuple(
+        {"kind": "velocity", "frame_start": k, "frame_end": k, "joint": "j1", "value": 2.0, "limit": 1.0}
+        for k in range(500)
+    )
+    with ResultStore(tmp_path) as store:
+        store.append(row("wild", feasible=False, violations=faults), 0.1)
+        store.finish({"kind": "audit"})
+    wild = section(write_report(tmp_path).read_text(), "wild")
+    assert wild.count('<tr class="broken">') == 20
+    assert "480 more limits" in wild
