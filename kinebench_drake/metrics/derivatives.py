@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.linalg import solveh_banded
 
 from kinebench_drake.geometry import Array
-from kinebench_drake.metrics.runs import runs
+from kinebench_drake.metrics.runs import complete, runs
 
 NOISE_SHARE = 0.1
 """The window grows until the standard error is this share of the limit ..."""
@@ -71,7 +71,7 @@ def differentiate(t_s: Array, q: Array, sigma: Array, order: int, limits: Array)
         order: 1, 2 or 3.
         limits: (7,) greatest magnitudes of the derivative allowed [rad/s^order].
     """
-    known = np.isfinite(q).all(axis=-1)
+    known = complete(q)
     variance = np.broadcast_to(np.asarray(sigma, dtype=np.float64) ** 2, q.shape)
     period = float(np.median(np.diff(t_s))) if len(t_s) > 1 else 1.0
     size = _window(period, _noise_ratio(variance[known], limits), order)
@@ -111,7 +111,7 @@ def smooth_path(t_s: Array, q: Array, sigma: Array) -> Array:
     """
     variance = np.maximum(np.broadcast_to(np.asarray(sigma, dtype=np.float64), q.shape), 0.1 * NEGLIGIBLE_RAD) ** 2
     smoothed = q.copy()
-    for run in runs(np.isfinite(q).all(axis=-1)):
+    for run in runs(complete(q)):
         noisy = float(np.median(variance[run].mean(axis=-1))) > NEGLIGIBLE_RAD**2
         if noisy and run.stop - run.start > _ROUGHNESS + 1:
             smoothed[run] = _smooth_run(t_s[run], q[run], variance[run])
@@ -180,7 +180,7 @@ def _windows(t_s: Array, n: int) -> Array:
     """Times (N, n) of all windows of `n` samples, or (1, n) if the times are even."""
     dt = np.diff(t_s)
     if np.ptp(dt) <= 1e-6 * dt.mean():
-        return np.arange(n)[None] * float(dt.mean())
+        return np.asarray(np.arange(n)[None] * float(dt.mean()))
     return np.lib.stride_tricks.sliding_window_view(t_s, n)
 
 
@@ -218,7 +218,7 @@ def noise_gain(period: float, sizes: Array | NDArray[np.intp], order: int) -> Ar
 
 
 def _bandwidth(period: float, size: int, order: int) -> float:
-    weights = _weights(np.arange(size)[None] * period, order)[0]
+    weights = _weights(np.asarray(np.arange(size)[None] * period), order)[0]
     frequency = np.linspace(0.0, 0.5 / period, 129)[1:]
     time = (np.arange(size) - 0.5 * (size - 1)) * period
     seen = np.abs(np.exp(2j * np.pi * frequency[:, None] * time) @ weights) / (2 * np.pi * frequency) ** order

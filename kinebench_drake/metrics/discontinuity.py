@@ -16,7 +16,7 @@ from scipy.special import fdtri
 
 from kinebench_drake.geometry import Array
 from kinebench_drake.metrics.noise import FREEDOM_A_FRAME, TrackNoise, joint_noise, rotation_steps
-from kinebench_drake.metrics.runs import runs
+from kinebench_drake.metrics.runs import complete, runs
 from kinebench_drake.metrics.violation import Violation, ViolationKind
 
 JUMP_M = 0.06
@@ -96,7 +96,7 @@ def find_discontinuities(
 def _joint_jumps(t_s: Array, q: Array, joints: tuple[str, ...]) -> list[Violation]:
     sigma = joint_noise(t_s, q)
     found = []
-    for run in runs(np.isfinite(q).all(axis=-1)):
+    for run in runs(complete(q)):
         t, n = t_s[run], run.stop - run.start
         floor = _floor(t, JUMP_RAD, JOINT_ACCELERATION_RAD_S2)
         for j, name in enumerate(joints):

@@ -19,7 +19,7 @@ from kinebench_drake.geometry import Array
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.metrics.derivatives import Derivative, differentiate, smooth_path
 from kinebench_drake.metrics.noise import FREEDOM_A_FRAME
-from kinebench_drake.metrics.runs import runs
+from kinebench_drake.metrics.runs import complete, runs
 from kinebench_drake.metrics.violation import Violation, ViolationKind
 
 FALSE_ALARM = 0.01
@@ -107,7 +107,7 @@ def check_limits(plant: ArmPlant, t_s: Array, q: Array, sigma: Array) -> LimitCh
         q: (T, 7) joint angles [rad], NaN where unknown.
         sigma: (7,) or (T, 7) standard deviations of the noise of `q` [rad]; NaN if unknown, and then nothing convicts.
     """
-    known = np.isfinite(q).all(axis=-1)
+    known = complete(q)
     frames = int(known.sum())
     z = allowance(frames * q.shape[1] * len(_KINDS), FREEDOM_A_FRAME * frames)
     limits = {
@@ -178,7 +178,7 @@ def _check_torque(
 ) -> LimitCheck:
     torque, gravity, error = np.full((3, *q.shape), np.nan)
     at_rest = np.zeros(q.shape[1])
-    for i in np.flatnonzero(np.isfinite(acceleration.value).all(axis=-1)):
+    for i in np.flatnonzero(complete(acceleration.value)):
         torque[i] = plant.torque(q[i], velocity.value[i], acceleration.value[i])
         gravity[i] = plant.torque(q[i], at_rest, at_rest)
         error[i] = np.sqrt(plant.mass_matrix(q[i]) ** 2 @ acceleration.standard_error[i] ** 2)
@@ -219,7 +219,7 @@ def _check(
         value=value,
         window_s=derivative.window_s,
         bandwidth_hz=derivative.bandwidth_hz,
-        noise_ratio=float((np.median(error[np.isfinite(value).all(axis=-1)], axis=0) / limits).max()),
+        noise_ratio=float((np.median(error[complete(value)], axis=0) / limits).max()),
         slowdown=np.where(seen, np.maximum(least, np.minimum(own, 1.0)), least),
         violations=tuple(_violations(plant, kind, magnitude, limits, broken)),
     )

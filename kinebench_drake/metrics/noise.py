@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.geometry import Array, rotation_log
-from kinebench_drake.metrics.runs import runs
+from kinebench_drake.metrics.runs import complete, runs
 
 ORDERS = (2, 3, 4, 5, 6)
 """Orders of difference that are tried."""
@@ -67,7 +67,7 @@ def track_noise(t_s: Array, X_BG: Array, tracked: NDArray[np.bool_]) -> TrackNoi
 
 def joint_noise(t_s: Array, q: Array) -> Array:
     """Noise (7,) [rad] of joint angles `q` (T, 7) at `t_s` (T,) [s], rows of NaN left out; NaN where too short."""
-    pieces = [run for run in runs(np.isfinite(q).all(axis=-1)) if run.stop - run.start > ORDERS[0]]
+    pieces = [run for run in runs(complete(q)) if run.stop - run.start > ORDERS[0]]
     variance = _variance([t_s[run] for run in pieces], [np.diff(q[run], axis=0) for run in pieces], q.shape[1])
     return np.asarray(np.sqrt(variance))
 

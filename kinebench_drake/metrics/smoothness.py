@@ -154,7 +154,7 @@ def _speeds(t_s: Array, p: Array) -> Array:
     if float(np.abs(dt - period).max()) > 1e-3 * period:
         middle, even = 0.5 * (t_s[:-1] + t_s[1:]), t_s[0] + period * (np.arange(len(dt)) + 0.5)
         speed = np.array([np.interp(even, middle, row) for row in speed])
-    return speed
+    return np.asarray(speed)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
