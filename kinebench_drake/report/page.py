@@ -87,7 +87,7 @@ HEADLINES = ("tracked_fraction", "ik_success_rate", "manipulability_mean", "spar
 COLUMNS = (
     *("tracked_fraction", "ik_success_rate", "joint_limit_margin_min", "slowdown_min", "manipulability_min", "sparc"),
 )
-AUDIT_HEADLINES = ("ik_success_rate", "slowdown_min", "trajopt_feasible", "manipulability_mean", "sparc")
+AUDIT_HEADLINES = ("slowdown_min", "trajopt_feasible", "manipulability_mean", "sparc")
 AUDIT_COLUMNS = (
     *("slowdown_min", "velocity_ratio_max", "acceleration_ratio_max", "torque_ratio_max", "joint_limit_margin_min"),
     *("table_distance_min_m", "manipulability_min", "sparc"),
