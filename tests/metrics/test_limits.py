@@ -99,7 +99,7 @@ def test_an_arm_at_rest_feels_its_weight_alone(plant: ArmPlant) -> None:
     weight = np.abs(plant.torque(q[0], np.zeros(7), np.zeros(7))) / plant.effort_limits
     np.testing.assert_allclose(checks.checks[ViolationKind.TORQUE].ratios, weight, atol=1e-9)
     assert checks.slowdown is not None
-    assert checks.slowdown.factor < 1e-6
+    assert checks.slowdown.factor < 1e-4
     assert checks.violations == ()
 
 
