@@ -36,7 +36,7 @@ class TubeViolation:
 
     kind: TubeFailure
     frame: int
-    """The frame nearest to it."""
+    """The frame nearest to it: a row of the arrays given."""
     joint: str | None
     """Name of the joint; None if no single joint is at fault."""
     value: float
@@ -56,13 +56,14 @@ class TubeViolation:
 def broken_posture(course: Course, tube_limit_m: float) -> TubeViolation | None:
     """The worst frame whose pose the arm cannot take, near its posture, even if it had all the time; None if all can.
 
+    Judged by the root of both squared errors, rotation by its arm: up to sqrt(2) times what a tube counts.
+
     Args:
         course: the track.
-        tube_limit_m: radius of the tube [m].
+        tube_limit_m: greatest error allowed [m].
     """
     plant = course.plant
-    error = np.linalg.norm(course.errors(np.clip(course.q, plant.lower, plant.upper)).reshape(-1, 2, 3), axis=-1)
-    error = error.max(axis=-1)
+    error = np.linalg.norm(course.errors(np.clip(course.q, plant.lower, plant.upper)), axis=-1)
     for i in np.argsort(-error, kind="stable")[:_STATIC]:
         if error[i] <= tube_limit_m:
             return None
@@ -84,6 +85,23 @@ def broken_posture(course: Course, tube_limit_m: float) -> TubeViolation | None:
             limit=float(plant.upper[j] if q[j] > plant.upper[j] else plant.lower[j]),
         )
     return None
+
+
+def broken_start(course: Course) -> TubeViolation | None:
+    """The angle farthest past its limit in the joint path to start from; None if all are within."""
+    plant = course.plant
+    past = np.maximum(plant.lower - course.q, course.q - plant.upper)
+    i, j = np.unravel_index(np.argmax(past), past.shape)
+    if past[i, j] <= 0.0:
+        return None
+    value = float(course.q[i, j])
+    return TubeViolation(
+        kind=TubeFailure.JOINT_LIMIT,
+        frame=int(course.frames[i]),
+        joint=plant.robot.joints[j],
+        value=value,
+        limit=float(plant.upper[j] if value > plant.upper[j] else plant.lower[j]),
+    )
 
 
 def broken_rate(course: Course, basis: SplineBasis, solution: TubeSolution | None) -> TubeViolation | None:

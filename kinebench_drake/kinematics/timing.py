@@ -65,7 +65,7 @@ class TimeScale:
     joint: str | None
     """Joint of that limit."""
     frame: int | None
-    """Frame where that limit slows the path most (the least speed-up while it is active) or is broken."""
+    """Row of the arrays given where that limit slows the path most (least speed-up while active) or is broken."""
     active: tuple[ActiveLimit, ...]
     """All limits that are ever active, the longest first; several may be active at once."""
     own_s: Array
@@ -161,7 +161,8 @@ class _Motion:
             positions[:, -1], rates[:, -1] = _FINGER_RATE * self.t, _FINGER_RATE / stretch
         # Toppra refers to the path without keeping it alive.
         self._path: Any = PiecewisePolynomial.CubicHermite(stretch * self.t, positions.T, rates.T)
-        toppra: Any = Toppra(self._path, plant.drake, stretch * self.grid)
+        grid: Any = stretch * self.grid
+        toppra: Any = Toppra(self._path, plant.drake, grid)
         speed = _bounds(plant.velocity_limits, fingers)
         if len(fingers):
             speed[-1] = FASTEST * _FINGER_RATE
@@ -262,10 +263,10 @@ def _explain(motion: _Motion) -> TimeScale:
     """Why no timing keeps the limits: a posture that the motors cannot hold, else a speed at one of the ends."""
     joints, last = motion.plant.robot.joints, len(motion.grid) - 1
     weight = np.array([motion.ratios(k, 0.0, 0.0)[2] for k in range(last + 1)])
-    k, j = np.unravel_index(np.argmax(np.abs(weight)), weight.shape)
-    if abs(weight[k, j]) > 1.0:
-        text = f"{joints[j]} cannot hold the arm's weight ({abs(weight[k, j]):.2f} x its torque limit)"
-        return _nothing(text, TimingConstraint.TORQUE, joints[j], motion.frame(int(k)))
+    heaviest, j = np.unravel_index(np.argmax(np.abs(weight)), weight.shape)
+    if abs(weight[heaviest, j]) > 1.0:
+        text = f"{joints[j]} cannot hold the arm's weight ({abs(weight[heaviest, j]):.2f} x its torque limit)"
+        return _nothing(text, TimingConstraint.TORQUE, joints[j], motion.frame(int(heaviest)))
     for index, end in ((0, "first"), (last, "last")):
         ratio = _least_ratios(motion, index)
         c, j = np.unravel_index(np.argmax(ratio), ratio.shape)

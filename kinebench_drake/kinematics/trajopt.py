@@ -1,11 +1,13 @@
 """Is there a smooth joint trajectory along a track? The smallest tube about the track that holds one, and a witness."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from kinebench_drake.geometry import Array, orthonormalize
 from kinebench_drake.kinematics.collision import CollisionModel
+from kinebench_drake.kinematics.newton import newton
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.refusal import TubeFailure as TubeFailure
 from kinebench_drake.kinematics.refusal import (
@@ -13,30 +15,35 @@ from kinebench_drake.kinematics.refusal import (
     broken_distance,
     broken_posture,
     broken_rate,
+    broken_start,
     broken_torque,
     steepest_rate,
 )
 from kinebench_drake.kinematics.spline import SplineBasis
 from kinebench_drake.kinematics.trajectory import Course, Trajectory, TrajectoryCheck
-from kinebench_drake.kinematics.tube import Obstacle, TubeSolution, solve_tube
+from kinebench_drake.kinematics.tube import Obstacle, TubeSolution, proximity_cost_m, solve_tube
 
 SMALLEST_M = 1e-4
 """Radius that needs no smaller one [m]."""
 LARGEST_M = 0.1
 """Radius beyond which a trajectory is no longer along the track [m]."""
 RATIO = 1.25
-"""The smallest radius is known to this ratio."""
+"""The smallest radius is known to this ratio, as far as programs linearised beside it can tell."""
 LONGEST = 1000
 """Frames of a track that are looked at: of a longer one only every second, third, ... frame and the last."""
 
 _PROXIMITY = 0.5  # see solve_tube: the first weight; raised where a step went wrong
 _ELASTIC_PROXIMITY = 0.01
-_PROGRAMS = 5  # programs at most that leave the radius free
+_HELD, _HELD_BEYOND = 0.1, 0.02  # of the radius (within the tube's limit, beyond): while staying near the last path
+# costs more, another program may do better
+_TIGHTER, _LOOSER = 4.0, 0.25  # changes of that weight after a step that went wrong and one that went well
+_PROGRAMS, _REFINED_PROGRAMS = 5, 3  # programs at most that leave the radius free
 _BISECTIONS = 3  # and after them, programs with the radius given
 _AIM = 0.99  # of a given radius, to leave room for the poses' curvature
 _ROUNDS = 4  # rounds of pushing a trajectory out of collisions
 _ROUND_PROGRAMS = 2  # programs a round
 _TIGHTENINGS = 2  # attempts to save torque by accelerating less
+_SURELY = 1.5  # times the tube's limit: a posture that far off is at fault, whatever else is (see broken_posture)
 _TORQUE_AIM = 0.95  # of the torque's limit, then
 _REFINED = 200  # tracks up to so many frames are tried on a spline twice as fine before they are given up
 _HOPELESS = 2.0  # times the tube's limit: what is known infeasible beyond is not tried again
@@ -84,9 +91,10 @@ def optimize_in_tube(
     `solve_tube` is linearised about `q`, then about its own result, until its least radius (which, to first order, no
     trajectory near by undercuts) and the radius that the trajectory really needs are within `RATIO` of each other;
     where they do not meet, or the tube's limit lies between them, the radius is bisected. A trajectory that collides
-    is pushed out by linearised distances; one that asks for too much torque is made to accelerate less. Before a track
-    of up to 200 frames is refused, a spline twice as fine is tried. All this is local: a path elsewhere in the joint
-    space (another elbow) is not looked for, so that "infeasible" holds near `q`.
+    is pushed out by linearised distances; one that asks for too much torque is made to accelerate less. Where the
+    limit is exceeded, the search goes on longer, and on tracks of up to 200 frames also on a spline twice as fine. All
+    this is local: a path far off in the joint space (another elbow) is not looked for, so that a radius is an upper
+    bound with a witness, and "infeasible" holds near `q`.
 
     Args:
         plant: the robot.
@@ -184,34 +192,49 @@ class _Search:
         fit = Trajectory(course, basis, basis.fit(course.t_s, course.q))
         if fit.radius_m <= SMALLEST_M and fit.keeps_limits:
             return fit, fit
-        best = self._shrink(basis, course.q, (), _PROGRAMS)
+        best = self._shrink(basis, self._start, (), _PROGRAMS)
         if best is None:  # the program is beyond the solver's precision; standing still is always allowed
             middle = np.clip(course.q[len(course.q) // 2], course.limits.lower, course.limits.upper)
             return fit, Trajectory(course, basis, np.tile(middle, (basis.size, 1)))
         hopeless = self.infeasible_m is not None and self.infeasible_m > _HOPELESS * self.tube_limit_m
         if best.radius_m <= self.tube_limit_m or len(course.t_s) > _REFINED or hopeless:
             return fit, best
-        finer = self._shrink(basis.refined(), best.q, (), _PROGRAMS)
+        finer = self._shrink(basis.refined(), best.q, (), _REFINED_PROGRAMS)
         return fit, best if finer is None or finer.radius_m > best.radius_m else finer
+
+    @cached_property
+    def _start(self) -> Array:
+        """The joint path (T, 7) [rad]; from where it first passes a limit on, one within that follows the poses."""
+        q, limits = self.course.q, self.limits
+        outside = np.flatnonzero(((q < limits.lower) | (q > limits.upper)).any(axis=-1))
+        if len(outside) == 0:
+            return q
+        q = np.clip(q, limits.lower, limits.upper)
+        for i in range(int(outside[0]), len(q)):
+            q[i], _ = newton(self.course.plant, self.course.X_BG[i], q[max(i - 1, 0)])
+        return q
 
     def _shrink(
         self, basis: SplineBasis, q: Array, obstacles: tuple[Obstacle, ...], programs: int
     ) -> Trajectory | None:
         """The smallest tube near the joint path `q` (T, 7): programs that leave the radius free, then bisection."""
         best: Trajectory | None = None
-        proximity, low = _PROXIMITY, SMALLEST_M
+        proximity, looser, low = _PROXIMITY, _LOOSER, SMALLEST_M
         for _ in range(programs):
             solution = self._solve(basis, q, None, proximity, obstacles)
             if solution is None:
                 break
             low = max(solution.radius_m, SMALLEST_M)
             found = Trajectory(self.course, basis, solution.control)
-            if best is None or found.radius_m < best.radius_m:
-                best = found
+            cost = proximity_cost_m(found.q, q, proximity)
+            if best is not None and found.radius_m >= best.radius_m:
+                proximity, looser = _TIGHTER * proximity, 1.0
             else:
-                proximity *= 4.0
+                best = found
+                proximity *= looser if found.radius_m <= RATIO * low else 1.0
+            held = cost > low * (_HELD if best.radius_m <= self.tube_limit_m else _HELD_BEYOND)
             q = best.q
-            if best.radius_m <= RATIO * low or low > LARGEST_M:
+            if (best.radius_m <= RATIO * low and not held) or low > LARGEST_M:
                 break
         if best is None:
             return None
@@ -294,9 +317,19 @@ class _Search:
         return None if broken_torque(trajectory) else trajectory
 
     def _broken_limit(self, fit: Trajectory) -> TubeViolation | None:
-        """Which limit forbids the tube: a posture's; else the rate broken at the least excess; else the path's own."""
-        violation = broken_posture(self.course, self.tube_limit_m)
+        """Which limit forbids the tube.
+
+        A posture's, if a pose is out of reach by far; else the rate that is exceeded where the least excess makes the
+        tube wide enough; else, as no excess does, what is wrong with the joint path to start from or with its poses.
+        """
+        course, limit = self.course, self.tube_limit_m
+        violation = broken_posture(course, _SURELY * limit)
         if violation is not None:
             return violation
-        solution = self._solve(fit.basis, self.course.q, self.tube_limit_m, _ELASTIC_PROXIMITY, (), elastic=True)
-        return broken_rate(self.course, fit.basis, solution) or steepest_rate(fit)
+        solution = self._solve(fit.basis, self._start, limit, _ELASTIC_PROXIMITY, (), elastic=True)
+        return (
+            broken_rate(course, fit.basis, solution)
+            or broken_start(course)
+            or steepest_rate(fit)
+            or broken_posture(course, limit)
+        )

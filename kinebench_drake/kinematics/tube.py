@@ -111,7 +111,8 @@ def solve_tube(
             (the tube gives way too, but only where no excess would help).
     """
     n, frames = basis.size, len(poses.t_s)
-    spline: Any = BsplineTrajectory(BsplineBasis(ORDER, basis.knots.tolist()), np.zeros((N_JOINTS, n)))
+    still: Any = np.zeros((N_JOINTS, n))
+    spline: Any = BsplineTrajectory(BsplineBasis(ORDER, basis.knots.tolist()), still)
     kto: Any = KinematicTrajectoryOptimization(spline)
     prog = kto.get_mutable_prog()
     duration = float(basis.breaks_s[-1] - basis.breaks_s[0])
@@ -187,6 +188,11 @@ def solve_tube(
     return TubeSolution(
         control=control, radius_m=float(result.GetSolution(r)[0]) / _MM, excess=(excess[0], excess[1], excess[2])
     )
+
+
+def proximity_cost_m(q: Array, q_near: Array, proximity: float) -> float:
+    """Radius [m] that `solve_tube` would give up to keep a joint path `q` (T, 7) [rad] nearer to `q_near` (T, 7)."""
+    return proximity / _MM * float(np.sum((q - q_near) ** 2)) / (_STEP_RAD**2 * _FRAMES)
 
 
 def _row(matrix: Any, i: int) -> tuple[int, Array]:
