@@ -31,7 +31,7 @@ ACCELERATION_M_S2, ACCELERATION_RAD_S2, JOINT_ACCELERATION_RAD_S2 = 13.0, 25.0, 
 Source: libfranka, `rate_limiting.h` (limits of the Franka Emika Robot, also in its control interface's documentation).
 """
 CONTRAST = 3.0
-"""A jump deviates this many times as much as the median of the steps around it ..."""
+"""A jump deviates this many times as much as the median of the steps before it, or of those after it ..."""
 SHARE = 0.5
 """... and by this share of the longer step beside it: what moves fast may turn fast."""
 NEAR_END, AT_END = 2.0, 4.0
@@ -39,7 +39,7 @@ NEAR_END, AT_END = 2.0, 4.0
 FALSE_ALARM = 0.001
 """Chance, at most, that white noise alone makes a jump out of a still track, for each of position, rotation, joints."""
 
-_AROUND = 5  # steps on either side that are "around"
+_AROUND = 5  # steps on either side that tell what is usual
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -148,12 +148,17 @@ def _jumps(t_s: Array, steps: Array, floor: Array, noise_norm: float) -> list[_J
         for i in np.argsort(-np.nan_to_num(deviation / threshold)).tolist():
             if not deviation[i] > threshold[i]:
                 return _merged(velocity, dt, sizes, thresholds)
-            around = [k for k in range(max(0, i - _AROUND), min(len(dt), i + _AROUND + 1)) if k != i and known[k]]
-            if deviation[i] > CONTRAST * float(np.median(deviation[around])):
+            if deviation[i] > CONTRAST * _usual(deviation, i):
                 sizes[i], thresholds[i] = deviation[i], threshold[i]
                 break
         else:
             return _merged(velocity, dt, sizes, thresholds)
+
+
+def _usual(deviation: Array, i: int) -> float:
+    """Median deviation of the steps before the i-th or after it, whichever is less: another jump may be near."""
+    sides = (deviation[max(0, i - _AROUND) : i], deviation[i + 1 : i + 1 + _AROUND])
+    return min((float(np.median(side)) for side in (s[np.isfinite(s)] for s in sides) if len(side)), default=0.0)
 
 
 def _merged(velocity: Array, dt: Array, sizes: Array, thresholds: Array) -> list[_Jump]:
