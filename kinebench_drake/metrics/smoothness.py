@@ -21,7 +21,7 @@ from scipy.ndimage import convolve1d
 from kinebench_drake.geometry import Array, rotation_angle
 from kinebench_drake.metrics.derivatives import smooth_path
 from kinebench_drake.metrics.noise import TrackNoise, rotation_steps, track_noise
-from kinebench_drake.metrics.runs import runs as runs
+from kinebench_drake.metrics.runs import runs
 from kinebench_drake.products import GripperTrack
 
 PAD_LEVEL = 4

@@ -169,3 +169,10 @@ def test_near_the_ends_more_is_asked(start: int, needed_m: float) -> None:
     t_s, X = _line(0.2 * np.arange(49), np.zeros((49, 3)))
     assert _find(t_s, _moved(X, slice(start, None), 0.98 * needed_m), CLEAN) == ()
     assert len(_find(t_s, _moved(X, slice(start, None), 1.02 * needed_m), CLEAN)) == 1
+
+
+def test_a_second_jump_nearby_hides_neither() -> None:
+    t_s, X = _line(0.06 * np.arange(66), np.zeros((66, 3)))
+    X = _moved(_moved(X, slice(61, 64), 0.0, 1.0), slice(65, None), 0.0, 1.0)
+    first = _find(t_s, X)[0]
+    assert (first.frame_start, first.frame_end) == (60, 61)

@@ -6,7 +6,7 @@ import pytest
 
 from kinebench_drake.geometry import Array, make_pose, rotation_exp
 from kinebench_drake.metrics.noise import TrackNoise, track_noise
-from kinebench_drake.metrics.smoothness import METRICS, filtered_sparc, ldlj, runs, sparc, track_smoothness
+from kinebench_drake.metrics.smoothness import METRICS, filtered_sparc, ldlj, sparc, track_smoothness
 from kinebench_drake.products import GripperTrack
 from tests.metrics.motions import gripper, reach_and_place, with_noise
 
@@ -294,9 +294,3 @@ def test_numbers_have_flat_names_and_what_is_missing_a_reason() -> None:
     assert set(short.metrics.values()) == {None}
     assert "has 5, 8 are needed" in short.reasons["sparc"]
     assert track_smoothness(_track()).reasons == {}
-
-
-def test_runs_are_the_stretches_of_true() -> None:
-    mask = np.array([True, False, True, True, False, True])
-    assert runs(mask) == [slice(0, 1), slice(2, 4), slice(5, 6)]
-    assert runs(np.zeros(4, dtype=bool)) == []

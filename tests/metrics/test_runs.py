@@ -1,0 +1,16 @@
+import numpy as np
+
+from kinebench_drake.metrics.runs import complete, runs
+
+
+def test_runs_are_the_stretches_of_true() -> None:
+    mask = np.array([True, False, True, True, False, True])
+    assert runs(mask) == [slice(0, 1), slice(2, 4), slice(5, 6)]
+    assert runs(np.zeros(4, dtype=bool)) == []
+    assert runs(np.zeros(0, dtype=bool)) == []
+
+
+def test_a_row_with_one_gap_is_not_complete() -> None:
+    rows = np.zeros((3, 7))
+    rows[1, 4] = np.nan
+    assert complete(rows).tolist() == [True, False, True]
