@@ -29,7 +29,7 @@ _HALVINGS = 4  # of cells at the brink of a rest,
 _BRINK = 0.6  # where the slower end has at most this share of the faster end's speed,
 _REST = 1e-3  # unless both are slower than this share of the greatest speed
 _FINGER_RATE = 1e-6  # metres that the last finger moves in a second of the path's own time, to cap the speed-up
-_STRETCHES = (100.0, 1000.0, 10.0, 1.0)  # of the path's parameter, the next where the one before finds no solution
+_STRETCHES = (100.0, 1000.0, 10.0)  # of the path's parameter, the next where the one before finds no solution
 _UNBOUNDED = 1e9  # what Toppra takes for a limit that is not there
 
 
@@ -101,6 +101,9 @@ def time_scale(plant: ArmPlant, t_s: Array, q: Array) -> TimeScale:
     if (np.ptp(rows, axis=0) < STILL_RAD).all():
         return _nothing("the joints do not move: a rest has no fastest duration")
     motion = _Motion(plant, t, rows, frames)
+    end = _broken_end(motion)
+    if end is not None and end.constraint is TimingConstraint.VELOCITY:  # no need to ask Toppra
+        return end
     try:
         profile = motion.fastest(1.0, 1.0)
     except RuntimeError as error:  # Drake's own checks of its input
@@ -267,13 +270,9 @@ def _explain(motion: _Motion) -> TimeScale:
     if abs(weight[heaviest, j]) > 1.0:
         text = f"{joints[j]} cannot hold the arm's weight ({abs(weight[heaviest, j]):.2f} x its torque limit)"
         return _nothing(text, TimingConstraint.TORQUE, joints[j], motion.frame(int(heaviest)))
-    for index, end in ((0, "first"), (last, "last")):
-        ratio = _least_ratios(motion, index)
-        c, j = np.unravel_index(np.argmax(ratio), ratio.shape)
-        if ratio[c, j] > 1.0:
-            kind = tuple(TimingConstraint)[c]
-            text = f"at its speed in the {end} frame {joints[j]} is beyond its {kind.value} limit ({ratio[c, j]:.2f} x)"
-            return _nothing(text, kind, joints[j], motion.frame(index))
+    end = _broken_end(motion)
+    if end is not None:
+        return end
     own = np.abs([motion.ratios(k, 1.0, 0.0) for k in range(last + 1)])
     broken = np.flatnonzero(own.max(axis=(1, 2)) > 1.0)
     if len(broken) == 0:
@@ -287,6 +286,18 @@ def _explain(motion: _Motion) -> TimeScale:
         f"{'reached' if starts else 'braked'} in time: {joints[j]} is beyond its {kind.value} limit near it"
     )
     return _nothing(text, kind, joints[j], motion.frame(k))
+
+
+def _broken_end(motion: _Motion) -> TimeScale | None:
+    """The limit that the own speed breaks in the first or the last frame, whatever d2s/dt2 is there; None if none."""
+    for index, end in ((0, "first"), (len(motion.grid) - 1, "last")):
+        ratio = _least_ratios(motion, index)
+        c, j = np.unravel_index(np.argmax(ratio), ratio.shape)
+        if ratio[c, j] > 1.0:
+            kind, joint = tuple(TimingConstraint)[c], motion.plant.robot.joints[j]
+            text = f"at its speed in the {end} frame {joint} is beyond its {kind.value} limit ({ratio[c, j]:.2f} x)"
+            return _nothing(text, kind, joint, motion.frame(index))
+    return None
 
 
 def _least_ratios(motion: _Motion, index: int) -> Array:
