@@ -9,6 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import PchipInterpolator
 from scipy.linalg import solveh_banded
 
 from kinebench_drake.geometry import Array
@@ -33,6 +34,7 @@ _TOO_FAST = 1000.0  # weight of a step that no joint speed allows
 _NEAR_LIMIT_RAD = 0.005  # the polish keeps this far from limits where it can
 _LIMIT_WEIGHT = 1e4
 _STEPS, _PEAK_STEPS = 8, 40
+_PEAK_WEIGHT, _PEAK_AT_MOST = 10.0, 3.0  # weight of a ratio's eighth power beside its square, up to this ratio
 _LARGEST_STEP_RAD = 0.3
 _ALLOWANCE = 4.0  # standard errors of noise that speeds and accelerations may be over their limits
 _FALLBACK_ACCELERATION = 5.0  # acceleration limit / speed limit [1/s] of arms that publish none
@@ -147,6 +149,7 @@ def _through(
     if len(kept) == 0:
         return path
     if len(chosen) < len(t_s):
+        path[kept] = relax(plant, postures, t_s[kept], X_BG[kept], path[kept], noise_rad)
         path = _between(plant, postures, t_s, X_BG, path, kept, noise_rad)
         kept = np.flatnonzero(np.isfinite(path[:, 0]))
     path[kept] = relax(plant, postures, t_s[kept], X_BG[kept], path[kept], noise_rad, held[kept])
@@ -163,7 +166,8 @@ def _between(
     noise_rad: float,
 ) -> Array:
     """The path (T, 7) known at the frames `kept` filled in: the branches nearest to the interpolated postures."""
-    guess = np.column_stack([np.interp(t_s, t_s[kept], path[kept, j]) for j in range(path.shape[1])])
+    within = np.clip(t_s, t_s[kept[0]], t_s[kept[-1]])
+    guess = PchipInterpolator(t_s[kept], path[kept])(within) if len(kept) > 1 else np.tile(path[kept], (len(t_s), 1))
     filled = postures.nearest(X_BG, guess)
     filled[kept] = path[kept]
     if is_sound(plant, t_s, filled, past_rad=_PAST_LIMIT_RAD):
@@ -322,10 +326,10 @@ class _Smoothing:
         """Largest ratio along a path; 0 for fewer than two postures."""
         return self.peak(self.residuals(q)) if len(q) > 1 else 0.0
 
-    def reweighted(self, residual: list[Array]) -> list[Array]:
-        """Weights (as the residuals) that draw the largest ratios down: |r|^6 in place of r^2."""
-        peak = self.peak(residual)
-        return [np.maximum((np.abs(r) / peak) ** 4, 1e-4) for r in residual]
+    @staticmethod
+    def reweighted(residual: list[Array]) -> list[Array]:
+        """Weights (as the residuals) that draw down what is over its limit and leave the rest about as it is."""
+        return [1.0 + _PEAK_WEIGHT * np.minimum(np.abs(r), _PEAK_AT_MOST) ** 6 for r in residual]
 
     def _past(self, q: Array) -> Array:
         return np.asarray(np.maximum(q - self._upper, 0.0) - np.maximum(self._lower - q, 0.0))
