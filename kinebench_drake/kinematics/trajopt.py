@@ -296,9 +296,9 @@ class _Search:
             velocity, acceleration, jerk = self.limits.rates
             if violation is None:
                 return trajectory
-            if acceleration is None:
-                return None
             q, _, a = trajectory.motion
+            if acceleration is None:
+                acceleration = np.full_like(velocity, np.abs(a).max())
             still = np.array([plant.torque(row, np.zeros_like(row), np.zeros_like(row)) for row in q])
             weight = float(np.abs(still / plant.effort_limits).max())
             if weight >= _TORQUE_AIM:

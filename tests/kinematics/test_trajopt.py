@@ -309,3 +309,27 @@ def test_long_track_is_thinned(plant: ArmPlant) -> None:
     assert result.certificate is not None
     assert len(result.certificate.control) < 1000
     assert result.certificate.knots_s[-1] == pytest.approx(t[-1])
+
+
+def test_arm_without_published_limits_is_held_to_the_others(plant: ArmPlant, monkeypatch: pytest.MonkeyPatch) -> None:
+    t, X, q = _sway(plant)
+    monkeypatch.setattr(plant, "acceleration_limits", None)
+    monkeypatch.setattr(plant, "jerk_limits", None)
+    result = optimize_in_tube(plant, None, t, X, q)
+    assert result.certificate is not None
+    assert (result.certificate.acceleration_ratio_max, result.certificate.jerk_ratio_max) == (None, None)
+    fast = optimize_in_tube(plant, None, t / 20.0, X, q)
+    assert fast.feasible is False
+    assert fast.violation is not None
+    assert fast.violation.kind is TubeFailure.VELOCITY
+
+
+def test_given_angles_past_a_limit_are_replaced_where_the_pose_allows(plant: ArmPlant) -> None:
+    """With joint 4 free, the arm's redundancy takes joint 7 back within its limit."""
+    t, X, q = _sway(plant)
+    q = q.copy()
+    q[:, 6] += plant.upper[6] - q[:, 6].max() + 0.2
+    X = _poses(plant, q)
+    result = optimize_in_tube(plant, None, t, X, q)
+    assert result.feasible
+    _verify(plant, result, t, X)

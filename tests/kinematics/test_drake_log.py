@@ -1,0 +1,17 @@
+import logging
+
+import pydrake.common  # noqa: F401  (sets the logger up)
+import pytest
+
+from kinebench_drake.kinematics.drake_log import silent_drake
+
+
+def test_drake_is_silent_within_and_as_before_afterwards() -> None:
+    logger = logging.getLogger("drake")
+    before = logger.level
+    with silent_drake():
+        assert not logger.isEnabledFor(logging.ERROR)
+    assert logger.level == before
+    with pytest.raises(ValueError, match="inside"), silent_drake():
+        raise ValueError("inside")
+    assert logger.level == before
