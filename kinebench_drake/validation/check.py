@@ -119,7 +119,7 @@ def _count(values: Sequence[bool], total: int, ids: Sequence[str]) -> Count:
     return Count(share=estimate(values, total=total), hits=sum(values), ids=tuple(ids))
 
 
-def table(verdicts: Iterable[Verdict]) -> str:
+def table(verdicts: Sequence[Verdict]) -> str:
     """The verdicts as Markdown, with the trajectories to look at below."""
     lines = [
         "| kind | trajectories | judged infeasible | right reason named | undecided | missing | errors | unexplained |",
@@ -143,7 +143,18 @@ def table(verdicts: Iterable[Verdict]) -> str:
         ):
             if ids:
                 notes.append(f"{v.kind.value}, {name}: {' '.join(ids)}")
+    planted = [v for v in verdicts if v.reason_named is not None]
+    if len(planted) > 1:
+        found = _together([v.judged_infeasible for v in planted])
+        named = _together([v.reason_named for v in planted if v.reason_named is not None])
+        empty = " | ".join([""] * 4)
+        lines.append(f"| all planted | {sum(v.total for v in planted)} | {found} | {named} | {empty} |")
     return "\n".join([*lines, *(["", *notes] if notes else [])])
+
+
+def _together(counts: Sequence[Count]) -> str:
+    values = [hit for c in counts for hit in [True] * c.hits + [False] * (c.share.n - c.hits)]
+    return _percent(_count(values, sum(c.share.total for c in counts), ()))
 
 
 def _percent(count: Count) -> str:

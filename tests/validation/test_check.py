@@ -77,11 +77,21 @@ def test_rows_that_explain_nothing(verdicts):
 
 
 def test_the_table_names_what_to_look_at(verdicts):
-    text = table(verdicts.values())
+    text = table(list(verdicts.values()))
     assert "| fast | 4 | 3/4 = 75.0 %" in text
     assert "fast, not found: fast-2" in text
     assert "fast, found for another reason: fast-1" in text
     assert "feasible, false alarms: feasible-1" in text
+    assert "all planted" not in text  # there is one kind of them
+
+
+def test_planted_kinds_are_also_told_together():
+    truths = [truth(Kind.FAST, n) for n in range(2)] + [truth(Kind.REACH, n) for n in range(3)]
+    rows = [row("fast-0", False, ["velocity"]), row("fast-1", False, ["jerk"])]
+    rows += [row(f"reach-{n}", n != 2, ["unreachable"] if n == 2 else []) for n in range(3)]
+    text = table(compare(rows, {t.id: t for t in truths}))
+    assert "| all planted | 5 | 3/5 = 60.0 %" in text
+    assert "2/5 = 40.0 %" in text
 
 
 def test_rows_are_read_from_an_output_folder(tmp_path):
