@@ -37,11 +37,10 @@ _ELASTIC_PROXIMITY = 0.01
 _HELD, _HELD_BEYOND = 0.1, 0.02  # of the radius (within the tube's limit, beyond): while staying near the last path
 # costs more, another program may do better
 _TIGHTER, _LOOSER = 4.0, 0.25  # changes of that weight after a step that went wrong and one that went well
-_PROGRAMS, _REFINED_PROGRAMS = 5, 3  # programs at most that leave the radius free
-_BISECTIONS = 3  # and after them, programs with the radius given
+# Programs at most that leave the radius free, and after them those with the radius given:
+_FULL, _REFINED_EFFORT, _ROUND_EFFORT = (5, 3), (3, 1), (2, 1)  # at first, on the finer spline, a round
 _AIM = 0.99  # of a given radius, to leave room for the poses' curvature
-_ROUNDS = 4  # rounds of pushing a trajectory out of collisions
-_ROUND_PROGRAMS = 2  # programs a round
+_ROUNDS, _FEWER_ROUNDS = 4, 2  # of pushing a trajectory out of collisions; where the track is refused anyway
 _TIGHTENINGS = 2  # attempts to save torque by accelerating less
 _SURELY = 1.5  # times the tube's limit: a posture that far off is at fault, whatever else is (see broken_posture)
 _TORQUE_AIM = 0.95  # of the torque's limit, then
@@ -158,7 +157,7 @@ class _Search:
         if best.radius_m > LARGEST_M:
             return self._result(None, cause)
         contact = broken_distance(self.course, best.worst_contact)
-        clear = self._clear(best)
+        clear = self._clear(best, _ROUNDS if cause is None else _FEWER_ROUNDS)
         if clear is None or clear.radius_m > self.tube_limit_m:
             cause = cause or contact
         if clear is None or clear.radius_m > LARGEST_M:
@@ -192,14 +191,14 @@ class _Search:
         fit = Trajectory(course, basis, basis.fit(course.t_s, course.q))
         if fit.radius_m <= SMALLEST_M and fit.keeps_limits:
             return fit, fit
-        best = self._shrink(basis, self._start, (), _PROGRAMS)
+        best = self._shrink(basis, self._start, (), _FULL)
         if best is None:  # the program is beyond the solver's precision; standing still is always allowed
             middle = np.clip(course.q[len(course.q) // 2], course.limits.lower, course.limits.upper)
             return fit, Trajectory(course, basis, np.tile(middle, (basis.size, 1)))
         hopeless = self.infeasible_m is not None and self.infeasible_m > _HOPELESS * self.tube_limit_m
         if best.radius_m <= self.tube_limit_m or len(course.t_s) > _REFINED or hopeless:
             return fit, best
-        finer = self._shrink(basis.refined(), best.q, (), _REFINED_PROGRAMS)
+        finer = self._shrink(basis.refined(), best.q, (), _REFINED_EFFORT)
         return fit, best if finer is None or finer.radius_m > best.radius_m else finer
 
     @cached_property
@@ -215,12 +214,12 @@ class _Search:
         return q
 
     def _shrink(
-        self, basis: SplineBasis, q: Array, obstacles: tuple[Obstacle, ...], programs: int
+        self, basis: SplineBasis, q: Array, obstacles: tuple[Obstacle, ...], effort: tuple[int, int]
     ) -> Trajectory | None:
         """The smallest tube near the joint path `q` (T, 7): programs that leave the radius free, then bisection."""
         best: Trajectory | None = None
         proximity, looser, low = _PROXIMITY, _LOOSER, SMALLEST_M
-        for _ in range(programs):
+        for _ in range(effort[0]):
             solution = self._solve(basis, q, None, proximity, obstacles)
             if solution is None:
                 break
@@ -238,7 +237,7 @@ class _Search:
                 break
         if best is None:
             return None
-        for _ in range(_BISECTIONS):
+        for _ in range(effort[1]):
             in_doubt = low < self.tube_limit_m < best.radius_m
             if low > LARGEST_M or (best.radius_m <= RATIO * low and not in_doubt):
                 break
@@ -273,15 +272,15 @@ class _Search:
             elastic=elastic,
         )
 
-    def _clear(self, trajectory: Trajectory) -> Trajectory | None:
+    def _clear(self, trajectory: Trajectory, rounds: int) -> Trajectory | None:
         """The trajectory pushed out of collisions; None where that fails."""
         obstacles: list[Obstacle] = []
-        for _ in range(_ROUNDS):
+        for _ in range(rounds):
             contact = trajectory.worst_contact
             if contact is None or not contact.broken:
                 return trajectory
             obstacles += trajectory.obstacles()
-            moved = self._shrink(trajectory.basis, trajectory.q, tuple(obstacles), _ROUND_PROGRAMS)
+            moved = self._shrink(trajectory.basis, trajectory.q, tuple(obstacles), _ROUND_EFFORT)
             if moved is None or moved.radius_m > LARGEST_M:
                 return None
             trajectory = moved
@@ -308,7 +307,7 @@ class _Search:
             factor = used * (_TORQUE_AIM - weight) / (abs(violation.value) / violation.limit - weight)
             self.limits = replace(self.limits, rates=(velocity, factor * acceleration, jerk))
             obstacles = tuple(trajectory.obstacles())
-            slower = self._shrink(trajectory.basis, trajectory.q, obstacles, _ROUND_PROGRAMS)
+            slower = self._shrink(trajectory.basis, trajectory.q, obstacles, _ROUND_EFFORT)
             if slower is None or slower.radius_m > LARGEST_M:
                 return None
             if slower.worst_contact is not None and slower.worst_contact.broken:
