@@ -187,19 +187,18 @@ class Trajectory:
         return np.array([self.course.plant.torque(*rows) for rows in zip(*self.motion, strict=True)])
 
     @cached_property
-    def contacts(self) -> tuple[Contact, ...]:
-        """The least distance of the arm from itself and that from the table; none without a collision model.
+    def _distances(self) -> tuple[Array, Array]:
+        """Distances (N,) of the arm from itself, NaN where not looked at, and from the table [m], at the samples.
 
         The table is looked at in every sample; the arm itself, which costs more, twice a span, and in every sample
         of those spans that come within `NEAR_M` of the least distance.
         """
         collision = self.course.collision
-        if collision is None:
-            return ()
         t, q = self.samples_s, self.motion[0]
+        own, table = np.full(len(t), np.nan), np.full(len(t), np.nan)
+        if collision is None:
+            return own, table
         widths = self.course.widths(t)
-        table = collision.table_distance(q, widths).distance_m
-        own = np.full(len(t), np.nan)
 
         def look(samples: NDArray[np.intp]) -> None:
             own[samples] = collision.self_distance(q[samples], None if widths is None else widths[samples]).distance_m
@@ -210,10 +209,17 @@ class Trajectory:
             near = own[half] <= np.nanmin(own) + NEAR_M
             within = np.repeat(near[:-1] | near[1:], SAMPLES // 2)
             look(np.flatnonzero(within & np.isnan(own[:-1])))
-        both = ((own, False, 0.0), (table, True, -self.course.table_tolerance_m))
+        return own, collision.table_distance(q, widths).distance_m
+
+    @cached_property
+    def contacts(self) -> tuple[Contact, ...]:
+        """The least distance of the arm from itself and that from the table; none without a collision model."""
+        both = zip(self._distances, (False, True), (0.0, -self.course.table_tolerance_m), strict=True)
         return tuple(
-            Contact(table=is_table, distance_m=float(np.nanmin(d)), least_m=least, t_s=float(t[np.nanargmin(d)]))
-            for d, is_table, least in both
+            Contact(
+                table=table, distance_m=float(np.nanmin(d)), least_m=least, t_s=float(self.samples_s[np.nanargmin(d)])
+            )
+            for d, table, least in both
             if np.isfinite(d).any()
         )
 
@@ -223,13 +229,17 @@ class Trajectory:
         return min(self.contacts, key=lambda contact: contact.distance_m - contact.least_m, default=None)
 
     def obstacles(self) -> list[Obstacle]:
-        """The distances below `NEAR_M`, linearised, twice a span; of each sample the few least."""
+        """The distances below `NEAR_M`, linearised, twice a span and where they are least: of each the few least."""
         collision = self.course.collision
         if collision is None:
             return []
         found = []
         widths = self.course.widths(self.samples_s)
-        for k in range(0, len(self.samples_s), SAMPLES // 2):
+        watched = {*range(0, len(self.samples_s), SAMPLES // 2)}
+        for distance in self._distances:
+            d = np.nan_to_num(distance, nan=np.inf)
+            watched |= {*np.flatnonzero((d[1:-1] < NEAR_M) & (d[1:-1] <= d[:-2]) & (d[1:-1] <= d[2:])) + 1}
+        for k in sorted(watched):
             q = self.motion[0][k]
             near_pairs = collision.near_pairs(q, NEAR_M, None if widths is None else float(widths[k]))
             for near in near_pairs[:_WATCHED]:

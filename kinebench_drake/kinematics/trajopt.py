@@ -170,9 +170,10 @@ class _Search:
 
     def _result(self, best: Trajectory | None, cause: TubeViolation | None) -> TubeResult:
         feasible = best is not None and best.radius_m <= self.tube_limit_m
-        size = (
-            f"no tube up to {LARGEST_M:g} m is wide enough" if best is None else f"the tube needs {best.radius_m:.4g} m"
-        )
+        if best is None:
+            size = f"no trajectory was found in a tube of up to {LARGEST_M:g} m"
+        else:
+            size = f"the tube needs {best.radius_m:.4g} m"
         why = cause or "the limits together forbid a narrower one, none of them alone"
         return TubeResult(
             radius_m=None if best is None else max(best.radius_m, SMALLEST_M),
