@@ -15,7 +15,13 @@ from numpy.typing import NDArray
 from scipy.special import fdtri
 
 from kinebench_drake.geometry import Array
-from kinebench_drake.metrics.noise import FREEDOM_A_FRAME, TrackNoise, joint_noise, rotation_steps
+from kinebench_drake.metrics.noise import (
+    FREEDOM_A_FRAME,
+    JOINT_FREEDOM_A_FRAME,
+    TrackNoise,
+    joint_noise,
+    rotation_steps,
+)
 from kinebench_drake.metrics.runs import complete, runs
 from kinebench_drake.metrics.violation import Violation, ViolationKind
 
@@ -32,7 +38,7 @@ Source: libfranka, `rate_limiting.h` (limits of the Franka Emika Robot, also in 
 """
 CONTRAST = 3.0
 """A jump deviates this many times as much as the median of the steps before it, or of those after it ..."""
-SHARE = 0.5
+SHARE = 0.6
 """... and by this share of the longer step beside it: what moves fast may turn fast."""
 NEAR_END, AT_END = 2.0, 4.0
 """Factors of the floor where one side has only one step, and where it has none."""
@@ -79,13 +85,15 @@ def find_discontinuities(
     for run in pieces:
         n = run.stop - run.start
         t, step = t_s[run], np.diff(X_BG[run, :3, 3], axis=0)
-        for jump in _jumps(t, step, _floor(t, JUMP_M, ACCELERATION_M_S2), _noise_norm(noise.position_m, 3, n)):
+        noise_norm = _noise_norm(noise.position_m, 3, n, FREEDOM_A_FRAME)
+        for jump in _jumps(t, step, _floor(t, JUMP_M, ACCELERATION_M_S2), noise_norm):
             moved.update(range(run.start + jump.start, run.start + jump.end))
             found.append(_violation(jump, run, None))
     for run in pieces:
         n = run.stop - run.start
         t, step = t_s[run], rotation_steps(X_BG[run, :3, :3])
-        for jump in _jumps(t, step, _floor(t, JUMP_RAD, ACCELERATION_RAD_S2), _noise_norm(noise.rotation_rad, 3, n)):
+        noise_norm = _noise_norm(noise.rotation_rad, 3, n, FREEDOM_A_FRAME)
+        for jump in _jumps(t, step, _floor(t, JUMP_RAD, ACCELERATION_RAD_S2), noise_norm):
             if moved.isdisjoint(range(run.start + jump.start, run.start + jump.end)):
                 found.append(_violation(jump, run, None))
     if q is not None:
@@ -101,10 +109,8 @@ def _joint_jumps(t_s: Array, q: Array, joints: tuple[str, ...]) -> list[Violatio
         floor = _floor(t, JUMP_RAD, JOINT_ACCELERATION_RAD_S2)
         for j, name in enumerate(joints):
             step = np.diff(q[run, j : j + 1], axis=0)
-            # All joints together are looked at as often as there are steps times joints.
-            found += [
-                _violation(jump, run, name) for jump in _jumps(t, step, floor, _noise_norm(sigma[j], 1, n, q.shape[1]))
-            ]
+            noise_norm = _noise_norm(sigma[j], 1, n, JOINT_FREEDOM_A_FRAME, groups=q.shape[1])
+            found += [_violation(jump, run, name) for jump in _jumps(t, step, floor, noise_norm)]
     return found
 
 
@@ -125,14 +131,14 @@ def _floor(t_s: Array, floor: float, acceleration: float) -> Array:
     return np.minimum(floor * np.maximum(dt2 / JUMP_PERIOD_S**2, 1.0), acceleration * dt2)
 
 
-def _noise_norm(sigma: float, axes: int, frames: int, groups: int = 1) -> float:
+def _noise_norm(sigma: float, axes: int, frames: int, freedom: float, groups: int = 1) -> float:
     """Deviation of a step that noise `sigma` an axis exceeds anywhere with probability FALSE_ALARM, at even times.
 
     A step less one beside it has sqrt(6) sigma an axis (less the mean of both sides: sqrt(5)); its squared norm over
-    measured variance, a mean over axes, follows Fisher's distribution.
+    measured variance, a mean over axes, follows Fisher's distribution; `freedom` is the variance's, a frame.
     """
     chance = 1.0 - FALSE_ALARM / (frames * groups)
-    return float(np.sqrt(6.0 * axes * fdtri(axes, max(FREEDOM_A_FRAME * frames, 1.0), chance)) * sigma)
+    return float(np.sqrt(6.0 * axes * fdtri(axes, max(freedom * frames, 1.0), chance)) * sigma)
 
 
 def _jumps(t_s: Array, steps: Array, floor: Array, noise_norm: float) -> list[_Jump]:
@@ -145,6 +151,8 @@ def _jumps(t_s: Array, steps: Array, floor: Array, noise_norm: float) -> list[_J
         speed, beside, factor = _deviation(middle, velocity, known)
         deviation = speed * dt
         threshold = np.maximum(np.maximum(factor * floor, SHARE * beside * dt), noise_norm)  # NaN: noise unknown
+        called = np.flatnonzero(~known)  # the steps beside them are what they would be called by
+        threshold[called[called > 0] - 1] = threshold[called[called < len(dt) - 1] + 1] = np.inf
         for i in np.argsort(-np.nan_to_num(deviation / threshold)).tolist():
             if not deviation[i] > threshold[i]:
                 return _merged(velocity, dt, sizes, thresholds)
@@ -201,7 +209,8 @@ def _excursions(t_s: Array, velocity: Array, dt: Array, floor: Array, noise_norm
     still = (velocity[out + 1] - quiet) * dt[out + 1, None]
     size = np.minimum(np.linalg.norm(away, axis=-1), np.linalg.norm(home, axis=-1))
     beside = np.maximum(np.linalg.norm(velocity[out - 1], axis=-1), np.linalg.norm(velocity[back + 1], axis=-1))
-    threshold = np.maximum(np.maximum(floor[out], SHARE * beside * dt[out]), noise_norm)
+    # More than beside it: else a rest between two jumps would pass for an excursion of the gripper's.
+    threshold = np.maximum(np.maximum(floor[out], 1.2 * beside * dt[out]), noise_norm)
     returns = np.linalg.norm(away + home, axis=-1) < 0.5 * size
     for i in np.flatnonzero((size > threshold) & returns & (np.linalg.norm(still, axis=-1) < 0.5 * size)):
         sizes[out[i] : back[i] + 1], thresholds[out[i] : back[i] + 1] = size[i], threshold[i]

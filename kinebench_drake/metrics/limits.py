@@ -94,7 +94,9 @@ class LimitChecks:
         return tuple(violation for check in self.checks.values() for violation in check.violations)
 
 
-def check_limits(plant: ArmPlant, t_s: Array, q: Array, sigma: Array) -> LimitChecks:
+def check_limits(
+    plant: ArmPlant, t_s: Array, q: Array, sigma: Array, freedom_a_frame: float = FREEDOM_A_FRAME
+) -> LimitChecks:
     """Check a joint path against all limits that the robot has.
 
     Torques are those of inverse dynamics, with nothing in the hand, at the smoothed path and its derivatives; their
@@ -106,10 +108,11 @@ def check_limits(plant: ArmPlant, t_s: Array, q: Array, sigma: Array) -> LimitCh
         t_s: (T,) times [s], increasing.
         q: (T, 7) joint angles [rad], NaN where unknown.
         sigma: (7,) or (T, 7) standard deviations of the noise of `q` [rad]; NaN if unknown, and then nothing convicts.
+        freedom_a_frame: degrees of freedom of `sigma` for each known frame; JOINT_FREEDOM_A_FRAME for `joint_noise`.
     """
     known = complete(q)
     frames = int(known.sum())
-    z = allowance(frames * q.shape[1] * len(_KINDS), FREEDOM_A_FRAME * frames)
+    z = allowance(frames * q.shape[1] * len(_KINDS), freedom_a_frame * frames)
     limits = {
         ViolationKind.VELOCITY: plant.velocity_limits,
         ViolationKind.ACCELERATION: plant.acceleration_limits,
