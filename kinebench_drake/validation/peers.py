@@ -56,7 +56,8 @@ class Peer:
     def label(self) -> str:
         """Its name with the version."""
         try:
-            return f"{self.name} {version(self.package)}" if self.package else self.name
+            name, comma, variant = self.name.partition(",")
+            return f"{name} {version(self.package)}{comma}{variant}" if self.package else self.name
         except PackageNotFoundError:
             return self.name
 
