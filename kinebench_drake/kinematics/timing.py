@@ -25,11 +25,12 @@ ACTIVE = 0.98
 _GRID = 192  # cells of the grid along the path, rounded up to whole cells a frame
 _GRID_MAX = 1600  # cells at most: a track of more frames is looked at in even steps of its time instead
 _FINEST = 64  # cells between two frames at most
-_HALVINGS = 4  # of cells at the brink of a rest,
-_BRINK = 0.6  # where the slower end has at most this share of the faster end's speed,
+_HALVINGS = 4  # of cells at the brink of a rest:
+_BRINK = 0.6  # the slower end has at most this share of the faster end's speed,
 _REST = 1e-3  # unless both are slower than this share of the greatest speed
 _FINGER_RATE = 1e-6  # metres that the last finger moves in a second of the path's own time, to cap the speed-up
-_STRETCHES = (100.0, 1000.0, 10.0)  # of the path's parameter, the next where the one before finds no solution
+_STRETCHES = (100.0, 10.0, 1000.0, 1.0)  # of the path's parameter, the next where the one before finds no solution
+_ELSE = ((1, (100.0, 10.0)), (0, (100.0, 10.0)))  # halvings and stretches then: small cells are hard on Toppra
 _UNBOUNDED = 1e9  # what Toppra takes for a limit that is not there
 
 
@@ -106,6 +107,11 @@ def time_scale(plant: ArmPlant, t_s: Array, q: Array) -> TimeScale:
         return end
     try:
         profile = motion.fastest(1.0, 1.0)
+        for halvings, stretches in _ELSE if profile is None else ():
+            motion = _Motion(plant, t, rows, frames, halvings)
+            profile = motion.fastest(1.0, 1.0, stretches)
+            if profile is not None:
+                break
     except RuntimeError as error:  # Drake's own checks of its input
         return _nothing(f"Toppra refused the path: {str(error).splitlines()[0]}")
     return _explain(motion) if profile is None else _describe(motion, *profile)
@@ -130,22 +136,26 @@ def _nothing(
 class _Motion:
     """The path of one track with its limits, on a grid."""
 
-    def __init__(self, plant: ArmPlant, t_s: Array, q: Array, frames: NDArray[np.intp]) -> None:
+    def __init__(
+        self, plant: ArmPlant, t_s: Array, q: Array, frames: NDArray[np.intp], halvings: int = _HALVINGS
+    ) -> None:
         self.plant, self.frames = plant, frames
         self.origin_s, self.t = float(t_s[0]), t_s - t_s[0]
         t = self.t
         spline: Any = CubicSpline(t, q)
         self.spline = spline
-        self.grid = _grid(t, spline, plant.velocity_limits)
+        self.grid = _grid(t, spline, plant.velocity_limits, halvings)
         self.q, self.v, self.a = (np.asarray(spline(self.grid, order)) for order in range(3))
 
-    def fastest(self, start: float, end: float) -> tuple[Array, Array] | None:
+    def fastest(
+        self, start: float, end: float, stretches: tuple[float, ...] = _STRETCHES
+    ) -> tuple[Array, Array] | None:
         """Times (G,) [s] and rates ds/dt (G,) at the grid points, with those of the ends given; None if there are none.
 
-        Toppra's linear programs miss solutions where their unknown, (ds/dt)^2, is of the order of one: the solver's
-        tolerance is absolute. So the path's parameter is stretched, farther if need be.
+        Toppra's linear programs may miss solutions where their unknown, (ds/dt)^2, is too small or too large for the
+        solver's tolerance, which is absolute. So the path's parameter is stretched, by one factor after the other.
         """
-        for stretch in _STRETCHES:
+        for stretch in stretches:
             with silent_drake():
                 s: Any = self._toppra(stretch).SolvePathParameterization(stretch * start, stretch * end)
             if s is not None:
@@ -194,7 +204,7 @@ class _Motion:
         return int(self.frames[np.argmin(np.abs(self.t - self.grid[index]))])
 
 
-def _grid(t: Array, spline: Any, speeds: Array) -> Array:
+def _grid(t: Array, spline: Any, speeds: Array, halvings: int) -> Array:
     """Grid points (G,) along the path's own time: whole cells a frame, those at the brink of a rest halved and again.
 
     There the fastest motion runs ahead of the path's own time by a factor that changes steeply, and Toppra takes the
@@ -204,7 +214,7 @@ def _grid(t: Array, spline: Any, speeds: Array) -> Array:
     parts = min(-(-_GRID // cells), _FINEST)
     even = np.arange(cells * parts + 1) / parts
     grid = np.interp(even, np.arange(cells + 1), t) if cells <= _GRID_MAX else np.linspace(t[0], t[-1], _GRID_MAX + 1)
-    for _ in range(_HALVINGS):
+    for _ in range(halvings):
         speed = np.abs(spline(grid, 1) / speeds).max(axis=-1)
         slow, fast = np.minimum(speed[1:], speed[:-1]), np.maximum(speed[1:], speed[:-1])
         brink = (slow < _BRINK * fast) & (fast > _REST * speed.max())
@@ -277,7 +287,9 @@ def _explain(motion: _Motion) -> TimeScale:
     broken = np.flatnonzero(own.max(axis=(1, 2)) > 1.0)
     if len(broken) == 0:
         return _nothing("Toppra found no solution, though the path's own timing keeps the limits on the grid")
-    starts = motion.fastest(1.0, 0.0) is not None  # then it is the last frame's speed that cannot be reached
+    starts = (
+        motion.fastest(1.0, 0.0, _STRETCHES[:2]) is not None
+    )  # then it is the last frame's speed that cannot be reached
     k = int(broken[-1] if starts else broken[0])
     c, j = np.unravel_index(np.argmax(own[k]), own[k].shape)
     kind = tuple(TimingConstraint)[c]

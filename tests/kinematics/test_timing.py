@@ -154,3 +154,22 @@ def test_very_long_tracks_are_bounded(plant: ArmPlant) -> None:
     scale = time_scale(plant, t, rest_q() + 0.3 * np.sin(t)[:, None] * SWING)
     assert scale.value is not None
     assert len(scale.own_s) < 2000
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_joints_that_turn_back_together_are_no_obstacle(plant: ArmPlant, seed: int) -> None:
+    """Where the whole path turns back, ds/dt drops out of every limit: hard on the linear programs."""
+    rng = np.random.default_rng(seed)
+    t = np.sort(rng.uniform(0.0, 5.0, 60))
+    q = rest_q() + 0.15 * np.sin(t)[:, None] * rng.normal(size=7)
+    assert 0.01 < (time_scale(plant, t, q).value or 0.0) < 0.5
+
+
+def test_path_that_rests_at_both_ends_and_midway_is_timed(plant: ArmPlant) -> None:
+    t = np.linspace(0.0, 6.0, 91)
+    u = np.stack([np.clip(t / 2.0, 0.0, 1.0), np.clip((t - 4.0) / 2.0, 0.0, 1.0)])
+    way = 0.5 * (10.0 * u**3 - 15.0 * u**4 + 6.0 * u**5).sum(axis=0)
+    scale = time_scale(plant, t, rest_q() + way[:, None] * SWING)
+    assert (scale.value or 0.0) * 6.0 == pytest.approx(
+        2.0 * _trapezoid_s(0.5, plant.velocity_limits[0], 15.0), rel=0.03
+    )
