@@ -9,7 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import PchipInterpolator
+from scipy.interpolate import CubicSpline, PchipInterpolator
 from scipy.linalg import solveh_banded
 
 from kinebench_drake.geometry import Array
@@ -22,9 +22,11 @@ where postures lie far apart; the finer grids only where the coarser ones lead t
 ANCHOR_S = 0.15
 """Least time between poses that the grid search looks at; those between are interpolated [s]."""
 
-WARM_ANCHOR_S = 0.5
+WARM_ANCHOR_S = 1.0
 """The same where a path goes on from a known posture [s]."""
 
+_WARM_RAD = np.linspace(-1.6, 1.6, 17)  # joint-7 offsets tried there from the start's
+_WARM_SMOOTHING = 2  # passes of the kernel (1, 2, 1) / 4 over what they give
 _BETWEEN_RAD = np.array([-0.05, 0.0, 0.05])  # joint-7 offsets tried about the interpolated path
 _PAST_LIMIT_RAD = 0.05  # how far past a limit postures of the grid may be: a path along a limit lies between its points
 _FROM_START, _FROM_REST = 1e-2, 1e-3  # weights of squared distances from the start and from the rest posture [1/rad^2]
@@ -107,18 +109,21 @@ def smoothest_path(
 
 
 def continued_path(plant: ArmPlant, postures: Postures, t_s: Array, X_BG: Array, q_start: Array) -> Array:
-    """Path (T, 7) [rad] that goes on from a posture near the first pose, searched on few frames and polished.
+    """Path (T, 7) [rad] that goes on from a posture near the first pose, without leaving its branch: the quick way.
 
-    NaN where nothing was found; it may be past limits or too fast where `smoothest_path` finds one that is not.
-    Arguments as for `smoothest_path`.
+    The redundancy is chosen at a few frames, by dynamic programming, and interpolated by a cubic spline; the postures
+    follow from it. NaN where the branch ends; the path may be past limits or too fast where `smoothest_path` finds one
+    that is not. Arguments as for `smoothest_path`.
     """
     chosen = anchors(t_s, WARM_ANCHOR_S)
-    layers = candidates(plant, postures, X_BG[chosen], SAMPLES[0])
-    start = postures.nearest(X_BG[:1], q_start[None])
-    layers[0] = start[np.isfinite(start[:, 0])]
-    return _through(
-        plant, postures, t_s, X_BG, chosen, layers, q_start, 2 * np.pi / SAMPLES[0], 0.0, np.zeros(len(t_s), bool)
-    )
+    near = postures.along_branch(X_BG[chosen], q_start, _WARM_RAD)
+    layers = [layer[excess(plant, layer).max(axis=-1, initial=0.0) <= 0.0] for layer in near]
+    path = cheapest(plant, t_s[chosen], layers, q_start, float(_WARM_RAD[1] - _WARM_RAD[0]))
+    if len(chosen) < 2 or not np.isfinite(path).all():
+        return np.full((len(t_s), 7), np.nan)
+    for _ in range(_WARM_SMOOTHING):  # the grid's steps
+        path[1:-1] = 0.25 * path[:-2] + 0.5 * path[1:-1] + 0.25 * path[2:]
+    return postures.nearest(X_BG, CubicSpline(t_s[chosen], path)(t_s))
 
 
 def is_sound(plant: ArmPlant, t_s: Array, q: Array, past_rad: float = 0.0) -> bool:

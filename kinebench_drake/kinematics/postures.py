@@ -33,6 +33,13 @@ class Postures(Protocol):
         """Of each pose the postures (N_t, 7) [rad] of all branches near guesses `q` (T, 7), joint limits ignored."""
         ...
 
+    def along_branch(self, X_BG: Array, q_start: Array, offsets: Array) -> list[Array]:
+        """Of each pose the postures (N_t, 7) [rad] of the branch that `q_start` (7,) is nearest to at the first pose.
+
+        At the redundancy of `q_start` plus each of `offsets` (K,) [rad]; none where branches are not known.
+        """
+        ...
+
     def direction(self, X_BG: Array, q: Array) -> Array:
         """Unit vectors (T, 7) along which postures `q` (T, 7) can move at rest of the TCP; 0 where not known."""
         ...
@@ -99,6 +106,14 @@ class ClosedForm:
         q7 = q[:, 6, None] + offsets
         return [_listed(q) for q in analytic_ik((X_BG @ self._X_GF)[:, None], q7)]
 
+    def along_branch(self, X_BG: Array, q_start: Array, offsets: Array) -> list[Array]:
+        """Postures of one branch index."""
+        q = analytic_ik((X_BG @ self._X_GF)[:, None], q_start[6] + offsets)
+        first = q[0, np.argmin(np.abs(offsets))]
+        distance = np.abs(first - q_start).max(axis=-1)
+        branch = np.argmin(np.where(np.isfinite(distance), distance, np.inf))
+        return [_listed(row) for row in q[:, :, branch]]
+
     def direction(self, X_BG: Array, q: Array) -> Array:
         """Unit null vectors by a finite difference along joint 7."""
         probe = q.copy()
@@ -148,6 +163,10 @@ class Numeric:
         """The nearest posture alone."""
         found = self.nearest(X_BG, q)
         return [row[None][np.isfinite(row[:1])] for row in found]
+
+    def along_branch(self, X_BG: Array, q_start: Array, offsets: Array) -> list[Array]:
+        """None: branches are not known."""
+        return [np.zeros((0, 7))] * len(X_BG)
 
     def direction(self, X_BG: Array, q: Array) -> Array:
         """Last right singular vector of the Jacobian."""
