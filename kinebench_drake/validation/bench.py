@@ -36,10 +36,8 @@ from kinebench_drake.validation.peers import (
     reached,
 )
 
-IK_TRACKS = 10
-"""Tracks of the comparison: 490 poses."""
 REPEATS = 9
-"""How often each solver does them all."""
+"""How often each solver does all tracks of a set."""
 TRACKS = 1000
 """Tracks of the throughput."""
 AUDITS = 200
@@ -49,8 +47,26 @@ _WINDOWS = 4  # tracks cut out of one long motion
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class TrackSet:
+    """Expert-like tracks on which inverse kinematics is compared."""
+
+    tracks: int
+    frames: int
+    """Of each track."""
+    period_s: float
+    """Time between frames [s]."""
+
+
+IK_SETS = (
+    TrackSet(tracks=10, frames=BENCHMARK_FRAMES, period_s=BENCHMARK_PERIOD_S),
+    TrackSet(tracks=4, frames=490, period_s=0.02),
+)
+"""Benchmark episodes, and tracks as long as those in time with ten times as many frames."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Timing:
-    """One solver on the comparison's poses."""
+    """One solver on the poses of one set."""
 
     name: str
     label: str
@@ -81,10 +97,33 @@ class Timing:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Comparison:
+    """All solvers on one set."""
+
+    tracks: TrackSet
+    timings: tuple[Timing, ...]
+
+    def ratio(self, name: str, to: str = OURS) -> Array | None:
+        """Time of a solver / that of another (R,), repeat by repeat; None if either was not timed."""
+        by_name = {t.name: t.us_a_pose for t in self.timings}
+        one, other = by_name.get(name), by_name.get(to)
+        return None if one is None or other is None else np.asarray(one / other)
+
+    def to_json(self) -> dict[str, Json]:
+        """As an object."""
+        return {
+            "tracks": self.tracks.tracks,
+            "frames": self.tracks.frames,
+            "period_s": self.tracks.period_s,
+            "solvers": [t.to_json() for t in self.timings],
+        }
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Bench:
     """What one run measured."""
 
-    timings: tuple[Timing, ...]
+    comparisons: tuple[Comparison, ...]
     throughput_s: float
     """Seconds for all tracks through inverse kinematics, manipulability, limits and smoothness."""
     throughput_parts_s: Mapping[str, float]
@@ -96,16 +135,10 @@ class Bench:
     """Audits that ended in `feasible`; all tracks are expert-like."""
     host: Mapping[str, Json]
 
-    def ratio(self, name: str) -> Array | None:
-        """Time of a solver / ours (R,), repeat by repeat."""
-        by_name = {t.name: t.us_a_pose for t in self.timings}
-        ours, theirs = by_name[OURS], by_name.get(name)
-        return None if ours is None or theirs is None else np.asarray(theirs / ours)
-
     def to_json(self) -> dict[str, Json]:
         """As an object."""
         return {
-            "inverse_kinematics": [t.to_json() for t in self.timings],
+            "inverse_kinematics": [c.to_json() for c in self.comparisons],
             "throughput": {
                 "tracks": self.tracks,
                 "seconds": self.throughput_s,
@@ -116,21 +149,21 @@ class Bench:
         }
 
 
-def smooth_motions(rng: np.random.Generator, arm: Arm, count: int) -> Iterator[tuple[Motion, Array]]:
+def smooth_motions(rng: np.random.Generator, arm: Arm, wanted: TrackSet) -> Iterator[tuple[Motion, Array]]:
     """Expert-like motions within the limits of speed and acceleration, each with the times (T,) [s] of its frames."""
-    span = BENCHMARK_PERIOD_S * (BENCHMARK_FRAMES - 1)
+    span = wanted.period_s * (wanted.frames - 1)
     found = 0
-    while found < count:
+    while found < wanted.tracks:
         motion = cartesian(rng, arm, _WINDOWS * span)
         if motion is None:
             continue
         for k in range(_WINDOWS):
-            t_s = np.asarray(k * span + BENCHMARK_PERIOD_S * np.arange(BENCHMARK_FRAMES), dtype=np.float64)
+            t_s = np.asarray(k * span + wanted.period_s * np.arange(wanted.frames), dtype=np.float64)
             fine = np.linspace(t_s[0], t_s[-1], 1000)
             q, v, a = (motion.q(fine, order) for order in range(3))
             within = (q >= arm.plant.lower).all() and (q <= arm.plant.upper).all()
             slow = (np.abs(v) <= arm.plant.velocity_limits).all() and (np.abs(a) <= accelerations(arm)).all()
-            if within and slow and found < count:
+            if within and slow and found < wanted.tracks:
                 found += 1
                 yield motion, t_s
 
@@ -226,7 +259,7 @@ def measure_audits(tracks: Sequence[GripperTrack]) -> tuple[Array, int]:
 def run_bench(
     *,
     seed: int = 0,
-    ik_tracks: int = IK_TRACKS,
+    ik_sets: Sequence[TrackSet] = IK_SETS,
     repeats: int = REPEATS,
     tracks: int = TRACKS,
     audits: int = AUDITS,
@@ -236,18 +269,20 @@ def run_bench(
     """Draw the tracks, then measure; `note` is told what comes next."""
     arm = Arm()
     rng = np.random.default_rng(seed)
-    note(f"drawing {ik_tracks + max(tracks, audits)} tracks")
-    motions = list(smooth_motions(rng, arm, ik_tracks + max(tracks, audits)))
-    problems = [problem(arm, *drawn) for drawn in motions[:ik_tracks]]
-    drawn = [track_of(arm, *d) for d in motions[ik_tracks:]]
-    note(f"inverse kinematics of {ik_tracks} tracks, {repeats} times each")
-    timings = compare_ik(problems, peers, repeats)
+    comparisons = []
+    for wanted in ik_sets:
+        note(f"inverse kinematics of {wanted.tracks} tracks of {wanted.frames} frames, {repeats} times each")
+        problems = [problem(arm, *drawn) for drawn in smooth_motions(rng, arm, wanted)]
+        comparisons.append(Comparison(tracks=wanted, timings=compare_ik(problems, peers, repeats)))
+    episodes = TrackSet(tracks=max(tracks, audits), frames=BENCHMARK_FRAMES, period_s=BENCHMARK_PERIOD_S)
+    note(f"drawing {episodes.tracks} tracks")
+    drawn = [track_of(arm, *d) for d in smooth_motions(rng, arm, episodes)]
     note(f"{tracks} tracks through inverse kinematics, manipulability, limits and smoothness")
     parts = measure_throughput(drawn[:tracks])
     note(f"{audits} whole audits")
     audit_s, feasible = measure_audits(drawn[:audits])
     return Bench(
-        timings=timings,
+        comparisons=tuple(comparisons),
         throughput_s=sum(parts.values()),
         throughput_parts_s=parts,
         tracks=tracks,

@@ -14,6 +14,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from kinebench_drake.geometry import Array, invert, pose_difference, rotation_log
+from kinebench_drake.kinematics.analytic import analytic_ik
 from kinebench_drake.kinematics.ik import follow
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.models.robot import N_JOINTS
@@ -37,7 +38,7 @@ class Problem:
 
 
 Solve: TypeAlias = Callable[[Sequence[Problem]], list[Array]]
-"""From problems to their postures, (T, 7) [rad] each."""
+"""From problems to their postures, (T, 7) [rad] each; NaN or anything else where a solver finds none."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -80,6 +81,18 @@ def frame_by_frame(step: Callable[[Array, Array], Array]) -> Solve:
 
 def _ours(plant: ArmPlant) -> Solve:
     return lambda problems: [follow(plant, p.t_s, p.X_BG, p.q[0]).q for p in problems]
+
+
+def _ours_held(plant: ArmPlant) -> Solve:
+    """The closed form as it is: joint 7 keeps its angle, the branch is the one the start lies on."""
+    X_GF = _flange_in_tool(plant)
+
+    def path(problem: Problem) -> Array:
+        start = problem.q[0]
+        branches = analytic_ik(problem.X_BG @ X_GF, start[-1])
+        return branches[:, np.nanargmin(np.abs(branches[0] - start).max(axis=-1))]
+
+    return lambda problems: [path(p) for p in problems]
 
 
 def _drake(plant: ArmPlant, *, near: bool) -> Solve:
@@ -214,8 +227,7 @@ def _frankik(plant: ArmPlant, *, sweep: bool) -> Solve:
     from frankik import FrankaKinematics, RobotType
 
     solver = FrankaKinematics(RobotType.PANDA)
-    # Its poses are those of the flange; its own constant for the hand is rounded to three digits.
-    X_GF = invert(plant.forward(plant.robot.rest_q)) @ plant.link_poses(plant.robot.rest_q)["panda_link8"]
+    X_GF = _flange_in_tool(plant)  # its own constant for the hand is rounded to three digits
 
     def step(X_BG: Array, q: Array) -> Array:
         found = None if sweep else solver.inverse(X_BG @ X_GF, q0=q, q7=q[6])
@@ -225,27 +237,44 @@ def _frankik(plant: ArmPlant, *, sweep: bool) -> Solve:
     return frame_by_frame(step)
 
 
+def _flange_in_tool(plant: ArmPlant) -> Array:
+    """Pose X_GF (4, 4) [m] of the Panda's flange, of which the closed forms know, in the TCP."""
+    q = plant.robot.rest_q
+    return np.asarray(invert(plant.forward(q)) @ plant.link_poses(q)["panda_link8"])
+
+
 def _bare_urdf(plant: ArmPlant) -> str:
-    """The robot without shapes, its fingers fixed: seven joints and nothing else to compute."""
+    """The robot without shapes and dynamics, its fingers fixed: seven joints and nothing else to compute."""
     root = ElementTree.parse(plant.robot.urdf).getroot()
     for link in root.findall("link"):
         for kind in ("visual", "collision"):
             for element in link.findall(kind):
                 link.remove(element)
     for joint in root.findall("joint"):
+        for element in joint.findall("dynamics"):
+            joint.remove(element)
         if joint.get("name") in plant.robot.finger_joints:
             joint.set("type", "fixed")
     return ElementTree.tostring(root, encoding="unicode")
 
 
 OURS = "kinebench-drake"
+OURS_HELD = "kinebench-drake, held"
 PLAIN_DRAKE = "Drake InverseKinematics"
 OWN_PARTS = "Newton on Drake's Jacobian"
 TOLD = "pytorch_kinematics, told"
 """Not in the running: it starts from postures that nobody has who only has the poses."""
+FRANKIK_HELD = "frankik, held"
+"""To be compared with ours held likewise."""
 
 PEERS = (
     Peer(name=OURS, how="`kinematics.ik.follow`, a track at a time, to 1e-6 m and 1e-6 rad", package=None, make=_ours),
+    Peer(
+        name=OURS_HELD,
+        how="`kinematics.analytic.analytic_ik`, a track at a time, joint 7 as at the start, on the start's branch",
+        package=None,
+        make=_ours_held,
+    ),
     Peer(name=PLAIN_DRAKE, how="one program a pose, SNOPT", package="drake", make=partial(_drake, near=False)),
     Peer(
         name=f"{PLAIN_DRAKE}, near",
@@ -277,7 +306,7 @@ PEERS = (
         make=partial(_frankik, sweep=True),
     ),
     Peer(
-        name="frankik, held",
+        name=FRANKIK_HELD,
         how="closed form, joint 7 as in the frame before, the sweep where that finds nothing",
         package="frankik",
         make=partial(_frankik, sweep=False),
@@ -286,10 +315,10 @@ PEERS = (
 
 
 def reached(plant: ArmPlant, problems: Sequence[Problem], paths: Sequence[Array]) -> float:
-    """Share of poses that Drake's forward kinematics finds reached, joints within their limits."""
+    """Share of poses that Drake's forward kinematics finds reached, joints within their limits; NaN are none."""
     good = []
     for problem, path in zip(problems, paths, strict=True):
-        at = np.array([plant.forward(q) for q in path])
+        at = np.array([plant.forward(q) for q in np.nan_to_num(path)])
         position, rotation = pose_difference(at, problem.X_BG)
         inside = ((path >= plant.lower) & (path <= plant.upper)).all(axis=-1)
         good.append((position <= POSITION_M) & (rotation <= ROTATION_RAD) & inside)

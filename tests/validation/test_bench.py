@@ -1,24 +1,43 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from kinebench_drake.provenance import host
 from kinebench_drake.validation.bench import (
+    IK_SETS,
     Bench,
+    Comparison,
     Timing,
+    TrackSet,
     compare_ik,
     measure_audits,
     measure_throughput,
     problem,
+    run_bench,
     smooth_motions,
     track_of,
 )
 from kinebench_drake.validation.page import document
-from kinebench_drake.validation.peers import OURS, OWN_PARTS, PEERS, PLAIN_DRAKE, Peer, kept_up, reached
+from kinebench_drake.validation.peers import (
+    FRANKIK_HELD,
+    OURS,
+    OURS_HELD,
+    OWN_PARTS,
+    PEERS,
+    PLAIN_DRAKE,
+    Peer,
+    kept_up,
+    reached,
+)
+
+EPISODES, LONG = IK_SETS
+ALWAYS = [peer for peer in PEERS if peer.name in (OURS, OURS_HELD, OWN_PARTS, PLAIN_DRAKE)]
 
 
 @pytest.fixture(scope="module")
 def motion(arm):
-    return next(smooth_motions(np.random.default_rng(0), arm, 1))
+    return next(smooth_motions(np.random.default_rng(0), arm, EPISODES))
 
 
 def missing(plant):
@@ -26,9 +45,8 @@ def missing(plant):
 
 
 def test_our_and_drakes_solvers_reach_every_pose_and_missing_ones_are_said_to_be(arm, motion):
-    always = [peer for peer in PEERS if peer.name in (OURS, OWN_PARTS, PLAIN_DRAKE)]
     absent = Peer(name="absent", how="not at all", package="absent-package", make=missing)
-    timings = {t.name: t for t in compare_ik([problem(arm, *motion)], [*always, absent], repeats=2)}
+    timings = {t.name: t for t in compare_ik([problem(arm, *motion)], [*ALWAYS, absent], repeats=2)}
     assert timings["absent"].us_a_pose is None
     for name in (OURS, OWN_PARTS, PLAIN_DRAKE):
         assert timings[name].reached == 1.0
@@ -36,7 +54,7 @@ def test_our_and_drakes_solvers_reach_every_pose_and_missing_ones_are_said_to_be
         assert (timings[name].us_a_pose > 0.0).all()
 
 
-@pytest.mark.parametrize("peer", [p for p in PEERS if p.name not in (OURS, PLAIN_DRAKE)], ids=lambda p: p.name)
+@pytest.mark.parametrize("peer", [p for p in PEERS if p not in ALWAYS], ids=lambda p: p.name)
 def test_other_packages_do_the_same_task(arm, motion, peer):
     if peer.package is not None:
         pytest.importorskip(peer.package.removeprefix("pin-").replace("-", "_"))
@@ -51,6 +69,9 @@ def test_verification_sees_a_wrong_posture_and_one_past_its_limits(arm, motion):
     off[:10, 0] += 1e-3
     assert reached(arm.plant, [p], [off]) == pytest.approx(1.0 - 10 / len(off))
     assert reached(arm.plant, [p], [p.q + 2.0 * np.pi]) == 0.0
+    off[:20] = np.nan
+    assert reached(arm.plant, [p], [off]) == pytest.approx(1.0 - 20 / len(off))
+    assert kept_up(arm.plant, [p], [off]) == 0.0
     assert kept_up(arm.plant, [p], [p.q]) == 1.0
     jump = p.q.copy()
     jump[20:, 3] += 0.5
@@ -67,6 +88,27 @@ def test_tracks_are_benchmark_episodes_the_arm_can_make(arm, motion):
     assert feasible == 1
 
 
+def test_held_is_the_closed_form_at_the_starts_joint_7(arm, motion):
+    p = problem(arm, *motion)
+    (held,) = [peer for peer in PEERS if peer.name == OURS_HELD]
+    (path,) = held.make(arm.plant)([p])
+    assert (path[:, 6] == p.q[0, 6]).all()
+    np.testing.assert_allclose(path[0], p.q[0], atol=1e-9)
+    np.testing.assert_allclose([arm.plant.forward(q) for q in path], p.X_BG, atol=1e-9)
+
+
+def test_long_tracks_take_as_long_and_one_run_compares_on_every_set(arm):
+    ((_, t_s),) = smooth_motions(np.random.default_rng(0), arm, replace(LONG, tracks=1))
+    assert len(t_s) == 490
+    np.testing.assert_allclose(np.diff(t_s), 0.02)
+    sets = (TrackSet(tracks=2, frames=5, period_s=0.2), TrackSet(tracks=1, frames=40, period_s=0.02))
+    ours = [peer for peer in ALWAYS if peer.name == OURS]
+    bench = run_bench(ik_sets=sets, repeats=1, tracks=1, audits=1, peers=ours)
+    assert [c.tracks for c in bench.comparisons] == list(sets)
+    assert [t.reached for c in bench.comparisons for t in c.timings] == [1.0, 1.0]
+    assert [c["frames"] for c in bench.to_json()["inverse_kinematics"]] == [5, 40]
+
+
 def timing(name, us, kept=1.0):
     return Timing(
         name=name, label=name, how="so", us_a_pose=None if us is None else np.array(us), reached=1.0, kept_up=kept
@@ -74,15 +116,19 @@ def timing(name, us, kept=1.0):
 
 
 def test_the_page_tells_ratios_turn_by_turn():
+    timings = (
+        timing(OURS, [10.0, 20.0, 10.0]),
+        timing(OURS_HELD, [5.0, 5.0, 5.0], kept=0.9),
+        timing(PLAIN_DRAKE, [300.0, 600.0, 200.0]),
+        timing("slow", [100.0, 200.0, 100.0]),
+        timing("quick", [40.0, 60.0, 30.0]),
+        timing("jumpy", [20.0, 40.0, 20.0], kept=0.3),
+        timing(FRANKIK_HELD, [22.0, 44.0, 22.0], kept=0.3),
+        timing("gone", None),
+    )
+    alone = (timing(OURS, [1.0, 2.0]), timing("jumpy", [0.25, 0.5], kept=0.3))
     bench = Bench(
-        timings=(
-            timing(OURS, [10.0, 20.0, 10.0]),
-            timing(PLAIN_DRAKE, [300.0, 600.0, 200.0]),
-            timing("slow", [100.0, 200.0, 100.0]),
-            timing("quick", [40.0, 60.0, 30.0]),
-            timing("jumpy", [20.0, 40.0, 20.0], kept=0.3),
-            timing("gone", None),
-        ),
+        comparisons=(Comparison(tracks=EPISODES, timings=timings), Comparison(tracks=LONG, timings=alone)),
         throughput_s=12.34,
         throughput_parts_s={"inverse kinematics": 12.34},
         tracks=1000,
@@ -91,9 +137,13 @@ def test_the_page_tells_ratios_turn_by_turn():
         host=host(),
     )
     text = document(bench)
-    assert "| quick | so | 40 (30 to 60) | 3.0 (3.0 to 4.0) | 100.0 % | 100 % |" in text
+    assert "| quick | so | 40.0 (30.0 to 60.0) | 3.0 (3.0 to 4.0) | 100.0 % | 100 % |" in text
     assert "ours is 30.0 times as fast as plain Drake InverseKinematics; 3.0 times as fast as quick, " in text
     assert "2.0 times as fast as jumpy, the fastest of those that do not" in text
+    assert "with joint 7 held on both sides, 4.4 times as fast as frankik, held." in text
+    assert "### 10 tracks of 49 frames at 0.2 s" in text
+    assert "### 4 tracks of 490 frames at 0.02 s" in text
+    assert "So ours is 0.25 times as fast as jumpy, the fastest of those that do not." in text
     assert "| gone | so | not installed | | | |" in text
     assert "12.3 s" in text
     assert "median 0.200 s" in text
