@@ -84,7 +84,7 @@ def _ours(plant: ArmPlant) -> Solve:
 
 
 def _ours_held(plant: ArmPlant) -> Solve:
-    """The closed form as it is: joint 7 keeps its angle, the branch is the one the start lies on."""
+    """The closed form and no more: joint 7 keeps its angle, the branch is the one the start lies on."""
     X_GF = _flange_in_tool(plant)
 
     def path(problem: Problem) -> Array:
@@ -222,16 +222,16 @@ def _batched(plant: ArmPlant, start: Callable[[Problem], Array]) -> Solve:
     return solve
 
 
-def _frankik(plant: ArmPlant, *, sweep: bool) -> Solve:
-    """`sweep`: joint 7 tried at 60 angles; else held, and swept where that finds nothing."""
+def _frankik(plant: ArmPlant, *, held: bool, sweep: bool) -> Solve:
+    """`held`: joint 7 as in the frame before; `sweep`: 60 angles of it, if held only where that finds nothing."""
     from frankik import FrankaKinematics, RobotType
 
     solver = FrankaKinematics(RobotType.PANDA)
     X_GF = _flange_in_tool(plant)  # its own constant for the hand is rounded to three digits
 
     def step(X_BG: Array, q: Array) -> Array:
-        found = None if sweep else solver.inverse(X_BG @ X_GF, q0=q, q7=q[6])
-        found = solver.inverse(X_BG @ X_GF, q0=q) if found is None else found
+        found = solver.inverse(X_BG @ X_GF, q0=q, q7=q[6]) if held else None
+        found = solver.inverse(X_BG @ X_GF, q0=q) if found is None and sweep else found
         return q if found is None else np.asarray(found)
 
     return frame_by_frame(step)
@@ -264,14 +264,14 @@ PLAIN_DRAKE = "Drake InverseKinematics"
 OWN_PARTS = "Newton on Drake's Jacobian"
 TOLD = "pytorch_kinematics, told"
 """Not in the running: it starts from postures that nobody has who only has the poses."""
-FRANKIK_HELD = "frankik, held"
-"""To be compared with ours held likewise."""
+FRANKIK_HELD = "frankik, held, no sweep"
+"""Not in the running either, as it finds nothing where joint 7 should move: to be compared with ours held likewise."""
 
 PEERS = (
     Peer(name=OURS, how="`kinematics.ik.follow`, a track at a time, to 1e-6 m and 1e-6 rad", package=None, make=_ours),
     Peer(
         name=OURS_HELD,
-        how="`kinematics.analytic.analytic_ik`, a track at a time, joint 7 as at the start, on the start's branch",
+        how="closed form, `kinematics.analytic.analytic_ik`, a track at a time, joint 7 as at the start, no sweep",
         package=None,
         make=_ours_held,
     ),
@@ -303,13 +303,19 @@ PEERS = (
         name="frankik",
         how="closed form, its sweep of joint 7, the solution nearest",
         package="frankik",
-        make=partial(_frankik, sweep=True),
+        make=partial(_frankik, held=False, sweep=True),
+    ),
+    Peer(
+        name="frankik, held",
+        how="closed form, joint 7 as in the frame before, the sweep where that finds nothing",
+        package="frankik",
+        make=partial(_frankik, held=True, sweep=True),
     ),
     Peer(
         name=FRANKIK_HELD,
-        how="closed form, joint 7 as in the frame before, the sweep where that finds nothing",
+        how="closed form, joint 7 as at the start, no sweep",
         package="frankik",
-        make=partial(_frankik, sweep=False),
+        make=partial(_frankik, held=True, sweep=False),
     ),
 )
 
