@@ -29,6 +29,7 @@ _SWEEP = 128  # angles of the redundancy tried before a pose is given up (of the
 _ROUNDS = 5  # times the sweep is halved where postures lie far apart
 _REFINED_RAD = np.linspace(-0.05, 0.05, 41)  # finer angles about the least bad of them
 _DAMPING = 1e-6  # of the pseudo-inverse near singularities
+_CARRYING = 6  # Newton steps from a path to the poses near it
 _DETOURS = 3  # times a path that collides is searched anew
 _STARTS = 8  # postures tried as starts before a pose is given up
 
@@ -101,6 +102,7 @@ def solve_track(
     *,
     contact_tolerance_m: float = CONTACT_TOLERANCE_M,
     noise_rad: float = 0.0,
+    X_plan: Array | None = None,
 ) -> JointTrack:
     """Joint angles along a track: the path that asks least of the joints, continuous wherever poses and limits allow.
 
@@ -115,6 +117,9 @@ def solve_track(
         collision: bodies to keep clear of; None ignores them.
         contact_tolerance_m: depth up to which touching is no collision [m].
         noise_rad: standard deviation of the noise that the poses bring into the joints [rad].
+        X_plan: (T, 4, 4) the track's poses without their noise, as well as they are known: the path is searched for
+            these and carried over to the track's own by the least joint motion, lest the redundancy chase the noise.
+            None searches for the track's own.
 
     Raises:
         InputError: a tracked frame's pose is not finite, or the times do not increase.
@@ -127,7 +132,11 @@ def solve_track(
         bad = int(frames[np.flatnonzero(~np.isfinite(X_BG).all(axis=(1, 2)))[0]])
         raise InputError(f"frame {bad} is tracked but its pose is not finite")
     X_BG = make_pose(orthonormalize(X_BG[:, :3, :3]), X_BG[:, :3, 3])
-    path = _search(plant, t_s, X_BG, plant.robot.rest_q, noise_rad)
+    if X_plan is None:
+        path = _search(plant, t_s, X_BG, plant.robot.rest_q, noise_rad)
+    else:
+        planned = _search(plant, t_s, X_plan[frames], plant.robot.rest_q, noise_rad)
+        path = _carried(plant, planned, X_BG)
     joints = _verified(plant, t_s, X_BG, path, plant.robot.rest_q)
     if collision is not None:
         joints = _clear(plant, collision, X_BG, track.finger_width_m[frames], joints, contact_tolerance_m, noise_rad)
@@ -160,12 +169,8 @@ def branch_jumps(plant: ArmPlant, X_BG: Array, q: Array) -> NDArray[np.intp]:
     """
     if len(q) < 2:
         return np.zeros(0, dtype=np.intp)
-    J = np.array([plant.jacobian(row) for row in q])
-    turn = rotation_log(X_BG[1:, :3, :3] @ np.swapaxes(X_BG[:-1, :3, :3], -1, -2))
-    V = np.concatenate([turn, np.diff(X_BG[:, :3, 3], axis=0)], axis=-1)[..., None]
-    J_T = np.swapaxes(J, -1, -2)
-    inverse = J_T @ np.linalg.inv(J @ J_T + _DAMPING * np.eye(6))
-    explained = 0.5 * (inverse[:-1] + inverse[1:]) @ V
+    inverse = _least_motion(plant, q)
+    explained = 0.5 * (inverse[:-1] + inverse[1:]) @ _twists(X_BG[:-1], X_BG[1:])[..., None]
     return np.flatnonzero(np.abs(np.diff(q, axis=0) - explained[..., 0]).max(axis=-1) > JUMP_RAD) + 1
 
 
@@ -229,6 +234,34 @@ def _search(
     if len(X_BG) == 0:
         return np.zeros((0, 7))
     return smoothest_path(plant, postures_of(plant), t_s, X_BG, q_start, noise_rad, allowed)
+
+
+def _carried(plant: ArmPlant, path: Array, X_BG: Array) -> Array:
+    """Postures (n, 7) of poses `X_BG` (n, 4, 4) as near as can be to those of a path (n, 7); NaN where it is NaN.
+
+    Newton steps of least joint motion, all frames at once. Where they do not arrive, what they lead to is left for
+    others to mend.
+    """
+    q = path.copy()
+    known = np.flatnonzero(np.isfinite(path).all(axis=-1))
+    for _ in range(_CARRYING if len(known) else 0):
+        X_now = np.array([plant.forward(row) for row in q[known]])
+        step = (_least_motion(plant, q[known]) @ _twists(X_now, X_BG[known])[..., None])[..., 0]
+        q[known] += np.clip(step, -JUMP_RAD, JUMP_RAD)
+    return q
+
+
+def _least_motion(plant: ArmPlant, q: Array) -> Array:
+    """Damped pseudo-inverses (n, 7, 6) of the Jacobians at postures (n, 7)."""
+    J = plant.chain.jacobians(q)
+    J_T = np.swapaxes(J, -1, -2)
+    return np.asarray(J_T @ np.linalg.inv(J @ J_T + _DAMPING * np.eye(6)))
+
+
+def _twists(X_from: Array, X_to: Array) -> Array:
+    """Twists (n, 6) [rad; m] from poses to poses (n, 4, 4), expressed in B, angular part first."""
+    turn = rotation_log(X_to[:, :3, :3] @ np.swapaxes(X_from[:, :3, :3], -1, -2))
+    return np.concatenate([turn, X_to[:, :3, 3] - X_from[:, :3, 3]], axis=-1)
 
 
 def _verified(plant: ArmPlant, t_s: Array, X_BG: Array, path: Array, q_start: Array) -> JointTrack:

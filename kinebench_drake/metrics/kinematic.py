@@ -25,7 +25,15 @@ from kinebench_drake.kinematics.trajopt import TubeResult, optimize_in_tube
 from kinebench_drake.metrics.derivatives import smooth_path
 from kinebench_drake.metrics.discontinuity import find_discontinuities
 from kinebench_drake.metrics.limits import LimitChecks, check_limits
-from kinebench_drake.metrics.noise import TrackNoise, carried_noise, joint_noise, track_noise
+from kinebench_drake.metrics.noise import (
+    FREEDOM_A_FRAME,
+    JOINT_FREEDOM_A_FRAME,
+    TrackNoise,
+    carried_noise,
+    joint_noise,
+    track_noise,
+)
+from kinebench_drake.metrics.plan import smooth_poses
 from kinebench_drake.metrics.reach import collisions, contact_tolerance, given_past_limits, past_limits, unreachable
 from kinebench_drake.metrics.smoothness import Smoothness, track_smoothness
 from kinebench_drake.metrics.violation import Violation, ViolationKind
@@ -113,6 +121,7 @@ class TrackJudge:
             self._collision,
             contact_tolerance_m=contact_tolerance(noise),
             noise_rad=noise.rotation_rad + noise.position_m / _LEVER_M,
+            X_plan=None if assumed else smooth_poses(track, noise),
         )
         return self._judge(track, joints, noise, assumed, given=False)
 
@@ -175,7 +184,7 @@ class TrackJudge:
         q_smooth = smooth_path(t_s, q, sigma)
         own = self._collision.self_distance(joints.q, track.finger_width_m)
         table = self._collision.table_distance(joints.q, track.finger_width_m)
-        checks = check_limits(plant, t_s, q, sigma)
+        checks = check_limits(plant, t_s, q, sigma, freedom_a_frame=JOINT_FREEDOM_A_FRAME if given else FREEDOM_A_FRAME)
         jumps = find_discontinuities(
             t_s, track.X_BG, track.tracked, noise, *((joints.q, plant.robot.joints) if given else ())
         )
