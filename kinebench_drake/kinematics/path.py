@@ -22,10 +22,11 @@ where postures lie far apart; the finer grids only where the coarser ones lead t
 ANCHOR_S = 0.15
 """Least time between poses that the grid search looks at; those between are interpolated [s]."""
 
-WARM_ANCHOR_S = 1.0
-"""The same where a path goes on from a known posture [s]."""
+WARM_ANCHORS_S = (0.8, 0.4)
+"""The same where a path goes on from a known posture, on its branch and, where that does not lead on, on any [s]."""
 
-_WARM_RAD = np.linspace(-1.6, 1.6, 17)  # joint-7 offsets tried there from the start's
+_WARM_STEP_RAD = 0.3  # spacing of the redundancy's angles there
+_WARM_SAMPLES = 24  # angles of the redundancy over a full turn
 _WARM_SMOOTHING = 2  # passes of the kernel (1, 2, 1) / 4 over what they give
 _BETWEEN_RAD = np.array([-0.05, 0.0, 0.05])  # joint-7 offsets tried about the interpolated path
 _PAST_LIMIT_RAD = 0.05  # how far past a limit postures of the grid may be: a path along a limit lies between its points
@@ -109,16 +110,36 @@ def smoothest_path(
 
 
 def continued_path(plant: ArmPlant, postures: Postures, t_s: Array, X_BG: Array, q_start: Array) -> Array:
-    """Path (T, 7) [rad] that goes on from a posture near the first pose, without leaving its branch: the quick way.
+    """Path (T, 7) [rad] that goes on from a posture near the first pose: the quick way.
 
-    The redundancy is chosen at a few frames, by dynamic programming, and interpolated by a cubic spline; the postures
-    follow from it. NaN where the branch ends; the path may be past limits or too fast where `smoothest_path` finds one
-    that is not. Arguments as for `smoothest_path`.
+    A posture is chosen for few frames, by dynamic programming, first among those of the start's branch, then among
+    all; the joint angles between are interpolated by a cubic spline and put on the poses, polished if need be. NaN where that leads past a
+    limit or to a step that is too fast: then `smoothest_path` may find more. Arguments as for `smoothest_path`.
     """
-    chosen = anchors(t_s, WARM_ANCHOR_S)
-    near = postures.along_branch(X_BG[chosen], q_start, _WARM_RAD)
-    layers = [layer[excess(plant, layer).max(axis=-1, initial=0.0) <= 0.0] for layer in near]
-    path = cheapest(plant, t_s[chosen], layers, q_start, float(_WARM_RAD[1] - _WARM_RAD[0]))
+    chosen = anchors(t_s, WARM_ANCHORS_S[0])
+    path = _bridged(plant, postures, t_s, X_BG, chosen, postures.along_branch(X_BG[chosen], q_start), q_start)
+    if not is_sound(plant, t_s, path):
+        chosen = anchors(t_s, WARM_ANCHORS_S[1])
+        layers = postures.all(X_BG[chosen], _WARM_SAMPLES)
+        layers[0] = postures.nearest(X_BG[:1], q_start[None])
+        path = _bridged(plant, postures, t_s, X_BG, chosen, layers, q_start)
+        if np.isfinite(path).all() and not is_sound(plant, t_s, path):
+            path = relax(plant, postures, t_s, X_BG, path)
+    return path if is_sound(plant, t_s, path) else np.full((len(t_s), 7), np.nan)
+
+
+def _bridged(
+    plant: ArmPlant,
+    postures: Postures,
+    t_s: Array,
+    X_BG: Array,
+    chosen: NDArray[np.intp],
+    layers: list[Array],
+    q_start: Array,
+) -> Array:
+    """Path (T, 7) through the best of `layers`, the postures of the frames `chosen`; NaN where one has none."""
+    layers = [layer[excess(plant, layer).max(axis=-1, initial=0.0) <= 0.0] for layer in layers]
+    path = cheapest(plant, t_s[chosen], layers, q_start, _WARM_STEP_RAD)
     if len(chosen) < 2 or not np.isfinite(path).all():
         return np.full((len(t_s), 7), np.nan)
     for _ in range(_WARM_SMOOTHING):  # the grid's steps

@@ -15,6 +15,7 @@ from kinebench_drake.kinematics.plant import ArmPlant
 _PROBE_RAD = 1e-5  # change of joint 7 by which the closed form is differentiated
 _FAR_RAD = 0.15  # neighbours of the grid farther apart than this have further postures put between them
 _WINDOW = np.linspace(-0.98, 0.98, 9)  # where in the window of reach postures are looked for besides the grid
+_BRANCH_RAD = 0.3 * np.arange(-9, 10)  # about the start's joint 7, along its branch
 _SAME_RAD = 0.05  # postures of the numeric search closer than this are one
 _STARTS = 24  # starts of the numeric search
 
@@ -33,10 +34,10 @@ class Postures(Protocol):
         """Of each pose the postures (N_t, 7) [rad] of all branches near guesses `q` (T, 7), joint limits ignored."""
         ...
 
-    def along_branch(self, X_BG: Array, q_start: Array, offsets: Array) -> list[Array]:
-        """Of each pose the postures (N_t, 7) [rad] of the branch that `q_start` (7,) is nearest to at the first pose.
+    def along_branch(self, X_BG: Array, q_start: Array) -> list[Array]:
+        """Of each pose postures (N_t, 7) [rad] of the branch that `q_start` (7,) is nearest to at the first pose.
 
-        At the redundancy of `q_start` plus each of `offsets` (K,) [rad]; none where branches are not known.
+        On a coarse grid of the redundancy about that of `q_start`; none where branches are not known.
         """
         ...
 
@@ -106,11 +107,10 @@ class ClosedForm:
         q7 = q[:, 6, None] + offsets
         return [_listed(q) for q in analytic_ik((X_BG @ self._X_GF)[:, None], q7)]
 
-    def along_branch(self, X_BG: Array, q_start: Array, offsets: Array) -> list[Array]:
-        """Postures of one branch index."""
-        q = analytic_ik((X_BG @ self._X_GF)[:, None], q_start[6] + offsets)
-        first = q[0, np.argmin(np.abs(offsets))]
-        distance = np.abs(first - q_start).max(axis=-1)
+    def along_branch(self, X_BG: Array, q_start: Array) -> list[Array]:
+        """Postures of one branch index, joint 7 on _BRANCH_RAD about that of the start."""
+        q = analytic_ik((X_BG @ self._X_GF)[:, None], q_start[6] + _BRANCH_RAD)
+        distance = np.abs(q[0, len(_BRANCH_RAD) // 2] - q_start).max(axis=-1)
         branch = np.argmin(np.where(np.isfinite(distance), distance, np.inf))
         return [_listed(row) for row in q[:, :, branch]]
 
@@ -164,7 +164,7 @@ class Numeric:
         found = self.nearest(X_BG, q)
         return [row[None][np.isfinite(row[:1])] for row in found]
 
-    def along_branch(self, X_BG: Array, q_start: Array, offsets: Array) -> list[Array]:
+    def along_branch(self, X_BG: Array, q_start: Array) -> list[Array]:
         """None: branches are not known."""
         return [np.zeros((0, 7))] * len(X_BG)
 
