@@ -11,7 +11,7 @@ from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array, make_pose, orthonormalize, pose_difference, rotation_log
 from kinebench_drake.kinematics.collision import CollisionModel
 from kinebench_drake.kinematics.newton import newton, snopt
-from kinebench_drake.kinematics.path import continued_path, excess, is_sound, smoothest_path
+from kinebench_drake.kinematics.path import SAMPLES, candidates, continued_path, excess, is_sound, smoothest_path
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.postures import Postures, find_postures
 from kinebench_drake.products import GripperTrack, IkStatus, JointTrack
@@ -30,6 +30,7 @@ _ROUNDS = 5  # times the sweep is halved where postures lie far apart
 _REFINED_RAD = np.linspace(-0.05, 0.05, 41)  # finer angles about the least bad of them
 _DAMPING = 1e-6  # of the pseudo-inverse near singularities
 _CARRYING = 6  # Newton steps from a path to the poses near it
+_PROBES = 24  # frames of a collision that are looked at before the path is searched anew
 _DETOURS = 3  # times a path that collides is searched anew
 _STARTS = 8  # postures tried as starts before a pose is given up
 
@@ -294,12 +295,16 @@ def _clear(
     stuck: set[int] = set()
 
     def clear(frame: int, q: Array) -> NDArray[np.bool_]:
+        """Which postures (N,) collide with nothing; all of them if none does."""
         width = np.full(len(q), widths[frame])
-        depth = np.minimum(collision.table_distance(q, width).distance_m, collision.self_distance(q, width).distance_m)
-        if (depth >= -tolerance_m).any():
-            return np.asarray(depth >= -tolerance_m)
-        stuck.add(frame)  # whatever the posture
-        return np.ones(len(q), dtype=bool)
+        free = collision.table_distance(q, width).distance_m >= -tolerance_m
+        free[free] = collision.self_distance(q[free], width[free]).distance_m >= -tolerance_m
+        return np.asarray(free if free.any() else np.ones(len(q), dtype=bool))
+
+    def hopeless(frame: int) -> bool:
+        """Whether every posture on a grid of the frame's collides."""
+        [q] = candidates(plant, postures_of(plant), X_BG[[frame]], SAMPLES[1])
+        return bool(clear(frame, q).all())
 
     for _ in range(_DETOURS):
         own = collision.self_distance(joints.q, widths)
@@ -311,7 +316,15 @@ def _clear(
         fresh = {int(i) for i in np.flatnonzero(bad)} - stuck - set(allowed)
         if not fresh:
             break
-        allowed |= {i: partial(clear, i) for i in fresh}
+        # Of many frames some are looked at first: if all of those are past help, so are the rest.
+        order = np.array(sorted(fresh))
+        probes = order[np.linspace(0, len(order) - 1, min(len(order), _PROBES)).astype(int)]
+        lost = {int(i) for i in probes if hopeless(int(i))}
+        if len(lost) == len(set(probes.tolist())):
+            stuck |= fresh
+            continue
+        stuck |= lost
+        allowed |= {i: partial(clear, i) for i in fresh - lost}
         path = _search(plant, joints.t_s, X_BG, plant.robot.rest_q, noise_rad, allowed)
         joints = _verified(plant, joints.t_s, X_BG, path, plant.robot.rest_q)
     status = list(joints.status)

@@ -19,6 +19,7 @@ from kinebench_drake.kinematics.postures import Postures
 SAMPLES, ROUNDS = (36, 72, 240), (0, 5, 5)
 """Angles of the redundancy tried for each pose (of the Panda: joint 7 every 10 degrees), and how often they are halved
 where postures lie far apart; the finer grids only where the coarser ones lead to a path that the robot cannot do."""
+_GRIDS_AROUND = 2  # of them where postures are picked one by one, which takes time
 ANCHOR_S = 0.15
 """Least time between poses that the grid search looks at; those between are interpolated [s]."""
 
@@ -93,7 +94,8 @@ def smoothest_path(
     allowed = allowed or {}
     chosen = np.arange(len(t_s)) if allowed else anchors(t_s, ANCHOR_S)
     held = np.isin(np.arange(len(t_s)), list(allowed))
-    for samples, rounds in zip(SAMPLES, ROUNDS, strict=True):
+    grids = list(zip(SAMPLES, ROUNDS, strict=True))
+    for samples, rounds in grids[: _GRIDS_AROUND if allowed else None]:
         layers = candidates(plant, postures, X_BG[chosen], samples, rounds)
         for i, may in allowed.items():
             layers[i] = layers[i][may(layers[i])]
@@ -113,8 +115,9 @@ def continued_path(plant: ArmPlant, postures: Postures, t_s: Array, X_BG: Array,
     """Path (T, 7) [rad] that goes on from a posture near the first pose: the quick way.
 
     A posture is chosen for few frames, by dynamic programming, first among those of the start's branch, then among
-    all; the joint angles between are interpolated by a cubic spline and put on the poses, polished if need be. NaN where that leads past a
-    limit or to a step that is too fast: then `smoothest_path` may find more. Arguments as for `smoothest_path`.
+    all; the joint angles between are interpolated by a cubic spline and put on the poses, polished if need be. NaN
+    where that leads past a limit or to a step that is too fast: then `smoothest_path` may find more. Arguments as for
+    `smoothest_path`.
     """
     chosen = anchors(t_s, WARM_ANCHORS_S[0])
     path = _bridged(plant, postures, t_s, X_BG, chosen, postures.along_branch(X_BG[chosen], q_start), q_start)
