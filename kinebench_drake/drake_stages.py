@@ -11,7 +11,8 @@ from kinebench_drake.camera import Camera
 from kinebench_drake.details import details_json, violation_json
 from kinebench_drake.geometry import Array
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.metrics.kinematic import KinematicResult, TrackJudge
+from kinebench_drake.metrics.judge import TrackJudge
+from kinebench_drake.metrics.kinematic import KinematicResult
 from kinebench_drake.models.arm import choose_robot
 from kinebench_drake.products import GripperTrack
 from kinebench_drake.stages import Judgement, StageOptions

@@ -1,56 +1,24 @@
-"""What the robot makes of a track: metrics, the limits that it would break, and whether it can be done at all."""
+"""What the robot makes of a track, in numbers: the result of a judgement, and the metrics it reports."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from types import MappingProxyType
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array
-from kinebench_drake.kinematics.collision import Clearance, CollisionModel
-from kinebench_drake.kinematics.ik import (
-    POSITION_TOLERANCE_M,
-    ROTATION_TOLERANCE_RAD,
-    branch_jumps,
-    solve_track,
-)
-from kinebench_drake.kinematics.manipulability import Manipulability, manipulability_of, time_integral
-from kinebench_drake.kinematics.newton import ROTATION_ARM_M
-from kinebench_drake.kinematics.path import excess
+from kinebench_drake.kinematics.collision import Clearance
+from kinebench_drake.kinematics.manipulability import Manipulability, time_integral
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.kinematics.timing import TimeScale, time_scale
-from kinebench_drake.kinematics.trajopt import TubeResult, optimize_in_tube
-from kinebench_drake.metrics.derivatives import smooth_path
-from kinebench_drake.metrics.discontinuity import find_discontinuities
-from kinebench_drake.metrics.limits import LimitChecks, check_limits
+from kinebench_drake.kinematics.timing import TimeScale
+from kinebench_drake.kinematics.trajopt import TubeResult
+from kinebench_drake.metrics.limits import LimitChecks
 from kinebench_drake.metrics.noise import (
-    FREEDOM_A_FRAME,
-    JOINT_FREEDOM_A_FRAME,
     TrackNoise,
-    carried_noise,
-    joint_noise,
-    track_noise,
 )
-from kinebench_drake.metrics.plan import smooth_poses
-from kinebench_drake.metrics.reach import collisions, contact_tolerance, given_past_limits, past_limits, unreachable
-from kinebench_drake.metrics.smoothness import Smoothness, track_smoothness
+from kinebench_drake.metrics.smoothness import Smoothness
 from kinebench_drake.metrics.violation import Violation, ViolationKind
-from kinebench_drake.products import GripperTrack, IkStatus, JointTrack
-
-MIN_TRACKED_FRAMES = 5
-"""Fewest tracked frames on which a track can be called feasible."""
-MIN_TRACKED_FRACTION = 0.5
-"""Least share of tracked frames on which a track can be called feasible."""
-ASSUMED_NOISE = TrackNoise(position_m=0.005, rotation_rad=float(np.deg2rad(2.5)))
-"""Noise granted to tracks too short to tell theirs: that of a fair tracker."""
-TUBE_M = 0.005
-"""Radius of the tube about a track in which a feasible trajectory is looked for [m], if the noise asks for no more."""
-TUBE_SIGMAS = 4.5
-"""Standard deviations of the noise that the tube's radius is at least: white noise leaves it in one track of 300."""
-
-_LEVER_M = 0.3  # noise of position over this is about what it brings into the joints
+from kinebench_drake.products import GripperTrack, JointTrack
 
 Value = float | bool | None
 
@@ -91,199 +59,38 @@ class KinematicResult:
     """What was found along the track, (T,) or (T, 7) each; NaN where there is nothing."""
 
 
-class TrackJudge:
-    """Holds tracks against one robot and its table. Uses the plant's context: one object a thread."""
-
-    def __init__(self, plant: ArmPlant, *, table_height_m: float = 0.0) -> None:
-        """Take the robot.
-
-        Args:
-            plant: the robot.
-            table_height_m: z of the table's top in B [m].
-
-        Raises:
-            InputError: a collision geometry of the robot cannot be used.
-            UsageError: the table's height is not finite.
-        """
-        self._plant = plant
-        self._collision = CollisionModel(plant, table_height_m=table_height_m)
-
-    def judge_poses(self, track: GripperTrack) -> KinematicResult:
-        """A track of poses: infeasible only if no joint path does it.
-
-        Raises:
-            InputError: a tracked frame's pose is not finite, or the times do not increase.
-        """
-        noise, assumed = _noise(track)
-        joints = solve_track(
-            self._plant,
-            track,
-            self._collision,
-            contact_tolerance_m=contact_tolerance(noise),
-            noise_rad=noise.rotation_rad + noise.position_m / _LEVER_M,
-            X_plan=None if assumed else smooth_poses(track, noise),
-        )
-        return self._judge(track, joints, noise, assumed, given=False)
-
-    def judge_joints(self, t_s: Array, q: Array, finger_width_m: Array) -> KinematicResult:
-        """Joint angles as they are given, not a better path to the same poses.
-
-        Args:
-            t_s: (T,) times [s], increasing.
-            q: (T, 7) joint angles [rad]; NaN where unknown.
-            finger_width_m: (T,) gap between the finger pads [m]; NaN where unknown.
-
-        Raises:
-            InputError: the shapes do not fit, or the times do not increase.
-        """
-        if not (np.diff(t_s) > 0.0).all():
-            raise InputError("t_s must increase from frame to frame")
-        known = np.asarray(np.isfinite(q).all(axis=-1))
-        X_BG = np.full((len(q), 4, 4), np.nan)
-        X_BG[known] = np.reshape([self._plant.forward(row) for row in q[known]], (-1, 4, 4))
-        track = GripperTrack(
-            t_s=t_s,
-            X_CH=np.full_like(X_BG, np.nan),
-            X_BG=X_BG,
-            tracked=known,
-            confidence=known.astype(np.float64),
-            finger_width_m=finger_width_m,
-        )
-        error = np.where(known, 0.0, np.nan)
-        past = np.asarray(excess(self._plant, q).max(axis=-1, initial=0.0) > 0.0)
-        status = [
-            IkStatus.NOT_TRACKED if not k else IkStatus.JOINT_LIMIT if p else IkStatus.OK
-            for k, p in zip(known, past, strict=True)
-        ]
-        joints = JointTrack(
-            t_s=t_s,
-            q=np.where(known[:, None], q, np.nan),
-            status=tuple(status),
-            position_error_m=error,
-            rotation_error_rad=error,
-        )
-        noise, assumed = _noise(track)
-        return self._judge(track, joints, noise, assumed, given=True)
-
-    def _judge(
-        self, track: GripperTrack, joints: JointTrack, noise: TrackNoise, assumed: bool, *, given: bool
-    ) -> KinematicResult:
-        plant, t_s = self._plant, track.t_s
-        known = np.isfinite(joints.q).all(axis=-1)
-        # Where the pose is not reached, speeds and torques of the nearest posture would be made up.
-        reached = known & (joints.position_error_m <= POSITION_TOLERANCE_M)
-        reached &= joints.rotation_error_rad <= ROTATION_TOLERANCE_RAD
-        q = np.where(reached[:, None], joints.q, np.nan)
-        J = np.full((len(q), 6, q.shape[1]), np.nan)
-        J[known] = plant.chain.jacobians(joints.q[known])
-        sigma = (
-            _filled(joint_noise(t_s, q), noise)
-            if given
-            else carried_noise(np.where(reached[:, None, None], J, np.nan), noise)
-        )
-        q_smooth = smooth_path(t_s, q, sigma)
-        own = self._collision.self_distance(joints.q, track.finger_width_m)
-        table = self._collision.table_distance(joints.q, track.finger_width_m)
-        checks = check_limits(plant, t_s, q, sigma, freedom_a_frame=JOINT_FREEDOM_A_FRAME if given else FREEDOM_A_FRAME)
-        jumps = find_discontinuities(
-            t_s, track.X_BG, track.tracked, noise, *((joints.q, plant.robot.joints) if given else ())
-        )
-        limits = given_past_limits(plant, joints.q, sigma) if given else past_limits(plant, track, joints, noise)
-        violations = sorted(
-            (
-                *unreachable(joints, noise),
-                *limits,
-                *collisions(self._collision, track, replace(joints, q=q), own, table, q_smooth, noise),
-                *checks.violations,
-                *jumps,
-            ),
-            key=lambda v: (v.frame_start, v.frame_end, v.kind.value, v.joint or ""),
-        )
-        joints = _with_collisions(joints, violations) if given else joints
-        timing = time_scale(plant, t_s, q_smooth)
-        tube_limit = max(TUBE_M, TUBE_SIGMAS * max(noise.position_m, ROTATION_ARM_M * noise.rotation_rad))
-        tube = optimize_in_tube(
-            plant,
-            self._collision,
-            t_s,
-            np.where(track.tracked[:, None, None], track.X_BG, np.nan),
-            joints.q,
-            tube_limit_m=tube_limit,
-            table_tolerance_m=contact_tolerance(noise),
-            finger_width_m=np.where(np.isfinite(track.finger_width_m), track.finger_width_m, plant.finger_width_m),
-        )
-        w = manipulability_of(plant, np.where(reached[:, None, None], J, np.nan), q)
-        smoothness = track_smoothness(track, None if assumed else noise)
-        branches = np.flatnonzero(reached)
-        metrics, reasons = _metrics(plant, track, joints, reached, w, own, table, smoothness, checks, timing, tube)
-        branch = branch_jumps(plant, track.X_BG[branches], joints.q[branches])
-        metrics["branch_jumps"] = float(len(branch))
-        tracked = int(track.tracked.sum())
-        enough = tracked >= max(MIN_TRACKED_FRAMES, MIN_TRACKED_FRACTION * len(t_s))
-        residual = (q_smooth - q)[np.isfinite(q_smooth).all(axis=-1)]
-        return KinematicResult(
-            track=track,
-            joints=joints,
-            metrics=MappingProxyType(metrics),
-            reasons=MappingProxyType(reasons),
-            violations=tuple(violations),
-            feasible=False if violations else (True if enough else None),
-            noise=noise,
-            noise_assumed=assumed,
-            checks=checks,
-            timing=timing,
-            tube=tube,
-            tube_limit_m=tube_limit,
-            jumps=branches[branch] if len(branch) else branch,
-            fit_residual_rad=float(np.sqrt(np.mean(residual**2))) if residual.size else None,
-            curves=MappingProxyType(_curves(plant, joints, w, own, table, q_smooth, checks)),
-        )
-
-
 def limit_margin(plant: ArmPlant, q: Array) -> Array:
     """Distance to the nearer limit / half the joint's range (..., 7) of `q` (..., 7) [rad]: 1 mid-way, 0 at a limit."""
     return np.asarray(np.minimum(q - plant.lower, plant.upper - q) / (0.5 * (plant.upper - plant.lower)))
 
 
-def _noise(track: GripperTrack) -> tuple[TrackNoise, bool]:
-    """The track's noise, and whether it had to be assumed."""
-    noise = track_noise(track.t_s, track.X_BG, track.tracked)
-    assumed = not np.isfinite([noise.position_m, noise.rotation_rad]).all()
-    return (ASSUMED_NOISE if assumed else noise), assumed
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Findings:
+    """What was found along a joint path, before it is put into metrics and curves."""
+
+    manipulability: Manipulability
+    """Of the frames whose pose is reached."""
+    own: Clearance
+    """Distances of the arm from itself."""
+    table: Clearance
+    """Distances of the arm from the table."""
+    smoothness: Smoothness
+    """Of the gripper's track."""
+    checks: LimitChecks
+    """Limits of speed, acceleration, jerk and torque."""
+    timing: TimeScale
+    """Toppra's."""
+    tube: TubeResult
+    """Trajectory optimisation's."""
+    q_smooth: Array
+    """(T, 7) the path without its noise [rad]."""
 
 
-def _filled(sigma: Array, noise: TrackNoise) -> Array:
-    """Noise of given joint angles (7,) [rad]; where it cannot be told, that of the poses at a usual lever."""
-    return np.where(np.isfinite(sigma), sigma, noise.rotation_rad)
-
-
-def _with_collisions(joints: JointTrack, violations: list[Violation]) -> JointTrack:
-    """Given joint angles with the collisions found in their status, as inverse kinematics has them."""
-    kinds = {
-        ViolationKind.SELF_COLLISION: IkStatus.SELF_COLLISION,
-        ViolationKind.TABLE_COLLISION: IkStatus.TABLE_COLLISION,
-    }
-    status = list(joints.status)
-    for violation in violations:
-        for i in range(violation.frame_start, violation.frame_end + 1):
-            if violation.kind in kinds and status[i] is IkStatus.OK:
-                status[i] = kinds[violation.kind]
-    return replace(joints, status=tuple(status))
-
-
-def _metrics(
-    plant: ArmPlant,
-    track: GripperTrack,
-    joints: JointTrack,
-    reached: NDArray[np.bool_],
-    w: Manipulability,
-    own: Clearance,
-    table: Clearance,
-    smoothness: Smoothness,
-    checks: LimitChecks,
-    timing: TimeScale,
-    tube: TubeResult,
+def kinematic_metrics(
+    plant: ArmPlant, track: GripperTrack, joints: JointTrack, found: Findings
 ) -> tuple[dict[str, Value], dict[str, str]]:
+    """Metrics by name, and why those that are None are."""
+    w, checks, timing, tube = found.manipulability, found.checks, found.timing, found.tube
     tracked = int(track.tracked.sum())
     nothing = "no frame is tracked" if tracked == 0 else "no frame's pose is reached"
     error = joints.position_error_m[track.tracked]
@@ -301,8 +108,8 @@ def _metrics(
         "ik_success_rate": float(joints.ok[track.tracked].mean()) if tracked else None,
         "ik_position_error_max_m": _greatest(error),
         "joint_limit_margin_min": _least(margin),
-        "self_distance_min_m": _least(own.distance_m),
-        "table_distance_min_m": _least(table.distance_m),
+        "self_distance_min_m": _least(found.own.distance_m),
+        "table_distance_min_m": _least(found.table.distance_m),
     }
     reasons = {name: nothing for name, value in metrics.items() if value is None}
     for kind in (ViolationKind.VELOCITY, ViolationKind.ACCELERATION, ViolationKind.JERK, ViolationKind.TORQUE):
@@ -323,22 +130,16 @@ def _metrics(
     for name in ("trajopt_feasible", "trajopt_position_tube_m"):
         if metrics[name] is None:
             reasons[name] = tube.reason or "no tube was found"
-    smooth = smoothness.metrics
+    smooth = found.smoothness.metrics
     for name in (name for name, value in smooth.items() if value is None):
-        told = smoothness.reasons.get(name.partition("_floor_")[0], "")
+        told = found.smoothness.reasons.get(name.partition("_floor_")[0], "")
         reasons[name] = told or "the track's noise is not known"
     return {**smooth, **metrics}, reasons
 
 
-def _curves(
-    plant: ArmPlant,
-    joints: JointTrack,
-    w: Manipulability,
-    own: Clearance,
-    table: Clearance,
-    q_smooth: Array,
-    checks: LimitChecks,
-) -> dict[str, Array]:
+def track_curves(plant: ArmPlant, joints: JointTrack, found: Findings) -> dict[str, Array]:
+    """Arrays (T,) or (T, 7) by name, for the track's file."""
+    w = found.manipulability
     return {
         "manipulability": w.full,
         "manipulability_translation": w.translation,
@@ -346,10 +147,10 @@ def _curves(
         "manipulability_weighted": w.limited,
         "condition_number": w.condition,
         "joint_margin": limit_margin(plant, joints.q).min(axis=-1),
-        "self_distance_m": own.distance_m,
-        "table_distance_m": table.distance_m,
-        "q_smooth": q_smooth,
-        **{kind.value: check.value for kind, check in checks.checks.items()},
+        "self_distance_m": found.own.distance_m,
+        "table_distance_m": found.table.distance_m,
+        "q_smooth": found.q_smooth,
+        **{kind.value: check.value for kind, check in found.checks.checks.items()},
     }
 
 

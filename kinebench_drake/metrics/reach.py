@@ -7,10 +7,11 @@ from numpy.typing import NDArray
 
 from kinebench_drake.geometry import Array
 from kinebench_drake.kinematics.collision import Clearance, CollisionModel
-from kinebench_drake.kinematics.ik import CONTACT_TOLERANCE_M, POSITION_TOLERANCE_M, least_excess
+from kinebench_drake.kinematics.ik import POSITION_TOLERANCE_M, least_excess
 from kinebench_drake.kinematics.newton import ROTATION_ARM_M
 from kinebench_drake.kinematics.path import excess
 from kinebench_drake.kinematics.plant import ArmPlant
+from kinebench_drake.kinematics.track import CONTACT_TOLERANCE_M
 from kinebench_drake.metrics.noise import TrackNoise
 from kinebench_drake.metrics.runs import runs
 from kinebench_drake.metrics.violation import Violation, ViolationKind
@@ -66,7 +67,6 @@ def given_past_limits(plant: ArmPlant, q: Array, sigma: Array) -> Iterator[Viola
 def collisions(
     model: CollisionModel,
     track: GripperTrack,
-    joints: JointTrack,
     own: Clearance,
     table: Clearance,
     q_smooth: Array,
@@ -79,10 +79,9 @@ def collisions(
     Args:
         model: distances.
         track: for the gap between the fingers.
-        joints: (T,) what was looked for collisions.
-        own: (T,) distances of `joints` to itself.
-        table: (T,) distances of `joints` to the table.
-        q_smooth: (T, 7) the same joint path, smoothed [rad].
+        own: (T,) distances of the arm from itself along the joint path.
+        table: (T,) those from the table.
+        q_smooth: (T, 7) the joint path, smoothed [rad].
         noise: of the track.
     """
     limit = -contact_tolerance(noise)

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from kinebench_drake.geometry import Array
-from kinebench_drake.kinematics.ik import solve_track
 from kinebench_drake.kinematics.manipulability import manipulability_of
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.metrics.kinematic import TrackJudge
+from kinebench_drake.kinematics.track import solve_track
+from kinebench_drake.metrics.judge import TrackJudge
 from kinebench_drake.metrics.limits import check_limits
 from kinebench_drake.metrics.noise import carried_noise, track_noise
 from kinebench_drake.metrics.smoothness import track_smoothness

@@ -15,8 +15,8 @@ import numpy as np
 
 from kinebench_drake.geometry import Array, invert, pose_difference, rotation_log
 from kinebench_drake.kinematics.analytic import analytic_ik
-from kinebench_drake.kinematics.ik import follow
 from kinebench_drake.kinematics.plant import ArmPlant
+from kinebench_drake.kinematics.track import follow
 from kinebench_drake.models.robot import N_JOINTS
 
 POSITION_M, ROTATION_RAD = 1e-4, 1e-3

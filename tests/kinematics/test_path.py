@@ -4,7 +4,7 @@ from scipy.interpolate import CubicSpline
 
 from kinebench_drake.geometry import Array, pose_difference
 from kinebench_drake.kinematics.ik import postures_of
-from kinebench_drake.kinematics.path import anchors, cheapest, excess, relax, smoothest_path, speed_ratios
+from kinebench_drake.kinematics.path import anchors, cheapest, excess, smoothest_path, speed_ratios
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.postures import Numeric
 from kinebench_drake.models.panda.robot import rest_q
@@ -42,29 +42,6 @@ def test_layers_without_a_posture_are_bridged(plant: ArmPlant) -> None:
     path = cheapest(plant, np.arange(3.0), layers, rest_q(), spacing=0.1)
     assert np.isnan(path[1]).all()
     np.testing.assert_array_equal(path[[0, 2]], [rest_q(), rest_q() + 0.1])
-
-
-def test_relaxing_keeps_the_poses_and_asks_less(plant: ArmPlant) -> None:
-    """A path that wags along the redundancy, straightened."""
-    q = _path(30)
-    X_BG, t_s = _poses(plant, q), 0.1 * np.arange(30)
-    wagging = q.copy()
-    wagging[:, 6] += 0.15 * (-1.0) ** np.arange(30)
-    wagging = postures_of(plant).nearest(X_BG, wagging)
-    straight = relax(plant, postures_of(plant), t_s, X_BG, wagging)
-    assert max(d.max() for d in pose_difference(_poses(plant, straight), X_BG)) < 1e-9
-    before, after = (np.sum(speed_ratios(plant, t_s, path) ** 2) for path in (wagging, straight))
-    assert after < 0.1 * before
-    assert after <= 1.01 * np.sum(speed_ratios(plant, t_s, q) ** 2)
-
-
-def test_relaxing_brings_a_path_back_within_limits(plant: ArmPlant) -> None:
-    q = _path(20, seed=1)
-    q[:, 6] += plant.upper[6] - 0.02 - q[:, 6].max()
-    X_BG, t_s = _poses(plant, q), 0.2 * np.arange(20)
-    past = postures_of(plant).nearest(X_BG, q + 0.06 * np.eye(7)[6])
-    assert excess(plant, past).max() > 0.01
-    assert excess(plant, relax(plant, postures_of(plant), t_s, X_BG, past)).max() == 0.0
 
 
 def test_the_redundancy_is_used_to_stay_below_the_speed_limit(plant: ArmPlant) -> None:

@@ -1,0 +1,52 @@
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from kinebench_drake.geometry import Array, pose_difference
+from kinebench_drake.kinematics.ik import postures_of
+from kinebench_drake.kinematics.path import excess, speed_ratios
+from kinebench_drake.kinematics.plant import ArmPlant
+from kinebench_drake.kinematics.relaxation import peak_ratio, relax
+from kinebench_drake.models.panda.robot import rest_q
+
+
+def _path(n: int, seed: int = 0) -> Array:
+    rng = np.random.default_rng(seed)
+    knots = rest_q() + rng.uniform(-0.4, 0.4, size=(4, 7))
+    return np.asarray(CubicSpline(np.linspace(0, 1, 4), knots)(np.linspace(0, 1, n)))
+
+
+def _poses(plant: ArmPlant, q: Array) -> Array:
+    return np.array([plant.forward(row) for row in q])
+
+
+def test_relaxing_keeps_the_poses_and_asks_less(plant: ArmPlant) -> None:
+    """A path that wags along the redundancy, straightened."""
+    q = _path(30)
+    X_BG, t_s = _poses(plant, q), 0.1 * np.arange(30)
+    wagging = q.copy()
+    wagging[:, 6] += 0.15 * (-1.0) ** np.arange(30)
+    wagging = postures_of(plant).nearest(X_BG, wagging)
+    straight = relax(plant, postures_of(plant), t_s, X_BG, wagging)
+    assert max(d.max() for d in pose_difference(_poses(plant, straight), X_BG)) < 1e-9
+    before, after = (np.sum(speed_ratios(plant, t_s, path) ** 2) for path in (wagging, straight))
+    assert after < 0.1 * before
+    assert after <= 1.01 * np.sum(speed_ratios(plant, t_s, q) ** 2)
+
+
+def test_relaxing_brings_a_path_back_within_limits(plant: ArmPlant) -> None:
+    q = _path(20, seed=1)
+    q[:, 6] += plant.upper[6] - 0.02 - q[:, 6].max()
+    X_BG, t_s = _poses(plant, q), 0.2 * np.arange(20)
+    past = postures_of(plant).nearest(X_BG, q + 0.06 * np.eye(7)[6])
+    assert excess(plant, past).max() > 0.01
+    assert excess(plant, relax(plant, postures_of(plant), t_s, X_BG, past)).max() == 0.0
+
+
+def test_the_peak_is_the_greatest_speed_or_acceleration_over_its_limit(plant: ArmPlant) -> None:
+    q = np.tile(rest_q(), (5, 1))
+    q[:, 2] += 0.5 * 0.3 * plant.velocity_limits[2] * np.arange(5)
+    assert abs(peak_ratio(plant, 0.3 * np.arange(5), q) - 0.5) < 1e-12
+    q = np.tile(rest_q(), (5, 1))
+    q[2:, 4] += 0.7 * 0.1**2 * plant.acceleration_limits[4]
+    assert abs(peak_ratio(plant, 0.1 * np.arange(5), q) - 0.7) < 1e-9
+    assert peak_ratio(plant, np.zeros(1), q[:1]) == 0.0

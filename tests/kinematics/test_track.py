@@ -1,0 +1,165 @@
+import numpy as np
+import pytest
+from scipy.interpolate import CubicSpline
+
+from kinebench_drake.errors import InputError
+from kinebench_drake.geometry import Array, make_pose, pose_difference, rotation_exp
+from kinebench_drake.kinematics.collision import CollisionModel
+from kinebench_drake.kinematics.ik import postures_of
+from kinebench_drake.kinematics.path import excess, speed_ratios
+from kinebench_drake.kinematics.plant import ArmPlant
+from kinebench_drake.kinematics.track import branch_jumps, follow, solve_track
+from kinebench_drake.models.panda.robot import rest_q
+from kinebench_drake.products import GripperTrack, IkStatus
+
+FAR_POSE = make_pose(np.eye(3), [2.0, 0.0, 0.0])
+
+
+def _track(X_BG: Array, period_s: float, tracked: Array | None = None) -> GripperTrack:
+    n = len(X_BG)
+    seen = np.ones(n, dtype=bool) if tracked is None else np.asarray(tracked, dtype=bool)
+    X = np.where(seen[:, None, None], X_BG, np.nan)
+    return GripperTrack(
+        t_s=period_s * np.arange(n),
+        X_CH=X,
+        X_BG=X,
+        tracked=seen,
+        confidence=np.ones(n),
+        finger_width_m=np.full(n, 0.04),
+    )
+
+
+def _tabletop_track(n: int = 49, seed: int = 0) -> GripperTrack:
+    """A path over the table with turns of the gripper, 0.2 s a frame."""
+    rng = np.random.default_rng(seed)
+    s = np.linspace(0, 1, n)
+    knots = np.linspace(0, 1, 5)
+    p = CubicSpline(knots, rng.uniform([0.4, -0.25, 0.05], [0.65, 0.25, 0.35], size=(5, 3)))(s)
+    turn = CubicSpline(knots, rng.uniform(-0.4, 0.4, size=(5, 3)))(s)
+    return _track(make_pose(rotation_exp(turn) @ np.diag([1.0, -1.0, -1.0]), p), 0.2)
+
+
+def test_a_track_is_followed_exactly_and_continuously(plant: ArmPlant) -> None:
+    for seed in range(4):
+        track = _tabletop_track(seed=seed)
+        joints = solve_track(plant, track)
+        assert joints.ok.all()
+        assert joints.position_error_m.max() <= 1e-6
+        assert joints.rotation_error_rad.max() <= 1e-6
+        assert excess(plant, joints.q).max() == 0.0
+        for q, X_BG in zip(joints.q, track.X_BG, strict=True):
+            assert max(pose_difference(plant.forward(q), X_BG)) <= 1e-6
+        assert speed_ratios(plant, joints.t_s, joints.q).max() < 1.0
+
+
+def test_the_first_frame_takes_the_branch_of_the_rest_posture(plant: ArmPlant) -> None:
+    X_BG = np.array([plant.forward(rest_q() + 0.02 * k) for k in range(5)])
+    joints = solve_track(plant, _track(X_BG, 0.2))
+    assert np.abs(joints.q[0] - rest_q()).max() < 0.1
+
+
+def test_frames_that_are_not_tracked_are_left_out(plant: ArmPlant) -> None:
+    track = _tabletop_track(20)
+    seen = np.ones(20, dtype=bool)
+    seen[[0, 7, 8, 19]] = False
+    joints = solve_track(plant, _track(track.X_BG, 0.2, seen))
+    np.testing.assert_array_equal(joints.ok, seen)
+    assert [s for s, t in zip(joints.status, seen, strict=True) if not t] == [IkStatus.NOT_TRACKED] * 4
+    np.testing.assert_array_equal(np.isnan(joints.q).all(axis=-1), ~seen)
+    np.testing.assert_array_equal(np.isnan(joints.position_error_m), ~seen)
+
+
+def test_a_track_of_nothing_is_solved_to_nothing(plant: ArmPlant) -> None:
+    joints = solve_track(plant, _track(np.tile(np.eye(4), (3, 1, 1)), 0.2, np.zeros(3)))
+    assert set(joints.status) == {IkStatus.NOT_TRACKED}
+
+
+def test_one_frame_out_of_reach_does_not_spoil_its_neighbours(plant: ArmPlant) -> None:
+    X_BG = _tabletop_track().X_BG.copy()
+    X_BG[5] = FAR_POSE
+    joints = solve_track(plant, _track(X_BG, 0.2))
+    assert joints.status[5] is IkStatus.UNREACHABLE
+    assert joints.position_error_m[5] > 0.5
+    assert np.delete(joints.ok, 5).all()
+    assert speed_ratios(plant, np.delete(joints.t_s, 5), np.delete(joints.q, 5, axis=0)).max() < 1.0
+
+
+def _joint_paths(plant: ArmPlant, count: int, seed: int, share: float) -> list[tuple[Array, float]]:
+    """Joint paths (49, 7) all over the joint ranges and the frame period [s] at which they use `share` of limits."""
+    rng, found = np.random.default_rng(seed), []
+    while len(found) < count:
+        knots = rng.uniform(plant.lower, plant.upper, size=(4, 7))
+        q = CubicSpline(np.linspace(0, 1, 4), knots)(np.linspace(0, 1, 49))
+        if excess(plant, q).max() == 0.0:
+            speed = (np.abs(np.diff(q, axis=0)) / plant.velocity_limits).max()
+            acceleration = (np.abs(np.diff(q, 2, axis=0)) / plant.acceleration_limits).max()
+            found.append((q, max(speed / share, float(np.sqrt(acceleration / share)))))
+    return found
+
+
+@pytest.mark.slow
+def test_a_way_within_limits_is_found_where_there_is_one(plant: ArmPlant) -> None:
+    """Joint paths at 90 % of the limits, all over the joint space, known by their poses only.
+
+    Some pass singularities, limits and stretched arms, where greedy steps and coarse grids fail.
+    """
+    for q, period in _joint_paths(plant, 40, seed=7, share=0.9):
+        track = _track(np.array([plant.forward(row) for row in q]), period)
+        joints = solve_track(plant, track)
+        assert joints.ok.all()
+        assert speed_ratios(plant, track.t_s, joints.q).max() <= 1.0
+
+
+def test_a_warm_start_goes_on_from_its_posture(plant: ArmPlant) -> None:
+    for q, period in _joint_paths(plant, 5, seed=3, share=0.3):
+        X_BG = np.array([plant.forward(row) for row in q])
+        joints = follow(plant, period * np.arange(len(q)), X_BG, q[0])
+        assert joints.ok.all()
+        assert speed_ratios(plant, joints.t_s, joints.q).max() <= 1.0
+
+
+def test_a_jump_between_branches_is_told_from_motion(plant: ArmPlant) -> None:
+    q, _ = _joint_paths(plant, 1, seed=5, share=0.3)[0]
+    X_BG = np.array([plant.forward(row) for row in q])
+    assert len(branch_jumps(plant, X_BG, q)) == 0
+    other = postures_of(plant).all(X_BG[20:21], 64)[0]
+    q[20:] = other[np.argmax(np.abs(other - q[20]).max(axis=-1))]
+    X_BG[20:] = X_BG[20]
+    assert list(branch_jumps(plant, X_BG, q)) == [20]
+
+
+def test_the_arm_is_bent_around_what_it_would_run_into(plant: ArmPlant) -> None:
+    """A table so high that the nearest posture's elbow lies in it: another posture of the same poses clears it."""
+    q = np.array([-0.51, 1.66, -1.44, -1.85, 0.96, 2.64, 1.09]) + np.linspace(0.0, 0.1, 9)[:, None]
+    X_BG = np.array([plant.forward(row) for row in q])
+    track = _track(X_BG, 0.2)
+    plain = solve_track(plant, track)
+    low = CollisionModel(plant).table_distance(plain.q).distance_m.min()
+    highest = max(
+        CollisionModel(plant).table_distance(layer).distance_m.max() for layer in postures_of(plant).all(X_BG, 64)
+    )
+    assert highest > low + 0.02
+    model = CollisionModel(plant, table_height_m=low + 0.01)
+    joints = solve_track(plant, track, model)
+    assert joints.ok.all()
+    assert model.table_distance(joints.q).distance_m.min() >= -0.002
+
+
+def test_a_gripper_in_the_table_collides_whatever_the_posture(plant: ArmPlant) -> None:
+    track = _tabletop_track()
+    X_BG = track.X_BG.copy()
+    X_BG[10:13, 2, 3] = -0.03
+    joints = solve_track(plant, _track(X_BG, 0.2), CollisionModel(plant))
+    wrong = [i for i, s in enumerate(joints.status) if s is IkStatus.TABLE_COLLISION]
+    assert wrong == [10, 11, 12]
+    assert np.isfinite(joints.q).all()
+
+
+def test_times_must_increase(plant: ArmPlant) -> None:
+    with pytest.raises(InputError, match="increase"):
+        solve_track(plant, _track(_tabletop_track(3).X_BG, 0.0))
+
+
+def test_the_same_track_gives_the_same_bytes(plant: ArmPlant) -> None:
+    track = _tabletop_track(15)
+    assert solve_track(plant, track).q.tobytes() == solve_track(ArmPlant(), track).q.tobytes()

@@ -1,0 +1,267 @@
+from collections.abc import Mapping
+
+import numpy as np
+import pytest
+
+from kinebench_drake.errors import InputError
+from kinebench_drake.geometry import Array, make_pose, rotation_exp
+from kinebench_drake.kinematics.manipulability import manipulability
+from kinebench_drake.kinematics.plant import ArmPlant
+from kinebench_drake.measure import KINEMATIC_METRICS
+from kinebench_drake.metrics.judge import TrackJudge
+from kinebench_drake.metrics.kinematic import KinematicResult
+from kinebench_drake.metrics.violation import Violation, ViolationKind
+from kinebench_drake.models.panda.robot import rest_q
+from kinebench_drake.products import GripperTrack, IkStatus
+
+KINDS = [
+    *("unreachable", "joint_limit", "self_collision", "table_collision"),
+    *("velocity", "acceleration", "jerk", "torque", "discontinuity"),
+]
+
+
+@pytest.fixture(scope="module")
+def judge(plant: ArmPlant) -> TrackJudge:
+    return TrackJudge(plant)
+
+
+def _gripper(t_s: Array, X_BG: Array) -> GripperTrack:
+    n = len(t_s)
+    return GripperTrack(
+        t_s=t_s,
+        X_CH=X_BG,
+        X_BG=X_BG,
+        tracked=np.isfinite(X_BG[:, 0, 0]),
+        confidence=np.ones(n),
+        finger_width_m=np.full(n, 0.04),
+    )
+
+
+def _poses(plant: ArmPlant, q: Array, period_s: float = 0.2) -> GripperTrack:
+    """Gripper track of joint angles (T, 7)."""
+    return _gripper(period_s * np.arange(len(q)), np.array([plant.forward(row) for row in q]))
+
+
+def _given(judge: TrackJudge, q: Array, period_s: float = 0.2) -> KinematicResult:
+    """Joint angles (T, 7) judged as given."""
+    return judge.judge_joints(period_s * np.arange(len(q)), q, np.full(len(q), 0.04))
+
+
+def _gentle(n: int = 40) -> Array:
+    """A slow wave of all joints about the rest posture."""
+    s = np.linspace(0, 1, n)
+    s = 10 * s**3 - 15 * s**4 + 6 * s**5
+    return rest_q() + s[:, None] * [0.5, 0.3, -0.2, 0.2, 0.3, -0.2, 0.4]
+
+
+def _kinds(result: KinematicResult) -> set[ViolationKind]:
+    return {v.kind for v in result.violations}
+
+
+def _number(metrics: Mapping[str, float | bool | None], name: str) -> float:
+    value = metrics[name]
+    assert isinstance(value, float)
+    return value
+
+
+def test_a_gentle_track_is_feasible_and_has_every_metric(plant: ArmPlant, judge: TrackJudge) -> None:
+    track = _poses(plant, _gentle())
+    result = judge.judge_poses(track)
+    metrics, q = result.metrics, result.joints.q
+    assert result.feasible is True
+    assert result.violations == ()
+    assert set(KINEMATIC_METRICS) <= set(metrics)
+    assert result.joints.ok.all()
+    w = manipulability(plant, q)
+    assert metrics["manipulability_mean"] == pytest.approx(w.full.mean())
+    assert metrics["manipulability_min"] == pytest.approx(w.full.min())
+    assert metrics["manipulability_cost_mean"] == pytest.approx(w.cost.mean())
+    trapezoid = np.sum(0.5 * (w.full[1:] + w.full[:-1]) * np.diff(track.t_s))
+    assert metrics["manipulability_integral"] == pytest.approx(trapezoid)
+    assert metrics["ik_success_rate"] == 1.0
+    assert _number(metrics, "ik_position_error_max_m") < 1e-6
+    for name in ("joint_limit_margin_min", "velocity_ratio_max", "acceleration_ratio_max", "torque_ratio_max"):
+        assert 0.0 < _number(metrics, name) < 1.0
+    for name in ("jerk_ratio_max", "time_scale", "slowdown_min", "self_distance_min_m", "table_distance_min_m"):
+        assert 0.0 < _number(metrics, name) < 1.0
+    assert metrics["trajopt_feasible"] is True
+    assert _number(metrics, "trajopt_position_tube_m") < 0.001
+    assert _number(metrics, "sparc") == pytest.approx(-1.4, abs=0.1)
+    assert metrics["branch_jumps"] == 0.0
+
+
+def test_every_value_is_a_finite_number_or_has_a_reason_why_not(plant: ArmPlant, judge: TrackJudge) -> None:
+    X = np.full((6, 4, 4), np.nan)
+    far = np.tile(make_pose(np.eye(3), [3.0, 0.0, 0.0]), (6, 1, 1))
+    still = np.tile(plant.forward(rest_q()), (40, 1, 1))
+    tracks = [
+        _gripper(0.2 * np.arange(6), X),
+        _gripper(0.2 * np.arange(6), far),
+        _gripper(0.2 * np.arange(40), still),
+        *(_poses(plant, _gentle(n)) for n in (2, 3, 4, 12)),
+    ]
+    for track in tracks:
+        result = judge.judge_poses(track)
+        assert set(KINEMATIC_METRICS) <= set(result.metrics)
+        for name, value in result.metrics.items():
+            assert (value is None) == (name in result.reasons), name
+            assert value is None or np.isfinite(value), name
+
+
+def test_nothing_tracked_is_not_measurable(judge: TrackJudge) -> None:
+    result = judge.judge_poses(_gripper(0.2 * np.arange(6), np.full((6, 4, 4), np.nan)))
+    assert {value for name, value in result.metrics.items() if name != "branch_jumps"} == {None}
+    assert result.feasible is None
+
+
+def test_the_result_cannot_be_changed(judge: TrackJudge) -> None:
+    result = _given(judge, _gentle(10))
+    with pytest.raises(TypeError):
+        result.metrics["sparc"] = 0.0  # type: ignore[index]
+
+
+@pytest.mark.parametrize(("kept", "verdict"), [(40, True), (20, True), (19, None), (4, None)])
+def test_few_tracked_frames_are_no_proof(plant: ArmPlant, judge: TrackJudge, kept: int, verdict: bool | None) -> None:
+    X = _poses(plant, _gentle()).X_BG.copy()
+    X[kept:] = np.nan
+    result = judge.judge_poses(_gripper(0.2 * np.arange(40), X))
+    assert result.feasible is verdict
+    assert result.metrics["ik_success_rate"] == 1.0  # over tracked frames
+
+
+def test_frames_out_of_reach_are_named(plant: ArmPlant, judge: TrackJudge) -> None:
+    q = np.array([0.0, 0.6, 0.0, -1.3, 0.0, 2.0, 0.8])
+    X = np.tile(plant.forward(q), (40, 1, 1))
+    X[:, 0, 3] += 0.5 * np.sin(np.pi * np.arange(40) / 39.0)
+    result = judge.judge_poses(_gripper(0.5 * np.arange(40), X))
+    assert result.feasible is False
+    assert _kinds(result) == {ViolationKind.UNREACHABLE}
+    [violation] = result.violations
+    missed = [i for i, s in enumerate(result.joints.status) if s is IkStatus.UNREACHABLE]
+    assert missed == list(range(violation.frame_start, violation.frame_end + 1))
+    assert violation.frame_start < 20 <= violation.frame_end
+    assert violation.joint is None
+    assert _number(result.metrics, "ik_position_error_max_m") > 0.1
+    assert violation.value >= _number(result.metrics, "ik_position_error_max_m") > violation.limit
+    assert result.metrics["ik_success_rate"] == pytest.approx(1 - len(missed) / 40)
+    assert result.metrics["trajopt_feasible"] is False
+    assert result.tube.violation is not None
+    assert result.tube.violation.kind.value == "unreachable"
+
+
+def test_a_pose_past_a_joint_limit_names_joint_value_and_limit(plant: ArmPlant, judge: TrackJudge) -> None:
+    X = np.tile(plant.forward([-0.4, 2.1, -0.4, -0.6, -2.8, 2.7, -0.6]), (8, 1, 1))
+    result = judge.judge_poses(_gripper(0.2 * np.arange(8), X))
+    assert result.feasible is False
+    assert _kinds(result) == {ViolationKind.JOINT_LIMIT}
+    for violation in result.violations:
+        assert (violation.frame_start, violation.frame_end) == (0, 7)
+        j = int(str(violation.joint)[-1]) - 1
+        assert (
+            violation.value > plant.upper[j] == violation.limit or violation.value < plant.lower[j] == violation.limit
+        )
+
+
+def test_given_angles_past_a_limit_are_judged_as_given(plant: ArmPlant, judge: TrackJudge) -> None:
+    """The pose may be reached otherwise; the angles asked for break the limit all the same."""
+    q = _gentle()
+    q[:, 3] += (plant.upper[3] + 0.1 - q[:, 3].max()) * np.sin(np.pi * np.arange(40) / 39.0) ** 2
+    past = np.flatnonzero(q[:, 3] > plant.upper[3])
+    result = _given(judge, q, period_s=5.0)
+    [violation] = [v for v in result.violations if v.kind is ViolationKind.JOINT_LIMIT]
+    assert violation == Violation(
+        kind=ViolationKind.JOINT_LIMIT,
+        frame_start=int(past[0]),
+        frame_end=int(past[-1]),
+        joint="panda_joint4",
+        value=pytest.approx(q[:, 3].max()),
+        limit=float(plant.upper[3]),
+    )
+    margin = (plant.upper[3] - q[:, 3].max()) / (0.5 * (plant.upper[3] - plant.lower[3]))
+    assert result.metrics["joint_limit_margin_min"] == pytest.approx(margin)
+    assert [i for i, s in enumerate(result.joints.status) if s is IkStatus.JOINT_LIMIT] == list(past)
+
+
+def test_a_lower_limit_is_told_from_an_upper_one(plant: ArmPlant, judge: TrackJudge) -> None:
+    q = _gentle()
+    q[:, 3] -= 1.8 * np.sin(np.pi * np.arange(40) / 39.0) ** 2
+    limits = [v for v in _given(judge, q, period_s=10.0).violations if v.kind is ViolationKind.JOINT_LIMIT]
+    assert [(v.joint, v.limit) for v in limits] == [("panda_joint4", plant.lower[3])]
+    assert limits[0].value == pytest.approx(q[:, 3].min())
+
+
+@pytest.mark.parametrize(("factor", "broken"), [(0.99, False), (1.01, True)])
+def test_speed_is_judged_against_the_limit(plant: ArmPlant, judge: TrackJudge, factor: float, broken: bool) -> None:
+    q = np.tile(rest_q(), (30, 1))
+    q[:, 4] += factor * plant.velocity_limits[4] * 0.05 * (np.arange(30) - 15.0)
+    result = _given(judge, q, period_s=0.05)
+    assert _number(result.metrics, "velocity_ratio_max") == pytest.approx(factor)
+    assert _number(result.metrics, "slowdown_min") == pytest.approx(factor)
+    assert result.feasible is not broken
+    if broken:
+        [violation] = result.violations
+        assert (violation.kind, violation.joint) == (ViolationKind.VELOCITY, "panda_joint5")
+        assert violation.value == pytest.approx(factor * violation.limit)
+
+
+def test_a_track_played_slower_is_slower_in_proportion(judge: TrackJudge) -> None:
+    fast, slow = (_given(judge, _gentle(), period).metrics for period in (0.1, 0.2))
+    assert _number(fast, "velocity_ratio_max") == pytest.approx(2 * _number(slow, "velocity_ratio_max"), rel=1e-6)
+    assert _number(fast, "acceleration_ratio_max") == pytest.approx(4 * _number(slow, "acceleration_ratio_max"))
+    assert _number(fast, "slowdown_min") == pytest.approx(2 * _number(slow, "slowdown_min"), rel=1e-6)
+    ratio = _number(slow, "manipulability_integral") / _number(fast, "manipulability_integral")
+    assert ratio == pytest.approx(2.0)
+
+
+def test_a_pose_track_whose_hand_jumps_is_discontinuous_and_too_fast(plant: ArmPlant, judge: TrackJudge) -> None:
+    q = _gentle()
+    q[20:, 0] += 2.0
+    result = judge.judge_poses(_poses(plant, q))
+    assert _kinds(result) >= {ViolationKind.VELOCITY, ViolationKind.DISCONTINUITY}
+    [jump] = [v for v in result.violations if v.kind is ViolationKind.DISCONTINUITY]
+    assert (jump.frame_start, jump.frame_end) == (19, 20)
+
+
+def test_a_gripper_pushed_into_the_table_collides_by_its_depth(plant: ArmPlant, judge: TrackJudge) -> None:
+    X = np.tile(plant.forward(rest_q()), (40, 1, 1))
+    X[:, 2, 3] -= 0.19 * np.sin(np.pi * np.arange(40) / 39.0) ** 2
+    result = judge.judge_poses(_gripper(0.2 * np.arange(40), X))
+    assert _kinds(result) == {ViolationKind.TABLE_COLLISION}
+    [violation] = result.violations
+    assert violation.value == _number(result.metrics, "table_distance_min_m") < violation.limit == -0.002
+    higher = TrackJudge(plant, table_height_m=-0.05).judge_poses(_gripper(0.2 * np.arange(40), X))
+    assert higher.feasible is True
+    assert _number(higher.metrics, "table_distance_min_m") == pytest.approx(violation.value + 0.05, abs=1e-9)
+
+
+def test_given_angles_that_fold_the_arm_into_itself_collide(plant: ArmPlant, judge: TrackJudge) -> None:
+    q = np.tile(rest_q(), (40, 1))
+    s = np.sin(np.pi * np.arange(40) / 39.0)[:, None] ** 2
+    q += s * (np.array([0.0, -0.5, 0.0, -3.05, 0.0, 0.05, 0.785]) - rest_q())
+    result = _given(judge, q, period_s=0.5)
+    assert ViolationKind.SELF_COLLISION in _kinds(result)
+    assert _number(result.metrics, "self_distance_min_m") < -0.002
+    assert IkStatus.SELF_COLLISION in result.joints.status
+
+
+@pytest.mark.parametrize("noise_mm", [1.0, 3.0, 5.0])
+def test_noise_alone_condemns_no_good_track(plant: ArmPlant, judge: TrackJudge, noise_mm: float) -> None:
+    rng = np.random.default_rng(0)
+    for period_s in (0.05, 0.2):
+        X = _poses(plant, _gentle(49), period_s).X_BG.copy()
+        X[:, :3, 3] += rng.normal(0.0, 1e-3 * noise_mm, size=(49, 3))
+        X[:, :3, :3] = X[:, :3, :3] @ rotation_exp(rng.normal(0.0, np.deg2rad(noise_mm / 2), size=(49, 3)))
+        result = judge.judge_poses(_gripper(period_s * np.arange(49), X))
+        assert result.violations == ()
+        assert result.noise.position_m == pytest.approx(1e-3 * noise_mm, rel=0.4)
+        assert _number(result.metrics, "slowdown_min") <= 1.0
+        assert result.metrics["trajopt_feasible"] is True
+
+
+def test_kinds_are_those_of_the_output_format() -> None:
+    assert [kind.value for kind in ViolationKind] == KINDS
+
+
+def test_times_must_increase(judge: TrackJudge) -> None:
+    with pytest.raises(InputError, match="increase"):
+        _given(judge, _gentle(5), period_s=0.0)
