@@ -78,6 +78,11 @@ def write_track(path: Path, track: GripperTrack, joints: JointTrack | None, curv
         if shape not in ((n,), (n, 7)):
             raise InputError(f"curve {name!r} has shape {shape}, expected {(n,)} or {(n, 7)}")
         arrays[name] = np.asarray(curves[name], dtype=np.float64)
+    write_atomically(path, pack_arrays(arrays))
+
+
+def pack_arrays(arrays: Mapping[str, NDArray[np.generic]]) -> bytes:
+    """An npz file of arrays in the order given; equal arrays give equal bytes."""
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w") as archive:
         for name, array in arrays.items():
@@ -85,7 +90,7 @@ def write_track(path: Path, track: GripperTrack, joints: JointTrack | None, curv
             np.lib.format.write_array(data, np.ascontiguousarray(array), allow_pickle=False)
             entry = zipfile.ZipInfo(f"{name}.npy", date_time=_EPOCH)
             archive.writestr(entry, data.getvalue(), compress_type=zipfile.ZIP_DEFLATED)
-    write_atomically(path, buffer.getvalue())
+    return buffer.getvalue()
 
 
 def read_track(path: Path) -> TrackFile:

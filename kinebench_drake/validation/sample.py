@@ -1,8 +1,6 @@
 """A trajectory as `audit` reads it, and what is known about it."""
 
-import io
 import json
-import zipfile
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
@@ -16,11 +14,10 @@ from kinebench_drake.geometry import Array
 from kinebench_drake.metrics.violation import ViolationKind
 from kinebench_drake.results import write_atomically
 from kinebench_drake.row import Json, dump
+from kinebench_drake.trackfile import pack_arrays
 
 TRUTH = "truth.jsonl"
 """Name of the file beside the trajectories that tells what each of them is."""
-
-_EPOCH = (1980, 1, 1, 0, 0, 0)  # the earliest date a zip entry can bear: a clock time would change the bytes
 
 
 class Kind(Enum):
@@ -81,14 +78,7 @@ class Trajectory:
                 "q": np.full((n, 7), np.nan),
                 "ik_ok": np.zeros(n, dtype=bool),
             }
-        buffer = io.BytesIO()
-        with zipfile.ZipFile(buffer, "w") as archive:
-            for name, array in arrays.items():
-                data = io.BytesIO()
-                np.lib.format.write_array(data, np.ascontiguousarray(array), allow_pickle=False)
-                entry = zipfile.ZipInfo(f"{name}.npy", date_time=_EPOCH)
-                archive.writestr(entry, data.getvalue(), compress_type=zipfile.ZIP_DEFLATED)
-        return buffer.getvalue()
+        return pack_arrays(arrays)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
