@@ -52,7 +52,9 @@ def summarize_checks(row: SampleRow, t_s: Array | None) -> list[Fact]:
 
 def _noise(row: SampleRow) -> str | None:
     noise = _part(row, "noise")
-    text = ", ".join(f"{fact.text}" for fact in list_facts({k: noise.get(k) for k in ("position_m", "rotation_rad")}))
+    known = {k: v for k in ("position_m", "rotation_rad") if isinstance(v := noise.get(k), int | float)}
+    # What is below a micrometre or a microradian is rounding.
+    text = ", ".join(fact.text for fact in list_facts({k: 0.0 if v < 1e-6 else v for k, v in known.items()}))
     if not text:
         return None
     return f"{text} (assumed: the track is too short to tell)" if noise.get("assumed") is True else text

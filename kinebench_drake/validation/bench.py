@@ -58,7 +58,7 @@ class TrackSet:
 
 
 IK_SETS = (
-    TrackSet(tracks=10, frames=BENCHMARK_FRAMES, period_s=BENCHMARK_PERIOD_S),
+    TrackSet(tracks=20, frames=BENCHMARK_FRAMES, period_s=BENCHMARK_PERIOD_S),
     TrackSet(tracks=4, frames=490, period_s=0.02),
 )
 """Benchmark episodes, and tracks as long as those in time with ten times as many frames."""
