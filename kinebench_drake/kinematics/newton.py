@@ -118,11 +118,12 @@ def snopt(plant: ArmPlant, X_BG: Array, q: Array) -> Array:
     rotation: Any = RotationMatrix
     ik.AddOrientationConstraint(base, rotation(X_BG[:3, :3]), tcp, rotation(), 1e-7)
     program, variables = ik.prog(), ik.q()
-    fingers = plant.drake.GetPositions(plant.context)[N_JOINTS:]
-    program.AddBoundingBoxConstraint(fingers, fingers, variables[N_JOINTS:])
-    program.SetInitialGuess(variables, np.concatenate([np.clip(q, plant.lower, plant.upper), fingers]))
+    start = plant.positions(np.clip(q, plant.lower, plant.upper)[None])[0]
+    held = np.delete(np.arange(len(start)), plant.arm)
+    program.AddBoundingBoxConstraint(start[held], start[held], variables[held])
+    program.SetInitialGuess(variables, start)
     options = SolverOptions()
     options.SetOption(SnoptSolver.id(), "Major iterations limit", 100)
     result = SnoptSolver().Solve(program, program.GetInitialGuess(variables), options)
-    q_found: Array = np.asarray(result.GetSolution(variables), dtype=np.float64)[:N_JOINTS]
+    q_found: Array = np.asarray(result.GetSolution(variables), dtype=np.float64)[plant.arm]
     return np.asarray(np.clip(q_found, plant.lower, plant.upper))

@@ -22,7 +22,7 @@ class ArmPlant:
     """A seven-joint arm with its base link fixed at the origin of B.
 
     Holds one Drake context that every call overwrites: make one object a thread. The fingers are present in the plant
-    (as positions 8 and beyond) but stay where `finger_width_m` puts them.
+    but stay where `finger_width_m` puts them.
     """
 
     def __init__(self, robot: Robot | None = None, *, finger_width_m: float = 0.08) -> None:
@@ -55,8 +55,10 @@ class ArmPlant:
         """The plant connected to its scene graph."""
         joints = [plant.GetJointByName(name) for name in self.robot.joints]
         fingers = [plant.GetJointByName(name) for name in self.robot.finger_joints]
-        self._arm = _index([joint.position_start() for joint in joints])
-        self._arm_rates = _index([joint.velocity_start() for joint in joints])
+        self.arm = _index([joint.position_start() for joint in joints])
+        """Where the seven arm joints are among all the plant's positions; other joints may come before or between."""
+        self.arm_rates = _index([joint.velocity_start() for joint in joints])
+        """The same among all the plant's velocities."""
         self._fingers = np.array([joint.position_start() for joint in fingers], dtype=np.intp)
         self._opening = np.array([[j.position_lower_limit(), j.position_upper_limit()] for j in fingers]).reshape(-1, 2)
         self.lower = np.array([joint.position_lower_limit() for joint in joints])
@@ -108,7 +110,7 @@ class ArmPlant:
         if q.shape != (N_JOINTS,):
             raise UsageError(f"q has shape {q.shape}, expected the 7 arm joints in radians")
         self._positions[:] = self._held
-        self._positions[self._arm] = q
+        self._positions[self.arm] = q
         if finger_width_m is not None:
             self._positions[self._fingers] = np.clip(finger_width_m / 2.0, *self._opening.T)
         self.drake.SetPositions(self.context, self._positions)
@@ -126,7 +128,7 @@ class ArmPlant:
         if q.ndim != 2 or q.shape[1] != N_JOINTS:
             raise UsageError(f"q has shape {q.shape}, expected (N, {N_JOINTS}) arm joints in radians")
         positions = np.tile(self._held, (len(q), 1))
-        positions[:, self._arm] = q
+        positions[:, self.arm] = q
         if finger_width_m is not None:
             width = np.asarray(finger_width_m, dtype=np.float64)[:, None]
             asked = np.clip(width / 2.0, *self._opening.T)
@@ -161,7 +163,7 @@ class ArmPlant:
         J = self.drake.CalcJacobianSpatialVelocity(
             self.context, JacobianWrtVariable.kV, self.tcp_frame, self._origin, self.base_frame, self.base_frame
         )
-        return np.asarray(J[:, self._arm_rates])
+        return np.asarray(J[:, self.arm_rates])
 
     def forward_and_jacobian(self, q: ArrayLike) -> tuple[Array, Array]:
         """Both `forward(q)` and `jacobian(q)`, at the price of one."""
@@ -175,16 +177,16 @@ class ArmPlant:
         stay still.
         """
         self.set_posture(q)
-        self._rates[:, self._arm_rates] = v, a
+        self._rates[:, self.arm_rates] = v, a
         self.drake.SetVelocities(self.context, self._rates[0])
         inverse = self.drake.CalcInverseDynamics(self.context, self._rates[1], MultibodyForces(self.drake))
         gravity = self.drake.CalcGravityGeneralizedForces(self.context)
-        return np.asarray((inverse - gravity)[self._arm_rates])
+        return np.asarray((inverse - gravity)[self.arm_rates])
 
     def mass_matrix(self, q: ArrayLike) -> Array:
         """Mass matrix (7, 7) [kg m^2] of the arm at `q` (7,) [rad], the fingers held."""
         self.set_posture(q)
-        return np.asarray(self.drake.CalcMassMatrix(self.context)[self._arm_rates][:, self._arm_rates])
+        return np.asarray(self.drake.CalcMassMatrix(self.context)[self.arm_rates][:, self.arm_rates])
 
     def query(self, q: ArrayLike, finger_width_m: float | None = None) -> Any:
         """Drake's QueryObject of all geometry at `q` (7,) [rad]; allowed pairs of links are left out."""

@@ -28,7 +28,8 @@ _FINEST = 64  # cells between two frames at most
 _HALVINGS = 4  # of cells at the brink of a rest:
 _BRINK = 0.6  # the slower end has at most this share of the faster end's speed,
 _REST = 1e-3  # unless both are slower than this share of the greatest speed
-_FINGER_RATE = 1e-6  # metres that the last finger moves in a second of the path's own time, to cap the speed-up
+_CAP_RATE = 1e-6  # what the last joint beside the arm's, such as a finger [m], moves a second of the path's own time:
+# its speed limit caps the speed-up
 _STRETCHES = (100.0, 10.0, 1000.0, 1.0)  # of the path's parameter, the next where the one before finds no solution
 _ELSE = ((1, (100.0, 10.0)), (0, (100.0, 10.0)))  # halvings and stretches then: small cells are hard on Toppra
 _UNBOUNDED = 1e9  # what Toppra takes for a limit that is not there
@@ -166,24 +167,23 @@ class _Motion:
     def _toppra(self, stretch: float) -> Any:
         """Drake's Toppra with all limits on the path whose parameter is own time * `stretch`."""
         plant = self.plant
-        positions = np.full((len(self.t), plant.drake.num_positions()), plant.finger_width_m / 2.0)
+        positions = plant.positions(self.spline(self.t))
         rates = np.zeros_like(positions)
-        positions[:, :N_JOINTS], rates[:, :N_JOINTS] = self.spline(self.t), self.spline(self.t, 1) / stretch
-        fingers = np.full(positions.shape[1] - N_JOINTS, _UNBOUNDED)
-        if len(fingers):
-            positions[:, -1], rates[:, -1] = _FINGER_RATE * self.t, _FINGER_RATE / stretch
+        rates[:, plant.arm] = self.spline(self.t, 1) / stretch
+        held = np.delete(np.arange(positions.shape[1]), plant.arm)[-1:]
+        positions[:, held] += _CAP_RATE * self.t[:, None]
+        rates[:, held] = _CAP_RATE / stretch
         # Toppra refers to the path without keeping it alive.
         self._path: Any = PiecewisePolynomial.CubicHermite(stretch * self.t, positions.T, rates.T)
         grid: Any = stretch * self.grid
         toppra: Any = Toppra(self._path, plant.drake, grid)
-        speed = _bounds(plant.velocity_limits, fingers)
-        if len(fingers):
-            speed[-1] = FASTEST * _FINGER_RATE
+        speed = _bounds(plant, plant.velocity_limits)
+        speed[np.delete(np.arange(len(speed)), plant.arm_rates)[-1:]] = FASTEST * _CAP_RATE
         toppra.AddJointVelocityLimit(-speed, speed)
         if plant.acceleration_limits is not None:
-            acceleration = _bounds(plant.acceleration_limits, fingers)
+            acceleration = _bounds(plant, plant.acceleration_limits)
             toppra.AddJointAccelerationLimit(-acceleration, acceleration, ToppraDiscretization.kInterpolation)
-        torque = _bounds(plant.effort_limits, fingers)
+        torque = _bounds(plant, plant.effort_limits)
         toppra.AddJointTorqueLimit(-torque, torque, ToppraDiscretization.kInterpolation)
         return toppra
 
@@ -225,8 +225,11 @@ def _grid(t: Array, spline: Any, speeds: Array, halvings: int) -> Array:
     return grid
 
 
-def _bounds(limits: Array, fingers: Array) -> Array:
-    return np.concatenate([np.minimum(limits, _UNBOUNDED), fingers])
+def _bounds(plant: ArmPlant, limits: Array) -> Array:
+    """The arm's limits (7,) among those of all the plant's joints, which have none."""
+    bounds = np.full(plant.drake.num_velocities(), _UNBOUNDED)
+    bounds[plant.arm_rates] = np.minimum(limits, _UNBOUNDED)
+    return bounds
 
 
 def _describe(motion: _Motion, times: Array, rate: Array) -> TimeScale:

@@ -7,7 +7,9 @@ import pytest
 
 from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.kinematics.collision import CollisionModel
+from kinebench_drake.kinematics.newton import snopt
 from kinebench_drake.kinematics.plant import ArmPlant
+from kinebench_drake.kinematics.timing import time_scale
 from kinebench_drake.models.arm import load_robot
 from kinebench_drake.models.panda.robot import TCP_LINK, panda, source_urdf
 from kinebench_drake.models.robot import Robot
@@ -71,14 +73,15 @@ def test_joints_need_not_come_first_in_drakes_order(write_arm: Write) -> None:
         '<link name="box"/><joint name="a_slide" type="prismatic"><parent link="wheel"/><child link="box"/>'
         '<axis xyz="1 0 0"/><limit lower="0" upper="0.01" velocity="1" effort="1"/></joint>'
     )
-    urdf = write_arm(more=more)
+    strong = dict.fromkeys(range(1, 8), '<limit lower="-1" upper="2" velocity="1.5" effort="200"/>')
+    urdf = write_arm(more=more, limits=strong)
     joints = urdf.read_text().split("\n")
     urdf.write_text(
         "\n".join([joints[0], joints[-1].split("</joint>", 1)[1].removesuffix("</robot>"), *joints[1:-1]])
         + joints[-1].split("</joint>", 1)[0]
         + "</joint></robot>"
     )
-    plant, plain = ArmPlant(load_robot(urdf, "tool")), ArmPlant(load_robot(write_arm(), "tool"))
+    plant, plain = ArmPlant(load_robot(urdf, "tool")), ArmPlant(load_robot(write_arm(limits=strong), "tool"))
     assert plant.robot.finger_joints == ("a_slide",)
     rng = np.random.default_rng(1)
     q, v, a = rng.uniform(plant.lower, plant.upper, size=(3, 7))
@@ -87,6 +90,13 @@ def test_joints_need_not_come_first_in_drakes_order(write_arm: Write) -> None:
     np.testing.assert_allclose(plant.chain.jacobians(q[None])[0], plain.jacobian(q), atol=1e-12)
     np.testing.assert_allclose(plant.torque(q, v, a), plain.torque(q, v, a), atol=1e-9)
     np.testing.assert_allclose(plant.mass_matrix(q), plain.mass_matrix(q), atol=1e-9)
+    assert np.abs(plant.forward(snopt(plant, plant.forward(q), plant.robot.rest_q)) - plant.forward(q)).max() < 1e-5
+    t = np.linspace(0.0, 4.0, 30)
+    path = plant.robot.rest_q + 0.4 * np.sin(t)[:, None] * np.array([1.0, 0.2, -1.0, 0.3, 1.0, -0.2, 1.0])
+    scale, expected = time_scale(plant, t, path), time_scale(plain, t, path)
+    assert expected.value is not None
+    assert scale.value == pytest.approx(expected.value, rel=1e-3)
+    assert (scale.constraint, scale.joint) == (expected.constraint, expected.joint)
     wheel = plant.link_poses(q)["wheel"]
     assert wheel[2, 1] == pytest.approx(np.sin(0.3))  # held at its limit nearest to 0
 
