@@ -2,7 +2,6 @@
 
 import hashlib
 import math
-import re
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
@@ -13,6 +12,7 @@ from pathlib import Path
 from typing import Generic, Protocol, TypeVar
 
 from kinebench_drake.errors import KinebenchError, SetupError, UnmeasurableError
+from kinebench_drake.models.urdf import robot_files
 from kinebench_drake.provenance import code_hash
 from kinebench_drake.results import part_path
 from kinebench_drake.row import Json, SampleRow, Status, dump
@@ -147,7 +147,7 @@ class Measure(ABC, Generic[Sample]):
         }
         digest = hashlib.sha256(dump(told).encode())
         robot = self.stage_options.urdf
-        for file in (*self.files(sample), *((robot, *mesh_files(robot)) if robot else ())):
+        for file in (*self.files(sample), *(robot_files(robot) if robot else ())):
             digest.update(file.name.encode(errors="surrogateescape") + b"\0" + _digest(file))
         return digest.hexdigest()
 
@@ -229,18 +229,9 @@ def _null_reasons(metrics: Mapping[str, Json], judgement: Judgement | None) -> d
             given = judgement.reasons.get(name) if judgement else None
             unsaid = "cannot be told from this sample" if value is None else f"came out as {value}"
             reasons[name] = given or unsaid
+    if judgement and judgement.feasible is None:
+        reasons["feasible"] = judgement.reasons.get("feasible", "cannot be told from this sample")
     return reasons
-
-
-def mesh_files(urdf: Path) -> list[Path]:
-    """Those of a URDF's meshes that lie where it says, relative to its folder; none where it cannot be read."""
-    try:
-        text = urdf.read_text(errors="replace")
-    except OSError:
-        return []
-    named = sorted(set(re.findall(r'filename\s*=\s*["\']([^"\']+)["\']', text)))
-    meshes = (urdf.parent / re.sub(r"^(package|file|model)://", "", name) for name in named)
-    return [mesh for mesh in meshes if mesh.is_file()]
 
 
 def _digest(file: Path) -> bytes:

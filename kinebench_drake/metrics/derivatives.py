@@ -49,7 +49,7 @@ class Derivative:
     standard_error: Array
     """(T, 7) standard deviation of `value` by the samples' noise [rad/s^order]; NaN if that is unknown."""
     window: int
-    """Samples in a window; runs of fewer known frames use what they have."""
+    """Samples in a window."""
     window_s: float
     """From the first to the last sample of a window [s]."""
     bandwidth_hz: float
@@ -61,8 +61,8 @@ def differentiate(t_s: Array, q: Array, sigma: Array, order: int, limits: Array)
 
     One window, in samples, serves the whole track: the smallest at which the standard error, for every joint's median
     noise, is NOISE_SHARE of its limit, at most LONGEST_S long, at least order + 1 samples. A frame's window is centred
-    on it (for an even number it reaches one sample further back); at the ends of a run of known frames it is the
-    nearest whole one. Gaps are not bridged.
+    on it (for an even number it reaches one sample further back); at the ends of the track it is the nearest whole one.
+    Frames that are not known are left out and windows reach over them: what is found stays a mean of the derivative.
 
     Args:
         t_s: (T,) times [s], increasing; even times are faster.
@@ -76,14 +76,13 @@ def differentiate(t_s: Array, q: Array, sigma: Array, order: int, limits: Array)
     period = float(np.median(np.diff(t_s))) if len(t_s) > 1 else 1.0
     size = _window(period, _noise_ratio(variance[known], limits), order)
     value, error = np.full(q.shape, np.nan), np.full(q.shape, np.nan)
-    for run in runs(known):
-        n = min(size, run.stop - run.start)
-        if n <= order:
-            continue
-        weights = _weights(_windows(t_s[run], n), order)  # (N or 1, n)
-        first = np.clip(np.arange(run.stop - run.start) - n // 2, 0, run.stop - run.start - n)
-        value[run] = _apply(weights, q[run])[first]
-        error[run] = np.sqrt(_apply(weights**2, variance[run]))[first]
+    frames = np.flatnonzero(known)
+    size = max(min(size, len(frames)), order + 1)
+    if len(frames) >= size:
+        weights = _weights(_windows(t_s[frames], size), order)  # (N or 1, size)
+        first = np.clip(np.arange(len(frames)) - size // 2, 0, len(frames) - size)
+        value[frames] = _apply(weights, q[frames])[first]
+        error[frames] = np.sqrt(_apply(weights**2, variance[frames]))[first]
     return Derivative(
         order=order,
         value=value,

@@ -19,9 +19,8 @@ from kinebench_drake.kinematics.trajopt import optimize_in_tube
 from kinebench_drake.metrics.derivatives import smooth_path
 from kinebench_drake.metrics.discontinuity import find_discontinuities
 from kinebench_drake.metrics.kinematic import Findings, KinematicResult, kinematic_metrics, track_curves
-from kinebench_drake.metrics.limits import check_limits
+from kinebench_drake.metrics.limits import LimitChecks, check_limits
 from kinebench_drake.metrics.noise import (
-    FREEDOM_A_FRAME,
     JOINT_FREEDOM_A_FRAME,
     TrackNoise,
     carried_noise,
@@ -29,7 +28,14 @@ from kinebench_drake.metrics.noise import (
     track_noise,
 )
 from kinebench_drake.metrics.plan import smooth_poses
-from kinebench_drake.metrics.reach import collisions, contact_tolerance, given_past_limits, past_limits, unreachable
+from kinebench_drake.metrics.reach import (
+    collisions,
+    contact_tolerance,
+    given_past_limits,
+    limit_tolerance,
+    past_limits,
+    unreachable,
+)
 from kinebench_drake.metrics.smoothness import track_smoothness
 from kinebench_drake.metrics.violation import Violation, ViolationKind
 from kinebench_drake.products import GripperTrack, IkStatus, JointTrack
@@ -40,6 +46,10 @@ MIN_TRACKED_FRACTION = 0.5
 """Least share of tracked frames on which a track can be called feasible."""
 ASSUMED_NOISE = TrackNoise(position_m=0.005, rotation_rad=float(np.deg2rad(2.5)))
 """Noise granted to tracks too short to tell theirs: that of a fair tracker."""
+MOST_NOISE = TrackNoise(position_m=0.015, rotation_rad=float(np.deg2rad(7.5)))
+"""Most noise that a track is granted: what jitters more is taken for motion and judged as exact."""
+MOST_JOINT_NOISE_RAD = 0.02
+"""The same for given joint angles [rad]."""
 TUBE_M = 0.005
 """Radius of the tube about a track in which a feasible trajectory is looked for [m], if the noise asks for no more."""
 TUBE_SIGMAS = 4.5
@@ -80,7 +90,7 @@ class TrackJudge:
             noise_rad=noise.rotation_rad + noise.position_m / _LEVER_M,
             X_plan=None if assumed else smooth_poses(track, noise),
         )
-        return self._judge(track, joints, noise, assumed, given=False)
+        return self._judge(track, joints, noise, assumed, given=None)
 
     def judge_joints(self, t_s: Array, q: Array, finger_width_m: Array) -> KinematicResult:
         """Joint angles as they are given, not a better path to the same poses.
@@ -107,7 +117,8 @@ class TrackJudge:
             finger_width_m=finger_width_m,
         )
         error = np.where(known, 0.0, np.nan)
-        past = np.asarray(excess(self._plant, q).max(axis=-1, initial=0.0) > 0.0)
+        sigma = _joint_noise(t_s, q)
+        past = np.asarray((excess(self._plant, q) > limit_tolerance(sigma)).any(axis=-1))
         status = [
             IkStatus.NOT_TRACKED if not k else IkStatus.JOINT_LIMIT if p else IkStatus.OK
             for k, p in zip(known, past, strict=True)
@@ -120,11 +131,12 @@ class TrackJudge:
             rotation_error_rad=error,
         )
         noise, assumed = _noise(track)
-        return self._judge(track, joints, noise, assumed, given=True)
+        return self._judge(track, joints, noise, assumed, given=sigma)
 
     def _judge(
-        self, track: GripperTrack, joints: JointTrack, noise: TrackNoise, assumed: bool, *, given: bool
+        self, track: GripperTrack, joints: JointTrack, noise: TrackNoise, assumed: bool, *, given: Array | None
     ) -> KinematicResult:
+        """The verdict on a joint path; `given` is the noise (7,) [rad] of joint angles that are judged as they are."""
         plant, t_s = self._plant, track.t_s
         known = np.isfinite(joints.q).all(axis=-1)
         # Where the pose is not reached, speeds and torques of the nearest posture would be made up.
@@ -133,15 +145,18 @@ class TrackJudge:
         q = np.where(reached[:, None], joints.q, np.nan)
         J = np.full((len(q), 6, q.shape[1]), np.nan)
         J[reached] = plant.chain.jacobians(joints.q[reached])
-        sigma = _filled(joint_noise(t_s, q), noise) if given else carried_noise(J, noise)
+        sigma = carried_noise(J, noise) if given is None else given
         q_smooth = smooth_path(t_s, q, sigma)
-        own = self._collision.self_distance(joints.q, track.finger_width_m)
-        table = self._collision.table_distance(joints.q, track.finger_width_m)
-        checks = check_limits(plant, t_s, q, sigma, freedom_a_frame=JOINT_FREEDOM_A_FRAME if given else FREEDOM_A_FRAME)
-        jumps = find_discontinuities(
-            t_s, track.X_BG, track.tracked, noise, *((joints.q, plant.robot.joints) if given else ())
-        )
-        limits = given_past_limits(plant, joints.q, sigma) if given else past_limits(plant, track, joints, noise)
+        own = self._collision.self_distance(q, track.finger_width_m)
+        table = self._collision.table_distance(q, track.finger_width_m)
+        if given is None:
+            checks = check_limits(plant, t_s, q, sigma)
+            limits = past_limits(plant, track, joints, noise)
+            jumps = find_discontinuities(t_s, track.X_BG, track.tracked, noise)
+        else:
+            checks = check_limits(plant, t_s, q, sigma, freedom_a_frame=JOINT_FREEDOM_A_FRAME)
+            limits = given_past_limits(plant, q, given)
+            jumps = find_discontinuities(t_s, track.X_BG, track.tracked, noise, q, plant.robot.joints)
         violations = sorted(
             (
                 *unreachable(joints, noise),
@@ -152,7 +167,7 @@ class TrackJudge:
             ),
             key=lambda v: (v.frame_start, v.frame_end, v.kind.value, v.joint or ""),
         )
-        joints = _with_collisions(joints, violations) if given else joints
+        joints = joints if given is None else _with_collisions(joints, violations)
         timing = time_scale(plant, t_s, q_smooth)
         tube_limit = max(TUBE_M, TUBE_SIGMAS * max(noise.position_m, ROTATION_ARM_M * noise.rotation_rad))
         tube = optimize_in_tube(
@@ -165,6 +180,8 @@ class TrackJudge:
             table_tolerance_m=contact_tolerance(noise),
             finger_width_m=np.where(np.isfinite(track.finger_width_m), track.finger_width_m, plant.finger_width_m),
         )
+        branches = np.flatnonzero(reached)
+        branch = branch_jumps(plant, track.X_BG[branches], joints.q[branches])
         found = Findings(
             manipulability=manipulability_of(plant, J, q),
             own=own,
@@ -176,11 +193,12 @@ class TrackJudge:
             q_smooth=q_smooth,
         )
         metrics, reasons = kinematic_metrics(plant, track, joints, found)
-        branches = np.flatnonzero(reached)
-        branch = branch_jumps(plant, track.X_BG[branches], joints.q[branches])
-        metrics["branch_jumps"] = float(len(branch))
-        tracked = int(track.tracked.sum())
-        enough = tracked >= max(MIN_TRACKED_FRAMES, MIN_TRACKED_FRACTION * len(t_s))
+        metrics["branch_jumps"] = float(len(branch)) if len(branches) > 1 else None
+        if len(branches) < 2:
+            reasons["branch_jumps"] = "fewer than two poses are reached"
+        undecided = _undecided(track, checks)
+        if not violations and undecided is not None:
+            reasons["feasible"] = undecided
         residual = (q_smooth - q)[np.isfinite(q_smooth).all(axis=-1)]
         return KinematicResult(
             track=track,
@@ -188,7 +206,7 @@ class TrackJudge:
             metrics=MappingProxyType(metrics),
             reasons=MappingProxyType(reasons),
             violations=tuple(violations),
-            feasible=False if violations else (True if enough else None),
+            feasible=False if violations else (True if undecided is None else None),
             noise=noise,
             noise_assumed=assumed,
             checks=checks,
@@ -202,15 +220,32 @@ class TrackJudge:
 
 
 def _noise(track: GripperTrack) -> tuple[TrackNoise, bool]:
-    """The track's noise, and whether it had to be assumed."""
+    """The track's noise, 0 where it would be more than MOST_NOISE, and whether it had to be assumed."""
     noise = track_noise(track.t_s, track.X_BG, track.tracked)
-    assumed = not np.isfinite([noise.position_m, noise.rotation_rad]).all()
-    return (ASSUMED_NOISE if assumed else noise), assumed
+    if not np.isfinite([noise.position_m, noise.rotation_rad]).all():
+        return ASSUMED_NOISE, True
+    position = noise.position_m if noise.position_m <= MOST_NOISE.position_m else 0.0
+    rotation = noise.rotation_rad if noise.rotation_rad <= MOST_NOISE.rotation_rad else 0.0
+    return TrackNoise(position_m=position, rotation_rad=rotation), False
 
 
-def _filled(sigma: Array, noise: TrackNoise) -> Array:
-    """Noise of given joint angles (7,) [rad]; where it cannot be told, that of the poses at a usual lever."""
-    return np.where(np.isfinite(sigma), sigma, noise.rotation_rad)
+def _joint_noise(t_s: Array, q: Array) -> Array:
+    """Noise (7,) [rad] of given joint angles: 0 where it would be more than MOST_JOINT_NOISE_RAD, that if unknown."""
+    sigma = joint_noise(t_s, q)
+    granted = np.where(sigma <= MOST_JOINT_NOISE_RAD, sigma, 0.0)
+    return np.where(np.isfinite(sigma), granted, MOST_JOINT_NOISE_RAD)
+
+
+def _undecided(track: GripperTrack, checks: LimitChecks) -> str | None:
+    """Why a track without violations cannot be called feasible; None if it can."""
+    n, tracked = len(track.t_s), int(track.tracked.sum())
+    if tracked < max(MIN_TRACKED_FRAMES, MIN_TRACKED_FRACTION * n):
+        return f"{tracked} of {n} frames are tracked; {MIN_TRACKED_FRAMES} and half of all are needed to acquit"
+    speed = checks.checks.get(ViolationKind.VELOCITY)
+    seen = 0 if speed is None else int(np.isfinite(speed.value).all(axis=-1).sum())
+    if seen < MIN_TRACKED_FRACTION * tracked:
+        return f"{seen} of {tracked} tracked frames are reached; half of them are needed to acquit"
+    return None
 
 
 def _with_collisions(joints: JointTrack, violations: list[Violation]) -> JointTrack:

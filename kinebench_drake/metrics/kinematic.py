@@ -94,7 +94,7 @@ def kinematic_metrics(
     tracked = int(track.tracked.sum())
     nothing = "no frame is tracked" if tracked == 0 else "no frame's pose is reached"
     error = joints.position_error_m[track.tracked]
-    margin = limit_margin(plant, joints.q)
+    margin = limit_margin(plant, np.where(np.isfinite(w.full)[:, None], joints.q, np.nan))
     metrics: dict[str, Value] = {
         "manipulability_mean": _mean(w.full),
         "manipulability_min": _least(w.full),
@@ -123,7 +123,7 @@ def kinematic_metrics(
     slowdown = checks.slowdown
     metrics["slowdown_min"] = None if slowdown is None or np.isinf(slowdown.factor) else slowdown.factor
     if slowdown is None:
-        reasons["slowdown_min"] = "too few consecutive frames are reached to take a derivative"
+        reasons["slowdown_min"] = "too few frames are reached to take a derivative, or noise hides all of them"
     elif np.isinf(slowdown.factor):
         reasons["slowdown_min"] = f"however slow, the arm's own weight asks too much of {slowdown.joint}"
     metrics["trajopt_feasible"], metrics["trajopt_position_tube_m"] = tube.feasible, tube.radius_m

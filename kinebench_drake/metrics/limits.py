@@ -1,7 +1,7 @@
 """Velocity, acceleration, jerk and torque of a joint path against the robot's limits, with room for its noise.
 
 A limit is called broken where |value| - z * standard error > limit. The values are those of `derivatives`: means over a
-window, so never above the true peak. At video rates they lie far below it for jerk (a track at 5 Hz resolves a fraction
+window, so never above the true peak (torque is computed from such means, and so to that approximation only). At video rates they lie far below it for jerk (a track at 5 Hz resolves a fraction
 of a percent of the Panda's jerk limits): jerk may convict, never acquit, and each check reports its bandwidth. The
 factor z makes FALSE_ALARM the chance that noise alone condemns a track that stays at its limits everywhere: Bonferroni
 over all looks (frames x joints x kinds, both signs), and Student's distribution because the noise is itself measured.
@@ -126,7 +126,7 @@ def check_limits(
         scale = plant.velocity_limits if limit is None else limit
         derivatives[kind] = derivative = differentiate(t_s, q, sigma, order, scale)
         if not np.isfinite(derivative.value).any():
-            reasons[kind] = f"no {order + 1} consecutive frames have joint angles"
+            reasons[kind] = f"fewer than {order + 1} frames have joint angles"
         elif limit is None:
             reasons[kind] = f"no {kind.value} limits are published for {plant.robot.name}"
         else:
@@ -143,7 +143,7 @@ def check_limits(
             plant, t_s, smooth, derivatives[ViolationKind.VELOCITY], acceleration, z
         )
     else:
-        reasons[ViolationKind.TORQUE] = "no 3 consecutive frames have joint angles"
+        reasons[ViolationKind.TORQUE] = "fewer than 3 frames have joint angles"
     return LimitChecks(
         checks=MappingProxyType(checks),
         reasons=MappingProxyType(reasons),
@@ -223,7 +223,7 @@ def _check(
         window_s=derivative.window_s,
         bandwidth_hz=derivative.bandwidth_hz,
         noise_ratio=float((np.median(error[complete(value)], axis=0) / limits).max()),
-        slowdown=np.where(seen, np.maximum(least, np.minimum(own, 1.0)), least),
+        slowdown=np.where(seen, np.maximum(least, np.minimum(own, 1.0)), np.where(least > 0.0, least, np.nan)),
         violations=tuple(_violations(plant, kind, magnitude, limits, broken)),
     )
 

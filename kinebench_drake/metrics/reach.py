@@ -28,6 +28,11 @@ def contact_tolerance(noise: TrackNoise) -> float:
     return max(CONTACT_TOLERANCE_M, NOISE_SIGMAS * noise.position_m)
 
 
+def limit_tolerance(sigma: Array) -> Array:
+    """How far (7,) [rad] given joint angles with noise `sigma` (7,) [rad] may be past a limit."""
+    return np.maximum(_LIMIT_TOLERANCE_RAD, NOISE_SIGMAS * sigma)
+
+
 def unreachable(joints: JointTrack, noise: TrackNoise) -> Iterator[Violation]:
     """Runs of frames whose pose is out of reach by more than the noise explains.
 
@@ -60,8 +65,7 @@ def past_limits(plant: ArmPlant, track: GripperTrack, joints: JointTrack, noise:
 
 def given_past_limits(plant: ArmPlant, q: Array, sigma: Array) -> Iterator[Violation]:
     """Runs of frames in which given joint angles `q` (T, 7) are past a limit by more than their noise (7,) [rad]."""
-    tolerance = np.maximum(_LIMIT_TOLERANCE_RAD, NOISE_SIGMAS * np.nan_to_num(sigma))
-    yield from _past(plant, q, tolerance)
+    yield from _past(plant, q, limit_tolerance(sigma))
 
 
 def collisions(
