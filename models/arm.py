@@ -12,7 +12,14 @@ from kinebench_drake.geometry import Array
 from kinebench_drake.models.panda.robot import ARM_JOINTS, panda
 from kinebench_drake.models.panda.robot import rest_q as panda_rest_q
 from kinebench_drake.models.robot import N_JOINTS, Robot
-from kinebench_drake.models.urdf import convert_urdf, read_allowed_pairs, read_effort_limits, read_number, read_urdf
+from kinebench_drake.models.urdf import (
+    convert_urdf,
+    read_allowed_pairs,
+    read_effort_limits,
+    read_number,
+    read_urdf,
+    srdf_path,
+)
 
 _TURNING = ("revolute", "continuous")
 _KNOWN = (*_TURNING, "prismatic", "fixed")
@@ -77,7 +84,7 @@ def load_robot(urdf: Path, tcp_link: str) -> Robot:
         )
     lower, upper = np.array([_limits(urdf.name, joint) for joint in moving]).T
     converted = convert_urdf(urdf, urdf.stem)
-    srdf = urdf.with_suffix(".srdf")
+    srdf = srdf_path(urdf)
     fingers = [j for j in tree.joints if j.get("type") == "prismatic"]
     hand = _end(fingers[0], "parent") if fingers else tree.body(tcp_link)
     along = [tree.root, *(_end(joint, "child") for joint in chain)]

@@ -101,6 +101,24 @@ def find_mesh(urdf: Path, uri: str) -> Path | None:
     return next((path for path in candidates if path.is_file()), None)
 
 
+def srdf_path(urdf: Path) -> Path:
+    """Where the SRDF of a URDF is looked for: beside it, under the same name."""
+    return urdf.with_suffix(".srdf")
+
+
+def robot_files(urdf: Path) -> list[Path]:
+    """All files that a robot is read from and that are there: the URDF, its SRDF, its meshes.
+
+    Of a URDF that cannot be read no meshes are known.
+    """
+    try:
+        uris = sorted({str(mesh.get("filename")) for mesh in read_urdf(urdf).iter("mesh")})
+    except InputError:
+        uris = []
+    files = (urdf, srdf_path(urdf), *(find_mesh(urdf, uri) for uri in uris))
+    return [file for file in files if file is not None and file.is_file()]
+
+
 def read_effort_limits(urdf: Path, joints: Sequence[str]) -> Array:
     """Greatest torques [N m] of some joints, as the URDF has them; infinite where it names none.
 

@@ -24,7 +24,7 @@ MAY_IMPORT = {
     "manifest": LEAF,
     "stages": LEAF | {"row"},
     "trajectories": LEAF | {"results"},
-    "measure": LEAF | RESULTS | {"stages"},
+    "measure": LEAF | RESULTS | {"stages", "models"},
     "run": LEAF | RESULTS | {"stages", "measure", "replay", "kinematics", "models"},
     "trajectory_measure": LEAF | RESULTS | {"stages", "measure", "trajectories"},
     "audit": LEAF | RESULTS | {"stages", "measure", "run", "trajectories", "trajectory_measure"},

@@ -8,7 +8,7 @@ import pytest
 from fake_stages import LOG
 
 from kinebench_drake.audit import AuditConfig, audit_trajectories
-from kinebench_drake.measure import KINEMATIC_METRICS, mesh_files
+from kinebench_drake.measure import KINEMATIC_METRICS
 from kinebench_drake.results import read_rows
 from kinebench_drake.row import Status
 from kinebench_drake.run import Silence
@@ -154,14 +154,21 @@ def test_finished_trajectories_are_kept_and_only_as_long_as_nothing_changes(run,
 
 
 def test_another_robot_computes_anew(run, tmp_path):
-    (tmp_path / "mesh.obj").write_text("v 0 0 0")
-    urdf = tmp_path / "arm.urdf"
-    urdf.write_text('<robot><mesh filename="mesh.obj"/><mesh filename="package://no/such.obj"/></robot>')
-    assert mesh_files(urdf) == [tmp_path / "mesh.obj"]
+    """The URDF, the SRDF beside it and the meshes, wherever the URDF finds them, are part of the robot."""
+    urdf, above = tmp_path / "arm" / "urdf" / "arm.urdf", tmp_path / "arm" / "meshes" / "above.obj"
+    for file in (urdf, above):
+        file.parent.mkdir(parents=True)
+    urdf.write_text(
+        '<robot><mesh filename="mesh.obj"/><mesh filename="package://arm/meshes/above.obj"/>'
+        '<mesh filename="package://no/such.obj"/></robot>'
+    )
     sums = [len(run_counted(run, urdf=urdf, tcp_frame="tool")) for _ in range(2)]
     assert sums[0] > sums[1]
-    (tmp_path / "mesh.obj").write_text("v 0 0 1")
-    assert len(run_counted(run, urdf=urdf, tcp_frame="tool")) == sums[0]
+    for file in (urdf.parent / "mesh.obj", above, urdf.with_suffix(".srdf")):
+        for text in ("v 0 0 0", "v 0 0 1"):
+            file.write_text(text)
+            assert len(run_counted(run, urdf=urdf, tcp_frame="tool")) == sums[0]
+            assert len(run_counted(run, urdf=urdf, tcp_frame="tool")) == sums[1]
     assert len(run_counted(run, urdf=urdf, tcp_frame="flange")) == sums[0]
 
 
