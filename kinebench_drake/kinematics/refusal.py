@@ -27,6 +27,16 @@ class TubeFailure(Enum):
     TORQUE = "torque"
 
 
+_UNITS = {
+    TubeFailure.UNREACHABLE: "m",
+    TubeFailure.JOINT_LIMIT: "rad",
+    TubeFailure.VELOCITY: "rad/s",
+    TubeFailure.ACCELERATION: "rad/s^2",
+    TubeFailure.JERK: "rad/s^3",
+    TubeFailure.SELF_COLLISION: "m",
+    TubeFailure.TABLE_COLLISION: "m",
+    TubeFailure.TORQUE: "N m",
+}
 _RATES = (TubeFailure.VELOCITY, TubeFailure.ACCELERATION, TubeFailure.JERK)
 
 
@@ -46,14 +56,14 @@ class TubeViolation:
 
     def __str__(self) -> str:
         """One line for people."""
-        joint = f" of {self.joint}" if self.joint else ""
+        joint, unit = f" of {self.joint}" if self.joint else "", _UNITS[self.kind]
         return (
-            f"{self.kind.value.replace('_', ' ')}{joint} near frame {self.frame}: {self.value:.4g}, "
-            f"limit {self.limit:.4g}"
+            f"{self.kind.value.replace('_', ' ')}{joint} near frame {self.frame}: {self.value:.4g} {unit}, "
+            f"limit {self.limit:.4g} {unit}"
         )
 
 
-def broken_posture(course: Course, tube_limit_m: float) -> TubeViolation | None:
+def broken_posture(course: Course, tube_limit_m: float, margin: float = 1.0) -> TubeViolation | None:
     """The worst frame whose pose the arm cannot take, near its posture, even if it had all the time; None if all can.
 
     Judged by the root of both squared errors, rotation by its arm: up to sqrt(2) times what a tube counts.
@@ -61,20 +71,22 @@ def broken_posture(course: Course, tube_limit_m: float) -> TubeViolation | None:
     Args:
         course: the track.
         tube_limit_m: greatest error allowed [m].
+        margin: only what is worse than this many times the limit is told.
     """
+    told_m = margin * tube_limit_m
     plant = course.plant
     error = np.linalg.norm(course.errors(np.clip(course.q, plant.lower, plant.upper)), axis=-1)
     for i in np.argsort(-error, kind="stable")[:_STATIC]:
-        if error[i] <= tube_limit_m:
+        if error[i] <= told_m:
             return None
         _, least = newton(plant, course.X_BG[i], course.q[i])
-        if least <= tube_limit_m:
+        if least <= told_m:
             continue
         q, free = newton(plant, course.X_BG[i], course.q[i], bounded=False)
         past = np.maximum(plant.lower - q, q - plant.upper)
         j = int(np.argmax(past))
         frame = int(course.frames[i])
-        if free > tube_limit_m or past[j] <= 0.0:
+        if free > told_m or past[j] <= 0.0:
             kind, limit = TubeFailure.UNREACHABLE, tube_limit_m
             return TubeViolation(kind=kind, frame=frame, joint=None, value=least, limit=limit)
         return TubeViolation(

@@ -323,7 +323,7 @@ class _Search:
         tube wide enough; else, as no excess does, what is wrong with the joint path to start from or with its poses.
         """
         course, limit = self.course, self.tube_limit_m
-        violation = broken_posture(course, _SURELY * limit)
+        violation = broken_posture(course, limit, _SURELY)
         if violation is not None:
             return violation
         solution = self._solve(fit.basis, self._start, limit, _ELASTIC_PROXIMITY, (), elastic=True)

@@ -149,6 +149,8 @@ def test_pose_out_of_reach_is_unreachable(plant: ArmPlant) -> None:
     assert result.violation is not None
     assert (result.violation.kind, result.violation.frame) == (TubeFailure.UNREACHABLE, 20)
     assert result.violation.joint is None
+    assert result.violation.limit == 0.005  # the tube's, though only what is far beyond it counts for sure
+    assert str(result.violation).endswith(f"near frame 20: {result.violation.value:.4g} m, limit 0.005 m")
 
 
 def test_given_angles_past_a_limit_name_the_joint(plant: ArmPlant) -> None:
@@ -161,6 +163,7 @@ def test_given_angles_past_a_limit_name_the_joint(plant: ArmPlant) -> None:
     assert result.violation is not None
     assert (result.violation.kind, result.violation.joint) == (TubeFailure.JOINT_LIMIT, "panda_joint4")
     assert result.violation.value > result.violation.limit == pytest.approx(-0.0698)
+    assert str(result.violation).endswith(" rad, limit -0.0698 rad")
 
 
 def test_track_into_the_table_needs_a_tube_of_the_depth(plant: ArmPlant, collision: CollisionModel) -> None:
