@@ -30,7 +30,7 @@ def check(recording: Recording, rate_hz: float | None = None) -> Trajectory:
 
     Raises:
         InputError: shapes, times, rotations, units or values are wrong; the message names the frame and the fix.
-        UnmeasurableError: there is a single frame, or fewer than two are tracked.
+        UnmeasurableError: there are fewer than two frames, or fewer than two are tracked.
     """
     warnings = list(recording.warnings)
     name = "base_from_tcp" if recording.q is None else "q"
@@ -38,6 +38,8 @@ def check(recording: Recording, rate_hz: float | None = None) -> Trajectory:
     if given is None:
         raise InputError("holds neither poses nor joint angles")
     values = numbers(name, given)
+    if values.shape[:1] == (0,):
+        raise UnmeasurableError(f"holds no frame, a path needs at least {MIN_FRAMES}")
     if values.shape[1:] not in (((4, 4),) if recording.q is None else _JOINT_SHAPES):
         expected = "(T, 4, 4)" if recording.q is None else f"(T, {N_JOINTS}) in radians"
         turned = ", transposed?" if recording.q is not None and values.shape[:1] == (N_JOINTS,) else ""
@@ -45,8 +47,6 @@ def check(recording: Recording, rate_hz: float | None = None) -> Trajectory:
     n = len(values)
     if n > MAX_FRAMES:
         raise InputError(f"has {n} frames, at most {MAX_FRAMES} are taken: cut it into parts")
-    if n == 0:
-        raise InputError("holds no frame")
     tracked = _tracked(recording.tracked, n)
     t_s = _times(recording.t_s, n, rate_hz, warnings)
     if n < MIN_FRAMES:

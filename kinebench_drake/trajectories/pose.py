@@ -26,7 +26,7 @@ def rigid_poses(X: Array, known: NDArray[np.bool_]) -> tuple[Array, tuple[str, .
     """
     frames = np.flatnonzero(known)
     matrices = X[known]
-    _require_finite(matrices.reshape(len(frames), -1), frames, "the pose")
+    _require_finite(matrices.reshape(len(frames), 16), frames, "the pose")
     off = np.abs(matrices[:, 3] - _LAST_ROW).max(axis=-1, initial=0.0)
     if (off > REPAIRABLE).any():
         k = int(np.argmax(off > REPAIRABLE))

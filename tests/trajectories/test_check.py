@@ -54,12 +54,15 @@ def test_what_are_no_numbers(t_s, dtype):
 
 
 def test_little_and_much(t_s):
-    assert "holds no frame" in told(InputError, t_s=np.zeros(0), q=np.zeros((0, 7)))
+    for nothing in ({"q": np.zeros((0, 7))}, {"q": np.zeros(0)}, {"X_BG": np.zeros((0, 4, 4))}):
+        assert "holds no frame" in told(UnmeasurableError, t_s=np.zeros(0), **nothing)
     assert "1 frame" in told(UnmeasurableError, t_s=t_s[:1], q=np.zeros((1, 7)))
     n = MAX_FRAMES + 1
     assert f"has {n} frames, at most {MAX_FRAMES}" in told(InputError, t_s=0.01 * np.arange(n), q=np.zeros((n, 7)))
     only = np.arange(12) == 5
-    assert "1 of 12 frames are tracked" in told(UnmeasurableError, t_s=t_s, q=np.zeros((12, 7)), tracked=only)
+    for given in ({"q": np.zeros((12, 7))}, {"X_BG": np.tile(np.eye(4), (12, 1, 1))}):
+        assert "1 of 12 frames are tracked" in told(UnmeasurableError, t_s=t_s, tracked=only, **given)
+        assert "0 of 12 frames are tracked" in told(UnmeasurableError, t_s=t_s, tracked=np.zeros(12, bool), **given)
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])
