@@ -37,7 +37,7 @@ def read_table(path: Path, choice: Choice) -> Recording:
     complete = [group for group in (JOINTS, POSE) if set(group) <= set(header)]
     wanted = JOINTS if choice.joints else POSE if choice.poses else complete[0] if complete else None
     if wanted is None or wanted not in complete:
-        began = next((g for g in (wanted or JOINTS, POSE) if set(g) & set(header)), ())
+        began = wanted or next((g for g in (JOINTS, POSE) if set(g) & set(header)), ())
         lacking = f", lacks {', '.join(n for n in began if n not in header)}" if began else ""
         raise InputError(f"the header has {', '.join(header[:12]) or 'no name'}{lacking}; expected {_EXPECTED}")
     warnings = []

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from kinebench_drake.errors import InputError
+from kinebench_drake.errors import InputError, UnmeasurableError
 from kinebench_drake.trajectories.check import check
 from kinebench_drake.trajectories.table import JOINTS, POSE, read_table
 from kinebench_drake.trajectories.trajectory import Choice
@@ -73,7 +73,6 @@ def test_millimetres_are_suspected(csv_file, poses):
         ("t_s,q1_rad,q2_rad\n", "lacks q3_rad, q4_rad"),
         ("t_s;x_m;y_m\n1;2;3\n", "not separated by commas"),
         (",".join(["t_s", "t_s", *JOINTS]) + "\n", "names t_s more than once"),
-        (",".join(["t_s", *JOINTS]) + "\n", "holds no frame"),
         (",".join(["t_s", *JOINTS]) + "\n0,1,2,3\n", "line 2 has 4 fields, the header 8"),
         (
             ",".join(["t_s", *JOINTS]) + "\n0,1,2,3,4,5,6,7\n1,1,2,x,4,5,6,7\n",
@@ -88,6 +87,20 @@ def test_broken_tables(tmp_path, text, told):
     with pytest.raises(InputError, match=told) as caught:
         read(tmp_path / "a.csv")
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("names", [JOINTS, POSE])
+def test_a_header_alone_is_sound_but_cannot_be_measured(csv_file, names):
+    with pytest.raises(UnmeasurableError, match="holds no frame"):
+        read(csv_file(["t_s", *names], []))
+
+
+@pytest.mark.parametrize(("choice", "absent"), [("joints", "q1_rad, q2_rad"), ("poses", "x_m, y_m")])
+def test_a_wanted_kind_that_is_not_there_is_named(csv_file, poses, t_s, q, choice, absent):
+    held = poses if choice == "joints" else np.column_stack([t_s, q])
+    path = csv_file(["t_s", *(POSE if choice == "joints" else JOINTS)], held)
+    with pytest.raises(InputError, match=f"lacks {absent}"):
+        read(path, **{choice: "any"})
 
 
 def test_what_is_no_text(tmp_path):
