@@ -66,6 +66,8 @@ def _plant(out: Path, urdf: Path | None) -> "ArmPlant":
         raise UsageError(f"{out}: was judged by the Panda, leave out --robot")
     if robot is not None and urdf is None:
         raise UsageError(f"{out}: was judged by {robot}, name that file with --robot")
+    if urdf is not None and urdf.name != robot:
+        raise UsageError(f"{out}: was judged by {robot}, but --robot names {urdf.name}")
     from kinebench_drake.kinematics.plant import ArmPlant
     from kinebench_drake.models.arm import choose_robot
 

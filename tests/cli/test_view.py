@@ -111,9 +111,12 @@ def test_another_robot_must_be_named(program, out):
     code, _, err = program(out, "reach_01")
     assert code == 2
     assert "arm.urdf" in err
-    code, _, err = program(out, "reach_01", "--robot", out / "nowhere.urdf")
+    code, _, err = program(out, "reach_01", "--robot", panda_urdf())
     assert code == 2
-    assert "nowhere.urdf" in err
+    assert f"was judged by arm.urdf, but --robot names {panda_urdf().name}" in err
+    code, _, err = program(out, "reach_01", "--robot", out / "nowhere" / "arm.urdf")
+    assert code == 2
+    assert "arm.urdf: there is no such file" in err
 
 
 def test_another_robot_is_shown_by_its_own_meshes(program, out):
