@@ -214,8 +214,8 @@ def _resume(
     strangers = sorted(store.rows.keys() - known)
     if strangers:
         observer.warned(
-            f"{len(strangers)} earlier results are dropped, their {measure.kind.noun} are gone (such as "
-            f"{strangers[0]!r})"
+            f"{len(strangers)} earlier results are dropped: they are not among the {len(samples)} {measure.kind.noun} "
+            f"named now (such as {strangers[0]!r})"
         )
     waiting = {s.id: s for s in chosen if not measure.is_finished(s, store.rows.get(s.id))}
     store.keep(lambda row: row.id in known and row.id not in waiting)

@@ -153,6 +153,15 @@ def test_finished_trajectories_are_kept_and_only_as_long_as_nothing_changes(run,
     assert done() == {"good", *tried_again}
 
 
+def test_results_of_what_is_not_named_now_are_dropped_and_told(run, source, tmp_path):
+    run()
+    count = Count()
+    run(count, source=source / "demo.h5")
+    assert read_rows(tmp_path / "out").keys() == {"demo-traj_0", "demo-traj_1"}
+    assert (source / "far.npz").is_file()
+    assert "6 earlier results are dropped: they are not among the 2 trajectories named now" in count.warnings[0]
+
+
 def test_another_robot_computes_anew(run, tmp_path):
     """The URDF, the SRDF beside it and the meshes, wherever the URDF finds them, are part of the robot."""
     urdf, above = tmp_path / "arm" / "urdf" / "arm.urdf", tmp_path / "arm" / "meshes" / "above.obj"
