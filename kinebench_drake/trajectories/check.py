@@ -16,6 +16,8 @@ MIN_FRAMES = 2
 _JOINT_SHAPES = ((N_JOINTS,), (N_JOINTS + 1,), (N_JOINTS + 2,))  # the arm, and fingers behind it
 _MANY_RAD = 10.0  # no joint of an arm turns this far; in degrees all but the smallest movements do
 _MOST_DEGREES = 720.0
+_TURN_RAD = 2.0 * np.pi  # few joints turn farther: told, not refused
+_SLOW_STEP_S = 5.0  # robots are recorded faster: told, not refused
 _WIDTH_M = 0.08  # gap between the Panda's pads when open
 _WIDTH_SLACK_M = 0.01  # what sensors and simulators overshoot
 _LATE_S = 1e6  # clocks that count from 1970 would lose digits in what follows
@@ -119,6 +121,11 @@ def _times(given: NDArray[np.generic] | None, n: int, rate_hz: float | None, war
             f"frames {k} and {k + 1} are {steps[k]:.3g} s apart, expected {MIN_STEP_S:g} to {MAX_STEP_S:g} s"
             f"{_more(bad)}: are the times in seconds? --rate HZ overrides them"
         )
+    if len(steps) and np.median(steps) > _SLOW_STEP_S:
+        warnings.append(
+            f"frames are {np.median(steps):.4g} s apart (median): are the times in milliseconds? They were taken as "
+            "seconds; --rate HZ overrides them"
+        )
     if abs(t_s[0]) > _LATE_S:
         warnings.append(f"times begin at {t_s[0]:.0f} s; they were shifted to begin at 0")
         t_s = t_s - t_s[0]
@@ -160,6 +167,11 @@ def _joints(values: Array, tracked: NDArray[np.bool_], warnings: list[str]) -> t
                     f"{told}: the angles look like degrees, convert them to radians (multiply by pi / 180)"
                 )
             raise InputError(f"{told}: these are no joint angles in radians")
+        if largest[j] > _TURN_RAD:
+            warnings.append(
+                f"joint {j + 1} goes up to {largest[j]:.4g} rad, more than a full turn: are the angles in degrees? They "
+                "were taken as radians"
+            )
     return q, fingers
 
 

@@ -100,6 +100,22 @@ def test_absurd_times(t_s, q, scale):
     assert "expected 0.0001 to 1000 s" in told(InputError, t_s=t_s * scale, q=q)
 
 
+def test_slow_frames_are_judged_and_told(t_s, q):
+    """What 20 Hz look like in milliseconds; unless the user says that it is so."""
+    (warning,) = check(recording(t_s=1000.0 * t_s, q=q)).warnings
+    assert "50 s apart" in warning
+    assert "milliseconds?" in warning
+    assert check(recording(t_s=90.0 * t_s, q=q)).warnings == ()
+    assert check(recording(t_s=1000.0 * t_s, q=q), rate_hz=0.1).warnings == ()
+
+
+def test_more_than_a_turn_is_judged_and_told(t_s, q):
+    (warning,) = check(recording(t_s=t_s, q=changed(q, (3, 4), -6.3))).warnings
+    assert "joint 5 goes up to 6.3 rad" in warning
+    assert "degrees?" in warning
+    assert check(recording(t_s=t_s, q=changed(q, (3, 4), -6.28))).warnings == ()
+
+
 def test_degrees_are_suspected(t_s, q):
     message = told(InputError, t_s=t_s, q=np.rad2deg(q))
     assert "look like degrees" in message
