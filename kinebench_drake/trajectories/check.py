@@ -169,8 +169,8 @@ def _joints(values: Array, tracked: NDArray[np.bool_], warnings: list[str]) -> t
             raise InputError(f"{told}: these are no joint angles in radians")
         if largest[j] > _TURN_RAD:
             warnings.append(
-                f"joint {j + 1} goes up to {largest[j]:.4g} rad, more than a full turn: are the angles in degrees? They "
-                "were taken as radians"
+                f"joint {j + 1} goes up to {largest[j]:.4g} rad, more than a full turn: are the angles in degrees? "
+                "They were taken as radians"
             )
     return q, fingers
 
