@@ -1,10 +1,12 @@
 """Trajectories to kinematic metrics to an output folder, no video."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.measure import Kind
+from kinebench_drake.models.arm import choose_robot
 from kinebench_drake.row import Json, SampleRow
 from kinebench_drake.run import Observer, RunConfig, RunSummary, Silence, run_samples
 from kinebench_drake.stages import StageOptions
@@ -30,6 +32,8 @@ class AuditConfig(RunConfig):
     """The robot's URDF; None for mani_skill's Panda."""
     tcp_frame: str | None = None
     """Name of the URDF's TCP frame."""
+    robot_remarks: tuple[str, ...] = ()
+    """What was assumed or left out when the URDF was read; `audit_trajectories` fills it in."""
 
     def __post_init__(self) -> None:
         """Check the numbers and names.
@@ -65,6 +69,7 @@ class AuditConfig(RunConfig):
             "poses": self.poses,
             "robot": self.urdf.name if self.urdf else None,
             "tcp_frame": self.tcp_frame,
+            "robot_remarks": list(self.robot_remarks),
         }
 
 
@@ -77,6 +82,10 @@ def audit_trajectories(config: AuditConfig, observer: Observer | None = None) ->
     """
     observer = observer or Silence()
     samples = find_trajectories(config.source, config.choice(), out=config.out, model=config.model, task=config.task)
+    if config.urdf is not None:
+        config = replace(config, robot_remarks=_robot_remarks(config.urdf, config.tcp_frame))
+        for remark in config.robot_remarks:
+            observer.warned(f"{config.urdf.name}: {remark}")
     measure = TrajectoryMeasure(
         kind=config.kind,
         out=config.out,
@@ -91,6 +100,13 @@ def audit_trajectories(config: AuditConfig, observer: Observer | None = None) ->
     if len(warnings) > _MOST_WARNINGS:
         observer.warned(f"{len(warnings) - _MOST_WARNINGS} more kinds of warnings; the rows have them all")
     return summary
+
+
+def _robot_remarks(urdf: Path, tcp_frame: str | None) -> tuple[str, ...]:
+    try:
+        return choose_robot(urdf, tcp_frame).remarks
+    except InputError as error:
+        raise UsageError(f"--robot and --tcp-frame: {error}") from None
 
 
 def _warnings(rows: Sequence[SampleRow]) -> dict[str, list[str]]:

@@ -27,7 +27,7 @@ MAY_IMPORT = {
     "measure": LEAF | RESULTS | {"stages", "models"},
     "run": LEAF | RESULTS | {"stages", "measure", "replay", "kinematics", "models"},
     "trajectory_measure": LEAF | RESULTS | {"stages", "measure", "trajectories"},
-    "audit": LEAF | RESULTS | {"stages", "measure", "run", "trajectories", "trajectory_measure"},
+    "audit": LEAF | RESULTS | {"stages", "measure", "run", "trajectories", "trajectory_measure", "models"},
     "thumbnail": LEAF | {"stages"},
     "validation": LEAF | RESULTS | {"models", "kinematics", "metrics", "suites", "stages", "drake_stages", "audit"},
 }

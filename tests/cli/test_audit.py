@@ -162,23 +162,30 @@ def test_results_of_what_is_not_named_now_are_dropped_and_told(run, source, tmp_
     assert "6 earlier results are dropped: they are not among the 2 trajectories named now" in count.warnings[0]
 
 
-def test_another_robot_computes_anew(run, tmp_path):
+def test_another_robot_computes_anew(run, tmp_path, write_arm):
     """The URDF, the SRDF beside it and the meshes, wherever the URDF finds them, are part of the robot."""
-    urdf, above = tmp_path / "arm" / "urdf" / "arm.urdf", tmp_path / "arm" / "meshes" / "above.obj"
-    for file in (urdf, above):
-        file.parent.mkdir(parents=True)
-    urdf.write_text(
-        '<robot><mesh filename="mesh.obj"/><mesh filename="package://arm/meshes/above.obj"/>'
-        '<mesh filename="package://no/such.obj"/></robot>'
-    )
+    meshes = ("mesh.obj", "package://parts/above.obj", "package://no/such.obj")
+    urdf = write_arm(visuals={k: f'<mesh filename="{mesh}"/>' for k, mesh in enumerate(meshes)})
+    (tmp_path / "parts").mkdir()
     sums = [len(run_counted(run, urdf=urdf, tcp_frame="tool")) for _ in range(2)]
     assert sums[0] > sums[1]
-    for file in (urdf.parent / "mesh.obj", above, urdf.with_suffix(".srdf")):
-        for text in ("v 0 0 0", "v 0 0 1"):
+    for file in (urdf.parent / "mesh.obj", tmp_path / "parts" / "above.obj", urdf.with_suffix(".srdf")):
+        for text in ("<robot/>", "<robot></robot>"):
             file.write_text(text)
             assert len(run_counted(run, urdf=urdf, tcp_frame="tool")) == sums[0]
             assert len(run_counted(run, urdf=urdf, tcp_frame="tool")) == sums[1]
-    assert len(run_counted(run, urdf=urdf, tcp_frame="flange")) == sums[0]
+    assert len(run_counted(run, urdf=urdf, tcp_frame="l7")) == sums[0]
+
+
+def test_what_was_assumed_of_the_robot_is_told_once_and_kept(run, tmp_path, write_arm):
+    count = Count()
+    run(count, urdf=write_arm(types={3: "continuous"}), tcp_frame="tool")
+    told = [text.removeprefix("small.urdf: ") for text in count.warnings if text.startswith("small.urdf: ")]
+    assert any("held to -pi..pi: j3" in text for text in told)
+    assert any("no small.srdf beside the URDF" in text for text in told)
+    assert json.loads((tmp_path / "out" / "results.json").read_text())["config"]["robot_remarks"] == told
+    run()
+    assert json.loads((tmp_path / "out" / "results.json").read_text())["config"]["robot_remarks"] == []
 
 
 def run_counted(run, **changes):
@@ -224,12 +231,20 @@ def test_audit_tells_what_it_did(program, source, tmp_path):
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
-def test_a_robot_that_cannot_be_used_stops_the_run_at_once(program, source, tmp_path, jobs):
+def test_a_robot_that_cannot_be_used_stops_the_run_at_once(program, source, tmp_path, write_arm, jobs):
+    """By its files, before anything is begun; by Drake, in the workers."""
     (tmp_path / "arm.urdf").write_text("<robot/>")
-    robot = ["--robot", tmp_path / "arm.urdf", "--tcp-frame", "nowhere"]
+    robot = ["--robot", tmp_path / "arm.urdf", "--tcp-frame", "tool"]
     code, _, err = program("audit", source, "--out", tmp_path / "out", "--jobs", jobs, *robot)
     assert code == 2
-    assert err.splitlines() == ["kinebench-drake: --robot and --tcp-frame: arm.urdf has no frame nowhere"]
+    assert err.startswith("kinebench-drake: --robot and --tcp-frame: arm.urdf: 0 links hang on no joint")
+    assert len(err.splitlines()) == 1
+    assert not (tmp_path / "out").exists()
+    end = '<joint name="end" type="fixed"><parent link="l7"/><child link="nowhere"/></joint>'
+    robot = ["--robot", write_arm(more=f'<link name="nowhere"/>{end}'), "--tcp-frame", "nowhere"]
+    code, _, err = program("audit", source, "--out", tmp_path / "out", "--jobs", jobs, *robot)
+    assert code == 2
+    assert err.splitlines()[-1] == "kinebench-drake: --robot and --tcp-frame: arm.urdf has no frame nowhere"
 
 
 @pytest.mark.parametrize(
