@@ -83,9 +83,10 @@ def audit_trajectories(config: AuditConfig, observer: Observer | None = None) ->
     observer = observer or Silence()
     samples = find_trajectories(config.source, config.choice(), out=config.out, model=config.model, task=config.task)
     if config.urdf is not None:
-        config = replace(config, robot_remarks=_robot_remarks(config.urdf, config.tcp_frame))
-        for remark in config.robot_remarks:
+        remarks = _robot_remarks(config.urdf, config.tcp_frame)
+        for remark in remarks:
             observer.warned(f"{config.urdf.name}: {remark}")
+        config = replace(config, robot_remarks=remarks)
     measure = TrajectoryMeasure(
         kind=config.kind,
         out=config.out,
