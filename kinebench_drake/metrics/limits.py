@@ -1,10 +1,11 @@
 """Velocity, acceleration, jerk and torque of a joint path against the robot's limits, with room for its noise.
 
-A limit is called broken where |value| - z * standard error > limit. The values are those of `derivatives`: means over a
-window, so never above the true peak (torque is computed from such means, and so to that approximation only). At video rates they lie far below it for jerk (a track at 5 Hz resolves a fraction
-of a percent of the Panda's jerk limits): jerk may convict, never acquit, and each check reports its bandwidth. The
-factor z makes FALSE_ALARM the chance that noise alone condemns a track that stays at its limits everywhere: Bonferroni
-over all looks (frames x joints x kinds, both signs), and Student's distribution because the noise is itself measured.
+A limit is called broken where |value| - z * standard error > limit. The values are those of `derivatives`: means over
+a window, so never above the true peak (torque is computed from such means, and so to that approximation only). At
+video rates they lie far below it for jerk (a track at 5 Hz resolves a fraction of a percent of the Panda's jerk
+limits): jerk may convict, never acquit, and each check reports its bandwidth. The factor z makes FALSE_ALARM the
+chance that noise alone condemns a track that stays at its limits everywhere: Bonferroni over all looks (frames x
+joints x kinds, both signs), and Student's distribution because the noise is itself measured.
 """
 
 from collections.abc import Iterator, Mapping
