@@ -17,6 +17,7 @@ ROTATION_ARM_M = 0.1
 REACHED_M = 1e-10
 """Weighted error [m] below which the pose counts as reached and no further step is worth its time."""
 
+_PATH_STEPS, _PATH_STEP_RAD, _PATH_DAMPING = 6, 0.5, 1e-6  # of Newton steps for a whole path
 _STALLED = 1e-4  # relative gain below which a fit that cannot reach the pose has found its best
 
 
@@ -103,6 +104,36 @@ def newton(
         if slow >= 3:
             break
     return q, float(np.sqrt(cost))
+
+
+def newton_path(plant: ArmPlant, X_BG: Array, q: Array) -> Array:
+    """Postures (n, 7) [rad] of poses `X_BG` (n, 4, 4) near those of a path `q` (n, 7); NaN where that is NaN.
+
+    Newton steps of least joint motion, all frames at once, joint limits ignored. Where they do not arrive, what they
+    lead to is returned.
+    """
+    q = q.copy()
+    known = np.flatnonzero(np.isfinite(q).all(axis=-1))
+    for _ in range(_PATH_STEPS if len(known) else 0):
+        error = twists(plant.chain.poses(q[known], plant.robot.tcp_link), X_BG[known])
+        if np.abs(error).max() < REACHED_M:
+            break
+        step = (least_motion(plant, q[known]) @ error[..., None])[..., 0]
+        q[known] += np.clip(step, -_PATH_STEP_RAD, _PATH_STEP_RAD)
+    return q
+
+
+def least_motion(plant: ArmPlant, q: Array) -> Array:
+    """Damped pseudo-inverses (n, 7, 6) of the Jacobians at postures (n, 7): least joint motions for twists."""
+    J = plant.chain.jacobians(q)
+    J_T = np.swapaxes(J, -1, -2)
+    return np.asarray(J_T @ np.linalg.inv(J @ J_T + _PATH_DAMPING * np.eye(6)))
+
+
+def twists(X_from: Array, X_to: Array) -> Array:
+    """Twists (n, 6) [rad; m] from poses to poses (n, 4, 4), expressed in B, angular part first."""
+    turn = rotation_log(X_to[:, :3, :3] @ np.swapaxes(X_from[:, :3, :3], -1, -2))
+    return np.concatenate([turn, X_to[:, :3, 3] - X_from[:, :3, 3]], axis=-1)
 
 
 def snopt(plant: ArmPlant, X_BG: Array, q: Array) -> Array:

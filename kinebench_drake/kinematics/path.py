@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline, PchipInterpolator
 
 from kinebench_drake.geometry import Array
+from kinebench_drake.kinematics.newton import newton_path
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.postures import Postures
 from kinebench_drake.kinematics.relaxation import ALLOWANCE, FROM_REST, peak_ratio, relax
@@ -140,7 +141,10 @@ def _bridged(
         return np.full((len(t_s), 7), np.nan)
     for _ in range(_WARM_SMOOTHING):  # the grid's steps
         path[1:-1] = 0.25 * path[:-2] + 0.5 * path[1:-1] + 0.25 * path[2:]
-    return postures.nearest(X_BG, CubicSpline(t_s[chosen], path)(t_s))
+    guess = CubicSpline(t_s[chosen], path)(t_s)
+    path = postures.nearest(X_BG, guess)
+    # Where the redundancy's angle leads out of the branch, Newton steps find the way that it does not know.
+    return path if is_sound(plant, t_s, path) else newton_path(plant, X_BG, guess)
 
 
 def is_sound(plant: ArmPlant, t_s: Array, q: Array, past_rad: float = 0.0) -> bool:

@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.errors import InputError
-from kinebench_drake.geometry import Array, make_pose, orthonormalize, pose_difference, rotation_log
+from kinebench_drake.geometry import Array, make_pose, orthonormalize, pose_difference
 from kinebench_drake.kinematics.collision import CollisionModel
 from kinebench_drake.kinematics.ik import POSITION_TOLERANCE_M, ROTATION_TOLERANCE_RAD, postures_of, solve_pose
+from kinebench_drake.kinematics.newton import least_motion, newton_path, twists
 from kinebench_drake.kinematics.path import SAMPLES, candidates, continued_path, excess, is_sound, smoothest_path
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.products import GripperTrack, IkStatus, JointTrack
@@ -20,8 +21,6 @@ CONTACT_TOLERANCE_M = 0.002
 JUMP_RAD = 0.5
 """A step in which a joint turns this much more than the gripper's motion asks for is a jump between branches [rad]."""
 
-_DAMPING = 1e-6  # of the pseudo-inverse near singularities
-_CARRYING = 6  # Newton steps from a path to the poses near it
 _PROBES = 24  # frames of a collision that are looked at before the path is searched anew
 _DETOURS = 3  # times a path that collides is searched anew
 
@@ -67,7 +66,7 @@ def solve_track(
         path = _search(plant, t_s, X_BG, plant.robot.rest_q, noise_rad)
     else:
         planned = _search(plant, t_s, X_plan[frames], plant.robot.rest_q, noise_rad)
-        path = _carried(plant, planned, X_BG)
+        path = newton_path(plant, X_BG, planned)
     joints = _verified(plant, t_s, X_BG, path, plant.robot.rest_q)
     if collision is not None:
         joints = _clear(plant, collision, X_BG, track.finger_width_m[frames], joints, contact_tolerance_m, noise_rad)
@@ -100,8 +99,8 @@ def branch_jumps(plant: ArmPlant, X_BG: Array, q: Array) -> NDArray[np.intp]:
     """
     if len(q) < 2:
         return np.zeros(0, dtype=np.intp)
-    inverse = _least_motion(plant, q)
-    explained = 0.5 * (inverse[:-1] + inverse[1:]) @ _twists(X_BG[:-1], X_BG[1:])[..., None]
+    inverse = least_motion(plant, q)
+    explained = 0.5 * (inverse[:-1] + inverse[1:]) @ twists(X_BG[:-1], X_BG[1:])[..., None]
     return np.flatnonzero(np.abs(np.diff(q, axis=0) - explained[..., 0]).max(axis=-1) > JUMP_RAD) + 1
 
 
@@ -116,34 +115,6 @@ def _search(
     if len(X_BG) == 0:
         return np.zeros((0, 7))
     return smoothest_path(plant, postures_of(plant), t_s, X_BG, q_start, noise_rad, allowed)
-
-
-def _carried(plant: ArmPlant, path: Array, X_BG: Array) -> Array:
-    """Postures (n, 7) of poses `X_BG` (n, 4, 4) as near as can be to those of a path (n, 7); NaN where it is NaN.
-
-    Newton steps of least joint motion, all frames at once. Where they do not arrive, what they lead to is left for
-    others to mend.
-    """
-    q = path.copy()
-    known = np.flatnonzero(np.isfinite(path).all(axis=-1))
-    for _ in range(_CARRYING if len(known) else 0):
-        X_now = np.array([plant.forward(row) for row in q[known]])
-        step = (_least_motion(plant, q[known]) @ _twists(X_now, X_BG[known])[..., None])[..., 0]
-        q[known] += np.clip(step, -JUMP_RAD, JUMP_RAD)
-    return q
-
-
-def _least_motion(plant: ArmPlant, q: Array) -> Array:
-    """Damped pseudo-inverses (n, 7, 6) of the Jacobians at postures (n, 7)."""
-    J = plant.chain.jacobians(q)
-    J_T = np.swapaxes(J, -1, -2)
-    return np.asarray(J_T @ np.linalg.inv(J @ J_T + _DAMPING * np.eye(6)))
-
-
-def _twists(X_from: Array, X_to: Array) -> Array:
-    """Twists (n, 6) [rad; m] from poses to poses (n, 4, 4), expressed in B, angular part first."""
-    turn = rotation_log(X_to[:, :3, :3] @ np.swapaxes(X_from[:, :3, :3], -1, -2))
-    return np.concatenate([turn, X_to[:, :3, 3] - X_from[:, :3, 3]], axis=-1)
 
 
 def _verified(plant: ArmPlant, t_s: Array, X_BG: Array, path: Array, q_start: Array) -> JointTrack:
