@@ -6,6 +6,7 @@ from enum import Enum
 import numpy as np
 
 from kinebench_drake.kinematics.newton import newton
+from kinebench_drake.kinematics.path import excess
 from kinebench_drake.kinematics.spline import SplineBasis
 from kinebench_drake.kinematics.trajectory import Contact, Course, Trajectory
 from kinebench_drake.kinematics.tube import TubeSolution
@@ -83,7 +84,7 @@ def broken_posture(course: Course, tube_limit_m: float, margin: float = 1.0) -> 
         if least <= told_m:
             continue
         q, free = newton(plant, course.X_BG[i], course.q[i], bounded=False)
-        past = np.maximum(plant.lower - q, q - plant.upper)
+        past = excess(plant, q)
         j = int(np.argmax(past))
         frame = int(course.frames[i])
         if free > told_m or past[j] <= 0.0:

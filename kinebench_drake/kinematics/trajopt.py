@@ -9,7 +9,6 @@ from kinebench_drake.geometry import Array, orthonormalize
 from kinebench_drake.kinematics.collision import CollisionModel
 from kinebench_drake.kinematics.newton import newton
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.kinematics.refusal import TubeFailure as TubeFailure
 from kinebench_drake.kinematics.refusal import (
     TubeViolation,
     broken_distance,
