@@ -13,14 +13,19 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from kinebench_drake.camera import Camera, benchmark_camera
-from kinebench_drake.errors import InputError
-from kinebench_drake.geometry import Array, from_quaternion, invert, make_pose, to_quaternion
+from kinebench_drake.geometry import Array, from_quaternion, invert
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.models.panda.robot import FINGER_LINKS, HAND_LINK, TCP_LINK
 from kinebench_drake.native import prepare_vulkan
+from kinebench_drake.suites.episode import Episode
 from kinebench_drake.suites.experts.motion import CONTROL_PERIOD_S, plan
 from kinebench_drake.suites.experts.registry import Expert
+from kinebench_drake.suites.tasks.card import Variant
+from kinebench_drake.suites.tasks.registry import find_task
+from kinebench_drake.suites.tasks.task import Scene
 
+CLIP_FRAMES = 48
+"""Frames of a clip that follow its first one; the first frame of the next clip is the last of this one."""
 STEPS_PER_FRAME = 4
 """Control steps between two frames."""
 FRAME_PERIOD_S = STEPS_PER_FRAME * CONTROL_PERIOD_S
@@ -30,14 +35,7 @@ GRIPPER_LINKS = (HAND_LINK, *FINGER_LINKS, *(f"{finger}_pad" for finger in FINGE
 ROBOTS = ("panda", "panda_wristcam")
 """Robots of ManiSkill that the experts know."""
 
-_CAMERA = "base_camera"
 _FINGER_RANGE_M = (-0.01, 0.04)  # of one finger joint's target, for actions -1 and 1 (ManiSkill's Panda)
-
-
-def sapien_from_opencv(X_AC: ArrayLike) -> Array:
-    """The pose (4, 4) of a camera with SAPIEN's axes (x forward, y left, z up), from OpenCV's (z forward, x right)."""
-    R_CS = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
-    return np.asarray(X_AC) @ make_pose(R_CS, np.zeros(3))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,23 +47,35 @@ class Snapshot:
     fingers_m: Array
     """(2,) finger joints [m]."""
     objects: dict[str, Array]
-    """Position and quaternion wxyz (7,) of each object in the ManiSkill world [m]."""
+    """Position and quaternion wxyz (7,) of each thing in the ManiSkill world [m]."""
+    joints: dict[str, float]
+    """Joint position of each articulated thing [rad or m]."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Outcome:
+    """A task's verdict on one moment."""
+
+    success: bool
+    """Whether all conditions hold."""
+    progress: float
+    """How far things have come, 0..1."""
+    conditions: dict[str, bool]
+    """The task's named sub-conditions."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Performance:
     """One episode as it happened in the simulation."""
 
-    task: str
-    """ManiSkill environment id."""
-    seed: int
-    """Seed of the scene."""
-    prompt: str
-    """The task in words."""
+    episode: Episode
+    """What was to be done."""
     snapshots: tuple[Snapshot, ...]
     """The T moments to film, `FRAME_PERIOD_S` apart."""
-    success: bool
-    """ManiSkill's own verdict at the end."""
+    controls: Array
+    """(4 (T - 1), 8) commands at 20 Hz: seven joint angles [rad] and the gap between the finger pads [m]."""
+    outcome: Outcome
+    """How it ended."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -109,47 +119,55 @@ class Clip:
 
 
 class Stage:
-    """A ManiSkill task with one Panda and one camera, on the CPU's physics."""
+    """A task with one Panda and one camera, on the CPU's physics."""
 
-    def __init__(self, task: str, *, robot: str = "panda", camera: Camera | None = None) -> None:
+    def __init__(
+        self,
+        task: str,
+        *,
+        robot: str = "panda",
+        camera: Camera | None = None,
+        variant: Variant = Variant.PLAIN,
+        renders: bool = True,
+    ) -> None:
         """Build the scene (a third of a second, the first time in a process some seconds).
 
         Args:
-            task: ManiSkill environment id.
+            task: plain task id.
             robot: one of `ROBOTS`.
             camera: where to film from; the benchmark's camera if not given.
+            variant: version of the task's scene.
+            renders: whether pictures can be taken; physics alone needs no Vulkan.
 
         Raises:
+            UsageError: there is no such task or variant.
             SetupError: no Vulkan driver can be loaded.
         """
-        backend = prepare_vulkan()
+        backend = prepare_vulkan() if renders else "none"
         import gymnasium
-        import mani_skill.envs  # noqa: F401 (registers the tasks)
         import sapien
 
+        from kinebench_drake.suites.tasks.environment import CAMERA, X_WB, environment_id, register
+
+        register()
+        plant = ArmPlant()
+        self.joint_limits = (plant.lower, plant.upper)
+        """Least and greatest joint angles, each (7,) [rad]."""
         self.camera = benchmark_camera() if camera is None else camera
+        self.task = find_task(task, variant)
         self._pose_class = sapien.Pose
-        X_WB = make_pose(np.eye(3), [-0.615, 0.0, 0.0])  # where the tabletop tasks put the Panda; checked in reset
-        X_WS = sapien_from_opencv(X_WB @ self.camera.X_BC)
+        self._camera_name, self._X_BW = CAMERA, invert(X_WB)
         self._env: Any = gymnasium.make(
-            task,
+            environment_id(task),
             obs_mode="none",
             reward_mode="none",
             control_mode="pd_joint_pos",
             robot_uids=robot,
             sim_backend="cpu",
             render_backend=backend,
-            sensor_configs={
-                _CAMERA: {
-                    "pose": sapien.Pose(X_WS[:3, 3], to_quaternion(X_WS[:3, :3])),
-                    "width": self.camera.width,
-                    "height": self.camera.height,
-                    "fov": None,
-                    "intrinsic": self.camera.K,
-                }
-            },
+            camera=self.camera,
+            variant=variant.value,
         ).unwrapped
-        self._X_WB = X_WB
 
     def __enter__(self) -> "Stage":
         return self
@@ -163,29 +181,19 @@ class Stage:
         """Free the scene."""
         self._env.close()
 
-    def reset(self, seed: int) -> None:
-        """Set up the scene of `seed`; what ManiSkill hides from observations (goal markers in the air) is not drawn."""
-        self._env.reset(seed=seed)
-        X_WB = self._pose(self._env.agent.robot)
-        if not np.allclose(X_WB, self._X_WB, atol=1e-6):
-            raise InputError(f"the robot's base is at {X_WB[:3, 3].tolist()}, expected {self._X_WB[:3, 3].tolist()}")
-        for thing in self._env._hidden_objects:
-            thing.hide_visual()
+    def reset(self, episode: Episode) -> None:
+        """Set up the scene of an episode."""
+        self._env.reset(seed=episode.seed, options={"episodes": [episode], "reconfigure": True})
 
-    @staticmethod
-    def _pose(entity: Any) -> Array:
-        """Pose (4, 4) in the ManiSkill world of an actor, link or articulation."""
-        raw = np.asarray(entity.pose.raw_pose[0], dtype=np.float64)
-        return from_quaternion(raw[3:], raw[:3])
-
-    def object_poses(self) -> dict[str, Array]:
-        """Poses (4, 4) in the robot base frame [m] of the scene's actors by name."""
-        X_BW = invert(self._X_WB)
-        return {name: X_BW @ self._pose(actor) for name, actor in self._env.scene.actors.items()}
+    def scene(self) -> Scene:
+        """What stands where now."""
+        scene: Scene = self._env.scene_of()
+        return scene
 
     def link_pose(self, link: str) -> Array:
         """Pose (4, 4) of one of the robot's links in its base frame [m]."""
-        return invert(self._X_WB) @ self._pose(self._env.agent.robot.links_map[link])
+        raw = np.asarray(self._env.agent.robot.links_map[link].pose.raw_pose[0], dtype=np.float64)
+        return self._X_BW @ from_quaternion(raw[3:], raw[:3])
 
     def step(self, q: ArrayLike, finger_width_m: float) -> None:
         """One control step with the arm's servos set to `q` (7,) [rad] and the fingers' to a gap [m]."""
@@ -193,23 +201,31 @@ class Stage:
         finger = float(np.clip(2.0 * (finger_width_m / 2.0 - low) / (high - low) - 1.0, -1.0, 1.0))
         self._env.step(np.concatenate([np.asarray(q), [finger]]).astype(np.float32))
 
-    def success(self) -> bool:
-        """ManiSkill's verdict on the present state."""
-        return bool(self._env.evaluate()["success"][0])
+    def outcome(self) -> Outcome:
+        """The task's verdict on the present state."""
+        verdict = {name: value[0].item() for name, value in self._env.evaluate().items()}
+        success, progress = bool(verdict.pop("success")), float(verdict.pop("progress"))
+        return Outcome(success=success, progress=progress, conditions={n: bool(v) for n, v in verdict.items()})
 
     def snapshot(self) -> Snapshot:
         """The present state."""
         qpos = np.asarray(self._env.agent.robot.get_qpos()[0], dtype=np.float64)
-        objects = {
-            name: np.asarray(actor.pose.raw_pose[0], dtype=np.float64) for name, actor in self._env.scene.actors.items()
-        }
-        return Snapshot(q=qpos[:7], fingers_m=qpos[7:9], objects=objects)
+        things = self._env.things
+        return Snapshot(
+            q=qpos[:7],
+            fingers_m=qpos[7:9],
+            objects={name: np.asarray(x.pose.raw_pose[0], dtype=np.float64) for name, x in things.items()},
+            joints={name: float(x.qpos[0, 0]) for name, x in things.items() if hasattr(x, "qpos")},
+        )
 
     def show(self, snapshot: Snapshot) -> None:
         """Put everything where the snapshot has it, without simulating."""
         self._env.agent.robot.set_qpos(np.concatenate([snapshot.q, snapshot.fingers_m])[None].astype(np.float32))
         for name, raw in snapshot.objects.items():
-            self._env.scene.actors[name].set_pose(self._pose_class(raw[:3], raw[3:]))
+            thing = self._env.things[name]
+            thing.set_pose(self._pose_class(raw[:3], raw[3:]))
+            if name in snapshot.joints:
+                thing.set_qpos(np.array([[snapshot.joints[name]]], dtype=np.float32))
 
     def draw(self, links: Collection[str], *, visible: bool) -> None:
         """Draw some of the robot's links, or do not."""
@@ -224,7 +240,7 @@ class Stage:
     def picture(self) -> tuple[NDArray[np.uint8], NDArray[np.uint16], NDArray[np.bool_]]:
         """Colour (H, W, 3), depth (H, W) [mm] and gripper mask (H, W) of the present state."""
         self._env.scene.update_render(update_sensors=True, update_human_render_cameras=False)
-        sensor = self._env._sensors[_CAMERA]
+        sensor = self._env._sensors[self._camera_name]
         sensor.capture()
         images = sensor.get_obs(rgb=True, depth=True, position=False, segmentation=True)
         rgb, depth, labels = (images[name][0].cpu().numpy() for name in ("rgb", "depth", "segmentation"))
@@ -237,24 +253,33 @@ class Stage:
         )
 
 
-def perform(stage: Stage, expert: Expert, seed: int) -> Performance:
-    """Let the expert do its task once; nothing is rendered.
+def perform(stage: Stage, expert: Expert, episode: Episode) -> Performance:
+    """Let the expert do its task, clip by clip; nothing is rendered. It ends at success or after the task's clips.
 
     Raises:
         InputError: the expert finds no path in this scene.
     """
-    stage.reset(seed)
-    start = stage.snapshot()
-    steps = STEPS_PER_FRAME * (expert.frames - 1)
-    waypoints = expert.waypoints(stage.link_pose(TCP_LINK), stage.object_poses())
-    motion = plan(ArmPlant(), start.q, float(start.fingers_m.sum()), waypoints, steps)
-    snapshots = [start]
-    for i in range(steps):
-        stage.step(motion.q[i], motion.finger_width_m[i])
-        if (i + 1) % STEPS_PER_FRAME == 0:
-            snapshots.append(stage.snapshot())
+    stage.reset(episode)
+    plant, steps = ArmPlant(), STEPS_PER_FRAME * CLIP_FRAMES
+    snapshots, controls = [stage.snapshot()], []
+    for _ in range(stage.task.card.clips):
+        waypoints = expert(stage.scene())
+        if not waypoints:
+            break
+        now = snapshots[-1]
+        motion = plan(plant, now.q, float(now.fingers_m.sum()), waypoints, steps)
+        for i in range(steps):
+            stage.step(motion.q[i], motion.finger_width_m[i])
+            if (i + 1) % STEPS_PER_FRAME == 0:
+                snapshots.append(stage.snapshot())
+        controls.append(np.column_stack([motion.q, motion.finger_width_m]))
+        if stage.outcome().success:
+            break
     return Performance(
-        task=expert.task, seed=seed, prompt=expert.prompt, snapshots=tuple(snapshots), success=stage.success()
+        episode=episode,
+        snapshots=tuple(snapshots),
+        controls=np.concatenate(controls) if controls else np.zeros((0, 8)),
+        outcome=stage.outcome(),
     )
 
 

@@ -19,7 +19,7 @@ MAY_IMPORT = {
     "kinematics": LEAF | {"models"},
     "metrics": LEAF | {"models", "kinematics"},
     "grounding": LEAF | {"models", "kinematics"},
-    "suites": LEAF | {"models", "kinematics"},
+    "suites": LEAF | {"models", "kinematics", "engines"},
     **dict.fromkeys(RESULTS, LEAF | RESULTS),
     "manifest": LEAF,
     "stages": LEAF | {"row"},

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kinebench_drake.geometry import Array
+from kinebench_drake.geometry import Array, make_pose, rotation_exp
 
 OPEN_M = 0.08
 """Fingers wide open."""
@@ -45,3 +45,17 @@ def raised(X: ArrayLike, height_m: float) -> Array:
     X = np.array(X, dtype=np.float64)
     X[2, 3] += height_m
     return X
+
+
+def shifted(X: ArrayLike, offset_m: ArrayLike) -> Array:
+    """The pose (4, 4) moved by `offset_m` (3,) in B."""
+    X = np.array(X, dtype=np.float64)
+    X[:3, 3] += np.asarray(offset_m)
+    return X
+
+
+def swung(X: ArrayLike, point: ArrayLike, axis: ArrayLike, angle_rad: float) -> Array:
+    """The pose (4, 4) turned by an angle about the line through `point` (3,) along `axis` (3,), as a lid carries it."""
+    X, p = np.asarray(X, dtype=np.float64), np.asarray(point, dtype=np.float64)
+    R = rotation_exp(angle_rad * np.asarray(axis, dtype=np.float64) / np.linalg.norm(axis))
+    return make_pose(R @ X[:3, :3], p + R @ (X[:3, 3] - p))

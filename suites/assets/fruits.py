@@ -1,0 +1,6 @@
+"""Fruits and what to put them into."""
+
+from kinebench_drake.suites.assets.model import Kind
+
+KINDS: tuple[Kind, ...] = ()
+"""Kinds of this family."""

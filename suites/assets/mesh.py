@@ -1,0 +1,122 @@
+"""Meshes of simple shapes with normals and texture coordinates in metres (one texture per metre unless scaled)."""
+
+import numpy as np
+import trimesh
+from numpy.typing import ArrayLike
+
+from kinebench_drake.suites.assets.model import Mesh
+
+
+def box_mesh(size: ArrayLike, *, bevel_m: float = 0.0, uv_per_m: float = 1.0) -> Mesh:
+    """A box of full sizes `size` (3,) [m] about the origin; `bevel_m` cuts its edges, which then catch the light.
+
+    Each face has its own texture coordinates, `uv_per_m` a metre.
+    """
+    half = np.asarray(size, dtype=np.float64) / 2.0
+    bevel = min(bevel_m, 0.45 * float(half.min()) * 2.0)
+    if bevel <= 0.0:
+        solid = trimesh.creation.box(extents=2.0 * half)
+    else:
+        corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=np.float64)
+        points = [corners * (half - bevel * (1.0 - np.eye(3)[axis])) for axis in range(3)]
+        solid = trimesh.convex.convex_hull(np.concatenate(points))
+    return flat(solid.vertices, solid.faces, uv_per_m=uv_per_m)
+
+
+def cylinder_mesh(radius_m: float, length_m: float, *, sections: int = 32, uv_per_m: float = 1.0) -> Mesh:
+    """A cylinder along z about the origin, smooth around, flat at its ends."""
+    h = length_m / 2.0
+    return lathe([[0.0, -h], [radius_m, -h], [radius_m, h], [0.0, h]], sections=sections, uv_per_m=uv_per_m)
+
+
+def lathe(profile: ArrayLike, *, sections: int = 32, uv_per_m: float = 1.0, crease_rad: float = 0.6) -> Mesh:
+    """The surface of revolution about z of a profile (N, 2) of radius and height [m], from bottom to top outside.
+
+    Smooth where the profile turns by less than `crease_rad`.
+    """
+    rz = np.asarray(profile, dtype=np.float64)
+    angle = np.linspace(0.0, 2.0 * np.pi, sections + 1)
+    ring = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    vertices = np.concatenate([np.column_stack([r * ring, np.full(len(ring), z)]) for r, z in rz])
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(rz, axis=0), axis=1))])
+    around = angle * max(float(rz[:, 0].max()), 1e-6)
+    uv = uv_per_m * np.concatenate([np.column_stack([around, np.full(len(around), s)]) for s in along])
+    columns = sections + 1
+    faces = []
+    for i in range(len(rz) - 1):
+        for j in range(sections):
+            a, b = i * columns + j, (i + 1) * columns + j
+            if rz[i, 0] > 1e-9:
+                faces.append([a, a + 1, b + 1])
+            if rz[i + 1, 0] > 1e-9:
+                faces.append([a, b + 1, b])
+    return smooth(vertices, np.array(faces), uv, crease_rad=crease_rad)
+
+
+def flat(vertices: ArrayLike, faces: ArrayLike, *, uv_per_m: float = 1.0) -> Mesh:
+    """Every triangle its own normal; texture coordinates by looking along the axis that it faces most."""
+    triangles = np.asarray(vertices, dtype=np.float64)[np.asarray(faces)]
+    n = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    n /= np.maximum(np.linalg.norm(n, axis=1, keepdims=True), 1e-12)
+    axis = np.argmax(np.abs(n), axis=1)
+    others = np.array([[1, 2], [0, 2], [0, 1]])[axis]
+    uv = np.take_along_axis(triangles, others[:, None, :], axis=2).reshape(-1, 2)
+    return Mesh(
+        vertices=triangles.reshape(-1, 3),
+        faces=np.arange(3 * len(triangles)).reshape(-1, 3),
+        normals=np.repeat(n, 3, axis=0),
+        uv=uv_per_m * uv,
+    )
+
+
+def smooth(vertices: ArrayLike, faces: ArrayLike, uv: ArrayLike, *, crease_rad: float = 0.6) -> Mesh:
+    """Normals averaged over the triangles at the same place that face within `crease_rad` of each other."""
+    vertices, faces, uv = np.asarray(vertices, dtype=np.float64), np.asarray(faces), np.asarray(uv, dtype=np.float64)
+    corners = faces.reshape(-1)
+    a, b, c = (vertices[faces[:, i]] for i in range(3))
+    area = np.cross(b - a, c - a)
+    keep = np.linalg.norm(area, axis=1) > 1e-15
+    faces, area = faces[keep], area[keep]
+    corners = faces.reshape(-1)
+    unit = area / np.linalg.norm(area, axis=1, keepdims=True)
+    _, place = np.unique(np.round(vertices, 7), axis=0, return_inverse=True)
+    place = place.reshape(-1)[corners]
+    owner = np.repeat(np.arange(len(faces)), 3)
+    order = np.argsort(place, kind="stable")
+    normals = np.empty((len(corners), 3))
+    for group in np.split(order, np.flatnonzero(np.diff(place[order])) + 1):
+        near = unit[owner[group]] @ unit[owner[group]].T > np.cos(crease_rad)
+        normals[group] = near @ area[owner[group]]
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-15)
+    return Mesh(
+        vertices=vertices[corners], faces=np.arange(len(corners)).reshape(-1, 3), normals=normals, uv=uv[corners]
+    )
+
+
+def sweep(centers: ArrayLike, radii: ArrayLike, *, sections: int = 16, uv_per_m: float = 1.0) -> Mesh:
+    """A round tube along points (N, 3) with radii (N,) [m], its ends closed by the radii going to 0 or left flat."""
+    p, r = np.asarray(centers, dtype=np.float64), np.asarray(radii, dtype=np.float64)
+    tangent = np.gradient(p, axis=0)
+    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    side = np.cross(tangent[0], np.eye(3)[np.argmin(np.abs(tangent[0]))])
+    angle = np.linspace(0.0, 2.0 * np.pi, sections + 1)
+    rings = []
+    for i in range(len(p)):  # carried along without twist
+        side = side - (side @ tangent[i]) * tangent[i]
+        side /= np.linalg.norm(side)
+        up = np.cross(tangent[i], side)
+        rings.append(p[i] + r[i] * (np.cos(angle)[:, None] * side + np.sin(angle)[:, None] * up))
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(p, axis=0), axis=1))])
+    vertices, columns = np.concatenate([*rings, np.repeat(p[[0, -1]], sections + 1, axis=0)]), sections + 1
+    uv = np.concatenate(
+        [np.column_stack([angle * r.max(), np.full(columns, s)]) for s in [*along, along[0], along[-1]]]
+    )
+    faces = []
+    first, last = len(p) * columns, (len(p) + 1) * columns
+    for j in range(sections):
+        for i in range(len(p) - 1):
+            a, b = i * columns + j, (i + 1) * columns + j
+            faces += [[a, a + 1, b + 1], [a, b + 1, b]]
+        end = (len(p) - 1) * columns + j
+        faces += [[j + 1, j, first + j], [end, end + 1, last + j]]
+    return smooth(vertices, np.array(faces), uv_per_m * uv)

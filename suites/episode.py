@@ -1,0 +1,73 @@
+"""One episode, completely described: from it the same scene and first frame can be made anywhere."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from kinebench_drake.suites.assets.library import model
+from kinebench_drake.suites.assets.model import Model
+from kinebench_drake.suites.seeding import generator
+from kinebench_drake.suites.split import Pool, pool_assets, pool_looks
+from kinebench_drake.suites.tasks.card import Variant
+from kinebench_drake.suites.tasks.registry import find_task
+from kinebench_drake.suites.tasks.task import Layout
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Episode:
+    """Task, seed and everything drawn from them."""
+
+    id: str
+    """Safe as a file name, such as "StackCube-v1_s0003"."""
+    task: str
+    """Plain task id."""
+    seed: int
+    """Seed of the scene."""
+    variant: Variant
+    """Version of the scene."""
+    assets: Mapping[str, str]
+    """Asset id of each of the task's slots."""
+    table: str
+    """Id of the table's look."""
+    background: str
+    """Id of the look of wall and floor."""
+    light: str
+    """Id of the light."""
+    camera: str
+    """Name of the camera; there is one, "benchmark"."""
+    prompt: str
+    """The task in words."""
+
+    def models(self) -> dict[str, Model]:
+        """The asset of each slot."""
+        return {slot: model(asset_id) for slot, asset_id in self.assets.items()}
+
+    def layout(self) -> Layout:
+        """The scene to begin with."""
+        return _layout(self.task, self.seed, self.variant, self.models())
+
+
+def _layout(task: str, seed: int, variant: Variant, models: Mapping[str, Model]) -> Layout:
+    return find_task(task).layout(models, generator("layout", task, seed, variant.value), variant)
+
+
+def compose(task: str, seed: int, *, pool: Pool = Pool.ALL, variant: Variant = Variant.PLAIN) -> Episode:
+    """The episode of a task and seed with assets and looks from a pool.
+
+    Raises:
+        UsageError: there is no such task, or it has no such variant.
+    """
+    found = find_task(task, variant)
+    rng = generator("episode", task, seed, pool.value)
+    looks = {sort: str(rng.choice(pool_looks(sort, pool))) for sort in ("table", "background", "light")}
+    assets = {slot: str(rng.choice(pool_assets(kind, pool))) for slot, kind in found.slots_of(variant).items()}
+    suffix = "".join(f"_{v}" for v in (pool.value, variant.value) if v not in (Pool.ALL.value, Variant.PLAIN.value))
+    return Episode(
+        id=f"{task}_s{seed:04d}{suffix}",
+        task=task,
+        seed=seed,
+        variant=variant,
+        assets=assets,
+        **looks,
+        camera="benchmark",
+        prompt=_layout(task, seed, variant, {slot: model(a) for slot, a in assets.items()}).prompt,
+    )

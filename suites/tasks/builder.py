@@ -1,0 +1,168 @@
+"""From models to ManiSkill's actors and articulations, straight from arrays: no files are written."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import sapien
+from mani_skill.utils.building import ActorBuilder, ArticulationBuilder
+from mani_skill.utils.structs import Actor, Articulation
+from sapien.wrapper.articulation_builder import LinkBuilder
+
+from kinebench_drake.geometry import Array, to_quaternion
+from kinebench_drake.suites.assets.model import Body, Collider, ColliderKind, Model, Surface, Visual
+
+_MIPMAPS = 6
+
+
+def to_pose(X: Array) -> sapien.Pose:
+    """SAPIEN's pose of a (4, 4)."""
+    return sapien.Pose(X[:3, 3], to_quaternion(X[:3, :3]))
+
+
+def _render_material(surface: Surface) -> sapien.render.RenderMaterial:
+    material = sapien.render.RenderMaterial()
+    material.base_color = [*surface.color, 1.0]
+    material.roughness, material.metallic, material.specular = surface.roughness, surface.metallic, surface.specular
+    if surface.texture is not None:
+        image = np.concatenate([surface.texture, np.full((*surface.texture.shape[:2], 1), 255, np.uint8)], axis=-1)
+        material.base_color_texture = sapien.render.RenderTexture2D(
+            np.ascontiguousarray(image), "R8G8B8A8Unorm", mipmap_levels=_MIPMAPS, srgb=True
+        )
+    return material
+
+
+def _render_shape(visual: Visual) -> sapien.render.RenderShapeTriangleMesh:
+    mesh = visual.mesh
+    shape = sapien.render.RenderShapeTriangleMesh(
+        mesh.vertices.astype(np.float32),
+        mesh.faces.astype(np.uint32),
+        mesh.normals.astype(np.float32),
+        mesh.uv.astype(np.float32),
+        _render_material(visual.surface),
+    )
+    shape.local_pose = to_pose(visual.X_BodyV)
+    return shape
+
+
+def _collision_shape(collider: Collider, material: sapien.physx.PhysxMaterial) -> sapien.physx.PhysxCollisionShape:
+    physx = sapien.physx
+    match collider.kind:
+        case ColliderKind.BOX:
+            return physx.PhysxCollisionShapeBox(collider.size, material)
+        case ColliderKind.SPHERE:
+            return physx.PhysxCollisionShapeSphere(collider.size[0], material)
+        case ColliderKind.CYLINDER:
+            return physx.PhysxCollisionShapeCylinder(*collider.size, material)
+        case ColliderKind.CAPSULE:
+            return physx.PhysxCollisionShapeCapsule(*collider.size, material)
+        case ColliderKind.HULL:
+            points = np.asarray(collider.points, dtype=np.float32)
+            return physx.PhysxCollisionShapeConvexMesh(vertices=points, scale=[1.0, 1.0, 1.0], material=material)
+
+
+class _BodyBuilder:
+    """What both builders below add to SAPIEN's: visuals and colliders straight from a body's arrays."""
+
+    body: Body
+    decor = False
+    collision_groups: list[int]
+
+    def attach_colliders(self, component: Any) -> Any:
+        m = self.body.material
+        material = sapien.physx.PhysxMaterial(m.static_friction, m.dynamic_friction, m.restitution)
+        for collider in () if self.decor else self.body.colliders:
+            shape = _collision_shape(collider, material)
+            shape.local_pose = to_pose(collider.X_BodyC)
+            shape.set_collision_groups(self.collision_groups)
+            shape.set_density(m.density)
+            component.attach(shape)
+        return component
+
+    def build_render_component(self) -> sapien.render.RenderBodyComponent:
+        component = sapien.render.RenderBodyComponent()
+        for visual in self.body.visuals:
+            component.attach(_render_shape(visual))
+        component.name = self.body.name
+        return component
+
+
+class _ActorBuilder(_BodyBuilder, ActorBuilder):  # type: ignore[misc]
+    def build_physx_component(self, link_parent: Any = None) -> Any:
+        component = self.attach_colliders(super().build_physx_component(link_parent))
+        if self.physx_body_type == "dynamic":
+            component.linear_damping = self.body.material.linear_damping
+            component.angular_damping = self.body.material.angular_damping
+        return component
+
+    def build_entity(self) -> Any:
+        entity = sapien.Entity()
+        if self.scene.can_render():
+            entity.add_component(self.build_render_component())
+        entity.add_component(self.build_physx_component())
+        entity.name = self.name
+        return entity
+
+
+class _LinkBuilder(_BodyBuilder, LinkBuilder):  # type: ignore[misc]
+    def __init__(self, index: int, parent: "_LinkBuilder | None", body: Body) -> None:
+        super().__init__(index, parent)
+        self.body = body
+        self.visual_records = [None]  # ManiSkill draws links that have some; what is drawn comes from the body
+
+    def build_physx_component(self, link_parent: Any = None) -> Any:
+        component = self.attach_colliders(super().build_physx_component(link_parent))
+        component.disable_gravity = self.body.joint is not None and self.body.joint.balanced
+        return component
+
+
+def build_actor(
+    scene: Any, name: str, body: Body, X_WA: Array, scene_idxs: Sequence[int], *, how: str, decor: bool = False
+) -> Actor:
+    """A single rigid body at the pose (4, 4) in the ManiSkill world.
+
+    Args:
+        scene: ManiSkill's.
+        name: a name of its own in the scene.
+        body: what to build.
+        X_WA: its pose [m].
+        scene_idxs: which of the parallel scenes get one.
+        how: "dynamic", "kinematic" or "static".
+        decor: whether it has no colliders.
+    """
+    builder = _ActorBuilder()
+    builder.scene, builder.body, builder.decor = scene, body, decor
+    builder.set_scene_idxs(list(scene_idxs))
+    builder.set_physx_body_type(how)
+    builder.initial_pose = to_pose(X_WA)
+    return builder.build(name)
+
+
+def build_articulation(scene: Any, name: str, model: Model, X_WM: Array, scene_idxs: Sequence[int]) -> Articulation:
+    """Bodies with joints; the first body is fixed at the pose (4, 4) in the ManiSkill world. Arguments as above."""
+    builder = ArticulationBuilder()
+    builder.scene = scene
+    builder.set_scene_idxs(list(scene_idxs))
+    builder.initial_pose = to_pose(X_WM)
+    root = None
+    for body in model.bodies:
+        link = _LinkBuilder(len(builder.link_builders), root, body)
+        builder.link_builders.append(link)
+        link.set_name(body.name)
+        if body.joint is None:
+            root = link
+            continue
+        joint = body.joint
+        link.set_joint_name(f"{body.name}_joint")
+        link.set_joint_properties(
+            joint.kind.value,
+            limits=[[joint.lower, joint.upper]],
+            pose_in_parent=to_pose(joint.X_ParentJ),
+            pose_in_child=to_pose(joint.X_BodyJ),
+            damping=joint.damping,
+        )
+    articulation = builder.build(name, fix_root_link=True)
+    for body, active in zip(model.bodies[1:], articulation.active_joints, strict=True):
+        if body.joint is not None:
+            active.set_friction(body.joint.friction)
+    return articulation

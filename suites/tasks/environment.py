@@ -1,0 +1,322 @@
+"""The tasks as ManiSkill environments: `gymnasium.make("KineBench/StackCube-v1")` after `register()`.
+
+They run on the CPU and, in batches, on ManiSkill's GPU simulation. ManiSkill's own tasks of the same name stay as they
+are. A scene is rebuilt at every reset of a single environment, since each seed has its own assets and looks.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import sapien
+import torch
+from mani_skill.agents.robots import Panda, PandaWristCam
+from mani_skill.envs.sapien_env import BaseEnv
+from mani_skill.sensors.camera import CameraConfig
+from mani_skill.utils.registration import REGISTERED_ENVS, register_env
+from mani_skill.utils.structs import Actor, Articulation, SimConfig
+from mani_skill.utils.structs.pose import Pose
+from torch import Tensor
+
+from kinebench_drake.camera import Camera, benchmark_camera
+from kinebench_drake.errors import InputError
+from kinebench_drake.geometry import Array, from_quaternion, invert, make_pose, to_quaternion
+from kinebench_drake.suites.assets.look import background, light, table
+from kinebench_drake.suites.episode import Episode, compose
+from kinebench_drake.suites.seeding import generator
+from kinebench_drake.suites.split import Pool
+from kinebench_drake.suites.tasks.builder import build_actor, build_articulation
+from kinebench_drake.suites.tasks.card import Variant
+from kinebench_drake.suites.tasks.registry import TASKS, find_task
+from kinebench_drake.suites.tasks.state import State
+from kinebench_drake.suites.tasks.surroundings import surroundings
+from kinebench_drake.suites.tasks.task import Layout, Placement, Scene
+
+NAMESPACE = "KineBench"
+"""Gymnasium namespace of the tasks."""
+X_WB = make_pose(np.eye(3), [-0.615, 0.0, 0.0])
+"""Robot base in the ManiSkill world, (4, 4) [m]."""
+REST_Q = np.array([0.0, np.pi / 8, 0.0, -np.pi * 5 / 8, 0.0, np.pi * 3 / 4, np.pi / 4])
+"""Arm at the start [rad], as in ManiSkill's tabletop tasks."""
+REST_NOISE_RAD = 0.02
+"""Standard deviation of the start's noise in each joint."""
+CAMERA = "base_camera"
+"""Name of the camera."""
+
+
+def sapien_from_opencv(X_AC: Array) -> Array:
+    """The pose (4, 4) of a camera with SAPIEN's axes (x forward, y left, z up), from OpenCV's (z forward, x right)."""
+    R_CS = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+    return X_AC @ make_pose(R_CS, np.zeros(3))
+
+
+def camera_config(camera: Camera) -> CameraConfig:
+    """ManiSkill's description of a camera."""
+    X_WS = sapien_from_opencv(X_WB @ camera.X_BC)
+    return CameraConfig(
+        CAMERA,
+        pose=sapien.Pose(X_WS[:3, 3], to_quaternion(X_WS[:3, :3])),
+        width=camera.width,
+        height=camera.height,
+        near=0.01,
+        far=20.0,
+        intrinsic=camera.K,
+    )
+
+
+class KineBenchEnv(BaseEnv):  # type: ignore[misc]
+    """One of the benchmark's tasks.
+
+    `reset(seed=...)` composes the episode of that seed; `reset(options={"episodes": [episode, ...]})` takes given ones,
+    one a scene. `evaluate()` gives `success`, `progress` (0..1) and the task's named sub-conditions.
+    """
+
+    SUPPORTED_ROBOTS = ("panda", "panda_wristcam")
+    SUPPORTED_REWARD_MODES = ("sparse", "dense", "normalized_dense", "none")
+    agent: Panda | PandaWristCam
+
+    def __init__(
+        self,
+        *args: Any,
+        task: str,
+        robot_uids: str = "panda",
+        pool: str = "all",
+        variant: str = "plain",
+        camera: Camera | None = None,
+        **kwargs: Any,
+    ) -> None:
+        """Make the environment.
+
+        Args:
+            args: for ManiSkill.
+            task: plain task id.
+            robot_uids: "panda" or "panda_wristcam".
+            pool: assets and looks to draw from: "all", "seen" or "unseen".
+            variant: "plain" or "obstacles".
+            camera: where to look from; the benchmark's if not given.
+            kwargs: for ManiSkill.
+
+        Raises:
+            UsageError: there is no such task or variant.
+        """
+        self.task = find_task(task, Variant(variant))
+        self._pool, self._variant = Pool(pool), Variant(variant)
+        self._camera = benchmark_camera() if camera is None else camera
+        self.episodes: list[Episode] = []
+        self.layouts: list[Layout] = []
+        kwargs.setdefault("reconfiguration_freq", 1 if kwargs.get("num_envs", 1) == 1 else 0)
+        super().__init__(*args, robot_uids=robot_uids, **kwargs)
+
+    @property
+    def _default_sim_config(self) -> SimConfig:
+        return SimConfig()
+
+    @property
+    def _default_sensor_configs(self) -> list[CameraConfig]:
+        return [camera_config(self._camera)]
+
+    @property
+    def _default_human_render_camera_configs(self) -> CameraConfig:
+        config = camera_config(self._camera)
+        config.uid = "render_camera"
+        return config
+
+    def _load_agent(self, options: dict[str, Any]) -> None:
+        super()._load_agent(options, sapien.Pose(X_WB[:3, 3]))
+
+    def _compose(self, options: dict[str, Any]) -> None:
+        given: Sequence[Episode] | None = options.get("episodes")
+        if given is None:
+            given = [
+                compose(self.task.card.id, int(seed), pool=self._pool, variant=self._variant)
+                for seed in self._episode_seed
+            ]
+        if len(given) != self.num_envs or any(e.task != self.task.card.id for e in given):
+            raise InputError(
+                f"{self.num_envs} episodes of {self.task.card.id} are expected, got "
+                f"{len(given)} of {', '.join(sorted({e.task for e in given}))}"
+            )
+        self.episodes = list(given)
+        self.layouts = [episode.layout() for episode in given]
+
+    def _load_scene(self, options: dict[str, Any]) -> None:
+        self._compose(options)
+        names = list(self.layouts[0].placements)
+        for i, episode in enumerate(self.episodes):
+            for name, body in surroundings(table(episode.table), background(episode.background)).items():
+                build_actor(self.scene, f"{name}_{i}", body, X_WB, [i], how="static", decor=False)
+        self.things: dict[str, Actor | Articulation] = {name: self._load_thing(name) for name in names}
+
+    def _load_thing(self, name: str) -> Actor | Articulation:
+        built: list[Any] = []
+        for i, layout in enumerate(self.layouts):
+            placement = layout.placements[name]
+            own_name = name if self.num_envs == 1 else f"{name}_{i}"
+            X_WM = X_WB @ placement.X_BM
+            if placement.model.articulated:
+                built.append(build_articulation(self.scene, own_name, placement.model, X_WM, [i]))
+            else:
+                how = "kinematic" if placement.fixed or placement.decor else "dynamic"
+                [body] = placement.model.bodies
+                built.append(build_actor(self.scene, own_name, body, X_WM, [i], how=how, decor=placement.decor))
+        if self.num_envs == 1:
+            return built[0]
+        if isinstance(built[0], Articulation):
+            return Articulation.merge(built, name=name, merge_links=True)
+        return Actor.merge(built, name=name)
+
+    def _load_lighting(self, options: dict[str, Any]) -> None:
+        for i, episode in enumerate(self.episodes):
+            look = light(episode.light)
+            if i == 0:
+                self.scene.set_ambient_light(look.ambient)
+            self.scene.add_directional_light(
+                look.key_direction, look.key_color, shadow=True, shadow_scale=1.5, shadow_map_size=1024, scene_idxs=[i]
+            )
+            self.scene.add_directional_light(look.fill_direction, look.fill_color, shadow=False, scene_idxs=[i])
+
+    def _initialize_episode(self, env_idx: Tensor, options: dict[str, Any]) -> None:
+        if self.reconfiguration_freq == 0 or "episodes" in options:
+            self._place_anew(env_idx, options)
+        with torch.device(self.device):
+            rows = [int(i) for i in env_idx]
+            q = np.stack([self._start_q(i) for i in rows])
+            self.agent.reset(q.astype(np.float32))
+            self.agent.robot.set_pose(sapien.Pose(X_WB[:3, 3]))
+            for name, thing in self.things.items():
+                placements = [self.layouts[i].placements[name] for i in rows]
+                thing.set_pose(self._poses(placements))
+                if isinstance(thing, Articulation):
+                    joint = torch.tensor([[p.joint] for p in placements], dtype=torch.float32)
+                    thing.set_qpos(joint)
+                    thing.set_qvel(torch.zeros_like(joint))
+                elif not (placements[0].fixed or placements[0].decor):
+                    thing.set_linear_velocity(torch.zeros(len(rows), 3))
+                    thing.set_angular_velocity(torch.zeros(len(rows), 3))
+        if self.gpu_sim_enabled:
+            self.scene._gpu_apply_all()
+            self.scene.px.gpu_update_articulation_kinematics()
+            self.scene._gpu_fetch_all()
+        self._remember(env_idx)
+
+    def _place_anew(self, env_idx: Tensor, options: dict[str, Any]) -> None:
+        """New places for the assets that are built already, where scenes are not rebuilt."""
+        if "episodes" in options:
+            if [e.assets for e in options["episodes"]] != [e.assets for e in self.episodes]:
+                raise InputError("other assets need options={'reconfigure': True}")
+            self.episodes = list(options["episodes"])
+        for i in map(int, env_idx):
+            task, seed = self.task, int(self._episode_seed[i])
+            rng = generator("layout", task.card.id, seed, self._variant.value)
+            self.layouts[i] = task.layout(self.episodes[i].models(), rng, self._variant)
+
+    def _start_q(self, index: int) -> Array:
+        episode, layout = self.episodes[index], self.layouts[index]
+        noise = generator("start", episode.task, episode.seed).normal(0.0, REST_NOISE_RAD, 7)
+        return np.concatenate([REST_Q + noise, np.full(2, layout.finger_width_m / 2.0)])
+
+    def _poses(self, placements: Sequence[Placement]) -> Pose:
+        X_WM = [X_WB @ p.X_BM for p in placements]
+        return Pose.create_from_pq(
+            torch.tensor(np.stack([X[:3, 3] for X in X_WM]), dtype=torch.float32),
+            torch.tensor(np.stack([to_quaternion(X[:3, :3]) for X in X_WM]), dtype=torch.float32),
+        )
+
+    def _remember(self, env_idx: Tensor) -> None:
+        poses, joints = self._body_poses(), self._joints()
+        if not hasattr(self, "_starts") or len(env_idx) == self.num_envs:
+            self._starts, self._joint_starts = poses, joints
+            return
+        for now, start in ((poses, self._starts), (joints, self._joint_starts)):
+            for name, value in now.items():
+                start[name][env_idx] = value[env_idx]
+
+    def _in_base(self, pose: Pose) -> Tensor:
+        X = pose.to_transformation_matrix().clone()
+        X[:, :3, 3] -= torch.as_tensor(X_WB[:3, 3], dtype=X.dtype, device=X.device)
+        return X
+
+    def _body_poses(self) -> dict[str, Tensor]:
+        poses = {}
+        for name, thing in self.things.items():
+            poses[name] = self._in_base(thing.pose)
+            if isinstance(thing, Articulation):
+                for body in self.layouts[0].placements[name].model.bodies[1:]:
+                    poses[f"{name}/{body.name}"] = self._in_base(thing.links_map[body.name].pose)
+        return poses
+
+    def _joints(self) -> dict[str, Tensor]:
+        return {n: thing.qpos[:, 0].clone() for n, thing in self.things.items() if isinstance(thing, Articulation)}
+
+    def _speed(self, thing: Actor | Articulation) -> Tensor:
+        if isinstance(thing, Articulation):
+            return thing.qvel[:, 0].abs()
+        return torch.linalg.norm(thing.linear_velocity, dim=-1)
+
+    def state(self) -> State:
+        """All scenes now."""
+        return State(
+            X_BG=self._in_base(self.agent.tcp.pose),
+            finger_width_m=self.agent.robot.qpos[:, -2:].sum(dim=-1),
+            poses=self._body_poses(),
+            starts=self._starts,
+            joints=self._joints(),
+            joint_starts=self._joint_starts,
+            speeds={
+                name: self._speed(thing)
+                for name, thing in self.things.items()
+                if not (self.layouts[0].placements[name].fixed or self.layouts[0].placements[name].decor)
+            },
+            models={name: [layout.placements[name].model for layout in self.layouts] for name in self.things},
+            grasps=lambda name: self.agent.is_grasping(self.things[name]),
+        )
+
+    def scene_of(self, index: int = 0) -> Scene:
+        """One of the scenes, as an expert sees it."""
+        state = self.state()
+        return Scene(
+            X_BG=state.X_BG[index].cpu().numpy().astype(np.float64),
+            finger_width_m=float(state.finger_width_m[index]),
+            poses={name: X[index].cpu().numpy().astype(np.float64) for name, X in state.poses.items()},
+            joints={name: float(x[index]) for name, x in state.joints.items()},
+            models={name: models[index] for name, models in state.models.items()},
+            starts={name: X[index].cpu().numpy().astype(np.float64) for name, X in state.starts.items()},
+        )
+
+    def evaluate(self) -> dict[str, Tensor]:
+        """Success, progress 0..1 and the task's sub-conditions, each (N,)."""
+        state = self.state()
+        conditions = self.task.conditions(state)
+        success = torch.stack(list(conditions.values())).all(dim=0)
+        progress = self.task.progress(state).clamp(0.0, 1.0)
+        return {"success": success, "progress": torch.where(success, torch.ones_like(progress), progress), **conditions}
+
+    def _get_obs_extra(self, info: dict[str, Any]) -> dict[str, Tensor]:
+        extra = {"tcp_pose": self.agent.tcp.pose.raw_pose}
+        if self.obs_mode_struct.use_state:
+            extra |= {f"{name}_pose": thing.pose.raw_pose for name, thing in self.things.items()}
+        return extra
+
+    def compute_dense_reward(self, obs: Any, action: Tensor, info: dict[str, Any]) -> Tensor:
+        """The progress, and 1 more for success."""
+        return info["progress"] + info["success"]
+
+    def compute_normalized_dense_reward(self, obs: Any, action: Tensor, info: dict[str, Any]) -> Tensor:
+        """The dense reward over 2."""
+        return self.compute_dense_reward(obs, action, info) / 2.0
+
+
+def environment_id(task: str) -> str:
+    """Gymnasium's id of a plain task id."""
+    return f"{NAMESPACE}/{task}"
+
+
+def register() -> None:
+    """Make the tasks known to gymnasium and ManiSkill; may be called again."""
+    for name in TASKS:
+        uid = environment_id(name)
+        if uid not in REGISTERED_ENVS:
+            register_env(uid, max_episode_steps=192 * TASKS[name].card.clips, task=name)(KineBenchEnv)
+
+
+__all__ = ["NAMESPACE", "KineBenchEnv", "environment_id", "from_quaternion", "invert", "register"]

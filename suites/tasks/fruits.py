@@ -1,0 +1,6 @@
+"""Tasks with fruits."""
+
+from kinebench_drake.suites.tasks.task import Task
+
+TASKS: tuple[Task, ...] = ()
+"""Tasks of this family."""

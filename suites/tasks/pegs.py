@@ -1,0 +1,6 @@
+"""Tasks with the peg."""
+
+from kinebench_drake.suites.tasks.task import Task
+
+TASKS: tuple[Task, ...] = ()
+"""Tasks of this family."""

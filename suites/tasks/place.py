@@ -1,0 +1,32 @@
+"""Helpers to lay out scenes in the robot base frame."""
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from kinebench_drake.geometry import Array, make_pose
+
+
+def turned(yaw_rad: float) -> Array:
+    """Rotation (3, 3) about z."""
+    c, s = np.cos(yaw_rad), np.sin(yaw_rad)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def resting(x_m: float, y_m: float, z_m: float, yaw_rad: float = 0.0) -> Array:
+    """Pose (4, 4) of something upright at a point of B, turned about z."""
+    return make_pose(turned(yaw_rad), [x_m, y_m, z_m])
+
+
+def scattered(rng: np.random.Generator, count: int, low: ArrayLike, high: ArrayLike, apart_m: float) -> Array:
+    """Points (count, 2) in a rectangle, all at least `apart_m` apart: drawn anew until they are.
+
+    The distance asked for gives way a little with each try, so that it always ends.
+    """
+    low, high = np.asarray(low, dtype=np.float64), np.asarray(high, dtype=np.float64)
+    while True:
+        for _ in range(200):
+            points = rng.uniform(low, high, size=(count, 2))
+            gaps = np.linalg.norm(points[:, None] - points, axis=-1) + np.diag(np.full(count, np.inf))
+            if gaps.min() >= apart_m:
+                return points
+        apart_m *= 0.95

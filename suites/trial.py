@@ -1,0 +1,126 @@
+"""How often a policy does a task: the expert, one that does nothing, one that moves at random."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+from scipy.stats import binomtest
+
+from kinebench_drake.engines import Crashed, Engine
+from kinebench_drake.errors import InputError
+from kinebench_drake.suites.episode import Episode
+from kinebench_drake.suites.experts.registry import find_expert
+from kinebench_drake.suites.rollout import CLIP_FRAMES, STEPS_PER_FRAME, Outcome, Stage, perform
+from kinebench_drake.suites.seeding import generator
+from kinebench_drake.suites.tasks.card import Variant
+
+RANDOM_STEP_RAD = 0.1
+"""The random policy moves each joint by up to this much a control step."""
+
+
+class Policy(Enum):
+    """Who moves the robot."""
+
+    EXPERT = "expert"
+    STILL = "still"
+    RANDOM = "random"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Trial:
+    """One episode and how it ended."""
+
+    episode: Episode
+    policy: Policy
+    success: bool
+    progress: float
+    """0..1."""
+    reason: str
+    """Which conditions failed, or why the expert found no way; empty with success."""
+    frames: int
+    """Frames that passed, the first included."""
+
+
+class _Worker:
+    """Runs trials; keeps one stage, rebuilt where task or variant change."""
+
+    def __init__(self, policy: Policy) -> None:
+        self._policy = policy
+        self._stage: Stage | None = None
+        self._built: tuple[str, Variant] | None = None
+
+    def _stage_for(self, episode: Episode) -> Stage:
+        if self._stage is None or self._built != (episode.task, episode.variant):
+            if self._stage is not None:
+                self._stage.close()
+            self._stage = Stage(episode.task, variant=episode.variant, renders=False)
+            self._built = (episode.task, episode.variant)
+        return self._stage
+
+    def __call__(self, episode: Episode) -> Trial:
+        stage, frames = self._stage_for(episode), 1
+        try:
+            if self._policy is Policy.EXPERT:
+                performance = perform(stage, find_expert(episode.task), episode)
+                outcome, frames = performance.outcome, len(performance.snapshots)
+            else:
+                outcome, frames = _blind(stage, episode, self._policy)
+        except InputError as error:
+            return self._trial(episode, Outcome(success=False, progress=0.0, conditions={}), frames, str(error))
+        failed = ", ".join(name for name, holds in outcome.conditions.items() if not holds)
+        return self._trial(episode, outcome, frames, "" if outcome.success else f"not {failed}")
+
+    def _trial(self, episode: Episode, outcome: Outcome, frames: int, reason: str) -> Trial:
+        return Trial(
+            episode=episode,
+            policy=self._policy,
+            success=outcome.success,
+            progress=outcome.progress,
+            reason=reason,
+            frames=frames,
+        )
+
+
+def _blind(stage: Stage, episode: Episode, policy: Policy) -> tuple[Outcome, int]:
+    """What comes of a policy that does not look, after as many steps as the expert may take; frames that passed."""
+    stage.reset(episode)
+    start = stage.snapshot()
+    q, width = start.q.copy(), float(start.fingers_m.sum())
+    rng = generator("random policy", episode.task, episode.seed)
+    frames = 1
+    for _ in range(stage.task.card.clips * CLIP_FRAMES):
+        for _ in range(STEPS_PER_FRAME):
+            if policy is Policy.RANDOM:
+                q = np.clip(q + rng.uniform(-RANDOM_STEP_RAD, RANDOM_STEP_RAD, 7), *stage.joint_limits)
+                width = float(rng.uniform(-0.02, 0.08))
+            stage.step(q, width)
+        frames += 1
+        if (outcome := stage.outcome()).success:
+            return outcome, frames
+    return outcome, frames
+
+
+def run_trials(engine: Engine, episodes: Sequence[Episode], policy: Policy) -> Iterator[Trial]:
+    """Try every episode once; yields in any order. A worker that dies makes a failed trial."""
+    for done in engine.run(_Make(policy), list(episodes)):
+        if isinstance(done, Crashed):
+            yield Trial(episode=done.item, policy=policy, success=False, progress=0.0, reason=done.reason, frames=0)
+        else:
+            yield done.result
+
+
+@dataclass(frozen=True, slots=True)
+class _Make:
+    """Makes a worker in each process."""
+
+    policy: Policy
+
+    def __call__(self) -> Callable[[Episode], Trial]:
+        return _Worker(self.policy)
+
+
+def interval(successes: int, trials: int) -> tuple[float, float]:
+    """95 % interval of a success rate (Wilson's, with scipy)."""
+    bounds = binomtest(successes, trials).proportion_ci(method="wilson")
+    return float(bounds.low), float(bounds.high)
