@@ -71,9 +71,9 @@ class Performance:
     episode: Episode
     """What was to be done."""
     snapshots: tuple[Snapshot, ...]
-    """The T moments to film, `FRAME_PERIOD_S` apart."""
+    """The T moments to film, evenly spaced: `FRAME_PERIOD_S` apart unless asked for otherwise."""
     controls: Array
-    """(4 (T - 1), 8) commands at 20 Hz: seven joint angles [rad] and the gap between the finger pads [m]."""
+    """(N, 8) commands at 20 Hz: seven joint angles [rad] and the gap between the finger pads [m]."""
     outcome: Outcome
     """How it ended."""
 
@@ -253,8 +253,14 @@ class Stage:
         )
 
 
-def perform(stage: Stage, expert: Expert, episode: Episode) -> Performance:
+def perform(stage: Stage, expert: Expert, episode: Episode, *, every: int = STEPS_PER_FRAME) -> Performance:
     """Let the expert do its task, clip by clip; nothing is rendered. It ends at success or after the task's clips.
+
+    Args:
+        stage: where to do it; it is reset.
+        expert: who does it.
+        episode: what is to be done.
+        every: control steps between two snapshots.
 
     Raises:
         InputError: the expert finds no path in this scene.
@@ -270,7 +276,7 @@ def perform(stage: Stage, expert: Expert, episode: Episode) -> Performance:
         motion = plan(plant, now.q, float(now.fingers_m.sum()), waypoints, steps)
         for i in range(steps):
             stage.step(motion.q[i], motion.finger_width_m[i])
-            if (i + 1) % STEPS_PER_FRAME == 0:
+            if (i + 1) % every == 0:
                 snapshots.append(stage.snapshot())
         controls.append(np.column_stack([motion.q, motion.finger_width_m]))
         if stage.outcome().success:

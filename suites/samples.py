@@ -8,7 +8,7 @@ Folder written, the same bytes for the same arguments:
     truth/ID.npz        t_s, base_from_tcp, camera_from_hand, q, finger_width_m [, depth_mm, mask]: as drawn, so NaN
                         where the gripper was made to vanish, the frozen pose in frozen frames
     truth/faults.json   for each faulty video kind, frame_start, frame_end, size
-    truth/outcome.json  ManiSkill's verdict on each episode
+    truth/outcome.json  the task's verdict on each episode
 """
 
 import json
@@ -23,9 +23,11 @@ import click
 from kinebench_drake.errors import InputError, KinebenchError, UsageError
 from kinebench_drake.mp4 import write_video
 from kinebench_drake.products import AnomalyKind
-from kinebench_drake.suites.experts.registry import EXPERTS, find_expert
+from kinebench_drake.suites.episode import compose
+from kinebench_drake.suites.experts.registry import find_expert
 from kinebench_drake.suites.faults import PlantedFault, plant_freeze, plant_teleport, plant_vanish
 from kinebench_drake.suites.rollout import FRAME_PERIOD_S, ROBOTS, Clip, Performance, Stage, film, perform
+from kinebench_drake.suites.tasks.registry import TASKS, find_task
 
 FPS = 17
 """What the mp4 plays at; the task time between frames is `FRAME_PERIOD_S`."""
@@ -38,11 +40,11 @@ class Order:
     """Which videos to make of one episode."""
 
     task: str
-    """ManiSkill environment id."""
+    """Plain task id."""
     seed: int
     """Seed of the scene."""
     robot: str
-    """ManiSkill robot."""
+    """One of `rollout.ROBOTS`."""
     clean: bool
     """Whether to write the video without a fault."""
     faults: tuple[AnomalyKind, ...]
@@ -64,13 +66,13 @@ class Sample:
     id: str
     """Name of its files."""
     task: str
-    """ManiSkill environment id."""
+    """Plain task id."""
     seed: int
     """Seed of the scene."""
     prompt: str
     """The task in words."""
     success: bool
-    """ManiSkill's verdict on the episode it was made from."""
+    """The task's verdict on the episode it was made from."""
     fault: PlantedFault | None = None
     """The planted fault, if any."""
 
@@ -108,36 +110,31 @@ def make(order: Order) -> list[Sample]:
     Raises:
         InputError: the expert or a fault does not work in this scene.
     """
-    samples: list[Sample] = []
     with Stage(order.task, robot=order.robot) as stage:
-        performance = perform(stage, find_expert(order.task), order.seed)
+        performance = perform(stage, find_expert(order.task), compose(order.task, order.seed))
         if order.dry_run:
-            return [
-                Sample(
-                    id=f"{order.task}_s{order.seed:04d}",
-                    task=order.task,
-                    seed=order.seed,
-                    prompt=performance.prompt,
-                    success=performance.success,
-                )
-            ]
+            return [_sample(performance, None)]
         clip = film(stage, performance.snapshots)
+        samples = []
         for version, fault in _versions(stage, performance, clip, order):
-            name = f"{order.task}_s{order.seed:04d}" + (f"_{fault.kind.value}" if fault else "")
-            write_video(order.out / f"{name}.mp4", version.rgb, FPS, crf=order.crf)
-            version.save_truth(order.out / "truth" / f"{name}.npz", with_images=order.with_depth)
-            samples.append(
-                Sample(
-                    id=name,
-                    task=order.task,
-                    seed=order.seed,
-                    prompt=performance.prompt,
-                    success=performance.success,
-                    fault=fault,
-                )
-            )
+            sample = _sample(performance, fault)
+            write_video(order.out / f"{sample.id}.mp4", version.rgb, FPS, crf=order.crf)
+            version.save_truth(order.out / "truth" / f"{sample.id}.npz", with_images=order.with_depth)
+            samples.append(sample)
         stage.camera.save(order.out / "camera.json")
     return samples
+
+
+def _sample(performance: Performance, fault: PlantedFault | None) -> Sample:
+    episode = performance.episode
+    return Sample(
+        id=episode.id + (f"_{fault.kind.value}" if fault else ""),
+        task=episode.task,
+        seed=episode.seed,
+        prompt=episode.prompt,
+        success=performance.outcome.success,
+        fault=fault,
+    )
 
 
 def _make(order: Order) -> tuple[list[Sample], str]:
@@ -195,9 +192,9 @@ def parse_seeds(text: str) -> list[int]:
 
 @click.command()
 @click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True, help="Folder to write to.")
-@click.option("--tasks", default=",".join(EXPERTS), show_default=True, help="Tasks, comma-separated.")
+@click.option("--tasks", default=",".join(TASKS), show_default=True, help="Tasks, comma-separated.")
 @click.option("--seeds", default="0:1", show_default=True, help="Seeds: 7, 0:5 (end excluded), 0:5,9.")
-@click.option("--robot", type=click.Choice(ROBOTS), default="panda", show_default=True, help="ManiSkill robot.")
+@click.option("--robot", type=click.Choice(ROBOTS), default="panda", show_default=True, help="Robot.")
 @click.option("--with-depth", is_flag=True, help="Keep depth and gripper masks in truth/ (some MB a video).")
 @click.option("--faults", is_flag=True, help="Also write each video with each kind of planted fault.")
 @click.option("--kinds", default=",".join(KINDS), show_default=True, help="Kinds of faults for --faults.")
@@ -220,7 +217,7 @@ def main(
     dry_run: bool,
     jobs: int,
 ) -> None:
-    r"""Render videos of the Panda doing ManiSkill tasks, with ground truth.
+    r"""Render videos of the Panda doing tasks, with ground truth and, if asked for, planted faults.
 
     \b
     Example:
@@ -231,7 +228,7 @@ def main(
     except ValueError:
         raise click.BadParameter(f"{kinds!r}; there are {', '.join(KINDS)}", param_hint="--kinds") from None
     try:
-        episodes = list(product([find_expert(task).task for task in tasks.split(",")], parse_seeds(seeds)))
+        episodes = list(product([find_task(task).card.id for task in tasks.split(",")], parse_seeds(seeds)))
     except UsageError as error:
         raise click.UsageError(str(error)) from None
     orders = [

@@ -14,6 +14,7 @@ import numpy as np
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array, make_pose, rotation_angle, rotation_exp, rotation_log
 from kinebench_drake.kinematics.newton import REACHED_M, newton
+from kinebench_drake.suites.episode import compose
 from kinebench_drake.suites.experts.grasp import DOWN, grasp_rotation
 from kinebench_drake.suites.experts.motion import CONTROL_PERIOD_S, minimum_jerk, plan
 from kinebench_drake.suites.experts.registry import EXPERTS
@@ -233,34 +234,19 @@ _JOINT_KNOTS = 40
 
 
 def shipped(rng: np.random.Generator, arm: Arm, at_least_s: float) -> Motion | None:
-    """The plan of one of the shipped experts for a random scene like ManiSkill's; None if it has none there."""
+    """The plan of one of the shipped experts for a random scene of its task; None if it has none there."""
     task = list(EXPERTS)[rng.integers(len(EXPERTS))]
     plant = arm.plant
     q = plant.robot.rest_q + rng.normal(0.0, 0.02, size=7)
     steps = max(_STEPS, int(np.ceil(at_least_s / CONTROL_PERIOD_S)))
+    scene = compose(task, int(rng.integers(2**31))).layout().scene(plant.forward(q))
     try:
-        X_BG = plant.forward(q)
-        motion = plan(plant, q, 0.08, EXPERTS[task].waypoints(X_BG, _scene(rng)), steps)
+        motion = plan(plant, q, scene.finger_width_m, EXPERTS[task](scene), steps)
     except InputError:
         return None
     t_s = np.asarray(CONTROL_PERIOD_S * np.arange(steps + 1), dtype=np.float64)
-    widths = np.concatenate([[0.08], np.maximum(motion.finger_width_m, 0.0)])
+    widths = np.concatenate([[scene.finger_width_m], np.maximum(motion.finger_width_m, 0.0)])
     return Motion.through(t_s, np.vstack([q, motion.q]), widths)
-
-
-def _scene(rng: np.random.Generator) -> dict[str, Array]:
-    """Objects where the tabletop tasks put them, in B."""
-
-    def lying(height_m: float, yaw: float) -> Array:
-        p = [0.615 + rng.uniform(-0.1, 0.1), rng.uniform(-0.1, 0.1), height_m]
-        return make_pose(rotation_exp([0.0, 0.0, yaw]), p)
-
-    cubes = {name: lying(0.02, rng.uniform(-np.pi, np.pi)) for name in ("cubeA", "cubeB")}
-    cube = lying(0.02, 0.0)
-    goal = make_pose(np.eye(3), cube[:3, 3] - [0.2, 0.0, 0.02])
-    above = make_pose(np.eye(3), lying(rng.uniform(0.02, 0.3), 0.0)[:3, 3])
-    peg = lying(0.025, 0.0)
-    return {**cubes, "cube": cube, "goal_region": goal, "goal_site": above, "peg": peg}
 
 
 def joint_space(rng: np.random.Generator, arm: Arm, at_least_s: float) -> Motion | None:

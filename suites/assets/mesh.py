@@ -71,17 +71,17 @@ def flat(vertices: ArrayLike, faces: ArrayLike, *, uv_per_m: float = 1.0) -> Mes
 
 def smooth(vertices: ArrayLike, faces: ArrayLike, uv: ArrayLike, *, crease_rad: float = 0.6) -> Mesh:
     """Normals averaged over the triangles at the same place that face within `crease_rad` of each other."""
-    vertices, faces, uv = np.asarray(vertices, dtype=np.float64), np.asarray(faces), np.asarray(uv, dtype=np.float64)
-    corners = faces.reshape(-1)
-    a, b, c = (vertices[faces[:, i]] for i in range(3))
+    points, texture = np.asarray(vertices, dtype=np.float64), np.asarray(uv, dtype=np.float64)
+    triangles = np.asarray(faces, dtype=np.intp)
+    a, b, c = (points[triangles[:, i]] for i in range(3))
     area = np.cross(b - a, c - a)
     keep = np.linalg.norm(area, axis=1) > 1e-15
-    faces, area = faces[keep], area[keep]
-    corners = faces.reshape(-1)
+    triangles, area = triangles[keep], area[keep]
+    corners = triangles.reshape(-1)
     unit = area / np.linalg.norm(area, axis=1, keepdims=True)
-    _, place = np.unique(np.round(vertices, 7), axis=0, return_inverse=True)
+    _, place = np.unique(np.round(points, 7), axis=0, return_inverse=True)
     place = place.reshape(-1)[corners]
-    owner = np.repeat(np.arange(len(faces)), 3)
+    owner = np.repeat(np.arange(len(triangles)), 3)
     order = np.argsort(place, kind="stable")
     normals = np.empty((len(corners), 3))
     for group in np.split(order, np.flatnonzero(np.diff(place[order])) + 1):
@@ -89,7 +89,10 @@ def smooth(vertices: ArrayLike, faces: ArrayLike, uv: ArrayLike, *, crease_rad: 
         normals[group] = near @ area[owner[group]]
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-15)
     return Mesh(
-        vertices=vertices[corners], faces=np.arange(len(corners)).reshape(-1, 3), normals=normals, uv=uv[corners]
+        vertices=points[corners],
+        faces=np.arange(len(corners)).reshape(-1, 3),
+        normals=normals,
+        uv=texture[corners],
     )
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.errors import InputError
-from kinebench_drake.geometry import Array
+from kinebench_drake.geometry import Array, make_pose, rotation_exp
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -126,6 +126,12 @@ class Joint:
     """Viscous friction [N m s/rad or N s/m]."""
     balanced: bool = True
     """Whether the joint carries the body's weight, as a stiff hinge does that holds a lid at any angle."""
+
+    def motion(self, position: float) -> Array:
+        """Pose (4, 4) of the body's joint frame in the parent's at a position [rad or m]."""
+        if self.kind is JointKind.SLIDER:
+            return make_pose(np.eye(3), [position, 0.0, 0.0])
+        return make_pose(rotation_exp([position, 0.0, 0.0]), np.zeros(3))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -81,7 +81,7 @@ def minimum_jerk(s: ArrayLike) -> Array:
 
 def _ways(p: Array, waypoints: Sequence[Waypoint]) -> Array:
     """Length (M,) [m] of the way of each move between the positions `p` (M + 1, 3)."""
-    ways = np.linalg.norm(np.diff(p, axis=0), axis=1)
+    ways: Array = np.linalg.norm(np.diff(p, axis=0), axis=1)
     for i, waypoint in enumerate(waypoints):
         if waypoint.arc is not None:
             radius = np.linalg.norm(np.cross(waypoint.arc.axis, p[i] - waypoint.arc.point))
@@ -184,7 +184,7 @@ def _foreseeing(plant: ArmPlant, q_start: Array, X_BG: Array) -> Array:
 
     The search may begin at another turn of the elbow than the start's: the difference is faded out.
     """
-    postures, t_s = postures_of(plant), CONTROL_PERIOD_S * np.arange(1, len(X_BG) + 1)
+    postures, t_s = postures_of(plant), np.asarray(CONTROL_PERIOD_S * np.arange(1, len(X_BG) + 1), dtype=np.float64)
     path = continued_path(plant, postures, t_s, X_BG, q_start)
     fade = 1.0 - minimum_jerk(t_s / ELBOW_S)
     return postures.nearest(X_BG, path + fade[:, None] * (q_start - path[0]))

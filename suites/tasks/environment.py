@@ -232,7 +232,7 @@ class KineBenchEnv(BaseEnv):  # type: ignore[misc]
                 start[name][env_idx] = value[env_idx]
 
     def _in_base(self, pose: Pose) -> Tensor:
-        X = pose.to_transformation_matrix().clone()
+        X: Tensor = pose.to_transformation_matrix().clone()
         X[:, :3, 3] -= torch.as_tensor(X_WB[:3, 3], dtype=X.dtype, device=X.device)
         return X
 
@@ -250,8 +250,10 @@ class KineBenchEnv(BaseEnv):  # type: ignore[misc]
 
     def _speed(self, thing: Actor | Articulation) -> Tensor:
         if isinstance(thing, Articulation):
-            return thing.qvel[:, 0].abs()
-        return torch.linalg.norm(thing.linear_velocity, dim=-1)
+            rate: Tensor = thing.qvel[:, 0].abs()
+            return rate
+        speed: Tensor = torch.linalg.norm(thing.linear_velocity, dim=-1)
+        return speed
 
     def state(self) -> State:
         """All scenes now."""
@@ -299,7 +301,8 @@ class KineBenchEnv(BaseEnv):  # type: ignore[misc]
 
     def compute_dense_reward(self, obs: Any, action: Tensor, info: dict[str, Any]) -> Tensor:
         """The progress, and 1 more for success."""
-        return info["progress"] + info["success"]
+        reward: Tensor = info["progress"] + info["success"]
+        return reward
 
     def compute_normalized_dense_reward(self, obs: Any, action: Tensor, info: dict[str, Any]) -> Tensor:
         """The dense reward over 2."""

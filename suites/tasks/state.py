@@ -59,4 +59,5 @@ class State:
         """(N,) part of the distance between a thing and `goal` (N, 3) [m] that is gone since the episode began."""
         before = torch.linalg.norm(self.starts[name][:, :3, 3] - goal, dim=-1)
         now = torch.linalg.norm(self.position(name) - goal, dim=-1)
-        return 1.0 - now / before.clamp(min=1e-6)
+        left: Tensor = now / before.clamp(min=1e-6)
+        return 1.0 - left

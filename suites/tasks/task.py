@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from kinebench_drake.geometry import Array
+from kinebench_drake.geometry import Array, invert
 from kinebench_drake.suites.assets.model import Model
 from kinebench_drake.suites.tasks.card import TaskCard, Variant
 
@@ -45,6 +45,26 @@ class Layout:
     """The task in words, as a world model is asked."""
     finger_width_m: float = 0.08
     """Gap between the finger pads at the start."""
+
+    def scene(self, X_BG: Array) -> "Scene":
+        """What an expert would see before anything moves, the gripper at a pose (4, 4): no simulator is needed."""
+        poses = {name: placed.X_BM for name, placed in self.placements.items()}
+        for name, placed in self.placements.items():
+            for body in placed.model.bodies[1:]:
+                if body.joint is not None:
+                    moved = body.joint.motion(placed.joint)
+                    poses[f"{name}/{body.name}"] = (
+                        placed.X_BM @ body.joint.X_ParentJ @ moved @ invert(body.joint.X_BodyJ)
+                    )
+        articulated = {name: p.joint for name, p in self.placements.items() if p.model.articulated}
+        return Scene(
+            X_BG=X_BG,
+            finger_width_m=self.finger_width_m,
+            poses=poses,
+            joints=articulated,
+            models={name: placed.model for name, placed in self.placements.items()},
+            starts=poses,
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
