@@ -166,8 +166,8 @@ def marble(rng: np.random.Generator, ground: ArrayLike, vein: ArrayLike, *, size
     return blend(ground, vein, np.clip(0.75 * veins * (0.25 + 1.4 * fine * field) + clouds, 0.0, 0.9))
 
 
-def granite(rng: np.random.Generator, kind: str = "grey", *, size: int = 512) -> Texture:
-    """Granite of one of `STONES`; about 0.4 m."""
+def granite(rng: np.random.Generator, kind: str = "grey", *, size: int = 256) -> Texture:
+    """Granite of one of `STONES`; about 0.25 m."""
     crystals = 0.65 * _patches(rng, size, size // 5) + 0.35 * _patches(rng, size, size // 14)
     return gradient(STONES[kind], 0.5 + 1.7 * (crystals - 0.5))
 
