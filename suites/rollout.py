@@ -195,11 +195,24 @@ class Stage:
         raw = np.asarray(self._env.agent.robot.links_map[link].pose.raw_pose[0], dtype=np.float64)
         return self._X_BW @ from_quaternion(raw[3:], raw[:3])
 
-    def step(self, q: ArrayLike, finger_width_m: float) -> None:
-        """One control step with the arm's servos set to `q` (7,) [rad] and the fingers' to a gap [m]."""
+    @staticmethod
+    def action(q: ArrayLike, finger_width_m: float) -> NDArray[np.float32]:
+        """ManiSkill's action (8,) that sets the arm's servos to `q` (7,) [rad] and the fingers' to a gap [m]."""
         low, high = _FINGER_RANGE_M
         finger = float(np.clip(2.0 * (finger_width_m / 2.0 - low) / (high - low) - 1.0, -1.0, 1.0))
-        self._env.step(np.concatenate([np.asarray(q), [finger]]).astype(np.float32))
+        return np.concatenate([np.asarray(q), [finger]]).astype(np.float32)
+
+    def step(self, q: ArrayLike, finger_width_m: float) -> None:
+        """One control step with the arm's servos set to `q` (7,) [rad] and the fingers' to a gap [m]."""
+        self._env.step(self.action(q, finger_width_m))
+
+    def simulation_state(self) -> dict[str, dict[str, NDArray[np.float32]]]:
+        """ManiSkill's own state: of each actor pose and velocities (13,), of each articulation its joints' as well."""
+        kinds: dict[str, Any] = self._env.get_state_dict()
+        return {
+            kind: {name: value[0].cpu().numpy() for name, value in kinds.get(kind, {}).items()}
+            for kind in ("actors", "articulations")
+        }
 
     def outcome(self) -> Outcome:
         """The task's verdict on the present state."""
