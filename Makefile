@@ -11,10 +11,11 @@ demo: setup
 test: check
 	$(BIN)/python -m pytest -n $(JOBS)
 
-# Inverse kinematics beside that of other packages (installed first), throughput, whole audits: a few minutes.
+# Inverse kinematics beside that of other packages (installed first), throughput, whole audits, simulation: some minutes.
 bench: setup
 	-$(BIN)/python -m pip --disable-pip-version-check install --quiet -c setup/constraints.txt -e '.[bench]'
 	$(BIN)/python -m kinebench_drake.validation bench --out docs/benchmarks.md
+	$(BIN)/python -m kinebench_drake.suites.bench --out docs/benchmarks.md
 
 check: setup
 	$(BIN)/ruff format --check .
