@@ -168,14 +168,14 @@ def marble(rng: np.random.Generator, ground: ArrayLike, vein: ArrayLike, *, size
 
 def granite(rng: np.random.Generator, kind: str = "grey", *, size: int = 256) -> Texture:
     """Granite of one of `STONES`; about 0.25 m."""
-    crystals = 0.65 * _patches(rng, size, size // 5) + 0.35 * _patches(rng, size, size // 14)
+    crystals = 0.65 * _patches(rng, size, size // 3) + 0.35 * _patches(rng, size, size // 8)
     return gradient(STONES[kind], 0.5 + 1.7 * (crystals - 0.5))
 
 
 def concrete(rng: np.random.Generator, color: ArrayLike = (158, 156, 152), *, size: int = 512) -> Texture:
     """Cast concrete or stucco: cloudy, with fine grain and a few pores; about 1 m."""
     clouds, fine = tileable_noise(rng, size, slope=1.4) - 0.5, grains(rng, size, size / 4.0) - 0.5
-    pores = np.clip(grains(rng, size, size / 14.0) - 0.9, 0.0, 0.1)
+    pores = np.clip(grains(rng, size, size / 14.0) - 0.93, 0.0, 0.07)
     return shaded(plain(color, size), 1.0 + 0.35 * clouds + 0.14 * fine - 5.0 * pores)
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from kinebench_drake.geometry import make_pose
-from kinebench_drake.suites.assets.look import Background, Table
+from kinebench_drake.suites.assets.look import Background, Finish
 from kinebench_drake.suites.assets.mesh import box_mesh
 from kinebench_drake.suites.assets.model import Body, Collider, ColliderKind, Material, Visual
 
@@ -11,47 +11,50 @@ TABLE_SIZE_M = (1.5, 2.4, 0.04)
 """Along x, y, z."""
 TABLE_CENTER_M = (0.55, 0.0, -0.02)
 """In B; its top is z = 0."""
-FLOOR_M = -0.9
+FLOOR_M = -0.75
 """Height of the floor."""
-WALL_M = -1.3
+WALL_M = -2.8
 """x of the wall behind the robot."""
 WALL_TOP_M = 1.3
 """Height of the wall's upper edge: out of view, and low enough for light from behind it."""
+SKIRTING_M = (0.03, 8.0, 0.09)
+"""The board along the foot of the wall."""
 _ROOM_M = 8.0
 
 
-def surroundings(table: Table, background: Background) -> dict[str, Body]:
+def _board(size: tuple[float, float, float], center: tuple[float, float, float], look: Finish) -> Visual:
+    return Visual(
+        mesh=box_mesh(size, uv_per_m=look.uv_per_m), surface=look.surface, X_BodyV=make_pose(np.eye(3), center)
+    )
+
+
+def surroundings(table: Finish, background: Background) -> dict[str, Body]:
     """The bodies by name, in B."""
-    at_table = make_pose(np.eye(3), TABLE_CENTER_M)
-    half = tuple(0.5 * x for x in TABLE_SIZE_M)
-    wall, floor = [0.1, _ROOM_M, WALL_TOP_M - FLOOR_M], [_ROOM_M, _ROOM_M, 0.1]
+    wall_height_m, foot_m = WALL_TOP_M - FLOOR_M, FLOOR_M + 0.5 * SKIRTING_M[2]
+    top = Collider(
+        kind=ColliderKind.BOX,
+        size=(0.5 * TABLE_SIZE_M[0], 0.5 * TABLE_SIZE_M[1], 0.5 * TABLE_SIZE_M[2]),
+        X_BodyC=make_pose(np.eye(3), TABLE_CENTER_M),
+    )
+    skirting = Finish(surface=background.skirting, uv_per_m=1.0)
     return {
         "table": Body(
             name="table",
-            visuals=(
-                Visual(mesh=box_mesh(TABLE_SIZE_M, uv_per_m=table.uv_per_m), surface=table.surface, X_BodyV=at_table),
-            ),
-            colliders=(Collider(kind=ColliderKind.BOX, size=half, X_BodyC=at_table),),
+            visuals=(_board(TABLE_SIZE_M, TABLE_CENTER_M, table),),
+            colliders=(top,),
             material=Material(static_friction=0.6, dynamic_friction=0.5, restitution=0.0),
         ),
         "wall": Body(
             name="wall",
             visuals=(
-                Visual(
-                    mesh=box_mesh(wall, uv_per_m=background.uv_per_m),
-                    surface=background.wall,
-                    X_BodyV=make_pose(np.eye(3), [WALL_M - 0.05, 0.0, 0.5 * (WALL_TOP_M + FLOOR_M)]),
+                _board(
+                    (0.1, _ROOM_M, wall_height_m), (WALL_M - 0.05, 0.0, FLOOR_M + 0.5 * wall_height_m), background.wall
                 ),
+                _board(SKIRTING_M, (WALL_M, 0.0, foot_m), skirting),
             ),
         ),
         "floor": Body(
             name="floor",
-            visuals=(
-                Visual(
-                    mesh=box_mesh(floor, uv_per_m=background.uv_per_m),
-                    surface=background.floor,
-                    X_BodyV=make_pose(np.eye(3), [WALL_M + _ROOM_M / 2.0, 0.0, FLOOR_M - 0.05]),
-                ),
-            ),
+            visuals=(_board((_ROOM_M, _ROOM_M, 0.1), (WALL_M + 0.5 * _ROOM_M, 0.0, FLOOR_M - 0.05), background.floor),),
         ),
     }
