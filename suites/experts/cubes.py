@@ -2,8 +2,9 @@
 
 import numpy as np
 
-from kinebench_drake.geometry import make_pose
+from kinebench_drake.geometry import Array, make_pose
 from kinebench_drake.suites.experts.grasp import (
+    CLOSED_M,
     DOWN,
     OPEN_M,
     SQUEEZE_M,
@@ -21,31 +22,81 @@ ABOVE_M = 0.10
 """How far above a cube the gripper comes in and goes out."""
 PLACE_GAP_M = 0.002
 """Height from which a cube is let go."""
+OVER_M = 0.06
+"""How far above an obstacle's top the TCP passes: half a cube and air."""
+FINGER_M = 0.0165
+"""From the TCP to the back of a closed finger, square to it."""
+SLANT_RAD = 0.3
+"""How much a finger's back slants against the approach direction."""
+LEAN_RAD = 0.55
+"""How far the hand leans aside while pulling."""
+AIR_M = 0.014
+"""Air between the cube and the fingers that touch down behind it."""
+PULL_HEIGHT_M = 0.018
+"""Height of the TCP above the table while pulling."""
 
 
 def stack_cube(scene: Scene) -> list[Waypoint]:
-    """Put the green cube on the red one and let go."""
+    """Put the green cube on the red one and let go; pass high over an obstacle."""
     X_BA, X_BT = scene.poses["green"], scene.poses["red"]
-    between = X_BT[:3, 3] - X_BA[:3, 3]
-    axes = level_axes(X_BA[:3, :3])
-    if np.linalg.norm(between) < NEIGHBOUR_M:  # close across the line to the other cube, so that no finger hits it
-        axes = axes[np.abs(axes @ between) <= np.abs(axes @ between).min() + 1e-9]
-    closing = nearest_axis(axes, scene.X_BG[:3, 1])
-    grasp = make_pose(grasp_rotation(DOWN, closing), X_BA[:3, 3])
-    landing = nearest_axis(level_axes(X_BT[:3, :3]), closing)
     height = 0.5 * (scene.size("green", "edge_m") + scene.size("red", "edge_m"))
+    over = ABOVE_M
+    if "obstacle" in scene.poses:
+        over = max(over, scene.size("obstacle", "height_m") + OVER_M - X_BA[2, 3])
+        obstacle = scene.poses["obstacle"][:3, 3]
+        closing = _across(X_BA, obstacle, scene.X_BG[:3, 1])
+        landing = _across(X_BT, obstacle, closing)
+    else:
+        between, axes = X_BT[:3, 3] - X_BA[:3, 3], level_axes(X_BA[:3, :3])
+        near = np.linalg.norm(between) < NEIGHBOUR_M
+        closing = _across(X_BA, X_BT[:3, 3], scene.X_BG[:3, 1]) if near else nearest_axis(axes, scene.X_BG[:3, 1])
+        landing = nearest_axis(level_axes(X_BT[:3, :3]), closing)
+    grasp = make_pose(grasp_rotation(DOWN, closing), X_BA[:3, 3])
     place = make_pose(grasp_rotation(DOWN, landing), X_BT[:3, 3] + [0.0, 0.0, height + PLACE_GAP_M])
     return [
-        Waypoint(X_BG=raised(grasp, ABOVE_M), finger_width_m=OPEN_M, through=True),
+        Waypoint(X_BG=raised(grasp, over), finger_width_m=OPEN_M, through=True),
         Waypoint(X_BG=grasp, finger_width_m=OPEN_M),
         Waypoint(X_BG=grasp, finger_width_m=SQUEEZE_M),
-        Waypoint(X_BG=raised(grasp, ABOVE_M), finger_width_m=SQUEEZE_M, through=True),
-        Waypoint(X_BG=raised(place, 0.8 * ABOVE_M), finger_width_m=SQUEEZE_M, through=True),
+        Waypoint(X_BG=raised(grasp, over), finger_width_m=SQUEEZE_M, through=True),
+        Waypoint(X_BG=raised(place, max(0.8 * ABOVE_M, over - height)), finger_width_m=SQUEEZE_M, through=True),
         Waypoint(X_BG=place, finger_width_m=SQUEEZE_M),
         Waypoint(X_BG=place, finger_width_m=OPEN_M),
         Waypoint(X_BG=raised(place, 1.2 * ABOVE_M), finger_width_m=OPEN_M),
     ]
 
 
-EXPERTS = {"StackCube-v1": stack_cube}
+def _across(X: Array, other: Array, wanted: Array) -> Array:
+    """The direction (3,) across a cube's faces most square to the line to `other` (3,), so that nothing hits that.
+
+    Of the two signs the one nearer to `wanted` (3,).
+    """
+    axes, between = level_axes(X[:3, :3]), other - X[:3, 3]
+    return nearest_axis(axes[np.abs(axes @ between) <= np.abs(axes @ between).min() + 1e-9], wanted)
+
+
+def pull_cube(scene: Scene) -> list[Waypoint]:
+    """Drag the cube onto the middle of the target with the closed gripper behind it.
+
+    The hand leans aside, away from the middle, so that the cube can be seen from the front; and forward, so that the
+    slanting back of the finger that touches the cube is upright.
+    """
+    cube, goal = scene.poses["cube"][:3, 3], scene.poses["target"][:3, 3]
+    back = (goal - cube) * [1.0, 1.0, 0.0]
+    back /= np.linalg.norm(back)
+    outward = np.cross(back, [0.0, 0.0, 1.0]) * (1.0 if cube[1] >= 0.0 else -1.0)
+    down = -np.sin(LEAN_RAD) * outward - np.cos(LEAN_RAD) * np.array([0.0, 0.0, 1.0])
+    R = grasp_rotation(np.cos(SLANT_RAD) * down + np.sin(SLANT_RAD) * back, -back)
+    half = 0.5 * scene.size("cube", "edge_m")
+    reach = half * np.abs(level_axes(scene.poses["cube"][:3, :3])[:2] @ back).sum()
+    behind = make_pose(R, [*(cube - (reach + FINGER_M + AIR_M) * back)[:2], PULL_HEIGHT_M])
+    pulled = make_pose(R, [*(goal - (half + FINGER_M) * back)[:2], PULL_HEIGHT_M])
+    return [
+        Waypoint(X_BG=raised(behind, ABOVE_M), finger_width_m=CLOSED_M, through=True),
+        Waypoint(X_BG=behind, finger_width_m=CLOSED_M),
+        Waypoint(X_BG=pulled, finger_width_m=CLOSED_M, pace=1.3),
+        Waypoint(X_BG=raised(pulled, ABOVE_M), finger_width_m=CLOSED_M),
+    ]
+
+
+EXPERTS = {"PullCube-v1": pull_cube, "StackCube-v1": stack_cube}
 """Experts of this family by task id."""
