@@ -240,9 +240,9 @@ def light(look_id: str) -> Light:
     behind = side.startswith("behind")
     other = (0.4 if behind else 0.3) * strength
     return Light(
-        ambient=_tinted(ambient, -0.3 * warmth),
+        ambient=_tinted(ambient, 0.4 * warmth),
         key_direction=(-float(np.cos(azimuth)), -float(np.sin(azimuth)), -slope),
         key_color=_tinted(strength, warmth),
         fill_direction=(-1.0, 0.8 * float(np.sin(azimuth)), -0.7),
-        fill_color=_tinted(other, -0.3 * warmth),
+        fill_color=_tinted(other, 0.4 * warmth),
     )

@@ -168,8 +168,8 @@ def marble(rng: np.random.Generator, ground: ArrayLike, vein: ArrayLike, *, size
 
 def granite(rng: np.random.Generator, kind: str = "grey", *, size: int = 256) -> Texture:
     """Granite of one of `STONES`; about 0.25 m."""
-    crystals = 0.65 * _patches(rng, size, size // 3) + 0.35 * _patches(rng, size, size // 8)
-    return gradient(STONES[kind], 0.5 + 1.7 * (crystals - 0.5))
+    crystals, fine = _patches(rng, size, size // 6), _patches(rng, size, size // 3)
+    return gradient(STONES[kind], 0.72 * np.digitize(crystals, [0.22, 0.75]) / 2.0 + 0.28 * fine)
 
 
 def concrete(rng: np.random.Generator, color: ArrayLike = (158, 156, 152), *, size: int = 512) -> Texture:
