@@ -1,6 +1,313 @@
-"""Laptops."""
+"""Laptops: a base with keyboard and touchpad, and a lid with a screen on a stiff hinge.
 
-from kinebench_drake.suites.assets.model import Kind
+A laptop's x axis goes from the hinge to the edge where its user sits, y along the hinge, z up from the table. The lid
+has its origin on the hinge's axis and x towards its free edge; at joint position 0 it is shut.
+"""
 
-KINDS: tuple[Kind, ...] = ()
-"""Kinds of this family."""
+import numpy as np
+import trimesh
+from numpy.typing import ArrayLike, NDArray
+
+from kinebench_drake.geometry import Array, make_pose
+from kinebench_drake.suites.assets.mesh import box_mesh, cylinder_mesh, flat, smooth
+from kinebench_drake.suites.assets.model import (
+    Body,
+    Collider,
+    ColliderKind,
+    Joint,
+    JointKind,
+    Kind,
+    Material,
+    Mesh,
+    Model,
+    Site,
+    Surface,
+    Visual,
+)
+from kinebench_drake.suites.assets.texture import blend, tileable_noise
+
+WIDTH_M, DEPTH_M = (0.20, 0.25), (0.135, 0.16)
+"""Least and greatest sizes of the base along and across the hinge."""
+BASE_M, FEET_M, LID_M = (0.0135, 0.016), (0.003, 0.004), (0.006, 0.0075)
+"""Least and greatest thickness of base and lid, and height of the feet."""
+LIP_M = (0.0085, 0.011)
+"""How far the lid stands out beyond the base at least and at most: a fingertip gets under."""
+GREATEST_RAD = np.deg2rad(130.0)
+"""How far lids open."""
+HINGE_FROM_BACK_M, HINGE_ABOVE_BASE_M, GAP_M = 0.006, 0.003, 0.0005
+"""Where the hinge's axis is, and the gap between base and shut lid."""
+COLORS = {
+    "silver": (0.60, 0.61, 0.63),
+    "grey": (0.16, 0.165, 0.175),
+    "black": (0.018, 0.018, 0.02),
+    "white": (0.78, 0.78, 0.76),
+    "blue": (0.03, 0.10, 0.32),
+    "red": (0.38, 0.03, 0.035),
+    "green": (0.05, 0.20, 0.13),
+    "golden": (0.55, 0.40, 0.24),
+}
+"""Linear RGB, dealt out in turn."""
+LOGOS = ("disc", "ring", "hexagon", "square", "triangle", "star")
+"""Shapes on the lid's back, dealt out in turn."""
+
+_R_BODY_JOINT = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # its x is -y: turning lifts the lid
+_SKIN_M = 0.0003  # how far flat parts stand out from what they lie on
+_PX_PER_M = 2000.0
+
+
+def _rounded(low: ArrayLike, high: ArrayLike, z_m: float, radius_m: float, sections: int = 8) -> Array:
+    """Outline (N, 3) of a level rectangle with round corners, counter-clockwise seen from above."""
+    (x0, y0), (x1, y1) = np.asarray(low, dtype=np.float64) + radius_m, np.asarray(high, dtype=np.float64) - radius_m
+    quarter = np.linspace(0.0, np.pi / 2.0, sections)
+    corners = [
+        np.array([x, y]) + radius_m * np.column_stack([np.cos(turn + quarter), np.sin(turn + quarter)])
+        for x, y, turn in ((x1, y1, 0.0), (x0, y1, np.pi / 2), (x0, y0, np.pi), (x1, y0, 1.5 * np.pi))
+    ]
+    xy = np.concatenate(corners)
+    return np.column_stack([xy, np.full(len(xy), z_m)])
+
+
+def _hull(points: Array) -> Mesh:
+    hull = trimesh.convex.convex_hull(points)
+    vertices = np.asarray(hull.vertices, dtype=np.float64)
+    return smooth(vertices, np.asarray(hull.faces), vertices[:, :2], crease_rad=0.5)
+
+
+def _sheet(low: ArrayLike, high: ArrayLike, z_m: float, *, up: bool = True) -> Mesh:
+    """A level rectangle with texture coordinates 0..1: a picture on it is upright for who looks along -x.
+
+    `up`: whether it faces up; else down, upright for who sits at the laptop when it is the lid's inside.
+    """
+    (x0, y0), (x1, y1) = np.asarray(low, dtype=np.float64), np.asarray(high, dtype=np.float64)
+    vertices = np.array([[x0, y0, z_m], [x1, y0, z_m], [x1, y1, z_m], [x0, y1, z_m]])
+    uv = np.array([[0.0, 0.0], [0.0, 1.0], [1.0, 1.0], [1.0, 0.0]])  # a picture's first row is at 0
+    faces = np.array([[0, 1, 2], [0, 2, 3]])
+    if not up:
+        faces, uv = faces[:, ::-1], uv * [1.0, -1.0] + [0.0, 1.0]
+    normals = np.tile([0.0, 0.0, 1.0 if up else -1.0], (4, 1))
+    return Mesh(vertices=vertices, faces=faces, normals=normals, uv=uv)
+
+
+def _keyboard(size_m: tuple[float, float], keys: ArrayLike, well: ArrayLike, marks: ArrayLike) -> NDArray[np.uint8]:
+    """Picture of a keyboard of depth and width `size_m`: five rows of keys with marks; sRGB colours 0..255."""
+    height, width = (int(_PX_PER_M * s) for s in size_m)
+    image = np.empty((height, width, 3))
+    image[:] = well
+    rows: tuple[tuple[float, ...], ...] = (
+        (1,) * 14,
+        (1.5, *(1,) * 11, 1.5),
+        (1.8, *(1,) * 10, 2.2),
+        (2.3, *(1,) * 9, 2.7),
+        (1, 1, 1.3, 5.4, 1.3, 1, 1, 1, 1),
+    )
+    gap = 3
+    for i, row in enumerate(rows):
+        top, bottom = round(gap + i * (height - gap) / 5), round((i + 1) * (height - gap) / 5)
+        edges = np.round(gap + np.concatenate([[0.0], np.cumsum(row)]) / sum(row) * (width - gap)).astype(int)
+        for left, right in zip(edges[:-1], edges[1:] - gap, strict=True):
+            image[top:bottom, left:right] = keys
+            if right - left < 3 * (bottom - top):
+                y, x = (top + bottom) // 2, (left + right) // 2
+                image[y - 4 : y + 4, x - 1 : x + 1] = marks
+                image[y - 4 : y - 2, x - 3 : x + 3] = marks
+    return np.asarray(np.clip(image, 0, 255), dtype=np.uint8)
+
+
+def _desktop(rng: np.random.Generator, index: int) -> NDArray[np.uint8]:
+    """Picture of a screen: a wallpaper with a bar, icons and a window or two."""
+    size = 256
+    wallpaper = blend(rng.uniform(10, 120, 3), rng.uniform(120, 250, 3), tileable_noise(rng, size, slope=2.2))
+    image = np.repeat(wallpaper.astype(np.float64), 2, axis=1)[:, : size * 8 // 5]
+    height, width = image.shape[:2]
+    image[-14:] = 0.25 * image[-14:] + 0.75 * np.array([30.0, 32.0, 38.0])
+    for i in range(int(rng.integers(5, 10))):
+        image[-11:-3, 8 + 14 * i : 16 + 14 * i] = rng.uniform(90, 255, 3)
+    for i in range(int(rng.integers(3, 7))):
+        image[12 + 28 * i : 26 + 28 * i, 12:26] = rng.uniform(60, 255, 3)
+    for _ in range(1 + index % 2):
+        y, x = int(rng.integers(12, 90)), int(rng.integers(40, 230))
+        h, w = int(rng.integers(90, 150)), int(rng.integers(120, 200))
+        h, w = min(h, height - 20 - y), min(w, width - 8 - x)
+        image[y : y + h, x : x + w] = rng.uniform(225, 250)
+        image[y : y + 12, x : x + w] = rng.uniform(50, 200, 3)
+        for line in range(y + 20, y + h - 8, 10):
+            image[line : line + 4, x + 10 : x + int(w * rng.uniform(0.4, 0.93))] = rng.uniform(70, 150)
+    return np.asarray(np.clip(image, 0, 255), dtype=np.uint8)
+
+
+def _logo(shape: str, radius_m: float) -> Mesh:
+    """A flat shape facing up about the origin, pointing to -x: upright for who looks at an open laptop's back."""
+    corners = {"disc": 32, "ring": 32, "hexagon": 6, "square": 4, "triangle": 3, "star": 10}[shape]
+    angle = 2.0 * np.pi * (np.arange(corners) + (0.5 if shape == "square" else 0.0)) / corners + np.pi
+    outer = np.where((shape == "star") & (np.arange(corners) % 2 == 1), 0.45, 1.0) * radius_m
+    rim = np.column_stack([outer * np.cos(angle), outer * np.sin(angle), np.zeros(corners)])
+    inner = (0.62 if shape == "ring" else 0.0) * rim
+    after = np.roll(np.arange(corners), -1)
+    here = np.arange(corners)
+    faces = np.concatenate(
+        [np.column_stack([corners + here, here, after]), np.column_stack([corners + here, after, corners + after])]
+    )
+    vertices = np.concatenate([rim, inner])
+    area = np.linalg.norm(
+        np.cross(vertices[faces[:, 1]] - vertices[faces[:, 0]], vertices[faces[:, 2]] - vertices[faces[:, 0]]), axis=1
+    )
+    return flat(vertices, faces[area > 1e-12])
+
+
+def _rgb(color: ArrayLike) -> tuple[float, float, float]:
+    r, g, b = np.clip(np.asarray(color, dtype=np.float64), 0.0, 1.0)
+    return float(r), float(g), float(b)
+
+
+def _base(
+    rng: np.random.Generator, size: dict[str, float], case: Surface, *, dark_keys: bool
+) -> tuple[tuple[Visual, ...], Array]:
+    """Visuals of the base, and the points whose hull it is."""
+    w, d, feet, top = size["width_m"], size["depth_m"], size["feet_m"], size["top_m"]
+    radius, undercut = float(rng.uniform(0.006, 0.012)), 0.75 * (top - feet)
+    low, high = np.array([-d / 2.0, -w / 2.0]), np.array([d / 2.0, w / 2.0])
+    points = np.concatenate(
+        [
+            _rounded(low + 0.0008, high - 0.0008, top, radius),
+            _rounded(low, high, top - 0.0008, radius),
+            _rounded(low, high, top - 0.003, radius),
+            _rounded(low + np.array([0.004, 0.006]), high - np.array([undercut, 0.006]), feet, radius),
+        ]
+    )
+    ink, key = ((215, 215, 215), rng.uniform(18, 40)) if dark_keys else ((60, 60, 64), rng.uniform(200, 235))
+    back, keys_depth = -d / 2.0 + 0.022, 0.5 * d
+    keys_low, keys_high = [back, -0.44 * w], [back + keys_depth, 0.44 * w]
+    picture = _keyboard((keys_depth, 0.88 * w), key * np.ones(3), 0.45 * key * np.ones(3), ink)
+    pad = float(rng.uniform(0.13, 0.19)) * w
+    pad_color = _rgb(np.array(case.color) * 0.72 + (0.03 if max(case.color) < 0.1 else 0.0))
+    dark = Surface(color=(0.01, 0.01, 0.011), roughness=0.8)
+    visuals = [
+        Visual(mesh=_hull(points), surface=case),
+        Visual(mesh=_sheet(keys_low, keys_high, top + 0.5 * _SKIN_M), surface=Surface(texture=picture, roughness=0.8)),
+        Visual(
+            mesh=_sheet([back + keys_depth + 0.006, -pad], [d / 2.0 - 0.007, pad], top + 0.5 * _SKIN_M),
+            surface=Surface(color=pad_color, roughness=0.35, specular=0.5),
+        ),
+    ]
+    turned = make_pose([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]], np.zeros(3))
+    for y in (-0.32 * w, 0.32 * w):
+        X = turned.copy()
+        X[:3, 3] = [size["hinge_x_m"], y, size["hinge_z_m"]]
+        visuals.append(Visual(mesh=cylinder_mesh(HINGE_ABOVE_BASE_M, 0.16 * w), surface=dark, X_BodyV=X))
+    for x in (-0.36 * d, 0.26 * d):
+        for y in (-0.38 * w, 0.38 * w):
+            X = make_pose(np.eye(3), [x, y, 0.5 * feet])
+            visuals.append(Visual(mesh=box_mesh([0.012, 0.02, feet + 0.0004]), surface=dark, X_BodyV=X))
+    for side in (-1.0, 1.0):  # sockets; the side walls lean in by 6 mm over their height
+        for i in range(int(rng.integers(1, 4))):
+            X = make_pose(np.eye(3), [-0.3 * d + 0.02 * i, side * (w / 2.0 - 0.0022), top - 0.0052])
+            visuals.append(Visual(mesh=box_mesh([0.010, 0.0040, 0.0036]), surface=dark, X_BodyV=X))
+    return tuple(visuals), points
+
+
+def _lid(
+    rng: np.random.Generator, index: int, size: dict[str, float], case: Surface
+) -> tuple[tuple[Visual, ...], Array]:
+    """Visuals of the lid in its own frame, and the points whose hull it is."""
+    w, near, far = size["width_m"], 0.004, size["reach_m"]
+    inner, outer, radius = size["inside_m"], size["outside_m"], float(rng.uniform(0.006, 0.012))
+    low, high = np.array([near, -w / 2.0]), np.array([far, w / 2.0])
+    points = np.concatenate(
+        [
+            _rounded(low + 0.0008, high - 0.0008, inner, radius),
+            _rounded(low, high, inner + 0.0008, radius),
+            _rounded(low, high, outer - 0.0015, radius),
+            _rounded(low + 0.0015, high - 0.0015, outer, radius),
+        ]
+    )
+    border = float(rng.uniform(0.006, 0.011))
+    frame_low, frame_high = low + 0.004, high - 0.004
+    screen_low, screen_high = low + np.array([0.004 + 1.4 * border, 0.004 + border]), high - 0.004 - border
+    logo = _rgb(np.array(case.color) * 0.4 if max(case.color) > 0.3 else np.array([0.75, 0.75, 0.75]))
+    X_logo = make_pose(np.eye(3), [0.5 * (near + far), 0.0, outer + 0.5 * _SKIN_M])
+    visuals = (
+        Visual(mesh=_hull(points), surface=case),
+        Visual(
+            mesh=_sheet(frame_low, frame_high, inner - 0.3 * _SKIN_M, up=False),
+            surface=Surface(color=(0.008, 0.008, 0.009), roughness=0.3, specular=0.5),
+        ),
+        Visual(
+            mesh=_sheet(screen_low, screen_high, inner - _SKIN_M, up=False),
+            surface=Surface(texture=_desktop(rng, index), roughness=0.35, specular=0.4),
+        ),
+        Visual(
+            mesh=_logo(LOGOS[index % len(LOGOS)], float(rng.uniform(0.009, 0.015))),
+            surface=Surface(color=logo, roughness=0.25, metallic=0.4),
+            X_BodyV=X_logo,
+        ),
+    )
+    return visuals, points
+
+
+def _laptop(asset_id: str, index: int, rng: np.random.Generator) -> Model:
+    name = list(COLORS)[index % len(COLORS)]
+    metal = name not in ("white", "black") and rng.random() < 0.6
+    case = Surface(
+        color=_rgb(np.array(COLORS[name]) * rng.uniform(0.85, 1.15)),
+        roughness=float(rng.uniform(0.3, 0.6)),
+        metallic=0.35 if metal else 0.0,
+        specular=0.4,
+    )
+    size = {
+        "width_m": float(rng.uniform(*WIDTH_M)),
+        "depth_m": float(rng.uniform(*DEPTH_M)),
+        "feet_m": float(rng.uniform(*FEET_M)),
+        "lip_m": float(rng.uniform(*LIP_M)),
+    }
+    thickness = float(rng.uniform(*LID_M))
+    size["top_m"] = size["feet_m"] + float(rng.uniform(*BASE_M))
+    size["hinge_x_m"] = -size["depth_m"] / 2.0 + HINGE_FROM_BACK_M
+    size["hinge_z_m"] = size["top_m"] + HINGE_ABOVE_BASE_M
+    size["inside_m"] = GAP_M - HINGE_ABOVE_BASE_M
+    size["outside_m"] = size["inside_m"] + thickness
+    size["reach_m"] = size["depth_m"] / 2.0 + size["lip_m"] - size["hinge_x_m"]
+    base_visuals, base_points = _base(rng, size, case, dark_keys=name != "white" and index % 3 != 1)
+    lid_visuals, lid_points = _lid(rng, index, size, case)
+    at_hinge = make_pose(_R_BODY_JOINT, [size["hinge_x_m"], 0.0, size["hinge_z_m"]])
+    joint = Joint(
+        kind=JointKind.HINGE,
+        X_ParentJ=at_hinge,
+        X_BodyJ=make_pose(_R_BODY_JOINT, np.zeros(3)),
+        lower=0.0,
+        upper=GREATEST_RAD,
+        friction=float(rng.uniform(0.02, 0.06)),
+        damping=float(rng.uniform(0.06, 0.14)),
+    )
+    material = Material(
+        density=float(rng.uniform(900.0, 1300.0)), static_friction=0.45, dynamic_friction=0.4, restitution=0.0
+    )
+    return Model(
+        kind="laptop",
+        asset_id=asset_id,
+        words=f"{name} laptop",
+        bodies=(
+            Body(
+                name="base",
+                visuals=base_visuals,
+                colliders=(Collider(kind=ColliderKind.HULL, points=base_points),),
+                material=material,
+            ),
+            Body(
+                name="lid",
+                visuals=lid_visuals,
+                colliders=(Collider(kind=ColliderKind.HULL, points=lid_points),),
+                material=material,
+                joint=joint,
+            ),
+        ),
+        size=size,
+        sites={
+            "hinge": Site(body="base", X_BodyS=make_pose(np.eye(3), [size["hinge_x_m"], 0.0, size["hinge_z_m"]])),
+            "edge": Site(body="lid", X_BodyS=make_pose(np.eye(3), [size["reach_m"], 0.0, size["inside_m"]])),
+        },
+    )
+
+
+KINDS = (Kind(name="laptop", make=_laptop),)
+"""Laptops: `size` has width, depth, feet, top of the base, lip, the hinge's place in the base, and of the lid in its
+own frame its reach from the axis and the heights of its inside and outside."""

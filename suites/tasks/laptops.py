@@ -1,6 +1,172 @@
 """Tasks with laptops."""
 
-from kinebench_drake.suites.tasks.task import Task
+from collections.abc import Mapping
+from typing import ClassVar
 
-TASKS: tuple[Task, ...] = ()
+import numpy as np
+import torch
+from torch import Tensor
+
+from kinebench_drake.suites.assets.model import Model
+from kinebench_drake.suites.tasks.card import Difficulty, TaskCard, Variant
+from kinebench_drake.suites.tasks.place import resting
+from kinebench_drake.suites.tasks.state import State
+from kinebench_drake.suites.tasks.task import Layout, Placement, Task
+
+OPEN_RAD = np.deg2rad(90.0)
+"""A lid open this far counts as open."""
+SHUT_RAD = np.deg2rad(4.0)
+"""A lid open this little counts as shut."""
+STILL_RAD_S = 0.05
+"""Lids slower than this are at rest."""
+CLEAR_M = 0.03
+"""A gripper whose TCP is this far from the lid has let go of it."""
+
+LEAST_M, MOST_M = (0.48, -0.04), (0.54, 0.04)
+"""Where the middle of the base is put, x and y."""
+
+
+def _distance_to_lid(state: State) -> Tensor:
+    """(N,) distance of the TCP from the lid [m]."""
+    X_lid = state.poses["laptop/lid"]
+    offset = state.X_BG[:, :3, 3] - X_lid[:, :3, 3]
+    p = torch.einsum("nji,nj->ni", X_lid[:, :3, :3], offset)
+    half_width, zero = 0.5 * state.size("laptop", "width_m"), torch.zeros_like(p[:, 0])
+    low = torch.stack([zero, -half_width, state.size("laptop", "inside_m")], dim=-1)
+    high = torch.stack([state.size("laptop", "reach_m"), half_width, state.size("laptop", "outside_m")], dim=-1)
+    distance: Tensor = torch.linalg.norm(p - torch.minimum(torch.maximum(p, low), high), dim=-1)
+    return distance
+
+
+class _Laptop(Task):
+    """What the tasks with a laptop share."""
+
+    slots: ClassVar[Mapping[str, str]] = {"laptop": "laptop"}
+    prompt: str
+    """With a place for what the laptop is called."""
+    goal_rad: float
+    finger_width_m: float
+    """Gap between the finger pads at the start."""
+    start_deg: tuple[float, float]
+    """Least and greatest angle of the lid at the start."""
+    turn_deg: tuple[float, float]
+    """Least and greatest angle from the robot's right (-y) to where the free edge points, towards the camera (x)."""
+
+    def layout(self, models: Mapping[str, Model], rng: np.random.Generator, variant: Variant) -> Layout:
+        """A laptop whose hinge is on the robot's left."""
+        model = models["laptop"]
+        x, y = rng.uniform(LEAST_M, MOST_M)
+        yaw = np.deg2rad(rng.uniform(*self.turn_deg) - 90.0)
+        placement = Placement(
+            model=model, X_BM=resting(x, y, 0.0, yaw), joint=float(np.deg2rad(rng.uniform(*self.start_deg)))
+        )
+        return Layout(
+            placements={"laptop": placement},
+            prompt=self.prompt.format(model.words),
+            finger_width_m=self.finger_width_m,
+        )
+
+    def _freed(self, state: State) -> dict[str, Tensor]:
+        return {
+            "still": state.speeds["laptop"] <= STILL_RAD_S,
+            "released": _distance_to_lid(state) >= CLEAR_M,
+        }
+
+    def progress(self, state: State) -> Tensor:
+        """Part of the lid's way."""
+        return state.travelled("laptop", torch.full_like(state.joints["laptop"], self.goal_rad))
+
+
+class _Open(_Laptop):
+    goal_rad = OPEN_RAD
+    finger_width_m = 0.08
+    turn_deg = (15.0, 35.0)
+
+    def conditions(self, state: State) -> dict[str, Tensor]:
+        """See the class."""
+        return {"open": state.joints["laptop"] >= OPEN_RAD, **self._freed(state)}
+
+
+class _Close(_Laptop):
+    goal_rad = SHUT_RAD
+    finger_width_m = 0.0
+
+    def conditions(self, state: State) -> dict[str, Tensor]:
+        """See the class."""
+        return {"shut": state.joints["laptop"] <= SHUT_RAD, **self._freed(state)}
+
+
+class OpenLaptopEasy(_Open):
+    """Push a laptop that is ajar open.
+
+    Description: the lid stands open a little; put a finger under its edge, push it up and over until it stands.
+    Randomizations: the laptop, its place and direction, how far it is open (18 to 32 degrees).
+    Success: the lid is open by 90 degrees or more (`open`), still and let go.
+    """
+
+    card = TaskCard(
+        id="OpenLaptopEasy-v1", family="laptops", difficulty=Difficulty.EASY, articulated_dof=1, axes="x", contacts=1
+    )
+    prompt = (
+        "The robot arm puts a finger under the lid of the {} that stands ajar and pushes it up and back until the "
+        "laptop is open."
+    )
+    start_deg = (18.0, 32.0)
+
+
+class OpenLaptopHard(_Open):
+    """Pry a shut laptop's lid up and push it open.
+
+    Description: the laptop is shut; pry the lid's edge up with a fingertip, then push it up and over until it stands.
+    Randomizations: the laptop, its place and direction.
+    Success: the lid is open by 90 degrees or more (`open`), still and let go.
+    """
+
+    card = TaskCard(
+        id="OpenLaptopHard-v1", family="laptops", difficulty=Difficulty.HARD, articulated_dof=1, axes="x", contacts=2
+    )
+    prompt = (
+        "The robot arm pries up the edge of the shut {}'s lid with a fingertip, then pushes the lid up and back until "
+        "the laptop is open."
+    )
+    start_deg = (0.0, 0.0)
+
+
+class CloseLaptopEasy(_Close):
+    """Press a laptop shut that is open a little.
+
+    Description: the lid stands open a little; press it down from above until it lies on the base.
+    Randomizations: the laptop, its place and direction, how far it is open (38 to 55 degrees).
+    Success: the lid is open by 4 degrees at most (`shut`), still and let go.
+    """
+
+    card = TaskCard(
+        id="CloseLaptopEasy-v1", family="laptops", difficulty=Difficulty.EASY, articulated_dof=1, axes="x", contacts=1
+    )
+    prompt = "The robot arm presses the lid of the half-open {} down until the laptop is shut."
+    start_deg = (38.0, 55.0)
+    turn_deg = (-15.0, 20.0)
+
+
+class CloseLaptopHard(_Close):
+    """Shut a laptop that is wide open.
+
+    Description: the lid leans back past the vertical; reach behind it, pull it forward over the vertical, then press it
+    down until it lies on the base.
+    Randomizations: the laptop, its place and direction, how far it is open (108 to 125 degrees).
+    Success: the lid is open by 4 degrees at most (`shut`), still and let go.
+    """
+
+    card = TaskCard(
+        id="CloseLaptopHard-v1", family="laptops", difficulty=Difficulty.MEDIUM, articulated_dof=1, axes="x", contacts=2
+    )
+    prompt = (
+        "The robot arm reaches behind the lid of the wide open {}, pulls it up and forward, then presses it down until "
+        "the laptop is shut."
+    )
+    start_deg = (108.0, 125.0)
+    turn_deg = (-30.0, -5.0)
+
+
+TASKS = (CloseLaptopEasy(), CloseLaptopHard(), OpenLaptopEasy(), OpenLaptopHard())
 """Tasks of this family."""
