@@ -24,6 +24,8 @@ PLACE_GAP_M = 0.002
 """Height from which a cube is let go."""
 OVER_M = 0.06
 """How far above an obstacle's top the TCP passes: half a cube and air."""
+HAND_M = 0.045
+"""Half the hand's thickness and air."""
 FINGER_M = 0.0165
 """From the TCP to the back of a closed finger, square to it."""
 SLANT_RAD = 0.3
@@ -40,17 +42,17 @@ def stack_cube(scene: Scene) -> list[Waypoint]:
     """Put the green cube on the red one and let go; pass high over an obstacle."""
     X_BA, X_BT = scene.poses["green"], scene.poses["red"]
     height = 0.5 * (scene.size("green", "edge_m") + scene.size("red", "edge_m"))
+    axes, landings = level_axes(X_BA[:3, :3]), level_axes(X_BT[:3, :3])
     over = ABOVE_M
     if "obstacle" in scene.poses:
         over = max(over, scene.size("obstacle", "height_m") + OVER_M - X_BA[2, 3])
-        obstacle = scene.poses["obstacle"][:3, 3]
-        closing = _across(X_BA, obstacle, scene.X_BG[:3, 1])
-        landing = _across(X_BT, obstacle, closing)
-    else:
-        between, axes = X_BT[:3, 3] - X_BA[:3, 3], level_axes(X_BA[:3, :3])
-        near = np.linalg.norm(between) < NEIGHBOUR_M
-        closing = _across(X_BA, X_BT[:3, 3], scene.X_BG[:3, 1]) if near else nearest_axis(axes, scene.X_BG[:3, 1])
-        landing = nearest_axis(level_axes(X_BT[:3, :3]), closing)
+        obstacle, room = scene.poses["obstacle"][:3, 3], scene.size("obstacle", "radius_m") + HAND_M
+        axes = _clear(axes, obstacle - X_BA[:3, 3], room)
+        landings = _clear(landings, obstacle - X_BT[:3, 3], room)
+    elif np.linalg.norm(X_BT[:3, 3] - X_BA[:3, 3]) < NEIGHBOUR_M:
+        axes = _clear(axes, X_BT[:3, 3] - X_BA[:3, 3], NEIGHBOUR_M)
+    closing = nearest_axis(axes, scene.X_BG[:3, 1])
+    landing = nearest_axis(landings, closing)
     grasp = make_pose(grasp_rotation(DOWN, closing), X_BA[:3, 3])
     place = make_pose(grasp_rotation(DOWN, landing), X_BT[:3, 3] + [0.0, 0.0, height + PLACE_GAP_M])
     return [
@@ -65,13 +67,13 @@ def stack_cube(scene: Scene) -> list[Waypoint]:
     ]
 
 
-def _across(X: Array, other: Array, wanted: Array) -> Array:
-    """The direction (3,) across a cube's faces most square to the line to `other` (3,), so that nothing hits that.
+def _clear(axes: Array, other: Array, room_m: float) -> Array:
+    """Those of the closing directions (N, 3) with something at `other` (3,) at least `room_m` beside the hand's plane.
 
-    Of the two signs the one nearer to `wanted` (3,).
+    If there are none, those with it farthest beside.
     """
-    axes, between = level_axes(X[:3, :3]), other - X[:3, 3]
-    return nearest_axis(axes[np.abs(axes @ between) <= np.abs(axes @ between).min() + 1e-9], wanted)
+    beside = np.linalg.norm(np.cross(axes, other * [1.0, 1.0, 0.0]), axis=1)
+    return np.asarray(axes[beside >= min(room_m, beside.max() - 1e-9)])
 
 
 def pull_cube(scene: Scene) -> list[Waypoint]:
