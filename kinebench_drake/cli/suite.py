@@ -87,3 +87,23 @@ def check(
             for t in trials
         ]  # fmt: skip
         json_out.write_text(json.dumps(records, indent=1) + "\n")
+
+
+@suite.command(epilog="\b\nExample:\n  kinebench-drake suite sheet --out tasks.jpg --seed 3 --jobs 2")
+@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), required=True, help="Picture, PNG or JPEG.")
+@_TASKS
+@click.option("--looks", type=click.Choice(["table", "background", "light"]), help="Show all looks of a sort instead.")
+@_SEED
+@_JOBS
+def sheet(out: Path, tasks: str | None, looks: str | None, seed: int, jobs: int) -> None:
+    """Draw a contact sheet: how each task begins and how its expert ends it, or all tables, backgrounds or lights."""
+    from kinebench_drake.engines import EngineKind, create_engine
+    from kinebench_drake.errors import UsageError
+    from kinebench_drake.suites.sheet import contact_sheet, look_shots, task_shots
+
+    if out.suffix.lower() not in (".png", ".jpg", ".jpeg"):
+        raise UsageError(f"--out {out} should end in .png or .jpg")
+    engine = create_engine(EngineKind.LOCAL, jobs)
+    shots = task_shots(engine, _tasks(tasks), seed) if looks is None else look_shots(engine, looks, seed)
+    contact_sheet(shots, columns=4 if looks is None else 6).save(out)
+    click.echo(f"{out}: {len(shots)} shots, {sum(shot.failed for shot in shots)} failed")
