@@ -1,9 +1,100 @@
 """Experts for the tasks with fruits."""
 
-from collections.abc import Callable
+import numpy as np
 
+from kinebench_drake.geometry import Array, make_pose
+from kinebench_drake.suites.assets.containers import cell_center
+from kinebench_drake.suites.experts.grasp import DOWN, OPEN_M, SQUEEZE_M, grasp_rotation, nearest_axis, raised
 from kinebench_drake.suites.experts.motion import Waypoint
+from kinebench_drake.suites.tasks.fruits import ORDER
 from kinebench_drake.suites.tasks.task import Scene
 
-EXPERTS: dict[str, Callable[[Scene], list[Waypoint]]] = {}
+SPARE_M = 0.022
+"""How much wider than the fruit the fingers are open beside it."""
+LOWEST_M = 0.022
+"""Least height of the gripper above the table, so that palm and fingertips keep clear."""
+ABOVE_M = 0.10
+"""How far above a fruit the gripper comes in and goes out."""
+DROP_M = 0.014
+"""Height above the floor of a container from which a fruit is let go."""
+TIPS_M = 0.012
+"""Height of the gripper above a rim that its fingertips are to clear."""
+OVER_M = 0.028
+"""Room below a fruit that is carried over something."""
+FALL_M = 0.004
+"""The same in a crate, whose rim is mostly what matters."""
+
+
+def _hold(scene: Scene, name: str) -> tuple[Array, float]:
+    """Gripper pose (4, 4) around a fruit, and how wide to open the fingers beside it [m]."""
+    X, beside = scene.poses[name], scene.X_BG[:3, 1]
+    closing = np.array([0.0, np.sign(beside[1]) or 1.0, 0.0])
+    if scene.size(name, "oblong") > 0.5:
+        across = X[:3, 1] * [1.0, 1.0, 0.0]
+        closing = nearest_axis([across, -across], beside)
+    p = np.array([*X[:2, 3], max(X[2, 3], LOWEST_M)])
+    return make_pose(grasp_rotation(DOWN, closing), p), min(OPEN_M, scene.size(name, "grip_m") + SPARE_M)
+
+
+def _carry(
+    scene: Scene, name: str, target: Array, across: Array, rim_m: float, way: list[Array], drop_m: float
+) -> list[Waypoint]:
+    """Take a fruit, carry it past gripper positions `way`, let go above `target` (3,) on the floor of something.
+
+    Args:
+        scene: as it is now.
+        name: the fruit.
+        target: where its underside shall come to rest [m].
+        across: (3,) direction of the fingers there.
+        rim_m: height that the fingertips are to clear there.
+        way: positions (3,) of the gripper between [m].
+        drop_m: height from which to let go.
+    """
+    grasp, open_m = _hold(scene, name)
+    below = grasp[2, 3] - scene.poses[name][2, 3] + scene.size(name, "rest_m")  # from the fruit's underside to the TCP
+    landing = grasp_rotation(DOWN, nearest_axis([across, -across], grasp[:3, 1]))
+    height = max(target[2] + below + drop_m, rim_m + TIPS_M)
+    place = make_pose(landing, [target[0], target[1], height])
+    turn = [make_pose(landing, p) for p in way]
+    return [
+        Waypoint(X_BG=raised(grasp, ABOVE_M), finger_width_m=open_m, through=True),
+        Waypoint(X_BG=grasp, finger_width_m=open_m),
+        Waypoint(X_BG=grasp, finger_width_m=SQUEEZE_M),
+        *(Waypoint(X_BG=X, finger_width_m=SQUEEZE_M, through=True) for X in [raised(grasp, ABOVE_M), *turn]),
+        Waypoint(X_BG=raised(place, 0.7 * ABOVE_M), finger_width_m=SQUEEZE_M, through=True),
+        Waypoint(X_BG=place, finger_width_m=SQUEEZE_M),
+        Waypoint(X_BG=place, finger_width_m=open_m),
+        Waypoint(X_BG=raised(place, 1.1 * ABOVE_M), finger_width_m=open_m),
+    ]
+
+
+def pick_fruits(scene: Scene) -> list[Waypoint]:
+    """Put the target into the container, over an obstacle if there is one."""
+    container = scene.poses["container"]
+    target = container[:3, 3] + [0.0, 0.0, scene.size("container", "floor_m")]
+    way = []
+    if "obstacle" in scene.poses:
+        start, post = scene.poses["target"][:3, 3], scene.poses["obstacle"][:3, 3]
+        below = scene.size("target", "rest_m") + LOWEST_M
+        height = scene.size("obstacle", "height_m") + OVER_M + below
+        way = [np.array([*start[:2], height]), np.array([*post[:2], height])]
+    return _carry(scene, "target", target, np.array([0.0, 1.0, 0.0]), 0.0, way, DROP_M)
+
+
+def store_fruits(scene: Scene) -> list[Waypoint]:
+    """Put the next fruit that is not in its compartment there; nothing if all are."""
+    crate = scene.poses["crate"]
+    for number, name in enumerate(ORDER):
+        center = cell_center(lambda measure: scene.size("crate", measure), number)
+        p = crate[:3, :3].T @ (scene.poses[name][:3, 3] - crate[:3, 3])
+        low = p[2] < scene.size("crate", "rim_m") + scene.size(name, "rest_m")
+        beside = abs(p[1] - center[1]) < 0.5 * scene.size("crate", "pitch_m")
+        if low and beside and abs(p[0]) < 0.5 * scene.size("crate", "inner_x_m"):
+            continue
+        target = crate[:3, :3] @ center + crate[:3, 3]
+        return _carry(scene, name, target, crate[:3, 1], scene.size("crate", "rim_m"), [], FALL_M)
+    return []
+
+
+EXPERTS = {"PickFruits-v1": pick_fruits, "StoreFruitsBox-v1": store_fruits}
 """Experts of this family by task id."""

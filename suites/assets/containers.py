@@ -1,0 +1,296 @@
+"""What to put things into: bowls, plates, trays, baskets; and crates with three compartments side by side.
+
+The origin is the middle of the underside; inside, a container is empty from its floor up.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from scipy.spatial import ConvexHull
+
+from kinebench_drake.geometry import Array, make_pose
+from kinebench_drake.suites.assets.mesh import box_mesh, lathe, sweep
+from kinebench_drake.suites.assets.model import Body, Collider, ColliderKind, Kind, Material, Model, Surface, Visual
+from kinebench_drake.suites.assets.texture import grains, plain, shaded, speckle, wood, woven
+
+COMPARTMENTS = 3
+"""Of a crate, side by side along y."""
+_SECTORS = 16
+"""Convex pieces around a round wall."""
+_WOODS = ("oak", "beech", "walnut", "pine")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Made:
+    """A container's parts and inner measures."""
+
+    words: str
+    visuals: tuple[Visual, ...]
+    colliders: tuple[Collider, ...]
+    size: dict[str, float]
+    mass_kg: float
+
+
+def _box(size: Sequence[float], center: Sequence[float]) -> Collider:
+    return Collider(
+        kind=ColliderKind.BOX,
+        size=(0.5 * size[0], 0.5 * size[1], 0.5 * size[2]),
+        X_BodyC=make_pose(np.eye(3), center),
+    )
+
+
+def _board(
+    size: Sequence[float], center: Sequence[float], surface: Surface, *, bevel_m: float = 0.001, uv_per_m: float = 5.0
+) -> Visual:
+    return Visual(
+        mesh=box_mesh(size, bevel_m=bevel_m, uv_per_m=uv_per_m),
+        surface=surface,
+        X_BodyV=make_pose(np.eye(3), center),
+    )
+
+
+def _shell(outer: Array, inner: Array) -> tuple[Collider, ...]:
+    """Solids between two profiles (N, 2) of radius and height, cut into sectors; and a floor under the first point.
+
+    The flats of the polygon lie as much inside the circle as its corners lie outside.
+    """
+    half = np.pi / _SECTORS
+    grown = 2.0 / (1.0 + np.cos(half))
+    angle = 2.0 * half * np.arange(_SECTORS + 1)
+    ring = grown * np.column_stack([np.cos(angle), np.sin(angle)])
+
+    def at(point: Array, directions: Array) -> Array:
+        return np.column_stack([point[0] * directions, np.full(len(directions), point[1])])
+
+    pieces = [np.concatenate([at(outer[0], ring[:-1]), at(inner[0], ring[:-1])])]
+    for (o1, i1), (o2, i2) in pairwise(zip(outer, inner, strict=True)):
+        for k in range(_SECTORS):
+            pieces.append(np.concatenate([at(p, ring[k : k + 2]) for p in (o1, i1, o2, i2)]))
+    return tuple(Collider(kind=ColliderKind.HULL, points=points) for points in pieces)
+
+
+def _round(
+    words: str, inner: Array, thick_m: float, surface: Surface, mass_kg: float, *, extra: tuple[Visual, ...] = ()
+) -> _Made:
+    """A vessel from the profile (N, 2) of its inside, floor's edge first, rim last."""
+    outer = inner + np.array([thick_m, 0.0])
+    outer[0] = [max(inner[0, 0] - 0.004, 0.02), 0.0]
+    rim = inner[-1]
+    lip = [[rim[0] + 0.5 * thick_m + 0.5 * thick_m * np.cos(a), rim[1] + 0.5 * thick_m * np.sin(a)]
+           for a in np.linspace(0.0, np.pi, 7)]  # fmt: skip
+    foot = np.array([[0.0, 0.0005], [outer[0, 0] - 0.003, 0.0005], [outer[0, 0], 0.0]])
+    profile = np.concatenate([foot, outer[1:-1], lip, inner[-2::-1], [[0.0, inner[0, 1]]]])
+    coarse = [0, *range(2, len(inner) - 1, 2), len(inner) - 1]
+    radius = float(rim[0] + thick_m)
+    return _Made(
+        words=words,
+        visuals=(Visual(mesh=lathe(profile, sections=56, uv_per_m=6.0), surface=surface), *extra),
+        colliders=_shell(outer[coarse], inner[coarse]),
+        size={
+            "inner_x_m": 2.0 * float(rim[0]),
+            "inner_y_m": 2.0 * float(rim[0]),
+            "round": 1.0,
+            "reach_m": radius,
+            "floor_m": float(inner[0, 1]),
+            "rim_m": float(rim[1] + 0.5 * thick_m),
+        },
+        mass_kg=mass_kg,
+    )
+
+
+def _glazed(rng: np.random.Generator) -> Surface:
+    wheel = [(226, 222, 212), (96, 134, 168), (178, 84, 58), (120, 152, 120), (214, 180, 110), (70, 82, 110)]
+    color = np.array(wheel[rng.integers(len(wheel))]) * rng.uniform(0.9, 1.08, 3)
+    image = speckle(rng, color, [0.75 * color, np.minimum(1.12 * color, 255)]) if rng.random() < 0.5 else None
+    if image is None:
+        image = shaded(plain(color, 128), 1.0 + 0.08 * (grains(rng, 128, 6.0) - 0.5))
+    return Surface(texture=image, roughness=float(rng.uniform(0.2, 0.45)), specular=0.5)
+
+
+def _bowl(rng: np.random.Generator, index: int) -> _Made:
+    rim, floor = float(rng.uniform(0.080, 0.088)), float(rng.uniform(0.045, 0.054))
+    height, thick = float(rng.uniform(0.042, 0.050)), float(rng.uniform(0.004, 0.006))
+    s = np.linspace(0.0, 1.0, 9)
+    inner = np.column_stack([floor + (rim - floor) * np.sin(0.5 * np.pi * s), thick + (height - thick) * s**1.6])
+    wooden = index % 3 == 2
+    surface = Surface(texture=wood(rng, str(rng.choice(_WOODS))), roughness=0.5) if wooden else _glazed(rng)
+    return _round("wooden bowl" if wooden else "bowl", inner, thick, surface, 0.55)
+
+
+def _plate(rng: np.random.Generator, index: int) -> _Made:
+    rim, floor = float(rng.uniform(0.086, 0.094)), float(rng.uniform(0.068, 0.074))
+    height, thick = float(rng.uniform(0.026, 0.030)), 0.004
+    s = np.linspace(0.0, 1.0, 7)
+    inner = np.column_stack([floor + (rim - floor) * s, thick + (height - thick) * s**0.8])
+    return _round("deep plate", inner, thick, _glazed(rng), 0.6)
+
+
+def _basket(rng: np.random.Generator, index: int) -> _Made:
+    rim, floor = float(rng.uniform(0.080, 0.088)), float(rng.uniform(0.068, 0.074))
+    height, thick = float(rng.uniform(0.042, 0.050)), 0.006
+    s = np.linspace(0.0, 1.0, 7)
+    inner = np.column_stack([floor + (rim - floor) * s**0.8, thick + (height - thick) * s])
+    straw = np.array([190, 148, 92]) * rng.uniform(0.75, 1.1)
+    surface = Surface(texture=woven(rng, straw, 0.72 * straw, threads=24), roughness=0.9)
+    turn = np.linspace(0.0, 2.0 * np.pi, 49)
+    lobes = 0.0008 * np.sin(24.0 * turn)
+    around = rim + 0.5 * thick
+    braid = sweep(
+        np.column_stack([around * np.cos(turn), around * np.sin(turn), height + 0.001 + lobes]),
+        np.full(len(turn), 0.0042) + 0.5 * np.abs(lobes),
+        sections=10,
+        uv_per_m=12.0,
+    )
+    dark = Surface(texture=woven(rng, 0.8 * straw, 0.6 * straw, threads=12), roughness=0.9)
+    return _round("basket", inner, thick, surface, 0.5, extra=(Visual(mesh=braid, surface=dark),))
+
+
+def _tray(rng: np.random.Generator, index: int) -> _Made:
+    x, y = float(rng.uniform(0.145, 0.160)), float(rng.uniform(0.155, 0.170))
+    height, thick, floor = float(rng.uniform(0.030, 0.040)), float(rng.uniform(0.007, 0.010)), 0.006
+    grain = wood(rng, str(rng.choice(_WOODS)))
+    painted = index % 8 >= 4
+    if painted:
+        color = np.array([(196, 60, 48), (64, 110, 150), (232, 226, 210)][index % 3], dtype=np.float64)
+        grain = shaded(plain(color, 256), grain.mean(axis=-1) / grain.mean())
+    side = Surface(texture=grain, roughness=0.55)
+    inside = Surface(texture=shaded(grain, np.full(grain.shape[:2], 0.86)), roughness=0.7)
+    parts = _walls(x, y, height, thick)
+    visuals = [_board([x, y, floor], [0.0, 0.0, floor / 2.0], inside, bevel_m=0.0)]
+    visuals += [_board(size, center, side, bevel_m=0.0016) for size, center in parts]
+    return _Made(
+        words="tray",
+        visuals=tuple(visuals),
+        colliders=(
+            _box([x, y, floor], [0.0, 0.0, floor / 2.0]),
+            *(_box(size, center) for size, center in parts),
+        ),
+        size={
+            "inner_x_m": x,
+            "inner_y_m": y,
+            "round": 0.0,
+            "reach_m": float(np.hypot(x / 2.0 + thick, y / 2.0 + thick)),
+            "floor_m": floor,
+            "rim_m": height,
+        },
+        mass_kg=0.6,
+    )
+
+
+def _walls(x: float, y: float, height: float, thick: float) -> list[tuple[list[float], list[float]]]:
+    """Sizes and middles of four walls around an inside of `x` by `y`."""
+    walls = []
+    for sign in (-1.0, 1.0):
+        walls.append(([thick, y + 2.0 * thick, height], [sign * (x + thick) / 2.0, 0.0, height / 2.0]))
+        walls.append(([x, thick, height], [0.0, sign * (y + thick) / 2.0, height / 2.0]))
+    return walls
+
+
+_STYLES: tuple[Callable[[np.random.Generator, int], _Made], ...] = (_bowl, _basket, _tray, _plate)
+
+
+def _model(kind: str, asset_id: str, made: _Made) -> Model:
+    """Of the density that gives the container its mass; its pieces hardly overlap."""
+    volume = sum(_volume(collider) for collider in made.colliders)
+    return Model(
+        kind=kind,
+        asset_id=asset_id,
+        words=made.words,
+        bodies=(
+            Body(
+                name="container",
+                visuals=made.visuals,
+                colliders=made.colliders,
+                material=Material(
+                    density=made.mass_kg / volume, static_friction=0.9, dynamic_friction=0.8, restitution=0.02
+                ),
+            ),
+        ),
+        size=made.size,
+    )
+
+
+def _volume(collider: Collider) -> float:
+    if collider.kind is ColliderKind.BOX:
+        return float(8.0 * np.prod(collider.size))
+    return float(ConvexHull(np.asarray(collider.points)).volume)
+
+
+def _container(asset_id: str, index: int, rng: np.random.Generator) -> Model:
+    return _model("container", asset_id, _STYLES[index % len(_STYLES)](rng, index // len(_STYLES)))
+
+
+def _crate(asset_id: str, index: int, rng: np.random.Generator) -> Model:
+    cell, deep = float(rng.uniform(0.082, 0.086)), float(rng.uniform(0.150, 0.158))
+    divider, thick, floor = 0.005, float(rng.uniform(0.007, 0.009)), 0.005
+    height, low = float(rng.uniform(0.034, 0.042)), float(rng.uniform(0.018, 0.022))
+    wide = COMPARTMENTS * cell + (COMPARTMENTS - 1) * divider
+    kind = _WOODS[index % len(_WOODS)]
+    grain = wood(rng, kind)
+    side = Surface(texture=shaded(grain, np.full(grain.shape[:2], rng.uniform(0.85, 1.1))), roughness=0.75)
+    dark = Surface(texture=shaded(grain, np.full(grain.shape[:2], 0.75)), roughness=0.85)
+    visuals, colliders = [], [_box([deep, wide, floor], [0.0, 0.0, floor / 2.0])]
+    for k in range(COMPARTMENTS):  # boards of the floor, with a gap under each divider
+        y = (k - 0.5 * (COMPARTMENTS - 1)) * (cell + divider)
+        visuals.append(_board([deep, cell, floor], [0.0, y, floor / 2.0], dark))
+    for k in range(COMPARTMENTS - 1):
+        y = (k + 1 - 0.5 * COMPARTMENTS) * (cell + divider)
+        visuals.append(_board([deep, divider, low], [0.0, y, low / 2.0], side))
+        colliders.append(_box([deep, divider, low], [0.0, y, low / 2.0]))
+    slatted = index % 2 == 0
+    for size, center in _walls(deep, wide, height, thick):
+        colliders.append(_box(size, center))
+        slats = [(0.0, 0.46), (0.54, 1.0)] if slatted else [(0.0, 1.0)]
+        for bottom, top in slats:
+            visuals.append(
+                _board(
+                    [size[0], size[1], (top - bottom) * height],
+                    [center[0], center[1], 0.5 * (bottom + top) * height],
+                    side,
+                )
+            )
+    if slatted:  # corner posts hold the slats
+        for sx in (-1.0, 1.0):
+            for sy in (-1.0, 1.0):
+                visuals.append(
+                    _board(
+                        [0.6 * thick, 0.6 * thick, 0.96 * height],
+                        [sx * (deep + thick) / 2.0, sy * (wide + thick) / 2.0, 0.48 * height],
+                        dark,
+                    )
+                )
+    made = _Made(
+        words="crate",
+        visuals=tuple(visuals),
+        colliders=tuple(colliders),
+        size={
+            "inner_x_m": deep,
+            "inner_y_m": wide,
+            "outer_x_m": deep + 2.0 * thick,
+            "outer_y_m": wide + 2.0 * thick,
+            "cell_m": cell,
+            "pitch_m": cell + divider,
+            "floor_m": floor,
+            "rim_m": height,
+        },
+        mass_kg=1.2,
+    )
+    return _model("crate", asset_id, made)
+
+
+def cell_center(size: Callable[[str], float], number: int) -> Array:
+    """Middle (3,) of a crate's compartment in the crate's frame, on its floor [m]; 0 is the one towards -y.
+
+    Args:
+        size: the crate's measures by name.
+        number: which compartment, 0 .. `COMPARTMENTS` - 1.
+    """
+    return np.array([0.0, (number - 0.5 * (COMPARTMENTS - 1)) * size("pitch_m"), size("floor_m")])
+
+
+KINDS = (Kind(name="container", make=_container), Kind(name="crate", make=_crate))
+"""Sizes: `inner_x_m` and `inner_y_m` (width at the rim), `round` (1 where these are diameters), `reach_m` (greatest
+level distance from the origin), `floor_m`, `rim_m` (heights); of a crate `cell_m` (width of a compartment), `pitch_m`
+(from one to the next) and its outer measures."""
