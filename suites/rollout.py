@@ -144,12 +144,10 @@ class Stage:
             SetupError: no Vulkan driver can be loaded.
         """
         backend = prepare_vulkan() if renders else "none"
-        import gymnasium
         import sapien
 
-        from kinebench_drake.suites.tasks.environment import CAMERA, X_WB, environment_id, register
+        from kinebench_drake.suites.tasks.environment import CAMERA, X_WB, KineBenchEnv
 
-        register()
         plant = ArmPlant()
         self.joint_limits = (plant.lower, plant.upper)
         """Least and greatest joint angles, each (7,) [rad]."""
@@ -157,8 +155,8 @@ class Stage:
         self.task = find_task(task, variant)
         self._pose_class = sapien.Pose
         self._camera_name, self._X_BW = CAMERA, invert(X_WB)
-        self._env: Any = gymnasium.make(
-            environment_id(task),
+        self._env: Any = KineBenchEnv(
+            task=task,
             obs_mode="none",
             reward_mode="none",
             control_mode="pd_joint_pos",
@@ -167,7 +165,7 @@ class Stage:
             render_backend=backend,
             camera=self.camera,
             variant=variant.value,
-        ).unwrapped
+        )
 
     def __enter__(self) -> "Stage":
         return self
@@ -282,11 +280,12 @@ def perform(stage: Stage, expert: Expert, episode: Episode, *, every: int = STEP
     plant, steps = ArmPlant(), STEPS_PER_FRAME * CLIP_FRAMES
     snapshots, controls = [stage.snapshot()], []
     for _ in range(stage.task.card.clips):
-        waypoints = expert(stage.scene())
+        scene = stage.scene()
+        waypoints = expert(scene)
         if not waypoints:
             break
         now = snapshots[-1]
-        motion = plan(plant, now.q, float(now.fingers_m.sum()), waypoints, steps)
+        motion = plan(plant, now.q, float(now.fingers_m.sum()), waypoints, steps, scene)
         for i in range(steps):
             stage.step(motion.q[i], motion.finger_width_m[i])
             if (i + 1) % every == 0:

@@ -18,6 +18,8 @@ from kinebench_drake.kinematics.ik import postures_of, solve_pose
 from kinebench_drake.kinematics.path import continued_path
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.products import IkStatus
+from kinebench_drake.suites.experts.clearance import SceneGeometry
+from kinebench_drake.suites.tasks.task import Scene
 
 CONTROL_PERIOD_S = 0.05
 """Time between two control steps (ManiSkill's 20 Hz)."""
@@ -27,6 +29,8 @@ SPEED_M_S, TURN_RATE_RAD_S, FINGER_SPEED_M_S, SHORTEST_S = 0.2, 0.8, 0.3, 0.35
 """Mean speeds that share the clip's time out among the moves, and the least time of one."""
 ELBOW_S = 2.0
 """Time in which the elbow is turned from where it is to where a path found by search has it."""
+TOUCH_M = 0.001
+"""Overlap with things in the scene that is let pass."""
 CLEARANCE_STEPS = 4
 """Collisions are looked for at one in so many control steps."""
 OVERLAP = 0.45
@@ -140,16 +144,29 @@ def cartesian_path(
 
 
 def plan(
-    plant: ArmPlant, q_start: ArrayLike, finger_width_start_m: float, waypoints: Sequence[Waypoint], steps: int
+    plant: ArmPlant,
+    q_start: ArrayLike,
+    finger_width_start_m: float,
+    waypoints: Sequence[Waypoint],
+    steps: int,
+    scene: Scene | None = None,
 ) -> Motion:
     """Joint path of `steps` control steps through the waypoints, from rest at `q_start` (7,) [rad] to rest.
 
-    Drake's plant says which postures reach the poses within joint limits, which of them collide with the arm itself or
-    the table, and how fast and how hard the joints may move.
+    Drake's plant says which postures reach the poses within joint limits, which of them collide with the arm itself,
+    the table or what stands in the scene, and how fast and how hard the joints may move.
+
+    Args:
+        plant: the robot.
+        q_start: (7,) joint angles [rad].
+        finger_width_start_m: gap between the finger pads [m].
+        waypoints: where to go.
+        steps: control steps.
+        scene: what stands around; nothing if None.
 
     Raises:
-        InputError: the path leaves the workspace, a speed or acceleration limit is broken, or the arm would hit itself
-            or the table.
+        InputError: the path leaves the workspace, a speed or acceleration limit is broken, or the arm would hit itself,
+            the table or something in the scene.
     """
     q_start = np.asarray(q_start, dtype=np.float64)
     X_BG, widths = cartesian_path(plant.forward(q_start), finger_width_start_m, waypoints, steps)
@@ -161,7 +178,7 @@ def plan(
         if not np.isfinite(q).all():
             raise error
         _check_rates(plant, q_start, q)
-    _check_clearance(plant, q, widths)
+    _check_clearance(plant, q, widths, scene)
     return Motion(q=q, finger_width_m=widths, X_BG=X_BG)
 
 
@@ -205,9 +222,15 @@ def _check_rates(plant: ArmPlant, q_start: Array, q: Array) -> None:
             )
 
 
-def _check_clearance(plant: ArmPlant, q: Array, widths: Array) -> None:
+def _check_clearance(plant: ArmPlant, q: Array, widths: Array, scene: Scene | None) -> None:
     model, every = CollisionModel(plant), slice(None, None, CLEARANCE_STEPS)
     gaps = np.clip(widths[every], 0.0, plant.finger_width_m)
+    for touch in () if scene is None else SceneGeometry(plant, scene).touches(q[every], gaps):
+        if touch.depth_m > TOUCH_M:
+            raise InputError(
+                f"the expert's path has {touch.link} and {touch.thing} collide by {1000.0 * touch.depth_m:.1f} mm at "
+                f"control step {CLEARANCE_STEPS * touch.step}"
+            )
     for clearance in (model.self_distance(q[every], gaps), model.table_distance(q[every], gaps)):
         i = int(np.nanargmin(clearance.distance_m))
         if clearance.distance_m[i] < 0.0:

@@ -283,6 +283,8 @@ class KineBenchEnv(BaseEnv):  # type: ignore[misc]
             joints={name: float(x[index]) for name, x in state.joints.items()},
             models={name: models[index] for name, models in state.models.items()},
             starts={name: X[index].cpu().numpy().astype(np.float64) for name, X in state.starts.items()},
+            fixed=self.layouts[index].fixed,
+            avoided=self.layouts[index].avoided,
         )
 
     def evaluate(self) -> dict[str, Tensor]:

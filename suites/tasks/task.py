@@ -33,6 +33,8 @@ class Placement:
     """Whether it cannot be moved; the first body of an articulation never can."""
     decor: bool = False
     """Whether it is only to be seen, such as a mark on the table."""
+    avoid: bool = False
+    """Whether it must not be touched: plans keep the gripper off, too."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -64,7 +66,19 @@ class Layout:
             joints=articulated,
             models={name: placed.model for name, placed in self.placements.items()},
             starts=poses,
+            fixed=self.fixed,
+            avoided=self.avoided,
         )
+
+    @property
+    def fixed(self) -> frozenset[str]:
+        """Things that cannot be moved, beside the first bodies of articulations."""
+        return frozenset(name for name, placed in self.placements.items() if placed.fixed and not placed.decor)
+
+    @property
+    def avoided(self) -> frozenset[str]:
+        """Things that must not be touched."""
+        return frozenset(name for name, placed in self.placements.items() if placed.avoid)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -83,6 +97,10 @@ class Scene:
     """What the things are."""
     starts: Mapping[str, Array] = field(default_factory=dict)
     """(4, 4) of each thing as the episode began."""
+    fixed: frozenset[str] = frozenset()
+    """Things that cannot be moved, beside the first bodies of articulations."""
+    avoided: frozenset[str] = frozenset()
+    """Things that must not be touched."""
 
     def site(self, name: str, site: str) -> Array:
         """Pose (4, 4) of a site of the thing `name`."""

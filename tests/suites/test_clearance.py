@@ -1,0 +1,93 @@
+"""The geometry that plans are held against: Drake's solids are where SAPIEN's are."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from kinebench_drake.errors import InputError
+from kinebench_drake.geometry import make_pose
+from kinebench_drake.kinematics.plant import ArmPlant
+from kinebench_drake.suites.assets.model import Body, Collider, ColliderKind, Model
+from kinebench_drake.suites.experts.clearance import SceneGeometry
+from kinebench_drake.suites.experts.motion import Waypoint, plan
+from kinebench_drake.suites.tasks.task import Scene
+
+UPRIGHT = make_pose(np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]), np.zeros(3))
+POST = np.array([0.5, 0.2, 0.15])
+
+
+def thing(collider: Collider) -> Model:
+    body = Body(name="post", visuals=(), colliders=(collider,))
+    return Model(kind="post", asset_id="post/00", words="post", bodies=(body,), size={})
+
+
+def scene_with(collider: Collider, position: np.ndarray, **marks: frozenset[str]) -> Scene:
+    X = make_pose(np.eye(3), position)
+    return Scene(
+        X_BG=np.eye(4), finger_width_m=0.08, poses={"post": X}, joints={}, models={"post": thing(collider)}, **marks
+    )
+
+
+COLLIDERS = (
+    Collider(kind=ColliderKind.BOX, size=(0.01, 0.01, 0.15)),
+    Collider(kind=ColliderKind.SPHERE, size=(0.05,)),
+    Collider(kind=ColliderKind.CYLINDER, size=(0.01, 0.12), X_BodyC=UPRIGHT),
+    Collider(kind=ColliderKind.CAPSULE, size=(0.01, 0.12), X_BodyC=UPRIGHT),
+    Collider(kind=ColliderKind.HULL, points=0.05 * np.concatenate([np.eye(3), -np.eye(3)])),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("collider", COLLIDERS, ids=lambda c: c.kind.value)
+def test_the_gripper_touches_what_is_at_its_tip_and_nothing_else(collider: Collider) -> None:
+    plant = ArmPlant()
+    q, width = plant.robot.rest_q[None], np.array([0.0])
+    tip = plant.forward(q[0])[:3, 3]
+    marks = {"avoided": frozenset({"post"})}
+    touched = {t.link for t in SceneGeometry(plant, scene_with(collider, tip, **marks)).touches(q, width)}
+    assert touched & {"panda_leftfinger", "panda_rightfinger"}
+    assert not touched & {"panda_link3", "panda_link4"}
+    aside = tip + np.array([0.0, 0.3, 0.0])
+    assert not list(SceneGeometry(plant, scene_with(collider, aside, **marks)).touches(q, width))
+
+
+def test_long_shapes_stand_as_they_do_in_sapien() -> None:
+    """A cylinder turned upright reaches its half length up, and is thin."""
+    plant = ArmPlant()
+    q, width = plant.robot.rest_q[None], np.array([0.0])
+    tip = plant.forward(q[0])[:3, 3]
+    marks = {"avoided": frozenset({"post"})}
+    for offset, touches in (([0.0, 0.0, -0.12], True), ([0.0, 0.06, -0.1], False)):
+        geometry = SceneGeometry(plant, scene_with(COLLIDERS[2], tip + offset, **marks))
+        assert bool(list(geometry.touches(q, width))) == touches
+
+
+def test_the_gripper_may_touch_fixed_things_and_nothing_may_touch_avoided_ones() -> None:
+    plant = ArmPlant()
+    q, width = plant.robot.rest_q[None], np.array([0.0])
+    tip = plant.forward(q[0])[:3, 3]
+    for marks, touches in (
+        ({}, False),
+        ({"fixed": frozenset({"post"})}, False),
+        ({"avoided": frozenset({"post"})}, True),
+    ):
+        assert bool(list(SceneGeometry(plant, scene_with(COLLIDERS[0], tip, **marks)).touches(q, width))) == touches
+    elbow = plant.link_poses(q[0])["panda_link4"][:3, 3]
+    fixed = scene_with(COLLIDERS[0], elbow, fixed=frozenset({"post"}))
+    assert {t.link for t in SceneGeometry(plant, fixed).touches(q, width)} & {
+        "panda_link3",
+        "panda_link4",
+        "panda_link5",
+    }
+
+
+def test_a_plan_through_a_post_is_refused_and_one_around_it_is_not() -> None:
+    plant = ArmPlant()
+    q = plant.robot.rest_q
+    X = plant.forward(q)
+    beyond = X.copy()
+    beyond[:3, 3] = [0.5, 0.3, X[2, 3]]
+    post = scene_with(COLLIDERS[0], POST, avoided=frozenset({"post"}))
+    with pytest.raises(InputError, match="post collide"):
+        plan(plant, q, 0.08, [Waypoint(X_BG=beyond, finger_width_m=0.08)], 96, post)
+    plan(plant, q, 0.08, [Waypoint(X_BG=beyond, finger_width_m=0.08)], 96, replace(post, avoided=frozenset()))
