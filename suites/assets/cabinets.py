@@ -1,6 +1,304 @@
-"""Cabinets with a sliding drawer."""
+"""Low cabinets with one drawer that slides along x.
 
-from kinebench_drake.suites.assets.model import Kind
+A cabinet's frame stands in the middle of its foot: x points the way the drawer opens, z up. The drawer's frame is the
+same when it is shut; its joint's position is how far it is open.
+"""
 
-KINDS: tuple[Kind, ...] = ()
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from kinebench_drake.geometry import Array, make_pose
+from kinebench_drake.suites.assets.mesh import box_mesh, cylinder_mesh, lathe, sweep
+from kinebench_drake.suites.assets.model import (
+    Body,
+    Collider,
+    ColliderKind,
+    Joint,
+    JointKind,
+    Kind,
+    Material,
+    Model,
+    Site,
+    Surface,
+    Visual,
+)
+from kinebench_drake.suites.assets.texture import brushed, wood
+
+WIDTH_M = (0.172, 0.198)
+"""Least and greatest width, across the way of the drawer."""
+DEPTH_M = (0.168, 0.188)
+"""Least and greatest depth, along the way of the drawer."""
+HEIGHT_M = (0.114, 0.126)
+"""Least and greatest height."""
+TRAVEL_M = (0.108, 0.124)
+"""Least and greatest way of the drawer."""
+HANDLES = ("bar", "knob", "lip")
+"""Handles: a bow, a knob, or a ledge along the upper edge of the front."""
+FINISHES = ("wood", "paint", "metal", "front")
+"""Plain wood, paint, metal, or wood with a painted front."""
+FEET = ("legs", "plinth")
+"""What a cabinet stands on."""
+_CLEARANCE_M = 0.003  # between the drawer and what it runs in
+_WALL_M = 0.007  # of the tray
+_FLOOR_M = 0.006  # of the tray
+_BACK_M = 0.006  # of the cabinet
+_SEAM_M = 0.001  # between the shut drawer's front and the cabinet
+_HELD_M = 0.044  # of the tray that stays in the cabinet, at least
+_WOOD_PER_M = 3.3
+_WOOD_KINDS = ("oak", "pine", "walnut", "beech", "maple", "cherry", "teak", "ash", "mahogany")
+_PAINTS = {
+    "white": (0.75, 0.74, 0.70),
+    "blue": (0.05, 0.16, 0.36),
+    "green": (0.10, 0.26, 0.15),
+    "yellow": (0.68, 0.46, 0.06),
+    "grey": (0.22, 0.24, 0.26),
+    "turquoise": (0.07, 0.37, 0.38),
+    "cream": (0.71, 0.61, 0.42),
+    "black": (0.03, 0.03, 0.035),
+}
+_FITTINGS = (
+    Surface(color=(0.55, 0.56, 0.58), roughness=0.3, metallic=0.7),
+    Surface(color=(0.60, 0.42, 0.14), roughness=0.35, metallic=0.7),
+    Surface(color=(0.03, 0.03, 0.03), roughness=0.5),
+    Surface(color=(0.70, 0.68, 0.63), roughness=0.4),
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Measures:
+    """Lengths [m] that the parts are made from."""
+
+    width: float
+    depth: float
+    height: float
+    travel: float
+    panel: float
+    """Thickness of the cabinet's panels."""
+    foot: float
+    """Height of the feet."""
+    front: float
+    """Thickness of the drawer's front."""
+    wall: float
+    """Height of the tray's walls above its floor."""
+
+    @property
+    def face(self) -> float:
+        """Where the cabinet's front is along x."""
+        return self.depth / 2.0
+
+    @property
+    def floor(self) -> float:
+        """Height of the tray's floor, on which things lie."""
+        return self.foot + self.panel + _CLEARANCE_M + _FLOOR_M
+
+    @property
+    def front_top(self) -> float:
+        """Height of the upper edge of the drawer's front."""
+        return self.height - 0.003
+
+    @property
+    def front_bottom(self) -> float:
+        """Height of the lower edge of the drawer's front."""
+        return self.foot + 0.002
+
+    @property
+    def tray_x(self) -> tuple[float, float]:
+        """Inner ends of the tray, the drawer shut."""
+        return -self.face + _BACK_M + 2.0 * _CLEARANCE_M + _WALL_M, self.face + _SEAM_M
+
+    @property
+    def tray_width(self) -> float:
+        """Inner width of the tray."""
+        return self.width - 2.0 * (self.panel + _CLEARANCE_M + _WALL_M)
+
+
+def _measures(rng: np.random.Generator) -> _Measures:
+    depth = float(rng.uniform(*DEPTH_M))
+    return _Measures(
+        width=float(rng.uniform(*WIDTH_M)),
+        depth=depth,
+        height=float(rng.uniform(*HEIGHT_M)),
+        travel=float(min(rng.uniform(*TRAVEL_M), depth - _BACK_M - 2.0 * _CLEARANCE_M - _HELD_M)),
+        panel=float(rng.uniform(0.0095, 0.012)),
+        foot=float(rng.uniform(0.007, 0.011)),
+        front=float(rng.uniform(0.012, 0.016)),
+        wall=float(rng.uniform(0.034, 0.041)),
+    )
+
+
+class _Parts:
+    """Collects what a body is made of."""
+
+    def __init__(self) -> None:
+        self.visuals: list[Visual] = []
+        self.colliders: list[Collider] = []
+
+    def box(self, low: ArrayLike, high: ArrayLike, surface: Surface, *, bevel_m: float = 0.001) -> None:
+        """A board between two corners."""
+        low, high = np.asarray(low, dtype=np.float64), np.asarray(high, dtype=np.float64)
+        X = make_pose(np.eye(3), 0.5 * (low + high))
+        mesh = box_mesh(high - low, bevel_m=bevel_m, uv_per_m=_WOOD_PER_M)
+        self.visuals.append(Visual(mesh=mesh, surface=surface, X_BodyV=X))
+        x, y, z = (float(h) for h in 0.5 * (high - low))
+        self.colliders.append(Collider(kind=ColliderKind.BOX, size=(x, y, z), X_BodyC=X))
+
+    def body(self, name: str, material: Material, joint: Joint | None = None) -> Body:
+        """All of it as one body."""
+        return Body(
+            name=name,
+            visuals=tuple(self.visuals),
+            colliders=tuple(self.colliders),
+            material=material,
+            joint=joint,
+        )
+
+
+def _carcass(m: _Measures, feet: str, outside: Surface, inside: Surface, fitting: Surface) -> _Parts:
+    """The cabinet without its drawer."""
+    parts, x, y, p = _Parts(), m.face, m.width / 2.0, m.panel
+    parts.box([-x, -y, m.height - p], [x, y, m.height], outside, bevel_m=0.002)
+    parts.box([-x, -y + p, m.foot], [x, y - p, m.foot + p], inside)
+    parts.box([-x, -y, m.foot], [x, -y + p, m.height - p], outside)
+    parts.box([-x, y - p, m.foot], [x, y, m.height - p], outside)
+    parts.box([-x, -y + p, m.foot + p], [-x + _BACK_M, y - p, m.height - p], inside, bevel_m=0.0)
+    if feet == "plinth":
+        parts.box([-x + 0.008, -y + 0.008, 0.0], [x - 0.012, y - 0.008, m.foot], outside)
+        return parts
+    for sx, sy in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
+        X = make_pose(np.eye(3), [sx * (x - 0.016), sy * (y - 0.014), m.foot / 2.0])
+        parts.visuals.append(Visual(mesh=cylinder_mesh(0.009, m.foot), surface=fitting, X_BodyV=X))
+        parts.colliders.append(Collider(kind=ColliderKind.BOX, size=(0.008, 0.008, m.foot / 2.0), X_BodyC=X))
+    return parts
+
+
+def _tray(m: _Measures, front: Surface, inside: Surface) -> _Parts:
+    """The drawer without its handle."""
+    parts, y = _Parts(), m.tray_width / 2.0
+    back, face = m.tray_x
+    top = m.floor + m.wall
+    parts.box([back - _WALL_M, -y - _WALL_M, m.floor - _FLOOR_M], [face, y + _WALL_M, m.floor], inside, bevel_m=0.0)
+    parts.box([back - _WALL_M, -y - _WALL_M, m.floor], [face, -y, top], inside)
+    parts.box([back - _WALL_M, y, m.floor], [face, y + _WALL_M, top], inside)
+    parts.box([back - _WALL_M, -y, m.floor], [back, y, top], inside)
+    wide = m.width / 2.0 - 0.001
+    parts.box([face, -wide, m.front_bottom], [face + m.front, wide, m.front_top], front, bevel_m=0.002)
+    return parts
+
+
+def _turned_to(axis: ArrayLike, position: ArrayLike) -> Array:
+    """Pose (4, 4) whose z points along the unit vector `axis` (3,)."""
+    z = np.asarray(axis, dtype=np.float64)
+    x = np.cross([0.0, 1.0, 0.0] if abs(z[1]) < 0.5 else [0.0, 0.0, 1.0], z)
+    return make_pose(np.stack([x, np.cross(z, x), z], axis=1), position)
+
+
+def _add_handle(parts: _Parts, m: _Measures, handle: str, front: Surface, fitting: Surface, size: float) -> float:
+    """Put a handle on the drawer's front; `size` 0..1 from small to large. Returns how far the upper part reaches out.
+
+    Bows and knobs sit below the middle, so that fingers may press on the front above them.
+    """
+    out = m.tray_x[1] + m.front
+    z = m.front_bottom + 0.36 * (m.front_top - m.front_bottom)
+    if handle == "lip":
+        reach, wide = 0.009 + 0.006 * size, m.width / 2.0 - 0.001
+        parts.box([out, -wide, m.front_top - 0.011], [out + reach, wide, m.front_top], front, bevel_m=0.003)
+        return out + reach
+    if handle == "knob":
+        r, length = 0.010 + 0.003 * size, 0.022
+        profile = [
+            [0.0, 0.0], [0.6 * r, 0.0], [0.45 * r, 0.35 * length], [0.9 * r, 0.55 * length], [r, 0.7 * length],
+            [0.9 * r, 0.87 * length], [0.5 * r, 0.97 * length], [0.0, length],
+        ]  # fmt: skip
+        mesh = lathe(profile, sections=28, crease_rad=0.9)
+        parts.visuals.append(Visual(mesh=mesh, surface=fitting, X_BodyV=_turned_to([1, 0, 0], [out, 0.0, z])))
+        X = make_pose(np.eye(3), [out + length / 2.0, 0.0, z])
+        parts.colliders.append(Collider(kind=ColliderKind.CYLINDER, size=(0.9 * r, length / 2.0), X_BodyC=X))
+        return out
+    half, reach, r, bend = 0.024 + 0.014 * size, 0.020, 0.0036, 0.008
+    turn = np.linspace(0.0, np.pi / 2.0, 6)
+    arc = np.stack([reach - bend + bend * np.sin(turn), half - bend + bend * np.cos(turn)], axis=1)
+    side = np.concatenate([[[0.0, half]], arc])
+    points = np.concatenate([side, side[::-1] * [1.0, -1.0]])
+    bow = np.column_stack([out + points[:, 0], points[:, 1], np.full(len(points), z)])
+    parts.visuals.append(Visual(mesh=sweep(bow, np.full(len(bow), r), sections=14), surface=fitting))
+    X = make_pose(_turned_to([0, 0, 1], [0, 0, 0])[:3, :3] @ _QUARTER, [out + reach, 0.0, z])
+    parts.colliders.append(Collider(kind=ColliderKind.CAPSULE, size=(r, half - bend), X_BodyC=X))
+    for y in (-half, half):
+        X = make_pose(np.eye(3), [out + reach / 2.0, y, z])
+        parts.colliders.append(Collider(kind=ColliderKind.BOX, size=(reach / 2.0, r, r), X_BodyC=X))
+    return out
+
+
+_QUARTER = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # x goes to y
+
+
+def _surfaces(finish: str, rng: np.random.Generator) -> tuple[str, Surface, Surface, Surface]:
+    """What it is called, and the surfaces of the cabinet, of the drawer's front and of the inside."""
+    kind, paint = str(rng.choice(_WOOD_KINDS)), str(rng.choice(list(_PAINTS)))
+    shade = rng.uniform(0.85, 1.1)
+    r, g, b = (float(min(shade * c, 1.0)) for c in _PAINTS[paint])
+    painted = Surface(color=(r, g, b), roughness=float(rng.uniform(0.35, 0.7)))
+    wooden = Surface(texture=wood(rng, kind), roughness=float(rng.uniform(0.5, 0.8)))
+    pale = Surface(texture=wood(rng, str(rng.choice(["maple", "pine", "ash"]))), roughness=0.8)
+    if finish == "wood":
+        return f"{kind} cabinet", wooden, wooden, pale
+    if finish == "paint":
+        return f"{paint} cabinet", painted, painted, pale
+    if finish == "front":
+        return f"{kind} cabinet", wooden, painted, pale
+    steel = Surface(
+        texture=brushed(rng, rng.uniform(130, 185) + rng.uniform(-6, 6, 3)),
+        roughness=float(rng.uniform(0.35, 0.5)),
+        metallic=float(rng.uniform(0.3, 0.6)),
+    )
+    grey = Surface(color=(0.30, 0.31, 0.33), roughness=0.6)
+    return "metal cabinet", steel, steel, grey
+
+
+def _cabinet(asset_id: str, index: int, rng: np.random.Generator) -> Model:
+    handle, finish = HANDLES[index % 3], FINISHES[(index // 3) % 4]
+    m = _measures(rng)
+    words, outside, front, inside = _surfaces(finish, rng)
+    fitting = _FITTINGS[int(rng.integers(len(_FITTINGS)))]
+    carcass = _carcass(m, FEET[index // 12], outside, inside, fitting)
+    tray = _tray(m, front, inside)
+    press = _add_handle(tray, m, handle, front, fitting, float(rng.uniform()))
+    material = Material(density=float(rng.uniform(450.0, 700.0)), static_friction=0.45, dynamic_friction=0.4)
+    slide = Joint(
+        kind=JointKind.SLIDER,
+        X_ParentJ=np.eye(4),
+        X_BodyJ=np.eye(4),
+        lower=0.0,
+        upper=m.travel,
+        friction=float(rng.uniform(0.02, 0.08)),
+        damping=float(rng.uniform(5.0, 12.0)),
+    )
+    back, face = m.tray_x
+    return Model(
+        kind="cabinet",
+        asset_id=asset_id,
+        words=words,
+        bodies=(carcass.body("cabinet", material), tray.body("drawer", material, slide)),
+        size={
+            "width_m": m.width,
+            "depth_m": m.depth,
+            "height_m": m.height,
+            "travel_m": m.travel,
+            "tray_length_m": face - back,
+            "tray_width_m": m.tray_width,
+            "wall_m": m.wall,
+            "reach_m": max(float(v.mesh.vertices[:, 0].max() + v.X_BodyV[0, 3]) for v in tray.visuals) - m.face,
+        },
+        sites={
+            "edge": Site(body="cabinet", X_BodyS=make_pose(np.eye(3), [m.face, 0.0, m.height])),
+            "pull": Site(body="drawer", X_BodyS=make_pose(np.eye(3), [face, 0.0, m.front_top])),
+            "push": Site(body="drawer", X_BodyS=make_pose(np.eye(3), [press, 0.0, m.front_top])),
+            "tray": Site(body="drawer", X_BodyS=make_pose(np.eye(3), [0.5 * (back + face), 0.0, m.floor])),
+        },
+    )
+
+
+KINDS = (Kind(name="cabinet", make=_cabinet),)
 """Kinds of this family."""
