@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from textwrap import wrap
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,8 +73,7 @@ def contact_sheet(shots: Sequence[Shot], *, columns: int) -> Image.Image:
     title_font, text_font = ImageFont.load_default(TITLE_PX), ImageFont.load_default(TEXT_PX)
     across = max((len(shot.pictures) for shot in shots), default=1)
     width = across * (PICTURE_PX + GAP_PX) - GAP_PX
-    letters = int(width / text_font.getlength("the robot arm opens") * len("the robot arm opens"))
-    texts = [wrap(shot.text, letters) for shot in shots]
+    texts = [_wrapped(shot.text, text_font, width) for shot in shots]
     line_px = round(1.35 * TEXT_PX)
     height = PICTURE_PX + round(1.7 * TITLE_PX) + line_px * max(map(len, texts), default=0)
     rows = -(-len(shots) // columns)
@@ -94,6 +92,17 @@ def contact_sheet(shots: Sequence[Shot], *, columns: int) -> Image.Image:
                 (x, y + round(1.4 * TITLE_PX) + j * line_px), line, font=text_font, fill=_RED if shot.failed else _GREY
             )
     return page
+
+
+def _wrapped(text: str, font: ImageFont.ImageFont | ImageFont.FreeTypeFont, width: int) -> list[str]:
+    lines = [""]
+    for word in text.split():
+        longer = f"{lines[-1]} {word}".strip()
+        if lines[-1] and font.getlength(longer) > width:
+            lines.append(word)
+        else:
+            lines[-1] = longer
+    return lines
 
 
 def _shots(engine: Engine, episodes: Sequence[Episode], *, performs: bool) -> list[Shot]:

@@ -1,0 +1,68 @@
+"""Contact sheets: what stands where on the page, and whether the shots are what they say."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from PIL import Image
+
+from kinebench_drake.cli import cli
+from kinebench_drake.engines import EngineKind, create_engine
+from kinebench_drake.suites.sheet import GAP_PX, MARGIN_PX, PICTURE_PX, Shot, contact_sheet, task_shots
+
+
+def _shot(level: int) -> Shot:
+    pictures = tuple(np.full((8, 8, 3), level + i, dtype=np.uint8) for i in range(2))
+    return Shot(title="Task-v1", text="The robot arm does what it is told to do, word by word, " * 3, pictures=pictures)
+
+
+def test_every_picture_is_on_the_page_in_its_order() -> None:
+    page = np.asarray(contact_sheet([_shot(10 * i) for i in range(1, 6)], columns=2))
+    pitch_x = 2 * PICTURE_PX + GAP_PX + MARGIN_PX
+    assert page.shape[1] == 2 * pitch_x + MARGIN_PX
+    pitch_y = (page.shape[0] - MARGIN_PX) // 3
+    half = PICTURE_PX // 2
+    for i in range(5):
+        x, y = MARGIN_PX + i % 2 * pitch_x + half, MARGIN_PX + i // 2 * pitch_y + half
+        assert (page[y, x] == 10 * (i + 1)).all()
+        assert (page[y, x + PICTURE_PX + GAP_PX] == 10 * (i + 1) + 1).all()
+    assert (page[-MARGIN_PX:] == 255).all()
+    assert (page[:, -MARGIN_PX:] == 255).all()
+
+
+def test_a_failure_is_red() -> None:
+    def redness(failed: bool) -> int:
+        page = np.asarray(contact_sheet([Shot(title="Task-v1", text="not above", failed=failed)], columns=1)).astype(
+            int
+        )
+        return int((page[..., 0] - page[..., 1] > 100).sum())
+
+    assert redness(False) == 0
+    assert redness(True) > 50
+
+
+@pytest.mark.sapien
+def test_shots_are_the_first_and_last_frame_in_the_order_asked_for() -> None:
+    tasks = ["StackCube-v1", "PullCube-v1"]
+    shots = task_shots(create_engine(EngineKind.LOCAL, 1), tasks, 0)
+    assert [shot.title for shot in shots] == tasks
+    for shot in shots:
+        assert not shot.failed
+        first, last = shot.pictures
+        assert first.shape == last.shape == (384, 384, 3)
+        assert (first != last).any(axis=-1).mean() > 0.05
+
+
+@pytest.mark.sapien
+def test_command_writes_a_picture(tmp_path: Path) -> None:
+    out = tmp_path / "sheet.jpg"
+    done = CliRunner().invoke(cli, ["suite", "sheet", "--tasks", "StackCube-v1", "--out", str(out)])
+    assert done.exit_code == 0, done.output
+    assert "1 shots, 0 failed" in done.output
+    assert Image.open(out).width > 2 * PICTURE_PX
+
+
+def test_command_wants_a_picture_file() -> None:
+    done = CliRunner().invoke(cli, ["suite", "sheet", "--out", "sheet.gif"])
+    assert done.exit_code != 0
