@@ -1,7 +1,7 @@
 """One episode, completely described: from it the same scene and first frame can be made anywhere."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from kinebench_drake.suites.assets.library import model
 from kinebench_drake.suites.assets.model import Model
@@ -44,6 +44,18 @@ class Episode:
     def layout(self) -> Layout:
         """The scene to begin with."""
         return _layout(self.task, self.seed, self.variant, self.models())
+
+    def reseeded(self, seed: int) -> "Episode":
+        """The same assets and looks, everything else drawn from another seed."""
+        if seed == self.seed:
+            return self
+        drawn_for = self.id.rpartition("_as")[2].removeprefix(f"{self.task}_s")
+        return replace(
+            self,
+            id=f"{self.task}_s{seed:04d}_as{drawn_for}",
+            seed=seed,
+            prompt=_layout(self.task, seed, self.variant, self.models()).prompt,
+        )
 
 
 def _layout(task: str, seed: int, variant: Variant, models: Mapping[str, Model]) -> Layout:

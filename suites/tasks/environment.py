@@ -141,6 +141,7 @@ class KineBenchEnv(BaseEnv):  # type: ignore[misc]
 
     def _load_scene(self, options: dict[str, Any]) -> None:
         self._compose(options)
+        self._fresh = True
         names = list(self.layouts[0].placements)
         for i, episode in enumerate(self.episodes):
             for name, body in surroundings(table(episode.table), background(episode.background)).items():
@@ -176,8 +177,9 @@ class KineBenchEnv(BaseEnv):  # type: ignore[misc]
             self.scene.add_directional_light(look.fill_direction, look.fill_color, shadow=False, scene_idxs=[i])
 
     def _initialize_episode(self, env_idx: Tensor, options: dict[str, Any]) -> None:
-        if self.reconfiguration_freq == 0 or "episodes" in options:
+        if not self._fresh:
             self._place_anew(env_idx, options)
+        self._fresh = False
         with torch.device(self.device):
             rows = [int(i) for i in env_idx]
             q = np.stack([self._start_q(i) for i in rows])
@@ -201,14 +203,13 @@ class KineBenchEnv(BaseEnv):  # type: ignore[misc]
 
     def _place_anew(self, env_idx: Tensor, options: dict[str, Any]) -> None:
         """New places for the assets that are built already, where scenes are not rebuilt."""
-        if "episodes" in options:
-            if [e.assets for e in options["episodes"]] != [e.assets for e in self.episodes]:
-                raise InputError("other assets need options={'reconfigure': True}")
-            self.episodes = list(options["episodes"])
+        given: Sequence[Episode] | None = options.get("episodes")
         for i in map(int, env_idx):
-            task, seed = self.task, int(self._episode_seed[i])
-            rng = generator("layout", task.card.id, seed, self._variant.value)
-            self.layouts[i] = task.layout(self.episodes[i].models(), rng, self._variant)
+            old = self.episodes[i]
+            new = old.reseeded(int(self._episode_seed[i])) if given is None else given[i]
+            if (new.assets, new.table, new.background, new.light) != (old.assets, old.table, old.background, old.light):
+                raise InputError("an episode with other assets or looks needs options={'reconfigure': True}")
+            self.episodes[i], self.layouts[i] = new, new.layout()
 
     def _start_q(self, index: int) -> Array:
         episode, layout = self.episodes[index], self.layouts[index]

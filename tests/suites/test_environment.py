@@ -99,6 +99,25 @@ def test_the_environment_alone_composes_the_same_episodes(stage: Stage) -> None:
 
 
 @pytest.mark.sapien
+def test_a_scene_that_is_not_rebuilt_keeps_its_assets_and_moves_them() -> None:
+    from kinebench_drake.suites.tasks.environment import KineBenchEnv
+
+    env = KineBenchEnv(task=TASK, sim_backend="cpu", render_backend="none", reconfiguration_freq=0)
+    env.reset(seed=1, options={"reconfigure": True})
+    before = env.scene_of()
+    env.reset(seed=2)
+    [episode] = env.episodes
+    assert episode == compose(TASK, 1).reseeded(2)
+    assert episode.assets == compose(TASK, 1).assets
+    assert not np.allclose(env.scene_of().poses["green"], before.poses["green"])
+    for name, X in episode.layout().scene(before.X_BG).poses.items():
+        assert np.allclose(env.scene_of().poses[name], X, atol=1e-5)
+    with pytest.raises(InputError, match="reconfigure"):
+        env.reset(seed=3, options={"episodes": [compose(TASK, 3)]})
+    env.close()
+
+
+@pytest.mark.sapien
 def test_episodes_of_another_task_are_refused(stage: Stage) -> None:
     other = next(task for task in TASKS if task != TASK)
     with pytest.raises(InputError, match=other):
