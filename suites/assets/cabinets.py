@@ -24,7 +24,7 @@ from kinebench_drake.suites.assets.model import (
     Surface,
     Visual,
 )
-from kinebench_drake.suites.assets.texture import brushed, wood
+from kinebench_drake.suites.assets.texture import brushed, mixed, wood
 
 WIDTH_M = (0.172, 0.198)
 """Least and greatest width, across the way of the drawer."""
@@ -248,13 +248,13 @@ def _surfaces(finish: str, rng: np.random.Generator) -> tuple[str, Surface, Surf
         return f"{paint} cabinet", painted, painted, pale
     if finish == "front":
         return f"{kind} cabinet", wooden, painted, pale
+    grey = rng.uniform(130, 185) + rng.uniform(-6, 6, 3)
     steel = Surface(
-        texture=brushed(rng, rng.uniform(130, 185) + rng.uniform(-6, 6, 3)),
+        texture=mixed(brushed(rng, grey), grey, np.full((1, 1), 0.7)),
         roughness=float(rng.uniform(0.35, 0.5)),
         metallic=float(rng.uniform(0.3, 0.6)),
     )
-    grey = Surface(color=(0.30, 0.31, 0.33), roughness=0.6)
-    return "metal cabinet", steel, steel, grey
+    return "metal cabinet", steel, steel, Surface(color=(0.30, 0.31, 0.33), roughness=0.6)
 
 
 def _cabinet(asset_id: str, index: int, rng: np.random.Generator) -> Model:

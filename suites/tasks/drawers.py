@@ -46,7 +46,8 @@ def _outside_by(state: State, poses: Mapping[str, Tensor], name: str) -> Tensor:
     half = 0.5 * torch.stack([state.size("cabinet", "tray_length_m"), state.size("cabinet", "tray_width_m")], dim=-1)
     beside = (p[:, :2].abs() - half).clamp(min=0.0)
     over = torch.maximum(p[:, 2] - HEAP_M, -p[:, 2]).clamp(min=0.0)
-    return torch.linalg.norm(torch.cat([beside, over[:, None]], dim=-1), dim=-1)
+    away: Tensor = torch.linalg.norm(torch.cat([beside, over[:, None]], dim=-1), dim=-1)
+    return away
 
 
 def _on_top(models: Mapping[str, Model], X_BM: Array, back_m: float, aside_m: float, turn_rad: float) -> Array:

@@ -1,0 +1,115 @@
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from kinebench_drake.geometry import Array, to_quaternion
+from kinebench_drake.suites.assets import cabinets
+from kinebench_drake.suites.assets.cubes import EDGE_M
+from kinebench_drake.suites.assets.library import asset_ids, model
+from kinebench_drake.suites.assets.model import Body, ColliderKind
+from kinebench_drake.suites.episode import compose
+from kinebench_drake.suites.experts.registry import find_expert
+from kinebench_drake.suites.rollout import Stage, perform
+from kinebench_drake.suites.tasks.drawers import SHUT_M, TASKS
+
+IDS = asset_ids("cabinet")
+NAMES = [task.card.id for task in TASKS]
+
+
+def boxes(body: Body, out_m: float = 0.0) -> list[tuple[Array, Array]]:
+    """Corners of a body's boards, moved along x."""
+    boards = [c for c in body.colliders if c.kind is ColliderKind.BOX]
+    middles = [c.X_BodyC[:3, 3] + [out_m, 0.0, 0.0] for c in boards]
+    return [(m - c.size, m + c.size) for m, c in zip(middles, boards, strict=True)]
+
+
+@pytest.mark.parametrize("asset_id", IDS)
+def test_the_drawer_runs_free_and_stays_in_the_cabinet(asset_id: str) -> None:
+    cabinet = model(asset_id)
+    carcass, drawer = cabinet.bodies
+    for out in np.linspace(0.0, cabinet.size["travel_m"], 5):
+        for low, high in boxes(carcass):
+            for other_low, other_high in boxes(drawer, float(out)):
+                overlap = np.minimum(high, other_high) - np.maximum(low, other_low)
+                assert overlap.min() <= 0.0
+    tray_back = min(low[0] for low, _ in boxes(drawer, cabinet.size["travel_m"]))
+    assert tray_back < cabinet.size["depth_m"] / 2.0 - 0.03
+
+
+@pytest.mark.parametrize("asset_id", IDS)
+def test_sizes_are_such_that_a_cube_goes_in_whichever_way_it_lies(asset_id: str) -> None:
+    cabinet = model(asset_id)
+    size, diagonal = cabinet.size, 2.0**0.5 * EDGE_M[1]
+    for name, (low, high) in {
+        "width_m": cabinets.WIDTH_M,
+        "depth_m": cabinets.DEPTH_M,
+        "height_m": cabinets.HEIGHT_M,
+        "travel_m": cabinets.TRAVEL_M,
+    }.items():
+        assert low <= size[name] <= high
+    assert min(size["travel_m"], size["tray_width_m"]) > diagonal + 0.04  # and the open fingers beside it
+    roof = size["height_m"] - 0.012
+    assert cabinet.sites["tray"].X_BodyS[2, 3] + diagonal < roof
+
+
+def test_every_handle_finish_and_foot_occurs_with_every_other() -> None:
+    assert len(cabinets.HANDLES) * len(cabinets.FINISHES) * len(cabinets.FEET) == len(IDS)
+    assert len({model(i).size["reach_m"] for i in IDS}) == len(IDS)
+    assert len({model(i).words for i in IDS}) > 8
+
+
+@pytest.fixture(scope="module", params=NAMES)
+def stage(request: pytest.FixtureRequest) -> Iterator[Stage]:
+    with Stage(request.param, renders=False) as stage:
+        yield stage
+
+
+@pytest.mark.sapien
+def test_a_drawer_stays_where_it_is_left_and_stops_when_let_go(stage: Stage) -> None:
+    stage.reset(compose(stage.task.card.id, 3))
+    start, cabinet = stage.snapshot(), stage._env.things["cabinet"]
+    travel = stage.scene().size("cabinet", "travel_m")
+    for _ in range(20):
+        stage.step(start.q, 0.08)
+    rested = stage.snapshot().joints["cabinet"]
+    assert abs(rested - start.joints["cabinet"]) < 0.01 * travel
+    cabinet.set_qvel(np.array([[-0.2]], dtype=np.float32))
+    for _ in range(20):
+        stage.step(start.q, 0.08)
+    assert 0.001 < rested - stage.snapshot().joints["cabinet"] < 0.15 * travel
+    assert abs(float(cabinet.qvel[0, 0])) < 1e-3
+
+
+@pytest.mark.sapien
+def test_the_conditions_hold_at_the_goal_only(stage: Stage) -> None:
+    stage.reset(compose(stage.task.card.id, 4))
+    start, scene = stage.snapshot(), stage.scene()
+    assert not stage.outcome().success
+    assert stage.outcome().progress < 0.02
+    opens = stage.task.card.id.startswith("Open")
+    goal = scene.size("cabinet", "travel_m") if opens else 0.5 * SHUT_M
+    moved = replace(start, joints={"cabinet": goal})
+    stage.show(moved)
+    if "cube" in start.objects:
+        outcome = stage.outcome()
+        assert not outcome.success
+        assert outcome.conditions == {"inside": False, "shut": True, "still": True, "released": True}
+        X_BT = stage.scene().site("cabinet", "tray")
+        p = X_BT[:3, 3] + [-0.615, 0.0, scene.size("cube", "edge_m") / 2.0]
+        cube = np.concatenate([p, to_quaternion(X_BT[:3, :3])])
+        stage.show(replace(moved, objects={**start.objects, "cube": cube}))
+    outcome = stage.outcome()
+    assert outcome.success
+    assert outcome.progress == 1.0
+
+
+@pytest.mark.sapien
+def test_the_expert_does_it(stage: Stage) -> None:
+    name = stage.task.card.id
+    for seed in (2, 3):
+        performance = perform(stage, find_expert(name), compose(name, seed))
+        assert performance.outcome.success, (seed, performance.outcome)
+        lifted = stage.scene().X_BG[2, 3] - stage.scene().size("cabinet", "height_m")
+        assert lifted > 0.03  # the gripper is free again
