@@ -12,6 +12,9 @@ from kinebench_drake.errors import InputError, UsageError, cause
 
 NAME = "manifest.jsonl"
 
+UNREAD = frozenset({"first_frame", "frames", "suite", "split"})
+"""Keys that `suite export` and `suite demos` write for world models; nothing here reads them, or warns of them."""
+
 MIN_PERIOD_S, MAX_PERIOD_S = 1e-4, 1e3
 """Shortest and longest task time between two frames [s]."""
 
@@ -78,7 +81,7 @@ def _read_line(number: int, text: str) -> Line:
     if not isinstance(data, dict):
         return _broken(number, f"line {number} is a {type(data).__name__}, expected an object with the key video")
     video, id = (data.get(key) if isinstance(data.get(key), str) else None for key in ("video", "id"))
-    unknown = tuple(sorted(set(data) - set(Entry.model_fields)))
+    unknown = tuple(sorted(set(data) - set(Entry.model_fields) - UNREAD))
     try:
         entry, problem = Entry.model_validate(data), None
     except ValidationError as error:

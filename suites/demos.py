@@ -1,0 +1,265 @@
+"""Expert demonstrations with ground truth: as many successful ones of each task as asked for, whatever stops the run.
+
+A demonstration counts from the moment its line stands in `demos.jsonl`, after its files are there whole. A seed with
+which the expert fails is told there, too, and the next one takes its place; so the demonstrations of a task are those
+of its first successful seeds, and a larger set begins with a smaller one.
+"""
+
+import fcntl
+import json
+import os
+import shutil
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from numpy.typing import ArrayLike
+
+from kinebench_drake.engines import Crashed, Engine
+from kinebench_drake.errors import InputError, SetupError, UsageError
+from kinebench_drake.suites.episode import Episode
+from kinebench_drake.suites.experts.registry import find_expert
+from kinebench_drake.suites.export import episode_facts
+from kinebench_drake.suites.files import append_line, read_lines, write_json, write_lines
+from kinebench_drake.suites.formats.demo import CLIP_STEPS, PARTS, Demo, FormatKind, Record, Shots
+from kinebench_drake.suites.formats.format import Format, find_format
+from kinebench_drake.suites.order import Order
+from kinebench_drake.suites.rollout import Performance, Stage, film, perform
+from kinebench_drake.suites.stagehand import Stagehand
+from kinebench_drake.suites.suite import Draw
+from kinebench_drake.suites.watcher import Watcher
+
+RECORDS, SUMMARY = "demos.jsonl", "demos.json"
+PATIENCE = 10
+"""A task is given up after twice as many tries as demonstrations are wanted, and so many more."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Delivery:
+    """What came of an order."""
+
+    demonstrations: int
+    """Successful ones, those from before included."""
+    failures: int
+    """Seeds with which the expert failed."""
+    short: dict[str, int]
+    """How many demonstrations are missing of each task that was given up."""
+
+
+class _RecordingStage(Stage):
+    """A stage that remembers ManiSkill's state and the verdict after each step."""
+
+    def reset(self, episode: Episode) -> None:
+        """See `Stage.reset`."""
+        super().reset(episode)
+        self.states = [self.simulation_state()]
+        self.successes: list[bool] = []
+
+    def step(self, q: ArrayLike, finger_width_m: float) -> None:
+        """See `Stage.step`."""
+        super().step(q, finger_width_m)
+        self.states.append(self.simulation_state())
+        self.successes.append(self.outcome().success)
+
+
+@dataclass(frozen=True, slots=True)
+class _Experts:
+    """Makes, in each process, what makes demonstrations."""
+
+    kind: FormatKind
+    shots: Shots
+    out: Path
+
+    def __call__(self) -> Callable[[Draw], Record]:
+        form = find_format(self.kind)
+        hand = Stagehand(self.shots.size, renders=form.films, make=_RecordingStage if form.keeps_states else Stage)
+
+        def demonstrate(draw: Draw) -> Record:
+            episode, stage = draw.episode(), hand.stage(draw.task, draw.variant)
+            success, progress, reason, clips = False, 0.0, "", 0
+            try:
+                performance = perform(stage, find_expert(draw.task), episode, every=self.shots.every)
+                outcome, clips = performance.outcome, len(performance.controls) // CLIP_STEPS
+                success, progress = outcome.success and clips > 0, outcome.progress
+                reason = "" if success else "not " + ", ".join(n for n, ok in outcome.conditions.items() if not ok)
+            except InputError as error:
+                reason = str(error)
+            if success:
+                form.write_part(self.out, _demo(stage, performance, self.shots, form))
+            return Record(
+                id=episode.id,
+                task=episode.task,
+                seed=episode.seed,
+                prompt=episode.prompt,
+                success=success,
+                reason=reason,
+                progress=progress,
+                clips=clips,
+                facts={name: fact for name, fact in episode_facts(episode).items() if name not in Record.__slots__},
+            )
+
+        return demonstrate
+
+
+def _demo(stage: Stage, performance: Performance, shots: Shots, form: Format) -> Demo:
+    from kinebench_drake.suites.tasks.environment import X_WB
+
+    recording = stage if isinstance(stage, _RecordingStage) else None
+    return Demo(
+        performance=performance,
+        shots=shots,
+        film=film(stage, performance.snapshots) if form.films else None,
+        X_WB=X_WB,
+        states=recording.states if recording else (),
+        successes=tuple(recording.successes) if recording else (),
+    )
+
+
+def make_demos(order: Order, engine: Engine, watcher: Watcher, *, overwrite: bool = False) -> Delivery:
+    """Make demonstrations, or go on making them where a run before was stopped.
+
+    Raises:
+        UsageError: the folder holds demonstrations that are no part of this order.
+        SetupError: writing or rendering failed, or a worker died.
+    """
+    with _claimed(order.out):
+        if overwrite:
+            for name in (RECORDS, SUMMARY):
+                (order.out / name).unlink(missing_ok=True)
+        before, records = _begun(order), _records(order)
+        if not _joined(order, before):
+            form = find_format(order.kind)
+            records = {key: r for key, r in records.items() if _whole(form, order.out, r)}
+            write_json(order.out / SUMMARY, order.request())
+            write_lines(order.out / RECORDS, [asdict(record) for record in records.values()])
+            _produce(order, records, engine, watcher)
+            _finish(order, form, records)
+        tried = _tried(order, records)
+        made = Counter(record.task for record in tried if record.success)
+        return Delivery(
+            demonstrations=made.total(),
+            failures=len(tried) - made.total(),
+            short={task: order.wanted() - made[task] for task in order.tasks if made[task] < order.wanted()},
+        )
+
+
+@contextmanager
+def _claimed(out: Path) -> Iterator[None]:
+    """The folder for one program at a time.
+
+    Raises:
+        UsageError: it cannot be made, or another program has it.
+    """
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        lock = os.open(out, os.O_RDONLY)
+    except OSError as error:
+        raise UsageError(f"--out {out}: cannot be written ({error.strerror or error})") from None
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield
+    except BlockingIOError:
+        raise UsageError(f"--out {out}: another run is writing there; wait for it, or name another folder") from None
+    finally:
+        os.close(lock)
+
+
+def _begun(order: Order) -> dict[str, Any]:
+    """The summary of an earlier run in the folder, of which this order must be a part or a continuation.
+
+    Raises:
+        UsageError: it is neither.
+    """
+    path = order.out / SUMMARY
+    if not path.is_file():
+        return {}
+    try:
+        before: dict[str, Any] = json.loads(path.read_text())
+        smaller = sorted(set(before["tasks"]) - set(order.tasks)) or before["episodes_per_task"] > order.episodes
+    except (ValueError, KeyError, TypeError):
+        raise UsageError(f"{path}: is damaged; --overwrite starts anew") from None
+    fix = "name another --out, or --overwrite to start anew"
+    for name, value in order.settings().items():
+        if before.get(name) != value:
+            raise UsageError(f"{order.out} holds demonstrations with {name} {before.get(name)}, not {value}: {fix}")
+    if smaller:
+        raise UsageError(
+            f"{order.out} holds {before['episodes_per_task']} demonstrations each of {', '.join(before['tasks'])}; "
+            f"asked for are {order.episodes} each of {', '.join(order.tasks)}, which may only be more: {fix}"
+        )
+    return before
+
+
+def _records(order: Order) -> dict[tuple[str, int], Record]:
+    """Attempts told by the folder, by task and seed."""
+    try:
+        records = [Record(**row) for row in read_lines(order.out / RECORDS)]
+    except TypeError:
+        raise UsageError(f"{order.out / RECORDS}: is damaged; --overwrite starts anew") from None
+    return {(record.task, record.seed): record for record in records}
+
+
+def _joined(order: Order, before: dict[str, Any]) -> bool:
+    """Whether all of this order is there already, its parts joined and gone."""
+    files: list[str] = before.get("files", [])
+    same = all(before.get(name) == value for name, value in order.request().items())
+    return same and bool(files) and all((order.out / name).is_file() for name in files)
+
+
+def _whole(form: Format, out: Path, record: Record) -> bool:
+    return not record.success or all(path.is_file() for path in form.part_files(out, record))
+
+
+def _tries(order: Order, records: Mapping[tuple[str, int], Record], task: str) -> tuple[list[Record], list[Draw]]:
+    """Attempts that count, in the order of seeds up to the last one needed, and those to be made next."""
+    wanted, good = order.wanted(), 0
+    tried: list[Record] = []
+    todo: list[Draw] = []
+    for draw in order.draws(task, 2 * wanted + PATIENCE if wanted else 0):
+        if good + len(todo) == wanted:
+            break
+        record = records.get((task, draw.seed))
+        if record is None:
+            todo.append(draw)
+        else:
+            tried.append(record)
+            good += record.success
+    return tried, todo
+
+
+def _tried(order: Order, records: Mapping[tuple[str, int], Record]) -> list[Record]:
+    return [record for task in order.tasks for record in _tries(order, records, task)[0]]
+
+
+def _produce(order: Order, records: dict[tuple[str, int], Record], engine: Engine, watcher: Watcher) -> None:
+    """Make attempts until each task has its demonstrations, or too many have failed."""
+    kept = sum(record.success for record in _tried(order, records))
+    watcher.started(order.wanted() * len(order.tasks), kept)
+    while todo := [draw for task in order.tasks for draw in _tries(order, records, task)[1]]:
+        died = []
+        for done in engine.run(_Experts(order.kind, order.shots, order.out), todo):
+            if isinstance(done, Crashed):
+                died.append(f"{done.item.task} seed {done.item.seed}: {done.reason}")
+                continue
+            record = done.result
+            append_line(order.out / RECORDS, asdict(record))
+            records[record.task, record.seed] = record
+            watcher.advanced(f"{record.id}: {record.reason}" if record.reason else record.id, good=record.success)
+        if died:
+            raise SetupError(f"{died[0]}; run the same command again, what is finished is kept")
+
+
+def _finish(order: Order, form: Format, records: Mapping[tuple[str, int], Record]) -> None:
+    """Write what speaks of all demonstrations; only then parts that were joined may go."""
+    tried = _tried(order, records)
+    made = [record for record in tried if record.success]
+    if made:
+        files = form.finish(order.out, made, order.shots, order.settings())
+        write_lines(order.out / RECORDS, [asdict(record) for record in tried])
+        counts = {"demonstrations": len(made), "failures": len(tried) - len(made)}
+        names = [file.relative_to(order.out).as_posix() for file in files]
+        write_json(order.out / SUMMARY, {**order.request(), **counts, "files": names})
+        shutil.rmtree(order.out / PARTS, ignore_errors=True)

@@ -1,0 +1,89 @@
+"""Files that are there whole or not at all, and JSON lines that survive a torn end."""
+
+import errno
+import json
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from kinebench_drake.errors import SetupError
+
+
+@contextmanager
+def storage(name: str) -> Iterator[None]:
+    """Turn a failing disk into one line that says what to do.
+
+    Raises:
+        SetupError: writing failed (disk full, no permission, ...).
+    """
+    try:
+        yield
+    except OSError as error:
+        full = error.errno in (errno.ENOSPC, errno.EDQUOT)
+        fix = "free some space" if full else "make the folder writable"
+        raise SetupError(
+            f"cannot write {name} ({error.strerror or error}): {fix} and run the same command again, what is finished "
+            "is kept"
+        ) from None
+
+
+@contextmanager
+def whole(path: Path) -> Iterator[Path]:
+    """A path to write to beside `path`, which takes its place when the context ends without an error.
+
+    Raises:
+        SetupError: writing failed.
+    """
+    part = path.with_name(f".{os.getpid()}.part.{path.name}")
+    try:
+        with storage(path.name):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            yield part
+            os.replace(part, path)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def write_json(path: Path, value: Mapping[str, Any]) -> None:
+    """Write one JSON object, indented."""
+    with whole(path) as part:
+        part.write_text(json.dumps(value, indent=1, allow_nan=False) + "\n")
+
+
+def write_lines(path: Path, rows: Iterator[Mapping[str, Any]] | list[dict[str, Any]]) -> None:
+    """Write one JSON object a line."""
+    with whole(path) as part:
+        part.write_text("".join(json.dumps(row, allow_nan=False) + "\n" for row in rows))
+
+
+def read_lines(path: Path) -> list[dict[str, Any]]:
+    """The JSON objects of a file's lines; a torn last line is passed over, as is a file that is not there."""
+    rows = []
+    for line in path.read_text().split("\n")[:-1] if path.is_file() else []:
+        try:
+            rows.append(json.loads(line))
+        except ValueError:
+            break
+    return rows
+
+
+def append_line(path: Path, row: Mapping[str, Any]) -> None:
+    """Append one JSON object as a line and see it to the disk.
+
+    Raises:
+        SetupError: writing failed.
+    """
+    with storage(path.name), path.open("ab") as file:
+        file.write((json.dumps(row, allow_nan=False) + "\n").encode())
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def write_arrays(path: Path, arrays: Mapping[str, Any]) -> None:
+    """Write an npz, the same bytes for the same arrays."""
+    with whole(path) as part, part.open("wb") as file:
+        np.savez_compressed(file, **arrays)

@@ -1,0 +1,68 @@
+"""An order of demonstrations: which ones, and how they are filmed and written."""
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import kinebench_drake
+from kinebench_drake.shard import Shard
+from kinebench_drake.suites.formats.demo import FormatKind, Shots
+from kinebench_drake.suites.formats.format import find_format
+from kinebench_drake.suites.suite import Draw, Suite
+from kinebench_drake.suites.tasks.card import Variant
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Order:
+    """Which demonstrations to make."""
+
+    suite: Suite
+    split: str
+    """Name of one of the suite's splits."""
+    tasks: tuple[str, ...]
+    """Plain task ids of the split."""
+    episodes: int
+    """Successful demonstrations of each task."""
+    seed: int
+    """Number of the first of the split's seeds."""
+    variant: Variant
+    """Version of the scenes."""
+    shots: Shots
+    kind: FormatKind
+    out: Path
+    """Folder to write to."""
+    shard: Shard | None = None
+    """The part of the seeds to use; all of them if None."""
+
+    def wanted(self) -> int:
+        """Demonstrations of each task that are this part's."""
+        return self.episodes if self.shard is None else len(self.shard.take(range(self.episodes)))
+
+    def draws(self, task: str, tries: int) -> list[Draw]:
+        """The first `tries` episodes of a task that are this part's.
+
+        Raises:
+            UsageError: the split has not as many seeds.
+        """
+        parts = 1 if self.shard is None else self.shard.count
+        all_draws = self.suite.draws(self.split, task, tries * parts, offset=self.seed, variant=self.variant)
+        return all_draws if self.shard is None else self.shard.take(all_draws)
+
+    def settings(self) -> dict[str, Any]:
+        """What all demonstrations of a folder have in common, as JSON."""
+        split, films = self.suite.splits[self.split], find_format(self.kind).films
+        return {
+            "version": kinebench_drake.__version__,
+            "format": self.kind.value,
+            "suite": self.suite.number,
+            "split": self.split,
+            "pool": split.pool.value,
+            "variant": self.variant.value,
+            "first_seed": split.seeds[0] + self.seed,
+            "shard": None if self.shard is None else str(self.shard),
+            **({"frame_period_s": self.shots.frame_period_s, **asdict(self.shots)} if films else {}),
+        }
+
+    def request(self) -> dict[str, Any]:
+        """All of the order, as JSON."""
+        return {**self.settings(), "tasks": list(self.tasks), "episodes_per_task": self.episodes}
