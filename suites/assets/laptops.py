@@ -28,7 +28,7 @@ from kinebench_drake.suites.assets.texture import blend, tileable_noise
 
 WIDTH_M, DEPTH_M = (0.20, 0.25), (0.135, 0.16)
 """Least and greatest sizes of the base along and across the hinge."""
-BASE_M, FEET_M, LID_M = (0.0135, 0.016), (0.003, 0.004), (0.006, 0.0075)
+BASE_M, FEET_M, LID_M = (0.0145, 0.0165), (0.003, 0.004), (0.006, 0.0075)
 """Least and greatest thickness of base and lid, and height of the feet."""
 LIP_M = (0.0085, 0.011)
 """How far the lid stands out beyond the base at least and at most: a fingertip gets under."""

@@ -21,7 +21,9 @@ TILT_RAD = np.deg2rad(40.0)
 TABLE_M = 0.004
 """Room left between fingertip and table."""
 UNDER_M = 0.006
-"""How far under the edge of a shut lid the fingertip is put."""
+"""How far under the lid's edge the fingertip is put at most."""
+WEDGE_M = 0.002
+"""How far under the edge it goes from where its slant would touch: so much it lifts by wedging."""
 HOLD_M = 0.016
 """How far from the lid's edge the fingertip pushes it."""
 TURN_RAD = np.deg2rad(46.0)
@@ -92,8 +94,9 @@ def open_laptop(scene: Scene) -> list[Waypoint]:
     hinge, angle = _Hinge.of(scene), scene.joints["laptop"]
     reach, inside = scene.size("laptop", "reach_m"), scene.size("laptop", "inside_m")
     lowest = TABLE_M + FINGER_M * np.sin(TILT_RAD) - hinge.point[2]
-    under = _on_lid(angle, reach - UNDER_M, inside - 0.006)
-    under[1] = max(lowest, under[1]) if angle < 0.1 else under[1]
+    under = _on_lid(angle, reach, inside)
+    height = max(lowest, under[1] - 0.006)
+    under = np.array([under[0] - min(UNDER_M, (under[1] - height) * np.tan(TILT_RAD) + WEDGE_M), height])
     turn = max(TURN_RAD, angle + 0.2)
     lifted = _on_lid(turn, reach - HOLD_M, inside - 0.001)
     poses = [
@@ -143,7 +146,7 @@ def close_laptop_hard(scene: Scene) -> list[Waypoint]:
         Waypoint(X_BG=X_BG, finger_width_m=CLOSED_M, through=True)
         for X_BG in (
             over,
-            hinge.hand(_moved(behind, -0.06, 0.06), 0.0, CLOSED_M, front=True),
+            hinge.hand(_moved(behind, -0.04, 0.05), 0.0, CLOSED_M, front=True),
             hinge.hand(_moved(behind, -0.02, 0.0), 0.0, CLOSED_M, front=True),
             hinge.hand(behind, 0.0, CLOSED_M, front=True),
         )

@@ -22,7 +22,7 @@ STILL_RAD_S = 0.05
 CLEAR_M = 0.03
 """A gripper whose TCP is this far from the lid has let go of it."""
 
-LEAST_M, MOST_M = (0.48, -0.04), (0.54, 0.04)
+LEAST_M, MOST_M = (0.45, -0.02), (0.52, 0.05)
 """Where the middle of the base is put, x and y."""
 
 
@@ -136,7 +136,7 @@ class CloseLaptopEasy(_Close):
     """Press a laptop shut that is open a little.
 
     Description: the lid stands open a little; press it down from above until it lies on the base.
-    Randomizations: the laptop, its place and direction, how far it is open (38 to 55 degrees).
+    Randomizations: the laptop, its place and direction, how far it is open (37 to 47 degrees).
     Success: the lid is open by 4 degrees at most (`shut`), still and let go.
     """
 
@@ -144,7 +144,7 @@ class CloseLaptopEasy(_Close):
         id="CloseLaptopEasy-v1", family="laptops", difficulty=Difficulty.EASY, articulated_dof=1, axes="x", contacts=1
     )
     prompt = "The robot arm presses the lid of the half-open {} down until the laptop is shut."
-    start_deg = (38.0, 55.0)
+    start_deg = (37.0, 47.0)
     turn_deg = (-15.0, 20.0)
 
 
@@ -153,7 +153,7 @@ class CloseLaptopHard(_Close):
 
     Description: the lid leans back past the vertical; reach behind it, pull it forward over the vertical, then press it
     down until it lies on the base.
-    Randomizations: the laptop, its place and direction, how far it is open (108 to 125 degrees).
+    Randomizations: the laptop, its place and direction, how far it is open (110 to 125 degrees).
     Success: the lid is open by 4 degrees at most (`shut`), still and let go.
     """
 
@@ -164,8 +164,8 @@ class CloseLaptopHard(_Close):
         "The robot arm reaches behind the lid of the wide open {}, pulls it up and forward, then presses it down until "
         "the laptop is shut."
     )
-    start_deg = (108.0, 125.0)
-    turn_deg = (-30.0, -5.0)
+    start_deg = (110.0, 125.0)
+    turn_deg = (-25.0, 0.0)
 
 
 TASKS = (CloseLaptopEasy(), CloseLaptopHard(), OpenLaptopEasy(), OpenLaptopHard())

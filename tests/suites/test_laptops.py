@@ -1,0 +1,149 @@
+"""Laptops and what is done with them."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from kinebench_drake.geometry import Array, make_pose
+from kinebench_drake.suites.assets import laptops as assets
+from kinebench_drake.suites.assets.laptops import GREATEST_RAD
+from kinebench_drake.suites.assets.library import asset_ids, model
+from kinebench_drake.suites.assets.model import Body, Model
+from kinebench_drake.suites.episode import compose
+from kinebench_drake.suites.experts.registry import find_expert
+from kinebench_drake.suites.rollout import Stage, perform
+from kinebench_drake.suites.tasks.laptops import OPEN_RAD, SHUT_RAD, TASKS
+from kinebench_drake.suites.tasks.registry import find_task
+from kinebench_drake.suites.tasks.state import State
+
+TASK_IDS = [task.card.id for task in TASKS]
+
+
+def _points(body: Body) -> Array:
+    points = body.colliders[0].points
+    assert points is not None
+    return points
+
+
+def _lid_at(laptop: Model, angle_rad: float) -> Array:
+    """The lid's collider points in the base."""
+    joint = laptop.bodies[1].joint
+    assert joint is not None
+    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    turn = make_pose([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]], np.zeros(3))
+    X = joint.X_ParentJ @ turn @ np.linalg.inv(joint.X_BodyJ)
+    return np.asarray(_points(laptop.bodies[1]) @ X[:3, :3].T + X[:3, 3])
+
+
+@pytest.mark.parametrize("asset_id", asset_ids("laptop"))
+def test_sizes_are_within_bounds(asset_id: str) -> None:
+    laptop = model(asset_id)
+    base, lid = _points(laptop.bodies[0]), _lid_at(laptop, 0.0)
+    for (low, high), extent in ((assets.DEPTH_M, np.ptp(base[:, 0])), (assets.WIDTH_M, np.ptp(base[:, 1]))):
+        assert low - 1e-9 <= extent <= high + 1e-9
+    assert base[:, 2].min() > 0.0
+    assert base[:, 2].max() == pytest.approx(laptop.size["top_m"])
+    assert lid[:, 0].max() - base[:, 0].max() == pytest.approx(laptop.size["lip_m"])
+
+
+@pytest.mark.parametrize("asset_id", asset_ids("laptop"))
+def test_lid_stays_above_the_base_at_all_angles(asset_id: str) -> None:
+    laptop = model(asset_id)
+    top, back = laptop.size["top_m"], -laptop.size["depth_m"] / 2.0
+    for angle in np.linspace(0.0, GREATEST_RAD, 40):
+        lid = _lid_at(laptop, float(angle))
+        assert lid[lid[:, 0] > back, 2].min() > top
+        assert lid[:, 2].max() < 0.2
+
+
+def test_instances_differ() -> None:
+    laptops = [model(name) for name in asset_ids("laptop")]
+    assert len({laptop.words for laptop in laptops}) == len(assets.COLORS)
+    assert len({tuple(laptop.size.values()) for laptop in laptops}) == len(laptops)
+
+
+def _states(task: str, angles: tuple[float, float], clear_m: float) -> State:
+    """Two scenes with lids at rest at two angles, the gripper above the lid's axis."""
+    laptops = [compose(task, seed).layout().placements["laptop"] for seed in range(2)]
+    X_base = torch.tensor(np.stack([p.X_BM for p in laptops]), dtype=torch.float32)
+    X_lid = X_base @ torch.tensor(np.stack([p.model.sites["hinge"].X_BodyS for p in laptops]), dtype=torch.float32)
+    X_BG = X_lid.clone()
+    X_BG[:, 2, 3] += torch.tensor([p.model.size["outside_m"] for p in laptops]) + clear_m
+    return State(
+        X_BG=X_BG,
+        finger_width_m=torch.zeros(2),
+        poses={"laptop": X_base, "laptop/lid": X_lid},
+        starts={"laptop": X_base, "laptop/lid": X_lid},
+        joints={"laptop": torch.tensor(angles, dtype=torch.float32)},
+        joint_starts={"laptop": torch.tensor([p.joint for p in laptops])},
+        speeds={"laptop": torch.zeros(2)},
+        models={"laptop": [p.model for p in laptops]},
+        grasps=lambda _: torch.zeros(2, dtype=torch.bool),
+    )
+
+
+@pytest.mark.parametrize("task_id", TASK_IDS)
+def test_conditions_flip_at_the_goal(task_id: str) -> None:
+    task = find_task(task_id)
+    name, goal, sign = ("open", OPEN_RAD, 1.0) if "Open" in task_id else ("shut", SHUT_RAD, -1.0)
+    state = _states(task_id, (goal + 0.01 * sign, goal - 0.01 * sign), 0.1)
+    verdict = task.conditions(state)
+    assert verdict[name].tolist() == [True, False]
+    assert verdict["still"].all()
+    assert verdict["released"].all()
+    assert torch.allclose(task.progress(state), torch.ones(2), atol=0.05)
+    assert not task.conditions(replace(state, speeds={"laptop": torch.ones(2)}))["still"].any()
+    assert not task.conditions(_states(task_id, (0.0, 0.0), 0.02))["released"].any()
+
+
+@pytest.mark.parametrize("task_id", TASK_IDS)
+def test_goal_needs_a_quarter_of_the_range(task_id: str) -> None:
+    for seed in range(20):
+        start = compose(task_id, seed).layout().placements["laptop"].joint
+        way = OPEN_RAD - start if "Open" in task_id else start - SHUT_RAD
+        assert way > 0.25 * GREATEST_RAD
+
+
+@pytest.fixture(scope="module")
+def ajar() -> Iterator[Stage]:
+    with Stage("OpenLaptopEasy-v1", renders=False) as stage:
+        yield stage
+
+
+@pytest.mark.sapien
+def test_lid_at_rest_stays(ajar: Stage) -> None:
+    ajar.reset(compose("OpenLaptopEasy-v1", 3))
+    before = ajar.snapshot()
+    for _ in range(200):
+        ajar.step(before.q, 0.08)
+    assert ajar.snapshot().joints["laptop"] == pytest.approx(before.joints["laptop"], abs=0.005 * GREATEST_RAD)
+
+
+@pytest.mark.sapien
+def test_pushed_lid_stops_soon(ajar: Stage) -> None:
+    ajar.reset(compose("OpenLaptopEasy-v1", 4))
+    before = ajar.snapshot()
+    lid = ajar._env.things["laptop"]
+    lid.set_qvel(np.array([[1.0]], dtype=np.float32))
+    angles = []
+    for _ in range(20):
+        ajar.step(before.q, 0.08)
+        angles.append(ajar.snapshot().joints["laptop"])
+    assert 0.001 < angles[-1] - before.joints["laptop"] < 0.1
+    assert max(angles) - angles[-1] < 0.002
+    assert angles[-1] == pytest.approx(angles[5], abs=0.002)
+
+
+@pytest.mark.sapien
+@pytest.mark.parametrize("task_id", TASK_IDS)
+def test_expert_succeeds(task_id: str) -> None:
+    with Stage(task_id, renders=False) as stage:
+        for seed in (11, 12):
+            performance = perform(stage, find_expert(task_id), compose(task_id, seed))
+            assert performance.outcome.success, performance.outcome
+            lids = np.array([snapshot.joints["laptop"] for snapshot in performance.snapshots])
+            sign = 1.0 if "Open" in task_id else -1.0
+            assert (sign * np.diff(lids) > -0.005).all()  # never the wrong way
