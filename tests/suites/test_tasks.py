@@ -1,0 +1,161 @@
+"""What every task must keep to, whatever it is about."""
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from kinebench_drake.suites.assets.library import INSTANCES, KINDS, asset_ids, model
+from kinebench_drake.suites.episode import compose
+from kinebench_drake.suites.experts.registry import EXPERTS
+from kinebench_drake.suites.rollout import Stage
+from kinebench_drake.suites.tasks.card import Variant
+from kinebench_drake.suites.tasks.registry import TASKS
+
+BENCHMARK = [
+    "CloseBox-v1",
+    "CloseDrawer-v1",
+    "CloseFaucet-v1",
+    "CloseLaptopEasy-v1",
+    "CloseLaptopHard-v1",
+    "LiftPegUpright-v1",
+    "OpenBoxEasy-v1",
+    "OpenBoxEasy-v2",
+    "OpenBoxHard-v1",
+    "OpenBoxHard-v2",
+    "OpenDrawer-v1",
+    "OpenFaucet-v1",
+    "OpenLaptopEasy-v1",
+    "OpenLaptopHard-v1",
+    "PickFruits-v1",
+    "PullCube-v1",
+    "StackCube-v1",
+    "StoreCube-v1",
+    "StoreCube-v2",
+    "StoreFruitsBox-v1",
+]
+SCENES = [(task, variant) for task, t in TASKS.items() for variant in t.card.variants]
+SEEDS = (21, 22)
+HOLD_STEPS = 60
+"""Three seconds."""
+DRIFT_M, DRIFT_SHARE = 0.004, 0.01
+"""What may move by itself: a thing as it settles, and a joint, as a share of its range."""
+
+
+def test_the_benchmark_is_complete() -> None:
+    assert list(TASKS) == BENCHMARK
+    assert sorted(EXPERTS) == BENCHMARK
+    assert sum(Variant.OBSTACLES in task.card.variants for task in TASKS.values()) >= 2
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_tasks_are_described(task: str) -> None:
+    doc = type(TASKS[task]).__doc__ or ""
+    for part in ("Description:", "Randomizations:", "Success:"):
+        assert part in doc
+    for seed in range(4):
+        prompt = compose(task, seed).prompt
+        assert prompt.startswith("The robot arm ")
+        assert prompt.endswith(".")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_kind_has_many_different_instances(kind: str) -> None:
+    assert INSTANCES >= 20
+    made = [model(asset_id) for asset_id in asset_ids(kind)]
+    assert len({tuple(sorted(m.size.items())) for m in made}) == len(made), "instances of the same measures"
+    for m in made:
+        assert m.kind == kind
+        assert all(np.isfinite(v.mesh.vertices).all() for body in m.bodies for v in body.visuals)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_solids_are_where_they_are_seen(kind: str) -> None:
+    """Bounding boxes of what collides and what is seen agree within a centimetre."""
+    for asset_id in asset_ids(kind)[::6]:
+        for body in model(asset_id).bodies:
+            if not body.colliders:
+                continue
+            seen = np.concatenate([v.mesh.vertices @ v.X_BodyV[:3, :3].T + v.X_BodyV[:3, 3] for v in body.visuals])
+            solid = np.concatenate([_corners(c) for c in body.colliders])
+            assert np.abs(seen.min(axis=0) - solid.min(axis=0)).max() < 0.012, f"{asset_id} {body.name}"
+            assert np.abs(seen.max(axis=0) - solid.max(axis=0)).max() < 0.012, f"{asset_id} {body.name}"
+
+
+def _corners(collider) -> np.ndarray:
+    from kinebench_drake.suites.assets.model import ColliderKind
+
+    if collider.kind is ColliderKind.HULL:
+        points = np.asarray(collider.points)
+    else:
+        if collider.kind is ColliderKind.BOX:
+            half = np.array(collider.size)
+        elif collider.kind is ColliderKind.SPHERE:
+            half = np.full(3, collider.size[0])
+        else:
+            radius, length = collider.size
+            half = np.array([length + (radius if collider.kind is ColliderKind.CAPSULE else 0.0), radius, radius])
+        points = half * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+    return points @ collider.X_BodyC[:3, :3].T + collider.X_BodyC[:3, 3]
+
+
+@pytest.fixture(scope="module", params=SCENES, ids=lambda scene: f"{scene[0]}-{scene[1].value}")
+def stage(request: pytest.FixtureRequest) -> Iterator[tuple[Stage, Variant]]:
+    task, variant = request.param
+    with Stage(task, variant=variant, renders=False) as stage:
+        yield stage, variant
+
+
+@pytest.mark.sapien
+def test_nothing_moves_by_itself_and_nothing_is_done_at_first(stage: tuple[Stage, Variant]) -> None:
+    own, variant = stage
+    for seed in SEEDS:
+        episode = compose(own.task.card.id, seed, variant=variant)
+        own.reset(episode)
+        outcome = own.outcome()
+        assert not outcome.success
+        assert outcome.progress <= 0.05
+        before, start = own.scene(), own.snapshot()
+        for _ in range(HOLD_STEPS):
+            own.step(start.q, float(start.fingers_m.sum()))
+        after = own.scene()
+        for name, X in before.poses.items():
+            if "/" not in name:
+                assert np.linalg.norm(after.poses[name][:3, 3] - X[:3, 3]) < DRIFT_M, f"{name} of seed {seed}"
+        for name, joint in before.joints.items():
+            limits = before.models[name].bodies[1].joint
+            assert abs(after.joints[name] - joint) < DRIFT_SHARE * (limits.upper - limits.lower), name
+        assert not own.outcome().success
+
+
+@pytest.mark.sapien
+def test_verdicts_of_a_batch_are_those_of_its_scenes(stage: tuple[Stage, Variant]) -> None:
+    """Conditions and progress of two scenes at once, as ManiSkill's GPU simulation asks for them."""
+    import torch
+
+    from kinebench_drake.suites.tasks.state import State
+
+    own, variant = stage
+    single = []
+    for seed in SEEDS:
+        own.reset(compose(own.task.card.id, seed, variant=variant))
+        single.append(own._env.state())
+
+    def both(name: str) -> dict[str, torch.Tensor]:
+        parts = [getattr(state, name) for state in single]
+        return {key: torch.cat([part[key] for part in parts]) for key in parts[0]}
+
+    batch = State(
+        X_BG=torch.cat([s.X_BG for s in single]),
+        finger_width_m=torch.cat([s.finger_width_m for s in single]),
+        **{name: both(name) for name in ("poses", "starts", "joints", "joint_starts", "speeds")},
+        models={name: [m for s in single for m in s.models[name]] for name in single[0].models},
+        grasps=lambda name: torch.cat([torch.zeros(1, dtype=torch.bool) for _ in single]),
+    )
+    separate = [own.task.conditions(state) for state in single]
+    for name, value in own.task.conditions(batch).items():
+        assert value.shape == (2,)
+        assert value.dtype == torch.bool
+        assert value.tolist() == [bool(s[name][0]) for s in separate]
+    progress = own.task.progress(batch)
+    assert torch.allclose(progress, torch.cat([own.task.progress(state) for state in single]))
