@@ -2,6 +2,7 @@
 
 import sys
 from types import TracebackType
+from typing import Self
 
 import click
 from rich.console import Console
@@ -13,21 +14,21 @@ from kinebench_drake.row import SampleRow, Status
 _STYLES = {Status.OK: "green", Status.UNMEASURABLE: "yellow", Status.ERROR: "red"}
 
 
-class ProgressView:
-    """An observer of runs that writes to standard error. Use as a context."""
+class _View:
+    """A bar on a terminal, or nothing, and lines above it. Use as a context."""
 
-    def __init__(self) -> None:
+    def __init__(self, what: str) -> None:
         self.total = 0
-        """Samples to be done in all."""
+        """Things to be done in all."""
         self.done = 0
-        """Samples done, those kept from before included."""
+        """Things done, those kept from before included."""
         self._bar: Progress | None = None
         if sys.stderr.isatty():
             columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
             self._bar = Progress(*columns, console=Console(stderr=True))
-            self._task = self._bar.add_task("samples", total=None)
+            self._task = self._bar.add_task(what, total=None)
 
-    def __enter__(self) -> "ProgressView":
+    def __enter__(self) -> Self:
         if self._bar:
             self._bar.start()
         return self
@@ -38,25 +39,15 @@ class ProgressView:
         if self._bar:
             self._bar.stop()
 
-    def warned(self, message: str) -> None:
-        """Tell a warning."""
-        self._say(Text(f"warning: {message}", style="yellow"))
-
-    def started(self, total: int, kept: int) -> None:
-        """Begin to count."""
+    def _begin(self, total: int, kept: int, what: str) -> None:
         self.total, self.done = total, kept
         if kept:
-            self._say(Text(f"{kept} of {total} samples are finished already and kept"))
+            self._say(Text(f"{kept} of {total} {what} are finished already and kept"))
         if self._bar:
             self._bar.update(self._task, total=total, completed=kept)
 
-    def finished(self, row: SampleRow, wall_s: float) -> None:
-        """Tell of a sample; on a terminal only of those that failed."""
+    def _advance(self) -> None:
         self.done += 1
-        reason = f": {row.reason}" if row.reason else ""
-        if self._bar is None or row.status is not Status.OK:
-            line = f"[{self.done}/{self.total}] {row.id} {row.status.value}{reason} ({wall_s:.1f} s)"
-            self._say(Text(line, style=_STYLES[row.status]))
         if self._bar:
             self._bar.update(self._task, completed=self.done)
 
@@ -65,3 +56,45 @@ class ProgressView:
             self._bar.console.print(text, soft_wrap=True)
         else:
             click.echo(text.plain, err=True)
+
+
+class ProgressView(_View):
+    """An observer of runs that writes to standard error. Use as a context."""
+
+    def __init__(self) -> None:
+        super().__init__("samples")
+
+    def warned(self, message: str) -> None:
+        """Tell a warning."""
+        self._say(Text(f"warning: {message}", style="yellow"))
+
+    def started(self, total: int, kept: int) -> None:
+        """Begin to count."""
+        self._begin(total, kept, "samples")
+
+    def finished(self, row: SampleRow, wall_s: float) -> None:
+        """Tell of a sample; on a terminal only of those that failed."""
+        self._advance()
+        reason = f": {row.reason}" if row.reason else ""
+        if self._bar is None or row.status is not Status.OK:
+            line = f"[{self.done}/{self.total}] {row.id} {row.status.value}{reason} ({wall_s:.1f} s)"
+            self._say(Text(line, style=_STYLES[row.status]))
+
+
+class EpisodeView(_View):
+    """A watcher of work on episodes that writes to standard error. Use as a context."""
+
+    def __init__(self, what: str = "episodes") -> None:
+        super().__init__(what)
+        self._what = what
+
+    def started(self, total: int, kept: int) -> None:
+        """Begin to count."""
+        self._begin(total, kept, self._what)
+
+    def advanced(self, line: str, *, good: bool = True) -> None:
+        """Tell of an episode; on a terminal only of those that failed, which do not count."""
+        if good:
+            self._advance()
+        if self._bar is None or not good:
+            self._say(Text(f"[{self.done}/{self.total}] {line}", style="" if good else "yellow"))

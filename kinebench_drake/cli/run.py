@@ -16,7 +16,7 @@ def run(job: Callable[[Observer], RunSummary], out: Path) -> int:
     """Work through a run that fills the folder `out`, with progress shown; returns the exit status."""
     view = ProgressView()
     try:
-        with view, _terminate_as_interrupt():
+        with view, terminate_as_interrupt():
             summary = job(view)
     except KeyboardInterrupt:
         click.echo(
@@ -44,7 +44,7 @@ def _tell(out: Path, summary: RunSummary) -> None:
 
 
 @contextmanager
-def _terminate_as_interrupt() -> Iterator[None]:
+def terminate_as_interrupt() -> Iterator[None]:
     """Within this context a request to terminate ends the run as an interrupt does: rows kept, workers gone."""
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:

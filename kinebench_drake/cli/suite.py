@@ -5,53 +5,75 @@ from pathlib import Path
 
 import click
 
-_TASKS = click.option("--tasks", help="Tasks, comma-separated.  [default: all]", metavar="A,B")
-_EPISODES = click.option(
-    "--episodes", type=click.IntRange(1), default=10, show_default=True, help="Episodes of each task.", metavar="K"
-)
+from kinebench_drake.cli.suite_data import demos, export
+from kinebench_drake.cli.suite_options import episodes_option, jobs_option, task_names, tasks_option, variant_option
+
 _SEED = click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the first episode.")
-_JOBS = click.option("--jobs", type=click.IntRange(1), default=1, show_default=True, help="Worker processes.")
 
 
 def _tasks(names: str | None) -> list[str]:
     from kinebench_drake.suites.tasks.registry import TASKS, find_task
 
-    return list(TASKS) if names is None else [find_task(name.strip()).card.id for name in names.split(",")]
+    chosen = task_names(names)
+    return list(TASKS) if chosen is None else [find_task(name).card.id for name in chosen]
 
 
-@click.group(epilog="\b\nExample:\n  kinebench-drake suite list")
+@click.group(
+    epilog="\b\nExamples:\n"
+    "  kinebench-drake suite list --suites\n"
+    "  kinebench-drake suite export --suite 0 --episodes 10 --out suite0/\n"
+    "  kinebench-drake suite demos --task StackCube-v1 --episodes 10 --out demos/"
+)
 def suite() -> None:
     """Work with the benchmark's tasks and suites."""
 
 
-@suite.command("list", epilog="\b\nExample:\n  kinebench-drake suite list --json")
-@click.option("--json", "as_json", is_flag=True, help="All that is known of each task, as JSON.")
-def list_tasks(as_json: bool) -> None:
+suite.add_command(export)
+suite.add_command(demos)
+
+
+@suite.command(
+    "list",
+    epilog="\b\nExamples:\n  kinebench-drake suite list --json\n  kinebench-drake suite list --suites",
+)
+@click.option("--json", "as_json", is_flag=True, help="All that is known, as JSON.")
+@click.option("--suites", is_flag=True, help="List the suites and their splits instead.")
+def list_tasks(as_json: bool, suites: bool) -> None:
     """List the tasks, one plain id a line."""
     from dataclasses import asdict
     from enum import Enum
 
+    from kinebench_drake.suites.suite import NUMBERS, load_suite
     from kinebench_drake.suites.tasks.registry import TASKS
 
-    if not as_json:
-        click.echo("\n".join(TASKS))
-        return
     cards = [{**asdict(task.card), "horizon": task.card.horizon} for task in TASKS.values()]
-    click.echo(json.dumps(cards, indent=1, default=lambda x: x.value if isinstance(x, Enum) else str(x)))
+    loaded = [load_suite(number) for number in NUMBERS]
+    if as_json:
+        facts = [asdict(suite) for suite in loaded] if suites else cards
+        click.echo(json.dumps(facts, indent=1, default=lambda x: x.value if isinstance(x, Enum) else str(x)))
+    elif suites:
+        for suite in loaded:
+            click.echo(f"{suite.number}  {suite.title}: {suite.about}")
+            for name, split in suite.splits.items():
+                judged = ", judged on" if name == suite.evaluated else ""
+                told = f"{len(suite.tasks_of(name))} tasks, assets and looks: {split.pool.value}{judged}"
+                click.echo(f"   {name:7}{told}. {split.about}")
+    else:
+        click.echo("\n".join(TASKS))
 
 
 @suite.command(epilog="\b\nExample:\n  kinebench-drake suite check --tasks StackCube-v1 --episodes 100 --jobs 2")
-@_TASKS
-@_EPISODES
+@tasks_option
+@episodes_option
 @_SEED
 @click.option(
     "--policy", type=click.Choice(["expert", "still", "random"]), default="expert", show_default=True,
     help="Who moves the robot.",
 )  # fmt: skip
-@click.option("--variant", type=click.Choice(["plain", "obstacles"]), default="plain", show_default=True)
+@variant_option
 @click.option("--pool", type=click.Choice(["all", "seen", "unseen"]), default="all", show_default=True)
 @click.option("--json", "json_out", type=click.Path(path_type=Path, dir_okay=False), help="Write the trials here, too.")
-@_JOBS
+@jobs_option
 def check(
     tasks: str | None, episodes: int, seed: int, policy: str, variant: str, pool: str, json_out: Path | None, jobs: int
 ) -> None:
@@ -63,19 +85,16 @@ def check(
     from kinebench_drake.suites.tasks.registry import TASKS
     from kinebench_drake.suites.trial import Policy, interval, run_trials
 
-    chosen = [t for t in _tasks(tasks) if Variant(variant) in TASKS[t].card.variants]
+    version, engine = Variant(variant), create_engine(EngineKind.LOCAL, jobs)
     trials = []
-    for task in chosen:
-        order = [compose(task, s, pool=Pool(pool), variant=Variant(variant)) for s in range(seed, seed + episodes)]
-        own = sorted(
-            run_trials(create_engine(EngineKind.LOCAL, jobs), order, Policy(policy)), key=lambda t: t.episode.seed
-        )
+    for task in (t for t in _tasks(tasks) if version in TASKS[t].card.variants):
+        order = [compose(task, s, pool=Pool(pool), variant=version) for s in range(seed, seed + episodes)]
+        own = sorted(run_trials(engine, order, Policy(policy)), key=lambda trial: trial.episode.seed)
         good = sum(trial.success for trial in own)
         low, high = interval(good, len(own))
-        frames = max(trial.frames for trial in own)
-        click.echo(
-            f"{task:20} {good:4}/{len(own)}  {low:6.1%} to {high:6.1%}  progress {sum(t.progress for t in own) / len(own):.2f}  {frames} frames"
-        )
+        progress, frames = sum(trial.progress for trial in own) / len(own), max(trial.frames for trial in own)
+        rate = f"{good:4}/{len(own)}  {low:6.1%} to {high:6.1%}"
+        click.echo(f"{task:20} {rate}  progress {progress:.2f}  {frames} frames")
         for trial in own:
             if not trial.success and policy == "expert":
                 click.echo(f"    seed {trial.episode.seed}: {trial.reason} (progress {trial.progress:.2f})")
@@ -91,10 +110,10 @@ def check(
 
 @suite.command(epilog="\b\nExample:\n  kinebench-drake suite sheet --out tasks.jpg --seed 3 --jobs 2")
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), required=True, help="Picture, PNG or JPEG.")
-@_TASKS
+@tasks_option
 @click.option("--looks", type=click.Choice(["table", "background", "light"]), help="Show all looks of a sort instead.")
 @_SEED
-@_JOBS
+@jobs_option
 def sheet(out: Path, tasks: str | None, looks: str | None, seed: int, jobs: int) -> None:
     """Draw a contact sheet: how each task begins and how its expert ends it, or all tables, backgrounds or lights."""
     from kinebench_drake.engines import EngineKind, create_engine

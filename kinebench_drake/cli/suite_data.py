@@ -1,0 +1,215 @@
+"""`kinebench-drake suite export` and `suite demos`."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from kinebench_drake.cli.progress import EpisodeView
+from kinebench_drake.cli.run import terminate_as_interrupt
+from kinebench_drake.cli.suite_options import (
+    SIZES,
+    SPLITS,
+    SUITES,
+    episodes_option,
+    jobs_option,
+    split_help,
+    task_names,
+    tasks_option,
+    variant_option,
+)
+from kinebench_drake.errors import UsageError
+from kinebench_drake.shard import Shard
+
+if TYPE_CHECKING:
+    from kinebench_drake.suites.formats.demo import FormatKind, Shots
+    from kinebench_drake.suites.suite import Suite
+    from kinebench_drake.suites.tasks.card import Variant
+
+_SEED = click.option(
+    "--seed", type=click.IntRange(0), default=0, show_default=True, help="Number of the first of the split's seeds."
+)
+_OUT = click.option("--out", type=click.Path(path_type=Path), required=True, help="Output folder; made if absent.")
+
+
+@click.command(
+    short_help="Write first frames, prompts and camera for world models.",
+    epilog="\b\nExamples:\n"
+    "  kinebench-drake suite export --suite 0 --episodes 10 --out suite0/\n"
+    "  kinebench-drake suite export --suite 2 --split unseen --tasks StackCube-v1 --episodes 50 --out looks/ --jobs 2",
+)
+@click.option("--suite", "number", type=SUITES, required=True, help="Number of the suite.", metavar="N")
+@click.option("--split", type=SPLITS, default="test", show_default=True, help=split_help)
+@tasks_option
+@episodes_option
+@_SEED
+@variant_option
+@click.option("--size", type=SIZES, default=384, show_default=True, help="Width and height of the pictures.")
+@_OUT
+@jobs_option
+def export(
+    number: int,
+    split: str,
+    tasks: str | None,
+    episodes: int,
+    seed: int,
+    variant: str,
+    size: int,
+    out: Path,
+    jobs: int,
+) -> None:
+    """Write what a world model is asked with: first frames, prompts, camera.
+
+    ID.png is an episode's first frame. manifest.jsonl names it with the prompt and the video that is expected beside
+    it, ID.mp4: with these there, `kinebench-drake score OUT/manifest.jsonl` judges them. episodes.jsonl holds all else
+    that is known of the episodes. The same arguments give the same bytes.
+    """
+    from kinebench_drake.engines import EngineKind, create_engine
+    from kinebench_drake.suites.export import Export, export_suite
+    from kinebench_drake.suites.suite import load_suite
+    from kinebench_drake.suites.tasks.card import Variant
+
+    suite, version = load_suite(number), Variant(variant)
+    order = Export(
+        suite=suite,
+        split=suite.split_name(split),
+        tasks=_chosen(suite, split, tasks, version),
+        episodes=episodes,
+        seed=seed,
+        variant=version,
+        size=size,
+        out=out,
+    )
+    with EpisodeView() as view, terminate_as_interrupt():
+        count = export_suite(order, create_engine(EngineKind.LOCAL, jobs), view)
+    click.echo(f"{count} episodes of {len(order.tasks)} tasks (suite {number}, {order.split})")
+    click.echo(out / "manifest.jsonl")
+
+
+def _chosen(suite: "Suite", split: str, names: str | None, variant: "Variant") -> tuple[str, ...]:
+    """Tasks of a split that are named, or all that have the variant."""
+    from kinebench_drake.suites.tasks.registry import TASKS, find_task
+
+    chosen = suite.tasks_of(split, task_names(names))
+    if names is not None:
+        return tuple(find_task(task, variant).card.id for task in chosen)
+    return tuple(task for task in chosen if task in TASKS and variant in TASKS[task].card.variants)
+
+
+@click.command(
+    short_help="Write expert demonstrations with ground truth.",
+    epilog="\b\nExamples:\n"
+    "  kinebench-drake suite demos --task StackCube-v1 --episodes 10 --out demos/ --format mp4\n"
+    "  kinebench-drake suite demos --suite 2 --split train --episodes 50 --out train/ --format lerobot-v3 --jobs 2\n"
+    "  kinebench-drake suite demos --suite 0 --episodes 100 --out part1/ --format maniskill-h5 --shard 1/4",
+)
+@click.option("--suite", "number", type=SUITES, default=0, show_default=True, help="Number of the suite.", metavar="N")
+@click.option("--split", type=SPLITS, default="train", show_default=True, help=split_help)
+@tasks_option
+@episodes_option
+@_SEED
+@variant_option
+@click.option(
+    "--format", "kind", type=click.Choice(["mp4", "lerobot-v3", "maniskill-h5"]), default="mp4", show_default=True,
+    help="mp4: a video a clip, with captions.",
+)  # fmt: skip
+@click.option("--size", type=SIZES, help="Width and height of the videos.  [default: 384]", metavar="PX")
+@click.option(
+    "--fps", type=click.FloatRange(0.1, 1000), metavar="FPS",
+    help="Frames per second an mp4 plays at; a LeRobot dataset keeps the task's time.  [default: 17]",
+)  # fmt: skip
+@click.option(
+    "--frames", type=int, metavar="F",
+    help="Frames of a clip of 9.6 s: 49 (every fourth control step), 25, 97, 193 ...  [default: 49]",
+)  # fmt: skip
+@click.option("--crf", type=click.IntRange(0, 51), help="x264's quality, 0 is lossless.  [default: 16]")
+@_OUT
+@jobs_option
+@click.option("--shard", metavar="I/N", help="Make part I (1 to N) of N, for several machines; an --out for each.")
+@click.option("--overwrite/--resume", default=False, help="Start anew, or keep what is finished.  [default: resume]")
+@click.pass_context
+def demos(
+    ctx: click.Context,
+    number: int,
+    split: str,
+    tasks: str | None,
+    episodes: int,
+    seed: int,
+    variant: str,
+    kind: str,
+    size: int | None,
+    fps: float | None,
+    frames: int | None,
+    crf: int | None,
+    out: Path,
+    jobs: int,
+    shard: str | None,
+    overwrite: bool,
+) -> None:
+    """Write demonstrations of the scripted experts, with ground truth, to train world models and policies with.
+
+    As many successful demonstrations of each task as asked for: a seed with which the expert fails is told in
+    demos.jsonl and replaced by the next one. A larger K begins with the demonstrations of a smaller one, in the same
+    folder too. The same command again goes on where a run was stopped.
+    """
+    from kinebench_drake.engines import EngineKind, create_engine
+    from kinebench_drake.suites.demos import make_demos
+    from kinebench_drake.suites.formats.demo import FormatKind
+    from kinebench_drake.suites.order import Order
+    from kinebench_drake.suites.suite import load_suite
+    from kinebench_drake.suites.tasks.card import Variant
+
+    suite, version, form = load_suite(number), Variant(variant), FormatKind(kind)
+    order = Order(
+        suite=suite,
+        split=suite.split_name(split),
+        tasks=_chosen(suite, split, tasks, version),
+        episodes=episodes,
+        seed=seed,
+        variant=version,
+        shots=_shots(form, size, fps, frames, crf),
+        kind=form,
+        out=out,
+        shard=None if shard is None else Shard.parse(shard),
+    )
+    with EpisodeView("demonstrations") as view, terminate_as_interrupt():
+        delivery = make_demos(order, create_engine(EngineKind.LOCAL, jobs), view, overwrite=overwrite)
+    failed = f"; the expert failed with {delivery.failures} other seeds" if delivery.failures else ""
+    click.echo(f"{delivery.demonstrations} demonstrations of {len(order.tasks)} tasks{failed}")
+    click.echo(out)
+    for task, count in delivery.short.items():
+        click.echo(f"{task}: given up with {count} demonstrations missing; demos.jsonl has the reasons", err=True)
+    ctx.exit(1 if delivery.short else 0)
+
+
+def _shots(kind: "FormatKind", size: int | None, fps: float | None, frames: int | None, crf: int | None) -> "Shots":
+    """How to film, from what was said and what was not.
+
+    Raises:
+        UsageError: the format has no use for what was said.
+    """
+    from kinebench_drake.suites.formats.demo import FormatKind, Shots
+
+    said = {name: x for name, x in (("size", size), ("fps", fps), ("frames", frames), ("crf", crf)) if x is not None}
+    if kind is FormatKind.MANISKILL and said:
+        named = ", ".join(f"--{name}" for name in said)
+        raise UsageError(f"{named}: --format {kind.value} holds no video, but every control step at 20 Hz")
+    if size is not None and size % 2:
+        raise UsageError(f"--size is {size}, expected an even number of pixels")
+    plain = Shots()
+    shots = Shots(
+        size=size or plain.size,
+        frames=plain.frames if frames is None else frames,
+        fps=fps or plain.fps,
+        crf=plain.crf if crf is None else crf,
+    )
+    if kind is FormatKind.LEROBOT:
+        rate = 1.0 / shots.frame_period_s
+        if fps is not None or rate != round(rate):
+            raise UsageError(
+                f"a LeRobot dataset keeps the task's time in whole frames per second: --frames {shots.frames} is "
+                f"{rate:g} a second; leave out --fps, and take --frames 49 (5 a second), 97 (10) or 193 (20)"
+            )
+        shots = replace(shots, fps=rate)
+    return shots

@@ -1,0 +1,29 @@
+"""Options that the commands of `suite` share."""
+
+import click
+
+_PREFIX = "KineBench/"
+
+tasks_option = click.option(
+    "--tasks", "--task", "tasks", metavar="A,B", help="Tasks, comma-separated.  [default: all there are]"
+)
+episodes_option = click.option(
+    "--episodes", type=click.IntRange(1), default=10, show_default=True, help="Episodes of each task.", metavar="K"
+)
+jobs_option = click.option("--jobs", type=click.IntRange(1), default=1, show_default=True, help="Worker processes.")
+variant_option = click.option(
+    "--variant",
+    type=click.Choice(["plain", "obstacles"]),
+    default="plain",
+    show_default=True,
+    help="Version of the scenes; without --tasks: of the tasks that have it.",
+)
+split_help = "Part of the suite; test: the part that models are judged on."
+SPLITS = click.Choice(["train", "test", "seen", "unseen"])
+SUITES = click.IntRange(0, 3)
+SIZES = click.IntRange(32, 2048)
+
+
+def task_names(names: str | None) -> list[str] | None:
+    """Plain ids of tasks named by a user, with or without ManiSkill's namespace; None if none were."""
+    return None if names is None else [name.strip().removeprefix(_PREFIX) for name in names.split(",")]
