@@ -13,6 +13,7 @@ from kinebench_drake.suites.assets.look import look_ids
 from kinebench_drake.suites.episode import Episode, compose
 from kinebench_drake.suites.experts.registry import find_expert
 from kinebench_drake.suites.rollout import Stage, perform
+from kinebench_drake.suites.tasks.registry import find_task
 
 LOOKS_TASK = "StackCube-v1"
 """Task in whose scene looks are shown."""
@@ -66,6 +67,21 @@ def look_shots(engine: Engine, sort: str, seed: int) -> list[Shot]:
         now = looks | {sort: look}
         episodes.append(replace(scene, id=look, table=now["table"], background=now["background"], light=now["light"]))
     return _shots(engine, episodes, performs=False)
+
+
+def task_table(tasks: Sequence[str]) -> str:
+    """What the cards of the tasks say and the prompts of their episodes of seed 0, as a Markdown table."""
+    rows = [
+        ("task", "difficulty", "joints", "contacts", "clips", "variants", "prompt (seed 0)"),
+        ("---",) * 7,
+    ]
+    for task in tasks:
+        card = find_task(task).card
+        joints = f"{card.articulated_dof} ({card.axes})" if card.articulated_dof else "0"
+        variants = ", ".join(variant.value for variant in card.variants)
+        figures = (card.difficulty.value, joints, str(card.contacts), str(card.clips), variants)
+        rows.append((card.id, *figures, compose(task, 0).prompt))
+    return "\n".join(f"| {' | '.join(row)} |" for row in rows)
 
 
 def contact_sheet(shots: Sequence[Shot], *, columns: int) -> Image.Image:

@@ -38,11 +38,13 @@ suite.add_command(demos)
 )
 @click.option("--json", "as_json", is_flag=True, help="All that is known, as JSON.")
 @click.option("--suites", is_flag=True, help="List the suites and their splits instead.")
-def list_tasks(as_json: bool, suites: bool) -> None:
+@click.option("--markdown", is_flag=True, help="The tasks as a table.")
+def list_tasks(as_json: bool, suites: bool, markdown: bool) -> None:
     """List the tasks, one plain id a line."""
     from dataclasses import asdict
     from enum import Enum
 
+    from kinebench_drake.suites.sheet import task_table
     from kinebench_drake.suites.suite import NUMBERS, load_suite
     from kinebench_drake.suites.tasks.registry import TASKS
 
@@ -58,6 +60,8 @@ def list_tasks(as_json: bool, suites: bool) -> None:
                 judged = ", judged on" if name == suite.evaluated else ""
                 told = f"{len(suite.tasks_of(name))} tasks, assets and looks: {split.pool.value}{judged}"
                 click.echo(f"   {name:7}{told}. {split.about}")
+    elif markdown:
+        click.echo(task_table(list(TASKS)))
     else:
         click.echo("\n".join(TASKS))
 
