@@ -1,6 +1,119 @@
 """Tasks with faucets."""
 
-from kinebench_drake.suites.tasks.task import Task
+from abc import abstractmethod
+from collections.abc import Mapping
+from typing import ClassVar
 
-TASKS: tuple[Task, ...] = ()
+import numpy as np
+from torch import Tensor
+
+from kinebench_drake.suites.assets.model import Model
+from kinebench_drake.suites.tasks.card import Difficulty, TaskCard, Variant
+from kinebench_drake.suites.tasks.place import resting
+from kinebench_drake.suites.tasks.state import State
+from kinebench_drake.suites.tasks.task import Layout, Placement, Task
+
+OPEN_PART = 0.8
+"""From this part of its travel on a handle is open."""
+CLOSED_PART = 0.1
+"""Up to this part of its travel a handle is closed."""
+START_PART = 0.1
+"""A handle begins within this part of its travel from the end that it is to leave."""
+STILL_RAD_S = 0.05
+"""Handles slower than this are at rest."""
+
+
+class _TurnFaucet(Task):
+    """What both tasks share: one faucet whose lever points to one side and a little towards the camera."""
+
+    slots: ClassVar[Mapping[str, str]] = {"faucet": "faucet"}
+
+    def layout(self, models: Mapping[str, Model], rng: np.random.Generator, variant: Variant) -> Layout:
+        """A faucet in front of the robot, its lever's half-way direction 45 to 90 degrees aside of the camera's."""
+        model = models["faucet"]
+        x, y = rng.uniform([0.46, -0.07], [0.55, 0.07])
+        yaw = rng.choice([-1.0, 1.0]) * rng.uniform(0.25 * np.pi, 0.5 * np.pi)
+        return Layout(
+            placements={
+                "faucet": Placement(
+                    model=model,
+                    X_BM=resting(x, y, 0.0, yaw),
+                    joint=self._start_part(rng.uniform(0.0, START_PART)) * model.size["range_rad"],
+                )
+            },
+            prompt=self._prompt(model.words),
+            finger_width_m=0.0,
+        )
+
+    @abstractmethod
+    def _start_part(self, travelled: float) -> float:
+        """Where in its range the handle begins, 0 closed to 1 open, if it has left its end by a part of its travel."""
+
+    @abstractmethod
+    def _prompt(self, words: str) -> str: ...
+
+    def _part(self, state: State) -> Tensor:
+        """How far (N,) the handles are open, 0..1."""
+        return state.joints["faucet"] / state.size("faucet", "range_rad")
+
+
+class OpenFaucet(_TurnFaucet):
+    """Turn the faucet's handle open.
+
+    Description: a faucet stands on the table; sweep its handle counter-clockwise, seen from above, with the closed
+    gripper's fingers.
+    Randomizations: shape, size, finish, travel and stiffness of the faucet, its place and direction, how far the handle
+    is open at the start (up to a tenth).
+    Success: the handle has come to 80 % of its travel (`open`) and is still.
+    """
+
+    card = TaskCard(
+        id="OpenFaucet-v1", family="faucets", difficulty=Difficulty.EASY, articulated_dof=1, axes="z", contacts=1
+    )
+
+    def _start_part(self, travelled: float) -> float:
+        return travelled
+
+    def _prompt(self, words: str) -> str:
+        return f"The robot arm opens the {words}: it sweeps the handle counter-clockwise with its closed gripper."
+
+    def conditions(self, state: State) -> dict[str, Tensor]:
+        """See the class."""
+        return {"open": self._part(state) >= OPEN_PART, "still": state.speeds["faucet"] <= STILL_RAD_S}
+
+    def progress(self, state: State) -> Tensor:
+        """Part of the way to 80 % of the travel."""
+        return state.travelled("faucet", OPEN_PART * state.size("faucet", "range_rad"))
+
+
+class CloseFaucet(_TurnFaucet):
+    """Turn the faucet's handle shut.
+
+    Description: a faucet stands on the table, open; sweep its handle clockwise, seen from above, with the closed
+    gripper's fingers.
+    Randomizations: shape, size, finish, travel and stiffness of the faucet, its place and direction, how far the handle
+    is open at the start (nine tenths at least).
+    Success: the handle is within 10 % of its travel from the end (`closed`) and is still.
+    """
+
+    card = TaskCard(
+        id="CloseFaucet-v1", family="faucets", difficulty=Difficulty.EASY, articulated_dof=1, axes="z", contacts=1
+    )
+
+    def _start_part(self, travelled: float) -> float:
+        return 1.0 - travelled
+
+    def _prompt(self, words: str) -> str:
+        return f"The robot arm closes the {words}: it sweeps the handle clockwise with its closed gripper."
+
+    def conditions(self, state: State) -> dict[str, Tensor]:
+        """See the class."""
+        return {"closed": self._part(state) <= CLOSED_PART, "still": state.speeds["faucet"] <= STILL_RAD_S}
+
+    def progress(self, state: State) -> Tensor:
+        """Part of the way to 10 % of the travel."""
+        return state.travelled("faucet", CLOSED_PART * state.size("faucet", "range_rad"))
+
+
+TASKS = (CloseFaucet(), OpenFaucet())
 """Tasks of this family."""
