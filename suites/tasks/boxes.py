@@ -1,6 +1,175 @@
 """Tasks with boxes with hinged lids."""
 
-from kinebench_drake.suites.tasks.task import Task
+from collections.abc import Mapping
+from typing import ClassVar
 
-TASKS: tuple[Task, ...] = ()
+import numpy as np
+import torch
+from torch import Tensor
+
+from kinebench_drake.geometry import make_pose
+from kinebench_drake.suites.assets.boxes import FLUSH, RIMMED, tight
+from kinebench_drake.suites.assets.model import Model
+from kinebench_drake.suites.tasks.card import Difficulty, TaskCard, Variant
+from kinebench_drake.suites.tasks.place import resting, turned
+from kinebench_drake.suites.tasks.state import State
+from kinebench_drake.suites.tasks.task import Layout, Placement, Task
+
+STILL_RAD_S = 0.05
+"""Lids slower than this are at rest."""
+OPEN_PART = 0.9
+"""Part of its range that a lid must be open."""
+SHUT_RAD = float(np.radians(4.0))
+"""How far a lid that counts as shut may be open."""
+AJAR_RAD = (float(np.radians(25.0)), float(np.radians(40.0)))
+"""How far a lid that is slightly open is open at the start."""
+WIDE_PART = (0.85, 0.98)
+"""Part of its range that a wide open lid is open at the start."""
+DRAWN_BACK_M = (0.04, 0.25)
+"""Distance of the TCP from the plane of the lid, on the side that it was pushed from, that counts as drawn back."""
+ABOVE_M, ABOVE_LYING_M = 0.05, 0.02
+"""How far above the walls of an upright and of a lying box the TCP must be in the end."""
+BESIDE_M = 0.08
+"""How far to the side of an open lid the TCP may be in the end."""
+YAW_RAD = float(np.radians(12.0))
+"""How far boxes may be turned either way."""
+
+
+def gripper_at_hinge(state: State) -> Tensor:
+    """(N, 3) the TCP in the hinge's frame: x to the box's front, y along the hinge, z out of the opening [m]."""
+    X_BH = state.site("box", "hinge")
+    return torch.einsum("nij,ni->nj", X_BH[:, :3, :3], state.X_BG[:, :3, 3] - X_BH[:, :3, 3])
+
+
+def _between(values: Tensor, limits: tuple[float, float]) -> Tensor:
+    return (values >= limits[0]) & (values <= limits[1])
+
+
+class OpenBox(Task):
+    """Open the lid of an upright box.
+
+    Description: a box stands on the table; lift its lid with the fingertips, push it fully open and draw back. In
+    version 1 the hinge is on the robot's side of the box and the lid is taken by its side edge; in version 2 the box is
+    turned to its right, so that its front edge faces that way, and the lid is taken there. Easy: the lid is slightly
+    open. Hard: it is shut and must be pried up by its rim; in version 2 its hinge is tight, too.
+    Randomizations: box, position, direction, angle of the lid if it is open.
+    Success: the lid is open as far as it goes, or nearly (`open`), and at rest (`still`); the gripper is drawn back
+    from its inner side, above the box (`withdrawn`).
+    """
+
+    slots: ClassVar[Mapping[str, str]] = {"box": RIMMED}
+
+    def __init__(self, name: str, *, ajar: bool, to_the_right: bool) -> None:
+        """Make one of the four tasks.
+
+        Args:
+            name: plain id.
+            ajar: whether the lid is slightly open at the start.
+            to_the_right: whether the box is turned to its right.
+        """
+        self._ajar, self._to_the_right = ajar, to_the_right
+        self.card = TaskCard(
+            id=name,
+            family="boxes",
+            difficulty=Difficulty.EASY if ajar else Difficulty.HARD,
+            articulated_dof=1,
+            axes="x" if to_the_right else "y",
+            contacts=1 if ajar else 2,
+        )
+
+    def layout(self, models: Mapping[str, Model], rng: np.random.Generator, variant: Variant) -> Layout:
+        """A box in front of the robot, so near that its lid does not touch the waiting gripper."""
+        box = models["box"]
+        yaw = rng.uniform(-YAW_RAD, YAW_RAD)
+        if self._to_the_right:
+            x, y, yaw = rng.uniform(0.42, 0.47), rng.uniform(0.03, 0.10), yaw - np.pi / 2.0
+        else:
+            x, y = rng.uniform(0.46, 0.50), rng.uniform(-0.10, 0.10)
+        if not self._ajar and self._to_the_right:
+            box = tight(box)
+        joint = float(rng.uniform(*AJAR_RAD)) if self._ajar else 0.0
+        edge = "front edge" if self._to_the_right else "side edge"
+        if self._ajar:
+            prompt = f"puts its fingertips under the {edge} of the slightly open lid of the {box.words} and pushes it"
+        else:
+            prompt = f"goes to the {edge} of the closed {box.words}, pries up the lid with its fingertips and pushes it"
+        return Layout(
+            placements={"box": Placement(model=box, X_BM=resting(x, y, 0.0, yaw), joint=joint)},
+            prompt=f"The robot arm {prompt} fully open.",
+            finger_width_m=0.0,
+        )
+
+    def conditions(self, state: State) -> dict[str, Tensor]:
+        """See the class."""
+        angle, p_HG = state.joints["box"], gripper_at_hinge(state)
+        inside_m = p_HG[:, 0] * torch.sin(angle) - p_HG[:, 2] * torch.cos(angle)
+        return {
+            "open": angle >= OPEN_PART * state.size("box", "open_rad"),
+            "still": state.speeds["box"] <= STILL_RAD_S,
+            "withdrawn": _between(inside_m, DRAWN_BACK_M)
+            & (p_HG[:, 2] >= ABOVE_M)
+            & (p_HG[:, 1].abs() <= 0.5 * state.size("box", "width_m") + BESIDE_M),
+        }
+
+    def progress(self, state: State) -> Tensor:
+        """Part of the lid's way."""
+        return state.travelled("box", OPEN_PART * state.size("box", "open_rad"))
+
+
+class CloseBox(Task):
+    """Press the lid of a lying box shut.
+
+    Description: a box lies on its side, its opening towards the camera, its lid wide open on an upright hinge; fold the
+    lid shut with the closed gripper and draw back.
+    Randomizations: box, position, direction, side of the hinge, angle of the lid.
+    Success: the lid is shut (`shut`) and at rest (`still`); the gripper is drawn back from its outer side, higher than
+    the box (`withdrawn`).
+    """
+
+    card = TaskCard(
+        id="CloseBox-v1", family="boxes", difficulty=Difficulty.EASY, articulated_dof=1, axes="z", contacts=1
+    )
+    slots: ClassVar[Mapping[str, str]] = {"box": FLUSH}
+
+    def layout(self, models: Mapping[str, Model], rng: np.random.Generator, variant: Variant) -> Layout:
+        """A box on its side in front of the robot."""
+        box = models["box"]
+        left = 1.0 if rng.random() < 0.5 else -1.0  # where the hinge is, for the robot
+        R_lying = np.array([[0.0, 0.0, 1.0], [-left, 0.0, 0.0], [0.0, -left, 0.0]])
+        R = turned(rng.uniform(-YAW_RAD, YAW_RAD)) @ R_lying
+        opening = np.array([rng.uniform(0.50, 0.54), left * rng.uniform(-0.03, 0.05), box.size["width_m"] / 2.0])
+        return Layout(
+            placements={
+                "box": Placement(
+                    model=box,
+                    X_BM=make_pose(R, opening - box.size["height_m"] * R[:, 2]),
+                    joint=float(rng.uniform(*WIDE_PART)) * box.size["open_rad"],
+                )
+            },
+            prompt=f"The robot arm presses the open lid of the {box.words} shut with its closed gripper.",
+            finger_width_m=0.0,
+        )
+
+    def conditions(self, state: State) -> dict[str, Tensor]:
+        """See the class."""
+        outside_m = gripper_at_hinge(state)[:, 2]
+        return {
+            "shut": state.joints["box"] <= SHUT_RAD,
+            "still": state.speeds["box"] <= STILL_RAD_S,
+            "withdrawn": _between(outside_m, DRAWN_BACK_M)
+            & (state.X_BG[:, 2, 3] >= state.size("box", "width_m") + ABOVE_LYING_M),
+        }
+
+    def progress(self, state: State) -> Tensor:
+        """Part of the lid's way."""
+        return state.travelled("box", torch.full_like(state.joints["box"], SHUT_RAD))
+
+
+TASKS: tuple[Task, ...] = (
+    CloseBox(),
+    OpenBox("OpenBoxEasy-v1", ajar=True, to_the_right=False),
+    OpenBox("OpenBoxEasy-v2", ajar=True, to_the_right=True),
+    OpenBox("OpenBoxHard-v1", ajar=False, to_the_right=False),
+    OpenBox("OpenBoxHard-v2", ajar=False, to_the_right=True),
+)
 """Tasks of this family."""
