@@ -8,9 +8,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from scipy.spatial import ConvexHull
 
-from kinebench_drake.geometry import Array, make_pose
+from kinebench_drake.geometry import Array, make_pose, rotation_exp
 from kinebench_drake.suites.assets.mesh import box_mesh, lathe, sweep
 from kinebench_drake.suites.assets.model import Body, Collider, ColliderKind, Kind, Material, Model, Surface, Visual
 from kinebench_drake.suites.assets.texture import grains, plain, shaded, speckle, wood, woven
@@ -51,32 +50,43 @@ def _board(
     )
 
 
-def _shell(outer: Array, inner: Array) -> tuple[Collider, ...]:
-    """Solids between two profiles (N, 2) of radius and height, cut into sectors; and a floor under the first point.
+def _shell(inner: Array, thick_m: float) -> tuple[Collider, ...]:
+    """Boxes behind the inside's profile (N, 2) of radius and height, one a sector, and across the floor.
 
-    The flats of the polygon lie as much inside the circle as its corners lie outside.
+    Boxes, since PhysX now and then finds a thin convex hull in contact that is far away. The flats of the polygon lie
+    as much inside the circle as its corners lie outside.
     """
     half = np.pi / _SECTORS
-    grown = 2.0 / (1.0 + np.cos(half))
-    angle = 2.0 * half * np.arange(_SECTORS + 1)
-    ring = grown * np.column_stack([np.cos(angle), np.sin(angle)])
-
-    def at(point: Array, directions: Array) -> Array:
-        return np.column_stack([point[0] * directions, np.full(len(directions), point[1])])
-
-    pieces = [np.concatenate([at(outer[0], ring[:-1]), at(inner[0], ring[:-1])])]
-    for (o1, i1), (o2, i2) in pairwise(zip(outer, inner, strict=True)):
-        for k in range(_SECTORS):
-            pieces.append(np.concatenate([at(p, ring[k : k + 2]) for p in (o1, i1, o2, i2)]))
-    return tuple(Collider(kind=ColliderKind.HULL, points=points) for points in pieces)
+    apothem = 2.0 * np.cos(half) / (1.0 + np.cos(half))
+    floor, depth = apothem * inner[0, 0], 0.5 * inner[0, 1]
+    boxes = []
+    for k in range(_SECTORS):
+        R = rotation_exp([0.0, 0.0, 2.0 * half * k])
+        if k < _SECTORS // 2:
+            size = (float(floor), float(floor * np.tan(half)), float(depth))
+            boxes.append(Collider(kind=ColliderKind.BOX, size=size, X_BodyC=make_pose(R, [0.0, 0.0, depth])))
+        for low, high in pairwise(inner):
+            run = (high - low) * [apothem, 1.0]
+            length = float(np.linalg.norm(run))
+            along = np.array([run[0], 0.0, run[1]]) / length
+            across = np.array([along[2], 0.0, -along[0]])  # out of the vessel
+            middle = 0.5 * (low + high) * [apothem, 1.0]
+            center = np.array([middle[0], 0.0, middle[1]]) + 0.5 * thick_m * across
+            size = (0.5 * length, float(apothem * high[0] * np.tan(half)), 0.5 * thick_m)
+            turn = R @ np.stack([along, [0.0, 1.0, 0.0], np.cross(along, [0.0, 1.0, 0.0])], axis=1)
+            boxes.append(Collider(kind=ColliderKind.BOX, size=size, X_BodyC=make_pose(turn, R @ center)))
+    return tuple(boxes)
 
 
 def _round(
     words: str, inner: Array, thick_m: float, surface: Surface, mass_kg: float, *, extra: tuple[Visual, ...] = ()
 ) -> _Made:
     """A vessel from the profile (N, 2) of its inside, floor's edge first, rim last."""
-    outer = inner + np.array([thick_m, 0.0])
-    outer[0] = [max(inner[0, 0] - 0.004, 0.02), 0.0]
+    along = np.gradient(inner, axis=0)
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    outer = inner + thick_m * np.column_stack([along[:, 1], -along[:, 0]])
+    outer[0], outer[-1] = [inner[0, 0] - 0.002, 0.0], inner[-1] + [thick_m, 0.0]
+    outer[:, 1] = np.maximum(outer[:, 1], 0.0)
     rim = inner[-1]
     lip = [[rim[0] + 0.5 * thick_m + 0.5 * thick_m * np.cos(a), rim[1] + 0.5 * thick_m * np.sin(a)]
            for a in np.linspace(0.0, np.pi, 7)]  # fmt: skip
@@ -87,7 +97,7 @@ def _round(
     return _Made(
         words=words,
         visuals=(Visual(mesh=lathe(profile, sections=56, uv_per_m=6.0), surface=surface), *extra),
-        colliders=_shell(outer[coarse], inner[coarse]),
+        colliders=_shell(inner[coarse], thick_m),
         size={
             "inner_x_m": 2.0 * float(rim[0]),
             "inner_y_m": 2.0 * float(rim[0]),
@@ -192,8 +202,8 @@ _STYLES: tuple[Callable[[np.random.Generator, int], _Made], ...] = (_bowl, _bask
 
 
 def _model(kind: str, asset_id: str, made: _Made) -> Model:
-    """Of the density that gives the container its mass; its pieces hardly overlap."""
-    volume = sum(_volume(collider) for collider in made.colliders)
+    """Of the density that gives the container its mass."""
+    volume = sum(8.0 * float(np.prod(collider.size)) for collider in made.colliders)
     return Model(
         kind=kind,
         asset_id=asset_id,
@@ -210,12 +220,6 @@ def _model(kind: str, asset_id: str, made: _Made) -> Model:
         ),
         size=made.size,
     )
-
-
-def _volume(collider: Collider) -> float:
-    if collider.kind is ColliderKind.BOX:
-        return float(8.0 * np.prod(collider.size))
-    return float(ConvexHull(np.asarray(collider.points)).volume)
 
 
 def _container(asset_id: str, index: int, rng: np.random.Generator) -> Model:

@@ -32,7 +32,9 @@ FRUITS = ("apple", "banana", "orange", "peach", "pear", "strawberry")
 """Names of the fruits."""
 FLAT_M = 0.0009
 """How much of a fruit's underside is flattened, as its own weight does."""
-_SECTIONS, _DIRECTIONS, _BASE_POINTS = 36, 44, 12
+PRESSED_M = 0.0007
+"""How much long fruits give way between the fingers on each side; it keeps them from turning there."""
+_SECTIONS, _DIRECTIONS, _OUTLINE_POINTS = 36, 40, 8
 _BROWN, _GREEN = (0.11, 0.06, 0.025), (0.07, 0.2, 0.03)
 
 
@@ -219,12 +221,14 @@ def _lying(skin: Mesh) -> Array:
 
 
 def _hull_of(points: Array, directions: Array) -> Array:
-    """A few points (N, 3) whose hull is about that of `points`, with the whole outline of its underside."""
-    floor = points[:, 2].min()
-    base = points[points[:, 2] < floor + 1e-6]
-    level = np.pi * np.arange(_BASE_POINTS) / (_BASE_POINTS / 2)
-    under = np.column_stack([np.cos(level), np.sin(level), 0.0 * level])
-    chosen = [points[np.argmax(points @ directions.T, axis=0)], base[np.argmax(base @ under.T, axis=0)]]
+    """A few points (N, 3) whose hull is about that of `points`, with the whole outlines of its flat sides."""
+    turn = 2.0 * np.pi * np.arange(_OUTLINE_POINTS) / _OUTLINE_POINTS
+    ring = np.column_stack([np.cos(turn), np.sin(turn)])
+    chosen = [points[np.argmax(points @ directions.T, axis=0)]]
+    for axis, sign in ((2, -1.0), (1, -1.0), (1, 1.0)):
+        reach = sign * points[:, axis]
+        side = points[reach > reach.max() - 1e-6]
+        chosen.append(side[np.argmax(np.delete(side, axis, axis=1) @ ring.T, axis=0)])
     return np.unique(np.concatenate(chosen), axis=0)
 
 
@@ -258,7 +262,9 @@ def _fruit(name: str, asset_id: str, index: int, rng: np.random.Generator) -> Mo
     vertices = np.array(lain.vertices)
     vertices[:, 2] = np.maximum(vertices[:, 2], floor)
     skin = smooth(vertices, lain.faces, lain.uv, crease_rad=1.0)
-    solids = [np.maximum(points @ R.T, [-1.0, -1.0, floor]) for points in shape.solids] or [skin.vertices]
+    half = 0.5 * _thickness(skin) - (PRESSED_M if shape.R_BodyShape is not None else 0.0)
+    solids = [np.maximum(points @ R.T, [-1.0, -1.0, floor]) for points in shape.solids]
+    solids = solids or [np.clip(skin.vertices, [-1.0, -half, floor], [1.0, half, 1.0])]
     directions = _directions(_DIRECTIONS if len(solids) == 1 else 30)
     surface = Surface(texture=SKINS[name](rng, index), roughness=shape.roughness)
     body = Body(
