@@ -115,10 +115,9 @@ def _keyboard(size_m: tuple[float, float], keys: ArrayLike, well: ArrayLike, mar
 
 def _desktop(rng: np.random.Generator, index: int) -> NDArray[np.uint8]:
     """Picture of a screen: a wallpaper with a bar, icons and a window or two."""
-    size = 256
-    wallpaper = blend(rng.uniform(10, 120, 3), rng.uniform(120, 250, 3), tileable_noise(rng, size, slope=2.2))
-    image = np.repeat(wallpaper.astype(np.float64), 2, axis=1)[:, : size * 8 // 5]
-    height, width = image.shape[:2]
+    height, width = 256, 410
+    wallpaper = blend(rng.uniform(10, 120, 3), rng.uniform(120, 250, 3), tileable_noise(rng, height, slope=2.2))
+    image = np.repeat(wallpaper.astype(np.float64), 2, axis=1)[:, :width]
     image[-14:] = 0.25 * image[-14:] + 0.75 * np.array([30.0, 32.0, 38.0])
     for i in range(int(rng.integers(5, 10))):
         image[-11:-3, 8 + 14 * i : 16 + 14 * i] = rng.uniform(90, 255, 3)
@@ -126,8 +125,8 @@ def _desktop(rng: np.random.Generator, index: int) -> NDArray[np.uint8]:
         image[12 + 28 * i : 26 + 28 * i, 12:26] = rng.uniform(60, 255, 3)
     for _ in range(1 + index % 2):
         y, x = int(rng.integers(12, 90)), int(rng.integers(40, 230))
-        h, w = int(rng.integers(90, 150)), int(rng.integers(120, 200))
-        h, w = min(h, height - 20 - y), min(w, width - 8 - x)
+        h = min(int(rng.integers(90, 150)), height - 20 - y)
+        w = min(int(rng.integers(120, 200)), width - 8 - x)
         image[y : y + h, x : x + w] = rng.uniform(225, 250)
         image[y : y + 12, x : x + w] = rng.uniform(50, 200, 3)
         for line in range(y + 20, y + h - 8, 10):
@@ -142,16 +141,11 @@ def _logo(shape: str, radius_m: float) -> Mesh:
     outer = np.where((shape == "star") & (np.arange(corners) % 2 == 1), 0.45, 1.0) * radius_m
     rim = np.column_stack([outer * np.cos(angle), outer * np.sin(angle), np.zeros(corners)])
     inner = (0.62 if shape == "ring" else 0.0) * rim
-    after = np.roll(np.arange(corners), -1)
-    here = np.arange(corners)
+    here, after = np.arange(corners), np.roll(np.arange(corners), -1)
     faces = np.concatenate(
         [np.column_stack([corners + here, here, after]), np.column_stack([corners + here, after, corners + after])]
     )
-    vertices = np.concatenate([rim, inner])
-    area = np.linalg.norm(
-        np.cross(vertices[faces[:, 1]] - vertices[faces[:, 0]], vertices[faces[:, 2]] - vertices[faces[:, 0]]), axis=1
-    )
-    return flat(vertices, faces[area > 1e-12])
+    return flat(np.concatenate([rim, inner]), faces)
 
 
 def _rgb(color: ArrayLike) -> tuple[float, float, float]:
@@ -244,6 +238,10 @@ def _lid(
     return visuals, points
 
 
+def _solid(points: Array) -> tuple[Collider, ...]:
+    return (Collider(kind=ColliderKind.HULL, points=points),)
+
+
 def _laptop(asset_id: str, index: int, rng: np.random.Generator) -> Model:
     name = list(COLORS)[index % len(COLORS)]
     metal = name not in ("white", "black") and rng.random() < 0.6
@@ -286,19 +284,8 @@ def _laptop(asset_id: str, index: int, rng: np.random.Generator) -> Model:
         asset_id=asset_id,
         words=f"{name} laptop",
         bodies=(
-            Body(
-                name="base",
-                visuals=base_visuals,
-                colliders=(Collider(kind=ColliderKind.HULL, points=base_points),),
-                material=material,
-            ),
-            Body(
-                name="lid",
-                visuals=lid_visuals,
-                colliders=(Collider(kind=ColliderKind.HULL, points=lid_points),),
-                material=material,
-                joint=joint,
-            ),
+            Body(name="base", visuals=base_visuals, colliders=_solid(base_points), material=material),
+            Body(name="lid", visuals=lid_visuals, colliders=_solid(lid_points), material=material, joint=joint),
         ),
         size=size,
         sites={

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kinebench_drake.geometry import Array, make_pose
-from kinebench_drake.suites.experts.grasp import CLOSED_M, OPEN_M, grasp_rotation
+from kinebench_drake.suites.experts.grasp import CLOSED_M, OPEN_M, grasp_rotation, shifted
 from kinebench_drake.suites.experts.motion import Arc, Waypoint
 from kinebench_drake.suites.tasks.task import Scene
 
@@ -22,6 +22,8 @@ TABLE_M = 0.004
 """Room left between fingertip and table."""
 UNDER_M = 0.006
 """How far under the lid's edge the fingertip is put at most."""
+BELOW_M = 0.006
+"""How far below the edge of a lid that stands open the fingertip goes in."""
 WEDGE_M = 0.002
 """How far under the edge it goes from where its slant would touch: so much it lifts by wedging."""
 HOLD_M = 0.016
@@ -73,6 +75,11 @@ class _Hinge:
         tcp = np.asarray(corner, dtype=np.float64) - TIP_M * approach - aside * out
         return make_pose(grasp_rotation(self.direction(approach), self.closing), self.point + self.direction(tcp))
 
+    def place(self, X_BG: Array) -> Array:
+        """(2,) forward and up of the axis [m]: where the TCP is."""
+        offset = X_BG[:3, 3] - self.point
+        return np.array([self.forward @ offset, offset[2]])
+
     def arc(self, angle_rad: float, moved: ArrayLike = (0.0, 0.0)) -> Arc:
         """The turn that opens the lid by an angle, about the axis moved (2,) forward and up."""
         axis = np.cross(self.forward, [0.0, 0.0, 1.0])
@@ -93,29 +100,27 @@ def open_laptop(scene: Scene) -> list[Waypoint]:
     """Put the tip of one finger under the lid's edge, lift it, then swing the hand with it about the hinge."""
     hinge, angle = _Hinge.of(scene), scene.joints["laptop"]
     reach, inside = scene.size("laptop", "reach_m"), scene.size("laptop", "inside_m")
-    lowest = TABLE_M + FINGER_M * np.sin(TILT_RAD) - hinge.point[2]
-    under = _on_lid(angle, reach, inside)
-    height = max(lowest, under[1] - 0.006)
-    under = np.array([under[0] - min(UNDER_M, (under[1] - height) * np.tan(TILT_RAD) + WEDGE_M), height])
+    edge = _on_lid(angle, reach, inside)
+    height = max(edge[1] - BELOW_M, TABLE_M + FINGER_M * np.sin(TILT_RAD) - hinge.point[2])
+    under = np.array([edge[0] - min(UNDER_M, (edge[1] - height) * np.tan(TILT_RAD) + WEDGE_M), height])
     turn = max(TURN_RAD, angle + 0.2)
-    lifted = _on_lid(turn, reach - HOLD_M, inside - 0.001)
+    corner = _on_lid(turn, reach - HOLD_M, inside - 0.001)
     poses = [
-        hinge.hand(corner, TILT_RAD, OPEN_M, front=False)
-        for corner in (_moved(under, 0.05, 0.07), _moved(under, 0.02, 0.0), under, lifted)
+        hinge.hand(place, TILT_RAD, OPEN_M, front=False)
+        for place in (_moved(under, 0.05, 0.07), _moved(under, 0.02, 0.0), under, corner)
     ]
-    X_lifted = poses[-1]
-    moved = np.array([hinge.forward @ (X_lifted[:3, 3] - hinge.point), X_lifted[2, 3] - hinge.point[2]]) - lifted
-    tilt = TILT_RAD - (OPENED_RAD - turn)
-    opened = hinge.hand(_on_lid(OPENED_RAD, reach - HOLD_M, inside - 0.001), tilt, OPEN_M, front=False)
-    back = _on_lid(OPENED_RAD, reach - HOLD_M, inside - 0.02)
-    away = hinge.hand(back, tilt, OPEN_M, front=False)
-    up = away.copy()
-    up[:3, 3] += hinge.direction([0.03, 0.09])
+    X_lifted, tilt = poses[-1], TILT_RAD - (OPENED_RAD - turn)
+    lifting = hinge.arc(turn - angle, hinge.place(X_lifted) - corner)
+    opened, away = (
+        hinge.hand(_on_lid(OPENED_RAD, reach - HOLD_M, inside - gap), tilt, OPEN_M, front=False)
+        for gap in (0.001, 0.02)
+    )
+    up = shifted(away, hinge.direction([0.03, 0.09]))
     return [
         Waypoint(X_BG=poses[0], finger_width_m=OPEN_M, through=True),
         Waypoint(X_BG=poses[1], finger_width_m=OPEN_M, through=True),
         Waypoint(X_BG=poses[2], finger_width_m=OPEN_M, pace=1.5),
-        Waypoint(X_BG=X_lifted, finger_width_m=OPEN_M, arc=hinge.arc(turn - angle, moved), through=True),
+        Waypoint(X_BG=X_lifted, finger_width_m=OPEN_M, arc=lifting, through=True),
         Waypoint(X_BG=opened, finger_width_m=OPEN_M, arc=hinge.arc(OPENED_RAD - turn), pace=1.3),
         Waypoint(X_BG=away, finger_width_m=OPEN_M, through=True),
         Waypoint(X_BG=up, finger_width_m=OPEN_M),
@@ -152,17 +157,11 @@ def close_laptop_hard(scene: Scene) -> list[Waypoint]:
         )
     ]
     straight = hinge.hand(_on_lid(upright, reach - BEHIND_M, outside), 0.0, CLOSED_M, front=True)
-    moved = _tcp(hinge, straight) - _on_lid(upright, reach, outside)
+    moved = hinge.place(straight) - _on_lid(upright, reach, outside)
     waypoints.append(
         Waypoint(X_BG=straight, finger_width_m=CLOSED_M, arc=hinge.arc(upright - angle, moved), through=True)
     )
     return [*waypoints, *_press(hinge, upright, reach - BEHIND_M, outside)]
-
-
-def _tcp(hinge: _Hinge, X_BG: Array) -> Array:
-    """(2,) forward and up of the axis [m]: where the TCP is."""
-    offset = X_BG[:3, 3] - hinge.point
-    return np.array([hinge.forward @ offset, offset[2]])
 
 
 def _above(hinge: _Hinge, corner: Array, height_m: float) -> list[Waypoint]:
@@ -179,7 +178,7 @@ def _press(hinge: _Hinge, angle_rad: float, along_m: float, outside_m: float) ->
     """Turn the lid shut from an angle with the fingertips at a place along it, then leave."""
     corner = _on_lid(0.0, along_m, outside_m)
     shut = hinge.hand(_moved(corner, 0.0, -PRESS_M), 0.0, CLOSED_M, front=True)
-    moved = _moved(_tcp(hinge, shut) - corner, 0.0, PRESS_M)
+    moved = _moved(hinge.place(shut) - corner, 0.0, PRESS_M)
     return [
         Waypoint(X_BG=shut, finger_width_m=CLOSED_M, arc=hinge.arc(-angle_rad, moved), pace=1.2),
         Waypoint(X_BG=hinge.hand(_moved(corner, 0.0, 0.12), 0.0, CLOSED_M, front=True), finger_width_m=CLOSED_M),

@@ -22,8 +22,8 @@ STILL_RAD_S = 0.05
 CLEAR_M = 0.03
 """A gripper whose TCP is this far from the lid has let go of it."""
 
-LEAST_M, MOST_M = (0.45, -0.02), (0.52, 0.05)
-"""Where the middle of the base is put, x and y."""
+FORWARD_M = (0.45, 0.52)
+"""Least and greatest x of the middle of the base."""
 
 
 def _distance_to_lid(state: State) -> Tensor:
@@ -45,6 +45,8 @@ class _Laptop(Task):
     prompt: str
     """With a place for what the laptop is called."""
     goal_rad: float
+    side_m = (-0.02, 0.05)
+    """Least and greatest y of the middle of the base."""
     finger_width_m: float
     """Gap between the finger pads at the start."""
     start_deg: tuple[float, float]
@@ -55,7 +57,7 @@ class _Laptop(Task):
     def layout(self, models: Mapping[str, Model], rng: np.random.Generator, variant: Variant) -> Layout:
         """A laptop whose hinge is on the robot's left."""
         model = models["laptop"]
-        x, y = rng.uniform(LEAST_M, MOST_M)
+        x, y = rng.uniform(*FORWARD_M), rng.uniform(*self.side_m)
         yaw = np.deg2rad(rng.uniform(*self.turn_deg) - 90.0)
         placement = Placement(
             model=model, X_BM=resting(x, y, 0.0, yaw), joint=float(np.deg2rad(rng.uniform(*self.start_deg)))
@@ -166,6 +168,7 @@ class CloseLaptopHard(_Close):
     )
     start_deg = (110.0, 125.0)
     turn_deg = (-25.0, 0.0)
+    side_m = (-0.02, 0.02)
 
 
 TASKS = (CloseLaptopEasy(), CloseLaptopHard(), OpenLaptopEasy(), OpenLaptopHard())
