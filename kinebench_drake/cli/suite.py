@@ -44,7 +44,6 @@ def list_tasks(as_json: bool, suites: bool, markdown: bool) -> None:
     from dataclasses import asdict
     from enum import Enum
 
-    from kinebench_drake.suites.sheet import task_table
     from kinebench_drake.suites.suite import NUMBERS, load_suite
     from kinebench_drake.suites.tasks.registry import TASKS
 
@@ -61,6 +60,8 @@ def list_tasks(as_json: bool, suites: bool, markdown: bool) -> None:
                 told = f"{len(suite.tasks_of(name))} tasks, assets and looks: {split.pool.value}{judged}"
                 click.echo(f"   {name:7}{told}. {split.about}")
     elif markdown:
+        from kinebench_drake.suites.sheet import task_table
+
         click.echo(task_table(list(TASKS)))
     else:
         click.echo("\n".join(TASKS))

@@ -54,12 +54,12 @@ def test_shots_are_the_first_and_last_frame_in_the_order_asked_for() -> None:
         assert (first != last).any(axis=-1).mean() > 0.05
 
 
-@pytest.mark.sapien
-def test_command_writes_a_picture(tmp_path: Path) -> None:
+def test_command_writes_a_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("kinebench_drake.suites.sheet.task_shots", lambda engine, tasks, seed: [_shot(9)] * len(tasks))
     out = tmp_path / "sheet.jpg"
-    done = CliRunner().invoke(cli, ["suite", "sheet", "--tasks", "StackCube-v1", "--out", str(out)])
+    done = CliRunner().invoke(cli, ["suite", "sheet", "--tasks", "StackCube-v1,PullCube-v1", "--out", str(out)])
     assert done.exit_code == 0, done.output
-    assert "1 shots, 0 failed" in done.output
+    assert "2 shots, 0 failed" in done.output
     assert Image.open(out).width > 2 * PICTURE_PX
 
 

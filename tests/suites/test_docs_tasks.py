@@ -1,0 +1,64 @@
+"""docs/tasks.md stays true: its table is that of the cards, its examples run, and its expert does its task."""
+
+import re
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from kinebench_drake.suites.experts.registry import EXPERTS
+from kinebench_drake.suites.sheet import task_table
+from kinebench_drake.suites.tasks.registry import TASKS
+
+PAGE = (Path(__file__).parents[2] / "docs/tasks.md").read_text()
+EXAMPLES = re.findall(r"^```python\n(.*?)^```$", PAGE, flags=re.DOTALL | re.MULTILINE)
+OWN = "PushCube-v1"
+
+
+@pytest.fixture
+def forgotten(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """What the example registers is gone afterwards."""
+    monkeypatch.delitem(TASKS, OWN, raising=False)
+    monkeypatch.delitem(EXPERTS, OWN, raising=False)
+    yield
+    TASKS.pop(OWN, None)
+    EXPERTS.pop(OWN, None)
+    from gymnasium import registry
+    from mani_skill.utils.registration import REGISTERED_ENVS
+
+    for known in (registry, REGISTERED_ENVS):
+        known.pop(f"KineBench/{OWN}", None)
+
+
+def _run(code: str, space: dict[str, Any]) -> dict[str, Any]:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        exec(compile(code, "docs/tasks.md", "exec"), space)
+    return space
+
+
+def test_table_is_that_of_the_cards() -> None:
+    assert task_table(list(TASKS)) in PAGE, (
+        "write the output of `kinebench-drake suite list --markdown` to docs/tasks.md"
+    )
+
+
+def test_a_task_of_ones_own_takes_under_a_hundred_lines() -> None:
+    [own] = [code for code in EXAMPLES if "(Task)" in code]
+    assert len(own.splitlines()) < 100
+
+
+@pytest.mark.sapien
+def test_environment_example_runs() -> None:
+    space = _run(EXAMPLES[0], {"__name__": "docs"})
+    assert space["frame"].shape == (1, 384, 384, 3)
+    assert not space["info"]["success"]
+
+
+@pytest.mark.sapien
+@pytest.mark.usefixtures("forgotten")
+def test_own_task_is_done_by_its_expert() -> None:
+    space = _run(EXAMPLES[2], _run(EXAMPLES[1], {"__name__": "docs"}))
+    assert space["performance"].outcome.success
