@@ -27,7 +27,7 @@ from kinebench_drake.suites.assets.model import (
     Visual,
 )
 
-LEVER_HEIGHT_M = (0.105, 0.14)
+LEVER_HEIGHT_M = (0.095, 0.125)
 """Least and greatest height of the lever's middle line."""
 LEVER_M = (0.062, 0.095)
 """Least and greatest reach of the lever from the axis, over all shapes."""
@@ -187,12 +187,13 @@ def _gooseneck(d: _Draft) -> _Shape:
     gap, h = float(d.rng.uniform(0.10, 0.12)), d.height
     base.box([gap + 0.06, 0.052, 0.012], [-0.5 * gap, 0.0, 0.006], d.metal)
     base.turned([[0.0, 0.012], [0.020, 0.012], [0.017, 0.02], [0.016, h - 0.012], [0.0, h - 0.012]], d.metal)
-    high, reach = float(d.rng.uniform(0.20, 0.24)), float(d.rng.uniform(0.08, 0.10))
-    side = np.sign(np.sin(d.spout)) or 1.0
-    neck = [[0.0, 0.0, 0.012], [0.0, 0.0, 0.75 * high], [0.0, 0.0, high], [0.0, reach, high], [0.0, reach, 0.72 * high]]
-    base.tube(_curve(neck) * [1.0, side, 1.0] + [-gap, 0.0, 0.0], 0.010, d.metal)
+    high, reach = float(d.rng.uniform(0.165, 0.19)), float(d.rng.uniform(0.08, 0.10))
+    away = np.sign(d.spout) * (np.pi - 0.7)
+    neck = [[0.0, 0.012], [0.0, 0.75 * high], [0.0, high], [reach, high], [reach, 0.66 * high]]
+    end = [[reach, 0.66 * high], [reach, 0.58 * high]]
+    base.tube(_curve(_away(away, neck)) - [gap, 0.0, 0.0], 0.010, d.metal)
+    base.tube(_away(away, end) - [gap, 0.0, 0.0], 0.0125, d.accent)
     base.tube([[-gap, 0.0, 0.010], [-gap, 0.0, 0.045]], 0.016, d.metal)
-    base.tube(np.array([[-gap, side * reach, 0.71 * high], [-gap, side * reach, 0.64 * high]]), 0.0125, d.accent)
     handle.turned([[0.0, -0.0115], [0.0165, -0.0115], [0.0165, 0.004], [0.012, 0.010], [0.0, 0.012]], d.metal)
     handle.tube(
         _curve([[0.0, 0.0, 0.0], [0.5 * d.lever, 0.0, 0.0], [d.lever - 0.006, 0.0, 0.003]]),

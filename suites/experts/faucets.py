@@ -3,7 +3,7 @@
 import numpy as np
 
 from kinebench_drake.geometry import Array, make_pose
-from kinebench_drake.suites.experts.grasp import CLOSED_M, DOWN, grasp_rotation, raised
+from kinebench_drake.suites.experts.grasp import CLOSED_M, grasp_rotation, raised
 from kinebench_drake.suites.experts.motion import Arc, Waypoint
 from kinebench_drake.suites.tasks.task import Scene
 
@@ -21,6 +21,8 @@ BACK_OFF_M = 0.015
 """How far the finger leaves the lever before it goes up."""
 OPEN_GOAL, CLOSED_GOAL = 0.96, 0.01
 """Parts of the travel to which the lever is pushed."""
+LEAN_RAD = 0.3
+"""How far the hand leans to the side that the lever points to, so that handle and fingers stay in view."""
 SIDE = (0.0, -1.0, 0.0)
 """The fingers side by side as seen from the camera."""
 
@@ -42,7 +44,8 @@ def _sweep(scene: Scene, goal: float) -> list[Waypoint]:
     axis = scene.poses["faucet/handle"][:3, 3]
     lever = scene.poses["faucet/handle"][:2, 0]
     start = float(np.arctan2(lever[1], lever[0]))
-    R = grasp_rotation(DOWN, SIDE)
+    aside = float(np.sign(scene.poses["faucet"][1, 0]))
+    R = grasp_rotation([0.0, -aside * np.sin(LEAN_RAD), -np.cos(LEAN_RAD)], SIDE)
 
     def touching(angle: float, gap_m: float) -> Array:
         """The TCP's pose with the fingers' side `gap_m` behind the lever at an angle."""

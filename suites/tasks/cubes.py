@@ -71,7 +71,9 @@ class StackCube(Task):
         }
         if variant is Variant.OBSTACLES:
             placements["obstacle"] = Placement(
-                model=models["obstacle"], X_BM=resting(middle[0], middle[1], 0.0, rng.uniform(-np.pi, np.pi))
+                model=models["obstacle"],
+                X_BM=resting(middle[0], middle[1], 0.0, rng.uniform(-np.pi, np.pi)),
+                avoid=True,
             )
         return Layout(placements=placements, prompt=prompt)
 

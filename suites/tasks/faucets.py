@@ -24,20 +24,21 @@ STILL_RAD_S = 0.05
 
 
 class _TurnFaucet(Task):
-    """What both tasks share: one faucet whose lever points to one side and a little towards the camera."""
+    """What both tasks share: one faucet, whose lever is swept from the robot's side towards the camera."""
 
     slots: ClassVar[Mapping[str, str]] = {"faucet": "faucet"}
+    _side: ClassVar[float]
+    """1: the lever is on the robot's left, -1: on its right."""
 
     def layout(self, models: Mapping[str, Model], rng: np.random.Generator, variant: Variant) -> Layout:
-        """A faucet in front of the robot, its lever's half-way direction 45 to 90 degrees aside of the camera's."""
-        model = models["faucet"]
-        x, y = rng.uniform([0.46, -0.07], [0.55, 0.07])
-        yaw = rng.choice([-1.0, 1.0]) * rng.uniform(0.25 * np.pi, 0.5 * np.pi)
+        """A faucet in front of the robot, its lever half-way 55 to 100 degrees aside of the camera's direction."""
+        model, side = models["faucet"], self._side
+        x, y = rng.uniform([0.52, -0.02], [0.59, 0.09])
         return Layout(
             placements={
                 "faucet": Placement(
                     model=model,
-                    X_BM=resting(x, y, 0.0, yaw),
+                    X_BM=resting(x, side * y, 0.0, side * np.deg2rad(rng.uniform(55.0, 100.0))),
                     joint=self._start_part(rng.uniform(0.0, START_PART)) * model.size["range_rad"],
                 )
             },
@@ -71,6 +72,8 @@ class OpenFaucet(_TurnFaucet):
         id="OpenFaucet-v1", family="faucets", difficulty=Difficulty.EASY, articulated_dof=1, axes="z", contacts=1
     )
 
+    _side = -1.0
+
     def _start_part(self, travelled: float) -> float:
         return travelled
 
@@ -99,6 +102,8 @@ class CloseFaucet(_TurnFaucet):
     card = TaskCard(
         id="CloseFaucet-v1", family="faucets", difficulty=Difficulty.EASY, articulated_dof=1, axes="z", contacts=1
     )
+
+    _side = 1.0
 
     def _start_part(self, travelled: float) -> float:
         return 1.0 - travelled
