@@ -25,12 +25,12 @@ AJAR_RAD = (float(np.radians(25.0)), float(np.radians(40.0)))
 """How far a lid that is slightly open is open at the start."""
 WIDE_PART = (0.85, 0.98)
 """Part of its range that a wide open lid is open at the start."""
-DRAWN_BACK_M = (0.04, 0.25)
+DRAWN_BACK_M = (0.04, 0.16)
 """Distance of the TCP from the plane of the lid, on the side that it was pushed from, that counts as drawn back."""
 ABOVE_M, ABOVE_LYING_M = 0.05, 0.02
 """How far above the walls of an upright and of a lying box the TCP must be in the end."""
 BESIDE_M = 0.08
-"""How far to the side of an open lid the TCP may be in the end."""
+"""How far past the lid's edges the TCP may be in the end."""
 YAW_RAD = float(np.radians(12.0))
 """How far boxes may be turned either way."""
 
@@ -152,11 +152,13 @@ class CloseBox(Task):
 
     def conditions(self, state: State) -> dict[str, Tensor]:
         """See the class."""
-        outside_m = gripper_at_hinge(state)[:, 2]
+        p_HG = gripper_at_hinge(state)
         return {
             "shut": state.joints["box"] <= SHUT_RAD,
             "still": state.speeds["box"] <= STILL_RAD_S,
-            "withdrawn": _between(outside_m, DRAWN_BACK_M)
+            "withdrawn": _between(p_HG[:, 2], DRAWN_BACK_M)
+            & (p_HG[:, 0] >= -BESIDE_M)
+            & (p_HG[:, 0] <= state.size("box", "lid_m") + BESIDE_M)
             & (state.X_BG[:, 2, 3] >= state.size("box", "width_m") + ABOVE_LYING_M),
         }
 

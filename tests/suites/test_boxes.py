@@ -1,0 +1,153 @@
+"""Boxes with hinged lids: what they are, how their lids behave, and what counts as open and shut."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from kinebench_drake.geometry import make_pose, rotation_exp, transform_points
+from kinebench_drake.kinematics.plant import ArmPlant
+from kinebench_drake.suites.assets.boxes import FLUSH, OPEN_RAD, OVERHANG_M, RIMMED, tight
+from kinebench_drake.suites.assets.library import asset_ids, model
+from kinebench_drake.suites.assets.model import Body, Model
+from kinebench_drake.suites.episode import compose
+from kinebench_drake.suites.experts.registry import find_expert
+from kinebench_drake.suites.rollout import Stage, perform
+from kinebench_drake.suites.tasks.registry import find_task
+from kinebench_drake.suites.tasks.state import State
+
+TASKS = ("CloseBox-v1", "OpenBoxEasy-v1", "OpenBoxEasy-v2", "OpenBoxHard-v1", "OpenBoxHard-v2")
+BOXES = [*asset_ids(RIMMED), *asset_ids(FLUSH)]
+
+
+def _corners(body: Body) -> np.ndarray:
+    """Corners (N, 3) of a body's colliders in its frame."""
+    signs = np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).reshape(3, -1).T
+    return np.concatenate([transform_points(c.X_BodyC, signs * c.size) for c in body.colliders])
+
+
+def _lid_pose(box: Model, angle: float) -> np.ndarray:
+    """Pose (4, 4) of the lid in the base."""
+    joint = box.bodies[1].joint
+    assert joint is not None
+    turn = make_pose(rotation_exp([angle, 0.0, 0.0]), np.zeros(3))
+    return joint.X_ParentJ @ turn @ np.linalg.inv(joint.X_BodyJ)
+
+
+@pytest.mark.parametrize("asset_id", BOXES)
+def test_lid_lies_on_the_walls_and_never_enters_the_box(asset_id: str) -> None:
+    box = model(asset_id)
+    base, lid = box.bodies
+    low, high = _corners(base).min(axis=0), _corners(base).max(axis=0)
+    shut = transform_points(_lid_pose(box, 0.0), _corners(lid))
+    assert shut[:, 2].min() == pytest.approx(high[2])
+    assert high[2] == pytest.approx(box.size["height_m"])
+    overhang = shut[:, 0].max() - high[0]
+    assert overhang == pytest.approx(box.size["overhang_m"])
+    assert overhang == 0.0 or OVERHANG_M[0] <= overhang <= OVERHANG_M[1]
+    assert OPEN_RAD[0] <= box.size["open_rad"] <= OPEN_RAD[1]
+    for angle in np.linspace(0.0, box.size["open_rad"], 7):
+        lid_points = transform_points(_lid_pose(box, float(angle)), _corners(lid))
+        inside = (lid_points[:, 0] > low[0] + 1e-9) & (lid_points[:, 2] < high[2] - 1e-9)
+        assert not inside.any()
+
+
+def test_flush_lid_clears_the_table_when_the_box_lies() -> None:
+    for asset_id in asset_ids(FLUSH):
+        base, lid = model(asset_id).bodies
+        assert np.abs(_corners(lid)[:, 1]).max() < np.abs(_corners(base)[:, 1]).max()
+
+
+def test_tight_hinge_differs_in_nothing_but_damping() -> None:
+    box = model(f"{RIMMED}/03")
+    hinge, tighter = box.bodies[1].joint, tight(box).bodies[1].joint
+    assert hinge is not None
+    assert tighter is not None
+    assert tighter.damping > hinge.damping
+    assert replace(tighter, damping=hinge.damping) == hinge
+
+
+def _state(task: str, angles: list[float], p_HG: list[list[float]], speed: float = 0.0) -> State:
+    """Scenes of seed 3 with these lid angles and TCP positions in the hinge's frame."""
+    placement = compose(task, 3).layout().placements["box"]
+    box, X_BM, n = placement.model, placement.X_BM, len(angles)
+    X_BG = np.tile(np.eye(4), (n, 1, 1))
+    X_BG[:, :3, 3] = transform_points(X_BM @ box.sites["hinge"].X_BodyS, np.array(p_HG))
+    poses = {"box": torch.tensor(np.tile(X_BM, (n, 1, 1)), dtype=torch.float32)}
+    return State(
+        X_BG=torch.tensor(X_BG, dtype=torch.float32),
+        finger_width_m=torch.zeros(n),
+        poses=poses,
+        starts=poses,
+        joints={"box": torch.tensor(angles, dtype=torch.float32)},
+        joint_starts={"box": torch.full((n,), placement.joint)},
+        speeds={"box": torch.full((n,), speed)},
+        models={"box": [box] * n},
+        grasps=lambda name: torch.zeros(n, dtype=torch.bool),
+    )
+
+
+@pytest.mark.parametrize("task", TASKS[1:])
+def test_open_means_far_open_at_rest_and_let_go(task: str) -> None:
+    stop = compose(task, 3).layout().placements["box"].model.size["open_rad"]
+    clear, touching, behind = [0.07, 0.0, 0.1], [-0.03, 0.0, 0.12], [-0.2, 0.0, 0.15]
+    state = _state(task, [stop, 0.85 * stop, stop, stop], [clear, clear, touching, behind])
+    found = find_task(task).conditions(state)
+    assert found["open"].tolist() == [True, False, True, True]
+    assert found["withdrawn"].tolist() == [True, True, False, False]
+    assert found["still"].all()
+    assert find_task(task).progress(state)[0] >= 1.0
+    assert not find_task(task).conditions(_state(task, [stop], [clear], speed=0.2))["still"].any()
+
+
+def test_shut_means_shut_at_rest_and_let_go() -> None:
+    up = -1.0 if compose("CloseBox-v1", 3).layout().placements["box"].X_BM[2, 1] < 0.0 else 1.0
+    clear, touching = [0.1, 0.12 * up, 0.06], [0.1, 0.04 * up, 0.015]
+    state = _state("CloseBox-v1", [0.02, 0.2, 0.02], [clear, clear, touching])
+    found = find_task("CloseBox-v1").conditions(state)
+    assert found["shut"].tolist() == [True, False, True]
+    assert found["withdrawn"].tolist() == [True, True, False]
+    assert find_task("CloseBox-v1").progress(state)[1] < 1.0
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_lids_have_far_to_go_and_boxes_stand_on_the_table(task: str) -> None:
+    for seed in range(8):
+        placement = compose(task, seed).layout().placements["box"]
+        box = placement.model
+        lowest = transform_points(placement.X_BM, _corners(box.bodies[0]))[:, 2].min()
+        assert lowest == pytest.approx(0.0, abs=1e-9)
+        goal = 0.0 if task == "CloseBox-v1" else box.size["open_rad"]
+        assert abs(goal - placement.joint) > 0.5 * box.size["open_rad"]
+
+
+@pytest.mark.sapien
+@pytest.mark.parametrize("task", TASKS)
+def test_expert_succeeds_and_a_lid_left_alone_stays(task: str) -> None:
+    with Stage(task, renders=False) as stage:
+        stage.reset(compose(task, 5))
+        before, q = stage.scene().joints["box"], stage.snapshot().q
+        for _ in range(40):
+            stage.step(q, 0.0)
+        assert stage.scene().joints["box"] == pytest.approx(before, abs=0.005)
+        outcome = perform(stage, find_expert(task), compose(task, 5)).outcome
+        assert outcome.success, outcome
+
+
+@pytest.mark.sapien
+def test_lid_that_is_let_go_stops_soon_without_bouncing_back() -> None:
+    with Stage("OpenBoxEasy-v1", renders=False) as stage:
+        stage.reset(compose("OpenBoxEasy-v1", 0))
+        box, q = stage._env.things["box"], ArmPlant().robot.rest_q
+        for speed in (2.0, -0.5):
+            before = stage.scene().joints["box"]
+            box.set_qvel(np.array([[speed]], dtype=np.float32))
+            angles = []
+            for _ in range(20):
+                stage.step(q, 0.0)
+                angles.append(stage.scene().joints["box"])
+            moved = np.sign(speed) * (np.array(angles) - before)
+            assert 0.0 < moved[-1] < 0.5
+            assert np.ptp(angles[10:]) < 0.01
+            assert moved[-1] > 0.95 * moved.max()
