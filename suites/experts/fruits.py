@@ -1,5 +1,7 @@
 """Experts for the tasks with fruits."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from kinebench_drake.geometry import Array, make_pose
@@ -36,31 +38,38 @@ def _hold(scene: Scene, name: str) -> tuple[Array, float]:
     return make_pose(grasp_rotation(DOWN, closing), p), min(OPEN_M, scene.size(name, "grip_m") + SPARE_M)
 
 
-def _carry(
-    scene: Scene, name: str, target: Array, across: Array, rim_m: float, way: list[Array], drop_m: float
-) -> list[Waypoint]:
-    """Take a fruit, carry it past gripper positions `way`, let go above `target` (3,) on the floor of something.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Goal:
+    """Where to let go of a fruit."""
 
-    Args:
-        scene: as it is now.
-        name: the fruit.
-        target: where its underside shall come to rest [m].
-        across: (3,) direction of the fingers there.
-        rim_m: height that the fingertips are to clear there.
-        way: positions (3,) of the gripper between [m].
-        drop_m: height from which to let go.
-    """
+    target: Array
+    """(3,) where the middle of its underside shall come to rest [m]."""
+    across: Array
+    """(3,) direction of the fingers there."""
+    drop_m: float
+    """Height from which to let go."""
+    rim_m: float = 0.0
+    """Height that the fingertips are to clear there."""
+    over: Array | None = None
+    """(3,) top of something on the way."""
+
+
+def _carry(scene: Scene, name: str, goal: _Goal) -> list[Waypoint]:
+    """Take a fruit, carry it to its goal, let go and leave upwards."""
     grasp, open_m = _hold(scene, name)
     below = grasp[2, 3] - scene.poses[name][2, 3] + scene.size(name, "rest_m")  # from the fruit's underside to the TCP
-    landing = grasp_rotation(DOWN, nearest_axis([across, -across], grasp[:3, 1]))
-    height = max(target[2] + below + drop_m, rim_m + TIPS_M)
-    place = make_pose(landing, [target[0], target[1], height])
-    turn = [make_pose(landing, p) for p in way]
+    landing = grasp_rotation(DOWN, nearest_axis([goal.across, -goal.across], grasp[:3, 1]))
+    height = max(goal.target[2] + below + goal.drop_m, goal.rim_m + TIPS_M)
+    place = make_pose(landing, [goal.target[0], goal.target[1], height])
+    above, over = raised(grasp, ABOVE_M), []
+    if goal.over is not None:
+        over = [raised(make_pose(landing, goal.over), below + OVER_M)]
+        above[2, 3] = over[0][2, 3]
     return [
-        Waypoint(X_BG=raised(grasp, ABOVE_M), finger_width_m=open_m, through=True),
+        Waypoint(X_BG=above, finger_width_m=open_m, through=True),
         Waypoint(X_BG=grasp, finger_width_m=open_m),
         Waypoint(X_BG=grasp, finger_width_m=SQUEEZE_M),
-        *(Waypoint(X_BG=X, finger_width_m=SQUEEZE_M, through=True) for X in [raised(grasp, ABOVE_M), *turn]),
+        *(Waypoint(X_BG=X, finger_width_m=SQUEEZE_M, through=True) for X in (above, *over)),
         Waypoint(X_BG=raised(place, 0.7 * ABOVE_M), finger_width_m=SQUEEZE_M, through=True),
         Waypoint(X_BG=place, finger_width_m=SQUEEZE_M),
         Waypoint(X_BG=place, finger_width_m=open_m),
@@ -70,15 +79,16 @@ def _carry(
 
 def pick_fruits(scene: Scene) -> list[Waypoint]:
     """Put the target into the container, over an obstacle if there is one."""
-    container = scene.poses["container"]
-    target = container[:3, 3] + [0.0, 0.0, scene.size("container", "floor_m")]
-    way = []
+    over = None
     if "obstacle" in scene.poses:
-        start, post = scene.poses["target"][:3, 3], scene.poses["obstacle"][:3, 3]
-        below = scene.size("target", "rest_m") + LOWEST_M
-        height = scene.size("obstacle", "height_m") + OVER_M + below
-        way = [np.array([*start[:2], height]), np.array([*post[:2], height])]
-    return _carry(scene, "target", target, np.array([0.0, 1.0, 0.0]), 0.0, way, DROP_M)
+        over = scene.poses["obstacle"][:3, 3] + [0.0, 0.0, scene.size("obstacle", "height_m")]
+    goal = _Goal(
+        target=scene.poses["container"][:3, 3] + [0.0, 0.0, scene.size("container", "floor_m")],
+        across=np.array([0.0, 1.0, 0.0]),
+        drop_m=DROP_M,
+        over=over,
+    )
+    return _carry(scene, "target", goal)
 
 
 def store_fruits(scene: Scene) -> list[Waypoint]:
@@ -91,8 +101,13 @@ def store_fruits(scene: Scene) -> list[Waypoint]:
         beside = abs(p[1] - center[1]) < 0.5 * scene.size("crate", "pitch_m")
         if low and beside and abs(p[0]) < 0.5 * scene.size("crate", "inner_x_m"):
             continue
-        target = crate[:3, :3] @ center + crate[:3, 3]
-        return _carry(scene, name, target, crate[:3, 1], scene.size("crate", "rim_m"), [], FALL_M)
+        goal = _Goal(
+            target=crate[:3, :3] @ center + crate[:3, 3],
+            across=crate[:3, 1],
+            drop_m=FALL_M,
+            rim_m=scene.size("crate", "rim_m"),
+        )
+        return _carry(scene, name, goal)
     return []
 
 
