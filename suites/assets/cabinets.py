@@ -273,7 +273,7 @@ def _cabinet(asset_id: str, index: int, rng: np.random.Generator) -> Model:
         lower=0.0,
         upper=m.travel,
         friction=float(rng.uniform(0.02, 0.08)),
-        damping=float(rng.uniform(5.0, 12.0)),
+        damping=float(rng.uniform(20.0, 36.0)),
     )
     back, face = m.tray_x
     return Model(

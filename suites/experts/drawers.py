@@ -73,7 +73,7 @@ def open_drawer(scene: Scene) -> list[Waypoint]:
         Waypoint(X_BG=_pose(scene, middle, 0.0, tip), finger_width_m=CLOSED_M, pace=1.5),
         Waypoint(X_BG=_pose(scene, last - FINGER_M, 0.0, tip), finger_width_m=CLOSED_M, pace=2.0),
         Waypoint(X_BG=_pose(scene, last - FINGER_M - 0.012, 0.0, tip), finger_width_m=CLOSED_M),
-        Waypoint(X_BG=_pose(scene, last - FINGER_M - 0.03, 0.0, front[2] + ABOVE_M), finger_width_m=CLOSED_M),
+        Waypoint(X_BG=_pose(scene, last - FINGER_M - 0.02, 0.0, front[2] + ABOVE_M), finger_width_m=CLOSED_M),
     ]
 
 
@@ -87,7 +87,7 @@ def _push_shut(scene: Scene) -> list[Waypoint]:
         Waypoint(X_BG=_pose(scene, start, 0.0, low), finger_width_m=CLOSED_M, pace=1.3),
         Waypoint(X_BG=_pose(scene, last - 0.001, 0.0, low), finger_width_m=CLOSED_M, pace=2.0),
         Waypoint(X_BG=_pose(scene, last + 0.02, 0.0, low), finger_width_m=CLOSED_M),
-        Waypoint(X_BG=_pose(scene, last + 0.03, 0.0, high), finger_width_m=CLOSED_M),
+        Waypoint(X_BG=_pose(scene, last, 0.0, high), finger_width_m=CLOSED_M),
     ]
 
 

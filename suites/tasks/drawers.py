@@ -22,6 +22,12 @@ STILL_M_S = 0.02
 """Drawers and things slower than this are at rest."""
 HEAP_M = 0.045
 """How far above the tray's floor the middle of something that lies in it may be."""
+WITHDRAWN_M = (0.03, 0.12)
+"""Least and greatest height above the drawer's front of a gripper that has left it (of the TCP)."""
+OVER_M = (0.07, 0.05)
+"""How far such a gripper may be from the middle of the front, along the drawer's way and aside."""
+UPRIGHT = 0.96
+"""Least cosine of the angle between such a gripper and the vertical: 16 degrees."""
 YAW_RAD = 0.25
 """How far a cabinet may be turned to either side."""
 AJAR = 0.92
@@ -36,6 +42,15 @@ def _shut(state: State) -> Tensor:
 
 def _still(state: State, name: str) -> Tensor:
     return state.speeds[name] <= STILL_M_S
+
+
+def _withdrawn(state: State) -> Tensor:
+    """Whether (N,) the gripper is off the drawer again, looking down on the middle of its front from a little above."""
+    X_BF, X_BG = state.site("cabinet", "pull"), state.X_BG
+    p = (X_BF[:, :3, :3].mT @ (X_BG[:, :3, 3] - X_BF[:, :3, 3])[..., None])[..., 0]
+    low, high = WITHDRAWN_M
+    at_height = (p[:, 2] >= low) & (p[:, 2] <= high)
+    return at_height & (p[:, :2].abs() <= p.new_tensor(OVER_M)).all(dim=-1) & (X_BG[:, 2, 2] <= -UPRIGHT)
 
 
 def _outside_by(state: State, poses: Mapping[str, Tensor], name: str) -> Tensor:
@@ -75,10 +90,11 @@ class OpenDrawer(Task):
     """Pull the drawer open.
 
     Description: a cabinet stands sideways, its drawer ajar; turn the gripper, reach with the closed fingertips into the
-        gap behind the drawer's front, pull.
+        gap behind the drawer's front, pull, go up again.
     Randomizations: the cabinet (measures, looks, handle, friction), its place, its direction, whether it opens to the
         left or to the right, how far it is ajar.
-    Success: the drawer has come nearly as far as it goes (`open`) and is still (`still`).
+    Success: the drawer has come nearly as far as it goes (`open`) and is still (`still`), the gripper is a little above
+        its front again (`withdrawn`).
     """
 
     card = TaskCard(
@@ -89,19 +105,23 @@ class OpenDrawer(Task):
     def layout(self, models: Mapping[str, Model], rng: np.random.Generator, variant: Variant) -> Layout:
         """A cabinet across the robot's view."""
         cabinet = models["cabinet"]
-        X_BM = _sideways(int(rng.choice([-1, 1])), rng.uniform(0.50, 0.57), rng)
+        X_BM = _sideways(int(rng.choice([-1, 1])), rng.uniform(0.475, 0.54), rng)
         return Layout(
             placements={"cabinet": Placement(model=cabinet, X_BM=X_BM, joint=rng.uniform(0.034, 0.048))},
             prompt=(
-                f"The robot arm turns its gripper, reaches into the gap of the {cabinet.words}'s slightly open drawer "
-                "and pulls the drawer all the way out."
+                f"The robot arm turns its gripper, reaches into the gap of the {cabinet.words}'s slightly open drawer, "
+                "pulls the drawer all the way out and moves up again."
             ),
         )
 
     def conditions(self, state: State) -> dict[str, Tensor]:
         """See the class."""
         wide = OPEN_SHARE * state.size("cabinet", "travel_m")
-        return {"open": state.joints["cabinet"] >= wide, "still": _still(state, "cabinet")}
+        return {
+            "open": state.joints["cabinet"] >= wide,
+            "still": _still(state, "cabinet"),
+            "withdrawn": _withdrawn(state),
+        }
 
     def progress(self, state: State) -> Tensor:
         """Part of the drawer's way out."""
@@ -111,9 +131,11 @@ class OpenDrawer(Task):
 class CloseDrawer(Task):
     """Push the drawer shut.
 
-    Description: a cabinet's drawer is open towards the camera; go behind its front with the closed gripper, push it in.
+    Description: a cabinet's drawer is open towards the camera; go behind its front with the closed gripper, push it in,
+        go up again.
     Randomizations: the cabinet (measures, looks, handle, friction), its place and direction, how far it is open.
-    Success: the drawer is shut (`shut`) and still (`still`).
+    Success: the drawer is shut (`shut`) and still (`still`), the gripper is a little above its front again
+        (`withdrawn`).
     """
 
     card = TaskCard(
@@ -125,15 +147,15 @@ class CloseDrawer(Task):
         """A cabinet that opens away from the robot."""
         cabinet = models["cabinet"]
         X_BM = _forwards(cabinet, rng)
-        joint = rng.uniform(0.5, 1.0) * cabinet.size["travel_m"]
+        joint = rng.uniform(0.65, 1.0) * cabinet.size["travel_m"]
         return Layout(
             placements={"cabinet": Placement(model=cabinet, X_BM=X_BM, joint=joint)},
-            prompt=f"The robot arm pushes the open drawer of the {cabinet.words} completely shut.",
+            prompt=f"The robot arm pushes the open drawer of the {cabinet.words} completely shut and moves up again.",
         )
 
     def conditions(self, state: State) -> dict[str, Tensor]:
         """See the class."""
-        return {"shut": _shut(state), "still": _still(state, "cabinet")}
+        return {"shut": _shut(state), "still": _still(state, "cabinet"), "withdrawn": _withdrawn(state)}
 
     def progress(self, state: State) -> Tensor:
         """Part of the drawer's way in."""
