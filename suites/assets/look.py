@@ -90,7 +90,7 @@ _TABLES: tuple[_Recipe, ...] = (
     _wood("teak", 0.4),
     (lambda rng: texture.tiles(rng, (150, 160, 146), (196, 192, 182)), 0.4, 0.35),
     (lambda rng: texture.granite(rng, "beige"), 0.35, 0.4),
-    (lambda rng: texture.tartan(rng, [(74, 84, 84), (126, 74, 66), (44, 52, 66), (176, 160, 122)]), 0.3, 0.95),
+    (lambda rng: texture.tartan(rng, [(98, 108, 106), (140, 88, 78), (70, 80, 98), (184, 168, 132)]), 0.3, 0.95),
     _wood("cherry", 0.45, 0.4),
     (lambda rng: texture.speckle(rng, (120, 134, 128), [(92, 108, 104), (160, 168, 158)], cycles=60.0), 0.5, 0.5),
     _planks("ash", 3, 0.5),

@@ -1,5 +1,6 @@
 """Contact sheets: what stands where on the page, and whether the shots are what they say."""
 
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +9,8 @@ from click.testing import CliRunner
 from PIL import Image
 
 from kinebench_drake.cli import cli
-from kinebench_drake.engines import EngineKind, create_engine
+from kinebench_drake.engines import Crashed, Done, EngineKind, create_engine
+from kinebench_drake.suites.episode import Episode
 from kinebench_drake.suites.sheet import GAP_PX, MARGIN_PX, PICTURE_PX, Shot, contact_sheet, task_shots
 
 
@@ -42,16 +44,32 @@ def test_a_failure_is_red() -> None:
     assert redness(True) > 50
 
 
-@pytest.mark.sapien
-def test_shots_are_the_first_and_last_frame_in_the_order_asked_for() -> None:
-    tasks = ["StackCube-v1", "PullCube-v1"]
-    shots = task_shots(create_engine(EngineKind.LOCAL, 1), tasks, 0)
+class _Backwards:
+    """An engine that finishes the last first, and whose worker dies over one."""
+
+    def run(self, make_worker: object, items: Sequence[Episode]) -> Iterator[Done[Episode, Shot] | Crashed[Episode]]:
+        for item in reversed(items):
+            if item.task == "PullCube-v1":
+                yield Crashed(item=item, reason="the worker was killed")
+            else:
+                yield Done(item=item, result=Shot(title=item.task, text=item.prompt))
+
+
+def test_shots_come_in_the_order_asked_for() -> None:
+    tasks = ["StackCube-v1", "PullCube-v1", "CloseBox-v1"]
+    shots = task_shots(_Backwards(), tasks, 0)
     assert [shot.title for shot in shots] == tasks
-    for shot in shots:
-        assert not shot.failed
-        first, last = shot.pictures
-        assert first.shape == last.shape == (384, 384, 3)
-        assert (first != last).any(axis=-1).mean() > 0.05
+    assert [shot.failed for shot in shots] == [False, True, False]
+    assert "killed" in shots[1].text
+
+
+@pytest.mark.sapien
+def test_a_shot_is_the_first_and_last_frame() -> None:
+    [shot] = task_shots(create_engine(EngineKind.LOCAL, 1), ["StackCube-v1"], 0)
+    assert not shot.failed
+    first, last = shot.pictures
+    assert first.shape == last.shape == (384, 384, 3)
+    assert (first != last).any(axis=-1).mean() > 0.05
 
 
 def test_command_writes_a_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
