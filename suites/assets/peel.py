@@ -35,16 +35,18 @@ def _tinted(rng: np.random.Generator, color: ArrayLike, spread: float = 0.1) -> 
 def _dots(rng: np.random.Generator, count: int, radius_px: float, *, low: float = 0.05, high: float = 0.95) -> Array:
     """Weights (SIZE, SIZE) of round dots at random places between two heights."""
     weight = np.zeros((SIZE, SIZE))
-    rows, columns = np.arange(SIZE)[:, None], np.arange(SIZE)[None, :]
+    far = int(np.ceil(1.4 * radius_px)) + 1
+    near = np.arange(-far, far + 1)
     for v, u, r in zip(
         rng.uniform(low, high, count),
         rng.uniform(0.0, 1.0, count),
         radius_px * rng.uniform(0.6, 1.4, count),
         strict=True,
     ):
-        across = np.abs(columns - u * SIZE)
-        across = np.minimum(across, SIZE - across)
-        weight = np.maximum(weight, np.clip(r + 0.5 - np.hypot(rows - v * SIZE, across), 0.0, 1.0))
+        row, column = round(v * SIZE), round(u * SIZE)
+        off = np.hypot((row + near - v * SIZE)[:, None], (column + near - u * SIZE)[None, :])
+        patch = np.ix_((row + near) % SIZE, (column + near) % SIZE)
+        weight[patch] = np.maximum(weight[patch], np.clip(r + 0.5 - off, 0.0, 1.0))
     return weight
 
 

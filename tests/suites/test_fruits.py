@@ -1,0 +1,185 @@
+"""Fruits, what they are put into, and the tasks with them."""
+
+from collections.abc import Mapping
+
+import numpy as np
+import pytest
+import torch
+
+from kinebench_drake.geometry import Array
+from kinebench_drake.suites.assets.containers import COMPARTMENTS, cell_center
+from kinebench_drake.suites.assets.fruits import FRUITS
+from kinebench_drake.suites.assets.library import asset_ids, model
+from kinebench_drake.suites.assets.model import Collider, ColliderKind
+from kinebench_drake.suites.episode import Episode, compose
+from kinebench_drake.suites.experts.registry import find_expert
+from kinebench_drake.suites.rollout import Stage, perform
+from kinebench_drake.suites.tasks.card import Variant
+from kinebench_drake.suites.tasks.fruits import GAP_M, ORDER, OTHERS
+from kinebench_drake.suites.tasks.place import resting
+from kinebench_drake.suites.tasks.registry import find_task
+from kinebench_drake.suites.tasks.state import State
+
+GRIP_M = (0.030, 0.062)
+"""What the gripper holds easily."""
+
+
+def corners(collider: Collider) -> Array:
+    if collider.kind is ColliderKind.HULL:
+        return np.asarray(collider.points)
+    signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=np.float64)
+    return (signs * collider.size) @ collider.X_BodyC[:3, :3].T + collider.X_BodyC[:3, 3]
+
+
+def state_of(episodes: list[Episode], moved: Mapping[str, list[Array]], held: str = "") -> State:
+    """The scenes as they begin, but for things that were moved; all at rest."""
+    layouts = [episode.layout() for episode in episodes]
+    names = list(layouts[0].placements)
+    starts = {
+        name: torch.tensor(np.stack([x.placements[name].X_BM for x in layouts]), dtype=torch.float32) for name in names
+    }
+    n = len(episodes)
+    return State(
+        X_BG=torch.eye(4).repeat(n, 1, 1),
+        finger_width_m=torch.full((n,), 0.08),
+        poses=starts | {name: torch.tensor(np.stack(X), dtype=torch.float32) for name, X in moved.items()},
+        starts=starts,
+        joints={},
+        joint_starts={},
+        speeds={name: torch.zeros(n) for name in names},
+        models={name: [x.placements[name].model for x in layouts] for name in names},
+        grasps=lambda name: torch.full((n,), name == held),
+    )
+
+
+def test_every_fruit_lies_on_a_flat_side_and_fits_the_gripper() -> None:
+    for fruit in FRUITS:
+        for asset_id in asset_ids(f"fruit/{fruit}"):
+            found = model(asset_id)
+            assert GRIP_M[0] < found.size["grip_m"] < GRIP_M[1], asset_id
+            assert found.size["height_m"] < 0.058, asset_id  # lower than the palm of a hand that holds its neighbour
+            points = np.concatenate([corners(c) for c in found.bodies[0].colliders])
+            seen = found.bodies[0].visuals[0].mesh.vertices
+            for low in (points[:, 2].min(), seen[:, 2].min()):
+                assert low == pytest.approx(-found.size["rest_m"], abs=1e-6)
+            assert (points[:, 2] < points[:, 2].min() + 1e-6).sum() >= 5, asset_id
+            assert np.abs(points.min(axis=0) - seen.min(axis=0)).max() < 0.002, asset_id
+            assert np.abs(points.max(axis=0) - seen.max(axis=0)).max() < 0.002, asset_id
+
+
+def test_every_container_holds_a_fruit_and_stands_on_the_table() -> None:
+    for asset_id in (*asset_ids("container"), *asset_ids("crate")):
+        found = model(asset_id)
+        points = np.concatenate([corners(c) for c in found.bodies[0].colliders])
+        assert points[:, 2].min() == pytest.approx(0.0, abs=1e-6), asset_id
+        assert points[:, 2].max() == pytest.approx(found.size["rim_m"], abs=0.004), asset_id
+        assert min(found.size["inner_x_m"], found.size["inner_y_m"]) > 0.14, asset_id
+        assert 0.02 < found.size["rim_m"] < 0.06, asset_id
+        low, high = (np.stack([f(corners(c), axis=0) for c in found.bodies[0].colliders]) for f in (np.min, np.max))
+        over = ((low[:, :2] < -0.02) & (high[:, :2] > 0.02)).all(axis=1)
+        assert high[over, 2].max() == pytest.approx(found.size["floor_m"], abs=1e-6), asset_id
+
+
+@pytest.mark.parametrize("variant", list(Variant))
+def test_every_scene_has_the_same_names_and_room_for_the_fingers(variant: Variant) -> None:
+    names, targets = set(), set()
+    for seed in range(60):
+        layout = compose("PickFruits-v1", seed, variant=variant).layout()
+        names.add(tuple(layout.placements))
+        targets.add(layout.placements["target"].model.words)
+        assert f"the {layout.placements['target'].model.words}," in layout.prompt
+        fruits = [layout.placements[name] for name in ("target", *OTHERS)]
+        assert len({fruit.model.kind for fruit in fruits}) == 4
+        gaps = [
+            np.linalg.norm(a.X_BM[:2, 3] - b.X_BM[:2, 3]) - a.model.size["reach_m"] - b.model.size["reach_m"]
+            for i, a in enumerate(fruits)
+            for b in [*fruits[:i], layout.placements["container"]]
+        ]
+        assert min(gaps) > 0.6 * GAP_M
+    assert len(names) == 1
+    assert targets == set(FRUITS)
+
+
+def test_a_fruit_counts_only_inside_and_let_go() -> None:
+    task, episodes = find_task("PickFruits-v1"), [compose("PickFruits-v1", seed) for seed in (3, 4)]
+    layouts = [episode.layout() for episode in episodes]
+
+    def into(name: str, up_m: float = 0.0) -> list[Array]:
+        return [
+            resting(
+                *layout.placements["container"].X_BM[:2, 3],
+                layout.placements["container"].model.size["floor_m"]
+                + layout.placements[name].model.size["rest_m"]
+                + up_m,
+            )
+            for layout in layouts
+        ]
+
+    begin = state_of(episodes, {})
+    assert not task.conditions(begin)["in_container"].any()
+    assert torch.allclose(task.progress(begin), torch.zeros(2), atol=1e-5)
+    done = state_of(episodes, {"target": into("target")})
+    assert torch.stack(list(task.conditions(done).values())).all()
+    assert torch.allclose(task.progress(done), torch.ones(2), atol=1e-4)
+    assert not task.conditions(state_of(episodes, {"target": into("target", 0.06)}))["in_container"].any()
+    assert not task.conditions(state_of(episodes, {"target": into("target")}, held="target"))["released"].any()
+    assert not task.conditions(state_of(episodes, {"other_1": into("other_1")}))["others_out"].any()
+
+
+def test_order_is_the_order_of_the_compartments() -> None:
+    task, episodes = find_task("StoreFruitsBox-v1"), [compose("StoreFruitsBox-v1", seed) for seed in (3, 5)]
+    layouts = [episode.layout() for episode in episodes]
+
+    def stored(cells: tuple[int, ...]) -> dict[str, list[Array]]:
+        moved: dict[str, list[Array]] = {}
+        for name, cell in zip(ORDER, cells, strict=True):
+            moved[name] = []
+            for layout in layouts:
+                crate, size = layout.placements["crate"], layout.placements[name].model.size
+                p = crate.X_BM[:3, :3] @ cell_center(crate.model.size.__getitem__, cell) + crate.X_BM[:3, 3]
+                moved[name].append(resting(p[0], p[1], p[2] + size["rest_m"]))
+        return moved
+
+    right = state_of(episodes, stored((0, 1, 2)))
+    assert torch.stack(list(task.conditions(right).values())).all()
+    assert torch.allclose(task.progress(right), torch.ones(2), atol=1e-4)
+    wrong = task.conditions(state_of(episodes, stored((1, 0, 2))))
+    assert not wrong["first_in_left"].any()
+    assert not wrong["second_in_middle"].any()
+    assert wrong["third_in_right"].all()
+    for layout in layouts:  # left is where the camera, which looks back at the robot, sees it: towards -y
+        size = layout.placements["crate"].model.size.__getitem__
+        assert [cell_center(size, i)[1] for i in range(COMPARTMENTS)] == sorted(
+            cell_center(size, i)[1] for i in range(COMPARTMENTS)
+        )
+    words = [layout.placements[name].model.words for layout in layouts[:1] for name in ORDER]
+    found = [layouts[0].prompt.index(f"the {word} into") for word in words]
+    assert found == sorted(found)
+
+
+@pytest.mark.sapien
+@pytest.mark.parametrize("task", ["PickFruits-v1", "StoreFruitsBox-v1"])
+def test_untouched_things_stay_where_they_are(task: str) -> None:
+    with Stage(task, renders=False) as stage:
+        stage.reset(compose(task, 7))
+        start = stage.snapshot()
+        for _ in range(200):
+            stage.step(start.q, 0.08)
+        end = stage.snapshot()
+    for name, pose in start.objects.items():
+        assert np.linalg.norm(end.objects[name][:3] - pose[:3]) < 0.003, name
+
+
+@pytest.mark.sapien
+@pytest.mark.parametrize(
+    ("task", "seed", "variant"),
+    [
+        ("PickFruits-v1", 7, Variant.PLAIN),
+        ("PickFruits-v1", 39, Variant.OBSTACLES),
+        ("StoreFruitsBox-v1", 0, Variant.PLAIN),
+    ],
+)
+def test_experts_succeed(task: str, seed: int, variant: Variant) -> None:
+    with Stage(task, renders=False, variant=variant) as stage:
+        performance = perform(stage, find_expert(task), compose(task, seed, variant=variant))
+    assert performance.outcome.success, performance.outcome.conditions
