@@ -21,6 +21,7 @@ from torch import Tensor
 from kinebench_drake.camera import Camera, benchmark_camera
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array, from_quaternion, invert, make_pose, to_quaternion
+from kinebench_drake.models.robot import N_JOINTS
 from kinebench_drake.suites.assets.look import background, light, table
 from kinebench_drake.suites.episode import Episode, compose
 from kinebench_drake.suites.seeding import generator
@@ -28,7 +29,7 @@ from kinebench_drake.suites.split import Pool
 from kinebench_drake.suites.tasks.builder import build_actor, build_articulation
 from kinebench_drake.suites.tasks.card import Variant
 from kinebench_drake.suites.tasks.registry import TASKS, find_task
-from kinebench_drake.suites.tasks.state import State
+from kinebench_drake.suites.tasks.state import ARM, State
 from kinebench_drake.suites.tasks.surroundings import surroundings
 from kinebench_drake.suites.tasks.task import Layout, Placement, Scene
 
@@ -269,7 +270,8 @@ class KineBenchEnv(BaseEnv):  # type: ignore[misc]
                 name: self._speed(thing)
                 for name, thing in self.things.items()
                 if not (self.layouts[0].placements[name].fixed or self.layouts[0].placements[name].decor)
-            },
+            }
+            | {ARM: self.agent.robot.qvel[:, :N_JOINTS].abs().amax(dim=-1)},
             models={name: [layout.placements[name].model for layout in self.layouts] for name in self.things},
             grasps=lambda name: self.agent.is_grasping(self.things[name]),
         )

@@ -8,6 +8,9 @@ from torch import Tensor
 
 from kinebench_drake.suites.assets.model import Model
 
+ARM = "arm"
+"""The robot's arm, where speeds are named."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class State:
@@ -26,7 +29,8 @@ class State:
     joint_starts: Mapping[str, Tensor]
     """(N,) the same as the episodes began."""
     speeds: Mapping[str, Tensor]
-    """(N,) speed of each free thing [m/s] and, of articulated things, of the joint [rad/s or m/s]."""
+    """(N,) speed of each free thing [m/s] and, of articulated things, of the joint [rad/s or m/s]; of the arm's
+    fastest joint as `ARM` [rad/s]."""
     models: Mapping[str, Sequence[Model]]
     """N models of each thing."""
     grasps: Callable[[str], Tensor]
