@@ -10,7 +10,7 @@ from torch import Tensor
 from kinebench_drake.suites.assets.model import Model
 from kinebench_drake.suites.tasks.card import Difficulty, TaskCard, Variant
 from kinebench_drake.suites.tasks.place import resting
-from kinebench_drake.suites.tasks.state import State
+from kinebench_drake.suites.tasks.state import ARM, State
 from kinebench_drake.suites.tasks.task import Layout, Placement, Task
 
 OPEN_RAD = np.deg2rad(90.0)
@@ -19,6 +19,8 @@ SHUT_RAD = np.deg2rad(4.0)
 """A lid open this little counts as shut."""
 STILL_RAD_S = 0.05
 """Lids slower than this are at rest."""
+CALM_RAD_S = 0.2
+"""An arm none of whose joints is faster than this is at rest (ManiSkill's own tasks have it so, too)."""
 CLEAR_M = 0.03
 """A gripper whose TCP is this far from the lid has let go of it."""
 
@@ -71,6 +73,7 @@ class _Laptop(Task):
     def _freed(self, state: State) -> dict[str, Tensor]:
         return {
             "still": state.speeds["laptop"] <= STILL_RAD_S,
+            "calm": state.speeds[ARM] <= CALM_RAD_S,
             "released": _distance_to_lid(state) >= CLEAR_M,
         }
 
@@ -103,7 +106,7 @@ class OpenLaptopEasy(_Open):
 
     Description: the lid stands open a little; put a finger under its edge, push it up and over until it stands.
     Randomizations: the laptop, its place and direction, how far it is open (18 to 32 degrees).
-    Success: the lid is open by 90 degrees or more (`open`), still and let go.
+    Success: the lid is open by 90 degrees or more (`open`), still and let go, the arm at rest (`calm`).
     """
 
     card = TaskCard(
@@ -121,7 +124,7 @@ class OpenLaptopHard(_Open):
 
     Description: the laptop is shut; pry the lid's edge up with a fingertip, then push it up and over until it stands.
     Randomizations: the laptop, its place and direction.
-    Success: the lid is open by 90 degrees or more (`open`), still and let go.
+    Success: the lid is open by 90 degrees or more (`open`), still and let go, the arm at rest (`calm`).
     """
 
     card = TaskCard(
@@ -139,7 +142,7 @@ class CloseLaptopEasy(_Close):
 
     Description: the lid stands open a little; press it down from above until it lies on the base.
     Randomizations: the laptop, its place and direction, how far it is open (37 to 47 degrees).
-    Success: the lid is open by 4 degrees at most (`shut`), still and let go.
+    Success: the lid is open by 4 degrees at most (`shut`), still and let go, the arm at rest (`calm`).
     """
 
     card = TaskCard(
@@ -156,7 +159,7 @@ class CloseLaptopHard(_Close):
     Description: the lid leans back past the vertical; reach behind it, pull it forward over the vertical, then press it
     down until it lies on the base.
     Randomizations: the laptop, its place and direction, how far it is open (110 to 125 degrees).
-    Success: the lid is open by 4 degrees at most (`shut`), still and let go.
+    Success: the lid is open by 4 degrees at most (`shut`), still and let go, the arm at rest (`calm`).
     """
 
     card = TaskCard(

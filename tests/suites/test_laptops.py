@@ -17,7 +17,7 @@ from kinebench_drake.suites.experts.registry import find_expert
 from kinebench_drake.suites.rollout import Stage, perform
 from kinebench_drake.suites.tasks.laptops import OPEN_RAD, SHUT_RAD, TASKS
 from kinebench_drake.suites.tasks.registry import find_task
-from kinebench_drake.suites.tasks.state import State
+from kinebench_drake.suites.tasks.state import ARM, State
 
 TASK_IDS = [task.card.id for task in TASKS]
 
@@ -79,7 +79,7 @@ def _states(task: str, angles: tuple[float, float], clear_m: float) -> State:
         starts={"laptop": X_base, "laptop/lid": X_lid},
         joints={"laptop": torch.tensor(angles, dtype=torch.float32)},
         joint_starts={"laptop": torch.tensor([p.joint for p in laptops])},
-        speeds={"laptop": torch.zeros(2)},
+        speeds={"laptop": torch.zeros(2), ARM: torch.zeros(2)},
         models={"laptop": [p.model for p in laptops]},
         grasps=lambda _: torch.zeros(2, dtype=torch.bool),
     )
@@ -95,7 +95,9 @@ def test_conditions_flip_at_the_goal(task_id: str) -> None:
     assert verdict["still"].all()
     assert verdict["released"].all()
     assert torch.allclose(task.progress(state), torch.ones(2), atol=0.05)
-    assert not task.conditions(replace(state, speeds={"laptop": torch.ones(2)}))["still"].any()
+    hurried = task.conditions(replace(state, speeds={"laptop": torch.ones(2), ARM: torch.ones(2)}))
+    assert not hurried["still"].any()
+    assert not hurried["calm"].any()
     assert not task.conditions(_states(task_id, (0.0, 0.0), 0.02))["released"].any()
 
 
