@@ -21,14 +21,14 @@ OPEN_PART = 0.9
 """Part of its range that a lid must be open."""
 SHUT_RAD = float(np.radians(4.0))
 """How far a lid that counts as shut may be open."""
-AJAR_RAD = (float(np.radians(25.0)), float(np.radians(40.0)))
+AJAR_RAD = (float(np.radians(22.0)), float(np.radians(34.0)))
 """How far a lid that is slightly open is open at the start."""
 WIDE_PART = (0.85, 0.98)
 """Part of its range that a wide open lid is open at the start."""
 DRAWN_BACK_M = (0.04, 0.16)
 """Distance of the TCP from the plane of the lid, on the side that it was pushed from, that counts as drawn back."""
-ABOVE_M, ABOVE_LYING_M = 0.05, 0.02
-"""How far above the walls of an upright and of a lying box the TCP must be in the end."""
+ABOVE_M, ABOVE_LYING_M = (0.05, 0.20), 0.02
+"""How far above the walls of an upright box (least, greatest) and of a lying box the TCP must be in the end."""
 BESIDE_M = 0.08
 """How far past the lid's edges the TCP may be in the end."""
 YAW_RAD = float(np.radians(12.0))
@@ -107,7 +107,7 @@ class OpenBox(Task):
             "open": angle >= OPEN_PART * state.size("box", "open_rad"),
             "still": state.speeds["box"] <= STILL_RAD_S,
             "withdrawn": _between(inside_m, DRAWN_BACK_M)
-            & (p_HG[:, 2] >= ABOVE_M)
+            & _between(p_HG[:, 2], ABOVE_M)
             & (p_HG[:, 1].abs() <= 0.5 * state.size("box", "width_m") + BESIDE_M),
         }
 
