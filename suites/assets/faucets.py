@@ -35,7 +35,7 @@ RANGE_RAD = (1.55, 1.85)
 """Least and greatest travel of the handle."""
 UNDER_M = 0.028
 """How far below the lever's middle line everything but the hub ends."""
-_SECTIONS = 20
+_RING = np.column_stack([f(2.0 * np.pi * np.arange(20) / 20) for f in (np.cos, np.sin)])
 
 
 @dataclass(slots=True)
@@ -49,25 +49,21 @@ class _Parts:
         """A solid of revolution about z, closed; each step of its profile (N, 2) is a collider."""
         rz = np.asarray(profile, dtype=np.float64)
         self.visuals.append(Visual(mesh=lathe(rz, sections=36), surface=surface))
-        angle = 2.0 * np.pi * np.arange(_SECTIONS) / _SECTIONS
-        ring = np.column_stack([np.cos(angle), np.sin(angle)])
         for low, high in pairwise(rz):
             if high[1] - low[1] > 1e-4:
-                points = [np.column_stack([max(r, 5e-4) * ring, np.full(_SECTIONS, z)]) for r, z in (low, high)]
+                points = [np.column_stack([max(r, 5e-4) * _RING, np.full(len(_RING), z)]) for r, z in (low, high)]
                 self.colliders.append(Collider(kind=ColliderKind.HULL, points=np.concatenate(points)))
 
     def tube(self, points: ArrayLike, radii: ArrayLike, surface: Surface) -> None:
-        """A round tube along a smooth curve (N, 3), its radius going through those given; capsules for colliders."""
+        """A round tube along a smooth curve (N, 3), its radius going through those given."""
         p, given = np.asarray(points, dtype=np.float64), np.atleast_1d(radii)
         r = np.interp(np.linspace(0.0, 1.0, len(p)), np.linspace(0.0, 1.0, len(given)), given)
         self.visuals.append(Visual(mesh=sweep(p, r, sections=20), surface=surface))
-        chain = np.unique(np.append(np.arange(0, len(p), max(1, len(p) // 6)), len(p) - 1))
+        chain = np.unique(np.append(np.arange(0, len(p), max(1, len(p) // 8)), len(p) - 1))
         for i, j in pairwise(chain):
-            along = p[j] - p[i]
-            length = float(np.linalg.norm(along))
-            size = (float(0.5 * (r[i] + r[j])), length / 2.0)
-            X = make_pose(_rotation_to(along / length), 0.5 * (p[i] + p[j]))
-            self.colliders.append(Collider(kind=ColliderKind.CAPSULE, size=size, X_BodyC=X))
+            across = _rotation_to((p[j] - p[i]) / np.linalg.norm(p[j] - p[i]))[:, 1:]
+            points = np.concatenate([p[k] + r[k] * _RING @ across.T for k in (i, j)])
+            self.colliders.append(Collider(kind=ColliderKind.HULL, points=points))
 
     def box(self, size: Sequence[float], at: ArrayLike, surface: Surface, *, yaw_rad: float = 0.0) -> None:
         """A bevelled box of full sizes about a point, turned about z."""
@@ -196,10 +192,9 @@ def _gooseneck(d: _Draft) -> _Shape:
     base.tube([[-gap, 0.0, 0.010], [-gap, 0.0, 0.045]], 0.016, d.metal)
     handle.turned([[0.0, -0.0115], [0.0165, -0.0115], [0.0165, 0.004], [0.012, 0.010], [0.0, 0.012]], d.metal)
     handle.tube(
-        _curve([[0.0, 0.0, 0.0], [0.5 * d.lever, 0.0, 0.0], [d.lever - 0.006, 0.0, 0.003]]),
-        [0.0055, 0.0075],
-        d.metal,
+        _curve(_away(0.0, [[0.0, 0.0], [0.5 * d.lever, 0.0], [d.lever - 0.0075, 0.003]])), [0.0055, 0.0075], d.metal
     )
+    handle.ball(0.0075, [d.lever - 0.0075, 0.0, 0.003], d.metal)
     return _Shape(base=base, handle=handle, half_width=0.0075)
 
 

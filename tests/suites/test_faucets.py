@@ -1,0 +1,134 @@
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from kinebench_drake.kinematics.plant import ArmPlant
+from kinebench_drake.suites.assets import faucets
+from kinebench_drake.suites.assets.library import asset_ids, model
+from kinebench_drake.suites.assets.model import Body, Model
+from kinebench_drake.suites.episode import compose
+from kinebench_drake.suites.experts.clearance import SceneGeometry
+from kinebench_drake.suites.experts.registry import find_expert
+from kinebench_drake.suites.rollout import Stage, perform
+from kinebench_drake.suites.tasks.faucets import CLOSED_PART, OPEN_PART, TASKS
+from kinebench_drake.suites.tasks.task import Scene
+
+IDS = asset_ids("faucet")
+NAMES = [task.card.id for task in TASKS]
+HUB_M = 0.03
+"""Within this distance of the axis things may be as high as the lever."""
+
+
+def points(body: Body) -> np.ndarray:
+    """All vertices (N, 3) that are seen of a body, in its frame."""
+    return np.concatenate([v.mesh.vertices @ v.X_BodyV[:3, :3].T + v.X_BodyV[:3, 3] for v in body.visuals])
+
+
+@pytest.mark.parametrize("asset_id", IDS)
+def test_sizes_are_in_bounds_and_the_finger_has_room_to_sweep(asset_id: str) -> None:
+    faucet = model(asset_id)
+    for name, (low, high) in {
+        "height_m": faucets.LEVER_HEIGHT_M,
+        "lever_m": faucets.LEVER_M,
+        "range_rad": faucets.RANGE_RAD,
+    }.items():
+        assert low <= faucet.size[name] <= high
+    base, handle = faucet.bodies
+    p = points(base)
+    radius, direction = np.hypot(p[:, 0], p[:, 1]), np.arctan2(p[:, 1], p[:, 0])
+    sector = 0.5 * faucet.size["range_rad"] + 0.4
+    swept = (radius > HUB_M) & (radius < faucet.size["lever_m"] + 0.03) & (np.abs(direction) < sector)
+    assert p[swept, 2].max(initial=0.0) < faucet.size["height_m"] - 0.02
+    assert p[:, 2].min() > -1e-6
+    lever = points(handle)
+    assert lever[:, 0].max() == pytest.approx(faucet.size["lever_m"], abs=0.002)
+    assert np.abs(lever[:, 2]).max() < 0.016
+
+
+@pytest.mark.parametrize("asset_id", IDS)
+def test_the_handle_turns_free_of_the_body(asset_id: str) -> None:
+    """Nothing of the body is where the arms of the handle come along."""
+    base, handle = model(asset_id).bodies
+    assert handle.joint is not None
+    arms = points(handle)
+    arms = arms[np.hypot(arms[:, 0], arms[:, 1]) > HUB_M]
+    p = points(base)
+    near = (np.hypot(p[:, 0], p[:, 1]) > HUB_M) & (np.hypot(p[:, 0], p[:, 1]) < arms[:, 0].max())
+    assert p[near, 2].max(initial=0.0) < handle.joint.X_ParentJ[2, 3] + arms[:, 2].min()
+
+
+def test_every_shape_comes_in_several_finishes() -> None:
+    words = [model(asset_id).words for asset_id in IDS]
+    assert all(len(set(words[shape::6])) >= 4 for shape in range(6))
+
+
+@pytest.mark.parametrize("task", NAMES)
+def test_the_resting_gripper_touches_no_faucet(task: str) -> None:
+    plant, margin = ArmPlant(), np.linspace(-0.03, 0.03, 3)
+    for seed in range(12):
+        layout = compose(task, seed).layout()
+        placed = layout.placements["faucet"]
+        base, handle = placed.model.bodies
+        assert handle.joint is not None
+        X = placed.X_BM @ handle.joint.X_ParentJ @ np.linalg.inv(handle.joint.X_BodyJ)
+        models = {"body": alone(base), "handle": alone(handle)}
+        scene = Scene(
+            X_BG=np.eye(4), finger_width_m=0.0, poses={"body": placed.X_BM, "handle": X}, joints={}, models=models,
+            avoided=frozenset(models),
+        )  # fmt: skip
+        q = plant.robot.rest_q + margin[:, None] * np.eye(7)[3]  # the elbow moves the hand up and down
+        assert not list(SceneGeometry(plant, scene).touches(q, np.zeros(len(q)))), f"seed {seed}"
+
+
+def alone(body: Body) -> Model:
+    return Model(kind="part", asset_id="part/00", words="part", bodies=(replace(body, joint=None),), size={})
+
+
+@pytest.fixture(scope="module", params=NAMES)
+def stage(request: pytest.FixtureRequest) -> Iterator[Stage]:
+    with Stage(request.param, renders=False) as stage:
+        yield stage
+
+
+@pytest.mark.sapien
+@pytest.mark.parametrize("stage", NAMES[1:], indirect=True)
+def test_a_handle_that_is_let_go_stops_and_stays(stage: Stage) -> None:
+    """Of all shapes: turning at 1 rad/s with nothing to push, it comes to rest at once and stays."""
+    task = stage.task.card.id
+    for shape in range(6):
+        seed = next(s for s in range(200) if int(compose(task, s).assets["faucet"][-2:]) % 6 == shape)
+        stage.reset(compose(task, seed))
+        snapshot, handle = stage.snapshot(), stage._env.things["faucet"]
+        travel = stage.scene().size("faucet", "range_rad")
+        handle.set_qpos(np.array([[0.5 * travel]], dtype=np.float32))
+        handle.set_qvel(np.array([[1.0]], dtype=np.float32))
+        parts = []
+        for _ in range(30):
+            stage.step(snapshot.q, 0.0)
+            parts.append(stage.scene().joints["faucet"] / travel)
+        assert abs(parts[3] - 0.5) < 0.1
+        assert np.ptp(parts[3:]) < 0.01
+        assert stage._env.state().speeds["faucet"].item() < 1e-3
+
+
+@pytest.mark.sapien
+def test_conditions_follow_the_handle(stage: Stage) -> None:
+    stage.reset(compose(stage.task.card.id, 3))
+    travel = stage.scene().size("faucet", "range_rad")
+    opens = stage.task.card.id == "OpenFaucet-v1"
+    limit = OPEN_PART if opens else CLOSED_PART
+    for part in (0.0, limit - 0.01, limit + 0.01, 1.0):
+        stage.show(replace(stage.snapshot(), joints={"faucet": part * travel}))
+        assert stage.outcome().success == ((part > limit) == opens)
+    stage._env.things["faucet"].set_qpos(np.array([[(1.0 if opens else 0.0) * travel]], dtype=np.float32))
+    stage._env.things["faucet"].set_qvel(np.array([[0.2]], dtype=np.float32))
+    assert stage.outcome().conditions["still"] is False
+
+
+@pytest.mark.sapien
+def test_experts_succeed(stage: Stage) -> None:
+    task = stage.task.card.id
+    for seed in (31, 32):
+        assert perform(stage, find_expert(task), compose(task, seed)).outcome.success
