@@ -42,6 +42,8 @@ def write_video(
 ) -> None:
     """Write frames (H, W, 3) RGB as H.264 in mp4: same frames, same bytes. The file appears only when it is whole.
 
+    Films with sides of less than 96 pixels may come out with other bytes each time: x264's choices vary.
+
     Odd sizes lose nothing: the last row or column is repeated, as yuv420p needs even ones.
 
     Args:

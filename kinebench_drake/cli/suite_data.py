@@ -83,8 +83,13 @@ def export(
     )
     with EpisodeView() as view, terminate_as_interrupt():
         count = export_suite(order, create_engine(EngineKind.LOCAL, jobs), view)
-    click.echo(f"{count} episodes of {len(order.tasks)} tasks (suite {number}, {order.split})")
+    of = _counted(len(order.tasks), "task")
+    click.echo(f"{_counted(count, 'episode')} of {of} (suite {number}, {order.split})")
     click.echo(out / "manifest.jsonl")
+
+
+def _counted(number: int, what: str) -> str:
+    return f"{number} {what}{'s' * (number != 1)}"
 
 
 def _chosen(suite: "Suite", split: str, names: str | None, variant: "Variant") -> tuple[str, ...]:
@@ -175,8 +180,9 @@ def demos(
     )
     with EpisodeView("demonstrations") as view, terminate_as_interrupt():
         delivery = make_demos(order, create_engine(EngineKind.LOCAL, jobs), view, overwrite=overwrite)
-    failed = f"; the expert failed with {delivery.failures} other seeds" if delivery.failures else ""
-    click.echo(f"{delivery.demonstrations} demonstrations of {len(order.tasks)} tasks{failed}")
+    failed = f"; the expert failed with {_counted(delivery.failures, 'other seed')}" if delivery.failures else ""
+    made = _counted(delivery.demonstrations, "demonstration")
+    click.echo(f"{made} of {_counted(len(order.tasks), 'task')}{failed}")
     click.echo(out)
     for task, count in delivery.short.items():
         click.echo(f"{task}: given up with {count} demonstrations missing; demos.jsonl has the reasons", err=True)

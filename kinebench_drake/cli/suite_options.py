@@ -21,7 +21,8 @@ variant_option = click.option(
 split_help = "Part of the suite; test: the part that models are judged on."
 SPLITS = click.Choice(["train", "test", "seen", "unseen"])
 SUITES = click.IntRange(0, 3)
-SIZES = click.IntRange(32, 2048)
+SIZES = click.IntRange(128, 2048)
+"""Sizes of pictures [px]: x264 writes films smaller than that with other bytes each time."""
 
 
 def task_names(names: str | None) -> list[str] | None:

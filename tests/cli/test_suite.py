@@ -1,0 +1,134 @@
+"""`kinebench-drake suite`: what it prints, refuses and passes on."""
+
+import json
+
+import pytest
+
+from kinebench_drake import cli
+from kinebench_drake.suites import demos as making
+from kinebench_drake.suites import export as exporting
+from kinebench_drake.suites.demos import Delivery
+from kinebench_drake.suites.formats.demo import FormatKind, Shots
+from kinebench_drake.suites.suite import load_suite
+from kinebench_drake.suites.tasks.registry import TASKS
+
+
+@pytest.fixture
+def suite(capfd):
+    """Runs the program in this process; returns exit status, standard output and error."""
+
+    def call(*arguments):
+        capfd.readouterr()
+        with pytest.raises(SystemExit) as stop:
+            cli.main(["suite", *map(str, arguments)])
+        out, err = capfd.readouterr()
+        return stop.value.code, out, err
+
+    return call
+
+
+@pytest.fixture
+def orders(monkeypatch):
+    """What would have been made; nothing is."""
+    taken = []
+
+    def make(order, engine, watcher, *, overwrite=False):
+        taken.append(order)
+        return Delivery(demonstrations=3, failures=1, short={"StackCube-v1": 2} if order.episodes == 5 else {})
+
+    def export(order, engine, watcher):
+        taken.append(order)
+        return order.episodes * len(order.tasks)
+
+    monkeypatch.setattr(making, "make_demos", make)
+    monkeypatch.setattr(exporting, "export_suite", export)
+    return taken
+
+
+def test_list_prints_one_plain_id_a_line(suite):
+    code, out, _ = suite("list")
+    assert code == 0
+    assert out.splitlines() == list(TASKS)
+    cards = json.loads(suite("list", "--json")[1])
+    assert [card["id"] for card in cards] == list(TASKS)
+
+
+def test_list_tells_of_the_suites(suite):
+    told = json.loads(suite("list", "--suites", "--json")[1])
+    assert [entry["number"] for entry in told] == [0, 1, 2, 3]
+    assert told[3]["study"]["steps"] == [1500, 4500, 7500, 15000]
+    assert "Task transfer" in suite("list", "--suites")[1]
+
+
+def test_tasks_may_be_named_with_their_namespace(suite, orders, tmp_path):
+    for names in ("StackCube-v1,PullCube-v1", "KineBench/PullCube-v1, KineBench/StackCube-v1"):
+        code, out, _ = suite("export", "--suite", 0, "--tasks", names, "--episodes", 2, "--out", tmp_path)
+        assert code == 0
+        assert "4 episodes of 2 tasks" in out
+        assert orders[-1].tasks == ("PullCube-v1", "StackCube-v1")
+
+
+def test_a_suite_is_exported_as_it_is_judged(suite, orders, tmp_path):
+    suite("export", "--suite", 2, "--out", tmp_path)
+    assert (orders[-1].split, orders[-1].size, orders[-1].episodes) == ("unseen", 384, 10)
+    assert orders[-1].tasks == load_suite(2).tasks_of("unseen")
+
+
+def test_demonstrations_are_for_training_unless_asked_for_otherwise(suite, orders, tmp_path):
+    assert suite("demos", "--task", "StackCube-v1", "--episodes", 3, "--out", tmp_path)[0] == 0
+    assert (orders[-1].suite.number, orders[-1].split, orders[-1].kind) == (0, "train", FormatKind.MP4)
+    assert orders[-1].shots == Shots(size=384, frames=49, fps=17.0)
+    assert orders[-1].draws("StackCube-v1", 1)[0].seed >= 1_000_000
+
+
+def test_variants_are_those_of_the_tasks_that_have_them(suite, orders, tmp_path):
+    suite("demos", "--variant", "obstacles", "--out", tmp_path)
+    assert all("obstacles" in [v.value for v in TASKS[task].card.variants] for task in orders[-1].tasks)
+    assert len(orders[-1].tasks) >= 2
+    code, _, err = suite("demos", "--variant", "obstacles", "--task", "CloseBox-v1", "--out", tmp_path)
+    assert code == 2
+    assert "CloseBox-v1 has no variant 'obstacles'" in err
+
+
+def test_missing_demonstrations_end_with_status_1(suite, orders, tmp_path):
+    code, out, err = suite("demos", "--task", "StackCube-v1", "--episodes", 5, "--out", tmp_path)
+    assert code == 1
+    assert "the expert failed with 1 other seed" in out
+    assert "StackCube-v1: given up with 2 demonstrations missing" in err
+
+
+def test_a_lerobot_dataset_keeps_the_time_of_the_task(suite, orders, tmp_path):
+    for frames, fps in ((49, 5.0), (97, 10.0), (193, 20.0)):
+        suite("demos", "--format", "lerobot-v3", "--frames", frames, "--out", tmp_path)
+        assert orders[-1].shots.fps == fps
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (("export", "--suite", 4), "--suite"),
+        (("export", "--suite", 0, "--split", "seen"), "it has train, test"),
+        (("export", "--suite", 1, "--tasks", "StackCube-v1"), "not in suite 1's split unseen"),
+        (("demos", "--task", "Stack"), "no task 'Stack'"),
+        (("demos", "--frames", 50), "33, 49"),
+        (("demos", "--size", 131), "even"),
+        (("demos", "--shard", "3/2"), "I/N"),
+        (("demos", "--format", "lerobot-v3", "--fps", 17), "the task's time"),
+        (("demos", "--format", "lerobot-v3", "--frames", 25), "--frames 49 (5 a second)"),
+        (("demos", "--format", "maniskill-h5", "--size", 384), "holds no video"),
+    ],
+)
+def test_what_cannot_be_made_is_a_usage_error(suite, orders, tmp_path, arguments, told):
+    code, _, err = suite(*arguments, "--out", tmp_path)
+    assert code == 2
+    assert told in err
+    assert len(err.splitlines()) == 1
+    assert not orders
+
+
+@pytest.mark.sapien
+def test_the_namespace_is_that_of_the_environments():
+    from kinebench_drake.cli.suite_options import task_names
+    from kinebench_drake.suites.tasks.environment import environment_id
+
+    assert task_names(",".join(environment_id(task) for task in TASKS)) == list(TASKS)

@@ -1,0 +1,94 @@
+"""First frames, prompts and camera for world models."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from kinebench_drake.camera import Camera, benchmark_camera
+from kinebench_drake.engines import EngineKind, create_engine
+from kinebench_drake.inputs import find_samples
+from kinebench_drake.suites.episode import compose
+from kinebench_drake.suites.export import Export, export_suite
+from kinebench_drake.suites.rollout import Stage
+from kinebench_drake.suites.suite import load_suite
+from kinebench_drake.suites.tasks.card import Variant
+
+TASKS = ("PullCube-v1", "StackCube-v1")
+
+
+class Quiet:
+    """A watcher that counts."""
+
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+
+    def started(self, total: int, kept: int) -> None:
+        self.total = total
+
+    def advanced(self, line: str, *, good: bool = True) -> None:
+        self.lines.append(line)
+
+
+def export(out: Path, tasks: tuple[str, ...], count: int) -> Path:
+    order = Export(
+        suite=load_suite(0),
+        split="test",
+        tasks=tasks,
+        episodes=count,
+        seed=0,
+        variant=Variant.PLAIN,
+        size=96,
+        out=out,
+    )
+    watcher = Quiet()
+    assert export_suite(order, create_engine(EngineKind.LOCAL, 1), watcher) == watcher.total == len(watcher.lines)
+    return out
+
+
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return export(tmp_path_factory.mktemp("export") / "out", TASKS, 2)
+
+
+@pytest.mark.sapien
+def test_first_frames_are_what_a_reset_shows(exported: Path) -> None:
+    with Stage("StackCube-v1", camera=benchmark_camera().resized(96, 96)) as stage:
+        stage.reset(compose("StackCube-v1", 1))
+        rgb, _, _ = stage.picture()
+    assert np.array_equal(np.asarray(Image.open(exported / "StackCube-v1_s0001.png")), rgb)
+
+
+@pytest.mark.sapien
+def test_files_do_not_depend_on_what_was_drawn_before(exported: Path, tmp_path: Path) -> None:
+    alone = export(tmp_path / "alone", TASKS[1:], 2)
+    for name in ("StackCube-v1_s0000.png", "StackCube-v1_s0001.png", "camera.json"):
+        assert (alone / name).read_bytes() == (exported / name).read_bytes()
+
+
+@pytest.mark.sapien
+def test_the_manifest_is_one_for_score(exported: Path) -> None:
+    inputs = find_samples(exported / "manifest.jsonl")
+    assert not inputs.warnings
+    assert [sample.id for sample in inputs.samples] == [f"{task}_s000{k}" for task in TASKS for k in range(2)]
+    for sample in inputs.samples:
+        assert sample.path == exported / f"{sample.id}.mp4"
+        assert sample.frame_period_s == 0.2
+        assert sample.problem is None
+        assert sample.prompt
+    assert Camera.load(exported / "camera.json").width == 96
+
+
+@pytest.mark.sapien
+def test_every_episode_is_told_completely(exported: Path) -> None:
+    rows = [json.loads(line) for line in (exported / "episodes.jsonl").read_text().splitlines()]
+    for row in rows:
+        episode = compose(row["task"], row["seed"])
+        assert row["id"] == episode.id
+        assert row["assets"] == episode.assets
+        assert (row["table"], row["background"], row["light"]) == (episode.table, episode.background, episode.light)
+        assert {"difficulty", "articulated_dof", "contacts", "horizon"} <= row.keys()
+    text = "".join(path.read_text() for path in exported.glob("*.json*"))
+    assert str(exported.parent) not in text

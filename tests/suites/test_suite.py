@@ -1,0 +1,115 @@
+"""The suites: what their data promise."""
+
+from collections import Counter
+
+import pytest
+
+from kinebench_drake.errors import UsageError
+from kinebench_drake.suites.assets.library import KINDS
+from kinebench_drake.suites.assets.look import SORTS
+from kinebench_drake.suites.episode import Episode
+from kinebench_drake.suites.split import Pool, pool_assets, pool_looks
+from kinebench_drake.suites.suite import NUMBERS, Relation, Suite, load_suite
+from kinebench_drake.suites.tasks.registry import TASKS
+
+
+def suites() -> list[Suite]:
+    return [load_suite(number) for number in NUMBERS]
+
+
+def drawn(episode: Episode) -> set[str]:
+    return {*episode.assets.values(), episode.table, episode.background, episode.light}
+
+
+@pytest.mark.parametrize("suite", suites(), ids=lambda suite: f"suite {suite.number}")
+def test_suites_name_only_tasks_that_exist_each_once(suite: Suite) -> None:
+    for name in suite.splits:
+        tasks = suite.tasks_of(name)
+        assert set(tasks) <= set(TASKS)
+        assert max(Counter(tasks).values()) == 1
+
+
+@pytest.mark.parametrize("suite", suites(), ids=lambda suite: f"suite {suite.number}")
+def test_training_and_judging_share_no_seed(suite: Suite) -> None:
+    first, end = suite.splits["train"].seeds
+    for name, split in suite.splits.items():
+        if name != "train":
+            assert split.seeds[1] <= first or split.seeds[0] >= end
+    assert suite.evaluated in suite.splits
+    assert suite.evaluated != "train"
+
+
+def test_suite_0_draws_all_tasks_alike_for_training_and_test() -> None:
+    suite = load_suite(0)
+    assert set(suite.tasks_of("train")) == set(suite.tasks_of("test")) == set(TASKS)
+    assert suite.splits["train"].pool is suite.splits["test"].pool is Pool.ALL
+
+
+def test_suite_1_judges_seven_tasks_with_a_reason_each_that_ten_trained_ones_do_not_hold() -> None:
+    suite = load_suite(1)
+    trained, unseen = suite.tasks_of("train"), suite.tasks_of("unseen")
+    assert (len(trained), len(unseen)) == (10, 7)
+    assert not set(trained) & set(unseen)
+    assert {"CloseBox-v1", "OpenBoxEasy-v1", "CloseLaptopEasy-v1"} <= set(trained)
+    assert {"OpenBoxEasy-v2", "CloseLaptopHard-v1"} <= set(unseen)
+    assert [transfer.task for transfer in suite.transfers] == list(unseen)
+    for transfer in suite.transfers:
+        assert transfer.reason
+        assert transfer.of
+        assert set(transfer.of) <= set(trained)
+        levels = ["easy", "medium", "hard"]
+        own, *others = (levels.index(TASKS[t].card.difficulty.value) for t in (transfer.task, *transfer.of))
+        assert transfer.relation is Relation.RECOMBINATION or own >= max(others), f"{transfer.task} is no harder"
+    assert {*trained, *unseen, *(task.task for task in suite.left_out)} == set(TASKS)
+
+
+def test_suite_2_halves_assets_and_looks() -> None:
+    for ids in (
+        *({pool: pool_assets(kind, pool) for pool in Pool} for kind in KINDS),
+        *({pool: pool_looks(sort, pool) for pool in Pool} for sort in SORTS),
+    ):
+        assert not set(ids[Pool.SEEN]) & set(ids[Pool.UNSEEN])
+        assert sorted((*ids[Pool.SEEN], *ids[Pool.UNSEEN])) == sorted(ids[Pool.ALL])
+        assert len(ids[Pool.SEEN]) == len(ids[Pool.UNSEEN])
+
+
+def test_episodes_of_suite_2_are_made_of_their_half() -> None:
+    suite, tasks = load_suite(2), ("PullCube-v1", "StackCube-v1")
+    shown = {name: [drawn(e) for e in suite.episodes(name, 8, tasks=tasks)] for name in suite.splits}
+    assert not set().union(*shown["train"], *shown["seen"]) & set().union(*shown["unseen"])
+
+
+def test_suite_3_is_a_grid_over_the_episodes_of_suite_0() -> None:
+    suite, zero = load_suite(3), load_suite(0)
+    assert suite.study is not None
+    trainings = [(t.demonstrations, t.steps) for t in suite.study.trainings()]
+    assert trainings == [(n, steps) for n in (10, 25, 50, 100) for steps in (1500, 4500, 7500, 15000)]
+    assert suite.splits == zero.splits
+    assert suite.tasks == zero.tasks
+
+
+def test_more_episodes_begin_with_fewer() -> None:
+    suite, tasks = load_suite(0), ("StackCube-v1",)
+    more = suite.episodes("test", 5, tasks=tasks)
+    assert suite.episodes("test", 2, tasks=tasks) == more[:2]
+    assert suite.episodes("test", 2, tasks=tasks, offset=3) == more[3:]
+    assert [episode.seed for episode in more] == list(range(5))
+
+
+def test_test_means_the_split_that_is_judged() -> None:
+    assert [load_suite(number).split_name("test") for number in NUMBERS] == ["test", "unseen", "unseen", "test"]
+    assert load_suite(1).split_name(None) == "unseen"
+
+
+def test_what_a_suite_does_not_have_is_told() -> None:
+    suite = load_suite(1)
+    with pytest.raises(UsageError, match="it has train, seen, unseen"):
+        suite.split_name("validation")
+    with pytest.raises(UsageError, match="OpenBoxEasy-v2"):
+        suite.tasks_of("unseen", ["StackCube-v1"])
+    with pytest.raises(UsageError, match="no task 'Stack'"):
+        suite.tasks_of("unseen", ["Stack"])
+    with pytest.raises(UsageError, match="1000000 seeds"):
+        suite.draws("unseen", "OpenBoxEasy-v2", 2, offset=999_999)
+    with pytest.raises(UsageError, match="0, 1, 2, 3"):
+        load_suite(4)
