@@ -120,7 +120,7 @@ class PickFruits(Task):
         placed = {}
         if variant is Variant.OBSTACLES:
             obstacle = models["obstacle"]
-            target = np.array([rng.uniform(0.46, 0.62), -side * rng.uniform(0.19, 0.22)])
+            target = np.array([rng.uniform(0.45, 0.57), -side * rng.uniform(0.19, 0.22)])
             radius = obstacle.size["radius_m"]
             aside = target[1] + side * (HAND_M + radius + rng.uniform(0.0, 0.015))
             share = (aside - target[1]) / (middle[1] - target[1])
