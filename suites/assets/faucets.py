@@ -1,7 +1,7 @@
 """Faucets that stand on the table: a body with a spout, and a handle that turns about the vertical axis.
 
 The origin is on the table under the handle's axis. The handle's lever points along x half-way through its travel; the
-first body is fixed. Everything but the hub stays below the lever, so that a finger can sweep all around.
+first body is fixed. Where the lever goes, everything but the hub is lower than it, so that a finger can sweep along.
 """
 
 from collections.abc import Callable, Sequence
@@ -33,8 +33,6 @@ LEVER_M = (0.062, 0.095)
 """Least and greatest reach of the lever from the axis, over all shapes."""
 RANGE_RAD = (1.55, 1.85)
 """Least and greatest travel of the handle."""
-UNDER_M = 0.028
-"""How far below the lever's middle line everything but the hub ends."""
 _RING = np.column_stack([f(2.0 * np.pi * np.arange(20) / 20) for f in (np.cos, np.sin)])
 
 
