@@ -85,7 +85,7 @@ class _Stock:
         import gymnasium
         import mani_skill.envs  # noqa: F401 (registers the tasks)
 
-        from kinebench_drake.suites.tasks.environment import REST_Q, camera_config
+        from kinebench_drake.suites.tasks.environment import START_Q, camera_config
 
         self._env: Any = gymnasium.make(
             STOCK,
@@ -100,7 +100,7 @@ class _Stock:
         self._env._custom_sensor_configs = {config.uid: sensor}
         self._env.reset(seed=0, options={"reconfigure": True})
         self._camera = self._env._sensors[config.uid]
-        self._action = np.append(REST_Q, 1.0).astype(np.float32)
+        self._action = np.append(START_Q, 1.0).astype(np.float32)
 
     def step(self) -> None:
         self._env.step(self._action)

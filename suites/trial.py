@@ -7,13 +7,14 @@ from enum import Enum
 import numpy as np
 from scipy.stats import binomtest
 
+from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.engines import Crashed, Engine
 from kinebench_drake.errors import InputError
 from kinebench_drake.suites.episode import Episode
 from kinebench_drake.suites.experts.registry import find_expert
 from kinebench_drake.suites.rollout import CLIP_FRAMES, STEPS_PER_FRAME, Outcome, Stage, perform
 from kinebench_drake.suites.seeding import generator
-from kinebench_drake.suites.tasks.card import Variant
+from kinebench_drake.suites.stagehand import Stagehand
 
 RANDOM_STEP_RAD = 0.1
 """The random policy moves each joint by up to this much a control step."""
@@ -43,23 +44,14 @@ class Trial:
 
 
 class _Worker:
-    """Runs trials; keeps one stage, rebuilt where task or variant change."""
+    """Runs trials."""
 
     def __init__(self, policy: Policy) -> None:
         self._policy = policy
-        self._stage: Stage | None = None
-        self._built: tuple[str, Variant] | None = None
-
-    def _stage_for(self, episode: Episode) -> Stage:
-        if self._stage is None or self._built != (episode.task, episode.variant):
-            if self._stage is not None:
-                self._stage.close()
-            self._stage = Stage(episode.task, variant=episode.variant, renders=False)
-            self._built = (episode.task, episode.variant)
-        return self._stage
+        self._hand = Stagehand(benchmark_camera().width, renders=False)
 
     def __call__(self, episode: Episode) -> Trial:
-        stage, frames = self._stage_for(episode), 1
+        stage, frames = self._hand.stage(episode.task, episode.variant), 1
         try:
             if self._policy is Policy.EXPERT:
                 performance = perform(stage, find_expert(episode.task), episode)
@@ -118,6 +110,19 @@ class _Make:
 
     def __call__(self) -> Callable[[Episode], Trial]:
         return _Worker(self.policy)
+
+
+def task_lines(trials: Sequence[Trial]) -> list[str]:
+    """What came of the trials of one task, to print: the rate, and for the expert each failure."""
+    good, progress = sum(t.success for t in trials), sum(t.progress for t in trials) / len(trials)
+    low, high = interval(good, len(trials))
+    rate = f"{good:4}/{len(trials)}  {low:6.1%} to {high:6.1%}"
+    frames = max(t.frames for t in trials)
+    failures = [t for t in trials if not t.success and t.policy is Policy.EXPERT]
+    return [
+        f"{trials[0].episode.task:20} {rate}  progress {progress:.2f}  {frames} frames",
+        *(f"    seed {t.episode.seed}: {t.reason} (progress {t.progress:.2f})" for t in failures),
+    ]
 
 
 def interval(successes: int, trials: int) -> tuple[float, float]:

@@ -88,22 +88,17 @@ def check(
     from kinebench_drake.suites.split import Pool
     from kinebench_drake.suites.tasks.card import Variant
     from kinebench_drake.suites.tasks.registry import TASKS
-    from kinebench_drake.suites.trial import Policy, interval, run_trials
+    from kinebench_drake.suites.trial import Policy, run_trials, task_lines
 
-    version, engine = Variant(variant), create_engine(EngineKind.LOCAL, jobs)
-    trials = []
-    for task in (t for t in _tasks(tasks) if version in TASKS[t].card.variants):
-        order = [compose(task, s, pool=Pool(pool), variant=version) for s in range(seed, seed + episodes)]
-        own = sorted(run_trials(engine, order, Policy(policy)), key=lambda trial: trial.episode.seed)
-        good = sum(trial.success for trial in own)
-        low, high = interval(good, len(own))
-        progress, frames = sum(trial.progress for trial in own) / len(own), max(trial.frames for trial in own)
-        rate = f"{good:4}/{len(own)}  {low:6.1%} to {high:6.1%}"
-        click.echo(f"{task:20} {rate}  progress {progress:.2f}  {frames} frames")
-        for trial in own:
-            if not trial.success and policy == "expert":
-                click.echo(f"    seed {trial.episode.seed}: {trial.reason} (progress {trial.progress:.2f})")
-        trials += own
+    version, trials = Variant(variant), []
+    chosen = [task for task in _tasks(tasks) if version in TASKS[task].card.variants]
+    order = [compose(t, s, pool=Pool(pool), variant=version) for t in chosen for s in range(seed, seed + episodes)]
+    for trial in run_trials(create_engine(EngineKind.LOCAL, jobs), order, Policy(policy)):
+        trials.append(trial)
+        own = sorted((t for t in trials if t.episode.task == trial.episode.task), key=lambda t: t.episode.seed)
+        if len(own) == episodes:
+            click.echo("\n".join(task_lines(own)))
+    trials.sort(key=lambda t: (t.episode.task, t.episode.seed))
     if json_out is not None:
         records = [
             {"task": t.episode.task, "seed": t.episode.seed, "policy": policy, "success": t.success,

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from kinebench_drake.geometry import Array, make_pose
+from kinebench_drake.geometry import Array, make_pose, rotation_exp
 from kinebench_drake.suites.experts.grasp import (
     CLOSED_M,
     DOWN,
@@ -26,6 +26,8 @@ OVER_M = 0.06
 """How far above an obstacle's top the TCP passes: half a cube and air."""
 HAND_M = 0.045
 """Half the hand's thickness and air."""
+UNWIND_RAD = 0.5
+"""How far the hand would rather be turned than at rest, towards the middle of the wrist's range, before a wide turn."""
 FINGER_M = 0.0165
 """From the TCP to the back of a closed finger, square to it."""
 SLANT_RAD = 0.3
@@ -43,15 +45,16 @@ def stack_cube(scene: Scene) -> list[Waypoint]:
     X_BA, X_BT = scene.poses["green"], scene.poses["red"]
     height = 0.5 * (scene.size("green", "edge_m") + scene.size("red", "edge_m"))
     axes, landings = level_axes(X_BA[:3, :3]), level_axes(X_BT[:3, :3])
-    over = ABOVE_M
+    over, wanted = ABOVE_M, scene.X_BG[:3, 1]
     if "obstacle" in scene.poses:
         over = max(over, scene.size("obstacle", "height_m") + OVER_M - X_BA[2, 3])
         obstacle, room = scene.poses["obstacle"][:3, 3], scene.size("obstacle", "radius_m") + HAND_M
         axes = _clear(axes, obstacle - X_BA[:3, 3], room)
         landings = _clear(landings, obstacle - X_BT[:3, 3], room)
+        wanted = rotation_exp(np.array([0.0, 0.0, UNWIND_RAD])) @ wanted
     elif np.linalg.norm(X_BT[:3, 3] - X_BA[:3, 3]) < NEIGHBOUR_M:
         axes = _clear(axes, X_BT[:3, 3] - X_BA[:3, 3], NEIGHBOUR_M)
-    closing = nearest_axis(axes, scene.X_BG[:3, 1])
+    closing = nearest_axis(axes, wanted)
     landing = nearest_axis(landings, closing)
     grasp = make_pose(grasp_rotation(DOWN, closing), X_BA[:3, 3])
     place = make_pose(grasp_rotation(DOWN, landing), X_BT[:3, 3] + [0.0, 0.0, height + PLACE_GAP_M])
