@@ -18,8 +18,9 @@ from kinebench_drake.replay_scene import COLORS, ReplayScene, posed_frames
 from kinebench_drake.report.frames import anomalies_of, frame_states
 from kinebench_drake.report.page import read_results
 from kinebench_drake.report.sample import badness
-from kinebench_drake.results import part_path, read_rows, storage, write_atomically
+from kinebench_drake.results import part_path, read_rows
 from kinebench_drake.row import Json, SampleRow
+from kinebench_drake.storage import storage, write_atomically
 from kinebench_drake.trackfile import TrackFile, read_track
 from kinebench_drake.visuals import link_surfaces
 

@@ -1,55 +1,17 @@
 """The output folder: rows appended as samples end, kept over any kind of stop, and summed up at the end."""
 
-import errno
 import fcntl
 import json
 import os
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from kinebench_drake.errors import InputError, SetupError, UsageError
+from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.row import Json, SampleRow, dump
+from kinebench_drake.storage import storage, write_atomically
 
 SAMPLES, TIMINGS, RESULTS, REPORT = "samples.jsonl", "timings.jsonl", "results.json", "report.html"
 _PARTS = {"tracks": "npz", "overlays": "mp4", "thumbnails": "jpg", "replays": "html"}
-
-
-@contextmanager
-def storage(name: str) -> Iterator[None]:
-    """Turn a failing disk into one line that says what to do.
-
-    Raises:
-        SetupError: writing failed (disk full, no permission, ...).
-    """
-    try:
-        yield
-    except OSError as error:
-        full = error.errno in (errno.ENOSPC, errno.EDQUOT)
-        fix = "free some space" if full else "make the folder writable"
-        raise SetupError(
-            f"cannot write {name} ({error.strerror or error}): {fix} and run the same command again, "
-            "finished samples are kept"
-        ) from None
-
-
-def write_atomically(path: Path, data: bytes) -> None:
-    """Write a file that is there whole or not at all, whatever stops the program.
-
-    Raises:
-        SetupError: writing failed.
-    """
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
-    with storage(path.name):
-        try:
-            with part.open("wb") as file:
-                file.write(data)
-                file.flush()
-                os.fsync(file.fileno())
-            os.replace(part, path)
-        except OSError:
-            part.unlink(missing_ok=True)
-            raise
 
 
 def part_path(out: Path, part: str, id: str) -> Path:

@@ -12,10 +12,11 @@ from kinebench_drake.errors import UsageError
 from kinebench_drake.measure import SCHEMA_VERSION, Kind, Measure, Sample
 from kinebench_drake.normalization import normalize_run
 from kinebench_drake.provenance import code_hash, host, versions, weights_hash
-from kinebench_drake.results import REPORT, ResultStore, storage
+from kinebench_drake.results import REPORT, ResultStore
 from kinebench_drake.row import Json, SampleRow, Status
 from kinebench_drake.shard import Shard
 from kinebench_drake.stages import StageOptions
+from kinebench_drake.storage import storage
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

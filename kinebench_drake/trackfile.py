@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array
 from kinebench_drake.products import GripperTrack, IkStatus, JointTrack
-from kinebench_drake.results import write_atomically
+from kinebench_drake.storage import write_atomically
 
 _EPOCH = (1980, 1, 1, 0, 0, 0)
 """The earliest date a zip entry can bear: a fixed one, as clock times would change the bytes."""

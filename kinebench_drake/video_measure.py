@@ -16,9 +16,10 @@ from kinebench_drake.measure import KINEMATIC_METRICS, MIN_TRACKED, Measure, Mea
 from kinebench_drake.mp4 import write_video
 from kinebench_drake.products import Anomaly, GripperTrack
 from kinebench_drake.provenance import weights_hash
-from kinebench_drake.results import part_path, storage, write_atomically
+from kinebench_drake.results import part_path
 from kinebench_drake.row import Json
 from kinebench_drake.stages import Judgement, Stages
+from kinebench_drake.storage import storage, write_atomically
 from kinebench_drake.thumbnail import side_by_side, track_at, worst_frame
 from kinebench_drake.trackfile import write_track
 

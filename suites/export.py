@@ -11,8 +11,9 @@ from PIL import Image
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.engines import Crashed, Engine
 from kinebench_drake.errors import SetupError
+from kinebench_drake.storage import whole
 from kinebench_drake.suites.episode import Episode
-from kinebench_drake.suites.files import whole, write_json, write_lines
+from kinebench_drake.suites.files import write_json, write_lines
 from kinebench_drake.suites.rollout import CLIP_FRAMES, FRAME_PERIOD_S
 from kinebench_drake.suites.stagehand import Stagehand
 from kinebench_drake.suites.suite import Draw, Suite

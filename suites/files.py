@@ -1,51 +1,14 @@
-"""Files that are there whole or not at all, and JSON lines that survive a torn end."""
+"""JSON, lines of JSON that survive a torn end, and arrays, in files that are there whole or not at all."""
 
-import errno
 import json
 import os
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from kinebench_drake.errors import SetupError
-
-
-@contextmanager
-def storage(name: str) -> Iterator[None]:
-    """Turn a failing disk into one line that says what to do.
-
-    Raises:
-        SetupError: writing failed (disk full, no permission, ...).
-    """
-    try:
-        yield
-    except OSError as error:
-        full = error.errno in (errno.ENOSPC, errno.EDQUOT)
-        fix = "free some space" if full else "make the folder writable"
-        raise SetupError(
-            f"cannot write {name} ({error.strerror or error}): {fix} and run the same command again, what is finished "
-            "is kept"
-        ) from None
-
-
-@contextmanager
-def whole(path: Path) -> Iterator[Path]:
-    """A path to write to beside `path`, which takes its place when the context ends without an error.
-
-    Raises:
-        SetupError: writing failed.
-    """
-    part = path.with_name(f".{os.getpid()}.part.{path.name}")
-    try:
-        with storage(path.name):
-            path.parent.mkdir(parents=True, exist_ok=True)
-            yield part
-            os.replace(part, path)
-    finally:
-        part.unlink(missing_ok=True)
+from kinebench_drake.storage import storage, whole
 
 
 def write_json(path: Path, value: Mapping[str, Any]) -> None:

@@ -11,7 +11,7 @@ import pytest
 ROOT = Path(__file__).parent.parent
 PACKAGE = "kinebench_drake"
 
-LEAF = {"__init__", "errors", "geometry", "camera", "products", "native", "mp4", "identity", "shard"}
+LEAF = {"__init__", "errors", "geometry", "camera", "products", "native", "mp4", "identity", "shard", "storage"}
 RESULTS = {"row", "aggregate", "normalization", "results", "trackfile", "provenance", "report", "engines"}
 MAY_IMPORT = {
     **dict.fromkeys(LEAF, LEAF),

@@ -10,8 +10,9 @@ from kinebench_drake.aggregate import aggregate, by_key, estimate
 from kinebench_drake.errors import InputError, SetupError, UsageError
 from kinebench_drake.geometry import make_pose
 from kinebench_drake.products import GripperTrack
-from kinebench_drake.results import ResultStore, read_rows, write_atomically
+from kinebench_drake.results import ResultStore, read_rows
 from kinebench_drake.row import SampleRow, Status, dump
+from kinebench_drake.storage import write_atomically
 from kinebench_drake.trackfile import read_track, write_track
 
 

@@ -3,7 +3,8 @@
 from pathlib import Path
 
 from kinebench_drake.report.page import build_page
-from kinebench_drake.results import REPORT, write_atomically
+from kinebench_drake.results import REPORT
+from kinebench_drake.storage import write_atomically
 
 
 def write_report(out: Path) -> Path:

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from kinebench_drake.errors import InputError, cause
 from kinebench_drake.geometry import Array
 from kinebench_drake.metrics.violation import ViolationKind
-from kinebench_drake.results import write_atomically
 from kinebench_drake.row import Json, dump
+from kinebench_drake.storage import write_atomically
 from kinebench_drake.trackfile import pack_arrays
 
 TRUTH = "truth.jsonl"

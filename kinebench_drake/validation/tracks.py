@@ -15,8 +15,8 @@ import numpy as np
 from kinebench_drake.engines import Crashed
 from kinebench_drake.engines.local import LocalEngine
 from kinebench_drake.errors import KinebenchError
-from kinebench_drake.results import write_atomically
 from kinebench_drake.row import Json
+from kinebench_drake.storage import write_atomically
 from kinebench_drake.validation.feasible import Feasible, draw_feasible
 from kinebench_drake.validation.motion import Arm
 from kinebench_drake.validation.moves import Family

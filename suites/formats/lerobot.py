@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from kinebench_drake.errors import SetupError
 from kinebench_drake.geometry import to_quaternion
 from kinebench_drake.mp4 import join_videos, write_video
-from kinebench_drake.suites.files import storage, whole, write_arrays, write_json
+from kinebench_drake.storage import storage, whole
+from kinebench_drake.suites.files import write_arrays, write_json
 from kinebench_drake.suites.formats.demo import PARTS, Demo, Record, Shots
 from kinebench_drake.suites.formats.statistics import of_features
 

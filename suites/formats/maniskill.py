@@ -10,8 +10,9 @@ from typing import Any
 import h5py
 import numpy as np
 
+from kinebench_drake.storage import whole
 from kinebench_drake.suites.experts.motion import CONTROL_PERIOD_S
-from kinebench_drake.suites.files import whole, write_arrays, write_json
+from kinebench_drake.suites.files import write_arrays, write_json
 from kinebench_drake.suites.formats.demo import CLIP_STEPS, PARTS, Demo, Record, Shots
 from kinebench_drake.suites.rollout import Stage
 from kinebench_drake.suites.tasks.registry import TASKS

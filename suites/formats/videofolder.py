@@ -12,7 +12,8 @@ from typing import Any
 
 from kinebench_drake.errors import SetupError
 from kinebench_drake.mp4 import write_video
-from kinebench_drake.suites.files import storage, write_arrays, write_lines
+from kinebench_drake.storage import storage
+from kinebench_drake.suites.files import write_arrays, write_lines
 from kinebench_drake.suites.formats.demo import Demo, Record, Shots
 from kinebench_drake.suites.tasks.registry import TASKS
 

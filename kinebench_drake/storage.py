@@ -1,0 +1,56 @@
+"""Files that are there whole or not at all, and a failing disk told in one line."""
+
+import errno
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from kinebench_drake.errors import SetupError
+
+
+@contextmanager
+def storage(name: str) -> Iterator[None]:
+    """Turn a failing disk into one line that says what to do.
+
+    Raises:
+        SetupError: writing failed (disk full, no permission, ...).
+    """
+    try:
+        yield
+    except OSError as error:
+        full = error.errno in (errno.ENOSPC, errno.EDQUOT)
+        fix = "free some space" if full else "make the folder writable"
+        raise SetupError(
+            f"cannot write {name} ({error.strerror or error}): {fix} and run the same command again, what is finished "
+            "is kept"
+        ) from None
+
+
+@contextmanager
+def whole(path: Path) -> Iterator[Path]:
+    """A path to write to beside `path`, which takes its place when the context ends without an error.
+
+    Raises:
+        SetupError: writing failed.
+    """
+    part = path.with_name(f".{os.getpid()}.part.{path.name}")
+    try:
+        with storage(path.name):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            yield part
+            with part.open("rb") as file:
+                os.fsync(file.fileno())
+            os.replace(part, path)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def write_atomically(path: Path, data: bytes) -> None:
+    """Write a file that is there whole or not at all, whatever stops the program.
+
+    Raises:
+        SetupError: writing failed.
+    """
+    with whole(path) as part:
+        part.write_bytes(data)
