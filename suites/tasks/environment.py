@@ -20,7 +20,7 @@ from torch import Tensor
 
 from kinebench_drake.camera import Camera, benchmark_camera
 from kinebench_drake.errors import InputError
-from kinebench_drake.geometry import Array, from_quaternion, invert, make_pose, to_quaternion
+from kinebench_drake.geometry import Array, make_pose, to_quaternion
 from kinebench_drake.models.robot import N_JOINTS
 from kinebench_drake.suites.assets.look import background, light, table
 from kinebench_drake.suites.episode import Episode, compose
@@ -164,15 +164,20 @@ class KineBenchEnv(BaseEnv):  # type: ignore[misc]
                 built.append(build_actor(self.scene, own_name, body, X_WM, [i], how=how, decor=placement.decor))
         if self.num_envs == 1:
             return built[0]
-        if isinstance(built[0], Articulation):
-            return Articulation.merge(built, name=name, merge_links=True)
-        return Actor.merge(built, name=name)
+        for part in built:  # the state is told of all scenes' things at once
+            self.scene.remove_from_state_dict_registry(part)
+        merged: Actor | Articulation = (
+            Articulation.merge(built, name=name, merge_links=True)
+            if isinstance(built[0], Articulation)
+            else Actor.merge(built, name=name)
+        )
+        self.scene.add_to_state_dict_registry(merged)
+        return merged
 
     def _load_lighting(self, options: dict[str, Any]) -> None:
         for i, episode in enumerate(self.episodes):
             look = light(episode.light)
-            if i == 0:
-                self.scene.set_ambient_light(look.ambient)
+            self.scene.sub_scenes[i].ambient_light = look.ambient
             self.scene.add_directional_light(
                 look.key_direction, look.key_color, shadow=True, shadow_scale=1.5, shadow_map_size=1024, scene_idxs=[i]
             )
@@ -211,7 +216,11 @@ class KineBenchEnv(BaseEnv):  # type: ignore[misc]
             new = old.reseeded(int(self._episode_seed[i])) if given is None else given[i]
             if (new.assets, new.table, new.background, new.light) != (old.assets, old.table, old.background, old.light):
                 raise InputError("an episode with other assets or looks needs options={'reconfigure': True}")
-            self.episodes[i], self.layouts[i] = new, new.layout()
+            layout = new.layout()
+            for name, placed in layout.placements.items():
+                if placed.model.asset_id != self.layouts[i].placements[name].model.asset_id:
+                    raise InputError(f"{name} would be another thing: that needs options={{'reconfigure': True}}")
+            self.episodes[i], self.layouts[i] = new, layout
 
     def _start_q(self, index: int) -> Array:
         episode, layout = self.episodes[index], self.layouts[index]
@@ -326,6 +335,3 @@ def register() -> None:
         uid = environment_id(name)
         if uid not in REGISTERED_ENVS:
             register_env(uid, max_episode_steps=192 * TASKS[name].card.clips, task=name)(KineBenchEnv)
-
-
-__all__ = ["NAMESPACE", "KineBenchEnv", "environment_id", "from_quaternion", "invert", "register"]

@@ -11,6 +11,7 @@ from kinebench_drake.geometry import Array
 from kinebench_drake.suites.assets.containers import COMPARTMENTS
 from kinebench_drake.suites.assets.fruits import FRUITS
 from kinebench_drake.suites.assets.model import Model
+from kinebench_drake.suites.seeding import generator
 from kinebench_drake.suites.tasks.card import Difficulty, TaskCard, Variant
 from kinebench_drake.suites.tasks.obstacles import undisturbed
 from kinebench_drake.suites.tasks.place import resting
@@ -25,6 +26,8 @@ LEAN_RAD = 0.6
 """How far the way across a long fruit may be turned from y, so that the hand can close there."""
 HAND_M = 0.13
 """Least distance along y from a fruit to the side of something tall, for the hand to come down."""
+STAY_M = 0.05
+"""How far a fruit that is to stay may be from where it lay."""
 OTHERS = ("other_0", "other_1", "other_2")
 """The fruits of PickFruits that stay where they are."""
 ORDER = ("first", "second", "third")
@@ -41,6 +44,12 @@ def inside(state: State, name: str, container: str) -> Tensor:
     return level & _sunk(state, name, container, p)
 
 
+def _strayed(state: State, name: str) -> Tensor:
+    """How far (N,) a thing is from where it lay [m]."""
+    way: Tensor = torch.linalg.norm(state.position(name) - state.starts[name][:, :3, 3], dim=-1)
+    return way
+
+
 def _within(state: State, name: str, container: str) -> Tensor:
     """Where (N, 3) a fruit is in a container's frame [m]."""
     X = state.poses[container]
@@ -51,6 +60,12 @@ def _within(state: State, name: str, container: str) -> Tensor:
 def _sunk(state: State, name: str, container: str, p: Tensor) -> Tensor:
     underside = p[:, 2] - state.size(name, "rest_m")
     return (p[:, 2] > 0.0) & (underside <= state.size(container, "rim_m"))
+
+
+def _shuffled(models: Mapping[str, Model], names: Sequence[str]) -> list[str]:
+    """The names in an order that the assets drawn decide: a scene that is not rebuilt keeps who plays what."""
+    order = generator("roles", *(model.asset_id for model in models.values())).permutation(len(names))
+    return [names[i] for i in order]
 
 
 def _yaw(model: Model, rng: np.random.Generator) -> float:
@@ -91,8 +106,8 @@ class PickFruits(Task):
     it into the container, let go, leave the others. With obstacles something upright stands between the two.
     Randomizations: which fruits, which of them is named, all places and directions, the container's side, kind and
     size, sizes and skins of the fruits.
-    Success: the named fruit lies in the container (`in_container`), is still and let go; no other fruit is in it
-    (`others_out`); an obstacle stands where it stood.
+    Success: the named fruit lies in the container (`in_container`), is still and let go; the other fruits are within
+    5 cm of where they lay (`others_stay`); an obstacle stands where it stood.
     """
 
     card = TaskCard(
@@ -112,7 +127,7 @@ class PickFruits(Task):
 
     def layout(self, models: Mapping[str, Model], rng: np.random.Generator, variant: Variant) -> Layout:
         """The container left or right, the fruits beside it, at least a finger's room between all of them."""
-        names = [FRUITS[i] for i in rng.permutation(len(FRUITS))[: 1 + len(OTHERS)]]
+        names = _shuffled(models, FRUITS)[: 1 + len(OTHERS)]
         fruits = dict(zip(("target", *OTHERS), (models[name] for name in names), strict=True))
         container, side = models["container"], 1.0 if rng.random() < 0.5 else -1.0
         middle = np.array([rng.uniform(0.49, 0.58), side * rng.uniform(0.13, 0.16)])
@@ -149,7 +164,7 @@ class PickFruits(Task):
         past = ""
         if variant is Variant.OBSTACLES:
             placements["obstacle"] = Placement(
-                model=obstacle, X_BM=resting(post[0], post[1], 0.0, rng.uniform(-np.pi, np.pi))
+                model=obstacle, X_BM=resting(post[0], post[1], 0.0, rng.uniform(-np.pi, np.pi)), avoid=True
             )
             past = f", past the {obstacle.words} without knocking it over"
         return Layout(
@@ -164,7 +179,7 @@ class PickFruits(Task):
         """See the class."""
         conditions = {
             "in_container": inside(state, "target", "container"),
-            "others_out": ~torch.stack([inside(state, name, "container") for name in OTHERS]).any(dim=0),
+            "others_stay": torch.stack([_strayed(state, name) <= STAY_M for name in OTHERS]).all(dim=0),
             "still": state.speeds["target"] <= STILL_M_S,
             "released": ~state.grasps("target"),
         }
@@ -205,7 +220,7 @@ class StoreFruitsBox(Task):
 
     def layout(self, models: Mapping[str, Model], rng: np.random.Generator, variant: Variant) -> Layout:
         """The crate nearer to the robot, the fruits in a row before it."""
-        names = [("apple", "banana", "orange")[i] for i in rng.permutation(3)]
+        names = _shuffled(models, ("apple", "banana", "orange"))
         fruits = dict(zip(ORDER, (models[name] for name in names), strict=True))
         x, y = rng.uniform(0.43, 0.46), rng.uniform(-0.03, 0.03)
         crate = resting(x, y, 0.0, rng.uniform(-0.08, 0.08))

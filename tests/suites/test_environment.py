@@ -98,6 +98,15 @@ def test_the_environment_alone_composes_the_same_episodes(stage: Stage) -> None:
     env.close()
 
 
+@pytest.mark.parametrize("task", TASKS)
+def test_another_seed_on_the_same_assets_keeps_who_plays_what(task: str) -> None:
+    episode = compose(task, 1)
+    things = {name: placed.model.asset_id for name, placed in episode.layout().placements.items()}
+    for seed in range(2, 6):
+        layout = episode.reseeded(seed).layout()
+        assert {name: placed.model.asset_id for name, placed in layout.placements.items()} == things
+
+
 @pytest.mark.sapien
 def test_a_scene_that_is_not_rebuilt_keeps_its_assets_and_moves_them() -> None:
     from kinebench_drake.suites.tasks.environment import KineBenchEnv

@@ -123,7 +123,7 @@ def test_a_fruit_counts_only_inside_and_let_go() -> None:
     assert torch.allclose(task.progress(done), torch.ones(2), atol=1e-4)
     assert not task.conditions(state_of(episodes, {"target": into("target", 0.06)}))["in_container"].any()
     assert not task.conditions(state_of(episodes, {"target": into("target")}, held="target"))["released"].any()
-    assert not task.conditions(state_of(episodes, {"other_1": into("other_1")}))["others_out"].any()
+    assert not task.conditions(state_of(episodes, {"other_1": into("other_1")}))["others_stay"].any()
 
 
 def test_order_is_the_order_of_the_compartments() -> None:
