@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from kinebench_drake.errors import UsageError, cause
 from kinebench_drake.geometry import Array, invert, make_pose, orthonormalize
+from kinebench_drake.storage import write_atomically
 
 _KEYS = ("width", "height", "fx", "fy", "cx", "cy", "base_from_camera")
 _HUGE = 1e9  # no camera's number; NaN and infinity fail the comparison as well
@@ -103,8 +104,12 @@ class Camera:
         }
 
     def save(self, path: Path) -> None:
-        """Write `camera.json`."""
-        path.write_text(json.dumps(self.to_json(), indent=1) + "\n")
+        """Write `camera.json`.
+
+        Raises:
+            SetupError: writing failed.
+        """
+        write_atomically(path, (json.dumps(self.to_json(), indent=1) + "\n").encode())
 
     @classmethod
     def from_json(cls, data: object, source: str) -> "Camera":

@@ -3,7 +3,7 @@
 import errno
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from kinebench_drake.errors import SetupError
@@ -22,8 +22,7 @@ def storage(name: str) -> Iterator[None]:
         full = error.errno in (errno.ENOSPC, errno.EDQUOT)
         fix = "free some space" if full else "make the folder writable"
         raise SetupError(
-            f"cannot write {name} ({error.strerror or error}): {fix} and run the same command again, what is finished "
-            "is kept"
+            f"cannot write {name} ({error.strerror or error}): {fix} and run the same command again"
         ) from None
 
 
@@ -43,7 +42,8 @@ def whole(path: Path) -> Iterator[Path]:
                 os.fsync(file.fileno())
             os.replace(part, path)
     finally:
-        part.unlink(missing_ok=True)
+        with suppress(OSError):  # the parent may be no folder; the error on its way tells
+            part.unlink()
 
 
 def write_atomically(path: Path, data: bytes) -> None:

@@ -23,7 +23,7 @@ from kinebench_drake.errors import InputError, SetupError, UsageError
 from kinebench_drake.suites.episode import Episode
 from kinebench_drake.suites.experts.registry import find_expert
 from kinebench_drake.suites.export import episode_facts
-from kinebench_drake.suites.files import append_line, read_lines, write_json, write_lines
+from kinebench_drake.suites.files import append_line, make_folder, read_lines, write_json, write_lines
 from kinebench_drake.suites.formats.demo import CLIP_STEPS, PARTS, Demo, FormatKind, Record, Shots
 from kinebench_drake.suites.formats.format import Format, find_format
 from kinebench_drake.suites.order import Order
@@ -153,8 +153,8 @@ def _claimed(out: Path) -> Iterator[None]:
     Raises:
         UsageError: it cannot be made, or another program has it.
     """
+    make_folder(out)
     try:
-        out.mkdir(parents=True, exist_ok=True)
         lock = os.open(out, os.O_RDONLY)
     except OSError as error:
         raise UsageError(f"--out {out}: cannot be written ({error.strerror or error})") from None

@@ -13,7 +13,7 @@ from kinebench_drake.engines import Crashed, Engine
 from kinebench_drake.errors import SetupError
 from kinebench_drake.storage import whole
 from kinebench_drake.suites.episode import Episode
-from kinebench_drake.suites.files import write_json, write_lines
+from kinebench_drake.suites.files import make_folder, write_json, write_lines
 from kinebench_drake.suites.rollout import CLIP_FRAMES, FRAME_PERIOD_S
 from kinebench_drake.suites.stagehand import Stagehand
 from kinebench_drake.suites.suite import Draw, Suite
@@ -85,9 +85,11 @@ def export_suite(export: Export, engine: Engine, watcher: Watcher) -> int:
     The same arguments give the same bytes, whatever the engine.
 
     Raises:
+        UsageError: the split has not as many seeds, or the folder cannot be made.
         SetupError: writing or rendering failed, or a worker died.
     """
     draws = export.draws()
+    make_folder(export.out)
     watcher.started(len(draws), 0)
     made: dict[Draw, Episode] = {}
     for done in engine.run(_Photographer(export.size, export.out), draws):

@@ -8,7 +8,20 @@ from typing import Any
 
 import numpy as np
 
+from kinebench_drake.errors import UsageError, cause
 from kinebench_drake.storage import storage, whole
+
+
+def make_folder(out: Path) -> None:
+    """Make the folder that a user wants things written to.
+
+    Raises:
+        UsageError: it cannot be made.
+    """
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UsageError(f"--out {out}: cannot be made a folder ({cause(error)}); name another one") from None
 
 
 def write_json(path: Path, value: Mapping[str, Any]) -> None:

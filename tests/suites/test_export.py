@@ -9,7 +9,9 @@ from PIL import Image
 
 from kinebench_drake.camera import Camera, benchmark_camera
 from kinebench_drake.engines import EngineKind, create_engine
+from kinebench_drake.errors import SetupError, UsageError
 from kinebench_drake.inputs import find_samples
+from kinebench_drake.storage import write_atomically
 from kinebench_drake.suites.episode import compose
 from kinebench_drake.suites.export import Export, export_suite
 from kinebench_drake.suites.rollout import Stage
@@ -92,3 +94,13 @@ def test_every_episode_is_told_completely(exported: Path) -> None:
         assert {"difficulty", "articulated_dof", "contacts", "horizon"} <= row.keys()
     text = "".join(path.read_text() for path in exported.glob("*.json*"))
     assert str(exported.parent) not in text
+
+
+def test_a_file_in_the_way_is_told_in_one_line(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(UsageError, match="cannot be made a folder"):
+        export(tmp_path / "file", TASKS, 1)
+    with pytest.raises(SetupError, match="cannot write a"):
+        write_atomically(tmp_path / "file" / "a.txt", b"")
+    with pytest.raises(SetupError, match="cannot write camera"):
+        benchmark_camera().save(tmp_path / "file" / "camera.json")
