@@ -6,7 +6,16 @@ from pathlib import Path
 import click
 
 from kinebench_drake.cli.suite_data import demos, export
-from kinebench_drake.cli.suite_options import episodes_option, jobs_option, task_names, tasks_option, variant_option
+from kinebench_drake.cli.suite_options import (
+    check_parent,
+    episodes_option,
+    jobs_option,
+    task_names,
+    tasks_option,
+    variant_option,
+    with_variant,
+)
+from kinebench_drake.storage import whole, write_atomically
 
 _SEED = click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the first episode.")
 
@@ -87,11 +96,12 @@ def check(
     from kinebench_drake.suites.episode import compose
     from kinebench_drake.suites.split import Pool
     from kinebench_drake.suites.tasks.card import Variant
-    from kinebench_drake.suites.tasks.registry import TASKS
     from kinebench_drake.suites.trial import Policy, run_trials, task_lines
 
     version, trials = Variant(variant), []
-    chosen = [task for task in _tasks(tasks) if version in TASKS[task].card.variants]
+    if json_out is not None:
+        check_parent("--json", json_out)
+    chosen = with_variant(_tasks(tasks), version, named=tasks is not None)
     order = [compose(t, s, pool=Pool(pool), variant=version) for t in chosen for s in range(seed, seed + episodes)]
     for trial in run_trials(create_engine(EngineKind.LOCAL, jobs), order, Policy(policy)):
         trials.append(trial)
@@ -105,7 +115,7 @@ def check(
              "progress": t.progress, "reason": t.reason, "frames": t.frames}
             for t in trials
         ]  # fmt: skip
-        json_out.write_text(json.dumps(records, indent=1) + "\n")
+        write_atomically(json_out, (json.dumps(records, indent=1) + "\n").encode())
 
 
 @suite.command(epilog="\b\nExample:\n  kinebench-drake suite sheet --out tasks.jpg --seed 3 --jobs 2")
@@ -122,7 +132,9 @@ def sheet(out: Path, tasks: str | None, looks: str | None, seed: int, jobs: int)
 
     if out.suffix.lower() not in (".png", ".jpg", ".jpeg"):
         raise UsageError(f"--out {out} should end in .png or .jpg")
+    check_parent("--out", out)
     engine = create_engine(EngineKind.LOCAL, jobs)
     shots = task_shots(engine, _tasks(tasks), seed) if looks is None else look_shots(engine, looks, seed)
-    contact_sheet(shots, columns=4 if looks is None else 6).save(out)
+    with whole(out) as part:
+        contact_sheet(shots, columns=4 if looks is None else 6).save(part)
     click.echo(f"{out}: {len(shots)} shots, {sum(shot.failed for shot in shots)} failed")

@@ -18,6 +18,7 @@ from kinebench_drake.cli.suite_options import (
     task_names,
     tasks_option,
     variant_option,
+    with_variant,
 )
 from kinebench_drake.errors import UsageError
 from kinebench_drake.shard import Shard
@@ -93,13 +94,12 @@ def _counted(number: int, what: str) -> str:
 
 
 def _chosen(suite: "Suite", split: str, names: str | None, variant: "Variant") -> tuple[str, ...]:
-    """Tasks of a split that are named, or all that have the variant."""
-    from kinebench_drake.suites.tasks.registry import TASKS, find_task
+    """Tasks of a split that are named, or all that have the variant.
 
-    chosen = suite.tasks_of(split, task_names(names))
-    if names is not None:
-        return tuple(find_task(task, variant).card.id for task in chosen)
-    return tuple(task for task in chosen if task in TASKS and variant in TASKS[task].card.variants)
+    Raises:
+        UsageError: the split has no such tasks, or they have no such variant.
+    """
+    return tuple(with_variant(suite.tasks_of(split, task_names(names)), variant, named=names is not None))
 
 
 @click.command(

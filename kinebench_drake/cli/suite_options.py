@@ -1,6 +1,15 @@
 """Options that the commands of `suite` share."""
 
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
 import click
+
+from kinebench_drake.errors import UsageError
+
+if TYPE_CHECKING:
+    from kinebench_drake.suites.tasks.card import Variant
 
 _PREFIX = "KineBench/"
 
@@ -26,5 +35,32 @@ SIZES = click.IntRange(128, 2048)
 
 
 def task_names(names: str | None) -> list[str] | None:
-    """Plain ids of tasks named by a user, with or without ManiSkill's namespace; None if none were."""
-    return None if names is None else [name.strip().removeprefix(_PREFIX) for name in names.split(",")]
+    """Plain ids of tasks named by a user, each once, with or without ManiSkill's namespace; None if none were."""
+    return None if names is None else list(dict.fromkeys(n.strip().removeprefix(_PREFIX) for n in names.split(",")))
+
+
+def with_variant(tasks: Sequence[str], variant: "Variant", *, named: bool) -> list[str]:
+    """Those of some tasks that have a variant; all of them have to if the user named them.
+
+    Raises:
+        UsageError: a named one has not, or none has.
+    """
+    from kinebench_drake.suites.tasks.registry import TASKS
+
+    having = [task for task in tasks if variant in TASKS[task].card.variants]
+    if not having or (named and len(having) < len(tasks)):
+        which = ", ".join(task for task in tasks if task not in having) if named else "no task of this split"
+        verb = "has no" if named else "has the"
+        all_having = ", ".join(name for name, task in TASKS.items() if variant in task.card.variants)
+        raise UsageError(f"{which} {verb} variant {variant.value!r}; tasks that have it: {all_having}")
+    return having
+
+
+def check_parent(option: str, path: Path) -> None:
+    """Make sure, before long work, that a file can be written where the user wants it.
+
+    Raises:
+        UsageError: its folder is not there.
+    """
+    if not path.parent.is_dir():
+        raise UsageError(f"{option} {path}: there is no folder {path.parent}; make it first")

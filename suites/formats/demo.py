@@ -1,5 +1,6 @@
 """One demonstration, and what every format takes from it."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
@@ -44,11 +45,13 @@ class Shots:
     """x264's quality."""
 
     def __post_init__(self) -> None:
-        """Check the number of frames.
+        """Check the numbers of frames.
 
         Raises:
-            UsageError: a clip's control steps cannot be divided so.
+            UsageError: a clip's control steps cannot be divided so, or a video cannot play so.
         """
+        if not (math.isfinite(self.fps) and self.fps > 0):
+            raise UsageError(f"--fps is {self.fps}, expected a positive number")
         if self.frames not in FRAME_CHOICES:
             raise UsageError(
                 f"--frames is {self.frames}: a clip's {CLIP_STEPS} control steps can be filmed in "

@@ -116,6 +116,8 @@ def test_a_lerobot_dataset_keeps_the_time_of_the_task(suite, orders, tmp_path):
         (("demos", "--format", "lerobot-v3", "--fps", 17), "the task's time"),
         (("demos", "--format", "lerobot-v3", "--frames", 25), "--frames 49 (5 a second)"),
         (("demos", "--format", "maniskill-h5", "--size", 384), "holds no video"),
+        (("demos", "--fps", "nan"), "--fps is nan"),
+        (("export", "--suite", 1, "--variant", "obstacles"), "tasks that have it: "),
     ],
 )
 def test_what_cannot_be_made_is_a_usage_error(suite, orders, tmp_path, arguments, told):
@@ -124,6 +126,30 @@ def test_what_cannot_be_made_is_a_usage_error(suite, orders, tmp_path, arguments
     assert told in err
     assert len(err.splitlines()) == 1
     assert not orders
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (
+            ("check", "--variant", "obstacles", "--tasks", "PullCube-v1"),
+            "PullCube-v1 has no variant 'obstacles'; tasks",
+        ),
+        (("check", "--json", "absent/x.json"), "there is no folder absent"),
+        (("sheet", "--out", "absent/x.png"), "there is no folder absent"),
+    ],
+)
+def test_what_cannot_be_tried_or_drawn_is_told_before_the_work(suite, arguments, told):
+    code, _, err = suite(*arguments)
+    assert code == 2
+    assert told in err
+    assert len(err.splitlines()) == 1
+
+
+def test_a_task_named_twice_is_one():
+    from kinebench_drake.cli.suite_options import task_names
+
+    assert task_names("PullCube-v1, KineBench/PullCube-v1") == ["PullCube-v1"]
 
 
 @pytest.mark.sapien
