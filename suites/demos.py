@@ -10,8 +10,8 @@ import json
 import os
 import shutil
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike
 
 from kinebench_drake.engines import Crashed, Engine
 from kinebench_drake.errors import InputError, SetupError, UsageError
+from kinebench_drake.storage import storage
 from kinebench_drake.suites.episode import Episode
 from kinebench_drake.suites.experts.registry import find_expert
 from kinebench_drake.suites.export import episode_facts
@@ -127,13 +128,14 @@ def make_demos(order: Order, engine: Engine, watcher: Watcher, *, overwrite: boo
     """
     with _claimed(order.out):
         if overwrite:
-            for name in (RECORDS, SUMMARY):
-                (order.out / name).unlink(missing_ok=True)
-        before, records = _begun(order), _records(order)
+            _start_anew(order.out)
+        records = _records(order)
+        before = _begun(order, records)
         if not _joined(order, before):
             form = find_format(order.kind)
             records = {key: r for key, r in records.items() if _whole(form, order.out, r)}
-            write_json(order.out / SUMMARY, order.request())
+            replaced = before.get("files", before.get("replaces", []))
+            write_json(order.out / SUMMARY, {**order.request(), "replaces": replaced})
             write_lines(order.out / RECORDS, [asdict(record) for record in records.values()])
             _produce(order, records, engine, watcher)
             _finish(order, form, records)
@@ -167,8 +169,38 @@ def _claimed(out: Path) -> Iterator[None]:
         os.close(lock)
 
 
-def _begun(order: Order) -> dict[str, Any]:
-    """The summary of an earlier run in the folder, of which this order must be a part or a continuation.
+def _start_anew(out: Path) -> None:
+    """Delete what an earlier run's summary and records name; damaged ones name nothing.
+
+    Raises:
+        SetupError: something cannot be deleted.
+    """
+    paths = [out / SUMMARY, out / RECORDS]
+    with suppress(OSError, ValueError, KeyError, TypeError, AttributeError):
+        before = json.loads((out / SUMMARY).read_text())
+        form = find_format(FormatKind(before["format"]))
+        paths += [out / name for name in before.get("files", before.get("replaces", []))]
+        paths += form.lists(out, before["tasks"])
+        records = [Record(**row) for row in read_lines(out / RECORDS)]
+        paths += [path for record in records if record.success for path in form.part_files(out, record)]
+    _delete(out, paths)
+
+
+def _delete(out: Path, paths: Sequence[Path]) -> None:
+    """Delete files of a folder and the folders below it that this empties."""
+    top = out.resolve()
+    for path in paths:
+        if top not in path.resolve().parents:
+            continue
+        with storage(path.name):
+            path.unlink(missing_ok=True)
+        for folder in path.parents[: len(path.parents) - len(out.parents) - 1]:
+            with suppress(OSError):  # others are in it
+                folder.rmdir()
+
+
+def _begun(order: Order, records: Mapping[tuple[str, int], Record]) -> dict[str, Any]:
+    """The summary of an earlier run in the folder, whose demonstrations must be a part of this order.
 
     Raises:
         UsageError: it is neither.
@@ -178,18 +210,21 @@ def _begun(order: Order) -> dict[str, Any]:
         return {}
     try:
         before: dict[str, Any] = json.loads(path.read_text())
-        smaller = sorted(set(before["tasks"]) - set(order.tasks)) or before["episodes_per_task"] > order.episodes
-    except (ValueError, KeyError, TypeError):
+    except (OSError, ValueError):
         raise UsageError(f"{path}: is damaged; --overwrite starts anew") from None
+    if not isinstance(before, dict):
+        raise UsageError(f"{path}: is damaged; --overwrite starts anew")
     fix = "name another --out, or --overwrite to start anew"
     for name, value in order.settings().items():
         if before.get(name) != value:
             raise UsageError(f"{order.out} holds demonstrations with {name} {before.get(name)}, not {value}: {fix}")
-    if smaller:
-        raise UsageError(
-            f"{order.out} holds {before['episodes_per_task']} demonstrations each of {', '.join(before['tasks'])}; "
-            f"asked for are {order.episodes} each of {', '.join(order.tasks)}, which may only be more: {fix}"
-        )
+    for task, held in Counter(record.task for record in records.values() if record.success).items():
+        wanted = order.wanted() if task in order.tasks else 0
+        if held > wanted:
+            raise UsageError(
+                f"{order.out} holds {held} demonstrations of {task}; asked for are {wanted}, which may only be more: "
+                f"{fix}"
+            )
     return before
 
 
@@ -197,7 +232,7 @@ def _records(order: Order) -> dict[tuple[str, int], Record]:
     """Attempts told by the folder, by task and seed."""
     try:
         records = [Record(**row) for row in read_lines(order.out / RECORDS)]
-    except TypeError:
+    except (OSError, ValueError, TypeError):
         raise UsageError(f"{order.out / RECORDS}: is damaged; --overwrite starts anew") from None
     return {(record.task, record.seed): record for record in records}
 
@@ -259,6 +294,9 @@ def _finish(order: Order, form: Format, records: Mapping[tuple[str, int], Record
     if made:
         files = form.finish(order.out, made, order.shots, order.settings())
         write_lines(order.out / RECORDS, [asdict(record) for record in tried])
+        counted = {(record.task, record.seed) for record in tried}
+        spare = [record for key, record in records.items() if record.success and key not in counted]
+        _delete(order.out, [path for record in spare for path in form.part_files(order.out, record)])
         counts = {"demonstrations": len(made), "failures": len(tried) - len(made)}
         names = [file.relative_to(order.out).as_posix() for file in files]
         write_json(order.out / SUMMARY, {**order.request(), **counts, "files": names})

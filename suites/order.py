@@ -34,18 +34,25 @@ class Order:
     shard: Shard | None = None
     """The part of the seeds to use; all of them if None."""
 
+    def __post_init__(self) -> None:
+        """Check the number of demonstrations.
+
+        Raises:
+            UsageError: the split has not as many seeds.
+        """
+        for task in self.tasks[:1]:  # all have the same
+            self.suite.draws(self.split, task, self.episodes, offset=self.seed, variant=self.variant)
+
     def wanted(self) -> int:
         """Demonstrations of each task that are this part's."""
         return self.episodes if self.shard is None else len(self.shard.take(range(self.episodes)))
 
     def draws(self, task: str, tries: int) -> list[Draw]:
-        """The first `tries` episodes of a task that are this part's.
-
-        Raises:
-            UsageError: the split has not as many seeds.
-        """
+        """The first `tries` episodes of a task that are this part's; fewer where the split ends."""
+        first, end = self.suite.splits[self.split].seeds
         parts = 1 if self.shard is None else self.shard.count
-        all_draws = self.suite.draws(self.split, task, tries * parts, offset=self.seed, variant=self.variant)
+        count = min(tries * parts, end - first - self.seed)
+        all_draws = self.suite.draws(self.split, task, count, offset=self.seed, variant=self.variant)
         return all_draws if self.shard is None else self.shard.take(all_draws)
 
     def settings(self) -> dict[str, Any]:

@@ -34,6 +34,9 @@ class Format(Protocol):
             The files that parts were joined into; none where parts stay as they are.
         """
 
+    def lists(self, folder: Path, tasks: Sequence[str]) -> list[Path]:
+        """Files that `finish` writes beside those it returns."""
+
 
 def find_format(kind: FormatKind) -> Format:
     """The format of a name."""

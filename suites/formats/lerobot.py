@@ -100,6 +100,11 @@ class LeRobot:
             | {folder / _VIDEO.format(video_key=CAMERA, **_numbers(place, f"videos/{CAMERA}")) for place in places}
         )
 
+    def lists(self, folder: Path, tasks: Sequence[str]) -> list[Path]:
+        """All in `meta`."""
+        names = ("tasks.parquet", "stats.json", "info.json", "camera.json")
+        return [folder / _EPISODES.format(chunk_index=0, file_index=0), *(folder / "meta" / name for name in names)]
+
 
 def _parts(folder: Path, id: str) -> tuple[Path, Path]:
     return folder / PARTS / f"{id}.npz", folder / PARTS / f"{id}.mp4"

@@ -64,6 +64,10 @@ class ManiSkill:
             write_json(folder / f"{task}.json", _description(task, own, lengths, about))
         return files
 
+    def lists(self, folder: Path, tasks: Sequence[str]) -> list[Path]:
+        """What describes the trajectories of each task."""
+        return [folder / f"{task}.json" for task in tasks]
+
 
 def _part(folder: Path, id: str) -> Path:
     return folder / PARTS / f"{id}.npz"

@@ -73,3 +73,7 @@ class VideoFolder:
         write_lines(folder / "metadata.jsonl", metadata)
         write_lines(folder / "manifest.jsonl", manifest)
         return []
+
+    def lists(self, folder: Path, tasks: Sequence[str]) -> list[Path]:
+        """Metadata, manifest and camera."""
+        return [folder / name for name in ("metadata.jsonl", "manifest.jsonl", "camera.json")]

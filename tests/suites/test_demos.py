@@ -65,6 +65,9 @@ class FakeFormat:
         (folder / "all.txt").write_text("".join(f"{record.seed - FIRST} " for record in records))
         return []
 
+    def lists(self, folder: Path, tasks: Sequence[str]) -> list[Path]:
+        return [folder / "all.txt"]
+
 
 class FakeEngine:
     """Makes attempts at once: those of some seeds fail, and after so many of them the program is killed."""
@@ -180,6 +183,44 @@ def test_a_folder_takes_only_more_of_the_same(deliver: Any) -> None:
     with pytest.raises(UsageError, match="may only be more"):
         deliver(2)
     assert deliver(2, overwrite=True)[2] == [0, 1]
+
+
+def test_what_is_held_counts_and_not_what_was_asked_for(deliver: Any, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="has 1000000 seeds"):
+        deliver(1_000_001)
+    assert not list(tmp_path.iterdir())
+    with pytest.raises(SetupError):
+        deliver(9, until=2)  # 8 and 7 are there
+    assert deliver(3)[2] == [0, 1, 2]
+    assert sorted(path.name[-5] for path in tmp_path.glob("*.mp4")) == ["0", "1", "2"]
+
+
+def test_all_seeds_of_a_split_can_be_asked_for(tmp_path: Path) -> None:
+    order = replace(an_order(tmp_path, FormatKind.MP4, 2), seed=999_998)
+    assert [draw.seed for draw in order.draws(TASK, 14)] == [1_999_998, 1_999_999]
+
+
+def test_starting_anew_deletes_what_was_made_and_nothing_else(deliver: Any, tmp_path: Path) -> None:
+    deliver(3)
+    (tmp_path / "mine.mp4").touch()
+    rows = (tmp_path / "demos.jsonl").read_text()
+    (tmp_path / "demos.jsonl").write_text(rows + rows.splitlines()[0].replace(TASK, f"../{TASK}") + "\n")
+    outside = tmp_path.parent / f"{TASK}_s{FIRST}.mp4"
+    outside.touch()
+    assert deliver(1, overwrite=True)[2] == [0]
+    assert outside.is_file()
+    assert {path.name for path in tmp_path.iterdir()} == {
+        "demos.json", "demos.jsonl", "all.txt", "mine.mp4", f"{TASK}_s{FIRST}.mp4",
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("damage", [b"\xff\xfe\n", b"1\n"])
+def test_damaged_records_are_told(deliver: Any, tmp_path: Path, damage: bytes) -> None:
+    deliver(1)
+    (tmp_path / "demos.jsonl").write_bytes(damage)
+    with pytest.raises(UsageError, match="is damaged"):
+        deliver(1)
+    assert deliver(1, overwrite=True)[2] == [0]
 
 
 def test_clips_are_filmed_at_control_steps() -> None:
