@@ -19,7 +19,7 @@ from typing import Any
 from numpy.typing import ArrayLike
 
 from kinebench_drake.engines import Crashed, Engine
-from kinebench_drake.errors import InputError, SetupError, UsageError
+from kinebench_drake.errors import SetupError, UsageError
 from kinebench_drake.storage import storage
 from kinebench_drake.suites.episode import Episode
 from kinebench_drake.suites.experts.registry import find_expert
@@ -29,7 +29,7 @@ from kinebench_drake.suites.formats.demo import CLIP_STEPS, PARTS, Demo, FormatK
 from kinebench_drake.suites.formats.format import Format, find_format
 from kinebench_drake.suites.order import Order
 from kinebench_drake.suites.rollout import Performance, Stage, film, perform
-from kinebench_drake.suites.stagehand import Stagehand
+from kinebench_drake.suites.stagehand import Stagehand, failure
 from kinebench_drake.suites.suite import Draw
 from kinebench_drake.suites.watcher import Watcher
 
@@ -86,8 +86,8 @@ class _Experts:
                 outcome, clips = performance.outcome, len(performance.controls) // CLIP_STEPS
                 success, progress = outcome.success and clips > 0, outcome.progress
                 reason = "" if success else "not " + ", ".join(n for n, ok in outcome.conditions.items() if not ok)
-            except InputError as error:
-                reason = str(error)
+            except Exception as error:
+                reason = failure(error)
             if success:
                 form.write_part(self.out, _demo(stage, performance, self.shots, form))
             return Record(

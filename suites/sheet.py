@@ -7,12 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
+from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.engines import Crashed, Engine
 from kinebench_drake.errors import InputError
 from kinebench_drake.suites.assets.look import look_ids
 from kinebench_drake.suites.episode import Episode, compose
 from kinebench_drake.suites.experts.registry import find_expert
-from kinebench_drake.suites.rollout import Stage, perform
+from kinebench_drake.suites.rollout import perform
+from kinebench_drake.suites.stagehand import Stagehand
 from kinebench_drake.suites.tasks.registry import find_task
 
 LOOKS_TASK = "StackCube-v1"
@@ -146,19 +148,15 @@ class _Make:
 
 
 class _Photographer:
-    """Takes shots; keeps one stage, rebuilt where the task changes."""
+    """Takes shots."""
 
     def __init__(self, performs: bool) -> None:
         self._performs = performs
-        self._stage: Stage | None = None
-        self._task = ""
+        self._hand = Stagehand(benchmark_camera().width)
 
     def __call__(self, episode: Episode) -> Shot:
-        if self._stage is None or self._task != episode.task:
-            if self._stage is not None:
-                self._stage.close()
-            self._stage, self._task = Stage(episode.task), episode.task
-        stage, title, text, failed = self._stage, _title(episode, performs=self._performs), episode.prompt, False
+        stage = self._hand.stage(episode.task, episode.variant)
+        title, text, failed = _title(episode, performs=self._performs), episode.prompt, False
         if not self._performs:
             stage.reset(episode)
             return Shot(title=title, text="", pictures=(stage.picture()[0],))

@@ -1,8 +1,16 @@
-"""Who sets up the stage that an episode needs."""
+"""Who sets up the stage that an episode needs, and tells what went wrong on it."""
 
 from kinebench_drake.camera import benchmark_camera
+from kinebench_drake.errors import KinebenchError, SetupError, UsageError, cause
 from kinebench_drake.suites.rollout import Stage
 from kinebench_drake.suites.tasks.card import Variant
+
+
+def failure(error: Exception) -> str:
+    """Why an episode failed, of an error that its seed may cause each time; others are raised again."""
+    if isinstance(error, SetupError | UsageError | MemoryError):
+        raise error
+    return str(error) if isinstance(error, KinebenchError) else f"unexpected {type(error).__name__}: {cause(error)}"
 
 
 class Stagehand:

@@ -9,12 +9,11 @@ from scipy.stats import binomtest
 
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.engines import Crashed, Engine
-from kinebench_drake.errors import InputError
 from kinebench_drake.suites.episode import Episode
 from kinebench_drake.suites.experts.registry import find_expert
 from kinebench_drake.suites.rollout import CLIP_FRAMES, STEPS_PER_FRAME, Outcome, Stage, perform
 from kinebench_drake.suites.seeding import generator
-from kinebench_drake.suites.stagehand import Stagehand
+from kinebench_drake.suites.stagehand import Stagehand, failure
 
 RANDOM_STEP_RAD = 0.1
 """The random policy moves each joint by up to this much a control step."""
@@ -58,8 +57,8 @@ class _Worker:
                 outcome, frames = performance.outcome, len(performance.snapshots)
             else:
                 outcome, frames = _blind(stage, episode, self._policy)
-        except InputError as error:
-            return self._trial(episode, Outcome(success=False, progress=0.0, conditions={}), frames, str(error))
+        except Exception as error:
+            return self._trial(episode, Outcome(success=False, progress=0.0, conditions={}), frames, failure(error))
         failed = ", ".join(name for name, holds in outcome.conditions.items() if not holds)
         return self._trial(episode, outcome, frames, "" if outcome.success else f"not {failed}")
 

@@ -27,6 +27,7 @@ from kinebench_drake.suites.formats.statistics import of_histograms, of_rows
 from kinebench_drake.suites.formats.videofolder import VideoFolder
 from kinebench_drake.suites.order import Order
 from kinebench_drake.suites.rollout import Clip, Performance, Stage
+from kinebench_drake.suites.stagehand import Stagehand
 from kinebench_drake.suites.suite import Draw, load_suite
 from kinebench_drake.suites.tasks.card import Variant
 from kinebench_drake.trajectories.check import check
@@ -167,6 +168,30 @@ def test_a_task_is_given_up_when_its_expert_hardly_succeeds(deliver: Any) -> Non
     assert seeds == [0, 1, 2]
     assert delivery.short == {TASK: 2}
     assert delivery.failures == 2 * 5 + demos.PATIENCE - 3
+
+
+def broken_worker(out: Path, monkeypatch: pytest.MonkeyPatch, error: Exception) -> tuple[Order, Callable[..., Any]]:
+    """What would make demonstrations, were it not for an error."""
+
+    def fail(*args: object, **kwargs: object) -> None:
+        raise error
+
+    monkeypatch.setattr(demos, "perform", fail)
+    monkeypatch.setattr(Stagehand, "stage", lambda self, task, variant: None)
+    order = an_order(out, FormatKind.MANISKILL, 1)
+    return order, demos._Experts(order.kind, order.shots, order.out)()
+
+
+def test_an_error_of_a_seed_is_a_failed_attempt(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    order, work = broken_worker(tmp_path, monkeypatch, ZeroDivisionError("by zero"))
+    record = work(order.draws(TASK, 1)[0])
+    assert (record.success, record.reason) == (False, "unexpected ZeroDivisionError: by zero")
+
+
+def test_an_error_of_the_machine_stops_the_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    order, work = broken_worker(tmp_path, monkeypatch, SetupError("no driver"))
+    with pytest.raises(SetupError, match="no driver"):
+        work(order.draws(TASK, 1)[0])
 
 
 def test_shards_share_the_work(deliver: Any, tmp_path: Path) -> None:
