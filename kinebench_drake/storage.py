@@ -22,7 +22,8 @@ def storage(name: str) -> Iterator[None]:
         full = error.errno in (errno.ENOSPC, errno.EDQUOT)
         fix = "free some space" if full else "make the folder writable"
         raise SetupError(
-            f"cannot write {name} ({error.strerror or error}): {fix} and run the same command again"
+            f"cannot write {name} ({error.strerror or error}): {fix} and run the same command again, "
+            "finished files are kept"
         ) from None
 
 
