@@ -25,24 +25,31 @@ AJAR_RAD = (float(np.radians(22.0)), float(np.radians(34.0)))
 """How far a lid that is slightly open is open at the start."""
 WIDE_PART = (0.85, 0.98)
 """Part of its range that a wide open lid is open at the start."""
-DRAWN_BACK_M = (0.04, 0.16)
-"""Distance of the TCP from the plane of the lid, on the side that it was pushed from, that counts as drawn back."""
-ABOVE_M, ABOVE_LYING_M = (0.05, 0.20), 0.02
-"""How far above the walls of an upright box (least, greatest) and of a lying box the TCP must be in the end."""
-BESIDE_M = 0.08
-"""How far past the lid's edges the TCP may be in the end."""
+CLEAR_M = 0.03
+"""Least distance of the TCP from a lid that it has let go."""
 YAW_RAD = float(np.radians(12.0))
 """How far boxes may be turned either way."""
 
 
-def gripper_at_hinge(state: State) -> Tensor:
-    """(N, 3) the TCP in the hinge's frame: x to the box's front, y along the hinge, z out of the opening [m]."""
-    X_BH = state.site("box", "hinge")
-    return torch.einsum("nij,ni->nj", X_BH[:, :3, :3], state.X_BG[:, :3, 3] - X_BH[:, :3, 3])
+def distance_to_lid(state: State) -> Tensor:
+    """Distance (N,) of the TCP from the rectangle that the lid is [m]."""
+    X_BH, angle = state.site("box", "hinge"), state.joints["box"]
+    p = torch.einsum("nij,ni->nj", X_BH[:, :3, :3], state.X_BG[:, :3, 3] - X_BH[:, :3, 3])
+    along = p[:, 0] * torch.cos(angle) + p[:, 2] * torch.sin(angle)
+    off = p[:, 2] * torch.cos(angle) - p[:, 0] * torch.sin(angle)
+    beyond = torch.maximum(along - state.size("box", "lid_m"), -along).clamp(min=0.0)
+    beside = (p[:, 1].abs() - 0.5 * state.size("box", "width_m")).clamp(min=0.0)
+    distance: Tensor = torch.linalg.norm(torch.stack([off, beyond, beside], dim=-1), dim=-1)
+    return distance
 
 
-def _between(values: Tensor, limits: tuple[float, float]) -> Tensor:
-    return (values >= limits[0]) & (values <= limits[1])
+def _left(state: State) -> dict[str, Tensor]:
+    """What both ways to move a lid ask for in the end."""
+    return {
+        "still": state.speeds["box"] <= STILL_RAD_S,
+        "calm": state.calm(),
+        "released": distance_to_lid(state) >= CLEAR_M,
+    }
 
 
 class OpenBox(Task):
@@ -53,8 +60,8 @@ class OpenBox(Task):
     turned to its right, so that its front edge faces that way, and the lid is taken there. Easy: the lid is slightly
     open. Hard: it is shut and must be pried up by its rim; in version 2 its hinge is tight, too.
     Randomizations: box, position, direction, angle of the lid if it is open.
-    Success: the lid is open as far as it goes, or nearly (`open`), and at rest (`still`); the gripper is drawn back
-    from its inner side, above the box (`withdrawn`).
+    Success: the lid is open as far as it goes, or nearly (`open`), and at rest (`still`); so is the arm (`calm`),
+    3 cm or more off the lid (`released`).
     """
 
     slots: ClassVar[Mapping[str, str]] = {"box": RIMMED}
@@ -101,15 +108,8 @@ class OpenBox(Task):
 
     def conditions(self, state: State) -> dict[str, Tensor]:
         """See the class."""
-        angle, p_HG = state.joints["box"], gripper_at_hinge(state)
-        inside_m = p_HG[:, 0] * torch.sin(angle) - p_HG[:, 2] * torch.cos(angle)
-        return {
-            "open": angle >= OPEN_PART * state.size("box", "open_rad"),
-            "still": state.speeds["box"] <= STILL_RAD_S,
-            "withdrawn": _between(inside_m, DRAWN_BACK_M)
-            & _between(p_HG[:, 2], ABOVE_M)
-            & (p_HG[:, 1].abs() <= 0.5 * state.size("box", "width_m") + BESIDE_M),
-        }
+        wide = state.joints["box"] >= OPEN_PART * state.size("box", "open_rad")
+        return {"open": wide, **_left(state)}
 
     def progress(self, state: State) -> Tensor:
         """Part of the lid's way."""
@@ -122,8 +122,8 @@ class CloseBox(Task):
     Description: a box lies on its side, its opening towards the camera, its lid wide open on an upright hinge; fold the
     lid shut with the closed gripper and draw back.
     Randomizations: box, position, direction, side of the hinge, angle of the lid.
-    Success: the lid is shut (`shut`) and at rest (`still`); the gripper is drawn back from its outer side, higher than
-    the box (`withdrawn`).
+    Success: the lid is shut (`shut`) and at rest (`still`); so is the arm (`calm`), 3 cm or more off the lid
+    (`released`).
     """
 
     card = TaskCard(
@@ -152,15 +152,7 @@ class CloseBox(Task):
 
     def conditions(self, state: State) -> dict[str, Tensor]:
         """See the class."""
-        p_HG = gripper_at_hinge(state)
-        return {
-            "shut": state.joints["box"] <= SHUT_RAD,
-            "still": state.speeds["box"] <= STILL_RAD_S,
-            "withdrawn": _between(p_HG[:, 2], DRAWN_BACK_M)
-            & (p_HG[:, 0] >= -BESIDE_M)
-            & (p_HG[:, 0] <= state.size("box", "lid_m") + BESIDE_M)
-            & (state.X_BG[:, 2, 3] >= state.size("box", "width_m") + ABOVE_LYING_M),
-        }
+        return {"shut": state.joints["box"] <= SHUT_RAD, **_left(state)}
 
     def progress(self, state: State) -> Tensor:
         """Part of the lid's way."""

@@ -22,12 +22,8 @@ STILL_M_S = 0.02
 """Drawers and things slower than this are at rest."""
 HEAP_M = 0.045
 """How far above the tray's floor the middle of something that lies in it may be."""
-WITHDRAWN_M = (0.03, 0.12)
-"""Least and greatest height above the drawer's front of a gripper that has left it (of the TCP)."""
-OVER_M = (0.07, 0.05)
-"""How far such a gripper may be from the middle of the front, along the drawer's way and aside."""
-UPRIGHT = 0.96
-"""Least cosine of the angle between such a gripper and the vertical: 16 degrees."""
+CLEAR_M = 0.03
+"""Least distance of the TCP from the middle of the drawer's front that it has left."""
 YAW_RAD = 0.25
 """How far a cabinet may be turned to either side."""
 AJAR = 0.92
@@ -44,13 +40,10 @@ def _still(state: State, name: str) -> Tensor:
     return state.speeds[name] <= STILL_M_S
 
 
-def _withdrawn(state: State) -> Tensor:
-    """Whether (N,) the gripper is off the drawer again, looking down on the middle of its front from a little above."""
-    X_BF, X_BG = state.site("cabinet", "pull"), state.X_BG
-    p = (X_BF[:, :3, :3].mT @ (X_BG[:, :3, 3] - X_BF[:, :3, 3])[..., None])[..., 0]
-    low, high = WITHDRAWN_M
-    at_height = (p[:, 2] >= low) & (p[:, 2] <= high)
-    return at_height & (p[:, :2].abs() <= p.new_tensor(OVER_M)).all(dim=-1) & (X_BG[:, 2, 2] <= -UPRIGHT)
+def _left(state: State) -> dict[str, Tensor]:
+    """What opening and shutting ask for in the end."""
+    away = torch.linalg.norm(state.X_BG[:, :3, 3] - state.site("cabinet", "pull")[:, :3, 3], dim=-1)
+    return {"still": _still(state, "cabinet"), "calm": state.calm(), "released": away >= CLEAR_M}
 
 
 def _outside_by(state: State, poses: Mapping[str, Tensor], name: str) -> Tensor:
@@ -93,8 +86,8 @@ class OpenDrawer(Task):
         gap behind the drawer's front, pull, go up again.
     Randomizations: the cabinet (measures, looks, handle, friction), its place, its direction, whether it opens to the
         left or to the right, how far it is ajar.
-    Success: the drawer has come nearly as far as it goes (`open`) and is still (`still`), the gripper is a little above
-        its front again (`withdrawn`).
+    Success: the drawer has come nearly as far as it goes (`open`) and is still (`still`), the arm is at rest (`calm`)
+        and off the drawer (`released`).
     """
 
     card = TaskCard(
@@ -117,11 +110,7 @@ class OpenDrawer(Task):
     def conditions(self, state: State) -> dict[str, Tensor]:
         """See the class."""
         wide = OPEN_SHARE * state.size("cabinet", "travel_m")
-        return {
-            "open": state.joints["cabinet"] >= wide,
-            "still": _still(state, "cabinet"),
-            "withdrawn": _withdrawn(state),
-        }
+        return {"open": state.joints["cabinet"] >= wide, **_left(state)}
 
     def progress(self, state: State) -> Tensor:
         """Part of the drawer's way out."""
@@ -134,8 +123,8 @@ class CloseDrawer(Task):
     Description: a cabinet's drawer is open towards the camera; go behind its front with the closed gripper, push it in,
         go up again.
     Randomizations: the cabinet (measures, looks, handle, friction), its place and direction, how far it is open.
-    Success: the drawer is shut (`shut`) and still (`still`), the gripper is a little above its front again
-        (`withdrawn`).
+    Success: the drawer is shut (`shut`) and still (`still`), the arm is at rest (`calm`) and off the drawer
+        (`released`).
     """
 
     card = TaskCard(
@@ -155,7 +144,7 @@ class CloseDrawer(Task):
 
     def conditions(self, state: State) -> dict[str, Tensor]:
         """See the class."""
-        return {"shut": _shut(state), "still": _still(state, "cabinet"), "withdrawn": _withdrawn(state)}
+        return {"shut": _shut(state), **_left(state)}
 
     def progress(self, state: State) -> Tensor:
         """Part of the drawer's way in."""

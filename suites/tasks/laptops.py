@@ -10,7 +10,7 @@ from torch import Tensor
 from kinebench_drake.suites.assets.model import Model
 from kinebench_drake.suites.tasks.card import Difficulty, TaskCard, Variant
 from kinebench_drake.suites.tasks.place import resting
-from kinebench_drake.suites.tasks.state import ARM, State
+from kinebench_drake.suites.tasks.state import State
 from kinebench_drake.suites.tasks.task import Layout, Placement, Task
 
 OPEN_RAD = np.deg2rad(90.0)
@@ -19,8 +19,6 @@ SHUT_RAD = np.deg2rad(4.0)
 """A lid open this little counts as shut."""
 STILL_RAD_S = 0.05
 """Lids slower than this are at rest."""
-CALM_RAD_S = 0.2
-"""An arm none of whose joints is faster than this is at rest (ManiSkill's own tasks have it so, too)."""
 CLEAR_M = 0.03
 """A gripper whose TCP is this far from the lid has let go of it."""
 
@@ -73,7 +71,7 @@ class _Laptop(Task):
     def _freed(self, state: State) -> dict[str, Tensor]:
         return {
             "still": state.speeds["laptop"] <= STILL_RAD_S,
-            "calm": state.speeds[ARM] <= CALM_RAD_S,
+            "calm": state.calm(),
             "released": _distance_to_lid(state) >= CLEAR_M,
         }
 

@@ -8,6 +8,8 @@ from torch import Tensor
 
 from kinebench_drake.suites.assets.model import Model
 
+CALM_RAD_S = 0.2
+"""An arm whose every joint is slower than this is at rest."""
 ARM = "arm"
 """The robot's arm, where speeds are named."""
 
@@ -35,6 +37,10 @@ class State:
     """N models of each thing."""
     grasps: Callable[[str], Tensor]
     """Whether (N,) the gripper holds the thing of a name between its fingers."""
+
+    def calm(self) -> Tensor:
+        """Whether (N,) the arm is at rest: what a robot that thrashes about brings to pass does not count."""
+        return self.speeds[ARM] <= CALM_RAD_S
 
     def position(self, name: str) -> Tensor:
         """(N, 3) where a thing is [m]."""

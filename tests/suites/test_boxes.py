@@ -15,7 +15,7 @@ from kinebench_drake.suites.episode import compose
 from kinebench_drake.suites.experts.registry import find_expert
 from kinebench_drake.suites.rollout import Stage, perform
 from kinebench_drake.suites.tasks.registry import find_task
-from kinebench_drake.suites.tasks.state import State
+from kinebench_drake.suites.tasks.state import ARM, State
 
 TASKS = ("CloseBox-v1", "OpenBoxEasy-v1", "OpenBoxEasy-v2", "OpenBoxHard-v1", "OpenBoxHard-v2")
 BOXES = [*asset_ids(RIMMED), *asset_ids(FLUSH)]
@@ -68,7 +68,7 @@ def test_tight_hinge_differs_in_nothing_but_damping() -> None:
     assert replace(tighter, damping=hinge.damping) == hinge
 
 
-def _state(task: str, angles: list[float], p_HG: list[list[float]], speed: float = 0.0) -> State:
+def _state(task: str, angles: list[float], p_HG: list[list[float]], speed: float = 0.0, arm: float = 0.0) -> State:
     """Scenes of seed 3 with these lid angles and TCP positions in the hinge's frame."""
     placement = compose(task, 3).layout().placements["box"]
     box, X_BM, n = placement.model, placement.X_BM, len(angles)
@@ -82,7 +82,7 @@ def _state(task: str, angles: list[float], p_HG: list[list[float]], speed: float
         starts=poses,
         joints={"box": torch.tensor(angles, dtype=torch.float32)},
         joint_starts={"box": torch.full((n,), placement.joint)},
-        speeds={"box": torch.full((n,), speed)},
+        speeds={"box": torch.full((n,), speed), ARM: torch.full((n,), arm)},
         models={"box": [box] * n},
         grasps=lambda name: torch.zeros(n, dtype=torch.bool),
     )
@@ -91,12 +91,14 @@ def _state(task: str, angles: list[float], p_HG: list[list[float]], speed: float
 @pytest.mark.parametrize("task", TASKS[1:])
 def test_open_means_far_open_at_rest_and_let_go(task: str) -> None:
     stop = compose(task, 3).layout().placements["box"].model.size["open_rad"]
-    clear, touching, behind = [0.07, 0.0, 0.1], [-0.03, 0.0, 0.12], [-0.2, 0.0, 0.15]
+    clear, touching, behind = [0.07, 0.0, 0.1], [0.1 * np.cos(stop), 0.0, 0.1 * np.sin(stop) + 0.01], [-0.2, 0.0, 0.15]
     state = _state(task, [stop, 0.85 * stop, stop, stop], [clear, clear, touching, behind])
     found = find_task(task).conditions(state)
     assert found["open"].tolist() == [True, False, True, True]
-    assert found["withdrawn"].tolist() == [True, True, False, False]
+    assert found["released"].tolist() == [True, True, False, True]
     assert found["still"].all()
+    assert found["calm"].all()
+    assert not find_task(task).conditions(_state(task, [stop], [clear], arm=0.5))["calm"].any()
     assert find_task(task).progress(state)[0] >= 1.0
     assert not find_task(task).conditions(_state(task, [stop], [clear], speed=0.2))["still"].any()
 
@@ -107,7 +109,7 @@ def test_shut_means_shut_at_rest_and_let_go() -> None:
     state = _state("CloseBox-v1", [0.02, 0.2, 0.02], [clear, clear, touching])
     found = find_task("CloseBox-v1").conditions(state)
     assert found["shut"].tolist() == [True, False, True]
-    assert found["withdrawn"].tolist() == [True, True, False]
+    assert found["released"].tolist() == [True, True, False]
     assert find_task("CloseBox-v1").progress(state)[1] < 1.0
 
 
