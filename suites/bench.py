@@ -142,10 +142,10 @@ def section(timings: Sequence[Timing], steps: Array, pictures: Array) -> str:
         [
             HEADING,
             "",
-            f"Written by `python -m kinebench_drake.suites.bench` on {os.cpu_count()} cores, rendering on the {prepare_vulkan()}; wall times. "
-            "Step: one control step of 0.05 s with the task's verdict, no picture. Picture: 384x384, colour, depth and "
-            "segmentation. Reset: with the scene rebuilt. Demonstration: a clip of 49 frames planned, performed, "
-            "filmed and encoded as mp4.",
+            f"Written by `python -m kinebench_drake.suites.bench` on {os.cpu_count()} cores, rendering on the "
+            f"{prepare_vulkan()}; wall times. Step: one control step of 0.05 s with the task's verdict, no picture. "
+            "Picture: 384x384, colour, depth and segmentation. Reset: with the scene rebuilt. Demonstration: a clip of "
+            "49 frames planned, performed, filmed and encoded as mp4.",
             "",
             "| task | step, ms | picture, ms | reset, ms | demonstration, s |",
             "| --- | --- | --- | --- | --- |",
