@@ -147,7 +147,8 @@ def test_help_answers_at_once():
 
 
 SCORE = """
-import sys
+import signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs are born deaf to it
 from kinebench_drake import cli, score
 make = score.ScoreConfig
 score.ScoreConfig = lambda **options: make(stages="fake_stages:FakeStages", **options)
