@@ -86,8 +86,13 @@ class AnomalyKind(Enum):
     """What a video can do that a real gripper cannot."""
 
     VANISH = "vanish"
+    DUPLICATE = "duplicate_gripper"
     TELEPORT = "teleport"
     FREEZE = "freeze"
+    DEFORMATION = "deformation"
+    SCALE = "scale_drift"
+    CAMERA = "camera_motion"
+    FINGERS = "finger_opening"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -100,4 +105,6 @@ class Anomaly:
     frame_end: int
     """Last affected frame, inclusive."""
     severity: float
-    """Kind's own measure: frames missing (vanish), metres jumped (teleport), frames frozen (freeze)."""
+    """The kind's own measure: frames without a gripper (vanish) or frozen (freeze), share of a gripper seen twice
+    (duplicate_gripper), metres jumped (teleport) or beyond what fingers can do (finger_opening), relative misfit of the
+    shape (deformation) or of the size (scale_drift), pixels moved (camera_motion)."""
