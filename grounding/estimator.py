@@ -11,7 +11,7 @@ from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.crop import Crop
 from kinebench_drake.grounding.view import DepthEstimator, Frames, GripperView
-from kinebench_drake.models.panda.part import Part
+from kinebench_drake.models.panda.part import ARM, Part
 from kinebench_drake.models.perception.network import (
     COORDINATE_SCALE_M,
     DEPTH_CENTRE,
@@ -55,9 +55,13 @@ def _views(output: DenseOutput, crops: list[Crop]) -> list[GripperView]:
     def numpy(x: torch.Tensor) -> Array:
         return np.asarray(x.cpu().numpy(), dtype=np.float64)
 
-    part = output.part_logits.argmax(dim=1).cpu().numpy().astype(np.uint8)
-    coordinates = numpy(output.coordinates).transpose(0, 2, 3, 1) * COORDINATE_SCALE_M
-    sigma = numpy(torch.exp(output.coordinate_log_scale)) * COORDINATE_SCALE_M * _LAPLACE_TO_SIGMA
+    label = output.part_logits.argmax(dim=1)
+    arm = label[:, None] >= int(ARM[0])
+    part = label.cpu().numpy().astype(np.uint8)
+    points = torch.where(arm, output.coordinates[:, 1], output.coordinates[:, 0])
+    coordinates = numpy(points).transpose(0, 2, 3, 1) * COORDINATE_SCALE_M
+    log_scale = torch.where(arm[:, 0], output.coordinate_log_scale[:, 1], output.coordinate_log_scale[:, 0])
+    sigma = numpy(torch.exp(log_scale)) * COORDINATE_SCALE_M * _LAPLACE_TO_SIGMA
     depth = numpy(torch.exp(output.log_depth)) * DEPTH_CENTRE
     depth_sigma = numpy(torch.exp(output.depth_log_scale)) * _LAPLACE_TO_SIGMA
     return [
@@ -67,7 +71,7 @@ def _views(output: DenseOutput, crops: list[Crop]) -> list[GripperView]:
             part=part[i],
             depth_m=depth[i] * crop.focal / crop.size,
             depth_sigma=depth_sigma[i],
-            coordinates_H=coordinates[i],
+            coordinates_P=coordinates[i],
             coordinates_sigma_m=sigma[i],
         )
         for i, crop in enumerate(crops)

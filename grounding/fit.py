@@ -59,7 +59,7 @@ def _points(view: GripperView) -> _Points:
         view.rays()[v, u],
         view.depth_m[v, u],
         view.depth_sigma[v, u],
-        view.coordinates_H[v, u],
+        view.coordinates_P[v, u],
         view.coordinates_sigma_m[v, u],
         view.opening_sign[v, u],
     )

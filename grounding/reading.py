@@ -29,7 +29,7 @@ def evidence(pose: FramePose) -> float:
     finger = pose.finger_m if np.isfinite(pose.finger_m) else 0.0
     p_H[:, 1] -= view.opening_sign[cells] * finger
     scale = view.coordinates_sigma_m[cells] / np.sqrt(2.0)
-    said = view.coordinates_H[cells]
+    said = view.coordinates_P[cells]
     as_fitted = np.abs(p_H - said).sum(axis=1) / scale
     turned = np.abs(p_H * [-1.0, -1.0, 1.0] - said).sum(axis=1) / scale
     return float(np.clip((turned - as_fitted).mean(), -_EVIDENCE_CAP, _EVIDENCE_CAP))

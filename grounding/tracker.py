@@ -13,7 +13,7 @@ from kinebench_drake.grounding.fit import Fit, fit
 from kinebench_drake.grounding.registration import IcpRefiner
 from kinebench_drake.grounding.view import DepthEstimator, Frames, GripperView
 from kinebench_drake.models.panda.cad import GripperCad
-from kinebench_drake.models.panda.part import Part
+from kinebench_drake.models.panda.part import ARM
 
 DETECTION_SIZE = 192
 """Width of the view of the whole frame that finds the gripper [px]."""
@@ -117,7 +117,7 @@ class CadTracker:
         refined = self._icp.refine(view, first.X_VH, finger) if self._trust_depth else None
         X_VH = refined.X_VH if refined is not None else first.X_VH
         rendered = self._cad.cast(X_VH, view.rays().reshape(-1, 3), finger).part.reshape(view.part.shape) > 0
-        union = (rendered & (view.part != Part.ARM)) | view.gripper
+        union = (rendered & ~np.isin(view.part, ARM)) | view.gripper
         return FramePose(
             X_CH=view.crop.X_CV @ X_VH,
             finger_m=first.finger_m,

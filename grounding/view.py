@@ -27,8 +27,8 @@ class GripperView:
     """(h, w) along the crop's optical axis [m]."""
     depth_sigma: Array
     """(h, w) standard deviation of the depth, relative."""
-    coordinates_H: Array
-    """(h, w, 3) point seen, in the hand frame with closed fingers [m]."""
+    coordinates_P: Array
+    """(h, w, 3) point seen [m]: of the gripper in the hand frame with closed fingers, of a link in the link's frame."""
     coordinates_sigma_m: Array
     """(h, w) standard deviation of each coordinate [m]."""
 

@@ -20,16 +20,19 @@ from numpy.typing import ArrayLike
 
 from kinebench_drake.engines import Crashed, Engine
 from kinebench_drake.errors import SetupError, UsageError
+from kinebench_drake.models.perception.frame import Frame
 from kinebench_drake.storage import storage
 from kinebench_drake.suites.episode import Episode
 from kinebench_drake.suites.experts.registry import find_expert
 from kinebench_drake.suites.export import episode_facts
 from kinebench_drake.suites.files import append_line, make_folder, read_lines, write_json, write_lines
-from kinebench_drake.suites.formats.demo import CLIP_STEPS, PARTS, Demo, FormatKind, Record, Shots
+from kinebench_drake.suites.formats.demo import CLIP_STEPS, PARTS, Content, Demo, FormatKind, Record, Shots
 from kinebench_drake.suites.formats.format import Format, find_format
 from kinebench_drake.suites.order import Order
 from kinebench_drake.suites.rollout import Performance, Stage, film, perform
+from kinebench_drake.suites.seeding import generator
 from kinebench_drake.suites.stagehand import Stagehand, failure
+from kinebench_drake.suites.stills import take_stills
 from kinebench_drake.suites.suite import Draw
 from kinebench_drake.suites.watcher import Watcher
 
@@ -76,7 +79,9 @@ class _Experts:
 
     def __call__(self) -> Callable[[Draw], Record]:
         form = find_format(self.kind)
-        hand = Stagehand(self.shots.size, renders=form.films, make=_RecordingStage if form.keeps_states else Stage)
+        content = form.content
+        make = _RecordingStage if Content.STATES in content else Stage
+        hand = Stagehand(self.shots.size, renders=bool(content & (Content.FILM | Content.STILLS)), make=make)
 
         def demonstrate(draw: Draw) -> Record:
             episode, stage = draw.episode(), hand.stage(draw.task, draw.variant)
@@ -89,7 +94,7 @@ class _Experts:
             except Exception as error:
                 reason = failure(error)
             if success:
-                form.write_part(self.out, _demo(stage, performance, self.shots, form))
+                form.write_part(self.out, _demo(stage, performance, self.shots, form.content))
             return Record(
                 id=episode.id,
                 task=episode.task,
@@ -105,14 +110,21 @@ class _Experts:
         return demonstrate
 
 
-def _demo(stage: Stage, performance: Performance, shots: Shots, form: Format) -> Demo:
+def _stills(stage: Stage, performance: Performance) -> list[Frame]:
+    return take_stills(stage, performance, generator("stills", performance.episode.id))
+
+
+def _demo(stage: Stage, performance: Performance, shots: Shots, content: Content) -> Demo:
     from kinebench_drake.suites.tasks.environment import X_WB
 
     recording = stage if isinstance(stage, _RecordingStage) else None
     return Demo(
         performance=performance,
         shots=shots,
-        film=film(stage, performance.snapshots) if form.films else None,
+        film=film(stage, performance.snapshots) if Content.FILM in content else None,
+        stills=take_stills(stage, performance, generator("stills", performance.episode.id))
+        if Content.STILLS in content
+        else (),
         X_WB=X_WB,
         states=recording.states if recording else (),
         successes=tuple(recording.successes) if recording else (),

@@ -6,7 +6,7 @@ from typing import Any
 
 import kinebench_drake
 from kinebench_drake.shard import Shard
-from kinebench_drake.suites.formats.demo import FormatKind, Shots
+from kinebench_drake.suites.formats.demo import Content, FormatKind, Shots
 from kinebench_drake.suites.formats.format import find_format
 from kinebench_drake.suites.suite import Draw, Suite
 from kinebench_drake.suites.tasks.card import Variant
@@ -57,7 +57,7 @@ class Order:
 
     def settings(self) -> dict[str, Any]:
         """What all demonstrations of a folder have in common, as JSON."""
-        split, films = self.suite.splits[self.split], find_format(self.kind).films
+        split, content = self.suite.splits[self.split], find_format(self.kind).content
         return {
             "version": kinebench_drake.__version__,
             "format": self.kind.value,
@@ -67,7 +67,8 @@ class Order:
             "variant": self.variant.value,
             "first_seed": split.seeds[0] + self.seed,
             "shard": None if self.shard is None else str(self.shard),
-            **({"frame_period_s": self.shots.frame_period_s, **asdict(self.shots)} if films else {}),
+            **({"frame_period_s": self.shots.frame_period_s, **asdict(self.shots)} if Content.FILM in content else {}),
+            **({"size": self.shots.size} if Content.STILLS in content else {}),
         }
 
     def request(self) -> dict[str, Any]:

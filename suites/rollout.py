@@ -13,9 +13,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from kinebench_drake.camera import Camera, benchmark_camera
+from kinebench_drake.errors import UsageError
 from kinebench_drake.geometry import Array, from_quaternion, invert
 from kinebench_drake.kinematics.plant import ArmPlant
+from kinebench_drake.models.panda.part import LINK_OF, Part
 from kinebench_drake.models.panda.robot import FINGER_LINKS, HAND_LINK, TCP_LINK
+from kinebench_drake.models.perception.frame import RENDERED_DEPTH_BIAS_M, Frame, part_map
 from kinebench_drake.native import prepare_vulkan
 from kinebench_drake.suites.episode import Episode
 from kinebench_drake.suites.experts.motion import CONTROL_PERIOD_S, plan
@@ -248,20 +251,48 @@ class Stage:
                 if body is not None:
                     body.visibility = float(visible)
 
-    def picture(self) -> tuple[NDArray[np.uint8], NDArray[np.uint16], NDArray[np.bool_]]:
-        """Colour (H, W, 3), depth (H, W) [mm] and gripper mask (H, W) of the present state."""
+    def look_from(self, camera: Camera) -> None:
+        """Take pictures from elsewhere; their size stays.
+
+        Raises:
+            UsageError: the camera has pictures of another size.
+        """
+        if (camera.width, camera.height) != (self.camera.width, self.camera.height):
+            raise UsageError(
+                f"the stage takes pictures of {self.camera.width} x {self.camera.height}, not of {camera.width} x "
+                f"{camera.height}"
+            )
+        from kinebench_drake.suites.tasks.environment import place_camera
+
+        place_camera(self._env._sensors[self._camera_name], camera)
+        self.camera = camera
+
+    def _capture(self) -> tuple[NDArray[np.uint8], NDArray[np.uint16], NDArray[np.integer[Any]]]:
+        """Colour (H, W, 3), depth (H, W) [mm] and segmentation ids (H, W) of the present state."""
         self._env.scene.update_render(update_sensors=True, update_human_render_cameras=False)
         sensor = self._env._sensors[self._camera_name]
         sensor.capture()
         images = sensor.get_obs(rgb=True, depth=True, position=False, segmentation=True)
         rgb, depth, labels = (images[name][0].cpu().numpy() for name in ("rgb", "depth", "segmentation"))
-        links = self._env.agent.robot.links_map
-        gripper = [int(links[name].per_scene_id[0]) for name in GRIPPER_LINKS if name in links]
-        return (
-            np.array(rgb, dtype=np.uint8),
-            np.clip(depth[..., 0], 0, None).astype(np.uint16),
-            np.isin(labels[..., 0], gripper),
-        )
+        return np.array(rgb, dtype=np.uint8), np.clip(depth[..., 0], 0, None).astype(np.uint16), labels[..., 0]
+
+    def _link_ids(self) -> dict[str, int]:
+        return {name: int(link.per_scene_id[0]) for name, link in self._env.agent.robot.links_map.items()}
+
+    def picture(self) -> tuple[NDArray[np.uint8], NDArray[np.uint16], NDArray[np.bool_]]:
+        """Colour (H, W, 3), depth (H, W) [mm] and gripper mask (H, W) of the present state."""
+        rgb, depth_mm, labels = self._capture()
+        return rgb, depth_mm, np.isin(labels, [i for name, i in self._link_ids().items() if name in GRIPPER_LINKS])
+
+    def still(self) -> Frame:
+        """The present state as a training frame: a picture in which each pixel knows what it shows."""
+        rgb, depth_mm, labels = self._capture()
+        part_of = {name: part for part, name in LINK_OF.items()}
+        ids = {i: part_of.get(name, Part.BACKGROUND) for name, i in self._link_ids().items()}
+        X_BL = {name: self.link_pose(name) for name in part_of}
+        finger_m = float(self.snapshot().fingers_m.mean())
+        depth_m = depth_mm / 1000.0 + RENDERED_DEPTH_BIAS_M
+        return Frame.of_picture(rgb, depth_m, part_map(labels, ids), self.camera, X_BL, finger_m)
 
 
 def perform(stage: Stage, expert: Expert, episode: Episode, *, every: int = STEPS_PER_FRAME) -> Performance:

@@ -11,11 +11,11 @@ from torch.utils.data import Dataset
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import UsageError
-from kinebench_drake.geometry import invert, transform_points
+from kinebench_drake.geometry import Array, invert, make_pose, transform_points
 from kinebench_drake.grounding.crop import GRIPPER_CENTRE_H, GRIPPER_RADIUS_M, Crop
 from kinebench_drake.grounding.training.augment import degrade, occlude
-from kinebench_drake.grounding.training.frame import DEPTH_UNIT_M, Frame
-from kinebench_drake.models.panda.part import GRIPPER, Part
+from kinebench_drake.models.panda.part import ARM, GRIPPER, OPENING_SIGN, Part
+from kinebench_drake.models.perception.frame import DEPTH_UNIT_M, Frame
 from kinebench_drake.models.perception.network import COORDINATE_SCALE_M, DEPTH_CENTRE, STRIDE
 
 CROP_SIZE = 128
@@ -55,19 +55,26 @@ def random_view(frame: Frame, rng: np.random.Generator) -> Crop:
 
 
 def label(frame: Frame, crop: Crop) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.float32]]:
-    """Part, CAD coordinates and log depth of `frame` on the output grid of `crop`, in network units."""
+    """Part, CAD coordinates in the part's frame and log depth of `frame` on the output grid of `crop`, network units."""
     camera = frame_camera(frame)
     part = np.asarray(crop.warp(frame.part, camera, STRIDE, nearest=True), dtype=np.uint8)
     depth_C = np.asarray(crop.warp(frame.depth, camera, STRIDE, nearest=True), dtype=np.float64) * DEPTH_UNIT_M
     rays_V = crop.rays(STRIDE)
     rays_C = rays_V @ crop.R_CV.T
     z_V = depth_C / rays_C[..., 2]  # the depth map is along the real camera's axis
-    p_H = transform_points(invert(frame.X_CH) @ crop.X_CV, (rays_V * z_V[..., None]).reshape(-1, 3)).reshape(
-        rays_V.shape
-    )
-    p_H[..., 1] -= frame.finger_m * ((part == Part.LEFT_FINGER).astype(float) - (part == Part.RIGHT_FINGER))
+    X_PV = invert(_part_poses(frame)) @ crop.X_CV
+    p_P = np.einsum("hwij,hwj->hwi", X_PV[part, :3, :3], rays_V * z_V[..., None]) + X_PV[part, :3, 3]
     log_depth = np.log(np.maximum(z_V, 1e-3) * crop.size / crop.focal / DEPTH_CENTRE)
-    return part, (p_H / COORDINATE_SCALE_M).astype(np.float32), log_depth.astype(np.float32)
+    return part, (p_P / COORDINATE_SCALE_M).astype(np.float32), log_depth.astype(np.float32)
+
+
+def _part_poses(frame: Frame) -> Array:
+    """(PARTS, 4, 4) frame of each part's CAD coordinates in the camera frame, by value of `Part`."""
+    X_CP = np.tile(np.eye(4), (len(Part), 1, 1))
+    for part in GRIPPER:
+        X_CP[part] = frame.X_CH @ make_pose(np.eye(3), [0.0, OPENING_SIGN[part] * frame.finger_m, 0.0])
+    X_CP[list(ARM)] = frame.X_CL
+    return X_CP
 
 
 class Shards:
@@ -106,6 +113,7 @@ class Shards:
             part=np.asarray(a["part"][i], dtype=np.uint8),
             K=np.asarray(a["K"][i], dtype=np.float64),
             X_CH=np.asarray(a["camera_from_hand"][i], dtype=np.float64),
+            X_CL=np.asarray(a["camera_from_links"][i], dtype=np.float64),
             finger_m=float(a["finger_m"][i]),
         )
 

@@ -12,8 +12,8 @@ from kinebench_drake.grounding.confidence import FEATURES, Confidence, features
 from kinebench_drake.grounding.tracker import CadTracker
 from kinebench_drake.grounding.training.augment import degrade
 from kinebench_drake.grounding.training.dataset import Shards, frame_camera
-from kinebench_drake.grounding.training.frame import DEPTH_UNIT_M
 from kinebench_drake.grounding.training.render import FRAMES_PER_SCENE
+from kinebench_drake.models.perception.frame import DEPTH_UNIT_M
 
 HOLDOUT_SEED = 1_000_000
 """First seed of held-out scenes; training uses seeds from 0."""

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from kinebench_drake.errors import SetupError
-from kinebench_drake.grounding.training.frame import is_complete, save_shard, shard_folder
 from kinebench_drake.grounding.training.scene import Scene
+from kinebench_drake.models.perception.frame import is_complete, save_shard, shard_folder
 
 FRAMES_PER_SCENE = 20
 HANDLESS_EVERY = 16

@@ -5,28 +5,19 @@ from typing import Any
 import numpy as np
 
 from kinebench_drake import native
-from kinebench_drake.camera import Camera, benchmark_camera
-from kinebench_drake.geometry import Array, invert, make_pose, orthonormalize, rotation_exp
-from kinebench_drake.grounding.training.frame import DEPTH_UNIT_M, Frame
+from kinebench_drake.camera import Camera
+from kinebench_drake.geometry import Array, invert, make_pose, orthonormalize
 from kinebench_drake.grounding.training.textures import random_texture
-from kinebench_drake.models.panda.part import GRIPPER, Part
+from kinebench_drake.models.panda.part import GRIPPER, LINK_OF, Part
 from kinebench_drake.models.panda.robot import source_urdf
+from kinebench_drake.models.perception.frame import RENDERED_DEPTH_BIAS_M, Frame, part_map
+from kinebench_drake.models.perception.viewpoint import varied_camera
 
 IMAGE_SIZE = 384
 """Width and height of frames [px]."""
 
 _TABLE_HALF = (0.9, 1.2, 0.02)
 _OPENCV_FROM_SAPIEN = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
-
-
-def random_camera(rng: np.random.Generator) -> Camera:
-    """The benchmark camera moved by up to about 6 cm and 6 degrees, field of view 45 to 75 degrees."""
-    camera = benchmark_camera()
-    X_BC = camera.X_BC @ make_pose(rotation_exp(np.deg2rad(rng.uniform(-6, 6, 3))), rng.uniform(-0.06, 0.06, 3))
-    fov = np.deg2rad(rng.uniform(45, 75)) if rng.random() < 0.6 else np.deg2rad(60)
-    focal = float(IMAGE_SIZE / 2 / np.tan(fov / 2))
-    centre = IMAGE_SIZE / 2
-    return Camera(width=IMAGE_SIZE, height=IMAGE_SIZE, fx=focal, fy=focal, cx=centre, cy=centre, X_BC=X_BC)
 
 
 class Scene:
@@ -134,16 +125,13 @@ class Scene:
         self._robot = loader.load(str(source_urdf().with_name(urdf)))
         self._links = {link.name: link for link in self._robot.get_links()}
         recolour, tint = rng.random() < 0.3, rng.uniform(0.7, 1.1, 3)
+        part_of = {name: part for part, name in LINK_OF.items()}
         self._part_of_id = {}
         for name, link in self._links.items():
-            part = {
-                "panda_hand": Part.HAND,
-                "panda_leftfinger": Part.LEFT_FINGER,
-                "panda_rightfinger": Part.RIGHT_FINGER,
-            }.get(name, Part.ARM)
+            part = part_of.get(name, Part.BACKGROUND)
             self._part_of_id[link.entity.per_scene_id] = part
             body = link.entity.find_component_by_type(self._sapien.render.RenderBodyComponent)
-            if handless and part is not Part.ARM and body is not None:
+            if handless and part in GRIPPER and body is not None:
                 body.visibility = 0.0
             if recolour and body is not None:
                 for shape in body.render_shapes:
@@ -216,7 +204,7 @@ class Scene:
 
     def frame(self) -> Frame:
         """Move everything, render once."""
-        camera = random_camera(self._rng)
+        camera = varied_camera(self._rng, IMAGE_SIZE)
         holds = bool(self._rng.random() < 0.35)
         finger = (
             self._held[1]
@@ -233,12 +221,10 @@ class Scene:
         if self._minimal:
             rgb = component.get_picture("Color")[..., :3]
             packed = component.get_picture("PositionSegmentation")
-            depth_m, ids = -packed[..., 2].astype(np.float64) / 1000.0, packed[..., 3]
+            depth_m = -packed[..., 2].astype(np.float64) / 1000.0 + RENDERED_DEPTH_BIAS_M
+            ids = packed[..., 3]
         else:
             rgb = (np.clip(component.get_picture("Color")[..., :3], 0, 1) * 255).astype(np.uint8)
             depth_m, ids = -component.get_picture("Position")[..., 2], component.get_picture("Segmentation")[..., 1]
-        part = np.zeros(ids.shape, np.uint8)
-        for entity_id, value in self._part_of_id.items():
-            part[ids == entity_id] = value
-        depth = np.where(np.isin(part, GRIPPER), np.round(depth_m / DEPTH_UNIT_M), 0).astype(np.uint16)
-        return Frame(rgb=rgb, depth=depth, part=part, K=camera.K, X_CH=X_CH, finger_m=finger)
+        X_BL = {n: link.entity_pose.to_transformation_matrix().astype(np.float64) for n, link in self._links.items()}
+        return Frame.of_picture(rgb, depth_m, part_map(ids, self._part_of_id), camera, X_BL, finger)

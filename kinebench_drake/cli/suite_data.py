@@ -116,8 +116,8 @@ def _chosen(suite: "Suite", split: str, names: str | None, variant: "Variant") -
 @_SEED
 @variant_option
 @click.option(
-    "--format", "kind", type=click.Choice(["mp4", "lerobot-v3", "maniskill-h5"]), default="mp4", show_default=True,
-    help="mp4: a video a clip, with captions.",
+    "--format", "kind", type=click.Choice(["mp4", "lerobot-v3", "maniskill-h5", "frames"]), default="mp4",
+    show_default=True, help="mp4: a video a clip, with captions; frames: labelled stills to train perception with.",
 )  # fmt: skip
 @click.option("--size", type=SIZES, help="Width and height of the videos.  [default: 384]", metavar="PX")
 @click.option(
@@ -129,6 +129,7 @@ def _chosen(suite: "Suite", split: str, names: str | None, variant: "Variant") -
     help="Frames of a clip of 9.6 s: 49 (every fourth control step), 25, 97, 193 ...  [default: 49]",
 )  # fmt: skip
 @click.option("--crf", type=click.IntRange(0, 51), help="x264's quality, 0 is lossless.  [default: 16]")
+@click.option("--with-depth", is_flag=True, help="mp4: keep depth and gripper masks in truth/ (some MB a video).")
 @_OUT
 @jobs_option
 @click.option("--shard", metavar="I/N", help="Make part I (1 to N) of N, for several machines; an --out for each.")
@@ -147,6 +148,7 @@ def demos(
     fps: float | None,
     frames: int | None,
     crf: int | None,
+    with_depth: bool,
     out: Path,
     jobs: int,
     shard: str | None,
@@ -173,7 +175,7 @@ def demos(
         episodes=episodes,
         seed=seed,
         variant=version,
-        shots=_shots(form, size, fps, frames, crf),
+        shots=_shots(form, size, fps, frames, crf, with_depth),
         kind=form,
         out=out,
         shard=None if shard is None else Shard.parse(shard),
@@ -189,7 +191,9 @@ def demos(
     ctx.exit(1 if delivery.short else 0)
 
 
-def _shots(kind: "FormatKind", size: int | None, fps: float | None, frames: int | None, crf: int | None) -> "Shots":
+def _shots(
+    kind: "FormatKind", size: int | None, fps: float | None, frames: int | None, crf: int | None, with_depth: bool
+) -> "Shots":
     """How to film, from what was said and what was not.
 
     Raises:
@@ -201,6 +205,11 @@ def _shots(kind: "FormatKind", size: int | None, fps: float | None, frames: int 
     if kind is FormatKind.MANISKILL and said:
         named = ", ".join(f"--{name}" for name in said)
         raise UsageError(f"{named}: --format {kind.value} holds no video, but every control step at 20 Hz")
+    if kind is FormatKind.FRAMES and set(said) - {"size"}:
+        named = ", ".join(f"--{name}" for name in said if name != "size")
+        raise UsageError(f"{named}: --format {kind.value} holds no video, but stills")
+    if with_depth and kind is not FormatKind.MP4:
+        raise UsageError(f"--with-depth: the truth of --format {kind.value} holds none; take mp4 or frames")
     if size is not None and size % 2:
         raise UsageError(f"--size is {size}, expected an even number of pixels")
     plain = Shots()
@@ -209,6 +218,7 @@ def _shots(kind: "FormatKind", size: int | None, fps: float | None, frames: int 
         frames=plain.frames if frames is None else frames,
         fps=fps or plain.fps,
         crf=plain.crf if crf is None else crf,
+        with_depth=with_depth,
     )
     if kind is FormatKind.LEROBOT:
         rate = 1.0 / shots.frame_period_s

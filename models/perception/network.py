@@ -43,9 +43,10 @@ class DenseOutput:
     part_logits: Tensor
     """(B, PARTS, h, w)."""
     coordinates: Tensor
-    """(B, 3, h, w) CAD point in the hand frame with closed fingers, in units of COORDINATE_SCALE_M."""
+    """(B, 2, 3, h, w) CAD point in units of COORDINATE_SCALE_M, if the cell shows the gripper (first; in the hand frame
+    with closed fingers) and if it shows a link of the arm (second; in the link's own frame)."""
     coordinate_log_scale: Tensor
-    """(B, h, w) log of the Laplace scale of the coordinates, same units."""
+    """(B, 2, h, w) log of the Laplace scale of the coordinates, same units."""
     log_depth: Tensor
     """(B, h, w) log(z * size / focal / DEPTH_CENTRE)."""
     depth_log_scale: Tensor
@@ -134,7 +135,7 @@ class GripperNetwork(nn.Module):
         self.squeeze = nn.Conv2d(_STAGES[-1][-1], _DECODER[0], 1)
         channels = (_DECODER[0], *_DECODER[:-1])
         self.decoder = nn.ModuleList(_fuse(c + s, d) for c, s, d in zip(channels, skips, _DECODER, strict=True))
-        self.head = nn.Conv2d(_DECODER[-1], PARTS + 6, 1)
+        self.head = nn.Conv2d(_DECODER[-1], PARTS + 2 * 4 + 2, 1)
 
     def forward(self, images: Tensor) -> DenseOutput:
         """Run the network; scales are bounded to e^-5 .. e^2."""
@@ -144,13 +145,14 @@ class GripperNetwork(nn.Module):
             x = functional.interpolate(x, size=skip.shape[-2:], mode="bilinear", align_corners=False)
             x = fuse(torch.cat([x, skip], dim=1))
         y = self.head(x).float()
-        parts, coordinates, depth = y[:, :PARTS], y[:, PARTS : PARTS + 3], y[:, PARTS + 4]
+        parts, coordinates, depth = y.split([PARTS, 2 * 4, 2], dim=1)
+        coordinates = coordinates.unflatten(1, (2, 4))
         return DenseOutput(
             part_logits=parts,
-            coordinates=coordinates,
-            coordinate_log_scale=y[:, PARTS + 3].clamp(-5.0, 2.0),
-            log_depth=depth,
-            depth_log_scale=y[:, PARTS + 5].clamp(-5.0, 2.0),
+            coordinates=coordinates[:, :, :3],
+            coordinate_log_scale=coordinates[:, :, 3].clamp(-5.0, 2.0),
+            log_depth=depth[:, 0],
+            depth_log_scale=depth[:, 1].clamp(-5.0, 2.0),
         )
 
     def load_imagenet_encoder(self) -> None:

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from enum import Enum
+from enum import Enum, Flag, auto
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from kinebench_drake.camera import Camera, benchmark_camera
 from kinebench_drake.errors import UsageError
 from kinebench_drake.geometry import Array, from_quaternion, invert
+from kinebench_drake.models.perception.frame import Frame
 from kinebench_drake.suites.experts.motion import CONTROL_PERIOD_S
 from kinebench_drake.suites.rollout import CLIP_FRAMES, STEPS_PER_FRAME, Clip, Performance, Snapshot
 
@@ -29,6 +30,18 @@ class FormatKind(Enum):
     MP4 = "mp4"
     LEROBOT = "lerobot-v3"
     MANISKILL = "maniskill-h5"
+    FRAMES = "frames"
+
+
+class Content(Flag):
+    """What a format holds of a demonstration beside numbers."""
+
+    FILM = auto()
+    """All its frames."""
+    STILLS = auto()
+    """Some moments, each pixel labelled."""
+    STATES = auto()
+    """ManiSkill's states."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,6 +56,8 @@ class Shots:
     """Frames per second that a video plays at."""
     crf: int = 16
     """x264's quality."""
+    with_depth: bool = False
+    """Whether the truth of a film holds depth and masks."""
 
     def __post_init__(self) -> None:
         """Check the numbers of frames.
@@ -105,6 +120,8 @@ class Demo:
     """All its frames, those between two clips once."""
     X_WB: Array
     """(4, 4) the robot's base in the ManiSkill world, in which snapshots are."""
+    stills: Sequence[Frame] = ()
+    """Labelled stills, for formats that hold them."""
     states: Sequence[dict[str, dict[str, NDArray[np.float32]]]] = ()
     """ManiSkill's state at the start and after each control step, for formats that keep it."""
     successes: tuple[bool, ...] = ()
@@ -149,6 +166,8 @@ class Demo:
         }
         if film is not None:
             arrays |= {"base_from_tcp": film.X_BG, "camera_from_hand": film.X_CH}
+            if self.shots.with_depth:
+                arrays |= {"depth_mm": film.depth_mm, "mask": np.packbits(film.mask, axis=-1)}
         names = list(snapshots[0].objects)
         arrays["objects"] = np.array(names)
         arrays["base_from_object"] = np.stack([[self._in_base(s, name) for name in names] for s in snapshots])

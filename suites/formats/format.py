@@ -4,16 +4,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
-from kinebench_drake.suites.formats.demo import Demo, FormatKind, Record, Shots
+from kinebench_drake.suites.formats.demo import Content, Demo, FormatKind, Record, Shots
 
 
 class Format(Protocol):
     """A format of demonstrations in a folder."""
 
-    films: bool
-    """Whether it holds pictures."""
-    keeps_states: bool
-    """Whether it holds ManiSkill's states."""
+    content: Content
+    """What it holds."""
 
     def part_files(self, folder: Path, record: Record) -> list[Path]:
         """Files that a demonstration's part consists of."""
@@ -53,3 +51,7 @@ def find_format(kind: FormatKind) -> Format:
             from kinebench_drake.suites.formats.maniskill import ManiSkill
 
             return ManiSkill()
+        case FormatKind.FRAMES:
+            from kinebench_drake.suites.formats.frames import Frames
+
+            return Frames()

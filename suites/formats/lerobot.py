@@ -19,7 +19,7 @@ from kinebench_drake.geometry import to_quaternion
 from kinebench_drake.mp4 import join_videos, write_video
 from kinebench_drake.storage import storage, whole
 from kinebench_drake.suites.files import write_arrays, write_json
-from kinebench_drake.suites.formats.demo import PARTS, Demo, Record, Shots
+from kinebench_drake.suites.formats.demo import PARTS, Content, Demo, Record, Shots
 from kinebench_drake.suites.formats.statistics import of_features
 
 VERSION = "v3.0"
@@ -48,8 +48,7 @@ Columns = dict[str, NDArray[Any]]
 class LeRobot:
     """See the module."""
 
-    films = True
-    keeps_states = False
+    content = Content.FILM
 
     def part_files(self, folder: Path, record: Record) -> list[Path]:
         """Numbers, film and truth of a demonstration."""

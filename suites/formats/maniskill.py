@@ -13,7 +13,7 @@ import numpy as np
 from kinebench_drake.storage import whole
 from kinebench_drake.suites.experts.motion import CONTROL_PERIOD_S
 from kinebench_drake.suites.files import write_arrays, write_json
-from kinebench_drake.suites.formats.demo import CLIP_STEPS, PARTS, Demo, Record, Shots
+from kinebench_drake.suites.formats.demo import CLIP_STEPS, PARTS, Content, Demo, Record, Shots
 from kinebench_drake.suites.rollout import Stage
 from kinebench_drake.suites.tasks.registry import TASKS
 
@@ -24,8 +24,7 @@ _STATES = "env_states"
 class ManiSkill:
     """See the module."""
 
-    films = False
-    keeps_states = True
+    content = Content.STATES
 
     def part_files(self, folder: Path, record: Record) -> list[Path]:
         """Arrays of a demonstration."""

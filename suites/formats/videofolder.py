@@ -14,7 +14,7 @@ from kinebench_drake.errors import SetupError
 from kinebench_drake.mp4 import write_video
 from kinebench_drake.storage import storage
 from kinebench_drake.suites.files import write_arrays, write_lines
-from kinebench_drake.suites.formats.demo import Demo, Record, Shots
+from kinebench_drake.suites.formats.demo import Content, Demo, Record, Shots
 from kinebench_drake.suites.tasks.registry import TASKS
 
 
@@ -26,8 +26,7 @@ def _names(task: str, id: str, clips: int) -> list[str]:
 class VideoFolder:
     """See the module."""
 
-    films = True
-    keeps_states = False
+    content = Content.FILM
 
     def part_files(self, folder: Path, record: Record) -> list[Path]:
         """Video and truth of each clip."""

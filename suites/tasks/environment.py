@@ -44,6 +44,7 @@ START_NOISE_RAD = 0.02
 """Standard deviation of the start's noise in each joint."""
 CAMERA = "base_camera"
 """Name of the camera."""
+_NEAR_M, _FAR_M = 0.01, 20.0
 
 
 def sapien_from_opencv(X_AC: Array) -> Array:
@@ -60,10 +61,18 @@ def camera_config(camera: Camera) -> CameraConfig:
         pose=sapien.Pose(X_WS[:3, 3], to_quaternion(X_WS[:3, :3])),
         width=camera.width,
         height=camera.height,
-        near=0.01,
-        far=20.0,
+        near=_NEAR_M,
+        far=_FAR_M,
         intrinsic=camera.K,
     )
+
+
+def place_camera(sensor: Any, camera: Camera) -> None:
+    """Move ManiSkill's camera and change its lens, without building the scene anew."""
+    X_WS = sapien_from_opencv(X_WB @ camera.X_BC)
+    for component in sensor.camera._render_cameras:
+        component.set_perspective_parameters(_NEAR_M, _FAR_M, camera.fx, camera.fy, camera.cx, camera.cy, 0.0)
+        component.set_local_pose(sapien.Pose(X_WS[:3, 3], to_quaternion(X_WS[:3, :3])))
 
 
 class KineBenchEnv(BaseEnv):  # type: ignore[misc]

@@ -44,7 +44,7 @@ def test_outliers_do_not_pull_the_pose_away(cad: GripperCad) -> None:
     X_CH = hand_pose(1)
     view = perfect_view(cad, X_CH, noise_m=0.002)
     wrong = np.random.default_rng(0).random(view.part.shape) < 0.15
-    view.coordinates_H[wrong] += [0.08, -0.05, 0.03]
+    view.coordinates_P[wrong] += [0.08, -0.05, 0.03]
     result = fit(view)
     assert result is not None
     distance, angle = pose_difference(view.crop.X_CV @ result.X_VH, X_CH)

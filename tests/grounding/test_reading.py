@@ -12,7 +12,7 @@ def frame_pose(cad: GripperCad, X_CH: Array, *, turned: bool, noise_m: float = 0
     """What the tracker hands on when the network reads the gripper right, or turned with little confidence."""
     view = perfect_view(cad, X_CH, noise_m=noise_m)
     if turned:
-        view.coordinates_H[..., :2] *= -1.0
+        view.coordinates_P[..., :2] *= -1.0
         view.coordinates_sigma_m[:] = 0.05
     found = fit(view)
     assert isinstance(found, Fit)

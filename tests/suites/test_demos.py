@@ -21,7 +21,7 @@ from kinebench_drake.shard import Shard
 from kinebench_drake.suites import demos
 from kinebench_drake.suites.demos import Delivery, make_demos
 from kinebench_drake.suites.export import episode_facts
-from kinebench_drake.suites.formats.demo import FRAME_CHOICES, Demo, FormatKind, Record, Shots
+from kinebench_drake.suites.formats.demo import FRAME_CHOICES, Content, Demo, FormatKind, Record, Shots
 from kinebench_drake.suites.formats.lerobot import CAMERA, STATE, LeRobot
 from kinebench_drake.suites.formats.statistics import of_histograms, of_rows
 from kinebench_drake.suites.formats.videofolder import VideoFolder
@@ -57,7 +57,7 @@ class Watcher:
 class FakeFormat:
     """A format whose parts are empty files."""
 
-    films, keeps_states = True, False
+    content = Content.FILM
 
     def part_files(self, folder: Path, record: Record) -> list[Path]:
         return [folder / f"{record.id}.mp4"]

@@ -4,7 +4,7 @@ import pytest
 from kinebench_drake.geometry import invert, transform_points
 from kinebench_drake.grounding.crop import Crop
 from kinebench_drake.grounding.training.dataset import CROP_SIZE, Crops, Shards, frame_camera, label
-from kinebench_drake.grounding.training.frame import DEPTH_UNIT_M
+from kinebench_drake.models.perception.frame import DEPTH_UNIT_M
 from kinebench_drake.grounding.training.render import FRAMES_PER_SCENE
 from kinebench_drake.grounding.training.scene import Scene
 from kinebench_drake.models.panda.cad import GripperCad

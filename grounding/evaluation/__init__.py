@@ -1,0 +1,1 @@
+"""Measuring the grounding against ground truth."""

@@ -1,0 +1,156 @@
+"""Clips with their truth, as `kinebench-drake suite demos` and `python -m kinebench_drake.suites.samples` write them."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from hashlib import blake2b
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinebench_drake.camera import Camera
+from kinebench_drake.errors import UsageError, cause
+from kinebench_drake.geometry import Array
+from kinebench_drake.products import Anomaly, AnomalyKind
+
+_HALF_MM = 0.5  # stored depth is cut towards zero
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Clip:
+    """A video with its truth."""
+
+    id: str
+    task: str
+    """Plain task id; empty where the manifest names none."""
+    path: Path
+    camera: Camera
+    t_s: Array
+    """(T,) task time [s]."""
+    X_CH: Array
+    """(T, 4, 4) true pose of panda_hand in the camera frame; NaN where the gripper is not in the picture."""
+    finger_width_m: Array
+    """(T,) true gap between the pads [m]."""
+    depth_m: Array | None
+    """(T, H, W) true depth [m], if stored and asked for."""
+    mask: NDArray[np.bool_] | None
+    """(T, H, W) pixels that show the gripper, if stored."""
+    faults: tuple[Anomaly, ...]
+    """Planted faults."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ClipFile:
+    """Where a clip and its truth lie: light enough to be handed to other processes."""
+
+    id: str
+    task: str
+    """Plain task id; empty where the manifest names none."""
+    video: Path
+    truth: Path
+    camera: Camera
+    faults: tuple[Anomaly, ...]
+    """Planted faults."""
+
+    def load(self, *, with_depth: bool = False) -> Clip:
+        """Read the truth, its depth maps only `with_depth`.
+
+        Raises:
+            UsageError: the file is damaged, or holds no depth although that is asked for.
+        """
+        try:
+            with np.load(self.truth, allow_pickle=False) as truth:
+                if with_depth and not {"depth_mm", "mask"} <= set(truth.files):
+                    raise UsageError(f"{self.id}: its truth holds no depth; make the videos with --with-depth")
+                mask = truth["mask"] if "mask" in truth.files else None
+                return Clip(
+                    id=self.id,
+                    task=self.task,
+                    path=self.video,
+                    camera=self.camera,
+                    t_s=truth["t_s"],
+                    X_CH=truth["camera_from_hand"],
+                    finger_width_m=truth["finger_width_m"],
+                    depth_m=(truth["depth_mm"] + _HALF_MM) / 1000.0 if with_depth else None,
+                    mask=None if mask is None else np.unpackbits(mask, axis=-1, count=self.camera.width).astype(bool),
+                    faults=self.faults,
+                )
+        except (OSError, ValueError, KeyError) as error:
+            raise UsageError(f"{self.truth.name}: not a readable truth file ({cause(error)})") from None
+
+    def digest(self) -> str:
+        """A few characters that change with the video or its truth."""
+        hashed = blake2b(digest_size=8)
+        for path in (self.video, self.truth):
+            hashed.update(path.read_bytes())
+        return hashed.hexdigest()
+
+
+def find_clips(folder: Path) -> list[ClipFile]:
+    """The clips that the manifest of a folder lists, in its order.
+
+    Raises:
+        UsageError: there is no manifest, no camera or no truth.
+    """
+    manifest = folder / "manifest.jsonl"
+    if not manifest.is_file():
+        raise UsageError(f"{folder.name}: has no manifest.jsonl; make such a folder with `kinebench-drake suite demos`")
+    camera = Camera.load(folder / "camera.json")
+    faults_path = folder / "truth" / "faults.json"
+    planted = json.loads(faults_path.read_text()) if faults_path.is_file() else {}
+    clips = []
+    for number, line in enumerate(manifest.read_text().splitlines(), 1):
+        try:
+            entry = json.loads(line)
+            video = str(entry["video"])
+        except (ValueError, KeyError, TypeError):
+            raise UsageError(f"{manifest.name} line {number}: expected a JSON object with the key video") from None
+        name = Path(video).stem
+        truth = folder / "truth" / f"{name}.npz"
+        if not truth.is_file():
+            raise UsageError(f"{folder.name}: truth/{truth.name} is missing, so errors cannot be measured")
+        clips.append(
+            ClipFile(
+                id=name,
+                task=str(entry.get("task") or ""),
+                video=folder / video,
+                truth=truth,
+                camera=camera,
+                faults=tuple(_fault(f) for f in _as_list(planted.get(name))),
+            )
+        )
+    if not clips:
+        raise UsageError(f"{folder.name}: its manifest lists no video")
+    return clips
+
+
+def load_clips(folder: Path, *, with_depth: bool = False) -> list[Clip]:
+    """All clips of a small folder at once; see `find_clips` and `ClipFile.load`."""
+    return [clip.load(with_depth=with_depth) for clip in find_clips(folder)]
+
+
+def choose(clips: Sequence[ClipFile], limit: int | None) -> list[ClipFile]:
+    """So many of the clips, from all tasks in turn, in the order of the manifest; all of them without a limit."""
+    seen: dict[str, int] = {}
+    turns = []
+    for clip in clips:
+        turns.append(seen.get(clip.task, 0))
+        seen[clip.task] = turns[-1] + 1
+    order = sorted(range(len(clips)), key=lambda i: (turns[i], i))
+    return [clips[i] for i in sorted(order[:limit])]
+
+
+def _as_list(value: object) -> list[dict[str, object]]:
+    if value is None:
+        return []
+    return value if isinstance(value, list) else [value]  # type: ignore[list-item]
+
+
+def _fault(data: dict[str, object]) -> Anomaly:
+    return Anomaly(
+        kind=AnomalyKind(data["kind"]),
+        frame_start=int(str(data["frame_start"])),
+        frame_end=int(str(data["frame_end"])),
+        severity=float(str(data["size"])),
+    )

@@ -1,0 +1,106 @@
+"""A rendered training frame, and the folders of them.
+
+A data set is a folder of shards, each a scene's worth of frames stored as plain `.npy` files that training maps into
+memory: `rgb` (N, S, S, 3) uint8, `depth` (N, S, S) uint16 [0.1 mm] of the robot's pixels (0 elsewhere), `part`
+(N, S, S) uint8 (`Part`), and `truth.npz` with `K` (N, 3, 3), `camera_from_hand` (N, 4, 4), `camera_from_links`
+(N, 8, 4, 4), `finger_m` (N,).
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinebench_drake.camera import Camera
+from kinebench_drake.geometry import Array, invert
+from kinebench_drake.models.panda.part import ARM, GRIPPER, LINK_OF, Part
+from kinebench_drake.models.panda.robot import HAND_LINK
+
+DEPTH_UNIT_M = 1e-4
+"""Unit of stored depth [m]."""
+RENDERED_DEPTH_BIAS_M = 0.0005
+"""What SAPIEN's depth in whole millimetres lacks on average, being cut towards zero [m]."""
+FILES = ("rgb.npy", "depth.npy", "part.npy", "truth.npz")
+"""Files of a shard."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Frame:
+    """One rendered frame with its truth."""
+
+    rgb: NDArray[np.uint8]
+    """(S, S, 3)."""
+    depth: NDArray[np.uint16]
+    """(S, S) depth of the robot's pixels along the camera's z [0.1 mm], 0 elsewhere."""
+    part: NDArray[np.uint8]
+    """(S, S) values of `Part`."""
+    K: Array
+    """(3, 3) intrinsics [px]."""
+    X_CH: Array
+    """(4, 4) pose of panda_hand in the camera frame [m]."""
+    X_CL: Array
+    """(8, 4, 4) poses of panda_link0 to panda_link7 in the camera frame [m]."""
+    finger_m: float
+    """Opening of each finger, 0..0.04 [m]."""
+
+    @property
+    def gripper(self) -> NDArray[np.bool_]:
+        """(S, S) pixels that show hand or fingers."""
+        return np.isin(self.part, GRIPPER)
+
+    @classmethod
+    def of_picture(
+        cls,
+        rgb: NDArray[np.uint8],
+        depth_m: NDArray[np.floating[Any]],
+        part: NDArray[np.uint8],
+        camera: Camera,
+        X_BL: Mapping[str, Array],
+        finger_m: float,
+    ) -> "Frame":
+        """The frame of a picture whose links are at `X_BL` (poses (4, 4) by name in the robot's base frame)."""
+        X_CB = invert(camera.X_BC)
+        return cls(
+            rgb=rgb,
+            depth=np.where(part > 0, np.round(depth_m / DEPTH_UNIT_M), 0).astype(np.uint16),
+            part=part,
+            K=camera.K,
+            X_CH=X_CB @ X_BL[HAND_LINK],
+            X_CL=X_CB @ np.stack([X_BL[LINK_OF[link]] for link in ARM]),
+            finger_m=finger_m,
+        )
+
+
+def part_map(ids: NDArray[np.integer[Any]], part_of_id: Mapping[int, Part]) -> NDArray[np.uint8]:
+    """Values of `Part` (S, S) from a renderer's segmentation ids (S, S)."""
+    part = np.zeros(ids.shape, np.uint8)
+    for entity, value in part_of_id.items():
+        part[ids == entity] = value
+    return part
+
+
+def shard_folder(folder: Path, seed: int) -> Path:
+    """Where the scene of a seed is stored."""
+    return folder / f"{seed:06d}"
+
+
+def is_complete(shard: Path) -> bool:
+    """Whether a shard was written to its end."""
+    return (shard / "truth.npz").is_file()
+
+
+def save_shard(frames: Sequence[Frame], shard: Path) -> None:
+    """Write a scene's frames; the truth last, as it marks the shard complete."""
+    shard.mkdir(parents=True, exist_ok=True)
+    for name in ("rgb", "depth", "part"):
+        np.save(shard / f"{name}.npy", np.stack([getattr(f, name) for f in frames]))
+    np.savez(
+        shard / "truth.npz",
+        K=np.stack([f.K for f in frames]),
+        camera_from_hand=np.stack([f.X_CH for f in frames]),
+        camera_from_links=np.stack([f.X_CL for f in frames]),
+        finger_m=np.array([f.finger_m for f in frames]),
+    )
