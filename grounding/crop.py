@@ -17,6 +17,10 @@ GRIPPER_CENTRE_H = np.array([0.0, 0.0, 0.045])
 """Centre of the gripper's bounding sphere in panda_hand [m]."""
 GRIPPER_RADIUS_M = 0.115
 """Radius of that sphere [m]."""
+WIDE_SIZE = 192
+"""Width of the view of the whole frame that finds the gripper [px]."""
+CLOSE_SIZE = 128
+"""Width of the close view [px]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

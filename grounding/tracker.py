@@ -8,17 +8,13 @@ from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, interpolate_pose, transform_points
-from kinebench_drake.grounding.crop import GRIPPER_CENTRE_H, Crop
+from kinebench_drake.grounding.crop import CLOSE_SIZE, GRIPPER_CENTRE_H, WIDE_SIZE, Crop
 from kinebench_drake.grounding.fit import Fit, fit
 from kinebench_drake.grounding.registration import IcpRefiner
 from kinebench_drake.grounding.view import DepthEstimator, Frames, GripperView
 from kinebench_drake.models.panda.cad import GripperCad
 from kinebench_drake.models.panda.part import ARM
 
-DETECTION_SIZE = 192
-"""Width of the view of the whole frame that finds the gripper [px]."""
-CLOSE_SIZE = 128
-"""Width of the close view [px]."""
 CLOSE_MARGIN = 1.3
 """Half width of the close view over the gripper's radius."""
 _RECENTRE = 0.2  # offset of the gripper from the middle of its view, over half the view, that asks for a new look
@@ -59,7 +55,7 @@ class PoseTracker(Protocol):
         ...
 
 
-def whole_frame(camera: Camera, size: int = DETECTION_SIZE) -> Crop:
+def whole_frame(camera: Camera, size: int = WIDE_SIZE) -> Crop:
     """The square view that holds the whole frame."""
     half = np.array([camera.width / 2, camera.height / 2])
     direction = np.array([(half[0] - camera.cx) / camera.fx, (half[1] - camera.cy) / camera.fy, 1.0])

@@ -15,7 +15,7 @@ from kinebench_drake.models.perception.frame import Frame
 from kinebench_drake.models.perception.viewpoint import varied_camera
 from kinebench_drake.suites.rollout import Performance, Snapshot, Stage
 
-STILLS = 20
+STILLS = 32
 """Stills of a performance."""
 _ELSEWHERE = 0.4  # share of stills with the arm put elsewhere
 _BENCHMARK = 0.4  # share of stills from the benchmark's camera itself

@@ -1,4 +1,4 @@
-"""What video models, codecs and cameras do to pixels: colour shift, contrast, blur, noise, compression, occluders."""
+"""What video models, codecs and cameras do to pixels, from colour shifts to compression, and occluders."""
 
 import cv2
 import numpy as np
@@ -36,18 +36,60 @@ def _blur(image: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.fl
     return np.asarray(cv2.resize(small, (size, size), interpolation=cv2.INTER_LINEAR))
 
 
+def _contrast(image: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.float32]:
+    """Less contrast about the mean, as of haze or an overexposed picture."""
+    mean = np.float32(image.mean() + rng.uniform(-30, 30))
+    return np.asarray(mean + (image - mean) * np.float32(rng.uniform(0.2, 0.9)))
+
+
+def _warp(image: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.float32]:
+    """A smooth non-rigid warp of a pixel or so, finer than the labels can tell."""
+    size = image.shape[0]
+    cells = int(rng.integers(3, 8))
+    field = rng.normal(0, rng.uniform(0.2, 0.8), (cells, cells, 2)).astype(np.float32)
+    flow = np.asarray(cv2.resize(field, (size, size), interpolation=cv2.INTER_CUBIC))
+    x, y = np.meshgrid(np.arange(size, dtype=np.float32), np.arange(size, dtype=np.float32))
+    x, y = x + flow[..., 0], y + flow[..., 1]
+    return np.asarray(cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
+
+
+def _ghost(image: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.float32]:
+    """The picture blended with a displaced copy of itself, as of two frames in one."""
+    shift = np.array([[1, 0, rng.normal(0, 4)], [0, 1, rng.normal(0, 4)]], dtype=np.float32)
+    copy = np.asarray(cv2.warpAffine(image, shift, image.shape[1::-1], borderMode=cv2.BORDER_REPLICATE))
+    part = np.float32(rng.uniform(0.05, 0.4))
+    return np.asarray(image * (1 - part) + copy * part, dtype=np.float32)
+
+
+def _smear(image: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.float32]:
+    """Fine detail replaced by soft patches with sharp edges, as a latent decoder leaves it."""
+    soft = cv2.bilateralFilter(image, 0, float(rng.uniform(10, 40)), float(rng.uniform(1.0, 2.5)))
+    sharpened = soft + np.float32(rng.uniform(0.0, 0.8)) * (soft - cv2.GaussianBlur(soft, (0, 0), 1.5))
+    return np.asarray(sharpened, dtype=np.float32)
+
+
+_CHANGES = {_colour: 0.8, _contrast: 0.2, _warp: 0.2, _ghost: 0.15, _smear: 0.12, _blur: 0.45}
+"""What happens to pictures, in this order, and to which share of them."""
+
+
 def degrade(image: Image, rng: np.random.Generator) -> Image:
     """A degraded copy of an image (S, S, 3)."""
     x = image.astype(np.float32)
-    if rng.random() < 0.8:
-        x = _colour(x, rng)
-    if rng.random() < 0.5:
-        x = _blur(x, rng)
+    for share, change in (
+        (0.8, _colour),
+        (0.2, _contrast),
+        (0.2, _warp),
+        (0.15, _ghost),
+        (0.12, _smear),
+        (0.45, _blur),
+    ):
+        if rng.random() < share:
+            x = change(x, rng)
     if rng.random() < 0.4:
-        x = x + rng.normal(0, rng.uniform(1, 14), x.shape).astype(np.float32)
+        x = x + rng.normal(0, rng.uniform(1, 16), x.shape).astype(np.float32)
     out = np.clip(x, 0, 255).astype(np.uint8)
-    if rng.random() < 0.4:
-        quality = int(rng.integers(15, 90))
+    if rng.random() < 0.45:
+        quality = int(rng.integers(8, 90))
         encoded = cv2.imencode(".jpg", out, [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
         out = np.asarray(cv2.imdecode(encoded, cv2.IMREAD_COLOR), dtype=np.uint8)
     return out

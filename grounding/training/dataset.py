@@ -1,5 +1,6 @@
 """Training crops drawn from rendered shards: views, labels, degradation."""
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -7,24 +8,26 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
-from torch.utils.data import Dataset
+from torch.utils.data import Dataset, Sampler
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import UsageError
 from kinebench_drake.geometry import Array, invert, make_pose, transform_points
-from kinebench_drake.grounding.crop import GRIPPER_CENTRE_H, GRIPPER_RADIUS_M, Crop
+from kinebench_drake.grounding.crop import CLOSE_SIZE, GRIPPER_CENTRE_H, GRIPPER_RADIUS_M, WIDE_SIZE, Crop
 from kinebench_drake.grounding.training.augment import degrade, occlude
 from kinebench_drake.models.panda.part import ARM, GRIPPER, OPENING_SIGN, Part
 from kinebench_drake.models.perception.frame import DEPTH_UNIT_M, Frame
 from kinebench_drake.models.perception.network import COORDINATE_SCALE_M, DEPTH_CENTRE, STRIDE
 
-CROP_SIZE = 128
+WIDE_EVERY = 4
+"""One step in so many sees the whole frame, the others the gripper from near."""
 _MIN_GRIPPER_PX = 60
+_DOUBLED = 0.12  # share of wide views with a second gripper
 
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """One training crop; h = w = CROP_SIZE / STRIDE."""
+    """One training crop of S pixels; h = w = S / STRIDE."""
 
     image: NDArray[np.uint8]
     """(S, S, 3)."""
@@ -43,19 +46,27 @@ def frame_camera(frame: Frame) -> Camera:
     return Camera(width=width, height=height, fx=K[0, 0], fy=K[1, 1], cx=K[0, 2], cy=K[1, 2], X_BC=np.eye(4))
 
 
-def random_view(frame: Frame, rng: np.random.Generator) -> Crop:
-    """A view near the gripper: mostly close, as tracking has it, sometimes wide, as detection has it."""
+def close_view(frame: Frame, rng: np.random.Generator) -> Crop:
+    """A view near the gripper, mostly as tracking has it, sometimes less close."""
     centre = transform_points(frame.X_CH, GRIPPER_CENTRE_H[None])[0]
     distance = float(np.linalg.norm(centre))
-    low, high = (0.95, 1.7) if rng.random() < 0.75 else (1.7, 5.0)
+    low, high = (0.95, 1.7) if rng.random() < 0.8 else (1.7, 4.0)
     margin = np.exp(rng.uniform(np.log(low), np.log(high)))
     half_tangent = margin * GRIPPER_RADIUS_M / distance
     shift = rng.normal(0, 0.18, 3) * half_tangent * distance
-    return Crop.towards(centre + shift, half_tangent, CROP_SIZE, roll=float(rng.normal(0, np.deg2rad(12))))
+    return Crop.towards(centre + shift, half_tangent, CLOSE_SIZE, roll=float(rng.normal(0, np.deg2rad(12))))
+
+
+def wide_view(frame: Frame, rng: np.random.Generator) -> Crop:
+    """A view of about the whole frame, as detection has it."""
+    camera = frame_camera(frame)
+    half_tangent = max(camera.width / camera.fx, camera.height / camera.fy) / 2 * rng.uniform(0.7, 1.3)
+    direction = np.array([*(rng.normal(0, 0.12, 2) * half_tangent), 1.0])
+    return Crop.towards(direction, half_tangent, WIDE_SIZE, roll=float(rng.normal(0, np.deg2rad(4))))
 
 
 def label(frame: Frame, crop: Crop) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.float32]]:
-    """Part, CAD coordinates in the part's frame and log depth of `frame` on the output grid of `crop`, network units."""
+    """Part, CAD coordinates in the part's frame, log depth of `frame` on the output grid of `crop`; network's units."""
     camera = frame_camera(frame)
     part = np.asarray(crop.warp(frame.part, camera, STRIDE, nearest=True), dtype=np.uint8)
     depth_C = np.asarray(crop.warp(frame.depth, camera, STRIDE, nearest=True), dtype=np.float64) * DEPTH_UNIT_M
@@ -78,26 +89,27 @@ def _part_poses(frame: Frame) -> Array:
 
 
 class Shards:
-    """The frames of a data folder, mapped into memory."""
+    """The frames of data folders, mapped into memory."""
 
-    def __init__(self, folder: Path) -> None:
-        """Open every complete shard below `folder`.
+    def __init__(self, folders: Sequence[Path]) -> None:
+        """Open every complete shard below `folders`.
 
         Raises:
-            UsageError: there is none.
+            UsageError: one of them holds none.
         """
-        paths = sorted(p.parent for p in folder.glob("*/truth.npz"))
-        if not paths:
-            raise UsageError(f"{folder.name}: no rendered shards (*/truth.npz) found; render some first")
-        self.folder = folder
+        self.folders = tuple(folders)
         self._arrays: list[dict[str, NDArray[np.generic]]] = []
         self._index: list[tuple[int, int]] = []
-        for number, path in enumerate(paths):
-            arrays = {n: np.load(path / f"{n}.npy", mmap_mode="r") for n in ("rgb", "depth", "part")}
-            with np.load(path / "truth.npz", allow_pickle=False) as truth:
-                arrays |= {n: truth[n] for n in truth.files}
-            self._arrays.append(arrays)
-            self._index += [(number, i) for i in range(len(arrays["finger_m"]))]
+        for folder in folders:
+            paths = sorted(p.parent for p in folder.glob("*/truth.npz"))
+            if not paths:
+                raise UsageError(f"{folder.name}: no rendered shards (*/truth.npz) found; render some first")
+            for path in paths:
+                arrays = {n: np.load(path / f"{n}.npy", mmap_mode="r") for n in ("rgb", "depth", "part")}
+                with np.load(path / "truth.npz", allow_pickle=False) as truth:
+                    arrays |= {n: truth[n] for n in truth.files}
+                self._index += [(len(self._arrays), i) for i in range(len(arrays["finger_m"]))]
+                self._arrays.append(arrays)
 
     def __len__(self) -> int:
         """Number of frames."""
@@ -118,36 +130,73 @@ class Shards:
         )
 
 
+def _double(image: NDArray[np.uint8], labels: Sequence[NDArray[np.generic]], rng: np.random.Generator) -> None:
+    """Draw the gripper of `image` (S, S, 3) and its `labels` (h, w, ...), parts first, a second time elsewhere."""
+    part = labels[0]
+    n, scale = len(part), len(image) // len(part)
+    v, u = np.nonzero(np.isin(part, GRIPPER))
+    if not len(v):
+        return
+    dv, du = rng.integers(-n // 2, n // 2, 2)
+    inside = (v + dv >= 0) & (v + dv < n) & (u + du >= 0) & (u + du < n)
+    v, u = v[inside], u[inside]
+    for label_map in labels:
+        label_map[v + dv, u + du] = label_map[v, u].copy()
+    i, j = np.meshgrid(np.arange(scale), np.arange(scale), indexing="ij")
+    rows, columns = v[:, None] * scale + i.ravel(), u[:, None] * scale + j.ravel()
+    image[rows + dv * scale, columns + du * scale] = image[rows, columns].copy()
+
+
 class Crops(Dataset[dict[str, Tensor]]):
-    """Item i is a random degraded crop, the same for the same seed and i whatever the order of reading."""
+    """Item (step, slot) is a random degraded crop, the same for the same seed and item whatever the order of reading.
 
-    def __init__(self, shards: Shards, seed: int, length: int) -> None:
-        self._shards, self._seed, self._length = shards, seed, length
+    All crops of a step are of one kind: one step in `WIDE_EVERY` sees whole frames, the others the gripper from near.
+    """
 
-    def __len__(self) -> int:
-        """Number of crops an epoch is said to have."""
-        return self._length
+    def __init__(self, shards: Shards, seed: int) -> None:
+        self._shards, self._seed = shards, seed
 
-    def sample(self, index: int) -> Sample:
-        """Crop `index` before conversion to tensors."""
-        rng = np.random.default_rng([self._seed, index])
+    def sample(self, step: int, slot: int) -> Sample:
+        """A crop before conversion to tensors."""
+        rng = np.random.default_rng([self._seed, step, slot])
+        wide = is_wide(step)
         for _ in range(20):
             frame = self._shards[int(rng.integers(len(self._shards)))]
-            crop = random_view(frame, rng)
+            crop = (wide_view if wide else close_view)(frame, rng)
             part, coordinates, log_depth = label(frame, crop)
             if np.isin(part, GRIPPER).sum() >= _MIN_GRIPPER_PX / STRIDE**2 or rng.random() < 0.1:
                 break
-        image = np.ascontiguousarray(crop.warp(frame.rgb, frame_camera(frame)), dtype=np.uint8)
+        image = np.array(crop.warp(frame.rgb, frame_camera(frame)), dtype=np.uint8)
+        if wide and rng.random() < _DOUBLED:
+            _double(image, (part, coordinates, log_depth), rng)
         if rng.random() < 0.25:
             occlude(image, part, rng)
         return Sample(degrade(image, rng), part, coordinates, log_depth)
 
-    def __getitem__(self, index: int) -> dict[str, Tensor]:
-        """Crop `index` as tensors: image (3, S, S) uint8, part (h, w), coordinates (3, h, w), log_depth (h, w)."""
-        s = self.sample(index)
+    def __getitem__(self, item: tuple[int, int]) -> dict[str, Tensor]:
+        """A crop as tensors: image (3, S, S) uint8, part (h, w), coordinates (3, h, w), log_depth (h, w)."""
+        s = self.sample(*item)
         return {
             "image": torch.from_numpy(s.image).permute(2, 0, 1),
             "part": torch.from_numpy(s.part).long(),
             "coordinates": torch.from_numpy(s.coordinates).permute(2, 0, 1),
             "log_depth": torch.from_numpy(s.log_depth),
         }
+
+
+def is_wide(step: int) -> bool:
+    """Whether a step sees whole frames."""
+    return step % WIDE_EVERY == WIDE_EVERY - 1
+
+
+class Steps(Sampler[list[tuple[int, int]]]):
+    """Items of `Crops` by training step; wide crops are larger, so that a step has fewer of them."""
+
+    def __init__(self, steps: range, batch_size: int) -> None:
+        self._steps, self._batch_size = steps, batch_size
+
+    def __iter__(self) -> Iterator[list[tuple[int, int]]]:
+        """A batch of items for each step."""
+        fewer = max(2, self._batch_size * CLOSE_SIZE**2 // WIDE_SIZE**2)
+        for step in self._steps:
+            yield [(step, slot) for slot in range(fewer if is_wide(step) else self._batch_size)]

@@ -9,14 +9,16 @@ import torch
 from safetensors.torch import save_file
 from torch import Tensor, nn
 from torch.nn import functional
-from torch.utils.data import DataLoader, Subset
+from torch.utils.data import DataLoader
 
 from kinebench_drake.errors import UsageError
-from kinebench_drake.grounding.training.dataset import Crops, Shards
-from kinebench_drake.models.panda.part import Part
+from kinebench_drake.grounding.training.dataset import Crops, Shards, Steps
+from kinebench_drake.models.panda.part import ARM, Part
 from kinebench_drake.models.perception.network import DenseOutput, GripperNetwork
+from kinebench_drake.models.perception.weights import load_network
 
-_PIXEL_WEIGHTS = (1.0, 1.0, 5.0, 5.0, 1.0)  # by Part
+_PIXEL_WEIGHTS = (1.0, 1.0, 5.0, 5.0, *[1.0] * len(ARM))  # by Part
+_ARM_WEIGHT = 0.4  # of the arm's coordinates and depth beside the gripper's
 _EMA_DECAY = 0.998
 _WARM_UP_STEPS = 200
 _GRADIENT_CLIP = 5.0
@@ -26,10 +28,12 @@ _GRADIENT_CLIP = 5.0
 class TrainingConfig:
     """What a training run depends on; recorded in the model card."""
 
-    data: Path
-    """Folder of rendered shards."""
+    data: tuple[Path, ...]
+    """Folders of rendered shards."""
     out: Path
     """Folder for checkpoints and the final weights."""
+    start: Path | None = None
+    """Weights to start from; if None, only the encoder's, from ImageNet."""
     seed: int = 0
     steps: int = 4000
     batch_size: int = 32
@@ -58,22 +62,28 @@ class Losses:
 
 
 def losses(output: DenseOutput, batch: dict[str, Tensor]) -> Losses:
-    """Cross-entropy of the parts; Laplace negative log-likelihood of coordinates and depth on gripper pixels.
+    """Cross-entropy of the parts; Laplace negative log-likelihood of coordinates and depth on the robot's pixels.
 
     The Laplace likelihood with a predicted scale follows Kendall and Gal (NeurIPS 2017), with L1 in place of L2. The
     fingers are a fiftieth of the pixels but tell opening and reading, so their pixels weigh more in every term.
     """
     part = batch["part"]
     weight = torch.tensor(_PIXEL_WEIGHTS, device=part.device)
-    gripper = weight[part] * ((part >= Part.HAND) & (part <= Part.RIGHT_FINGER))
-    count = gripper.sum().clamp(min=1.0)
-    error = (output.coordinates - batch["coordinates"]).abs().sum(dim=1)
+    robot = weight[part] * (part != int(Part.BACKGROUND))
+    is_arm = part >= int(ARM[0])
+    of_kind = torch.stack([robot * ~is_arm, robot * is_arm], dim=1)
+    count = of_kind.sum(dim=(0, 2, 3)).clamp(min=1.0)
+    error = (output.coordinates - batch["coordinates"][:, None]).abs().sum(dim=2)
     b = output.coordinate_log_scale
-    coordinates = ((error * torch.exp(-b) + 3 * b) * gripper).sum() / count
+    of_gripper, of_arm = ((error * torch.exp(-b) + 3 * b) * of_kind).sum(dim=(0, 2, 3)) / count
     error = (output.log_depth - batch["log_depth"]).abs()
     b = output.depth_log_scale
-    depth = ((error * torch.exp(-b) + b) * gripper).sum() / count
-    return Losses(functional.cross_entropy(output.part_logits, part, weight), coordinates, depth)
+    depth = ((error * torch.exp(-b) + b)[:, None] * of_kind).sum(dim=(0, 2, 3)) / count
+    return Losses(
+        functional.cross_entropy(output.part_logits, part, weight),
+        of_gripper + _ARM_WEIGHT * of_arm,
+        depth[0] + _ARM_WEIGHT * depth[1],
+    )
 
 
 def pick_device() -> torch.device:
@@ -123,7 +133,10 @@ def train(config: TrainingConfig, report: Callable[[str], None]) -> Path:
     device = pick_device()
     torch.manual_seed(config.seed)
     network, average = GripperNetwork(), GripperNetwork()
-    network.load_imagenet_encoder()
+    if config.start is None:
+        network.load_imagenet_encoder()
+    else:
+        network = load_network(config.start)
     average.load_state_dict(network.state_dict())
     network.to(device).to(memory_format=torch.channels_last).train()  # type: ignore[call-overload]
     average.to(device).requires_grad_(False)
@@ -149,9 +162,9 @@ def train(config: TrainingConfig, report: Callable[[str], None]) -> Path:
         start = int(state["step"])
         report(f"going on from step {start}")
 
-    crops = Crops(Shards(config.data), config.seed, config.steps * config.batch_size)
-    remaining = Subset(crops, range(start * config.batch_size, len(crops)))
-    loader = DataLoader(remaining, batch_size=config.batch_size, num_workers=config.workers, drop_last=True)
+    crops = Crops(Shards(config.data), config.seed)
+    batches = Steps(range(start, config.steps), config.batch_size)
+    loader = DataLoader(crops, batch_sampler=batches, num_workers=config.workers)
     began, sums = time.monotonic(), torch.zeros(3)
     for step, batch in enumerate(loader, start):
         batch = {k: v.to(device, non_blocking=True) for k, v in batch.items()}

@@ -4,6 +4,11 @@ from pathlib import Path
 
 import click
 
+from kinebench_drake.cli.perception_budget import budget
+from kinebench_drake.cli.perception_depth_ablation import depth_ablation
+from kinebench_drake.cli.perception_evaluate import evaluate
+from kinebench_drake.cli.perception_robustness import robustness
+
 _DATA = click.option(
     "--data", type=click.Path(path_type=Path, file_okay=False), default=Path("data/frames"), show_default=True,
     help="Folder of rendered frames; missing ones are rendered into it.",
@@ -20,7 +25,11 @@ def perception() -> None:
     """Train and measure the perception networks."""
 
 
-@perception.command(epilog="\b\nExample:\n  kinebench-drake perception train --out data/training")
+@perception.command(
+    epilog="\b\nExample:\n"
+    "  kinebench-drake suite demos --suite 2 --split train --episodes 40 --format frames --out data/demos --jobs 2\n"
+    "  kinebench-drake perception train --demos data/demos --out data/training"
+)
 @_DATA
 @click.option(
     "--out", type=click.Path(path_type=Path, file_okay=False), default=Path("data/training"), show_default=True,
@@ -32,15 +41,33 @@ def perception() -> None:
 @click.option("--steps", type=click.IntRange(1), default=4000, show_default=True, help="Training steps.")
 @click.option("--batch-size", type=click.IntRange(2), default=32, show_default=True, help="Crops a step.")
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of crops and weights.")
+@click.option(
+    "--demos", multiple=True, type=click.Path(path_type=Path, file_okay=False, exists=True),
+    help="Folder of `suite demos --format frames` to train on as well; repeatable.",
+)  # fmt: skip
+@click.option(
+    "--start", type=click.Path(path_type=Path, dir_okay=False, exists=True),
+    help="Weights to start from (safetensors).  [default: an encoder trained on ImageNet]",
+)  # fmt: skip
 @_JOBS
-def train(data: Path, out: Path, scenes: int, steps: int, batch_size: int, seed: int, jobs: int) -> None:
+def train(
+    data: Path,
+    out: Path,
+    scenes: int,
+    steps: int,
+    batch_size: int,
+    seed: int,
+    demos: tuple[Path, ...],
+    start: Path | None,
+    jobs: int,
+) -> None:
     """Render frames and train the gripper network on them, on the GPU when there is one."""
     from kinebench_drake.grounding.training.render import render
     from kinebench_drake.grounding.training.train import TrainingConfig
     from kinebench_drake.grounding.training.train import train as run
 
     render(data, range(scenes), jobs, click.echo)
-    config = TrainingConfig(data=data, out=out, seed=seed, steps=steps, batch_size=batch_size)
+    config = TrainingConfig(data=(data, *demos), out=out, seed=seed, steps=steps, batch_size=batch_size, start=start)
     weights = run(config, click.echo)
     click.echo(f"weights: {weights}; next: kinebench-drake perception calibrate --weights {weights}")
 
@@ -69,20 +96,7 @@ def calibrate(data: Path, weights: Path | None, scenes: int, out: Path | None, j
         click.echo(line)
 
 
-@perception.command(epilog="\b\nExample:\n  kinebench-drake perception evaluate samples/ --true-depth")
-@click.argument("folder", type=click.Path(path_type=Path, exists=True, file_okay=False))
-@_WEIGHTS
-@click.option("--true-depth", is_flag=True, help="Give true mask and depth: what remains is the registration's error.")
-@click.option("--limit", type=click.IntRange(1), default=None, help="Measure the first so many videos only.")
-@click.option(
-    "--json", "json_out", type=click.Path(path_type=Path, dir_okay=False), help="Write the figures here, too."
-)
-def evaluate(folder: Path, weights: Path | None, true_depth: bool, limit: int | None, json_out: Path | None) -> None:
-    """Hold the tracks of videos against their ground truth.
-
-    FOLDER is what `python -m kinebench_drake.suites.samples` writes: videos, camera.json, manifest.jsonl and truth/.
-    """
-    from kinebench_drake.grounding.training.report import video_lines
-
-    for line in video_lines(folder, weights, true_depth, limit, json_out):
-        click.echo(line)
+perception.add_command(evaluate)
+perception.add_command(robustness)
+perception.add_command(depth_ablation)
+perception.add_command(budget)

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from kinebench_drake import native
 from kinebench_drake.geometry import Array, invert
-from kinebench_drake.models.panda.part import GRIPPER, OPENING_SIGN, Part
+from kinebench_drake.models.panda.part import ARM, GRIPPER, LINK_OF, OPENING_SIGN, Part
 from kinebench_drake.models.panda.robot import source_urdf
 
 FINGER_ORIGIN_H = np.array([0.0, 0.0, 0.0584])
@@ -22,17 +22,30 @@ MAX_FINGER_M = 0.04
 """Upper limit of each finger joint [m]; the gap between the pads is twice the joint's value."""
 
 
+def _visual(name: str) -> trimesh.Trimesh:
+    mesh = trimesh.load(source_urdf().parent / "franka_description" / "meshes" / "visual" / name, force="mesh")
+    mesh.merge_vertices(merge_tex=True, merge_norm=True)
+    return mesh
+
+
 @cache
-def part_meshes() -> dict[Part, trimesh.Trimesh]:
-    """The meshes of hand, left and right finger (closed).
+def link_meshes() -> dict[Part, trimesh.Trimesh]:
+    """The meshes of the arm's links, each in its link's frame.
 
     Raises:
         SetupError: mani_skill, whose assets these are, is not installed.
     """
-    visual = source_urdf().parent / "franka_description" / "meshes" / "visual"
-    hand, finger = (trimesh.load(visual / name, force="mesh") for name in ("hand.glb", "finger.glb"))
-    for mesh in (hand, finger):
-        mesh.merge_vertices(merge_tex=True, merge_norm=True)
+    return {part: _visual(f"{LINK_OF[part].removeprefix('panda_')}.glb") for part in ARM}
+
+
+@cache
+def part_meshes() -> dict[Part, trimesh.Trimesh]:
+    """The meshes of hand, left and right finger (closed), in the hand's frame.
+
+    Raises:
+        SetupError: mani_skill, whose assets these are, is not installed.
+    """
+    hand, finger = _visual("hand.glb"), _visual("finger.glb")
     left, right = finger.copy(), finger.copy()
     right.apply_transform(trimesh.transformations.rotation_matrix(np.pi, [0, 0, 1]))
     for mesh in (left, right):

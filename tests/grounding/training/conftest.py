@@ -12,4 +12,4 @@ def shards(tmp_path_factory: pytest.TempPathFactory) -> Shards:
 
     folder: Path = tmp_path_factory.mktemp("frames")
     assert list(render_shards(folder, [HANDLESS_EVERY - 2, HANDLESS_EVERY - 1])) == [14, 15]
-    return Shards(folder)
+    return Shards([folder])

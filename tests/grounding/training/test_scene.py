@@ -2,13 +2,13 @@ import numpy as np
 import pytest
 
 from kinebench_drake.geometry import invert, transform_points
-from kinebench_drake.grounding.crop import Crop
-from kinebench_drake.grounding.training.dataset import CROP_SIZE, Crops, Shards, frame_camera, label
-from kinebench_drake.models.perception.frame import DEPTH_UNIT_M
+from kinebench_drake.grounding.crop import CLOSE_SIZE, WIDE_SIZE, Crop
+from kinebench_drake.grounding.training.dataset import WIDE_EVERY, Crops, Shards, Steps, frame_camera, label
 from kinebench_drake.grounding.training.render import FRAMES_PER_SCENE
 from kinebench_drake.grounding.training.scene import Scene
-from kinebench_drake.models.panda.cad import GripperCad
-from kinebench_drake.models.panda.part import Part
+from kinebench_drake.models.panda.cad import GripperCad, link_meshes
+from kinebench_drake.models.panda.part import ARM, Part
+from kinebench_drake.models.perception.frame import DEPTH_UNIT_M
 from kinebench_drake.models.perception.network import COORDINATE_SCALE_M
 
 pytestmark = pytest.mark.sapien
@@ -36,7 +36,7 @@ def test_the_cad_model_lies_where_the_renderer_draws_the_gripper(shards: Shards,
 def test_labels_are_points_of_the_cad_model(shards: Shards, cad: GripperCad) -> None:
     for i in clear_frames(shards)[:3]:
         frame = shards[i]
-        crop = Crop.of_gripper(frame.X_CH, 1.3, CROP_SIZE)
+        crop = Crop.of_gripper(frame.X_CH, 1.3, CLOSE_SIZE)
         part, coordinates, log_depth = label(frame, crop)
         rays = crop.rays(2)
         hit = cad.cast(invert(crop.X_CV) @ frame.X_CH, rays.reshape(-1, 3), frame.finger_m)
@@ -49,17 +49,43 @@ def test_labels_are_points_of_the_cad_model(shards: Shards, cad: GripperCad) -> 
 
 def test_a_handless_scene_shows_an_arm_without_gripper(shards: Shards) -> None:
     parts = np.concatenate([shards[FRAMES_PER_SCENE + i].part.ravel() for i in range(FRAMES_PER_SCENE)])
-    assert set(np.unique(parts)) == {Part.BACKGROUND, Part.ARM}
+    shown = set(np.unique(parts))
+    assert shown <= {Part.BACKGROUND, *ARM}
+    assert len(shown) > 4
 
 
 def test_crops_depend_on_seed_and_index_alone(shards: Shards) -> None:
-    first, again, other = Crops(shards, 3, 10), Crops(shards, 3, 10), Crops(shards, 4, 10)
-    again[0]
-    np.testing.assert_array_equal(first[7]["image"], again[7]["image"])
-    assert (first[7]["image"] != other[7]["image"]).any()
-    item = first[2]
-    assert item["image"].shape == (3, CROP_SIZE, CROP_SIZE)
+    first, again, other = Crops(shards, 3), Crops(shards, 3), Crops(shards, 4)
+    again[0, 0]
+    np.testing.assert_array_equal(first[7, 1]["image"], again[7, 1]["image"])
+    assert (first[7, 1]["image"] != other[7, 1]["image"]).any()
+
+
+def test_all_crops_of_a_step_are_of_one_size(shards: Shards) -> None:
+    crops, batches = Crops(shards, 0), list(Steps(range(2 * WIDE_EVERY), 9))
+    sizes = [{crops[item]["image"].shape for item in batch} for batch in batches]
+    close, wide = {(3, CLOSE_SIZE, CLOSE_SIZE)}, {(3, WIDE_SIZE, WIDE_SIZE)}
+    assert sizes == [*[close] * (WIDE_EVERY - 1), wide] * 2
+    assert [len(batch) for batch in batches] == [*[9] * (WIDE_EVERY - 1), 4] * 2
+    item = crops[0, 0]
     assert item["part"].shape == item["log_depth"].shape == item["coordinates"].shape[1:] == (64, 64)
+
+
+def test_arm_labels_are_points_of_their_links(shards: Shards) -> None:
+    """A link's points stay where they are in the link whatever the arm does: their box is that of the link's mesh."""
+    low, high = np.full((len(Part), 3), np.inf), np.full((len(Part), 3), -np.inf)
+    for i in clear_frames(shards):
+        part, coordinates, _ = label(shards[i], Crop.of_gripper(shards[i].X_CH, 3.0, CLOSE_SIZE))
+        for value in ARM:
+            points = coordinates[part == value] * COORDINATE_SCALE_M
+            if len(points):
+                low[value], high[value] = np.minimum(low[value], points.min(0)), np.maximum(high[value], points.max(0))
+    seen = [value for value in ARM if np.isfinite(low[value]).all()]
+    assert len(seen) >= 4
+    for value in seen:
+        bounds = link_meshes()[value].bounds
+        assert (low[value] > bounds[0] - 0.01).all()
+        assert (high[value] < bounds[1] + 0.01).all()
 
 
 def test_the_same_seed_renders_the_same_frame() -> None:

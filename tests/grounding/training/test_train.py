@@ -15,7 +15,7 @@ from kinebench_drake.models.perception.weights import load_network
 
 def config(shards: Shards, out: Path) -> TrainingConfig:
     return TrainingConfig(
-        data=shards.folder, out=out, steps=4, batch_size=2, learning_rate=1e-3, workers=0, checkpoint_every=2
+        data=shards.folders, out=out, steps=4, batch_size=2, learning_rate=1e-3, workers=0, checkpoint_every=2
     )
 
 
@@ -50,7 +50,7 @@ def test_an_interrupted_training_goes_on_to_the_same_weights(
 
 def test_training_without_frames_is_refused(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="no rendered shards"):
-        Shards(tmp_path)
+        Shards([tmp_path])
 
 
 def test_weights_that_are_none_are_refused(tmp_path: Path) -> None:

@@ -1,0 +1,180 @@
+"""The loop that every network is trained by: AdamW, warm-up and cosine, averaged weights, checkpoints to go on from.
+
+A run that was interrupted and goes on from its last checkpoint ends with the weights of one that was not: batches are
+asked for by the number of their step, and random numbers of a step (dropout) depend on that number alone.
+"""
+
+import copy
+import math
+import time
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeVar
+
+import torch
+from safetensors.torch import save_file
+from torch import Tensor, nn
+
+from kinebench_drake.errors import UsageError
+from kinebench_drake.storage import whole
+
+Output = TypeVar("Output")
+Batch = dict[str, Tensor]
+
+REPORT_EVERY = 50
+"""Steps between two lines that tell of the losses."""
+_WEIGHT_DECAY = 0.02
+_GRADIENT_CLIP = 5.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Schedule:
+    """How long and how fast a network learns."""
+
+    steps: int
+    learning_rate: float
+    """Largest rate of AdamW, reached after the warm-up."""
+    seed: int = 0
+    """Of the random numbers inside the network."""
+    warm_up_steps: int = 200
+    average_decay: float = 0.998
+    """How much of the averaged weights a step keeps."""
+    checkpoint_every: int = 250
+
+    def rate(self, step: int) -> float:
+        """Linear warm-up, then a cosine to zero (Loshchilov and Hutter, ICLR 2017), as a factor of the rate."""
+        if step < self.warm_up_steps:
+            return (step + 1) / self.warm_up_steps
+        progress = (step - self.warm_up_steps) / max(1, self.steps - self.warm_up_steps)
+        return 0.5 * (1.0 + math.cos(math.pi * min(1.0, progress)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Terms:
+    """The losses of a batch."""
+
+    total: Tensor
+    """() what is minimised."""
+    shown: Mapping[str, Tensor]
+    """Parts of it, or measures in units that people know, to be told; each ()."""
+
+
+def pick_device() -> torch.device:
+    """The GPU when there is one, else the CPU."""
+    return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+
+
+def supports_bfloat16(device: torch.device) -> bool:
+    """Whether bfloat16 is fast there: always on a GPU, on a CPU only with AVX-512 BF16 instructions."""
+    return device.type == "cuda" or bool(torch.cpu._is_avx512_bf16_supported())
+
+
+def update_average(average: nn.Module, network: nn.Module, step: int, decay: float) -> None:
+    """Exponential moving average of weights and statistics (Polyak averaging), quicker at the start."""
+    decay = min(decay, (step + 1) / (step + 20))
+    for kept, new in zip(average.state_dict().values(), network.state_dict().values(), strict=True):
+        if kept.dtype.is_floating_point:
+            kept.lerp_(new.to(kept.dtype), 1 - decay)
+        else:
+            kept.copy_(new)
+
+
+def save_weights(network: nn.Module, path: Path, about: Mapping[str, str] | None = None) -> None:
+    """Write a network's weights in half precision as safetensors, with what is to be known `about` them.
+
+    Raises:
+        SetupError: writing failed.
+    """
+    state = {k: (v.half() if v.dtype.is_floating_point else v).contiguous() for k, v in network.state_dict().items()}
+    with whole(path) as part:
+        save_file(state, part, dict(about) if about else None)
+
+
+def optimise(
+    network: nn.Module,
+    *,
+    batches: Callable[[int], Iterable[Batch]],
+    forward: Callable[[nn.Module, Batch], Output],
+    losses: Callable[[Output, Batch], Terms],
+    schedule: Schedule,
+    identity: Mapping[str, object],
+    folder: Path,
+    report: Callable[[str], None],
+) -> nn.Module:
+    """Train `network` on its device, or go on from the checkpoint in `folder`; returns the averaged network.
+
+    Args:
+        network: with the weights to start from, on the device to train on. Parameters that need no gradient stay.
+        batches: the batches of the steps from a given one on; at least as many as there are steps left.
+        forward: what the network says of a batch; runs in bfloat16 where that is fast.
+        losses: the losses of what it said; runs in single precision.
+        schedule: how long and how fast.
+        identity: what a checkpoint must have in common with the run that goes on from it.
+        folder: where `checkpoint.pt` lies.
+        report: called with a line of text every `REPORT_EVERY` steps.
+
+    Raises:
+        UsageError: the folder holds a checkpoint of another training.
+        SetupError: writing failed.
+    """
+    device = next(network.parameters()).device
+    average = copy.deepcopy(network).requires_grad_(False)
+    learning = [p for p in network.parameters() if p.requires_grad]
+    groups = [
+        {"params": [p for p in learning if p.ndim > 1], "weight_decay": _WEIGHT_DECAY},
+        {"params": [p for p in learning if p.ndim <= 1], "weight_decay": 0.0},
+    ]
+    optimizer = torch.optim.AdamW(groups, lr=schedule.learning_rate)
+    kept = {"network": network, "average": average, "optimizer": optimizer}
+    checkpoint = folder / "checkpoint.pt"
+    start = _resume(checkpoint, kept, dict(identity), device)
+    if start:
+        report(f"going on from step {start}")
+    network.train()
+    began, sums = time.monotonic(), dict[str, float]()
+    for step, batch in zip(range(start, schedule.steps), batches(start), strict=False):
+        torch.manual_seed(schedule.seed * 1_000_003 + step)
+        for group in optimizer.param_groups:
+            group["lr"] = schedule.learning_rate * schedule.rate(step)
+        batch = {name: values.to(device, non_blocking=True) for name, values in batch.items()}
+        with torch.autocast(device.type, torch.bfloat16, enabled=supports_bfloat16(device)):
+            output = forward(network, batch)
+        terms = losses(output, batch)
+        optimizer.zero_grad(set_to_none=True)
+        terms.total.backward()  # type: ignore[no-untyped-call]
+        nn.utils.clip_grad_norm_(learning, _GRADIENT_CLIP)
+        optimizer.step()
+        with torch.no_grad():
+            update_average(average, network, step, schedule.average_decay)
+        for name, value in terms.shown.items():
+            sums[name] = sums.get(name, 0.0) + float(value.detach())
+        if (step + 1) % REPORT_EVERY == 0:
+            told = " ".join(f"{name} {value / REPORT_EVERY:.4g}" for name, value in sums.items())
+            pace = (time.monotonic() - began) / (step + 1 - start)
+            report(f"step {step + 1}/{schedule.steps} {told} {pace:.2f} s/step")
+            sums.clear()
+        if (step + 1) % schedule.checkpoint_every == 0 or step + 1 == schedule.steps:
+            state = {name: thing.state_dict() for name, thing in kept.items()}  # type: ignore[attr-defined]
+            with whole(checkpoint) as part:
+                torch.save({**state, "step": step + 1, "identity": dict(identity)}, part)
+    return average
+
+
+def _resume(path: Path, kept: Mapping[str, object], identity: dict[str, object], device: torch.device) -> int:
+    """Load a checkpoint into what is `kept`, if there is one; returns the number of steps made.
+
+    Raises:
+        UsageError: it is of another training.
+    """
+    if not path.is_file():
+        return 0
+    state = torch.load(path, weights_only=True, map_location=device)
+    if state.get("identity") != identity:
+        raise UsageError(
+            f"{path.parent.name}: holds a training with {state.get('identity')}, asked for was {identity}; "
+            "name another folder, or remove this one"
+        )
+    for name, thing in kept.items():
+        thing.load_state_dict(state[name])  # type: ignore[attr-defined]
+    return int(state["step"])
