@@ -1,21 +1,21 @@
-"""Rendered example videos with ground truth: `python -m kinebench_drake.suites.samples --help`.
+"""Rendered videos with planted faults and ground truth: `python -m kinebench_drake.suites.samples --help`.
 
+The videos without a fault come from `kinebench-drake suite demos`, in a folder of the same layout.
 Folder written, the same bytes for the same arguments:
 
-    ID.mp4              17 fps; ID = task _ s seed [_ fault]
+    ID.mp4              17 fps; ID = the episode's _ kind of fault [_ form] _ size
     camera.json         the camera of all of them
     manifest.jsonl      one object a video
     truth/ID.npz        t_s, base_from_tcp, camera_from_hand, q, finger_width_m [, depth_mm, mask]: as drawn, so NaN
                         where the gripper was made to vanish, the frozen pose in frozen frames
-    truth/faults.json   for each faulty video kind, frame_start, frame_end, size
+    truth/faults.json   for each video kind, frame_start, frame_end, size, form
     truth/outcome.json  the task's verdict on each episode
 """
 
 import json
 import multiprocessing
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from itertools import product
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import click
@@ -23,10 +23,15 @@ import click
 from kinebench_drake.errors import InputError, KinebenchError, UsageError
 from kinebench_drake.mp4 import write_video
 from kinebench_drake.products import AnomalyKind
-from kinebench_drake.suites.episode import compose
 from kinebench_drake.suites.experts.registry import find_expert
-from kinebench_drake.suites.faults import PlantedFault, plant_freeze, plant_teleport, plant_vanish
-from kinebench_drake.suites.rollout import FRAME_PERIOD_S, ROBOTS, Clip, Performance, Stage, film, perform
+from kinebench_drake.suites.faults.fault import Grade, PlantedFault, choose
+from kinebench_drake.suites.faults.plant import plant
+from kinebench_drake.suites.faults.take import Take
+from kinebench_drake.suites.faults.trickstage import TrickStage
+from kinebench_drake.suites.rollout import CLIP_FRAMES, FRAME_PERIOD_S, ROBOTS, Performance, film, perform
+from kinebench_drake.suites.split import Pool
+from kinebench_drake.suites.suite import Draw, load_suite
+from kinebench_drake.suites.tasks.card import Variant
 from kinebench_drake.suites.tasks.registry import TASKS, find_task
 
 FPS = 17
@@ -39,22 +44,16 @@ KINDS = tuple(kind.value for kind in AnomalyKind)
 class Order:
     """Which videos to make of one episode."""
 
-    task: str
-    """Plain task id."""
-    seed: int
-    """Seed of the scene."""
+    draw: Draw
+    """The episode."""
     robot: str
     """One of `rollout.ROBOTS`."""
-    clean: bool
-    """Whether to write the video without a fault."""
-    faults: tuple[AnomalyKind, ...]
-    """Faulty versions to write as well."""
+    grades: tuple[Grade, ...]
+    """Faults to plant, each in a video of its own."""
     with_depth: bool
     """Whether the truth holds depth and masks."""
     crf: int
     """x264's quality."""
-    dry_run: bool
-    """Perform only: no video, no file."""
     out: Path
     """Folder to write to."""
 
@@ -73,8 +72,8 @@ class Sample:
     """The task in words."""
     success: bool
     """The task's verdict on the episode it was made from."""
-    fault: PlantedFault | None = None
-    """The planted fault, if any."""
+    fault: PlantedFault
+    """What was done to it."""
 
     def manifest_line(self) -> str:
         """Its line of `manifest.jsonl`."""
@@ -90,45 +89,48 @@ class Sample:
         return json.dumps(record) + "\n"
 
 
-def _versions(
-    stage: Stage, performance: Performance, clip: Clip, order: Order
-) -> Iterator[tuple[Clip, PlantedFault | None]]:
-    if order.clean:
-        yield clip, None
-    for kind in order.faults:
-        if kind is AnomalyKind.VANISH:
-            yield plant_vanish(stage, performance, clip)
-        elif kind is AnomalyKind.TELEPORT:
-            yield plant_teleport(stage, performance, clip)
-        else:
-            yield plant_freeze(clip)
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Made:
+    """What came of an order."""
+
+    samples: tuple[Sample, ...]
+    """The videos written."""
+    problems: tuple[str, ...]
+    """Why others were not."""
 
 
-def make(order: Order) -> list[Sample]:
-    """Perform, film and write one episode. A scene of its own each time: nothing depends on what was made before.
+def make(order: Order) -> Made:
+    """Perform an episode, film its first clip and plant each fault.
 
-    Raises:
-        InputError: the expert or a fault does not work in this scene.
+    The scene is of its own each time: nothing depends on what was made before. A fault for which the clip has no place,
+    or an episode that the expert cannot do, is a problem told; it ends nothing.
     """
-    with Stage(order.task, robot=order.robot) as stage:
-        performance = perform(stage, find_expert(order.task), compose(order.task, order.seed))
-        if order.dry_run:
-            return [_sample(performance, None)]
-        clip = film(stage, performance.snapshots)
-        samples = []
-        for version, fault in _versions(stage, performance, clip, order):
-            sample = _sample(performance, fault)
-            write_video(order.out / f"{sample.id}.mp4", version.rgb, FPS, crf=order.crf)
-            version.save_truth(order.out / "truth" / f"{sample.id}.npz", with_images=order.with_depth)
+    draw, samples, problems = order.draw, [], []
+    with TrickStage(draw.task, robot=order.robot, variant=draw.variant) as stage:
+        try:
+            performance = perform(stage, find_expert(draw.task), draw.episode())
+        except InputError as error:
+            return Made(samples=(), problems=(f"{draw.task} seed {draw.seed}: {error}",))
+        performance = replace(performance, snapshots=performance.snapshots[: CLIP_FRAMES + 1])
+        take = Take(stage=stage, performance=performance, clip=film(stage, performance.snapshots))
+        for grade in order.grades:
+            try:
+                clip, fault = plant(take, grade)
+            except InputError as error:
+                problems.append(f"{draw.task} seed {draw.seed} {grade.label}: {error}")
+                continue
+            sample = _sample(performance, grade, fault)
+            write_video(order.out / f"{sample.id}.mp4", clip.rgb, FPS, crf=order.crf)
+            clip.save_truth(order.out / "truth" / f"{sample.id}.npz", with_images=order.with_depth)
             samples.append(sample)
         stage.camera.save(order.out / "camera.json")
-    return samples
+    return Made(samples=tuple(samples), problems=tuple(problems))
 
 
-def _sample(performance: Performance, fault: PlantedFault | None) -> Sample:
+def _sample(performance: Performance, grade: Grade, fault: PlantedFault) -> Sample:
     episode = performance.episode
     return Sample(
-        id=episode.id + (f"_{fault.kind.value}" if fault else ""),
+        id=f"{episode.id}_{grade.label}",
         task=episode.task,
         seed=episode.seed,
         prompt=episode.prompt,
@@ -137,20 +139,12 @@ def _sample(performance: Performance, fault: PlantedFault | None) -> Sample:
     )
 
 
-def _make(order: Order) -> tuple[list[Sample], str]:
-    """What `make` gives, or nothing and the reason: one episode that cannot be done does not end the run."""
-    try:
-        return make(order), ""
-    except InputError as error:
-        return [], f"{order.task} seed {order.seed}: {error}"
-
-
-def _run(orders: Sequence[Order], jobs: int) -> Iterator[tuple[list[Sample], str]]:
+def _run(orders: Sequence[Order], jobs: int) -> Iterator[Made]:
     if jobs == 1:
-        yield from map(_make, orders)
+        yield from map(make, orders)
         return
     with multiprocessing.get_context("spawn").Pool(min(jobs, len(orders))) as pool:
-        yield from pool.imap(_make, orders)
+        yield from pool.imap(make, orders)
 
 
 def write_index(out: Path, samples: list[Sample]) -> None:
@@ -163,9 +157,9 @@ def write_index(out: Path, samples: list[Sample]) -> None:
             "frame_start": s.fault.frame_start,
             "frame_end": s.fault.frame_end,
             "size": s.fault.size,
+            "form": None if s.fault.form is None else s.fault.form.value,
         }
         for s in samples
-        if s.fault
     }
     (out / "truth" / "faults.json").write_text(json.dumps(faults, indent=1) + "\n")
     outcome = {s.id: {"episode_success": s.success} for s in samples}
@@ -190,80 +184,106 @@ def parse_seeds(text: str) -> list[int]:
     return seeds
 
 
-@click.command()
+def parse_kinds(text: str) -> tuple[AnomalyKind, ...]:
+    """Kinds of faults from their names with commas between.
+
+    Raises:
+        UsageError: there is no such kind.
+    """
+    try:
+        return tuple(AnomalyKind(kind) for kind in text.split(","))
+    except ValueError:
+        raise UsageError(f"kinds {text!r}; there are {', '.join(KINDS)}") from None
+
+
+def choose_draws(tasks: str | None, seeds: str, suite: int | None, split: str, episodes: int, first: int) -> list[Draw]:
+    """Episodes of some tasks: of plain seeds with all assets and looks, or of a suite's split.
+
+    Raises:
+        UsageError: tasks, seeds, suite or split are none.
+    """
+    names = None if tasks is None else tasks.split(",")
+    if suite is None:
+        chosen = [find_task(task).card.id for task in names or TASKS]
+        return [
+            Draw(task=task, seed=seed, pool=Pool.ALL, variant=Variant.PLAIN)
+            for task in chosen
+            for seed in parse_seeds(seeds)
+        ]
+    found = load_suite(suite)
+    return [draw for task in found.tasks_of(split, names) for draw in found.draws(split, task, episodes, offset=first)]
+
+
+@click.command(
+    epilog="\b\nExamples:\n"
+    "  python -m kinebench_drake.suites.samples --out faults --suite 2 --split unseen --episodes 1 --sizes gated\n"
+    "  python -m kinebench_drake.suites.samples --out jumps --tasks StackCube-v1 --seeds 0:5 --kinds teleport "
+    "--sizes 0.03,0.05"
+)
 @click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True, help="Folder to write to.")
-@click.option("--tasks", default=",".join(TASKS), show_default=True, help="Tasks, comma-separated.")
+@click.option("--tasks", metavar="A,B", help="Tasks, comma-separated.  [default: all there are]")
 @click.option("--seeds", default="0:1", show_default=True, help="Seeds: 7, 0:5 (end excluded), 0:5,9.")
+@click.option("--suite", type=click.IntRange(0, 3), metavar="N", help="Take a suite's episodes instead of --seeds.")
+@click.option("--split", default="test", show_default=True, help="Part of the suite.")
+@click.option("--episodes", type=click.IntRange(1), default=1, show_default=True, help="Episodes of each task.")
+@click.option(
+    "--seed", "first", type=click.IntRange(0), default=0, show_default=True, help="First of the split's seeds."
+)
 @click.option("--robot", type=click.Choice(ROBOTS), default="panda", show_default=True, help="Robot.")
 @click.option("--with-depth", is_flag=True, help="Keep depth and gripper masks in truth/ (some MB a video).")
-@click.option("--faults", is_flag=True, help="Also write each video with each kind of planted fault.")
-@click.option("--kinds", default=",".join(KINDS), show_default=True, help="Kinds of faults for --faults.")
-@click.option("--one-each", is_flag=True, help="With --faults: each kind once, on the first episodes in turn.")
-@click.option("--only-faults", is_flag=True, help="Write no video without a fault.")
-@click.option("--crf", type=click.IntRange(0, 51), default=18, show_default=True, help="H.264 quality, 0 is lossless.")
-@click.option("--dry-run", is_flag=True, help="Write nothing: only perform, and count each task's successes.")
+@click.option("--kinds", default=",".join(KINDS), show_default=True, help="Kinds of faults.")
+@click.option(
+    "--sizes", default="all", show_default=True, help="all, gated (those that must be found), or numbers for one kind."
+)
+@click.option("--one-each", is_flag=True, help="Each fault once, on the episodes in turn.")
+@click.option("--crf", type=click.IntRange(0, 51), default=16, show_default=True, help="H.264 quality, 0 is lossless.")
 @click.option("--jobs", type=click.IntRange(1), default=1, show_default=True, help="Worker processes.")
 def main(
     out: Path,
-    tasks: str,
+    tasks: str | None,
     seeds: str,
+    suite: int | None,
+    split: str,
+    episodes: int,
+    first: int,
     robot: str,
     with_depth: bool,
-    faults: bool,
     kinds: str,
+    sizes: str,
     one_each: bool,
-    only_faults: bool,
     crf: int,
-    dry_run: bool,
     jobs: int,
 ) -> None:
-    r"""Render videos of the Panda doing tasks, with ground truth and, if asked for, planted faults.
-
-    \b
-    Example:
-      python -m kinebench_drake.suites.samples --out demo-output/samples --tasks StackCube-v1 --seeds 0:2 --faults
-    """
+    """Render videos of the Panda doing tasks, each with one planted fault, and their ground truth."""
     try:
-        planted = tuple(AnomalyKind(kind) for kind in kinds.split(",")) if faults or only_faults else ()
-    except ValueError:
-        raise click.BadParameter(f"{kinds!r}; there are {', '.join(KINDS)}", param_hint="--kinds") from None
-    try:
-        episodes = list(product([find_task(task).card.id for task in tasks.split(",")], parse_seeds(seeds)))
+        grades = choose(parse_kinds(kinds), sizes)
+        draws = choose_draws(tasks, seeds, suite, split, episodes, first)
     except UsageError as error:
         raise click.UsageError(str(error)) from None
     orders = [
         Order(
-            task=task,
-            seed=seed,
+            draw=draw,
             robot=robot,
-            clean=not only_faults,
-            faults=planted[i : i + 1] if one_each else planted,
+            grades=tuple(grades[i :: len(draws)]) if one_each else grades,
             with_depth=with_depth,
             crf=crf,
-            dry_run=dry_run,
             out=out,
         )
-        for i, (task, seed) in enumerate(episodes)
+        for i, draw in enumerate(draws)
     ]
-    if not dry_run:
-        (out / "truth").mkdir(parents=True, exist_ok=True)
+    (out / "truth").mkdir(parents=True, exist_ok=True)
     samples: list[Sample] = []
     try:
-        for made, reason in _run(orders, jobs):
-            samples += made
-            if reason:
-                click.echo(reason, err=True)
-            for sample in made:
-                click.echo(f"{sample.id}  {'success' if sample.success else 'FAILED'}")
+        for made in _run([order for order in orders if order.grades], jobs):
+            samples += made.samples
+            for problem in made.problems:
+                click.echo(problem, err=True)
+            for sample in made.samples:
+                click.echo(sample.id)
     except KinebenchError as error:
         raise click.ClickException(str(error)) from None
     if not samples:
-        raise click.ClickException("no episode was done; the reasons stand above")
-    if dry_run:
-        for task in dict.fromkeys(order.task for order in orders):
-            done = sum(sample.success for sample in samples if sample.task == task)
-            click.echo(f"{task}: {done} of {sum(order.task == task for order in orders)} succeeded")
-        return
+        raise click.ClickException("no video was made; the reasons stand above")
     write_index(out, samples)
 
 

@@ -1,4 +1,4 @@
-"""The sample maker: what it writes, twice the same."""
+"""Videos with planted faults: what is written, twice the same."""
 
 import json
 from pathlib import Path
@@ -10,7 +10,8 @@ from click.testing import CliRunner
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import UsageError
 from kinebench_drake.mp4 import write_video
-from kinebench_drake.suites.samples import main, parse_seeds
+from kinebench_drake.suites.samples import choose_draws, main, parse_seeds
+from kinebench_drake.suites.split import Pool
 
 
 def test_parse_seeds() -> None:
@@ -21,7 +22,16 @@ def test_parse_seeds() -> None:
             parse_seeds(wrong)
 
 
-@pytest.mark.parametrize("arguments", [["--tasks", "Nothing-v1"], ["--seeds", "x"], ["--faults", "--kinds", "melt"]])
+def test_draws_of_a_split_are_the_suites_own() -> None:
+    draws = choose_draws("StackCube-v1,PullCube-v1", "0", 2, "unseen", 2, 3)
+    assert {d.pool for d in draws} == {Pool.UNSEEN}
+    assert sorted((d.task, d.seed) for d in draws) == [(t, s) for t in ("PullCube-v1", "StackCube-v1") for s in (3, 4)]
+    assert {d.pool for d in choose_draws(None, "0", None, "test", 1, 0)} == {Pool.ALL}
+
+
+@pytest.mark.parametrize(
+    "arguments", [["--tasks", "Nothing-v1"], ["--seeds", "x"], ["--kinds", "melt"], ["--suite", "2", "--split", "x"]]
+)
 def test_usage_errors(tmp_path: Path, arguments: list[str]) -> None:
     assert CliRunner().invoke(main, ["--out", str(tmp_path / "out"), *arguments]).exit_code == 2
     assert not (tmp_path / "out").exists()
@@ -40,7 +50,7 @@ def test_same_arguments_same_bytes(tmp_path: Path) -> None:
     def made(name: str) -> dict[str, bytes]:
         out = tmp_path / name
         arguments = ["--out", str(out), "--tasks", "PullCube-v1", "--seeds", "3"]
-        result = CliRunner().invoke(main, [*arguments, "--with-depth", "--faults", "--kinds", "freeze"])
+        result = CliRunner().invoke(main, [*arguments, "--with-depth", "--kinds", "freeze", "--sizes", "5"])
         assert result.exit_code == 0, result.output
         return {str(p.relative_to(out)): p.read_bytes() for p in sorted(out.rglob("*")) if p.is_file()}
 
@@ -48,11 +58,11 @@ def test_same_arguments_same_bytes(tmp_path: Path) -> None:
     assert first == second
     out = tmp_path / "a"
     lines = [json.loads(line) for line in (out / "manifest.jsonl").read_text().splitlines()]
-    assert [line["id"] for line in lines] == ["PullCube-v1_s0003", "PullCube-v1_s0003_freeze"]
+    assert [line["id"] for line in lines] == ["PullCube-v1_s0003_freeze_5f"]
     assert Camera.load(out / "camera.json").width == 384
     faults = json.loads((out / "truth" / "faults.json").read_text())
-    assert set(faults) == {"PullCube-v1_s0003_freeze"}
-    with np.load(out / "truth" / "PullCube-v1_s0003.npz") as truth:
+    assert set(faults) == {"PullCube-v1_s0003_freeze_5f"}
+    with np.load(out / "truth" / "PullCube-v1_s0003_freeze_5f.npz") as truth:
         assert truth["base_from_tcp"].shape == truth["camera_from_hand"].shape == (49, 4, 4)
         assert truth["q"].shape == (49, 7)
         assert truth["t_s"][-1] == pytest.approx(9.6)
