@@ -106,10 +106,10 @@ def test_true_depth_leaves_two_millimetres_and_a_degree(
 ) -> None:
     from click.testing import CliRunner
 
-    from kinebench_drake.cli import main
+    from kinebench_drake.cli import cli
 
     arguments = ["suite", "demos", "--out", str(tmp_path), "--task", "PullCube-v1", "--episodes", "1", "--with-depth"]
-    assert CliRunner().invoke(main, arguments).exit_code == 0
+    assert CliRunner().invoke(cli, arguments).exit_code == 0
     (clip,) = load_clips(tmp_path, with_depth=True)
     assert isinstance(clip, Clip)
     errors = evaluate(clip, true_depth_pipeline(pipeline, estimator, clip, cad))
