@@ -18,7 +18,7 @@ MAY_IMPORT = {
     "models": LEAF,
     "kinematics": LEAF | {"models"},
     "metrics": LEAF | {"models", "kinematics"},
-    "grounding": LEAF | {"models", "kinematics"},
+    "grounding": LEAF | {"models", "kinematics", "engines"},
     "suites": LEAF | {"models", "kinematics", "engines"},
     **dict.fromkeys(RESULTS, LEAF | RESULTS),
     "manifest": LEAF,

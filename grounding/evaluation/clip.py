@@ -1,4 +1,4 @@
-"""Clips with their truth, as `kinebench-drake suite demos` and `python -m kinebench_drake.suites.samples` write them."""
+"""Clips with their truth, as `kinebench-drake suite demos` and `kinebench_drake.suites.samples` write them."""
 
 import json
 from collections.abc import Sequence

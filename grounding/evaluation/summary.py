@@ -130,7 +130,7 @@ def intervals(results: Results, statistics: Mapping[str, Statistic] = ACCURACY, 
     The interval is NaN of fewer than two clips.
     """
     rng = np.random.default_rng(seed)
-    draws = rng.integers(len(results), size=(RESAMPLES, len(results))) if len(results) > 1 else []
+    draws = rng.integers(len(results), size=(RESAMPLES if len(results) > 1 else 0, len(results)))
     drawn = [[results[i] for i in draw] for draw in draws]
     table = {}
     for name, statistic in statistics.items():

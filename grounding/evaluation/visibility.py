@@ -1,4 +1,4 @@
-"""How much of the gripper a picture shows, and its outline where no mask is stored, from the CAD model at true poses."""
+"""How much of the gripper a picture shows, and its outline where no mask is stored, by the CAD model at true poses."""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -8,11 +8,14 @@ import pytest
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.grounding.confidence import Confidence
 from kinebench_drake.grounding.estimator import NetworkEstimator
+from kinebench_drake.grounding.evaluation.clip import Clip, load_clips
+from kinebench_drake.grounding.evaluation.errors import ClipErrors
+from kinebench_drake.grounding.evaluation.summary import summarize
+from kinebench_drake.grounding.evaluation.trial import evaluate
+from kinebench_drake.grounding.evaluation.variants import VARIANTS, Tools
 from kinebench_drake.grounding.overlay import draw_overlay
 from kinebench_drake.grounding.pipeline import GroundingPipeline
 from kinebench_drake.grounding.tracker import CadTracker
-from kinebench_drake.grounding.training.evaluate import Clip, ClipErrors, evaluate, load_clips, true_depth_pipeline
-from kinebench_drake.grounding.training.report import summarize
 from kinebench_drake.grounding.video import read_video
 from kinebench_drake.models.panda.cad import GripperCad
 from kinebench_drake.models.perception.weights import load_network
@@ -112,7 +115,10 @@ def test_true_depth_leaves_two_millimetres_and_a_degree(
     assert CliRunner().invoke(cli, arguments).exit_code == 0
     (clip,) = load_clips(tmp_path, with_depth=True)
     assert isinstance(clip, Clip)
-    errors = evaluate(clip, true_depth_pipeline(pipeline, estimator, clip, cad))
+    tools = Tools(estimator=estimator, cad=cad, confidence=pipeline.confidence, shipped=pipeline)
+    make = VARIANTS["true-mask-and-depth"].make
+    assert make is not None
+    errors = evaluate(clip, make(tools, clip, read_video(clip.path).frames))
     figures = summarize([errors])
     assert figures["tracked_fraction"] >= 0.95
     assert figures["position_median_mm"] <= 2.0

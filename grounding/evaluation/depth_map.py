@@ -1,0 +1,142 @@
+"""Where on the gripper an estimated depth errs: maps over the CAD model, and one frame to look at."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinebench_drake.geometry import Array, invert, transform_points
+from kinebench_drake.grounding.crop import Crop
+from kinebench_drake.grounding.evaluation.clip import ClipFile
+from kinebench_drake.grounding.evaluation.given import with_depth, with_mask
+from kinebench_drake.grounding.video import read_video
+from kinebench_drake.grounding.view import DepthEstimator, Frames, GripperView
+
+EVERY = 4
+"""One frame of so many is measured."""
+CELL_M = 0.003
+"""Side of a map's cells [m]."""
+EXTENT_H = np.array([[-0.06, 0.06], [-0.11, 0.11], [-0.02, 0.13]])
+"""What the maps cover of panda_hand along x, y, z [m]."""
+_CROP_PX, _MARGIN = 128, 1.3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Example:
+    """One frame's close view."""
+
+    picture: NDArray[np.uint8]
+    """(S, S, 3)."""
+    true_m: Array
+    """(h, w) true depth along the view's axis [m]; NaN off the gripper."""
+    estimated_m: Array
+    """(h, w) likewise."""
+
+    @property
+    def error(self) -> Array:
+        """(h, w) relative error, positive where the estimate is too far; NaN off the gripper."""
+        return np.asarray(self.estimated_m / self.true_m - 1.0)
+
+
+@dataclass(slots=True)
+class ErrorMap:
+    """Mean of the absolute relative depth error on one plane of the hand."""
+
+    axes: tuple[int, int]
+    """Axes of panda_hand to the right and up."""
+    total: Array = field(init=False)
+    count: Array = field(init=False)
+
+    def __post_init__(self) -> None:
+        """An empty map."""
+        across, up = (round(float(np.ptp(EXTENT_H[a])) / CELL_M) for a in self.axes)
+        self.total, self.count = np.zeros((up, across)), np.zeros((up, across))
+
+    def add(self, p_H: Array, error: Array) -> None:
+        """Enter errors (n,) at points (n, 3) of the hand."""
+        cells = [np.floor((p_H[:, a] - EXTENT_H[a, 0]) / CELL_M).astype(int) for a in self.axes]
+        inside = np.all([(c >= 0) & (c < n) for c, n in zip(cells, self.total.shape[::-1], strict=True)], axis=0)
+        u, v = (c[inside] for c in cells)
+        np.add.at(self.total, (v, u), np.abs(error[inside]))
+        np.add.at(self.count, (v, u), 1.0)
+
+    def mean(self) -> Array:
+        """Mean in each cell; NaN where fewer than three measurements lie."""
+        return np.where(self.count >= 3, self.total / np.maximum(self.count, 1.0), np.nan)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DepthErrors:
+    """The depth errors of an estimator over clips."""
+
+    front: ErrorMap
+    """Seen along the hand's x axis: the fingers open to the sides."""
+    side: ErrorMap
+    """Seen along the hand's y axis."""
+    median: float
+    """Median absolute relative error over all cells."""
+    p95: float
+    """95th percentile likewise."""
+    level_median: float
+    """Median over frames of the absolute median error of a frame: what is common to its cells."""
+    example: Example
+
+
+def measure_depth(clips: Sequence[ClipFile], estimator: DepthEstimator) -> DepthErrors | None:
+    """Hold the depth of an estimator against the truth on the gripper's visible pixels; None if none is visible.
+
+    The close views are those of the true poses, so that nothing but the depth counts; fingers are moved to where they
+    are when closed.
+
+    Raises:
+        UsageError: a clip's truth holds no depth.
+    """
+    front, side = ErrorMap(axes=(1, 2)), ErrorMap(axes=(0, 2))
+    errors: list[Array] = []
+    example: Example | None = None
+    largest = 0
+    for file in clips:
+        for picture, view, true, X_HV, finger_m in _views(file, estimator):
+            seen = np.isfinite(true.depth_m) & true.gripper & view.gripper
+            if not seen.any():
+                continue
+            error = view.depth_m[seen] / true.depth_m[seen] - 1.0
+            p_H = transform_points(X_HV, true.rays()[seen] * true.depth_m[seen][:, None])
+            p_H[:, 1] -= finger_m * true.opening_sign[seen]
+            front.add(p_H, error)
+            side.add(p_H, error)
+            errors.append(error)
+            if file is clips[0] and seen.sum() > largest:
+                largest = int(seen.sum())
+                blank = np.where(seen, 1.0, np.nan)
+                example = Example(picture=picture, true_m=true.depth_m * blank, estimated_m=view.depth_m * blank)
+    if not errors or example is None:
+        return None
+    pooled = np.abs(np.concatenate(errors))
+    return DepthErrors(
+        front=front,
+        side=side,
+        median=float(np.median(pooled)),
+        p95=float(np.percentile(pooled, 95)),
+        level_median=float(np.median([abs(float(np.median(e))) for e in errors])),
+        example=example,
+    )
+
+
+def _views(
+    file: ClipFile, estimator: DepthEstimator
+) -> Iterable[tuple[NDArray[np.uint8], GripperView, GripperView, Array, float]]:
+    """Of every fourth frame: close view, what is estimated in it, the truth, its pose on the hand, the opening."""
+    clip = file.load(with_depth=True)
+    frames: Frames = read_video(clip.path).frames
+    if clip.depth_m is None or clip.mask is None:
+        return
+    numbers = [i for i in range(0, len(frames), EVERY) if np.isfinite(clip.X_CH[i]).all() and clip.X_CH[i, 2, 3] > 0.1]
+    crops = [Crop.of_gripper(clip.X_CH[i], _MARGIN, _CROP_PX) for i in numbers]
+    if not numbers:
+        return
+    for i, view in zip(numbers, estimator.estimate(frames[numbers], clip.camera, crops), strict=True):
+        true = with_depth(with_mask(view, clip.mask[i], clip.camera), clip.depth_m[i], clip.camera)
+        picture = np.asarray(view.crop.warp(frames[i], clip.camera), dtype=np.uint8)
+        yield picture, view, true, invert(clip.X_CH[i]) @ view.crop.X_CV, float(clip.finger_width_m[i]) / 2

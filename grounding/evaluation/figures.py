@@ -1,0 +1,166 @@
+"""Measurements as pictures."""
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinebench_drake.geometry import Array
+from kinebench_drake.grounding.evaluation.reliability import Reliability, judged_frames, reliability
+from kinebench_drake.grounding.evaluation.summary import Interval, Results
+from kinebench_drake.grounding.evaluation.tables import by_task
+from kinebench_drake.storage import whole
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+POSITION, ROTATION, FAINT = "#1f6fb2", "#c4622d", "#b8bec4"
+_COLOURS = ("#1f6fb2", "#c4622d", "#3a8f5c", "#8a5fb0", "#b5485d", "#6b7a1e", "#3b8ea5", "#946b3d", "#5b6470")
+_FLOOR_MM, _FLOOR_DEG = 0.05, 0.02  # of logarithmic axes
+
+
+def new_figure(width: float, height: float, rows: int = 1, columns: int = 1, **options: Any) -> "tuple[Figure, Any]":
+    """A light figure of a size [inches] and its axes (rows, columns), drawn without any display."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), dpi=130, layout="constrained", facecolor="white")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(rows, columns, squeeze=False, **options)
+    for ax in axes.flat:
+        ax.spines[["top", "right"]].set_visible(False)
+        ax.grid(True, color="#e6e8ea", linewidth=0.7)
+        ax.set_axisbelow(True)
+    return figure, axes
+
+
+def save(figure: "Figure", path: Path) -> None:
+    """Write a figure as png, whole or not at all.
+
+    Raises:
+        SetupError: writing failed.
+    """
+    with whole(path) as part:
+        figure.savefig(part, format="png")
+
+
+def errors_of(results: Results) -> tuple[Array, Array]:
+    """Position [mm] and rotation errors [degrees] of all tracked frames with a gripper."""
+    position = np.concatenate([e.position_m[e.tracked & e.visible] for e in results]) * 1e3
+    rotation = np.rad2deg(np.concatenate([e.rotation_rad[e.tracked & e.visible] for e in results]))
+    return position, rotation
+
+
+def draw_evaluation(results: Results) -> "Figure":
+    """Error distributions over all frames, boxes for each task, and the reliability curve."""
+    figure, axes = new_figure(13.0, 8.2, 2, 2)
+    position, rotation = errors_of(results)
+    _distribution(axes[0, 0], position, rotation)
+    _reliability(axes[0, 1], reliability(*judged_frames(results)))
+    groups = {task: errors_of(group) for task, group in by_task(results).items()}
+    _boxes(axes[1, 0], [g[0] for g in groups.values()], list(groups), [POSITION] * len(groups), _FLOOR_MM)
+    axes[1, 0].set_ylabel("position error [mm]")
+    _boxes(axes[1, 1], [g[1] for g in groups.values()], list(groups), [ROTATION] * len(groups), _FLOOR_DEG)
+    axes[1, 1].set_ylabel("rotation error [degrees]")
+    figure.suptitle(f"{len(results)} videos, {len(position)} tracked frames; boxes: quartiles, whiskers: 5 % and 95 %")
+    return figure
+
+
+def _distribution(ax: Any, position: Array, rotation: Array) -> None:
+    for values, colour, label, floor in (
+        (position, POSITION, "position error [mm]", _FLOOR_MM),
+        (rotation, ROTATION, "rotation error [degrees]", _FLOOR_DEG),
+    ):
+        if values.size:
+            ax.plot(np.sort(np.maximum(values, floor)), np.arange(1, len(values) + 1) / len(values), color=colour)
+            middle, high = np.percentile(values, [50, 95])
+            ax.plot([], [], color=colour, label=f"{label}: median {middle:.2f}, 95 % {high:.2f}")
+    _logarithmic(ax.xaxis, ax.set_xscale)
+    ax.set_ylim(0, 1)
+    ax.set_xlabel("error, see legend")
+    ax.set_ylabel("share of tracked frames below")
+    ax.legend(loc="lower right", frameon=False)
+
+
+def _logarithmic(axis: Any, set_scale: Callable[[str], None]) -> None:
+    """A logarithmic axis with plain numbers."""
+    set_scale("log")
+    axis.set_major_formatter("{x:g}")
+
+
+def _reliability(ax: Any, curve: Reliability) -> None:
+    ax.plot([0, 1], [0, 1], color=FAINT, linestyle="--")
+    if curve.bins:
+        x, y = np.array([(b.confidence, b.good) for b in curve.bins]).T
+        bounds = np.array([(b.good - b.good_low, b.good_high - b.good) for b in curve.bins]).T
+        ax.errorbar(x, y, yerr=np.maximum(bounds, 0), color=POSITION, marker="o", capsize=3)
+        for b in curve.bins:
+            ax.annotate(str(b.frames), (b.confidence, b.good), xytext=(5, -11), textcoords="offset points", fontsize=8)
+    ax.set(xlim=(0, 1.02), ylim=(0, 1.02), xlabel="confidence (mean of the bin)")
+    ax.set_ylabel("share within 10 mm and 5 degrees")
+    ax.set_title(f"expected calibration error {curve.error:.3f}; frames of each bin at its point", fontsize=10)
+
+
+def _boxes(ax: Any, groups: Sequence[Array], labels: Sequence[str], colours: Sequence[str], floor: float) -> None:
+    """Boxes of quartiles with whiskers at 5 % and 95 %, on a logarithmic axis."""
+    values = [np.maximum(g, floor) if g.size else np.array([np.nan]) for g in groups]
+    boxes = ax.boxplot(
+        values, whis=(5, 95), showfliers=False, widths=0.65, patch_artist=True, medianprops={"color": "#20262c"}
+    )
+    for box, colour in zip(boxes["boxes"], colours, strict=True):
+        box.set(facecolor=colour, alpha=0.55, edgecolor=colour)
+    _logarithmic(ax.yaxis, ax.set_yscale)
+    ax.set_xticks(range(1, len(labels) + 1), labels, rotation=60, ha="right", rotation_mode="anchor", fontsize=8)
+    ax.grid(False, axis="x")
+
+
+def draw_comparison(
+    results: Mapping[str, Results], figures: Mapping[str, Mapping[str, Interval]], groups: Mapping[str, str], title: str
+) -> "Figure":
+    """Boxes of both errors and the tracked share for each condition.
+
+    Args:
+        results: clips by condition.
+        figures: the figures of the same conditions.
+        groups: what each condition belongs to: those of one group have one colour.
+        title: what is compared.
+    """
+    names = list(results)
+    shades = {group: _COLOURS[i % len(_COLOURS)] for i, group in enumerate(dict.fromkeys(groups.values()))}
+    colours = [shades[groups[name]] for name in names]
+    figure, axes = new_figure(max(8.0, 0.42 * len(names) + 3.5), 11.0, 3, 1, sharex=False)
+    errors = [errors_of(results[name]) for name in names]
+    _boxes(axes[0, 0], [e[0] for e in errors], [""] * len(names), colours, _FLOOR_MM)
+    axes[0, 0].set_ylabel("position error [mm]")
+    axes[0, 0].axhline(10.0, color=FAINT, linestyle="--", linewidth=1)
+    _boxes(axes[1, 0], [e[1] for e in errors], [""] * len(names), colours, _FLOOR_DEG)
+    axes[1, 0].set_ylabel("rotation error [degrees]")
+    tracked = [figures[name]["tracked_when_seen"] for name in names]
+    ax = axes[2, 0]
+    values = [f.value for f in tracked]
+    ax.bar(range(1, len(names) + 1), values, color=colours, alpha=0.6, width=0.65)
+    bounds = np.array([(max(f.value - f.low, 0.0), max(f.high - f.value, 0.0)) for f in tracked]).T
+    ax.errorbar(range(1, len(names) + 1), values, yerr=np.nan_to_num(bounds), fmt="none", ecolor="#20262c", capsize=2)
+    ax.set_ylim(min(0.9, *np.nan_to_num(values, nan=0.9)) - 0.05, 1.005)
+    ax.set_ylabel("tracked, of frames that show\n30 % of the gripper or more")
+    ax.axhline(0.9, color=FAINT, linestyle="--", linewidth=1)
+    ax.set_xticks(range(1, len(names) + 1), names, rotation=60, ha="right", rotation_mode="anchor", fontsize=8)
+    ax.grid(False, axis="x")
+    for row in axes[:, 0]:
+        row.set_xlim(0.3, len(names) + 0.7)
+    figure.suptitle(f"{title}\nboxes: quartiles, whiskers: 5 % and 95 % of tracked frames; bars: 95 % over videos")
+    return figure
+
+
+def draw_sheet(pictures: Mapping[str, NDArray[np.uint8]], columns: int = 4) -> "Figure":
+    """Named pictures (H, W, 3) side by side."""
+    rows = -(-len(pictures) // columns)
+    figure, axes = new_figure(2.6 * columns, 2.8 * rows, rows, columns)
+    for ax in axes.flat:
+        ax.axis("off")
+    for ax, (name, picture) in zip(axes.flat, pictures.items(), strict=False):
+        ax.imshow(picture)
+        ax.set_title(name, fontsize=9)
+    return figure

@@ -1,0 +1,90 @@
+"""All perturbations by name, with the strengths they are measured at.
+
+The kinds are those of the paper's section 4.2 (gripper deformation, three levels of occlusion, contrast, motion blur,
+noise), which gives no numbers, and what coding and blending of frames do. Of each kind's three strengths the first is a
+good video model's, the second the one that a pipeline has to bear, the third beyond that; occlusion has to be borne at
+all three.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from kinebench_drake.grounding.evaluation.perturbation.compression import code_h264, code_latent
+from kinebench_drake.grounding.evaluation.perturbation.deformation import deform
+from kinebench_drake.grounding.evaluation.perturbation.light import add_noise, fade
+from kinebench_drake.grounding.evaluation.perturbation.motion import blur_motion, ghost
+from kinebench_drake.grounding.evaluation.perturbation.occlusion import occlude
+from kinebench_drake.grounding.evaluation.perturbation.seen import Frames, Masks, Seen
+
+
+class Kind(Enum):
+    """What can be done to frames."""
+
+    DEFORMATION = "deformation"
+    OCCLUSION = "occlusion"
+    CONTRAST = "contrast"
+    MOTION_BLUR = "motion-blur"
+    NOISE = "noise"
+    H264 = "h264"
+    LATENT = "latent"
+    GHOSTING = "ghosting"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Perturbation:
+    """A kind at a strength."""
+
+    kind: Kind
+    strength: float
+    """In the kind's own unit; 0 changes nothing."""
+
+    @property
+    def label(self) -> str:
+        """Name and strength for tables."""
+        return _ENTRIES[self.kind].label.format(self.strength)
+
+    @property
+    def must_be_borne(self) -> bool:
+        """Whether it is of the kind of strength that the grounding promises to bear."""
+        return self.strength in _ENTRIES[self.kind].borne
+
+
+Function = Callable[[Frames, Masks, np.random.Generator, float], Seen]
+
+
+@dataclass(frozen=True, slots=True)
+class _Entry:
+    function: Function
+    label: str
+    strengths: tuple[float, ...]
+    borne: tuple[float, ...]
+
+
+_ENTRIES: Mapping[Kind, _Entry] = {
+    Kind.DEFORMATION: _Entry(deform, "deformation {:g} px", (2.0, 4.0, 8.0), (4.0,)),
+    Kind.OCCLUSION: _Entry(occlude, "occlusion {:.0%}", (0.15, 0.30, 0.50), (0.15, 0.30, 0.50)),
+    Kind.CONTRAST: _Entry(fade, "contrast -{:.0%}", (0.4, 0.6, 0.8), (0.6,)),
+    Kind.MOTION_BLUR: _Entry(blur_motion, "motion blur {:g} px", (5.0, 10.0, 20.0), (10.0,)),
+    Kind.NOISE: _Entry(add_noise, "noise {:g}/255", (10.0, 20.0, 40.0), (20.0,)),
+    Kind.H264: _Entry(code_h264, "H.264 crf {:g}", (28.0, 35.0, 42.0), (35.0,)),
+    Kind.LATENT: _Entry(code_latent, "latent 1:{:g}", (24.0, 48.0, 96.0), (48.0,)),
+    Kind.GHOSTING: _Entry(ghost, "ghosting {:.0%}", (0.2, 0.35, 0.5), (0.35,)),
+}
+
+
+def ladder(kind: Kind) -> tuple[Perturbation, ...]:
+    """A kind at its strengths, in increasing order."""
+    return tuple(Perturbation(kind=kind, strength=s) for s in _ENTRIES[kind].strengths)
+
+
+def perturb(perturbation: Perturbation, frames: Frames, masks: Masks, seed: int, id: str) -> tuple[Frames, Masks]:
+    """Frames (T, H, W, 3) and masks (T, H, W) of the clip of a name after a perturbation.
+
+    Clip, kind and seed draw the pattern, the strength does not: strengths differ in nothing else.
+    """
+    rng = np.random.default_rng([seed, *perturbation.kind.value.encode(), *id.encode()])
+    seen = _ENTRIES[perturbation.kind].function(frames, masks, rng, perturbation.strength)
+    return seen.frames, seen.masks

@@ -1,0 +1,170 @@
+"""The studies: which conditions are held against each other, and what is told of the outcome."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from kinebench_drake.engines import Engine
+from kinebench_drake.errors import UsageError
+from kinebench_drake.grounding.evaluation.clip import ClipFile, choose, find_clips
+from kinebench_drake.grounding.evaluation.degradation import Degradation
+from kinebench_drake.grounding.evaluation.perturbation.catalogue import Kind, ladder
+from kinebench_drake.grounding.evaluation.store import Store
+from kinebench_drake.grounding.evaluation.summary import Results
+from kinebench_drake.grounding.evaluation.tables import compared, comparison_table, intervals_json
+from kinebench_drake.grounding.evaluation.trial import Condition, MakeWorker, Trial, Watcher, Workshop, run
+from kinebench_drake.grounding.evaluation.variants import VARIANTS, plug_in
+
+CLEAN = Condition(name="as it is")
+_BUDGET = ("pixels", "true-mask", "true-depth", "true-mask-and-depth", "true-start", "true-opening", "all-true")
+_DEGRADED = {
+    "scale": tuple(Degradation(scale=s) for s in (0.02, 0.05, 0.10)),
+    "smooth error": tuple(Degradation(field=s) for s in (0.02, 0.05, 0.10)),
+    "noise": tuple(Degradation(noise=s) for s in (0.02, 0.05, 0.10)),
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Study:
+    """Conditions to be held against each other."""
+
+    title: str
+    conditions: tuple[Condition, ...]
+    groups: dict[str, str]
+    """What each condition belongs to, by name."""
+    missing: dict[str, str]
+    """Conditions that cannot be measured here, and why."""
+    marks: tuple[str, ...] = ()
+    """Conditions that the grounding promises to bear."""
+
+    @property
+    def needs_depth(self) -> bool:
+        """Whether clips must come with depth and mask."""
+        return any(VARIANTS[c.variant].needs_depth for c in self.conditions)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Plan:
+    """How a study is carried out."""
+
+    folder: Path
+    """Videos with their truth."""
+    weights: Path | None = None
+    """Weights in place of those shipped."""
+    limit: int | None = None
+    """So many videos only, tasks in turn."""
+    seed: int = 0
+    keep: Path | None = None
+    """Where finished measurements are kept."""
+
+    def clips(self) -> list[ClipFile]:
+        """The videos.
+
+        Raises:
+            UsageError: there are none, or no truth.
+        """
+        return choose(find_clips(self.folder), self.limit)
+
+
+def evaluation(*, true_depth: bool) -> Study:
+    """One pipeline: as shipped, or with mask and depth given."""
+    variant = "true-mask-and-depth" if true_depth else "pixels"
+    name = VARIANTS[variant].label
+    return Study(title=name, conditions=(Condition(name=name, variant=variant),), groups={name: name}, missing={})
+
+
+def robustness(kinds: Sequence[Kind]) -> Study:
+    """The frames as they are, and each kind of perturbation at its strengths."""
+    steps = [p for kind in kinds for p in ladder(kind)]
+    conditions = (CLEAN, *(Condition(name=p.label, perturbation=p) for p in steps))
+    return Study(
+        title="Pose errors under perturbations",
+        conditions=conditions,
+        groups={CLEAN.name: "", **{p.label: p.kind.value for p in steps}},
+        missing={},
+        marks=tuple(p.label for p in steps if p.must_be_borne),
+    )
+
+
+def depth_ablation(plug_ins: Sequence[str]) -> Study:
+    """True depth, the estimate, the estimate made worse, and other estimators.
+
+    Raises:
+        UsageError: an estimator is not available.
+    """
+    conditions = [Condition(name="true depth", variant="true-depth"), Condition(name="our estimate")]
+    groups = {c.name: c.name for c in conditions}
+    for what, levels in _DEGRADED.items():
+        for level in levels:
+            name = f"{what} {max(level.scale, level.field, level.noise):.0%}"
+            conditions.append(Condition(name=name, degradation=level))
+            groups[name] = what
+    for spec in plug_ins:
+        plug_in(spec)
+        conditions.append(Condition(name=spec, plug_in=spec))
+        groups[spec] = spec
+    title = "Pose errors with depth of graded quality"
+    return Study(title=title, conditions=tuple(conditions), groups=groups, missing={})
+
+
+def budget() -> Study:
+    """What each stage owes: true values put in one at a time, and all together."""
+    available = [name for name in _BUDGET if VARIANTS[name].make is not None]
+    conditions = tuple(Condition(name=VARIANTS[name].label, variant=name) for name in available)
+    return Study(
+        title="Pose errors with true values put in",
+        conditions=conditions,
+        groups={c.name: c.name for c in conditions},
+        missing={VARIANTS[name].label: "not available" for name in _BUDGET if name not in available},
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Outcome:
+    """What came of a study."""
+
+    study: Study
+    results: dict[str, list[Any]]
+    """Clips by condition."""
+    seed: int
+
+    def lines(self) -> Iterator[str]:
+        """The comparison as a table."""
+        figures = compared(self.results, self.seed)
+        first: Results = next(iter(self.results.values()))
+        frames = sum(len(e.tracked) for e in first)
+        yield f"{self.study.title}: {len(first)} videos, {frames} frames; 95 % intervals over videos"
+        yield "tracked: share of the frames that show at least 30 % of the gripper; errors: of tracked frames"
+        yield from comparison_table(figures, self.study.missing, self.study.marks)
+        if self.study.marks:
+            yield "* strength that the grounding has to bear"
+
+    def to_json(self) -> dict[str, Any]:
+        """The same as a JSON object."""
+        figures = compared(self.results, self.seed)
+        return {
+            "title": self.study.title,
+            "videos": [e.id for e in next(iter(self.results.values()))],
+            "conditions": {name: intervals_json(row) for name, row in figures.items()},
+            "missing": self.study.missing,
+            "to_be_borne": list(self.study.marks),
+        }
+
+
+def carry_out(
+    study: Study, plan: Plan, engine: Engine, watcher: Watcher, make_worker: MakeWorker | None = None
+) -> Outcome:
+    """Measure all clips under all conditions, going on where a run before was stopped.
+
+    Raises:
+        UsageError: the folder holds no clips with truth.
+        SetupError: weights or libraries are missing, or a worker died.
+    """
+    clips = plan.clips()
+    if not study.conditions:
+        raise UsageError("there is nothing to compare; name at least one condition")
+    trials = [Trial(clip=clip, condition=condition) for clip in clips for condition in study.conditions]
+    workshop = Workshop(weights=plan.weights, seed=plan.seed, with_depth=study.needs_depth)
+    results = run(trials, workshop, engine, Store(plan.keep), watcher, make_worker)
+    return Outcome(study=study, results=dict(results), seed=plan.seed)

@@ -1,0 +1,165 @@
+"""Trials: clips under conditions, measured by workers and kept."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinebench_drake.engines import Crashed, Engine
+from kinebench_drake.errors import SetupError
+from kinebench_drake.geometry import Array
+from kinebench_drake.grounding.evaluation.clip import Clip, ClipFile
+from kinebench_drake.grounding.evaluation.degradation import Degradation
+from kinebench_drake.grounding.evaluation.errors import ClipErrors, compare
+from kinebench_drake.grounding.evaluation.expense import metered
+from kinebench_drake.grounding.evaluation.perturbation.catalogue import Perturbation, perturb
+from kinebench_drake.grounding.evaluation.store import Store, fingerprint
+from kinebench_drake.grounding.evaluation.variants import VARIANTS, Grounder, Make, Tools, degraded, plug_in
+from kinebench_drake.grounding.evaluation.visibility import true_masks, visible_share
+from kinebench_drake.grounding.video import read_video
+from kinebench_drake.grounding.view import Frames
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Condition:
+    """What is done to a clip or to the pipeline before it is measured."""
+
+    name: str
+    """What stands in tables; tells conditions apart."""
+    variant: str = "pixels"
+    """Name of a pipeline of `VARIANTS`."""
+    perturbation: Perturbation | None = None
+    """What is done to the frames."""
+    degradation: Degradation | None = None
+    """What is done to the estimated depth."""
+    plug_in: str | None = None
+    """Another depth estimator, as given on the command line."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Trial:
+    """One clip under one condition."""
+
+    clip: ClipFile
+    condition: Condition
+
+
+class Watcher(Protocol):
+    """Who is told how things go."""
+
+    def started(self, total: int, kept: int) -> None:
+        """So many trials are to be made, of which so many are there already."""
+        ...
+
+    def advanced(self, line: str) -> None:
+        """One more is made."""
+        ...
+
+
+MakeWorker = Callable[[], Callable[[Trial], ClipErrors]]
+
+
+@dataclass(slots=True)
+class _Stand:
+    """What a worker keeps from one trial to the next of the same clip."""
+
+    id: str = ""
+    clip: Clip | None = None
+    frames: Frames = field(default_factory=lambda: np.zeros((0, 1, 1, 3), np.uint8))
+    masks: NDArray[np.bool_] = field(default_factory=lambda: np.zeros((0, 1, 1), dtype=bool))
+    share: Array = field(default_factory=lambda: np.zeros(0))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Workshop:
+    """Makes, in each process, what measures trials."""
+
+    weights: Path | None = None
+    """Weights in place of those shipped."""
+    seed: int = 0
+    """Draws perturbations and degradations."""
+    with_depth: bool = False
+    """Whether some condition needs the true depth."""
+
+    def __call__(self) -> Callable[[Trial], ClipErrors]:
+        """A function that measures one trial.
+
+        Raises:
+            SetupError: weights, CAD model or native libraries are missing.
+        """
+        tools, stand = Tools.load(self.weights), _Stand()
+
+        def measure(trial: Trial) -> ClipErrors:
+            if stand.id != trial.clip.id or stand.clip is None:
+                stand.clip = trial.clip.load(with_depth=self.with_depth)
+                stand.frames = read_video(stand.clip.path).frames
+                stand.masks = true_masks(stand.clip, tools.cad)
+                stand.share = visible_share(stand.clip, stand.masks, tools.cad)
+                stand.id = trial.clip.id
+            clip, condition = stand.clip, trial.condition
+            make = self._maker(condition)
+            if condition.perturbation is None:
+                return evaluate(clip, make(tools, clip, stand.frames), share=stand.share)
+            frames, masks = perturb(condition.perturbation, stand.frames, stand.masks, self.seed, clip.id)
+            shown = masks.sum(axis=(1, 2)) / np.maximum(stand.masks.sum(axis=(1, 2)), 1)
+            return evaluate(clip, make(tools, clip, frames), frames=frames, share=np.asarray(stand.share * shown))
+
+        return measure
+
+    def _maker(self, condition: Condition) -> Make:
+        if condition.plug_in is not None:
+            return plug_in(condition.plug_in)
+        if condition.degradation is not None:
+            return degraded(condition.degradation, self.seed)
+        make = VARIANTS[condition.variant].make
+        if make is None:
+            raise SetupError(f"{condition.variant}: this pipeline is not available")
+        return make
+
+
+def evaluate(clip: Clip, grounder: Grounder, *, frames: Frames | None = None, share: Array | None = None) -> ClipErrors:
+    """Ground a clip and hold it against its truth; the time of decoding counts unless `frames` are given."""
+    grounding, expense = metered(
+        lambda: grounder.ground(read_video(clip.path).frames if frames is None else frames, clip.camera, clip.t_s)
+    )
+    return compare(clip, grounding, expense, share)
+
+
+def run(
+    trials: Sequence[Trial],
+    workshop: Workshop,
+    engine: Engine,
+    store: Store,
+    watcher: Watcher,
+    make_worker: MakeWorker | None = None,
+) -> Mapping[str, list[ClipErrors]]:
+    """Measure what is not in the store yet; the results of each condition, in the order of the trials.
+
+    Raises:
+        SetupError: a worker died; what is finished is kept.
+    """  # fmt: skip
+    settings = (workshop.seed,)
+    base = fingerprint(*settings, files=[workshop.weights] if workshop.weights else [])
+    digests = {t.clip.id: t.clip.digest() for t in {t.clip.id: t for t in trials}.values()}
+    keys = {_name(t): f"{base}-{digests[t.clip.id]}-{t.clip.id}-{t.condition!r}" for t in trials}
+    todo = [t for t in trials if keys[_name(t)] not in store]
+    watcher.started(len(trials), len(trials) - len(todo))
+    for done in engine.run(make_worker or workshop, sorted(todo, key=lambda t: t.clip.id)):
+        if isinstance(done, Crashed):
+            raise SetupError(
+                f"{done.item.clip.id}, {done.item.condition.name}: {done.reason}; run the same command again, what is "
+                "finished is kept"
+            )
+        store.put(keys[_name(done.item)], done.result)
+        watcher.advanced(f"{done.item.clip.id}  {done.item.condition.name}")
+    results: dict[str, list[ClipErrors]] = {}
+    for trial in trials:
+        results.setdefault(trial.condition.name, []).append(store[keys[_name(trial)]])
+    return results
+
+
+def _name(trial: Trial) -> tuple[str, str]:
+    return trial.clip.id, trial.condition.name

@@ -1,0 +1,73 @@
+"""`kinebench-drake perception depth-ablation`."""
+
+from pathlib import Path
+
+import click
+
+from kinebench_drake.cli.perception_evaluate import carry_out, check_figure, measuring, write_json
+
+_TERMS = """\b
+scale         a whole video too far or too near by so much
+smooth error  errors that vary over picture and time, root mean square
+noise         each cell by itself, standard deviation
+
+"""
+"""What the words of the table mean."""
+
+
+@click.command(
+    "depth-ablation",
+    epilog=_TERMS + "\b\nExample:\n"
+    "  kinebench-drake perception depth-ablation heldout --json depth.json --figure depth.png --heatmap map.png",
+)
+@measuring
+@click.option(
+    "--depth", "plug_ins", multiple=True, metavar="SPEC", help="Another estimator, as moge:CHECKPOINT; repeatable."
+)
+@click.option(
+    "--heatmap", type=click.Path(path_type=Path, dir_okay=False),
+    help="Draw where on the gripper the estimated depth errs, and one frame of it (png).",
+)  # fmt: skip
+def depth_ablation(
+    folder: Path,
+    weights: Path | None,
+    limit: int | None,
+    jobs: int,
+    seed: int,
+    json_out: Path | None,
+    overwrite: bool,
+    figure: Path | None,
+    plug_ins: tuple[str, ...],
+    heatmap: Path | None,
+) -> None:
+    """Say what depth is worth: true depth, our estimate, our estimate made worse, other estimators.
+
+    FOLDER is what `suite demos --with-depth` writes.
+    """
+    from kinebench_drake.grounding.evaluation import study
+    from kinebench_drake.grounding.evaluation.depth_figure import draw_depth
+    from kinebench_drake.grounding.evaluation.depth_map import measure_depth
+    from kinebench_drake.grounding.evaluation.figures import draw_comparison, save
+    from kinebench_drake.grounding.evaluation.tables import compared
+    from kinebench_drake.grounding.evaluation.variants import Tools
+
+    check_figure(figure)
+    check_figure(heatmap)
+    outcome = carry_out(study.depth_ablation(plug_ins), folder, weights, limit, jobs, seed, json_out, overwrite)
+    for line in outcome.lines():
+        click.echo(line)
+    clips = study.Plan(folder=folder, limit=limit).clips()
+    errors = measure_depth(clips, Tools.load(weights).estimator)
+    told = {}
+    if errors is not None:
+        told = {"median": errors.median, "p95": errors.p95, "common_error_median": errors.level_median}
+        click.echo(
+            f"relative depth error of our estimate on the gripper: median {errors.median:.2%}, 95 % {errors.p95:.2%}; "
+            f"common to a frame: median {errors.level_median:.2%}"
+        )
+    write_json(json_out, {**outcome.to_json(), "relative_depth_error": told})
+    if figure:
+        shown = compared(outcome.results, seed)
+        save(draw_comparison(outcome.results, shown, outcome.study.groups, outcome.study.title), figure)
+    if heatmap and errors is not None:
+        save(draw_depth(errors, "our estimate"), heatmap)
