@@ -4,6 +4,7 @@ from pathlib import Path
 
 import click
 
+from kinebench_drake.cli.perception_baseline import baseline
 from kinebench_drake.cli.perception_budget import budget
 from kinebench_drake.cli.perception_depth_ablation import depth_ablation
 from kinebench_drake.cli.perception_evaluate import evaluate
@@ -100,3 +101,4 @@ perception.add_command(evaluate)
 perception.add_command(robustness)
 perception.add_command(depth_ablation)
 perception.add_command(budget)
+perception.add_command(baseline)

@@ -1,0 +1,175 @@
+"""The baseline beside the grounding: errors of both on the same videos, with intervals over videos."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from kinebench_drake.camera import Camera
+from kinebench_drake.errors import InputError
+from kinebench_drake.geometry import Array, pose_difference
+from kinebench_drake.grounding.baseline.demonstration import Demonstration
+from kinebench_drake.grounding.baseline.predictor import Baseline
+from kinebench_drake.grounding.pipeline import GroundingPipeline
+from kinebench_drake.grounding.video import read_video
+
+CONFIDENCE = 0.95
+_RESAMPLES = 1000
+_TOLD = (50, 95)  # percentiles
+
+
+class Method(Enum):
+    """Whose errors."""
+
+    BASELINE = "baseline"
+    BASELINE_WHERE_TRACKED = "baseline where tracked"
+    """The baseline in the frames that the grounding calls tracked."""
+    GROUNDING = "grounding"
+
+
+class Quantity(Enum):
+    """What is measured, with the unit it is told in."""
+
+    POSITION = "position [mm]"
+    ROTATION = "rotation [degrees]"
+    FINGER = "finger gap [mm]"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Errors:
+    """Errors of a method in one video; NaN where it says nothing."""
+
+    position_m: Array
+    """(T,) of panda_hand_tcp in the base frame [m]."""
+    rotation_rad: Array
+    """(T,) of panda_hand_tcp [rad]."""
+    finger_m: Array
+    """(T,) of the gap between the finger pads [m]."""
+
+    def told(self, quantity: Quantity) -> Array:
+        """(T,) errors in the quantity's unit."""
+        if quantity is Quantity.ROTATION:
+            return np.asarray(np.rad2deg(self.rotation_rad))
+        return 1e3 * (self.position_m if quantity is Quantity.POSITION else self.finger_m)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ClipComparison:
+    """One video."""
+
+    id: str
+    task: str
+    trained: bool
+    """Whether the baseline was trained on the task."""
+    tracked_fraction: float
+    """Share of frames that the grounding calls tracked."""
+    errors: Mapping[Method, Errors]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Figure:
+    """A percentile over the frames of a group of videos, with its interval over videos."""
+
+    value: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Group:
+    """A task, or all tasks of a kind, in numbers."""
+
+    name: str
+    trained: bool
+    videos: int
+    pooled: bool
+    """Whether it stands for several tasks."""
+    tracked_fraction: float
+    medians: Mapping[tuple[Method, Quantity], Figure]
+    p95s: Mapping[tuple[Method, Quantity], Figure]
+    """95th percentiles."""
+
+
+def errors(truth: Demonstration, X_BG: Array, finger_width_m: Array) -> Errors:
+    """Errors of a track: poses (T, 4, 4) and gaps (T,) [m]."""
+    position, rotation = pose_difference(truth.X_BG, X_BG)
+    return Errors(position_m=position, rotation_rad=rotation, finger_m=np.abs(finger_width_m - truth.finger_width_m))
+
+
+def compare(clip: Demonstration, camera: Camera, baseline: Baseline, pipeline: GroundingPipeline) -> ClipComparison:
+    """Run both on one video.
+
+    Raises:
+        InputError: the video cannot be read, or has another number of frames than its truth.
+    """
+    frames = read_video(clip.path).frames
+    if len(frames) != len(clip.t_s):
+        raise InputError(f"{clip.path.name}: has {len(frames)} frames, its truth has {len(clip.t_s)}")
+    said, track = baseline.predict(frames), pipeline.ground(frames, camera, clip.t_s).track
+    always = errors(clip, said.X_BG, said.finger_width_m)
+    unknown = np.where(track.tracked, 0.0, np.nan)
+    where_tracked = Errors(
+        position_m=always.position_m + unknown,
+        rotation_rad=always.rotation_rad + unknown,
+        finger_m=always.finger_m + unknown,
+    )
+    return ClipComparison(
+        id=clip.id,
+        task=clip.task,
+        trained=clip.task in baseline.tasks,
+        tracked_fraction=float(track.tracked.mean()),
+        errors={
+            Method.BASELINE: always,
+            Method.BASELINE_WHERE_TRACKED: where_tracked,
+            Method.GROUNDING: errors(clip, track.X_BG, track.finger_width_m),
+        },
+    )
+
+
+def percentiles(videos: Sequence[Array], rng: np.random.Generator) -> tuple[Figure, Figure]:
+    """Median and 95th percentile over all frames of `videos` (T,) each, NaN left out, with bootstrap intervals.
+
+    Whole videos are drawn anew, for frames of one video resemble each other (Efron and Tibshirani 1993, chapter 8).
+    """
+    known = [v[np.isfinite(v)] for v in videos]
+    known = [v for v in known if len(v)]
+    low = high = values = np.full(2, np.nan)
+    if known:
+        values = np.percentile(np.concatenate(known), _TOLD)
+    if len(known) > 1:
+        draws = [
+            np.percentile(np.concatenate([known[i] for i in rng.integers(len(known), size=len(known))]), _TOLD)
+            for _ in range(_RESAMPLES)
+        ]
+        low, high = np.percentile(draws, [50 * (1 - CONFIDENCE), 50 * (1 + CONFIDENCE)], axis=0)
+    median, p95 = (
+        Figure(value=float(v), low=float(a), high=float(b)) for v, a, b in zip(values, low, high, strict=True)
+    )
+    return median, p95
+
+
+def group(name: str, clips: Sequence[ClipComparison], *, pooled: bool, seed: int = 0) -> Group:
+    """Put a group of videos into numbers; the same videos and seed give the same numbers."""
+    rng = np.random.default_rng(seed)
+    told = {(m, q): [clip.errors[m].told(q) for clip in clips] for m in Method for q in Quantity}
+    figures = {key: percentiles(videos, rng) for key, videos in told.items()}
+    return Group(
+        name=name,
+        trained=clips[0].trained,
+        videos=len(clips),
+        pooled=pooled,
+        tracked_fraction=float(np.mean([clip.tracked_fraction for clip in clips])),
+        medians={key: median for key, (median, _) in figures.items()},
+        p95s={key: p95 for key, (_, p95) in figures.items()},
+    )
+
+
+def groups(clips: Sequence[ClipComparison]) -> Iterator[Group]:
+    """Each task, then all tasks together, first of those trained and then of those unseen."""
+    for trained, name in ((True, "trained tasks"), (False, "unseen tasks")):
+        members = [clip for clip in clips if clip.trained is trained]
+        for task in sorted({clip.task for clip in members}):
+            yield group(task, [clip for clip in members if clip.task == task], pooled=False)
+        if members:
+            yield group(name, members, pooled=True)

@@ -1,0 +1,120 @@
+"""Training of the baseline on demonstrations."""
+
+import json
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from torch import Tensor
+from torch.utils.data import DataLoader, Subset
+
+from kinebench_drake.grounding.baseline.cache import decode
+from kinebench_drake.grounding.baseline.dataset import Windows
+from kinebench_drake.grounding.baseline.demonstration import load_demonstrations
+from kinebench_drake.grounding.baseline.network import FINGER_SCALE_M, POSITION_SCALE_M, PoseNetwork, PoseOutput
+from kinebench_drake.grounding.training.loop import Schedule, Terms, optimise, pick_device, save_weights
+
+WEIGHTS = "baseline.safetensors"
+"""Name of the weights in the folder of a training."""
+_ROTATION_WEIGHT = 2.0  # 1 cm weighs as much as 3 degrees ...
+_FINGER_WEIGHT = 0.5  # ... or 8 mm of the gap
+_ROUND_M, _ROUND_RAD = 1e-3, 5e-3  # where the losses turn from quadratic to linear
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BaselineConfig:
+    """What a training depends on."""
+
+    data: Path
+    """Folder of demonstrations."""
+    out: Path
+    """Folder for decoded frames, checkpoints and the weights."""
+    seed: int = 0
+    steps: int = 2400
+    batch_size: int = 8
+    """Windows a step."""
+    size: int = 224
+    """Width and height of what the network sees [px]."""
+    learning_rate: float = 1e-3
+    warm_up_steps: int = 200
+    workers: int = 1
+    checkpoint_every: int = 200
+
+    def schedule(self) -> Schedule:
+        """How long and how fast."""
+        return Schedule(
+            steps=self.steps,
+            learning_rate=self.learning_rate,
+            seed=self.seed,
+            warm_up_steps=self.warm_up_steps,
+            checkpoint_every=self.checkpoint_every,
+        )
+
+
+def _rounded(square: Tensor, radius: float) -> Tensor:
+    """The root of `square`, rounded off near zero so that its slope stays finite there (Charbonnier's loss)."""
+    return torch.sqrt(square + radius**2) - radius
+
+
+def losses(output: PoseOutput, batch: dict[str, Tensor]) -> Terms:
+    """Distances of position, rotation and gap, so that single bad frames do not rule; zero at the truth.
+
+    The rotation's is the chordal distance over root 2, for small angles the angle itself [rad] (Hartley et al., IJCV
+    2013, section 4.2).
+    """
+    position = _rounded((output.position - batch["position"]).square().sum(dim=-1), _ROUND_M)
+    chord = (output.rotation - batch["rotation"]).square().sum(dim=(-1, -2)) / 2.0
+    rotation = _rounded(chord, _ROUND_RAD)
+    finger = _rounded((output.finger_width - batch["finger_width"]).square(), _ROUND_M)
+    total = position.mean() / POSITION_SCALE_M + _ROTATION_WEIGHT * rotation.mean()
+    return Terms(
+        total=total + _FINGER_WEIGHT * finger.mean() / FINGER_SCALE_M,
+        shown={
+            "position_mm": 1e3 * position.mean(),
+            "rotation_deg": torch.rad2deg(rotation.mean()),
+            "finger_mm": 1e3 * finger.mean(),
+        },
+    )
+
+
+def train(config: BaselineConfig, report: Callable[[str], None]) -> Path:
+    """Train, or go on from the last checkpoint in `config.out`; returns the path of the weights.
+
+    `report` is called with lines of text on the way.
+
+    Raises:
+        UsageError: the data cannot be used, or `config.out` holds a training with other settings.
+    """
+    demonstrations = load_demonstrations(config.data)
+    clips = demonstrations.clips
+    report(f"{len(clips)} clips of {len(demonstrations.tasks)} tasks")
+    frames = decode(clips, config.out / "frames", config.size, report)
+    windows = Windows(clips, frames, config.seed, config.steps * config.batch_size)
+
+    def batches(start: int) -> Iterable[dict[str, Tensor]]:
+        rest = Subset(windows, range(start * config.batch_size, len(windows)))
+        return DataLoader(rest, batch_size=config.batch_size, num_workers=config.workers, drop_last=True)
+
+    torch.manual_seed(config.seed)
+    network = PoseNetwork()
+    network.load_imagenet_encoder()
+    network.to(pick_device()).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    identity = {name: getattr(config, name) for name in ("seed", "steps", "batch_size", "size", "learning_rate")}
+    average = optimise(
+        network,
+        batches=batches,
+        forward=lambda model, batch: model(batch["image"].float() / 255.0),
+        losses=losses,
+        schedule=config.schedule(),
+        identity={**identity, "clips": len(clips), "tasks": list(demonstrations.tasks)},
+        folder=config.out,
+        report=report,
+    )
+    about = {
+        "tasks": json.dumps(demonstrations.tasks),
+        "size": str(config.size),
+        "camera": json.dumps(demonstrations.camera.to_json()),
+    }
+    save_weights(average, config.out / WEIGHTS, about)
+    return config.out / WEIGHTS
