@@ -21,7 +21,7 @@ _TURN_CAP = 40.0  # cost of a jump: half a turn in one frame is no motion of an 
 
 
 def evidence(pose: FramePose) -> float:
-    """Log-likelihood ratio of the pose as fitted against the turned one, from the view's CAD coordinates."""
+    """Log-likelihood ratio of the pose as fitted against the turned one, from the CAD coordinates seen."""
     view = pose.view
     cells = view.gripper
     cloud_V = view.rays()[cells] * (view.depth_m[cells] * pose.fit.depth_factor)[:, None]
@@ -32,7 +32,8 @@ def evidence(pose: FramePose) -> float:
     said = view.coordinates_P[cells]
     as_fitted = np.abs(p_H - said).sum(axis=1) / scale
     turned = np.abs(p_H * [-1.0, -1.0, 1.0] - said).sum(axis=1) / scale
-    return float(np.clip((turned - as_fitted).mean(), -_EVIDENCE_CAP, _EVIDENCE_CAP))
+    of_hand = float(np.clip((turned - as_fitted).mean(), -_EVIDENCE_CAP, _EVIDENCE_CAP))
+    return of_hand + (pose.arm.evidence if pose.arm is not None else 0.0)
 
 
 def _turn_cost(X_1: Array, X_2: Array) -> float:

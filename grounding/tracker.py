@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera
-from kinebench_drake.geometry import Array, interpolate_pose, transform_points
+from kinebench_drake.geometry import Array, interpolate_pose, invert, transform_points
+from kinebench_drake.grounding.arm import ArmFit, ArmFitter, ArmModel
 from kinebench_drake.grounding.crop import CLOSE_SIZE, GRIPPER_CENTRE_H, WIDE_SIZE, Crop
 from kinebench_drake.grounding.fit import Fit, fit
 from kinebench_drake.grounding.registration import IcpRefiner
@@ -19,7 +20,6 @@ CLOSE_MARGIN = 1.3
 """Half width of the close view over the gripper's radius."""
 _RECENTRE = 0.2  # offset of the gripper from the middle of its view, over half the view, that asks for a new look
 _RESCALE = 1.25  # likewise the factor between its size there and the wanted one
-_MIN_DETECTION_CELLS = 12
 _PROPOSAL_GAP = 12  # frames across which a lost gripper is looked for between its neighbours
 
 
@@ -32,9 +32,18 @@ class FramePose:
     finger_m: float
     """Opening of each finger [m]; NaN when no finger was seen."""
     fit: Fit
+    """The hand by itself."""
+    arm: ArmFit | None
+    """The arm that goes with it; None where too little is seen of it."""
     view: GripperView
+    """The close view."""
     overlap: float
     """Intersection over union of the seen and the rendered gripper."""
+
+    @property
+    def covariance(self) -> Array:
+        """(6, 6) of rotation about the camera's axes [rad] and position [m], by the cells' own sigmas."""
+        return self.arm.covariance if self.arm is not None and self.arm.agrees else self.fit.covariance
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,6 +52,8 @@ class Tracking:
 
     poses: tuple[FramePose | None, ...]
     """(T,) the gripper in each frame, None where it was not found."""
+    wide: tuple[GripperView, ...]
+    """(T,) views of the whole frames."""
     robot: NDArray[np.bool_]
     """(H, W) pixels of the first frame that show the robot: no background."""
 
@@ -63,7 +74,7 @@ def whole_frame(camera: Camera, size: int = WIDE_SIZE) -> Crop:
 
 
 class CadTracker:
-    """Detection in the whole frame, a close look, a fit to CAD coordinates and depth, ICP where the depth is exact.
+    """Detection in the whole frame, a close look, a fit of the hand, then of hand and arm, ICP where depth is exact.
 
     Every frame is measured by itself, so that an error cannot drift on; neighbours only propose where to look again
     for a gripper that was not found.
@@ -74,6 +85,7 @@ class CadTracker:
         self._estimator = estimator
         self._cad = cad or GripperCad()
         self._icp = IcpRefiner(self._cad)
+        self._arm = ArmModel()
         self._trust_depth = trust_depth
 
     def track(self, frames: Frames, camera: Camera) -> Tracking:
@@ -81,43 +93,48 @@ class CadTracker:
         crops: dict[int, Crop] = {}
         detections = self._estimator.estimate(frames, camera, [whole_frame(camera)] * len(frames))
         for i, view in enumerate(detections):
-            found = fit(view) if view.gripper.sum() >= _MIN_DETECTION_CELLS else None
+            found = fit(view)
             if found is not None:
-                crops[i] = Crop.of_gripper(view.crop.X_CV @ found.X_VH, CLOSE_MARGIN, CLOSE_SIZE)
+                crops[i] = Crop.of_gripper(found.X_CH, CLOSE_MARGIN, CLOSE_SIZE)
+        arm = ArmFitter(camera, self._arm)
         poses: dict[int, FramePose] = {}
-        self._look(frames, camera, crops, poses)
-        self._look(frames, camera, self._badly_framed(poses), poses)
-        self._look(frames, camera, self._proposals(len(frames), poses), poses)
-        robot = detections[0].to_frame(detections[0].part > 0, camera)
-        return Tracking(poses=tuple(poses.get(i) for i in range(len(frames))), robot=robot)
 
-    def _look(self, frames: Frames, camera: Camera, crops: dict[int, Crop], poses: dict[int, FramePose]) -> None:
-        """Measure the frames of `crops` in their views and enter what was found into `poses`."""
-        if not crops:
-            return
-        indices = sorted(crops)
-        for i, view in zip(indices, self._views(frames, camera, crops), strict=True):
-            pose = self._measure(view)
-            if pose is not None:
-                poses[i] = pose
+        def look(crops: dict[int, Crop]) -> None:
+            """Measure the frames of `crops` in their views and enter what was found into `poses`."""
+            indices = sorted(crops)
+            views = self._estimator.estimate(frames[indices], camera, [crops[i] for i in indices])
+            for i, view in zip(indices, views, strict=True):
+                pose = self._measure(view, detections[i], arm)
+                if pose is not None:
+                    poses[i] = pose
 
-    def _views(self, frames: Frames, camera: Camera, crops: dict[int, Crop]) -> list[GripperView]:
-        indices = sorted(crops)
-        return self._estimator.estimate(frames[indices], camera, [crops[i] for i in indices])
+        look(crops)
+        look(self._badly_framed(poses))
+        look(self._proposals(len(frames), poses))
+        return Tracking(
+            poses=tuple(poses.get(i) for i in range(len(frames))),
+            wide=tuple(detections),
+            robot=detections[0].to_frame(detections[0].part > 0, camera),
+        )
 
-    def _measure(self, view: GripperView) -> FramePose | None:
-        first = fit(view)
-        if first is None:
+    def _measure(self, view: GripperView, wide: GripperView, arm_fitter: ArmFitter) -> FramePose | None:
+        hand = fit(view)
+        if hand is None:
             return None
-        finger = first.finger_m if np.isfinite(first.finger_m) else 0.02
-        refined = self._icp.refine(view, first.X_VH, finger) if self._trust_depth else None
-        X_VH = refined.X_VH if refined is not None else first.X_VH
+        arm = arm_fitter.fit(hand, view, wide)
+        best = arm if arm is not None and arm.agrees else hand
+        finger = best.finger_m if np.isfinite(best.finger_m) else 0.02
+        X_VH = invert(view.crop.X_CV) @ best.X_CH
+        if self._trust_depth:
+            refined = self._icp.refine(view, X_VH, finger)
+            X_VH = refined.X_VH if refined is not None else X_VH
         rendered = self._cad.cast(X_VH, view.rays().reshape(-1, 3), finger).part.reshape(view.part.shape) > 0
         union = (rendered & ~np.isin(view.part, ARM)) | view.gripper
         return FramePose(
             X_CH=view.crop.X_CV @ X_VH,
-            finger_m=first.finger_m,
-            fit=first,
+            finger_m=best.finger_m,
+            fit=hand,
+            arm=arm,
             view=view,
             overlap=float((rendered & view.gripper).sum() / max(1, union.sum())),
         )

@@ -1,0 +1,258 @@
+"""The arm behind the gripper: the posture in which links and gripper are where the picture shows them.
+
+The base stands still and the links' lengths are known, so the arm tells where the hand is, and most of all how far
+away, which a hand alone tells badly. The first posture comes from inverse kinematics of the hand's own pose, in closed
+form over the angles of the last joint; then all joints are fitted to the cells of links and gripper together.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+
+from kinebench_drake.camera import Camera
+from kinebench_drake.geometry import Array, invert, pose_difference
+from kinebench_drake.grounding.cells import Cells
+from kinebench_drake.grounding.fit import Fit, Hand, finger_information, gripper_cells, opened
+from kinebench_drake.grounding.solver import solve
+from kinebench_drake.grounding.view import GripperView
+from kinebench_drake.kinematics.analytic import analytic_ik
+from kinebench_drake.kinematics.chain import LinkChain
+from kinebench_drake.kinematics.plant import ArmPlant
+from kinebench_drake.models.panda.part import ARM, GRIPPER, LINK_OF, Part
+from kinebench_drake.models.panda.robot import ARM_LINKS, HAND_LINK
+
+_LAST_ANGLES = np.linspace(-np.pi, np.pi, 32, endpoint=False)
+_OVER_LIMIT_RAD = 0.1  # by which a first posture may exceed a joint's limits: its pose is not exact yet
+_POSTURE_SIGMA_RAD = 0.7  # by which the fit leaves the first posture where nothing is seen of it
+_MAX_CELLS, _SCORED_CELLS = 300, 48
+_INDEPENDENT = 30.0  # measurements that a view's cells of the arm are worth
+_MIN_CELLS = 60
+_COST_CAP = 25.0  # squared residual of a cell that counts no further
+_EVIDENCE_CAP = 6.0
+_MAX_CONSISTENCY_PX = 6.0  # of a frame 384 px wide
+_MAX_ACROSS_M, _MAX_ALONG_M, _MAX_TURN_RAD = 0.025, 0.08, np.deg2rad(20.0)  # from the hand by itself
+_UNKNOWN = 1e3  # relative standard deviation of a range that is not to count
+_HAND_LEFT = 0.03  # weight of the hand where the links alone are to tell how far away it is
+_MAX_GROWTH, _MAX_GROWTH_SIGMAS = 1.4, 0.3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ArmFit:
+    """The arm as it goes with the gripper of a frame."""
+
+    q: Array
+    """(7,) joint angles [rad]."""
+    X_CH: Array
+    """(4, 4) pose of panda_hand in the camera frame on which arm and hand agree [m]."""
+    finger_m: float
+    """Opening of each finger [m]; NaN when no finger was seen."""
+    agrees: bool
+    """Whether they do agree: whether one posture explains both."""
+    consistency_px: float
+    """Median distance between the links as seen and as the posture has them [px of the frame]."""
+    scale: float
+    """Apparent size of the hand over that which it has where the links put it; NaN where that cannot be told."""
+    evidence: float
+    """Log-likelihood ratio of the hand's reading against the one turned by 180 degrees, as the links have it."""
+    covariance: Array
+    """(6, 6) of rotation about the camera's axes [rad] and position of the hand [m]."""
+
+
+class ArmModel:
+    """Link poses and joint axes of the Panda, and which joint moves what."""
+
+    def __init__(self) -> None:
+        """Load the plant.
+
+        Raises:
+            SetupError: the Panda's files are missing.
+        """
+        plant = ArmPlant()
+        self.lower, self.upper = plant.lower, plant.upper
+        self._chain = LinkChain(plant)
+        parts = [part for part in Part if part is not Part.BACKGROUND]
+        names = [HAND_LINK if part in GRIPPER else LINK_OF[part] for part in parts]
+        self._stage = np.array([0, *(self._chain.stage[name] for name in names)])
+        self._home = np.stack([np.eye(4), *(self._chain.home[name] for name in names)])
+        self.moves = np.stack([np.zeros(7), *(self._chain.carries(name) for name in names)])
+        """(PARTS, 7) 1 where a joint moves a part, else 0."""
+        self.X_HF = invert(self._chain.home[HAND_LINK]) @ self._chain.home[ARM_LINKS[-1]]
+        """(4, 4) the flange in the hand's frame [m]."""
+
+    def poses(self, q: Array) -> Array:
+        """(M, PARTS, 4, 4) frames of the parts' CAD coordinates in B, fingers closed, at postures `q` (M, 7)."""
+        return np.asarray(self._chain.motions(q)[:, self._stage] @ self._home)
+
+    def poses_and_axes(self, q: Array) -> tuple[Array, Array, Array]:
+        """Of one posture (7,): poses (PARTS, 4, 4), the joints' axes (7, 3) and a point (7, 3) on each, all in B."""
+        M = self._chain.motions(q[None])
+        axis, point = self._chain.axes(M)
+        return np.asarray(M[0, self._stage] @ self._home), axis[0], point[0]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Arm:
+    """An arm with its gripper: seven joints and the opening are unknown."""
+
+    model: ArmModel
+    X_CB: Array
+    q: Array
+    q_start: Array
+    finger_m: float
+    has_fingers: bool
+
+    def points(self, cells: Cells) -> tuple[Array, Array]:
+        """See `Body`."""
+        X_BP, axis, point = self.model.poses_and_axes(self.q)
+        X = X_BP[cells.part]
+        opened_P = cells.p_P + cells.opening_sign[:, None] * np.array([0.0, self.finger_m, 0.0])
+        p_B = np.einsum("nij,nj->ni", X[:, :3, :3], opened_P) + X[:, :3, 3]
+        arm = p_B[:, None] - point
+        d_B = np.empty((len(p_B), 3, 8))
+        d_B[:, 0, :7] = axis[:, 1] * arm[..., 2] - axis[:, 2] * arm[..., 1]
+        d_B[:, 1, :7] = axis[:, 2] * arm[..., 0] - axis[:, 0] * arm[..., 2]
+        d_B[:, 2, :7] = axis[:, 0] * arm[..., 1] - axis[:, 1] * arm[..., 0]
+        d_B[:, :, :7] *= self.model.moves[cells.part][:, None]
+        d_B[:, :, 7] = cells.opening_sign[:, None] * X[:, :3, 1]
+        R_CB = self.X_CB[:3, :3]
+        return p_B @ R_CB.T + self.X_CB[:3, 3], R_CB @ d_B
+
+    def prior(self) -> tuple[Array, Array]:
+        """See `Body`: joints stay near their first angles unless something is seen of them."""
+        information = np.eye(8) / _POSTURE_SIGMA_RAD**2
+        information[7, 7] = finger_information(self.has_fingers)
+        gradient = np.zeros(8)
+        gradient[:7] = (self.q - self.q_start) / _POSTURE_SIGMA_RAD**2
+        return information, gradient
+
+    def moved(self, step: Array) -> Self:
+        """See `Body`; joints end at their limits."""
+        over = _OVER_LIMIT_RAD
+        q = np.clip(self.q + step[:7], self.model.lower - over, self.model.upper + over)
+        return replace(self, q=q, finger_m=opened(self.finger_m, step[7]))
+
+    def hand(self) -> tuple[Array, Array]:
+        """Pose (4, 4) of the hand in C and its derivatives (6, 7), rotation first, by the joints, in C."""
+        X_BP, axis, point = self.model.poses_and_axes(self.q)
+        p = X_BP[Part.HAND, :3, 3]
+        J_B = np.concatenate([axis.T, np.cross(axis, p - point).T])
+        R_CB = self.X_CB[:3, :3]
+        return self.X_CB @ X_BP[Part.HAND], np.concatenate([R_CB @ J_B[:3], R_CB @ J_B[3:]])
+
+
+class ArmFitter:
+    """Fits the arm to views of one camera."""
+
+    def __init__(self, camera: Camera, model: ArmModel) -> None:
+        self._model, self._X_CB = model, invert(camera.X_BC)
+        self._focal_px = camera.fx
+        self._tolerance_px = _MAX_CONSISTENCY_PX * camera.width / 384
+
+    def fit(self, hand: Fit, close: GripperView, wide: GripperView) -> ArmFit | None:
+        """The arm that goes with a hand fitted to the `close` view of a frame; None where too little is seen of it."""
+        of_arm = [Cells.of_view(view, np.isin(view.part, ARM), _MAX_CELLS, _INDEPENDENT) for view in (close, wide)]
+        links = Cells.join(of_arm)
+        if len(links) < _MIN_CELLS:
+            return None
+        first = self._first_posture(hand, links)
+        if first is None:
+            return None
+        q, evidence = first
+        gripper = gripper_cells(close)
+        has_fingers = bool(np.isfinite(hand.finger_m))
+        start = _Arm(
+            model=self._model,
+            X_CB=self._X_CB,
+            q=q,
+            q_start=q,
+            finger_m=hand.finger_m if has_fingers else 0.02,
+            has_fingers=has_fingers,
+        )
+        cells = Cells.join([gripper, links])
+        solution = solve(start, cells, float(np.log(hand.depth_factor)))
+        if solution is None:
+            return None
+        arm = solution.body
+        X_CH, J = arm.hand()
+        covariance = np.linalg.inv(solution.information + 1e-6 * np.eye(8))
+        n = len(gripper)
+        r, robust = solution.residual[:n, :2], solution.robust[:n, :2]
+        growth = float(np.sqrt((robust * r**2).sum() / robust.sum()))
+        consistency = self._consistency_px(arm, links)
+        along, across = _split(X_CH[:3, 3] - hand.X_CH[:3, 3], hand.X_CH[:3, 3])
+        agrees = (
+            consistency <= self._tolerance_px
+            and along <= _MAX_ALONG_M
+            and across <= _MAX_ACROSS_M
+            and pose_difference(X_CH, hand.X_CH)[1] <= _MAX_TURN_RAD
+            and growth <= _MAX_GROWTH * hand.residual + _MAX_GROWTH_SIGMAS
+        )
+        return ArmFit(
+            q=arm.q,
+            X_CH=X_CH,
+            finger_m=arm.finger_m if has_fingers else float("nan"),
+            agrees=bool(agrees),
+            consistency_px=consistency,
+            scale=self._scale(arm, cells, solution.level, hand),
+            evidence=evidence,
+            covariance=J @ covariance[:7, :7] @ J.T,
+        )
+
+    def _scale(self, arm: _Arm, cells: Cells, level: float, hand: Fit) -> float:
+        """How far away the links have the hand over how far away it looks by its size alone."""
+        of_hand = np.isin(cells.part, GRIPPER)
+        of_links = solve(
+            arm, replace(cells, weight=np.where(of_hand, _HAND_LEFT, 1.0) * cells.weight), level, iterations=4
+        )
+        sizes = cells.take(of_hand)
+        free = Hand(X_CH=hand.X_CH, finger_m=arm.finger_m, has_fingers=arm.has_fingers)
+        of_size = solve(free, replace(sizes, range_sigma=np.full(len(sizes), _UNKNOWN)), iterations=4)
+        if of_links is None or of_size is None:
+            return float("nan")
+        return float(np.linalg.norm(of_links.body.hand()[0][:3, 3]) / np.linalg.norm(of_size.body.X_CH[:3, 3]))
+
+    def _first_posture(self, hand: Fit, links: Cells) -> tuple[Array, float] | None:
+        """The posture (7,) of the inverse kinematics that suits the links best, and how much better than turned ones.
+
+        Turned by 180 degrees about its axis, the hand takes the same posture but for the last joint.
+        """
+        X_BF = invert(self._X_CB) @ hand.X_CH @ self._model.X_HF
+        q = analytic_ik(X_BF, _LAST_ANGLES).reshape(-1, 7)
+        q = q[np.isfinite(q).all(axis=1)]
+        turned = q.copy()
+        turned[:, 6] = (turned[:, 6] + 2 * np.pi) % (2 * np.pi) - np.pi
+        best: list[tuple[float, Array | None]] = []
+        some = links.take(np.linspace(0, len(links) - 1, _SCORED_CELLS).astype(int))
+        for postures in (q, turned):
+            over = _OVER_LIMIT_RAD
+            inside = ((postures >= self._model.lower - over) & (postures <= self._model.upper + over)).all(axis=1)
+            candidates = postures[inside]
+            if not len(candidates):
+                best.append((_COST_CAP, None))
+                continue
+            costs = self._costs(candidates, some)
+            best.append((float(costs.min()), candidates[costs.argmin()]))
+        (cost, posture), (turned_cost, _) = best
+        if posture is None:
+            return None
+        return posture, float(np.clip(0.5 * (turned_cost - cost), -_EVIDENCE_CAP, _EVIDENCE_CAP))
+
+    def _costs(self, q: Array, cells: Cells) -> Array:
+        """(M,) mean capped squared residual of cells for postures `q` (M, 7)."""
+        X = (self._X_CB @ self._model.poses(q))[:, cells.part]
+        p_C = np.einsum("mnij,nj->mni", X[..., :3, :3], cells.p_P) + X[..., :3, 3]
+        p_L = np.einsum("nij,mnj->mni", cells.R_LC, p_C)
+        square = (p_L[..., :2] ** 2).sum(axis=-1) / cells.sigma_m**2
+        return np.asarray(np.where(p_L[..., 2] > 0, np.minimum(square, _COST_CAP), _COST_CAP).mean(axis=1))
+
+    def _consistency_px(self, arm: _Arm, links: Cells) -> float:
+        p_C, _ = arm.points(links)
+        p_L = np.einsum("nij,nj->ni", links.R_LC, p_C)
+        return float(self._focal_px * np.median(np.linalg.norm(p_L[:, :2], axis=1) / p_L[:, 2]))
+
+
+def _split(difference: Array, direction: Array) -> tuple[float, float]:
+    """Lengths of a difference (3,) along and across a direction (3,)."""
+    along = float(difference @ direction / np.linalg.norm(direction))
+    return abs(along), float(np.sqrt(max(0.0, difference @ difference - along**2)))

@@ -1,0 +1,133 @@
+"""The arm behind the gripper, on views made from the CAD models of all its parts."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+from kinebench_drake.camera import benchmark_camera
+from kinebench_drake.geometry import Array, invert, pose_difference, transform_points
+from kinebench_drake.grounding.arm import ArmFitter, ArmModel
+from kinebench_drake.grounding.crop import CLOSE_SIZE, Crop
+from kinebench_drake.grounding.fit import fit
+from kinebench_drake.grounding.tracker import whole_frame
+from kinebench_drake.grounding.view import GripperView
+from kinebench_drake.models.panda.cad import link_meshes, part_meshes
+from kinebench_drake.models.panda.part import OPENING_SIGN, Part
+
+CAMERA = benchmark_camera()
+FINGER_M = 0.025
+
+
+@pytest.fixture(scope="module")
+def model() -> ArmModel:
+    return ArmModel()
+
+
+def posture(seed: int) -> Array:
+    """The gripper in the middle of the picture, pointing down."""
+    rng = np.random.default_rng(seed)
+    return np.array([0.0, 0.1, 0.0, -2.2, 0.0, 2.3, np.pi / 4]) + rng.normal(0, 0.12, 7)
+
+
+def view(model: ArmModel, q: Array, crop: Crop, *, noise_m: float, depth_factor: float, seed: int) -> GripperView:
+    """What a network with errors of `noise_m` would say; depth off by a common factor."""
+    rng = np.random.default_rng(seed)
+    X_VP = invert(crop.X_CV) @ invert(CAMERA.X_BC) @ model.poses(q[None])[0]
+    n = crop.size // 2
+    part, depth = np.zeros((n, n), np.uint8), np.full((n, n), np.inf)
+    coordinates = np.zeros((n, n, 3))
+    for value, mesh in {**part_meshes(), **link_meshes()}.items():
+        points = trimesh.sample.sample_surface(mesh, 6000, seed=seed)[0]
+        opened = points + np.array([0.0, OPENING_SIGN.get(value, 0.0) * FINGER_M, 0.0])
+        p_V = transform_points(X_VP[value], opened)
+        u, v = np.floor(p_V[:, :2] / p_V[:, 2:] * crop.focal / 2 + n / 2).astype(int).T
+        for i in np.flatnonzero((p_V[:, 2] > 0.1) & (u >= 0) & (u < n) & (v >= 0) & (v < n)):
+            if p_V[i, 2] < depth[v[i], u[i]]:
+                depth[v[i], u[i]], part[v[i], u[i]], coordinates[v[i], u[i]] = p_V[i, 2], value, points[i]
+    return GripperView(
+        crop=crop,
+        stride=2,
+        part=part,
+        depth_m=np.where(np.isfinite(depth), depth, 1.0) * depth_factor,
+        depth_sigma=np.full((n, n), 0.01),
+        coordinates_P=coordinates + rng.normal(0, noise_m, coordinates.shape),
+        coordinates_sigma_m=np.full((n, n), max(noise_m, 1e-3)),
+    )
+
+
+def hand_alone(close: GripperView, crop: Crop) -> GripperView:
+    """A view without its arm, as if another crop had shown it."""
+    part = np.where(close.part >= Part.LINK0, 0, close.part).astype(np.uint8)
+    return replace(close, crop=crop, part=part)
+
+
+@pytest.fixture(scope="module", params=range(3))
+def scene(request: pytest.FixtureRequest, model: ArmModel) -> tuple[Array, GripperView, GripperView]:
+    """True pose of the hand in the camera frame, close and wide view with depth 3 % too large."""
+    q = posture(request.param)
+    X_CH = invert(CAMERA.X_BC) @ model.poses(q[None])[0, Part.HAND]
+    crops = Crop.of_gripper(X_CH, 1.3, CLOSE_SIZE), whole_frame(CAMERA)
+    close, wide = (view(model, q, crop, noise_m=0.003, depth_factor=1.03, seed=request.param) for crop in crops)
+    return X_CH, close, wide
+
+
+def test_the_arm_tells_how_far_away_the_hand_is(scene: tuple[Array, GripperView, GripperView], model: ArmModel) -> None:
+    X_CH, close, wide = scene
+    hand = fit(close)
+    assert hand is not None
+    arm = ArmFitter(CAMERA, model).fit(hand, close, wide)
+    assert arm is not None
+    assert arm.agrees
+    assert arm.consistency_px < 3.0
+    assert arm.evidence > 0.5
+    assert arm.finger_m == pytest.approx(FINGER_M, abs=1.5e-3)
+    distance, angle = pose_difference(arm.X_CH, X_CH)
+    assert distance < 0.5 * pose_difference(hand.X_CH, X_CH)[0]
+    assert distance < 0.004
+    assert np.rad2deg(angle) < 0.7
+    np.testing.assert_allclose(CAMERA.X_BC @ arm.X_CH, model.poses(arm.q[None])[0, Part.HAND], atol=1e-9)
+
+
+def test_a_hand_that_is_elsewhere_than_its_arm_disagrees(
+    scene: tuple[Array, GripperView, GripperView], model: ArmModel
+) -> None:
+    _, close, wide = scene
+    hand = fit(close)
+    assert hand is not None
+    moved = Crop.towards([0.12, 0.0, 1.0], CLOSE_SIZE / 2 / close.crop.focal, CLOSE_SIZE)
+    away = hand_alone(close, moved)
+    elsewhere = fit(away)
+    assert elsewhere is not None
+    arm = ArmFitter(CAMERA, model).fit(elsewhere, away, wide)
+    assert arm is None or not arm.agrees
+
+
+def test_a_hand_that_is_drawn_too_large_shows_in_the_scale(
+    scene: tuple[Array, GripperView, GripperView], model: ArmModel
+) -> None:
+    """A hand 8 % too large looks as if it were 8 % nearer than the arm has it."""
+    X_CH, close, wide = scene
+    fitter = ArmFitter(CAMERA, model)
+    hand = fit(close)
+    assert hand is not None
+    usual = fitter.fit(hand, close, wide)
+    near = Crop.of_gripper(X_CH, 1.3, CLOSE_SIZE)
+    larger = Crop(R_CV=near.R_CV, focal=near.focal / 1.08, size=near.size)
+    grown = hand_alone(close, larger)
+    large_hand = fit(grown)
+    assert large_hand is not None
+    large = fitter.fit(large_hand, grown, wide)
+    assert usual is not None
+    assert large is not None
+    assert large.scale / usual.scale == pytest.approx(1.08, abs=0.04)
+
+
+def test_too_little_of_an_arm_is_no_arm(scene: tuple[Array, GripperView, GripperView], model: ArmModel) -> None:
+    _, close, wide = scene
+    hand = fit(close)
+    assert hand is not None
+    close.part[close.part >= Part.LINK0] = 0
+    wide.part[wide.part >= Part.LINK0] = 0
+    assert ArmFitter(CAMERA, model).fit(hand, close, wide) is None
