@@ -43,8 +43,8 @@ def visible_share(clip: Clip, masks: NDArray[np.bool_], cad: GripperCad) -> Arra
             share[i] = 0.0
             continue
         crop, hit = _outline(X_CH, float(clip.finger_width_m[i]), cad, _SHARE_PX)
-        rays_C = crop.rays()[hit] @ crop.R_CV.T
-        share[i] = _shown(masks[i], rays_C, clip.camera) if len(rays_C) else 0.0
+        covered = _area_px(crop.rays()[hit] @ crop.R_CV.T, crop, clip.camera)
+        share[i] = min(float(masks[i].sum()) / covered, 1.0) if covered else 0.0
     return share
 
 
@@ -56,9 +56,10 @@ def _outline(X_CH: Array, width_m: float, cad: GripperCad, size: int) -> tuple[C
     return crop, surface.part.reshape(size, size) > 0
 
 
-def _shown(mask: NDArray[np.bool_], rays_C: Array, camera: Camera) -> float:
-    ahead = rays_C[:, 2] > 1e-6
-    pixel = np.floor(camera.project(rays_C[ahead])).astype(int)
-    inside = ((pixel >= 0) & (pixel < [camera.width, camera.height])).all(axis=1)
-    u, v = pixel[inside].T
-    return float(mask[v, u].sum() / len(rays_C))
+def _area_px(rays_C: Array, crop: Crop, camera: Camera) -> float:
+    """Area in the image plane [px] that pixels of a crop cover, given their rays (n, 3): z = 1 in the crop's frame.
+
+    The plane goes on beyond the picture. A pixel is stretched by the determinant of the homography's Jacobian.
+    """
+    z = np.maximum(rays_C[:, 2], 0.1)
+    return float((camera.fx * camera.fy / crop.focal**2 / z**3).sum())

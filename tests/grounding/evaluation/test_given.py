@@ -1,0 +1,99 @@
+"""True values and worse ones in place of estimates; an estimator that knows nothing of the video stands in."""
+
+import numpy as np
+import pytest
+
+from kinebench_drake.camera import Camera
+from kinebench_drake.errors import InputError
+from kinebench_drake.grounding.crop import Crop
+from kinebench_drake.grounding.evaluation.degradation import Degradation, DegradedEstimator
+from kinebench_drake.grounding.evaluation.given import GivenEstimator
+from kinebench_drake.grounding.view import Frames, GripperView
+from kinebench_drake.models.panda.part import Part
+
+
+class Flat:
+    """Sees a hand one metre away everywhere."""
+
+    def estimate(self, frames: Frames, camera: Camera, crops: list[Crop]) -> list[GripperView]:
+        n = crops[0].size // 2
+        return [
+            GripperView(
+                crop=crop,
+                stride=2,
+                part=np.full((n, n), Part.HAND, np.uint8),
+                depth_m=np.ones((n, n)),
+                depth_sigma=np.full((n, n), 0.02),
+                coordinates_P=np.zeros((n, n, 3)),
+                coordinates_sigma_m=np.full((n, n), 0.01),
+            )
+            for crop in crops
+        ]
+
+
+@pytest.fixture
+def crop() -> Crop:
+    return Crop.towards([0.0, 0.0, 1.0], 0.4, 64)
+
+
+def test_true_values_follow_their_frames(square: tuple[np.ndarray, np.ndarray], camera: Camera, crop: Crop) -> None:
+    frames, masks = square
+    depth = np.broadcast_to(0.5 + 0.01 * np.arange(len(frames))[:, None, None], masks.shape)
+    given = GivenEstimator(Flat(), frames, mask=masks, depth_m=np.where(masks, depth, 0.0))
+    chosen = [7, 2, 11]
+    for number, view in zip(chosen, given.estimate(frames[chosen], camera, [crop] * 3), strict=True):
+        assert 0 < view.gripper.sum() < view.part.size
+        np.testing.assert_allclose(view.depth_m[view.gripper], 0.5 + 0.01 * number, rtol=1e-6)
+        assert (view.depth_m[~view.gripper] == 1.0).all()
+        assert (view.depth_sigma[view.gripper] == 1e-3).all()
+
+
+def test_what_is_not_given_stays_estimated(square: tuple[np.ndarray, np.ndarray], camera: Camera, crop: Crop) -> None:
+    frames, masks = square
+    (view,) = GivenEstimator(Flat(), frames, mask=masks).estimate(frames[:1], camera, [crop])
+    assert (view.depth_m == 1.0).all()
+    assert not view.gripper.all()
+    depth = np.full(masks.shape, 0.6)
+    (view,) = GivenEstimator(Flat(), frames, depth_m=depth).estimate(frames[:1], camera, [crop])
+    assert view.gripper.all()
+    np.testing.assert_allclose(view.depth_m, 0.6, rtol=1e-6)
+
+
+def test_foreign_frames_and_shapes_are_refused(
+    square: tuple[np.ndarray, np.ndarray], camera: Camera, crop: Crop
+) -> None:
+    frames, masks = square
+    with pytest.raises(InputError, match="not of the video"):
+        GivenEstimator(Flat(), frames, mask=masks).estimate(frames[:1] + 1, camera, [crop])
+    with pytest.raises(InputError, match="shape"):
+        GivenEstimator(Flat(), frames, mask=masks[:3])
+
+
+@pytest.mark.parametrize(
+    ("degradation", "spread"),
+    [(Degradation(scale=0.05), 0.0), (Degradation(field=0.05), 0.05), (Degradation(noise=0.05), 0.05)],
+)
+def test_depth_gets_worse_by_what_is_said(
+    square: tuple[np.ndarray, np.ndarray], camera: Camera, degradation: Degradation, spread: float
+) -> None:
+    frames, _ = square
+    wide = Crop.towards([0.0, 0.0, 1.0], 0.5, 96)
+    errors = []
+    for seed in range(6):
+        worse = DegradedEstimator(Flat(), frames, degradation, np.random.default_rng(seed))
+        views = worse.estimate(frames, camera, [wide] * len(frames))
+        errors.append([v.depth_m - 1.0 for v in views])
+        again = DegradedEstimator(Flat(), frames, degradation, np.random.default_rng(seed))
+        np.testing.assert_array_equal(again.estimate(frames[3:4], camera, [wide])[0].depth_m, views[3].depth_m)
+    values = np.array(errors)
+    assert np.sqrt((values**2).mean()) == pytest.approx(0.05, rel=0.15)
+    assert np.mean([e.std() for e in values]) == pytest.approx(spread, rel=0.3, abs=1e-9)
+
+
+def test_a_smooth_error_is_smooth_in_picture_and_time(square: tuple[np.ndarray, np.ndarray], camera: Camera) -> None:
+    frames, _ = square
+    wide = Crop.towards([0.0, 0.0, 1.0], 0.5, 96)
+    worse = DegradedEstimator(Flat(), frames, Degradation(field=0.05), np.random.default_rng(0))
+    error = np.array([v.depth_m - 1.0 for v in worse.estimate(frames, camera, [wide] * len(frames))])
+    for axis in (0, 1, 2):
+        assert np.diff(error, axis=axis).std() < 0.6 * error.std()

@@ -1,0 +1,162 @@
+"""Studies carried out with workers that only pretend."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from kinebench_drake.cli import cli
+from kinebench_drake.engines import EngineKind, create_engine
+from kinebench_drake.errors import UsageError
+from kinebench_drake.grounding.evaluation import study
+from kinebench_drake.grounding.evaluation.clip import choose, find_clips, load_clips
+from kinebench_drake.grounding.evaluation.errors import ClipErrors
+from kinebench_drake.grounding.evaluation.figures import draw_comparison, draw_evaluation, save
+from kinebench_drake.grounding.evaluation.perturbation.catalogue import Kind
+from kinebench_drake.grounding.evaluation.store import Store
+from kinebench_drake.grounding.evaluation.tables import compared, evaluation_json, pooled_lines, table, task_table
+from kinebench_drake.grounding.evaluation.trial import Trial
+
+ENGINE = create_engine(EngineKind.LOCAL, 1)
+
+
+class Silence:
+    kept = 0
+
+    def started(self, total: int, kept: int) -> None:
+        self.kept = kept
+
+    def advanced(self, line: str) -> None:
+        pass
+
+
+class Pretender:
+    """Errors that grow with the strength of the perturbation; stops like a killed program after so many trials."""
+
+    def __init__(self, errors: Callable[..., ClipErrors], patience: int = 10_000) -> None:
+        self.errors, self.patience, self.made = errors, patience, 0
+
+    def __call__(self) -> Callable[[Trial], ClipErrors]:
+        def measure(trial: Trial) -> ClipErrors:
+            if self.made == self.patience:
+                raise KeyboardInterrupt
+            self.made += 1
+            p = trial.condition.perturbation
+            return replace(self.errors(0.001 * (1 + (p.strength if p else 0))), id=trial.clip.id, task=trial.clip.task)
+
+        return measure
+
+
+def test_an_interrupted_study_goes_on(folder: Path, tmp_path: Path, errors: Callable[..., ClipErrors]) -> None:
+    plan = study.Plan(folder=folder, keep=tmp_path / "kept.clips.jsonl")
+    noise = study.robustness([Kind.NOISE])
+    first = Pretender(errors, patience=5)
+    with pytest.raises(KeyboardInterrupt):
+        study.carry_out(noise, plan, ENGINE, Silence(), first)
+    with (tmp_path / "kept.clips.jsonl").open("a") as file:
+        file.write('{"key": "torn')
+    second, watcher = Pretender(errors), Silence()
+    whole = study.carry_out(noise, plan, ENGINE, watcher, second)
+    assert watcher.kept == 5
+    assert second.made == 3 * 4 - 5
+    fresh = study.carry_out(noise, replace(plan, keep=None), ENGINE, Silence(), Pretender(errors))
+    assert list(whole.lines()) == list(fresh.lines())
+    assert whole.to_json() == fresh.to_json()
+    third = Pretender(errors)
+    study.carry_out(noise, replace(plan, seed=1), ENGINE, Silence(), third)
+    assert third.made == 3 * 4  # another seed's measurements are no measurements of this one
+
+
+def test_the_table_tells_conditions_apart(folder: Path, errors: Callable[..., ClipErrors]) -> None:
+    outcome = study.carry_out(
+        study.robustness([Kind.NOISE]), study.Plan(folder=folder), ENGINE, Silence(), Pretender(errors)
+    )
+    lines = list(outcome.lines())
+    assert lines[0].startswith("Pose errors under perturbations: 3 videos, 36 frames")
+    (row,) = [line for line in lines if line.startswith("noise 20/255 *")]
+    assert "21.00 [21.00, 21.00]" in row
+    assert outcome.to_json()["conditions"]["as it is"]["position_median_mm"]["value"] == pytest.approx(1.0)
+
+
+def test_a_budget_names_what_it_cannot_measure(folder: Path, errors: Callable[..., ClipErrors]) -> None:
+    order = study.budget()
+    outcome = study.carry_out(order, study.Plan(folder=folder), ENGINE, Silence(), Pretender(errors))
+    text = "\n".join(outcome.lines())
+    assert all(name in text for name in (*order.missing, "pixels only", "true mask", "true depth"))
+
+
+def test_unknown_depth_estimators_are_refused_before_any_work() -> None:
+    with pytest.raises(UsageError, match="moge:x"):
+        study.depth_ablation(["moge:x"])
+
+
+def test_tasks_take_turns(folder: Path) -> None:
+    clips = find_clips(folder)
+    assert [c.id for c in choose(clips, 2)] == ["A-v1_s0", "B-v1_s0"]
+    assert [c.id for c in choose(clips, None)] == ["A-v1_s0", "A-v1_s1", "B-v1_s0"]
+
+
+def test_clips_are_read_as_written(folder: Path) -> None:
+    clip = load_clips(folder, with_depth=True)[0]
+    assert clip.task == "A-v1"
+    assert clip.mask is not None
+    assert clip.depth_m is not None
+    assert clip.depth_m[clip.mask].min() == pytest.approx(0.7005)
+    assert clip.mask.sum(axis=(1, 2)).tolist() == [900] * 12
+
+
+def test_folders_without_truth_are_refused(folder: Path, tmp_path: Path) -> None:
+    (folder / "truth" / "B-v1_s0.npz").unlink()
+    with pytest.raises(UsageError, match=r"B-v1_s0\.npz is missing"):
+        find_clips(folder)
+    (folder / "manifest.jsonl").unlink()
+    with pytest.raises(UsageError, match=r"no manifest\.jsonl"):
+        find_clips(folder)
+
+
+def test_a_file_of_something_else_is_no_store(tmp_path: Path) -> None:
+    path = tmp_path / "other.jsonl"
+    path.write_text('{"key": "a", "size": 3}\n')
+    with pytest.raises(UsageError, match="no measurements"):
+        Store(path)
+
+
+def test_figures_are_drawn(folder: Path, tmp_path: Path, errors: Callable[..., ClipErrors]) -> None:
+    outcome = study.carry_out(
+        study.robustness([Kind.NOISE]), study.Plan(folder=folder), ENGINE, Silence(), Pretender(errors)
+    )
+    figures = compared(outcome.results, 0)
+    save(draw_comparison(outcome.results, figures, outcome.study.groups, "title"), tmp_path / "a.png")
+    save(draw_evaluation(outcome.results["as it is"]), tmp_path / "b.png")
+    for name in ("a.png", "b.png"):
+        assert (tmp_path / name).read_bytes().startswith(b"\x89PNG")
+
+
+def test_lines_and_json_hold_the_same(errors: Callable[..., ClipErrors]) -> None:
+    results = [errors(0.004), replace(errors(0.006), id="other", task="Z-v1")]
+    (line,) = [line for line in pooled_lines(results, 0) if line.startswith("position_median_mm")]
+    assert line.split()[1] == "5"
+    data = evaluation_json(results, 0)
+    assert data["summary"]["position_median_mm"] == pytest.approx(5.0)
+    assert data["summary"]["vanish_loss_max_frames"] is None
+    assert set(data["videos"]) == {"Some-v1_s0", "other"}
+    assert [row.split()[0] for row in task_table(results)] == ["task", "Some-v1", "Z-v1"]
+
+
+def test_columns_line_up() -> None:
+    assert list(table(["", "n"], [["a", "10"], ["bcd", "1"]])) == ["      n", "a    10", "bcd   1"]
+
+
+@pytest.mark.parametrize("name", ["evaluate", "robustness", "depth-ablation", "budget"])
+def test_commands_have_help_with_an_example(name: str) -> None:
+    result = CliRunner().invoke(cli, ["perception", name, "--help"])
+    assert result.exit_code == 0
+    assert f"kinebench-drake perception {name} heldout" in result.output
+
+
+def test_unknown_kinds_of_perturbation_are_refused(folder: Path) -> None:
+    result = CliRunner().invoke(cli, ["perception", "robustness", str(folder), "--only", "fog"])
+    assert result.exit_code == 2
+    assert "deformation" in result.output

@@ -1,0 +1,79 @@
+"""What a picture shows of the gripper, and where its depth is wrong; by the CAD model, without rendering."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from kinebench_drake.camera import Camera, benchmark_camera
+from kinebench_drake.grounding.crop import Crop
+from kinebench_drake.grounding.evaluation.clip import Clip, find_clips
+from kinebench_drake.grounding.evaluation.depth_map import measure_depth
+from kinebench_drake.grounding.evaluation.visibility import true_masks, visible_share
+from kinebench_drake.grounding.view import Frames, GripperView
+from kinebench_drake.models.panda.cad import GripperCad
+from kinebench_drake.models.panda.part import Part
+
+
+@pytest.fixture
+def small(clip: Clip) -> Clip:
+    """Three frames: in the middle, half out of the picture, not there."""
+    X = np.repeat(clip.X_CH[:1], 3, axis=0)
+    X[:, :3, 3] = [0.0, 0.0, 0.7]
+    camera = benchmark_camera()
+    edge = float((np.linalg.inv(camera.K) @ [camera.width, camera.cy, 1.0])[0] * 0.7)
+    X[1, 0, 3] = edge
+    X[2] = np.nan
+    return replace(clip, camera=camera, X_CH=X, t_s=clip.t_s[:3], finger_width_m=clip.finger_width_m[:3])
+
+
+def test_a_gripper_in_the_picture_shows_all_of_it(small: Clip, cad: GripperCad) -> None:
+    masks = true_masks(small, cad)
+    share = visible_share(small, masks, cad)
+    assert share[0] > 0.97
+    assert share[1] == pytest.approx(0.5, abs=0.08)
+    assert np.isnan(share[2])
+    assert not masks[2].any()
+
+
+def test_a_stored_mask_goes_before_the_outline(small: Clip, cad: GripperCad) -> None:
+    outline = true_masks(small, cad)
+    stored = outline.copy()
+    stored[0, :, :192] = False
+    half = replace(small, mask=stored)
+    assert true_masks(half, cad) is stored
+    expected = stored[0].sum() / outline[0].sum()
+    assert visible_share(half, stored, cad)[0] == pytest.approx(expected, abs=0.05)
+
+
+class TooFar:
+    """Sees a flat hand 2 % too far."""
+
+    def estimate(self, frames: Frames, camera: Camera, crops: list[Crop]) -> list[GripperView]:
+        views = []
+        for crop in crops:
+            n = crop.size // 2
+            z_V = 0.7005 / (crop.rays(2) @ crop.R_CV.T)[..., 2]
+            part = np.full((n, n), Part.HAND, np.uint8)
+            flat = np.full((n, n), 0.01)
+            views.append(
+                GripperView(
+                    crop=crop, stride=2, part=part, depth_m=1.02 * z_V, depth_sigma=flat,
+                    coordinates_P=np.zeros((n, n, 3)), coordinates_sigma_m=flat,
+                )
+            )  # fmt: skip
+        return views
+
+
+def test_a_depth_error_is_mapped_as_it_is(folder: Path) -> None:
+    errors = measure_depth(find_clips(folder), TooFar())
+    assert errors is not None
+    assert errors.median == pytest.approx(0.02, abs=1e-5)
+    assert errors.level_median == pytest.approx(0.02, abs=1e-5)
+    for errormap in (errors.front, errors.side):
+        mean = errormap.mean()
+        assert np.isfinite(mean).any()
+        np.testing.assert_allclose(mean[np.isfinite(mean)], 0.02, atol=1e-5)
+    seen = np.isfinite(errors.example.error)
+    np.testing.assert_allclose(errors.example.error[seen], 0.02, atol=1e-5)
