@@ -15,7 +15,7 @@ from kinebench_drake.grounding.evaluation.errors import ClipErrors
 from kinebench_drake.storage import storage
 
 _GROUNDING = Path(__file__).parents[1]
-_CODE = ("*.py", "stages/**/*.py", "evaluation/*.py", "evaluation/perturbation/*.py")
+_CODE = ("*.py", "anomaly/*.py", "stages/**/*.py", "evaluation/*.py", "evaluation/perturbation/*.py")
 _MODELS = ("**/*.py", "**/*.json", "**/*.safetensors")
 _PRESENTING = frozenset({"figures.py", "tables.py", "summary.py", "reliability.py", "store.py", "anomalies.py"})
 
