@@ -37,6 +37,7 @@ def draw(found: Sequence[Group], path: Path) -> None:
             panel.vlines(x + shift, low, high, color=colour, lw=5, alpha=0.35)
             panel.plot(x + shift, value, marker, color=colour, ms=6, label=label)
         panel.set_yscale("log")
+        panel.yaxis.set_major_formatter("{x:g}")
         panel.set_ylabel(f"error of {quantity.value}")
         panel.grid(axis="y", which="both", color="0.9", lw=0.6)
         panel.set_axisbelow(True)

@@ -64,19 +64,19 @@ def as_json(found: Sequence[Group]) -> list[dict[str, object]]:
 
 
 def comparison_lines(
-    folder: Path, weights: Path, grounding_weights: Path | None, limit: int | None, out: Path
+    folders: Sequence[Path], weights: Path, grounding_weights: Path | None, limit: int | None, out: Path
 ) -> Iterator[str]:
-    """Run both on the videos of `folder`, a line each, then tell of all; writes a table, its numbers and a figure.
+    """Run both on the videos of `folders`, a line each, then tell of all; writes a table, its numbers and a figure.
 
     Args:
-        folder: demonstrations.
+        folders: of demonstrations.
         weights: the baseline's.
         grounding_weights: the grounding's; None for those shipped.
-        limit: measure the first so many videos of each task only.
+        limit: measure the first so many videos of each task of each folder only.
         out: folder for baseline.txt, baseline.json, baseline.png.
 
     Raises:
-        UsageError: the folder cannot be used, or another camera took its videos.
+        UsageError: a folder cannot be used, or another camera took its videos.
         SetupError: weights are missing.
     """
     from kinebench_drake.grounding.baseline.figure import draw
@@ -85,15 +85,17 @@ def comparison_lines(
     from kinebench_drake.grounding.tracker import CadTracker
     from kinebench_drake.models.perception.weights import WEIGHTS, load_network
 
-    baseline, demonstrations = Baseline.load(weights), load_demonstrations(folder)
-    baseline.require_camera(demonstrations.camera)
+    baseline, sources = Baseline.load(weights), [load_demonstrations(folder) for folder in folders]
+    for source in sources:
+        baseline.require_camera(source.camera)
     estimator = NetworkEstimator(load_network(grounding_weights or WEIGHTS))
     pipeline = GroundingPipeline(CadTracker(estimator), Confidence.load())
     compared: list[ClipComparison] = []
-    for task in demonstrations.tasks:
-        for clip in [c for c in demonstrations.clips if c.task == task][:limit]:
-            compared.append(compare(clip, demonstrations.camera, baseline, pipeline))
-            yield _line(compared[-1])
+    for source in sources:
+        for task in source.tasks:
+            for clip in [c for c in source.clips if c.task == task][:limit]:
+                compared.append(compare(clip, source.camera, baseline, pipeline))
+                yield _line(compared[-1])
     found = list(groups(compared))
     lines = list(table(found))
     yield from lines

@@ -40,10 +40,14 @@ def train(data: Path, out: Path, steps: int, batch_size: int, seed: int) -> None
 
 @baseline.command(
     epilog="\b\nExamples:\n"
+    "  kinebench-drake suite demos --suite 1 --split seen --episodes 5 --out seen/\n"
     "  kinebench-drake suite demos --suite 1 --split unseen --episodes 5 --out unseen/\n"
-    "  kinebench-drake perception baseline evaluate unseen/ --weights baseline/baseline.safetensors --out comparison/"
+    "  kinebench-drake perception baseline evaluate seen/ unseen/ --weights baseline/baseline.safetensors\n"
 )
-@click.argument("folder", type=click.Path(path_type=Path, exists=True, file_okay=False))
+@click.argument(
+    "folders", metavar="FOLDER...", nargs=-1, required=True,
+    type=click.Path(path_type=Path, exists=True, file_okay=False),
+)  # fmt: skip
 @click.option(
     "--weights", type=click.Path(path_type=Path, dir_okay=False), required=True, help="The baseline's weights.",
 )  # fmt: skip
@@ -56,15 +60,17 @@ def train(data: Path, out: Path, steps: int, batch_size: int, seed: int) -> None
     "--out", type=click.Path(path_type=Path, file_okay=False), default=Path("baseline-comparison"), show_default=True,
     help="Folder for the table (txt, json) and the figure (png).",
 )  # fmt: skip
-def evaluate(folder: Path, weights: Path, grounding_weights: Path | None, limit: int | None, out: Path) -> None:
+def evaluate(
+    folders: tuple[Path, ...], weights: Path, grounding_weights: Path | None, limit: int | None, out: Path
+) -> None:
     """Hold the baseline and the grounding against the truth of the same videos.
 
-    FOLDER is what `suite demos --format mp4` writes. Tasks that the baseline was trained on and others are told apart.
-    Errors are those of panda_hand_tcp in the base frame: of all frames for the baseline, of tracked ones for the
+    A FOLDER is what `suite demos --format mp4` writes. Tasks that the baseline was trained on and unseen ones are told
+    apart. Errors are those of panda_hand_tcp in the base frame: of all frames for the baseline, of tracked ones for the
     grounding; intervals are of 95 %, by drawing whole videos anew.
     """
     from kinebench_drake.grounding.baseline.report import comparison_lines
 
-    for line in comparison_lines(folder, weights, grounding_weights, limit, out):
+    for line in comparison_lines(folders, weights, grounding_weights, limit, out):
         click.echo(line)
     click.echo(out)
