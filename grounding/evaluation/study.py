@@ -9,6 +9,7 @@ from kinebench_drake.engines import Engine
 from kinebench_drake.errors import UsageError
 from kinebench_drake.grounding.evaluation.clip import ClipFile, choose, find_clips
 from kinebench_drake.grounding.evaluation.degradation import Degradation
+from kinebench_drake.grounding.evaluation.errors import ClipErrors
 from kinebench_drake.grounding.evaluation.perturbation.catalogue import Kind, ladder
 from kinebench_drake.grounding.evaluation.store import Store
 from kinebench_drake.grounding.evaluation.summary import Results
@@ -125,7 +126,7 @@ class Outcome:
     """What came of a study."""
 
     study: Study
-    results: dict[str, list[Any]]
+    results: dict[str, list[ClipErrors]]
     """Clips by condition."""
     seed: int
 
