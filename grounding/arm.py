@@ -255,4 +255,4 @@ class ArmFitter:
 def _split(difference: Array, direction: Array) -> tuple[float, float]:
     """Lengths of a difference (3,) along and across a direction (3,)."""
     along = float(difference @ direction / np.linalg.norm(direction))
-    return abs(along), float(np.sqrt(max(0.0, difference @ difference - along**2)))
+    return abs(along), max(0.0, float(difference @ difference) - along**2) ** 0.5
