@@ -68,9 +68,15 @@ class Plan:
         return choose(find_clips(self.folder), self.limit)
 
 
-def evaluation(*, true_depth: bool) -> Study:
-    """One pipeline: as shipped, or with mask and depth given."""
-    variant = "true-mask-and-depth" if true_depth else "pixels"
+def evaluation(variant: str) -> Study:
+    """One pipeline of `VARIANTS` by itself.
+
+    Raises:
+        UsageError: there is none of this name.
+    """
+    available = [name for name, v in VARIANTS.items() if v.make is not None]
+    if variant not in available:
+        raise UsageError(f"pipeline {variant!r} is not available; there are {', '.join(available)}")
     name = VARIANTS[variant].label
     return Study(title=name, conditions=(Condition(name=name, variant=variant),), groups={name: name}, missing={})
 

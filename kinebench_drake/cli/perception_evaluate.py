@@ -99,7 +99,11 @@ wall_*, cpu_*         for 49 frames, decoding included
     "  kinebench-drake perception evaluate heldout --json pixels.json --figure pixels.png"
 )
 @measuring
-@click.option("--true-depth", is_flag=True, help="Give true mask and depth: what remains is the registration's error.")
+@click.option(
+    "--pipeline", default="pixels", show_default=True,
+    help="What to measure: pixels, or with true values put in: true-mask, true-depth, true-mask-and-depth, ...",
+)  # fmt: skip
+@click.option("--true-depth", is_flag=True, help="The same as --pipeline true-mask-and-depth.")
 def evaluate(
     folder: Path,
     weights: Path | None,
@@ -109,6 +113,7 @@ def evaluate(
     json_out: Path | None,
     overwrite: bool,
     figure: Path | None,
+    pipeline: str,
     true_depth: bool,
 ) -> None:
     """Hold the tracks of videos against their ground truth.
@@ -127,7 +132,8 @@ def evaluate(
     )
 
     check_figure(figure)
-    outcome = carry_out(evaluation(true_depth=true_depth), folder, weights, limit, jobs, seed, json_out, overwrite)
+    pipeline = "true-mask-and-depth" if true_depth else pipeline
+    outcome = carry_out(evaluation(pipeline), folder, weights, limit, jobs, seed, json_out, overwrite)
     (results,) = outcome.results.values()
     click.echo("median and 95th percentile of position and rotation error of panda_hand; frames are 0-based")
     for e in results:

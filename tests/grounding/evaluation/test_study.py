@@ -156,6 +156,11 @@ def test_commands_have_help_with_an_example(name: str) -> None:
     assert f"kinebench-drake perception {name} heldout" in result.output
 
 
+def test_unknown_pipelines_are_refused() -> None:
+    with pytest.raises(UsageError, match="there are pixels, true-mask"):
+        study.evaluation("magic")
+
+
 def test_unknown_kinds_of_perturbation_are_refused(folder: Path) -> None:
     result = CliRunner().invoke(cli, ["perception", "robustness", str(folder), "--only", "fog"])
     assert result.exit_code == 2
