@@ -12,7 +12,7 @@ from kinebench_drake.grounding.evaluation.degradation import Degradation
 from kinebench_drake.grounding.evaluation.errors import ClipErrors
 from kinebench_drake.grounding.evaluation.perturbation.catalogue import Kind, ladder
 from kinebench_drake.grounding.evaluation.store import Store
-from kinebench_drake.grounding.evaluation.summary import Results
+from kinebench_drake.grounding.evaluation.summary import Interval, Results
 from kinebench_drake.grounding.evaluation.tables import compared, comparison_table, intervals_json
 from kinebench_drake.grounding.evaluation.trial import Condition, MakeWorker, Trial, Watcher, Workshop, run
 from kinebench_drake.grounding.evaluation.variants import VARIANTS, plug_in
@@ -134,26 +134,25 @@ class Outcome:
     study: Study
     results: dict[str, list[ClipErrors]]
     """Clips by condition."""
-    seed: int
+    figures: dict[str, dict[str, Interval]]
+    """Figures by condition, as `compared` gives them."""
 
     def lines(self) -> Iterator[str]:
         """The comparison as a table."""
-        figures = compared(self.results, self.seed)
         first: Results = next(iter(self.results.values()))
         frames = sum(len(e.tracked) for e in first)
         yield f"{self.study.title}: {len(first)} videos, {frames} frames; 95 % intervals over videos"
         yield "tracked: share of the frames that show at least 30 % of the gripper; errors: of tracked frames"
-        yield from comparison_table(figures, self.study.missing, self.study.marks)
+        yield from comparison_table(self.figures, self.study.missing, self.study.marks)
         if self.study.marks:
             yield "* strength that the grounding has to bear"
 
     def to_json(self) -> dict[str, Any]:
         """The same as a JSON object."""
-        figures = compared(self.results, self.seed)
         return {
             "title": self.study.title,
             "videos": [e.id for e in next(iter(self.results.values()))],
-            "conditions": {name: intervals_json(row) for name, row in figures.items()},
+            "conditions": {name: intervals_json(row) for name, row in self.figures.items()},
             "missing": self.study.missing,
             "to_be_borne": list(self.study.marks),
         }
@@ -174,4 +173,4 @@ def carry_out(
     trials = [Trial(clip=clip, condition=condition) for clip in clips for condition in study.conditions]
     workshop = Workshop(weights=plan.weights, seed=plan.seed, with_depth=study.needs_depth)
     results = run(trials, workshop, engine, Store(plan.keep), watcher, make_worker)
-    return Outcome(study=study, results=dict(results), seed=plan.seed)
+    return Outcome(study=study, results=dict(results), figures=compared(results, plan.seed))

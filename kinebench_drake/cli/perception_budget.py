@@ -27,7 +27,6 @@ def budget(
     """
     from kinebench_drake.grounding.evaluation import study
     from kinebench_drake.grounding.evaluation.figures import draw_comparison, save
-    from kinebench_drake.grounding.evaluation.tables import compared
 
     check_figure(figure)
     outcome = carry_out(study.budget(), folder, weights, limit, jobs, seed, json_out, overwrite)
@@ -35,5 +34,4 @@ def budget(
         click.echo(line)
     write_json(json_out, outcome.to_json())
     if figure:
-        shown = compared(outcome.results, seed)
-        save(draw_comparison(outcome.results, shown, outcome.study.groups, outcome.study.title), figure)
+        save(draw_comparison(outcome.results, outcome.figures, outcome.study.groups, outcome.study.title), figure)

@@ -48,7 +48,6 @@ def depth_ablation(
     from kinebench_drake.grounding.evaluation.depth_figure import draw_depth
     from kinebench_drake.grounding.evaluation.depth_map import measure_depth
     from kinebench_drake.grounding.evaluation.figures import draw_comparison, save
-    from kinebench_drake.grounding.evaluation.tables import compared
     from kinebench_drake.grounding.evaluation.variants import Tools
 
     check_figure(figure)
@@ -67,7 +66,6 @@ def depth_ablation(
         )
     write_json(json_out, {**outcome.to_json(), "relative_depth_error": told})
     if figure:
-        shown = compared(outcome.results, seed)
-        save(draw_comparison(outcome.results, shown, outcome.study.groups, outcome.study.title), figure)
+        save(draw_comparison(outcome.results, outcome.figures, outcome.study.groups, outcome.study.title), figure)
     if heatmap and errors is not None:
         save(draw_depth(errors, "our estimate"), heatmap)

@@ -51,7 +51,6 @@ def robustness(
     from kinebench_drake.grounding.evaluation.figures import draw_comparison, draw_sheet, save
     from kinebench_drake.grounding.evaluation.perturbation.catalogue import Kind
     from kinebench_drake.grounding.evaluation.sheet import sheet_of
-    from kinebench_drake.grounding.evaluation.tables import compared
 
     check_figure(figure)
     check_figure(sheet)
@@ -66,5 +65,4 @@ def robustness(
         click.echo(line)
     write_json(json_out, outcome.to_json())
     if figure:
-        shown = compared(outcome.results, seed)
-        save(draw_comparison(outcome.results, shown, outcome.study.groups, outcome.study.title), figure)
+        save(draw_comparison(outcome.results, outcome.figures, outcome.study.groups, outcome.study.title), figure)

@@ -16,7 +16,7 @@ from kinebench_drake.grounding.evaluation.errors import ClipErrors
 from kinebench_drake.grounding.evaluation.figures import draw_comparison, draw_evaluation, save
 from kinebench_drake.grounding.evaluation.perturbation.catalogue import Kind
 from kinebench_drake.grounding.evaluation.store import Store
-from kinebench_drake.grounding.evaluation.tables import compared, evaluation_json, pooled_lines, table, task_table
+from kinebench_drake.grounding.evaluation.tables import evaluation_json, pooled_lines, table, task_table
 from kinebench_drake.grounding.evaluation.trial import Trial
 
 ENGINE = create_engine(EngineKind.LOCAL, 1)
@@ -127,8 +127,7 @@ def test_figures_are_drawn(folder: Path, tmp_path: Path, errors: Callable[..., C
     outcome = study.carry_out(
         study.robustness([Kind.NOISE]), study.Plan(folder=folder), ENGINE, Silence(), Pretender(errors)
     )
-    figures = compared(outcome.results, 0)
-    save(draw_comparison(outcome.results, figures, outcome.study.groups, "title"), tmp_path / "a.png")
+    save(draw_comparison(outcome.results, outcome.figures, outcome.study.groups, "title"), tmp_path / "a.png")
     save(draw_evaluation(outcome.results["as it is"]), tmp_path / "b.png")
     for name in ("a.png", "b.png"):
         assert (tmp_path / name).read_bytes().startswith(b"\x89PNG")
