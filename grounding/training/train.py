@@ -21,6 +21,7 @@ _PIXEL_WEIGHTS = (1.0, 1.0, 5.0, 5.0, *[1.0] * len(ARM))  # by Part
 _ARM_WEIGHT = 0.4  # of the arm's coordinates and depth beside the gripper's
 _EMA_DECAY = 0.998
 _WARM_UP_STEPS = 200
+_FIXED_FROM = 0.3  # of all steps: from there on batch normalisation keeps its statistics
 _GRADIENT_CLIP = 5.0
 
 
@@ -104,6 +105,17 @@ def _rate(step: int, steps: int) -> float:
     return float(0.5 * (1 + torch.cos(torch.pi * progress)))
 
 
+def _fix_statistics(network: nn.Module) -> None:
+    """Let batch normalisation use its running statistics, as it will when the network is used.
+
+    Close and wide crops come in batches of their own, whose statistics differ; running ones are those of both. A
+    network that has only met the former errs with the latter.
+    """
+    for module in network.modules():
+        if isinstance(module, nn.BatchNorm2d):
+            module.eval()
+
+
 def _update_average(average: nn.Module, network: nn.Module, step: int) -> None:
     """Exponential moving average of weights and statistics, quicker at the start."""
     decay = min(_EMA_DECAY, (step + 1) / (step + 20))
@@ -167,6 +179,8 @@ def train(config: TrainingConfig, report: Callable[[str], None]) -> Path:
     loader = DataLoader(crops, batch_sampler=batches, num_workers=config.workers)
     began, sums = time.monotonic(), torch.zeros(3)
     for step, batch in enumerate(loader, start):
+        if step >= _FIXED_FROM * config.steps:
+            _fix_statistics(network)
         batch = {k: v.to(device, non_blocking=True) for k, v in batch.items()}
         images = (batch["image"].float() / 255.0).contiguous(memory_format=torch.channels_last)
         with torch.autocast(device.type, torch.bfloat16, enabled=supports_bfloat16(device)):
