@@ -6,12 +6,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from kinebench_drake.camera import Camera, benchmark_camera
-from kinebench_drake.geometry import Array, pose_difference, transform_points
-from kinebench_drake.grounding.anomalies import find_anomalies
+from kinebench_drake.geometry import Array, invert, pose_difference
+from kinebench_drake.grounding.anomaly.evidence import SURE_CONFIDENCE, Evidence, gather
+from kinebench_drake.grounding.anomaly.find import find_anomalies
+from kinebench_drake.grounding.anomaly.finding import Findings
+from kinebench_drake.grounding.anomaly.motion import measure_camera_motion
 from kinebench_drake.grounding.confidence import Confidence
-from kinebench_drake.grounding.crop import GRIPPER_CENTRE_H
 from kinebench_drake.grounding.estimator import NetworkEstimator
-from kinebench_drake.grounding.motion import camera_motion_px
 from kinebench_drake.grounding.reading import settle
 from kinebench_drake.grounding.smoothing import smooth_track
 from kinebench_drake.grounding.tracker import CadTracker, FramePose, PoseTracker
@@ -20,10 +21,6 @@ from kinebench_drake.models.panda.robot import hand_from_tcp
 from kinebench_drake.models.perception.weights import load_network
 from kinebench_drake.products import Anomaly, AnomalyKind, GripperTrack
 
-SURE_CONFIDENCE = 0.3
-"""From here on a pose is tracked whatever its neighbours say."""
-FAIR_CONFIDENCE = 0.1
-"""From here on a position counts when jumps are looked for."""
 MIN_CONFIDENCE = 0.02
 """From here on what was found is a gripper: tracked if its neighbours agree."""
 AGREE_M, AGREE_RAD = 0.03, np.deg2rad(20.0)
@@ -38,6 +35,8 @@ class Grounding:
     anomalies: tuple[Anomaly, ...]
     camera_motion_px: float | None
     """Largest displacement of the background [px]; None where it has too few features to tell."""
+    findings: Findings | None = None
+    """What each detector of anomalies says of each frame."""
 
 
 class GroundingPipeline:
@@ -65,40 +64,49 @@ class GroundingPipeline:
     def ground(self, frames: Frames, camera: Camera, t_s: Array) -> Grounding:
         """Track the gripper through `frames` (T, H, W, 3) taken by `camera` at task times `t_s` (T,) [s]."""
         camera = camera.resized(frames.shape[2], frames.shape[1])
-        tracking = self._tracker.track(frames, camera)
-        poses = settle(tracking.poses)
-        confidence = np.array([self.confidence.probability(p) if p is not None else 0.0 for p in poses])
-        X_CH = _stack(poses)
-        p_C = _centres(X_CH)
-        seen, sure = confidence >= MIN_CONFIDENCE, confidence >= FAIR_CONFIDENCE
-        anomalies = find_anomalies(frames=frames, t_s=t_s, p_C=p_C, seen=seen, sure=sure, camera=camera)
-        breaks = _breaks(anomalies)
-        X_CH[~seen] = np.nan
-        distance, angle = pose_difference(X_CH, smooth_track(X_CH, confidence, breaks, leave_out=True))
-        tracked = (confidence >= SURE_CONFIDENCE) | ((distance <= AGREE_M) & (angle <= AGREE_RAD))
-        X_CH[~tracked] = np.nan
-        X_CH = smooth_track(X_CH, confidence, breaks)
+        poses, seen = self.observe(frames, camera, t_s)
+        findings, confidence, motion = find_anomalies(seen), seen.confidence, seen.motion
+        X_AH = _stack(poses)  # A: the camera of the first frame
+        found = (confidence >= MIN_CONFIDENCE) & ~motion.lost
+        breaks = _breaks(findings.anomalies)
+        X_AH[~found] = np.nan
+        distance, angle = pose_difference(X_AH, smooth_track(X_AH, confidence, breaks, leave_out=True))
+        agrees = (distance <= AGREE_M) & (angle <= AGREE_RAD)
+        tracked = found & ((confidence >= SURE_CONFIDENCE) | agrees)
+        X_AH[~tracked] = np.nan
+        X_AH = smooth_track(X_AH, confidence, breaks)
         track = GripperTrack(
             t_s=t_s,
-            X_CH=X_CH,
-            X_BG=camera.X_BC @ X_CH @ hand_from_tcp(),
+            X_CH=invert(motion.X_AC) @ X_AH,
+            X_BG=camera.X_BC @ X_AH @ hand_from_tcp(),
             tracked=tracked,
             confidence=confidence,
             finger_width_m=np.array(
                 [2 * p.finger_m if p and ok else np.nan for p, ok in zip(poses, tracked, strict=True)]
             ),
         )
-        return Grounding(track=track, anomalies=anomalies, camera_motion_px=camera_motion_px(frames, tracking.robot))
+        return Grounding(
+            track=track, anomalies=findings.anomalies, camera_motion_px=motion.largest_px, findings=findings
+        )
+
+    def observe(self, frames: Frames, camera: Camera, t_s: Array) -> tuple[list[FramePose | None], Evidence]:
+        """Poses against the first frame's camera, each frame by itself, and what the detectors of anomalies look at.
+
+        Where the camera moves a little, the frames are looked at again as the first frame's camera would have seen
+        them.
+        """
+        tracking = self._tracker.track(frames, camera)
+        motion = measure_camera_motion(frames, tracking.robot, camera)
+        if motion.moves:
+            tracking = self._tracker.track(motion.steadied(frames, camera), camera)
+        poses = settle(tracking.poses)
+        confidence = np.array([self.confidence.probability(p) if p is not None else 0.0 for p in poses])
+        return poses, gather(frames, camera, t_s, tracking.wide, poses, confidence, motion)
 
 
 def _stack(poses: Sequence[FramePose | None]) -> Array:
     unknown = np.full((4, 4), np.nan)
     return np.stack([p.X_CH if p is not None else unknown for p in poses])
-
-
-def _centres(X_CH: Array) -> Array:
-    """(T, 3) centre of the gripper in the camera frame [m]."""
-    return np.asarray(transform_points(X_CH, GRIPPER_CENTRE_H[None])[:, 0])
 
 
 def _breaks(anomalies: tuple[Anomaly, ...]) -> list[int]:
@@ -107,6 +115,6 @@ def _breaks(anomalies: tuple[Anomaly, ...]) -> list[int]:
     for anomaly in anomalies:
         if anomaly.kind is AnomalyKind.TELEPORT:
             frames.append(anomaly.frame_start)
-        else:
+        elif anomaly.kind in (AnomalyKind.VANISH, AnomalyKind.FREEZE):
             frames += [anomaly.frame_start, anomaly.frame_end + 1]
     return sorted(frames)

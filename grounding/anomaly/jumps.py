@@ -1,0 +1,76 @@
+"""Jumps of a path that noise and motion do not explain."""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from kinebench_drake.geometry import Array
+from kinebench_drake.grounding.anomaly.finding import Finding
+from kinebench_drake.products import Anomaly, AnomalyKind
+
+TELEPORT_M = 0.04
+"""A jump is longer than this [m] ..."""
+CONTRAST = 4.0
+"""... and than so many times what the path around it is uneven by."""
+_STEPS = 3  # steps to each side that tell how fast the gripper moves
+_AROUND = 8  # frames to each side that tell how uneven the path is
+_MAX_GAP = 2  # frames that may be missing at a jump
+
+
+def jump_lengths(p: ArrayLike, sure: NDArray[np.bool_]) -> Array:
+    """(T,) how far the path jumps just before each frame [m].
+
+    The way from each of the two frames before to each of the two from it on, less what the median velocity of three
+    steps to each side accounts for: the least of the four lengths, so that no single wild frame makes a jump. 0 where
+    there are less than two frames on a side.
+
+    Args:
+        p: (T, n) positions.
+        sure: (T,) frames whose position counts.
+    """
+    p = np.asarray(p, dtype=np.float64)
+    index = np.flatnonzero(sure & np.isfinite(p).all(axis=1))
+    lengths = np.zeros(len(p))
+    if len(index) < 4:
+        return lengths
+    q, gaps = p[index], np.diff(index)
+    velocity = np.diff(q, axis=0) / gaps[:, None]
+    for k in range(2, len(index) - 1):
+        if gaps[k - 1] > _MAX_GAP:
+            continue
+        steps = [j for j in range(k - 1 - _STEPS, k + _STEPS) if 0 <= j < len(gaps) and j != k - 1]
+        usual = np.median(velocity[steps], axis=0)
+        ways = [q[b] - q[a] - usual * (index[b] - index[a]) for a in (k - 2, k - 1) for b in (k, k + 1)]
+        lengths[index[k]] = min(float(np.linalg.norm(way)) for way in ways)
+    return lengths
+
+
+def find_teleports(p: ArrayLike, sure: NDArray[np.bool_]) -> Finding:
+    """Jumps of the gripper: the first frame after one is both start and end, its length [m] the severity.
+
+    The score is the length over the larger of `TELEPORT_M` and `CONTRAST` times the median length around it.
+
+    Args:
+        p: (T, 3) position of the gripper [m].
+        sure: (T,) frames whose position counts.
+    """
+    lengths = jump_lengths(p, sure)
+    score = np.zeros(len(lengths))
+    for i in np.flatnonzero(lengths).tolist():
+        around = [k for k in range(max(0, i - _AROUND), min(len(lengths), i + _AROUND + 1)) if abs(k - i) > 2]
+        usual = [lengths[k] for k in around if lengths[k] > 0]
+        score[i] = lengths[i] / max(TELEPORT_M, CONTRAST * float(np.median(usual)) if usual else 0.0)
+    score = _peaks(score, lengths)
+    anomalies = tuple(
+        Anomaly(kind=AnomalyKind.TELEPORT, frame_start=int(i), frame_end=int(i), severity=float(lengths[i]))
+        for i in np.flatnonzero(score >= 1.0)
+    )
+    return Finding(kind=AnomalyKind.TELEPORT, score=score, anomalies=anomalies)
+
+
+def _peaks(score: Array, lengths: Array) -> Array:
+    """The scores of the longest jumps; those beside a longer one are its shadow, and 0."""
+    kept = np.zeros(len(score))
+    for i in np.argsort(-lengths, kind="stable"):
+        if not kept[max(0, i - 2) : i + 3].any():
+            kept[i] = score[i]
+    return kept

@@ -1,0 +1,74 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from kinebench_drake.camera import benchmark_camera
+from kinebench_drake.errors import InputError
+from kinebench_drake.grounding.anomaly.evidence import Evidence
+from kinebench_drake.grounding.anomaly.find import find_anomalies
+from kinebench_drake.grounding.anomaly.finding import Findings
+from kinebench_drake.grounding.anomaly.motion import CameraMotion
+from kinebench_drake.products import AnomalyKind
+
+
+@pytest.fixture
+def clean(reach, t_s):
+    n = len(t_s)
+    rng = np.random.default_rng(0)
+    return Evidence(
+        t_s=t_s,
+        p_C=reach(),
+        confidence=np.full(n, 0.8),
+        finger_width_m=0.04 + rng.normal(0, 0.003, n),
+        other=np.zeros(n),
+        misfit=np.full(n, 0.02),
+        scale=1.0 + rng.normal(0, 0.02, n),
+        still=np.zeros(n, dtype=bool),
+        motion=CameraMotion(px=np.zeros(n), R_AC=np.repeat(np.eye(3)[None], n, axis=0), unit_px=1.0),
+        camera=benchmark_camera(),
+    )
+
+
+def test_a_clean_video_has_none_and_a_score_of_every_kind(clean):
+    found = find_anomalies(clean)
+    assert found.anomalies == ()
+    assert set(found.scores) == set(AnomalyKind)
+    assert max(found.scores.values()) < 1.0
+
+
+def test_anomalies_are_told_exactly_where_scores_reach_one(clean):
+    p = clean.p_C.copy()
+    p[30:] += [0.0, 0.1, 0.0]
+    other = clean.other.copy()
+    other[10:20] = 0.5
+    found = find_anomalies(replace(clean, p_C=p, other=other))
+    assert [a.kind for a in found.anomalies] == [AnomalyKind.DUPLICATE, AnomalyKind.TELEPORT]
+    assert {kind for kind, score in found.scores.items() if score >= 1.0} == {a.kind for a in found.anomalies}
+    assert found.findings[AnomalyKind.TELEPORT].within(29, 31) >= 1.0
+    assert found.findings[AnomalyKind.TELEPORT].within(0, 25) < 1.0
+
+
+def test_the_jump_at_the_end_of_a_freeze_is_part_of_it(clean):
+    p, still = clean.p_C.copy(), clean.still.copy()
+    p[20:28], still[20:28] = p[19], True
+    found = find_anomalies(replace(clean, p_C=p, still=still))
+    assert [a.kind for a in found.anomalies] == [AnomalyKind.FREEZE]
+    assert found.scores[AnomalyKind.TELEPORT] < 1.0
+
+
+def test_nothing_seen_is_nothing_found(clean):
+    n = len(clean.t_s)
+    unknown = np.full(n, np.nan)
+    blind = replace(
+        clean, p_C=np.full((n, 3), np.nan), confidence=np.zeros(n), finger_width_m=unknown, other=unknown,
+        misfit=unknown, scale=unknown, motion=replace(clean.motion, px=unknown),
+    )  # fmt: skip
+    assert max(find_anomalies(blind).scores.values()) == 0.0
+
+
+def test_missing_kinds_and_uneven_series_are_refused(clean):
+    with pytest.raises(InputError, match="vanish"):
+        Findings(findings={})
+    with pytest.raises(InputError, match="scale"):
+        replace(clean, scale=clean.scale[:5])

@@ -1,0 +1,37 @@
+import numpy as np
+
+from kinebench_drake.camera import benchmark_camera
+from kinebench_drake.grounding.anomaly.vanish import find_vanishing
+
+CAMERA = benchmark_camera()
+
+
+def spans(p, confidence):
+    found = find_vanishing(p, confidence, confidence >= 0.1, CAMERA).anomalies
+    return [(a.frame_start, a.frame_end) for a in found]
+
+
+def gone(start, end):
+    confidence = np.full(49, 0.8)
+    confidence[start:end] = 0.0
+    return confidence
+
+
+def test_a_gripper_that_is_gone_has_vanished(reach):
+    for start, end in ((12, 22), (20, 23), (40, 49)):
+        p = reach()
+        p[start:end] = np.nan
+        assert spans(p, gone(start, end)) == [(start, end - 1)]
+
+
+def test_a_passing_occlusion_is_none(reach):
+    assert spans(reach(), gone(12, 14)) == []
+    assert spans(reach(), gone(0, 0)) == []
+
+
+def test_one_that_leaves_the_picture_or_was_never_there_has_not(reach):
+    leaving = np.tile([0.0, 0.0, 0.7], (49, 1))
+    leaving[:12, 0] = np.linspace(0.2, 0.42, 12)  # the picture ends at x = 0.404 there
+    assert spans(leaving, gone(12, 22)) == []
+    assert spans(reach(), gone(0, 5)) == []
+    assert spans(np.full((49, 3), np.nan), np.zeros(49)) == []
