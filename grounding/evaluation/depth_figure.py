@@ -16,16 +16,17 @@ _AXES = ("x", "y", "z")
 
 def draw_depth(errors: DepthErrors, label: str) -> "Figure":
     """Mean relative error over the gripper from two sides; picture, true and estimated depth and error of one frame."""
-    figure, axes = new_figure(14.0, 7.6, 2, 4)
+    figure, axes = new_figure(15.0, 6.6, 2, 4)
     for ax in axes.flat:
         ax.grid(False)
     means = [100 * m.mean() for m in (errors.front, errors.side)]
     top = max(float(np.nanpercentile(np.concatenate([m.ravel() for m in means]), 98)), 0.1)
     for ax, errormap, mean, name in zip(
-        axes[0, :2], (errors.front, errors.side), means, ("from the front", "from the side"), strict=True
+        axes[0, :2], (errors.front, errors.side), means, ("front", "side"), strict=True
     ):
         _heat(figure, ax, errormap, mean, top)
-        ax.set_title(f"mean |depth error| on the hand, {name}", fontsize=10)
+        ax.set_title(f"the hand from its {name}", fontsize=10)
+    axes[0, 1].set_ylabel("")
     _counts(figure, axes[0, 2], errors.front)
     axes[0, 3].axis("off")
     axes[0, 3].text(
@@ -62,7 +63,7 @@ def _counts(figure: "Figure", ax: Any, errormap: ErrorMap) -> None:
     shown = np.where(errormap.count > 0, errormap.count, np.nan)
     image = ax.imshow(shown, origin="lower", extent=_extent(errormap), cmap="Greys", norm="log")
     _label(ax, errormap)
-    ax.set_title("measurements, from the front", fontsize=10)
+    ax.set_title("cells measured", fontsize=10)
     figure.colorbar(image, ax=ax, label="cells", shrink=0.8)
 
 
@@ -73,6 +74,6 @@ def _extent(errormap: ErrorMap) -> tuple[float, float, float, float]:
 
 def _label(ax: Any, errormap: ErrorMap) -> None:
     across, up = (_AXES[a] for a in errormap.axes)
-    ax.set(xlabel=f"{across} of panda_hand [mm]", ylabel=f"{up} of panda_hand [mm], to the fingertips")
+    ax.set(xlabel=f"{across} of panda_hand [mm]", ylabel=f"{up} of panda_hand [mm]")
     ax.set_aspect("equal")
     ax.invert_yaxis()

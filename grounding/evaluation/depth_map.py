@@ -15,9 +15,9 @@ from kinebench_drake.grounding.view import DepthEstimator, Frames, GripperView
 
 EVERY = 4
 """One frame of so many is measured."""
-CELL_M = 0.003
+CELL_M = 0.005
 """Side of a map's cells [m]."""
-EXTENT_H = np.array([[-0.06, 0.06], [-0.11, 0.11], [-0.02, 0.13]])
+EXTENT_H = np.array([[-0.06, 0.06], [-0.11, 0.11], [-0.03, 0.13]])
 """What the maps cover of panda_hand along x, y, z [m]."""
 _CROP_PX, _MARGIN = 128, 1.3
 
