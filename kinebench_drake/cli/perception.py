@@ -4,6 +4,7 @@ from pathlib import Path
 
 import click
 
+from kinebench_drake.cli.perception_anomalies import anomalies
 from kinebench_drake.cli.perception_baseline import baseline
 from kinebench_drake.cli.perception_budget import budget
 from kinebench_drake.cli.perception_depth_ablation import depth_ablation
@@ -98,6 +99,7 @@ def calibrate(data: Path, weights: Path | None, scenes: int, out: Path | None, j
 
 
 perception.add_command(evaluate)
+perception.add_command(anomalies)
 perception.add_command(robustness)
 perception.add_command(depth_ablation)
 perception.add_command(budget)

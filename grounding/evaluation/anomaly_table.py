@@ -1,0 +1,211 @@
+"""How well anomalies are found: shares, areas under the curve with their intervals, and false alarms."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.optimize import brentq
+from scipy.stats import binomtest, norm, rankdata
+
+from kinebench_drake.grounding.evaluation.anomalies import ClipFindings
+from kinebench_drake.products import AnomalyKind
+
+GOALS = {kind: 0.95 for kind in AnomalyKind} | dict.fromkeys(
+    (AnomalyKind.VANISH, AnomalyKind.DUPLICATE, AnomalyKind.TELEPORT), 0.99
+)
+"""The area under the curve that each kind is to reach from its gate on."""
+GATES = {
+    AnomalyKind.VANISH: 3.0,
+    AnomalyKind.DUPLICATE: 0.15,
+    AnomalyKind.TELEPORT: 0.05,
+    AnomalyKind.FREEZE: 5.0,
+    AnomalyKind.DEFORMATION: 0.2,
+    AnomalyKind.SCALE: 0.05,
+    AnomalyKind.CAMERA: 2.0,
+    AnomalyKind.FINGERS: 0.04,
+}
+"""The least size of each kind that has to be found; smaller ones are told."""
+UNITS = {
+    AnomalyKind.VANISH: ("frames", 1.0),
+    AnomalyKind.DUPLICATE: ("cm apart", 100.0),
+    AnomalyKind.TELEPORT: ("cm", 100.0),
+    AnomalyKind.FREEZE: ("frames", 1.0),
+    AnomalyKind.DEFORMATION: ("%", 100.0),
+    AnomalyKind.SCALE: ("%", 100.0),
+    AnomalyKind.CAMERA: ("px", 1.0),
+    AnomalyKind.FINGERS: ("mm", 1000.0),
+}
+"""Unit in which sizes are told, and what a size is multiplied by."""
+ALARM_GOAL = 0.01
+"""Share of clean videos in which anything may be found."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Share:
+    """A share with Wilson's 95 % interval."""
+
+    hits: int
+    n: int
+
+    @property
+    def value(self) -> float:
+        """The share; NaN of nothing."""
+        return self.hits / self.n if self.n else float("nan")
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Its interval; anything of nothing."""
+        if not self.n:
+            return 0.0, 1.0
+        bounds = binomtest(self.hits, self.n).proportion_ci(method="wilson")
+        return float(bounds.low), float(bounds.high)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Area:
+    """An area under the ROC curve with its 95 % interval."""
+
+    value: float
+    low: float
+    high: float
+
+
+def area(faulty: ArrayLike, clean: ArrayLike) -> Area:
+    """How often a faulty video's score is above a clean one's, ties counting half (Mann and Whitney 1947).
+
+    The interval is Newcombe's method 5 (Statistics in Medicine 25, 2006, part 2): the values t for which t is no more
+    than 1.96 standard errors V(t)^(1/2) away, with V(t) = t (1 - t) / (m n) (1 + (N - 1) ((1 - t) / (2 - t) +
+    t / (1 + t))), N = (m + n) / 2. It does not shrink to nothing where all videos are told apart.
+    """
+    faulty, clean = np.asarray(faulty, dtype=np.float64), np.asarray(clean, dtype=np.float64)
+    m, n = len(faulty), len(clean)
+    if not m or not n:
+        return Area(value=float("nan"), low=0.0, high=1.0)
+    ranks = rankdata(np.concatenate([faulty, clean]))
+    value = float((ranks[:m].sum() - m * (m + 1) / 2) / (m * n))
+    z, more = float(norm.ppf(0.975)), (m + n) / 2 - 1
+
+    def error(t: float) -> float:
+        return z * float(np.sqrt(t * (1 - t) / (m * n) * (1 + more * ((1 - t) / (2 - t) + t / (1 + t)))))
+
+    low = 0.0 if value == 0.0 else float(brentq(lambda t: value - t - error(t), 0.0, value - 1e-12 * (value == 1.0)))
+    high = 1.0 if value == 1.0 else float(brentq(lambda t: t - value - error(t), value + 1e-12 * (value == 0.0), 1.0))
+    return Area(value=value, low=low, high=high)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Row:
+    """One kind in one size and form, or all gated sizes of a kind together."""
+
+    kind: AnomalyKind
+    form: str
+    """Empty where the kind has one form, or where all are together."""
+    size: float | None
+    """None of all gated sizes together."""
+    located: Share
+    """Found in the right frames."""
+    named: Share
+    """Found at all."""
+    area: Area
+
+    @property
+    def gated(self) -> bool:
+        """Whether it has to be found."""
+        return self.size is None or self.size >= GATES[self.kind] - 1e-9
+
+    @property
+    def label(self) -> str:
+        """Its size in words."""
+        unit, factor = UNITS[self.kind]
+        return "all gated" if self.size is None else f"{self.size * factor:g} {unit}"
+
+
+def clean_ones(findings: Sequence[ClipFindings]) -> list[ClipFindings]:
+    """The clips without a fault."""
+    return [f for f in findings if f.planted is None]
+
+
+def rows(findings: Sequence[ClipFindings]) -> list[Row]:
+    """Every kind, form and size that there is, each kind's gated sizes together after its own."""
+    table = []
+    for kind in AnomalyKind:
+        members = [f for f in findings if f.planted is not None and f.planted.kind is kind]
+        clean = [f.scores[kind] for f in clean_ones(findings)]
+        grades = sorted({(f.planted.form, f.planted.size) for f in members if f.planted})
+        for form, size in grades:
+            some = [f for f in members if f.planted and (f.planted.form, f.planted.size) == (form, size)]
+            table.append(_row(kind, form, size, some, clean))
+        gated = [f for f in members if f.planted and f.planted.size >= GATES[kind] - 1e-9]
+        if gated:
+            table.append(_row(kind, "", None, gated, clean))
+    return table
+
+
+def _row(kind: AnomalyKind, form: str, size: float | None, some: Sequence[ClipFindings], clean: Sequence[float]) -> Row:
+    return Row(
+        kind=kind,
+        form=form,
+        size=size,
+        located=Share(hits=sum(f.is_located for f in some), n=len(some)),
+        named=Share(hits=sum(f.is_named for f in some), n=len(some)),
+        area=area([f.scores[kind] for f in some], clean),
+    )
+
+
+def alarms(findings: Sequence[ClipFindings]) -> dict[str, Share]:
+    """Share of clean videos in which something is found: of any kind, and of each."""
+    clean = clean_ones(findings)
+    shares = {"any": Share(hits=sum(bool(f.found) for f in clean), n=len(clean))}
+    for kind in AnomalyKind:
+        hits = sum(any(a.kind is kind for a in f.found) for f in clean)
+        shares[kind.value] = Share(hits=hits, n=len(clean))
+    return shares
+
+
+def table_lines(findings: Sequence[ClipFindings]) -> Iterator[str]:
+    """The table to print."""
+    yield f"{'kind':18s} {'form':9s} {'size':>12s} {'videos':>6s}  frames right  found   area under the curve"
+    for row in rows(findings):
+        goal = ""
+        if row.size is None:
+            goal = f"  {'reaches' if row.area.value >= GOALS[row.kind] else 'MISSES'} {GOALS[row.kind]:g}"
+        elif not row.gated:
+            goal = "  below the gate"
+        yield (
+            f"{row.kind.value:18s} {row.form:9s} {row.label:>12s} {row.located.n:6d}  {row.located.value:12.1%} "
+            f"{row.named.value:6.1%}   {row.area.value:.3f} ({row.area.low:.3f} to {row.area.high:.3f}){goal}"
+        )
+    yield ""
+    yield "clean videos in which something is found, with Wilson's 95 % interval"
+    for name, share in alarms(findings).items():
+        low, high = share.interval
+        yield f"{name:18s} {share.hits:4d} of {share.n}  {share.value:6.1%} ({low:.1%} to {high:.1%})"
+    for f in clean_ones(findings):
+        for a in f.found:
+            yield f"  {f.id}: {a.kind.value} {a.frame_start}-{a.frame_end}, severity {a.severity:.3g}"
+
+
+def table_json(findings: Sequence[ClipFindings]) -> dict[str, Any]:
+    """The same as plain values."""
+    return {
+        "rows": [
+            {
+                "kind": row.kind.value,
+                "form": row.form or None,
+                "size": row.size,
+                "gated": row.gated,
+                "videos": row.located.n,
+                "frames_right": row.located.value,
+                "found": row.named.value,
+                "auroc": row.area.value if np.isfinite(row.area.value) else None,
+                "auroc_interval": [row.area.low, row.area.high],
+            }
+            for row in rows(findings)
+        ],
+        "clean_videos": len(clean_ones(findings)),
+        "false_alarms": {
+            name: {"videos": share.hits, "interval": list(share.interval)} for name, share in alarms(findings).items()
+        },
+    }
