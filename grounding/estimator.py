@@ -1,17 +1,16 @@
-"""Mask, metric depth and CAD coordinates from pixels by the trained network; true values in their place to measure."""
+"""Mask, metric depth and CAD coordinates from pixels by the trained network."""
 
-from dataclasses import replace
+from collections.abc import Mapping
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera
-from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.crop import Crop
-from kinebench_drake.grounding.view import DepthEstimator, Frames, GripperView
-from kinebench_drake.models.panda.part import ARM, Part
+from kinebench_drake.grounding.view import Frames, GripperView
+from kinebench_drake.models.panda.part import ARM
 from kinebench_drake.models.perception.network import (
     COORDINATE_SCALE_M,
     DEPTH_CENTRE,
@@ -38,17 +37,16 @@ class NetworkEstimator:
         output: DenseOutput = self._network(batch.contiguous(memory_format=torch.channels_last))
         return output
 
-    def estimate(self, frames: Frames, camera: Camera, crops: list[Crop]) -> list[GripperView]:
-        """One view a frame; crops of equal size run in batches."""
-        views: list[GripperView | None] = [None] * len(crops)
-        for size in sorted({crop.size for crop in crops}):
-            members = [i for i, crop in enumerate(crops) if crop.size == size]
+    def estimate(self, frames: Frames, camera: Camera, crops: Mapping[int, Crop]) -> dict[int, GripperView]:
+        """See `DepthEstimator`; crops of equal size run in batches."""
+        views: dict[int, GripperView] = {}
+        for size in sorted({crop.size for crop in crops.values()}):
+            members = [i for i, crop in crops.items() if crop.size == size]
             for start in range(0, len(members), _BATCH):
                 batch = members[start : start + _BATCH]
                 output = self._run([crops[i].warp(frames[i], camera) for i in batch])
-                for i, view in zip(batch, _views(output, [crops[i] for i in batch]), strict=True):
-                    views[i] = view
-        return [view for view in views if view is not None]
+                views |= zip(batch, _views(output, [crops[i] for i in batch]), strict=True)
+        return views
 
 
 def _views(output: DenseOutput, crops: list[Crop]) -> list[GripperView]:
@@ -76,43 +74,3 @@ def _views(output: DenseOutput, crops: list[Crop]) -> list[GripperView]:
         )
         for i, crop in enumerate(crops)
     ]
-
-
-class TrueDepthEstimator:
-    """Another estimator with its mask and depth replaced by true ones: what remains is the registration's own error."""
-
-    def __init__(self, base: DepthEstimator, depth_m: Array, mask: NDArray[np.bool_]) -> None:
-        """Take `base` for the CAD coordinates, `depth_m` and `mask` (T, H, W) for the rest.
-
-        Raises:
-            InputError: their shapes differ.
-        """
-        if depth_m.shape != mask.shape:
-            raise InputError(f"true depth has shape {depth_m.shape}, the mask {mask.shape}; they must be equal")
-        self._base, self._depth, self._mask = base, depth_m, mask
-
-    def estimate(self, frames: Frames, camera: Camera, crops: list[Crop]) -> list[GripperView]:
-        """One view a frame.
-
-        Raises:
-            InputError: there are more frames than true depth maps.
-        """
-        if len(frames) != len(self._depth) or frames.shape[1:3] != self._depth.shape[1:]:
-            raise InputError(f"true depth is {self._depth.shape}, the video {frames.shape[:3]}; they must be equal")
-        views = self._base.estimate(frames, camera, crops)
-        return [self._replace(view, self._depth[i], self._mask[i], camera) for i, view in enumerate(views)]
-
-    def _replace(self, view: GripperView, depth: Array, mask: NDArray[np.bool_], camera: Camera) -> GripperView:
-        crop = view.crop
-        seen = np.asarray(crop.warp(mask.astype(np.uint8), camera, view.stride, nearest=True)) > 0
-        depth_C = np.asarray(crop.warp(depth.astype(np.float32), camera, view.stride, nearest=True), dtype=np.float64)
-        z = depth_C / (view.rays() @ crop.R_CV.T)[..., 2]
-        part = np.where(
-            seen, np.where(view.gripper, view.part, Part.HAND), np.where(view.gripper, Part.BACKGROUND, view.part)
-        )
-        return replace(
-            view,
-            part=part.astype(np.uint8),
-            depth_m=np.where(seen & (z > 0), z, view.depth_m),
-            depth_sigma=np.full(z.shape, 1e-3),
-        )

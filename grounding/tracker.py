@@ -91,8 +91,8 @@ class CadTracker:
     def track(self, frames: Frames, camera: Camera) -> Tracking:
         """Track the gripper through `frames` (T, H, W, 3)."""
         crops: dict[int, Crop] = {}
-        detections = self._estimator.estimate(frames, camera, [whole_frame(camera)] * len(frames))
-        for i, view in enumerate(detections):
+        detections = self._estimator.estimate(frames, camera, dict.fromkeys(range(len(frames)), whole_frame(camera)))
+        for i, view in detections.items():
             found = fit(view)
             if found is not None:
                 crops[i] = Crop.of_gripper(found.X_CH, CLOSE_MARGIN, CLOSE_SIZE)
@@ -101,9 +101,7 @@ class CadTracker:
 
         def look(crops: dict[int, Crop]) -> None:
             """Measure the frames of `crops` in their views and enter what was found into `poses`."""
-            indices = sorted(crops)
-            views = self._estimator.estimate(frames[indices], camera, [crops[i] for i in indices])
-            for i, view in zip(indices, views, strict=True):
+            for i, view in self._estimator.estimate(frames, camera, crops).items():
                 pose = self._measure(view, detections[i], arm)
                 if pose is not None:
                     poses[i] = pose
@@ -113,7 +111,7 @@ class CadTracker:
         look(self._proposals(len(frames), poses))
         return Tracking(
             poses=tuple(poses.get(i) for i in range(len(frames))),
-            wide=tuple(detections),
+            wide=tuple(detections[i] for i in range(len(frames))),
             robot=detections[0].to_frame(detections[0].part > 0, camera),
         )
 

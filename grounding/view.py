@@ -1,5 +1,6 @@
 """What is known of the gripper in one crop, whoever measured it: masks, depth and CAD coordinates on a grid."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -54,6 +55,15 @@ class GripperView:
 class DepthEstimator(Protocol):
     """Where masks and metric depth come from: the trained network, true values, or another model."""
 
-    def estimate(self, frames: Frames, camera: Camera, crops: list[Crop]) -> list[GripperView]:
-        """One view a frame, for `frames` (T, H, W, 3) and as many crops."""
+    def estimate(self, frames: Frames, camera: Camera, crops: Mapping[int, Crop]) -> dict[int, GripperView]:
+        """Views of some frames of a video.
+
+        Args:
+            frames: (T, H, W, 3), all of them.
+            camera: what they were taken with.
+            crops: by number of the frame, where to look.
+
+        Returns:
+            A view for each crop, by the same numbers.
+        """
         ...

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, make_pose, orthonormalize
 from kinebench_drake.grounding.anomaly.finding import Finding
-from kinebench_drake.grounding.anomaly.series import runs
+from kinebench_drake.grounding.anomaly.series import held, runs
 from kinebench_drake.grounding.view import Frames
 from kinebench_drake.products import Anomaly, AnomalyKind
 
@@ -20,12 +20,19 @@ LEAST_PX = 0.5
 COMPENSABLE_PX = 8.0
 """Up to this motion poses are carried back to the first frame's camera; beyond it the base is lost."""
 MIN_FEATURES = 12
+"""Fewer tell nothing."""
+SHARE = 0.3
+"""The motion is what all but this share of the features exceed: so many may be moved by the robot the other way, and up
+to the rest of them may be moved by it where the camera stands still."""
+MIN_FRAMES = 2
+"""Frames in a row that must say so: one may have lost its features to the robot."""
 _REFERENCE_WIDTH_PX = 384
 _MAX_FEATURES = 200
 _MARGIN_PX = 15  # features this near the robot's outline may move with it
 _ROUND_TRIP_PX = 0.5  # a feature followed there and back must return this close
 _ROTATION_PASSES = 8
 _TUKEY_PX = 1.5  # features off by more than this do not count for the rotation
+_MIN_AGREEING = 0.5  # share of the features that must move as the rotation has it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -33,8 +40,8 @@ class CameraMotion:
     """How the camera moves."""
 
     px: Array
-    """(T,) median displacement of the background against the first frame, in pixels of the video; NaN where too few
-    features can be followed."""
+    """(T,) displacement of the background against the first frame, in pixels of the video; NaN where too few features
+    can be followed, or where they do not move as one."""
     R_AC: Array
     """(T, 3, 3) the camera's axes in those of the first frame's camera, A; the identity where unknown."""
     unit_px: float
@@ -84,7 +91,8 @@ def measure_camera_motion(frames: Frames, robot: NDArray[np.bool_], camera: Came
     """Follow the background through a video.
 
     Features (Shi and Tomasi 1994) off the robot are followed by pyramidal Lucas-Kanade from the first frame to every
-    other one; the median over the features leaves out what the robot moves.
+    other one, there and back. What most of them exceed is the motion of the camera, if at least half of them move as
+    the background does when a camera turns.
 
     Args:
         frames: (T, H, W, 3) RGB.
@@ -106,13 +114,15 @@ def measure_camera_motion(frames: Frames, robot: NDArray[np.bool_], camera: Came
             good = (ok[:, 0] > 0) & (ok_back[:, 0] > 0) & returned
             if good.sum() >= MIN_FEATURES:
                 first, now = (np.asarray(p[good, 0], dtype=np.float64) + 0.5 for p in (start, there))
-                px[i] = float(np.median(np.linalg.norm(now - first, axis=1)))
-                R_AC[i] = _turn(first, now, camera)
+                R, share = _turn(first, now, camera)
+                moved = float(np.quantile(np.linalg.norm(now - first, axis=1), SHARE))
+                if share >= _MIN_AGREEING or moved < LEAST_PX * camera.width / _REFERENCE_WIDTH_PX:
+                    px[i], R_AC[i] = moved, R
     return CameraMotion(px=px, R_AC=R_AC, unit_px=camera.width / _REFERENCE_WIDTH_PX)
 
 
-def _turn(first: Array, now: Array, camera: Camera) -> Array:
-    """The rotation (3, 3) of a camera that sees `now` (N, 2) what it saw at `first` [px].
+def _turn(first: Array, now: Array, camera: Camera) -> tuple[Array, float]:
+    """The rotation (3, 3) of a camera that sees `now` (N, 2) what it saw at `first` [px], and who agrees with it.
 
     Kabsch (1976) on lines of sight, reweighted after Tukey: things that were moved do not count.
     """
@@ -121,18 +131,18 @@ def _turn(first: Array, now: Array, camera: Camera) -> Array:
         rays = np.column_stack([(pixels - [camera.cx, camera.cy]) / [camera.fx, camera.fy], np.ones(len(pixels))])
         lines.append(rays / np.linalg.norm(rays, axis=1, keepdims=True))
     weight = np.ones(len(first))
-    R = np.eye(3)
+    R, error_px = np.eye(3), np.zeros(len(first))
     for _ in range(_ROTATION_PASSES):
         R = orthonormalize((lines[0] * weight[:, None]).T @ lines[1])
         error_px = camera.fx * np.linalg.norm(lines[0] - lines[1] @ R.T, axis=1)
         cut = max(_TUKEY_PX, 3.0 * float(np.median(error_px)))
         weight = np.clip(1.0 - (error_px / cut) ** 2, 0.0, 1.0) ** 2 + 1e-9
-    return R
+    return R, float((error_px < 2.0 * _TUKEY_PX).mean())
 
 
 def find_camera_motion(motion: CameraMotion) -> Finding:
     """Frames in which the camera is not where it was; severity: by how much at most [px of the video]."""
-    px = np.nan_to_num(motion.px, nan=0.0)
+    px = held(motion.px, MIN_FRAMES)
     score = px / (MOVING_PX * motion.unit_px)
     anomalies = tuple(
         Anomaly(kind=AnomalyKind.CAMERA, frame_start=a, frame_end=b, severity=float(px[a : b + 1].max()))

@@ -1,5 +1,6 @@
 """Estimated depth made worse on purpose: a wrong scale, smooth error fields, noise."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import cv2
@@ -8,7 +9,6 @@ import numpy as np
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.crop import Crop
-from kinebench_drake.grounding.evaluation.given import FrameNumbers
 from kinebench_drake.grounding.view import DepthEstimator, Frames, GripperView
 
 _FIELD_CELLS = 12  # nodes of an error field across the picture: about a gripper's width apart
@@ -30,28 +30,19 @@ class Degradation:
 class DegradedEstimator:
     """Another estimator with its depth made worse."""
 
-    def __init__(
-        self, base: DepthEstimator, frames: Frames, degradation: Degradation, rng: np.random.Generator
-    ) -> None:
-        """Draw the errors for `frames` (T, H, W, 3): the same state of `rng` gives the same errors."""
-        self._base, self._degradation, self._numbers = base, degradation, FrameNumbers(frames)
+    def __init__(self, base: DepthEstimator, count: int, degradation: Degradation, rng: np.random.Generator) -> None:
+        """Draw the errors for a video of `count` frames: the same state of `rng` gives the same errors."""
+        self._base, self._degradation = base, degradation
         self._sign = float(rng.choice([-1.0, 1.0]))
-        count = -(-len(frames) // _FIELD_FRAMES) + 1
-        self._fields = rng.normal(0.0, 1.0, (count, _FIELD_CELLS, _FIELD_CELLS))
+        self._fields = rng.normal(0.0, 1.0, (-(-count // _FIELD_FRAMES) + 1, _FIELD_CELLS, _FIELD_CELLS))
         self._seed = int(rng.integers(2**32))
 
-    def estimate(self, frames: Frames, camera: Camera, crops: list[Crop]) -> list[GripperView]:
-        """One view a frame.
-
-        Raises:
-            InputError: a frame is not of the video.
-        """
-        views = self._base.estimate(frames, camera, crops)
-        numbers = self._numbers.of(frames)
-        return [
-            replace(view, depth_m=view.depth_m * self.factor(number, view, camera))
-            for number, view in zip(numbers, views, strict=True)
-        ]
+    def estimate(self, frames: Frames, camera: Camera, crops: Mapping[int, Crop]) -> dict[int, GripperView]:
+        """See `DepthEstimator`."""
+        return {
+            number: replace(view, depth_m=view.depth_m * self.factor(number, view, camera))
+            for number, view in self._base.estimate(frames, camera, crops).items()
+        }
 
     def factor(self, number: int, view: GripperView, camera: Camera) -> Array:
         """What the depth of each cell (h, w) of a view of frame `number` is multiplied by."""

@@ -18,7 +18,7 @@ from kinebench_drake.grounding.confidence import Confidence
 from kinebench_drake.grounding.estimator import NetworkEstimator
 from kinebench_drake.grounding.evaluation.clip import Clip
 from kinebench_drake.grounding.evaluation.degradation import Degradation, DegradedEstimator
-from kinebench_drake.grounding.evaluation.given import GivenEstimator
+from kinebench_drake.grounding.given import GivenEstimator
 from kinebench_drake.grounding.pipeline import Grounding, GroundingPipeline
 from kinebench_drake.grounding.tracker import CadTracker
 from kinebench_drake.grounding.view import DepthEstimator, Frames
@@ -85,7 +85,7 @@ def _pixels(tools: Tools, clip: Clip, frames: Frames) -> Grounder:
 def _given(*, mask: bool = False, depth: bool = False) -> Make:
     def make(tools: Tools, clip: Clip, frames: Frames) -> Grounder:
         estimator = GivenEstimator(
-            tools.estimator, frames, mask=clip.mask if mask else None, depth_m=clip.depth_m if depth else None
+            tools.estimator, mask=clip.mask if mask else None, depth_m=clip.depth_m if depth else None
         )
         return tools.pipeline(estimator, trust_depth=depth)
 
@@ -109,7 +109,7 @@ def degraded(degradation: Degradation, seed: int) -> Make:
 
     def make(tools: Tools, clip: Clip, frames: Frames) -> Grounder:
         rng = np.random.default_rng([seed, *clip.id.encode()])
-        return tools.pipeline(DegradedEstimator(tools.estimator, frames, degradation, rng))
+        return tools.pipeline(DegradedEstimator(tools.estimator, len(frames), degradation, rng))
 
     return make
 
