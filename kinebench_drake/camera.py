@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kinebench_drake.errors import UsageError, cause
-from kinebench_drake.geometry import Array, invert, make_pose, orthonormalize
+from kinebench_drake.errors import InputError, UsageError, cause
+from kinebench_drake.geometry import Array, checked_pose, invert, make_pose, orthonormalize
 from kinebench_drake.storage import write_atomically
 
 _KEYS = ("width", "height", "fx", "fy", "cx", "cy", "base_from_camera")
@@ -45,17 +45,10 @@ class Camera:
         numbers = (self.fx, self.fy, self.cx, self.cy)
         if not np.isfinite(numbers).all() or self.fx <= 0 or self.fy <= 0:
             raise UsageError(f"camera: fx, fy, cx, cy must be finite and fx, fy positive, found {numbers}")
-        X = np.asarray(self.X_BC, dtype=np.float64)
-        if X.shape != (4, 4) or not np.isfinite(X).all():
-            raise UsageError(f"camera: base_from_camera must be a finite 4x4 matrix, found shape {X.shape}")
-        R = X[:3, :3]
-        error = float(np.abs(R @ R.T - np.eye(3)).max())
-        if error > 1e-3 or np.linalg.det(R) < 0 or not np.allclose(X[3], [0, 0, 0, 1], atol=1e-9):
-            raise UsageError(
-                f"camera: base_from_camera is not a rigid pose (rotation off by {error:.1e}, determinant "
-                f"{np.linalg.det(R):.3f}); expected a rotation, a position in metres and the last row 0 0 0 1"
-            )
-        object.__setattr__(self, "X_BC", make_pose(orthonormalize(R), X[:3, 3]))
+        try:
+            object.__setattr__(self, "X_BC", checked_pose(self.X_BC))
+        except InputError as error:
+            raise UsageError(f"camera: base_from_camera {error}") from None
 
     @property
     def K(self) -> Array:

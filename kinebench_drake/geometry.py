@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
+from kinebench_drake.errors import InputError
+
 Array = NDArray[np.float64]
 
 
@@ -26,6 +28,25 @@ def invert(X: ArrayLike) -> Array:
     X = np.asarray(X, dtype=np.float64)
     R_T = np.swapaxes(X[..., :3, :3], -1, -2)
     return make_pose(R_T, -(R_T @ X[..., :3, 3:])[..., 0])
+
+
+def checked_pose(X: ArrayLike) -> Array:
+    """A pose (4, 4) that came as numbers from outside, its rotation made exact.
+
+    Raises:
+        InputError: it is not finite, or not rigid.
+    """
+    X = np.asarray(X, dtype=np.float64)
+    if X.shape != (4, 4) or not np.isfinite(X).all():
+        raise InputError(f"must be a finite 4x4 matrix, found shape {X.shape}")
+    R = X[:3, :3]
+    error, det = float(np.abs(R @ R.T - np.eye(3)).max()), float(np.linalg.det(R))
+    if error > 1e-3 or det < 0 or not np.allclose(X[3], [0, 0, 0, 1], atol=1e-9):
+        raise InputError(
+            f"is not a rigid pose (rotation off by {error:.1e}, determinant {det:.3f}); expected a rotation, a "
+            "position in metres and the last row 0 0 0 1"
+        )
+    return make_pose(orthonormalize(R), X[:3, 3])
 
 
 def transform_points(X: ArrayLike, points: ArrayLike) -> Array:

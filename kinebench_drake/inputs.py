@@ -7,9 +7,13 @@ from dataclasses import dataclass, replace
 from enum import Enum
 from pathlib import Path
 
+import numpy as np
+
 from kinebench_drake import manifest
 from kinebench_drake.camera import Camera, benchmark_camera
 from kinebench_drake.errors import InputError, UsageError
+from kinebench_drake.geometry import checked_pose
+from kinebench_drake.grounding.known import FirstFrame
 from kinebench_drake.grounding.video import ARRAY_SUFFIXES, FILM_SUFFIXES, FRAME_SUFFIXES
 from kinebench_drake.identity import shorten, unique_ids
 
@@ -45,6 +49,8 @@ class Sample:
     """Frames per second, over what the file says [1/s]; None leaves it to the file."""
     frame_period_s: float | None
     """Task time between two frames [s] given by the manifest; None leaves it to the command line or the file."""
+    first: FirstFrame | None
+    """The robot in the first frame as the manifest tells it; None where it does not."""
     problem: str | None
     """Why the sample cannot be read at all (a broken manifest line); None when it can be tried."""
 
@@ -122,6 +128,7 @@ def _plain(path: Path, video: str, cameras: _Cameras) -> Sample:
         prompt=None,
         fps=None,
         frame_period_s=None,
+        first=None,
         problem=None,
     )
 
@@ -213,8 +220,18 @@ def _from_line(line: manifest.Line, folder: Path, cameras: _Cameras) -> Sample:
         prompt=entry.prompt if entry else None,
         fps=entry.fps if entry else None,
         frame_period_s=entry.frame_period_s if entry else None,
+        first=_first(entry) if entry else None,
         problem=problem,
     )
+
+
+def _first(entry: manifest.Entry) -> FirstFrame | None:
+    if entry.first_base_from_tcp is None:
+        return None
+    X_BG, width = checked_pose(entry.first_base_from_tcp), entry.first_finger_width_m
+    if width is None:
+        return FirstFrame(X_BG=X_BG)
+    return FirstFrame(X_BG=X_BG, finger_width_m=float(np.clip(width, 0.0, manifest.WIDEST_M)))
 
 
 def _with_unique_ids(samples: Sequence[Sample]) -> tuple[Sample, ...]:

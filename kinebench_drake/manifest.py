@@ -5,10 +5,11 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import InputError, UsageError, cause
+from kinebench_drake.geometry import checked_pose
 
 NAME = "manifest.jsonl"
 
@@ -17,6 +18,22 @@ UNREAD = frozenset({"first_frame", "frames", "suite", "split"})
 
 MIN_PERIOD_S, MAX_PERIOD_S = 1e-4, 1e3
 """Shortest and longest task time between two frames [s]."""
+WIDEST_M, PLAY_M = 0.08, 0.002
+"""Greatest gap between the finger pads, and how far a measured one may lie outside its range [m]."""
+
+
+def _rigid(rows: list[list[float]]) -> list[list[float]]:
+    try:
+        checked_pose(rows)
+    except InputError as error:
+        raise ValueError(str(error)) from None
+    return rows
+
+
+_Number = Annotated[float, Field(allow_inf_nan=False)]
+_Row = Annotated[list[_Number], Field(min_length=4, max_length=4)]
+_Pose = Annotated[list[_Row], Field(min_length=4, max_length=4), AfterValidator(_rigid)]
+"""A rigid pose, 4x4 by rows."""
 
 
 class Entry(BaseModel):
@@ -37,6 +54,10 @@ class Entry(BaseModel):
     """Task time between two frames [s]."""
     camera: dict[str, object] | Annotated[str, Field(min_length=1)] | None = None
     """The camera as an object, or the relative path of its file."""
+    first_base_from_tcp: _Pose | None = None
+    """panda_hand_tcp in the robot base frame, in the first frame [m]."""
+    first_finger_width_m: Annotated[float, Field(ge=-PLAY_M, le=WIDEST_M + PLAY_M, allow_inf_nan=False)] | None = None
+    """Gap between the finger pads in the first frame; says nothing without the pose."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

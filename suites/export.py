@@ -11,9 +11,11 @@ from PIL import Image
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.engines import Crashed, Engine
 from kinebench_drake.errors import SetupError
+from kinebench_drake.models.panda.robot import TCP_LINK
 from kinebench_drake.storage import whole
 from kinebench_drake.suites.episode import Episode
 from kinebench_drake.suites.files import make_folder, write_json, write_lines
+from kinebench_drake.suites.first import first_facts
 from kinebench_drake.suites.rollout import CLIP_FRAMES, FRAME_PERIOD_S
 from kinebench_drake.suites.stagehand import Stagehand
 from kinebench_drake.suites.suite import Draw, Suite
@@ -57,6 +59,15 @@ class Export:
         ]
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Photo:
+    """What a first frame shows."""
+
+    episode: Episode
+    first: dict[str, Any]
+    """The robot in it, for the manifest."""
+
+
 @dataclass(frozen=True, slots=True)
 class _Photographer:
     """Makes, in each process, what takes first frames."""
@@ -64,17 +75,18 @@ class _Photographer:
     size: int
     out: Path
 
-    def __call__(self) -> Callable[[Draw], Episode]:
+    def __call__(self) -> Callable[[Draw], _Photo]:
         hand = Stagehand(self.size)
 
-        def photograph(draw: Draw) -> Episode:
+        def photograph(draw: Draw) -> _Photo:
             episode = draw.episode()
             stage = hand.stage(draw.task, draw.variant)
             stage.reset(episode)
             rgb, _, _ = stage.picture()
             with whole(self.out / f"{episode.id}.png") as part:
                 Image.fromarray(rgb).save(part, format="png")
-            return episode
+            width_m = float(stage.snapshot().fingers_m.sum())
+            return _Photo(episode=episode, first=first_facts(stage.link_pose(TCP_LINK), width_m))
 
         return photograph
 
@@ -91,21 +103,22 @@ def export_suite(export: Export, engine: Engine, watcher: Watcher) -> int:
     draws = export.draws()
     make_folder(export.out)
     watcher.started(len(draws), 0)
-    made: dict[Draw, Episode] = {}
+    made: dict[Draw, _Photo] = {}
     for done in engine.run(_Photographer(export.size, export.out), draws):
         if isinstance(done, Crashed):
             raise SetupError(f"{done.item.task} seed {done.item.seed}: {done.reason}; run the same command again")
         made[done.item] = done.result
-        watcher.advanced(done.result.id)
-    episodes = [made[draw] for draw in draws]
+        watcher.advanced(done.result.episode.id)
+    photos = [made[draw] for draw in draws]
     benchmark_camera().resized(export.size, export.size).save(export.out / CAMERA)
-    write_lines(export.out / MANIFEST, [_manifest_row(episode, export) for episode in episodes])
-    write_lines(export.out / EPISODES, [_episode_row(episode, export) for episode in episodes])
-    write_json(export.out / SUMMARY, _summary(export, len(episodes)))
-    return len(episodes)
+    write_lines(export.out / MANIFEST, [_manifest_row(photo, export) for photo in photos])
+    write_lines(export.out / EPISODES, [_episode_row(photo.episode, export) for photo in photos])
+    write_json(export.out / SUMMARY, _summary(export, len(photos)))
+    return len(photos)
 
 
-def _manifest_row(episode: Episode, export: Export) -> dict[str, Any]:
+def _manifest_row(photo: _Photo, export: Export) -> dict[str, Any]:
+    episode = photo.episode
     return {
         "video": f"{episode.id}.mp4",
         "id": episode.id,
@@ -118,6 +131,7 @@ def _manifest_row(episode: Episode, export: Export) -> dict[str, Any]:
         "frame_period_s": FRAME_PERIOD_S,
         "suite": export.suite.number,
         "split": export.split,
+        **photo.first,
     }
 
 

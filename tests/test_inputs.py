@@ -5,6 +5,7 @@ import pytest
 
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.errors import UsageError
+from kinebench_drake.geometry import make_pose, rotation_exp
 from kinebench_drake.inputs import CameraSource, find_samples
 
 
@@ -114,6 +115,18 @@ def test_a_manifest_carries_labels_and_times(tmp_path):
     assert (bare.task, bare.model, bare.frame_period_s) == ("T", "other", None)
 
 
+def test_a_manifest_carries_the_first_frame(tmp_path):
+    touch(tmp_path, "v.mp4")
+    X_BG = make_pose(rotation_exp([3.0, 0.2, -0.1]), [0.43, 0.0, 0.27])
+    line = {"video": "v.mp4", "first_base_from_tcp": X_BG.tolist()}
+    lines = [{**line, "first_finger_width_m": width} for width in (0.03, -0.001, 0.081)]
+    *whole, pose, bare = find_samples(write_manifest(tmp_path, *lines, line, {"video": "v.mp4"})).samples
+    assert [sample.first.finger_width_m for sample in whole] == [0.03, 0.0, 0.08]
+    assert np.allclose([sample.first.X_BG for sample in (*whole, pose)], X_BG)
+    assert np.isnan(pose.first.finger_width_m)
+    assert bare.first is None
+
+
 def test_unknown_keys_are_a_warning(tmp_path):
     touch(tmp_path, "v.mp4")
     path = write_manifest(tmp_path, {"video": "v.mp4", "frame_periods": 0.2}, {"video": "v.mp4"})
@@ -132,6 +145,12 @@ def test_unknown_keys_are_a_warning(tmp_path):
         ({"video": "v.mp4", "fps": "17"}, "fps is '17'"),
         ({"video": "v.mp4", "fps": True}, "fps"),
         ({"video": "v.mp4", "seed": 1.5}, "seed"),
+        ('{"video": "v.mp4", "first_base_from_tcp": [[NaN, 0, 0, 0]]}', "first_base_from_tcp"),
+        ({"video": "v.mp4", "first_base_from_tcp": np.eye(4)[:3].tolist()}, "first_base_from_tcp"),
+        ({"video": "v.mp4", "first_base_from_tcp": np.diag([1, 1, -1, 1]).tolist()}, "not a rigid pose"),
+        ({"video": "v.mp4", "first_base_from_tcp": (2 * np.eye(4)).tolist()}, "not a rigid pose"),
+        ({"video": "v.mp4", "first_finger_width_m": 80}, "first_finger_width_m is 80"),
+        ('{"video": "v.mp4", "first_finger_width_m": NaN}', "first_finger_width_m"),
         ({"video": 7}, "video is 7"),
         ({"task": "x"}, "video is missing"),
         ({"video": "v.mp4", "camera": {"width": 3}}, "missing keys"),

@@ -10,10 +10,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from kinebench_drake.errors import SetupError
 from kinebench_drake.mp4 import write_video
 from kinebench_drake.storage import storage
 from kinebench_drake.suites.files import write_arrays, write_lines
+from kinebench_drake.suites.first import first_facts
 from kinebench_drake.suites.formats.demo import Content, Demo, Record, Shots
 from kinebench_drake.suites.tasks.registry import TASKS
 
@@ -21,6 +24,11 @@ from kinebench_drake.suites.tasks.registry import TASKS
 def _names(task: str, id: str, clips: int) -> list[str]:
     """Names of a demonstration's clips; numbered where its task may take more than one."""
     return [id] if TASKS[task].card.clips == 1 else [f"{id}_c{k}" for k in range(clips)]
+
+
+def _first(truth: Path) -> dict[str, Any]:
+    with np.load(truth) as arrays:
+        return first_facts(arrays["base_from_tcp"][0], float(arrays["finger_width_m"][0]))
 
 
 class VideoFolder:
@@ -68,6 +76,7 @@ class VideoFolder:
                 )
                 manifest.append(
                     {"video": f"{name}.mp4", "id": name, **common, "prompt": record.prompt, **filmed, **where}
+                    | _first(folder / "truth" / f"{name}.npz")
                 )
         write_lines(folder / "metadata.jsonl", metadata)
         write_lines(folder / "manifest.jsonl", manifest)

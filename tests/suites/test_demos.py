@@ -30,6 +30,7 @@ from kinebench_drake.suites.rollout import Clip, Performance, Stage
 from kinebench_drake.suites.stagehand import Stagehand
 from kinebench_drake.suites.suite import Draw, load_suite
 from kinebench_drake.suites.tasks.card import Variant
+from kinebench_drake.suites.tasks.registry import TASKS
 from kinebench_drake.trajectories.check import check
 from kinebench_drake.trajectories.lerobot import list_lerobot, read_lerobot
 from kinebench_drake.trajectories.maniskill import list_maniskill, read_maniskill
@@ -323,24 +324,37 @@ def test_a_video_folder_names_each_clip_with_its_caption(demo: Demo, tmp_path: P
     assert row["text"] == record.prompt
     with np.load(tmp_path / row["truth"]) as truth:
         assert len(truth["t_s"]) == row["frames"] == 49
+        X_BG = truth["base_from_tcp"]
     inputs = find_samples(tmp_path / "manifest.jsonl")
     assert not inputs.warnings
-    assert inputs.samples[0].frame_period_s == 0.2
+    [sample] = inputs.samples
+    assert sample.frame_period_s == 0.2
+    assert sample.first is not None
+    assert np.allclose(sample.first.X_BG, X_BG[0], atol=1e-6)
+    assert sample.first.finger_width_m == pytest.approx(0.08, abs=1e-6)
     assert Camera.load(tmp_path / "camera.json").to_json() == demo.shots.camera.to_json()
+
+
+def doubled(demo: Demo) -> Demo:
+    """The demonstration twice in a row, as one of a task that may take so long."""
+    p, film = demo.performance, demo.film
+    assert film is not None
+    episode = replace(p.episode, task=next(task for task in TASKS if TASKS[task].card.clips > 1))
+    return replace(
+        demo,
+        performance=replace(
+            p, episode=episode, snapshots=(*p.snapshots, *p.snapshots[1:]), controls=np.tile(p.controls, (2, 1))
+        ),
+        film=replace(film, **{n: np.concatenate([getattr(film, n), getattr(film, n)[1:]])
+                              for n in Clip.__dataclass_fields__ if n != "camera"}),
+    )  # fmt: skip
 
 
 @pytest.mark.sapien
 def test_clips_of_a_long_demonstration_meet(demo: Demo) -> None:
-    p, film = demo.performance, demo.film
-    assert film is not None
-    doubled = replace(
-        demo,
-        performance=replace(p, snapshots=(*p.snapshots, *p.snapshots[1:]), controls=np.tile(p.controls, (2, 1))),
-        film=replace(film, **{n: np.concatenate([getattr(film, n), getattr(film, n)[1:]])
-                              for n in Clip.__dataclass_fields__ if n != "camera"}),
-    )  # fmt: skip
-    assert doubled.clips == 2
-    first, second = doubled.clip(0), doubled.clip(1)
+    long = doubled(demo)
+    assert long.clips == 2
+    first, second = long.clip(0), long.clip(1)
     for clip in (first, second):
         assert len(clip.performance.snapshots) == 49
         assert len(clip.performance.controls) == 192
@@ -348,6 +362,19 @@ def test_clips_of_a_long_demonstration_meet(demo: Demo) -> None:
     assert first.film is not None
     assert second.film is not None
     assert np.array_equal(first.film.rgb[-1], second.film.rgb[0])
+
+
+@pytest.mark.sapien
+def test_each_clip_is_told_with_the_frame_it_begins_with(demo: Demo, tmp_path: Path) -> None:
+    long, form = doubled(demo), VideoFolder()
+    form.write_part(tmp_path, long)
+    form.finish(tmp_path, [record_of(long)], long.shots, {"suite": 0, "split": "train"})
+    film = long.film
+    assert film is not None
+    for k, sample in enumerate(find_samples(tmp_path / "manifest.jsonl").samples):
+        assert sample.first is not None
+        assert np.allclose(sample.first.X_BG, film.X_BG[48 * k], atol=1e-6)
+    assert not np.allclose(film.X_BG[0], film.X_BG[48], atol=1e-3)
 
 
 @pytest.mark.sapien

@@ -60,7 +60,13 @@ def test_first_frames_are_what_a_reset_shows(exported: Path) -> None:
     with Stage("StackCube-v1", camera=benchmark_camera().resized(96, 96)) as stage:
         stage.reset(compose("StackCube-v1", 1))
         rgb, _, _ = stage.picture()
+        X_BG = stage.scene().X_BG
     assert np.array_equal(np.asarray(Image.open(exported / "StackCube-v1_s0001.png")), rgb)
+    samples = {sample.id: sample for sample in find_samples(exported / "manifest.jsonl").samples}
+    first = samples["StackCube-v1_s0001"].first
+    assert first is not None
+    assert np.allclose(first.X_BG, X_BG, atol=1e-6)
+    assert first.finger_width_m == pytest.approx(0.08, abs=1e-6)
 
 
 @pytest.mark.sapien
