@@ -85,7 +85,8 @@ class _Stock:
         import gymnasium
         import mani_skill.envs  # noqa: F401 (registers the tasks)
 
-        from kinebench_drake.suites.tasks.environment import START_Q, camera_config
+        from kinebench_drake.suites.start import START_Q
+        from kinebench_drake.suites.tasks.environment import camera_config
 
         self._env: Any = gymnasium.make(
             STOCK,

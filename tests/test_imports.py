@@ -97,7 +97,8 @@ def test_importing_the_package_loads_nothing_heavy():
 
 
 @pytest.mark.parametrize(
-    "module", ["score", "audit", "inputs", "results", "measure", "report", "cli.score", "cli.audit", "cli.run"]
+    "module",
+    ["score", "audit", "inputs", "results", "measure", "report", "cli.score", "cli.audit", "cli.run", "suites.start"],
 )
 def test_the_frame_of_a_run_loads_nothing_heavy(module):
     assert not loaded_by(f"import kinebench_drake.{module}") & HEAVY

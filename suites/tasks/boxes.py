@@ -10,6 +10,7 @@ from torch import Tensor
 from kinebench_drake.geometry import make_pose
 from kinebench_drake.suites.assets.boxes import FLUSH, RIMMED, tight
 from kinebench_drake.suites.assets.model import Model
+from kinebench_drake.suites.start import START_WIDTH_M
 from kinebench_drake.suites.tasks.card import Difficulty, TaskCard, Variant
 from kinebench_drake.suites.tasks.place import resting, turned
 from kinebench_drake.suites.tasks.state import State
@@ -103,7 +104,7 @@ class OpenBox(Task):
         return Layout(
             placements={"box": Placement(model=box, X_BM=resting(x, y, 0.0, yaw), joint=joint)},
             prompt=f"The robot arm {prompt} fully open.",
-            finger_width_m=0.0,
+            finger_width_m=START_WIDTH_M[self.card.id],
         )
 
     def conditions(self, state: State) -> dict[str, Tensor]:
@@ -147,7 +148,7 @@ class CloseBox(Task):
                 )
             },
             prompt=f"The robot arm presses the open lid of the {box.words} shut with its closed gripper.",
-            finger_width_m=0.0,
+            finger_width_m=START_WIDTH_M[self.card.id],
         )
 
     def conditions(self, state: State) -> dict[str, Tensor]:

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from kinebench_drake.geometry import Array
 from kinebench_drake.suites.assets.model import Model
+from kinebench_drake.suites.start import START_WIDTH_M
 from kinebench_drake.suites.tasks.card import Difficulty, TaskCard, Variant
 from kinebench_drake.suites.tasks.obstacles import undisturbed
 from kinebench_drake.suites.tasks.place import resting, scattered
@@ -123,7 +124,7 @@ class PullCube(Task):
             },
             prompt="The robot arm closes its gripper, reaches over the blue cube and drags it back "
             "onto the red and white target.",
-            finger_width_m=0.0,
+            finger_width_m=START_WIDTH_M[self.card.id],
         )
 
     def conditions(self, state: State) -> dict[str, Tensor]:

@@ -24,8 +24,8 @@ from kinebench_drake.geometry import Array, make_pose, to_quaternion
 from kinebench_drake.models.robot import N_JOINTS
 from kinebench_drake.suites.assets.look import background, light, table
 from kinebench_drake.suites.episode import Episode, compose
-from kinebench_drake.suites.seeding import generator
 from kinebench_drake.suites.split import Pool
+from kinebench_drake.suites.start import start_q
 from kinebench_drake.suites.tasks.builder import build_actor, build_articulation
 from kinebench_drake.suites.tasks.card import Variant
 from kinebench_drake.suites.tasks.registry import TASKS, find_task
@@ -37,11 +37,6 @@ NAMESPACE = "KineBench"
 """Gymnasium namespace of the tasks."""
 X_WB = make_pose(np.eye(3), [-0.615, 0.0, 0.0])
 """Robot base in the ManiSkill world, (4, 4) [m]."""
-START_Q = np.array([0.0, -0.272, 0.0, -2.542, 0.0, 2.27, np.pi / 4])
-"""Arm at the start [rad]: the gripper points down from (0.43, 0, 0.27) m in B, above and behind the things, so that the
-first frame shows them. (In ManiSkill's own tabletop tasks it waits in front of them.)"""
-START_NOISE_RAD = 0.02
-"""Standard deviation of the start's noise in each joint."""
 CAMERA = "base_camera"
 """Name of the camera."""
 _NEAR_M, _FAR_M = 0.01, 20.0
@@ -233,8 +228,7 @@ class KineBenchEnv(BaseEnv):  # type: ignore[misc]
 
     def _start_q(self, index: int) -> Array:
         episode, layout = self.episodes[index], self.layouts[index]
-        noise = generator("start", episode.task, episode.seed).normal(0.0, START_NOISE_RAD, 7)
-        return np.concatenate([START_Q + noise, np.full(2, layout.finger_width_m / 2.0)])
+        return start_q(episode.task, episode.seed, layout.finger_width_m)
 
     def _poses(self, placements: Sequence[Placement]) -> Pose:
         X_WM = [X_WB @ p.X_BM for p in placements]

@@ -8,6 +8,7 @@ import numpy as np
 from torch import Tensor
 
 from kinebench_drake.suites.assets.model import Model
+from kinebench_drake.suites.start import START_WIDTH_M
 from kinebench_drake.suites.tasks.card import Difficulty, TaskCard, Variant
 from kinebench_drake.suites.tasks.place import resting
 from kinebench_drake.suites.tasks.state import State
@@ -43,7 +44,7 @@ class _TurnFaucet(Task):
                 )
             },
             prompt=self._prompt(model.words),
-            finger_width_m=0.0,
+            finger_width_m=START_WIDTH_M[self.card.id],
         )
 
     @abstractmethod

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from kinebench_drake.suites.assets.model import Model
+from kinebench_drake.suites.start import START_WIDTH_M
 from kinebench_drake.suites.tasks.card import Difficulty, TaskCard, Variant
 from kinebench_drake.suites.tasks.place import resting
 from kinebench_drake.suites.tasks.state import State
@@ -47,8 +48,6 @@ class _Laptop(Task):
     goal_rad: float
     side_m = (-0.02, 0.05)
     """Least and greatest y of the middle of the base."""
-    finger_width_m: float
-    """Gap between the finger pads at the start."""
     start_deg: tuple[float, float]
     """Least and greatest angle of the lid at the start."""
     turn_deg: tuple[float, float]
@@ -65,7 +64,7 @@ class _Laptop(Task):
         return Layout(
             placements={"laptop": placement},
             prompt=self.prompt.format(model.words),
-            finger_width_m=self.finger_width_m,
+            finger_width_m=START_WIDTH_M[self.card.id],
         )
 
     def _freed(self, state: State) -> dict[str, Tensor]:
@@ -82,7 +81,6 @@ class _Laptop(Task):
 
 class _Open(_Laptop):
     goal_rad = OPEN_RAD
-    finger_width_m = 0.08
     turn_deg = (15.0, 35.0)
 
     def conditions(self, state: State) -> dict[str, Tensor]:
@@ -92,7 +90,6 @@ class _Open(_Laptop):
 
 class _Close(_Laptop):
     goal_rad = SHUT_RAD
-    finger_width_m = 0.0
 
     def conditions(self, state: State) -> dict[str, Tensor]:
         """See the class."""

@@ -12,6 +12,7 @@ from kinebench_drake.suites.episode import compose
 from kinebench_drake.suites.experts.clearance import SceneGeometry
 from kinebench_drake.suites.experts.registry import find_expert
 from kinebench_drake.suites.rollout import Stage, perform
+from kinebench_drake.suites.start import START_Q
 from kinebench_drake.suites.tasks.faucets import CLOSED_PART, OPEN_PART, TASKS
 from kinebench_drake.suites.tasks.task import Scene
 
@@ -67,8 +68,6 @@ def test_every_shape_comes_in_several_finishes() -> None:
 @pytest.mark.sapien
 @pytest.mark.parametrize("task", NAMES)
 def test_the_waiting_gripper_touches_no_faucet(task: str) -> None:
-    from kinebench_drake.suites.tasks.environment import START_Q
-
     plant, margin = ArmPlant(), np.linspace(-0.03, 0.03, 3)
     for seed in range(12):
         layout = compose(task, seed).layout()

@@ -1,0 +1,60 @@
+"""How the robot stands in an episode's first frame, known without building the scene (no simulator, no PyTorch)."""
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinebench_drake.errors import UsageError
+from kinebench_drake.suites.seeding import generator
+
+START_Q = np.array([0.0, -0.272, 0.0, -2.542, 0.0, 2.27, np.pi / 4])
+"""Arm at the start [rad]: the gripper points down from (0.43, 0, 0.27) m in B, above and behind the things, so that the
+first frame shows them. (In ManiSkill's own tabletop tasks it waits in front of them.)"""
+START_NOISE_RAD = 0.02
+"""Standard deviation of the start's noise in each joint."""
+
+_OPEN_M, _SHUT_M = 0.08, 0.0
+START_WIDTH_M: Mapping[str, float] = {
+    "CloseBox-v1": _SHUT_M,
+    "CloseDrawer-v1": _OPEN_M,
+    "CloseFaucet-v1": _SHUT_M,
+    "CloseLaptopEasy-v1": _SHUT_M,
+    "CloseLaptopHard-v1": _SHUT_M,
+    "LiftPegUpright-v1": _OPEN_M,
+    "OpenBoxEasy-v1": _SHUT_M,
+    "OpenBoxEasy-v2": _SHUT_M,
+    "OpenBoxHard-v1": _SHUT_M,
+    "OpenBoxHard-v2": _SHUT_M,
+    "OpenDrawer-v1": _OPEN_M,
+    "OpenFaucet-v1": _SHUT_M,
+    "OpenLaptopEasy-v1": _OPEN_M,
+    "OpenLaptopHard-v1": _OPEN_M,
+    "PickFruits-v1": _OPEN_M,
+    "PullCube-v1": _SHUT_M,
+    "StackCube-v1": _OPEN_M,
+    "StoreCube-v1": _OPEN_M,
+    "StoreCube-v2": _OPEN_M,
+    "StoreFruitsBox-v1": _OPEN_M,
+}
+"""Gap between the finger pads at the start of each of the benchmark's tasks. It stands here and not with the tasks,
+which load PyTorch."""
+
+
+def start_q(task_id: str, seed: int, finger_width_m: float | None = None) -> NDArray[np.float64]:
+    """Joint positions (9,) in an episode's first frame: seven of the arm [rad], two of the fingers [m].
+
+    Args:
+        task_id: plain id.
+        seed: seed of the scene; the same with every pool and variant.
+        finger_width_m: gap between the finger pads [m]; that of the benchmark's task if not given.
+
+    Raises:
+        UsageError: the benchmark has no such task, and no gap is given.
+    """
+    if finger_width_m is None:
+        if task_id not in START_WIDTH_M:
+            raise UsageError(f"no task {task_id!r}; there are {', '.join(START_WIDTH_M)}")
+        finger_width_m = START_WIDTH_M[task_id]
+    noise = generator("start", task_id, seed).normal(0.0, START_NOISE_RAD, 7)
+    return np.concatenate([START_Q + noise, np.full(2, finger_width_m / 2.0)])
