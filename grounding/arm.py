@@ -13,7 +13,7 @@ import numpy as np
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, invert, pose_difference
 from kinebench_drake.grounding.cells import Cells
-from kinebench_drake.grounding.fit import Fit, Hand, finger_information, gripper_cells, opened
+from kinebench_drake.grounding.fit import UNSEEN_FINGER_M, Fit, Hand, gripper_cells, opened, opening_information
 from kinebench_drake.grounding.solver import solve
 from kinebench_drake.grounding.view import GripperView
 from kinebench_drake.kinematics.analytic import analytic_ik
@@ -100,7 +100,7 @@ class _Arm:
     q: Array
     q_start: Array
     finger_m: float
-    has_fingers: bool
+    opening_free: bool
 
     def points(self, cells: Cells) -> tuple[Array, Array]:
         """See `Body`."""
@@ -121,7 +121,7 @@ class _Arm:
     def prior(self) -> tuple[Array, Array]:
         """See `Body`: joints stay near their first angles unless something is seen of them."""
         information = np.eye(8) / _POSTURE_SIGMA_RAD**2
-        information[7, 7] = finger_information(self.has_fingers)
+        information[7, 7] = opening_information(self.opening_free)
         gradient = np.zeros(8)
         gradient[:7] = (self.q - self.q_start) / _POSTURE_SIGMA_RAD**2
         return information, gradient
@@ -160,17 +160,16 @@ class ArmFitter:
             return None
         q, evidence = first
         gripper = gripper_cells(close)
-        has_fingers = bool(np.isfinite(hand.finger_m))
         start = _Arm(
             model=self._model,
             X_CB=self._X_CB,
             q=q,
             q_start=q,
-            finger_m=hand.finger_m if has_fingers else 0.02,
-            has_fingers=has_fingers,
+            finger_m=hand.finger_m if np.isfinite(hand.finger_m) else UNSEEN_FINGER_M,
+            opening_free=hand.opening_free,
         )
         cells = Cells.join([gripper, links])
-        solution = solve(start, cells, float(np.log(hand.depth_factor)))
+        solution = solve(start, cells, close.level_sigma, float(np.log(hand.depth_factor)))
         if solution is None:
             return None
         arm = solution.body
@@ -191,23 +190,23 @@ class ArmFitter:
         return ArmFit(
             q=arm.q,
             X_CH=X_CH,
-            finger_m=arm.finger_m if has_fingers else float("nan"),
+            finger_m=arm.finger_m if hand.opening_free else hand.finger_m,
             agrees=bool(agrees),
             consistency_px=consistency,
-            scale=self._scale(arm, cells, solution.level, hand),
+            scale=self._scale(arm, cells, close.level_sigma, solution.level, hand),
             evidence=evidence,
             covariance=J @ covariance[:7, :7] @ J.T,
         )
 
-    def _scale(self, arm: _Arm, cells: Cells, level: float, hand: Fit) -> float:
+    def _scale(self, arm: _Arm, cells: Cells, level_sigma: float, level: float, hand: Fit) -> float:
         """How far away the links have the hand over how far away it looks by its size alone."""
         of_hand = np.isin(cells.part, GRIPPER)
-        of_links = solve(
-            arm, replace(cells, weight=np.where(of_hand, _HAND_LEFT, 1.0) * cells.weight), level, iterations=4
-        )
+        by_links = replace(cells, weight=np.where(of_hand, _HAND_LEFT, 1.0) * cells.weight)
+        of_links = solve(arm, by_links, level_sigma, level, iterations=4)
         sizes = cells.take(of_hand)
-        free = Hand(X_CH=hand.X_CH, finger_m=arm.finger_m, has_fingers=arm.has_fingers)
-        of_size = solve(free, replace(sizes, range_sigma=np.full(len(sizes), _UNKNOWN)), iterations=4)
+        free = Hand(X_CH=hand.X_CH, finger_m=arm.finger_m, opening_free=arm.opening_free)
+        by_size = replace(sizes, range_sigma=np.full(len(sizes), _UNKNOWN))
+        of_size = solve(free, by_size, level_sigma, iterations=4)
         if of_links is None or of_size is None:
             return float("nan")
         return float(np.linalg.norm(of_links.body.hand()[0][:3, 3]) / np.linalg.norm(of_size.body.X_CH[:3, 3]))

@@ -20,6 +20,8 @@ from kinebench_drake.models.perception.network import (
 )
 
 _BATCH = 8
+LEVEL_SIGMA = 0.012
+"""Standard deviation of the relative error that the network's depth has in common all over the robot."""
 _LAPLACE_TO_SIGMA = np.sqrt(2.0)  # standard deviation of a Laplace distribution of scale 1
 
 
@@ -69,6 +71,7 @@ def _views(output: DenseOutput, crops: list[Crop]) -> list[GripperView]:
             part=part[i],
             depth_m=depth[i] * crop.focal / crop.size,
             depth_sigma=depth_sigma[i],
+            level_sigma=LEVEL_SIGMA,
             coordinates_P=coordinates[i],
             coordinates_sigma_m=sigma[i],
         )

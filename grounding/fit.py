@@ -17,6 +17,8 @@ _MAX_CELLS = 400
 _INDEPENDENT = 40.0  # measurements that the cells of a gripper are worth
 _MIN_FINGER_CELLS = 6
 _FINGER_SIGMA_M = 1.0  # prior of an opening that is seen: none to speak of
+_FIXED = 1e12  # information about what must not move
+UNSEEN_FINGER_M = 0.02  # opening that a gripper is taken to have where neither sight nor anything else tells
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -27,8 +29,10 @@ class Hand:
     """(4, 4) pose of panda_hand in the camera frame [m]."""
     finger_m: float
     """Opening of each finger, 0..0.04 [m]."""
-    has_fingers: bool
-    """Whether enough of the fingers is seen to tell their opening."""
+    opening_free: bool
+    """Whether the opening is to be found: not where it is known, or too little is seen of the fingers."""
+    pose_free: bool = True
+    """Whether the pose is to be found."""
 
     def points(self, cells: Cells) -> tuple[Array, Array]:
         """See `Body`; the unknowns are a rotation about the camera's axes at the hand, a shift, and the opening."""
@@ -42,10 +46,9 @@ class Hand:
         return p_C, d_p
 
     def prior(self) -> tuple[Array, Array]:
-        """See `Body`: an opening that is not seen stays."""
-        information = np.zeros((7, 7))
-        information[6, 6] = finger_information(self.has_fingers)
-        return information, np.zeros(7)
+        """See `Body`: what is not free stays."""
+        pose = 0.0 if self.pose_free else _FIXED
+        return np.diag([*[pose] * 6, opening_information(self.opening_free)]), np.zeros(7)
 
     def moved(self, step: Array) -> Self:
         """See `Body`."""
@@ -65,9 +68,9 @@ def opened(finger_m: float, change_m: float) -> float:
     return float(np.clip(finger_m + change_m, 0.0, MAX_FINGER_M))
 
 
-def finger_information(has_fingers: bool) -> float:
-    """Information [1/m^2] about an opening beforehand: it is fixed where no finger is seen."""
-    return 1.0 / _FINGER_SIGMA_M**2 if has_fingers else 1e12
+def opening_information(free: bool) -> float:
+    """Information [1/m^2] about an opening beforehand."""
+    return 1.0 / _FINGER_SIGMA_M**2 if free else _FIXED
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -77,7 +80,9 @@ class Fit:
     X_CH: Array
     """(4, 4) pose of panda_hand in the camera frame [m]."""
     finger_m: float
-    """Opening of each finger, 0..0.04 [m]; NaN when no finger was seen."""
+    """Opening of each finger, 0..0.04 [m]; NaN where it is neither known nor seen."""
+    opening_free: bool
+    """Whether the opening was found here."""
     depth_factor: float
     """True depth over estimated depth, as fitted."""
     residual: float
@@ -104,11 +109,11 @@ def align(p_A: Array, p_B: Array, weight: Array) -> Array:
     return make_pose(R, mean_A - R @ mean_B)
 
 
-def _closed_form(cells: Cells, *, has_fingers: bool) -> Hand:
+def _closed_form(cells: Cells, finger_m: float | None) -> Hand:
     """Pose and opening from 3-D to 3-D alignment, reweighted a few times against outliers."""
     cloud = cells.p_C
     weight = 1.0 / (cells.sigma_m**2 + (cells.range_sigma * cells.range_m) ** 2)
-    finger, robust = MAX_FINGER_M / 2, np.ones(len(cloud))
+    finger, robust = UNSEEN_FINGER_M if finger_m is None else finger_m, np.ones(len(cloud))
     X_CH = np.eye(4)
     for _ in range(6):
         model = cells.p_P + cells.opening_sign[:, None] * [0.0, finger, 0.0]
@@ -118,17 +123,18 @@ def _closed_form(cells: Cells, *, has_fingers: bool) -> Hand:
         scale = max(float(np.median(error)), 1e-4)
         robust = 1.0 / (1.0 + (error / (2 * scale)) ** 2)
         w = weight * robust * np.abs(cells.opening_sign)
-        if w.sum() > 0:
+        if finger_m is None and w.sum() > 0:
             finger = opened(0.0, float((w * cells.opening_sign * (seen_H - cells.p_P)[:, 1]).sum() / w.sum()))
-    return Hand(X_CH=X_CH, finger_m=finger, has_fingers=has_fingers)
+    seen = (cells.opening_sign != 0).sum() >= _MIN_FINGER_CELLS
+    return Hand(X_CH=X_CH, finger_m=finger, opening_free=bool(finger_m is None and seen))
 
 
-def describe(solution: Solution[Hand], cells: Cells, points: int) -> Fit:
-    """What there is to say of a solution for a hand."""
+def _describe(solution: Solution[Hand], cells: Cells, points: int, *, opening_known: bool) -> Fit:
     hand, robust, r = solution.body, solution.robust, solution.residual
     return Fit(
         X_CH=hand.X_CH,
-        finger_m=hand.finger_m if hand.has_fingers else float("nan"),
+        finger_m=hand.finger_m if hand.opening_free or opening_known else float("nan"),
+        opening_free=hand.opening_free,
         depth_factor=float(np.exp(solution.level)),
         residual=float(np.sqrt((robust[:, :2] * r[:, :2] ** 2).sum() / robust[:, :2].sum())),
         points=points,
@@ -137,11 +143,21 @@ def describe(solution: Solution[Hand], cells: Cells, points: int) -> Fit:
     )
 
 
-def fit(view: GripperView) -> Fit | None:
-    """Fit the gripper to one view; None when fewer than `MIN_CELLS` cells show it."""
+def fit(view: GripperView, *, X_CH: Array | None = None, finger_m: float | None = None) -> Fit | None:
+    """Fit the gripper to one view; None when fewer than `MIN_CELLS` cells show it.
+
+    Args:
+        view: what is seen.
+        X_CH: (4, 4) pose of panda_hand in the camera frame [m], where it is known.
+        finger_m: opening of each finger [m], where it is known.
+    """
     cells = gripper_cells(view)
     if len(cells) < MIN_CELLS:
         return None
-    has_fingers = bool((cells.opening_sign != 0).sum() >= _MIN_FINGER_CELLS)
-    solution = solve(_closed_form(cells, has_fingers=has_fingers), cells)
-    return None if solution is None else describe(solution, cells, int(view.gripper.sum()))
+    start = _closed_form(cells, finger_m)
+    if X_CH is not None:
+        start = replace(start, X_CH=X_CH, pose_free=False)
+    solution = solve(start, cells, view.level_sigma)
+    if solution is None:
+        return None
+    return _describe(solution, cells, int(view.gripper.sum()), opening_known=finger_m is not None)

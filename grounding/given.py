@@ -7,45 +7,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera
-from kinebench_drake.errors import InputError
-from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.crop import Crop
+from kinebench_drake.grounding.known import GivenDepth, Known
 from kinebench_drake.grounding.view import DepthEstimator, Frames, GripperView
 from kinebench_drake.models.panda.part import Part
 
-_GIVEN_DEPTH_SIGMA = 1e-3  # relative: stored depth has whole millimetres
+_EXACT_SIGMA, _EXACT_LEVEL_SIGMA = 1e-3, 1e-4  # relative: stored depth has whole millimetres
+_OTHERS_SIGMA, _OTHERS_LEVEL_SIGMA = 0.02, 0.1  # an estimator about which nothing is known
 
 
 class GivenEstimator:
     """Another estimator with its mask, its depth or both replaced by given ones."""
 
-    def __init__(
-        self, base: DepthEstimator, *, mask: NDArray[np.bool_] | None = None, depth_m: Array | None = None
-    ) -> None:
-        """Replace what is given.
-
-        Args:
-            base: where everything else comes from.
-            mask: (T, H, W) pixels that show the gripper.
-            depth_m: (T, H, W) along the camera's axis [m], 0 where unknown.
-        """
-        self._base, self._mask, self._depth = base, mask, depth_m
+    def __init__(self, base: DepthEstimator, known: Known) -> None:
+        """Take from `base` what is not known."""
+        self._base, self._known = base, known
 
     def estimate(self, frames: Frames, camera: Camera, crops: Mapping[int, Crop]) -> dict[int, GripperView]:
-        """See `DepthEstimator`.
-
-        Raises:
-            InputError: what is given has another shape than the video.
-        """
-        for name, given in (("mask", self._mask), ("depth", self._depth)):
-            if given is not None and given.shape != frames.shape[:3]:
-                raise InputError(f"the {name} given has shape {given.shape}, the video {frames.shape[:3]}")
+        """See `DepthEstimator`."""
         views = self._base.estimate(frames, camera, crops)
         for number, view in views.items():
-            if self._mask is not None:
-                view = with_mask(view, self._mask[number], camera)
-            if self._depth is not None:
-                view = with_depth(view, self._depth[number], camera)
+            if self._known.mask is not None:
+                view = with_mask(view, self._known.mask[number], camera)
+            if self._known.depth is not None:
+                view = with_depth(view, self._known.depth, number, camera)
             views[number] = view
         return views
 
@@ -58,14 +43,17 @@ def with_mask(view: GripperView, mask: NDArray[np.bool_], camera: Camera) -> Gri
     return replace(view, part=np.where(seen, gripper, other).astype(np.uint8))
 
 
-def with_depth(view: GripperView, depth_m: Array, camera: Camera) -> GripperView:
-    """The view with `depth_m` (H, W) along the camera's axis [m] where it is known."""
+def with_depth(view: GripperView, depth: GivenDepth, number: int, camera: Camera) -> GripperView:
+    """The view with the depth of frame `number` where it is known."""
     crop = view.crop
-    depth_C = np.asarray(crop.warp(depth_m.astype(np.float32), camera, view.stride, nearest=True), dtype=np.float64)
+    depth_m = np.nan_to_num(depth.depth_m[number].astype(np.float32), nan=0.0, posinf=0.0)
+    depth_C = np.asarray(crop.warp(depth_m, camera, view.stride, nearest=True), dtype=np.float64)
     z = depth_C / (view.rays() @ crop.R_CV.T)[..., 2]
     known = z > 0
+    sigma, level_sigma = (_EXACT_SIGMA, _EXACT_LEVEL_SIGMA) if depth.exact else (_OTHERS_SIGMA, _OTHERS_LEVEL_SIGMA)
     return replace(
         view,
         depth_m=np.where(known, z, view.depth_m),
-        depth_sigma=np.where(known, _GIVEN_DEPTH_SIGMA, view.depth_sigma),
+        depth_sigma=np.where(known, sigma, view.depth_sigma),
+        level_sigma=level_sigma,
     )

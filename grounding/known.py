@@ -1,12 +1,14 @@
 """What is known of a video beforehand: its first frame, or stages done elsewhere."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from kinebench_drake.camera import Camera
 from kinebench_drake.errors import InputError
-from kinebench_drake.geometry import Array
+from kinebench_drake.geometry import Array, invert
+from kinebench_drake.models.panda.robot import hand_from_tcp
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,20 +46,50 @@ class Known:
     finger_width_m: Array | None = None
     """(T,) gap between the finger pads [m]; NaN where unknown."""
 
+    @property
+    def replaces(self) -> bool:
+        """Whether it takes the place of a whole stage, in the frames as they are."""
+        posed = self.X_CH is not None and bool(np.isfinite(self.X_CH[1:]).any())
+        return self.mask is not None or self.depth is not None or posed
+
+    def through(self, camera: Camera, frames: int) -> "Known":
+        """The same with the first frame's pose and opening among those of all `frames`, as `camera` sees them."""
+        if self.first is None:
+            return self
+        X_CH = np.full((frames, 4, 4), np.nan) if self.X_CH is None else self.X_CH.copy()
+        width = np.full(frames, np.nan) if self.finger_width_m is None else self.finger_width_m.copy()
+        X_CH[0] = invert(camera.X_BC) @ self.first.X_BG @ invert(hand_from_tcp())
+        if np.isfinite(self.first.finger_width_m):
+            width[0] = self.first.finger_width_m
+        return replace(self, X_CH=X_CH, finger_width_m=width)
+
+    def pose(self, number: int) -> Array | None:
+        """(4, 4) pose of panda_hand in the camera frame in frame `number` [m], if it is given."""
+        given = None if self.X_CH is None else self.X_CH[number]
+        return given if given is not None and np.isfinite(given).all() else None
+
+    def finger_m(self, number: int) -> float | None:
+        """Opening of each finger in frame `number` [m], if it is known."""
+        width = np.nan if self.finger_width_m is None else self.finger_width_m[number]
+        return float(width) / 2 if np.isfinite(width) else None
+
     def require(self, frames: int, height: int, width: int) -> None:
         """Hold the shapes against those of the video.
 
         Raises:
             InputError: one of them is another.
         """
-        picture, shapes = (frames, height, width), {}
-        shapes["mask"] = (self.mask, picture)
-        shapes["depth"] = (None if self.depth is None else self.depth.depth_m, picture)
-        shapes["poses"] = (self.X_CH, (frames, 4, 4))
-        shapes["finger_width_m"] = (self.finger_width_m, (frames,))
-        for name, (given, wanted) in shapes.items():
-            if given is not None and given.shape != wanted:
-                raise InputError(f"{name} given for the video: shape {given.shape}, expected {wanted}")
+        picture = (frames, height, width)
+        depth = None if self.depth is None else self.depth.depth_m
+        _hold("mask", self.mask, picture)
+        _hold("depth", depth, picture)
+        _hold("poses", self.X_CH, (frames, 4, 4))
+        _hold("finger_width_m", self.finger_width_m, (frames,))
+
+
+def _hold(name: str, given: NDArray[np.generic] | None, shape: tuple[int, ...]) -> None:
+    if given is not None and given.shape != shape:
+        raise InputError(f"{name} given for the video: shape {given.shape}, expected {shape}")
 
 
 NOTHING = Known()

@@ -1,9 +1,10 @@
 """The grounding of one video: frames in, gripper track and anomalies out."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera, benchmark_camera
 from kinebench_drake.geometry import Array, invert, pose_difference
@@ -13,6 +14,7 @@ from kinebench_drake.grounding.anomaly.finding import Findings
 from kinebench_drake.grounding.anomaly.motion import measure_camera_motion
 from kinebench_drake.grounding.confidence import Confidence
 from kinebench_drake.grounding.estimator import NetworkEstimator
+from kinebench_drake.grounding.known import NOTHING, Known
 from kinebench_drake.grounding.reading import settle
 from kinebench_drake.grounding.smoothing import smooth_track
 from kinebench_drake.grounding.tracker import CadTracker, FramePose, PoseTracker
@@ -32,6 +34,8 @@ class Grounding:
     """What a video shows."""
 
     track: GripperTrack
+    given: NDArray[np.bool_]
+    """(T,) frames whose pose was known beforehand."""
     anomalies: tuple[Anomaly, ...]
     camera_motion_px: float | None
     """Largest displacement of the background [px]; None where it has too few features to tell."""
@@ -61,12 +65,27 @@ class GroundingPipeline:
         blank = np.zeros((2, camera.height, camera.width, 3), np.uint8)
         self.ground(blank, camera, np.array([0.0, 1.0]))
 
-    def ground(self, frames: Frames, camera: Camera, t_s: Array) -> Grounding:
-        """Track the gripper through `frames` (T, H, W, 3) taken by `camera` at task times `t_s` (T,) [s]."""
+    def ground(self, frames: Frames, camera: Camera, t_s: Array, known: Known = NOTHING) -> Grounding:
+        """Track the gripper through a video.
+
+        Args:
+            frames: (T, H, W, 3) RGB.
+            camera: what they were taken with, before it is scaled to their size.
+            t_s: (T,) task times [s].
+            known: what takes the place of estimates.
+
+        Raises:
+            InputError: what is known is of another video.
+        """
         camera = camera.resized(frames.shape[2], frames.shape[1])
-        poses, seen = self.observe(frames, camera, t_s)
+        known = known.through(camera, len(frames))
+        poses, seen = self.observe(frames, camera, t_s, known)
         findings, confidence, motion = find_anomalies(seen), seen.confidence, seen.motion
         X_AH = _stack(poses)  # A: the camera of the first frame
+        given = np.array([known.pose(i) is not None for i in range(len(frames))])
+        if known.X_CH is not None:
+            X_AH[given] = (motion.X_AC @ known.X_CH)[given]
+            confidence[given] = 1.0
         found = (confidence >= MIN_CONFIDENCE) & ~motion.lost
         breaks = _breaks(findings.anomalies)
         X_AH[~found] = np.nan
@@ -74,39 +93,58 @@ class GroundingPipeline:
         agrees = (distance <= AGREE_M) & (angle <= AGREE_RAD)
         tracked = found & ((confidence >= SURE_CONFIDENCE) | agrees)
         X_AH[~tracked] = np.nan
-        X_AH = smooth_track(X_AH, confidence, breaks)
+        X_AH = np.where(given[:, None, None], X_AH, smooth_track(X_AH, confidence, breaks))
         track = GripperTrack(
             t_s=t_s,
             X_CH=invert(motion.X_AC) @ X_AH,
             X_BG=camera.X_BC @ X_AH @ hand_from_tcp(),
             tracked=tracked,
             confidence=confidence,
-            finger_width_m=np.array(
-                [2 * p.finger_m if p and ok else np.nan for p, ok in zip(poses, tracked, strict=True)]
-            ),
+            finger_width_m=_widths(poses, tracked, known),
         )
         return Grounding(
-            track=track, anomalies=findings.anomalies, camera_motion_px=motion.largest_px, findings=findings
+            track=track,
+            given=given,
+            anomalies=findings.anomalies,
+            camera_motion_px=motion.largest_px,
+            findings=findings,
         )
 
-    def observe(self, frames: Frames, camera: Camera, t_s: Array) -> tuple[list[FramePose | None], Evidence]:
+    def _confidence_of(self, pose: FramePose | None) -> float:
+        if pose is None:
+            return 0.0
+        return 1.0 if pose.given else self.confidence.probability(pose)
+
+    def observe(
+        self, frames: Frames, camera: Camera, t_s: Array, known: Known = NOTHING
+    ) -> tuple[list[FramePose | None], Evidence]:
         """Poses against the first frame's camera, each frame by itself, and what the detectors of anomalies look at.
 
         Where the camera moves a little, the frames are looked at again as the first frame's camera would have seen
         them.
         """
-        tracking = self._tracker.track(frames, camera)
+        tracking = self._tracker.track(frames, camera, known)
         motion = measure_camera_motion(frames, tracking.robot, camera)
-        if motion.moves:
-            tracking = self._tracker.track(motion.steadied(frames, camera), camera)
+        steady = motion.moves and not known.replaces
+        if steady:
+            tracking = self._tracker.track(motion.steadied(frames, camera), camera, known)
         poses = settle(tracking.poses)
-        confidence = np.array([self.confidence.probability(p) if p is not None else 0.0 for p in poses])
+        if not steady:
+            poses = [p and replace(p, X_CH=X_AC @ p.X_CH) for p, X_AC in zip(poses, motion.X_AC, strict=True)]
+        confidence = np.array([self._confidence_of(p) for p in poses])
         return poses, gather(frames, camera, t_s, tracking.wide, poses, confidence, motion)
 
 
 def _stack(poses: Sequence[FramePose | None]) -> Array:
     unknown = np.full((4, 4), np.nan)
     return np.stack([p.X_CH if p is not None else unknown for p in poses])
+
+
+def _widths(poses: Sequence[FramePose | None], tracked: NDArray[np.bool_], known: Known) -> Array:
+    seen = [2 * p.finger_m if p and ok else np.nan for p, ok in zip(poses, tracked, strict=True)]
+    if known.finger_width_m is None:
+        return np.array(seen)
+    return np.where(np.isfinite(known.finger_width_m), known.finger_width_m, seen)
 
 
 def _breaks(anomalies: tuple[Anomaly, ...]) -> list[int]:

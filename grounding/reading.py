@@ -46,7 +46,7 @@ def settle(poses: Sequence[FramePose | None]) -> list[FramePose | None]:
     known = [(i, pose) for i, pose in enumerate(poses) if pose is not None]
     if not known:
         return list(poses)
-    variants = [((pose.X_CH, pose.X_CH @ X_HALF_TURN), evidence(pose)) for _, pose in known]
+    variants = [((pose.X_CH, pose.X_CH @ X_HALF_TURN), np.inf if pose.given else evidence(pose)) for _, pose in known]
     cost = np.array([0.0, variants[0][1]])
     back: list[list[int]] = []
     for previous, current in pairwise(variants):

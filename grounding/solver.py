@@ -12,8 +12,6 @@ import numpy as np
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.cells import Cells
 
-LEVEL_SIGMA = 0.012
-"""Prior standard deviation of the ranges' common relative error."""
 _CAUCHY = 2.0  # residual, in standard deviations, that counts half
 _NEAREST_M = 0.05
 
@@ -68,17 +66,20 @@ def residuals(p_C: Array, d_p: Array, cells: Cells, level: float) -> tuple[Array
     return r, J
 
 
-def solve(body: BodyType, cells: Cells, level: float = 0.0, *, iterations: int = 8) -> Solution[BodyType] | None:
+def solve(
+    body: BodyType, cells: Cells, level_sigma: float, level: float = 0.0, *, iterations: int = 8
+) -> Solution[BodyType] | None:
     """Cauchy-weighted Gauss-Newton from `body` on; None if it ends before the camera.
 
     Args:
         body: where to start.
         cells: what was seen.
+        level_sigma: prior standard deviation of the ranges' common relative error.
         level: where to start with the ranges' factor.
         iterations: greatest number of steps.
     """
     for _ in range(iterations):
-        _, _, H, g = _normal(body, cells, level)
+        _, _, H, g = _normal(body, cells, level_sigma, level)
         step: Array = np.asarray(-np.linalg.solve(H + 1e-6 * np.diag(np.diag(H)) + 1e-9 * np.eye(len(H)), g))
         body, level = body.moved(step[:-1]), level + step[-1]
         if np.abs(step).max() < 2e-5:
@@ -86,12 +87,12 @@ def solve(body: BodyType, cells: Cells, level: float = 0.0, *, iterations: int =
     p_C, _ = body.points(cells)
     if not np.isfinite(p_C).all() or (p_C[:, 2] < _NEAREST_M).any():
         return None
-    r, weight, H, _ = _normal(body, cells, level)
+    r, weight, H, _ = _normal(body, cells, level_sigma, level)
     information = H[:-1, :-1] - np.outer(H[:-1, -1], H[:-1, -1]) / H[-1, -1]
     return Solution(body=body, level=level, residual=r, robust=weight, information=information)
 
 
-def _normal(body: Body, cells: Cells, level: float) -> tuple[Array, Array, Array, Array]:
+def _normal(body: Body, cells: Cells, level_sigma: float, level: float) -> tuple[Array, Array, Array, Array]:
     """Residuals, robust weights, normal matrix and gradient of one step; the last unknown is the level."""
     r, J = residuals(*body.points(cells), cells, level)
     size = np.abs(r)
@@ -104,6 +105,6 @@ def _normal(body: Body, cells: Cells, level: float) -> tuple[Array, Array, Array
     information, gradient = body.prior()
     H[:-1, :-1] += information
     g[:-1] += gradient
-    H[-1, -1] += 1.0 / LEVEL_SIGMA**2
-    g[-1] += level / LEVEL_SIGMA**2
+    H[-1, -1] += 1.0 / level_sigma**2
+    g[-1] += level / level_sigma**2
     return r, robust, H, g

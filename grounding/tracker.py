@@ -10,7 +10,9 @@ from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, interpolate_pose, invert, transform_points
 from kinebench_drake.grounding.arm import ArmFit, ArmFitter, ArmModel
 from kinebench_drake.grounding.crop import CLOSE_SIZE, GRIPPER_CENTRE_H, WIDE_SIZE, Crop
-from kinebench_drake.grounding.fit import Fit, fit
+from kinebench_drake.grounding.fit import UNSEEN_FINGER_M, Fit, fit
+from kinebench_drake.grounding.given import GivenEstimator
+from kinebench_drake.grounding.known import NOTHING, Known
 from kinebench_drake.grounding.registration import IcpRefiner
 from kinebench_drake.grounding.view import DepthEstimator, Frames, GripperView
 from kinebench_drake.models.panda.cad import GripperCad
@@ -39,6 +41,8 @@ class FramePose:
     """The close view."""
     overlap: float
     """Intersection over union of the seen and the rendered gripper."""
+    given: bool = False
+    """Whether the pose was known beforehand."""
 
     @property
     def covariance(self) -> Array:
@@ -61,8 +65,8 @@ class Tracking:
 class PoseTracker(Protocol):
     """What turns frames into hand poses: the CAD tracker here, or another program's."""
 
-    def track(self, frames: Frames, camera: Camera) -> Tracking:
-        """Track the gripper through `frames` (T, H, W, 3)."""
+    def track(self, frames: Frames, camera: Camera, known: Known = NOTHING) -> Tracking:
+        """Track the gripper through `frames` (T, H, W, 3), of which something may be `known` beforehand."""
         ...
 
 
@@ -80,29 +84,37 @@ class CadTracker:
     for a gripper that was not found.
     """
 
-    def __init__(self, estimator: DepthEstimator, cad: GripperCad | None = None, *, trust_depth: bool = False) -> None:
-        """Track with `estimator`; `trust_depth` says that its depth is exact, so that ICP has the last word."""
+    def __init__(self, estimator: DepthEstimator, cad: GripperCad | None = None) -> None:
+        """Track with `estimator`."""
         self._estimator = estimator
         self._cad = cad or GripperCad()
         self._icp = IcpRefiner(self._cad)
         self._arm = ArmModel()
-        self._trust_depth = trust_depth
 
-    def track(self, frames: Frames, camera: Camera) -> Tracking:
-        """Track the gripper through `frames` (T, H, W, 3)."""
+    def track(self, frames: Frames, camera: Camera, known: Known = NOTHING) -> Tracking:
+        """See `PoseTracker`.
+
+        Raises:
+            InputError: what is known is of another video.
+        """
+        known.require(*frames.shape[:3])
+        estimator = GivenEstimator(self._estimator, known)
         crops: dict[int, Crop] = {}
-        detections = self._estimator.estimate(frames, camera, dict.fromkeys(range(len(frames)), whole_frame(camera)))
+        detections = estimator.estimate(frames, camera, dict.fromkeys(range(len(frames)), whole_frame(camera)))
         for i, view in detections.items():
-            found = fit(view)
+            X_CH = known.pose(i)
+            found = None if X_CH is not None else fit(view)
             if found is not None:
-                crops[i] = Crop.of_gripper(found.X_CH, CLOSE_MARGIN, CLOSE_SIZE)
+                X_CH = found.X_CH
+            if X_CH is not None:
+                crops[i] = Crop.of_gripper(X_CH, CLOSE_MARGIN, CLOSE_SIZE)
         arm = ArmFitter(camera, self._arm)
         poses: dict[int, FramePose] = {}
 
         def look(crops: dict[int, Crop]) -> None:
             """Measure the frames of `crops` in their views and enter what was found into `poses`."""
-            for i, view in self._estimator.estimate(frames, camera, crops).items():
-                pose = self._measure(view, detections[i], arm)
+            for i, view in estimator.estimate(frames, camera, crops).items():
+                pose = self._measure(view, detections[i], arm, known, i)
                 if pose is not None:
                     poses[i] = pose
 
@@ -115,15 +127,18 @@ class CadTracker:
             robot=detections[0].to_frame(detections[0].part > 0, camera),
         )
 
-    def _measure(self, view: GripperView, wide: GripperView, arm_fitter: ArmFitter) -> FramePose | None:
-        hand = fit(view)
+    def _measure(
+        self, view: GripperView, wide: GripperView, arm_fitter: ArmFitter, known: Known, number: int
+    ) -> FramePose | None:
+        X_CH = known.pose(number)
+        hand = fit(view, X_CH=X_CH, finger_m=known.finger_m(number))
         if hand is None:
             return None
         arm = arm_fitter.fit(hand, view, wide)
-        best = arm if arm is not None and arm.agrees else hand
-        finger = best.finger_m if np.isfinite(best.finger_m) else 0.02
+        best = arm if arm is not None and arm.agrees and X_CH is None else hand
+        finger = best.finger_m if np.isfinite(best.finger_m) else UNSEEN_FINGER_M
         X_VH = invert(view.crop.X_CV) @ best.X_CH
-        if self._trust_depth:
+        if known.depth is not None and known.depth.exact and X_CH is None:
             refined = self._icp.refine(view, X_VH, finger)
             X_VH = refined.X_VH if refined is not None else X_VH
         rendered = self._cad.cast(X_VH, view.rays().reshape(-1, 3), finger).part.reshape(view.part.shape) > 0
@@ -135,6 +150,7 @@ class CadTracker:
             arm=arm,
             view=view,
             overlap=float((rendered & view.gripper).sum() / max(1, union.sum())),
+            given=X_CH is not None,
         )
 
     @staticmethod

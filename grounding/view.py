@@ -28,6 +28,8 @@ class GripperView:
     """(h, w) along the crop's optical axis [m]."""
     depth_sigma: Array
     """(h, w) standard deviation of the depth, relative."""
+    level_sigma: float
+    """Standard deviation of the error that all of the depth has in common, relative."""
     coordinates_P: Array
     """(h, w, 3) point seen [m]: of the gripper in the hand frame with closed fingers, of a link in the link's frame."""
     coordinates_sigma_m: Array

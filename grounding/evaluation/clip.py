@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import UsageError, cause
 from kinebench_drake.geometry import Array
+from kinebench_drake.grounding.known import FirstFrame
+from kinebench_drake.grounding.sources.truth import true_depth, true_mask
+from kinebench_drake.models.panda.robot import hand_from_tcp
 from kinebench_drake.products import Anomaly, AnomalyKind
-
-_HALF_MM = 0.5  # stored depth is cut towards zero
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,6 +39,12 @@ class Clip:
     """(T, H, W) pixels that show the gripper, if stored."""
     faults: tuple[Anomaly, ...]
     """Planted faults."""
+
+    @property
+    def first(self) -> FirstFrame:
+        """The robot in the first frame."""
+        X_BG = self.camera.X_BC @ self.X_CH[0] @ hand_from_tcp()
+        return FirstFrame(X_BG=X_BG, finger_width_m=float(self.finger_width_m[0]))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,7 +70,6 @@ class ClipFile:
             with np.load(self.truth, allow_pickle=False) as truth:
                 if with_depth and not {"depth_mm", "mask"} <= set(truth.files):
                     raise UsageError(f"{self.id}: its truth holds no depth; make the videos with --with-depth")
-                mask = truth["mask"] if "mask" in truth.files else None
                 return Clip(
                     id=self.id,
                     task=self.task,
@@ -72,8 +78,8 @@ class ClipFile:
                     t_s=truth["t_s"],
                     X_CH=truth["camera_from_hand"],
                     finger_width_m=truth["finger_width_m"],
-                    depth_m=(truth["depth_mm"] + _HALF_MM) / 1000.0 if with_depth else None,
-                    mask=None if mask is None else np.unpackbits(mask, axis=-1, count=self.camera.width).astype(bool),
+                    depth_m=true_depth(truth) if with_depth else None,
+                    mask=true_mask(truth) if "mask" in truth.files else None,
                     faults=self.faults,
                 )
         except (OSError, ValueError, KeyError) as error:

@@ -10,6 +10,7 @@ from kinebench_drake.geometry import Array, invert, transform_points
 from kinebench_drake.grounding.crop import Crop
 from kinebench_drake.grounding.evaluation.clip import ClipFile
 from kinebench_drake.grounding.given import with_depth, with_mask
+from kinebench_drake.grounding.known import GivenDepth
 from kinebench_drake.grounding.video import read_video
 from kinebench_drake.grounding.view import DepthEstimator, Frames, GripperView
 
@@ -133,8 +134,9 @@ def _views(
     if clip.depth_m is None or clip.mask is None:
         return
     numbers = [i for i in range(0, len(frames), EVERY) if np.isfinite(clip.X_CH[i]).all() and clip.X_CH[i, 2, 3] > 0.1]
+    depth = GivenDepth(depth_m=clip.depth_m, exact=True)
     crops = {i: Crop.of_gripper(clip.X_CH[i], _MARGIN, _CROP_PX) for i in numbers}
     for i, view in estimator.estimate(frames, clip.camera, crops).items():
-        true = with_depth(with_mask(view, clip.mask[i], clip.camera), clip.depth_m[i], clip.camera)
+        true = with_depth(with_mask(view, clip.mask[i], clip.camera), depth, i, clip.camera)
         picture = np.asarray(view.crop.warp(frames[i], clip.camera), dtype=np.uint8)
         yield picture, view, true, invert(clip.X_CH[i]) @ view.crop.X_CV, float(clip.finger_width_m[i]) / 2

@@ -119,19 +119,23 @@ class ClipErrors:
 
 
 def compare(clip: Clip, grounding: Grounding, expense: Expense, share: Array | None = None) -> ClipErrors:
-    """Hold a grounding against the truth; `share` (T,) is the part of the gripper that each frame shows."""
+    """Hold a grounding against the truth; `share` (T,) is the part of the gripper that each frame shows.
+
+    Frames whose pose was given are nobody's merit: they are left out, as if nothing were there to be seen.
+    """
+    given = grounding.given
     position, rotation = pose_difference(clip.X_CH, grounding.track.X_CH)
     return ClipErrors(
         id=clip.id,
         task=clip.task,
-        position_m=position,
-        rotation_rad=rotation,
+        position_m=np.where(given, np.nan, position),
+        rotation_rad=np.where(given, np.nan, rotation),
         width_m=grounding.track.finger_width_m,
         true_width_m=clip.finger_width_m,
-        tracked=grounding.track.tracked,
+        tracked=grounding.track.tracked & ~given,
         confidence=grounding.track.confidence,
-        visible=np.asarray(np.isfinite(clip.X_CH).all(axis=(1, 2))),
-        share=np.full(len(clip.t_s), np.nan) if share is None else share,
+        visible=np.asarray(np.isfinite(clip.X_CH).all(axis=(1, 2)) & ~given),
+        share=np.full(len(clip.t_s), np.nan) if share is None else np.where(given, np.nan, share),
         found=grounding.anomalies,
         planted=clip.faults,
         expense=expense,

@@ -18,7 +18,6 @@ from kinebench_drake.grounding.evaluation.trial import Condition, MakeWorker, Tr
 from kinebench_drake.grounding.evaluation.variants import VARIANTS, plug_in
 
 CLEAN = Condition(name="as it is")
-_BUDGET = ("pixels", "true-mask", "true-depth", "true-mask-and-depth", "true-start", "true-opening", "all-true")
 _DEGRADED = {
     "scale": tuple(Degradation(scale=s) for s in (0.02, 0.05, 0.10)),
     "smooth error": tuple(Degradation(field=s) for s in (0.02, 0.05, 0.10)),
@@ -34,8 +33,6 @@ class Study:
     conditions: tuple[Condition, ...]
     groups: dict[str, str]
     """What each condition belongs to, by name."""
-    missing: dict[str, str]
-    """Conditions that cannot be measured here, and why."""
     marks: tuple[str, ...] = ()
     """Conditions that the grounding promises to bear."""
 
@@ -74,11 +71,10 @@ def evaluation(variant: str) -> Study:
     Raises:
         UsageError: there is none of this name.
     """
-    available = [name for name, v in VARIANTS.items() if v.make is not None]
-    if variant not in available:
-        raise UsageError(f"pipeline {variant!r} is not available; there are {', '.join(available)}")
+    if variant not in VARIANTS:
+        raise UsageError(f"pipeline {variant!r} is not known; there are {', '.join(VARIANTS)}")
     name = VARIANTS[variant].label
-    return Study(title=name, conditions=(Condition(name=name, variant=variant),), groups={name: name}, missing={})
+    return Study(title=name, conditions=(Condition(name=name, variant=variant),), groups={name: name})
 
 
 def robustness(kinds: Sequence[Kind]) -> Study:
@@ -89,7 +85,6 @@ def robustness(kinds: Sequence[Kind]) -> Study:
         title="Pose errors under perturbations",
         conditions=conditions,
         groups={CLEAN.name: "", **{p.label: p.kind.value for p in steps}},
-        missing={},
         marks=tuple(p.label for p in steps if p.must_be_borne),
     )
 
@@ -112,18 +107,16 @@ def depth_ablation(plug_ins: Sequence[str]) -> Study:
         conditions.append(Condition(name=spec, plug_in=spec))
         groups[spec] = spec
     title = "Pose errors with depth of graded quality"
-    return Study(title=title, conditions=tuple(conditions), groups=groups, missing={})
+    return Study(title=title, conditions=tuple(conditions), groups=groups)
 
 
 def budget() -> Study:
     """What each stage owes: true values put in one at a time, and all together."""
-    available = [name for name in _BUDGET if VARIANTS[name].make is not None]
-    conditions = tuple(Condition(name=VARIANTS[name].label, variant=name) for name in available)
+    conditions = tuple(Condition(name=variant.label, variant=name) for name, variant in VARIANTS.items())
     return Study(
         title="Pose errors with true values put in",
         conditions=conditions,
         groups={c.name: c.name for c in conditions},
-        missing={VARIANTS[name].label: "not available" for name in _BUDGET if name not in available},
     )
 
 
@@ -143,7 +136,7 @@ class Outcome:
         frames = sum(len(e.tracked) for e in first)
         yield f"{self.study.title}: {len(first)} videos, {frames} frames; 95 % intervals over videos"
         yield "tracked: share of the frames that show at least 30 % of the gripper; errors: of tracked frames"
-        yield from comparison_table(self.figures, self.study.missing, self.study.marks)
+        yield from comparison_table(self.figures, self.study.marks)
         if self.study.marks:
             yield "* strength that the grounding has to bear"
 
@@ -153,7 +146,6 @@ class Outcome:
             "title": self.study.title,
             "videos": [e.id for e in next(iter(self.results.values()))],
             "conditions": {name: intervals_json(row) for name, row in self.figures.items()},
-            "missing": self.study.missing,
             "to_be_borne": list(self.study.marks),
         }
 

@@ -112,21 +112,17 @@ def compared(results: Mapping[str, Results], seed: int) -> dict[str, dict[str, I
     return {name: intervals(group, chosen, seed) for name, group in results.items()}
 
 
-def comparison_table(
-    figures: Mapping[str, Mapping[str, Interval]], missing: Mapping[str, str] | None = None, marks: Sequence[str] = ()
-) -> Iterator[str]:
+def comparison_table(figures: Mapping[str, Mapping[str, Interval]], marks: Sequence[str] = ()) -> Iterator[str]:
     """Each condition in one line, figures with their intervals.
 
     Args:
         figures: by condition, as `compared` gives them.
-        missing: conditions that were not measured, and why.
         marks: conditions that get a star.
     """
     rows = [
         [name + (" *" if name in marks else ""), *(_with_interval(column, row[column]) for column in COMPARED)]
         for name, row in figures.items()
     ]
-    rows += [[name, reason, *[""] * (len(COMPARED) - 1)] for name, reason in (missing or {}).items()]
     yield from table(["", *COMPARED.values()], rows)
 
 

@@ -17,7 +17,7 @@ from kinebench_drake.grounding.evaluation.errors import ClipErrors, compare
 from kinebench_drake.grounding.evaluation.expense import metered
 from kinebench_drake.grounding.evaluation.perturbation.catalogue import Perturbation, perturb
 from kinebench_drake.grounding.evaluation.store import Store, fingerprint
-from kinebench_drake.grounding.evaluation.variants import VARIANTS, Grounder, Make, Tools, degraded, plug_in
+from kinebench_drake.grounding.evaluation.variants import VARIANTS, Ground, Make, Tools, degraded, plug_in
 from kinebench_drake.grounding.evaluation.visibility import true_masks, visible_share
 from kinebench_drake.grounding.video import read_video
 from kinebench_drake.grounding.view import Frames
@@ -100,12 +100,12 @@ class Workshop:
                 stand.share = visible_share(stand.clip, stand.masks, tools.cad)
                 stand.id = trial.clip.id
             clip, condition = stand.clip, trial.condition
-            make = self._maker(condition)
+            ground = self._maker(condition)(tools, clip)
             if condition.perturbation is None:
-                return evaluate(clip, make(tools, clip, stand.frames), share=stand.share)
+                return evaluate(clip, ground, share=stand.share)
             frames, masks = perturb(condition.perturbation, stand.frames, stand.masks, self.seed, clip.id)
             shown = masks.sum(axis=(1, 2)) / np.maximum(stand.masks.sum(axis=(1, 2)), 1)
-            return evaluate(clip, make(tools, clip, frames), frames=frames, share=np.asarray(stand.share * shown))
+            return evaluate(clip, ground, frames=frames, share=np.asarray(stand.share * shown))
 
         return measure
 
@@ -114,17 +114,12 @@ class Workshop:
             return plug_in(condition.plug_in)
         if condition.degradation is not None:
             return degraded(condition.degradation, self.seed)
-        make = VARIANTS[condition.variant].make
-        if make is None:
-            raise SetupError(f"{condition.variant}: this pipeline is not available")
-        return make
+        return VARIANTS[condition.variant].make
 
 
-def evaluate(clip: Clip, grounder: Grounder, *, frames: Frames | None = None, share: Array | None = None) -> ClipErrors:
+def evaluate(clip: Clip, ground: Ground, *, frames: Frames | None = None, share: Array | None = None) -> ClipErrors:
     """Ground a clip and hold it against its truth; the time of decoding counts unless `frames` are given."""
-    grounding, expense = metered(
-        lambda: grounder.ground(read_video(clip.path).frames if frames is None else frames, clip.camera, clip.t_s)
-    )
+    grounding, expense = metered(lambda: ground(read_video(clip.path).frames if frames is None else frames))
     return compare(clip, grounding, expense, share)
 
 

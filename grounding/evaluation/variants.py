@@ -1,37 +1,22 @@
-"""The pipelines that are held against each other, by name: as shipped, and with stages replaced.
-
-A pipeline that replaces stages is one more entry of `VARIANTS`: a function from what is loaded and a clip to something
-that grounds it.
-"""
+"""The pipelines that are held against each other, by name: as shipped, and with something known beforehand."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 
-from kinebench_drake.camera import Camera
 from kinebench_drake.errors import UsageError
-from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.confidence import Confidence
 from kinebench_drake.grounding.estimator import NetworkEstimator
 from kinebench_drake.grounding.evaluation.clip import Clip
 from kinebench_drake.grounding.evaluation.degradation import Degradation, DegradedEstimator
-from kinebench_drake.grounding.given import GivenEstimator
+from kinebench_drake.grounding.known import GivenDepth, Known
 from kinebench_drake.grounding.pipeline import Grounding, GroundingPipeline
 from kinebench_drake.grounding.tracker import CadTracker
 from kinebench_drake.grounding.view import DepthEstimator, Frames
 from kinebench_drake.models.panda.cad import GripperCad
 from kinebench_drake.models.perception.weights import WEIGHTS, load_network
-
-
-class Grounder(Protocol):
-    """What grounds a video: the pipeline here, or another program's."""
-
-    def ground(self, frames: Frames, camera: Camera, t_s: Array) -> Grounding:
-        """See `GroundingPipeline.ground`."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,49 +42,57 @@ class Tools:
         pipeline.warm_up()
         return cls(estimator=estimator, cad=cad, confidence=confidence, shipped=pipeline)
 
-    def pipeline(self, estimator: DepthEstimator, *, trust_depth: bool = False) -> GroundingPipeline:
+    def pipeline(self, estimator: DepthEstimator) -> GroundingPipeline:
         """The shipped pipeline with another estimator."""
-        tracker = CadTracker(estimator, self.cad, trust_depth=trust_depth)
-        return GroundingPipeline(tracker, self.confidence)
+        return GroundingPipeline(CadTracker(estimator, self.cad), self.confidence)
 
 
-Make = Callable[[Tools, Clip, Frames], Grounder]
+Know = Callable[[Clip], Known]
+Ground = Callable[[Frames], Grounding]
+"""What grounds the frames of one video."""
+Make = Callable[[Tools, Clip], Ground]
+"""Makes it for a clip."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Variant:
-    """A named pipeline."""
+    """The shipped pipeline with something known beforehand."""
 
     label: str
     """What stands in tables."""
-    make: Make | None
-    """Makes it for a clip and its frames; None for one that is not available."""
+    know: Know
+    """What is known of a clip."""
     needs_depth: bool = False
     """Whether the clip's truth must hold depth and mask."""
 
+    def make(self, tools: Tools, clip: Clip) -> Ground:
+        """See `Make`."""
+        known = self.know(clip)
+        return lambda frames: tools.shipped.ground(frames, clip.camera, clip.t_s[: len(frames)], known)
 
-def _pixels(tools: Tools, clip: Clip, frames: Frames) -> Grounder:
-    return tools.shipped
 
-
-def _given(*, mask: bool = False, depth: bool = False) -> Make:
-    def make(tools: Tools, clip: Clip, frames: Frames) -> Grounder:
-        estimator = GivenEstimator(
-            tools.estimator, mask=clip.mask if mask else None, depth_m=clip.depth_m if depth else None
+def _true(*, mask: bool = False, depth: bool = False, first: bool = False, opening: bool = False) -> Know:
+    def know(clip: Clip) -> Known:
+        return Known(
+            mask=clip.mask if mask else None,
+            depth=GivenDepth(depth_m=clip.depth_m, exact=True) if depth and clip.depth_m is not None else None,
+            first=clip.first if first else None,
+            finger_width_m=clip.finger_width_m if opening else None,
         )
-        return tools.pipeline(estimator, trust_depth=depth)
 
-    return make
+    return know
 
 
 VARIANTS: Mapping[str, Variant] = {
-    "pixels": Variant(label="pixels only", make=_pixels),
-    "true-mask": Variant(label="true mask", make=_given(mask=True), needs_depth=True),
-    "true-depth": Variant(label="true depth", make=_given(depth=True), needs_depth=True),
-    "true-mask-and-depth": Variant(label="true mask and depth", make=_given(mask=True, depth=True), needs_depth=True),
-    "true-start": Variant(label="true start pose", make=None, needs_depth=True),
-    "true-opening": Variant(label="true finger opening", make=None),
-    "all-true": Variant(label="all of these", make=None, needs_depth=True),
+    "pixels": Variant(label="pixels only", know=_true()),
+    "true-mask": Variant(label="true mask", know=_true(mask=True), needs_depth=True),
+    "true-depth": Variant(label="true depth", know=_true(depth=True), needs_depth=True),
+    "true-mask-and-depth": Variant(label="true mask and depth", know=_true(mask=True, depth=True), needs_depth=True),
+    "true-start": Variant(label="true start pose", know=_true(first=True)),
+    "true-opening": Variant(label="true finger opening", know=_true(opening=True)),
+    "all-true": Variant(
+        label="all of these", know=_true(mask=True, depth=True, first=True, opening=True), needs_depth=True
+    ),
 }
 """Pipelines by name."""
 
@@ -107,9 +100,10 @@ VARIANTS: Mapping[str, Variant] = {
 def degraded(degradation: Degradation, seed: int) -> Make:
     """The shipped pipeline on depth made worse; `seed` draws how."""
 
-    def make(tools: Tools, clip: Clip, frames: Frames) -> Grounder:
+    def make(tools: Tools, clip: Clip) -> Ground:
         rng = np.random.default_rng([seed, *clip.id.encode()])
-        return tools.pipeline(DegradedEstimator(tools.estimator, len(frames), degradation, rng))
+        pipeline = tools.pipeline(DegradedEstimator(tools.estimator, len(clip.t_s), degradation, rng))
+        return lambda frames: pipeline.ground(frames, clip.camera, clip.t_s)
 
     return make
 

@@ -52,6 +52,7 @@ def view(model: ArmModel, q: Array, crop: Crop, *, noise_m: float, depth_factor:
         part=part,
         depth_m=np.where(np.isfinite(depth), depth, 1.0) * depth_factor,
         depth_sigma=np.full((n, n), 0.01),
+        level_sigma=0.012,
         coordinates_P=coordinates + rng.normal(0, noise_m, coordinates.shape),
         coordinates_sigma_m=np.full((n, n), max(noise_m, 1e-3)),
     )

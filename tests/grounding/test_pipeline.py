@@ -116,9 +116,7 @@ def test_true_depth_leaves_two_millimetres_and_a_degree(
     (clip,) = load_clips(tmp_path, with_depth=True)
     assert isinstance(clip, Clip)
     tools = Tools(estimator=estimator, cad=cad, confidence=pipeline.confidence, shipped=pipeline)
-    make = VARIANTS["true-mask-and-depth"].make
-    assert make is not None
-    errors = evaluate(clip, make(tools, clip, read_video(clip.path).frames))
+    errors = evaluate(clip, VARIANTS["true-mask-and-depth"].make(tools, clip))
     figures = summarize([errors])
     assert figures["tracked_fraction"] >= 0.95
     assert figures["position_median_mm"] <= 2.0

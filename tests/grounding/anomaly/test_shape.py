@@ -46,6 +46,7 @@ def view_of(cad, X_CH, crop, noise_m=0.004, seed=0):
         part=part,
         depth_m=z,
         depth_sigma=np.full(part.shape, 0.01),
+        level_sigma=0.012,
         coordinates_P=p_H + rng.normal(0, noise_m, p_H.shape),
         coordinates_sigma_m=np.full(part.shape, noise_m),
     )

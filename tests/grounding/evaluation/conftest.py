@@ -64,7 +64,7 @@ def grounded() -> Callable[..., Grounding]:
             confidence=np.full(n, confidence),
             finger_width_m=np.where(tracked, clip.finger_width_m, np.nan),
         )
-        return Grounding(track=track, anomalies=(), camera_motion_px=None)
+        return Grounding(track=track, given=np.zeros(n, dtype=bool), anomalies=(), camera_motion_px=None)
 
     return make
 

@@ -10,6 +10,7 @@ from kinebench_drake.errors import InputError
 from kinebench_drake.grounding.crop import Crop
 from kinebench_drake.grounding.evaluation.degradation import Degradation, DegradedEstimator
 from kinebench_drake.grounding.given import GivenEstimator
+from kinebench_drake.grounding.known import GivenDepth, Known
 from kinebench_drake.grounding.view import Frames, GripperView
 from kinebench_drake.models.panda.part import Part
 
@@ -29,6 +30,7 @@ class Flat:
             part=np.full((n, n), Part.HAND, np.uint8),
             depth_m=np.ones((n, n)),
             depth_sigma=np.full((n, n), 0.02),
+            level_sigma=0.012,
             coordinates_P=np.zeros((n, n, 3)),
             coordinates_sigma_m=np.full((n, n), 0.01),
         )
@@ -42,7 +44,7 @@ def crop() -> Crop:
 def test_true_values_follow_their_frames(square: tuple[np.ndarray, np.ndarray], camera: Camera, crop: Crop) -> None:
     frames, masks = square
     depth = np.broadcast_to(0.5 + 0.01 * np.arange(len(frames))[:, None, None], masks.shape)
-    given = GivenEstimator(Flat(), mask=masks, depth_m=np.where(masks, depth, 0.0))
+    given = GivenEstimator(Flat(), Known(mask=masks, depth=GivenDepth(depth_m=np.where(masks, depth, 0.0), exact=True)))
     views = given.estimate(frames, camera, dict.fromkeys([7, 2, 11], crop))
     assert views.keys() == {7, 2, 11}
     for number, view in views.items():
@@ -54,11 +56,11 @@ def test_true_values_follow_their_frames(square: tuple[np.ndarray, np.ndarray], 
 
 def test_what_is_not_given_stays_estimated(square: tuple[np.ndarray, np.ndarray], camera: Camera, crop: Crop) -> None:
     frames, masks = square
-    view = GivenEstimator(Flat(), mask=masks).estimate(frames, camera, {0: crop})[0]
+    view = GivenEstimator(Flat(), Known(mask=masks)).estimate(frames, camera, {0: crop})[0]
     assert (view.depth_m == 1.0).all()
     assert not view.gripper.all()
     depth = np.full(masks.shape, 0.6)
-    view = GivenEstimator(Flat(), depth_m=depth).estimate(frames, camera, {0: crop})[0]
+    view = GivenEstimator(Flat(), Known(depth=GivenDepth(depth_m=depth))).estimate(frames, camera, {0: crop})[0]
     assert view.gripper.all()
     np.testing.assert_allclose(view.depth_m, 0.6, rtol=1e-6)
 
@@ -66,7 +68,7 @@ def test_what_is_not_given_stays_estimated(square: tuple[np.ndarray, np.ndarray]
 def test_masks_of_another_video_are_refused(square: tuple[np.ndarray, np.ndarray], camera: Camera, crop: Crop) -> None:
     frames, masks = square
     with pytest.raises(InputError, match="shape"):
-        GivenEstimator(Flat(), mask=masks[:3]).estimate(frames, camera, {0: crop})
+        Known(mask=masks[:3]).require(*frames.shape[:3])
 
 
 @pytest.mark.parametrize(

@@ -63,7 +63,7 @@ class TooFar:
             part = np.full((n, n), Part.HAND, np.uint8)
             flat = np.full((n, n), 0.01)
             views[number] = GripperView(
-                crop=crop, stride=2, part=part, depth_m=1.02 * z_V, depth_sigma=flat,
+                crop=crop, stride=2, part=part, depth_m=1.02 * z_V, depth_sigma=flat, level_sigma=0.012,
                 coordinates_P=np.zeros((n, n, 3)), coordinates_sigma_m=flat,
             )  # fmt: skip
         return views

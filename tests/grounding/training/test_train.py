@@ -6,7 +6,7 @@ import torch
 from safetensors.torch import load_file
 
 from kinebench_drake.errors import SetupError, UsageError
-from kinebench_drake.grounding.training import train as training
+from kinebench_drake.grounding.training import loop
 from kinebench_drake.grounding.training.dataset import Shards
 from kinebench_drake.grounding.training.train import TrainingConfig, losses, train
 from kinebench_drake.models.panda.part import Part
@@ -16,26 +16,26 @@ from kinebench_drake.models.perception.weights import load_network
 
 def config(shards: Shards, out: Path) -> TrainingConfig:
     return TrainingConfig(
-        data=shards.folders, out=out, steps=4, batch_size=2, learning_rate=1e-3, workers=0, checkpoint_every=2
-    )
+        data=shards.folders, out=out, steps=4, batch_size=2, learning_rate=1e-3, workers=0, checkpoint_every=2,
+        warm_up_steps=1,  # steps large enough to tell a lost state
+    )  # fmt: skip
 
 
 @pytest.mark.sapien
 def test_an_interrupted_training_goes_on_to_the_same_weights(
     shards: Shards, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(training, "_WARM_UP_STEPS", 1)  # steps large enough to tell a lost state
     whole = load_file(train(config(shards, tmp_path / "whole"), lambda _: None))
 
-    update = training._update_average
+    update = loop.update_average
 
-    def cut_at_step_3(average: torch.nn.Module, network: torch.nn.Module, step: int) -> None:
+    def cut_at_step_3(average: torch.nn.Module, network: torch.nn.Module, step: int, decay: float) -> None:
         if step == 2:
             raise KeyboardInterrupt
-        update(average, network, step)
+        update(average, network, step, decay)
 
     with monkeypatch.context() as patch:
-        patch.setattr(training, "_update_average", cut_at_step_3)
+        patch.setattr(loop, "update_average", cut_at_step_3)
         with pytest.raises(KeyboardInterrupt):
             train(config(shards, tmp_path / "cut"), lambda _: None)
     said: list[str] = []
