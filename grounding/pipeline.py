@@ -86,14 +86,15 @@ class GroundingPipeline:
         if known.X_CH is not None:
             X_AH[given] = (motion.X_AC @ known.X_CH)[given]
             confidence[given] = 1.0
+        covariance = np.stack([p.covariance if p is not None else np.zeros((6, 6)) for p in poses])
         found = (confidence >= MIN_CONFIDENCE) & ~motion.lost
         breaks = _breaks(findings.anomalies)
         X_AH[~found] = np.nan
-        distance, angle = pose_difference(X_AH, smooth_track(X_AH, confidence, breaks, leave_out=True))
+        distance, angle = pose_difference(X_AH, smooth_track(X_AH, covariance, confidence, breaks, leave_out=True))
         agrees = (distance <= AGREE_M) & (angle <= AGREE_RAD)
         tracked = found & ((confidence >= SURE_CONFIDENCE) | agrees)
         X_AH[~tracked] = np.nan
-        X_AH = np.where(given[:, None, None], X_AH, smooth_track(X_AH, confidence, breaks))
+        X_AH = np.where(given[:, None, None], X_AH, smooth_track(X_AH, covariance, confidence, breaks))
         track = GripperTrack(
             t_s=t_s,
             X_CH=invert(motion.X_AC) @ X_AH,
