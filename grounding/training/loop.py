@@ -41,6 +41,8 @@ class Schedule:
     average_decay: float = 0.998
     """How much of the averaged weights a step keeps."""
     checkpoint_every: int = 250
+    fixed_from: float = 1.0
+    """Part of the steps after which batch normalisation keeps its statistics."""
 
     def rate(self, step: int) -> float:
         """Linear warm-up, then a cosine to zero (Loshchilov and Hutter, ICLR 2017), as a factor of the rate."""
@@ -78,6 +80,17 @@ def update_average(average: nn.Module, network: nn.Module, step: int, decay: flo
             kept.lerp_(new.to(kept.dtype), 1 - decay)
         else:
             kept.copy_(new)
+
+
+def fix_statistics(network: nn.Module) -> None:
+    """Let batch normalisation use its running statistics, as it will when the network is used.
+
+    Where batches are of several sorts, their statistics differ; running ones are those of all. A network that has only
+    met the former errs with the latter.
+    """
+    for module in network.modules():
+        if isinstance(module, nn.BatchNorm2d):
+            module.eval()
 
 
 def save_weights(network: nn.Module, path: Path, about: Mapping[str, str] | None = None) -> None:
@@ -126,7 +139,8 @@ def optimise(
         {"params": [p for p in learning if p.ndim <= 1], "weight_decay": 0.0},
     ]
     optimizer = torch.optim.AdamW(groups, lr=schedule.learning_rate)
-    kept = {"network": network, "average": average, "optimizer": optimizer}
+    scheduler = torch.optim.lr_scheduler.LambdaLR(optimizer, lambda step: schedule.rate(step))
+    kept = {"network": network, "average": average, "optimizer": optimizer, "scheduler": scheduler}
     checkpoint = folder / "checkpoint.pt"
     start = _resume(checkpoint, kept, dict(identity), device)
     if start:
@@ -135,8 +149,8 @@ def optimise(
     began, sums = time.monotonic(), dict[str, float]()
     for step, batch in zip(range(start, schedule.steps), batches(start), strict=False):
         torch.manual_seed(schedule.seed * 1_000_003 + step)
-        for group in optimizer.param_groups:
-            group["lr"] = schedule.learning_rate * schedule.rate(step)
+        if step >= schedule.fixed_from * schedule.steps:
+            fix_statistics(network)
         batch = {name: values.to(device, non_blocking=True) for name, values in batch.items()}
         with torch.autocast(device.type, torch.bfloat16, enabled=supports_bfloat16(device)):
             output = forward(network, batch)
@@ -145,6 +159,7 @@ def optimise(
         terms.total.backward()  # type: ignore[no-untyped-call]
         nn.utils.clip_grad_norm_(learning, _GRADIENT_CLIP)
         optimizer.step()
+        scheduler.step()
         with torch.no_grad():
             update_average(average, network, step, schedule.average_decay)
         for name, value in terms.shown.items():
@@ -157,7 +172,7 @@ def optimise(
         if (step + 1) % schedule.checkpoint_every == 0 or step + 1 == schedule.steps:
             state = {name: thing.state_dict() for name, thing in kept.items()}  # type: ignore[attr-defined]
             with whole(checkpoint) as part:
-                torch.save({**state, "step": step + 1, "identity": dict(identity)}, part)
+                torch.save({**state, "step": step + 1, "config": dict(identity)}, part)
     return average
 
 
@@ -170,9 +185,9 @@ def _resume(path: Path, kept: Mapping[str, object], identity: dict[str, object],
     if not path.is_file():
         return 0
     state = torch.load(path, weights_only=True, map_location=device)
-    if state.get("identity") != identity:
+    if state.get("config") != identity:
         raise UsageError(
-            f"{path.parent.name}: holds a training with {state.get('identity')}, asked for was {identity}; "
+            f"{path.parent.name}: holds a training with {state.get('config')}, asked for was {identity}; "
             "name another folder, or remove this one"
         )
     for name, thing in kept.items():

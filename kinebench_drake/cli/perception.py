@@ -1,6 +1,8 @@
 """`kinebench-drake perception`."""
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -20,6 +22,13 @@ _WEIGHTS = click.option(
     "--weights", type=click.Path(path_type=Path, dir_okay=False), default=None,
     help="Weights to measure (safetensors); default: those shipped.",
 )  # fmt: skip
+
+
+def _demos(purpose: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    return click.option(
+        "--demos", multiple=True, type=click.Path(path_type=Path, file_okay=False, exists=True),
+        help=f"Folder of `suite demos --format frames` {purpose} as well; repeatable.",
+    )  # fmt: skip
 
 
 @click.group(epilog="\b\nExample:\n  kinebench-drake perception evaluate samples/")
@@ -42,11 +51,12 @@ def perception() -> None:
 )
 @click.option("--steps", type=click.IntRange(1), default=4000, show_default=True, help="Training steps.")
 @click.option("--batch-size", type=click.IntRange(2), default=32, show_default=True, help="Crops a step.")
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of crops and weights.")
 @click.option(
-    "--demos", multiple=True, type=click.Path(path_type=Path, file_okay=False, exists=True),
-    help="Folder of `suite demos --format frames` to train on as well; repeatable.",
+    "--learning-rate", type=click.FloatRange(0.0, min_open=True), default=1.2e-3, show_default=True,
+    help="Largest rate of AdamW, reached after the warm-up.",
 )  # fmt: skip
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of crops and weights.")
+@_demos("to train on")
 @click.option(
     "--start", type=click.Path(path_type=Path, dir_okay=False, exists=True),
     help="Weights to start from (safetensors).  [default: an encoder trained on ImageNet]",
@@ -58,6 +68,7 @@ def train(
     scenes: int,
     steps: int,
     batch_size: int,
+    learning_rate: float,
     seed: int,
     demos: tuple[Path, ...],
     start: Path | None,
@@ -69,32 +80,45 @@ def train(
     from kinebench_drake.grounding.training.train import train as run
 
     render(data, range(scenes), jobs, click.echo)
-    config = TrainingConfig(data=(data, *demos), out=out, seed=seed, steps=steps, batch_size=batch_size, start=start)
+    config = TrainingConfig(
+        data=(data, *demos),
+        out=out,
+        start=start,
+        seed=seed,
+        steps=steps,
+        batch_size=batch_size,
+        learning_rate=learning_rate,
+    )
     weights = run(config, click.echo)
     click.echo(f"weights: {weights}; next: kinebench-drake perception calibrate --weights {weights}")
 
 
 @perception.command(
-    epilog="\b\nExample:\n  kinebench-drake perception calibrate --out models/perception/confidence.json"
+    epilog="\b\nExample:\n"
+    "  kinebench-drake suite demos --suite 2 --split seen --episodes 2 --format frames --out data/held-out-demos\n"
+    "  kinebench-drake perception calibrate --demos data/held-out-demos --out models/perception/confidence.json"
 )
 @click.option(
     "--data", type=click.Path(path_type=Path, file_okay=False), default=Path("data/held-out"), show_default=True,
     help="Folder of held-out frames; missing ones are rendered into it.",
 )  # fmt: skip
+@_demos("to measure")
 @_WEIGHTS
 @click.option("--scenes", type=click.IntRange(2), default=40, show_default=True, help="Held-out scenes of 20 frames.")
 @click.option(
     "--out", type=click.Path(path_type=Path, dir_okay=False), default=None, help="Write the calibration here."
 )
 @_JOBS
-def calibrate(data: Path, weights: Path | None, scenes: int, out: Path | None, jobs: int) -> None:
-    """Measure single frames of unseen scenes and fit the confidence to them.
+def calibrate(
+    data: Path, demos: tuple[Path, ...], weights: Path | None, scenes: int, out: Path | None, jobs: int
+) -> None:
+    """Measure single frames of unseen scenes and demonstrations and fit the confidence to them.
 
     Half of the frames fit the confidence, the other half say how well it is calibrated.
     """
     from kinebench_drake.grounding.training.report import holdout_lines
 
-    for line in holdout_lines(data, weights, scenes, out, jobs):
+    for line in holdout_lines(data, demos, weights, scenes, out, jobs):
         click.echo(line)
 
 
