@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from kinebench_drake.camera import Camera
 from kinebench_drake.details import details_json, violation_json
 from kinebench_drake.geometry import Array
+from kinebench_drake.grounding.known import Known
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.metrics.judge import TrackJudge
 from kinebench_drake.metrics.kinematic import KinematicResult
@@ -40,13 +41,14 @@ class DrakeStages:
 
         return GroundingPipeline.create()
 
-    def ground(self, frames: NDArray[np.uint8], camera: Camera, t_s: Array) -> "Grounding":
-        """Find the gripper in frames (T, H, W, 3).
+    def ground(self, frames: NDArray[np.uint8], camera: Camera, t_s: Array, known: Known) -> "Grounding":
+        """Find the gripper in frames (T, H, W, 3); what is known takes the place of estimates.
 
         Raises:
+            InputError: what is known is of another video.
             SetupError: weights or libraries are missing.
         """
-        return self._pipeline.ground(frames, camera, t_s)
+        return self._pipeline.ground(frames, camera, t_s, known)
 
     def judge(self, track: GripperTrack) -> Judgement:
         """Hold a track of poses against the robot: infeasible only if no joint path does it."""

@@ -63,7 +63,14 @@ class Inputs:
     warnings: tuple[str, ...]
 
 
-def find_samples(source: Path, *, out: Path | None = None, model: str | None = None, task: str | None = None) -> Inputs:
+def find_samples(
+    source: Path,
+    *,
+    out: Path | None = None,
+    model: str | None = None,
+    task: str | None = None,
+    others: Sequence[Path] = (),
+) -> Inputs:
     """List the samples of a video, frame folder, npy/npz file, folder of videos or manifest.
 
     Args:
@@ -71,6 +78,7 @@ def find_samples(source: Path, *, out: Path | None = None, model: str | None = N
         out: a folder whose content is never taken for input (the run's own output).
         model: name of the world model, for samples that name none.
         task: name of the task, for samples that name none.
+        others: folders whose pictures are no videos (masks, depth), where they lie below a folder named.
 
     Raises:
         UsageError: there is nothing to read, or a `camera.json` is unusable.
@@ -78,7 +86,7 @@ def find_samples(source: Path, *, out: Path | None = None, model: str | None = N
     if not source.exists():
         raise UsageError(f"{source}: there is no such file or folder")
     if source.is_dir():
-        inputs = _from_folder(source, out)
+        inputs = _from_folder(source, out, others)
     elif source.suffix.lower() == ".jsonl":
         inputs = _from_manifest(source)
     elif source.suffix.lower() in FILM_SUFFIXES | ARRAY_SUFFIXES:
@@ -133,13 +141,14 @@ def _plain(path: Path, video: str, cameras: _Cameras) -> Sample:
     )
 
 
-def _from_folder(folder: Path, out: Path | None) -> Inputs:
+def _from_folder(folder: Path, out: Path | None, others: Sequence[Path]) -> Inputs:
     if out is not None and out.resolve() == folder.resolve():
         raise UsageError("--out is the input folder itself; name another folder")
     cameras = _Cameras(folder)
     name = folder.resolve().name
+    skipped = [p for p in (out, *others) if p is not None]
     samples = [
-        _plain(p, name if p == folder else p.relative_to(folder).as_posix(), cameras) for p in _videos(folder, out)
+        _plain(p, name if p == folder else p.relative_to(folder).as_posix(), cameras) for p in _videos(folder, skipped)
     ]
     if folder in (s.path for s in samples):
         samples = [replace(s, id=name) if s.path == folder else s for s in samples]
@@ -158,15 +167,15 @@ def _from_folder(folder: Path, out: Path | None) -> Inputs:
     return Inputs(samples=tuple(samples), warnings=warnings)
 
 
-def _videos(folder: Path, out: Path | None) -> Iterator[Path]:
-    """Films and frame folders at any depth, sorted; hidden entries and output folders are passed over."""
-    skipped = out.resolve() if out is not None else None
+def _videos(folder: Path, others: Sequence[Path]) -> Iterator[Path]:
+    """Films and frame folders at any depth, sorted; hidden entries, `others` and output folders are passed over."""
+    skipped = {p.resolve() for p in others} - {folder.resolve()}
     seen: set[Path] = set()
     for root, folders, files in os.walk(folder, followlinks=True):
         here = Path(root)
         real = here.resolve()
         output = here != folder and {"samples.jsonl", "results.json"} <= set(files)
-        if real in seen or real == skipped or output:
+        if real in seen or real in skipped or output:
             folders.clear()
             continue
         seen.add(real)

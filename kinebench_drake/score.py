@@ -1,8 +1,10 @@
 """The main job: videos to tracks to metrics to an output folder. `ground` is the same job without the kinematics."""
 
 from dataclasses import dataclass
+from pathlib import Path
 
 from kinebench_drake.errors import UsageError
+from kinebench_drake.grounding.sources.sources import Sources
 from kinebench_drake.inputs import find_samples
 from kinebench_drake.manifest import MAX_PERIOD_S, MIN_PERIOD_S
 from kinebench_drake.measure import Kind
@@ -20,6 +22,14 @@ class ScoreConfig(RunConfig):
     """Task time between two frames [s]."""
     overlay: bool = False
     """Write overlays/ID.mp4."""
+    masks: Path | None = None
+    """Folder of masks in place of the network's."""
+    depth: str | None = None
+    """Folder of depth, `moge:CHECKPOINT` or `module:Class` in place of the network's depth."""
+    poses: Path | None = None
+    """Folder of poses in place of the tracker's."""
+    depth_exact: bool = False
+    """Whether the given depth can be trusted to a few millimetres."""
 
     def __post_init__(self) -> None:
         """Check the numbers.
@@ -33,10 +43,26 @@ class ScoreConfig(RunConfig):
                 f"--frame-period is {self.frame_period_s}, expected seconds from {MIN_PERIOD_S:g} to "
                 f"{MAX_PERIOD_S:g}, such as 0.2"
             )
+        self.sources()
+
+    def sources(self) -> Sources:
+        """Which stages of the grounding are done elsewhere.
+
+        Raises:
+            UsageError: something named is not there.
+        """
+        return Sources(masks=self.masks, depth=self.depth, poses=self.poses, depth_exact=self.depth_exact)
 
     def to_json(self) -> dict[str, Json]:
         """What results tell of the configuration; paths by their last name only."""
-        return {**RunConfig.to_json(self), "frame_period_s": self.frame_period_s, "overlay": self.overlay}
+        return {
+            **RunConfig.to_json(self),
+            "frame_period_s": self.frame_period_s,
+            "overlay": self.overlay,
+            **dict.fromkeys(("masks", "depth", "poses")),
+            **self.sources().names,
+            "depth_exact": self.depth_exact,
+        }
 
 
 def score_videos(config: ScoreConfig, observer: Observer | None = None) -> RunSummary:
@@ -47,7 +73,8 @@ def score_videos(config: ScoreConfig, observer: Observer | None = None) -> RunSu
         SetupError: something is missing on this machine, or the disk is full. What was finished is kept.
     """
     observer = observer or Silence()
-    inputs = find_samples(config.source, out=config.out, model=config.model, task=config.task)
+    sources = config.sources()
+    inputs = find_samples(config.source, out=config.out, model=config.model, task=config.task, others=sources.folders)
     for warning in inputs.warnings:
         observer.warned(warning)
     measure = VideoMeasure(
@@ -57,6 +84,7 @@ def score_videos(config: ScoreConfig, observer: Observer | None = None) -> RunSu
         stage_options=config.stage_options(),
         frame_period_s=config.frame_period_s,
         overlay=config.overlay,
+        sources=sources,
     )
     summary = run_samples(config, inputs.samples, measure, observer)
     clockless = sum(row.extra.get("frame_period_source") == PeriodSource.BENCHMARK.value for row in summary.rows)

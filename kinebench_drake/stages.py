@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import InputError, SetupError, UsageError
 from kinebench_drake.geometry import Array
+from kinebench_drake.grounding.known import Known
 from kinebench_drake.products import Anomaly, GripperTrack, JointTrack
 from kinebench_drake.row import Json
 
@@ -88,8 +89,8 @@ class StageOptions:
 class Stages(Protocol):
     """The heavy steps, loaded once a process."""
 
-    def ground(self, frames: NDArray[np.uint8], camera: Camera, t_s: Array) -> Grounded:
-        """Find the gripper in frames (T, H, W, 3)."""
+    def ground(self, frames: NDArray[np.uint8], camera: Camera, t_s: Array, known: Known) -> Grounded:
+        """Find the gripper in frames (T, H, W, 3); what is known takes the place of estimates."""
         ...
 
     def judge(self, track: GripperTrack) -> Judgement:

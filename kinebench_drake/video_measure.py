@@ -10,6 +10,8 @@ import numpy as np
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import InputError, UnmeasurableError, UsageError
 from kinebench_drake.geometry import Array
+from kinebench_drake.grounding.known import FirstFrame
+from kinebench_drake.grounding.sources.sources import Sources
 from kinebench_drake.grounding.video import Video, frame_files, read_video
 from kinebench_drake.inputs import Sample
 from kinebench_drake.measure import KINEMATIC_METRICS, MIN_TRACKED, Measure, Measured
@@ -49,6 +51,8 @@ class VideoMeasure(Measure[Sample]):
     """Task time between two frames from the command line [s]."""
     overlay: bool
     """Whether to write overlays/ID.mp4."""
+    sources: Sources
+    """Which stages of the grounding are done elsewhere."""
 
     @property
     def metric_names(self) -> tuple[str, ...]:
@@ -67,6 +71,9 @@ class VideoMeasure(Measure[Sample]):
             "camera": sample.camera.to_json(),
             "camera_source": sample.camera_source.value,
             "option_period_s": self.frame_period_s,
+            "given": self._given(sample),
+            "first": _first_json(sample.first),
+            "depth_exact": self.sources.depth_exact,
             "labels": [sample.seed, sample.prompt, sample.fps, sample.frame_period_s, sample.problem],
         }
 
@@ -74,11 +81,17 @@ class VideoMeasure(Measure[Sample]):
         """See `Measure`."""
         if sample.problem is not None:
             return ()
-        return frame_files(sample.path) if sample.path.is_dir() else [sample.path]
+        own = frame_files(sample.path) if sample.path.is_dir() else [sample.path]
+        return [*own, *self.sources.files(_names(sample))]
 
     def labels(self, sample: Sample) -> Mapping[str, Json]:
         """See `Measure`."""
-        return {"camera_source": sample.camera_source.value, "seed": sample.seed, "prompt": sample.prompt}
+        return {
+            "camera_source": sample.camera_source.value,
+            "given": self._given(sample),
+            "seed": sample.seed,
+            "prompt": sample.prompt,
+        }
 
     def measure(self, sample: Sample, stages: Stages) -> Measured:
         """See `Measure`."""
@@ -91,7 +104,8 @@ class VideoMeasure(Measure[Sample]):
         except UsageError as error:
             raise UnmeasurableError(f"{sample.camera_source.value} {error}") from None
         t_s, period_s, period_source = self._times(sample, video)
-        grounding = stages.ground(video.frames, camera, t_s)
+        known = self.sources.known(_names(sample), video.frames, camera, sample.first)
+        grounding = stages.ground(video.frames, camera, t_s, known)
         track = grounding.track
         tracked = int(track.tracked.sum())
         if tracked < MIN_TRACKED:
@@ -117,6 +131,10 @@ class VideoMeasure(Measure[Sample]):
                 "frame_period_source": period_source.value,
             },
         )
+
+    def _given(self, sample: Sample) -> dict[str, Json]:
+        """What takes the place of estimates: stage to where it comes from."""
+        return {**({"first_frame": "manifest"} if sample.first else {}), **self.sources.names}
 
     def _times(self, sample: Sample, video: Video) -> tuple[Array, float, PeriodSource]:
         """Task time of each frame [s], the period between two [s], and where it comes from."""
@@ -160,6 +178,16 @@ class VideoMeasure(Measure[Sample]):
         write_atomically(part_path(self.out, "thumbnails", sample.id), side_by_side(images))
         joints, curves = (judgement.joints, judgement.curves) if judgement else (None, {})
         write_track(part_path(self.out, "tracks", sample.id), track, joints, curves)
+
+
+def _names(sample: Sample) -> tuple[str, ...]:
+    """What files that belong to the video may be called: after its id, or after the video itself."""
+    stem = sample.path.name if sample.path.is_dir() else sample.path.stem
+    return tuple(dict.fromkeys((sample.id, stem)))
+
+
+def _first_json(first: FirstFrame | None) -> Json:
+    return None if first is None else [*first.X_BG.ravel().tolist(), str(first.finger_width_m)]
 
 
 def _anomaly_json(anomaly: Anomaly) -> dict[str, Json]:

@@ -22,7 +22,7 @@ MAY_IMPORT = {
     "suites": LEAF | {"models", "kinematics", "engines"},
     **dict.fromkeys(RESULTS, LEAF | RESULTS),
     "manifest": LEAF,
-    "stages": LEAF | {"row"},
+    "stages": LEAF | {"row", "grounding"},
     "trajectories": LEAF | {"results"},
     "measure": LEAF | RESULTS | {"stages", "models"},
     "run": LEAF | RESULTS | {"stages", "measure", "replay", "kinematics", "models"},

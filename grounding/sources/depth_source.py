@@ -76,7 +76,7 @@ def depth_source_files(spec: str) -> list[Path]:
     return [Path(file)] if file else []
 
 
-@lru_cache(maxsize=1)
+@lru_cache(maxsize=4)
 def load_depth_source(spec: str) -> DepthSource:
     """The estimator that `moge:CHECKPOINT` or `module:Class` names; once a process.
 
@@ -91,7 +91,7 @@ def load_depth_source(spec: str) -> DepthSource:
 
             return MogeDepth(Path(spec.removeprefix(_MOGE)))
         return cast(DepthSource, _class_of(spec)())
-    except Exception as error:  # another program's code: whatever goes wrong there is told in one line
+    except Exception as error:  # another program's code, which may raise anything
         raise SetupError(f"--depth {spec}: cannot be made ready ({type(error).__name__}: {error})") from error
 
 
@@ -127,7 +127,7 @@ def _class_of(spec: str) -> type:
         ) from None
     except AttributeError:
         raise UsageError(f"--depth {spec}: the module {module_name} has no {name}") from None
-    except Exception as error:
+    except Exception as error:  # another program's code, which may raise anything
         raise UsageError(f"--depth {spec}: cannot be imported ({type(error).__name__}: {error})") from error
     if not isinstance(found, type) or not callable(getattr(found, "depth", None)):
         raise UsageError(f"--depth {spec}: expected a class with a method depth(frames, camera)")

@@ -8,7 +8,14 @@ import click
 from kinebench_drake.cli.options import run_options, video_options
 
 
-@click.command(epilog="\b\nExample:\n  kinebench-drake ground videos/ --out tracks/ --overlay")
+@click.command(
+    epilog=(
+        "\b\nExamples:\n"
+        "  kinebench-drake ground videos/ --out tracks/ --overlay\n"
+        "  kinebench-drake ground videos/ --out tracks/ --masks yolo/ --depth moge:model.pt\n"
+        "  kinebench-drake ground videos/ --out tracks/ --poses foundationpose/"
+    )
+)
 @click.argument("source", metavar="PATH", type=click.Path(path_type=Path))
 @run_options
 @video_options
@@ -18,6 +25,9 @@ def ground(ctx: click.Context, /, **options: Any) -> None:
 
     PATH is what `score` takes. Tracks go to tracks/ID.npz in the output folder, videos with the gripper drawn in to
     overlays/ID.mp4.
+
+    --masks, --depth and --poses put results of other tools in place of stages of the grounding. Each DIR holds
+    ID.npz, ID.npy or a folder ID/ for every video (docs/grounding.md), or is a demonstration folder with its truth.
     """
     from kinebench_drake.cli.run import run
     from kinebench_drake.measure import Kind

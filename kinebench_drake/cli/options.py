@@ -68,6 +68,28 @@ _VIDEO = (
         metavar="SECONDS",
     ),
     click.option("--overlay/--no-overlay", default=False, help="Write videos with the gripper drawn in."),
+    click.option(
+        "--masks",
+        type=click.Path(path_type=Path),
+        help="Take the gripper's masks from here, not from the network.",
+        metavar="DIR",
+    ),
+    click.option(
+        "--depth",
+        help="Take metric depth from files, from MoGe-2 or from a class of yours.",
+        metavar="DIR|moge:CHECKPOINT|module:Class",
+    ),
+    click.option(
+        "--depth-exact",
+        is_flag=True,
+        help="Trust the depth of --depth to a few millimetres (sensor, simulator), not as an estimate.",
+    ),
+    click.option(
+        "--poses",
+        type=click.Path(path_type=Path),
+        help="Take poses of panda_hand in the camera frame from here, not from the tracker.",
+        metavar="DIR",
+    ),
 )
 
 

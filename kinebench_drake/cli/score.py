@@ -13,7 +13,8 @@ from kinebench_drake.cli.options import judging_options, run_options, video_opti
         "\b\nExamples:\n"
         "  kinebench-drake score videos/ --out results/\n"
         "  kinebench-drake score videos/manifest.jsonl --out results/ --jobs 4 --tag run=7\n"
-        "  kinebench-drake score episode.mp4 --out results/ --frame-period 0.2 --overlay"
+        "  kinebench-drake score episode.mp4 --out results/ --frame-period 0.2 --overlay\n"
+        "  kinebench-drake score heldout/manifest.jsonl --out results/ --masks heldout --depth heldout"
     )
 )
 @click.argument("source", metavar="PATH", type=click.Path(path_type=Path))
@@ -26,6 +27,9 @@ def score(ctx: click.Context, /, **options: Any) -> None:
 
     PATH is a video (mp4, mov, avi, gif, webm, mkv), a folder of videos or frame folders, a npy or npz file
     (T,H,W,3 uint8) or a manifest.jsonl. A camera.json beside the videos gives their camera.
+
+    --masks, --depth and --poses put results of other tools in place of stages of the grounding. Each DIR holds
+    ID.npz, ID.npy or a folder ID/ for every video (docs/grounding.md), or is a demonstration folder with its truth.
     """
     from kinebench_drake.cli.run import run
     from kinebench_drake.score import ScoreConfig, score_videos

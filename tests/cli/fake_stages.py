@@ -1,4 +1,8 @@
-"""Stages that need no network and no robot: what they do is told by the red of a video's upper left corner."""
+"""Stages that need no network and no robot: what they do is told by the red of a video's upper left corner.
+
+What is known of a video shows in its track: the median of a given depth is the gripper's distance, the share of the
+picture that a given mask covers its confidence.
+"""
 
 import os
 import signal
@@ -47,7 +51,7 @@ class FakeStages:
         self._options = options
         self._infeasible = False
 
-    def ground(self, frames, camera, t_s):
+    def ground(self, frames, camera, t_s, known):
         act = act_of(frames)
         if LOG in os.environ:
             with Path(os.environ[LOG]).open("a") as log:
@@ -63,7 +67,10 @@ class FakeStages:
         s = np.linspace(0.0, 1.0, n)
         p = np.stack([0.4 + 0.1 * s, 0.2 * np.sin(3 * s), 0.3 + 0.05 * np.cos(5 * s)], axis=1)
         X = make_pose(np.broadcast_to(np.diag([1.0, -1.0, -1.0]), (n, 3, 3)), p)
-        tracked = np.ones(n, dtype=bool)
+        X = X if known.X_CH is None else known.X_CH.copy()
+        if known.depth is not None:
+            X[:, 2, 3] = np.median(known.depth.depth_m, axis=(1, 2))
+        tracked = np.isfinite(X).all(axis=(1, 2))
         anomalies = ()
         if act is Act.NO_ROBOT:
             tracked[:] = False
@@ -72,13 +79,15 @@ class FakeStages:
             anomalies = (Anomaly(kind=AnomalyKind.VANISH, frame_start=n // 2, frame_end=n // 2 + 1, severity=2.0),)
         X[~tracked] = np.nan
         confidence = np.where(tracked, 0.95 - 0.3 * np.sin(np.pi * s) ** 2, 0.0)
+        confidence = confidence if known.mask is None else known.mask.mean(axis=(1, 2))
+        width = 0.04 + 0.03 * np.cos(4 * s) if known.finger_width_m is None else known.finger_width_m
         track = GripperTrack(
             t_s=t_s,
             X_CH=X,
             X_BG=X,
             tracked=tracked,
             confidence=confidence,
-            finger_width_m=np.where(tracked, 0.04 + 0.03 * np.cos(4 * s), np.nan),
+            finger_width_m=np.where(tracked, width, np.nan),
         )
         return FakeGrounding(track, anomalies, 0.12)
 

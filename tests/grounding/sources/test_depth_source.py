@@ -1,0 +1,155 @@
+"""Depth of other programs: what they are told, what is taken from them, and what is said when they are not there."""
+
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+
+from kinebench_drake.camera import Camera, benchmark_camera
+from kinebench_drake.errors import InputError, SetupError, UsageError
+from kinebench_drake.grounding.sources.depth_source import (
+    check_depth_source,
+    depth_source_files,
+    depth_source_name,
+    estimate_depth,
+    load_depth_source,
+)
+
+FRAMES = np.random.default_rng(0).integers(0, 255, (3, 48, 64, 3), dtype=np.uint8)
+
+CLASS = """
+import numpy as np
+
+class Red:
+    def depth(self, frames, camera):
+        assert frames.shape[1:3] == (camera.height, camera.width)
+        return 0.5 + frames[..., 0] / np.float32(255)
+
+class Disparity:
+    def depth(self, frames, camera):
+        return 1000.0 / (1 + frames[..., 0])
+
+class NeedsArguments:
+    def __init__(self, device):
+        pass
+    def depth(self, frames, camera):
+        pass
+
+class NoMethod:
+    pass
+"""
+
+
+@pytest.fixture(autouse=True)
+def _loaded_anew() -> Iterator[None]:
+    load_depth_source.cache_clear()
+    before = list(sys.path)
+    yield
+    load_depth_source.cache_clear()
+    sys.path[:] = before
+    sys.modules.pop("a_depth_of_mine", None)
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A working directory with a module."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a_depth_of_mine.py").write_text(CLASS)
+    return tmp_path
+
+
+@pytest.fixture
+def camera() -> Camera:
+    return Camera(width=64, height=48, fx=64.0, fy=64.0, cx=32.0, cy=24.0, X_BC=benchmark_camera().X_BC)
+
+
+def test_a_class_of_the_working_directory_gives_depth(here: Path, camera: Camera) -> None:
+    given = estimate_depth("a_depth_of_mine:Red", FRAMES, camera)
+    np.testing.assert_allclose(given.depth_m, 0.5 + FRAMES[..., 0] / 255, atol=1e-6)
+    assert not given.exact
+    assert depth_source_files("a_depth_of_mine:Red") == [here / "a_depth_of_mine.py"]
+
+
+@pytest.mark.usefixtures("here")
+@pytest.mark.parametrize(
+    ("spec", "told"),
+    [
+        ("no_such_module:Depth", "no module 'no_such_module'.*working directory"),
+        ("a_depth_of_mine:Blue", "has no Blue"),
+        ("a_depth_of_mine:NoMethod", "method depth"),
+        ("a_depth_of_mine:np", "method depth"),
+        ("moge:none.pt", "no file none.pt"),
+        ("nowhere", "module:Class"),
+    ],
+)
+def test_what_is_not_there_is_told_before_any_work(spec: str, told: str) -> None:
+    with pytest.raises(UsageError, match=told):
+        check_depth_source(spec)
+
+
+@pytest.mark.usefixtures("here")
+def test_what_goes_wrong_in_a_class_is_told(camera: Camera) -> None:
+    with pytest.raises(SetupError, match=r"NeedsArguments.*device"):
+        estimate_depth("a_depth_of_mine:NeedsArguments", FRAMES, camera)
+    with pytest.raises(InputError, match="another unit"):
+        estimate_depth("a_depth_of_mine:Disparity", np.zeros_like(FRAMES), camera)
+
+
+class FakeMoge:
+    """Says that depth is the red of a picture, in metres, and that dark pixels are sky."""
+
+    def __init__(self, checkpoint: str) -> None:
+        self.checkpoint, self.device, self.asked = checkpoint, "", list[SimpleNamespace]()
+
+    def to(self, device: str) -> "FakeMoge":
+        self.device = device
+        return self
+
+    def eval(self) -> "FakeMoge":
+        return self
+
+    def infer(self, image: torch.Tensor, *, fov_x: float, use_fp16: bool) -> dict[str, torch.Tensor]:
+        self.asked.append(SimpleNamespace(image=image, fov_x=fov_x, use_fp16=use_fp16))
+        seen = image[0] > 0.2
+        return {"depth": torch.where(seen, image[0], torch.inf), "mask": seen}
+
+
+@pytest.fixture
+def moge(monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
+    """Makes a package moge that can be imported."""
+
+    def install() -> None:
+        module = ModuleType("moge.model.v2")
+        module.MoGeModel = SimpleNamespace(from_pretrained=FakeMoge)  # type: ignore[attr-defined]
+        for name, value in {
+            "moge": ModuleType("moge"),
+            "moge.model": ModuleType("moge.model"),
+            module.__name__: module,
+        }.items():
+            monkeypatch.setitem(sys.modules, name, value)
+        monkeypatch.delitem(sys.modules, "kinebench_drake.grounding.sources.moge", raising=False)
+
+    return install
+
+
+def test_moge_is_told_the_field_of_view(moge: Callable[[], None], tmp_path: Path, camera: Camera) -> None:
+    checkpoint = tmp_path / "model.pt"
+    checkpoint.touch()
+    spec = f"moge:{checkpoint}"
+    with pytest.raises(UsageError, match="not installed; pip install"):
+        check_depth_source(spec)
+    moge()
+    given = estimate_depth(spec, FRAMES, camera)
+    red = FRAMES[..., 0] / 255
+    np.testing.assert_allclose(given.depth_m, np.where(red > 0.2, red, 0.0), atol=1e-6)
+    assert not given.exact
+    model = load_depth_source(spec)._model  # type: ignore[attr-defined]
+    assert model.checkpoint == str(checkpoint)
+    assert [a.image.shape for a in model.asked] == [(3, 48, 64)] * 3
+    assert [a.fov_x for a in model.asked] == pytest.approx([np.degrees(2 * np.arctan(0.5))] * 3)
+    assert depth_source_name(spec) == "moge:model.pt"
+    assert depth_source_files(spec) == [checkpoint]
