@@ -6,13 +6,13 @@ from pathlib import Path
 
 import numpy as np
 
-from kinebench_drake.errors import UsageError
 from kinebench_drake.grounding.confidence import Confidence
 from kinebench_drake.grounding.estimator import NetworkEstimator
 from kinebench_drake.grounding.evaluation.clip import Clip
 from kinebench_drake.grounding.evaluation.degradation import Degradation, DegradedEstimator
 from kinebench_drake.grounding.known import GivenDepth, Known
 from kinebench_drake.grounding.pipeline import Grounding, GroundingPipeline
+from kinebench_drake.grounding.sources.depth_source import check_depth_source, estimate_depth
 from kinebench_drake.grounding.tracker import CadTracker
 from kinebench_drake.grounding.view import DepthEstimator, Frames
 from kinebench_drake.models.panda.cad import GripperCad
@@ -109,9 +109,19 @@ def degraded(degradation: Degradation, seed: int) -> Make:
 
 
 def plug_in(spec: str) -> Make:
-    """The pipeline on depth of another estimator, such as `moge:CHECKPOINT`.
+    """The shipped pipeline on depth of another estimator, `moge:CHECKPOINT` or `module:Class`.
 
     Raises:
         UsageError: there is no such estimator.
     """
-    raise UsageError(f"--depth {spec}: no such depth estimator is available here")
+    check_depth_source(spec)
+
+    def make(tools: Tools, clip: Clip) -> Ground:
+        def ground(frames: Frames) -> Grounding:
+            camera = clip.camera.resized(frames.shape[2], frames.shape[1])
+            known = Known(depth=estimate_depth(spec, frames, camera))
+            return tools.shipped.ground(frames, clip.camera, clip.t_s[: len(frames)], known)
+
+        return ground
+
+    return make
