@@ -20,7 +20,6 @@ from numpy.typing import ArrayLike
 
 from kinebench_drake.engines import Crashed, Engine
 from kinebench_drake.errors import SetupError, UsageError
-from kinebench_drake.models.perception.frame import Frame
 from kinebench_drake.storage import storage
 from kinebench_drake.suites.episode import Episode
 from kinebench_drake.suites.experts.registry import find_expert
@@ -90,7 +89,7 @@ class _Experts:
                 performance = perform(stage, find_expert(draw.task), episode, every=self.shots.every)
                 outcome, clips = performance.outcome, len(performance.controls) // CLIP_STEPS
                 success, progress = outcome.success and clips > 0, outcome.progress
-                reason = "" if success else "not " + ", ".join(n for n, ok in outcome.conditions.items() if not ok)
+                reason = "" if success else outcome.reason or "done before anything moved"
             except Exception as error:
                 reason = failure(error)
             if success:
@@ -108,10 +107,6 @@ class _Experts:
             )
 
         return demonstrate
-
-
-def _stills(stage: Stage, performance: Performance) -> list[Frame]:
-    return take_stills(stage, performance, generator("stills", performance.episode.id))
 
 
 def _demo(stage: Stage, performance: Performance, shots: Shots, content: Content) -> Demo:

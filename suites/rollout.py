@@ -66,6 +66,12 @@ class Outcome:
     conditions: dict[str, bool]
     """The task's named sub-conditions."""
 
+    @property
+    def reason(self) -> str:
+        """Which conditions fail, such as "not on_top, released"; empty with success."""
+        failed = ", ".join(name for name, holds in self.conditions.items() if not holds)
+        return "" if self.success else f"not {failed}"
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Performance:

@@ -164,8 +164,7 @@ class _Photographer:
             performance = perform(stage, find_expert(episode.task), episode)
             snapshots = [performance.snapshots[0], performance.snapshots[-1]]
             if not performance.outcome.success:
-                unmet = ", ".join(name for name, holds in performance.outcome.conditions.items() if not holds)
-                text, failed = f"not {unmet}", True
+                text, failed = performance.outcome.reason, True
         except InputError as error:
             stage.reset(episode)
             snapshots, text, failed = [stage.snapshot()], str(error), True

@@ -59,8 +59,7 @@ class _Worker:
                 outcome, frames = _blind(stage, episode, self._policy)
         except Exception as error:
             return self._trial(episode, Outcome(success=False, progress=0.0, conditions={}), frames, failure(error))
-        failed = ", ".join(name for name, holds in outcome.conditions.items() if not holds)
-        return self._trial(episode, outcome, frames, "" if outcome.success else f"not {failed}")
+        return self._trial(episode, outcome, frames, outcome.reason)
 
     def _trial(self, episode: Episode, outcome: Outcome, frames: int, reason: str) -> Trial:
         return Trial(

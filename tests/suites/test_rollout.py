@@ -9,7 +9,7 @@ from kinebench_drake.geometry import invert, pose_difference, transform_points
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.suites.episode import compose
 from kinebench_drake.suites.experts.registry import find_expert
-from kinebench_drake.suites.rollout import FRAME_PERIOD_S, Clip, Performance, Stage, film, perform
+from kinebench_drake.suites.rollout import FRAME_PERIOD_S, Clip, Outcome, Performance, Stage, film, perform
 from kinebench_drake.suites.tasks.registry import TASKS
 
 Filmed = tuple[Stage, Performance, Clip]
@@ -18,6 +18,12 @@ Filmed = tuple[Stage, Performance, Clip]
 def test_unknown_task_is_a_usage_error() -> None:
     with pytest.raises(UsageError, match="StackCube-v1"):
         find_expert("StackCubes")
+
+
+def test_a_failure_names_the_conditions_that_fail() -> None:
+    conditions = {"above": True, "still": False, "released": False}
+    assert Outcome(success=False, progress=0.5, conditions=conditions).reason == "not still, released"
+    assert Outcome(success=True, progress=1.0, conditions=dict.fromkeys(conditions, True)).reason == ""
 
 
 @pytest.mark.sapien
