@@ -9,6 +9,8 @@ from kinebench_drake.errors import InputError
 from kinebench_drake.grounding.sources.arrays import open_archive, pick, png_files, read_npy, read_pngs
 from kinebench_drake.grounding.sources.truth import holds_truth, true_mask
 
+_MOST = 0.9  # of all pixels; a gripper that fills the picture cannot be tracked anyway
+
 
 def mask_files(entry: Path) -> list[Path]:
     """The files that `read_masks` reads."""
@@ -25,6 +27,16 @@ def read_masks(entry: Path) -> NDArray[np.bool_]:
     Raises:
         InputError: it cannot be read, or leaves open what is gripper.
     """
+    masks = _read(entry)
+    if masks.size and masks.mean() > _MOST:
+        raise InputError(
+            f"{entry.name}: the masks cover {masks.mean():.0%} of the pictures; expected 0 where the gripper is not "
+            "(pictures of the video itself, or masks the other way round?)"
+        )
+    return masks
+
+
+def _read(entry: Path) -> NDArray[np.bool_]:
     if entry.is_dir():
         return _of_pictures(read_pngs(entry))
     if entry.suffix == ".npy":

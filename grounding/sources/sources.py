@@ -19,7 +19,7 @@ from kinebench_drake.grounding.sources.depth_source import (
     estimate_depth,
     is_depth_source,
 )
-from kinebench_drake.grounding.sources.folder import find_entry
+from kinebench_drake.grounding.sources.folder import TRACKS, TRUTH, find_entry
 from kinebench_drake.grounding.sources.masks import mask_files, read_masks
 from kinebench_drake.grounding.sources.poses import pose_files, read_poses
 
@@ -80,7 +80,7 @@ class Sources:
             if self._depth_folder is not None:
                 files += depth_files(find_entry(self._depth_folder, video))
             if self.poses is not None:
-                files += pose_files(self.poses, find_entry(self.poses, video))
+                files += pose_files(self.poses, find_entry(self.poses, video, (TRUTH, TRACKS)))
         except InputError:
             return files  # the video becomes an error, and errors are never kept
         return [*files, *(depth_source_files(self._plug_in) if self._plug_in is not None else [])]
@@ -109,7 +109,7 @@ class Sources:
                 depth = read_depth(find_entry(self._depth_folder, video), exact=self.depth_exact)
         if self.poses is not None:
             with _told("--poses"):
-                poses = read_poses(self.poses, find_entry(self.poses, video), len(frames))
+                poses = read_poses(self.poses, find_entry(self.poses, video, (TRUTH, TRACKS)), len(frames))
         if self._plug_in is not None:
             depth = estimate_depth(self._plug_in, frames, camera, exact=self.depth_exact)
         known = Known(

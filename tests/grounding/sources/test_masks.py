@@ -58,12 +58,14 @@ def test_masks_come_back_as_written(tmp_path: Path, write: Callable[[Path], Path
 def test_what_is_no_mask_is_told(tmp_path: Path) -> None:
     np.save(tmp_path / "soft.npy", np.full((2, 4, 4), 0.3))
     np.savez(tmp_path / "other.npz", frames=MASKS)
+    np.save(tmp_path / "turned_round.npy", np.ones((2, 40, 40)) - np.eye(40))
     (tmp_path / "torn.npz").write_bytes(b"PK\x03\x04")
     (tmp_path / "empty").mkdir()
     uneven = pngs(tmp_path / "uneven", np.zeros((2, 4, 4), np.uint8))
     Image.fromarray(np.zeros((5, 4), np.uint8)).save(uneven / "mask_2.png")
     told = {
         "soft.npy": "besides 0 and 1",
+        "turned_round.npy": "other way round",
         "other.npz": "holds frames; expected mask or masks",
         "torn.npz": "zip archive",
         "empty": "holds no png",
