@@ -12,13 +12,18 @@ from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.tracker import FramePose
 
 CALIBRATION = Path(__file__).parents[1] / "models" / "perception" / "confidence.json"
-FEATURES = ("log_sigma", "log_residual", "log_cells", "overlap", "log_level")
+FEATURES = (
+    *("log_sigma", "log_residual", "log_cells", "overlap", "log_level"),
+    *("log_position_sigma", "arm_agrees", "log_arm_consistency"),
+)
 """What the confidence rests on: the network's own uncertainty, how well its coordinates agree with one rigid pose, how
-much of the gripper is seen, how well the rendered gripper covers it, and how far depth and apparent size disagree."""
+much of the gripper is seen, how well the rendered gripper covers it, how far depth and apparent size disagree, how well
+the position is determined, whether the arm goes with the hand, and how closely."""
 
 
 def features(pose: FramePose) -> Array:
-    """The features (5,) of a frame, each of order one."""
+    """The features (8,) of a frame, each of order one."""
+    arm = pose.arm if pose.arm is not None and pose.arm.agrees else None
     return np.array(
         [
             np.log(max(pose.fit.sigma_m, 1e-4) / 0.005),
@@ -26,6 +31,9 @@ def features(pose: FramePose) -> Array:
             np.log(max(pose.fit.points, 1) / 400.0),
             4.0 * (pose.overlap - 0.8),
             50.0 * abs(np.log(pose.fit.depth_factor)),
+            np.log(max(float(np.trace(pose.covariance[3:, 3:])) ** 0.5, 1e-4) / 0.005),
+            float(arm is not None),
+            np.log(max(arm.consistency_px, 0.1) / 2.5) if arm is not None else 0.0,
         ]
     )
 
@@ -36,14 +44,14 @@ class Confidence:
 
     intercept: float
     weights: Array
-    """(5,) in the order of FEATURES."""
+    """(8,) in the order of FEATURES."""
 
     def probability(self, pose: FramePose) -> float:
         """Probability that the pose is within 10 mm and 5 degrees."""
         return self.probability_of(features(pose))
 
     def probability_of(self, values: Array) -> float:
-        """The same from `features` (5,)."""
+        """The same from `features` (8,)."""
         return float(expit(self.intercept + self.weights @ values))
 
     @classmethod
@@ -57,7 +65,10 @@ class Confidence:
             data = json.loads(path.read_text())
             if tuple(data["features"]) != FEATURES:
                 raise ValueError(f"has features {data['features']}")
-            return cls(intercept=float(data["intercept"]), weights=np.array(data["weights"], dtype=np.float64))
+            weights = np.array(data["weights"], dtype=np.float64)
+            if weights.shape != (len(FEATURES),):
+                raise ValueError(f"has {weights.size} weights")
+            return cls(intercept=float(data["intercept"]), weights=weights)
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise SetupError(f"{path.name}: no usable calibration ({error}); run `perception calibrate`") from None
 

@@ -18,6 +18,7 @@ from kinebench_drake.models.perception.network import (
     DenseOutput,
     GripperNetwork,
 )
+from kinebench_drake.models.perception.weights import folded
 
 _BATCH = 8
 LEVEL_SIGMA = 0.012
@@ -31,7 +32,7 @@ class NetworkEstimator:
     def __init__(self, network: GripperNetwork, device: str | None = None) -> None:
         """Put `network` on `device` (default: the GPU when there is one)."""
         self._device = torch.device(device or ("cuda" if torch.cuda.is_available() else "cpu"))
-        self._network = network.to(self._device).to(memory_format=torch.channels_last).eval()  # type: ignore[call-overload]
+        self._network = folded(network).to(self._device).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
     @torch.inference_mode()
     def _run(self, images: list[NDArray[np.generic]]) -> DenseOutput:

@@ -20,6 +20,10 @@ class FirstFrame:
     finger_width_m: float = float("nan")
     """Gap between the finger pads [m]; NaN where unknown."""
 
+    def X_CH(self, camera: Camera) -> Array:
+        """(4, 4) pose of panda_hand in the frame of `camera` [m]."""
+        return np.asarray(invert(camera.X_BC) @ self.X_BG @ invert(hand_from_tcp()))
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GivenDepth:
@@ -58,7 +62,7 @@ class Known:
             return self
         X_CH = np.full((frames, 4, 4), np.nan) if self.X_CH is None else self.X_CH.copy()
         width = np.full(frames, np.nan) if self.finger_width_m is None else self.finger_width_m.copy()
-        X_CH[0] = invert(camera.X_BC) @ self.first.X_BG @ invert(hand_from_tcp())
+        X_CH[0] = self.first.X_CH(camera)
         if np.isfinite(self.first.finger_width_m):
             width[0] = self.first.finger_width_m
         return replace(self, X_CH=X_CH, finger_width_m=width)

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from enum import Enum
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,8 +15,8 @@ from kinebench_drake.grounding.anomaly.finding import Findings
 from kinebench_drake.grounding.anomaly.motion import measure_camera_motion
 from kinebench_drake.grounding.confidence import Confidence
 from kinebench_drake.grounding.estimator import NetworkEstimator
-from kinebench_drake.grounding.known import NOTHING, Known
-from kinebench_drake.grounding.reading import settle
+from kinebench_drake.grounding.known import NOTHING, FirstFrame, Known
+from kinebench_drake.grounding.reading import X_HALF_TURN, settle
 from kinebench_drake.grounding.smoothing import smooth_track
 from kinebench_drake.grounding.tracker import CadTracker, FramePose, PoseTracker
 from kinebench_drake.grounding.view import Frames
@@ -27,6 +28,23 @@ MIN_CONFIDENCE = 0.02
 """From here on what was found is a gripper: tracked if its neighbours agree."""
 AGREE_M, AGREE_RAD = 0.03, np.deg2rad(20.0)
 """How near to what its neighbours say a doubtful pose must lie to be tracked."""
+FIRST_M, FIRST_RAD = 0.015, np.deg2rad(6.0)
+"""How near to what is seen of it the first frame's pose must lie to be believed."""
+
+
+class FirstFrameUse(Enum):
+    """What became of the pose that the first frame is said to have."""
+
+    UNKNOWN = "unknown"
+    USED = "used"
+    CONTRADICTED = "contradicted"
+
+    @classmethod
+    def of(cls, said: FirstFrame | None, used: FirstFrame | None) -> "FirstFrameUse":
+        """What was `said` and what of that is `used`."""
+        if said is None:
+            return cls.UNKNOWN
+        return cls.CONTRADICTED if used is None else cls.USED
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -36,6 +54,8 @@ class Grounding:
     track: GripperTrack
     given: NDArray[np.bool_]
     """(T,) frames whose pose was known beforehand."""
+    first_frame: FirstFrameUse
+    """What became of the first frame's pose that was known beforehand."""
     anomalies: tuple[Anomaly, ...]
     camera_motion_px: float | None
     """Largest displacement of the background [px]; None where it has too few features to tell."""
@@ -78,6 +98,9 @@ class GroundingPipeline:
             InputError: what is known is of another video.
         """
         camera = camera.resized(frames.shape[2], frames.shape[1])
+        said = known.first
+        if said is not None and self._contradicted(said, frames, camera):
+            known = replace(known, first=None)
         known = known.through(camera, len(frames))
         poses, seen = self.observe(frames, camera, t_s, known)
         findings, confidence, motion = find_anomalies(seen), seen.confidence, seen.motion
@@ -106,10 +129,19 @@ class GroundingPipeline:
         return Grounding(
             track=track,
             given=given,
+            first_frame=FirstFrameUse.of(said, known.first),
             anomalies=findings.anomalies,
             camera_motion_px=motion.largest_px,
             findings=findings,
         )
+
+    def _contradicted(self, first: FirstFrame, frames: Frames, camera: Camera) -> bool:
+        """Whether the first frame clearly shows the gripper elsewhere; its reading by itself is no contradiction."""
+        pose = self._tracker.track(frames[:1], camera).poses[0]
+        if self._confidence_of(pose) < SURE_CONFIDENCE or pose is None:
+            return False
+        distance, angle = pose_difference(first.X_CH(camera), np.stack([pose.X_CH, pose.X_CH @ X_HALF_TURN]))
+        return not bool(((distance <= FIRST_M) & (angle <= FIRST_RAD)).any())
 
     def _confidence_of(self, pose: FramePose | None) -> float:
         if pose is None:

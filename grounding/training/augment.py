@@ -75,14 +75,7 @@ _CHANGES = {_colour: 0.8, _contrast: 0.2, _warp: 0.2, _ghost: 0.15, _smear: 0.12
 def degrade(image: Image, rng: np.random.Generator) -> Image:
     """A degraded copy of an image (S, S, 3)."""
     x = image.astype(np.float32)
-    for share, change in (
-        (0.8, _colour),
-        (0.2, _contrast),
-        (0.2, _warp),
-        (0.15, _ghost),
-        (0.12, _smear),
-        (0.45, _blur),
-    ):
+    for change, share in _CHANGES.items():
         if rng.random() < share:
             x = change(x, rng)
     if rng.random() < 0.4:

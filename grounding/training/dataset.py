@@ -40,10 +40,11 @@ class Sample:
 
 
 def frame_camera(frame: Frame) -> Camera:
-    """The camera of a frame, for its intrinsics; its pose on the base is not known here."""
+    """The camera of a frame."""
     height, width = frame.part.shape
     K = frame.K
-    return Camera(width=width, height=height, fx=K[0, 0], fy=K[1, 1], cx=K[0, 2], cy=K[1, 2], X_BC=np.eye(4))
+    X_BC = invert(frame.X_CL[0])
+    return Camera(width=width, height=height, fx=K[0, 0], fy=K[1, 1], cx=K[0, 2], cy=K[1, 2], X_BC=X_BC)
 
 
 def close_view(frame: Frame, rng: np.random.Generator) -> Crop:
@@ -114,6 +115,10 @@ class Shards:
     def __len__(self) -> int:
         """Number of frames."""
         return len(self._index)
+
+    def number(self, index: int) -> int:
+        """Number of the shard that holds frame `index`."""
+        return self._index[index][0]
 
     def __getitem__(self, index: int) -> Frame:
         """Frame `index`."""

@@ -12,7 +12,6 @@ from kinebench_drake.grounding.confidence import FEATURES, Confidence, features
 from kinebench_drake.grounding.tracker import CadTracker
 from kinebench_drake.grounding.training.augment import degrade
 from kinebench_drake.grounding.training.dataset import Shards, frame_camera
-from kinebench_drake.grounding.training.render import FRAMES_PER_SCENE
 from kinebench_drake.models.perception.frame import DEPTH_UNIT_M
 
 HOLDOUT_SEED = 1_000_000
@@ -28,9 +27,9 @@ class FrameErrors:
     """One held-out frame on which a gripper was found."""
 
     scene: int
-    """Number of the scene that the frame shows."""
+    """Number of the scene, or the demonstration, that the frame shows."""
     features: Array
-    """(5,) what the confidence rests on."""
+    """(8,) what the confidence rests on."""
     position_m: float
     """Position error of panda_hand [m]; inf where there is no gripper."""
     rotation_rad: float
@@ -86,7 +85,7 @@ def measure(tracker: CadTracker, shards: Shards, seed: int = 0) -> Holdout:
                 depth_error = float(np.median(np.abs(view.depth_m[both] / z[both] - 1.0)))
         found.append(
             FrameErrors(
-                scene=i // FRAMES_PER_SCENE,
+                scene=shards.number(i),
                 features=features(pose),
                 position_m=position,
                 rotation_rad=rotation,

@@ -1,6 +1,6 @@
 """The measurements as lines of text: what `kinebench-drake perception calibrate` prints."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,13 +14,15 @@ from kinebench_drake.grounding.training.render import render
 from kinebench_drake.models.perception.weights import WEIGHTS, load_network
 
 
-def holdout_lines(data: Path, weights: Path | None, scenes: int, out: Path | None, jobs: int) -> Iterator[str]:
+def holdout_lines(
+    data: Path, demos: Sequence[Path], weights: Path | None, scenes: int, out: Path | None, jobs: int
+) -> Iterator[str]:
     """Measure single held-out frames, fit the confidence to the even scenes, test it on the odd ones."""
     messages: list[str] = []
     render(data, range(HOLDOUT_SEED, HOLDOUT_SEED + scenes), jobs, messages.append)
     yield from messages
     tracker = CadTracker(NetworkEstimator(load_network(weights or WEIGHTS)))
-    holdout = measure(tracker, Shards([data]))
+    holdout = measure(tracker, Shards([data, *demos]))
     good = [f for f in holdout.found if np.isfinite(f.position_m)]
     position, rotation = np.array([f.position_m for f in good]) * 1e3, np.rad2deg([f.rotation_rad for f in good])
     yield f"frames with a gripper {holdout.visible}, missed {holdout.missed}, found {len(holdout.found)}"

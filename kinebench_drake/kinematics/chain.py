@@ -46,15 +46,11 @@ class _Joint:
             prismatic=prismatic,
         )
 
-    def motion(self, position: Array) -> Array:
-        """Motions (N, 4, 4) by joint positions (N,) [rad or m]: Rodrigues' formula about the axis, or a shift."""
-        if self.prismatic:
-            return make_pose(np.eye(3), position[:, None] * self.axis)
-        x, y, z = self.axis
-        K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-        s, c = np.sin(position)[:, None, None], np.cos(position)[:, None, None]
-        R = np.eye(3) + s * K + (1.0 - c) * (K @ K)
-        return make_pose(R, self.point - R @ self.point)
+    @property
+    def generator(self) -> Array:
+        """(3, 3) what the axis' cross product is, 0 for a joint that does not turn."""
+        x, y, z = np.zeros(3) if self.prismatic else self.axis
+        return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
 class LinkChain:
@@ -94,6 +90,12 @@ class LinkChain:
 
         for name in names:
             visit(name)
+        turning = np.array([not joint.prismatic for joint in self._joints])[:, None]
+        self._position = [joint.position for joint in self._joints]
+        self._axis = np.array([joint.axis for joint in self._joints])
+        self._shift = np.where(turning, 0.0, self._axis)
+        self._point = np.where(turning, [joint.point for joint in self._joints], 0.0)
+        self._K = np.array([joint.generator for joint in self._joints])
         first = [next(name for name in names if self.stage[name] == i + 1) for i in range(len(self._joints))]
         self._carried = [drake.GetBodyByName(name) for name in first]
         self._to_zero = invert([home[name] for name in first])
@@ -114,9 +116,16 @@ class LinkChain:
         positions = self._plant.positions(q, finger_width_m)
         M = np.zeros((len(positions), len(self._joints) + 1, 4, 4))
         M[:, 0] = np.eye(4)
+        steps = self._steps(positions[:, self._position])
         for i, joint in enumerate(self._joints):
-            M[:, i + 1] = M[:, joint.parent] @ joint.motion(positions[:, joint.position])
+            M[:, i + 1] = M[:, joint.parent] @ steps[:, i]
         return M
+
+    def _steps(self, positions: Array) -> Array:
+        """Motions (N, J, 4, 4) of each joint alone by `positions` (N, J) [rad or m]: Rodrigues' formula, or a shift."""
+        s, c = np.sin(positions)[..., None, None], np.cos(positions)[..., None, None]
+        R = np.eye(3) + s * self._K + (1.0 - c) * (self._K @ self._K)
+        return make_pose(R, self._point - (R @ self._point[..., None])[..., 0] + positions[..., None] * self._shift)
 
     def current(self) -> Array:
         """Motions (stages, 4, 4) of the one posture that the plant's context holds, asked of Drake: faster for one."""
@@ -135,8 +144,7 @@ class LinkChain:
         """Unit axes (N, 7, 3) of the arm's joints in B and a point (N, 7, 3) [m] on each, from `motions`."""
         parents = [self._joints[i].parent for i in self._arm]
         M = motions[:, parents]
-        axis = np.array([self._joints[i].axis for i in self._arm])
-        point = np.array([self._joints[i].point for i in self._arm])
+        axis, point = self._axis[self._arm], self._point[self._arm]
         return (
             np.asarray((M[..., :3, :3] @ axis[..., None])[..., 0]),
             np.asarray((M[..., :3, :3] @ point[..., None])[..., 0] + M[..., :3, 3]),

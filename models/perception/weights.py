@@ -1,6 +1,11 @@
 """The shipped weights of the perception network."""
 
+from copy import deepcopy
+from itertools import pairwise
 from pathlib import Path
+
+from torch import nn
+from torch.nn.utils import fuse_conv_bn_eval
 
 from kinebench_drake.errors import SetupError
 from kinebench_drake.models.perception.network import GripperNetwork
@@ -28,3 +33,14 @@ def load_network(path: Path = WEIGHTS) -> GripperNetwork:
         first = str(error).splitlines()[0]
         raise SetupError(f"{path.name}: not weights of this network ({first}); train or fetch them again") from None
     return network.eval()
+
+
+def folded(network: GripperNetwork) -> GripperNetwork:
+    """A copy for inference alone: each batch normalisation is part of the convolution that its module has before it."""
+    network = deepcopy(network).eval()
+    for module in list(network.modules()):
+        for (before, convolution), (after, normalisation) in pairwise(list(module.named_children())):
+            if isinstance(convolution, nn.Conv2d) and isinstance(normalisation, nn.BatchNorm2d):
+                setattr(module, before, fuse_conv_bn_eval(convolution, normalisation))
+                setattr(module, after, nn.Identity())
+    return network

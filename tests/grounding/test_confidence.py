@@ -9,6 +9,9 @@ from kinebench_drake.grounding.confidence import FEATURES, Confidence
 from kinebench_drake.grounding.training.holdout import FrameErrors, calibrate, reliability
 
 
+LAW = [-1.0, -0.5, 0.8, 0.0, 0.3, -0.2, 0.5, -0.7]
+
+
 def drawn_frames(n: int, intercept: float, weights: list[float]) -> tuple[FrameErrors, ...]:
     """Frames whose errors follow a known logistic law of their features."""
     rng = np.random.default_rng(0)
@@ -23,14 +26,13 @@ def drawn_frames(n: int, intercept: float, weights: list[float]) -> tuple[FrameE
 
 
 def test_calibration_finds_the_law_that_made_the_frames() -> None:
-    weights = [-1.0, -0.5, 0.8, 0.0, 0.3]
-    found = calibrate(drawn_frames(6000, 0.7, weights))
+    found = calibrate(drawn_frames(6000, 0.7, LAW))
     assert found.intercept == pytest.approx(0.7, abs=0.15)
-    np.testing.assert_allclose(found.weights, weights, atol=0.15)
+    np.testing.assert_allclose(found.weights, LAW, atol=0.15)
 
 
 def test_a_calibrated_confidence_is_reliable_and_a_boastful_one_is_not() -> None:
-    frames = drawn_frames(4000, 0.0, [-1.0, -0.5, 0.8, 0.0, 0.3])
+    frames = drawn_frames(4000, 0.0, LAW)
     good = np.array([f.good for f in frames])
     fitted = calibrate(frames)
     p = np.array([fitted.probability_of(f.features) for f in frames])
@@ -41,10 +43,10 @@ def test_a_calibrated_confidence_is_reliable_and_a_boastful_one_is_not() -> None
 
 def test_save_and_load(tmp_path: Path) -> None:
     path = tmp_path / "confidence.json"
-    Confidence(intercept=0.5, weights=np.arange(5.0)).save(path)
+    Confidence(intercept=0.5, weights=np.array(LAW)).save(path)
     loaded = Confidence.load(path)
     assert loaded.intercept == 0.5
-    assert loaded.weights.tolist() == [0, 1, 2, 3, 4]
+    assert loaded.weights.tolist() == LAW
 
 
 @pytest.mark.parametrize("text", ["", "{}", '{"features": ["a"], "intercept": 0, "weights": [1]}'])

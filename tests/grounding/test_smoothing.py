@@ -3,7 +3,6 @@ import numpy as np
 from kinebench_drake.geometry import Array, make_pose, pose_difference, rotation_exp
 from kinebench_drake.grounding.smoothing import smooth_track
 
-
 FRAMES = 40
 EQUAL = np.zeros((FRAMES, 6, 6))
 

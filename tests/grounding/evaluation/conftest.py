@@ -13,7 +13,7 @@ from kinebench_drake.geometry import Array, make_pose, rotation_exp
 from kinebench_drake.grounding.evaluation.clip import Clip
 from kinebench_drake.grounding.evaluation.errors import ClipErrors, compare
 from kinebench_drake.grounding.evaluation.expense import Expense
-from kinebench_drake.grounding.pipeline import Grounding
+from kinebench_drake.grounding.pipeline import FirstFrameUse, Grounding
 from kinebench_drake.mp4 import write_video
 from kinebench_drake.products import Anomaly, GripperTrack
 
@@ -64,7 +64,13 @@ def grounded() -> Callable[..., Grounding]:
             confidence=np.full(n, confidence),
             finger_width_m=np.where(tracked, clip.finger_width_m, np.nan),
         )
-        return Grounding(track=track, given=np.zeros(n, dtype=bool), anomalies=(), camera_motion_px=None)
+        return Grounding(
+            track=track,
+            given=np.zeros(n, dtype=bool),
+            first_frame=FirstFrameUse.UNKNOWN,
+            anomalies=(),
+            camera_motion_px=None,
+        )
 
     return make
 
