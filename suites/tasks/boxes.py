@@ -13,11 +13,9 @@ from kinebench_drake.suites.assets.model import Model
 from kinebench_drake.suites.start import START_WIDTH_M
 from kinebench_drake.suites.tasks.card import Difficulty, TaskCard, Variant
 from kinebench_drake.suites.tasks.place import resting, turned
-from kinebench_drake.suites.tasks.state import State
+from kinebench_drake.suites.tasks.state import CLEAR_M, STILL_RAD_S, State
 from kinebench_drake.suites.tasks.task import Layout, Placement, Task
 
-STILL_RAD_S = 0.05
-"""Lids slower than this are at rest."""
 OPEN_PART = 0.9
 """Part of its range that a lid must be open."""
 SHUT_RAD = float(np.radians(4.0))
@@ -26,8 +24,6 @@ AJAR_RAD = (float(np.radians(22.0)), float(np.radians(34.0)))
 """How far a lid that is slightly open is open at the start."""
 WIDE_PART = (0.85, 0.98)
 """Part of its range that a wide open lid is open at the start."""
-CLEAR_M = 0.03
-"""Least distance of the TCP from a lid that it has let go."""
 YAW_RAD = float(np.radians(12.0))
 """How far boxes may be turned either way."""
 

@@ -13,11 +13,9 @@ from kinebench_drake.suites.start import START_WIDTH_M
 from kinebench_drake.suites.tasks.card import Difficulty, TaskCard, Variant
 from kinebench_drake.suites.tasks.obstacles import undisturbed
 from kinebench_drake.suites.tasks.place import resting, scattered
-from kinebench_drake.suites.tasks.state import State
+from kinebench_drake.suites.tasks.state import STILL_M_S, State
 from kinebench_drake.suites.tasks.task import Layout, Placement, Task
 
-STILL_M_S = 0.02
-"""Things slower than this are at rest."""
 STACK_LEVEL_M = 0.012
 """How far the upper cube's centre may be off above the lower one's, sideways."""
 STACK_HEIGHT_M = 0.006

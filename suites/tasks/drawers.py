@@ -11,19 +11,15 @@ from kinebench_drake.geometry import Array, make_pose
 from kinebench_drake.suites.assets.model import Model
 from kinebench_drake.suites.tasks.card import Difficulty, TaskCard, Variant
 from kinebench_drake.suites.tasks.place import resting, turned
-from kinebench_drake.suites.tasks.state import State
+from kinebench_drake.suites.tasks.state import CLEAR_M, STILL_M_S, State
 from kinebench_drake.suites.tasks.task import Layout, Placement, Task
 
 OPEN_SHARE = 0.9
 """Part of its way that an open drawer has come out."""
 SHUT_M = 0.008
 """A drawer that is open by no more than this is shut."""
-STILL_M_S = 0.02
-"""Drawers and things slower than this are at rest."""
 HEAP_M = 0.045
 """How far above the tray's floor the middle of something that lies in it may be."""
-CLEAR_M = 0.03
-"""Least distance of the TCP from the middle of the drawer's front that it has left."""
 YAW_RAD = 0.25
 """How far a cabinet may be turned to either side."""
 AJAR = 0.92

@@ -14,7 +14,7 @@ from mani_skill.agents.robots import Panda, PandaWristCam
 from mani_skill.envs.sapien_env import BaseEnv
 from mani_skill.sensors.camera import CameraConfig
 from mani_skill.utils.registration import REGISTERED_ENVS, register_env
-from mani_skill.utils.structs import Actor, Articulation, SimConfig
+from mani_skill.utils.structs import Actor, Articulation
 from mani_skill.utils.structs.pose import Pose
 from torch import Tensor
 
@@ -110,12 +110,10 @@ class KineBenchEnv(BaseEnv):  # type: ignore[misc]
         self._camera = benchmark_camera() if camera is None else camera
         self.episodes: list[Episode] = []
         self.layouts: list[Layout] = []
+        self._starts: dict[str, Tensor] = {}
+        self._joint_starts: dict[str, Tensor] = {}
         kwargs.setdefault("reconfiguration_freq", 1 if kwargs.get("num_envs", 1) == 1 else 0)
         super().__init__(*args, robot_uids=robot_uids, **kwargs)
-
-    @property
-    def _default_sim_config(self) -> SimConfig:
-        return SimConfig()
 
     @property
     def _default_sensor_configs(self) -> list[CameraConfig]:
@@ -163,7 +161,7 @@ class KineBenchEnv(BaseEnv):  # type: ignore[misc]
             if placement.model.articulated:
                 built.append(build_articulation(self.scene, own_name, placement.model, X_WM, [i]))
             else:
-                how = "kinematic" if placement.fixed or placement.decor else "dynamic"
+                how = "dynamic" if placement.movable else "kinematic"
                 [body] = placement.model.bodies
                 built.append(build_actor(self.scene, own_name, body, X_WM, [i], how=how, decor=placement.decor))
         if self.num_envs == 1:
@@ -203,7 +201,7 @@ class KineBenchEnv(BaseEnv):  # type: ignore[misc]
                     joint = torch.tensor([[p.joint] for p in placements], dtype=torch.float32)
                     thing.set_qpos(joint)
                     thing.set_qvel(torch.zeros_like(joint))
-                elif not (placements[0].fixed or placements[0].decor):
+                elif placements[0].movable:
                     thing.set_linear_velocity(torch.zeros(len(rows), 3))
                     thing.set_angular_velocity(torch.zeros(len(rows), 3))
         if self.gpu_sim_enabled:
@@ -239,7 +237,7 @@ class KineBenchEnv(BaseEnv):  # type: ignore[misc]
 
     def _remember(self, env_idx: Tensor) -> None:
         poses, joints = self._body_poses(), self._joints()
-        if not hasattr(self, "_starts") or len(env_idx) == self.num_envs:
+        if not self._starts or len(env_idx) == self.num_envs:
             self._starts, self._joint_starts = poses, joints
             return
         for now, start in ((poses, self._starts), (joints, self._joint_starts)):
@@ -282,7 +280,7 @@ class KineBenchEnv(BaseEnv):  # type: ignore[misc]
             speeds={
                 name: self._speed(thing)
                 for name, thing in self.things.items()
-                if not (self.layouts[0].placements[name].fixed or self.layouts[0].placements[name].decor)
+                if self.layouts[0].placements[name].movable
             }
             | {ARM: self.agent.robot.qvel[:, :N_JOINTS].abs().amax(dim=-1)},
             models={name: [layout.placements[name].model for layout in self.layouts] for name in self.things},

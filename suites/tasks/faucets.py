@@ -11,7 +11,7 @@ from kinebench_drake.suites.assets.model import Model
 from kinebench_drake.suites.start import START_WIDTH_M
 from kinebench_drake.suites.tasks.card import Difficulty, TaskCard, Variant
 from kinebench_drake.suites.tasks.place import resting
-from kinebench_drake.suites.tasks.state import State
+from kinebench_drake.suites.tasks.state import STILL_RAD_S, State
 from kinebench_drake.suites.tasks.task import Layout, Placement, Task
 
 OPEN_PART = 0.8
@@ -20,8 +20,6 @@ CLOSED_PART = 0.1
 """Up to this part of its travel a handle is closed."""
 START_PART = 0.1
 """A handle begins within this part of its travel from the end that it is to leave."""
-STILL_RAD_S = 0.05
-"""Handles slower than this are at rest."""
 
 
 class _TurnFaucet(Task):

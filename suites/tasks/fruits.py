@@ -15,11 +15,9 @@ from kinebench_drake.suites.seeding import generator
 from kinebench_drake.suites.tasks.card import Difficulty, TaskCard, Variant
 from kinebench_drake.suites.tasks.obstacles import undisturbed
 from kinebench_drake.suites.tasks.place import resting
-from kinebench_drake.suites.tasks.state import State
+from kinebench_drake.suites.tasks.state import STILL_M_S, State
 from kinebench_drake.suites.tasks.task import Layout, Placement, Task
 
-STILL_M_S = 0.02
-"""Things slower than this are at rest."""
 GAP_M = 0.038
 """Least distance between the outlines of things, for the fingers to go down there."""
 LEAN_RAD = 0.6

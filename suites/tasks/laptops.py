@@ -11,17 +11,13 @@ from kinebench_drake.suites.assets.model import Model
 from kinebench_drake.suites.start import START_WIDTH_M
 from kinebench_drake.suites.tasks.card import Difficulty, TaskCard, Variant
 from kinebench_drake.suites.tasks.place import resting
-from kinebench_drake.suites.tasks.state import State
+from kinebench_drake.suites.tasks.state import CLEAR_M, STILL_RAD_S, State
 from kinebench_drake.suites.tasks.task import Layout, Placement, Task
 
 OPEN_RAD = np.deg2rad(90.0)
 """A lid open this far counts as open."""
 SHUT_RAD = np.deg2rad(4.0)
 """A lid open this little counts as shut."""
-STILL_RAD_S = 0.05
-"""Lids slower than this are at rest."""
-CLEAR_M = 0.03
-"""A gripper whose TCP is this far from the lid has let go of it."""
 
 FORWARD_M = (0.45, 0.52)
 """Least and greatest x of the middle of the base."""

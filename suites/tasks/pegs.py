@@ -10,11 +10,9 @@ from torch import Tensor
 from kinebench_drake.suites.assets.model import Model
 from kinebench_drake.suites.tasks.card import Difficulty, TaskCard, Variant
 from kinebench_drake.suites.tasks.place import resting
-from kinebench_drake.suites.tasks.state import State
+from kinebench_drake.suites.tasks.state import STILL_M_S, State
 from kinebench_drake.suites.tasks.task import Layout, Placement, Task
 
-STILL_M_S = 0.02
-"""Pegs slower than this are at rest."""
 UPRIGHT_RAD = 0.08
 """How far the peg may lean from the vertical."""
 HEIGHT_M = 0.005

@@ -8,6 +8,10 @@ from torch import Tensor
 
 from kinebench_drake.suites.assets.model import Model
 
+STILL_M_S, STILL_RAD_S = 0.02, 0.05
+"""Things and drawers, or lids and handles, slower than this are at rest."""
+CLEAR_M = 0.03
+"""A gripper whose TCP is this far from what it moved has let go of it."""
 CALM_RAD_S = 0.2
 """An arm whose every joint is slower than this is at rest."""
 ARM = "arm"

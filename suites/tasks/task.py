@@ -36,6 +36,11 @@ class Placement:
     avoid: bool = False
     """Whether it must not be touched: plans keep the gripper off, too."""
 
+    @property
+    def movable(self) -> bool:
+        """Whether physics moves it, or its joint."""
+        return not (self.fixed or self.decor)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Layout:
