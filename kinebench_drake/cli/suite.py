@@ -1,7 +1,10 @@
 """`kinebench-drake suite`."""
 
 import json
+from dataclasses import asdict
+from enum import Enum
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -50,30 +53,37 @@ suite.add_command(demos)
 @click.option("--markdown", is_flag=True, help="The tasks as a table.")
 def list_tasks(as_json: bool, suites: bool, markdown: bool) -> None:
     """List the tasks, one plain id a line."""
-    from dataclasses import asdict
-    from enum import Enum
-
-    from kinebench_drake.suites.suite import NUMBERS, load_suite
     from kinebench_drake.suites.tasks.registry import TASKS
 
-    cards = [{**asdict(task.card), "horizon": task.card.horizon} for task in TASKS.values()]
-    loaded = [load_suite(number) for number in NUMBERS]
-    if as_json:
-        facts = [asdict(suite) for suite in loaded] if suites else cards
-        click.echo(json.dumps(facts, indent=1, default=lambda x: x.value if isinstance(x, Enum) else str(x)))
-    elif suites:
-        for suite in loaded:
-            click.echo(f"{suite.number}  {suite.title}: {suite.about}")
-            for name, split in suite.splits.items():
-                judged = ", judged on" if name == suite.evaluated else ""
-                told = f"{len(suite.tasks_of(name))} tasks, assets and looks: {split.pool.value}{judged}"
-                click.echo(f"   {name:7}{told}. {split.about}")
+    if suites:
+        _list_suites(as_json)
+    elif as_json:
+        _echo_json([{**asdict(task.card), "horizon": task.card.horizon} for task in TASKS.values()])
     elif markdown:
         from kinebench_drake.suites.sheet import task_table
 
         click.echo(task_table(list(TASKS)))
     else:
         click.echo("\n".join(TASKS))
+
+
+def _list_suites(as_json: bool) -> None:
+    from kinebench_drake.suites.suite import NUMBERS, load_suite
+
+    loaded = [load_suite(number) for number in NUMBERS]
+    if as_json:
+        _echo_json([asdict(suite) for suite in loaded])
+        return
+    for suite in loaded:
+        click.echo(f"{suite.number}  {suite.title}: {suite.about}")
+        for name, split in suite.splits.items():
+            judged = ", judged on" if name == suite.evaluated else ""
+            told = f"{len(suite.tasks_of(name))} tasks, assets and looks: {split.pool.value}{judged}"
+            click.echo(f"   {name:7}{told}. {split.about}")
+
+
+def _echo_json(facts: list[dict[str, Any]]) -> None:
+    click.echo(json.dumps(facts, indent=1, default=lambda x: x.value if isinstance(x, Enum) else str(x)))
 
 
 @suite.command(epilog="\b\nExample:\n  kinebench-drake suite check --tasks StackCube-v1 --episodes 100 --jobs 2")
@@ -96,24 +106,26 @@ def check(
     from kinebench_drake.suites.episode import compose
     from kinebench_drake.suites.split import Pool
     from kinebench_drake.suites.tasks.card import Variant
-    from kinebench_drake.suites.trial import Policy, run_trials, task_lines
+    from kinebench_drake.suites.trial import Policy, Trial, run_trials, task_lines
 
-    version, trials = Variant(variant), []
+    version = Variant(variant)
     if json_out is not None:
         check_parent("--json", json_out)
     chosen = with_variant(_tasks(tasks), version, named=tasks is not None)
     order = [compose(t, s, pool=Pool(pool), variant=version) for t in chosen for s in range(seed, seed + episodes)]
+    trials: dict[str, list[Trial]] = {task: [] for task in sorted(chosen)}
     for trial in run_trials(create_engine(EngineKind.LOCAL, jobs), order, Policy(policy)):
-        trials.append(trial)
-        own = sorted((t for t in trials if t.episode.task == trial.episode.task), key=lambda t: t.episode.seed)
+        own = trials[trial.episode.task]
+        own.append(trial)
         if len(own) == episodes:
+            own.sort(key=lambda t: t.episode.seed)
             click.echo("\n".join(task_lines(own)))
-    trials.sort(key=lambda t: (t.episode.task, t.episode.seed))
     if json_out is not None:
         records = [
             {"task": t.episode.task, "seed": t.episode.seed, "policy": policy, "success": t.success,
              "progress": t.progress, "reason": t.reason, "frames": t.frames}
-            for t in trials
+            for own in trials.values()
+            for t in own
         ]  # fmt: skip
         write_atomically(json_out, (json.dumps(records, indent=1) + "\n").encode())
 
