@@ -29,6 +29,5 @@ class MogeDepth:
         for frame, into in zip(frames, depth_m, strict=True):
             image = torch.from_numpy(frame / np.float32(255.0)).permute(2, 0, 1).to(self._device)
             told = self._model.infer(image, fov_x=fov_x_deg, use_fp16=self._device == "cuda")
-            depth = told["depth"].float().cpu().numpy()
-            into[...] = np.where(told["mask"].cpu().numpy() & np.isfinite(depth), depth, 0.0)
+            into[...] = np.nan_to_num(told["depth"].float().cpu().numpy(), nan=0.0, posinf=0.0)  # inf: no geometry
         return depth_m

@@ -16,6 +16,7 @@ MESH_NAME = "mesh_from_hand.txt"
 
 _FOUNDATION_POSE = "ob_in_cam"
 _FAR_M = 10.0
+_WIDEST_M, _PLAY_M = 0.08, 0.01  # gap between the pads, and what others overshoot
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,7 +57,7 @@ def read_poses(folder: Path, entry: Path, frames: int) -> GivenPoses:
         with open_archive(entry) as archive:
             X_CM = _numbers(pick(archive, ("camera_from_hand",), entry)[1], entry)
             if "finger_width_m" in archive.files:
-                width = _numbers(archive["finger_width_m"], entry)
+                width = _checked_width(_numbers(archive["finger_width_m"], entry), entry)
             if "tracked" in archive.files and archive["tracked"].shape == X_CM.shape[:1]:
                 X_CM[~archive["tracked"].astype(bool)] = np.nan
     if X_CM.ndim != 3 or X_CM.shape[1:] != (4, 4):
@@ -79,6 +80,16 @@ def _checked(X: Array, entry: Path) -> Array:
     if len(p) and (p[:, 2] < 0).all():
         raise InputError(f"{entry.name}: all poses lie behind the camera; expected OpenCV axes, z forward")
     return rigid
+
+
+def _checked_width(width_m: Array, entry: Path) -> Array:
+    known = width_m[np.isfinite(width_m)]
+    if len(known) and not -_PLAY_M <= known.min() <= known.max() <= _WIDEST_M + _PLAY_M:
+        raise InputError(
+            f"{entry.name}: finger_width_m goes from {known.min():.4g} to {known.max():.4g}, expected metres from 0 to "
+            f"{_WIDEST_M:g} between the pads"
+        )
+    return np.clip(np.where(np.isfinite(width_m), width_m, np.nan), 0.0, _WIDEST_M)
 
 
 def _rigid(X: Array, name: str) -> Array:

@@ -70,6 +70,8 @@ class FakeStages:
         X = X if known.X_CH is None else known.X_CH.copy()
         if known.depth is not None:
             X[:, 2, 3] = np.median(known.depth.depth_m, axis=(1, 2))
+        if known.first is not None:
+            X[0] = known.first.X_BG
         tracked = np.isfinite(X).all(axis=(1, 2))
         anomalies = ()
         if act is Act.NO_ROBOT:

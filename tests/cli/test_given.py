@@ -90,9 +90,11 @@ def test_a_class_takes_the_place_of_depth_in_workers_too(film, config, track, tm
 def test_the_first_frame_of_a_manifest_is_known(film, config, track, tmp_path):
     film("videos/a.mp4")
     manifest = tmp_path / "videos" / "manifest.jsonl"
-    manifest.write_text(json.dumps({"video": "a.mp4", "first_base_from_tcp": X_CH[0].tolist()}))
-    row, _ = track(config(source=manifest))
-    assert row.extra["given"] == {"first_frame": "manifest"}
+    for X_BG in X_CH[:2]:  # another one is another input
+        manifest.write_text(json.dumps({"video": "a.mp4", "first_base_from_tcp": X_BG.tolist()}))
+        row, found = track(config(source=manifest))
+        assert row.extra["given"] == {"first_frame": "manifest"}
+        assert found["base_from_tcp"][0] == pytest.approx(X_BG)
 
 
 def test_what_does_not_fit_the_video_is_an_error_of_its_sample(film, config, tmp_path):

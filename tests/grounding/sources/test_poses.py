@@ -45,7 +45,7 @@ def test_arrays_come_back_as_written(tmp_path: Path) -> None:
 def test_of_a_track_the_tracked_frames_are_taken(tmp_path: Path) -> None:
     tracked = np.arange(T) != 5
     track = GripperTrack(
-        t_s=0.2 * np.arange(T),
+        t_s=np.linspace(0.0, 2.2, T),
         X_CH=X_CH,
         X_BG=X_CH,
         tracked=tracked,
@@ -107,3 +107,15 @@ def test_what_is_no_pose_is_told(tmp_path: Path, X: Array, told: str) -> None:
     np.save(tmp_path / "v.npy", X)
     with pytest.raises(InputError, match=told):
         read_poses(tmp_path, tmp_path / "v.npy", T)
+
+
+def test_finger_widths_are_metres(tmp_path: Path) -> None:
+    width = np.linspace(-0.001, 0.081, T)
+    np.savez(tmp_path / "v.npz", camera_from_hand=X_CH, finger_width_m=np.where(np.arange(T) == 3, np.nan, width))
+    given = read_poses(tmp_path, tmp_path / "v.npz", T).finger_width_m
+    assert given is not None
+    assert np.isnan(given[3])
+    assert (np.nanmin(given), np.nanmax(given)) == (0.0, 0.08)
+    np.savez(tmp_path / "v.npz", camera_from_hand=X_CH, finger_width_m=1000 * width)
+    with pytest.raises(InputError, match="between the pads"):
+        read_poses(tmp_path, tmp_path / "v.npz", T)
