@@ -11,11 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kinebench_drake.geometry import Array, make_pose
-from kinebench_drake.suites.assets.mesh import box_mesh, cylinder_mesh
+from kinebench_drake.suites.assets.mesh import cylinder_mesh
 from kinebench_drake.suites.assets.model import (
     Body,
-    Collider,
-    ColliderKind,
     Joint,
     JointKind,
     Kind,
@@ -25,6 +23,7 @@ from kinebench_drake.suites.assets.model import (
     Surface,
     Visual,
 )
+from kinebench_drake.suites.assets.parts import Parts
 from kinebench_drake.suites.assets.texture import (
     Texture,
     brushed,
@@ -55,6 +54,7 @@ TIGHT = 5.0
 """How much harder a tight hinge moves."""
 
 _R_HINGE = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # x along -y of the box: up is positive
+_THIN_M = 0.0006  # of linings and labels
 _PALETTE = np.array(
     [
         [188, 62, 54], [52, 96, 158], [72, 132, 84], [222, 168, 60], [120, 82, 142], [58, 142, 148],
@@ -144,59 +144,35 @@ def _paper(rng: np.random.Generator, index: int, first: Array, second: Array) ->
             return wallpaper(rng, first, second, "diamonds")
 
 
-def _panel(
-    low: ArrayLike, high: ArrayLike, surface: Surface, *, bevel_m: float = 0.0, uv_per_m: float = 5.0
-) -> tuple[Visual, Collider]:
-    """The box between two corners (3,) [m], to see and to touch."""
-    low, high = np.asarray(low, dtype=np.float64), np.asarray(high, dtype=np.float64)
-    X, half = make_pose(np.eye(3), 0.5 * (low + high)), 0.5 * (high - low)
-    visual = Visual(mesh=box_mesh(2.0 * half, bevel_m=bevel_m, uv_per_m=uv_per_m), surface=surface, X_BodyV=X)
-    size = (float(half[0]), float(half[1]), float(half[2]))
-    return visual, Collider(kind=ColliderKind.BOX, size=size, X_BodyC=X)
-
-
 def _base(width: float, depth: float, height: float, wall: float, look: _Look, density: float) -> Body:
     x, y, t = depth / 2.0, width / 2.0, wall
-    panels = [
-        _panel([-x, -y, 0.0], [x, y, t], look.walls, bevel_m=0.001),
-        _panel([-x, -y, t], [-x + t, y, height], look.walls, bevel_m=0.001),
-        _panel([x - t, -y, t], [x, y, height], look.walls, bevel_m=0.001),
-        _panel([-x + t, -y, t], [x - t, -y + t, height], look.walls, bevel_m=0.001),
-        _panel([-x + t, y - t, t], [x - t, y, height], look.walls, bevel_m=0.001),
-    ]
-    thin = 0.0006
-    shown = [_panel([-x + t, -y + t, t], [x - t, y - t, t + thin], look.lining)]
+    parts = Parts()
+    parts.panel([-x, -y, 0.0], [x, y, t], look.walls)
+    parts.panel([-x, -y, t], [-x + t, y, height], look.walls)
+    parts.panel([x - t, -y, t], [x, y, height], look.walls)
+    parts.panel([-x + t, -y, t], [x - t, -y + t, height], look.walls)
+    parts.panel([-x + t, y - t, t], [x - t, y, height], look.walls)
+    parts.panel([-x + t, -y + t, t], [x - t, y - t, t + _THIN_M], look.lining, bevel_m=0.0, solid=False)
     if look.label:
-        across = 0.22 * width
-        shown.append(_panel([x, -across, 0.25 * height], [x + thin, across, 0.65 * height], look.trim))
+        low, high = [x, -0.22 * width, 0.25 * height], [x + _THIN_M, 0.22 * width, 0.65 * height]
+        parts.panel(low, high, look.trim, bevel_m=0.0, solid=False)
     knuckle = cylinder_mesh(0.0035, 0.2 * width, sections=16)
     R_YZ = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
-    knuckles = [
-        Visual(mesh=knuckle, surface=look.trim, X_BodyV=make_pose(R_YZ, [-x - 0.001, side * 0.28 * width, height]))
-        for side in (-1.0, 1.0)
-    ]
-    return Body(
-        name="base",
-        visuals=(*(v for v, _ in panels), *(v for v, _ in shown), *knuckles),
-        colliders=tuple(c for _, c in panels),
-        material=Material(density=density),
-    )
+    for side in (-1.0, 1.0):
+        X = make_pose(R_YZ, [-x - 0.001, side * 0.28 * width, height])
+        parts.visuals.append(Visual(mesh=knuckle, surface=look.trim, X_BodyV=X))
+    return parts.body("base", Material(density=density))
 
 
 def _lid(length: float, width: float, thick: float, depth: float, look: _Look, joint: Joint, wall: float) -> Body:
-    y, thin = width / 2.0, 0.0006
-    visual, collider = _panel([0.0, -y, 0.0], [length, y, thick], look.lid, bevel_m=0.0015)
-    inner = 0.5 * width - 2.5 * wall
-    shown = [_panel([2.0 * wall, -inner, -thin], [depth - 2.0 * wall, inner, 0.0], look.lining)[0]]
+    parts, y, inner = Parts(), width / 2.0, 0.5 * width - 2.5 * wall
+    parts.panel([0.0, -y, 0.0], [length, y, thick], look.lid, bevel_m=0.0015)
+    low, high = [2.0 * wall, -inner, -_THIN_M], [depth - 2.0 * wall, inner, 0.0]
+    parts.panel(low, high, look.lining, bevel_m=0.0, solid=False)
     if look.label:
-        shown.append(_panel([0.35 * length, -y, thick], [0.55 * length, y, thick + thin], look.trim)[0])
-    return Body(
-        name="lid",
-        visuals=(visual, *shown),
-        colliders=(collider,),
-        material=Material(density=look.density, static_friction=0.5, dynamic_friction=0.4),
-        joint=joint,
-    )
+        low, high = [0.35 * length, -y, thick], [0.55 * length, y, thick + _THIN_M]
+        parts.panel(low, high, look.trim, bevel_m=0.0, solid=False)
+    return parts.body("lid", Material(density=look.density, static_friction=0.5, dynamic_friction=0.4), joint)
 
 
 def _box(kind: str, asset_id: str, index: int, rng: np.random.Generator) -> Model:

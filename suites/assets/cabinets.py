@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kinebench_drake.geometry import Array, make_pose
-from kinebench_drake.suites.assets.mesh import box_mesh, cylinder_mesh, lathe, sweep
+from kinebench_drake.suites.assets.mesh import cylinder_mesh, lathe, sweep
 from kinebench_drake.suites.assets.model import (
-    Body,
     Collider,
     ColliderKind,
     Joint,
@@ -24,6 +23,7 @@ from kinebench_drake.suites.assets.model import (
     Surface,
     Visual,
 )
+from kinebench_drake.suites.assets.parts import Parts, block
 from kinebench_drake.suites.assets.texture import brushed, mixed, wood
 
 WIDTH_M = (0.172, 0.198)
@@ -128,62 +128,36 @@ def _measures(rng: np.random.Generator) -> _Measures:
     )
 
 
-class _Parts:
-    """Collects what a body is made of."""
-
-    def __init__(self) -> None:
-        self.visuals: list[Visual] = []
-        self.colliders: list[Collider] = []
-
-    def box(self, low: ArrayLike, high: ArrayLike, surface: Surface, *, bevel_m: float = 0.001) -> None:
-        """A board between two corners."""
-        low, high = np.asarray(low, dtype=np.float64), np.asarray(high, dtype=np.float64)
-        X = make_pose(np.eye(3), 0.5 * (low + high))
-        mesh = box_mesh(high - low, bevel_m=bevel_m, uv_per_m=_WOOD_PER_M)
-        self.visuals.append(Visual(mesh=mesh, surface=surface, X_BodyV=X))
-        x, y, z = (float(h) for h in 0.5 * (high - low))
-        self.colliders.append(Collider(kind=ColliderKind.BOX, size=(x, y, z), X_BodyC=X))
-
-    def body(self, name: str, material: Material, joint: Joint | None = None) -> Body:
-        """All of it as one body."""
-        return Body(
-            name=name,
-            visuals=tuple(self.visuals),
-            colliders=tuple(self.colliders),
-            material=material,
-            joint=joint,
-        )
-
-
-def _carcass(m: _Measures, feet: str, outside: Surface, inside: Surface, fitting: Surface) -> _Parts:
+def _carcass(m: _Measures, feet: str, outside: Surface, inside: Surface, fitting: Surface) -> Parts:
     """The cabinet without its drawer."""
-    parts, x, y, p = _Parts(), m.face, m.width / 2.0, m.panel
-    parts.box([-x, -y, m.height - p], [x, y, m.height], outside, bevel_m=0.002)
-    parts.box([-x, -y + p, m.foot], [x, y - p, m.foot + p], inside)
-    parts.box([-x, -y, m.foot], [x, -y + p, m.height - p], outside)
-    parts.box([-x, y - p, m.foot], [x, y, m.height - p], outside)
-    parts.box([-x, -y + p, m.foot + p], [-x + _BACK_M, y - p, m.height - p], inside, bevel_m=0.0)
+    parts, x, y, p = Parts(_WOOD_PER_M), m.face, m.width / 2.0, m.panel
+    parts.panel([-x, -y, m.height - p], [x, y, m.height], outside, bevel_m=0.002)
+    parts.panel([-x, -y + p, m.foot], [x, y - p, m.foot + p], inside)
+    parts.panel([-x, -y, m.foot], [x, -y + p, m.height - p], outside)
+    parts.panel([-x, y - p, m.foot], [x, y, m.height - p], outside)
+    parts.panel([-x, -y + p, m.foot + p], [-x + _BACK_M, y - p, m.height - p], inside, bevel_m=0.0)
     if feet == "plinth":
-        parts.box([-x + 0.008, -y + 0.008, 0.0], [x - 0.012, y - 0.008, m.foot], outside)
+        parts.panel([-x + 0.008, -y + 0.008, 0.0], [x - 0.012, y - 0.008, m.foot], outside)
         return parts
     for sx, sy in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
-        X = make_pose(np.eye(3), [sx * (x - 0.016), sy * (y - 0.014), m.foot / 2.0])
+        center = [sx * (x - 0.016), sy * (y - 0.014), m.foot / 2.0]
+        X = make_pose(np.eye(3), center)
         parts.visuals.append(Visual(mesh=cylinder_mesh(0.009, m.foot), surface=fitting, X_BodyV=X))
-        parts.colliders.append(Collider(kind=ColliderKind.BOX, size=(0.008, 0.008, m.foot / 2.0), X_BodyC=X))
+        parts.colliders.append(block([0.016, 0.016, m.foot], center))
     return parts
 
 
-def _tray(m: _Measures, front: Surface, inside: Surface) -> _Parts:
+def _tray(m: _Measures, front: Surface, inside: Surface) -> Parts:
     """The drawer without its handle."""
-    parts, y = _Parts(), m.tray_width / 2.0
+    parts, y = Parts(_WOOD_PER_M), m.tray_width / 2.0
     back, face = m.tray_x
     top = m.floor + m.wall
-    parts.box([back - _WALL_M, -y - _WALL_M, m.floor - _FLOOR_M], [face, y + _WALL_M, m.floor], inside, bevel_m=0.0)
-    parts.box([back - _WALL_M, -y - _WALL_M, m.floor], [face, -y, top], inside)
-    parts.box([back - _WALL_M, y, m.floor], [face, y + _WALL_M, top], inside)
-    parts.box([back - _WALL_M, -y, m.floor], [back, y, top], inside)
+    parts.panel([back - _WALL_M, -y - _WALL_M, m.floor - _FLOOR_M], [face, y + _WALL_M, m.floor], inside, bevel_m=0.0)
+    parts.panel([back - _WALL_M, -y - _WALL_M, m.floor], [face, -y, top], inside)
+    parts.panel([back - _WALL_M, y, m.floor], [face, y + _WALL_M, top], inside)
+    parts.panel([back - _WALL_M, -y, m.floor], [back, y, top], inside)
     wide = m.width / 2.0 - 0.001
-    parts.box([face, -wide, m.front_bottom], [face + m.front, wide, m.front_top], front, bevel_m=0.002)
+    parts.panel([face, -wide, m.front_bottom], [face + m.front, wide, m.front_top], front, bevel_m=0.002)
     return parts
 
 
@@ -194,7 +168,7 @@ def _turned_to(axis: ArrayLike, position: ArrayLike) -> Array:
     return make_pose(np.stack([x, np.cross(z, x), z], axis=1), position)
 
 
-def _add_handle(parts: _Parts, m: _Measures, handle: str, front: Surface, fitting: Surface, size: float) -> float:
+def _add_handle(parts: Parts, m: _Measures, handle: str, front: Surface, fitting: Surface, size: float) -> float:
     """Put a handle on the drawer's front; `size` 0..1 from small to large. Returns how far the upper part reaches out.
 
     Bows and knobs sit below the middle, so that fingers may press on the front above them.
@@ -203,7 +177,7 @@ def _add_handle(parts: _Parts, m: _Measures, handle: str, front: Surface, fittin
     z = m.front_bottom + 0.36 * (m.front_top - m.front_bottom)
     if handle == "lip":
         reach, wide = 0.009 + 0.006 * size, m.width / 2.0 - 0.001
-        parts.box([out, -wide, m.front_top - 0.011], [out + reach, wide, m.front_top], front, bevel_m=0.003)
+        parts.panel([out, -wide, m.front_top - 0.011], [out + reach, wide, m.front_top], front, bevel_m=0.003)
         return out + reach
     if handle == "knob":
         r, length = 0.010 + 0.003 * size, 0.022
@@ -226,8 +200,7 @@ def _add_handle(parts: _Parts, m: _Measures, handle: str, front: Surface, fittin
     X = make_pose(_turned_to([0, 0, 1], [0, 0, 0])[:3, :3] @ _QUARTER, [out + reach, 0.0, z])
     parts.colliders.append(Collider(kind=ColliderKind.CAPSULE, size=(r, half - bend), X_BodyC=X))
     for y in (-half, half):
-        X = make_pose(np.eye(3), [out + reach / 2.0, y, z])
-        parts.colliders.append(Collider(kind=ColliderKind.BOX, size=(reach / 2.0, r, r), X_BodyC=X))
+        parts.colliders.append(block([reach, 2.0 * r, 2.0 * r], [out + reach / 2.0, y, z]))
     return out
 
 

@@ -3,15 +3,16 @@
 The origin is the middle of the underside; inside, a container is empty from its floor up.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
 from kinebench_drake.geometry import Array, make_pose, rotation_exp
-from kinebench_drake.suites.assets.mesh import box_mesh, lathe, sweep
+from kinebench_drake.suites.assets.mesh import lathe, sweep
 from kinebench_drake.suites.assets.model import Body, Collider, ColliderKind, Kind, Material, Model, Surface, Visual
+from kinebench_drake.suites.assets.parts import block, board
 from kinebench_drake.suites.assets.texture import grains, plain, shaded, speckle, wood, woven
 
 COMPARTMENTS = 3
@@ -30,24 +31,6 @@ class _Made:
     colliders: tuple[Collider, ...]
     size: dict[str, float]
     mass_kg: float
-
-
-def _box(size: Sequence[float], center: Sequence[float]) -> Collider:
-    return Collider(
-        kind=ColliderKind.BOX,
-        size=(0.5 * size[0], 0.5 * size[1], 0.5 * size[2]),
-        X_BodyC=make_pose(np.eye(3), center),
-    )
-
-
-def _board(
-    size: Sequence[float], center: Sequence[float], surface: Surface, *, bevel_m: float = 0.001, uv_per_m: float = 5.0
-) -> Visual:
-    return Visual(
-        mesh=box_mesh(size, bevel_m=bevel_m, uv_per_m=uv_per_m),
-        surface=surface,
-        X_BodyV=make_pose(np.eye(3), center),
-    )
 
 
 def _shell(inner: Array, thick_m: float) -> tuple[Collider, ...]:
@@ -168,14 +151,14 @@ def _tray(rng: np.random.Generator, index: int) -> _Made:
     side = Surface(texture=grain, roughness=0.55)
     inside = Surface(texture=shaded(grain, np.full(grain.shape[:2], 0.86)), roughness=0.7)
     parts = _walls(x, y, height, thick)
-    visuals = [_board([x, y, floor], [0.0, 0.0, floor / 2.0], inside, bevel_m=0.0)]
-    visuals += [_board(size, center, side, bevel_m=0.0016) for size, center in parts]
+    visuals = [board([x, y, floor], [0.0, 0.0, floor / 2.0], inside, bevel_m=0.0)]
+    visuals += [board(size, center, side, bevel_m=0.0016) for size, center in parts]
     return _Made(
         words="tray",
         visuals=tuple(visuals),
         colliders=(
-            _box([x, y, floor], [0.0, 0.0, floor / 2.0]),
-            *(_box(size, center) for size, center in parts),
+            block([x, y, floor], [0.0, 0.0, floor / 2.0]),
+            *(block(size, center) for size, center in parts),
         ),
         size={
             "inner_x_m": x,
@@ -235,21 +218,21 @@ def _crate(asset_id: str, index: int, rng: np.random.Generator) -> Model:
     grain = wood(rng, kind)
     side = Surface(texture=shaded(grain, np.full(grain.shape[:2], rng.uniform(0.85, 1.1))), roughness=0.75)
     dark = Surface(texture=shaded(grain, np.full(grain.shape[:2], 0.75)), roughness=0.85)
-    visuals, colliders = [], [_box([deep, wide, floor], [0.0, 0.0, floor / 2.0])]
+    visuals, colliders = [], [block([deep, wide, floor], [0.0, 0.0, floor / 2.0])]
     for k in range(COMPARTMENTS):  # boards of the floor, with a gap under each divider
         y = (k - 0.5 * (COMPARTMENTS - 1)) * (cell + divider)
-        visuals.append(_board([deep, cell, floor], [0.0, y, floor / 2.0], dark))
+        visuals.append(board([deep, cell, floor], [0.0, y, floor / 2.0], dark))
     for k in range(COMPARTMENTS - 1):
         y = (k + 1 - 0.5 * COMPARTMENTS) * (cell + divider)
-        visuals.append(_board([deep, divider, low], [0.0, y, low / 2.0], side))
-        colliders.append(_box([deep, divider, low], [0.0, y, low / 2.0]))
+        visuals.append(board([deep, divider, low], [0.0, y, low / 2.0], side))
+        colliders.append(block([deep, divider, low], [0.0, y, low / 2.0]))
     slatted = index % 2 == 0
     for size, center in _walls(deep, wide, height, thick):
-        colliders.append(_box(size, center))
+        colliders.append(block(size, center))
         slats = [(0.0, 0.46), (0.54, 1.0)] if slatted else [(0.0, 1.0)]
         for bottom, top in slats:
             visuals.append(
-                _board(
+                board(
                     [size[0], size[1], (top - bottom) * height],
                     [center[0], center[1], 0.5 * (bottom + top) * height],
                     side,
@@ -259,7 +242,7 @@ def _crate(asset_id: str, index: int, rng: np.random.Generator) -> Model:
         for sx in (-1.0, 1.0):
             for sy in (-1.0, 1.0):
                 visuals.append(
-                    _board(
+                    board(
                         [0.6 * thick, 0.6 * thick, 0.96 * height],
                         [sx * (deep + thick) / 2.0, sy * (wide + thick) / 2.0, 0.48 * height],
                         dark,

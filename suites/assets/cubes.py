@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.geometry import Array
-from kinebench_drake.suites.assets.mesh import box_mesh
-from kinebench_drake.suites.assets.model import Body, Collider, ColliderKind, Kind, Material, Model, Surface, Visual
+from kinebench_drake.suites.assets.model import Body, Kind, Material, Model, Surface
+from kinebench_drake.suites.assets.parts import block, board
 from kinebench_drake.suites.assets.texture import blend, tileable_noise
 
 COLORS = {"red": (0.65, 0.03, 0.03), "green": (0.04, 0.42, 0.06), "blue": (0.03, 0.09, 0.6)}
@@ -59,8 +59,8 @@ def _cube(name: str, asset_id: str, index: int, rng: np.random.Generator) -> Mod
     )
     body = Body(
         name="cube",
-        visuals=(Visual(mesh=box_mesh([edge] * 3, bevel_m=0.0015, uv_per_m=1.0 / edge), surface=surface),),
-        colliders=(Collider(kind=ColliderKind.BOX, size=(edge / 2.0,) * 3),),
+        visuals=(board([edge] * 3, np.zeros(3), surface, bevel_m=0.0015, uv_per_m=1.0 / edge),),
+        colliders=(block([edge] * 3, np.zeros(3)),),
         material=Material(density=float(rng.uniform(350.0, 700.0)), static_friction=0.9, dynamic_friction=0.8),
     )
     return Model(kind=f"cube/{name}", asset_id=asset_id, words=f"{name} cube", bodies=(body,), size={"edge_m": edge})

@@ -5,16 +5,15 @@ first body is fixed. Where the lever goes, everything but the hub is lower than 
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from kinebench_drake.geometry import Array, make_pose
-from kinebench_drake.suites.assets.mesh import box_mesh, lathe, sweep
+from kinebench_drake.suites.assets.mesh import lathe, sweep
 from kinebench_drake.suites.assets.model import (
-    Body,
     Collider,
     ColliderKind,
     Joint,
@@ -26,6 +25,7 @@ from kinebench_drake.suites.assets.model import (
     Surface,
     Visual,
 )
+from kinebench_drake.suites.assets.parts import Parts, block, board
 
 LEVER_HEIGHT_M = (0.095, 0.125)
 """Least and greatest height of the lever's middle line."""
@@ -36,12 +36,8 @@ RANGE_RAD = (1.55, 1.85)
 _RING = np.column_stack([f(2.0 * np.pi * np.arange(20) / 20) for f in (np.cos, np.sin)])
 
 
-@dataclass(slots=True)
-class _Parts:
-    """Visuals and colliders of one body, added piece by piece in the body's frame."""
-
-    visuals: list[Visual] = field(default_factory=list)
-    colliders: list[Collider] = field(default_factory=list)
+class _Parts(Parts):
+    """Pieces that faucets are made of."""
 
     def turned(self, profile: ArrayLike, surface: Surface) -> None:
         """A solid of revolution about z, closed; each step of its profile (N, 2) is a collider."""
@@ -65,11 +61,9 @@ class _Parts:
 
     def box(self, size: Sequence[float], at: ArrayLike, surface: Surface, *, yaw_rad: float = 0.0) -> None:
         """A bevelled box of full sizes about a point, turned about z."""
-        X = make_pose(_yawed(yaw_rad), at)
-        bevel = min(0.0025, 0.2 * min(size))
-        self.visuals.append(Visual(mesh=box_mesh(size, bevel_m=bevel), surface=surface, X_BodyV=X))
-        half = (size[0] / 2.0, size[1] / 2.0, size[2] / 2.0)
-        self.colliders.append(Collider(kind=ColliderKind.BOX, size=half, X_BodyC=X))
+        R, bevel = _yawed(yaw_rad), min(0.0025, 0.2 * min(size))
+        self.visuals.append(board(size, at, surface, R=R, bevel_m=bevel, uv_per_m=1.0))
+        self.colliders.append(block(size, at, R=R))
 
     def ball(self, radius_m: float, at: ArrayLike, surface: Surface) -> None:
         """A sphere about a point."""
@@ -323,16 +317,7 @@ def _faucet(asset_id: str, index: int, rng: np.random.Generator) -> Model:
         kind="faucet",
         asset_id=asset_id,
         words=f"{finish} faucet",
-        bodies=(
-            Body(name="body", visuals=tuple(shape.base.visuals), colliders=tuple(shape.base.colliders)),
-            Body(
-                name="handle",
-                visuals=tuple(shape.handle.visuals),
-                colliders=tuple(shape.handle.colliders),
-                material=brass,
-                joint=joint,
-            ),
-        ),
+        bodies=(shape.base.body("body", Material()), shape.handle.body("handle", brass, joint)),
         size={
             "range_rad": travel,
             "height_m": draft.height,

@@ -9,7 +9,7 @@ import trimesh
 from numpy.typing import ArrayLike, NDArray
 
 from kinebench_drake.geometry import Array, make_pose
-from kinebench_drake.suites.assets.mesh import box_mesh, cylinder_mesh, flat, smooth
+from kinebench_drake.suites.assets.mesh import cylinder_mesh, flat, smooth
 from kinebench_drake.suites.assets.model import (
     Body,
     Collider,
@@ -24,6 +24,7 @@ from kinebench_drake.suites.assets.model import (
     Surface,
     Visual,
 )
+from kinebench_drake.suites.assets.parts import board
 from kinebench_drake.suites.assets.texture import blend, tileable_noise
 
 WIDTH_M, DEPTH_M = (0.20, 0.25), (0.135, 0.16)
@@ -190,12 +191,11 @@ def _base(
         visuals.append(Visual(mesh=cylinder_mesh(HINGE_ABOVE_BASE_M, 0.16 * w), surface=dark, X_BodyV=X))
     for x in (-0.36 * d, 0.26 * d):
         for y in (-0.38 * w, 0.38 * w):
-            X = make_pose(np.eye(3), [x, y, 0.5 * feet])
-            visuals.append(Visual(mesh=box_mesh([0.012, 0.02, feet + 0.0004]), surface=dark, X_BodyV=X))
+            visuals.append(board([0.012, 0.02, feet + 0.0004], [x, y, 0.5 * feet], dark, bevel_m=0.0, uv_per_m=1.0))
     for side in (-1.0, 1.0):  # sockets; the side walls lean in by 6 mm over their height
         for i in range(int(rng.integers(1, 4))):
-            X = make_pose(np.eye(3), [-0.3 * d + 0.02 * i, side * (w / 2.0 - 0.0022), top - 0.0052])
-            visuals.append(Visual(mesh=box_mesh([0.010, 0.0040, 0.0036]), surface=dark, X_BodyV=X))
+            center = [-0.3 * d + 0.02 * i, side * (w / 2.0 - 0.0022), top - 0.0052]
+            visuals.append(board([0.010, 0.0040, 0.0036], center, dark, bevel_m=0.0, uv_per_m=1.0))
     return tuple(visuals), points
 
 

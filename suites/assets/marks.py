@@ -7,8 +7,9 @@ from itertools import pairwise
 import numpy as np
 
 from kinebench_drake.geometry import Array, make_pose
-from kinebench_drake.suites.assets.mesh import box_mesh, lathe
+from kinebench_drake.suites.assets.mesh import lathe
 from kinebench_drake.suites.assets.model import Body, Collider, ColliderKind, Kind, Material, Model, Surface, Visual
+from kinebench_drake.suites.assets.parts import block, board
 
 TARGET_RADIUS_M = (0.060, 0.075)
 """Least and greatest radius of a target."""
@@ -139,12 +140,12 @@ def _post(h: float, r: float, rng: np.random.Generator) -> _Looks:
 
 def _block(h: float, r: float, rng: np.random.Generator) -> _Looks:
     side = np.sqrt(2.0) * r
-    at = make_pose(np.eye(3), [0.0, 0.0, h / 2.0])
+    size, center = [side, side, h], [0.0, 0.0, h / 2.0]
     surface = Surface(color=_color(rng), roughness=float(rng.uniform(0.5, 0.9)))
     return _Looks(
         "block",
-        (Visual(mesh=box_mesh([side, side, h], bevel_m=0.002), surface=surface, X_BodyV=at),),
-        (Collider(kind=ColliderKind.BOX, size=(side / 2.0, side / 2.0, h / 2.0), X_BodyC=at),),
+        (board(size, center, surface, bevel_m=0.002, uv_per_m=1.0),),
+        (block(size, center),),
         400.0,
     )
 

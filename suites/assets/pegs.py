@@ -2,9 +2,8 @@
 
 import numpy as np
 
-from kinebench_drake.geometry import make_pose
-from kinebench_drake.suites.assets.mesh import box_mesh
-from kinebench_drake.suites.assets.model import Body, Collider, ColliderKind, Kind, Material, Model, Surface, Visual
+from kinebench_drake.suites.assets.model import Body, Kind, Material, Model, Surface
+from kinebench_drake.suites.assets.parts import block, board
 from kinebench_drake.suites.assets.texture import blend, tileable_noise
 
 LENGTH_M = (0.205, 0.235)
@@ -34,14 +33,10 @@ def _peg(asset_id: str, index: int, rng: np.random.Generator) -> Model:
     body = Body(
         name="peg",
         visuals=tuple(
-            Visual(
-                mesh=box_mesh([piece, width, width], bevel_m=0.0015, uv_per_m=1.0 / width),
-                surface=surface,
-                X_BodyV=make_pose(np.eye(3), [x, 0.0, 0.0]),
-            )
+            board([piece, width, width], [x, 0.0, 0.0], surface, bevel_m=0.0015, uv_per_m=1.0 / width)
             for piece, x, surface in pieces
         ),
-        colliders=(Collider(kind=ColliderKind.BOX, size=(length / 2.0, width / 2.0, width / 2.0)),),
+        colliders=(block([length, width, width], np.zeros(3)),),
         material=Material(density=float(rng.uniform(800.0, 1000.0)), static_friction=0.3, dynamic_friction=0.3),
     )
     return Model(

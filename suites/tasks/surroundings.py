@@ -1,11 +1,8 @@
 """The fixed surroundings of every scene: a table under everything, a wall and a floor behind the robot."""
 
-import numpy as np
-
-from kinebench_drake.geometry import make_pose
 from kinebench_drake.suites.assets.look import Background, Finish
-from kinebench_drake.suites.assets.mesh import box_mesh
-from kinebench_drake.suites.assets.model import Body, Collider, ColliderKind, Material, Visual
+from kinebench_drake.suites.assets.model import Body, Material, Visual
+from kinebench_drake.suites.assets.parts import block, board
 
 TABLE_SIZE_M = (1.5, 2.4, 0.04)
 """Along x, y, z."""
@@ -23,25 +20,18 @@ _ROOM_M = 8.0
 
 
 def _board(size: tuple[float, float, float], center: tuple[float, float, float], look: Finish) -> Visual:
-    return Visual(
-        mesh=box_mesh(size, uv_per_m=look.uv_per_m), surface=look.surface, X_BodyV=make_pose(np.eye(3), center)
-    )
+    return board(size, center, look.surface, bevel_m=0.0, uv_per_m=look.uv_per_m)
 
 
 def surroundings(table: Finish, background: Background) -> dict[str, Body]:
     """The bodies by name, in B."""
     wall_height_m, foot_m = WALL_TOP_M - FLOOR_M, FLOOR_M + 0.5 * SKIRTING_M[2]
-    top = Collider(
-        kind=ColliderKind.BOX,
-        size=(0.5 * TABLE_SIZE_M[0], 0.5 * TABLE_SIZE_M[1], 0.5 * TABLE_SIZE_M[2]),
-        X_BodyC=make_pose(np.eye(3), TABLE_CENTER_M),
-    )
     skirting = Finish(surface=background.skirting, uv_per_m=1.0)
     return {
         "table": Body(
             name="table",
             visuals=(_board(TABLE_SIZE_M, TABLE_CENTER_M, table),),
-            colliders=(top,),
+            colliders=(block(TABLE_SIZE_M, TABLE_CENTER_M),),
             material=Material(static_friction=0.6, dynamic_friction=0.5, restitution=0.0),
         ),
         "wall": Body(
