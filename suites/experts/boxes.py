@@ -7,12 +7,13 @@ opening. The lid, `angle` open, lies along (cos, 0, sin) from the hinge.
 import numpy as np
 
 from kinebench_drake.geometry import Array, make_pose
-from kinebench_drake.suites.experts.grasp import CLOSED_M, grasp_rotation, raised, shifted, swung
+from kinebench_drake.suites.experts.grasp import CLOSED_M, HALF_TIP_M, grasp_rotation, raised, shifted, swung
 from kinebench_drake.suites.experts.motion import Arc, Waypoint
 from kinebench_drake.suites.tasks.task import Scene
 
-TIP_M, HALF_X_M, HALF_Y_M = 0.0092, 0.0088, 0.0150
-"""The closed fingertips: how far they reach below the TCP, and half their sizes across and along the closing axis."""
+TIP_M, HALF_Y_M = 0.0092, 0.0150
+"""The closed fingertips as lids meet them: how far they reach below the TCP, and half their size along the closing
+axis."""
 BESIDE_WALL_M = 0.003
 """Gap between the fingertips under a rim and the wall of the box."""
 CLEAR_M = 0.002
@@ -136,7 +137,7 @@ def _under_side(scene: Scene, angle: float, depth_m: float, tilt: float) -> tupl
     touch = (scene.size("box", "lid_m") - SIDE_FROM_FRONT_M) * out + [0.0, edge, 0.0]
     up_finger = np.array([0.0, side * np.sin(tilt), np.cos(tilt)])
     to_lid = np.array([0.0, -side * np.cos(tilt), np.sin(tilt)])
-    p_H = touch + (TIP_M - depth_m) * up_finger - (HALF_Y_M + CLEAR_M) * to_lid + [HALF_X_M, 0.0, 0.0]
+    p_H = touch + (TIP_M - depth_m) * up_finger - (HALF_Y_M + CLEAR_M) * to_lid + [HALF_TIP_M, 0.0, 0.0]
     R_BH = X_BH[:3, :3]
     X = make_pose(_hand(scene, -R_BH @ up_finger, R_BH @ to_lid), X_BH[:3, 3] + R_BH @ p_H)
     return X, X_BH[:3, 3] + R_BH @ touch
@@ -193,7 +194,7 @@ def close_lying(scene: Scene) -> list[Waypoint]:
     def outside(angle: float, gap_m: float) -> Array:
         out = np.array([np.cos(angle), 0.0, np.sin(angle)])
         normal = np.array([-np.sin(angle), 0.0, np.cos(angle)])
-        half = HALF_X_M * abs(normal[2]) + HALF_Y_M * abs(normal[0])
+        half = HALF_TIP_M * abs(normal[2]) + HALF_Y_M * abs(normal[0])
         p_H = CLOSE_PART * scene.size("box", "lid_m") * out
         p_H = p_H + (scene.size("box", "lid_thickness_m") + half + gap_m) * normal
         p = X_BH[:3, 3] + R_BH @ p_H

@@ -4,6 +4,7 @@ import numpy as np
 
 from kinebench_drake.geometry import Array, make_pose, rotation_exp
 from kinebench_drake.suites.experts.grasp import (
+    BACK_M,
     CLOSED_M,
     DOWN,
     OPEN_M,
@@ -28,8 +29,6 @@ HAND_M = 0.045
 """Half the hand's thickness and air."""
 UNWIND_RAD = 0.5
 """How far the hand would rather be turned than at rest, towards the middle of the wrist's range, before a wide turn."""
-FINGER_M = 0.0165
-"""From the TCP to the back of a closed finger, square to it."""
 SLANT_RAD = 0.3
 """How much a finger's back slants against the approach direction."""
 LEAN_RAD = 0.55
@@ -93,8 +92,8 @@ def pull_cube(scene: Scene) -> list[Waypoint]:
     R = grasp_rotation(np.cos(SLANT_RAD) * down + np.sin(SLANT_RAD) * back, -back)
     half = 0.5 * scene.size("cube", "edge_m")
     reach = half * np.abs(level_axes(scene.poses["cube"][:3, :3])[:2] @ back).sum()
-    behind = make_pose(R, [*(cube - (reach + FINGER_M + AIR_M) * back)[:2], PULL_HEIGHT_M])
-    pulled = make_pose(R, [*(goal - (half + FINGER_M) * back)[:2], PULL_HEIGHT_M])
+    behind = make_pose(R, [*(cube - (reach + BACK_M + AIR_M) * back)[:2], PULL_HEIGHT_M])
+    pulled = make_pose(R, [*(goal - (half + BACK_M) * back)[:2], PULL_HEIGHT_M])
     return [
         Waypoint(X_BG=raised(behind, ABOVE_M), finger_width_m=CLOSED_M, through=True),
         Waypoint(X_BG=behind, finger_width_m=CLOSED_M),

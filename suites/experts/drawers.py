@@ -11,8 +11,10 @@ from kinebench_drake.geometry import Array, invert, make_pose
 from kinebench_drake.suites.experts.grasp import (
     CLOSED_M,
     DOWN,
+    HALF_TIP_M,
     OPEN_M,
     SQUEEZE_M,
+    TIP_M,
     grasp_rotation,
     level_axes,
     nearest_axis,
@@ -21,10 +23,6 @@ from kinebench_drake.suites.experts.grasp import (
 from kinebench_drake.suites.experts.motion import Waypoint
 from kinebench_drake.suites.tasks.task import Scene
 
-TIP_M = 0.0095
-"""How far the fingertips reach below the TCP."""
-FINGER_M = 0.0088
-"""Half the thickness of the fingers, across the way they close."""
 HOOK_M = 0.032
 """How deep the fingertips go below the upper edge of the drawer's front."""
 ABOVE_M = 0.05
@@ -71,16 +69,16 @@ def open_drawer(scene: Scene) -> list[Waypoint]:
     return [
         Waypoint(X_BG=above, finger_width_m=CLOSED_M, through=True),
         Waypoint(X_BG=_pose(scene, middle, 0.0, tip), finger_width_m=CLOSED_M, pace=1.5),
-        Waypoint(X_BG=_pose(scene, last - FINGER_M, 0.0, tip), finger_width_m=CLOSED_M, pace=2.0),
-        Waypoint(X_BG=_pose(scene, last - FINGER_M - 0.012, 0.0, tip), finger_width_m=CLOSED_M),
-        Waypoint(X_BG=_pose(scene, last - FINGER_M - 0.02, 0.0, front[2] + ABOVE_M), finger_width_m=CLOSED_M),
+        Waypoint(X_BG=_pose(scene, last - HALF_TIP_M, 0.0, tip), finger_width_m=CLOSED_M, pace=2.0),
+        Waypoint(X_BG=_pose(scene, last - HALF_TIP_M - 0.012, 0.0, tip), finger_width_m=CLOSED_M),
+        Waypoint(X_BG=_pose(scene, last - HALF_TIP_M - 0.02, 0.0, front[2] + ABOVE_M), finger_width_m=CLOSED_M),
     ]
 
 
 def _push_shut(scene: Scene) -> list[Waypoint]:
     """Push the drawer in from outside, leave."""
     front = _local(scene, scene.site("cabinet", "push"))
-    start, last = front[0] + FINGER_M + 0.025, front[0] - scene.joints["cabinet"] + FINGER_M
+    start, last = front[0] + HALF_TIP_M + 0.025, front[0] - scene.joints["cabinet"] + HALF_TIP_M
     low, high = front[2] - HOOK_M, front[2] + ABOVE_M
     return [
         Waypoint(X_BG=_pose(scene, start, 0.0, high), finger_width_m=CLOSED_M, through=True),
@@ -134,7 +132,7 @@ def store_cube_by_dragging(scene: Scene) -> list[Waypoint]:
     cube, edge = _local(scene, scene.poses["cube"]), _local(scene, scene.site("cabinet", "edge"))
     out = level_axes((invert(scene.poses["cabinet"]) @ scene.poses["cube"])[:3, :3])
     half = 0.5 * scene.size("cube", "edge_m") * float(np.abs(out[:2, 0]).sum())
-    behind, over = cube[0] - half - FINGER_M - BEHIND_M, edge[0] - FINGER_M + BEYOND_M
+    behind, over = cube[0] - half - HALF_TIP_M - BEHIND_M, edge[0] - HALF_TIP_M + BEYOND_M
     low, high = edge[2] + SKIM_M, edge[2] + scene.size("cube", "edge_m") + PASS_M
     return [
         Waypoint(X_BG=_pose(scene, behind, cube[1], high), finger_width_m=CLOSED_M, through=True),

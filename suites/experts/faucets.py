@@ -3,13 +3,13 @@
 import numpy as np
 
 from kinebench_drake.geometry import Array, make_pose
-from kinebench_drake.suites.experts.grasp import CLOSED_M, grasp_rotation, raised
+from kinebench_drake.suites.experts.grasp import BACK_M, CLOSED_M, grasp_rotation, raised
 from kinebench_drake.suites.experts.motion import Arc, Waypoint
 from kinebench_drake.suites.tasks.task import Scene
 
 GRIP_PART = 0.75
 """Where along the lever the finger pushes."""
-HALF_FINGERS_M = (0.0105, 0.0165)
+HALF_FINGERS_M = (0.0105, BACK_M)
 """Half sizes of the closed fingers along the TCP frame's x and y."""
 AIR_M = 0.018
 """Gap between finger and lever before the push."""

@@ -11,6 +11,12 @@ CLOSED_M = 0.0
 """Fingers shut on nothing."""
 SQUEEZE_M = -0.02
 """Fingers told to close past shut: they press on what is between them with their full stiffness."""
+TIP_M = 0.0095
+"""How far the fingertips reach below the TCP."""
+HALF_TIP_M = 0.0088
+"""Half the thickness of the fingertips, across the way they close."""
+BACK_M = 0.0165
+"""From the TCP to the back of a closed finger, along the way they close."""
 DOWN = (0.0, 0.0, -1.0)
 """Approach direction from above."""
 

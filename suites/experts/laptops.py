@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kinebench_drake.geometry import Array, make_pose
-from kinebench_drake.suites.experts.grasp import CLOSED_M, OPEN_M, grasp_rotation, shifted
+from kinebench_drake.suites.experts.grasp import CLOSED_M, OPEN_M, TIP_M, grasp_rotation, shifted
 from kinebench_drake.suites.experts.motion import Arc, Waypoint
 from kinebench_drake.suites.tasks.task import Scene
 
-TIP_M, FINGER_M = 0.0095, 0.0152
-"""How far the fingers reach past the TCP, and how thick one fingertip is along the closing axis."""
+FINGER_M = 0.0152
+"""How thick one fingertip is along the closing axis."""
 TILT_RAD = np.deg2rad(40.0)
 """Tilt of the hand while a fingertip lifts the lid's edge."""
 TABLE_M = 0.004
