@@ -1,6 +1,7 @@
 """What is known of a video beforehand: its first frame, or stages done elsewhere."""
 
 from dataclasses import dataclass, replace
+from enum import Enum
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,21 @@ class FirstFrame:
     def X_CH(self, camera: Camera) -> Array:
         """(4, 4) pose of panda_hand in the frame of `camera` [m]."""
         return np.asarray(invert(camera.X_BC) @ self.X_BG @ invert(hand_from_tcp()))
+
+
+class FirstFrameUse(Enum):
+    """What became of the pose that the first frame is said to have."""
+
+    UNKNOWN = "unknown"
+    USED = "used"
+    CONTRADICTED = "contradicted"
+
+    @classmethod
+    def of(cls, said: FirstFrame | None, used: FirstFrame | None) -> "FirstFrameUse":
+        """What was `said` and what of that is `used`."""
+        if said is None:
+            return cls.UNKNOWN
+        return cls.CONTRADICTED if used is None else cls.USED
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from enum import Enum
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +14,7 @@ from kinebench_drake.grounding.anomaly.finding import Findings
 from kinebench_drake.grounding.anomaly.motion import measure_camera_motion
 from kinebench_drake.grounding.confidence import Confidence
 from kinebench_drake.grounding.estimator import NetworkEstimator
-from kinebench_drake.grounding.known import NOTHING, FirstFrame, Known
+from kinebench_drake.grounding.known import NOTHING, FirstFrame, FirstFrameUse, Known
 from kinebench_drake.grounding.reading import X_HALF_TURN, settle
 from kinebench_drake.grounding.smoothing import smooth_track
 from kinebench_drake.grounding.tracker import CadTracker, FramePose, PoseTracker
@@ -32,21 +31,6 @@ FIRST_M, FIRST_RAD = 0.015, np.deg2rad(6.0)
 """How near to what is seen of it the first frame's pose must lie to be believed."""
 
 
-class FirstFrameUse(Enum):
-    """What became of the pose that the first frame is said to have."""
-
-    UNKNOWN = "unknown"
-    USED = "used"
-    CONTRADICTED = "contradicted"
-
-    @classmethod
-    def of(cls, said: FirstFrame | None, used: FirstFrame | None) -> "FirstFrameUse":
-        """What was `said` and what of that is `used`."""
-        if said is None:
-            return cls.UNKNOWN
-        return cls.CONTRADICTED if used is None else cls.USED
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Grounding:
     """What a video shows."""
@@ -59,6 +43,9 @@ class Grounding:
     anomalies: tuple[Anomaly, ...]
     camera_motion_px: float | None
     """Largest displacement of the background [px]; None where it has too few features to tell."""
+    arm_consistency_px: float | None
+    """Median over tracked frames of the distance between the links as seen and as the arm that goes with the hand has
+    them [px of the video]; None where too little is seen of the arm."""
     findings: Findings | None = None
     """What each detector of anomalies says of each frame."""
 
@@ -132,6 +119,7 @@ class GroundingPipeline:
             first_frame=FirstFrameUse.of(said, known.first),
             anomalies=findings.anomalies,
             camera_motion_px=motion.largest_px,
+            arm_consistency_px=_arm_consistency_px(poses, tracked),
             findings=findings,
         )
 
@@ -171,6 +159,11 @@ class GroundingPipeline:
 def _stack(poses: Sequence[FramePose | None]) -> Array:
     unknown = np.full((4, 4), np.nan)
     return np.stack([p.X_CH if p is not None else unknown for p in poses])
+
+
+def _arm_consistency_px(poses: Sequence[FramePose | None], tracked: NDArray[np.bool_]) -> float | None:
+    seen = [p.arm.consistency_px for p, ok in zip(poses, tracked, strict=True) if ok and p and p.arm is not None]
+    return float(np.median(seen)) if seen else None
 
 
 def _widths(poses: Sequence[FramePose | None], tracked: NDArray[np.bool_], known: Known) -> Array:

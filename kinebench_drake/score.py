@@ -1,9 +1,11 @@
 """The main job: videos to tracks to metrics to an output folder. `ground` is the same job without the kinematics."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+from kinebench_drake.episodes import with_first_frames
 from kinebench_drake.errors import UsageError
+from kinebench_drake.grounding.known import FirstFrameUse
 from kinebench_drake.grounding.sources.sources import Sources
 from kinebench_drake.inputs import find_samples
 from kinebench_drake.manifest import MAX_PERIOD_S, MIN_PERIOD_S
@@ -28,6 +30,8 @@ class ScoreConfig(RunConfig):
     """Folder of depth, `moge:CHECKPOINT` or `module:Class` in place of the network's depth."""
     poses: Path | None = None
     """Folder of poses in place of the tracker's."""
+    pixels_only: bool = False
+    """Whether what the manifest tells of first frames is left aside."""
     depth_exact: bool = False
     """Whether the given depth can be trusted to a few millimetres."""
 
@@ -59,6 +63,7 @@ class ScoreConfig(RunConfig):
             **RunConfig.to_json(self),
             "frame_period_s": self.frame_period_s,
             "overlay": self.overlay,
+            "pixels_only": self.pixels_only,
             **dict.fromkeys(("masks", "depth", "poses")),
             **self.sources().names,
             "depth_exact": self.depth_exact,
@@ -77,6 +82,9 @@ def score_videos(config: ScoreConfig, observer: Observer | None = None) -> RunSu
     inputs = find_samples(config.source, out=config.out, model=config.model, task=config.task, others=sources.folders)
     for warning in inputs.warnings:
         observer.warned(warning)
+    samples = (
+        [replace(s, first=None) for s in inputs.samples] if config.pixels_only else with_first_frames(inputs.samples)
+    )
     measure = VideoMeasure(
         kind=config.kind,
         out=config.out,
@@ -86,7 +94,13 @@ def score_videos(config: ScoreConfig, observer: Observer | None = None) -> RunSu
         overlay=config.overlay,
         sources=sources,
     )
-    summary = run_samples(config, inputs.samples, measure, observer)
+    summary = run_samples(config, samples, measure, observer)
+    contradicted = sum(row.extra.get("first_frame") == FirstFrameUse.CONTRADICTED.value for row in summary.rows)
+    if contradicted:
+        observer.warned(
+            f"{contradicted} samples do not begin with the pose that their manifest tells, or that the episode of its "
+            "task and seed has: it was not used"
+        )
     clockless = sum(row.extra.get("frame_period_source") == PeriodSource.BENCHMARK.value for row in summary.rows)
     if clockless:
         observer.warned(

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import InputError, SetupError, UsageError
 from kinebench_drake.geometry import Array
-from kinebench_drake.grounding.known import Known
+from kinebench_drake.grounding.known import FirstFrameUse, Known
 from kinebench_drake.products import Anomaly, GripperTrack, JointTrack
 from kinebench_drake.row import Json
 
@@ -36,6 +36,16 @@ class Grounded(Protocol):
     @property
     def camera_motion_px(self) -> float | None:
         """How far the picture's background moves [px]; None if it cannot be told."""
+        ...
+
+    @property
+    def arm_consistency_px(self) -> float | None:
+        """How far the links are from where the arm that goes with the hand has them [px]; None if none is seen."""
+        ...
+
+    @property
+    def first_frame(self) -> FirstFrameUse:
+        """What became of the pose that the first frame is said to have."""
         ...
 
 

@@ -28,7 +28,7 @@ from kinebench_drake.trackfile import write_track
 BENCHMARK_PERIOD_S = 0.2
 """Task time between two frames of a benchmark video (4 control steps at 20 Hz) [s]."""
 
-VISUAL_METRICS = ("tracked_fraction", "camera_motion_px", "anomalies")
+VISUAL_METRICS = ("tracked_fraction", "camera_motion_px", "arm_consistency_px", "anomalies")
 """Names every row of a video bears; null where there is nothing to measure."""
 
 
@@ -120,9 +120,11 @@ class VideoMeasure(Measure[Sample]):
             metrics={
                 "tracked_fraction": tracked / len(t_s),
                 "camera_motion_px": grounding.camera_motion_px,
+                "arm_consistency_px": grounding.arm_consistency_px,
                 "anomalies": [_anomaly_json(a) for a in grounding.anomalies],
             },
             extra={
+                "first_frame": grounding.first_frame.value,
                 "frames": len(t_s),
                 "width": video.width,
                 "height": video.height,

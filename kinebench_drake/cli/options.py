@@ -69,6 +69,11 @@ _VIDEO = (
     ),
     click.option("--overlay/--no-overlay", default=False, help="Write videos with the gripper drawn in."),
     click.option(
+        "--pixels-only",
+        is_flag=True,
+        help="Leave aside what the manifest tells of the first frame (its pose, or task and seed of an episode).",
+    ),
+    click.option(
         "--masks",
         type=click.Path(path_type=Path),
         help="Take the gripper's masks from here, not from the network.",

@@ -41,6 +41,12 @@ METRICS = tuple(
             "{:.2f}",
             "how far the background moves; a fixed camera gives about 0",
         ),
+        (
+            "arm_consistency_px",
+            "Arm consistency [px]",
+            "{:.1f}",
+            "how far the links are from where the arm that goes with the hand would have them",
+        ),
         ("ik_success_rate", "IK success", "{:.0%}", "share of tracked frames reached within joint limits"),
         ("ik_position_error_max_m", "IK error, worst [m]", "{:.2g}", "largest distance left to the wanted pose"),
         (

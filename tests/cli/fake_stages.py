@@ -15,6 +15,7 @@ import numpy as np
 
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import make_pose
+from kinebench_drake.grounding.known import FirstFrameUse
 from kinebench_drake.products import Anomaly, AnomalyKind, GripperTrack, IkStatus, JointTrack
 from kinebench_drake.stages import Judgement
 
@@ -42,6 +43,8 @@ class FakeGrounding:
     track: GripperTrack
     anomalies: tuple[Anomaly, ...]
     camera_motion_px: float | None
+    arm_consistency_px: float | None = 2.0
+    first_frame: FirstFrameUse = FirstFrameUse.UNKNOWN
 
 
 class FakeStages:

@@ -13,7 +13,8 @@ from kinebench_drake.geometry import Array, make_pose, rotation_exp
 from kinebench_drake.grounding.evaluation.clip import Clip
 from kinebench_drake.grounding.evaluation.errors import ClipErrors, compare
 from kinebench_drake.grounding.evaluation.expense import Expense
-from kinebench_drake.grounding.pipeline import FirstFrameUse, Grounding
+from kinebench_drake.grounding.known import FirstFrameUse
+from kinebench_drake.grounding.pipeline import Grounding
 from kinebench_drake.mp4 import write_video
 from kinebench_drake.products import Anomaly, GripperTrack
 
@@ -70,6 +71,7 @@ def grounded() -> Callable[..., Grounding]:
             first_frame=FirstFrameUse.UNKNOWN,
             anomalies=(),
             camera_motion_px=None,
+            arm_consistency_px=None,
         )
 
     return make
