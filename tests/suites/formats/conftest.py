@@ -1,0 +1,13 @@
+import pytest
+
+from kinebench_drake.suites.formats.demo import Demo, Shots
+from kinebench_drake.suites.rollout import Clip, Performance, Stage
+
+
+@pytest.fixture
+def demo(filmed: tuple[Stage, Performance, Clip]) -> Demo:
+    """The performance that `filmed` filmed, as a demonstration."""
+    from kinebench_drake.suites.tasks.environment import X_WB
+
+    _, performance, clip = filmed
+    return Demo(performance=performance, shots=Shots(size=96), film=clip, X_WB=X_WB)

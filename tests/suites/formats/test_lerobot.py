@@ -1,0 +1,50 @@
+"""LeRobot datasets, read back."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from kinebench_drake.suites.formats.demo import Demo
+from kinebench_drake.suites.formats.lerobot import CAMERA, STATE, LeRobot
+from kinebench_drake.trajectories.check import check
+from kinebench_drake.trajectories.lerobot import list_lerobot, read_lerobot
+from kinebench_drake.trajectories.trajectory import Choice
+from tests.films import decoded
+from tests.suites.formats.records import record_of
+
+
+@pytest.mark.sapien
+def test_a_lerobot_dataset_holds_what_was_performed(demo: Demo, tmp_path: Path) -> None:
+    demo = replace(demo, shots=replace(demo.shots, fps=5.0))
+    other = replace(demo.performance, episode=replace(demo.performance.episode, id="other"))
+    form, both = LeRobot(), [demo, replace(demo, performance=other)]
+    for one in both:
+        form.write_part(tmp_path, one)
+    files = form.finish(tmp_path, [record_of(one) for one in both], demo.shots, {})
+    assert all(path.is_file() for path in files)
+    info = json.loads((tmp_path / "meta" / "info.json").read_text())
+    assert (info["total_episodes"], info["total_frames"], info["fps"]) == (2, 98, 5)
+    samples = list_lerobot(tmp_path, "demos", Choice())
+    assert [sample.prompt for sample in samples] == [demo.performance.episode.prompt] * 2
+    for k, sample in enumerate(samples):
+        track = check(read_lerobot(sample.path, k, tmp_path / "meta" / "info.json", Choice()))
+        assert track.q is not None
+        assert np.allclose(track.q, [s.q for s in demo.performance.snapshots], atol=1e-6)
+        assert np.allclose(track.t_s, 0.2 * np.arange(49))
+        assert track.finger_width_m.max() == pytest.approx(0.08, abs=2e-3)
+    episodes = pq.read_table(tmp_path / "meta" / "episodes" / "chunk-000" / "file-000.parquet").to_pylist()
+    assert [(e["dataset_from_index"], e["dataset_to_index"]) for e in episodes] == [(0, 49), (49, 98)]
+    key = f"videos/{CAMERA}"
+    spans = [(e[f"{key}/from_timestamp"], e[f"{key}/to_timestamp"]) for e in episodes]
+    assert np.allclose(spans, [(0.0, 9.8), (9.8, 19.6)])
+    times, pictures = decoded(files[-1])
+    assert np.allclose(times, np.arange(98) / 5.0)
+    assert np.array_equal(pictures[:49], pictures[49:])
+    stats = json.loads((tmp_path / "meta" / "stats.json").read_text())
+    assert set(stats) == set(info["features"])
+    assert np.shape(stats[CAMERA]["mean"]) == (3, 1, 1)
+    assert stats[STATE]["count"] == [98]
