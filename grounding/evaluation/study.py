@@ -16,6 +16,7 @@ from kinebench_drake.grounding.evaluation.summary import Interval, Results
 from kinebench_drake.grounding.evaluation.tables import compared, comparison_table, intervals_json
 from kinebench_drake.grounding.evaluation.trial import Condition, MakeWorker, Trial, Watcher, Workshop, run
 from kinebench_drake.grounding.evaluation.variants import VARIANTS, plug_in
+from kinebench_drake.grounding.sources.depth_source import depth_source_name
 
 CLEAN = Condition(name="as it is")
 _DEGRADED = {
@@ -104,8 +105,9 @@ def depth_ablation(plug_ins: Sequence[str]) -> Study:
             groups[name] = what
     for spec in plug_ins:
         plug_in(spec)
-        conditions.append(Condition(name=spec, plug_in=spec))
-        groups[spec] = spec
+        name = depth_source_name(spec)
+        conditions.append(Condition(name=name, plug_in=spec))
+        groups[name] = name
     title = "Pose errors with depth of graded quality"
     return Study(title=title, conditions=tuple(conditions), groups=groups)
 

@@ -1,7 +1,7 @@
 """Trials: clips under conditions, measured by workers and kept."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Protocol
 
@@ -19,6 +19,7 @@ from kinebench_drake.grounding.evaluation.perturbation.catalogue import Perturba
 from kinebench_drake.grounding.evaluation.store import Store, fingerprint
 from kinebench_drake.grounding.evaluation.variants import VARIANTS, Ground, Make, Tools, degraded, plug_in
 from kinebench_drake.grounding.evaluation.visibility import true_masks, visible_share
+from kinebench_drake.grounding.sources.depth_source import depth_source_files
 from kinebench_drake.grounding.video import read_video
 from kinebench_drake.grounding.view import Frames
 
@@ -139,7 +140,8 @@ def run(
     settings = (workshop.seed,)
     base = fingerprint(*settings, files=[workshop.weights] if workshop.weights else [])
     digests = {t.clip.id: t.clip.digest() for t in {t.clip.id: t for t in trials}.values()}
-    keys = {_name(t): f"{base}-{digests[t.clip.id]}-{t.clip.id}-{t.condition!r}" for t in trials}
+    conditions = {t.condition: _told(t.condition) for t in trials}
+    keys = {_name(t): f"{base}-{digests[t.clip.id]}-{t.clip.id}-{conditions[t.condition]}" for t in trials}
     todo = [t for t in trials if keys[_name(t)] not in store]
     watcher.started(len(trials), len(trials) - len(todo))
     for done in engine.run(make_worker or workshop, sorted(todo, key=lambda t: t.clip.id)):
@@ -154,6 +156,14 @@ def run(
     for trial in trials:
         results.setdefault(trial.condition.name, []).append(store[keys[_name(trial)]])
     return results
+
+
+def _told(condition: Condition) -> str:
+    """All that tells a condition from others; a plug-in by what it consists of, not by where it lies."""
+    if condition.plug_in is None:
+        return repr(condition)
+    plug_in = f"{condition.name} {fingerprint(files=depth_source_files(condition.plug_in))}"
+    return repr(replace(condition, plug_in=plug_in))
 
 
 def _name(trial: Trial) -> tuple[str, str]:

@@ -22,7 +22,11 @@ noise         each cell by itself, standard deviation
 )
 @measuring
 @click.option(
-    "--depth", "plug_ins", multiple=True, metavar="SPEC", help="Another estimator, as moge:CHECKPOINT; repeatable."
+    "--depth",
+    "plug_ins",
+    multiple=True,
+    metavar="moge:CHECKPOINT|module:Class",
+    help="Another estimator: MoGe-2, or a class of yours; repeatable.",
 )
 @click.option(
     "--heatmap", type=click.Path(path_type=Path, dir_okay=False),
