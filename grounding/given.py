@@ -7,13 +7,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera
+from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.crop import Crop
+from kinebench_drake.grounding.fit import MIN_CELLS, gripper_cells, place
 from kinebench_drake.grounding.known import GivenDepth, Known
 from kinebench_drake.grounding.view import DepthEstimator, Frames, GripperView
 from kinebench_drake.models.panda.part import Part
 
 _EXACT_SIGMA, _EXACT_LEVEL_SIGMA = 1e-3, 1e-4  # relative: stored depth has whole millimetres
 _OTHERS_SIGMA, _OTHERS_LEVEL_SIGMA = 0.02, 0.1  # an estimator about which nothing is known
+_CALIBRATED_LEVEL_SIGMA = 0.03  # what its factor may change by along a video
 
 
 class GivenEstimator:
@@ -50,10 +53,27 @@ def with_depth(view: GripperView, depth: GivenDepth, number: int, camera: Camera
     depth_C = np.asarray(crop.warp(depth_m, camera, view.stride, nearest=True), dtype=np.float64)
     z = depth_C / (view.rays() @ crop.R_CV.T)[..., 2]
     known = z > 0
-    sigma, level_sigma = (_EXACT_SIGMA, _EXACT_LEVEL_SIGMA) if depth.exact else (_OTHERS_SIGMA, _OTHERS_LEVEL_SIGMA)
+    others = _CALIBRATED_LEVEL_SIGMA if depth.calibrated else _OTHERS_LEVEL_SIGMA
     return replace(
         view,
         depth_m=np.where(known, z, view.depth_m),
-        depth_sigma=np.where(known, sigma, view.depth_sigma),
-        level_sigma=level_sigma,
+        depth_sigma=np.where(known, _EXACT_SIGMA if depth.exact else _OTHERS_SIGMA, view.depth_sigma),
+        level_sigma=_EXACT_LEVEL_SIGMA if depth.exact else others,
     )
+
+
+def calibrated(depth: GivenDepth, view: GripperView, X_CH: Array, finger_m: float) -> GivenDepth:
+    """Estimated depth times the factor that puts the gripper seen in `view` where it is known to be.
+
+    Args:
+        depth: the depth of a video.
+        view: one of its frames, with this depth.
+        X_CH: (4, 4) true pose of panda_hand in that frame [m].
+        finger_m: opening of each finger in it [m].
+    """
+    cells = gripper_cells(view)
+    if len(cells) < MIN_CELLS:
+        return depth
+    p_C, _ = place(X_CH, finger_m, cells)
+    factor = float(np.median(np.linalg.norm(p_C, axis=1) / cells.range_m))
+    return replace(depth, depth_m=depth.depth_m * factor, calibrated=True)

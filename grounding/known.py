@@ -49,6 +49,8 @@ class GivenDepth:
     """(T, H, W) along the camera's axis [m]; 0 or not finite where unknown."""
     exact: bool = False
     """Whether it can be trusted to a few millimetres; an estimate's common factor is fitted along."""
+    calibrated: bool = False
+    """Whether that factor has been set right in a frame where the gripper's place is known."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,6 +1,6 @@
 """From frames to hand poses: find the gripper in every frame, look closely, fit, refine, then judge along the video."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -11,7 +11,7 @@ from kinebench_drake.geometry import Array, interpolate_pose, invert, transform_
 from kinebench_drake.grounding.arm import ArmFit, ArmFitter, ArmModel
 from kinebench_drake.grounding.crop import CLOSE_SIZE, GRIPPER_CENTRE_H, WIDE_SIZE, Crop
 from kinebench_drake.grounding.fit import UNSEEN_FINGER_M, Fit, fit
-from kinebench_drake.grounding.given import GivenEstimator
+from kinebench_drake.grounding.given import GivenEstimator, calibrated
 from kinebench_drake.grounding.known import NOTHING, Known
 from kinebench_drake.grounding.registration import IcpRefiner
 from kinebench_drake.grounding.view import DepthEstimator, Frames, GripperView
@@ -98,6 +98,7 @@ class CadTracker:
             InputError: what is known is of another video.
         """
         known.require(*frames.shape[:3])
+        known = self._calibrated(frames, camera, known)
         estimator = GivenEstimator(self._estimator, known)
         crops: dict[int, Crop] = {}
         detections = estimator.estimate(frames, camera, dict.fromkeys(range(len(frames)), whole_frame(camera)))
@@ -126,6 +127,18 @@ class CadTracker:
             wide=tuple(detections[i] for i in range(len(frames))),
             robot=detections[0].to_frame(detections[0].part > 0, camera),
         )
+
+    def _calibrated(self, frames: Frames, camera: Camera, known: Known) -> Known:
+        """What is known, estimated depth of others set right in the first frame where its pose is known.
+
+        The network's own depth has no factor of that kind: its error varies along a video as much as between videos.
+        """
+        X_CH, depth, finger_m = known.pose(0), known.depth, known.finger_m(0)
+        if X_CH is None or depth is None or depth.exact:
+            return known
+        crop = Crop.of_gripper(X_CH, CLOSE_MARGIN, CLOSE_SIZE)
+        view = GivenEstimator(self._estimator, known).estimate(frames, camera, {0: crop})[0]
+        return replace(known, depth=calibrated(depth, view, X_CH, UNSEEN_FINGER_M if finger_m is None else finger_m))
 
     def _measure(
         self, view: GripperView, wide: GripperView, arm_fitter: ArmFitter, known: Known, number: int
