@@ -47,6 +47,8 @@ class ArmFit:
     """(4, 4) pose of panda_hand in the camera frame on which arm and hand agree [m]."""
     finger_m: float
     """Opening of each finger [m]; NaN when no finger was seen."""
+    finger_sigma_m: float
+    """Standard deviation of the opening [m]."""
     agrees: bool
     """Whether they do agree: whether one posture explains both."""
     consistency_px: float
@@ -191,6 +193,7 @@ class ArmFitter:
             q=arm.q,
             X_CH=X_CH,
             finger_m=arm.finger_m if hand.opening_free else hand.finger_m,
+            finger_sigma_m=float(covariance[7, 7] ** 0.5),
             agrees=bool(agrees),
             consistency_px=consistency,
             scale=self._scale(arm, cells, close.level_sigma, solution.level, hand),

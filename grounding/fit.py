@@ -83,6 +83,8 @@ class Fit:
     """Opening of each finger, 0..0.04 [m]; NaN where it is neither known nor seen."""
     opening_free: bool
     """Whether the opening was found here."""
+    finger_sigma_m: float
+    """Standard deviation of the opening [m], as far as the cells' own sigmas tell."""
     depth_factor: float
     """True depth over estimated depth, as fitted."""
     residual: float
@@ -131,15 +133,17 @@ def _closed_form(cells: Cells, finger_m: float | None) -> Hand:
 
 def _describe(solution: Solution[Hand], cells: Cells, points: int, *, opening_known: bool) -> Fit:
     hand, robust, r = solution.body, solution.robust, solution.residual
+    covariance = np.linalg.inv(solution.information + 1e-6 * np.eye(7))
     return Fit(
         X_CH=hand.X_CH,
         finger_m=hand.finger_m if hand.opening_free or opening_known else float("nan"),
         opening_free=hand.opening_free,
+        finger_sigma_m=float(covariance[6, 6] ** 0.5),
         depth_factor=float(np.exp(solution.level)),
         residual=float(np.sqrt((robust[:, :2] * r[:, :2] ** 2).sum() / robust[:, :2].sum())),
         points=points,
         sigma_m=float(np.median(cells.sigma_m)),
-        covariance=np.asarray(np.linalg.inv(solution.information + 1e-6 * np.eye(7))[:6, :6]),
+        covariance=np.asarray(covariance[:6, :6]),
     )
 
 

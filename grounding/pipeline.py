@@ -15,6 +15,7 @@ from kinebench_drake.grounding.anomaly.motion import measure_camera_motion
 from kinebench_drake.grounding.confidence import Confidence
 from kinebench_drake.grounding.estimator import NetworkEstimator
 from kinebench_drake.grounding.known import NOTHING, FirstFrame, FirstFrameUse, Known
+from kinebench_drake.grounding.opening import smooth_opening
 from kinebench_drake.grounding.reading import X_HALF_TURN, settle
 from kinebench_drake.grounding.smoothing import smooth_track
 from kinebench_drake.grounding.tracker import CadTracker, FramePose, PoseTracker
@@ -167,10 +168,16 @@ def _arm_consistency_px(poses: Sequence[FramePose | None], tracked: NDArray[np.b
 
 
 def _widths(poses: Sequence[FramePose | None], tracked: NDArray[np.bool_], known: Known) -> Array:
-    seen = [2 * p.finger_m if p and ok else np.nan for p, ok in zip(poses, tracked, strict=True)]
-    if known.finger_width_m is None:
-        return np.array(seen)
-    return np.where(np.isfinite(known.finger_width_m), known.finger_width_m, seen)
+    """Gaps (T,) between the pads [m] of the tracked frames; those given count as seen."""
+    told = [
+        (2 * p.finger_m, 2 * p.finger_sigma_m) if p and ok else (np.nan,) * 2
+        for p, ok in zip(poses, tracked, strict=True)
+    ]
+    width, sigma = np.array(told).T
+    if known.finger_width_m is not None:
+        given = np.isfinite(known.finger_width_m)
+        width, sigma = np.where(given, known.finger_width_m, width), np.where(given, 0.0, sigma)
+    return np.where(tracked, smooth_opening(width, sigma), np.nan)
 
 
 def _breaks(anomalies: tuple[Anomaly, ...]) -> list[int]:

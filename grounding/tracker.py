@@ -33,6 +33,8 @@ class FramePose:
     """(4, 4) pose of panda_hand in the camera frame [m]."""
     finger_m: float
     """Opening of each finger [m]; NaN when no finger was seen."""
+    finger_sigma_m: float
+    """Its standard deviation [m]."""
     fit: Fit
     """The hand by itself."""
     arm: ArmFit | None
@@ -159,6 +161,7 @@ class CadTracker:
         return FramePose(
             X_CH=view.crop.X_CV @ X_VH,
             finger_m=best.finger_m,
+            finger_sigma_m=best.finger_sigma_m,
             fit=hand,
             arm=arm,
             view=view,

@@ -14,6 +14,7 @@ from kinebench_drake.grounding.anomaly.freeze import still_frames
 from kinebench_drake.grounding.anomaly.motion import CameraMotion
 from kinebench_drake.grounding.anomaly.shape import shape_misfit
 from kinebench_drake.grounding.crop import GRIPPER_CENTRE_H
+from kinebench_drake.grounding.opening import SHARP_M
 from kinebench_drake.grounding.tracker import FramePose
 from kinebench_drake.grounding.view import Frames, GripperView
 
@@ -34,7 +35,7 @@ class Evidence:
     confidence: Array
     """(T,) 0..1, 0 where no gripper was found."""
     finger_width_m: Array
-    """(T,) gap between the pads [m]."""
+    """(T,) gap between the pads [m] where it is seen sharply."""
     other: Array
     """(T,) share of a gripper that is seen apart from the tracked one."""
     misfit: Array
@@ -91,8 +92,9 @@ def gather(
             continue
         p_C[i] = transform_points(pose.X_CH, GRIPPER_CENTRE_H[None])[0]
         if confidence[i] >= SURE_CONFIDENCE:
-            width[i] = 2 * pose.finger_m
-            misfit[i] = shape_misfit(pose.view, pose.fit.X_CH, pose.fit.finger_m)
+            sharp = 2 * pose.fit.finger_sigma_m <= SHARP_M
+            width[i] = 2 * pose.finger_m if sharp else np.nan
+            misfit[i] = shape_misfit(pose.view, pose.fit.X_CH, pose.fit.finger_m if sharp else np.nan)
             scale[i] = pose.arm.scale if pose.arm is not None else np.nan
     other = [
         second_gripper(view, None if pose is None else pose.X_CH, camera)

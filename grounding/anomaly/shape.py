@@ -28,13 +28,15 @@ def shape_misfit(view: GripperView, X_CH: Array, finger_m: float) -> float:
     Args:
         view: the close view.
         X_CH: (4, 4) pose fitted to it [m].
-        finger_m: opening of each finger fitted to it [m].
+        finger_m: opening of each finger fitted to it [m]; NaN leaves the fingers out.
     """
-    cells = view.gripper
+    opened = np.isfinite(finger_m)
+    cells = view.gripper if opened else view.gripper & (view.opening_sign == 0)
     if cells.sum() < _MIN_CELLS:
         return float("nan")
     p_H = view.coordinates_P[cells].copy()
-    p_H[:, 1] += view.opening_sign[cells] * (finger_m if np.isfinite(finger_m) else 0.02)
+    if opened:
+        p_H[:, 1] += view.opening_sign[cells] * finger_m
     p_V = transform_points(invert(view.crop.X_CV) @ X_CH, p_H)
     if p_V[:, 2].min() <= 0.05:
         return float("nan")

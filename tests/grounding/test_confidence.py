@@ -8,7 +8,6 @@ from kinebench_drake.errors import SetupError
 from kinebench_drake.grounding.confidence import FEATURES, Confidence
 from kinebench_drake.grounding.training.holdout import FrameErrors, calibrate, reliability
 
-
 LAW = [-1.0, -0.5, 0.8, 0.0, 0.3, -0.2, 0.5, -0.7]
 
 
