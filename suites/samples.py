@@ -235,7 +235,12 @@ def choose_draws(tasks: str | None, seeds: str, suite: int | None, split: str, e
 @click.option(
     "--sizes", default="all", show_default=True, help="all, gated (those that must be found), or numbers for one kind."
 )
-@click.option("--one-each", is_flag=True, help="Each fault once, on the episodes in turn.")
+@click.option(
+    "--each",
+    type=click.IntRange(1),
+    metavar="N",
+    help="Each fault N times, on the episodes in turn.  [default: on all]",
+)
 @click.option("--crf", type=click.IntRange(0, 51), default=16, show_default=True, help="H.264 quality, 0 is lossless.")
 @click.option("--jobs", type=click.IntRange(1), default=1, show_default=True, help="Worker processes.")
 def main(
@@ -250,7 +255,7 @@ def main(
     with_depth: bool,
     kinds: str,
     sizes: str,
-    one_each: bool,
+    each: int | None,
     crf: int,
     jobs: int,
 ) -> None:
@@ -264,7 +269,7 @@ def main(
         Order(
             draw=draw,
             robot=robot,
-            grades=tuple(grades[i :: len(draws)]) if one_each else grades,
+            grades=grades if each is None else tuple(dict.fromkeys((grades * each)[i :: len(draws)])),
             with_depth=with_depth,
             crf=crf,
             out=out,

@@ -22,6 +22,9 @@ FAIR_CONFIDENCE = 0.1
 """From here on a frame's position counts where jumps are looked for."""
 SURE_CONFIDENCE = 0.3
 """From here on its shape, size and fingers count."""
+SHAPE_SIDE, SIZE_SIDE = 0.35, 0.5
+"""Shape and size count only where the fingers' axis and the line of sight have a cosine below these: from the side the
+gripper is narrow, fingers hide each other, and little tells a deformed gripper from one turned a little."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -34,14 +37,16 @@ class Evidence:
     """(T, 3) centre of the gripper in the camera frame [m]."""
     confidence: Array
     """(T,) 0..1, 0 where no gripper was found."""
+    explained: Array
+    """(T,) cells of the close view that the posed gripper explains, 0 where none was found."""
     finger_width_m: Array
     """(T,) gap between the pads [m] where it is seen sharply."""
     other: Array
     """(T,) share of a gripper that is seen apart from the tracked one."""
     misfit: Array
-    """(T,) relative misfit of the gripper's shape."""
+    """(T,) relative misfit of the gripper's shape, where it is seen from its broad side."""
     scale: Array
-    """(T,) apparent size of the hand over the size that it has where the arm puts it."""
+    """(T,) apparent size of the hand over the size that it has where the arm puts it, seen likewise."""
     still: NDArray[np.bool_]
     """(T,) frames that repeat the one before."""
     motion: CameraMotion
@@ -86,16 +91,21 @@ def gather(
     """
     n = len(frames)
     p_C = np.full((n, 3), np.nan)
+    explained = np.zeros(n)
     width, misfit, scale = (np.full(n, np.nan) for _ in range(3))
     for i, pose in enumerate(poses):
         if pose is None:
             continue
+        explained[i] = pose.fit.points * pose.overlap
         p_C[i] = transform_points(pose.X_CH, GRIPPER_CENTRE_H[None])[0]
         if confidence[i] >= SURE_CONFIDENCE:
             sharp = 2 * pose.fit.finger_sigma_m <= SHARP_M
             width[i] = 2 * pose.finger_m if sharp else np.nan
-            misfit[i] = shape_misfit(pose.view, pose.fit.X_CH, pose.fit.finger_m if sharp else np.nan)
-            scale[i] = pose.arm.scale if pose.arm is not None else np.nan
+            side = abs(float(pose.X_CH[:3, 1] @ p_C[i])) / float(np.linalg.norm(p_C[i]))
+            if side <= SHAPE_SIDE:
+                misfit[i] = shape_misfit(pose.view, pose.fit.X_CH, pose.fit.finger_m if sharp else np.nan)
+            if side <= SIZE_SIDE and pose.arm is not None:
+                scale[i] = pose.arm.scale
     other = [
         second_gripper(view, None if pose is None else pose.X_CH, camera)
         for view, pose in zip(wide, poses, strict=True)
@@ -104,6 +114,7 @@ def gather(
         t_s=t_s,
         p_C=p_C,
         confidence=confidence,
+        explained=explained,
         finger_width_m=width,
         other=np.array(other),
         misfit=misfit,

@@ -20,7 +20,7 @@ def find_anomalies(seen: Evidence) -> Findings:
     """Ask every detector; the jump that ends a freeze is part of it, no teleport."""
     freezes = find_freezes(seen.p_C, seen.fair, seen.still, seen.t_s)
     found = (
-        find_vanishing(seen.p_C, seen.confidence, seen.fair, seen.camera),
+        find_vanishing(seen.p_C, seen.confidence, seen.explained, seen.fair, seen.camera),
         find_duplicates(seen.other),
         _without(find_teleports(seen.p_C, seen.fair), {a.frame_end + 1 for a in freezes.anomalies}),
         freezes,

@@ -14,7 +14,7 @@ SPEED_M_S = 0.1
 datasheet", Franka Hand: travel speed)."""
 MAX_WIDTH_M = 0.08
 """Widest gap."""
-EXCESS_M = 0.01
+EXCESS_M = 0.015
 """A change of so much more than is possible in a frame, or a gap so much wider than the widest, is an anomaly [m]."""
 FLUTTER_M = 0.015
 """So is opening and closing by this much in turn, four frames on end [m]."""

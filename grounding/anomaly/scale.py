@@ -9,7 +9,7 @@ from kinebench_drake.products import Anomaly, AnomalyKind
 
 OFF = 0.035
 """Relative error of the size that counts."""
-WINDOW = 9
+WINDOW = 13
 """Frames whose median counts."""
 
 

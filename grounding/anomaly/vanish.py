@@ -11,24 +11,29 @@ from kinebench_drake.products import Anomaly, AnomalyKind
 
 MIN_FRAMES = 3
 """Frames without a gripper that count as vanishing; fewer may be a passing occlusion."""
-ABSENT_CONFIDENCE = 0.02
-"""Below this confidence no gripper was found."""
+ABSENT_CONFIDENCE = 0.01
+"""Below this confidence no gripper was found ..."""
+ABSENT_CELLS = 50.0
+"""... nor where fewer cells than this are explained by it: a gripper of which a third is seen explains a hundred."""
 _BORDER_PX = 8.0
 
 
-def find_vanishing(p_C: Array, confidence: Array, sure: NDArray[np.bool_], camera: Camera) -> Finding:
+def find_vanishing(p_C: Array, confidence: Array, explained: Array, sure: NDArray[np.bool_], camera: Camera) -> Finding:
     """Frames without a gripper where its motion had not taken it out of the picture.
 
-    Absence is c0 / (c0 + confidence), one half at the threshold c0; the score is twice the absence that
-    `MIN_FRAMES` frames in a row reach.
+    Absence is c0 / (c0 + confidence), one half at the threshold c0, or the same of the cells explained, whichever is
+    larger; the score is twice the absence that `MIN_FRAMES` frames in a row reach.
 
     Args:
         p_C: (T, 3) centre of the gripper in the camera frame [m]; NaN where unknown.
         confidence: (T,) 0..1, 0 where nothing was found.
+        explained: (T,) cells of the close view that the posed gripper explains, 0 likewise.
         sure: (T,) frames whose position counts.
         camera: for what lies inside the picture.
     """
-    absence = ABSENT_CONFIDENCE / (ABSENT_CONFIDENCE + np.asarray(confidence))
+    absence = np.maximum(
+        ABSENT_CONFIDENCE / (ABSENT_CONFIDENCE + confidence), ABSENT_CELLS / (ABSENT_CELLS + explained)
+    )
     score = 2.0 * held(absence * _expected(p_C, sure & known(p_C), camera), MIN_FRAMES)
     anomalies = tuple(
         Anomaly(kind=AnomalyKind.VANISH, frame_start=start, frame_end=end, severity=float(end - start + 1))

@@ -20,6 +20,7 @@ def clean(reach, t_s):
         t_s=t_s,
         p_C=reach(),
         confidence=np.full(n, 0.8),
+        explained=np.full(n, 400.0),
         finger_width_m=0.04 + rng.normal(0, 0.003, n),
         other=np.zeros(n),
         misfit=np.full(n, 0.02),

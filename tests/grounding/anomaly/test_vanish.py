@@ -7,7 +7,8 @@ CAMERA = benchmark_camera()
 
 
 def spans(p, confidence):
-    found = find_vanishing(p, confidence, confidence >= 0.1, CAMERA).anomalies
+    explained = np.full(len(p), 400.0)  # phantoms apart, as many cells whatever the confidence
+    found = find_vanishing(p, confidence, explained, confidence >= 0.1, CAMERA).anomalies
     return [(a.frame_start, a.frame_end) for a in found]
 
 
@@ -35,3 +36,12 @@ def test_one_that_leaves_the_picture_or_was_never_there_has_not(reach):
     assert spans(leaving, gone(12, 22)) == []
     assert spans(reach(), gone(0, 5)) == []
     assert spans(np.full((49, 3), np.nan), np.zeros(49)) == []
+
+
+def test_a_phantom_of_a_few_cells_is_no_gripper(reach):
+    explained = np.full(49, 400.0)
+    explained[20:24] = 15.0
+    confidence = np.full(49, 0.8)
+    confidence[20:24] = 0.05
+    (found,) = find_vanishing(reach(), confidence, explained, confidence >= 0.1, CAMERA).anomalies
+    assert (found.frame_start, found.frame_end) == (20, 23)
