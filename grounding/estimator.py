@@ -1,6 +1,7 @@
 """Mask, metric depth and CAD coordinates from pixels by the trained network."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import torch
@@ -20,7 +21,7 @@ from kinebench_drake.models.perception.network import (
 )
 from kinebench_drake.models.perception.weights import folded
 
-_BATCH = 8
+_BATCH, _BATCH_ON_GPU = 8, 64
 LEVEL_SIGMA = 0.012
 """Standard deviation of the relative error that the network's depth has in common all over the robot."""
 _LAPLACE_TO_SIGMA = np.sqrt(2.0)  # standard deviation of a Laplace distribution of scale 1
@@ -40,16 +41,27 @@ class NetworkEstimator:
         output: DenseOutput = self._network(batch.contiguous(memory_format=torch.channels_last))
         return output
 
-    def estimate(self, frames: Frames, camera: Camera, crops: Mapping[int, Crop]) -> dict[int, GripperView]:
-        """See `DepthEstimator`; crops of equal size run in batches."""
-        views: dict[int, GripperView] = {}
+    def estimate(self, frames: Frames, camera: Camera, crops: Mapping[int, Crop]) -> Iterator[tuple[int, GripperView]]:
+        """See `DepthEstimator`; crops of equal size run in batches, each while the one before is made use of."""
+
+        def look(batch: list[int]) -> list[GripperView]:
+            output = self._run([crops[i].warp(frames[i], camera) for i in batch])
+            return _views(output, [crops[i] for i in batch])
+
+        with ThreadPoolExecutor(max_workers=1) as worker:
+            ahead = None
+            for batch in self._batches(crops):
+                ready, ahead = ahead, (batch, worker.submit(look, batch))
+                if ready:
+                    yield from zip(ready[0], ready[1].result(), strict=True)
+            if ahead:
+                yield from zip(ahead[0], ahead[1].result(), strict=True)
+
+    def _batches(self, crops: Mapping[int, Crop]) -> Iterator[list[int]]:
+        count = _BATCH_ON_GPU if self._device.type == "cuda" else _BATCH
         for size in sorted({crop.size for crop in crops.values()}):
             members = [i for i, crop in crops.items() if crop.size == size]
-            for start in range(0, len(members), _BATCH):
-                batch = members[start : start + _BATCH]
-                output = self._run([crops[i].warp(frames[i], camera) for i in batch])
-                views |= zip(batch, _views(output, [crops[i] for i in batch]), strict=True)
-        return views
+            yield from (members[start : start + count] for start in range(0, len(members), count))
 
 
 def _views(output: DenseOutput, crops: list[Crop]) -> list[GripperView]:

@@ -1,6 +1,6 @@
 """Masks and depth from elsewhere in place of estimated ones, true values or another program's."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -26,16 +26,14 @@ class GivenEstimator:
         """Take from `base` what is not known."""
         self._base, self._known = base, known
 
-    def estimate(self, frames: Frames, camera: Camera, crops: Mapping[int, Crop]) -> dict[int, GripperView]:
+    def estimate(self, frames: Frames, camera: Camera, crops: Mapping[int, Crop]) -> Iterator[tuple[int, GripperView]]:
         """See `DepthEstimator`."""
-        views = self._base.estimate(frames, camera, crops)
-        for number, view in views.items():
+        for number, view in self._base.estimate(frames, camera, crops):
             if self._known.mask is not None:
                 view = with_mask(view, self._known.mask[number], camera)
             if self._known.depth is not None:
                 view = with_depth(view, self._known.depth, number, camera)
-            views[number] = view
-        return views
+            yield number, view
 
 
 def with_mask(view: GripperView, mask: NDArray[np.bool_], camera: Camera) -> GripperView:

@@ -103,8 +103,9 @@ class CadTracker:
         known = self._calibrated(frames, camera, known)
         estimator = GivenEstimator(self._estimator, known)
         crops: dict[int, Crop] = {}
-        detections = estimator.estimate(frames, camera, dict.fromkeys(range(len(frames)), whole_frame(camera)))
-        for i, view in detections.items():
+        detections: dict[int, GripperView] = {}
+        for i, view in estimator.estimate(frames, camera, dict.fromkeys(range(len(frames)), whole_frame(camera))):
+            detections[i] = view
             X_CH = known.pose(i)
             found = None if X_CH is not None else fit(view)
             if found is not None:
@@ -116,7 +117,7 @@ class CadTracker:
 
         def look(crops: dict[int, Crop]) -> None:
             """Measure the frames of `crops` in their views and enter what was found into `poses`."""
-            for i, view in estimator.estimate(frames, camera, crops).items():
+            for i, view in estimator.estimate(frames, camera, crops):
                 pose = self._measure(view, detections[i], arm, known, i)
                 if pose is not None:
                     poses[i] = pose
@@ -139,7 +140,7 @@ class CadTracker:
         if X_CH is None or depth is None or depth.exact:
             return known
         crop = Crop.of_gripper(X_CH, CLOSE_MARGIN, CLOSE_SIZE)
-        view = GivenEstimator(self._estimator, known).estimate(frames, camera, {0: crop})[0]
+        ((_, view),) = GivenEstimator(self._estimator, known).estimate(frames, camera, {0: crop})
         return replace(known, depth=calibrated(depth, view, X_CH, UNSEEN_FINGER_M if finger_m is None else finger_m))
 
     def _measure(

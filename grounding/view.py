@@ -1,6 +1,6 @@
 """What is known of the gripper in one crop, whoever measured it: masks, depth and CAD coordinates on a grid."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -57,7 +57,7 @@ class GripperView:
 class DepthEstimator(Protocol):
     """Where masks and metric depth come from: the trained network, true values, or another model."""
 
-    def estimate(self, frames: Frames, camera: Camera, crops: Mapping[int, Crop]) -> dict[int, GripperView]:
+    def estimate(self, frames: Frames, camera: Camera, crops: Mapping[int, Crop]) -> Iterator[tuple[int, GripperView]]:
         """Views of some frames of a video.
 
         Args:
@@ -65,7 +65,7 @@ class DepthEstimator(Protocol):
             camera: what they were taken with.
             crops: by number of the frame, where to look.
 
-        Returns:
-            A view for each crop, by the same numbers.
+        Yields:
+            Number and view of each crop, in any order, as they are ready.
         """
         ...

@@ -1,6 +1,6 @@
 """Estimated depth made worse on purpose: a wrong scale, smooth error fields, noise."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import cv2
@@ -37,12 +37,10 @@ class DegradedEstimator:
         self._fields = rng.normal(0.0, 1.0, (-(-count // _FIELD_FRAMES) + 1, _FIELD_CELLS, _FIELD_CELLS))
         self._seed = int(rng.integers(2**32))
 
-    def estimate(self, frames: Frames, camera: Camera, crops: Mapping[int, Crop]) -> dict[int, GripperView]:
+    def estimate(self, frames: Frames, camera: Camera, crops: Mapping[int, Crop]) -> Iterator[tuple[int, GripperView]]:
         """See `DepthEstimator`."""
-        return {
-            number: replace(view, depth_m=view.depth_m * self.factor(number, view, camera))
-            for number, view in self._base.estimate(frames, camera, crops).items()
-        }
+        for number, view in self._base.estimate(frames, camera, crops):
+            yield number, replace(view, depth_m=view.depth_m * self.factor(number, view, camera))
 
     def factor(self, number: int, view: GripperView, camera: Camera) -> Array:
         """What the depth of each cell (h, w) of a view of frame `number` is multiplied by."""

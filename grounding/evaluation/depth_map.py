@@ -136,7 +136,7 @@ def _views(
     numbers = [i for i in range(0, len(frames), EVERY) if np.isfinite(clip.X_CH[i]).all() and clip.X_CH[i, 2, 3] > 0.1]
     depth = GivenDepth(depth_m=clip.depth_m, exact=True)
     crops = {i: Crop.of_gripper(clip.X_CH[i], _MARGIN, _CROP_PX) for i in numbers}
-    for i, view in estimator.estimate(frames, clip.camera, crops).items():
+    for i, view in estimator.estimate(frames, clip.camera, crops):
         true = with_depth(with_mask(view, clip.mask[i], clip.camera), depth, i, clip.camera)
         picture = np.asarray(view.crop.warp(frames[i], clip.camera), dtype=np.uint8)
         yield picture, view, true, invert(clip.X_CH[i]) @ view.crop.X_CV, float(clip.finger_width_m[i]) / 2

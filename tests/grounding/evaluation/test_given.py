@@ -1,6 +1,6 @@
 """True values and worse ones in place of estimates; an estimator that knows nothing of the video stands in."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 import pytest
@@ -18,8 +18,8 @@ from kinebench_drake.models.panda.part import Part
 class Flat:
     """Sees a hand one metre away everywhere."""
 
-    def estimate(self, frames: Frames, camera: Camera, crops: Mapping[int, Crop]) -> dict[int, GripperView]:
-        return {number: self.view(crop) for number, crop in crops.items()}
+    def estimate(self, frames: Frames, camera: Camera, crops: Mapping[int, Crop]) -> Iterator[tuple[int, GripperView]]:
+        return ((number, self.view(crop)) for number, crop in crops.items())
 
     @staticmethod
     def view(crop: Crop) -> GripperView:
@@ -45,7 +45,7 @@ def test_true_values_follow_their_frames(square: tuple[np.ndarray, np.ndarray], 
     frames, masks = square
     depth = np.broadcast_to(0.5 + 0.01 * np.arange(len(frames))[:, None, None], masks.shape)
     given = GivenEstimator(Flat(), Known(mask=masks, depth=GivenDepth(depth_m=np.where(masks, depth, 0.0), exact=True)))
-    views = given.estimate(frames, camera, dict.fromkeys([7, 2, 11], crop))
+    views = dict(given.estimate(frames, camera, dict.fromkeys([7, 2, 11], crop)))
     assert views.keys() == {7, 2, 11}
     for number, view in views.items():
         assert 0 < view.gripper.sum() < view.part.size
@@ -56,11 +56,11 @@ def test_true_values_follow_their_frames(square: tuple[np.ndarray, np.ndarray], 
 
 def test_what_is_not_given_stays_estimated(square: tuple[np.ndarray, np.ndarray], camera: Camera, crop: Crop) -> None:
     frames, masks = square
-    view = GivenEstimator(Flat(), Known(mask=masks)).estimate(frames, camera, {0: crop})[0]
+    view = dict(GivenEstimator(Flat(), Known(mask=masks)).estimate(frames, camera, {0: crop}))[0]
     assert (view.depth_m == 1.0).all()
     assert not view.gripper.all()
     depth = np.full(masks.shape, 0.6)
-    view = GivenEstimator(Flat(), Known(depth=GivenDepth(depth_m=depth))).estimate(frames, camera, {0: crop})[0]
+    view = dict(GivenEstimator(Flat(), Known(depth=GivenDepth(depth_m=depth))).estimate(frames, camera, {0: crop}))[0]
     assert view.gripper.all()
     np.testing.assert_allclose(view.depth_m, 0.6, rtol=1e-6)
 
@@ -83,10 +83,10 @@ def test_depth_gets_worse_by_what_is_said(
     errors = []
     for seed in range(6):
         worse = DegradedEstimator(Flat(), len(frames), degradation, np.random.default_rng(seed))
-        views = worse.estimate(frames, camera, dict.fromkeys(range(len(frames)), wide))
+        views = dict(worse.estimate(frames, camera, dict.fromkeys(range(len(frames)), wide)))
         errors.append([views[i].depth_m - 1.0 for i in range(len(frames))])
         again = DegradedEstimator(Flat(), len(frames), degradation, np.random.default_rng(seed))
-        np.testing.assert_array_equal(again.estimate(frames, camera, {3: wide})[3].depth_m, views[3].depth_m)
+        np.testing.assert_array_equal(dict(again.estimate(frames, camera, {3: wide}))[3].depth_m, views[3].depth_m)
     values = np.array(errors)
     assert np.sqrt((values**2).mean()) == pytest.approx(0.05, rel=0.15)
     assert np.mean([e.std() for e in values]) == pytest.approx(spread, rel=0.3, abs=1e-9)
@@ -96,7 +96,7 @@ def test_a_smooth_error_is_smooth_in_picture_and_time(square: tuple[np.ndarray, 
     frames, _ = square
     wide = Crop.towards([0.0, 0.0, 1.0], 0.5, 96)
     worse = DegradedEstimator(Flat(), len(frames), Degradation(field=0.05), np.random.default_rng(0))
-    views = worse.estimate(frames, camera, dict.fromkeys(range(len(frames)), wide))
+    views = dict(worse.estimate(frames, camera, dict.fromkeys(range(len(frames)), wide)))
     error = np.array([views[i].depth_m - 1.0 for i in range(len(frames))])
     for axis in (0, 1, 2):
         assert np.diff(error, axis=axis).std() < 0.6 * error.std()

@@ -1,6 +1,6 @@
 """What a picture shows of the gripper, and where its depth is wrong; by the CAD model, without rendering."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -55,18 +55,17 @@ def test_a_stored_mask_goes_before_the_outline(small: Clip, cad: GripperCad) -> 
 class TooFar:
     """Sees a flat hand 2 % too far."""
 
-    def estimate(self, frames: Frames, camera: Camera, crops: Mapping[int, Crop]) -> dict[int, GripperView]:
-        views = {}
+    def estimate(self, frames: Frames, camera: Camera, crops: Mapping[int, Crop]) -> Iterator[tuple[int, GripperView]]:
         for number, crop in crops.items():
             n = crop.size // 2
             z_V = 0.7005 / (crop.rays(2) @ crop.R_CV.T)[..., 2]
             part = np.full((n, n), Part.HAND, np.uint8)
             flat = np.full((n, n), 0.01)
-            views[number] = GripperView(
+            view = GripperView(
                 crop=crop, stride=2, part=part, depth_m=1.02 * z_V, depth_sigma=flat, level_sigma=0.012,
                 coordinates_P=np.zeros((n, n, 3)), coordinates_sigma_m=flat,
             )  # fmt: skip
-        return views
+            yield number, view
 
 
 def test_a_depth_error_is_mapped_as_it_is(folder: Path) -> None:
