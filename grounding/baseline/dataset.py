@@ -47,10 +47,10 @@ class Windows(Dataset[dict[str, Tensor]]):
         seen = np.clip(np.arange(start - CONTEXT, start + LABELLED + CONTEXT), 0, len(frames) - 1)
         images = np.array(frames[seen])
         degrading, occluding = rng.random() < _DEGRADED, rng.random() < _OCCLUDED
-        draw = int(rng.integers(2**32))
+        draw, scenery = int(rng.integers(2**32)), np.array(frames[0])
         for k, image in enumerate(images):
             if occluding:
-                occlude(image, np.zeros((1, 1), np.uint8), np.random.default_rng([draw, 0]))
+                occlude(image, np.zeros((1, 1), np.uint8), scenery, np.random.default_rng([draw, 0]))
             if degrading:
                 images[k] = degrade(image, np.random.default_rng([draw, 1]))
         labelled = seen[CONTEXT : CONTEXT + LABELLED]

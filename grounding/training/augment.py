@@ -88,18 +88,47 @@ def degrade(image: Image, rng: np.random.Generator) -> Image:
     return out
 
 
-def occlude(image: Image, part: NDArray[np.uint8], rng: np.random.Generator) -> None:
-    """Paint one or two random ellipses or boxes over `image` (S, S, 3) and mark them background in `part` (s, s)."""
+def occlude(image: Image, part: NDArray[np.uint8], scenery: Image, rng: np.random.Generator) -> None:
+    """Put one to three random shapes before an image and mark them background.
+
+    Args:
+        image: (S, S, 3), painted over.
+        part: (s, s) values of `Part`, likewise; most shapes lie near what these show.
+        scenery: (H, W, 3) another picture, pieces of which some of the shapes show.
+        rng: draws shapes, places and fillings.
+    """
     size, scale = image.shape[0], image.shape[0] // part.shape[0]
-    for _ in range(rng.integers(1, 3)):
+    v, u = np.nonzero(part)
+    for _ in range(rng.integers(1, 4)):
         shape = np.zeros(image.shape[:2], np.uint8)
-        centre = tuple(int(c) for c in rng.uniform(0, size, 2))
+        place = rng.uniform(0, size, 2)
+        if len(v) and rng.random() < 0.6:
+            k = int(rng.integers(len(v)))
+            place = scale * np.array([u[k], v[k]], dtype=np.float64) + rng.normal(0, 0.05 * size, 2)
+        centre = tuple(int(c) for c in place)
         axes = tuple(int(a) for a in rng.uniform(0.04, 0.22, 2) * size)
         if rng.random() < 0.5:
             cv2.ellipse(shape, centre, axes, float(rng.uniform(0, 180)), 0, 360, 1, -1)
         else:
             corners = cv2.boxPoints((centre, (2 * axes[0], 2 * axes[1]), float(rng.uniform(0, 180))))
             cv2.fillPoly(shape, [corners.astype(np.int32)], 1)
-        texture = rng.uniform(0, 255, 3) + rng.normal(0, rng.uniform(0, 25), (size, size, 3))
-        image[shape > 0] = np.clip(texture, 0, 255).astype(np.uint8)[shape > 0]
+        image[shape > 0] = _filling(size, scenery, rng)[shape > 0]
         part[shape[scale // 2 :: scale, scale // 2 :: scale] > 0] = 0
+
+
+def _filling(size: int, scenery: Image, rng: np.random.Generator) -> Image:
+    """What a shape (S, S, 3) shows: a piece of a picture, one colour with noise, or two colours in blots."""
+    kind = rng.integers(3)
+    if kind == 0:
+        side = int(rng.uniform(0.15, 0.5) * min(scenery.shape[:2]))
+        top, left = (int(rng.integers(n - side)) for n in scenery.shape[:2])
+        piece = np.ascontiguousarray(scenery[top : top + side, left : left + side])
+        return np.asarray(cv2.resize(piece, (size, size), interpolation=cv2.INTER_LINEAR), dtype=np.uint8)
+    if kind == 1:
+        noise = rng.normal(0, rng.uniform(0, 25), (size, size, 3))
+        return np.asarray(np.clip(rng.uniform(0, 255, 3) + noise, 0, 255), dtype=np.uint8)
+    cells = int(rng.integers(3, 24))
+    blots = np.asarray(cv2.resize(rng.random((cells, cells)), (size, size), interpolation=cv2.INTER_CUBIC))
+    mix = np.clip(0.5 + rng.uniform(0.5, 3.0) * (blots - 0.5), 0, 1)[..., None]
+    one, other = rng.uniform(0, 255, (2, 3))
+    return np.asarray(np.clip(mix * one + (1 - mix) * other, 0, 255), dtype=np.uint8)

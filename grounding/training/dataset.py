@@ -23,6 +23,8 @@ WIDE_EVERY = 4
 """One step in so many sees the whole frame, the others the gripper from near."""
 _MIN_GRIPPER_PX = 60
 _DOUBLED = 0.12  # share of wide views with a second gripper
+_OCCLUDED = 0.4  # share of views with things before them
+_NARROW = 0.4  # share of draws that take the narrower of two grippers
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,7 +168,7 @@ class Crops(Dataset[dict[str, Tensor]]):
         rng = np.random.default_rng([self._seed, step, slot])
         wide = is_wide(step)
         for _ in range(20):
-            frame = self._shards[int(rng.integers(len(self._shards)))]
+            frame = self._draw(rng)
             crop = (wide_view if wide else close_view)(frame, rng)
             part, coordinates, log_depth = label(frame, crop)
             if np.isin(part, GRIPPER).sum() >= _MIN_GRIPPER_PX / STRIDE**2 or rng.random() < 0.1:
@@ -174,9 +176,14 @@ class Crops(Dataset[dict[str, Tensor]]):
         image = np.array(crop.warp(frame.rgb, frame_camera(frame)), dtype=np.uint8)
         if wide and rng.random() < _DOUBLED:
             _double(image, (part, coordinates, log_depth), rng)
-        if rng.random() < 0.25:
-            occlude(image, part, rng)
+        if rng.random() < _OCCLUDED:
+            occlude(image, part, self._draw(rng).rgb, rng)
         return Sample(degrade(image, rng), part, coordinates, log_depth)
+
+    def _draw(self, rng: np.random.Generator) -> Frame:
+        """A random frame, those that show the gripper from its narrow side more often: they are harder."""
+        frames = [self._shards[int(rng.integers(len(self._shards)))] for _ in range(1 + (rng.random() < _NARROW))]
+        return max(frames, key=_narrowness)
 
     def __getitem__(self, item: tuple[int, int]) -> dict[str, Tensor]:
         """A crop as tensors: image (3, S, S) uint8, part (h, w), coordinates (3, h, w), log_depth (h, w)."""
@@ -187,6 +194,12 @@ class Crops(Dataset[dict[str, Tensor]]):
             "coordinates": torch.from_numpy(s.coordinates).permute(2, 0, 1),
             "log_depth": torch.from_numpy(s.log_depth),
         }
+
+
+def _narrowness(frame: Frame) -> float:
+    """Cosine between the fingers' axis and the line of sight, 0..1."""
+    p = frame.X_CH[:3, 3]
+    return float(np.nan_to_num(abs(frame.X_CH[:3, 1] @ p) / np.linalg.norm(p)))
 
 
 def is_wide(step: int) -> bool:

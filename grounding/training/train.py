@@ -17,9 +17,8 @@ from kinebench_drake.models.perception.weights import load_network
 
 _PIXEL_WEIGHTS = (1.0, 1.0, 5.0, 5.0, *[1.0] * len(ARM))  # by Part
 _ARM_WEIGHT = 0.4  # of the arm's coordinates and depth beside the gripper's
-_FIXED_FROM = (
-    0.3  # of all steps: then batch normalisation keeps its statistics, as those of close and wide crops differ
-)
+_FIXED_FROM = 0.3
+"""Of all steps: from there on batch normalisation keeps its statistics, as those of close and wide crops differ."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -31,7 +30,7 @@ class TrainingConfig:
     out: Path
     """Folder for checkpoints and the final weights."""
     start: Path | None = None
-    """Weights to start from; if None, only the encoder's, from ImageNet."""
+    """Weights to start from, whose statistics of batch normalisation stay; if None, only the encoder's, of ImageNet."""
     seed: int = 0
     steps: int = 4000
     batch_size: int = 32
@@ -48,7 +47,7 @@ class TrainingConfig:
             seed=self.seed,
             warm_up_steps=self.warm_up_steps,
             checkpoint_every=self.checkpoint_every,
-            fixed_from=_FIXED_FROM,
+            fixed_from=_FIXED_FROM if self.start is None else 0.0,
         )
 
     def identity(self) -> dict[str, float]:
