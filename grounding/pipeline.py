@@ -98,7 +98,7 @@ class GroundingPipeline:
             X_AH[given] = (motion.X_AC @ known.X_CH)[given]
             confidence[given] = 1.0
         covariance = np.stack([p.covariance if p is not None else np.zeros((6, 6)) for p in poses])
-        found = (confidence >= MIN_CONFIDENCE) & ~motion.lost
+        found = (confidence >= MIN_CONFIDENCE) & ~motion.lost & ~_vanished(findings.anomalies, len(frames))
         breaks = _breaks(findings.anomalies)
         X_AH[~found] = np.nan
         distance, angle = pose_difference(X_AH, smooth_track(X_AH, covariance, confidence, breaks, leave_out=True))
@@ -178,6 +178,15 @@ def _widths(poses: Sequence[FramePose | None], tracked: NDArray[np.bool_], known
         given = np.isfinite(known.finger_width_m)
         width, sigma = np.where(given, known.finger_width_m, width), np.where(given, 0.0, sigma)
     return np.where(tracked, smooth_opening(width, sigma), np.nan)
+
+
+def _vanished(anomalies: tuple[Anomaly, ...], frames: int) -> NDArray[np.bool_]:
+    """(T,) frames in which the gripper is gone, whatever else may look a little like one."""
+    gone = np.zeros(frames, dtype=bool)
+    for anomaly in anomalies:
+        if anomaly.kind is AnomalyKind.VANISH:
+            gone[anomaly.frame_start : anomaly.frame_end + 1] = True
+    return gone
 
 
 def _breaks(anomalies: tuple[Anomaly, ...]) -> list[int]:
