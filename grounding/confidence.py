@@ -1,28 +1,37 @@
-"""Confidence of a frame: the probability that its pose is within 10 mm and 5 degrees of the truth."""
+"""Confidence of a frame: the probability that its pose is within 10 mm and 5 degrees of the truth.
+
+Two steps, both logistic regressions fitted by `kinebench-drake perception calibrate`: what the frame shows by itself,
+and what the frames around say of it.
+"""
 
 import json
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.special import expit
+from numpy.typing import ArrayLike
+from scipy.special import expit, logit
 
 from kinebench_drake.errors import SetupError
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.tracker import FramePose
 
 CALIBRATION = Path(__file__).parents[1] / "models" / "perception" / "confidence.json"
-FEATURES = (
+FRAME_FEATURES = (
     *("log_sigma", "log_residual", "log_cells", "overlap", "log_level"),
     *("log_position_sigma", "arm_agrees", "log_arm_consistency"),
 )
-"""What the confidence rests on: the network's own uncertainty, how well its coordinates agree with one rigid pose, how
-much of the gripper is seen, how well the rendered gripper covers it, how far depth and apparent size disagree, how well
-the position is determined, whether the arm goes with the hand, and how closely."""
+"""What a frame by itself is judged by: the network's own uncertainty, how well its coordinates agree with one rigid
+pose, how much of the gripper is seen, how well the rendered gripper covers it, how far depth and apparent size
+disagree, how well the position is determined, whether the arm goes with the hand, and how closely."""
+TRACK_FEATURES = ("frame_logit", "log_distance", "log_angle", "alone")
+"""What it is judged by among others: the frame by itself, how far off it is from what its neighbours say, and whether
+there are too few of them to say anything."""
+_CERTAIN = 1e-3  # confidences of single frames are kept this far from 0 and 1
 
 
-def features(pose: FramePose) -> Array:
-    """The features (8,) of a frame, each of order one."""
+def frame_features(pose: FramePose) -> Array:
+    """The features (8,) of a frame by itself, each of order one."""
     arm = pose.arm if pose.arm is not None and pose.arm.agrees else None
     return np.array(
         [
@@ -38,21 +47,42 @@ def features(pose: FramePose) -> Array:
     )
 
 
+def track_features(confidence: ArrayLike, distance_m: ArrayLike, angle_rad: ArrayLike) -> Array:
+    """The features (T, 4) of frames among others.
+
+    Args:
+        confidence: (T,) of each by itself.
+        distance_m: (T,) of its position from what its neighbours say [m]; NaN where they say nothing.
+        angle_rad: (T,) likewise of its rotation [rad].
+    """
+    by_itself = logit(np.clip(confidence, _CERTAIN, 1.0 - _CERTAIN))
+    alone = ~np.isfinite(distance_m)
+    distance = np.log(np.maximum(np.where(alone, 0.01, distance_m), 1e-3) / 0.01)
+    angle = np.log(np.maximum(np.where(alone, 0.05, angle_rad), 5e-3) / 0.05)
+    return np.stack([by_itself, distance, angle, alone.astype(np.float64)], axis=-1)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Confidence:
-    """Logistic regression on `features`, fitted to held-out frames by `kinebench-drake perception calibrate`."""
+class Logistic:
+    """A logistic regression."""
 
     intercept: float
     weights: Array
-    """(8,) in the order of FEATURES."""
+    """(n,) by feature."""
 
-    def probability(self, pose: FramePose) -> float:
-        """Probability that the pose is within 10 mm and 5 degrees."""
-        return self.probability_of(features(pose))
+    def probability(self, features: ArrayLike) -> Array:
+        """Probabilities (...,) of `features` (..., n)."""
+        return np.asarray(expit(self.intercept + np.asarray(features, dtype=np.float64) @ self.weights))
 
-    def probability_of(self, values: Array) -> float:
-        """The same from `features` (8,)."""
-        return float(expit(self.intercept + self.weights @ values))
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Confidence:
+    """Both steps."""
+
+    frame: Logistic
+    """Of a frame by itself, in the order of FRAME_FEATURES."""
+    track: Logistic
+    """Of a frame among others, in the order of TRACK_FEATURES."""
 
     @classmethod
     def load(cls, path: Path = CALIBRATION) -> "Confidence":
@@ -63,16 +93,22 @@ class Confidence:
         """
         try:
             data = json.loads(path.read_text())
-            if tuple(data["features"]) != FEATURES:
-                raise ValueError(f"has features {data['features']}")
-            weights = np.array(data["weights"], dtype=np.float64)
-            if weights.shape != (len(FEATURES),):
-                raise ValueError(f"has {weights.size} weights")
-            return cls(intercept=float(data["intercept"]), weights=weights)
+            return cls(frame=_read(data["frame"], FRAME_FEATURES), track=_read(data["track"], TRACK_FEATURES))
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise SetupError(f"{path.name}: no usable calibration ({error}); run `perception calibrate`") from None
 
     def save(self, path: Path) -> None:
         """Write the calibration."""
-        data = {"features": FEATURES, "intercept": self.intercept, "weights": self.weights.tolist()}
+        steps = (("frame", self.frame, FRAME_FEATURES), ("track", self.track, TRACK_FEATURES))
+        data = {
+            name: {"features": names, "intercept": step.intercept, "weights": step.weights.tolist()}
+            for name, step, names in steps
+        }
         path.write_text(json.dumps(data, indent=1) + "\n")
+
+
+def _read(data: dict[str, object], features: tuple[str, ...]) -> Logistic:
+    weights = np.array(data["weights"], dtype=np.float64)
+    if data["features"] != list(features) or weights.shape != (len(features),):
+        raise ValueError(f"has {weights.size} weights for the features {data['features']}")
+    return Logistic(intercept=float(str(data["intercept"])), weights=weights)

@@ -12,22 +12,20 @@ from kinebench_drake.grounding.anomaly.evidence import SURE_CONFIDENCE, Evidence
 from kinebench_drake.grounding.anomaly.find import find_anomalies
 from kinebench_drake.grounding.anomaly.finding import Findings
 from kinebench_drake.grounding.anomaly.motion import measure_camera_motion
-from kinebench_drake.grounding.confidence import Confidence
+from kinebench_drake.grounding.confidence import Confidence, frame_features
 from kinebench_drake.grounding.estimator import NetworkEstimator
 from kinebench_drake.grounding.known import NOTHING, FirstFrame, FirstFrameUse, Known
 from kinebench_drake.grounding.opening import smooth_opening
+from kinebench_drake.grounding.rawtrack import RawTrack
 from kinebench_drake.grounding.reading import X_HALF_TURN, settle
-from kinebench_drake.grounding.smoothing import smooth_track
 from kinebench_drake.grounding.tracker import CadTracker, FramePose, PoseTracker
 from kinebench_drake.grounding.view import Frames
 from kinebench_drake.models.panda.robot import hand_from_tcp
 from kinebench_drake.models.perception.weights import load_network
-from kinebench_drake.products import Anomaly, AnomalyKind, GripperTrack
+from kinebench_drake.products import Anomaly, GripperTrack
 
-MIN_CONFIDENCE = 0.02
-"""From here on what was found is a gripper: tracked if its neighbours agree."""
-AGREE_M, AGREE_RAD = 0.03, np.deg2rad(20.0)
-"""How near to what its neighbours say a doubtful pose must lie to be tracked."""
+TRACKED_CONFIDENCE = 0.3
+"""From here on a frame's pose can be relied upon."""
 FIRST_M, FIRST_RAD = 0.015, np.deg2rad(6.0)
 """How near to what is seen of it the first frame's pose must lie to be believed."""
 
@@ -91,21 +89,14 @@ class GroundingPipeline:
             known = replace(known, first=None)
         known = known.through(camera, len(frames))
         poses, seen = self.observe(frames, camera, t_s, known)
-        findings, confidence, motion = find_anomalies(seen), seen.confidence, seen.motion
-        X_AH = _stack(poses)  # A: the camera of the first frame
-        given = np.array([known.pose(i) is not None for i in range(len(frames))])
-        if known.X_CH is not None:
-            X_AH[given] = (motion.X_AC @ known.X_CH)[given]
-            confidence[given] = 1.0
-        covariance = np.stack([p.covariance if p is not None else np.zeros((6, 6)) for p in poses])
-        found = (confidence >= MIN_CONFIDENCE) & ~motion.lost & ~_vanished(findings.anomalies, len(frames))
-        breaks = _breaks(findings.anomalies)
-        X_AH[~found] = np.nan
-        distance, angle = pose_difference(X_AH, smooth_track(X_AH, covariance, confidence, breaks, leave_out=True))
-        agrees = (distance <= AGREE_M) & (angle <= AGREE_RAD)
-        tracked = found & ((confidence >= SURE_CONFIDENCE) | agrees)
-        X_AH[~tracked] = np.nan
-        X_AH = np.where(given[:, None, None], X_AH, smooth_track(X_AH, covariance, confidence, breaks))
+        findings, motion = find_anomalies(seen), seen.motion
+        nothing = np.full((len(frames), 4, 4), np.nan)
+        X_given = nothing if known.X_CH is None else motion.X_AC @ known.X_CH
+        raw = RawTrack.of(poses, seen.confidence, findings.anomalies, motion.lost, X_given)
+        confidence = np.where(raw.given, 1.0, self.confidence.track.probability(raw.features()))
+        confidence = np.where(raw.found, confidence, 0.0)
+        tracked = confidence >= TRACKED_CONFIDENCE
+        X_AH = raw.smoothed(tracked, confidence)
         track = GripperTrack(
             t_s=t_s,
             X_CH=invert(motion.X_AC) @ X_AH,
@@ -116,7 +107,7 @@ class GroundingPipeline:
         )
         return Grounding(
             track=track,
-            given=given,
+            given=raw.given,
             first_frame=FirstFrameUse.of(said, known.first),
             anomalies=findings.anomalies,
             camera_motion_px=motion.largest_px,
@@ -135,7 +126,7 @@ class GroundingPipeline:
     def _confidence_of(self, pose: FramePose | None) -> float:
         if pose is None:
             return 0.0
-        return 1.0 if pose.given else self.confidence.probability(pose)
+        return 1.0 if pose.given else float(self.confidence.frame.probability(frame_features(pose)))
 
     def observe(
         self, frames: Frames, camera: Camera, t_s: Array, known: Known = NOTHING
@@ -157,11 +148,6 @@ class GroundingPipeline:
         return poses, gather(frames, camera, t_s, tracking.wide, poses, confidence, motion)
 
 
-def _stack(poses: Sequence[FramePose | None]) -> Array:
-    unknown = np.full((4, 4), np.nan)
-    return np.stack([p.X_CH if p is not None else unknown for p in poses])
-
-
 def _arm_consistency_px(poses: Sequence[FramePose | None], tracked: NDArray[np.bool_]) -> float | None:
     seen = [p.arm.consistency_px for p, ok in zip(poses, tracked, strict=True) if ok and p and p.arm is not None]
     return float(np.median(seen)) if seen else None
@@ -178,23 +164,3 @@ def _widths(poses: Sequence[FramePose | None], tracked: NDArray[np.bool_], known
         given = np.isfinite(known.finger_width_m)
         width, sigma = np.where(given, known.finger_width_m, width), np.where(given, 0.0, sigma)
     return np.where(tracked, smooth_opening(width, sigma), np.nan)
-
-
-def _vanished(anomalies: tuple[Anomaly, ...], frames: int) -> NDArray[np.bool_]:
-    """(T,) frames in which the gripper is gone, whatever else may look a little like one."""
-    gone = np.zeros(frames, dtype=bool)
-    for anomaly in anomalies:
-        if anomaly.kind is AnomalyKind.VANISH:
-            gone[anomaly.frame_start : anomaly.frame_end + 1] = True
-    return gone
-
-
-def _breaks(anomalies: tuple[Anomaly, ...]) -> list[int]:
-    """Frames that begin after a jump."""
-    frames: list[int] = []
-    for anomaly in anomalies:
-        if anomaly.kind is AnomalyKind.TELEPORT:
-            frames.append(anomaly.frame_start)
-        elif anomaly.kind in (AnomalyKind.VANISH, AnomalyKind.FREEZE):
-            frames += [anomaly.frame_start, anomaly.frame_end + 1]
-    return sorted(frames)

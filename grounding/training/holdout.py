@@ -6,9 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
+from scipy.special import expit
 
 from kinebench_drake.geometry import Array, pose_difference
-from kinebench_drake.grounding.confidence import FEATURES, Confidence, features
+from kinebench_drake.grounding.confidence import Logistic, frame_features
 from kinebench_drake.grounding.tracker import CadTracker
 from kinebench_drake.grounding.training.augment import degrade
 from kinebench_drake.grounding.training.dataset import Shards, frame_camera
@@ -86,7 +87,7 @@ def measure(tracker: CadTracker, shards: Shards, seed: int = 0) -> Holdout:
         found.append(
             FrameErrors(
                 scene=shards.number(i),
-                features=features(pose),
+                features=frame_features(pose),
                 position_m=position,
                 rotation_rad=rotation,
                 mask_iou=iou,
@@ -96,17 +97,18 @@ def measure(tracker: CadTracker, shards: Shards, seed: int = 0) -> Holdout:
     return Holdout(found=tuple(found), visible=visible, missed=missed)
 
 
-def calibrate(frames: tuple[FrameErrors, ...]) -> Confidence:
-    """Logistic regression of `good` on the features, with a small ridge penalty."""
-    A = np.array([[1.0, *f.features] for f in frames])
-    good = np.array([f.good for f in frames], dtype=np.float64)
+def fit_logistic(features: Array, good: NDArray[np.bool_]) -> Logistic:
+    """Logistic regression of `good` (N,) on `features` (N, n), with a small ridge penalty."""
+    A = np.column_stack([np.ones(len(good)), features])
+    y = good.astype(np.float64)
 
-    def loss(w: Array) -> float:
+    def loss(w: Array) -> tuple[float, Array]:
         score = A @ w
-        return float(np.logaddexp(0.0, score).sum() - good @ score + 0.5 * _PENALTY * (w[1:] ** 2).sum())
+        value = np.logaddexp(0.0, score).sum() - y @ score + 0.5 * _PENALTY * (w[1:] ** 2).sum()
+        return float(value), A.T @ (expit(score) - y) + _PENALTY * np.array([0.0, *w[1:]])
 
-    w = minimize(loss, np.zeros(1 + len(FEATURES)), method="BFGS").x
-    return Confidence(intercept=float(w[0]), weights=np.asarray(w[1:]))
+    w = minimize(loss, np.zeros(A.shape[1]), method="BFGS", jac=True).x
+    return Logistic(intercept=float(w[0]), weights=np.asarray(w[1:]))
 
 
 def reliability(probability: Array, good: NDArray[np.bool_], bins: int = 5) -> Iterator[tuple[float, float, int]]:

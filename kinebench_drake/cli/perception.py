@@ -96,13 +96,19 @@ def train(
 @perception.command(
     epilog="\b\nExample:\n"
     "  kinebench-drake suite demos --suite 2 --split seen --episodes 2 --format frames --out data/held-out-demos\n"
-    "  kinebench-drake perception calibrate --demos data/held-out-demos --out models/perception/confidence.json"
+    "  kinebench-drake suite demos --suite 2 --split seen --episodes 3 --out data/held-out-videos\n"
+    "  kinebench-drake perception calibrate --demos data/held-out-demos --videos data/held-out-videos \\\n"
+    "      --out models/perception/confidence.json"
 )
 @click.option(
     "--data", type=click.Path(path_type=Path, file_okay=False), default=Path("data/held-out"), show_default=True,
     help="Folder of held-out frames; missing ones are rendered into it.",
 )  # fmt: skip
 @_demos("to measure")
+@click.option(
+    "--videos", type=click.Path(path_type=Path, file_okay=False, exists=True),
+    help="Folder of `suite demos` videos that fit the confidence of frames among others.  [default: it stays]",
+)  # fmt: skip
 @_WEIGHTS
 @click.option("--scenes", type=click.IntRange(2), default=40, show_default=True, help="Held-out scenes of 20 frames.")
 @click.option(
@@ -110,15 +116,22 @@ def train(
 )
 @_JOBS
 def calibrate(
-    data: Path, demos: tuple[Path, ...], weights: Path | None, scenes: int, out: Path | None, jobs: int
+    data: Path,
+    demos: tuple[Path, ...],
+    videos: Path | None,
+    weights: Path | None,
+    scenes: int,
+    out: Path | None,
+    jobs: int,
 ) -> None:
-    """Measure single frames of unseen scenes and demonstrations and fit the confidence to them.
+    """Measure single frames of unseen scenes and demonstrations, then videos, and fit the confidence to them.
 
     Half of the frames fit the confidence, the other half say how well it is calibrated.
     """
-    from kinebench_drake.grounding.training.report import holdout_lines
+    from kinebench_drake.grounding.training.report import Calibration, calibration_lines
 
-    for line in holdout_lines(data, demos, weights, scenes, out, jobs):
+    order = Calibration(scenes=data, count=scenes, demos=demos, videos=videos, weights=weights, out=out, jobs=jobs)
+    for line in calibration_lines(order):
         click.echo(line)
 
 
