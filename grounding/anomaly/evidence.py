@@ -21,7 +21,9 @@ from kinebench_drake.grounding.view import Frames, GripperView
 FAIR_CONFIDENCE = 0.1
 """From here on a frame's position counts where jumps are looked for."""
 SURE_CONFIDENCE = 0.3
-"""From here on its shape, size and fingers count."""
+"""From here on its shape and fingers count ..."""
+GOOD_CONFIDENCE = 0.5
+"""... and its size, which a pose that is off by a few degrees belies."""
 SHAPE_SIDE, SIZE_SIDE = 0.35, 0.5
 """Shape and size count only where the fingers' axis and the line of sight have a cosine below these: from the side the
 gripper is narrow, fingers hide each other, and little tells a deformed gripper from one turned a little."""
@@ -104,7 +106,7 @@ def gather(
             side = abs(float(pose.X_CH[:3, 1] @ p_C[i])) / float(np.linalg.norm(p_C[i]))
             if side <= SHAPE_SIDE:
                 misfit[i] = shape_misfit(pose.view, pose.fit.X_CH, pose.fit.finger_m if sharp else np.nan)
-            if side <= SIZE_SIDE and pose.arm is not None:
+            if side <= SIZE_SIDE and pose.arm is not None and confidence[i] >= GOOD_CONFIDENCE:
                 scale[i] = pose.arm.scale
     other = [
         second_gripper(view, None if pose is None else pose.X_CH, camera)

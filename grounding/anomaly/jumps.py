@@ -22,7 +22,7 @@ def jump_lengths(p: ArrayLike, sure: NDArray[np.bool_]) -> Array:
     The way from each of the two frames before to each of the two from it on, less what the median velocity of three
     steps to each side accounts for: the least of the four lengths, so that no single wild frame makes a jump; and no
     more than what the mean velocity of the steps just before and after leaves of the way, for a short burst of speed
-    gathers pace and loses it. 0 where there are less than two frames on a side.
+    gathers pace and loses it. A way over a missing frame counts half. 0 where there are less than two frames on a side.
 
     Args:
         p: (T, n) positions.
@@ -42,7 +42,7 @@ def jump_lengths(p: ArrayLike, sure: NDArray[np.bool_]) -> Array:
         usual = np.median(velocity[steps], axis=0)
         ways = [q[b] - q[a] - usual * (index[b] - index[a]) for a in (k - 2, k - 1) for b in (k, k + 1)]
         ways.append(q[k] - q[k - 1] - 0.5 * (velocity[k - 2] + velocity[k]) * gaps[k - 1])
-        lengths[index[k]] = min(float(np.linalg.norm(way)) for way in ways)
+        lengths[index[k]] = min(float(np.linalg.norm(way)) for way in ways) / gaps[k - 1]
     return lengths
 
 
