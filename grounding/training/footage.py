@@ -1,7 +1,7 @@
 """Held-out videos, as they are and made worse: what the calibration of confidences along a video rests on."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 from enum import Enum
 
 import numpy as np
@@ -43,29 +43,28 @@ class Footage:
     good: NDArray[np.bool_]
     """(N,) whether the smoothed pose is within 10 mm and 5 degrees."""
 
+    @staticmethod
+    def join(several: "Sequence[Footage]") -> "Footage":
+        """The frames of several videos."""
+        return Footage(**{f.name: np.concatenate([getattr(s, f.name) for s in several]) for f in fields(Footage)})
 
-def measure_footage(
-    pipeline: GroundingPipeline, clips: Sequence[ClipFile], seed: int = 0, told: Callable[[str], None] | None = None
-) -> Footage:
-    """Track the gripper through `clips` under every trouble; `told` is called with the name of each that is done."""
-    number, features, position, good = [], [], [], []
-    for k, file in enumerate(clips):
-        clip, frames = file.load(), read_video(file.video).frames
-        nothing = np.full((len(frames), 4, 4), np.nan)
-        for trouble in Trouble:
-            worse = spoil(frames, clip, trouble, [seed, k])
-            poses, seen = pipeline.observe(worse, clip.camera, clip.t_s)
-            anomalies = find_anomalies(seen).anomalies
-            raw = RawTrack.of(poses, seen.confidence, anomalies, seen.motion.lost, nothing)
-            distance, angle = pose_difference(clip.X_CH, raw.smoothed(raw.found, raw.confidence))
-            number += [k] * int(raw.found.sum())
-            features.append(raw.features()[raw.found])
-            position.append(np.where(np.isfinite(distance), distance, np.inf)[raw.found])
-            good.append(((distance <= GOOD_M) & (angle <= GOOD_RAD))[raw.found])
-        if told is not None:
-            told(file.id)
+
+def measure_footage(pipeline: GroundingPipeline, file: ClipFile, number: int, seed: int = 0) -> Footage:
+    """Track the gripper through a clip, number `number` of several, under every trouble."""
+    clip, frames = file.load(), read_video(file.video).frames
+    nothing = np.full((len(frames), 4, 4), np.nan)
+    features, position, good = [], [], []
+    for trouble in Trouble:
+        worse = spoil(frames, clip, trouble, [seed, number])
+        poses, seen = pipeline.observe(worse, clip.camera, clip.t_s)
+        anomalies = find_anomalies(seen).anomalies
+        raw = RawTrack.of(poses, seen.confidence, anomalies, seen.motion.lost, nothing)
+        distance, angle = pose_difference(clip.X_CH, raw.smoothed(raw.found, raw.confidence))
+        features.append(raw.features()[raw.found])
+        position.append(np.where(np.isfinite(distance), distance, np.inf)[raw.found])
+        good.append(((distance <= GOOD_M) & (angle <= GOOD_RAD))[raw.found])
     return Footage(
-        clip=np.array(number),
+        clip=np.full(sum(map(len, good)), number),
         features=np.concatenate(features),
         position_m=np.concatenate(position),
         good=np.concatenate(good),

@@ -15,7 +15,7 @@ from kinebench_drake.grounding.evaluation.summary import OFF_M
 from kinebench_drake.grounding.pipeline import TRACKED_CONFIDENCE, GroundingPipeline
 from kinebench_drake.grounding.tracker import CadTracker
 from kinebench_drake.grounding.training.dataset import Shards
-from kinebench_drake.grounding.training.footage import measure_footage
+from kinebench_drake.grounding.training.footage import Footage, measure_footage
 from kinebench_drake.grounding.training.holdout import HOLDOUT_SEED, fit_logistic, measure, reliability
 from kinebench_drake.grounding.training.render import render
 from kinebench_drake.models.perception.weights import WEIGHTS, load_network
@@ -67,7 +67,11 @@ def calibration_lines(order: Calibration) -> Iterator[str]:
         track = Confidence.load().track
     else:
         before = Confidence(frame=frame, track=Logistic(intercept=0.0, weights=np.zeros(len(TRACK_FEATURES))))
-        footage = measure_footage(GroundingPipeline(tracker, before), find_clips(order.videos))
+        pipeline, clips, parts = GroundingPipeline(tracker, before), find_clips(order.videos), []
+        for number, clip in enumerate(clips):
+            parts.append(measure_footage(pipeline, clip, number))
+            yield f"[{number + 1}/{len(clips)}] {clip.id}"
+        footage = Footage.join(parts)
         track, lines = _fitted("videos", footage.clip, footage.features, footage.good)
         yield from lines
         tracked = track.probability(footage.features) >= TRACKED_CONFIDENCE
