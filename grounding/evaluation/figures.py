@@ -86,8 +86,12 @@ def _distribution(ax: Any, position: Array, rotation: Array) -> None:
 
 def _logarithmic(axis: Any, set_scale: Callable[[str], None]) -> None:
     """A logarithmic axis with plain numbers."""
+    from matplotlib.ticker import LogLocator
+
     set_scale("log")
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axis.set_major_formatter("{x:g}")
+    axis.set_minor_formatter("")
 
 
 def _reliability(ax: Any, curve: Reliability) -> None:
