@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from kinebench_drake.cli.perception_evaluate import carry_out, check_figure, measuring, write_json
+from kinebench_drake.cli.perception_evaluate import Measuring, check_figure, measuring, write_json
 
 _TERMS = """\b
 scale         a whole video too far or too near by so much
@@ -33,14 +33,7 @@ noise         each cell by itself, standard deviation
     help="Draw where on the gripper the estimated depth errs, and one frame of it (png).",
 )  # fmt: skip
 def depth_ablation(
-    folder: Path,
-    weights: Path | None,
-    limit: int | None,
-    jobs: int,
-    seed: int,
-    json_out: Path | None,
-    overwrite: bool,
-    figure: Path | None,
+    order: Measuring,
     plug_ins: tuple[str, ...],
     heatmap: Path | None,
 ) -> None:
@@ -51,16 +44,13 @@ def depth_ablation(
     from kinebench_drake.grounding.evaluation import study
     from kinebench_drake.grounding.evaluation.depth_figure import draw_depth
     from kinebench_drake.grounding.evaluation.depth_map import measure_depth
-    from kinebench_drake.grounding.evaluation.figures import draw_comparison, save
+    from kinebench_drake.grounding.evaluation.figures import save
     from kinebench_drake.grounding.evaluation.variants import Tools
 
-    check_figure(figure)
     check_figure(heatmap)
-    outcome = carry_out(study.depth_ablation(plug_ins), folder, weights, limit, jobs, seed, json_out, overwrite)
-    for line in outcome.lines():
-        click.echo(line)
-    clips = study.Plan(folder=folder, limit=limit).clips()
-    errors = measure_depth(clips, Tools.load(weights).estimator)
+    outcome = order.compare(study.depth_ablation(plug_ins))
+    clips = study.Plan(folder=order.folder, limit=order.limit).clips()
+    errors = measure_depth(clips, Tools.load(order.weights).estimator)
     told = {}
     if errors is not None:
         told = {"median": errors.median, "p95": errors.p95, "common_error_median": errors.level_median}
@@ -68,8 +58,6 @@ def depth_ablation(
             f"relative depth error of our estimate on the gripper: median {errors.median:.2%}, 95 % {errors.p95:.2%}; "
             f"common to a frame: median {errors.level_median:.2%}"
         )
-    write_json(json_out, {**outcome.to_json(), "relative_depth_error": told})
-    if figure:
-        save(draw_comparison(outcome.results, outcome.figures, outcome.study.groups, outcome.study.title), figure)
+    write_json(order.json_out, {**outcome.to_json(), "relative_depth_error": told})
     if heatmap and errors is not None:
         save(draw_depth(errors, "our estimate"), heatmap)

@@ -2,8 +2,10 @@
 
 import json
 from collections.abc import Callable
+from dataclasses import dataclass, fields
+from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -11,8 +13,6 @@ from kinebench_drake.errors import UsageError
 
 if TYPE_CHECKING:
     from kinebench_drake.grounding.evaluation.study import Outcome, Study
-
-Command = TypeVar("Command", bound=Callable[..., Any])
 
 _OPTIONS = (
     click.argument("folder", type=click.Path(path_type=Path, exists=True, file_okay=False)),
@@ -32,34 +32,60 @@ _OPTIONS = (
 )  # fmt: skip
 
 
-def measuring(command: Command) -> Command:
-    """The argument and the options that all measuring commands share."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Measuring:
+    """What all measuring commands are told."""
+
+    folder: Path
+    """Videos with their truth."""
+    weights: Path | None
+    limit: int | None
+    jobs: int
+    seed: int
+    json_out: Path | None
+    overwrite: bool
+    figure: Path | None
+
+    def carry_out(self, study: "Study") -> "Outcome":
+        """Measure a study, telling of the progress."""
+        from kinebench_drake.cli.progress import EpisodeView
+        from kinebench_drake.engines import EngineKind, create_engine
+        from kinebench_drake.grounding.evaluation import study as studies
+
+        keep = self.json_out.with_suffix(".clips.jsonl") if self.json_out else None
+        if keep and self.overwrite:
+            keep.unlink(missing_ok=True)
+        plan = studies.Plan(folder=self.folder, weights=self.weights, limit=self.limit, seed=self.seed, keep=keep)
+        with EpisodeView("measurements") as view:
+            return studies.carry_out(study, plan, create_engine(EngineKind.LOCAL, self.jobs), view)
+
+    def compare(self, study: "Study") -> "Outcome":
+        """Measure a study of several conditions, print its table and draw its figure."""
+        from kinebench_drake.grounding.evaluation.figures import draw_comparison, save
+
+        outcome = self.carry_out(study)
+        for line in outcome.lines():
+            click.echo(line)
+        if self.figure:
+            save(
+                draw_comparison(outcome.results, outcome.figures, outcome.study.groups, outcome.study.title),
+                self.figure,
+            )
+        return outcome
+
+
+def measuring(command: Callable[..., None]) -> Callable[..., None]:
+    """The argument and the options that all measuring commands share; the command gets them as one `Measuring`."""
+
+    @wraps(command)
+    def told(**options: Any) -> None:
+        shared = {field.name: options.pop(field.name) for field in fields(Measuring)}
+        check_figure(shared["figure"])
+        command(Measuring(**shared), **options)
+
     for option in reversed(_OPTIONS):
-        command = option(command)
-    return command
-
-
-def carry_out(
-    study: "Study",
-    folder: Path,
-    weights: Path | None,
-    limit: int | None,
-    jobs: int,
-    seed: int,
-    json_out: Path | None,
-    overwrite: bool,
-) -> "Outcome":
-    """Measure a study, telling of the progress."""
-    from kinebench_drake.cli.progress import EpisodeView
-    from kinebench_drake.engines import EngineKind, create_engine
-    from kinebench_drake.grounding.evaluation import study as studies
-
-    keep = json_out.with_suffix(".clips.jsonl") if json_out else None
-    if keep and overwrite:
-        keep.unlink(missing_ok=True)
-    plan = studies.Plan(folder=folder, weights=weights, limit=limit, seed=seed, keep=keep)
-    with EpisodeView("measurements") as view:
-        return studies.carry_out(study, plan, create_engine(EngineKind.LOCAL, jobs), view)
+        told = option(told)
+    return told
 
 
 def write_json(path: Path | None, value: dict[str, Any]) -> None:
@@ -105,14 +131,7 @@ wall_*, cpu_*         for 49 frames, decoding included
 )  # fmt: skip
 @click.option("--true-depth", is_flag=True, help="The same as --pipeline true-mask-and-depth.")
 def evaluate(
-    folder: Path,
-    weights: Path | None,
-    limit: int | None,
-    jobs: int,
-    seed: int,
-    json_out: Path | None,
-    overwrite: bool,
-    figure: Path | None,
+    order: Measuring,
     pipeline: str,
     true_depth: bool,
 ) -> None:
@@ -131,23 +150,22 @@ def evaluate(
         video_line,
     )
 
-    check_figure(figure)
     pipeline = "true-mask-and-depth" if true_depth else pipeline
-    outcome = carry_out(evaluation(pipeline), folder, weights, limit, jobs, seed, json_out, overwrite)
+    outcome = order.carry_out(evaluation(pipeline))
     (results,) = outcome.results.values()
     click.echo("median and 95th percentile of position and rotation error of panda_hand; frames are 0-based")
     for e in results:
         click.echo(video_line(e))
     for lines in (
         task_table(results),
-        pooled_lines(results, seed),
+        pooled_lines(results, order.seed),
         reliability_lines(reliability(*judged_frames(results))),
     ):
         click.echo("")
         for line in lines:
             click.echo(line)
-    write_json(json_out, {"pipeline": outcome.study.title, **evaluation_json(results, seed)})
-    if figure:
+    write_json(order.json_out, {"pipeline": outcome.study.title, **evaluation_json(results, order.seed)})
+    if order.figure:
         from kinebench_drake.grounding.evaluation.figures import draw_evaluation, save
 
-        save(draw_evaluation(results), figure)
+        save(draw_evaluation(results), order.figure)

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from kinebench_drake.cli.perception_evaluate import carry_out, check_figure, measuring, write_json
+from kinebench_drake.cli.perception_evaluate import Measuring, check_figure, measuring, write_json
 
 _KINDS = ("deformation", "occlusion", "contrast", "motion-blur", "noise", "h264", "latent", "ghosting")
 
@@ -35,34 +35,21 @@ ghosting     the two frames before shine through with this weight
     help="Draw a frame of the first video under each perturbation (png).",
 )  # fmt: skip
 def robustness(
-    folder: Path,
-    weights: Path | None,
-    limit: int | None,
-    jobs: int,
-    seed: int,
-    json_out: Path | None,
-    overwrite: bool,
-    figure: Path | None,
+    order: Measuring,
     only: str,
     sheet: Path | None,
 ) -> None:
     """Measure the same videos with perturbed frames: how errors and tracking bear it."""
     from kinebench_drake.grounding.evaluation import study
-    from kinebench_drake.grounding.evaluation.figures import draw_comparison, draw_sheet, save
+    from kinebench_drake.grounding.evaluation.figures import draw_sheet, save
     from kinebench_drake.grounding.evaluation.perturbation.catalogue import Kind
     from kinebench_drake.grounding.evaluation.sheet import sheet_of
 
-    check_figure(figure)
     check_figure(sheet)
     try:
         kinds = [Kind(name.strip()) for name in only.split(",")]
     except ValueError:
         raise click.BadParameter(f"{only!r}; there are {', '.join(_KINDS)}", param_hint="--only") from None
     if sheet:
-        save(draw_sheet(sheet_of(study.Plan(folder=folder).clips()[0], kinds, seed)), sheet)
-    outcome = carry_out(study.robustness(kinds), folder, weights, limit, jobs, seed, json_out, overwrite)
-    for line in outcome.lines():
-        click.echo(line)
-    write_json(json_out, outcome.to_json())
-    if figure:
-        save(draw_comparison(outcome.results, outcome.figures, outcome.study.groups, outcome.study.title), figure)
+        save(draw_sheet(sheet_of(study.Plan(folder=order.folder).clips()[0], kinds, order.seed)), sheet)
+    write_json(order.json_out, order.compare(study.robustness(kinds)).to_json())
