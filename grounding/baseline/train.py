@@ -17,6 +17,8 @@ from kinebench_drake.grounding.training.loop import Schedule, Terms, optimise, p
 
 WEIGHTS = "baseline.safetensors"
 """Name of the weights in the folder of a training."""
+SCHEDULE = Schedule(steps=2400, learning_rate=1e-3, batch_size=8, checkpoint_every=200)
+"""Enough for ten tasks of a hundred clips each."""
 _ROTATION_WEIGHT = 2.0  # 1 cm weighs as much as 3 degrees ...
 _FINGER_WEIGHT = 0.5  # ... or 8 mm of the gap
 _ROUND_M, _ROUND_RAD = 1e-3, 5e-3  # where the losses turn from quadratic to linear
@@ -30,26 +32,12 @@ class BaselineConfig:
     """Folder of demonstrations."""
     out: Path
     """Folder for decoded frames, checkpoints and the weights."""
-    seed: int = 0
-    steps: int = 2400
-    batch_size: int = 8
-    """Windows a step."""
+    schedule: Schedule = SCHEDULE
+    """Its examples are windows of frames."""
     size: int = 224
     """Width and height of what the network sees [px]."""
-    learning_rate: float = 1e-3
-    warm_up_steps: int = 200
     workers: int = 1
-    checkpoint_every: int = 200
-
-    def schedule(self) -> Schedule:
-        """How long and how fast."""
-        return Schedule(
-            steps=self.steps,
-            learning_rate=self.learning_rate,
-            seed=self.seed,
-            warm_up_steps=self.warm_up_steps,
-            checkpoint_every=self.checkpoint_every,
-        )
+    """Processes that make batches."""
 
 
 def _rounded(square: Tensor, radius: float) -> Tensor:
@@ -86,28 +74,27 @@ def train(config: BaselineConfig, report: Callable[[str], None]) -> Path:
     Raises:
         UsageError: the data cannot be used, or `config.out` holds a training with other settings.
     """
-    demonstrations = load_demonstrations(config.data)
+    schedule, demonstrations = config.schedule, load_demonstrations(config.data)
     clips = demonstrations.clips
     report(f"{len(clips)} clips of {len(demonstrations.tasks)} tasks")
     frames = decode(clips, config.out / "frames", config.size, report)
-    windows = Windows(clips, frames, config.seed, config.steps * config.batch_size)
+    windows = Windows(clips, frames, schedule.seed, schedule.steps * schedule.batch_size)
 
     def batches(start: int) -> Iterable[dict[str, Tensor]]:
-        rest = Subset(windows, range(start * config.batch_size, len(windows)))
-        return DataLoader(rest, batch_size=config.batch_size, num_workers=config.workers, drop_last=True)
+        rest = Subset(windows, range(start * schedule.batch_size, len(windows)))
+        return DataLoader(rest, batch_size=schedule.batch_size, num_workers=config.workers, drop_last=True)
 
-    torch.manual_seed(config.seed)
+    torch.manual_seed(schedule.seed)
     network = PoseNetwork()
     network.load_imagenet_encoder()
     network.to(pick_device()).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-    identity = {name: getattr(config, name) for name in ("seed", "steps", "batch_size", "size", "learning_rate")}
     average = optimise(
         network,
         batches=batches,
         forward=lambda model, batch: model(batch["image"].float() / 255.0),
         losses=losses,
-        schedule=config.schedule(),
-        identity={**identity, "clips": len(clips), "tasks": list(demonstrations.tasks)},
+        schedule=schedule,
+        identity={**schedule.identity(), "size": config.size, "clips": len(clips), "tasks": list(demonstrations.tasks)},
         folder=config.out,
         report=report,
     )

@@ -35,8 +35,10 @@ class Schedule:
     steps: int
     learning_rate: float
     """Largest rate of AdamW, reached after the warm-up."""
+    batch_size: int
+    """Examples a step."""
     seed: int = 0
-    """Of the random numbers inside the network."""
+    """Of the examples, and of the random numbers inside the network."""
     warm_up_steps: int = 200
     average_decay: float = 0.998
     """How much of the averaged weights a step keeps."""
@@ -50,6 +52,10 @@ class Schedule:
             return (step + 1) / self.warm_up_steps
         progress = (step - self.warm_up_steps) / max(1, self.steps - self.warm_up_steps)
         return 0.5 * (1.0 + math.cos(math.pi * min(1.0, progress)))
+
+    def identity(self) -> dict[str, object]:
+        """What a checkpoint must have in common with the run that goes on from it."""
+        return {name: getattr(self, name) for name in ("seed", "steps", "batch_size", "learning_rate")}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,7 +1,7 @@
 """Training of the gripper network on rendered shards."""
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import torch
@@ -31,29 +31,10 @@ class TrainingConfig:
     """Folder for checkpoints and the final weights."""
     start: Path | None = None
     """Weights to start from, whose statistics of batch normalisation stay; if None, only the encoder's, of ImageNet."""
-    seed: int = 0
-    steps: int = 4000
-    batch_size: int = 32
-    learning_rate: float = 1.2e-3
-    warm_up_steps: int = 200
+    schedule: Schedule
+    """Its examples are crops."""
     workers: int = 1
-    checkpoint_every: int = 250
-
-    def schedule(self) -> Schedule:
-        """How long and how fast."""
-        return Schedule(
-            steps=self.steps,
-            learning_rate=self.learning_rate,
-            seed=self.seed,
-            warm_up_steps=self.warm_up_steps,
-            checkpoint_every=self.checkpoint_every,
-            fixed_from=_FIXED_FROM if self.start is None else 0.0,
-        )
-
-    def identity(self) -> dict[str, float]:
-        """What a checkpoint must have in common with the run that goes on from it."""
-        names = ("seed", "steps", "batch_size", "learning_rate")
-        return {name: getattr(self, name) for name in names}
+    """Processes that make batches."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,17 +95,18 @@ def train(config: TrainingConfig, report: Callable[[str], None]) -> Path:
     Raises:
         UsageError: `config.data` holds no shards, or `config.out` another training.
     """
-    torch.manual_seed(config.seed)
+    schedule = replace(config.schedule, fixed_from=_FIXED_FROM if config.start is None else 0.0)
+    torch.manual_seed(schedule.seed)
     if config.start is None:
         network = GripperNetwork()
         network.load_imagenet_encoder()
     else:
         network = load_network(config.start)
     network.to(pick_device()).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-    crops = Crops(Shards(config.data), config.seed)
+    crops = Crops(Shards(config.data), schedule.seed)
 
     def batches(start: int) -> Iterable[Batch]:
-        steps = Steps(range(start, config.steps), config.batch_size)
+        steps = Steps(range(start, schedule.steps), schedule.batch_size)
         return DataLoader(crops, batch_sampler=steps, num_workers=config.workers)
 
     average = optimise(
@@ -132,8 +114,8 @@ def train(config: TrainingConfig, report: Callable[[str], None]) -> Path:
         batches=batches,
         forward=_forward,
         losses=_terms,
-        schedule=config.schedule(),
-        identity=config.identity(),
+        schedule=schedule,
+        identity=schedule.identity(),
         folder=config.out,
         report=report,
     )

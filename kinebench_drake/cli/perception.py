@@ -75,21 +75,14 @@ def train(
     jobs: int,
 ) -> None:
     """Render frames and train the gripper network on them, on the GPU when there is one."""
+    from kinebench_drake.grounding.training.loop import Schedule
     from kinebench_drake.grounding.training.render import render
     from kinebench_drake.grounding.training.train import TrainingConfig
     from kinebench_drake.grounding.training.train import train as run
 
     render(data, range(scenes), jobs, click.echo)
-    config = TrainingConfig(
-        data=(data, *demos),
-        out=out,
-        start=start,
-        seed=seed,
-        steps=steps,
-        batch_size=batch_size,
-        learning_rate=learning_rate,
-    )
-    weights = run(config, click.echo)
+    schedule = Schedule(steps=steps, learning_rate=learning_rate, batch_size=batch_size, seed=seed)
+    weights = run(TrainingConfig(data=(data, *demos), out=out, start=start, schedule=schedule), click.echo)
     click.echo(f"weights: {weights}; next: kinebench-drake perception calibrate --weights {weights}")
 
 

@@ -1,5 +1,6 @@
 """`kinebench-drake perception baseline`."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import click
@@ -31,10 +32,11 @@ def baseline() -> None:
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of windows and weights.")
 def train(data: Path, out: Path, steps: int, batch_size: int, seed: int) -> None:
     """Train the baseline on demonstrations of one camera, on the GPU when there is one."""
-    from kinebench_drake.grounding.baseline.train import BaselineConfig
+    from kinebench_drake.grounding.baseline.train import SCHEDULE, BaselineConfig
     from kinebench_drake.grounding.baseline.train import train as run
 
-    weights = run(BaselineConfig(data=data, out=out, seed=seed, steps=steps, batch_size=batch_size), click.echo)
+    schedule = replace(SCHEDULE, steps=steps, batch_size=batch_size, seed=seed)
+    weights = run(BaselineConfig(data=data, out=out, schedule=schedule), click.echo)
     click.echo(f"weights: {weights}; next: kinebench-drake perception baseline evaluate FOLDER --weights {weights}")
 
 

@@ -22,6 +22,7 @@ from kinebench_drake.grounding.baseline.network import CONTEXT, PoseOutput
 from kinebench_drake.grounding.baseline.predictor import Baseline
 from kinebench_drake.grounding.baseline.rotation import from_six, to_six
 from kinebench_drake.grounding.baseline.train import BaselineConfig, losses, train
+from kinebench_drake.grounding.training.loop import Schedule
 
 FRAMES = 6
 SIZE = 64
@@ -69,9 +70,8 @@ def windows(demonstrations: Demonstrations, frames: list[NDArray[np.uint8]]) -> 
 
 
 def config(folder: Path, out: Path, steps: int = 4) -> BaselineConfig:
-    return BaselineConfig(
-        data=folder, out=out, steps=steps, batch_size=2, size=SIZE, workers=0, warm_up_steps=1, checkpoint_every=2
-    )
+    schedule = Schedule(steps=steps, learning_rate=1e-3, batch_size=2, warm_up_steps=1, checkpoint_every=2)
+    return BaselineConfig(data=folder, out=out, size=SIZE, workers=0, schedule=schedule)
 
 
 def test_six_numbers_tell_a_rotation() -> None:

@@ -24,7 +24,7 @@ def test_batch_normalisation_keeps_its_statistics_from_a_part_of_the_steps_on(
         batches=noise,
         forward=lambda model, batch: model(batch["image"]),
         losses=lambda output, batch: Terms(total=output.float().square().mean(), shown={}),
-        schedule=Schedule(steps=STEPS, learning_rate=1e-3, fixed_from=fixed_from),
+        schedule=Schedule(steps=STEPS, learning_rate=1e-3, batch_size=1, fixed_from=fixed_from),
         identity={},
         folder=tmp_path,
         report=lambda line: None,

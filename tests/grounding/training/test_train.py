@@ -1,3 +1,4 @@
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,7 @@ from safetensors.torch import load_file
 from kinebench_drake.errors import SetupError, UsageError
 from kinebench_drake.grounding.training import loop
 from kinebench_drake.grounding.training.dataset import Shards
+from kinebench_drake.grounding.training.loop import Schedule
 from kinebench_drake.grounding.training.train import TrainingConfig, losses, train
 from kinebench_drake.models.panda.part import Part
 from kinebench_drake.models.perception.network import DenseOutput
@@ -15,10 +17,10 @@ from kinebench_drake.models.perception.weights import load_network
 
 
 def config(shards: Shards, out: Path) -> TrainingConfig:
-    return TrainingConfig(
-        data=shards.folders, out=out, steps=4, batch_size=2, learning_rate=1e-3, workers=0, checkpoint_every=2,
-        warm_up_steps=1,  # steps large enough to tell a lost state
+    schedule = Schedule(
+        steps=4, batch_size=2, learning_rate=1e-3, checkpoint_every=2, warm_up_steps=1,  # steps that show a lost state
     )  # fmt: skip
+    return TrainingConfig(data=shards.folders, out=out, workers=0, schedule=schedule)
 
 
 @pytest.mark.sapien
@@ -105,9 +107,7 @@ def test_the_background_has_no_coordinates() -> None:
 
 @pytest.mark.sapien
 def test_another_training_does_not_go_on_from_this_one(shards: Shards, tmp_path: Path) -> None:
-    from dataclasses import replace
-
-    first = replace(config(shards, tmp_path), steps=2)
+    first = config(shards, tmp_path)
     train(first, lambda _: None)
     with pytest.raises(UsageError, match="holds a training with"):
-        train(replace(first, seed=1), lambda _: None)
+        train(replace(first, schedule=replace(first.schedule, seed=1)), lambda _: None)
