@@ -337,3 +337,17 @@ def test_endless_violations_are_cut_short(tmp_path):
     wild = section(write_report(tmp_path).read_text(), "wild")
     assert wild.count('<tr class="broken">') == 20
     assert "480 more limits" in wild
+
+
+@pytest.mark.parametrize(
+    ("used", "told"), [("used", "first frame known"), ("contradicted", "was not used"), ("unknown", None)]
+)
+def test_what_was_given_stands_beside_the_video(tmp_path, used, told):
+    given = {"given": {"first_frame": "manifest", "depth": "sensor"}, "first_frame": used}
+    with ResultStore(tmp_path) as store:
+        store.append(row("a", feasible=True, extra=given), 0.1)
+        store.finish({"kind": "score", "config": {}, "tags": {}, "seeds": {"bootstrap": 0}})
+    text = write_report(tmp_path).read_text()
+    assert "depth from sensor" in text
+    for words in ("first frame known", "was not used"):
+        assert (words in text) == (words == told)
