@@ -1,4 +1,5 @@
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -312,3 +313,18 @@ def test_an_open_verdict_says_why(plant: ArmPlant, judge: TrackJudge) -> None:
     result = judge.judge_poses(_poses(plant, _gentle(3)))
     assert result.feasible is None
     assert "3 of 3 frames" in result.reasons["feasible"]
+
+
+@pytest.mark.parametrize(
+    ("depth_m", "offset_m", "collides"), [(0.006, 0.0, True), (0.006, 0.01, False), (0.03, 0.01, True)]
+)
+def test_poses_that_may_be_off_collide_only_beyond_that(
+    plant: ArmPlant, judge: TrackJudge, depth_m: float, offset_m: float, collides: bool
+) -> None:
+    s = np.linspace(0.0, 1.0, 30)
+    X = np.repeat(plant.forward(rest_q())[None], 30, axis=0)
+    lowest = float(judge.judge_poses(_gripper(0.2 * np.arange(30), X)).metrics["table_distance_min_m"])  # type: ignore[arg-type]
+    X[:, 2, 3] -= (lowest + depth_m) * s**2 * (3.0 - 2.0 * s)
+    found = judge.judge_poses(replace(_gripper(0.2 * np.arange(30), X), offset_m=offset_m))
+    assert (ViolationKind.TABLE_COLLISION in _kinds(found)) is collides
+    assert found.noise.offset_m == offset_m
