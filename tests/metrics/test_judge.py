@@ -321,10 +321,13 @@ def test_an_open_verdict_says_why(plant: ArmPlant, judge: TrackJudge) -> None:
 def test_poses_that_may_be_off_collide_only_beyond_that(
     plant: ArmPlant, judge: TrackJudge, depth_m: float, offset_m: float, collides: bool
 ) -> None:
-    s = np.linspace(0.0, 1.0, 30)
-    X = np.repeat(plant.forward(rest_q())[None], 30, axis=0)
-    lowest = float(judge.judge_poses(_gripper(0.2 * np.arange(30), X)).metrics["table_distance_min_m"])  # type: ignore[arg-type]
-    X[:, 2, 3] -= (lowest + depth_m) * s**2 * (3.0 - 2.0 * s)
-    found = judge.judge_poses(replace(_gripper(0.2 * np.arange(30), X), offset_m=offset_m))
+    def lowered(by_m: float) -> GripperTrack:
+        X = np.tile(plant.forward(rest_q()), (40, 1, 1))
+        X[:, 2, 3] -= by_m * np.sin(np.pi * np.arange(40) / 39.0) ** 2
+        return _gripper(0.2 * np.arange(40), X)
+
+    left_m = _number(judge.judge_poses(lowered(0.15)).metrics, "table_distance_min_m")
+    found = judge.judge_poses(replace(lowered(0.15 + left_m + depth_m), offset_m=offset_m))
+    assert _number(found.metrics, "table_distance_min_m") == pytest.approx(-depth_m, abs=1e-3)
     assert (ViolationKind.TABLE_COLLISION in _kinds(found)) is collides
     assert found.noise.offset_m == offset_m
