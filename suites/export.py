@@ -13,10 +13,10 @@ from kinebench_drake.engines import Crashed, Engine
 from kinebench_drake.errors import SetupError
 from kinebench_drake.models.panda.robot import TCP_LINK
 from kinebench_drake.storage import whole
+from kinebench_drake.suites.clock import CLIP_FRAMES, FRAME_PERIOD_S
 from kinebench_drake.suites.episode import Episode
 from kinebench_drake.suites.files import make_folder, write_json, write_lines
 from kinebench_drake.suites.first import first_facts
-from kinebench_drake.suites.rollout import CLIP_FRAMES, FRAME_PERIOD_S
 from kinebench_drake.suites.stagehand import Stagehand
 from kinebench_drake.suites.suite import Draw, Suite
 from kinebench_drake.suites.tasks.card import TaskCard, Variant

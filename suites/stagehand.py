@@ -2,7 +2,7 @@
 
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.errors import KinebenchError, SetupError, UsageError, cause
-from kinebench_drake.suites.rollout import Stage
+from kinebench_drake.suites.stage import Stage
 from kinebench_drake.suites.tasks.card import Variant
 
 

@@ -18,11 +18,10 @@ from kinebench_drake.kinematics.ik import postures_of, solve_pose
 from kinebench_drake.kinematics.path import continued_path
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.products import IkStatus
+from kinebench_drake.suites.clock import CONTROL_PERIOD_S
 from kinebench_drake.suites.experts.clearance import SceneGeometry
 from kinebench_drake.suites.tasks.task import Scene
 
-CONTROL_PERIOD_S = 0.05
-"""Time between two control steps (ManiSkill's 20 Hz)."""
 SETTLE_S = 0.3
 """Rest at the end of every motion, for the joint servos to catch up (their lag is 0.1 s)."""
 SPEED_M_S, TURN_RATE_RAD_S, FINGER_SPEED_M_S, SHORTEST_S = 0.2, 0.8, 0.3, 0.35

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, invert, to_quaternion, transform_points
 from kinebench_drake.models.panda.robot import HAND_LINK
-from kinebench_drake.suites.rollout import GRIPPER_LINKS, Stage
+from kinebench_drake.suites.stage import GRIPPER_LINKS, Stage
 
 Warp = Callable[[Array], Array]
 """Where points (N, 3) of the gripper go, in the frame of panda_hand [m]."""

@@ -12,8 +12,9 @@ from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.geometry import pose_difference
 from kinebench_drake.suites.episode import compose
 from kinebench_drake.suites.experts.registry import find_expert
-from kinebench_drake.suites.rollout import Stage, perform
+from kinebench_drake.suites.rollout import perform
 from kinebench_drake.suites.split import Pool
+from kinebench_drake.suites.stage import Stage
 from kinebench_drake.suites.tasks.card import Variant
 from kinebench_drake.suites.tasks.registry import TASKS
 
@@ -58,7 +59,7 @@ def test_a_seed_gives_the_same_first_frame_whatever_came_before(stage: Stage) ->
     code = (
         "import hashlib\n"
         "from kinebench_drake.suites.episode import compose\n"
-        "from kinebench_drake.suites.rollout import Stage\n"
+        "from kinebench_drake.suites.stage import Stage\n"
         f"with Stage({TASK!r}) as stage:\n"
         f"    stage.reset(compose({TASK!r}, 5))\n"
         "    print(hashlib.sha256(b''.join(x.tobytes() for x in stage.picture())).hexdigest())\n"

@@ -14,7 +14,7 @@ from kinebench_drake.inputs import find_samples
 from kinebench_drake.storage import write_atomically
 from kinebench_drake.suites.episode import compose
 from kinebench_drake.suites.export import Export, export_suite
-from kinebench_drake.suites.rollout import Stage
+from kinebench_drake.suites.stage import Stage
 from kinebench_drake.suites.suite import load_suite
 from kinebench_drake.suites.tasks.card import Variant
 

@@ -7,9 +7,12 @@ from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.errors import UsageError
 from kinebench_drake.geometry import invert, pose_difference, transform_points
 from kinebench_drake.kinematics.plant import ArmPlant
+from kinebench_drake.suites.clip import Clip, film
+from kinebench_drake.suites.clock import FRAME_PERIOD_S
 from kinebench_drake.suites.episode import compose
 from kinebench_drake.suites.experts.registry import find_expert
-from kinebench_drake.suites.rollout import FRAME_PERIOD_S, Clip, Outcome, Performance, Stage, film, perform
+from kinebench_drake.suites.rollout import Performance, perform
+from kinebench_drake.suites.stage import Outcome, Stage
 from kinebench_drake.suites.tasks.registry import TASKS
 
 Filmed = tuple[Stage, Performance, Clip]
