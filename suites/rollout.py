@@ -27,6 +27,35 @@ class Performance:
     """How it ended."""
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PerformedClip:
+    """One clip's worth of a performance."""
+
+    snapshots: tuple[Snapshot, ...]
+    """The moments to film, without the one it began with."""
+    controls: Array
+    """(N, 8) commands, as in `Performance`."""
+
+
+def perform_clip(stage: Stage, expert: Expert, *, every: int = STEPS_PER_FRAME) -> PerformedClip | None:
+    """Let the expert go on with its task from the present state, for one clip; None if there is nothing left to do.
+
+    Raises:
+        InputError: the expert finds no path in this scene.
+    """
+    scene, now = stage.scene(), stage.snapshot()
+    waypoints = expert(scene)
+    if not waypoints:
+        return None
+    motion = plan(ArmPlant(), now.q, float(now.fingers_m.sum()), waypoints, STEPS_PER_FRAME * CLIP_FRAMES, scene)
+    snapshots = []
+    for i, (q, finger_width_m) in enumerate(zip(motion.q, motion.finger_width_m, strict=True), 1):
+        stage.step(q, finger_width_m)
+        if i % every == 0:
+            snapshots.append(stage.snapshot())
+    return PerformedClip(snapshots=tuple(snapshots), controls=np.column_stack([motion.q, motion.finger_width_m]))
+
+
 def perform(stage: Stage, expert: Expert, episode: Episode, *, every: int = STEPS_PER_FRAME) -> Performance:
     """Let the expert do its task, clip by clip; nothing is rendered. It ends at success or after the task's clips.
 
@@ -40,25 +69,18 @@ def perform(stage: Stage, expert: Expert, episode: Episode, *, every: int = STEP
         InputError: the expert finds no path in this scene.
     """
     stage.reset(episode)
-    plant, steps = ArmPlant(), STEPS_PER_FRAME * CLIP_FRAMES
-    snapshots, controls = [stage.snapshot()], []
+    snapshots, controls = [stage.snapshot()], [np.zeros((0, 8))]
     for _ in range(stage.task.card.clips):
-        scene = stage.scene()
-        waypoints = expert(scene)
-        if not waypoints:
+        clip = perform_clip(stage, expert, every=every)
+        if clip is None:
             break
-        now = snapshots[-1]
-        motion = plan(plant, now.q, float(now.fingers_m.sum()), waypoints, steps, scene)
-        for i in range(steps):
-            stage.step(motion.q[i], motion.finger_width_m[i])
-            if (i + 1) % every == 0:
-                snapshots.append(stage.snapshot())
-        controls.append(np.column_stack([motion.q, motion.finger_width_m]))
+        snapshots += clip.snapshots
+        controls.append(clip.controls)
         if stage.outcome().success:
             break
     return Performance(
         episode=episode,
         snapshots=tuple(snapshots),
-        controls=np.concatenate(controls) if controls else np.zeros((0, 8)),
+        controls=np.concatenate(controls),
         outcome=stage.outcome(),
     )

@@ -3,13 +3,15 @@
 The module loads sapien and mani_skill only when a `Stage` is made.
 """
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
+from enum import Enum
 from types import TracebackType
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
 
 from kinebench_drake.camera import Camera, benchmark_camera
 from kinebench_drake.errors import UsageError
@@ -30,6 +32,15 @@ ROBOTS = ("panda", "panda_wristcam")
 """Robots of ManiSkill that the experts know."""
 
 _FINGER_RANGE_M = (-0.01, 0.04)  # of one finger joint's target, for actions -1 and 1 (ManiSkill's Panda)
+
+
+class Control(Enum):
+    """What the robot is told at each control step."""
+
+    JOINTS = "pd_joint_pos"
+    """Joint angles."""
+    POSE = "pd_ee_pose"
+    """A pose of the TCP; ManiSkill's inverse kinematics takes one step towards it from the present posture."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,6 +86,7 @@ class Stage:
         camera: Camera | None = None,
         variant: Variant = Variant.PLAIN,
         renders: bool = True,
+        control: Control = Control.JOINTS,
     ) -> None:
         """Build the scene (a third of a second, the first time in a process some seconds).
 
@@ -84,6 +96,7 @@ class Stage:
             camera: where to film from; the benchmark's camera if not given.
             variant: version of the task's scene.
             renders: whether pictures can be taken; physics alone needs no Vulkan.
+            control: what the robot is told.
 
         Raises:
             UsageError: there is no such task or variant.
@@ -105,7 +118,7 @@ class Stage:
             task=task,
             obs_mode="none",
             reward_mode="none",
-            control_mode="pd_joint_pos",
+            control_mode=control.value,
             robot_uids=robot,
             sim_backend="cpu",
             render_backend=backend,
@@ -140,15 +153,24 @@ class Stage:
         return self._X_BW @ from_quaternion(raw[3:], raw[:3])
 
     @staticmethod
+    def _finger_action(finger_width_m: float) -> float:
+        low, high = _FINGER_RANGE_M
+        return float(np.clip(2.0 * (finger_width_m / 2.0 - low) / (high - low) - 1.0, -1.0, 1.0))
+
+    @staticmethod
     def action(q: ArrayLike, finger_width_m: float) -> NDArray[np.float32]:
         """ManiSkill's action (8,) that sets the arm's servos to `q` (7,) [rad] and the fingers' to a gap [m]."""
-        low, high = _FINGER_RANGE_M
-        finger = float(np.clip(2.0 * (finger_width_m / 2.0 - low) / (high - low) - 1.0, -1.0, 1.0))
-        return np.concatenate([np.asarray(q), [finger]]).astype(np.float32)
+        return np.append(np.asarray(q), Stage._finger_action(finger_width_m)).astype(np.float32)
 
     def step(self, q: ArrayLike, finger_width_m: float) -> None:
         """One control step with the arm's servos set to `q` (7,) [rad] and the fingers' to a gap [m]."""
         self._env.step(self.action(q, finger_width_m))
+
+    def step_pose(self, X_BG: ArrayLike, finger_width_m: float) -> None:
+        """One control step towards a pose (4, 4) of panda_hand_tcp in B [m], of a stage under `Control.POSE`."""
+        X = np.asarray(X_BG, dtype=np.float64)
+        angles = Rotation.from_matrix(X[:3, :3]).as_euler("XYZ")  # as ManiSkill's controller reads them
+        self._env.step(np.concatenate([X[:3, 3], angles, [self._finger_action(finger_width_m)]]).astype(np.float32))
 
     def simulation_state(self) -> dict[str, dict[str, NDArray[np.float32]]]:
         """ManiSkill's own state: of each actor pose and velocities (13,), of each articulation its joints' as well."""
@@ -157,6 +179,15 @@ class Stage:
             kind: {name: value[0].cpu().numpy() for name, value in kinds.get(kind, {}).items()}
             for kind in ("actors", "articulations")
         }
+
+    def restore(self, state: Mapping[str, Mapping[str, NDArray[np.float32]]]) -> None:
+        """Go on from the `simulation_state` of another stage with the same episode."""
+        import torch
+
+        self._env.set_state_dict(
+            {kind: {name: torch.from_numpy(value)[None] for name, value in members.items()}
+             for kind, members in state.items()}
+        )  # fmt: skip
 
     def outcome(self) -> Outcome:
         """The task's verdict on the present state."""

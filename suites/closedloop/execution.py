@@ -1,0 +1,43 @@
+"""Commands carried out on a stage, frame by frame."""
+
+from dataclasses import dataclass
+
+from kinebench_drake.suites.closedloop.commands import Commands
+from kinebench_drake.suites.stage import Control, Outcome, Snapshot, Stage
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Execution:
+    """What came of commands."""
+
+    snapshots: tuple[Snapshot, ...]
+    """The state at each frame, the one before the first command included; none after success."""
+    outcomes: tuple[Outcome, ...]
+    """The task's verdict at each frame but the first."""
+
+    @property
+    def outcome(self) -> Outcome:
+        """The verdict at the end."""
+        return self.outcomes[-1]
+
+
+def execute(stage: Stage, commands: Commands, control: Control) -> Execution:
+    """Carry out commands from the present state on, until the task succeeds or they end.
+
+    Args:
+        stage: where; it must be under `control`.
+        commands: what to do.
+        control: whether the robot is told joint angles or poses.
+    """
+    snapshots, outcomes = [stage.snapshot()], list[Outcome]()
+    for i, width in enumerate(commands.finger_width_m):
+        if control is Control.JOINTS:
+            stage.step(commands.q[i], float(width))
+        else:
+            stage.step_pose(commands.X_BG[i], float(width))
+        if (i + 1) % commands.steps_per_frame == 0:
+            snapshots.append(stage.snapshot())
+            outcomes.append(stage.outcome())
+            if outcomes[-1].success:
+                break
+    return Execution(snapshots=tuple(snapshots), outcomes=tuple(outcomes))
