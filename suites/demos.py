@@ -82,7 +82,7 @@ class _Experts:
         form = find_format(self.kind)
         content = form.content
         make = _RecordingStage if Content.STATES in content else Stage
-        hand = Stagehand(self.shots.size, renders=bool(content & (Content.FILM | Content.STILLS)), make=make)
+        hand = Stagehand(make, self.shots.size, renders=bool(content & (Content.FILM | Content.STILLS)))
 
         def demonstrate(draw: Draw) -> Record:
             episode, stage = draw.episode(), hand.stage(draw.task, draw.variant)

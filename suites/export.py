@@ -17,6 +17,7 @@ from kinebench_drake.suites.clock import CLIP_FRAMES, FRAME_PERIOD_S
 from kinebench_drake.suites.episode import Episode
 from kinebench_drake.suites.files import make_folder, write_json, write_lines
 from kinebench_drake.suites.first import first_facts
+from kinebench_drake.suites.stage import Stage
 from kinebench_drake.suites.stagehand import Stagehand
 from kinebench_drake.suites.suite import Draw, Suite
 from kinebench_drake.suites.tasks.card import TaskCard, Variant
@@ -76,7 +77,7 @@ class _Photographer:
     out: Path
 
     def __call__(self) -> Callable[[Draw], _Photo]:
-        hand = Stagehand(self.size)
+        hand = Stagehand(Stage, self.size)
 
         def photograph(draw: Draw) -> _Photo:
             episode = draw.episode()

@@ -14,6 +14,7 @@ from kinebench_drake.suites.assets.look import look_ids
 from kinebench_drake.suites.episode import Episode, compose
 from kinebench_drake.suites.experts.registry import find_expert
 from kinebench_drake.suites.rollout import perform
+from kinebench_drake.suites.stage import Stage
 from kinebench_drake.suites.stagehand import Stagehand
 from kinebench_drake.suites.tasks.registry import find_task
 
@@ -152,7 +153,7 @@ class _Photographer:
 
     def __init__(self, performs: bool) -> None:
         self._performs = performs
-        self._hand = Stagehand(benchmark_camera().width)
+        self._hand = Stagehand(Stage, benchmark_camera().width)
 
     def __call__(self, episode: Episode) -> Shot:
         stage = self._hand.stage(episode.task, episode.variant)

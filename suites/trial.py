@@ -49,7 +49,7 @@ class _Worker:
 
     def __init__(self, policy: Policy) -> None:
         self._policy = policy
-        self._hand = Stagehand(benchmark_camera().width, renders=False)
+        self._hand = Stagehand(Stage, benchmark_camera().width, renders=False)
 
     def __call__(self, episode: Episode) -> Trial:
         stage, frames = self._hand.stage(episode.task, episode.variant), 1
