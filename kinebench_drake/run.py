@@ -9,7 +9,7 @@ from typing import Protocol
 from kinebench_drake.aggregate import Estimate, aggregate, by_key, estimate
 from kinebench_drake.engines import Crashed, EngineKind, create_engine
 from kinebench_drake.errors import UsageError
-from kinebench_drake.measure import SCHEMA_VERSION, Kind, Measure, Sample
+from kinebench_drake.measure import SCHEMA_VERSION, Equipment, Kind, Measure, Sample
 from kinebench_drake.normalization import normalize_run
 from kinebench_drake.provenance import code_hash, host, versions, weights_hash
 from kinebench_drake.results import REPORT, ResultStore
@@ -134,7 +134,7 @@ class RunSummary:
 
 
 def run_samples(
-    config: RunConfig, samples: Sequence[Sample], measure: Measure[Sample], observer: Observer
+    config: RunConfig, samples: Sequence[Sample], measure: Measure[Sample, Equipment], observer: Observer
 ) -> RunSummary:
     """Measure every sample and fill the output folder.
 
@@ -202,7 +202,7 @@ def _resume(
     store: ResultStore,
     samples: Sequence[Sample],
     chosen: Sequence[Sample],
-    measure: Measure[Sample],
+    measure: Measure[Sample, Equipment],
     observer: Observer,
 ) -> list[Sample]:
     """Drop kept rows that no longer hold; return the samples still to do."""

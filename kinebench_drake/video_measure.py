@@ -20,7 +20,7 @@ from kinebench_drake.products import Anomaly, GripperTrack
 from kinebench_drake.provenance import weights_hash
 from kinebench_drake.results import part_path
 from kinebench_drake.row import Json
-from kinebench_drake.stages import Judgement, Stages
+from kinebench_drake.stages import Judgement, Stages, load_stages
 from kinebench_drake.storage import storage, write_atomically
 from kinebench_drake.thumbnail import side_by_side, track_at, worst_frame
 from kinebench_drake.trackfile import write_track
@@ -44,7 +44,7 @@ class PeriodSource(Enum):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class VideoMeasure(Measure[Sample]):
+class VideoMeasure(Measure[Sample, Stages]):
     """How the videos of one run are measured."""
 
     frame_period_s: float | None
@@ -92,6 +92,10 @@ class VideoMeasure(Measure[Sample]):
             "seed": sample.seed,
             "prompt": sample.prompt,
         }
+
+    def equip(self) -> Stages:
+        """See `Measure`."""
+        return load_stages(self.stages, self.stage_options)
 
     def measure(self, sample: Sample, stages: Stages) -> Measured:
         """See `Measure`."""

@@ -84,8 +84,8 @@ class Commands:
     """(N, 4, 4) the same as poses of panda_hand_tcp in the base frame [m]."""
     finger_width_m: Array
     """(N,) targets of the gap between the finger pads [m]; negative presses."""
-    steps_per_frame: int
-    """Control steps between two frames; N is as many for each frame but the first."""
+    frame_steps: NDArray[np.intp]
+    """(T,) control steps that are done at each frame: 0 at the first, N at the last."""
     gripping: bool
     """Whether the fingers hold something at the end."""
     refused: tuple[Refused, ...]
@@ -105,8 +105,8 @@ class Commander:
         X_BG: Array,
         finger_width_m: Array,
         tracked: NDArray[np.bool_],
+        t_s: Array,
         start: Posed,
-        steps_per_frame: int,
     ) -> Commands:
         """What to tell the robot so that its gripper does what a track shows.
 
@@ -114,8 +114,8 @@ class Commander:
             X_BG: (T, 4, 4) poses of panda_hand_tcp in the base frame [m].
             finger_width_m: (T,) gap between the finger pads [m]; NaN where unknown.
             tracked: (T,) which poses can be relied upon; the others are not looked at.
+            t_s: (T,) task time of each frame [s], increasing.
             start: how the robot stands at the first frame; where it is goes before what is seen of it.
-            steps_per_frame: control steps between two frames.
 
         Raises:
             UnmeasurableError: the track has less than two frames, or none tracked after the first.
@@ -123,7 +123,7 @@ class Commander:
         frames = len(X_BG)
         if frames < 2 or not tracked[1:].any():
             raise UnmeasurableError(f"{int(tracked.sum())} of {frames} frames are tracked: there is nothing to execute")
-        t_s = CONTROL_PERIOD_S * steps_per_frame * np.arange(frames, dtype=np.float64)
+        t_s = t_s - t_s[0]
         refused = [*_runs(Refusal.NOT_TRACKED, ~tracked & (np.arange(frames) > 0))]
         poses = _bridged(np.concatenate([self._plant.forward(start.q)[None], X_BG[1:]]), tracked)
         width, gripping = _finger_targets(finger_width_m, start)
@@ -131,16 +131,16 @@ class Commander:
         refused += _runs(Refusal.UNREACHABLE, unreached)
         q, own, table = self._allowed(q, width)
         refused += [*_runs(Refusal.SELF_COLLISION, own), *_runs(Refusal.TABLE_COLLISION, table)]
-        steps = steps_per_frame * (frames - 1)
-        asked_s = np.minimum(CONTROL_PERIOD_S * np.arange(1, steps + 1) + LEAD_S, t_s[-1])
+        frame_steps = np.rint(t_s / CONTROL_PERIOD_S).astype(np.intp)
+        asked_s = np.minimum(CONTROL_PERIOD_S * np.arange(1, frame_steps[-1] + 1) + LEAD_S, t_s[-1])
         targets, slowed = self._within_speed(CubicSpline(t_s, q, bc_type="clamped")(asked_s), start.q)
         too_fast = np.zeros(frames, dtype=bool)
-        too_fast[1:] = slowed.reshape(frames - 1, steps_per_frame).any(axis=1)
+        too_fast[np.searchsorted(frame_steps, np.flatnonzero(slowed) + 1)] = True
         return Commands(
             q=targets,
             X_BG=np.stack([self._plant.forward(row) for row in targets]),
             finger_width_m=np.interp(asked_s, t_s, width),
-            steps_per_frame=steps_per_frame,
+            frame_steps=frame_steps,
             gripping=gripping,
             refused=(*refused, *_runs(Refusal.SPEED, too_fast)),
         )

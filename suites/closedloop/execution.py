@@ -1,6 +1,7 @@
 """Commands carried out on a stage, frame by frame."""
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 from kinebench_drake.suites.closedloop.commands import Commands
 from kinebench_drake.suites.stage import Control, Outcome, Snapshot, Stage
@@ -30,14 +31,14 @@ def execute(stage: Stage, commands: Commands, control: Control) -> Execution:
         control: whether the robot is told joint angles or poses.
     """
     snapshots, outcomes = [stage.snapshot()], list[Outcome]()
-    for i, width in enumerate(commands.finger_width_m):
-        if control is Control.JOINTS:
-            stage.step(commands.q[i], float(width))
-        else:
-            stage.step_pose(commands.X_BG[i], float(width))
-        if (i + 1) % commands.steps_per_frame == 0:
-            snapshots.append(stage.snapshot())
-            outcomes.append(stage.outcome())
-            if outcomes[-1].success:
-                break
+    for start, end in pairwise(commands.frame_steps):
+        for i in range(start, end):
+            if control is Control.JOINTS:
+                stage.step(commands.q[i], float(commands.finger_width_m[i]))
+            else:
+                stage.step_pose(commands.X_BG[i], float(commands.finger_width_m[i]))
+        snapshots.append(stage.snapshot())
+        outcomes.append(stage.outcome())
+        if outcomes[-1].success:
+            break
     return Execution(snapshots=tuple(snapshots), outcomes=tuple(outcomes))
