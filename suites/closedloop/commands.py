@@ -97,7 +97,8 @@ class Commander:
 
     def __init__(self, plant: ArmPlant) -> None:
         """Prepare for a robot."""
-        self._plant = plant
+        self.plant = plant
+        """The robot."""
         self._collisions = CollisionModel(plant)
 
     def commands(
@@ -125,7 +126,7 @@ class Commander:
             raise UnmeasurableError(f"{int(tracked.sum())} of {frames} frames are tracked: there is nothing to execute")
         t_s = t_s - t_s[0]
         refused = [*_runs(Refusal.NOT_TRACKED, ~tracked & (np.arange(frames) > 0))]
-        poses = _bridged(np.concatenate([self._plant.forward(start.q)[None], X_BG[1:]]), tracked)
+        poses = _bridged(np.concatenate([self.plant.forward(start.q)[None], X_BG[1:]]), tracked)
         width, gripping = _finger_targets(finger_width_m, start)
         q, unreached = self._path(t_s, poses, start.q)
         refused += _runs(Refusal.UNREACHABLE, unreached)
@@ -138,7 +139,7 @@ class Commander:
         too_fast[np.searchsorted(frame_steps, np.flatnonzero(slowed) + 1)] = True
         return Commands(
             q=targets,
-            X_BG=np.stack([self._plant.forward(row) for row in targets]),
+            X_BG=np.stack([self.plant.forward(row) for row in targets]),
             finger_width_m=np.interp(asked_s, t_s, width),
             frame_steps=frame_steps,
             gripping=gripping,
@@ -147,7 +148,7 @@ class Commander:
 
     def _path(self, t_s: Array, X_BG: Array, q_start: Array) -> tuple[Array, NDArray[np.bool_]]:
         """Postures (T, 7) [rad] from the start on, and frames (T,) whose pose no posture reaches."""
-        plant = self._plant
+        plant = self.plant
         for q in (stepwise(plant, X_BG, q_start)[0], foreseeing(plant, t_s, X_BG, q_start)):
             if is_sound(plant, t_s, q):
                 return q, np.zeros(len(q), dtype=bool)
@@ -163,7 +164,7 @@ class Commander:
 
         The first posture is where the robot is, whatever it touches.
         """
-        gaps = np.clip(finger_width_m, 0.0, self._plant.finger_width_m)
+        gaps = np.clip(finger_width_m, 0.0, self.plant.finger_width_m)
         own = self._collisions.self_distance(q, gaps).distance_m < -SELF_DEPTH_M
         table = self._collisions.table_distance(q, gaps).distance_m < -TABLE_DEPTH_M
         own[0] = table[0] = False
@@ -172,9 +173,9 @@ class Commander:
 
     def _within_speed(self, q: Array, q_start: Array) -> tuple[Array, NDArray[np.bool_]]:
         """Targets (N, 7) that no joint is too slow for, and the steps (N,) at which one would have been."""
-        most = self._plant.velocity_limits * CONTROL_PERIOD_S
+        most = self.plant.velocity_limits * CONTROL_PERIOD_S
         targets, slowed, now = np.empty_like(q), np.zeros(len(q), dtype=bool), q_start
-        for i, wanted in enumerate(np.clip(q, self._plant.lower, self._plant.upper)):
+        for i, wanted in enumerate(np.clip(q, self.plant.lower, self.plant.upper)):
             step = np.clip(wanted - now, -most, most)
             slowed[i] = np.abs(wanted - now - step).max() > SPEED_SLACK_RAD
             targets[i] = now = now + step

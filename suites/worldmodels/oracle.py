@@ -3,7 +3,6 @@
 With a fault its videos are made worse by a known amount, to see that success falls with it.
 """
 
-from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -20,10 +19,8 @@ from kinebench_drake.suites.faults.take import Take
 from kinebench_drake.suites.faults.trickstage import TrickStage
 from kinebench_drake.suites.rollout import Performance, perform_clip
 from kinebench_drake.suites.stagehand import Stagehand
+from kinebench_drake.suites.worldmodels.privileged import State
 from kinebench_drake.suites.worldmodels.worldmodel import Request, WorldModelError
-
-State = Mapping[str, Mapping[str, NDArray[np.float32]]]
-"""What `Stage.simulation_state` tells."""
 
 
 class Oracle:
