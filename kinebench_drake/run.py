@@ -23,8 +23,6 @@ from kinebench_drake.storage import storage
 class RunConfig:
     """What every run is told."""
 
-    source: Path
-    """What to work on."""
     out: Path
     """Output folder, made if absent."""
     kind: Kind
@@ -78,7 +76,6 @@ class RunConfig:
         """What results tell of the configuration; paths by their last name only."""
         return {
             "kind": self.kind.value,
-            "source": self.source.resolve().name,
             "limit": self.limit,
             "shard": str(self.shard) if self.shard else None,
             "jobs": self.jobs,

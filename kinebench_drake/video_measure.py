@@ -125,7 +125,7 @@ class VideoMeasure(Measure[Sample, Stages]):
                 "tracked_fraction": tracked / len(t_s),
                 "camera_motion_px": grounding.camera_motion_px,
                 "arm_consistency_px": grounding.arm_consistency_px,
-                "anomalies": [_anomaly_json(a) for a in grounding.anomalies],
+                "anomalies": [anomaly_json(a) for a in grounding.anomalies],
             },
             extra={
                 "first_frame": grounding.first_frame.value,
@@ -196,10 +196,11 @@ def _first_json(first: FirstFrame | None) -> Json:
     return None if first is None else [*first.X_BG.ravel().tolist(), str(first.finger_width_m)]
 
 
-def _anomaly_json(anomaly: Anomaly) -> dict[str, Json]:
+def anomaly_json(anomaly: Anomaly, first_frame: int = 0) -> dict[str, Json]:
+    """An anomaly as rows have it, its frames counted on from `first_frame`."""
     return {
         "kind": anomaly.kind.value,
-        "frame_start": int(anomaly.frame_start),
-        "frame_end": int(anomaly.frame_end),
+        "frame_start": first_frame + int(anomaly.frame_start),
+        "frame_end": first_frame + int(anomaly.frame_end),
         "severity": float(anomaly.severity),
     }

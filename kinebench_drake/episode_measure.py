@@ -1,0 +1,173 @@
+"""What is done to one episode of a suite: run it in closed loop, judge what was imagined, tell how it went."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from kinebench_drake.closed_loop import ClosedLoop, EpisodeRun, LoopOptions
+from kinebench_drake.kinematics.plant import ArmPlant
+from kinebench_drake.measure import KINEMATIC_METRICS, MIN_TRACKED, Measure, Measured
+from kinebench_drake.products import GripperTrack
+from kinebench_drake.provenance import weights_hash
+from kinebench_drake.results import part_path
+from kinebench_drake.row import Json
+from kinebench_drake.stages import Stages, load_stages
+from kinebench_drake.suites.closedloop.commands import Commander
+from kinebench_drake.suites.stage import Stage
+from kinebench_drake.suites.stagehand import Stagehand
+from kinebench_drake.suites.suite import Draw
+from kinebench_drake.suites.worldmodels.factory import create
+from kinebench_drake.trackfile import write_track
+from kinebench_drake.video_measure import VISUAL_METRICS, anomaly_json
+
+SIZE_PX = 384
+"""Width and height of the pictures that models are given."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EpisodeSample:
+    """One episode to run with one model."""
+
+    draw: Draw
+    model: str
+    """Name of the world model."""
+
+    @property
+    def id(self) -> str:
+        """See `measure.Named`."""
+        return self.draw.id
+
+    @property
+    def video(self) -> str:
+        """The first clip that the model imagines, relative to the output folder."""
+        return f"videos/{self.id}_r0.mp4"
+
+    @property
+    def task(self) -> str:
+        """See `measure.Named`."""
+        return self.draw.task
+
+
+@dataclass(frozen=True, slots=True)
+class Theatre:
+    """What a process needs to run episodes."""
+
+    stages: Stages
+    hand: Stagehand[Stage]
+    loop: ClosedLoop
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EpisodeMeasure(Measure[EpisodeSample, Theatre]):
+    """How the episodes of one run are measured."""
+
+    world_model: str
+    """What to ask, as the command line names it."""
+    loop: LoopOptions
+
+    @property
+    def metric_names(self) -> tuple[str, ...]:
+        """See `Measure`."""
+        return (*VISUAL_METRICS, *KINEMATIC_METRICS)
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """See `Measure`."""
+        return ("tracks",)
+
+    def facts(self, sample: EpisodeSample) -> Mapping[str, Json]:
+        """See `Measure`."""
+        draw = sample.draw
+        options = {**asdict(self.loop), "control": self.loop.control.value}
+        return {
+            "weights": weights_hash(),
+            "world_model": self.world_model,
+            "loop": options,
+            "episode": [draw.task, draw.seed, draw.pool.value, draw.variant.value],
+        }
+
+    def files(self, sample: EpisodeSample) -> Sequence[Path]:
+        """See `Measure`."""
+        return ()
+
+    def labels(self, sample: EpisodeSample) -> Mapping[str, Json]:
+        """See `Measure`."""
+        return {"seed": sample.draw.seed, "pool": sample.draw.pool.value, "variant": sample.draw.variant.value}
+
+    def equip(self) -> Theatre:
+        """See `Measure`."""
+        stages = load_stages(self.stages, self.stage_options)
+        loop = ClosedLoop(stages, Commander(ArmPlant()), create(self.world_model), self.loop)
+        return Theatre(stages, Stagehand(partial(Stage, control=self.loop.control), SIZE_PX), loop)
+
+    def measure(self, sample: EpisodeSample, theatre: Theatre) -> Measured:
+        """See `Measure`."""
+        episode = sample.draw.episode()
+        stage = theatre.hand.stage(episode.task, episode.variant)
+        videos = self.out / "videos"
+        videos.mkdir(exist_ok=True)
+        run = theatre.loop.run(stage, episode, videos / sample.id)
+        track = joined_track([r.grounded.track for r in run.rounds])
+        judgement = theatre.stages.judge(track) if track.tracked.sum() >= MIN_TRACKED else None
+        joints, curves = (judgement.joints, judgement.curves) if judgement else (None, {})
+        write_track(part_path(self.out, "tracks", sample.id), track, joints, curves)
+        return Measured(
+            judgement=judgement,
+            metrics=_visual_metrics(run, track),
+            extra={
+                "success": run.outcome.success,
+                "progress": run.outcome.progress,
+                "rounds": len(run.rounds),
+                "missed": [name for name, holds in run.outcome.conditions.items() if not holds],
+                "refused": _refused(run),
+                "prompt": episode.prompt,
+                "frames": len(track.t_s),
+            },
+        )
+
+
+def joined_track(tracks: Sequence[GripperTrack]) -> GripperTrack:
+    """The tracks of clips that follow each other, each beginning at the moment at which the one before ends.
+
+    The first frame of a later clip shows what the last one of the clip before led to, and is left out.
+    """
+    joined = tracks[0]
+    for track in tracks[1:]:
+        t_s = np.concatenate([joined.t_s, joined.t_s[-1] + track.t_s[1:] - track.t_s[0]])
+        rest = {
+            name: np.concatenate([getattr(joined, name), getattr(track, name)[1:]])
+            for name in ("X_CH", "X_BG", "tracked", "confidence", "finger_width_m")
+        }
+        joined = replace(joined, t_s=t_s, **rest)
+    return joined
+
+
+def _visual_metrics(run: EpisodeRun, track: GripperTrack) -> dict[str, Json]:
+    """What the clips show, frames counted through all of them."""
+    grounded = [r.grounded for r in run.rounds]
+    starts = np.cumsum([0, *(len(g.track.t_s) - 1 for g in grounded)])
+    motions = [g.camera_motion_px for g in grounded if g.camera_motion_px is not None]
+    distances = [g.arm_consistency_px for g in grounded if g.arm_consistency_px is not None]
+    return {
+        "tracked_fraction": float(track.tracked.mean()),
+        "camera_motion_px": max(motions) if motions else None,
+        "arm_consistency_px": float(np.median(distances)) if distances else None,
+        "anomalies": [
+            anomaly_json(a, int(start)) for start, g in zip(starts, grounded, strict=False) for a in g.anomalies
+        ],
+    }
+
+
+def _refused(run: EpisodeRun) -> list[Json]:
+    """What was not commanded as imagined, round by round."""
+    told = list[Json]()
+    for number, done in enumerate(run.rounds):
+        if done.refusal is not None:
+            told.append({"round": number, "reason": "nothing_to_execute", "text": done.refusal})
+        for refused in done.commands.refused if done.commands else ():
+            frames: dict[str, Json] = {"frame_start": refused.frame_start, "frame_end": refused.frame_end}
+            told.append({"round": number, "reason": refused.reason.value, **frames})
+    return told
