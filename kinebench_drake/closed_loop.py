@@ -1,4 +1,4 @@
-"""One episode in closed loop: a model imagines, the grounding reads, the robot executes; then on from what came of it."""
+"""One episode in closed loop: a model imagines, the grounding reads, the robot executes, and so on, round by round."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass

@@ -1,6 +1,6 @@
 """A world model on a suite: every episode in closed loop, and what came of them."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from kinebench_drake.closed_loop import LoopOptions
 from kinebench_drake.episode_measure import EpisodeMeasure, EpisodeSample
@@ -27,7 +27,7 @@ class SuiteConfig(RunConfig):
     variant: Variant = Variant.PLAIN
     world_model: str
     """What to ask: see docs/worldmodels.md."""
-    loop: LoopOptions = LoopOptions()
+    loop: LoopOptions = field(default_factory=LoopOptions)
 
     def samples(self) -> list[EpisodeSample]:
         """The episodes, task by task."""
