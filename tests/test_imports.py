@@ -11,7 +11,21 @@ import pytest
 ROOT = Path(__file__).parent.parent
 PACKAGE = "kinebench_drake"
 
-LEAF = {"__init__", "errors", "geometry", "camera", "products", "native", "mp4", "identity", "shard", "storage"}
+LEAF = {
+    *(
+        "__init__",
+        "errors",
+        "geometry",
+        "camera",
+        "products",
+        "native",
+        "mp4",
+        "identity",
+        "shard",
+        "storage",
+        "plugin",
+    ),
+}
 RESULTS = {"row", "aggregate", "normalization", "results", "trackfile", "provenance", "report", "engines"}
 MAY_IMPORT = {
     **dict.fromkeys(LEAF, LEAF),
