@@ -39,14 +39,17 @@ def load_pipeline(
     try:
         import diffusers
         import torch
+        import transformers
     except ImportError as error:
         raise SetupError(f"diffusers cannot be imported ({error}); pip install 'kinebench-drake[diffusers]'") from None
+    for library in (diffusers, transformers):
+        library.utils.logging.disable_progress_bar()
     place = device or ("cuda" if torch.cuda.is_available() else "cpu")
     automatic = torch.float32 if place == "cpu" else torch.bfloat16
     precision = automatic if dtype == "auto" else getattr(torch, dtype)
     try:
         kind = getattr(diffusers, _kind(diffusers.DiffusionPipeline.load_config(source)))
-        pipeline = kind.from_pretrained(source, torch_dtype=precision, use_safetensors=True)
+        pipeline = kind.from_pretrained(source, dtype=precision, use_safetensors=True)
         if offload == "model":
             pipeline.enable_model_cpu_offload(device=place)
         elif offload == "sequential":
@@ -81,9 +84,11 @@ def add_lora(pipeline: Any, lora: str, scale: float) -> None:
     try:
         pipeline.load_lora_weights(folder, weight_name=file, use_safetensors=True, adapter_name=_ADAPTER)
         if _ADAPTER not in {name for names in pipeline.get_list_adapters().values() for name in names}:
-            raise ValueError("it has no weights for this pipeline")
+            raise ValueError("it has no weights for the pipeline")
         pipeline.set_adapters([_ADAPTER], [scale])
-    except (OSError, ValueError, ImportError, RuntimeError, KeyError) as error:
+    except LookupError:
+        raise SetupError(f"the LoRA {shown(lora)} cannot be loaded: its weights do not fit the pipeline") from None
+    except (OSError, ValueError, ImportError, RuntimeError) as error:
         raise SetupError(f"the LoRA {shown(lora)} cannot be loaded: {remark(str(error))}") from None
 
 
