@@ -9,7 +9,8 @@ from typing import Any, Literal
 from kinebench_drake.errors import SetupError
 from kinebench_drake.suites.worldmodels.remark import remark
 
-PIPELINES = ("WanImageToVideoPipeline", "CogVideoXImageToVideoPipeline")
+_WAN = "WanImageToVideoPipeline"
+PIPELINES = (_WAN, "CogVideoXImageToVideoPipeline")
 """Classes of pipelines that a checkpoint may name: Wan 2.1 and 2.2, CogVideoX."""
 _LIBRARIES = ("diffusers", "transformers", None)
 """Where the parts of a pipeline may come from; None: the part is left out. A checkpoint brings no code of its own."""
@@ -48,8 +49,12 @@ def load_pipeline(
     automatic = torch.float32 if place == "cpu" else torch.bfloat16
     precision = automatic if dtype == "auto" else getattr(torch, dtype)
     try:
-        kind = getattr(diffusers, _kind(diffusers.DiffusionPipeline.load_config(source)))
-        pipeline = kind.from_pretrained(source, dtype=precision, use_safetensors=True)
+        kind = _kind(diffusers.DiffusionPipeline.load_config(source))
+        # Wan's manual keeps these two exact: half of their precision is seen in the pictures.
+        exact = {"vae": torch.float32, "image_encoder": torch.float32} if kind == _WAN else {}
+        pipeline = getattr(diffusers, kind).from_pretrained(
+            source, dtype={"default": precision, **exact}, use_safetensors=True
+        )
         if offload == "model":
             pipeline.enable_model_cpu_offload(device=place)
         elif offload == "sequential":

@@ -37,12 +37,17 @@ def make(folder: Path, request: Request, out: Path, options: str = "") -> np.nda
     return decoded(path)[1]
 
 
+def difference(a: np.ndarray, b: np.ndarray) -> float:
+    """Mean difference of two videos in grey levels. Encoding such small ones may vary by less than one."""
+    return float(np.abs(a.astype(int) - b).mean())
+
+
 def test_wan(checkpoint: Path, request_: Request, out: Path) -> None:
     """As many frames as asked for, though it can make 5, 9, 13; one seed gives one video."""
     first = make(checkpoint, replace(request_, num_frames=7), out)
     assert first.shape == (7, 64, 96, 3)
-    assert np.array_equal(make(checkpoint, replace(request_, num_frames=7), out), first)
-    assert not np.array_equal(make(checkpoint, replace(request_, num_frames=7, seed=1), out), first)
+    assert difference(make(checkpoint, replace(request_, num_frames=7), out), first) < 1
+    assert difference(make(checkpoint, replace(request_, num_frames=7, seed=1), out), first) > 3
 
 
 @pytest.mark.parametrize("version", ["2.2", "2.2-5B"])
@@ -54,6 +59,12 @@ def test_sizes_are_rounded_and_shapes_kept(checkpoint: Path, request_: Request, 
     """60x40 is done as 64x48, which is 4:3: stretched back to the first frame's 3:2. 48x32 is 3:2, and stays."""
     assert make(checkpoint, request_, out, "&size=60x40").shape == (5, 64, 96, 3)
     assert make(checkpoint, request_, out, "&size=48x32").shape == (5, 32, 48, 3)
+
+
+def test_half_precision_is_nearly_the_same(checkpoint: Path, tmp_path: Path, request_: Request, out: Path) -> None:
+    for folder in (checkpoint, tiny.cogvideox(tmp_path / "cog", learned=False)):
+        exact, half = (make(folder, request_, out, f"&dtype={name}") for name in ("float32", "bfloat16"))
+        assert difference(exact, half) < 10
 
 
 @pytest.mark.parametrize(("learned", "shape"), [(True, (9, 64, 96, 3)), (False, (13, 64, 96, 3))])
@@ -75,9 +86,9 @@ def test_lora_changes_the_video(checkpoint: Path, tmp_path: Path, request_: Requ
     save_file(weights, file)
     plain = make(checkpoint, request_, out)
     by_file = make(checkpoint, request_, out, f"&lora={file}")
-    assert not np.array_equal(by_file, plain)
-    assert np.array_equal(make(checkpoint, request_, out, f"&lora={tmp_path}/lora"), by_file)
-    assert np.array_equal(make(checkpoint, request_, out, f"&lora={file}&lora_scale=0"), plain)
+    assert difference(by_file, plain) > 3
+    assert difference(make(checkpoint, request_, out, f"&lora={tmp_path}/lora"), by_file) < 1
+    assert difference(make(checkpoint, request_, out, f"&lora={file}&lora_scale=0"), plain) < 1
     save_file({"transformer.nothing.lora_A.weight": torch.ones(2, 24)}, file)
     for options, message in ((f"&lora={file}", "cannot be loaded"), (f"&lora={tmp_path}", "is not there")):
         with pytest.raises(SetupError, match=f"the LoRA .* {message}"):
