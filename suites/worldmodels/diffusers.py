@@ -5,6 +5,7 @@ Pipelines: https://huggingface.co/docs/diffusers/api/pipelines/wan and .../api/p
 
 import importlib.util
 import math
+import re
 from pathlib import Path
 from typing import Any, Literal
 
@@ -21,6 +22,7 @@ from kinebench_drake.suites.worldmodels.spec import Options, Spec
 from kinebench_drake.suites.worldmodels.worldmodel import Request, WorldModelError
 
 _SIZE = r"^[1-9]\d{1,3}x[1-9]\d{1,3}$"
+_HUB_ID = re.compile(r"\w[\w.-]*/[\w.-]+")
 _WAN_SIDES = 16
 """The Wan pipeline takes no other sides than multiples of this, whatever its networks could do."""
 
@@ -50,6 +52,8 @@ class Diffusers:
         self._source = spec.rest
         if not self._source:
             raise spec.unusable("expected diffusers:PATH_OR_ID, such as diffusers:Wan-AI/Wan2.1-I2V-14B-480P-Diffusers")
+        if not Path(self._source).is_dir() and not _HUB_ID.fullmatch(self._source):
+            raise spec.unusable(f"there is no folder {self._source}, and an id on the hub looks like ORG/NAME")
         for package in ("diffusers", "transformers"):
             if importlib.util.find_spec(package) is None:
                 raise SetupError(f"the package {package} is missing; pip install 'kinebench-drake[diffusers]'")

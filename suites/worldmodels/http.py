@@ -56,7 +56,7 @@ class Http:
         url = web_address(given)
         if url is None or url.query or url.fragment:
             # The spec itself is not repeated: it may hold a password.
-            raise Spec(text="http:", kind="http", rest="", options={}).unusable(
+            raise Spec(text="http://...", kind="http", rest="", options={}).unusable(
                 "expected http://HOST:PORT/PATH, http:URL or https://..., without name, password and query; a key is "
                 "given with ?key_env=VARIABLE"
             )

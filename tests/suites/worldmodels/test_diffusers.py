@@ -133,6 +133,7 @@ def test_names_hold_no_paths(checkpoint: Path) -> None:
     ("spec", "message"),
     [
         ("diffusers:", "expected diffusers:PATH_OR_ID"),
+        ("diffusers:/no/such/folder", "there is no folder /no/such/folder"),
         ("diffusers:a/b?size=1280", "size=1280"),
         ("diffusers:a/b?dtype=int8", "dtype=int8"),
         ("diffusers:a/b?steps=0", "steps=0"),
