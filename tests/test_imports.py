@@ -11,7 +11,21 @@ import pytest
 ROOT = Path(__file__).parent.parent
 PACKAGE = "kinebench_drake"
 
-LEAF = {"__init__", "errors", "geometry", "camera", "products", "native", "mp4", "identity", "shard", "storage"}
+LEAF = {
+    *(
+        "__init__",
+        "errors",
+        "geometry",
+        "camera",
+        "products",
+        "native",
+        "mp4",
+        "identity",
+        "shard",
+        "storage",
+        "plugin",
+    ),
+}
 RESULTS = {"row", "aggregate", "normalization", "results", "trackfile", "provenance", "report", "engines"}
 MAY_IMPORT = {
     **dict.fromkeys(LEAF, LEAF),
@@ -89,7 +103,7 @@ def loaded_by(statement):
     return set(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split())
 
 
-HEAVY = {"torch", "open3d", "sapien", "mani_skill", "pydrake", "matplotlib", "cv2"}
+HEAVY = {"torch", "open3d", "sapien", "mani_skill", "pydrake", "matplotlib", "cv2", "diffusers", "transformers"}
 
 
 def test_importing_the_package_loads_nothing_heavy():
@@ -98,7 +112,10 @@ def test_importing_the_package_loads_nothing_heavy():
 
 @pytest.mark.parametrize(
     "module",
-    ["score", "audit", "inputs", "results", "measure", "report", "cli.score", "cli.audit", "cli.run", "suites.start"],
+    [
+        *("score", "audit", "inputs", "results", "measure", "report", "cli.score", "cli.audit", "cli.run"),
+        *("suites.start", "suites.worldmodels.factory"),
+    ],
 )
 def test_the_frame_of_a_run_loads_nothing_heavy(module):
     assert not loaded_by(f"import kinebench_drake.{module}") & HEAVY
