@@ -23,6 +23,8 @@ class AuditConfig(RunConfig):
 
     source: Path
     """Trajectory, folder of trajectories, or dataset."""
+    task: str | None = None
+    """Task of samples that name none."""
     kind: Kind = Kind.AUDIT
     rate_hz: float | None = None
     """Frames per second, over the files' times [Hz]."""
@@ -67,6 +69,7 @@ class AuditConfig(RunConfig):
         return {
             **RunConfig.to_json(self),
             "source": self.source.resolve().name,
+            "task": self.task,
             "rate_hz": self.rate_hz,
             "joints": self.joints,
             "poses": self.poses,

@@ -20,6 +20,7 @@ from kinebench_drake.suites.stage import Stage
 from kinebench_drake.suites.stagehand import Stagehand
 from kinebench_drake.suites.suite import Draw
 from kinebench_drake.suites.worldmodels.factory import create
+from kinebench_drake.suites.worldmodels.simulated import SIMULATED
 from kinebench_drake.trackfile import write_track
 from kinebench_drake.video_measure import VISUAL_METRICS, anomaly_json
 
@@ -100,7 +101,7 @@ class EpisodeMeasure(Measure[EpisodeSample, Theatre]):
     def equip(self) -> Theatre:
         """See `Measure`."""
         stages = load_stages(self.stages, self.stage_options)
-        loop = ClosedLoop(stages, Commander(ArmPlant()), create(self.world_model), self.loop)
+        loop = ClosedLoop(stages, Commander(ArmPlant()), create(self.world_model, SIMULATED), self.loop)
         return Theatre(stages, Stagehand(partial(Stage, control=self.loop.control), SIZE_PX), loop)
 
     def measure(self, sample: EpisodeSample, theatre: Theatre) -> Measured:

@@ -39,8 +39,6 @@ class RunConfig:
     """Seed of the intervals' resampling."""
     model: str | None = None
     """Model of samples that name none."""
-    task: str | None = None
-    """Task of samples that name none."""
     tags: Mapping[str, str] = field(default_factory=dict)
     """Free labels, kept in the results."""
     stages: str = "kinebench_drake.drake_stages:DrakeStages"
@@ -82,7 +80,6 @@ class RunConfig:
             "engine": self.engine.value,
             "seed": self.seed,
             "model": self.model,
-            "task": self.task,
             "table_height_m": self.table_height_m,
         }
 

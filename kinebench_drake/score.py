@@ -21,6 +21,8 @@ class ScoreConfig(RunConfig):
 
     source: Path
     """Video, folder of videos, npy or npz file, or manifest."""
+    task: str | None = None
+    """Task of samples that name none."""
     kind: Kind = Kind.SCORE
     frame_period_s: float | None = None
     """Task time between two frames [s]."""
@@ -64,6 +66,7 @@ class ScoreConfig(RunConfig):
         return {
             **RunConfig.to_json(self),
             "source": self.source.resolve().name,
+            "task": self.task,
             "frame_period_s": self.frame_period_s,
             "overlay": self.overlay,
             "pixels_only": self.pixels_only,

@@ -1,5 +1,6 @@
 """A world model on a suite: every episode in closed loop, and what came of them."""
 
+from contextlib import closing
 from dataclasses import dataclass, field
 
 from kinebench_drake.closed_loop import LoopOptions
@@ -9,7 +10,8 @@ from kinebench_drake.row import Json
 from kinebench_drake.run import Observer, RunConfig, RunSummary, Silence, run_samples
 from kinebench_drake.suites.suite import Suite
 from kinebench_drake.suites.tasks.card import Variant
-from kinebench_drake.suites.worldmodels.factory import name_of
+from kinebench_drake.suites.worldmodels.factory import create
+from kinebench_drake.suites.worldmodels.simulated import SIMULATED
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -29,9 +31,20 @@ class SuiteConfig(RunConfig):
     """What to ask: see docs/worldmodels.md."""
     loop: LoopOptions = field(default_factory=LoopOptions)
 
+    @property
+    def name(self) -> str:
+        """What the world model calls itself.
+
+        Raises:
+            UsageError: no world model is named so.
+            SetupError: something it needs is missing, such as a key.
+        """
+        with closing(create(self.world_model, SIMULATED)) as model:
+            return model.name
+
     def samples(self) -> list[EpisodeSample]:
         """The episodes, task by task."""
-        name = self.model or name_of(self.world_model)
+        name = self.model or self.name
         return [
             EpisodeSample(draw=draw, model=name)
             for task in self.tasks
@@ -47,7 +60,7 @@ class SuiteConfig(RunConfig):
             "tasks": list(self.tasks),
             "episodes_per_task": self.episodes,
             "variant": self.variant.value,
-            "world_model": name_of(self.world_model),
+            "world_model": self.name,
             "rounds": self.loop.rounds,
             "control": self.loop.control.value,
             "action_repeat": self.loop.action_repeat,
