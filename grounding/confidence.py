@@ -16,6 +16,8 @@ from kinebench_drake.errors import SetupError
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.tracker import FramePose
 
+GOOD_M, GOOD_RAD = 0.010, float(np.deg2rad(5.0))
+"""The confidence is the probability of errors below both."""
 CALIBRATION = Path(__file__).parents[1] / "models" / "perception" / "confidence.json"
 FRAME_FEATURES = (
     *("log_sigma", "log_residual", "log_cells", "overlap", "log_level"),

@@ -12,7 +12,7 @@ from kinebench_drake.grounding.anomaly.evidence import SURE_CONFIDENCE, Evidence
 from kinebench_drake.grounding.anomaly.find import find_anomalies
 from kinebench_drake.grounding.anomaly.finding import Findings
 from kinebench_drake.grounding.anomaly.motion import measure_camera_motion
-from kinebench_drake.grounding.confidence import Confidence, frame_features
+from kinebench_drake.grounding.confidence import GOOD_M, GOOD_RAD, Confidence, frame_features
 from kinebench_drake.grounding.estimator import NetworkEstimator
 from kinebench_drake.grounding.known import NOTHING, FirstFrame, FirstFrameUse, Known
 from kinebench_drake.grounding.opening import smooth_opening
@@ -104,6 +104,8 @@ class GroundingPipeline:
             tracked=tracked,
             confidence=confidence,
             finger_width_m=_widths(poses, tracked, known),
+            offset_m=GOOD_M * (not raw.given.all()),
+            offset_rad=GOOD_RAD * (not raw.given.all()),
         )
         return Grounding(
             track=track,

@@ -32,6 +32,8 @@ def details_json(plant: ArmPlant, result: KinematicResult) -> dict[str, Json]:
             "position_m": result.noise.position_m,
             "rotation_rad": result.noise.rotation_rad,
             "assumed": result.noise_assumed,
+            "offset_m": result.noise.offset_m,
+            "offset_rad": result.noise.offset_rad,
             "fit_residual_rad": result.fit_residual_rad,
             "allowance_sigmas": result.checks.z,
         },

@@ -31,6 +31,10 @@ class GripperTrack:
     """(T,) probability 0..1 that the pose is within 10 mm and 5 degrees."""
     finger_width_m: Array
     """(T,) gap between the finger pads, 0..0.08 [m]; NaN where unknown."""
+    offset_m: float = 0.0
+    """How far tracked poses may be off, neighbours alike, beyond what they jitter [m]: the error of an estimate."""
+    offset_rad: float = 0.0
+    """The same of their rotation [rad]."""
 
     def __post_init__(self) -> None:
         """Check shapes against the number of frames."""

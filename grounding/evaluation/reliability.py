@@ -12,11 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.geometry import Array
+from kinebench_drake.grounding.confidence import GOOD_M, GOOD_RAD
 from kinebench_drake.grounding.evaluation.errors import ClipErrors
 
 BINS = 10
-GOOD_M, GOOD_RAD = 0.010, float(np.deg2rad(5.0))
-"""The confidence is the probability of errors below both [m, rad]."""
 _Z = 1.959964  # of a 95 % interval
 
 

@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from kinebench_drake.geometry import Array, pose_difference
 from kinebench_drake.grounding.anomaly.find import find_anomalies
+from kinebench_drake.grounding.confidence import GOOD_M, GOOD_RAD
 from kinebench_drake.grounding.evaluation.clip import Clip, ClipFile
 from kinebench_drake.grounding.pipeline import GroundingPipeline
 from kinebench_drake.grounding.rawtrack import RawTrack
 from kinebench_drake.grounding.training.augment import degrade, occlude
-from kinebench_drake.grounding.training.holdout import GOOD_M, GOOD_RAD
 from kinebench_drake.grounding.video import read_video
 from kinebench_drake.grounding.view import Frames
 

@@ -9,7 +9,7 @@ from scipy.optimize import minimize
 from scipy.special import expit
 
 from kinebench_drake.geometry import Array, pose_difference
-from kinebench_drake.grounding.confidence import Logistic, frame_features
+from kinebench_drake.grounding.confidence import GOOD_M, GOOD_RAD, Logistic, frame_features
 from kinebench_drake.grounding.tracker import CadTracker
 from kinebench_drake.grounding.training.augment import degrade
 from kinebench_drake.grounding.training.dataset import Shards, frame_camera
@@ -17,8 +17,6 @@ from kinebench_drake.models.perception.frame import DEPTH_UNIT_M
 
 HOLDOUT_SEED = 1_000_000
 """First seed of held-out scenes; training uses seeds from 0."""
-GOOD_M, GOOD_RAD = 0.010, np.deg2rad(5.0)
-"""The confidence is the probability of an error below both."""
 _MIN_VISIBLE_PX = 150
 _PENALTY = 1.0
 

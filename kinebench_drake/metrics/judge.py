@@ -223,10 +223,11 @@ def _noise(track: GripperTrack) -> tuple[TrackNoise, bool]:
     """The track's noise, 0 where it would be more than MOST_NOISE, and whether it had to be assumed."""
     noise = track_noise(track.t_s, track.X_BG, track.tracked)
     if not np.isfinite([noise.position_m, noise.rotation_rad]).all():
-        return ASSUMED_NOISE, True
+        return replace(ASSUMED_NOISE, offset_m=track.offset_m, offset_rad=track.offset_rad), True
     position = noise.position_m if noise.position_m <= MOST_NOISE.position_m else 0.0
     rotation = noise.rotation_rad if noise.rotation_rad <= MOST_NOISE.rotation_rad else 0.0
-    return TrackNoise(position_m=position, rotation_rad=rotation), False
+    known = TrackNoise(position_m=position, rotation_rad=rotation, offset_m=track.offset_m, offset_rad=track.offset_rad)
+    return known, False
 
 
 def _joint_noise(t_s: Array, q: Array) -> Array:

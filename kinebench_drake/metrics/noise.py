@@ -37,12 +37,19 @@ _MEDIAN_OF_NORMAL = 0.6744897501960817  # median of |x| for a standard normal x
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrackNoise:
-    """White noise of a pose track, one standard deviation along or about an axis; NaN where too short to tell."""
+    """White noise of a pose track, one standard deviation along or about an axis, NaN where too short to tell.
+
+    And what no difference between frames shows, because neighbours err alike.
+    """
 
     position_m: float
     """Root mean square over the three axes of B [m]."""
     rotation_rad: float
     """Root mean square over the rotation vector's three components [rad]."""
+    offset_m: float = 0.0
+    """How far neighbouring poses may be off alike [m], as the track's maker tells."""
+    offset_rad: float = 0.0
+    """The same of their rotation [rad]."""
 
 
 def track_noise(t_s: Array, X_BG: Array, tracked: NDArray[np.bool_]) -> TrackNoise:

@@ -24,8 +24,11 @@ _LIMIT_TOLERANCE_RAD = 1e-6
 
 
 def contact_tolerance(noise: TrackNoise) -> float:
-    """Depth [m] up to which touching is no collision: max(2 mm, three standard deviations of the position noise)."""
-    return max(CONTACT_TOLERANCE_M, NOISE_SIGMAS * noise.position_m)
+    """Depth [m] up to which touching is no collision.
+
+    max(2 mm, three standard deviations of the position noise, how far the poses may be off).
+    """
+    return max(CONTACT_TOLERANCE_M, NOISE_SIGMAS * noise.position_m, noise.offset_m)
 
 
 def limit_tolerance(sigma: Array) -> Array:
@@ -97,7 +100,7 @@ def collisions(
         if deep.any():  # few tracks: the smoothed path is looked at only where the path itself collides
             smooth = np.full(len(deep), np.nan)
             smooth[deep] = distance(q_smooth[deep], track.finger_width_m[deep]).distance_m
-            deep &= smooth < -CONTACT_TOLERANCE_M
+            deep &= smooth < -max(CONTACT_TOLERANCE_M, noise.offset_m)
         for run in runs(deep):
             yield _violation(kind, run, None, float(clearance.distance_m[run].min()), limit)
 
@@ -126,7 +129,8 @@ def _left(joints: JointTrack) -> Array:
 
 def _noise_limit(noise: TrackNoise) -> float:
     sigma = float(np.hypot(noise.position_m, ROTATION_ARM_M * noise.rotation_rad))
-    return max(POSITION_TOLERANCE_M, NOISE_SIGMAS * sigma)
+    offset = float(np.hypot(noise.offset_m, ROTATION_ARM_M * noise.offset_rad))
+    return max(POSITION_TOLERANCE_M, NOISE_SIGMAS * sigma, offset)
 
 
 def _violation(kind: ViolationKind, run: slice, joint: str | None, value: float, limit: float) -> Violation:

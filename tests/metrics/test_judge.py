@@ -1,4 +1,5 @@
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -312,3 +313,21 @@ def test_an_open_verdict_says_why(plant: ArmPlant, judge: TrackJudge) -> None:
     result = judge.judge_poses(_poses(plant, _gentle(3)))
     assert result.feasible is None
     assert "3 of 3 frames" in result.reasons["feasible"]
+
+
+@pytest.mark.parametrize(
+    ("depth_m", "offset_m", "collides"), [(0.006, 0.0, True), (0.006, 0.01, False), (0.03, 0.01, True)]
+)
+def test_poses_that_may_be_off_collide_only_beyond_that(
+    plant: ArmPlant, judge: TrackJudge, depth_m: float, offset_m: float, collides: bool
+) -> None:
+    def lowered(by_m: float) -> GripperTrack:
+        X = np.tile(plant.forward(rest_q()), (40, 1, 1))
+        X[:, 2, 3] -= by_m * np.sin(np.pi * np.arange(40) / 39.0) ** 2
+        return _gripper(0.2 * np.arange(40), X)
+
+    left_m = _number(judge.judge_poses(lowered(0.15)).metrics, "table_distance_min_m")
+    found = judge.judge_poses(replace(lowered(0.15 + left_m + depth_m), offset_m=offset_m))
+    assert _number(found.metrics, "table_distance_min_m") == pytest.approx(-depth_m, abs=1e-3)
+    assert (ViolationKind.TABLE_COLLISION in _kinds(found)) is collides
+    assert found.noise.offset_m == offset_m
