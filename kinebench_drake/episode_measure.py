@@ -21,6 +21,7 @@ from kinebench_drake.suites.stagehand import Stagehand
 from kinebench_drake.suites.suite import Draw
 from kinebench_drake.suites.worldmodels.factory import create
 from kinebench_drake.suites.worldmodels.simulated import SIMULATED
+from kinebench_drake.thumbnail import track_at
 from kinebench_drake.trackfile import write_track
 from kinebench_drake.video_measure import VISUAL_METRICS, anomaly_json
 
@@ -135,15 +136,17 @@ def joined_track(tracks: Sequence[GripperTrack]) -> GripperTrack:
 
     The first frame of a later clip shows what the last one of the clip before led to, and is left out.
     """
-    joined = tracks[0]
-    for track in tracks[1:]:
-        t_s = np.concatenate([joined.t_s, joined.t_s[-1] + track.t_s[1:] - track.t_s[0]])
-        rest = {
-            name: np.concatenate([getattr(joined, name), getattr(track, name)[1:]])
-            for name in ("X_CH", "X_BG", "tracked", "confidence", "finger_width_m")
-        }
-        joined = replace(joined, t_s=t_s, **rest)
-    return joined
+    ends = np.cumsum([0.0, *(track.t_s[-1] - track.t_s[0] for track in tracks)])
+    parts = [track_at(track, np.arange(k > 0, len(track.t_s))) for k, track in enumerate(tracks)]
+    return replace(
+        tracks[0],
+        t_s=np.concatenate([end + p.t_s - t.t_s[0] for end, p, t in zip(ends, parts, tracks, strict=False)]),
+        X_CH=np.concatenate([p.X_CH for p in parts]),
+        X_BG=np.concatenate([p.X_BG for p in parts]),
+        tracked=np.concatenate([p.tracked for p in parts]),
+        confidence=np.concatenate([p.confidence for p in parts]),
+        finger_width_m=np.concatenate([p.finger_width_m for p in parts]),
+    )
 
 
 def _visual_metrics(run: EpisodeRun, track: GripperTrack) -> dict[str, Json]:
