@@ -14,7 +14,8 @@ from kinebench_drake.products import GripperTrack
 from kinebench_drake.provenance import weights_hash
 from kinebench_drake.results import part_path
 from kinebench_drake.row import Json
-from kinebench_drake.stages import Stages, load_stages
+from kinebench_drake.stages import Judgement, Stages, load_stages
+from kinebench_drake.suites.closedloop.attribution import ClipEvidence, attribute, cause_json
 from kinebench_drake.suites.closedloop.commands import Commander
 from kinebench_drake.suites.stage import Stage
 from kinebench_drake.suites.stagehand import Stagehand
@@ -116,6 +117,7 @@ class EpisodeMeasure(Measure[EpisodeSample, Theatre]):
         judgement = theatre.stages.judge(track) if track.tracked.sum() >= MIN_TRACKED else None
         joints, curves = (judgement.joints, judgement.curves) if judgement else (None, {})
         write_track(part_path(self.out, "tracks", sample.id), track, joints, curves)
+        cause = None if run.outcome.success else attribute(_evidence(run, judgement), run.outcome.reason)
         return Measured(
             judgement=judgement,
             metrics=_visual_metrics(run, track),
@@ -123,6 +125,8 @@ class EpisodeMeasure(Measure[EpisodeSample, Theatre]):
                 "success": run.outcome.success,
                 "progress": run.outcome.progress,
                 "rounds": len(run.rounds),
+                "verdict": None if cause is None else cause.verdict.value,
+                "cause": None if cause is None else cause_json(cause),
                 "missed": [name for name, holds in run.outcome.conditions.items() if not holds],
                 "refused": _refused(run),
                 "prompt": episode.prompt,
@@ -149,10 +153,42 @@ def joined_track(tracks: Sequence[GripperTrack]) -> GripperTrack:
     )
 
 
+def _starts(run: EpisodeRun) -> list[int]:
+    """Frame of the joined track at which each clip begins."""
+    return [int(n) for n in np.cumsum([0, *(len(r.frames) - 1 for r in run.rounds[:-1])])]
+
+
+def _evidence(run: EpisodeRun, judgement: Judgement | None) -> list[ClipEvidence]:
+    """What the rounds left behind, each up to the last executed frame."""
+    found = []
+    violations = [
+        (str(v["kind"]), int(v["frame_start"]), int(v["frame_end"]))
+        for v in (judgement.violations if judgement else ())
+    ]
+    for start, done in zip(_starts(run), run.rounds, strict=True):
+        track = done.grounded.track
+        frames = len(track.t_s) if done.execution is None else len(done.execution.snapshots)
+        executed = np.full((frames, 4, 4), np.nan) if done.execution is None else done.execution.X_BG
+        gap = np.full(frames, np.nan) if done.execution is None else done.execution.finger_width_m
+        found.append(
+            ClipEvidence(
+                tracked=track.tracked[:frames],
+                anomalies=done.grounded.anomalies,
+                X_BG_imagined=track.X_BG[:frames],
+                X_BG_executed=executed,
+                finger_width_imagined_m=track.finger_width_m[:frames],
+                finger_width_executed_m=gap,
+                violations=tuple(
+                    (kind, a - start, b - start) for kind, a, b in violations if a < start + frames and b > start
+                ),
+            )
+        )
+    return found
+
+
 def _visual_metrics(run: EpisodeRun, track: GripperTrack) -> dict[str, Json]:
     """What the clips show, frames counted through all of them."""
     grounded = [r.grounded for r in run.rounds]
-    starts = np.cumsum([0, *(len(g.track.t_s) - 1 for g in grounded)])
     motions = [g.camera_motion_px for g in grounded if g.camera_motion_px is not None]
     distances = [g.arm_consistency_px for g in grounded if g.arm_consistency_px is not None]
     return {
@@ -160,7 +196,7 @@ def _visual_metrics(run: EpisodeRun, track: GripperTrack) -> dict[str, Json]:
         "camera_motion_px": max(motions) if motions else None,
         "arm_consistency_px": float(np.median(distances)) if distances else None,
         "anomalies": [
-            anomaly_json(a, int(start)) for start, g in zip(starts, grounded, strict=False) for a in g.anomalies
+            anomaly_json(a, start) for start, g in zip(_starts(run), grounded, strict=True) for a in g.anomalies
         ],
     }
 

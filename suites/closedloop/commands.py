@@ -5,7 +5,6 @@ A video shows where the gripper was, not what its servos were told. Two things a
 apart as the thing is wide, so once they have closed they are told to close a little more.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 
@@ -20,6 +19,7 @@ from kinebench_drake.kinematics.following import eased, foreseeing, stepwise
 from kinebench_drake.kinematics.ik import postures_of
 from kinebench_drake.kinematics.path import is_sound, smoothest_path
 from kinebench_drake.kinematics.plant import ArmPlant
+from kinebench_drake.runs import runs
 from kinebench_drake.suites.clock import CONTROL_PERIOD_S
 
 LEAD_S = 0.1
@@ -125,13 +125,13 @@ class Commander:
         if frames < 2 or not tracked[1:].any():
             raise UnmeasurableError(f"{int(tracked.sum())} of {frames} frames are tracked: there is nothing to execute")
         t_s = t_s - t_s[0]
-        refused = [*_runs(Refusal.NOT_TRACKED, ~tracked & (np.arange(frames) > 0))]
+        refused = [*_told(Refusal.NOT_TRACKED, ~tracked & (np.arange(frames) > 0))]
         poses = _bridged(np.concatenate([self.plant.forward(start.q)[None], X_BG[1:]]), tracked)
         width, gripping = _finger_targets(finger_width_m, start)
         q, unreached = self._path(t_s, poses, start.q)
-        refused += _runs(Refusal.UNREACHABLE, unreached)
+        refused += _told(Refusal.UNREACHABLE, unreached)
         q, own, table = self._allowed(q, width)
-        refused += [*_runs(Refusal.SELF_COLLISION, own), *_runs(Refusal.TABLE_COLLISION, table)]
+        refused += [*_told(Refusal.SELF_COLLISION, own), *_told(Refusal.TABLE_COLLISION, table)]
         frame_steps = np.rint(t_s / CONTROL_PERIOD_S).astype(np.intp)
         asked_s = np.minimum(CONTROL_PERIOD_S * np.arange(1, frame_steps[-1] + 1) + LEAD_S, t_s[-1])
         targets, slowed = self._within_speed(CubicSpline(t_s, q, bc_type="clamped")(asked_s), start.q)
@@ -143,7 +143,7 @@ class Commander:
             finger_width_m=np.interp(asked_s, t_s, width),
             frame_steps=frame_steps,
             gripping=gripping,
-            refused=(*refused, *_runs(Refusal.SPEED, too_fast)),
+            refused=(*refused, *_told(Refusal.SPEED, too_fast)),
         )
 
     def _path(self, t_s: Array, X_BG: Array, q_start: Array) -> tuple[Array, NDArray[np.bool_]]:
@@ -217,10 +217,6 @@ def _finger_targets(finger_width_m: Array, start: Posed) -> tuple[Array, bool]:
     return targets, gripping
 
 
-def _runs(reason: Refusal, frames: NDArray[np.bool_]) -> Sequence[Refused]:
+def _told(reason: Refusal, frames: NDArray[np.bool_]) -> list[Refused]:
     """Stretches of consecutive frames (T,)."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], frames, [False]]).astype(np.int8)))
-    return [
-        Refused(reason=reason, frame_start=int(a), frame_end=int(b) - 1)
-        for a, b in zip(edges[::2], edges[1::2], strict=True)
-    ]
+    return [Refused(reason=reason, frame_start=run.start, frame_end=run.stop - 1) for run in runs(frames)]

@@ -3,6 +3,10 @@
 from dataclasses import dataclass
 from itertools import pairwise
 
+import numpy as np
+
+from kinebench_drake.geometry import Array
+from kinebench_drake.models.panda.robot import TCP_LINK
 from kinebench_drake.suites.closedloop.commands import Commands
 from kinebench_drake.suites.stage import Control, Outcome, Snapshot, Stage
 
@@ -15,6 +19,13 @@ class Execution:
     """The state at each frame, the one before the first command included; none after success."""
     outcomes: tuple[Outcome, ...]
     """The task's verdict at each frame but the first."""
+    X_BG: Array
+    """(T, 4, 4) panda_hand_tcp in the base frame at each snapshot [m]."""
+
+    @property
+    def finger_width_m(self) -> Array:
+        """(T,) gap between the finger pads at each snapshot [m]."""
+        return np.array([s.fingers_m.sum() for s in self.snapshots])
 
     @property
     def outcome(self) -> Outcome:
@@ -30,7 +41,7 @@ def execute(stage: Stage, commands: Commands, control: Control) -> Execution:
         commands: what to do.
         control: whether the robot is told joint angles or poses.
     """
-    snapshots, outcomes = [stage.snapshot()], list[Outcome]()
+    snapshots, outcomes, X_BG = [stage.snapshot()], list[Outcome](), [stage.link_pose(TCP_LINK)]
     for start, end in pairwise(commands.frame_steps):
         for i in range(start, end):
             if control is Control.JOINTS:
@@ -39,6 +50,7 @@ def execute(stage: Stage, commands: Commands, control: Control) -> Execution:
                 stage.step_pose(commands.X_BG[i], float(commands.finger_width_m[i]))
         snapshots.append(stage.snapshot())
         outcomes.append(stage.outcome())
+        X_BG.append(stage.link_pose(TCP_LINK))
         if outcomes[-1].success:
             break
-    return Execution(snapshots=tuple(snapshots), outcomes=tuple(outcomes))
+    return Execution(snapshots=tuple(snapshots), outcomes=tuple(outcomes), X_BG=np.stack(X_BG))
