@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 
@@ -162,7 +163,7 @@ def _evidence(run: EpisodeRun, judgement: Judgement | None) -> list[ClipEvidence
     """What the rounds left behind, each up to the last executed frame."""
     found = []
     violations = [
-        (str(v["kind"]), int(v["frame_start"]), int(v["frame_end"]))
+        (str(v["kind"]), cast(int, v["frame_start"]), cast(int, v["frame_end"]))
         for v in (judgement.violations if judgement else ())
     ]
     for start, done in zip(_starts(run), run.rounds, strict=True):
