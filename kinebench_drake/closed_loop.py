@@ -103,7 +103,7 @@ class ClosedLoop:
 
     def _round(self, stage: Stage, episode: Episode, number: int, out: Path, gripping: bool) -> Round:
         options, now = self._options, stage.snapshot()
-        first_frame = stage.picture()[0]
+        first_frame = stage.picture().rgb
         request = Request(
             episode=episode.id,
             task=episode.task,

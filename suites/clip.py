@@ -37,6 +37,8 @@ class Clip:
     """(T, H, W) distance along the camera's z in whole millimetres, towards zero; 0 where nothing is."""
     mask: NDArray[np.bool_]
     """(T, H, W) pixels of the gripper (hand and fingers)."""
+    robot: NDArray[np.bool_]
+    """(T, H, W) pixels of the robot, the gripper among them."""
 
     def save_truth(self, path: Path, *, with_images: bool) -> None:
         """Write the ground truth as npz, the same bytes every time; `with_images`: depth and packed masks as well.
@@ -69,15 +71,15 @@ def film(stage: Stage, snapshots: Sequence[Snapshot], *, first_frame: int = 0) -
         pictures.append(stage.picture())
         X_BH.append(stage.link_pose(HAND_LINK))
         X_BG.append(stage.link_pose(TCP_LINK))
-    rgb, depth_mm, mask = (np.stack(images) for images in zip(*pictures, strict=True))
     return Clip(
         camera=stage.camera,
-        rgb=rgb,
+        rgb=np.stack([p.rgb for p in pictures]),
         t_s=FRAME_PERIOD_S * np.arange(first_frame, first_frame + len(snapshots), dtype=np.float64),
         q=np.stack([s.q for s in snapshots]),
         finger_width_m=np.array([s.fingers_m.sum() for s in snapshots]),
         X_CH=invert(stage.camera.X_BC) @ np.stack(X_BH),
         X_BG=np.stack(X_BG),
-        depth_mm=depth_mm,
-        mask=mask,
+        depth_mm=np.stack([p.depth_mm for p in pictures]),
+        mask=np.stack([p.mask for p in pictures]),
+        robot=np.stack([p.robot for p in pictures]),
     )

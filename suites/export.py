@@ -83,7 +83,7 @@ class _Photographer:
             episode = draw.episode()
             stage = hand.stage(draw.task, draw.variant)
             stage.reset(episode)
-            rgb, _, _ = stage.picture()
+            rgb = stage.picture().rgb
             with whole(self.out / f"{episode.id}.png") as part:
                 Image.fromarray(rgb).save(part, format="png")
             width_m = float(stage.snapshot().fingers_m.sum())

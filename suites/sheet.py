@@ -160,7 +160,7 @@ class _Photographer:
         title, text, failed = _title(episode, performs=self._performs), episode.prompt, False
         if not self._performs:
             stage.reset(episode)
-            return Shot(title=title, text="", pictures=(stage.picture()[0],))
+            return Shot(title=title, text="", pictures=(stage.picture().rgb,))
         try:
             performance = perform(stage, find_expert(episode.task), episode)
             snapshots = [performance.snapshots[0], performance.snapshots[-1]]
@@ -172,5 +172,5 @@ class _Photographer:
         pictures = []
         for snapshot in snapshots:
             stage.show(snapshot)
-            pictures.append(stage.picture()[0])
+            pictures.append(stage.picture().rgb)
         return Shot(title=title, text=text, pictures=tuple(pictures), failed=failed)

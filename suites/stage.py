@@ -58,6 +58,20 @@ class Snapshot:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Picture:
+    """What the camera sees at one moment."""
+
+    rgb: NDArray[np.uint8]
+    """(H, W, 3)."""
+    depth_mm: NDArray[np.uint16]
+    """(H, W) distance along the camera's z in whole millimetres, towards zero; 0 where nothing is."""
+    mask: NDArray[np.bool_]
+    """(H, W) pixels of the gripper (hand and fingers)."""
+    robot: NDArray[np.bool_]
+    """(H, W) pixels of the robot, the gripper among them."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Outcome:
     """A task's verdict on one moment."""
 
@@ -253,10 +267,16 @@ class Stage:
     def _link_ids(self) -> dict[str, int]:
         return {name: int(link.per_scene_id[0]) for name, link in self._env.agent.robot.links_map.items()}
 
-    def picture(self) -> tuple[NDArray[np.uint8], NDArray[np.uint16], NDArray[np.bool_]]:
-        """Colour (H, W, 3), depth (H, W) [mm] and gripper mask (H, W) of the present state."""
+    def picture(self) -> Picture:
+        """The present state as the camera sees it."""
         rgb, depth_mm, labels = self._capture()
-        return rgb, depth_mm, np.isin(labels, [i for name, i in self._link_ids().items() if name in GRIPPER_LINKS])
+        ids = self._link_ids()
+        return Picture(
+            rgb=rgb,
+            depth_mm=depth_mm,
+            mask=np.isin(labels, [i for name, i in ids.items() if name in GRIPPER_LINKS]),
+            robot=np.isin(labels, list(ids.values())),
+        )
 
     def still(self) -> Frame:
         """The present state as a training frame: a picture in which each pixel knows what it shows."""

@@ -96,6 +96,7 @@ def test_filming_changes_nothing(filmed: Filmed) -> None:
     assert np.array_equal(again.t_s, clip.t_s[30:33])
     with Stage("StackCube-v1", camera=clip.camera) as other:
         assert perform(other, find_expert("StackCube-v1"), performance.episode).outcome.success
-        rgb, _, mask = other.picture()  # straight from the simulation, no snapshot between
-    assert np.array_equal(rgb, clip.rgb[-1])
-    assert np.array_equal(mask, clip.mask[-1])
+        picture = other.picture()  # straight from the simulation, no snapshot between
+    assert np.array_equal(picture.rgb, clip.rgb[-1])
+    assert np.array_equal(picture.mask, clip.mask[-1])
+    assert (picture.robot & picture.mask).sum() == picture.mask.sum() < picture.robot.sum()

@@ -48,7 +48,7 @@ def test_vanish(take: Take) -> None:
     assert not faulty.mask[span(fault)].any()
     assert np.isnan(faulty.X_BG[span(fault)]).all()
     take.stage.show(take.performance.snapshots[fault.frame_start])
-    assert np.array_equal(take.stage.picture()[0], take.clip.rgb[fault.frame_start])  # the links are drawn again
+    assert np.array_equal(take.stage.picture().rgb, take.clip.rgb[fault.frame_start])  # the links are drawn again
 
 
 def test_freeze(take: Take) -> None:
