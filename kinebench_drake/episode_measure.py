@@ -1,23 +1,30 @@
 """What is done to one episode of a suite: run it in closed loop, judge what was imagined, tell how it went."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import cast
 
+import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from kinebench_drake.closed_loop import ClosedLoop, EpisodeRun, LoopOptions
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.measure import KINEMATIC_METRICS, MIN_TRACKED, Measure, Measured
+from kinebench_drake.mp4 import write_video
 from kinebench_drake.products import GripperTrack
 from kinebench_drake.provenance import weights_hash
 from kinebench_drake.results import part_path
 from kinebench_drake.row import Json
 from kinebench_drake.stages import Judgement, Stages, load_stages
+from kinebench_drake.storage import storage
+from kinebench_drake.suites.clip import Clip, film
 from kinebench_drake.suites.closedloop.attribution import ClipEvidence, attribute, cause_json
 from kinebench_drake.suites.closedloop.commands import Commander
+from kinebench_drake.suites.closedloop.gap import measure_gap
+from kinebench_drake.suites.export import FPS
 from kinebench_drake.suites.stage import Stage
 from kinebench_drake.suites.stagehand import Stagehand
 from kinebench_drake.suites.suite import Draw
@@ -29,6 +36,8 @@ from kinebench_drake.video_measure import VISUAL_METRICS, anomaly_json
 
 SIZE_PX = 384
 """Width and height of the pictures that models are given."""
+GAP_METRICS = ("gap_robot_iou", "gap_gripper_m", "gap_gripper_rad", "gap_psnr_db", "gap_ssim")
+"""Names that every row of an episode bears beside those of a video; null where nothing was executed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -71,16 +80,18 @@ class EpisodeMeasure(Measure[EpisodeSample, Theatre]):
     world_model: str
     """What to ask, as the command line names it."""
     loop: LoopOptions
+    rollouts: bool
+    """Whether to write rollouts/ID.mp4."""
 
     @property
     def metric_names(self) -> tuple[str, ...]:
         """See `Measure`."""
-        return (*VISUAL_METRICS, *KINEMATIC_METRICS)
+        return (*VISUAL_METRICS, *GAP_METRICS, *KINEMATIC_METRICS)
 
     @property
     def parts(self) -> tuple[str, ...]:
         """See `Measure`."""
-        return ("tracks",)
+        return ("tracks", *(["rollouts"] if self.rollouts else []))
 
     def facts(self, sample: EpisodeSample) -> Mapping[str, Json]:
         """See `Measure`."""
@@ -114,14 +125,17 @@ class EpisodeMeasure(Measure[EpisodeSample, Theatre]):
         videos = self.out / "videos"
         videos.mkdir(exist_ok=True)
         run = theatre.loop.run(stage, episode, videos / sample.id)
+        films = [None if r.execution is None else film(stage, r.execution.snapshots) for r in run.rounds]
         track = joined_track([r.grounded.track for r in run.rounds])
         judgement = theatre.stages.judge(track) if track.tracked.sum() >= MIN_TRACKED else None
         joints, curves = (judgement.joints, judgement.curves) if judgement else (None, {})
         write_track(part_path(self.out, "tracks", sample.id), track, joints, curves)
+        if self.rollouts:
+            self._write_rollout(sample, run, films, theatre.stages)
         cause = None if run.outcome.success else attribute(_evidence(run, judgement), run.outcome.reason)
         return Measured(
             judgement=judgement,
-            metrics=_visual_metrics(run, track),
+            metrics={**_visual_metrics(run, track), **_gap_metrics(run, films)},
             extra={
                 "success": run.outcome.success,
                 "progress": run.outcome.progress,
@@ -134,6 +148,32 @@ class EpisodeMeasure(Measure[EpisodeSample, Theatre]):
                 "frames": len(track.t_s),
             },
         )
+
+    def _write_rollout(
+        self, sample: EpisodeSample, run: EpisodeRun, films: Sequence[Clip | None], stages: Stages
+    ) -> None:
+        """Write what was imagined, what was executed, and the imagined gripper drawn on the executed frames.
+
+        Raises:
+            SetupError: writing failed.
+        """
+        path = part_path(self.out, "rollouts", sample.id)
+        with storage(f"rollouts/{path.name}"):
+            write_video(path, _side_by_side(run, films, stages), FPS, crf=20)
+
+
+def _side_by_side(run: EpisodeRun, films: Sequence[Clip | None], stages: Stages) -> Iterator[NDArray[np.uint8]]:
+    for done, executed in zip(run.rounds, films, strict=True):
+        if executed is None:
+            for frame in done.frames:
+                imagined = cv2.resize(frame, (SIZE_PX, SIZE_PX), interpolation=cv2.INTER_AREA)
+                yield np.concatenate([imagined, np.zeros_like(imagined), np.zeros_like(imagined)], axis=1)
+            continue
+        track = track_at(done.grounded.track, np.arange(len(executed.rgb)))
+        drawn = stages.overlay(executed.rgb, executed.camera, track)
+        for frame, shown, overlay in zip(done.frames, executed.rgb, drawn, strict=False):
+            imagined = cv2.resize(frame, shown.shape[1::-1], interpolation=cv2.INTER_AREA)
+            yield np.concatenate([imagined, shown, overlay], axis=1)
 
 
 def joined_track(tracks: Sequence[GripperTrack]) -> GripperTrack:
@@ -152,6 +192,28 @@ def joined_track(tracks: Sequence[GripperTrack]) -> GripperTrack:
         confidence=np.concatenate([p.confidence for p in parts]),
         finger_width_m=np.concatenate([p.finger_width_m for p in parts]),
     )
+
+
+def _gap_metrics(run: EpisodeRun, films: Sequence[Clip | None]) -> dict[str, Json]:
+    """How far what was executed is from what was imagined, over all executed frames but the first of each clip."""
+    gaps = [
+        measure_gap(r.frames, r.grounded.robot, r.grounded.track.X_BG, executed)
+        for r, executed in zip(run.rounds, films, strict=True)
+        if executed is not None
+    ]
+
+    def mean(name: str) -> float | None:
+        values = np.concatenate([np.empty(0), *(getattr(gap, name)[1:] for gap in gaps)])
+        values = values[np.isfinite(values)]
+        return float(values.mean()) if len(values) else None
+
+    return {
+        "gap_robot_iou": mean("robot_iou"),
+        "gap_gripper_m": mean("distance_m"),
+        "gap_gripper_rad": mean("angle_rad"),
+        "gap_psnr_db": mean("psnr_db"),
+        "gap_ssim": mean("ssim"),
+    }
 
 
 def _starts(run: EpisodeRun) -> list[int]:

@@ -30,6 +30,8 @@ class SuiteConfig(RunConfig):
     world_model: str
     """What to ask: see docs/worldmodels.md."""
     loop: LoopOptions = field(default_factory=LoopOptions)
+    rollouts: bool = True
+    """Write rollouts/ID.mp4."""
 
     @property
     def name(self) -> str:
@@ -66,6 +68,7 @@ class SuiteConfig(RunConfig):
             "action_repeat": self.loop.action_repeat,
             "frame_period_s": self.loop.frame_period_s,
             "pixels_only": self.loop.pixels_only,
+            "rollouts": self.rollouts,
         }
 
 
@@ -83,5 +86,6 @@ def run_suite(config: SuiteConfig, observer: Observer | None = None) -> RunSumma
         stage_options=config.stage_options(),
         world_model=config.world_model,
         loop=config.loop,
+        rollouts=config.rollouts,
     )
     return run_samples(config, config.samples(), measure, observer or Silence())

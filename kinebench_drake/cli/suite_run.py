@@ -48,6 +48,10 @@ from kinebench_drake.cli.suite_options import (
     help="Task time between two frames.", metavar="SECONDS",
 )  # fmt: skip
 @click.option("--pixels-only", is_flag=True, help="Leave aside that the robot knows where it stands in first frames.")
+@click.option(
+    "--rollouts/--no-rollouts", default=True, show_default=True,
+    help="Write what was imagined and executed side by side.",
+)  # fmt: skip
 @click.option("--negative-prompt", default="", help="What shall not be seen.")
 @run_options
 @click.pass_context
