@@ -26,7 +26,7 @@ LEAF = {
         "plugin",
     ),
 }
-RESULTS = {"row", "aggregate", "normalization", "results", "trackfile", "provenance", "report", "engines"}
+RESULTS = {"row", "pairing", "aggregate", "normalization", "results", "trackfile", "provenance", "report", "engines"}
 MAY_IMPORT = {
     **dict.fromkeys(LEAF, LEAF),
     "models": LEAF,
