@@ -70,6 +70,11 @@ class Evidence:
         """(T,) frames whose position counts."""
         return np.asarray(self.confidence >= FAIR_CONFIDENCE)
 
+    @property
+    def good(self) -> NDArray[np.bool_]:
+        """(T,) frames whose pose is more likely right than wrong."""
+        return np.asarray(self.confidence >= GOOD_CONFIDENCE)
+
 
 def gather(
     frames: Frames,

@@ -22,7 +22,7 @@ def find_anomalies(seen: Evidence) -> Findings:
     found = (
         find_vanishing(seen.p_C, seen.confidence, seen.explained, seen.fair, seen.camera),
         find_duplicates(seen.other),
-        _without(find_teleports(seen.p_C, seen.fair), {a.frame_end + 1 for a in freezes.anomalies}),
+        _without(find_teleports(seen.p_C, seen.fair, seen.good), {a.frame_end + 1 for a in freezes.anomalies}),
         freezes,
         find_deformations(seen.misfit),
         find_scale_drift(seen.scale),

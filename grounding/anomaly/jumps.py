@@ -46,16 +46,21 @@ def jump_lengths(p: ArrayLike, sure: NDArray[np.bool_]) -> Array:
     return lengths
 
 
-def find_teleports(p: ArrayLike, sure: NDArray[np.bool_]) -> Finding:
+def find_teleports(p: ArrayLike, fair: NDArray[np.bool_], good: NDArray[np.bool_]) -> Finding:
     """Jumps of the gripper: the first frame after one is both start and end, its length [m] the severity.
 
-    The score is the length over the larger of `TELEPORT_M` and `CONTRAST` times the median length around it.
+    The score is the length over the larger of `TELEPORT_M` and `CONTRAST` times the median length around it. A jump
+    to or from a frame that may well be wrong is none.
 
     Args:
         p: (T, 3) position of the gripper [m].
-        sure: (T,) frames whose position counts.
+        fair: (T,) frames whose position counts.
+        good: (T,) those of them that a jump may lead from or to.
     """
-    lengths = jump_lengths(p, sure)
+    lengths = jump_lengths(p, fair)
+    known = np.flatnonzero(fair & np.isfinite(np.asarray(p, dtype=np.float64)).all(axis=1))
+    doubtful = ~(good[known[1:]] & good[known[:-1]])
+    lengths[known[1:][doubtful]] = 0.0
     score = np.zeros(len(lengths))
     for i in np.flatnonzero(lengths).tolist():
         around = [k for k in range(max(0, i - _AROUND), min(len(lengths), i + _AROUND + 1)) if abs(k - i) > 2]

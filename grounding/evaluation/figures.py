@@ -54,7 +54,7 @@ def _distribution(ax: Any, position: Array, rotation: Array) -> None:
     ax.set_ylim(0, 1)
     ax.set_xlabel("error, see legend")
     ax.set_ylabel("share of tracked frames below")
-    ax.legend(loc="lower right", frameon=False)
+    ax.legend(loc="upper left", frameon=False)
 
 
 def _logarithmic(axis: Any, set_scale: Callable[[str], None]) -> None:
