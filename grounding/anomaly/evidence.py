@@ -24,6 +24,8 @@ SURE_CONFIDENCE = 0.3
 """From here on its shape and fingers count ..."""
 GOOD_CONFIDENCE = 0.5
 """... and its size, which a pose that is off by a few degrees belies."""
+SEEN_M = 0.006
+"""Gaps count for impossible openings where they are known to this (standard deviation) [m]."""
 SHAPE_SIDE, SIZE_SIDE = 0.35, 0.5
 """Shape and size count only where the fingers' axis and the line of sight have a cosine below these: from the side the
 gripper is narrow, fingers hide each other, and little tells a deformed gripper from one turned a little."""
@@ -106,11 +108,11 @@ def gather(
         explained[i] = pose.fit.points * pose.overlap
         p_C[i] = transform_points(pose.X_CH, GRIPPER_CENTRE_H[None])[0]
         if confidence[i] >= SURE_CONFIDENCE:
-            sharp = 2 * pose.fit.finger_sigma_m <= SHARP_M
-            width[i] = 2 * pose.finger_m if sharp else np.nan
+            sigma_m = 2 * pose.fit.finger_sigma_m
+            width[i] = 2 * pose.finger_m if sigma_m <= SEEN_M else np.nan
             side = abs(float(pose.X_CH[:3, 1] @ p_C[i])) / float(np.linalg.norm(p_C[i]))
             if side <= SHAPE_SIDE:
-                misfit[i] = shape_misfit(pose.view, pose.fit.X_CH, pose.fit.finger_m if sharp else np.nan)
+                misfit[i] = shape_misfit(pose.view, pose.fit.X_CH, pose.fit.finger_m if sigma_m <= SHARP_M else np.nan)
             if side <= SIZE_SIDE and pose.arm is not None and confidence[i] >= GOOD_CONFIDENCE:
                 scale[i] = pose.arm.scale
     other = [
