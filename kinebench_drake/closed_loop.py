@@ -1,5 +1,6 @@
 """One episode in closed loop: a model imagines, the grounding reads, the robot executes, and so on, round by round."""
 
+import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +14,7 @@ from kinebench_drake.grounding.known import FirstFrame, Known
 from kinebench_drake.grounding.video import read_video
 from kinebench_drake.products import GripperTrack
 from kinebench_drake.stages import Grounded, Stages
+from kinebench_drake.storage import storage
 from kinebench_drake.suites.clock import CLIP_FRAMES, CONTROL_PERIOD_S, FRAME_PERIOD_S
 from kinebench_drake.suites.closedloop.commands import Commander, Commands, Posed
 from kinebench_drake.suites.closedloop.execution import Execution, execute
@@ -21,7 +23,7 @@ from kinebench_drake.suites.export import FPS
 from kinebench_drake.suites.seeding import generator
 from kinebench_drake.suites.stage import Control, Outcome, Stage
 from kinebench_drake.suites.worldmodels.privileged import Privileged
-from kinebench_drake.suites.worldmodels.worldmodel import Request, WorldModel
+from kinebench_drake.suites.worldmodels.worldmodel import Offline, Request, WorldModel
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -94,7 +96,7 @@ class ClosedLoop:
 
     def _rounds(self, stage: Stage, episode: Episode, videos: Path) -> Iterator[Round]:
         gripping = False
-        for number in range(self._options.rounds):
+        for number in range(1 if isinstance(self._model, Offline) else self._options.rounds):
             done = self._round(stage, episode, number, videos.with_name(f"{videos.name}_r{number}"), gripping)
             yield done
             if done.execution is None or done.execution.outcome.success:
@@ -117,7 +119,7 @@ class ClosedLoop:
         )
         if isinstance(self._model, Privileged):
             self._model.see(episode, stage.simulation_state())
-        video = self._model.generate(request, out)
+        video = _kept(self._model.generate(request, out), out)
         frames = read_video(video).frames
         if len(frames) < 2:
             raise InputError(f"{video.name}: has {len(frames)} frames, expected {options.num_frames}")
@@ -144,3 +146,20 @@ class ClosedLoop:
         if repeat is not None:
             t_s = CONTROL_PERIOD_S * repeat * np.arange(len(t_s), dtype=np.float64)
         return self._commander.commands(track.X_BG, track.finger_width_m, track.tracked, t_s, start)
+
+
+def _kept(video: Path, out: Path) -> Path:
+    """The video, or folder of frames, beside `out`: a copy where it lies elsewhere.
+
+    Raises:
+        SetupError: it cannot be copied.
+    """
+    if video.parent.resolve() == out.parent.resolve():
+        return video
+    copy = out.with_name(f"{out.name}{video.suffix}" if video.is_file() else out.name)
+    with storage(copy.name):
+        if video.is_file():
+            shutil.copyfile(video, copy)
+        else:
+            shutil.copytree(video, copy, dirs_exist_ok=True)
+    return copy

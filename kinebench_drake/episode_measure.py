@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import cast
 
@@ -30,6 +30,7 @@ from kinebench_drake.suites.stagehand import Stagehand
 from kinebench_drake.suites.suite import Draw
 from kinebench_drake.suites.worldmodels.factory import create
 from kinebench_drake.suites.worldmodels.simulated import SIMULATED
+from kinebench_drake.suites.worldmodels.worldmodel import Offline, WorldModel
 from kinebench_drake.thumbnail import track_at
 from kinebench_drake.trackfile import write_track
 from kinebench_drake.video_measure import VISUAL_METRICS, anomaly_json
@@ -106,7 +107,8 @@ class EpisodeMeasure(Measure[EpisodeSample, Theatre]):
 
     def files(self, sample: EpisodeSample) -> Sequence[Path]:
         """See `Measure`."""
-        return ()
+        model = _named(self.world_model)
+        return model.files(sample.id, sample.task) if isinstance(model, Offline) else ()
 
     def labels(self, sample: EpisodeSample) -> Mapping[str, Json]:
         """See `Measure`."""
@@ -145,6 +147,7 @@ class EpisodeMeasure(Measure[EpisodeSample, Theatre]):
                 "missed": [name for name, holds in run.outcome.conditions.items() if not holds],
                 "refused": _refused(run),
                 "prompt": episode.prompt,
+                "videos": [f"videos/{r.video.name}" for r in run.rounds],
                 "frames": len(track.t_s),
             },
         )
@@ -174,6 +177,12 @@ def _side_by_side(run: EpisodeRun, films: Sequence[Clip | None], stages: Stages)
         for frame, shown, overlay in zip(done.frames, executed.rgb, drawn, strict=False):
             imagined = cv2.resize(frame, shown.shape[1::-1], interpolation=cv2.INTER_AREA)
             yield np.concatenate([imagined, shown, overlay], axis=1)
+
+
+@lru_cache(maxsize=1)
+def _named(world_model: str) -> WorldModel:
+    """The model of a spec, to ask it about its files only."""
+    return create(world_model, SIMULATED)
 
 
 def joined_track(tracks: Sequence[GripperTrack]) -> GripperTrack:
@@ -242,7 +251,9 @@ def _evidence(run: EpisodeRun, judgement: Judgement | None) -> list[ClipEvidence
                 finger_width_imagined_m=track.finger_width_m[:frames],
                 finger_width_executed_m=gap,
                 violations=tuple(
-                    (kind, a - start, b - start) for kind, a, b in violations if a < start + frames and b > start
+                    (kind, max(a - start, 0), b - start)
+                    for kind, a, b in violations
+                    if a < start + frames and b > start
                 ),
             )
         )

@@ -12,6 +12,7 @@ from kinebench_drake.suites.suite import Suite
 from kinebench_drake.suites.tasks.card import Variant
 from kinebench_drake.suites.worldmodels.factory import create
 from kinebench_drake.suites.worldmodels.simulated import SIMULATED
+from kinebench_drake.suites.worldmodels.worldmodel import Offline
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -79,6 +80,10 @@ def run_suite(config: SuiteConfig, observer: Observer | None = None) -> RunSumma
         UsageError: the configuration or the output folder cannot be used.
         SetupError: something is missing on this machine, or the disk is full. What was finished is kept.
     """
+    observer = observer or Silence()
+    with closing(create(config.world_model, SIMULATED)) as model:
+        if isinstance(model, Offline) and config.loop.rounds > 1:
+            observer.warned(f"{model.name} holds finished videos: they answer the first round only")
     measure = EpisodeMeasure(
         kind=config.kind,
         out=config.out,
@@ -88,4 +93,4 @@ def run_suite(config: SuiteConfig, observer: Observer | None = None) -> RunSumma
         loop=config.loop,
         rollouts=config.rollouts,
     )
-    return run_samples(config, config.samples(), measure, observer or Silence())
+    return run_samples(config, config.samples(), measure, observer)

@@ -39,7 +39,7 @@ class Folder:
                 f"a folder of finished videos can answer the first round only, this is round {request.round + 1}: it "
                 "would have to know what was executed; use --rounds 1"
             )
-        found = self._by_manifest(request) or self._by_name(request)
+        found = self._find(request.episode, request.task)
         if not found:
             raise WorldModelError(
                 f"the folder has no video of {request.episode}; expected {request.episode}.mp4 (or mov, avi, gif, "
@@ -50,32 +50,40 @@ class Folder:
             raise WorldModelError(f"the folder has several videos of {request.episode} ({names}); leave one")
         return self._checked(found[0])
 
+    def files(self, episode: str, task: str) -> list[Path]:
+        """See `Offline`."""
+        found = self._find(episode, task)
+        return [inner for path in found for inner in (sorted(path.iterdir()) if path.is_dir() else [path])]
+
     def close(self) -> None:
         """Nothing is held."""
 
-    def _by_manifest(self, request: Request) -> list[Path]:
+    def _find(self, episode: str, task: str) -> list[Path]:
+        return self._by_manifest(episode, task) or self._by_name(episode, task)
+
+    def _by_manifest(self, episode: str, task: str) -> list[Path]:
         """Videos of the episode's rows that are there; rows of an export whose video was never made are passed over."""
-        seed = _seed_of(request)
-        by_id = [row for row in self._rows if row.get("id") == request.episode]
+        seed = _seed_of(episode, task)
+        by_id = [row for row in self._rows if row.get("id") == episode]
         nameless = [row for row in self._rows if "id" not in row and seed is not None]
-        by_seed = [row for row in nameless if (row.get("task"), row.get("seed")) == (request.task, seed)]
+        by_seed = [row for row in nameless if (row.get("task"), row.get("seed")) == (task, seed)]
         for rows in (by_id, by_seed):
             videos = [self._folder / row["video"] for row in rows if isinstance(row.get("video"), str)]
             if found := [path for path in dict.fromkeys(videos) if path.exists()]:
                 return found
         return []
 
-    def _by_name(self, request: Request) -> list[Path]:
+    def _by_name(self, episode: str, task: str) -> list[Path]:
         named = {path: path.stem if _is_film(path) else path.name for path in sorted(self._folder.iterdir())}
         videos = {path: name for path, name in named.items() if _is_film(path) or _is_frames(path)}
-        if found := [path for path, name in videos.items() if name == request.episode]:
+        if found := [path for path, name in videos.items() if name == episode]:
             return found
-        seed = _seed_of(request)
+        seed = _seed_of(episode, task)
         return [
             path
             for path, name in videos.items()
-            if name.startswith(request.task)
-            and (told := _SEED.fullmatch(name.removeprefix(request.task))) is not None
+            if name.startswith(task)
+            and (told := _SEED.fullmatch(name.removeprefix(task))) is not None
             and int(told[1]) == seed
         ]
 
@@ -91,9 +99,9 @@ class Folder:
         return real
 
 
-def _seed_of(request: Request) -> int | None:
+def _seed_of(episode: str, task: str) -> int | None:
     """The episode's own seed; its id is the task, `_s` and the seed, whatever follows."""
-    told = re.match(rf"{re.escape(request.task)}_s(\d+)", request.episode)
+    told = re.match(rf"{re.escape(task)}_s(\d+)", episode)
     return int(told[1]) if told else None
 
 

@@ -1,8 +1,9 @@
 """What a world model is asked and what it answers."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +37,15 @@ class Request:
     """Frames wanted, the first one included."""
     fps: float
     """Frames per second at which the video shall play."""
+
+
+@runtime_checkable
+class Offline(Protocol):
+    """A world model whose videos were made beforehand: it answers the first round of an episode only."""
+
+    def files(self, episode: str, task: str) -> Sequence[Path]:
+        """The files that the answer for an episode consists of; none where there is no answer."""
+        ...
 
 
 class WorldModel(Protocol):
