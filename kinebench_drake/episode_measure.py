@@ -4,13 +4,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import cast
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.closed_loop import ClosedLoop, EpisodeRun, LoopOptions
+from kinebench_drake.episode_cause import clip_starts, find_cause
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.measure import KINEMATIC_METRICS, MIN_TRACKED, Measure, Measured
 from kinebench_drake.mp4 import write_video
@@ -18,10 +18,10 @@ from kinebench_drake.products import GripperTrack
 from kinebench_drake.provenance import weights_hash
 from kinebench_drake.results import part_path
 from kinebench_drake.row import Json
-from kinebench_drake.stages import Judgement, Stages, load_stages
+from kinebench_drake.stages import Stages, load_stages
 from kinebench_drake.storage import storage
 from kinebench_drake.suites.clip import Clip, film
-from kinebench_drake.suites.closedloop.attribution import ClipEvidence, attribute, cause_json
+from kinebench_drake.suites.closedloop.attribution import cause_json
 from kinebench_drake.suites.closedloop.commands import Commander
 from kinebench_drake.suites.closedloop.gap import measure_gap
 from kinebench_drake.suites.export import FPS
@@ -134,7 +134,7 @@ class EpisodeMeasure(Measure[EpisodeSample, Theatre]):
         write_track(part_path(self.out, "tracks", sample.id), track, joints, curves)
         if self.rollouts:
             self._write_rollout(sample, run, films, theatre.stages)
-        cause = None if run.outcome.success else attribute(_evidence(run, judgement), run.outcome.reason)
+        cause = find_cause(run, judgement)
         return Measured(
             judgement=judgement,
             metrics={**_visual_metrics(run, track), **_gap_metrics(run, films)},
@@ -225,41 +225,6 @@ def _gap_metrics(run: EpisodeRun, films: Sequence[Clip | None]) -> dict[str, Jso
     }
 
 
-def _starts(run: EpisodeRun) -> list[int]:
-    """Frame of the joined track at which each clip begins."""
-    return [int(n) for n in np.cumsum([0, *(len(r.frames) - 1 for r in run.rounds[:-1])])]
-
-
-def _evidence(run: EpisodeRun, judgement: Judgement | None) -> list[ClipEvidence]:
-    """What the rounds left behind, each up to the last executed frame."""
-    found = []
-    violations = [
-        (str(v["kind"]), cast(int, v["frame_start"]), cast(int, v["frame_end"]))
-        for v in (judgement.violations if judgement else ())
-    ]
-    for start, done in zip(_starts(run), run.rounds, strict=True):
-        track = done.grounded.track
-        frames = len(track.t_s) if done.execution is None else len(done.execution.snapshots)
-        executed = np.full((frames, 4, 4), np.nan) if done.execution is None else done.execution.X_BG
-        gap = np.full(frames, np.nan) if done.execution is None else done.execution.finger_width_m
-        found.append(
-            ClipEvidence(
-                tracked=track.tracked[:frames],
-                anomalies=done.grounded.anomalies,
-                X_BG_imagined=track.X_BG[:frames],
-                X_BG_executed=executed,
-                finger_width_imagined_m=track.finger_width_m[:frames],
-                finger_width_executed_m=gap,
-                violations=tuple(
-                    (kind, max(a - start, 0), b - start)
-                    for kind, a, b in violations
-                    if a < start + frames and b > start
-                ),
-            )
-        )
-    return found
-
-
 def _visual_metrics(run: EpisodeRun, track: GripperTrack) -> dict[str, Json]:
     """What the clips show, frames counted through all of them."""
     grounded = [r.grounded for r in run.rounds]
@@ -270,7 +235,7 @@ def _visual_metrics(run: EpisodeRun, track: GripperTrack) -> dict[str, Json]:
         "camera_motion_px": max(motions) if motions else None,
         "arm_consistency_px": float(np.median(distances)) if distances else None,
         "anomalies": [
-            anomaly_json(a, start) for start, g in zip(_starts(run), grounded, strict=True) for a in g.anomalies
+            anomaly_json(a, start) for start, g in zip(clip_starts(run), grounded, strict=True) for a in g.anomalies
         ],
     }
 
