@@ -43,7 +43,10 @@ MAY_IMPORT = {
     "trajectory_measure": LEAF | RESULTS | {"stages", "measure", "trajectories"},
     "audit": LEAF | RESULTS | {"stages", "measure", "run", "trajectories", "trajectory_measure", "models"},
     "thumbnail": LEAF | {"stages"},
-    "validation": LEAF | RESULTS | {"models", "kinematics", "metrics", "suites", "stages", "drake_stages", "audit"},
+    "validation": LEAF
+    | RESULTS
+    | {"models", "kinematics", "metrics", "suites", "stages", "drake_stages", "audit"}
+    | {"grounding", "closed_loop", "episode_cause"},
 }
 """What each part may import besides itself. Parts not named here see all but the command line."""
 ABOVE_ALL = {"cli", "__main__"}
