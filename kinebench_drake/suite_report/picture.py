@@ -17,6 +17,8 @@ MARKERS = "os^Dv<>PX*"
 GOOD, NEUTRAL = "#2a9d5f", "#9aa5b1"
 _THEME = {"#000000": "var(--ink)", "#ffffff": "var(--card)", "#e6e8ea": "var(--line)", "#b8bec4": "var(--mute)"}
 """What stands for drawn colours on a page."""
+_PX_A_POINT = 1.5
+"""Size of figures on a page [px of CSS / point]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,6 +67,7 @@ def inline(svg: str, name: str, title: str) -> str:
     body = re.sub(r"url\(#([^)]*)\)", rf"url(#{name}-\1)", body)
     for drawn, themed in _THEME.items():
         body = body.replace(drawn, themed)
-    box = re.search(r'viewBox="[^"]*"', body)
-    head = f'<svg {box[0] if box else ""} role="img" aria-label="{escape(title)}">'
+    box = re.search(r'viewBox="0 0 ([\d.]+) [\d.]+"', body)
+    size = f'{box[0]} width="{float(box[1]) * _PX_A_POINT:.0f}"' if box else ""
+    head = f'<svg {size} role="img" aria-label="{escape(title)}">'
     return re.sub(r"<svg[^>]*>", lambda _: head, body, count=1)

@@ -2,8 +2,8 @@
 
 import json
 
-from kinebench_drake.results import ResultStore
-from kinebench_drake.row import SampleRow, Status
+from kinebench_drake.results import RESULTS, SAMPLES
+from kinebench_drake.row import SampleRow, Status, dump
 
 EVIL = "<script>alert('x')</script> & 50% _of_ $x$"
 
@@ -29,22 +29,23 @@ def write_run(
     out, episodes, model="wan", suite=0, split="test", variant="plain", tags=None, first_seed=0, kind="suite", **changes
 ):
     """Write the output folder of a suite run: `episodes` holds outcomes (or True and False) by task."""
-    with ResultStore(out) as store:
-        for task, outcomes in episodes.items():
-            for seed, found in enumerate(outcomes, first_seed):
-                found = outcome(found) if isinstance(found, bool) else found
-                id = f"{task}_s{seed:04d}"
-                labels = {"seed": seed, "pool": "all", "variant": variant}
-                row = {"id": id, "video": f"videos/{id}_r0.mp4", "task": task, "model": model, "reason": None}
-                row |= {"content_hash": "0", **found, "extra": {**found["extra"], **labels}}
-                store.append(SampleRow(**row), 0.1)
-        config = {"suite": suite, "split": split, "variant": variant, "rounds": 3, "control": "pd_joint_pos"}
-        store.finish(
-            {
-                **{"schema_version": 1, "suite_version": None, "kind": kind, "tags": tags or {}},
-                **{"samples_found": len(store.rows), "config": config, **changes},
-            }
-        )
+    out.mkdir(parents=True)
+    rows = []
+    for task, outcomes in episodes.items():
+        for seed, found in enumerate(outcomes, first_seed):
+            found = outcome(found) if isinstance(found, bool) else found
+            id = f"{task}_s{seed:04d}"
+            labels = {"seed": seed, "pool": "all", "variant": variant}
+            row = {"id": id, "video": f"videos/{id}_r0.mp4", "task": task, "model": model, "reason": None}
+            row |= {"content_hash": "0", **found, "extra": {**found["extra"], **labels}}
+            rows.append(SampleRow(**row))
+    config = {"suite": suite, "split": split, "variant": variant, "rounds": 3, "control": "pd_joint_pos"}
+    results = {
+        **{"schema_version": 1, "suite_version": None, "kind": kind, "tags": tags or {}},
+        **{"samples_found": len(rows), "config": config, **changes},
+    }
+    (out / SAMPLES).write_text("".join(dump(row.to_json()) for row in rows))
+    (out / RESULTS).write_text(dump(results))
     return out
 
 
