@@ -82,7 +82,8 @@ def study_sparc(episodes: Sequence[Episode]) -> SparcStudy:
 
     Success is standardised within each task of each part: z = (s - mean) / sd over the models that did it, with the
     standard deviation over these models (ddof 0); 0 where all do alike. What makes one task harder than another is thus
-    taken out, and what is left is who does better at it. Tasks that one model alone did tell nothing and are left out.
+    taken out, and what is left is who does better at it. Tasks that one model alone did tell nothing and are left out,
+    and so are models that did fewer than half as many tasks of a part as another: their means are of something else.
     """
     tasks = sorted({(e.part, e.task) for e in episodes})
     names = list(group(episodes, lambda e: (e.part, e.model)))
@@ -94,9 +95,13 @@ def study_sparc(episodes: Sequence[Episode]) -> SparcStudy:
         x[at] = _mean(own, lambda e: e.metric("sparc"))
         s[at] = _mean(own, lambda e: e.hit)
     known = np.isfinite(x) & np.isfinite(s)
+    for part in {p for p, _ in names}:
+        rows = np.array([p == part for p, _ in names], dtype=bool)
+        counts = known.sum(axis=1)
+        known[rows & (2 * counts < counts[rows].max())] = False
     known &= known.sum(axis=0) >= 2
     x[~known], z = np.nan, standardise(np.where(known, s, np.nan))
-    rows = np.flatnonzero(known.any(axis=1))
+    kept = np.flatnonzero(known.any(axis=1))
     points = [
         Point(
             part=names[k][0],
@@ -105,9 +110,9 @@ def study_sparc(episodes: Sequence[Episode]) -> SparcStudy:
             success=float(np.nanmean(z[k])),
             tasks=int(known[k].sum()),
         )
-        for k in rows
+        for k in kept
     ]
-    return SparcStudy(points=tuple(points), sparc=x[rows], success=z[rows])
+    return SparcStudy(points=tuple(points), sparc=x[kept], success=z[kept])
 
 
 def standardise(values: Array) -> Array:

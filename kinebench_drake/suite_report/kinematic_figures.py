@@ -9,20 +9,24 @@ from kinebench_drake.aggregate import Estimate
 from kinebench_drake.drawing import FAINT, new_figure
 from kinebench_drake.suite_report.correlation import SparcStudy
 from kinebench_drake.suite_report.episode import Episode, group
+from kinebench_drake.suite_report.folder import model_of
 from kinebench_drake.suite_report.labels import models_of
-from kinebench_drake.suite_report.picture import Picture, style
+from kinebench_drake.suite_report.picture import COLOURS, Picture, legend, numbers, style
 from kinebench_drake.suite_report.scaling import Scaling, Training
 from kinebench_drake.suite_report.tally import tally
 
 
 def sparc_picture(episodes: Sequence[Episode], study: SparcStudy, seed: int = 0) -> Picture | None:
     """SPARC against success, a point a model and task, and beside it the task-balanced means; None without a point."""
-    models, parts = models_of(episodes), sorted({e.part for e in episodes})
+    parts = sorted({e.part for e in episodes})
+    plain = {e.model: model_of(e.row) for e in episodes}
+    shown = {model: model if len(plain) <= len(COLOURS) else name for model, name in plain.items()}
+    models = list(dict.fromkeys(shown.values()))
     points = []
     for (part, model, _), own in group(episodes, lambda e: (e.part, e.model, e.task)).items():
         sparc, success = tally(own).sparc.mean, tally(own).pooled.mean
         if sparc is not None and success is not None:
-            points.append((part, model, sparc, success))
+            points.append((part, shown[model], sparc, success))
     if not points:
         return None
     figure, axes = new_figure(9.2, 4.2, 1, 2)
@@ -36,7 +40,9 @@ def sparc_picture(episodes: Sequence[Episode], study: SparcStudy, seed: int = 0)
     right.set_ylabel("success, standardised within tasks [sd]", fontsize=9)
     right.axhline(0.0, color=FAINT, linewidth=1.0)
     for point in study.points:
-        right.scatter(point.sparc, point.success, **_look(models.index(point.model), parts.index(point.part)), s=42)
+        right.scatter(
+            point.sparc, point.success, **_look(models.index(shown[point.model]), parts.index(point.part)), s=42
+        )
     rho = study.correlation(None, seed)
     right.set_title(_told(rho.rho, rho.low, rho.high) if study.points else "needs two models on a task", fontsize=9)
     for ax in (left, right):
@@ -46,7 +52,7 @@ def sparc_picture(episodes: Sequence[Episode], study: SparcStudy, seed: int = 0)
     if len(parts) > 1:
         for k, part in enumerate(parts):
             left.plot([], [], linestyle="", marker=style(k)[1], color=FAINT, markersize=5, label=part.title)
-    figure.legend(loc="outside upper center", ncols=4, fontsize=8, frameon=False)
+    legend(figure, models)
     return Picture(
         name="sparc_success",
         title="SPARC and success",
@@ -62,36 +68,44 @@ def manipulability_picture(episodes: Sequence[Episode]) -> Picture | None:
     scaled = [e for e in episodes if e.cost_scaled is not None]
     if not scaled:
         return None
-    models, parts = models_of(episodes), sorted({e.part for e in scaled})
+    models, parts = models_of(scaled), sorted({e.part for e in scaled})
+    crowded = len(models) > len(COLOURS)
     widths = [len(models_of([e for e in scaled if e.part == p])) for p in parts]
     figure, axes = new_figure(
-        max(6.4, 1.6 + 0.8 * sum(widths)), 4.2, 1, len(parts), sharey=True, gridspec_kw={"width_ratios": widths}
+        max(6.4, 1.6 + (0.4 if crowded else 0.8) * sum(widths)),
+        5.8 if crowded else 4.4,
+        1,
+        len(parts),
+        sharey=True,
+        gridspec_kw={"width_ratios": widths},
     )
     for ax, part in zip(axes[0], parts, strict=True):
         here = [m for m in models if any(e.part == part and e.model == m for e in scaled)]
+        number = numbers(models, here)
         for k, model in enumerate(here):
             costs = [e.cost_scaled for e in scaled if e.part == part and e.model == model and e.cost_scaled is not None]
-            colour = style(models.index(model))[0]
+            colour = style(number[model])[0]
             if len(costs) > 1 and np.ptp(costs) > 0:
                 for body in ax.violinplot(costs, [k], widths=0.8, showextrema=False)["bodies"]:
                     body.set(facecolor=colour, edgecolor=colour, alpha=0.35)
             low, middle, high = np.percentile(costs, [25, 50, 75])
             ax.plot([k, k], [low, high], color=colour, linewidth=3.2, solid_capstyle="butt")
             ax.plot([k], [middle], marker="o", color="white", markeredgecolor=colour, markersize=5)
-        ax.set_xticks([])
+        ax.set_xticks(range(len(here)) if crowded else [], here if crowded else [], fontsize=8, rotation=90)
         ax.set_xlim(-0.6, len(here) - 0.4)
         ax.set_title(part.title, fontsize=9)
         ax.tick_params(axis="y", labelsize=8)
-    for model in models_of(scaled):
+    for model in () if crowded else models:
         axes[0, 0].plot([], [], color=style(models.index(model))[0], linewidth=5.0, alpha=0.6, label=model)
-    axes[0, 0].set_ylabel("manipulability cost, scaled (lower is better)", fontsize=9)
-    figure.legend(loc="outside upper center", ncols=3, fontsize=8, frameon=False)
+    axes[0, 0].set_ylabel("manipulability cost, scaled", fontsize=9)
+    if not crowded:
+        legend(figure, models)
     return Picture(
         name="manipulability",
         title="Manipulability cost by suite and model",
-        caption="Distribution over episodes of the mean manipulability cost, on a scale on which 0 is the 10th and 1 "
-        "the 90th percentile of all episodes in this report; bars from the first to the third quartile, dots at the "
-        "median.",
+        caption="Distribution over episodes of the mean manipulability cost (lower is better), on a scale on which 0 "
+        "is the 10th and 1 the 90th percentile of all episodes in this report; bars from the first to the third "
+        "quartile, dots at the median.",
         figure=figure,
     )
 

@@ -1,6 +1,7 @@
 """Figures as files, and as part of a page whose colours they take over."""
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -36,6 +37,19 @@ class Picture:
 def style(index: int) -> tuple[str, str]:
     """Colour and marker of the model of a number."""
     return COLOURS[index % len(COLOURS)], MARKERS[index % len(MARKERS)]
+
+
+def numbers(models: Sequence[str], here: Sequence[str]) -> dict[str, int]:
+    """Number of each model of a panel: the same in all panels as long as there are colours for all models."""
+    order = models if len(models) <= len(COLOURS) else here
+    return {model: order.index(model) for model in here}
+
+
+def legend(figure: "Figure", labels: Sequence[str]) -> None:
+    """Put a legend above a figure, in as many columns as there is room for."""
+    wide = 0.45 + 0.075 * max(map(len, labels), default=0)  # inches that a label takes with its mark
+    columns = max(1, min(5, int(figure.get_figwidth() / wide)))
+    figure.legend(loc="outside upper center", ncols=columns, fontsize=8, frameon=False)
 
 
 def write_picture(picture: Picture, folder: Path) -> str:

@@ -31,7 +31,10 @@ _TALLY = (
 
 
 def suites_table(episodes: Sequence[Episode], seed: int = 0) -> Table:
-    """Task-balanced success of every model (rows) on every part (columns), the best of each part in bold."""
+    """Task-balanced success of every model (rows) on every part (columns), the best of each part in bold.
+
+    Models that did fewer tasks of a part than others are not among its best.
+    """
     parts, models = sorted({e.part for e in episodes}), models_of(episodes)
     cells = group(episodes, lambda e: (e.model, e.part))
     tallies = {key: tally(own, seed) for key, own in cells.items()}
@@ -46,7 +49,7 @@ def suites_table(episodes: Sequence[Episode], seed: int = 0) -> Table:
             *(Column(key=p.slug, label=p.title, pattern=_PERCENT, estimated=True) for p in parts),
         ),
         rows=tuple(rows),
-        bold=frozenset(at for k in range(len(parts)) for at in _best(rows, k + 1)),
+        bold=frozenset(at for k, part in enumerate(parts) for at in _best(rows, k + 1, _complete(tallies, part))),
     )
 
 
@@ -105,9 +108,16 @@ def _told(t: Tally) -> list[Value]:
     return [*means, t.measured, t.episodes, t.unmeasurable, t.errors, t.counted, *t.verdicts.values()]
 
 
-def _best(rows: Sequence[tuple[Value, ...]], column: int) -> list[tuple[int, int]]:
-    """Cells of the greatest mean, where there is more than one to choose from."""
-    means = {i: v.mean for i, row in enumerate(rows) if isinstance(v := row[column], Estimate) and v.mean is not None}
+def _complete(tallies: Mapping[tuple[str, Part], Tally], part: Part) -> set[str]:
+    """Models that did the most tasks of a part: only their means can be held against each other."""
+    tasks = {model: t.tasks for (model, at), t in tallies.items() if at == part}
+    return {model for model, n in tasks.items() if n == max(tasks.values())}
+
+
+def _best(rows: Sequence[tuple[Value, ...]], column: int, models: set[str]) -> list[tuple[int, int]]:
+    """Cells of the greatest mean of some models, where there is more than one to choose from."""
+    chosen = {i: row[column] for i, row in enumerate(rows) if row[0] in models}
+    means = {i: v.mean for i, v in chosen.items() if isinstance(v, Estimate) and v.mean is not None}
     best = max(means.values(), default=0.0)
     return [(i, column) for i, value in means.items() if value == best] if len(set(means.values())) > 1 else []
 

@@ -96,7 +96,10 @@ def test_the_best_of_each_suite_stands_out(runs):
 def test_models_that_did_fewer_tasks_are_named(tmp_path):
     one = write_run(tmp_path / "a", {"T": [True], "U": [False]}, model="all")
     two = write_run(tmp_path / "b", {"T": [True]}, model="half")
-    assert "half did 1 of 2 tasks of Suite 0" in suites_table(episodes_of(one, two)).note
+    third = write_run(tmp_path / "c", {"T": [False], "U": [False]}, model="none")
+    table = suites_table(episodes_of(one, two, third))
+    assert "half did 1 of 2 tasks of Suite 0" in table.note
+    assert [table.rows[i][0] for i, _ in table.bold] == ["all"]
 
 
 def test_costs_are_scaled_over_all_episodes(tmp_path):
@@ -145,6 +148,12 @@ def test_hard_tasks_do_not_stand_for_bad_models(tmp_path):
 def test_two_points_have_no_correlation(tmp_path):
     found = study_sparc(grid(tmp_path, [[-1.0, -2.0], [-3.0, -2.0]], [[1, 2], [3, 4]])).correlation()
     assert (found.rho, found.points) == (None, 2)
+
+
+def test_models_with_few_tasks_are_no_points(tmp_path):
+    episodes = grid(tmp_path, [[-3.0] * 3, [-2.0] * 3, [-1.0] * 3], [[1] * 3, [2] * 3, [3] * 3])
+    fewer = [e for e in episodes if e.model != "m2" or e.task == "T0"]
+    assert [p.model for p in study_sparc(fewer).points] == ["m0", "m1"]
 
 
 def test_scaling_is_by_training_and_difficulty(runs):
