@@ -7,13 +7,13 @@ from pathlib import Path
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from kinebench_drake.suite_report.episode import Episode
+from kinebench_drake.suite_report.episode import Episode, group
 from kinebench_drake.suite_report.folder import Folder
 from kinebench_drake.suite_report.links import Link, links_of
 from kinebench_drake.suite_report.table import Table, is_numeric, shown, shown_interval, sort_key
 
 LISTED = 2000
-"""Episodes on the page, those without success first: more would make it slow to open."""
+"""Episodes on the page: more would make it slow to open."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,7 +65,6 @@ def build_page(
         parts: tables and figures in their order.
         missing: what could not be made.
     """
-    ordered = sorted(episodes, key=lambda e: e.success is True)
     environment = Environment(
         loader=PackageLoader("kinebench_drake.suite_report", "."),
         autoescape=True,
@@ -82,9 +81,21 @@ def build_page(
         parts=parts,
         numeric={part.name: _numeric(part) for part in parts if isinstance(part, Table)},
         missing=missing,
-        lines=[_line(e, out) for e in ordered[:LISTED]],
+        lines=[_line(e, out) for e in _listed(episodes)],
         left_out=max(len(episodes) - LISTED, 0),
     )
+
+
+def _listed(episodes: Sequence[Episode]) -> list[Episode]:
+    """The episodes that have room, those without success first, of every model on every part as many as of another."""
+    turns = {
+        id(e): (e.success is True, turn)
+        for own in group(episodes, lambda e: (e.part, e.model, e.success is True)).values()
+        for turn, e in enumerate(own)
+    }
+    chosen = sorted(episodes, key=lambda e: turns[id(e)])[:LISTED]
+    kept = {id(e) for e in chosen}
+    return sorted((e for e in episodes if id(e) in kept), key=lambda e: e.success is True)
 
 
 def _numeric(table: Table) -> list[bool]:

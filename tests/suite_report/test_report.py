@@ -10,8 +10,11 @@ import pytest
 from kinebench_drake.aggregate import Estimate
 from kinebench_drake.cli import main
 from kinebench_drake.errors import UsageError
-from kinebench_drake.suite_report import read_comparison, write_comparison, write_suite_report
+from kinebench_drake.suite_report import page, read_comparison, write_comparison, write_suite_report
+from kinebench_drake.suite_report.folder import read_folders
+from kinebench_drake.suite_report.labels import gather
 from kinebench_drake.suite_report.latex import escape, latex_text
+from kinebench_drake.suite_report.page import build_page
 from kinebench_drake.suite_report.table import Column, Table, csv_text, lines
 from tests.suite_report.synthetic import EVIL, change, write_run
 
@@ -97,20 +100,20 @@ def test_a_row_must_fit_its_columns(table):
 def test_the_report_of_suite_runs(runs, tmp_path):
     out = tmp_path / "runs" / "report"
     text = write_suite_report(runs, out).read_text()
-    page = Page(text)
-    assert page.open == []
-    assert page.scripts == 1
-    assert len(page.ids) == len(set(page.ids))
+    found = Page(text)
+    assert found.open == []
+    assert found.scripts == 1
+    assert len(found.ids) == len(set(found.ids))
     assert not re.search(r"https?://|@import", text)
     assert str(tmp_path) not in text
     assert EVIL not in text
     assert "&lt;script&gt;" in text
-    outside = [link for link in page.links if not link.startswith("#")]
+    outside = [link for link in found.links if not link.startswith("#")]
     assert outside[0].startswith("../good0/")
     assert "../good0/rollouts/CloseBox-v1_s0000.mp4" in outside
     assert "../good0/report.html#CloseBox-v1_s0000" in outside
     assert all((out / link.split("#")[0]).is_file() for link in outside)
-    assert {"svg-ids"} | {link[1:] for link in page.links if link.startswith("#")} <= {"svg-ids", *page.ids}
+    assert {link[1:] for link in found.links if link.startswith("#")} <= {*found.ids}
     names = {path.name for path in out.iterdir()}
     figures = ("success_suite0", "success_suite2_unseen", "success_suite3", "verdicts", "sparc_success")
     for figure in (*figures, "manipulability", "scaling_curves"):
@@ -126,18 +129,30 @@ def test_the_report_of_suite_runs(runs, tmp_path):
         assert len(list(csv.DictReader(file))) == 300
 
 
+def test_a_long_list_holds_all_models_failures_first(runs, tmp_path, monkeypatch):
+    monkeypatch.setattr(page, "LISTED", 100)
+    folders = read_folders(runs)
+    text = build_page("t", folders, gather(folders), tmp_path, parts=())
+    outcomes = re.findall(r'<td class="o-(\w+)"', text)
+    assert len(outcomes) == 100
+    assert outcomes == sorted(outcomes, key=lambda o: o == "success")
+    listed = text[text.index('id="list"') :]
+    assert all(f'data-key="{model}"' in listed for model in ("good", "fair", "poor", "small (data=10, steps=1500)"))
+    assert "100 of 300 are listed" in text
+
+
 def test_what_is_not_there_is_left_out_and_asked_for(tmp_path):
     run = write_run(tmp_path / "a" / "b" / "one", {"T": [True, False]}, suite=3, tags={"data": "10"})
     (run / "report.html").write_text("page")
-    page = write_suite_report([run], tmp_path / "report")
-    text, names = page.read_text(), {path.name for path in page.parent.iterdir()}
+    file = write_suite_report([run], tmp_path / "report")
+    text, names = file.read_text(), {path.name for path in file.parent.iterdir()}
     missing = text[text.index("Not shown") : text.index('id="episodes"')]
     assert "Rank correlation" in missing
     assert "--tag steps=N" in missing
     assert "scaling.csv" not in names
-    before = {path.name: path.read_bytes() for path in page.parent.iterdir()}
+    before = {path.name: path.read_bytes() for path in file.parent.iterdir()}
     write_suite_report([run], tmp_path / "report")
-    assert {path.name: path.read_bytes() for path in page.parent.iterdir()} == before
+    assert {path.name: path.read_bytes() for path in file.parent.iterdir()} == before
 
 
 def test_runs_elsewhere_are_not_linked(tmp_path):
@@ -161,8 +176,7 @@ def test_a_comparison_is_printed_and_written(runs, tmp_path, capsys):
     assert printed.startswith("good - fair, Suite 0\n")
     assert "all tasks" in printed
     assert {p.name for p in out.iterdir()} >= {"report.html", "comparison.csv", "comparison.tex", "differences.png"}
-    page = Page((out / "report.html").read_text())
-    assert page.open == []
+    assert Page((out / "report.html").read_text()).open == []
     with (out / "comparison.csv").open() as file:
         whole, *tasks = csv.DictReader(file)
     assert (whole["task"], whole["shared"], whole["measured"], len(tasks)) == ("all tasks", "30", "28", 3)
