@@ -36,6 +36,8 @@ MAY_IMPORT = {
     "suites": LEAF | {"models", "kinematics", "engines"},
     **dict.fromkeys(RESULTS, LEAF | RESULTS),
     "manifest": LEAF,
+    "drawing": LEAF,
+    "suite_report": LEAF | RESULTS | {"drawing", "suites"},
     "stages": LEAF | {"row", "grounding"},
     "trajectories": LEAF | {"results"},
     "measure": LEAF | RESULTS | {"stages", "models"},
@@ -136,8 +138,9 @@ def test_every_package_and_data_file_is_shipped():
         first, *rest = path.relative_to(ROOT).parent.parts
         found.add(".".join([PACKAGE, *([] if first == PACKAGE else [first]), *rest]))
     assert sorted(settings["packages"]) == sorted(found)
-    template = ROOT / PACKAGE / "report" / "page.html.j2"
-    assert any(template.match(pattern) for pattern in settings["package-data"][f"{PACKAGE}.report"])
+    for name in ("report", "suite_report"):
+        template = ROOT / PACKAGE / name / "page.html.j2"
+        assert any(template.match(pattern) for pattern in settings["package-data"][f"{PACKAGE}.{name}"])
 
 
 def test_the_folders_at_the_top_are_the_packages_within():
