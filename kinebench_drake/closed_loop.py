@@ -22,7 +22,7 @@ from kinebench_drake.suites.episode import Episode
 from kinebench_drake.suites.export import FPS
 from kinebench_drake.suites.seeding import generator
 from kinebench_drake.suites.stage import Control, Outcome, Stage
-from kinebench_drake.suites.worldmodels.privileged import Privileged
+from kinebench_drake.suites.worldmodels.privileged import Privileged, Telling
 from kinebench_drake.suites.worldmodels.worldmodel import Offline, Request, WorldModel
 
 
@@ -127,6 +127,8 @@ class ClosedLoop:
         width = float(now.fingers_m.sum())
         first = FirstFrame(X_BG=self._commander.plant.forward(now.q), finger_width_m=width)
         known = Known() if options.pixels_only else Known(first=first)
+        if isinstance(self._model, Telling) and (truth := self._model.true_track()) is not None:
+            known = Known(X_CH=truth.X_CH, finger_width_m=truth.finger_width_m)
         grounded = self._stages.ground(frames, stage.camera, t_s, known)
         commands, refusal, execution = None, None, None
         try:

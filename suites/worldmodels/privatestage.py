@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from kinebench_drake.mp4 import write_video
 from kinebench_drake.storage import storage
 from kinebench_drake.suites.clip import film
+from kinebench_drake.suites.clock import CLIP_FRAMES
 from kinebench_drake.suites.episode import Episode
 from kinebench_drake.suites.experts.registry import Expert
 from kinebench_drake.suites.faults.fault import Grade
@@ -16,7 +17,7 @@ from kinebench_drake.suites.faults.take import Take
 from kinebench_drake.suites.faults.trickstage import TrickStage
 from kinebench_drake.suites.rollout import Performance, perform_clip
 from kinebench_drake.suites.stagehand import Stagehand
-from kinebench_drake.suites.worldmodels.privileged import State
+from kinebench_drake.suites.worldmodels.privileged import State, TrueTrack
 from kinebench_drake.suites.worldmodels.worldmodel import Request, WorldModelError
 
 
@@ -26,6 +27,7 @@ class PrivateStage:
     def __init__(self) -> None:
         self._hand: Stagehand[TrickStage] | None = None
         self._seen: tuple[Episode, State] | None = None
+        self._track: TrueTrack | None = None
 
     def see(self, episode: Episode, state: State) -> None:
         """Be told where the next clip begins."""
@@ -47,6 +49,11 @@ class PrivateStage:
             write_video(path, frames, request.fps)
         return path
 
+    @property
+    def true_track(self) -> TrueTrack | None:
+        """What the last clip truly shows; None before the first."""
+        return self._track
+
     def close(self) -> None:
         """Free the stage."""
         if self._hand is not None:
@@ -62,12 +69,12 @@ class PrivateStage:
         stage.restore(state)
         before = stage.snapshot()
         done = perform_clip(stage, expert)
-        if done is None:  # nothing is left to do
-            return np.repeat(request.first_frame[None], request.num_frames, axis=0)
-        snapshots = (before, *done.snapshots)[: request.num_frames]
+        rest = (before,) * CLIP_FRAMES if done is None else done.snapshots  # None: nothing is left to do
+        snapshots = (before, *rest)[: request.num_frames]
         outcome = stage.outcome()
         shown = film(stage, snapshots)
-        if fault is not None:
+        if fault is not None and done is not None:
             performance = Performance(episode=episode, snapshots=snapshots, controls=done.controls, outcome=outcome)
             shown, _ = plant(Take(stage=stage, performance=performance, clip=shown), fault)
+        self._track = TrueTrack(X_CH=shown.X_CH, finger_width_m=shown.finger_width_m)
         return shown.rgb

@@ -2,6 +2,8 @@
 
 from collections.abc import Mapping
 
+from pydantic import Field
+
 from kinebench_drake.products import AnomalyKind
 from kinebench_drake.suites.faults.fault import Grade, choose
 from kinebench_drake.suites.worldmodels.factory import Form
@@ -12,9 +14,16 @@ from kinebench_drake.suites.worldmodels.wanderer import Wanderer
 _FAULTY = "oracle+"
 
 
+class OracleOptions(Options):
+    """Options of the oracle."""
+
+    told: bool = Field(False, description="tell the true track of each clip, so that nothing is read from pixels")
+
+
 def _oracle(spec: Spec) -> Oracle:
     spec.bare()
-    return Oracle(name=spec.read(Options).name or "oracle")
+    options = spec.read(OracleOptions)
+    return Oracle(name=options.name or ("oracle, true track" if options.told else "oracle"), tells=options.told)
 
 
 def _faulty_oracle(spec: Spec) -> Oracle:
