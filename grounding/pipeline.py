@@ -19,7 +19,8 @@ from kinebench_drake.grounding.opening import smooth_opening
 from kinebench_drake.grounding.rawtrack import RawTrack
 from kinebench_drake.grounding.reading import X_HALF_TURN, settle
 from kinebench_drake.grounding.tracker import CadTracker, FramePose, PoseTracker
-from kinebench_drake.grounding.view import Frames
+from kinebench_drake.grounding.view import Frames, GripperView
+from kinebench_drake.models.panda.part import Part
 from kinebench_drake.models.panda.robot import hand_from_tcp
 from kinebench_drake.models.perception.weights import load_network
 from kinebench_drake.products import Anomaly, GripperTrack
@@ -45,8 +46,22 @@ class Grounding:
     arm_consistency_px: float | None
     """Median over tracked frames of the distance between the links as seen and as the arm that goes with the hand has
     them [px of the video]; None where too little is seen of the arm."""
+    robot: NDArray[np.bool_]
+    """(T, H, W) pixels that show the robot."""
     findings: Findings | None = None
     """What each detector of anomalies says of each frame."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Observation:
+    """What each frame shows, before frames are held against each other."""
+
+    poses: tuple[FramePose | None, ...]
+    """(T,) poses against the first frame's camera; None where no gripper was found."""
+    evidence: Evidence
+    """What the detectors of anomalies look at."""
+    wide: tuple[GripperView, ...]
+    """(T,) views of whole frames."""
 
 
 class GroundingPipeline:
@@ -88,7 +103,8 @@ class GroundingPipeline:
         if said is not None and self._contradicted(said, frames, camera):
             known = replace(known, first=None)
         known = known.through(camera, len(frames))
-        poses, seen = self.observe(frames, camera, t_s, known)
+        observed = self.observe(frames, camera, t_s, known)
+        poses, seen = observed.poses, observed.evidence
         findings, motion = find_anomalies(seen), seen.motion
         nothing = np.full((len(frames), 4, 4), np.nan)
         X_given = nothing if known.X_CH is None else motion.X_AC @ known.X_CH
@@ -114,6 +130,7 @@ class GroundingPipeline:
             anomalies=findings.anomalies,
             camera_motion_px=motion.largest_px,
             arm_consistency_px=_arm_consistency_px(poses, tracked),
+            robot=np.stack([view.to_frame(view.part > Part.BACKGROUND, camera) for view in observed.wide]),
             findings=findings,
         )
 
@@ -130,10 +147,8 @@ class GroundingPipeline:
             return 0.0
         return 1.0 if pose.given else float(self.confidence.frame.probability(frame_features(pose)))
 
-    def observe(
-        self, frames: Frames, camera: Camera, t_s: Array, known: Known = NOTHING
-    ) -> tuple[list[FramePose | None], Evidence]:
-        """Poses against the first frame's camera, each frame by itself, and what the detectors of anomalies look at.
+    def observe(self, frames: Frames, camera: Camera, t_s: Array, known: Known = NOTHING) -> Observation:
+        """Look at each frame by itself.
 
         Where the camera moves a little, the frames are looked at again as the first frame's camera would have seen
         them.
@@ -147,7 +162,11 @@ class GroundingPipeline:
         if not steady:
             poses = [p and replace(p, X_CH=X_AC @ p.X_CH) for p, X_AC in zip(poses, motion.X_AC, strict=True)]
         confidence = np.array([self._confidence_of(p) for p in poses])
-        return poses, gather(frames, camera, t_s, tracking.wide, poses, confidence, motion)
+        return Observation(
+            poses=tuple(poses),
+            evidence=gather(frames, camera, t_s, tracking.wide, poses, confidence, motion),
+            wide=tracking.wide,
+        )
 
 
 def _arm_consistency_px(poses: Sequence[FramePose | None], tracked: NDArray[np.bool_]) -> float | None:

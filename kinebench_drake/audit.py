@@ -21,6 +21,10 @@ _MOST_WARNINGS = 5  # told on the screen
 class AuditConfig(RunConfig):
     """Everything a run over trajectories is told. `source`: file, LeRobot dataset, output folder or folder of these."""
 
+    source: Path
+    """Trajectory, folder of trajectories, or dataset."""
+    task: str | None = None
+    """Task of samples that name none."""
     kind: Kind = Kind.AUDIT
     rate_hz: float | None = None
     """Frames per second, over the files' times [Hz]."""
@@ -64,6 +68,8 @@ class AuditConfig(RunConfig):
         """What results tell of the configuration; paths by their last name only."""
         return {
             **RunConfig.to_json(self),
+            "source": self.source.resolve().name,
+            "task": self.task,
             "rate_hz": self.rate_hz,
             "joints": self.joints,
             "poses": self.poses,

@@ -16,7 +16,7 @@ from kinebench_drake.models.urdf import robot_files
 from kinebench_drake.provenance import code_hash
 from kinebench_drake.results import part_path
 from kinebench_drake.row import Json, SampleRow, Status, dump
-from kinebench_drake.stages import Judgement, StageOptions, Stages, load_stages
+from kinebench_drake.stages import Judgement, StageOptions
 
 SCHEMA_VERSION = 1
 
@@ -38,11 +38,12 @@ class Kind(Enum):
     SCORE = "score"
     GROUND = "ground"
     AUDIT = "audit"
+    SUITE = "suite"
 
     @property
     def noun(self) -> str:
         """What its samples are, in the plural."""
-        return "trajectories" if self is Kind.AUDIT else "videos"
+        return {Kind.AUDIT: "trajectories", Kind.SUITE: "episodes"}.get(self, "videos")
 
     @property
     def judges(self) -> bool:
@@ -75,6 +76,8 @@ class Named(Protocol):
 
 
 Sample = TypeVar("Sample", bound=Named)
+Equipment = TypeVar("Equipment")
+"""What a worker process loads once to measure samples with."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -90,7 +93,7 @@ class Measured:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Measure(ABC, Generic[Sample]):
+class Measure(ABC, Generic[Sample, Equipment]):
     """How samples of one run are measured; picklable. `make` turns it into the function a worker calls."""
 
     kind: Kind
@@ -124,8 +127,17 @@ class Measure(ABC, Generic[Sample]):
         """Further keys of the row that are known before the sample is read."""
 
     @abstractmethod
-    def measure(self, sample: Sample, stages: Stages) -> Measured:
-        """Read the sample, ask the stages, write its files.
+    def equip(self) -> Equipment:
+        """Load what measuring takes; called once a process.
+
+        Raises:
+            SetupError: a library, a driver or the weights are missing.
+            UsageError: something that the command line named cannot be used.
+        """
+
+    @abstractmethod
+    def measure(self, sample: Sample, equipment: Equipment) -> Measured:
+        """Read the sample, measure it, write its files.
 
         Raises:
             InputError: the sample is broken.
@@ -161,16 +173,17 @@ class Measure(ABC, Generic[Sample]):
         )
 
     def make(self) -> Callable[[Sample], tuple[SampleRow, float]]:
-        """Load the stages; the function returned gives a sample's row and the seconds it took.
+        """Load the equipment; the function returned gives a sample's row and the seconds it took.
 
         Raises:
             SetupError: a library, a driver or the weights are missing.
+            UsageError: something that the command line named cannot be used.
         """
-        stages = load_stages(self.stages, self.stage_options)
+        equipment = self.equip()
 
         def work(sample: Sample) -> tuple[SampleRow, float]:
             start = time.perf_counter()
-            return self._row(sample, stages), time.perf_counter() - start
+            return self._row(sample, equipment), time.perf_counter() - start
 
         return work
 
@@ -188,10 +201,10 @@ class Measure(ABC, Generic[Sample]):
             extra=self.labels(sample),
         )
 
-    def _row(self, sample: Sample, stages: Stages) -> SampleRow:
+    def _row(self, sample: Sample, equipment: Equipment) -> SampleRow:
         """The per-sample boundary: whatever goes wrong with a sample ends here, in its row."""
         try:
-            return self._finished(sample, self.measure(sample, stages))
+            return self._finished(sample, self.measure(sample, equipment))
         except SetupError:
             raise
         except UnmeasurableError as error:

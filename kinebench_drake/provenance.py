@@ -12,7 +12,7 @@ from kinebench_drake.row import Json
 
 _PACKAGES = ("numpy", "scipy", "drake", "open3d", "torch", "av", "mani_skill", "sapien")
 
-_NOT_MEASURING = ("cli", "report")
+_NOT_MEASURING = ("cli", "report", "suite_report")
 
 
 def versions() -> dict[str, Json]:
@@ -40,7 +40,7 @@ def weights_hash() -> str:
 
 @cache
 def code_hash() -> str:
-    """SHA-256 over the package's own sources, those of the command line and the report left out.
+    """SHA-256 over the package's own sources, those of the command line and the reports left out.
 
     It stands for the code's version where results are recognised: changed code computes anew.
     """

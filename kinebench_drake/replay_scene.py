@@ -12,9 +12,9 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from kinebench_drake.geometry import Array, invert, make_pose, pose_difference
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.metrics.runs import runs
 from kinebench_drake.report.frames import FrameState, frame_states, frames_of
 from kinebench_drake.row import SampleRow
+from kinebench_drake.runs import runs
 from kinebench_drake.trackfile import TrackFile
 from kinebench_drake.visuals import Surface
 

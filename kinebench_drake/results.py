@@ -11,11 +11,11 @@ from kinebench_drake.row import Json, SampleRow, dump
 from kinebench_drake.storage import storage, write_atomically
 
 SAMPLES, TIMINGS, RESULTS, REPORT = "samples.jsonl", "timings.jsonl", "results.json", "report.html"
-_PARTS = {"tracks": "npz", "overlays": "mp4", "thumbnails": "jpg", "replays": "html"}
+_PARTS = {"tracks": "npz", "overlays": "mp4", "rollouts": "mp4", "thumbnails": "jpg", "replays": "html"}
 
 
 def part_path(out: Path, part: str, id: str) -> Path:
-    """Path of a sample's file of its own: part is "tracks", "overlays", "thumbnails" or "replays"."""
+    """Path of a sample's file of its own: part is "tracks", "overlays", "rollouts", "thumbnails" or "replays"."""
     return out / part / f"{id}.{_PARTS[part]}"
 
 

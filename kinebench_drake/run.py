@@ -9,7 +9,7 @@ from typing import Protocol
 from kinebench_drake.aggregate import Estimate, aggregate, by_key, estimate
 from kinebench_drake.engines import Crashed, EngineKind, create_engine
 from kinebench_drake.errors import UsageError
-from kinebench_drake.measure import SCHEMA_VERSION, Kind, Measure, Sample
+from kinebench_drake.measure import SCHEMA_VERSION, Equipment, Kind, Measure, Sample
 from kinebench_drake.normalization import normalize_run
 from kinebench_drake.provenance import code_hash, host, versions, weights_hash
 from kinebench_drake.results import REPORT, ResultStore
@@ -23,8 +23,6 @@ from kinebench_drake.storage import storage
 class RunConfig:
     """What every run is told."""
 
-    source: Path
-    """What to work on."""
     out: Path
     """Output folder, made if absent."""
     kind: Kind
@@ -41,8 +39,6 @@ class RunConfig:
     """Seed of the intervals' resampling."""
     model: str | None = None
     """Model of samples that name none."""
-    task: str | None = None
-    """Task of samples that name none."""
     tags: Mapping[str, str] = field(default_factory=dict)
     """Free labels, kept in the results."""
     stages: str = "kinebench_drake.drake_stages:DrakeStages"
@@ -78,14 +74,12 @@ class RunConfig:
         """What results tell of the configuration; paths by their last name only."""
         return {
             "kind": self.kind.value,
-            "source": self.source.resolve().name,
             "limit": self.limit,
             "shard": str(self.shard) if self.shard else None,
             "jobs": self.jobs,
             "engine": self.engine.value,
             "seed": self.seed,
             "model": self.model,
-            "task": self.task,
             "table_height_m": self.table_height_m,
         }
 
@@ -134,7 +128,7 @@ class RunSummary:
 
 
 def run_samples(
-    config: RunConfig, samples: Sequence[Sample], measure: Measure[Sample], observer: Observer
+    config: RunConfig, samples: Sequence[Sample], measure: Measure[Sample, Equipment], observer: Observer
 ) -> RunSummary:
     """Measure every sample and fill the output folder.
 
@@ -202,7 +196,7 @@ def _resume(
     store: ResultStore,
     samples: Sequence[Sample],
     chosen: Sequence[Sample],
-    measure: Measure[Sample],
+    measure: Measure[Sample, Equipment],
     observer: Observer,
 ) -> list[Sample]:
     """Drop kept rows that no longer hold; return the samples still to do."""

@@ -19,6 +19,10 @@ from kinebench_drake.video_measure import BENCHMARK_PERIOD_S, PeriodSource, Vide
 class ScoreConfig(RunConfig):
     """Everything a run over videos is told. `source`: video, folder, npy/npz file or manifest."""
 
+    source: Path
+    """Video, folder of videos, npy or npz file, or manifest."""
+    task: str | None = None
+    """Task of samples that name none."""
     kind: Kind = Kind.SCORE
     frame_period_s: float | None = None
     """Task time between two frames [s]."""
@@ -61,6 +65,8 @@ class ScoreConfig(RunConfig):
         """What results tell of the configuration; paths by their last name only."""
         return {
             **RunConfig.to_json(self),
+            "source": self.source.resolve().name,
+            "task": self.task,
             "frame_period_s": self.frame_period_s,
             "overlay": self.overlay,
             "pixels_only": self.pixels_only,

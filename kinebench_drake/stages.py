@@ -44,6 +44,11 @@ class Grounded(Protocol):
         ...
 
     @property
+    def robot(self) -> NDArray[np.bool_]:
+        """(T, H, W) pixels that show the robot."""
+        ...
+
+    @property
     def first_frame(self) -> FirstFrameUse:
         """What became of the pose that the first frame is said to have."""
         ...

@@ -10,7 +10,7 @@ from kinebench_drake.measure import KINEMATIC_METRICS, Measure, Measured
 from kinebench_drake.products import GripperTrack
 from kinebench_drake.results import part_path
 from kinebench_drake.row import Json
-from kinebench_drake.stages import Stages
+from kinebench_drake.stages import Stages, load_stages
 from kinebench_drake.trackfile import write_track
 from kinebench_drake.trajectories.sample import TrajectorySample
 from kinebench_drake.trajectories.source import read_trajectory
@@ -18,7 +18,7 @@ from kinebench_drake.trajectories.trajectory import Choice, Trajectory
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class TrajectoryMeasure(Measure[TrajectorySample]):
+class TrajectoryMeasure(Measure[TrajectorySample, Stages]):
     """How the trajectories of one run are measured."""
 
     choice: Choice
@@ -50,6 +50,10 @@ class TrajectoryMeasure(Measure[TrajectorySample]):
         """See `Measure`."""
         told = {} if sample.success is None else {"success": sample.success}
         return {"format": sample.format.value, "seed": sample.seed, "prompt": sample.prompt, **told}
+
+    def equip(self) -> Stages:
+        """See `Measure`."""
+        return load_stages(self.stages, self.stage_options)
 
     def measure(self, sample: TrajectorySample, stages: Stages) -> Measured:
         """See `Measure`. Joint angles are judged as they are, poses by the best joint path that does them."""

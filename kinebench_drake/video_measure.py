@@ -20,7 +20,7 @@ from kinebench_drake.products import Anomaly, GripperTrack
 from kinebench_drake.provenance import weights_hash
 from kinebench_drake.results import part_path
 from kinebench_drake.row import Json
-from kinebench_drake.stages import Judgement, Stages
+from kinebench_drake.stages import Judgement, Stages, load_stages
 from kinebench_drake.storage import storage, write_atomically
 from kinebench_drake.thumbnail import side_by_side, track_at, worst_frame
 from kinebench_drake.trackfile import write_track
@@ -44,7 +44,7 @@ class PeriodSource(Enum):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class VideoMeasure(Measure[Sample]):
+class VideoMeasure(Measure[Sample, Stages]):
     """How the videos of one run are measured."""
 
     frame_period_s: float | None
@@ -93,6 +93,10 @@ class VideoMeasure(Measure[Sample]):
             "prompt": sample.prompt,
         }
 
+    def equip(self) -> Stages:
+        """See `Measure`."""
+        return load_stages(self.stages, self.stage_options)
+
     def measure(self, sample: Sample, stages: Stages) -> Measured:
         """See `Measure`."""
         if sample.problem is not None:
@@ -121,7 +125,7 @@ class VideoMeasure(Measure[Sample]):
                 "tracked_fraction": tracked / len(t_s),
                 "camera_motion_px": grounding.camera_motion_px,
                 "arm_consistency_px": grounding.arm_consistency_px,
-                "anomalies": [_anomaly_json(a) for a in grounding.anomalies],
+                "anomalies": [anomaly_json(a) for a in grounding.anomalies],
             },
             extra={
                 "first_frame": grounding.first_frame.value,
@@ -192,10 +196,11 @@ def _first_json(first: FirstFrame | None) -> Json:
     return None if first is None else [*first.X_BG.ravel().tolist(), str(first.finger_width_m)]
 
 
-def _anomaly_json(anomaly: Anomaly) -> dict[str, Json]:
+def anomaly_json(anomaly: Anomaly, first_frame: int = 0) -> dict[str, Json]:
+    """An anomaly as rows have it, its frames counted on from `first_frame`."""
     return {
         "kind": anomaly.kind.value,
-        "frame_start": int(anomaly.frame_start),
-        "frame_end": int(anomaly.frame_end),
+        "frame_start": first_frame + int(anomaly.frame_start),
+        "frame_end": first_frame + int(anomaly.frame_end),
         "severity": float(anomaly.severity),
     }

@@ -85,7 +85,7 @@ install_packages() {
     "${pip[@]}" install -c "$constraints" setup/opencv-python
     # By itself: beside other packages pip prefers the CUDA build and gigabytes of libraries, where a smaller one is at hand.
     "${pip[@]}" install -c "$constraints" "$(grep '^torch==' "$constraints")"
-    "${pip[@]}" install -c "$constraints" -e '.[dev]'
+    "${pip[@]}" install -c "$constraints" -e '.[dev,diffusers]'
     "$venv/bin/python" -m pip check
     mkdir -p "$(dirname "$stamp")"
     packages_key >"$stamp"

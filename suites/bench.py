@@ -20,9 +20,12 @@ from kinebench_drake.errors import KinebenchError
 from kinebench_drake.geometry import Array
 from kinebench_drake.mp4 import write_video
 from kinebench_drake.native import prepare_vulkan
+from kinebench_drake.suites.clip import film
+from kinebench_drake.suites.clock import CLIP_FRAMES
 from kinebench_drake.suites.episode import compose
 from kinebench_drake.suites.experts.registry import find_expert
-from kinebench_drake.suites.rollout import CLIP_FRAMES, Stage, film, perform
+from kinebench_drake.suites.rollout import perform
+from kinebench_drake.suites.stage import Stage
 from kinebench_drake.suites.tasks.registry import TASKS
 
 HEADING = "## Simulation"

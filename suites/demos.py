@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike
 from kinebench_drake.engines import Crashed, Engine
 from kinebench_drake.errors import SetupError, UsageError
 from kinebench_drake.storage import storage
+from kinebench_drake.suites.clip import film
 from kinebench_drake.suites.episode import Episode
 from kinebench_drake.suites.experts.registry import find_expert
 from kinebench_drake.suites.export import episode_facts
@@ -28,8 +29,9 @@ from kinebench_drake.suites.files import append_line, make_folder, read_lines, w
 from kinebench_drake.suites.formats.demo import CLIP_STEPS, PARTS, Content, Demo, FormatKind, Record, Shots
 from kinebench_drake.suites.formats.format import Format, find_format
 from kinebench_drake.suites.order import Order
-from kinebench_drake.suites.rollout import Performance, Stage, film, perform
+from kinebench_drake.suites.rollout import Performance, perform
 from kinebench_drake.suites.seeding import generator
+from kinebench_drake.suites.stage import Stage
 from kinebench_drake.suites.stagehand import Stagehand, failure
 from kinebench_drake.suites.stills import take_stills
 from kinebench_drake.suites.suite import Draw
@@ -80,7 +82,7 @@ class _Experts:
         form = find_format(self.kind)
         content = form.content
         make = _RecordingStage if Content.STATES in content else Stage
-        hand = Stagehand(self.shots.size, renders=bool(content & (Content.FILM | Content.STILLS)), make=make)
+        hand = Stagehand(make, self.shots.size, renders=bool(content & (Content.FILM | Content.STILLS)))
 
         def demonstrate(draw: Draw) -> Record:
             episode, stage = draw.episode(), hand.stage(draw.task, draw.variant)

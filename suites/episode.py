@@ -62,6 +62,12 @@ def _layout(task: str, seed: int, variant: Variant, models: Mapping[str, Model])
     return find_task(task).layout(models, generator("layout", task, seed, variant.value), variant)
 
 
+def episode_id(task: str, seed: int, pool: Pool, variant: Variant) -> str:
+    """Id of an episode, such as "StackCube-v1_s0003_unseen"."""
+    suffix = "".join(f"_{v}" for v in (pool.value, variant.value) if v not in (Pool.ALL.value, Variant.PLAIN.value))
+    return f"{task}_s{seed:04d}{suffix}"
+
+
 def compose(task: str, seed: int, *, pool: Pool = Pool.ALL, variant: Variant = Variant.PLAIN) -> Episode:
     """The episode of a task and seed with assets and looks from a pool.
 
@@ -72,9 +78,8 @@ def compose(task: str, seed: int, *, pool: Pool = Pool.ALL, variant: Variant = V
     rng = generator("episode", task, seed, pool.value)
     looks = {sort: str(rng.choice(pool_looks(sort, pool))) for sort in ("table", "background", "light")}
     assets = {slot: str(rng.choice(pool_assets(kind, pool))) for slot, kind in found.slots_of(variant).items()}
-    suffix = "".join(f"_{v}" for v in (pool.value, variant.value) if v not in (Pool.ALL.value, Variant.PLAIN.value))
     return Episode(
-        id=f"{task}_s{seed:04d}{suffix}",
+        id=episode_id(task, seed, pool, variant),
         task=task,
         seed=seed,
         variant=variant,

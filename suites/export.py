@@ -13,10 +13,11 @@ from kinebench_drake.engines import Crashed, Engine
 from kinebench_drake.errors import SetupError
 from kinebench_drake.models.panda.robot import TCP_LINK
 from kinebench_drake.storage import whole
+from kinebench_drake.suites.clock import CLIP_FRAMES, FRAME_PERIOD_S
 from kinebench_drake.suites.episode import Episode
 from kinebench_drake.suites.files import make_folder, write_json, write_lines
 from kinebench_drake.suites.first import first_facts
-from kinebench_drake.suites.rollout import CLIP_FRAMES, FRAME_PERIOD_S
+from kinebench_drake.suites.stage import Stage
 from kinebench_drake.suites.stagehand import Stagehand
 from kinebench_drake.suites.suite import Draw, Suite
 from kinebench_drake.suites.tasks.card import TaskCard, Variant
@@ -76,13 +77,13 @@ class _Photographer:
     out: Path
 
     def __call__(self) -> Callable[[Draw], _Photo]:
-        hand = Stagehand(self.size)
+        hand = Stagehand(Stage, self.size)
 
         def photograph(draw: Draw) -> _Photo:
             episode = draw.episode()
             stage = hand.stage(draw.task, draw.variant)
             stage.reset(episode)
-            rgb, _, _ = stage.picture()
+            rgb = stage.picture().rgb
             with whole(self.out / f"{episode.id}.png") as part:
                 Image.fromarray(rgb).save(part, format="png")
             width_m = float(stage.snapshot().fingers_m.sum())

@@ -1,76 +1,16 @@
-"""Perform a task in ManiSkill, then film it: apart, so that one performance can be filmed twice.
+"""The expert's performance of an episode: physics alone, to be filmed later, more than once if need be."""
 
-The module loads sapien and mani_skill only when a `Stage` is made.
-"""
-
-from collections.abc import Collection, Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from types import TracebackType
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
-from kinebench_drake.camera import Camera, benchmark_camera
-from kinebench_drake.errors import UsageError
-from kinebench_drake.geometry import Array, from_quaternion, invert
+from kinebench_drake.geometry import Array
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.models.panda.part import LINK_OF, Part
-from kinebench_drake.models.panda.robot import FINGER_LINKS, HAND_LINK, TCP_LINK
-from kinebench_drake.models.perception.frame import RENDERED_DEPTH_BIAS_M, Frame, part_map
-from kinebench_drake.native import prepare_vulkan
+from kinebench_drake.suites.clock import CLIP_FRAMES, STEPS_PER_FRAME
 from kinebench_drake.suites.episode import Episode
-from kinebench_drake.suites.experts.motion import CONTROL_PERIOD_S, plan
+from kinebench_drake.suites.experts.motion import plan
 from kinebench_drake.suites.experts.registry import Expert
-from kinebench_drake.suites.tasks.card import Variant
-from kinebench_drake.suites.tasks.registry import find_task
-from kinebench_drake.suites.tasks.task import Scene
-
-CLIP_FRAMES = 48
-"""Frames of a clip that follow its first one; the first frame of the next clip is the last of this one."""
-STEPS_PER_FRAME = 4
-"""Control steps between two frames."""
-FRAME_PERIOD_S = STEPS_PER_FRAME * CONTROL_PERIOD_S
-"""Task time between two frames."""
-GRIPPER_LINKS = (HAND_LINK, *FINGER_LINKS, *(f"{finger}_pad" for finger in FINGER_LINKS))
-"""What counts as the gripper in masks; some of ManiSkill's Pandas have no pad links."""
-ROBOTS = ("panda", "panda_wristcam")
-"""Robots of ManiSkill that the experts know."""
-
-_FINGER_RANGE_M = (-0.01, 0.04)  # of one finger joint's target, for actions -1 and 1 (ManiSkill's Panda)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Snapshot:
-    """Where everything is at one moment."""
-
-    q: Array
-    """(7,) arm joint angles [rad]."""
-    fingers_m: Array
-    """(2,) finger joints [m]."""
-    objects: dict[str, Array]
-    """Position and quaternion wxyz (7,) of each thing in the ManiSkill world [m]."""
-    joints: dict[str, float]
-    """Joint position of each articulated thing [rad or m]."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Outcome:
-    """A task's verdict on one moment."""
-
-    success: bool
-    """Whether all conditions hold."""
-    progress: float
-    """How far things have come, 0..1."""
-    conditions: dict[str, bool]
-    """The task's named sub-conditions."""
-
-    @property
-    def reason(self) -> str:
-        """Which conditions fail, such as "not on_top, released"; empty with success."""
-        failed = ", ".join(name for name, holds in self.conditions.items() if not holds)
-        return "" if self.success else f"not {failed}"
+from kinebench_drake.suites.stage import Outcome, Snapshot, Stage
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -88,217 +28,32 @@ class Performance:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Clip:
-    """A filmed performance with its ground truth."""
+class PerformedClip:
+    """One clip's worth of a performance."""
 
-    camera: Camera
-    """The camera that filmed it."""
-    rgb: NDArray[np.uint8]
-    """(T, H, W, 3) frames."""
-    t_s: Array
-    """(T,) task time [s]."""
-    q: Array
-    """(T, 7) arm joint angles [rad]; NaN where the gripper is not drawn, as in the poses."""
-    finger_width_m: Array
-    """(T,) gap between the finger pads [m]."""
-    X_CH: Array
-    """(T, 4, 4) panda_hand in the camera frame [m]."""
-    X_BG: Array
-    """(T, 4, 4) panda_hand_tcp in the robot base frame [m]."""
-    depth_mm: NDArray[np.uint16]
-    """(T, H, W) distance along the camera's z in whole millimetres, towards zero; 0 where nothing is."""
-    mask: NDArray[np.bool_]
-    """(T, H, W) pixels of the gripper (hand and fingers)."""
-
-    def save_truth(self, path: Path, *, with_images: bool) -> None:
-        """Write the ground truth as npz, the same bytes every time; `with_images`: depth and packed masks as well.
-
-        Masks are packed along the width: `np.unpackbits(mask, axis=-1, count=width)`.
-        """
-        arrays: dict[str, Any] = {
-            "t_s": self.t_s,
-            "base_from_tcp": self.X_BG,
-            "camera_from_hand": self.X_CH,
-            "q": self.q,
-            "finger_width_m": self.finger_width_m,
-        }
-        if with_images:
-            arrays |= {"depth_mm": self.depth_mm, "mask": np.packbits(self.mask, axis=-1)}
-        np.savez_compressed(path, **arrays)
+    snapshots: tuple[Snapshot, ...]
+    """The moments to film, without the one it began with."""
+    controls: Array
+    """(N, 8) commands, as in `Performance`."""
 
 
-class Stage:
-    """A task with one Panda and one camera, on the CPU's physics."""
+def perform_clip(stage: Stage, expert: Expert, *, every: int = STEPS_PER_FRAME) -> PerformedClip | None:
+    """Let the expert go on with its task from the present state, for one clip; None if there is nothing left to do.
 
-    def __init__(
-        self,
-        task: str,
-        *,
-        robot: str = "panda",
-        camera: Camera | None = None,
-        variant: Variant = Variant.PLAIN,
-        renders: bool = True,
-    ) -> None:
-        """Build the scene (a third of a second, the first time in a process some seconds).
-
-        Args:
-            task: plain task id.
-            robot: one of `ROBOTS`.
-            camera: where to film from; the benchmark's camera if not given.
-            variant: version of the task's scene.
-            renders: whether pictures can be taken; physics alone needs no Vulkan.
-
-        Raises:
-            UsageError: there is no such task or variant.
-            SetupError: no Vulkan driver can be loaded.
-        """
-        backend = prepare_vulkan() if renders else "none"
-        import sapien
-
-        from kinebench_drake.suites.tasks.environment import CAMERA, X_WB, KineBenchEnv
-
-        plant = ArmPlant()
-        self.joint_limits = (plant.lower, plant.upper)
-        """Least and greatest joint angles, each (7,) [rad]."""
-        self.camera = benchmark_camera() if camera is None else camera
-        self.task = find_task(task, variant)
-        self._pose_class = sapien.Pose
-        self._camera_name, self._X_BW = CAMERA, invert(X_WB)
-        self._env: Any = KineBenchEnv(
-            task=task,
-            obs_mode="none",
-            reward_mode="none",
-            control_mode="pd_joint_pos",
-            robot_uids=robot,
-            sim_backend="cpu",
-            render_backend=backend,
-            camera=self.camera,
-            variant=variant.value,
-        )
-
-    def __enter__(self) -> "Stage":
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """Free the scene."""
-        self._env.close()
-
-    def reset(self, episode: Episode) -> None:
-        """Set up the scene of an episode."""
-        self._env.reset(seed=episode.seed, options={"episodes": [episode], "reconfigure": True})
-
-    def scene(self) -> Scene:
-        """What stands where now."""
-        scene: Scene = self._env.scene_of()
-        return scene
-
-    def link_pose(self, link: str) -> Array:
-        """Pose (4, 4) of one of the robot's links in its base frame [m]."""
-        raw = np.asarray(self._env.agent.robot.links_map[link].pose.raw_pose[0], dtype=np.float64)
-        return self._X_BW @ from_quaternion(raw[3:], raw[:3])
-
-    @staticmethod
-    def action(q: ArrayLike, finger_width_m: float) -> NDArray[np.float32]:
-        """ManiSkill's action (8,) that sets the arm's servos to `q` (7,) [rad] and the fingers' to a gap [m]."""
-        low, high = _FINGER_RANGE_M
-        finger = float(np.clip(2.0 * (finger_width_m / 2.0 - low) / (high - low) - 1.0, -1.0, 1.0))
-        return np.concatenate([np.asarray(q), [finger]]).astype(np.float32)
-
-    def step(self, q: ArrayLike, finger_width_m: float) -> None:
-        """One control step with the arm's servos set to `q` (7,) [rad] and the fingers' to a gap [m]."""
-        self._env.step(self.action(q, finger_width_m))
-
-    def simulation_state(self) -> dict[str, dict[str, NDArray[np.float32]]]:
-        """ManiSkill's own state: of each actor pose and velocities (13,), of each articulation its joints' as well."""
-        kinds: dict[str, Any] = self._env.get_state_dict()
-        return {
-            kind: {name: value[0].cpu().numpy() for name, value in kinds.get(kind, {}).items()}
-            for kind in ("actors", "articulations")
-        }
-
-    def outcome(self) -> Outcome:
-        """The task's verdict on the present state."""
-        verdict = {name: value[0].item() for name, value in self._env.evaluate().items()}
-        success, progress = bool(verdict.pop("success")), float(verdict.pop("progress"))
-        return Outcome(success=success, progress=progress, conditions={n: bool(v) for n, v in verdict.items()})
-
-    def snapshot(self) -> Snapshot:
-        """The present state."""
-        qpos = np.asarray(self._env.agent.robot.get_qpos()[0], dtype=np.float64)
-        things = self._env.things
-        return Snapshot(
-            q=qpos[:7],
-            fingers_m=qpos[7:9],
-            objects={name: np.asarray(x.pose.raw_pose[0], dtype=np.float64) for name, x in things.items()},
-            joints={name: float(x.qpos[0, 0]) for name, x in things.items() if hasattr(x, "qpos")},
-        )
-
-    def show(self, snapshot: Snapshot) -> None:
-        """Put everything where the snapshot has it, without simulating."""
-        self._env.agent.robot.set_qpos(np.concatenate([snapshot.q, snapshot.fingers_m])[None].astype(np.float32))
-        for name, raw in snapshot.objects.items():
-            thing = self._env.things[name]
-            thing.set_pose(self._pose_class(raw[:3], raw[3:]))
-            if name in snapshot.joints:
-                thing.set_qpos(np.array([[snapshot.joints[name]]], dtype=np.float32))
-
-    def draw(self, links: Collection[str], *, visible: bool) -> None:
-        """Draw some of the robot's links, or do not."""
-        import sapien
-
-        for name, link in self._env.agent.robot.links_map.items():
-            if name in links:
-                body = link._objs[0].entity.find_component_by_type(sapien.render.RenderBodyComponent)
-                if body is not None:
-                    body.visibility = float(visible)
-
-    def look_from(self, camera: Camera) -> None:
-        """Take pictures from elsewhere; their size stays.
-
-        Raises:
-            UsageError: the camera has pictures of another size.
-        """
-        if (camera.width, camera.height) != (self.camera.width, self.camera.height):
-            raise UsageError(
-                f"the stage takes pictures of {self.camera.width} x {self.camera.height}, not of {camera.width} x "
-                f"{camera.height}"
-            )
-        from kinebench_drake.suites.tasks.environment import place_camera
-
-        place_camera(self._env._sensors[self._camera_name], camera)
-        self.camera = camera
-
-    def _capture(self) -> tuple[NDArray[np.uint8], NDArray[np.uint16], NDArray[np.integer[Any]]]:
-        """Colour (H, W, 3), depth (H, W) [mm] and segmentation ids (H, W) of the present state."""
-        self._env.scene.update_render(update_sensors=True, update_human_render_cameras=False)
-        sensor = self._env._sensors[self._camera_name]
-        sensor.capture()
-        images = sensor.get_obs(rgb=True, depth=True, position=False, segmentation=True)
-        rgb, depth, labels = (images[name][0].cpu().numpy() for name in ("rgb", "depth", "segmentation"))
-        return np.array(rgb, dtype=np.uint8), np.clip(depth[..., 0], 0, None).astype(np.uint16), labels[..., 0]
-
-    def _link_ids(self) -> dict[str, int]:
-        return {name: int(link.per_scene_id[0]) for name, link in self._env.agent.robot.links_map.items()}
-
-    def picture(self) -> tuple[NDArray[np.uint8], NDArray[np.uint16], NDArray[np.bool_]]:
-        """Colour (H, W, 3), depth (H, W) [mm] and gripper mask (H, W) of the present state."""
-        rgb, depth_mm, labels = self._capture()
-        return rgb, depth_mm, np.isin(labels, [i for name, i in self._link_ids().items() if name in GRIPPER_LINKS])
-
-    def still(self) -> Frame:
-        """The present state as a training frame: a picture in which each pixel knows what it shows."""
-        rgb, depth_mm, labels = self._capture()
-        part_of = {name: part for part, name in LINK_OF.items()}
-        ids = {i: part_of.get(name, Part.BACKGROUND) for name, i in self._link_ids().items()}
-        X_BL = {name: self.link_pose(name) for name in part_of}
-        finger_m = float(self.snapshot().fingers_m.mean())
-        depth_m = depth_mm / 1000.0 + RENDERED_DEPTH_BIAS_M
-        return Frame.of_picture(rgb, depth_m, part_map(labels, ids), self.camera, X_BL, finger_m)
+    Raises:
+        InputError: the expert finds no path in this scene.
+    """
+    scene, now = stage.scene(), stage.snapshot()
+    waypoints = expert(scene)
+    if not waypoints:
+        return None
+    motion = plan(ArmPlant(), now.q, float(now.fingers_m.sum()), waypoints, STEPS_PER_FRAME * CLIP_FRAMES, scene)
+    snapshots = []
+    for i, (q, finger_width_m) in enumerate(zip(motion.q, motion.finger_width_m, strict=True), 1):
+        stage.step(q, finger_width_m)
+        if i % every == 0:
+            snapshots.append(stage.snapshot())
+    return PerformedClip(snapshots=tuple(snapshots), controls=np.column_stack([motion.q, motion.finger_width_m]))
 
 
 def perform(stage: Stage, expert: Expert, episode: Episode, *, every: int = STEPS_PER_FRAME) -> Performance:
@@ -314,53 +69,18 @@ def perform(stage: Stage, expert: Expert, episode: Episode, *, every: int = STEP
         InputError: the expert finds no path in this scene.
     """
     stage.reset(episode)
-    plant, steps = ArmPlant(), STEPS_PER_FRAME * CLIP_FRAMES
-    snapshots, controls = [stage.snapshot()], []
+    snapshots, controls = [stage.snapshot()], [np.zeros((0, 8))]
     for _ in range(stage.task.card.clips):
-        scene = stage.scene()
-        waypoints = expert(scene)
-        if not waypoints:
+        clip = perform_clip(stage, expert, every=every)
+        if clip is None:
             break
-        now = snapshots[-1]
-        motion = plan(plant, now.q, float(now.fingers_m.sum()), waypoints, steps, scene)
-        for i in range(steps):
-            stage.step(motion.q[i], motion.finger_width_m[i])
-            if (i + 1) % every == 0:
-                snapshots.append(stage.snapshot())
-        controls.append(np.column_stack([motion.q, motion.finger_width_m]))
+        snapshots += clip.snapshots
+        controls.append(clip.controls)
         if stage.outcome().success:
             break
     return Performance(
         episode=episode,
         snapshots=tuple(snapshots),
-        controls=np.concatenate(controls) if controls else np.zeros((0, 8)),
+        controls=np.concatenate(controls),
         outcome=stage.outcome(),
-    )
-
-
-def film(stage: Stage, snapshots: Sequence[Snapshot], *, first_frame: int = 0) -> Clip:
-    """Render snapshots with the stage's camera; the stage must have been reset to the same scene.
-
-    Args:
-        stage: the scene they were taken in.
-        snapshots: what to show, one a frame.
-        first_frame: index of the first of them in the whole video (it sets `t_s`).
-    """
-    pictures, X_BH, X_BG = [], [], []
-    for snapshot in snapshots:
-        stage.show(snapshot)
-        pictures.append(stage.picture())
-        X_BH.append(stage.link_pose(HAND_LINK))
-        X_BG.append(stage.link_pose(TCP_LINK))
-    rgb, depth_mm, mask = (np.stack(images) for images in zip(*pictures, strict=True))
-    return Clip(
-        camera=stage.camera,
-        rgb=rgb,
-        t_s=FRAME_PERIOD_S * np.arange(first_frame, first_frame + len(snapshots), dtype=np.float64),
-        q=np.stack([s.q for s in snapshots]),
-        finger_width_m=np.array([s.fingers_m.sum() for s in snapshots]),
-        X_CH=invert(stage.camera.X_BC) @ np.stack(X_BH),
-        X_BG=np.stack(X_BG),
-        depth_mm=depth_mm,
-        mask=mask,
     )

@@ -23,13 +23,16 @@ import click
 from kinebench_drake.errors import InputError, KinebenchError, UsageError
 from kinebench_drake.mp4 import write_video
 from kinebench_drake.products import AnomalyKind
+from kinebench_drake.suites.clip import film
+from kinebench_drake.suites.clock import CLIP_FRAMES, FRAME_PERIOD_S
 from kinebench_drake.suites.experts.registry import find_expert
 from kinebench_drake.suites.faults.fault import Grade, PlantedFault, choose
 from kinebench_drake.suites.faults.plant import plant
 from kinebench_drake.suites.faults.take import Take
 from kinebench_drake.suites.faults.trickstage import TrickStage
-from kinebench_drake.suites.rollout import CLIP_FRAMES, FRAME_PERIOD_S, ROBOTS, Performance, film, perform
+from kinebench_drake.suites.rollout import Performance, perform
 from kinebench_drake.suites.split import Pool
+from kinebench_drake.suites.stage import ROBOTS
 from kinebench_drake.suites.suite import Draw, load_suite
 from kinebench_drake.suites.tasks.card import Variant
 from kinebench_drake.suites.tasks.registry import TASKS, find_task
@@ -47,7 +50,7 @@ class Order:
     draw: Draw
     """The episode."""
     robot: str
-    """One of `rollout.ROBOTS`."""
+    """One of `stage.ROBOTS`."""
     grades: tuple[Grade, ...]
     """Faults to plant, each in a video of its own."""
     with_depth: bool

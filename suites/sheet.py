@@ -14,6 +14,7 @@ from kinebench_drake.suites.assets.look import look_ids
 from kinebench_drake.suites.episode import Episode, compose
 from kinebench_drake.suites.experts.registry import find_expert
 from kinebench_drake.suites.rollout import perform
+from kinebench_drake.suites.stage import Stage
 from kinebench_drake.suites.stagehand import Stagehand
 from kinebench_drake.suites.tasks.registry import find_task
 
@@ -152,14 +153,14 @@ class _Photographer:
 
     def __init__(self, performs: bool) -> None:
         self._performs = performs
-        self._hand = Stagehand(benchmark_camera().width)
+        self._hand = Stagehand(Stage, benchmark_camera().width)
 
     def __call__(self, episode: Episode) -> Shot:
         stage = self._hand.stage(episode.task, episode.variant)
         title, text, failed = _title(episode, performs=self._performs), episode.prompt, False
         if not self._performs:
             stage.reset(episode)
-            return Shot(title=title, text="", pictures=(stage.picture()[0],))
+            return Shot(title=title, text="", pictures=(stage.picture().rgb,))
         try:
             performance = perform(stage, find_expert(episode.task), episode)
             snapshots = [performance.snapshots[0], performance.snapshots[-1]]
@@ -171,5 +172,5 @@ class _Photographer:
         pictures = []
         for snapshot in snapshots:
             stage.show(snapshot)
-            pictures.append(stage.picture()[0])
+            pictures.append(stage.picture().rgb)
         return Shot(title=title, text=text, pictures=tuple(pictures), failed=failed)

@@ -13,7 +13,8 @@ from kinebench_drake.geometry import Array
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.models.perception.frame import Frame
 from kinebench_drake.models.perception.viewpoint import varied_camera
-from kinebench_drake.suites.rollout import Performance, Snapshot, Stage
+from kinebench_drake.suites.rollout import Performance
+from kinebench_drake.suites.stage import Snapshot, Stage
 
 STILLS = 32
 """Stills of a performance."""

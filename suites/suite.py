@@ -11,7 +11,7 @@ from typing import ClassVar
 from pydantic import ConfigDict, TypeAdapter
 
 from kinebench_drake.errors import UsageError
-from kinebench_drake.suites.episode import Episode, compose
+from kinebench_drake.suites.episode import Episode, compose, episode_id
 from kinebench_drake.suites.split import Pool
 from kinebench_drake.suites.tasks.card import Variant
 from kinebench_drake.suites.tasks.registry import TASKS
@@ -42,6 +42,11 @@ class Draw:
     """Assets and looks to draw from."""
     variant: Variant
     """Version of the scene."""
+
+    @property
+    def id(self) -> str:
+        """Id of the episode."""
+        return episode_id(self.task, self.seed, self.pool, self.variant)
 
     def episode(self) -> Episode:
         """The episode itself."""

@@ -9,10 +9,12 @@ from scipy.stats import binomtest
 
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.engines import Crashed, Engine
+from kinebench_drake.suites.clock import CLIP_FRAMES, STEPS_PER_FRAME
 from kinebench_drake.suites.episode import Episode
 from kinebench_drake.suites.experts.registry import find_expert
-from kinebench_drake.suites.rollout import CLIP_FRAMES, STEPS_PER_FRAME, Outcome, Stage, perform
+from kinebench_drake.suites.rollout import perform
 from kinebench_drake.suites.seeding import generator
+from kinebench_drake.suites.stage import Outcome, Stage
 from kinebench_drake.suites.stagehand import Stagehand, failure
 
 RANDOM_STEP_RAD = 0.1
@@ -47,7 +49,7 @@ class _Worker:
 
     def __init__(self, policy: Policy) -> None:
         self._policy = policy
-        self._hand = Stagehand(benchmark_camera().width, renders=False)
+        self._hand = Stagehand(Stage, benchmark_camera().width, renders=False)
 
     def __call__(self, episode: Episode) -> Trial:
         stage, frames = self._hand.stage(episode.task, episode.variant), 1

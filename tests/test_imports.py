@@ -11,8 +11,22 @@ import pytest
 ROOT = Path(__file__).parent.parent
 PACKAGE = "kinebench_drake"
 
-LEAF = {"__init__", "errors", "geometry", "camera", "products", "native", "mp4", "identity", "shard", "storage"}
-RESULTS = {"row", "aggregate", "normalization", "results", "trackfile", "provenance", "report", "engines"}
+LEAF = {
+    *(
+        "__init__",
+        "errors",
+        "geometry",
+        "camera",
+        "products",
+        "native",
+        "mp4",
+        "identity",
+        "shard",
+        "storage",
+        "plugin",
+    ),
+}
+RESULTS = {"row", "pairing", "aggregate", "normalization", "results", "trackfile", "provenance", "report", "engines"}
 MAY_IMPORT = {
     **dict.fromkeys(LEAF, LEAF),
     "models": LEAF,
@@ -22,6 +36,8 @@ MAY_IMPORT = {
     "suites": LEAF | {"models", "kinematics", "engines"},
     **dict.fromkeys(RESULTS, LEAF | RESULTS),
     "manifest": LEAF,
+    "drawing": LEAF,
+    "suite_report": LEAF | RESULTS | {"drawing", "suites"},
     "stages": LEAF | {"row", "grounding"},
     "trajectories": LEAF | {"results"},
     "measure": LEAF | RESULTS | {"stages", "models"},
@@ -29,7 +45,10 @@ MAY_IMPORT = {
     "trajectory_measure": LEAF | RESULTS | {"stages", "measure", "trajectories"},
     "audit": LEAF | RESULTS | {"stages", "measure", "run", "trajectories", "trajectory_measure", "models"},
     "thumbnail": LEAF | {"stages"},
-    "validation": LEAF | RESULTS | {"models", "kinematics", "metrics", "suites", "stages", "drake_stages", "audit"},
+    "validation": LEAF
+    | RESULTS
+    | {"models", "kinematics", "metrics", "suites", "stages", "drake_stages", "audit"}
+    | {"grounding", "closed_loop", "episode_cause"},
 }
 """What each part may import besides itself. Parts not named here see all but the command line."""
 ABOVE_ALL = {"cli", "__main__"}
@@ -89,7 +108,7 @@ def loaded_by(statement):
     return set(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split())
 
 
-HEAVY = {"torch", "open3d", "sapien", "mani_skill", "pydrake", "matplotlib", "cv2"}
+HEAVY = {"torch", "open3d", "sapien", "mani_skill", "pydrake", "matplotlib", "cv2", "diffusers", "transformers"}
 
 
 def test_importing_the_package_loads_nothing_heavy():
@@ -98,7 +117,10 @@ def test_importing_the_package_loads_nothing_heavy():
 
 @pytest.mark.parametrize(
     "module",
-    ["score", "audit", "inputs", "results", "measure", "report", "cli.score", "cli.audit", "cli.run", "suites.start"],
+    [
+        *("score", "audit", "inputs", "results", "measure", "report", "cli.score", "cli.audit", "cli.run"),
+        *("suites.start", "suites.worldmodels.factory"),
+    ],
 )
 def test_the_frame_of_a_run_loads_nothing_heavy(module):
     assert not loaded_by(f"import kinebench_drake.{module}") & HEAVY
@@ -116,8 +138,9 @@ def test_every_package_and_data_file_is_shipped():
         first, *rest = path.relative_to(ROOT).parent.parts
         found.add(".".join([PACKAGE, *([] if first == PACKAGE else [first]), *rest]))
     assert sorted(settings["packages"]) == sorted(found)
-    template = ROOT / PACKAGE / "report" / "page.html.j2"
-    assert any(template.match(pattern) for pattern in settings["package-data"][f"{PACKAGE}.report"])
+    for name in ("report", "suite_report"):
+        template = ROOT / PACKAGE / name / "page.html.j2"
+        assert any(template.match(pattern) for pattern in settings["package-data"][f"{PACKAGE}.{name}"])
 
 
 def test_the_folders_at_the_top_are_the_packages_within():

@@ -7,12 +7,12 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import grey_opening
 
 from kinebench_drake.geometry import Array
+from kinebench_drake.runs import runs as slices
 
 
 def runs(flags: ArrayLike) -> Iterator[tuple[int, int]]:
     """First and last index of each run of true values."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], np.asarray(flags, dtype=np.int8), [0]])))
-    yield from ((int(a), int(b) - 1) for a, b in edges.reshape(-1, 2))
+    yield from ((run.start, run.stop - 1) for run in slices(np.asarray(flags, dtype=bool)))
 
 
 def held(values: ArrayLike, frames: int) -> Array:

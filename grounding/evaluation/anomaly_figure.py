@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from kinebench_drake.drawing import FAINT, POSITION, ROTATION, new_figure
 from kinebench_drake.grounding.evaluation.anomalies import ClipFindings
 from kinebench_drake.grounding.evaluation.anomaly_table import GATES, GOALS, UNITS, Row, alarms, rows
-from kinebench_drake.grounding.evaluation.figures import FAINT, POSITION, ROTATION, new_figure
 from kinebench_drake.products import AnomalyKind
 
 if TYPE_CHECKING:

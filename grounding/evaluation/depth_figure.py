@@ -4,9 +4,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from kinebench_drake.drawing import new_figure
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.evaluation.depth_map import EXTENT_H, DepthErrors, ErrorMap
-from kinebench_drake.grounding.evaluation.figures import new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -1,49 +1,22 @@
 """Measurements as pictures."""
 
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from kinebench_drake.drawing import FAINT, POSITION, ROTATION, new_figure
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.evaluation.reliability import Reliability, judged_frames, reliability
 from kinebench_drake.grounding.evaluation.summary import Interval, Results
 from kinebench_drake.grounding.evaluation.tables import by_task
-from kinebench_drake.storage import whole
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-POSITION, ROTATION, FAINT = "#1f6fb2", "#c4622d", "#b8bec4"
 _COLOURS = ("#1f6fb2", "#c4622d", "#3a8f5c", "#8a5fb0", "#b5485d", "#6b7a1e", "#3b8ea5", "#946b3d", "#5b6470")
 _FLOOR_MM, _FLOOR_DEG = 0.05, 0.02  # of logarithmic axes
-
-
-def new_figure(width: float, height: float, rows: int = 1, columns: int = 1, **options: Any) -> "tuple[Figure, Any]":
-    """A light figure of a size [inches] and its axes (rows, columns), drawn without any display."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(width, height), dpi=130, layout="constrained", facecolor="white")
-    FigureCanvasAgg(figure)
-    axes = figure.subplots(rows, columns, squeeze=False, **options)
-    for ax in axes.flat:
-        ax.spines[["top", "right"]].set_visible(False)
-        ax.grid(True, color="#e6e8ea", linewidth=0.7)
-        ax.set_axisbelow(True)
-    return figure, axes
-
-
-def save(figure: "Figure", path: Path) -> None:
-    """Write a figure as png, whole or not at all.
-
-    Raises:
-        SetupError: writing failed.
-    """
-    with whole(path) as part:
-        figure.savefig(part, format="png")
 
 
 def errors_of(results: Results) -> tuple[Array, Array]:

@@ -1,9 +1,6 @@
 """Depth estimators as plug-ins: MoGe-2, or any class that a user names."""
 
-import importlib
 import importlib.util
-import os
-import re
 import sys
 from functools import lru_cache
 from pathlib import Path
@@ -17,9 +14,9 @@ from kinebench_drake.errors import SetupError, UsageError
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.known import GivenDepth
 from kinebench_drake.grounding.sources.depth import known_depth
+from kinebench_drake.plugin import is_class_name, load_class
 
 _MOGE = "moge:"
-_CLASS = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
 
 
 class DepthSource(Protocol):
@@ -37,7 +34,7 @@ class DepthSource(Protocol):
 
 def is_depth_source(spec: str) -> bool:
     """Whether `spec` has the form `moge:CHECKPOINT` or `module:Class`."""
-    return spec.startswith(_MOGE) or _CLASS.fullmatch(spec) is not None
+    return spec.startswith(_MOGE) or is_class_name(spec)
 
 
 def depth_source_name(spec: str) -> str:
@@ -114,24 +111,7 @@ def estimate_depth(spec: str, frames: NDArray[np.uint8], camera: Camera, *, exac
 
 
 def _class_of(spec: str) -> type:
-    """The class of a spec `module:Class`; modules of the working directory can be named, after those installed."""
-    module_name, _, name = spec.partition(":")
-    if os.getcwd() not in sys.path and "" not in sys.path:
-        sys.path.append(os.getcwd())  # stays: the class may import its neighbours later
-    try:
-        found = getattr(importlib.import_module(module_name), name)
-    except ModuleNotFoundError as error:
-        raise UsageError(
-            f"--depth {spec}: there is no module {error.name!r}; expected one that is installed, or a file "
-            f"{(error.name or module_name).split('.')[0]}.py in the working directory"
-        ) from None
-    except AttributeError:
-        raise UsageError(f"--depth {spec}: the module {module_name} has no {name}") from None
-    except Exception as error:  # another program's code, which may raise anything
-        raise UsageError(f"--depth {spec}: cannot be imported ({type(error).__name__}: {error})") from error
-    if not isinstance(found, type) or not callable(getattr(found, "depth", None)):
-        raise UsageError(f"--depth {spec}: expected a class with a method depth(frames, camera)")
-    return found
+    return load_class(spec, option="--depth", method="depth", arguments="frames, camera")
 
 
 def _is_there(module: str) -> bool:

@@ -56,7 +56,8 @@ def measure_footage(pipeline: GroundingPipeline, file: ClipFile, number: int, se
     features, position, good = [], [], []
     for trouble in Trouble:
         worse = spoil(frames, clip, trouble, [seed, number])
-        poses, seen = pipeline.observe(worse, clip.camera, clip.t_s)
+        observed = pipeline.observe(worse, clip.camera, clip.t_s)
+        poses, seen = observed.poses, observed.evidence
         anomalies = find_anomalies(seen).anomalies
         raw = RawTrack.of(poses, seen.confidence, anomalies, seen.motion.lost, nothing)
         distance, angle = pose_difference(clip.X_CH, raw.smoothed(raw.found, raw.confidence))

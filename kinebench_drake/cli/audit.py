@@ -5,7 +5,7 @@ from typing import Any
 
 import click
 
-from kinebench_drake.cli.options import judging_options, run_options
+from kinebench_drake.cli.options import judging_options, sample_options
 
 
 @click.command(
@@ -19,7 +19,7 @@ from kinebench_drake.cli.options import judging_options, run_options
     )
 )
 @click.argument("source", metavar="PATH", type=click.Path(path_type=Path))
-@run_options
+@sample_options
 @click.option(
     "--rate",
     "rate_hz",

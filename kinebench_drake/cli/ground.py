@@ -5,7 +5,7 @@ from typing import Any
 
 import click
 
-from kinebench_drake.cli.options import run_options, video_options
+from kinebench_drake.cli.options import sample_options, video_options
 
 
 @click.command(
@@ -17,7 +17,7 @@ from kinebench_drake.cli.options import run_options, video_options
     )
 )
 @click.argument("source", metavar="PATH", type=click.Path(path_type=Path))
-@run_options
+@sample_options
 @video_options
 @click.pass_context
 def ground(ctx: click.Context, /, **options: Any) -> None:

@@ -55,9 +55,10 @@ _RUN = (
     ),
     click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of all randomness."),
     click.option("--model", help="World model behind the samples, where the input does not tell.", metavar="NAME"),
-    click.option("--task", help="Task of the samples, where the input does not tell.", metavar="NAME"),
     click.option("--tag", "tags", multiple=True, callback=_tags, help="Label kept in results.", metavar="KEY=VALUE"),
 )
+
+_TASK = click.option("--task", help="Task of the samples, where the input does not tell.", metavar="NAME")
 
 _VIDEO = (
     click.option(
@@ -111,8 +112,13 @@ _JUDGING = (
 )
 
 
+def sample_options(function: Function) -> Function:
+    """Add what `score`, `ground` and `audit` share."""
+    return run_options(_TASK(function))
+
+
 def run_options(function: Function) -> Function:
-    """Add what `score`, `ground`, `audit` and `suite run` share."""
+    """Add what these and `suite run` share."""
     for option in reversed(_RUN):
         function = option(function)
     return function

@@ -53,7 +53,7 @@ def anomalies(
         click.echo(line)
     write_json(json_out, table_json(findings))
     if figure:
+        from kinebench_drake.drawing import save
         from kinebench_drake.grounding.evaluation.anomaly_figure import draw_anomalies
-        from kinebench_drake.grounding.evaluation.figures import save
 
         save(draw_anomalies(findings), figure)

@@ -41,10 +41,10 @@ def depth_ablation(
 
     FOLDER is what `suite demos --with-depth` writes.
     """
+    from kinebench_drake.drawing import save
     from kinebench_drake.grounding.evaluation import study
     from kinebench_drake.grounding.evaluation.depth_figure import draw_depth
     from kinebench_drake.grounding.evaluation.depth_map import measure_depth
-    from kinebench_drake.grounding.evaluation.figures import save
     from kinebench_drake.grounding.evaluation.variants import Tools
 
     check_figure(heatmap)

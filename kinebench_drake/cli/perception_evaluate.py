@@ -61,7 +61,8 @@ class Measuring:
 
     def compare(self, study: "Study") -> "Outcome":
         """Measure a study of several conditions, print its table and draw its figure."""
-        from kinebench_drake.grounding.evaluation.figures import draw_comparison, save
+        from kinebench_drake.drawing import save
+        from kinebench_drake.grounding.evaluation.figures import draw_comparison
 
         outcome = self.carry_out(study)
         for line in outcome.lines():
@@ -166,6 +167,7 @@ def evaluate(
             click.echo(line)
     write_json(order.json_out, {"pipeline": outcome.study.title, **evaluation_json(results, order.seed)})
     if order.figure:
-        from kinebench_drake.grounding.evaluation.figures import draw_evaluation, save
+        from kinebench_drake.drawing import save
+        from kinebench_drake.grounding.evaluation.figures import draw_evaluation
 
         save(draw_evaluation(results), order.figure)

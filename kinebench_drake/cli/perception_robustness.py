@@ -40,8 +40,9 @@ def robustness(
     sheet: Path | None,
 ) -> None:
     """Measure the same videos with perturbed frames: how errors and tracking bear it."""
+    from kinebench_drake.drawing import save
     from kinebench_drake.grounding.evaluation import study
-    from kinebench_drake.grounding.evaluation.figures import draw_sheet, save
+    from kinebench_drake.grounding.evaluation.figures import draw_sheet
     from kinebench_drake.grounding.evaluation.perturbation.catalogue import Kind
     from kinebench_drake.grounding.evaluation.sheet import sheet_of
 

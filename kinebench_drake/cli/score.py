@@ -5,7 +5,7 @@ from typing import Any
 
 import click
 
-from kinebench_drake.cli.options import judging_options, run_options, video_options
+from kinebench_drake.cli.options import judging_options, sample_options, video_options
 
 
 @click.command(
@@ -18,7 +18,7 @@ from kinebench_drake.cli.options import judging_options, run_options, video_opti
     )
 )
 @click.argument("source", metavar="PATH", type=click.Path(path_type=Path))
-@run_options
+@sample_options
 @video_options
 @judging_options
 @click.pass_context

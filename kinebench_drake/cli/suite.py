@@ -18,6 +18,9 @@ from kinebench_drake.cli.suite_options import (
     variant_option,
     with_variant,
 )
+from kinebench_drake.cli.suite_report import report
+from kinebench_drake.cli.suite_run import run
+from kinebench_drake.cli.suite_tolerance import tolerance
 from kinebench_drake.storage import whole, write_atomically
 
 _SEED = click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the first episode.")
@@ -42,6 +45,9 @@ def suite() -> None:
 
 suite.add_command(export)
 suite.add_command(demos)
+suite.add_command(run)
+suite.add_command(tolerance)
+suite.add_command(report)
 
 
 @suite.command(

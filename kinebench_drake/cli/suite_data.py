@@ -12,21 +12,18 @@ from kinebench_drake.cli.suite_options import (
     SIZES,
     SPLITS,
     SUITES,
+    chosen_tasks,
     episodes_option,
     jobs_option,
     split_help,
-    task_names,
     tasks_option,
     variant_option,
-    with_variant,
 )
 from kinebench_drake.errors import UsageError
 from kinebench_drake.shard import Shard
 
 if TYPE_CHECKING:
     from kinebench_drake.suites.formats.demo import FormatKind, Shots
-    from kinebench_drake.suites.suite import Suite
-    from kinebench_drake.suites.tasks.card import Variant
 
 _SEED = click.option(
     "--seed", type=click.IntRange(0), default=0, show_default=True, help="Number of the first of the split's seeds."
@@ -75,7 +72,7 @@ def export(
     order = Export(
         suite=suite,
         split=suite.split_name(split),
-        tasks=_chosen(suite, split, tasks, version),
+        tasks=chosen_tasks(suite, split, tasks, version),
         episodes=episodes,
         seed=seed,
         variant=version,
@@ -91,15 +88,6 @@ def export(
 
 def _counted(number: int, what: str) -> str:
     return f"{number} {what}{'s' * (number != 1)}"
-
-
-def _chosen(suite: "Suite", split: str, names: str | None, variant: "Variant") -> tuple[str, ...]:
-    """Tasks of a split that are named, or all that have the variant.
-
-    Raises:
-        UsageError: the split has no such tasks, or they have no such variant.
-    """
-    return tuple(with_variant(suite.tasks_of(split, task_names(names)), variant, named=names is not None))
 
 
 @click.command(
@@ -171,7 +159,7 @@ def demos(
     order = Order(
         suite=suite,
         split=suite.split_name(split),
-        tasks=_chosen(suite, split, tasks, version),
+        tasks=chosen_tasks(suite, split, tasks, version),
         episodes=episodes,
         seed=seed,
         variant=version,

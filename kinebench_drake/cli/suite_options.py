@@ -9,6 +9,7 @@ import click
 from kinebench_drake.errors import UsageError
 
 if TYPE_CHECKING:
+    from kinebench_drake.suites.suite import Suite
     from kinebench_drake.suites.tasks.card import Variant
 
 _PREFIX = "KineBench/"
@@ -54,6 +55,15 @@ def with_variant(tasks: Sequence[str], variant: "Variant", *, named: bool) -> li
         all_having = ", ".join(name for name, task in TASKS.items() if variant in task.card.variants)
         raise UsageError(f"{which} {verb} variant {variant.value!r}; tasks that have it: {all_having}")
     return having
+
+
+def chosen_tasks(suite: "Suite", split: str, names: str | None, variant: "Variant") -> tuple[str, ...]:
+    """Tasks of a split that are named, or all that have the variant.
+
+    Raises:
+        UsageError: the split has no such tasks, or they have no such variant.
+    """
+    return tuple(with_variant(suite.tasks_of(split, task_names(names)), variant, named=names is not None))
 
 
 def check_parent(option: str, path: Path) -> None:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.linalg import solveh_banded
 
 from kinebench_drake.geometry import Array
-from kinebench_drake.metrics.runs import complete, runs
+from kinebench_drake.runs import complete, runs
 
 NOISE_SHARE = 0.1
 """The window grows until the standard error is this share of the limit ..."""

@@ -22,8 +22,8 @@ from kinebench_drake.metrics.noise import (
     joint_noise,
     rotation_steps,
 )
-from kinebench_drake.metrics.runs import complete, runs
 from kinebench_drake.metrics.violation import Violation, ViolationKind
+from kinebench_drake.runs import complete, runs
 
 JUMP_M = 0.06
 """Least jump of the TCP's position [m] ..."""

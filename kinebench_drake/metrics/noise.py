@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.geometry import Array, rotation_log
-from kinebench_drake.metrics.runs import complete, runs
+from kinebench_drake.runs import complete, runs
 
 ORDERS = (2, 3, 4, 5, 6)
 """Orders of difference that are tried."""

@@ -13,9 +13,9 @@ from kinebench_drake.kinematics.path import excess
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.track import CONTACT_TOLERANCE_M
 from kinebench_drake.metrics.noise import TrackNoise
-from kinebench_drake.metrics.runs import runs
 from kinebench_drake.metrics.violation import Violation, ViolationKind
 from kinebench_drake.products import GripperTrack, IkStatus, JointTrack
+from kinebench_drake.runs import runs
 
 NOISE_SIGMAS = 3.0
 """Standard deviations of the track's noise that a pose may be beyond what the robot can do."""

@@ -21,8 +21,8 @@ from scipy.ndimage import convolve1d
 from kinebench_drake.geometry import Array, rotation_angle
 from kinebench_drake.metrics.derivatives import smooth_path
 from kinebench_drake.metrics.noise import TrackNoise, rotation_steps, track_noise
-from kinebench_drake.metrics.runs import runs
 from kinebench_drake.products import GripperTrack
+from kinebench_drake.runs import runs
 
 PAD_LEVEL = 4
 """Zero padding: the spectrum has 2^(ceil(log2 N) + PAD_LEVEL) bins."""

@@ -115,5 +115,36 @@ def bench(out: Path | None, json_out: Path | None, repeats: int, tracks: int, au
         click.echo(out)
 
 
+@main.command()
+@click.option("--episodes", type=click.IntRange(min=1), default=5, show_default=True, help="Of each task.", metavar="K")
+@click.option(
+    "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Number of the first of the seeds."
+)
+@click.option("--limit", type=click.IntRange(min=1), help="Run the first N cases only.", metavar="N")
+@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True, help="Worker processes.")
+def causes(episodes: int, seed: int, limit: int | None, jobs: int) -> None:
+    r"""Run episodes in closed loop with one planted cause of failure each, and see whether the verdict names it.
+
+    \b
+    Example:
+      python -m kinebench_drake.validation causes --episodes 5 --jobs 2
+    """
+    from kinebench_drake.engines import EngineKind, create_engine
+    from kinebench_drake.suites.suite import load_suite
+    from kinebench_drake.validation.causes import cases, finding_lines, run_cases
+
+    suite = load_suite(0)
+    split = suite.split_name("test")
+    draws = [draw for task in suite.tasks_of(split) for draw in suite.draws(split, task, episodes, offset=seed)]
+    todo = cases(draws)[:limit]
+    try:
+        with click.progressbar(run_cases(create_engine(EngineKind.LOCAL, jobs), todo), length=len(todo)) as done:
+            findings = sorted(done, key=lambda f: (f.case.draw.id, f.case.planted.name))
+    except KinebenchError as error:
+        raise click.ClickException(str(error)) from None
+    for line in finding_lines(findings):
+        click.echo(line)
+
+
 if __name__ == "__main__":
     main(prog_name="python -m kinebench_drake.validation")

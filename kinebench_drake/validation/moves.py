@@ -13,10 +13,12 @@ import numpy as np
 
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array, make_pose, rotation_angle, rotation_exp, rotation_log
+from kinebench_drake.kinematics.following import minimum_jerk
 from kinebench_drake.kinematics.newton import REACHED_M, newton
+from kinebench_drake.suites.clock import CONTROL_PERIOD_S
 from kinebench_drake.suites.episode import compose
 from kinebench_drake.suites.experts.grasp import DOWN, grasp_rotation
-from kinebench_drake.suites.experts.motion import CONTROL_PERIOD_S, minimum_jerk, plan
+from kinebench_drake.suites.experts.motion import plan
 from kinebench_drake.suites.experts.registry import EXPERTS
 from kinebench_drake.validation.motion import Arm, Motion, accelerations
 

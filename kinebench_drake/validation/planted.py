@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.geometry import Array, pose_difference, rotation_exp
+from kinebench_drake.kinematics.following import minimum_jerk
 from kinebench_drake.row import Json
-from kinebench_drake.suites.experts.motion import minimum_jerk
 from kinebench_drake.validation.feasible import Feasible
 from kinebench_drake.validation.motion import Arm, accelerations, self_distance
 from kinebench_drake.validation.sample import Kind, Trajectory

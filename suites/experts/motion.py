@@ -14,21 +14,16 @@ from numpy.typing import ArrayLike
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array, make_pose, rotation_angle, rotation_exp, rotation_log
 from kinebench_drake.kinematics.collision import CollisionModel
-from kinebench_drake.kinematics.ik import postures_of, solve_pose
-from kinebench_drake.kinematics.path import continued_path
+from kinebench_drake.kinematics.following import foreseeing, minimum_jerk, stepwise
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.products import IkStatus
+from kinebench_drake.suites.clock import CONTROL_PERIOD_S
 from kinebench_drake.suites.experts.clearance import SceneGeometry
 from kinebench_drake.suites.tasks.task import Scene
 
-CONTROL_PERIOD_S = 0.05
-"""Time between two control steps (ManiSkill's 20 Hz)."""
 SETTLE_S = 0.3
 """Rest at the end of every motion, for the joint servos to catch up (their lag is 0.1 s)."""
 SPEED_M_S, TURN_RATE_RAD_S, FINGER_SPEED_M_S, SHORTEST_S = 0.2, 0.8, 0.3, 0.35
 """Mean speeds that share the clip's time out among the moves, and the least time of one."""
-ELBOW_S = 2.0
-"""Time in which the elbow is turned from where it is to where a path found by search has it."""
 TOUCH_M = 0.001
 """Overlap with things in the scene that is let pass."""
 CLEARANCE_STEPS = 4
@@ -75,12 +70,6 @@ class Motion:
     """(N,) gap between the finger pads [m]; negative squeezes."""
     X_BG: Array
     """(N, 4, 4) the same path as poses of panda_hand_tcp in the base frame [m]."""
-
-
-def minimum_jerk(s: ArrayLike) -> Array:
-    """Fraction of the way (...) at fraction `s` (...) of the time, 0 before and 1 after."""
-    s = np.clip(np.asarray(s, dtype=np.float64), 0.0, 1.0)
-    return s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
 
 
 def _ways(p: Array, waypoints: Sequence[Waypoint]) -> Array:
@@ -174,7 +163,8 @@ def plan(
         q = _stepwise(plant, q_start, X_BG)
         _check_rates(plant, q_start, q)
     except InputError as error:
-        q = _foreseeing(plant, q_start, X_BG)
+        t_s = np.asarray(CONTROL_PERIOD_S * np.arange(1, len(X_BG) + 1), dtype=np.float64)
+        q = foreseeing(plant, t_s, X_BG, q_start)
         if not np.isfinite(q).all():
             raise error
         _check_rates(plant, q_start, q)
@@ -183,28 +173,14 @@ def plan(
 
 
 def _stepwise(plant: ArmPlant, q_start: Array, X_BG: Array) -> Array:
-    """Joint path (N, 7) that solves one pose (N, 4, 4) after the other, each near the one before."""
-    q, seed = np.empty((len(X_BG), 7)), q_start
-    for i, X in enumerate(X_BG):
-        solution = solve_pose(plant, X, seed)
-        if solution.status is not IkStatus.OK:
-            raise InputError(
-                f"the expert's path leaves the workspace at control step {i} of {len(X_BG)}: {solution.status.value} "
-                f"at {np.round(X[:3, 3], 3).tolist()} m in the base frame"
-            )
-        q[i] = seed = solution.q
+    q, missed = stepwise(plant, X_BG, q_start)
+    if missed is not None:
+        i = int(np.argmax(~np.isfinite(q[:, 0])))
+        raise InputError(
+            f"the expert's path leaves the workspace at control step {i} of {len(X_BG)}: {missed.status.value} "
+            f"at {np.round(X_BG[i, :3, 3], 3).tolist()} m in the base frame"
+        )
     return q
-
-
-def _foreseeing(plant: ArmPlant, q_start: Array, X_BG: Array) -> Array:
-    """Joint path (N, 7) that turns the elbow in time for what comes; NaN where there is none.
-
-    The search may begin at another turn of the elbow than the start's: the difference is faded out.
-    """
-    postures, t_s = postures_of(plant), np.asarray(CONTROL_PERIOD_S * np.arange(1, len(X_BG) + 1), dtype=np.float64)
-    path = continued_path(plant, postures, t_s, X_BG, q_start)
-    fade = 1.0 - minimum_jerk(t_s / ELBOW_S)
-    return postures.nearest(X_BG, path + fade[:, None] * (q_start - path[0]))
 
 
 def _check_rates(plant: ArmPlant, q_start: Array, q: Array) -> None:

@@ -7,9 +7,9 @@ import numpy as np
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, make_pose, rotation_exp
 from kinebench_drake.products import AnomalyKind
+from kinebench_drake.suites.clip import Clip
 from kinebench_drake.suites.faults.fault import Form, PlantedFault
 from kinebench_drake.suites.faults.take import Take
-from kinebench_drake.suites.rollout import Clip
 
 _SHAKE_FRAMES = 1.5  # standard deviation of the kernel that smooths a hand's shake
 

@@ -6,9 +6,9 @@ import numpy as np
 
 from kinebench_drake.errors import InputError
 from kinebench_drake.products import AnomalyKind
+from kinebench_drake.suites.clip import Clip, film
 from kinebench_drake.suites.faults.fault import Form, PlantedFault
 from kinebench_drake.suites.faults.take import Take
-from kinebench_drake.suites.rollout import Clip, film
 
 MAX_WIDTH_M = 0.08
 """Widest gap between the pads."""

@@ -11,9 +11,11 @@ from kinebench_drake.geometry import Array
 from kinebench_drake.kinematics.ik import solve_pose
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.products import AnomalyKind, IkStatus
+from kinebench_drake.suites.clip import Clip, film
+from kinebench_drake.suites.clock import FRAME_PERIOD_S
 from kinebench_drake.suites.faults.fault import PlantedFault
 from kinebench_drake.suites.faults.take import LEAST_VISIBLE, Take
-from kinebench_drake.suites.rollout import FRAME_PERIOD_S, GRIPPER_LINKS, Clip, film
+from kinebench_drake.suites.stage import GRIPPER_LINKS
 
 FREEZE_SPEED_M_S = 0.05
 """The gripper moves at least this fast, on average, through the frames frozen."""

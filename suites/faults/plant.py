@@ -2,13 +2,13 @@
 
 from kinebench_drake.errors import InputError
 from kinebench_drake.products import AnomalyKind
+from kinebench_drake.suites.clip import Clip
 from kinebench_drake.suites.faults.camera import plant_camera_motion
 from kinebench_drake.suites.faults.fault import Form, Grade, PlantedFault
 from kinebench_drake.suites.faults.fingers import plant_fingers
 from kinebench_drake.suites.faults.motion import plant_freeze, plant_teleport, plant_vanish
 from kinebench_drake.suites.faults.shape import plant_deformation, plant_duplicate, plant_scale
 from kinebench_drake.suites.faults.take import Take
-from kinebench_drake.suites.rollout import Clip
 from kinebench_drake.suites.seeding import generator
 
 

@@ -5,10 +5,10 @@ import numpy as np
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array, invert, make_pose, rotation_exp, transform_points
 from kinebench_drake.products import AnomalyKind
+from kinebench_drake.suites.clip import Clip
 from kinebench_drake.suites.faults.fault import Form, PlantedFault
 from kinebench_drake.suites.faults.take import LEAST_VISIBLE, Take
 from kinebench_drake.suites.faults.trickstage import Costume, Warp
-from kinebench_drake.suites.rollout import Clip
 
 DUPLICATE_FRAMES = 10
 """Frames that show a second gripper."""

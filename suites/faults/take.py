@@ -7,8 +7,9 @@ import numpy as np
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import InputError
+from kinebench_drake.suites.clip import Clip, film
 from kinebench_drake.suites.faults.trickstage import TrickStage
-from kinebench_drake.suites.rollout import Clip, Performance, film
+from kinebench_drake.suites.rollout import Performance
 
 LEAST_VISIBLE = 0.01
 """Part of the image that the gripper must cover for a fault to be seen."""

@@ -5,16 +5,15 @@ hides what is behind it.
 """
 
 from collections.abc import Callable, Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, invert, to_quaternion, transform_points
 from kinebench_drake.models.panda.robot import HAND_LINK
-from kinebench_drake.suites.rollout import GRIPPER_LINKS, Stage
+from kinebench_drake.suites.stage import GRIPPER_LINKS, Picture, Stage
 
 Warp = Callable[[Array], Array]
 """Where points (N, 3) of the gripper go, in the frame of panda_hand [m]."""
@@ -60,7 +59,7 @@ class TrickStage(Stage):
         self.draw(GRIPPER_LINKS, visible=True)
         self.aim(camera)
 
-    def picture(self) -> tuple[NDArray[np.uint8], NDArray[np.uint16], NDArray[np.bool_]]:
+    def picture(self) -> Picture:
         """See `Stage.picture`; the mask is that of the gripper that stands for the robot's own."""
         costume = self._costume
         if costume is None:
@@ -72,16 +71,17 @@ class TrickStage(Stage):
         scene.add_entity(puppet)
         self.draw(GRIPPER_LINKS, visible=not costume.replaces)
         try:
-            rgb, depth, mask = super().picture()
+            picture = super().picture()
             if costume.replaces:
                 labels = self._env._sensors[self._camera_name].get_obs(
                     rgb=False, depth=False, position=False, segmentation=True
                 )["segmentation"]
                 mask = labels[0, ..., 0].cpu().numpy() == puppet.per_scene_id
+                picture = replace(picture, mask=mask, robot=picture.robot | mask)
         finally:
             scene.remove_entity(puppet)
             self.draw(GRIPPER_LINKS, visible=True)
-        return rgb, depth, mask
+        return picture
 
     def _puppet(self, warp: Warp, links: Collection[str]) -> Any:
         """An entity of the warped meshes of some links as they stand now, in the frame of panda_hand."""

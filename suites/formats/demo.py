@@ -13,8 +13,10 @@ from kinebench_drake.camera import Camera, benchmark_camera
 from kinebench_drake.errors import UsageError
 from kinebench_drake.geometry import Array, from_quaternion, invert
 from kinebench_drake.models.perception.frame import Frame
-from kinebench_drake.suites.experts.motion import CONTROL_PERIOD_S
-from kinebench_drake.suites.rollout import CLIP_FRAMES, STEPS_PER_FRAME, Clip, Performance, Snapshot
+from kinebench_drake.suites.clip import Clip
+from kinebench_drake.suites.clock import CLIP_FRAMES, CONTROL_PERIOD_S, STEPS_PER_FRAME
+from kinebench_drake.suites.rollout import Performance
+from kinebench_drake.suites.stage import Snapshot
 
 PARTS = ".parts"
 """Folder of what formats that join their parts keep until they do."""

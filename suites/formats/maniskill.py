@@ -11,10 +11,10 @@ import h5py
 import numpy as np
 
 from kinebench_drake.storage import whole
-from kinebench_drake.suites.experts.motion import CONTROL_PERIOD_S
+from kinebench_drake.suites.clock import CONTROL_PERIOD_S
 from kinebench_drake.suites.files import write_arrays, write_json
 from kinebench_drake.suites.formats.demo import CLIP_STEPS, PARTS, Content, Demo, Record, Shots
-from kinebench_drake.suites.rollout import Stage
+from kinebench_drake.suites.stage import Stage
 from kinebench_drake.suites.tasks.registry import TASKS
 
 CONTROL_MODE = "pd_joint_pos"

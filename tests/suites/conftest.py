@@ -3,9 +3,11 @@ from collections.abc import Iterator
 import pytest
 
 from kinebench_drake.camera import benchmark_camera
+from kinebench_drake.suites.clip import Clip, film
 from kinebench_drake.suites.episode import compose
 from kinebench_drake.suites.experts.registry import find_expert
-from kinebench_drake.suites.rollout import Clip, Performance, Stage, film, perform
+from kinebench_drake.suites.rollout import Performance, perform
+from kinebench_drake.suites.stage import Stage
 
 
 @pytest.fixture(scope="session")

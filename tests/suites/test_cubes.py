@@ -9,7 +9,8 @@ from kinebench_drake.suites.assets import cubes, marks
 from kinebench_drake.suites.assets.library import asset_ids, model
 from kinebench_drake.suites.episode import compose
 from kinebench_drake.suites.experts.registry import find_expert
-from kinebench_drake.suites.rollout import Outcome, Stage, perform
+from kinebench_drake.suites.rollout import perform
+from kinebench_drake.suites.stage import Outcome, Stage
 from kinebench_drake.suites.tasks.card import Variant
 from kinebench_drake.suites.tasks.obstacles import MOVED_M
 

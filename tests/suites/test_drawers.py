@@ -11,7 +11,8 @@ from kinebench_drake.suites.assets.library import asset_ids, model
 from kinebench_drake.suites.assets.model import Body, ColliderKind
 from kinebench_drake.suites.episode import compose
 from kinebench_drake.suites.experts.registry import find_expert
-from kinebench_drake.suites.rollout import Stage, perform
+from kinebench_drake.suites.rollout import perform
+from kinebench_drake.suites.stage import Stage
 from kinebench_drake.suites.tasks.drawers import SHUT_M, TASKS
 
 IDS = asset_ids("cabinet")

@@ -12,8 +12,9 @@ from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.geometry import pose_difference
 from kinebench_drake.suites.episode import compose
 from kinebench_drake.suites.experts.registry import find_expert
-from kinebench_drake.suites.rollout import Stage, perform
+from kinebench_drake.suites.rollout import perform
 from kinebench_drake.suites.split import Pool
+from kinebench_drake.suites.stage import Stage
 from kinebench_drake.suites.tasks.card import Variant
 from kinebench_drake.suites.tasks.registry import TASKS
 
@@ -27,8 +28,8 @@ def stage() -> Iterator[Stage]:
 
 
 def picture_hash(stage: Stage) -> str:
-    rgb, depth, mask = stage.picture()
-    return hashlib.sha256(rgb.tobytes() + depth.tobytes() + mask.tobytes()).hexdigest()
+    p = stage.picture()
+    return hashlib.sha256(p.rgb.tobytes() + p.depth_mm.tobytes() + p.mask.tobytes()).hexdigest()
 
 
 @pytest.mark.sapien
@@ -58,10 +59,11 @@ def test_a_seed_gives_the_same_first_frame_whatever_came_before(stage: Stage) ->
     code = (
         "import hashlib\n"
         "from kinebench_drake.suites.episode import compose\n"
-        "from kinebench_drake.suites.rollout import Stage\n"
+        "from kinebench_drake.suites.stage import Stage\n"
         f"with Stage({TASK!r}) as stage:\n"
         f"    stage.reset(compose({TASK!r}, 5))\n"
-        "    print(hashlib.sha256(b''.join(x.tobytes() for x in stage.picture())).hexdigest())\n"
+        "    p = stage.picture()\n"
+        "    print(hashlib.sha256(p.rgb.tobytes() + p.depth_mm.tobytes() + p.mask.tobytes()).hexdigest())\n"
     )
     other = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert other.stdout.split()[-1] == first

@@ -14,7 +14,7 @@ from kinebench_drake.inputs import find_samples
 from kinebench_drake.storage import write_atomically
 from kinebench_drake.suites.episode import compose
 from kinebench_drake.suites.export import Export, export_suite
-from kinebench_drake.suites.rollout import Stage
+from kinebench_drake.suites.stage import Stage
 from kinebench_drake.suites.suite import load_suite
 from kinebench_drake.suites.tasks.card import Variant
 
@@ -59,7 +59,7 @@ def exported(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_first_frames_are_what_a_reset_shows(exported: Path) -> None:
     with Stage("StackCube-v1", camera=benchmark_camera().resized(96, 96)) as stage:
         stage.reset(compose("StackCube-v1", 1))
-        rgb, _, _ = stage.picture()
+        rgb = stage.picture().rgb
         X_BG = stage.scene().X_BG
     assert np.array_equal(np.asarray(Image.open(exported / "StackCube-v1_s0001.png")), rgb)
     samples = {sample.id: sample for sample in find_samples(exported / "manifest.jsonl").samples}

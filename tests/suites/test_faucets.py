@@ -11,7 +11,8 @@ from kinebench_drake.suites.assets.model import Body, Model
 from kinebench_drake.suites.episode import compose
 from kinebench_drake.suites.experts.clearance import SceneGeometry
 from kinebench_drake.suites.experts.registry import find_expert
-from kinebench_drake.suites.rollout import Stage, perform
+from kinebench_drake.suites.rollout import perform
+from kinebench_drake.suites.stage import Stage
 from kinebench_drake.suites.start import START_Q
 from kinebench_drake.suites.tasks.faucets import CLOSED_PART, OPEN_PART, TASKS
 from kinebench_drake.suites.tasks.task import Scene

@@ -13,7 +13,8 @@ from kinebench_drake.suites.assets.library import asset_ids, model
 from kinebench_drake.suites.assets.model import Collider, ColliderKind
 from kinebench_drake.suites.episode import Episode, compose
 from kinebench_drake.suites.experts.registry import find_expert
-from kinebench_drake.suites.rollout import Stage, perform
+from kinebench_drake.suites.rollout import perform
+from kinebench_drake.suites.stage import Stage
 from kinebench_drake.suites.tasks.card import Variant
 from kinebench_drake.suites.tasks.fruits import GAP_M, ORDER, OTHERS
 from kinebench_drake.suites.tasks.place import resting

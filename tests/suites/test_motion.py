@@ -5,10 +5,12 @@ import pytest
 
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import make_pose, pose_difference
+from kinebench_drake.kinematics.following import minimum_jerk
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.models.panda.robot import rest_q
+from kinebench_drake.suites.clock import CONTROL_PERIOD_S
 from kinebench_drake.suites.experts.grasp import DOWN, grasp_rotation, level_axes, raised
-from kinebench_drake.suites.experts.motion import CONTROL_PERIOD_S, Waypoint, cartesian_path, minimum_jerk, plan
+from kinebench_drake.suites.experts.motion import Waypoint, cartesian_path, plan
 
 R = grasp_rotation(DOWN, (0.0, -1.0, 0.0))
 START = make_pose(R, [0.6, 0.0, 0.2])

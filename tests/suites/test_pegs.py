@@ -9,7 +9,8 @@ from kinebench_drake.suites.assets import pegs
 from kinebench_drake.suites.assets.library import asset_ids, model
 from kinebench_drake.suites.episode import compose
 from kinebench_drake.suites.experts.registry import find_expert
-from kinebench_drake.suites.rollout import Stage, perform
+from kinebench_drake.suites.rollout import perform
+from kinebench_drake.suites.stage import Stage
 
 TASK = "LiftPegUpright-v1"
 X_WB = np.array([-0.615, 0.0, 0.0])

@@ -7,9 +7,12 @@ from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.errors import UsageError
 from kinebench_drake.geometry import invert, pose_difference, transform_points
 from kinebench_drake.kinematics.plant import ArmPlant
+from kinebench_drake.suites.clip import Clip, film
+from kinebench_drake.suites.clock import FRAME_PERIOD_S
 from kinebench_drake.suites.episode import compose
 from kinebench_drake.suites.experts.registry import find_expert
-from kinebench_drake.suites.rollout import FRAME_PERIOD_S, Clip, Outcome, Performance, Stage, film, perform
+from kinebench_drake.suites.rollout import Performance, perform
+from kinebench_drake.suites.stage import Outcome, Stage
 from kinebench_drake.suites.tasks.registry import TASKS
 
 Filmed = tuple[Stage, Performance, Clip]
@@ -93,6 +96,7 @@ def test_filming_changes_nothing(filmed: Filmed) -> None:
     assert np.array_equal(again.t_s, clip.t_s[30:33])
     with Stage("StackCube-v1", camera=clip.camera) as other:
         assert perform(other, find_expert("StackCube-v1"), performance.episode).outcome.success
-        rgb, _, mask = other.picture()  # straight from the simulation, no snapshot between
-    assert np.array_equal(rgb, clip.rgb[-1])
-    assert np.array_equal(mask, clip.mask[-1])
+        picture = other.picture()  # straight from the simulation, no snapshot between
+    assert np.array_equal(picture.rgb, clip.rgb[-1])
+    assert np.array_equal(picture.mask, clip.mask[-1])
+    assert (picture.robot & picture.mask).sum() == picture.mask.sum() < picture.robot.sum()

@@ -5,8 +5,8 @@ import pytest
 
 from kinebench_drake.errors import UsageError
 from kinebench_drake.suites.episode import compose
-from kinebench_drake.suites.rollout import Stage
 from kinebench_drake.suites.split import Pool
+from kinebench_drake.suites.stage import Stage
 from kinebench_drake.suites.start import START_WIDTH_M, start_q
 from kinebench_drake.suites.tasks.registry import TASKS
 

@@ -8,7 +8,7 @@ import pytest
 from kinebench_drake.suites.assets.library import INSTANCES, KINDS, asset_ids, model
 from kinebench_drake.suites.episode import compose
 from kinebench_drake.suites.experts.registry import EXPERTS
-from kinebench_drake.suites.rollout import Stage
+from kinebench_drake.suites.stage import Stage
 from kinebench_drake.suites.tasks.card import Variant
 from kinebench_drake.suites.tasks.registry import TASKS
 

@@ -72,6 +72,7 @@ def grounded() -> Callable[..., Grounding]:
             anomalies=(),
             camera_motion_px=None,
             arm_consistency_px=None,
+            robot=np.zeros((n, 2, 2), dtype=bool),
         )
 
     return make

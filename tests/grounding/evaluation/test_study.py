@@ -8,12 +8,13 @@ import pytest
 from click.testing import CliRunner
 
 from kinebench_drake.cli import cli
+from kinebench_drake.drawing import save
 from kinebench_drake.engines import EngineKind, create_engine
 from kinebench_drake.errors import UsageError
 from kinebench_drake.grounding.evaluation import study
 from kinebench_drake.grounding.evaluation.clip import choose, find_clips, load_clips
 from kinebench_drake.grounding.evaluation.errors import ClipErrors
-from kinebench_drake.grounding.evaluation.figures import draw_comparison, draw_evaluation, save
+from kinebench_drake.grounding.evaluation.figures import draw_comparison, draw_evaluation
 from kinebench_drake.grounding.evaluation.perturbation.catalogue import Kind
 from kinebench_drake.grounding.evaluation.store import Store
 from kinebench_drake.grounding.evaluation.tables import evaluation_json, pooled_lines, table, task_table

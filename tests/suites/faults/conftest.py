@@ -4,11 +4,12 @@ from dataclasses import replace
 import pytest
 
 from kinebench_drake.camera import benchmark_camera
+from kinebench_drake.suites.clip import film
 from kinebench_drake.suites.episode import compose
 from kinebench_drake.suites.experts.registry import find_expert
 from kinebench_drake.suites.faults.take import Take
 from kinebench_drake.suites.faults.trickstage import TrickStage
-from kinebench_drake.suites.rollout import film, perform
+from kinebench_drake.suites.rollout import perform
 
 
 @pytest.fixture(scope="session")

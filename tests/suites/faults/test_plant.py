@@ -9,12 +9,13 @@ from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import pose_difference, transform_points
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.products import AnomalyKind
+from kinebench_drake.suites.clip import Clip
+from kinebench_drake.suites.clock import FRAME_PERIOD_S
 from kinebench_drake.suites.faults.fault import Form, Grade, PlantedFault
 from kinebench_drake.suites.faults.motion import FREEZE_SPEED_M_S, plant_freeze, plant_teleport, plant_vanish
 from kinebench_drake.suites.faults.plant import plant
 from kinebench_drake.suites.faults.take import Take
 from kinebench_drake.suites.faults.trickstage import Costume
-from kinebench_drake.suites.rollout import FRAME_PERIOD_S, Clip
 
 pytestmark = pytest.mark.sapien
 
@@ -47,7 +48,7 @@ def test_vanish(take: Take) -> None:
     assert not faulty.mask[span(fault)].any()
     assert np.isnan(faulty.X_BG[span(fault)]).all()
     take.stage.show(take.performance.snapshots[fault.frame_start])
-    assert np.array_equal(take.stage.picture()[0], take.clip.rgb[fault.frame_start])  # the links are drawn again
+    assert np.array_equal(take.stage.picture().rgb, take.clip.rgb[fault.frame_start])  # the links are drawn again
 
 
 def test_freeze(take: Take) -> None:

@@ -1,7 +1,9 @@
 import pytest
 
+from kinebench_drake.suites.clip import Clip
 from kinebench_drake.suites.formats.demo import Demo, Shots
-from kinebench_drake.suites.rollout import Clip, Performance, Stage
+from kinebench_drake.suites.rollout import Performance
+from kinebench_drake.suites.stage import Stage
 
 
 @pytest.fixture

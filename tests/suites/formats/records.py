@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from kinebench_drake.suites.clip import Clip
 from kinebench_drake.suites.export import episode_facts
 from kinebench_drake.suites.formats.demo import Demo, Record
-from kinebench_drake.suites.rollout import Clip
 from kinebench_drake.suites.tasks.registry import TASKS
 
 

@@ -9,7 +9,7 @@ import pytest
 from kinebench_drake.engines import EngineKind, create_engine
 from kinebench_drake.suites.demos import make_demos
 from kinebench_drake.suites.formats.demo import FormatKind
-from kinebench_drake.suites.rollout import Stage
+from kinebench_drake.suites.stage import Stage
 from kinebench_drake.trajectories.check import check
 from kinebench_drake.trajectories.maniskill import list_maniskill, read_maniskill
 from kinebench_drake.trajectories.trajectory import Choice

@@ -1,6 +1,6 @@
 import numpy as np
 
-from kinebench_drake.metrics.runs import complete, runs
+from kinebench_drake.runs import complete, runs
 
 
 def test_runs_are_the_stretches_of_true() -> None:

@@ -1,0 +1,100 @@
+"""`kinebench-drake suite run`."""
+
+from typing import Any
+
+import click
+
+from kinebench_drake.cli.options import run_options
+from kinebench_drake.cli.run import run as carry_out
+from kinebench_drake.cli.suite_options import (
+    SPLITS,
+    SUITES,
+    chosen_tasks,
+    episodes_option,
+    split_help,
+    tasks_option,
+    variant_option,
+)
+
+
+@click.command(
+    short_help="Run a world model in closed loop.",
+    epilog="\b\nExamples:\n"
+    "  kinebench-drake suite run --suite 0 --world-model oracle --episodes 5 --out ceiling/ --jobs 2\n"
+    "  kinebench-drake suite run --suite 2 --split unseen --world-model http://127.0.0.1:8000 --out looks/\n"
+    "  kinebench-drake suite run --suite 1 --world-model folder:videos/ --rounds 1 --out offline/",
+)
+@click.option("--suite", "number", type=SUITES, required=True, help="Number of the suite.", metavar="N")
+@click.option("--split", type=SPLITS, default="test", show_default=True, help=split_help)
+@tasks_option
+@episodes_option
+@variant_option
+@click.option(
+    "--world-model", required=True, metavar="SPEC",
+    help="Who imagines: folder:DIR, http://..., command:..., dashscope:, minimax:, diffusers:..., oracle, still, "
+    "random, module:Class (docs/worldmodels.md).",
+)  # fmt: skip
+@click.option("--rounds", type=click.IntRange(1), default=3, show_default=True, help="Most clips an episode.")
+@click.option(
+    "--control", type=click.Choice(["pd_joint_pos", "pd_ee_pose"]), default="pd_joint_pos", show_default=True,
+    help="What the robot is told: joint angles from Drake, or poses.",
+)  # fmt: skip
+@click.option(
+    "--action-repeat", type=click.IntRange(1), metavar="N",
+    help="Control steps (at 20 Hz) a frame.  [default: as long as the frames last]",
+)  # fmt: skip
+@click.option(
+    "--frame-period", "frame_period_s", type=click.FloatRange(0.05, 2.0), default=0.2, show_default=True,
+    help="Task time between two frames.", metavar="SECONDS",
+)  # fmt: skip
+@click.option("--pixels-only", is_flag=True, help="Leave aside that the robot knows where it stands in first frames.")
+@click.option(
+    "--rollouts/--no-rollouts", default=True, show_default=True,
+    help="Write what was imagined and executed side by side.",
+)  # fmt: skip
+@click.option("--negative-prompt", default="", help="What shall not be seen.")
+@run_options
+@click.pass_context
+def run(
+    ctx: click.Context,
+    /,
+    number: int,
+    split: str,
+    tasks: str | None,
+    variant: str,
+    rounds: int,
+    control: str,
+    action_repeat: int | None,
+    frame_period_s: float,
+    pixels_only: bool,
+    negative_prompt: str,
+    **options: Any,
+) -> None:
+    """Let a world model do a suite's episodes: it imagines, the grounding reads, ManiSkill executes.
+
+    Each episode begins with its seeded scene; after a clip the model is asked again from the last executed frame, until
+    the task succeeds or the rounds are used up. --seed is the number of the first of the split's seeds.
+    """
+    from kinebench_drake.closed_loop import LoopOptions
+    from kinebench_drake.suite_run import SuiteConfig, run_suite
+    from kinebench_drake.suites.stage import Control
+    from kinebench_drake.suites.suite import load_suite
+    from kinebench_drake.suites.tasks.card import Variant
+
+    suite, version = load_suite(number), Variant(variant)
+    config = SuiteConfig(
+        suite=suite,
+        split=suite.split_name(split),
+        tasks=chosen_tasks(suite, split, tasks, version),
+        variant=version,
+        loop=LoopOptions(
+            rounds=rounds,
+            control=Control(control),
+            action_repeat=action_repeat,
+            frame_period_s=frame_period_s,
+            pixels_only=pixels_only,
+            negative_prompt=negative_prompt,
+        ),
+        **options,
+    )
+    ctx.exit(carry_out(lambda observer: run_suite(config, observer), config.out))

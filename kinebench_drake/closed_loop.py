@@ -1,0 +1,167 @@
+"""One episode in closed loop: a model imagines, the grounding reads, the robot executes, and so on, round by round."""
+
+import shutil
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinebench_drake.errors import InputError, UnmeasurableError
+from kinebench_drake.geometry import Array
+from kinebench_drake.grounding.known import FirstFrame, Known
+from kinebench_drake.grounding.video import read_video
+from kinebench_drake.products import GripperTrack
+from kinebench_drake.stages import Grounded, Stages
+from kinebench_drake.storage import storage
+from kinebench_drake.suites.clock import CLIP_FRAMES, CONTROL_PERIOD_S, FRAME_PERIOD_S
+from kinebench_drake.suites.closedloop.commands import Commander, Commands, Posed
+from kinebench_drake.suites.closedloop.execution import Execution, execute
+from kinebench_drake.suites.episode import Episode
+from kinebench_drake.suites.export import FPS
+from kinebench_drake.suites.seeding import generator
+from kinebench_drake.suites.stage import Control, Outcome, Stage
+from kinebench_drake.suites.worldmodels.privileged import Privileged, Telling
+from kinebench_drake.suites.worldmodels.worldmodel import Offline, Request, WorldModel
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LoopOptions:
+    """How episodes are run."""
+
+    rounds: int = 3
+    """Most clips of an episode."""
+    control: Control = Control.JOINTS
+    """What the robot is told."""
+    action_repeat: int | None = None
+    """Control steps a frame; None: as long as the frames last."""
+    frame_period_s: float = FRAME_PERIOD_S
+    """Task time between two frames [s]."""
+    pixels_only: bool = False
+    """Whether the first frame's pose, which the robot knows of itself, is left aside."""
+    num_frames: int = CLIP_FRAMES + 1
+    """Frames asked of the model, the first one included."""
+    negative_prompt: str = ""
+    seed: int = 0
+    """Of the model's randomness."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Round:
+    """One clip: imagined, read, executed."""
+
+    video: Path
+    """What the model imagined."""
+    frames: NDArray[np.uint8]
+    """(T, H, W, 3) the same as frames."""
+    grounded: Grounded
+    commands: Commands | None
+    """None where the track holds nothing to execute; `refusal` says why."""
+    refusal: str | None
+    execution: Execution | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EpisodeRun:
+    """How an episode went."""
+
+    rounds: tuple[Round, ...]
+    outcome: Outcome
+    """The task's verdict at the end."""
+
+
+class ClosedLoop:
+    """Runs episodes with one model on one stage."""
+
+    def __init__(self, stages: Stages, commander: Commander, model: WorldModel, options: LoopOptions) -> None:
+        """Compose."""
+        self._stages, self._commander, self._model, self._options = stages, commander, model, options
+
+    def run(self, stage: Stage, episode: Episode, videos: Path) -> EpisodeRun:
+        """Run an episode until it succeeds, the rounds are used up, or nothing can be executed.
+
+        Args:
+            stage: where; it is reset.
+            episode: what is to be done.
+            videos: path of what the model imagines, to which "_r0" and so on are added.
+
+        Raises:
+            WorldModelError: the model gave no video.
+            InputError: its video cannot be read.
+            SetupError: something is missing on this machine.
+        """
+        stage.reset(episode)
+        return EpisodeRun(rounds=tuple(self._rounds(stage, episode, videos)), outcome=stage.outcome())
+
+    def _rounds(self, stage: Stage, episode: Episode, videos: Path) -> Iterator[Round]:
+        gripping = False
+        for number in range(1 if isinstance(self._model, Offline) else self._options.rounds):
+            done = self._round(stage, episode, number, videos.with_name(f"{videos.name}_r{number}"), gripping)
+            yield done
+            if done.execution is None or done.execution.outcome.success:
+                return
+            gripping = done.commands is not None and done.commands.gripping
+
+    def _round(self, stage: Stage, episode: Episode, number: int, out: Path, gripping: bool) -> Round:
+        options, now = self._options, stage.snapshot()
+        first_frame = stage.picture().rgb
+        request = Request(
+            episode=episode.id,
+            task=episode.task,
+            round=number,
+            prompt=episode.prompt,
+            negative_prompt=options.negative_prompt,
+            seed=int(generator("world model", episode.id, number, options.seed).integers(2**31)),
+            first_frame=first_frame,
+            num_frames=options.num_frames,
+            fps=FPS,
+        )
+        if isinstance(self._model, Privileged):
+            self._model.see(episode, stage.simulation_state())
+        video = _kept(self._model.generate(request, out), out)
+        frames = read_video(video).frames
+        if len(frames) < 2:
+            raise InputError(f"{video.name}: has {len(frames)} frames, expected {options.num_frames}")
+        t_s = options.frame_period_s * np.arange(len(frames), dtype=np.float64)
+        width = float(now.fingers_m.sum())
+        first = FirstFrame(X_BG=self._commander.plant.forward(now.q), finger_width_m=width)
+        known = Known() if options.pixels_only else Known(first=first)
+        if isinstance(self._model, Telling) and (truth := self._model.true_track()) is not None:
+            known = Known(X_CH=truth.X_CH, finger_width_m=truth.finger_width_m)
+        grounded = self._stages.ground(frames, stage.camera, t_s, known)
+        commands, refusal, execution = None, None, None
+        try:
+            start = Posed(q=now.q, finger_width_m=width, gripping=gripping)
+            commands = self._commands(grounded.track, start)
+        except UnmeasurableError as error:
+            refusal = str(error)
+        else:
+            execution = execute(stage, commands, options.control)
+        return Round(
+            video=video, frames=frames, grounded=grounded, commands=commands, refusal=refusal, execution=execution
+        )
+
+    def _commands(self, track: GripperTrack, start: Posed) -> Commands:
+        repeat = self._options.action_repeat
+        t_s: Array = track.t_s
+        if repeat is not None:
+            t_s = CONTROL_PERIOD_S * repeat * np.arange(len(t_s), dtype=np.float64)
+        return self._commander.commands(track.X_BG, track.finger_width_m, track.tracked, t_s, start)
+
+
+def _kept(video: Path, out: Path) -> Path:
+    """The video, or folder of frames, beside `out`: a copy where it lies elsewhere.
+
+    Raises:
+        SetupError: it cannot be copied.
+    """
+    if video.parent.resolve() == out.parent.resolve():
+        return video
+    copy = out.with_name(f"{out.name}{video.suffix}" if video.is_file() else out.name)
+    with storage(copy.name):
+        if video.is_file():
+            shutil.copyfile(video, copy)
+        else:
+            shutil.copytree(video, copy, dirs_exist_ok=True)
+    return copy

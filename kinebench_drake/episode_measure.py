@@ -1,0 +1,252 @@
+"""What is done to one episode of a suite: run it in closed loop, judge what was imagined, tell how it went."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import lru_cache, partial
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from kinebench_drake.closed_loop import ClosedLoop, EpisodeRun, LoopOptions
+from kinebench_drake.episode_cause import clip_starts, find_cause
+from kinebench_drake.kinematics.plant import ArmPlant
+from kinebench_drake.measure import KINEMATIC_METRICS, MIN_TRACKED, Measure, Measured
+from kinebench_drake.mp4 import write_video
+from kinebench_drake.products import GripperTrack
+from kinebench_drake.provenance import weights_hash
+from kinebench_drake.results import part_path
+from kinebench_drake.row import Json
+from kinebench_drake.stages import Stages, load_stages
+from kinebench_drake.storage import storage
+from kinebench_drake.suites.clip import Clip, film
+from kinebench_drake.suites.closedloop.attribution import cause_json
+from kinebench_drake.suites.closedloop.commands import Commander
+from kinebench_drake.suites.closedloop.gap import measure_gap
+from kinebench_drake.suites.export import FPS
+from kinebench_drake.suites.stage import Stage
+from kinebench_drake.suites.stagehand import Stagehand
+from kinebench_drake.suites.suite import Draw
+from kinebench_drake.suites.worldmodels.factory import create
+from kinebench_drake.suites.worldmodels.simulated import SIMULATED
+from kinebench_drake.suites.worldmodels.worldmodel import Offline, WorldModel
+from kinebench_drake.thumbnail import track_at
+from kinebench_drake.trackfile import write_track
+from kinebench_drake.video_measure import VISUAL_METRICS, anomaly_json
+
+SIZE_PX = 384
+"""Width and height of the pictures that models are given."""
+GAP_METRICS = ("gap_robot_iou", "gap_gripper_m", "gap_gripper_rad", "gap_psnr_db", "gap_ssim")
+"""Names that every row of an episode bears beside those of a video; null where nothing was executed."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EpisodeSample:
+    """One episode to run with one model."""
+
+    draw: Draw
+    model: str
+    """Name of the world model."""
+
+    @property
+    def id(self) -> str:
+        """See `measure.Named`."""
+        return self.draw.id
+
+    @property
+    def video(self) -> str:
+        """The first clip that the model imagines, relative to the output folder."""
+        return f"videos/{self.id}_r0.mp4"
+
+    @property
+    def task(self) -> str:
+        """See `measure.Named`."""
+        return self.draw.task
+
+
+@dataclass(frozen=True, slots=True)
+class Theatre:
+    """What a process needs to run episodes."""
+
+    stages: Stages
+    hand: Stagehand[Stage]
+    loop: ClosedLoop
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EpisodeMeasure(Measure[EpisodeSample, Theatre]):
+    """How the episodes of one run are measured."""
+
+    world_model: str
+    """What to ask, as the command line names it."""
+    loop: LoopOptions
+    rollouts: bool
+    """Whether to write rollouts/ID.mp4."""
+
+    @property
+    def metric_names(self) -> tuple[str, ...]:
+        """See `Measure`."""
+        return (*VISUAL_METRICS, *GAP_METRICS, *KINEMATIC_METRICS)
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """See `Measure`."""
+        return ("tracks", *(["rollouts"] if self.rollouts else []))
+
+    def facts(self, sample: EpisodeSample) -> Mapping[str, Json]:
+        """See `Measure`."""
+        draw = sample.draw
+        options = {**asdict(self.loop), "control": self.loop.control.value}
+        return {
+            "weights": weights_hash(),
+            "world_model": self.world_model,
+            "loop": options,
+            "episode": [draw.task, draw.seed, draw.pool.value, draw.variant.value],
+        }
+
+    def files(self, sample: EpisodeSample) -> Sequence[Path]:
+        """See `Measure`."""
+        model = _named(self.world_model)
+        return model.files(sample.id, sample.task) if isinstance(model, Offline) else ()
+
+    def labels(self, sample: EpisodeSample) -> Mapping[str, Json]:
+        """See `Measure`."""
+        return {"seed": sample.draw.seed, "pool": sample.draw.pool.value, "variant": sample.draw.variant.value}
+
+    def equip(self) -> Theatre:
+        """See `Measure`."""
+        stages = load_stages(self.stages, self.stage_options)
+        loop = ClosedLoop(stages, Commander(ArmPlant()), create(self.world_model, SIMULATED), self.loop)
+        return Theatre(stages, Stagehand(partial(Stage, control=self.loop.control), SIZE_PX), loop)
+
+    def measure(self, sample: EpisodeSample, theatre: Theatre) -> Measured:
+        """See `Measure`."""
+        episode = sample.draw.episode()
+        stage = theatre.hand.stage(episode.task, episode.variant)
+        videos = self.out / "videos"
+        videos.mkdir(exist_ok=True)
+        run = theatre.loop.run(stage, episode, videos / sample.id)
+        films = [None if r.execution is None else film(stage, r.execution.snapshots) for r in run.rounds]
+        track = joined_track([r.grounded.track for r in run.rounds])
+        judgement = theatre.stages.judge(track) if track.tracked.sum() >= MIN_TRACKED else None
+        joints, curves = (judgement.joints, judgement.curves) if judgement else (None, {})
+        write_track(part_path(self.out, "tracks", sample.id), track, joints, curves)
+        if self.rollouts:
+            self._write_rollout(sample, run, films, theatre.stages)
+        cause = find_cause(run, judgement)
+        return Measured(
+            judgement=judgement,
+            metrics={**_visual_metrics(run, track), **_gap_metrics(run, films)},
+            extra={
+                "success": run.outcome.success,
+                "progress": run.outcome.progress,
+                "rounds": len(run.rounds),
+                "verdict": None if cause is None else cause.verdict.value,
+                "cause": None if cause is None else cause_json(cause),
+                "missed": [name for name, holds in run.outcome.conditions.items() if not holds],
+                "refused": _refused(run),
+                "prompt": episode.prompt,
+                "videos": [f"videos/{r.video.name}" for r in run.rounds],
+                "frames": len(track.t_s),
+            },
+        )
+
+    def _write_rollout(
+        self, sample: EpisodeSample, run: EpisodeRun, films: Sequence[Clip | None], stages: Stages
+    ) -> None:
+        """Write what was imagined, what was executed, and the imagined gripper drawn on the executed frames.
+
+        Raises:
+            SetupError: writing failed.
+        """
+        path = part_path(self.out, "rollouts", sample.id)
+        with storage(f"rollouts/{path.name}"):
+            write_video(path, _side_by_side(run, films, stages), FPS, crf=20)
+
+
+def _side_by_side(run: EpisodeRun, films: Sequence[Clip | None], stages: Stages) -> Iterator[NDArray[np.uint8]]:
+    for done, executed in zip(run.rounds, films, strict=True):
+        if executed is None:
+            for frame in done.frames:
+                imagined = cv2.resize(frame, (SIZE_PX, SIZE_PX), interpolation=cv2.INTER_AREA)
+                yield np.concatenate([imagined, np.zeros_like(imagined), np.zeros_like(imagined)], axis=1)
+            continue
+        track = track_at(done.grounded.track, np.arange(len(executed.rgb)))
+        drawn = stages.overlay(executed.rgb, executed.camera, track)
+        for frame, shown, overlay in zip(done.frames, executed.rgb, drawn, strict=False):
+            imagined = cv2.resize(frame, shown.shape[1::-1], interpolation=cv2.INTER_AREA)
+            yield np.concatenate([imagined, shown, overlay], axis=1)
+
+
+@lru_cache(maxsize=1)
+def _named(world_model: str) -> WorldModel:
+    """The model of a spec, to ask it about its files only."""
+    return create(world_model, SIMULATED)
+
+
+def joined_track(tracks: Sequence[GripperTrack]) -> GripperTrack:
+    """The tracks of clips that follow each other, each beginning at the moment at which the one before ends.
+
+    The first frame of a later clip shows what the last one of the clip before led to, and is left out.
+    """
+    ends = np.cumsum([0.0, *(track.t_s[-1] - track.t_s[0] for track in tracks)])
+    parts = [track_at(track, np.arange(k > 0, len(track.t_s))) for k, track in enumerate(tracks)]
+    return replace(
+        tracks[0],
+        t_s=np.concatenate([end + p.t_s - t.t_s[0] for end, p, t in zip(ends, parts, tracks, strict=False)]),
+        X_CH=np.concatenate([p.X_CH for p in parts]),
+        X_BG=np.concatenate([p.X_BG for p in parts]),
+        tracked=np.concatenate([p.tracked for p in parts]),
+        confidence=np.concatenate([p.confidence for p in parts]),
+        finger_width_m=np.concatenate([p.finger_width_m for p in parts]),
+    )
+
+
+def _gap_metrics(run: EpisodeRun, films: Sequence[Clip | None]) -> dict[str, Json]:
+    """How far what was executed is from what was imagined, over all executed frames but the first of each clip."""
+    gaps = [
+        measure_gap(r.frames, r.grounded.robot, r.grounded.track.X_BG, executed)
+        for r, executed in zip(run.rounds, films, strict=True)
+        if executed is not None
+    ]
+
+    def mean(name: str) -> float | None:
+        values = np.concatenate([np.empty(0), *(getattr(gap, name)[1:] for gap in gaps)])
+        values = values[np.isfinite(values)]
+        return float(values.mean()) if len(values) else None
+
+    return {
+        "gap_robot_iou": mean("robot_iou"),
+        "gap_gripper_m": mean("distance_m"),
+        "gap_gripper_rad": mean("angle_rad"),
+        "gap_psnr_db": mean("psnr_db"),
+        "gap_ssim": mean("ssim"),
+    }
+
+
+def _visual_metrics(run: EpisodeRun, track: GripperTrack) -> dict[str, Json]:
+    """What the clips show, frames counted through all of them."""
+    grounded = [r.grounded for r in run.rounds]
+    motions = [g.camera_motion_px for g in grounded if g.camera_motion_px is not None]
+    distances = [g.arm_consistency_px for g in grounded if g.arm_consistency_px is not None]
+    return {
+        "tracked_fraction": float(track.tracked.mean()),
+        "camera_motion_px": max(motions) if motions else None,
+        "arm_consistency_px": float(np.median(distances)) if distances else None,
+        "anomalies": [
+            anomaly_json(a, start) for start, g in zip(clip_starts(run), grounded, strict=True) for a in g.anomalies
+        ],
+    }
+
+
+def _refused(run: EpisodeRun) -> list[Json]:
+    """What was not commanded as imagined, round by round."""
+    told = list[Json]()
+    for number, done in enumerate(run.rounds):
+        if done.refusal is not None:
+            told.append({"round": number, "reason": "nothing_to_execute", "text": done.refusal})
+        for refused in done.commands.refused if done.commands else ():
+            frames: dict[str, Json] = {"frame_start": refused.frame_start, "frame_end": refused.frame_end}
+            told.append({"round": number, "reason": refused.reason.value, **frames})
+    return told

@@ -1,0 +1,46 @@
+"""Classes that a user names on the command line as `module:Class`."""
+
+import importlib
+import os
+import re
+import sys
+
+from kinebench_drake.errors import UsageError
+
+_CLASS = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
+
+
+def is_class_name(text: str) -> bool:
+    """Whether `text` has the form `module:Class`."""
+    return _CLASS.fullmatch(text) is not None
+
+
+def load_class(spec: str, *, option: str, method: str, arguments: str) -> type:
+    """The class of a spec `module:Class`; modules of the working directory can be named, after those installed.
+
+    Args:
+        spec: what was given.
+        option: where it was given, such as `--depth`.
+        method: a method that the class must have.
+        arguments: what the method takes, for the message.
+
+    Raises:
+        UsageError: there is no such module or class, or the class has no such method.
+    """
+    module_name, _, name = spec.partition(":")
+    if os.getcwd() not in sys.path and "" not in sys.path:
+        sys.path.append(os.getcwd())  # stays: the class may import its neighbours later
+    try:
+        found = getattr(importlib.import_module(module_name), name)
+    except ModuleNotFoundError as error:
+        raise UsageError(
+            f"{option} {spec}: there is no module {error.name!r}; expected one that is installed, or a file "
+            f"{(error.name or module_name).split('.')[0]}.py in the working directory"
+        ) from None
+    except AttributeError:
+        raise UsageError(f"{option} {spec}: the module {module_name} has no {name}") from None
+    except Exception as error:  # another program's code, which may raise anything
+        raise UsageError(f"{option} {spec}: cannot be imported ({type(error).__name__}: {error})") from error
+    if not isinstance(found, type) or not callable(getattr(found, method, None)):
+        raise UsageError(f"{option} {spec}: expected a class with a method {method}({arguments})")
+    return found

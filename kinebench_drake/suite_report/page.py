@@ -1,0 +1,115 @@
+"""The html page: tables, figures, what is missing, and every episode."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+
+from kinebench_drake.suite_report.episode import Episode, group
+from kinebench_drake.suite_report.folder import Folder
+from kinebench_drake.suite_report.links import Link, links_of
+from kinebench_drake.suite_report.table import Table, is_numeric, shown, shown_interval, sort_key
+
+LISTED = 2000
+"""Episodes on the page: more would make it slow to open."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Drawn:
+    """A figure on the page."""
+
+    name: str
+    title: str
+    caption: str
+    svg: Markup
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Missing:
+    """A table or a figure that could not be made."""
+
+    title: str
+    needs: str
+    """What would be needed."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Line:
+    """One episode on the page."""
+
+    episode: Episode
+    outcome: str
+    told: str
+    """Cause of a failure, or the reason why there is no outcome."""
+    links: tuple[Link, ...]
+
+
+def build_page(
+    title: str,
+    folders: Sequence[Folder],
+    episodes: Sequence[Episode],
+    out: Path,
+    *,
+    parts: Sequence[Table | Drawn],
+    missing: Sequence[Missing] = (),
+) -> str:
+    """The page's html; the same input gives the same bytes.
+
+    Args:
+        title: its heading.
+        folders: the runs it is about.
+        episodes: the episodes to list.
+        out: folder that it will lie in, for links.
+        parts: tables and figures in their order.
+        missing: what could not be made.
+    """
+    environment = Environment(
+        loader=PackageLoader("kinebench_drake.suite_report", "."),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters.update(shown=shown, interval=shown_interval, key=sort_key)
+    environment.tests["table"] = lambda part: isinstance(part, Table)
+    return environment.get_template("page.html.j2").render(
+        title=title,
+        folders=folders,
+        episodes=len(episodes),
+        parts=parts,
+        numeric={part.name: _numeric(part) for part in parts if isinstance(part, Table)},
+        missing=missing,
+        lines=[_line(e, out) for e in _listed(episodes)],
+        left_out=max(len(episodes) - LISTED, 0),
+    )
+
+
+def _listed(episodes: Sequence[Episode]) -> list[Episode]:
+    """The episodes that have room, those without success first, of every model on every part as many as of another."""
+    turns = {
+        id(e): (e.success is True, turn)
+        for own in group(episodes, lambda e: (e.part, e.model, e.success is True)).values()
+        for turn, e in enumerate(own)
+    }
+    chosen = sorted(episodes, key=lambda e: turns[id(e)])[:LISTED]
+    kept = {id(e) for e in chosen}
+    return sorted((e for e in episodes if id(e) in kept), key=lambda e: e.success is True)
+
+
+def _numeric(table: Table) -> list[bool]:
+    return [is_numeric(table, k) for k in range(len(table.columns))]
+
+
+def _line(episode: Episode, out: Path) -> Line:
+    row = episode.row
+    cause = row.extra.get("cause")
+    told = cause.get("text") if isinstance(cause, Mapping) else row.reason
+    outcome = row.status.value if episode.success is None else "success" if episode.success else "failure"
+    return Line(
+        episode=episode,
+        outcome="not told" if outcome == "ok" else outcome,
+        told=str(told or ""),
+        links=tuple(links_of(episode, out)),
+    )

@@ -1,0 +1,96 @@
+"""A world model on a suite: every episode in closed loop, and what came of them."""
+
+from contextlib import closing
+from dataclasses import dataclass, field
+
+from kinebench_drake.closed_loop import LoopOptions
+from kinebench_drake.episode_measure import EpisodeMeasure, EpisodeSample
+from kinebench_drake.measure import Kind
+from kinebench_drake.row import Json
+from kinebench_drake.run import Observer, RunConfig, RunSummary, Silence, run_samples
+from kinebench_drake.suites.suite import Suite
+from kinebench_drake.suites.tasks.card import Variant
+from kinebench_drake.suites.worldmodels.factory import create
+from kinebench_drake.suites.worldmodels.simulated import SIMULATED
+from kinebench_drake.suites.worldmodels.worldmodel import Offline
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SuiteConfig(RunConfig):
+    """Everything a run of a suite is told. `seed`: number of the first of the split's seeds."""
+
+    kind: Kind = Kind.SUITE
+    suite: Suite
+    split: str
+    """Name of one of the suite's splits."""
+    tasks: tuple[str, ...]
+    """Plain task ids of the split."""
+    episodes: int
+    """Episodes of each task."""
+    variant: Variant = Variant.PLAIN
+    world_model: str
+    """What to ask: see docs/worldmodels.md."""
+    loop: LoopOptions = field(default_factory=LoopOptions)
+    rollouts: bool = True
+    """Write rollouts/ID.mp4."""
+
+    @property
+    def name(self) -> str:
+        """What the world model calls itself.
+
+        Raises:
+            UsageError: no world model is named so.
+            SetupError: something it needs is missing, such as a key.
+        """
+        with closing(create(self.world_model, SIMULATED)) as model:
+            return model.name
+
+    def samples(self) -> list[EpisodeSample]:
+        """The episodes, task by task."""
+        name = self.model or self.name
+        return [
+            EpisodeSample(draw=draw, model=name)
+            for task in self.tasks
+            for draw in self.suite.draws(self.split, task, self.episodes, offset=self.seed, variant=self.variant)
+        ]
+
+    def to_json(self) -> dict[str, Json]:
+        """What results tell of the configuration."""
+        return {
+            **RunConfig.to_json(self),
+            "suite": self.suite.number,
+            "split": self.split,
+            "tasks": list(self.tasks),
+            "episodes_per_task": self.episodes,
+            "variant": self.variant.value,
+            "world_model": self.name,
+            "rounds": self.loop.rounds,
+            "control": self.loop.control.value,
+            "action_repeat": self.loop.action_repeat,
+            "frame_period_s": self.loop.frame_period_s,
+            "pixels_only": self.loop.pixels_only,
+            "rollouts": self.rollouts,
+        }
+
+
+def run_suite(config: SuiteConfig, observer: Observer | None = None) -> RunSummary:
+    """Run every episode of a suite's split with a world model and fill the output folder.
+
+    Raises:
+        UsageError: the configuration or the output folder cannot be used.
+        SetupError: something is missing on this machine, or the disk is full. What was finished is kept.
+    """
+    observer = observer or Silence()
+    with closing(create(config.world_model, SIMULATED)) as model:
+        if isinstance(model, Offline) and config.loop.rounds > 1:
+            observer.warned(f"{model.name} holds finished videos: they answer the first round only")
+    measure = EpisodeMeasure(
+        kind=config.kind,
+        out=config.out,
+        stages=config.stages,
+        stage_options=config.stage_options(),
+        world_model=config.world_model,
+        loop=config.loop,
+        rollouts=config.rollouts,
+    )
+    return run_samples(config, config.samples(), measure, observer)

@@ -1,0 +1,10 @@
+"""The benchmark's rhythm: control steps, frames, clips."""
+
+CONTROL_PERIOD_S = 0.05
+"""Time between two control steps (ManiSkill's 20 Hz)."""
+STEPS_PER_FRAME = 4
+"""Control steps between two frames."""
+FRAME_PERIOD_S = STEPS_PER_FRAME * CONTROL_PERIOD_S
+"""Task time between two frames."""
+CLIP_FRAMES = 48
+"""Frames of a clip that follow its first one; the first frame of the next clip is the last of this one."""

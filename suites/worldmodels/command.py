@@ -1,0 +1,129 @@
+"""Any program as a world model: asked on its standard input, answers with a file."""
+
+import json
+import os
+import re
+import shlex
+import shutil
+import signal
+import subprocess
+import tempfile
+import time
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import IO
+
+from kinebench_drake.errors import SetupError, cause
+from kinebench_drake.storage import storage
+from kinebench_drake.suites.worldmodels.picture import png
+from kinebench_drake.suites.worldmodels.remark import remark
+from kinebench_drake.suites.worldmodels.spec import ServiceOptions, Spec
+from kinebench_drake.suites.worldmodels.videofile import adopt
+from kinebench_drake.suites.worldmodels.worldmodel import Request, WorldModelError
+
+_PLACEHOLDER = re.compile(r"\{([a-z_]+)\}")
+_FIELDS = ("episode", "task", "round", "prompt", "negative_prompt", "seed", "num_frames", "fps")
+_PLACEHOLDERS = (*_FIELDS, "width", "height", "first_frame", "out")
+_TAIL = 4096
+_GRACE_S = 2.0
+"""Time between asking a program to end and ending it."""
+_PEEK = os.WEXITED | os.WNOHANG | os.WNOWAIT
+
+
+class Command:
+    """Runs a program once a video; never through a shell.
+
+    The program gets the request as one JSON object on its standard input, and `{placeholders}` of its arguments filled
+    in. It writes the video to the path `out` and ends with status 0.
+    """
+
+    def __init__(self, spec: Spec) -> None:
+        options = spec.read(ServiceOptions)
+        try:
+            self._arguments = shlex.split(spec.rest)
+        except ValueError as error:
+            raise spec.unusable(f"cannot be split into arguments ({error})") from None
+        if not self._arguments:
+            raise spec.unusable("expected command:PROGRAM ARGUMENTS")
+        unknown = {m for argument in self._arguments for m in _PLACEHOLDER.findall(argument)} - {*_PLACEHOLDERS}
+        if unknown:
+            valid = ", ".join(f"{{{name}}}" for name in _PLACEHOLDERS)
+            raise spec.unusable(f"there is no placeholder {{{min(unknown)}}}; there are {valid}")
+        if shutil.which(self._arguments[0]) is None:
+            raise spec.unusable(f"there is no program {self._arguments[0]}, or it is not executable")
+        self._timeout_s = options.timeout
+        self.name = options.name or Path(self._arguments[0]).name
+
+    def generate(self, request: Request, out: Path) -> Path:
+        """See `WorldModel`."""
+        with storage(out.name), tempfile.TemporaryDirectory(prefix=f".{os.getpid()}.part.", dir=out.parent) as name:
+            folder = Path(name)
+            first_frame, video, log = folder / "first_frame.png", folder / "video.mp4", folder / "log"
+            first_frame.write_bytes(png(request.first_frame))
+            facts = _facts(request, first_frame, video)
+            (folder / "request.json").write_text(json.dumps(facts), encoding="utf-8")
+            arguments = [_PLACEHOLDER.sub(lambda m: str(facts[m[1]]), argument) for argument in self._arguments]
+            with (folder / "request.json").open("rb") as request_file, log.open("wb") as log_file:
+                status = self._run(arguments, request_file, log_file)
+            if status is None:
+                raise WorldModelError(
+                    f"{self.name} gave no video within {self._timeout_s:g} s; the option timeout= allows more"
+                    f"{_last_line(log)}"
+                )
+            if status:
+                how = f"status {status}" if status > 0 else f"signal {-status}"
+                raise WorldModelError(f"{self.name} failed with {how}{_last_line(log)}")
+            if not video.exists():
+                raise WorldModelError(f"{self.name} ended well but wrote no video to {{out}}{_last_line(log)}")
+            return adopt(video, out)
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+    def _run(self, arguments: list[str], request: IO[bytes], log: IO[bytes]) -> int | None:
+        """Exit status of the program; None if it took too long: then it is ended, with all that it started."""
+        try:
+            process = subprocess.Popen(
+                arguments, stdin=request, stdout=subprocess.DEVNULL, stderr=log, start_new_session=True
+            )
+        except (OSError, ValueError) as error:
+            raise SetupError(f"{self.name} cannot be started ({cause(error)})") from None
+        try:
+            return process.wait(self._timeout_s)
+        except subprocess.TimeoutExpired:
+            return None
+        finally:
+            if process.returncode is None:
+                _end(process)
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    """End a process and all it started. It is reaped last, so that its group's number is nobody else's till then."""
+    for number in (signal.SIGTERM, signal.SIGKILL):
+        with suppress(ProcessLookupError):
+            os.killpg(process.pid, number)
+        if number == signal.SIGTERM:
+            give_up = time.monotonic() + _GRACE_S
+            while os.waitid(os.P_PID, process.pid, _PEEK) is None and time.monotonic() < give_up:
+                time.sleep(_GRACE_S / 100)
+    process.wait()
+
+
+def _facts(request: Request, first_frame: Path, video: Path) -> Mapping[str, str | int | float]:
+    height, width = request.first_frame.shape[:2]
+    return {
+        **{name: getattr(request, name) for name in _FIELDS},
+        "width": width,
+        "height": height,
+        "first_frame": str(first_frame.resolve()),
+        "out": str(video.resolve()),
+    }
+
+
+def _last_line(log: Path) -> str:
+    """The last words on standard error, for a message."""
+    with log.open("rb") as file:
+        file.seek(max(file.seek(0, os.SEEK_END) - _TAIL, 0))
+        lines = [line for line in file.read().decode(errors="replace").splitlines() if line.strip()]
+    return f": {remark(lines[-1])}" if lines else ""

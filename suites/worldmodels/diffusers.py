@@ -1,0 +1,149 @@
+"""Local video models through Hugging Face's diffusers: Wan 2.1 and 2.2, CogVideoX, with LoRA weights.
+
+Pipelines: https://huggingface.co/docs/diffusers/api/pipelines/wan and .../api/pipelines/cogvideox
+"""
+
+import importlib.util
+import math
+import re
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+from pydantic import Field
+
+from kinebench_drake.errors import SetupError
+from kinebench_drake.mp4 import write_video
+from kinebench_drake.storage import storage
+from kinebench_drake.suites.worldmodels.checkpoint import add_lora, load_pipeline, shown
+from kinebench_drake.suites.worldmodels.spec import Options, Spec
+from kinebench_drake.suites.worldmodels.worldmodel import Request, WorldModelError
+
+_SIZE = r"^[1-9]\d{1,3}x[1-9]\d{1,3}$"
+_HUB_ID = re.compile(r"\w[\w.-]*/[\w.-]+")
+_WAN_SIDES = 16
+"""The Wan pipeline takes no other sides than multiples of this, whatever its networks could do."""
+
+
+class DiffusersOptions(Options):
+    """Options of `diffusers:`."""
+
+    size: str | None = Field(None, pattern=_SIZE, description="WIDTHxHEIGHT at which the model works [px]")
+    steps: int = Field(50, ge=1, description="denoising steps")
+    guidance: float | None = Field(
+        None, ge=0, allow_inf_nan=False, description="guidance scale; the pipeline's own if not given"
+    )
+    lora: str | None = Field(None, min_length=1, description="LoRA weights: file, folder, or ORG/NAME[/FILE]")
+    lora_scale: float = Field(1.0, allow_inf_nan=False, description="strength of the LoRA weights")
+    dtype: Literal["auto", "bfloat16", "float16", "float32"] = Field("auto", description="precision of the weights")
+    device: str | None = Field(None, pattern=r"^(cpu|cuda(:\d+)?)$", description="cpu, cuda or cuda:N")
+    offload: Literal["none", "model", "sequential"] = Field(
+        "none", description="keep parts in main memory, to save the GPU's"
+    )
+
+
+class Diffusers:
+    """Runs an image-to-video pipeline in this process; the checkpoint is loaded with the first video."""
+
+    def __init__(self, spec: Spec) -> None:
+        self._options = spec.read(DiffusersOptions)
+        self._source = spec.rest
+        if not self._source:
+            raise spec.unusable("expected diffusers:PATH_OR_ID, such as diffusers:Wan-AI/Wan2.1-I2V-14B-480P-Diffusers")
+        if not Path(self._source).is_dir() and not _HUB_ID.fullmatch(self._source):
+            raise spec.unusable(f"there is no folder {self._source}, and an id on the hub looks like ORG/NAME")
+        for package in ("diffusers", "transformers"):
+            if importlib.util.find_spec(package) is None:
+                raise SetupError(f"the package {package} is missing; pip install 'kinebench-drake[diffusers]'")
+        lora = f"+{shown(self._options.lora)}" if self._options.lora else ""
+        self.name = self._options.name or f"{shown(self._source)}{lora}"
+        self._pipeline: Any = None
+
+    def generate(self, request: Request, out: Path) -> Path:
+        """See `WorldModel`."""
+        import torch
+
+        options = self._options
+        if self._pipeline is None:
+            pipeline = load_pipeline(self._source, dtype=options.dtype, device=options.device, offload=options.offload)
+            if options.lora:
+                add_lora(pipeline, options.lora, options.lora_scale)
+            self._pipeline = pipeline
+        width, height = self._size(request.first_frame)
+        further = {} if options.guidance is None else {"guidance_scale": options.guidance}
+        try:
+            made = self._pipeline(
+                image=Image.fromarray(request.first_frame).resize((width, height), Image.Resampling.LANCZOS),
+                prompt=request.prompt,
+                negative_prompt=request.negative_prompt or None,
+                height=height,
+                width=width,
+                num_frames=self._num_frames(request.num_frames),
+                num_inference_steps=options.steps,
+                # On the CPU, so that a seed means the same wherever the model runs.
+                generator=torch.Generator("cpu").manual_seed(request.seed),
+                output_type="np",
+                **further,
+            )
+        except torch.OutOfMemoryError:
+            raise SetupError(
+                f"{self.name} at {width}x{height} needs more memory than the GPU has; use offload=model or another size"
+            ) from None
+        frames = _frames(np.asarray(made.frames[0])[: request.num_frames], request.first_frame)
+        path = out.with_name(f"{out.name}.mp4")
+        with storage(path.name):
+            write_video(path, frames, request.fps)
+        return path
+
+    def close(self) -> None:
+        """Drop the pipeline and give the GPU's memory back."""
+        if self._pipeline is not None:
+            import torch
+
+            self._pipeline = None
+            torch.cuda.empty_cache()
+
+    def _size(self, frame: NDArray[np.uint8]) -> tuple[int, int]:
+        """Width and height [px] nearest to those wanted that the pipeline can do."""
+        pipeline, network = self._pipeline, _network(self._pipeline)
+        scale, patch = pipeline.vae_scale_factor_spatial, network.config.patch_size
+        if getattr(network.config, "use_learned_positional_embeddings", False):
+            # Positions were learned one by one: there are none for another size.
+            return int(network.config.sample_width * scale), int(network.config.sample_height * scale)
+        if self._options.size:
+            width, height = (int(side) for side in self._options.size.split("x"))
+        else:
+            height, width = frame.shape[:2]
+        multiple = scale * patch if isinstance(patch, int) else math.lcm(_WAN_SIDES, scale * patch[1], scale * patch[2])
+        return _nearest(width, multiple), _nearest(height, multiple)
+
+    def _num_frames(self, wanted: int) -> int:
+        """Frames to ask for: as many as wanted, or the next number that the pipeline can do, or else its largest."""
+        network, period = _network(self._pipeline), self._pipeline.vae_scale_factor_temporal
+        frames: int = math.ceil((wanted - 1) / period) * period + 1
+        if getattr(network.config, "use_learned_positional_embeddings", False):
+            return min(frames, int(network.config.sample_frames))
+        return frames
+
+
+def _network(pipeline: Any) -> Any:
+    """The denoising network; of Wan 2.2's two, either may be left out."""
+    return pipeline.transformer if pipeline.transformer is not None else pipeline.transformer_2
+
+
+def _nearest(side_px: int, multiple: int) -> int:
+    return max(round(side_px / multiple), 1) * multiple
+
+
+def _frames(frames: NDArray[np.floating], first: NDArray[np.uint8]) -> list[NDArray[np.uint8]]:
+    """Frames (T, H, W, 3) in 0..1 as bytes; where the aspect ratio was changed, at the first frame's size again."""
+    if not np.isfinite(frames).all():
+        raise WorldModelError("the video has values that are not numbers; another dtype= may help")
+    pictures = (np.clip(frames, 0, 1) * 255).round().astype(np.uint8)
+    (height, width), (first_height, first_width) = pictures.shape[1:3], first.shape[:2]
+    if width * first_height == height * first_width:
+        return list(pictures)
+    size = (first_width, first_height)
+    return [np.asarray(Image.fromarray(picture).resize(size, Image.Resampling.LANCZOS)) for picture in pictures]

@@ -1,0 +1,85 @@
+"""Closed loop from the command line: rows, resume, equal bytes, failures that end nothing."""
+
+import io
+import json
+from contextlib import redirect_stderr, redirect_stdout
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from kinebench_drake import cli
+
+pytestmark = [pytest.mark.sapien, pytest.mark.slow]
+
+
+def run(out: Path, *options: str) -> tuple[int, str]:
+    """Exit status and what was printed."""
+    command = ["suite", "run", "--suite", "0", "--tasks", "PullCube-v1", "--episodes", "1", "--out", str(out), *options]
+    said = io.StringIO()
+    with redirect_stdout(said), redirect_stderr(said), pytest.raises(SystemExit) as stop:
+        cli.main(command)
+    return int(stop.value.code or 0), said.getvalue()
+
+
+def rows(out: Path) -> list[dict]:
+    return [json.loads(line) for line in (out / "samples.jsonl").read_text().splitlines()]
+
+
+@pytest.fixture(scope="module")
+def oracle(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("oracle")
+    code, said = run(out, "--world-model", "oracle", "--pixels-only")
+    assert code == 0, said
+    return out
+
+
+def test_the_oracle_succeeds_by_pixels_alone(oracle: Path) -> None:
+    [row] = rows(oracle)
+    assert row["success"] is True
+    assert row["progress"] == 1.0
+    assert row["verdict"] is None
+    assert row["rounds"] == 1
+    assert row["metrics"]["gap_robot_iou"] > 0.8
+    assert row["metrics"]["gap_gripper_m"] < 0.01
+    assert (oracle / row["video"]).is_file()
+    assert (oracle / "rollouts" / f"{row['id']}.mp4").is_file()
+    with np.load(oracle / "tracks" / f"{row['id']}.npz") as track:
+        assert track["base_from_tcp"].shape == (row["frames"], 4, 4)
+
+
+def test_what_is_finished_is_kept_and_made_again_it_is_the_same(oracle: Path, tmp_path: Path) -> None:
+    before = (oracle / "samples.jsonl").read_bytes()
+    stamp = (oracle / "rollouts").stat().st_mtime_ns
+    _, said = run(oracle, "--world-model", "oracle", "--pixels-only")
+    assert "finished already" in said
+    assert (oracle / "rollouts").stat().st_mtime_ns == stamp
+    assert run(tmp_path, "--world-model", "oracle", "--pixels-only")[0] == 0
+    assert (tmp_path / "samples.jsonl").read_bytes() == before
+
+
+def test_a_still_video_fails_for_the_task_s_reason(tmp_path: Path) -> None:
+    assert run(tmp_path, "--world-model", "still", "--rounds", "1", "--no-rollouts")[0] == 0
+    [row] = rows(tmp_path)
+    assert row["success"] is False
+    assert row["verdict"] == row["cause"]["verdict"] == "task"
+    assert row["missed"]
+
+
+def test_an_episode_without_a_video_is_a_row(tmp_path: Path) -> None:
+    (tmp_path / "videos").mkdir()
+    code, _ = run(tmp_path / "out", "--world-model", f"folder:{tmp_path / 'videos'}", "--rounds", "1")
+    [row] = rows(tmp_path / "out")
+    assert code == 1
+    assert row["status"] == "error"
+    assert row["id"] in row["reason"]
+
+
+@pytest.mark.parametrize(
+    ("spec", "told"),
+    [("oracel", "one of"), ("oracle+teleport:all", "expected one size"), ("oracle+x:1", "one of")],
+)
+def test_a_world_model_that_is_none_is_told(tmp_path: Path, spec: str, told: str) -> None:
+    code, said = run(tmp_path / "out", "--world-model", spec)
+    assert code == 2
+    assert told in said

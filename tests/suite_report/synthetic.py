@@ -1,0 +1,55 @@
+"""Output folders of suite runs that never ran."""
+
+import json
+
+from kinebench_drake.results import RESULTS, SAMPLES
+from kinebench_drake.row import SampleRow, Status, dump
+
+EVIL = "<script>alert('x')</script> & 50% _of_ $x$"
+
+
+def outcome(success, progress=None, verdict=None, sparc=-2.0, cost=8.0, rounds=1, **changes):
+    """What one episode came to, for `write_run`."""
+    done = progress if progress is not None else float(success)
+    told = verdict or (None if success else "task")
+    cause = {"verdict": told, "text": f"because of {told}"} if told else None
+    return {
+        "status": Status.OK,
+        "metrics": {"sparc": sparc, "manipulability_cost_mean": cost, "tracked_fraction": 1.0, "anomalies": []},
+        "extra": {"success": success, "progress": done, "rounds": rounds, "verdict": told, "cause": cause},
+        **changes,
+    }
+
+
+def failed(status=Status.ERROR, reason="broken"):
+    return {"status": status, "reason": reason, "metrics": {"sparc": None}, "extra": {}}
+
+
+def write_run(
+    out, episodes, model="wan", suite=0, split="test", variant="plain", tags=None, first_seed=0, kind="suite", **changes
+):
+    """Write the output folder of a suite run: `episodes` holds outcomes (or True and False) by task."""
+    out.mkdir(parents=True)
+    rows = []
+    for task, outcomes in episodes.items():
+        for seed, found in enumerate(outcomes, first_seed):
+            found = outcome(found) if isinstance(found, bool) else found
+            id = f"{task}_s{seed:04d}"
+            labels = {"seed": seed, "pool": "all", "variant": variant}
+            row = {"id": id, "video": f"videos/{id}_r0.mp4", "task": task, "model": model, "reason": None}
+            row |= {"content_hash": "0", **found, "extra": {**found["extra"], **labels}}
+            rows.append(SampleRow(**row))
+    config = {"suite": suite, "split": split, "variant": variant, "rounds": 3, "control": "pd_joint_pos"}
+    results = {
+        **{"schema_version": 1, "suite_version": None, "kind": kind, "tags": tags or {}},
+        **{"samples_found": len(rows), "config": config, **changes},
+    }
+    (out / SAMPLES).write_text("".join(dump(row.to_json()) for row in rows))
+    (out / RESULTS).write_text(dump(results))
+    return out
+
+
+def change(folder, **changes):
+    """Change what a folder's results.json says."""
+    path = folder / "results.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), **changes}))

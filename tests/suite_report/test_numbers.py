@@ -1,0 +1,200 @@
+"""What the reports count: rates, balances, correlation, scaling and comparison on rows with known answers."""
+
+import numpy as np
+import pytest
+from scipy.stats import spearmanr
+
+from kinebench_drake.pairing import Paired
+from kinebench_drake.row import Status
+from kinebench_drake.suite_report.balance import balanced
+from kinebench_drake.suite_report.comparison import ALL, compare, comparison_table
+from kinebench_drake.suite_report.correlation import standardise, study_sparc
+from kinebench_drake.suite_report.episode import scale_costs
+from kinebench_drake.suite_report.folder import read_folders
+from kinebench_drake.suite_report.labels import gather, models_of
+from kinebench_drake.suite_report.scaling import ALL as EVERY
+from kinebench_drake.suite_report.scaling import Training, study_scaling, task_difficulties, training_of, untagged
+from kinebench_drake.suite_report.success_tables import suites_table
+from kinebench_drake.suite_report.tally import tally
+from tests.suite_report.synthetic import change, failed, outcome, write_run
+
+
+def episodes_of(*paths):
+    return gather(read_folders(paths))
+
+
+def test_what_was_not_measured_is_no_failure_and_is_counted(tmp_path):
+    run = write_run(tmp_path / "a", {"T": [True, True, False, failed(), failed(Status.UNMEASURABLE)]})
+    t = tally(episodes_of(run))
+    assert (t.episodes, t.measured, t.errors, t.unmeasurable) == (5, 3, 1, 1)
+    assert t.pooled.mean == pytest.approx(2 / 3)
+    assert (t.pooled.low, t.pooled.high) == pytest.approx((0.2077, 0.9385), abs=1e-4)  # Wilson, 2 of 3
+    assert t.counted.mean == pytest.approx(2 / 5)
+    assert t.counted.n == 5
+    assert t.verdicts == {"grounding": 0, "generation": 0, "execution": 0, "task": 1, "no verdict": 0}
+
+
+def test_a_row_without_a_word_on_success_is_not_measured(tmp_path):
+    silent = outcome(False, extra={"progress": 0.5})
+    unexplained = outcome(False, extra={"success": False, "progress": 0.0})
+    t = tally(episodes_of(write_run(tmp_path / "a", {"T": [silent, unexplained]})))
+    assert (t.measured, t.unmeasurable, t.verdicts["no verdict"]) == (1, 1, 1)
+
+
+def test_every_task_counts_the_same():
+    found = balanced({"A": [1.0] * 30, "B": [0.0, 1.0, None]})
+    assert found.mean == pytest.approx(0.75)
+    assert (found.n, found.total) == (32, 33)
+    assert (found.low, found.high) == (0.5, 1.0)  # B alone varies: 0, 1/2 or 1
+    assert balanced({"A": [1.0] * 30, "B": [0.0]}).low is None  # nothing tells how B varies
+    assert balanced({"A": [0.5, 0.5]}).low is None
+    assert balanced({"A": [None]}).mean is None
+
+
+def test_intervals_hold_the_true_balance_as_often_as_they_say():
+    rng, held = np.random.default_rng(0), 0
+    for seed in range(200):
+        groups = {f"{k}": rng.normal(k, 1.0, 15).tolist() for k in range(4)}
+        found = balanced(groups, seed=seed)
+        held += found.low <= 1.5 <= found.high
+    assert 0.89 <= held / 200 <= 0.98
+
+
+def test_shards_are_one_run_and_tags_or_settings_tell_runs_apart(tmp_path):
+    one = write_run(tmp_path / "s1", {"T": [True] * 2})
+    two = write_run(tmp_path / "s2", {"T": [False] * 2}, first_seed=2)
+    assert models_of(episodes_of(one, two)) == ["wan"]
+    change(two, tags={"data": "25"})
+    assert models_of(episodes_of(one, two)) == ["wan", "wan (data=25)"]
+    change(two, tags={}, config={"suite": 0, "split": "test", "rounds": 5, "control": "pd_joint_pos"})
+    assert models_of(episodes_of(one, two)) == ["wan (rounds=3)", "wan (rounds=5)"]
+    other = write_run(tmp_path / "u", {"T": [True]}, suite=2, split="unseen", tags={"data": "25"})
+    assert models_of(episodes_of(one, other)) == ["wan"]  # two parts need nothing to be told apart
+
+
+def test_the_same_episodes_twice_are_told_apart_by_their_folders(tmp_path):
+    one, two = (write_run(tmp_path / name, {"T": [True]}) for name in ("first", "again"))
+    assert models_of(episodes_of(one, two)) == ["wan [again]", "wan [first]"]
+
+
+def test_numbers_in_names_are_sorted_as_numbers(tmp_path):
+    runs = [write_run(tmp_path / n, {"T": [True]}, tags={"steps": n}) for n in ("15000", "7500")]
+    assert models_of(episodes_of(*runs)) == ["wan (steps=7500)", "wan (steps=15000)"]
+
+
+def test_the_best_of_each_suite_stands_out(runs):
+    table = suites_table(episodes_of(*runs))
+    assert [c.label for c in table.columns] == ["Model", "Suite 0", "Suite 2 (unseen)", "Suite 3"]
+    best = {(table.rows[i][0], table.columns[k].label) for i, k in table.bold}
+    assert best == {
+        ("good", "Suite 0"),
+        ("good", "Suite 2 (unseen)"),
+        ("small (data=100, steps=15000)", "Suite 3"),
+    }
+
+
+def test_models_that_did_fewer_tasks_are_named(tmp_path):
+    one = write_run(tmp_path / "a", {"T": [True], "U": [False]}, model="all")
+    two = write_run(tmp_path / "b", {"T": [True]}, model="half")
+    third = write_run(tmp_path / "c", {"T": [False], "U": [False]}, model="none")
+    table = suites_table(episodes_of(one, two, third))
+    assert "half did 1 of 2 tasks of Suite 0" in table.note
+    assert [table.rows[i][0] for i, _ in table.bold] == ["all"]
+
+
+def test_costs_are_scaled_over_all_episodes(tmp_path):
+    costs = np.linspace(5.0, 15.0, 11)
+    run = write_run(tmp_path / "a", {"T": [outcome(True, cost=float(c)) for c in costs]})
+    scaled = [e.cost_scaled for e in scale_costs(episodes_of(run))]
+    np.testing.assert_allclose(scaled, np.clip((costs - 6.0) / 8.0, 0, 1))  # percentiles 10 and 90 are 6 and 14
+    assert scale_costs(episodes_of(run)[:1])[0].cost_scaled is None
+
+
+def test_success_is_standardised_within_tasks():
+    z = standardise(np.array([[0.2, 0.5, np.nan], [0.6, 0.5, 1.0]]))
+    np.testing.assert_allclose(z, [[-1, 0, np.nan], [1, 0, 0]])
+
+
+def grid(tmp_path, sparc, hits):
+    """Runs of models (rows) on tasks (columns) with these mean SPARC and successes of ten."""
+    paths = []
+    for m, (xs, ns) in enumerate(zip(sparc, hits, strict=True)):
+        told = {
+            f"T{k}": [outcome(i < n, sparc=x) for i in range(10)] for k, (x, n) in enumerate(zip(xs, ns, strict=True))
+        }
+        paths.append(write_run(tmp_path / f"m{m}", told, model=f"m{m}"))
+    return episodes_of(*paths)
+
+
+def test_rank_correlation_is_spearman_s(tmp_path):
+    rng = np.random.default_rng(3)
+    sparc, hits = rng.uniform(-4, -1, (5, 6)), rng.integers(0, 11, (5, 6))
+    study = study_sparc(grid(tmp_path, sparc.tolist(), hits.tolist()))
+    z = (hits - hits.mean(axis=0)) / hits.std(axis=0)
+    expected = spearmanr(sparc.mean(axis=1), z.mean(axis=1)).statistic
+    found = study.correlation()
+    assert found.rho == pytest.approx(expected)
+    assert (found.points, found.tasks) == (5, 6)
+    assert -1 <= found.low <= found.rho <= found.high <= 1
+    assert study.correlation() == found
+
+
+def test_hard_tasks_do_not_stand_for_bad_models(tmp_path):
+    sparc = [[-3.0, -1.0], [-2.5, -0.5], [-2.0, 0.0]]
+    found = study_sparc(grid(tmp_path, sparc, [[8, 1], [9, 2], [10, 3]])).correlation()
+    assert (found.rho, found.low, found.high) == (pytest.approx(1.0), pytest.approx(1.0), pytest.approx(1.0))
+
+
+def test_two_points_have_no_correlation(tmp_path):
+    found = study_sparc(grid(tmp_path, [[-1.0, -2.0], [-3.0, -2.0]], [[1, 2], [3, 4]])).correlation()
+    assert (found.rho, found.points) == (None, 2)
+
+
+def test_models_with_few_tasks_are_no_points(tmp_path):
+    episodes = grid(tmp_path, [[-3.0] * 3, [-2.0] * 3, [-1.0] * 3], [[1] * 3, [2] * 3, [3] * 3])
+    fewer = [e for e in episodes if e.model != "m2" or e.task == "T0"]
+    assert [p.model for p in study_sparc(fewer).points] == ["m0", "m1"]
+
+
+def test_scaling_is_by_training_and_difficulty(runs):
+    folders = read_folders(runs)
+    (study,) = study_scaling(folders, gather(folders), task_difficulties())
+    assert study.levels == ("easy", "medium", "hard", EVERY)
+    assert study.trainings == [Training(data=d, steps=s) for d in (10, 100) for s in (1500, 15000)]
+    assert study.success[Training(data=10, steps=1500), "hard"].mean == pytest.approx(0.1)
+    assert study.success[Training(data=100, steps=15000), EVERY].mean == pytest.approx(0.7)
+    assert untagged(folders) == []
+
+
+@pytest.mark.parametrize(
+    ("data", "steps", "read"), [("25", "7.5k", Training(data=25, steps=7500)), ("25", "many", None), ("0", "1", None)]
+)
+def test_tags_are_read_as_numbers(tmp_path, data, steps, read):
+    run = write_run(tmp_path / "a", {"T": [True]}, suite=3, tags={"data": data, "steps": steps})
+    folders = read_folders([run])
+    assert training_of(folders[0]) == read
+    assert untagged(folders) == ([] if read else [run])
+
+
+def test_pairs_are_the_shared_episodes(tmp_path):
+    hits = {"one": [True, True, True, False, failed(), True], "two": [True, False, False, False, True]}
+    paths = [write_run(tmp_path / m, {"T": h, "U": h}, model=m) for m, h in hits.items()]
+    whole, *tasks = compare(episodes_of(*paths))
+    assert (whole.task, [c.task for c in tasks]) == (ALL, ["T", "U"])
+    assert (whole.shared, tasks[0].shared) == (10, 5)  # the sixth is the first model's alone
+    assert tasks[0].paired == Paired(both=1, first_only=2, second_only=0, neither=1)
+    assert tasks[0].counted == Paired(both=1, first_only=2, second_only=1, neither=1)
+    assert whole.progress.mean == pytest.approx(0.5)
+    assert [c.adjusted_p for c in (whole, *tasks)] == [None, 0.5, 0.5]
+    row = comparison_table([tasks[0]]).rows[0]
+    assert row[:4] == ("Suite 0", "one", "two", "T")
+    low, high = tasks[0].paired.interval()
+    assert (row[6].mean, row[6].low, row[6].high) == (0.5, low, high)
+
+
+def test_seeds_of_other_parts_are_no_pairs(runs):
+    whole = [c for c in compare(episodes_of(*runs[:4])) if c.task == ALL]
+    assert [(c.part.title, c.first, c.second) for c in whole] == [
+        ("Suite 0", "good", "fair"),
+        ("Suite 2 (unseen)", "good", "fair"),
+    ]

@@ -1,0 +1,229 @@
+"""The reports as files: whole, safe against their content, the same again; and what is refused."""
+
+import csv
+import io
+import re
+from html.parser import HTMLParser
+
+import pytest
+
+from kinebench_drake.aggregate import Estimate
+from kinebench_drake.cli import main
+from kinebench_drake.errors import UsageError
+from kinebench_drake.suite_report import page, read_comparison, write_comparison, write_suite_report
+from kinebench_drake.suite_report.folder import read_folders
+from kinebench_drake.suite_report.labels import gather
+from kinebench_drake.suite_report.latex import escape, latex_text
+from kinebench_drake.suite_report.page import build_page
+from kinebench_drake.suite_report.table import Column, Table, csv_text, lines
+from tests.suite_report.synthetic import EVIL, change, write_run
+
+VOID = {"meta", "input", "br", "path", "rect", "use", "line", "circle"}
+
+
+class Page(HTMLParser):
+    """Collects what a page would load, its ids, and whether its tags balance."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.links, self.open, self.ids, self.scripts = [], [], [], 0
+        self.feed(text)
+        self.close()
+
+    def handle_starttag(self, tag, attributes):
+        self.links += [v for k, v in attributes if k in ("src", "href", "xlink:href", "srcset", "action") and v]
+        self.ids += [v for k, v in attributes if k == "id"]
+        self.scripts += tag == "script"
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attributes):
+        self.links += [v for k, v in attributes if k in ("href", "xlink:href") and v]
+        self.ids += [v for k, v in attributes if k == "id"]
+
+    def handle_endtag(self, tag):
+        if tag not in VOID:
+            assert self.open.pop() == tag
+
+
+@pytest.fixture
+def table():
+    value = Estimate(mean=0.1234567890123, low=0.1, high=0.2, n=7, total=9)
+    return Table(
+        name="t_1",
+        title="A & B",
+        note="50 % _of_ it",
+        columns=(
+            Column(key="who", label="Who"),
+            Column(key="n", label="N"),
+            Column(key="rate", label="Rate", pattern="{:.1%}", estimated=True),
+        ),
+        rows=((EVIL, 3, value), ('a,"b"', None, None)),
+        bold=frozenset({(0, 2)}),
+    )
+
+
+def test_csv_holds_the_numbers_in_full(table):
+    first, second = csv.DictReader(io.StringIO(csv_text(table)))
+    assert first == {
+        **{"who": EVIL, "n": "3", "rate": "0.1234567890123", "rate_low": "0.1", "rate_high": "0.2", "rate_n": "7"}
+    }
+    assert second == {"who": 'a,"b"', **dict.fromkeys(("n", "rate", "rate_low", "rate_high", "rate_n"), "")}
+
+
+def test_latex_is_escaped_and_its_rows_fit(table):
+    text = latex_text(table)
+    body = text[text.index(r"\midrule") : text.index(r"\bottomrule")].splitlines()[1:]
+    rows = [line for line in body if line.strip()]
+    assert all(len(re.findall(r"(?<!\\)&", row)) == 2 and row.endswith(r"\\") for row in rows)
+    assert r"\textbf{12.3\%} {\scriptsize (10.0\% to 20.0\%)}" in rows[0]
+    assert r"\begin{tabular}{lrr}" in text
+    assert escape("a_b\\c{$}") == r"a\_b\textbackslash{}c\{\$\}"
+    depth = 0
+    for brace in re.findall(r"(?<!\\)[{}]", text):
+        depth += 1 if brace == "{" else -1
+        assert depth >= 0
+    assert depth == 0
+
+
+def test_printed_columns_are_aligned(table):
+    printed = list(lines(table))
+    assert printed[0].startswith("Who")
+    assert printed[1].endswith("12.3% [10.0% to 20.0%]")
+
+
+def test_a_row_must_fit_its_columns(table):
+    with pytest.raises(ValueError, match="1 cells under 3 columns"):
+        Table(name="t", title="", note="", columns=table.columns, rows=(("x",),))
+
+
+def test_the_report_of_suite_runs(runs, tmp_path):
+    out = tmp_path / "runs" / "report"
+    text = write_suite_report(runs, out).read_text()
+    found = Page(text)
+    assert found.open == []
+    assert found.scripts == 1
+    assert len(found.ids) == len(set(found.ids))
+    assert not re.search(r"https?://|@import", text)
+    assert str(tmp_path) not in text
+    assert EVIL not in text
+    assert "&lt;script&gt;" in text
+    outside = [link for link in found.links if not link.startswith("#")]
+    assert outside[0].startswith("../good0/")
+    assert "../good0/rollouts/CloseBox-v1_s0000.mp4" in outside
+    assert "../good0/report.html#CloseBox-v1_s0000" in outside
+    assert all((out / link.split("#")[0]).is_file() for link in outside)
+    assert {link[1:] for link in found.links if link.startswith("#")} <= {*found.ids}
+    names = {path.name for path in out.iterdir()}
+    figures = ("success_suite0", "success_suite2_unseen", "success_suite3", "verdicts", "sparc_success")
+    for figure in (*figures, "manipulability", "scaling_curves"):
+        assert {f"{figure}.png", f"{figure}.svg"} <= names
+    for name in ("suites", "summary", "kinematics", "sparc_correlation", "scaling"):
+        assert {f"{name}.csv", f"{name}.tex"} <= names
+    assert {"tasks.csv", "episodes.csv"} <= names
+    assert "Not shown" not in text
+    light, dark = (set(re.findall(r"(--\w+):", b)) for b in re.findall(r":root \{(.*?)\}", text, re.DOTALL)[:2])
+    assert light == dark
+    assert {v[4:-1] for v in re.findall(r"var\(--\w+\)", text)} <= light
+    with (out / "episodes.csv").open() as file:
+        assert len(list(csv.DictReader(file))) == 300
+
+
+def test_a_long_list_holds_all_models_failures_first(runs, tmp_path, monkeypatch):
+    monkeypatch.setattr(page, "LISTED", 100)
+    folders = read_folders(runs)
+    text = build_page("t", folders, gather(folders), tmp_path, parts=())
+    outcomes = re.findall(r'<td class="o-(\w+)"', text)
+    assert len(outcomes) == 100
+    assert outcomes == sorted(outcomes, key=lambda o: o == "success")
+    listed = text[text.index('id="list"') :]
+    assert all(f'data-key="{model}"' in listed for model in ("good", "fair", "poor", "small (data=10, steps=1500)"))
+    assert "100 of 300 are listed" in text
+
+
+def test_what_is_not_there_is_left_out_and_asked_for(tmp_path):
+    run = write_run(tmp_path / "a" / "b" / "one", {"T": [True, False]}, suite=3, tags={"data": "10"})
+    (run / "report.html").write_text("page")
+    file = write_suite_report([run], tmp_path / "report")
+    text, names = file.read_text(), {path.name for path in file.parent.iterdir()}
+    missing = text[text.index("Not shown") : text.index('id="episodes"')]
+    assert "Rank correlation" in missing
+    assert "--tag steps=N" in missing
+    assert "scaling.csv" not in names
+    before = {path.name: path.read_bytes() for path in file.parent.iterdir()}
+    write_suite_report([run], tmp_path / "report")
+    assert {path.name: path.read_bytes() for path in file.parent.iterdir()} == before
+
+
+def test_runs_elsewhere_are_not_linked(tmp_path):
+    run = write_run(tmp_path / "far" / "one", {"T": [True]})
+    (run / "report.html").write_text("page")
+    text = write_comparison_page(tmp_path, run)
+    assert "href" not in text.replace('href="#', "")
+
+
+def write_comparison_page(tmp_path, run):
+    other = write_run(tmp_path / "far" / "two", {"T": [False]}, model="two")
+    return write_comparison(read_comparison([run, other]), tmp_path / "near" / "out").read_text()
+
+
+def test_a_comparison_is_printed_and_written(runs, tmp_path, capsys):
+    out = tmp_path / "comparison"
+    with pytest.raises(SystemExit) as stop:
+        main(["compare", str(runs[0]), str(runs[2]), "--out", str(out)])
+    assert stop.value.code == 0
+    printed = capsys.readouterr().out
+    assert printed.startswith("good - fair, Suite 0\n")
+    assert "all tasks" in printed
+    assert {p.name for p in out.iterdir()} >= {"report.html", "comparison.csv", "comparison.tex", "differences.png"}
+    assert Page((out / "report.html").read_text()).open == []
+    with (out / "comparison.csv").open() as file:
+        whole, *tasks = csv.DictReader(file)
+    assert (whole["task"], whole["shared"], whole["measured"], len(tasks)) == ("all tasks", "30", "28", 3)
+    assert float(whole["difference"]) == pytest.approx(9 / 28)
+
+
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        ({"schema_version": 2}, "schema_version 1 and .* 2"),
+        ({"suite_version": "1.1"}, "suite_version None and .* 1.1"),
+        ({"kind": "score"}, "of kind 'score', expected 'suite'"),
+        ({"config": {}}, "names no suite"),
+        ({"config": {"suite": 1, "split": "test"}}, "share an episode"),
+    ],
+)
+def test_folders_that_cannot_be_compared(tmp_path, changes, told):
+    one = write_run(tmp_path / "one", {"T": [True]}, model="one")
+    two = write_run(tmp_path / "two", {"T": [True]}, model="two")
+    change(two, **changes)
+    with pytest.raises(UsageError, match=told) as error:
+        read_comparison([one, two])
+    assert "\n" not in str(error.value)
+
+
+def test_folders_that_cannot_be_reported(tmp_path):
+    run = write_run(tmp_path / "run", {"T": [True]})
+    unfinished = write_run(tmp_path / "unfinished", {"T": [True]})
+    (unfinished / "results.json").unlink()
+    same = write_run(tmp_path / "other" / "run", {"T": [True]})
+    for paths, out, told in (
+        ([run], run, "whose own report"),
+        ([run, run], tmp_path / "x", "named twice"),
+        ([run, same], tmp_path / "x", "--tag"),
+        ([unfinished], tmp_path / "x", "again to finish it"),
+        ([tmp_path / "none"], tmp_path / "x", "holds no samples.jsonl"),
+        ([write_run(tmp_path / "empty", {})], tmp_path / "x", "holds no episode"),
+        ([], tmp_path / "x", "no folder named"),
+    ):
+        with pytest.raises(UsageError, match=told):
+            write_suite_report(paths, out)
+    with pytest.raises(UsageError, match="nothing to compare"):
+        read_comparison([run])
+
+
+def test_a_refusal_is_one_line(tmp_path, capsys):
+    with pytest.raises(SystemExit) as stop:
+        main(["suite", "report", str(tmp_path), "--out", str(tmp_path / "x")])
+    assert stop.value.code == 2
+    assert capsys.readouterr().err.count("\n") == 1

@@ -1,0 +1,87 @@
+"""Verdicts: each planted cause is named, the earlier one first."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from kinebench_drake.geometry import make_pose, rotation_exp
+from kinebench_drake.products import Anomaly, AnomalyKind
+from kinebench_drake.suites.closedloop.attribution import ClipEvidence, Verdict, attribute
+
+FRAMES = 30
+
+
+def clip() -> ClipEvidence:
+    X = make_pose(np.broadcast_to(np.eye(3), (FRAMES, 3, 3)), np.linspace([0.4, 0.0, 0.3], [0.5, 0.1, 0.1], FRAMES))
+    gap = np.linspace(0.08, 0.02, FRAMES)
+    return ClipEvidence(
+        tracked=np.ones(FRAMES, dtype=bool),
+        anomalies=(),
+        X_BG_imagined=X,
+        X_BG_executed=X.copy(),
+        finger_width_imagined_m=gap,
+        finger_width_executed_m=gap.copy(),
+    )
+
+
+def lost(start: int, end: int) -> ClipEvidence:
+    fine = clip()
+    tracked, X = fine.tracked.copy(), fine.X_BG_imagined.copy()
+    tracked[start : end + 1], X[start : end + 1] = False, np.nan
+    return replace(fine, tracked=tracked, X_BG_imagined=X)
+
+
+def vanished(of: ClipEvidence, start: int, end: int) -> ClipEvidence:
+    anomaly = Anomaly(kind=AnomalyKind.VANISH, frame_start=start, frame_end=end, severity=float(end - start + 1))
+    return replace(of, anomalies=(anomaly,))
+
+
+def astray(metres: float, turn_rad: float, gap_m: float) -> ClipEvidence:
+    fine = clip()
+    X, gap = fine.X_BG_executed.copy(), fine.finger_width_executed_m + gap_m * (np.arange(FRAMES) >= 12)
+    X[12:15, 1, 3] += metres
+    X[12:15, :3, :3] = rotation_exp([0.0, 0.0, turn_rad])
+    return replace(fine, X_BG_executed=X, finger_width_executed_m=gap)
+
+
+def test_what_is_fine_leaves_the_task() -> None:
+    cause = attribute([clip(), clip()], "not released")
+    assert cause.verdict is Verdict.TASK
+    assert "not released" in cause.text
+
+
+def test_frames_that_were_not_read_come_first() -> None:
+    cause = attribute([clip(), lost(10, 14)], "")
+    assert (cause.verdict, cause.round, cause.frame_start, cause.frame_end) == (Verdict.GROUNDING, 1, 10, 14)
+    assert attribute([lost(10, 10)], "").verdict is Verdict.TASK
+
+
+def test_a_gripper_that_is_not_there_is_not_the_reader_s_fault() -> None:
+    cause = attribute([vanished(lost(10, 14), 10, 14)], "")
+    assert (cause.verdict, cause.frame_start, cause.frame_end) == (Verdict.GENERATION, 10, 14)
+    assert attribute([vanished(lost(10, 20), 10, 12)], "").verdict is Verdict.GROUNDING
+
+
+def test_motion_that_no_robot_can_do_is_the_video_s_fault() -> None:
+    cause = attribute([replace(astray(0.1, 0.0, 0.0), violations=(("velocity", 11, 12),))], "")
+    assert (cause.verdict, cause.frame_start) == (Verdict.GENERATION, 11)
+    after = replace(clip(), violations=(("velocity", FRAMES, FRAMES + 2),))
+    assert attribute([after], "").verdict is Verdict.TASK
+
+
+@pytest.mark.parametrize(
+    ("metres", "turn_rad", "gap_m", "verdict"),
+    [
+        (0.05, 0.0, 0.0, Verdict.EXECUTION),
+        (0.0, 0.5, 0.0, Verdict.EXECUTION),
+        (0.0, 0.0, 0.03, Verdict.EXECUTION),
+        (0.02, 0.1, 0.01, Verdict.TASK),
+    ],
+)
+def test_a_gripper_elsewhere_is_the_robot_s_fault(
+    metres: float, turn_rad: float, gap_m: float, verdict: Verdict
+) -> None:
+    cause = attribute([astray(metres, turn_rad, gap_m)], "")
+    assert cause.verdict is verdict
+    assert cause.frame_start == (None if verdict is Verdict.TASK else 12)

@@ -1,0 +1,107 @@
+import json
+import os
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from kinebench_drake.errors import UsageError
+from kinebench_drake.suites.worldmodels.command import Command
+from kinebench_drake.suites.worldmodels.spec import parse
+from kinebench_drake.suites.worldmodels.worldmodel import Request, WorldModelError
+
+
+def run(program: str, request: Request, out: Path, *, arguments: str = "", options: str = "?timeout=60") -> Path:
+    """Run a Python program (without quotes) as a world model."""
+    return Command(parse(f"command:{sys.executable} -S -c '{program}' {arguments}{options}")).generate(request, out)
+
+
+COPY = 'import json, shutil, sys; shutil.copy(sys.argv[1], json.load(sys.stdin)["out"])'
+
+
+def test_a_program_is_asked_and_answers(request_: Request, out: Path, film: bytes, gif: bytes, tmp_path: Path) -> None:
+    for data, suffix in ((film, ".mp4"), (gif, ".gif")):
+        (tmp_path / "it").write_bytes(data)
+        path = run(COPY, request_, out, arguments=f"{tmp_path}/it")
+        assert (path, path.read_bytes()) == (out.with_name(out.name + suffix), data)
+        path.unlink()
+    assert list(out.parent.iterdir()) == []
+
+
+def test_what_a_program_is_told(request_: Request, out: Path, film: bytes, tmp_path: Path) -> None:
+    (tmp_path / "it").write_bytes(film)
+    program = (
+        "import json, shutil, sys; told = json.load(sys.stdin); keep, it, out, frame = sys.argv[1:5]; "
+        'shutil.copy(it, out); shutil.copy(frame, keep + "/frame.png"); '
+        'json.dump([told, sys.argv[3:]], open(keep + "/told", "w"))'
+    )
+    given = "{out} {first_frame} --p={prompt} '{seed} {width}x{height}' '{\"a\": 1}'"
+    run(program, request_, out, arguments=f"{tmp_path} {tmp_path}/it {given}")
+    told, argv = json.loads((tmp_path / "told").read_text())
+    assert argv == [told["out"], told["first_frame"], f"--p={request_.prompt}", f"{2**31 + 7} 96x64", '{"a": 1}']
+    assert told["prompt"] == request_.prompt  # a single argument, whatever a shell would make of it
+    assert (told["episode"], told["round"], told["num_frames"], told["fps"]) == ("StackCube-v1_s0003", 0, 5, 17.0)
+    assert np.array_equal(np.asarray(Image.open(tmp_path / "frame.png")), request_.first_frame)
+
+
+@pytest.mark.parametrize(
+    ("program", "message"),
+    [
+        ('import sys; sys.exit("first\\nno such checkpoint")', "failed with status 1: no such checkpoint"),
+        ("import os; os.kill(os.getpid(), 9)", "failed with signal 9"),
+        ("print(1)", "wrote no video"),
+        ('import json, sys; open(json.load(sys.stdin)["out"], "w").write("<a>")', "a web page"),
+    ],
+)
+def test_programs_that_fail(request_: Request, out: Path, program: str, message: str) -> None:
+    with pytest.raises(WorldModelError, match=message):
+        run(program, request_, out)
+    assert list(out.parent.iterdir()) == []
+
+
+def test_a_program_and_its_children_end_with_the_time(request_: Request, out: Path, tmp_path: Path) -> None:
+    """A child deaf to the first signal holds the other end of a pipe: that we can read to its end shows it dead."""
+    os.mkfifo(tmp_path / "pipe")
+    end = os.open(tmp_path / "pipe", os.O_RDONLY | os.O_NONBLOCK)
+    child = 'trap "" TERM; echo here; sleep 60; sleep 60'
+    spec = f"command:sh -c '({child}) > {tmp_path}/pipe & echo dying >&2; wait'?timeout=0.4"
+    start = time.monotonic()
+    with pytest.raises(WorldModelError, match=r"no video within 0\.4 s.*: dying"):
+        Command(parse(spec)).generate(request_, out)
+    assert time.monotonic() - start < 30
+    os.set_blocking(end, True)
+    heard = b""
+    while data := os.read(end, 99):  # ends only when nobody can write any more
+        heard += data
+    os.close(end)
+    assert heard == b"here\n"
+    assert list(out.parent.iterdir()) == []
+
+
+def test_secrets_in_the_last_words(request_: Request, out: Path, keys: str) -> None:
+    with pytest.raises(WorldModelError, match=r"status 1: bad key \*\*\*$"):
+        run('import os, sys; sys.exit("bad key " + os.environ["MY_API_KEY"])', request_, out)
+
+
+@pytest.mark.parametrize(
+    ("spec", "message"),
+    [
+        ("command:", "expected command:PROGRAM"),
+        ("command:'a", "cannot be split"),
+        ("command:no-such-program-here x", "there is no program no-such-program-here"),
+        ("command:true {prompts}", r"there is no placeholder \{prompts\}; there are \{episode\}, \{task\}"),
+        ("command:true?timeout=-1", "timeout=-1: Input should be greater than 0"),
+    ],
+)
+def test_commands_that_cannot_be_used(spec: str, message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        Command(parse(spec))
+
+
+def test_question_marks_of_a_program_are_its_own() -> None:
+    assert parse("command:a http://b/?c=d?").rest == "a http://b/?c=d"
+    assert parse("command:a what? --b?timeout=3").options == {"timeout": "3"}
+    assert parse("command:ls a?.png").rest == "ls a?.png"

@@ -1,0 +1,140 @@
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from kinebench_drake.errors import UsageError
+from kinebench_drake.suites.worldmodels.factory import FORMS, Form, create
+from kinebench_drake.suites.worldmodels.spec import Spec, parse
+from kinebench_drake.suites.worldmodels.still import Still
+from kinebench_drake.suites.worldmodels.videofile import suffix_of
+from kinebench_drake.suites.worldmodels.worldmodel import Request
+from tests.films import decoded
+
+
+def test_still_shows_the_first_frame_and_nothing_else(request_: Request, out: Path) -> None:
+    path = create("still").generate(request_, out)
+    times, frames = decoded(path)
+    assert len(times) == request_.num_frames
+    assert times[1] == pytest.approx(1 / request_.fps, rel=1e-3)
+    assert np.abs(frames.astype(int) - request_.first_frame).mean() < 4
+    assert list(out.parent.iterdir()) == [path]
+
+
+@pytest.mark.parametrize(
+    ("text", "name"),
+    [
+        ("still?name=baseline", "baseline"),
+        ("http://localhost:8000/generate", "http"),
+        ("https://localhost/x?style=simple&name=a%26b%20c", "a&b c"),
+        ("http:http://localhost", "http"),
+        ("command:true {prompt}", "true"),
+        ("dashscope", "wan2.6-i2v"),
+        ("minimax:MiniMax-Hailuo-2.3", "MiniMax-Hailuo-2.3"),
+    ],
+)
+def test_specs(text: str, name: str, keys: str) -> None:
+    model = create(text)
+    assert model.name == name
+    model.close()
+
+
+def test_every_adapter_is_named_and_told_apart(tmp_path: Path, keys: str) -> None:
+    """Wrong forms list every right one; every kind says of a wrong option which ones there are."""
+    for text in ("", "floder", "oracle", "a b:c"):
+        with pytest.raises(UsageError) as caught:
+            create(text)
+        assert all(form.usage in str(caught.value) for form in FORMS.values())
+        assert "module:Class" in str(caught.value)
+    rests = {
+        "folder": str(tmp_path),
+        "http": "//localhost",
+        "https": "//localhost",
+        "command": "true",
+        "diffusers": "x",
+    }
+    for kind in FORMS:
+        with pytest.raises(UsageError, match="zzz is not an option; options are name"):
+            create(f"{kind}:{rests.get(kind, '')}?zzz=1")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("still?name=", "name=: String should match"),
+        ("still?name=a/b", "name=a/b: String should match"),
+        ("still?name=a&name=b", "name is given twice"),
+        ("still:x", "expected still by itself, found 'x'"),
+        ("command:true?timeout=nan", "timeout=nan"),
+        ("dashscope:?duration=many", "duration=many: Input should be a valid integer"),
+        ("minimax:?resolution=4K", "resolution=4K: Input should be '512P', '768P' or '1080P'"),
+        ("folder:/nonexistent", "expected folder:DIR"),
+    ],
+)
+def test_specs_that_cannot_be_used(text: str, message: str, keys: str) -> None:
+    with pytest.raises(UsageError, match=f"--world-model .*{message}"):
+        create(text)
+
+
+def test_options_are_decoded_once() -> None:
+    assert parse("a:b?c=d%3Fe%2525=f").options == {"c": "d?e%25=f"}
+    assert parse("a:b?c=").options == {"c": ""}
+    assert parse("a:b?c") == Spec(text="a:b?c", kind="a", rest="b?c", options={})
+
+
+class Model:
+    def __init__(self, level: str = "1") -> None:
+        self.name = f"mine{level}"
+
+    def generate(self, request: Request, out: Path) -> Path:
+        return out
+
+    def close(self) -> None:
+        pass
+
+
+class Nameless(Model):
+    def __init__(self) -> None:
+        pass
+
+
+@pytest.fixture
+def module(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = ModuleType("my_models")
+    made.Model, made.Nameless, made.Path = Model, Nameless, Path
+    monkeypatch.setitem(sys.modules, "my_models", made)
+
+
+@pytest.mark.usefixtures("module")
+def test_plugins() -> None:
+    assert create("my_models:Model").name == "mine1"
+    assert create("my_models:Model?level=9").name == "mine9"
+    for text, message in {
+        "my_models:Model?depth=9": "does not take these options",
+        "my_models:Nameless": "expected a class whose instances have a name",
+        "my_models:Path": r"expected a class with a method generate\(request, out\)",
+        "my_models:None_": "the module my_models has no None_",
+        "floder:x": "there is no module 'floder'",
+    }.items():
+        with pytest.raises(UsageError, match=rf"{message}.*; world models are named folder:DIR"):
+            create(text)
+
+
+def test_forms_that_others_add() -> None:
+    further = {"oracle": Form(usage="oracle", make=Still)}
+    assert create("oracle", further).name == "still"
+    with pytest.raises(UsageError, match="still, oracle, module:Class"):
+        create("", further)
+
+
+def test_videos_are_told_by_their_first_bytes(film: bytes, gif: bytes) -> None:
+    assert suffix_of(film) == ".mp4"
+    assert suffix_of(gif) == ".gif"
+    assert suffix_of(b"\0\0\0\x14ftypqt  ") == ".mov"
+    assert suffix_of(b"RIFF\0\0\0\0AVI LIST") == ".avi"
+    assert suffix_of(b"\x1a\x45\xdf\xa3\x01\0\0\0\0\0\0\x1f\x42\x82\x84webm") == ".webm"
+    assert suffix_of(b"\x1a\x45\xdf\xa3" + b"matroska") == ".mkv"
+    assert suffix_of(b"RIFF\0\0\0\0WAVE") is None
+    assert suffix_of(b"") is None

@@ -1,0 +1,102 @@
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from kinebench_drake.errors import UsageError
+from kinebench_drake.suites.worldmodels.folder import Folder
+from kinebench_drake.suites.worldmodels.spec import parse
+from kinebench_drake.suites.worldmodels.worldmodel import Request, WorldModelError
+
+
+@pytest.fixture
+def videos(tmp_path: Path) -> Path:
+    folder = tmp_path / "videos"
+    folder.mkdir()
+    return folder
+
+
+def answer(videos: Path, request: Request) -> Path:
+    return Folder(parse(f"folder:{videos}")).generate(request, videos.parent / "out")
+
+
+def manifest(videos: Path, *rows: dict) -> None:
+    (videos / "manifest.jsonl").write_text("\n".join(json.dumps(row) for row in rows) + "\n\n")
+
+
+@pytest.mark.parametrize(
+    "name", ["StackCube-v1_s0003.mp4", "StackCube-v1_s0003.webm", "StackCube-v1_seed3.mp4", "StackCube-v1-3.mov"]
+)
+def test_videos_are_found_by_their_names(videos: Path, request_: Request, film: bytes, name: str) -> None:
+    (videos / name).write_bytes(film)
+    (videos / "StackCube-v1_s0030.mp4").write_bytes(film)
+    (videos / "StackCube-v1_s0003.png").write_bytes(b"the first frame of the export")
+    assert answer(videos, request_) == videos / name
+    assert sorted(path.name for path in videos.parent.iterdir()) == ["videos"]  # nothing is copied
+
+
+def test_frames_are_found_by_their_folder(videos: Path, request_: Request) -> None:
+    folder = videos / request_.episode
+    folder.mkdir()
+    with pytest.raises(WorldModelError, match=r"no video of StackCube-v1_s0003; expected StackCube-v1_s0003\.mp4"):
+        answer(videos, request_)
+    (folder / "0.png").write_bytes(b"")
+    assert answer(videos, request_) == folder
+
+
+def test_the_manifest_comes_first(videos: Path, request_: Request, film: bytes) -> None:
+    for name in ("StackCube-v1_s0003.mp4", "a.mp4", "b.mp4"):
+        (videos / name).write_bytes(film)
+    by_seed = {"video": "b.mp4", "task": "StackCube-v1", "seed": 3}
+    other = {"video": "b.mp4", "task": "StackCube-v1", "seed": 3, "id": "StackCube-v1_s0003_obstacles"}
+    manifest(videos, {"video": "a.mp4", "id": request_.episode}, by_seed, other)
+    assert answer(videos, request_) == videos / "a.mp4"
+    manifest(videos, by_seed, other)
+    assert answer(videos, request_) == videos / "b.mp4"
+    manifest(videos, other, {"video": "never-made.mp4", "id": request_.episode})
+    assert answer(videos, request_) == videos / "StackCube-v1_s0003.mp4"
+
+
+def test_two_videos_are_one_too_many(videos: Path, request_: Request, film: bytes) -> None:
+    for suffix in ("mp4", "gif"):
+        (videos / f"{request_.episode}.{suffix}").write_bytes(film)
+    with pytest.raises(WorldModelError, match=r"several videos .*\.gif, .*\.mp4\)"):
+        answer(videos, request_)
+
+
+def test_nothing_outside_the_folder_is_an_answer(videos: Path, request_: Request, film: bytes) -> None:
+    outside = videos.parent / "outside.mp4"
+    outside.write_bytes(film)
+    for video in ("../outside.mp4", str(outside), "."):
+        manifest(videos, {"video": video, "id": request_.episode})
+        with pytest.raises(WorldModelError, match="outside the folder"):
+            answer(videos, request_)
+    (videos / "manifest.jsonl").unlink()
+    (videos / f"{request_.episode}.mp4").symlink_to(outside)
+    with pytest.raises(WorldModelError, match="outside the folder"):
+        answer(videos, request_)
+
+
+def test_only_the_first_round_is_known(videos: Path, request_: Request, film: bytes) -> None:
+    (videos / f"{request_.episode}.mp4").write_bytes(film)
+    with pytest.raises(WorldModelError, match="first round only, this is round 2"):
+        answer(videos, replace(request_, round=1))
+
+
+def test_a_damaged_video_is_told(videos: Path, request_: Request) -> None:
+    (videos / f"{request_.episode}.mp4").write_bytes(b"<html>")
+    with pytest.raises(WorldModelError, match="not a video"):
+        answer(videos, request_)
+
+
+def test_folders_that_cannot_be_used(videos: Path) -> None:
+    for spec in ("folder:", f"folder:{videos}/none"):
+        with pytest.raises(UsageError, match="expected folder:DIR"):
+            Folder(parse(spec))
+    (videos / "manifest.jsonl").write_text('{"video": "a"}\n[]\n')
+    with pytest.raises(UsageError, match=r"line 2 of manifest\.jsonl"):
+        Folder(parse(f"folder:{videos}"))
+    (videos / "manifest.jsonl").write_bytes(b"\xff")
+    with pytest.raises(UsageError, match="cannot be read"):
+        Folder(parse(f"folder:{videos}"))

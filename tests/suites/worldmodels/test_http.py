@@ -1,0 +1,202 @@
+"""Both contracts of a world model behind HTTP."""
+
+import base64
+import io
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from kinebench_drake.errors import SetupError, UsageError
+from kinebench_drake.suites.worldmodels.http import Http
+from kinebench_drake.suites.worldmodels.picture import base64_png
+from kinebench_drake.suites.worldmodels.service import Limits
+from kinebench_drake.suites.worldmodels.spec import parse
+from kinebench_drake.suites.worldmodels.worldmodel import Request, WorldModelError
+from tests.films import decoded
+from tests.suites.worldmodels.servant import Asked, Reply, Servant
+
+
+@pytest.fixture
+def ask(servant: Servant, hurried: Limits, keys: str, request_: Request, out: Path) -> Callable[..., Path]:
+    """Answers of `/make`, a server that keeps the simple contract."""
+
+    def answered(answer: Any, *, status: int = 200, options: str = "") -> Path:
+        servant.routes["/make"] = [Reply(answer, status=status)]
+        model = Http(parse(f"{servant.url}/make?timeout=20{options}"), hurried)
+        return model.generate(request_, out)
+
+    return answered
+
+
+def base64_of(data: bytes) -> str:
+    return base64.b64encode(data).decode()
+
+
+def test_simple(ask: Callable[..., Path], servant: Servant, film: bytes, request_: Request) -> None:
+    path = ask({"video_base64": base64_of(film)})
+    assert path.read_bytes() == film
+    (asked,) = servant.at("/make")
+    assert asked.method == "POST"
+    assert "Authorization" not in asked.headers
+    picture = asked.body.pop("first_frame").removeprefix("data:image/png;base64,")
+    assert np.array_equal(np.asarray(Image.open(io.BytesIO(base64.b64decode(picture)))), request_.first_frame)
+    assert asked.body == {
+        "prompt": request_.prompt,
+        "negative_prompt": "blur",
+        "seed": 2**31 + 7,
+        "num_frames": 5,
+        "size": [96, 64],
+        "fps": 17.0,
+    }
+
+
+def test_all_three_answers_are_the_same_video(
+    ask: Callable[..., Path], servant: Servant, film: bytes, tmp_path: Path
+) -> None:
+    (tmp_path / "made.bin").write_bytes(film)
+    servant.routes["/v"] = [Reply(film)]
+    for answer in (
+        {"video_path": str(tmp_path / "made.bin")},
+        {"video_url": f"{servant.url}/v", "video_path": None},
+        {"video_base64": f"data:video/mp4;base64,{base64_of(film)}"},
+    ):
+        assert ask(answer).read_bytes() == film
+    assert (tmp_path / "made.bin").is_file()
+
+
+@pytest.mark.parametrize(
+    ("answer", "message"),
+    [
+        ({}, "has no video; expected one of video_path, video_url, video_base64"),
+        ({"video_url": "http://a", "video_base64": "x"}, "has no video"),
+        ({"video_base64": 7}, "has no video"),
+        ({"error": "no\nidea"}, "gave no video: no idea"),
+        ({"video_base64": "%%%"}, "not base64"),
+        ({"video_base64": "AAAA"}, "not a video"),
+        ({"video_base64": ""}, "it is empty"),
+        ({"video_path": "made.mp4"}, "not the absolute path of a file"),
+        ({"video_path": "/nonexistent"}, "not the absolute path of a file"),
+        ({"video_path": "/etc/hostname"}, "not a video"),
+        ({"video_url": "file:///etc/hostname"}, "not http or https"),
+        ([], "something else than a JSON object"),
+        ({"video_base64": "A" * 40_000}, "more than"),
+    ],
+)
+def test_answers_without_a_video(ask: Callable[..., Path], answer: Any, message: str, out: Path) -> None:
+    with pytest.raises(WorldModelError, match=message):
+        ask(answer)
+    assert list(out.parent.iterdir()) == []
+
+
+def test_a_path_is_believed_only_from_this_machine(hurried: Limits, tmp_path: Path, film: bytes) -> None:
+    (tmp_path / "v.mp4").write_bytes(film)
+    model = Http(parse("https://example.org/make"), hurried)
+    with pytest.raises(WorldModelError, match="only from a server on this machine"):
+        model._fetch({"video_path": str(tmp_path / "v.mp4")}, tmp_path / "part", None)  # no server there to ask
+
+
+def test_a_key_on_request(ask: Callable[..., Path], servant: Servant, film: bytes, keys: str) -> None:
+    ask({"video_base64": base64_of(film)}, options="&key_env=MY_API_KEY")
+    assert {asked.headers["Authorization"] for asked in servant.asked} == {f"Bearer {keys}"}
+    with pytest.raises(SetupError, match="only over https"):
+        Http(parse("http://example.org?key_env=MY_API_KEY"))
+    with pytest.raises(SetupError, match="NO_SUCH is not set"):
+        Http(parse("http://localhost?key_env=NO_SUCH"))
+
+
+@pytest.mark.parametrize(
+    "spec", ["http:", "http://", "http:file:///x", "http://u:pass@h/", "http://h/?a", "http://h/#a"]
+)
+def test_addresses_that_cannot_be_used(spec: str) -> None:
+    with pytest.raises(UsageError, match="expected http://HOST:PORT/PATH") as caught:
+        Http(parse(spec))
+    assert "pass@" not in str(caught.value)
+
+
+@pytest.fixture
+def predictor(servant: Servant) -> dict[str, Any]:
+    """What a server of the other contract can do; its frames count 0, 10, 20, ..."""
+    can: dict[str, Any] = {"model": "tiny"}
+
+    def predict(asked: Asked) -> Reply:
+        width, height = asked.body["size"]
+        pictures = (np.full((height, width, 3), 10 * i, np.uint8) for i in range(asked.body["num_frames"]))
+        return Reply({"frames": [base64_png(picture) for picture in pictures]})
+
+    servant.routes |= {
+        "/v1/health": [Reply({"status": "ok"})],
+        "/v1/capabilities": lambda asked: Reply(can),
+        "/v1/predict": predict,
+    }
+    return can
+
+
+@pytest.mark.parametrize("path", ["", "/", "/v1/predict", "?style=predict"])
+def test_predict(
+    predictor: dict[str, Any], servant: Servant, hurried: Limits, request_: Request, out: Path, path: str
+) -> None:
+    model = Http(parse(f"http:{servant.url}{path}"), hurried)
+    model.generate(request_, out)
+    video = model.generate(request_, out)
+    frames = decoded(video)[1]
+    assert frames.shape == (5, 64, 96, 3)
+    assert np.abs(frames.mean((1, 2, 3)) - 10 * np.arange(5)).max() < 3
+    assert len(servant.at("/v1/health")) == 1
+    assert len(servant.at("/v1/predict")) == 2
+    assert list(out.parent.iterdir()) == [video]
+
+
+def test_predict_keeps_within_what_the_server_can(
+    predictor: dict[str, Any], servant: Servant, hurried: Limits, request_: Request, out: Path
+) -> None:
+    predictor.update(max_num_frames=3, size=[32, 48])
+    frames = decoded(Http(parse(servant.url), hurried).generate(request_, out))[1]
+    assert frames.shape == (3, 48, 32, 3)
+    (asked,) = servant.at("/v1/predict")
+    (picture,) = asked.body["frames"]
+    assert Image.open(io.BytesIO(base64.b64decode(picture))).size == (32, 48)
+
+
+@pytest.mark.parametrize(
+    ("frames", "message"),
+    [
+        (None, "has no frames"),
+        ([], "has no frames"),
+        ([1], "has no frames"),
+        (["%%"], "frame 0 is not a PNG file in base64"),
+        ([base64_of(b"GIF89a")], "frame 0 is not a PNG"),
+        ([base64_png(np.zeros((2, 2, 3), np.uint8))[:40]], "frame 0 is not a PNG"),
+        ([base64_png(np.zeros((2, n, 3), np.uint8)) for n in (2, 3)], "different sizes"),
+    ],
+)
+def test_predictions_that_cannot_be_used(
+    predictor: dict[str, Any],
+    servant: Servant,
+    hurried: Limits,
+    request_: Request,
+    out: Path,
+    frames: Any,
+    message: str,
+) -> None:
+    servant.routes["/v1/predict"] = [Reply({"frames": frames})]
+    with pytest.raises(WorldModelError, match=message):
+        Http(parse(servant.url), hurried).generate(request_, out)
+    assert list(out.parent.iterdir()) == []
+
+
+def test_a_server_that_is_not_ready_or_talks_nonsense(
+    predictor: dict[str, Any], servant: Servant, hurried: Limits, request_: Request, out: Path
+) -> None:
+    predictor["max_num_frames"] = "many"
+    with pytest.raises(SetupError, match="capabilities: max_num_frames"):
+        Http(parse(servant.url), hurried).generate(request_, out)
+    servant.routes["/v1/health"] = [Reply({"status": "loading"})]
+    with pytest.raises(SetupError, match="its health is 'loading'"):
+        Http(parse(servant.url), hurried).generate(request_, out)
+    servant.routes["/v1/capabilities"] = [Reply(status=500)]
+    with pytest.raises(WorldModelError, match="HTTP 500"):  # it is not taken for a server of the simple contract
+        Http(parse(servant.url), hurried).generate(request_, out)

@@ -1,0 +1,242 @@
+"""DashScope and MiniMax against a server that speaks their protocols, their errors included."""
+
+import base64
+import io
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from kinebench_drake.errors import SetupError, UsageError
+from kinebench_drake.suites.worldmodels.dashscope import DashScope
+from kinebench_drake.suites.worldmodels.minimax import MiniMax
+from kinebench_drake.suites.worldmodels.service import Limits
+from kinebench_drake.suites.worldmodels.spec import parse
+from kinebench_drake.suites.worldmodels.worldmodel import Request, WorldModelError
+from tests.suites.worldmodels.servant import Reply, Servant
+
+SUBMIT = "/api/v1/services/aigc/video-generation/video-synthesis"
+TASK = "/api/v1/tasks/t%2F1"
+"""Where the state of task "t/1" is found."""
+
+
+@pytest.fixture
+def dashscope(servant: Servant, hurried: Limits, keys: str, film: bytes) -> DashScope:
+    def state(status: str, **more: str) -> Reply:
+        return Reply({"output": {"task_id": "t/1", "task_status": status, **more}})
+
+    servant.routes[SUBMIT] = [state("PENDING")]
+    servant.routes[TASK] = [
+        state("PENDING"),
+        state("RUNNING"),
+        state("SUCCEEDED", video_url=f"{servant.url}/v.mp4?sig=1"),
+    ]
+    servant.routes["/v.mp4"] = [Reply(film)]
+    return DashScope(parse(f"dashscope:?base={servant.url}&timeout=20&duration=4"), hurried)
+
+
+@pytest.fixture
+def minimax(servant: Servant, hurried: Limits, keys: str, film: bytes) -> MiniMax:
+    fine = {"base_resp": {"status_code": 0, "status_msg": "success"}}
+    servant.routes["/v1/video_generation"] = [Reply({"task_id": "t1", **fine})]
+    servant.routes["/v1/query/video_generation"] = [
+        *(Reply({"status": status, "file_id": "", **fine}) for status in ("Preparing", "Queueing", "Processing")),
+        Reply({"status": "Success", "file_id": "77", **fine}),
+    ]
+    servant.routes["/v1/files/retrieve"] = [Reply({"file": {"download_url": f"{servant.url}/v.mp4"}, **fine})]
+    servant.routes["/v.mp4"] = [Reply(film)]
+    return MiniMax(parse(f"minimax:?base={servant.url}&timeout=20"), hurried)
+
+
+def refusal(code: int, message: str = "no") -> Reply:
+    return Reply({"base_resp": {"status_code": code, "status_msg": message}})
+
+
+def shown(uri: str) -> np.ndarray:
+    """The picture of a data URI."""
+    head, _, data = uri.partition(",")
+    assert head == "data:image/png;base64"
+    return np.asarray(Image.open(io.BytesIO(base64.b64decode(data))))
+
+
+def test_dashscope(
+    dashscope: DashScope, servant: Servant, request_: Request, out: Path, film: bytes, keys: str
+) -> None:
+    path = dashscope.generate(request_, out)
+    assert (path, path.read_bytes()) == (out.with_name(f"{out.name}.mp4"), film)
+    assert list(out.parent.iterdir()) == [path]
+    (submit,) = servant.at(SUBMIT)
+    assert submit.headers["X-DashScope-Async"] == "enable"
+    assert submit.headers["Authorization"] == f"Bearer {keys}"
+    assert submit.body["model"] == dashscope.name == "wan2.6-i2v"
+    assert submit.body["input"]["prompt"] == request_.prompt
+    assert submit.body["input"]["negative_prompt"] == "blur"
+    assert np.array_equal(shown(submit.body["input"]["img_url"]), request_.first_frame)
+    parameters = submit.body["parameters"]
+    assert (parameters["seed"], parameters["duration"], parameters["prompt_extend"]) == (7, 4, False)
+    assert len(servant.at(TASK)) == 3
+
+
+@pytest.mark.parametrize(
+    ("output", "message"),
+    [
+        ({"task_status": "FAILED", "code": "InternalError", "message": "GPU\nlost"}, "FAILED: InternalError GPU lost"),
+        ({"task_status": "FAILED", "code": "DataInspectionFailed", "message": "bad"}, r"moderation refused .*\(bad\)"),
+        ({"task_status": "CANCELED"}, "CANCELED"),
+        ({"task_status": "UNKNOWN"}, "UNKNOWN"),
+        ({"task_status": "SUCCEEDED"}, "no reason given"),
+        ({}, "None"),
+    ],
+)
+def test_dashscope_tasks_that_fail(
+    dashscope: DashScope, servant: Servant, request_: Request, out: Path, output: dict[str, str], message: str
+) -> None:
+    servant.routes[TASK] = [Reply({"output": output})]
+    with pytest.raises(WorldModelError, match=message):
+        dashscope.generate(request_, out)
+    assert list(out.parent.iterdir()) == []
+
+
+def test_dashscope_refuses(dashscope: DashScope, servant: Servant, request_: Request, out: Path) -> None:
+    servant.routes[SUBMIT] = [
+        Reply({"code": "DataInspectionFailed", "message": "bad words"}, status=400),
+        Reply({"code": "InvalidApiKey", "message": "no"}, status=401),
+        Reply({"output": {}}),
+    ]
+    with pytest.raises(WorldModelError, match=r"moderation refused the request or the video .*bad words"):
+        dashscope.generate(request_, out)
+    with pytest.raises(SetupError, match="InvalidApiKey"):
+        dashscope.generate(request_, out)
+    with pytest.raises(WorldModelError, match="gave no task_id"):
+        dashscope.generate(request_, out)
+
+
+def test_dashscope_is_patient_with_limits(dashscope: DashScope, servant: Servant, request_: Request, out: Path) -> None:
+    servant.routes[SUBMIT].insert(0, Reply(status=429, headers={"Retry-After": "0"}))
+    servant.routes[TASK].insert(1, Reply(status=503))
+    assert dashscope.generate(request_, out).is_file()
+
+
+def test_a_task_without_end_ends(servant: Servant, hurried: Limits, keys: str, request_: Request, out: Path) -> None:
+    servant.routes[SUBMIT] = [Reply({"output": {"task_id": "t"}})]
+    servant.routes["/api/v1/tasks/t"] = [Reply({"output": {"task_status": "RUNNING"}})]
+    with pytest.raises(WorldModelError, match=r"no video within 0\.2 s"):
+        DashScope(parse(f"dashscope:?base={servant.url}&timeout=0.2"), hurried).generate(request_, out)
+    assert len(servant.at(SUBMIT)) <= 1
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (b"", "it is empty"),
+        (b"<html>gone</html>", "a web page"),
+        (b'{"a": 1}', "JSON"),
+        (b"\0\0\0\x18ftypisom" + b"\0" * 99, "damaged"),
+        (b"#EXTM3U\nhttp://127.0.0.1/x", "not a video"),
+        (b"v" * 30_000, "more than"),
+    ],
+)
+def test_only_videos_count(
+    dashscope: DashScope, servant: Servant, request_: Request, out: Path, data: bytes, message: str
+) -> None:
+    servant.routes["/v.mp4"] = [Reply(data)]
+    with pytest.raises(WorldModelError, match=message):
+        dashscope.generate(request_, out)
+    assert list(out.parent.iterdir()) == []
+
+
+def test_a_video_is_called_what_it_is(
+    dashscope: DashScope, servant: Servant, request_: Request, out: Path, gif: bytes
+) -> None:
+    servant.routes["/v.mp4"] = [Reply(gif)]
+    assert dashscope.generate(request_, out).suffix == ".gif"
+
+
+def test_minimax(minimax: MiniMax, servant: Servant, request_: Request, out: Path, film: bytes, keys: str) -> None:
+    assert minimax.generate(request_, out).read_bytes() == film
+    (submit,) = servant.at("/v1/video_generation")
+    assert submit.headers["Authorization"] == f"Bearer {keys}"
+    picture = submit.body.pop("first_frame_image")
+    assert np.array_equal(shown(picture), request_.first_frame)
+    assert submit.body == {
+        "model": "MiniMax-Hailuo-02",
+        "prompt": request_.prompt,
+        "duration": 6,
+        "resolution": "768P",
+        "prompt_optimizer": False,
+    }
+    assert {asked.path for asked in servant.at("/v1/query/video_generation")} == {
+        "/v1/query/video_generation?task_id=t1"
+    }
+    assert [asked.path for asked in servant.at("/v1/files/retrieve")] == ["/v1/files/retrieve?file_id=77"]
+
+
+@pytest.mark.parametrize("code", [1004, 1008, 2049])
+def test_minimax_accounts(
+    minimax: MiniMax, servant: Servant, request_: Request, out: Path, code: int, keys: str
+) -> None:
+    servant.routes["/v1/video_generation"] = [refusal(code, f"bad {keys}")]
+    with pytest.raises(SetupError, match=rf"{code}: bad \*\*\*; look at MINIMAX_API_KEY"):
+        minimax.generate(request_, out)
+
+
+def test_minimax_refuses(minimax: MiniMax, servant: Servant, request_: Request, out: Path) -> None:
+    servant.routes["/v1/video_generation"] = [refusal(1026), refusal(2013, "invalid params")]
+    with pytest.raises(WorldModelError, match="moderation"):
+        minimax.generate(request_, out)
+    with pytest.raises(WorldModelError, match="2013: invalid params"):
+        minimax.generate(request_, out)
+    assert len(servant.asked) == 2
+
+
+def test_minimax_moderates_what_it_made(minimax: MiniMax, servant: Servant, request_: Request, out: Path) -> None:
+    servant.routes["/v1/query/video_generation"] = [
+        Reply({"status": "Fail", "base_resp": {"status_code": 1027, "status_msg": "x"}}),
+        Reply({"status": "Fail", "base_resp": {"status_code": 0, "status_msg": "lost"}}),
+    ]
+    with pytest.raises(WorldModelError, match="moderation"):
+        minimax.generate(request_, out)
+    with pytest.raises(WorldModelError, match="ended as Fail: lost"):
+        minimax.generate(request_, out)
+
+
+def test_minimax_limits_in_disguise(minimax: MiniMax, servant: Servant, request_: Request, out: Path) -> None:
+    """A rate limit comes with HTTP status 200. Other troubles are not tried again where it might cost."""
+    submit = servant.routes["/v1/video_generation"]
+    servant.routes["/v1/video_generation"] = [refusal(1002), *submit]
+    servant.routes["/v1/query/video_generation"].insert(0, refusal(1001))
+    assert minimax.generate(request_, out).is_file()
+    servant.routes["/v1/video_generation"] = [refusal(1000)]
+    count = len(servant.asked)
+    with pytest.raises(WorldModelError, match="1000"):
+        minimax.generate(request_, out)
+    assert len(servant.asked) == count + 1
+
+
+def test_minimax_without_an_address(minimax: MiniMax, servant: Servant, request_: Request, out: Path) -> None:
+    servant.routes["/v1/files/retrieve"] = [Reply({"file": {}})]
+    with pytest.raises(WorldModelError, match="no download_url"):
+        minimax.generate(request_, out)
+
+
+@pytest.mark.parametrize(("kind", "make"), [("dashscope", DashScope), ("minimax", MiniMax)])
+def test_services_need_a_key_and_a_good_address(
+    kind: str, make: type[DashScope] | type[MiniMax], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    variable = f"{kind.upper()}_API_KEY"
+    for bad in (None, "", "  ", "a\nb", "clé"):
+        monkeypatch.delenv(variable, raising=False)
+        if bad is not None:
+            monkeypatch.setenv(variable, bad)
+        with pytest.raises(SetupError, match=f"{variable} (is not set|holds signs)"):
+            make(parse(f"{kind}:"))
+    monkeypatch.setenv(variable, "key")
+    assert make(parse(f"{kind}:some-model")).name == "some-model"
+    with pytest.raises(SetupError, match="only over https"):
+        make(parse(f"{kind}:?base=http://example.org"))
+    with pytest.raises(UsageError, match=re.escape("base= expected")):
+        make(parse(f"{kind}:?base=file:///x"))
+    with pytest.raises(UsageError, match="sise is not an option; options are name, timeout, resolution, duration"):
+        make(parse(f"{kind}:?sise=1"))
