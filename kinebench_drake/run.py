@@ -62,6 +62,11 @@ class RunConfig:
             raise UsageError(f"--replays is {self.replays}, expected 0 or more")
         self.stage_options()
 
+    @property
+    def suite_version(self) -> str | None:
+        """Version of the suites whose episodes are run; None where none are."""
+        return None
+
     def stage_options(self) -> StageOptions:
         """What the stages are told.
 
@@ -175,7 +180,7 @@ def summarize(rows: Sequence[SampleRow], config: RunConfig, found: int) -> dict[
 
     return {
         "schema_version": SCHEMA_VERSION,
-        "suite_version": None,
+        "suite_version": config.suite_version,
         "kind": config.kind.value,
         "samples_found": found,
         "aggregates": aggregate(rows, config.seed).to_json(),

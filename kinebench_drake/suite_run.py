@@ -8,7 +8,7 @@ from kinebench_drake.episode_measure import EpisodeMeasure, EpisodeSample
 from kinebench_drake.measure import Kind
 from kinebench_drake.row import Json
 from kinebench_drake.run import Observer, RunConfig, RunSummary, Silence, run_samples
-from kinebench_drake.suites.suite import Suite
+from kinebench_drake.suites.suite import VERSION, Suite
 from kinebench_drake.suites.tasks.card import Variant
 from kinebench_drake.suites.worldmodels.factory import create
 from kinebench_drake.suites.worldmodels.simulated import SIMULATED
@@ -33,6 +33,11 @@ class SuiteConfig(RunConfig):
     loop: LoopOptions = field(default_factory=LoopOptions)
     rollouts: bool = True
     """Write rollouts/ID.mp4."""
+
+    @property
+    def suite_version(self) -> str:
+        """See `RunConfig`."""
+        return VERSION
 
     @property
     def name(self) -> str:

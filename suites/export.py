@@ -19,7 +19,7 @@ from kinebench_drake.suites.files import make_folder, write_json, write_lines
 from kinebench_drake.suites.first import first_facts
 from kinebench_drake.suites.stage import Stage
 from kinebench_drake.suites.stagehand import Stagehand
-from kinebench_drake.suites.suite import Draw, Suite
+from kinebench_drake.suites.suite import VERSION, Draw, Suite
 from kinebench_drake.suites.tasks.card import TaskCard, Variant
 from kinebench_drake.suites.tasks.registry import TASKS
 from kinebench_drake.suites.watcher import Watcher
@@ -172,6 +172,7 @@ def _summary(export: Export, count: int) -> dict[str, Any]:
     suite, split = export.suite, export.suite.splits[export.split]
     return {
         "suite": suite.number,
+        "suite_version": VERSION,
         "title": suite.title,
         "about": suite.about,
         "split": export.split,

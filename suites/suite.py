@@ -19,6 +19,8 @@ from kinebench_drake.suites.tasks.registry import TASKS
 _STRICT = ConfigDict(extra="forbid")
 NUMBERS = (0, 1, 2, 3)
 """Numbers of the suites."""
+VERSION = "1"
+"""Of all suites together: another one whenever an episode of the same id is no longer the same."""
 
 
 class Relation(Enum):

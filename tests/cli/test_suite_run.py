@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from kinebench_drake import cli
+from kinebench_drake.suites.suite import VERSION
 
 pytestmark = [pytest.mark.sapien, pytest.mark.slow]
 
@@ -44,6 +45,7 @@ def test_the_oracle_succeeds_by_pixels_alone(oracle: Path) -> None:
     assert row["metrics"]["gap_gripper_m"] < 0.01
     assert (oracle / row["video"]).is_file()
     assert (oracle / "rollouts" / f"{row['id']}.mp4").is_file()
+    assert json.loads((oracle / "results.json").read_text())["suite_version"] == VERSION
     with np.load(oracle / "tracks" / f"{row['id']}.npz") as track:
         assert track["base_from_tcp"].shape == (row["frames"], 4, 4)
 
