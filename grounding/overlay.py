@@ -60,7 +60,8 @@ def draw_pose(frame: Image, camera: Camera, X_CH: Array, finger_width_m: float, 
     return image
 
 
-def _caption(image: Image, text: str, colour: tuple[int, int, int]) -> None:
+def caption(image: Image, text: str, colour: tuple[int, int, int] = (255, 255, 255)) -> None:
+    """Write `text` into the upper left corner of an image (H, W, 3)."""
     size = max(0.4, image.shape[0] / 900)
     (width, height), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, size, 1)
     image[: height + 10, : width + 10] //= 3
@@ -73,8 +74,8 @@ def draw_overlay(frames: NDArray[np.uint8], camera: Camera, track: GripperTrack)
     for i, frame in enumerate(frames):
         if track.tracked[i]:
             image = draw_pose(frame, camera, track.X_CH[i], float(track.finger_width_m[i]), cad)
-            _caption(image, f"{i}  t {track.t_s[i]:.1f} s  confidence {track.confidence[i]:.2f}", (255, 255, 255))
+            caption(image, f"{i}  t {track.t_s[i]:.1f} s  confidence {track.confidence[i]:.2f}")
         else:
             image = frame.copy()
-            _caption(image, f"{i}  t {track.t_s[i]:.1f} s  not tracked", (255, 110, 110))
+            caption(image, f"{i}  t {track.t_s[i]:.1f} s  not tracked", (255, 110, 110))
         yield image

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from kinebench_drake.closed_loop import ClosedLoop, EpisodeRun, LoopOptions
 from kinebench_drake.episode_cause import clip_starts, find_cause
+from kinebench_drake.grounding.overlay import caption
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.measure import KINEMATIC_METRICS, MIN_TRACKED, Measure, Measured
 from kinebench_drake.mp4 import write_video
@@ -166,17 +167,23 @@ class EpisodeMeasure(Measure[EpisodeSample, Theatre]):
 
 
 def _side_by_side(run: EpisodeRun, films: Sequence[Clip | None], stages: Stages) -> Iterator[NDArray[np.uint8]]:
-    for done, executed in zip(run.rounds, films, strict=True):
+    for number, (done, executed) in enumerate(zip(run.rounds, films, strict=True), 1):
+        said = f"imagined, round {number}"
         if executed is None:
+            nothing = _captioned(np.zeros((SIZE_PX, SIZE_PX, 3), dtype=np.uint8), "nothing executed")
             for frame in done.frames:
-                imagined = cv2.resize(frame, (SIZE_PX, SIZE_PX), interpolation=cv2.INTER_AREA)
-                yield np.concatenate([imagined, np.zeros_like(imagined), np.zeros_like(imagined)], axis=1)
+                yield np.concatenate([_captioned(frame, said), nothing, nothing], axis=1)
             continue
         track = track_at(done.grounded.track, np.arange(len(executed.rgb)))
         drawn = stages.overlay(executed.rgb, executed.camera, track)
         for frame, shown, overlay in zip(done.frames, executed.rgb, drawn, strict=False):
-            imagined = cv2.resize(frame, shown.shape[1::-1], interpolation=cv2.INTER_AREA)
-            yield np.concatenate([imagined, shown, overlay], axis=1)
+            yield np.concatenate([_captioned(frame, said), _captioned(shown, "executed"), overlay], axis=1)
+
+
+def _captioned(frame: NDArray[np.uint8], text: str) -> NDArray[np.uint8]:
+    image = np.asarray(cv2.resize(frame, (SIZE_PX, SIZE_PX), interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    caption(image, text)
+    return image
 
 
 @lru_cache(maxsize=1)

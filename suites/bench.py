@@ -172,16 +172,13 @@ def replace_section(document: str, text: str) -> str:
     return f"{before.rstrip()}\n\n{text}{following and chr(10)}{following}"
 
 
-@click.command()
+@click.command(
+    epilog="\b\nExample:\n  python -m kinebench_drake.suites.bench --out docs/benchmarks.md",
+)
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False, exists=True), help="Document to write into.")
 @click.option("--tasks", default=",".join(TASKS), help="Tasks, comma-separated.  [default: all]", metavar="A,B")
 def main(out: Path | None, tasks: str) -> None:
-    r"""Time environments, pictures and demonstrations.
-
-    \b
-    Example:
-      python -m kinebench_drake.suites.bench --out docs/benchmarks.md
-    """
+    """Time environments, pictures and demonstrations."""
     try:
         with TemporaryDirectory() as folder:
             timings = [time_task(task, Path(folder)) for task in tasks.split(",")]

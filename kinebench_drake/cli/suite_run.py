@@ -44,7 +44,7 @@ from kinebench_drake.cli.suite_options import (
     help="Control steps (at 20 Hz) a frame.  [default: as long as the frames last]",
 )  # fmt: skip
 @click.option(
-    "--frame-period", "frame_period_s", type=click.FloatRange(0.05, 2.0), default=0.2, show_default=True,
+    "--frame-period", "frame_period_s", type=click.FloatRange(0.01, 2.0), default=0.2, show_default=True,
     help="Task time between two frames.", metavar="SECONDS",
 )  # fmt: skip
 @click.option("--pixels-only", is_flag=True, help="Leave aside that the robot knows where it stands in first frames.")

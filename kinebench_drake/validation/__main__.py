@@ -10,19 +10,19 @@ from kinebench_drake.errors import KinebenchError
 from kinebench_drake.row import dump
 
 
-@click.group()
+@click.group(
+    epilog="\b\nExample:\n"
+    "  python -m kinebench_drake.validation make --out tracks --kind infeasible --count 1000 --seed 0 --jobs 2\n"
+    "  kinebench-drake audit tracks --out results\n"
+    "  python -m kinebench_drake.validation check results tracks",
+)
 def main() -> None:
-    r"""Trajectories whose truth is known by proof.
-
-    \b
-    Example:
-      python -m kinebench_drake.validation make --out tracks --kind infeasible --count 1000 --seed 0 --jobs 2
-      kinebench-drake audit tracks --out results
-      python -m kinebench_drake.validation check results tracks
-    """
+    """Trajectories whose truth is known by proof."""
 
 
-@main.command()
+@main.command(
+    epilog="\b\nExample:\n  python -m kinebench_drake.validation make --out tracks --kind feasible --count 1000",
+)
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), required=True, help="Folder; made if absent.")
 @click.option(
     "--kind",
@@ -40,12 +40,7 @@ def main() -> None:
 )
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True, help="Worker processes.")
 def make(out: Path, kind: str, count: int, seed: int, noise_mm: float, jobs: int) -> None:
-    r"""Draw trajectories and write them as npz files, with truth.jsonl beside them.
-
-    \b
-    Example:
-      python -m kinebench_drake.validation make --out tracks --kind feasible --count 1000
-    """
+    """Draw trajectories and write them as npz files, with truth.jsonl beside them."""
     from kinebench_drake.validation.tracks import Recipe, Set
     from kinebench_drake.validation.tracks import make as make_set
 
@@ -61,17 +56,14 @@ def make(out: Path, kind: str, count: int, seed: int, noise_mm: float, jobs: int
     click.echo(out)
 
 
-@main.command()
+@main.command(
+    epilog="\b\nExample:\n  python -m kinebench_drake.validation check results tracks",
+)
 @click.argument("results", type=click.Path(path_type=Path, exists=True))
 @click.argument("tracks", type=click.Path(path_type=Path, exists=True, file_okay=False))
 @click.option("--json", "as_json", is_flag=True, help="As JSON.")
 def check(results: Path, tracks: Path, as_json: bool) -> None:
-    r"""Compare an audit's output folder RESULTS with the truth in the folder TRACKS.
-
-    \b
-    Example:
-      python -m kinebench_drake.validation check results tracks
-    """
+    """Compare an audit's output folder RESULTS with the truth in the folder TRACKS."""
     from kinebench_drake.validation.check import compare, read_rows, table
     from kinebench_drake.validation.sample import TRUTH, read_truth
 
@@ -82,20 +74,18 @@ def check(results: Path, tracks: Path, as_json: bool) -> None:
     click.echo(dump([v.to_json() for v in verdicts], indent=2) if as_json else table(verdicts))
 
 
-@main.command()
+@main.command(
+    epilog="\b\nExample:\n  python -m kinebench_drake.validation bench --out docs/benchmarks.md",
+)
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="Markdown file.  [default: on screen]")
 @click.option("--json", "json_out", type=click.Path(path_type=Path, dir_okay=False), help="All numbers, as JSON.")
 @click.option("--repeats", type=click.IntRange(min=1), default=9, show_default=True, help="Turns of each solver.")
 @click.option("--tracks", type=click.IntRange(min=1), default=1000, show_default=True, help="Tracks of the throughput.")
 @click.option("--audits", type=click.IntRange(min=1), default=200, show_default=True, help="Tracks audited whole.")
 def bench(out: Path | None, json_out: Path | None, repeats: int, tracks: int, audits: int) -> None:
-    r"""Measure the audit's speed, and its inverse kinematics beside that of other packages.
+    """Measure the audit's speed, and its inverse kinematics beside that of other packages.
 
     Those that are not installed are left out and said to be: pip install 'kinebench-drake[bench]' brings them.
-
-    \b
-    Example:
-      python -m kinebench_drake.validation bench --out docs/benchmarks.md
     """
     # Before NumPy is loaded: afterwards its libraries do not listen.
     os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"))
@@ -115,7 +105,9 @@ def bench(out: Path | None, json_out: Path | None, repeats: int, tracks: int, au
         click.echo(out)
 
 
-@main.command()
+@main.command(
+    epilog="\b\nExample:\n  python -m kinebench_drake.validation causes --episodes 5 --jobs 2",
+)
 @click.option("--episodes", type=click.IntRange(min=1), default=5, show_default=True, help="Of each task.", metavar="K")
 @click.option(
     "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Number of the first of the seeds."
@@ -123,12 +115,7 @@ def bench(out: Path | None, json_out: Path | None, repeats: int, tracks: int, au
 @click.option("--limit", type=click.IntRange(min=1), help="Run the first N cases only.", metavar="N")
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True, help="Worker processes.")
 def causes(episodes: int, seed: int, limit: int | None, jobs: int) -> None:
-    r"""Run episodes in closed loop with one planted cause of failure each, and see whether the verdict names it.
-
-    \b
-    Example:
-      python -m kinebench_drake.validation causes --episodes 5 --jobs 2
-    """
+    """Run episodes in closed loop with one planted cause of failure each, and see whether the verdict names it."""
     from kinebench_drake.engines import EngineKind, create_engine
     from kinebench_drake.suites.suite import load_suite
     from kinebench_drake.validation.causes import cases, finding_lines, run_cases

@@ -100,3 +100,11 @@ def test_a_track_of_nothing_is_refused(plant: ArmPlant, commander: Commander) ->
     X = along(plant, np.array([0.05, 0.0, 0.0]))
     with pytest.raises(UnmeasurableError, match="nothing to execute"):
         commander.commands(X, np.full(FRAMES, 0.08), np.zeros(FRAMES, dtype=bool), T_S, START)
+
+
+def test_frames_may_come_faster_than_commands(plant: ArmPlant, commander: Commander) -> None:
+    X, period = along(plant, np.array([0.05, 0.05, -0.05])), 1.0 / 30.0
+    told = commander.commands(X, np.full(FRAMES, 0.08), SEEN, period * np.arange(FRAMES), START)
+    assert told.refused == ()
+    assert told.frame_steps[-1] == len(told.q) == round(period * (FRAMES - 1) / CONTROL_PERIOD_S)
+    np.testing.assert_allclose(told.X_BG[-1], X[-1], atol=1e-5)
