@@ -24,6 +24,8 @@ LEAF = {
         "shard",
         "storage",
         "plugin",
+        "runs",
+        "drawing",
     ),
 }
 RESULTS = {"row", "pairing", "aggregate", "normalization", "results", "trackfile", "provenance", "report", "engines"}
@@ -36,8 +38,7 @@ MAY_IMPORT = {
     "suites": LEAF | {"models", "kinematics", "engines"},
     **dict.fromkeys(RESULTS, LEAF | RESULTS),
     "manifest": LEAF,
-    "drawing": LEAF,
-    "suite_report": LEAF | RESULTS | {"drawing", "suites"},
+    "suite_report": LEAF | RESULTS | {"suites"},
     "stages": LEAF | {"row", "grounding"},
     "trajectories": LEAF | {"results"},
     "measure": LEAF | RESULTS | {"stages", "models"},

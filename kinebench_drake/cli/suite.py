@@ -8,6 +8,7 @@ from typing import Any
 
 import click
 
+from kinebench_drake.cli.suite_ceiling import ceiling
 from kinebench_drake.cli.suite_data import demos, export
 from kinebench_drake.cli.suite_options import (
     check_parent,
@@ -47,6 +48,7 @@ suite.add_command(export)
 suite.add_command(demos)
 suite.add_command(run)
 suite.add_command(tolerance)
+suite.add_command(ceiling)
 suite.add_command(report)
 
 

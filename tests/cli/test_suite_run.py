@@ -16,10 +16,15 @@ pytestmark = [pytest.mark.sapien, pytest.mark.slow]
 
 def run(out: Path, *options: str) -> tuple[int, str]:
     """Exit status and what was printed."""
-    command = ["suite", "run", "--suite", "0", "--tasks", "PullCube-v1", "--episodes", "1", "--out", str(out), *options]
+    one = ("--suite", "0", "--tasks", "PullCube-v1", "--episodes", "1")
+    return invoke("suite", "run", *one, "--out", str(out), *options)
+
+
+def invoke(*command: str) -> tuple[int, str]:
+    """Exit status and what was printed."""
     said = io.StringIO()
     with redirect_stdout(said), redirect_stderr(said), pytest.raises(SystemExit) as stop:
-        cli.main(command)
+        cli.main(list(command))
     return int(stop.value.code or 0), said.getvalue()
 
 
@@ -85,3 +90,10 @@ def test_a_world_model_that_is_none_is_told(tmp_path: Path, spec: str, told: str
     code, said = run(tmp_path / "out", "--world-model", spec)
     assert code == 2
     assert told in said
+
+
+def test_direct_execution_is_the_ceiling(oracle: Path, tmp_path: Path) -> None:
+    code, said = invoke("suite", "ceiling", str(oracle), "--out", str(tmp_path))
+    assert code == 0
+    assert "success in 1 of 1, direct execution in 1, 100.0% of it" in said
+    assert (tmp_path / "report.html").is_file()
