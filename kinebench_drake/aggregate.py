@@ -11,7 +11,7 @@ from kinebench_drake.row import Json, SampleRow, Status
 
 CONFIDENCE = 0.95
 _RESAMPLES = 2000
-_EXTRA = ("success", "progress")
+_EXTRA = ("success", "progress", "rounds")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -20,7 +20,7 @@ from kinebench_drake.provenance import weights_hash
 from kinebench_drake.results import part_path
 from kinebench_drake.row import Json
 from kinebench_drake.stages import Stages, load_stages
-from kinebench_drake.storage import storage
+from kinebench_drake.storage import storage, write_atomically
 from kinebench_drake.suites.clip import Clip, film
 from kinebench_drake.suites.closedloop.attribution import cause_json
 from kinebench_drake.suites.closedloop.commands import Commander
@@ -32,7 +32,7 @@ from kinebench_drake.suites.suite import Draw
 from kinebench_drake.suites.worldmodels.factory import create
 from kinebench_drake.suites.worldmodels.simulated import SIMULATED
 from kinebench_drake.suites.worldmodels.worldmodel import Offline, WorldModel
-from kinebench_drake.thumbnail import track_at
+from kinebench_drake.thumbnail import side_by_side, track_at
 from kinebench_drake.trackfile import write_track
 from kinebench_drake.video_measure import VISUAL_METRICS, anomaly_json
 
@@ -93,7 +93,7 @@ class EpisodeMeasure(Measure[EpisodeSample, Theatre]):
     @property
     def parts(self) -> tuple[str, ...]:
         """See `Measure`."""
-        return ("tracks", *(["rollouts"] if self.rollouts else []))
+        return ("tracks", "thumbnails", *(["rollouts"] if self.rollouts else []))
 
     def facts(self, sample: EpisodeSample) -> Mapping[str, Json]:
         """See `Measure`."""
@@ -133,6 +133,7 @@ class EpisodeMeasure(Measure[EpisodeSample, Theatre]):
         judgement = theatre.stages.judge(track) if track.tracked.sum() >= MIN_TRACKED else None
         joints, curves = (judgement.joints, judgement.curves) if judgement else (None, {})
         write_track(part_path(self.out, "tracks", sample.id), track, joints, curves)
+        write_atomically(part_path(self.out, "thumbnails", sample.id), _thumbnail(run, films))
         if self.rollouts:
             self._write_rollout(sample, run, films, theatre.stages)
         cause = find_cause(run, judgement)
@@ -178,6 +179,13 @@ def _side_by_side(run: EpisodeRun, films: Sequence[Clip | None], stages: Stages)
         drawn = stages.overlay(executed.rgb, executed.camera, track)
         for frame, shown, overlay in zip(done.frames, executed.rgb, drawn, strict=False):
             yield np.concatenate([_captioned(frame, said), _captioned(shown, "executed"), overlay], axis=1)
+
+
+def _thumbnail(run: EpisodeRun, films: Sequence[Clip | None]) -> bytes:
+    """How the episode begins, how it ends as imagined, and how as executed, as far as it went."""
+    last = next((film.rgb[-1] for film in reversed(films) if film is not None), run.rounds[0].frames[0])
+    pictures = (run.rounds[0].frames[0], "start"), (run.rounds[-1].frames[-1], "imagined"), (last, "executed")
+    return side_by_side([_captioned(frame, text) for frame, text in pictures])
 
 
 def _captioned(frame: NDArray[np.uint8], text: str) -> NDArray[np.uint8]:

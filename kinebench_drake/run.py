@@ -128,6 +128,8 @@ class RunSummary:
     """Samples of each status in the output folder."""
     feasible: Estimate | None
     """Share of the measured samples that the robot can do; None where none was judged."""
+    success: Estimate | None
+    """Share of episodes that reached their goal; None of runs without goals, or where none was measured."""
     report: Path | None
     """The html report; None for kinds that have none."""
 
@@ -163,11 +165,15 @@ def run_samples(
         if config.replays:
             _replay(config)
         report = _report(config) if config.kind.judges else None
-    feasible = estimate([r.feasible for r in rows if r.status is Status.OK], total=len(rows), seed=config.seed)
+    measured = [r for r in rows if r.status is Status.OK]
+    feasible = estimate([r.feasible for r in measured], total=len(rows), seed=config.seed)
+    goals = [r.extra.get("success") for r in measured] if config.kind is Kind.SUITE else []
+    success = estimate(goals, total=len(rows), seed=config.seed)
     return RunSummary(
         rows=tuple(rows),
         counts={status: sum(row.status is status for row in rows) for status in Status},
         feasible=feasible if feasible.n else None,
+        success=success if success.n else None,
         report=report,
     )
 

@@ -36,10 +36,12 @@ def _tell(out: Path, summary: RunSummary) -> None:
         click.echo(f"nothing could be measured ({counted}); {out / 'samples.jsonl'} has the reasons", err=True)
     else:
         click.echo(counted)
-    if summary.feasible is not None and summary.feasible.mean is not None:
-        share = summary.feasible
-        interval = f"95% interval {share.low:.0%} to {share.high:.0%}"
-        click.echo(f"{share.mean:.0%} of {share.n} judged samples are feasible ({interval})")
+    for share, told in (
+        (summary.success, "episodes reach their goal"),
+        (summary.feasible, "judged samples are feasible"),
+    ):
+        if share is not None and share.mean is not None:
+            click.echo(f"{share.mean:.0%} of {share.n} {told} (95% interval {share.low:.0%} to {share.high:.0%})")
     click.echo(summary.report or out / "results.json")
 
 

@@ -9,7 +9,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from kinebench_drake.aggregate import Aggregate, Estimate, aggregate, by_key
 from kinebench_drake.errors import InputError
-from kinebench_drake.report.sample import RANK, badness, view_sample
+from kinebench_drake.report.sample import FAILURES, RANK, badness, view_sample
 from kinebench_drake.results import RESULTS, read_rows
 from kinebench_drake.row import Json, Status
 
@@ -87,17 +87,50 @@ METRICS = tuple(
         ("table_distance_min_m", "Clearance to the table [m]", "{:.3f}", "negative is a collision"),
         ("success", "Success", "{:.0%}", "share of episodes that reach the task's goal"),
         ("progress", "Progress", "{:.0%}", "share of the task's steps done"),
+        ("rounds", "Rounds", "{:.2f}", "clips asked of the model in an episode"),
+        ("gap_robot_iou", "Robot overlap", "{:.2f}", "of its pixels as imagined and as executed, over their union"),
+        ("gap_gripper_m", "Gripper apart [m]", "{:.4f}", "between the imagined and the executed gripper"),
+        ("gap_gripper_rad", "Gripper turned [rad]", "{:.3f}", "between the imagined and the executed gripper"),
+        ("gap_psnr_db", "PSNR [dB]", "{:.1f}", "of imagined frames against executed ones"),
+        ("gap_ssim", "SSIM", "{:.3f}", "of imagined frames against executed ones"),
     )
 )
-HEADLINES = ("tracked_fraction", "ik_success_rate", "manipulability_mean", "sparc")
-COLUMNS = (
-    *("tracked_fraction", "ik_success_rate", "joint_limit_margin_min", "slowdown_min", "manipulability_min", "sparc"),
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Layout:
+    """What the page of a kind of run shows first."""
+
+    headlines: tuple[str, ...]
+    """Metrics with a tile of their own."""
+    columns: tuple[str, ...]
+    """Metrics in the table of samples."""
+    shares: tuple[str, ...] = ()
+    """Metrics, one truth value a sample, that groups are told by besides."""
+
+
+_VIDEOS = Layout(
+    headlines=("tracked_fraction", "ik_success_rate", "manipulability_mean", "sparc"),
+    columns=(
+        *("tracked_fraction", "ik_success_rate", "joint_limit_margin_min", "slowdown_min", "manipulability_min"),
+        "sparc",
+    ),
 )
-AUDIT_HEADLINES = ("slowdown_min", "trajopt_feasible", "manipulability_mean", "sparc")
-AUDIT_COLUMNS = (
-    *("slowdown_min", "velocity_ratio_max", "acceleration_ratio_max", "torque_ratio_max", "joint_limit_margin_min"),
-    *("table_distance_min_m", "manipulability_min", "sparc"),
-)
+_LAYOUTS = {
+    "audit": Layout(
+        headlines=("slowdown_min", "trajopt_feasible", "manipulability_mean", "sparc"),
+        columns=(
+            *("slowdown_min", "velocity_ratio_max", "acceleration_ratio_max", "torque_ratio_max"),
+            *("joint_limit_margin_min", "table_distance_min_m", "manipulability_min", "sparc"),
+        ),
+    ),
+    "suite": Layout(
+        headlines=("success", "progress", "rounds", "tracked_fraction", "sparc"),
+        columns=("progress", "rounds", "tracked_fraction", "gap_robot_iou", "gap_gripper_m", "slowdown_min", "sparc"),
+        shares=("success",),
+    ),
+}
+"""By kind of run; the others are of videos."""
 DRAWN = 200
 """Samples, the worst first, whose curves and findings stand on the page: the rest would make it slow to open."""
 _BY_NAME = {metric.name: metric for metric in METRICS}
@@ -115,8 +148,7 @@ def build_page(out: Path) -> str:
     seed = seeds.get("bootstrap", 0) if isinstance(seeds, Mapping) else 0
     total = aggregate(rows, int(seed) if isinstance(seed, int) else 0)
     samples = [view_sample(out, row, drawn=k < DRAWN) for k, row in enumerate(sorted(rows, key=badness))]
-    audit = results.get("kind") == "audit"
-    headlines, columns = (AUDIT_HEADLINES, AUDIT_COLUMNS) if audit else (HEADLINES, COLUMNS)
+    layout = _LAYOUTS.get(str(results.get("kind")), _VIDEOS)
     environment = Environment(
         loader=PackageLoader("kinebench_drake.report", "."),
         autoescape=True,
@@ -124,24 +156,35 @@ def build_page(out: Path) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters["shown"] = shown
+    environment.filters.update(shown=shown, named=lambda verdict: FAILURES.get(verdict, verdict))
     return environment.get_template("page.html.j2").render(
+        title=_title(results),
         results=results,
         total=total,
-        headlines=[(_BY_NAME[n], total.estimates[n]) for n in headlines if _measured(total, n)],
+        headlines=[(_BY_NAME[n], total.estimates[n]) for n in layout.headlines if _measured(total, n)],
         metrics=[(m, total.estimates[m.name]) for m in (*METRICS, *_others(total)) if _measured(total, m.name)],
         groups=[
             (title, [(name, aggregate(group)) for name, group in groups.items()])
             for title, key in (("task", "task"), ("model", "model"))
             if (groups := by_key(rows, key))
         ],
-        columns=[_BY_NAME[n] for n in columns if _measured(total, n)],
+        columns=[_BY_NAME[n] for n in layout.columns if _measured(total, n)],
+        shares=[_BY_NAME[n] for n in layout.shares if _measured(total, n)],
         samples=samples,
         left_out=max(len(samples) - DRAWN, 0),
         normalization=_normalization(results),
         verdicts=[v for v in RANK if any(s.verdict == v for s in samples)],
         Status=Status,
     )
+
+
+def _title(results: Mapping[str, Json]) -> str:
+    """The run's input, or who did what."""
+    config = results.get("config")
+    config = config if isinstance(config, Mapping) else {}
+    if "suite" in config:
+        return f"{config.get('world_model')}, suite {config['suite']} ({config.get('split')})"
+    return str(config.get("source") or "Report")
 
 
 def shown(value: float | None, pattern: str) -> str:

@@ -17,7 +17,12 @@ from kinebench_drake.results import part_path
 from kinebench_drake.row import Json, SampleRow, Status
 from kinebench_drake.trackfile import read_track
 
-RANK = {"error": 0, "infeasible": 1, "unmeasurable": 2, "unjudged": 3, "feasible": 4}
+FAILURES = {cause: f"failed: {cause}" for cause in ("grounding", "generation", "execution", "task")}
+"""Verdicts of episodes that failed, and how they are shown."""
+RANK = {
+    name: rank
+    for rank, name in enumerate(("error", "infeasible", *FAILURES, "unmeasurable", "unjudged", "feasible", "success"))
+}
 """Verdicts, the worst first."""
 MOST_BROKEN = 20
 """Broken limits that a sample's table lists, the first ones."""
@@ -31,6 +36,8 @@ class SampleView:
     row: SampleRow
     verdict: str
     """A key of RANK."""
+    told: str
+    """Why there is no result, or why the episode failed; empty where there is nothing to tell."""
     anomalies: Sequence[Mapping[str, Json]]
     thumbnail: str | None
     """Picture as a data URI."""
@@ -46,18 +53,23 @@ class SampleView:
     """What else stands behind the verdict."""
     replay: str | None
     """Link to the 3D replay, relative to the page; None if none was written."""
+    rollout: str | None
+    """Link to the film of what was imagined and executed, relative to the page; None if there is none."""
     viewable: bool
     """Whether there is a track that `kinebench-drake view` can replay."""
 
     def value(self, name: str) -> float | None:
-        """A metric as a number; None where it has none."""
+        """A metric, or a further key of the row, as a number; None where it has none."""
         return _number(self.row, name)
 
 
 def verdict_of(row: SampleRow) -> str:
-    """The key of RANK that a row deserves."""
+    """The key of RANK that a row deserves: of an episode in closed loop, how it ended."""
     if row.status is not Status.OK:
         return str(row.status.value)
+    if "verdict" in row.extra:
+        cause = row.extra["verdict"]
+        return "success" if row.extra.get("success") is True else cause if cause in FAILURES else "unjudged"
     return "unjudged" if row.feasible is None else "feasible" if row.feasible else "infeasible"
 
 
@@ -83,6 +95,7 @@ def view_sample(out: Path, row: SampleRow, *, drawn: bool) -> SampleView:
     uri = f"data:image/jpeg;base64,{base64.b64encode(picture.read_bytes()).decode()}" if picture.is_file() else None
     track = part_path(out, "tracks", row.id)
     replay = part_path(out, "replays", row.id)
+    cause = row.extra.get("cause")
     viewable = row.status is Status.OK and track.is_file()
     file = read_track(track) if viewable and drawn else None
     details = {name: value for name, value in row.details.items() if name not in _SHOWN_ELSEWHERE}
@@ -92,6 +105,7 @@ def view_sample(out: Path, row: SampleRow, *, drawn: bool) -> SampleView:
     return SampleView(
         row=row,
         verdict=verdict_of(row),
+        told=row.reason or (str(cause.get("text") or "") if isinstance(cause, Mapping) else ""),
         anomalies=anomalies_of(row),
         thumbnail=uri,
         moments=[*broken[:MOST_BROKEN], *(moment for moment in moments if not moment.broken)],
@@ -101,6 +115,7 @@ def view_sample(out: Path, row: SampleRow, *, drawn: bool) -> SampleView:
         resolutions=resolutions(row) if drawn else [],
         facts=[*list_facts(details), *_floors(row), *list_facts(reasons)] if drawn else [],
         replay=f"replays/{quote(row.id)}.html" if viewable and replay.is_file() else None,
+        rollout=f"rollouts/{quote(row.id)}.mp4" if part_path(out, "rollouts", row.id).is_file() else None,
         viewable=viewable,
     )
 
@@ -116,5 +131,5 @@ def _floors(row: SampleRow) -> Iterator[Fact]:
 
 
 def _number(row: SampleRow, name: str) -> float | None:
-    value = row.metrics.get(name)
+    value = row.metrics.get(name, row.extra.get(name))
     return float(value) if isinstance(value, bool | int | float) else None

@@ -49,6 +49,10 @@ def test_the_oracle_succeeds_by_pixels_alone(oracle: Path) -> None:
     assert row["metrics"]["gap_robot_iou"] > 0.8
     assert row["metrics"]["gap_gripper_m"] < 0.01
     assert (oracle / row["video"]).is_file()
+    assert (oracle / "thumbnails" / f"{row['id']}.jpg").is_file()
+    page = (oracle / "report.html").read_text()
+    assert "oracle, suite 0 (test)" in page
+    assert f"rollouts/{row['id']}.mp4" in page
     assert (oracle / "rollouts" / f"{row['id']}.mp4").is_file()
     assert json.loads((oracle / "results.json").read_text())["suite_version"] == VERSION
     with np.load(oracle / "tracks" / f"{row['id']}.npz") as track:
