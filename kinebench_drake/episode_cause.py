@@ -1,5 +1,6 @@
 """From an episode's rounds to the cause of its failure."""
 
+from collections.abc import Sequence
 from typing import cast
 
 import numpy as np
@@ -14,24 +15,20 @@ def clip_starts(run: EpisodeRun) -> list[int]:
     return [int(n) for n in np.cumsum([0, *(len(r.frames) - 1 for r in run.rounds[:-1])])]
 
 
-def find_cause(run: EpisodeRun, judgement: Judgement | None) -> Cause | None:
+def find_cause(run: EpisodeRun, judgements: Sequence[Judgement]) -> Cause | None:
     """Why an episode failed; None of one that succeeded.
 
     Args:
         run: the episode.
-        judgement: what kinematics says of the joined track of its clips; None where there is none to judge.
+        judgements: what kinematics says of each clip.
     """
-    return None if run.outcome.success else attribute(_evidence(run, judgement), run.outcome.reason)
+    return None if run.outcome.success else attribute(_evidence(run, judgements), run.outcome.reason)
 
 
-def _evidence(run: EpisodeRun, judgement: Judgement | None) -> list[ClipEvidence]:
+def _evidence(run: EpisodeRun, judgements: Sequence[Judgement]) -> list[ClipEvidence]:
     """What the rounds left behind, each up to the last executed frame."""
     found = []
-    violations = [
-        (str(v["kind"]), cast(int, v["frame_start"]), cast(int, v["frame_end"]))
-        for v in (judgement.violations if judgement else ())
-    ]
-    for start, done in zip(clip_starts(run), run.rounds, strict=True):
+    for done, judgement in zip(run.rounds, judgements, strict=True):
         track, execution = done.grounded.track, done.execution
         frames = len(track.t_s) if execution is None else len(execution.snapshots)
         found.append(
@@ -43,9 +40,8 @@ def _evidence(run: EpisodeRun, judgement: Judgement | None) -> list[ClipEvidence
                 finger_width_imagined_m=track.finger_width_m[:frames],
                 finger_width_executed_m=np.full(frames, np.nan) if execution is None else execution.finger_width_m,
                 violations=tuple(
-                    (kind, max(a - start, 0), b - start)
-                    for kind, a, b in violations
-                    if a < start + frames and b > start
+                    (str(v["kind"]), cast(int, v["frame_start"]), cast(int, v["frame_end"]))
+                    for v in judgement.violations
                 ),
             )
         )

@@ -1,7 +1,7 @@
 """What is done to one episode of a suite: run it in closed loop, judge what was imagined, tell how it went."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from functools import lru_cache, partial
 from pathlib import Path
 
@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from kinebench_drake.closed_loop import ClosedLoop, EpisodeRun, LoopOptions
 from kinebench_drake.episode_cause import clip_starts, find_cause
+from kinebench_drake.episode_judgement import combine, joined_track
 from kinebench_drake.grounding.overlay import caption
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.measure import KINEMATIC_METRICS, MIN_TRACKED, Measure, Measured
+from kinebench_drake.measure import KINEMATIC_METRICS, Measure, Measured
 from kinebench_drake.mp4 import write_video
 from kinebench_drake.products import GripperTrack
 from kinebench_drake.provenance import weights_hash
@@ -129,14 +130,14 @@ class EpisodeMeasure(Measure[EpisodeSample, Theatre]):
         videos.mkdir(exist_ok=True)
         run = theatre.loop.run(stage, episode, videos / sample.id)
         films = [None if r.execution is None else film(stage, r.execution.snapshots) for r in run.rounds]
-        track = joined_track([r.grounded.track for r in run.rounds])
-        judgement = theatre.stages.judge(track) if track.tracked.sum() >= MIN_TRACKED else None
-        joints, curves = (judgement.joints, judgement.curves) if judgement else (None, {})
-        write_track(part_path(self.out, "tracks", sample.id), track, joints, curves)
+        tracks = [r.grounded.track for r in run.rounds]
+        judgements = [theatre.stages.judge(track) for track in tracks]
+        track, judgement = joined_track(tracks), combine(tracks, judgements)
+        write_track(part_path(self.out, "tracks", sample.id), track, judgement.joints, judgement.curves)
         write_atomically(part_path(self.out, "thumbnails", sample.id), _thumbnail(run, films))
         if self.rollouts:
             self._write_rollout(sample, run, films, theatre.stages)
-        cause = find_cause(run, judgement)
+        cause = find_cause(run, judgements)
         return Measured(
             judgement=judgement,
             metrics={**_visual_metrics(run, track), **_gap_metrics(run, films)},
@@ -198,24 +199,6 @@ def _captioned(frame: NDArray[np.uint8], text: str) -> NDArray[np.uint8]:
 def _named(world_model: str) -> WorldModel:
     """The model of a spec, to ask it about its files only."""
     return create(world_model, SIMULATED)
-
-
-def joined_track(tracks: Sequence[GripperTrack]) -> GripperTrack:
-    """The tracks of clips that follow each other, each beginning at the moment at which the one before ends.
-
-    The first frame of a later clip shows what the last one of the clip before led to, and is left out.
-    """
-    ends = np.cumsum([0.0, *(track.t_s[-1] - track.t_s[0] for track in tracks)])
-    parts = [track_at(track, np.arange(k > 0, len(track.t_s))) for k, track in enumerate(tracks)]
-    return replace(
-        tracks[0],
-        t_s=np.concatenate([end + p.t_s - t.t_s[0] for end, p, t in zip(ends, parts, tracks, strict=False)]),
-        X_CH=np.concatenate([p.X_CH for p in parts]),
-        X_BG=np.concatenate([p.X_BG for p in parts]),
-        tracked=np.concatenate([p.tracked for p in parts]),
-        confidence=np.concatenate([p.confidence for p in parts]),
-        finger_width_m=np.concatenate([p.finger_width_m for p in parts]),
-    )
 
 
 def _gap_metrics(run: EpisodeRun, films: Sequence[Clip | None]) -> dict[str, Json]:

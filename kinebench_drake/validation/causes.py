@@ -173,9 +173,7 @@ class _Worker:
                 run = loop.run(stage, episode, Path(folder) / episode.id)
             except InputError as error:  # the expert finds no path, the clip has no place for the fault
                 return Finding(case=case, verdict=None, text=str(error))
-        track = run.rounds[0].grounded.track
-        judgement = self._stages.judge(track) if track.tracked.sum() > 1 else None
-        cause = find_cause(run, judgement)
+        cause = find_cause(run, [self._stages.judge(r.grounded.track) for r in run.rounds])
         return Finding(
             case=case,
             verdict=None if cause is None else cause.verdict,
