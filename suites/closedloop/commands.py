@@ -7,13 +7,14 @@ apart as the thing is wide, so once they have closed they are told to close a li
 
 from dataclasses import dataclass
 from enum import Enum
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline, PchipInterpolator
 
 from kinebench_drake.errors import UnmeasurableError
-from kinebench_drake.geometry import Array, interpolate_pose
+from kinebench_drake.geometry import Array, interpolate_pose, pose_difference
 from kinebench_drake.kinematics.collision import CollisionModel
 from kinebench_drake.kinematics.following import eased, foreseeing, stepwise
 from kinebench_drake.kinematics.ik import postures_of
@@ -28,6 +29,8 @@ SQUEEZE_M = 0.008
 """How much narrower than seen the gap of fingers that hold something is commanded: 4 N a finger at their stiffness."""
 GRIP_M = 0.006
 """Fingers hold from where their gap has shrunk by so much until it has grown again by so much."""
+LEVER_M = 0.1
+"""Turning by an angle counts as moving by the angle times this."""
 SELF_DEPTH_M = 0.005
 """How deep the arm's hulls may be in each other; hulls fill hollows, so that a little is no contact yet."""
 TABLE_DEPTH_M = 0.015
@@ -127,7 +130,7 @@ class Commander:
         t_s = t_s - t_s[0]
         refused = [*_told(Refusal.NOT_TRACKED, ~tracked & (np.arange(frames) > 0))]
         poses = _bridged(np.concatenate([self.plant.forward(start.q)[None], X_BG[1:]]), tracked)
-        width, gripping = _finger_targets(finger_width_m, start)
+        width, gripping = _finger_targets(finger_width_m, poses, start)
         q, unreached = self._path(t_s, poses, start.q)
         refused += _told(Refusal.UNREACHABLE, unreached)
         q, own, table = self._allowed(q, width)
@@ -202,11 +205,9 @@ def _filled(t_s: Array, q: Array, known: NDArray[np.bool_]) -> Array:
     return np.asarray(PchipInterpolator(t_s[known], q[known])(within))
 
 
-def _finger_targets(finger_width_m: Array, start: Posed) -> tuple[Array, bool]:
+def _finger_targets(finger_width_m: Array, X_BG: Array, start: Posed) -> tuple[Array, bool]:
     """Gap (T,) [m] to command in each frame, and whether the fingers hold something at the end."""
-    width = np.concatenate([[start.finger_width_m], finger_width_m[1:]])
-    known = np.isfinite(width)
-    width = np.interp(np.arange(len(width)), np.flatnonzero(known), width[known])
+    width = _whole_width(np.concatenate([[start.finger_width_m], finger_width_m[1:]]), X_BG)
     gripping, extreme = start.gripping, width[0]
     targets = np.empty_like(width)
     for i, gap in enumerate(width):
@@ -215,6 +216,22 @@ def _finger_targets(finger_width_m: Array, start: Posed) -> tuple[Array, bool]:
             gripping, extreme = not gripping, gap
         targets[i] = gap - SQUEEZE_M if gripping else gap
     return targets, gripping
+
+
+def _whole_width(width: Array, X_BG: Array) -> Array:
+    """Gaps (T,) [m], the first of which is known, with those that are not (NaN) put between those that are.
+
+    Where the fingers have opened or closed meanwhile, they did when the hand moved least: it waits for them.
+    """
+    known = np.flatnonzero(np.isfinite(width))
+    whole = np.interp(np.arange(len(width)), known, width[known])
+    distance, angle = pose_difference(X_BG[:-1], X_BG[1:])
+    pace = np.convolve(np.pad(distance + LEVER_M * angle, 1, mode="edge"), np.full(3, 1.0 / 3.0), mode="valid")
+    for before, after in pairwise(known):
+        if after > before + 1 and abs(width[after] - width[before]) > GRIP_M:
+            wait = before + int(np.argmin(pace[before:after]))
+            whole[before : wait + 1], whole[wait + 1 : after] = width[before], width[after]
+    return whole
 
 
 def _told(reason: Refusal, frames: NDArray[np.bool_]) -> list[Refused]:

@@ -108,3 +108,18 @@ def test_frames_may_come_faster_than_commands(plant: ArmPlant, commander: Comman
     assert told.refused == ()
     assert told.frame_steps[-1] == len(told.q) == round(period * (FRAMES - 1) / CONTROL_PERIOD_S)
     np.testing.assert_allclose(told.X_BG[-1], X[-1], atol=1e-5)
+
+
+def test_hidden_fingers_open_while_the_hand_waits(plant: ArmPlant, commander: Commander) -> None:
+    X = along(plant, np.array([0.0, 0.12, 0.0]))
+    X = X[np.concatenate([np.arange(0, 12), np.full(5, 12), np.arange(13, 21)])]  # it waits in frames 12 to 16
+    width = np.full(FRAMES, 0.04)
+    width[8:22], width[22:] = np.nan, 0.08
+    held = Posed(q=START_Q, finger_width_m=0.04, gripping=False)
+    told = commander.commands(X, width, SEEN, T_S, held).finger_width_m
+    at_s = CONTROL_PERIOD_S * np.arange(1, len(told) + 1) + LEAD_S
+    opening_s = at_s[np.flatnonzero(told > 0.06)[0]]
+    assert T_S[12] < opening_s <= T_S[17]
+    assert told.max() == pytest.approx(0.08)
+    width[22:] = 0.042  # nothing happened
+    assert commander.commands(X, width, SEEN, T_S, held).finger_width_m.max() < 0.043
