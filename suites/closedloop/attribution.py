@@ -31,7 +31,7 @@ class Verdict(Enum):
     """Causes of failure, in the order in which they are looked for."""
 
     GROUNDING = "grounding"
-    """The gripper was not read with confidence in frames that show it."""
+    """The gripper, or what its fingers do, was not read with confidence in frames that show it."""
     GENERATION = "generation"
     """The video shows what no real gripper does, or a motion that the robot cannot do."""
     EXECUTION = "execution"
@@ -119,6 +119,28 @@ def _grounding(number: int, clip: ClipEvidence) -> Iterator[Cause]:
             limit=float(LOST_FRAMES - 1),
             text=f"no pose in {int(lost.sum())} of {len(lost)} frames, {_length(longest)} of them in a row",
         )
+    hidden = max(_hidden_moves(clip), key=_length, default=None)
+    if hidden is not None:
+        yield Cause(
+            verdict=Verdict.GROUNDING,
+            round=number,
+            frame_start=hidden.start,
+            frame_end=hidden.stop - 1,
+            value=float(_length(hidden)),
+            limit=float(LOST_FRAMES - 1),
+            text=f"the gap between the fingers is unknown in {_length(hidden)} frames in a row, and may change there",
+        )
+
+
+def _hidden_moves(clip: ClipEvidence) -> Iterator[slice]:
+    """Stretches whose poses are known and gaps are not, unless the gap is the same before and after."""
+    gap = clip.finger_width_imagined_m
+    for run in runs(clip.tracked & ~_faulty(clip) & np.isnan(gap)):
+        before, after = gap[: run.start], gap[run.stop :]
+        before, after = before[np.isfinite(before)], after[np.isfinite(after)]
+        same = len(before) and len(after) and abs(after[0] - before[-1]) <= FINGERS_M
+        if _length(run) >= LOST_FRAMES and not same:
+            yield run
 
 
 def _faulty(clip: ClipEvidence) -> NDArray[np.bool_]:

@@ -57,6 +57,17 @@ def test_frames_that_were_not_read_come_first() -> None:
     assert attribute([lost(10, 10)], "").verdict is Verdict.TASK
 
 
+@pytest.mark.parametrize(
+    ("after_m", "verdict"), [(0.041, Verdict.TASK), (0.08, Verdict.GROUNDING), (np.nan, Verdict.GROUNDING)]
+)
+def test_fingers_that_move_unseen_were_not_read(after_m: float, verdict: Verdict) -> None:
+    gap = np.full(FRAMES, 0.04)
+    gap[12:20], gap[20:] = np.nan, after_m
+    cause = attribute([replace(clip(), finger_width_imagined_m=gap, finger_width_executed_m=gap)], "")
+    assert cause.verdict is verdict
+    assert cause.frame_start == (None if verdict is Verdict.TASK else 12)
+
+
 def test_a_gripper_that_is_not_there_is_not_the_reader_s_fault() -> None:
     cause = attribute([vanished(lost(10, 14), 10, 14)], "")
     assert (cause.verdict, cause.frame_start, cause.frame_end) == (Verdict.GENERATION, 10, 14)
