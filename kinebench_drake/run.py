@@ -9,6 +9,7 @@ from typing import Protocol
 from kinebench_drake.aggregate import Estimate, aggregate, by_key, estimate
 from kinebench_drake.engines import Crashed, EngineKind, create_engine
 from kinebench_drake.errors import UsageError
+from kinebench_drake.header import RunHeader
 from kinebench_drake.measure import SCHEMA_VERSION, Equipment, Kind, Measure, Sample
 from kinebench_drake.normalization import normalize_run
 from kinebench_drake.provenance import code_hash, host, versions, weights_hash
@@ -142,8 +143,9 @@ def run_samples(
     engine = create_engine(config.engine, config.jobs)
     chosen = list(samples[: config.limit])
     chosen = config.shard.take(chosen) if config.shard else chosen
+    header = run_header(config, found=len(samples))
     with ResultStore(config.out, overwrite=config.overwrite) as store:
-        waiting = _resume(store, samples, chosen, measure, observer)
+        waiting = _resume(store, samples, chosen, measure, header, observer)
         observer.started(total=len(chosen), kept=len(chosen) - len(waiting))
         with closing(engine.run(measure.make, waiting)) as outcomes:
             for outcome in outcomes:
@@ -153,12 +155,21 @@ def run_samples(
                     row, wall_s = outcome.result
                 store.append(row, wall_s)
                 observer.finished(row, wall_s)
-        rows = [store.rows[id] for id in sorted(store.rows)]
-        store.finish(summarize(rows, config, found=len(samples)))
+        store.finish(summarize(store.sorted_rows(), header))
         if config.replays:
             _replay(config)
-        report = _report(config) if config.kind.judges else None
-    feasible = estimate([r.feasible for r in rows if r.status is Status.OK], total=len(rows), seed=config.seed)
+        return close_run(store, config.kind, config.seed)
+
+
+def close_run(store: ResultStore, kind: Kind, seed: int) -> RunSummary:
+    """Write the report of a finished folder and sum it up.
+
+    Raises:
+        SetupError: writing failed.
+    """
+    rows = store.sorted_rows()
+    report = _report(store.out) if kind.judges else None
+    feasible = estimate([r.feasible for r in rows if r.status is Status.OK], total=len(rows), seed=seed)
     return RunSummary(
         rows=tuple(rows),
         counts={status: sum(row.status is status for row in rows) for status in Status},
@@ -167,29 +178,38 @@ def run_samples(
     )
 
 
-def summarize(rows: Sequence[SampleRow], config: RunConfig, found: int) -> dict[str, Json]:
+def run_header(config: RunConfig, found: int) -> RunHeader:
+    """What results tell of a run besides its rows and their numbers, on this machine with this code."""
+    return RunHeader(
+        schema_version=SCHEMA_VERSION,
+        suite_version=None,
+        kind=config.kind.value,
+        samples_found=found,
+        config=config.to_json(),
+        tags=config.tags,
+        bootstrap_seed=config.seed,
+        versions=versions(),
+        code_sha256=code_hash(),
+        weights_sha256=weights_hash(),
+        host=host(),
+    )
+
+
+def summarize(rows: Sequence[SampleRow], header: RunHeader) -> dict[str, Json]:
     """The content of `results.json`."""
+    seed = header.bootstrap_seed
 
     def groups(key: str) -> dict[str, Json]:
-        return {name: aggregate(group, config.seed).to_json() for name, group in by_key(rows, key).items()}
+        return {name: aggregate(group, seed).to_json() for name, group in by_key(rows, key).items()}
 
-    return {
-        "schema_version": SCHEMA_VERSION,
-        "suite_version": None,
-        "kind": config.kind.value,
-        "samples_found": found,
-        "aggregates": aggregate(rows, config.seed).to_json(),
-        "per_task": groups("task"),
-        "per_model": groups("model"),
-        "normalization": normalize_run(rows),
-        "config": config.to_json(),
-        "tags": dict(sorted(config.tags.items())),
-        "seeds": {"bootstrap": config.seed},
-        "versions": versions(),
-        "code_sha256": code_hash(),
-        "weights_sha256": weights_hash(),
-        "host": host(),
-    }
+    return header.to_json(
+        {
+            "aggregates": aggregate(rows, seed).to_json(),
+            "per_task": groups("task"),
+            "per_model": groups("model"),
+            "normalization": normalize_run(rows),
+        }
+    )
 
 
 def _resume(
@@ -197,9 +217,10 @@ def _resume(
     samples: Sequence[Sample],
     chosen: Sequence[Sample],
     measure: Measure[Sample, Equipment],
+    header: RunHeader,
     observer: Observer,
 ) -> list[Sample]:
-    """Drop kept rows that no longer hold; return the samples still to do."""
+    """Drop kept rows that no longer hold; return the samples still to do. The folder is this run's from here on."""
     known = {sample.id for sample in samples}
     if store.rows and not known & store.rows.keys():
         raise UsageError(
@@ -213,6 +234,8 @@ def _resume(
             f"named now (such as {strangers[0]!r})"
         )
     waiting = {s.id: s for s in chosen if not measure.is_finished(s, store.rows.get(s.id))}
+    if waiting or strangers:
+        store.begin(header.to_json())
     store.keep(lambda row: row.id in known and row.id not in waiting)
     return list(waiting.values())
 
@@ -229,8 +252,8 @@ def _replay(config: RunConfig) -> None:
         write_replays(config.out, worst, ArmPlant(choose_robot(options.urdf, options.tcp_frame)))
 
 
-def _report(config: RunConfig) -> Path:
+def _report(out: Path) -> Path:
     from kinebench_drake.report import write_report
 
     with storage(REPORT):
-        return write_report(config.out)
+        return write_report(out)
