@@ -1,19 +1,22 @@
 """One run over many samples, whatever they are: resumed, shared out, stored, summed up."""
 
-from collections.abc import Mapping, Sequence
+import os
+import platform
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Protocol
 
 from kinebench_drake.aggregate import Estimate, aggregate, by_key, estimate
 from kinebench_drake.engines import Crashed, EngineKind, create_engine
-from kinebench_drake.errors import UsageError
+from kinebench_drake.errors import SetupError, UsageError
 from kinebench_drake.header import RunHeader
 from kinebench_drake.measure import SCHEMA_VERSION, Equipment, Kind, Measure, Sample
 from kinebench_drake.normalization import normalize_run
 from kinebench_drake.provenance import code_hash, host, versions, weights_hash
-from kinebench_drake.results import REPORT, ResultStore
+from kinebench_drake.results import REPORT, RUN, ResultStore
 from kinebench_drake.row import Json, SampleRow, Status
 from kinebench_drake.shard import Shard
 from kinebench_drake.stages import StageOptions
@@ -34,6 +37,8 @@ class RunConfig:
     jobs: int = 1
     """Worker processes."""
     engine: EngineKind = EngineKind.LOCAL
+    address: str | None = None
+    """Address of the Ray cluster."""
     overwrite: bool = False
     """Forget what `out` holds instead of going on from there."""
     seed: int = 0
@@ -140,14 +145,14 @@ def run_samples(
         UsageError: the configuration or the output folder cannot be used.
         SetupError: something is missing on this machine, or the disk is full. What was finished is kept.
     """
-    engine = create_engine(config.engine, config.jobs)
+    engine = create_engine(config.engine, config.jobs, config.address)
     chosen = list(samples[: config.limit])
     chosen = config.shard.take(chosen) if config.shard else chosen
     header = run_header(config, found=len(samples))
     with ResultStore(config.out, overwrite=config.overwrite) as store:
         waiting = _resume(store, samples, chosen, measure, header, observer)
         observer.started(total=len(chosen), kept=len(chosen) - len(waiting))
-        with closing(engine.run(measure.make, waiting)) as outcomes:
+        with closing(engine.run(partial(_make, measure), waiting)) as outcomes:
             for outcome in outcomes:
                 if isinstance(outcome, Crashed):
                     row, wall_s = measure.failed(outcome.item, Status.ERROR, outcome.reason), 0.0
@@ -159,6 +164,19 @@ def run_samples(
         if config.replays:
             _replay(config)
         return close_run(store, config.kind, config.seed)
+
+
+def _make(measure: Measure[Sample, Equipment]) -> Callable[[Sample], tuple[SampleRow, float]]:
+    """Begin to work in some process.
+
+    Raises:
+        SetupError: it does not see what is written here, or something is missing.
+    """
+    if not measure.out.is_dir() or RUN not in os.listdir(measure.out):  # a listing is fresh also over a network
+        raise SetupError(
+            f"{platform.node()} does not see the run in {measure.out}: put --out in a folder that all nodes share"
+        )
+    return measure.make()
 
 
 def close_run(store: ResultStore, kind: Kind, seed: int) -> RunSummary:

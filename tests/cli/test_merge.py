@@ -1,9 +1,15 @@
 """Shards of real runs with fake stages, merged by the program and gone on from."""
 
+import os
+import subprocess
+from pathlib import Path
+
 import pytest
 from fake_stages import LOG, Act
 
 from kinebench_drake.results import read_rows
+
+EXAMPLES = Path(__file__).parent.parent.parent / "examples"
 
 
 def content(out):
@@ -45,3 +51,24 @@ def test_what_cannot_be_merged_is_one_line(film, program, tmp_path):
     assert read_rows(tmp_path / "one").keys() == {"a"}
     for arguments in ([], ["--out", tmp_path / "out"], [tmp_path / "videos", "--out", tmp_path / "out"]):
         assert program("merge", *arguments)[0] == 2
+
+
+def test_the_slurm_example_calls_the_program_as_it_is(program, tmp_path):
+    """Every array task does its shard, the last step merges them."""
+    said = tmp_path / "said"
+    said.write_text('#!/usr/bin/env bash\nprintf "%s\\n" "$@"\n')
+    said.chmod(0o755)
+    (tmp_path / "shards" / "3").mkdir(parents=True)
+    told = {"VIDEOS": "videos", "RESULTS": str(tmp_path), "KINEBENCH": str(said), "PATH": os.environ["PATH"]}
+    told |= {"SLURM_ARRAY_TASK_ID": "3", "SLURM_CPUS_PER_TASK": "8"}
+    script = EXAMPLES / "cluster" / "score.sbatch"
+    calls = {
+        step: subprocess.run(
+            ["bash", script, *step], env=told, capture_output=True, text=True, check=True
+        ).stdout.split()
+        for step in ((), ("merge",))
+    }
+    assert calls[()][-4:] == ["--shard", "3/16", "--jobs", "8"]
+    assert calls[("merge",)] == ["merge", f"{tmp_path}/shards/3", "--out", f"{tmp_path}/merged"]
+    assert "videos: no such file" in program(*calls[()])[2]
+    assert "holds no samples.jsonl" in program(*calls[("merge",)])[2]
