@@ -73,6 +73,7 @@ class AuditConfig(RunConfig):
             "rate_hz": self.rate_hz,
             "joints": self.joints,
             "poses": self.poses,
+            "replays": self.replays,
             "robot": self.urdf.name if self.urdf else None,
             "tcp_frame": self.tcp_frame,
             "robot_remarks": list(self.robot_remarks),

@@ -11,12 +11,15 @@ from kinebench_drake.row import Json, SampleRow, dump
 from kinebench_drake.storage import storage, write_atomically
 
 SAMPLES, TIMINGS, RESULTS, REPORT = "samples.jsonl", "timings.jsonl", "results.json", "report.html"
-_PARTS = {"tracks": "npz", "overlays": "mp4", "rollouts": "mp4", "thumbnails": "jpg", "replays": "html"}
+RUN = "run.json"
+"""What `results.json` will say of the run; there as long as `results.json` is not."""
+PARTS = {"tracks": "npz", "overlays": "mp4", "rollouts": "mp4", "thumbnails": "jpg", "replays": "html"}
+"""Folders with a file for each sample, and the suffix of its name."""
 
 
 def part_path(out: Path, part: str, id: str) -> Path:
     """Path of a sample's file of its own: part is "tracks", "overlays", "rollouts", "thumbnails" or "replays"."""
-    return out / part / f"{id}.{_PARTS[part]}"
+    return out / part / f"{id}.{PARTS[part]}"
 
 
 def read_rows(out: Path) -> dict[str, SampleRow]:
@@ -56,7 +59,7 @@ class ResultStore:
         self._lock = -1
         try:
             out.mkdir(parents=True, exist_ok=True)
-            for part in _PARTS:
+            for part in PARTS:
                 (out / part).mkdir(exist_ok=True)
             self._lock = os.open(out, os.O_RDONLY)
             self._claim()
@@ -83,6 +86,10 @@ class ResultStore:
             os.close(self._lock)
             self._lock = -1
 
+    def sorted_rows(self) -> list[SampleRow]:
+        """All rows, by id."""
+        return [self.rows[id] for id in sorted(self.rows)]
+
     def keep(self, wanted: Callable[[SampleRow], bool]) -> None:
         """Drop every row that is not `wanted`, with its files, and tidy the file of rows.
 
@@ -91,10 +98,20 @@ class ResultStore:
         """
         for id in [id for id, row in self.rows.items() if not wanted(row)]:
             del self.rows[id]
-            for part in _PARTS:
+            for part in PARTS:
                 with storage(f"{part}/"):
                     part_path(self.out, part, id).unlink(missing_ok=True)
         self._rewrite()
+
+    def begin(self, header: Mapping[str, Json]) -> None:
+        """Tell what run fills the folder from now on; `results.json`, true no more, is gone until `finish`.
+
+        Raises:
+            SetupError: writing failed.
+        """
+        write_atomically(self.out / RUN, dump(header, indent=1).encode())
+        with storage(RESULTS):
+            (self.out / RESULTS).unlink(missing_ok=True)
 
     def append(self, row: SampleRow, wall_s: float) -> None:
         """Put a finished sample on disk for good: after this returns, no crash loses it.
@@ -116,7 +133,9 @@ class ResultStore:
         """
         self._rewrite()
         write_atomically(self.out / RESULTS, dump(results, indent=1).encode())
-        for part in _PARTS:
+        with storage(RUN):
+            (self.out / RUN).unlink(missing_ok=True)
+        for part in PARTS:
             folder = self.out / part
             if folder.is_dir() and not any(folder.iterdir()):
                 folder.rmdir()
@@ -149,11 +168,11 @@ class ResultStore:
 
     def _sweep(self, *, everything: bool) -> None:
         """Remove what a killed run left half-written, and on demand all that any run wrote."""
-        doomed = [*self.out.glob(".*.part")]
-        for part, suffix in _PARTS.items():
-            doomed += (self.out / part).glob(".*.part")
+        doomed = [*self.out.glob(".*.part.*")]
+        for part, suffix in PARTS.items():
+            doomed += (self.out / part).glob(".*.part.*")
             doomed += (self.out / part).glob(f"*.{suffix}") if everything else ()
         if everything:
-            doomed += [self.out / name for name in (SAMPLES, TIMINGS, RESULTS, REPORT)]
+            doomed += [self.out / name for name in (SAMPLES, TIMINGS, RUN, RESULTS, REPORT)]
         for file in doomed:
             file.unlink(missing_ok=True)

@@ -1,18 +1,22 @@
 """One run over many samples, whatever they are: resumed, shared out, stored, summed up."""
 
-from collections.abc import Mapping, Sequence
+import os
+import platform
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Protocol
 
 from kinebench_drake.aggregate import Estimate, aggregate, by_key, estimate
 from kinebench_drake.engines import Crashed, EngineKind, create_engine
-from kinebench_drake.errors import UsageError
+from kinebench_drake.errors import SetupError, UsageError
+from kinebench_drake.header import RunHeader
 from kinebench_drake.measure import SCHEMA_VERSION, Equipment, Kind, Measure, Sample
 from kinebench_drake.normalization import normalize_run
 from kinebench_drake.provenance import code_hash, host, versions, weights_hash
-from kinebench_drake.results import REPORT, ResultStore
+from kinebench_drake.results import REPORT, RUN, ResultStore
 from kinebench_drake.row import Json, SampleRow, Status
 from kinebench_drake.shard import Shard
 from kinebench_drake.stages import StageOptions
@@ -33,6 +37,8 @@ class RunConfig:
     jobs: int = 1
     """Worker processes."""
     engine: EngineKind = EngineKind.LOCAL
+    address: str | None = None
+    """Address of the Ray cluster."""
     overwrite: bool = False
     """Forget what `out` holds instead of going on from there."""
     seed: int = 0
@@ -146,13 +152,14 @@ def run_samples(
         UsageError: the configuration or the output folder cannot be used.
         SetupError: something is missing on this machine, or the disk is full. What was finished is kept.
     """
-    engine = create_engine(config.engine, config.jobs)
+    engine = create_engine(config.engine, config.jobs, config.address)
     chosen = list(samples[: config.limit])
     chosen = config.shard.take(chosen) if config.shard else chosen
+    header = run_header(config, found=len(samples))
     with ResultStore(config.out, overwrite=config.overwrite) as store:
-        waiting = _resume(store, samples, chosen, measure, observer)
+        waiting = _resume(store, samples, chosen, measure, header, observer)
         observer.started(total=len(chosen), kept=len(chosen) - len(waiting))
-        with closing(engine.run(measure.make, waiting)) as outcomes:
+        with closing(engine.run(partial(_make, measure), waiting)) as outcomes:
             for outcome in outcomes:
                 if isinstance(outcome, Crashed):
                     row, wall_s = measure.failed(outcome.item, Status.ERROR, outcome.reason), 0.0
@@ -160,15 +167,37 @@ def run_samples(
                     row, wall_s = outcome.result
                 store.append(row, wall_s)
                 observer.finished(row, wall_s)
-        rows = [store.rows[id] for id in sorted(store.rows)]
-        store.finish(summarize(rows, config, found=len(samples)))
+        store.finish(summarize(store.sorted_rows(), header))
         if config.replays:
             _replay(config)
-        report = _report(config) if config.kind.judges else None
+        return close_run(store, config.kind, config.seed)
+
+
+def _make(measure: Measure[Sample, Equipment]) -> Callable[[Sample], tuple[SampleRow, float]]:
+    """Begin to work in some process.
+
+    Raises:
+        SetupError: it does not see what is written here, or something is missing.
+    """
+    if not measure.out.is_dir() or RUN not in os.listdir(measure.out):  # a listing is fresh also over a network
+        raise SetupError(
+            f"{platform.node()} does not see the run in {measure.out}: put --out in a folder that all nodes share"
+        )
+    return measure.make()
+
+
+def close_run(store: ResultStore, kind: Kind, seed: int) -> RunSummary:
+    """Write the report of a finished folder and sum it up.
+
+    Raises:
+        SetupError: writing failed.
+    """
+    rows = store.sorted_rows()
+    report = _report(store.out) if kind.judges else None
     measured = [r for r in rows if r.status is Status.OK]
-    feasible = estimate([r.feasible for r in measured], total=len(rows), seed=config.seed)
-    goals = [r.extra.get("success") for r in measured] if config.kind is Kind.SUITE else []
-    success = estimate(goals, total=len(rows), seed=config.seed)
+    feasible = estimate([r.feasible for r in measured], total=len(rows), seed=seed)
+    goals = [r.extra.get("success") for r in measured] if kind is Kind.SUITE else []
+    success = estimate(goals, total=len(rows), seed=seed)
     return RunSummary(
         rows=tuple(rows),
         counts={status: sum(row.status is status for row in rows) for status in Status},
@@ -178,29 +207,38 @@ def run_samples(
     )
 
 
-def summarize(rows: Sequence[SampleRow], config: RunConfig, found: int) -> dict[str, Json]:
+def run_header(config: RunConfig, found: int) -> RunHeader:
+    """What results tell of a run besides its rows and their numbers, on this machine with this code."""
+    return RunHeader(
+        schema_version=SCHEMA_VERSION,
+        suite_version=config.suite_version,
+        kind=config.kind.value,
+        samples_found=found,
+        config=config.to_json(),
+        tags=config.tags,
+        bootstrap_seed=config.seed,
+        versions=versions(),
+        code_sha256=code_hash(),
+        weights_sha256=weights_hash(),
+        host=host(),
+    )
+
+
+def summarize(rows: Sequence[SampleRow], header: RunHeader) -> dict[str, Json]:
     """The content of `results.json`."""
+    seed = header.bootstrap_seed
 
     def groups(key: str) -> dict[str, Json]:
-        return {name: aggregate(group, config.seed).to_json() for name, group in by_key(rows, key).items()}
+        return {name: aggregate(group, seed).to_json() for name, group in by_key(rows, key).items()}
 
-    return {
-        "schema_version": SCHEMA_VERSION,
-        "suite_version": config.suite_version,
-        "kind": config.kind.value,
-        "samples_found": found,
-        "aggregates": aggregate(rows, config.seed).to_json(),
-        "per_task": groups("task"),
-        "per_model": groups("model"),
-        "normalization": normalize_run(rows),
-        "config": config.to_json(),
-        "tags": dict(sorted(config.tags.items())),
-        "seeds": {"bootstrap": config.seed},
-        "versions": versions(),
-        "code_sha256": code_hash(),
-        "weights_sha256": weights_hash(),
-        "host": host(),
-    }
+    return header.to_json(
+        {
+            "aggregates": aggregate(rows, seed).to_json(),
+            "per_task": groups("task"),
+            "per_model": groups("model"),
+            "normalization": normalize_run(rows),
+        }
+    )
 
 
 def _resume(
@@ -208,9 +246,10 @@ def _resume(
     samples: Sequence[Sample],
     chosen: Sequence[Sample],
     measure: Measure[Sample, Equipment],
+    header: RunHeader,
     observer: Observer,
 ) -> list[Sample]:
-    """Drop kept rows that no longer hold; return the samples still to do."""
+    """Drop kept rows that no longer hold; return the samples still to do. The folder is this run's from here on."""
     known = {sample.id for sample in samples}
     if store.rows and not known & store.rows.keys():
         raise UsageError(
@@ -224,6 +263,8 @@ def _resume(
             f"named now (such as {strangers[0]!r})"
         )
     waiting = {s.id: s for s in chosen if not measure.is_finished(s, store.rows.get(s.id))}
+    if waiting or strangers:
+        store.begin(header.to_json())
     store.keep(lambda row: row.id in known and row.id not in waiting)
     return list(waiting.values())
 
@@ -240,8 +281,8 @@ def _replay(config: RunConfig) -> None:
         write_replays(config.out, worst, ArmPlant(choose_robot(options.urdf, options.tcp_frame)))
 
 
-def _report(config: RunConfig) -> Path:
+def _report(out: Path) -> Path:
     from kinebench_drake.report import write_report
 
     with storage(REPORT):
-        return write_report(config.out)
+        return write_report(out)

@@ -28,7 +28,18 @@ LEAF = {
         "drawing",
     ),
 }
-RESULTS = {"row", "pairing", "aggregate", "normalization", "results", "trackfile", "provenance", "report", "engines"}
+RESULTS = {
+    "row",
+    "pairing",
+    "aggregate",
+    "normalization",
+    "results",
+    "trackfile",
+    "provenance",
+    "report",
+    "engines",
+    "header",
+}
 MAY_IMPORT = {
     **dict.fromkeys(LEAF, LEAF),
     "models": LEAF,
@@ -45,6 +56,7 @@ MAY_IMPORT = {
     "run": LEAF | RESULTS | {"stages", "measure", "replay", "kinematics", "models"},
     "trajectory_measure": LEAF | RESULTS | {"stages", "measure", "trajectories"},
     "audit": LEAF | RESULTS | {"stages", "measure", "run", "trajectories", "trajectory_measure", "models"},
+    "merge": LEAF | RESULTS | {"measure", "run"},
     "thumbnail": LEAF | {"stages"},
     "validation": LEAF
     | RESULTS
@@ -119,7 +131,7 @@ def test_importing_the_package_loads_nothing_heavy():
 @pytest.mark.parametrize(
     "module",
     [
-        *("score", "audit", "inputs", "results", "measure", "report", "cli.score", "cli.audit", "cli.run"),
+        *("score", "audit", "inputs", "results", "measure", "report", "merge", "cli.score", "cli.audit", "cli.run"),
         *("suites.start", "suites.worldmodels.factory"),
     ],
 )

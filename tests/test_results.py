@@ -95,7 +95,7 @@ def test_a_folder_that_cannot_be_written_is_a_usage_error(tmp_path):
 
 
 def test_overwrite_removes_what_runs_wrote_and_nothing_else(tmp_path):
-    for name in ("tracks/a.npz", "overlays/a.mp4", "thumbnails/a.jpg", "tracks/.b.npz.7.part", "report.html"):
+    for name in ("tracks/a.npz", "overlays/a.mp4", "thumbnails/a.jpg", "tracks/.7.part.b.npz", "report.html"):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).touch()
     (tmp_path / "tracks" / "mine.txt").touch()

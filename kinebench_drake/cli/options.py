@@ -46,7 +46,12 @@ _RUN = (
         callback=_engine,
         default=EngineKind.LOCAL.value,
         show_default=True,
-        help="Where workers run.",
+        help="Where workers run: processes of this machine, or a Ray cluster.",
+    ),
+    click.option(
+        "--address",
+        help="Ray cluster.  [default: RAY_ADDRESS, or that of this machine]",
+        metavar="HOST:PORT",
     ),
     click.option(
         "--overwrite/--resume",

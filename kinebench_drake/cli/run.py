@@ -12,9 +12,9 @@ from kinebench_drake.row import Status
 from kinebench_drake.run import Observer, RunSummary
 
 
-def run(job: Callable[[Observer], RunSummary], out: Path) -> int:
+def run(job: Callable[[Observer], RunSummary], out: Path, view: ProgressView | None = None) -> int:
     """Work through a run that fills the folder `out`, with progress shown; returns the exit status."""
-    view = ProgressView()
+    view = view or ProgressView()
     try:
         with view, terminate_as_interrupt():
             summary = job(view)

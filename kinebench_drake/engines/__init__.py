@@ -1,11 +1,12 @@
-"""Where samples are worked on: this process or several."""
+"""Where samples are worked on: this process, several, or a cluster."""
 
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
 from enum import Enum
+from importlib.util import find_spec
 from typing import Generic, Protocol, TypeVar
 
-from kinebench_drake.errors import UsageError
+from kinebench_drake.errors import SetupError, UsageError
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -52,18 +53,28 @@ class Engine(Protocol):
         ...
 
 
-def create_engine(kind: EngineKind, jobs: int) -> Engine:
+def create_engine(kind: EngineKind, jobs: int, address: str | None = None) -> Engine:
     """The engine of a name, with `jobs` workers.
 
+    Args:
+        kind: the engine.
+        jobs: number of workers.
+        address: of a Ray cluster; for that engine alone.
+
     Raises:
-        UsageError: the engine is not available, or jobs is not positive.
+        UsageError: jobs is not positive, or an address is given that nobody needs.
+        SetupError: the engine's package is not installed.
     """
-    if kind is EngineKind.RAY:
-        raise UsageError(
-            "--engine ray is not available in this version; use --engine local with --jobs N or --shard I/N"
-        )
     if jobs < 1:
         raise UsageError(f"--jobs is {jobs}, expected 1 or more")
+    if kind is EngineKind.RAY:
+        if find_spec("ray") is None:
+            raise SetupError("--engine ray needs the package ray: pip install 'kinebench-drake[ray]'")
+        from kinebench_drake.engines.ray import RayEngine
+
+        return RayEngine(jobs=jobs, address=address)
+    if address is not None:
+        raise UsageError(f"--address {address} goes with --engine ray")
     from kinebench_drake.engines.local import LocalEngine
 
     return LocalEngine(jobs=jobs)

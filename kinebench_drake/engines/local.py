@@ -19,7 +19,8 @@ from typing import Generic, cast
 from kinebench_drake.engines import Crashed, Done, Item, Result
 from kinebench_drake.errors import KinebenchError
 
-_THREAD_VARIABLES = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+THREAD_VARIABLES = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+"""Environment variables that tell numeric libraries how many threads to take."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -47,10 +48,10 @@ class LocalEngine:
 @contextmanager
 def _one_thread() -> Iterator[None]:
     """One thread for numeric libraries: those not loaded yet read the environment, torch also listens later."""
-    before = {name: os.environ.get(name) for name in _THREAD_VARIABLES}
+    before = {name: os.environ.get(name) for name in THREAD_VARIABLES}
     torch = sys.modules.get("torch")
     threads = torch.get_num_threads() if torch else 0
-    os.environ.update(dict.fromkeys(_THREAD_VARIABLES, "1"))
+    os.environ.update(dict.fromkeys(THREAD_VARIABLES, "1"))
     if torch:
         torch.set_num_threads(1)
     try:

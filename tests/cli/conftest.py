@@ -1,3 +1,4 @@
+import os
 import sys
 from functools import partial
 from pathlib import Path
@@ -25,8 +26,8 @@ def _code_as_it_is_now():
 
 @pytest.fixture(autouse=True)
 def _fake_stages_in_workers(monkeypatch):
-    """Worker processes can import the fake stages, too."""
-    monkeypatch.setenv("PYTHONPATH", str(HERE))
+    """Worker processes can import the fake stages, too, and the same package as the tests."""
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(HERE), str(HERE.parent.parent)]))
 
 
 @pytest.fixture

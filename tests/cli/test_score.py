@@ -216,9 +216,12 @@ def test_missing_stages_stop_the_run_at_once(film, config, tmp_path):
     assert read_rows(tmp_path / "out") == {}
 
 
-def test_impossible_configurations(film, config):
+def test_impossible_configurations(film, config, monkeypatch):
     film("videos/a.mp4")
-    with pytest.raises(UsageError, match="ray is not available"):
+    with pytest.raises(UsageError, match="--address a:1 goes with --engine ray"):
+        score_videos(config(address="a:1"))
+    monkeypatch.setitem(sys.modules, "ray", None)
+    with pytest.raises(SetupError, match=r"pip install 'kinebench-drake\[ray\]'"):
         score_videos(config(engine=EngineKind.RAY))
     for changes in ({"limit": 0}, {"seed": -1}, {"frame_period_s": float("nan")}, {"frame_period_s": 0.0}):
         with pytest.raises(UsageError, match="expected"):

@@ -1,0 +1,127 @@
+"""What an output folder tells of its run besides the rows: by it shards of one run know each other."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from kinebench_drake.errors import InputError
+from kinebench_drake.results import RESULTS, RUN
+from kinebench_drake.row import Json
+from kinebench_drake.shard import Shard
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunHeader:
+    """The part of `results.json` that is known before the first sample is done."""
+
+    schema_version: int
+    """Version of the files' format."""
+    suite_version: Json
+    """Version of the suites; None where none is involved."""
+    kind: str
+    """What is done with the samples."""
+    samples_found: int
+    """Samples of the whole run, shard and limit aside."""
+    config: Mapping[str, Json]
+    """What the run was told."""
+    tags: Mapping[str, str]
+    """Labels that the user gave."""
+    bootstrap_seed: int
+    """Seed of the intervals' resampling."""
+    versions: Mapping[str, Json]
+    """Packages and their versions."""
+    code_sha256: str
+    weights_sha256: str
+    host: Mapping[str, Json]
+    """The machine in few words."""
+
+    @property
+    def shard(self) -> Shard | None:
+        """The part of the samples that was worked on; None for all.
+
+        Raises:
+            UsageError: it is told in another form than I/N.
+        """
+        told = self.config.get("shard")
+        return None if told is None else Shard.parse(str(told))
+
+    @property
+    def planned(self) -> int:
+        """Samples that all shards together have."""
+        limit = self.config.get("limit")
+        return min(self.samples_found, limit) if isinstance(limit, int) else self.samples_found
+
+    def to_json(self, aggregates: Mapping[str, Json] | None = None) -> dict[str, Json]:
+        """The object as written, the numbers over all rows amid it."""
+        return {
+            "schema_version": self.schema_version,
+            "suite_version": self.suite_version,
+            "kind": self.kind,
+            "samples_found": self.samples_found,
+            **(aggregates or {}),
+            "config": self.config,
+            "tags": dict(sorted(self.tags.items())),
+            "seeds": {"bootstrap": self.bootstrap_seed},
+            "versions": self.versions,
+            "code_sha256": self.code_sha256,
+            "weights_sha256": self.weights_sha256,
+            "host": self.host,
+        }
+
+    @classmethod
+    def from_json(cls, data: object) -> "RunHeader":
+        """Header from a parsed `results.json` or `run.json`.
+
+        Raises:
+            InputError: a part is missing or has another form.
+        """
+        if not isinstance(data, dict):
+            raise InputError(f"expected an object, found {type(data).__name__}")
+        seeds = data.get("seeds")
+        told: dict[str, Any] = {
+            **{name: data.get(name) for name in cls.__dataclass_fields__},
+            "bootstrap_seed": seeds.get("bootstrap") if isinstance(seeds, dict) else None,
+        }
+        forms = {
+            **dict.fromkeys(("schema_version", "samples_found", "bootstrap_seed"), int),
+            **dict.fromkeys(("kind", "code_sha256", "weights_sha256"), str),
+            **dict.fromkeys(("config", "tags", "versions", "host"), dict),
+        }
+        for name, form in forms.items():
+            if not isinstance(told[name], form):
+                raise InputError(f"{name} is {told[name]!r:.60}, expected {form.__name__}")
+        return cls(**told)
+
+    def with_config(self, **changes: Json) -> "RunHeader":
+        """The same, told other things."""
+        return replace(self, config={**self.config, **changes})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Found:
+    """A header and whether the run it is of came to its end."""
+
+    header: RunHeader
+    finished: bool
+
+
+def read_header(out: Path) -> Found | None:
+    """The header of an output folder; None if it holds none.
+
+    Raises:
+        InputError: the file is damaged.
+    """
+    for name in (RESULTS, RUN):  # where both are there, the run was stopped with its results written
+        path = out / name
+        try:
+            header = RunHeader.from_json(json.loads(path.read_bytes()))
+        except FileNotFoundError:
+            continue
+        except OSError as error:
+            raise InputError(f"{path}: cannot be read ({error.strerror or error})") from None
+        except (ValueError, InputError) as error:
+            raise InputError(f"{path}: is not what a run writes ({error})") from None
+        return Found(header=header, finished=name == RESULTS)
+    return None

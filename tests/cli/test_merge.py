@@ -1,0 +1,74 @@
+"""Shards of real runs with fake stages, merged by the program and gone on from."""
+
+import os
+import subprocess
+from pathlib import Path
+
+import pytest
+from fake_stages import LOG, Act
+
+from kinebench_drake.results import read_rows
+
+EXAMPLES = Path(__file__).parent.parent.parent / "examples"
+
+
+def content(out):
+    return {
+        p.relative_to(out).as_posix(): p.read_bytes() for p in out.rglob("*") if p.is_file() and "timings" not in p.name
+    }
+
+
+@pytest.mark.parametrize("command", ["score", "ground"])
+def test_shards_merged_are_one_run(film, program, tmp_path, monkeypatch, command):
+    for k, act in enumerate([Act.FEASIBLE, Act.INFEASIBLE, Act.NO_ROBOT, Act.RAISE, Act.FEASIBLE]):
+        film(f"videos/v{k}.mp4", act)
+    shared = [command, tmp_path / "videos", "--overlay", "--tag", "run=7", "--model", "m"]
+    program(*shared, "--out", tmp_path / "whole")
+    parts = [tmp_path / f"part{k}" for k in (1, 2, 3)]
+    for k, part in enumerate(parts, 1):
+        program(*shared, "--out", part, "--shard", f"{k}/3")
+    code, said, err = program("merge", *parts, "--out", tmp_path / "out")
+    assert (code, err) == (0, "")
+    assert said.startswith("3 ok, 1 unmeasurable, 1 error\n" if command == "score" else "3 ok")
+    assert content(tmp_path / "out") == content(tmp_path / "whole")
+
+    code, _, err = program("merge", *parts[:2], "--out", tmp_path / "most")
+    assert (code, err) == (0, "warning: 1 of 5 samples are absent: no folder is of shard 3/3\n")
+    monkeypatch.setenv(LOG, str(tmp_path / "log"))
+    program(*shared, "--out", tmp_path / "most")
+    assert content(tmp_path / "most") == content(tmp_path / "whole")
+    assert len((tmp_path / "log").read_text().splitlines()) == 2  # the absent one, and the one that had failed
+
+
+def test_what_cannot_be_merged_is_one_line(film, program, tmp_path):
+    film("videos/a.mp4")
+    program("score", tmp_path / "videos", "--out", tmp_path / "one")
+    program("score", tmp_path / "videos", "--out", tmp_path / "two", "--frame-period", "0.1")
+    code, _, err = program("merge", tmp_path / "one", tmp_path / "two", "--out", tmp_path / "out")
+    assert code == 2
+    assert err.count("\n") == 1
+    assert "frame_period_s is null and 0.1" in err
+    assert read_rows(tmp_path / "one").keys() == {"a"}
+    for arguments in ([], ["--out", tmp_path / "out"], [tmp_path / "videos", "--out", tmp_path / "out"]):
+        assert program("merge", *arguments)[0] == 2
+
+
+def test_the_slurm_example_calls_the_program_as_it_is(program, tmp_path):
+    """Every array task does its shard, the last step merges them."""
+    said = tmp_path / "said"
+    said.write_text('#!/usr/bin/env bash\nprintf "%s\\n" "$@"\n')
+    said.chmod(0o755)
+    (tmp_path / "shards" / "3").mkdir(parents=True)
+    told = {"VIDEOS": "videos", "RESULTS": str(tmp_path), "KINEBENCH": str(said), "PATH": os.environ["PATH"]}
+    told |= {"SLURM_ARRAY_TASK_ID": "3", "SLURM_CPUS_PER_TASK": "8"}
+    script = EXAMPLES / "cluster" / "score.sbatch"
+    calls = {
+        step: subprocess.run(
+            ["bash", script, *step], env=told, capture_output=True, text=True, check=True
+        ).stdout.split()
+        for step in ((), ("merge",))
+    }
+    assert calls[()][-4:] == ["--shard", "3/16", "--jobs", "8"]
+    assert calls[("merge",)] == ["merge", f"{tmp_path}/shards/3", "--out", f"{tmp_path}/merged"]
+    assert "videos: no such file" in program(*calls[()])[2]
+    assert "holds no samples.jsonl" in program(*calls[("merge",)])[2]
