@@ -188,7 +188,10 @@ class _Crew(Generic[Item, Result]):
             answer = self._ray.get(slot.answer)
         except self._ray.exceptions.RayError as error:
             self._dismiss(slot)
-            return self._failed_start(error) if task is None else self._lost(task, error)
+            if task is not None:
+                return self._lost(task, error)
+            self._failed_start(error)
+            return None
         if isinstance(answer, KinebenchError):
             raise answer
         self._feed(slot)
