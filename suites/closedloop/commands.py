@@ -27,8 +27,9 @@ LEAD_S = 0.1
 """How far the servos of ManiSkill's Panda lag behind their targets: damping over stiffness, 100 / 1000."""
 SQUEEZE_M = 0.008
 """How much narrower than seen the gap of fingers that hold something is commanded: 4 N a finger at their stiffness."""
-GRIP_M = 0.006
-"""Fingers hold from where their gap has shrunk by so much until it has grown again by so much."""
+GRIP_M, RELEASE_M = 0.006, 0.010
+"""Fingers hold from where their gap has shrunk by the one until it has grown again by the other: what is held is read
+now wider and now narrower, and fingers that do open soon have opened further."""
 LEVER_M = 0.1
 """Turning by an angle counts as moving by the angle times this."""
 SELF_DEPTH_M = 0.005
@@ -212,7 +213,7 @@ def _finger_targets(finger_width_m: Array, X_BG: Array, start: Posed) -> tuple[A
     targets = np.empty_like(width)
     for i, gap in enumerate(width):
         extreme = min(extreme, gap) if gripping else max(extreme, gap)
-        if abs(gap - extreme) > GRIP_M:
+        if abs(gap - extreme) > (RELEASE_M if gripping else GRIP_M):
             gripping, extreme = not gripping, gap
         targets[i] = gap - SQUEEZE_M if gripping else gap
     return targets, gripping
