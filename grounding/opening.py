@@ -11,7 +11,7 @@ from kinebench_drake.models.panda.cad import MAX_FINGER_M
 SHARP_M = 0.004
 """A gap with a smaller standard deviation than this is seen; beyond it fingers hide each other and labels err alike."""
 _BLUNT_FACTOR = 2.5  # by which the error of a gap that is not seen well exceeds its standard deviation
-_BLIND_M = 0.015  # standard deviation of a reading that says nothing any more
+_BLIND_M = 0.010  # standard deviation of a reading that says nothing any more
 _FLOOR_M = 0.001  # no reading is better
 _WILD = 0.02  # share of readings that are anything
 _UNKNOWN_M = 0.015  # a gap known no better than this is not known
