@@ -13,8 +13,10 @@ from kinebench_drake import manifest
 from kinebench_drake.camera import Camera, benchmark_camera
 from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.geometry import checked_pose
+from kinebench_drake.grounding.array_file import ARRAY_SUFFIXES
+from kinebench_drake.grounding.film import FILM_SUFFIXES
+from kinebench_drake.grounding.frame_folder import FRAME_SUFFIXES
 from kinebench_drake.grounding.known import FirstFrame
-from kinebench_drake.grounding.video import ARRAY_SUFFIXES, FILM_SUFFIXES, FRAME_SUFFIXES
 from kinebench_drake.identity import shorten, unique_ids
 
 CAMERA_NAME = "camera.json"

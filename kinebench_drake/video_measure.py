@@ -10,9 +10,11 @@ import numpy as np
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import InputError, UnmeasurableError, UsageError
 from kinebench_drake.geometry import Array
+from kinebench_drake.grounding.decoded import Video
+from kinebench_drake.grounding.frame_folder import frame_files
 from kinebench_drake.grounding.known import FirstFrame
 from kinebench_drake.grounding.sources.sources import Sources
-from kinebench_drake.grounding.video import Video, frame_files, read_video
+from kinebench_drake.grounding.video import read_video
 from kinebench_drake.inputs import Sample
 from kinebench_drake.measure import KINEMATIC_METRICS, MIN_TRACKED, Measure, Measured
 from kinebench_drake.mp4 import write_video
