@@ -68,7 +68,9 @@ class VideoPart:
     """Which part of a file is the video, where the file holds more."""
 
     key: str | None = None
-    """Array of an npz file, data set of an HDF5 file; None for the only one."""
+    """Array of an npz file, data set of an HDF5 file, column of a parquet file; None for the only one."""
+    episode: int | None = None
+    """Episode of a parquet file."""
     from_s: float | None = None
     """Time stamp of the first frame in a film [s]; None for its beginning."""
     to_s: float | None = None

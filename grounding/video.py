@@ -9,6 +9,7 @@ from kinebench_drake.grounding.decoded import WHOLE, Video, VideoPart
 from kinebench_drake.grounding.film import FILM_SUFFIXES, read_film
 from kinebench_drake.grounding.frame_folder import read_folder
 from kinebench_drake.grounding.hdf5_file import HDF5_SUFFIXES, read_hdf5
+from kinebench_drake.grounding.parquet_file import PARQUET_SUFFIXES, read_parquet
 
 Reader = Callable[[Path, VideoPart], Video]
 
@@ -16,6 +17,7 @@ READERS: Mapping[str, Reader] = {
     **dict.fromkeys(FILM_SUFFIXES, read_film),
     **dict.fromkeys(ARRAY_SUFFIXES, read_array),
     **dict.fromkeys(HDF5_SUFFIXES, read_hdf5),
+    **dict.fromkeys(PARQUET_SUFFIXES, read_parquet),
 }
 """What reads a file, by its suffix in lower case; other files are tried as films."""
 
