@@ -23,9 +23,10 @@ SNAP_PX = 0.75
 _COARSE_PX, _FINE_PX = (48, 96), (192, 384)  # longer side of the frame at which it is looked at
 _STEPS = 12
 _STILL_PX = 0.01
+_MIN_SPREAD = 1.0  # variance of a picture's levels; one of a single grey tells no place
 _MIN_SHARE = 0.2  # of the frame's pixels that the picture must cover
 _TUKEY = 4.685
-_FINER = 2.5  # px of blur that details must survive less than; what is larger tells no place
+_DETAIL_PX = 10.0  # what is larger tells no place
 
 Grey = NDArray[np.float32]
 
@@ -53,10 +54,11 @@ def align(picture: NDArray[np.uint8], frame: NDArray[np.uint8]) -> Framing | Non
     size, video = (picture.shape[1], picture.shape[0]), (frame.shape[1], frame.shape[0])
     usual = placements(size, video)
     greys = [cv2.cvtColor(image, cv2.COLOR_RGB2GRAY).astype(np.float32) for image in (picture, frame)]
-    found = [(_refined(start, greys, _COARSE_PX)) for start in (*usual, *deeper_crops(size, video))]
-    found = sorted(found, key=lambda f: -(f.correlation or 0.0))[:3]
-    found = [_refined(start, greys, _FINE_PX) for start in found]
-    best = max(found, key=lambda f: f.correlation or 0.0)
+    best = _refined(usual[0], greys, (*_COARSE_PX, *_FINE_PX))
+    if (best.correlation or 0.0) < MIN_CORRELATION or _apart_px(usual[0], best) > SNAP_PX:  # not merely scaled
+        found = [_refined(start, greys, _COARSE_PX) for start in (*usual, *deeper_crops(size, video))]
+        found = sorted(found, key=lambda f: -(f.correlation or 0.0))[:3]
+        best = max((_refined(start, greys, _FINE_PX) for start in found), key=lambda f: f.correlation or 0.0)
     if (best.correlation or 0.0) < MIN_CORRELATION:
         return None
     near = [u for u in usual if _apart_px(u, best) <= SNAP_PX]
@@ -78,7 +80,7 @@ def _refined(start: Framing, greys: list[Grey], sides: tuple[int, ...]) -> Frami
     framing = start
     for side in sides:
         level = _level(framing, greys, side)
-        framing = replace(framing, **_steps(framing, level))
+        framing = _steps(framing, level)
     level = _level(framing, greys, sides[-1])
     return replace(framing, correlation=_correlation(framing, level))
 
@@ -119,8 +121,8 @@ def _warped(picture: Grey, inverse: Array, shape: tuple[int, ...]) -> tuple[Grey
     return np.asarray(image, np.float32), inside
 
 
-def _steps(framing: Framing, level: _Level) -> dict[str, float]:
-    """Scales and offsets after Gauss-Newton at one scale."""
+def _steps(framing: Framing, level: _Level) -> Framing:
+    """The framing after Gauss-Newton at one scale; as it was where that leads nowhere."""
     inverse = _inverse(framing, level)
     u = [cv2.Sobel(level.picture, cv2.CV_32F, 1 - k, k, ksize=3, scale=0.125) for k in (0, 1)]
     height, width = level.frame.shape
@@ -132,32 +134,29 @@ def _steps(framing: Framing, level: _Level) -> dict[str, float]:
         du, dv = (_warped(gradient, inverse, level.frame.shape)[0] for gradient in u)
         columns = np.stack([du * x, du, dv * y, dv, image, np.ones_like(image)], axis=-1)[inside]
         target = level.frame[inside]
-        gain, offset = np.polyfit(columns[:, 4], target, 1)
-        residual = target - gain * columns[:, 4] - offset
+        (spread, shared), _ = np.cov(columns[:, 4], target)
+        if spread < _MIN_SPREAD:
+            break
+        gain = shared / spread
+        residual = target - target.mean() - gain * (columns[:, 4] - columns[:, 4].mean())
         sigma = 1.4826 * float(np.median(np.abs(residual))) + 1.0
         weight = np.clip(1.0 - (residual / (_TUKEY * sigma)) ** 2, 0.0, None)
         A = columns * [gain, gain, gain, gain, 1.0, 1.0]
         step = np.linalg.lstsq((A * weight[:, None]).T @ A, (A * weight[:, None]).T @ residual, rcond=None)[0][:4]
         inverse = inverse + np.array([[step[0] / width, step[1]], [step[2] / height, step[3]]])
         if not (np.isfinite(inverse).all() and (inverse[:, 0] > 0.05).all()):
-            return {}
+            return framing
         if np.abs(step).max() < _STILL_PX:
             break
-    return _numbers(inverse, framing, level)
+    return _framed(inverse, framing, level)
 
 
-def _numbers(inverse: Array, framing: Framing, level: _Level) -> dict[str, float]:
-    """Scales and offsets of the map that `_inverse` turned round."""
+def _framed(inverse: Array, framing: Framing, level: _Level) -> Framing:
+    """The framing whose map `_inverse` turns round."""
     frame_px = np.array(level.frame.shape[::-1]) / [framing.width, framing.height]
     picture_px = np.array(level.picture.shape[::-1]) / [framing.picture_width, framing.picture_height]
     scale = picture_px / (inverse[:, 0] * frame_px)
-    offset = -inverse[:, 1] * scale / picture_px
-    return {
-        "scale_x": float(scale[0]),
-        "scale_y": float(scale[1]),
-        "offset_x": float(offset[0]),
-        "offset_y": float(offset[1]),
-    }
+    return framing.mapped(scale, -inverse[:, 1] * scale / picture_px)
 
 
 def _correlation(framing: Framing, level: _Level) -> float:
@@ -167,7 +166,7 @@ def _correlation(framing: Framing, level: _Level) -> float:
         return 0.0
     details = []
     for grey in (image, level.frame):
-        blurred = cv2.GaussianBlur(np.where(inside, grey, grey[inside].mean()), (0, 0), 4 * _FINER)
+        blurred = cv2.GaussianBlur(np.where(inside, grey, grey[inside].mean()), (0, 0), _DETAIL_PX)
         details.append((grey - blurred)[inside])
     a, b = (d - d.mean() for d in details)
     norm = float(np.sqrt((a @ a) * (b @ b)))

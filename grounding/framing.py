@@ -60,8 +60,16 @@ class Framing:
     def filling(cls, picture: tuple[float, float], video: tuple[int, int]) -> "Framing":
         """A picture of (width, height) stretched over a video of (width, height), as a camera is scaled."""
         (w, h), (width, height) = picture, video
-        scales = {"scale_x": width / w, "scale_y": height / h}
-        return cls(width=width, height=height, picture_width=w, picture_height=h, offset_x=0.0, offset_y=0.0, **scales)
+        return cls(
+            width=width,
+            height=height,
+            picture_width=w,
+            picture_height=h,
+            scale_x=width / w,
+            scale_y=height / h,
+            offset_x=0.0,
+            offset_y=0.0,
+        )
 
     @property
     def map(self) -> Array:
@@ -128,6 +136,11 @@ class Framing:
         if (rows.stop - rows.start, columns.stop - columns.start) == frames.shape[1:3]:
             return frames
         return np.ascontiguousarray(frames[:, rows, columns])
+
+    def mapped(self, scale: Array, offset: Array) -> "Framing":
+        """The same picture in the same video at other scales (2,) and offsets (2,) [px]."""
+        (scale_x, scale_y), (offset_x, offset_y) = scale.tolist(), offset.tolist()
+        return replace(self, scale_x=scale_x, scale_y=scale_y, offset_x=offset_x, offset_y=offset_y)
 
     def to_json(self) -> dict[str, str | float | list[str] | None]:
         """The framing as results tell it."""

@@ -31,7 +31,7 @@ def list_films(path: Path) -> list[str]:
     names: list[str] = []
 
     def visit(name: str, item: object) -> None:
-        if isinstance(item, h5py.Dataset) and (_is_frames(item) or _is_coded(item)):
+        if isinstance(item, h5py.Dataset) and _is_own(item) and (_is_frames(item) or _is_coded(item)):
             names.append(name)
 
     if not path.stat().st_size:
@@ -60,7 +60,7 @@ def read_hdf5(path: Path, part: VideoPart) -> Video:
     try:
         with h5py.File(path, "r") as file:
             data = file.get(key)
-            if not isinstance(data, h5py.Dataset) or data.is_virtual or data.external:
+            if not isinstance(data, h5py.Dataset) or not _is_own(data):
                 raise InputError(f"{path.name}: holds no data set {key!r} of its own")
             frames = _decoded(path, data) if _is_coded(data) else _plain(path, data)
     except (OSError, RuntimeError, KeyError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
@@ -71,6 +71,11 @@ def read_hdf5(path: Path, part: VideoPart) -> Video:
         raise InputError(f"{path.name}: {key} {error}") from None
 
 
+def _is_own(data: h5py.Dataset) -> bool:
+    """Whether the numbers lie in the file itself, not in another that it names."""
+    return not (data.is_virtual or data.external)
+
+
 def _is_frames(data: h5py.Dataset) -> bool:
     return bool(data.dtype == np.uint8 and data.ndim == 4 and data.shape[3] == 3 and data.shape[0])
 
@@ -79,9 +84,7 @@ def _is_coded(data: h5py.Dataset) -> bool:
     """Whether each row begins like a coded picture."""
     rows = data.ndim == 2 and data.dtype == np.uint8
     texts = data.ndim == 1 and (data.dtype.kind == "S" or h5py.check_vlen_dtype(data.dtype) == np.uint8)
-    return bool((rows or texts) and data.shape[0] and not data.is_virtual and not data.external) and _bytes(
-        data[0]
-    ).startswith(_CODED)
+    return bool((rows or texts) and data.shape[0]) and _bytes(data[0]).startswith(_CODED)
 
 
 def _bytes(row: object) -> bytes:

@@ -55,4 +55,4 @@ def find_framing(frames: NDArray[np.uint8], camera: Camera, picture: NDArray[np.
 def _shows(camera: Camera, picture: NDArray[np.uint8]) -> bool:
     """Whether the camera is the picture's: its shape is."""
     height, width = picture.shape[:2]
-    return abs(camera.width * height / (camera.height * width) - 1.0) <= SQUARE
+    return bool(abs(camera.width * height / (camera.height * width) - 1.0) <= SQUARE)

@@ -47,8 +47,9 @@ def with_labels(samples: Sequence[Sample], files: Sequence[Path], search: Search
     The file nearest to a film goes before those above it.
     """
     told: dict[Path, tuple[Row, Path]] = {}
+    added: dict[Path, Sample] = {}
     problems: list[Sample] = []
-    found = {sample.path: sample for sample in samples}
+    found = {sample.path for sample in samples}
     for file in files:  # from the top down
         passed = 0
         for row in _rows(file, search):
@@ -65,10 +66,11 @@ def with_labels(samples: Sequence[Sample], files: Sequence[Path], search: Search
             if path not in found:
                 sample = plain(path, search)
                 problem = None if path.is_file() else f"{name}: there is no such file ({file.name} names it)"
-                found[path] = replace(sample, problem=problem)
+                added[path] = replace(sample, problem=problem)
         if passed:
-            search.warnings.append(f"{search.name(file)}: {passed} rows name no video ({', '.join(_FILES)})")
-    return [*(_labelled(s, *told[p]) if p in told else s for p, s in found.items()), *problems]
+            search.warnings.append(f"{search.name(file)}: {passed} of its rows name no video ({', '.join(_FILES)})")
+    labelled = [_labelled(s, *told[s.path]) if s.path in told else s for s in (*samples, *added.values())]
+    return [*labelled, *problems]
 
 
 def _labelled(sample: Sample, row: Row, file: Path) -> Sample:

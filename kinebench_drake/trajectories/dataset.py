@@ -67,6 +67,8 @@ def read_info(folder: Path) -> Mapping[str, object]:
         info = read_description(folder / INFO)
     except FileNotFoundError:
         raise InputError(f"there is no {INFO.as_posix()}, expected a LeRobot v2 or v3 dataset") from None
+    except InputError as error:
+        raise InputError(f"{error}, expected the description of a LeRobot v2 or v3 dataset") from None
     if not isinstance(info.get("features"), Mapping):
         raise InputError(f"{INFO.as_posix()} names no features, expected a LeRobot v2 or v3 dataset")
     version = str(info.get("codebase_version"))
