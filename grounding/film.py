@@ -17,6 +17,8 @@ from kinebench_drake.grounding.decoded import Video, VideoPart, check_size
 
 FILM_SUFFIXES = frozenset({".mp4", ".mov", ".avi", ".gif", ".webm", ".mkv"})
 
+_BEFORE_S = 1.0  # how much earlier decoding begins: files are searched by the order of decoding, not of showing
+
 
 def read_film(path: Path, part: VideoPart) -> Video:
     """Decode a film, or the frames of it from one time stamp to before another.
@@ -36,7 +38,8 @@ def read_film(path: Path, part: VideoPart) -> Video:
             rate = stream.average_rate or stream.guessed_rate
             half_s = 0.5 / float(rate) if rate else 0.0
             if part.from_s and stream.time_base:
-                container.seek(int(part.from_s / stream.time_base), stream=stream)
+                begin_s = max(0.0, part.from_s - _BEFORE_S)
+                container.seek(int(begin_s / stream.time_base), stream=stream)
             for frame in container.decode(stream):
                 if part.to_s is not None and frame.time is not None and frame.time >= part.to_s - half_s:
                     break

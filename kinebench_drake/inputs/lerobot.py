@@ -28,7 +28,11 @@ def list_lerobot(folder: Path, search: Search) -> list[Sample]:
     """
     info = read_info(folder)
     features = mapping(info["features"])
-    key = search.choose(list(_cameras(features)), "the dataset")
+    cameras = list(_cameras(features))
+    if not cameras:
+        expected = "expected a feature of dtype video or image (`audit` reads its trajectories)"
+        raise InputError(f"the LeRobot dataset has no video, {expected}")
+    key = search.choose(cameras, "the dataset")
     in_parquet = mapping(features[key]).get("dtype") == "image"
     meta = folder / "meta" / CAMERA_NAME
     camera = Camera.load(meta) if meta.is_file() else None

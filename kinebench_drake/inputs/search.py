@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import InputError
@@ -79,6 +79,18 @@ class Search:
             told = f"fits {', '.join(found)}" if found else "is none of its cameras"
             raise InputError(f"--camera-key {wanted} {told}; {where} has {', '.join(keys)}")
         return found[0]
+
+
+def below(folder: Path, relative: str) -> Path:
+    """A path that a dataset names. Links are followed wherever they lead: the Hub's cache consists of them.
+
+    Raises:
+        InputError: it is absolute, or climbs out of the folder.
+    """
+    pure = PurePosixPath(relative)
+    if pure.is_absolute() or ".." in pure.parts or "\0" in relative:
+        raise InputError(f"{relative!r} must be a relative path inside the dataset's folder")
+    return folder / pure
 
 
 def plain(path: Path, search: Search) -> Sample:

@@ -18,8 +18,8 @@ import pyarrow.parquet as parquet
 from kinebench_drake.errors import InputError, cause
 from kinebench_drake.grounding.film import FILM_SUFFIXES
 from kinebench_drake.inputs.sample import Sample
-from kinebench_drake.inputs.search import Search, plain
-from kinebench_drake.manifest import MAX_PERIOD_S, MIN_PERIOD_S, inside
+from kinebench_drake.inputs.search import Search, below, plain
+from kinebench_drake.manifest import MAX_PERIOD_S, MIN_PERIOD_S
 from kinebench_drake.trajectories.description import mapping
 
 Row = Mapping[str, object]
@@ -58,7 +58,7 @@ def with_labels(samples: Sequence[Sample], files: Sequence[Path], search: Search
                 passed += 1
                 continue
             try:
-                path = inside(file.parent, name, "file_name")
+                path = below(file.parent, name)
             except InputError as error:
                 problems.append(replace(plain(file, search), id=Path(name).stem, video=name, problem=str(error)))
                 continue
@@ -108,7 +108,7 @@ def _picture(name: object, folder: Path) -> Path | None:
     if not isinstance(name, str):
         return None
     try:
-        path = inside(folder, name, "first_frame")
+        path = below(folder, name)
     except InputError:
         return None
     return path if path.is_file() else None

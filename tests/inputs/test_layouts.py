@@ -59,6 +59,15 @@ def test_the_metadata_nearest_to_a_video_hold(tmp_path):
     assert find_samples(tmp_path).samples[0].prompt == "near"
 
 
+def test_files_of_the_hubs_cache_are_links(tmp_path):
+    touch(tmp_path, "blobs/1234")
+    (tmp_path / "snapshot").mkdir()
+    (tmp_path / "snapshot" / "a.mp4").symlink_to(tmp_path / "blobs" / "1234")
+    write_metadata(tmp_path / "snapshot", "metadata.csv", [{"file_name": "a.mp4", "text": "go"}])
+    (sample,) = find_samples(tmp_path / "snapshot").samples
+    assert (sample.id, sample.prompt, sample.problem) == ("a", "go", None)
+
+
 def test_metadata_that_cannot_be_used_lose_no_video(tmp_path):
     touch(tmp_path, "a.mp4", "metadata.parquet")
     write_metadata(

@@ -72,6 +72,12 @@ def test_depth_films_are_no_cameras(lerobot):
     assert {s.camera_key for s in find_samples(root).samples} == {TWO[0]}
 
 
+def test_a_dataset_without_films_is_sent_to_audit(tmp_path):
+    write_info(tmp_path / "ds", "v3.0", 10, {"action": {"dtype": "float32", "shape": [7]}})
+    with pytest.raises(UsageError, match=r"LeRobot dataset has no video.*`audit`"):
+        find_samples(tmp_path / "ds")
+
+
 def test_the_datasets_camera_file_holds(lerobot):
     root = lerobot("v3.0")
     assert find_samples(root).samples[0].camera_source is CameraSource.BENCHMARK
