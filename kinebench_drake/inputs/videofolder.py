@@ -75,8 +75,6 @@ def with_labels(samples: Sequence[Sample], files: Sequence[Path], search: Search
 
 def _labelled(sample: Sample, row: Row, file: Path) -> Sample:
     """What a row tells, as far as it is of the right type: such files may hold columns of any meaning."""
-    fps = _number(row.get("fps"), 1.0 / MAX_PERIOD_S, 1.0 / MIN_PERIOD_S)
-    period_s = _number(row.get("frame_period_s"), MIN_PERIOD_S, MAX_PERIOD_S)
     seed = _number(row.get("seed"), -math.inf, math.inf)
     return replace(
         sample,
@@ -84,7 +82,7 @@ def _labelled(sample: Sample, row: Row, file: Path) -> Sample:
         model=_text(row.get("model")),
         seed=None if seed is None or seed != int(seed) else int(seed),
         prompt=next((text for key in _PROMPTS if (text := _text(row.get(key)))), None),
-        dataset_period_s=period_s or (1.0 / fps if fps else None),
+        dataset_period_s=_number(row.get("frame_period_s"), MIN_PERIOD_S, MAX_PERIOD_S),
         first_frame=_picture(row.get("first_frame"), file.parent) or sample.first_frame,
     )
 

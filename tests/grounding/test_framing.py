@@ -87,6 +87,13 @@ def test_another_picture_is_no_witness():
         find_framing(wide, CAMERA, scene(9))
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("size", [(384, 384), (1, 1), (9, 9)])
+def test_a_picture_of_one_colour_tells_nothing(size):
+    video = shown(Framing.filling((384, 384), (512, 512)))
+    assert find_framing(video, CAMERA, np.full((*size, 3), 90, np.uint8)).witness is Witness.SIZE
+
+
 @pytest.mark.parametrize("framing", letterboxes((384, 384), (832, 480)))
 def test_bars_tell_themselves(framing):
     found = find_framing(shown(framing), CAMERA, None)

@@ -20,8 +20,8 @@ def touch(folder, *names):
 
 
 ROWS = [
-    {"file_name": "a.mp4", "text": "close the box", "seed": 3, "fps": 8, "task": "CloseBox-v1"},
-    {"file_name": "deep/b.mp4", "text": "open the drawer", "seed": 4, "fps": 16, "task": "OpenDrawer-v1"},
+    {"file_name": "a.mp4", "text": "close the box", "seed": 3, "frame_period_s": 0.125, "task": "CloseBox-v1"},
+    {"file_name": "deep/b.mp4", "text": "open the drawer", "seed": 4, "frame_period_s": 0.2, "task": "OpenDrawer-v1"},
 ]
 
 
@@ -44,8 +44,8 @@ def test_metadata_label_the_videos_of_a_folder(tmp_path, name):
     write_metadata(tmp_path, name, ROWS)
     told = {s.id: (s.prompt, s.seed, s.task, s.dataset_period_s) for s in find_samples(tmp_path).samples}
     assert told == {
-        "a": ("close the box", 3, "CloseBox-v1", 1 / 8),
-        "b": ("open the drawer", 4, "OpenDrawer-v1", 1 / 16),
+        "a": ("close the box", 3, "CloseBox-v1", 0.125),
+        "b": ("open the drawer", 4, "OpenDrawer-v1", 0.2),
         "c": (None, None, None, None),
     }
     assert [s.id for s in find_samples(tmp_path / name).samples] == ["a", "b"]
@@ -87,7 +87,9 @@ def test_metadata_that_cannot_be_used_lose_no_video(tmp_path):
 def test_columns_of_other_meanings_are_left_alone(tmp_path):
     touch(tmp_path, "a.mp4")
     write_metadata(
-        tmp_path, "metadata.jsonl", [{"file_name": "a.mp4", "task": 7, "seed": "x", "fps": -3, "caption": "go"}]
+        tmp_path,
+        "metadata.jsonl",
+        [{"file_name": "a.mp4", "task": 7, "seed": "x", "frame_period_s": -3, "caption": "go"}],
     )
     (sample,) = find_samples(tmp_path).samples
     assert (sample.task, sample.seed, sample.dataset_period_s, sample.prompt) == (None, None, None, "go")
