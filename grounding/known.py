@@ -74,6 +74,11 @@ class Known:
         posed = self.X_CH is not None and bool(np.isfinite(self.X_CH[1:]).any())
         return self.mask is not None or self.depth is not None or posed
 
+    def cut(self, rows: slice, columns: slice) -> "Known":
+        """The same of frames of which only these rows and columns are kept."""
+        depth = self.depth and replace(self.depth, depth_m=self.depth.depth_m[:, rows, columns])
+        return replace(self, mask=None if self.mask is None else self.mask[:, rows, columns], depth=depth)
+
     def through(self, camera: Camera, frames: int) -> "Known":
         """The same with the first frame's pose and opening among those of all `frames`, as `camera` sees them."""
         if self.first is None:

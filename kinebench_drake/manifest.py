@@ -13,7 +13,7 @@ from kinebench_drake.geometry import checked_pose
 
 NAME = "manifest.jsonl"
 
-UNREAD = frozenset({"first_frame", "frames", "suite", "split"})
+UNREAD = frozenset({"frames", "suite", "split"})
 """Keys that `suite export` and `suite demos` write for world models; nothing here reads them, or warns of them."""
 
 MIN_PERIOD_S, MAX_PERIOD_S = 1e-4, 1e3
@@ -58,6 +58,8 @@ class Entry(BaseModel):
     """panda_hand_tcp in the robot base frame, in the first frame [m]."""
     first_finger_width_m: Annotated[float, Field(ge=-PLAY_M, le=WIDEST_M + PLAY_M, allow_inf_nan=False)] | None = None
     """Gap between the finger pads in the first frame; says nothing without the pose."""
+    first_frame: Annotated[str, Field(min_length=1)] | None = None
+    """Relative path of the picture that the video's maker was given to begin with."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

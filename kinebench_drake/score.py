@@ -17,15 +17,17 @@ from kinebench_drake.video_measure import BENCHMARK_PERIOD_S, PeriodSource, Vide
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ScoreConfig(RunConfig):
-    """Everything a run over videos is told. `source`: video, folder, npy/npz file or manifest."""
+    """Everything a run over videos is told."""
 
     source: Path
-    """Video, folder of videos, npy or npz file, or manifest."""
+    """Video, folder of videos, dataset, npy, npz or HDF5 file, or manifest."""
     task: str | None = None
     """Task of samples that name none."""
     kind: Kind = Kind.SCORE
     frame_period_s: float | None = None
     """Task time between two frames [s]."""
+    camera_key: str | None = None
+    """Camera to take of datasets that have several."""
     overlay: bool = False
     """Write overlays/ID.mp4."""
     masks: Path | None = None
@@ -68,6 +70,7 @@ class ScoreConfig(RunConfig):
             "source": self.source.resolve().name,
             "task": self.task,
             "frame_period_s": self.frame_period_s,
+            "camera_key": self.camera_key,
             "overlay": self.overlay,
             "pixels_only": self.pixels_only,
             **dict.fromkeys(("masks", "depth", "poses")),
@@ -85,7 +88,14 @@ def score_videos(config: ScoreConfig, observer: Observer | None = None) -> RunSu
     """
     observer = observer or Silence()
     sources = config.sources()
-    inputs = find_samples(config.source, out=config.out, model=config.model, task=config.task, others=sources.folders)
+    inputs = find_samples(
+        config.source,
+        out=config.out,
+        model=config.model,
+        task=config.task,
+        others=sources.folders,
+        camera_key=config.camera_key,
+    )
     for warning in inputs.warnings:
         observer.warned(warning)
     samples = (

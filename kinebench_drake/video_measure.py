@@ -1,18 +1,22 @@
 """What is done to one video: read, ground, judge, write its files."""
 
+import dataclasses
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from pathlib import Path
 
 import numpy as np
 
 from kinebench_drake.camera import Camera
-from kinebench_drake.errors import InputError, UnmeasurableError, UsageError
+from kinebench_drake.errors import InputError, UnmeasurableError
 from kinebench_drake.geometry import Array
+from kinebench_drake.grounding.decoded import Video
+from kinebench_drake.grounding.frame_folder import frame_files, read_picture
+from kinebench_drake.grounding.framing import Framing
 from kinebench_drake.grounding.known import FirstFrame
 from kinebench_drake.grounding.sources.sources import Sources
-from kinebench_drake.grounding.video import Video, frame_files, read_video
+from kinebench_drake.grounding.video import read_video
 from kinebench_drake.inputs import Sample
 from kinebench_drake.measure import KINEMATIC_METRICS, MIN_TRACKED, Measure, Measured
 from kinebench_drake.mp4 import write_video
@@ -38,6 +42,7 @@ class PeriodSource(Enum):
     MANIFEST = "manifest"
     OPTION = "option"
     MANIFEST_FPS = "manifest_fps"
+    DATASET = "dataset"
     TIME_STAMPS = "time_stamps"
     FPS = "fps"
     BENCHMARK = "benchmark"
@@ -75,6 +80,7 @@ class VideoMeasure(Measure[Sample, Stages]):
             "first": _first_json(sample.first),
             "depth_exact": self.sources.depth_exact,
             "labels": [sample.seed, sample.prompt, sample.fps, sample.frame_period_s, sample.problem],
+            "part": [*dataclasses.astuple(sample.part), sample.camera_key, sample.dataset_period_s],
         }
 
     def files(self, sample: Sample) -> Sequence[Path]:
@@ -82,7 +88,8 @@ class VideoMeasure(Measure[Sample, Stages]):
         if sample.problem is not None:
             return ()
         own = frame_files(sample.path) if sample.path.is_dir() else [sample.path]
-        return [*own, *self.sources.files(_names(sample))]
+        given = [] if sample.first_frame is None else [sample.first_frame]
+        return [*own, *given, *self.sources.files(_names(sample))]
 
     def labels(self, sample: Sample) -> Mapping[str, Json]:
         """See `Measure`."""
@@ -91,6 +98,7 @@ class VideoMeasure(Measure[Sample, Stages]):
             "given": self._given(sample),
             "seed": sample.seed,
             "prompt": sample.prompt,
+            **({} if sample.camera_key is None else {"camera_key": sample.camera_key}),
         }
 
     def equip(self) -> Stages:
@@ -101,14 +109,15 @@ class VideoMeasure(Measure[Sample, Stages]):
         """See `Measure`."""
         if sample.problem is not None:
             raise InputError(sample.problem)
-        video = read_video(sample.path)
+        video = read_video(sample.path, sample.part)
         video.require_measurable()
-        try:
-            camera = sample.camera.resized(video.width, video.height)
-        except UsageError as error:
-            raise UnmeasurableError(f"{sample.camera_source.value} {error}") from None
+        size = video.width, video.height
+        framing = _framing(sample, video)
         t_s, period_s, period_source = self._times(sample, video)
-        known = self.sources.known(_names(sample), video.frames, camera, sample.first)
+        known = self.sources.known(_names(sample), video.frames, framing.whole_camera(sample.camera), sample.first).cut(
+            *framing.window
+        )
+        camera, video = framing.camera(sample.camera), replace(video, frames=framing.cut(video.frames))
         grounding = stages.ground(video.frames, camera, t_s, known)
         track = grounding.track
         tracked = int(track.tracked.sum())
@@ -130,8 +139,9 @@ class VideoMeasure(Measure[Sample, Stages]):
             extra={
                 "first_frame": grounding.first_frame.value,
                 "frames": len(t_s),
-                "width": video.width,
-                "height": video.height,
+                "width": size[0],
+                "height": size[1],
+                "framing": framing.to_json(),
                 "fps": video.fps,
                 "frame_period_s": period_s,
                 "frame_period_source": period_source.value,
@@ -150,6 +160,8 @@ class VideoMeasure(Measure[Sample, Stages]):
             period_s, source = self.frame_period_s, PeriodSource.OPTION
         elif sample.fps is not None:
             period_s, source = 1.0 / sample.fps, PeriodSource.MANIFEST_FPS
+        elif sample.dataset_period_s is not None:
+            period_s, source = sample.dataset_period_s, PeriodSource.DATASET
         elif video.stamps_s is not None:
             period_s = float(np.median(np.diff(video.stamps_s)))
             return video.stamps_s, period_s, PeriodSource.TIME_STAMPS
@@ -188,8 +200,28 @@ class VideoMeasure(Measure[Sample, Stages]):
 
 def _names(sample: Sample) -> tuple[str, ...]:
     """What files that belong to the video may be called: after its id, or after the video itself."""
+    if sample.is_part:
+        return (sample.id,)
     stem = sample.path.name if sample.path.is_dir() else sample.path.stem
     return tuple(dict.fromkeys((sample.id, stem)))
+
+
+def _framing(sample: Sample, video: Video) -> Framing:
+    """Where the camera's picture is in the video.
+
+    Raises:
+        UnmeasurableError: its shape is another, and nothing tells why.
+    """
+    from kinebench_drake.grounding.reframing import find_framing  # loads OpenCV
+
+    try:
+        picture = None if sample.first_frame is None else read_picture(sample.first_frame)
+    except InputError:
+        picture = None  # a picture that happens to be called like the video need not be one
+    try:
+        return find_framing(video.frames, sample.camera, picture)
+    except UnmeasurableError as error:
+        raise UnmeasurableError(f"{sample.camera_source.value} {error}") from None
 
 
 def _first_json(first: FirstFrame | None) -> Json:

@@ -11,6 +11,7 @@ from kinebench_drake.grounding.evaluation.clip import ClipFile, choose, find_cli
 from kinebench_drake.grounding.evaluation.degradation import Degradation
 from kinebench_drake.grounding.evaluation.errors import ClipErrors
 from kinebench_drake.grounding.evaluation.perturbation.catalogue import Kind, ladder
+from kinebench_drake.grounding.evaluation.reframed import reframings
 from kinebench_drake.grounding.evaluation.store import Store
 from kinebench_drake.grounding.evaluation.summary import Interval, Results
 from kinebench_drake.grounding.evaluation.tables import compared, comparison_table, intervals_json
@@ -87,6 +88,16 @@ def robustness(kinds: Sequence[Kind]) -> Study:
         conditions=conditions,
         groups={CLEAN.name: "", **{p.label: p.kind.value for p in steps}},
         marks=tuple(p.label for p in steps if p.must_be_borne),
+    )
+
+
+def framing() -> Study:
+    """The frames as they are, and shown in the sizes and shapes of video models."""
+    others = reframings()
+    return Study(
+        title="Pose errors in other sizes and shapes",
+        conditions=(CLEAN, *(Condition(name=other.label, reframing=other) for other in others)),
+        groups={CLEAN.name: "", **{other.label: other.way for other in others}},
     )
 
 

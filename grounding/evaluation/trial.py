@@ -16,6 +16,7 @@ from kinebench_drake.grounding.evaluation.degradation import Degradation
 from kinebench_drake.grounding.evaluation.errors import ClipErrors, compare
 from kinebench_drake.grounding.evaluation.expense import metered
 from kinebench_drake.grounding.evaluation.perturbation.catalogue import Perturbation, perturb
+from kinebench_drake.grounding.evaluation.reframed import Reframing, reframe
 from kinebench_drake.grounding.evaluation.store import Store, fingerprint
 from kinebench_drake.grounding.evaluation.variants import VARIANTS, Ground, Make, Tools, degraded, plug_in
 from kinebench_drake.grounding.evaluation.visibility import true_masks, visible_share
@@ -38,6 +39,8 @@ class Condition:
     """What is done to the estimated depth."""
     plug_in: str | None = None
     """Another depth estimator, as given on the command line."""
+    reframing: Reframing | None = None
+    """In what size and shape the frames are shown."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -101,6 +104,11 @@ class Workshop:
                 stand.share = visible_share(stand.clip, stand.masks, tools.cad)
                 stand.id = trial.clip.id
             clip, condition = stand.clip, trial.condition
+            if condition.reframing is not None:
+                other = reframe(condition.reframing, clip, stand.frames, stand.masks)
+                ground = self._maker(condition)(tools, other.clip)
+                share = np.asarray(stand.share * other.shown)
+                return evaluate(other.clip, ground, frames=other.frames, share=share)
             ground = self._maker(condition)(tools, clip)
             if condition.perturbation is None:
                 return evaluate(clip, ground, share=stand.share)

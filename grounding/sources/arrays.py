@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from kinebench_drake.errors import InputError, cause
-from kinebench_drake.grounding.video import frame_files
+from kinebench_drake.grounding.frame_folder import frame_files
 
 _UNREADABLE = (OSError, ValueError, EOFError, MemoryError, zipfile.BadZipFile, zlib.error)
 

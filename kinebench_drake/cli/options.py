@@ -73,6 +73,11 @@ _VIDEO = (
         help="Task time between two frames; benchmark videos: 0.2.  [default: 1 / fps]",
         metavar="SECONDS",
     ),
+    click.option(
+        "--camera-key",
+        help="Camera to take of a LeRobot dataset, HDF5 or npz file that has several, by its name or part of it.",
+        metavar="NAME",
+    ),
     click.option("--overlay/--no-overlay", default=False, help="Write videos with the gripper drawn in."),
     click.option(
         "--pixels-only",

@@ -11,6 +11,7 @@ from kinebench_drake.cli.perception_baseline import baseline
 from kinebench_drake.cli.perception_budget import budget
 from kinebench_drake.cli.perception_depth_ablation import depth_ablation
 from kinebench_drake.cli.perception_evaluate import evaluate
+from kinebench_drake.cli.perception_framing import framing
 from kinebench_drake.cli.perception_robustness import robustness
 
 _DATA = click.option(
@@ -130,6 +131,7 @@ def calibrate(
 
 perception.add_command(evaluate)
 perception.add_command(anomalies)
+perception.add_command(framing)
 perception.add_command(robustness)
 perception.add_command(depth_ablation)
 perception.add_command(budget)

@@ -14,6 +14,7 @@ from kinebench_drake.cli.options import judging_options, sample_options, video_o
         "  kinebench-drake score videos/ --out results/\n"
         "  kinebench-drake score videos/manifest.jsonl --out results/ --jobs 4 --tag run=7\n"
         "  kinebench-drake score episode.mp4 --out results/ --frame-period 0.2 --overlay\n"
+        "  kinebench-drake score lerobot-dataset/ --out results/ --camera-key observation.images.front\n"
         "  kinebench-drake score heldout/manifest.jsonl --out results/ --masks heldout --depth heldout"
     )
 )
@@ -26,7 +27,8 @@ def score(ctx: click.Context, /, **options: Any) -> None:
     """Score the videos of PATH: gripper tracks, kinematic metrics, report.
 
     PATH is a video (mp4, mov, avi, gif, webm, mkv), a folder of videos or frame folders, a npy or npz file
-    (T,H,W,3 uint8) or a manifest.jsonl. A camera.json beside the videos gives their camera.
+    (T,H,W,3 uint8), an HDF5 file, a LeRobot dataset (v2 or v3), a VideoFolder with its metadata, a folder of EWMBench
+    or WorldArena, or a manifest.jsonl. A camera.json beside the videos gives their camera (docs/formats.md).
 
     --masks, --depth and --poses put results of other tools in place of stages of the grounding. Each DIR holds
     ID.npz, ID.npy or a folder ID/ for every video (docs/grounding.md), or is a demonstration folder with its truth.

@@ -1,51 +1,24 @@
-"""LeRobot datasets, v2.x (a file an episode) and v3 (many episodes a file): joint angles or poses of their episodes."""
+"""Joint angles or poses of the episodes of a LeRobot dataset."""
 
-import json
-import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 import pyarrow
-import pyarrow.parquet as parquet
 from numpy.typing import NDArray
 
-from kinebench_drake.errors import InputError, cause
+from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array
 from kinebench_drake.trajectories.check import MAX_FRAMES, numbers
 from kinebench_drake.trajectories.columns import Columns, Layout, find_columns
-from kinebench_drake.trajectories.description import mapping, read_description
+from kinebench_drake.trajectories.dataset import INFO, list_episodes, read_info, read_rows, schema
+from kinebench_drake.trajectories.description import mapping
 from kinebench_drake.trajectories.pose import from_quaternions, from_vectors
 from kinebench_drake.trajectories.sample import Format, TrajectorySample
 from kinebench_drake.trajectories.trajectory import Choice, Recording
 
-INFO = Path("meta") / "info.json"
-
 _TIMES_AGREE_S = 1e-4
 """Time stamps this near to frame / fps are taken to mean it (LeRobot's own tolerance)."""
-
-
-def is_lerobot(folder: Path) -> bool:
-    """Whether a folder is a LeRobot dataset."""
-    return (folder / INFO).is_file()
-
-
-def read_info(folder: Path) -> Mapping[str, object]:
-    """A dataset's description.
-
-    Raises:
-        InputError: it is no JSON object, names no features, or is of a version that is not read.
-    """
-    try:
-        info = read_description(folder / INFO)
-    except FileNotFoundError:
-        raise InputError(f"there is no {INFO.as_posix()}, expected a LeRobot v2 or v3 dataset") from None
-    if not isinstance(info.get("features"), Mapping):
-        raise InputError(f"{INFO.as_posix()} names no features, expected a LeRobot v2 or v3 dataset")
-    version = str(info.get("codebase_version"))
-    if not re.match(r"v?[23]\.", version):
-        raise InputError(f"the dataset is of LeRobot version {version}, expected v2.x or v3.x")
-    return info
 
 
 def list_lerobot(folder: Path, name: str, choice: Choice) -> list[TrajectorySample]:
@@ -63,7 +36,8 @@ def list_lerobot(folder: Path, name: str, choice: Choice) -> list[TrajectorySamp
     find_columns(mapping(info["features"]), choice)  # told once, not once an episode
     stem = folder.resolve().name
     samples = []
-    for number, file, tasks in _episodes(folder, info):
+    for episode in list_episodes(folder, info):
+        number, file = episode.number, episode.data
         samples.append(
             TrajectorySample(
                 id=f"{stem}-episode_{number:06d}",
@@ -72,7 +46,7 @@ def list_lerobot(folder: Path, name: str, choice: Choice) -> list[TrajectorySamp
                 format=Format.LEROBOT,
                 part=str(number),
                 about=(folder / INFO,),
-                prompt=tasks,
+                prompt=episode.tasks,
                 problem=None if file.is_file() else f"{file.relative_to(folder).as_posix()}: there is no such file",
             )
         )
@@ -121,79 +95,17 @@ def read_lerobot(path: Path, episode: int, info_path: Path, choice: Choice) -> R
     )
 
 
-def _episodes(folder: Path, info: Mapping[str, object]) -> Iterator[tuple[int, Path, str | None]]:
-    """Number, file and task in words of every episode, in order."""
-    if str(info.get("codebase_version")).lstrip("v").startswith("2"):
-        tasks = _tasks(folder / "meta" / "episodes.jsonl")
-        for file in sorted((folder / "data").glob("chunk-*/episode_*.parquet")):
-            digits = file.stem.removeprefix("episode_")
-            if digits.isdecimal():
-                yield int(digits), file, tasks.get(int(digits))
-        return
-    described = sorted((folder / "meta" / "episodes").glob("**/*.parquet"))
-    wanted = ("episode_index", "data/chunk_index", "data/file_index", "tasks")
-    for file in described:
-        for row in _read(file, [name for name in wanted if name in _schema(file)]).to_pylist():
-            try:
-                number, chunk, part = (int(row[name]) for name in wanted[:3])
-            except (KeyError, TypeError, ValueError):
-                told = f"meta/episodes/.../{file.name} names no {', '.join(wanted[:3])} of each episode"
-                raise InputError(told) from None
-            data = folder / "data" / f"chunk-{chunk:03d}" / f"file-{part:03d}.parquet"
-            yield number, data, _joined(row.get("tasks"))
-    if not described:
-        for file in sorted((folder / "data").glob("chunk-*/file-*.parquet")):
-            for number in _read(file, ["episode_index"]).column("episode_index").unique().to_pylist():
-                yield int(number), file, None
-
-
-def _tasks(path: Path) -> dict[int, str | None]:
-    """Tasks in words by episode of a v2 dataset; none where they cannot be read."""
-    found: dict[int, str | None] = {}
-    try:
-        for line in path.read_text().splitlines():
-            row = json.loads(line)
-            found[int(row["episode_index"])] = _joined(row.get("tasks"))
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
-        return found
-    return found
-
-
-def _joined(tasks: object) -> str | None:
-    return "; ".join(map(str, tasks)) if isinstance(tasks, list) and tasks else None
-
-
 def _rows(path: Path, episode: int, columns: Columns) -> pyarrow.Table:
-    there = _schema(path)
+    there = schema(path)
     if columns.column not in there:
         raise InputError(f"lacks the column {columns.column} that the dataset's description names")
     wanted = [columns.column, *(name for name in ("timestamp", "frame_index") if name in there)]
-    table = _read(path, wanted, episode if "episode_index" in there else None)
+    table = read_rows(path, wanted, episode if "episode_index" in there else None)
     if not table.num_rows:
         raise InputError(f"holds no frame of episode {episode}")
     if table.num_rows > MAX_FRAMES:
         raise InputError(f"has {table.num_rows} frames, at most {MAX_FRAMES} are taken: cut it into parts")
     return table
-
-
-def _schema(path: Path) -> list[str]:
-    try:
-        return list(parquet.read_schema(path).names)
-    except (OSError, ValueError, pyarrow.ArrowException) as error:
-        raise InputError(f"{path.name} is not a readable parquet file ({_told(path, error)})") from None
-
-
-def _read(path: Path, columns: list[str], episode: int | None = None) -> pyarrow.Table:
-    only = None if episode is None else [("episode_index", "==", episode)]
-    try:
-        return parquet.read_table(path, columns=columns, filters=only)
-    except (OSError, ValueError, pyarrow.ArrowException) as error:
-        raise InputError(f"{path.name} is not a readable parquet file ({_told(path, error)})") from None
-
-
-def _told(path: Path, error: Exception) -> str:
-    """The error in one line without the paths of this machine, which Arrow likes to name."""
-    return cause(error).replace(str(path), path.name)
 
 
 def _matrix(table: pyarrow.Table, name: str) -> Array:

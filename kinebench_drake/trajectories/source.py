@@ -11,6 +11,7 @@ from kinebench_drake.identity import unique_ids
 from kinebench_drake.results import RESULTS, SAMPLES, read_rows
 from kinebench_drake.trajectories import archive, lerobot, maniskill, table
 from kinebench_drake.trajectories.check import check
+from kinebench_drake.trajectories.dataset import is_lerobot
 from kinebench_drake.trajectories.sample import Format, TrajectorySample
 from kinebench_drake.trajectories.trajectory import Choice, Trajectory
 
@@ -50,7 +51,7 @@ def find_trajectories(
         if source.suffix.lower() not in _SUFFIXES:
             raise UsageError(f"{source}: found a {source.suffix or 'nameless'} file, expected {EXPECTED}")
         samples = _from_file(source, source.name)
-    elif lerobot.is_lerobot(source):
+    elif is_lerobot(source):
         try:
             samples = lerobot.list_lerobot(source, source.resolve().name, choice)
         except InputError as error:
@@ -138,7 +139,7 @@ def _from_folder(folder: Path, choice: Choice, out: Path | None) -> Iterator[Tra
             folders.clear()
             continue
         seen.add(real)
-        if lerobot.is_lerobot(here):
+        if is_lerobot(here):
             folders.clear()
             yield from _dataset(here, here.relative_to(folder).as_posix(), choice)
             continue

@@ -6,8 +6,9 @@ import pytest
 from PIL import Image
 
 from kinebench_drake.errors import InputError, UnmeasurableError
-from kinebench_drake.grounding import video as module
-from kinebench_drake.grounding.video import Video, read_video
+from kinebench_drake.grounding import decoded as module
+from kinebench_drake.grounding.decoded import Video
+from kinebench_drake.grounding.video import read_video
 from kinebench_drake.mp4 import write_video
 
 T, H, W = 20, 96, 130

@@ -151,7 +151,7 @@ def test_columns_line_up() -> None:
     assert list(table(["", "n"], [["a", "10"], ["bcd", "1"]])) == ["      n", "a    10", "bcd   1"]
 
 
-@pytest.mark.parametrize("name", ["evaluate", "robustness", "depth-ablation", "budget"])
+@pytest.mark.parametrize("name", ["evaluate", "robustness", "framing", "depth-ablation", "budget"])
 def test_commands_have_help_with_an_example(name: str) -> None:
     result = CliRunner().invoke(cli, ["perception", name, "--help"])
     assert result.exit_code == 0

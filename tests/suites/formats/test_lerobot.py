@@ -8,6 +8,8 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+from kinebench_drake.grounding.video import read_video
+from kinebench_drake.inputs import find_samples
 from kinebench_drake.suites.formats.demo import Demo
 from kinebench_drake.suites.formats.lerobot import CAMERA, STATE, LeRobot
 from kinebench_drake.trajectories.check import check
@@ -44,6 +46,12 @@ def test_a_lerobot_dataset_holds_what_was_performed(demo: Demo, tmp_path: Path) 
     times, pictures = decoded(files[-1])
     assert np.allclose(times, np.arange(98) / 5.0)
     assert np.array_equal(pictures[:49], pictures[49:])
+    films = find_samples(tmp_path).samples
+    assert [film.prompt for film in films] == [demo.performance.episode.prompt] * 2
+    assert films[0].camera.to_json() == demo.shots.camera.to_json()
+    for k, film in enumerate(films):
+        assert film.dataset_period_s == pytest.approx(0.2)
+        assert np.array_equal(read_video(film.path, film.part).frames, pictures[49 * k : 49 * (k + 1)])
     stats = json.loads((tmp_path / "meta" / "stats.json").read_text())
     assert set(stats) == set(info["features"])
     assert np.shape(stats[CAMERA]["mean"]) == (3, 1, 1)

@@ -32,6 +32,8 @@ def test_a_video_folder_names_each_clip_with_its_caption(demo: Demo, tmp_path: P
     assert sample.first is not None
     assert np.allclose(sample.first.X_BG, X_BG[0], atol=1e-6)
     assert sample.first.finger_width_m == pytest.approx(0.08, abs=1e-6)
+    [labelled] = find_samples(tmp_path).samples  # without the manifest, by the metadata
+    assert (labelled.prompt, labelled.task, labelled.dataset_period_s) == (record.prompt, record.task, 0.2)
     assert Camera.load(tmp_path / "camera.json").to_json() == demo.shots.camera.to_json()
 
 

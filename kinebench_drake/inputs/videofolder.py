@@ -1,0 +1,143 @@
+"""Labels of videos in Hugging Face's VideoFolder layout: `metadata.csv`, `metadata.jsonl` or `metadata.parquet`.
+
+A row belongs to the film that its column `file_name` (or `video_file_name`) names, relative to the file
+(https://huggingface.co/docs/datasets/video_dataset). What a film shows is in a column text, prompt, caption or
+instruction. `suite demos` writes such a file; its further columns are read under the names that they have in manifests.
+"""
+
+import csv
+import json
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import pyarrow
+import pyarrow.parquet as parquet
+
+from kinebench_drake.errors import InputError, cause
+from kinebench_drake.grounding.film import FILM_SUFFIXES
+from kinebench_drake.inputs.sample import Sample
+from kinebench_drake.inputs.search import Search, below, plain
+from kinebench_drake.manifest import MAX_PERIOD_S, MIN_PERIOD_S
+from kinebench_drake.trajectories.description import mapping
+
+Row = Mapping[str, object]
+
+_FILES = ("file_name", "video_file_name")
+_PROMPTS = ("text", "prompt", "caption", "instruction")
+_MOST_BYTES = 2**28
+
+
+def list_metadata(path: Path, search: Search) -> list[Sample]:
+    """The films that a metadata file names.
+
+    Raises:
+        InputError: it cannot be read, or names no film.
+    """
+    samples = with_labels([], [path], search)
+    if not samples:
+        raise InputError(f"names no video; expected a column file_name with {', '.join(sorted(FILM_SUFFIXES))} files")
+    return samples
+
+
+def with_labels(samples: Sequence[Sample], files: Sequence[Path], search: Search) -> list[Sample]:
+    """The samples with what metadata files tell of them, and one with a problem for every film that is not there.
+
+    The file nearest to a film goes before those above it.
+    """
+    told: dict[Path, tuple[Row, Path]] = {}
+    added: dict[Path, Sample] = {}
+    problems: list[Sample] = []
+    found = {sample.path for sample in samples}
+    for file in files:  # from the top down
+        passed = 0
+        for row in _rows(file, search):
+            name = next((row[key] for key in _FILES if isinstance(row.get(key), str)), None)
+            if not isinstance(name, str) or Path(name).suffix.lower() not in FILM_SUFFIXES:
+                passed += 1
+                continue
+            try:
+                path = below(file.parent, name)
+            except InputError as error:
+                problems.append(replace(plain(file, search), id=Path(name).stem, video=name, problem=str(error)))
+                continue
+            told[path] = row, file
+            if path not in found:
+                sample = plain(path, search)
+                problem = None if path.is_file() else f"{name}: there is no such file ({file.name} names it)"
+                added[path] = replace(sample, problem=problem)
+        if passed:
+            search.warnings.append(f"{search.name(file)}: {passed} of its rows name no video ({', '.join(_FILES)})")
+    labelled = [_labelled(s, *told[s.path]) if s.path in told else s for s in (*samples, *added.values())]
+    return [*labelled, *problems]
+
+
+def _labelled(sample: Sample, row: Row, file: Path) -> Sample:
+    """What a row tells, as far as it is of the right type: such files may hold columns of any meaning."""
+    seed = _number(row.get("seed"), -math.inf, math.inf)
+    return replace(
+        sample,
+        task=_text(row.get("task")),
+        model=_text(row.get("model")),
+        seed=None if seed is None or seed != int(seed) else int(seed),
+        prompt=next((text for key in _PROMPTS if (text := _text(row.get(key)))), None),
+        dataset_period_s=_number(row.get("frame_period_s"), MIN_PERIOD_S, MAX_PERIOD_S),
+        first_frame=_picture(row.get("first_frame"), file.parent) or sample.first_frame,
+    )
+
+
+def _text(value: object) -> str | None:
+    return value if isinstance(value, str) and value else None
+
+
+def _number(value: object, least: float, most: float) -> float | None:
+    """A number, in csv files written as text."""
+    if isinstance(value, bool) or not isinstance(value, int | float | str):
+        return None
+    try:
+        number = float(value)
+    except (ValueError, OverflowError):
+        return None
+    return number if math.isfinite(number) and least <= number <= most else None
+
+
+def _picture(name: object, folder: Path) -> Path | None:
+    if not isinstance(name, str):
+        return None
+    try:
+        path = below(folder, name)
+    except InputError:
+        return None
+    return path if path.is_file() else None
+
+
+def _rows(file: Path, search: Search) -> list[Row]:
+    """The rows of a metadata file; none, and a warning, where it cannot be read."""
+    try:
+        if file.stat().st_size > _MOST_BYTES:
+            raise InputError(f"takes {file.stat().st_size / 2**20:.0f} MiB, at most {_MOST_BYTES / 2**20:.0f} are read")
+        return list(_READERS[file.suffix](file))
+    except (OSError, ValueError, csv.Error, RecursionError, pyarrow.ArrowException, InputError) as error:
+        search.warnings.append(f"{search.name(file)} is not read ({cause(error).replace(str(file), file.name)})")
+        return []
+
+
+def _csv(file: Path) -> Iterator[Row]:
+    with file.open(newline="", encoding="utf-8-sig") as lines:
+        yield from csv.DictReader(lines)
+
+
+def _jsonl(file: Path) -> Iterator[Row]:
+    for line in file.read_text(encoding="utf-8-sig").split("\n"):
+        if line.strip():
+            yield mapping(json.loads(line))
+
+
+def _parquet(file: Path) -> Iterator[Row]:
+    yield from parquet.read_table(file).to_pylist()
+
+
+_READERS: Mapping[str, Callable[[Path], Iterator[Row]]] = {".csv": _csv, ".jsonl": _jsonl, ".parquet": _parquet}
+NAMES = tuple(f"metadata{suffix}" for suffix in _READERS)
+"""What such files are called."""

@@ -1,0 +1,126 @@
+"""How a video shows a picture: found again however it was made, and undone by another camera."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from kinebench_drake.camera import benchmark_camera
+from kinebench_drake.errors import UnmeasurableError
+from kinebench_drake.grounding.framing import Change, Framing, Witness
+from kinebench_drake.grounding.known import GivenDepth, Known
+from kinebench_drake.grounding.placement import letterboxes, placements
+from kinebench_drake.grounding.reframing import find_framing
+
+SIZES = [(832, 480), (720, 480), (512, 512), (480, 832)]
+CAMERA = benchmark_camera()
+
+
+def scene(seed):
+    """Coloured shapes on a table, smooth as pictures are."""
+    rng = np.random.default_rng(seed)
+    image = np.full((384, 384, 3), rng.integers(60, 180, 3), np.uint8)
+    for _ in range(25):
+        centre, radius = rng.integers(0, 384, 2).tolist(), int(rng.integers(8, 60))
+        cv2.circle(image, centre, radius, rng.integers(0, 255, 3).tolist(), -1, cv2.LINE_AA)
+    return cv2.GaussianBlur(image, (0, 0), 1.0)
+
+
+PICTURE = scene(0)
+
+
+def shown(framing, picture=PICTURE, frames=3):
+    """Frames in which a picture is shown so, with something that moves, noise and other brightness."""
+    (sx, _, ox), (_, sy, oy) = framing.map
+    M = np.array([[sx, 0.0, ox + 0.5 * sx - 0.5], [0.0, sy, oy + 0.5 * sy - 0.5]])
+    inside = cv2.warpAffine(np.ones_like(picture), M, (framing.width, framing.height), flags=cv2.INTER_NEAREST)
+    image = cv2.warpAffine(
+        picture, M, (framing.width, framing.height), flags=cv2.INTER_AREA, borderMode=cv2.BORDER_REPLICATE
+    )
+    noise = np.random.default_rng(1).normal(0.0, 3.0, image.shape)
+    dimmed = np.clip(0.9 * image + 8.0 + noise, 0, 255) * inside
+    video = np.stack([dimmed.astype(np.uint8)] * frames)
+    for k, frame in enumerate(video):
+        x, y = framing.width // 2 + 4 * k, framing.height // 2
+        frame[y : y + 20, x : x + 20] = 255
+    return video
+
+
+def all_framings():
+    return [(size, framing) for size in SIZES for framing in placements((384, 384), size)]
+
+
+@pytest.mark.parametrize(("size", "framing"), all_framings())
+def test_a_framing_moves_the_points_that_its_camera_sees(size, framing):
+    camera = framing.camera(CAMERA)
+    rows, columns = framing.window
+    assert (camera.width, camera.height) == framing.cut(np.zeros((1, *size[::-1], 3), np.uint8)).shape[2:0:-1]
+    p_C = np.random.default_rng(0).normal([0.0, 0.0, 0.7], 0.1, (20, 3))
+    moved = CAMERA.project(p_C) * np.diag(framing.map) + framing.map[:, 2] - [columns.start, rows.start]
+    np.testing.assert_allclose(camera.project(p_C), moved, atol=1e-9)
+    np.testing.assert_allclose(framing.camera(CAMERA.resized(256, 256)).K, camera.K, atol=1e-9)
+
+
+@pytest.mark.parametrize(("size", "framing"), [f for f in all_framings() if f[0] != (480, 832)])
+def test_the_first_frame_tells_how_a_video_was_made(size, framing):
+    found = find_framing(shown(framing), CAMERA, PICTURE)
+    np.testing.assert_allclose(found.map, framing.map)  # exactly: it is a usual one
+    assert found.changes == framing.changes
+    assert (found.witness, found.correlation > 0.9) == (Witness.FIRST_FRAME, True)
+
+
+def test_an_unusual_crop_is_found_to_a_fraction_of_a_pixel():
+    framing = replace(
+        Framing.filling((384, 384), (720, 480)), scale_x=2.3, scale_y=2.3, offset_x=-61.0, offset_y=-230.0
+    )
+    found = find_framing(shown(framing), CAMERA, PICTURE)
+    assert found.changes == (Change.CROP,)
+    assert np.abs(found.corners - framing.corners).max() < 0.6
+
+
+def test_another_picture_is_no_witness():
+    video = shown(Framing.filling((384, 384), (512, 512)))
+    assert find_framing(video, CAMERA, scene(9)).witness is Witness.SIZE
+    wide = shown(placements((384, 384), (720, 480))[-1])
+    with pytest.raises(UnmeasurableError, match=r"384 x 384, the video 720 x 480.*first frame's picture"):
+        find_framing(wide, CAMERA, scene(9))
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("size", [(384, 384), (1, 1), (9, 9)])
+def test_a_picture_of_one_colour_tells_nothing(size):
+    video = shown(Framing.filling((384, 384), (512, 512)))
+    assert find_framing(video, CAMERA, np.full((*size, 3), 90, np.uint8)).witness is Witness.SIZE
+
+
+@pytest.mark.parametrize("framing", letterboxes((384, 384), (832, 480)))
+def test_bars_tell_themselves(framing):
+    found = find_framing(shown(framing), CAMERA, None)
+    assert (found.changes, found.witness) == ((Change.LETTERBOX,), Witness.BARS)
+    np.testing.assert_allclose(found.map, framing.map)
+
+
+def test_dark_sides_that_are_no_bars_are_refused():
+    video = shown(Framing.filling((384, 384), (832, 480)))
+    with pytest.raises(UnmeasurableError, match="no bars of one colour"):
+        find_framing(video, CAMERA, None)
+    video[:, :, :300] = 0  # the dark reaches into what would be the picture
+    with pytest.raises(UnmeasurableError, match="no bars of one colour"):
+        find_framing(video, CAMERA, None)
+
+
+def test_a_camera_of_the_videos_own_size_is_the_videos():
+    framing = placements((384, 384), (832, 480))[-1]
+    own = framing.camera(CAMERA)
+    assert find_framing(shown(framing), own, PICTURE).camera(own).to_json() == own.to_json()
+
+
+def test_what_is_given_for_a_video_is_cut_like_it():
+    framing = letterboxes((384, 384), (832, 480))[0]
+    rows, columns = framing.window
+    mask = np.zeros((2, 480, 832), bool)
+    mask[:, rows, columns] = True
+    known = Known(mask=mask, depth=GivenDepth(depth_m=mask.astype(float))).cut(rows, columns)
+    assert known.mask.all()
+    assert known.depth.depth_m.shape == (2, 480, 480)
