@@ -75,7 +75,9 @@ def _connected(address: str | None) -> Iterator[None]:
             "`ray status` tells of it"
         ) from None
     finally:
-        if threading.current_thread() is threading.main_thread():  # Ray takes the signal for itself
+        if (
+            on_termination is not None and threading.current_thread() is threading.main_thread()
+        ):  # Ray takes the signal for itself
             signal.signal(signal.SIGTERM, on_termination)
     try:
         if ray.cluster_resources().get("CPU", 0.0) < 1.0:
@@ -201,6 +203,11 @@ class _Crew(Generic[Item, Result]):
         return Done(item=task.item, result=answer)
 
     def _failed_start(self, error: Exception) -> None:
+        """Bear with a worker that was lost before it could work, unless that goes on.
+
+        Raises:
+            SetupError: it goes on.
+        """
         self._failed_starts += 1
         if self._failed_starts >= MOST_FAILED_STARTS or isinstance(error, self._ray.exceptions.RayTaskError):
             told = " ".join(str(error).split())

@@ -70,5 +70,5 @@ def test_the_slurm_example_calls_the_program_as_it_is(program, tmp_path):
     }
     assert calls[()][-4:] == ["--shard", "3/16", "--jobs", "8"]
     assert calls[("merge",)] == ["merge", f"{tmp_path}/shards/3", "--out", f"{tmp_path}/merged"]
-    assert "no such file" in program(*calls[()])[2]
+    assert "videos: there is no such file" in program(*calls[()])[2]
     assert "holds no samples.jsonl" in program(*calls[("merge",)])[2]

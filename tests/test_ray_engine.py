@@ -1,0 +1,197 @@
+"""What the Ray engine does about lost workers, with a stand-in for Ray that loses them on cue."""
+
+import signal
+import sys
+from types import SimpleNamespace
+
+import pytest
+
+from kinebench_drake.engines import Crashed, Done, EngineKind, create_engine
+from kinebench_drake.engines.local import THREAD_VARIABLES
+from kinebench_drake.engines.ray import MOST_FAILED_STARTS, RayEngine, gpu_share
+from kinebench_drake.errors import SetupError
+
+
+class RayError(Exception):
+    """As Ray's: all that can become of a call besides its answer."""
+
+
+class RayTaskError(RayError):
+    """As Ray's: the call raised."""
+
+
+class Lost(BaseException):
+    """Raised in a worker, it takes the worker along."""
+
+
+class StandIn(SimpleNamespace):
+    """Ray in this process: calls are made when they are waited for, the oldest first, one at a time."""
+
+    def __init__(self):
+        self.alive, self.started, self.on, self.cpus = [], 0, False, 2.0
+        self.__spec__ = "known to find_spec"
+        self.exceptions = SimpleNamespace(RayError=RayError, RayTaskError=RayTaskError)
+
+    def is_initialized(self):
+        return self.on
+
+    def init(self, **options):
+        self.on, self.options = True, options
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+
+    def shutdown(self):
+        self.on = False
+
+    def cluster_resources(self):
+        return {"CPU": self.cpus, "GPU": 1.0}
+
+    def put(self, value):
+        return value
+
+    def remote(self, **options):
+        def make(kind):
+            return SimpleNamespace(remote=lambda: self._actor(kind()))
+
+        self.asked = options
+        return make
+
+    def _actor(self, servant):
+        def method(name):
+            return SimpleNamespace(remote=lambda *arguments: (actor, getattr(servant, name), arguments))
+
+        actor = SimpleNamespace(equip=method("equip"), work=method("work"))
+        self.alive.append(actor)
+        self.started += 1
+        return actor
+
+    def wait(self, calls, timeout):
+        return calls[:1], calls[1:]
+
+    def get(self, call):
+        actor, method, arguments = call
+        if actor not in self.alive:
+            raise RayError("the actor is gone")
+        try:
+            return method(*arguments)
+        except Lost as error:
+            raise RayError(*error.args) from None
+        except Exception as error:
+            raise RayTaskError(*error.args) from None
+
+    def kill(self, actor):
+        if actor in self.alive:
+            self.alive.remove(actor)
+
+
+@pytest.fixture
+def ray(monkeypatch):
+    stand_in = StandIn()
+    for name in THREAD_VARIABLES:  # workers of the stand-in set them here
+        monkeypatch.setenv(name, "1")
+    monkeypatch.setitem(sys.modules, "ray", stand_in)
+    return stand_in
+
+
+def doubling(losses=(), equips=()):
+    """A maker of workers that double numbers; the numbers in `losses` and the starts in `equips` are lost."""
+    losses, equips = list(losses), list(equips)
+
+    def make():
+        if equips:
+            raise equips.pop()
+
+        def work(item):
+            if item in losses:
+                losses.remove(item)
+                raise Lost("out of memory" if item == 13 else "a connection broke")
+            return 2 * item
+
+        return work
+
+    return make
+
+
+def run(make, items, jobs=2):
+    return list(RayEngine(jobs=jobs).run(make, items))
+
+
+def test_every_item_is_done_and_workers_are_kept(ray):
+    handler = signal.getsignal(signal.SIGTERM)
+    outcomes = run(doubling(), [1, 2, 3, 4, 5])
+    assert sorted((o.item, o.result) for o in outcomes) == [(k, 2 * k) for k in (1, 2, 3, 4, 5)]
+    assert ray.started == 2
+    assert (ray.alive, ray.on) == ([], False)
+    assert signal.getsignal(signal.SIGTERM) is handler
+    assert ray.asked == {"num_cpus": 1, "num_gpus": 0.5, "scheduling_strategy": "SPREAD"}
+
+
+def test_a_lost_worker_costs_a_second_try(ray):
+    outcomes = run(doubling(losses=[2]), [1, 2, 3])
+    assert {(o.item, o.result) for o in outcomes if isinstance(o, Done)} == {(1, 2), (2, 4), (3, 6)}
+    assert ray.started == 3
+
+
+@pytest.mark.parametrize(("item", "told"), [(2, "lost 2 times"), (13, "ran out of memory: use fewer --jobs")])
+def test_the_second_loss_costs_the_item(ray, item, told):
+    outcomes = run(doubling(losses=[item] * 2), [1, item, 3])
+    (crashed,) = [o for o in outcomes if isinstance(o, Crashed)]
+    assert crashed.item == item
+    assert told in crashed.reason
+    assert {o.item for o in outcomes if isinstance(o, Done)} == {1, 3}
+
+
+def test_workers_that_cannot_begin_end_the_run(ray):
+    assert len(run(doubling(equips=[Lost()] * (MOST_FAILED_STARTS - 1)), [1, 2])) == 2
+    with pytest.raises(SetupError, match="die before they begin"):
+        run(doubling(equips=[Lost()] * MOST_FAILED_STARTS), [1, 2])
+    ray.started = 0
+    for error, told in ((ImportError("no module"), "no module"), (SetupError("no weights"), "^no weights")):
+        with pytest.raises(SetupError, match=told):
+            run(doubling(equips=[error]), [1, 2], jobs=1)
+    assert ray.started == 2  # at once
+    assert (ray.alive, ray.on) == ([], False)
+
+
+def test_an_unlike_node_is_told(ray, monkeypatch):
+    codes = iter("ab")
+    with monkeypatch.context() as patch:
+        patch.setattr("kinebench_drake.engines.ray.code_hash", lambda: next(codes))
+        with pytest.raises(SetupError, match="has another version"):
+            run(doubling(), [1], jobs=1)
+    monkeypatch.setattr("os.getcwd", lambda: "/nowhere/at/all")
+    with pytest.raises(SetupError, match="does not see the folder /nowhere/at/all"):
+        run(doubling(), [1], jobs=1)
+
+
+def test_a_run_that_is_left_leaves_nothing(ray):
+    outcomes = RayEngine(jobs=2).run(doubling(), [1, 2, 3])
+    next(outcomes)
+    outcomes.close()
+    assert (ray.alive, ray.on) == ([], False)
+
+
+def test_a_cluster_that_is_none_is_told(ray, monkeypatch):
+    ray.cpus = 0.0
+    with pytest.raises(SetupError, match="no CPU"):
+        run(doubling(), [1])
+
+    def fail(**_):
+        raise ConnectionError("nobody\nanswers")
+
+    monkeypatch.setattr(ray, "init", fail)
+    with pytest.raises(SetupError, match=r"at host:1 \(nobody answers\)"):
+        list(create_engine(EngineKind.RAY, 2, "host:1").run(doubling(), [1]))
+
+
+def test_a_cluster_that_is_joined_already_is_left_alone(ray):
+    ray.on = True
+    assert len(run(doubling(), [1, 2])) == 2
+    assert ray.on
+
+
+def test_workers_share_gpus_so_that_all_find_room():
+    assert gpu_share(0, 8) == 0.0
+    for gpus, workers in ((1, 1), (4, 4), (8, 3), (2, 3), (4, 16), (3, 7)):
+        share = gpu_share(gpus, workers)
+        assert gpus * int(1.0 / share + 1e-9) >= workers
+        assert share <= 1.0
