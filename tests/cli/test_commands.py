@@ -73,7 +73,7 @@ def test_status_1_when_nothing_could_be_scored(program, film, tmp_path):
         (["videos"], "--out"),
         (["videos", "--out", "file/below"], "cannot be written"),
         (["videos", "--out", "videos"], "input folder itself"),
-        (["videos", "--out", "out", "--engine", "ray"], "ray is not available"),
+        (["videos", "--out", "out", "--address", "a:1"], "goes with --engine ray"),
         (["videos", "--out", "out", "--engine", "slurm"], "slurm"),
         (["videos", "--out", "out", "--shard", "5/4"], "I/N"),
         (["videos", "--out", "out", "--shard", "0/4"], "I from 1 to N"),
