@@ -1,6 +1,8 @@
 """Small films whose grey tells which frame of which episode is seen, and datasets of them."""
 
 import json
+import os
+from contextlib import contextmanager
 
 import av
 import numpy as np
@@ -26,8 +28,18 @@ def levels(frames):
     return frames[:, 30:60, 30:60].mean(axis=(1, 2, 3))
 
 
+@contextmanager
+def usual_priority():
+    """SVT-AV1 gives the thread that starts it real-time priority, where it may, and leaves it there."""
+    policy, parameters = os.sched_getscheduler(0), os.sched_getparam(0)
+    try:
+        yield
+    finally:
+        os.sched_setscheduler(0, policy, parameters)
+
+
 def write_av1(path, frames, fps):
-    with av.open(path, "w") as container:
+    with usual_priority(), av.open(path, "w") as container:
         stream = container.add_stream("libsvtav1", rate=fps, options={"preset": "12", "crf": "20", "g": "2"})
         stream.height, stream.width, stream.pix_fmt = *frames.shape[1:3], "yuv420p"
         for image in frames:
