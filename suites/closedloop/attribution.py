@@ -91,7 +91,7 @@ def attribute(clips: Sequence[ClipEvidence], goal: str) -> Cause:
         clips: its rounds, in their order.
         goal: which of the task's conditions were not met, in words.
     """
-    for look in (_grounding, _generation, _execution):
+    for look in (_grounding, _generation, _execution, _fingers):
         for number, clip in enumerate(clips):
             for cause in look(number, clip):
                 return cause
@@ -119,6 +119,10 @@ def _grounding(number: int, clip: ClipEvidence) -> Iterator[Cause]:
             limit=float(LOST_FRAMES - 1),
             text=f"no pose in {int(lost.sum())} of {len(lost)} frames, {_length(longest)} of them in a row",
         )
+
+
+def _fingers(number: int, clip: ClipEvidence) -> Iterator[Cause]:
+    """Fingers that move unseen: looked at last, for most of what is hidden does no harm."""
     hidden = max(_hidden_moves(clip), key=_length, default=None)
     if hidden is not None:
         yield Cause(

@@ -68,6 +68,12 @@ def test_fingers_that_move_unseen_were_not_read(after_m: float, verdict: Verdict
     assert cause.frame_start == (None if verdict is Verdict.TASK else 12)
 
 
+def test_hidden_fingers_explain_only_what_nothing_else_does() -> None:
+    gap = np.where(np.arange(FRAMES) < 12, 0.04, np.nan)
+    assert attribute([replace(astray(0.1, 0.0, 0.0), finger_width_imagined_m=gap)], "").verdict is Verdict.EXECUTION
+    assert attribute([replace(vanished(clip(), 3, 8), finger_width_imagined_m=gap)], "").verdict is Verdict.GENERATION
+
+
 def test_a_gripper_that_is_not_there_is_not_the_reader_s_fault() -> None:
     cause = attribute([vanished(lost(10, 14), 10, 14)], "")
     assert (cause.verdict, cause.frame_start, cause.frame_end) == (Verdict.GENERATION, 10, 14)
