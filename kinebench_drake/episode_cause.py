@@ -10,11 +10,6 @@ from kinebench_drake.stages import Judgement
 from kinebench_drake.suites.closedloop.attribution import Cause, ClipEvidence, attribute
 
 
-def clip_starts(run: EpisodeRun) -> list[int]:
-    """Frame of the joined track at which each clip begins."""
-    return [int(n) for n in np.cumsum([0, *(len(r.frames) - 1 for r in run.rounds[:-1])])]
-
-
 def find_cause(run: EpisodeRun, judgements: Sequence[Judgement]) -> Cause | None:
     """Why an episode failed; None of one that succeeded.
 

@@ -30,6 +30,11 @@ _LEAST = frozenset(
 _TOTAL = frozenset({"manipulability_integral", "branch_jumps"})
 
 
+def clip_starts(tracks: Sequence[GripperTrack]) -> list[int]:
+    """Frame of the joined track at which each clip begins."""
+    return [int(n) for n in np.cumsum([0, *(len(track.t_s) - 1 for track in tracks[:-1])])]
+
+
 def joined_track(tracks: Sequence[GripperTrack]) -> GripperTrack:
     """The tracks of clips that follow each other, each beginning at the moment at which the one before ends.
 
@@ -61,7 +66,7 @@ def combine(tracks: Sequence[GripperTrack], found: Sequence[Judgement]) -> Judge
     """
     if len(found) == 1:
         return found[0]
-    track, starts = joined_track(tracks), np.cumsum([0, *(len(t.t_s) - 1 for t in tracks[:-1])])
+    track, starts = joined_track(tracks), clip_starts(tracks)
     durations = [float(t.t_s[-1] - t.t_s[0]) for t in tracks]
     metrics = {name: _combined(name, [f.metrics.get(name) for f in found], durations) for name in found[0].metrics}
     details: dict[str, Json] = {name: value for name, value in found[0].details.items() if name == "limits"}
@@ -80,7 +85,7 @@ def combine(tracks: Sequence[GripperTrack], found: Sequence[Judgement]) -> Judge
         reasons={
             name: f"clip {k}: {why}" for k, f in reversed([*enumerate(found, 1)]) for name, why in f.reasons.items()
         },
-        violations=tuple(_later(v, int(start)) for f, start in zip(found, starts, strict=True) for v in f.violations),
+        violations=tuple(_later(v, start) for f, start in zip(found, starts, strict=True) for v in f.violations),
         details=details,
         curves=curves,
     )

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.closed_loop import ClosedLoop, EpisodeRun, LoopOptions
-from kinebench_drake.episode_cause import clip_starts, find_cause
-from kinebench_drake.episode_judgement import combine, joined_track
+from kinebench_drake.episode_cause import find_cause
+from kinebench_drake.episode_judgement import clip_starts, combine, joined_track
 from kinebench_drake.grounding.overlay import caption
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.measure import KINEMATIC_METRICS, Measure, Measured
@@ -233,7 +233,9 @@ def _visual_metrics(run: EpisodeRun, track: GripperTrack) -> dict[str, Json]:
         "camera_motion_px": max(motions) if motions else None,
         "arm_consistency_px": float(np.median(distances)) if distances else None,
         "anomalies": [
-            anomaly_json(a, start) for start, g in zip(clip_starts(run), grounded, strict=True) for a in g.anomalies
+            anomaly_json(a, start)
+            for start, g in zip(clip_starts([g.track for g in grounded]), grounded, strict=True)
+            for a in g.anomalies
         ],
     }
 
