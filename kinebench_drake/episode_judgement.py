@@ -13,7 +13,6 @@ from kinebench_drake.geometry import Array
 from kinebench_drake.products import GripperTrack, IkStatus, JointTrack
 from kinebench_drake.row import Json
 from kinebench_drake.stages import Judgement
-from kinebench_drake.thumbnail import track_at
 
 _GREATEST = frozenset(
     {
@@ -41,7 +40,7 @@ def joined_track(tracks: Sequence[GripperTrack]) -> GripperTrack:
     The first frame of a later clip shows what the last one of the clip before led to, and is left out.
     """
     ends = np.cumsum([0.0, *(track.t_s[-1] - track.t_s[0] for track in tracks)])
-    parts = [track_at(track, np.arange(k > 0, len(track.t_s))) for k, track in enumerate(tracks)]
+    parts = [track.at(np.arange(k > 0, len(track.t_s))) for k, track in enumerate(tracks)]
     return replace(
         tracks[0],
         t_s=np.concatenate([end + p.t_s - t.t_s[0] for end, p, t in zip(ends, parts, tracks, strict=False)]),

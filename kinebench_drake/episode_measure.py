@@ -33,7 +33,7 @@ from kinebench_drake.suites.suite import Draw
 from kinebench_drake.suites.worldmodels.factory import create
 from kinebench_drake.suites.worldmodels.simulated import SIMULATED
 from kinebench_drake.suites.worldmodels.worldmodel import Offline, WorldModel
-from kinebench_drake.thumbnail import side_by_side, track_at
+from kinebench_drake.thumbnail import side_by_side
 from kinebench_drake.trackfile import write_track
 from kinebench_drake.video_measure import VISUAL_METRICS, anomaly_json
 
@@ -176,7 +176,7 @@ def _side_by_side(run: EpisodeRun, films: Sequence[Clip | None], stages: Stages)
             for frame in done.frames:
                 yield np.concatenate([_captioned(frame, said), nothing, nothing], axis=1)
             continue
-        track = track_at(done.grounded.track, np.arange(len(executed.rgb)))
+        track = done.grounded.track.at(np.arange(len(executed.rgb)))
         drawn = stages.overlay(executed.rgb, executed.camera, track)
         for frame, shown, overlay in zip(done.frames, executed.rgb, drawn, strict=False):
             yield np.concatenate([_captioned(frame, said), _captioned(shown, "executed"), overlay], axis=1)

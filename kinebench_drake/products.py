@@ -1,6 +1,6 @@
 """What the stages hand to each other: immutable, checked on construction."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
@@ -43,6 +43,11 @@ class GripperTrack:
             _check(name, getattr(self, name), (n,))
         for name in ("X_CH", "X_BG"):
             _check(name, getattr(self, name), (n, 4, 4))
+
+    def at(self, frames: NDArray[np.intp]) -> "GripperTrack":
+        """The track at some of its frames."""
+        arrays = ("t_s", "X_CH", "X_BG", "tracked", "confidence", "finger_width_m")
+        return replace(self, **{name: getattr(self, name)[frames] for name in arrays})
 
 
 class IkStatus(Enum):

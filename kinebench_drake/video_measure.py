@@ -26,7 +26,7 @@ from kinebench_drake.results import part_path
 from kinebench_drake.row import Json
 from kinebench_drake.stages import Judgement, Stages, load_stages
 from kinebench_drake.storage import storage, write_atomically
-from kinebench_drake.thumbnail import side_by_side, track_at, worst_frame
+from kinebench_drake.thumbnail import side_by_side, worst_frame
 from kinebench_drake.trackfile import write_track
 
 BENCHMARK_PERIOD_S = 0.2
@@ -192,7 +192,7 @@ class VideoMeasure(Measure[Sample, Stages]):
             with storage(f"overlays/{path.name}"):
                 write_video(path, stages.overlay(video.frames, camera, track), fps)
         chosen = np.unique([0, worst_frame(track, judgement)])
-        images = list(stages.overlay(video.frames[chosen], camera, track_at(track, chosen)))
+        images = list(stages.overlay(video.frames[chosen], camera, track.at(chosen)))
         write_atomically(part_path(self.out, "thumbnails", sample.id), side_by_side(images))
         joints, curves = (judgement.joints, judgement.curves) if judgement else (None, {})
         write_track(part_path(self.out, "tracks", sample.id), track, joints, curves)
