@@ -1,7 +1,7 @@
 """Episodes with one planted cause of failure, and whether the verdict names it.
 
 Each cause is planted where it acts: in the video (the oracle with a fault), in the reading (poses taken away), in the
-robot (servos off by an angle, fingers that stay as they are), or in the plan (the oracle stops half-way). Only episodes
+robot (servos off by an angle, fingers that stay as they are), or in the plan (the expert stops half-way). Only episodes
 that fail have a verdict; where the task succeeds in spite of the cause there is nothing to explain.
 """
 
@@ -26,20 +26,22 @@ from kinebench_drake.errors import InputError, KinebenchError
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.known import Known
 from kinebench_drake.grounding.pipeline import Grounding
-from kinebench_drake.grounding.video import read_video
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.mp4 import write_video
 from kinebench_drake.products import AnomalyKind, GripperTrack
 from kinebench_drake.stages import StageOptions
 from kinebench_drake.suites.closedloop.attribution import Verdict
 from kinebench_drake.suites.closedloop.commands import Commander
 from kinebench_drake.suites.episode import Episode
+from kinebench_drake.suites.experts.motion import Waypoint
+from kinebench_drake.suites.experts.registry import Expert, find_expert
 from kinebench_drake.suites.faults.fault import Grade
 from kinebench_drake.suites.seeding import generator
 from kinebench_drake.suites.stage import Stage
 from kinebench_drake.suites.stagehand import Stagehand
 from kinebench_drake.suites.suite import Draw
+from kinebench_drake.suites.tasks.task import Scene
 from kinebench_drake.suites.worldmodels.oracle import Oracle
+from kinebench_drake.suites.worldmodels.privatestage import PrivateStage
 from kinebench_drake.suites.worldmodels.privileged import State
 from kinebench_drake.suites.worldmodels.worldmodel import Request
 
@@ -121,26 +123,28 @@ class _SlackStage(Stage):
         super().step(np.clip(off, *self.joint_limits), width)
 
 
-class _Idler:
-    """The oracle, but it stops half-way and stays there."""
+class _HalfWay:
+    """Imagines the first half of what the expert would do, and no more."""
 
-    name = "idler"
+    name = "half-way"
 
     def __init__(self) -> None:
-        self._oracle = Oracle()
+        self._private = PrivateStage()
 
     def see(self, episode: Episode, state: State) -> None:
-        self._oracle.see(episode, state)
+        self._private.see(episode, state)
 
     def generate(self, request: Request, out: Path) -> Path:
-        frames = read_video(self._oracle.generate(request, out)).frames
-        path = out.with_name(f"{out.name}_idle.mp4")
-        slow = np.minimum(np.arange(len(frames)) // 3, len(frames) - 1)  # a third of the way, at a third of the pace
-        write_video(path, frames[slow], request.fps)
-        return path
+        return self._private.write_clip(partial(_first_half, find_expert(request.task)), request, out)
 
     def close(self) -> None:
-        self._oracle.close()
+        self._private.close()
+
+
+def _first_half(expert: Expert, scene: Scene) -> Sequence[Waypoint]:
+    moves = expert(scene)
+    *begun, last = moves[: max(1, len(moves) // 2)]
+    return [*begun, replace(last, through=False)]
 
 
 class _Worker:
@@ -152,7 +156,7 @@ class _Worker:
         self._hand = Stagehand(_SlackStage, _SIZE_PX)
         commander, options = Commander(plant), LoopOptions(rounds=1, pixels_only=True)
         make: Any = partial(ClosedLoop, self._stages, commander)
-        self._plain, self._idle = make(Oracle(), options), make(_Idler(), options)
+        self._plain, self._half = make(Oracle(), options), make(_HalfWay(), options)
         self._faulty = [make(Oracle(fault=fault), options) for fault in FAULTS]
 
     def __call__(self, case: Case) -> Finding:
@@ -165,7 +169,7 @@ class _Worker:
         )
         stage.slack_rad = SLACK_RAD if case.planted is Planted.ROBOT and case.number % 2 == 0 else 0.0
         stage.stuck = case.planted is Planted.ROBOT and case.number % 2 == 1
-        loop = {Planted.VIDEO: self._faulty[case.number % len(FAULTS)], Planted.PLAN: self._idle}.get(
+        loop = {Planted.VIDEO: self._faulty[case.number % len(FAULTS)], Planted.PLAN: self._half}.get(
             case.planted, self._plain
         )
         with TemporaryDirectory() as folder:
