@@ -14,7 +14,8 @@ from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, invert, pose_difference
 from kinebench_drake.grounding.cells import Cells
 from kinebench_drake.grounding.fit import UNSEEN_FINGER_M, Fit, Hand, gripper_cells, opened, opening_information
-from kinebench_drake.grounding.solver import solve
+from kinebench_drake.grounding.outline import Outline
+from kinebench_drake.grounding.solver import Solution, solve
 from kinebench_drake.grounding.view import GripperView
 from kinebench_drake.kinematics.analytic import analytic_ik
 from kinebench_drake.kinematics.chain import LinkChain
@@ -34,6 +35,7 @@ _MAX_CONSISTENCY_PX = 6.0  # of a frame 384 px wide
 _MAX_ACROSS_M, _MAX_ALONG_M, _MAX_TURN_RAD = 0.025, 0.08, np.deg2rad(20.0)  # from the hand by itself
 _UNKNOWN = 1e3  # relative standard deviation of a range that is not to count
 _HAND_LEFT = 0.03  # weight of the hand where the links alone are to tell how far away it is
+_FOLLOWING_GATES = (8.0, 5.0, 3.0)  # farthest pairs of outlines, from pass to pass [cells]
 _MAX_GROWTH, _MAX_GROWTH_SIGMAS = 1.4, 0.3
 
 
@@ -151,52 +153,101 @@ class ArmFitter:
         self._focal_px = camera.fx
         self._tolerance_px = _MAX_CONSISTENCY_PX * camera.width / 384
 
-    def fit(self, hand: Fit, close: GripperView, wide: GripperView) -> ArmFit | None:
-        """The arm that goes with a hand fitted to the `close` view of a frame; None where too little is seen of it."""
-        of_arm = [Cells.of_view(view, np.isin(view.part, ARM), _MAX_CELLS, _INDEPENDENT) for view in (close, wide)]
-        links = Cells.join(of_arm)
-        if len(links) < _MIN_CELLS:
-            return None
-        first = self._first_posture(hand, links)
+    def fit(self, hand: Fit, close: GripperView, wide: GripperView, rim: Cells | None = None) -> ArmFit | None:
+        """The arm that goes with a hand fitted to the `close` view of a frame; None where too little is seen of it.
+
+        Args:
+            hand: the hand by itself.
+            close: the view to which it was fitted.
+            wide: the view of the whole frame.
+            rim: what the hand's outline says; see `Outline`.
+        """
+        links = self._links(close, wide)
+        first = self._first_posture(hand, links) if len(links) >= _MIN_CELLS else None
         if first is None:
             return None
         q, evidence = first
         gripper = gripper_cells(close)
-        start = _Arm(
-            model=self._model,
-            X_CB=self._X_CB,
-            q=q,
-            q_start=q,
-            finger_m=hand.finger_m if np.isfinite(hand.finger_m) else UNSEEN_FINGER_M,
-            opening_free=hand.opening_free,
-        )
         cells = Cells.join([gripper, links])
-        solution = solve(start, cells, close.level_sigma, float(np.log(hand.depth_factor)))
+        seen = cells if rim is None else Cells.join([cells, rim])
+        start = self._start(q, hand.finger_m, hand)
+        solution = solve(start, seen, close.level_sigma, float(np.log(hand.depth_factor)))
         if solution is None:
             return None
         arm = solution.body
-        X_CH, J = arm.hand()
-        covariance = np.linalg.inv(solution.information + 1e-6 * np.eye(8))
+        X_CH = arm.hand()[0]
         n = len(gripper)
         r, robust = solution.residual[:n, :2], solution.robust[:n, :2]
         growth = float(np.sqrt((robust * r**2).sum() / robust.sum()))
-        consistency = self._consistency_px(arm, links)
         along, across = _split(X_CH[:3, 3] - hand.X_CH[:3, 3], hand.X_CH[:3, 3])
         agrees = (
-            consistency <= self._tolerance_px
-            and along <= _MAX_ALONG_M
+            along <= _MAX_ALONG_M
             and across <= _MAX_ACROSS_M
             and pose_difference(X_CH, hand.X_CH)[1] <= _MAX_TURN_RAD
             and growth <= _MAX_GROWTH * hand.residual + _MAX_GROWTH_SIGMAS
         )
+        scale = self._scale(arm, cells, close.level_sigma, solution.level, hand)
+        return self._described(solution, links, hand, scale=scale, evidence=evidence, agrees=bool(agrees))
+
+    def follow(self, near: ArmFit, hand: Fit, close: GripperView, wide: GripperView, outline: Outline) -> ArmFit | None:
+        """The arm of a frame from that of a frame next to it, where the hand by itself was misread.
+
+        Wrong CAD coordinates of the hand are outliers there, and its outline tells where it is.
+
+        Args:
+            near: the arm of the frame next to it.
+            hand: the hand by itself, misread.
+            close: the view of the hand.
+            wide: the view of the whole frame.
+            outline: what compares the rendered hand's outline with the one seen.
+        """
+        links = self._links(close, wide)
+        if len(links) < _MIN_CELLS:
+            return None
+        cells = Cells.join([gripper_cells(close), links])
+        arm, level = self._start(near.q, near.finger_m, hand), float(np.log(hand.depth_factor))
+        for gate in _FOLLOWING_GATES:
+            rim = outline.rim(close, arm.hand()[0], arm.finger_m, gate)
+            if rim is None:
+                return None
+            solution = solve(arm, Cells.join([cells, rim]), close.level_sigma, level, iterations=4)
+            if solution is None:
+                return None
+            arm, level = solution.body, solution.level
+        turned = arm.q + np.pi * (np.arange(7) == 6) * (1.0 if arm.q[6] < 0 else -1.0)
+        some = links.take(np.linspace(0, len(links) - 1, _SCORED_CELLS).astype(int))
+        evidence = _evidence(*self._costs(np.stack([arm.q, turned]), some))
+        return self._described(solution, links, hand, scale=float("nan"), evidence=evidence, agrees=True)
+
+    def _links(self, close: GripperView, wide: GripperView) -> Cells:
+        views = (close, wide)
+        return Cells.join([Cells.of_view(v, np.isin(v.part, ARM), _MAX_CELLS, _INDEPENDENT) for v in views])
+
+    def _start(self, q: Array, finger_m: float, hand: Fit) -> _Arm:
+        return _Arm(
+            model=self._model,
+            X_CB=self._X_CB,
+            q=q,
+            q_start=q,
+            finger_m=finger_m if np.isfinite(finger_m) else UNSEEN_FINGER_M,
+            opening_free=hand.opening_free,
+        )
+
+    def _described(
+        self, solution: Solution[_Arm], links: Cells, hand: Fit, *, scale: float, evidence: float, agrees: bool
+    ) -> ArmFit:
+        arm = solution.body
+        X_CH, J = arm.hand()
+        covariance = np.linalg.inv(solution.information + 1e-6 * np.eye(8))
+        consistency = self._consistency_px(arm, links)
         return ArmFit(
             q=arm.q,
             X_CH=X_CH,
             finger_m=arm.finger_m if hand.opening_free else hand.finger_m,
             finger_sigma_m=float(covariance[7, 7] ** 0.5),
-            agrees=bool(agrees),
+            agrees=agrees and consistency <= self._tolerance_px,
             consistency_px=consistency,
-            scale=self._scale(arm, cells, close.level_sigma, solution.level, hand),
+            scale=scale,
             evidence=evidence,
             covariance=J @ covariance[:7, :7] @ J.T,
         )
@@ -238,20 +289,25 @@ class ArmFitter:
         (cost, posture), (turned_cost, _) = best
         if posture is None:
             return None
-        return posture, float(np.clip(0.5 * (turned_cost - cost), -_EVIDENCE_CAP, _EVIDENCE_CAP))
+        return posture, _evidence(cost, turned_cost)
 
     def _costs(self, q: Array, cells: Cells) -> Array:
         """(M,) mean capped squared residual of cells for postures `q` (M, 7)."""
         X = (self._X_CB @ self._model.poses(q))[:, cells.part]
         p_C = np.einsum("mnij,nj->mni", X[..., :3, :3], cells.p_P) + X[..., :3, 3]
         p_L = np.einsum("nij,mnj->mni", cells.R_LC, p_C)
-        square = (p_L[..., :2] ** 2).sum(axis=-1) / cells.sigma_m**2
+        square = (p_L[..., :2] ** 2).sum(axis=-1) / cells.sigma_m[:, 0] ** 2
         return np.asarray(np.where(p_L[..., 2] > 0, np.minimum(square, _COST_CAP), _COST_CAP).mean(axis=1))
 
     def _consistency_px(self, arm: _Arm, links: Cells) -> float:
         p_C, _ = arm.points(links)
         p_L = np.einsum("nij,nj->ni", links.R_LC, p_C)
         return float(self._focal_px * np.median(np.linalg.norm(p_L[:, :2], axis=1) / p_L[:, 2]))
+
+
+def _evidence(cost: float, turned_cost: float) -> float:
+    """Log-likelihood ratio of two readings from their mean squared residuals."""
+    return float(np.clip(0.5 * (turned_cost - cost), -_EVIDENCE_CAP, _EVIDENCE_CAP))
 
 
 def _split(difference: Array, direction: Array) -> tuple[float, float]:

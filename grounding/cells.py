@@ -23,7 +23,7 @@ class Cells:
     p_P: Array
     """(N, 3) point seen in the frame of its part [m]; see `GripperView.coordinates_P`."""
     sigma_m: Array
-    """(N,) standard deviation of each of its coordinates [m]."""
+    """(N, 2) standard deviation across the line of sight, along the first axes of L [m]; inf where nothing is said."""
     part: NDArray[np.uint8]
     """(N,) values of `Part`."""
     opening_sign: Array
@@ -70,7 +70,7 @@ class Cells:
             range_m=view.depth_m[v, u] * length,
             range_sigma=view.depth_sigma[v, u],
             p_P=view.coordinates_P[v, u],
-            sigma_m=view.coordinates_sigma_m[v, u],
+            sigma_m=np.repeat(view.coordinates_sigma_m[v, u, None], 2, axis=1),
             part=view.part[v, u],
             opening_sign=view.opening_sign[v, u],
             weight=np.full(len(v), min(1.0, independent / max(1, len(v)))),

@@ -114,7 +114,7 @@ def align(p_A: Array, p_B: Array, weight: Array) -> Array:
 def _closed_form(cells: Cells, finger_m: float | None) -> Hand:
     """Pose and opening from 3-D to 3-D alignment, reweighted a few times against outliers."""
     cloud = cells.p_C
-    weight = 1.0 / (cells.sigma_m**2 + (cells.range_sigma * cells.range_m) ** 2)
+    weight = 1.0 / (cells.sigma_m[:, 0] ** 2 + (cells.range_sigma * cells.range_m) ** 2)
     finger, robust = UNSEEN_FINGER_M if finger_m is None else finger_m, np.ones(len(cloud))
     X_CH = np.eye(4)
     for _ in range(6):
@@ -132,7 +132,8 @@ def _closed_form(cells: Cells, finger_m: float | None) -> Hand:
 
 
 def _describe(solution: Solution[Hand], cells: Cells, points: int, *, opening_known: bool) -> Fit:
-    hand, robust, r = solution.body, solution.robust, solution.residual
+    hand, n = solution.body, len(cells)
+    robust, r = solution.robust[:n], solution.residual[:n]
     covariance = np.linalg.inv(solution.information + 1e-6 * np.eye(7))
     return Fit(
         X_CH=hand.X_CH,
@@ -142,7 +143,7 @@ def _describe(solution: Solution[Hand], cells: Cells, points: int, *, opening_kn
         depth_factor=float(np.exp(solution.level)),
         residual=float(np.sqrt((robust[:, :2] * r[:, :2] ** 2).sum() / robust[:, :2].sum())),
         points=points,
-        sigma_m=float(np.median(cells.sigma_m)),
+        sigma_m=float(np.median(cells.sigma_m[:, 0])),
         covariance=np.asarray(covariance[:6, :6]),
     )
 
@@ -165,3 +166,18 @@ def fit(view: GripperView, *, X_CH: Array | None = None, finger_m: float | None 
     if solution is None:
         return None
     return _describe(solution, cells, int(view.gripper.sum()), opening_known=finger_m is not None)
+
+
+def refit(hand: Fit, view: GripperView, rim: Cells) -> Fit:
+    """A fit again, with its outline; as it was where that leads nowhere.
+
+    Args:
+        hand: fitted to the view.
+        view: what is seen.
+        rim: what the outline says of the hand there.
+    """
+    known = bool(np.isfinite(hand.finger_m))
+    start = Hand(X_CH=hand.X_CH, finger_m=hand.finger_m if known else UNSEEN_FINGER_M, opening_free=hand.opening_free)
+    cells = gripper_cells(view)
+    solution = solve(start, Cells.join([cells, rim]), view.level_sigma, float(np.log(hand.depth_factor)))
+    return hand if solution is None else _describe(solution, cells, hand.points, opening_known=known)

@@ -74,6 +74,11 @@ class Known:
         posed = self.X_CH is not None and bool(np.isfinite(self.X_CH[1:]).any())
         return self.mask is not None or self.depth is not None or posed
 
+    @property
+    def exact(self) -> bool:
+        """Whether depth is given that can be trusted to a few millimetres."""
+        return self.depth is not None and self.depth.exact
+
     def cut(self, rows: slice, columns: slice) -> "Known":
         """The same of frames of which only these rows and columns are kept."""
         depth = self.depth and replace(self.depth, depth_m=self.depth.depth_m[:, rows, columns])

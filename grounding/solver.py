@@ -56,10 +56,10 @@ def residuals(p_C: Array, d_p: Array, cells: Cells, level: float) -> tuple[Array
     d_L = cells.R_LC @ d_p
     z = p_L[:, 2]
     r, J = np.empty((len(z), 3)), np.zeros((len(z), 3, d_p.shape[2] + 1))
-    across = cells.sigma_m[:, None]
+    across = cells.sigma_m
     r[:, :2] = p_L[:, :2] / across
     J[:, :2, :-1] = (d_L[:, :2] - (p_L[:, :2] / z[:, None])[..., None] * d_L[:, 2:]) / across[..., None]
-    sigma = np.hypot(cells.range_sigma, cells.sigma_m / z)
+    sigma = np.hypot(cells.range_sigma, cells.sigma_m[:, 0] / z)
     r[:, 2] = (np.log(np.maximum(z, 1e-3) / cells.range_m) - level) / sigma
     J[:, 2, :-1] = d_L[:, 2] / (z * sigma)[:, None]
     J[:, 2, -1] = -1.0 / sigma

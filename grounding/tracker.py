@@ -10,18 +10,21 @@ from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, interpolate_pose, invert, transform_points
 from kinebench_drake.grounding.arm import ArmFit, ArmFitter, ArmModel
 from kinebench_drake.grounding.crop import CLOSE_SIZE, GRIPPER_CENTRE_H, WIDE_SIZE, Crop
-from kinebench_drake.grounding.fit import UNSEEN_FINGER_M, Fit, fit
+from kinebench_drake.grounding.fit import UNSEEN_FINGER_M, Fit, fit, refit
 from kinebench_drake.grounding.given import GivenEstimator, calibrated
 from kinebench_drake.grounding.known import NOTHING, Known
+from kinebench_drake.grounding.outline import Outline
 from kinebench_drake.grounding.registration import IcpRefiner
 from kinebench_drake.grounding.view import DepthEstimator, Frames, GripperView
 from kinebench_drake.models.panda.cad import GripperCad
-from kinebench_drake.models.panda.part import ARM
 
 CLOSE_MARGIN = 1.3
 """Half width of the close view over the gripper's radius."""
 _RECENTRE = 0.2  # offset of the gripper from the middle of its view, over half the view, that asks for a new look
 _RESCALE = 1.25  # likewise the factor between its size there and the wanted one
+FAIR_OVERLAP, GOOD_OVERLAP = 0.6, 0.8
+"""Overlap of the seen and the rendered gripper below which a pose is no example, and below which it is doubted."""
+_BETTER_OVERLAP = 0.03  # by which another pose has to cover the gripper better
 _PROPOSAL_GAP = 12  # frames across which a lost gripper is looked for between its neighbours
 
 
@@ -91,6 +94,7 @@ class CadTracker:
         self._estimator = estimator
         self._cad = cad or GripperCad()
         self._icp = IcpRefiner(self._cad)
+        self._outline = Outline(self._cad)
         self._arm = ArmModel()
 
     def track(self, frames: Frames, camera: Camera, known: Known = NOTHING) -> Tracking:
@@ -125,6 +129,8 @@ class CadTracker:
         look(crops)
         look(self._badly_framed(poses))
         look(self._proposals(len(frames), poses))
+        if not known.exact:
+            self._follow(poses, detections, arm)
         return Tracking(
             poses=tuple(poses.get(i) for i in range(len(frames))),
             wide=tuple(detections[i] for i in range(len(frames))),
@@ -146,29 +152,57 @@ class CadTracker:
     def _measure(
         self, view: GripperView, wide: GripperView, arm_fitter: ArmFitter, known: Known, number: int
     ) -> FramePose | None:
-        X_CH = known.pose(number)
-        hand = fit(view, X_CH=X_CH, finger_m=known.finger_m(number))
+        given = known.pose(number)
+        hand = fit(view, X_CH=given, finger_m=known.finger_m(number))
         if hand is None:
             return None
-        arm = arm_fitter.fit(hand, view, wide)
-        best = arm if arm is not None and arm.agrees and X_CH is None else hand
-        finger = best.finger_m if np.isfinite(best.finger_m) else UNSEEN_FINGER_M
-        X_VH = invert(view.crop.X_CV) @ best.X_CH
-        if known.depth is not None and known.depth.exact and X_CH is None:
-            refined = self._icp.refine(view, X_VH, finger)
-            X_VH = refined.X_VH if refined is not None else X_VH
-        rendered = self._cad.cast(X_VH, view.rays().reshape(-1, 3), finger).part.reshape(view.part.shape) > 0
-        union = (rendered & ~np.isin(view.part, ARM)) | view.gripper
+        free = given is None
+        rim = self._outline.rim(view, hand.X_CH, _opening(hand.finger_m)) if free and not known.exact else None
+        if rim is not None:
+            hand = refit(hand, view, rim)
+        arm = arm_fitter.fit(hand, view, wide, rim)
+        best = arm if arm is not None and arm.agrees and free else hand
+        X_CH = best.X_CH
+        if known.exact and free:
+            refined = self._icp.refine(view, invert(view.crop.X_CV) @ X_CH, _opening(best.finger_m))
+            X_CH = X_CH if refined is None else view.crop.X_CV @ refined.X_VH
         return FramePose(
-            X_CH=view.crop.X_CV @ X_VH,
+            X_CH=X_CH,
             finger_m=best.finger_m,
             finger_sigma_m=best.finger_sigma_m,
             fit=hand,
             arm=arm,
             view=view,
-            overlap=float((rendered & view.gripper).sum() / max(1, union.sum())),
-            given=X_CH is not None,
+            overlap=self._outline.overlap(view, X_CH, _opening(best.finger_m)),
+            given=not free,
         )
+
+    def _follow(self, poses: dict[int, FramePose], wide: dict[int, GripperView], arm_fitter: ArmFitter) -> None:
+        """Try the arm of the frame before, then of the one after, where a gripper seems misread; keep what fits better.
+
+        Seen from its narrow side a gripper's CAD coordinates can be wrong all together, which its outline shows.
+        """
+        for step in (1, -1):
+            for i in sorted(poses)[::step]:
+                pose, near = poses[i], poses.get(i - step)
+                if near is None or near.arm is None or not near.arm.agrees or near.overlap < FAIR_OVERLAP:
+                    continue
+                agrees = pose.arm is not None and pose.arm.agrees
+                if pose.given or (agrees and pose.overlap >= GOOD_OVERLAP):
+                    continue
+                arm = arm_fitter.follow(near.arm, pose.fit, pose.view, wide[i], self._outline)
+                if arm is None or not arm.agrees:
+                    continue
+                overlap = self._outline.overlap(pose.view, arm.X_CH, _opening(arm.finger_m))
+                if overlap >= max(FAIR_OVERLAP, pose.overlap + _BETTER_OVERLAP):
+                    poses[i] = replace(
+                        pose,
+                        X_CH=arm.X_CH,
+                        finger_m=arm.finger_m,
+                        finger_sigma_m=arm.finger_sigma_m,
+                        arm=arm,
+                        overlap=overlap,
+                    )
 
     @staticmethod
     def _badly_framed(poses: dict[int, FramePose]) -> dict[int, Crop]:
@@ -201,3 +235,8 @@ class CadTracker:
                 continue
             crops[i] = Crop.of_gripper(guess, 1.5 * CLOSE_MARGIN, CLOSE_SIZE)
         return crops
+
+
+def _opening(finger_m: float) -> float:
+    """An opening to render with [m]."""
+    return finger_m if np.isfinite(finger_m) else UNSEEN_FINGER_M
