@@ -68,6 +68,11 @@ def opened(finger_m: float, change_m: float) -> float:
     return float(np.clip(finger_m + change_m, 0.0, MAX_FINGER_M))
 
 
+def drawn(finger_m: float) -> float:
+    """An opening to render with, where it may be unknown (NaN) [m]."""
+    return finger_m if np.isfinite(finger_m) else UNSEEN_FINGER_M
+
+
 def opening_information(free: bool) -> float:
     """Information [1/m^2] about an opening beforehand."""
     return 1.0 / _FINGER_SIGMA_M**2 if free else _FIXED

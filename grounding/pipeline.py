@@ -14,11 +14,12 @@ from kinebench_drake.grounding.anomaly.finding import Findings
 from kinebench_drake.grounding.anomaly.motion import measure_camera_motion
 from kinebench_drake.grounding.confidence import GOOD_M, GOOD_RAD, Confidence, frame_features
 from kinebench_drake.grounding.estimator import NetworkEstimator
+from kinebench_drake.grounding.framepose import FramePose
 from kinebench_drake.grounding.known import NOTHING, FirstFrame, FirstFrameUse, Known
 from kinebench_drake.grounding.opening import smooth_opening
 from kinebench_drake.grounding.rawtrack import RawTrack
 from kinebench_drake.grounding.reading import X_HALF_TURN, settle
-from kinebench_drake.grounding.tracker import CadTracker, FramePose, PoseTracker
+from kinebench_drake.grounding.tracker import CadTracker, PoseTracker
 from kinebench_drake.grounding.view import Frames, GripperView
 from kinebench_drake.models.panda.part import Part
 from kinebench_drake.models.panda.robot import hand_from_tcp

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from kinebench_drake.geometry import Array, pose_difference
 from kinebench_drake.grounding.confidence import track_features
+from kinebench_drake.grounding.framepose import FramePose
 from kinebench_drake.grounding.smoothing import smooth_track
-from kinebench_drake.grounding.tracker import FramePose
 from kinebench_drake.products import Anomaly, AnomalyKind
 
 MIN_CONFIDENCE = 0.02

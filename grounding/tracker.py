@@ -7,10 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera
-from kinebench_drake.geometry import Array, interpolate_pose, invert, transform_points
-from kinebench_drake.grounding.arm import ArmFit, ArmFitter, ArmModel
+from kinebench_drake.geometry import interpolate_pose, invert, transform_points
+from kinebench_drake.grounding.arm import ArmModel
+from kinebench_drake.grounding.armfit import ArmFitter
 from kinebench_drake.grounding.crop import CLOSE_SIZE, GRIPPER_CENTRE_H, WIDE_SIZE, Crop
-from kinebench_drake.grounding.fit import UNSEEN_FINGER_M, Fit, fit, refit
+from kinebench_drake.grounding.fit import UNSEEN_FINGER_M, drawn, fit, refit
+from kinebench_drake.grounding.following import follow
+from kinebench_drake.grounding.framepose import FramePose
 from kinebench_drake.grounding.given import GivenEstimator, calibrated
 from kinebench_drake.grounding.known import NOTHING, Known
 from kinebench_drake.grounding.outline import Outline
@@ -22,37 +25,7 @@ CLOSE_MARGIN = 1.3
 """Half width of the close view over the gripper's radius."""
 _RECENTRE = 0.2  # offset of the gripper from the middle of its view, over half the view, that asks for a new look
 _RESCALE = 1.25  # likewise the factor between its size there and the wanted one
-FAIR_OVERLAP, GOOD_OVERLAP = 0.6, 0.8
-"""Overlap of the seen and the rendered gripper below which a pose is no example, and below which it is doubted."""
-_BETTER_OVERLAP = 0.03  # by which another pose has to cover the gripper better
 _PROPOSAL_GAP = 12  # frames across which a lost gripper is looked for between its neighbours
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FramePose:
-    """The gripper in one frame, with what its confidence rests on."""
-
-    X_CH: Array
-    """(4, 4) pose of panda_hand in the camera frame [m]."""
-    finger_m: float
-    """Opening of each finger [m]; NaN when no finger was seen."""
-    finger_sigma_m: float
-    """Its standard deviation [m]."""
-    fit: Fit
-    """The hand by itself."""
-    arm: ArmFit | None
-    """The arm that goes with it; None where too little is seen of it."""
-    view: GripperView
-    """The close view."""
-    overlap: float
-    """Intersection over union of the seen and the rendered gripper."""
-    given: bool = False
-    """Whether the pose was known beforehand."""
-
-    @property
-    def covariance(self) -> Array:
-        """(6, 6) of rotation about the camera's axes [rad] and position [m], by the cells' own sigmas."""
-        return self.arm.covariance if self.arm is not None and self.arm.agrees else self.fit.covariance
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -130,7 +103,7 @@ class CadTracker:
         look(self._badly_framed(poses))
         look(self._proposals(len(frames), poses))
         if not known.exact:
-            self._follow(poses, detections, arm)
+            follow(poses, detections, arm, self._outline)
         return Tracking(
             poses=tuple(poses.get(i) for i in range(len(frames))),
             wide=tuple(detections[i] for i in range(len(frames))),
@@ -157,14 +130,14 @@ class CadTracker:
         if hand is None:
             return None
         free = given is None
-        rim = self._outline.rim(view, hand.X_CH, _opening(hand.finger_m)) if free and not known.exact else None
+        rim = self._outline.rim(view, hand.X_CH, drawn(hand.finger_m)) if free and not known.exact else None
         if rim is not None:
             hand = refit(hand, view, rim)
         arm = arm_fitter.fit(hand, view, wide, rim)
         best = arm if arm is not None and arm.agrees and free else hand
         X_CH = best.X_CH
         if known.exact and free:
-            refined = self._icp.refine(view, invert(view.crop.X_CV) @ X_CH, _opening(best.finger_m))
+            refined = self._icp.refine(view, invert(view.crop.X_CV) @ X_CH, drawn(best.finger_m))
             X_CH = X_CH if refined is None else view.crop.X_CV @ refined.X_VH
         return FramePose(
             X_CH=X_CH,
@@ -173,36 +146,9 @@ class CadTracker:
             fit=hand,
             arm=arm,
             view=view,
-            overlap=self._outline.overlap(view, X_CH, _opening(best.finger_m)),
+            overlap=self._outline.overlap(view, X_CH, drawn(best.finger_m)),
             given=not free,
         )
-
-    def _follow(self, poses: dict[int, FramePose], wide: dict[int, GripperView], arm_fitter: ArmFitter) -> None:
-        """Try the arm of the frame before, then of the one after, where a gripper seems misread; keep what fits better.
-
-        Seen from its narrow side a gripper's CAD coordinates can be wrong all together, which its outline shows.
-        """
-        for step in (1, -1):
-            for i in sorted(poses)[::step]:
-                pose, near = poses[i], poses.get(i - step)
-                if near is None or near.arm is None or not near.arm.agrees or near.overlap < FAIR_OVERLAP:
-                    continue
-                agrees = pose.arm is not None and pose.arm.agrees
-                if pose.given or (agrees and pose.overlap >= GOOD_OVERLAP):
-                    continue
-                arm = arm_fitter.follow(near.arm, pose.fit, pose.view, wide[i], self._outline)
-                if arm is None or not arm.agrees:
-                    continue
-                overlap = self._outline.overlap(pose.view, arm.X_CH, _opening(arm.finger_m))
-                if overlap >= max(FAIR_OVERLAP, pose.overlap + _BETTER_OVERLAP):
-                    poses[i] = replace(
-                        pose,
-                        X_CH=arm.X_CH,
-                        finger_m=arm.finger_m,
-                        finger_sigma_m=arm.finger_sigma_m,
-                        arm=arm,
-                        overlap=overlap,
-                    )
 
     @staticmethod
     def _badly_framed(poses: dict[int, FramePose]) -> dict[int, Crop]:
@@ -235,8 +181,3 @@ class CadTracker:
                 continue
             crops[i] = Crop.of_gripper(guess, 1.5 * CLOSE_MARGIN, CLOSE_SIZE)
         return crops
-
-
-def _opening(finger_m: float) -> float:
-    """An opening to render with [m]."""
-    return finger_m if np.isfinite(finger_m) else UNSEEN_FINGER_M

@@ -14,8 +14,8 @@ from kinebench_drake.grounding.anomaly.freeze import still_frames
 from kinebench_drake.grounding.anomaly.motion import CameraMotion
 from kinebench_drake.grounding.anomaly.shape import shape_misfit
 from kinebench_drake.grounding.crop import GRIPPER_CENTRE_H
+from kinebench_drake.grounding.framepose import FramePose
 from kinebench_drake.grounding.opening import SHARP_M
-from kinebench_drake.grounding.tracker import FramePose
 from kinebench_drake.grounding.view import Frames, GripperView
 
 FAIR_CONFIDENCE = 0.1

@@ -7,13 +7,15 @@ import pytest
 import trimesh
 
 from kinebench_drake.camera import benchmark_camera
-from kinebench_drake.geometry import Array, invert, pose_difference, transform_points
-from kinebench_drake.grounding.arm import ArmFitter, ArmModel
+from kinebench_drake.geometry import Array, invert, make_pose, pose_difference, rotation_exp, transform_points
+from kinebench_drake.grounding.arm import ArmModel
+from kinebench_drake.grounding.armfit import ArmFitter
 from kinebench_drake.grounding.crop import CLOSE_SIZE, Crop
 from kinebench_drake.grounding.fit import fit
+from kinebench_drake.grounding.outline import Outline
 from kinebench_drake.grounding.tracker import whole_frame
 from kinebench_drake.grounding.view import GripperView
-from kinebench_drake.models.panda.cad import link_meshes, part_meshes
+from kinebench_drake.models.panda.cad import GripperCad, link_meshes, part_meshes
 from kinebench_drake.models.panda.part import OPENING_SIGN, Part
 
 CAMERA = benchmark_camera()
@@ -129,6 +131,31 @@ def test_too_little_of_an_arm_is_no_arm(scene: tuple[Array, GripperView, Gripper
     _, close, wide = scene
     hand = fit(close)
     assert hand is not None
-    close.part[close.part >= Part.LINK0] = 0
-    wide.part[wide.part >= Part.LINK0] = 0
-    assert ArmFitter(CAMERA, model).fit(hand, close, wide) is None
+    bare = (replace(v, part=np.where(v.part >= Part.LINK0, 0, v.part).astype(np.uint8)) for v in (close, wide))
+    assert ArmFitter(CAMERA, model).fit(hand, *bare) is None
+
+
+def test_a_misread_hand_is_found_from_the_frame_before(
+    scene: tuple[Array, GripperView, GripperView], model: ArmModel
+) -> None:
+    """All of its CAD coordinates turned by 30 degrees about the hand's axis: outline and arm tell otherwise."""
+    X_CH, close, wide = scene
+    outline = Outline(GripperCad())
+    hand = fit(close)
+    assert hand is not None
+    fitter = ArmFitter(CAMERA, model)
+    right = fitter.fit(hand, close, wide)
+    assert right is not None
+    turned = close.coordinates_P @ make_pose(rotation_exp([0.0, 0.0, np.deg2rad(30.0)]), np.zeros(3))[:3, :3].T
+    misread = replace(close, coordinates_P=np.where(close.gripper[..., None], turned, close.coordinates_P))
+    wrong = fit(misread)
+    assert wrong is not None
+    assert np.rad2deg(pose_difference(wrong.X_CH, X_CH)[1]) > 15.0
+    before = replace(right, q=right.q + np.deg2rad([1.0, -1.0, 1.0, 1.5, -1.0, 1.0, 4.0]))
+    arm = fitter.follow(before, wrong, misread, wide, outline)
+    assert arm is not None
+    assert arm.agrees
+    distance, angle = pose_difference(arm.X_CH, X_CH)
+    assert distance < 0.01
+    assert np.rad2deg(angle) < 8.0
+    assert np.isnan(arm.scale)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from kinebench_drake.grounding.fit import fit
+from kinebench_drake.grounding.framepose import FramePose
 from kinebench_drake.grounding.rawtrack import RawTrack
-from kinebench_drake.grounding.tracker import FramePose
 from kinebench_drake.models.panda.cad import GripperCad
 from kinebench_drake.products import Anomaly, AnomalyKind
 from tests.grounding.conftest import hand_pose, perfect_view

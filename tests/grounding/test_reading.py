@@ -2,8 +2,8 @@ import numpy as np
 
 from kinebench_drake.geometry import Array, pose_difference
 from kinebench_drake.grounding.fit import Fit, fit
+from kinebench_drake.grounding.framepose import FramePose
 from kinebench_drake.grounding.reading import X_HALF_TURN, evidence, settle
-from kinebench_drake.grounding.tracker import FramePose
 from kinebench_drake.models.panda.cad import GripperCad
 from tests.grounding.conftest import hand_pose, perfect_view
 

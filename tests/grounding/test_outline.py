@@ -1,0 +1,111 @@
+"""The outline of a mask, on masks rendered from the CAD model."""
+
+import numpy as np
+import pytest
+
+from kinebench_drake.geometry import Array, invert, make_pose, pose_difference, rotation_exp
+from kinebench_drake.grounding.cells import Cells
+from kinebench_drake.grounding.crop import CLOSE_SIZE, Crop
+from kinebench_drake.grounding.fit import Hand, gripper_cells
+from kinebench_drake.grounding.outline import Outline
+from kinebench_drake.grounding.solver import solve
+from kinebench_drake.grounding.view import GripperView
+from kinebench_drake.models.panda.cad import GripperCad
+from kinebench_drake.models.panda.part import Part
+
+FINGER_M = 0.03
+X_CH = make_pose(rotation_exp([2.2, 0.5, 0.3]), [0.05, -0.02, 0.9])
+
+
+@pytest.fixture(scope="module")
+def outline() -> Outline:
+    return Outline(GripperCad())
+
+
+def seen(X: Array) -> GripperView:
+    """A view that shows the outline of a gripper at `X` (4, 4) and nothing else."""
+    crop = Crop.of_gripper(X_CH, 1.3, CLOSE_SIZE)
+    n = CLOSE_SIZE // 2
+    part = GripperCad().cast(invert(crop.X_CV) @ X, crop.rays(2).reshape(-1, 3), FINGER_M).part.reshape(n, n)
+    return GripperView(
+        crop=crop,
+        stride=2,
+        part=part,
+        depth_m=np.full((n, n), 0.9),
+        depth_sigma=np.full((n, n), np.inf),
+        level_sigma=0.01,
+        coordinates_P=np.zeros((n, n, 3)),
+        coordinates_sigma_m=np.full((n, n), np.inf),
+    )
+
+
+def moved(turn: list[float], shift: list[float]) -> Array:
+    """The gripper turned about its own axes [rad] and shifted in its own frame [m]."""
+    return X_CH @ make_pose(rotation_exp(turn), shift)
+
+
+@pytest.mark.parametrize(
+    ("turn", "shift"), [([0.0, 0.0, 0.12], [0.006, 0.0, 0.0]), ([0.1, 0.0, 0.1], [0.0, 0.012, -0.012])]
+)
+def test_an_outline_alone_leads_back_to_the_pose(outline: Outline, turn: list[float], shift: list[float]) -> None:
+    """Across the line of sight, that is: along it an outline says little."""
+    view = seen(X_CH)
+    hand = Hand(X_CH=moved(turn, shift), finger_m=FINGER_M, opening_free=False)
+    before = outline.overlap(view, hand.X_CH, FINGER_M)
+    for _ in range(4):
+        rim = outline.rim(view, hand.X_CH, FINGER_M, 8.0)
+        assert rim is not None
+        solution = solve(hand, rim, view.level_sigma)
+        assert solution is not None
+        hand = solution.body
+    distance, angle = pose_difference(hand.X_CH, X_CH)
+    across = np.linalg.norm((hand.X_CH - X_CH)[:2, 3])
+    assert before < 0.9
+    assert outline.overlap(view, hand.X_CH, FINGER_M) > 0.95
+    assert across < 0.003
+    assert distance < 0.03
+    assert np.rad2deg(angle) < 3.0
+
+
+def test_a_pose_that_fits_is_left_where_it_is(outline: Outline) -> None:
+    view = seen(X_CH)
+    rim = outline.rim(view, X_CH, FINGER_M)
+    assert rim is not None
+    p_C, _ = Hand(X_CH=X_CH, finger_m=FINGER_M, opening_free=False).points(rim)
+    off = np.einsum("nij,nj->ni", rim.R_LC, p_C)[:, 0] / p_C[:, 2]
+    assert np.abs(off).max() < 1e-9
+
+
+def test_what_an_outline_does_not_say_has_no_weight(outline: Outline) -> None:
+    """Along itself and along the line of sight: points moved there cost nothing."""
+    rim = outline.rim(seen(X_CH), X_CH, FINGER_M)
+    assert rim is not None
+    assert np.isinf(rim.sigma_m[:, 1]).all()
+    assert np.isinf(rim.range_sigma).all()
+    assert np.isfinite(rim.sigma_m[:, 0]).all()
+
+
+def test_where_the_arm_begins_there_is_no_outline(outline: Outline) -> None:
+    view = seen(X_CH)
+    rim = outline.rim(view, X_CH, FINGER_M)
+    rows = np.flatnonzero((view.part > 0).any(axis=1))
+    view.part[: rows[0] + len(rows) // 2][view.part[: rows[0] + len(rows) // 2] == 0] = Part.LINK7
+    less = outline.rim(view, X_CH, FINGER_M)
+    assert rim is not None
+    assert less is not None
+    assert 0 < len(less) < 0.8 * len(rim)
+
+
+def test_nothing_seen_is_no_outline(outline: Outline) -> None:
+    view = seen(X_CH)
+    view.part[:] = 0
+    assert outline.rim(view, X_CH, FINGER_M) is None
+    assert outline.overlap(view, X_CH, FINGER_M) == 0.0
+
+
+def test_outline_and_cells_go_together(outline: Outline) -> None:
+    view = seen(X_CH)
+    rim = outline.rim(view, X_CH, FINGER_M)
+    assert rim is not None
+    cells = gripper_cells(view)
+    assert len(Cells.join([cells, rim])) == len(cells) + len(rim)
