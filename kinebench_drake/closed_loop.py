@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from kinebench_drake.errors import InputError, UnmeasurableError
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.known import FirstFrame, Known
+from kinebench_drake.grounding.reframing import find_framing
 from kinebench_drake.grounding.video import read_video
 from kinebench_drake.products import GripperTrack
 from kinebench_drake.stages import Grounded, Stages
@@ -54,7 +55,9 @@ class Round:
     video: Path
     """What the model imagined."""
     frames: NDArray[np.uint8]
-    """(T, H, W, 3) the same as frames."""
+    """(T, H, W, 3) the same as frames in the shape of the camera's picture, whatever the model made of it."""
+    robot: NDArray[np.bool_]
+    """(T, H, W) their pixels that show the robot."""
     grounded: Grounded
     commands: Commands | None
     """None where the track holds nothing to execute; `refusal` says why."""
@@ -129,7 +132,12 @@ class ClosedLoop:
         known = Known() if options.pixels_only else Known(first=first)
         if isinstance(self._model, Telling) and (truth := self._model.true_track()) is not None:
             known = Known(X_CH=truth.X_CH, finger_width_m=truth.finger_width_m)
-        grounded = self._stages.ground(frames, stage.camera, t_s, known)
+        try:
+            framing = find_framing(frames, stage.camera, first_frame)
+        except UnmeasurableError as error:
+            raise InputError(f"{video.name}: {error}") from None
+        shown = framing.cut(frames)
+        grounded = self._stages.ground(shown, framing.camera(stage.camera), t_s, known)
         commands, refusal, execution = None, None, None
         try:
             start = Posed(q=now.q, finger_width_m=width, gripping=gripping)
@@ -139,7 +147,13 @@ class ClosedLoop:
         else:
             execution = execute(stage, commands, options.control)
         return Round(
-            video=video, frames=frames, grounded=grounded, commands=commands, refusal=refusal, execution=execution
+            video=video,
+            frames=framing.restored(shown),
+            robot=framing.restored(grounded.robot),
+            grounded=grounded,
+            commands=commands,
+            refusal=refusal,
+            execution=execution,
         )
 
     def _commands(self, track: GripperTrack, start: Posed) -> Commands:

@@ -204,7 +204,7 @@ def _named(world_model: str) -> WorldModel:
 def _gap_metrics(run: EpisodeRun, films: Sequence[Clip | None]) -> dict[str, Json]:
     """How far what was executed is from what was imagined, over all executed frames but the first of each clip."""
     gaps = [
-        measure_gap(r.frames, r.grounded.robot, r.grounded.track.X_BG, executed)
+        measure_gap(r.frames, r.robot, r.grounded.track.X_BG, executed)
         for r, executed in zip(run.rounds, films, strict=True)
         if executed is not None
     ]

@@ -5,10 +5,13 @@ import json
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
 from kinebench_drake import cli
+from kinebench_drake.grounding.video import read_video
+from kinebench_drake.mp4 import write_video
 from kinebench_drake.suites.suite import VERSION
 
 pytestmark = [pytest.mark.sapien, pytest.mark.slow]
@@ -67,6 +70,21 @@ def test_what_is_finished_is_kept_and_made_again_it_is_the_same(oracle: Path, tm
     assert (oracle / "rollouts").stat().st_mtime_ns == stamp
     assert run(tmp_path, "--world-model", "oracle", "--pixels-only")[0] == 0
     assert (tmp_path / "samples.jsonl").read_bytes() == before
+
+
+def test_a_letter_boxed_video_is_read_and_shown_without_its_bars(oracle: Path, tmp_path: Path) -> None:
+    """832x480, as Wan makes them, from a square picture: success, and a gap as small as that of the video itself."""
+    [row] = rows(oracle)
+    frames = read_video(oracle / row["video"]).frames
+    boxed = np.zeros((len(frames), 480, 832, 3), np.uint8)
+    boxed[:, :, 176:656] = [cv2.resize(frame, (480, 480), interpolation=cv2.INTER_CUBIC) for frame in frames]
+    (tmp_path / "videos").mkdir()
+    write_video(tmp_path / "videos" / f"{row['id']}.mp4", boxed, 16)
+    assert run(tmp_path / "out", "--world-model", f"folder:{tmp_path / 'videos'}", "--pixels-only")[0] == 0
+    [other] = rows(tmp_path / "out")
+    assert other["success"] is True
+    for name, factor in (("gap_robot_iou", -0.05), ("gap_psnr_db", -3.0)):
+        assert other["metrics"][name] > row["metrics"][name] + factor
 
 
 def test_a_still_video_fails_for_the_task_s_reason(tmp_path: Path) -> None:

@@ -70,6 +70,20 @@ def test_the_first_frame_tells_how_a_video_was_made(size, framing):
     assert (found.witness, found.correlation > 0.9) == (Witness.FIRST_FRAME, True)
 
 
+@pytest.mark.parametrize("framing", [framing for _, framing in all_framings()])
+def test_restored_a_video_shows_the_picture_again(framing):
+    frames = framing.cut(shown(framing, frames=1))
+    restored = framing.restored(frames)[0]
+    inside = framing.restored(np.ones(frames.shape[:3], bool))[0]
+    picture = cv2.resize(PICTURE, restored.shape[1::-1], interpolation=cv2.INTER_AREA)
+    assert (inside.mean() < 0.98) == (Change.CROP in framing.changes)
+    inside = cv2.erode(inside.astype(np.uint8), np.ones((5, 5))) > 0
+    inside[:, restored.shape[1] // 2 - 40 : restored.shape[1] // 2 + 60] = False  # something moves there
+    assert abs(restored.shape[0] / restored.shape[1] - 1.0) < 0.01
+    assert inside.sum() > 2000
+    assert np.abs(0.9 * picture[inside] + 8.0 - restored[inside]).mean() < 8.0
+
+
 def test_an_unusual_crop_is_found_to_a_fraction_of_a_pixel():
     framing = replace(
         Framing.filling((384, 384), (720, 480)), scale_x=2.3, scale_y=2.3, offset_x=-61.0, offset_y=-230.0
