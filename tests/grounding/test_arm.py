@@ -142,7 +142,7 @@ def test_too_little_of_an_arm_is_no_arm(scene: tuple[Array, GripperView, Gripper
 @pytest.mark.parametrize("seed", range(3))
 def test_a_misread_hand_is_found_from_the_frame_before(model: ArmModel, seed: int) -> None:
     """Seen from its narrow side, all CAD coordinates turned by 30 degrees: outline and arm tell otherwise."""
-    X_CH, close, wide = views(model, posture(seed) + [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, np.pi / 2], seed)
+    X_CH, close, wide = views(model, posture(seed) + np.pi / 2 * np.eye(7)[6], seed)
     outline = Outline(GripperCad())
     hand = fit(close)
     assert hand is not None
