@@ -2,7 +2,7 @@
 
     python examples/audit_arrays.py
 
-The gripper points down and goes 30 cm to the left, once in 2 s and once in 0.2 s: no Panda is as fast.
+The gripper points down and goes 30 cm to the left, once in 2 s and once in 0.5 s: no Panda is as fast.
 """
 
 import numpy as np
@@ -36,7 +36,7 @@ def main() -> None:
     X_BG = make_pose(DOWN, p_BG)  # (41, 4, 4), metres
     slow = audit_trajectory(X_BG, rate_hz=20)
     tell("poses, 2 s", slow)
-    tell("poses, 0.2 s", audit_trajectory(X_BG, t_s=np.linspace(0.0, 0.2, 41)))
+    tell("poses, 0.5 s", audit_trajectory(X_BG, t_s=np.linspace(0.0, 0.5, 41)))
     tell("the joint path found, as joint angles", audit_trajectory(slow.joints.q, rate_hz=20))
 
 

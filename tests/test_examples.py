@@ -53,7 +53,7 @@ def test_examples_are_short_and_say_what_they_show(script):
 def test_a_trajectory_of_arrays_is_judged(run):
     told = run("audit_arrays.py")
     assert "poses, 2 s: feasible" in told
-    assert "poses, 0.2 s: infeasible\n  velocity of panda_joint" in told
+    assert "poses, 0.5 s: infeasible\n  acceleration of panda_joint" in told
     assert "as joint angles: feasible" in told
 
 
