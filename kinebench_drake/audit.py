@@ -90,7 +90,7 @@ def audit_trajectories(config: AuditConfig, observer: Observer | None = None) ->
     observer = observer or Silence()
     samples = find_trajectories(config.source, config.choice(), out=config.out, model=config.model, task=config.task)
     if config.urdf is not None:
-        remarks = _robot_remarks(config.urdf, config.tcp_frame)
+        remarks = robot_remarks(config.urdf, config.tcp_frame)
         for remark in remarks:
             observer.warned(f"{config.urdf.name}: {remark}")
         config = replace(config, robot_remarks=remarks)
@@ -110,7 +110,12 @@ def audit_trajectories(config: AuditConfig, observer: Observer | None = None) ->
     return summary
 
 
-def _robot_remarks(urdf: Path, tcp_frame: str | None) -> tuple[str, ...]:
+def robot_remarks(urdf: Path, tcp_frame: str | None) -> tuple[str, ...]:
+    """What was assumed or left out when a robot's URDF was read.
+
+    Raises:
+        UsageError: the robot cannot be used.
+    """
     try:
         return choose_robot(urdf, tcp_frame).remarks
     except InputError as error:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from kinebench_drake.errors import InputError, UnmeasurableError
+from kinebench_drake.errors import InputError, UnmeasurableError, UsageError
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.known import FirstFrame, Known
 from kinebench_drake.grounding.reframing import find_framing
@@ -16,7 +16,13 @@ from kinebench_drake.grounding.video import read_video
 from kinebench_drake.products import GripperTrack
 from kinebench_drake.stages import Grounded, Stages
 from kinebench_drake.storage import storage
-from kinebench_drake.suites.clock import CLIP_FRAMES, CONTROL_PERIOD_S, FRAME_PERIOD_S
+from kinebench_drake.suites.clock import (
+    CLIP_FRAMES,
+    CONTROL_PERIOD_S,
+    FRAME_PERIOD_S,
+    MAX_FRAME_PERIOD_S,
+    MIN_FRAME_PERIOD_S,
+)
 from kinebench_drake.suites.closedloop.commands import Commander, Commands, Posed
 from kinebench_drake.suites.closedloop.execution import Execution, execute
 from kinebench_drake.suites.episode import Episode
@@ -46,6 +52,21 @@ class LoopOptions:
     negative_prompt: str = ""
     seed: int = 0
     """Of the model's randomness."""
+
+    def __post_init__(self) -> None:
+        """Check the numbers.
+
+        Raises:
+            UsageError: one of them makes no sense.
+        """
+        for option, count in (("--rounds", self.rounds), ("--action-repeat", self.action_repeat)):
+            if count is not None and count < 1:
+                raise UsageError(f"{option} is {count}, expected 1 or more")
+        if not MIN_FRAME_PERIOD_S <= self.frame_period_s <= MAX_FRAME_PERIOD_S:
+            raise UsageError(
+                f"--frame-period is {self.frame_period_s}, expected seconds from {MIN_FRAME_PERIOD_S:g} to "
+                f"{MAX_FRAME_PERIOD_S:g}, such as {FRAME_PERIOD_S:g}"
+            )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

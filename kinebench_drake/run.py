@@ -19,7 +19,7 @@ from kinebench_drake.provenance import code_hash, host, versions, weights_hash
 from kinebench_drake.results import REPORT, RUN, ResultStore
 from kinebench_drake.row import Json, SampleRow, Status
 from kinebench_drake.shard import Shard
-from kinebench_drake.stages import StageOptions
+from kinebench_drake.stages import SHIPPED_STAGES, StageOptions
 from kinebench_drake.storage import storage
 
 
@@ -47,7 +47,7 @@ class RunConfig:
     """Model of samples that name none."""
     tags: Mapping[str, str] = field(default_factory=dict)
     """Free labels, kept in the results."""
-    stages: str = "kinebench_drake.drake_stages:DrakeStages"
+    stages: str = SHIPPED_STAGES
     """Import path of the heavy steps."""
     table_height_m: float = 0.0
     """Height of the table's top in the robot's base frame [m]."""

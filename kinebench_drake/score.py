@@ -4,15 +4,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from kinebench_drake.episodes import with_first_frames
-from kinebench_drake.errors import UsageError
+from kinebench_drake.footage import BENCHMARK_PERIOD_S, PeriodSource, check_period
 from kinebench_drake.grounding.known import FirstFrameUse
 from kinebench_drake.grounding.sources.sources import Sources
 from kinebench_drake.inputs import find_samples
-from kinebench_drake.manifest import MAX_PERIOD_S, MIN_PERIOD_S
 from kinebench_drake.measure import Kind
 from kinebench_drake.row import Json
 from kinebench_drake.run import Observer, RunConfig, RunSummary, Silence, run_samples
-from kinebench_drake.video_measure import BENCHMARK_PERIOD_S, PeriodSource, VideoMeasure
+from kinebench_drake.video_measure import VideoMeasure
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,11 +47,7 @@ class ScoreConfig(RunConfig):
             UsageError: one of them makes no sense.
         """
         RunConfig.__post_init__(self)
-        if self.frame_period_s is not None and not MIN_PERIOD_S <= self.frame_period_s <= MAX_PERIOD_S:
-            raise UsageError(
-                f"--frame-period is {self.frame_period_s}, expected seconds from {MIN_PERIOD_S:g} to "
-                f"{MAX_PERIOD_S:g}, such as 0.2"
-            )
+        check_period(self.frame_period_s)
         self.sources()
 
     def sources(self) -> Sources:

@@ -16,6 +16,8 @@ from kinebench_drake.grounding.known import FirstFrameUse, Known
 from kinebench_drake.products import Anomaly, GripperTrack, JointTrack
 from kinebench_drake.row import Json
 
+SHIPPED_STAGES = "kinebench_drake.drake_stages:DrakeStages"
+"""Import path of the stages that come with the package."""
 MAX_TABLE_HEIGHT_M = 2.0
 """Farthest that a table's top may be from the robot's base, up or down [m]."""
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 
 from kinebench_drake.closed_loop import LoopOptions
 from kinebench_drake.episode_measure import EpisodeMeasure, EpisodeSample
+from kinebench_drake.errors import UsageError
 from kinebench_drake.measure import Kind
 from kinebench_drake.row import Json
 from kinebench_drake.run import Observer, RunConfig, RunSummary, Silence, run_samples
@@ -33,6 +34,16 @@ class SuiteConfig(RunConfig):
     loop: LoopOptions = field(default_factory=LoopOptions)
     rollouts: bool = True
     """Write rollouts/ID.mp4."""
+
+    def __post_init__(self) -> None:
+        """Check the numbers.
+
+        Raises:
+            UsageError: one of them makes no sense.
+        """
+        RunConfig.__post_init__(self)
+        if self.episodes < 1:
+            raise UsageError(f"--episodes is {self.episodes}, expected 1 or more")
 
     @property
     def suite_version(self) -> str:

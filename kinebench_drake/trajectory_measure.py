@@ -10,7 +10,7 @@ from kinebench_drake.measure import KINEMATIC_METRICS, Measure, Measured
 from kinebench_drake.products import GripperTrack
 from kinebench_drake.results import part_path
 from kinebench_drake.row import Json
-from kinebench_drake.stages import Stages, load_stages
+from kinebench_drake.stages import Judgement, Stages, load_stages
 from kinebench_drake.trackfile import write_track
 from kinebench_drake.trajectories.sample import TrajectorySample
 from kinebench_drake.trajectories.source import read_trajectory
@@ -56,12 +56,9 @@ class TrajectoryMeasure(Measure[TrajectorySample, Stages]):
         return load_stages(self.stages, self.stage_options)
 
     def measure(self, sample: TrajectorySample, stages: Stages) -> Measured:
-        """See `Measure`. Joint angles are judged as they are, poses by the best joint path that does them."""
+        """See `Measure`."""
         trajectory = read_trajectory(sample, self.choice)
-        if trajectory.q is not None:
-            judgement = stages.judge_joints(trajectory.t_s, trajectory.q, trajectory.finger_width_m)
-        else:
-            judgement = stages.judge(gripper_track(trajectory))
+        judgement = judge_trajectory(stages, trajectory)
         write_track(part_path(self.out, "tracks", sample.id), judgement.track, judgement.joints, judgement.curves)
         return Measured(
             judgement=judgement,
@@ -75,6 +72,13 @@ class TrajectoryMeasure(Measure[TrajectorySample, Stages]):
                 "warnings": list(trajectory.warnings),
             },
         )
+
+
+def judge_trajectory(stages: Stages, trajectory: Trajectory) -> Judgement:
+    """Hold a trajectory against the robot: joint angles as they are, poses by the best joint path that does them."""
+    if trajectory.q is not None:
+        return stages.judge_joints(trajectory.t_s, trajectory.q, trajectory.finger_width_m)
+    return stages.judge(gripper_track(trajectory))
 
 
 def gripper_track(trajectory: Trajectory) -> GripperTrack:

@@ -3,22 +3,19 @@
 import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from enum import Enum
 from pathlib import Path
 
 import numpy as np
 
-from kinebench_drake.camera import Camera
-from kinebench_drake.errors import InputError, UnmeasurableError
-from kinebench_drake.geometry import Array
+from kinebench_drake.errors import InputError
+from kinebench_drake.footage import Footage, make_footage, names_of
 from kinebench_drake.grounding.decoded import Video
-from kinebench_drake.grounding.frame_folder import frame_files, read_picture
-from kinebench_drake.grounding.framing import Framing
+from kinebench_drake.grounding.frame_folder import frame_files
 from kinebench_drake.grounding.known import FirstFrame
 from kinebench_drake.grounding.sources.sources import Sources
 from kinebench_drake.grounding.video import read_video
 from kinebench_drake.inputs import Sample
-from kinebench_drake.measure import KINEMATIC_METRICS, MIN_TRACKED, Measure, Measured
+from kinebench_drake.measure import KINEMATIC_METRICS, Measure, Measured
 from kinebench_drake.mp4 import write_video
 from kinebench_drake.products import Anomaly, GripperTrack
 from kinebench_drake.provenance import weights_hash
@@ -29,23 +26,8 @@ from kinebench_drake.storage import storage, write_atomically
 from kinebench_drake.thumbnail import side_by_side, worst_frame
 from kinebench_drake.trackfile import write_track
 
-BENCHMARK_PERIOD_S = 0.2
-"""Task time between two frames of a benchmark video (4 control steps at 20 Hz) [s]."""
-
 VISUAL_METRICS = ("tracked_fraction", "camera_motion_px", "arm_consistency_px", "anomalies")
 """Names every row of a video bears; null where there is nothing to measure."""
-
-
-class PeriodSource(Enum):
-    """Where the task time between two frames comes from, in order of precedence."""
-
-    MANIFEST = "manifest"
-    OPTION = "option"
-    MANIFEST_FPS = "manifest_fps"
-    DATASET = "dataset"
-    TIME_STAMPS = "time_stamps"
-    FPS = "fps"
-    BENCHMARK = "benchmark"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -89,7 +71,7 @@ class VideoMeasure(Measure[Sample, Stages]):
             return ()
         own = frame_files(sample.path) if sample.path.is_dir() else [sample.path]
         given = [] if sample.first_frame is None else [sample.first_frame]
-        return [*own, *given, *self.sources.files(_names(sample))]
+        return [*own, *given, *self.sources.files(names_of(sample))]
 
     def labels(self, sample: Sample) -> Mapping[str, Json]:
         """See `Measure`."""
@@ -110,41 +92,30 @@ class VideoMeasure(Measure[Sample, Stages]):
         if sample.problem is not None:
             raise InputError(sample.problem)
         video = read_video(sample.path, sample.part)
-        video.require_measurable()
         size = video.width, video.height
-        framing = _framing(sample, video)
-        t_s, period_s, period_source = self._times(sample, video)
-        known = self.sources.known(_names(sample), video.frames, framing.whole_camera(sample.camera), sample.first).cut(
-            *framing.window
-        )
-        camera, video = framing.camera(sample.camera), replace(video, frames=framing.cut(video.frames))
-        grounding = stages.ground(video.frames, camera, t_s, known)
+        footage = make_footage(video, sample, self.frame_period_s, self.sources)
+        video = replace(video, frames=footage.frames)
+        grounding = footage.ground(stages)
         track = grounding.track
-        tracked = int(track.tracked.sum())
-        if tracked < MIN_TRACKED:
-            raise UnmeasurableError(
-                f"the gripper was found in {tracked} of {len(t_s)} frames, a path needs {MIN_TRACKED}: is the robot in "
-                "view, and is this the video's camera?"
-            )
         judgement = stages.judge(track) if self.kind.judges else None
-        self._write_files(sample, video, camera, track, judgement, stages, period_s)
+        self._write_files(sample, video, footage, track, judgement, stages)
         return Measured(
             judgement=judgement,
             metrics={
-                "tracked_fraction": tracked / len(t_s),
+                "tracked_fraction": int(track.tracked.sum()) / len(track.t_s),
                 "camera_motion_px": grounding.camera_motion_px,
                 "arm_consistency_px": grounding.arm_consistency_px,
                 "anomalies": [anomaly_json(a) for a in grounding.anomalies],
             },
             extra={
                 "first_frame": grounding.first_frame.value,
-                "frames": len(t_s),
+                "frames": len(track.t_s),
                 "width": size[0],
                 "height": size[1],
-                "framing": framing.to_json(),
+                "framing": footage.framing.to_json(),
                 "fps": video.fps,
-                "frame_period_s": period_s,
-                "frame_period_source": period_source.value,
+                "frame_period_s": footage.period_s,
+                "frame_period_source": footage.period_source.value,
             },
         )
 
@@ -152,34 +123,14 @@ class VideoMeasure(Measure[Sample, Stages]):
         """What takes the place of estimates: stage to where it comes from."""
         return {**({"first_frame": "manifest"} if sample.first else {}), **self.sources.names}
 
-    def _times(self, sample: Sample, video: Video) -> tuple[Array, float, PeriodSource]:
-        """Task time of each frame [s], the period between two [s], and where it comes from."""
-        if sample.frame_period_s is not None:
-            period_s, source = sample.frame_period_s, PeriodSource.MANIFEST
-        elif self.frame_period_s is not None:
-            period_s, source = self.frame_period_s, PeriodSource.OPTION
-        elif sample.fps is not None:
-            period_s, source = 1.0 / sample.fps, PeriodSource.MANIFEST_FPS
-        elif sample.dataset_period_s is not None:
-            period_s, source = sample.dataset_period_s, PeriodSource.DATASET
-        elif video.stamps_s is not None:
-            period_s = float(np.median(np.diff(video.stamps_s)))
-            return video.stamps_s, period_s, PeriodSource.TIME_STAMPS
-        elif video.fps is not None:
-            period_s, source = 1.0 / video.fps, PeriodSource.FPS
-        else:
-            period_s, source = BENCHMARK_PERIOD_S, PeriodSource.BENCHMARK
-        return np.arange(len(video.frames), dtype=np.float64) * period_s, period_s, source
-
     def _write_files(
         self,
         sample: Sample,
         video: Video,
-        camera: Camera,
+        footage: Footage,
         track: GripperTrack,
         judgement: Judgement | None,
         stages: Stages,
-        period_s: float,
     ) -> None:
         """Write the sample's files, each whole or not at all; the row that vouches for them comes later.
 
@@ -188,40 +139,14 @@ class VideoMeasure(Measure[Sample, Stages]):
         """
         if self.overlay:
             path = part_path(self.out, "overlays", sample.id)
-            fps = float(np.clip(video.fps or 1.0 / period_s, 1.0, 60.0))
+            fps = float(np.clip(video.fps or 1.0 / footage.period_s, 1.0, 60.0))
             with storage(f"overlays/{path.name}"):
-                write_video(path, stages.overlay(video.frames, camera, track), fps)
+                write_video(path, stages.overlay(video.frames, footage.camera, track), fps)
         chosen = np.unique([0, worst_frame(track, judgement)])
-        images = list(stages.overlay(video.frames[chosen], camera, track.at(chosen)))
+        images = list(stages.overlay(video.frames[chosen], footage.camera, track.at(chosen)))
         write_atomically(part_path(self.out, "thumbnails", sample.id), side_by_side(images))
         joints, curves = (judgement.joints, judgement.curves) if judgement else (None, {})
         write_track(part_path(self.out, "tracks", sample.id), track, joints, curves)
-
-
-def _names(sample: Sample) -> tuple[str, ...]:
-    """What files that belong to the video may be called: after its id, or after the video itself."""
-    if sample.is_part:
-        return (sample.id,)
-    stem = sample.path.name if sample.path.is_dir() else sample.path.stem
-    return tuple(dict.fromkeys((sample.id, stem)))
-
-
-def _framing(sample: Sample, video: Video) -> Framing:
-    """Where the camera's picture is in the video.
-
-    Raises:
-        UnmeasurableError: its shape is another, and nothing tells why.
-    """
-    from kinebench_drake.grounding.reframing import find_framing  # loads OpenCV
-
-    try:
-        picture = None if sample.first_frame is None else read_picture(sample.first_frame)
-    except InputError:
-        picture = None  # a picture that happens to be called like the video need not be one
-    try:
-        return find_framing(video.frames, sample.camera, picture)
-    except UnmeasurableError as error:
-        raise UnmeasurableError(f"{sample.camera_source.value} {error}") from None
 
 
 def _first_json(first: FirstFrame | None) -> Json:

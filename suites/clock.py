@@ -6,5 +6,7 @@ STEPS_PER_FRAME = 4
 """Control steps between two frames."""
 FRAME_PERIOD_S = STEPS_PER_FRAME * CONTROL_PERIOD_S
 """Task time between two frames."""
+MIN_FRAME_PERIOD_S, MAX_FRAME_PERIOD_S = 0.01, 2.0
+"""Shortest and longest task time between two frames of a video that is to be executed."""
 CLIP_FRAMES = 48
 """Frames of a clip that follow its first one; the first frame of the next clip is the last of this one."""

@@ -42,6 +42,7 @@ RESULTS = {
 }
 MAY_IMPORT = {
     **dict.fromkeys(LEAF, LEAF),
+    "__init__": LEAF | {"api"},
     "models": LEAF,
     "kinematics": LEAF | {"models"},
     "metrics": LEAF | {"models", "kinematics"},
@@ -131,7 +132,8 @@ def test_importing_the_package_loads_nothing_heavy():
 @pytest.mark.parametrize(
     "module",
     [
-        *("score", "audit", "inputs", "results", "measure", "report", "merge", "cli.score", "cli.audit", "cli.run"),
+        *("api", "score", "audit", "inputs", "results", "measure", "report", "merge"),
+        *("cli.score", "cli.audit", "cli.run"),
         *("suites.start", "suites.worldmodels.factory"),
     ],
 )

@@ -14,15 +14,14 @@ from kinebench_drake.cli.suite_options import (
     check_parent,
     episodes_option,
     jobs_option,
-    task_names,
     tasks_option,
     variant_option,
-    with_variant,
 )
 from kinebench_drake.cli.suite_report import report
 from kinebench_drake.cli.suite_run import run
 from kinebench_drake.cli.suite_tolerance import tolerance
 from kinebench_drake.storage import whole, write_atomically
+from kinebench_drake.suites.selection import task_names, with_variant
 
 _SEED = click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the first episode.")
 

@@ -12,7 +12,6 @@ from kinebench_drake.cli.suite_options import (
     SIZES,
     SPLITS,
     SUITES,
-    chosen_tasks,
     episodes_option,
     jobs_option,
     split_help,
@@ -21,6 +20,7 @@ from kinebench_drake.cli.suite_options import (
 )
 from kinebench_drake.errors import UsageError
 from kinebench_drake.shard import Shard
+from kinebench_drake.suites.selection import chosen_tasks
 
 if TYPE_CHECKING:
     from kinebench_drake.suites.formats.demo import FormatKind, Shots

@@ -9,12 +9,13 @@ from kinebench_drake.cli.run import run as carry_out
 from kinebench_drake.cli.suite_options import (
     SPLITS,
     SUITES,
-    chosen_tasks,
     episodes_option,
     split_help,
     tasks_option,
     variant_option,
 )
+from kinebench_drake.suites.clock import FRAME_PERIOD_S, MAX_FRAME_PERIOD_S, MIN_FRAME_PERIOD_S
+from kinebench_drake.suites.selection import chosen_tasks
 
 
 @click.command(
@@ -44,7 +45,8 @@ from kinebench_drake.cli.suite_options import (
     help="Control steps (at 20 Hz) a frame.  [default: as long as the frames last]",
 )  # fmt: skip
 @click.option(
-    "--frame-period", "frame_period_s", type=click.FloatRange(0.01, 2.0), default=0.2, show_default=True,
+    "--frame-period", "frame_period_s", type=click.FloatRange(MIN_FRAME_PERIOD_S, MAX_FRAME_PERIOD_S),
+    default=FRAME_PERIOD_S, show_default=True,
     help="Task time between two frames.", metavar="SECONDS",
 )  # fmt: skip
 @click.option("--pixels-only", is_flag=True, help="Leave aside that the robot knows where it stands in first frames.")

@@ -9,13 +9,13 @@ from kinebench_drake.cli.suite_options import (
     SPLITS,
     SUITES,
     check_parent,
-    chosen_tasks,
     episodes_option,
     jobs_option,
     split_help,
     tasks_option,
 )
 from kinebench_drake.storage import write_atomically
+from kinebench_drake.suites.selection import chosen_tasks
 
 _ERRORS = ("bias", "jitter", "finger_delay")
 

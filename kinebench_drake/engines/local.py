@@ -37,7 +37,7 @@ class LocalEngine:
         if not items:
             return
         if self.jobs == 1:
-            with _one_thread():
+            with one_thread():
                 work = make_worker()
                 for item in items:
                     yield Done(item=item, result=work(item))
@@ -46,7 +46,7 @@ class LocalEngine:
 
 
 @contextmanager
-def _one_thread() -> Iterator[None]:
+def one_thread() -> Iterator[None]:
     """One thread for numeric libraries: those not loaded yet read the environment, torch also listens later."""
     before = {name: os.environ.get(name) for name in THREAD_VARIABLES}
     torch = sys.modules.get("torch")
@@ -105,7 +105,7 @@ class _Pool(Generic[Item, Result]):
         context = multiprocessing.get_context("spawn")
         ours, theirs = context.Pipe()
         process = context.Process(target=_serve, args=(theirs, self._make_worker), daemon=True)
-        with _one_thread():  # children inherit the environment of this moment
+        with one_thread():  # children inherit the environment of this moment
             process.start()
         theirs.close()
         slot: _Slot[Item] = _Slot(process=process, pipe=ours)

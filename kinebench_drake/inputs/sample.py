@@ -12,6 +12,8 @@ from kinebench_drake.grounding.known import FirstFrame
 class CameraSource(Enum):
     """Where a sample's camera comes from, in order of precedence."""
 
+    GIVEN = "given"
+    """By a caller from Python."""
     MANIFEST = "manifest"
     FOLDER = "folder"
     BENCHMARK = "benchmark"

@@ -147,14 +147,14 @@ def test_what_cannot_be_tried_or_drawn_is_told_before_the_work(suite, arguments,
 
 
 def test_a_task_named_twice_is_one():
-    from kinebench_drake.cli.suite_options import task_names
+    from kinebench_drake.suites.selection import task_names
 
     assert task_names("PullCube-v1, KineBench/PullCube-v1") == ["PullCube-v1"]
 
 
 @pytest.mark.sapien
 def test_the_namespace_is_that_of_the_environments():
-    from kinebench_drake.cli.suite_options import task_names
+    from kinebench_drake.suites.selection import task_names
     from kinebench_drake.suites.tasks.environment import environment_id
 
     assert task_names(",".join(environment_id(task) for task in TASKS)) == list(TASKS)

@@ -1,0 +1,43 @@
+"""Score a folder of one's own videos from Python, and read the results.
+
+    python examples/score_folder.py [FOLDER [OUT]]
+
+FOLDER holds videos (mp4, mov, gif, webm ...) or folders of frames and, where the camera is not the benchmark's, its
+camera.json. Without FOLDER: the example videos. Run again it does what is not done yet.
+"""
+
+import sys
+from pathlib import Path
+
+from kinebench_drake import score_videos
+from kinebench_drake.results import part_path
+from kinebench_drake.row import Status
+from kinebench_drake.trackfile import read_track
+
+HERE = Path(__file__).parent
+FRAME_PERIOD_S = 0.2
+"""Task time between two frames: that of the benchmark. Leave it out where the film's frame rate is the task's."""
+
+
+def main(folder: Path, out: Path) -> None:
+    summary = score_videos(folder, out=out, frame_period_s=FRAME_PERIOD_S)
+    for row in summary.rows:
+        if row.status is not Status.OK:
+            print(f"{row.id}: {row.status.value}, {row.reason}")
+            continue
+        verdict = {True: "feasible", False: "infeasible", None: "cannot be told"}[row.feasible]
+        why = ", ".join(f"{v['kind']} in frames {v['frame_start']} to {v['frame_end']}" for v in row.violations)
+        print(f"{row.id}: {verdict}{f' ({why})' if why else ''}")
+        print(f"  tracked {row.metrics['tracked_fraction']:.0%}, anomalies: {row.metrics['anomalies'] or 'none'}")
+        track = read_track(part_path(out, "tracks", row.id)).track
+        start, end = track.X_BG[track.tracked][[0, -1], :3, 3]
+        print(f"  the gripper goes from {start.round(3)} to {end.round(3)} m in {track.t_s[-1]:.1f} s")
+    share = summary.feasible
+    if share is not None and share.mean is not None:
+        print(f"{share.mean:.0%} of {share.n} judged videos are feasible, of {share.total} in all")
+    print(f"report: {summary.report}")
+
+
+if __name__ == "__main__":  # with jobs above 1 the worker processes import this file, too
+    given = [Path(argument) for argument in sys.argv[1:]]
+    main(*given, *[HERE / "videos" / "manifest.jsonl", Path("scored")][len(given) :])

@@ -1,0 +1,187 @@
+"""The Python interface beside the commands: the same arguments, the same numbers."""
+
+import inspect
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fake_stages import Act
+
+import kinebench_drake
+from kinebench_drake import audit_trajectory, ground_video, run_suite, score_videos
+from kinebench_drake.api import sample
+from kinebench_drake.camera import benchmark_camera
+from kinebench_drake.cli import cli
+from kinebench_drake.errors import InputError, KinebenchError, UnmeasurableError, UsageError
+from kinebench_drake.geometry import make_pose
+from kinebench_drake.grounding.known import FirstFrame
+from kinebench_drake.grounding.video import read_video
+from kinebench_drake.results import read_rows
+from kinebench_drake.row import Status, finite
+from kinebench_drake.trackfile import read_track
+
+NOISE = np.random.default_rng(0).integers(0, 255, (4, 96, 200, 3), np.uint8)
+EXAMPLES = Path(__file__).parents[2] / "examples" / "videos"
+
+
+@pytest.fixture
+def quick(monkeypatch):
+    """Single samples are worked on by the fake stages, too."""
+    monkeypatch.setattr(sample, "SHIPPED_STAGES", "fake_stages:FakeStages")
+    yield
+    sample._kept_stages.cache_clear()
+
+
+def content(out):
+    """Every byte of an output folder but the timings."""
+    return {
+        p.relative_to(out).as_posix(): p.read_bytes() for p in out.rglob("*") if p.is_file() and "timings" not in p.name
+    }
+
+
+def command(*names):
+    found = cli
+    for name in names:
+        found = found.get_command(None, name)
+    return {param.name: param for param in found.params}
+
+
+@pytest.mark.parametrize(
+    ("names", "function", "renamed"),
+    [(("score",), score_videos, {}), (("suite", "run"), run_suite, {"number": "suite"})],
+)
+def test_every_option_is_an_argument_with_the_same_default(names, function, renamed):
+    options = {renamed.get(name, name): option for name, option in command(*names).items()}
+    arguments = dict(inspect.signature(function).parameters)
+    assert arguments.pop("observer").default is None
+    assert options.keys() == arguments.keys()
+    first, *others = arguments.values()
+    assert first.kind is inspect.Parameter.POSITIONAL_OR_KEYWORD
+    assert all(argument.kind is inspect.Parameter.KEYWORD_ONLY for argument in others)
+    for name, argument in arguments.items():
+        told = options[name].default
+        if not options[name].required and isinstance(told, bool | int | float | str):
+            assert getattr(argument.default, "value", argument.default) == told, name
+
+
+def test_options_of_single_samples_are_arguments():
+    video = {"frame_period_s", "camera_key", "pixels_only", "masks", "depth", "depth_exact", "poses"}
+    judged = {"rate_hz", "joints", "poses", "table_height_m", "urdf", "tcp_frame"}
+    for name, function, options in (("ground", ground_video, video), ("audit", audit_trajectory, judged)):
+        assert options <= command(name).keys()
+        assert options <= inspect.signature(function).parameters.keys()
+
+
+def test_functions_are_found_on_the_package():
+    assert all(callable(getattr(kinebench_drake, name)) for name in kinebench_drake.__all__ if name != "__version__")
+    with pytest.raises(AttributeError, match="conjure"):
+        _ = kinebench_drake.conjure
+
+
+def test_scoring_writes_what_the_command_writes(program, film, tmp_path):
+    film("videos/a.mp4")
+    film("videos/b.mp4", Act.INFEASIBLE)
+    film("videos/c.mp4", Act.NO_ROBOT)
+    options = ("--tag", "x=1", "--frame-period", "0.1", "--table-height", "0.01", "--model", "m")
+    assert program("score", tmp_path / "videos", "--out", tmp_path / "command", *options)[0] == 0
+    summary = score_videos(
+        tmp_path / "videos", out=tmp_path / "api", tags={"x": "1"}, frame_period_s=0.1, table_height_m=0.01, model="m"
+    )
+    assert content(tmp_path / "api") == content(tmp_path / "command")
+    assert summary.counts == {Status.OK: 2, Status.UNMEASURABLE: 1, Status.ERROR: 0}
+    assert {row.id: row.feasible for row in summary.rows} == {"a": True, "b": False, "c": None}
+
+
+def test_what_the_command_tells_on_the_screen_is_a_warning(program, tmp_path):
+    np.save(tmp_path / "clip.npy", np.zeros((4, 96, 96, 3), np.uint8))
+    with pytest.warns(UserWarning, match="no frame rate") as told:
+        score_videos(tmp_path / "clip.npy", out=tmp_path / "out")
+    assert {w.filename for w in told if "no frame rate" in str(w.message)} == {__file__}
+
+
+@pytest.mark.usefixtures("quick")
+def test_a_video_by_itself_has_the_track_of_the_command(program, film, tmp_path):
+    path = film("videos/clip.mp4", side=128)
+    film("videos/other.mp4", side=128)
+    benchmark_camera().resized(256, 256).save(tmp_path / "videos" / "camera.json")
+    assert program("ground", tmp_path / "videos", "--out", tmp_path / "out")[0] == 0
+    written = read_track(tmp_path / "out" / "tracks" / "clip.npz").track
+    frames = read_video(path).frames
+    for grounded in (
+        ground_video(path),
+        ground_video(tmp_path / "videos", id="clip"),
+        ground_video(frames, frame_period_s=1 / 17, camera=tmp_path / "videos" / "camera.json"),
+        ground_video(frames, frame_period_s=1 / 17, camera=benchmark_camera()),
+    ):
+        for name in ("t_s", "X_CH", "X_BG", "tracked", "confidence", "finger_width_m"):
+            np.testing.assert_array_equal(getattr(grounded.track, name), getattr(written, name))
+
+
+@pytest.mark.usefixtures("quick")
+def test_a_first_frame_that_is_given_is_used(film, tmp_path):
+    X_BG = make_pose(np.eye(3), [0.5, 0.1, 0.2])
+    track = ground_video(film("clip.mp4"), first=FirstFrame(X_BG=X_BG)).track
+    np.testing.assert_array_equal(track.X_BG[0], X_BG)
+
+
+@pytest.mark.usefixtures("quick")
+def test_a_trajectory_by_itself_has_the_numbers_of_the_command(program, tmp_path):
+    t_s = 0.1 * np.arange(8)
+    q = np.linspace(0.0, 0.4, 8)[:, None] * np.ones(7)
+    np.savez(tmp_path / "move.npz", t_s=t_s, q=q)
+    assert program("audit", tmp_path / "move.npz", "--out", tmp_path / "out")[0] == 0
+    row = read_rows(tmp_path / "out")["move"]
+    for judged in (
+        audit_trajectory(q, t_s=t_s),
+        audit_trajectory(tmp_path / "move.npz"),
+        audit_trajectory(q, rate_hz=10),
+    ):
+        assert judged.feasible is row.feasible is True
+        assert all(row.metrics[name] == finite(value) for name, value in judged.metrics.items())
+        np.testing.assert_array_equal(judged.joints.q, q)
+    with pytest.warns(UserWarning, match="8 columns"):
+        audit_trajectory(np.hstack([q, q[:, :1]]), t_s=t_s)
+
+
+@pytest.mark.usefixtures("quick")
+@pytest.mark.parametrize(
+    ("call", "error", "told"),
+    [
+        (lambda at: ground_video(at / "nowhere.mp4"), UsageError, "no such file"),
+        (lambda at: ground_video(at / "videos"), UsageError, "holds 2 samples, expected one; .* id='a'"),
+        (lambda at: ground_video(at / "videos", id="aa"), UsageError, "no sample 'aa'"),
+        (lambda at: ground_video(at / "videos" / "a.mp4", frame_period_s=0.0), UsageError, "0.0001 to 1000"),
+        (lambda at: ground_video(np.zeros((4, 96, 96, 3))), InputError, "expected uint8"),
+        (lambda at: ground_video(np.zeros((1, 96, 96, 3), np.uint8)), UnmeasurableError, "at least 2"),
+        (lambda at: ground_video(NOISE, frame_period_s=1.0), UnmeasurableError, "aspect"),
+        (lambda at: ground_video(np.zeros((4, 96, 96, 3), np.uint8), camera_key="front"), UsageError, "camera_key"),
+        (lambda at: audit_trajectory(np.zeros((4, 7))), InputError, "no times"),
+        (lambda at: audit_trajectory(np.zeros(7), rate_hz=10), InputError, r"shape \(7,\)"),
+        (lambda at: audit_trajectory(np.full((4, 7), 90.0), rate_hz=10), InputError, "degrees"),
+        (lambda at: audit_trajectory(at / "q.npz", t_s=[0, 1]), UsageError, "t_s: of no use with a file"),
+        (lambda at: audit_trajectory(np.zeros((4, 7)), rate_hz=10, joints="q"), UsageError, "joints"),
+        (lambda at: audit_trajectory(np.zeros((4, 7)), rate_hz=10, urdf="arm.urdf"), UsageError, "go together"),
+        (lambda at: score_videos(at / "videos", out=at / "out", engine="slurm"), UsageError, "'local', 'ray'"),
+        (lambda at: score_videos(at / "videos", out=at / "out", shard="3"), UsageError, "I/N"),
+    ],
+)
+def test_what_cannot_be_used_is_told_in_one_line(film, tmp_path, call, error, told):
+    film("videos/a.mp4")
+    film("videos/b.mp4")
+    with pytest.raises(KinebenchError, match=told) as raised:
+        call(tmp_path)
+    assert type(raised.value) is error
+    assert "\n" not in str(raised.value)
+
+
+@pytest.mark.slow
+def test_found_and_judged_one_by_one_the_numbers_are_those_of_a_run(tmp_path):
+    np.save(tmp_path / "clip.npy", read_video(EXAMPLES / "PickFruits-v1_s0010_unseen.mp4").frames[20:29])
+    [row] = score_videos(tmp_path / "clip.npy", out=tmp_path / "out", frame_period_s=0.2).rows
+    grounded = ground_video(tmp_path / "clip.npy", frame_period_s=0.2)
+    written = read_track(tmp_path / "out" / "tracks" / "clip.npz").track
+    np.testing.assert_array_equal(grounded.track.X_BG, written.X_BG)
+    np.testing.assert_array_equal(grounded.track.confidence, written.confidence)
+    judged = audit_trajectory(grounded.track)
+    assert judged.feasible is row.feasible
+    assert {name: row.metrics[name] for name in judged.metrics} == dict(judged.metrics)

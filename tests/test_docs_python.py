@@ -1,0 +1,62 @@
+"""The Python code in docs/api.md and docs/conventions.md runs, block by block, and says what the text says."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from kinebench_drake.camera import benchmark_camera
+from kinebench_drake.grounding.video import read_video
+from kinebench_drake.mp4 import write_video
+
+ROOT = Path(__file__).parent.parent
+CLIP = ROOT / "examples" / "videos" / "PickFruits-v1_s0010_unseen.mp4"
+
+
+def blocks(page):
+    """Blocks of Python in a page of docs/, each with its heading."""
+    heading, found = "", []
+    text = (ROOT / "docs" / page).read_text()
+    for title, code in re.findall(r"^#+ ([^\n]+)$|^```python\n(.*?)^```$", text, re.DOTALL | re.MULTILINE):
+        heading = title or heading
+        if code:
+            found.append((heading, code))
+    return found
+
+
+def run(page, space, chosen=lambda heading: True):
+    for heading, code in blocks(page):
+        if chosen(heading):
+            exec(compile(code, f"docs/{page}: {heading}", "exec"), space)
+    return space
+
+
+def test_pixels_of_points_are_those_that_the_text_tells(capsys):
+    space = run("conventions.md", {})
+    np.testing.assert_allclose(space["camera"].X_BC[:3, 3], [1.015, 0.0, 0.45])
+    np.testing.assert_allclose(space["camera"].project(space["p_C"]), [[192.0, 204.7], [245.4, 204.7]], atol=0.06)
+    assert (
+        "(1.015, 0, 0.45) m, and the pixels (192, 204.7) and (245.4, 204.7)"
+        in (ROOT / "docs" / "conventions.md").read_text()
+    )
+
+
+@pytest.mark.slow
+def test_the_interface_is_used_as_described(tmp_path, monkeypatch):
+    (tmp_path / "videos").mkdir()
+    write_video(tmp_path / "videos" / "clip.mp4", read_video(CLIP).frames[20:29], 17)
+    benchmark_camera().save(tmp_path / "videos" / "camera.json")
+    monkeypatch.chdir(tmp_path)
+    space = run("api.md", {"__name__": "docs"}, lambda heading: heading != "A suite")
+    assert space["judgement"].feasible is True
+    assert 1.0 < space["quick"].metrics["slowdown_min"] < 20.0
+    assert [row.id for row in space["summary"].rows] == ["clip"]  # of the audit
+
+
+@pytest.mark.sapien
+@pytest.mark.slow
+def test_a_suite_is_run_as_described(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    space = run("api.md", {"__name__": "docs"}, lambda heading: heading in ("From Python", "A suite"))
+    assert space["summary"].success.mean == 0.0

@@ -1,0 +1,107 @@
+"""The scripts of examples/ run and tell what they promise."""
+
+import runpy
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from kinebench_drake.grounding.video import read_video
+from kinebench_drake.mp4 import write_video
+from kinebench_drake.results import read_rows
+from kinebench_drake.suites.worldmodels.factory import create
+from kinebench_drake.suites.worldmodels.worldmodel import Request
+
+EXAMPLES = Path(__file__).parent.parent / "examples"
+SCRIPTS = sorted(EXAMPLES.glob("*.py"))
+CLIP = EXAMPLES / "videos" / "PickFruits-v1_s0010_unseen.mp4"
+
+
+@pytest.fixture
+def clip(tmp_path):
+    """Nine frames of an example video."""
+    path = tmp_path / "videos" / "clip.mp4"
+    path.parent.mkdir()
+    write_video(path, read_video(CLIP).frames[20:29], 17)
+    return path
+
+
+@pytest.fixture
+def run(monkeypatch, tmp_path, capsys):
+    """Runs a script as `python examples/NAME.py ...` does, in an empty folder; returns what it prints."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(EXAMPLES))
+
+    def call(name, *arguments):
+        monkeypatch.setattr(sys, "argv", [name, *map(str, arguments)])
+        runpy.run_path(str(EXAMPLES / name), run_name="__main__")
+        return capsys.readouterr().out
+
+    return call
+
+
+@pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.name)
+def test_examples_are_short_and_say_what_they_show(script):
+    text = script.read_text()
+    assert len(text.splitlines()) < 60
+    assert text.startswith(('"""', 'r"""'))
+
+
+def test_a_trajectory_of_arrays_is_judged(run):
+    told = run("audit_arrays.py")
+    assert "poses, 2 s: feasible" in told
+    assert "poses, 0.5 s: infeasible\n  acceleration of panda_joint" in told
+    assert "as joint angles: feasible" in told
+
+
+@pytest.mark.slow
+def test_a_folder_is_scored_and_a_path_is_plotted(run, clip, tmp_path):
+    told = run("score_folder.py", clip.parent, tmp_path / "out")
+    assert "clip: feasible" in told
+    assert "tracked 100%" in told
+    assert (tmp_path / "out" / "report.html").is_file()
+    assert list(read_rows(tmp_path / "out")) == ["clip"]
+    assert "100% of 9 frames tracked" in run("plot_path.py", clip, tmp_path / "path.png")
+    with Image.open(tmp_path / "path.png") as picture:
+        assert np.asarray(picture.convert("L")).std() > 10
+
+
+@pytest.mark.sapien
+@pytest.mark.slow
+def test_a_world_model_of_ones_own_runs_in_closed_loop(run, tmp_path):
+    told = run("closed_loop.py", tmp_path / "out")
+    assert "PullCube-v1_s0000: failure" in told
+    [row] = read_rows(tmp_path / "out").values()
+    assert row.model == "dimmer"
+    assert row.extra["verdict"] == "task"
+
+
+def test_the_server_answers_as_a_world_model(tmp_path):
+    server = subprocess.Popen(
+        [sys.executable, EXAMPLES / "world_model_server.py", "0"], stdout=subprocess.PIPE, text=True, cwd=tmp_path
+    )
+    try:
+        assert server.stdout is not None
+        address = server.stdout.readline().split()[-1]
+        frame = np.zeros((64, 96, 3), np.uint8)
+        frame[:, :48] = (200, 40, 40)
+        request = Request(
+            episode="StackCube-v1_s0003",
+            task="StackCube-v1",
+            round=0,
+            prompt="Stack the cubes.",
+            negative_prompt="",
+            seed=1,
+            first_frame=frame,
+            num_frames=5,
+            fps=17.0,
+        )
+        video = read_video(create(f"{address}?timeout=30").generate(request, tmp_path / "answer"))
+    finally:
+        server.terminate()
+        server.communicate()
+    assert video.frames.shape == (5, 64, 96, 3)
+    assert np.abs(video.frames[-1].astype(int) - frame).mean() < 5
