@@ -2,7 +2,8 @@
 
 Points of the CAD model on the rim of its rendered outline are paired with the nearest point of the seen outline, across
 which they should move; along it nothing is said (as in Drummond and Cipolla, "Real-time visual tracking of complex
-structures", PAMI 2002, with the outline of a mask in place of image edges).
+structures", PAMI 2002, with the outline of a mask in place of image edges). Fingers count as opened as they are: their
+gap is told by their cells alone, for a mask shows it only from the front and then too coarsely.
 """
 
 import cv2
@@ -13,7 +14,7 @@ from kinebench_drake.geometry import Array, invert, transform_points
 from kinebench_drake.grounding.cells import Cells
 from kinebench_drake.grounding.view import GripperView
 from kinebench_drake.models.panda.cad import GripperCad
-from kinebench_drake.models.panda.part import ARM, OPENING_SIGN, Part
+from kinebench_drake.models.panda.part import ARM
 
 GATE_CELLS = 4.0
 """Farthest pairs of rendered and seen outline, where the pose is near the right one."""
@@ -69,8 +70,6 @@ class Outline:
         focal = view.crop.focal / view.stride
         p_V = rays[v, u] * surface.distance.reshape(shape)[v, u, None]
         p_P = transform_points(invert(X_VH), p_V)
-        sign = np.array([OPENING_SIGN[Part(k)] for k in part[v, u]])
-        p_P[:, 1] -= sign * finger_m
         line = rays[v, u].copy()
         line[:, :2] -= normal * move[:, None] / focal
         z = line / np.linalg.norm(line, axis=1, keepdims=True)
@@ -87,7 +86,7 @@ class Outline:
             p_P=p_P,
             sigma_m=np.column_stack([sigma, free]),
             part=part[v, u],
-            opening_sign=sign,
+            opening_sign=np.zeros(len(v)),
             weight=np.full(len(v), min(1.0, _INDEPENDENT / len(v))),
         )
 
