@@ -104,9 +104,7 @@ def draw_histogram(h: Histogram, names: Mapping[str, str]) -> Markup:
             parts.append(f'<text class="tick" x="{_LEFT - 5:.0f}" y="{y(count) + 3.5:.1f}">{count:.0f}</text>')
     pattern = h.metric.pattern if "%" in h.metric.pattern else "{:.4g}"
     for value in ticks(low, high):
-        parts.append(
-            f'<text class="tick time" x="{x(value):.1f}" y="{_HEIGHT - 5:.0f}">{pattern.format(value)}</text>'
-        )
+        parts.append(f'<text class="tick time" x="{x(value):.1f}" y="{_HEIGHT - 5:.0f}">{pattern.format(value)}</text>')
     parts += _bars(h, names, x, y, pattern)
     mean = h.estimate
     if mean.mean is not None:

@@ -25,7 +25,6 @@ from kinebench_drake.report.template import environment
 from kinebench_drake.results import RESULTS, read_rows
 from kinebench_drake.row import Json, SampleRow, Status
 
-
 DRAWN = 100
 """Samples, the worst first, whose curves and findings stand on the page: the rest would make it slow to open."""
 PICTURED = 40
@@ -66,9 +65,7 @@ def build_page(out: Path) -> str:
         groups=[(key, found) for key in ("task", "model") if (found := group_rows(rows, key, seed))],
         histograms=[draw_histogram(h, names) for h in histograms(rows, total, layout)],
         gallery=[
-            (title, [views[row.id] for row in chosen])
-            for title, chosen in (("Worst", worst), ("Best", best))
-            if chosen
+            (title, [views[row.id] for row in chosen]) for title, chosen in (("Worst", worst), ("Best", best)) if chosen
         ],
         columns=[BY_NAME[n] for n in layout.columns if _measured(total, n)],
         shares=[BY_NAME[n] for n in layout.shares if _measured(total, n)],

@@ -111,8 +111,9 @@ def draw_timeline(lanes: Sequence[Lane], n: int, t_s: Array | None = None) -> Ma
 def draw_strip(lanes: Sequence[Lane], n: int) -> Markup:
     """All lanes as one thin strip, the graver over the lesser."""
     parts = [
-        f'<svg class="strip" viewBox="0 0 {_STRIP_WIDTH:.0f} {_STRIP_HEIGHT:.0f}" preserveAspectRatio="none" role="img" '
-        f'aria-label="faults over frames"><rect class="rail" width="{_STRIP_WIDTH:.0f}" height="{_STRIP_HEIGHT:.0f}"/>'
+        f'<svg class="strip" viewBox="0 0 {_STRIP_WIDTH:.0f} {_STRIP_HEIGHT:.0f}" preserveAspectRatio="none" '
+        f'role="img" aria-label="faults over frames"><rect class="rail" width="{_STRIP_WIDTH:.0f}" '
+        f'height="{_STRIP_HEIGHT:.0f}"/>'
     ]
     for css in _OVER:
         for lane in lanes:
