@@ -140,6 +140,8 @@ def _group_lines(key: str, groups: Sequence[Group]) -> tuple[Sequence[str], Iter
 
 
 def _draw_verdicts(groups: Sequence[Group]) -> "Figure":
+    from matplotlib.ticker import MaxNLocator
+
     figure, axes = new_figure(7.0, 1.2 + 0.26 * len(groups))
     ax = axes[0, 0]
     left = [0] * len(groups)
@@ -152,11 +154,15 @@ def _draw_verdicts(groups: Sequence[Group]) -> "Figure":
     ax.set_yticks(range(len(groups)), [_plain(group.name) for group in groups], fontsize=8)
     ax.invert_yaxis()
     ax.set_xlabel("samples")
+    ax.xaxis.set_major_locator(MaxNLocator(integer=True))
     figure.legend(loc="outside upper center", ncols=4, fontsize=8, frameon=False)
     return figure
 
 
 def _draw_distributions(spread: Sequence[Histogram]) -> "Figure":
+    from matplotlib.patches import Patch
+    from matplotlib.ticker import MaxNLocator
+
     lines = -(-len(spread) // _COLUMNS)
     figure, axes = new_figure(10.0, 0.4 + 2.1 * lines, lines, _COLUMNS)
     for ax, h in zip(axes.flat, spread, strict=False):
@@ -172,8 +178,15 @@ def _draw_distributions(spread: Sequence[Histogram]) -> "Figure":
         ax.set_title(f"{h.metric.label}: {h.estimate.n} of {h.estimate.total}{far}", fontsize=8, loc="left")
         ax.set_xlim(h.edges[0], h.edges[-1])
         ax.tick_params(labelsize=7)
+        ax.yaxis.set_major_locator(MaxNLocator(nbins=4, integer=True))
     for ax in axes.flat[len(spread) :]:
         ax.set_visible(False)
+    handles = [
+        Patch(color=colour, label=FAILURES.get(verdict, verdict))
+        for verdict, colour in _VERDICTS.items()
+        if any(verdict in h.counts for h in spread)
+    ]
+    figure.legend(handles=handles, loc="outside upper center", ncols=5, fontsize=8, frameon=False)
     return figure
 
 
