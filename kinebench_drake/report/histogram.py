@@ -87,7 +87,7 @@ def draw_histogram(h: Histogram, names: Mapping[str, str]) -> Markup:
         names: how verdicts are called.
     """
     low, high = float(h.edges[0]), float(h.edges[-1])
-    most = max(sum(column) for column in zip(*h.counts.values(), strict=True))
+    most = int(np.sum(list(h.counts.values()), axis=0).max())
     floor = _HEIGHT - _BOTTOM
 
     def x(value: float) -> float:

@@ -96,7 +96,7 @@ def draw_timeline(lanes: Sequence[Lane], n: int, t_s: Array | None = None) -> Ma
         top = 2.0 + k * _LANE
         parts.append(f'<text class="tick" x="{_LEFT - 6:.0f}" y="{top + 12:.1f}">{escape(lane.label)}</text>')
         parts.append(f'<rect class="rail" x="{_LEFT:.0f}" y="{top + 3:.1f}" width="{wide:.0f}" height="{_BAR:.0f}"/>')
-        for span in lane.spans:
+        for span in _merged(lane.spans, int(n / wide)):
             told = f"{span.text}, {_when(span, t_s)}"
             parts.append(_bar(span, n, _LEFT, wide, top + 3.0, _BAR, lane.css, told))
     key = "".join(
@@ -120,7 +120,7 @@ def draw_strip(lanes: Sequence[Lane], n: int) -> Markup:
             if lane.css == css:
                 parts += [
                     _bar(span, n, 0.0, _STRIP_WIDTH, 0.0, _STRIP_HEIGHT, css, f"{lane.label}, {_when(span, None)}")
-                    for span in lane.spans
+                    for span in _merged(lane.spans, int(n / _STRIP_WIDTH))
                 ]
     return Markup(f"{''.join(parts)}</svg>")
 
@@ -138,11 +138,11 @@ def _lanes(marks: Sequence[Mapping[str, Json]], css: str) -> Iterator[Lane]:
         yield Lane(label=kind, css=css, spans=tuple(_merged(spans)))
 
 
-def _merged(spans: Sequence[Span]) -> list[Span]:
-    """Spans in order, those that overlap as one: thousands of violations are a few bars."""
+def _merged(spans: Sequence[Span], gap: int = 0) -> list[Span]:
+    """Spans in order, those that overlap or lie up to `gap` frames apart as one: thousands of faults are a few bars."""
     merged: list[Span] = []
     for span in sorted(spans, key=lambda s: (s.start, s.end, s.text)):
-        if merged and span.start <= merged[-1].end:
+        if merged and span.start <= merged[-1].end + gap:
             last = merged.pop()
             text = last.text if span.text in last.text or len(last.text) > 120 else f"{last.text}, {span.text}"
             span = Span(start=last.start, end=max(last.end, span.end), text=text)

@@ -88,6 +88,13 @@ def test_a_thousand_faults_are_few_bars(judged):
     assert [(span.start, span.end) for lane in lanes for span in lane.spans] == [(0, 1000)]
 
 
+def test_a_long_track_that_flickers_is_few_bars(judged):
+    faults = tuple({"kind": "vanish", "frame_start": k, "frame_end": k, "severity": 1.0} for k in range(0, 20000, 2))
+    lanes = lanes_of(judged(metrics={"anomalies": faults}), None)
+    assert len(lanes[0].spans) == 10000
+    assert len(bars(draw_timeline(lanes, 20000), "anomaly")) == len(bars(draw_strip(lanes, 20000), "anomaly")) == 1
+
+
 def test_runs_are_the_stretches_of_truth():
     assert runs(np.array([True, True, False, True])) == [(0, 1), (3, 3)]
     assert runs(np.zeros(3, dtype=bool)) == []
