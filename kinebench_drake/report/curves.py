@@ -1,4 +1,4 @@
-"""The plots of one track: where it goes, what it asks of the joints, how far it stays from harm."""
+"""The plots of one track: when it goes wrong, where it goes, what it asks of the joints, how far it stays from harm."""
 
 from collections.abc import Iterator, Mapping, Sequence
 
@@ -7,7 +7,9 @@ from markupsafe import Markup
 
 from kinebench_drake.geometry import Array
 from kinebench_drake.report.frames import anomalies_of, joint_limits, limit_ratios
+from kinebench_drake.report.joint_ranges import draw_joint_ranges
 from kinebench_drake.report.plot import Band, Curve, draw_plot
+from kinebench_drake.report.timeline import draw_timeline, lanes_of
 from kinebench_drake.row import Json, SampleRow
 from kinebench_drake.trackfile import TrackFile
 
@@ -25,7 +27,9 @@ def draw_curves(row: SampleRow, file: TrackFile) -> list[Markup]:
     """All plots that the track's file has something for; old files and videos that were not judged have fewer."""
     t_s = file.track.t_s
     bands = _bands(row.violations, "violation") + _bands(anomalies_of(row), "anomaly")
-    return [*_joints(row, file, t_s, bands), *_condition(file, t_s, bands), *_gripper(file, t_s, bands)]
+    lanes = lanes_of(row, file)
+    faults = [draw_timeline(lanes, len(t_s), t_s)] if lanes else []
+    return [*faults, *_joints(row, file, t_s, bands), *_condition(file, t_s, bands), *_gripper(file, t_s, bands)]
 
 
 def _bands(marks: Sequence[Mapping[str, Json]], css: str) -> list[Band]:
@@ -52,10 +56,9 @@ def _joints(row: SampleRow, file: TrackFile, t_s: Array, bands: Sequence[Band]) 
     def seven(values: Array) -> list[Curve]:
         return [Curve(label=label, values=values[:, j], css=f"c{j}") for j, label in enumerate(labels)]
 
-    if limits.position is not None and np.isfinite(file.q).any():
-        lower, upper = limits.position
-        place = (file.q - 0.5 * (lower + upper)) / (0.5 * (upper - lower))
-        yield draw_plot("Joint angles, limits at ±1:", t_s, seven(place), bands, lines=(-1.0, 1.0))
+    ranges = draw_joint_ranges(t_s, file.q, limits, labels)
+    if ranges is not None:
+        yield ranges
     for name, ratio in limit_ratios(file, limits).items():
         if np.isfinite(ratio).any():
             high = max(1.1, 1.05 * float(np.nanmax(ratio)))

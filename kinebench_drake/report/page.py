@@ -1,139 +1,38 @@
 """What the report shows, gathered from an output folder and put into the template."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
-
-from kinebench_drake.aggregate import Aggregate, Estimate, aggregate, by_key
+from kinebench_drake.aggregate import Aggregate, Estimate, aggregate
 from kinebench_drake.errors import InputError
-from kinebench_drake.report.sample import FAILURES, RANK, badness, view_sample
+from kinebench_drake.report.group import group_rows
+from kinebench_drake.report.histogram import Histogram, count_values, draw_histogram
+from kinebench_drake.report.metric import BY_NAME, METRICS, Layout, Metric, layout_of
+from kinebench_drake.report.sample import (
+    FAILURES,
+    GOOD,
+    RANK,
+    badness,
+    goodness,
+    has_picture,
+    number_of,
+    verdict_of,
+    view_sample,
+)
+from kinebench_drake.report.template import environment
 from kinebench_drake.results import RESULTS, read_rows
-from kinebench_drake.row import Json, Status
+from kinebench_drake.row import Json, SampleRow, Status
 
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Metric:
-    """How a metric is shown."""
-
-    name: str
-    label: str
-    pattern: str
-    """Format of its values."""
-    meaning: str
-    """One clause for the reader."""
-
-
-METRICS = tuple(
-    Metric(name=name, label=label, pattern=pattern, meaning=meaning)
-    for name, label, pattern, meaning in (
-        (
-            "tracked_fraction",
-            "Frames tracked",
-            "{:.0%}",
-            "share of frames in which the gripper's pose can be relied upon",
-        ),
-        (
-            "camera_motion_px",
-            "Camera motion [px]",
-            "{:.2f}",
-            "how far the background moves; a fixed camera gives about 0",
-        ),
-        (
-            "arm_consistency_px",
-            "Arm consistency [px]",
-            "{:.1f}",
-            "how far the links are from where the arm that goes with the hand would have them",
-        ),
-        ("ik_success_rate", "IK success", "{:.0%}", "share of tracked frames reached within joint limits"),
-        ("ik_position_error_max_m", "IK error, worst [m]", "{:.2g}", "largest distance left to the wanted pose"),
-        (
-            "joint_limit_margin_min",
-            "Joint margin, least",
-            "{:.3f}",
-            "distance to the limit over half the range; negative is outside",
-        ),
-        ("manipulability_mean", "Manipulability, mean", "{:.4f}", "volume of the 6x7 Jacobian; 0 is singular"),
-        ("manipulability_min", "Manipulability, least", "{:.4f}", "volume of the 6x7 Jacobian at its worst frame"),
-        ("manipulability_integral", "Manipulability, integral", "{:.4f}", "over task time"),
-        ("manipulability_cost_mean", "Manipulability cost", "{:.2f}", "1 / (translational volume); lower is better"),
-        ("manipulability_translation_mean", "Manipulability, moving", "{:.4f}", "volume of the translational Jacobian"),
-        ("manipulability_rotation_mean", "Manipulability, turning", "{:.4f}", "volume of the rotational Jacobian"),
-        ("manipulability_limited_mean", "Manipulability within limits, mean", "{:.4f}", "weighed by joint limits"),
-        ("manipulability_limited_min", "Manipulability within limits, least", "{:.4f}", "weighed by joint limits"),
-        (
-            "condition_number_max",
-            "Condition number, greatest",
-            "{:.1f}",
-            "of the 6x7 Jacobian; great near a singularity",
-        ),
-        ("branch_jumps", "Branch jumps", "{:.2f}", "changes of posture that the joint path needs"),
-        ("sparc", "SPARC", "{:.2f}", "smoothness of the position; nearer 0 is smoother"),
-        ("sparc_rotation", "SPARC, rotation", "{:.2f}", "smoothness of the turning; nearer 0 is smoother"),
-        ("sparc_filtered", "SPARC, filtered", "{:.2f}", "SPARC behind one fixed filter, to compare frame rates"),
-        ("sparc_rotation_filtered", "SPARC, rotation, filtered", "{:.2f}", "behind one fixed filter"),
-        ("ldlj", "Log dimensionless jerk", "{:.2f}", "nearer 0 is smoother"),
-        ("velocity_ratio_max", "Joint speed / limit", "{:.2f}", "above 1 breaks the limit"),
-        ("acceleration_ratio_max", "Joint acceleration / limit", "{:.2f}", "above 1 breaks the limit"),
-        ("jerk_ratio_max", "Joint jerk / limit", "{:.2f}", "above 1 breaks the limit"),
-        ("torque_ratio_max", "Joint torque / limit", "{:.2f}", "above 1 breaks the limit"),
-        ("slowdown_min", "Slow-down needed", "{:.2f}", "1 or less can be played at its own speed"),
-        ("time_scale", "Fastest / own duration", "{:.2f}", "how much faster the path could be run"),
-        ("trajopt_feasible", "Trajectory optimised", "{:.0%}", "share for which a feasible trajectory was found"),
-        ("trajopt_position_tube_m", "Trajectory tube [m]", "{:.4f}", "how far the feasible trajectory strays"),
-        ("self_distance_min_m", "Clearance to itself [m]", "{:.3f}", "negative is a collision"),
-        ("table_distance_min_m", "Clearance to the table [m]", "{:.3f}", "negative is a collision"),
-        ("success", "Success", "{:.0%}", "share of episodes that reach the task's goal"),
-        ("progress", "Progress", "{:.0%}", "share of the task's steps done"),
-        ("rounds", "Rounds", "{:.2f}", "clips asked of the model in an episode"),
-        ("gap_robot_iou", "Robot overlap", "{:.2f}", "of its pixels as imagined and as executed, over their union"),
-        ("gap_gripper_m", "Gripper apart [m]", "{:.4f}", "between the imagined and the executed gripper"),
-        ("gap_gripper_rad", "Gripper turned [rad]", "{:.3f}", "between the imagined and the executed gripper"),
-        ("gap_psnr_db", "PSNR [dB]", "{:.1f}", "of imagined frames against executed ones"),
-        ("gap_ssim", "SSIM", "{:.3f}", "of imagined frames against executed ones"),
-    )
-)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Layout:
-    """What the page of a kind of run shows first."""
-
-    headlines: tuple[str, ...]
-    """Metrics with a tile of their own."""
-    columns: tuple[str, ...]
-    """Metrics in the table of samples."""
-    shares: tuple[str, ...] = ()
-    """Metrics, one truth value a sample, that groups are told by besides."""
-
-
-_VIDEOS = Layout(
-    headlines=("tracked_fraction", "ik_success_rate", "manipulability_mean", "sparc"),
-    columns=(
-        *("tracked_fraction", "ik_success_rate", "joint_limit_margin_min", "slowdown_min", "manipulability_min"),
-        "sparc",
-    ),
-)
-_LAYOUTS = {
-    "audit": Layout(
-        headlines=("slowdown_min", "trajopt_feasible", "manipulability_mean", "sparc"),
-        columns=(
-            *("slowdown_min", "velocity_ratio_max", "acceleration_ratio_max", "torque_ratio_max"),
-            *("joint_limit_margin_min", "table_distance_min_m", "manipulability_min", "sparc"),
-        ),
-    ),
-    "suite": Layout(
-        headlines=("success", "progress", "rounds", "tracked_fraction", "sparc"),
-        columns=("progress", "rounds", "tracked_fraction", "gap_robot_iou", "gap_gripper_m", "slowdown_min", "sparc"),
-        shares=("success",),
-    ),
-}
-"""By kind of run; the others are of videos."""
-DRAWN = 200
+DRAWN = 100
 """Samples, the worst first, whose curves and findings stand on the page: the rest would make it slow to open."""
-_BY_NAME = {metric.name: metric for metric in METRICS}
+PICTURED = 40
+"""Samples, the worst first, whose pictures stand on the page."""
+SHOWN = 100
+"""Samples in the table until more are asked for."""
+GALLERY = 6
+"""Worst and best samples that are shown in large."""
 
 
 def build_page(out: Path) -> str:
@@ -142,40 +41,66 @@ def build_page(out: Path) -> str:
     Raises:
         InputError: the folder's files are broken.
     """
-    rows = sorted(read_rows(out).values(), key=lambda row: row.id)
+    rows = sorted(read_rows(out).values(), key=badness)
     results = read_results(out)
-    seeds = results.get("seeds")
-    seed = seeds.get("bootstrap", 0) if isinstance(seeds, Mapping) else 0
-    total = aggregate(rows, int(seed) if isinstance(seed, int) else 0)
-    samples = [view_sample(out, row, drawn=k < DRAWN) for k, row in enumerate(sorted(rows, key=badness))]
-    layout = _LAYOUTS.get(str(results.get("kind")), _VIDEOS)
-    environment = Environment(
-        loader=PackageLoader("kinebench_drake.report", "."),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters.update(shown=shown, named=lambda verdict: FAILURES.get(verdict, verdict))
-    return environment.get_template("page.html.j2").render(
+    seed = bootstrap_seed(results)
+    total = aggregate(rows, seed)
+    layout = layout_of(results)
+    worst, best = _outstanding(out, rows)
+    large = {row.id for row in (*worst, *best)}
+    samples = [
+        view_sample(out, row, drawn=k < DRAWN or row.id in large, pictured=k < PICTURED or row.id in large)
+        for k, row in enumerate(rows)
+    ]
+    views = {sample.row.id: sample for sample in samples}
+    names = {verdict: FAILURES.get(verdict, verdict) for verdict in RANK}
+    templates = environment()
+    templates.filters.update(shown=shown, named=names.__getitem__)
+    return templates.get_template("page.html.j2").render(
         title=_title(results),
         results=results,
         total=total,
-        headlines=[(_BY_NAME[n], total.estimates[n]) for n in layout.headlines if _measured(total, n)],
+        headlines=[(BY_NAME[n], total.estimates[n]) for n in layout.headlines if _measured(total, n)],
         metrics=[(m, total.estimates[m.name]) for m in (*METRICS, *_others(total)) if _measured(total, m.name)],
-        groups=[
-            (title, [(name, aggregate(group)) for name, group in groups.items()])
-            for title, key in (("task", "task"), ("model", "model"))
-            if (groups := by_key(rows, key))
+        groups=[(key, found) for key in ("task", "model") if (found := group_rows(rows, key, seed))],
+        histograms=[draw_histogram(h, names) for h in histograms(rows, total, layout)],
+        gallery=[
+            (title, [views[row.id] for row in chosen]) for title, chosen in (("Worst", worst), ("Best", best)) if chosen
         ],
-        columns=[_BY_NAME[n] for n in layout.columns if _measured(total, n)],
-        shares=[_BY_NAME[n] for n in layout.shares if _measured(total, n)],
+        columns=[BY_NAME[n] for n in layout.columns if _measured(total, n)],
+        shares=[BY_NAME[n] for n in layout.shares if _measured(total, n)],
         samples=samples,
+        large=large,
+        first=SHOWN,
+        drawn=min(DRAWN, len(samples)),
         left_out=max(len(samples) - DRAWN, 0),
         normalization=_normalization(results),
-        verdicts=[v for v in RANK if any(s.verdict == v for s in samples)],
+        counts={v: n for v in RANK if (n := sum(sample.verdict == v for sample in samples))},
         Status=Status,
     )
+
+
+def histograms(rows: Sequence[SampleRow], total: Aggregate, layout: Layout) -> list[Histogram]:
+    """The spread of the metrics that stand first on a page, as far as they spread."""
+    found = []
+    for name in dict.fromkeys((*layout.headlines, *layout.columns)):
+        if _measured(total, name):
+            values = [
+                (verdict_of(row), number_of(row, name) if row.status is Status.OK else None)
+                for row in rows
+                if not isinstance(row.metrics.get(name, row.extra.get(name)), bool)
+            ]
+            found.append(count_values(BY_NAME[name], values, total.estimates[name]))
+    return [histogram for histogram in found if histogram is not None]
+
+
+def _outstanding(out: Path, rows: Sequence[SampleRow]) -> tuple[list[SampleRow], list[SampleRow]]:
+    """The worst and the best samples that have a picture, as many of these as of those, none twice."""
+    pictured = [row for row in rows if has_picture(out, row)]
+    n = min(GALLERY, len(pictured) // 2)
+    best = sorted((r for r in pictured if verdict_of(r) in GOOD), key=goodness)[:n]
+    chosen = {row.id for row in best}
+    return [row for row in pictured if row.id not in chosen][:n], best
 
 
 def _title(results: Mapping[str, Json]) -> str:
@@ -194,7 +119,7 @@ def shown(value: float | None, pattern: str) -> str:
 
 def _others(total: Aggregate) -> list[Metric]:
     """Metrics that the page knows nothing about but their names; noise floors mean nothing apart from their track."""
-    known = {*_BY_NAME, "feasible"}
+    known = {*BY_NAME, "feasible"}
     names = [name for name in total.estimates if name not in known and "_floor_" not in name]
     return [Metric(name=name, label=name, pattern="{:.4g}", meaning="") for name in names]
 
@@ -202,6 +127,13 @@ def _others(total: Aggregate) -> list[Metric]:
 def _measured(total: Aggregate, name: str) -> bool:
     found: Estimate | None = total.estimates.get(name)
     return found is not None and found.n > 0
+
+
+def bootstrap_seed(results: Mapping[str, Json]) -> int:
+    """Seed of the intervals' resampling that a run's results tell."""
+    seeds = results.get("seeds")
+    seed = seeds.get("bootstrap", 0) if isinstance(seeds, Mapping) else 0
+    return seed if isinstance(seed, int) else 0
 
 
 def read_results(out: Path) -> Mapping[str, Json]:

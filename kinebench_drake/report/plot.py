@@ -77,15 +77,15 @@ def draw_plot(
             f'<rect class="band {band.css}" x="{left:.1f}" y="{_TOP:.0f}" width="{max(right - left, 1.5):.1f}" '
             f'height="{_HEIGHT - _TOP - _BOTTOM:.0f}"><title>{escape(band.label)}</title></rect>'
         )
-    for value in _ticks(low, high):
+    for value in ticks(low, high):
         parts.append(f'<path class="grid" d="M{_LEFT:.0f} {y(value):.1f}H{_WIDTH - _RIGHT:.0f}"/>')
         parts.append(f'<text class="tick" x="{_LEFT - 5:.0f}" y="{y(value) + 3.5:.1f}">{value:.4g}</text>')
-    for time in _ticks(t_first, t_last):
+    for time in ticks(t_first, t_last):
         parts.append(f'<text class="tick time" x="{x(time):.1f}" y="{_HEIGHT - 5:.0f}">{time:.4g}</text>')
     for line in lines:
         parts.append(f'<path class="limit" d="M{_LEFT:.0f} {y(line):.1f}H{_WIDTH - _RIGHT:.0f}"/>')
     for curve in curves:
-        for piece in _pieces(t_s, curve.values):
+        for piece in pieces(t_s, curve.values):
             points = " ".join(f"{x(t):.1f},{y(v):.1f}" for t, v in piece)
             if len(piece) == 1:
                 centre_x, centre_y = points.split(",")
@@ -109,7 +109,7 @@ def _range(values: Sequence[Array], lines: Sequence[float]) -> tuple[float, floa
     return low - air, high + air
 
 
-def _ticks(low: float, high: float) -> list[float]:
+def ticks(low: float, high: float) -> list[float]:
     """Three to six round values within a range."""
     if high <= low:
         return [low]
@@ -119,7 +119,7 @@ def _ticks(low: float, high: float) -> list[float]:
     return [float(f"{k * step:.6g}") for k in range(first, int(np.floor(high / step + 1e-9)) + 1)]
 
 
-def _pieces(t_s: Array, values: Array) -> list[list[tuple[float, float]]]:
+def pieces(t_s: Array, values: Array) -> list[list[tuple[float, float]]]:
     """Runs of finite points, thinned where there are more than the eye can see."""
     kept = _thinned(values)
     known = kept[np.isfinite(values[kept])]

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import quote
 
+import numpy as np
 from markupsafe import Markup
 
 from kinebench_drake.report.curves import draw_curves
@@ -13,6 +14,7 @@ from kinebench_drake.report.facts import Fact, list_facts
 from kinebench_drake.report.frames import anomalies_of
 from kinebench_drake.report.moments import Moment, worst_moments
 from kinebench_drake.report.summary import Resolution, resolutions, summarize_checks
+from kinebench_drake.report.timeline import draw_strip, frame_count, lanes_of
 from kinebench_drake.results import part_path
 from kinebench_drake.row import Json, SampleRow, Status
 from kinebench_drake.trackfile import read_track
@@ -24,8 +26,11 @@ RANK = {
     for rank, name in enumerate(("error", "infeasible", *FAILURES, "unmeasurable", "unjudged", "feasible", "success"))
 }
 """Verdicts, the worst first."""
+GOOD = ("feasible", "success")
+"""Verdicts without blame."""
 MOST_BROKEN = 20
 """Broken limits that a sample's table lists, the first ones."""
+_FILMS = {"rollouts": "Imagined and executed, side by side", "overlays": "Video with the gripper's pose drawn on it"}
 _SHOWN_ELSEWHERE = ("limits", "checks")
 
 
@@ -40,7 +45,9 @@ class SampleView:
     """Why there is no result, or why the episode failed; empty where there is nothing to tell."""
     anomalies: Sequence[Mapping[str, Json]]
     thumbnail: str | None
-    """Picture as a data URI."""
+    """Picture as a data URI; None where there is none, or where it is not put on the page."""
+    strip: Markup | None
+    """When it goes wrong, in small; None if nothing does."""
     moments: Sequence[Moment]
     left_out: int
     """Limits broken that `moments` leaves out, being too many."""
@@ -53,14 +60,14 @@ class SampleView:
     """What else stands behind the verdict."""
     replay: str | None
     """Link to the 3D replay, relative to the page; None if none was written."""
-    rollout: str | None
-    """Link to the film of what was imagined and executed, relative to the page; None if there is none."""
+    films: Sequence[tuple[str, str]]
+    """What each film beside the page shows, and its relative link."""
     viewable: bool
     """Whether there is a track that `kinebench-drake view` can replay."""
 
     def value(self, name: str) -> float | None:
         """A metric, or a further key of the row, as a number; None where it has none."""
-        return _number(self.row, name)
+        return number_of(self.row, name)
 
 
 def verdict_of(row: SampleRow) -> str:
@@ -75,24 +82,39 @@ def verdict_of(row: SampleRow) -> str:
 
 def badness(row: SampleRow) -> tuple[float | str, ...]:
     """Sorts the worst first."""
-    tracked = _number(row, "tracked_fraction")
+    tracked = number_of(row, "tracked_fraction")
     faults = len(row.violations) + len(anomalies_of(row))
     return RANK[verdict_of(row)], -faults, 1.0 if tracked is None else tracked, row.id
 
 
-def view_sample(out: Path, row: SampleRow, *, drawn: bool) -> SampleView:
+def goodness(row: SampleRow) -> tuple[float | str, ...]:
+    """Sorts the best first; among equals that which keeps the greatest distance to the limits of the joints' rates."""
+    rank, faults, tracked, id = badness(row)
+    slowdown = number_of(row, "slowdown_min")
+    return -float(rank), -float(faults), -float(tracked), np.inf if slowdown is None else slowdown, id
+
+
+def has_picture(out: Path, row: SampleRow) -> bool:
+    """Whether the folder holds a picture of the sample."""
+    return part_path(out, "thumbnails", row.id).is_file()
+
+
+def view_sample(out: Path, row: SampleRow, *, drawn: bool, pictured: bool = True) -> SampleView:
     """Gather a sample's findings from an output folder.
 
     Args:
         out: the folder.
         row: the sample's row.
         drawn: whether to draw its curves and list its findings; else the row alone is used.
+        pictured: whether to take its picture along.
 
     Raises:
         InputError: the track's file is damaged.
     """
-    picture = part_path(out, "thumbnails", row.id)
-    uri = f"data:image/jpeg;base64,{base64.b64encode(picture.read_bytes()).decode()}" if picture.is_file() else None
+    uri = None
+    if pictured and has_picture(out, row):
+        data = part_path(out, "thumbnails", row.id).read_bytes()
+        uri = f"data:image/jpeg;base64,{base64.b64encode(data).decode()}"
     track = part_path(out, "tracks", row.id)
     replay = part_path(out, "replays", row.id)
     cause = row.extra.get("cause")
@@ -102,12 +124,14 @@ def view_sample(out: Path, row: SampleRow, *, drawn: bool) -> SampleView:
     reasons = {f"no {name}": reason for name, reason in row.null_reasons.items() if "_floor_" not in name}
     moments = worst_moments(row, file)
     broken = [moment for moment in moments if moment.broken]
+    lanes = lanes_of(row, file)
     return SampleView(
         row=row,
         verdict=verdict_of(row),
         told=row.reason or (str(cause.get("text") or "") if isinstance(cause, Mapping) else ""),
         anomalies=anomalies_of(row),
         thumbnail=uri,
+        strip=draw_strip(lanes, frame_count(row, file, lanes)) if lanes else None,
         moments=[*broken[:MOST_BROKEN], *(moment for moment in moments if not moment.broken)],
         left_out=max(len(broken) - MOST_BROKEN, 0),
         plots=draw_curves(row, file) if file else [],
@@ -115,7 +139,11 @@ def view_sample(out: Path, row: SampleRow, *, drawn: bool) -> SampleView:
         resolutions=resolutions(row) if drawn else [],
         facts=[*list_facts(details), *_floors(row), *list_facts(reasons)] if drawn else [],
         replay=f"replays/{quote(row.id)}.html" if viewable and replay.is_file() else None,
-        rollout=f"rollouts/{quote(row.id)}.mp4" if part_path(out, "rollouts", row.id).is_file() else None,
+        films=[
+            (told, f"{part}/{quote(row.id)}.mp4")
+            for part, told in _FILMS.items()
+            if part_path(out, part, row.id).is_file()
+        ],
         viewable=viewable,
     )
 
@@ -123,13 +151,14 @@ def view_sample(out: Path, row: SampleRow, *, drawn: bool) -> SampleView:
 def _floors(row: SampleRow) -> Iterator[Fact]:
     """Smoothness beside what this track's motion would score with its noise."""
     for name in row.metrics:
-        value = _number(row, name)
-        median, low, high = (_number(row, f"{name}_floor_{part}") for part in ("median", "low", "high"))
+        value = number_of(row, name)
+        median, low, high = (number_of(row, f"{name}_floor_{part}") for part in ("median", "low", "high"))
         if value is not None and median is not None and low is not None and high is not None:
             text = f"{value:.2f}; smoothed and with its noise {median:.2f} ({low:.2f} to {high:.2f})"
             yield Fact(depth=0, name=name.replace("_", " "), text=text)
 
 
-def _number(row: SampleRow, name: str) -> float | None:
+def number_of(row: SampleRow, name: str) -> float | None:
+    """A metric, or a further key of the row, as a number; None where it has none."""
     value = row.metrics.get(name, row.extra.get(name))
     return float(value) if isinstance(value, bool | int | float) else None

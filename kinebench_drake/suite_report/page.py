@@ -4,9 +4,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
+from kinebench_drake.report.template import environment
 from kinebench_drake.suite_report.episode import Episode, group
 from kinebench_drake.suite_report.folder import Folder
 from kinebench_drake.suite_report.links import Link, links_of
@@ -14,6 +14,8 @@ from kinebench_drake.suite_report.table import Table, is_numeric, shown, shown_i
 
 LISTED = 2000
 """Episodes on the page: more would make it slow to open."""
+SHOWN = 200
+"""Episodes in its list until more are asked for."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,16 +67,10 @@ def build_page(
         parts: tables and figures in their order.
         missing: what could not be made.
     """
-    environment = Environment(
-        loader=PackageLoader("kinebench_drake.suite_report", "."),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters.update(shown=shown, interval=shown_interval, key=sort_key)
-    environment.tests["table"] = lambda part: isinstance(part, Table)
-    return environment.get_template("page.html.j2").render(
+    templates = environment("kinebench_drake.suite_report")
+    templates.filters.update(shown=shown, interval=shown_interval, key=sort_key)
+    templates.tests["table"] = lambda part: isinstance(part, Table)
+    return templates.get_template("page.html.j2").render(
         title=title,
         folders=folders,
         episodes=len(episodes),
@@ -83,6 +79,7 @@ def build_page(
         missing=missing,
         lines=[_line(e, out) for e in _listed(episodes)],
         left_out=max(len(episodes) - LISTED, 0),
+        first=SHOWN,
     )
 
 

@@ -1,0 +1,96 @@
+"""Pages in a browser: no error, nothing that overflows a phone, tables that sort, filter and unfold."""
+
+import json
+import re
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+
+from kinebench_drake.geometry import make_pose
+from kinebench_drake.products import GripperTrack
+from kinebench_drake.report import write_report
+from kinebench_drake.results import ResultStore
+from kinebench_drake.row import Status
+from kinebench_drake.trackfile import write_track
+from tests.report.pages import EVIL, row
+
+BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+WIDTH = 390
+"""Width of a phone [px of CSS]."""
+# 1 x 1 pixel, white.
+PICTURE = bytes.fromhex(
+    "ffd8ffe000104a46494600010100000100010000ffdb004300"
+    + "01" * 64
+    + "ffc0000b080001000101011100ffc4001400010000000000"
+    "000000000000000000000009ffc40014100100000000000000000000000000000000ffda0008010100003f0054dfffd9"
+)
+PROBE = """
+<script>
+addEventListener("load", () => {
+  const table = document.getElementById("samples");
+  const ids = () => [...table.tBodies].filter(b => !b.hidden).map(b => b.dataset.id);
+  const told = {errors: window.troubles, ids: ids()};
+  document.querySelector("[data-more=samples]").click();
+  told.all = ids().length;
+  const heads = [...table.tHead.querySelectorAll("button")];
+  heads.find(head => head.textContent === "SPARC").click();
+  told.sorted = ids();
+  document.querySelector("[data-pick=good]").click();
+  told.picked = ids().length;
+  document.querySelector(".open").click();
+  for (const body of table.tBodies) if (!body.hidden) body.querySelector(".open").click();
+  told.figures = table.querySelectorAll("figure").length;
+  const parts = [...document.querySelectorAll("main > *, .inner > *")];
+  told.wide = parts.filter(part => part.getBoundingClientRect().right > document.documentElement.clientWidth).length;
+  told.overflow = document.documentElement.scrollWidth - document.documentElement.clientWidth;
+  told.width = innerWidth;
+  document.documentElement.setAttribute("data-told", JSON.stringify(told));
+});
+</script>
+"""
+WATCH = """<script>window.troubles = []; addEventListener("error", e => troubles.push(e.message));</script>"""
+
+
+@pytest.fixture
+def page(tmp_path):
+    n = 9
+    X = make_pose(np.broadcast_to(np.eye(3), (n, 3, 3)), np.linspace(0, 1, 3 * n).reshape(n, 3))
+    on = np.ones(n, dtype=bool)
+    track = GripperTrack(
+        t_s=np.arange(n) * 0.2, X_CH=X, X_BG=X, tracked=on, confidence=on * 0.9, finger_width_m=np.full(n, 0.04)
+    )
+    speed = {"kind": "velocity", "frame_start": 2, "frame_end": 3, "joint": EVIL, "value": 3.0, "limit": None}
+    with ResultStore(tmp_path) as store:
+        for k in range(130):
+            id, metrics = f"sample_with_a_rather_long_name_{k:03d}", {"sparc": -1.5 - 0.01 * (k * 37 % 130)}
+            task = "good" if k % 65 == 3 else f"Task{k % 9}"
+            store.append(row(id, feasible=k > 0, metrics=metrics, violations=(speed,) * (k == 0), task=task), 0.1)
+            write_track(tmp_path / "tracks" / f"{id}.npz", track, None, {})
+            (tmp_path / "thumbnails" / f"{id}.jpg").write_bytes(PICTURE)
+        store.append(row(EVIL.replace("/", "|"), Status.ERROR, reason=EVIL, task=EVIL, model=EVIL, video=EVIL), 0.1)
+        store.finish({"kind": "score", "config": {"source": EVIL}})
+    return write_report(tmp_path)
+
+
+@pytest.mark.skipif(BROWSER is None, reason="no chromium is installed")
+def test_the_page_works_in_a_browser_on_a_phone(page, tmp_path):
+    text = page.read_text().replace("<title>", f"{WATCH}<title>", 1).replace("</body>", f"{PROBE}</body>")
+    page.write_text(text)
+    done = subprocess.run(
+        [BROWSER, "--headless", "--no-sandbox", "--disable-gpu", f"--window-size={WIDTH},844",
+         "--enable-logging=stderr", f"--user-data-dir={tmp_path / 'profile'}", "--dump-dom", page.as_uri()],
+        capture_output=True, text=True, timeout=120, check=True,
+    )  # fmt: skip
+    assert "CONSOLE" not in done.stderr
+    told = json.loads(re.search(r'data-told="([^"]*)"', done.stdout)[1].replace("&quot;", '"'))
+    assert told["errors"] == []
+    assert told["width"] <= 500  # as narrow as the browser's windows get
+    assert (told["overflow"], told["wide"]) == (0, 0)
+    assert len(told["ids"]) == 100
+    assert told["all"] == 131
+    sparc = [int(id[-3:]) * 37 % 130 for id in told["sorted"] if id[-3:].isdigit()]
+    assert sparc == sorted(sparc)
+    assert told["picked"] == 2
+    assert told["figures"] > 0

@@ -1,0 +1,139 @@
+"""Pictures of a report: each value is counted, each fault is where its frames are, joints against their limits."""
+
+import csv
+import re
+
+import numpy as np
+import pytest
+
+from kinebench_drake.aggregate import estimate
+from kinebench_drake.report.frames import joint_limits
+from kinebench_drake.report.histogram import count_values, draw_histogram
+from kinebench_drake.report.joint_ranges import draw_joint_ranges
+from kinebench_drake.report.metric import BY_NAME
+from kinebench_drake.report.timeline import draw_strip, draw_timeline, frame_count, lanes_of, runs
+from tests.report.pages import EVIL
+
+
+def counted(values, metric="sparc"):
+    told = [value for _, value in values]
+    return count_values(BY_NAME[metric], values, estimate(told, total=len(told)))
+
+
+def test_each_value_is_in_one_bin():
+    values = [("feasible" if v < 0.5 else "infeasible", float(v)) for v in np.random.default_rng(0).random(100)]
+    h = counted([*values, ("error", None)])
+    assert sum(map(sum, h.counts.values())) == 100
+    assert sum(h.counts["feasible"]) == sum(verdict == "feasible" for verdict, _ in values)
+    middles = 0.5 * (h.edges[1:] + h.edges[:-1])
+    assert all(middle < 0.6 for middle, n in zip(middles, h.counts["feasible"], strict=True) if n)
+    assert (h.below, h.above) == (0, 0)
+
+
+def test_values_far_out_are_counted_at_the_edge_and_told():
+    values = [("feasible", float(v)) for v in np.linspace(0.0, 1.0, 50)] + [
+        ("infeasible", 900.0),
+        ("infeasible", -80.0),
+    ]
+    h = counted(values, "slowdown_min")
+    assert (h.below, h.above) == (1, 1)
+    assert (h.edges[0], h.edges[-1]) == (0.0, 1.0)
+    assert (h.counts["infeasible"][0], h.counts["infeasible"][-1]) == (1, 1)
+    assert "2 far out" in draw_histogram(h, {})
+
+
+@pytest.mark.parametrize("values", [[], [1.0], [2.0, 2.0, 2.0], [None, 3.0], [0.0, 0.0]])
+def test_what_does_not_spread_has_no_histogram(values):
+    assert counted([("feasible", v) for v in values]) is None
+
+
+def bars(svg, css):
+    found = re.findall(rf'<rect class="bar-{css}" x="([\d.]+)" y="[\d.]+" width="([\d.]+)"', svg)
+    return [(float(x), float(x) + float(width)) for x, width in found]
+
+
+def test_faults_stand_where_their_frames_are(judged, file):
+    row = judged(
+        violations=({"kind": "velocity", "frame_start": 2, "frame_end": 4, "joint": EVIL},),
+        metrics={"anomalies": [{"kind": "freeze", "frame_start": 0, "frame_end": 9, "severity": 1.0}]},
+    )
+    track = file()
+    lanes = lanes_of(row, track)
+    assert [(lane.label, lane.css) for lane in lanes] == [
+        ("velocity", "violation"),
+        ("freeze", "anomaly"),
+        ("not tracked", "lost"),
+    ]
+    svg = draw_timeline(lanes, 10, track.track.t_s)
+    ((first, last),) = bars(svg, "anomaly")  # the whole of the axis
+    frame = (last - first) / 10
+    assert bars(svg, "violation") == [pytest.approx((first + 2 * frame, first + 5 * frame), abs=0.2)]
+    assert bars(svg, "lost") == [pytest.approx((first + 7 * frame, first + 8 * frame), abs=0.2)]
+    assert "frames 2 to 4 (1.20 to 1.40 s)" in svg
+    assert EVIL not in svg
+    assert EVIL not in draw_strip(lanes, 10)
+
+
+def test_faults_beyond_the_frames_stay_inside(judged):
+    row = judged(violations=({"kind": "jerk", "frame_start": -3, "frame_end": 400, "joint": None},))
+    lanes = lanes_of(row, None)
+    assert frame_count(row, None, lanes) == 401
+    ((first, last),) = bars(draw_strip(lanes, 10), "violation")
+    assert (first, last) == (0.0, 150.0)
+
+
+def test_a_thousand_faults_are_few_bars(judged):
+    faults = tuple({"kind": "torque", "frame_start": k, "frame_end": k + 1, "joint": f"j{k % 7}"} for k in range(1000))
+    lanes = lanes_of(judged(violations=faults), None)
+    assert [(span.start, span.end) for lane in lanes for span in lane.spans] == [(0, 1000)]
+
+
+def test_a_long_track_that_flickers_is_few_bars(judged):
+    faults = tuple({"kind": "vanish", "frame_start": k, "frame_end": k, "severity": 1.0} for k in range(0, 20000, 2))
+    lanes = lanes_of(judged(metrics={"anomalies": faults}), None)
+    assert len(lanes[0].spans) == 10000
+    assert len(bars(draw_timeline(lanes, 20000), "anomaly")) == len(bars(draw_strip(lanes, 20000), "anomaly")) == 1
+
+
+def test_runs_are_the_stretches_of_truth():
+    assert runs(np.array([True, True, False, True])) == [(0, 1), (3, 3)]
+    assert runs(np.zeros(3, dtype=bool)) == []
+
+
+def test_joints_are_shown_against_their_own_limits(judged, file):
+    limits = joint_limits(judged())  # -2 to 1 rad
+    q = np.full((10, 7), -0.5)  # the middle
+    q[3, 1], q[5, 2], q[6] = 0.9, 1.3, np.nan
+    svg = draw_joint_ranges(file().track.t_s, q, limits, list("1234567"))
+    assert re.findall(r'class="tick margin( \w+)?"[^>]*>(-?[\d.]+)<', svg) == [
+        *(("", "1.00"), (" near", "0.07"), (" past", "-0.20")),
+        *[("", "1.00")] * 4,
+    ]
+    assert svg.count("shade-near") == svg.count("shade-past") == 1
+    assert svg.count("<polyline") == 14  # the frame without angles interrupts each line
+    assert draw_joint_ranges(file().track.t_s, q * np.nan, limits, list("1234567")) is None
+
+
+def test_csv_of_the_figures_holds_every_sample(tmp_path):
+    from kinebench_drake.report.figures import write_figures
+    from kinebench_drake.results import ResultStore
+    from tests.report.pages import row
+
+    speed = {"kind": "velocity", "frame_start": 2, "frame_end": 4, "joint": "j2", "value": 2.0, "limit": 1.0}
+    with ResultStore(tmp_path) as store:
+        for k in range(6):
+            broken = (speed,) if k == 0 else ()
+            store.append(
+                row(f"s{k}", feasible=not broken, violations=broken, metrics={"sparc": -1.0 - k}, task="$x"), 0.1
+            )
+        store.finish({"kind": "score"})
+    folder = write_figures(tmp_path)
+    first = {path.name: path.read_bytes() for path in folder.iterdir()}
+    tables = {name: list(csv.DictReader(data.decode().splitlines())) for name, data in first.items() if ".csv" in name}
+    assert {line["id"]: float(line["sparc"]) for line in tables["samples.csv"]} == {f"s{k}": -1.0 - k for k in range(6)}
+    assert sum(int(line["samples"]) for line in tables["distributions.csv"]) == 6
+    assert [(line["id"], line["frame_start"], line["frame_end"]) for line in tables["faults.csv"]] == [("s0", "2", "4")]
+    for name in ("distributions", "faults", "verdicts_by_task", "verdicts_by_model"):
+        assert first[f"{name}.png"].startswith(b"\x89PNG")
+        assert b"<svg" in first[f"{name}.svg"]
+    assert {path.name: path.read_bytes() for path in write_figures(tmp_path).iterdir()} == first
