@@ -120,10 +120,7 @@ def calibrate(config: CalibrationConfig, eye: Eye | None = None) -> Calibrated:
     look = eye.look(frames, guess)
     shift = _camera_shift(frames, look, guess)
     states = states.take(chosen)
-    solved = solve(look, states, guess, model, zoom_free=zoom_free)
-    found = solved.fit.lens.placed()
-    if _elsewhere(found, guess):
-        solved = solve(eye.look(frames, found), states, found, model, zoom_free=zoom_free)
+    solved = seek(eye, frames, look, states, guess, model, zoom_free=zoom_free)
     calibration = describe(
         solved.fit,
         solved.cells,
@@ -142,6 +139,30 @@ def calibrate(config: CalibrationConfig, eye: Eye | None = None) -> Calibrated:
         X_BP=solved.X_BP[middle],
         finger_m=float(solved.finger_m[middle]),
     )
+
+
+def seek(
+    eye: Eye, frames: Frames, look: Look, states: RobotStates, guess: Camera, model: ArmModel, *, zoom_free: bool
+) -> Solved:
+    """The lens by a look with a guess, and by another one with what came of it where that is elsewhere.
+
+    Args:
+        eye: what looks.
+        frames: (T, H, W, 3) what it looks at.
+        look: what it saw with the guess.
+        states: the robot in the frames.
+        guess: the camera to begin with.
+        model: link poses of the arm.
+        zoom_free: whether the focal length is looked for.
+
+    Raises:
+        UnmeasurableError: too little is seen, or it does not go with the postures.
+    """
+    solved = solve(look, states, guess, model, zoom_free=zoom_free)
+    found = solved.fit.lens.placed()
+    if not _elsewhere(found, guess):
+        return solved
+    return solve(eye.look(frames, found), states, found, model, zoom_free=zoom_free)
 
 
 def _elsewhere(found: Camera, guess: Camera) -> bool:
@@ -170,8 +191,13 @@ def _guess(config: CalibrationConfig, intrinsics: Camera | None, width: int, hei
     """The camera to look with first: where the benchmark's stands, unless something is known."""
     if intrinsics is not None:
         return intrinsics.resized(width, height)
-    focal = config.focal_px or width / 2 / float(np.tan(np.deg2rad(_USUAL_FOV_DEG) / 2))
+    focal = config.focal_px or usual_focal_px(width)
     return replace(benchmark_camera(), width=width, height=height, fx=focal, fy=focal, cx=width / 2, cy=height / 2)
+
+
+def usual_focal_px(width: int) -> float:
+    """Focal length [px] with which a picture so wide is looked at where none is known."""
+    return width / 2 / float(np.tan(np.deg2rad(_USUAL_FOV_DEG) / 2))
 
 
 def _chosen(states: RobotStates, most: int) -> NDArray[np.intp]:

@@ -141,9 +141,16 @@ def causes(episodes: int, seed: int, limit: int | None, jobs: int) -> None:
 @click.argument("folder", type=click.Path(path_type=Path, exists=True, file_okay=False))
 @click.option("--limit", type=click.IntRange(min=1), help="So many videos only, tasks in turn.", metavar="N")
 @click.option("--frames", type=click.IntRange(min=4), default=12, show_default=True, help="Of each video.", metavar="N")
+@click.option(
+    "--part",
+    type=click.FloatRange(min=0.3, max=1.0),
+    default=1.0,
+    show_default=True,
+    help="Show the middle of each picture only, so much of its sides: a longer lens than the usual one.",
+)
 @click.option("--quick", is_flag=True, help="With joint angles of all frames only.")
 @click.option("--json", "json_out", type=click.Path(path_type=Path, dir_okay=False), help="All numbers, as JSON.")
-def calibration(folder: Path, limit: int | None, frames: int, quick: bool, json_out: Path | None) -> None:
+def calibration(folder: Path, limit: int | None, frames: int, part: float, quick: bool, json_out: Path | None) -> None:
     """Find the cameras of rendered videos again, by all that may be known of the robot."""
     from kinebench_drake.calibration.calibration import Method
     from kinebench_drake.storage import write_atomically
@@ -152,7 +159,7 @@ def calibration(folder: Path, limit: int | None, frames: int, quick: bool, json_
     chosen = [c for c in CONDITIONS if c.method is Method.JOINTS] if quick else CONDITIONS
     trials = []
     try:
-        for trial in measure(folder, limit=limit, frames=frames, conditions=chosen):
+        for trial in measure(folder, limit=limit, frames=frames, part=part, conditions=chosen):
             trials.append(trial)
             if trial.condition == chosen[-1]:
                 click.echo(trial.clip, err=True)

@@ -6,15 +6,18 @@ from pathlib import Path
 
 import numpy as np
 
-from kinebench_drake.calibration.calibrate import solve
+from kinebench_drake.calibration.calibrate import seek, usual_focal_px
 from kinebench_drake.calibration.calibration import Calibration, Method, describe
+from kinebench_drake.calibration.fit import with_focal
 from kinebench_drake.calibration.look import Eye, NetworkEye
 from kinebench_drake.calibration.states import RobotStates, unknown_states
+from kinebench_drake.camera import Camera
 from kinebench_drake.errors import UnmeasurableError, UsageError, cause
 from kinebench_drake.geometry import Array, make_pose, pose_difference, rotation_exp
 from kinebench_drake.grounding.arm import ArmModel
 from kinebench_drake.grounding.evaluation.clip import ClipFile, choose, find_clips
 from kinebench_drake.grounding.video import read_video
+from kinebench_drake.grounding.view import Frames
 from kinebench_drake.models.panda.part import Part
 from kinebench_drake.row import Json
 
@@ -73,6 +76,7 @@ def measure(
     *,
     limit: int | None,
     frames: int,
+    part: float = 1.0,
     conditions: Sequence[Condition] = CONDITIONS,
     eye: Eye | None = None,
 ) -> Iterator[Trial]:
@@ -82,6 +86,7 @@ def measure(
         folder: what `suite demos` writes: videos, camera.json, manifest.jsonl and truth/.
         limit: so many videos only, tasks in turn.
         frames: frames of each video to use.
+        part: how much of each picture's width and height is shown, in the middle: less is a longer lens.
         conditions: what is to be known.
         eye: what looks; the tracker's networks if None.
 
@@ -98,14 +103,18 @@ def measure(
         film = read_video(clip.video).frames
         rows = np.unique(np.linspace(0, len(film) - 1, min(frames, len(film))).round().astype(int))
         truth = _states(clip, rows, model)
-        look = eye.look(film[rows], clip.camera)
-        off = make_pose(rotation_exp([0.0, 0.0, _OFF_RAD]), np.zeros(3)) @ clip.camera.X_BC
+        shown, camera = _middle(film[rows], clip.camera, part)
+        usual = with_focal(camera, usual_focal_px(camera.width))
+        given = eye.look(shown, camera)
+        looks = {False: given, True: given if np.isclose(usual.fx, camera.fx) else eye.look(shown, usual)}
+        off = make_pose(rotation_exp([0.0, 0.0, _OFF_RAD]), np.zeros(3)) @ camera.X_BC
         for condition in conditions:
             states = _known(truth, condition.method)
             moving = condition.method is Method.MOTION
-            guess = replace(clip.camera, X_BC=off) if moving else clip.camera
+            free = condition.zoom_free
+            guess = replace(usual if free else camera, X_BC=off if moving else camera.X_BC)
             try:
-                solved = solve(look, states, guess, model, zoom_free=condition.zoom_free)
+                solved = seek(eye, shown, looks[free], states, guess, model, zoom_free=free)
             except UnmeasurableError:
                 yield Trial(
                     clip=clip.id, condition=condition, distance_m=np.nan, angle_rad=np.nan, focal=np.nan, found=None
@@ -119,17 +128,25 @@ def measure(
                 source=states.source,
                 frames=rows[solved.rows],
                 hands_B=solved.X_BP[:, Part.HAND, :3, 3],
-                focal_free=condition.zoom_free,
+                focal_free=free,
             )
-            distance, angle = pose_difference(found.camera.X_BC, clip.camera.X_BC)
+            distance, angle = pose_difference(found.camera.X_BC, camera.X_BC)
             yield Trial(
                 clip=clip.id,
                 condition=condition,
                 distance_m=float(distance),
                 angle_rad=float(angle),
-                focal=found.camera.fx / clip.camera.fx - 1.0,
+                focal=found.camera.fx / camera.fx - 1.0,
                 found=found,
             )
+
+
+def _middle(frames: Frames, camera: Camera, part: float) -> tuple[Frames, Camera]:
+    """The middle of the frames (T, H, W, 3), and its camera."""
+    left, top = (round(side * (1.0 - part) / 2) for side in (camera.width, camera.height))
+    width, height = camera.width - 2 * left, camera.height - 2 * top
+    cut = np.ascontiguousarray(frames[:, top : top + height, left : left + width])
+    return cut, replace(camera, width=width, height=height, cx=camera.cx - left, cy=camera.cy - top)
 
 
 def table(trials: Sequence[Trial]) -> list[str]:
