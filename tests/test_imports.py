@@ -57,12 +57,13 @@ MAY_IMPORT = {
     "run": LEAF | RESULTS | {"stages", "measure", "replay", "kinematics", "models"},
     "trajectory_measure": LEAF | RESULTS | {"stages", "measure", "trajectories"},
     "audit": LEAF | RESULTS | {"stages", "measure", "run", "trajectories", "trajectory_measure", "models"},
+    "calibration": LEAF | RESULTS | {"models", "grounding", "trajectories"},
     "merge": LEAF | RESULTS | {"measure", "run"},
     "thumbnail": LEAF | {"stages"},
     "validation": LEAF
     | RESULTS
     | {"models", "kinematics", "metrics", "suites", "stages", "drake_stages", "audit"}
-    | {"grounding", "closed_loop", "episode_cause"},
+    | {"grounding", "closed_loop", "episode_cause", "calibration"},
 }
 """What each part may import besides itself. Parts not named here see all but the command line."""
 ABOVE_ALL = {"cli", "__main__"}

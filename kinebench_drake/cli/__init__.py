@@ -19,6 +19,7 @@ _COMMANDS = {
     "score": "Score videos: gripper tracks, kinematic metrics, report.",
     "ground": "Take gripper tracks from videos, no more.",
     "audit": "Check trajectories against the robot's kinematics, no video.",
+    "calibrate": "Find a static camera's place and focal length from the robot it shows.",
     "suite": "Work with the benchmark's task suites.",
     "report": "Write the html report of output folders anew.",
     "compare": "Compare output folders.",

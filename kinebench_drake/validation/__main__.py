@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from kinebench_drake.errors import KinebenchError
-from kinebench_drake.row import dump
+from kinebench_drake.row import dump, finite
 
 
 @click.group(
@@ -130,6 +130,44 @@ def causes(episodes: int, seed: int, limit: int | None, jobs: int) -> None:
     except KinebenchError as error:
         raise click.ClickException(str(error)) from None
     for line in finding_lines(findings):
+        click.echo(line)
+
+
+@main.command(
+    epilog="\b\nExample:\n"
+    "  kinebench-drake suite demos --suite 2 --split unseen --episodes 5 --out heldout\n"
+    "  python -m kinebench_drake.validation calibration heldout --limit 20",
+)
+@click.argument("folder", type=click.Path(path_type=Path, exists=True, file_okay=False))
+@click.option("--limit", type=click.IntRange(min=1), help="So many videos only, tasks in turn.", metavar="N")
+@click.option("--frames", type=click.IntRange(min=4), default=12, show_default=True, help="Of each video.", metavar="N")
+@click.option(
+    "--part",
+    type=click.FloatRange(min=0.3, max=1.0),
+    default=1.0,
+    show_default=True,
+    help="Show the middle of each picture only, so much of its sides: a longer lens than the usual one.",
+)
+@click.option("--quick", is_flag=True, help="With joint angles of all frames only.")
+@click.option("--json", "json_out", type=click.Path(path_type=Path, dir_okay=False), help="All numbers, as JSON.")
+def calibration(folder: Path, limit: int | None, frames: int, part: float, quick: bool, json_out: Path | None) -> None:
+    """Find the cameras of rendered videos again, by all that may be known of the robot."""
+    from kinebench_drake.calibration.calibration import Method
+    from kinebench_drake.storage import write_atomically
+    from kinebench_drake.validation.calibration import CONDITIONS, measure, table
+
+    chosen = [c for c in CONDITIONS if c.method is Method.JOINTS] if quick else CONDITIONS
+    trials = []
+    try:
+        for trial in measure(folder, limit=limit, frames=frames, part=part, conditions=chosen):
+            trials.append(trial)
+            if trial.condition == chosen[-1]:
+                click.echo(trial.clip, err=True)
+        if json_out is not None:
+            write_atomically(json_out, dump(finite([trial.to_json() for trial in trials]), indent=1).encode())
+    except KinebenchError as error:
+        raise click.ClickException(str(error)) from None
+    for line in table(trials):
         click.echo(line)
 
 

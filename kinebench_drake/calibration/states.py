@@ -1,0 +1,211 @@
+"""What is known of the robot in the frames of a video: postures from a file, or one posture in one frame."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinebench_drake.errors import InputError, UsageError
+from kinebench_drake.geometry import Array, interpolate_pose, invert
+from kinebench_drake.grounding.arm import ArmModel
+from kinebench_drake.models.panda.part import GRIPPER, Part
+from kinebench_drake.models.panda.robot import hand_from_tcp, rest_q
+from kinebench_drake.models.robot import N_JOINTS
+from kinebench_drake.trajectories.sample import TrajectorySample
+from kinebench_drake.trajectories.source import find_trajectories, read_trajectory
+from kinebench_drake.trajectories.trajectory import Choice, Trajectory
+
+POSTURES = {
+    "home": np.pi * np.array([0.0, -1 / 4, 0.0, -3 / 4, 0.0, 1 / 2, 1 / 4]),
+    "rest": rest_q(),
+}
+"""Postures that have a name (7,) [rad]: the one in which Franka's own programs start (libfranka, franka_ros), and
+ManiSkill's."""
+_MAX_RAD = 4.0
+_LATE_S = 0.1  # frames may be so much earlier or later than the first and last of the joint angles
+_MAX_GAP_S = 0.5  # joint angles farther apart in time than this are not joined up
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RobotStates:
+    """The robot in T frames; NaN where it is not known."""
+
+    q: Array
+    """(T, 7) joint angles [rad]."""
+    X_BH: Array
+    """(T, 4, 4) pose of panda_hand in B [m]; known where `q` is, and where the pose of the TCP was given."""
+    finger_m: Array
+    """(T,) opening of each finger [m]."""
+    source: str
+    """What they were taken from."""
+
+    @property
+    def known(self) -> NDArray[np.bool_]:
+        """(T,) frames of which at least the hand's pose is known."""
+        return np.isfinite(self.X_BH).all(axis=(1, 2))
+
+    def take(self, frames: NDArray[np.intp]) -> "RobotStates":
+        """The states of some frames."""
+        return replace(self, q=self.q[frames], X_BH=self.X_BH[frames], finger_m=self.finger_m[frames])
+
+    def part_poses(self, model: ArmModel) -> Array:
+        """(T, PARTS, 4, 4) frames of the parts' CAD coordinates in B [m]; NaN where not known."""
+        known = np.isfinite(self.q).all(axis=1)
+        X = model.poses(np.where(known[:, None], self.q, 0.0))
+        X[~known] = np.nan
+        X[:, Part.LINK0] = np.eye(4)
+        X[:, list(GRIPPER)] = np.where(known[:, None, None, None], X[:, list(GRIPPER)], self.X_BH[:, None])
+        return np.asarray(X)
+
+
+def posture_states(text: str, frame: int, frames: int, model: ArmModel) -> RobotStates:
+    """One known posture in one frame.
+
+    Args:
+        text: a name of `POSTURES`, or seven joint angles [rad] separated by commas.
+        frame: number of the frame.
+        frames: how many frames the video has.
+        model: link poses of the arm.
+
+    Raises:
+        UsageError: it is neither, or there is no such frame.
+    """
+    q = posture(text)
+    if q is None:
+        raise UsageError(
+            f"--joints {text}: there is no such file; expected a file of joint angles, {N_JOINTS} angles in radians "
+            f"separated by commas, or one of {', '.join(POSTURES)}"
+        )
+    if not 0 <= frame < frames:
+        raise UsageError(f"--joints-frame is {frame}, expected 0 to {frames - 1}: the video has {frames} frames")
+    angles = np.full((frames, N_JOINTS), np.nan)
+    angles[frame] = q
+    return _of_joints(angles, np.full(frames, np.nan), f"posture {text} in frame {frame}", model)
+
+
+def posture(text: str) -> Array | None:
+    """The posture (7,) [rad] that a text names or lists; None where it does neither.
+
+    Raises:
+        UsageError: it lists numbers that are no posture.
+    """
+    if text in POSTURES:
+        return POSTURES[text]
+    fields = text.split(",")
+    try:
+        q = np.array([float(field) for field in fields])
+    except ValueError:
+        return None
+    if len(q) != N_JOINTS or not np.isfinite(q).all() or np.abs(q).max() > _MAX_RAD:
+        raise UsageError(
+            f"--joints {text}: expected {N_JOINTS} joint angles in radians, each within {_MAX_RAD:g}, found {len(q)} "
+            f"numbers, the largest {np.abs(q).max():g}"
+        )
+    return q
+
+
+def file_states(path: Path, episode: str | None, column: str | None, t_s: Array, model: ArmModel) -> RobotStates:
+    """The robot in each frame by a file of joint angles, or of poses of the TCP.
+
+    A file with as many rows as the video has frames tells of each frame in turn; of another file the states are taken
+    at the frames' times, both clocks beginning at 0.
+
+    Args:
+        path: what `audit` takes: npz, csv, ManiSkill h5, or a LeRobot dataset.
+        episode: which of several it is.
+        column: name of the array or column that holds the joint angles, where it is not found by itself.
+        t_s: (T,) times of the video's frames [s].
+        model: link poses of the arm.
+
+    Raises:
+        UsageError: there is no such file or episode, or several and none is named.
+        InputError: it is not sound, or does not go with the video.
+    """
+    sample = _episode(find_trajectories(path, Choice(joints=column)), path, episode)
+    by_rows = _read(sample, Choice(joints=column, rate_hz=1.0))
+    if len(by_rows.t_s) != len(t_s):
+        by_rows = _at(_read(sample, Choice(joints=column)), t_s, path.name)
+    fingers = by_rows.finger_width_m / 2
+    source = f"{path.name}, {by_rows.columns}"
+    if by_rows.q is not None:
+        return _of_joints(by_rows.q, fingers, source, model)
+    X_BH = (by_rows.X_BG if by_rows.X_BG is not None else np.empty((0, 4, 4))) @ invert(hand_from_tcp())
+    return RobotStates(q=np.full((len(X_BH), N_JOINTS), np.nan), X_BH=X_BH, finger_m=fingers, source=source)
+
+
+def unknown_states(frames: int) -> RobotStates:
+    """Nothing is known of the robot."""
+    nothing = np.full((frames, N_JOINTS), np.nan)
+    return RobotStates(
+        q=nothing, X_BH=np.full((frames, 4, 4), np.nan), finger_m=np.full(frames, np.nan), source="nothing"
+    )
+
+
+def _of_joints(q: Array, finger_m: Array, source: str, model: ArmModel) -> RobotStates:
+    known = np.isfinite(q).all(axis=1)
+    X_BH = model.poses(np.where(known[:, None], q, 0.0))[:, Part.HAND]
+    X_BH[~known] = np.nan
+    return RobotStates(q=q, X_BH=X_BH, finger_m=finger_m, source=source)
+
+
+def _read(sample: TrajectorySample, choice: Choice) -> Trajectory:
+    try:
+        return read_trajectory(sample, choice)
+    except InputError as error:
+        raise InputError(f"--joints {sample.video}: {error}") from None
+
+
+def _episode(samples: tuple[TrajectorySample, ...], path: Path, episode: str | None) -> TrajectorySample:
+    names = [sample.part or sample.id for sample in samples]
+    if episode is not None:
+        chosen = [s for s, name in zip(samples, names, strict=True) if episode in (name, name.removeprefix("traj_"))]
+    else:
+        chosen = list(samples)
+    if len(chosen) != 1:
+        told = f"no episode {episode}" if not chosen else f"{len(chosen)} episodes"
+        few = ", ".join(names[:8]) + (", ..." if len(names) > 8 else "")
+        raise UsageError(f"--joints {path}: holds {told}; name the video's own with --episode, one of {few}")
+    return chosen[0]
+
+
+def _at(trajectory: Trajectory, t_s: Array, name: str) -> Trajectory:
+    """A trajectory at the frames' times [s]; frames amid a gap, or beside an unknown row, are unknown.
+
+    Raises:
+        InputError: the video goes on before or after it.
+    """
+    own = trajectory.t_s - trajectory.t_s[0]
+    if t_s[-1] > own[-1] + _LATE_S:
+        raise InputError(
+            f"--joints {name}: {len(own)} rows over {own[-1]:.2f} s, but the video has {len(t_s)} frames over "
+            f"{t_s[-1]:.2f} s; expected a row a frame, or times t_s that cover the video (--frame-period SECONDS tells "
+            "the video's own)"
+        )
+    after = np.clip(np.searchsorted(own, t_s), 1, len(own) - 1)
+    step = own[after] - own[after - 1]
+    s = np.clip((t_s - own[after - 1]) / step, 0.0, 1.0)
+    near = step <= _MAX_GAP_S
+
+    def joined(values: Array) -> Array:
+        mixed = (1.0 - s)[:, None] * values[after - 1] + s[:, None] * values[after]
+        return np.where(near[:, None], mixed, np.nan)
+
+    q, X_BG = trajectory.q, trajectory.X_BG
+    if X_BG is not None:
+        X_BG = np.stack(
+            [
+                interpolate_pose(X_BG[k - 1], X_BG[k], float(part))
+                if ok and trajectory.tracked[[k - 1, k]].all()
+                else np.full((4, 4), np.nan)
+                for k, part, ok in zip(after, s, near, strict=True)
+            ]
+        )
+    return replace(
+        trajectory,
+        t_s=t_s,
+        q=None if q is None else joined(q),
+        X_BG=X_BG,
+        tracked=near & trajectory.tracked[after - 1] & trajectory.tracked[after],
+        finger_width_m=joined(trajectory.finger_width_m[:, None])[:, 0],
+    )

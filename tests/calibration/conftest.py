@@ -1,0 +1,14 @@
+import pytest
+
+from kinebench_drake.camera import Camera, benchmark_camera
+from kinebench_drake.grounding.arm import ArmModel
+
+
+@pytest.fixture(scope="session")
+def model() -> ArmModel:
+    return ArmModel()
+
+
+@pytest.fixture
+def camera() -> Camera:
+    return benchmark_camera()

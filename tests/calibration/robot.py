@@ -1,0 +1,70 @@
+"""A robot seen by a perfect network: points of its parts where a known camera shows them."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from kinebench_drake.calibration.look import Look
+from kinebench_drake.calibration.sightings import Sightings, points
+from kinebench_drake.camera import Camera
+from kinebench_drake.geometry import Array, invert, transform_points
+from kinebench_drake.grounding.arm import ArmModel
+from kinebench_drake.models.panda.part import OPENING_SIGN, Part
+from kinebench_drake.models.panda.robot import rest_q
+
+SEEN = (Part.HAND, Part.LEFT_FINGER, Part.RIGHT_FINGER, Part.LINK0, Part.LINK2, Part.LINK4, Part.LINK6, Part.LINK7)
+
+
+def postures(frames: int, *, reach: float = 0.25, seed: int = 0) -> Array:
+    """Postures (T, 7) around the one in which ManiSkill's robot rests [rad]."""
+    return rest_q() + np.random.default_rng(seed).uniform(-reach, reach, (frames, 7))
+
+
+def seen_from(
+    camera: Camera,
+    q: Array,
+    model: ArmModel,
+    *,
+    parts: tuple[Part, ...] = SEEN,
+    finger_m: float = 0.01,
+    noise_px: float = 0.0,
+    cells: int = 12,
+) -> Sightings:
+    """What `camera` shows of the robot at postures `q` (T, 7), `cells` points of each part in each frame."""
+    rng = np.random.default_rng(1)
+    n = len(q) * len(parts) * cells
+    part = np.tile(np.repeat(np.array(parts, np.uint8), cells), len(q))
+    sightings = Sightings(
+        frame=np.repeat(np.arange(len(q)), len(parts) * cells),
+        uv_px=np.zeros((n, 2)),
+        part=part,
+        p_P=rng.uniform(-0.06, 0.06, (n, 3)),
+        sigma_m=np.full(n, 0.003),
+        opening_sign=np.array([OPENING_SIGN.get(Part(p), 0.0) for p in part]),
+        weight=np.full(n, 8.0 / cells),
+        repeats=np.ones(n),
+    )
+    p_B = points(sightings, model.poses(q), np.full(len(q), finger_m))
+    uv = camera.project(transform_points(invert(camera.X_BC), p_B))
+    sightings.uv_px[:] = uv + rng.normal(0.0, noise_px, uv.shape) if noise_px else uv
+    return sightings
+
+
+@dataclass
+class PerfectEye:
+    """Sees the robot where a camera shows it, whatever camera it is told."""
+
+    camera: Camera
+    q: Array
+    model: ArmModel
+    noise_px: float = 0.0
+
+    def look(self, frames, camera):
+        cells = seen_from(self.camera, self.q[frames[:, 0, 0, 0]], self.model, noise_px=self.noise_px)
+        T = len(frames)
+        return Look(
+            cells=cells,
+            finger_m=np.full(T, 0.01),
+            q=self.q[frames[:, 0, 0, 0]],
+            robot=np.zeros(frames.shape[1:3], dtype=bool),
+        )
