@@ -9,6 +9,7 @@ gap is told by their cells alone, for a mask shows it only from the front and th
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
 
 from kinebench_drake.geometry import Array, invert, transform_points
 from kinebench_drake.grounding.cells import Cells
@@ -93,9 +94,7 @@ class Outline:
 
 def _signed(mask: NDArray[np.bool_]) -> Array:
     """Distance (h, w) of each cell's centre from a mask's outline [cells], negative inside."""
-    outside = cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-    inside = cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-    return np.asarray(np.where(mask, 0.5 - inside, outside - 0.5), dtype=np.float64)
+    return np.asarray(np.where(mask, 0.5 - distance_transform_edt(mask), distance_transform_edt(~mask) - 0.5))
 
 
 def _slope(distance: Array) -> Array:
