@@ -11,6 +11,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 
 from kinebench_drake import doctor, stand_in
@@ -153,6 +154,8 @@ def _headless() -> list[str]:
 
 
 def _mend_cv2(clash: bool, say: Say) -> None:
+    if find_spec("pip") is None:
+        raise SetupError(f"this environment has no pip; `{sys.executable} -m ensurepip` brings it, then try again")
     with tempfile.TemporaryDirectory() as folder:
         wheels = [str(stand_in.write_wheel(Path(folder)))] if _needs_stand_in() else []
         if clash:

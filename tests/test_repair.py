@@ -140,6 +140,13 @@ def test_a_stand_in_that_pip_check_misses_is_put_in_without_network(
     assert "--no-index" in install
 
 
+def test_an_environment_without_pip_is_told_how_to_get_it(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(repair, "find_spec", lambda name: None)
+    _, lines = mend("cv2")
+    assert "-m ensurepip` brings it" in lines[-1]
+    assert machine.ran == []
+
+
 def test_dry_run_changes_nothing(machine: Machine) -> None:
     changed, lines = mend("cv2", "Open3D", dry_run=True)
     assert not changed
