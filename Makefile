@@ -2,7 +2,7 @@
 BIN := .venv/bin
 JOBS ?= 2
 
-.PHONY: demo test bench check setup format constraints clean
+.PHONY: demo test bench check setup wheel format constraints clean
 
 demo: setup
 	$(BIN)/kinebench-drake score examples/videos/manifest.jsonl --out demo-output --overlay
@@ -24,6 +24,13 @@ check: setup
 
 setup:
 	setup/install.sh
+
+# dist/kinebench_drake-*.whl. What an earlier build left would go into it, so that is deleted first.
+wheel: setup
+	rm -rf build
+	$(BIN)/python -m pip --disable-pip-version-check wheel --quiet --no-deps --wheel-dir dist .
+	rm -rf build
+	@ls dist/*.whl
 
 format:
 	$(BIN)/ruff format .

@@ -10,9 +10,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-SETUP = "run setup/install.sh again"
+from kinebench_drake import native
+
+FIX = "`kinebench-drake doctor --fix`"
+CLONE = "in a clone: delete .venv, run setup/install.sh"
 WEIGHTS = Path(__file__).parent / "models" / "perception"
 CV2_OWNERS = ("opencv-python", "opencv-python-headless", "opencv-contrib-python", "opencv-contrib-python-headless")
+NATIVE_CHECKS = ("native libraries", "Drake", "Open3D", "Vulkan device")
+"""Names of the checks that fail where native libraries are missing or torn."""
+CV2_CHECK = "cv2"
 PROBE_TIMEOUT_S = 120.0
 
 
@@ -40,15 +46,20 @@ def run_checks() -> list[Check]:
     Libraries that could crash are loaded in processes of their own.
     """
     return [
-        _check("Python", _python, "install Python 3.11 or 3.12, delete .venv and run setup/install.sh"),
-        _check("Drake", _drake, SETUP),
-        _check("torch", _torch, SETUP),
-        _check("Open3D", _open3d, SETUP),
-        _check("Vulkan device", _vulkan, f"{SETUP}; beside a broken NVIDIA driver with KINEBENCH_DRAKE_RENDER=cpu set"),
-        _check("cv2", _cv2, "delete .venv and run setup/install.sh"),
-        _check("video decoding", _video, f"{SETUP}: PyAV's wheel from the index brings the codecs"),
-        _check("Panda URDF", _panda, SETUP),
-        _check("perception weights", _weights, "restore models/perception/*.safetensors from the repository"),
+        _check("Python", _python, f"make a virtual environment with Python 3.11 or 3.12 and install into it; {CLONE}"),
+        _check("native libraries", _native, FIX),
+        _check("Drake", _drake, f"{FIX}; a damaged package: {_reinstall('drake')}"),
+        _check("torch", _torch, f"{_reinstall('torch')}; {CLONE}"),
+        _check("Open3D", _open3d, f"{FIX}; a damaged package: {_reinstall('open3d')}"),
+        _check("Vulkan device", _vulkan, f"{FIX}; beside a broken NVIDIA driver with KINEBENCH_DRAKE_RENDER=cpu set"),
+        _check(CV2_CHECK, _cv2, FIX),
+        _check("video decoding", _video, f"{_reinstall('av')}: PyAV's wheel from the index brings the codecs"),
+        _check("Panda URDF", _panda, f"{_reinstall('mani-skill')}; {CLONE}"),
+        _check(
+            "perception weights",
+            _weights,
+            "install kinebench-drake's wheel again; in a clone, restore models/perception/ from the repository",
+        ),
         _check("cache folder", _cache_folder, "set XDG_CACHE_HOME to a folder that you can write to"),
     ]
 
@@ -93,11 +104,24 @@ def _probe(code: str) -> str:
     return done.stdout.strip().splitlines()[-1]
 
 
+def _reinstall(package: str) -> str:
+    return f"`python -m pip install --force-reinstall --no-deps {package}`"
+
+
 def _python() -> str:
     version = ".".join(str(part) for part in sys.version_info[:3])
     if not (3, 11) <= sys.version_info[:2] < (3, 13):
         raise _BrokenError(f"{version}, expected 3.11 or 3.12")
     return version
+
+
+def _native() -> str:
+    """The libraries unpacked beside the environment, each loaded."""
+    wrong = _probe("from kinebench_drake import native\nprint(native.damage())")
+    if wrong != "None":
+        raise _BrokenError(wrong)
+    wanted = native.ROOT / "wanted.txt"
+    return f"unpacked: {', '.join(wanted.read_text().split())}" if wanted.is_file() else "all from the system"
 
 
 def _drake() -> str:
@@ -148,8 +172,8 @@ def _vulkan() -> str:
     )
 
 
-def _cv2() -> str:
-    """Two distributions that both own `cv2` overwrite each other's files: exactly one may, the one without a window."""
+def cv2_owners() -> list[str]:
+    """Names of the installed distributions that brought a `cv2`."""
     owners = []
     for name in CV2_OWNERS:
         try:
@@ -158,6 +182,12 @@ def _cv2() -> str:
             continue
         if any(file.parts[0] == "cv2" for file in files):
             owners.append(name)
+    return owners
+
+
+def _cv2() -> str:
+    """Two distributions that both own `cv2` overwrite each other's files: exactly one may, the one without a window."""
+    owners = cv2_owners()
     if owners != ["opencv-python-headless"]:
         raise _BrokenError(f"cv2 comes from {' and '.join(owners) or 'nowhere'}, expected opencv-python-headless alone")
     return f"{_probe('import cv2; print(cv2.__version__)')}, opencv-python-headless alone"

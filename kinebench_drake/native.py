@@ -1,11 +1,12 @@
 """Native libraries that wheels expect from the system: found beside the environment when the system lacks them.
 
-The set-up script unpacks Debian packages (Mesa's software Vulkan driver, libusb, ...) under `sys.prefix`, without
-touching the system, and writes one list of libraries a purpose. The lists are loaded here, before the module that
-needs them: the dynamic linker then finds each by its name, without LD_LIBRARY_PATH or a restart.
+The set-up script, native.sh beside this module, unpacks Debian packages (Mesa's software Vulkan driver, libusb, ...)
+under `sys.prefix`, without touching the system, and writes one list of libraries a purpose. The lists are loaded here,
+before the module that needs them: the dynamic linker then finds each by its name, without LD_LIBRARY_PATH or a restart.
 """
 
 import ctypes
+import json
 import os
 import sys
 import warnings
@@ -43,7 +44,9 @@ def _preload(purpose: str) -> None:
                 failed.append(library)
                 reason = str(error)
         if len(failed) == len(waiting):
-            raise SetupError(f"cannot load {failed[0].name} ({reason}); delete {ROOT} and run setup/install.sh again")
+            raise SetupError(
+                f"cannot load {failed[0].name} ({reason}); `kinebench-drake doctor --fix` unpacks it again"
+            )
         waiting = failed
 
 
@@ -99,6 +102,35 @@ def prepare_vulkan() -> str:
         for name in _DRIVER_VARIABLES:
             os.environ[name] = str(driver)
     return "cpu"
+
+
+def damage() -> str | None:
+    """What is wrong with the unpacked libraries; None where they are whole or there are none. Loads them all.
+
+    A torn library can crash the process that loads it: ask in a process of its own.
+    """
+    if not ROOT.exists():
+        return None
+    if not (ROOT / "wanted.txt").is_file():
+        return f"{ROOT} was never finished"
+    for purpose in ("drake", "open3d", "vulkan", "tcmalloc"):
+        for library in _listed(purpose):
+            if not library.is_file():
+                return f"{library.relative_to(ROOT)} is missing in {ROOT}"
+    driver = ROOT / "lavapipe.json"
+    if "mesa" in (ROOT / "wanted.txt").read_text().split():
+        try:
+            library = Path(json.loads(driver.read_text())["ICD"]["library_path"])
+        except (OSError, ValueError, KeyError, TypeError):
+            return f"{driver} cannot be read"
+        if not (library.is_file() and library.is_relative_to(ROOT)):
+            return f"{driver} names {library}: the environment was moved or copied"
+    try:
+        for purpose in ("drake", "open3d", "vulkan"):
+            _preload(purpose)
+    except SetupError as error:
+        return str(error)
+    return None
 
 
 def allocator() -> Path | None:

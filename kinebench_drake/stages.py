@@ -139,7 +139,9 @@ def load_stages(path: str, options: StageOptions) -> Stages:
     module, _, name = path.partition(":")
     try:
         return cast(Stages, getattr(importlib.import_module(module), name)(options))
-    except (ImportError, AttributeError) as error:
-        raise SetupError(f"cannot load {path} ({error}); `kinebench-drake doctor` tells what is missing") from None
+    except (ImportError, OSError, AttributeError) as error:
+        raise SetupError(
+            f"cannot load {path} ({error}); `kinebench-drake doctor --fix` mends what is missing, or tells how"
+        ) from None
     except InputError as error:
         raise UsageError(f"--robot and --tcp-frame: {error}") from None

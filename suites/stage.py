@@ -3,7 +3,9 @@
 The module loads sapien and mani_skill only when a `Stage` is made.
 """
 
-from collections.abc import Collection, Mapping
+import re
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import Enum
 from types import TracebackType
@@ -14,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from kinebench_drake.camera import Camera, benchmark_camera
-from kinebench_drake.errors import UsageError
+from kinebench_drake.errors import SetupError, UsageError
 from kinebench_drake.geometry import Array, from_quaternion, invert
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.models.panda.part import LINK_OF, Part
@@ -32,6 +34,25 @@ ROBOTS = ("panda", "panda_wristcam")
 """Robots of ManiSkill that the experts know."""
 
 _FINGER_RANGE_M = (-0.01, 0.04)  # of one finger joint's target, for actions -1 and 1 (ManiSkill's Panda)
+
+
+@contextmanager
+def _named_causes() -> Iterator[None]:
+    """Tell what to do about a missing library or driver; other errors pass."""
+    try:
+        yield
+    except ImportError as error:
+        raise SetupError(
+            f"ManiSkill cannot be loaded ({error}); `kinebench-drake doctor --fix` mends what is missing, or tells how"
+        ) from error
+    except RuntimeError as error:  # SAPIEN's, with Vulkan's own name for what is wrong
+        reason = str(error).split("\n")[0]
+        if not re.search(r"\bvk::|vulkan|render", reason, re.IGNORECASE):
+            raise
+        raise SetupError(
+            f"Vulkan does not work ({reason}); `kinebench-drake doctor --fix` unpacks a driver that renders on the CPU "
+            "where one is missing"
+        ) from error
 
 
 class Control(Enum):
@@ -114,12 +135,13 @@ class Stage:
 
         Raises:
             UsageError: there is no such task or variant.
-            SetupError: no Vulkan driver can be loaded.
+            SetupError: sapien, mani_skill or a Vulkan driver is missing or cannot be loaded.
         """
         backend = prepare_vulkan() if renders else "none"
-        import sapien
+        with _named_causes():
+            import sapien
 
-        from kinebench_drake.suites.tasks.environment import CAMERA, X_WB, KineBenchEnv
+            from kinebench_drake.suites.tasks.environment import CAMERA, X_WB, KineBenchEnv
 
         plant = ArmPlant()
         self.joint_limits = (plant.lower, plant.upper)
@@ -128,17 +150,18 @@ class Stage:
         self.task = find_task(task, variant)
         self._pose_class = sapien.Pose
         self._camera_name, self._X_BW = CAMERA, invert(X_WB)
-        self._env: Any = KineBenchEnv(
-            task=task,
-            obs_mode="none",
-            reward_mode="none",
-            control_mode=control.value,
-            robot_uids=robot,
-            sim_backend="cpu",
-            render_backend=backend,
-            camera=self.camera,
-            variant=variant.value,
-        )
+        with _named_causes():
+            self._env: Any = KineBenchEnv(
+                task=task,
+                obs_mode="none",
+                reward_mode="none",
+                control_mode=control.value,
+                robot_uids=robot,
+                sim_backend="cpu",
+                render_backend=backend,
+                camera=self.camera,
+                variant=variant.value,
+            )
 
     def __enter__(self) -> "Stage":
         return self

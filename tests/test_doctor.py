@@ -138,7 +138,7 @@ def test_cache_folder_is_the_one_that_is_used(monkeypatch: pytest.MonkeyPatch, t
 @pytest.mark.sapien
 def test_everything_works_after_the_set_up() -> None:
     checks = doctor.run_checks()
-    assert len({check.name for check in checks}) == len(checks) == 10
+    assert len({check.name for check in checks}) == len(checks) == 11
     assert all(check.found and check.fix for check in checks)
     failed = [f"{check.name}: {check.found}" for check in checks if not check.ok]
     assert failed == []

@@ -1,4 +1,5 @@
 import ctypes.util
+import json
 import os
 import shutil
 import subprocess
@@ -85,7 +86,7 @@ def test_nvidia_driver_without_a_device_is_not_used(root: Path) -> None:
 def test_unloadable_library_names_the_library_and_the_fix(root: Path) -> None:
     (root / "libbroken.so").write_bytes(b"not a library")
     (root / "vulkan.txt").write_text("libbroken.so\n")
-    with pytest.raises(SetupError, match=r"libbroken\.so.*setup/install\.sh"):
+    with pytest.raises(SetupError, match=r"libbroken\.so.*doctor --fix"):
         native.prepare_vulkan()
 
 
@@ -103,6 +104,48 @@ def test_preloaded_libraries_are_found_by_name_in_any_order(root: Path) -> None:
     native._preload("open3d")
     assert "libkbuser.so" in Path("/proc/self/maps").read_text()
     assert ctypes.CDLL(str(root / "libkbuser.so")).user() == 42
+
+
+@pytest.fixture
+def unpacked(root: Path) -> Path:
+    """What native.sh leaves where only the driver is missing; here the driver is a library that can be loaded."""
+    (root / "driver.c").write_text("int driver(void) { return 1; }")
+    subprocess.run(["cc", "-shared", "-fPIC", "driver.c", "-o", "libdriver.so"], cwd=root, check=True)
+    (root / "lavapipe.json").write_text(json.dumps({"ICD": {"library_path": str(root / "libdriver.so")}}))
+    (root / "vulkan.txt").write_text("libdriver.so\n")
+    (root / "wanted.txt").write_text("mesa\ntcmalloc\n")
+    return root
+
+
+def test_nothing_unpacked_is_not_damaged(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(native, "ROOT", root / "none")
+    assert native.damage() is None
+
+
+@NEEDS_COMPILER
+def test_what_native_sh_leaves_is_whole(unpacked: Path) -> None:
+    assert native.damage() is None
+
+
+@NEEDS_COMPILER
+@pytest.mark.parametrize(
+    ("file", "content", "message"),
+    [
+        ("wanted.txt", None, "never finished"),
+        ("libdriver.so", None, "libdriver.so is missing"),
+        ("libdriver.so", "torn", "cannot load libdriver.so"),
+        ("tcmalloc.txt", "usr/libtcmalloc.so", "usr/libtcmalloc.so is missing"),
+        ("lavapipe.json", None, "lavapipe.json cannot be read"),
+        ("lavapipe.json", "{}", "lavapipe.json cannot be read"),
+        ("lavapipe.json", json.dumps({"ICD": {"library_path": "/gone/x.so"}}), "moved or copied"),
+        ("lavapipe.json", json.dumps({"ICD": {"library_path": "/bin/sh"}}), "moved or copied"),
+    ],
+)
+def test_damage_is_named(unpacked: Path, file: str, content: str | None, message: str) -> None:
+    (unpacked / file).unlink(missing_ok=True)
+    if content is not None:
+        (unpacked / file).write_text(content)
+    assert message in (native.damage() or "whole")
 
 
 def test_allocator_is_the_listed_library(root: Path) -> None:

@@ -10,8 +10,11 @@ from pathlib import Path
 
 import pytest
 
+from kinebench_drake import stand_in
+
 REPOSITORY = Path(__file__).parent.parent
 SCRIPT = REPOSITORY / "setup" / "install.sh"
+NATIVE = REPOSITORY / "kinebench_drake" / "native.sh"
 
 
 def pinned() -> dict[str, str]:
@@ -24,10 +27,11 @@ def normal(name: str) -> str:
     return re.sub(r"[-_.]+", "-", name).lower()
 
 
-def run_functions(code: str, *, folder: Path, path: str = "") -> subprocess.CompletedProcess[str]:
-    """Run code with the script's functions, but not its steps, in a folder of its own."""
-    text = SCRIPT.read_text()
-    functions = text[: text.index('\n[ "$(uname -sm)"')]
+def run_functions(
+    code: str, *, folder: Path, path: str = "", script: Path = SCRIPT
+) -> subprocess.CompletedProcess[str]:
+    """Run code with a script's functions, but not its steps, in a folder of its own."""
+    functions = script.read_text().split("\n# --- Steps ---")[0]
     functions = functions.replace('cd "$(dirname "${BASH_SOURCE[0]}")/.."', f'cd "{folder}"')
     return subprocess.run(
         ["bash", "-c", f"{functions}\n{code}"],
@@ -60,12 +64,11 @@ def test_pins_are_plain_versions() -> None:
 
 def test_the_pin_of_opencv_python_is_met_by_the_stand_in_alone() -> None:
     """No index has the stand-in's version."""
-    stand_in = tomllib.loads((REPOSITORY / "setup" / "opencv-python" / "pyproject.toml").read_text())["project"]
-    assert pinned()["opencv-python"] == stand_in["version"] == "4.99.0"
-    assert stand_in["dependencies"] == ["opencv-python-headless"]
+    assert pinned()["opencv-python"] == stand_in.VERSION == "4.99.0"
+    assert f"opencv-python=={stand_in.VERSION}" in (REPOSITORY / "setup" / "freeze.sh").read_text()
 
 
-@pytest.mark.parametrize("script", [SCRIPT, REPOSITORY / "setup" / "freeze.sh", REPOSITORY / ".ci" / "run"])
+@pytest.mark.parametrize("script", [SCRIPT, NATIVE, REPOSITORY / "setup" / "freeze.sh", REPOSITORY / ".ci" / "run"])
 def test_scripts_parse_and_run(script: Path) -> None:
     assert os.access(script, os.X_OK)
     subprocess.run(["bash", "-n", str(script)], check=True)
@@ -125,7 +128,9 @@ Signed-By: /k.gpg
 )
 def test_backports_come_from_the_machines_own_mirror(tmp_path: Path, name: str, text: str, added: str) -> None:
     (tmp_path / name).write_text(text)
-    done = run_functions(f"with_suite bookworm bookworm-backports {name}", folder=tmp_path)
+    done = run_functions(
+        f"cd {tmp_path}; with_suite bookworm bookworm-backports {name}", folder=tmp_path, script=NATIVE
+    )
     assert done.stdout.splitlines().count(added) == 1, done
     kept = [line for line in done.stdout.splitlines() if line != added]
     assert kept == [line for line in text.splitlines() if not (name.endswith("sources") and line.startswith("Suites"))]
@@ -134,7 +139,8 @@ def test_backports_come_from_the_machines_own_mirror(tmp_path: Path, name: str, 
 def test_sources_with_backports_stay_as_they_are(tmp_path: Path) -> None:
     text = ONE_LINE + "deb http://mirror.example/debian bookworm-backports main\n"
     (tmp_path / "a.list").write_text(text)
-    assert run_functions("with_suite bookworm bookworm-backports a.list", folder=tmp_path).stdout == text
+    code = f"cd {tmp_path}; with_suite bookworm bookworm-backports a.list"
+    assert run_functions(code, folder=tmp_path, script=NATIVE).stdout == text
 
 
 APT_CACHE = """
@@ -150,7 +156,8 @@ def fetch(tmp_path: Path, mesa: str, names: str) -> subprocess.CompletedProcess[
     command(tmp_path / "bin", "apt-get", f'echo "$*" >>"{tmp_path}/asked"')
     command(tmp_path / "bin", "apt-cache", APT_CACHE.format(mesa=mesa))
     command(tmp_path / "bin", "dpkg", '[ "$1" != --compare-versions ] || exec /usr/bin/dpkg "$@"')
-    return run_functions(f"work={tmp_path}/work; fetch_libraries {names}", folder=tmp_path, path=str(tmp_path / "bin"))
+    code = f"work={tmp_path}/work; fetch_libraries {names}"
+    return run_functions(code, folder=tmp_path, path=str(tmp_path / "bin"), script=NATIVE)
 
 
 @pytest.mark.skipif(not Path("/usr/bin/dpkg").exists(), reason="needs a Debian family system")
@@ -183,8 +190,101 @@ def test_nothing_shipped_names_a_machine() -> None:
     """Set-up files hold no mirror, no registry host and no absolute home path."""
     for file in (
         SCRIPT,
+        NATIVE,
         REPOSITORY / "setup" / "freeze.sh",
         REPOSITORY / "setup" / "constraints.txt",
         REPOSITORY / "Makefile",
     ):
         assert not re.search(r"https?://|/root/|/home/", file.read_text()), file
+
+
+LACKS = """
+site={folder}/site prefix={folder}/env python=python3
+native=$prefix/share/kinebench_drake/native
+mkdir -p $prefix $site
+roots() {{ :; }}
+missing() {{ [ -n "$1" ] || printf '{missing}'; }}
+has_vulkan_driver() {{ true; }}
+damage() {{ [ ! -e $native/torn ] || echo "it is torn"; }}
+ldd() {{ :; }}
+fetch_libraries() {{
+    echo "fetched $*"
+    mkdir -p "$root"/usr/x86_64-linux-gnu
+    touch "$root"/usr/x86_64-linux-gnu/lib.so
+}}
+"""
+
+
+def install_native(folder: Path, missing: str, option: str = "", before: str = "") -> subprocess.CompletedProcess[str]:
+    """Run native.sh's main step on a system that lacks some libraries, its downloads imitated."""
+    code = f"{LACKS.format(folder=folder, missing=missing)}{before}\ninstall_native '{option}'"
+    return run_functions(code, folder=folder, script=NATIVE)
+
+
+def unpacked(folder: Path, *names: str) -> Path:
+    native = folder / "env" / "share" / "kinebench_drake" / "native"
+    native.mkdir(parents=True)
+    (native / "wanted.txt").write_text("".join(f"{name}\n" for name in names))
+    (native / "old").touch()
+    return native
+
+
+def test_what_is_missing_is_unpacked_once(tmp_path: Path) -> None:
+    done = install_native(tmp_path, "libusb-1.0.so.0")
+    assert done.returncode == 0, done.stderr
+    assert "fetched libusb-1.0.so.0 tcmalloc" in done.stdout
+    native = tmp_path / "env" / "share" / "kinebench_drake" / "native"
+    assert (native / "wanted.txt").read_text() == "libusb-1.0.so.0\ntcmalloc\n"
+    assert [p.name for p in (tmp_path / "env").iterdir()] == ["share"]  # no temporary folder is left
+    assert install_native(tmp_path, "libusb-1.0.so.0").stdout == "==> Native libraries: all there, nothing to do\n"
+
+
+@pytest.mark.parametrize(("option", "torn"), [("", True), ("--anew", False)])
+def test_what_is_torn_is_made_anew(tmp_path: Path, option: str, torn: bool) -> None:
+    native = unpacked(tmp_path, "libusb-1.0.so.0", "tcmalloc")
+    if torn:
+        (native / "torn").touch()
+    done = install_native(tmp_path, "libusb-1.0.so.0", option)
+    assert f"Replacing {native}" in done.stdout
+    assert "fetched" in done.stdout
+    assert not (native / "old").exists()
+
+
+def test_what_is_torn_stays_until_there_is_better(tmp_path: Path) -> None:
+    native = unpacked(tmp_path, "libusb-1.0.so.0")
+    done = install_native(tmp_path, "libusb-1.0.so.0", "--anew", "fetch_libraries() { stop 'no network'; }")
+    assert (done.returncode, done.stderr) == (1, "setup: no network\n")
+    assert (native / "old").exists()
+
+
+def test_a_torn_folder_that_nothing_needs_goes(tmp_path: Path) -> None:
+    native = unpacked(tmp_path, "libusb-1.0.so.0")
+    (native / "torn").touch()
+    done = install_native(tmp_path, "")
+    assert (done.returncode, native.exists(), "fetched" in done.stdout) == (0, False, False)
+
+
+def test_a_plan_changes_nothing(tmp_path: Path) -> None:
+    native = unpacked(tmp_path, "libusb-1.0.so.0")
+    done = install_native(tmp_path, "libusb-1.0.so.0", "--plan")
+    assert done.stdout.splitlines()[:2] == [
+        f"delete {native}",
+        f"unpack libusb-1.0.so.0 below {native} (package libusb-1.0-0)",
+    ]
+    assert (native / "old").exists()
+
+
+def test_a_system_without_apt_is_told_what_to_install(tmp_path: Path) -> None:
+    before = 'command() { [ "$2" != apt-get ] && builtin command "$@"; }'
+    done = install_native(tmp_path, "libusb-1.0.so.0", "--plan", before)
+    assert done.returncode == 1
+    assert done.stderr.startswith("setup: this system has no apt-get; install by its own means")
+    assert done.stderr.endswith("libusb-1.0.so.0\n")
+
+
+def test_native_sh_names_packages_that_are_missing(tmp_path: Path) -> None:
+    command(tmp_path / "bin", "python", f"echo {tmp_path}/env; echo {tmp_path}/site")
+    done = subprocess.run([NATIVE, tmp_path / "bin" / "python"], capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert "holds no pydrake" in done.stderr
+    assert "-m pip install kinebench-drake" in done.stderr

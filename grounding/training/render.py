@@ -68,7 +68,8 @@ def render(folder: Path, seeds: Iterable[int], jobs: int, report: Callable[[str]
         except queue.Empty as error:
             if any(w.exitcode not in (None, 0) for w in workers):
                 raise SetupError(
-                    f"rendering stopped after {finished} of {len(missing)} scenes; `kinebench-drake doctor` tells why"
+                    f"rendering stopped after {finished} of {len(missing)} scenes; `kinebench-drake doctor` tells why, "
+                    "with --fix it mends the Vulkan driver"
                 ) from error
             continue
         if seed is None:

@@ -12,6 +12,7 @@ from kinebench_drake.models.perception.network import GripperNetwork
 
 WEIGHTS = Path(__file__).with_name("gripper.safetensors")
 """Weights shipped with the package, in half precision."""
+_HOW = "install kinebench-drake again, which brings its own, or train others with `kinebench-drake perception train`"
 
 
 def load_network(path: Path = WEIGHTS) -> GripperNetwork:
@@ -24,14 +25,14 @@ def load_network(path: Path = WEIGHTS) -> GripperNetwork:
     from safetensors.torch import load_file
 
     if not path.is_file():
-        raise SetupError(f"{path.name}: no such weights; train them with `kinebench-drake perception train`")
+        raise SetupError(f"{path.name}: no such weights; {_HOW}")
     network = GripperNetwork()
     try:
         state = load_file(path)
         network.load_state_dict({k: v.float() if v.dtype.is_floating_point else v for k, v in state.items()})
     except (SafetensorError, RuntimeError) as error:
         first = str(error).splitlines()[0]
-        raise SetupError(f"{path.name}: not weights of this network ({first}); train or fetch them again") from None
+        raise SetupError(f"{path.name}: not weights of this network ({first}); {_HOW}") from None
     return network.eval()
 
 

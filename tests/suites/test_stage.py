@@ -1,0 +1,27 @@
+"""What a stage says where the machine cannot render."""
+
+import pytest
+
+from kinebench_drake.errors import SetupError
+from kinebench_drake.suites.stage import _named_causes
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        RuntimeError("vk::createInstanceUnique: ErrorIncompatibleDriver"),
+        RuntimeError("failed to find a rendering device"),
+        ImportError("libX11.so.6: cannot open shared object file"),
+    ],
+)
+def test_a_missing_driver_or_library_names_its_cure(error: Exception) -> None:
+    with pytest.raises(SetupError, match="doctor --fix") as caught, _named_causes():
+        raise error
+    assert str(error) in str(caught.value)
+
+
+@pytest.mark.parametrize("error", [RuntimeError("a joint is out of range"), ValueError("no vk:: at all")])
+def test_other_errors_pass(error: Exception) -> None:
+    with pytest.raises(type(error)) as caught, _named_causes():
+        raise error
+    assert caught.value is error

@@ -1,0 +1,253 @@
+"""`doctor --fix`, with an imitated pip and script: what is announced, what is done, what is left alone."""
+
+import importlib.metadata
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from kinebench_drake import doctor, repair, stand_in
+from kinebench_drake.cli.doctor import doctor as command
+from kinebench_drake.doctor import Check
+from kinebench_drake.errors import SetupError
+
+
+class Machine:
+    """Records what would be run; commands that contain a word of `fails` fail with its text."""
+
+    def __init__(self) -> None:
+        self.ran: list[list[str]] = []
+        self.fails: dict[str, str] = {}
+
+    def run(self, command: list[str], say: repair.Say) -> None:
+        self.ran.append(command)
+        for word, reason in self.fails.items():
+            if any(word in part for part in command):
+                raise SetupError(reason)
+        if "--plan" in command:
+            say("unpack mesa")
+        if "download" in command:
+            folder = Path(command[command.index("--dest") + 1])
+            folder.mkdir(exist_ok=True)
+            (folder / "opencv_python_headless-5.0-cp37.whl").touch()
+
+    def pip(self) -> list[list[str]]:
+        """What pip was asked for, without its general options."""
+        return [c[c.index("--quiet") + 1 :] for c in self.ran if "pip" in c]
+
+
+@pytest.fixture
+def machine(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Machine:
+    machine = Machine()
+    monkeypatch.setattr(repair, "_run", machine.run)
+    monkeypatch.setattr(sys, "prefix", str(tmp_path))
+    monkeypatch.setattr(sys, "base_prefix", "/usr")
+    monkeypatch.setattr(importlib.metadata, "requires", lambda name: ["click>=8", "opencv-python-headless>=4.10"])
+    owned(monkeypatch, opencv_python="4.13", opencv_python_headless="5.0")
+    return machine
+
+
+def owned(monkeypatch: pytest.MonkeyPatch, **versions: str) -> None:
+    """These distributions own a cv2 and lie in the environment; a stand-in alone owns none."""
+    names = {name.replace("_", "-"): version for name, version in versions.items()}
+    monkeypatch.setattr(repair, "_version", names.get)
+    monkeypatch.setattr(doctor, "cv2_owners", lambda: [n for n, v in names.items() if v != stand_in.VERSION])
+    monkeypatch.setattr(repair, "_removed", lambda: doctor.cv2_owners())
+
+
+def checks(*failed: str) -> list[Check]:
+    names = (*doctor.NATIVE_CHECKS, doctor.CV2_CHECK, "torch")
+    return [Check(name, name not in failed, "", "") for name in names]
+
+
+def mend(*failed: str, dry_run: bool = False) -> tuple[bool, list[str]]:
+    lines: list[str] = []
+    return repair.mend(checks(*failed), lines.append, dry_run=dry_run), lines
+
+
+def test_nothing_failed_is_nothing_to_do(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+    owned(monkeypatch, opencv_python=stand_in.VERSION, opencv_python_headless="5.0")
+    assert mend("torch") == (False, [])
+    assert machine.ran == []
+
+
+@pytest.mark.parametrize("name", doctor.NATIVE_CHECKS)
+def test_failed_native_checks_have_the_libraries_made_anew(
+    machine: Machine, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    owned(monkeypatch, opencv_python=stand_in.VERSION, opencv_python_headless="5.0")
+    changed, lines = mend(name)
+    assert changed
+    assert lines == [f"==> Native libraries, in {sys.prefix}", "    unpack mesa"]
+    script = str(repair.NATIVE_SCRIPT)
+    assert machine.ran == [["bash", script, sys.executable, option] for option in ("--plan", "--anew")]
+    assert Path(script).is_file()
+
+
+def test_checks_that_native_sh_mends_exist(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(doctor, "_check", lambda name, look, fix: Check(name, True, "", fix))
+    names = {check.name: check.fix for check in doctor.run_checks()}
+    assert {*doctor.NATIVE_CHECKS, doctor.CV2_CHECK} <= set(names)
+    assert all("doctor --fix" in names[name] for name in (*doctor.NATIVE_CHECKS, doctor.CV2_CHECK))
+
+
+def test_the_clash_over_cv2_is_mended_from_what_was_downloaded_first(machine: Machine) -> None:
+    changed, lines = mend("cv2")
+    assert changed
+    assert lines[1:] == [
+        "    remove opencv-python 4.13",
+        "    remove opencv-python-headless 5.0",
+        "    install opencv-python-headless>=4.10,==5.0, downloaded before anything is removed",
+        "    install a stand-in for opencv-python 4.99.0: metadata, no code",
+    ]
+    download, uninstall, install = machine.pip()
+    assert download[0] == "download"
+    assert download[-1] == "opencv-python-headless>=4.10,==5.0"
+    assert uninstall == ["uninstall", "--yes", "opencv-python", "opencv-python-headless"]
+    assert install[:4] == ["install", "--no-index", "--no-deps", "--force-reinstall"]
+    assert [Path(wheel).name.split("-")[0] for wheel in install[4:]] == ["opencv_python", "opencv_python_headless"]
+
+
+def test_a_version_that_cannot_be_had_gives_way_to_one_that_can(machine: Machine) -> None:
+    machine.fails = {"==5.0": "No matching distribution found"}
+    assert mend("cv2")[0]
+    assert [c[-1] for c in machine.pip() if c[0] == "download"][1:] == ["opencv-python-headless>=4.10"]
+    assert machine.pip()[-1][0] == "install"
+
+
+def test_without_network_nothing_is_removed(machine: Machine) -> None:
+    machine.fails = {"download": "Could not find a version"}
+    _, lines = mend("cv2")
+    assert {c[0] for c in machine.pip()} == {"download"}
+    assert "nothing was changed" in lines[-1]
+    assert "network" in lines[-1]
+
+
+def test_a_stand_in_that_pip_check_misses_is_put_in_without_network(
+    machine: Machine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    owned(monkeypatch, opencv_python_headless="5.0")
+    assert mend() == (
+        True,
+        [
+            f"==> cv2 from opencv-python-headless alone, in {sys.prefix}",
+            "    install a stand-in for opencv-python 4.99.0: metadata, no code",
+        ],
+    )
+    (install,) = machine.pip()
+    assert "--no-index" in install
+
+
+def test_an_environment_without_pip_is_told_how_to_get_it(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(repair, "find_spec", lambda name: None)
+    _, lines = mend("cv2")
+    assert "-m ensurepip` brings it" in lines[-1]
+    assert machine.ran == []
+
+
+def test_dry_run_changes_nothing(machine: Machine) -> None:
+    changed, lines = mend("cv2", "Open3D", dry_run=True)
+    assert not changed
+    assert [line[0] for line in lines].count("=") == 2
+    assert [c[-1] for c in machine.ran] == ["--plan"]
+
+
+def test_one_repair_that_fails_leaves_the_other(machine: Machine) -> None:
+    machine.fails = {"native.sh": "this system has no apt-get; install by its own means: mesa"}
+    changed, lines = mend("Vulkan device", "cv2")
+    assert changed
+    assert lines[1] == "    not mended: this system has no apt-get; install by its own means: mesa"
+    assert machine.pip()[-1][0] == "install"
+
+
+@pytest.mark.parametrize(
+    ("base", "writable", "message"), [("same", True, "no virtual environment"), ("/usr", False, "cannot be written to")]
+)
+def test_only_an_environment_of_ones_own_is_changed(
+    machine: Machine, monkeypatch: pytest.MonkeyPatch, base: str, writable: bool, message: str
+) -> None:
+    if base == "same":
+        monkeypatch.setattr(sys, "base_prefix", sys.prefix)
+    monkeypatch.setattr("os.access", lambda path, mode: writable)
+    with pytest.raises(SetupError, match=message):
+        mend("cv2")
+    assert machine.ran == []
+
+
+def test_a_conda_environment_is_one_and_its_base_is_not(
+    machine: Machine, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(sys, "base_prefix", sys.prefix)
+    (tmp_path / "conda-meta").mkdir()
+    assert mend("cv2")[0]
+    (tmp_path / "condabin").mkdir()
+    with pytest.raises(SetupError, match="no virtual environment"):
+        mend("cv2")
+
+
+def test_run_passes_lines_on_and_gives_the_last_as_the_reason() -> None:
+    lines: list[str] = []
+    repair._run(["bash", "-c", "echo '==> one'; echo two >&2"], lines.append)
+    assert lines == ["one", "two"]
+    with pytest.raises(SetupError, match=r"^no apt-get$"):
+        repair._run(["bash", "-c", "echo said; echo 'setup: no apt-get' >&2; exit 1"], lines.append)
+    assert lines == ["one", "two", "said"]
+    with pytest.raises(SetupError, match="exit status 3"):
+        repair._run(["bash", "-c", "exit 3"], lines.append)
+    with pytest.raises(SetupError, match="/no/bash cannot be started"):
+        repair._run(["/no/bash"], lines.append)
+
+
+def test_pip_is_kept_to_this_environment(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PIP_TARGET", "/elsewhere")
+    lines: list[str] = []
+    repair._run(["bash", "-c", "echo ${PIP_TARGET:-here}"], lines.append)
+    assert lines == ["here"]
+
+
+def test_distributions_of_other_places_are_left(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """A full opencv-python that the environment borrows from its base Python is not this environment's."""
+    for place in ("env", "usr"):
+        info = tmp_path / place / f"opencv_{'python' if place == 'usr' else 'contrib_python'}-4.0.dist-info"
+        info.mkdir(parents=True)
+        (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {info.name.split('-')[0]}\nVersion: 4.0\n")
+        (info / "RECORD").write_text("cv2/cv2.so,,\n")
+    monkeypatch.setattr(sys, "path", [str(tmp_path / "env"), str(tmp_path / "usr")])
+    monkeypatch.setattr(sys, "prefix", str(tmp_path / "env"))
+    assert doctor.cv2_owners() == ["opencv-python", "opencv-contrib-python"]
+    assert repair._removed() == ["opencv-contrib-python"]
+
+
+def test_the_stand_in_is_a_wheel_that_pip_takes(tmp_path: Path) -> None:
+    (tmp_path / "other").mkdir()
+    wheel, again = stand_in.write_wheel(tmp_path), stand_in.write_wheel(tmp_path / "other")
+    assert wheel.read_bytes() == again.read_bytes()
+    pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "-q", "install", "--no-index", "--no-deps"]
+    subprocess.run([*pip, "--target", str(tmp_path / "site"), str(wheel)], check=True)
+    (found,) = importlib.metadata.distributions(path=[str(tmp_path / "site")])
+    assert (found.name, found.version, found.requires) == ("opencv-python", "4.99.0", ["opencv-python-headless"])
+    assert [f for f in found.files or [] if ".dist-info" not in str(f)] == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "after", "code"), [(["--fix"], True, 0), (["--fix"], False, 1), (["--fix", "--dry-run"], True, 1)]
+)
+def test_the_exit_status_is_that_of_the_checks_afterwards(
+    machine: Machine, monkeypatch: pytest.MonkeyPatch, arguments: list[str], after: bool, code: int
+) -> None:
+    found = iter([checks("cv2"), checks() if after else checks("cv2")])
+    monkeypatch.setattr(doctor, "run_checks", lambda: next(found))
+    done = CliRunner().invoke(command, arguments)
+    assert done.exit_code == code
+    assert "remove opencv-python 4.13" in done.output
+    assert done.output.count("checks failed") + done.output.count("checks passed") == (
+        1 if "--dry-run" in arguments else 2
+    )
+
+
+def test_dry_run_alone_is_refused() -> None:
+    done = CliRunner().invoke(command, ["--dry-run"])
+    assert done.exit_code == 2
+    assert "--dry-run goes with --fix" in done.output
