@@ -184,7 +184,7 @@ def _times(video: Video, period_s: float | None) -> Array:
     if period_s is None and video.stamps_s is not None:
         return video.stamps_s
     period = period_s or (1.0 / video.fps if video.fps else 0.0)
-    return period * np.arange(len(video.frames), dtype=np.float64)
+    return np.asarray(period * np.arange(len(video.frames)), dtype=np.float64)
 
 
 def _guess(config: CalibrationConfig, intrinsics: Camera | None, width: int, height: int) -> Camera:
@@ -206,12 +206,12 @@ def _chosen(states: RobotStates, most: int) -> NDArray[np.intp]:
     if len(known) > 1:
         return _evenly(known, most)
     others = _evenly(np.setdiff1d(everything, known), min(most, MAX_MOVING_FRAMES) - len(known))
-    return np.union1d(known, others)
+    return np.asarray(np.union1d(known, others), dtype=np.intp)
 
 
 def _evenly(numbers: NDArray[np.intp], most: int) -> NDArray[np.intp]:
     places = np.linspace(0, len(numbers) - 1, min(most, len(numbers)))
-    return numbers[np.unique(places.round().astype(int))]
+    return np.asarray(numbers[np.unique(places.round().astype(int))], dtype=np.intp)
 
 
 def _camera_shift(frames: Frames, look: Look, camera: Camera) -> tuple[str, ...]:

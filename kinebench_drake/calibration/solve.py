@@ -59,7 +59,7 @@ def solve_known(
     finger_m = np.where(np.isfinite(states.finger_m), states.finger_m, look.finger_m)
     cells = look.cells.repeated(X_BP)
     p_B = points(cells, X_BP, finger_m)
-    there = np.isfinite(p_B).all(axis=1)
+    there = np.asarray(np.isfinite(p_B).all(axis=1))
     cells, p_B = cells.take(there), p_B[there]
     require_cells(cells)
     starts = consensus(cells, p_B, cameras)[:_STARTS]
@@ -90,7 +90,7 @@ def solve_moving(look: Look, states: RobotStates, start: Lens, model: ArmModel, 
     Raises:
         UnmeasurableError: the arm is seen in too few frames.
     """
-    known = np.isfinite(states.q).all(axis=1)
+    known = states.postured
     q = np.where(known[:, None], states.q, look.q)
     rows = np.flatnonzero(np.isfinite(q).all(axis=1))
     if len(rows) < MIN_MOVING_FRAMES:

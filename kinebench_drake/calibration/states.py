@@ -43,7 +43,12 @@ class RobotStates:
     @property
     def known(self) -> NDArray[np.bool_]:
         """(T,) frames of which at least the hand's pose is known."""
-        return np.isfinite(self.X_BH).all(axis=(1, 2))
+        return np.asarray(np.isfinite(self.X_BH).all(axis=(1, 2)))
+
+    @property
+    def postured(self) -> NDArray[np.bool_]:
+        """(T,) frames of which the joint angles are known."""
+        return np.asarray(np.isfinite(self.q).all(axis=1))
 
     def take(self, frames: NDArray[np.intp]) -> "RobotStates":
         """The states of some frames."""
@@ -51,7 +56,7 @@ class RobotStates:
 
     def part_poses(self, model: ArmModel) -> Array:
         """(T, PARTS, 4, 4) frames of the parts' CAD coordinates in B [m]; NaN where not known."""
-        known = np.isfinite(self.q).all(axis=1)
+        known = self.postured
         X = model.poses(np.where(known[:, None], self.q, 0.0))
         X[~known] = np.nan
         X[:, Part.LINK0] = np.eye(4)
@@ -143,7 +148,7 @@ def unknown_states(frames: int) -> RobotStates:
 
 
 def _of_joints(q: Array, finger_m: Array, source: str, model: ArmModel) -> RobotStates:
-    known = np.isfinite(q).all(axis=1)
+    known = np.asarray(np.isfinite(q).all(axis=1))
     X_BH = model.poses(np.where(known[:, None], q, 0.0))[:, Part.HAND]
     X_BH[~known] = np.nan
     return RobotStates(q=q, X_BH=X_BH, finger_m=finger_m, source=source)
