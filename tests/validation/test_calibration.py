@@ -1,0 +1,50 @@
+import json
+
+import numpy as np
+import pytest
+
+from kinebench_drake.calibration.calibration import Method
+from kinebench_drake.camera import benchmark_camera
+from kinebench_drake.errors import UsageError
+from kinebench_drake.geometry import invert
+from kinebench_drake.grounding.arm import ArmModel
+from kinebench_drake.models.panda.part import Part
+from kinebench_drake.validation.calibration import CONDITIONS, Condition, measure, table
+from tests.calibration.robot import PerfectEye, postures
+
+T = 5
+
+
+@pytest.fixture
+def eye():
+    return PerfectEye(benchmark_camera(), postures(T), ArmModel())
+
+
+@pytest.fixture
+def folder(tmp_path, eye):
+    frames = np.zeros((T, 384, 384, 3), np.uint8)
+    frames[:, 0, 0, 0] = np.arange(T)
+    np.save(tmp_path / "a.npy", frames)
+    (tmp_path / "manifest.jsonl").write_text(json.dumps({"video": "a.npy", "task": "PullCube-v1"}) + "\n")
+    eye.camera.save(tmp_path / "camera.json")
+    (tmp_path / "truth").mkdir()
+    X_CH = invert(eye.camera.X_BC) @ eye.model.poses(eye.q)[:, Part.HAND]
+    np.savez(tmp_path / "truth" / "a.npz", q=eye.q, finger_width_m=np.full(T, 0.02), camera_from_hand=X_CH)
+    return tmp_path
+
+
+def test_a_perfect_picture_is_measured_without_an_error(folder, eye):
+    conditions = [c for c in CONDITIONS if not c.zoom_free]
+    trials = list(measure(folder, limit=None, frames=T, conditions=conditions, eye=eye))
+    assert [t.condition for t in trials] == conditions
+    for trial in trials:
+        told = trial.condition.method in (Method.JOINTS, Method.POSES)
+        assert trial.distance_m < (1e-5 if told else 5e-3)
+    assert len(table(trials)) == 2 + len(conditions)
+
+
+def test_a_folder_without_joint_angles_is_refused(folder, eye):
+    np.savez(folder / "truth" / "a.npz", finger_width_m=np.zeros(T))
+    condition = Condition(method=Method.JOINTS, zoom_free=False)
+    with pytest.raises(UsageError, match="holds no joint angles"):
+        next(measure(folder, limit=None, frames=T, conditions=[condition], eye=eye))
