@@ -10,6 +10,7 @@ import click
 import pytest
 
 from kinebench_drake.cli import cli
+from kinebench_drake.validation.__main__ import main as validation
 
 ROOT = Path(__file__).parent.parent
 PAGES = [
@@ -20,8 +21,6 @@ PAGES = [
 ]
 SCRIPTS = [*sorted((ROOT / "examples").glob("*.py")), *sorted((ROOT / "examples" / "cluster").iterdir())]
 PROGRAM = "kinebench-drake"
-OTHERS = {"--kind", "--noise-mm"}
-"""Options of `python -m kinebench_drake.validation`."""
 
 
 @pytest.fixture
@@ -117,7 +116,7 @@ def test_command_lines_can_be_parsed(page):
 
 @pytest.mark.parametrize("page", PAGES, ids=name)
 def test_commands_and_options_in_prose_exist(page):
-    known = all_options() | OTHERS
+    known = all_options() | all_options(validation)
     for span in spans(page.read_text()):
         words = re.findall(r"[^\s=\[\]|/]+", span)
         if span.startswith(PROGRAM):
