@@ -6,9 +6,7 @@ by inventing pixels: bars are cut off, and all else is a change of the camera's 
 
 from dataclasses import dataclass, replace
 from enum import Enum
-from typing import TypeVar
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,7 +15,6 @@ from kinebench_drake.geometry import Array
 
 SQUARE = 0.01
 """Scales along x and y that differ by no more, relatively, are one scale (`Camera.resized` allows as much)."""
-ImageType = TypeVar("ImageType", np.uint8, np.bool_)
 _PART_PX = 0.75  # bars and crops of less are rounding
 
 
@@ -139,24 +136,6 @@ class Framing:
         if (rows.stop - rows.start, columns.stop - columns.start) == frames.shape[1:3]:
             return frames
         return np.ascontiguousarray(frames[:, rows, columns])
-
-    def restored(self, images: NDArray[ImageType]) -> NDArray[ImageType]:
-        """Images (T, h, w, ...) without their bars in the shape of the picture; 0 where it was cropped.
-
-        They get the larger of the two scales, so that nothing of them is lost.
-        """
-        rows, columns = self.window
-        scale = max(self.scale_x, self.scale_y)
-        size = round(self.picture_width * scale), round(self.picture_height * scale)
-        if not self.changes and size == (images.shape[2], images.shape[1]):
-            return images
-        M = self.map - [[0.0, 0.0, columns.start], [0.0, 0.0, rows.start]]
-        M[:, :2] /= scale
-        M[:, 2] += 0.5 * np.diag(M) - 0.5  # OpenCV's centres are integers
-        smooth = images.dtype != np.bool_
-        flags = (cv2.INTER_LINEAR if smooth else cv2.INTER_NEAREST) | cv2.WARP_INVERSE_MAP
-        source = images if smooth else images.astype(np.uint8)
-        return np.stack([cv2.warpAffine(image, M, size, flags=flags) for image in source]).astype(images.dtype)
 
     def mapped(self, scale: Array, offset: Array) -> "Framing":
         """The same picture in the same video at other scales (2,) and offsets (2,) [px]."""

@@ -12,6 +12,7 @@ from kinebench_drake.errors import InputError, UnmeasurableError, UsageError
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.known import FirstFrame, Known
 from kinebench_drake.grounding.reframing import find_framing
+from kinebench_drake.grounding.unframing import unframed
 from kinebench_drake.grounding.video import read_video
 from kinebench_drake.products import GripperTrack
 from kinebench_drake.stages import Grounded, Stages
@@ -169,8 +170,8 @@ class ClosedLoop:
             execution = execute(stage, commands, options.control)
         return Round(
             video=video,
-            frames=framing.restored(shown),
-            robot=framing.restored(grounded.robot),
+            frames=unframed(framing, shown),
+            robot=unframed(framing, grounded.robot),
             grounded=grounded,
             commands=commands,
             refusal=refusal,

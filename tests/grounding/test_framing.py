@@ -12,6 +12,7 @@ from kinebench_drake.grounding.framing import Change, Framing, Witness
 from kinebench_drake.grounding.known import GivenDepth, Known
 from kinebench_drake.grounding.placement import letterboxes, placements
 from kinebench_drake.grounding.reframing import find_framing
+from kinebench_drake.grounding.unframing import unframed
 
 SIZES = [(832, 480), (720, 480), (512, 512), (480, 832)]
 CAMERA = benchmark_camera()
@@ -71,10 +72,10 @@ def test_the_first_frame_tells_how_a_video_was_made(size, framing):
 
 
 @pytest.mark.parametrize("framing", [framing for _, framing in all_framings()])
-def test_restored_a_video_shows_the_picture_again(framing):
+def test_unframed_a_video_shows_the_picture_again(framing):
     frames = framing.cut(shown(framing, frames=1))
-    restored = framing.restored(frames)[0]
-    inside = framing.restored(np.ones(frames.shape[:3], bool))[0]
+    restored = unframed(framing, frames)[0]
+    inside = unframed(framing, np.ones(frames.shape[:3], bool))[0]
     picture = cv2.resize(PICTURE, restored.shape[1::-1], interpolation=cv2.INTER_AREA)
     assert (inside.mean() < 0.98) == (Change.CROP in framing.changes)
     inside = cv2.erode(inside.astype(np.uint8), np.ones((5, 5))) > 0
