@@ -19,7 +19,9 @@ class FramePose:
     finger_sigma_m: float
     """Its standard deviation [m]."""
     fit: Fit
-    """The hand by itself."""
+    """The hand by itself, without its arm."""
+    by_cells: Fit
+    """The same without its outline, which would draw it along where the gripper is deformed."""
     arm: ArmFit | None
     """The arm that goes with it; None where too little is seen of it."""
     view: GripperView

@@ -126,9 +126,10 @@ class CadTracker:
         self, view: GripperView, wide: GripperView, arm_fitter: ArmFitter, known: Known, number: int
     ) -> FramePose | None:
         given = known.pose(number)
-        hand = fit(view, X_CH=given, finger_m=known.finger_m(number))
-        if hand is None:
+        by_cells = fit(view, X_CH=given, finger_m=known.finger_m(number))
+        if by_cells is None:
             return None
+        hand = by_cells
         free = given is None
         rim = self._outline.rim(view, hand.X_CH, drawn(hand.finger_m)) if free and not known.exact else None
         if rim is not None:
@@ -144,6 +145,7 @@ class CadTracker:
             finger_m=best.finger_m,
             finger_sigma_m=best.finger_sigma_m,
             fit=hand,
+            by_cells=by_cells,
             arm=arm,
             view=view,
             overlap=self._outline.overlap(view, X_CH, drawn(best.finger_m)),

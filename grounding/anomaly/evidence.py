@@ -112,7 +112,9 @@ def gather(
             width[i] = 2 * pose.finger_m if sigma_m <= SEEN_M else np.nan
             side = abs(float(pose.X_CH[:3, 1] @ p_C[i])) / float(np.linalg.norm(p_C[i]))
             if side <= SHAPE_SIDE:
-                misfit[i] = shape_misfit(pose.view, pose.fit.X_CH, pose.fit.finger_m if sigma_m <= SHARP_M else np.nan)
+                hand = pose.by_cells
+                sharp = 2 * hand.finger_sigma_m <= SHARP_M
+                misfit[i] = shape_misfit(pose.view, hand.X_CH, hand.finger_m if sharp else np.nan)
             if side <= SIZE_SIDE and pose.arm is not None and confidence[i] >= GOOD_CONFIDENCE:
                 scale[i] = pose.arm.scale
     other = [

@@ -20,7 +20,16 @@ def pose(cad: GripperCad) -> FramePose:
     view = perfect_view(cad, hand_pose(1))
     found = fit(view)
     assert found is not None
-    return FramePose(X_CH=found.X_CH, finger_m=0.02, finger_sigma_m=1e-3, fit=found, arm=None, view=view, overlap=0.95)
+    return FramePose(
+        X_CH=found.X_CH,
+        finger_m=0.02,
+        finger_sigma_m=1e-3,
+        fit=found,
+        by_cells=found,
+        arm=None,
+        view=view,
+        overlap=0.95,
+    )
 
 
 def made(pose: FramePose, confidence: np.ndarray, anomalies: tuple[Anomaly, ...] = (), **known: np.ndarray) -> RawTrack:

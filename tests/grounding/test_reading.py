@@ -16,7 +16,9 @@ def frame_pose(cad: GripperCad, X_CH: Array, *, turned: bool, noise_m: float = 0
         view.coordinates_sigma_m[:] = 0.05
     found = fit(view)
     assert isinstance(found, Fit)
-    return FramePose(X_CH=found.X_CH, finger_m=0.02, finger_sigma_m=1e-3, fit=found, arm=None, view=view, overlap=1.0)
+    return FramePose(
+        X_CH=found.X_CH, finger_m=0.02, finger_sigma_m=1e-3, fit=found, by_cells=found, arm=None, view=view, overlap=1.0
+    )
 
 
 def test_a_right_reading_has_evidence_for_it(cad: GripperCad) -> None:
