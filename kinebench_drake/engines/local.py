@@ -105,8 +105,13 @@ class _Pool(Generic[Item, Result]):
         context = multiprocessing.get_context("spawn")
         ours, theirs = context.Pipe()
         process = context.Process(target=_serve, args=(theirs, self._make_worker), daemon=True)
-        with one_thread():  # children inherit the environment of this moment
-            process.start()
+        # Children inherit the environment and the blocked signals of this moment: an interrupt finds none unprepared.
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            with one_thread():
+                process.start()
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
         theirs.close()
         slot: _Slot[Item] = _Slot(process=process, pipe=ours)
         self._feed(slot)
@@ -149,6 +154,7 @@ def _cause_of_death(code: int | None) -> str:
 def _serve(pipe: Connection, make_worker: Callable[[], Callable[[Item], Result]]) -> None:
     """Body of a worker process: items in, results out, until None or until the parent is gone."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides what an interrupt means
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     try:
         work = make_worker()
         while (item := pipe.recv()) is not None:
