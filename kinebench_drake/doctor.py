@@ -121,7 +121,7 @@ def _native() -> str:
     if wrong != "None":
         raise _BrokenError(wrong)
     wanted = native.ROOT / "wanted.txt"
-    return f"unpacked: {', '.join(wanted.read_text().split())}" if wanted.is_file() else "all from the system"
+    return f"unpacked: {', '.join(wanted.read_text().split())}" if wanted.is_file() else "none unpacked"
 
 
 def _drake() -> str:
