@@ -1,5 +1,6 @@
 """One episode in closed loop: a model imagines, the grounding reads, the robot executes, and so on, round by round."""
 
+import glob
 import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -116,6 +117,8 @@ class ClosedLoop:
             InputError: its video cannot be read.
             SetupError: something is missing on this machine.
         """
+        if not isinstance(self._model, Offline):  # whose own folder this may be
+            _forget(videos)
         stage.reset(episode)
         return EpisodeRun(rounds=tuple(self._rounds(stage, episode, videos)), outcome=stage.outcome())
 
@@ -184,6 +187,20 @@ class ClosedLoop:
         if repeat is not None:
             t_s = CONTROL_PERIOD_S * repeat * np.arange(len(t_s), dtype=np.float64)
         return self._commander.commands(track.X_BG, track.finger_width_m, track.tracked, t_s, start)
+
+
+def _forget(videos: Path) -> None:
+    """Remove what was imagined for an episode when it was run before: that may have taken more rounds.
+
+    Raises:
+        SetupError: it cannot be removed.
+    """
+    with storage(videos.parent.name):
+        for clip in videos.parent.glob(f"{glob.escape(videos.name)}_r[0-9]*"):
+            if clip.is_dir() and not clip.is_symlink():
+                shutil.rmtree(clip)
+            else:
+                clip.unlink()
 
 
 def _kept(video: Path, out: Path) -> Path:

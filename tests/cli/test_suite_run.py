@@ -72,6 +72,17 @@ def test_what_is_finished_is_kept_and_made_again_it_is_the_same(oracle: Path, tm
     assert (tmp_path / "samples.jsonl").read_bytes() == before
 
 
+def test_films_of_an_earlier_run_of_an_episode_are_gone(oracle: Path, tmp_path: Path) -> None:
+    [row] = rows(oracle)
+    films = tmp_path / "videos"
+    (films / f"{row['id']}_r2").mkdir(parents=True)
+    (films / f"{row['id']}_r2" / "0.png").touch()
+    (films / f"{row['id']}_r1.mp4").touch()
+    (films / "other_r1.mp4").touch()
+    assert run(tmp_path, "--world-model", "still", "--rounds", "1", "--overwrite")[0] == 0
+    assert sorted(film.name for film in films.iterdir()) == sorted(["other_r1.mp4", f"{row['id']}_r0.mp4"])
+
+
 def test_a_letter_boxed_video_is_read_and_shown_without_its_bars(oracle: Path, tmp_path: Path) -> None:
     """832x480, as Wan makes them, from a square picture: success, and a gap as small as that of the video itself."""
     [row] = rows(oracle)
