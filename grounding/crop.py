@@ -79,6 +79,10 @@ class Crop:
         M = _in_opencv(self.homography(camera, stride))
         return np.asarray(cv2.warpPerspective(cells, M, (camera.width, camera.height), flags=cv2.INTER_NEAREST))
 
+    def shown(self, camera: Camera, stride: int = 1) -> NDArray[np.bool_]:
+        """Which of every `stride`-th pixel (n, n) lie within the frames of `camera`."""
+        return self.warp(np.ones((camera.height, camera.width), np.uint8), camera, stride, nearest=True) > 0
+
     def rays(self, stride: int = 1) -> Array:
         """Directions (n, n, 3) in V through the centres of every `stride`-th pixel, scaled so that z = 1."""
         n = self.size // stride

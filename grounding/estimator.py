@@ -46,7 +46,7 @@ class NetworkEstimator:
 
         def look(batch: list[int]) -> list[GripperView]:
             output = self._run([crops[i].warp(frames[i], camera) for i in batch])
-            return _views(output, [crops[i] for i in batch])
+            return _views(output, [crops[i] for i in batch], camera)
 
         with ThreadPoolExecutor(max_workers=1) as worker:
             ahead = None
@@ -64,7 +64,7 @@ class NetworkEstimator:
             yield from (members[start : start + count] for start in range(0, len(members), count))
 
 
-def _views(output: DenseOutput, crops: list[Crop]) -> list[GripperView]:
+def _views(output: DenseOutput, crops: list[Crop], camera: Camera) -> list[GripperView]:
     def numpy(x: torch.Tensor) -> Array:
         return np.asarray(x.cpu().numpy(), dtype=np.float64)
 
@@ -81,6 +81,7 @@ def _views(output: DenseOutput, crops: list[Crop]) -> list[GripperView]:
         GripperView(
             crop=crop,
             stride=STRIDE,
+            shown=crop.shown(camera, STRIDE),
             part=part[i],
             depth_m=depth[i] * crop.focal / crop.size,
             depth_sigma=depth_sigma[i],

@@ -32,12 +32,12 @@ class Outline:
         self._cad = cad
 
     def overlap(self, view: GripperView, X_CH: Array, finger_m: float) -> float:
-        """Intersection over union of the seen and the rendered gripper, links before it left out."""
+        """Intersection over union of the seen and the rendered gripper in the picture, links before it left out."""
         X_VH = invert(view.crop.X_CV) @ X_CH
         part = self._cad.cast(X_VH, view.rays().reshape(-1, 3), finger_m).part.reshape(view.part.shape)
-        rendered = part > 0
-        union = (rendered & ~np.isin(view.part, ARM)) | view.gripper
-        return float((rendered & view.gripper).sum() / max(1, union.sum()))
+        rendered, seen = (part > 0) & view.shown, view.gripper & view.shown
+        union = (rendered & ~np.isin(view.part, ARM)) | seen
+        return float((rendered & seen).sum() / max(1, union.sum()))
 
     def rim(self, view: GripperView, X_CH: Array, finger_m: float, gate: float = GATE_CELLS) -> Cells | None:
         """What the outline says of a hand near `X_CH` (4, 4); None where too little of it is seen.
@@ -53,13 +53,13 @@ class Outline:
         shape = view.part.shape
         surface = self._cad.cast(X_VH, rays.reshape(-1, 3), finger_m)
         part = surface.part.reshape(shape)
-        rendered, seen = part > 0, view.gripper
+        rendered, seen = (part > 0) & view.shown, view.gripper & view.shown
         arm = np.isin(view.part, ARM)
         if not seen.any() or not rendered.any():
             return None
         inside, target = _signed(rendered), _signed(seen)
         slope_rendered, slope_seen = _slope(inside), _slope(target)
-        rim = rendered & (inside > -1.0) & ~_near(arm) & ~_border(shape)
+        rim = rendered & (inside > -1.0) & ~_near(arm) & ~_near(~view.shown) & ~_border(shape)
         step = target - inside
         agree = (slope_rendered * slope_seen).sum(axis=-1) > _LEAST_AGREEMENT
         rim &= agree & (np.abs(step) <= gate)

@@ -22,6 +22,8 @@ class GripperView:
 
     crop: Crop
     stride: int
+    shown: NDArray[np.bool_]
+    """(h, w) cells within the picture: a gripper at its edge goes on beyond it, unseen."""
     part: NDArray[np.uint8]
     """(h, w) values of `Part`."""
     depth_m: Array

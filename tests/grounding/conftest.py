@@ -46,6 +46,7 @@ def perfect_view(
     return GripperView(
         crop=crop,
         stride=2,
+        shown=np.ones(part.shape, dtype=bool),
         part=part,
         depth_m=z * depth_factor,
         depth_sigma=np.full(part.shape, 0.01),

@@ -51,6 +51,7 @@ def view(model: ArmModel, q: Array, crop: Crop, *, noise_m: float, depth_factor:
     return GripperView(
         crop=crop,
         stride=2,
+        shown=np.ones((n, n), dtype=bool),
         part=part,
         depth_m=np.where(np.isfinite(depth), depth, 1.0) * depth_factor,
         depth_sigma=np.full((n, n), 0.01),

@@ -30,6 +30,7 @@ def seen(X: Array) -> GripperView:
     return GripperView(
         crop=crop,
         stride=2,
+        shown=np.ones((n, n), dtype=bool),
         part=part,
         depth_m=np.full((n, n), 0.9),
         depth_sigma=np.full((n, n), np.inf),
@@ -74,6 +75,21 @@ def test_a_pose_that_fits_is_left_where_it_is(outline: Outline) -> None:
     p_C, _ = Hand(X_CH=X_CH, finger_m=FINGER_M, opening_free=False).points(rim)
     off = np.einsum("nij,nj->ni", rim.R_LC, p_C)[:, 0] / p_C[:, 2]
     assert np.abs(off).max() < 1e-9
+
+
+@pytest.mark.parametrize("side", [0, 1])
+def test_the_edge_of_the_picture_is_no_outline(outline: Outline, side: int) -> None:
+    """A gripper that is half out of the picture: its pose stays, and what is in the picture is covered."""
+    view = seen(X_CH)
+    middle = int(np.mean(np.nonzero(view.part)[side]))
+    np.moveaxis(view.shown, side, 0)[middle:] = False
+    view.part[~view.shown] = 0
+    rim = outline.rim(view, X_CH, FINGER_M)
+    assert rim is not None
+    solution = solve(Hand(X_CH=X_CH, finger_m=FINGER_M, opening_free=False), rim, view.level_sigma)
+    assert solution is not None
+    assert np.linalg.norm((solution.body.X_CH - X_CH)[:2, 3]) < 1e-6
+    assert outline.overlap(view, X_CH, FINGER_M) == 1.0
 
 
 def test_what_an_outline_does_not_say_has_no_weight(outline: Outline) -> None:

@@ -43,6 +43,7 @@ def view_of(cad, X_CH, crop, noise_m=0.004, seed=0):
     return GripperView(
         crop=crop,
         stride=2,
+        shown=np.ones(part.shape, dtype=bool),
         part=part,
         depth_m=z,
         depth_sigma=np.full(part.shape, 0.01),

@@ -27,6 +27,7 @@ class Flat:
         return GripperView(
             crop=crop,
             stride=2,
+            shown=np.ones((n, n), dtype=bool),
             part=np.full((n, n), Part.HAND, np.uint8),
             depth_m=np.ones((n, n)),
             depth_sigma=np.full((n, n), 0.02),
