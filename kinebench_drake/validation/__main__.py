@@ -8,6 +8,7 @@ import click
 
 from kinebench_drake.errors import KinebenchError
 from kinebench_drake.row import dump, finite
+from kinebench_drake.validation.scale import COMMANDS
 
 
 @click.group(
@@ -169,6 +170,10 @@ def calibration(folder: Path, limit: int | None, frames: int, part: float, quick
         raise click.ClickException(str(error)) from None
     for line in table(trials):
         click.echo(line)
+
+
+for command in COMMANDS:
+    main.add_command(command)
 
 
 if __name__ == "__main__":
