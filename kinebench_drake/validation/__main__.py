@@ -90,6 +90,7 @@ def bench(out: Path | None, json_out: Path | None, repeats: int, tracks: int, au
     """
     # Before NumPy is loaded: afterwards its libraries do not listen.
     os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"))
+    from kinebench_drake.markdown import keep_sections
     from kinebench_drake.validation.bench import run_bench
     from kinebench_drake.validation.page import document
 
@@ -102,7 +103,7 @@ def bench(out: Path | None, json_out: Path | None, repeats: int, tracks: int, au
     if out is None:
         click.echo(document(result))
     else:
-        out.write_text(document(result))
+        out.write_text(keep_sections(document(result), out.read_text() if out.is_file() else ""))
         click.echo(out)
 
 

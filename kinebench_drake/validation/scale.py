@@ -85,4 +85,23 @@ def streaming(out: Path | None, work: Path | None, videos: Path, samples: int, f
     _write(out, work, lambda folder: section(measure(videos, folder, **options)))
 
 
-COMMANDS = (throughput, streaming)
+@click.command(epilog="\b\nExample:\n  python -m kinebench_drake.validation cluster --out docs/cluster.md")
+@_out
+@_work
+@click.option(
+    "--videos", type=click.Path(path_type=Path, exists=True), default=EXAMPLES / "manifest.jsonl", show_default=True,
+    help="What is scored.",
+)  # fmt: skip
+@click.option(
+    "--tasks", default="PullCube-v1,OpenDrawer-v1", show_default=True, help="Tasks of the suite run.", metavar="A,B"
+)
+@click.option("--episodes", type=click.IntRange(1), default=2, show_default=True, help="Of each task.", metavar="K")
+def cluster(out: Path | None, work: Path | None, videos: Path, tasks: str, episodes: int) -> None:
+    """Score and run a suite on a Ray cluster of two local nodes, kill a worker, and compare with a local run."""
+    from kinebench_drake.validation.cluster import SUITE, section, try_out
+
+    suite = ["suite", "run", *SUITE, "--tasks", tasks, "--episodes", str(episodes)]
+    _write(out, work, lambda folder: section(try_out([["score", str(videos), "--overlay"], suite], folder, _note)))
+
+
+COMMANDS = (throughput, streaming, cluster)

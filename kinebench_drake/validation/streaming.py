@@ -145,9 +145,9 @@ def section(found: Streaming) -> str:
             *table(("samples", "main process", *(f"worker {k + 1}" for k in range(len(workers)))), rows),
             "",
             f"Growth per 1,000 samples, of a straight line through the readings every {STEP} samples after the first "
-            f"{SETTLED * found.samples:.0f}: main process {main:.1f} MB (it holds the rows, "
+            f"{SETTLED * found.samples:.0f}: main process {main:z.1f} MB (it holds the rows, "
             f"{found.rows_mb:.1f} MB of JSON in the end)"
-            + (f", workers {' and '.join(f'{mb:.1f} MB' for mb in workers)}" if len(workers) else "")
+            + (f", workers {' and '.join(f'{mb:z.1f} MB' for mb in workers)}" if len(workers) else "")
             + f". The most that the main process held, report included: {found.peak.main_mb:.0f} MB. `report.html`: "
             f"{found.report_mb:.1f} MB, written anew in {found.report_s:.1f} s (start of the program included). The "
             f"same run once more, when all is finished: {found.again_s:.1f} s.",
