@@ -11,11 +11,14 @@ demo: setup
 test: check
 	$(BIN)/python -m pytest -n $(JOBS)
 
-# Inverse kinematics beside that of other packages (installed first), throughput, whole audits, simulation: some minutes.
+# Inverse kinematics beside that of other packages (installed first), audits, simulation, whole runs of the program, and
+# memory over 2,000 samples: about an hour on two cores.
 bench: setup
 	-$(BIN)/python -m pip --disable-pip-version-check install --quiet -c setup/constraints.txt -e '.[bench]'
 	$(BIN)/python -m kinebench_drake.validation bench --out docs/benchmarks.md
 	$(BIN)/python -m kinebench_drake.suites.bench --out docs/benchmarks.md
+	$(BIN)/python -m kinebench_drake.validation throughput --out docs/benchmarks.md
+	$(BIN)/python -m kinebench_drake.validation streaming --out docs/benchmarks.md
 
 check: setup
 	$(BIN)/ruff format --check .

@@ -121,7 +121,7 @@ class ResultStore:
         """
         with storage(SAMPLES):
             self._append(self.out / SAMPLES, dump(row.to_json()))
-        self.rows[row.id] = row
+        self.rows[row.id] = row.slim()
         with storage(TIMINGS), (self.out / TIMINGS).open("a") as file:  # no loss if a power cut takes it
             file.write(dump({"id": row.id, "wall_s": round(wall_s, 4)}))
 

@@ -2,10 +2,11 @@
 
 import json
 import math
+import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from enum import Enum
-from typing import TypeAlias, cast
+from typing import Any, TypeAlias, cast
 
 from kinebench_drake.errors import InputError
 
@@ -49,6 +50,10 @@ class SampleRow:
     camera_source, seed, prompt. Of a trajectory: frames, frames_tracked, duration_s, frame_period_s, judged,
     columns, warnings, format, seed, prompt, success. Of a suite run: success, progress, rounds, verdict."""
 
+    def slim(self) -> "SampleRow":
+        """The same row for keeping among thousands: half as large, as it comes from a worker process."""
+        return replace(self, **{f.name: one_text(getattr(self, f.name)) for f in fields(self)})
+
     def to_json(self) -> dict[str, Json]:
         """The object as written, in a fixed order of keys, without NaN or infinity."""
         named = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "extra"}
@@ -64,6 +69,7 @@ class SampleRow:
         """
         if not isinstance(data, dict):
             raise InputError(f"expected an object, found {type(data).__name__}")
+        data = cast(dict[str, Any], one_text(data))
         names = {f.name for f in fields(cls)} - {"extra"}
         known = {k: v for k, v in data.items() if k in names}
         try:
@@ -74,6 +80,17 @@ class SampleRow:
             return cls(**known, extra={k: v for k, v in data.items() if k not in names})
         except (KeyError, TypeError, ValueError) as error:
             raise InputError(f"not a row of samples.jsonl ({error})") from None
+
+
+def one_text(value: Any) -> Any:
+    """`value` with equal texts being one object: most of what thousands of rows hold are the same names and words."""
+    if isinstance(value, str):
+        return sys.intern(str(value))
+    if isinstance(value, Mapping):
+        return {one_text(k): one_text(v) for k, v in value.items()}
+    if isinstance(value, tuple):
+        return tuple(map(one_text, value))
+    return list(map(one_text, value)) if isinstance(value, list) else value
 
 
 def finite(value: Json) -> Json:

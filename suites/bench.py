@@ -18,6 +18,7 @@ import numpy as np
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.errors import KinebenchError
 from kinebench_drake.geometry import Array
+from kinebench_drake.markdown import replace_section, table
 from kinebench_drake.mp4 import write_video
 from kinebench_drake.native import prepare_vulkan
 from kinebench_drake.suites.clip import film
@@ -140,7 +141,9 @@ def against_stock() -> tuple[Array, Array]:
 
 def section(timings: Sequence[Timing], steps: Array, pictures: Array) -> str:
     """The document's section."""
-    rows = [f"| {t.task} | {t.step_ms:.1f} | {t.picture_ms:.0f} | {t.reset_ms:.0f} | {t.demo_s:.1f} |" for t in timings]
+    rows = [
+        (t.task, f"{t.step_ms:.1f}", f"{t.picture_ms:.0f}", f"{t.reset_ms:.0f}", f"{t.demo_s:.1f}") for t in timings
+    ]
     worst = [max(getattr(t, name) for t in timings) for name in ("step_ms", "picture_ms", "demo_s")]
     return "\n".join(
         [
@@ -151,9 +154,7 @@ def section(timings: Sequence[Timing], steps: Array, pictures: Array) -> str:
             "Picture: 384x384, colour, depth and segmentation. Reset: with the scene rebuilt. Demonstration: a clip of "
             "49 frames planned, performed, filmed and encoded as mp4.",
             "",
-            "| task | step, ms | picture, ms | reset, ms | demonstration, s |",
-            "| --- | --- | --- | --- | --- |",
-            *rows,
+            *table(("task", "step, ms", "picture, ms", "reset, ms", "demonstration, s"), rows),
             "",
             f"The slowest: {worst[0]:.1f} ms a step, {worst[1]:.0f} ms a picture, {worst[2]:.1f} s a demonstration. "
             f"Beside ManiSkill's own {STOCK}, in turn in one process: a step takes {np.median(steps):.2f} times as "
@@ -162,14 +163,6 @@ def section(timings: Sequence[Timing], steps: Array, pictures: Array) -> str:
             "",
         ]
     )
-
-
-def replace_section(document: str, text: str) -> str:
-    """The document with its section of the same heading replaced, or the section added at its end."""
-    before, found, after = document.partition(HEADING + "\n")
-    rest = after.partition("\n## ")
-    following = f"## {rest[2]}" if found and rest[1] else ""
-    return f"{before.rstrip()}\n\n{text}{following and chr(10)}{following}"
 
 
 @click.command(

@@ -26,6 +26,7 @@ LEAF = {
         "plugin",
         "runs",
         "drawing",
+        "markdown",
     ),
 }
 RESULTS = {

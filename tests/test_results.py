@@ -1,6 +1,8 @@
 import errno
 import json
 import os
+import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -37,6 +39,27 @@ def test_rows_survive_the_file(tmp_path):
     assert read.metrics == {"sparc": -1.5, "ldlj": None}
     assert read.violations[0]["value"] is None
     assert dump(read.to_json()) == dump(first.to_json())
+
+
+def test_rows_kept_share_their_texts(tmp_path):
+    """As they come from worker processes each has its own copy of every name: most of a row's memory."""
+    told = row(
+        metrics={"sparc": -1.5},
+        details={"limits": {"joints": ["joint 1"]}},
+        violations=({"kind": "jerk"},),
+        extra={"seed": 7},
+    )
+    with ResultStore(tmp_path / "a") as store:
+        for name in "ab":
+            store.append(pickle.loads(pickle.dumps(replace(told, id=name))), 0.1)
+        kept = store.rows
+    for rows in (kept, read_rows(tmp_path / "a")):
+        a, b = rows.values()
+        assert a == replace(b, id="a")
+        assert [id(key) for key in a.metrics] == [id(key) for key in b.metrics]
+        assert a.details["limits"]["joints"][0] is b.details["limits"]["joints"][0]
+        assert a.violations[0]["kind"] is b.violations[0]["kind"]
+        assert a.content_hash is b.content_hash
 
 
 def test_rows_hold_strict_json_only():

@@ -8,6 +8,7 @@ import click
 
 from kinebench_drake.errors import KinebenchError
 from kinebench_drake.row import dump, finite
+from kinebench_drake.validation.scale import COMMANDS
 
 
 @click.group(
@@ -89,6 +90,7 @@ def bench(out: Path | None, json_out: Path | None, repeats: int, tracks: int, au
     """
     # Before NumPy is loaded: afterwards its libraries do not listen.
     os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"))
+    from kinebench_drake.markdown import keep_sections
     from kinebench_drake.validation.bench import run_bench
     from kinebench_drake.validation.page import document
 
@@ -101,7 +103,7 @@ def bench(out: Path | None, json_out: Path | None, repeats: int, tracks: int, au
     if out is None:
         click.echo(document(result))
     else:
-        out.write_text(document(result))
+        out.write_text(keep_sections(document(result), out.read_text() if out.is_file() else ""))
         click.echo(out)
 
 
@@ -169,6 +171,10 @@ def calibration(folder: Path, limit: int | None, frames: int, part: float, quick
         raise click.ClickException(str(error)) from None
     for line in table(trials):
         click.echo(line)
+
+
+for command in COMMANDS:
+    main.add_command(command)
 
 
 if __name__ == "__main__":

@@ -1,0 +1,26 @@
+from kinebench_drake.markdown import keep_sections, replace_section, table
+
+PAGE = "# Page\n\nTop.\n\n## A\n\nold a\n\n### deeper\n\nmore\n\n## B\n\nold b\n"
+
+
+def test_a_section_takes_the_place_of_its_like_with_all_below_it():
+    assert replace_section(PAGE, "## A\n\nnew\n") == "# Page\n\nTop.\n\n## A\n\nnew\n\n## B\n\nold b\n"
+    assert replace_section(PAGE, "## B\n\nnew\n") == PAGE.replace("old b", "new")
+
+
+def test_a_new_section_stands_last_and_again_changes_nothing():
+    once = replace_section(PAGE, "## A and more\n\nc\n")
+    assert once == PAGE + "\n## A and more\n\nc\n"
+    assert replace_section(once, "## A and more\n\nc\n") == once
+    assert replace_section("", "## A\n\na\n") == "## A\n\na\n"
+
+
+def test_a_page_written_anew_keeps_what_others_wrote():
+    assert keep_sections("# New\n\n## B\n\nnew b\n", PAGE) == (
+        "# New\n\n## B\n\nnew b\n\n## A\n\nold a\n\n### deeper\n\nmore\n"
+    )
+    assert keep_sections(PAGE, "") == PAGE
+
+
+def test_tables():
+    assert table(("a", "b"), [("1", "2")]) == ["| a | b |", "| --- | --- |", "| 1 | 2 |"]

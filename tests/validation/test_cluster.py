@@ -1,0 +1,76 @@
+"""What is said of runs on a cluster; the runs themselves are tests/cli/test_ray.py's, and the command's."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+from kinebench_drake.validation.cluster import Trial, _Killer, differences, section
+from kinebench_drake.validation.watched import children, command_line
+
+STAND_IN = """
+import subprocess, sys
+for name in sys.argv[1:]:
+    subprocess.Popen(["bash", "-c", f"exec -a '{name}' sleep 60"])
+print(flush=True)
+sys.stdin.read()
+"""
+
+
+def test_differences_are_named_by_their_place():
+    one = {"config": {"engine": "local", "jobs": 1, "seed": 0}, "rows": [1, 2], "gone": None}
+    other = {"config": {"engine": "ray", "jobs": 2, "seed": 0}, "rows": [1, 3], "more": 1}
+    assert list(differences(one, other)) == ["config.engine", "config.jobs", "more", "rows"]
+    assert list(differences(one, one)) == []
+
+
+def test_the_section_names_what_is_not_the_same():
+    def told(unlike=()):
+        trial = Trial(
+            command=("score", "a b"),
+            samples=7,
+            killed_node=2,
+            killed_after=3,
+            workers=(1, 1),
+            files=15,
+            unlike=unlike,
+            told_apart=("config.engine",),
+        )
+        return section([trial])
+
+    assert "| `score 'a b'` | 7 | 1 + 1 | on node 2, after 3 samples | 15 of 15 | `config.engine` |" in told()
+    assert "| 14 of 15, not `samples.jsonl` |" in told(("samples.jsonl",))
+
+
+def test_a_busy_worker_is_killed_once_when_half_is_done():
+    nodes = [
+        subprocess.Popen([sys.executable, "-c", STAND_IN, *names], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+        for names in (["ray::_Servant", "ray::IDLE"], ["ray::_Servant.work"])
+    ]
+    try:
+        for node in nodes:
+            node.stdout.readline()
+        started = [children(node.pid) for node in nodes]
+        killer = _Killer(raylets=[node.pid for node in nodes], after=2)
+        killer(1)
+        assert killer.node is None
+        killer(2)
+        killer(3)
+        assert (killer.node, killer.workers) == (1, (1, 1))
+        assert gone(started[1][0])
+        assert not any(map(gone, started[0]))
+    finally:
+        for pid in (pid for pids in started for pid in pids):
+            os.kill(pid, signal.SIGKILL)
+        for node in nodes:
+            node.communicate(b"")
+
+
+def gone(pid):
+    """Whether a process ends within moments: killed, it waits for its parent to be told."""
+    for _ in range(50):
+        if not command_line(pid):
+            return True
+        time.sleep(0.01)
+    return False

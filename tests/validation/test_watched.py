@@ -1,0 +1,60 @@
+"""The program as seen from outside: when samples end, what its processes hold, and a failure told."""
+
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from kinebench_drake.errors import KinebenchError
+from kinebench_drake.validation.watched import Memory, children, held, watch
+
+
+def test_a_process_and_its_workers_are_weighed_and_helpers_are_not():
+    hold = "import sys; filled = b'x' * {} * 2**20; print(len(filled), flush=True); sys.stdin.read()"
+    start = "import subprocess, sys; [subprocess.Popen([sys.executable, '-c', c]) for c in sys.argv[1:]]; "
+    nested = [hold.format(60) + " # spawn_main", hold.format(60)]
+    parent = subprocess.Popen(
+        [sys.executable, "-c", start + hold.format(200), *nested], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    )
+    try:
+        for _ in range(3):
+            parent.stdout.readline()
+        assert len(children(parent.pid)) == 2
+        now = held(parent.pid, "VmRSS")
+        assert 200.0 < now.main_mb < 260.0
+        (worker,) = now.workers_mb
+        assert 60.0 < worker < 120.0
+    finally:
+        parent.communicate(b"")
+    assert held(parent.pid, "VmRSS") is None
+
+
+def test_the_larger_of_two_readings():
+    one = Memory(main_mb=1.0, workers_mb=(5.0,))
+    assert one.joined(Memory(main_mb=2.0, workers_mb=(4.0, 3.0))) == Memory(main_mb=2.0, workers_mb=(5.0, 3.0))
+
+
+@pytest.mark.slow
+def test_samples_are_counted_as_they_end(tmp_path):
+    (tmp_path / "tracks").mkdir()
+    for k in range(4):
+        q = np.linspace(0.0, 0.1 * k, 9)[:, None] + [0.0, -0.4, 0.0, -2.0, 0.0, 1.6, 0.8]
+        np.savez(tmp_path / "tracks" / f"{k}.npz", t_s=0.2 * np.arange(9), q=q)
+    seen = []
+    arguments = ["audit", str(tmp_path / "tracks"), "--out", str(tmp_path / "out"), "--jobs", "2"]
+    run = watch(arguments, reads=lambda finished: finished == 3, finished=seen.append)
+    assert seen == [1, 2, 3, 4]
+    assert sorted(run.finished_s) == list(run.finished_s)
+    assert 0.0 < run.finished_s[0] <= run.finished_s[-1] < run.wall_s
+    assert list(run.memory) == [3]
+    assert len(run.peak.workers_mb) == 2
+    assert run.memory[3].main_mb <= run.peak.main_mb
+    assert min(run.peak.workers_mb) > 50.0  # Drake's libraries alone are more
+
+
+def test_a_failure_is_told_in_the_programs_own_words(tmp_path):
+    with pytest.raises(KinebenchError, match=r"status 2: .*nowhere"):
+        watch(["score", str(tmp_path / "nowhere"), "--out", str(tmp_path / "out")])
+    assert not children(os.getpid())
