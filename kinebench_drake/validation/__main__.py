@@ -171,5 +171,37 @@ def calibration(folder: Path, limit: int | None, frames: int, part: float, quick
         click.echo(line)
 
 
+@main.command(
+    epilog="\b\nExample:\n  python -m kinebench_drake.validation fuzz --count 20000 --seed 0 --out fuzz",
+)
+@click.option("--count", type=click.IntRange(min=1), default=20_000, show_default=True, metavar="N")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
+@click.option("--only", type=click.IntRange(min=0), multiple=True, metavar="NUMBER", help="Read these inputs alone.")
+@click.option(
+    "--out", type=click.Path(path_type=Path, file_okay=False), required=True, help="Folder for the inputs that fail."
+)
+def fuzz(count: int, seed: int, only: tuple[int, ...], out: Path) -> None:
+    """Make valid inputs of every kind wrong and have the program read them.
+
+    Each has to be read, or refused in one line: without traceback, hang, crash or a flood of memory.
+    """
+    from kinebench_drake.validation.fuzz.campaign import Campaign, distinct, table
+
+    numbers = only or range(count)
+    trials = []
+    try:
+        with click.progressbar(Campaign(seed).run(numbers, out), length=len(numbers), label="fuzz") as done:
+            trials = list(done)
+    except KinebenchError as error:
+        raise click.ClickException(str(error)) from None
+    for line in table(trials):
+        click.echo(line)
+    failed = distinct(trials)
+    for told, which in failed.items():
+        click.echo(f"{len(which)} x {told} (such as {which[0]})")
+    if failed:
+        raise SystemExit(1)
+
+
 if __name__ == "__main__":
     main(prog_name="python -m kinebench_drake.validation")
