@@ -3,6 +3,7 @@
 import lzma
 import math
 import struct
+import tokenize
 import zipfile
 import zlib
 from collections.abc import Callable, Iterator
@@ -23,7 +24,7 @@ MOST_BYTES = 2**31
 
 _DAMAGED = (
     *(OSError, ValueError, EOFError, MemoryError, RuntimeError, OverflowError, TypeError, KeyError, SyntaxError),
-    *(zipfile.BadZipFile, zlib.error, lzma.LZMAError, struct.error),
+    *(zipfile.BadZipFile, zlib.error, lzma.LZMAError, struct.error, tokenize.TokenError),
 )
 """What NumPy and zipfile raise over files that are not what they seem."""
 _HEADERS = {(1, 0): read_array_header_1_0, (2, 0): read_array_header_2_0}

@@ -64,6 +64,9 @@ class ResultStore:
             self._lock = os.open(out, os.O_RDONLY)
             self._claim()
             self._sweep(everything=overwrite)
+            for name in (SAMPLES, TIMINGS):
+                if (out / name).exists() and not (out / name).is_file():
+                    raise InputError(f"--out {out}: {name} is no file; --overwrite removes it, or name another folder")
             with (out / SAMPLES).open("ab"):
                 pass
             self.rows = read_rows(out)

@@ -27,6 +27,7 @@ LEAF = {
         "runs",
         "drawing",
         "npz",
+        "interrupt",
         "hdf5",
         "plainfile",
     ),

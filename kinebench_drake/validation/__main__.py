@@ -203,5 +203,47 @@ def fuzz(count: int, seed: int, only: tuple[int, ...], out: Path) -> None:
         raise SystemExit(1)
 
 
+@main.command(
+    epilog="\b\nExamples:\n"
+    "  python -m kinebench_drake.validation kills --count 50 --seed 0 --out kills\n"
+    "  python -m kinebench_drake.validation kills --count 50 --interrupt --out interrupts",
+)
+@click.option("--count", type=click.IntRange(min=1), default=50, show_default=True, metavar="N", help="Stops.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
+@click.option("--interrupt", is_flag=True, help="Interrupt (Ctrl-C) instead of kill -9.")
+@click.option(
+    "--videos", type=click.Path(path_type=Path, exists=True, file_okay=False), default=Path("examples/videos"),
+    show_default=True, help="Videos for `score`.",
+)  # fmt: skip
+@click.option("--jobs", type=click.IntRange(min=1), default=2, show_default=True, help="Worker processes of each run.")
+@click.option("--out", type=click.Path(path_type=Path, file_okay=False), required=True, help="Folder; made if absent.")
+def kills(count: int, seed: int, interrupt: bool, videos: Path, jobs: int, out: Path) -> None:
+    """Stop runs of `audit` and `score` at random moments, go on, and compare with runs that nobody stopped."""
+    from kinebench_drake.validation.kills import Finished, Stop, make_jobs, torment
+
+    if out.is_dir() and any(out.iterdir()):
+        raise click.UsageError(f"--out {out}: holds something already; name a new folder")
+    stops = [Stop.INTERRUPT] if interrupt else [Stop.ALL, Stop.ONE]
+    faults = stopped = finished = 0
+    try:
+        for event in torment(make_jobs(videos, out, jobs), stops, count, seed, out):
+            faults += bool(event.fault)
+            if isinstance(event, Finished):
+                finished += 1
+                told = f"{event.job} finished after {event.stops} stops: {event.fault or 'the same files'}"
+            else:
+                stopped += 1
+                told = (
+                    f"{event.job}: {event.stop.value} after {event.at_s:.1f} s, {event.before} then {event.after} done"
+                )
+                told += f": {event.fault}" if event.fault else ""
+            click.echo(told, err=True)
+    except KinebenchError as error:
+        raise click.ClickException(str(error)) from None
+    click.echo(f"{stopped} stops, {finished} runs brought to their end, {faults} faults")
+    if faults:
+        raise SystemExit(1)
+
+
 if __name__ == "__main__":
     main(prog_name="python -m kinebench_drake.validation")
