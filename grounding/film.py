@@ -32,7 +32,7 @@ def read_film(path: Path, part: VideoPart) -> Video:
     stamps: list[float | None] = []
     size = 0
     try:
-        with av.open(path, container_options=_OPTIONS) as container:
+        with av.open(path, container_options=_OPTIONS, metadata_errors="replace") as container:
             if not container.streams.video:
                 raise InputError(f"{path.name}: holds no video stream")
             stream = container.streams.video[0]

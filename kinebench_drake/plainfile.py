@@ -9,6 +9,7 @@ from pathlib import Path
 
 MOST_BYTES = 2**28
 """Largest text that is read."""
+_DIGITS = 19
 
 
 def open_file(path: Path) -> BufferedReader:
@@ -55,6 +56,11 @@ def read_json(path: Path) -> object:
     return parse_json(read_bytes(path))
 
 
+def _number(text: str) -> int | float:
+    """A whole number; one that fits into no machine's word comes as a float, as arithmetic would have it."""
+    return int(text) if len(text) < _DIGITS else float(text)
+
+
 def parse_json(text: str | bytes) -> object:
     """What a JSON text says.
 
@@ -62,7 +68,7 @@ def parse_json(text: str | bytes) -> object:
         ValueError: it is not JSON, or nested more deeply than anything sensible.
     """
     try:
-        value: object = json.loads(text)
+        value: object = json.loads(text, parse_int=_number)
     except RecursionError:
         raise ValueError("it is nested too deeply") from None
     return value
