@@ -31,7 +31,8 @@ def list_films(path: Path) -> list[str]:
     names: list[str] = []
 
     def visit(name: str, item: object) -> None:
-        if isinstance(item, h5py.Dataset) and is_own(item) and (_is_frames(item) or _is_coded(item)):
+        readable = isinstance(name, str)  # names in no encoding come as bytes
+        if readable and isinstance(item, h5py.Dataset) and is_own(item) and (_is_frames(item) or _is_coded(item)):
             names.append(name)
 
     try:

@@ -24,6 +24,7 @@ from kinebench_drake.validation.tracks import Recipe, Set, make
 
 _PATIENCE_S = 600.0
 _TRACKS, _CLIPS, _FRAMES = 12, 2, 8
+_MOST = 6  # stops of one run, after which it may come to its end
 _GOES_ON = re.compile(r"interrupted with (\d+) of (\d+) samples finished; run the same command again to go on")
 
 
@@ -125,7 +126,7 @@ def torment(
         number += 1
         groups: list[int] = []
         while True:
-            last = hits >= count
+            last = hits >= count or here >= _MOST
             process = _start(job.arguments, folder)
             groups.append(process.pid)
             told = None if last else _stop(process, job, stops[int(rng.integers(len(stops)))], folder, rng)
@@ -146,7 +147,7 @@ def _start(arguments: Sequence[str], out: Path) -> subprocess.Popen[str]:
 
 def _stop(process: subprocess.Popen[str], job: Job, stop: Stop, folder: Path, rng: Generator) -> Stopped | None:
     """Stop a run at a moment of its time; None if it had ended before."""
-    moment_s = float(rng.uniform(0.0, job.wall_s))
+    moment_s = float(rng.uniform(0.0, 1.1 * job.wall_s))
     begin = time.monotonic()
     if stop is Stop.INTERRUPT:  # as long as Python itself begins, it answers an interrupt in its own way
         while process.poll() is None and not _has_begun(folder) and time.monotonic() - begin < _PATIENCE_S:
