@@ -1,7 +1,6 @@
 """A decoded video, and what no reader lets through."""
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,11 +82,11 @@ WHOLE = VideoPart()
 """All of a file."""
 
 
-def check_size(path: Path, size: int) -> None:
+def check_size(name: str, size: int) -> None:
     """Refuse what would not fit into memory.
 
     Raises:
         InputError: the decoded frames take more than `MAX_BYTES`.
     """
     if size > MAX_BYTES:
-        raise InputError(f"{path.name}: decoded it exceeds {MAX_BYTES / 2**30:.0f} GiB; cut it into shorter clips")
+        raise InputError(f"{name} exceeds {MAX_BYTES / 2**30:.0f} GiB when decoded; cut it into shorter clips")

@@ -17,6 +17,8 @@ from kinebench_drake.grounding.decoded import Video, VideoPart, check_size
 
 FILM_SUFFIXES = frozenset({".mp4", ".mov", ".avi", ".gif", ".webm", ".mkv"})
 
+_OPTIONS = {"format_whitelist": "mov,matroska,avi,gif", "protocol_whitelist": "file"}
+"""FFmpeg reads no playlist for a film: lists name other files, and addresses."""
 _BEFORE_S = 1.0  # how much earlier decoding begins: files are searched by the order of decoding, not of showing
 
 
@@ -30,7 +32,7 @@ def read_film(path: Path, part: VideoPart) -> Video:
     stamps: list[float | None] = []
     size = 0
     try:
-        with av.open(path) as container:
+        with av.open(path, container_options=_OPTIONS, metadata_errors="replace") as container:
             if not container.streams.video:
                 raise InputError(f"{path.name}: holds no video stream")
             stream = container.streams.video[0]
@@ -54,11 +56,11 @@ def read_film(path: Path, part: VideoPart) -> Video:
                         f"{images[0].shape[1]} x {images[0].shape[0]}"
                     )
                 size += image.nbytes
-                check_size(path, size)
+                check_size(path.name, size)
                 images.append(image)
                 stamps.append(frame.time)
             missing = _missing_s(container, stream, stamps, rate) if part.to_s is None else None
-    except (av.FFmpegError, OSError, ValueError, OverflowError) as error:
+    except (av.FFmpegError, OSError, ValueError, OverflowError, MemoryError) as error:
         told = f" after {len(images)} frames" if images else ""
         reason = getattr(error, "strerror", None) or str(error)
         raise InputError(f"{path.name}: not a readable video{told} ({reason})") from None

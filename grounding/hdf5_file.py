@@ -6,16 +6,16 @@ ALOHA's compressed recordings and RoboTwin (`observation/NAME/rgb`) hold.
 """
 
 import io
-import re
 from pathlib import Path
 
 import h5py
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 
 from kinebench_drake.errors import InputError, cause
 from kinebench_drake.grounding.decoded import Video, VideoPart, check_size
+from kinebench_drake.grounding.frame_folder import decode_picture, natural
+from kinebench_drake.hdf5 import DAMAGED, is_own, open_hdf5
 
 HDF5_SUFFIXES = frozenset({".h5", ".hdf5"})
 
@@ -31,17 +31,16 @@ def list_films(path: Path) -> list[str]:
     names: list[str] = []
 
     def visit(name: str, item: object) -> None:
-        if isinstance(item, h5py.Dataset) and _is_own(item) and (_is_frames(item) or _is_coded(item)):
+        readable = isinstance(name, str)  # names in no encoding come as bytes
+        if readable and isinstance(item, h5py.Dataset) and is_own(item) and (_is_frames(item) or _is_coded(item)):
             names.append(name)
 
-    if not path.stat().st_size:
-        raise InputError(f"{path.name}: the file is empty (0 bytes)")
     try:
-        with h5py.File(path, "r") as file:
+        with open_hdf5(path) as file:
             file.visititems(visit)
-    except (OSError, RuntimeError, KeyError, ValueError) as error:
-        raise InputError(f"{path.name}: not a readable HDF5 file ({cause(error)})") from None
-    return sorted(names, key=lambda name: [(int(s), "") if s.isdigit() else (-1, s) for s in re.split(r"(\d+)", name)])
+    except DAMAGED as error:
+        raise InputError(f"{path.name}: {cause(error)}") from None
+    return sorted(names, key=natural)
 
 
 def read_hdf5(path: Path, part: VideoPart) -> Video:
@@ -58,22 +57,17 @@ def read_hdf5(path: Path, part: VideoPart) -> Video:
             raise InputError(f"{path.name}: holds {len(names)} videos ({told}), expected one where none is named")
         (key,) = names
     try:
-        with h5py.File(path, "r") as file:
+        with open_hdf5(path) as file:
             data = file.get(key)
-            if not isinstance(data, h5py.Dataset) or not _is_own(data):
+            if not isinstance(data, h5py.Dataset) or not is_own(data):
                 raise InputError(f"{path.name}: holds no data set {key!r} of its own")
             frames = _decoded(path, data) if _is_coded(data) else _plain(path, data)
-    except (OSError, RuntimeError, KeyError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
+    except DAMAGED as error:
         raise InputError(f"{path.name}: {key} cannot be read ({cause(error)})") from None
     try:
         return Video(frames=frames, fps=None, stamps_s=None)
     except InputError as error:
         raise InputError(f"{path.name}: {key} {error}") from None
-
-
-def _is_own(data: h5py.Dataset) -> bool:
-    """Whether the numbers lie in the file itself, not in another that it names."""
-    return not (data.is_virtual or data.external)
 
 
 def _is_frames(data: h5py.Dataset) -> bool:
@@ -92,17 +86,16 @@ def _bytes(row: object) -> bytes:
 
 
 def _plain(path: Path, data: h5py.Dataset) -> NDArray[np.uint8]:
-    check_size(path, data.size * data.dtype.itemsize)
+    check_size(path.name, data.size * data.dtype.itemsize)
     return np.ascontiguousarray(data[()])
 
 
 def _decoded(path: Path, data: h5py.Dataset) -> NDArray[np.uint8]:
     images: list[NDArray[np.uint8]] = []
     for k in range(data.shape[0]):
-        with Image.open(io.BytesIO(_bytes(data[k]))) as picture:
-            image = np.asarray(picture.convert("RGB"), dtype=np.uint8)
+        image = decode_picture(io.BytesIO(_bytes(data[k])))
         if images and image.shape != images[0].shape:
             raise InputError(f"{path.name}: frame {k} of {data.name} has shape {image.shape}, not {images[0].shape}")
-        check_size(path, image.nbytes * (k + 1))
+        check_size(path.name, image.nbytes * (k + 1))
         images.append(image)
     return np.stack(images)

@@ -7,10 +7,10 @@ import numpy as np
 import pyarrow
 import pyarrow.parquet as parquet
 from numpy.typing import NDArray
-from PIL import Image
 
 from kinebench_drake.errors import InputError, cause
 from kinebench_drake.grounding.decoded import Video, VideoPart, check_size
+from kinebench_drake.grounding.frame_folder import decode_picture
 
 PARQUET_SUFFIXES = frozenset({".parquet"})
 
@@ -30,13 +30,12 @@ def read_parquet(path: Path, part: VideoPart) -> Video:
             data = row.get("bytes") if isinstance(row, dict) else None
             if not isinstance(data, bytes):
                 raise InputError(f"{path.name}: {part.key} holds no picture in frame {len(images)}")
-            with Image.open(io.BytesIO(data)) as picture:
-                image = np.asarray(picture.convert("RGB"), dtype=np.uint8)
+            image = decode_picture(io.BytesIO(data))
             if images and image.shape != images[0].shape:
                 raise InputError(f"{path.name}: frame {len(images)} has shape {image.shape}, not {images[0].shape}")
-            check_size(path, image.nbytes * (len(images) + 1))
+            check_size(path.name, image.nbytes * (len(images) + 1))
             images.append(image)
-    except (OSError, ValueError, SyntaxError, pyarrow.ArrowException, Image.DecompressionBombError) as error:
+    except (OSError, ValueError, TypeError, MemoryError, pyarrow.ArrowException) as error:
         told = cause(error).replace(str(path), path.name)
         raise InputError(f"{path.name}: the pictures of {part.key} cannot be read ({told})") from None
     if not images or (part.frames is not None and len(images) != part.frames):

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from kinebench_drake.errors import InputError, UsageError, cause
 from kinebench_drake.geometry import Array, checked_pose, invert, make_pose, orthonormalize
+from kinebench_drake.plainfile import read_json
 from kinebench_drake.storage import write_atomically
 
 _KEYS = ("width", "height", "fx", "fy", "cx", "cy", "base_from_camera")
@@ -123,7 +124,7 @@ class Camera:
                 raise UsageError(f"{source}: {key} must be a number, found {value!r}")
         try:
             X_BC = np.array(data["base_from_camera"], dtype=np.float64)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             raise UsageError(f"{source}: base_from_camera must be a 4x4 list of numbers") from None
         try:
             return cls(
@@ -146,7 +147,7 @@ class Camera:
             UsageError: the file cannot be read, is not JSON, or holds no camera.
         """
         try:
-            data = json.loads(path.read_text())
+            data = read_json(path)
         except (OSError, ValueError) as error:
             raise UsageError(f"{path.name}: cannot be read as JSON ({cause(error)})") from None
         return cls.from_json(data, path.name)

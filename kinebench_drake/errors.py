@@ -3,9 +3,22 @@
 Every message is one line and names what was found, what was expected and what to do about it.
 """
 
+_MOST_SIGNS = 1000
+
+
+def one_line(text: str) -> str:
+    """Text as one line that a terminal can be shown: no control signs, which names in files may hold, not too long."""
+    line = " ".join(text.split())
+    if not line.isprintable():
+        line = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in line)
+    return line if len(line) <= _MOST_SIGNS else f"{line[: _MOST_SIGNS - 4]} ..."
+
 
 class KinebenchError(Exception):
     """Base of all expected failures; its text is fit to show to a user as it is."""
+
+    def __init__(self, message: str = "") -> None:
+        super().__init__(one_line(message))
 
 
 class UsageError(KinebenchError):

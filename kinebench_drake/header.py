@@ -1,12 +1,12 @@
 """What an output folder tells of its run besides the rows: by it shards of one run know each other."""
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from kinebench_drake.errors import InputError
+from kinebench_drake.plainfile import read_json
 from kinebench_drake.results import RESULTS, RUN
 from kinebench_drake.row import Json
 from kinebench_drake.shard import Shard
@@ -116,7 +116,7 @@ def read_header(out: Path) -> Found | None:
     for name in (RESULTS, RUN):  # where both are there, the run was stopped with its results written
         path = out / name
         try:
-            header = RunHeader.from_json(json.loads(path.read_bytes()))
+            header = RunHeader.from_json(read_json(path))
         except FileNotFoundError:
             continue
         except OSError as error:

@@ -1,6 +1,5 @@
 """`manifest.jsonl`: one JSON object a line, naming a video and what is known about it."""
 
-import json
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Annotated
@@ -10,6 +9,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import InputError, UsageError, cause
 from kinebench_drake.geometry import checked_pose
+from kinebench_drake.plainfile import parse_json, read_text
 
 NAME = "manifest.jsonl"
 
@@ -87,9 +87,9 @@ def read_manifest(path: Path) -> list[Line]:
         UsageError: the file cannot be read, or holds no line.
     """
     try:
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise UsageError(f"{path.name}: cannot be read as text ({error})") from None
+        text = read_text(path)
+    except (OSError, ValueError) as error:
+        raise UsageError(f"{path.name}: cannot be read as text ({cause(error)})") from None
     lines = [_read_line(n, line) for n, line in enumerate(text.split("\n"), 1) if line.strip()]
     if not lines:
         raise UsageError(f'{path.name}: is empty, expected one JSON object a line, such as {{"video": "a.mp4"}}')
@@ -98,8 +98,8 @@ def read_manifest(path: Path) -> list[Line]:
 
 def _read_line(number: int, text: str) -> Line:
     try:
-        data = json.loads(text)
-    except (ValueError, RecursionError) as error:
+        data = parse_json(text)
+    except ValueError as error:
         return _broken(number, f"line {number} is not JSON ({error})")
     if not isinstance(data, dict):
         return _broken(number, f"line {number} is a {type(data).__name__}, expected an object with the key video")

@@ -11,8 +11,9 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Generic, Protocol, TypeVar
 
-from kinebench_drake.errors import KinebenchError, SetupError, UnmeasurableError
+from kinebench_drake.errors import KinebenchError, SetupError, UnmeasurableError, one_line
 from kinebench_drake.models.urdf import robot_files
+from kinebench_drake.plainfile import open_file
 from kinebench_drake.provenance import code_hash
 from kinebench_drake.results import part_path
 from kinebench_drake.row import Json, SampleRow, Status, dump
@@ -195,7 +196,7 @@ class Measure(ABC, Generic[Sample, Equipment]):
             task=sample.task,
             model=sample.model,
             status=status,
-            reason=" ".join(reason.split()),
+            reason=one_line(reason),
             content_hash=self.content_hash(sample),
             metrics=dict.fromkeys(self.metric_names),
             extra=self.labels(sample),
@@ -258,5 +259,5 @@ def _digest(file: Path) -> bytes:
 
 @lru_cache(maxsize=256)
 def _digest_of(file: Path, *_state: int) -> bytes:
-    with file.open("rb") as data:
+    with open_file(file) as data:
         return hashlib.file_digest(data, "sha256").digest()

@@ -324,8 +324,8 @@ def _timings(parts: Sequence[Part], taken: Mapping[str, Taken]) -> str:
         for line in path.read_text(errors="replace").splitlines() if path.is_file() else ():
             try:
                 id = json.loads(line).get("id")
-            except (ValueError, AttributeError):
+            except (ValueError, AttributeError, RecursionError):
                 continue  # torn by a crash
-            if id in taken and taken[id].part is part:
+            if isinstance(id, str) and id in taken and taken[id].part is part:
                 lines.append(line + "\n")
     return "".join(lines)

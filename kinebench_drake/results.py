@@ -1,12 +1,12 @@
 """The output folder: rows appended as samples end, kept over any kind of stop, and summed up at the end."""
 
 import fcntl
-import json
 import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from kinebench_drake.errors import InputError, UsageError
+from kinebench_drake.plainfile import parse_json
 from kinebench_drake.row import Json, SampleRow, dump
 from kinebench_drake.storage import storage, write_atomically
 
@@ -33,7 +33,7 @@ def read_rows(out: Path) -> dict[str, SampleRow]:
     rows: dict[str, SampleRow] = {}
     for number, line in enumerate(lines[:-1], 1):  # what follows the last line feed is torn
         try:
-            row = SampleRow.from_json(json.loads(line))
+            row = SampleRow.from_json(parse_json(line))
         except (ValueError, InputError) as error:
             if number == len(lines) - 1:
                 break
@@ -64,6 +64,9 @@ class ResultStore:
             self._lock = os.open(out, os.O_RDONLY)
             self._claim()
             self._sweep(everything=overwrite)
+            for name in (SAMPLES, TIMINGS):
+                if (out / name).exists() and not (out / name).is_file():
+                    raise InputError(f"--out {out}: {name} is no file; --overwrite removes it, or name another folder")
             with (out / SAMPLES).open("ab"):
                 pass
             self.rows = read_rows(out)

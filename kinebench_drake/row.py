@@ -6,6 +6,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from enum import Enum
+from types import UnionType
 from typing import Any, TypeAlias, cast
 
 from kinebench_drake.errors import InputError
@@ -77,9 +78,23 @@ class SampleRow:
             known["violations"] = tuple(known.get("violations") or ())
             for name in ("metrics", "null_reasons", "details"):
                 known[name] = known.get(name) or {}
-            return cls(**known, extra={k: v for k, v in data.items() if k not in names})
+            row = cls(**known, extra={k: v for k, v in data.items() if k not in names})
         except (KeyError, TypeError, ValueError) as error:
             raise InputError(f"not a row of samples.jsonl ({error})") from None
+        for name, form in _FORMS.items():
+            if not isinstance(getattr(row, name), form):
+                raise InputError(f"not a row of samples.jsonl ({name} is {getattr(row, name)!r:.60})")
+        if not row.id or not all(isinstance(v, Mapping) for v in row.violations):
+            raise InputError("not a row of samples.jsonl (it has no id, or a violation that is no object)")
+        return row
+
+
+_FORMS: Mapping[str, type | UnionType] = {
+    **dict.fromkeys(("id", "video", "content_hash"), str),
+    **dict.fromkeys(("task", "model", "reason"), str | None),
+    **dict.fromkeys(("metrics", "null_reasons", "details"), Mapping),
+    "feasible": bool | None,
+}
 
 
 def one_text(value: Any) -> Any:

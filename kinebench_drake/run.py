@@ -2,17 +2,19 @@
 
 import os
 import platform
+import threading
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import closing
+from contextlib import AbstractContextManager, closing, nullcontext
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Protocol
 
 from kinebench_drake.aggregate import Estimate, aggregate, by_key, estimate
-from kinebench_drake.engines import Crashed, EngineKind, create_engine
+from kinebench_drake.engines import Crashed, Draining, Engine, EngineKind, create_engine
 from kinebench_drake.errors import SetupError, UsageError
 from kinebench_drake.header import RunHeader
+from kinebench_drake.interrupt import patient
 from kinebench_drake.measure import SCHEMA_VERSION, Equipment, Kind, Measure, Sample
 from kinebench_drake.normalization import normalize_run
 from kinebench_drake.provenance import code_hash, host, versions, weights_hash
@@ -151,6 +153,7 @@ def run_samples(
     Raises:
         UsageError: the configuration or the output folder cannot be used.
         SetupError: something is missing on this machine, or the disk is full. What was finished is kept.
+        KeyboardInterrupt: there was an interrupt. After the first the samples at hand were finished, if the engine can.
     """
     engine = create_engine(config.engine, config.jobs, config.address)
     chosen = list(samples[: config.limit])
@@ -159,18 +162,30 @@ def run_samples(
     with ResultStore(config.out, overwrite=config.overwrite) as store:
         waiting = _resume(store, samples, chosen, measure, header, observer)
         observer.started(total=len(chosen), kept=len(chosen) - len(waiting))
-        with closing(engine.run(partial(_make, measure), waiting)) as outcomes:
-            for outcome in outcomes:
-                if isinstance(outcome, Crashed):
-                    row, wall_s = measure.failed(outcome.item, Status.ERROR, outcome.reason), 0.0
-                else:
-                    row, wall_s = outcome.result
-                store.append(row, wall_s)
-                observer.finished(row, wall_s)
+        with _interruptible(engine, observer) as interrupted:
+            done = 0
+            with closing(engine.run(partial(_make, measure), waiting)) as outcomes:
+                for outcome in outcomes:
+                    if isinstance(outcome, Crashed):
+                        row, wall_s = measure.failed(outcome.item, Status.ERROR, outcome.reason), 0.0
+                    else:
+                        row, wall_s = outcome.result
+                    store.append(row, wall_s)
+                    observer.finished(row, wall_s)
+                    done += 1
+            if interrupted.is_set() and done < len(waiting):
+                raise KeyboardInterrupt
         store.finish(summarize(store.sorted_rows(), header))
         if config.replays:
             _replay(config)
         return close_run(store, config.kind, config.seed)
+
+
+def _interruptible(engine: Engine, observer: Observer) -> AbstractContextManager[threading.Event]:
+    """A context in which a first interrupt lets the samples at hand be finished, with engines that can."""
+    if isinstance(engine, Draining):
+        return patient(engine.drain, observer.warned)
+    return nullcontext(threading.Event())
 
 
 def _make(measure: Measure[Sample, Equipment]) -> Callable[[Sample], tuple[SampleRow, float]]:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array
+from kinebench_drake.npz import Archive, open_npz
 from kinebench_drake.products import GripperTrack, IkStatus, JointTrack
 from kinebench_drake.storage import write_atomically
 
@@ -100,21 +101,43 @@ def read_track(path: Path) -> TrackFile:
         InputError: the file is absent, damaged, or lacks an array.
     """
     try:
-        with np.load(path, allow_pickle=False) as a:
+        with open_npz(path) as a:
+            lacking = [name for name in _OWN if name not in (*a.files, "status")]
+            if lacking:
+                raise InputError(f"lacks {', '.join(lacking)}")
+            own = {name: _numbers(a, name) for name in _OWN if name != "status"}
             track = GripperTrack(
-                t_s=a["t_s"],
-                X_CH=a["camera_from_hand"],
-                X_BG=a["base_from_tcp"],
-                tracked=a["tracked"],
-                confidence=a["confidence"],
-                finger_width_m=a["finger_width_m"],
+                t_s=own["t_s"],
+                X_CH=own["camera_from_hand"],
+                X_BG=own["base_from_tcp"],
+                tracked=own["tracked"].astype(bool),
+                confidence=own["confidence"],
+                finger_width_m=own["finger_width_m"],
             )
+            n = len(track.t_s)
+            curves = {name: _numbers(a, name) for name in sorted(set(a.files) - set(_OWN))}
+            for name, array in {"q": own["q"], "ik_ok": own["ik_ok"], **curves}.items():
+                shapes: list[tuple[int, ...]] = (
+                    [(n, 7)] if name == "q" else [(n,)] if name == "ik_ok" else [(n,), (n, 7)]
+                )
+                if array.shape not in shapes:
+                    raise InputError(f"{name} has shape {array.shape}, expected {' or '.join(map(str, shapes))}")
+            told = a["status"] if "status" in a.files else None
+            if told is not None and told.shape != (n,):
+                raise InputError(f"status has shape {told.shape}, expected {(n,)}")
             return TrackFile(
                 track=track,
-                q=a["q"],
-                ik_ok=a["ik_ok"],
-                status=tuple(IkStatus(str(s)) for s in a["status"]) if "status" in a.files else None,
-                curves={name: a[name] for name in sorted(set(a.files) - set(_OWN))},
+                q=own["q"],
+                ik_ok=own["ik_ok"].astype(bool),
+                status=None if told is None else tuple(IkStatus(str(s)) for s in told),
+                curves=curves,
             )
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+    except (InputError, ValueError) as error:
         raise InputError(f"{path.name}: not a track file ({error})") from None
+
+
+def _numbers(archive: Archive, name: str) -> Array:
+    array = archive[name]
+    if array.dtype.kind not in "biuf":
+        raise InputError(f"{name} holds {array.dtype}, expected numbers")
+    return array

@@ -27,6 +27,10 @@ LEAF = {
         "runs",
         "drawing",
         "markdown",
+        "npz",
+        "interrupt",
+        "hdf5",
+        "plainfile",
     ),
 }
 RESULTS = {
@@ -64,7 +68,8 @@ MAY_IMPORT = {
     "validation": LEAF
     | RESULTS
     | {"models", "kinematics", "metrics", "suites", "stages", "drake_stages", "audit"}
-    | {"grounding", "closed_loop", "episode_cause", "calibration"},
+    | {"grounding", "closed_loop", "episode_cause", "calibration", "inputs", "trajectories", "measure", "run", "merge"}
+    | {"video_measure", "trajectory_measure", "suite_report"},
 }
 """What each part may import besides itself. Parts not named here see all but the command line."""
 ABOVE_ALL = {"cli", "__main__"}

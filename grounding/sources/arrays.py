@@ -1,39 +1,32 @@
 """Arrays of a whole video in files: npy, npz, and folders of one png a frame."""
 
-import zipfile
-import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
-from numpy.lib.npyio import NpzFile
 from numpy.typing import NDArray
-from PIL import Image
 
-from kinebench_drake.errors import InputError, cause
-from kinebench_drake.grounding.frame_folder import frame_files
-
-_UNREADABLE = (OSError, ValueError, EOFError, MemoryError, zipfile.BadZipFile, zlib.error)
+from kinebench_drake import npz
+from kinebench_drake.errors import InputError
+from kinebench_drake.grounding.frame_folder import frame_files, open_picture
 
 
 @contextmanager
-def open_archive(path: Path) -> Iterator[NpzFile]:
+def open_archive(path: Path) -> Iterator[npz.Archive]:
     """The arrays of an npz file; pickled objects are never loaded.
 
     Raises:
         InputError: the file is damaged, or something else.
     """
     try:
-        if not zipfile.is_zipfile(path):
-            raise InputError(f"{path.name}: is not a whole zip archive, expected an npz file as np.savez writes it")
-        with np.load(path, allow_pickle=False) as archive:
+        with npz.open_npz(path) as archive:
             yield archive
-    except _UNREADABLE as error:
-        raise InputError(f"{path.name}: not a readable npz file ({cause(error)})") from None
+    except InputError as error:
+        raise InputError(f"{path.name}: {str(error).removeprefix(f'{path.name}: ')}") from None
 
 
-def pick(archive: NpzFile, names: Sequence[str], path: Path) -> tuple[str, NDArray[np.generic]]:
+def pick(archive: npz.Archive, names: Sequence[str], path: Path) -> tuple[str, NDArray[np.generic]]:
     """The first of the named arrays that is there, and its name.
 
     Raises:
@@ -56,12 +49,9 @@ def read_npy(path: Path) -> NDArray[np.generic]:
         InputError: the file is damaged, or something else.
     """
     try:
-        array = np.load(path, allow_pickle=False)
-    except _UNREADABLE as error:
-        raise InputError(f"{path.name}: not a readable npy file ({cause(error)})") from None
-    if not isinstance(array, np.ndarray):
-        raise InputError(f"{path.name}: holds several arrays; name it {path.stem}.npz")
-    return array
+        return npz.read_npy(path)
+    except InputError as error:
+        raise InputError(f"{path.name}: {error}") from None
 
 
 def png_files(folder: Path) -> list[Path]:
@@ -80,11 +70,8 @@ def read_pngs(folder: Path) -> NDArray[np.generic]:
         raise InputError(f"{folder.name}/: holds no png files, expected one for every frame")
     images: list[NDArray[np.generic]] = []
     for file in files:
-        try:
-            with Image.open(file) as picture:
-                image = np.asarray(picture)
-        except (*_UNREADABLE, SyntaxError, Image.DecompressionBombError) as error:
-            raise InputError(f"{folder.name}/{file.name}: not a readable image ({cause(error)})") from None
+        with open_picture(file) as picture:
+            image = np.asarray(picture)
         if images and (image.shape, image.dtype) != (images[0].shape, images[0].dtype):
             raise InputError(
                 f"{folder.name}/{file.name}: {image.dtype} of shape {image.shape}, the first picture is "

@@ -1,5 +1,6 @@
 """Poses of the gripper from another tracker."""
 
+import io
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 from kinebench_drake.errors import InputError, cause
 from kinebench_drake.geometry import Array, checked_pose
 from kinebench_drake.grounding.sources.arrays import open_archive, pick, read_npy
+from kinebench_drake.plainfile import read_text
 
 MESH_NAME = "mesh_from_hand.txt"
 """File with the pose (4, 4) of panda_hand in the frame of the mesh that was tracked."""
@@ -143,7 +145,8 @@ def _read_texts(folder: Path, frames: int) -> Array:
 
 def _read_text(file: Path) -> Array:
     try:
-        X = np.loadtxt(file, dtype=np.float64, delimiter="," if "," in file.read_text() else None)
+        text = read_text(file)
+        X = np.loadtxt(io.StringIO(text), dtype=np.float64, delimiter="," if "," in text else None)
     except (OSError, ValueError) as error:
         raise InputError(f"{file.parent.name}/{file.name}: not a readable matrix ({cause(error)})") from None
     if X.shape != (4, 4):

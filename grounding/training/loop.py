@@ -5,14 +5,16 @@ asked for by the number of their step, and random numbers of a step (dropout) de
 """
 
 import copy
+import json
 import math
 import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import torch
+from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor, nn
 
@@ -25,6 +27,7 @@ Batch = dict[str, Tensor]
 REPORT_EVERY = 50
 """Steps between two lines that tell of the losses."""
 _WEIGHT_DECAY = 0.02
+_TENSOR = "tensor of the file"  # key in a checkpoint's JSON
 _GRADIENT_CLIP = 5.0
 
 
@@ -130,7 +133,7 @@ def optimise(
         losses: the losses of what it said; runs in single precision.
         schedule: how long and how fast.
         identity: what a checkpoint must have in common with the run that goes on from it.
-        folder: where `checkpoint.pt` lies.
+        folder: where `checkpoint.safetensors` lies.
         report: called with a line of text every `REPORT_EVERY` steps.
 
     Raises:
@@ -147,8 +150,8 @@ def optimise(
     optimizer = torch.optim.AdamW(groups, lr=schedule.learning_rate)
     scheduler = torch.optim.lr_scheduler.LambdaLR(optimizer, lambda step: schedule.rate(step))
     kept = {"network": network, "average": average, "optimizer": optimizer, "scheduler": scheduler}
-    checkpoint = folder / "checkpoint.pt"
-    start = _resume(checkpoint, kept, dict(identity), device)
+    checkpoint = folder / "checkpoint.safetensors"
+    start = _resume(checkpoint, kept, dict(identity))
     if start:
         report(f"going on from step {start}")
     network.train()
@@ -176,26 +179,62 @@ def optimise(
             report(f"step {step + 1}/{schedule.steps} {told} {pace:.2f} s/step")
             sums.clear()
         if (step + 1) % schedule.checkpoint_every == 0 or step + 1 == schedule.steps:
-            state = {name: thing.state_dict() for name, thing in kept.items()}  # type: ignore[attr-defined]
-            with whole(checkpoint) as part:
-                torch.save({**state, "step": step + 1, "config": dict(identity)}, part)
+            _save(checkpoint, kept, dict(identity), step + 1)
     return average
 
 
-def _resume(path: Path, kept: Mapping[str, object], identity: dict[str, object], device: torch.device) -> int:
+def _save(path: Path, kept: Mapping[str, Any], identity: dict[str, object], steps: int) -> None:
+    """Write a checkpoint: tensors as such, all else as JSON beside them; nothing is pickled.
+
+    Raises:
+        SetupError: writing failed.
+    """
+    tensors: dict[str, Tensor] = {}
+    plain = {name: _without_tensors(thing.state_dict(), name, tensors) for name, thing in kept.items()}
+    with whole(path) as part:
+        save_file(tensors, part, {"state": json.dumps({**plain, "step": steps, "config": identity})})
+
+
+def _without_tensors(value: Any, name: str, tensors: dict[str, Tensor]) -> Any:
+    """A state with each tensor replaced by the name under which it is put among `tensors`."""
+    if isinstance(value, Tensor):
+        tensors[name] = value.detach().contiguous()
+        return {_TENSOR: name}
+    if isinstance(value, Mapping):
+        return {str(key): _without_tensors(inner, f"{name}.{key}", tensors) for key, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [_without_tensors(inner, f"{name}.{k}", tensors) for k, inner in enumerate(value)]
+    return value
+
+
+def _with_tensors(value: Any, tensors: Mapping[str, Tensor]) -> Any:
+    """What `_without_tensors` was given; keys that are numbers (of parameters) are such again."""
+    if isinstance(value, Mapping):
+        if _TENSOR in value:
+            return tensors[value[_TENSOR]]
+        return {int(k) if k.isdecimal() else k: _with_tensors(inner, tensors) for k, inner in value.items()}
+    return [_with_tensors(inner, tensors) for inner in value] if isinstance(value, list) else value
+
+
+def _resume(path: Path, kept: Mapping[str, Any], identity: dict[str, object]) -> int:
     """Load a checkpoint into what is `kept`, if there is one; returns the number of steps made.
 
     Raises:
-        UsageError: it is of another training.
+        UsageError: it is damaged, or of another training.
     """
     if not path.is_file():
         return 0
-    state = torch.load(path, weights_only=True, map_location=device)
-    if state.get("config") != identity:
+    try:
+        with safe_open(path, framework="pt") as file:
+            state = json.loads(file.metadata()["state"])
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - no mapping
+    except (SafetensorError, ValueError, KeyError, TypeError, OSError) as error:
+        raise UsageError(f"{path.name}: is no checkpoint ({error}); remove it to begin anew") from None
+    if state["config"] != json.loads(json.dumps(identity)):
         raise UsageError(
             f"{path.parent.name}: holds a training with {state.get('config')}, asked for was {identity}; "
             "name another folder, or remove this one"
         )
     for name, thing in kept.items():
-        thing.load_state_dict(state[name])  # type: ignore[attr-defined]
+        thing.load_state_dict(_with_tensors(state[name], tensors))
     return int(state["step"])

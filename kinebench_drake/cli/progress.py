@@ -9,6 +9,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.text import Text
 
+from kinebench_drake.errors import one_line
 from kinebench_drake.row import SampleRow, Status
 
 _STYLES = {Status.OK: "green", Status.UNMEASURABLE: "yellow", Status.ERROR: "red"}
@@ -66,7 +67,7 @@ class ProgressView(_View):
 
     def warned(self, message: str) -> None:
         """Tell a warning."""
-        self._say(Text(f"warning: {message}", style="yellow"))
+        self._say(Text(one_line(f"warning: {message}"), style="yellow"))
 
     def started(self, total: int, kept: int) -> None:
         """Begin to count."""
@@ -78,7 +79,7 @@ class ProgressView(_View):
         reason = f": {row.reason}" if row.reason else ""
         if self._bar is None or row.status is not Status.OK:
             line = f"[{self.done}/{self.total}] {row.id} {row.status.value}{reason} ({wall_s:.1f} s)"
-            self._say(Text(line, style=_STYLES[row.status]))
+            self._say(Text(one_line(line), style=_STYLES[row.status]))
 
 
 class EpisodeView(_View):

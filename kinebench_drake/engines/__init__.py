@@ -4,7 +4,7 @@ from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from importlib.util import find_spec
-from typing import Generic, Protocol, TypeVar
+from typing import Generic, Protocol, TypeVar, runtime_checkable
 
 from kinebench_drake.errors import SetupError, UsageError
 
@@ -50,6 +50,15 @@ class Engine(Protocol):
         Raises:
             KinebenchError: one raised by a worker: the run cannot go on. Any other exception counts as a crash.
         """
+        ...
+
+
+@runtime_checkable
+class Draining(Protocol):
+    """An engine that can make an end of its own accord."""
+
+    def drain(self) -> None:
+        """Begin no more items; those at hand are finished. May be called amid `run`, by a signal's handler."""
         ...
 
 

@@ -8,10 +8,12 @@ import multiprocessing
 import os
 import signal
 import sys
+import threading
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from typing import Generic, cast
@@ -29,6 +31,11 @@ class LocalEngine:
 
     jobs: int
     """Number of processes; 1 works in this very process."""
+    _drained: threading.Event = field(default_factory=threading.Event, init=False, repr=False, compare=False)
+
+    def drain(self) -> None:
+        """See `Draining`."""
+        self._drained.set()
 
     def run(
         self, make_worker: Callable[[], Callable[[Item], Result]], items: Sequence[Item]
@@ -40,9 +47,11 @@ class LocalEngine:
             with one_thread():
                 work = make_worker()
                 for item in items:
+                    if self._drained.is_set():
+                        return
                     yield Done(item=item, result=work(item))
         else:
-            yield from _Pool(make_worker, items, min(self.jobs, len(items))).outcomes()
+            yield from _Pool(make_worker, items, min(self.jobs, len(items)), self._drained).outcomes()
 
 
 @contextmanager
@@ -78,7 +87,14 @@ class _Slot(Generic[Item]):
 class _Pool(Generic[Item, Result]):
     """Processes fed one item at a time over a pipe each: when one dies, only its item is lost."""
 
-    def __init__(self, make_worker: Callable[[], Callable[[Item], Result]], items: Sequence[Item], size: int) -> None:
+    def __init__(
+        self,
+        make_worker: Callable[[], Callable[[Item], Result]],
+        items: Sequence[Item],
+        size: int,
+        drained: threading.Event,
+    ) -> None:
+        self._drained = drained
         self._make_worker = make_worker
         self._waiting = deque(items)
         self._size = size
@@ -86,8 +102,8 @@ class _Pool(Generic[Item, Result]):
 
     def outcomes(self) -> Generator[Done[Item, Result] | Crashed[Item], None, None]:
         try:
-            while self._waiting or self._slots:
-                while self._waiting and len(self._slots) < self._size:
+            while self._has_more() or self._slots:
+                while self._has_more() and len(self._slots) < self._size:
                     self._slots.append(self._start())
                 ready = wait([slot.pipe for slot in self._slots])
                 for slot in [slot for slot in self._slots if slot.pipe in ready]:
@@ -101,10 +117,15 @@ class _Pool(Generic[Item, Result]):
                 slot.process.join()
                 slot.pipe.close()
 
+    def _has_more(self) -> bool:
+        """Whether there is an item to be begun."""
+        return bool(self._waiting) and not self._drained.is_set()
+
     def _start(self) -> _Slot[Item]:
         context = multiprocessing.get_context("spawn")
         ours, theirs = context.Pipe()
         process = context.Process(target=_serve, args=(theirs, self._make_worker), daemon=True)
+        resource_tracker.ensure_running()  # which unblocks signals, so not amid what follows
         # Children inherit the environment and the blocked signals of this moment: an interrupt finds none unprepared.
         before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
@@ -119,7 +140,7 @@ class _Pool(Generic[Item, Result]):
 
     def _feed(self, slot: _Slot[Item]) -> None:
         """Hand the next item to a worker, or send it home."""
-        slot.item = self._waiting.popleft() if self._waiting else None
+        slot.item = self._waiting.popleft() if self._has_more() else None
         with suppress(BrokenPipeError, ConnectionResetError):  # it died; the next receive tells
             slot.pipe.send(slot.item)
         if slot.item is None:

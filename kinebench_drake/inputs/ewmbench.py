@@ -18,6 +18,7 @@ from kinebench_drake.errors import InputError
 from kinebench_drake.grounding.frame_folder import FRAME_SUFFIXES
 from kinebench_drake.inputs.sample import Sample, camera_of
 from kinebench_drake.inputs.search import Search
+from kinebench_drake.plainfile import read_text
 
 _SUFFIX, _TRUE = "_dataset", "gt"
 _PROMPTS = ("introduction.txt", "prompt.txt")
@@ -73,7 +74,7 @@ def _videos(folder: Path) -> Iterator[Path]:
 def _prompt(folder: Path) -> str | None:
     for name in _PROMPTS:
         try:
-            return (folder / name).read_text(encoding="utf-8")[:_LONGEST].strip() or None
-        except (OSError, UnicodeDecodeError):
+            return read_text(folder / name)[:_LONGEST].strip() or None
+        except (OSError, ValueError):
             continue
     return None

@@ -6,7 +6,7 @@ instruction. `suite demos` writes such a file; its further columns are read unde
 """
 
 import csv
-import json
+import io
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -20,13 +20,13 @@ from kinebench_drake.grounding.film import FILM_SUFFIXES
 from kinebench_drake.inputs.sample import Sample
 from kinebench_drake.inputs.search import Search, below, plain
 from kinebench_drake.manifest import MAX_PERIOD_S, MIN_PERIOD_S
+from kinebench_drake.plainfile import parse_json, read_bytes
 from kinebench_drake.trajectories.description import mapping
 
 Row = Mapping[str, object]
 
 _FILES = ("file_name", "video_file_name")
 _PROMPTS = ("text", "prompt", "caption", "instruction")
-_MOST_BYTES = 2**28
 
 
 def list_metadata(path: Path, search: Search) -> list[Sample]:
@@ -115,29 +115,26 @@ def _picture(name: object, folder: Path) -> Path | None:
 def _rows(file: Path, search: Search) -> list[Row]:
     """The rows of a metadata file; none, and a warning, where it cannot be read."""
     try:
-        if file.stat().st_size > _MOST_BYTES:
-            raise InputError(f"takes {file.stat().st_size / 2**20:.0f} MiB, at most {_MOST_BYTES / 2**20:.0f} are read")
-        return list(_READERS[file.suffix](file))
-    except (OSError, ValueError, csv.Error, RecursionError, pyarrow.ArrowException, InputError) as error:
+        return list(_READERS[file.suffix](read_bytes(file)))
+    except (OSError, ValueError, TypeError, MemoryError, csv.Error, pyarrow.ArrowException) as error:
         search.warnings.append(f"{search.name(file)} is not read ({cause(error).replace(str(file), file.name)})")
         return []
 
 
-def _csv(file: Path) -> Iterator[Row]:
-    with file.open(newline="", encoding="utf-8-sig") as lines:
-        yield from csv.DictReader(lines)
+def _csv(data: bytes) -> Iterator[Row]:
+    yield from csv.DictReader(io.StringIO(data.decode("utf-8-sig"), newline=""))
 
 
-def _jsonl(file: Path) -> Iterator[Row]:
-    for line in file.read_text(encoding="utf-8-sig").split("\n"):
+def _jsonl(data: bytes) -> Iterator[Row]:
+    for line in data.decode("utf-8-sig").split("\n"):
         if line.strip():
-            yield mapping(json.loads(line))
+            yield mapping(parse_json(line))
 
 
-def _parquet(file: Path) -> Iterator[Row]:
-    yield from parquet.read_table(file).to_pylist()
+def _parquet(data: bytes) -> Iterator[Row]:
+    yield from parquet.read_table(io.BytesIO(data)).to_pylist()
 
 
-_READERS: Mapping[str, Callable[[Path], Iterator[Row]]] = {".csv": _csv, ".jsonl": _jsonl, ".parquet": _parquet}
+_READERS: Mapping[str, Callable[[bytes], Iterator[Row]]] = {".csv": _csv, ".jsonl": _jsonl, ".parquet": _parquet}
 NAMES = tuple(f"metadata{suffix}" for suffix in _READERS)
 """What such files are called."""

@@ -10,7 +10,6 @@ assets/README_submission.md) ask for. An entry of summary.json is a video's if i
 episode 7 in a folder named TASK. The prompts are those of the unchanged run; _1 and _2 have others, which nobody tells.
 """
 
-import json
 import re
 from collections.abc import Mapping
 from dataclasses import replace
@@ -20,6 +19,7 @@ from kinebench_drake.errors import InputError
 from kinebench_drake.grounding.film import FILM_SUFFIXES
 from kinebench_drake.inputs.sample import Sample
 from kinebench_drake.inputs.search import Search, plain
+from kinebench_drake.plainfile import read_json
 from kinebench_drake.trajectories.description import mapping, read_description
 
 _FOLDER = re.compile(r"(?P<model>.+?)(?P<variant>_[12])?_(?:sort|test|val|arena)(?P<changed>_[12])?")
@@ -74,8 +74,8 @@ def _prompts(places: tuple[Path, ...], search: Search) -> dict[object, str]:
     if path is None:
         return {}
     try:
-        entries = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
+        entries = read_json(path)
+    except (OSError, ValueError):
         search.warnings.append(f"{_SUMMARY} cannot be read as JSON: prompts are unknown")
         return {}
     found: dict[object, str] = {}

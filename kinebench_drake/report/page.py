@@ -1,12 +1,12 @@
 """What the report shows, gathered from an output folder and put into the template."""
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from kinebench_drake.aggregate import Aggregate, Estimate, aggregate
-from kinebench_drake.errors import InputError
+from kinebench_drake.errors import InputError, cause
+from kinebench_drake.plainfile import read_json
 from kinebench_drake.report.group import group_rows
 from kinebench_drake.report.histogram import Histogram, count_values, draw_histogram
 from kinebench_drake.report.metric import BY_NAME, METRICS, Layout, Metric, layout_of
@@ -143,11 +143,11 @@ def read_results(out: Path) -> Mapping[str, Json]:
         InputError: the file is damaged.
     """
     try:
-        data = json.loads((out / RESULTS).read_text())
+        data = read_json(out / RESULTS)
     except FileNotFoundError:
         return {}
-    except ValueError as error:
-        raise InputError(f"{out / RESULTS}: not JSON ({error})") from None
+    except (OSError, ValueError) as error:
+        raise InputError(f"{out / RESULTS}: not JSON ({cause(error)})") from None
     return data if isinstance(data, dict) else {}
 
 

@@ -8,7 +8,7 @@ from typing import TypeVar
 import numpy as np
 
 from kinebench_drake.normalization import robust_normalize
-from kinebench_drake.row import Json, SampleRow, Status
+from kinebench_drake.row import Json, SampleRow, Status, dump, finite
 
 COST = "manipulability_cost_mean"
 """Metric that is put on the scale of all episodes of a report."""
@@ -58,10 +58,10 @@ class Episode:
         return self.row.task or "unnamed"
 
     @property
-    def key(self) -> tuple[Part, str, Json, Json, Json]:
+    def key(self) -> tuple[Part, str, str]:
         """What makes two models' episodes the same one: part, task, seed, pool and variant."""
         extra = self.row.extra
-        return self.part, self.task, extra.get("seed"), extra.get("pool"), extra.get("variant")
+        return self.part, self.task, dump(finite([extra.get(name) for name in ("seed", "pool", "variant")]))
 
     @property
     def success(self) -> bool | None:

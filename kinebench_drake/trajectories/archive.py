@@ -1,13 +1,12 @@
 """Trajectories in npz files: given by hand, or the tracks of an output folder."""
 
-import zipfile
-import zlib
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from kinebench_drake.errors import InputError, cause
+from kinebench_drake.errors import InputError
+from kinebench_drake.npz import Archive, at_most, open_npz
 from kinebench_drake.trajectories.trajectory import Choice, Recording
 
 SUFFIXES = frozenset({".npz"})
@@ -25,31 +24,15 @@ def read_archive(path: Path, choice: Choice) -> Recording:
     Raises:
         InputError: the file is damaged, lacks an array, or holds pickled objects.
     """
-    if not path.stat().st_size:
-        raise InputError("the file is empty (0 bytes)")
-    if not zipfile.is_zipfile(path):
-        raise InputError("is not a whole zip archive, expected an npz file as np.savez writes it")
-    try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
-            return _recording(path, archive, choice)
-    except (OSError, ValueError, EOFError, MemoryError, RuntimeError, zipfile.BadZipFile, zlib.error) as error:
-        if "pickle" in str(error):
-            raise InputError("holds pickled Python objects, which are never loaded: save plain arrays") from None
-        raise InputError(f"is not a readable npz archive ({cause(error)})") from None
+    with open_npz(path, at_most(_MAX_BYTES)) as archive:
+        return _recording(archive, choice)
 
 
-def _recording(path: Path, archive: np.lib.npyio.NpzFile, choice: Choice) -> Recording:
+def _recording(archive: Archive, choice: Choice) -> Recording:
     names = archive.files
-    with zipfile.ZipFile(path) as raw:
-        sizes = {entry.filename.removesuffix(".npy"): entry.file_size for entry in raw.infolist()}
-
-    def load(name: str) -> NDArray[np.generic]:
-        if sizes[name] > _MAX_BYTES:
-            raise InputError(f"{name} takes {sizes[name] / 2**20:.0f} MiB, at most {_MAX_BYTES / 2**20:.0f} are taken")
-        return np.asarray(archive[name])
 
     def optional(name: str) -> NDArray[np.generic] | None:
-        return load(name) if name in names else None
+        return archive[name] if name in names else None
 
     warnings = []
     if choice.joints is not None or choice.poses is not None:
@@ -65,7 +48,7 @@ def _recording(path: Path, archive: np.lib.npyio.NpzFile, choice: Choice) -> Rec
         taken, is_joints = found[0], found[0] == _JOINTS
         if len(found) > 1 and "ik_ok" not in names:
             warnings.append(f"holds {_JOINTS} and {_POSES}: {_JOINTS} was taken (--poses {_POSES} takes the poses)")
-    values = load(taken)
+    values = archive[taken]
     return Recording(
         t_s=optional("t_s"),
         X_BG=None if is_joints else values,

@@ -38,7 +38,7 @@ class Columns:
 
 
 _NUMBERED = re.compile(
-    r"(?P<arm>|.*[^a-z0-9])(?:joint|j|q)[_. ]?(?:pos|position|angle)?[_. ]?(?P<number>\d+)"
+    r"(?P<arm>|.*[^a-z0-9])(?:joint|j|q)[_. ]?(?:pos|position|angle)?[_. ]?(?P<number>\d{1,6})"
     r"(?:[_. ](?:pos|position|angle|rad))*"
 )
 _FINGER = re.compile(r".*finger.*joint.*|.*joint.*finger.*")

@@ -5,7 +5,6 @@ a file and lists them in meta/episodes/*.parquet, of each film from when to when
 follow `video_path` of meta/info.json. (LeRobot's own `LeRobotDataset` v2.1 and v3.0.)
 """
 
-import json
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -15,12 +14,14 @@ import pyarrow
 import pyarrow.parquet as parquet
 
 from kinebench_drake.errors import InputError, cause
+from kinebench_drake.plainfile import open_file, parse_json, read_text
 from kinebench_drake.trajectories.description import mapping, read_description
 
 INFO = Path("meta") / "info.json"
 
 _FILM_V2 = "videos/chunk-{episode_chunk:03d}/{video_key}/episode_{episode_index:06d}.mp4"
 _FILM_V3 = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
+_DAMAGED = (OSError, ValueError, TypeError, MemoryError, pyarrow.ArrowException)
 _CHUNK = 1000  # episodes a chunk of v2, where the description tells none
 _FIELD = re.compile(r"\{(\w+)(?::0(\d)d)?\}")
 
@@ -146,8 +147,9 @@ def schema(path: Path) -> list[str]:
         InputError: it is damaged.
     """
     try:
-        return list(parquet.read_schema(path).names)
-    except (OSError, ValueError, pyarrow.ArrowException) as error:
+        with open_file(path) as file:
+            return list(parquet.read_schema(file).names)
+    except _DAMAGED as error:
         raise InputError(f"{path.name} is not a readable parquet file ({_told(path, error)})") from None
 
 
@@ -159,8 +161,9 @@ def read_rows(path: Path, columns: list[str], episode: int | None = None) -> pya
     """
     only = None if episode is None else [("episode_index", "==", episode)]
     try:
-        return parquet.read_table(path, columns=columns, filters=only)
-    except (OSError, ValueError, pyarrow.ArrowException) as error:
+        with open_file(path) as file:
+            return parquet.read_table(file, columns=columns, filters=only)
+    except _DAMAGED as error:
         raise InputError(f"{path.name} is not a readable parquet file ({_told(path, error)})") from None
 
 
@@ -183,12 +186,12 @@ def _described(path: Path) -> dict[int, Mapping[str, object]]:
     """What meta/episodes.jsonl of a v2 dataset tells, by episode; nothing from where on it cannot be read."""
     found: dict[int, Mapping[str, object]] = {}
     try:
-        for line in path.read_text().splitlines():
-            row = mapping(json.loads(line))
+        for line in read_text(path).splitlines():
+            row = mapping(parse_json(line))
             number = row.get("episode_index")
             if isinstance(number, int):
                 found[number] = row
-    except (OSError, ValueError, RecursionError):
+    except (OSError, ValueError):
         return found
     return found
 

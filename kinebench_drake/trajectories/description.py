@@ -1,10 +1,10 @@
 """JSON beside trajectories, which may hold anything."""
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 
 from kinebench_drake.errors import InputError, cause
+from kinebench_drake.plainfile import read_json
 
 
 def read_description(path: Path) -> Mapping[str, object]:
@@ -15,10 +15,10 @@ def read_description(path: Path) -> Mapping[str, object]:
         InputError: it cannot be read as JSON.
     """
     try:
-        return mapping(json.loads(path.read_text()))
+        return mapping(read_json(path))
     except FileNotFoundError:
         raise
-    except (OSError, ValueError, RecursionError) as error:
+    except (OSError, ValueError) as error:
         raise InputError(f"{path.name} cannot be read as JSON ({cause(error)})") from None
 
 

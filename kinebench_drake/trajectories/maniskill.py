@@ -13,10 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.errors import InputError, cause
+from kinebench_drake.hdf5 import DAMAGED, open_hdf5, read_all
 from kinebench_drake.trajectories.check import MAX_FRAMES
 from kinebench_drake.trajectories.description import mapping, read_description
 from kinebench_drake.trajectories.sample import Format, TrajectorySample
-from kinebench_drake.trajectories.trajectory import N_JOINTS, Choice, Recording
+from kinebench_drake.trajectories.trajectory import MAX_STEP_S, MIN_STEP_S, N_JOINTS, Choice, Recording
 
 SUFFIXES = frozenset({".h5", ".hdf5"})
 
@@ -25,7 +26,9 @@ DEFAULT_RATE_HZ = 20.0
 
 _QPOS = "obs/agent/qpos"
 _ARTICULATIONS = "env_states/articulations"
+_MAX_BYTES = 2**28
 _ROOT = 13  # numbers of an articulation's root before its joints
+_TRAJECTORY = re.compile(r"traj_\d{1,9}", re.ASCII)
 _ROBOT = re.compile(r"panda|franka|fr3", re.IGNORECASE)
 
 
@@ -38,18 +41,17 @@ def list_maniskill(path: Path, video: str) -> list[TrajectorySample]:
     """
     bare = TrajectorySample(id=path.stem, path=path, video=video, format=Format.MANISKILL)
     try:
-        with h5py.File(path, "r") as file:
-            names = [name for name in map(str, file) if re.fullmatch(r"traj_\d+", name)]
+        with open_hdf5(path) as file:
+            names = [name for name in map(str, file) if _TRAJECTORY.fullmatch(name)]
             held = ", ".join(map(str, list(file)[:8]))
-    except (OSError, RuntimeError, KeyError) as error:
-        size = path.stat().st_size if path.is_file() else 0
-        told = f"is not a readable HDF5 file ({cause(error)})" if size else "the file is empty (0 bytes)"
-        return [_replaced(bare, problem=told)]
+    except DAMAGED as error:
+        return [_replaced(bare, problem=cause(error))]
     if not names:
         return [_replaced(bare, problem=f"holds no trajectory traj_0, traj_1, ... but {held or 'nothing'}")]
     about, note = _description(path.with_suffix(".json"))
     info, episodes = mapping(about.get("env_info")), about.get("episodes")
-    by_id = {e.get("episode_id"): e for e in episodes if isinstance(e, Mapping)} if isinstance(episodes, list) else {}
+    told = episodes if isinstance(episodes, list) else []
+    by_id = {e["episode_id"]: e for e in map(mapping, told) if isinstance(e.get("episode_id"), int)}
     samples = []
     for name in sorted(names, key=lambda n: int(n.removeprefix("traj_"))):
         episode = mapping(by_id.get(int(name.removeprefix("traj_"))))
@@ -93,18 +95,20 @@ def read_maniskill(path: Path, group: str, rate_hz: float | None, choice: Choice
             "(--joints names their data set)"
         )
     try:
-        with h5py.File(path, "r") as file:
+        with open_hdf5(path) as file:
             trajectory = file[group]
+            if not isinstance(trajectory, h5py.Group):
+                raise InputError(f"{group} is a data set, expected a group of them")
             name = choice.joints or _found(trajectory)
             data = trajectory.get(name)
             if not isinstance(data, h5py.Dataset):
                 raise InputError(f"{group} holds no data set {name!r}, but {_listed(trajectory)}")
             if data.dtype.kind not in "iuf":
                 raise InputError(f"{group}/{name} holds {data.dtype}, expected real numbers")
-            if data.ndim and len(data) > MAX_FRAMES:
-                raise InputError(f"has {len(data)} frames, at most {MAX_FRAMES} are taken: cut it into parts")
-            values: NDArray[np.generic] = np.asarray(data)
-    except (OSError, RuntimeError, KeyError, ValueError) as error:
+            if data.shape and data.shape[0] > MAX_FRAMES:
+                raise InputError(f"has {data.shape[0]} frames, at most {MAX_FRAMES} are taken: cut it into parts")
+            values = read_all(data, _MAX_BYTES)
+    except DAMAGED as error:
         raise InputError(f"{group} cannot be read ({cause(error)})") from None
     columns, first = f"{group}/{name}", 0
     if name.startswith(_ARTICULATIONS):
@@ -174,6 +178,10 @@ def _rate(about: Mapping[str, object]) -> float | None:
     arguments = mapping(info.get("env_kwargs"))
     for place in (info, arguments, mapping(arguments.get("sim_config")), mapping(arguments.get("sim_cfg"))):
         value = place.get("control_freq")
-        if isinstance(value, int | float) and not isinstance(value, bool) and value > 0:
+        if (
+            isinstance(value, int | float)
+            and not isinstance(value, bool)
+            and 1.0 / MAX_STEP_S <= value <= 1.0 / MIN_STEP_S
+        ):
             return float(value)
     return None

@@ -173,6 +173,80 @@ def calibration(folder: Path, limit: int | None, frames: int, part: float, quick
         click.echo(line)
 
 
+@main.command(
+    epilog="\b\nExample:\n  python -m kinebench_drake.validation fuzz --count 20000 --seed 0 --out fuzz",
+)
+@click.option("--count", type=click.IntRange(min=1), default=20_000, show_default=True, metavar="N")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
+@click.option("--only", type=click.IntRange(min=0), multiple=True, metavar="NUMBER", help="Read these inputs alone.")
+@click.option(
+    "--out", type=click.Path(path_type=Path, file_okay=False), required=True, help="Folder for the inputs that fail."
+)
+def fuzz(count: int, seed: int, only: tuple[int, ...], out: Path) -> None:
+    """Make valid inputs of every kind wrong and have the program read them.
+
+    Each has to be read, or refused in one line: without traceback, hang, crash or a flood of memory.
+    """
+    from kinebench_drake.validation.fuzz.campaign import Campaign, distinct, table
+
+    numbers = only or range(count)
+    trials = []
+    try:
+        with click.progressbar(Campaign(seed).run(numbers, out), length=len(numbers), label="fuzz") as done:
+            trials = list(done)
+    except KinebenchError as error:
+        raise click.ClickException(str(error)) from None
+    for line in table(trials):
+        click.echo(line)
+    failed = distinct(trials)
+    for told, which in failed.items():
+        click.echo(f"{len(which)} x {told} (such as {which[0]})")
+    if failed:
+        raise SystemExit(1)
+
+
+@main.command(
+    epilog="\b\nExamples:\n"
+    "  python -m kinebench_drake.validation kills --count 50 --seed 0 --out kills\n"
+    "  python -m kinebench_drake.validation kills --count 50 --interrupt --out interrupts",
+)
+@click.option("--count", type=click.IntRange(min=1), default=50, show_default=True, metavar="N", help="Stops.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
+@click.option("--interrupt", is_flag=True, help="Interrupt (Ctrl-C) instead of kill -9.")
+@click.option(
+    "--videos", type=click.Path(path_type=Path, exists=True, file_okay=False), default=Path("examples/videos"),
+    show_default=True, help="Videos for `score`.",
+)  # fmt: skip
+@click.option("--jobs", type=click.IntRange(min=1), default=2, show_default=True, help="Worker processes of each run.")
+@click.option("--out", type=click.Path(path_type=Path, file_okay=False), required=True, help="Folder; made if absent.")
+def kills(count: int, seed: int, interrupt: bool, videos: Path, jobs: int, out: Path) -> None:
+    """Stop runs of `audit` and `score` at random moments, go on, and compare with runs that nobody stopped."""
+    from kinebench_drake.validation.kills import Finished, Stop, make_jobs, torment
+
+    if out.is_dir() and any(out.iterdir()):
+        raise click.UsageError(f"--out {out}: holds something already; name a new folder")
+    stops = [Stop.INTERRUPT] if interrupt else [Stop.ALL, Stop.ONE]
+    faults = stopped = finished = 0
+    try:
+        for event in torment(make_jobs(videos, out, jobs), stops, count, seed, out):
+            faults += bool(event.fault)
+            if isinstance(event, Finished):
+                finished += 1
+                told = f"{event.job} finished after {event.stops} stops: {event.fault or 'the same files'}"
+            else:
+                stopped += 1
+                told = (
+                    f"{event.job}: {event.stop.value} after {event.at_s:.1f} s, {event.before} then {event.after} done"
+                )
+                told += f": {event.fault}" if event.fault else ""
+            click.echo(told, err=True)
+    except KinebenchError as error:
+        raise click.ClickException(str(error)) from None
+    click.echo(f"{stopped} stops, {finished} runs brought to their end, {faults} faults")
+    if faults:
+        raise SystemExit(1)
+
+
 for command in COMMANDS:
     main.add_command(command)
 

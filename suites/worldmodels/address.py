@@ -11,6 +11,7 @@ def web_address(text: str) -> httpx.URL | None:
     """The address if it is one of http or https with a host and without a name and password, else None."""
     try:
         url = httpx.URL(text)
+        url.host.encode("idna")  # as whoever looks it up will
     except (httpx.InvalidURL, ValueError):
         return None
     return url if url.scheme in ("http", "https") and url.host and not url.userinfo else None

@@ -1,11 +1,11 @@
 """Videos that were generated elsewhere, for the episodes of `suite export`."""
 
-import json
 import re
 from pathlib import Path
 from typing import Any
 
 from kinebench_drake.errors import InputError, cause
+from kinebench_drake.plainfile import parse_json, read_text
 from kinebench_drake.suites.worldmodels.spec import Options, Spec
 from kinebench_drake.suites.worldmodels.videofile import FILM_SUFFIXES, FRAME_SUFFIXES, check_video
 from kinebench_drake.suites.worldmodels.worldmodel import Request, WorldModelError
@@ -122,15 +122,15 @@ def _rows(manifest: Path) -> list[dict[str, Any]]:
     if not manifest.is_file():
         return []
     try:
-        lines = manifest.read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
+        lines = read_text(manifest).splitlines()
+    except (OSError, ValueError) as error:
         raise InputError(f"{_MANIFEST} cannot be read ({cause(error)})") from None
     rows = []
     for number, line in enumerate(lines, 1):
         if not line.strip():
             continue
         try:
-            row = json.loads(line)
+            row = parse_json(line)
         except ValueError:
             row = None
         if not isinstance(row, dict):

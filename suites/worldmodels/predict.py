@@ -4,7 +4,7 @@ import base64
 import binascii
 import io
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,7 @@ from kinebench_drake.suites.worldmodels.remark import remark
 from kinebench_drake.suites.worldmodels.worldmodel import Request, WorldModelError
 
 _MOST_PIXELS = 4096 * 4096
+_Side = Annotated[int, Field(ge=1, le=8192)]
 _READY = ("ok", "ready", "healthy")
 
 
@@ -29,7 +30,7 @@ class Capabilities(BaseModel):
 
     max_num_frames: int | None = Field(None, ge=2)
     """Most frames of one prediction, the given one included."""
-    size: tuple[int, int] | None = None
+    size: tuple[_Side, _Side] | None = None
     """Width and height that it wants frames in [px]."""
 
 

@@ -61,12 +61,12 @@ def check_video(path: Path) -> str:
         )
     try:
         # The format is given: otherwise a list of other addresses to read would pass for a video, too.
-        with av.open(path, format=_DEMUXERS[suffix]) as container:
+        with av.open(path, format=_DEMUXERS[suffix], metadata_errors="replace") as container:
             if not isinstance(container, InputContainer) or not container.streams.video:
                 raise WorldModelError("what came is a media file without pictures")
             if next(container.decode(video=0), None) is None:
                 raise WorldModelError("what came is a video without frames")
-    except (av.FFmpegError, EOFError) as error:
+    except (av.FFmpegError, EOFError, ValueError, OverflowError, MemoryError) as error:
         raise WorldModelError(f"the video is damaged ({type(error).__name__})") from None
     return suffix
 

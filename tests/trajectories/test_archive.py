@@ -117,7 +117,7 @@ def damaged(tmp_path, archive, t_s, q, kind):
         ("npy", "not a whole zip archive"),
         ("pickled", "pickled Python objects, which are never loaded"),
         ("flipped", "not a readable npz archive"),
-        ("no header", "real numbers"),
+        ("no header", "not a readable npz archive"),
     ],
 )
 def test_damaged_files_are_one_line(tmp_path, archive, t_s, q, kind, told):

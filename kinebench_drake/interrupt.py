@@ -1,0 +1,43 @@
+"""The first interrupt lets what is at hand be finished; the second stops at once."""
+
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from types import FrameType
+
+
+@contextmanager
+def patient(stop: Callable[[], None], tell: Callable[[str], None]) -> Iterator[threading.Event]:
+    """Within this context the first interrupt (Ctrl-C) calls `stop`; a second one raises KeyboardInterrupt.
+
+    Where the program has a handler of its own, or this is not its main thread, nothing is changed.
+
+    Args:
+        stop: makes an end of it before long; called amid whatever the main thread does.
+        tell: says so to the user.
+
+    Yields:
+        Whether there was an interrupt.
+    """
+    asked = threading.Event()
+    before = signal.getsignal(signal.SIGINT)
+    if threading.current_thread() is not threading.main_thread() or before is not signal.default_int_handler:
+        yield asked
+        return
+
+    def answer(number: int, frame: FrameType | None) -> None:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        asked.set()
+        stop()
+        # From a thread of its own: whatever this one was doing, it may have been writing to the terminal.
+        threading.Thread(target=tell, args=(_TOLD,), daemon=True).start()
+
+    signal.signal(signal.SIGINT, answer)
+    try:
+        yield asked
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+_TOLD = "interrupted: the samples at hand are being finished, no more are begun; press Ctrl-C again to stop at once"

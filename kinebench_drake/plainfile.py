@@ -1,0 +1,74 @@
+"""Files that users hand in, read whole: only such as are files, so that no pipe is waited for and no device drained."""
+
+import errno
+import json
+import os
+import stat
+from io import BufferedReader
+from pathlib import Path
+
+MOST_BYTES = 2**28
+"""Largest text that is read."""
+_DIGITS = 19
+
+
+def open_file(path: Path) -> BufferedReader:
+    """A regular file, open.
+
+    Raises:
+        OSError: there is none, or it cannot be read.
+    """
+    if not stat.S_ISREG(os.stat(path).st_mode):
+        raise OSError(errno.EINVAL, "Not a regular file", str(path))
+    return path.open("rb")
+
+
+def read_bytes(path: Path, most: int = MOST_BYTES) -> bytes:
+    """All of a regular file.
+
+    Raises:
+        OSError: there is none, it cannot be read, or holds more than `most` bytes.
+    """
+    with open_file(path) as file:
+        data = file.read(most + 1)
+    if len(data) > most:
+        raise OSError(errno.EFBIG, f"Larger than {most / 2**20:g} MiB", str(path))
+    return data
+
+
+def read_text(path: Path, encoding: str = "utf-8-sig") -> str:
+    """All of a regular file as text.
+
+    Raises:
+        OSError: as `read_bytes`.
+        ValueError: it is no text in this encoding.
+    """
+    return read_bytes(path).decode(encoding)
+
+
+def read_json(path: Path) -> object:
+    """What a JSON file holds.
+
+    Raises:
+        OSError: as `read_bytes`.
+        ValueError: it is not JSON.
+    """
+    return parse_json(read_bytes(path))
+
+
+def _number(text: str) -> int | float:
+    """A whole number; one that fits into no machine's word comes as a float, as arithmetic would have it."""
+    return int(text) if len(text) < _DIGITS else float(text)
+
+
+def parse_json(text: str | bytes) -> object:
+    """What a JSON text says.
+
+    Raises:
+        ValueError: it is not JSON, or nested more deeply than anything sensible.
+    """
+    try:
+        value: object = json.loads(text, parse_int=_number)
+    except RecursionError:
+        raise ValueError("it is nested too deeply") from None
+    return value
