@@ -11,10 +11,12 @@ from av.video.frame import VideoFrame
 from av.video.stream import VideoStream
 from numpy.typing import NDArray
 
+from kinebench_drake.storage import unfinished
+
 
 def join_videos(path: Path, parts: Iterable[Path]) -> None:
     """Put films of one size, rate and encoding one after the other, without encoding anything anew."""
-    part_path = path.with_name(f".{path.name}.{os.getpid()}.part")
+    part_path = unfinished(path)
     try:
         with av.open(part_path, "w", format="mp4", container_options={"fflags": "+bitexact"}) as container:
             joined: VideoStream | None = None
@@ -53,7 +55,7 @@ def write_video(
         crf: x264's quality, 0 (lossless) to 51; 18 is hard to tell from the original.
         keyframe_every: most frames from one that can be decoded by itself to the next; x264's choice if not given.
     """
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+    part = unfinished(path)
     try:
         with av.open(part, "w", format="mp4", container_options={"fflags": "+bitexact"}) as container:
             stream: VideoStream | None = None

@@ -129,12 +129,14 @@ class ResultStore:
             file.write(dump({"id": row.id, "wall_s": round(wall_s, 4)}))
 
     def finish(self, results: Mapping[str, Json]) -> None:
-        """Sort the rows and write `results.json`.
+        """Sort the rows, remove what workers left that were lost on the way, and write `results.json`.
 
         Raises:
             SetupError: writing failed.
         """
         self._rewrite()
+        with storage("the folder"):
+            self._sweep(everything=False)
         write_atomically(self.out / RESULTS, dump(results, indent=1).encode())
         with storage(RUN):
             (self.out / RUN).unlink(missing_ok=True)
@@ -170,8 +172,8 @@ class ResultStore:
             ) from None
 
     def _sweep(self, *, everything: bool) -> None:
-        """Remove what a killed run left half-written, and on demand all that any run wrote."""
-        doomed = [*self.out.glob(".*.part.*")]
+        """Remove what killed processes left half-written, and on demand all that any run wrote."""
+        doomed = [*self.out.glob(".*.part.*"), *self.out.glob("videos/.*.part.*")]
         for part, suffix in PARTS.items():
             doomed += (self.out / part).glob(".*.part.*")
             doomed += (self.out / part).glob(f"*.{suffix}") if everything else ()

@@ -27,6 +27,11 @@ def storage(name: str) -> Iterator[None]:
         ) from None
 
 
+def unfinished(path: Path) -> Path:
+    """Where this process writes a file until it is whole; by such names that is known which a killed one leaves."""
+    return path.with_name(f".{os.getpid()}.part.{path.name}")
+
+
 @contextmanager
 def whole(path: Path) -> Iterator[Path]:
     """A path to write to beside `path`, which takes its place when the context ends without an error.
@@ -34,7 +39,7 @@ def whole(path: Path) -> Iterator[Path]:
     Raises:
         SetupError: writing failed.
     """
-    part = path.with_name(f".{os.getpid()}.part.{path.name}")
+    part = unfinished(path)
     try:
         with storage(path.name):
             path.parent.mkdir(parents=True, exist_ok=True)

@@ -11,6 +11,7 @@ from kinebench_drake import results
 from kinebench_drake.aggregate import aggregate, by_key, estimate
 from kinebench_drake.errors import InputError, SetupError, UsageError
 from kinebench_drake.geometry import make_pose
+from kinebench_drake.mp4 import write_video
 from kinebench_drake.products import GripperTrack
 from kinebench_drake.results import ResultStore, read_rows
 from kinebench_drake.row import SampleRow, Status, dump
@@ -60,6 +61,24 @@ def test_rows_kept_share_their_texts(tmp_path):
         assert a.details["limits"]["joints"][0] is b.details["limits"]["joints"][0]
         assert a.violations[0]["kind"] is b.violations[0]["kind"]
         assert a.content_hash is b.content_hash
+
+
+@pytest.mark.parametrize("folder", ["overlays", "videos"])
+def test_what_a_killed_writer_of_films_leaves_is_swept(tmp_path, monkeypatch, folder):
+    """A worker that is lost half-way leaves part of a film; the run goes on with another and ends."""
+    left = []
+    (tmp_path / folder).mkdir()
+    with monkeypatch.context() as patch:
+        patch.setattr("os.replace", lambda source, target: left.append(source))
+        write_video(tmp_path / folder / "a.mp4", np.zeros((2, 96, 96, 3), np.uint8), 17.0)
+    with ResultStore(tmp_path) as store:
+        for path in left:
+            path.write_bytes(b"half")
+        (tmp_path / folder / "a.mp4").write_bytes(b"whole")
+        store.append(row(), 0.1)
+        store.finish({})
+    assert len(left) == 1
+    assert [path.name for path in (tmp_path / folder).iterdir()] == ["a.mp4"]
 
 
 def test_rows_hold_strict_json_only():

@@ -43,7 +43,7 @@ class Trial:
     workers: tuple[int, ...]
     """Workers on each node at that time."""
     files: int
-    """Files whose bytes were compared."""
+    """Files of either folder whose bytes were compared."""
     unlike: tuple[str, ...]
     """Those of them that were not the same."""
     told_apart: tuple[str, ...]
@@ -128,7 +128,7 @@ def _try(
         killed_node=killer.node + 1,
         killed_after=killer.after,
         workers=killer.workers,
-        files=len(mine),
+        files=len(mine.keys() | theirs.keys()),
         unlike=tuple(sorted(n for n in mine.keys() | theirs.keys() if mine.get(n) != theirs.get(n))),
         told_apart=tuple(differences(*(json.loads((out / RESULTS).read_text()) for out in (here, there)))),
     )

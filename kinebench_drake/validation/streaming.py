@@ -23,7 +23,7 @@ STEP = 20
 """Memory is noted each time that so many more samples are finished."""
 SETTLED = 0.25
 """Share of the samples after which growth is told: before, caches fill."""
-_SHOWN = (0.05, 0.25, 0.5, 0.75, 1.0)  # parts of a run that the table shows
+_SHOWN = (0.05, 0.25, 0.5, 0.75, 0.99, 1.0)  # parts of a run that the table shows; at the very end workers are gone
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -115,14 +115,22 @@ def measure(
 def growth(memory: Mapping[int, Memory], after: float) -> tuple[float, Array]:
     """Growth of the main process and of each worker (W,) [MB per 1,000 samples], by a straight line of least squares.
 
+    Readings do not count for which a worker has gone home already, there being nothing left to do.
+
     Args:
         memory: what was held when so many samples were finished; two readings beyond `after` at least.
         after: number of samples from which on readings count.
     """
-    counts = [count for count in sorted(memory) if count >= after]
+    crew = _crew(memory)
+    counts = [count for count, held in sorted(memory.items()) if count >= after and len(held.workers_mb) == crew]
     values = np.array([[memory[count].main_mb, *memory[count].workers_mb] for count in counts])
     slopes = np.polyfit(np.array(counts) / 1000.0, values, 1)[0]
     return float(slopes[0]), np.asarray(slopes[1:])
+
+
+def _crew(memory: Mapping[int, Memory]) -> int:
+    """How many workers there were."""
+    return max(len(held.workers_mb) for held in memory.values())
 
 
 def section(found: Streaming) -> str:
@@ -130,10 +138,10 @@ def section(found: Streaming) -> str:
     machine = host()
     shown = [min(found.memory, key=lambda count: abs(count - part * found.samples)) for part in _SHOWN]
     main, workers = growth(found.memory, SETTLED * found.samples)
-    rows = [
-        [f"{count}", *(f"{mb:.0f}" for mb in (found.memory[count].main_mb, *found.memory[count].workers_mb))]
-        for count in dict.fromkeys(shown)
-    ]
+    rows = []
+    for count in dict.fromkeys(shown):
+        held = [f"{mb:.0f}" for mb in (found.memory[count].main_mb, *found.memory[count].workers_mb)]
+        rows.append([f"{count}", *(held if len(held) == 1 + len(workers) else (held[0], *["gone"] * len(workers)))])
     return "\n".join(
         [
             HEADING,

@@ -25,8 +25,15 @@ def test_growth_is_what_memory_grows_by_once_it_has_settled():
     np.testing.assert_allclose(workers, [0.0, -3.0], atol=1e-9)
 
 
+def test_a_worker_that_has_gone_home_does_not_count():
+    memory = grown(5.0, -3.0)
+    memory[2000] = Memory(main_mb=memory[2000].main_mb, workers_mb=(800.0,))
+    np.testing.assert_allclose(growth(memory, after=500)[1], [0.0, -3.0], atol=1e-9)
+
+
 def test_the_section_tells_what_was_held():
     memory = grown(5.0, 0.0)
+    memory[2000] = Memory(main_mb=memory[2000].main_mb, workers_mb=(800.0,))
     text = section(
         Streaming(
             samples=2000,
@@ -42,7 +49,8 @@ def test_the_section_tells_what_was_held():
         )
     )
     assert "| 100 | 200 | 400 | 900 |" in text
-    assert "| 2000 | 210 | 800 | 900 |" in text
+    assert "| 1980 | 210 | 800 | 900 |" in text
+    assert "| 2000 | 210 | gone | gone |" in text
     assert "main process 5.0 MB" in text
     assert "workers 0.0 MB and 0.0 MB" in text
 
