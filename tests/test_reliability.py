@@ -396,6 +396,7 @@ def test_a_handler_of_the_programs_own_stays():
 # Fuzz
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_inputs_and_readers_stand_them(tmp_path):
     from kinebench_drake.validation.fuzz.campaign import Campaign, distinct
 

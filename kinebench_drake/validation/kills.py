@@ -28,6 +28,9 @@ _MOST = 6  # stops of one run, after which it may come to its end
 _GOES_ON = re.compile(r"interrupted with (\d+) of (\d+) samples finished; run the same command again to go on")
 
 
+_INTERRUPTED = (130, -signal.SIGINT)
+
+
 class Stop(Enum):
     """How a run is stopped."""
 
@@ -190,7 +193,10 @@ def _answer(status: int, said: str, before: int, after: int, workers: int) -> st
         return ""  # all samples were at hand or finished: the run came to its end
     if "Traceback" in said:
         return f"a traceback: {said[-300:]}"
-    told = _GOES_ON.search(said.rstrip().rsplit("\n", 1)[-1])
+    last = said.rstrip().rsplit("\n", 1)[-1]
+    if last.endswith(": interrupted") and status in _INTERRUPTED and after == before:
+        return ""  # the program was still being loaded
+    told = _GOES_ON.search(last)
     if status != 130 or told is None:
         return f"status {status}, last words {said[-200:]!r}"
     if int(told[1]) != after:
