@@ -9,7 +9,7 @@ from pathlib import Path
 
 MOST_BYTES = 2**28
 """Largest text that is read."""
-_DIGITS = 19
+_DIGITS = 20
 
 
 def open_file(path: Path) -> BufferedReader:
@@ -58,7 +58,10 @@ def read_json(path: Path) -> object:
 
 def _number(text: str) -> int | float:
     """A whole number; one that fits into no machine's word comes as a float, as arithmetic would have it."""
-    return int(text) if len(text) < _DIGITS else float(text)
+    if len(text) > _DIGITS:
+        return float(text)
+    value = int(text)
+    return value if abs(value) < 2**63 else float(value)
 
 
 def parse_json(text: str | bytes) -> object:

@@ -187,13 +187,15 @@ def fuzz(count: int, seed: int, only: tuple[int, ...], out: Path) -> None:
 
     Each has to be read, or refused in one line: without traceback, hang, crash or a flood of memory.
     """
-    from kinebench_drake.validation.fuzz.campaign import Campaign, distinct, table
+    from kinebench_drake.validation.fuzz.campaign import Campaign, Trial, distinct, table
 
     numbers = only or range(count)
-    trials = []
+    trials: list[Trial] = []
     try:
         with click.progressbar(Campaign(seed).run(numbers, out), length=len(numbers), label="fuzz") as done:
-            trials = list(done)
+            trials.extend(done)
+    except KeyboardInterrupt:
+        click.echo(f"interrupted after {len(trials)} of {len(numbers)} inputs", err=True)
     except KinebenchError as error:
         raise click.ClickException(str(error)) from None
     for line in table(trials):

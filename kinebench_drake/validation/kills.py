@@ -28,6 +28,9 @@ _MOST = 6  # stops of one run, after which it may come to its end
 _GOES_ON = re.compile(r"interrupted with (\d+) of (\d+) samples finished; run the same command again to go on")
 
 
+_INTERRUPTED = (130, -signal.SIGINT)
+
+
 class Stop(Enum):
     """How a run is stopped."""
 
@@ -46,6 +49,8 @@ class Job:
     """Its output folder when nobody stopped it."""
     wall_s: float
     """Time that it took then [s]."""
+    workers: int
+    """Processes that work on its samples."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -102,7 +107,7 @@ def make_jobs(videos: Path, out: Path, jobs: int) -> list[Job]:
         if process.returncode:
             raise KinebenchError(f"{name} failed by itself: {told[-500:]}")
         wall_s = time.monotonic() - begin
-        found.append(Job(name=name, arguments=arguments, whole=whole, wall_s=wall_s))
+        found.append(Job(name=name, arguments=arguments, whole=whole, wall_s=wall_s, workers=jobs))
     return found
 
 
@@ -118,6 +123,9 @@ def torment(
         seed: of the moments.
         out: where outputs go.
     """
+    signal.signal(
+        signal.SIGINT, signal.default_int_handler
+    )  # what a shell starts behind is deaf to it, and so its heirs
     rng = np.random.default_rng(seed)
     hits, number = 0, 0
     while hits < count:
@@ -161,7 +169,7 @@ def _stop(process: subprocess.Popen[str], job: Job, stop: Stop, folder: Path, rn
     os.kill(process.pid, number) if stop is Stop.ONE else os.killpg(process.pid, number)
     _, said = process.communicate(timeout=_PATIENCE_S)
     after = _count(folder)
-    fault = _answer(process.returncode, said, before, after) if stop is Stop.INTERRUPT else ""
+    fault = _answer(process.returncode, said, before, after, job.workers) if stop is Stop.INTERRUPT else ""
     return Stopped(job=job.name, stop=stop, at_s=time.monotonic() - begin, before=before, after=after, fault=fault)
 
 
@@ -177,13 +185,18 @@ def _count(folder: Path) -> int:
         return 0
 
 
-def _answer(status: int, said: str, before: int, after: int) -> str:
+def _answer(status: int, said: str, before: int, after: int, workers: int) -> str:
     """What is wrong with how an interrupt was answered; nothing if all is well."""
+    if after - before > workers + 1:  # one may have been finished between the count and the interrupt
+        return f"{after - before} samples were finished after the interrupt, by {workers} workers"
     if status == 0:
         return ""  # all samples were at hand or finished: the run came to its end
     if "Traceback" in said:
         return f"a traceback: {said[-300:]}"
-    told = _GOES_ON.search(said.rstrip().rsplit("\n", 1)[-1])
+    last = said.rstrip().rsplit("\n", 1)[-1]
+    if last.endswith(": interrupted") and status in _INTERRUPTED and after == before:
+        return ""  # the program was still being loaded
+    told = _GOES_ON.search(last)
     if status != 130 or told is None:
         return f"status {status}, last words {said[-200:]!r}"
     if int(told[1]) != after:

@@ -107,5 +107,5 @@ def distinct(trials: Sequence[Trial]) -> dict[str, list[int]]:
     for trial in trials:
         if not trial.outcome.fate.good:
             last = (trial.outcome.told.strip().splitlines() or [""])[-1]
-            found.setdefault(f"{trial.outcome.fate.value}: {json.dumps(last)[1:121]}", []).append(trial.number)
+            found.setdefault(f"{trial.outcome.fate.value}: {json.dumps(last)[1:-1][:120]}", []).append(trial.number)
     return found

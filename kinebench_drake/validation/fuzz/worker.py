@@ -15,7 +15,7 @@ from pathlib import Path
 from kinebench_drake.errors import KinebenchError
 from kinebench_drake.validation.fuzz.arrays import MARK
 
-PATIENCE_S = 20.0
+PATIENCE_S = 60.0
 """Longest time that an input of some kilobytes may take [s]."""
 MOST_BYTES = 2**30
 """Most memory that reading one may add."""
