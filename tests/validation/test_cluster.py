@@ -52,6 +52,8 @@ def test_a_busy_worker_is_killed_once_when_half_is_done():
         for node in nodes:
             node.stdout.readline()
         started = [children(node.pid) for node in nodes]
+        while not all(command_line(pid).startswith("ray::") for pids in started for pid in pids):
+            time.sleep(0.01)  # they take their names a moment after they are started
         killer = _Killer(raylets=[node.pid for node in nodes], after=2)
         killer(1)
         assert killer.node is None
