@@ -81,7 +81,7 @@ class Crop:
 
     def shown(self, camera: Camera, stride: int = 1) -> NDArray[np.bool_]:
         """Which of every `stride`-th pixel (n, n) lie within the frames of `camera`."""
-        return self.warp(np.ones((camera.height, camera.width), np.uint8), camera, stride, nearest=True) > 0
+        return self.warp(np.ones((camera.height, camera.width), np.uint8), camera, stride, nearest=True).astype(bool)
 
     def rays(self, stride: int = 1) -> Array:
         """Directions (n, n, 3) in V through the centres of every `stride`-th pixel, scaled so that z = 1."""
