@@ -40,4 +40,4 @@ def patient(stop: Callable[[], None], tell: Callable[[str], None]) -> Iterator[t
         signal.signal(signal.SIGINT, before)
 
 
-_TOLD = "interrupted: the samples at hand are being finished, no more are begun; press Ctrl-C again to stop at once"
+_TOLD = "interrupted: what is at hand is being finished, no more is begun; press Ctrl-C again to stop at once"

@@ -175,10 +175,10 @@ def run_samples(
                     done += 1
             if interrupted.is_set() and done < len(waiting):
                 raise KeyboardInterrupt
-        store.finish(summarize(store.sorted_rows(), header))
-        if config.replays:
-            _replay(config)
-        return close_run(store, config.kind, config.seed)
+            store.finish(summarize(store.sorted_rows(), header))
+            if config.replays:
+                _replay(config)
+            return close_run(store, config.kind, config.seed)
 
 
 def _interruptible(engine: Engine, observer: Observer) -> AbstractContextManager[threading.Event]:
