@@ -84,8 +84,8 @@ class SampleRow:
         for name, form in _FORMS.items():
             if not isinstance(getattr(row, name), form):
                 raise InputError(f"not a row of samples.jsonl ({name} is {getattr(row, name)!r:.60})")
-        if not row.id or not all(isinstance(v, Mapping) for v in row.violations):
-            raise InputError("not a row of samples.jsonl (it has no id, or a violation that is no object)")
+        if not row.id or not all(isinstance(v, Mapping) and isinstance(v.get("kind"), str) for v in row.violations):
+            raise InputError("not a row of samples.jsonl (it has no id, or a violation that is of no kind)")
         return row
 
 

@@ -22,6 +22,12 @@ _OWN = (
     *("q", "ik_ok", "status"),
 )
 """Arrays that are no curves."""
+_SEVEN = ("q", "velocity", "acceleration", "jerk", "torque")
+_SINGLE = (
+    *("ik_ok", "manipulability", "manipulability_weighted", "joint_margin", "self_distance_m", "table_distance_m"),
+    *("ik_position_error_m", "ik_rotation_error_rad"),
+)
+"""Arrays that have a number a joint, and such that have one a frame; others may have either."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -117,9 +123,7 @@ def read_track(path: Path) -> TrackFile:
             n = len(track.t_s)
             curves = {name: _numbers(a, name) for name in sorted(set(a.files) - set(_OWN))}
             for name, array in {"q": own["q"], "ik_ok": own["ik_ok"], **curves}.items():
-                shapes: list[tuple[int, ...]] = (
-                    [(n, 7)] if name == "q" else [(n,)] if name == "ik_ok" else [(n,), (n, 7)]
-                )
+                shapes: list[tuple[int, ...]] = [(n,)] * (name not in _SEVEN) + [(n, 7)] * (name not in _SINGLE)
                 if array.shape not in shapes:
                     raise InputError(f"{name} has shape {array.shape}, expected {' or '.join(map(str, shapes))}")
             told = a["status"] if "status" in a.files else None

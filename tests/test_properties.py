@@ -173,7 +173,7 @@ rows = st.builds(
     reason=st.none() | texts,
     content_hash=texts,
     feasible=st.none() | st.booleans(),
-    violations=st.lists(st.dictionaries(texts, strict, max_size=3), max_size=3).map(tuple),
+    violations=st.lists(st.fixed_dictionaries({"kind": texts}, optional={"value": strict}), max_size=3).map(tuple),
     metrics=st.dictionaries(texts, strict, max_size=4),
     null_reasons=st.dictionaries(texts, texts, max_size=3),
     details=st.dictionaries(texts, strict, max_size=3),

@@ -19,10 +19,8 @@ def run(job: Callable[[Observer], RunSummary], out: Path, view: ProgressView | N
         with view, terminate_as_interrupt():
             summary = job(view)
     except KeyboardInterrupt:
-        click.echo(
-            f"interrupted with {view.done} of {view.total} samples finished; run the same command again to go on",
-            err=True,
-        )
+        told = f"with {view.done} of {view.total} samples finished" if view.total else "before any sample was begun"
+        click.echo(f"interrupted {told}; run the same command again to go on", err=True)
         return 130
     _tell(out, summary)
     return 0 if summary.counts[Status.OK] else 1

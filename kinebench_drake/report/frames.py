@@ -82,7 +82,18 @@ def anomalies_of(row: SampleRow) -> list[Mapping[str, Json]]:
     found = row.metrics.get("anomalies")
     if not isinstance(found, Sequence) or isinstance(found, str):
         return []
-    return [a for a in found if isinstance(a, Mapping)]
+    return [a for a in found if isinstance(a, Mapping) and _is_anomaly(a)]
+
+
+def _is_anomaly(found: Mapping[str, Json]) -> bool:
+    """Whether an object has what pages show of anomalies."""
+    frames = (found.get("frame_start"), found.get("frame_end"))
+    severity = found.get("severity")
+    return (
+        isinstance(found.get("kind"), str)
+        and all(isinstance(frame, int) for frame in frames)
+        and (severity is None or isinstance(severity, int | float))
+    )
 
 
 def frame_states(row: SampleRow, file: TrackFile) -> tuple[FrameState, ...]:

@@ -178,18 +178,19 @@ def calibration(folder: Path, limit: int | None, frames: int, part: float, quick
 )
 @click.option("--count", type=click.IntRange(min=1), default=20_000, show_default=True, metavar="N")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
+@click.option("--first", type=click.IntRange(min=0), default=0, help="Number to begin with.", metavar="NUMBER")
 @click.option("--only", type=click.IntRange(min=0), multiple=True, metavar="NUMBER", help="Read these inputs alone.")
 @click.option(
     "--out", type=click.Path(path_type=Path, file_okay=False), required=True, help="Folder for the inputs that fail."
 )
-def fuzz(count: int, seed: int, only: tuple[int, ...], out: Path) -> None:
+def fuzz(count: int, seed: int, first: int, only: tuple[int, ...], out: Path) -> None:
     """Make valid inputs of every kind wrong and have the program read them.
 
     Each has to be read, or refused in one line: without traceback, hang, crash or a flood of memory.
     """
     from kinebench_drake.validation.fuzz.campaign import Campaign, Trial, distinct, table
 
-    numbers = only or range(count)
+    numbers = only or range(first, first + count)
     trials: list[Trial] = []
     try:
         with click.progressbar(Campaign(seed).run(numbers, out), length=len(numbers), label="fuzz") as done:

@@ -28,6 +28,7 @@ _MOST = 6  # stops of one run, after which it may come to its end
 _GOES_ON = re.compile(r"interrupted with (\d+) of (\d+) samples finished; run the same command again to go on")
 
 
+_NOT_BEGUN = re.compile(r": interrupted$|interrupted before any sample was begun; run the same command again to go on")
 _INTERRUPTED = (130, -signal.SIGINT)
 
 
@@ -194,8 +195,8 @@ def _answer(status: int, said: str, before: int, after: int, workers: int) -> st
     if "Traceback" in said:
         return f"a traceback: {said[-300:]}"
     last = said.rstrip().rsplit("\n", 1)[-1]
-    if last.endswith(": interrupted") and status in _INTERRUPTED and after == before:
-        return ""  # the program was still being loaded
+    if _NOT_BEGUN.search(last) and status in _INTERRUPTED and after == before:
+        return ""  # the program was still being loaded, or looked what there is to do
     told = _GOES_ON.search(last)
     if status != 130 or told is None:
         return f"status {status}, last words {said[-200:]!r}"

@@ -41,7 +41,7 @@ def mutate_json(rng: Generator, data: bytes) -> bytes:
         return mutate_bytes(rng, data) if rng.random() < 0.7 else _foul(rng, data)
     try:
         return dump(mutate_value(rng, json.loads(data)))
-    except (ValueError, RecursionError):  # made wrong before
+    except (ValueError, RecursionError, OverflowError):  # made wrong before, or beyond what can be written
         return mutate_bytes(rng, data)
 
 
