@@ -10,11 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera
-from kinebench_drake.errors import UsageError, cause
+from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.known import FirstFrame
 from kinebench_drake.grounding.sources.truth import true_depth, true_mask
 from kinebench_drake.models.panda.robot import hand_from_tcp
+from kinebench_drake.npz import open_npz
 from kinebench_drake.products import Anomaly, AnomalyKind
 
 
@@ -67,7 +68,7 @@ class ClipFile:
             UsageError: the file is damaged, or holds no depth although that is asked for.
         """
         try:
-            with np.load(self.truth, allow_pickle=False) as truth:
+            with open_npz(self.truth) as truth:
                 if with_depth and not {"depth_mm", "mask"} <= set(truth.files):
                     raise UsageError(f"{self.id}: its truth holds no depth; make the videos with --with-depth")
                 return Clip(
@@ -82,8 +83,8 @@ class ClipFile:
                     mask=true_mask(truth) if "mask" in truth.files else None,
                     faults=self.faults,
                 )
-        except (OSError, ValueError, KeyError) as error:
-            raise UsageError(f"{self.truth.name}: not a readable truth file ({cause(error)})") from None
+        except InputError as error:
+            raise UsageError(f"{self.truth.name}: not a readable truth file ({error})") from None
 
     def digest(self) -> str:
         """A few characters that change with the video or its truth."""

@@ -55,6 +55,7 @@ def test_samples_are_counted_as_they_end(tmp_path):
 
 
 def test_a_failure_is_told_in_the_programs_own_words(tmp_path):
+    before = children(os.getpid())
     with pytest.raises(KinebenchError, match=r"status 2: .*nowhere"):
         watch(["score", str(tmp_path / "nowhere"), "--out", str(tmp_path / "out")])
-    assert not children(os.getpid())
+    assert children(os.getpid()) == before
