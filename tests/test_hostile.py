@@ -1,0 +1,145 @@
+"""Hostile input: it leads nowhere else, is not waited for, and is shown rather than run."""
+
+import json
+import os
+import threading
+
+import numpy as np
+import pytest
+
+from kinebench_drake.camera import Camera
+from kinebench_drake.errors import InputError, UsageError, one_line
+from kinebench_drake.inputs import find_samples
+from kinebench_drake.manifest import inside
+from kinebench_drake.plainfile import parse_json, read_bytes
+from kinebench_drake.report import write_report
+from kinebench_drake.results import ResultStore
+from kinebench_drake.row import Status
+from kinebench_drake.suite_report import write_suite_report
+from tests.report.pages import Page, row
+from tests.suite_report.synthetic import write_run
+
+# What users hand in
+
+
+@pytest.mark.parametrize(
+    "name", ["../../etc/passwd", "/etc/passwd", "a/../../b.mp4", "out.mp4", "a\0b.mp4", "up/b.mp4"]
+)
+def test_a_manifest_leads_nowhere_else(tmp_path, name):
+    folder = tmp_path / "in"
+    folder.mkdir()
+    (tmp_path / "b.mp4").write_bytes(b"x")
+    (folder / "out.mp4").symlink_to(tmp_path / "b.mp4")
+    (folder / "up").symlink_to(tmp_path)
+    with pytest.raises(InputError, match=r"relative path|leads out|cannot be followed"):
+        inside(folder, name, "video")
+    (folder / "manifest.jsonl").write_text(json.dumps({"video": name}) + "\n")
+    (sample,) = find_samples(folder / "manifest.jsonl").samples
+    assert sample.problem is not None
+    assert sample.path == folder
+
+
+@pytest.mark.parametrize(
+    "name", ["camera.json", "manifest.jsonl", "metadata.csv", "clip.mp4", "clip.npz", "frames/0.png"]
+)
+def test_a_pipe_is_not_waited_for(tmp_path, name):
+    (tmp_path / name).parent.mkdir(exist_ok=True)
+    os.mkfifo(tmp_path / name)
+    done = threading.Event()
+
+    def read():
+        try:
+            source = tmp_path / name if name.endswith(("jsonl", "npz")) else tmp_path
+            from kinebench_drake.grounding.video import read_video
+
+            for sample in find_samples(source).samples:
+                read_video(sample.path, sample.part)
+        except (InputError, UsageError):
+            pass
+        done.set()
+
+    threading.Thread(target=read, daemon=True).start()
+    assert done.wait(30)
+
+
+def test_an_endless_file_is_not_read(tmp_path):
+    (tmp_path / "camera.json").symlink_to("/dev/zero")
+    with pytest.raises(UsageError, match="regular file"):
+        Camera.load(tmp_path / "camera.json")
+    (tmp_path / "big").write_bytes(b"x" * 11)
+    with pytest.raises(OSError, match="Larger"):
+        read_bytes(tmp_path / "big", most=10)
+
+
+def test_deep_json_and_long_numbers_are_values_or_refused():
+    with pytest.raises(ValueError, match="deep"):
+        parse_json("[" * 100_000)
+    assert parse_json("[1, " + "9" * 400 + "]") == [1, float("inf")]
+    with pytest.raises(ValueError, match="Expecting"):
+        parse_json(b"")
+
+
+def test_a_playlist_is_no_film(tmp_path):
+    from kinebench_drake.grounding.decoded import WHOLE
+    from kinebench_drake.grounding.film import read_film
+    from kinebench_drake.mp4 import write_video
+
+    write_video(tmp_path / "real.mp4", np.zeros((3, 96, 96, 3), np.uint8), 10)
+    (tmp_path / "list.mp4").write_text("ffconcat version 1.0\nfile real.mp4\n")
+    assert len(read_film(tmp_path / "real.mp4", WHOLE).frames) == 3
+    with pytest.raises(InputError, match="not a readable video"):
+        read_film(tmp_path / "list.mp4", WHOLE)
+
+
+def test_errors_are_one_plain_line_whatever_names_they_repeat():
+    text = str(InputError("a\nb\x1b[2Jc\u202ed\udcff" + "x" * 5000))
+    assert text.isprintable()
+    assert text.startswith("a b\\x1b[2Jc\\u202ed\\udcff")
+    assert len(text) <= 1000
+    assert one_line("plain") == "plain"
+
+
+# Html
+
+
+HOSTILE = [
+    "<script>alert(1)</script>",
+    "a\"onload='x",
+    "</script><img src=x onerror=alert(1)>",
+    "{{7*7}}",
+    "<!--",
+    "&lt;",
+]
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_a_report_shows_names_and_runs_none(tmp_path, name):
+    fault = {"kind": name, "frame_start": 0, "frame_end": 1, "joint": 2, "value": 2.0, "limit": 1.0}
+    texts = {"prompt": name, "warnings": [name], "given": {name: name}}
+    with ResultStore(tmp_path / "out") as store:
+        for id, changes in {
+            "a": {"violations": (fault,), "feasible": False, "details": {name: {name: name}}, "extra": texts},
+            "b": {"status": Status.ERROR, "reason": name},
+        }.items():
+            store.append(row(id, task=name, model=name, video=name, null_reasons={name: name}, **changes), 0.1)
+        results = {"kind": "score", "config": {"source": name}, "tags": {name: name}, "versions": {name: name}}
+        store.finish(results)
+    page = Page(write_report(tmp_path / "out").read_text())
+    clean(page)
+
+
+def test_a_suite_report_shows_names_and_runs_none(tmp_path):
+    for k, name in enumerate(HOSTILE):
+        write_run(tmp_path / str(k), {name: [True, False], "T": [True, True]}, model=name, tags={"k": name})
+    page = Page(write_suite_report([tmp_path / str(k) for k in range(len(HOSTILE))], tmp_path / "page").read_text())
+    clean(page)
+
+
+def clean(page: Page) -> None:
+    """The page holds as many scripts as one of plain names, loads nothing, and no tag of a name became one."""
+    assert page.scripts <= 2
+    assert all(
+        link.startswith(("data:", "#", "replays/", "tracks/", "overlays/", "figures/")) or "/" not in link
+        for link in page.links
+    )
+    assert "x" not in page.links
