@@ -140,8 +140,12 @@ class Camera:
             raise UsageError(f"{source}: {error}") from None
 
     @classmethod
-    def load(cls, path: Path) -> "Camera":
+    def load(cls, path: Path, called: str | None = None) -> "Camera":
         """Read `camera.json`.
+
+        Args:
+            path: the file.
+            called: what messages call it, if not by its name alone.
 
         Raises:
             UsageError: the file cannot be read, is not JSON, or holds no camera.
@@ -149,8 +153,8 @@ class Camera:
         try:
             data = read_json(path)
         except (OSError, ValueError) as error:
-            raise UsageError(f"{path.name}: cannot be read as JSON ({cause(error)})") from None
-        return cls.from_json(data, path.name)
+            raise UsageError(f"{called or path.name}: cannot be read as JSON ({cause(error)})") from None
+        return cls.from_json(data, called or path.name)
 
 
 def benchmark_camera() -> Camera:

@@ -1,4 +1,5 @@
 import json
+import re
 
 import numpy as np
 import pytest
@@ -208,10 +209,26 @@ def test_camera_precedence(tmp_path):
     assert np.allclose(samples[0].camera.X_BC, benchmark.X_BC)
 
 
+def test_a_frame_folder_has_the_camera_beside_it_unless_it_holds_one(tmp_path):
+    touch(tmp_path, "still/0.png")
+    benchmark_camera().resized(192, 192).save(tmp_path / "camera.json")
+    for source in (tmp_path, tmp_path / "still"):
+        (sample,) = find_samples(source).samples
+        assert (sample.camera.width, sample.camera_source) == (192, CameraSource.FOLDER)
+    benchmark_camera().resized(96, 96).save(tmp_path / "still" / "camera.json")
+    assert find_samples(tmp_path / "still").samples[0].camera.width == 96
+
+
+def test_a_folder_of_videos_has_no_camera_from_beside_it(tmp_path):
+    touch(tmp_path, "videos/v.mp4", "videos/preview.png")
+    benchmark_camera().resized(192, 192).save(tmp_path / "camera.json")
+    assert find_samples(tmp_path / "videos").samples[0].camera_source is CameraSource.BENCHMARK
+
+
 @pytest.mark.parametrize("text", ["{", "[]", '{"width": 3}', '{"width": NaN}'])
 def test_an_unusable_camera_file_is_a_usage_error(tmp_path, text):
     touch(tmp_path, "v.mp4")
     (tmp_path / "camera.json").write_text(text)
     for source in (tmp_path, tmp_path / "v.mp4", write_manifest(tmp_path, {"video": "v.mp4"})):
-        with pytest.raises(UsageError, match=r"camera\.json"):
+        with pytest.raises(UsageError, match=re.escape(str(tmp_path / "camera.json"))):
             find_samples(source)

@@ -58,8 +58,18 @@ _RUN = (
         default=False,
         help="Start anew, or keep finished samples whose input and settings are the same.  [default: resume]",
     ),
-    click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of all randomness."),
-    click.option("--model", help="World model behind the samples, where the input does not tell.", metavar="NAME"),
+    click.option(
+        "--seed",
+        type=click.IntRange(min=0),
+        default=0,
+        show_default=True,
+        help="Seed of the bootstrap behind intervals; of a suite also its first episode's.",
+    ),
+    click.option(
+        "--model",
+        help="World model behind the samples, where the input does not tell; of a suite its name in tables.",
+        metavar="NAME",
+    ),
     click.option("--tag", "tags", multiple=True, callback=_tags, help="Label kept in results.", metavar="KEY=VALUE"),
 )
 

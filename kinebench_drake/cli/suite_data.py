@@ -197,7 +197,7 @@ def _shots(
         named = ", ".join(f"--{name}" for name in said if name != "size")
         raise UsageError(f"{named}: --format {kind.value} holds no video, but stills")
     if with_depth and kind is not FormatKind.MP4:
-        raise UsageError(f"--with-depth: the truth of --format {kind.value} holds none; take mp4 or frames")
+        raise UsageError(f"--with-depth: the truth of --format {kind.value} holds none; take mp4")
     if size is not None and size % 2:
         raise UsageError(f"--size is {size}, expected an even number of pixels")
     plain = Shots()

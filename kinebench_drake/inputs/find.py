@@ -12,7 +12,7 @@ from kinebench_drake.grounding.film import FILM_SUFFIXES
 from kinebench_drake.grounding.hdf5_file import HDF5_SUFFIXES
 from kinebench_drake.identity import unique_ids
 from kinebench_drake.inputs import ewmbench, hdf5, lerobot, listed, singlefile, videofolder, worldarena
-from kinebench_drake.inputs.folder import Layout, list_folder
+from kinebench_drake.inputs.folder import Layout, is_frame_folder, list_folder
 from kinebench_drake.inputs.sample import Inputs, Sample
 from kinebench_drake.inputs.search import Cameras, Search
 
@@ -62,7 +62,8 @@ def find_samples(
     if source.is_dir() and out is not None and out.resolve() == source.resolve():
         raise UsageError("--out is the input folder itself; name another folder")
     top = source if source.is_dir() else source.parent
-    search = Search(top=top, cameras=Cameras(top), camera_key=camera_key)
+    beside = top.parent if top == source and is_frame_folder(top) else top
+    search = Search(top=top, cameras=Cameras(beside), camera_key=camera_key)
     try:
         found = _list(source, search, [p for p in (out, *others) if p is not None])
     except InputError as error:

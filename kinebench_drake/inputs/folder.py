@@ -66,6 +66,12 @@ def list_folder(folder: Path, search: Search, skipped: Sequence[Path], layouts: 
     return videofolder.with_labels(samples, labelled, search)
 
 
+def is_frame_folder(folder: Path) -> bool:
+    """Whether a folder is one video: it holds pictures, and no films."""
+    suffixes = {entry.suffix.lower() for entry in folder.iterdir() if not entry.name.startswith(".")}
+    return bool(suffixes & FRAME_SUFFIXES) and not suffixes & FILM_SUFFIXES
+
+
 def _dataset(folder: Path, search: Search, layout: Layout) -> list[Sample]:
     try:
         return layout.list(folder, search)

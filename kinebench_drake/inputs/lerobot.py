@@ -7,7 +7,6 @@ Task texts, frame rate and each episode's place come from the dataset's descript
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-from kinebench_drake.camera import Camera
 from kinebench_drake.errors import InputError
 from kinebench_drake.grounding.decoded import VideoPart
 from kinebench_drake.inputs.sample import Sample, camera_of
@@ -34,8 +33,7 @@ def list_lerobot(folder: Path, search: Search) -> list[Sample]:
         raise InputError(f"the LeRobot dataset has no video, {expected}")
     key = search.choose(cameras, "the dataset")
     in_parquet = mapping(features[key]).get("dtype") == "image"
-    meta = folder / "meta" / CAMERA_NAME
-    camera = Camera.load(meta) if meta.is_file() else None
+    search.cameras.settle(folder, folder / "meta" / CAMERA_NAME)
     samples = []
     for episode in list_episodes(folder, info, key):
         problem, path, part = None, episode.data, VideoPart(key=key, episode=episode.number, frames=episode.length)
@@ -49,7 +47,7 @@ def list_lerobot(folder: Path, search: Search) -> list[Sample]:
                 problem = str(error)
         if problem is None and not path.is_file():
             problem = f"{path.relative_to(folder).as_posix()}: there is no such file"
-        taken, source = camera_of(search.cameras.of(path.parent) or camera)
+        taken, source = camera_of(search.cameras.of(path.parent))
         samples.append(
             Sample(
                 id=f"{folder.resolve().name}-episode_{episode.number:06d}",

@@ -34,11 +34,20 @@ class Cameras:
         if folder not in self._known:
             file = folder / CAMERA_NAME
             if file.exists():
-                self._known[folder] = Camera.load(file)
+                self._known[folder] = Camera.load(file, str(file))
             else:
                 within = folder != self._top and folder.is_relative_to(self._top)
                 self._known[folder] = self.of(folder.parent) if within else None
         return self._known[folder]
+
+    def settle(self, folder: Path, file: Path) -> None:
+        """Let a `file` elsewhere, if there is one, hold for `folder` and below, unless that has one of its own.
+
+        Raises:
+            UsageError: it is unusable.
+        """
+        if file.is_file() and not (folder / CAMERA_NAME).exists():
+            self._known[folder] = Camera.load(file, str(file))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

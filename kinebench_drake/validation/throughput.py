@@ -188,4 +188,4 @@ def _rows(found: Throughput) -> Iterator[list[str]]:
 
 def spread(values: Array, digits: int) -> str:
     """Median, least and most."""
-    return f"{np.median(values):.{digits}f} ({values.min():.{digits}f} to {values.max():.{digits}f})"
+    return f"{np.median(values):z.{digits}f} ({values.min():z.{digits}f} to {values.max():z.{digits}f})"

@@ -82,8 +82,10 @@ def test_the_datasets_camera_file_holds(lerobot):
     root = lerobot("v3.0")
     assert find_samples(root).samples[0].camera_source is CameraSource.BENCHMARK
     benchmark_camera().resized(192, 192).save(root / "meta" / "camera.json")
-    sample = find_samples(root).samples[0]
-    assert (sample.camera.width, sample.camera_source) == (192, CameraSource.FOLDER)
+    benchmark_camera().resized(96, 96).save(root.parent / "camera.json")
+    for source in (root, root.parent):
+        sample = find_samples(source).samples[0]
+        assert (sample.camera.width, sample.camera_source) == (192, CameraSource.FOLDER)
 
 
 def test_missing_frames_and_films_are_errors_of_their_episodes(lerobot):
