@@ -23,7 +23,7 @@ def storage(name: str) -> Iterator[None]:
         fix = "free some space" if full else "make the folder writable"
         raise SetupError(
             f"cannot write {name} ({error.strerror or error}): {fix} and run the same command again, "
-            "finished files are kept"
+            "finished files are kept (unless by --overwrite)"
         ) from None
 
 

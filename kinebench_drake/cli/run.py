@@ -20,7 +20,7 @@ def run(job: Callable[[Observer], RunSummary], out: Path, view: ProgressView | N
             summary = job(view)
     except KeyboardInterrupt:
         told = f"with {view.done} of {view.total} samples finished" if view.total else "before any sample was begun"
-        click.echo(f"interrupted {told}; run the same command again to go on", err=True)
+        click.echo(f"interrupted {told}; run the same command again, without --overwrite, to go on", err=True)
         return 130
     _tell(out, summary)
     return 0 if summary.counts[Status.OK] else 1

@@ -25,10 +25,9 @@ from kinebench_drake.validation.tracks import Recipe, Set, make
 _PATIENCE_S = 600.0
 _TRACKS, _CLIPS, _FRAMES = 12, 2, 8
 _MOST = 6  # stops of one run, after which it may come to its end
-_GOES_ON = re.compile(r"interrupted with (\d+) of (\d+) samples finished; run the same command again to go on")
-
-
-_NOT_BEGUN = re.compile(r": interrupted$|interrupted before any sample was begun; run the same command again to go on")
+_ADVICE = "; run the same command again, without --overwrite, to go on"
+_GOES_ON = re.compile(rf"interrupted with (\d+) of (\d+) samples finished{_ADVICE}")
+_NOT_BEGUN = re.compile(rf": interrupted$|interrupted before any sample was begun{_ADVICE}")
 _INTERRUPTED = (130, -signal.SIGINT)
 
 
