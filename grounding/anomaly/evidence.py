@@ -26,9 +26,10 @@ GOOD_CONFIDENCE = 0.5
 """... and its size, which a pose that is off by a few degrees belies."""
 SEEN_M = 0.006
 """Gaps count for impossible openings where they are known to this (standard deviation) [m]."""
-SHAPE_SIDE, SIZE_SIDE = 0.35, 0.5
+SHAPE_SIDE, SIZE_SIDE = 0.55, 0.5
 """Shape and size count only where the fingers' axis and the line of sight have a cosine below these: from the side the
-gripper is narrow, fingers hide each other, and little tells a deformed gripper from one turned a little."""
+gripper is narrow, fingers hide each other, and little tells a deformed gripper from one turned a little. On videos of
+seen assets the largest misfit of a clean gripper is 2.1 % up to a cosine of 0.6, and 10 to 30 % beyond."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

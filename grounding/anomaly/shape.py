@@ -9,7 +9,7 @@ from kinebench_drake.grounding.anomaly.series import known_median, runs
 from kinebench_drake.grounding.view import GripperView
 from kinebench_drake.products import Anomaly, AnomalyKind
 
-MISFIT = 0.03
+MISFIT = 0.025
 """Relative misfit of the shape that counts as a deformation."""
 WINDOW = 5
 """Frames whose median counts."""
