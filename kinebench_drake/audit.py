@@ -73,7 +73,6 @@ class AuditConfig(RunConfig):
             "rate_hz": self.rate_hz,
             "joints": self.joints,
             "poses": self.poses,
-            "replays": self.replays,
             "robot": self.urdf.name if self.urdf else None,
             "tcp_frame": self.tcp_frame,
             "robot_remarks": list(self.robot_remarks),

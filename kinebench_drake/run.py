@@ -94,6 +94,7 @@ class RunConfig:
             "seed": self.seed,
             "model": self.model,
             "table_height_m": self.table_height_m,
+            "replays": self.replays,
         }
 
 

@@ -23,6 +23,7 @@ def score_videos(
     depth_exact: bool = False,
     poses: PathName | None = None,
     table_height_m: float = 0.0,
+    replays: int = 3,
     task: str | None = None,
     model: str | None = None,
     tags: Mapping[str, str] | None = None,
@@ -52,6 +53,7 @@ def score_videos(
         depth_exact: whether that depth can be trusted to a few millimetres.
         poses: folder of poses of panda_hand in the camera frame in place of the tracker's.
         table_height_m: height of the table's top in the robot's base frame [m].
+        replays: 3D replays to write, of the worst samples.
         task: task of the samples, where the input does not tell.
         model: world model behind the samples, where the input does not tell.
         tags: labels kept in the results.
@@ -88,6 +90,7 @@ def score_videos(
         depth_exact=depth_exact,
         poses=path_of(poses),
         table_height_m=table_height_m,
+        replays=replays,
         task=task,
         model=model,
         tags=dict(tags or {}),
@@ -118,6 +121,7 @@ def run_suite(
     pixels_only: bool = False,
     rollouts: bool = True,
     negative_prompt: str = "",
+    replays: int = 3,
     model: str | None = None,
     tags: Mapping[str, str] | None = None,
     limit: int | None = None,
@@ -150,6 +154,7 @@ def run_suite(
         pixels_only: leave aside that the robot knows where it stands in first frames.
         rollouts: write films of what was imagined and executed.
         negative_prompt: what shall not be seen.
+        replays: 3D replays to write, of the worst episodes.
         model: name of the world model in the results; None: what it calls itself.
         tags: see `score_videos`, as of `limit`, `jobs`, `shard`, `engine`, `address`, `overwrite` and `observer`.
         limit: see `score_videos`.
@@ -198,6 +203,7 @@ def run_suite(
             negative_prompt=negative_prompt,
         ),
         rollouts=rollouts,
+        replays=replays,
         out=Path(out),
         model=model,
         tags=dict(tags or {}),

@@ -29,14 +29,6 @@ from kinebench_drake.cli.options import judging_options, sample_options
 )
 @judging_options
 @click.option(
-    "--replays",
-    type=click.IntRange(min=0),
-    default=3,
-    show_default=True,
-    help="Write 3D replays of the N worst trajectories; `view` writes one of any.",
-    metavar="N",
-)
-@click.option(
     "--robot",
     "urdf",
     type=click.Path(path_type=Path),

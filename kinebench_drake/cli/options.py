@@ -131,6 +131,15 @@ _JUDGING = (
     ),
 )
 
+_REPLAYS = click.option(
+    "--replays",
+    type=click.IntRange(min=0),
+    default=3,
+    show_default=True,
+    help="Write 3D replays of the N worst samples (3 MB each); `view` writes one of any.",
+    metavar="N",
+)
+
 
 def sample_options(function: Function) -> Function:
     """Add what `score`, `ground` and `audit` share."""
@@ -148,7 +157,12 @@ def judging_options(function: Function) -> Function:
     """Add what commands that hold tracks against the robot share."""
     for option in reversed(_JUDGING):
         function = option(function)
-    return function
+    return replay_options(function)
+
+
+def replay_options(function: Function) -> Function:
+    """Add what these and `suite run` share."""
+    return _REPLAYS(function)
 
 
 def video_options(function: Function) -> Function:
