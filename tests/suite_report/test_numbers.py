@@ -82,6 +82,11 @@ def test_numbers_in_names_are_sorted_as_numbers(tmp_path):
     assert models_of(episodes_of(*runs)) == ["wan (steps=7500)", "wan (steps=15000)"]
 
 
+def test_digits_that_are_no_numbers_are_letters_of_a_name(tmp_path):
+    runs = [write_run(tmp_path / n, {"T": [True]}, model="wan2²", tags={"steps": n}) for n in ("1²", "10", "9")]
+    assert models_of(episodes_of(*runs)) == ["wan2² (steps=1²)", "wan2² (steps=9)", "wan2² (steps=10)"]
+
+
 def test_the_best_of_each_suite_stands_out(runs):
     table = suites_table(episodes_of(*runs))
     assert [c.label for c in table.columns] == ["Model", "Suite 0", "Suite 2 (unseen)", "Suite 3"]
