@@ -3,8 +3,6 @@
 Both are described in docs/worldmodels.md so that a server can be written from there.
 """
 
-import base64
-import binascii
 import shutil
 from http import HTTPStatus
 from pathlib import Path
@@ -16,7 +14,7 @@ from kinebench_drake.storage import storage
 from kinebench_drake.suites.worldmodels.address import web_address
 from kinebench_drake.suites.worldmodels.client import Client
 from kinebench_drake.suites.worldmodels.deadline import Deadline
-from kinebench_drake.suites.worldmodels.picture import data_uri
+from kinebench_drake.suites.worldmodels.picture import data_uri, from_base64
 from kinebench_drake.suites.worldmodels.predict import Predictor
 from kinebench_drake.suites.worldmodels.remark import key_from, remark
 from kinebench_drake.suites.worldmodels.service import Limits, ServiceError
@@ -134,14 +132,9 @@ class Http:
             with storage(part.name):
                 shutil.copyfile(path, part)
         else:
+            try:
+                data = from_base64(value)
+            except ValueError:
+                raise WorldModelError("the world model's video_base64 is not base64") from None
             with storage(part.name):
-                part.write_bytes(_decoded(value))
-
-
-def _decoded(text: str) -> bytes:
-    """The bytes of base64, with or without the head of a data URI and line breaks."""
-    payload = text.partition(",")[2] if text.startswith("data:") else text
-    try:
-        return base64.b64decode("".join(payload.split()), validate=True)
-    except (binascii.Error, ValueError):
-        raise WorldModelError("the world model's video_base64 is not base64") from None
+                part.write_bytes(data)
