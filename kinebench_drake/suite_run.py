@@ -1,5 +1,6 @@
 """A world model on a suite: every episode in closed loop, and what came of them."""
 
+import hashlib
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 
@@ -62,11 +63,14 @@ class SuiteConfig(RunConfig):
             "episodes_per_task": self.episodes,
             "variant": self.variant.value,
             "world_model": self.model_name,
+            # The spec itself may hold addresses, paths or keys.
+            "world_model_sha256": hashlib.sha256(self.world_model.encode(errors="surrogateescape")).hexdigest(),
             "rounds": self.loop.rounds,
             "control": self.loop.control.value,
             "action_repeat": self.loop.action_repeat,
             "frame_period_s": self.loop.frame_period_s,
             "pixels_only": self.loop.pixels_only,
+            "negative_prompt": self.loop.negative_prompt,
             "rollouts": self.rollouts,
         }
 

@@ -9,6 +9,7 @@ from types import ModuleType
 import pytest
 
 from kinebench_drake import episode_measure
+from kinebench_drake.closed_loop import LoopOptions
 from kinebench_drake.engines.local import LocalEngine
 from kinebench_drake.errors import InputError
 from kinebench_drake.suite_run import SuiteConfig, run_suite
@@ -75,6 +76,17 @@ def test_a_run_makes_one_model_and_frees_all_it_made(config: Callable[..., Suite
     assert [(row.model, row.reason) for row in rows] == [("mine", "the curtain stays down")] * 2
     assert (did["made"], did["alive"], did["stages"]) == (1, 0, 0)
     assert bool(did["asked for files"]) is (name == "Stored")
+
+
+def test_results_tell_what_differs_between_runs_and_no_address(config: Callable[..., SuiteConfig]) -> None:
+    specs = ("http://10.0.0.1/a?name=wan&key_env=K", "http://10.0.0.2/a?name=wan&key_env=K")
+    one, other = (config(spec, model_name="wan").to_json() for spec in specs)
+    assert [name for name in one if one[name] != other[name]] == ["world_model_sha256"]
+    assert "10.0.0" not in f"{one} {other}"
+    named = config(specs[0], model_name="wan", loop=LoopOptions(negative_prompt="blur")).to_json()
+    assert [name for name in one if one[name] != named[name]] == ["negative_prompt"]
+    everywhere = config(specs[0], model_name="wan", out=Path("elsewhere")).to_json()
+    assert everywhere == one
 
 
 class Ledger:

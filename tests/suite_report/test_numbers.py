@@ -68,6 +68,14 @@ def test_shards_are_one_run_and_tags_or_settings_tell_runs_apart(tmp_path):
     assert models_of(episodes_of(one, two)) == ["wan", "wan (data=25)"]
     change(two, tags={}, config={"suite": 0, "split": "test", "rounds": 5, "control": "pd_joint_pos"})
     assert models_of(episodes_of(one, two)) == ["wan (rounds=3)", "wan (rounds=5)"]
+    config = {"suite": 0, "split": "test", "rounds": 3, "control": "pd_joint_pos"}
+    change(one, config={**config, "negative_prompt": ""})
+    change(two, config={**config, "negative_prompt": "blur"})
+    assert models_of(episodes_of(one, two)) == ["wan", "wan (negative_prompt=blur)"]
+    for folder, end in ((one, "x"), (two, "y")):
+        change(folder, config={**config, "negative_prompt": 200 * "blur, " + end})
+    assert len({*models_of(episodes_of(one, two))}) == 2
+    assert max(map(len, models_of(episodes_of(one, two)))) < 70
     other = write_run(tmp_path / "u", {"T": [True]}, suite=2, split="unseen", tags={"data": "25"})
     assert models_of(episodes_of(one, other)) == ["wan"]  # two parts need nothing to be told apart
 
