@@ -19,7 +19,7 @@ from kinebench_drake.suites.worldmodels.predict import Predictor
 from kinebench_drake.suites.worldmodels.remark import key_from, remark
 from kinebench_drake.suites.worldmodels.service import Limits, ServiceError
 from kinebench_drake.suites.worldmodels.spec import ServiceOptions, Spec
-from kinebench_drake.suites.worldmodels.videofile import adopt, unfinished
+from kinebench_drake.suites.worldmodels.videofile import adopt, arriving
 from kinebench_drake.suites.worldmodels.worldmodel import Request, WorldModelError
 
 _PREDICT = "/v1/predict"
@@ -105,7 +105,7 @@ class Http:
         }
         most = self._limits.video_bytes // 3 * 4 + self._limits.json_bytes
         answer = self._client.call("POST", "", deadline, body=body, patient=True, most_bytes=most)
-        with unfinished(out) as part:
+        with arriving(out) as part:
             self._fetch(answer, part, deadline)
             return adopt(part, out)
 
