@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.errors import InputError, UnmeasurableError, UsageError
+from kinebench_drake.filetypes import FILM_SUFFIXES
 from kinebench_drake.geometry import Array
-from kinebench_drake.grounding.film import FILM_SUFFIXES
 from kinebench_drake.grounding.known import FirstFrame, Known
 from kinebench_drake.grounding.reframing import find_framing
 from kinebench_drake.grounding.unframing import unframed

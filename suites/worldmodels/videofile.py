@@ -12,10 +12,6 @@ from kinebench_drake.errors import cause
 from kinebench_drake.storage import storage, unfinished
 from kinebench_drake.suites.worldmodels.worldmodel import WorldModelError
 
-FILM_SUFFIXES = (".mp4", ".mov", ".avi", ".gif", ".webm", ".mkv")
-"""Video files that are scored."""
-FRAME_SUFFIXES = (".png", ".jpg", ".jpeg")
-"""Pictures that make a folder of frames."""
 _HEAD = 64
 _DEMUXERS = {
     ".mp4": "mov",
