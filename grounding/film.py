@@ -15,8 +15,6 @@ from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.decoded import Video, VideoPart, check_size
 
-FILM_SUFFIXES = frozenset({".mp4", ".mov", ".avi", ".gif", ".webm", ".mkv"})
-
 _OPTIONS = {"format_whitelist": "mov,matroska,avi,gif", "protocol_whitelist": "file"}
 """FFmpeg reads no playlist for a film: lists name other files, and addresses."""
 _BEFORE_S = 1.0  # how much earlier decoding begins: files are searched by the order of decoding, not of showing

@@ -14,10 +14,9 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from kinebench_drake.errors import InputError, cause
+from kinebench_drake.filetypes import FRAME_SUFFIXES
 from kinebench_drake.grounding.decoded import Video, check_size
 from kinebench_drake.plainfile import open_file
-
-FRAME_SUFFIXES = frozenset({".png", ".jpg", ".jpeg"})
 
 _FORMATS = ("PNG", "JPEG", "WEBP", "BMP")  # whatever they are called; others may start programs or read other files
 _DAMAGED = (

@@ -4,9 +4,10 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from kinebench_drake.errors import InputError
+from kinebench_drake.filetypes import FILM_SUFFIXES
 from kinebench_drake.grounding.array_file import ARRAY_SUFFIXES, read_array
 from kinebench_drake.grounding.decoded import WHOLE, Video, VideoPart
-from kinebench_drake.grounding.film import FILM_SUFFIXES, read_film
+from kinebench_drake.grounding.film import read_film
 from kinebench_drake.grounding.frame_folder import read_folder
 from kinebench_drake.grounding.hdf5_file import HDF5_SUFFIXES, read_hdf5
 from kinebench_drake.grounding.parquet_file import PARQUET_SUFFIXES, read_parquet

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.errors import InputError, UnmeasurableError, UsageError
+from kinebench_drake.filetypes import FILM_SUFFIXES
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.known import FirstFrame, Known
 from kinebench_drake.grounding.reframing import find_framing
@@ -197,24 +198,33 @@ def _forget(videos: Path) -> None:
     """
     with storage(videos.parent.name):
         for clip in videos.parent.glob(f"{glob.escape(videos.name)}_r[0-9]*"):
-            if clip.is_dir() and not clip.is_symlink():
-                shutil.rmtree(clip)
-            else:
-                clip.unlink()
+            _remove(clip)
 
 
 def _kept(video: Path, out: Path) -> Path:
-    """The video, or folder of frames, beside `out`: a copy where it lies elsewhere.
+    """The video, or folder of frames, beside `out`: a copy where it lies elsewhere, in the place of earlier ones.
 
     Raises:
         SetupError: it cannot be copied.
     """
-    if video.parent.resolve() == out.parent.resolve():
+    here, source = out.parent.resolve(), video.resolve()
+    if video.parent.resolve() == here:
         return video
     copy = out.with_name(f"{out.name}{video.suffix}" if video.is_file() else out.name)
     with storage(copy.name):
+        for earlier in (here / f"{out.name}{suffix}" for suffix in ("", *FILM_SUFFIXES)):
+            if not source.is_relative_to(earlier):  # a model may work in a folder of the clip's name
+                _remove(earlier)
         if video.is_file():
             shutil.copyfile(video, copy)
         else:
             shutil.copytree(video, copy, dirs_exist_ok=True)
     return copy
+
+
+def _remove(clip: Path) -> None:
+    """Remove a video or a folder of frames, if it is there."""
+    if clip.is_dir() and not clip.is_symlink():
+        shutil.rmtree(clip)
+    else:
+        clip.unlink(missing_ok=True)

@@ -27,6 +27,11 @@ def new_figure(width: float, height: float, rows: int = 1, columns: int = 1, **o
     return figure, axes
 
 
+def plain(text: str) -> str:
+    """A text of somebody else's as it is: matplotlib would take what stands between dollar signs for mathematics."""
+    return text.replace("$", r"\$")
+
+
 def save(figure: "Figure", path: Path) -> None:
     """Write a figure in the format of the path's suffix (png, svg, pdf), whole or not at all.
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from functools import lru_cache, partial
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -30,9 +30,8 @@ from kinebench_drake.suites.export import FPS
 from kinebench_drake.suites.stage import Stage
 from kinebench_drake.suites.stagehand import Stagehand
 from kinebench_drake.suites.suite import Draw
-from kinebench_drake.suites.worldmodels.factory import create
-from kinebench_drake.suites.worldmodels.simulated import SIMULATED
-from kinebench_drake.suites.worldmodels.worldmodel import Offline, WorldModel
+from kinebench_drake.suites.worldmodels.heldmodel import HeldModel
+from kinebench_drake.suites.worldmodels.worldmodel import Offline
 from kinebench_drake.thumbnail import side_by_side
 from kinebench_drake.trackfile import write_track
 from kinebench_drake.video_measure import VISUAL_METRICS, anomaly_json
@@ -73,15 +72,23 @@ class Theatre:
 
     stages: Stages
     hand: Stagehand[Stage]
+    model: HeldModel
     loop: ClosedLoop
+
+    def close(self) -> None:
+        """Free the stage and the world model."""
+        self.hand.close()
+        self.model.close()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EpisodeMeasure(Measure[EpisodeSample, Theatre]):
     """How the episodes of one run are measured."""
 
-    world_model: str
-    """What to ask, as the command line names it."""
+    world_model: HeldModel
+    """What to ask."""
+    offline: bool
+    """Whether it is `Offline`: asked for its files, too."""
     loop: LoopOptions
     rollouts: bool
     """Whether to write rollouts/ID.mp4."""
@@ -102,14 +109,14 @@ class EpisodeMeasure(Measure[EpisodeSample, Theatre]):
         options = {**asdict(self.loop), "control": self.loop.control.value}
         return {
             "weights": weights_hash(),
-            "world_model": self.world_model,
+            "world_model": self.world_model.spec,
             "loop": options,
             "episode": [draw.task, draw.seed, draw.pool.value, draw.variant.value],
         }
 
     def files(self, sample: EpisodeSample) -> Sequence[Path]:
         """See `Measure`."""
-        model = _named(self.world_model)
+        model = self.world_model.get() if self.offline else None
         return model.files(sample.id, sample.task) if isinstance(model, Offline) else ()
 
     def labels(self, sample: EpisodeSample) -> Mapping[str, Json]:
@@ -119,8 +126,9 @@ class EpisodeMeasure(Measure[EpisodeSample, Theatre]):
     def equip(self) -> Theatre:
         """See `Measure`."""
         stages = load_stages(self.stages, self.stage_options)
-        loop = ClosedLoop(stages, Commander(ArmPlant()), create(self.world_model, SIMULATED), self.loop)
-        return Theatre(stages, Stagehand(partial(Stage, control=self.loop.control), SIZE_PX), loop)
+        loop = ClosedLoop(stages, Commander(ArmPlant()), self.world_model.get(), self.loop)
+        hand = Stagehand(partial(Stage, control=self.loop.control), SIZE_PX)
+        return Theatre(stages, hand, self.world_model, loop)
 
     def measure(self, sample: EpisodeSample, theatre: Theatre) -> Measured:
         """See `Measure`."""
@@ -193,12 +201,6 @@ def _captioned(frame: NDArray[np.uint8], text: str) -> NDArray[np.uint8]:
     image = np.asarray(cv2.resize(frame, (SIZE_PX, SIZE_PX), interpolation=cv2.INTER_AREA), dtype=np.uint8)
     caption(image, text)
     return image
-
-
-@lru_cache(maxsize=1)
-def _named(world_model: str) -> WorldModel:
-    """The model of a spec, to ask it about its files only."""
-    return create(world_model, SIMULATED)
 
 
 def _gap_metrics(run: EpisodeRun, films: Sequence[Clip | None]) -> dict[str, Json]:

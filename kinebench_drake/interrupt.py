@@ -1,4 +1,4 @@
-"""The first interrupt lets what is at hand be finished; the second stops at once."""
+"""Signals at the right moment: a first interrupt lets what is at hand be finished, and nothing is cut in half."""
 
 import signal
 import threading
@@ -38,6 +38,28 @@ def patient(stop: Callable[[], None], tell: Callable[[str], None]) -> Iterator[t
         yield asked
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+@contextmanager
+def undisturbed() -> Iterator[None]:
+    """Within this context the program's own handlers of an interrupt and of SIGTERM wait: they are called as it ends.
+
+    Handlers run in the main thread only: in another there is nothing to wait for.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    came: list[int] = []
+    before = {n: handler for n in (signal.SIGINT, signal.SIGTERM) if callable(handler := signal.getsignal(n))}
+    for number in before:
+        signal.signal(number, lambda n, _: came.append(n))
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        for late in came:
+            signal.raise_signal(late)
 
 
 _TOLD = "interrupted: what is at hand is being finished, no more is begun; press Ctrl-C again to stop at once"

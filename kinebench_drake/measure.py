@@ -4,13 +4,14 @@ import hashlib
 import math
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from functools import lru_cache
 from pathlib import Path
 from typing import Generic, Protocol, TypeVar
 
+from kinebench_drake.engines import Closable
 from kinebench_drake.errors import KinebenchError, SetupError, UnmeasurableError, one_line
 from kinebench_drake.models.urdf import robot_files
 from kinebench_drake.plainfile import open_file
@@ -129,7 +130,7 @@ class Measure(ABC, Generic[Sample, Equipment]):
 
     @abstractmethod
     def equip(self) -> Equipment:
-        """Load what measuring takes; called once a process.
+        """Load what measuring takes; called once a process, and closed at its end if it can be.
 
         Raises:
             SetupError: a library, a driver or the weights are missing.
@@ -173,20 +174,14 @@ class Measure(ABC, Generic[Sample, Equipment]):
             sample
         )
 
-    def make(self) -> Callable[[Sample], tuple[SampleRow, float]]:
-        """Load the equipment; the function returned gives a sample's row and the seconds it took.
+    def make(self) -> "Worker[Sample, Equipment]":
+        """Load the equipment.
 
         Raises:
             SetupError: a library, a driver or the weights are missing.
             UsageError: something that the command line named cannot be used.
         """
-        equipment = self.equip()
-
-        def work(sample: Sample) -> tuple[SampleRow, float]:
-            start = time.perf_counter()
-            return self._row(sample, equipment), time.perf_counter() - start
-
-        return work
+        return Worker(self, self.equip())
 
     def failed(self, sample: Sample, status: Status, reason: str) -> SampleRow:
         """Row of a sample that came to nothing: every metric is null."""
@@ -202,7 +197,7 @@ class Measure(ABC, Generic[Sample, Equipment]):
             extra=self.labels(sample),
         )
 
-    def _row(self, sample: Sample, equipment: Equipment) -> SampleRow:
+    def row(self, sample: Sample, equipment: Equipment) -> SampleRow:
         """The per-sample boundary: whatever goes wrong with a sample ends here, in its row."""
         try:
             return self._finished(sample, self.measure(sample, equipment))
@@ -233,6 +228,24 @@ class Measure(ABC, Generic[Sample, Equipment]):
             details=judgement.details if judgement else {},
             extra={**found.extra, **self.labels(sample)},
         )
+
+
+@dataclass(frozen=True, slots=True)
+class Worker(Generic[Sample, Equipment]):
+    """What one process measures samples with."""
+
+    measure: Measure[Sample, Equipment]
+    equipment: Equipment
+
+    def __call__(self, sample: Sample) -> tuple[SampleRow, float]:
+        """A sample's row and the seconds it took."""
+        start = time.perf_counter()
+        return self.measure.row(sample, self.equipment), time.perf_counter() - start
+
+    def close(self) -> None:
+        """Free the equipment."""
+        if isinstance(self.equipment, Closable):
+            self.equipment.close()
 
 
 def _null_reasons(metrics: Mapping[str, Json], judgement: Judgement | None) -> dict[str, str]:

@@ -1,9 +1,11 @@
 """A world model on a suite: every episode in closed loop, and what came of them."""
 
+import hashlib
 from contextlib import closing
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from kinebench_drake.closed_loop import LoopOptions
+from kinebench_drake.engines import EngineKind
 from kinebench_drake.episode_measure import EpisodeMeasure, EpisodeSample
 from kinebench_drake.errors import UsageError
 from kinebench_drake.measure import Kind
@@ -11,8 +13,7 @@ from kinebench_drake.row import Json
 from kinebench_drake.run import Observer, RunConfig, RunSummary, Silence, run_samples
 from kinebench_drake.suites.suite import VERSION, Suite
 from kinebench_drake.suites.tasks.card import Variant
-from kinebench_drake.suites.worldmodels.factory import create
-from kinebench_drake.suites.worldmodels.simulated import SIMULATED
+from kinebench_drake.suites.worldmodels.heldmodel import HeldModel
 from kinebench_drake.suites.worldmodels.worldmodel import Offline
 
 
@@ -31,6 +32,8 @@ class SuiteConfig(RunConfig):
     variant: Variant = Variant.PLAIN
     world_model: str
     """What to ask: see docs/worldmodels.md."""
+    model_name: str | None = None
+    """What the world model calls itself; `run_suite` asks it."""
     loop: LoopOptions = field(default_factory=LoopOptions)
     rollouts: bool = True
     """Write rollouts/ID.mp4."""
@@ -50,26 +53,6 @@ class SuiteConfig(RunConfig):
         """See `RunConfig`."""
         return VERSION
 
-    @property
-    def name(self) -> str:
-        """What the world model calls itself.
-
-        Raises:
-            UsageError: no world model is named so.
-            SetupError: something it needs is missing, such as a key.
-        """
-        with closing(create(self.world_model, SIMULATED)) as model:
-            return model.name
-
-    def samples(self) -> list[EpisodeSample]:
-        """The episodes, task by task."""
-        name = self.model or self.name
-        return [
-            EpisodeSample(draw=draw, model=name)
-            for task in self.tasks
-            for draw in self.suite.draws(self.split, task, self.episodes, offset=self.seed, variant=self.variant)
-        ]
-
     def to_json(self) -> dict[str, Json]:
         """What results tell of the configuration."""
         return {
@@ -79,12 +62,15 @@ class SuiteConfig(RunConfig):
             "tasks": list(self.tasks),
             "episodes_per_task": self.episodes,
             "variant": self.variant.value,
-            "world_model": self.name,
+            "world_model": self.model_name,
+            # The spec itself may hold addresses, paths or keys.
+            "world_model_sha256": hashlib.sha256(self.world_model.encode(errors="surrogateescape")).hexdigest(),
             "rounds": self.loop.rounds,
             "control": self.loop.control.value,
             "action_repeat": self.loop.action_repeat,
             "frame_period_s": self.loop.frame_period_s,
             "pixels_only": self.loop.pixels_only,
+            "negative_prompt": self.loop.negative_prompt,
             "rollouts": self.rollouts,
         }
 
@@ -97,16 +83,28 @@ def run_suite(config: SuiteConfig, observer: Observer | None = None) -> RunSumma
         SetupError: something is missing on this machine, or the disk is full. What was finished is kept.
     """
     observer = observer or Silence()
-    with closing(create(config.world_model, SIMULATED)) as model:
-        if isinstance(model, Offline) and config.loop.rounds > 1:
-            observer.warned(f"{model.name} holds finished videos: they answer the first round only")
-    measure = EpisodeMeasure(
-        kind=config.kind,
-        out=config.out,
-        stages=config.stages,
-        stage_options=config.stage_options(),
-        world_model=config.world_model,
-        loop=config.loop,
-        rollouts=config.rollouts,
-    )
-    return run_samples(config, config.samples(), measure, observer)
+    with closing(HeldModel(config.world_model)) as held:
+        model = held.get()
+        name, offline = model.name, isinstance(model, Offline)
+        if offline and config.loop.rounds > 1:
+            observer.warned(f"{name} holds finished videos: they answer the first round only")
+        if not offline and (config.jobs > 1 or config.engine is not EngineKind.LOCAL):
+            held.close()  # the workers make their own, and may need the room
+        measure = EpisodeMeasure(
+            kind=config.kind,
+            out=config.out,
+            stages=config.stages,
+            stage_options=config.stage_options(),
+            world_model=held,
+            offline=offline,
+            loop=config.loop,
+            rollouts=config.rollouts,
+        )
+        samples = [
+            EpisodeSample(draw=draw, model=config.model or name)
+            for task in config.tasks
+            for draw in config.suite.draws(
+                config.split, task, config.episodes, offset=config.seed, variant=config.variant
+            )
+        ]
+        return run_samples(replace(config, model_name=name), samples, measure, observer)

@@ -31,6 +31,7 @@ LEAF = {
         "interrupt",
         "hdf5",
         "plainfile",
+        "filetypes",
     ),
 }
 RESULTS = {

@@ -1,6 +1,7 @@
 """Where samples are worked on: this process, several, or a cluster."""
 
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import Enum
 from importlib.util import find_spec
@@ -44,7 +45,8 @@ class Engine(Protocol):
         """Yield outcomes as they come, in any order.
 
         Args:
-            make_worker: called once in each process; what it returns is called for each item. Must be picklable.
+            make_worker: called once in each process; what it returns is called for each item, and closed when there
+                are no more if it can be. Must be picklable.
             items: what to work on. Must be picklable, as must be the results.
 
         Raises:
@@ -60,6 +62,26 @@ class Draining(Protocol):
     def drain(self) -> None:
         """Begin no more items; those at hand are finished. May be called amid `run`, by a signal's handler."""
         ...
+
+
+@runtime_checkable
+class Closable(Protocol):
+    """What holds something that is to be freed."""
+
+    def close(self) -> None:
+        """Free it."""
+        ...
+
+
+@contextmanager
+def hired(make_worker: Callable[[], Callable[[Item], Result]]) -> Iterator[Callable[[Item], Result]]:
+    """A worker, closed in the end if it can be."""
+    work = make_worker()
+    try:
+        yield work
+    finally:
+        if isinstance(work, Closable):
+            work.close()
 
 
 def create_engine(kind: EngineKind, jobs: int, address: str | None = None) -> Engine:

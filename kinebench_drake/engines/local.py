@@ -18,7 +18,7 @@ from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from typing import Generic, cast
 
-from kinebench_drake.engines import Crashed, Done, Item, Result
+from kinebench_drake.engines import Crashed, Done, Item, Result, hired
 from kinebench_drake.errors import KinebenchError
 
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
@@ -44,8 +44,7 @@ class LocalEngine:
         if not items:
             return
         if self.jobs == 1:
-            with one_thread():
-                work = make_worker()
+            with one_thread(), hired(make_worker) as work:
                 for item in items:
                     if self._drained.is_set():
                         return
@@ -177,9 +176,9 @@ def _serve(pipe: Connection, make_worker: Callable[[], Callable[[Item], Result]]
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides what an interrupt means
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     try:
-        work = make_worker()
-        while (item := pipe.recv()) is not None:
-            pipe.send(work(item))
+        with hired(make_worker) as work:
+            while (item := pipe.recv()) is not None:
+                pipe.send(work(item))
     except KinebenchError as error:
         pipe.send(error)
     except (EOFError, BrokenPipeError, ConnectionResetError):

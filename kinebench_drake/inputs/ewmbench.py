@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from kinebench_drake.errors import InputError
-from kinebench_drake.grounding.frame_folder import FRAME_SUFFIXES
+from kinebench_drake.filetypes import FRAME_SUFFIXES
 from kinebench_drake.inputs.sample import Sample, camera_of
 from kinebench_drake.inputs.search import Search
 from kinebench_drake.plainfile import read_text

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from kinebench_drake import manifest
 from kinebench_drake.errors import InputError, UsageError
+from kinebench_drake.filetypes import FILM_SUFFIXES
 from kinebench_drake.grounding.array_file import ARRAY_SUFFIXES
-from kinebench_drake.grounding.film import FILM_SUFFIXES
 from kinebench_drake.grounding.hdf5_file import HDF5_SUFFIXES
 from kinebench_drake.identity import unique_ids
 from kinebench_drake.inputs import ewmbench, hdf5, lerobot, listed, singlefile, videofolder, worldarena

@@ -7,8 +7,7 @@ from pathlib import Path
 
 from kinebench_drake import manifest
 from kinebench_drake.errors import InputError
-from kinebench_drake.grounding.film import FILM_SUFFIXES
-from kinebench_drake.grounding.frame_folder import FRAME_SUFFIXES
+from kinebench_drake.filetypes import FILM_SUFFIXES, FRAME_SUFFIXES
 from kinebench_drake.inputs import videofolder
 from kinebench_drake.inputs.sample import Sample, camera_of
 from kinebench_drake.inputs.search import Search, plain

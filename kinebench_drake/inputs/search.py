@@ -6,7 +6,7 @@ from pathlib import Path, PurePosixPath
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import InputError
-from kinebench_drake.grounding.frame_folder import FRAME_SUFFIXES
+from kinebench_drake.filetypes import FRAME_SUFFIXES
 from kinebench_drake.inputs.sample import Sample, camera_of
 
 CAMERA_NAME = "camera.json"

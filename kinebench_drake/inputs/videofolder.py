@@ -16,7 +16,7 @@ import pyarrow
 import pyarrow.parquet as parquet
 
 from kinebench_drake.errors import InputError, cause
-from kinebench_drake.grounding.film import FILM_SUFFIXES
+from kinebench_drake.filetypes import FILM_SUFFIXES
 from kinebench_drake.inputs.sample import Sample
 from kinebench_drake.inputs.search import Search, below, plain
 from kinebench_drake.manifest import MAX_PERIOD_S, MIN_PERIOD_S

@@ -16,7 +16,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from kinebench_drake.errors import InputError
-from kinebench_drake.grounding.film import FILM_SUFFIXES
+from kinebench_drake.filetypes import FILM_SUFFIXES
 from kinebench_drake.inputs.sample import Sample
 from kinebench_drake.inputs.search import Search, plain
 from kinebench_drake.plainfile import read_json

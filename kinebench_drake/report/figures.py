@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from kinebench_drake.aggregate import aggregate
-from kinebench_drake.drawing import new_figure, save
+from kinebench_drake.drawing import new_figure, plain, save
 from kinebench_drake.report.frames import anomalies_of
 from kinebench_drake.report.group import Group, group_rows
 from kinebench_drake.report.histogram import Histogram
@@ -151,7 +151,7 @@ def _draw_verdicts(groups: Sequence[Group]) -> "Figure":
             label = FAILURES.get(verdict, verdict)
             ax.barh(range(len(groups)), counts, left=left, color=colour, label=label, height=0.7)
             left = [a + b for a, b in zip(left, counts, strict=True)]
-    ax.set_yticks(range(len(groups)), [_plain(group.name) for group in groups], fontsize=8)
+    ax.set_yticks(range(len(groups)), [_short(group.name) for group in groups], fontsize=8)
     ax.invert_yaxis()
     ax.set_xlabel("samples")
     ax.xaxis.set_major_locator(MaxNLocator(integer=True))
@@ -200,7 +200,7 @@ def _draw_faults(faults: Sequence[tuple[SampleRow, list[Lane], int]]) -> "Figure
         for css in reversed(_FAULTS):
             spans = [(s.start, s.end + 1 - s.start) for lane in lanes if lane.css == css for s in lane.spans]
             ax.broken_barh(spans, (k - 0.35, 0.7), color=_FAULTS[css], linewidth=0.0)
-    ax.set_yticks(range(len(faults)), [_plain(row.id) for row, _, _ in faults], fontsize=7)
+    ax.set_yticks(range(len(faults)), [_short(row.id) for row, _, _ in faults], fontsize=7)
     ax.invert_yaxis()
     ax.set_xlabel("frames")
     handles = [Patch(color=colour, label=LEGEND[css]) for css, colour in _FAULTS.items()]
@@ -208,6 +208,6 @@ def _draw_faults(faults: Sequence[tuple[SampleRow, list[Lane], int]]) -> "Figure
     return figure
 
 
-def _plain(name: str) -> str:
-    """A name that matplotlib does not take for mathematics, cut where it is endless."""
-    return (name if len(name) <= 48 else f"{name[:47]}…").replace("$", r"\$")
+def _short(name: str) -> str:
+    """A name to draw, cut where it is endless."""
+    return plain(name if len(name) <= 48 else f"{name[:47]}…")

@@ -88,4 +88,4 @@ def _direct(episode: Episode, attempt: Attempt) -> Episode:
         content_hash="",
         extra={**known, "success": attempt.success, "progress": attempt.progress, "cause": cause},
     )
-    return Episode(part=episode.part, model=DIRECT, folder=episode.folder, row=row)
+    return Episode(part=episode.part, model=DIRECT, folder=None, row=row)

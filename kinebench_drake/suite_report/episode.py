@@ -45,10 +45,10 @@ class Episode:
     part: Part
     model: str
     """Name of the model, with whatever else tells its run from others of the same model."""
-    folder: Path
-    """Output folder of the run."""
+    folder: Path | None
+    """Output folder of the run; None where there was none."""
     row: SampleRow
-    """Its line in the folder."""
+    """Its line in the folder, or as one would be."""
     cost_scaled: float | None = None
     """`manipulability_cost_mean` on the scale of all episodes reported, 0..1; see `scale_costs`."""
 

@@ -27,10 +27,10 @@ def episode_table(episodes: Sequence[Episode]) -> Table:
 
 def _row(e: Episode) -> tuple[Value, ...]:
     success = None if e.success is None else int(e.success)
-    extra = e.row.extra
+    extra, folder = e.row.extra, e.folder.resolve().name if e.folder else None
     return (
         *(e.part.title, e.part.suite, e.part.split, _plain(extra.get("variant")), _plain(extra.get("pool")), e.task),
-        *(_plain(extra.get("seed")), e.model, e.folder.resolve().name, e.row.id, e.row.status.value, e.row.reason),
+        *(_plain(extra.get("seed")), e.model, folder, e.row.id, e.row.status.value, e.row.reason),
         *(success, e.progress, e.rounds, e.verdict, e.cost_scaled, *(e.metric(name) for name in _METRICS)),
     )
 

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from kinebench_drake.drawing import FAINT, new_figure
+from kinebench_drake.drawing import FAINT, new_figure, plain
 from kinebench_drake.suite_report.comparison import ALL, Compared, difference_of
 from kinebench_drake.suite_report.episode import Episode, Part, group
 from kinebench_drake.suite_report.labels import models_of
@@ -39,8 +39,8 @@ def success_pictures(episodes: Sequence[Episode]) -> list[Picture]:
             for task, some in rates.items():
                 rate = tally(some).pooled
                 _interval(ax, rate.mean, rate.low, rate.high, tasks.index(task) + offset, colour, marker)
-            ax.plot([], [], color=colour, marker=marker, markersize=4, linewidth=1.2, label=model)
-        ax.set_yticks(range(len(tasks)), tasks, fontsize=8)
+            ax.plot([], [], color=colour, marker=marker, markersize=4, linewidth=1.2, label=plain(model))
+        ax.set_yticks(range(len(tasks)), [plain(n) for n in tasks], fontsize=8)
         ax.set_ylim(-0.6, len(tasks) - 0.4)
         _percent(ax)
         ax.set_xlabel("success, 95 % Wilson interval", fontsize=9)
@@ -70,8 +70,8 @@ def _map(part: Part, episodes: Sequence[Episode], tasks: Sequence[str], models: 
         if np.isfinite(rate):
             colour = "#fefefe" if rate > 0.7 else "#101010"
             ax.text(column, row, f"{100.0 * rate:.0f}", ha="center", va="center", fontsize=7, color=colour)
-    ax.set_yticks(range(len(tasks)), tasks, fontsize=8)
-    ax.set_xticks(range(len(models)), models, fontsize=8, rotation=90)
+    ax.set_yticks(range(len(tasks)), [plain(n) for n in tasks], fontsize=8)
+    ax.set_xticks(range(len(models)), [plain(n) for n in models], fontsize=8, rotation=90)
     return Picture(
         name=f"success_{part.slug}",
         title=f"{part.title}: success by task",
@@ -100,7 +100,7 @@ def verdict_picture(episodes: Sequence[Episode]) -> Picture:
             ax.barh(places, widths, left=left, color=colour, height=0.68, label=name, edgecolor="white", linewidth=0.6)
             left = [a + b for a, b in zip(left, widths, strict=True)]
     names = [f"{part.title} · {model}" for (part, model), _ in reversed(groups)]
-    ax.set_yticks(range(len(groups)), names, fontsize=8)
+    ax.set_yticks(range(len(groups)), [plain(n) for n in names], fontsize=8)
     _percent(ax)
     ax.set_xlabel("share of all episodes", fontsize=9)
     ax.set_ylim(-0.6, len(groups) - 0.4)
@@ -127,7 +127,7 @@ def difference_picture(compared: Sequence[Compared]) -> Picture:
         _interval(ax, d.mean, d.low, d.high, float(k), "#000000" if pooled else COLOURS[0], "D" if pooled else "o")
     ax.axvline(0.0, color=FAINT, linewidth=1.2, zorder=1)
     names = [c.task if c.task != ALL else f"{c.first} − {c.second}, {c.part.title}" for c, _ in reversed(known)]
-    ax.set_yticks(range(len(known)), names, fontsize=8)
+    ax.set_yticks(range(len(known)), [plain(n) for n in names], fontsize=8)
     for text, (c, _) in zip(ax.get_yticklabels(), reversed(known), strict=True):
         text.set_fontweight("bold" if c.task == ALL else "normal")
     ax.set_ylim(-0.6, len(known) - 0.4)

@@ -1,5 +1,6 @@
 """Output folders of `suite run`, read back: only such as can be put together."""
 
+import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,8 +12,10 @@ from kinebench_drake.row import Json, SampleRow
 from kinebench_drake.suite_report.episode import Part
 
 KIND = "suite"
-SETTINGS = ("rounds", "control", "action_repeat", "frame_period_s", "pixels_only")
+SETTINGS = ("rounds", "control", "action_repeat", "frame_period_s", "pixels_only", "negative_prompt")
 """Settings of a run that change what its episodes come to."""
+_LONG = 24
+"""Letters of a setting that a label has room for."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -108,11 +111,14 @@ def read_folder(path: Path) -> Folder:
         rows=tuple(rows[id] for id in sorted(rows)),
         planned=planned if isinstance(planned, int) else None,
         tags={key: str(value) for key, value in tags.items()} if isinstance(tags, Mapping) else {},
-        settings={name: _words(config[name]) for name in SETTINGS if config.get(name) is not None},
+        settings={name: _words(config[name]) for name in SETTINGS if config.get(name) not in (None, "")},
         schema_version=results.get("schema_version"),
         suite_version=results.get("suite_version"),
     )
 
 
 def _words(value: Json) -> str:
+    """A setting in a label; long texts are cut, and told apart by their hash."""
+    if isinstance(value, str) and len(value) > _LONG:
+        return f"{value[:_LONG]}… {hashlib.sha256(value.encode()).hexdigest()[:6]}"
     return str(value).lower() if isinstance(value, bool) else f"{value:g}" if isinstance(value, float) else str(value)

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from kinebench_drake.aggregate import Estimate
-from kinebench_drake.drawing import FAINT, new_figure
+from kinebench_drake.drawing import FAINT, new_figure, plain
 from kinebench_drake.suite_report.correlation import SparcStudy
 from kinebench_drake.suite_report.episode import Episode, group
 from kinebench_drake.suite_report.folder import model_of
@@ -19,8 +19,8 @@ from kinebench_drake.suite_report.tally import tally
 def sparc_picture(episodes: Sequence[Episode], study: SparcStudy, seed: int = 0) -> Picture | None:
     """SPARC against success, a point a model and task, and beside it the task-balanced means; None without a point."""
     parts = sorted({e.part for e in episodes})
-    plain = {e.model: model_of(e.row) for e in episodes}
-    shown = {model: model if len(plain) <= len(COLOURS) else name for model, name in plain.items()}
+    own_names = {e.model: model_of(e.row) for e in episodes}
+    shown = {model: model if len(own_names) <= len(COLOURS) else name for model, name in own_names.items()}
     models = list(dict.fromkeys(shown.values()))
     points = []
     for (part, model, _), own in group(episodes, lambda e: (e.part, e.model, e.task)).items():
@@ -48,10 +48,11 @@ def sparc_picture(episodes: Sequence[Episode], study: SparcStudy, seed: int = 0)
     for ax in (left, right):
         ax.tick_params(labelsize=8)
     for model in dict.fromkeys(m for _, m, *_ in points):
-        left.plot([], [], linestyle="", marker="o", color=style(models.index(model))[0], markersize=5, label=model)
+        colour = style(models.index(model))[0]
+        left.plot([], [], linestyle="", marker="o", color=colour, markersize=5, label=plain(model))
     if len(parts) > 1:
         for k, part in enumerate(parts):
-            left.plot([], [], linestyle="", marker=style(k)[1], color=FAINT, markersize=5, label=part.title)
+            left.plot([], [], linestyle="", marker=style(k)[1], color=FAINT, markersize=5, label=plain(part.title))
     legend(figure, models)
     return Picture(
         name="sparc_success",
@@ -91,12 +92,13 @@ def manipulability_picture(episodes: Sequence[Episode]) -> Picture | None:
             low, middle, high = np.percentile(costs, [25, 50, 75])
             ax.plot([k, k], [low, high], color=colour, linewidth=3.2, solid_capstyle="butt")
             ax.plot([k], [middle], marker="o", color="white", markeredgecolor=colour, markersize=5)
-        ax.set_xticks(range(len(here)) if crowded else [], here if crowded else [], fontsize=8, rotation=90)
+        told = [plain(n) for n in here] if crowded else []
+        ax.set_xticks(range(len(told)), told, fontsize=8, rotation=90)
         ax.set_xlim(-0.6, len(here) - 0.4)
-        ax.set_title(part.title, fontsize=9)
+        ax.set_title(plain(part.title), fontsize=9)
         ax.tick_params(axis="y", labelsize=8)
     for model in () if crowded else models:
-        axes[0, 0].plot([], [], color=style(models.index(model))[0], linewidth=5.0, alpha=0.6, label=model)
+        axes[0, 0].plot([], [], color=style(models.index(model))[0], linewidth=5.0, alpha=0.6, label=plain(model))
     axes[0, 0].set_ylabel("manipulability cost, scaled", fontsize=9)
     if not crowded:
         legend(figure, models)

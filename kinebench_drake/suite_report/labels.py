@@ -78,4 +78,4 @@ def _label(model: str, folder: Folder, telling: Mapping[str, Sequence[str]]) -> 
 def _natural(text: str) -> list[tuple[int, int, str]]:
     """Key that sorts the numbers within names as numbers."""
     parts = re.split(r"(\d+)", text)
-    return [(0, int(part), "") if part.isdigit() else (1, 0, part) for part in parts]
+    return [(0, int(part), "") if part.isdecimal() else (1, 0, part) for part in parts]

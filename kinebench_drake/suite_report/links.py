@@ -24,6 +24,8 @@ def links_of(episode: Episode, out: Path) -> list[Link]:
     Only of runs that lie beside the report, in the same parent folder or below it: links to elsewhere would tell paths
     of this machine and break as soon as the report is moved.
     """
+    if episode.folder is None:
+        return []
     base, home = episode.folder.resolve(), out.resolve()
     if not base.is_relative_to(home.parent):
         return []

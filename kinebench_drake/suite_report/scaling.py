@@ -57,7 +57,9 @@ def study_scaling(
         difficulties: name of each task's difficulty, in rising order of difficulty.
         seed: of the intervals' resampling.
     """
-    trained = {f.path: training for f in folders if f.part.suite == SUITE and (training := training_of(f))}
+    trained: dict[Path | None, Training] = {
+        f.path: training for f in folders if f.part.suite == SUITE and (training := training_of(f))
+    }
     chosen = [e for e in episodes if e.folder in trained]
     found = []
     for model, own in group(chosen, lambda e: model_of(e.row)).items():

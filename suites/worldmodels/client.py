@@ -1,7 +1,9 @@
 """HTTP as services of world models need it: patient, but not for ever, and close-mouthed about keys.
 
 Repeated, with waits that double and vary: connections that fail, answers 429 (after the time they ask for) and 5xx.
-Never repeated: any other answer. A key goes to the service's own origin alone, over https or within this machine.
+Never repeated: any other answer; and what the service may have begun to work on, where that may cost: then only
+connections that never stood and 429 are. A key goes to the service's own origin alone, over https or within this
+machine.
 """
 
 import json
@@ -98,7 +100,7 @@ class Client:
             timeout = self._timeout(deadline, patient)
             sent = {"Accept": "application/json", **kind, **(headers or {}), **self._authorization(url)}
             with self._stream(method, url, deadline, repeatable, content=content, headers=sent, timeout=timeout) as got:
-                self._accept(got, deadline)
+                self._accept(got, deadline, repeatable)
                 data = b"".join(self._read(got, most, deadline))
             answer = self._object(data, got.status_code)
             check(answer)
@@ -121,7 +123,7 @@ class Client:
                 timeout = self._timeout(deadline, False)
                 with self._stream("GET", url, deadline, True, headers=headers, timeout=timeout) as got:
                     if not got.has_redirect_location:
-                        self._accept(got, deadline)
+                        self._accept(got, deadline, True)
                         with storage(part.name), part.open("wb") as file:
                             for chunk in self._read(got, self.limits.video_bytes, deadline):
                                 file.write(chunk)
@@ -174,7 +176,7 @@ class Client:
             fate = "cannot be reached" if isinstance(error, _UNSENT) else "broke off"
             raise kind(f"{self.service} {fate} ({type(error).__name__})") from None
 
-    def _accept(self, response: httpx.Response, deadline: Deadline) -> None:
+    def _accept(self, response: httpx.Response, deadline: Deadline, repeatable: bool) -> None:
         status = response.status_code
         if response.is_success:
             return
@@ -182,9 +184,9 @@ class Client:
             raise ServiceError(f"{self.service} redirects (HTTP {status}); give the address it leads to", status=status)
         said, code = self._complaint(response, deadline)
         message = f"{self.service} answered HTTP {status}" + (f": {said}" if said else "")
-        if status == HTTPStatus.TOO_MANY_REQUESTS or (
-            status >= HTTPStatus.INTERNAL_SERVER_ERROR and status not in _FINAL
-        ):
+        # Any 5xx may come from a gateway behind which the request was taken all the same; 429 says that it was not.
+        passing = status >= HTTPStatus.INTERNAL_SERVER_ERROR and status not in _FINAL
+        if status == HTTPStatus.TOO_MANY_REQUESTS or (passing and repeatable):
             busy = BusyError(message, status=status, code=code)
             busy.after_s = retry_after(response.headers.get("Retry-After", ""))
             raise busy

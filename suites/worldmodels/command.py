@@ -15,7 +15,8 @@ from pathlib import Path
 from typing import IO
 
 from kinebench_drake.errors import SetupError, cause
-from kinebench_drake.storage import storage
+from kinebench_drake.interrupt import undisturbed
+from kinebench_drake.storage import storage, unfinished
 from kinebench_drake.suites.worldmodels.picture import png
 from kinebench_drake.suites.worldmodels.remark import remark
 from kinebench_drake.suites.worldmodels.spec import ServiceOptions, Spec
@@ -57,7 +58,8 @@ class Command:
 
     def generate(self, request: Request, out: Path) -> Path:
         """See `WorldModel`."""
-        with storage(out.name), tempfile.TemporaryDirectory(prefix=f".{os.getpid()}.part.", dir=out.parent) as name:
+        part = unfinished(out)
+        with storage(out.name), tempfile.TemporaryDirectory(prefix=f"{part.name}.", dir=part.parent) as name:
             folder = Path(name)
             first_frame, video, log = folder / "first_frame.png", folder / "video.mp4", folder / "log"
             first_frame.write_bytes(png(request.first_frame))
@@ -83,19 +85,21 @@ class Command:
 
     def _run(self, arguments: list[str], request: IO[bytes], log: IO[bytes]) -> int | None:
         """Exit status of the program; None if it took too long: then it is ended, with all that it started."""
+        process: subprocess.Popen[bytes] | None = None
         try:
-            process = subprocess.Popen(
-                arguments, stdin=request, stdout=subprocess.DEVNULL, stderr=log, start_new_session=True
-            )
-        except (OSError, ValueError) as error:
-            raise SetupError(f"{self.name} cannot be started ({cause(error)})") from None
-        try:
+            with undisturbed():  # or it might run without anybody who knows it
+                process = subprocess.Popen(
+                    arguments, stdin=request, stdout=subprocess.DEVNULL, stderr=log, start_new_session=True
+                )
             return process.wait(self._timeout_s)
         except subprocess.TimeoutExpired:
             return None
+        except (OSError, ValueError) as error:
+            raise SetupError(f"{self.name} cannot be started ({cause(error)})") from None
         finally:
-            if process.returncode is None:
-                _end(process)
+            if process is not None and process.returncode is None:
+                with undisturbed():
+                    _end(process)
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:

@@ -5,9 +5,10 @@ from pathlib import Path
 from typing import Any
 
 from kinebench_drake.errors import InputError, cause
+from kinebench_drake.filetypes import FILM_SUFFIXES, FRAME_SUFFIXES
 from kinebench_drake.plainfile import parse_json, read_text
 from kinebench_drake.suites.worldmodels.spec import Options, Spec
-from kinebench_drake.suites.worldmodels.videofile import FILM_SUFFIXES, FRAME_SUFFIXES, check_video
+from kinebench_drake.suites.worldmodels.videofile import check_video
 from kinebench_drake.suites.worldmodels.worldmodel import Request, WorldModelError
 
 _MANIFEST = "manifest.jsonl"

@@ -3,8 +3,6 @@
 Both are described in docs/worldmodels.md so that a server can be written from there.
 """
 
-import base64
-import binascii
 import shutil
 from http import HTTPStatus
 from pathlib import Path
@@ -16,12 +14,12 @@ from kinebench_drake.storage import storage
 from kinebench_drake.suites.worldmodels.address import web_address
 from kinebench_drake.suites.worldmodels.client import Client
 from kinebench_drake.suites.worldmodels.deadline import Deadline
-from kinebench_drake.suites.worldmodels.picture import data_uri
+from kinebench_drake.suites.worldmodels.picture import data_uri, from_base64
 from kinebench_drake.suites.worldmodels.predict import Predictor
 from kinebench_drake.suites.worldmodels.remark import key_from, remark
 from kinebench_drake.suites.worldmodels.service import Limits, ServiceError
 from kinebench_drake.suites.worldmodels.spec import ServiceOptions, Spec
-from kinebench_drake.suites.worldmodels.videofile import adopt, unfinished
+from kinebench_drake.suites.worldmodels.videofile import adopt, arriving
 from kinebench_drake.suites.worldmodels.worldmodel import Request, WorldModelError
 
 _PREDICT = "/v1/predict"
@@ -107,7 +105,7 @@ class Http:
         }
         most = self._limits.video_bytes // 3 * 4 + self._limits.json_bytes
         answer = self._client.call("POST", "", deadline, body=body, patient=True, most_bytes=most)
-        with unfinished(out) as part:
+        with arriving(out) as part:
             self._fetch(answer, part, deadline)
             return adopt(part, out)
 
@@ -134,14 +132,9 @@ class Http:
             with storage(part.name):
                 shutil.copyfile(path, part)
         else:
+            try:
+                data = from_base64(value)
+            except ValueError:
+                raise WorldModelError("the world model's video_base64 is not base64") from None
             with storage(part.name):
-                part.write_bytes(_decoded(value))
-
-
-def _decoded(text: str) -> bytes:
-    """The bytes of base64, with or without the head of a data URI and line breaks."""
-    payload = text.partition(",")[2] if text.startswith("data:") else text
-    try:
-        return base64.b64decode("".join(payload.split()), validate=True)
-    except (binascii.Error, ValueError):
-        raise WorldModelError("the world model's video_base64 is not base64") from None
+                part.write_bytes(data)

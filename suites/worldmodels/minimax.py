@@ -18,7 +18,7 @@ from kinebench_drake.suites.worldmodels.picture import data_uri
 from kinebench_drake.suites.worldmodels.remark import key_from, remark
 from kinebench_drake.suites.worldmodels.service import BusyError, Limits
 from kinebench_drake.suites.worldmodels.spec import ServiceOptions, Spec
-from kinebench_drake.suites.worldmodels.videofile import adopt, unfinished
+from kinebench_drake.suites.worldmodels.videofile import adopt, arriving
 from kinebench_drake.suites.worldmodels.worldmodel import Request, WorldModelError
 
 KEY = "MINIMAX_API_KEY"
@@ -59,7 +59,7 @@ class MiniMax:
         deadline = Deadline(self._options.timeout)
         task = self._submit(request, deadline)
         file = deadline.poll(lambda: self._finished(task, deadline), self._limits.poll_s)
-        with unfinished(out) as part:
+        with arriving(out) as part:
             self._client.download(self._address(file, deadline), part, deadline)
             return adopt(part, out)
 

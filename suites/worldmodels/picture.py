@@ -1,4 +1,4 @@
-"""The first frame as services take it."""
+"""The first frame as services take it, and what they give in the same way."""
 
 import base64
 import io
@@ -23,3 +23,13 @@ def base64_png(frame: NDArray[np.uint8]) -> str:
 def data_uri(frame: NDArray[np.uint8]) -> str:
     """A frame (H, W, 3) RGB as a data URI of type image/png."""
     return f"data:image/png;base64,{base64_png(frame)}"
+
+
+def from_base64(text: str) -> bytes:
+    """The bytes of a file in base64, with or without the head of a data URI and line breaks.
+
+    Raises:
+        ValueError: it is not base64.
+    """
+    payload = text.partition(",")[2] if text.startswith("data:") else text
+    return base64.b64decode("".join(payload.split()), validate=True)

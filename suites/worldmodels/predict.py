@@ -1,7 +1,5 @@
 """The stateless prediction contract: `/v1/health`, `/v1/capabilities`, `/v1/predict`, frames as PNG in base64."""
 
-import base64
-import binascii
 import io
 from pathlib import Path
 from typing import Annotated, Any
@@ -16,7 +14,7 @@ from kinebench_drake.mp4 import write_video
 from kinebench_drake.storage import storage
 from kinebench_drake.suites.worldmodels.client import Client
 from kinebench_drake.suites.worldmodels.deadline import Deadline
-from kinebench_drake.suites.worldmodels.picture import base64_png
+from kinebench_drake.suites.worldmodels.picture import base64_png, from_base64
 from kinebench_drake.suites.worldmodels.remark import remark
 from kinebench_drake.suites.worldmodels.worldmodel import Request, WorldModelError
 
@@ -101,13 +99,12 @@ def _frames(answer: dict[str, Any]) -> list[NDArray[np.uint8]]:
 
 
 def _picture(text: str, number: int) -> NDArray[np.uint8]:
-    payload = text.partition(",")[2] if text.startswith("data:") else text
     try:
-        image = Image.open(io.BytesIO(base64.b64decode(payload, validate=True)), formats=["PNG"])
+        image = Image.open(io.BytesIO(from_base64(text)), formats=["PNG"])
         if image.width * image.height > _MOST_PIXELS:
             raise WorldModelError(
                 f"the world model's frame {number} has {image.width} x {image.height} pixels, too many"
             )
         return np.asarray(image.convert("RGB"), dtype=np.uint8)
-    except (binascii.Error, OSError, ValueError, SyntaxError, Image.DecompressionBombError):
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError):
         raise WorldModelError(f"the world model's frame {number} is not a PNG file in base64") from None

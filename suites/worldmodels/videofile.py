@@ -9,13 +9,9 @@ import av
 from av.container import InputContainer
 
 from kinebench_drake.errors import cause
-from kinebench_drake.storage import storage
+from kinebench_drake.storage import storage, unfinished
 from kinebench_drake.suites.worldmodels.worldmodel import WorldModelError
 
-FILM_SUFFIXES = (".mp4", ".mov", ".avi", ".gif", ".webm", ".mkv")
-"""Video files that are scored."""
-FRAME_SUFFIXES = (".png", ".jpg", ".jpeg")
-"""Pictures that make a folder of frames."""
 _HEAD = 64
 _DEMUXERS = {
     ".mp4": "mov",
@@ -72,9 +68,9 @@ def check_video(path: Path) -> str:
 
 
 @contextmanager
-def unfinished(out: Path) -> Iterator[Path]:
+def arriving(out: Path) -> Iterator[Path]:
     """A hidden path beside `out` for what is not yet known to be whole; gone when the context ends."""
-    part = out.with_name(f".{os.getpid()}.part.{out.name}")
+    part = unfinished(out)
     try:
         yield part
     finally:

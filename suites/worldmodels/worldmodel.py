@@ -49,7 +49,10 @@ class Offline(Protocol):
 
 
 class WorldModel(Protocol):
-    """Turns a first frame and a prompt into a video. One process makes one of it; it is used by one thread."""
+    """Turns a first frame and a prompt into a video. One process makes one of it; it is used by one thread.
+
+    The process that begins a run makes one for its name alone where others do the work.
+    """
 
     @property
     def name(self) -> str:

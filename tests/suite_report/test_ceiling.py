@@ -1,5 +1,7 @@
 """Runs beside direct execution: each episode executed once, each model held against it."""
 
+import csv
+
 import pytest
 
 from kinebench_drake.engines import Done
@@ -7,6 +9,7 @@ from kinebench_drake.errors import UsageError
 from kinebench_drake.results import SAMPLES
 from kinebench_drake.suite_report.ceiling import DIRECT, read_ceiling, share_lines
 from kinebench_drake.suite_report.comparison import ALL
+from kinebench_drake.suite_report.writing import write_comparison
 from kinebench_drake.suites.closedloop.tolerance import Attempt, Grade
 from tests.suite_report.synthetic import write_run
 
@@ -40,6 +43,17 @@ def test_each_model_is_held_against_direct_execution_alone(tmp_path):
     [wan] = [c for c in found.compared if c.first == "wan" and c.task == ALL]
     assert (wan.paired.both, wan.paired.first_only, wan.paired.second_only, wan.paired.neither) == (3, 0, 2, 1)
     assert "wan, Suite 0: success in 3 of 6, direct execution in 5, 60.0% of it" in list(share_lines(found.compared))
+
+
+def test_direct_execution_has_no_folder_of_the_model_s(tmp_path):
+    a = write_run(tmp_path / "a", TASKS)
+    (a / "report.html").write_text("page")
+    found = read_ceiling([a], Rehearsed(), told=lambda attempt, total: None)
+    page = write_comparison(found, tmp_path / "out").read_text()
+    assert page.count('href="../a/report.html#') == 6
+    with (tmp_path / "out" / "episodes.csv").open() as file:
+        folders = [(row["model"], row["folder"]) for row in csv.DictReader(file)]
+    assert set(folders) == {("wan", "a"), (DIRECT, "")}
 
 
 def test_a_row_that_does_not_tell_its_episode_is_told(tmp_path):

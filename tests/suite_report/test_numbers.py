@@ -68,6 +68,14 @@ def test_shards_are_one_run_and_tags_or_settings_tell_runs_apart(tmp_path):
     assert models_of(episodes_of(one, two)) == ["wan", "wan (data=25)"]
     change(two, tags={}, config={"suite": 0, "split": "test", "rounds": 5, "control": "pd_joint_pos"})
     assert models_of(episodes_of(one, two)) == ["wan (rounds=3)", "wan (rounds=5)"]
+    config = {"suite": 0, "split": "test", "rounds": 3, "control": "pd_joint_pos"}
+    change(one, config={**config, "negative_prompt": ""})
+    change(two, config={**config, "negative_prompt": "blur"})
+    assert models_of(episodes_of(one, two)) == ["wan", "wan (negative_prompt=blur)"]
+    for folder, end in ((one, "x"), (two, "y")):
+        change(folder, config={**config, "negative_prompt": 200 * "blur, " + end})
+    assert len({*models_of(episodes_of(one, two))}) == 2
+    assert max(map(len, models_of(episodes_of(one, two)))) < 70
     other = write_run(tmp_path / "u", {"T": [True]}, suite=2, split="unseen", tags={"data": "25"})
     assert models_of(episodes_of(one, other)) == ["wan"]  # two parts need nothing to be told apart
 
@@ -80,6 +88,11 @@ def test_the_same_episodes_twice_are_told_apart_by_their_folders(tmp_path):
 def test_numbers_in_names_are_sorted_as_numbers(tmp_path):
     runs = [write_run(tmp_path / n, {"T": [True]}, tags={"steps": n}) for n in ("15000", "7500")]
     assert models_of(episodes_of(*runs)) == ["wan (steps=7500)", "wan (steps=15000)"]
+
+
+def test_digits_that_are_no_numbers_are_letters_of_a_name(tmp_path):
+    runs = [write_run(tmp_path / n, {"T": [True]}, model="wan2²", tags={"steps": n}) for n in ("1²", "10", "9")]
+    assert models_of(episodes_of(*runs)) == ["wan2² (steps=1²)", "wan2² (steps=9)", "wan2² (steps=10)"]
 
 
 def test_the_best_of_each_suite_stands_out(runs):

@@ -16,7 +16,7 @@ from kinebench_drake.suite_report.labels import gather
 from kinebench_drake.suite_report.latex import escape, latex_text
 from kinebench_drake.suite_report.page import build_page
 from kinebench_drake.suite_report.table import Column, Table, csv_text, lines
-from tests.suite_report.synthetic import EVIL, change, write_run
+from tests.suite_report.synthetic import EVIL, change, outcome, write_run
 
 VOID = {"meta", "input", "br", "path", "rect", "use", "line", "circle"}
 
@@ -153,6 +153,15 @@ def test_what_is_not_there_is_left_out_and_asked_for(tmp_path):
     before = {path.name: path.read_bytes() for path in file.parent.iterdir()}
     write_suite_report([run], tmp_path / "report")
     assert {path.name: path.read_bytes() for path in file.parent.iterdir()} == before
+
+
+@pytest.mark.parametrize("crowd", [2, 12])
+def test_dollar_signs_in_names_are_no_mathematics(tmp_path, crowd):
+    names = [rf"lr$\a${n}" for n in range(crowd)]
+    tasks = {rf"T$\b${k}": [outcome(True, cost=6.0 + k), outcome(False, sparc=-3.0)] for k in range(2)}
+    runs = [write_run(tmp_path / f"{k}", tasks, model=name) for k, name in enumerate(names)]
+    assert write_suite_report(runs, tmp_path / "report").is_file()
+    assert write_comparison(read_comparison(runs[:2]), tmp_path / "comparison").is_file()
 
 
 def test_runs_elsewhere_are_not_linked(tmp_path):

@@ -1,8 +1,11 @@
 import json
 import os
+import signal
+import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -78,6 +81,32 @@ def test_a_program_and_its_children_end_with_the_time(request_: Request, out: Pa
         heard += data
     os.close(end)
     assert heard == b"here\n"
+    assert list(out.parent.iterdir()) == []
+
+
+@pytest.mark.parametrize("moment", ["it is started", "it runs"])
+def test_a_program_ends_with_the_run(
+    request_: Request, out: Path, monkeypatch: pytest.MonkeyPatch, moment: str
+) -> None:
+    """SIGTERM as workers answer it, when the program has begun but nobody knows it yet, or while it is waited for."""
+    started = []
+
+    class Popen(subprocess.Popen):
+        def __init__(self, *arguments: Any, **options: Any) -> None:
+            super().__init__(*arguments, **options)
+            started.append(self)
+            if moment == "it is started":
+                signal.raise_signal(signal.SIGTERM)
+
+    monkeypatch.setattr(subprocess, "Popen", Popen)
+    before = signal.signal(signal.SIGTERM, lambda *_: sys.exit(7))
+    first = "kill -TERM $PPID; " if moment == "it runs" else ""
+    try:
+        with pytest.raises(SystemExit, match="7"):
+            Command(parse(f"command:sh -c '{first}exec sleep 60'")).generate(request_, out)
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    assert [process.returncode for process in started] == [-signal.SIGTERM]
     assert list(out.parent.iterdir()) == []
 
 

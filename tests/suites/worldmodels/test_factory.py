@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from kinebench_drake.errors import UsageError
+from kinebench_drake.filetypes import FILM_SUFFIXES
 from kinebench_drake.suites.worldmodels.factory import FORMS, Form, create
 from kinebench_drake.suites.worldmodels.spec import Spec, parse
 from kinebench_drake.suites.worldmodels.still import Still
-from kinebench_drake.suites.worldmodels.videofile import suffix_of
+from kinebench_drake.suites.worldmodels.videofile import _DEMUXERS, suffix_of
 from kinebench_drake.suites.worldmodels.worldmodel import Request
 from tests.films import decoded
 
@@ -127,6 +128,10 @@ def test_forms_that_others_add() -> None:
     assert create("oracle", further).name == "still"
     with pytest.raises(UsageError, match="still, oracle, module:Class"):
         create("", further)
+
+
+def test_every_film_can_be_opened() -> None:
+    assert set(_DEMUXERS) == FILM_SUFFIXES
 
 
 def test_videos_are_told_by_their_first_bytes(film: bytes, gif: bytes) -> None:

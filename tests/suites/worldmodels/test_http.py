@@ -12,7 +12,7 @@ from PIL import Image
 
 from kinebench_drake.errors import SetupError, UsageError
 from kinebench_drake.suites.worldmodels.http import Http
-from kinebench_drake.suites.worldmodels.picture import base64_png
+from kinebench_drake.suites.worldmodels.picture import base64_png, png
 from kinebench_drake.suites.worldmodels.service import Limits
 from kinebench_drake.suites.worldmodels.spec import parse
 from kinebench_drake.suites.worldmodels.worldmodel import Request, WorldModelError
@@ -159,6 +159,26 @@ def test_predict_keeps_within_what_the_server_can(
     (asked,) = servant.at("/v1/predict")
     (picture,) = asked.body["frames"]
     assert Image.open(io.BytesIO(base64.b64decode(picture))).size == (32, 48)
+
+
+@pytest.mark.parametrize("head", ["", "data:image/png;base64,"])
+def test_base64_may_be_broken_into_lines(
+    predictor: dict[str, Any],
+    servant: Servant,
+    hurried: Limits,
+    request_: Request,
+    out: Path,
+    head: str,
+    ask: Callable[..., Path],
+    film: bytes,
+) -> None:
+    picture = np.random.default_rng(0).integers(256, size=(8, 16, 3), dtype=np.uint8)
+    text = head + base64.encodebytes(png(picture)).decode()
+    assert "\n" in text.strip()
+    servant.routes["/v1/predict"] = [Reply({"frames": [text] * 3})]
+    frames = decoded(Http(parse(servant.url), hurried).generate(request_, out))[1]
+    assert frames.shape == (3, 8, 16, 3)
+    assert ask({"video_base64": head + base64.encodebytes(film).decode()}).read_bytes() == film
 
 
 @pytest.mark.parametrize(

@@ -119,6 +119,17 @@ def test_dashscope_is_patient_with_limits(dashscope: DashScope, servant: Servant
     assert dashscope.generate(request_, out).is_file()
 
 
+@pytest.mark.parametrize("status", [500, 502, 503, 504])
+def test_what_may_have_cost_is_not_submitted_again(
+    dashscope: DashScope, minimax: MiniMax, servant: Servant, request_: Request, out: Path, status: int
+) -> None:
+    for model, path in ((dashscope, SUBMIT), (minimax, "/v1/video_generation")):
+        servant.routes[path].insert(0, Reply(status=status, headers={"Retry-After": "0"}))
+        with pytest.raises(WorldModelError, match=f"answered HTTP {status}"):
+            model.generate(request_, out)
+        assert len(servant.at(path)) == 1
+
+
 def test_a_task_without_end_ends(servant: Servant, hurried: Limits, keys: str, request_: Request, out: Path) -> None:
     servant.routes[SUBMIT] = [Reply({"output": {"task_id": "t"}})]
     servant.routes["/api/v1/tasks/t"] = [Reply({"output": {"task_status": "RUNNING"}})]
