@@ -109,7 +109,7 @@ class EpisodeMeasure(Measure[EpisodeSample, Theatre]):
         options = {**asdict(self.loop), "control": self.loop.control.value}
         return {
             "weights": weights_hash(),
-            "world_model": self.world_model.spec,
+            "world_model": self.world_model.identity,
             "loop": options,
             "episode": [draw.task, draw.seed, draw.pool.value, draw.variant.value],
         }

@@ -14,6 +14,7 @@ from kinebench_drake.run import Observer, RunConfig, RunSummary, Silence, run_sa
 from kinebench_drake.suites.suite import VERSION, Suite
 from kinebench_drake.suites.tasks.card import Variant
 from kinebench_drake.suites.worldmodels.heldmodel import HeldModel
+from kinebench_drake.suites.worldmodels.spec import parse
 from kinebench_drake.suites.worldmodels.worldmodel import Offline
 
 
@@ -55,6 +56,7 @@ class SuiteConfig(RunConfig):
 
     def to_json(self) -> dict[str, Json]:
         """What results tell of the configuration."""
+        known = parse(self.world_model).identity
         return {
             **RunConfig.to_json(self),
             "suite": self.suite.number,
@@ -64,7 +66,7 @@ class SuiteConfig(RunConfig):
             "variant": self.variant.value,
             "world_model": self.model_name,
             # The spec itself may hold addresses, paths or keys.
-            "world_model_sha256": hashlib.sha256(self.world_model.encode(errors="surrogateescape")).hexdigest(),
+            "world_model_sha256": hashlib.sha256(known.encode(errors="surrogateescape")).hexdigest(),
             "rounds": self.loop.rounds,
             "control": self.loop.control.value,
             "action_repeat": self.loop.action_repeat,

@@ -12,7 +12,7 @@ from kinebench_drake.suites.worldmodels.diffusers import Diffusers
 from kinebench_drake.suites.worldmodels.folder import Folder
 from kinebench_drake.suites.worldmodels.http import Http
 from kinebench_drake.suites.worldmodels.minimax import MiniMax
-from kinebench_drake.suites.worldmodels.spec import OPTION, Spec, parse
+from kinebench_drake.suites.worldmodels.spec import OPTION, SERVERS, Spec, parse
 from kinebench_drake.suites.worldmodels.still import Still
 from kinebench_drake.suites.worldmodels.worldmodel import WorldModel
 
@@ -30,8 +30,7 @@ class Form:
 _HTTP = Form(usage="http://HOST:PORT/PATH", make=Http)
 FORMS: Mapping[str, Form] = {
     "folder": Form(usage="folder:DIR", make=Folder),
-    "http": _HTTP,
-    "https": _HTTP,
+    **dict.fromkeys(SERVERS, _HTTP),
     "command": Form(usage="command:PROGRAM ARGUMENTS", make=Command),
     "dashscope": Form(usage="dashscope:[MODEL]", make=DashScope),
     "minimax": Form(usage="minimax:[MODEL]", make=MiniMax),

@@ -2,6 +2,7 @@
 
 from kinebench_drake.suites.worldmodels.factory import create
 from kinebench_drake.suites.worldmodels.simulated import SIMULATED
+from kinebench_drake.suites.worldmodels.spec import parse
 from kinebench_drake.suites.worldmodels.worldmodel import WorldModel
 
 
@@ -13,8 +14,12 @@ class HeldModel:
 
         Args:
             spec: what the command line says; see docs/worldmodels.md.
+
+        Raises:
+            UsageError: an option is given twice.
         """
         self.spec = spec
+        self.identity = parse(spec).identity
         self._model: WorldModel | None = None
 
     def __reduce__(self) -> tuple[type["HeldModel"], tuple[str]]:

@@ -4,7 +4,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TypeVar
-from urllib.parse import unquote
+from urllib.parse import unquote, urlsplit
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -12,6 +12,8 @@ from kinebench_drake.errors import UsageError
 
 OPTION = "--world-model"
 """Where a spec is given."""
+SERVERS = ("http", "https")
+"""Kinds that name a server by its address."""
 _PAIR = r"[A-Za-z_]\w*=[^&?]*"
 _OPTIONS = re.compile(rf"(.*)\?((?:{_PAIR}(?:&{_PAIR})*)?)", re.DOTALL)
 
@@ -45,6 +47,15 @@ class Spec:
     """What stands after it, without the options."""
     options: Mapping[str, str]
     """The options, percent signs decoded."""
+
+    @property
+    def identity(self) -> str:
+        """What tells its model from others: the spec as given, of a server with a name but for where that listens."""
+        url = urlsplit(self.plain)
+        if self.kind not in SERVERS or "name" not in self.options:
+            return self.text
+        options = "&".join(f"{key}={value}" for key, value in sorted(self.options.items()))
+        return f"{url.path}?{options}"
 
     @property
     def plain(self) -> str:

@@ -79,12 +79,17 @@ def test_a_run_makes_one_model_and_frees_all_it_made(config: Callable[..., Suite
 
 
 def test_results_tell_what_differs_between_runs_and_no_address(config: Callable[..., SuiteConfig]) -> None:
-    specs = ("http://10.0.0.1/a?name=wan&key_env=K", "http://10.0.0.2/a?name=wan&key_env=K")
+    specs = ("http://10.0.0.1/a?key_env=K", "http://10.0.0.2/a?key_env=K")
     one, other = (config(spec, model_name="wan").to_json() for spec in specs)
     assert [name for name in one if one[name] != other[name]] == ["world_model_sha256"]
     assert "10.0.0" not in f"{one} {other}"
     named = config(specs[0], model_name="wan", loop=LoopOptions(negative_prompt="blur")).to_json()
     assert [name for name in one if one[name] != named[name]] == ["negative_prompt"]
+    moved, here, changed = (
+        config(f"http://{address}/a?name=wan&{options}", model_name="wan").to_json()
+        for address, options in (("10.0.0.1", "key_env=K"), ("10.0.0.2", "key_env=K"), ("10.0.0.1", "key_env=L"))
+    )
+    assert moved == here != changed
     everywhere = config(specs[0], model_name="wan", out=Path("elsewhere")).to_json()
     assert everywhere == one
 
