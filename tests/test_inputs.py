@@ -42,8 +42,27 @@ def test_single_inputs_are_named_by_their_stem(tmp_path):
 def test_the_runs_own_output_and_other_outputs_are_passed_over(tmp_path):
     touch(tmp_path, "a.mp4", "out/overlays/a.mp4", "old/samples.jsonl", "old/results.json", "old/overlays/b.mp4")
     assert [s.video for s in find_samples(tmp_path, out=tmp_path / "out").samples] == ["a.mp4"]
+
+
+@pytest.mark.parametrize("left", ["results.json", "run.json"])
+def test_what_other_runs_wrote_is_no_input_whether_they_have_ended_or_not(tmp_path, left):
+    touch(tmp_path, "a.mp4", "old/samples.jsonl", f"old/{left}", "old/overlays/b.mp4", "old/thumbnails/b.jpg")
+    touch(tmp_path, "mine/samples.jsonl", "mine/c.mp4")  # a name that others use, too
+    assert [s.video for s in find_samples(tmp_path).samples] == ["a.mp4", "mine/c.mp4"]
+
+
+def test_a_run_never_fills_folders_that_it_reads(tmp_path):
+    touch(tmp_path, "out/overlays/b.mp4", "out/tracks/b.npz", "out/c.mp4", "in/a.mp4")
+    out = tmp_path / "out"
     with pytest.raises(UsageError, match="input folder itself"):
-        find_samples(tmp_path, out=tmp_path)
+        find_samples(out, out=out)
+    for source in (out / "overlays", out / "overlays" / "b.mp4"):
+        with pytest.raises(UsageError, match="the run fills .*overlays"):
+            find_samples(source, out=out)
+    for other, told in ((out, "itself"), (out / "tracks", "the run fills .*tracks")):
+        with pytest.raises(UsageError, match=told):
+            find_samples(tmp_path / "in", out=out, others=[other])
+    assert [s.id for s in find_samples(out / "c.mp4", out=out).samples] == ["c"]  # beside a film it may stand
 
 
 @pytest.mark.parametrize(
