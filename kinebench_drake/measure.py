@@ -164,10 +164,8 @@ class Measure(ABC, Generic[Sample, Equipment]):
             digest.update(file.name.encode(errors="surrogateescape") + b"\0" + _digest(file))
         return digest.hexdigest()
 
-    def is_finished(self, sample: Sample, row: SampleRow | None) -> bool:
-        """Whether a kept row still is the result of this sample. Errors are tried again: their cause may be gone."""
-        if row is None or row.status is Status.ERROR:
-            return False
+    def holds(self, sample: Sample, row: SampleRow) -> bool:
+        """Whether a kept row still is what comes of this sample."""
         needed = self.parts if row.status is Status.OK else ()
         return all(part_path(self.out, p, row.id).is_file() for p in needed) and row.content_hash == self.content_hash(
             sample

@@ -12,8 +12,8 @@ from typing import Protocol
 
 from kinebench_drake.aggregate import Estimate, aggregate, by_key, estimate
 from kinebench_drake.engines import Crashed, Draining, Engine, EngineKind, create_engine
-from kinebench_drake.errors import SetupError, UsageError
-from kinebench_drake.header import RunHeader
+from kinebench_drake.errors import InputError, SetupError, UsageError
+from kinebench_drake.header import RunHeader, read_header
 from kinebench_drake.interrupt import patient
 from kinebench_drake.measure import SCHEMA_VERSION, Equipment, Kind, Measure, Sample
 from kinebench_drake.normalization import normalize_run
@@ -264,7 +264,11 @@ def _resume(
     header: RunHeader,
     observer: Observer,
 ) -> list[Sample]:
-    """Drop kept rows that no longer hold; return the samples still to do. The folder is this run's from here on."""
+    """Drop kept rows that no longer hold; return the samples still to do. The folder is this run's from here on.
+
+    Rows of samples that are not `chosen` stay only if they hold, too: what results tell of the run is true of all rows.
+    """
+    _check_kind(store, measure.kind)
     known = {sample.id for sample in samples}
     if store.rows and not known & store.rows.keys():
         raise UsageError(
@@ -277,11 +281,36 @@ def _resume(
             f"{len(strangers)} earlier results are dropped: they are not among the {len(samples)} {measure.kind.noun} "
             f"named now (such as {strangers[0]!r})"
         )
-    waiting = {s.id: s for s in chosen if not measure.is_finished(s, store.rows.get(s.id))}
-    if waiting or strangers:
+    kept = {s.id for s in samples if s.id in store.rows and measure.holds(s, store.rows[s.id])}
+    waiting = [s for s in chosen if s.id not in kept or store.rows[s.id].status is Status.ERROR]  # whose cause may go
+    outdated = sorted((known & store.rows.keys()) - kept - {s.id for s in chosen})
+    if outdated:
+        observer.warned(
+            f"{len(outdated)} earlier results are dropped, of other input, options or code, and are not among those to "
+            f"be done now (such as {outdated[0]!r})"
+        )
+    if waiting or strangers or outdated:
         store.begin(header.to_json())
-    store.keep(lambda row: row.id in known and row.id not in waiting)
-    return list(waiting.values())
+    kept -= {s.id for s in waiting}
+    store.keep(lambda row: row.id in kept)
+    return waiting
+
+
+def _check_kind(store: ResultStore, kind: Kind) -> None:
+    """Refuse to put results of one kind in the place of another's: they may be what the user means to read.
+
+    Raises:
+        UsageError: the folder holds results of another kind, or does not tell which.
+    """
+    try:
+        found = read_header(store.out) if store.rows else None
+    except InputError as error:
+        raise UsageError(f"--out {error}; --overwrite starts anew") from None
+    if found is not None and found.header.kind != kind.value:
+        raise UsageError(
+            f"--out {store.out}: holds results of a run of kind {found.header.kind}, this one is of kind {kind.value}; "
+            "name another folder, or give --overwrite to drop them"
+        )
 
 
 def _replay(config: RunConfig) -> None:

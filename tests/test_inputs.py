@@ -57,9 +57,9 @@ def test_a_run_never_fills_folders_that_it_reads(tmp_path):
     with pytest.raises(UsageError, match="input folder itself"):
         find_samples(out, out=out)
     for source in (out / "overlays", out / "overlays" / "b.mp4"):
-        with pytest.raises(UsageError, match="the run fills .*overlays"):
+        with pytest.raises(UsageError, match=r"the run fills .*overlays"):
             find_samples(source, out=out)
-    for other, told in ((out, "itself"), (out / "tracks", "the run fills .*tracks")):
+    for other, told in ((out, "itself"), (out / "tracks", r"the run fills .*tracks")):
         with pytest.raises(UsageError, match=told):
             find_samples(tmp_path / "in", out=out, others=[other])
     assert [s.id for s in find_samples(out / "c.mp4", out=out).samples] == ["c"]  # beside a film it may stand

@@ -36,6 +36,14 @@ def log(tmp_path, monkeypatch):
     return path
 
 
+class Ear(Silence):
+    def __init__(self):
+        self.warnings = []
+
+    def warned(self, message):
+        self.warnings.append(message)
+
+
 def content(out):
     """Every byte of an output folder but the timings."""
     return {
@@ -154,6 +162,38 @@ def test_finished_samples_are_kept_and_only_as_long_as_nothing_changes(film, con
     assert not (tmp_path / "out" / "tracks" / "c.npz").exists()
 
 
+@pytest.mark.parametrize("part", [{"limit": 1}, {"shard": Shard(index=1, count=3)}])
+def test_rows_outside_of_limit_and_shard_stay_only_as_long_as_they_hold(film, config, tmp_path, log, part):
+    """`results.json` tells one configuration, of all rows."""
+    for name in ("a", "b"):
+        film(f"videos/{name}.mp4")
+    film("videos/c.mp4", Act.RAISE)
+    score_videos(config(frame_period_s=0.2))
+    log.write_text("")
+    score_videos(config(frame_period_s=0.2, **part))
+    assert set(read_rows(tmp_path / "out")) == {"a", "b", "c"}  # the error, too: nothing has changed
+    film("videos/b.mp4", frames=9)
+    ear = Ear()
+    score_videos(config(frame_period_s=0.2, **part), ear)
+    assert set(read_rows(tmp_path / "out")) == {"a", "c"}
+    assert "1 earlier results are dropped" in ear.warnings[0]
+    assert not log.read_text()
+    score_videos(config(frame_period_s=0.1, **part))
+    assert {id: row.extra["frame_period_s"] for id, row in read_rows(tmp_path / "out").items()} == {"a": 0.1}
+    assert not (tmp_path / "out" / "tracks" / "b.npz").exists()
+
+
+def test_results_of_another_kind_stay_unless_they_are_to_go(film, config, tmp_path):
+    film("videos/a.mp4")
+    score_videos(config(kind=Kind.GROUND))
+    before = content(tmp_path / "out")
+    with pytest.raises(UsageError, match=r"of kind ground, this one is of kind score; name another.*--overwrite"):
+        score_videos(config())
+    assert content(tmp_path / "out") == before
+    score_videos(config(overwrite=True))
+    assert json.loads((tmp_path / "out" / "results.json").read_text())["kind"] == "score"
+
+
 def test_changed_code_computes_anew(film, config, log, monkeypatch):
     film("videos/a.mp4")
     score_videos(config())
@@ -240,17 +280,12 @@ def test_the_task_time_between_frames_and_where_it_comes_from(film, config, tmp_
     folder.mkdir()
     for k in range(3):
         Image.fromarray(np.full((96, 96, 3), 90 * (k > 3), dtype=np.uint8)).save(folder / f"{k}.png")
-    warnings = []
-
-    class Ear(Silence):
-        def warned(self, message):
-            warnings.append(message)
-
-    score_videos(config(), Ear())
+    ear = Ear()
+    score_videos(config(), ear)
     rows = read_rows(tmp_path / "out")
     assert frame_period(rows["a"]) == (pytest.approx(0.1), "fps")
     assert frame_period(rows["still"]) == (0.2, "benchmark")
-    assert any("--frame-period" in w for w in warnings)
+    assert any("--frame-period" in w for w in ear.warnings)
     score_videos(config(frame_period_s=0.5))
     assert frame_period(read_rows(tmp_path / "out")["a"]) == (0.5, "option")
     lines = [{"video": "a.mp4", "frame_period_s": 0.25, "fps": 4, "id": "a1"}, {"video": "a.mp4", "fps": 4, "id": "a2"}]

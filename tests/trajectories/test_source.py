@@ -80,7 +80,7 @@ def test_the_output_folder_is_no_input(tmp_path):
     with pytest.raises(UsageError, match="input folder itself"):
         find_trajectories(tmp_path, Choice(), out=tmp_path)
     for source in (tmp_path / "tracks", tmp_path / "tracks" / "a.npz"):
-        with pytest.raises(UsageError, match="the run fills .*tracks"):
+        with pytest.raises(UsageError, match=r"the run fills .*tracks"):
             find_trajectories(source, Choice(), out=tmp_path)
 
 
