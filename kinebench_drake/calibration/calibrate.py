@@ -181,9 +181,10 @@ def _states(config: CalibrationConfig, video: Video, model: ArmModel) -> RobotSt
 
 
 def _times(video: Video, period_s: float | None) -> Array:
+    """(T,) times of the frames [s]; NaN where neither the user nor the video tells."""
     if period_s is None and video.stamps_s is not None:
         return video.stamps_s
-    period = period_s or (1.0 / video.fps if video.fps else 0.0)
+    period = period_s or (1.0 / video.fps if video.fps else np.nan)
     return np.asarray(period * np.arange(len(video.frames)), dtype=np.float64)
 
 
