@@ -112,6 +112,17 @@ def test_ids_are_safe_as_file_names(tmp_path):
         (tmp_path / f"{sample.id}.npz").touch()
 
 
+@pytest.mark.parametrize("key", ["video", "first_frame", "camera"])
+def test_names_too_long_for_any_disk_cost_their_own_line(tmp_path, key):
+    touch(tmp_path, "v.mp4", f"{251 * 'y'}.mp4")
+    for name in (f"{300 * 'x'}.mp4", f"{300 * 'x'}/v.mp4"):
+        line = {"video": "v.mp4", key: name}
+        good, bad = find_samples(write_manifest(tmp_path, {"video": f"{251 * 'y'}.mp4"}, line)).samples
+        assert good.problem is None  # although that of a picture beside it would be too long
+        assert "line 2" in bad.problem
+        assert "File name too long" in bad.problem
+
+
 def test_explicit_ids_are_kept_and_bear_the_stem(tmp_path):
     touch(tmp_path, "clips/v1.mp4")
     video = {"video": "clips/v1.mp4"}

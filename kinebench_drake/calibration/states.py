@@ -132,8 +132,8 @@ def file_states(path: Path, episode: str | None, column: str | None, t_s: Array,
     if len(by_rows.t_s) != len(t_s):
         if np.isnan(t_s).any():
             raise UsageError(
-                f"--joints {path.name}: {len(by_rows.t_s)} rows, but {len(t_s)} frames of a video without a clock; give "
-                "--frame-period SECONDS, or a row a frame"
+                f"--joints {path.name}: {len(by_rows.t_s)} rows, but {len(t_s)} frames of a video without a clock; "
+                "give --frame-period SECONDS, or a row a frame"
             )
         by_rows = _at(_read(sample, Choice(joints=column)), t_s, path.name)
     fingers = by_rows.finger_width_m / 2

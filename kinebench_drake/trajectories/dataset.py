@@ -14,7 +14,7 @@ import pyarrow
 import pyarrow.parquet as parquet
 
 from kinebench_drake.errors import InputError, cause
-from kinebench_drake.plainfile import open_file, parse_json, read_text
+from kinebench_drake.plainfile import open_file, parse_json, reach, read_text
 from kinebench_drake.trajectories.description import mapping, read_description
 
 INFO = Path("meta") / "info.json"
@@ -219,7 +219,9 @@ def _filled(folder: Path, info: Mapping[str, object], default: str, key: str, nu
     pure = PurePosixPath(_FIELD.sub(put, pattern))
     if pure.is_absolute() or ".." in pure.parts:
         raise InputError(f"video_path {pattern!r} of {INFO.as_posix()} leads out of the dataset")
-    return folder / pure  # links are followed wherever they lead: the Hub's cache consists of them
+    return reach(
+        folder / pure, f"video_path {pattern!r} of {INFO.as_posix()}"
+    )  # links are followed wherever they lead: the Hub's cache consists of them
 
 
 def _told(path: Path, error: Exception) -> str:

@@ -96,7 +96,10 @@ def test_missing_frames_and_films_are_errors_of_their_episodes(lerobot):
     assert all("there is no such file" in s.problem for s in find_samples(root).samples)
 
 
-@pytest.mark.parametrize("pattern", ["../{video_key}.mp4", "/etc/{video_key}", "{video_key.__class__}.mp4", "{nobody}"])
+@pytest.mark.parametrize(
+    "pattern",
+    ["../{video_key}.mp4", "/etc/{video_key}", "{video_key.__class__}.mp4", "{nobody}", f"{300 * 'x'}.mp4", "a\0.mp4"],
+)
 def test_paths_of_films_stay_in_the_dataset_and_run_no_format(lerobot, pattern):
     root = lerobot("v3.0")
     info = json.loads((root / "meta" / "info.json").read_text())
