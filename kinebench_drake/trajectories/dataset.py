@@ -5,6 +5,7 @@ a file and lists them in meta/episodes/*.parquet, of each film from when to when
 follow `video_path` of meta/info.json. (LeRobot's own `LeRobotDataset` v2.1 and v3.0.)
 """
 
+import math
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -133,11 +134,11 @@ def film_place(folder: Path, info: Mapping[str, object], episode: Episode, key: 
         fields = {"episode_chunk": episode.number // size, "episode_index": episode.number}
         return FilmPlace(path=_filled(folder, info, _FILM_V2, key, fields), from_s=None, to_s=None)
     chunk, file = (_count(episode.places.get(f"videos/{key}/{name}_index")) for name in ("chunk", "file"))
-    begin, end = (episode.places.get(f"videos/{key}/{name}_timestamp") for name in ("from", "to"))
-    if chunk is None or file is None or not isinstance(begin, float | int) or not isinstance(end, float | int):
+    begin, end = (_finite(episode.places.get(f"videos/{key}/{name}_timestamp")) for name in ("from", "to"))
+    if chunk is None or file is None or begin is None or end is None:
         raise InputError(f"meta/episodes tells no chunk, file and time stamps of {key} for episode {episode.number}")
     path = _filled(folder, info, _FILM_V3, key, {"chunk_index": chunk, "file_index": file})
-    return FilmPlace(path=path, from_s=float(begin), to_s=float(end))
+    return FilmPlace(path=path, from_s=begin, to_s=end)
 
 
 def schema(path: Path) -> list[str]:
@@ -202,6 +203,11 @@ def _joined(tasks: object) -> str | None:
 
 def _count(value: object) -> int | None:
     return value if isinstance(value, int) and not isinstance(value, bool) and value >= 0 else None
+
+
+def _finite(value: object) -> float | None:
+    known = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    return float(value) if known else None
 
 
 def _filled(folder: Path, info: Mapping[str, object], default: str, key: str, numbers: Mapping[str, int]) -> Path:

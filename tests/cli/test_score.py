@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -192,6 +193,24 @@ def test_results_of_another_kind_stay_unless_they_are_to_go(film, config, tmp_pa
     assert content(tmp_path / "out") == before
     score_videos(config(overwrite=True))
     assert json.loads((tmp_path / "out" / "results.json").read_text())["kind"] == "score"
+
+
+def test_a_sample_told_of_in_nonsense_has_a_hash_and_a_row(film, config, tmp_path, monkeypatch):
+    """Whatever readers let through, the boundary of the sample holds."""
+    film("videos/a.mp4", Act.RAISE)
+    find = score.find_samples
+
+    def told(*arguments, **named):
+        found = find(*arguments, **named)
+        (sample,) = found.samples
+        part = replace(sample.part, from_s=float("nan"), to_s=float("nan"))
+        return replace(found, samples=(replace(sample, part=part),))
+
+    monkeypatch.setattr(score, "find_samples", told)
+    score_videos(config())
+    (row,) = read_rows(tmp_path / "out").values()
+    assert row.status is Status.ERROR
+    assert len(row.content_hash) == 64
 
 
 def test_changed_code_computes_anew(film, config, log, monkeypatch):

@@ -107,6 +107,18 @@ def test_paths_of_films_stay_in_the_dataset_and_run_no_format(lerobot, pattern):
     assert all(s.problem for s in find_samples(root).samples)
 
 
+def test_time_stamps_that_are_no_numbers_are_errors_of_their_episodes(lerobot):
+    root = lerobot("v3.0")
+    file = root / "meta" / "episodes" / "chunk-000" / "file-000.parquet"
+    name = "videos/observation.images.front/from_timestamp"
+    rows = parquet.read_table(file).to_pylist()
+    rows[1][name] = float("nan")
+    parquet.write_table(pyarrow.Table.from_pylist(rows), file)
+    first, second, third = find_samples(root).samples
+    assert (first.problem, third.problem) == (None, None)
+    assert "tells no chunk, file and time stamps" in second.problem
+
+
 def test_pictures_in_parquet_are_videos_too(tmp_path):
     def coded(image):
         buffer = io.BytesIO()
