@@ -2,6 +2,7 @@
 
 import fcntl
 import os
+import shutil
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
@@ -179,5 +180,8 @@ class ResultStore:
             doomed += (self.out / part).glob(f"*.{suffix}") if everything else ()
         if everything:
             doomed += [self.out / name for name in (SAMPLES, TIMINGS, RUN, RESULTS, REPORT)]
-        for file in doomed:
-            file.unlink(missing_ok=True)
+        for path in doomed:  # the programs of world models are given folders to work in
+            if path.is_dir() and not path.is_symlink():
+                shutil.rmtree(path)
+            else:
+                path.unlink(missing_ok=True)

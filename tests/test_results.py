@@ -81,6 +81,19 @@ def test_what_a_killed_writer_of_films_leaves_is_swept(tmp_path, monkeypatch, fo
     assert [path.name for path in (tmp_path / folder).iterdir()] == ["a.mp4"]
 
 
+@pytest.mark.parametrize("overwrite", [False, True])
+def test_the_folder_of_a_killed_world_model_is_swept(tmp_path, overwrite):
+    """A program works in a folder of its own, named as unfinished files are."""
+    left = tmp_path / "videos" / ".7.part.abc"
+    left.mkdir(parents=True)
+    (left / "video.mp4").write_bytes(b"half")
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "videos" / ".8.part.link").symlink_to(tmp_path / "mine")
+    with ResultStore(tmp_path, overwrite=overwrite):
+        assert list((tmp_path / "videos").iterdir()) == []
+        assert (tmp_path / "mine").is_dir()
+
+
 def test_rows_hold_strict_json_only():
     assert "NaN" not in dump(row(metrics={"a": [float("nan"), {"b": float("inf")}]}).to_json())
     with pytest.raises(ValueError, match="not JSON compliant"):
