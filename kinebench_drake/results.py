@@ -123,9 +123,10 @@ class ResultStore:
         Raises:
             SetupError: writing failed; the file is as before.
         """
+        row = row.slim()
         with storage(SAMPLES):
             self._append(self.out / SAMPLES, dump(row.to_json()))
-        self.rows[row.id] = row.slim()
+        self.rows[row.id] = row
         with storage(TIMINGS), (self.out / TIMINGS).open("a") as file:  # no loss if a power cut takes it
             file.write(dump({"id": row.id, "wall_s": round(wall_s, 4)}))
 

@@ -195,6 +195,20 @@ def test_results_of_another_kind_stay_unless_they_are_to_go(film, config, tmp_pa
     assert json.loads((tmp_path / "out" / "results.json").read_text())["kind"] == "score"
 
 
+def test_names_that_are_no_text_are_told_as_well_as_can_be(film, config, tmp_path):
+    """A lone surrogate, as Python reads such names, cannot be written in any encoding."""
+    os.rename(film("videos/a.mp4"), os.fsencode(tmp_path / "videos") + b"/caf\xe9.mp4")
+    os.rename(tmp_path / "videos", os.fsencode(tmp_path) + b"/vid\xe9os")
+    source = next(p for p in tmp_path.iterdir() if p.name.startswith("vid"))
+    for _ in range(2):  # also when it goes on
+        summary = score_videos(config(source=source, tags={"note": "\udce9"}, task="\ud800"))
+    (row,) = summary.rows
+    assert (row.id, row.video, row.task, row.status) == ("caf_", "caf?.mp4", "?", Status.OK)
+    told = json.loads((tmp_path / "out" / "results.json").read_text())
+    assert (told["config"]["source"], told["tags"], list(told["per_task"])) == ("vid?os", {"note": "?"}, ["?"])
+    assert "caf?.mp4" in summary.report.read_text()
+
+
 def test_a_sample_told_of_in_nonsense_has_a_hash_and_a_row(film, config, tmp_path, monkeypatch):
     """Whatever readers let through, the boundary of the sample holds."""
     film("videos/a.mp4", Act.RAISE)
