@@ -104,8 +104,8 @@ class _Pool(Generic[Item, Result]):
         try:
             while self._has_more() or self._slots:
                 while self._has_more() and len(self._slots) < self._size:
-                    self._slots.append(self._start())
-                ready = wait([slot.pipe for slot in self._slots])
+                    self._start()
+                ready = wait([slot.pipe for slot in self._slots]) if self._slots else []
                 for slot in [slot for slot in self._slots if slot.pipe in ready]:
                     outcome = self._receive(slot)
                     if outcome is not None:
@@ -121,22 +121,23 @@ class _Pool(Generic[Item, Result]):
         """Whether there is an item to be begun."""
         return bool(self._waiting) and not self._drained.is_set()
 
-    def _start(self) -> _Slot[Item]:
+    def _start(self) -> None:
+        """Begin a worker and hand it an item, if an interrupt has not left it without one."""
         context = multiprocessing.get_context("spawn")
         ours, theirs = context.Pipe()
         process = context.Process(target=_serve, args=(theirs, self._make_worker), daemon=True)
+        slot: _Slot[Item] = _Slot(process=process, pipe=ours)
         resource_tracker.ensure_running()  # which unblocks signals, so not amid what follows
         # Children inherit the environment and the blocked signals of this moment: an interrupt finds none unprepared.
         before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
             with one_thread():
                 process.start()
+            self._slots.append(slot)  # whatever comes from here on finds it
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
         theirs.close()
-        slot: _Slot[Item] = _Slot(process=process, pipe=ours)
         self._feed(slot)
-        return slot
 
     def _feed(self, slot: _Slot[Item]) -> None:
         """Hand the next item to a worker, or send it home."""
