@@ -2,6 +2,7 @@ import errno
 import json
 import os
 import pickle
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -244,6 +245,17 @@ def test_bootstrap_interval_covers_the_mean_about_as_often_as_it_says():
         e = estimate([float(v) for v in rng.normal(3.0, 1.0, size=40)], total=40)
         hits += e.low <= 3.0 <= e.high
     assert 0.88 <= hits / 200 <= 0.99
+
+
+def test_a_bootstrap_in_parts_gives_the_same_numbers_in_less_memory(monkeypatch):
+    values = [float(v) for v in np.random.default_rng(1).normal(size=701)]
+    whole = estimate(values, total=701, seed=4)
+    monkeypatch.setattr("kinebench_drake.aggregate._AT_ONCE", 10_000)
+    tracemalloc.start()
+    assert estimate(values, total=701, seed=4) == whole
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 2000 * 701 * 8 / 4
 
 
 def test_estimates_of_little():
