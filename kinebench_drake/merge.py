@@ -10,7 +10,7 @@ from pathlib import Path
 from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.header import RunHeader, read_header
 from kinebench_drake.measure import SCHEMA_VERSION, Kind
-from kinebench_drake.report.sample import badness
+from kinebench_drake.report.sample import worst_samples
 from kinebench_drake.results import PARTS, SAMPLES, TIMINGS, ResultStore, part_path, read_rows
 from kinebench_drake.row import Json, SampleRow, Status, dump
 from kinebench_drake.run import Observer, RunSummary, Silence, close_run, summarize
@@ -79,6 +79,7 @@ def merge_folders(folders: Sequence[Path], out: Path, observer: Observer | None 
             for source in _files(found, replayed=id in replayed):
                 _copy(source, out / source.relative_to(found.part.path))
             observer.finished(found.row, 0.0)
+        store.keep_files("replays", replayed)
         write_atomically(out / TIMINGS, _timings(parts, taken).encode())
         store.rows = {id: found.row for id, found in taken.items()}
         store.finish(summarize(store.sorted_rows(), header))
@@ -287,8 +288,7 @@ def _replayed(taken: Mapping[str, Taken], header: RunHeader) -> set[str]:
     most = header.config.get("replays")
     if not isinstance(most, int):
         return set(taken)
-    worst = sorted((found.row for found in taken.values()), key=badness)
-    return set([row.id for row in worst if _track(taken[row.id].part, row.id).is_file()][:most])
+    return set(worst_samples((found.row for found in taken.values()), lambda id: _track(taken[id].part, id), most))
 
 
 def _files(found: Taken, *, replayed: bool) -> Iterator[Path]:

@@ -3,7 +3,7 @@
 import fcntl
 import os
 import shutil
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 
 from kinebench_drake.errors import InputError, UsageError
@@ -106,6 +106,18 @@ class ResultStore:
                 with storage(f"{part}/"):
                     part_path(self.out, part, id).unlink(missing_ok=True)
         self._rewrite()
+
+    def keep_files(self, part: str, ids: Collection[str]) -> None:
+        """Remove a part's files of all samples but those.
+
+        Raises:
+            SetupError: writing failed.
+        """
+        wanted = {part_path(self.out, part, id) for id in ids}
+        with storage(f"{part}/"):
+            for path in (self.out / part).glob(f"*.{PARTS[part]}"):
+                if path not in wanted:
+                    path.unlink()
 
     def begin(self, header: Mapping[str, Json]) -> None:
         """Tell what run fills the folder from now on; `results.json`, true no more, is gone until `finish`.

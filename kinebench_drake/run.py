@@ -18,7 +18,8 @@ from kinebench_drake.interrupt import patient
 from kinebench_drake.measure import SCHEMA_VERSION, Equipment, Kind, Measure, Sample
 from kinebench_drake.normalization import normalize_run
 from kinebench_drake.provenance import code_hash, host, versions, weights_hash
-from kinebench_drake.results import REPORT, RUN, ResultStore
+from kinebench_drake.report.sample import worst_samples
+from kinebench_drake.results import REPORT, RUN, ResultStore, part_path
 from kinebench_drake.row import Json, SampleRow, Status
 from kinebench_drake.shard import Shard
 from kinebench_drake.stages import SHIPPED_STAGES, StageOptions
@@ -53,8 +54,8 @@ class RunConfig:
     """Import path of the heavy steps."""
     table_height_m: float = 0.0
     """Height of the table's top in the robot's base frame [m]."""
-    replays: int = 0
-    """3D replays to write, of the worst samples."""
+    replays: int | None = None
+    """3D replays to write, of the worst samples; None for runs that write none, where those of `view` stay."""
 
     def __post_init__(self) -> None:
         """Check the numbers.
@@ -66,7 +67,7 @@ class RunConfig:
             raise UsageError(f"--limit is {self.limit}, expected 1 or more")
         if self.seed < 0:
             raise UsageError(f"--seed is {self.seed}, expected 0 or more")
-        if self.replays < 0:
+        if self.replays is not None and self.replays < 0:
             raise UsageError(f"--replays is {self.replays}, expected 0 or more")
         self.stage_options()
 
@@ -175,9 +176,12 @@ def run_samples(
                     done += 1
             if interrupted.is_set() and done < len(waiting):
                 raise KeyboardInterrupt
+            worst = worst_samples(store.rows.values(), partial(part_path, store.out, "tracks"), config.replays or 0)
+            if config.replays is not None:
+                store.keep_files("replays", worst)
             store.finish(summarize(store.sorted_rows(), header))
-            if config.replays:
-                _replay(config)
+            if worst:
+                _replay(config, worst)
             return close_run(store, config.kind, config.seed)
 
 
@@ -313,16 +317,14 @@ def _check_kind(store: ResultStore, kind: Kind) -> None:
         )
 
 
-def _replay(config: RunConfig) -> None:
-    """Write the replays of the worst samples; their meshes are simplified anew each time (some two seconds)."""
+def _replay(config: RunConfig, ids: Sequence[str]) -> None:
+    """Write replays of samples; the robot's meshes are simplified anew each time (some two seconds)."""
     from kinebench_drake.kinematics.plant import ArmPlant
     from kinebench_drake.models.arm import choose_robot
-    from kinebench_drake.replay import worst_samples, write_replays
+    from kinebench_drake.replay import write_replays
 
-    worst = worst_samples(config.out, config.replays)
-    if worst:
-        options = config.stage_options()
-        write_replays(config.out, worst, ArmPlant(choose_robot(options.urdf, options.tcp_frame)))
+    options = config.stage_options()
+    write_replays(config.out, ids, ArmPlant(choose_robot(options.urdf, options.tcp_frame)))
 
 
 def _report(out: Path) -> Path:

@@ -244,6 +244,9 @@ def test_only_the_worst_have_replays_as_in_one_run(tmp_path):
     ]
     merge_folders(parts, tmp_path / "out")
     worst = sorted(id for id in IDS if not sample(id).feasible)[:2]
+    for part in parts:  # also if one comes after the other
+        merge_folders([part], tmp_path / "later")
+    assert content(tmp_path / "later") == content(tmp_path / "out")
     assert sorted(path.stem for path in (tmp_path / "out" / "replays").iterdir()) == worst
 
 
