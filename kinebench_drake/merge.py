@@ -2,7 +2,6 @@
 
 import json
 import re
-import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,6 +15,7 @@ from kinebench_drake.row import Json, SampleRow, Status, dump
 from kinebench_drake.run import Observer, RunSummary, Silence, close_run, summarize
 from kinebench_drake.storage import whole, write_atomically
 
+_BLOCK = 2**20
 ASIDE = ("limit", "shard", "jobs", "engine")
 """Settings in which shards of one run may differ: they say who does what, not what comes of it."""
 _CLIP = re.compile(r"(?P<id>.+)_r\d+(\.[^.]+)?")
@@ -308,12 +308,22 @@ def _copy(source: Path, target: Path) -> None:
         UsageError: the source cannot be read.
         SetupError: writing failed.
     """
+    with whole(target) as part, part.open("wb") as copy:
+        copy.writelines(_blocks(source))
+
+
+def _blocks(source: Path) -> Iterator[bytes]:
+    """A file's bytes, piece by piece. What fails here is not told as a failure to write.
+
+    Raises:
+        UsageError: it cannot be read.
+    """
     try:
-        data = source.open("rb")
+        with source.open("rb") as file:
+            while block := file.read(_BLOCK):
+                yield block
     except OSError as error:
         raise UsageError(f"{source}: cannot be read ({error.strerror or error})") from None
-    with data, whole(target) as part, part.open("wb") as copy:
-        shutil.copyfileobj(data, copy, 1 << 20)
 
 
 def _timings(parts: Sequence[Part], taken: Mapping[str, Taken]) -> str:
