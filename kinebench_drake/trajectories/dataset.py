@@ -206,8 +206,9 @@ def _count(value: object) -> int | None:
 
 
 def _finite(value: object) -> float | None:
-    known = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-    return float(value) if known else None
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        return None
+    return float(value)
 
 
 def _filled(folder: Path, info: Mapping[str, object], default: str, key: str, numbers: Mapping[str, int]) -> Path:
