@@ -11,6 +11,7 @@ from kinebench_drake.row import Json, SampleRow, Status
 
 CONFIDENCE = 0.95
 _RESAMPLES = 2000
+_AT_ONCE = 2_000_000  # numbers drawn at a time: all at once would take 1 GB for 20,000 samples
 _EXTRA = ("success", "progress", "rounds")
 
 
@@ -118,6 +119,7 @@ def estimate(values: Sequence[Json], *, total: int, seed: int = 0) -> Estimate:
             (np.array(known),),
             np.mean,
             n_resamples=_RESAMPLES,
+            batch=max(1, _AT_ONCE // n),
             confidence_level=CONFIDENCE,
             method="percentile",
             rng=np.random.default_rng(seed),

@@ -13,6 +13,7 @@ from kinebench_drake.plainfile import read_json
 from kinebench_drake.storage import write_atomically
 
 _KEYS = ("width", "height", "fx", "fy", "cx", "cy", "base_from_camera")
+_BENCHMARK_PX = 384
 _HUGE = 1e9  # no camera's number; NaN and infinity fail the comparison as well
 
 
@@ -55,6 +56,11 @@ class Camera:
     def K(self) -> Array:
         """Intrinsic matrix (3, 3) [px]."""
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+    @property
+    def unit_px(self) -> float:
+        """What is one pixel in the benchmark's pictures, in which limits in pixels are told [px]."""
+        return self.width / _BENCHMARK_PX
 
     def project(self, p_C: ArrayLike) -> Array:
         """Pixel coordinates (..., 2) [px] of points (..., 3) in the camera frame [m]; z must be positive."""
@@ -163,4 +169,6 @@ def benchmark_camera() -> Camera:
     X_WC = make_pose(orthonormalize(R_WC), [0.4, 0.0, 0.45])
     X_WB = make_pose(np.eye(3), [-0.615, 0.0, 0.0])
     focal = float(192.0 / np.tan(np.deg2rad(30.0)))
-    return Camera(width=384, height=384, fx=focal, fy=focal, cx=192.0, cy=192.0, X_BC=invert(X_WB) @ X_WC)
+    return Camera(
+        width=_BENCHMARK_PX, height=_BENCHMARK_PX, fx=focal, fy=focal, cx=192.0, cy=192.0, X_BC=invert(X_WB) @ X_WC
+    )

@@ -3,12 +3,12 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from kinebench_drake.errors import InputError
 from kinebench_drake.plainfile import read_json
 from kinebench_drake.results import RESULTS, RUN
-from kinebench_drake.row import Json
+from kinebench_drake.row import Json, one_text
 from kinebench_drake.shard import Shard
 
 
@@ -55,7 +55,7 @@ class RunHeader:
 
     def to_json(self, aggregates: Mapping[str, Json] | None = None) -> dict[str, Json]:
         """The object as written, the numbers over all rows amid it."""
-        return {
+        told = {
             "schema_version": self.schema_version,
             "suite_version": self.suite_version,
             "kind": self.kind,
@@ -69,6 +69,7 @@ class RunHeader:
             "weights_sha256": self.weights_sha256,
             "host": self.host,
         }
+        return cast(dict[str, Json], one_text(told))
 
     @classmethod
     def from_json(cls, data: object) -> "RunHeader":

@@ -38,9 +38,9 @@ def unique_ids(wanted: Sequence[tuple[str, tuple[str, ...]]]) -> list[str]:
 
 def safe(text: str) -> str:
     """`text` as a file name on any system: no separators, controls or reserved signs, not hidden, not too long."""
-    name = re.sub(r'[\x00-\x1f\x7f/\\:*?"<>|]', "_", text).rstrip(". ")
+    name = text.encode(errors="replace").decode()
+    name = re.sub(r'[\x00-\x1f\x7f/\\:*?"<>|]', "_", name).rstrip(". ")
     name = f"_{name}" if name.startswith(".") or not name else name
-    name = name.encode(errors="replace").decode()
     return shorten(name)
 
 

@@ -9,7 +9,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import InputError, UsageError, cause
 from kinebench_drake.geometry import checked_pose
-from kinebench_drake.plainfile import parse_json, read_text
+from kinebench_drake.plainfile import parse_json, reach, read_text
 
 NAME = "manifest.jsonl"
 
@@ -130,17 +130,14 @@ def inside(folder: Path, relative: str, what: str) -> Path:
     """The path of `relative`, which must stay inside `folder` even after links are followed.
 
     Raises:
-        InputError: it is absolute, climbs out by `..` or follows a link out.
+        InputError: it is absolute, climbs out by `..`, follows a link out or cannot be followed.
     """
     pure = PurePosixPath(relative)
     if pure.is_absolute() or ".." in pure.parts or "\0" in relative:
         raise InputError(f"{what} {relative!r} must be a relative path inside the manifest's folder")
-    path = folder / pure
-    try:
-        if not path.resolve().is_relative_to(folder.resolve()):
-            raise InputError(f"{what} {relative!r} is a link that leads out of the manifest's folder")
-    except (OSError, RuntimeError) as error:
-        raise InputError(f"{what} {relative!r} cannot be followed ({cause(error)})") from None
+    path = reach(folder / pure, f"{what} {relative!r}")
+    if not path.resolve().is_relative_to(folder.resolve()):
+        raise InputError(f"{what} {relative!r} is a link that leads out of the manifest's folder")
     return path
 
 

@@ -17,7 +17,7 @@ from kinebench_drake.models.urdf import robot_files
 from kinebench_drake.plainfile import open_file
 from kinebench_drake.provenance import code_hash
 from kinebench_drake.results import part_path
-from kinebench_drake.row import Json, SampleRow, Status, dump
+from kinebench_drake.row import Json, SampleRow, Status, dump, finite
 from kinebench_drake.stages import Judgement, StageOptions
 
 SCHEMA_VERSION = 1
@@ -159,16 +159,14 @@ class Measure(ABC, Generic[Sample, Equipment]):
             "sample": [sample.id, sample.video, sample.task, sample.model],
             **self.facts(sample),
         }
-        digest = hashlib.sha256(dump(told).encode())
+        digest = hashlib.sha256(dump(finite(told)).encode())  # a hash is made of any sample, also of a broken one
         robot = self.stage_options.urdf
         for file in (*self.files(sample), *(robot_files(robot) if robot else ())):
             digest.update(file.name.encode(errors="surrogateescape") + b"\0" + _digest(file))
         return digest.hexdigest()
 
-    def is_finished(self, sample: Sample, row: SampleRow | None) -> bool:
-        """Whether a kept row still is the result of this sample. Errors are tried again: their cause may be gone."""
-        if row is None or row.status is Status.ERROR:
-            return False
+    def holds(self, sample: Sample, row: SampleRow) -> bool:
+        """Whether a kept row still is what comes of this sample."""
         needed = self.parts if row.status is Status.OK else ()
         return all(part_path(self.out, p, row.id).is_file() for p in needed) and row.content_hash == self.content_hash(
             sample

@@ -2,7 +2,6 @@
 
 import json
 import re
-import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,12 +9,13 @@ from pathlib import Path
 from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.header import RunHeader, read_header
 from kinebench_drake.measure import SCHEMA_VERSION, Kind
-from kinebench_drake.report.sample import badness
+from kinebench_drake.report.sample import worst_samples
 from kinebench_drake.results import PARTS, SAMPLES, TIMINGS, ResultStore, part_path, read_rows
 from kinebench_drake.row import Json, SampleRow, Status, dump
 from kinebench_drake.run import Observer, RunSummary, Silence, close_run, summarize
 from kinebench_drake.storage import whole, write_atomically
 
+_BLOCK = 2**20
 ASIDE = ("limit", "shard", "jobs", "engine")
 """Settings in which shards of one run may differ: they say who does what, not what comes of it."""
 _CLIP = re.compile(r"(?P<id>.+)_r\d+(\.[^.]+)?")
@@ -79,6 +79,7 @@ def merge_folders(folders: Sequence[Path], out: Path, observer: Observer | None 
             for source in _files(found, replayed=id in replayed):
                 _copy(source, out / source.relative_to(found.part.path))
             observer.finished(found.row, 0.0)
+        store.keep_files("replays", replayed)
         write_atomically(out / TIMINGS, _timings(parts, taken).encode())
         store.rows = {id: found.row for id, found in taken.items()}
         store.finish(summarize(store.sorted_rows(), header))
@@ -287,8 +288,7 @@ def _replayed(taken: Mapping[str, Taken], header: RunHeader) -> set[str]:
     most = header.config.get("replays")
     if not isinstance(most, int):
         return set(taken)
-    worst = sorted((found.row for found in taken.values()), key=badness)
-    return set([row.id for row in worst if _track(taken[row.id].part, row.id).is_file()][:most])
+    return set(worst_samples((found.row for found in taken.values()), lambda id: _track(taken[id].part, id), most))
 
 
 def _files(found: Taken, *, replayed: bool) -> Iterator[Path]:
@@ -308,12 +308,22 @@ def _copy(source: Path, target: Path) -> None:
         UsageError: the source cannot be read.
         SetupError: writing failed.
     """
+    with whole(target) as part, part.open("wb") as copy:
+        copy.writelines(_blocks(source))
+
+
+def _blocks(source: Path) -> Iterator[bytes]:
+    """A file's bytes, piece by piece. What fails here is not told as a failure to write.
+
+    Raises:
+        UsageError: it cannot be read.
+    """
     try:
-        data = source.open("rb")
+        with source.open("rb") as file:
+            while block := file.read(_BLOCK):
+                yield block
     except OSError as error:
         raise UsageError(f"{source}: cannot be read ({error.strerror or error})") from None
-    with data, whole(target) as part, part.open("wb") as copy:
-        shutil.copyfileobj(data, copy, 1 << 20)
 
 
 def _timings(parts: Sequence[Part], taken: Mapping[str, Taken]) -> str:

@@ -4,12 +4,33 @@ import errno
 import json
 import os
 import stat
+from contextlib import suppress
 from io import BufferedReader
 from pathlib import Path
+
+from kinebench_drake.errors import InputError, cause
 
 MOST_BYTES = 2**28
 """Largest text that is read."""
 _DIGITS = 20
+
+
+def reach(path: Path, what: str) -> Path:
+    """`path`, which need not be there, once it is known that the disk can be asked about it.
+
+    Args:
+        path: where some file of the user says that another one is.
+        what: how to name it in a message.
+
+    Raises:
+        InputError: its name is too long or no text, a folder above it is locked, or links go round in a circle.
+    """
+    try:
+        with suppress(FileNotFoundError, NotADirectoryError):
+            os.stat(path)
+    except (OSError, ValueError) as error:
+        raise InputError(f"{what} cannot be followed ({cause(error)})") from None
+    return path
 
 
 def open_file(path: Path) -> BufferedReader:

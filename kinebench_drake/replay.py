@@ -17,7 +17,6 @@ from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.replay_scene import COLORS, ReplayScene, posed_frames
 from kinebench_drake.report.frames import anomalies_of, frame_states
 from kinebench_drake.report.page import read_results
-from kinebench_drake.report.sample import badness
 from kinebench_drake.results import part_path, read_rows
 from kinebench_drake.row import Json, SampleRow
 from kinebench_drake.storage import storage, write_atomically
@@ -116,12 +115,6 @@ def write_replays(out: Path, ids: Sequence[str], plant: ArmPlant | None = None) 
         writer.write(path, rows[id], file, table_height_m=_table_height_m(out))
         written.append(path)
     return written
-
-
-def worst_samples(out: Path, n: int) -> list[str]:
-    """Ids of the `n` worst samples of an output folder that have a track, in the order of the report."""
-    rows = sorted(read_rows(out).values(), key=badness)
-    return [row.id for row in rows if part_path(out, "tracks", row.id).is_file()][:n]
 
 
 def replay_path(out: Path, id: str) -> Path:

@@ -2,7 +2,8 @@
 
 import fcntl
 import os
-from collections.abc import Callable, Mapping
+import shutil
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 
 from kinebench_drake.errors import InputError, UsageError
@@ -106,6 +107,18 @@ class ResultStore:
                     part_path(self.out, part, id).unlink(missing_ok=True)
         self._rewrite()
 
+    def keep_files(self, part: str, ids: Collection[str]) -> None:
+        """Remove a part's files of all samples but those.
+
+        Raises:
+            SetupError: writing failed.
+        """
+        wanted = {part_path(self.out, part, id) for id in ids}
+        with storage(f"{part}/"):
+            for path in (self.out / part).glob(f"*.{PARTS[part]}"):
+                if path not in wanted:
+                    path.unlink()
+
     def begin(self, header: Mapping[str, Json]) -> None:
         """Tell what run fills the folder from now on; `results.json`, true no more, is gone until `finish`.
 
@@ -122,9 +135,10 @@ class ResultStore:
         Raises:
             SetupError: writing failed; the file is as before.
         """
+        row = row.slim()
         with storage(SAMPLES):
             self._append(self.out / SAMPLES, dump(row.to_json()))
-        self.rows[row.id] = row.slim()
+        self.rows[row.id] = row
         with storage(TIMINGS), (self.out / TIMINGS).open("a") as file:  # no loss if a power cut takes it
             file.write(dump({"id": row.id, "wall_s": round(wall_s, 4)}))
 
@@ -179,5 +193,8 @@ class ResultStore:
             doomed += (self.out / part).glob(f"*.{suffix}") if everything else ()
         if everything:
             doomed += [self.out / name for name in (SAMPLES, TIMINGS, RUN, RESULTS, REPORT)]
-        for file in doomed:
-            file.unlink(missing_ok=True)
+        for path in doomed:  # the programs of world models are given folders to work in
+            if path.is_dir() and not path.is_symlink():
+                shutil.rmtree(path)
+            else:
+                path.unlink(missing_ok=True)

@@ -52,7 +52,7 @@ class SampleRow:
     columns, warnings, format, seed, prompt, success. Of a suite run: success, progress, rounds, verdict."""
 
     def slim(self) -> "SampleRow":
-        """The same row for keeping among thousands: half as large, as it comes from a worker process."""
+        """The same row for keeping and writing: half as large, as it comes from a worker process, with sound texts."""
         return replace(self, **{f.name: one_text(getattr(self, f.name)) for f in fields(self)})
 
     def to_json(self) -> dict[str, Json]:
@@ -98,9 +98,13 @@ _FORMS: Mapping[str, type | UnionType] = {
 
 
 def one_text(value: Any) -> Any:
-    """`value` with equal texts being one object: most of what thousands of rows hold are the same names and words."""
+    """`value` with texts that every encoding holds, equal ones being one object.
+
+    Most of what thousands of rows hold are the same names and words. Signs that are none, with which names of files
+    and escapes in JSON come along that are not Unicode, are question marks.
+    """
     if isinstance(value, str):
-        return sys.intern(str(value))
+        return sys.intern(value.encode(errors="replace").decode())
     if isinstance(value, Mapping):
         return {one_text(k): one_text(v) for k, v in value.items()}
     if isinstance(value, tuple):

@@ -12,13 +12,14 @@ from typing import Protocol
 
 from kinebench_drake.aggregate import Estimate, aggregate, by_key, estimate
 from kinebench_drake.engines import Crashed, Draining, Engine, EngineKind, create_engine
-from kinebench_drake.errors import SetupError, UsageError
-from kinebench_drake.header import RunHeader
+from kinebench_drake.errors import InputError, SetupError, UsageError
+from kinebench_drake.header import RunHeader, read_header
 from kinebench_drake.interrupt import patient
 from kinebench_drake.measure import SCHEMA_VERSION, Equipment, Kind, Measure, Sample
 from kinebench_drake.normalization import normalize_run
 from kinebench_drake.provenance import code_hash, host, versions, weights_hash
-from kinebench_drake.results import REPORT, RUN, ResultStore
+from kinebench_drake.report.sample import worst_samples
+from kinebench_drake.results import REPORT, RUN, ResultStore, part_path
 from kinebench_drake.row import Json, SampleRow, Status
 from kinebench_drake.shard import Shard
 from kinebench_drake.stages import SHIPPED_STAGES, StageOptions
@@ -53,8 +54,8 @@ class RunConfig:
     """Import path of the heavy steps."""
     table_height_m: float = 0.0
     """Height of the table's top in the robot's base frame [m]."""
-    replays: int = 0
-    """3D replays to write, of the worst samples."""
+    replays: int | None = None
+    """3D replays to write, of the worst samples; None for runs that write none, where those of `view` stay."""
 
     def __post_init__(self) -> None:
         """Check the numbers.
@@ -66,7 +67,7 @@ class RunConfig:
             raise UsageError(f"--limit is {self.limit}, expected 1 or more")
         if self.seed < 0:
             raise UsageError(f"--seed is {self.seed}, expected 0 or more")
-        if self.replays < 0:
+        if self.replays is not None and self.replays < 0:
             raise UsageError(f"--replays is {self.replays}, expected 0 or more")
         self.stage_options()
 
@@ -176,9 +177,12 @@ def run_samples(
                     done += 1
             if interrupted.is_set() and done < len(waiting):
                 raise KeyboardInterrupt
+            worst = worst_samples(store.rows.values(), partial(part_path, store.out, "tracks"), config.replays or 0)
+            if config.replays is not None:
+                store.keep_files("replays", worst)
             store.finish(summarize(store.sorted_rows(), header))
-            if config.replays:
-                _replay(config)
+            if worst:
+                _replay(config, worst)
             return close_run(store, config.kind, config.seed)
 
 
@@ -265,7 +269,11 @@ def _resume(
     header: RunHeader,
     observer: Observer,
 ) -> list[Sample]:
-    """Drop kept rows that no longer hold; return the samples still to do. The folder is this run's from here on."""
+    """Drop kept rows that no longer hold; return the samples still to do. The folder is this run's from here on.
+
+    Rows of samples that are not `chosen` stay only if they hold, too: what results tell of the run is true of all rows.
+    """
+    _check_kind(store, measure.kind)
     known = {sample.id for sample in samples}
     if store.rows and not known & store.rows.keys():
         raise UsageError(
@@ -278,23 +286,46 @@ def _resume(
             f"{len(strangers)} earlier results are dropped: they are not among the {len(samples)} {measure.kind.noun} "
             f"named now (such as {strangers[0]!r})"
         )
-    waiting = {s.id: s for s in chosen if not measure.is_finished(s, store.rows.get(s.id))}
-    if waiting or strangers:
+    kept = {s.id for s in samples if s.id in store.rows and measure.holds(s, store.rows[s.id])}
+    waiting = [s for s in chosen if s.id not in kept or store.rows[s.id].status is Status.ERROR]  # whose cause may go
+    outdated = sorted((known & store.rows.keys()) - kept - {s.id for s in chosen})
+    if outdated:
+        observer.warned(
+            f"{len(outdated)} earlier results are dropped, of other input, options or code, and are not among those to "
+            f"be done now (such as {outdated[0]!r})"
+        )
+    if waiting or strangers or outdated:
         store.begin(header.to_json())
-    store.keep(lambda row: row.id in known and row.id not in waiting)
-    return list(waiting.values())
+    kept -= {s.id for s in waiting}
+    store.keep(lambda row: row.id in kept)
+    return waiting
 
 
-def _replay(config: RunConfig) -> None:
-    """Write the replays of the worst samples; their meshes are simplified anew each time (some two seconds)."""
+def _check_kind(store: ResultStore, kind: Kind) -> None:
+    """Refuse to put results of one kind in the place of another's: they may be what the user means to read.
+
+    Raises:
+        UsageError: the folder holds results of another kind, or does not tell which.
+    """
+    try:
+        found = read_header(store.out) if store.rows else None
+    except InputError as error:
+        raise UsageError(f"--out {error}; --overwrite starts anew") from None
+    if found is not None and found.header.kind != kind.value:
+        raise UsageError(
+            f"--out {store.out}: holds results of a run of kind {found.header.kind}, this one is of kind {kind.value}; "
+            "name another folder, or give --overwrite to drop them"
+        )
+
+
+def _replay(config: RunConfig, ids: Sequence[str]) -> None:
+    """Write replays of samples; the robot's meshes are simplified anew each time (some two seconds)."""
     from kinebench_drake.kinematics.plant import ArmPlant
     from kinebench_drake.models.arm import choose_robot
-    from kinebench_drake.replay import worst_samples, write_replays
+    from kinebench_drake.replay import write_replays
 
-    worst = worst_samples(config.out, config.replays)
-    if worst:
-        options = config.stage_options()
-        write_replays(config.out, worst, ArmPlant(choose_robot(options.urdf, options.tcp_frame)))
+    options = config.stage_options()
+    write_replays(config.out, ids, ArmPlant(choose_robot(options.urdf, options.tcp_frame)))
 
 
 def _report(out: Path) -> Path:

@@ -45,6 +45,7 @@ RESULTS = {
     "report",
     "engines",
     "header",
+    "sourcetree",
 }
 MAY_IMPORT = {
     **dict.fromkeys(LEAF, LEAF),
@@ -58,7 +59,7 @@ MAY_IMPORT = {
     "manifest": LEAF,
     "suite_report": LEAF | RESULTS | {"suites"},
     "stages": LEAF | {"row", "grounding"},
-    "trajectories": LEAF | {"results"},
+    "trajectories": LEAF | {"results", "sourcetree"},
     "measure": LEAF | RESULTS | {"stages", "models"},
     "run": LEAF | RESULTS | {"stages", "measure", "replay", "kinematics", "models"},
     "trajectory_measure": LEAF | RESULTS | {"stages", "measure", "trajectories"},

@@ -43,8 +43,27 @@ def test_single_inputs_are_named_by_their_stem(tmp_path):
 def test_the_runs_own_output_and_other_outputs_are_passed_over(tmp_path):
     touch(tmp_path, "a.mp4", "out/overlays/a.mp4", "old/samples.jsonl", "old/results.json", "old/overlays/b.mp4")
     assert [s.video for s in find_samples(tmp_path, out=tmp_path / "out").samples] == ["a.mp4"]
+
+
+@pytest.mark.parametrize("left", ["results.json", "run.json"])
+def test_what_other_runs_wrote_is_no_input_whether_they_have_ended_or_not(tmp_path, left):
+    touch(tmp_path, "a.mp4", "old/samples.jsonl", f"old/{left}", "old/overlays/b.mp4", "old/thumbnails/b.jpg")
+    touch(tmp_path, "mine/samples.jsonl", "mine/c.mp4")  # a name that others use, too
+    assert [s.video for s in find_samples(tmp_path).samples] == ["a.mp4", "mine/c.mp4"]
+
+
+def test_a_run_never_fills_folders_that_it_reads(tmp_path):
+    touch(tmp_path, "out/overlays/b.mp4", "out/tracks/b.npz", "out/c.mp4", "in/a.mp4")
+    out = tmp_path / "out"
     with pytest.raises(UsageError, match="input folder itself"):
-        find_samples(tmp_path, out=tmp_path)
+        find_samples(out, out=out)
+    for source in (out / "overlays", out / "overlays" / "b.mp4"):
+        with pytest.raises(UsageError, match=r"the run fills .*overlays"):
+            find_samples(source, out=out)
+    for other, told in ((out, "itself"), (out / "tracks", r"the run fills .*tracks")):
+        with pytest.raises(UsageError, match=told):
+            find_samples(tmp_path / "in", out=out, others=[other])
+    assert [s.id for s in find_samples(out / "c.mp4", out=out).samples] == ["c"]  # beside a film it may stand
 
 
 @pytest.mark.parametrize(
@@ -92,6 +111,17 @@ def test_ids_are_safe_as_file_names(tmp_path):
         assert not sample.id.startswith(".")
         assert len(f".{sample.id}.npz.1234567.part".encode()) < 200
         (tmp_path / f"{sample.id}.npz").touch()
+
+
+@pytest.mark.parametrize("key", ["video", "first_frame", "camera"])
+def test_names_too_long_for_any_disk_cost_their_own_line(tmp_path, key):
+    touch(tmp_path, "v.mp4", f"{251 * 'y'}.mp4")
+    for name in (f"{300 * 'x'}.mp4", f"{300 * 'x'}/v.mp4"):
+        line = {"video": "v.mp4", key: name}
+        good, bad = find_samples(write_manifest(tmp_path, {"video": f"{251 * 'y'}.mp4"}, line)).samples
+        assert good.problem is None  # although that of a picture beside it would be too long
+        assert "line 2" in bad.problem
+        assert "File name too long" in bad.problem
 
 
 def test_explicit_ids_are_kept_and_bear_the_stem(tmp_path):

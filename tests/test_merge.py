@@ -1,6 +1,7 @@
 """Merging: what the shards of a run left behind, put together, is what one run would have left behind."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.geometry import make_pose
 from kinebench_drake.header import RunHeader, read_header
 from kinebench_drake.measure import Kind
-from kinebench_drake.merge import merge_folders
+from kinebench_drake.merge import _copy, merge_folders
 from kinebench_drake.products import GripperTrack
 from kinebench_drake.results import ResultStore, part_path, read_rows
 from kinebench_drake.row import SampleRow, Status
@@ -244,7 +245,17 @@ def test_only_the_worst_have_replays_as_in_one_run(tmp_path):
     ]
     merge_folders(parts, tmp_path / "out")
     worst = sorted(id for id in IDS if not sample(id).feasible)[:2]
+    for part in parts:  # also if one comes after the other
+        merge_folders([part], tmp_path / "later")
+    assert content(tmp_path / "later") == content(tmp_path / "out")
     assert sorted(path.stem for path in (tmp_path / "out" / "replays").iterdir()) == worst
+
+
+def test_a_file_that_cannot_be_read_is_not_told_as_a_full_disk(tmp_path):
+    sick = Path("/proc/self/mem")  # opens, but reading its beginning fails, as on a disk with a bad sector
+    with pytest.raises(UsageError, match="mem: cannot be read"):
+        _copy(sick, tmp_path / "copy")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_lost_files_and_unlike_versions_are_told(tmp_path):

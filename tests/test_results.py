@@ -2,6 +2,7 @@ import errno
 import json
 import os
 import pickle
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -79,6 +80,19 @@ def test_what_a_killed_writer_of_films_leaves_is_swept(tmp_path, monkeypatch, fo
         store.finish({})
     assert len(left) == 1
     assert [path.name for path in (tmp_path / folder).iterdir()] == ["a.mp4"]
+
+
+@pytest.mark.parametrize("overwrite", [False, True])
+def test_the_folder_of_a_killed_world_model_is_swept(tmp_path, overwrite):
+    """A program works in a folder of its own, named as unfinished files are."""
+    left = tmp_path / "videos" / ".7.part.abc"
+    left.mkdir(parents=True)
+    (left / "video.mp4").write_bytes(b"half")
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "videos" / ".8.part.link").symlink_to(tmp_path / "mine")
+    with ResultStore(tmp_path, overwrite=overwrite):
+        assert list((tmp_path / "videos").iterdir()) == []
+        assert (tmp_path / "mine").is_dir()
 
 
 def test_rows_hold_strict_json_only():
@@ -231,6 +245,17 @@ def test_bootstrap_interval_covers_the_mean_about_as_often_as_it_says():
         e = estimate([float(v) for v in rng.normal(3.0, 1.0, size=40)], total=40)
         hits += e.low <= 3.0 <= e.high
     assert 0.88 <= hits / 200 <= 0.99
+
+
+def test_a_bootstrap_in_parts_gives_the_same_numbers_in_less_memory(monkeypatch):
+    values = [float(v) for v in np.random.default_rng(1).normal(size=701)]
+    whole = estimate(values, total=701, seed=4)
+    monkeypatch.setattr("kinebench_drake.aggregate._AT_ONCE", 10_000)
+    tracemalloc.start()
+    assert estimate(values, total=701, seed=4) == whole
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 2000 * 701 * 8 / 4
 
 
 def test_estimates_of_little():

@@ -38,8 +38,6 @@ UNITS = {
     AnomalyKind.FINGERS: ("mm", 1000.0),
 }
 """Unit in which sizes are told, and what a size is multiplied by."""
-ALARM_GOAL = 0.01
-"""Share of clean videos in which anything may be found."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -35,7 +35,6 @@ MAX_MOVING_FRAMES = 12
 """Frames used at most without joint angles: each adds eight unknowns."""
 _USUAL_FOV_DEG = 60.0
 _AGAIN_ZOOM, _AGAIN_M, _AGAIN_RAD = 0.03, 0.03, np.deg2rad(3.0)
-_REFERENCE_WIDTH_PX = 384
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -181,9 +180,10 @@ def _states(config: CalibrationConfig, video: Video, model: ArmModel) -> RobotSt
 
 
 def _times(video: Video, period_s: float | None) -> Array:
+    """(T,) times of the frames [s]; NaN where neither the user nor the video tells."""
     if period_s is None and video.stamps_s is not None:
         return video.stamps_s
-    period = period_s or (1.0 / video.fps if video.fps else 0.0)
+    period = period_s or (1.0 / video.fps if video.fps else np.nan)
     return np.asarray(period * np.arange(len(video.frames)), dtype=np.float64)
 
 
@@ -223,7 +223,7 @@ def _camera_shift(frames: Frames, look: Look, camera: Camera) -> tuple[str, ...]
     if len(frames) < 2:
         return ()
     moved = measure_camera_motion(frames, look.robot, camera).largest_px
-    unit = camera.width / _REFERENCE_WIDTH_PX
+    unit = camera.unit_px
     if moved is None:
         return ("whether the camera stands still cannot be told: the background has too few features",)
     if moved > COMPENSABLE_PX * unit:

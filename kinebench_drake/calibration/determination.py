@@ -18,7 +18,6 @@ MIN_MOTION_M = 0.10
 MIN_DEPTH_RATIO = 1.25
 """Farthest over nearest part of the robot below which perspective hardly tells the focal length."""
 _MIN_INLIERS = 0.5
-_REFERENCE_WIDTH_PX = 384
 
 
 def require_determined(calibration: Calibration) -> None:
@@ -28,7 +27,7 @@ def require_determined(calibration: Calibration) -> None:
         UnmeasurableError: the postures do not go with the picture, or the camera is not determined; the message says
             which quantity is not, and why.
     """
-    unit = calibration.camera.width / _REFERENCE_WIDTH_PX
+    unit = calibration.camera.unit_px
     misfit = calibration.part_px["gripper"]
     if misfit > MISFIT_LIMIT_PX * unit or calibration.inlier_share < _MIN_INLIERS:
         raise UnmeasurableError(
@@ -60,7 +59,7 @@ def require_determined(calibration: Calibration) -> None:
 def warnings_of(calibration: Calibration) -> tuple[str, ...]:
     """What the user should know, a line each."""
     found = []
-    unit = calibration.camera.width / _REFERENCE_WIDTH_PX
+    unit = calibration.camera.unit_px
     misfit = calibration.part_px["gripper"]
     if misfit > MISFIT_WARNING_PX * unit:
         found.append(

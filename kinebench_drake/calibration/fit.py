@@ -21,7 +21,6 @@ CAUCHY = 2.0
 """Residual, in standard deviations, that counts half."""
 PIXEL_SIGMA = 0.5
 """Standard deviation that no cell of a picture 384 px wide is better than [px]: the views' own raster."""
-_REFERENCE_WIDTH_PX = 384
 _CONSENSUS_PX, _CONSENSUS_ROUNDS, _CONSENSUS_CELLS = 8.0, 200, 600
 _INLIER_SIGMAS = 4.0
 _LEAST_DEPTH_M = 0.05
@@ -55,7 +54,7 @@ class LensFit:
 def sigma_px(cells: Sightings, lens: Lens, p_B: Array) -> Array:
     """(N,) standard deviation of the reprojection of cells that show the points `p_B` (N, 3) [px]."""
     _, z = lens.project(p_B)
-    floor = PIXEL_SIGMA * lens.camera.width / _REFERENCE_WIDTH_PX
+    floor = PIXEL_SIGMA * lens.camera.unit_px
     return np.hypot(floor, lens.camera.fx * cells.sigma_m / np.maximum(np.abs(z), _LEAST_DEPTH_M))
 
 
@@ -74,7 +73,7 @@ def consensus(cells: Sightings, p_B: Array, cameras: Sequence[Camera]) -> list[L
         ok, turn, shift, agreeing = cv2.solvePnPRansac(
             object_points, image_points, camera.K, None,
             iterationsCount=_CONSENSUS_ROUNDS, flags=cv2.SOLVEPNP_SQPNP,
-            reprojectionError=_CONSENSUS_PX * camera.width / _REFERENCE_WIDTH_PX,
+            reprojectionError=_CONSENSUS_PX * camera.unit_px,
         )  # fmt: skip
         if ok and agreeing is not None and np.isfinite(turn).all() and np.isfinite(shift).all():
             X_CB = make_pose(rotation_exp(turn.ravel()), shift.ravel())

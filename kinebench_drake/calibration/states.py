@@ -120,16 +120,21 @@ def file_states(path: Path, episode: str | None, column: str | None, t_s: Array,
         path: what `audit` takes: npz, csv, ManiSkill h5, or a LeRobot dataset.
         episode: which of several it is.
         column: name of the array or column that holds the joint angles, where it is not found by itself.
-        t_s: (T,) times of the video's frames [s].
+        t_s: (T,) times of the video's frames [s]; NaN where unknown.
         model: link poses of the arm.
 
     Raises:
-        UsageError: there is no such file or episode, or several and none is named.
+        UsageError: there is no such file or episode, or several and none is named, or the frames' times are needed.
         InputError: it is not sound, or does not go with the video.
     """
     sample = _episode(find_trajectories(path, Choice(joints=column)), path, episode)
     by_rows = _read(sample, Choice(joints=column, rate_hz=1.0))
     if len(by_rows.t_s) != len(t_s):
+        if np.isnan(t_s).any():
+            raise UsageError(
+                f"--joints {path.name}: {len(by_rows.t_s)} rows, but {len(t_s)} frames of a video without a clock; "
+                "give --frame-period SECONDS, or a row a frame"
+            )
         by_rows = _at(_read(sample, Choice(joints=column)), t_s, path.name)
     fingers = by_rows.finger_width_m / 2
     source = f"{path.name}, {by_rows.columns}"

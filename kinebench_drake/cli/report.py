@@ -13,10 +13,11 @@ from kinebench_drake.errors import InputError, UsageError
 def report(folders: tuple[Path, ...], figures: bool) -> None:
     """Write report.html anew in each output folder DIR, from the rows and tracks it holds."""
     from kinebench_drake.report import write_report
+    from kinebench_drake.results import SAMPLES
 
     for folder in folders:
-        if not (folder / "samples.jsonl").is_file():
-            raise UsageError(f"{folder}: holds no samples.jsonl, expected the output folder of a run")
+        if not (folder / SAMPLES).is_file():
+            raise UsageError(f"{folder}: holds no {SAMPLES}, expected the output folder of a run")
         try:
             click.echo(write_report(folder))
             if figures:

@@ -50,7 +50,8 @@ class Engine(Protocol):
             items: what to work on. Must be picklable, as must be the results.
 
         Raises:
-            KinebenchError: one raised by a worker: the run cannot go on. Any other exception counts as a crash.
+            KinebenchError: one raised by a worker: the run cannot go on. Any other exception is a fault of the program:
+                it counts as a crash where workers are processes of their own, else it is raised as it is.
         """
         ...
 

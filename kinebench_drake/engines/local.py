@@ -9,6 +9,7 @@ import os
 import signal
 import sys
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -16,6 +17,7 @@ from dataclasses import dataclass, field
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
+from types import FrameType
 from typing import Generic, cast
 
 from kinebench_drake.engines import Crashed, Done, Item, Result, hired
@@ -23,6 +25,10 @@ from kinebench_drake.errors import KinebenchError
 
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 """Environment variables that tell numeric libraries how many threads to take."""
+_GRACE_S = 10.0
+"""How long workers that are ended may take to end what they have started, such as the program of a world model [s]."""
+_TERMINATED = 128 + signal.SIGTERM
+"""Exit status, as shells have it, of a worker that was ended and has cleaned up."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -103,8 +109,8 @@ class _Pool(Generic[Item, Result]):
         try:
             while self._has_more() or self._slots:
                 while self._has_more() and len(self._slots) < self._size:
-                    self._slots.append(self._start())
-                ready = wait([slot.pipe for slot in self._slots])
+                    self._start()
+                ready = wait([slot.pipe for slot in self._slots]) if self._slots else []
                 for slot in [slot for slot in self._slots if slot.pipe in ready]:
                     outcome = self._receive(slot)
                     if outcome is not None:
@@ -112,7 +118,10 @@ class _Pool(Generic[Item, Result]):
         finally:
             for slot in self._slots:
                 slot.process.terminate()
+            give_up = time.monotonic() + _GRACE_S
             for slot in self._slots:
+                slot.process.join(max(0.0, give_up - time.monotonic()))
+                slot.process.kill()
                 slot.process.join()
                 slot.pipe.close()
 
@@ -120,22 +129,23 @@ class _Pool(Generic[Item, Result]):
         """Whether there is an item to be begun."""
         return bool(self._waiting) and not self._drained.is_set()
 
-    def _start(self) -> _Slot[Item]:
+    def _start(self) -> None:
+        """Begin a worker and hand it an item, if an interrupt has not left it without one."""
         context = multiprocessing.get_context("spawn")
         ours, theirs = context.Pipe()
         process = context.Process(target=_serve, args=(theirs, self._make_worker), daemon=True)
+        slot: _Slot[Item] = _Slot(process=process, pipe=ours)
         resource_tracker.ensure_running()  # which unblocks signals, so not amid what follows
         # Children inherit the environment and the blocked signals of this moment: an interrupt finds none unprepared.
         before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
             with one_thread():
                 process.start()
+            self._slots.append(slot)  # whatever comes from here on finds it
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
         theirs.close()
-        slot: _Slot[Item] = _Slot(process=process, pipe=ours)
         self._feed(slot)
-        return slot
 
     def _feed(self, slot: _Slot[Item]) -> None:
         """Hand the next item to a worker, or send it home."""
@@ -154,7 +164,7 @@ class _Pool(Generic[Item, Result]):
         item = cast(Item, slot.item)
         try:
             answer = slot.pipe.recv()
-        except (EOFError, ConnectionResetError):
+        except (EOFError, OSError):  # OSError: it died amid its answer
             self._dismiss(slot)
             return Crashed(item=item, reason=_cause_of_death(slot.process.exitcode))
         if isinstance(answer, KinebenchError):
@@ -164,6 +174,7 @@ class _Pool(Generic[Item, Result]):
 
 
 def _cause_of_death(code: int | None) -> str:
+    code = -signal.SIGTERM if code == _TERMINATED else code
     if code is not None and code < 0:
         name = signal.Signals(-code).name if -code in set(signal.Signals) else f"signal {-code}"
         hint = " (often the system is out of memory: use fewer --jobs)" if -code == signal.SIGKILL else ""
@@ -171,10 +182,16 @@ def _cause_of_death(code: int | None) -> str:
     return f"the worker process ended with status {code}"
 
 
+def _leave(number: int, frame: FrameType | None) -> None:
+    """Unwind a worker that is ended, so that it ends what it has started."""
+    raise SystemExit(_TERMINATED)
+
+
 def _serve(pipe: Connection, make_worker: Callable[[], Callable[[Item], Result]]) -> None:
     """Body of a worker process: items in, results out, until None or until the parent is gone."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides what an interrupt means
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+    signal.signal(signal.SIGTERM, _leave)
     try:
         with hired(make_worker) as work:
             while (item := pipe.recv()) is not None:

@@ -15,6 +15,7 @@ from kinebench_drake.inputs import ewmbench, hdf5, lerobot, listed, singlefile, 
 from kinebench_drake.inputs.folder import Layout, is_frame_folder, list_folder
 from kinebench_drake.inputs.sample import Inputs, Sample
 from kinebench_drake.inputs.search import Cameras, Search
+from kinebench_drake.sourcetree import require_apart
 
 FILES: Mapping[str, Callable[[Path, Search], Sequence[Sample]]] = {
     ".jsonl": listed.list_manifest,
@@ -51,16 +52,17 @@ def find_samples(
         out: a folder whose content is never taken for input (the run's own output).
         model: name of the world model, for samples that name none.
         task: name of the task, for samples that name none.
-        others: folders whose pictures are no videos (masks, depth), where they lie below a folder named.
+        others: folders that are read beside the videos (masks, depth, poses), whose pictures are no videos.
         camera_key: the camera to take of datasets that have several.
 
     Raises:
-        UsageError: there is nothing to read, it is not said which camera to take, or a `camera.json` is unusable.
+        UsageError: there is nothing to read, it is not said which camera to take, a `camera.json` is unusable, or a
+            run into `out` would harm what it reads.
     """
     if not source.exists():
         raise UsageError(f"{source}: there is no such file or folder")
-    if source.is_dir() and out is not None and out.resolve() == source.resolve():
-        raise UsageError("--out is the input folder itself; name another folder")
+    if out is not None:
+        require_apart(out, source, *others)
     top = source if source.is_dir() else source.parent
     beside = top.parent if top == source and is_frame_folder(top) else top
     search = Search(top=top, cameras=Cameras(beside), camera_key=camera_key)

@@ -1,6 +1,5 @@
 """A folder of videos and frame folders at any depth, and of datasets among them."""
 
-import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +10,7 @@ from kinebench_drake.filetypes import FILM_SUFFIXES, FRAME_SUFFIXES
 from kinebench_drake.inputs import videofolder
 from kinebench_drake.inputs.sample import Sample, camera_of
 from kinebench_drake.inputs.search import Search, plain
+from kinebench_drake.sourcetree import walk
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -26,38 +26,27 @@ class Layout:
 def list_folder(folder: Path, search: Search, skipped: Sequence[Path], layouts: Sequence[Layout]) -> list[Sample]:
     """Films, frame folders and datasets below a folder, sorted.
 
-    Hidden entries, `skipped` folders and output folders are passed over. A dataset that cannot be used is one sample
-    with a problem, unless it is `folder` itself.
+    What `walk` passes over is no input. A dataset that cannot be used is one sample with a problem, unless it is
+    `folder` itself.
 
     Raises:
         InputError: `folder` is a dataset that cannot be used.
         UsageError: a camera.json is unusable.
     """
-    passed = {p.resolve() for p in skipped} - {folder.resolve()}
-    seen: set[Path] = set()
     samples: list[Sample] = []
     labelled: list[Path] = []
-    for root, folders, files in os.walk(folder, followlinks=True):
-        here = Path(root)
-        real = here.resolve()
-        output = here != folder and {"samples.jsonl", "results.json"} <= set(files)
-        if real in seen or real in passed or output:
-            folders.clear()
-            continue
-        seen.add(real)
+    for here, folders, files in walk(folder, skipped):
         layout = next((layout for layout in layouts if layout.claims(here)), None)
         if layout is not None:
             folders.clear()
             samples += _dataset(here, search, layout)
             continue
-        folders[:] = sorted(f for f in folders if not f.startswith("."))
-        shown = sorted(f for f in files if not f.startswith("."))
-        films = [f for f in shown if Path(f).suffix.lower() in FILM_SUFFIXES]
+        films = [f for f in files if Path(f).suffix.lower() in FILM_SUFFIXES]
         if films:
             samples += [plain(here / f, search) for f in films]
-        elif any(Path(f).suffix.lower() in FRAME_SUFFIXES for f in shown):
+        elif any(Path(f).suffix.lower() in FRAME_SUFFIXES for f in files):
             samples.append(plain(here, search))
-        labelled += [here / name for name in videofolder.NAMES if name in shown]
+        labelled += [here / name for name in videofolder.NAMES if name in files]
     if (folder / manifest.NAME).is_file():
         search.warnings.append(
             f"{folder / manifest.NAME} is not read, as the folder was named; name the file itself to use it"

@@ -1,5 +1,6 @@
 """Videos that a `manifest.jsonl` lists."""
 
+import os
 from collections import Counter
 from pathlib import Path
 
@@ -34,7 +35,7 @@ def list_manifest(path: Path, search: Search) -> list[Sample]:
 
 def _sample(line: manifest.Line, folder: Path, search: Search) -> Sample:
     name = line.video or f"line-{line.number}"
-    stem = Path(name).name if (folder / name).is_dir() else Path(name).stem
+    stem = Path(name).name if os.path.isdir(folder / name) else Path(name).stem
     given = None if line.id is None else shorten(line.id)
     given = given if given is None or stem in given else f"{given}-{stem}"
     entry, problem, camera, path, first_frame = line.entry, line.problem, None, folder, None

@@ -1,5 +1,6 @@
 """What every format is told about a search for videos."""
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
@@ -8,6 +9,7 @@ from kinebench_drake.camera import Camera
 from kinebench_drake.errors import InputError
 from kinebench_drake.filetypes import FRAME_SUFFIXES
 from kinebench_drake.inputs.sample import Sample, camera_of
+from kinebench_drake.plainfile import reach
 
 CAMERA_NAME = "camera.json"
 
@@ -94,12 +96,12 @@ def below(folder: Path, relative: str) -> Path:
     """A path that a dataset names. Links are followed wherever they lead: the Hub's cache consists of them.
 
     Raises:
-        InputError: it is absolute, or climbs out of the folder.
+        InputError: it is absolute, climbs out of the folder or cannot be followed.
     """
     pure = PurePosixPath(relative)
     if pure.is_absolute() or ".." in pure.parts or "\0" in relative:
         raise InputError(f"{relative!r} must be a relative path inside the dataset's folder")
-    return folder / pure
+    return reach(folder / pure, repr(relative))
 
 
 def plain(path: Path, search: Search) -> Sample:
@@ -120,7 +122,7 @@ def picture_beside(path: Path) -> Path | None:
     if path.is_dir():
         return None
     beside = (path.with_suffix(suffix) for suffix in sorted(FRAME_SUFFIXES, reverse=True))
-    return next((picture for picture in beside if picture.is_file()), None)
+    return next((picture for picture in beside if os.path.isfile(picture)), None)  # a longer suffix may be too long
 
 
 def _parts(key: str) -> list[str]:

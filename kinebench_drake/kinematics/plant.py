@@ -95,7 +95,6 @@ class ArmPlant:
         moved = plant.GetBodiesKinematicallyAffectedBy([joints[-1].index()])
         self.tool = frozenset(plant.get_body(index).name() for index in moved)
         """Links beyond the last arm joint: the TCP's pose alone says where they are."""
-        self._hand = plant.GetFrameByName(self.robot.hand_link)
         self._links = {name: plant.GetFrameByName(name) for name in self.robot.links}
         self._origin = np.zeros(3)
         self._rates = np.zeros((2, plant.num_velocities()))
@@ -139,11 +138,6 @@ class ArmPlant:
         """Pose X_BG (4, 4) of the TCP in the base [m] at joint angles `q` (7,) [rad]."""
         self.set_posture(q)
         return np.asarray(self.tcp_frame.CalcPoseInWorld(self.context).GetAsMatrix4())
-
-    def forward_hand(self, q: ArrayLike) -> Array:
-        """Pose X_BH (4, 4) of the hand in the base [m] at joint angles `q` (7,) [rad]."""
-        self.set_posture(q)
-        return np.asarray(self._hand.CalcPoseInWorld(self.context).GetAsMatrix4())
 
     def link_poses(self, q: ArrayLike) -> dict[str, Array]:
         """Poses (4, 4) in the base [m] of all links of `robot.links`, by name, at joint angles `q` (7,) [rad]."""

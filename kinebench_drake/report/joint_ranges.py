@@ -8,7 +8,7 @@ from markupsafe import Markup, escape
 from kinebench_drake.geometry import Array
 from kinebench_drake.report.frames import JointLimits
 from kinebench_drake.report.plot import pieces, ticks
-from kinebench_drake.report.timeline import runs
+from kinebench_drake.runs import runs
 
 NEAR = 0.1
 """Margin below which a joint is near its limit, as a share of half its range."""
@@ -62,9 +62,10 @@ def _lane(x: Array, t_s: Array, place: Array, top: float) -> Iterator[str]:
     margin = 1.0 - np.abs(np.where(known, place, 0.0))
     half = 0.5 * (x[-1] - x[0]) / max(len(x) - 1, 1)
     for css, mask in (("near", (margin < NEAR) & (margin >= 0.0)), ("past", margin < 0.0)):
-        for first, last in runs(mask & known):
-            left, right = max(x[first] - half, x[0]), min(x[last] + half, x[-1])
-            words = f"margin {margin[first : last + 1].min():.3f}, {t_s[first]:.2f} to {t_s[last]:.2f} s"
+        for run in runs(mask & known):
+            reach, times = x[run], t_s[run]
+            left, right = max(reach[0] - half, x[0]), min(reach[-1] + half, x[-1])
+            words = f"margin {margin[run].min():.3f}, {times[0]:.2f} to {times[-1]:.2f} s"
             yield (
                 f'<rect class="shade-{css}" x="{left:.1f}" y="{top:.1f}" width="{max(right - left, 1.5):.1f}" '
                 f'height="{_TALL:.0f}"><title>{words}</title></rect>'

@@ -85,7 +85,7 @@ def find_checks(details: Mapping[str, Json]) -> dict[str, Mapping[str, Json]]:
 def _violation(v: Mapping[str, Json], t_s: Array | None) -> Moment:
     kind = str(v.get("kind"))
     start, end, joint = v.get("frame_start"), v.get("frame_end"), v.get("joint")
-    value, limit = _number(v.get("value")), _number(v.get("limit"))
+    value, limit = number(v.get("value")), number(v.get("limit"))
     ratio = abs(value / limit) if kind in _RATES and value is not None and limit else None
     factor, unit = _UNITS.get(kind, (1.0, ""))
     return Moment(
@@ -134,7 +134,7 @@ def _nearest(row: SampleRow, file: TrackFile) -> Iterator[Moment]:
 
 def _checked(kind: str, check: Mapping[str, Json], limits: JointLimits, t_first: float) -> Moment | None:
     """What the details' check says; None if it names no joint that has a limit."""
-    ratio, joint, time = _number(check.get("ratio_max")), check.get("joint"), _number(check.get("t_worst_s"))
+    ratio, joint, time = number(check.get("ratio_max")), check.get("joint"), number(check.get("t_worst_s"))
     if ratio is None or joint not in limits.joints or kind not in limits.rates:
         return None
     limit = float(limits.rates[kind][limits.joints.index(str(joint))])
@@ -173,5 +173,6 @@ def _when(start: int, end: int, t_s: Array | None) -> str:
     return f"{span} ({frames})"
 
 
-def _number(value: Json) -> float | None:
+def number(value: Json) -> float | None:
+    """A value as a number; None where it is none."""
     return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None

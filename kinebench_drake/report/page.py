@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import cast
 
 from kinebench_drake.aggregate import Aggregate, Estimate, aggregate
 from kinebench_drake.errors import InputError, cause
@@ -23,7 +24,7 @@ from kinebench_drake.report.sample import (
 )
 from kinebench_drake.report.template import environment
 from kinebench_drake.results import RESULTS, read_rows
-from kinebench_drake.row import Json, SampleRow, Status
+from kinebench_drake.row import Json, SampleRow, Status, one_text
 
 DRAWN = 100
 """Samples, the worst first, whose curves and findings stand on the page: the rest would make it slow to open."""
@@ -148,7 +149,7 @@ def read_results(out: Path) -> Mapping[str, Json]:
         return {}
     except (OSError, ValueError) as error:
         raise InputError(f"{out / RESULTS}: not JSON ({cause(error)})") from None
-    return data if isinstance(data, dict) else {}
+    return cast(Mapping[str, Json], one_text(data)) if isinstance(data, dict) else {}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

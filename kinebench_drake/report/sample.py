@@ -1,8 +1,9 @@
 """One sample as the report shows it."""
 
 import base64
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from urllib.parse import quote
 
@@ -85,6 +86,18 @@ def badness(row: SampleRow) -> tuple[float | str, ...]:
     tracked = number_of(row, "tracked_fraction")
     faults = len(row.violations) + len(anomalies_of(row))
     return RANK[verdict_of(row)], -faults, 1.0 if tracked is None else tracked, row.id
+
+
+def worst_samples(rows: Iterable[SampleRow], track: Callable[[str], Path], n: int) -> list[str]:
+    """Ids of the `n` worst samples that have a track, in the order of the report.
+
+    Args:
+        rows: the samples.
+        track: where the track of an id lies.
+        n: how many at most.
+    """
+    worst = (row.id for row in sorted(rows, key=badness) if track(row.id).is_file())
+    return list(islice(worst, n))
 
 
 def goodness(row: SampleRow) -> tuple[float | str, ...]:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from kinebench_drake.geometry import Array
 from kinebench_drake.report.facts import Fact, list_facts
-from kinebench_drake.report.moments import find_checks
+from kinebench_drake.report.moments import find_checks, number
 from kinebench_drake.row import Json, SampleRow
 
 
@@ -30,10 +30,10 @@ def resolutions(row: SampleRow) -> list[Resolution]:
         found.append(
             Resolution(
                 kind=kind,
-                window_s=_number(check.get("window_s")),
-                bandwidth_hz=_number(check.get("bandwidth_hz")),
-                noise_ratio=_number(check.get("noise_ratio")),
-                ratios=tuple(_number(r) for r in ratios) if isinstance(ratios, list | tuple) else (),
+                window_s=number(check.get("window_s")),
+                bandwidth_hz=number(check.get("bandwidth_hz")),
+                noise_ratio=number(check.get("noise_ratio")),
+                ratios=tuple(number(r) for r in ratios) if isinstance(ratios, list | tuple) else (),
             )
         )
     return found
@@ -61,7 +61,7 @@ def _noise(row: SampleRow) -> str | None:
 
 
 def _slowdown(row: SampleRow, t_s: Array | None) -> str | None:
-    factor, by = _number(row.metrics.get("slowdown_min")), _limiter(_part(row, "slowdown"), t_s)
+    factor, by = number(row.metrics.get("slowdown_min")), _limiter(_part(row, "slowdown"), t_s)
     if factor is None:
         return None
     verdict = "none, " if factor <= 1.0 else ""
@@ -69,22 +69,22 @@ def _slowdown(row: SampleRow, t_s: Array | None) -> str | None:
 
 
 def _fastest(row: SampleRow, t_s: Array | None) -> str | None:
-    scale, by = _number(row.metrics.get("time_scale")), _limiter(_part(row, "time_scale"), t_s)
+    scale, by = number(row.metrics.get("time_scale")), _limiter(_part(row, "time_scale"), t_s)
     return None if scale is None else f"{scale:.3g} of its own time{by and f', held back by {by}'}"
 
 
 def _tube(row: SampleRow, t_s: Array | None) -> str | None:
-    feasible, radius = row.metrics.get("trajopt_feasible"), _number(row.metrics.get("trajopt_position_tube_m"))
+    feasible, radius = row.metrics.get("trajopt_feasible"), number(row.metrics.get("trajopt_position_tube_m"))
     part = _part(row, "trajopt")
     against = part.get("against")
-    asked = _number(part.get("tube_limit_m"))
+    asked = number(part.get("tube_limit_m"))
     bound = "" if asked is None else f" (allowed: {asked * 1000.0:.3g} mm)"
     if not isinstance(feasible, bool):
         return None
     found = f"within {radius * 1000.0:.3g} mm of the track{bound}" if radius is not None else f"none{bound}"
     if feasible or not isinstance(against, Mapping):
         return found
-    value, limit = _number(against.get("value")), _number(against.get("limit"))
+    value, limit = number(against.get("value")), number(against.get("limit"))
     numbers = "" if value is None or limit is None else f", {value:.4g} against {limit:.4g}"
     return f"{found}; {_limiter({**against, 'limit': against.get('kind')}, t_s)} stands against it{numbers}"
 
@@ -105,7 +105,3 @@ def _limiter(part: Mapping[str, Json], t_s: Array | None) -> str:
 def _part(row: SampleRow, name: str) -> Mapping[str, Json]:
     found = row.details.get(name)
     return found if isinstance(found, Mapping) else {}
-
-
-def _number(value: Json) -> float | None:
-    return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None

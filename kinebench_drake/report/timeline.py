@@ -3,14 +3,13 @@
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-import numpy as np
 from markupsafe import Markup, escape
-from numpy.typing import NDArray
 
 from kinebench_drake.geometry import Array
 from kinebench_drake.report.frames import SURE, anomalies_of
 from kinebench_drake.report.plot import ticks
 from kinebench_drake.row import Json, SampleRow
+from kinebench_drake.runs import runs
 from kinebench_drake.trackfile import TrackFile
 
 _WIDTH, _LEFT, _RIGHT, _LANE, _BAR, _BOTTOM = 430.0, 118.0, 8.0, 19.0, 11.0, 20.0
@@ -23,8 +22,9 @@ LEGEND = {
     "lost": "gripper not tracked",
     "unsure": "pose doubtful",
 }
-"""Classes of bars, the worst last of those that a strip lays one over another."""
+"""Classes of bars and what they mean."""
 _OVER = ("unsure", "lost", "anomaly", "violation")
+"""The same as a strip lays them one over another: the worst last."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,7 +56,7 @@ def lanes_of(row: SampleRow, file: TrackFile | None) -> list[Lane]:
         on = file.track.tracked.astype(bool)
         doubtful = on & (file.track.confidence < SURE)
         for label, css, mask in (("not tracked", "lost", ~on), ("doubtful", "unsure", doubtful)):
-            spans = tuple(Span(start=a, end=b, text=LEGEND[css]) for a, b in runs(mask))
+            spans = tuple(Span(start=s.start, end=s.stop - 1, text=LEGEND[css]) for s in runs(mask))
             if spans:
                 lanes.append(Lane(label=label, css=css, spans=spans))
     return lanes
@@ -68,12 +68,6 @@ def frame_count(row: SampleRow, file: TrackFile | None, lanes: Sequence[Lane]) -
         return len(file.track.t_s)
     told = row.extra.get("frames")
     return max([told if isinstance(told, int) else 1, *(span.end + 1 for lane in lanes for span in lane.spans)])
-
-
-def runs(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """First and last index of each stretch of true values."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
-    return [(int(a), int(b) - 1) for a, b in edges.reshape(-1, 2)]
 
 
 def draw_timeline(lanes: Sequence[Lane], n: int, t_s: Array | None = None) -> Markup:

@@ -5,6 +5,7 @@ a file and lists them in meta/episodes/*.parquet, of each film from when to when
 follow `video_path` of meta/info.json. (LeRobot's own `LeRobotDataset` v2.1 and v3.0.)
 """
 
+import math
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -14,7 +15,7 @@ import pyarrow
 import pyarrow.parquet as parquet
 
 from kinebench_drake.errors import InputError, cause
-from kinebench_drake.plainfile import open_file, parse_json, read_text
+from kinebench_drake.plainfile import open_file, parse_json, reach, read_text
 from kinebench_drake.trajectories.description import mapping, read_description
 
 INFO = Path("meta") / "info.json"
@@ -133,11 +134,11 @@ def film_place(folder: Path, info: Mapping[str, object], episode: Episode, key: 
         fields = {"episode_chunk": episode.number // size, "episode_index": episode.number}
         return FilmPlace(path=_filled(folder, info, _FILM_V2, key, fields), from_s=None, to_s=None)
     chunk, file = (_count(episode.places.get(f"videos/{key}/{name}_index")) for name in ("chunk", "file"))
-    begin, end = (episode.places.get(f"videos/{key}/{name}_timestamp") for name in ("from", "to"))
-    if chunk is None or file is None or not isinstance(begin, float | int) or not isinstance(end, float | int):
+    begin, end = (_finite(episode.places.get(f"videos/{key}/{name}_timestamp")) for name in ("from", "to"))
+    if chunk is None or file is None or begin is None or end is None:
         raise InputError(f"meta/episodes tells no chunk, file and time stamps of {key} for episode {episode.number}")
     path = _filled(folder, info, _FILM_V3, key, {"chunk_index": chunk, "file_index": file})
-    return FilmPlace(path=path, from_s=float(begin), to_s=float(end))
+    return FilmPlace(path=path, from_s=begin, to_s=end)
 
 
 def schema(path: Path) -> list[str]:
@@ -204,6 +205,12 @@ def _count(value: object) -> int | None:
     return value if isinstance(value, int) and not isinstance(value, bool) and value >= 0 else None
 
 
+def _finite(value: object) -> float | None:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        return None
+    return float(value)
+
+
 def _filled(folder: Path, info: Mapping[str, object], default: str, key: str, numbers: Mapping[str, int]) -> Path:
     """The path that the description's pattern, or the layout's own, gives; format strings are never run as such."""
     pattern = info.get("video_path")
@@ -219,7 +226,9 @@ def _filled(folder: Path, info: Mapping[str, object], default: str, key: str, nu
     pure = PurePosixPath(_FIELD.sub(put, pattern))
     if pure.is_absolute() or ".." in pure.parts:
         raise InputError(f"video_path {pattern!r} of {INFO.as_posix()} leads out of the dataset")
-    return folder / pure  # links are followed wherever they lead: the Hub's cache consists of them
+    return reach(
+        folder / pure, f"video_path {pattern!r} of {INFO.as_posix()}"
+    )  # links are followed wherever they lead: the Hub's cache consists of them
 
 
 def _told(path: Path, error: Exception) -> str:

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow
 from numpy.typing import NDArray
+from pyarrow import compute
 
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array
@@ -114,10 +115,10 @@ def _matrix(table: pyarrow.Table, name: str) -> Array:
     lists = pyarrow.types.is_list(column.type) or pyarrow.types.is_fixed_size_list(column.type)
     if column.null_count or not (lists or pyarrow.types.is_large_list(column.type)):
         raise InputError(f"{name} holds {column.type} with {column.null_count} gaps, expected a row of numbers a frame")
-    flat = column.flatten()
-    if flat.null_count or len(flat) % len(column):
+    flat, lengths = column.flatten(), compute.list_value_length(column).unique()
+    if flat.null_count or len(lengths) != 1:
         raise InputError(f"{name} holds rows of different lengths or with gaps")
-    return numbers(name, flat.to_numpy(zero_copy_only=False)).reshape(len(column), -1)
+    return numbers(name, flat.to_numpy(zero_copy_only=False)).reshape(len(column), lengths[0].as_py())
 
 
 def _vector(table: pyarrow.Table, name: str) -> NDArray[np.generic] | None:

@@ -1,6 +1,5 @@
 """From what the user named (a file, a dataset, a folder, an output folder) to the list of trajectories in it."""
 
-import os
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
@@ -8,7 +7,8 @@ from pathlib import Path
 
 from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.identity import unique_ids
-from kinebench_drake.results import RESULTS, SAMPLES, read_rows
+from kinebench_drake.results import SAMPLES, read_rows
+from kinebench_drake.sourcetree import require_apart, walk
 from kinebench_drake.trajectories import archive, lerobot, maniskill, table
 from kinebench_drake.trajectories.check import check
 from kinebench_drake.trajectories.dataset import is_lerobot
@@ -41,12 +41,13 @@ def find_trajectories(
         task: name of the task, for trajectories that name none.
 
     Raises:
-        UsageError: there is nothing to read, or a dataset has no fitting column.
+        UsageError: there is nothing to read, a dataset has no fitting column, or a run into `out` would harm what it
+            reads.
     """
     if not source.exists():
         raise UsageError(f"{source}: there is no such file or folder")
-    if out is not None and source.is_dir() and out.resolve() == source.resolve():
-        raise UsageError("--out is the input folder itself; name another folder")
+    if out is not None:
+        require_apart(out, source)
     if not source.is_dir():
         if source.suffix.lower() not in _SUFFIXES:
             raise UsageError(f"{source}: found a {source.suffix or 'nameless'} file, expected {EXPECTED}")
@@ -128,23 +129,13 @@ def _from_output(folder: Path) -> list[TrajectorySample]:
 
 
 def _from_folder(folder: Path, choice: Choice, out: Path | None) -> Iterator[TrajectorySample]:
-    """Trajectory files and datasets at any depth, sorted; hidden entries and output folders are passed over."""
-    skipped = out.resolve() if out is not None else None
-    seen: set[Path] = set()
-    for root, folders, files in os.walk(folder, followlinks=True):
-        here = Path(root)
-        real = here.resolve()
-        output = here != folder and {SAMPLES, RESULTS} <= set(files)
-        if real in seen or real == skipped or output:
-            folders.clear()
-            continue
-        seen.add(real)
+    """Trajectory files and datasets at any depth, sorted."""
+    for here, folders, files in walk(folder, [] if out is None else [out]):
         if is_lerobot(here):
             folders.clear()
             yield from _dataset(here, here.relative_to(folder).as_posix(), choice)
             continue
-        folders[:] = sorted(f for f in folders if not f.startswith("."))
-        for name in sorted(f for f in files if not f.startswith(".") and Path(f).suffix.lower() in _SUFFIXES):
+        for name in (f for f in files if Path(f).suffix.lower() in _SUFFIXES):
             yield from _from_file(here / name, (here / name).relative_to(folder).as_posix())
 
 

@@ -1,8 +1,10 @@
 import numpy as np
 import pytest
 
+from kinebench_drake.calibration.calibrate import _times
 from kinebench_drake.calibration.states import file_states, posture, posture_states
 from kinebench_drake.errors import InputError, UsageError
+from kinebench_drake.grounding.decoded import Video
 from kinebench_drake.models.panda.part import Part
 from kinebench_drake.models.panda.robot import hand_from_tcp
 from tests.calibration.robot import postures
@@ -40,6 +42,15 @@ def test_joint_angles_shorter_than_the_video_are_refused(tmp_path, model):
     np.savez(tmp_path / "a.npz", t_s=np.arange(5) * 0.1, q=postures(5))
     with pytest.raises(InputError, match=r"5 rows over 0.40 s.*20 frames over 1.90 s.*--frame-period"):
         file_states(tmp_path / "a.npz", None, None, np.arange(20) * 0.1, model)
+
+
+def test_a_video_without_a_clock_wants_a_row_a_frame_or_a_period(tmp_path, model):
+    """Else every frame would have the posture of the first row."""
+    np.savez(tmp_path / "a.npz", t_s=np.arange(8) * 0.1, q=postures(8))
+    clockless = Video(frames=np.zeros((5, 2, 2, 3), np.uint8), fps=None, stamps_s=None)
+    assert np.array_equal(file_states(tmp_path / "a.npz", None, None, np.full(8, np.nan), model).q, postures(8))
+    with pytest.raises(UsageError, match=r"8 rows, but 5 frames of a video without a clock.*--frame-period"):
+        file_states(tmp_path / "a.npz", None, None, _times(clockless, None), model)
 
 
 def test_files_of_several_episodes_want_one_named(tmp_path, model):

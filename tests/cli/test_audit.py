@@ -9,7 +9,7 @@ from fake_stages import LOG
 
 from kinebench_drake.audit import AuditConfig, audit_trajectories
 from kinebench_drake.measure import KINEMATIC_METRICS
-from kinebench_drake.results import read_rows
+from kinebench_drake.results import part_path, read_rows
 from kinebench_drake.row import Status
 from kinebench_drake.run import Silence
 from kinebench_drake.shard import Shard
@@ -192,6 +192,25 @@ def run_counted(run, **changes):
     count = Count()
     run(count, **changes)
     return count.done
+
+
+def test_replays_are_those_of_the_worst_of_all_whatever_came_before(run, tmp_path, monkeypatch):
+    def write(config, ids):
+        for id in ids:
+            path = part_path(config.out, "replays", id)
+            path.parent.mkdir(exist_ok=True)
+            path.write_text(id)
+
+    def replayed():
+        return {path.stem for path in tmp_path.glob("out/replays/*")}
+
+    monkeypatch.setattr("kinebench_drake.run._replay", write)
+    run(limit=2, replays=1)
+    assert replayed() == {"demo-traj_0"}
+    run(replays=1)
+    assert replayed() == {"far"}
+    run(replays=0)
+    assert not (tmp_path / "out" / "replays").exists()
 
 
 def test_shards_share_the_trajectories_of_one_file(run, source, tmp_path):

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -34,6 +35,14 @@ def log(tmp_path, monkeypatch):
     path.touch()
     monkeypatch.setenv(LOG, str(path))
     return path
+
+
+class Ear(Silence):
+    def __init__(self):
+        self.warnings = []
+
+    def warned(self, message):
+        self.warnings.append(message)
 
 
 def content(out):
@@ -154,6 +163,70 @@ def test_finished_samples_are_kept_and_only_as_long_as_nothing_changes(film, con
     assert not (tmp_path / "out" / "tracks" / "c.npz").exists()
 
 
+@pytest.mark.parametrize("part", [{"limit": 1}, {"shard": Shard(index=1, count=3)}])
+def test_rows_outside_of_limit_and_shard_stay_only_as_long_as_they_hold(film, config, tmp_path, log, part):
+    """`results.json` tells one configuration, of all rows."""
+    for name in ("a", "b"):
+        film(f"videos/{name}.mp4")
+    film("videos/c.mp4", Act.RAISE)
+    score_videos(config(frame_period_s=0.2))
+    log.write_text("")
+    score_videos(config(frame_period_s=0.2, **part))
+    assert set(read_rows(tmp_path / "out")) == {"a", "b", "c"}  # the error, too: nothing has changed
+    film("videos/b.mp4", frames=9)
+    ear = Ear()
+    score_videos(config(frame_period_s=0.2, **part), ear)
+    assert set(read_rows(tmp_path / "out")) == {"a", "c"}
+    assert "1 earlier results are dropped" in ear.warnings[0]
+    assert not log.read_text()
+    score_videos(config(frame_period_s=0.1, **part))
+    assert {id: row.extra["frame_period_s"] for id, row in read_rows(tmp_path / "out").items()} == {"a": 0.1}
+    assert not (tmp_path / "out" / "tracks" / "b.npz").exists()
+
+
+def test_results_of_another_kind_stay_unless_they_are_to_go(film, config, tmp_path):
+    film("videos/a.mp4")
+    score_videos(config(kind=Kind.GROUND))
+    before = content(tmp_path / "out")
+    with pytest.raises(UsageError, match=r"of kind ground, this one is of kind score; name another.*--overwrite"):
+        score_videos(config())
+    assert content(tmp_path / "out") == before
+    score_videos(config(overwrite=True))
+    assert json.loads((tmp_path / "out" / "results.json").read_text())["kind"] == "score"
+
+
+def test_names_that_are_no_text_are_told_as_well_as_can_be(film, config, tmp_path):
+    """A lone surrogate, as Python reads such names, cannot be written in any encoding."""
+    os.rename(film("videos/a.mp4"), os.fsencode(tmp_path / "videos") + b"/caf\xe9.mp4")
+    os.rename(tmp_path / "videos", os.fsencode(tmp_path) + b"/vid\xe9os")
+    source = next(p for p in tmp_path.iterdir() if p.name.startswith("vid"))
+    for _ in range(2):  # also when it goes on
+        summary = score_videos(config(source=source, tags={"note": "\udce9"}, task="\ud800"))
+    (row,) = summary.rows
+    assert (row.id, row.video, row.task, row.status) == ("caf_", "caf?.mp4", "?", Status.OK)
+    told = json.loads((tmp_path / "out" / "results.json").read_text())
+    assert (told["config"]["source"], told["tags"], list(told["per_task"])) == ("vid?os", {"note": "?"}, ["?"])
+    assert "caf?.mp4" in summary.report.read_text()
+
+
+def test_a_sample_told_of_in_nonsense_has_a_hash_and_a_row(film, config, tmp_path, monkeypatch):
+    """Whatever readers let through, the boundary of the sample holds."""
+    film("videos/a.mp4", Act.RAISE)
+    find = score.find_samples
+
+    def told(*arguments, **named):
+        found = find(*arguments, **named)
+        (sample,) = found.samples
+        part = replace(sample.part, from_s=float("nan"), to_s=float("nan"))
+        return replace(found, samples=(replace(sample, part=part),))
+
+    monkeypatch.setattr(score, "find_samples", told)
+    score_videos(config())
+    (row,) = read_rows(tmp_path / "out").values()
+    assert row.status is Status.ERROR
+    assert len(row.content_hash) == 64
+
+
 def test_changed_code_computes_anew(film, config, log, monkeypatch):
     film("videos/a.mp4")
     score_videos(config())
@@ -240,17 +313,12 @@ def test_the_task_time_between_frames_and_where_it_comes_from(film, config, tmp_
     folder.mkdir()
     for k in range(3):
         Image.fromarray(np.full((96, 96, 3), 90 * (k > 3), dtype=np.uint8)).save(folder / f"{k}.png")
-    warnings = []
-
-    class Ear(Silence):
-        def warned(self, message):
-            warnings.append(message)
-
-    score_videos(config(), Ear())
+    ear = Ear()
+    score_videos(config(), ear)
     rows = read_rows(tmp_path / "out")
     assert frame_period(rows["a"]) == (pytest.approx(0.1), "fps")
     assert frame_period(rows["still"]) == (0.2, "benchmark")
-    assert any("--frame-period" in w for w in warnings)
+    assert any("--frame-period" in w for w in ear.warnings)
     score_videos(config(frame_period_s=0.5))
     assert frame_period(read_rows(tmp_path / "out")["a"]) == (0.5, "option")
     lines = [{"video": "a.mp4", "frame_period_s": 0.25, "fps": 4, "id": "a1"}, {"video": "a.mp4", "fps": 4, "id": "a2"}]

@@ -52,6 +52,15 @@ def test_metadata_label_the_videos_of_a_folder(tmp_path, name):
     assert find_samples(tmp_path).samples[0].first_frame == tmp_path / "a.png"
 
 
+@pytest.mark.parametrize("name", [f"{300 * 'x'}.mp4", f"{300 * 'x'}/b.mp4", "\ud800.mp4"])
+def test_metadata_may_name_what_no_disk_can_hold(tmp_path, name):
+    touch(tmp_path, "a.mp4")
+    write_metadata(tmp_path, "metadata.jsonl", [{"file_name": name, "text": "long"}])
+    good, bad = find_samples(tmp_path).samples
+    assert (good.id, good.problem) == ("a", None)
+    assert "cannot be followed" in bad.problem
+
+
 def test_the_metadata_nearest_to_a_video_hold(tmp_path):
     touch(tmp_path, "train/a.mp4")
     write_metadata(tmp_path, "metadata.jsonl", [{"file_name": "train/a.mp4", "text": "above"}])

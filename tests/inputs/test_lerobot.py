@@ -98,12 +98,27 @@ def test_missing_frames_and_films_are_errors_of_their_episodes(lerobot):
     assert all("there is no such file" in s.problem for s in find_samples(root).samples)
 
 
-@pytest.mark.parametrize("pattern", ["../{video_key}.mp4", "/etc/{video_key}", "{video_key.__class__}.mp4", "{nobody}"])
+@pytest.mark.parametrize(
+    "pattern",
+    ["../{video_key}.mp4", "/etc/{video_key}", "{video_key.__class__}.mp4", "{nobody}", f"{300 * 'x'}.mp4", "a\0.mp4"],
+)
 def test_paths_of_films_stay_in_the_dataset_and_run_no_format(lerobot, pattern):
     root = lerobot("v3.0")
     info = json.loads((root / "meta" / "info.json").read_text())
     (root / "meta" / "info.json").write_text(json.dumps({**info, "video_path": pattern}))
     assert all(s.problem for s in find_samples(root).samples)
+
+
+def test_time_stamps_that_are_no_numbers_are_errors_of_their_episodes(lerobot):
+    root = lerobot("v3.0")
+    file = root / "meta" / "episodes" / "chunk-000" / "file-000.parquet"
+    name = "videos/observation.images.front/from_timestamp"
+    rows = parquet.read_table(file).to_pylist()
+    rows[1][name] = float("nan")
+    parquet.write_table(pyarrow.Table.from_pylist(rows), file)
+    first, second, third = find_samples(root).samples
+    assert (first.problem, third.problem) == (None, None)
+    assert "tells no chunk, file and time stamps" in second.problem
 
 
 def test_pictures_in_parquet_are_videos_too(tmp_path):

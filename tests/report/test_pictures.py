@@ -11,7 +11,7 @@ from kinebench_drake.report.frames import joint_limits
 from kinebench_drake.report.histogram import count_values, draw_histogram
 from kinebench_drake.report.joint_ranges import draw_joint_ranges
 from kinebench_drake.report.metric import BY_NAME
-from kinebench_drake.report.timeline import draw_strip, draw_timeline, frame_count, lanes_of, runs
+from kinebench_drake.report.timeline import draw_strip, draw_timeline, frame_count, lanes_of
 from tests.report.pages import EVIL
 
 
@@ -93,11 +93,6 @@ def test_a_long_track_that_flickers_is_few_bars(judged):
     lanes = lanes_of(judged(metrics={"anomalies": faults}), None)
     assert len(lanes[0].spans) == 10000
     assert len(bars(draw_timeline(lanes, 20000), "anomaly")) == len(bars(draw_strip(lanes, 20000), "anomaly")) == 1
-
-
-def test_runs_are_the_stretches_of_truth():
-    assert runs(np.array([True, True, False, True])) == [(0, 1), (3, 3)]
-    assert runs(np.zeros(3, dtype=bool)) == []
 
 
 def test_joints_are_shown_against_their_own_limits(judged, file):

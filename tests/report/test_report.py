@@ -1,5 +1,6 @@
 """The html report: one file, safe against its content, readable without a finished run."""
 
+import json
 import re
 
 import numpy as np
@@ -51,6 +52,17 @@ def out(tmp_path):
         tags = {"note": EVIL}
         store.finish({"kind": "score", "tags": tags, "config": {"source": EVIL}, "seeds": {"bootstrap": 0}})
     return tmp_path
+
+
+def test_texts_that_no_encoding_holds_are_shown_without_what_is_no_sign(out, tmp_path):
+    """Another program may have written the folder: JSON can name halves of surrogate pairs."""
+    rows = tmp_path / "samples.jsonl"
+    rows.write_text(rows.read_text().replace('"unknown.mp4"', '"caf\\udce9.mp4"'))
+    results = json.loads((tmp_path / "results.json").read_text())
+    (tmp_path / "results.json").write_text(json.dumps({**results, "tags": {"note": "caf\ud800"}}))
+    text = write_report(out).read_text()
+    assert "caf?.mp4" in text
+    assert "note = caf?" in text
 
 
 def test_the_page_stands_alone_and_its_tags_balance(out):

@@ -198,6 +198,11 @@ def test_broken_datasets(dataset, q, tmp_path):
     (gone / "data" / "chunk-000" / "file-000.parquet").unlink()
     (sample,) = find_trajectories(gone, Choice())
     assert "there is no such file" in sample.problem
+    for lengths in ((6, 8), (0,)):
+        rows = [row[: lengths[k % len(lengths)]] for k, row in enumerate(with_gripper(q))]
+        ragged = dataset({0: {"observation.qpos": rows}}, {"observation.qpos": 7}, folder=f"ragged{len(lengths)}")
+        with pytest.raises(InputError, match=r"rows of different lengths|holds 0 numbers"):
+            read_all(ragged)
     less = dataset({0: {"observation.state": q[:, :5]}}, STATE, folder="less")
     with pytest.raises(InputError, match="holds 5 numbers, the dataset's description tells more"):
         read_all(less)

@@ -22,6 +22,7 @@ def test_a_folder_of_everything(tmp_path, archive, maniskill, dataset, t_s, q):
     dataset({0: {"observation.qpos": q}}, {"observation.qpos": 7})
     touch(tmp_path, "sub/a.CSV", "notes.txt", "clip.mp4", ".hidden.npz", ".git/x.npz", "sub/deep/b.npz")
     touch(tmp_path, "old/samples.jsonl", "old/results.json", "old/tracks/c.npz", "out/tracks/d.npz")
+    touch(tmp_path, "stopped/samples.jsonl", "stopped/run.json", "stopped/tracks/e.npz")
     samples = find_trajectories(tmp_path, Choice(), out=tmp_path / "out", model="m", task="t")
     assert [(s.id, s.video) for s in samples] == [
         ("b", "b.npz"),
@@ -75,8 +76,12 @@ def test_what_cannot_be_input(tmp_path, name, told):
 
 
 def test_the_output_folder_is_no_input(tmp_path):
+    touch(tmp_path, "tracks/a.npz")
     with pytest.raises(UsageError, match="input folder itself"):
         find_trajectories(tmp_path, Choice(), out=tmp_path)
+    for source in (tmp_path / "tracks", tmp_path / "tracks" / "a.npz"):
+        with pytest.raises(UsageError, match=r"the run fills .*tracks"):
+            find_trajectories(source, Choice(), out=tmp_path)
 
 
 @pytest.mark.parametrize("rate", [0.0, -5.0, np.nan, np.inf, 1e-300, 1e300])

@@ -44,10 +44,3 @@ def write_tree(tree: Tree, folder: Path) -> None:
                 os.mkfifo(path)
         except (OSError, ValueError):  # a name too long, below a file, taken, or with a zero byte
             continue
-
-
-def read_tree(folder: Path) -> dict[str, Node]:
-    """The regular files below a folder."""
-    return {
-        path.relative_to(folder).as_posix(): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()
-    }

@@ -1,0 +1,89 @@
+"""Workers in processes of their own, interrupted and ended amid what they do."""
+
+import os
+import signal
+import subprocess
+import time
+from contextlib import closing, suppress
+
+import pytest
+
+from kinebench_drake.engines import Done, local
+from kinebench_drake.engines.local import LocalEngine
+
+
+def make_doubling():
+    return lambda item: 2 * item
+
+
+def make_busy():
+    """Work that starts a program, writes its number into the file that it is given, and waits; or answers, or dies."""
+
+    def work(item):
+        if item == "idle":
+            return time.sleep(0.02)
+        if item == "terminated":
+            os.kill(os.getpid(), signal.SIGTERM)
+        program = subprocess.Popen(["sleep", "60"], start_new_session=True)
+        try:
+            item.write_text(str(program.pid))
+            program.wait()
+        finally:
+            program.kill()
+            program.wait()
+
+    return work
+
+
+def test_a_worker_that_is_ended_ends_what_it_started(tmp_path):
+    note = tmp_path / "note"
+    with closing(LocalEngine(jobs=2).run(make_busy, [note, *["idle"] * 1000])) as outcomes:
+        for _ in outcomes:
+            if note.exists() and note.read_text():
+                break
+    with pytest.raises(ProcessLookupError):
+        os.kill(int(note.read_text()), 0)
+
+
+def test_a_worker_that_does_not_end_is_killed(monkeypatch):
+    monkeypatch.setattr(local, "_GRACE_S", 0.5)
+    with closing(LocalEngine(jobs=2).run(make_stubborn, ["deaf", "well"])) as outcomes:
+        assert next(outcomes).item == "well"
+
+
+def make_stubborn():
+    def work(item):
+        while item == "deaf":
+            with suppress(SystemExit):
+                time.sleep(60)
+        return item
+
+    return work
+
+
+def test_who_ended_a_worker_is_told():
+    (outcome,) = LocalEngine(jobs=2).run(make_busy, ["terminated"])
+    assert outcome.reason == "the worker process was ended by SIGTERM"
+
+
+def test_every_item_is_worked_on():
+    outcomes = list(LocalEngine(jobs=2).run(make_doubling, [1, 2, 3]))
+    assert {o.item: o.result for o in outcomes if isinstance(o, Done)} == {1: 2, 2: 4, 3: 6}
+
+
+@pytest.mark.parametrize("started", [1, 2])
+def test_an_interrupt_while_a_worker_starts_leaves_it_without_an_item(monkeypatch, started):
+    """It is held back till the process is there, and delivered at once then."""
+    engine, unblocked = LocalEngine(jobs=2), []
+
+    def mask(how, signals, before=signal.pthread_sigmask):
+        blocked = before(how, signals)
+        if how == signal.SIG_SETMASK:
+            unblocked.append(how)
+            if len(unblocked) == started:
+                engine.drain()
+        return blocked
+
+    monkeypatch.setattr(local.signal, "pthread_sigmask", mask)
+    outcomes = list(engine.run(make_doubling, [1, 2, 3]))
+    assert [(o.item, o.result) for o in outcomes] == [(1, 2)][: started - 1]
