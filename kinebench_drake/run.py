@@ -12,14 +12,15 @@ from typing import Protocol
 
 from kinebench_drake.aggregate import Estimate, aggregate, by_key, estimate
 from kinebench_drake.engines import Crashed, Draining, Engine, EngineKind, create_engine
-from kinebench_drake.errors import InputError, SetupError, UsageError
-from kinebench_drake.header import RunHeader, read_header
+from kinebench_drake.errors import SetupError, UsageError
+from kinebench_drake.header import RunHeader
 from kinebench_drake.interrupt import patient
 from kinebench_drake.measure import SCHEMA_VERSION, Equipment, Kind, Measure, Sample
 from kinebench_drake.normalization import normalize_run
 from kinebench_drake.provenance import code_hash, host, versions, weights_hash
 from kinebench_drake.report.sample import worst_samples
 from kinebench_drake.results import REPORT, RUN, ResultStore, part_path
+from kinebench_drake.resumption import resume
 from kinebench_drake.row import Json, SampleRow, Status
 from kinebench_drake.shard import Shard
 from kinebench_drake.stages import SHIPPED_STAGES, StageOptions
@@ -162,7 +163,7 @@ def run_samples(
     chosen = config.shard.take(chosen) if config.shard else chosen
     header = run_header(config, found=len(samples))
     with ResultStore(config.out, overwrite=config.overwrite) as store:
-        waiting = _resume(store, samples, chosen, measure, header, observer)
+        waiting = resume(store, samples, chosen, measure, header, observer.warned)
         observer.started(total=len(chosen), kept=len(chosen) - len(waiting))
         with _interruptible(engine, observer) as interrupted:
             done = 0
@@ -259,63 +260,6 @@ def summarize(rows: Sequence[SampleRow], header: RunHeader) -> dict[str, Json]:
             "normalization": normalize_run(rows),
         }
     )
-
-
-def _resume(
-    store: ResultStore,
-    samples: Sequence[Sample],
-    chosen: Sequence[Sample],
-    measure: Measure[Sample, Equipment],
-    header: RunHeader,
-    observer: Observer,
-) -> list[Sample]:
-    """Drop kept rows that no longer hold; return the samples still to do. The folder is this run's from here on.
-
-    Rows of samples that are not `chosen` stay only if they hold, too: what results tell of the run is true of all rows.
-    """
-    _check_kind(store, measure.kind)
-    known = {sample.id for sample in samples}
-    if store.rows and not known & store.rows.keys():
-        raise UsageError(
-            f"--out {store.out}: holds results of other {measure.kind.noun} (such as {min(store.rows)!r}); name "
-            "another folder, or give --overwrite to drop them"
-        )
-    strangers = sorted(store.rows.keys() - known)
-    if strangers:
-        observer.warned(
-            f"{len(strangers)} earlier results are dropped: they are not among the {len(samples)} {measure.kind.noun} "
-            f"named now (such as {strangers[0]!r})"
-        )
-    kept = {s.id for s in samples if s.id in store.rows and measure.holds(s, store.rows[s.id])}
-    waiting = [s for s in chosen if s.id not in kept or store.rows[s.id].status is Status.ERROR]  # whose cause may go
-    outdated = sorted((known & store.rows.keys()) - kept - {s.id for s in chosen})
-    if outdated:
-        observer.warned(
-            f"{len(outdated)} earlier results are dropped, of other input, options or code, and are not among those to "
-            f"be done now (such as {outdated[0]!r})"
-        )
-    if waiting or strangers or outdated:
-        store.begin(header.to_json())
-    kept -= {s.id for s in waiting}
-    store.keep(lambda row: row.id in kept)
-    return waiting
-
-
-def _check_kind(store: ResultStore, kind: Kind) -> None:
-    """Refuse to put results of one kind in the place of another's: they may be what the user means to read.
-
-    Raises:
-        UsageError: the folder holds results of another kind, or does not tell which.
-    """
-    try:
-        found = read_header(store.out) if store.rows else None
-    except InputError as error:
-        raise UsageError(f"--out {error}; --overwrite starts anew") from None
-    if found is not None and found.header.kind != kind.value:
-        raise UsageError(
-            f"--out {store.out}: holds results of a run of kind {found.header.kind}, this one is of kind {kind.value}; "
-            "name another folder, or give --overwrite to drop them"
-        )
 
 
 def _replay(config: RunConfig, ids: Sequence[str]) -> None:

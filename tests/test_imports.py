@@ -40,6 +40,7 @@ RESULTS = {
     "aggregate",
     "normalization",
     "results",
+    "resumption",
     "trackfile",
     "provenance",
     "report",

@@ -26,10 +26,9 @@ GOOD_CONFIDENCE = 0.5
 """... and its size, which a pose that is off by a few degrees belies."""
 SEEN_M = 0.006
 """Gaps count for impossible openings where they are known to this (standard deviation) [m]."""
-SHAPE_SIDE, SIZE_SIDE = 0.55, 0.5
-"""Shape and size count only where the fingers' axis and the line of sight have a cosine below these: from the side the
-gripper is narrow, fingers hide each other, and little tells a deformed gripper from one turned a little. On videos of
-seen assets the largest misfit of a clean gripper is 2.1 % up to a cosine of 0.6, and 10 to 30 % beyond."""
+SIZE_SIDE = 0.5
+"""Size counts only where the fingers' axis and the line of sight have a cosine below this: from the side the gripper is
+narrow, and fingers hide each other."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,9 +48,11 @@ class Evidence:
     other: Array
     """(T,) share of a gripper that is seen apart from the tracked one."""
     misfit: Array
-    """(T,) relative misfit of the gripper's shape, where it is seen from its broad side."""
+    """(T,) relative misfit of the gripper's shape."""
+    residual: Array
+    """(T,) of the cells against the rigid gripper [standard deviations]."""
     scale: Array
-    """(T,) apparent size of the hand over the size that it has where the arm puts it, seen likewise."""
+    """(T,) apparent size of the hand over the size that it has where the arm puts it, seen from its broad side."""
     still: NDArray[np.bool_]
     """(T,) frames that repeat the one before."""
     motion: CameraMotion
@@ -102,7 +103,7 @@ def gather(
     n = len(frames)
     p_C = np.full((n, 3), np.nan)
     explained = np.zeros(n)
-    width, misfit, scale = (np.full(n, np.nan) for _ in range(3))
+    width, misfit, residual, scale = (np.full(n, np.nan) for _ in range(4))
     for i, pose in enumerate(poses):
         if pose is None:
             continue
@@ -112,10 +113,10 @@ def gather(
             sigma_m = 2 * pose.fit.finger_sigma_m
             width[i] = 2 * pose.finger_m if sigma_m <= SEEN_M else np.nan
             side = abs(float(pose.X_CH[:3, 1] @ p_C[i])) / float(np.linalg.norm(p_C[i]))
-            if side <= SHAPE_SIDE:
-                hand = pose.by_cells
-                sharp = 2 * hand.finger_sigma_m <= SHARP_M
-                misfit[i] = shape_misfit(pose.view, hand.X_CH, hand.finger_m if sharp else np.nan)
+            hand = pose.by_cells
+            sharp = 2 * hand.finger_sigma_m <= SHARP_M
+            misfit[i] = shape_misfit(pose.view, hand.X_CH, hand.finger_m if sharp else np.nan)
+            residual[i] = hand.residual
             if side <= SIZE_SIDE and pose.arm is not None and confidence[i] >= GOOD_CONFIDENCE:
                 scale[i] = pose.arm.scale
     other = [
@@ -130,6 +131,7 @@ def gather(
         finger_width_m=width,
         other=np.array(other),
         misfit=misfit,
+        residual=residual,
         scale=scale,
         still=still_frames(frames),
         motion=motion,

@@ -24,7 +24,7 @@ def find_anomalies(seen: Evidence) -> Findings:
         find_duplicates(seen.other),
         _without(find_teleports(seen.p_C, seen.fair, seen.good), {a.frame_end + 1 for a in freezes.anomalies}),
         freezes,
-        find_deformations(seen.misfit),
+        find_deformations(seen.misfit, seen.residual),
         find_scale_drift(seen.scale),
         find_camera_motion(seen.motion),
         find_finger_faults(seen.finger_width_m, seen.t_s),

@@ -9,8 +9,13 @@ from kinebench_drake.grounding.anomaly.series import known_median, runs
 from kinebench_drake.grounding.view import GripperView
 from kinebench_drake.products import Anomaly, AnomalyKind
 
-MISFIT = 0.025
-"""Relative misfit of the shape that counts as a deformation."""
+MISFIT = 0.02
+"""Relative misfit of the shape that counts as a deformation ..."""
+EXCESS = 1.45
+"""... where the cells disagree with any rigid gripper by so many times what is usual ..."""
+USUAL = 0.6
+"""... in the video, or at the most in videos without a deformation [standard deviations]. A misfit alone tells little
+where the gripper is seen from its narrow side."""
 WINDOW = 5
 """Frames whose median counts."""
 _MIN_CELLS = 100
@@ -58,14 +63,18 @@ def shape_misfit(view: GripperView, X_CH: Array, finger_m: float) -> float:
     return float(np.sqrt((counts * (field**2).sum(axis=1)).sum() / spread))
 
 
-def find_deformations(misfit: ArrayLike) -> Finding:
+def find_deformations(misfit: ArrayLike, residual: ArrayLike) -> Finding:
     """Frames with a deformed gripper; severity: the largest median misfit.
 
     Args:
         misfit: (T,) relative misfit of the shape (`shape_misfit`); NaN where unknown.
+        residual: (T,) of the cells against the rigid gripper [standard deviations]; NaN where unknown.
     """
+    misfit, residual = np.asarray(misfit, dtype=np.float64), np.asarray(residual, dtype=np.float64)
+    usual = min(float(np.median(residual[np.isfinite(residual)])) if np.isfinite(residual).any() else USUAL, USUAL)
+    excess = residual / (EXCESS * usual)
+    score = np.nan_to_num(known_median(np.minimum(misfit / MISFIT, excess), WINDOW), nan=0.0)
     steady = np.nan_to_num(known_median(misfit, WINDOW), nan=0.0)
-    score = steady / MISFIT
     anomalies = tuple(
         Anomaly(kind=AnomalyKind.DEFORMATION, frame_start=a, frame_end=b, severity=float(steady[a : b + 1].max()))
         for a, b in runs(score >= 1.0)

@@ -8,6 +8,7 @@ import pytest
 from fake_stages import LOG
 
 from kinebench_drake.audit import AuditConfig, audit_trajectories
+from kinebench_drake.errors import UsageError
 from kinebench_drake.measure import KINEMATIC_METRICS
 from kinebench_drake.results import part_path, read_rows
 from kinebench_drake.row import Status
@@ -153,13 +154,25 @@ def test_finished_trajectories_are_kept_and_only_as_long_as_nothing_changes(run,
     assert done() == {"good", *tried_again}
 
 
-def test_results_of_what_is_not_named_now_are_dropped_and_told(run, source, tmp_path):
+def test_results_of_files_that_are_gone_are_dropped_and_told(run, source, tmp_path):
     run()
+    before = read_rows(tmp_path / "out").keys()
+    (source / "good.npz").unlink()
     count = Count()
-    run(count, source=source / "demo.h5")
+    run(count)
+    assert read_rows(tmp_path / "out").keys() == before - {"good"}
+    told = f"1 earlier results are dropped: they are not among the {len(before) - 1} trajectories named now"
+    assert told in count.warnings[0]
+
+
+def test_results_of_another_source_are_not_lost(run, source, tmp_path):
+    run()
+    before = read_rows(tmp_path / "out")
+    with pytest.raises(UsageError, match=r"would be lost \(such as '.*'\): they are of source .* name another folder"):
+        run(source=source / "demo.h5")
+    assert read_rows(tmp_path / "out") == before
+    run(source=source / "demo.h5", overwrite=True)
     assert read_rows(tmp_path / "out").keys() == {"demo-traj_0", "demo-traj_1"}
-    assert (source / "far.npz").is_file()
-    assert "6 earlier results are dropped: they are not among the 2 trajectories named now" in count.warnings[0]
 
 
 def test_another_robot_computes_anew(run, tmp_path, write_arm):

@@ -173,15 +173,16 @@ def test_rows_outside_of_limit_and_shard_stay_only_as_long_as_they_hold(film, co
     log.write_text("")
     score_videos(config(frame_period_s=0.2, **part))
     assert set(read_rows(tmp_path / "out")) == {"a", "b", "c"}  # the error, too: nothing has changed
+    before = content(tmp_path / "out")
     film("videos/b.mp4", frames=9)
-    ear = Ear()
-    score_videos(config(frame_period_s=0.2, **part), ear)
-    assert set(read_rows(tmp_path / "out")) == {"a", "c"}
-    assert "1 earlier results are dropped" in ear.warnings[0]
+    for changes in ({"frame_period_s": 0.2}, {"frame_period_s": 0.1}):
+        with pytest.raises(UsageError, match=r"1 of its 3 results would be lost \(such as 'b'\).*not among those"):
+            score_videos(config(**changes, **part))
+        assert content(tmp_path / "out") == before
     assert not log.read_text()
-    score_videos(config(frame_period_s=0.1, **part))
-    assert {id: row.extra["frame_period_s"] for id, row in read_rows(tmp_path / "out").items()} == {"a": 0.1}
-    assert not (tmp_path / "out" / "tracks" / "b.npz").exists()
+    score_videos(config(frame_period_s=0.1))
+    rows = read_rows(tmp_path / "out").items()
+    assert {id: row.extra["frame_period_s"] for id, row in rows if row.status is Status.OK} == {"a": 0.1, "b": 0.1}
 
 
 def test_results_of_another_kind_stay_unless_they_are_to_go(film, config, tmp_path):
@@ -250,7 +251,7 @@ def test_results_of_other_videos_are_not_mixed_in(film, config, tmp_path):
     film("videos/a.mp4")
     film("others/b.mp4")
     score_videos(config())
-    with pytest.raises(UsageError, match="other videos"):
+    with pytest.raises(UsageError, match=r"of source .videos., this run is of .others.; name another folder"):
         score_videos(config(source=tmp_path / "others"))
     assert set(read_rows(tmp_path / "out")) == {"a"}
     score_videos(config(source=tmp_path / "others", overwrite=True))

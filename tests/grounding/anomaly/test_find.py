@@ -23,7 +23,8 @@ def clean(reach, t_s):
         explained=np.full(n, 400.0),
         finger_width_m=0.04 + rng.normal(0, 0.003, n),
         other=np.zeros(n),
-        misfit=np.full(n, 0.02),
+        misfit=np.full(n, 0.01),
+        residual=np.full(n, 0.55),
         scale=1.0 + rng.normal(0, 0.02, n),
         still=np.zeros(n, dtype=bool),
         motion=CameraMotion(px=np.zeros(n), R_AC=np.repeat(np.eye(3)[None], n, axis=0), unit_px=1.0),
@@ -63,7 +64,7 @@ def test_nothing_seen_is_nothing_found(clean):
     unknown = np.full(n, np.nan)
     blind = replace(
         clean, p_C=np.full((n, 3), np.nan), confidence=np.zeros(n), finger_width_m=unknown, other=unknown,
-        misfit=unknown, scale=unknown, motion=replace(clean.motion, px=unknown),
+        misfit=unknown, residual=unknown, scale=unknown, motion=replace(clean.motion, px=unknown),
     )  # fmt: skip
     assert max(find_anomalies(blind).scores.values()) == 0.0
 

@@ -75,11 +75,23 @@ def test_a_gripper_that_is_hardly_seen_says_nothing_of_its_shape(cad):
 
 
 def test_a_lasting_misfit_is_named_and_a_passing_one_is_not():
-    misfit = np.full(49, 0.02)
-    misfit[12] = 0.3
-    misfit[30:42] = 0.15
-    (found,) = find_deformations(misfit).anomalies
-    assert (found.frame_start, found.frame_end) == (30, 41)
+    misfit, residual = np.full(49, 0.01), np.full(49, 0.5)
+    misfit[12], residual[12] = 0.3, 2.0
+    misfit[30:42], residual[30:42] = 0.15, 1.0
+    (found,) = find_deformations(misfit, residual).anomalies
+    assert (found.frame_start, found.frame_end, found.severity) == (30, 41, 0.15)
+
+
+def test_a_misfit_that_the_cells_do_not_disagree_by_is_none():
+    """As where the gripper is seen from its narrow side; and cells that disagree by nothing in common are noise."""
+    n = np.ones(49)
+    assert find_deformations(0.2 * n, 0.55 * n).anomalies == ()
+    assert find_deformations(0.01 * n, np.r_[0.5 * n[:30], 1.5 * n[30:]]).anomalies == ()
+
+
+def test_a_gripper_deformed_from_first_to_last_frame_is_found():
+    (found,) = find_deformations(np.full(49, 0.04), np.full(49, 1.0)).anomalies
+    assert (found.frame_start, found.frame_end) == (0, 48)
 
 
 @pytest.mark.parametrize("size", [0.05, -0.05, 0.15])
