@@ -113,9 +113,6 @@ def read_part(path: Path) -> Part:
     kinds = [kind.value for kind in Kind]
     if header.kind not in kinds:
         raise UsageError(f"{path}: is of a run of kind {header.kind!r}, expected one of {', '.join(kinds)}")
-    for id in rows:
-        if id != Path(id).name or id.startswith(".") or "\0" in id:
-            raise UsageError(f"{path / SAMPLES}: the id {id!r} is no file name")
     return Part(path=path, header=header, finished=found.finished, rows=rows, clips=clips)
 
 

@@ -6,6 +6,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from enum import Enum
+from pathlib import Path
 from types import UnionType
 from typing import Any, TypeAlias, cast
 
@@ -84,8 +85,11 @@ class SampleRow:
         for name, form in _FORMS.items():
             if not isinstance(getattr(row, name), form):
                 raise InputError(f"not a row of samples.jsonl ({name} is {getattr(row, name)!r:.60})")
-        if not row.id or not all(isinstance(v, Mapping) and isinstance(v.get("kind"), str) for v in row.violations):
-            raise InputError("not a row of samples.jsonl (it has no id, or a violation that is of no kind)")
+        # The id names the sample's files.
+        if not row.id or row.id != Path(row.id).name or row.id.startswith(".") or "\0" in row.id:
+            raise InputError(f"not a row of samples.jsonl (its id {row.id!r:.60} is no file name)")
+        if not all(isinstance(v, Mapping) and isinstance(v.get("kind"), str) for v in row.violations):
+            raise InputError("not a row of samples.jsonl (a violation is of no kind)")
         return row
 
 

@@ -183,7 +183,7 @@ def run_samples(
                 store.keep_files("replays", worst)
             store.finish(summarize(store.sorted_rows(), header))
             if worst:
-                _replay(config, worst)
+                _replay(config, worst, observer)
             return close_run(store, config.kind, config.seed)
 
 
@@ -262,14 +262,20 @@ def summarize(rows: Sequence[SampleRow], header: RunHeader) -> dict[str, Json]:
     )
 
 
-def _replay(config: RunConfig, ids: Sequence[str]) -> None:
-    """Write replays of samples; the robot's meshes are simplified anew each time (some two seconds)."""
+def _replay(config: RunConfig, ids: Sequence[str], observer: Observer) -> None:
+    """Write replays of samples; the robot's meshes are simplified anew each time (some two seconds).
+
+    A machine that can draw none, as it lets no program open a port, costs the replays, not the report.
+    """
     from kinebench_drake.kinematics.plant import ArmPlant
     from kinebench_drake.models.arm import choose_robot
     from kinebench_drake.replay import write_replays
 
     options = config.stage_options()
-    write_replays(config.out, ids, ArmPlant(choose_robot(options.urdf, options.tcp_frame)))
+    try:
+        write_replays(config.out, ids, ArmPlant(choose_robot(options.urdf, options.tcp_frame)))
+    except SetupError as error:
+        observer.warned(f"there are no 3D replays: {error}")
 
 
 def _report(out: Path) -> Path:

@@ -36,10 +36,13 @@ def walk(top: Path, skipped: Sequence[Path] = ()) -> Iterator[tuple[Path, list[s
 
     Yields:
         A folder, the names of the folders in it, which may be cleared to go no deeper, and those of its files.
+
+    Raises:
+        UsageError: a folder cannot be read; what it holds would be absent from the results without a word.
     """
     passed = {p.resolve() for p in skipped} - {top.resolve()}
     seen: set[Path] = set()
-    for root, folders, files in os.walk(top, followlinks=True):
+    for root, folders, files in os.walk(top, onerror=_refuse, followlinks=True):
         here = Path(root)
         real = here.resolve()
         if real in seen or real in passed or (here != top and is_output(files)):
@@ -48,3 +51,7 @@ def walk(top: Path, skipped: Sequence[Path] = ()) -> Iterator[tuple[Path, list[s
         seen.add(real)
         folders[:] = sorted(f for f in folders if not f.startswith("."))
         yield here, folders, sorted(f for f in files if not f.startswith("."))
+
+
+def _refuse(error: OSError) -> None:
+    raise UsageError(f"{error.filename}: cannot be read ({error.strerror}); make it readable, or move it elsewhere")

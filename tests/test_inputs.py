@@ -1,4 +1,5 @@
 import json
+import os
 import re
 
 import numpy as np
@@ -253,6 +254,20 @@ def test_a_folder_of_videos_has_no_camera_from_beside_it(tmp_path):
     touch(tmp_path, "videos/v.mp4", "videos/preview.png")
     benchmark_camera().resized(192, 192).save(tmp_path / "camera.json")
     assert find_samples(tmp_path / "videos").samples[0].camera_source is CameraSource.BENCHMARK
+
+
+def test_a_folder_that_cannot_be_read_is_told(tmp_path, monkeypatch):
+    touch(tmp_path, "a/v.mp4", "b/w.mp4")
+    look = os.scandir
+
+    def scandir(path):
+        if os.path.basename(path) == "b":
+            raise PermissionError(13, "Permission denied", path)
+        return look(path)
+
+    monkeypatch.setattr(os, "scandir", scandir)
+    with pytest.raises(UsageError, match=r"b: cannot be read \(Permission denied\)"):
+        find_samples(tmp_path)
 
 
 @pytest.mark.parametrize("text", ["{", "[]", '{"width": 3}', '{"width": NaN}'])

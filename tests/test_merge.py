@@ -219,7 +219,7 @@ def test_what_cannot_be_merged(tmp_path):
     (mine / "notes.md").write_text("mine")
     old = fill(tmp_path / "old", header(), [sample("b")])
     (old / "results.json").unlink()
-    odd = fill(tmp_path / "odd", header(), [sample("b")])
+    odd = fill(tmp_path / "odd", header(), [sample("b"), sample("c")])
     (odd / "samples.jsonl").write_text((odd / "samples.jsonl").read_text().replace('"b"', '"../b"'))
     for folders, out, told in (
         ([], "out", "no folder named"),

@@ -114,6 +114,12 @@ def test_a_torn_last_line_is_dropped(tmp_path, torn):
     assert list(read_rows(tmp_path)) == ["a", "c"]
 
 
+@pytest.mark.parametrize("id", ["", "../victim", "a/b", "/etc/passwd", "..", ".hidden", "a\0b"])
+def test_an_id_that_is_no_file_name_is_no_row(id):
+    with pytest.raises(InputError, match="is no file name"):
+        SampleRow.from_json({**row("a").to_json(), "id": id})
+
+
 def test_a_broken_line_in_the_middle_is_told(tmp_path):
     (tmp_path / results.SAMPLES).write_text("garbage\n" + dump(row().to_json()))
     with pytest.raises(InputError, match="line 1 is broken"):

@@ -65,7 +65,7 @@ def program(capfd, monkeypatch):
         assert make.__dataclass_fields__["stages"].default.endswith(":DrakeStages")
         monkeypatch.setattr(job, name, partial(make, stages=STAGES))
 
-    monkeypatch.setattr(run, "_replay", lambda config, ids: None)  # needs Drake and seconds
+    monkeypatch.setattr(run, "_replay", lambda *_: None)  # needs Drake and seconds
 
     def call(*arguments):
         capfd.readouterr()

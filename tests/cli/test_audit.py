@@ -8,7 +8,7 @@ import pytest
 from fake_stages import LOG
 
 from kinebench_drake.audit import AuditConfig, audit_trajectories
-from kinebench_drake.errors import UsageError
+from kinebench_drake.errors import SetupError, UsageError
 from kinebench_drake.measure import KINEMATIC_METRICS
 from kinebench_drake.results import part_path, read_rows
 from kinebench_drake.row import Status
@@ -208,7 +208,7 @@ def run_counted(run, **changes):
 
 
 def test_replays_are_those_of_the_worst_of_all_whatever_came_before(run, tmp_path, monkeypatch):
-    def write(config, ids):
+    def write(config, ids, observer):
         for id in ids:
             path = part_path(config.out, "replays", id)
             path.parent.mkdir(exist_ok=True)
@@ -224,6 +224,17 @@ def test_replays_are_those_of_the_worst_of_all_whatever_came_before(run, tmp_pat
     assert replayed() == {"far"}
     run(replays=0)
     assert not (tmp_path / "out" / "replays").exists()
+
+
+def test_a_machine_that_draws_no_replays_has_a_report(run, tmp_path, monkeypatch):
+    def refuse(*_):
+        raise SetupError("Meshcat cannot open a port of this machine")
+
+    monkeypatch.setattr("kinebench_drake.replay.write_replays", refuse)
+    count = Count()
+    run(count, replays=1)
+    assert "there are no 3D replays: Meshcat cannot open a port of this machine" in count.warnings
+    assert (tmp_path / "out" / "report.html").is_file()
 
 
 def test_shards_share_the_trajectories_of_one_file(run, source, tmp_path):

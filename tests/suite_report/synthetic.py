@@ -34,7 +34,7 @@ def write_run(
     for task, outcomes in episodes.items():
         for seed, found in enumerate(outcomes, first_seed):
             found = outcome(found) if isinstance(found, bool) else found
-            id = f"{task}_s{seed:04d}"
+            id = f"{task.replace('/', '_')}_s{seed:04d}"
             labels = {"seed": seed, "pool": "all", "variant": variant}
             row = {"id": id, "video": f"videos/{id}_r0.mp4", "task": task, "model": model, "reason": None}
             row |= {"content_hash": "0", **found, "extra": {**found["extra"], **labels}}
