@@ -159,9 +159,9 @@ def section(found: Throughput, *, videos: int, tracks: int) -> str:
             "frames. Paid once a process: the time until its first sample is begun (interpreter, libraries, robot) "
             "and what the first takes longer than the others (networks and meshes are loaded, and kept). A sample: "
             "from one finished to the next, once every process has finished one. Times one process: samples an hour "
-            "beside those of one process in the same turn; one process of `score` takes more than a core, as the networks "
-            "look at frames while those before are fitted. Memory: the most that was resident, libraries included, "
-            "of the process started and of each of its workers.",
+            "beside those of one process in the same turn; one process of `score` takes more than a core, as the "
+            "networks look at frames while those before are fitted. Memory: the most that was resident, libraries "
+            "included, of the process started and of each of its workers.",
             "",
             *table(head, _rows(found)),
             "",
