@@ -165,7 +165,7 @@ def test_tracks_are_read_as_they_were_written(tmp_path, n, seed):
 words = st.text(min_size=1, max_size=20)
 rows = st.builds(
     SampleRow,
-    id=words,
+    id=words.map(safe),
     video=texts,
     task=st.none() | texts,
     model=st.none() | texts,
