@@ -19,9 +19,10 @@ from kinebench_drake.grounding.opening import SHARP_M
 from kinebench_drake.grounding.view import Frames, GripperView
 
 FAIR_CONFIDENCE = 0.1
-"""From here on a frame's position counts where jumps are looked for."""
+"""From here on a frame's position counts where jumps are looked for, and its shape: a gripper that has lost it is posed
+with little confidence ..."""
 SURE_CONFIDENCE = 0.3
-"""From here on its shape and fingers count ..."""
+"""... from here on its fingers ..."""
 GOOD_CONFIDENCE = 0.5
 """... and its size, which a pose that is off by a few degrees belies."""
 SEEN_M = 0.006
@@ -109,14 +110,15 @@ def gather(
             continue
         explained[i] = pose.fit.points * pose.overlap
         p_C[i] = transform_points(pose.X_CH, GRIPPER_CENTRE_H[None])[0]
-        if confidence[i] >= SURE_CONFIDENCE:
-            sigma_m = 2 * pose.fit.finger_sigma_m
-            width[i] = 2 * pose.finger_m if sigma_m <= SEEN_M else np.nan
-            side = abs(float(pose.X_CH[:3, 1] @ p_C[i])) / float(np.linalg.norm(p_C[i]))
+        if confidence[i] >= FAIR_CONFIDENCE:
             hand = pose.by_cells
             sharp = 2 * hand.finger_sigma_m <= SHARP_M
             misfit[i] = shape_misfit(pose.view, hand.X_CH, hand.finger_m if sharp else np.nan)
             residual[i] = hand.residual
+        if confidence[i] >= SURE_CONFIDENCE:
+            sigma_m = 2 * pose.fit.finger_sigma_m
+            width[i] = 2 * pose.finger_m if sigma_m <= SEEN_M else np.nan
+            side = abs(float(pose.X_CH[:3, 1] @ p_C[i])) / float(np.linalg.norm(p_C[i]))
             if side <= SIZE_SIDE and pose.arm is not None and confidence[i] >= GOOD_CONFIDENCE:
                 scale[i] = pose.arm.scale
     other = [
