@@ -250,8 +250,9 @@ def test_a_frame_folder_has_the_camera_beside_it_unless_it_holds_one(tmp_path):
     assert find_samples(tmp_path / "still").samples[0].camera.width == 96
 
 
-def test_a_folder_of_videos_has_no_camera_from_beside_it(tmp_path):
-    touch(tmp_path, "videos/v.mp4", "videos/preview.png")
+@pytest.mark.parametrize("films", [("videos/v.mp4", "videos/preview.png"), ("videos/more/v.mp4", "videos/preview.png")])
+def test_a_folder_of_videos_has_no_camera_from_beside_it(tmp_path, films):
+    touch(tmp_path, *films)
     benchmark_camera().resized(192, 192).save(tmp_path / "camera.json")
     assert find_samples(tmp_path / "videos").samples[0].camera_source is CameraSource.BENCHMARK
 
@@ -266,8 +267,9 @@ def test_a_folder_that_cannot_be_read_is_told(tmp_path, monkeypatch):
         return look(path)
 
     monkeypatch.setattr(os, "scandir", scandir)
-    with pytest.raises(UsageError, match=r"b: cannot be read \(Permission denied\)"):
-        find_samples(tmp_path)
+    for source in (tmp_path, tmp_path / "b"):
+        with pytest.raises(UsageError, match=r"b: cannot be read \(Permission denied\)"):
+            find_samples(source)
 
 
 @pytest.mark.parametrize("text", ["{", "[]", '{"width": 3}', '{"width": NaN}'])

@@ -71,7 +71,8 @@ def find_deformations(misfit: ArrayLike, residual: ArrayLike) -> Finding:
         residual: (T,) of the cells against the rigid gripper [standard deviations]; NaN where unknown.
     """
     misfit, residual = np.asarray(misfit, dtype=np.float64), np.asarray(residual, dtype=np.float64)
-    usual = min(float(np.median(residual[np.isfinite(residual)])) if np.isfinite(residual).any() else USUAL, USUAL)
+    known = residual[np.isfinite(residual)]
+    usual = min(float(np.median(known)), USUAL) if known.size else USUAL
     excess = residual / (EXCESS * usual)
     score = np.nan_to_num(known_median(np.minimum(misfit / MISFIT, excess), WINDOW), nan=0.0)
     steady = np.nan_to_num(known_median(misfit, WINDOW), nan=0.0)

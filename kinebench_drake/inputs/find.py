@@ -15,7 +15,7 @@ from kinebench_drake.inputs import ewmbench, hdf5, lerobot, listed, singlefile, 
 from kinebench_drake.inputs.folder import Layout, is_frame_folder, list_folder
 from kinebench_drake.inputs.sample import Inputs, Sample
 from kinebench_drake.inputs.search import Cameras, Search
-from kinebench_drake.sourcetree import require_apart
+from kinebench_drake.sourcetree import require_apart, walk
 
 FILES: Mapping[str, Callable[[Path, Search], Sequence[Sample]]] = {
     ".jsonl": listed.list_manifest,
@@ -64,8 +64,7 @@ def find_samples(
     if out is not None:
         require_apart(out, source, *others)
     top = source if source.is_dir() else source.parent
-    beside = top.parent if top == source and is_frame_folder(top) else top
-    search = Search(top=top, cameras=Cameras(beside), camera_key=camera_key)
+    search = Search(top=top, cameras=Cameras(_beside(source)), camera_key=camera_key)
     try:
         found = _list(source, search, [p for p in (out, *others) if p is not None])
     except InputError as error:
@@ -77,6 +76,14 @@ def find_samples(
         )
     samples = [replace(s, model=s.model or model, task=s.task or task) for s in found]
     return Inputs(samples=_with_unique_ids(samples), warnings=tuple(search.warnings))
+
+
+def _beside(source: Path) -> Path:
+    """The folder that a video lies in, be it a file or a folder of frames; a folder of videos itself."""
+    if not source.is_dir():
+        return source.parent
+    _, folders, files = next(walk(source))
+    return source.parent if not folders and is_frame_folder(files) else source
 
 
 def _list(source: Path, search: Search, skipped: Sequence[Path]) -> Sequence[Sample]:

@@ -44,7 +44,7 @@ def list_folder(folder: Path, search: Search, skipped: Sequence[Path], layouts: 
         films = [f for f in files if Path(f).suffix.lower() in FILM_SUFFIXES]
         if films:
             samples += [plain(here / f, search) for f in films]
-        elif any(Path(f).suffix.lower() in FRAME_SUFFIXES for f in files):
+        elif is_frame_folder(files):
             samples.append(plain(here, search))
         labelled += [here / name for name in videofolder.NAMES if name in files]
     if (folder / manifest.NAME).is_file():
@@ -54,9 +54,9 @@ def list_folder(folder: Path, search: Search, skipped: Sequence[Path], layouts: 
     return videofolder.with_labels(samples, labelled, search)
 
 
-def is_frame_folder(folder: Path) -> bool:
-    """Whether a folder is one video: it holds pictures, and no films."""
-    suffixes = {entry.suffix.lower() for entry in folder.iterdir() if not entry.name.startswith(".")}
+def is_frame_folder(files: Sequence[str]) -> bool:
+    """Whether a folder of these files is one video: it holds pictures, and no films."""
+    suffixes = {Path(f).suffix.lower() for f in files}
     return bool(suffixes & FRAME_SUFFIXES) and not suffixes & FILM_SUFFIXES
 
 
