@@ -64,7 +64,7 @@ class ArmFitter:
     def __init__(self, camera: Camera, model: ArmModel) -> None:
         self._model, self._X_CB = model, invert(camera.X_BC)
         self._focal_px = camera.fx
-        self._tolerance_px = _MAX_CONSISTENCY_PX * camera.width / 384
+        self._tolerance_px = _MAX_CONSISTENCY_PX * camera.unit_px
 
     def fit(self, hand: Fit, close: GripperView, wide: GripperView, rim: Cells | None = None) -> ArmFit | None:
         """The arm that goes with a hand fitted to the `close` view of a frame; None where too little is seen of it.

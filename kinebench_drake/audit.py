@@ -32,7 +32,6 @@ class AuditConfig(RunConfig):
     """Name of the array, data set or column that holds the joint angles."""
     poses: str | None = None
     """Name of the array or column that holds the poses of the TCP."""
-    replays: int | None = 0
     urdf: Path | None = None
     """The robot's URDF; None for mani_skill's Panda."""
     tcp_frame: str | None = None

@@ -18,7 +18,7 @@ from kinebench_drake.grounding.unframing import unframed
 from kinebench_drake.grounding.video import read_video
 from kinebench_drake.products import GripperTrack
 from kinebench_drake.stages import Grounded, Stages
-from kinebench_drake.storage import storage
+from kinebench_drake.storage import remove, storage
 from kinebench_drake.suites.clock import (
     CLIP_FRAMES,
     CONTROL_PERIOD_S,
@@ -198,7 +198,7 @@ def _forget(videos: Path) -> None:
     """
     with storage(videos.parent.name):
         for clip in videos.parent.glob(f"{glob.escape(videos.name)}_r[0-9]*"):
-            _remove(clip)
+            remove(clip)
 
 
 def _kept(video: Path, out: Path) -> Path:
@@ -214,17 +214,9 @@ def _kept(video: Path, out: Path) -> Path:
     with storage(copy.name):
         for earlier in (here / f"{out.name}{suffix}" for suffix in ("", *FILM_SUFFIXES)):
             if not source.is_relative_to(earlier):  # a model may work in a folder of the clip's name
-                _remove(earlier)
+                remove(earlier)
         if video.is_file():
             shutil.copyfile(video, copy)
         else:
             shutil.copytree(video, copy, dirs_exist_ok=True)
     return copy
-
-
-def _remove(clip: Path) -> None:
-    """Remove a video or a folder of frames, if it is there."""
-    if clip.is_dir() and not clip.is_symlink():
-        shutil.rmtree(clip)
-    else:
-        clip.unlink(missing_ok=True)

@@ -2,14 +2,13 @@
 
 import fcntl
 import os
-import shutil
 from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 
 from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.plainfile import parse_json
 from kinebench_drake.row import Json, SampleRow, dump
-from kinebench_drake.storage import storage, write_atomically
+from kinebench_drake.storage import remove, storage, write_atomically
 
 SAMPLES, TIMINGS, RESULTS, REPORT = "samples.jsonl", "timings.jsonl", "results.json", "report.html"
 RUN = "run.json"
@@ -194,7 +193,4 @@ class ResultStore:
         if everything:
             doomed += [self.out / name for name in (SAMPLES, TIMINGS, RUN, RESULTS, REPORT)]
         for path in doomed:  # the programs of world models are given folders to work in
-            if path.is_dir() and not path.is_symlink():
-                shutil.rmtree(path)
-            else:
-                path.unlink(missing_ok=True)
+            remove(path)

@@ -35,13 +35,13 @@ def resume(
     Raises:
         UsageError: finished rows would be lost that this run does not measure anew.
     """
-    known = {sample.id for sample in samples}
+    known, doing = {sample.id for sample in samples}, {sample.id for sample in chosen}
     held = {s.id for s in samples if s.id in store.rows and measure.holds(s, store.rows[s.id])}
     waiting = [s for s in chosen if s.id not in held or store.rows[s.id].status is Status.ERROR]  # whose cause may go
     finished = {id for id, row in store.rows.items() if row.status is not Status.ERROR}
     lost = sorted(finished - held)
     strangers = sorted(store.rows.keys() - known)
-    outdated = [id for id in lost if id in known and id not in {s.id for s in chosen}]
+    outdated = sorted((finished - held) & (known - doing))
     before = _header(store)
     if before is not None and lost and (differs := _subject(before, header)):
         raise _loss(store, lost, differs)

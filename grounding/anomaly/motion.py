@@ -26,7 +26,6 @@ SHARE = 0.3
 to the rest of them may be moved by it where the camera stands still."""
 MIN_FRAMES = 2
 """Frames in a row that must say so: one may have lost its features to the robot."""
-_REFERENCE_WIDTH_PX = 384
 _MAX_FEATURES = 200
 _MARGIN_PX = 15  # features this near the robot's outline may move with it
 _ROUND_TRIP_PX = 0.5  # a feature followed there and back must return this close
@@ -116,9 +115,9 @@ def measure_camera_motion(frames: Frames, robot: NDArray[np.bool_], camera: Came
                 first, now = (np.asarray(p[good, 0], dtype=np.float64) + 0.5 for p in (start, there))
                 R, share = _turn(first, now, camera)
                 moved = float(np.quantile(np.linalg.norm(now - first, axis=1), SHARE))
-                if share >= _MIN_AGREEING or moved < LEAST_PX * camera.width / _REFERENCE_WIDTH_PX:
+                if share >= _MIN_AGREEING or moved < LEAST_PX * camera.unit_px:
                     px[i], R_AC[i] = moved, R
-    return CameraMotion(px=px, R_AC=R_AC, unit_px=camera.width / _REFERENCE_WIDTH_PX)
+    return CameraMotion(px=px, R_AC=R_AC, unit_px=camera.unit_px)
 
 
 def _turn(first: Array, now: Array, camera: Camera) -> tuple[Array, float]:

@@ -131,7 +131,7 @@ _JUDGING = (
     ),
 )
 
-_REPLAYS = click.option(
+replays_option = click.option(
     "--replays",
     type=click.IntRange(min=0),
     default=3,
@@ -157,12 +157,7 @@ def judging_options(function: Function) -> Function:
     """Add what commands that hold tracks against the robot share."""
     for option in reversed(_JUDGING):
         function = option(function)
-    return replay_options(function)
-
-
-def replay_options(function: Function) -> Function:
-    """Add what these and `suite run` share."""
-    return _REPLAYS(function)
+    return replays_option(function)
 
 
 def video_options(function: Function) -> Function:

@@ -4,7 +4,7 @@ from typing import Any
 
 import click
 
-from kinebench_drake.cli.options import replay_options, run_options
+from kinebench_drake.cli.options import replays_option, run_options
 from kinebench_drake.cli.run import run as carry_out
 from kinebench_drake.cli.suite_options import (
     SPLITS,
@@ -55,7 +55,7 @@ from kinebench_drake.suites.selection import chosen_tasks
     help="Write what was imagined and executed side by side.",
 )  # fmt: skip
 @click.option("--negative-prompt", default="", help="What shall not be seen.")
-@replay_options
+@replays_option
 @run_options
 @click.pass_context
 def run(
