@@ -146,8 +146,10 @@ class EpisodeMeasure(Measure[EpisodeSample, Theatre]):
         if self.rollouts:
             self._write_rollout(sample, run, films, theatre.stages)
         cause = find_cause(run, judgements)
+        clips = [f"videos/{r.video.name}" for r in run.rounds]
         return Measured(
             judgement=judgement,
+            video=clips[0],
             metrics={**_visual_metrics(run, track), **_gap_metrics(run, films)},
             extra={
                 "success": run.outcome.success,
@@ -158,7 +160,7 @@ class EpisodeMeasure(Measure[EpisodeSample, Theatre]):
                 "missed": [name for name, holds in run.outcome.conditions.items() if not holds],
                 "refused": _refused(run),
                 "prompt": episode.prompt,
-                "videos": [f"videos/{r.video.name}" for r in run.rounds],
+                "videos": clips,
                 "frames": len(track.t_s),
             },
         )

@@ -92,6 +92,8 @@ class Measured:
     """Metrics besides the judgement's."""
     extra: Mapping[str, Json] = field(default_factory=dict)
     """Further keys of the row."""
+    video: str | None = None
+    """The video, where it is known only now; None where the sample names it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -213,7 +215,7 @@ class Measure(ABC, Generic[Sample, Equipment]):
         metrics = {**dict.fromkeys(self.metric_names), **found.metrics, **(judgement.metrics if judgement else {})}
         return SampleRow(
             id=sample.id,
-            video=sample.video,
+            video=found.video or sample.video,
             task=sample.task,
             model=sample.model,
             status=Status.OK,

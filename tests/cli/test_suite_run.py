@@ -90,10 +90,14 @@ def test_a_letter_boxed_video_is_read_and_shown_without_its_bars(oracle: Path, t
     boxed = np.zeros((len(frames), 480, 832, 3), np.uint8)
     boxed[:, :, 176:656] = [cv2.resize(frame, (480, 480), interpolation=cv2.INTER_CUBIC) for frame in frames]
     (tmp_path / "videos").mkdir()
-    write_video(tmp_path / "videos" / f"{row['id']}.mp4", boxed, 16)
+    film = tmp_path / "videos" / f"{row['id']}.mp4"
+    write_video(film, boxed, 16)
+    film.rename(film.with_suffix(".mov"))
     assert run(tmp_path / "out", "--world-model", f"folder:{tmp_path / 'videos'}", "--pixels-only")[0] == 0
     [other] = rows(tmp_path / "out")
     assert other["success"] is True
+    assert other["video"] == f"videos/{row['id']}_r0.mov"
+    assert (tmp_path / "out" / other["video"]).is_file()
     for name, factor in (("gap_robot_iou", -0.05), ("gap_psnr_db", -3.0)):
         assert other["metrics"][name] > row["metrics"][name] + factor
 
