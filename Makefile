@@ -15,10 +15,10 @@ test: check
 # memory over 2,000 samples: about an hour on two cores.
 bench: setup
 	-$(BIN)/python -m pip --disable-pip-version-check install --quiet -c setup/constraints.txt -e '.[bench]'
-	$(BIN)/python -m kinebench_drake.validation bench --out docs/benchmarks.md
-	$(BIN)/python -m kinebench_drake.suites.bench --out docs/benchmarks.md
-	$(BIN)/python -m kinebench_drake.validation throughput --out docs/benchmarks.md
-	$(BIN)/python -m kinebench_drake.validation streaming --out docs/benchmarks.md
+	$(BIN)/python -m benchmarks bench --out docs/benchmarks.md
+	$(BIN)/python -m benchmarks.simulation --out docs/benchmarks.md
+	$(BIN)/python -m benchmarks throughput --out docs/benchmarks.md
+	$(BIN)/python -m benchmarks streaming --out docs/benchmarks.md
 
 check: setup
 	$(BIN)/ruff format --check .

@@ -8,8 +8,8 @@ The gripper points down and goes 30 cm to the left, once in 2 s and once in 0.5 
 import numpy as np
 
 from kinebench_drake import audit_trajectory
+from kinebench_drake.evaluation.stages import Judgement
 from kinebench_drake.geometry import make_pose
-from kinebench_drake.stages import Judgement
 
 DOWN = np.diag([1.0, -1.0, -1.0])
 """Rotation of panda_hand_tcp in the base frame: its z axis, along the fingers, points to the table."""

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from kinebench_drake.mp4 import write_video
+from kinebench_drake.io.container import write_video
 from kinebench_drake.suites.worldmodels.worldmodel import Request, WorldModelError
 
 

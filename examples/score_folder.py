@@ -10,9 +10,9 @@ import sys
 from pathlib import Path
 
 from kinebench_drake import score_videos
-from kinebench_drake.results import part_path
-from kinebench_drake.row import Status
-from kinebench_drake.trackfile import read_track
+from kinebench_drake.results.row import Status
+from kinebench_drake.results.store import artifact_path
+from kinebench_drake.results.trackfile import read_track
 
 HERE = Path(__file__).parent
 FRAME_PERIOD_S = 0.2
@@ -29,7 +29,7 @@ def main(folder: Path, out: Path) -> None:
         why = ", ".join(f"{v['kind']} in frames {v['frame_start']} to {v['frame_end']}" for v in row.violations)
         print(f"{row.id}: {verdict}{f' ({why})' if why else ''}")
         print(f"  tracked {row.metrics['tracked_fraction']:.0%}, anomalies: {row.metrics['anomalies'] or 'none'}")
-        track = read_track(part_path(out, "tracks", row.id)).track
+        track = read_track(artifact_path(out, "tracks", row.id)).track
         start, end = track.X_BG[track.tracked][[0, -1], :3, 3]
         print(f"  the gripper goes from {start.round(3)} to {end.round(3)} m in {track.t_s[-1]:.1f} s")
     share = summary.feasible

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from kinebench_drake.mp4 import write_video
+from kinebench_drake.io.container import write_video
 
 
 def imagine(ask: dict[str, Any]) -> bytes:

@@ -14,7 +14,7 @@ from scipy.special import expit, logit
 
 from kinebench_drake.errors import SetupError
 from kinebench_drake.geometry import Array
-from kinebench_drake.grounding.framepose import FramePose
+from kinebench_drake.grounding.frame_pose import FramePose
 
 GOOD_M, GOOD_RAD = 0.010, float(np.deg2rad(5.0))
 """The confidence is the probability of errors below both."""

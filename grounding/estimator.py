@@ -11,7 +11,7 @@ from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.crop import Crop
 from kinebench_drake.grounding.view import Frames, GripperView
-from kinebench_drake.models.panda.part import ARM
+from kinebench_drake.models.panda.robot import ARM
 from kinebench_drake.models.perception.network import (
     COORDINATE_SCALE_M,
     DEPTH_CENTRE,

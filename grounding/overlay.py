@@ -10,13 +10,12 @@ from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, transform_points
 from kinebench_drake.grounding.crop import GRIPPER_CENTRE_H, GRIPPER_RADIUS_M
 from kinebench_drake.models.panda.cad import GripperCad
-from kinebench_drake.models.panda.part import Part
-from kinebench_drake.models.panda.robot import hand_from_tcp
-from kinebench_drake.products import GripperTrack
+from kinebench_drake.models.panda.robot import RobotPart, hand_from_tcp
+from kinebench_drake.types import GripperTrack
 
 Image = NDArray[np.uint8]
 
-_COLOURS = {Part.HAND: (0, 190, 200), Part.LEFT_FINGER: (255, 140, 0), Part.RIGHT_FINGER: (230, 60, 160)}
+_COLOURS = {RobotPart.HAND: (0, 190, 200), RobotPart.LEFT_FINGER: (255, 140, 0), RobotPart.RIGHT_FINGER: (230, 60, 160)}
 _AXES = ((235, 60, 60), (60, 200, 60), (70, 110, 255))
 _AXIS_M = 0.05
 _OPACITY = 0.35

@@ -8,18 +8,18 @@ from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import interpolate_pose, invert, transform_points
-from kinebench_drake.grounding.arm import ArmModel
-from kinebench_drake.grounding.armfit import ArmFitter
 from kinebench_drake.grounding.crop import CLOSE_SIZE, GRIPPER_CENTRE_H, WIDE_SIZE, Crop
-from kinebench_drake.grounding.fit import UNSEEN_FINGER_M, drawn, fit, refit
-from kinebench_drake.grounding.following import follow
-from kinebench_drake.grounding.framepose import FramePose
-from kinebench_drake.grounding.given import GivenEstimator, calibrated
-from kinebench_drake.grounding.known import NOTHING, Known
-from kinebench_drake.grounding.outline import Outline
-from kinebench_drake.grounding.registration import IcpRefiner
+from kinebench_drake.grounding.frame_pose import FramePose
+from kinebench_drake.grounding.override_estimator import OverrideEstimator, calibrated
+from kinebench_drake.grounding.propagation import propagate
+from kinebench_drake.grounding.registration.arm_fit import ArmFitter
+from kinebench_drake.grounding.registration.arm_model import ArmModel
+from kinebench_drake.grounding.registration.fit import UNSEEN_FINGER_M, drawn, fit, refit
+from kinebench_drake.grounding.registration.icp import IcpRefiner
+from kinebench_drake.grounding.registration.silhouette import Silhouette
 from kinebench_drake.grounding.view import DepthEstimator, Frames, GripperView
 from kinebench_drake.models.panda.cad import GripperCad
+from kinebench_drake.types import NO_PRIORS, Priors
 
 CLOSE_MARGIN = 1.3
 """Half width of the close view over the gripper's radius."""
@@ -43,7 +43,7 @@ class Tracking:
 class PoseTracker(Protocol):
     """What turns frames into hand poses: the CAD tracker here, or another program's."""
 
-    def track(self, frames: Frames, camera: Camera, known: Known = NOTHING) -> Tracking:
+    def track(self, frames: Frames, camera: Camera, known: Priors = NO_PRIORS) -> Tracking:
         """Track the gripper through `frames` (T, H, W, 3), of which something may be `known` beforehand."""
         ...
 
@@ -67,18 +67,18 @@ class CadTracker:
         self._estimator = estimator
         self._cad = cad or GripperCad()
         self._icp = IcpRefiner(self._cad)
-        self._outline = Outline(self._cad)
+        self._outline = Silhouette(self._cad)
         self._arm = ArmModel()
 
-    def track(self, frames: Frames, camera: Camera, known: Known = NOTHING) -> Tracking:
+    def track(self, frames: Frames, camera: Camera, known: Priors = NO_PRIORS) -> Tracking:
         """See `PoseTracker`.
 
         Raises:
             InputError: what is known is of another video.
         """
-        known.require(*frames.shape[:3])
+        known.check_shapes(*frames.shape[:3])
         known = self._calibrated(frames, camera, known)
-        estimator = GivenEstimator(self._estimator, known)
+        estimator = OverrideEstimator(self._estimator, known)
         crops: dict[int, Crop] = {}
         detections: dict[int, GripperView] = {}
         for i, view in estimator.estimate(frames, camera, dict.fromkeys(range(len(frames)), whole_frame(camera))):
@@ -102,15 +102,15 @@ class CadTracker:
         look(crops)
         look(self._badly_framed(poses))
         look(self._proposals(len(frames), poses))
-        if not known.exact:
-            follow(poses, detections, arm, self._outline)
+        if not known.has_exact_depth:
+            propagate(poses, detections, arm, self._outline)
         return Tracking(
             poses=tuple(poses.get(i) for i in range(len(frames))),
             wide=tuple(detections[i] for i in range(len(frames))),
             robot=detections[0].to_frame(detections[0].part > 0, camera),
         )
 
-    def _calibrated(self, frames: Frames, camera: Camera, known: Known) -> Known:
+    def _calibrated(self, frames: Frames, camera: Camera, known: Priors) -> Priors:
         """What is known, estimated depth of others set right in the first frame where its pose is known.
 
         The network's own depth has no factor of that kind: its error varies along a video as much as between videos.
@@ -119,11 +119,11 @@ class CadTracker:
         if X_CH is None or depth is None or depth.exact:
             return known
         crop = Crop.of_gripper(X_CH, CLOSE_MARGIN, CLOSE_SIZE)
-        ((_, view),) = GivenEstimator(self._estimator, known).estimate(frames, camera, {0: crop})
+        ((_, view),) = OverrideEstimator(self._estimator, known).estimate(frames, camera, {0: crop})
         return replace(known, depth=calibrated(depth, view, X_CH, UNSEEN_FINGER_M if finger_m is None else finger_m))
 
     def _measure(
-        self, view: GripperView, wide: GripperView, arm_fitter: ArmFitter, known: Known, number: int
+        self, view: GripperView, wide: GripperView, arm_fitter: ArmFitter, known: Priors, number: int
     ) -> FramePose | None:
         given = known.pose(number)
         by_cells = fit(view, X_CH=given, finger_m=known.finger_m(number))
@@ -131,13 +131,13 @@ class CadTracker:
             return None
         hand = by_cells
         free = given is None
-        rim = self._outline.rim(view, hand.X_CH, drawn(hand.finger_m)) if free and not known.exact else None
+        rim = self._outline.rim(view, hand.X_CH, drawn(hand.finger_m)) if free and not known.has_exact_depth else None
         if rim is not None:
             hand = refit(hand, view, rim)
         arm = arm_fitter.fit(hand, view, wide, rim)
         best = arm if arm is not None and arm.agrees and free else hand
         X_CH = best.X_CH
-        if known.exact and free:
+        if known.has_exact_depth and free:
             refined = self._icp.refine(view, invert(view.crop.X_CV) @ X_CH, drawn(best.finger_m))
             X_CH = X_CH if refined is None else view.crop.X_CV @ refined.X_VH
         return FramePose(

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.crop import Crop
-from kinebench_drake.models.panda.part import GRIPPER, Part
+from kinebench_drake.models.panda.robot import GRIPPER, RobotPart
 
 Frames = NDArray[np.uint8]
 """(T, H, W, 3) RGB."""
@@ -45,7 +45,9 @@ class GripperView:
     @property
     def opening_sign(self) -> Array:
         """(h, w) 1 on the left finger, -1 on the right, else 0: where cells go along y as the gripper opens."""
-        return np.asarray((self.part == Part.LEFT_FINGER).astype(np.float64) - (self.part == Part.RIGHT_FINGER))
+        return np.asarray(
+            (self.part == RobotPart.LEFT_FINGER).astype(np.float64) - (self.part == RobotPart.RIGHT_FINGER)
+        )
 
     def rays(self) -> Array:
         """(h, w, 3) directions in the crop's frame with z = 1."""

@@ -9,8 +9,8 @@ from numpy.typing import ArrayLike
 
 from kinebench_drake.errors import InputError, UsageError, cause
 from kinebench_drake.geometry import Array, checked_pose, invert, make_pose, orthonormalize
-from kinebench_drake.plainfile import read_json
-from kinebench_drake.storage import write_atomically
+from kinebench_drake.io.atomic import write_atomically
+from kinebench_drake.io.files import read_json
 
 _KEYS = ("width", "height", "fx", "fy", "cx", "cy", "base_from_camera")
 _BENCHMARK_PX = 384

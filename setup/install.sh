@@ -69,7 +69,7 @@ make_venv() {
 # --- Python packages ---------------------------------------------------------------------------------------------
 
 # What was installed, from what: when this is unchanged and the environment is sound, there is nothing to do.
-packages_key() { { pwd && "$venv/bin/python" -V && cat pyproject.toml "$constraints" kinebench_drake/stand_in.py; } | sha256sum; }
+packages_key() { { pwd && "$venv/bin/python" -V && cat pyproject.toml "$constraints" kinebench_drake/environment/cv2_shim.py; } | sha256sum; }
 
 install_packages() {
     local pip=("$venv/bin/python" -m pip --disable-pip-version-check) stamp=$venv/share/kinebench_drake/packages.sha256
@@ -82,7 +82,7 @@ install_packages() {
     # First, so that sapien's wish for opencv-python is met without a second copy of cv2: stand_in.py says why.
     work=$(mktemp -d "$venv/stand-in.XXXXXX")
     trap 'rm -rf "$work"' EXIT
-    "${pip[@]}" install -c "$constraints" "$("$venv/bin/python" -P kinebench_drake/stand_in.py "$work")"
+    "${pip[@]}" install -c "$constraints" "$("$venv/bin/python" -P kinebench_drake/environment/cv2_shim.py "$work")"
     # By itself: beside other packages pip prefers the CUDA build and gigabytes of libraries, where a smaller one is at hand.
     "${pip[@]}" install -c "$constraints" "$(grep '^torch==' "$constraints")"
     "${pip[@]}" install -c "$constraints" -e '.[dev,diffusers]'
@@ -96,5 +96,5 @@ install_packages() {
 [ "$(uname -sm)" = "Linux x86_64" ] || stop "Linux on x86-64 is needed (SAPIEN exists for no other), this is $(uname -sm)."
 make_venv
 install_packages
-bash kinebench_drake/native.sh "$venv/bin/python"
+bash kinebench_drake/environment/native.sh "$venv/bin/python"
 say "Ready. Try: .venv/bin/kinebench-drake doctor"

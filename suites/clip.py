@@ -12,11 +12,11 @@ from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, invert
 from kinebench_drake.models.panda.robot import HAND_LINK, TCP_LINK
 from kinebench_drake.suites.clock import FRAME_PERIOD_S
-from kinebench_drake.suites.stage import Snapshot, Stage
+from kinebench_drake.suites.simulator import Simulator, Snapshot
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Clip:
+class RolloutVideo:
     """A filmed performance with its ground truth."""
 
     camera: Camera
@@ -57,7 +57,7 @@ class Clip:
         np.savez_compressed(path, **arrays)
 
 
-def film(stage: Stage, snapshots: Sequence[Snapshot], *, first_frame: int = 0) -> Clip:
+def film(stage: Simulator, snapshots: Sequence[Snapshot], *, first_frame: int = 0) -> RolloutVideo:
     """Render snapshots with the stage's camera; the stage must have been reset to the same scene.
 
     Args:
@@ -71,7 +71,7 @@ def film(stage: Stage, snapshots: Sequence[Snapshot], *, first_frame: int = 0) -
         pictures.append(stage.picture())
         X_BH.append(stage.link_pose(HAND_LINK))
         X_BG.append(stage.link_pose(TCP_LINK))
-    return Clip(
+    return RolloutVideo(
         camera=stage.camera,
         rgb=np.stack([p.rgb for p in pictures]),
         t_s=FRAME_PERIOD_S * np.arange(first_frame, first_frame + len(snapshots), dtype=np.float64),

@@ -18,23 +18,23 @@ from typing import Any
 
 from numpy.typing import ArrayLike
 
-from kinebench_drake.engines import Crashed, Engine
-from kinebench_drake.errors import SetupError, UsageError
-from kinebench_drake.storage import storage
+from kinebench_drake.errors import InputError, SetupError, UsageError
+from kinebench_drake.executors.base import Crashed, Engine
+from kinebench_drake.io.atomic import disk_errors
+from kinebench_drake.io.jsonl import append_line, make_folder, read_lines, write_json, write_lines
 from kinebench_drake.suites.clip import film
 from kinebench_drake.suites.episode import Episode
 from kinebench_drake.suites.experts.registry import find_expert
 from kinebench_drake.suites.export import episode_facts
-from kinebench_drake.suites.files import append_line, make_folder, read_lines, write_json, write_lines
 from kinebench_drake.suites.formats.demo import CLIP_STEPS, PARTS, Content, Demo, FormatKind, Record, Shots
-from kinebench_drake.suites.formats.format import Format, find_format
-from kinebench_drake.suites.order import Order
-from kinebench_drake.suites.rollout import Performance, perform
+from kinebench_drake.suites.formats.format import DemoFormat, find_format
+from kinebench_drake.suites.order import DemoOrder
+from kinebench_drake.suites.rollout import Rollout, rollout
 from kinebench_drake.suites.seeding import generator
-from kinebench_drake.suites.stage import Stage
-from kinebench_drake.suites.stagehand import Stagehand, failure
+from kinebench_drake.suites.simulator import Simulator
+from kinebench_drake.suites.simulator_cache import SimulatorCache, failure
 from kinebench_drake.suites.stills import take_stills
-from kinebench_drake.suites.suite import Draw
+from kinebench_drake.suites.suite import EpisodeSpec
 from kinebench_drake.suites.watcher import Watcher
 
 RECORDS, SUMMARY = "demos.jsonl", "demos.json"
@@ -54,7 +54,7 @@ class Delivery:
     """How many demonstrations are missing of each task that was given up."""
 
 
-class _RecordingStage(Stage):
+class _RecordingStage(Simulator):
     """A stage that remembers ManiSkill's state and the verdict after each step."""
 
     def reset(self, episode: Episode) -> None:
@@ -78,17 +78,17 @@ class _Experts:
     shots: Shots
     out: Path
 
-    def __call__(self) -> Callable[[Draw], Record]:
+    def __call__(self) -> Callable[[EpisodeSpec], Record]:
         form = find_format(self.kind)
         content = form.content
-        make = _RecordingStage if Content.STATES in content else Stage
-        hand = Stagehand(make, self.shots.size, renders=bool(content & (Content.FILM | Content.STILLS)))
+        make = _RecordingStage if Content.STATES in content else Simulator
+        hand = SimulatorCache(make, self.shots.size, renders=bool(content & (Content.FILM | Content.STILLS)))
 
-        def demonstrate(draw: Draw) -> Record:
+        def demonstrate(draw: EpisodeSpec) -> Record:
             episode, stage = draw.episode(), hand.stage(draw.task, draw.variant)
             success, progress, reason, clips = False, 0.0, "", 0
             try:
-                performance = perform(stage, find_expert(draw.task), episode, every=self.shots.every)
+                performance = rollout(stage, find_expert(draw.task), episode, every=self.shots.every)
                 outcome, clips = performance.outcome, len(performance.controls) // CLIP_STEPS
                 success, progress = outcome.success and clips > 0, outcome.progress
                 reason = "" if success else outcome.reason or "done before anything moved"
@@ -111,7 +111,7 @@ class _Experts:
         return demonstrate
 
 
-def _demo(stage: Stage, performance: Performance, shots: Shots, content: Content) -> Demo:
+def _demo(stage: Simulator, performance: Rollout, shots: Shots, content: Content) -> Demo:
     from kinebench_drake.suites.tasks.environment import X_WB
 
     recording = stage if isinstance(stage, _RecordingStage) else None
@@ -128,7 +128,7 @@ def _demo(stage: Stage, performance: Performance, shots: Shots, content: Content
     )
 
 
-def make_demos(order: Order, engine: Engine, watcher: Watcher, *, overwrite: bool = False) -> Delivery:
+def make_demos(order: DemoOrder, engine: Engine, watcher: Watcher, *, overwrite: bool = False) -> Delivery:
     """Make demonstrations, or go on making them where a run before was stopped.
 
     Raises:
@@ -185,12 +185,12 @@ def _start_anew(out: Path) -> None:
         SetupError: something cannot be deleted.
     """
     paths = [out / SUMMARY, out / RECORDS]
-    with suppress(OSError, ValueError, KeyError, TypeError, AttributeError):
+    with suppress(OSError, ValueError, KeyError, TypeError, AttributeError, InputError):
         before = json.loads((out / SUMMARY).read_text())
         form = find_format(FormatKind(before["format"]))
         paths += [out / name for name in before.get("files", before.get("replaces", []))]
         paths += form.lists(out, before["tasks"])
-        records = [Record(**row) for row in read_lines(out / RECORDS)]
+        records = read_lines(out / RECORDS, Record.from_json)
         paths += [path for record in records if record.success for path in form.part_files(out, record)]
     _delete(out, paths)
 
@@ -201,14 +201,14 @@ def _delete(out: Path, paths: Sequence[Path]) -> None:
     for path in paths:
         if top not in path.resolve().parents:
             continue
-        with storage(path.name):
+        with disk_errors(path.name):
             path.unlink(missing_ok=True)
         for folder in path.parents[: len(path.parents) - len(out.parents) - 1]:
             with suppress(OSError):  # others are in it
                 folder.rmdir()
 
 
-def _begun(order: Order, records: Mapping[tuple[str, int], Record]) -> dict[str, Any]:
+def _begun(order: DemoOrder, records: Mapping[tuple[str, int], Record]) -> dict[str, Any]:
     """The summary of an earlier run in the folder, whose demonstrations must be a part of this order.
 
     Raises:
@@ -237,31 +237,33 @@ def _begun(order: Order, records: Mapping[tuple[str, int], Record]) -> dict[str,
     return before
 
 
-def _records(order: Order) -> dict[tuple[str, int], Record]:
+def _records(order: DemoOrder) -> dict[tuple[str, int], Record]:
     """Attempts told by the folder, by task and seed."""
     try:
-        records = [Record(**row) for row in read_lines(order.out / RECORDS)]
-    except (OSError, ValueError, TypeError):
+        records = read_lines(order.out / RECORDS, Record.from_json)
+    except (OSError, InputError):
         raise UsageError(f"{order.out / RECORDS}: is damaged; --overwrite starts anew") from None
     return {(record.task, record.seed): record for record in records}
 
 
-def _joined(order: Order, before: dict[str, Any]) -> bool:
+def _joined(order: DemoOrder, before: dict[str, Any]) -> bool:
     """Whether all of this order is there already, its parts joined and gone."""
     files: list[str] = before.get("files", [])
     same = all(before.get(name) == value for name, value in order.request().items())
     return same and bool(files) and all((order.out / name).is_file() for name in files)
 
 
-def _whole(form: Format, out: Path, record: Record) -> bool:
+def _whole(form: DemoFormat, out: Path, record: Record) -> bool:
     return not record.success or all(path.is_file() for path in form.part_files(out, record))
 
 
-def _tries(order: Order, records: Mapping[tuple[str, int], Record], task: str) -> tuple[list[Record], list[Draw]]:
+def _tries(
+    order: DemoOrder, records: Mapping[tuple[str, int], Record], task: str
+) -> tuple[list[Record], list[EpisodeSpec]]:
     """Attempts that count, in the order of seeds up to the last one needed, and those to be made next."""
     wanted, good = order.wanted(), 0
     tried: list[Record] = []
-    todo: list[Draw] = []
+    todo: list[EpisodeSpec] = []
     for draw in order.draws(task, 2 * wanted + PATIENCE if wanted else 0):
         if good + len(todo) == wanted:
             break
@@ -274,11 +276,11 @@ def _tries(order: Order, records: Mapping[tuple[str, int], Record], task: str) -
     return tried, todo
 
 
-def _tried(order: Order, records: Mapping[tuple[str, int], Record]) -> list[Record]:
+def _tried(order: DemoOrder, records: Mapping[tuple[str, int], Record]) -> list[Record]:
     return [record for task in order.tasks for record in _tries(order, records, task)[0]]
 
 
-def _produce(order: Order, records: dict[tuple[str, int], Record], engine: Engine, watcher: Watcher) -> None:
+def _produce(order: DemoOrder, records: dict[tuple[str, int], Record], engine: Engine, watcher: Watcher) -> None:
     """Make attempts until each task has its demonstrations, or too many have failed."""
     kept = sum(record.success for record in _tried(order, records))
     watcher.started(order.wanted() * len(order.tasks), kept)
@@ -296,7 +298,7 @@ def _produce(order: Order, records: dict[tuple[str, int], Record], engine: Engin
             raise SetupError(f"{died[0]}; run the same command again, what is finished is kept")
 
 
-def _finish(order: Order, form: Format, records: Mapping[tuple[str, int], Record]) -> None:
+def _finish(order: DemoOrder, form: DemoFormat, records: Mapping[tuple[str, int], Record]) -> None:
     """Write what speaks of all demonstrations; only then parts that were joined may go."""
     tried = _tried(order, records)
     made = [record for record in tried if record.success]

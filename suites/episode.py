@@ -7,9 +7,9 @@ from kinebench_drake.suites.assets.library import model
 from kinebench_drake.suites.assets.model import Model
 from kinebench_drake.suites.seeding import generator
 from kinebench_drake.suites.split import Pool, pool_assets, pool_looks
-from kinebench_drake.suites.tasks.card import Variant
+from kinebench_drake.suites.tasks.card import TaskVariant
 from kinebench_drake.suites.tasks.registry import find_task
-from kinebench_drake.suites.tasks.task import Layout
+from kinebench_drake.suites.tasks.task import SceneLayout
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -22,7 +22,7 @@ class Episode:
     """Plain task id."""
     seed: int
     """Seed of the scene."""
-    variant: Variant
+    variant: TaskVariant
     """Version of the scene."""
     assets: Mapping[str, str]
     """Asset id of each of the task's slots."""
@@ -41,7 +41,7 @@ class Episode:
         """The asset of each slot."""
         return {slot: model(asset_id) for slot, asset_id in self.assets.items()}
 
-    def layout(self) -> Layout:
+    def layout(self) -> SceneLayout:
         """The scene to begin with."""
         return _layout(self.task, self.seed, self.variant, self.models())
 
@@ -58,17 +58,17 @@ class Episode:
         )
 
 
-def _layout(task: str, seed: int, variant: Variant, models: Mapping[str, Model]) -> Layout:
+def _layout(task: str, seed: int, variant: TaskVariant, models: Mapping[str, Model]) -> SceneLayout:
     return find_task(task).layout(models, generator("layout", task, seed, variant.value), variant)
 
 
-def episode_id(task: str, seed: int, pool: Pool, variant: Variant) -> str:
+def episode_id(task: str, seed: int, pool: Pool, variant: TaskVariant) -> str:
     """Id of an episode, such as "StackCube-v1_s0003_unseen"."""
-    suffix = "".join(f"_{v}" for v in (pool.value, variant.value) if v not in (Pool.ALL.value, Variant.PLAIN.value))
+    suffix = "".join(f"_{v}" for v in (pool.value, variant.value) if v not in (Pool.ALL.value, TaskVariant.PLAIN.value))
     return f"{task}_s{seed:04d}{suffix}"
 
 
-def compose(task: str, seed: int, *, pool: Pool = Pool.ALL, variant: Variant = Variant.PLAIN) -> Episode:
+def compose(task: str, seed: int, *, pool: Pool = Pool.ALL, variant: TaskVariant = TaskVariant.PLAIN) -> Episode:
     """The episode of a task and seed with assets and looks from a pool.
 
     Raises:

@@ -9,18 +9,18 @@ from typing import Any
 from PIL import Image
 
 from kinebench_drake.camera import benchmark_camera
-from kinebench_drake.engines import Crashed, Engine
 from kinebench_drake.errors import SetupError
+from kinebench_drake.executors.base import Crashed, Engine
+from kinebench_drake.io.atomic import atomic_path
+from kinebench_drake.io.jsonl import make_folder, write_json, write_lines
 from kinebench_drake.models.panda.robot import TCP_LINK
-from kinebench_drake.storage import whole
 from kinebench_drake.suites.clock import CLIP_FRAMES, FRAME_PERIOD_S
 from kinebench_drake.suites.episode import Episode
-from kinebench_drake.suites.files import make_folder, write_json, write_lines
-from kinebench_drake.suites.first import first_facts
-from kinebench_drake.suites.stage import Stage
-from kinebench_drake.suites.stagehand import Stagehand
-from kinebench_drake.suites.suite import VERSION, Draw, Suite
-from kinebench_drake.suites.tasks.card import TaskCard, Variant
+from kinebench_drake.suites.simulator import Simulator
+from kinebench_drake.suites.simulator_cache import SimulatorCache
+from kinebench_drake.suites.start import first_facts
+from kinebench_drake.suites.suite import VERSION, EpisodeSpec, Suite
+from kinebench_drake.suites.tasks.card import TaskCard, TaskVariant
 from kinebench_drake.suites.tasks.registry import TASKS
 from kinebench_drake.suites.watcher import Watcher
 
@@ -44,14 +44,14 @@ class Export:
     """Episodes of each task."""
     seed: int
     """Number of the first of the split's seeds."""
-    variant: Variant
+    variant: TaskVariant
     """Version of the scenes."""
     size: int
     """Width and height of the first frames [px]."""
     out: Path
     """Folder to write to."""
 
-    def draws(self) -> list[Draw]:
+    def draws(self) -> list[EpisodeSpec]:
         """The episodes, task by task."""
         return [
             draw
@@ -76,15 +76,15 @@ class _Photographer:
     size: int
     out: Path
 
-    def __call__(self) -> Callable[[Draw], _Photo]:
-        hand = Stagehand(Stage, self.size)
+    def __call__(self) -> Callable[[EpisodeSpec], _Photo]:
+        hand = SimulatorCache(Simulator, self.size)
 
-        def photograph(draw: Draw) -> _Photo:
+        def photograph(draw: EpisodeSpec) -> _Photo:
             episode = draw.episode()
             stage = hand.stage(draw.task, draw.variant)
             stage.reset(episode)
             rgb = stage.picture().rgb
-            with whole(self.out / f"{episode.id}.png") as part:
+            with atomic_path(self.out / f"{episode.id}.png") as part:
                 Image.fromarray(rgb).save(part, format="png")
             width_m = float(stage.snapshot().fingers_m.sum())
             return _Photo(episode=episode, first=first_facts(stage.link_pose(TCP_LINK), width_m))
@@ -104,7 +104,7 @@ def export_suite(export: Export, engine: Engine, watcher: Watcher) -> int:
     draws = export.draws()
     make_folder(export.out)
     watcher.started(len(draws), 0)
-    made: dict[Draw, _Photo] = {}
+    made: dict[EpisodeSpec, _Photo] = {}
     for done in engine.run(_Photographer(export.size, export.out), draws):
         if isinstance(done, Crashed):
             raise SetupError(f"{done.item.task} seed {done.item.seed}: {done.reason}; run the same command again")

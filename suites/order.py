@@ -5,15 +5,15 @@ from pathlib import Path
 from typing import Any
 
 import kinebench_drake
-from kinebench_drake.shard import Shard
+from kinebench_drake.results.metadata import Shard
 from kinebench_drake.suites.formats.demo import Content, FormatKind, Shots
 from kinebench_drake.suites.formats.format import find_format
-from kinebench_drake.suites.suite import Draw, Suite
-from kinebench_drake.suites.tasks.card import Variant
+from kinebench_drake.suites.suite import EpisodeSpec, Suite
+from kinebench_drake.suites.tasks.card import TaskVariant
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Order:
+class DemoOrder:
     """Which demonstrations to make."""
 
     suite: Suite
@@ -25,7 +25,7 @@ class Order:
     """Successful demonstrations of each task."""
     seed: int
     """Number of the first of the split's seeds."""
-    variant: Variant
+    variant: TaskVariant
     """Version of the scenes."""
     shots: Shots
     kind: FormatKind
@@ -47,7 +47,7 @@ class Order:
         """Demonstrations of each task that are this part's."""
         return self.episodes if self.shard is None else len(self.shard.take(range(self.episodes)))
 
-    def draws(self, task: str, tries: int) -> list[Draw]:
+    def draws(self, task: str, tries: int) -> list[EpisodeSpec]:
         """The first `tries` episodes of a task that are this part's; fewer where the split ends."""
         first, end = self.suite.splits[self.split].seeds
         parts = 1 if self.shard is None else self.shard.count

@@ -10,11 +10,11 @@ from kinebench_drake.suites.clock import CLIP_FRAMES, STEPS_PER_FRAME
 from kinebench_drake.suites.episode import Episode
 from kinebench_drake.suites.experts.motion import plan
 from kinebench_drake.suites.experts.registry import Expert
-from kinebench_drake.suites.stage import Outcome, Snapshot, Stage
+from kinebench_drake.suites.simulator import Simulator, Snapshot, TaskOutcome
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Performance:
+class Rollout:
     """One episode as it happened in the simulation."""
 
     episode: Episode
@@ -23,12 +23,12 @@ class Performance:
     """The T moments to film, evenly spaced: `FRAME_PERIOD_S` apart unless asked for otherwise."""
     controls: Array
     """(N, 8) commands at 20 Hz: seven joint angles [rad] and the gap between the finger pads [m]."""
-    outcome: Outcome
+    outcome: TaskOutcome
     """How it ended."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PerformedClip:
+class RolloutSegment:
     """One clip's worth of a performance."""
 
     snapshots: tuple[Snapshot, ...]
@@ -37,7 +37,7 @@ class PerformedClip:
     """(N, 8) commands, as in `Performance`."""
 
 
-def perform_clip(stage: Stage, expert: Expert, *, every: int = STEPS_PER_FRAME) -> PerformedClip | None:
+def rollout_clip(stage: Simulator, expert: Expert, *, every: int = STEPS_PER_FRAME) -> RolloutSegment | None:
     """Let the expert go on with its task from the present state, for one clip; None if there is nothing left to do.
 
     Raises:
@@ -53,10 +53,10 @@ def perform_clip(stage: Stage, expert: Expert, *, every: int = STEPS_PER_FRAME) 
         stage.step(q, finger_width_m)
         if i % every == 0:
             snapshots.append(stage.snapshot())
-    return PerformedClip(snapshots=tuple(snapshots), controls=np.column_stack([motion.q, motion.finger_width_m]))
+    return RolloutSegment(snapshots=tuple(snapshots), controls=np.column_stack([motion.q, motion.finger_width_m]))
 
 
-def perform(stage: Stage, expert: Expert, episode: Episode, *, every: int = STEPS_PER_FRAME) -> Performance:
+def rollout(stage: Simulator, expert: Expert, episode: Episode, *, every: int = STEPS_PER_FRAME) -> Rollout:
     """Let the expert do its task, clip by clip; nothing is rendered. It ends at success or after the task's clips.
 
     Args:
@@ -71,14 +71,14 @@ def perform(stage: Stage, expert: Expert, episode: Episode, *, every: int = STEP
     stage.reset(episode)
     snapshots, controls = [stage.snapshot()], [np.zeros((0, 8))]
     for _ in range(stage.task.card.clips):
-        clip = perform_clip(stage, expert, every=every)
+        clip = rollout_clip(stage, expert, every=every)
         if clip is None:
             break
         snapshots += clip.snapshots
         controls.append(clip.controls)
         if stage.outcome().success:
             break
-    return Performance(
+    return Rollout(
         episode=episode,
         snapshots=tuple(snapshots),
         controls=np.concatenate(controls),

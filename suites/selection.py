@@ -7,7 +7,7 @@ from kinebench_drake.errors import UsageError
 
 if TYPE_CHECKING:  # heavy: helps and usage errors should not wait for it
     from kinebench_drake.suites.suite import Suite
-    from kinebench_drake.suites.tasks.card import Variant
+    from kinebench_drake.suites.tasks.card import TaskVariant
 
 _PREFIX = "KineBench/"
 
@@ -24,7 +24,7 @@ def task_names(names: str | Sequence[str] | None) -> list[str] | None:
     return list(dict.fromkeys(name.strip().removeprefix(_PREFIX) for name in listed))
 
 
-def with_variant(tasks: Sequence[str], variant: "Variant", *, named: bool) -> list[str]:
+def with_variant(tasks: Sequence[str], variant: "TaskVariant", *, named: bool) -> list[str]:
     """Those of some tasks that have a variant; all of them have to if the user named them.
 
     Raises:
@@ -41,7 +41,9 @@ def with_variant(tasks: Sequence[str], variant: "Variant", *, named: bool) -> li
     return having
 
 
-def chosen_tasks(suite: "Suite", split: str, names: str | Sequence[str] | None, variant: "Variant") -> tuple[str, ...]:
+def chosen_tasks(
+    suite: "Suite", split: str, names: str | Sequence[str] | None, variant: "TaskVariant"
+) -> tuple[str, ...]:
     """Tasks of a split that are named, or all that have the variant.
 
     Raises:

@@ -1,11 +1,13 @@
 """How the robot stands in an episode's first frame, known without building the scene (no simulator, no PyTorch)."""
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.errors import UsageError
+from kinebench_drake.geometry import Array
 from kinebench_drake.suites.seeding import generator
 
 START_Q = np.array([0.0, -0.272, 0.0, -2.542, 0.0, 2.27, np.pi / 4])
@@ -58,3 +60,17 @@ def start_q(task_id: str, seed: int, finger_width_m: float | None = None) -> NDA
         finger_width_m = START_WIDTH_M[task_id]
     noise = generator("start", task_id, seed).normal(0.0, START_NOISE_RAD, 7)
     return np.concatenate([START_Q + noise, np.full(2, finger_width_m / 2.0)])
+
+
+_DECIMALS = 9
+
+
+def first_facts(X_BG: Array, finger_width_m: float) -> dict[str, Any]:
+    """Keys of a manifest's line.
+
+    Args:
+        X_BG: pose (4, 4) of panda_hand_tcp in the robot base frame [m].
+        finger_width_m: gap between the finger pads [m].
+    """
+    pose = X_BG.round(_DECIMALS) + 0.0  # no -0.0
+    return {"first_base_from_tcp": pose.tolist(), "first_finger_width_m": round(finger_width_m, _DECIMALS) + 0.0}

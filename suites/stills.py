@@ -11,10 +11,9 @@ import numpy as np
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.geometry import Array
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.models.perception.frame import Frame
-from kinebench_drake.models.perception.viewpoint import varied_camera
-from kinebench_drake.suites.rollout import Performance
-from kinebench_drake.suites.stage import Snapshot, Stage
+from kinebench_drake.models.perception.frame import RenderedFrame, varied_camera
+from kinebench_drake.suites.rollout import Rollout
+from kinebench_drake.suites.simulator import Simulator, Snapshot
 
 STILLS = 32
 """Stills of a performance."""
@@ -25,7 +24,7 @@ _LEAST_Z_M = 0.012  # of a tool centre point above the table
 _TRIES = 200
 
 
-def take_stills(stage: Stage, performance: Performance, rng: np.random.Generator) -> list[Frame]:
+def take_stills(stage: Simulator, performance: Rollout, rng: np.random.Generator) -> list[RenderedFrame]:
     """`STILLS` frames of a performance, on the stage where it took place; its camera comes back in the end."""
     before, size = stage.camera, stage.camera.width
     plant = ArmPlant()

@@ -13,7 +13,7 @@ from pydantic import ConfigDict, TypeAdapter
 from kinebench_drake.errors import UsageError
 from kinebench_drake.suites.episode import Episode, compose, episode_id
 from kinebench_drake.suites.split import Pool
-from kinebench_drake.suites.tasks.card import Variant
+from kinebench_drake.suites.tasks.card import TaskVariant
 from kinebench_drake.suites.tasks.registry import TASKS
 
 _STRICT = ConfigDict(extra="forbid")
@@ -33,7 +33,7 @@ class Relation(Enum):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Draw:
+class EpisodeSpec:
     """What determines one episode."""
 
     task: str
@@ -42,7 +42,7 @@ class Draw:
     """Seed of the scene."""
     pool: Pool
     """Assets and looks to draw from."""
-    variant: Variant
+    variant: TaskVariant
     """Version of the scene."""
 
     @property
@@ -97,7 +97,7 @@ class LeftOut:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Training:
+class TrainingPlan:
     """One training run of a study."""
 
     demonstrations: int
@@ -107,7 +107,7 @@ class Training:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Study:
+class SuiteStudy:
     """A grid of training runs."""
 
     __pydantic_config__: ClassVar[ConfigDict] = _STRICT
@@ -116,9 +116,9 @@ class Study:
     steps: tuple[int, ...]
     """Optimisation steps."""
 
-    def trainings(self) -> list[Training]:
+    def trainings(self) -> list[TrainingPlan]:
         """All runs, the cheapest data first."""
-        return [Training(demonstrations=n, steps=steps) for n, steps in product(self.demonstrations, self.steps)]
+        return [TrainingPlan(demonstrations=n, steps=steps) for n, steps in product(self.demonstrations, self.steps)]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -142,8 +142,8 @@ class Suite:
     """Why its unseen tasks tell of transfer."""
     left_out: tuple[LeftOut, ...] = ()
     """Tasks that are no part of it."""
-    study: Study | None = None
-    """Training runs it asks for."""
+    study: SuiteStudy | None = None
+    """TrainingPlan runs it asks for."""
 
     def split_name(self, name: str | None) -> str:
         """Name of a split; that which is judged if none is given, or if "test" is and no split is called so.
@@ -173,8 +173,8 @@ class Suite:
         return own if chosen is None else tuple(task for task in own if task in chosen)
 
     def draws(
-        self, split: str, task: str, count: int, *, offset: int = 0, variant: Variant = Variant.PLAIN
-    ) -> list[Draw]:
+        self, split: str, task: str, count: int, *, offset: int = 0, variant: TaskVariant = TaskVariant.PLAIN
+    ) -> list[EpisodeSpec]:
         """The first `count` episodes of a task from the split's seed number `offset` on, none of them made yet.
 
         Raises:
@@ -188,7 +188,7 @@ class Suite:
                 "episodes leaves them"
             )
         seeds = range(first + offset, first + offset + count)
-        return [Draw(task=task, seed=seed, pool=part.pool, variant=variant) for seed in seeds]
+        return [EpisodeSpec(task=task, seed=seed, pool=part.pool, variant=variant) for seed in seeds]
 
     def episodes(
         self,
@@ -197,7 +197,7 @@ class Suite:
         *,
         tasks: Sequence[str] | None = None,
         offset: int = 0,
-        variant: Variant = Variant.PLAIN,
+        variant: TaskVariant = TaskVariant.PLAIN,
     ) -> list[Episode]:
         """`count` episodes of each of a split's tasks: a larger count begins with the episodes of a smaller one.
 

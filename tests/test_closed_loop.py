@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from kinebench_drake.closed_loop import _kept
+from kinebench_drake.closed_loop.loop import _kept
 
 
 @pytest.fixture

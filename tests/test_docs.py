@@ -9,8 +9,8 @@ from pathlib import Path
 import click
 import pytest
 
+from benchmarks.__main__ import main as validation
 from kinebench_drake.cli import cli
-from kinebench_drake.validation.__main__ import main as validation
 
 ROOT = Path(__file__).parent.parent
 PAGES = [

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from kinebench_drake.camera import benchmark_camera
-from kinebench_drake.grounding.video import read_video
-from kinebench_drake.mp4 import write_video
+from kinebench_drake.io.container import write_video
+from kinebench_drake.io.reader import read_video
 
 ROOT = Path(__file__).parent.parent
 CLIP = ROOT / "examples" / "videos" / "PickFruits-v1_s0010_unseen.mp4"

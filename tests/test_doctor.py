@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from safetensors.numpy import save_file
 
-from kinebench_drake import doctor
-from kinebench_drake.doctor import Check
+from kinebench_drake.environment import doctor
+from kinebench_drake.environment.doctor import Check
 
 
 def test_render_shows_every_check_and_the_fix_of_failures_only() -> None:

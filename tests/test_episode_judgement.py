@@ -5,12 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kinebench_drake.drake_stages import DrakeStages
-from kinebench_drake.episode_judgement import combine, joined_track
+from kinebench_drake.evaluation.clips import combine, joined_track
+from kinebench_drake.evaluation.stages import DrakeStages, RobotOptions
 from kinebench_drake.geometry import make_pose
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.products import GripperTrack
-from kinebench_drake.stages import StageOptions
+from kinebench_drake.types import GripperTrack
 
 Q = np.array([0.0, 0.3, 0.0, -2.0, 0.0, 2.2, 0.8])
 N = 25
@@ -18,7 +17,7 @@ N = 25
 
 @pytest.fixture(scope="module")
 def stages():
-    return DrakeStages(StageOptions())
+    return DrakeStages(RobotOptions())
 
 
 def clip(shift=(0.0, 0.0, 0.0), reach=0.1, seen=N):

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from kinebench_drake.grounding.video import read_video
-from kinebench_drake.mp4 import write_video
-from kinebench_drake.results import read_rows
+from kinebench_drake.io.container import write_video
+from kinebench_drake.io.reader import read_video
+from kinebench_drake.results.store import read_rows
 from kinebench_drake.suites.worldmodels.factory import create
 from kinebench_drake.suites.worldmodels.worldmodel import Request
 

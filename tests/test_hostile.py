@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from kinebench_drake.camera import Camera
+from kinebench_drake.datasets.manifest import inside
+from kinebench_drake.datasets.videos.find import find_samples
 from kinebench_drake.errors import InputError, UsageError, one_line
-from kinebench_drake.inputs import find_samples
-from kinebench_drake.manifest import inside
-from kinebench_drake.plainfile import parse_json, read_bytes
+from kinebench_drake.io.files import parse_json, read_bytes
 from kinebench_drake.report import write_report
-from kinebench_drake.results import ResultStore
-from kinebench_drake.row import Status
-from kinebench_drake.suite_report import write_suite_report
+from kinebench_drake.report.suite import write_suite_report
+from kinebench_drake.results.row import Status
+from kinebench_drake.results.store import ResultStore
 from tests.report.pages import Page, row
 from tests.suite_report.synthetic import write_run
 
@@ -50,7 +50,7 @@ def test_a_pipe_is_not_waited_for(tmp_path, name):
     def read():
         try:
             source = tmp_path / name if name.endswith(("jsonl", "npz")) else tmp_path
-            from kinebench_drake.grounding.video import read_video
+            from kinebench_drake.io.reader import read_video
 
             for sample in find_samples(source).samples:
                 read_video(sample.path, sample.part)
@@ -80,9 +80,8 @@ def test_deep_json_and_long_numbers_are_values_or_refused():
 
 
 def test_a_playlist_is_no_film(tmp_path):
-    from kinebench_drake.grounding.decoded import WHOLE
-    from kinebench_drake.grounding.film import read_film
-    from kinebench_drake.mp4 import write_video
+    from kinebench_drake.io.container import read_film, write_video
+    from kinebench_drake.io.video import WHOLE
 
     write_video(tmp_path / "real.mp4", np.zeros((3, 96, 96, 3), np.uint8), 10)
     (tmp_path / "list.mp4").write_text("ffconcat version 1.0\nfile real.mp4\n")

@@ -11,70 +11,32 @@ import pytest
 ROOT = Path(__file__).parent.parent
 PACKAGE = "kinebench_drake"
 
-LEAF = {
-    *(
-        "__init__",
-        "errors",
-        "geometry",
-        "camera",
-        "products",
-        "native",
-        "mp4",
-        "identity",
-        "shard",
-        "storage",
-        "plugin",
-        "runs",
-        "drawing",
-        "markdown",
-        "npz",
-        "interrupt",
-        "hdf5",
-        "plainfile",
-        "filetypes",
-    ),
-}
-RESULTS = {
-    "row",
-    "pairing",
-    "aggregate",
-    "normalization",
-    "results",
-    "trackfile",
-    "provenance",
-    "report",
-    "engines",
-    "header",
-    "sourcetree",
-}
+LEAF = {"__init__", "errors", "geometry", "camera", "types", "segments", "stats", "plugin"}
+IO = LEAF | {"io", "environment"}
 MAY_IMPORT = {
     **dict.fromkeys(LEAF, LEAF),
     "__init__": LEAF | {"api"},
-    "models": LEAF,
-    "kinematics": LEAF | {"models"},
-    "metrics": LEAF | {"models", "kinematics"},
-    "grounding": LEAF | {"models", "kinematics", "engines"},
-    "suites": LEAF | {"models", "kinematics", "engines"},
-    **dict.fromkeys(RESULTS, LEAF | RESULTS),
-    "manifest": LEAF,
-    "suite_report": LEAF | RESULTS | {"suites"},
-    "stages": LEAF | {"row", "grounding"},
-    "trajectories": LEAF | {"results", "sourcetree"},
-    "measure": LEAF | RESULTS | {"stages", "models"},
-    "resumption": LEAF | RESULTS | {"measure"},
-    "run": LEAF | RESULTS | {"stages", "measure", "resumption", "replay", "kinematics", "models"},
-    "trajectory_measure": LEAF | RESULTS | {"stages", "measure", "trajectories"},
-    "audit": LEAF | RESULTS | {"stages", "measure", "run", "trajectories", "trajectory_measure", "models"},
-    "calibration": LEAF | RESULTS | {"models", "grounding", "trajectories"},
-    "merge": LEAF | RESULTS | {"measure", "run"},
-    "thumbnail": LEAF | {"stages"},
-    "validation": LEAF
-    | RESULTS
-    | {"models", "kinematics", "metrics", "suites", "stages", "drake_stages", "audit"}
-    | {"grounding", "closed_loop", "episode_cause", "calibration", "inputs", "trajectories", "measure", "run", "merge"}
-    | {"video_measure", "trajectory_measure", "suite_report"},
+    "io": IO,
+    "environment": IO,
+    "datasets": IO | {"results"},
+    "results": IO,
+    "executors": IO | {"results"},
+    "models": IO,
+    "kinematics": IO | {"models"},
+    "metrics": IO | {"models", "kinematics"},
+    "grounding": IO | {"models", "kinematics", "executors"},
+    "suites": IO | {"models", "kinematics", "executors"},
+    "calibration": IO | {"models", "datasets", "results", "grounding"},
+    "closed_loop": IO | {"models", "kinematics", "metrics", "executors", "grounding", "suites"},
+    "report": IO | {"models", "kinematics", "metrics", "datasets", "results", "suites"},
+    "evaluation": IO
+    | {"models", "kinematics", "metrics", "datasets", "results", "executors"}
+    | {"grounding", "suites", "closed_loop", "report"},
+    "api": IO
+    | {"models", "kinematics", "metrics", "datasets", "results", "executors"}
+    | {"grounding", "suites", "closed_loop", "report", "evaluation"},
 }
-"""What each part may import besides itself. Parts not named here see all but the command line."""
+"""What each folder may import besides itself; the command line sees all."""
 ABOVE_ALL = {"cli", "__main__"}
 TRAINING = ROOT / "grounding" / "training"
 """Training renders its pictures from the suites' scenes; nothing else of grounding may."""
@@ -142,8 +104,15 @@ def test_importing_the_package_loads_nothing_heavy():
 @pytest.mark.parametrize(
     "module",
     [
-        *("api", "score", "audit", "inputs", "results", "measure", "report", "merge"),
-        *("cli.score", "cli.audit", "cli.run"),
+        *(
+            "api",
+            "evaluation.score",
+            "evaluation.audit",
+            "datasets.videos.find",
+            "results.store",
+            "evaluation.evaluator",
+        ),
+        *("report", "results.merge", "cli.score", "cli.audit", "cli.run"),
         *("suites.start", "suites.worldmodels.factory"),
     ],
 )
@@ -163,8 +132,8 @@ def test_every_package_and_data_file_is_shipped():
         first, *rest = path.relative_to(ROOT).parent.parts
         found.add(".".join([PACKAGE, *([] if first == PACKAGE else [first]), *rest]))
     assert sorted(settings["packages"]) == sorted(found)
-    for name in ("report", "suite_report"):
-        template = ROOT / PACKAGE / name / "page.html.j2"
+    for name in ("report", "report.suite"):
+        template = ROOT.joinpath(PACKAGE, *name.split("."), "page.html.j2")
         assert any(template.match(pattern) for pattern in settings["package-data"][f"{PACKAGE}.{name}"])
 
 

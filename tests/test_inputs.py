@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from kinebench_drake.camera import benchmark_camera
+from kinebench_drake.datasets.videos.find import find_samples
+from kinebench_drake.datasets.videos.sample import CameraSource
 from kinebench_drake.errors import UsageError
 from kinebench_drake.geometry import make_pose, rotation_exp
-from kinebench_drake.inputs import CameraSource, find_samples
 
 
 def touch(folder, *names):
@@ -153,10 +154,10 @@ def test_a_manifest_carries_the_first_frame(tmp_path):
     line = {"video": "v.mp4", "first_base_from_tcp": X_BG.tolist()}
     lines = [{**line, "first_finger_width_m": width} for width in (0.03, -0.001, 0.081)]
     *whole, pose, bare = find_samples(write_manifest(tmp_path, *lines, line, {"video": "v.mp4"})).samples
-    assert [sample.first.finger_width_m for sample in whole] == [0.03, 0.0, 0.08]
-    assert np.allclose([sample.first.X_BG for sample in (*whole, pose)], X_BG)
-    assert np.isnan(pose.first.finger_width_m)
-    assert bare.first is None
+    assert [sample.initial_state.finger_width_m for sample in whole] == [0.03, 0.0, 0.08]
+    assert np.allclose([sample.initial_state.X_BG for sample in (*whole, pose)], X_BG)
+    assert np.isnan(pose.initial_state.finger_width_m)
+    assert bare.initial_state is None
 
 
 def test_unknown_keys_are_a_warning(tmp_path):

@@ -8,8 +8,9 @@ from contextlib import closing, suppress
 
 import pytest
 
-from kinebench_drake.engines import Done, local
-from kinebench_drake.engines.local import LocalEngine
+from kinebench_drake.executors import local
+from kinebench_drake.executors.base import Done
+from kinebench_drake.executors.local import LocalEngine
 
 
 def make_doubling():

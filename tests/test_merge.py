@@ -7,20 +7,20 @@ import numpy as np
 import pytest
 
 from kinebench_drake.errors import InputError, UsageError
+from kinebench_drake.evaluation.evaluator import RunKind
+from kinebench_drake.evaluation.runner import NullObserver, close_run, summarize
 from kinebench_drake.geometry import make_pose
-from kinebench_drake.header import RunHeader, read_header
-from kinebench_drake.measure import Kind
-from kinebench_drake.merge import _copy, merge_folders
-from kinebench_drake.products import GripperTrack
-from kinebench_drake.results import ResultStore, part_path, read_rows
-from kinebench_drake.row import SampleRow, Status
-from kinebench_drake.run import Silence, close_run, summarize
-from kinebench_drake.trackfile import write_track
+from kinebench_drake.results.merge import _copy, merge_folders
+from kinebench_drake.results.metadata import RunMetadata, read_metadata
+from kinebench_drake.results.row import SampleRow, Status
+from kinebench_drake.results.store import ResultStore, artifact_path, read_rows
+from kinebench_drake.results.trackfile import write_track
+from kinebench_drake.types import GripperTrack
 
 IDS = ["a", "b", "b_r0", "c", "d", "e", "f"]
 
 
-class Ear(Silence):
+class Ear(NullObserver):
     def __init__(self):
         self.warnings = []
 
@@ -33,7 +33,7 @@ def header(kind="suite", **changes):
     config |= {name: changes.pop(name) for name in list(changes) if name in config or name == "replays"}
     told = {"schema_version": 1, "suite_version": None, "kind": kind, "samples_found": len(IDS), "tags": {"run": "7"}}
     told |= {"versions": {"drake": "1.51"}, "code_sha256": "c0de", "weights_sha256": "f00d", "host": {"cores": 2}}
-    return RunHeader(**{**told, "config": config, "bootstrap_seed": 3, **changes})
+    return RunMetadata(**{**told, "config": config, "bootstrap_seed": 3, **changes})
 
 
 def sample(id, **changes):
@@ -60,9 +60,9 @@ def fill(out, facts, rows, *, finished=True, replays=99):
             store.finish(summarize(store.sorted_rows(), facts))
             worst = [row.id for row in sorted(store.rows.values(), key=lambda r: (r.feasible is True, r.id))][:replays]
             for id in worst:
-                part_path(out, "replays", id).parent.mkdir(exist_ok=True)
-                part_path(out, "replays", id).write_text(f"replay {id}")
-            close_run(store, Kind(facts.kind), 3)
+                artifact_path(out, "replays", id).parent.mkdir(exist_ok=True)
+                artifact_path(out, "replays", id).write_text(f"replay {id}")
+            close_run(store, RunKind(facts.kind), 3)
     return out
 
 
@@ -76,9 +76,9 @@ def _write_files(out, id):
         confidence=np.ones(4),
         finger_width_m=X[:, 0, 3],
     )
-    write_track(part_path(out, "tracks", id), track, None, {})
+    write_track(artifact_path(out, "tracks", id), track, None, {})
     for part in ("overlays", "rollouts", "thumbnails"):
-        part_path(out, part, id).write_text(f"{part} {id}")
+        artifact_path(out, part, id).write_text(f"{part} {id}")
     (out / "videos" / f"{id}_r1").mkdir(parents=True)
     (out / "videos" / f"{id}_r0.mp4").write_text(f"video {id}")
     (out / "videos" / f"{id}_r1" / "0.png").write_text(f"frame {id}")
@@ -127,8 +127,8 @@ def test_shards_of_like_machines_give_the_same_bytes(tmp_path):
 
 def test_a_copy_that_changes_does_not_change_the_shard(shards, tmp_path):
     merge_folders(shards, tmp_path / "out")
-    part_path(tmp_path / "out", "rollouts", "a").write_text("changed in place")
-    assert part_path(shards[0], "rollouts", "a").read_text() == "rollouts a"
+    artifact_path(tmp_path / "out", "rollouts", "a").write_text("changed in place")
+    assert artifact_path(shards[0], "rollouts", "a").read_text() == "rollouts a"
 
 
 def test_absent_shards_are_told_and_come_later(shards, tmp_path):
@@ -179,7 +179,7 @@ def test_the_same_sample_twice(tmp_path):
         out = tmp_path / f"out_{order[0].name}"
         merge_folders(order, out)
         assert {id: row.status.value for id, row in read_rows(out).items()} == {"a": "ok", "b": "ok", "c": "error"}
-        assert part_path(out, "tracks", "b").is_file()
+        assert artifact_path(out, "tracks", "b").is_file()
     three = fill(tmp_path / "three", header(), [sample("a", metrics={"sparc": -9.0})])
     with pytest.raises(UsageError, match=r"one and .*three hold different results of 'a'"):
         merge_folders([one, three], tmp_path / "none")
@@ -261,7 +261,7 @@ def test_a_file_that_cannot_be_read_is_not_told_as_a_full_disk(tmp_path):
 def test_lost_files_and_unlike_versions_are_told(tmp_path):
     one = fill(tmp_path / "one", header(), [sample("a"), sample("c")])
     two = fill(tmp_path / "two", header(versions={"drake": "1.52"}), [sample("b")])
-    part_path(one, "tracks", "c").unlink()
+    artifact_path(one, "tracks", "c").unlink()
     ear = Ear()
     merge_folders([one, two], tmp_path / "out", ear)
     assert any("1 samples lack their tracks (such as 'c')" in text for text in ear.warnings)
@@ -271,11 +271,11 @@ def test_lost_files_and_unlike_versions_are_told(tmp_path):
 
 def test_headers_survive_their_file(tmp_path):
     out = fill(tmp_path / "out", header(), [sample("a")], finished=False)
-    found = read_header(out)
+    found = read_metadata(out)
     assert (found.header, found.finished) == (header(), False)
     assert fill(out, header(), []) == out
-    assert read_header(out).finished
+    assert read_metadata(out).finished
     assert not (out / "run.json").exists()
     (out / "results.json").write_text('{"kind": 3}')
     with pytest.raises(InputError, match="is not what a run writes"):
-        read_header(out)
+        read_metadata(out)

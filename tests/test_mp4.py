@@ -2,7 +2,7 @@ from pathlib import Path
 
 import numpy as np
 
-from kinebench_drake.mp4 import join_videos, write_video
+from kinebench_drake.io.container import join_videos, write_video
 from tests.films import decoded
 
 

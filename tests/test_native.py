@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from kinebench_drake import native
+from kinebench_drake.environment import native
 from kinebench_drake.errors import SetupError
 
 NEEDS_COMPILER = pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler")

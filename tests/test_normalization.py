@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from kinebench_drake.errors import UsageError
-from kinebench_drake.normalization import normalize_run, robust_normalize
-from kinebench_drake.row import SampleRow, Status
+from kinebench_drake.results.aggregate import normalize_run, robust_normalize
+from kinebench_drake.results.row import SampleRow, Status
 
 
 def _row(id: str, cost: float | None, model: str | None = None, status: Status = Status.OK) -> SampleRow:

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from kinebench_drake.errors import InputError
-from kinebench_drake.pairing import Paired
+from kinebench_drake.stats import PairedOutcomes
 
 
 def paired(both, first_only, second_only, neither):
-    return Paired(both=both, first_only=first_only, second_only=second_only, neither=neither)
+    return PairedOutcomes(both=both, first_only=first_only, second_only=second_only, neither=neither)
 
 
 @pytest.mark.parametrize(
@@ -38,7 +38,7 @@ def test_intervals_hold_the_true_difference_as_often_as_they_say():
         common = rng.random(60) < 0.5
         first = common | (rng.random(60) < 0.3)
         second = common | (rng.random(60) < 0.1)
-        low, high = Paired.of(first.tolist(), second.tolist()).interval()
+        low, high = PairedOutcomes.of(first.tolist(), second.tolist()).interval()
         held += low <= 0.5 * 0.2 <= high
     assert 0.92 <= held / 600 <= 0.98
 
@@ -50,6 +50,6 @@ def test_mcnemar_counts_discordant_pairs_only():
 
 def test_nothing_in_common_is_told():
     with pytest.raises(InputError, match="nothing to compare"):
-        Paired.of([], [])
+        PairedOutcomes.of([], [])
     with pytest.raises(InputError, match="cannot be paired"):
-        Paired.of([True], [])
+        PairedOutcomes.of([True], [])

@@ -10,17 +10,18 @@ from hypothesis import strategies as st
 
 from kinebench_drake import geometry as g
 from kinebench_drake.camera import Camera
+from kinebench_drake.datasets.ids import safe, unique_ids
+from kinebench_drake.datasets.manifest import read_manifest
+from kinebench_drake.datasets.trajectories.check import check
+from kinebench_drake.datasets.trajectories.trajectory import RawTrajectory
 from kinebench_drake.errors import InputError, KinebenchError, UsageError
-from kinebench_drake.header import RunHeader
-from kinebench_drake.identity import safe, unique_ids
-from kinebench_drake.manifest import read_manifest
-from kinebench_drake.plainfile import parse_json
-from kinebench_drake.products import GripperTrack, IkStatus, JointTrack
-from kinebench_drake.results import SAMPLES, read_rows
-from kinebench_drake.row import SampleRow, Status, dump, finite
-from kinebench_drake.trackfile import read_track, write_track
-from kinebench_drake.trajectories.check import check
-from kinebench_drake.trajectories.trajectory import Recording
+from kinebench_drake.io.files import parse_json
+from kinebench_drake.io.jsonl import dump, finite
+from kinebench_drake.results.metadata import RunMetadata
+from kinebench_drake.results.row import SampleRow, Status
+from kinebench_drake.results.store import SAMPLES, read_rows
+from kinebench_drake.results.trackfile import read_track, write_track
+from kinebench_drake.types import GripperTrack, IkStatus, JointTrack
 
 usual = settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
@@ -258,7 +259,7 @@ def test_any_json_is_a_row_or_refused(value, key):
 @given(json_values)
 def test_any_json_is_a_header_or_refused(value):
     with pytest.raises(InputError):
-        RunHeader.from_json(value)
+        RunMetadata.from_json(value)
 
 
 @usual
@@ -281,7 +282,7 @@ arrays = st.builds(
 @usual
 @given(arrays | st.none(), arrays, st.booleans(), arrays | st.none(), arrays | st.none())
 def test_any_arrays_are_a_trajectory_or_refused(t_s, values, joints, tracked, width):
-    recording = Recording(
+    recording = RawTrajectory(
         t_s=t_s,
         q=values if joints else None,
         X_BG=None if joints else values,

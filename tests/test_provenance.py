@@ -2,7 +2,7 @@ import shutil
 from pathlib import Path
 
 import kinebench_drake
-from kinebench_drake import provenance
+from kinebench_drake.results import provenance
 
 
 def fingerprint(folder, monkeypatch):
@@ -12,7 +12,7 @@ def fingerprint(folder, monkeypatch):
 
 def test_the_code_is_known_by_its_sources(tmp_path, monkeypatch):
     real = Path(kinebench_drake.__file__).parent
-    names = ("measure.py", "kinematics/ik.py", "grounding/fit.py", "cli/score.py", "report/page.py")
+    names = ("measure.py", "kinematics/ik.py", "grounding/registration/fit.py", "cli/score.py", "report/page.py")
     for name in names:
         (tmp_path / "package" / name).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(real / name, tmp_path / "package" / name)

@@ -6,10 +6,10 @@ from types import SimpleNamespace
 
 import pytest
 
-from kinebench_drake.engines import Crashed, Done, EngineKind, create_engine
-from kinebench_drake.engines.local import THREAD_VARIABLES
-from kinebench_drake.engines.ray import MOST_FAILED_STARTS, RayEngine, gpu_share
 from kinebench_drake.errors import SetupError
+from kinebench_drake.executors.base import Crashed, Done, EngineKind, create_engine
+from kinebench_drake.executors.local import THREAD_VARIABLES
+from kinebench_drake.executors.ray import MOST_FAILED_STARTS, RayEngine, gpu_share
 
 
 class RayError(Exception):
@@ -155,7 +155,7 @@ def test_workers_that_cannot_begin_end_the_run(ray):
 def test_an_unlike_node_is_told(ray, monkeypatch):
     codes = iter("ab")
     with monkeypatch.context() as patch:
-        patch.setattr("kinebench_drake.engines.ray.code_hash", lambda: next(codes))
+        patch.setattr("kinebench_drake.executors.ray.code_hash", lambda: next(codes))
         with pytest.raises(SetupError, match="has another version"):
             run(doubling(), [1], jobs=1)
     monkeypatch.setattr("os.getcwd", lambda: "/nowhere/at/all")

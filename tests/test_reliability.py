@@ -9,12 +9,12 @@ from pathlib import Path
 
 import pytest
 
-from kinebench_drake import storage
-from kinebench_drake.engines import Done
-from kinebench_drake.engines.local import LocalEngine
 from kinebench_drake.errors import SetupError, UsageError
-from kinebench_drake.interrupt import patient
-from kinebench_drake.results import ResultStore, read_rows
+from kinebench_drake.executors.base import Done
+from kinebench_drake.executors.interrupt import graceful_interrupt
+from kinebench_drake.executors.local import LocalEngine
+from kinebench_drake.io import atomic as storage
+from kinebench_drake.results.store import ResultStore, read_rows
 from tests.report.pages import row
 
 # Disk
@@ -99,7 +99,7 @@ def test_a_folder_that_cannot_be_written_is_told(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("jump_s", [-1e9, 1e9, -3600.0])
 def test_a_clock_that_jumps_changes_no_time_and_no_result(tmp_path, monkeypatch, jump_s):
-    from kinebench_drake.suites.worldmodels.deadline import Deadline
+    from kinebench_drake.suites.worldmodels.client import Deadline
 
     true, calls = time.time, iter(range(10**9))
     monkeypatch.setattr(time, "time", lambda: true() + jump_s * (next(calls) % 2))
@@ -134,7 +134,7 @@ def test_the_first_interrupt_finishes_what_is_at_hand_and_begins_no_more():
     before = signal.getsignal(signal.SIGINT)
     signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
-        with patient(engine.drain, told.append) as asked:
+        with graceful_interrupt(engine.drain, told.append) as asked:
             found = [outcome.result for outcome in engine.run(make_slow, [0, 1, 2]) if isinstance(outcome, Done)]
             assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
             with pytest.raises(KeyboardInterrupt):
@@ -154,7 +154,7 @@ def test_a_handler_of_the_programs_own_stays():
     mine = lambda *_: None  # noqa: E731
     before = signal.signal(signal.SIGINT, mine)
     try:
-        with patient(lambda: None, print):
+        with graceful_interrupt(lambda: None, print):
             assert signal.getsignal(signal.SIGINT) is mine
     finally:
         signal.signal(signal.SIGINT, before)

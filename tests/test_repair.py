@@ -8,9 +8,10 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from kinebench_drake import doctor, repair, stand_in
 from kinebench_drake.cli.doctor import doctor as command
-from kinebench_drake.doctor import Check
+from kinebench_drake.environment import cv2_shim as stand_in
+from kinebench_drake.environment import doctor, repair
+from kinebench_drake.environment.doctor import Check
 from kinebench_drake.errors import SetupError
 
 

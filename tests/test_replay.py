@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 from pydrake.geometry import Meshcat
 
-from kinebench_drake import replay
 from kinebench_drake.errors import SetupError, UnmeasurableError, UsageError
 from kinebench_drake.geometry import invert, make_pose, rotation_exp
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.products import GripperTrack, IkStatus, JointTrack
-from kinebench_drake.replay import ReplayWriter, replay_path, write_replays
-from kinebench_drake.replay_scene import _along, _linear, _tube
+from kinebench_drake.report import replay
+from kinebench_drake.report.replay import ReplayWriter, replay_path, write_replays
+from kinebench_drake.report.replay_scene import _along, _linear, _tube
 from kinebench_drake.report.sample import worst_samples
-from kinebench_drake.results import ResultStore, part_path, read_rows
-from kinebench_drake.row import SampleRow, Status
-from kinebench_drake.trackfile import TrackFile, read_track, write_track
+from kinebench_drake.results.row import SampleRow, Status
+from kinebench_drake.results.store import ResultStore, artifact_path, read_rows
+from kinebench_drake.results.trackfile import TrackFile, read_track, write_track
+from kinebench_drake.types import GripperTrack, IkStatus, JointTrack
 
 N = 12
 
@@ -222,7 +222,7 @@ def test_replays_of_a_folder(tmp_path, plant, track, joints):
         for id in ("a", "b"):
             write_track(tmp_path / "out" / "tracks" / f"{id}.npz", track, joints, {})
         store.finish({"config": {"table_height_m": -0.02}})
-    rows, tracks = read_rows(tmp_path / "out").values(), partial(part_path, tmp_path / "out", "tracks")
+    rows, tracks = read_rows(tmp_path / "out").values(), partial(artifact_path, tmp_path / "out", "tracks")
     assert worst_samples(rows, tracks, 5) == ["b", "a"]
     assert worst_samples(rows, tracks, 1) == ["b"]
     written = write_replays(tmp_path / "out", ["b", "trackless"], plant)

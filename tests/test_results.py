@@ -8,16 +8,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kinebench_drake import results
-from kinebench_drake.aggregate import aggregate, by_key, estimate
 from kinebench_drake.errors import InputError, SetupError, UsageError
 from kinebench_drake.geometry import make_pose
-from kinebench_drake.mp4 import write_video
-from kinebench_drake.products import GripperTrack
-from kinebench_drake.results import ResultStore, read_rows
-from kinebench_drake.row import SampleRow, Status, dump
-from kinebench_drake.storage import write_atomically
-from kinebench_drake.trackfile import read_track, write_track
+from kinebench_drake.io.atomic import write_atomically
+from kinebench_drake.io.container import write_video
+from kinebench_drake.io.jsonl import dump
+from kinebench_drake.results import store as results
+from kinebench_drake.results.aggregate import aggregate, by_key, estimate
+from kinebench_drake.results.row import SampleRow, Status
+from kinebench_drake.results.store import ResultStore, read_rows
+from kinebench_drake.results.trackfile import read_track, write_track
+from kinebench_drake.types import GripperTrack
 
 
 def row(id="a", status=Status.OK, **changes):
@@ -256,7 +257,7 @@ def test_bootstrap_interval_covers_the_mean_about_as_often_as_it_says():
 def test_a_bootstrap_in_parts_gives_the_same_numbers_in_less_memory(monkeypatch):
     values = [float(v) for v in np.random.default_rng(1).normal(size=701)]
     whole = estimate(values, total=701, seed=4)
-    monkeypatch.setattr("kinebench_drake.aggregate._AT_ONCE", 10_000)
+    monkeypatch.setattr("kinebench_drake.results.aggregate._AT_ONCE", 10_000)
     tracemalloc.start()
     assert estimate(values, total=701, seed=4) == whole
     peak = tracemalloc.get_traced_memory()[1]

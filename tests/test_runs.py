@@ -1,13 +1,13 @@
 import numpy as np
 
-from kinebench_drake.runs import complete, runs
+from kinebench_drake.segments import complete, segments
 
 
 def test_runs_are_the_stretches_of_true() -> None:
     mask = np.array([True, False, True, True, False, True])
-    assert runs(mask) == [slice(0, 1), slice(2, 4), slice(5, 6)]
-    assert runs(np.zeros(4, dtype=bool)) == []
-    assert runs(np.zeros(0, dtype=bool)) == []
+    assert segments(mask) == [slice(0, 1), slice(2, 4), slice(5, 6)]
+    assert segments(np.zeros(4, dtype=bool)) == []
+    assert segments(np.zeros(0, dtype=bool)) == []
 
 
 def test_a_row_with_one_gap_is_not_complete() -> None:

@@ -10,11 +10,11 @@ from pathlib import Path
 
 import pytest
 
-from kinebench_drake import stand_in
+from kinebench_drake.environment import cv2_shim as stand_in
 
 REPOSITORY = Path(__file__).parent.parent
 SCRIPT = REPOSITORY / "setup" / "install.sh"
-NATIVE = REPOSITORY / "kinebench_drake" / "native.sh"
+NATIVE = REPOSITORY / "kinebench_drake" / "environment" / "native.sh"
 
 
 def pinned() -> dict[str, str]:

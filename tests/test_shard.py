@@ -1,7 +1,7 @@
 import pytest
 
 from kinebench_drake.errors import UsageError
-from kinebench_drake.shard import Shard
+from kinebench_drake.results.metadata import Shard
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 7, 9])

@@ -5,11 +5,11 @@ import pytest
 
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.models.arm import load_robot
-from kinebench_drake.visuals import MAX_TRIANGLES, link_surfaces
+from kinebench_drake.report.link_meshes import MAX_TRIANGLES, link_meshes
 
 
 def by_link(plant):
-    return {surface.link: surface for surface in link_surfaces(plant)}
+    return {surface.link: surface for surface in link_meshes(plant)}
 
 
 def test_the_panda_s_surfaces_are_light_and_of_its_size():

@@ -8,12 +8,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, transform_points
-from kinebench_drake.grounding.anomaly.finding import Finding
-from kinebench_drake.grounding.anomaly.series import held, runs
+from kinebench_drake.grounding.anomaly.detection import Detection, detection_segments, sustained
 from kinebench_drake.grounding.view import GripperView
 from kinebench_drake.models.panda.cad import part_meshes
-from kinebench_drake.models.panda.part import OPENING_SIGN
-from kinebench_drake.products import Anomaly, AnomalyKind
+from kinebench_drake.models.panda.robot import OPENING_SIGN
+from kinebench_drake.types import Anomaly, AnomalyKind
 
 SHARE = 0.2
 """So much of a gripper, seen away from the one that is tracked, is a second one ..."""
@@ -76,16 +75,16 @@ def _outline(view: GripperView, X_CH: Array, camera: Camera) -> NDArray[np.uint8
     return outline
 
 
-def find_duplicates(other: ArrayLike) -> Finding:
+def find_duplicates(other: ArrayLike) -> Detection:
     """Frames that show a second gripper; severity: how much of it, over a whole one.
 
     Args:
         other: (T,) share of a gripper seen apart from the tracked one (`second_gripper`); NaN where unknown.
     """
-    seen = held(other, MIN_FRAMES)
+    seen = sustained(other, MIN_FRAMES)
     score = seen / SHARE
     anomalies = tuple(
         Anomaly(kind=AnomalyKind.DUPLICATE, frame_start=a, frame_end=b, severity=float(seen[a : b + 1].max()))
-        for a, b in runs(score >= 1.0)
+        for a, b in detection_segments(score >= 1.0)
     )
-    return Finding(kind=AnomalyKind.DUPLICATE, score=score, anomalies=anomalies)
+    return Detection(kind=AnomalyKind.DUPLICATE, score=score, anomalies=anomalies)

@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array, transform_points
+from kinebench_drake.grounding.anomaly.camera_motion import CameraMotion
 from kinebench_drake.grounding.anomaly.duplicate import second_gripper
 from kinebench_drake.grounding.anomaly.freeze import still_frames
-from kinebench_drake.grounding.anomaly.motion import CameraMotion
 from kinebench_drake.grounding.anomaly.shape import shape_misfit
 from kinebench_drake.grounding.crop import GRIPPER_CENTRE_H
-from kinebench_drake.grounding.framepose import FramePose
-from kinebench_drake.grounding.opening import SHARP_M
+from kinebench_drake.grounding.frame_pose import FramePose
+from kinebench_drake.grounding.gripper_width import SHARP_M
 from kinebench_drake.grounding.view import Frames, GripperView
 
 FAIR_CONFIDENCE = 0.1

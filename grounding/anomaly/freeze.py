@@ -7,10 +7,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from kinebench_drake.geometry import Array
-from kinebench_drake.grounding.anomaly.finding import Finding
-from kinebench_drake.grounding.anomaly.series import runs
+from kinebench_drake.grounding.anomaly.detection import Detection, detection_segments
 from kinebench_drake.grounding.view import Frames
-from kinebench_drake.products import Anomaly, AnomalyKind
+from kinebench_drake.types import Anomaly, AnomalyKind
 
 MIN_FRAMES = 5
 """Still frames that count as frozen ..."""
@@ -30,7 +29,7 @@ def still_frames(frames: Frames) -> NDArray[np.bool_]:
     return np.array([False, *(c < STILL_LEVELS for c in change)])
 
 
-def find_freezes(p: ArrayLike, sure: NDArray[np.bool_], still: NDArray[np.bool_], t_s: Array) -> Finding:
+def find_freezes(p: ArrayLike, sure: NDArray[np.bool_], still: NDArray[np.bool_], t_s: Array) -> Detection:
     """Runs of the same picture that begin in motion and end with a jump; a dwell slows down before, and is none.
 
     A run's score is the least of its length over `MIN_FRAMES`, of the speed before over `SPEED_M_S`, and of the last
@@ -47,7 +46,7 @@ def find_freezes(p: ArrayLike, sure: NDArray[np.bool_], still: NDArray[np.bool_]
     quiet = still & ~(step > _STILL_M)
     score = np.zeros(len(p))
     anomalies = []
-    for start, end in runs(quiet):
+    for start, end in detection_segments(quiet):
         if start < 2 or end + 1 >= len(p) or not sure[[start - 2, start - 1, end, end + 1]].all():
             continue
         before, jump = step[start - 1], step[end + 1]
@@ -59,4 +58,4 @@ def find_freezes(p: ArrayLike, sure: NDArray[np.bool_], still: NDArray[np.bool_]
         )
         if score[start] >= 1.0:
             anomalies.append(Anomaly(kind=AnomalyKind.FREEZE, frame_start=start, frame_end=end, severity=float(frames)))
-    return Finding(kind=AnomalyKind.FREEZE, score=score, anomalies=tuple(anomalies))
+    return Detection(kind=AnomalyKind.FREEZE, score=score, anomalies=tuple(anomalies))

@@ -4,10 +4,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kinebench_drake.geometry import Array, invert, transform_points
-from kinebench_drake.grounding.anomaly.finding import Finding
-from kinebench_drake.grounding.anomaly.series import known_median, runs
+from kinebench_drake.grounding.anomaly.detection import Detection, detection_segments, finite_median
 from kinebench_drake.grounding.view import GripperView
-from kinebench_drake.products import Anomaly, AnomalyKind
+from kinebench_drake.types import Anomaly, AnomalyKind
 
 MISFIT = 0.02
 """Relative misfit of the shape that counts as a deformation ..."""
@@ -63,7 +62,7 @@ def shape_misfit(view: GripperView, X_CH: Array, finger_m: float) -> float:
     return float(np.sqrt((counts * (field**2).sum(axis=1)).sum() / spread))
 
 
-def find_deformations(misfit: ArrayLike, residual: ArrayLike) -> Finding:
+def find_deformations(misfit: ArrayLike, residual: ArrayLike) -> Detection:
     """Frames with a deformed gripper; severity: the largest median misfit.
 
     Args:
@@ -74,10 +73,33 @@ def find_deformations(misfit: ArrayLike, residual: ArrayLike) -> Finding:
     known = residual[np.isfinite(residual)]
     usual = min(float(np.median(known)), USUAL) if known.size else USUAL
     excess = residual / (EXCESS * usual)
-    score = np.nan_to_num(known_median(np.minimum(misfit / MISFIT, excess), WINDOW), nan=0.0)
-    steady = np.nan_to_num(known_median(misfit, WINDOW), nan=0.0)
+    score = np.nan_to_num(finite_median(np.minimum(misfit / MISFIT, excess), WINDOW), nan=0.0)
+    steady = np.nan_to_num(finite_median(misfit, WINDOW), nan=0.0)
     anomalies = tuple(
         Anomaly(kind=AnomalyKind.DEFORMATION, frame_start=a, frame_end=b, severity=float(steady[a : b + 1].max()))
-        for a, b in runs(score >= 1.0)
+        for a, b in detection_segments(score >= 1.0)
     )
-    return Finding(kind=AnomalyKind.DEFORMATION, score=score, anomalies=anomalies)
+    return Detection(kind=AnomalyKind.DEFORMATION, score=score, anomalies=anomalies)
+
+
+OFF = 0.035
+"""Relative error of the size that counts."""
+SCALE_WINDOW = 13
+"""Frames whose median counts."""
+
+
+def find_scale_drift(scale: ArrayLike) -> Detection:
+    """Frames in which the gripper has the wrong size; severity: by what part at most.
+
+    Args:
+        scale: (T,) apparent size of the hand over the size that it has where the arm puts it; NaN where unknown.
+    """
+    scale = np.asarray(scale, dtype=np.float64)
+    steady = finite_median(np.log(scale, where=scale > 0, out=np.full(len(scale), np.nan)), SCALE_WINDOW)
+    size = np.abs(np.nan_to_num(steady, nan=0.0))
+    score = size / OFF
+    anomalies = tuple(
+        Anomaly(kind=AnomalyKind.SCALE, frame_start=a, frame_end=b, severity=float(np.expm1(size[a : b + 1].max())))
+        for a, b in detection_segments(score >= 1.0)
+    )
+    return Detection(kind=AnomalyKind.SCALE, score=score, anomalies=anomalies)

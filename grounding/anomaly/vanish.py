@@ -5,9 +5,8 @@ from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array
-from kinebench_drake.grounding.anomaly.finding import Finding
-from kinebench_drake.grounding.anomaly.series import held, known, runs
-from kinebench_drake.products import Anomaly, AnomalyKind
+from kinebench_drake.grounding.anomaly.detection import Detection, detection_segments, is_known, sustained
+from kinebench_drake.types import Anomaly, AnomalyKind
 
 MIN_FRAMES = 3
 """Frames without a gripper that count as vanishing; fewer may be a passing occlusion."""
@@ -18,7 +17,9 @@ ABSENT_CELLS = 50.0
 _BORDER_PX = 8.0
 
 
-def find_vanishing(p_C: Array, confidence: Array, explained: Array, sure: NDArray[np.bool_], camera: Camera) -> Finding:
+def find_vanishing(
+    p_C: Array, confidence: Array, explained: Array, sure: NDArray[np.bool_], camera: Camera
+) -> Detection:
     """Frames without a gripper where its motion had not taken it out of the picture.
 
     Absence is c0 / (c0 + confidence), one half at the threshold c0, or the same of the cells explained, whichever is
@@ -34,12 +35,12 @@ def find_vanishing(p_C: Array, confidence: Array, explained: Array, sure: NDArra
     absence = np.maximum(
         ABSENT_CONFIDENCE / (ABSENT_CONFIDENCE + confidence), ABSENT_CELLS / (ABSENT_CELLS + explained)
     )
-    score = 2.0 * held(absence * _expected(p_C, sure & known(p_C), camera), MIN_FRAMES)
+    score = 2.0 * sustained(absence * _expected(p_C, sure & is_known(p_C), camera), MIN_FRAMES)
     anomalies = tuple(
         Anomaly(kind=AnomalyKind.VANISH, frame_start=start, frame_end=end, severity=float(end - start + 1))
-        for start, end in runs(score > 1.0)
+        for start, end in detection_segments(score > 1.0)
     )
-    return Finding(kind=AnomalyKind.VANISH, score=score, anomalies=anomalies)
+    return Detection(kind=AnomalyKind.VANISH, score=score, anomalies=anomalies)
 
 
 def _expected(p_C: Array, sure: NDArray[np.bool_], camera: Camera) -> Array:

@@ -9,17 +9,17 @@ import numpy as np
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array, pose_difference
-from kinebench_drake.grounding.baseline.demonstration import Demonstration
+from kinebench_drake.grounding.baseline.dataset import Demonstration
 from kinebench_drake.grounding.baseline.predictor import Baseline
 from kinebench_drake.grounding.pipeline import GroundingPipeline
-from kinebench_drake.grounding.video import read_video
+from kinebench_drake.io.reader import read_video
 
 CONFIDENCE = 0.95
 _RESAMPLES = 1000
 _TOLD = (50, 95)  # percentiles
 
 
-class Method(Enum):
+class Extractor(Enum):
     """Whose errors."""
 
     BASELINE = "baseline"
@@ -37,7 +37,7 @@ class Quantity(Enum):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Errors:
+class PoseErrors:
     """Errors of a method in one video; NaN where it says nothing."""
 
     position_m: Array
@@ -64,11 +64,11 @@ class ClipComparison:
     """Whether the baseline was trained on the task."""
     tracked_fraction: float
     """Share of frames that the grounding calls tracked."""
-    errors: Mapping[Method, Errors]
+    errors: Mapping[Extractor, PoseErrors]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Figure:
+class ErrorFigure:
     """A percentile over the frames of a group of videos, with its interval over videos."""
 
     value: float
@@ -77,7 +77,7 @@ class Figure:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Group:
+class ComparisonGroup:
     """A task, or all tasks of a kind, in numbers."""
 
     name: str
@@ -86,15 +86,17 @@ class Group:
     pooled: bool
     """Whether it stands for several tasks."""
     tracked_fraction: float
-    medians: Mapping[tuple[Method, Quantity], Figure]
-    p95s: Mapping[tuple[Method, Quantity], Figure]
+    medians: Mapping[tuple[Extractor, Quantity], ErrorFigure]
+    p95s: Mapping[tuple[Extractor, Quantity], ErrorFigure]
     """95th percentiles."""
 
 
-def errors(truth: Demonstration, X_BG: Array, finger_width_m: Array) -> Errors:
+def errors(truth: Demonstration, X_BG: Array, finger_width_m: Array) -> PoseErrors:
     """Errors of a track: poses (T, 4, 4) and gaps (T,) [m]."""
     position, rotation = pose_difference(truth.X_BG, X_BG)
-    return Errors(position_m=position, rotation_rad=rotation, finger_m=np.abs(finger_width_m - truth.finger_width_m))
+    return PoseErrors(
+        position_m=position, rotation_rad=rotation, finger_m=np.abs(finger_width_m - truth.finger_width_m)
+    )
 
 
 def compare(clip: Demonstration, camera: Camera, baseline: Baseline, pipeline: GroundingPipeline) -> ClipComparison:
@@ -109,7 +111,7 @@ def compare(clip: Demonstration, camera: Camera, baseline: Baseline, pipeline: G
     said, track = baseline.predict(frames), pipeline.ground(frames, camera, clip.t_s).track
     always = errors(clip, said.X_BG, said.finger_width_m)
     unknown = np.where(track.tracked, 0.0, np.nan)
-    where_tracked = Errors(
+    where_tracked = PoseErrors(
         position_m=always.position_m + unknown,
         rotation_rad=always.rotation_rad + unknown,
         finger_m=always.finger_m + unknown,
@@ -120,14 +122,14 @@ def compare(clip: Demonstration, camera: Camera, baseline: Baseline, pipeline: G
         trained=clip.task in baseline.tasks,
         tracked_fraction=float(track.tracked.mean()),
         errors={
-            Method.BASELINE: always,
-            Method.BASELINE_WHERE_TRACKED: where_tracked,
-            Method.GROUNDING: errors(clip, track.X_BG, track.finger_width_m),
+            Extractor.BASELINE: always,
+            Extractor.BASELINE_WHERE_TRACKED: where_tracked,
+            Extractor.GROUNDING: errors(clip, track.X_BG, track.finger_width_m),
         },
     )
 
 
-def percentiles(videos: Sequence[Array], rng: np.random.Generator) -> tuple[Figure, Figure]:
+def percentiles(videos: Sequence[Array], rng: np.random.Generator) -> tuple[ErrorFigure, ErrorFigure]:
     """Median and 95th percentile over all frames of `videos` (T,) each, NaN left out, with bootstrap intervals.
 
     Whole videos are drawn anew, for frames of one video resemble each other (Efron and Tibshirani 1993, chapter 8).
@@ -144,17 +146,17 @@ def percentiles(videos: Sequence[Array], rng: np.random.Generator) -> tuple[Figu
         ]
         low, high = np.percentile(draws, [50 * (1 - CONFIDENCE), 50 * (1 + CONFIDENCE)], axis=0)
     median, p95 = (
-        Figure(value=float(v), low=float(a), high=float(b)) for v, a, b in zip(values, low, high, strict=True)
+        ErrorFigure(value=float(v), low=float(a), high=float(b)) for v, a, b in zip(values, low, high, strict=True)
     )
     return median, p95
 
 
-def group(name: str, clips: Sequence[ClipComparison], *, pooled: bool, seed: int = 0) -> Group:
+def group(name: str, clips: Sequence[ClipComparison], *, pooled: bool, seed: int = 0) -> ComparisonGroup:
     """Put a group of videos into numbers; the same videos and seed give the same numbers."""
     rng = np.random.default_rng(seed)
-    told = {(m, q): [clip.errors[m].told(q) for clip in clips] for m in Method for q in Quantity}
+    told = {(m, q): [clip.errors[m].told(q) for clip in clips] for m in Extractor for q in Quantity}
     figures = {key: percentiles(videos, rng) for key, videos in told.items()}
-    return Group(
+    return ComparisonGroup(
         name=name,
         trained=clips[0].trained,
         videos=len(clips),
@@ -165,7 +167,7 @@ def group(name: str, clips: Sequence[ClipComparison], *, pooled: bool, seed: int
     )
 
 
-def groups(clips: Sequence[ClipComparison]) -> Iterator[Group]:
+def groups(clips: Sequence[ClipComparison]) -> Iterator[ComparisonGroup]:
     """Each task, then all tasks together, first of those trained and then of those unseen."""
     for trained, name in ((True, "trained tasks"), (False, "unseen tasks")):
         members = [clip for clip in clips if clip.trained is trained]

@@ -16,8 +16,21 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from kinebench_drake.grounding.baseline.rotation import from_six
 from kinebench_drake.models.perception.network import GripperNetwork
+
+
+def to_six(R: Tensor) -> Tensor:
+    """Six numbers (..., 6) of rotation matrices `R` (..., 3, 3): first column, second column."""
+    return R[..., :, :2].transpose(-1, -2).flatten(-2)
+
+
+def from_six(six: Tensor) -> Tensor:
+    """Rotation matrices (..., 3, 3) of any six numbers (..., 6), by Gram-Schmidt (their equation 15)."""
+    x = functional.normalize(six[..., :3], dim=-1)
+    y = six[..., 3:]
+    y = functional.normalize(y - (x * y).sum(dim=-1, keepdim=True) * x, dim=-1)
+    return torch.stack([x, y, torch.linalg.cross(x, y)], dim=-1)
+
 
 CONTEXT = 1
 """Frames before and after that are seen with each."""

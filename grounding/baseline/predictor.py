@@ -10,7 +10,7 @@ import torch
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import SetupError, UsageError
 from kinebench_drake.geometry import Array, make_pose
-from kinebench_drake.grounding.baseline.cache import resized
+from kinebench_drake.grounding.baseline.dataset import resized
 from kinebench_drake.grounding.baseline.network import CONTEXT, PoseNetwork
 from kinebench_drake.grounding.training.loop import pick_device
 from kinebench_drake.grounding.view import Frames

@@ -4,45 +4,47 @@ import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+import numpy as np
+
 from kinebench_drake.grounding.baseline.comparison import (
     ClipComparison,
-    Figure,
-    Group,
-    Method,
+    ComparisonGroup,
+    ErrorFigure,
+    Extractor,
     Quantity,
     compare,
     groups,
 )
-from kinebench_drake.grounding.baseline.demonstration import load_demonstrations
+from kinebench_drake.grounding.baseline.dataset import load_demonstrations
 from kinebench_drake.grounding.baseline.predictor import Baseline
 from kinebench_drake.grounding.pipeline import GroundingPipeline
-from kinebench_drake.storage import write_atomically
+from kinebench_drake.io.atomic import atomic_path, write_atomically
 
 _NAME, _CELL = 24, 22
 
 
-def _told(figure: Figure) -> str:
+def _told(figure: ErrorFigure) -> str:
     interval = f" [{figure.low:.3g}, {figure.high:.3g}]" if figure.low == figure.low else ""
     return f"{figure.value:.3g}{interval}"
 
 
-def table(found: Sequence[Group]) -> Iterator[str]:
+def table(found: Sequence[ComparisonGroup]) -> Iterator[str]:
     """Two lines a task, three where tasks are pooled: medians and 95th percentiles with their intervals."""
     columns = [f"{q.value} {share}" for q in Quantity for share in ("median", "95 %")]
     yield " ".join([f"{'':{_NAME}}", f"{'videos':>6}", f"{'tracked':>8}", *(f"{c:>{_CELL + 3}}" for c in columns)])
     for g in found:
-        for method in Method:
-            if method is Method.BASELINE_WHERE_TRACKED and not g.pooled:
+        for method in Extractor:
+            if method is Extractor.BASELINE_WHERE_TRACKED and not g.pooled:
                 continue
-            tracked = "" if method is Method.BASELINE else f"{100 * g.tracked_fraction:.1f} %"
+            tracked = "" if method is Extractor.BASELINE else f"{100 * g.tracked_fraction:.1f} %"
             cells = [_told(values[method, q]) for q in Quantity for values in (g.medians, g.p95s)]
-            if method is Method.BASELINE:
+            if method is Extractor.BASELINE:
                 yield g.name
             start = [f"  {method.value:{_NAME - 2}}", f"{g.videos:>6}", f"{tracked:>8}"]
             yield " ".join([*start, *(f"{c:>{_CELL + 3}}" for c in cells)])
 
 
-def as_json(found: Sequence[Group]) -> list[dict[str, object]]:
+def as_json(found: Sequence[ComparisonGroup]) -> list[dict[str, object]]:
     """The same, for programs."""
     return [
         {
@@ -56,7 +58,7 @@ def as_json(found: Sequence[Group]) -> list[dict[str, object]]:
                     for q in Quantity
                     for share, f in (("median", g.medians[m, q]), ("p95", g.p95s[m, q]))
                 }
-                for m in Method
+                for m in Extractor
             },
         }
         for g in found
@@ -79,7 +81,6 @@ def comparison_lines(
         UsageError: a folder cannot be used, or another camera took its videos.
         SetupError: weights are missing.
     """
-    from kinebench_drake.grounding.baseline.figure import draw
     from kinebench_drake.grounding.confidence import Confidence
     from kinebench_drake.grounding.estimator import NetworkEstimator
     from kinebench_drake.grounding.tracker import CadTracker
@@ -110,7 +111,60 @@ def _line(clip: ClipComparison) -> str:
     medians = [
         f"{method.value} {np.nanmedian(clip.errors[method].told(Quantity.POSITION)):.1f} mm "
         f"{np.nanmedian(clip.errors[method].told(Quantity.ROTATION)):.1f} degrees"
-        for method in (Method.BASELINE, Method.GROUNDING)
+        for method in (Extractor.BASELINE, Extractor.GROUNDING)
         if np.isfinite(clip.errors[method].position_m).any()
     ]
     return f"{clip.id:34s} tracked {clip.tracked_fraction:.3f}  {'  '.join(medians)}"
+
+
+_STYLE = {
+    Extractor.BASELINE: ("inverse-dynamics baseline", "#c44e52", "o", -0.16),
+    Extractor.GROUNDING: ("grounding", "#2f6db3", "s", 0.16),
+}
+
+
+def draw(found: Sequence[ComparisonGroup], path: Path) -> None:
+    """Write a png: medians with their intervals, whiskers to the 95th percentile, tasks side by side.
+
+    Raises:
+        SetupError: writing failed.
+    """
+    from matplotlib.figure import Figure as Canvas
+
+    canvas = Canvas(figsize=(2.5 + 0.62 * len(found), 9.5), layout="constrained")
+    panels = canvas.subplots(len(Quantity), 1, sharex=True)
+    x = np.arange(len(found))
+    for panel, quantity in zip(panels, Quantity, strict=True):
+        for method, (label, colour, marker, shift) in _STYLE.items():
+            medians = [g.medians[method, quantity] for g in found]
+            value = np.array([f.value for f in medians])
+            top = np.array([g.p95s[method, quantity].value for g in found])
+            panel.vlines(x + shift, value, top, color=colour, lw=1.2, alpha=0.6)
+            panel.plot(x + shift, top, "_", color=colour, ms=7, alpha=0.6)
+            low = np.array([f.low for f in medians])
+            high = np.array([f.high for f in medians])
+            panel.vlines(x + shift, low, high, color=colour, lw=5, alpha=0.35)
+            panel.plot(x + shift, value, marker, color=colour, ms=6, label=label)
+        panel.set_yscale("log")
+        panel.yaxis.set_major_formatter("{x:g}")
+        panel.set_ylabel(f"error of {quantity.value}")
+        panel.grid(axis="y", which="both", color="0.9", lw=0.6)
+        panel.set_axisbelow(True)
+        for i, g in enumerate(found):
+            if not g.trained:
+                panel.axvspan(i - 0.5, i + 0.5, color="#f6ead2", lw=0, zorder=-2)
+            if g.pooled:
+                panel.axvspan(i - 0.5, i + 0.5, color="0.5", alpha=0.12, lw=0, zorder=-1)
+    panels[0].set_xlim(-0.5, len(found) - 0.5)
+    panels[0].legend(loc="upper left", ncols=2, frameon=False)
+    panels[0].set_title(
+        "Markers: median over frames, thick bars: its 95 % interval over videos, thin bars: to the 95th percentile.\n"
+        "Amber: tasks that the baseline was not trained on; grey: tasks together.",
+        fontsize=9,
+        loc="left",
+    )
+    panels[-1].set_xticks(x, [g.name for g in found], rotation=40, ha="right")
+    for tick, g in zip(panels[-1].get_xticklabels(), found, strict=True):
+        tick.set_fontweight("bold" if g.pooled else "normal")
+    with atomic_path(path) as part:
+        canvas.savefig(part, dpi=120, format="png")

@@ -9,9 +9,7 @@ import torch
 from torch import Tensor
 from torch.utils.data import DataLoader, Subset
 
-from kinebench_drake.grounding.baseline.cache import decode
-from kinebench_drake.grounding.baseline.dataset import Windows
-from kinebench_drake.grounding.baseline.demonstration import load_demonstrations
+from kinebench_drake.grounding.baseline.dataset import Windows, decode, load_demonstrations
 from kinebench_drake.grounding.baseline.network import FINGER_SCALE_M, POSITION_SCALE_M, PoseNetwork, PoseOutput
 from kinebench_drake.grounding.training.loop import Schedule, Terms, optimise, pick_device, save_weights
 

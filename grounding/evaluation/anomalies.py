@@ -1,4 +1,4 @@
-"""Planted anomalies held against what the detectors find, clip by clip."""
+"""PlantedCase anomalies held against what the detectors find, clip by clip."""
 
 import json
 import os
@@ -7,16 +7,16 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from kinebench_drake.engines import Crashed, Engine
 from kinebench_drake.errors import InputError, SetupError, UsageError
-from kinebench_drake.grounding.evaluation.clip import ClipFile, choose, find_clips
+from kinebench_drake.executors.base import Crashed, Engine
+from kinebench_drake.grounding.evaluation.clip import TruthClipFile, choose, find_clips
 from kinebench_drake.grounding.evaluation.store import fingerprint
-from kinebench_drake.grounding.evaluation.trial import Watcher
-from kinebench_drake.grounding.evaluation.variants import Tools
+from kinebench_drake.grounding.evaluation.trial import TrialObserver
+from kinebench_drake.grounding.evaluation.variants import VariantTools
 from kinebench_drake.grounding.pipeline import GroundingPipeline
-from kinebench_drake.grounding.video import read_video
-from kinebench_drake.products import Anomaly, AnomalyKind
-from kinebench_drake.storage import storage
+from kinebench_drake.io.atomic import disk_errors
+from kinebench_drake.io.reader import read_video
+from kinebench_drake.types import Anomaly, AnomalyKind
 
 _DETECTORS = Path(__file__).parents[1] / "anomaly"
 _START_FRAMES = {
@@ -33,7 +33,7 @@ _ENDING = (AnomalyKind.VANISH, AnomalyKind.DUPLICATE, AnomalyKind.FREEZE, Anomal
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Planted:
+class PlantedCase:
     """A fault as its truth tells it."""
 
     kind: AnomalyKind
@@ -48,12 +48,12 @@ class Planted:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ClipFindings:
+class ClipAnomalies:
     """What the detectors say of one clip."""
 
     id: str
     task: str
-    planted: Planted | None
+    planted: PlantedCase | None
     """Its fault; None of a clean clip."""
     scores: Mapping[AnomalyKind, float]
     """The clip's score of each kind, 1 at the threshold."""
@@ -80,19 +80,19 @@ class ClipFindings:
         }
 
     @classmethod
-    def from_json(cls, row: dict[str, Any]) -> "ClipFindings":
+    def from_json(cls, row: dict[str, Any]) -> "ClipAnomalies":
         """The reverse of `to_json`."""
         planted = row["planted"]
         return cls(
             id=row["id"],
             task=row["task"],
-            planted=None if planted is None else Planted(**{**planted, "kind": AnomalyKind(planted["kind"])}),
+            planted=None if planted is None else PlantedCase(**{**planted, "kind": AnomalyKind(planted["kind"])}),
             scores={AnomalyKind(kind): float(score) for kind, score in row["scores"].items()},
             found=tuple(Anomaly(**{**a, "kind": AnomalyKind(a["kind"])}) for a in row["found"]),
         )
 
 
-def located(planted: Planted, found: Anomaly) -> bool:
+def located(planted: PlantedCase, found: Anomaly) -> bool:
     """Whether an anomaly is that fault: of its kind, in its frames, beginning (and ending) where it does.
 
     A fault that grows, or that a small motion hides at first, may be found in any of its frames.
@@ -108,23 +108,23 @@ def located(planted: Planted, found: Anomaly) -> bool:
 
 
 @dataclass(frozen=True, slots=True)
-class Detective:
+class AnomalyExaminer:
     """Makes, in each process, what looks at clips."""
 
     weights: Path | None
     """Weights in place of those shipped."""
 
-    def __call__(self) -> Callable[[tuple[ClipFile, Planted | None]], ClipFindings]:
+    def __call__(self) -> Callable[[tuple[TruthClipFile, PlantedCase | None]], ClipAnomalies]:
         """A function that looks at one clip."""
-        pipeline = Tools.load(self.weights).shipped
+        pipeline = VariantTools.load(self.weights).shipped
 
-        def look(case: tuple[ClipFile, Planted | None]) -> ClipFindings:
+        def look(case: tuple[TruthClipFile, PlantedCase | None]) -> ClipAnomalies:
             return examine(*case, pipeline)
 
         return look
 
 
-def examine(clip: ClipFile, planted: Planted | None, pipeline: GroundingPipeline) -> ClipFindings:
+def examine(clip: TruthClipFile, planted: PlantedCase | None, pipeline: GroundingPipeline) -> ClipAnomalies:
     """Ground a clip and ask the detectors.
 
     Raises:
@@ -133,7 +133,7 @@ def examine(clip: ClipFile, planted: Planted | None, pipeline: GroundingPipeline
     findings = pipeline.ground(read_video(clip.video).frames, clip.camera, clip.load().t_s).findings
     if findings is None:
         raise InputError(f"{clip.id}: this pipeline tells no scores of anomalies")
-    return ClipFindings(
+    return ClipAnomalies(
         id=clip.id,
         task=clip.task,
         planted=planted,
@@ -142,14 +142,14 @@ def examine(clip: ClipFile, planted: Planted | None, pipeline: GroundingPipeline
     )
 
 
-def find_cases(clean: Path, faulty: Path, limit: int | None) -> list[tuple[ClipFile, Planted | None]]:
+def find_cases(clean: Path, faulty: Path, limit: int | None) -> list[tuple[TruthClipFile, PlantedCase | None]]:
     """The clips of two folders with their faults; `limit`: so many clean ones, and of each fault, tasks in turn.
 
     Raises:
         UsageError: a folder lacks its manifest or truth, or a faulty clip its fault.
     """
-    cases: list[tuple[ClipFile, Planted | None]] = [(clip, None) for clip in choose(find_clips(clean), limit)]
-    grades: dict[tuple[AnomalyKind, float, str], list[tuple[ClipFile, Planted]]] = {}
+    cases: list[tuple[TruthClipFile, PlantedCase | None]] = [(clip, None) for clip in choose(find_clips(clean), limit)]
+    grades: dict[tuple[AnomalyKind, float, str], list[tuple[TruthClipFile, PlantedCase]]] = {}
     faults = _read_faults(faulty)
     for clip in find_clips(faulty):
         if clip.id not in faults:
@@ -162,11 +162,11 @@ def find_cases(clean: Path, faulty: Path, limit: int | None) -> list[tuple[ClipF
     return cases
 
 
-def _read_faults(folder: Path) -> dict[str, Planted]:
+def _read_faults(folder: Path) -> dict[str, PlantedCase]:
     path = folder / "truth" / "faults.json"
     try:
         return {
-            name: Planted(
+            name: PlantedCase(
                 kind=AnomalyKind(fault["kind"]),
                 frame_start=int(fault["frame_start"]),
                 frame_end=int(fault["frame_end"]),
@@ -178,17 +178,17 @@ def _read_faults(folder: Path) -> dict[str, Planted]:
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         raise UsageError(
             f"{folder.name}: has no usable truth/faults.json; make such a folder with "
-            "`python -m kinebench_drake.suites.samples`"
+            "`python -m benchmarks.planted_videos`"
         ) from None
 
 
 def measure(
-    cases: Sequence[tuple[ClipFile, Planted | None]],
+    cases: Sequence[tuple[TruthClipFile, PlantedCase | None]],
     weights: Path | None,
     engine: Engine,
-    watcher: Watcher,
+    watcher: TrialObserver,
     keep: Path | None,
-) -> list[ClipFindings]:
+) -> list[ClipAnomalies]:
     """Look at all clips; what stands in `keep` already is not looked at again.
 
     Raises:
@@ -197,10 +197,10 @@ def measure(
     """
     base = fingerprint(files=[*sorted(_DETECTORS.glob("*.py")), *([weights] if weights else [])])
     keys = {clip.id: f"{base}-{clip.digest()}" for clip, _ in cases}
-    done = {row["key"]: ClipFindings.from_json(row) for row in _rows(keep)}
+    done = {row["key"]: ClipAnomalies.from_json(row) for row in _rows(keep)}
     todo = [case for case in cases if keys[case[0].id] not in done]
     watcher.started(len(cases), len(cases) - len(todo))
-    for result in engine.run(Detective(weights), todo):
+    for result in engine.run(AnomalyExaminer(weights), todo):
         if isinstance(result, Crashed):
             raise SetupError(
                 f"{result.item[0].id}: {result.reason}; run the same command again, what is finished is kept"
@@ -219,7 +219,7 @@ def _rows(path: Path | None) -> Iterator[dict[str, Any]]:
     try:
         for line in path.read_text().split("\n")[:-1]:
             row = json.loads(line)
-            ClipFindings.from_json(row)
+            ClipAnomalies.from_json(row)
             yield row
     except (ValueError, KeyError, TypeError):
         raise UsageError(f"{path.name}: holds no findings of this version; remove it to start anew") from None
@@ -227,7 +227,7 @@ def _rows(path: Path | None) -> Iterator[dict[str, Any]]:
 
 def _append(path: Path | None, row: dict[str, Any]) -> None:
     if path is not None:
-        with storage(path.name), path.open("a") as file:
+        with disk_errors(path.name), path.open("a") as file:
             file.write(json.dumps(row, allow_nan=False) + "\n")
             file.flush()
             os.fsync(file.fileno())

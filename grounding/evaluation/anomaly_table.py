@@ -2,15 +2,20 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 from scipy.stats import binomtest, norm, rankdata
 
-from kinebench_drake.grounding.evaluation.anomalies import ClipFindings
-from kinebench_drake.products import AnomalyKind
+from kinebench_drake.grounding.evaluation.anomalies import ClipAnomalies
+from kinebench_drake.io.figure import FAINT, POSITION, ROTATION, new_figure
+from kinebench_drake.types import AnomalyKind
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 
 GOALS = {kind: 0.95 for kind in AnomalyKind} | dict.fromkeys(
     (AnomalyKind.VANISH, AnomalyKind.DUPLICATE, AnomalyKind.TELEPORT), 0.99
@@ -94,7 +99,7 @@ def area(faulty: ArrayLike, clean: ArrayLike) -> Area:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Row:
+class AnomalyRow:
     """One kind in one size and form, or all gated sizes of a kind together."""
 
     kind: AnomalyKind
@@ -120,12 +125,12 @@ class Row:
         return "all gated" if self.size is None else f"{self.size * factor:g} {unit}"
 
 
-def clean_ones(findings: Sequence[ClipFindings]) -> list[ClipFindings]:
+def clean_ones(findings: Sequence[ClipAnomalies]) -> list[ClipAnomalies]:
     """The clips without a fault."""
     return [f for f in findings if f.planted is None]
 
 
-def rows(findings: Sequence[ClipFindings]) -> list[Row]:
+def rows(findings: Sequence[ClipAnomalies]) -> list[AnomalyRow]:
     """Every kind, form and size that there is, each kind's gated sizes together after its own."""
     table = []
     for kind in AnomalyKind:
@@ -141,8 +146,10 @@ def rows(findings: Sequence[ClipFindings]) -> list[Row]:
     return table
 
 
-def _row(kind: AnomalyKind, form: str, size: float | None, some: Sequence[ClipFindings], clean: Sequence[float]) -> Row:
-    return Row(
+def _row(
+    kind: AnomalyKind, form: str, size: float | None, some: Sequence[ClipAnomalies], clean: Sequence[float]
+) -> AnomalyRow:
+    return AnomalyRow(
         kind=kind,
         form=form,
         size=size,
@@ -152,7 +159,7 @@ def _row(kind: AnomalyKind, form: str, size: float | None, some: Sequence[ClipFi
     )
 
 
-def alarms(findings: Sequence[ClipFindings]) -> dict[str, Share]:
+def alarms(findings: Sequence[ClipAnomalies]) -> dict[str, Share]:
     """Share of clean videos in which something is found: of any kind, and of each."""
     clean = clean_ones(findings)
     shares = {"any": Share(hits=sum(bool(f.found) for f in clean), n=len(clean))}
@@ -162,7 +169,7 @@ def alarms(findings: Sequence[ClipFindings]) -> dict[str, Share]:
     return shares
 
 
-def table_lines(findings: Sequence[ClipFindings]) -> Iterator[str]:
+def table_lines(findings: Sequence[ClipAnomalies]) -> Iterator[str]:
     """The table to print."""
     yield f"{'kind':18s} {'form':9s} {'size':>12s} {'videos':>6s}  frames right  found   area under the curve"
     for row in rows(findings):
@@ -185,7 +192,7 @@ def table_lines(findings: Sequence[ClipFindings]) -> Iterator[str]:
             yield f"  {f.id}: {a.kind.value} {a.frame_start}-{a.frame_end}, severity {a.severity:.3g}"
 
 
-def table_json(findings: Sequence[ClipFindings]) -> dict[str, Any]:
+def table_json(findings: Sequence[ClipAnomalies]) -> dict[str, Any]:
     """The same as plain values."""
     return {
         "rows": [
@@ -207,3 +214,45 @@ def table_json(findings: Sequence[ClipFindings]) -> dict[str, Any]:
             name: {"videos": share.hits, "interval": list(share.interval)} for name, share in alarms(findings).items()
         },
     }
+
+
+_STYLES = ("-", "--")
+
+
+def draw_anomalies(findings: Sequence[ClipAnomalies]) -> "Figure":
+    """Area under the curve with its interval and share found in the right frames, over size; gates and goals marked."""
+    figure, axes = new_figure(15.0, 7.6, 2, 4, sharey=True)
+    table = [row for row in rows(findings) if row.size is not None]
+    for ax, kind in zip(axes.flat, AnomalyKind, strict=True):
+        _panel(ax, kind, [row for row in table if row.kind is kind])
+    for ax in axes[:, 0]:
+        ax.set_ylabel("share, area under the curve")
+    share = alarms(findings)["any"]
+    low, high = share.interval
+    figure.suptitle(
+        f"Planted anomalies by size, against {share.n} clean videos "
+        f"(something found in {share.value:.1%} of these, 95 % interval {low:.1%} to {high:.1%})"
+    )
+    return figure
+
+
+def _panel(ax: Any, kind: AnomalyKind, table: Sequence[AnomalyRow]) -> None:
+    unit, factor = UNITS[kind]
+    ax.set_title(kind.value.replace("_", " "))
+    ax.set_xlabel(f"size [{unit}]")
+    ax.axhline(GOALS[kind], color=FAINT, linewidth=1.0, linestyle=":", zorder=1)
+    ax.axvspan(0, GATES[kind] * factor * 0.93, color="#f1f2f4", zorder=0, label="below the gate")
+    for form, style in zip(sorted({row.form for row in table}), _STYLES, strict=False):
+        some = [row for row in table if row.form == form]
+        x = np.array([(row.size or 0.0) * factor for row in some])
+        value = np.array([row.area.value for row in some])
+        bounds = np.array([[row.area.value - row.area.low, row.area.high - row.area.value] for row in some]).T
+        name = f", {form}" if form else ""
+        ax.errorbar(x, value, bounds, color=POSITION, linestyle=style, marker="o", markersize=4, capsize=3,
+                    label=f"area under the curve{name}")  # fmt: skip
+        ax.plot(x, [row.located.value for row in some], color=ROTATION, linestyle=style, marker="s", markersize=4,
+                label=f"found, frames right{name}")  # fmt: skip
+    if table:
+        ax.set_xlim(0, max((row.size or 0.0) for row in table) * factor * 1.08)
+    ax.set_ylim(-0.03, 1.05)
+    ax.legend(fontsize=7, loc="lower right", framealpha=0.9)

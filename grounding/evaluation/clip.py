@@ -1,4 +1,4 @@
-"""Clips with their truth, as `kinebench-drake suite demos` and `kinebench_drake.suites.samples` write them."""
+"""Clips with their truth, as `kinebench-drake suite demos` and `benchmarks.planted_videos` write them."""
 
 import json
 from collections.abc import Sequence
@@ -12,15 +12,14 @@ from numpy.typing import NDArray
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.geometry import Array
-from kinebench_drake.grounding.known import FirstFrame
-from kinebench_drake.grounding.sources.truth import true_depth, true_mask
+from kinebench_drake.grounding.overrides.arrays import true_depth, true_mask
+from kinebench_drake.io.npz import open_npz
 from kinebench_drake.models.panda.robot import hand_from_tcp
-from kinebench_drake.npz import open_npz
-from kinebench_drake.products import Anomaly, AnomalyKind
+from kinebench_drake.types import Anomaly, AnomalyKind, InitialState
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Clip:
+class TruthClip:
     """A video with its truth."""
 
     id: str
@@ -42,14 +41,14 @@ class Clip:
     """Planted faults."""
 
     @property
-    def first(self) -> FirstFrame:
+    def initial_state(self) -> InitialState:
         """The robot in the first frame."""
         X_BG = self.camera.X_BC @ self.X_CH[0] @ hand_from_tcp()
-        return FirstFrame(X_BG=X_BG, finger_width_m=float(self.finger_width_m[0]))
+        return InitialState(X_BG=X_BG, finger_width_m=float(self.finger_width_m[0]))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ClipFile:
+class TruthClipFile:
     """Where a clip and its truth lie: light enough to be handed to other processes."""
 
     id: str
@@ -61,7 +60,7 @@ class ClipFile:
     faults: tuple[Anomaly, ...]
     """Planted faults."""
 
-    def load(self, *, with_depth: bool = False) -> Clip:
+    def load(self, *, with_depth: bool = False) -> TruthClip:
         """Read the truth, its depth maps only `with_depth`.
 
         Raises:
@@ -71,7 +70,7 @@ class ClipFile:
             with open_npz(self.truth) as truth:
                 if with_depth and not {"depth_mm", "mask"} <= set(truth.files):
                     raise UsageError(f"{self.id}: its truth holds no depth; make the videos with --with-depth")
-                return Clip(
+                return TruthClip(
                     id=self.id,
                     task=self.task,
                     path=self.video,
@@ -94,7 +93,7 @@ class ClipFile:
         return hashed.hexdigest()
 
 
-def find_clips(folder: Path) -> list[ClipFile]:
+def find_clips(folder: Path) -> list[TruthClipFile]:
     """The clips that the manifest of a folder lists, in its order.
 
     Raises:
@@ -118,7 +117,7 @@ def find_clips(folder: Path) -> list[ClipFile]:
         if not truth.is_file():
             raise UsageError(f"{folder.name}: truth/{truth.name} is missing, so errors cannot be measured")
         clips.append(
-            ClipFile(
+            TruthClipFile(
                 id=name,
                 task=str(entry.get("task") or ""),
                 video=folder / video,
@@ -132,12 +131,12 @@ def find_clips(folder: Path) -> list[ClipFile]:
     return clips
 
 
-def load_clips(folder: Path, *, with_depth: bool = False) -> list[Clip]:
+def load_clips(folder: Path, *, with_depth: bool = False) -> list[TruthClip]:
     """All clips of a small folder at once; see `find_clips` and `ClipFile.load`."""
     return [clip.load(with_depth=with_depth) for clip in find_clips(folder)]
 
 
-def choose(clips: Sequence[ClipFile], limit: int | None) -> list[ClipFile]:
+def choose(clips: Sequence[TruthClipFile], limit: int | None) -> list[TruthClipFile]:
     """So many of the clips, from all tasks in turn, in the order of the manifest; all of them without a limit."""
     seen: dict[str, int] = {}
     turns = []

@@ -2,17 +2,23 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.geometry import Array, invert, transform_points
 from kinebench_drake.grounding.crop import Crop
-from kinebench_drake.grounding.evaluation.clip import ClipFile
-from kinebench_drake.grounding.given import with_depth, with_mask
-from kinebench_drake.grounding.known import GivenDepth
-from kinebench_drake.grounding.video import read_video
+from kinebench_drake.grounding.evaluation.clip import TruthClipFile
+from kinebench_drake.grounding.override_estimator import with_depth, with_mask
 from kinebench_drake.grounding.view import DepthEstimator, Frames, GripperView
+from kinebench_drake.io.figure import new_figure
+from kinebench_drake.io.reader import read_video
+from kinebench_drake.types import ExternalDepth
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 
 EVERY = 4
 """One frame of so many is measured."""
@@ -24,7 +30,7 @@ _CROP_PX, _MARGIN = 128, 1.3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Example:
+class DepthExample:
     """One frame's close view."""
 
     picture: NDArray[np.uint8]
@@ -81,10 +87,10 @@ class DepthErrors:
     """95th percentile likewise."""
     level_median: float
     """Median over frames of the absolute median error of a frame: what is common to its cells."""
-    example: Example
+    example: DepthExample
 
 
-def measure_depth(clips: Sequence[ClipFile], estimator: DepthEstimator) -> DepthErrors | None:
+def measure_depth(clips: Sequence[TruthClipFile], estimator: DepthEstimator) -> DepthErrors | None:
     """Hold the depth of an estimator against the truth on the gripper's visible pixels; None if none is visible.
 
     The close views are those of the true poses, so that nothing but the depth counts; fingers are moved to where they
@@ -95,7 +101,7 @@ def measure_depth(clips: Sequence[ClipFile], estimator: DepthEstimator) -> Depth
     """
     front, side = ErrorMap(axes=(1, 2)), ErrorMap(axes=(0, 2))
     errors: list[Array] = []
-    example: Example | None = None
+    example: DepthExample | None = None
     largest = 0
     for file in clips:
         for picture, view, true, X_HV, finger_m in _views(file, estimator):
@@ -111,7 +117,7 @@ def measure_depth(clips: Sequence[ClipFile], estimator: DepthEstimator) -> Depth
             if file is clips[0] and seen.sum() > largest:
                 largest = int(seen.sum())
                 blank = np.where(seen, 1.0, np.nan)
-                example = Example(picture=picture, true_m=true.depth_m * blank, estimated_m=view.depth_m * blank)
+                example = DepthExample(picture=picture, true_m=true.depth_m * blank, estimated_m=view.depth_m * blank)
     if not errors or example is None:
         return None
     pooled = np.abs(np.concatenate(errors))
@@ -126,7 +132,7 @@ def measure_depth(clips: Sequence[ClipFile], estimator: DepthEstimator) -> Depth
 
 
 def _views(
-    file: ClipFile, estimator: DepthEstimator
+    file: TruthClipFile, estimator: DepthEstimator
 ) -> Iterable[tuple[NDArray[np.uint8], GripperView, GripperView, Array, float]]:
     """Of every fourth frame: close view, what is estimated in it, the truth, its pose on the hand, the opening."""
     clip = file.load(with_depth=True)
@@ -134,9 +140,77 @@ def _views(
     if clip.depth_m is None or clip.mask is None:
         return
     numbers = [i for i in range(0, len(frames), EVERY) if np.isfinite(clip.X_CH[i]).all() and clip.X_CH[i, 2, 3] > 0.1]
-    depth = GivenDepth(depth_m=clip.depth_m, exact=True)
+    depth = ExternalDepth(depth_m=clip.depth_m, exact=True)
     crops = {i: Crop.of_gripper(clip.X_CH[i], _MARGIN, _CROP_PX) for i in numbers}
     for i, view in estimator.estimate(frames, clip.camera, crops):
         true = with_depth(with_mask(view, clip.mask[i], clip.camera), depth, i, clip.camera)
         picture = np.asarray(view.crop.warp(frames[i], clip.camera), dtype=np.uint8)
         yield picture, view, true, invert(clip.X_CH[i]) @ view.crop.X_CV, float(clip.finger_width_m[i]) / 2
+
+
+_AXES = ("x", "y", "z")
+
+
+def draw_depth(errors: DepthErrors, label: str) -> "Figure":
+    """Mean relative error over the gripper from two sides; picture, true and estimated depth and error of one frame."""
+    figure, axes = new_figure(15.0, 6.6, 2, 4)
+    for ax in axes.flat:
+        ax.grid(False)
+    means = [100 * m.mean() for m in (errors.front, errors.side)]
+    top = max(float(np.nanpercentile(np.concatenate([m.ravel() for m in means]), 98)), 0.1)
+    for ax, errormap, mean, name in zip(
+        axes[0, :2], (errors.front, errors.side), means, ("front", "side"), strict=True
+    ):
+        _heat(figure, ax, errormap, mean, top)
+        ax.set_title(f"the hand from its {name}", fontsize=10)
+    axes[0, 1].set_ylabel("")
+    _counts(figure, axes[0, 2], errors.front)
+    axes[0, 3].axis("off")
+    axes[0, 3].text(
+        0.0, 0.9,
+        f"{label}\n\n|error| of a cell\n  median {errors.median:.2%}\n  95 %     {errors.p95:.2%}\n\n"
+        f"common error of a frame\n  median {errors.level_median:.2%}",
+        va="top", family="monospace", fontsize=11, transform=axes[0, 3].transAxes,
+    )  # fmt: skip
+    example = errors.example
+    depths = np.concatenate([d[np.isfinite(d)] for d in (example.true_m, example.estimated_m)])
+    low, high = float(depths.min()), float(depths.max())
+    axes[1, 0].imshow(example.picture)
+    axes[1, 0].set_title("close view of one frame", fontsize=10)
+    for ax, depth, name in zip(axes[1, 1:3], (example.true_m, example.estimated_m), ("true", "estimated"), strict=True):
+        image = ax.imshow(depth, cmap="viridis", vmin=low, vmax=high)
+        ax.set_title(f"{name} depth", fontsize=10)
+        figure.colorbar(image, ax=ax, label="depth [m]", shrink=0.8)
+    reach = max(float(np.nanpercentile(np.abs(100 * example.error), 98)), 0.1)
+    image = axes[1, 3].imshow(100 * example.error, cmap="RdBu_r", vmin=-reach, vmax=reach)
+    axes[1, 3].set_title("error (red: too far)", fontsize=10)
+    figure.colorbar(image, ax=axes[1, 3], label="relative error [%]", shrink=0.8)
+    for ax in axes[1]:
+        ax.axis("off")
+    return figure
+
+
+def _heat(figure: "Figure", ax: Any, errormap: ErrorMap, mean: Array, top: float) -> None:
+    image = ax.imshow(mean, origin="lower", extent=_extent(errormap), cmap="magma_r", vmin=0.0, vmax=top)
+    _label(ax, errormap)
+    figure.colorbar(image, ax=ax, label="mean |relative error| [%]", shrink=0.8)
+
+
+def _counts(figure: "Figure", ax: Any, errormap: ErrorMap) -> None:
+    shown = np.where(errormap.count > 0, errormap.count, np.nan)
+    image = ax.imshow(shown, origin="lower", extent=_extent(errormap), cmap="Greys", norm="log")
+    _label(ax, errormap)
+    ax.set_title("cells measured", fontsize=10)
+    figure.colorbar(image, ax=ax, label="cells", shrink=0.8)
+
+
+def _extent(errormap: ErrorMap) -> tuple[float, float, float, float]:
+    (left, right), (bottom, top) = (1e3 * EXTENT_H[a] for a in errormap.axes)
+    return float(left), float(right), float(bottom), float(top)
+
+
+def _label(ax: Any, errormap: ErrorMap) -> None:
+    across, up = (_AXES[a] for a in errormap.axes)
+    ax.set(xlabel=f"{across} of panda_hand [mm]", ylabel=f"{up} of panda_hand [mm]")
+    ax.set_aspect("equal")
+    ax.invert_yaxis()

@@ -1,16 +1,50 @@
 """How the grounding of one clip differs from its truth, frame by frame."""
 
-from dataclasses import dataclass
-from typing import Any
+import resource
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.geometry import Array, pose_difference
-from kinebench_drake.grounding.evaluation.clip import Clip
-from kinebench_drake.grounding.evaluation.expense import Expense
-from kinebench_drake.grounding.pipeline import Grounding
-from kinebench_drake.products import Anomaly, AnomalyKind
+from kinebench_drake.grounding.evaluation.clip import TruthClip
+from kinebench_drake.grounding.pipeline import GroundingResult
+from kinebench_drake.types import Anomaly, AnomalyKind
+
+Value = TypeVar("Value")
+_RSS_UNIT_MB = 2**20 if sys.platform == "darwin" else 2**10  # of ru_maxrss in a megabyte
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Expense:
+    """What the grounding of one clip cost."""
+
+    wall_s: float
+    """Time on the clock, decoding included [s]."""
+    cpu_s: float
+    """Time of the processor, all threads together [s]: tells more than the clock on a busy machine."""
+    peak_mb: float
+    """Most memory that the process has held so far [MiB]."""
+
+    def to_json(self) -> dict[str, float]:
+        """A JSON object of it."""
+        return {name: round(value, 3) for name, value in asdict(self).items()}
+
+
+def metered(work: Callable[[], Value]) -> tuple[Value, Expense]:
+    """What `work` returns, and what it cost."""
+    wall, cpu = time.perf_counter(), time.process_time()
+    value = work()
+    return value, Expense(
+        wall_s=time.perf_counter() - wall,
+        cpu_s=time.process_time() - cpu,
+        peak_mb=resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / _RSS_UNIT_MB,
+    )
+
 
 FLIP_RAD = np.pi / 2
 """A rotation error beyond this is the other reading of the gripper."""
@@ -118,7 +152,7 @@ class ClipErrors:
         )
 
 
-def compare(clip: Clip, grounding: Grounding, expense: Expense, share: Array | None = None) -> ClipErrors:
+def compare(clip: TruthClip, grounding: GroundingResult, expense: Expense, share: Array | None = None) -> ClipErrors:
     """Hold a grounding against the truth; `share` (T,) is the part of the gripper that each frame shows.
 
     Frames whose pose was given are nobody's merit: they are left out, as if nothing were there to be seen.

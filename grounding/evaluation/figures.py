@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kinebench_drake.drawing import FAINT, POSITION, ROTATION, new_figure
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.evaluation.reliability import Reliability, judged_frames, reliability
-from kinebench_drake.grounding.evaluation.summary import Interval, Results
+from kinebench_drake.grounding.evaluation.summary import PercentileInterval, Results
 from kinebench_drake.grounding.evaluation.tables import by_task
+from kinebench_drake.io.figure import FAINT, POSITION, ROTATION, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -94,7 +94,10 @@ def _boxes(ax: Any, groups: Sequence[Array], labels: Sequence[str], colours: Seq
 
 
 def draw_comparison(
-    results: Mapping[str, Results], figures: Mapping[str, Mapping[str, Interval]], groups: Mapping[str, str], title: str
+    results: Mapping[str, Results],
+    figures: Mapping[str, Mapping[str, PercentileInterval]],
+    groups: Mapping[str, str],
+    title: str,
 ) -> "Figure":
     """Boxes of both errors and the tracked share for each condition.
 

@@ -7,10 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.geometry import Array
-from kinebench_drake.grounding.evaluation.clip import Clip
-from kinebench_drake.grounding.framing import Framing
-from kinebench_drake.grounding.placement import placements
-from kinebench_drake.grounding.reframing import find_framing
+from kinebench_drake.grounding.evaluation.clip import TruthClip
+from kinebench_drake.grounding.framing.framing import Framing, placements
+from kinebench_drake.grounding.framing.search import find_framing
 from kinebench_drake.grounding.view import Frames
 
 SIZES = ((832, 480), (720, 480), (512, 512))
@@ -38,7 +37,7 @@ class Reframing:
 class Reframed:
     """A clip shown so, with the framing undone as `score` does it."""
 
-    clip: Clip
+    clip: TruthClip
     """The clip with the camera that was found."""
     frames: Frames
     shown: Array
@@ -54,7 +53,7 @@ def reframings() -> tuple[Reframing, ...]:
     return tuple(found)
 
 
-def reframe(reframing: Reframing, clip: Clip, frames: Frames, masks: NDArray[np.bool_]) -> Reframed:
+def reframe(reframing: Reframing, clip: TruthClip, frames: Frames, masks: NDArray[np.bool_]) -> Reframed:
     """Show a square clip in another size, then find out and undo what was done.
 
     Args:

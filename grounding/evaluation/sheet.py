@@ -5,14 +5,14 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from kinebench_drake.grounding.evaluation.clip import ClipFile
-from kinebench_drake.grounding.evaluation.perturbation.catalogue import Kind, ladder, perturb
+from kinebench_drake.grounding.evaluation.clip import TruthClipFile
+from kinebench_drake.grounding.evaluation.perturbation.catalogue import PerturbationKind, ladder, perturb
 from kinebench_drake.grounding.evaluation.visibility import true_masks
-from kinebench_drake.grounding.video import read_video
+from kinebench_drake.io.reader import read_video
 from kinebench_drake.models.panda.cad import GripperCad
 
 
-def sheet_of(file: ClipFile, kinds: Sequence[Kind], seed: int) -> dict[str, NDArray[np.uint8]]:
+def sheet_of(file: TruthClipFile, kinds: Sequence[PerturbationKind], seed: int) -> dict[str, NDArray[np.uint8]]:
     """A frame of a clip as it is, where the gripper shows most, and under each perturbation, by name.
 
     Raises:

@@ -4,15 +4,14 @@ One JSON object a line: key, and what `ClipErrors.to_json` gives. A key tells cl
 the result, so that lines of other weights, seeds or code are passed over, not mixed in.
 """
 
-import json
-import os
 from collections.abc import Iterable
 from hashlib import blake2b
 from pathlib import Path
+from typing import Any
 
-from kinebench_drake.errors import UsageError
+from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.grounding.evaluation.errors import ClipErrors
-from kinebench_drake.storage import storage
+from kinebench_drake.io.jsonl import append_line, drop_torn_line, read_lines
 
 _GROUNDING = Path(__file__).parents[1]
 _CODE = ("*.py", "anomaly/*.py", "stages/**/*.py", "evaluation/*.py", "evaluation/perturbation/*.py")
@@ -31,7 +30,7 @@ def fingerprint(*settings: object, files: Iterable[Path] = ()) -> str:
     return hashed.hexdigest()
 
 
-class Store:
+class TrialStore:
     """Measurements by key; without a file they last as long as the object."""
 
     def __init__(self, path: Path | None) -> None:
@@ -44,17 +43,12 @@ class Store:
         self._rows: dict[str, ClipErrors] = {}
         if path is None or not path.is_file():
             return
-        text = path.read_text()
-        *whole, torn = text.split("\n")
         try:
-            for line in whole:
-                row = json.loads(line)
+            for row in read_lines(path, _row):
                 self._rows[row.pop("key")] = ClipErrors.from_json(row)
-        except (ValueError, KeyError, TypeError, AttributeError):
+        except (InputError, KeyError, TypeError, AttributeError):
             raise UsageError(f"{path.name}: holds no measurements of this version; remove it to start anew") from None
-        if torn:
-            with storage(path.name):
-                path.write_text(text[: len(text) - len(torn)])
+        drop_torn_line(path)
 
     def __contains__(self, key: str) -> bool:
         """Whether a measurement is there."""
@@ -74,9 +68,11 @@ class Store:
         self._rows[key] = ClipErrors.from_json(row)  # rounded alike, whether kept or measured now
         if self._path is None:
             return
-        with storage(self._path.name):
-            self._path.parent.mkdir(parents=True, exist_ok=True)
-            with self._path.open("a") as file:
-                file.write(json.dumps({"key": key, **row}, allow_nan=False) + "\n")
-                file.flush()
-                os.fsync(file.fileno())
+        self._path.parent.mkdir(parents=True, exist_ok=True)
+        append_line(self._path, {"key": key, **row})
+
+
+def _row(value: object) -> dict[str, Any]:
+    if not isinstance(value, dict):
+        raise InputError("expected an object")
+    return value

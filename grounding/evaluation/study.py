@@ -5,21 +5,28 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from kinebench_drake.engines import Engine
 from kinebench_drake.errors import UsageError
-from kinebench_drake.grounding.evaluation.clip import ClipFile, choose, find_clips
+from kinebench_drake.executors.base import Engine
+from kinebench_drake.grounding.evaluation.clip import TruthClipFile, choose, find_clips
 from kinebench_drake.grounding.evaluation.degradation import Degradation
 from kinebench_drake.grounding.evaluation.errors import ClipErrors
-from kinebench_drake.grounding.evaluation.perturbation.catalogue import Kind, ladder
+from kinebench_drake.grounding.evaluation.perturbation.catalogue import PerturbationKind, ladder
 from kinebench_drake.grounding.evaluation.reframed import reframings
-from kinebench_drake.grounding.evaluation.store import Store
-from kinebench_drake.grounding.evaluation.summary import Interval, Results
+from kinebench_drake.grounding.evaluation.store import TrialStore
+from kinebench_drake.grounding.evaluation.summary import PercentileInterval, Results
 from kinebench_drake.grounding.evaluation.tables import compared, comparison_table, intervals_json
-from kinebench_drake.grounding.evaluation.trial import Condition, MakeWorker, Trial, Watcher, Workshop, run
+from kinebench_drake.grounding.evaluation.trial import (
+    GroundingTrial,
+    MakeWorker,
+    TrialCondition,
+    TrialObserver,
+    TrialRunner,
+    run,
+)
 from kinebench_drake.grounding.evaluation.variants import VARIANTS, plug_in
-from kinebench_drake.grounding.sources.depth_source import depth_source_name
+from kinebench_drake.grounding.overrides.depth import depth_source_name
 
-CLEAN = Condition(name="as it is")
+CLEAN = TrialCondition(name="as it is")
 _DEGRADED = {
     "scale": tuple(Degradation(scale=s) for s in (0.02, 0.05, 0.10)),
     "smooth error": tuple(Degradation(field=s) for s in (0.02, 0.05, 0.10)),
@@ -28,11 +35,11 @@ _DEGRADED = {
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Study:
+class GroundingStudy:
     """Conditions to be held against each other."""
 
     title: str
-    conditions: tuple[Condition, ...]
+    conditions: tuple[TrialCondition, ...]
     groups: dict[str, str]
     """What each condition belongs to, by name."""
     marks: tuple[str, ...] = ()
@@ -45,7 +52,7 @@ class Study:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Plan:
+class StudyPlan:
     """How a study is carried out."""
 
     folder: Path
@@ -58,7 +65,7 @@ class Plan:
     keep: Path | None = None
     """Where finished measurements are kept."""
 
-    def clips(self) -> list[ClipFile]:
+    def clips(self) -> list[TruthClipFile]:
         """The videos.
 
         Raises:
@@ -67,7 +74,7 @@ class Plan:
         return choose(find_clips(self.folder), self.limit)
 
 
-def evaluation(variant: str) -> Study:
+def evaluation(variant: str) -> GroundingStudy:
     """One pipeline of `VARIANTS` by itself.
 
     Raises:
@@ -76,14 +83,14 @@ def evaluation(variant: str) -> Study:
     if variant not in VARIANTS:
         raise UsageError(f"pipeline {variant!r} is not known; there are {', '.join(VARIANTS)}")
     name = VARIANTS[variant].label
-    return Study(title=name, conditions=(Condition(name=name, variant=variant),), groups={name: name})
+    return GroundingStudy(title=name, conditions=(TrialCondition(name=name, variant=variant),), groups={name: name})
 
 
-def robustness(kinds: Sequence[Kind]) -> Study:
+def robustness(kinds: Sequence[PerturbationKind]) -> GroundingStudy:
     """The frames as they are, and each kind of perturbation at its strengths."""
     steps = [p for kind in kinds for p in ladder(kind)]
-    conditions = (CLEAN, *(Condition(name=p.label, perturbation=p) for p in steps))
-    return Study(
+    conditions = (CLEAN, *(TrialCondition(name=p.label, perturbation=p) for p in steps))
+    return GroundingStudy(
         title="Pose errors under perturbations",
         conditions=conditions,
         groups={CLEAN.name: "", **{p.label: p.kind.value for p in steps}},
@@ -91,42 +98,42 @@ def robustness(kinds: Sequence[Kind]) -> Study:
     )
 
 
-def framing() -> Study:
+def framing() -> GroundingStudy:
     """The frames as they are, and shown in the sizes and shapes of video models."""
     others = reframings()
-    return Study(
+    return GroundingStudy(
         title="Pose errors in other sizes and shapes",
-        conditions=(CLEAN, *(Condition(name=other.label, reframing=other) for other in others)),
+        conditions=(CLEAN, *(TrialCondition(name=other.label, reframing=other) for other in others)),
         groups={CLEAN.name: "", **{other.label: other.way for other in others}},
     )
 
 
-def depth_ablation(plug_ins: Sequence[str]) -> Study:
+def depth_ablation(plug_ins: Sequence[str]) -> GroundingStudy:
     """True depth, the estimate, the estimate made worse, and other estimators.
 
     Raises:
         UsageError: an estimator is not available.
     """
-    conditions = [Condition(name="true depth", variant="true-depth"), Condition(name="our estimate")]
+    conditions = [TrialCondition(name="true depth", variant="true-depth"), TrialCondition(name="our estimate")]
     groups = {c.name: c.name for c in conditions}
     for what, levels in _DEGRADED.items():
         for level in levels:
             name = f"{what} {max(level.scale, level.field, level.noise):.0%}"
-            conditions.append(Condition(name=name, degradation=level))
+            conditions.append(TrialCondition(name=name, degradation=level))
             groups[name] = what
     for spec in plug_ins:
         plug_in(spec)
         name = depth_source_name(spec)
-        conditions.append(Condition(name=name, plug_in=spec))
+        conditions.append(TrialCondition(name=name, plug_in=spec))
         groups[name] = name
     title = "Pose errors with depth of graded quality"
-    return Study(title=title, conditions=tuple(conditions), groups=groups)
+    return GroundingStudy(title=title, conditions=tuple(conditions), groups=groups)
 
 
-def budget() -> Study:
+def budget() -> GroundingStudy:
     """What each stage owes: true values put in one at a time, and all together."""
-    conditions = tuple(Condition(name=variant.label, variant=name) for name, variant in VARIANTS.items())
-    return Study(
+    conditions = tuple(TrialCondition(name=variant.label, variant=name) for name, variant in VARIANTS.items())
+    return GroundingStudy(
         title="Pose errors with true values put in",
         conditions=conditions,
         groups={c.name: c.name for c in conditions},
@@ -134,13 +141,13 @@ def budget() -> Study:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Outcome:
+class StudyOutcome:
     """What came of a study."""
 
-    study: Study
+    study: GroundingStudy
     results: dict[str, list[ClipErrors]]
     """Clips by condition."""
-    figures: dict[str, dict[str, Interval]]
+    figures: dict[str, dict[str, PercentileInterval]]
     """Figures by condition, as `compared` gives them."""
 
     def lines(self) -> Iterator[str]:
@@ -164,8 +171,12 @@ class Outcome:
 
 
 def carry_out(
-    study: Study, plan: Plan, engine: Engine, watcher: Watcher, make_worker: MakeWorker | None = None
-) -> Outcome:
+    study: GroundingStudy,
+    plan: StudyPlan,
+    engine: Engine,
+    watcher: TrialObserver,
+    make_worker: MakeWorker | None = None,
+) -> StudyOutcome:
     """Measure all clips under all conditions, going on where a run before was stopped.
 
     Raises:
@@ -175,7 +186,7 @@ def carry_out(
     clips = plan.clips()
     if not study.conditions:
         raise UsageError("there is nothing to compare; name at least one condition")
-    trials = [Trial(clip=clip, condition=condition) for clip in clips for condition in study.conditions]
-    workshop = Workshop(weights=plan.weights, seed=plan.seed, with_depth=study.needs_depth)
-    results = run(trials, workshop, engine, Store(plan.keep), watcher, make_worker)
-    return Outcome(study=study, results=dict(results), figures=compared(results, plan.seed))
+    trials = [GroundingTrial(clip=clip, condition=condition) for clip in clips for condition in study.conditions]
+    workshop = TrialRunner(weights=plan.weights, seed=plan.seed, with_depth=study.needs_depth)
+    results = run(trials, workshop, engine, TrialStore(plan.keep), watcher, make_worker)
+    return StudyOutcome(study=study, results=dict(results), figures=compared(results, plan.seed))

@@ -8,13 +8,65 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.evaluation.errors import LASTING_FRAMES, ClipErrors
-from kinebench_drake.grounding.evaluation.latency import vanish_latencies
-from kinebench_drake.grounding.evaluation.opening import judged
 from kinebench_drake.grounding.evaluation.reliability import judged_frames, reliability
-from kinebench_drake.products import Anomaly, AnomalyKind
+from kinebench_drake.types import Anomaly, AnomalyKind
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Latency:
+    """Reaction to one stretch of frames without a gripper."""
+
+    loss: int
+    """Frames still called tracked from the first one without a gripper on; all of them if the loss goes unnoticed."""
+    recovery: int | None
+    """Frames not tracked from the first one with the gripper back on; None where the clip ends before."""
+    phantoms: int
+    """Frames called tracked although there is no gripper."""
+
+
+def vanish_latencies(errors: ClipErrors) -> list[Latency]:
+    """The reaction to each planted vanishing of a clip."""
+    return [
+        latency(errors.tracked, fault.frame_start, fault.frame_end)
+        for fault in errors.planted
+        if fault.kind is AnomalyKind.VANISH
+    ]
+
+
+def latency(tracked: NDArray[np.bool_], start: int, end: int) -> Latency:
+    """The reaction of a track (T,) to a gripper gone from frame `start` to `end`, inclusive."""
+    gone, back = tracked[start : end + 1], tracked[end + 1 :]
+    return Latency(
+        loss=len(gone) if gone.all() else int(np.argmin(gone)),
+        recovery=int(np.argmax(back)) if back.any() else (len(back) if len(back) else None),
+        phantoms=int(gone.sum()),
+    )
+
+
+MARGIN_M = 0.008
+"""True gaps nearer than this to the boundary are not judged [m]."""
+HALFWAY_M = 0.04
+"""Halfway of the gripper's range, 0..0.08 [m]."""
+
+
+def boundary(true_width_m: Array) -> float:
+    """The gap between closed and open in an episode with true gaps (T,), NaN left out [m]."""
+    known = true_width_m[np.isfinite(true_width_m)]
+    if not known.size or known.max() - known.min() < 2 * MARGIN_M:
+        return HALFWAY_M
+    return float((known.max() + known.min()) / 2)
+
+
+def judged(width_m: Array, true_width_m: Array) -> NDArray[np.bool_]:
+    """Whether open or closed was read right, in each frame (n,) that is judged and in which a gap was read at all."""
+    middle = boundary(true_width_m)
+    far = np.isfinite(width_m) & (np.abs(true_width_m - middle) > MARGIN_M)
+    return np.asarray((width_m[far] > middle) == (true_width_m[far] > middle))
+
 
 OFF_M = 0.03
 """A frame called tracked that is off by more than this is a falsehood [m]."""
@@ -29,7 +81,7 @@ Statistic = Callable[[Results], float]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Interval:
+class PercentileInterval:
     """A figure and its 95 % interval over clips."""
 
     value: float
@@ -124,7 +176,9 @@ MORE: Mapping[str, Statistic] = {
 """Figures of one pipeline on one set of clips."""
 
 
-def intervals(results: Results, statistics: Mapping[str, Statistic] = ACCURACY, seed: int = 0) -> dict[str, Interval]:
+def intervals(
+    results: Results, statistics: Mapping[str, Statistic] = ACCURACY, seed: int = 0
+) -> dict[str, PercentileInterval]:
     """Each statistic with its interval; the same clips and seed give the same numbers.
 
     The interval is NaN of fewer than two clips.
@@ -137,7 +191,7 @@ def intervals(results: Results, statistics: Mapping[str, Statistic] = ACCURACY, 
         values = np.array([statistic(sample) for sample in drawn])
         values = values[np.isfinite(values)]
         low, high = np.percentile(values, [2.5, 97.5]) if values.size else (np.nan, np.nan)
-        table[name] = Interval(value=statistic(results), low=float(low), high=float(high))
+        table[name] = PercentileInterval(value=statistic(results), low=float(low), high=float(high))
     return table
 
 

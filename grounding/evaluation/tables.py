@@ -10,13 +10,13 @@ from kinebench_drake.grounding.evaluation.reliability import Reliability, judged
 from kinebench_drake.grounding.evaluation.summary import (
     ACCURACY,
     MORE,
-    Interval,
+    PercentileInterval,
     Results,
     intervals,
     percentile,
     summarize,
 )
-from kinebench_drake.products import Anomaly
+from kinebench_drake.types import Anomaly
 
 COMPARED = {
     "tracked_when_seen": "tracked",
@@ -106,13 +106,15 @@ def reliability_lines(curve: Reliability) -> Iterator[str]:
     yield from table(["confidence", "frames", "mean", "within 10 mm, 5 deg", "95 %"], rows)
 
 
-def compared(results: Mapping[str, Results], seed: int) -> dict[str, dict[str, Interval]]:
+def compared(results: Mapping[str, Results], seed: int) -> dict[str, dict[str, PercentileInterval]]:
     """The figures of each condition that `comparison_table` shows."""
     chosen = {name: ACCURACY[name] for name in COMPARED}
     return {name: intervals(group, chosen, seed) for name, group in results.items()}
 
 
-def comparison_table(figures: Mapping[str, Mapping[str, Interval]], marks: Sequence[str] = ()) -> Iterator[str]:
+def comparison_table(
+    figures: Mapping[str, Mapping[str, PercentileInterval]], marks: Sequence[str] = ()
+) -> Iterator[str]:
     """Each condition in one line, figures with their intervals.
 
     Args:
@@ -126,7 +128,7 @@ def comparison_table(figures: Mapping[str, Mapping[str, Interval]], marks: Seque
     yield from table(["", *COMPARED.values()], rows)
 
 
-def _with_interval(name: str, figure: Interval) -> str:
+def _with_interval(name: str, figure: PercentileInterval) -> str:
     value = _number(name, figure.value)
     if not np.isfinite([figure.low, figure.high]).all():
         return value
@@ -152,7 +154,7 @@ def evaluation_json(results: Results, seed: int) -> dict[str, Any]:
     }
 
 
-def intervals_json(figures: Mapping[str, Interval]) -> dict[str, Any]:
+def intervals_json(figures: Mapping[str, PercentileInterval]) -> dict[str, Any]:
     """A JSON object of figures with their intervals."""
     return {name: plain({"value": i.value, "low": i.low, "high": i.high}) for name, i in figures.items()}
 

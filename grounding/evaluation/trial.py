@@ -8,25 +8,24 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from kinebench_drake.engines import Crashed, Engine
 from kinebench_drake.errors import SetupError
+from kinebench_drake.executors.base import Crashed, Engine
 from kinebench_drake.geometry import Array
-from kinebench_drake.grounding.evaluation.clip import Clip, ClipFile
+from kinebench_drake.grounding.evaluation.clip import TruthClip, TruthClipFile
 from kinebench_drake.grounding.evaluation.degradation import Degradation
-from kinebench_drake.grounding.evaluation.errors import ClipErrors, compare
-from kinebench_drake.grounding.evaluation.expense import metered
+from kinebench_drake.grounding.evaluation.errors import ClipErrors, compare, metered
 from kinebench_drake.grounding.evaluation.perturbation.catalogue import Perturbation, perturb
 from kinebench_drake.grounding.evaluation.reframed import Reframing, reframe
-from kinebench_drake.grounding.evaluation.store import Store, fingerprint
-from kinebench_drake.grounding.evaluation.variants import VARIANTS, Ground, Make, Tools, degraded, plug_in
+from kinebench_drake.grounding.evaluation.store import TrialStore, fingerprint
+from kinebench_drake.grounding.evaluation.variants import VARIANTS, Ground, Make, VariantTools, degraded, plug_in
 from kinebench_drake.grounding.evaluation.visibility import true_masks, visible_share
-from kinebench_drake.grounding.sources.depth_source import depth_source_files
-from kinebench_drake.grounding.video import read_video
+from kinebench_drake.grounding.overrides.depth import depth_source_files
 from kinebench_drake.grounding.view import Frames
+from kinebench_drake.io.reader import read_video
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Condition:
+class TrialCondition:
     """What is done to a clip or to the pipeline before it is measured."""
 
     name: str
@@ -44,14 +43,14 @@ class Condition:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Trial:
+class GroundingTrial:
     """One clip under one condition."""
 
-    clip: ClipFile
-    condition: Condition
+    clip: TruthClipFile
+    condition: TrialCondition
 
 
-class Watcher(Protocol):
+class TrialObserver(Protocol):
     """Who is told how things go."""
 
     def started(self, total: int, kept: int) -> None:
@@ -63,22 +62,22 @@ class Watcher(Protocol):
         ...
 
 
-MakeWorker = Callable[[], Callable[[Trial], ClipErrors]]
+MakeWorker = Callable[[], Callable[[GroundingTrial], ClipErrors]]
 
 
 @dataclass(slots=True)
-class _Stand:
+class _TrialStand:
     """What a worker keeps from one trial to the next of the same clip."""
 
     id: str = ""
-    clip: Clip | None = None
+    clip: TruthClip | None = None
     frames: Frames = field(default_factory=lambda: np.zeros((0, 1, 1, 3), np.uint8))
     masks: NDArray[np.bool_] = field(default_factory=lambda: np.zeros((0, 1, 1), dtype=bool))
     share: Array = field(default_factory=lambda: np.zeros(0))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Workshop:
+class TrialRunner:
     """Makes, in each process, what measures trials."""
 
     weights: Path | None = None
@@ -88,15 +87,15 @@ class Workshop:
     with_depth: bool = False
     """Whether some condition needs the true depth."""
 
-    def __call__(self) -> Callable[[Trial], ClipErrors]:
+    def __call__(self) -> Callable[[GroundingTrial], ClipErrors]:
         """A function that measures one trial.
 
         Raises:
             SetupError: weights, CAD model or native libraries are missing.
         """
-        tools, stand = Tools.load(self.weights), _Stand()
+        tools, stand = VariantTools.load(self.weights), _TrialStand()
 
-        def measure(trial: Trial) -> ClipErrors:
+        def measure(trial: GroundingTrial) -> ClipErrors:
             if stand.id != trial.clip.id or stand.clip is None:
                 stand.clip = trial.clip.load(with_depth=self.with_depth)
                 stand.frames = read_video(stand.clip.path).frames
@@ -118,7 +117,7 @@ class Workshop:
 
         return measure
 
-    def _maker(self, condition: Condition) -> Make:
+    def _maker(self, condition: TrialCondition) -> Make:
         if condition.plug_in is not None:
             return plug_in(condition.plug_in)
         if condition.degradation is not None:
@@ -126,18 +125,20 @@ class Workshop:
         return VARIANTS[condition.variant].make
 
 
-def evaluate(clip: Clip, ground: Ground, *, frames: Frames | None = None, share: Array | None = None) -> ClipErrors:
+def evaluate(
+    clip: TruthClip, ground: Ground, *, frames: Frames | None = None, share: Array | None = None
+) -> ClipErrors:
     """Ground a clip and hold it against its truth; the time of decoding counts unless `frames` are given."""
     grounding, expense = metered(lambda: ground(read_video(clip.path).frames if frames is None else frames))
     return compare(clip, grounding, expense, share)
 
 
 def run(
-    trials: Sequence[Trial],
-    workshop: Workshop,
+    trials: Sequence[GroundingTrial],
+    workshop: TrialRunner,
     engine: Engine,
-    store: Store,
-    watcher: Watcher,
+    store: TrialStore,
+    watcher: TrialObserver,
     make_worker: MakeWorker | None = None,
 ) -> Mapping[str, list[ClipErrors]]:
     """Measure what is not in the store yet; the results of each condition, in the order of the trials.
@@ -166,7 +167,7 @@ def run(
     return results
 
 
-def _told(condition: Condition) -> str:
+def _told(condition: TrialCondition) -> str:
     """All that tells a condition from others; a plug-in by what it consists of, not by where it lies."""
     if condition.plug_in is None:
         return repr(condition)
@@ -174,5 +175,5 @@ def _told(condition: Condition) -> str:
     return repr(replace(condition, plug_in=plug_in))
 
 
-def _name(trial: Trial) -> tuple[str, str]:
+def _name(trial: GroundingTrial) -> tuple[str, str]:
     return trial.clip.id, trial.condition.name

@@ -8,19 +8,19 @@ import numpy as np
 
 from kinebench_drake.grounding.confidence import Confidence
 from kinebench_drake.grounding.estimator import NetworkEstimator
-from kinebench_drake.grounding.evaluation.clip import Clip
+from kinebench_drake.grounding.evaluation.clip import TruthClip
 from kinebench_drake.grounding.evaluation.degradation import Degradation, DegradedEstimator
-from kinebench_drake.grounding.known import GivenDepth, Known
-from kinebench_drake.grounding.pipeline import Grounding, GroundingPipeline
-from kinebench_drake.grounding.sources.depth_source import check_depth_source, estimate_depth
+from kinebench_drake.grounding.overrides.depth import check_depth_source, estimate_depth
+from kinebench_drake.grounding.pipeline import GroundingPipeline, GroundingResult
 from kinebench_drake.grounding.tracker import CadTracker
 from kinebench_drake.grounding.view import DepthEstimator, Frames
 from kinebench_drake.models.panda.cad import GripperCad
 from kinebench_drake.models.perception.weights import WEIGHTS, load_network
+from kinebench_drake.types import ExternalDepth, Priors
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Tools:
+class VariantTools:
     """What is loaded once and serves every clip."""
 
     estimator: DepthEstimator
@@ -30,7 +30,7 @@ class Tools:
     """The pipeline of these, warmed up."""
 
     @classmethod
-    def load(cls, weights: Path | None = None) -> "Tools":
+    def load(cls, weights: Path | None = None) -> "VariantTools":
         """Load network, CAD model and calibration; `weights` in place of those shipped.
 
         Raises:
@@ -47,15 +47,15 @@ class Tools:
         return GroundingPipeline(CadTracker(estimator, self.cad), self.confidence)
 
 
-Know = Callable[[Clip], Known]
-Ground = Callable[[Frames], Grounding]
+Know = Callable[[TruthClip], Priors]
+Ground = Callable[[Frames], GroundingResult]
 """What grounds the frames of one video."""
-Make = Callable[[Tools, Clip], Ground]
+Make = Callable[[VariantTools, TruthClip], Ground]
 """Makes it for a clip."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Variant:
+class PipelineVariant:
     """The shipped pipeline with something known beforehand."""
 
     label: str
@@ -65,32 +65,34 @@ class Variant:
     needs_depth: bool = False
     """Whether the clip's truth must hold depth and mask."""
 
-    def make(self, tools: Tools, clip: Clip) -> Ground:
+    def make(self, tools: VariantTools, clip: TruthClip) -> Ground:
         """See `Make`."""
         known = self.know(clip)
         return lambda frames: tools.shipped.ground(frames, clip.camera, clip.t_s[: len(frames)], known)
 
 
 def _true(*, mask: bool = False, depth: bool = False, first: bool = False, opening: bool = False) -> Know:
-    def know(clip: Clip) -> Known:
-        return Known(
+    def know(clip: TruthClip) -> Priors:
+        return Priors(
             mask=clip.mask if mask else None,
-            depth=GivenDepth(depth_m=clip.depth_m, exact=True) if depth and clip.depth_m is not None else None,
-            first=clip.first if first else None,
+            depth=ExternalDepth(depth_m=clip.depth_m, exact=True) if depth and clip.depth_m is not None else None,
+            initial_state=clip.initial_state if first else None,
             finger_width_m=clip.finger_width_m if opening else None,
         )
 
     return know
 
 
-VARIANTS: Mapping[str, Variant] = {
-    "pixels": Variant(label="pixels only", know=_true()),
-    "true-mask": Variant(label="true mask", know=_true(mask=True), needs_depth=True),
-    "true-depth": Variant(label="true depth", know=_true(depth=True), needs_depth=True),
-    "true-mask-and-depth": Variant(label="true mask and depth", know=_true(mask=True, depth=True), needs_depth=True),
-    "true-start": Variant(label="true start pose", know=_true(first=True)),
-    "true-opening": Variant(label="true finger opening", know=_true(opening=True)),
-    "all-true": Variant(
+VARIANTS: Mapping[str, PipelineVariant] = {
+    "pixels": PipelineVariant(label="pixels only", know=_true()),
+    "true-mask": PipelineVariant(label="true mask", know=_true(mask=True), needs_depth=True),
+    "true-depth": PipelineVariant(label="true depth", know=_true(depth=True), needs_depth=True),
+    "true-mask-and-depth": PipelineVariant(
+        label="true mask and depth", know=_true(mask=True, depth=True), needs_depth=True
+    ),
+    "true-start": PipelineVariant(label="true start pose", know=_true(first=True)),
+    "true-opening": PipelineVariant(label="true finger opening", know=_true(opening=True)),
+    "all-true": PipelineVariant(
         label="all of these", know=_true(mask=True, depth=True, first=True, opening=True), needs_depth=True
     ),
 }
@@ -100,7 +102,7 @@ VARIANTS: Mapping[str, Variant] = {
 def degraded(degradation: Degradation, seed: int) -> Make:
     """The shipped pipeline on depth made worse; `seed` draws how."""
 
-    def make(tools: Tools, clip: Clip) -> Ground:
+    def make(tools: VariantTools, clip: TruthClip) -> Ground:
         rng = np.random.default_rng([seed, *clip.id.encode()])
         pipeline = tools.pipeline(DegradedEstimator(tools.estimator, len(clip.t_s), degradation, rng))
         return lambda frames: pipeline.ground(frames, clip.camera, clip.t_s)
@@ -116,10 +118,10 @@ def plug_in(spec: str) -> Make:
     """
     check_depth_source(spec)
 
-    def make(tools: Tools, clip: Clip) -> Ground:
-        def ground(frames: Frames) -> Grounding:
+    def make(tools: VariantTools, clip: TruthClip) -> Ground:
+        def ground(frames: Frames) -> GroundingResult:
             camera = clip.camera.resized(frames.shape[2], frames.shape[1])
-            known = Known(depth=estimate_depth(spec, frames, camera))
+            known = Priors(depth=estimate_depth(spec, frames, camera))
             return tools.shipped.ground(frames, clip.camera, clip.t_s[: len(frames)], known)
 
         return ground

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, invert
 from kinebench_drake.grounding.crop import Crop
-from kinebench_drake.grounding.evaluation.clip import Clip
+from kinebench_drake.grounding.evaluation.clip import TruthClip
 from kinebench_drake.models.panda.cad import GripperCad
 
 _MARGIN = 1.1  # half width of the view over the gripper's radius
@@ -14,7 +14,7 @@ _OUTLINE_PX = 160  # width of the view that outlines are drawn from
 _SHARE_PX = 64  # width of the view that shares are counted in
 
 
-def true_masks(clip: Clip, cad: GripperCad) -> NDArray[np.bool_]:
+def true_masks(clip: TruthClip, cad: GripperCad) -> NDArray[np.bool_]:
     """Masks (T, H, W) of the gripper: those stored, else the outline of the CAD model at the true poses.
 
     The latter leaves out what arm or objects hide of it.
@@ -30,7 +30,7 @@ def true_masks(clip: Clip, cad: GripperCad) -> NDArray[np.bool_]:
     return masks
 
 
-def visible_share(clip: Clip, masks: NDArray[np.bool_], cad: GripperCad) -> Array:
+def visible_share(clip: TruthClip, masks: NDArray[np.bool_], cad: GripperCad) -> Array:
     """Part (T,) of the gripper's outline that `masks` (T, H, W) show, what lies outside the picture included.
 
     NaN where the gripper is not there.

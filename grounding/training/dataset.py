@@ -15,8 +15,8 @@ from kinebench_drake.errors import UsageError
 from kinebench_drake.geometry import Array, invert, make_pose, transform_points
 from kinebench_drake.grounding.crop import CLOSE_SIZE, GRIPPER_CENTRE_H, GRIPPER_RADIUS_M, WIDE_SIZE, Crop
 from kinebench_drake.grounding.training.augment import degrade, occlude
-from kinebench_drake.models.panda.part import ARM, GRIPPER, OPENING_SIGN, Part
-from kinebench_drake.models.perception.frame import DEPTH_UNIT_M, Frame
+from kinebench_drake.models.panda.robot import ARM, GRIPPER, OPENING_SIGN, RobotPart
+from kinebench_drake.models.perception.frame import DEPTH_UNIT_M, RenderedFrame
 from kinebench_drake.models.perception.network import COORDINATE_SCALE_M, DEPTH_CENTRE, STRIDE
 
 WIDE_EVERY = 4
@@ -28,7 +28,7 @@ _NARROW = 0.4  # share of draws that take the narrower of two grippers
 
 
 @dataclass(frozen=True, slots=True)
-class Sample:
+class TrainingSample:
     """One training crop of S pixels; h = w = S / STRIDE."""
 
     image: NDArray[np.uint8]
@@ -41,7 +41,7 @@ class Sample:
     """(h, w) network units."""
 
 
-def frame_camera(frame: Frame) -> Camera:
+def frame_camera(frame: RenderedFrame) -> Camera:
     """The camera of a frame."""
     height, width = frame.part.shape
     K = frame.K
@@ -49,7 +49,7 @@ def frame_camera(frame: Frame) -> Camera:
     return Camera(width=width, height=height, fx=K[0, 0], fy=K[1, 1], cx=K[0, 2], cy=K[1, 2], X_BC=X_BC)
 
 
-def close_view(frame: Frame, rng: np.random.Generator) -> Crop:
+def close_view(frame: RenderedFrame, rng: np.random.Generator) -> Crop:
     """A view near the gripper, mostly as tracking has it, sometimes less close."""
     centre = transform_points(frame.X_CH, GRIPPER_CENTRE_H[None])[0]
     distance = float(np.linalg.norm(centre))
@@ -60,7 +60,7 @@ def close_view(frame: Frame, rng: np.random.Generator) -> Crop:
     return Crop.towards(centre + shift, half_tangent, CLOSE_SIZE, roll=float(rng.normal(0, np.deg2rad(12))))
 
 
-def wide_view(frame: Frame, rng: np.random.Generator) -> Crop:
+def wide_view(frame: RenderedFrame, rng: np.random.Generator) -> Crop:
     """A view of about the whole frame, as detection has it."""
     camera = frame_camera(frame)
     half_tangent = max(camera.width / camera.fx, camera.height / camera.fy) / 2 * rng.uniform(0.7, 1.3)
@@ -68,7 +68,7 @@ def wide_view(frame: Frame, rng: np.random.Generator) -> Crop:
     return Crop.towards(direction, half_tangent, WIDE_SIZE, roll=float(rng.normal(0, np.deg2rad(4))))
 
 
-def label(frame: Frame, crop: Crop) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.float32]]:
+def label(frame: RenderedFrame, crop: Crop) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.float32]]:
     """Part, CAD coordinates in the part's frame, log depth of `frame` on the output grid of `crop`; network's units."""
     camera = frame_camera(frame)
     part = np.asarray(crop.warp(frame.part, camera, STRIDE, nearest=True), dtype=np.uint8)
@@ -82,9 +82,9 @@ def label(frame: Frame, crop: Crop) -> tuple[NDArray[np.uint8], NDArray[np.float
     return part, (p_P / COORDINATE_SCALE_M).astype(np.float32), log_depth.astype(np.float32)
 
 
-def _part_poses(frame: Frame) -> Array:
+def _part_poses(frame: RenderedFrame) -> Array:
     """(PARTS, 4, 4) frame of each part's CAD coordinates in the camera frame, by value of `Part`."""
-    X_CP = np.tile(np.eye(4), (len(Part), 1, 1))
+    X_CP = np.tile(np.eye(4), (len(RobotPart), 1, 1))
     for part in GRIPPER:
         X_CP[part] = frame.X_CH @ make_pose(np.eye(3), [0.0, OPENING_SIGN[part] * frame.finger_m, 0.0])
     X_CP[list(ARM)] = frame.X_CL
@@ -122,11 +122,11 @@ class Shards:
         """Number of the shard that holds frame `index`."""
         return self._index[index][0]
 
-    def __getitem__(self, index: int) -> Frame:
+    def __getitem__(self, index: int) -> RenderedFrame:
         """Frame `index`."""
         shard, i = self._index[index]
         a = self._arrays[shard]
-        return Frame(
+        return RenderedFrame(
             rgb=np.asarray(a["rgb"][i], dtype=np.uint8),
             depth=np.asarray(a["depth"][i], dtype=np.uint16),
             part=np.asarray(a["part"][i], dtype=np.uint8),
@@ -163,7 +163,7 @@ class Crops(Dataset[dict[str, Tensor]]):
     def __init__(self, shards: Shards, seed: int) -> None:
         self._shards, self._seed = shards, seed
 
-    def sample(self, step: int, slot: int) -> Sample:
+    def sample(self, step: int, slot: int) -> TrainingSample:
         """A crop before conversion to tensors."""
         rng = np.random.default_rng([self._seed, step, slot])
         wide = is_wide(step)
@@ -178,9 +178,9 @@ class Crops(Dataset[dict[str, Tensor]]):
             _double(image, (part, coordinates, log_depth), rng)
         if rng.random() < _OCCLUDED:
             occlude(image, part, self._draw(rng).rgb, rng)
-        return Sample(degrade(image, rng), part, coordinates, log_depth)
+        return TrainingSample(degrade(image, rng), part, coordinates, log_depth)
 
-    def _draw(self, rng: np.random.Generator) -> Frame:
+    def _draw(self, rng: np.random.Generator) -> RenderedFrame:
         """A random frame, those that show the gripper from its narrow side more often: they are harder."""
         frames = [self._shards[int(rng.integers(len(self._shards)))] for _ in range(1 + (rng.random() < _NARROW))]
         return max(frames, key=_narrowness)
@@ -196,7 +196,7 @@ class Crops(Dataset[dict[str, Tensor]]):
         }
 
 
-def _narrowness(frame: Frame) -> float:
+def _narrowness(frame: RenderedFrame) -> float:
     """Cosine between the fingers' axis and the line of sight, 0..1."""
     p = frame.X_CH[:3, 3]
     return float(np.nan_to_num(abs(frame.X_CH[:3, 1] @ p) / np.linalg.norm(p)))

@@ -1,7 +1,8 @@
 """Held-out rendered frames: what the network gets right in single frames, and the calibration of the confidence."""
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields
+from enum import Enum
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,10 +10,16 @@ from scipy.optimize import minimize
 from scipy.special import expit
 
 from kinebench_drake.geometry import Array, pose_difference
+from kinebench_drake.grounding.anomaly.detect import find_anomalies
 from kinebench_drake.grounding.confidence import GOOD_M, GOOD_RAD, Logistic, frame_features
+from kinebench_drake.grounding.evaluation.clip import TruthClip, TruthClipFile
+from kinebench_drake.grounding.pipeline import GroundingPipeline
+from kinebench_drake.grounding.smoothing import RawTrack
 from kinebench_drake.grounding.tracker import CadTracker
-from kinebench_drake.grounding.training.augment import degrade
+from kinebench_drake.grounding.training.augment import degrade, occlude
 from kinebench_drake.grounding.training.dataset import Shards, frame_camera
+from kinebench_drake.grounding.view import Frames
+from kinebench_drake.io.reader import read_video
 from kinebench_drake.models.perception.frame import DEPTH_UNIT_M
 
 HOLDOUT_SEED = 1_000_000
@@ -114,3 +121,77 @@ def reliability(probability: Array, good: NDArray[np.bool_], bins: int = 5) -> I
     for part in np.array_split(np.argsort(probability), bins):
         if len(part):
             yield float(probability[part].mean()), float(good[part].mean()), len(part)
+
+
+_NEAR_PX = 40.0  # things stand so near to the gripper's path
+
+
+class Degradations(Enum):
+    """What is done to a video."""
+
+    NONE = "none"
+    DEGRADED = "degraded"
+    """As training pictures are, all frames alike."""
+    OCCLUDED = "occluded"
+    """Things that stand still before the gripper's path."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HeldOutVideo:
+    """N frames in which a gripper was found."""
+
+    clip: NDArray[np.int64]
+    """(N,) number of the video."""
+    features: Array
+    """(N, 4) what the confidence of a frame among others rests on."""
+    position_m: Array
+    """(N,) error of the smoothed position [m]; inf where there is no gripper."""
+    good: NDArray[np.bool_]
+    """(N,) whether the smoothed pose is within 10 mm and 5 degrees."""
+
+    @staticmethod
+    def join(several: "Sequence[HeldOutVideo]") -> "HeldOutVideo":
+        """The frames of several videos."""
+        return HeldOutVideo(
+            **{f.name: np.concatenate([getattr(s, f.name) for s in several]) for f in fields(HeldOutVideo)}
+        )
+
+
+def measure_footage(pipeline: GroundingPipeline, file: TruthClipFile, number: int, seed: int = 0) -> HeldOutVideo:
+    """Track the gripper through a clip, number `number` of several, under every trouble."""
+    clip, frames = file.load(), read_video(file.video).frames
+    nothing = np.full((len(frames), 4, 4), np.nan)
+    features, position, good = [], [], []
+    for trouble in Degradations:
+        worse = spoil(frames, clip, trouble, [seed, number])
+        observed = pipeline.observe(worse, clip.camera, clip.t_s)
+        poses, seen = observed.poses, observed.evidence
+        anomalies = find_anomalies(seen).anomalies
+        raw = RawTrack.of(poses, seen.confidence, anomalies, seen.motion.lost, nothing)
+        distance, angle = pose_difference(clip.X_CH, raw.smoothed(raw.found, raw.confidence))
+        features.append(raw.features()[raw.found])
+        position.append(np.where(np.isfinite(distance), distance, np.inf)[raw.found])
+        good.append(((distance <= GOOD_M) & (angle <= GOOD_RAD))[raw.found])
+    return HeldOutVideo(
+        clip=np.full(sum(map(len, good)), number),
+        features=np.concatenate(features),
+        position_m=np.concatenate(position),
+        good=np.concatenate(good),
+    )
+
+
+def spoil(frames: Frames, clip: TruthClip, trouble: Degradations, seed: Sequence[int]) -> Frames:
+    """The frames (T, S, S, 3) of a clip made worse; the same `seed` gives the same frames."""
+    if trouble is Degradations.NONE:
+        return frames
+    if trouble is Degradations.DEGRADED:
+        return np.stack([degrade(frame, np.random.default_rng(seed)) for frame in frames])
+    rng = np.random.default_rng(seed)
+    shown = np.flatnonzero(np.isfinite(clip.X_CH).all(axis=(1, 2)))
+    places = clip.camera.resized(frames.shape[2], frames.shape[1]).project(clip.X_CH[rng.choice(shown, 3), :3, 3])
+    y, x = np.mgrid[0 : frames.shape[1], 0 : frames.shape[2]]
+    near = np.min([np.hypot(x - p[0], y - p[1]) for p in places], axis=0) <= _NEAR_PX
+    worse, draw = frames.copy(), int(rng.integers(2**32))
+    for image in worse:
+        occlude(image, near.astype(np.uint8), frames[0], np.random.default_rng(draw))
+    return worse

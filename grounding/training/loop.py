@@ -19,7 +19,7 @@ from safetensors.torch import save_file
 from torch import Tensor, nn
 
 from kinebench_drake.errors import UsageError
-from kinebench_drake.storage import whole
+from kinebench_drake.io.atomic import atomic_path
 
 Output = TypeVar("Output")
 Batch = dict[str, Tensor]
@@ -109,7 +109,7 @@ def save_weights(network: nn.Module, path: Path, about: Mapping[str, str] | None
         SetupError: writing failed.
     """
     state = {k: (v.half() if v.dtype.is_floating_point else v).contiguous() for k, v in network.state_dict().items()}
-    with whole(path) as part:
+    with atomic_path(path) as part:
         save_file(state, part, dict(about) if about else None)
 
 
@@ -191,7 +191,7 @@ def _save(path: Path, kept: Mapping[str, Any], identity: dict[str, object], step
     """
     tensors: dict[str, Tensor] = {}
     plain = {name: _without_tensors(thing.state_dict(), name, tensors) for name, thing in kept.items()}
-    with whole(path) as part:
+    with atomic_path(path) as part:
         save_file(tensors, part, {"state": json.dumps({**plain, "step": steps, "config": identity})})
 
 

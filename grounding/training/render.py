@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from kinebench_drake.errors import SetupError
-from kinebench_drake.grounding.training.scene import Scene
+from kinebench_drake.grounding.training.scene import TrainingScene
 from kinebench_drake.models.perception.frame import is_complete, save_shard, shard_folder
 
 FRAMES_PER_SCENE = 20
@@ -30,7 +30,9 @@ def render_shards(folder: Path, seeds: Iterable[int]) -> Iterator[int]:
         if not is_complete(shard):
             # The name keeps the last scene alive until the next is built: SAPIEN compiles its shaders anew, for
             # seconds, whenever no scene is left.
-            scene = Scene(np.random.default_rng([seed, _STREAM]), handless=seed % HANDLESS_EVERY == HANDLESS_EVERY - 1)
+            scene = TrainingScene(
+                np.random.default_rng([seed, _STREAM]), handless=seed % HANDLESS_EVERY == HANDLESS_EVERY - 1
+            )
             save_shard([scene.frame() for _ in range(FRAMES_PER_SCENE)], shard)
         yield seed
 

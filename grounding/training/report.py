@@ -15,14 +15,20 @@ from kinebench_drake.grounding.evaluation.summary import OFF_M
 from kinebench_drake.grounding.pipeline import TRACKED_CONFIDENCE, GroundingPipeline
 from kinebench_drake.grounding.tracker import CadTracker
 from kinebench_drake.grounding.training.dataset import Shards
-from kinebench_drake.grounding.training.footage import Footage, measure_footage
-from kinebench_drake.grounding.training.holdout import HOLDOUT_SEED, fit_logistic, measure, reliability
+from kinebench_drake.grounding.training.holdout import (
+    HOLDOUT_SEED,
+    HeldOutVideo,
+    fit_logistic,
+    measure,
+    measure_footage,
+    reliability,
+)
 from kinebench_drake.grounding.training.render import render
 from kinebench_drake.models.perception.weights import WEIGHTS, load_network
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Calibration:
+class ConfidenceCalibration:
     """What to calibrate on."""
 
     scenes: Path
@@ -41,7 +47,7 @@ class Calibration:
     """Rendering processes."""
 
 
-def calibration_lines(order: Calibration) -> Iterator[str]:
+def calibration_lines(order: ConfidenceCalibration) -> Iterator[str]:
     """Measure single held-out frames, then held-out videos; fit the confidence, tell how well it is calibrated.
 
     Half of the scenes, demonstrations and videos fit the confidence that is told of, the others test it. The one that
@@ -71,7 +77,7 @@ def calibration_lines(order: Calibration) -> Iterator[str]:
         for number, clip in enumerate(clips):
             parts.append(measure_footage(pipeline, clip, number))
             yield f"[{number + 1}/{len(clips)}] {clip.id}"
-        footage = Footage.join(parts)
+        footage = HeldOutVideo.join(parts)
         track, lines = _fitted("videos", footage.clip, footage.features, footage.good)
         yield from lines
         tracked = track.probability(footage.features) >= TRACKED_CONFIDENCE

@@ -2,16 +2,53 @@
 
 from typing import Any
 
+import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from kinebench_drake import native
 from kinebench_drake.camera import Camera
+from kinebench_drake.environment import native
 from kinebench_drake.geometry import Array, invert, make_pose, orthonormalize
-from kinebench_drake.grounding.training.textures import random_texture
-from kinebench_drake.models.panda.part import GRIPPER, LINK_OF, Part
-from kinebench_drake.models.panda.robot import source_urdf
-from kinebench_drake.models.perception.frame import RENDERED_DEPTH_BIAS_M, Frame, part_map
-from kinebench_drake.models.perception.viewpoint import varied_camera
+from kinebench_drake.models.panda.robot import GRIPPER, LINK_OF, RobotPart, source_urdf
+from kinebench_drake.models.perception.frame import RENDERED_DEPTH_BIAS_M, RenderedFrame, part_map, varied_camera
+
+_SIZE = 256
+
+
+def _noise(rng: np.random.Generator, octaves: int) -> NDArray[np.float32]:
+    """Value noise (256, 256) in 0..1: random grids of doubling resolution and halving weight, summed."""
+    total = np.zeros((_SIZE, _SIZE), np.float32)
+    for octave in range(octaves):
+        cells = 2 ** (octave + 2)
+        grid = rng.random((cells, cells), dtype=np.float32)
+        total += np.asarray(cv2.resize(grid, (_SIZE, _SIZE), interpolation=cv2.INTER_CUBIC)) * 0.5**octave
+    total -= total.min()
+    return total / max(float(total.max()), 1e-6)
+
+
+def random_texture(rng: np.random.Generator) -> NDArray[np.uint8]:
+    """One random texture (256, 256, 4) uint8 RGBA; the same generator state gives the same bytes."""
+    y, x = np.mgrid[0:_SIZE, 0:_SIZE].astype(np.float32) / _SIZE
+    pattern = rng.integers(5)
+    noise = _noise(rng, int(rng.integers(2, 7)))
+    frequency = float(rng.uniform(2, 14))
+    if pattern == 0:
+        blend = noise
+    elif pattern == 1:  # wood: rings of a distorted distance
+        blend = 0.5 + 0.5 * np.sin(2 * np.pi * frequency * (x + 0.25 * noise))
+    elif pattern == 2:
+        blend = ((np.floor(x * frequency) + np.floor(y * frequency)) % 2).astype(np.float32)
+    elif pattern == 3:
+        blend = 0.5 + 0.5 * np.sign(np.sin(2 * np.pi * frequency * (x * np.cos(noise[0, 0] * 6) + y)))
+    else:  # cloth: a fine weave over soft noise
+        blend = 0.6 * noise + 0.4 * (0.5 + 0.25 * (np.sin(x * 400) + np.sin(y * 400)))
+    blend = np.clip(blend * rng.uniform(0.4, 1.0) + 0.1 * _noise(rng, 5), 0, 1)[..., None]
+    first, second = rng.uniform(0, 255, 3), rng.uniform(0, 255, 3)
+    if rng.random() < 0.5:  # tables and walls are more often of related than of clashing colours
+        second = np.clip(first + rng.normal(0, 40, 3), 0, 255)
+    colour = first * blend + second * (1 - blend)
+    return np.dstack([colour, np.full((_SIZE, _SIZE), 255.0)]).astype(np.uint8)
+
 
 IMAGE_SIZE = 384
 """Width and height of frames [px]."""
@@ -20,7 +57,7 @@ _TABLE_HALF = (0.9, 1.2, 0.02)
 _OPENCV_FROM_SAPIEN = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 
 
-class Scene:
+class TrainingScene:
     """A table, walls, loose objects, lights and a Panda; `frame` puts all of them somewhere new and renders."""
 
     def __init__(self, rng: np.random.Generator, *, handless: bool = False) -> None:
@@ -128,7 +165,7 @@ class Scene:
         part_of = {name: part for part, name in LINK_OF.items()}
         self._part_of_id = {}
         for name, link in self._links.items():
-            part = part_of.get(name, Part.BACKGROUND)
+            part = part_of.get(name, RobotPart.BACKGROUND)
             self._part_of_id[link.entity.per_scene_id] = part
             body = link.entity.find_component_by_type(self._sapien.render.RenderBodyComponent)
             if handless and part in GRIPPER and body is not None:
@@ -202,7 +239,7 @@ class Scene:
         else:
             held.set_pose(self._sapien.Pose([0, 0, -5]))
 
-    def frame(self) -> Frame:
+    def frame(self) -> RenderedFrame:
         """Move everything, render once."""
         camera = varied_camera(self._rng, IMAGE_SIZE)
         holds = bool(self._rng.random() < 0.35)
@@ -227,4 +264,4 @@ class Scene:
             rgb = (np.clip(component.get_picture("Color")[..., :3], 0, 1) * 255).astype(np.uint8)
             depth_m, ids = -component.get_picture("Position")[..., 2], component.get_picture("Segmentation")[..., 1]
         X_BL = {n: link.entity_pose.to_transformation_matrix().astype(np.float64) for n, link in self._links.items()}
-        return Frame.of_picture(rgb, depth_m, part_map(ids, self._part_of_id), camera, X_BL, finger)
+        return RenderedFrame.of_picture(rgb, depth_m, part_map(ids, self._part_of_id), camera, X_BL, finger)

@@ -11,7 +11,7 @@ from torch.utils.data import DataLoader
 
 from kinebench_drake.grounding.training.dataset import Crops, Shards, Steps
 from kinebench_drake.grounding.training.loop import Batch, Schedule, Terms, optimise, pick_device, save_weights
-from kinebench_drake.models.panda.part import ARM, Part
+from kinebench_drake.models.panda.robot import ARM, RobotPart
 from kinebench_drake.models.perception.network import DenseOutput, GripperNetwork
 from kinebench_drake.models.perception.weights import load_network
 
@@ -59,7 +59,7 @@ def losses(output: DenseOutput, batch: dict[str, Tensor]) -> Losses:
     """
     part = batch["part"]
     weight = torch.tensor(_PIXEL_WEIGHTS, device=part.device)
-    robot = weight[part] * (part != int(Part.BACKGROUND))
+    robot = weight[part] * (part != int(RobotPart.BACKGROUND))
     is_arm = part >= int(ARM[0])
     of_kind = torch.stack([robot * ~is_arm, robot * is_arm], dim=1)
     count = of_kind.sum(dim=(0, 2, 3)).clamp(min=1.0)

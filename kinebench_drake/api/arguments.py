@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TypeAlias, TypeVar
 
 from kinebench_drake.errors import UsageError
-from kinebench_drake.run import Silence
+from kinebench_drake.evaluation.runner import NullObserver
 
 PathName: TypeAlias = str | PathLike[str]
 Member = TypeVar("Member", bound=Enum)
@@ -47,7 +47,7 @@ def warn(*messages: str) -> None:
         warnings.warn(message, stacklevel=3)
 
 
-class Warner(Silence):
+class Warner(NullObserver):
     """An `Observer` that turns what the user should know into Python warnings."""
 
     def warned(self, message: str) -> None:

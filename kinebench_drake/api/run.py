@@ -3,11 +3,11 @@
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from kinebench_drake import score
 from kinebench_drake.api.arguments import PathName, Warner, member_of, path_of
-from kinebench_drake.engines import EngineKind
-from kinebench_drake.run import Observer, RunSummary
-from kinebench_drake.shard import Shard
+from kinebench_drake.evaluation import score
+from kinebench_drake.evaluation.runner import Observer, RunSummary
+from kinebench_drake.executors.base import EngineKind
+from kinebench_drake.results.metadata import Shard
 
 
 def score_videos(
@@ -178,15 +178,15 @@ def run_suite(
         summary = run_suite(0, world_model="oracle", tasks=["StackCube-v1"], episodes=2, out="ceiling")
         print(summary.success.mean, [row.extra["verdict"] for row in summary.rows])
     """
-    from kinebench_drake.closed_loop import LoopOptions  # the simulator and torch: seconds to load
-    from kinebench_drake.suite_run import SuiteConfig
-    from kinebench_drake.suite_run import run_suite as run
+    from kinebench_drake.closed_loop.loop import LoopOptions  # the simulator and torch: seconds to load
+    from kinebench_drake.evaluation.suite import SuiteConfig
+    from kinebench_drake.evaluation.suite import run_suite as run
     from kinebench_drake.suites.selection import chosen_tasks
-    from kinebench_drake.suites.stage import Control
+    from kinebench_drake.suites.simulator import Control
     from kinebench_drake.suites.suite import load_suite
-    from kinebench_drake.suites.tasks.card import Variant
+    from kinebench_drake.suites.tasks.card import TaskVariant
 
-    chosen, version = load_suite(suite), member_of(Variant, variant, "--variant")
+    chosen, version = load_suite(suite), member_of(TaskVariant, variant, "--variant")
     config = SuiteConfig(
         suite=chosen,
         split=chosen.split_name(split),

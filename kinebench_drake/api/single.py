@@ -1,25 +1,142 @@
 """One sample by itself, nothing written: `ground_video` and `audit_trajectory`."""
 
+from collections.abc import Sequence
 from dataclasses import replace
+from difflib import get_close_matches
+from functools import lru_cache
 from os import PathLike
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from kinebench_drake import audit
 from kinebench_drake.api.arguments import PathName, path_of, refuse_with, warn
-from kinebench_drake.api.sample import single_trajectory, single_video, stages_for, trajectory_of, video_of
-from kinebench_drake.camera import Camera
-from kinebench_drake.engines.local import one_thread
-from kinebench_drake.footage import BENCHMARK_PERIOD_S, PeriodSource, check_period, make_footage
-from kinebench_drake.grounding.known import FirstFrame
-from kinebench_drake.grounding.sources.sources import Sources
-from kinebench_drake.inputs import CameraSource
-from kinebench_drake.products import GripperTrack
-from kinebench_drake.stages import Grounded, Judgement, StageOptions
-from kinebench_drake.trajectories.trajectory import Choice
-from kinebench_drake.trajectory_measure import judge_trajectory
+from kinebench_drake.camera import Camera, benchmark_camera
+from kinebench_drake.datasets.trajectories.check import check
+from kinebench_drake.datasets.trajectories.source import find_trajectories, read_trajectory
+from kinebench_drake.datasets.trajectories.trajectory import RawTrajectory, Trajectory, TrajectoryOptions
+from kinebench_drake.datasets.videos.find import find_samples
+from kinebench_drake.datasets.videos.sample import CameraSource, VideoSample
+from kinebench_drake.errors import InputError, UsageError
+from kinebench_drake.evaluation import audit
+from kinebench_drake.evaluation.audit import judge_trajectory
+from kinebench_drake.evaluation.evaluator import SampleInfo
+from kinebench_drake.evaluation.score import (
+    BENCHMARK_PERIOD_S,
+    PeriodSource,
+    check_period,
+    prepare_video,
+    with_first_frames,
+)
+from kinebench_drake.evaluation.stages import SHIPPED_STAGES, Grounded, Judgement, RobotOptions, Stages, load_stages
+from kinebench_drake.executors.local import one_thread
+from kinebench_drake.grounding.overrides.overrides import Overrides
+from kinebench_drake.io.reader import read_video
+from kinebench_drake.io.video import Video
+from kinebench_drake.types import GripperTrack, InitialState
+
+AnySample = TypeVar("AnySample", bound=SampleInfo)
+
+
+def single_video(
+    source: Path, *, id: str | None, camera_key: str | None, pixels_only: bool, sources: Overrides
+) -> tuple[Video, VideoSample, Sequence[str]]:
+    """One video of a file, dataset or manifest, what its owner says about it, and what the user should know.
+
+    Raises:
+        UsageError: there is none, or it is not said which one is meant.
+        InputError: it cannot be read.
+    """
+    inputs = find_samples(source, others=sources.folders, camera_key=camera_key)
+    sample = _one(inputs.samples, source, id)
+    if sample.problem is not None:
+        raise InputError(sample.problem)
+    sample = replace(sample, initial_state=None) if pixels_only else with_first_frames([sample])[0]
+    return read_video(sample.path, sample.part), sample, inputs.warnings
+
+
+def video_of(frames: NDArray[np.uint8], id: str | None) -> tuple[Video, VideoSample]:
+    """A video given as frames (T, H, W, 3) RGB, by the benchmark's camera unless it is said otherwise.
+
+    Raises:
+        InputError: the array is no video.
+    """
+    name = id or "video"
+    sample = VideoSample(
+        id=name, path=Path(name), video=name, camera=benchmark_camera(), camera_source=CameraSource.BENCHMARK
+    )
+    return Video(frames=np.asarray(frames), fps=None, stamps_s=None), sample
+
+
+def single_trajectory(source: Path, choice: TrajectoryOptions, *, id: str | None) -> Trajectory:
+    """One trajectory of a file, dataset or folder.
+
+    Raises:
+        UsageError: there is none, or it is not said which one is meant.
+        InputError: it cannot be read, or is not sound.
+        UnmeasurableError: it is too short.
+    """
+    return read_trajectory(_one(find_trajectories(source, choice), source, id), choice)
+
+
+def trajectory_of(
+    values: NDArray[np.generic],
+    *,
+    t_s: ArrayLike | None,
+    rate_hz: float | None,
+    tracked: ArrayLike | None,
+    finger_width_m: ArrayLike | None,
+) -> Trajectory:
+    """A trajectory given as joint angles (T, 7) [rad] or poses (T, 4, 4) [m], checked as files are.
+
+    Raises:
+        InputError: the arrays are not sound.
+        UnmeasurableError: they are too short.
+    """
+    if values.ndim not in (2, 3):
+        raise InputError(
+            f"the trajectory has shape {values.shape}, expected joint angles (T, 7) in radians or poses (T, 4, 4)"
+        )
+    joints = values.ndim == 2
+    recording = RawTrajectory(
+        t_s=None if t_s is None else np.asarray(t_s),
+        X_BG=None if joints else values,
+        q=values if joints else None,
+        tracked=None if tracked is None else np.asarray(tracked),
+        finger_width_m=None if finger_width_m is None else np.asarray(finger_width_m),
+        columns="q" if joints else "base_from_tcp",
+    )
+    return check(recording, rate_hz)
+
+
+def stages_for(options: RobotOptions) -> Stages:
+    """What grounds and judges: kept for the next call with the same options, unless the robot is the user's own.
+
+    Raises:
+        SetupError: a library, a driver or the weights are missing.
+        UsageError: the robot cannot be used.
+    """
+    if options.urdf is None:
+        return _kept_stages(SHIPPED_STAGES, options)
+    return load_stages(SHIPPED_STAGES, options)  # its files may change between calls
+
+
+@lru_cache(maxsize=4)
+def _kept_stages(path: str, options: RobotOptions) -> Stages:
+    return load_stages(path, options)
+
+
+def _one(samples: Sequence[AnySample], source: Path, id: str | None) -> AnySample:
+    ids = [sample.id for sample in samples]
+    if id in ids:
+        return samples[ids.index(id)]
+    if id is None and len(ids) == 1:
+        return samples[0]
+    if id is None:
+        raise UsageError(f"{source}: holds {len(ids)} samples, expected one; name one by id, such as id={ids[0]!r}")
+    near = get_close_matches(id, ids, n=3, cutoff=0.5) or ids[:3]
+    raise UsageError(f"{source}: holds no sample {id!r} ({len(ids)} samples, such as {', '.join(near)})")
 
 
 def ground_video(
@@ -29,7 +146,7 @@ def ground_video(
     camera: Camera | PathName | None = None,
     camera_key: str | None = None,
     frame_period_s: float | None = None,
-    first: FirstFrame | None = None,
+    first: InitialState | None = None,
     pixels_only: bool = False,
     masks: PathName | None = None,
     depth: PathName | None = None,
@@ -69,7 +186,7 @@ def ground_video(
         print(track.X_BG[track.tracked, :3, 3])
     """
     check_period(frame_period_s)
-    sources = Sources(
+    sources = Overrides(
         masks=path_of(masks),
         depth=None if depth is None else str(depth),
         poses=path_of(poses),
@@ -87,12 +204,12 @@ def ground_video(
         given = camera if isinstance(camera, Camera) else Camera.load(Path(camera))
         sample = replace(sample, camera=given, camera_source=CameraSource.GIVEN)
     if first is not None:
-        sample = replace(sample, first=first)
+        sample = replace(sample, initial_state=first)
     with one_thread():
-        footage = make_footage(decoded, sample, frame_period_s, sources)
+        footage = prepare_video(decoded, sample, frame_period_s, sources)
         if footage.period_source is PeriodSource.BENCHMARK:
             warn(f"the video has no frame rate: {BENCHMARK_PERIOD_S} s between frames was taken; give frame_period_s")
-        return footage.ground(stages_for(StageOptions()))
+        return footage.ground(stages_for(RobotOptions()))
 
 
 def audit_trajectory(
@@ -142,10 +259,10 @@ def audit_trajectory(
         judgement = audit_trajectory(q, t_s=t_s)
         print(judgement.feasible, judgement.violations, judgement.metrics["manipulability_min"])
     """
-    options = StageOptions(table_height_m=table_height_m, urdf=path_of(urdf), tcp_frame=tcp_frame)
+    options = RobotOptions(table_height_m=table_height_m, urdf=path_of(urdf), tcp_frame=tcp_frame)
     if options.urdf is not None:
         warn(*audit.robot_remarks(options.urdf, tcp_frame))
-    choice = Choice(rate_hz=rate_hz, joints=joints, poses=poses)
+    choice = TrajectoryOptions(rate_hz=rate_hz, joints=joints, poses=poses)
     if isinstance(trajectory, GripperTrack):
         refuse_with(
             "a track", t_s=t_s, rate_hz=rate_hz, tracked=tracked, finger_width_m=finger_width_m,

@@ -12,11 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from kinebench_drake.calibration.fit import CAUCHY, LensFit, left_jacobian, robust_loss, sigma_px
-from kinebench_drake.calibration.lens import UNKNOWNS, Lens
-from kinebench_drake.calibration.sightings import Sightings, points
+from kinebench_drake.calibration.correspondences import CalibrationCorrespondences, points
+from kinebench_drake.calibration.fit import CAUCHY, UNKNOWNS, Lens, LensFit, left_jacobian, robust_loss, sigma_px
 from kinebench_drake.geometry import Array
-from kinebench_drake.grounding.arm import ArmModel
+from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.models.panda.cad import MAX_FINGER_M
 from kinebench_drake.models.robot import N_JOINTS
 
@@ -39,7 +38,7 @@ class ArticulatedFit:
 
 
 def refine_articulated(
-    cells: Sightings,
+    cells: CalibrationCorrespondences,
     start: Lens,
     q: Array,
     finger_m: Array,
@@ -120,7 +119,9 @@ def _angles(state: Array) -> Array:
     return state.reshape(-1, _A_FRAME)[:, :N_JOINTS]
 
 
-def _derivatives(cells: Sightings, lens: Lens, q: Array, finger_m: Array, model: ArmModel) -> tuple[Array, Array]:
+def _derivatives(
+    cells: CalibrationCorrespondences, lens: Lens, q: Array, finger_m: Array, model: ArmModel
+) -> tuple[Array, Array]:
     """Of the cells' pixels: by the lens (N, 2, 7), and by angles and opening of their frames (N, 2, 8)."""
     p_B = points(cells, model.poses(q), finger_m)
     by_lens, by_C = lens.derivatives(p_B)
@@ -134,8 +135,8 @@ def _derivatives(cells: Sightings, lens: Lens, q: Array, finger_m: Array, model:
 
 
 def _described(
-    cells: Sightings, lens: Lens, error: Array, J: Array, weight: Array, q: Array, finger_m: Array, free: int,
-    sigma: Array,
+    cells: CalibrationCorrespondences, lens: Lens, error: Array, J: Array, weight: Array, q: Array, finger_m: Array,
+    free: int, sigma: Array,
 ) -> ArticulatedFit:  # fmt: skip
     n = 2 * len(cells)
     W = weight / (1.0 + (error / CAUCHY) ** 2)

@@ -6,12 +6,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from kinebench_drake.calibration.calibration import Calibration, Method, describe, warned
-from kinebench_drake.calibration.determination import require_determined, warnings_of
-from kinebench_drake.calibration.fit import with_focal
-from kinebench_drake.calibration.lens import Lens
-from kinebench_drake.calibration.look import Eye, Look, NetworkEye
-from kinebench_drake.calibration.solve import MIN_MOVING_FRAMES, Solved, solve_known, solve_moving
+from kinebench_drake.calibration.correspondences import LensView, NetworkViewEstimator, ViewEstimator
+from kinebench_drake.calibration.fit import Lens, with_focal
+from kinebench_drake.calibration.observability import require_determined, warnings_of
+from kinebench_drake.calibration.result import CalibrationMethod, CameraCalibration, describe, with_warnings
+from kinebench_drake.calibration.solve import MIN_MOVING_FRAMES, LensSolution, solve_known, solve_moving
 from kinebench_drake.calibration.states import (
     RobotStates,
     file_states,
@@ -22,12 +21,12 @@ from kinebench_drake.calibration.states import (
 from kinebench_drake.camera import Camera, benchmark_camera
 from kinebench_drake.errors import UnmeasurableError, UsageError
 from kinebench_drake.geometry import Array, invert, pose_difference
-from kinebench_drake.grounding.anomaly.motion import COMPENSABLE_PX, MOVING_PX, measure_camera_motion
-from kinebench_drake.grounding.arm import ArmModel
-from kinebench_drake.grounding.decoded import Video
-from kinebench_drake.grounding.video import read_video
+from kinebench_drake.grounding.anomaly.camera_motion import COMPENSABLE_PX, MOVING_PX, measure_camera_motion
+from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.grounding.view import Frames
-from kinebench_drake.models.panda.part import Part
+from kinebench_drake.io.reader import read_video
+from kinebench_drake.io.video import Video
+from kinebench_drake.models.panda.robot import RobotPart
 
 FOV_DEG = (35.0, 45.0, 55.0, 65.0, 75.0, 90.0)
 """Horizontal fields of view with which the search for the focal length begins [degrees]."""
@@ -76,10 +75,10 @@ class CalibrationConfig:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Calibrated:
+class CalibrationOutcome:
     """A calibration with what a picture of it needs."""
 
-    calibration: Calibration
+    calibration: CameraCalibration
     frame: NDArray[np.uint8]
     """(H, W, 3) one of the frames it was made from."""
     X_BP: Array
@@ -88,7 +87,7 @@ class Calibrated:
     """Opening of each finger in that frame [m]."""
 
 
-def calibrate(config: CalibrationConfig, eye: Eye | None = None) -> Calibrated:
+def calibrate(config: CalibrationConfig, eye: ViewEstimator | None = None) -> CalibrationOutcome:
     """Find the camera of a video.
 
     Args:
@@ -115,7 +114,7 @@ def calibrate(config: CalibrationConfig, eye: Eye | None = None) -> Calibrated:
     zoom_free = config.camera is None and config.focal_px is None
     chosen = _chosen(states, config.frames)
     frames = video.frames[chosen]
-    eye = eye or NetworkEye.create()
+    eye = eye or NetworkViewEstimator.create()
     look = eye.look(frames, guess)
     shift = _camera_shift(frames, look, guess)
     states = states.take(chosen)
@@ -127,13 +126,13 @@ def calibrate(config: CalibrationConfig, eye: Eye | None = None) -> Calibrated:
         method=_method(states),
         source=states.source,
         frames=chosen[solved.rows],
-        hands_B=solved.X_BP[:, Part.HAND, :3, 3],
+        hands_B=solved.X_BP[:, RobotPart.HAND, :3, 3],
         focal_free=zoom_free,
     )
     require_determined(calibration)
     middle = len(solved.rows) // 2
-    return Calibrated(
-        calibration=warned(calibration, (*shift, *warnings_of(calibration))),
+    return CalibrationOutcome(
+        calibration=with_warnings(calibration, (*shift, *warnings_of(calibration))),
         frame=frames[solved.rows[middle]],
         X_BP=solved.X_BP[middle],
         finger_m=float(solved.finger_m[middle]),
@@ -141,8 +140,15 @@ def calibrate(config: CalibrationConfig, eye: Eye | None = None) -> Calibrated:
 
 
 def seek(
-    eye: Eye, frames: Frames, look: Look, states: RobotStates, guess: Camera, model: ArmModel, *, zoom_free: bool
-) -> Solved:
+    eye: ViewEstimator,
+    frames: Frames,
+    look: LensView,
+    states: RobotStates,
+    guess: Camera,
+    model: ArmModel,
+    *,
+    zoom_free: bool,
+) -> LensSolution:
     """The lens by a look with a guess, and by another one with what came of it where that is elsewhere.
 
     Args:
@@ -214,7 +220,7 @@ def _evenly(numbers: NDArray[np.intp], most: int) -> NDArray[np.intp]:
     return np.asarray(numbers[np.unique(places.round().astype(int))], dtype=np.intp)
 
 
-def _camera_shift(frames: Frames, look: Look, camera: Camera) -> tuple[str, ...]:
+def _camera_shift(frames: Frames, look: LensView, camera: Camera) -> tuple[str, ...]:
     """What there is to say of a camera that does not stand still.
 
     Raises:
@@ -236,16 +242,16 @@ def _camera_shift(frames: Frames, look: Look, camera: Camera) -> tuple[str, ...]
     return ()
 
 
-def _method(states: RobotStates) -> Method:
+def _method(states: RobotStates) -> CalibrationMethod:
     known = int(states.known.sum())
     if known == 0:
-        return Method.MOTION
+        return CalibrationMethod.MOTION
     if not np.isfinite(states.q).any():
-        return Method.POSES
-    return Method.POSTURE if known < len(states.q) or known == 1 else Method.JOINTS
+        return CalibrationMethod.POSES
+    return CalibrationMethod.POSTURE if known < len(states.q) or known == 1 else CalibrationMethod.JOINTS
 
 
-def solve(look: Look, states: RobotStates, guess: Camera, model: ArmModel, *, zoom_free: bool) -> Solved:
+def solve(look: LensView, states: RobotStates, guess: Camera, model: ArmModel, *, zoom_free: bool) -> LensSolution:
     """The lens in which the robot is where the frames show it, by all that is known of its postures.
 
     Args:

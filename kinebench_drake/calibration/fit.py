@@ -1,8 +1,4 @@
-"""The lens in which points of the robot lie where the picture shows them: perspective-n-point, focal length free too.
-
-The start is a random-sample consensus over some focal lengths (OpenCV; SQPnP: Terzakis and Lourakis, ECCV 2020), the
-end robust least squares of the reprojection (scipy, Cauchy's loss).
-"""
+"""A pinhole that can be moved and zoomed: what a calibration looks for."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -12,10 +8,60 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from kinebench_drake.calibration.lens import UNKNOWNS, Lens
-from kinebench_drake.calibration.sightings import Sightings
+from kinebench_drake.calibration.correspondences import CalibrationCorrespondences
 from kinebench_drake.camera import Camera
-from kinebench_drake.geometry import Array, make_pose, rotation_exp
+from kinebench_drake.geometry import Array, invert, make_pose, rotation_exp, transform_points
+
+UNKNOWNS = 7
+"""Rotation about the camera's axes [rad], shift [m] and the logarithm of the focal length."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Lens:
+    """A camera by the pose of the robot's base in it."""
+
+    camera: Camera
+    """Intrinsics; its pose is not read."""
+    X_CB: Array
+    """(4, 4) pose of the base in the camera frame [m]."""
+
+    def moved(self, step: Array) -> "Lens":
+        """The lens after a change (7,): the base turned about the axes of C and shifted, then the zoom."""
+        X_CB = make_pose(rotation_exp(step[:3]) @ self.X_CB[:3, :3], self.X_CB[:3, 3] + step[3:6])
+        zoom = float(np.exp(step[6]))
+        camera = replace(self.camera, fx=self.camera.fx * zoom, fy=self.camera.fy * zoom)
+        return Lens(camera=camera, X_CB=X_CB)
+
+    def placed(self) -> Camera:
+        """The camera with its pose."""
+        return replace(self.camera, X_BC=invert(self.X_CB))
+
+    def project(self, p_B: Array) -> tuple[Array, Array]:
+        """Pixels (N, 2) and depths (N,) [m] of points (N, 3) of B; behind the camera they are where they would be."""
+        p_C = transform_points(self.X_CB, p_B)
+        z = np.where(np.abs(p_C[:, 2]) < 1e-3, 1e-3, p_C[:, 2])
+        f, c = [self.camera.fx, self.camera.fy], [self.camera.cx, self.camera.cy]
+        return np.asarray(p_C[:, :2] / z[:, None] * f + c), z
+
+    def derivatives(self, p_B: Array) -> tuple[Array, Array]:
+        """Of the pixels of points (N, 3): by the unknowns (N, 2, 7), and by the point's place in C (N, 2, 3)."""
+        offset = p_B @ self.X_CB[:3, :3].T
+        x, y, z = (offset + self.X_CB[:3, 3]).T
+        fx, fy = self.camera.fx, self.camera.fy
+        zero = np.zeros_like(z)
+        by_C = np.stack(
+            [
+                np.stack([fx / z, zero, -fx * x / z**2], axis=-1),
+                np.stack([zero, fy / z, -fy * y / z**2], axis=-1),
+            ],
+            axis=1,
+        )
+        J = np.empty((len(z), 2, UNKNOWNS))
+        J[:, :, :3] = np.cross(offset[:, None], by_C)  # d p_C / d w = -[offset]x
+        J[:, :, 3:6] = by_C
+        J[:, 0, 6], J[:, 1, 6] = fx * x / z, fy * y / z
+        return J, by_C
+
 
 CAUCHY = 2.0
 """Residual, in standard deviations, that counts half."""
@@ -51,14 +97,14 @@ class LensFit:
         return np.asarray(np.linalg.norm(self.residual, axis=1) <= _INLIER_SIGMAS)
 
 
-def sigma_px(cells: Sightings, lens: Lens, p_B: Array) -> Array:
+def sigma_px(cells: CalibrationCorrespondences, lens: Lens, p_B: Array) -> Array:
     """(N,) standard deviation of the reprojection of cells that show the points `p_B` (N, 3) [px]."""
     _, z = lens.project(p_B)
     floor = PIXEL_SIGMA * lens.camera.unit_px
     return np.hypot(floor, lens.camera.fx * cells.sigma_m / np.maximum(np.abs(z), _LEAST_DEPTH_M))
 
 
-def consensus(cells: Sightings, p_B: Array, cameras: Sequence[Camera]) -> list[Lens]:
+def consensus(cells: CalibrationCorrespondences, p_B: Array, cameras: Sequence[Camera]) -> list[Lens]:
     """First lenses for some intrinsics, those first that more cells agree with; none where nothing agrees.
 
     Args:
@@ -86,7 +132,7 @@ def robust_loss(weight: Array, square: Array) -> Array:
     return np.stack([weight * np.log1p(square), weight / (1.0 + square), -weight / (1.0 + square) ** 2])
 
 
-def refine(cells: Sightings, p_B: Array, start: Lens, *, zoom_free: bool, rounds: int = 2) -> LensFit:
+def refine(cells: CalibrationCorrespondences, p_B: Array, start: Lens, *, zoom_free: bool, rounds: int = 2) -> LensFit:
     """Robust least squares on the reprojection from `start` on.
 
     Args:
@@ -138,7 +184,7 @@ def left_jacobian(w: Array) -> Array:
     return np.asarray(np.eye(3) + (1 - np.cos(angle)) / angle**2 * K + (angle - np.sin(angle)) / angle**3 * (K @ K))
 
 
-def _described(cells: Sightings, p_B: Array, lens: Lens, free: int) -> LensFit:
+def _described(cells: CalibrationCorrespondences, p_B: Array, lens: Lens, free: int) -> LensFit:
     sigma = sigma_px(cells, lens, p_B)[:, None]
     uv, _ = lens.project(p_B)
     residual_px = uv - cells.uv_px

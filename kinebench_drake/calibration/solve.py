@@ -7,16 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.calibration.articulated import refine_articulated
-from kinebench_drake.calibration.calibration import MIN_CELLS
-from kinebench_drake.calibration.fit import CAUCHY, LensFit, consensus, refine
-from kinebench_drake.calibration.lens import Lens
-from kinebench_drake.calibration.look import Look
-from kinebench_drake.calibration.sightings import Sightings, points
+from kinebench_drake.calibration.correspondences import CalibrationCorrespondences, LensView, points
+from kinebench_drake.calibration.fit import CAUCHY, Lens, LensFit, consensus, refine
+from kinebench_drake.calibration.result import MIN_CELLS
 from kinebench_drake.calibration.states import RobotStates
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.geometry import Array
-from kinebench_drake.grounding.arm import ArmModel
+from kinebench_drake.grounding.registration.arm_model import ArmModel
 
 MIN_MOVING_FRAMES = 4
 """Frames needed where postures are looked for as well."""
@@ -25,11 +23,11 @@ _EVERY = 3  # of the cells are enough where postures are looked for as well
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Solved:
+class LensSolution:
     """A lens, and what it was fitted to."""
 
     fit: LensFit
-    cells: Sightings
+    cells: CalibrationCorrespondences
     p_B: Array
     """(N, 3) points of the cells [m]."""
     X_BP: Array
@@ -41,8 +39,8 @@ class Solved:
 
 
 def solve_known(
-    look: Look, states: RobotStates, cameras: Sequence[Camera], model: ArmModel, *, zoom_free: bool
-) -> Solved:
+    look: LensView, states: RobotStates, cameras: Sequence[Camera], model: ArmModel, *, zoom_free: bool
+) -> LensSolution:
     """The lens, where the robot's posture, or at least the hand's pose, is known in every frame.
 
     Args:
@@ -74,10 +72,10 @@ def solve_known(
         cells = cells.turned(turned)
         p_B = points(cells, X_BP, finger_m)
         fit = refine(cells, p_B, fit.lens, zoom_free=zoom_free)
-    return Solved(fit=fit, cells=cells, p_B=p_B, X_BP=X_BP, finger_m=finger_m, rows=np.arange(len(X_BP)))
+    return LensSolution(fit=fit, cells=cells, p_B=p_B, X_BP=X_BP, finger_m=finger_m, rows=np.arange(len(X_BP)))
 
 
-def solve_moving(look: Look, states: RobotStates, start: Lens, model: ArmModel, *, zoom_free: bool) -> Solved:
+def solve_moving(look: LensView, states: RobotStates, start: Lens, model: ArmModel, *, zoom_free: bool) -> LensSolution:
     """The lens and the postures together, where these are known in a few frames or in none.
 
     Args:
@@ -104,7 +102,7 @@ def solve_moving(look: Look, states: RobotStates, start: Lens, model: ArmModel, 
     cells = cells.repeated(model.poses(q[rows]))
     found = refine_articulated(cells, start, q[rows], finger_m, model, known=known[rows], zoom_free=zoom_free)
     X_BP = model.poses(found.q)
-    return Solved(
+    return LensSolution(
         fit=found.fit,
         cells=cells,
         p_B=points(cells, X_BP, found.finger_m),
@@ -114,7 +112,7 @@ def solve_moving(look: Look, states: RobotStates, start: Lens, model: ArmModel, 
     )
 
 
-def require_cells(cells: Sightings) -> None:
+def require_cells(cells: CalibrationCorrespondences) -> None:
     """Refuse frames that show next to nothing of the robot.
 
     Raises:
@@ -127,7 +125,7 @@ def require_cells(cells: Sightings) -> None:
         )
 
 
-def _misread(cells: Sightings, fit: LensFit, X_BP: Array, finger_m: Array) -> NDArray[np.bool_]:
+def _misread(cells: CalibrationCorrespondences, fit: LensFit, X_BP: Array, finger_m: Array) -> NDArray[np.bool_]:
     """(T,) frames in which the gripper's cells go better with it turned by 180 degrees about its axis."""
     everywhere = cells.turned(np.ones(len(X_BP), dtype=bool))
     uv, _ = fit.lens.project(points(everywhere, X_BP, finger_m))

@@ -6,15 +6,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from kinebench_drake.datasets.trajectories.source import find_trajectories, read_trajectory
+from kinebench_drake.datasets.trajectories.trajectory import Trajectory, TrajectoryOptions, TrajectorySample
 from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.geometry import Array, interpolate_pose, invert
-from kinebench_drake.grounding.arm import ArmModel
-from kinebench_drake.models.panda.part import GRIPPER, Part
-from kinebench_drake.models.panda.robot import hand_from_tcp, rest_q
+from kinebench_drake.grounding.registration.arm_model import ArmModel
+from kinebench_drake.models.panda.robot import GRIPPER, RobotPart, hand_from_tcp, rest_q
 from kinebench_drake.models.robot import N_JOINTS
-from kinebench_drake.trajectories.sample import TrajectorySample
-from kinebench_drake.trajectories.source import find_trajectories, read_trajectory
-from kinebench_drake.trajectories.trajectory import Choice, Trajectory
 
 POSTURES = {
     "home": np.pi * np.array([0.0, -1 / 4, 0.0, -3 / 4, 0.0, 1 / 2, 1 / 4]),
@@ -59,7 +57,7 @@ class RobotStates:
         known = self.postured
         X = model.poses(np.where(known[:, None], self.q, 0.0))
         X[~known] = np.nan
-        X[:, Part.LINK0] = np.eye(4)
+        X[:, RobotPart.LINK0] = np.eye(4)
         X[:, list(GRIPPER)] = np.where(known[:, None, None, None], X[:, list(GRIPPER)], self.X_BH[:, None])
         return np.asarray(X)
 
@@ -127,15 +125,15 @@ def file_states(path: Path, episode: str | None, column: str | None, t_s: Array,
         UsageError: there is no such file or episode, or several and none is named, or the frames' times are needed.
         InputError: it is not sound, or does not go with the video.
     """
-    sample = _episode(find_trajectories(path, Choice(joints=column)), path, episode)
-    by_rows = _read(sample, Choice(joints=column, rate_hz=1.0))
+    sample = _episode(find_trajectories(path, TrajectoryOptions(joints=column)), path, episode)
+    by_rows = _read(sample, TrajectoryOptions(joints=column, rate_hz=1.0))
     if len(by_rows.t_s) != len(t_s):
         if np.isnan(t_s).any():
             raise UsageError(
                 f"--joints {path.name}: {len(by_rows.t_s)} rows, but {len(t_s)} frames of a video without a clock; "
                 "give --frame-period SECONDS, or a row a frame"
             )
-        by_rows = _at(_read(sample, Choice(joints=column)), t_s, path.name)
+        by_rows = _at(_read(sample, TrajectoryOptions(joints=column)), t_s, path.name)
     fingers = by_rows.finger_width_m / 2
     source = f"{path.name}, {by_rows.columns}"
     if by_rows.q is not None:
@@ -154,12 +152,12 @@ def unknown_states(frames: int) -> RobotStates:
 
 def _of_joints(q: Array, finger_m: Array, source: str, model: ArmModel) -> RobotStates:
     known = np.asarray(np.isfinite(q).all(axis=1))
-    X_BH = model.poses(np.where(known[:, None], q, 0.0))[:, Part.HAND]
+    X_BH = model.poses(np.where(known[:, None], q, 0.0))[:, RobotPart.HAND]
     X_BH[~known] = np.nan
     return RobotStates(q=q, X_BH=X_BH, finger_m=finger_m, source=source)
 
 
-def _read(sample: TrajectorySample, choice: Choice) -> Trajectory:
+def _read(sample: TrajectorySample, choice: TrajectoryOptions) -> Trajectory:
     try:
         return read_trajectory(sample, choice)
     except InputError as error:

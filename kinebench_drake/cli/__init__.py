@@ -1,11 +1,10 @@
-"""The command line. Commands load when they are called, so that `--help` answers at once."""
+"""The command line. Commands are imported when they are called, so that `--help` answers at once."""
 
 import importlib
 import os
 import sys
 from collections.abc import Sequence
-from importlib.util import find_spec
-from typing import NoReturn
+from typing import NoReturn, cast
 
 import click
 
@@ -15,39 +14,39 @@ from kinebench_drake.errors import KinebenchError, UsageError
 PROGRAM = "kinebench-drake"
 
 _COMMANDS = {
-    "doctor": "Tell what works on this machine and how to fix what does not.",
-    "score": "Score videos: gripper tracks, kinematic metrics, report.",
-    "ground": "Take gripper tracks from videos, no more.",
-    "audit": "Check trajectories against the robot's kinematics, no video.",
-    "calibrate": "Find a static camera's place and focal length from the robot it shows.",
-    "suite": "Work with the benchmark's task suites.",
-    "report": "Write the html report of output folders anew.",
-    "compare": "Compare output folders.",
-    "merge": "Merge output folders of shards.",
-    "view": "Look at one sample in 3D.",
-    "perception": "Train and evaluate the perception networks.",
+    "doctor": ("doctor", "Check this machine and say how to fix what does not work."),
+    "score": ("score", "Score videos: gripper tracks, kinematic metrics, report."),
+    "ground": ("score", "Extract gripper tracks from videos, without kinematics."),
+    "audit": ("audit", "Check trajectories against the robot's kinematics, without video."),
+    "calibrate": ("calibrate", "Estimate a static camera from a video of the robot."),
+    "suite": ("suite", "Task suites: closed-loop runs, demonstrations, exports, reports."),
+    "report": ("report", "Write the html report of output folders again."),
+    "compare": ("report", "Compare output folders."),
+    "merge": ("merge", "Merge output folders of shards."),
+    "view": ("view", "Show one sample in 3D."),
+    "perception": ("perception", "Train and evaluate the perception networks."),
 }
-"""Names and short helps; a command NAME is the object NAME of the module `kinebench_drake.cli.NAME`."""
+"""Command name to (module in `kinebench_drake.cli`, short help); the command is the module's object of that name."""
 
 
 class LazyGroup(click.Group):
-    """A group that imports a command's module only when the command is called; a command not built yet is absent."""
+    """A group that imports the module of a command when the command is called."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """Names of the commands that exist, in the order of use."""
-        return [name for name in _COMMANDS if find_spec(f"{__name__}.{name}") is not None]
+        """Return the names of the commands, in the order of use."""
+        return list(_COMMANDS)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """The command of a name; None if there is none."""
-        if cmd_name not in self.list_commands(ctx):
+        """Import and return a command, or None if the name is unknown."""
+        if cmd_name not in _COMMANDS:
             return None
-        command = getattr(importlib.import_module(f"{__name__}.{cmd_name}"), cmd_name)
-        return command if isinstance(command, click.Command) else None
+        module = importlib.import_module(f"{__name__}.{_COMMANDS[cmd_name][0]}")
+        return cast(click.Command, getattr(module, cmd_name))
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """List the commands without importing any."""
+        """List the commands without importing them."""
         with formatter.section("Commands"):
-            formatter.write_dl([(name, _COMMANDS[name]) for name in self.list_commands(ctx)])
+            formatter.write_dl([(name, short_help) for name, (_, short_help) in _COMMANDS.items()])
 
 
 @click.group(

@@ -51,8 +51,8 @@ def audit(ctx: click.Context, /, **options: Any) -> None:
     or its tracks/, or a folder of these. Joint angles are judged as given; poses are infeasible only if no joint path
     does them. Lengths are metres, angles radians, poses those of the TCP in the robot's base frame.
     """
-    from kinebench_drake.audit import AuditConfig, audit_trajectories
     from kinebench_drake.cli.run import run
+    from kinebench_drake.evaluation.audit import AuditConfig, audit_trajectories
 
     config = AuditConfig(**options)
     ctx.exit(run(lambda observer: audit_trajectories(config, observer), config.out))

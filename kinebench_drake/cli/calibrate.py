@@ -62,8 +62,8 @@ def calibrate(out: Path, figure: Path | None, as_json: bool, **options: Any) -> 
     """
     from kinebench_drake.calibration.calibrate import CalibrationConfig
     from kinebench_drake.calibration.calibrate import calibrate as find
-    from kinebench_drake.calibration.telling import lines
-    from kinebench_drake.row import dump
+    from kinebench_drake.calibration.result import lines
+    from kinebench_drake.io.jsonl import dump
 
     for name, path, suffix in (("--out", out, ".json"), ("--figure", figure, ".png")):
         if path is not None and path.suffix.lower() != suffix:
@@ -71,7 +71,7 @@ def calibrate(out: Path, figure: Path | None, as_json: bool, **options: Any) -> 
     found = find(CalibrationConfig(**options))
     found.calibration.camera.save(out)
     if figure is not None:
-        from kinebench_drake.calibration.picture import draw_robot, save
+        from kinebench_drake.calibration.overlay import draw_robot, save
 
         save(draw_robot(found.frame, found.calibration.camera, found.X_BP, found.finger_m), figure)
     if as_json:

@@ -14,8 +14,8 @@ def doctor(ctx: click.Context, fix: bool, dry_run: bool) -> None:
 
     The exit status is 0 if everything works (with --fix: works afterwards).
     """
-    from kinebench_drake import doctor as checks
-    from kinebench_drake import repair
+    from kinebench_drake.environment import doctor as checks
+    from kinebench_drake.environment import repair
 
     if dry_run and not fix:
         raise click.UsageError("--dry-run goes with --fix")

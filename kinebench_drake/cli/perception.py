@@ -8,11 +8,7 @@ import click
 
 from kinebench_drake.cli.perception_anomalies import anomalies
 from kinebench_drake.cli.perception_baseline import baseline
-from kinebench_drake.cli.perception_budget import budget
-from kinebench_drake.cli.perception_depth_ablation import depth_ablation
-from kinebench_drake.cli.perception_evaluate import evaluate
-from kinebench_drake.cli.perception_framing import framing
-from kinebench_drake.cli.perception_robustness import robustness
+from kinebench_drake.cli.perception_evaluate import budget, depth_ablation, evaluate, framing, robustness
 
 _DATA = click.option(
     "--data", type=click.Path(path_type=Path, file_okay=False), default=Path("data/frames"), show_default=True,
@@ -122,9 +118,11 @@ def calibrate(
 
     Half of the frames fit the confidence, the other half say how well it is calibrated.
     """
-    from kinebench_drake.grounding.training.report import Calibration, calibration_lines
+    from kinebench_drake.grounding.training.report import ConfidenceCalibration, calibration_lines
 
-    order = Calibration(scenes=data, count=scenes, demos=demos, videos=videos, weights=weights, out=out, jobs=jobs)
+    order = ConfidenceCalibration(
+        scenes=data, count=scenes, demos=demos, videos=videos, weights=weights, out=out, jobs=jobs
+    )
     for line in calibration_lines(order):
         click.echo(line)
 

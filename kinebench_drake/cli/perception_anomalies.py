@@ -15,7 +15,7 @@ _FOLDER = click.Path(path_type=Path, exists=True, file_okay=False)
     "area under the curve   how often a faulty video scores above a clean one; 95 % interval after Newcombe (2006)\n\n"
     "\b\nExample:\n"
     "  kinebench-drake suite demos --suite 2 --split unseen --episodes 5 --out clean\n"
-    "  python -m kinebench_drake.suites.samples --suite 2 --split unseen --out faulty\n"
+    "  python -m benchmarks.planted_videos --suite 2 --split unseen --out faulty\n"
     "  kinebench-drake perception anomalies clean faulty --json anomalies.json --figure anomalies.png"
 )
 @click.argument("clean", type=_FOLDER)
@@ -37,10 +37,10 @@ def anomalies(
 ) -> None:  # fmt: skip
     """Measure how well planted anomalies are found, and how often there are false alarms.
 
-    CLEAN is what `suite demos` writes, FAULTY what `python -m kinebench_drake.suites.samples` writes.
+    CLEAN is what `suite demos` writes, FAULTY what `python -m benchmarks.planted_videos` writes.
     """
-    from kinebench_drake.cli.progress import EpisodeView
-    from kinebench_drake.engines import EngineKind, create_engine
+    from kinebench_drake.cli.run import EpisodeView
+    from kinebench_drake.executors.base import EngineKind, create_engine
     from kinebench_drake.grounding.evaluation.anomalies import find_cases, measure
     from kinebench_drake.grounding.evaluation.anomaly_table import table_json, table_lines
 
@@ -53,7 +53,7 @@ def anomalies(
         click.echo(line)
     write_json(json_out, table_json(findings))
     if figure:
-        from kinebench_drake.drawing import save
-        from kinebench_drake.grounding.evaluation.anomaly_figure import draw_anomalies
+        from kinebench_drake.grounding.evaluation.anomaly_table import draw_anomalies
+        from kinebench_drake.io.figure import save
 
         save(draw_anomalies(findings), figure)

@@ -8,19 +8,11 @@ from typing import Any
 
 import click
 
-from kinebench_drake.cli.suite_ceiling import ceiling
+from kinebench_drake.cli.options import check_parent, episodes_option, jobs_option, tasks_option, variant_option
 from kinebench_drake.cli.suite_data import demos, export
-from kinebench_drake.cli.suite_options import (
-    check_parent,
-    episodes_option,
-    jobs_option,
-    tasks_option,
-    variant_option,
-)
-from kinebench_drake.cli.suite_report import report
+from kinebench_drake.cli.suite_results import ceiling, report, tolerance
 from kinebench_drake.cli.suite_run import run
-from kinebench_drake.cli.suite_tolerance import tolerance
-from kinebench_drake.storage import whole, write_atomically
+from kinebench_drake.io.atomic import atomic_path, write_atomically
 from kinebench_drake.suites.selection import task_names, with_variant
 
 _SEED = click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the first episode.")
@@ -67,7 +59,7 @@ def list_tasks(as_json: bool, suites: bool, markdown: bool) -> None:
     elif as_json:
         _echo_json([{**asdict(task.card), "horizon": task.card.horizon} for task in TASKS.values()])
     elif markdown:
-        from kinebench_drake.suites.sheet import task_table
+        from kinebench_drake.suites.contact_sheet import task_table
 
         click.echo(task_table(list(TASKS)))
     else:
@@ -109,18 +101,18 @@ def check(
     tasks: str | None, episodes: int, seed: int, policy: str, variant: str, pool: str, json_out: Path | None, jobs: int
 ) -> None:
     """Let a policy try tasks, and print success rates with 95 % intervals and the reasons of failures."""
-    from kinebench_drake.engines import EngineKind, create_engine
+    from kinebench_drake.executors.base import EngineKind, create_engine
     from kinebench_drake.suites.episode import compose
+    from kinebench_drake.suites.expert_check import ExpertTrial, Policy, run_trials, task_lines
     from kinebench_drake.suites.split import Pool
-    from kinebench_drake.suites.tasks.card import Variant
-    from kinebench_drake.suites.trial import Policy, Trial, run_trials, task_lines
+    from kinebench_drake.suites.tasks.card import TaskVariant
 
-    version = Variant(variant)
+    version = TaskVariant(variant)
     if json_out is not None:
         check_parent("--json", json_out)
     chosen = with_variant(_tasks(tasks), version, named=tasks is not None)
     order = [compose(t, s, pool=Pool(pool), variant=version) for t in chosen for s in range(seed, seed + episodes)]
-    trials: dict[str, list[Trial]] = {task: [] for task in sorted(chosen)}
+    trials: dict[str, list[ExpertTrial]] = {task: [] for task in sorted(chosen)}
     for trial in run_trials(create_engine(EngineKind.LOCAL, jobs), order, Policy(policy)):
         own = trials[trial.episode.task]
         own.append(trial)
@@ -145,15 +137,15 @@ def check(
 @jobs_option
 def sheet(out: Path, tasks: str | None, looks: str | None, seed: int, jobs: int) -> None:
     """Draw a contact sheet: how each task begins and how its expert ends it, or all tables, backgrounds or lights."""
-    from kinebench_drake.engines import EngineKind, create_engine
     from kinebench_drake.errors import UsageError
-    from kinebench_drake.suites.sheet import contact_sheet, look_shots, task_shots
+    from kinebench_drake.executors.base import EngineKind, create_engine
+    from kinebench_drake.suites.contact_sheet import contact_sheet, look_shots, task_shots
 
     if out.suffix.lower() not in (".png", ".jpg", ".jpeg"):
         raise UsageError(f"--out {out} should end in .png or .jpg")
     check_parent("--out", out)
     engine = create_engine(EngineKind.LOCAL, jobs)
     shots = task_shots(engine, _tasks(tasks), seed) if looks is None else look_shots(engine, looks, seed)
-    with whole(out) as part:
+    with atomic_path(out) as part:
         contact_sheet(shots, columns=4 if looks is None else 6).save(part)
     click.echo(f"{out}: {len(shots)} shots, {sum(shot.failed for shot in shots)} failed")

@@ -6,9 +6,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from kinebench_drake.cli.progress import EpisodeView
-from kinebench_drake.cli.run import terminate_as_interrupt
-from kinebench_drake.cli.suite_options import (
+from kinebench_drake.cli.options import (
     SIZES,
     SPLITS,
     SUITES,
@@ -18,8 +16,9 @@ from kinebench_drake.cli.suite_options import (
     tasks_option,
     variant_option,
 )
+from kinebench_drake.cli.run import EpisodeView, terminate_as_interrupt
 from kinebench_drake.errors import UsageError
-from kinebench_drake.shard import Shard
+from kinebench_drake.results.metadata import Shard
 from kinebench_drake.suites.selection import chosen_tasks
 
 if TYPE_CHECKING:
@@ -63,12 +62,12 @@ def export(
     it, ID.mp4: with these there, `kinebench-drake score OUT/manifest.jsonl` judges them. episodes.jsonl holds all else
     that is known of the episodes. The same arguments give the same bytes.
     """
-    from kinebench_drake.engines import EngineKind, create_engine
+    from kinebench_drake.executors.base import EngineKind, create_engine
     from kinebench_drake.suites.export import Export, export_suite
     from kinebench_drake.suites.suite import load_suite
-    from kinebench_drake.suites.tasks.card import Variant
+    from kinebench_drake.suites.tasks.card import TaskVariant
 
-    suite, version = load_suite(number), Variant(variant)
+    suite, version = load_suite(number), TaskVariant(variant)
     order = Export(
         suite=suite,
         split=suite.split_name(split),
@@ -148,15 +147,15 @@ def demos(
     demos.jsonl and replaced by the next one. A larger K begins with the demonstrations of a smaller one, in the same
     folder too. The same command again goes on where a run was stopped.
     """
-    from kinebench_drake.engines import EngineKind, create_engine
+    from kinebench_drake.executors.base import EngineKind, create_engine
     from kinebench_drake.suites.demos import make_demos
     from kinebench_drake.suites.formats.demo import FormatKind
-    from kinebench_drake.suites.order import Order
+    from kinebench_drake.suites.order import DemoOrder
     from kinebench_drake.suites.suite import load_suite
-    from kinebench_drake.suites.tasks.card import Variant
+    from kinebench_drake.suites.tasks.card import TaskVariant
 
-    suite, version, form = load_suite(number), Variant(variant), FormatKind(kind)
-    order = Order(
+    suite, version, form = load_suite(number), TaskVariant(variant), FormatKind(kind)
+    order = DemoOrder(
         suite=suite,
         split=suite.split_name(split),
         tasks=chosen_tasks(suite, split, tasks, version),

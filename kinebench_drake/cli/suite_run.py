@@ -4,16 +4,17 @@ from typing import Any
 
 import click
 
-from kinebench_drake.cli.options import replays_option, run_options
-from kinebench_drake.cli.run import run as carry_out
-from kinebench_drake.cli.suite_options import (
+from kinebench_drake.cli.options import (
     SPLITS,
     SUITES,
     episodes_option,
+    replays_option,
+    run_options,
     split_help,
     tasks_option,
     variant_option,
 )
+from kinebench_drake.cli.run import run as carry_out
 from kinebench_drake.suites.clock import FRAME_PERIOD_S, MAX_FRAME_PERIOD_S, MIN_FRAME_PERIOD_S
 from kinebench_drake.suites.selection import chosen_tasks
 
@@ -78,13 +79,13 @@ def run(
     Each episode begins with its seeded scene; after a clip the model is asked again from the last executed frame, until
     the task succeeds or the rounds are used up. --seed is the number of the first of the split's seeds.
     """
-    from kinebench_drake.closed_loop import LoopOptions
-    from kinebench_drake.suite_run import SuiteConfig, run_suite
-    from kinebench_drake.suites.stage import Control
+    from kinebench_drake.closed_loop.loop import LoopOptions
+    from kinebench_drake.evaluation.suite import SuiteConfig, run_suite
+    from kinebench_drake.suites.simulator import Control
     from kinebench_drake.suites.suite import load_suite
-    from kinebench_drake.suites.tasks.card import Variant
+    from kinebench_drake.suites.tasks.card import TaskVariant
 
-    suite, version = load_suite(number), Variant(variant)
+    suite, version = load_suite(number), TaskVariant(variant)
     config = SuiteConfig(
         suite=suite,
         split=suite.split_name(split),

@@ -31,7 +31,7 @@ def view(out: Path, id: str, urdf: Path | None, opened: bool) -> None:
     """
     from difflib import get_close_matches
 
-    from kinebench_drake.results import SAMPLES, part_path, read_rows
+    from kinebench_drake.results.store import SAMPLES, artifact_path, read_rows
 
     if not (out / SAMPLES).is_file():
         raise UsageError(f"{out}: holds no {SAMPLES}, expected the output folder of a run")
@@ -42,9 +42,9 @@ def view(out: Path, id: str, urdf: Path | None, opened: bool) -> None:
             hint = f"such as {', '.join(near)}" if near else "it is empty"
             raise UsageError(f"{out}: holds no sample {id!r} ({len(rows)} samples, {hint})")
         row = rows[id]
-        if not part_path(out, "tracks", id).is_file():
+        if not artifact_path(out, "tracks", id).is_file():
             raise UsageError(f"{id}: has no track to show ({row.reason or f'tracks/{id}.npz is absent'})")
-        from kinebench_drake.replay import write_replays
+        from kinebench_drake.report.replay import write_replays
 
         paths = write_replays(out, [id], _plant(out, urdf))
     except InputError as error:

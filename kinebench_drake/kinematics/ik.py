@@ -12,7 +12,7 @@ from kinebench_drake.kinematics.newton import newton, snopt
 from kinebench_drake.kinematics.path import excess
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.postures import Postures, find_postures
-from kinebench_drake.products import IkStatus
+from kinebench_drake.types import IkStatus
 
 POSITION_TOLERANCE_M = 1e-6
 """Greatest distance [m] from the wanted TCP of a pose that counts as reached."""

@@ -1,5 +1,8 @@
 """The arm as a Drake plant: forward kinematics, Jacobian, limits, dynamics, and the geometry for distances."""
 
+import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -218,3 +221,15 @@ def _index(starts: list[int]) -> slice | NDArray[np.intp]:
     """Where the arm's joints are among all: a slice in the usual case that they stand in a row, which is faster."""
     in_row = starts == list(range(starts[0], starts[0] + len(starts)))
     return slice(starts[0], starts[-1] + 1) if in_row else np.array(starts, dtype=np.intp)
+
+
+@contextmanager
+def silent_drake() -> Iterator[None]:
+    """Keep Drake from logging that a program has no solution, where that is an answer like any other."""
+    logger = logging.getLogger("drake")
+    level = logger.level
+    logger.setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        logger.setLevel(level)

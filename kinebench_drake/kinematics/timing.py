@@ -11,8 +11,7 @@ from pydrake.trajectories import PiecewisePolynomial
 from scipy.interpolate import CubicSpline
 
 from kinebench_drake.geometry import Array
-from kinebench_drake.kinematics.drake_log import silent_drake
-from kinebench_drake.kinematics.plant import ArmPlant
+from kinebench_drake.kinematics.plant import ArmPlant, silent_drake
 from kinebench_drake.models.robot import N_JOINTS
 
 STILL_RAD = 1e-4

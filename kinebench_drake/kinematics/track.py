@@ -14,7 +14,7 @@ from kinebench_drake.kinematics.ik import POSITION_TOLERANCE_M, ROTATION_TOLERAN
 from kinebench_drake.kinematics.newton import least_motion, newton_path, twists
 from kinebench_drake.kinematics.path import SAMPLES, candidates, continued_path, excess, is_sound, smoothest_path
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.products import GripperTrack, IkStatus, JointTrack
+from kinebench_drake.types import GripperTrack, IkStatus, JointTrack
 
 CONTACT_TOLERANCE_M = 0.002
 """Depth [m] up to which bodies that touch do not collide: tasks touch the table."""

@@ -129,7 +129,7 @@ class Course:
         return np.interp(t_s, self.t_s[known], self.finger_width_m[known]) if known.any() else None
 
 
-class Trajectory:
+class JointTrajectory:
     """A cubic B-spline in joint space and, computed once when asked for, how it follows its course."""
 
     def __init__(self, course: Course, basis: SplineBasis, control: Array) -> None:

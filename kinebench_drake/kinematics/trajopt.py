@@ -7,9 +7,7 @@ import numpy as np
 
 from kinebench_drake.geometry import Array, orthonormalize
 from kinebench_drake.kinematics.collision import CollisionModel
-from kinebench_drake.kinematics.newton import newton
-from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.kinematics.refusal import (
+from kinebench_drake.kinematics.infeasibility import (
     TubeViolation,
     broken_distance,
     broken_posture,
@@ -18,8 +16,10 @@ from kinebench_drake.kinematics.refusal import (
     broken_torque,
     steepest_rate,
 )
+from kinebench_drake.kinematics.newton import newton
+from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.spline import SplineBasis
-from kinebench_drake.kinematics.trajectory import Course, Trajectory, TrajectoryCheck
+from kinebench_drake.kinematics.trajectory import Course, JointTrajectory, TrajectoryCheck
 from kinebench_drake.kinematics.tube import Obstacle, TubeSolution, proximity_cost_m, solve_tube
 
 SMALLEST_M = 1e-4
@@ -167,7 +167,7 @@ class _Search:
             cause = cause or torque
         return self._result(light, cause)
 
-    def _result(self, best: Trajectory | None, cause: TubeViolation | None) -> TubeResult:
+    def _result(self, best: JointTrajectory | None, cause: TubeViolation | None) -> TubeResult:
         feasible = best is not None and best.radius_m <= self.tube_limit_m
         if best is None:
             size = f"no trajectory was found in a tube of up to {LARGEST_M:g} m"
@@ -184,17 +184,17 @@ class _Search:
             programs=self.programs,
         )
 
-    def _smallest(self) -> tuple[Trajectory, Trajectory]:
+    def _smallest(self) -> tuple[JointTrajectory, JointTrajectory]:
         """The spline through the joint path, and the trajectory of the smallest tube, collisions and torque aside."""
         course = self.course
         basis = SplineBasis.through(course.t_s)
-        fit = Trajectory(course, basis, basis.fit(course.t_s, course.q))
+        fit = JointTrajectory(course, basis, basis.fit(course.t_s, course.q))
         if fit.radius_m <= SMALLEST_M and fit.keeps_limits:
             return fit, fit
         best = self._shrink(basis, self._start, (), _FULL)
         if best is None:  # the program is beyond the solver's precision; standing still is always allowed
             middle = np.clip(course.q[len(course.q) // 2], course.limits.lower, course.limits.upper)
-            return fit, Trajectory(course, basis, np.tile(middle, (basis.size, 1)))
+            return fit, JointTrajectory(course, basis, np.tile(middle, (basis.size, 1)))
         hopeless = self.infeasible_m is not None and self.infeasible_m > _HOPELESS * self.tube_limit_m
         if best.radius_m <= self.tube_limit_m or len(course.t_s) > _REFINED or hopeless:
             return fit, best
@@ -215,16 +215,16 @@ class _Search:
 
     def _shrink(
         self, basis: SplineBasis, q: Array, obstacles: tuple[Obstacle, ...], effort: tuple[int, int]
-    ) -> Trajectory | None:
+    ) -> JointTrajectory | None:
         """The smallest tube near the joint path `q` (T, 7): programs that leave the radius free, then bisection."""
-        best: Trajectory | None = None
+        best: JointTrajectory | None = None
         proximity, looser, low = _PROXIMITY, _LOOSER, SMALLEST_M
         for _ in range(effort[0]):
             solution = self._solve(basis, q, None, proximity, obstacles)
             if solution is None:
                 break
             low = max(solution.radius_m, SMALLEST_M)
-            found = Trajectory(self.course, basis, solution.control)
+            found = JointTrajectory(self.course, basis, solution.control)
             cost = proximity_cost_m(found.q, q, proximity)
             if best is not None and found.radius_m >= best.radius_m:
                 proximity, looser = _TIGHTER * proximity, 1.0
@@ -243,7 +243,7 @@ class _Search:
                 break
             middle = self.tube_limit_m if in_doubt else float(np.sqrt(low * best.radius_m))
             solution = self._solve(basis, best.q, _AIM * middle, proximity, obstacles)
-            found = Trajectory(self.course, basis, solution.control) if solution else best
+            found = JointTrajectory(self.course, basis, solution.control) if solution else best
             if found.radius_m <= middle:
                 best = found
             else:
@@ -272,7 +272,7 @@ class _Search:
             elastic=elastic,
         )
 
-    def _clear(self, trajectory: Trajectory, rounds: int) -> Trajectory | None:
+    def _clear(self, trajectory: JointTrajectory, rounds: int) -> JointTrajectory | None:
         """The trajectory pushed out of collisions; None where that fails."""
         obstacles: list[Obstacle] = []
         for _ in range(rounds):
@@ -287,7 +287,7 @@ class _Search:
         contact = trajectory.worst_contact
         return None if contact is not None and contact.broken else trajectory
 
-    def _light(self, trajectory: Trajectory) -> Trajectory | None:
+    def _light(self, trajectory: JointTrajectory) -> JointTrajectory | None:
         """The trajectory with its torques within limits, accelerating less if need be; None where that fails."""
         plant = self.course.plant
         for _ in range(_TIGHTENINGS):
@@ -315,7 +315,7 @@ class _Search:
             trajectory = slower
         return None if broken_torque(trajectory) else trajectory
 
-    def _broken_limit(self, fit: Trajectory) -> TubeViolation | None:
+    def _broken_limit(self, fit: JointTrajectory) -> TubeViolation | None:
         """Which limit forbids the tube.
 
         A posture's, if a pose is out of reach by far; else the rate that is exceeded where the least excess makes the

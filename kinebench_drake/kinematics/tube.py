@@ -18,7 +18,7 @@ from pydrake.trajectories import BsplineTrajectory
 from scipy.sparse import coo_matrix, diags, hstack, identity, kron, vstack
 
 from kinebench_drake.geometry import Array
-from kinebench_drake.kinematics.drake_log import silent_drake
+from kinebench_drake.kinematics.plant import silent_drake
 from kinebench_drake.kinematics.spline import ORDER, SplineBasis
 from kinebench_drake.models.robot import N_JOINTS
 

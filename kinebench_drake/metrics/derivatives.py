@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.linalg import solveh_banded
 
 from kinebench_drake.geometry import Array
-from kinebench_drake.runs import complete, runs
+from kinebench_drake.segments import complete, segments
 
 NOISE_SHARE = 0.1
 """The window grows until the standard error is this share of the limit ..."""
@@ -110,7 +110,7 @@ def smooth_path(t_s: Array, q: Array, sigma: Array) -> Array:
     """
     variance = np.maximum(np.broadcast_to(np.asarray(sigma, dtype=np.float64), q.shape), 0.1 * NEGLIGIBLE_RAD) ** 2
     smoothed = q.copy()
-    for run in runs(complete(q)):
+    for run in segments(complete(q)):
         noisy = float(np.median(variance[run].mean(axis=-1))) > NEGLIGIBLE_RAD**2
         if noisy and run.stop - run.start > _ROUGHNESS + 1:
             smoothed[run] = _smooth_run(t_s[run], q[run], variance[run])

@@ -23,7 +23,7 @@ from kinebench_drake.metrics.noise import (
     rotation_steps,
 )
 from kinebench_drake.metrics.violation import Violation, ViolationKind
-from kinebench_drake.runs import complete, runs
+from kinebench_drake.segments import complete, segments
 
 JUMP_M = 0.06
 """Least jump of the TCP's position [m] ..."""
@@ -79,7 +79,7 @@ def find_discontinuities(
             from one branch to another are the solver's.
         joints: names of the columns of `q`.
     """
-    pieces = [run for run in runs(tracked) if run.stop - run.start > 2]
+    pieces = [run for run in segments(tracked) if run.stop - run.start > 2]
     found: list[Violation] = []
     moved: set[int] = set()
     for run in pieces:
@@ -104,7 +104,7 @@ def find_discontinuities(
 def _joint_jumps(t_s: Array, q: Array, joints: tuple[str, ...]) -> list[Violation]:
     sigma = joint_noise(t_s, q)
     found = []
-    for run in runs(complete(q)):
+    for run in segments(complete(q)):
         t, n = t_s[run], run.stop - run.start
         floor = _floor(t, JUMP_RAD, JOINT_ACCELERATION_RAD_S2)
         for j, name in enumerate(joints):
@@ -172,7 +172,7 @@ def _usual(deviation: Array, i: int) -> float:
 def _merged(velocity: Array, dt: Array, sizes: Array, thresholds: Array) -> list[_Jump]:
     """Neighbouring jumps as one. A single frame that is out deviates on both sides: its own distance is what counts."""
     found = []
-    for run in runs(sizes > 0.0):
+    for run in segments(sizes > 0.0):
         worst = run.start + int(np.argmax(sizes[run]))
         first, last, size = run.start, run.stop - 1, float(sizes[worst])
         pairs = [(i, i + 1) for i in range(max(last - 1, 0), min(first + 1, len(dt) - 1)) if last - first <= 1]

@@ -18,16 +18,15 @@ from kinebench_drake.kinematics.track import branch_jumps, solve_track
 from kinebench_drake.kinematics.trajopt import optimize_in_tube
 from kinebench_drake.metrics.derivatives import smooth_path
 from kinebench_drake.metrics.discontinuity import find_discontinuities
-from kinebench_drake.metrics.kinematic import Findings, KinematicResult, kinematic_metrics, track_curves
 from kinebench_drake.metrics.limits import LimitChecks, check_limits
 from kinebench_drake.metrics.noise import (
     JOINT_FREEDOM_A_FRAME,
     TrackNoise,
     carried_noise,
     joint_noise,
+    smooth_poses,
     track_noise,
 )
-from kinebench_drake.metrics.plan import smooth_poses
 from kinebench_drake.metrics.reach import (
     collisions,
     contact_tolerance,
@@ -36,9 +35,10 @@ from kinebench_drake.metrics.reach import (
     past_limits,
     unreachable,
 )
+from kinebench_drake.metrics.result import KinematicResult, PathMeasurements, kinematic_metrics, track_curves
 from kinebench_drake.metrics.smoothness import track_smoothness
 from kinebench_drake.metrics.violation import Violation, ViolationKind
-from kinebench_drake.products import GripperTrack, IkStatus, JointTrack
+from kinebench_drake.types import GripperTrack, IkStatus, JointTrack
 
 MIN_TRACKED_FRAMES = 5
 """Fewest tracked frames on which a track can be called feasible."""
@@ -182,7 +182,7 @@ class TrackJudge:
         )
         branches = np.flatnonzero(reached)
         branch = branch_jumps(plant, track.X_BG[branches], joints.q[branches])
-        found = Findings(
+        found = PathMeasurements(
             manipulability=manipulability_of(plant, J, q),
             own=own,
             table=table,

@@ -21,7 +21,7 @@ from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.metrics.derivatives import Derivative, differentiate, smooth_path
 from kinebench_drake.metrics.noise import FREEDOM_A_FRAME
 from kinebench_drake.metrics.violation import Violation, ViolationKind
-from kinebench_drake.runs import complete, runs
+from kinebench_drake.segments import complete, segments
 
 FALSE_ALARM = 0.01
 """Chance, at most, that white noise alone makes a track break a limit."""
@@ -233,7 +233,7 @@ def _violations(
     plant: ArmPlant, kind: ViolationKind, magnitude: Array, limits: Array, broken: NDArray[np.bool_]
 ) -> Iterator[Violation]:
     for j, name in enumerate(plant.robot.joints):
-        for run in runs(broken[:, j]):
+        for run in segments(broken[:, j]):
             yield Violation(
                 kind=kind,
                 frame_start=run.start,

@@ -16,8 +16,10 @@ from math import comb
 import numpy as np
 from numpy.typing import NDArray
 
-from kinebench_drake.geometry import Array, rotation_log
-from kinebench_drake.runs import complete, runs
+from kinebench_drake.geometry import Array, from_quaternion, rotation_log, to_quaternion
+from kinebench_drake.metrics.derivatives import smooth_path
+from kinebench_drake.segments import complete, segments
+from kinebench_drake.types import GripperTrack
 
 ORDERS = (2, 3, 4, 5, 6)
 """Orders of difference that are tried."""
@@ -64,7 +66,7 @@ def track_noise(t_s: Array, X_BG: Array, tracked: NDArray[np.bool_]) -> TrackNoi
         X_BG: (T, 4, 4) poses of the TCP in B [m].
         tracked: (T,) frames that count.
     """
-    pieces = [run for run in runs(tracked) if run.stop - run.start > ORDERS[0]]
+    pieces = [run for run in segments(tracked) if run.stop - run.start > ORDERS[0]]
     times = [t_s[run] for run in pieces]
     moves = [np.diff(X_BG[run, :3, 3], axis=0) for run in pieces]
     turns = [rotation_steps(X_BG[run, :3, :3]) for run in pieces]
@@ -76,7 +78,7 @@ def track_noise(t_s: Array, X_BG: Array, tracked: NDArray[np.bool_]) -> TrackNoi
 
 def joint_noise(t_s: Array, q: Array) -> Array:
     """Noise (7,) [rad] of joint angles `q` (T, 7) at `t_s` (T,) [s], rows of NaN left out; NaN where too short."""
-    pieces = [run for run in runs(complete(q)) if run.stop - run.start > ORDERS[0]]
+    pieces = [run for run in segments(complete(q)) if run.stop - run.start > ORDERS[0]]
     variance = _variance([t_s[run] for run in pieces], [np.diff(q[run], axis=0) for run in pieces], q.shape[1])
     return np.asarray(np.sqrt(variance))
 
@@ -139,3 +141,24 @@ def _unit_differences(t_s: Array, steps: Array, order: int) -> Array:
     apart = window[:, :, None] - window[:, None, :] + np.eye(order + 1)
     gain = np.linalg.norm(1.0 / apart.prod(axis=-1), axis=-1)  # Newton's weights of a divided difference
     return np.asarray(divided / gain[:, None])
+
+
+def smooth_poses(track: GripperTrack, noise: TrackNoise) -> Array:
+    """Poses X_BG (T, 4, 4) [m] of the track with its noise smoothed away; NaN where it is not tracked.
+
+    Positions and quaternions are smoothed as joint paths are (`derivatives.smooth_path`); a quaternion moves by half
+    of the angle, so its noise is half of the rotation's.
+    """
+    frames = np.flatnonzero(track.tracked)
+    p, quaternion = np.full((len(track.t_s), 3), np.nan), np.full((len(track.t_s), 4), np.nan)
+    p[frames] = track.X_BG[frames, :3, 3]
+    turned = to_quaternion(track.X_BG[frames, :3, :3])
+    # q and -q are one rotation: each takes the sign nearest to the one before.
+    flips = np.sum(turned[1:] * turned[:-1], axis=-1) < 0.0
+    turned[1:] *= np.where(np.cumsum(flips) % 2 == 1, -1.0, 1.0)[:, None]
+    quaternion[frames] = turned
+    p = smooth_path(track.t_s, p, np.full(3, noise.position_m))
+    quaternion = smooth_path(track.t_s, quaternion, np.full(4, 0.5 * noise.rotation_rad))
+    X_BG = np.full_like(track.X_BG, np.nan)
+    X_BG[frames] = from_quaternion(quaternion[frames], p[frames])
+    return X_BG

@@ -14,8 +14,8 @@ from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.track import CONTACT_TOLERANCE_M
 from kinebench_drake.metrics.noise import TrackNoise
 from kinebench_drake.metrics.violation import Violation, ViolationKind
-from kinebench_drake.products import GripperTrack, IkStatus, JointTrack
-from kinebench_drake.runs import runs
+from kinebench_drake.segments import segments
+from kinebench_drake.types import GripperTrack, IkStatus, JointTrack
 
 NOISE_SIGMAS = 3.0
 """Standard deviations of the track's noise that a pose may be beyond what the robot can do."""
@@ -44,7 +44,7 @@ def unreachable(joints: JointTrack, noise: TrackNoise) -> Iterator[Violation]:
     left = _left(joints)
     limit = _noise_limit(noise)
     missed = _has(joints, IkStatus.UNREACHABLE) & (left > limit)
-    for run in runs(missed):
+    for run in segments(missed):
         yield _violation(ViolationKind.UNREACHABLE, run, None, float(left[run].max()), limit)
 
 
@@ -62,7 +62,7 @@ def past_limits(plant: ArmPlant, track: GripperTrack, joints: JointTrack, noise:
         if posture is not None:
             q[i] = posture
     named = yield from _past(plant, q, np.full(q.shape[1], _LIMIT_TOLERANCE_RAD))
-    for run in runs(failed & ~named):  # past a limit between the sweep's samples: no posture to name a joint by
+    for run in segments(failed & ~named):  # past a limit between the sweep's samples: no posture to name a joint by
         yield _violation(ViolationKind.JOINT_LIMIT, run, None, float(_left(joints)[run].max()), limit)
 
 
@@ -101,7 +101,7 @@ def collisions(
             smooth = np.full(len(deep), np.nan)
             smooth[deep] = distance(q_smooth[deep], track.finger_width_m[deep]).distance_m
             deep &= smooth < -max(CONTACT_TOLERANCE_M, noise.offset_m)
-        for run in runs(deep):
+        for run in segments(deep):
             yield _violation(kind, run, None, float(clearance.distance_m[run].min()), limit)
 
 
@@ -110,7 +110,7 @@ def _past(plant: ArmPlant, q: Array, tolerance: Array) -> Generator[Violation, N
     past = np.nan_to_num(excess(plant, q))
     named = np.zeros(len(q), dtype=bool)
     for j, name in enumerate(plant.robot.joints):
-        for run in runs(past[:, j] > tolerance[j]):
+        for run in segments(past[:, j] > tolerance[j]):
             named[run] = True
             worst = float(q[run, j][np.argmax(past[run, j])])
             limit = float(plant.upper[j] if worst > plant.upper[j] else plant.lower[j])

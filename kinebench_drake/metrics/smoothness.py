@@ -21,8 +21,8 @@ from scipy.ndimage import convolve1d
 from kinebench_drake.geometry import Array, rotation_angle
 from kinebench_drake.metrics.derivatives import smooth_path
 from kinebench_drake.metrics.noise import TrackNoise, rotation_steps, track_noise
-from kinebench_drake.products import GripperTrack
-from kinebench_drake.runs import runs
+from kinebench_drake.segments import segments
+from kinebench_drake.types import GripperTrack
 
 PAD_LEVEL = 4
 """Zero padding: the spectrum has 2^(ceil(log2 N) + PAD_LEVEL) bins."""
@@ -219,7 +219,7 @@ def track_smoothness(track: GripperTrack, noise: TrackNoise | None = None, seed:
         noise: its noise; None measures it (`noise.track_noise`).
         seed: of the draws for the noise floor: the same track gives the same floor.
     """
-    run = max(runs(track.tracked), key=lambda run: run.stop - run.start, default=slice(0, 0))
+    run = max(segments(track.tracked), key=lambda run: run.stop - run.start, default=slice(0, 0))
     X, t_s = track.X_BG[run], track.t_s[run]
     n = len(t_s)
     if n < MIN_FRAMES:

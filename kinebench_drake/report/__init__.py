@@ -2,9 +2,9 @@
 
 from pathlib import Path
 
+from kinebench_drake.io.atomic import write_atomically
 from kinebench_drake.report.page import build_page
-from kinebench_drake.results import REPORT
-from kinebench_drake.storage import write_atomically
+from kinebench_drake.results.store import REPORT
 
 
 def write_report(out: Path) -> Path:

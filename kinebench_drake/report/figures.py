@@ -6,19 +6,18 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from kinebench_drake.aggregate import aggregate
-from kinebench_drake.drawing import new_figure, plain, save
+from kinebench_drake.io.atomic import atomic_path, write_atomically
+from kinebench_drake.io.figure import new_figure, plain, save
 from kinebench_drake.report.frames import anomalies_of
-from kinebench_drake.report.group import Group, group_rows
 from kinebench_drake.report.histogram import Histogram
 from kinebench_drake.report.metric import layout_of
-from kinebench_drake.report.page import bootstrap_seed, histograms, read_results
+from kinebench_drake.report.page import SampleGroup, bootstrap_seed, group_rows, histograms, read_results
 from kinebench_drake.report.sample import FAILURES, badness, verdict_of
 from kinebench_drake.report.timeline import LEGEND, Lane, frame_count, lanes_of
-from kinebench_drake.results import part_path, read_rows
-from kinebench_drake.row import SampleRow, Status
-from kinebench_drake.storage import whole, write_atomically
-from kinebench_drake.trackfile import read_track
+from kinebench_drake.results.aggregate import aggregate
+from kinebench_drake.results.row import SampleRow, Status
+from kinebench_drake.results.store import artifact_path, read_rows
+from kinebench_drake.results.trackfile import read_track
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -87,13 +86,13 @@ def _write_picture(figure: "Figure", path: Path) -> None:
     from matplotlib import rc_context
 
     save(figure, path.with_suffix(".png"))
-    with rc_context({"svg.hashsalt": path.name}), whole(path.with_suffix(".svg")) as part:
+    with rc_context({"svg.hashsalt": path.name}), atomic_path(path.with_suffix(".svg")) as part:
         figure.savefig(part, format="svg", metadata={"Date": None})
 
 
 def _faults(out: Path, row: SampleRow) -> tuple[list[Lane], int]:
     """A sample's faults and its number of frames."""
-    track = part_path(out, "tracks", row.id)
+    track = artifact_path(out, "tracks", row.id)
     file = read_track(track) if row.status is Status.OK and track.is_file() else None
     lanes = lanes_of(row, file)
     return lanes, frame_count(row, file, lanes)
@@ -131,7 +130,7 @@ def _bins(spread: Sequence[Histogram]) -> tuple[Sequence[str], Iterable[Sequence
     )
 
 
-def _group_lines(key: str, groups: Sequence[Group]) -> tuple[Sequence[str], Iterable[Sequence[object]]]:
+def _group_lines(key: str, groups: Sequence[SampleGroup]) -> tuple[Sequence[str], Iterable[Sequence[object]]]:
     return (key, "samples", "measured", "metric", *_ESTIMATE), (
         (g.name, g.total.total, g.total.status[Status.OK], name, *_cells(estimate))
         for g in groups
@@ -139,7 +138,7 @@ def _group_lines(key: str, groups: Sequence[Group]) -> tuple[Sequence[str], Iter
     )
 
 
-def _draw_verdicts(groups: Sequence[Group]) -> "Figure":
+def _draw_verdicts(groups: Sequence[SampleGroup]) -> "Figure":
     from matplotlib.ticker import MaxNLocator
 
     figure, axes = new_figure(7.0, 1.2 + 0.26 * len(groups))

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.geometry import Array
-from kinebench_drake.products import IkStatus
-from kinebench_drake.row import Json, SampleRow
-from kinebench_drake.trackfile import TrackFile
+from kinebench_drake.results.row import SampleRow
+from kinebench_drake.results.trackfile import TrackFile
+from kinebench_drake.types import IkStatus, Json
 
 N_JOINTS = 7
 

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 from markupsafe import Markup, escape
 
-from kinebench_drake.aggregate import Estimate
 from kinebench_drake.geometry import Array
 from kinebench_drake.report.metric import Metric
 from kinebench_drake.report.plot import ticks
+from kinebench_drake.results.aggregate import Estimate
 
 _MOST_BINS, _FEWEST_BINS = 24, 8
 _FENCES = 3.0

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from kinebench_drake.row import Json
+from kinebench_drake.types import Json
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -90,7 +90,7 @@ METRICS = tuple(
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Layout:
+class MetricLayout:
     """What the page of a kind of run shows first."""
 
     headlines: tuple[str, ...]
@@ -101,7 +101,7 @@ class Layout:
     """Metrics, one truth value a sample, that groups are told by besides."""
 
 
-_VIDEOS = Layout(
+_VIDEOS = MetricLayout(
     headlines=("tracked_fraction", "ik_success_rate", "manipulability_mean", "sparc"),
     columns=(
         *("tracked_fraction", "ik_success_rate", "joint_limit_margin_min", "slowdown_min", "manipulability_min"),
@@ -109,14 +109,14 @@ _VIDEOS = Layout(
     ),
 )
 _LAYOUTS = {
-    "audit": Layout(
+    "audit": MetricLayout(
         headlines=("slowdown_min", "trajopt_feasible", "manipulability_mean", "sparc"),
         columns=(
             *("slowdown_min", "velocity_ratio_max", "acceleration_ratio_max", "torque_ratio_max"),
             *("joint_limit_margin_min", "table_distance_min_m", "manipulability_min", "sparc"),
         ),
     ),
-    "suite": Layout(
+    "suite": MetricLayout(
         headlines=("success", "progress", "rounds", "tracked_fraction", "sparc"),
         columns=("progress", "rounds", "tracked_fraction", "gap_robot_iou", "gap_gripper_m", "slowdown_min", "sparc"),
         shares=("success",),
@@ -126,6 +126,6 @@ _LAYOUTS = {
 BY_NAME = {metric.name: metric for metric in METRICS}
 
 
-def layout_of(results: Mapping[str, Json]) -> Layout:
+def layout_of(results: Mapping[str, Json]) -> MetricLayout:
     """What the page of a run shows first, by the kind that its results tell."""
     return _LAYOUTS.get(str(results.get("kind")), _VIDEOS)

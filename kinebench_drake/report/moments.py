@@ -7,8 +7,9 @@ import numpy as np
 
 from kinebench_drake.geometry import Array
 from kinebench_drake.report.frames import JointLimits, joint_limits, limit_ratios
-from kinebench_drake.row import Json, SampleRow
-from kinebench_drake.trackfile import TrackFile
+from kinebench_drake.results.row import SampleRow
+from kinebench_drake.results.trackfile import TrackFile
+from kinebench_drake.types import Json
 
 _DEGREES, _MILLIMETRES = (180.0 / np.pi, "°"), (1000.0, "mm")
 _UNITS = {

@@ -1,16 +1,17 @@
-"""What the report shows, gathered from an output folder and put into the template."""
+"""The html report of an output folder: content, template environment."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
 
-from kinebench_drake.aggregate import Aggregate, Estimate, aggregate
+from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
+
 from kinebench_drake.errors import InputError, cause
-from kinebench_drake.plainfile import read_json
-from kinebench_drake.report.group import group_rows
+from kinebench_drake.io.files import read_json
+from kinebench_drake.io.jsonl import intern_text
 from kinebench_drake.report.histogram import Histogram, count_values, draw_histogram
-from kinebench_drake.report.metric import BY_NAME, METRICS, Layout, Metric, layout_of
+from kinebench_drake.report.metric import BY_NAME, METRICS, Metric, MetricLayout, layout_of
 from kinebench_drake.report.sample import (
     FAILURES,
     GOOD,
@@ -22,9 +23,45 @@ from kinebench_drake.report.sample import (
     verdict_of,
     view_sample,
 )
-from kinebench_drake.report.template import environment
-from kinebench_drake.results import RESULTS, read_rows
-from kinebench_drake.row import Json, SampleRow, Status, one_text
+from kinebench_drake.results.aggregate import Aggregate, Estimate, aggregate, by_key
+from kinebench_drake.results.row import SampleRow, Status
+from kinebench_drake.results.store import RESULTS, read_rows
+from kinebench_drake.types import Json
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SampleGroup:
+    """Samples that share a task or a model."""
+
+    name: str
+    total: Aggregate
+    verdicts: Mapping[str, int]
+    """Samples of each verdict that occurs, the worst verdict first."""
+
+
+def group_rows(rows: Sequence[SampleRow], key: str, seed: int = 0) -> list[SampleGroup]:
+    """Groups of rows by their `task` or `model`, sorted by name; rows without one are left out."""
+    found = []
+    for name, group in by_key(rows, key).items():
+        told = [verdict_of(row) for row in group]
+        verdicts = {verdict: told.count(verdict) for verdict in RANK if verdict in told}
+        found.append(SampleGroup(name=name, total=aggregate(group, seed), verdicts=verdicts))
+    return found
+
+
+HOME = "kinebench_drake.report"
+
+
+def environment(package: str = HOME) -> Environment:
+    """Templates of a package, then those that all pages share; what is put into them is escaped."""
+    return Environment(
+        loader=ChoiceLoader([PackageLoader(package, "."), PackageLoader(HOME, ".")]),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+
 
 DRAWN = 100
 """Samples, the worst first, whose curves and findings stand on the page: the rest would make it slow to open."""
@@ -81,7 +118,7 @@ def build_page(out: Path) -> str:
     )
 
 
-def histograms(rows: Sequence[SampleRow], total: Aggregate, layout: Layout) -> list[Histogram]:
+def histograms(rows: Sequence[SampleRow], total: Aggregate, layout: MetricLayout) -> list[Histogram]:
     """The spread of the metrics that stand first on a page, as far as they spread."""
     found = []
     for name in dict.fromkeys((*layout.headlines, *layout.columns)):
@@ -149,11 +186,11 @@ def read_results(out: Path) -> Mapping[str, Json]:
         return {}
     except (OSError, ValueError) as error:
         raise InputError(f"{out / RESULTS}: not JSON ({cause(error)})") from None
-    return cast(Mapping[str, Json], one_text(data)) if isinstance(data, dict) else {}
+    return cast(Mapping[str, Json], intern_text(data)) if isinstance(data, dict) else {}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Normalized:
+class NormalizedMetric:
     """A metric put on the scale that its own run spans."""
 
     metric: str
@@ -166,12 +203,12 @@ class Normalized:
     n: int
 
 
-def _normalization(results: Mapping[str, Json]) -> list[Normalized]:
+def _normalization(results: Mapping[str, Json]) -> list[NormalizedMetric]:
     found = results.get("normalization")
     told = []
     for name, entry in found.items() if isinstance(found, Mapping) else ():
         numbers = [entry.get(key) if isinstance(entry, Mapping) else None for key in ("low", "high", "mean", "n")]
         low, high, mean, n = (float(v) if isinstance(v, int | float) else None for v in numbers)
         if low is not None and high is not None and mean is not None and n is not None:
-            told.append(Normalized(metric=name, low=low, high=high, mean=mean, n=int(n)))
+            told.append(NormalizedMetric(metric=name, low=low, high=high, mean=mean, n=int(n)))
     return told

@@ -11,14 +11,14 @@ import numpy as np
 from markupsafe import Markup
 
 from kinebench_drake.report.curves import draw_curves
-from kinebench_drake.report.facts import Fact, list_facts
+from kinebench_drake.report.details import Fact, Resolution, list_facts, resolutions, summarize_checks
 from kinebench_drake.report.frames import anomalies_of
 from kinebench_drake.report.moments import Moment, worst_moments
-from kinebench_drake.report.summary import Resolution, resolutions, summarize_checks
 from kinebench_drake.report.timeline import draw_strip, frame_count, lanes_of
-from kinebench_drake.results import part_path
-from kinebench_drake.row import Json, SampleRow, Status
-from kinebench_drake.trackfile import read_track
+from kinebench_drake.results.row import SampleRow, Status
+from kinebench_drake.results.store import artifact_path
+from kinebench_drake.results.trackfile import read_track
+from kinebench_drake.types import Json
 
 FAILURES = {cause: f"failed: {cause}" for cause in ("grounding", "generation", "execution", "task")}
 """Verdicts of episodes that failed, and how they are shown."""
@@ -109,7 +109,7 @@ def goodness(row: SampleRow) -> tuple[float | str, ...]:
 
 def has_picture(out: Path, row: SampleRow) -> bool:
     """Whether the folder holds a picture of the sample."""
-    return part_path(out, "thumbnails", row.id).is_file()
+    return artifact_path(out, "thumbnails", row.id).is_file()
 
 
 def view_sample(out: Path, row: SampleRow, *, drawn: bool, pictured: bool = True) -> SampleView:
@@ -126,10 +126,10 @@ def view_sample(out: Path, row: SampleRow, *, drawn: bool, pictured: bool = True
     """
     uri = None
     if pictured and has_picture(out, row):
-        data = part_path(out, "thumbnails", row.id).read_bytes()
+        data = artifact_path(out, "thumbnails", row.id).read_bytes()
         uri = f"data:image/jpeg;base64,{base64.b64encode(data).decode()}"
-    track = part_path(out, "tracks", row.id)
-    replay = part_path(out, "replays", row.id)
+    track = artifact_path(out, "tracks", row.id)
+    replay = artifact_path(out, "replays", row.id)
     cause = row.extra.get("cause")
     viewable = row.status is Status.OK and track.is_file()
     file = read_track(track) if viewable and drawn else None
@@ -155,7 +155,7 @@ def view_sample(out: Path, row: SampleRow, *, drawn: bool, pictured: bool = True
         films=[
             (told, f"{part}/{quote(row.id)}.mp4")
             for part, told in _FILMS.items()
-            if part_path(out, part, row.id).is_file()
+            if artifact_path(out, part, row.id).is_file()
         ],
         viewable=viewable,
     )

@@ -8,9 +8,10 @@ from markupsafe import Markup, escape
 from kinebench_drake.geometry import Array
 from kinebench_drake.report.frames import SURE, anomalies_of
 from kinebench_drake.report.plot import ticks
-from kinebench_drake.row import Json, SampleRow
-from kinebench_drake.runs import runs
-from kinebench_drake.trackfile import TrackFile
+from kinebench_drake.results.row import SampleRow
+from kinebench_drake.results.trackfile import TrackFile
+from kinebench_drake.segments import segments
+from kinebench_drake.types import Json
 
 _WIDTH, _LEFT, _RIGHT, _LANE, _BAR, _BOTTOM = 430.0, 118.0, 8.0, 19.0, 11.0, 20.0
 _STRIP_WIDTH, _STRIP_HEIGHT = 150.0, 9.0
@@ -56,7 +57,7 @@ def lanes_of(row: SampleRow, file: TrackFile | None) -> list[Lane]:
         on = file.track.tracked.astype(bool)
         doubtful = on & (file.track.confidence < SURE)
         for label, css, mask in (("not tracked", "lost", ~on), ("doubtful", "unsure", doubtful)):
-            spans = tuple(Span(start=s.start, end=s.stop - 1, text=LEGEND[css]) for s in runs(mask))
+            spans = tuple(Span(start=s.start, end=s.stop - 1, text=LEGEND[css]) for s in segments(mask))
             if spans:
                 lanes.append(Lane(label=label, css=css, spans=spans))
     return lanes

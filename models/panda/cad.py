@@ -11,10 +11,9 @@ import numpy as np
 import trimesh
 from numpy.typing import ArrayLike, NDArray
 
-from kinebench_drake import native
+from kinebench_drake.environment import native
 from kinebench_drake.geometry import Array, invert
-from kinebench_drake.models.panda.part import ARM, GRIPPER, LINK_OF, OPENING_SIGN, Part
-from kinebench_drake.models.panda.robot import source_urdf
+from kinebench_drake.models.panda.robot import ARM, GRIPPER, LINK_OF, OPENING_SIGN, RobotPart, source_urdf
 
 FINGER_ORIGIN_H = np.array([0.0, 0.0, 0.0584])
 """Where the fingers' frames lie when closed (panda_finger_joint1/2)."""
@@ -29,7 +28,7 @@ def _visual(name: str) -> trimesh.Trimesh:
 
 
 @cache
-def link_meshes() -> dict[Part, trimesh.Trimesh]:
+def link_meshes() -> dict[RobotPart, trimesh.Trimesh]:
     """The meshes of the arm's links, each in its link's frame.
 
     Raises:
@@ -39,7 +38,7 @@ def link_meshes() -> dict[Part, trimesh.Trimesh]:
 
 
 @cache
-def part_meshes() -> dict[Part, trimesh.Trimesh]:
+def part_meshes() -> dict[RobotPart, trimesh.Trimesh]:
     """The meshes of hand, left and right finger (closed), in the hand's frame.
 
     Raises:
@@ -54,7 +53,7 @@ def part_meshes() -> dict[Part, trimesh.Trimesh]:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Surface:
+class CadSurface:
     """What a set of N rays meets."""
 
     distance: Array
@@ -77,7 +76,7 @@ class GripperCad:
         native.prepare_open3d()
         import open3d
 
-        self._scenes: dict[Part, Any] = {}
+        self._scenes: dict[RobotPart, Any] = {}
         core: Any = open3d.core
         self._tensor = core.Tensor
         for part, mesh in part_meshes().items():
@@ -87,7 +86,7 @@ class GripperCad:
             scene.add_triangles(self._tensor(vertices), self._tensor(faces))
             self._scenes[part] = scene
 
-    def cast(self, X_VH: ArrayLike, rays_V: ArrayLike, finger_m: float) -> Surface:
+    def cast(self, X_VH: ArrayLike, rays_V: ArrayLike, finger_m: float) -> CadSurface:
         """First hits of `rays_V` (N, 3), which start at the origin of V, with the gripper at pose `X_VH` (4, 4).
 
         `distance` is in units of each ray's length: for rays with z = 1 it is the depth along V's z [m].
@@ -109,4 +108,4 @@ class GripperCad:
         norm = np.linalg.norm(normal, axis=1, keepdims=True)
         normal = np.divide(normal, norm, out=normal, where=norm > 0)
         normal[(normal * directions).sum(axis=1) > 0] *= -1.0  # towards the viewer
-        return Surface(distance=distance, part=parts, normal_H=normal)
+        return CadSurface(distance=distance, part=parts, normal_H=normal)

@@ -5,6 +5,7 @@ meshes .glb, which Drake's collision engine does not take: they are converted (`
 """
 
 import importlib.util
+from enum import IntEnum
 from functools import cache
 from pathlib import Path
 
@@ -103,3 +104,33 @@ def panda() -> Robot:
         jerk_limits=np.array(JERK_LIMITS),
         allowed_pairs=read_allowed_pairs(source_urdf().with_suffix(".srdf")),
     )
+
+
+class RobotPart(IntEnum):
+    """What a pixel shows: hand and fingers are the gripper, the links from the base on the arm."""
+
+    BACKGROUND = 0
+    HAND = 1
+    LEFT_FINGER = 2
+    RIGHT_FINGER = 3
+    LINK0 = 4
+    LINK1 = 5
+    LINK2 = 6
+    LINK3 = 7
+    LINK4 = 8
+    LINK5 = 9
+    LINK6 = 10
+    LINK7 = 11
+
+
+GRIPPER = (RobotPart.HAND, RobotPart.LEFT_FINGER, RobotPart.RIGHT_FINGER)
+"""The parts that move with the hand."""
+
+ARM = tuple(part for part in RobotPart if part >= RobotPart.LINK0)
+"""The parts of the arm, base first; the eighth link has no body."""
+
+LINK_OF = dict(zip((*GRIPPER, *ARM), (HAND_LINK, *FINGER_LINKS, *ARM_LINKS[:-1]), strict=True))
+"""Name in the URDF of each part."""
+
+OPENING_SIGN = {RobotPart.HAND: 0.0, RobotPart.LEFT_FINGER: 1.0, RobotPart.RIGHT_FINGER: -1.0}
+"""Direction along the hand's y axis in which a part moves as the gripper opens."""

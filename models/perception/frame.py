@@ -14,10 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kinebench_drake.camera import Camera
-from kinebench_drake.geometry import Array, invert
-from kinebench_drake.models.panda.part import ARM, GRIPPER, LINK_OF, Part
-from kinebench_drake.models.panda.robot import HAND_LINK
+from kinebench_drake.camera import Camera, benchmark_camera
+from kinebench_drake.geometry import Array, invert, make_pose, rotation_exp
+from kinebench_drake.models.panda.robot import ARM, GRIPPER, HAND_LINK, LINK_OF, RobotPart
 
 DEPTH_UNIT_M = 1e-4
 """Unit of stored depth [m]."""
@@ -28,7 +27,7 @@ FILES = ("rgb.npy", "depth.npy", "part.npy", "truth.npz")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Frame:
+class RenderedFrame:
     """One rendered frame with its truth."""
 
     rgb: NDArray[np.uint8]
@@ -60,7 +59,7 @@ class Frame:
         camera: Camera,
         X_BL: Mapping[str, Array],
         finger_m: float,
-    ) -> "Frame":
+    ) -> "RenderedFrame":
         """The frame of a picture whose links are at `X_BL` (poses (4, 4) by name in the robot's base frame)."""
         X_CB = invert(camera.X_BC)
         return cls(
@@ -74,7 +73,7 @@ class Frame:
         )
 
 
-def part_map(ids: NDArray[np.integer[Any]], part_of_id: Mapping[int, Part]) -> NDArray[np.uint8]:
+def part_map(ids: NDArray[np.integer[Any]], part_of_id: Mapping[int, RobotPart]) -> NDArray[np.uint8]:
     """Values of `Part` (S, S) from a renderer's segmentation ids (S, S)."""
     part = np.zeros(ids.shape, np.uint8)
     for entity, value in part_of_id.items():
@@ -92,7 +91,7 @@ def is_complete(shard: Path) -> bool:
     return (shard / "truth.npz").is_file()
 
 
-def save_shard(frames: Sequence[Frame], shard: Path) -> None:
+def save_shard(frames: Sequence[RenderedFrame], shard: Path) -> None:
     """Write a scene's frames; the truth last, as it marks the shard complete."""
     shard.mkdir(parents=True, exist_ok=True)
     for name in ("rgb", "depth", "part"):
@@ -104,3 +103,22 @@ def save_shard(frames: Sequence[Frame], shard: Path) -> None:
         camera_from_links=np.stack([f.X_CL for f in frames]),
         finger_m=np.array([f.finger_m for f in frames]),
     )
+
+
+_SHIFT_M, _TURN_RAD = 0.06, np.deg2rad(6.0)
+_FOV_RAD = np.deg2rad((45.0, 75.0))
+_VARIED_FOV = 0.6  # share of cameras whose field of view is another than the benchmark's
+
+
+def varied_camera(rng: np.random.Generator, size: int) -> Camera:
+    """The benchmark camera moved by up to 6 cm and 6 degrees along and about each axis, field of view 45 to 75 degrees.
+
+    Its pictures are `size` pixels wide and high.
+    """
+    benchmark = benchmark_camera()
+    shift = make_pose(rotation_exp(rng.uniform(-_TURN_RAD, _TURN_RAD, 3)), rng.uniform(-_SHIFT_M, _SHIFT_M, 3))
+    focal = benchmark.fx * size / benchmark.width
+    if rng.random() < _VARIED_FOV:
+        focal = float(size / 2 / np.tan(rng.uniform(*_FOV_RAD) / 2))
+    centre = size / 2
+    return Camera(width=size, height=size, fx=focal, fy=focal, cx=centre, cy=centre, X_BC=benchmark.X_BC @ shift)

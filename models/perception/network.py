@@ -12,9 +12,9 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from kinebench_drake.models.panda.part import Part
+from kinebench_drake.models.panda.robot import RobotPart
 
-PARTS = len(Part)
+PARTS = len(RobotPart)
 STRIDE = 2
 """Input pixels per output pixel."""
 COORDINATE_SCALE_M = 0.1

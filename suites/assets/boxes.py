@@ -11,19 +11,18 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kinebench_drake.geometry import Array, make_pose
-from kinebench_drake.suites.assets.mesh import cylinder_mesh
+from kinebench_drake.suites.assets.mesh import Parts, cylinder_mesh
 from kinebench_drake.suites.assets.model import (
+    AssetKind,
     Body,
     Joint,
     JointKind,
-    Kind,
     Material,
     Model,
     Site,
-    Surface,
+    SurfaceFinish,
     Visual,
 )
-from kinebench_drake.suites.assets.parts import Parts
 from kinebench_drake.suites.assets.texture import (
     Texture,
     brushed,
@@ -68,10 +67,10 @@ _PALETTE = np.array(
 class _Look:
     """Surfaces of a box's parts."""
 
-    walls: Surface
-    lid: Surface
-    lining: Surface
-    trim: Surface
+    walls: SurfaceFinish
+    lid: SurfaceFinish
+    lining: SurfaceFinish
+    trim: SurfaceFinish
     label: bool
     words: str
     density: float
@@ -95,33 +94,33 @@ def _color(srgb: ArrayLike) -> tuple[float, float, float]:
 def _look(index: int, rng: np.random.Generator) -> _Look:
     material = MATERIALS[index % len(MATERIALS)]
     first, second, third = _PALETTE[rng.permutation(len(_PALETTE))[:3]] * rng.uniform(0.85, 1.1, (3, 1))
-    plain = partial(Surface, roughness=float(rng.uniform(0.35, 0.8)))
+    plain = partial(SurfaceFinish, roughness=float(rng.uniform(0.35, 0.8)))
     lining, trim = plain(color=_color(third)), plain(color=_color(second))
-    steel = Surface(color=(0.42, 0.42, 0.44), roughness=0.35, metallic=0.6)
+    steel = SurfaceFinish(color=(0.42, 0.42, 0.44), roughness=0.35, metallic=0.6)
     word, density = material, 500.0
     match material:
         case "cardboard":
-            walls = Surface(texture=cardboard(rng), roughness=0.9)
-            lid, lining, density = Surface(texture=cardboard(rng), roughness=0.9), walls, 350.0
-            trim = Surface(color=_color([206, 178, 128]), roughness=0.35)  # tape
+            walls = SurfaceFinish(texture=cardboard(rng), roughness=0.9)
+            lid, lining, density = SurfaceFinish(texture=cardboard(rng), roughness=0.9), walls, 350.0
+            trim = SurfaceFinish(color=_color([206, 178, 128]), roughness=0.35)  # tape
         case "wood":
             tree, other = rng.permutation(["oak", "pine", "walnut", "cherry", "teak", "mahogany", "maple"])[:2]
-            walls = Surface(texture=planks(rng, str(tree), boards=6), roughness=0.6)
-            lid = Surface(texture=wood(rng, str(other if index % 4 < 2 else tree)), roughness=0.5)
+            walls = SurfaceFinish(texture=planks(rng, str(tree), boards=6), roughness=0.6)
+            lid = SurfaceFinish(texture=wood(rng, str(other if index % 4 < 2 else tree)), roughness=0.5)
             word, trim, density = "wooden", steel, 600.0
         case "plastic":
             walls, lid = plain(color=_color(first)), plain(color=_color(second))
             trim, density = plain(color=_color([236, 236, 232])), 800.0
         case "tin":
-            walls = Surface(texture=_tin(rng, first), roughness=0.4, metallic=0.35)
-            lid = Surface(texture=_tin(rng, second), roughness=0.35, metallic=0.35)
-            lining, word, density = Surface(texture=brushed(rng), roughness=0.4, metallic=0.5), "tin", 900.0
+            walls = SurfaceFinish(texture=_tin(rng, first), roughness=0.4, metallic=0.35)
+            lid = SurfaceFinish(texture=_tin(rng, second), roughness=0.35, metallic=0.35)
+            lining, word, density = SurfaceFinish(texture=brushed(rng), roughness=0.4, metallic=0.5), "tin", 900.0
         case "leather":
-            walls, lid = (Surface(texture=leather(rng, color), roughness=0.55) for color in (first, 0.8 * first))
+            walls, lid = (SurfaceFinish(texture=leather(rng, color), roughness=0.55) for color in (first, 0.8 * first))
             trim = steel
         case _:
             pattern = _paper(rng, index, first, second)
-            walls, lid = Surface(texture=pattern, roughness=0.8), plain(color=_color(second))
+            walls, lid = SurfaceFinish(texture=pattern, roughness=0.8), plain(color=_color(second))
             word, density = "gift", 400.0
     return _Look(
         walls=walls, lid=lid, lining=lining, trim=trim, label=bool(rng.random() < 0.6), words=word, density=density
@@ -215,5 +214,5 @@ def _box(kind: str, asset_id: str, index: int, rng: np.random.Generator) -> Mode
     )
 
 
-KINDS = tuple(Kind(name=name, make=partial(_box, name)) for name in (RIMMED, FLUSH))
+KINDS = tuple(AssetKind(name=name, make=partial(_box, name)) for name in (RIMMED, FLUSH))
 """Kinds of this family."""

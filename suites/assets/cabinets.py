@@ -10,20 +10,19 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kinebench_drake.geometry import Array, make_pose
-from kinebench_drake.suites.assets.mesh import cylinder_mesh, lathe, sweep
+from kinebench_drake.suites.assets.mesh import Parts, block, cylinder_mesh, lathe, sweep
 from kinebench_drake.suites.assets.model import (
+    AssetKind,
     Collider,
     ColliderKind,
     Joint,
     JointKind,
-    Kind,
     Material,
     Model,
     Site,
-    Surface,
+    SurfaceFinish,
     Visual,
 )
-from kinebench_drake.suites.assets.parts import Parts, block
 from kinebench_drake.suites.assets.texture import brushed, mixed, wood
 
 WIDTH_M = (0.172, 0.198)
@@ -59,10 +58,10 @@ _PAINTS = {
     "black": (0.03, 0.03, 0.035),
 }
 _FITTINGS = (
-    Surface(color=(0.55, 0.56, 0.58), roughness=0.3, metallic=0.7),
-    Surface(color=(0.60, 0.42, 0.14), roughness=0.35, metallic=0.7),
-    Surface(color=(0.03, 0.03, 0.03), roughness=0.5),
-    Surface(color=(0.70, 0.68, 0.63), roughness=0.4),
+    SurfaceFinish(color=(0.55, 0.56, 0.58), roughness=0.3, metallic=0.7),
+    SurfaceFinish(color=(0.60, 0.42, 0.14), roughness=0.35, metallic=0.7),
+    SurfaceFinish(color=(0.03, 0.03, 0.03), roughness=0.5),
+    SurfaceFinish(color=(0.70, 0.68, 0.63), roughness=0.4),
 )
 
 
@@ -128,7 +127,7 @@ def _measures(rng: np.random.Generator) -> _Measures:
     )
 
 
-def _carcass(m: _Measures, feet: str, outside: Surface, inside: Surface, fitting: Surface) -> Parts:
+def _carcass(m: _Measures, feet: str, outside: SurfaceFinish, inside: SurfaceFinish, fitting: SurfaceFinish) -> Parts:
     """The cabinet without its drawer."""
     parts, x, y, p = Parts(_WOOD_PER_M), m.face, m.width / 2.0, m.panel
     parts.panel([-x, -y, m.height - p], [x, y, m.height], outside, bevel_m=0.002)
@@ -147,7 +146,7 @@ def _carcass(m: _Measures, feet: str, outside: Surface, inside: Surface, fitting
     return parts
 
 
-def _tray(m: _Measures, front: Surface, inside: Surface) -> Parts:
+def _tray(m: _Measures, front: SurfaceFinish, inside: SurfaceFinish) -> Parts:
     """The drawer without its handle."""
     parts, y = Parts(_WOOD_PER_M), m.tray_width / 2.0
     back, face = m.tray_x
@@ -168,7 +167,9 @@ def _turned_to(axis: ArrayLike, position: ArrayLike) -> Array:
     return make_pose(np.stack([x, np.cross(z, x), z], axis=1), position)
 
 
-def _add_handle(parts: Parts, m: _Measures, handle: str, front: Surface, fitting: Surface, size: float) -> float:
+def _add_handle(
+    parts: Parts, m: _Measures, handle: str, front: SurfaceFinish, fitting: SurfaceFinish, size: float
+) -> float:
     """Put a handle on the drawer's front; `size` 0..1 from small to large. Returns how far the upper part reaches out.
 
     Bows and knobs sit below the middle, so that fingers may press on the front above them.
@@ -207,14 +208,14 @@ def _add_handle(parts: Parts, m: _Measures, handle: str, front: Surface, fitting
 _QUARTER = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # x goes to y
 
 
-def _surfaces(finish: str, rng: np.random.Generator) -> tuple[str, Surface, Surface, Surface]:
+def _surfaces(finish: str, rng: np.random.Generator) -> tuple[str, SurfaceFinish, SurfaceFinish, SurfaceFinish]:
     """What it is called, and the surfaces of the cabinet, of the drawer's front and of the inside."""
     kind, paint = str(rng.choice(_WOOD_KINDS)), str(rng.choice(list(_PAINTS)))
     shade = rng.uniform(0.85, 1.1)
     r, g, b = (float(min(shade * c, 1.0)) for c in _PAINTS[paint])
-    painted = Surface(color=(r, g, b), roughness=float(rng.uniform(0.35, 0.7)))
-    wooden = Surface(texture=wood(rng, kind), roughness=float(rng.uniform(0.5, 0.8)))
-    pale = Surface(texture=wood(rng, str(rng.choice(["maple", "pine", "ash"]))), roughness=0.8)
+    painted = SurfaceFinish(color=(r, g, b), roughness=float(rng.uniform(0.35, 0.7)))
+    wooden = SurfaceFinish(texture=wood(rng, kind), roughness=float(rng.uniform(0.5, 0.8)))
+    pale = SurfaceFinish(texture=wood(rng, str(rng.choice(["maple", "pine", "ash"]))), roughness=0.8)
     if finish == "wood":
         return f"{kind} cabinet", wooden, wooden, pale
     if finish == "paint":
@@ -222,12 +223,12 @@ def _surfaces(finish: str, rng: np.random.Generator) -> tuple[str, Surface, Surf
     if finish == "front":
         return f"{kind} cabinet", wooden, painted, pale
     grey = rng.uniform(130, 185) + rng.uniform(-6, 6, 3)
-    steel = Surface(
+    steel = SurfaceFinish(
         texture=mixed(brushed(rng, grey), grey, np.full((1, 1), 0.7)),
         roughness=float(rng.uniform(0.35, 0.5)),
         metallic=float(rng.uniform(0.3, 0.6)),
     )
-    return "metal cabinet", steel, steel, Surface(color=(0.30, 0.31, 0.33), roughness=0.6)
+    return "metal cabinet", steel, steel, SurfaceFinish(color=(0.30, 0.31, 0.33), roughness=0.6)
 
 
 def _cabinet(asset_id: str, index: int, rng: np.random.Generator) -> Model:
@@ -273,5 +274,5 @@ def _cabinet(asset_id: str, index: int, rng: np.random.Generator) -> Model:
     )
 
 
-KINDS = (Kind(name="cabinet", make=_cabinet),)
+KINDS = (AssetKind(name="cabinet", make=_cabinet),)
 """Kinds of this family."""

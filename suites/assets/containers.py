@@ -10,9 +10,17 @@ from itertools import pairwise
 import numpy as np
 
 from kinebench_drake.geometry import Array, make_pose, rotation_exp
-from kinebench_drake.suites.assets.mesh import lathe, sweep
-from kinebench_drake.suites.assets.model import Body, Collider, ColliderKind, Kind, Material, Model, Surface, Visual
-from kinebench_drake.suites.assets.parts import block, board
+from kinebench_drake.suites.assets.mesh import block, board, lathe, sweep
+from kinebench_drake.suites.assets.model import (
+    AssetKind,
+    Body,
+    Collider,
+    ColliderKind,
+    Material,
+    Model,
+    SurfaceFinish,
+    Visual,
+)
 from kinebench_drake.suites.assets.texture import grains, plain, shaded, speckle, wood, woven
 
 COMPARTMENTS = 3
@@ -62,7 +70,7 @@ def _shell(inner: Array, thick_m: float) -> tuple[Collider, ...]:
 
 
 def _round(
-    words: str, inner: Array, thick_m: float, surface: Surface, mass_kg: float, *, extra: tuple[Visual, ...] = ()
+    words: str, inner: Array, thick_m: float, surface: SurfaceFinish, mass_kg: float, *, extra: tuple[Visual, ...] = ()
 ) -> _Made:
     """A vessel from the profile (N, 2) of its inside, floor's edge first, rim last."""
     along = np.gradient(inner, axis=0)
@@ -93,13 +101,13 @@ def _round(
     )
 
 
-def _glazed(rng: np.random.Generator) -> Surface:
+def _glazed(rng: np.random.Generator) -> SurfaceFinish:
     wheel = [(226, 222, 212), (96, 134, 168), (178, 84, 58), (120, 152, 120), (214, 180, 110), (70, 82, 110)]
     color = np.array(wheel[rng.integers(len(wheel))]) * rng.uniform(0.9, 1.08, 3)
     image = speckle(rng, color, [0.75 * color, np.minimum(1.12 * color, 255)]) if rng.random() < 0.5 else None
     if image is None:
         image = shaded(plain(color, 128), 1.0 + 0.08 * (grains(rng, 128, 6.0) - 0.5))
-    return Surface(texture=image, roughness=float(rng.uniform(0.2, 0.45)), specular=0.5)
+    return SurfaceFinish(texture=image, roughness=float(rng.uniform(0.2, 0.45)), specular=0.5)
 
 
 def _bowl(rng: np.random.Generator, index: int) -> _Made:
@@ -108,7 +116,7 @@ def _bowl(rng: np.random.Generator, index: int) -> _Made:
     s = np.linspace(0.0, 1.0, 9)
     inner = np.column_stack([floor + (rim - floor) * np.sin(0.5 * np.pi * s), thick + (height - thick) * s**1.6])
     wooden = index % 3 == 2
-    surface = Surface(texture=wood(rng, str(rng.choice(_WOODS))), roughness=0.5) if wooden else _glazed(rng)
+    surface = SurfaceFinish(texture=wood(rng, str(rng.choice(_WOODS))), roughness=0.5) if wooden else _glazed(rng)
     return _round("wooden bowl" if wooden else "bowl", inner, thick, surface, 0.55)
 
 
@@ -126,7 +134,7 @@ def _basket(rng: np.random.Generator, index: int) -> _Made:
     s = np.linspace(0.0, 1.0, 7)
     inner = np.column_stack([floor + (rim - floor) * s**0.8, thick + (height - thick) * s])
     straw = np.array([190, 148, 92]) * rng.uniform(0.75, 1.1)
-    surface = Surface(texture=woven(rng, straw, 0.72 * straw, threads=24), roughness=0.9)
+    surface = SurfaceFinish(texture=woven(rng, straw, 0.72 * straw, threads=24), roughness=0.9)
     turn = np.linspace(0.0, 2.0 * np.pi, 49)
     lobes = 0.0008 * np.sin(24.0 * turn)
     around = rim + 0.5 * thick
@@ -136,7 +144,7 @@ def _basket(rng: np.random.Generator, index: int) -> _Made:
         sections=10,
         uv_per_m=12.0,
     )
-    dark = Surface(texture=woven(rng, 0.8 * straw, 0.6 * straw, threads=12), roughness=0.9)
+    dark = SurfaceFinish(texture=woven(rng, 0.8 * straw, 0.6 * straw, threads=12), roughness=0.9)
     return _round("basket", inner, thick, surface, 0.5, extra=(Visual(mesh=braid, surface=dark),))
 
 
@@ -148,8 +156,8 @@ def _tray(rng: np.random.Generator, index: int) -> _Made:
     if painted:
         color = np.array([(196, 60, 48), (64, 110, 150), (232, 226, 210)][index % 3], dtype=np.float64)
         grain = shaded(plain(color, 256), grain.mean(axis=-1) / grain.mean())
-    side = Surface(texture=grain, roughness=0.55)
-    inside = Surface(texture=shaded(grain, np.full(grain.shape[:2], 0.86)), roughness=0.7)
+    side = SurfaceFinish(texture=grain, roughness=0.55)
+    inside = SurfaceFinish(texture=shaded(grain, np.full(grain.shape[:2], 0.86)), roughness=0.7)
     parts = _walls(x, y, height, thick)
     visuals = [board([x, y, floor], [0.0, 0.0, floor / 2.0], inside, bevel_m=0.0)]
     visuals += [board(size, center, side, bevel_m=0.0016) for size, center in parts]
@@ -216,8 +224,8 @@ def _crate(asset_id: str, index: int, rng: np.random.Generator) -> Model:
     wide = COMPARTMENTS * cell + (COMPARTMENTS - 1) * divider
     kind = _WOODS[index % len(_WOODS)]
     grain = wood(rng, kind)
-    side = Surface(texture=shaded(grain, np.full(grain.shape[:2], rng.uniform(0.85, 1.1))), roughness=0.75)
-    dark = Surface(texture=shaded(grain, np.full(grain.shape[:2], 0.75)), roughness=0.85)
+    side = SurfaceFinish(texture=shaded(grain, np.full(grain.shape[:2], rng.uniform(0.85, 1.1))), roughness=0.75)
+    dark = SurfaceFinish(texture=shaded(grain, np.full(grain.shape[:2], 0.75)), roughness=0.85)
     visuals, colliders = [], [block([deep, wide, floor], [0.0, 0.0, floor / 2.0])]
     for k in range(COMPARTMENTS):  # boards of the floor, with a gap under each divider
         y = (k - 0.5 * (COMPARTMENTS - 1)) * (cell + divider)
@@ -277,7 +285,7 @@ def cell_center(size: Callable[[str], float], number: int) -> Array:
     return np.array([0.0, (number - 0.5 * (COMPARTMENTS - 1)) * size("pitch_m"), size("floor_m")])
 
 
-KINDS = (Kind(name="container", make=_container), Kind(name="crate", make=_crate))
+KINDS = (AssetKind(name="container", make=_container), AssetKind(name="crate", make=_crate))
 """Sizes: `inner_x_m` and `inner_y_m` (width at the rim), `round` (1 where these are diameters), `reach_m` (greatest
 level distance from the origin), `floor_m`, `rim_m` (heights); of a crate `cell_m` (width of a compartment), `pitch_m`
 (from one to the next) and its outer measures."""

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.geometry import Array
-from kinebench_drake.suites.assets.model import Body, Kind, Material, Model, Surface
-from kinebench_drake.suites.assets.parts import block, board
+from kinebench_drake.suites.assets.mesh import block, board
+from kinebench_drake.suites.assets.model import AssetKind, Body, Material, Model, SurfaceFinish
 from kinebench_drake.suites.assets.texture import blend, tileable_noise
 
 COLORS = {"red": (0.65, 0.03, 0.03), "green": (0.04, 0.42, 0.06), "blue": (0.03, 0.09, 0.6)}
@@ -54,7 +54,7 @@ def _cube(name: str, asset_id: str, index: int, rng: np.random.Generator) -> Mod
     edge = float(rng.uniform(*EDGE_M))
     color = np.clip(np.array(COLORS[name]) * rng.uniform(0.75, 1.25, size=3), 0.0, 1.0)
     light = 255.0 * color ** (1.0 / 2.2)
-    surface = Surface(
+    surface = SurfaceFinish(
         roughness=float(rng.uniform(0.35, 0.9)), texture=_FINISHES[index % len(_FINISHES)](light, 0.6 * light, rng)
     )
     body = Body(
@@ -66,5 +66,5 @@ def _cube(name: str, asset_id: str, index: int, rng: np.random.Generator) -> Mod
     return Model(kind=f"cube/{name}", asset_id=asset_id, words=f"{name} cube", bodies=(body,), size={"edge_m": edge})
 
 
-KINDS = tuple(Kind(name=f"cube/{color}", make=partial(_cube, color)) for color in COLORS)
+KINDS = tuple(AssetKind(name=f"cube/{color}", make=partial(_cube, color)) for color in COLORS)
 """Cubes of each colour."""

@@ -12,20 +12,19 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kinebench_drake.geometry import Array, make_pose
-from kinebench_drake.suites.assets.mesh import lathe, sweep
+from kinebench_drake.suites.assets.mesh import Parts, block, board, lathe, sweep
 from kinebench_drake.suites.assets.model import (
+    AssetKind,
     Collider,
     ColliderKind,
     Joint,
     JointKind,
-    Kind,
     Material,
     Model,
     Site,
-    Surface,
+    SurfaceFinish,
     Visual,
 )
-from kinebench_drake.suites.assets.parts import Parts, block, board
 
 LEVER_HEIGHT_M = (0.095, 0.125)
 """Least and greatest height of the lever's middle line."""
@@ -39,7 +38,7 @@ _RING = np.column_stack([f(2.0 * np.pi * np.arange(20) / 20) for f in (np.cos, n
 class _Parts(Parts):
     """Pieces that faucets are made of."""
 
-    def turned(self, profile: ArrayLike, surface: Surface) -> None:
+    def turned(self, profile: ArrayLike, surface: SurfaceFinish) -> None:
         """A solid of revolution about z, closed; each step of its profile (N, 2) is a collider."""
         rz = np.asarray(profile, dtype=np.float64)
         self.visuals.append(Visual(mesh=lathe(rz, sections=36), surface=surface))
@@ -48,7 +47,7 @@ class _Parts(Parts):
                 points = [np.column_stack([max(r, 5e-4) * _RING, np.full(len(_RING), z)]) for r, z in (low, high)]
                 self.colliders.append(Collider(kind=ColliderKind.HULL, points=np.concatenate(points)))
 
-    def tube(self, points: ArrayLike, radii: ArrayLike, surface: Surface) -> None:
+    def tube(self, points: ArrayLike, radii: ArrayLike, surface: SurfaceFinish) -> None:
         """A round tube along a smooth curve (N, 3), its radius going through those given."""
         p, given = np.asarray(points, dtype=np.float64), np.atleast_1d(radii)
         r = np.interp(np.linspace(0.0, 1.0, len(p)), np.linspace(0.0, 1.0, len(given)), given)
@@ -59,13 +58,13 @@ class _Parts(Parts):
             points = np.concatenate([p[k] + r[k] * _RING @ across.T for k in (i, j)])
             self.colliders.append(Collider(kind=ColliderKind.HULL, points=points))
 
-    def box(self, size: Sequence[float], at: ArrayLike, surface: Surface, *, yaw_rad: float = 0.0) -> None:
+    def box(self, size: Sequence[float], at: ArrayLike, surface: SurfaceFinish, *, yaw_rad: float = 0.0) -> None:
         """A bevelled box of full sizes about a point, turned about z."""
         R, bevel = _yawed(yaw_rad), min(0.0025, 0.2 * min(size))
         self.visuals.append(board(size, at, surface, R=R, bevel_m=bevel, uv_per_m=1.0))
         self.colliders.append(block(size, at, R=R))
 
-    def ball(self, radius_m: float, at: ArrayLike, surface: Surface) -> None:
+    def ball(self, radius_m: float, at: ArrayLike, surface: SurfaceFinish) -> None:
         """A sphere about a point."""
         angle = np.linspace(-np.pi / 2.0, np.pi / 2.0, 13)
         mesh = lathe(radius_m * np.column_stack([np.cos(angle), np.sin(angle)]), sections=24)
@@ -111,8 +110,8 @@ class _Draft:
     """Reach of the lever [m]."""
     spout: float
     """Direction of the spout, from the lever's half-way direction [rad]."""
-    metal: Surface
-    accent: Surface
+    metal: SurfaceFinish
+    accent: SurfaceFinish
     rng: np.random.Generator
 
 
@@ -211,7 +210,7 @@ def _garden(d: _Draft) -> _Shape:
     back, h = float(d.rng.uniform(0.10, 0.115)), d.height
     z = h - 0.052
     wood = np.array([0.34, 0.2, 0.09]) * d.rng.uniform(0.7, 1.3)
-    plank = Surface(color=(float(wood[0]), float(wood[1]), float(wood[2])), roughness=0.8)
+    plank = SurfaceFinish(color=(float(wood[0]), float(wood[1]), float(wood[2])), roughness=0.8)
     base.box([0.018, 0.10, z + 0.03], [-back, 0.0, 0.5 * (z + 0.03)], plank)
     base.box([0.075, 0.10, 0.012], [-back + 0.028, 0.0, 0.006], plank)
     base.tube([[-back, 0.0, z], [0.0, 0.0, z]], 0.0115, d.metal)
@@ -279,11 +278,11 @@ _SHAPES: tuple[tuple[Callable[[_Draft], _Shape], tuple[float, float]], ...] = (
 )
 """Shapes, each with the least and greatest reach of its lever [m]."""
 _METALS = {
-    "chrome": Surface(color=(0.62, 0.64, 0.67), roughness=0.22, metallic=0.45, specular=0.9),
-    "brass": Surface(color=(0.62, 0.40, 0.11), roughness=0.3, metallic=0.45, specular=0.8),
-    "black": Surface(color=(0.022, 0.022, 0.025), roughness=0.45, specular=0.5),
-    "white": Surface(color=(0.78, 0.78, 0.76), roughness=0.3, specular=0.5),
-    "copper": Surface(color=(0.6, 0.25, 0.13), roughness=0.3, metallic=0.45, specular=0.8),
+    "chrome": SurfaceFinish(color=(0.62, 0.64, 0.67), roughness=0.22, metallic=0.45, specular=0.9),
+    "brass": SurfaceFinish(color=(0.62, 0.40, 0.11), roughness=0.3, metallic=0.45, specular=0.8),
+    "black": SurfaceFinish(color=(0.022, 0.022, 0.025), roughness=0.45, specular=0.5),
+    "white": SurfaceFinish(color=(0.78, 0.78, 0.76), roughness=0.3, specular=0.5),
+    "copper": SurfaceFinish(color=(0.6, 0.25, 0.13), roughness=0.3, metallic=0.45, specular=0.8),
 }
 _ACCENTS = ((0.65, 0.03, 0.03), (0.03, 0.1, 0.5), (0.8, 0.8, 0.76), (0.03, 0.3, 0.12))
 _TURN = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
@@ -298,7 +297,7 @@ def _faucet(asset_id: str, index: int, rng: np.random.Generator) -> Model:
         lever=float(rng.uniform(*levers)),
         spout=float(rng.choice([-1.0, 1.0]) * rng.uniform(1.4, 2.6)),
         metal=_METALS[finish],
-        accent=Surface(color=_ACCENTS[rng.integers(len(_ACCENTS))], roughness=0.35, specular=0.5),
+        accent=SurfaceFinish(color=_ACCENTS[rng.integers(len(_ACCENTS))], roughness=0.35, specular=0.5),
         rng=rng,
     )
     shape, travel = make(draft), float(rng.uniform(*RANGE_RAD))
@@ -328,5 +327,5 @@ def _faucet(asset_id: str, index: int, rng: np.random.Generator) -> Model:
     )
 
 
-KINDS = (Kind(name="faucet", make=_faucet),)
+KINDS = (AssetKind(name="faucet", make=_faucet),)
 """Faucets of six shapes in five finishes."""

@@ -16,14 +16,14 @@ from scipy.interpolate import PchipInterpolator
 from kinebench_drake.geometry import Array, rotation_exp
 from kinebench_drake.suites.assets.mesh import lathe, smooth, sweep
 from kinebench_drake.suites.assets.model import (
+    AssetKind,
     Body,
     Collider,
     ColliderKind,
-    Kind,
     Material,
     Mesh,
     Model,
-    Surface,
+    SurfaceFinish,
     Visual,
 )
 from kinebench_drake.suites.assets.peel import SKINS
@@ -80,7 +80,9 @@ def _stalk(foot: ArrayLike, head: ArrayLike, radius_m: float) -> Visual:
     a, b = np.asarray(foot, dtype=np.float64), np.asarray(head, dtype=np.float64)
     bow = 0.12 * np.linalg.norm(b - a) * np.sin(np.pi * s) * np.array([0.0, 1.0, 0.0])
     radii = radius_m * np.array([0.8, 0.75, 0.7, 0.8, 1.2, 1.2])
-    return Visual(mesh=sweep(a + s * (b - a) + bow, radii, sections=8), surface=Surface(color=_BROWN, roughness=0.9))
+    return Visual(
+        mesh=sweep(a + s * (b - a) + bow, radii, sections=8), surface=SurfaceFinish(color=_BROWN, roughness=0.9)
+    )
 
 
 def _leaf(length_m: float, width_m: float, bow_m: float) -> tuple[Array, Array]:
@@ -100,7 +102,7 @@ def _leaf(length_m: float, width_m: float, bow_m: float) -> tuple[Array, Array]:
     return vertices, np.concatenate([upper, upper[:, ::-1]])
 
 
-def _leaves(placed: Sequence[tuple[Array, Array]], surface: Surface) -> Visual:
+def _leaves(placed: Sequence[tuple[Array, Array]], surface: SurfaceFinish) -> Visual:
     """One visual of several leaves (vertices, faces)."""
     starts = np.cumsum([0, *(len(v) for v, _ in placed)])
     vertices = np.concatenate([v for v, _ in placed])
@@ -123,7 +125,9 @@ def _apple(rng: np.random.Generator, index: int) -> _Shape:
     if index % 2:
         vertices, faces = _leaf(0.62 * r, 0.3 * r, 0.06 * r)
         turn = rotation_exp([0.0, 0.0, rng.uniform(-np.pi, np.pi)]) @ rotation_exp([0.0, -0.12, 0.0])
-        parts.append(_leaves([(vertices @ turn.T + [0.0, 0.0, 0.97 * h], faces)], Surface(color=_GREEN, roughness=0.6)))
+        parts.append(
+            _leaves([(vertices @ turn.T + [0.0, 0.0, 0.97 * h], faces)], SurfaceFinish(color=_GREEN, roughness=0.6))
+        )
     return _Shape(skin=skin, parts=tuple(parts), roughness=0.35)
 
 
@@ -182,7 +186,7 @@ def _strawberry(rng: np.random.Generator, index: int) -> _Shape:
     green = replace(stalk.surface, color=_GREEN)
     return _Shape(
         skin=skin,
-        parts=(replace(stalk, surface=green), _leaves(leaves, Surface(color=_GREEN, roughness=0.7))),
+        parts=(replace(stalk, surface=green), _leaves(leaves, SurfaceFinish(color=_GREEN, roughness=0.7))),
         R_BodyShape=_lying(skin),
         roughness=0.4,
         density=700.0,
@@ -266,7 +270,7 @@ def _fruit(name: str, asset_id: str, index: int, rng: np.random.Generator) -> Mo
     solids = [np.maximum(points @ R.T, [-1.0, -1.0, floor]) for points in shape.solids]
     solids = solids or [np.clip(skin.vertices, [-1.0, -half, floor], [1.0, half, 1.0])]
     directions = _directions(_DIRECTIONS if len(solids) == 1 else 30)
-    surface = Surface(texture=SKINS[name](rng, index), roughness=shape.roughness)
+    surface = SurfaceFinish(texture=SKINS[name](rng, index), roughness=shape.roughness)
     body = Body(
         name=name,
         visuals=(
@@ -307,7 +311,7 @@ def _thickness(skin: Mesh) -> float:
     return float(np.ptp(skin.vertices[near, 1]))
 
 
-KINDS = tuple(Kind(name=f"fruit/{name}", make=partial(_fruit, name)) for name in FRUITS)
+KINDS = tuple(AssetKind(name=f"fruit/{name}", make=partial(_fruit, name)) for name in FRUITS)
 """Fruits by name; sizes: `rest_m` (height of the origin above what it lies on), `height_m`, `length_m` and `width_m`
 along x and y, `grip_m` (thickness at the origin along y), `oblong` (1 if only y will do), `reach_m` (greatest level
 distance from the origin)."""

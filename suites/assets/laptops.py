@@ -9,22 +9,21 @@ import trimesh
 from numpy.typing import ArrayLike, NDArray
 
 from kinebench_drake.geometry import Array, make_pose
-from kinebench_drake.suites.assets.mesh import cylinder_mesh, flat, smooth
+from kinebench_drake.suites.assets.mesh import board, cylinder_mesh, flat, smooth
 from kinebench_drake.suites.assets.model import (
+    AssetKind,
     Body,
     Collider,
     ColliderKind,
     Joint,
     JointKind,
-    Kind,
     Material,
     Mesh,
     Model,
     Site,
-    Surface,
+    SurfaceFinish,
     Visual,
 )
-from kinebench_drake.suites.assets.parts import board
 from kinebench_drake.suites.assets.texture import blend, tileable_noise
 
 WIDTH_M, DEPTH_M = (0.20, 0.25), (0.135, 0.16)
@@ -155,7 +154,7 @@ def _rgb(color: ArrayLike) -> tuple[float, float, float]:
 
 
 def _base(
-    rng: np.random.Generator, size: dict[str, float], case: Surface, *, dark_keys: bool
+    rng: np.random.Generator, size: dict[str, float], case: SurfaceFinish, *, dark_keys: bool
 ) -> tuple[tuple[Visual, ...], Array]:
     """Visuals of the base, and the points whose hull it is."""
     w, d, feet, top = size["width_m"], size["depth_m"], size["feet_m"], size["top_m"]
@@ -175,13 +174,15 @@ def _base(
     picture = _keyboard((keys_depth, 0.88 * w), key * np.ones(3), 0.45 * key * np.ones(3), ink)
     pad = float(rng.uniform(0.13, 0.19)) * w
     pad_color = _rgb(np.array(case.color) * 0.72 + (0.03 if max(case.color) < 0.1 else 0.0))
-    dark = Surface(color=(0.01, 0.01, 0.011), roughness=0.8)
+    dark = SurfaceFinish(color=(0.01, 0.01, 0.011), roughness=0.8)
     visuals = [
         Visual(mesh=_hull(points), surface=case),
-        Visual(mesh=_sheet(keys_low, keys_high, top + 0.5 * _SKIN_M), surface=Surface(texture=picture, roughness=0.8)),
+        Visual(
+            mesh=_sheet(keys_low, keys_high, top + 0.5 * _SKIN_M), surface=SurfaceFinish(texture=picture, roughness=0.8)
+        ),
         Visual(
             mesh=_sheet([back + keys_depth + 0.006, -pad], [d / 2.0 - 0.007, pad], top + 0.5 * _SKIN_M),
-            surface=Surface(color=pad_color, roughness=0.35, specular=0.5),
+            surface=SurfaceFinish(color=pad_color, roughness=0.35, specular=0.5),
         ),
     ]
     turned = make_pose([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]], np.zeros(3))
@@ -200,7 +201,7 @@ def _base(
 
 
 def _lid(
-    rng: np.random.Generator, index: int, size: dict[str, float], case: Surface
+    rng: np.random.Generator, index: int, size: dict[str, float], case: SurfaceFinish
 ) -> tuple[tuple[Visual, ...], Array]:
     """Visuals of the lid in its own frame, and the points whose hull it is."""
     w, near, far = size["width_m"], 0.004, size["reach_m"]
@@ -223,15 +224,15 @@ def _lid(
         Visual(mesh=_hull(points), surface=case),
         Visual(
             mesh=_sheet(frame_low, frame_high, inner - 0.3 * _SKIN_M, up=False),
-            surface=Surface(color=(0.008, 0.008, 0.009), roughness=0.3, specular=0.5),
+            surface=SurfaceFinish(color=(0.008, 0.008, 0.009), roughness=0.3, specular=0.5),
         ),
         Visual(
             mesh=_sheet(screen_low, screen_high, inner - _SKIN_M, up=False),
-            surface=Surface(texture=_desktop(rng, index), roughness=0.35, specular=0.4),
+            surface=SurfaceFinish(texture=_desktop(rng, index), roughness=0.35, specular=0.4),
         ),
         Visual(
             mesh=_logo(LOGOS[index % len(LOGOS)], float(rng.uniform(0.009, 0.015))),
-            surface=Surface(color=logo, roughness=0.25, metallic=0.4),
+            surface=SurfaceFinish(color=logo, roughness=0.25, metallic=0.4),
             X_BodyV=X_logo,
         ),
     )
@@ -245,7 +246,7 @@ def _solid(points: Array) -> tuple[Collider, ...]:
 def _laptop(asset_id: str, index: int, rng: np.random.Generator) -> Model:
     name = list(COLORS)[index % len(COLORS)]
     metal = name not in ("white", "black") and rng.random() < 0.6
-    case = Surface(
+    case = SurfaceFinish(
         color=_rgb(np.array(COLORS[name]) * rng.uniform(0.85, 1.15)),
         roughness=float(rng.uniform(0.3, 0.6)),
         metallic=0.35 if metal else 0.0,
@@ -295,6 +296,6 @@ def _laptop(asset_id: str, index: int, rng: np.random.Generator) -> Model:
     )
 
 
-KINDS = (Kind(name="laptop", make=_laptop),)
+KINDS = (AssetKind(name="laptop", make=_laptop),)
 """Laptops: `size` has width, depth, feet, top of the base, lip, the hinge's place in the base, and of the lid in its
 own frame its reach from the axis and the heights of its inside and outside."""

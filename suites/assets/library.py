@@ -4,14 +4,14 @@ from functools import lru_cache
 
 from kinebench_drake.errors import UsageError
 from kinebench_drake.suites.assets import boxes, cabinets, containers, cubes, faucets, fruits, laptops, marks, pegs
-from kinebench_drake.suites.assets.model import Kind, Model
+from kinebench_drake.suites.assets.model import AssetKind, Model
 from kinebench_drake.suites.seeding import generator
 
 INSTANCES = 24
 """Instances of each kind."""
 
 _FAMILIES = (boxes, cabinets, containers, cubes, faucets, fruits, laptops, marks, pegs)
-KINDS: dict[str, Kind] = {kind.name: kind for family in _FAMILIES for kind in family.KINDS}
+KINDS: dict[str, AssetKind] = {kind.name: kind for family in _FAMILIES for kind in family.KINDS}
 """All kinds by name."""
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from kinebench_drake.errors import UsageError
 from kinebench_drake.suites.assets import texture
-from kinebench_drake.suites.assets.model import Surface
+from kinebench_drake.suites.assets.model import SurfaceFinish
 from kinebench_drake.suites.assets.texture import Texture
 from kinebench_drake.suites.seeding import generator
 
@@ -26,7 +26,7 @@ SORTS = ("table", "background", "light")
 class Finish:
     """How a table top, wall or floor looks."""
 
-    surface: Surface
+    surface: SurfaceFinish
     uv_per_m: float
     """Repetitions of the texture a metre."""
 
@@ -37,7 +37,7 @@ class Background:
 
     wall: Finish
     floor: Finish
-    skirting: Surface
+    skirting: SurfaceFinish
     """The board along the foot of the wall."""
 
 
@@ -193,7 +193,7 @@ def _find(sort: str, look_id: str) -> tuple[int, np.random.Generator]:
 
 def _finish(recipe: _Recipe, rng: np.random.Generator) -> Finish:
     make, length_m, roughness = recipe
-    return Finish(surface=Surface(texture=make(rng), roughness=roughness), uv_per_m=1.0 / length_m)
+    return Finish(surface=SurfaceFinish(texture=make(rng), roughness=roughness), uv_per_m=1.0 / length_m)
 
 
 @lru_cache(maxsize=64)
@@ -218,7 +218,7 @@ def background(look_id: str) -> Background:
     return Background(
         wall=_finish(_WALLS[index], rng),
         floor=_finish(_FLOORS[index % len(_FLOORS)], rng),
-        skirting=Surface(color=_SKIRTINGS[index % len(_SKIRTINGS)], roughness=0.5),
+        skirting=SurfaceFinish(color=_SKIRTINGS[index % len(_SKIRTINGS)], roughness=0.5),
     )
 
 

@@ -7,9 +7,17 @@ from itertools import pairwise
 import numpy as np
 
 from kinebench_drake.geometry import Array, make_pose
-from kinebench_drake.suites.assets.mesh import lathe
-from kinebench_drake.suites.assets.model import Body, Collider, ColliderKind, Kind, Material, Model, Surface, Visual
-from kinebench_drake.suites.assets.parts import block, board
+from kinebench_drake.suites.assets.mesh import block, board, lathe
+from kinebench_drake.suites.assets.model import (
+    AssetKind,
+    Body,
+    Collider,
+    ColliderKind,
+    Material,
+    Model,
+    SurfaceFinish,
+    Visual,
+)
 
 TARGET_RADIUS_M = (0.060, 0.075)
 """Least and greatest radius of a target."""
@@ -30,7 +38,7 @@ def _target(asset_id: str, index: int, rng: np.random.Generator) -> Model:
     rings = [
         Visual(
             mesh=lathe([[outer, 0.0], [outer, TARGET_HEIGHT_M], [inner, TARGET_HEIGHT_M]], sections=64),
-            surface=Surface(color=white if i % 2 else red, roughness=0.9),
+            surface=SurfaceFinish(color=white if i % 2 else red, roughness=0.9),
         )
         for i, (outer, inner) in enumerate(pairwise(edges))
     ]
@@ -53,7 +61,7 @@ class _Looks:
     density: float
 
 
-def _round(profile: Array, surface: Surface) -> Visual:
+def _round(profile: Array, surface: SurfaceFinish) -> Visual:
     return Visual(mesh=lathe(profile, sections=40), surface=surface)
 
 
@@ -86,9 +94,9 @@ def _bottle(h: float, r: float, rng: np.random.Generator) -> _Looks:
     return _Looks(
         "bottle",
         (
-            _round(body, Surface(color=_color(rng), roughness=0.25, specular=0.6)),
-            _round(top, Surface(color=(0.85, 0.85, 0.82), roughness=0.5)),
-            _round(label, Surface(color=(0.8, 0.78, 0.7), roughness=0.9)),
+            _round(body, SurfaceFinish(color=_color(rng), roughness=0.25, specular=0.6)),
+            _round(top, SurfaceFinish(color=(0.85, 0.85, 0.82), roughness=0.5)),
+            _round(label, SurfaceFinish(color=(0.8, 0.78, 0.7), roughness=0.9)),
         ),
         (
             _frustum((r, 0.0), (r, shoulder)),
@@ -102,14 +110,14 @@ def _bottle(h: float, r: float, rng: np.random.Generator) -> _Looks:
 def _can(h: float, r: float, rng: np.random.Generator) -> _Looks:
     side = np.array([[0.9 * r, 0.0], [r, 0.004], [r, h - 0.004], [0.93 * r, h - 0.001]])
     lids = np.array([[0.93 * r, h - 0.001], [0.92 * r, h], [0.88 * r, h], [0.86 * r, h - 0.002], [0.0, h - 0.002]])
-    steel = Surface(color=(0.6, 0.6, 0.62), roughness=0.35, metallic=0.7, specular=0.5)
+    steel = SurfaceFinish(color=(0.6, 0.6, 0.62), roughness=0.35, metallic=0.7, specular=0.5)
     band = np.array([[r, 0.35 * h], [r + 0.0003, 0.35 * h], [r + 0.0003, 0.65 * h], [r, 0.65 * h]])
     return _Looks(
         "can",
         (
-            _round(side, Surface(color=_color(rng), roughness=0.35, specular=0.5)),
+            _round(side, SurfaceFinish(color=_color(rng), roughness=0.35, specular=0.5)),
             _round(lids, steel),
-            _round(band, Surface(color=(0.85, 0.83, 0.8), roughness=0.5)),
+            _round(band, SurfaceFinish(color=(0.85, 0.83, 0.8), roughness=0.5)),
         ),
         (_frustum((r, 0.0), (r, h)),),
         450.0,
@@ -128,7 +136,7 @@ def _post(h: float, r: float, rng: np.random.Generator) -> _Looks:
     )
     return _Looks(
         "wooden post",
-        (_round(profile, Surface(color=(float(wood[0]), float(wood[1]), float(wood[2])), roughness=0.7)),),
+        (_round(profile, SurfaceFinish(color=(float(wood[0]), float(wood[1]), float(wood[2])), roughness=0.7)),),
         (
             _frustum((r, 0.0), (r, foot)),
             _frustum((stem, foot), (stem, h - ball)),
@@ -141,7 +149,7 @@ def _post(h: float, r: float, rng: np.random.Generator) -> _Looks:
 def _block(h: float, r: float, rng: np.random.Generator) -> _Looks:
     side = np.sqrt(2.0) * r
     size, center = [side, side, h], [0.0, 0.0, h / 2.0]
-    surface = Surface(color=_color(rng), roughness=float(rng.uniform(0.5, 0.9)))
+    surface = SurfaceFinish(color=_color(rng), roughness=float(rng.uniform(0.5, 0.9)))
     return _Looks(
         "block",
         (board(size, center, surface, bevel_m=0.002, uv_per_m=1.0),),
@@ -171,5 +179,5 @@ def _obstacle(asset_id: str, index: int, rng: np.random.Generator) -> Model:
     )
 
 
-KINDS = (Kind(name="mark/target", make=_target), Kind(name="obstacle/upright", make=_obstacle))
+KINDS = (AssetKind(name="mark/target", make=_target), AssetKind(name="obstacle/upright", make=_obstacle))
 """A flat target, its origin on the table; and bottles, cans, posts and blocks that stand on their origin."""

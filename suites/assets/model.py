@@ -15,7 +15,7 @@ from kinebench_drake.geometry import Array, make_pose, rotation_exp
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Surface:
+class SurfaceFinish:
     """How a part looks."""
 
     color: tuple[float, float, float] = (1.0, 1.0, 1.0)
@@ -57,7 +57,7 @@ class Visual:
     """A mesh with its surface."""
 
     mesh: Mesh
-    surface: Surface
+    surface: SurfaceFinish
     X_BodyV: Array = field(default_factory=lambda: np.eye(4))
     """Pose (4, 4) in the body [m]."""
 
@@ -189,7 +189,7 @@ class Model:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Kind:
+class AssetKind:
     """A kind of thing, of which the library has many instances."""
 
     name: str

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from kinebench_drake.suites.assets.model import Body, Kind, Material, Model, Surface
-from kinebench_drake.suites.assets.parts import block, board
+from kinebench_drake.suites.assets.mesh import block, board
+from kinebench_drake.suites.assets.model import AssetKind, Body, Material, Model, SurfaceFinish
 from kinebench_drake.suites.assets.texture import blend, tileable_noise
 
 LENGTH_M = (0.205, 0.235)
@@ -13,10 +13,10 @@ WIDTH_M = (0.042, 0.050)
 _RED, _BLUE, _BAND = (0.62, 0.03, 0.03), (0.03, 0.10, 0.55), (0.75, 0.72, 0.66)
 
 
-def _surface(color: tuple[float, float, float], grained: bool, rng: np.random.Generator) -> Surface:
+def _surface(color: tuple[float, float, float], grained: bool, rng: np.random.Generator) -> SurfaceFinish:
     shade = np.clip(255.0 * np.clip(np.array(color) * rng.uniform(0.8, 1.25, size=3), 0.0, 1.0) ** (1.0 / 2.2), 0, 255)
     grain = tileable_noise(rng, 64, slope=1.0, stretch=8.0) if grained else np.ones((64, 64))
-    return Surface(texture=blend(0.65 * shade, shade, grain), roughness=float(rng.uniform(0.4, 0.9)))
+    return SurfaceFinish(texture=blend(0.65 * shade, shade, grain), roughness=float(rng.uniform(0.4, 0.9)))
 
 
 def _peg(asset_id: str, index: int, rng: np.random.Generator) -> Model:
@@ -48,5 +48,5 @@ def _peg(asset_id: str, index: int, rng: np.random.Generator) -> Model:
     )
 
 
-KINDS = (Kind(name="peg", make=_peg),)
+KINDS = (AssetKind(name="peg", make=_peg),)
 """Square pegs along x, the red end at -x; plain or grained, some with a light band in the middle."""

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array, make_pose, rotation_angle, rotation_exp, rotation_log
 from kinebench_drake.kinematics.collision import CollisionModel
-from kinebench_drake.kinematics.following import foreseeing, minimum_jerk, stepwise
+from kinebench_drake.kinematics.continuation import foreseeing, minimum_jerk, stepwise
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.suites.clock import CONTROL_PERIOD_S
 from kinebench_drake.suites.experts.clearance import SceneGeometry

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 from enum import Enum
 
 from kinebench_drake.errors import UsageError
-from kinebench_drake.products import AnomalyKind
+from kinebench_drake.types import AnomalyKind
 
 
-class Form(Enum):
+class FaultForm(Enum):
     """How a fault goes on in time, where a kind has several."""
 
     CONSTANT = "constant"
@@ -38,12 +38,12 @@ class PlantedFault:
     size: float
     """Frames without gripper (vanish) or frozen (freeze), metres apart (duplicate_gripper), jumped (teleport) or opened
     (finger_opening), relative stretch (deformation) or size (scale_drift), pixels (camera_motion)."""
-    form: Form | None = None
+    form: FaultForm | None = None
     """How it goes on in time, if its kind has several ways."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Grades:
+class FaultGrades:
     """The sizes in which a kind of fault is planted."""
 
     sizes: tuple[float, ...]
@@ -54,7 +54,7 @@ class Grades:
     """Unit of `label`."""
     factor: float
     """Sizes times this are in that unit."""
-    forms: tuple[Form | None, ...] = (None,)
+    forms: tuple[FaultForm | None, ...] = (None,)
     """Ways in which it goes on in time."""
 
     def label(self, size: float) -> str:
@@ -62,18 +62,20 @@ class Grades:
         return f"{size * self.factor:g}{self.unit}"
 
 
-GRADES: dict[AnomalyKind, Grades] = {
-    AnomalyKind.VANISH: Grades(sizes=(1, 2, 3, 5, 10), gate=3, unit="f", factor=1),
-    AnomalyKind.DUPLICATE: Grades(sizes=(0.1, 0.15, 0.25), gate=0.15, unit="cm", factor=100),
-    AnomalyKind.TELEPORT: Grades(sizes=(0.02, 0.05, 0.1, 0.15), gate=0.05, unit="cm", factor=100),
-    AnomalyKind.FREEZE: Grades(sizes=(3, 5, 8), gate=5, unit="f", factor=1),
-    AnomalyKind.DEFORMATION: Grades(sizes=(0.05, 0.1, 0.2, 0.3), gate=0.2, unit="pc", factor=100),
-    AnomalyKind.SCALE: Grades(
-        sizes=(0.02, 0.05, 0.1, 0.15), gate=0.05, unit="pc", factor=100, forms=(Form.CONSTANT, Form.GROWING)
+GRADES: dict[AnomalyKind, FaultGrades] = {
+    AnomalyKind.VANISH: FaultGrades(sizes=(1, 2, 3, 5, 10), gate=3, unit="f", factor=1),
+    AnomalyKind.DUPLICATE: FaultGrades(sizes=(0.1, 0.15, 0.25), gate=0.15, unit="cm", factor=100),
+    AnomalyKind.TELEPORT: FaultGrades(sizes=(0.02, 0.05, 0.1, 0.15), gate=0.05, unit="cm", factor=100),
+    AnomalyKind.FREEZE: FaultGrades(sizes=(3, 5, 8), gate=5, unit="f", factor=1),
+    AnomalyKind.DEFORMATION: FaultGrades(sizes=(0.05, 0.1, 0.2, 0.3), gate=0.2, unit="pc", factor=100),
+    AnomalyKind.SCALE: FaultGrades(
+        sizes=(0.02, 0.05, 0.1, 0.15), gate=0.05, unit="pc", factor=100, forms=(FaultForm.CONSTANT, FaultForm.GROWING)
     ),
-    AnomalyKind.CAMERA: Grades(sizes=(1, 2, 4, 8), gate=2, unit="px", factor=1, forms=(Form.SHAKE, Form.DRIFT)),
-    AnomalyKind.FINGERS: Grades(
-        sizes=(0.01, 0.02, 0.04, 0.06), gate=0.04, unit="mm", factor=1000, forms=(Form.FLUTTER, Form.JUMP)
+    AnomalyKind.CAMERA: FaultGrades(
+        sizes=(1, 2, 4, 8), gate=2, unit="px", factor=1, forms=(FaultForm.SHAKE, FaultForm.DRIFT)
+    ),
+    AnomalyKind.FINGERS: FaultGrades(
+        sizes=(0.01, 0.02, 0.04, 0.06), gate=0.04, unit="mm", factor=1000, forms=(FaultForm.FLUTTER, FaultForm.JUMP)
     ),
 }
 """What is planted of each kind. The gripper is about 0.2 m wide; its fingers open by up to 0.08 m, and by up to 0.02 m
@@ -81,13 +83,13 @@ between two frames of the benchmark."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Grade:
+class FaultGrade:
     """One kind of fault in one size."""
 
     kind: AnomalyKind
     size: float
     """In the unit of `PlantedFault.size`."""
-    form: Form | None
+    form: FaultForm | None
 
     @property
     def label(self) -> str:
@@ -96,7 +98,7 @@ class Grade:
         return f"{self.kind.value}{form}_{GRADES[self.kind].label(self.size)}"
 
 
-def choose(kinds: Sequence[AnomalyKind], sizes: str) -> tuple[Grade, ...]:
+def choose(kinds: Sequence[AnomalyKind], sizes: str) -> tuple[FaultGrade, ...]:
     """Faults of some kinds in all sizes ("all"), in those that have to be found ("gated"), or in sizes given.
 
     Args:
@@ -109,14 +111,14 @@ def choose(kinds: Sequence[AnomalyKind], sizes: str) -> tuple[Grade, ...]:
     if sizes not in ("all", "gated") and len(kinds) != 1:
         raise UsageError(f"sizes {sizes!r}: numbers are of one kind's unit; name one kind, or say all or gated")
     return tuple(
-        Grade(kind=kind, size=size, form=form)
+        FaultGrade(kind=kind, size=size, form=form)
         for kind in kinds
         for size in _sizes(GRADES[kind], sizes)
         for form in GRADES[kind].forms
     )
 
 
-def _sizes(grades: Grades, sizes: str) -> tuple[float, ...]:
+def _sizes(grades: FaultGrades, sizes: str) -> tuple[float, ...]:
     if sizes == "all":
         return grades.sizes
     if sizes == "gated":

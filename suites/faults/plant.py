@@ -1,18 +1,22 @@
 """Planting a fault of any kind."""
 
 from kinebench_drake.errors import InputError
-from kinebench_drake.products import AnomalyKind
-from kinebench_drake.suites.clip import Clip
-from kinebench_drake.suites.faults.camera import plant_camera_motion
-from kinebench_drake.suites.faults.fault import Form, Grade, PlantedFault
-from kinebench_drake.suites.faults.fingers import plant_fingers
-from kinebench_drake.suites.faults.motion import plant_freeze, plant_teleport, plant_vanish
-from kinebench_drake.suites.faults.shape import plant_deformation, plant_duplicate, plant_scale
-from kinebench_drake.suites.faults.take import Take
+from kinebench_drake.suites.clip import RolloutVideo
+from kinebench_drake.suites.faults.appearance import plant_deformation, plant_duplicate, plant_scale
+from kinebench_drake.suites.faults.fault import FaultForm, FaultGrade, PlantedFault
+from kinebench_drake.suites.faults.motion import (
+    plant_camera_motion,
+    plant_fingers,
+    plant_freeze,
+    plant_teleport,
+    plant_vanish,
+)
+from kinebench_drake.suites.faults.recording import Recording
 from kinebench_drake.suites.seeding import generator
+from kinebench_drake.types import AnomalyKind
 
 
-def plant(take: Take, grade: Grade) -> tuple[Clip, PlantedFault]:
+def plant(take: Recording, grade: FaultGrade) -> tuple[RolloutVideo, PlantedFault]:
     """The clip with a fault, the same one each time, and what it is.
 
     Raises:
@@ -31,14 +35,14 @@ def plant(take: Take, grade: Grade) -> tuple[Clip, PlantedFault]:
         case AnomalyKind.DEFORMATION:
             return plant_deformation(take, grade.size, rng)
         case AnomalyKind.SCALE:
-            return plant_scale(take, grade.size, grade.form or Form.CONSTANT, rng)
+            return plant_scale(take, grade.size, grade.form or FaultForm.CONSTANT, rng)
         case AnomalyKind.CAMERA:
-            return plant_camera_motion(take, grade.size, grade.form or Form.SHAKE, rng)
+            return plant_camera_motion(take, grade.size, grade.form or FaultForm.SHAKE, rng)
         case AnomalyKind.FINGERS:
-            return plant_fingers(take, grade.size, grade.form or Form.JUMP)
+            return plant_fingers(take, grade.size, grade.form or FaultForm.JUMP)
 
 
-def _frames(grade: Grade) -> int:
+def _frames(grade: FaultGrade) -> int:
     if grade.size < 1 or grade.size != int(grade.size):
         raise InputError(f"{grade.kind.value} of size {grade.size}: expected a whole number of frames")
     return int(grade.size)

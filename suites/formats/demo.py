@@ -4,19 +4,19 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import Enum, Flag, auto
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera, benchmark_camera
-from kinebench_drake.errors import UsageError
+from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.geometry import Array, from_quaternion, invert
-from kinebench_drake.models.perception.frame import Frame
-from kinebench_drake.suites.clip import Clip
+from kinebench_drake.models.perception.frame import RenderedFrame
+from kinebench_drake.suites.clip import RolloutVideo
 from kinebench_drake.suites.clock import CLIP_FRAMES, CONTROL_PERIOD_S, STEPS_PER_FRAME
-from kinebench_drake.suites.rollout import Performance
-from kinebench_drake.suites.stage import Snapshot
+from kinebench_drake.suites.rollout import Rollout
+from kinebench_drake.suites.simulator import Snapshot
 
 PARTS = ".parts"
 """Folder of what formats that join their parts keep until they do."""
@@ -111,18 +111,30 @@ class Record:
     facts: dict[str, Any]
     """Variant, assets, looks and camera."""
 
+    @classmethod
+    def from_json(cls, data: object) -> "Record":
+        """Parse a line of `demos.jsonl`.
+
+        Raises:
+            InputError: it is no record.
+        """
+        try:
+            return cls(**cast(dict[str, Any], data))
+        except TypeError as error:
+            raise InputError(f"not a record of a demonstration ({error})") from None
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Demo:
     """A successful performance, filmed where the format has pictures."""
 
-    performance: Performance
+    performance: Rollout
     shots: Shots
-    film: Clip | None
+    film: RolloutVideo | None
     """All its frames, those between two clips once."""
     X_WB: Array
     """(4, 4) the robot's base in the ManiSkill world, in which snapshots are."""
-    stills: Sequence[Frame] = ()
+    stills: Sequence[RenderedFrame] = ()
     """Labelled stills, for formats that hold them."""
     states: Sequence[dict[str, dict[str, NDArray[np.float32]]]] = ()
     """ManiSkill's state at the start and after each control step, for formats that keep it."""
@@ -151,7 +163,7 @@ class Demo:
             if film is None
             else replace(
                 film,
-                **{name: getattr(film, name)[frames] for name in Clip.__dataclass_fields__ if name != "camera"},
+                **{name: getattr(film, name)[frames] for name in RolloutVideo.__dataclass_fields__ if name != "camera"},
             ),
         )
 

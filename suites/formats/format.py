@@ -4,10 +4,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
+from kinebench_drake.io.atomic import disk_errors
+from kinebench_drake.models.perception.frame import FILES, save_shard
 from kinebench_drake.suites.formats.demo import Content, Demo, FormatKind, Record, Shots
 
 
-class Format(Protocol):
+class DemoFormat(Protocol):
     """A format of demonstrations in a folder."""
 
     content: Content
@@ -36,7 +38,7 @@ class Format(Protocol):
         """Files that `finish` writes beside those it returns."""
 
 
-def find_format(kind: FormatKind) -> Format:
+def find_format(kind: FormatKind) -> DemoFormat:
     """The format of a name."""
     match kind:
         case FormatKind.MP4:
@@ -52,6 +54,27 @@ def find_format(kind: FormatKind) -> Format:
 
             return ManiSkill()
         case FormatKind.FRAMES:
-            from kinebench_drake.suites.formats.frames import Frames
-
             return Frames()
+
+
+class Frames:
+    """See the module."""
+
+    content = Content.STILLS
+
+    def part_files(self, folder: Path, record: Record) -> list[Path]:
+        """The files of a shard."""
+        return [folder / record.id / name for name in FILES]
+
+    def write_part(self, folder: Path, demo: Demo) -> None:
+        """Write a shard."""
+        with disk_errors(demo.id):
+            save_shard(demo.stills, folder / demo.id)
+
+    def finish(self, folder: Path, records: Sequence[Record], shots: Shots, about: dict[str, Any]) -> list[Path]:
+        """Shards stay as they are."""
+        return []
+
+    def lists(self, folder: Path, tasks: Sequence[str]) -> list[Path]:
+        """None."""
+        return []

@@ -5,7 +5,7 @@ k times the frame period, also in the film.
 """
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,11 +16,62 @@ from numpy.typing import NDArray
 
 from kinebench_drake.errors import SetupError
 from kinebench_drake.geometry import to_quaternion
-from kinebench_drake.mp4 import join_videos, write_video
-from kinebench_drake.storage import storage, whole
-from kinebench_drake.suites.files import write_arrays, write_json
+from kinebench_drake.io.atomic import atomic_path, disk_errors
+from kinebench_drake.io.container import join_videos, write_video
+from kinebench_drake.io.jsonl import write_arrays, write_json
 from kinebench_drake.suites.formats.demo import PARTS, Content, Demo, Record, Shots
-from kinebench_drake.suites.formats.statistics import of_features
+
+QUANTILES = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
+"""Quantiles by name."""
+
+
+def of_rows(values: NDArray[Any]) -> dict[str, list[float] | list[int]]:
+    """Statistics of each element of the rows (N, d) or of the numbers (N,)."""
+    rows = np.asarray(values, dtype=np.float64).reshape(len(values), -1)
+    moments = {"min": rows.min(axis=0), "max": rows.max(axis=0), "mean": rows.mean(axis=0), "std": rows.std(axis=0)}
+    quantiles = {name: np.quantile(rows, share, axis=0) for name, share in QUANTILES.items()}
+    return {**{name: found.tolist() for name, found in (moments | quantiles).items()}, "count": [len(rows)]}
+
+
+def of_histograms(counts: NDArray[Any], frames: int) -> dict[str, Any]:
+    """Statistics of pictures in 0..1, each (3, 1, 1), from how often (3, 256) each channel has each of its values.
+
+    Args:
+        counts: the histograms.
+        frames: pictures that they are of.
+    """
+    level = np.arange(256) / 255.0
+    total = counts.sum(axis=1, keepdims=True)
+    mean = (counts * level).sum(axis=1) / total[:, 0]
+    seen = counts > 0
+    ranks = np.cumsum(counts, axis=1) / total
+    moments = {
+        "min": level[seen.argmax(axis=1)],
+        "max": level[255 - seen[:, ::-1].argmax(axis=1)],
+        "mean": mean,
+        "std": np.sqrt((counts * (level - mean[:, None]) ** 2).sum(axis=1) / total[:, 0]),
+    }
+    quantiles = {name: level[(ranks >= share).argmax(axis=1)] for name, share in QUANTILES.items()}
+    found = {name: [[[float(x)]] for x in values] for name, values in (moments | quantiles).items()}
+    return {**found, "count": [frames]}
+
+
+def of_features(
+    rows: Sequence[Mapping[str, NDArray[Any]]], histograms: Mapping[str, Sequence[NDArray[Any]]]
+) -> dict[str, dict[str, Any]]:
+    """Statistics of every feature over some episodes.
+
+    Args:
+        rows: columns by name, one mapping an episode.
+        histograms: those of each camera's pictures, one an episode.
+    """
+    frames = sum(len(next(iter(columns.values()))) for columns in rows)
+    told = {name: of_rows(np.concatenate([columns[name] for columns in rows])) for name in rows[0]}
+    return {
+        **told,
+        **{name: of_histograms(np.sum(counts, axis=0), frames) for name, counts in histograms.items()},
+    }
+
 
 VERSION = "v3.0"
 CAMERA = "observation.images.benchmark"
@@ -71,7 +122,7 @@ class LeRobot:
             CAMERA: np.stack([np.bincount(thin[..., c].ravel(), minlength=256) for c in range(3)]),
         }
         write_arrays(numbers, columns)
-        with storage(video.name):
+        with disk_errors(video.name):
             write_video(video, film.rgb, demo.shots.fps, crf=demo.shots.crf, keyframe_every=_KEYFRAME_EVERY)
 
     def finish(self, folder: Path, records: Sequence[Record], shots: Shots, about: dict[str, Any]) -> list[Path]:
@@ -164,7 +215,7 @@ def _join_films(
         found.append({**place, f"{key}/from_timestamp": first / shots.fps, f"{key}/to_timestamp": last / shots.fps})
     for where in {tuple(place.items()): place for place in places}.values():
         path = folder / _VIDEO.format(video_key=CAMERA, **_numbers(where, key))
-        with storage(path.name):
+        with disk_errors(path.name):
             path.parent.mkdir(parents=True, exist_ok=True)
             join_videos(path, [film for film, place in zip(films, places, strict=True) if place == where])
     return found
@@ -188,7 +239,7 @@ def _numbers(place: dict[str, Any], key: str) -> dict[str, int]:
 
 def _write_table(path: Path, tables: Sequence[pa.Table]) -> None:
     """Write tables to one file, each a row group."""
-    with whole(path) as part, pq.ParquetWriter(part, tables[0].schema) as writer:
+    with atomic_path(path) as part, pq.ParquetWriter(part, tables[0].schema) as writer:
         for table in tables:
             writer.write_table(table)
 

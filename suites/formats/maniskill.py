@@ -10,11 +10,11 @@ from typing import Any
 import h5py
 import numpy as np
 
-from kinebench_drake.storage import whole
+from kinebench_drake.io.atomic import atomic_path
+from kinebench_drake.io.jsonl import write_arrays, write_json
 from kinebench_drake.suites.clock import CONTROL_PERIOD_S
-from kinebench_drake.suites.files import write_arrays, write_json
 from kinebench_drake.suites.formats.demo import CLIP_STEPS, PARTS, Content, Demo, Record, Shots
-from kinebench_drake.suites.stage import Stage
+from kinebench_drake.suites.simulator import Simulator
 from kinebench_drake.suites.tasks.registry import TASKS
 
 CONTROL_MODE = "pd_joint_pos"
@@ -37,7 +37,7 @@ class ManiSkill:
         truncated = np.zeros(len(controls), dtype=bool)
         truncated[-1] = len(controls) == CLIP_STEPS * TASKS[episode.task].card.clips
         arrays = {
-            "actions": np.stack([Stage.action(row[:7], row[7]) for row in controls]),
+            "actions": np.stack([Simulator.action(row[:7], row[7]) for row in controls]),
             "terminated": success,
             "truncated": truncated,
             "success": success,
@@ -54,7 +54,7 @@ class ManiSkill:
             own = [record for record in records if record.task == task]
             files.append(folder / f"{task}.h5")
             lengths = []
-            with whole(files[-1]) as path, h5py.File(path, "w", libver="earliest") as file:
+            with atomic_path(files[-1]) as path, h5py.File(path, "w", libver="earliest") as file:
                 for k, record in enumerate(own):
                     with np.load(_part(folder, record.id)) as arrays:
                         lengths.append(len(arrays["actions"]))

@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 
 from kinebench_drake.errors import SetupError
-from kinebench_drake.mp4 import write_video
-from kinebench_drake.storage import storage
-from kinebench_drake.suites.files import write_arrays, write_lines
-from kinebench_drake.suites.first import first_facts
+from kinebench_drake.io.atomic import disk_errors
+from kinebench_drake.io.container import write_video
+from kinebench_drake.io.jsonl import write_arrays, write_lines
 from kinebench_drake.suites.formats.demo import Content, Demo, Record, Shots
+from kinebench_drake.suites.start import first_facts
 from kinebench_drake.suites.tasks.registry import TASKS
 
 
@@ -48,7 +48,7 @@ class VideoFolder:
             if clip.film is None:
                 raise SetupError("a video folder needs films")
             write_arrays(folder / "truth" / f"{name}.npz", clip.truth())
-            with storage(f"{name}.mp4"):
+            with disk_errors(f"{name}.mp4"):
                 write_video(folder / f"{name}.mp4", clip.film.rgb, demo.shots.fps, crf=demo.shots.crf)
 
     def finish(self, folder: Path, records: Sequence[Record], shots: Shots, about: dict[str, Any]) -> list[Path]:

@@ -11,10 +11,10 @@ from kinebench_drake.geometry import make_pose
 from kinebench_drake.suites.assets.boxes import FLUSH, RIMMED, tight
 from kinebench_drake.suites.assets.model import Model
 from kinebench_drake.suites.start import START_WIDTH_M
-from kinebench_drake.suites.tasks.card import Difficulty, TaskCard, Variant
-from kinebench_drake.suites.tasks.place import resting, turned
+from kinebench_drake.suites.tasks.card import Difficulty, TaskCard, TaskVariant
+from kinebench_drake.suites.tasks.layout import resting, turned
 from kinebench_drake.suites.tasks.state import CLEAR_M, STILL_RAD_S, State
-from kinebench_drake.suites.tasks.task import Layout, Placement, Task
+from kinebench_drake.suites.tasks.task import Placement, SceneLayout, Task
 
 OPEN_PART = 0.9
 """Part of its range that a lid must be open."""
@@ -81,7 +81,7 @@ class OpenBox(Task):
             contacts=1 if ajar else 2,
         )
 
-    def layout(self, models: Mapping[str, Model], rng: np.random.Generator, variant: Variant) -> Layout:
+    def layout(self, models: Mapping[str, Model], rng: np.random.Generator, variant: TaskVariant) -> SceneLayout:
         """A box in front of the robot, so near that its lid does not touch the waiting gripper."""
         box = models["box"]
         yaw = rng.uniform(-YAW_RAD, YAW_RAD)
@@ -97,7 +97,7 @@ class OpenBox(Task):
             prompt = f"puts its fingertips under the {edge} of the slightly open lid of the {box.words} and pushes it"
         else:
             prompt = f"goes to the {edge} of the closed {box.words}, pries up the lid with its fingertips and pushes it"
-        return Layout(
+        return SceneLayout(
             placements={"box": Placement(model=box, X_BM=resting(x, y, 0.0, yaw), joint=joint)},
             prompt=f"The robot arm {prompt} fully open.",
             finger_width_m=START_WIDTH_M[self.card.id],
@@ -128,14 +128,14 @@ class CloseBox(Task):
     )
     slots: ClassVar[Mapping[str, str]] = {"box": FLUSH}
 
-    def layout(self, models: Mapping[str, Model], rng: np.random.Generator, variant: Variant) -> Layout:
+    def layout(self, models: Mapping[str, Model], rng: np.random.Generator, variant: TaskVariant) -> SceneLayout:
         """A box on its side in front of the robot."""
         box = models["box"]
         left = 1.0 if rng.random() < 0.5 else -1.0  # where the hinge is, for the robot
         R_lying = np.array([[0.0, 0.0, 1.0], [-left, 0.0, 0.0], [0.0, -left, 0.0]])
         R = turned(rng.uniform(-YAW_RAD, YAW_RAD)) @ R_lying
         opening = np.array([rng.uniform(0.50, 0.54), left * rng.uniform(-0.03, 0.05), box.size["width_m"] / 2.0])
-        return Layout(
+        return SceneLayout(
             placements={
                 "box": Placement(
                     model=box,

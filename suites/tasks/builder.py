@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from sapien.wrapper.articulation_builder import LinkBuilder
 
 from kinebench_drake.geometry import Array, to_quaternion
-from kinebench_drake.suites.assets.model import Body, Collider, ColliderKind, Model, Surface, Visual
+from kinebench_drake.suites.assets.model import Body, Collider, ColliderKind, Model, SurfaceFinish, Visual
 
 _MIPMAPS = 6
 
@@ -32,7 +32,7 @@ def _tinted(image: NDArray[np.uint8], color: tuple[float, float, float]) -> NDAr
     return np.stack([table[image[..., channel], channel] for channel in range(3)], axis=-1)
 
 
-def _render_material(surface: Surface) -> sapien.render.RenderMaterial:
+def _render_material(surface: SurfaceFinish) -> sapien.render.RenderMaterial:
     material = sapien.render.RenderMaterial()
     material.base_color = [*surface.color, 1.0]
     material.roughness, material.metallic, material.specular = surface.roughness, surface.metallic, surface.specular

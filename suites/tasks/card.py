@@ -15,7 +15,7 @@ class Difficulty(Enum):
     """Prying, or several steps one after the other."""
 
 
-class Variant(Enum):
+class TaskVariant(Enum):
     """Versions of a task's scene."""
 
     PLAIN = "plain"
@@ -40,7 +40,7 @@ class TaskCard:
     """Times the gripper touches something anew: grasps, pushes, pries."""
     clips: int = 1
     """Clips of 49 frames that the expert takes; each begins and ends at rest."""
-    variants: tuple[Variant, ...] = (Variant.PLAIN,)
+    variants: tuple[TaskVariant, ...] = (TaskVariant.PLAIN,)
 
     @property
     def horizon(self) -> int:

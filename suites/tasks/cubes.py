@@ -10,11 +10,10 @@ from torch import Tensor
 from kinebench_drake.geometry import Array
 from kinebench_drake.suites.assets.model import Model
 from kinebench_drake.suites.start import START_WIDTH_M
-from kinebench_drake.suites.tasks.card import Difficulty, TaskCard, Variant
-from kinebench_drake.suites.tasks.obstacles import undisturbed
-from kinebench_drake.suites.tasks.place import resting, scattered
+from kinebench_drake.suites.tasks.card import Difficulty, TaskCard, TaskVariant
+from kinebench_drake.suites.tasks.layout import resting, scattered, undisturbed
 from kinebench_drake.suites.tasks.state import STILL_M_S, State
-from kinebench_drake.suites.tasks.task import Layout, Placement, Task
+from kinebench_drake.suites.tasks.task import Placement, SceneLayout, Task
 
 STACK_LEVEL_M = 0.012
 """How far the upper cube's centre may be off above the lower one's, sideways."""
@@ -46,18 +45,18 @@ class StackCube(Task):
         articulated_dof=0,
         axes="",
         contacts=1,
-        variants=(Variant.PLAIN, Variant.OBSTACLES),
+        variants=(TaskVariant.PLAIN, TaskVariant.OBSTACLES),
     )
     slots: ClassVar[Mapping[str, str]] = {"green": "cube/green", "red": "cube/red"}
 
-    def slots_of(self, variant: Variant) -> Mapping[str, str]:
+    def slots_of(self, variant: TaskVariant) -> Mapping[str, str]:
         """With obstacles there is one more thing."""
-        return self.slots if variant is Variant.PLAIN else {**self.slots, "obstacle": "obstacle/upright"}
+        return self.slots if variant is TaskVariant.PLAIN else {**self.slots, "obstacle": "obstacle/upright"}
 
-    def layout(self, models: Mapping[str, Model], rng: np.random.Generator, variant: Variant) -> Layout:
+    def layout(self, models: Mapping[str, Model], rng: np.random.Generator, variant: TaskVariant) -> SceneLayout:
         """Two cubes at least 9 cm apart in front of the robot, or side by side with the obstacle between."""
         prompt = "The robot arm picks up the green cube, puts it on top of the red cube and lets go."
-        if variant is Variant.PLAIN:
+        if variant is TaskVariant.PLAIN:
             points = scattered(rng, 2, [0.48, -0.15], [0.66, 0.15], 0.09)
         else:
             middle, angle = rng.uniform([0.52, -0.04], [0.60, 0.04]), rng.uniform(-0.5, 0.5)
@@ -68,13 +67,13 @@ class StackCube(Task):
             name: Placement(model=models[name], X_BM=_on_table(models[name], point, rng.uniform(-np.pi, np.pi)))
             for name, point in zip(("green", "red"), points, strict=True)
         }
-        if variant is Variant.OBSTACLES:
+        if variant is TaskVariant.OBSTACLES:
             placements["obstacle"] = Placement(
                 model=models["obstacle"],
                 X_BM=resting(middle[0], middle[1], 0.0, rng.uniform(-np.pi, np.pi)),
                 avoid=True,
             )
-        return Layout(placements=placements, prompt=prompt)
+        return SceneLayout(placements=placements, prompt=prompt)
 
     def conditions(self, state: State) -> dict[str, Tensor]:
         """See the class."""
@@ -110,12 +109,12 @@ class PullCube(Task):
     )
     slots: ClassVar[Mapping[str, str]] = {"cube": "cube/blue", "target": "mark/target"}
 
-    def layout(self, models: Mapping[str, Model], rng: np.random.Generator, variant: Variant) -> Layout:
+    def layout(self, models: Mapping[str, Model], rng: np.random.Generator, variant: TaskVariant) -> SceneLayout:
         """The target, and the cube 13 to 18 cm farther from the robot."""
         target, angle = rng.uniform([0.43, -0.10], [0.48, 0.10]), rng.uniform(-0.3, 0.3)
         cube = target + rng.uniform(0.13, 0.18) * np.array([np.cos(angle), np.sin(angle)])
         yaw = angle + rng.uniform(-0.25, 0.25)
-        return Layout(
+        return SceneLayout(
             placements={
                 "cube": Placement(model=models["cube"], X_BM=_on_table(models["cube"], cube, yaw)),
                 "target": Placement(model=models["target"], X_BM=resting(target[0], target[1], 0.0), decor=True),

@@ -9,10 +9,10 @@ from torch import Tensor
 
 from kinebench_drake.geometry import Array, make_pose
 from kinebench_drake.suites.assets.model import Model
-from kinebench_drake.suites.tasks.card import Difficulty, TaskCard, Variant
-from kinebench_drake.suites.tasks.place import resting, turned
+from kinebench_drake.suites.tasks.card import Difficulty, TaskCard, TaskVariant
+from kinebench_drake.suites.tasks.layout import resting, turned
 from kinebench_drake.suites.tasks.state import CLEAR_M, STILL_M_S, State
-from kinebench_drake.suites.tasks.task import Layout, Placement, Task
+from kinebench_drake.suites.tasks.task import Placement, SceneLayout, Task
 
 OPEN_SHARE = 0.9
 """Part of its way that an open drawer has come out."""
@@ -91,11 +91,11 @@ class OpenDrawer(Task):
     )
     slots: ClassVar[Mapping[str, str]] = {"cabinet": "cabinet"}
 
-    def layout(self, models: Mapping[str, Model], rng: np.random.Generator, variant: Variant) -> Layout:
+    def layout(self, models: Mapping[str, Model], rng: np.random.Generator, variant: TaskVariant) -> SceneLayout:
         """A cabinet across the robot's view."""
         cabinet = models["cabinet"]
         X_BM = _sideways(int(rng.choice([-1, 1])), rng.uniform(0.475, 0.54), rng)
-        return Layout(
+        return SceneLayout(
             placements={"cabinet": Placement(model=cabinet, X_BM=X_BM, joint=rng.uniform(0.034, 0.048))},
             prompt=(
                 f"The robot arm turns its gripper, reaches into the gap of the {cabinet.words}'s slightly open drawer, "
@@ -128,12 +128,12 @@ class CloseDrawer(Task):
     )
     slots: ClassVar[Mapping[str, str]] = {"cabinet": "cabinet"}
 
-    def layout(self, models: Mapping[str, Model], rng: np.random.Generator, variant: Variant) -> Layout:
+    def layout(self, models: Mapping[str, Model], rng: np.random.Generator, variant: TaskVariant) -> SceneLayout:
         """A cabinet that opens away from the robot."""
         cabinet = models["cabinet"]
         X_BM = _forwards(cabinet, rng)
         joint = rng.uniform(0.65, 1.0) * cabinet.size["travel_m"]
-        return Layout(
+        return SceneLayout(
             placements={"cabinet": Placement(model=cabinet, X_BM=X_BM, joint=joint)},
             prompt=f"The robot arm pushes the open drawer of the {cabinet.words} completely shut and moves up again.",
         )
@@ -184,12 +184,12 @@ class StoreCubeDrop(_StoreCube):
         id="StoreCube-v1", family="drawers", difficulty=Difficulty.HARD, articulated_dof=1, axes="x", contacts=2
     )
 
-    def layout(self, models: Mapping[str, Model], rng: np.random.Generator, variant: Variant) -> Layout:
+    def layout(self, models: Mapping[str, Model], rng: np.random.Generator, variant: TaskVariant) -> SceneLayout:
         """A cabinet that opens away from the robot, the cube on top of it."""
         cabinet = models["cabinet"]
         X_BM = _forwards(cabinet, rng)
         X_BC = _on_top(models, X_BM, rng.uniform(0.035, 0.075), rng.uniform(-0.04, 0.04), rng.uniform(-np.pi, np.pi))
-        return Layout(
+        return SceneLayout(
             placements={
                 "cabinet": Placement(model=cabinet, X_BM=X_BM, joint=rng.uniform(AJAR, 1.0) * cabinet.size["travel_m"]),
                 "cube": Placement(model=models["cube"], X_BM=X_BC),
@@ -216,13 +216,13 @@ class StoreCubeDrag(_StoreCube):
         id="StoreCube-v2", family="drawers", difficulty=Difficulty.HARD, articulated_dof=1, axes="y", contacts=2
     )
 
-    def layout(self, models: Mapping[str, Model], rng: np.random.Generator, variant: Variant) -> Layout:
+    def layout(self, models: Mapping[str, Model], rng: np.random.Generator, variant: TaskVariant) -> SceneLayout:
         """A cabinet across the robot's view, the cube on top of it."""
         cabinet = models["cabinet"]
         X_BM = _sideways(int(rng.choice([-1, 1])), rng.uniform(0.465, 0.51), rng)
         turn = rng.integers(4) * np.pi / 2.0 + rng.uniform(-ASKEW_RAD, ASKEW_RAD)
         X_BC = _on_top(models, X_BM, rng.uniform(0.04, 0.075), rng.uniform(-0.025, 0.025), turn)
-        return Layout(
+        return SceneLayout(
             placements={
                 "cabinet": Placement(model=cabinet, X_BM=X_BM, joint=rng.uniform(AJAR, 1.0) * cabinet.size["travel_m"]),
                 "cube": Placement(model=models["cube"], X_BM=X_BC),

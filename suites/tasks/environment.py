@@ -22,16 +22,63 @@ from kinebench_drake.camera import Camera, benchmark_camera
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array, make_pose, to_quaternion
 from kinebench_drake.models.robot import N_JOINTS
-from kinebench_drake.suites.assets.look import background, light, table
+from kinebench_drake.suites.assets.look import Background, Finish, background, light, table
+from kinebench_drake.suites.assets.mesh import block, board
+from kinebench_drake.suites.assets.model import Body, Material, Visual
 from kinebench_drake.suites.episode import Episode, compose
 from kinebench_drake.suites.split import Pool
 from kinebench_drake.suites.start import start_q
 from kinebench_drake.suites.tasks.builder import build_actor, build_articulation
-from kinebench_drake.suites.tasks.card import Variant
+from kinebench_drake.suites.tasks.card import TaskVariant
 from kinebench_drake.suites.tasks.registry import TASKS, find_task
 from kinebench_drake.suites.tasks.state import ARM, State
-from kinebench_drake.suites.tasks.surroundings import surroundings
-from kinebench_drake.suites.tasks.task import Layout, Placement, Scene
+from kinebench_drake.suites.tasks.task import Placement, Scene, SceneLayout
+
+TABLE_SIZE_M = (1.5, 2.4, 0.04)
+"""Along x, y, z."""
+TABLE_CENTER_M = (0.55, 0.0, -0.02)
+"""In B; its top is z = 0."""
+FLOOR_M = -0.75
+"""Height of the floor."""
+WALL_M = -2.8
+"""x of the wall behind the robot."""
+WALL_TOP_M = 1.3
+"""Height of the wall's upper edge: out of view, and low enough for light from behind it."""
+SKIRTING_M = (0.03, 8.0, 0.09)
+"""The board along the foot of the wall."""
+_ROOM_M = 8.0
+
+
+def _board(size: tuple[float, float, float], center: tuple[float, float, float], look: Finish) -> Visual:
+    return board(size, center, look.surface, bevel_m=0.0, uv_per_m=look.uv_per_m)
+
+
+def surroundings(table: Finish, background: Background) -> dict[str, Body]:
+    """The bodies by name, in B."""
+    wall_height_m, foot_m = WALL_TOP_M - FLOOR_M, FLOOR_M + 0.5 * SKIRTING_M[2]
+    skirting = Finish(surface=background.skirting, uv_per_m=1.0)
+    return {
+        "table": Body(
+            name="table",
+            visuals=(_board(TABLE_SIZE_M, TABLE_CENTER_M, table),),
+            colliders=(block(TABLE_SIZE_M, TABLE_CENTER_M),),
+            material=Material(static_friction=0.6, dynamic_friction=0.5, restitution=0.0),
+        ),
+        "wall": Body(
+            name="wall",
+            visuals=(
+                _board(
+                    (0.1, _ROOM_M, wall_height_m), (WALL_M - 0.05, 0.0, FLOOR_M + 0.5 * wall_height_m), background.wall
+                ),
+                _board(SKIRTING_M, (WALL_M, 0.0, foot_m), skirting),
+            ),
+        ),
+        "floor": Body(
+            name="floor",
+            visuals=(_board((_ROOM_M, _ROOM_M, 0.1), (WALL_M + 0.5 * _ROOM_M, 0.0, FLOOR_M - 0.05), background.floor),),
+        ),
+    }
+
 
 NAMESPACE = "KineBench"
 """Gymnasium namespace of the tasks."""
@@ -105,11 +152,11 @@ class KineBenchEnv(BaseEnv):  # type: ignore[misc]
         Raises:
             UsageError: there is no such task or variant.
         """
-        self.task = find_task(task, Variant(variant))
-        self._pool, self._variant = Pool(pool), Variant(variant)
+        self.task = find_task(task, TaskVariant(variant))
+        self._pool, self._variant = Pool(pool), TaskVariant(variant)
         self._camera = benchmark_camera() if camera is None else camera
         self.episodes: list[Episode] = []
-        self.layouts: list[Layout] = []
+        self.layouts: list[SceneLayout] = []
         self._starts: dict[str, Tensor] = {}
         self._joint_starts: dict[str, Tensor] = {}
         kwargs.setdefault("reconfiguration_freq", 1 if kwargs.get("num_envs", 1) == 1 else 0)

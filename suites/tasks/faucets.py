@@ -9,10 +9,10 @@ from torch import Tensor
 
 from kinebench_drake.suites.assets.model import Model
 from kinebench_drake.suites.start import START_WIDTH_M
-from kinebench_drake.suites.tasks.card import Difficulty, TaskCard, Variant
-from kinebench_drake.suites.tasks.place import resting
+from kinebench_drake.suites.tasks.card import Difficulty, TaskCard, TaskVariant
+from kinebench_drake.suites.tasks.layout import resting
 from kinebench_drake.suites.tasks.state import STILL_RAD_S, State
-from kinebench_drake.suites.tasks.task import Layout, Placement, Task
+from kinebench_drake.suites.tasks.task import Placement, SceneLayout, Task
 
 OPEN_PART = 0.8
 """From this part of its travel on a handle is open."""
@@ -29,11 +29,11 @@ class _TurnFaucet(Task):
     _side: ClassVar[float]
     """1: the lever is on the robot's left, -1: on its right."""
 
-    def layout(self, models: Mapping[str, Model], rng: np.random.Generator, variant: Variant) -> Layout:
+    def layout(self, models: Mapping[str, Model], rng: np.random.Generator, variant: TaskVariant) -> SceneLayout:
         """A faucet in front of the robot, its lever half-way 55 to 100 degrees aside of the camera's direction."""
         model, side = models["faucet"], self._side
         x, y = rng.uniform([0.52, -0.02], [0.59, 0.09])
-        return Layout(
+        return SceneLayout(
             placements={
                 "faucet": Placement(
                     model=model,

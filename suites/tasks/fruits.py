@@ -12,11 +12,10 @@ from kinebench_drake.suites.assets.containers import COMPARTMENTS
 from kinebench_drake.suites.assets.fruits import FRUITS
 from kinebench_drake.suites.assets.model import Model
 from kinebench_drake.suites.seeding import generator
-from kinebench_drake.suites.tasks.card import Difficulty, TaskCard, Variant
-from kinebench_drake.suites.tasks.obstacles import undisturbed
-from kinebench_drake.suites.tasks.place import resting
+from kinebench_drake.suites.tasks.card import Difficulty, TaskCard, TaskVariant
+from kinebench_drake.suites.tasks.layout import resting, undisturbed
 from kinebench_drake.suites.tasks.state import STILL_M_S, State
-from kinebench_drake.suites.tasks.task import Layout, Placement, Task
+from kinebench_drake.suites.tasks.task import Placement, SceneLayout, Task
 
 GAP_M = 0.038
 """Least distance between the outlines of things, for the fingers to go down there."""
@@ -115,15 +114,15 @@ class PickFruits(Task):
         articulated_dof=0,
         axes="",
         contacts=1,
-        variants=(Variant.PLAIN, Variant.OBSTACLES),
+        variants=(TaskVariant.PLAIN, TaskVariant.OBSTACLES),
     )
     slots: ClassVar[Mapping[str, str]] = {**{name: f"fruit/{name}" for name in FRUITS}, "container": "container"}
 
-    def slots_of(self, variant: Variant) -> Mapping[str, str]:
+    def slots_of(self, variant: TaskVariant) -> Mapping[str, str]:
         """With obstacles one more."""
-        return {**self.slots, **({"obstacle": "obstacle/upright"} if variant is Variant.OBSTACLES else {})}
+        return {**self.slots, **({"obstacle": "obstacle/upright"} if variant is TaskVariant.OBSTACLES else {})}
 
-    def layout(self, models: Mapping[str, Model], rng: np.random.Generator, variant: Variant) -> Layout:
+    def layout(self, models: Mapping[str, Model], rng: np.random.Generator, variant: TaskVariant) -> SceneLayout:
         """The container left or right, the fruits beside it, at least a finger's room between all of them."""
         names = _shuffled(models, FRUITS)[: 1 + len(OTHERS)]
         fruits = dict(zip(("target", *OTHERS), (models[name] for name in names), strict=True))
@@ -131,7 +130,7 @@ class PickFruits(Task):
         middle = np.array([rng.uniform(0.49, 0.58), side * rng.uniform(0.13, 0.16)])
         taken = [(middle, container.size["reach_m"])]
         placed = {}
-        if variant is Variant.OBSTACLES:
+        if variant is TaskVariant.OBSTACLES:
             obstacle = models["obstacle"]
             target = np.array([rng.uniform(0.45, 0.57), -side * rng.uniform(0.19, 0.22)])
             radius = obstacle.size["radius_m"]
@@ -160,12 +159,12 @@ class PickFruits(Task):
             model=container, X_BM=resting(middle[0], middle[1], 0.0, rng.uniform(-0.25, 0.25))
         )
         past = ""
-        if variant is Variant.OBSTACLES:
+        if variant is TaskVariant.OBSTACLES:
             placements["obstacle"] = Placement(
                 model=obstacle, X_BM=resting(post[0], post[1], 0.0, rng.uniform(-np.pi, np.pi)), avoid=True
             )
             past = f", past the {obstacle.words} without knocking it over"
-        return Layout(
+        return SceneLayout(
             placements=placements,
             prompt=(
                 f"The robot arm picks up the {fruits['target'].words}, puts it into the {container.words}{past} and "
@@ -216,7 +215,7 @@ class StoreFruitsBox(Task):
         "crate": "crate",
     }
 
-    def layout(self, models: Mapping[str, Model], rng: np.random.Generator, variant: Variant) -> Layout:
+    def layout(self, models: Mapping[str, Model], rng: np.random.Generator, variant: TaskVariant) -> SceneLayout:
         """The crate nearer to the robot, the fruits in a row before it."""
         names = _shuffled(models, ("apple", "banana", "orange"))
         fruits = dict(zip(ORDER, (models[name] for name in names), strict=True))
@@ -231,7 +230,7 @@ class StoreFruitsBox(Task):
             placements[name] = Placement(model=model, X_BM=resting(at, aside, model.size["rest_m"], _yaw(model, rng)))
         placements["crate"] = Placement(model=models["crate"], X_BM=crate)
         first, second, third = (model.words for model in fruits.values())
-        return Layout(
+        return SceneLayout(
             placements=placements,
             prompt=(
                 f"The robot arm puts the fruits into the crate one after the other, from left to right: first the "

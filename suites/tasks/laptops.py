@@ -9,10 +9,10 @@ from torch import Tensor
 
 from kinebench_drake.suites.assets.model import Model
 from kinebench_drake.suites.start import START_WIDTH_M
-from kinebench_drake.suites.tasks.card import Difficulty, TaskCard, Variant
-from kinebench_drake.suites.tasks.place import resting
+from kinebench_drake.suites.tasks.card import Difficulty, TaskCard, TaskVariant
+from kinebench_drake.suites.tasks.layout import resting
 from kinebench_drake.suites.tasks.state import CLEAR_M, STILL_RAD_S, State
-from kinebench_drake.suites.tasks.task import Layout, Placement, Task
+from kinebench_drake.suites.tasks.task import Placement, SceneLayout, Task
 
 OPEN_RAD = np.deg2rad(90.0)
 """A lid open this far counts as open."""
@@ -49,7 +49,7 @@ class _Laptop(Task):
     turn_deg: tuple[float, float]
     """Least and greatest angle from the robot's right (-y) to where the free edge points, towards the camera (x)."""
 
-    def layout(self, models: Mapping[str, Model], rng: np.random.Generator, variant: Variant) -> Layout:
+    def layout(self, models: Mapping[str, Model], rng: np.random.Generator, variant: TaskVariant) -> SceneLayout:
         """A laptop whose hinge is on the robot's left."""
         model = models["laptop"]
         x, y = rng.uniform(*FORWARD_M), rng.uniform(*self.side_m)
@@ -57,7 +57,7 @@ class _Laptop(Task):
         placement = Placement(
             model=model, X_BM=resting(x, y, 0.0, yaw), joint=float(np.deg2rad(rng.uniform(*self.start_deg)))
         )
-        return Layout(
+        return SceneLayout(
             placements={"laptop": placement},
             prompt=self.prompt.format(model.words),
             finger_width_m=START_WIDTH_M[self.card.id],

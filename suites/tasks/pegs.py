@@ -8,10 +8,10 @@ import torch
 from torch import Tensor
 
 from kinebench_drake.suites.assets.model import Model
-from kinebench_drake.suites.tasks.card import Difficulty, TaskCard, Variant
-from kinebench_drake.suites.tasks.place import resting
+from kinebench_drake.suites.tasks.card import Difficulty, TaskCard, TaskVariant
+from kinebench_drake.suites.tasks.layout import resting
 from kinebench_drake.suites.tasks.state import STILL_M_S, State
-from kinebench_drake.suites.tasks.task import Layout, Placement, Task
+from kinebench_drake.suites.tasks.task import Placement, SceneLayout, Task
 
 UPRIGHT_RAD = 0.08
 """How far the peg may lean from the vertical."""
@@ -35,12 +35,12 @@ class LiftPegUpright(Task):
     )
     slots: ClassVar[Mapping[str, str]] = {"peg": "peg"}
 
-    def layout(self, models: Mapping[str, Model], rng: np.random.Generator, variant: Variant) -> Layout:
+    def layout(self, models: Mapping[str, Model], rng: np.random.Generator, variant: TaskVariant) -> SceneLayout:
         """The peg, lying in front of the robot."""
         x, y = rng.uniform([0.51, -0.10], [0.60, 0.10])
         yaw = rng.uniform(-YAW_RAD, YAW_RAD)
         X_BM = resting(x, y, models["peg"].size["width_m"] / 2.0, yaw)
-        return Layout(
+        return SceneLayout(
             placements={"peg": Placement(model=models["peg"], X_BM=X_BM)},
             prompt="The robot arm grasps the peg by its red end, stands it upright on its blue end and lets go.",
         )

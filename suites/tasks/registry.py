@@ -2,7 +2,7 @@
 
 from kinebench_drake.errors import UsageError
 from kinebench_drake.suites.tasks import boxes, cubes, drawers, faucets, fruits, laptops, pegs
-from kinebench_drake.suites.tasks.card import Variant
+from kinebench_drake.suites.tasks.card import TaskVariant
 from kinebench_drake.suites.tasks.task import Task
 
 _FAMILIES = (boxes, cubes, drawers, faucets, fruits, laptops, pegs)
@@ -12,7 +12,7 @@ TASKS: dict[str, Task] = {
 """All tasks by plain id, in the order of their ids."""
 
 
-def find_task(task: str, variant: Variant = Variant.PLAIN) -> Task:
+def find_task(task: str, variant: TaskVariant = TaskVariant.PLAIN) -> Task:
     """The task of a plain id.
 
     Raises:

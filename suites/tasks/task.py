@@ -12,7 +12,7 @@ import numpy as np
 
 from kinebench_drake.geometry import Array, invert
 from kinebench_drake.suites.assets.model import Model
-from kinebench_drake.suites.tasks.card import TaskCard, Variant
+from kinebench_drake.suites.tasks.card import TaskCard, TaskVariant
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -43,7 +43,7 @@ class Placement:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Layout:
+class SceneLayout:
     """A scene as it begins. Every seed of a task and variant has the same names, for simulation in batches."""
 
     placements: Mapping[str, Placement]
@@ -125,12 +125,12 @@ class Task(ABC):
     slots: ClassVar[Mapping[str, str]]
     """Kind of asset that an episode draws for each slot."""
 
-    def slots_of(self, variant: Variant) -> Mapping[str, str]:
+    def slots_of(self, variant: TaskVariant) -> Mapping[str, str]:
         """Slots of a variant; those of the task unless a task says otherwise."""
         return self.slots
 
     @abstractmethod
-    def layout(self, models: Mapping[str, Model], rng: np.random.Generator, variant: Variant) -> Layout:
+    def layout(self, models: Mapping[str, Model], rng: np.random.Generator, variant: TaskVariant) -> SceneLayout:
         """The scene to begin with.
 
         Args:

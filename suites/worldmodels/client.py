@@ -7,6 +7,7 @@ machine.
 """
 
 import json
+import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from http import HTTPStatus
@@ -25,11 +26,68 @@ from tenacity import (
 )
 
 from kinebench_drake.errors import SetupError
-from kinebench_drake.storage import storage
-from kinebench_drake.suites.worldmodels.address import is_loopback, origin, retry_after, web_address
-from kinebench_drake.suites.worldmodels.deadline import Deadline
-from kinebench_drake.suites.worldmodels.remark import remark
-from kinebench_drake.suites.worldmodels.service import BusyError, Limits, ServiceError
+from kinebench_drake.io.atomic import disk_errors
+from kinebench_drake.suites.worldmodels.service import (
+    BusyError,
+    Limits,
+    ServiceError,
+    is_loopback,
+    origin,
+    remark,
+    retry_after,
+    web_address,
+)
+from kinebench_drake.suites.worldmodels.worldmodel import WorldModelError
+
+_Found = TypeVar("_Found")
+
+
+class Deadline:
+    """A moment after which nobody waits any more."""
+
+    def __init__(self, limit_s: float) -> None:
+        self._limit_s = limit_s
+        self._end = time.monotonic() + limit_s
+
+    def left(self) -> float:
+        """Seconds that are left.
+
+        Raises:
+            WorldModelError: none is.
+        """
+        left = self._end - time.monotonic()
+        if left <= 0:
+            raise self.passed()
+        return left
+
+    def passed(self) -> WorldModelError:
+        """The error that says so."""
+        return WorldModelError(f"no video within {self._limit_s:g} s; the option timeout= allows more")
+
+    def wait(self, seconds: float) -> None:
+        """Wait.
+
+        Raises:
+            WorldModelError: so long may not be waited.
+        """
+        if seconds >= self.left():
+            raise self.passed()
+        time.sleep(seconds)
+
+    def poll(self, ask: Callable[[], _Found | None], every_s: float) -> _Found:
+        """Ask until there is an answer.
+
+        Args:
+            ask: returns what is wanted, or None while there is none.
+            every_s: pause between two questions [s].
+
+        Raises:
+            WorldModelError: there was none in time, or `ask` said that there will be none.
+        """
+        while (found := ask()) is None:
+            self.wait(every_s)
+        return found
+
 
 _REDIRECTS = 5
 _FINAL = (HTTPStatus.NOT_IMPLEMENTED, HTTPStatus.HTTP_VERSION_NOT_SUPPORTED)
@@ -38,7 +96,7 @@ _UNSENT = (httpx.ConnectError, httpx.ConnectTimeout, httpx.PoolTimeout, httpx.Pr
 _Got = TypeVar("_Got")
 
 
-class Client:
+class HttpClient:
     """Calls to one service.
 
     Args:
@@ -124,7 +182,7 @@ class Client:
                 with self._stream("GET", url, deadline, True, headers=headers, timeout=timeout) as got:
                     if not got.has_redirect_location:
                         self._accept(got, deadline, True)
-                        with storage(part.name), part.open("wb") as file:
+                        with disk_errors(part.name), part.open("wb") as file:
                             for chunk in self._read(got, self.limits.video_bytes, deadline):
                                 file.write(chunk)
                         return

@@ -15,10 +15,9 @@ from pathlib import Path
 from typing import IO
 
 from kinebench_drake.errors import SetupError, cause
-from kinebench_drake.interrupt import undisturbed
-from kinebench_drake.storage import storage, unfinished
-from kinebench_drake.suites.worldmodels.picture import png
-from kinebench_drake.suites.worldmodels.remark import remark
+from kinebench_drake.executors.interrupt import without_interrupt
+from kinebench_drake.io.atomic import disk_errors, unfinished
+from kinebench_drake.suites.worldmodels.service import png, remark
 from kinebench_drake.suites.worldmodels.spec import ServiceOptions, Spec
 from kinebench_drake.suites.worldmodels.videofile import adopt
 from kinebench_drake.suites.worldmodels.worldmodel import Request, WorldModelError
@@ -32,7 +31,7 @@ _GRACE_S = 2.0
 _PEEK = os.WEXITED | os.WNOHANG | os.WNOWAIT
 
 
-class Command:
+class CommandModel:
     """Runs a program once a video; never through a shell.
 
     The program gets the request as one JSON object on its standard input, and `{placeholders}` of its arguments filled
@@ -59,7 +58,7 @@ class Command:
     def generate(self, request: Request, out: Path) -> Path:
         """See `WorldModel`."""
         part = unfinished(out)
-        with storage(out.name), tempfile.TemporaryDirectory(prefix=f"{part.name}.", dir=part.parent) as name:
+        with disk_errors(out.name), tempfile.TemporaryDirectory(prefix=f"{part.name}.", dir=part.parent) as name:
             folder = Path(name)
             first_frame, video, log = folder / "first_frame.png", folder / "video.mp4", folder / "log"
             first_frame.write_bytes(png(request.first_frame))
@@ -87,7 +86,7 @@ class Command:
         """Exit status of the program; None if it took too long: then it is ended, with all that it started."""
         process: subprocess.Popen[bytes] | None = None
         try:
-            with undisturbed():  # or it might run without anybody who knows it
+            with without_interrupt():  # or it might run without anybody who knows it
                 process = subprocess.Popen(
                     arguments, stdin=request, stdout=subprocess.DEVNULL, stderr=log, start_new_session=True
                 )
@@ -98,7 +97,7 @@ class Command:
             raise SetupError(f"{self.name} cannot be started ({cause(error)})") from None
         finally:
             if process is not None and process.returncode is None:
-                with undisturbed():
+                with without_interrupt():
                     _end(process)
 
 

@@ -10,12 +10,8 @@ from urllib.parse import quote
 
 from pydantic import Field
 
-from kinebench_drake.suites.worldmodels.address import web_address
-from kinebench_drake.suites.worldmodels.client import Client
-from kinebench_drake.suites.worldmodels.deadline import Deadline
-from kinebench_drake.suites.worldmodels.picture import data_uri
-from kinebench_drake.suites.worldmodels.remark import key_from, remark
-from kinebench_drake.suites.worldmodels.service import Limits, ServiceError
+from kinebench_drake.suites.worldmodels.client import Deadline, HttpClient
+from kinebench_drake.suites.worldmodels.service import Limits, ServiceError, data_uri, key_from, remark, web_address
 from kinebench_drake.suites.worldmodels.spec import ServiceOptions, Spec
 from kinebench_drake.suites.worldmodels.videofile import adopt, arriving
 from kinebench_drake.suites.worldmodels.worldmodel import Request, WorldModelError
@@ -40,7 +36,7 @@ class DashScopeOptions(ServiceOptions):
     )
 
 
-class DashScope:
+class DashScopeModel:
     """One task a video. A task that was accepted is never submitted a second time."""
 
     def __init__(self, spec: Spec, limits: Limits | None = None) -> None:
@@ -49,7 +45,7 @@ class DashScope:
             raise spec.unusable("base= expected an http or https address without name and password")
         self._model = spec.rest or _MODEL
         self._limits = limits or Limits()
-        self._client = Client("DashScope", self._options.base, key=key_from(KEY), limits=self._limits)
+        self._client = HttpClient("DashScopeModel", self._options.base, key=key_from(KEY), limits=self._limits)
         self.name = self._options.name or self._model
 
     def generate(self, request: Request, out: Path) -> Path:
@@ -86,7 +82,7 @@ class DashScope:
             raise _refusal(str(error)) if error.code == _REFUSED else error from None
         task = _output(answer).get("task_id")
         if not isinstance(task, str) or not task:
-            raise WorldModelError("DashScope accepted the task but gave no task_id")
+            raise WorldModelError("DashScopeModel accepted the task but gave no task_id")
         return task
 
     def _finished(self, task: str, deadline: Deadline) -> str | None:

@@ -6,19 +6,19 @@ from typing import cast
 
 from kinebench_drake.errors import UsageError
 from kinebench_drake.plugin import is_class_name, load_class
-from kinebench_drake.suites.worldmodels.command import Command
-from kinebench_drake.suites.worldmodels.dashscope import DashScope
-from kinebench_drake.suites.worldmodels.diffusers import Diffusers
-from kinebench_drake.suites.worldmodels.folder import Folder
-from kinebench_drake.suites.worldmodels.http import Http
-from kinebench_drake.suites.worldmodels.minimax import MiniMax
+from kinebench_drake.suites.worldmodels.command import CommandModel
+from kinebench_drake.suites.worldmodels.dashscope import DashScopeModel
+from kinebench_drake.suites.worldmodels.diffusers import DiffusersModel
+from kinebench_drake.suites.worldmodels.folder import FolderModel
+from kinebench_drake.suites.worldmodels.http import HttpModel
+from kinebench_drake.suites.worldmodels.minimax import MiniMaxModel
 from kinebench_drake.suites.worldmodels.spec import OPTION, SERVERS, Spec, parse
-from kinebench_drake.suites.worldmodels.still import Still
+from kinebench_drake.suites.worldmodels.still import StillModel
 from kinebench_drake.suites.worldmodels.worldmodel import WorldModel
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Form:
+class SpecForm:
     """One way of naming a world model."""
 
     usage: str
@@ -27,21 +27,21 @@ class Form:
     """Makes the world model; raises UsageError or SetupError."""
 
 
-_HTTP = Form(usage="http://HOST:PORT/PATH", make=Http)
-FORMS: Mapping[str, Form] = {
-    "folder": Form(usage="folder:DIR", make=Folder),
+_HTTP = SpecForm(usage="http://HOST:PORT/PATH", make=HttpModel)
+FORMS: Mapping[str, SpecForm] = {
+    "folder": SpecForm(usage="folder:DIR", make=FolderModel),
     **dict.fromkeys(SERVERS, _HTTP),
-    "command": Form(usage="command:PROGRAM ARGUMENTS", make=Command),
-    "dashscope": Form(usage="dashscope:[MODEL]", make=DashScope),
-    "minimax": Form(usage="minimax:[MODEL]", make=MiniMax),
-    "diffusers": Form(usage="diffusers:PATH_OR_ID", make=Diffusers),
-    "still": Form(usage="still", make=Still),
+    "command": SpecForm(usage="command:PROGRAM ARGUMENTS", make=CommandModel),
+    "dashscope": SpecForm(usage="dashscope:[MODEL]", make=DashScopeModel),
+    "minimax": SpecForm(usage="minimax:[MODEL]", make=MiniMaxModel),
+    "diffusers": SpecForm(usage="diffusers:PATH_OR_ID", make=DiffusersModel),
+    "still": SpecForm(usage="still", make=StillModel),
 }
 """World models by the kind in their spec. Those that need the simulator are handed to `create` by who has it."""
 _CLASS_USAGE = "module:Class"
 
 
-def create(text: str, further: Mapping[str, Form] | None = None) -> WorldModel:
+def create(text: str, further: Mapping[str, SpecForm] | None = None) -> WorldModel:
     """The world model that a spec names; nothing is loaded or asked before the first video.
 
     Args:

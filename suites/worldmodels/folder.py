@@ -5,8 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from kinebench_drake.errors import InputError, cause
-from kinebench_drake.filetypes import FILM_SUFFIXES, FRAME_SUFFIXES
-from kinebench_drake.plainfile import parse_json, read_text
+from kinebench_drake.io.files import FILM_SUFFIXES, FRAME_SUFFIXES, parse_json, read_text
 from kinebench_drake.suites.worldmodels.spec import Options, Spec
 from kinebench_drake.suites.worldmodels.videofile import check_video
 from kinebench_drake.suites.worldmodels.worldmodel import Request, WorldModelError
@@ -15,7 +14,7 @@ _MANIFEST = "manifest.jsonl"
 _SEED = re.compile(r"[-_](?:seed|s)?[-_]?(\d+)", re.IGNORECASE)
 
 
-class Folder:
+class FolderModel:
     """Answers from a folder: the manifest's row of the episode, else the video that is called like it.
 
     A row is the episode's if its `id` is, else if its `task` and `seed` are. A video or folder of frames is called like

@@ -3,24 +3,126 @@
 Both are described in docs/worldmodels.md so that a server can be written from there.
 """
 
+import io
 import shutil
 from http import HTTPStatus
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+from pydantic import BaseModel, Field, ValidationError
 
-from kinebench_drake.storage import storage
-from kinebench_drake.suites.worldmodels.address import web_address
-from kinebench_drake.suites.worldmodels.client import Client
-from kinebench_drake.suites.worldmodels.deadline import Deadline
-from kinebench_drake.suites.worldmodels.picture import data_uri, from_base64
-from kinebench_drake.suites.worldmodels.predict import Predictor
-from kinebench_drake.suites.worldmodels.remark import key_from, remark
-from kinebench_drake.suites.worldmodels.service import Limits, ServiceError
+from kinebench_drake.errors import SetupError
+from kinebench_drake.io.atomic import disk_errors
+from kinebench_drake.io.container import write_video
+from kinebench_drake.suites.worldmodels.client import Deadline, HttpClient
+from kinebench_drake.suites.worldmodels.service import (
+    Limits,
+    ServiceError,
+    base64_png,
+    data_uri,
+    from_base64,
+    key_from,
+    remark,
+    web_address,
+)
 from kinebench_drake.suites.worldmodels.spec import ServiceOptions, Spec
 from kinebench_drake.suites.worldmodels.videofile import adopt, arriving
 from kinebench_drake.suites.worldmodels.worldmodel import Request, WorldModelError
+
+_MOST_PIXELS = 4096 * 4096
+_Side = Annotated[int, Field(ge=1, le=8192)]
+_READY = ("ok", "ready", "healthy")
+
+
+class Capabilities(BaseModel):
+    """What a server says it can do; what it does not say is not limited."""
+
+    max_num_frames: int | None = Field(None, ge=2)
+    """Most frames of one prediction, the given one included."""
+    size: tuple[_Side, _Side] | None = None
+    """Width and height that it wants frames in [px]."""
+
+
+class Predictor:
+    """A server that is up.
+
+    Raises:
+        SetupError: it is not, or says of itself what cannot be understood.
+        WorldModelError: it cannot be asked.
+    """
+
+    def __init__(self, client: HttpClient, deadline: Deadline) -> None:
+        self._client = client
+        status = client.call("GET", "/v1/health", deadline).get("status")
+        if status not in _READY:
+            raise SetupError(f"the world model is not ready: its health is {remark(str(status))!r}, expected 'ok'")
+        try:
+            self._can = Capabilities.model_validate(client.call("GET", "/v1/capabilities", deadline))
+        except ValidationError as error:
+            first = error.errors(include_url=False, include_context=False)[0]
+            raise SetupError(
+                f"the world model's capabilities: {'.'.join(map(str, first['loc']))}: {first['msg']}"
+            ) from None
+
+    def generate(self, request: Request, out: Path, deadline: Deadline) -> Path:
+        """The predicted frames as an mp4 beside `out`.
+
+        Raises:
+            WorldModelError: the server gave no frames.
+        """
+        limits = self._client.limits
+        most = limits.video_bytes // 3 * 4 + limits.json_bytes
+        answer = self._client.call(
+            "POST", "/v1/predict", deadline, body=self._body(request), patient=True, most_bytes=most
+        )
+        frames = _frames(answer)
+        path = out.with_name(f"{out.name}.mp4")
+        with disk_errors(path.name):
+            write_video(path, frames, request.fps)
+        return path
+
+    def _body(self, request: Request) -> dict[str, Any]:
+        frame = request.first_frame
+        if self._can.size is not None:
+            frame = np.asarray(Image.fromarray(frame).resize(self._can.size, Image.Resampling.LANCZOS))
+        height, width = frame.shape[:2]
+        return {
+            "prompt": request.prompt,
+            "negative_prompt": request.negative_prompt,
+            "seed": request.seed,
+            "frames": [base64_png(frame)],
+            "num_frames": min(request.num_frames, self._can.max_num_frames or request.num_frames),
+            "size": [width, height],
+            "fps": request.fps,
+        }
+
+
+def _frames(answer: dict[str, Any]) -> list[NDArray[np.uint8]]:
+    """The frames (H, W, 3) RGB of an answer."""
+    given = answer.get("frames")
+    if not isinstance(given, list) or not given or not all(isinstance(text, str) for text in given):
+        said = f": {remark(str(answer['error']))}" if answer.get("error") else ""
+        raise WorldModelError(f"the world model's answer has no frames{said}; expected a list of PNG files in base64")
+    frames = [_picture(text, number) for number, text in enumerate(given)]
+    if len({frame.shape for frame in frames}) > 1:
+        raise WorldModelError("the world model's frames are of different sizes")
+    return frames
+
+
+def _picture(text: str, number: int) -> NDArray[np.uint8]:
+    try:
+        image = Image.open(io.BytesIO(from_base64(text)), formats=["PNG"])
+        if image.width * image.height > _MOST_PIXELS:
+            raise WorldModelError(
+                f"the world model's frame {number} has {image.width} x {image.height} pixels, too many"
+            )
+        return np.asarray(image.convert("RGB"), dtype=np.uint8)
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError):
+        raise WorldModelError(f"the world model's frame {number} is not a PNG file in base64") from None
+
 
 _PREDICT = "/v1/predict"
 _ANSWERS = ("video_path", "video_url", "video_base64")
@@ -45,7 +147,7 @@ class HttpOptions(ServiceOptions):
     )
 
 
-class Http:
+class HttpModel:
     """Asks a server that keeps one of the two contracts; which one is found out with the first video."""
 
     def __init__(self, spec: Spec, limits: Limits | None = None) -> None:
@@ -64,7 +166,7 @@ class Http:
         self._timeout_s = options.timeout
         key = key_from(options.key_env) if options.key_env else None
         self._limits = limits or Limits()
-        self._client = Client("the world model", base, key=key, limits=self._limits)
+        self._client = HttpClient("the world model", base, key=key, limits=self._limits)
         self._predictor: Predictor | None = None
         self.name = options.name or "http"
 
@@ -129,12 +231,12 @@ class Http:
             path = Path(value)
             if not path.is_absolute() or not path.is_file():
                 raise WorldModelError("the world model's video_path is not the absolute path of a file that is there")
-            with storage(part.name):
+            with disk_errors(part.name):
                 shutil.copyfile(path, part)
         else:
             try:
                 data = from_base64(value)
             except ValueError:
                 raise WorldModelError("the world model's video_base64 is not base64") from None
-            with storage(part.name):
+            with disk_errors(part.name):
                 part.write_bytes(data)

@@ -11,12 +11,8 @@ from urllib.parse import quote
 from pydantic import Field
 
 from kinebench_drake.errors import SetupError
-from kinebench_drake.suites.worldmodels.address import web_address
-from kinebench_drake.suites.worldmodels.client import Client
-from kinebench_drake.suites.worldmodels.deadline import Deadline
-from kinebench_drake.suites.worldmodels.picture import data_uri
-from kinebench_drake.suites.worldmodels.remark import key_from, remark
-from kinebench_drake.suites.worldmodels.service import BusyError, Limits
+from kinebench_drake.suites.worldmodels.client import Deadline, HttpClient
+from kinebench_drake.suites.worldmodels.service import BusyError, Limits, data_uri, key_from, remark, web_address
 from kinebench_drake.suites.worldmodels.spec import ServiceOptions, Spec
 from kinebench_drake.suites.worldmodels.videofile import adopt, arriving
 from kinebench_drake.suites.worldmodels.worldmodel import Request, WorldModelError
@@ -42,7 +38,7 @@ class MiniMaxOptions(ServiceOptions):
     base: str = Field("https://api.minimax.io", description="address of the region that the key belongs to")
 
 
-class MiniMax:
+class MiniMaxModel:
     """One task a video. The service takes neither a seed nor a negative prompt."""
 
     def __init__(self, spec: Spec, limits: Limits | None = None) -> None:
@@ -51,7 +47,7 @@ class MiniMax:
             raise spec.unusable("base= expected an http or https address without name and password")
         self._model = spec.rest or _MODEL
         self._limits = limits or Limits()
-        self._client = Client("MiniMax", self._options.base, key=key_from(KEY), limits=self._limits)
+        self._client = HttpClient("MiniMaxModel", self._options.base, key=key_from(KEY), limits=self._limits)
         self.name = self._options.name or self._model
 
     def generate(self, request: Request, out: Path) -> Path:
@@ -82,7 +78,7 @@ class MiniMax:
         )
         task = answer.get("task_id")
         if not isinstance(task, str | int) or not str(task):
-            raise WorldModelError("MiniMax accepted the task but gave no task_id")
+            raise WorldModelError("MiniMaxModel accepted the task but gave no task_id")
         return str(task)
 
     def _finished(self, task: str, deadline: Deadline) -> str | None:
@@ -103,7 +99,7 @@ class MiniMax:
         found = answer.get("file")
         address = found.get("download_url") if isinstance(found, dict) else None
         if not isinstance(address, str) or not address:
-            raise WorldModelError("MiniMax made a video but gave no download_url for it")
+            raise WorldModelError("MiniMaxModel made a video but gave no download_url for it")
         return address
 
 

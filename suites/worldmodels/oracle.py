@@ -8,16 +8,16 @@ from pathlib import Path
 from kinebench_drake.errors import InputError
 from kinebench_drake.suites.episode import Episode
 from kinebench_drake.suites.experts.registry import find_expert
-from kinebench_drake.suites.faults.fault import Grade
-from kinebench_drake.suites.worldmodels.privatestage import PrivateStage
+from kinebench_drake.suites.faults.fault import FaultGrade
+from kinebench_drake.suites.worldmodels.oracle_renderer import OracleRenderer
 from kinebench_drake.suites.worldmodels.privileged import State, TrueTrack
 from kinebench_drake.suites.worldmodels.worldmodel import Request, WorldModelError
 
 
-class Oracle:
+class OracleModel:
     """See the module. It is told the true state before each request (`see`)."""
 
-    def __init__(self, name: str = "oracle", fault: Grade | None = None, *, tells: bool = False) -> None:
+    def __init__(self, name: str = "oracle", fault: FaultGrade | None = None, *, tells: bool = False) -> None:
         """Prepare.
 
         Args:
@@ -27,7 +27,7 @@ class Oracle:
         """
         self.name = name
         self._fault, self._tells = fault, tells
-        self._private = PrivateStage()
+        self._private = OracleRenderer()
 
     def see(self, episode: Episode, state: State) -> None:
         """See `Privileged`."""

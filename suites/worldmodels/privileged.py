@@ -1,4 +1,4 @@
-"""World models that look behind the picture: those that measure the rest of the program, not themselves."""
+"""TODO."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,15 +1,15 @@
-"""World models that need the simulator, by the kind in their spec."""
+"""TODO."""
 
 from collections.abc import Mapping
 
 from pydantic import Field
 
-from kinebench_drake.products import AnomalyKind
-from kinebench_drake.suites.faults.fault import Grade, choose
-from kinebench_drake.suites.worldmodels.factory import Form
-from kinebench_drake.suites.worldmodels.oracle import Oracle
+from kinebench_drake.suites.faults.fault import FaultGrade, choose
+from kinebench_drake.suites.worldmodels.factory import SpecForm
+from kinebench_drake.suites.worldmodels.oracle import OracleModel
+from kinebench_drake.suites.worldmodels.random_policy import RandomPolicyModel
 from kinebench_drake.suites.worldmodels.spec import Options, Spec
-from kinebench_drake.suites.worldmodels.wanderer import Wanderer
+from kinebench_drake.types import AnomalyKind
 
 _FAULTY = "oracle+"
 
@@ -20,18 +20,18 @@ class OracleOptions(Options):
     told: bool = Field(False, description="tell the true track of each clip, so that nothing is read from pixels")
 
 
-def _oracle(spec: Spec) -> Oracle:
+def _oracle(spec: Spec) -> OracleModel:
     spec.bare()
     options = spec.read(OracleOptions)
-    return Oracle(name=options.name or ("oracle, true track" if options.told else "oracle"), tells=options.told)
+    return OracleModel(name=options.name or ("oracle, true track" if options.told else "oracle"), tells=options.told)
 
 
-def _faulty_oracle(spec: Spec) -> Oracle:
+def _faulty_oracle(spec: Spec) -> OracleModel:
     grade = _grade(spec)
-    return Oracle(name=spec.read(Options).name or f"{_FAULTY}{grade.label}", fault=grade)
+    return OracleModel(name=spec.read(Options).name or f"{_FAULTY}{grade.label}", fault=grade)
 
 
-def _grade(spec: Spec) -> Grade:
+def _grade(spec: Spec) -> FaultGrade:
     """The one fault of a spec such as "oracle+teleport:0.15".
 
     Raises:
@@ -43,17 +43,19 @@ def _grade(spec: Spec) -> Grade:
     return grades[0]
 
 
-def _wanderer(spec: Spec) -> Wanderer:
+def _wanderer(spec: Spec) -> RandomPolicyModel:
     spec.bare()
-    return Wanderer(name=spec.read(Options).name or "random")
+    return RandomPolicyModel(name=spec.read(Options).name or "random")
 
 
-_FAULTY_FORM = Form(
+_FAULTY_FORM = SpecForm(
     usage=f"{_FAULTY}KIND:SIZE (KIND: {' '.join(kind.value for kind in AnomalyKind)})", make=_faulty_oracle
 )
-SIMULATED: Mapping[str, Form] = {
-    "oracle": Form(usage="oracle", make=_oracle),
+
+
+SIMULATED: Mapping[str, SpecForm] = {
+    "oracle": SpecForm(usage="oracle", make=_oracle),
     **{f"{_FAULTY}{kind.value}": _FAULTY_FORM for kind in AnomalyKind},
-    "random": Form(usage="random", make=_wanderer),
+    "random": SpecForm(usage="random", make=_wanderer),
 }
 """Forms to add to the factory's."""

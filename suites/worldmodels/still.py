@@ -3,13 +3,13 @@
 from itertools import repeat
 from pathlib import Path
 
-from kinebench_drake.mp4 import write_video
-from kinebench_drake.storage import storage
+from kinebench_drake.io.atomic import disk_errors
+from kinebench_drake.io.container import write_video
 from kinebench_drake.suites.worldmodels.spec import Options, Spec
 from kinebench_drake.suites.worldmodels.worldmodel import Request
 
 
-class Still:
+class StillModel:
     """The first frame, repeated."""
 
     def __init__(self, spec: Spec) -> None:
@@ -19,7 +19,7 @@ class Still:
     def generate(self, request: Request, out: Path) -> Path:
         """See `WorldModel`."""
         path = out.with_name(f"{out.name}.mp4")
-        with storage(path.name):
+        with disk_errors(path.name):
             write_video(path, repeat(request.first_frame, request.num_frames), request.fps)
         return path
 

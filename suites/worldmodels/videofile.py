@@ -9,7 +9,7 @@ import av
 from av.container import InputContainer
 
 from kinebench_drake.errors import cause
-from kinebench_drake.storage import storage, unfinished
+from kinebench_drake.io.atomic import disk_errors, unfinished
 from kinebench_drake.suites.worldmodels.worldmodel import WorldModelError
 
 _HEAD = 64
@@ -94,7 +94,7 @@ def adopt(part: Path, out: Path) -> Path:
     """
     suffix = check_video(part)
     path = out.with_name(out.name + suffix)
-    with storage(path.name):
+    with disk_errors(path.name):
         with part.open("rb") as file:
             os.fsync(file.fileno())
         os.replace(part, path)

@@ -1,7 +1,7 @@
 import pytest
 
 from kinebench_drake.camera import Camera, benchmark_camera
-from kinebench_drake.grounding.arm import ArmModel
+from kinebench_drake.grounding.registration.arm_model import ArmModel
 
 
 @pytest.fixture(scope="session")

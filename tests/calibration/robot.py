@@ -4,15 +4,22 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kinebench_drake.calibration.look import Look
-from kinebench_drake.calibration.sightings import Sightings, points
+from kinebench_drake.calibration.correspondences import CalibrationCorrespondences, LensView, points
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, invert, transform_points
-from kinebench_drake.grounding.arm import ArmModel
-from kinebench_drake.models.panda.part import OPENING_SIGN, Part
-from kinebench_drake.models.panda.robot import rest_q
+from kinebench_drake.grounding.registration.arm_model import ArmModel
+from kinebench_drake.models.panda.robot import OPENING_SIGN, RobotPart, rest_q
 
-SEEN = (Part.HAND, Part.LEFT_FINGER, Part.RIGHT_FINGER, Part.LINK0, Part.LINK2, Part.LINK4, Part.LINK6, Part.LINK7)
+SEEN = (
+    RobotPart.HAND,
+    RobotPart.LEFT_FINGER,
+    RobotPart.RIGHT_FINGER,
+    RobotPart.LINK0,
+    RobotPart.LINK2,
+    RobotPart.LINK4,
+    RobotPart.LINK6,
+    RobotPart.LINK7,
+)
 
 
 def postures(frames: int, *, reach: float = 0.25, seed: int = 0) -> Array:
@@ -25,22 +32,22 @@ def seen_from(
     q: Array,
     model: ArmModel,
     *,
-    parts: tuple[Part, ...] = SEEN,
+    parts: tuple[RobotPart, ...] = SEEN,
     finger_m: float = 0.01,
     noise_px: float = 0.0,
     cells: int = 12,
-) -> Sightings:
+) -> CalibrationCorrespondences:
     """What `camera` shows of the robot at postures `q` (T, 7), `cells` points of each part in each frame."""
     rng = np.random.default_rng(1)
     n = len(q) * len(parts) * cells
     part = np.tile(np.repeat(np.array(parts, np.uint8), cells), len(q))
-    sightings = Sightings(
+    sightings = CalibrationCorrespondences(
         frame=np.repeat(np.arange(len(q)), len(parts) * cells),
         uv_px=np.zeros((n, 2)),
         part=part,
         p_P=rng.uniform(-0.06, 0.06, (n, 3)),
         sigma_m=np.full(n, 0.003),
-        opening_sign=np.array([OPENING_SIGN.get(Part(p), 0.0) for p in part]),
+        opening_sign=np.array([OPENING_SIGN.get(RobotPart(p), 0.0) for p in part]),
         weight=np.full(n, 8.0 / cells),
         repeats=np.ones(n),
     )
@@ -62,7 +69,7 @@ class PerfectEye:
     def look(self, frames, camera):
         cells = seen_from(self.camera, self.q[frames[:, 0, 0, 0]], self.model, noise_px=self.noise_px)
         T = len(frames)
-        return Look(
+        return LensView(
             cells=cells,
             finger_m=np.full(T, 0.01),
             q=self.q[frames[:, 0, 0, 0]],

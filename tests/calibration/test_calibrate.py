@@ -5,14 +5,14 @@ import pytest
 
 from kinebench_drake import cli
 from kinebench_drake.calibration.calibrate import CalibrationConfig, calibrate
-from kinebench_drake.calibration.calibration import Method
+from kinebench_drake.calibration.correspondences import NetworkViewEstimator
 from kinebench_drake.calibration.fit import with_focal
-from kinebench_drake.calibration.look import NetworkEye
-from kinebench_drake.calibration.picture import part_map
+from kinebench_drake.calibration.overlay import part_map
+from kinebench_drake.calibration.result import CalibrationMethod
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.geometry import invert, pose_difference, transform_points
-from kinebench_drake.models.panda.part import Part
+from kinebench_drake.models.panda.robot import RobotPart
 from tests.calibration.robot import PerfectEye, postures
 
 T = 6
@@ -35,7 +35,7 @@ def video(tmp_path):
 
 @pytest.fixture
 def program(monkeypatch, capsys, eye):
-    monkeypatch.setattr(NetworkEye, "create", lambda: eye)
+    monkeypatch.setattr(NetworkViewEstimator, "create", lambda: eye)
 
     def run(*arguments):
         with pytest.raises(SystemExit) as ended:
@@ -104,14 +104,14 @@ def test_a_moving_camera_is_refused(video, eye, tmp_path):
 
 
 def test_without_joint_angles_the_motion_alone_is_used(video, eye):
-    assert calibrate(CalibrationConfig(video=video, focal_px=400.0), eye).calibration.method is Method.MOTION
+    assert calibrate(CalibrationConfig(video=video, focal_px=400.0), eye).calibration.method is CalibrationMethod.MOTION
 
 
 def test_the_drawn_robot_is_where_the_camera_has_it(camera, model):
     X_BP = model.poses(postures(1))[0]
     labels = part_map(camera, X_BP, 0.01)
-    inside = transform_points(invert(camera.X_BC) @ X_BP[Part.HAND], np.array([[0.0, 0.0, 0.03]]))
+    inside = transform_points(invert(camera.X_BC) @ X_BP[RobotPart.HAND], np.array([[0.0, 0.0, 0.03]]))
     u, v = camera.project(inside)[0].astype(int)
-    assert labels[v, u] in (Part.HAND, Part.LINK7, Part.LINK6)
-    X_BP[Part.HAND] = np.nan
-    assert Part.HAND not in part_map(camera, X_BP, 0.01)
+    assert labels[v, u] in (RobotPart.HAND, RobotPart.LINK7, RobotPart.LINK6)
+    X_BP[RobotPart.HAND] = np.nan
+    assert RobotPart.HAND not in part_map(camera, X_BP, 0.01)

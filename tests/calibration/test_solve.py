@@ -4,26 +4,26 @@ import numpy as np
 import pytest
 
 from kinebench_drake.calibration.calibrate import solve
-from kinebench_drake.calibration.calibration import Calibration, Method, describe
-from kinebench_drake.calibration.determination import require_determined, warnings_of
+from kinebench_drake.calibration.correspondences import LensView
 from kinebench_drake.calibration.fit import with_focal
-from kinebench_drake.calibration.look import Look
+from kinebench_drake.calibration.observability import require_determined, warnings_of
+from kinebench_drake.calibration.result import CalibrationMethod, CameraCalibration, describe
 from kinebench_drake.calibration.states import RobotStates, unknown_states
 from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.geometry import invert, make_pose, pose_difference, rotation_exp
-from kinebench_drake.models.panda.part import Part
+from kinebench_drake.models.panda.robot import RobotPart
 from tests.calibration.robot import SEEN, postures, seen_from
 
 
 def states_of(q, model):
-    return RobotStates(q=q, X_BH=model.poses(q)[:, Part.HAND], finger_m=np.full(len(q), 0.01), source="joints.csv")
+    return RobotStates(q=q, X_BH=model.poses(q)[:, RobotPart.HAND], finger_m=np.full(len(q), 0.01), source="joints.csv")
 
 
 def look_of(cells, q):
-    return Look(cells=cells, finger_m=np.full(len(q), 0.01), q=q, robot=np.zeros((2, 2), dtype=bool))
+    return LensView(cells=cells, finger_m=np.full(len(q), 0.01), q=q, robot=np.zeros((2, 2), dtype=bool))
 
 
-def described(solved, *, zoom_free=True, method=Method.JOINTS):
+def described(solved, *, zoom_free=True, method=CalibrationMethod.JOINTS):
     return describe(
         solved.fit,
         solved.cells,
@@ -31,14 +31,14 @@ def described(solved, *, zoom_free=True, method=Method.JOINTS):
         method=method,
         source="joints.csv",
         frames=solved.rows,
-        hands_B=solved.X_BP[:, Part.HAND, :3, 3],
+        hands_B=solved.X_BP[:, RobotPart.HAND, :3, 3],
         focal_free=zoom_free,
     )
 
 
 def calibrated(
     camera, model, *, q=None, told=None, noise_px=0.5, guess=None, zoom_free=True, parts=SEEN
-) -> Calibration:
+) -> CameraCalibration:
     q = postures(6) if q is None else q
     cells = seen_from(camera, q, model, noise_px=noise_px, parts=parts)
     states = states_of(q if told is None else told, model)
@@ -106,7 +106,12 @@ def test_poses_of_the_gripper_do_without_the_arm(camera, model):
     q = postures(6)
     states = replace(states_of(q, model), q=np.full((6, 7), np.nan))
     solved = solve(look_of(seen_from(camera, q, model), q), states, camera, model, zoom_free=True)
-    assert set(np.unique(solved.cells.part)) == {Part.HAND, Part.LEFT_FINGER, Part.RIGHT_FINGER, Part.LINK0}
+    assert set(np.unique(solved.cells.part)) == {
+        RobotPart.HAND,
+        RobotPart.LEFT_FINGER,
+        RobotPart.RIGHT_FINGER,
+        RobotPart.LINK0,
+    }
     assert max(off(camera, solved.fit.lens.placed())) < 1e-5
 
 
@@ -119,11 +124,13 @@ def moving(camera, model, *, parts=SEEN, known=()):
     states = replace(
         nothing,
         q=np.where(told, q, np.nan),
-        X_BH=np.where(told[..., None], model.poses(q)[:, Part.HAND], np.nan),
+        X_BH=np.where(told[..., None], model.poses(q)[:, RobotPart.HAND], np.nan),
     )
     look = look_of(seen_from(camera, q, model, parts=parts), q + 0.02)
     solved = solve(look, states, guess, model, zoom_free=False)
-    return described(solved, zoom_free=False, method=Method.MOTION if not known else Method.POSTURE)
+    return described(
+        solved, zoom_free=False, method=CalibrationMethod.MOTION if not known else CalibrationMethod.POSTURE
+    )
 
 
 def test_without_joint_angles_the_base_tells_where_the_camera_is(camera, model):
@@ -132,21 +139,21 @@ def test_without_joint_angles_the_base_tells_where_the_camera_is(camera, model):
 
 
 def test_without_the_base_the_turn_about_joint_1_is_refused_and_the_rest_told(camera, model):
-    found = moving(camera, model, parts=tuple(part for part in SEEN if part is not Part.LINK0))
+    found = moving(camera, model, parts=tuple(part for part in SEEN if part is not RobotPart.LINK0))
     with pytest.raises(UnmeasurableError, match=r"axis of joint 1.*0 cells.*height 4[45]\d mm.*3[12] degrees down"):
         require_determined(found)
     assert found.camera.X_BC[2, 3] == pytest.approx(camera.X_BC[2, 3], abs=2e-3)
 
 
 def test_one_posture_in_a_motion_tells_that_turn_as_well(camera, model):
-    found = moving(camera, model, parts=tuple(part for part in SEEN if part is not Part.LINK0), known=(0,))
+    found = moving(camera, model, parts=tuple(part for part in SEEN if part is not RobotPart.LINK0), known=(0,))
     assert off(camera, found.camera)[0] < 2e-3
 
 
 def test_derivatives_are_those_of_the_projection(camera, model):
     from kinebench_drake.calibration.articulated import _derivatives
-    from kinebench_drake.calibration.lens import Lens
-    from kinebench_drake.calibration.sightings import points
+    from kinebench_drake.calibration.correspondences import points
+    from kinebench_drake.calibration.fit import Lens
 
     q, finger_m = postures(2), np.array([0.01, 0.02])
     cells = seen_from(camera, q, model, cells=2)

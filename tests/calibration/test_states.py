@@ -4,9 +4,8 @@ import pytest
 from kinebench_drake.calibration.calibrate import _times
 from kinebench_drake.calibration.states import file_states, posture, posture_states
 from kinebench_drake.errors import InputError, UsageError
-from kinebench_drake.grounding.decoded import Video
-from kinebench_drake.models.panda.part import Part
-from kinebench_drake.models.panda.robot import hand_from_tcp
+from kinebench_drake.io.video import Video
+from kinebench_drake.models.panda.robot import RobotPart, hand_from_tcp
 from tests.calibration.robot import postures
 
 
@@ -15,7 +14,7 @@ def test_a_row_a_frame_is_taken_as_it_is_whatever_its_times_say(tmp_path, model)
     np.savez(tmp_path / "a.npz", t_s=np.arange(5) * 7.0, q=q, finger_width_m=np.full(5, 0.04))
     states = file_states(tmp_path / "a.npz", None, None, np.arange(5) * 0.1, model)
     assert np.array_equal(states.q, q)
-    assert np.allclose(states.X_BH, model.poses(q)[:, Part.HAND])
+    assert np.allclose(states.X_BH, model.poses(q)[:, RobotPart.HAND])
     assert np.allclose(states.finger_m, 0.02)
 
 
@@ -28,14 +27,14 @@ def test_faster_joint_angles_are_taken_at_the_frames_times(tmp_path, model):
 
 
 def test_poses_of_the_tcp_are_poses_of_the_hand(tmp_path, model):
-    X_BH = model.poses(postures(4))[:, Part.HAND]
+    X_BH = model.poses(postures(4))[:, RobotPart.HAND]
     np.savez(tmp_path / "a.npz", t_s=np.arange(4.0), base_from_tcp=X_BH @ hand_from_tcp())
     states = file_states(tmp_path / "a.npz", None, None, np.arange(4.0), model)
     assert np.allclose(states.X_BH, X_BH)
     assert np.isnan(states.q).all()
     X_BP = states.part_poses(model)
-    assert np.isfinite(X_BP[:, [Part.HAND, Part.LINK0]]).all()
-    assert np.isnan(X_BP[:, Part.LINK3]).all()
+    assert np.isfinite(X_BP[:, [RobotPart.HAND, RobotPart.LINK0]]).all()
+    assert np.isnan(X_BP[:, RobotPart.LINK3]).all()
 
 
 def test_joint_angles_shorter_than_the_video_are_refused(tmp_path, model):

@@ -6,10 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kinebench_drake import audit, cli, run, score
-from kinebench_drake.mp4 import write_video
-from kinebench_drake.provenance import code_hash
-from kinebench_drake.score import ScoreConfig
+from kinebench_drake import cli
+from kinebench_drake.evaluation import audit, score
+from kinebench_drake.evaluation import runner as run
+from kinebench_drake.evaluation.score import ScoreConfig
+from kinebench_drake.io.container import write_video
+from kinebench_drake.results.provenance import code_hash
 
 HERE = Path(__file__).parent
 STAGES = "fake_stages:FakeStages"

@@ -14,10 +14,9 @@ from pathlib import Path
 import numpy as np
 
 from kinebench_drake.errors import InputError
+from kinebench_drake.evaluation.stages import Judgement
 from kinebench_drake.geometry import make_pose
-from kinebench_drake.grounding.known import FirstFrameUse
-from kinebench_drake.products import Anomaly, AnomalyKind, GripperTrack, IkStatus, JointTrack
-from kinebench_drake.stages import Judgement
+from kinebench_drake.types import Anomaly, AnomalyKind, GripperTrack, IkStatus, InitialStateUse, JointTrack
 
 LOG = "FAKE_STAGES_LOG"
 """Environment variable: file to which every call of `ground` adds a line."""
@@ -44,7 +43,7 @@ class FakeGrounding:
     anomalies: tuple[Anomaly, ...]
     camera_motion_px: float | None
     arm_consistency_px: float | None = 2.0
-    first_frame: FirstFrameUse = FirstFrameUse.UNKNOWN
+    first_frame: InitialStateUse = InitialStateUse.UNKNOWN
 
 
 class FakeStages:
@@ -73,8 +72,8 @@ class FakeStages:
         X = X if known.X_CH is None else known.X_CH.copy()
         if known.depth is not None:
             X[:, 2, 3] = np.median(known.depth.depth_m, axis=(1, 2))
-        if known.first is not None:
-            X[0] = known.first.X_BG
+        if known.initial_state is not None:
+            X[0] = known.initial_state.X_BG
         tracked = np.isfinite(X).all(axis=(1, 2))
         anomalies = ()
         if act is Act.NO_ROBOT:

@@ -9,16 +9,17 @@ from fake_stages import Act
 
 import kinebench_drake
 from kinebench_drake import audit_trajectory, ground_video, run_suite, score_videos
-from kinebench_drake.api import sample
+from kinebench_drake.api import single as sample
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.cli import cli
 from kinebench_drake.errors import InputError, KinebenchError, UnmeasurableError, UsageError
 from kinebench_drake.geometry import make_pose
-from kinebench_drake.grounding.known import FirstFrame
-from kinebench_drake.grounding.video import read_video
-from kinebench_drake.results import read_rows
-from kinebench_drake.row import Status, finite
-from kinebench_drake.trackfile import read_track
+from kinebench_drake.io.jsonl import finite
+from kinebench_drake.io.reader import read_video
+from kinebench_drake.results.row import Status
+from kinebench_drake.results.store import read_rows
+from kinebench_drake.results.trackfile import read_track
+from kinebench_drake.types import InitialState
 
 NOISE = np.random.default_rng(0).integers(0, 255, (4, 96, 200, 3), np.uint8)
 EXAMPLES = Path(__file__).parents[2] / "examples" / "videos"
@@ -120,7 +121,7 @@ def test_a_video_by_itself_has_the_track_of_the_command(program, film, tmp_path)
 @pytest.mark.usefixtures("quick")
 def test_a_first_frame_that_is_given_is_used(film, tmp_path):
     X_BG = make_pose(np.eye(3), [0.5, 0.1, 0.2])
-    track = ground_video(film("clip.mp4"), first=FirstFrame(X_BG=X_BG)).track
+    track = ground_video(film("clip.mp4"), first=InitialState(X_BG=X_BG)).track
     np.testing.assert_array_equal(track.X_BG[0], X_BG)
 
 

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 from fake_stages import LOG
 
-from kinebench_drake.audit import AuditConfig, audit_trajectories
 from kinebench_drake.errors import SetupError, UsageError
-from kinebench_drake.measure import KINEMATIC_METRICS
-from kinebench_drake.results import part_path, read_rows
-from kinebench_drake.row import Status
-from kinebench_drake.run import Silence
-from kinebench_drake.shard import Shard
-from kinebench_drake.trackfile import read_track
+from kinebench_drake.evaluation.audit import AuditConfig, audit_trajectories
+from kinebench_drake.evaluation.evaluator import KINEMATIC_METRICS
+from kinebench_drake.evaluation.runner import NullObserver
+from kinebench_drake.results.metadata import Shard
+from kinebench_drake.results.row import Status
+from kinebench_drake.results.store import artifact_path, read_rows
+from kinebench_drake.results.trackfile import read_track
 
 STAGES = "fake_stages:FakeStages"
 N = 10
@@ -119,7 +119,7 @@ def test_same_arguments_same_bytes_however_many_jobs(run, tmp_path):
     assert str(tmp_path) not in b"".join(first.values()).decode(errors="ignore")
 
 
-class Count(Silence):
+class Count(NullObserver):
     def __init__(self):
         self.done, self.warnings = [], []
 
@@ -210,14 +210,14 @@ def run_counted(run, **changes):
 def test_replays_are_those_of_the_worst_of_all_whatever_came_before(run, tmp_path, monkeypatch):
     def write(config, ids, observer):
         for id in ids:
-            path = part_path(config.out, "replays", id)
+            path = artifact_path(config.out, "replays", id)
             path.parent.mkdir(exist_ok=True)
             path.write_text(id)
 
     def replayed():
         return {path.stem for path in tmp_path.glob("out/replays/*")}
 
-    monkeypatch.setattr("kinebench_drake.run._replay", write)
+    monkeypatch.setattr("kinebench_drake.evaluation.runner._replay", write)
     run(limit=2, replays=1)
     assert replayed() == {"demo-traj_0"}
     run(replays=1)
@@ -230,7 +230,7 @@ def test_a_machine_that_draws_no_replays_has_a_report(run, tmp_path, monkeypatch
     def refuse(*_):
         raise SetupError("Meshcat cannot open a port of this machine")
 
-    monkeypatch.setattr("kinebench_drake.replay.write_replays", refuse)
+    monkeypatch.setattr("kinebench_drake.report.replay.write_replays", refuse)
     count = Count()
     run(count, replays=1)
     assert "there are no 3D replays: Meshcat cannot open a port of this machine" in count.warnings

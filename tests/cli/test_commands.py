@@ -11,7 +11,7 @@ import pytest
 from fake_stages import Act
 
 from kinebench_drake import cli
-from kinebench_drake.results import read_rows
+from kinebench_drake.results.store import read_rows
 
 COMMANDS = ["score", "ground", "audit", "report", "doctor"]
 

@@ -9,11 +9,11 @@ import pytest
 from PIL import Image
 
 from kinebench_drake.camera import benchmark_camera
-from kinebench_drake.grounding.placement import letterboxes
-from kinebench_drake.mp4 import join_videos, write_video
-from kinebench_drake.results import read_rows
-from kinebench_drake.row import Status
-from kinebench_drake.score import score_videos
+from kinebench_drake.evaluation.score import score_videos
+from kinebench_drake.grounding.framing.framing import letterboxes
+from kinebench_drake.io.container import join_videos, write_video
+from kinebench_drake.results.row import Status
+from kinebench_drake.results.store import read_rows
 from tests.inputs.conftest import write_info, write_v3_episodes
 
 KEY = "observation.images.front"

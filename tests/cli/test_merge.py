@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from fake_stages import LOG, Act
 
-from kinebench_drake.results import read_rows
+from kinebench_drake.results.store import read_rows
 
 EXAMPLES = Path(__file__).parent.parent.parent / "examples"
 

@@ -6,12 +6,12 @@ import signal
 import pytest
 from fake_stages import LOG, Act
 
-from kinebench_drake.engines import EngineKind
 from kinebench_drake.errors import SetupError
-from kinebench_drake.results import read_rows
-from kinebench_drake.row import Status
-from kinebench_drake.run import Silence
-from kinebench_drake.score import score_videos
+from kinebench_drake.evaluation.runner import NullObserver
+from kinebench_drake.evaluation.score import score_videos
+from kinebench_drake.executors.base import EngineKind
+from kinebench_drake.results.row import Status
+from kinebench_drake.results.store import read_rows
 
 ray = pytest.importorskip("ray", reason="ray is not installed: pip install 'kinebench-drake[ray]'")
 pytestmark = pytest.mark.slow
@@ -59,7 +59,7 @@ def content(out):
     }
 
 
-class AtFirst(Silence):
+class AtFirst(NullObserver):
     """Does something when the first sample is finished."""
 
     def __init__(self, act):

@@ -15,18 +15,18 @@ import pytest
 from fake_stages import LOG, Act
 from PIL import Image
 
-from kinebench_drake import results, score
 from kinebench_drake.camera import benchmark_camera
-from kinebench_drake.engines import EngineKind
 from kinebench_drake.errors import SetupError, UsageError
-from kinebench_drake.grounding.video import read_video
-from kinebench_drake.measure import KINEMATIC_METRICS, Kind
-from kinebench_drake.results import read_rows
-from kinebench_drake.row import Status
-from kinebench_drake.run import Silence
-from kinebench_drake.score import score_videos
-from kinebench_drake.shard import Shard
-from kinebench_drake.video_measure import VISUAL_METRICS
+from kinebench_drake.evaluation import score
+from kinebench_drake.evaluation.evaluator import KINEMATIC_METRICS, RunKind
+from kinebench_drake.evaluation.runner import NullObserver
+from kinebench_drake.evaluation.score import VISUAL_METRICS, score_videos
+from kinebench_drake.executors.base import EngineKind
+from kinebench_drake.io.reader import read_video
+from kinebench_drake.results import store as results
+from kinebench_drake.results.metadata import Shard
+from kinebench_drake.results.row import Status
+from kinebench_drake.results.store import read_rows
 
 
 @pytest.fixture
@@ -37,7 +37,7 @@ def log(tmp_path, monkeypatch):
     return path
 
 
-class Ear(Silence):
+class Ear(NullObserver):
     def __init__(self):
         self.warnings = []
 
@@ -118,7 +118,7 @@ def test_same_arguments_same_bytes_however_many_jobs(film, config, tmp_path):
 
 def test_ground_gives_tracks_and_no_judgement(film, config, tmp_path):
     film("videos/a.mp4")
-    summary = score_videos(config(kind=Kind.GROUND, overlay=True))
+    summary = score_videos(config(kind=RunKind.GROUND, overlay=True))
     assert (summary.report, summary.feasible) == (None, None)
     (row,) = read_rows(tmp_path / "out").values()
     assert set(row.metrics) == set(VISUAL_METRICS)
@@ -187,7 +187,7 @@ def test_rows_outside_of_limit_and_shard_stay_only_as_long_as_they_hold(film, co
 
 def test_results_of_another_kind_stay_unless_they_are_to_go(film, config, tmp_path):
     film("videos/a.mp4")
-    score_videos(config(kind=Kind.GROUND))
+    score_videos(config(kind=RunKind.GROUND))
     before = content(tmp_path / "out")
     with pytest.raises(UsageError, match=r"of kind ground, this one is of kind score; name another.*--overwrite"):
         score_videos(config())

@@ -8,11 +8,11 @@ from types import ModuleType
 
 import pytest
 
-from kinebench_drake import episode_measure
-from kinebench_drake.closed_loop import LoopOptions
-from kinebench_drake.engines.local import LocalEngine
+from kinebench_drake.closed_loop.loop import LoopOptions
 from kinebench_drake.errors import InputError
-from kinebench_drake.suite_run import SuiteConfig, run_suite
+from kinebench_drake.evaluation import episode as episode_measure
+from kinebench_drake.evaluation.suite import SuiteConfig, run_suite
+from kinebench_drake.executors.local import LocalEngine
 from kinebench_drake.suites.suite import load_suite
 from tests.cli.fake_stages import FakeStages
 

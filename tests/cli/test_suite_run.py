@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from kinebench_drake import cli
-from kinebench_drake.grounding.video import read_video
-from kinebench_drake.mp4 import write_video
+from kinebench_drake.io.container import write_video
+from kinebench_drake.io.reader import read_video
 from kinebench_drake.suites.suite import VERSION
 
 pytestmark = [pytest.mark.sapien, pytest.mark.slow]

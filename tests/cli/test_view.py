@@ -8,10 +8,10 @@ import pytest
 from kinebench_drake import cli
 from kinebench_drake.geometry import make_pose
 from kinebench_drake.models.panda.robot import panda_urdf
-from kinebench_drake.products import GripperTrack
-from kinebench_drake.results import ResultStore
-from kinebench_drake.row import SampleRow, Status
-from kinebench_drake.trackfile import write_track
+from kinebench_drake.results.row import SampleRow, Status
+from kinebench_drake.results.store import ResultStore
+from kinebench_drake.results.trackfile import write_track
+from kinebench_drake.types import GripperTrack
 
 view_module = importlib.import_module("kinebench_drake.cli.view")
 
@@ -66,7 +66,7 @@ def test_it_writes_the_replay_and_prints_its_path_alone(program, out):
 def test_it_opens_the_browser_on_demand(program, out, monkeypatch, status, told):
     opened = []
     path = out / "replays" / "reach_01.html"
-    monkeypatch.setattr("kinebench_drake.replay.write_replays", lambda *_: [path])
+    monkeypatch.setattr("kinebench_drake.report.replay.write_replays", lambda *_: [path])
     monkeypatch.setattr(view_module.click, "launch", lambda url: opened.append(url) or status)
     code, _, err = program(out, "reach_01", "--open")
     assert code == 0

@@ -7,7 +7,7 @@ from kinebench_drake.geometry import Array, invert, make_pose, rotation_exp, tra
 from kinebench_drake.grounding.crop import Crop
 from kinebench_drake.grounding.view import GripperView
 from kinebench_drake.models.panda.cad import GripperCad
-from kinebench_drake.models.panda.part import Part
+from kinebench_drake.models.panda.robot import RobotPart
 
 
 @pytest.fixture(scope="session")
@@ -42,7 +42,7 @@ def perfect_view(
     part = surface.part.reshape(rays.shape[:2])
     z = np.where(np.isfinite(surface.distance), surface.distance, 1.0).reshape(part.shape)
     p_H = transform_points(invert(X_VH), (rays * z[..., None]).reshape(-1, 3)).reshape(rays.shape)
-    p_H[..., 1] -= finger_m * ((part == Part.LEFT_FINGER).astype(float) - (part == Part.RIGHT_FINGER))
+    p_H[..., 1] -= finger_m * ((part == RobotPart.LEFT_FINGER).astype(float) - (part == RobotPart.RIGHT_FINGER))
     return GripperView(
         crop=crop,
         stride=2,

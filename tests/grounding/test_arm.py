@@ -8,15 +8,15 @@ import trimesh
 
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.geometry import Array, invert, make_pose, pose_difference, rotation_exp, transform_points
-from kinebench_drake.grounding.arm import ArmModel
-from kinebench_drake.grounding.armfit import ArmFitter
 from kinebench_drake.grounding.crop import CLOSE_SIZE, Crop
-from kinebench_drake.grounding.fit import fit
-from kinebench_drake.grounding.outline import Outline
+from kinebench_drake.grounding.registration.arm_fit import ArmFitter
+from kinebench_drake.grounding.registration.arm_model import ArmModel
+from kinebench_drake.grounding.registration.fit import fit
+from kinebench_drake.grounding.registration.silhouette import Silhouette
 from kinebench_drake.grounding.tracker import whole_frame
 from kinebench_drake.grounding.view import GripperView
 from kinebench_drake.models.panda.cad import GripperCad, link_meshes, part_meshes
-from kinebench_drake.models.panda.part import OPENING_SIGN, Part
+from kinebench_drake.models.panda.robot import OPENING_SIGN, RobotPart
 
 CAMERA = benchmark_camera()
 FINGER_M = 0.025
@@ -63,7 +63,7 @@ def view(model: ArmModel, q: Array, crop: Crop, *, noise_m: float, depth_factor:
 
 def hand_alone(close: GripperView, crop: Crop) -> GripperView:
     """A view without its arm, as if another crop had shown it."""
-    part = np.where(close.part >= Part.LINK0, 0, close.part).astype(np.uint8)
+    part = np.where(close.part >= RobotPart.LINK0, 0, close.part).astype(np.uint8)
     return replace(close, crop=crop, part=part)
 
 
@@ -75,7 +75,7 @@ def scene(request: pytest.FixtureRequest, model: ArmModel) -> tuple[Array, Gripp
 
 def views(model: ArmModel, q: Array, seed: int) -> tuple[Array, GripperView, GripperView]:
     """Pose of the hand, close and wide view of a posture, depth 3 % too large."""
-    X_CH = invert(CAMERA.X_BC) @ model.poses(q[None])[0, Part.HAND]
+    X_CH = invert(CAMERA.X_BC) @ model.poses(q[None])[0, RobotPart.HAND]
     crops = Crop.of_gripper(X_CH, 1.3, CLOSE_SIZE), whole_frame(CAMERA)
     close, wide = (view(model, q, crop, noise_m=0.003, depth_factor=1.03, seed=seed) for crop in crops)
     return X_CH, close, wide
@@ -95,7 +95,7 @@ def test_the_arm_tells_how_far_away_the_hand_is(scene: tuple[Array, GripperView,
     assert distance < 0.5 * pose_difference(hand.X_CH, X_CH)[0]
     assert distance < 0.004
     assert np.rad2deg(angle) < 0.7
-    np.testing.assert_allclose(CAMERA.X_BC @ arm.X_CH, model.poses(arm.q[None])[0, Part.HAND], atol=1e-9)
+    np.testing.assert_allclose(CAMERA.X_BC @ arm.X_CH, model.poses(arm.q[None])[0, RobotPart.HAND], atol=1e-9)
 
 
 def test_a_hand_that_is_elsewhere_than_its_arm_disagrees(
@@ -136,7 +136,7 @@ def test_too_little_of_an_arm_is_no_arm(scene: tuple[Array, GripperView, Gripper
     _, close, wide = scene
     hand = fit(close)
     assert hand is not None
-    bare = (replace(v, part=np.where(v.part >= Part.LINK0, 0, v.part).astype(np.uint8)) for v in (close, wide))
+    bare = (replace(v, part=np.where(v.part >= RobotPart.LINK0, 0, v.part).astype(np.uint8)) for v in (close, wide))
     assert ArmFitter(CAMERA, model).fit(hand, *bare) is None
 
 
@@ -144,7 +144,7 @@ def test_too_little_of_an_arm_is_no_arm(scene: tuple[Array, GripperView, Gripper
 def test_a_misread_hand_is_found_from_the_frame_before(model: ArmModel, seed: int) -> None:
     """Seen from its narrow side, all CAD coordinates turned by 30 degrees: outline and arm tell otherwise."""
     X_CH, close, wide = views(model, posture(seed) + np.pi / 2 * np.eye(7)[6], seed)
-    outline = Outline(GripperCad())
+    outline = Silhouette(GripperCad())
     hand = fit(close)
     assert hand is not None
     fitter = ArmFitter(CAMERA, model)

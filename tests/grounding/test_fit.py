@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from kinebench_drake.geometry import make_pose, pose_difference, rotation_exp, transform_points
-from kinebench_drake.grounding.fit import align, fit
+from kinebench_drake.grounding.registration.fit import align, fit
 from kinebench_drake.models.panda.cad import GripperCad
 from tests.grounding.conftest import hand_pose, perfect_view
 

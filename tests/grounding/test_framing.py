@@ -8,11 +8,9 @@ import pytest
 
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.errors import UnmeasurableError
-from kinebench_drake.grounding.framing import Change, Framing, Witness
-from kinebench_drake.grounding.known import GivenDepth, Known
-from kinebench_drake.grounding.placement import letterboxes, placements
-from kinebench_drake.grounding.reframing import find_framing
-from kinebench_drake.grounding.unframing import unframed
+from kinebench_drake.grounding.framing.framing import Change, Framing, Witness, letterboxes, placements, unframed
+from kinebench_drake.grounding.framing.search import find_framing
+from kinebench_drake.types import ExternalDepth, Priors
 
 SIZES = [(832, 480), (720, 480), (512, 512), (480, 832)]
 CAMERA = benchmark_camera()
@@ -136,6 +134,6 @@ def test_what_is_given_for_a_video_is_cut_like_it():
     rows, columns = framing.window
     mask = np.zeros((2, 480, 832), bool)
     mask[:, rows, columns] = True
-    known = Known(mask=mask, depth=GivenDepth(depth_m=mask.astype(float))).cut(rows, columns)
+    known = Priors(mask=mask, depth=ExternalDepth(depth_m=mask.astype(float))).crop(rows, columns)
     assert known.mask.all()
     assert known.depth.depth_m.shape == (2, 480, 480)

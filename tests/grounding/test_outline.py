@@ -4,22 +4,22 @@ import numpy as np
 import pytest
 
 from kinebench_drake.geometry import Array, invert, make_pose, pose_difference, rotation_exp
-from kinebench_drake.grounding.cells import Cells
 from kinebench_drake.grounding.crop import CLOSE_SIZE, Crop
-from kinebench_drake.grounding.fit import Hand, gripper_cells
-from kinebench_drake.grounding.outline import Outline
-from kinebench_drake.grounding.solver import solve
+from kinebench_drake.grounding.registration.correspondences import Correspondences
+from kinebench_drake.grounding.registration.fit import HandModel, gripper_cells
+from kinebench_drake.grounding.registration.silhouette import Silhouette
+from kinebench_drake.grounding.registration.solver import solve
 from kinebench_drake.grounding.view import GripperView
 from kinebench_drake.models.panda.cad import GripperCad
-from kinebench_drake.models.panda.part import Part
+from kinebench_drake.models.panda.robot import RobotPart
 
 FINGER_M = 0.03
 X_CH = make_pose(rotation_exp([2.2, 0.5, 0.3]), [0.05, -0.02, 0.9])
 
 
 @pytest.fixture(scope="module")
-def outline() -> Outline:
-    return Outline(GripperCad())
+def outline() -> Silhouette:
+    return Silhouette(GripperCad())
 
 
 def seen(X: Array) -> GripperView:
@@ -48,10 +48,10 @@ def moved(turn: list[float], shift: list[float]) -> Array:
 @pytest.mark.parametrize(
     ("turn", "shift"), [([0.0, 0.0, 0.12], [0.006, 0.0, 0.0]), ([0.1, 0.0, 0.1], [0.0, 0.012, -0.012])]
 )
-def test_an_outline_alone_leads_back_to_the_pose(outline: Outline, turn: list[float], shift: list[float]) -> None:
+def test_an_outline_alone_leads_back_to_the_pose(outline: Silhouette, turn: list[float], shift: list[float]) -> None:
     """Across the line of sight, that is: along it an outline says little."""
     view = seen(X_CH)
-    hand = Hand(X_CH=moved(turn, shift), finger_m=FINGER_M, opening_free=False)
+    hand = HandModel(X_CH=moved(turn, shift), finger_m=FINGER_M, opening_free=False)
     before = outline.overlap(view, hand.X_CH, FINGER_M)
     for _ in range(4):
         rim = outline.rim(view, hand.X_CH, FINGER_M, 8.0)
@@ -68,17 +68,17 @@ def test_an_outline_alone_leads_back_to_the_pose(outline: Outline, turn: list[fl
     assert np.rad2deg(angle) < 3.0
 
 
-def test_a_pose_that_fits_is_left_where_it_is(outline: Outline) -> None:
+def test_a_pose_that_fits_is_left_where_it_is(outline: Silhouette) -> None:
     view = seen(X_CH)
     rim = outline.rim(view, X_CH, FINGER_M)
     assert rim is not None
-    p_C, _ = Hand(X_CH=X_CH, finger_m=FINGER_M, opening_free=False).points(rim)
+    p_C, _ = HandModel(X_CH=X_CH, finger_m=FINGER_M, opening_free=False).points(rim)
     off = np.einsum("nij,nj->ni", rim.R_LC, p_C)[:, 0] / p_C[:, 2]
     assert np.abs(off).max() < 1e-9
 
 
 @pytest.mark.parametrize("side", [0, 1])
-def test_the_edge_of_the_picture_is_no_outline(outline: Outline, side: int) -> None:
+def test_the_edge_of_the_picture_is_no_outline(outline: Silhouette, side: int) -> None:
     """A gripper that is half out of the picture: its pose stays, and what is in the picture is covered."""
     view = seen(X_CH)
     middle = int(np.mean(np.nonzero(view.part)[side]))
@@ -86,13 +86,13 @@ def test_the_edge_of_the_picture_is_no_outline(outline: Outline, side: int) -> N
     view.part[~view.shown] = 0
     rim = outline.rim(view, X_CH, FINGER_M)
     assert rim is not None
-    solution = solve(Hand(X_CH=X_CH, finger_m=FINGER_M, opening_free=False), rim, view.level_sigma)
+    solution = solve(HandModel(X_CH=X_CH, finger_m=FINGER_M, opening_free=False), rim, view.level_sigma)
     assert solution is not None
     assert np.linalg.norm((solution.body.X_CH - X_CH)[:2, 3]) < 1e-6
     assert outline.overlap(view, X_CH, FINGER_M) == 1.0
 
 
-def test_what_an_outline_does_not_say_has_no_weight(outline: Outline) -> None:
+def test_what_an_outline_does_not_say_has_no_weight(outline: Silhouette) -> None:
     """Along itself and along the line of sight: points moved there cost nothing."""
     rim = outline.rim(seen(X_CH), X_CH, FINGER_M)
     assert rim is not None
@@ -101,27 +101,27 @@ def test_what_an_outline_does_not_say_has_no_weight(outline: Outline) -> None:
     assert np.isfinite(rim.sigma_m[:, 0]).all()
 
 
-def test_where_the_arm_begins_there_is_no_outline(outline: Outline) -> None:
+def test_where_the_arm_begins_there_is_no_outline(outline: Silhouette) -> None:
     view = seen(X_CH)
     rim = outline.rim(view, X_CH, FINGER_M)
     rows = np.flatnonzero((view.part > 0).any(axis=1))
-    view.part[: rows[0] + len(rows) // 2][view.part[: rows[0] + len(rows) // 2] == 0] = Part.LINK7
+    view.part[: rows[0] + len(rows) // 2][view.part[: rows[0] + len(rows) // 2] == 0] = RobotPart.LINK7
     less = outline.rim(view, X_CH, FINGER_M)
     assert rim is not None
     assert less is not None
     assert 0 < len(less) < 0.8 * len(rim)
 
 
-def test_nothing_seen_is_no_outline(outline: Outline) -> None:
+def test_nothing_seen_is_no_outline(outline: Silhouette) -> None:
     view = seen(X_CH)
     view.part[:] = 0
     assert outline.rim(view, X_CH, FINGER_M) is None
     assert outline.overlap(view, X_CH, FINGER_M) == 0.0
 
 
-def test_outline_and_cells_go_together(outline: Outline) -> None:
+def test_outline_and_cells_go_together(outline: Silhouette) -> None:
     view = seen(X_CH)
     rim = outline.rim(view, X_CH, FINGER_M)
     assert rim is not None
     cells = gripper_cells(view)
-    assert len(Cells.join([cells, rim])) == len(cells) + len(rim)
+    assert len(Correspondences.join([cells, rim])) == len(cells) + len(rim)

@@ -10,18 +10,18 @@ from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.geometry import make_pose
 from kinebench_drake.grounding.confidence import Confidence
 from kinebench_drake.grounding.estimator import NetworkEstimator
-from kinebench_drake.grounding.evaluation.clip import Clip, load_clips
+from kinebench_drake.grounding.evaluation.clip import TruthClip, load_clips
 from kinebench_drake.grounding.evaluation.errors import ClipErrors
 from kinebench_drake.grounding.evaluation.summary import summarize
 from kinebench_drake.grounding.evaluation.trial import evaluate
-from kinebench_drake.grounding.evaluation.variants import VARIANTS, Tools
-from kinebench_drake.grounding.known import FirstFrameUse, Known
+from kinebench_drake.grounding.evaluation.variants import VARIANTS, VariantTools
 from kinebench_drake.grounding.overlay import draw_overlay
 from kinebench_drake.grounding.pipeline import GroundingPipeline
 from kinebench_drake.grounding.tracker import CadTracker
-from kinebench_drake.grounding.video import read_video
+from kinebench_drake.io.reader import read_video
 from kinebench_drake.models.panda.cad import GripperCad
 from kinebench_drake.models.perception.weights import load_network
+from kinebench_drake.types import InitialStateUse, Priors
 
 EXAMPLES = Path(__file__).parents[2] / "examples" / "videos"
 pytestmark = pytest.mark.slow
@@ -38,17 +38,17 @@ def pipeline(estimator: NetworkEstimator, cad: GripperCad) -> GroundingPipeline:
 
 
 @pytest.fixture(scope="session")
-def tools(estimator: NetworkEstimator, cad: GripperCad, pipeline: GroundingPipeline) -> Tools:
-    return Tools(estimator=estimator, cad=cad, confidence=pipeline.confidence, shipped=pipeline)
+def tools(estimator: NetworkEstimator, cad: GripperCad, pipeline: GroundingPipeline) -> VariantTools:
+    return VariantTools(estimator=estimator, cad=cad, confidence=pipeline.confidence, shipped=pipeline)
 
 
 @pytest.fixture(scope="session")
-def results(tools: Tools) -> list[ClipErrors]:
+def results(tools: VariantTools) -> list[ClipErrors]:
     return [evaluate(clip, VARIANTS["pixels"].make(tools, clip)) for clip in load_clips(EXAMPLES)]
 
 
 @pytest.fixture(scope="session")
-def clip() -> Clip:
+def clip() -> TruthClip:
     return next(c for c in load_clips(EXAMPLES) if not c.faults)
 
 
@@ -89,24 +89,27 @@ def test_pictures_without_a_robot_give_no_track(pipeline: GroundingPipeline) -> 
 
 
 def test_a_known_first_frame_is_used_where_the_picture_does_not_contradict_it(
-    pipeline: GroundingPipeline, clip: Clip
+    pipeline: GroundingPipeline, clip: TruthClip
 ) -> None:
     frames, t_s = read_video(clip.path).frames[:6], clip.t_s[:6]
-    used = pipeline.ground(frames, clip.camera, t_s, Known(first=clip.first))
-    assert used.first_frame is FirstFrameUse.USED
+    used = pipeline.ground(frames, clip.camera, t_s, Priors(initial_state=clip.initial_state))
+    assert used.first_frame is InitialStateUse.USED
     assert used.given.tolist() == [True] + [False] * 5
     np.testing.assert_allclose(used.track.X_CH[0], clip.X_CH[0], atol=1e-9)
     assert used.track.finger_width_m[0] == pytest.approx(clip.finger_width_m[0], abs=1e-4)
-    elsewhere = replace(clip.first, X_BG=make_pose(clip.first.X_BG[:3, :3], clip.first.X_BG[:3, 3] + [0.0, 0.05, 0.0]))
-    refused = pipeline.ground(frames, clip.camera, t_s, Known(first=elsewhere))
-    assert refused.first_frame is FirstFrameUse.CONTRADICTED
+    elsewhere = replace(
+        clip.initial_state,
+        X_BG=make_pose(clip.initial_state.X_BG[:3, :3], clip.initial_state.X_BG[:3, 3] + [0.0, 0.05, 0.0]),
+    )
+    refused = pipeline.ground(frames, clip.camera, t_s, Priors(initial_state=elsewhere))
+    assert refused.first_frame is InitialStateUse.CONTRADICTED
     np.testing.assert_array_equal(refused.track.X_CH, pipeline.ground(frames, clip.camera, t_s).track.X_CH)
 
 
-def test_given_poses_are_taken_as_they_are(pipeline: GroundingPipeline, clip: Clip) -> None:
+def test_given_poses_are_taken_as_they_are(pipeline: GroundingPipeline, clip: TruthClip) -> None:
     X_CH = clip.X_CH[:6].copy()
     X_CH[3] = np.nan
-    grounding = pipeline.ground(read_video(clip.path).frames[:6], clip.camera, clip.t_s[:6], Known(X_CH=X_CH))
+    grounding = pipeline.ground(read_video(clip.path).frames[:6], clip.camera, clip.t_s[:6], Priors(X_CH=X_CH))
     known = [0, 1, 2, 4, 5]
     assert grounding.given.nonzero()[0].tolist() == known
     np.testing.assert_allclose(grounding.track.X_CH[known], X_CH[known], atol=1e-9)
@@ -114,7 +117,7 @@ def test_given_poses_are_taken_as_they_are(pipeline: GroundingPipeline, clip: Cl
     assert np.linalg.norm(grounding.track.X_CH[3, :3, 3] - clip.X_CH[3, :3, 3]) < 0.01
 
 
-def test_a_smaller_video_of_the_same_camera_gives_the_same_path(pipeline: GroundingPipeline, clip: Clip) -> None:
+def test_a_smaller_video_of_the_same_camera_gives_the_same_path(pipeline: GroundingPipeline, clip: TruthClip) -> None:
     import cv2
 
     frames = read_video(clip.path).frames[:12]
@@ -123,14 +126,14 @@ def test_a_smaller_video_of_the_same_camera_gives_the_same_path(pipeline: Ground
     assert np.median(np.linalg.norm(large - little, axis=1)) < 0.01
 
 
-def test_the_track_is_that_of_the_tcp_on_the_base(pipeline: GroundingPipeline, clip: Clip) -> None:
+def test_the_track_is_that_of_the_tcp_on_the_base(pipeline: GroundingPipeline, clip: TruthClip) -> None:
     track = pipeline.ground(read_video(clip.path).frames[:4], clip.camera, clip.t_s[:4]).track
     with np.load(EXAMPLES / "truth" / f"{clip.id}.npz", allow_pickle=False) as truth:
         distance = np.linalg.norm(track.X_BG[:, :3, 3] - truth["base_from_tcp"][:4, :3, 3], axis=1)
     assert np.median(distance) < 0.015
 
 
-def test_the_overlay_lies_on_the_gripper(pipeline: GroundingPipeline, clip: Clip) -> None:
+def test_the_overlay_lies_on_the_gripper(pipeline: GroundingPipeline, clip: TruthClip) -> None:
     frames = read_video(clip.path).frames[:2]
     track = pipeline.ground(frames, clip.camera, clip.t_s[:2]).track
     drawn = next(iter(draw_overlay(frames, clip.camera, track)))
@@ -141,7 +144,7 @@ def test_the_overlay_lies_on_the_gripper(pipeline: GroundingPipeline, clip: Clip
 
 
 @pytest.mark.sapien
-def test_true_depth_leaves_a_millimetre_and_half_a_degree(tmp_path: Path, tools: Tools) -> None:
+def test_true_depth_leaves_a_millimetre_and_half_a_degree(tmp_path: Path, tools: VariantTools) -> None:
     from click.testing import CliRunner
 
     from kinebench_drake.cli import cli
@@ -149,7 +152,7 @@ def test_true_depth_leaves_a_millimetre_and_half_a_degree(tmp_path: Path, tools:
     arguments = ["suite", "demos", "--out", str(tmp_path), "--task", "PullCube-v1", "--episodes", "1", "--with-depth"]
     assert CliRunner().invoke(cli, arguments).exit_code == 0
     (clip,) = load_clips(tmp_path, with_depth=True)
-    assert isinstance(clip, Clip)
+    assert isinstance(clip, TruthClip)
     errors = evaluate(clip, VARIANTS["true-mask-and-depth"].make(tools, clip))
     figures = summarize([errors])
     assert figures["tracked_fraction"] >= 0.95

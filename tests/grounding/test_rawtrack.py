@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kinebench_drake.grounding.fit import fit
-from kinebench_drake.grounding.framepose import FramePose
-from kinebench_drake.grounding.rawtrack import RawTrack
+from kinebench_drake.grounding.frame_pose import FramePose
+from kinebench_drake.grounding.registration.fit import fit
+from kinebench_drake.grounding.smoothing import RawTrack
 from kinebench_drake.models.panda.cad import GripperCad
-from kinebench_drake.products import Anomaly, AnomalyKind
+from kinebench_drake.types import Anomaly, AnomalyKind
 from tests.grounding.conftest import hand_pose, perfect_view
 
 FRAMES = 12

@@ -1,9 +1,9 @@
 import numpy as np
 
 from kinebench_drake.geometry import Array, pose_difference
-from kinebench_drake.grounding.fit import Fit, fit
-from kinebench_drake.grounding.framepose import FramePose
-from kinebench_drake.grounding.reading import X_HALF_TURN, evidence, settle
+from kinebench_drake.grounding.flips import X_HALF_TURN, flip_evidence, resolve_flips
+from kinebench_drake.grounding.frame_pose import FramePose
+from kinebench_drake.grounding.registration.fit import Fit, fit
 from kinebench_drake.models.panda.cad import GripperCad
 from tests.grounding.conftest import hand_pose, perfect_view
 
@@ -22,7 +22,7 @@ def frame_pose(cad: GripperCad, X_CH: Array, *, turned: bool, noise_m: float = 0
 
 
 def test_a_right_reading_has_evidence_for_it(cad: GripperCad) -> None:
-    assert evidence(frame_pose(cad, hand_pose(0), turned=False)) > 3.0
+    assert flip_evidence(frame_pose(cad, hand_pose(0), turned=False)) > 3.0
 
 
 def test_turned_frames_are_turned_back(cad: GripperCad) -> None:
@@ -30,13 +30,13 @@ def test_turned_frames_are_turned_back(cad: GripperCad) -> None:
     wrong = {3, 4, 5, 9}
     poses = [frame_pose(cad, truth, turned=i in wrong) for i in range(12)]
     assert all(pose_difference(poses[i].X_CH, truth)[1] > 2.5 for i in wrong)
-    for pose in settle(poses):
+    for pose in resolve_flips(poses):
         assert pose is not None
         assert pose_difference(pose.X_CH, truth)[1] < 0.1
 
 
 def test_gaps_are_kept_and_a_steady_video_is_left_alone(cad: GripperCad) -> None:
     pose = frame_pose(cad, hand_pose(1), turned=False)
-    assert settle([None, pose, None, pose]) == [None, pose, None, pose]
-    assert settle([None, None]) == [None, None]
+    assert resolve_flips([None, pose, None, pose]) == [None, pose, None, pose]
+    assert resolve_flips([None, None]) == [None, None]
     np.testing.assert_allclose(X_HALF_TURN @ X_HALF_TURN, np.eye(4), atol=1e-12)

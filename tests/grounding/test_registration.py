@@ -2,8 +2,7 @@ import numpy as np
 import pytest
 
 from kinebench_drake.geometry import invert, make_pose, pose_difference, rotation_exp
-from kinebench_drake.grounding.cloud import gripper_cloud
-from kinebench_drake.grounding.registration import IcpRefiner
+from kinebench_drake.grounding.registration.icp import IcpRefiner, gripper_cloud
 from kinebench_drake.models.panda.cad import GripperCad
 from tests.grounding.conftest import hand_pose, perfect_view
 

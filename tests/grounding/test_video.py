@@ -6,10 +6,10 @@ import pytest
 from PIL import Image
 
 from kinebench_drake.errors import InputError, UnmeasurableError
-from kinebench_drake.grounding import decoded as module
-from kinebench_drake.grounding.decoded import Video
-from kinebench_drake.grounding.video import read_video
-from kinebench_drake.mp4 import write_video
+from kinebench_drake.io import video as module
+from kinebench_drake.io.container import write_video
+from kinebench_drake.io.reader import read_video
+from kinebench_drake.io.video import Video
 
 T, H, W = 20, 96, 130
 

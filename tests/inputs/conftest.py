@@ -10,7 +10,7 @@ import pyarrow
 import pyarrow.parquet as parquet
 import pytest
 
-from kinebench_drake.mp4 import join_videos, write_video
+from kinebench_drake.io.container import join_videos, write_video
 
 SIDE = 96
 

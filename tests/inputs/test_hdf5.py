@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from kinebench_drake.datasets.videos.find import find_samples
 from kinebench_drake.errors import InputError, UsageError
-from kinebench_drake.grounding.video import read_video
-from kinebench_drake.inputs import find_samples
+from kinebench_drake.io.reader import read_video
 from tests.inputs.conftest import frames_of
 
 

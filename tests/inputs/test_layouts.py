@@ -9,7 +9,7 @@ import pyarrow.parquet as parquet
 import pytest
 from PIL import Image
 
-from kinebench_drake.inputs import find_samples
+from kinebench_drake.datasets.videos.find import find_samples
 
 
 def touch(folder, *names):

@@ -10,9 +10,10 @@ import pytest
 from PIL import Image
 
 from kinebench_drake.camera import benchmark_camera
+from kinebench_drake.datasets.videos.find import find_samples
+from kinebench_drake.datasets.videos.sample import CameraSource
 from kinebench_drake.errors import InputError, UsageError
-from kinebench_drake.grounding.video import read_video
-from kinebench_drake.inputs import CameraSource, find_samples
+from kinebench_drake.io.reader import read_video
 from tests.inputs.conftest import SIDE, frames_of, grey, levels, write_info, write_v3_episodes
 
 LENGTHS = (5, 4, 6)

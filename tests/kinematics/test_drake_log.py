@@ -3,7 +3,7 @@ import logging
 import pydrake.common  # noqa: F401  (sets the logger up)
 import pytest
 
-from kinebench_drake.kinematics.drake_log import silent_drake
+from kinebench_drake.kinematics.plant import silent_drake
 
 
 def test_drake_is_silent_within_and_as_before_afterwards() -> None:

@@ -8,7 +8,7 @@ from kinebench_drake.kinematics.newton import newton, snopt
 from kinebench_drake.kinematics.path import excess
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.models.panda.robot import rest_q
-from kinebench_drake.products import IkStatus
+from kinebench_drake.types import IkStatus
 
 FAR_POSE = make_pose(np.eye(3), [2.0, 0.0, 0.0])
 

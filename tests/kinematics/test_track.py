@@ -10,7 +10,7 @@ from kinebench_drake.kinematics.path import excess, speed_ratios
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.track import branch_jumps, follow, solve_track
 from kinebench_drake.models.panda.robot import rest_q
-from kinebench_drake.products import GripperTrack, IkStatus
+from kinebench_drake.types import GripperTrack, IkStatus
 
 FAR_POSE = make_pose(np.eye(3), [2.0, 0.0, 0.0])
 

@@ -4,7 +4,7 @@ import pytest
 from kinebench_drake.kinematics.collision import CollisionModel
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.spline import SplineBasis
-from kinebench_drake.kinematics.trajectory import Course, Trajectory
+from kinebench_drake.kinematics.trajectory import Course, JointTrajectory
 from kinebench_drake.models.panda.robot import rest_q
 
 T_S = np.linspace(0.0, 3.0, 25)
@@ -30,9 +30,9 @@ def course(plant: ArmPlant) -> Course:
     return _course(plant)
 
 
-def _through(course: Course) -> Trajectory:
+def _through(course: Course) -> JointTrajectory:
     basis = SplineBasis.through(course.t_s)
-    return Trajectory(course, basis, basis.fit(course.t_s, course.q))
+    return JointTrajectory(course, basis, basis.fit(course.t_s, course.q))
 
 
 def test_linearised_errors_are_the_first_order_change(course: Course) -> None:
@@ -69,9 +69,9 @@ def test_obstacles_predict_the_distances_of_a_moved_trajectory(course: Course) -
     lowering = np.array([0.0, 0.01, 0.0, 0.0, 0.0, 0.0, 0.0])
     lowered = trajectory
     while min(contact.distance_m for contact in lowered.contacts) > 0.005:
-        lowered = Trajectory(course, lowered.basis, lowered.control + lowering)
+        lowered = JointTrajectory(course, lowered.basis, lowered.control + lowering)
     shift = 1e-4 * np.random.default_rng(1).normal(size=7)
-    moved = Trajectory(course, lowered.basis, lowered.control + shift)
+    moved = JointTrajectory(course, lowered.basis, lowered.control + shift)
     obstacles = lowered.obstacles()
     assert obstacles
     assert moved.worst_contact is not None
@@ -97,7 +97,7 @@ def test_usage_bounds_the_motion(course: Course) -> None:
     assert np.abs(a / course.plant.acceleration_limits).max() == pytest.approx(acceleration.max(), rel=1e-9)
     assert speed.max() <= 1.05 * np.abs(v / course.plant.velocity_limits).max()
     assert trajectory.keeps_limits
-    fast = Trajectory(course, trajectory.basis, 10.0 * (trajectory.control - rest_q()) + rest_q())
+    fast = JointTrajectory(course, trajectory.basis, 10.0 * (trajectory.control - rest_q()) + rest_q())
     assert not fast.keeps_limits
 
 

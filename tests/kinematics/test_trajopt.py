@@ -6,9 +6,9 @@ from scipy.interpolate import BSpline
 
 from kinebench_drake.geometry import pose_difference, rotation_exp
 from kinebench_drake.kinematics.collision import CollisionModel
+from kinebench_drake.kinematics.infeasibility import TubeFailure
 from kinebench_drake.kinematics.newton import newton
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.kinematics.refusal import TubeFailure
 from kinebench_drake.kinematics.trajectory import TrajectoryCheck
 from kinebench_drake.kinematics.trajopt import LARGEST_M, RATIO, SMALLEST_M, TubeResult, optimize_in_tube
 from kinebench_drake.models.panda.robot import rest_q

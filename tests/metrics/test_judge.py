@@ -5,15 +5,15 @@ import numpy as np
 import pytest
 
 from kinebench_drake.errors import InputError
+from kinebench_drake.evaluation.evaluator import KINEMATIC_METRICS
 from kinebench_drake.geometry import Array, make_pose, rotation_exp
 from kinebench_drake.kinematics.manipulability import manipulability
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.measure import KINEMATIC_METRICS
 from kinebench_drake.metrics.judge import TrackJudge
-from kinebench_drake.metrics.kinematic import KinematicResult
+from kinebench_drake.metrics.result import KinematicResult
 from kinebench_drake.metrics.violation import Violation, ViolationKind
 from kinebench_drake.models.panda.robot import rest_q
-from kinebench_drake.products import GripperTrack, IkStatus
+from kinebench_drake.types import GripperTrack, IkStatus
 
 KINDS = [
     *("unreachable", "joint_limit", "self_collision", "table_collision"),

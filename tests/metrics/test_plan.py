@@ -1,9 +1,8 @@
 import numpy as np
 
 from kinebench_drake.geometry import Array, make_pose, pose_difference, rotation_exp
-from kinebench_drake.metrics.noise import TrackNoise
-from kinebench_drake.metrics.plan import smooth_poses
-from kinebench_drake.products import GripperTrack
+from kinebench_drake.metrics.noise import TrackNoise, smooth_poses
+from kinebench_drake.types import GripperTrack
 
 
 def _track(X_BG: Array) -> GripperTrack:

@@ -7,7 +7,7 @@ import pytest
 from kinebench_drake.geometry import Array, make_pose, rotation_exp
 from kinebench_drake.metrics.noise import TrackNoise, track_noise
 from kinebench_drake.metrics.smoothness import METRICS, filtered_sparc, ldlj, sparc, track_smoothness
-from kinebench_drake.products import GripperTrack
+from kinebench_drake.types import GripperTrack
 from tests.metrics.motions import gripper, reach_and_place, with_noise
 
 

@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 
 from kinebench_drake.geometry import make_pose
-from kinebench_drake.products import GripperTrack, IkStatus
-from kinebench_drake.row import SampleRow, Status
-from kinebench_drake.trackfile import TrackFile
+from kinebench_drake.results.row import SampleRow, Status
+from kinebench_drake.results.trackfile import TrackFile
+from kinebench_drake.types import GripperTrack, IkStatus
 
 N = 10
 JOINTS = [f"arm_joint{k}" for k in range(1, 8)]

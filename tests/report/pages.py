@@ -2,7 +2,7 @@
 
 from html.parser import HTMLParser
 
-from kinebench_drake.row import SampleRow, Status
+from kinebench_drake.results.row import SampleRow, Status
 
 EVIL = "<script>alert('x')</script>"
 VOID = {"meta", "img", "input", "br", "circle", "path", "rect", "polyline", "line"}

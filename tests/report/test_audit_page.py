@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from kinebench_drake.geometry import make_pose
-from kinebench_drake.products import GripperTrack, IkStatus, JointTrack
 from kinebench_drake.report import page, write_report
-from kinebench_drake.results import ResultStore
-from kinebench_drake.trackfile import write_track
+from kinebench_drake.results.store import ResultStore
+from kinebench_drake.results.trackfile import write_track
+from kinebench_drake.types import GripperTrack, IkStatus, JointTrack
 from tests.report.pages import EVIL, Page, row
 
 

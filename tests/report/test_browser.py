@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from kinebench_drake.geometry import make_pose
-from kinebench_drake.products import GripperTrack
 from kinebench_drake.report import write_report
-from kinebench_drake.results import ResultStore
-from kinebench_drake.row import Status
-from kinebench_drake.trackfile import write_track
+from kinebench_drake.results.row import Status
+from kinebench_drake.results.store import ResultStore
+from kinebench_drake.results.trackfile import write_track
+from kinebench_drake.types import GripperTrack
 from tests.report.pages import EVIL, row
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)

@@ -5,8 +5,8 @@ import re
 import pytest
 
 from kinebench_drake.report import write_report
-from kinebench_drake.results import ResultStore
-from kinebench_drake.row import Status
+from kinebench_drake.results.row import Status
+from kinebench_drake.results.store import ResultStore
 from tests.report.pages import EVIL, Page, row
 
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from kinebench_drake.report.facts import list_facts
+from kinebench_drake.report.details import list_facts
 
 
 @pytest.mark.parametrize(

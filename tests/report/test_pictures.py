@@ -6,12 +6,12 @@ import re
 import numpy as np
 import pytest
 
-from kinebench_drake.aggregate import estimate
+from kinebench_drake.report.curves import draw_joint_ranges
 from kinebench_drake.report.frames import joint_limits
 from kinebench_drake.report.histogram import count_values, draw_histogram
-from kinebench_drake.report.joint_ranges import draw_joint_ranges
 from kinebench_drake.report.metric import BY_NAME
 from kinebench_drake.report.timeline import draw_strip, draw_timeline, frame_count, lanes_of
+from kinebench_drake.results.aggregate import estimate
 from tests.report.pages import EVIL
 
 
@@ -111,7 +111,7 @@ def test_joints_are_shown_against_their_own_limits(judged, file):
 
 def test_csv_of_the_figures_holds_every_sample(tmp_path):
     from kinebench_drake.report.figures import write_figures
-    from kinebench_drake.results import ResultStore
+    from kinebench_drake.results.store import ResultStore
     from tests.report.pages import row
 
     speed = {"kind": "velocity", "frame_start": 2, "frame_end": 4, "joint": "j2", "value": 2.0, "limit": 1.0}

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from kinebench_drake.report.summary import resolutions, summarize_checks
+from kinebench_drake.report.details import resolutions, summarize_checks
 
 T_S = 2.0 + 0.1 * np.arange(20)
 DETAILS = {

@@ -1,6 +1,6 @@
 import pytest
 
-from kinebench_drake.row import Status
+from kinebench_drake.results.row import Status
 from tests.suite_report.synthetic import EVIL, failed, outcome, write_run
 
 

@@ -2,8 +2,9 @@
 
 import json
 
-from kinebench_drake.results import RESULTS, SAMPLES
-from kinebench_drake.row import SampleRow, Status, dump
+from kinebench_drake.io.jsonl import dump
+from kinebench_drake.results.row import SampleRow, Status
+from kinebench_drake.results.store import RESULTS, SAMPLES
 
 EVIL = "<script>alert('x')</script> & 50% _of_ $x$"
 

@@ -4,13 +4,13 @@ import csv
 
 import pytest
 
-from kinebench_drake.engines import Done
+from kinebench_drake.closed_loop.tolerance import ErrorGrade, ToleranceAttempt
 from kinebench_drake.errors import UsageError
-from kinebench_drake.results import SAMPLES
-from kinebench_drake.suite_report.ceiling import DIRECT, read_ceiling, share_lines
-from kinebench_drake.suite_report.comparison import ALL
-from kinebench_drake.suite_report.writing import write_comparison
-from kinebench_drake.suites.closedloop.tolerance import Attempt, Grade
+from kinebench_drake.executors.base import Done
+from kinebench_drake.report.suite.ceiling import DIRECT, read_ceiling, share_lines
+from kinebench_drake.report.suite.comparison import ALL
+from kinebench_drake.report.suite.writing import write_comparison
+from kinebench_drake.results.store import SAMPLES
 from tests.suite_report.synthetic import write_run
 
 TASKS = {"PullCube-v1": [True, False, True], "StackCube-v1": [False, False, True]}
@@ -26,9 +26,9 @@ class Rehearsed:
         for episode in items:
             self.asked.append(episode.id)
             good = episode.id not in self.failing
-            grade = Grade(error=None, size=0.0)
+            grade = ErrorGrade(error=None, size=0.0)
             told = "" if good else "placed"
-            attempt = Attempt(episode=episode, grade=grade, success=good, progress=float(good), reason=told)
+            attempt = ToleranceAttempt(episode=episode, grade=grade, success=good, progress=float(good), reason=told)
             yield Done(item=episode, result=[attempt])
 
 

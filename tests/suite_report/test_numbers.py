@@ -4,18 +4,16 @@ import numpy as np
 import pytest
 from scipy.stats import spearmanr
 
-from kinebench_drake.pairing import Paired
-from kinebench_drake.row import Status
-from kinebench_drake.suite_report.balance import balanced
-from kinebench_drake.suite_report.comparison import ALL, compare, comparison_table
-from kinebench_drake.suite_report.correlation import standardise, study_sparc
-from kinebench_drake.suite_report.episode import scale_costs
-from kinebench_drake.suite_report.folder import read_folders
-from kinebench_drake.suite_report.labels import gather, models_of
-from kinebench_drake.suite_report.scaling import ALL as EVERY
-from kinebench_drake.suite_report.scaling import Training, study_scaling, task_difficulties, training_of, untagged
-from kinebench_drake.suite_report.success_tables import suites_table
-from kinebench_drake.suite_report.tally import tally
+from kinebench_drake.report.suite.comparison import ALL, compare, comparison_table
+from kinebench_drake.report.suite.correlation import standardise, study_sparc
+from kinebench_drake.report.suite.episode import scale_costs
+from kinebench_drake.report.suite.folders import gather, models_of, read_folders
+from kinebench_drake.report.suite.scaling import ALL as EVERY
+from kinebench_drake.report.suite.scaling import TrainingBudget, study_scaling, task_difficulties, training_of, untagged
+from kinebench_drake.report.suite.success_tables import suites_table
+from kinebench_drake.report.suite.tally import balanced, tally
+from kinebench_drake.results.row import Status
+from kinebench_drake.stats import PairedOutcomes
 from tests.suite_report.synthetic import change, failed, outcome, write_run
 
 
@@ -173,14 +171,15 @@ def test_scaling_is_by_training_and_difficulty(runs):
     folders = read_folders(runs)
     (study,) = study_scaling(folders, gather(folders), task_difficulties())
     assert study.levels == ("easy", "medium", "hard", EVERY)
-    assert study.trainings == [Training(data=d, steps=s) for d in (10, 100) for s in (1500, 15000)]
-    assert study.success[Training(data=10, steps=1500), "hard"].mean == pytest.approx(0.1)
-    assert study.success[Training(data=100, steps=15000), EVERY].mean == pytest.approx(0.7)
+    assert study.trainings == [TrainingBudget(data=d, steps=s) for d in (10, 100) for s in (1500, 15000)]
+    assert study.success[TrainingBudget(data=10, steps=1500), "hard"].mean == pytest.approx(0.1)
+    assert study.success[TrainingBudget(data=100, steps=15000), EVERY].mean == pytest.approx(0.7)
     assert untagged(folders) == []
 
 
 @pytest.mark.parametrize(
-    ("data", "steps", "read"), [("25", "7.5k", Training(data=25, steps=7500)), ("25", "many", None), ("0", "1", None)]
+    ("data", "steps", "read"),
+    [("25", "7.5k", TrainingBudget(data=25, steps=7500)), ("25", "many", None), ("0", "1", None)],
 )
 def test_tags_are_read_as_numbers(tmp_path, data, steps, read):
     run = write_run(tmp_path / "a", {"T": [True]}, suite=3, tags={"data": data, "steps": steps})
@@ -195,8 +194,8 @@ def test_pairs_are_the_shared_episodes(tmp_path):
     whole, *tasks = compare(episodes_of(*paths))
     assert (whole.task, [c.task for c in tasks]) == (ALL, ["T", "U"])
     assert (whole.shared, tasks[0].shared) == (10, 5)  # the sixth is the first model's alone
-    assert tasks[0].paired == Paired(both=1, first_only=2, second_only=0, neither=1)
-    assert tasks[0].counted == Paired(both=1, first_only=2, second_only=1, neither=1)
+    assert tasks[0].paired == PairedOutcomes(both=1, first_only=2, second_only=0, neither=1)
+    assert tasks[0].counted == PairedOutcomes(both=1, first_only=2, second_only=1, neither=1)
     assert whole.progress.mean == pytest.approx(0.5)
     assert [c.adjusted_p for c in (whole, *tasks)] == [None, 0.5, 0.5]
     row = comparison_table([tasks[0]]).rows[0]

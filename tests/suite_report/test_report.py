@@ -7,15 +7,14 @@ from html.parser import HTMLParser
 
 import pytest
 
-from kinebench_drake.aggregate import Estimate
 from kinebench_drake.cli import main
 from kinebench_drake.errors import UsageError
-from kinebench_drake.suite_report import page, read_comparison, write_comparison, write_suite_report
-from kinebench_drake.suite_report.folder import read_folders
-from kinebench_drake.suite_report.labels import gather
-from kinebench_drake.suite_report.latex import escape, latex_text
-from kinebench_drake.suite_report.page import build_page
-from kinebench_drake.suite_report.table import Column, Table, csv_text, lines
+from kinebench_drake.report.suite import read_comparison, write_comparison, write_suite_report
+from kinebench_drake.report.suite import suite_page as page
+from kinebench_drake.report.suite.folders import gather, read_folders
+from kinebench_drake.report.suite.suite_page import build_page
+from kinebench_drake.report.suite.table import Column, Table, csv_text, escape, latex_text, lines
+from kinebench_drake.results.aggregate import Estimate
 from tests.suite_report.synthetic import EVIL, change, outcome, write_run
 
 VOID = {"meta", "input", "br", "path", "rect", "use", "line", "circle"}

@@ -3,9 +3,9 @@
 from pathlib import Path
 
 from kinebench_drake.suites.formats.demo import FormatKind, Shots
-from kinebench_drake.suites.order import Order
+from kinebench_drake.suites.order import DemoOrder
 from kinebench_drake.suites.suite import load_suite
-from kinebench_drake.suites.tasks.card import Variant
+from kinebench_drake.suites.tasks.card import TaskVariant
 
 TASK = "StackCube-v1"
 FIRST = 1_000_000
@@ -26,14 +26,14 @@ class Watcher:
         self.lines.append(line)
 
 
-def an_order(out: Path, kind: FormatKind, episodes: int, shots: Shots | None = None) -> Order:
-    return Order(
+def an_order(out: Path, kind: FormatKind, episodes: int, shots: Shots | None = None) -> DemoOrder:
+    return DemoOrder(
         suite=load_suite(0),
         split="train",
         tasks=(TASK,),
         episodes=episodes,
         seed=0,
-        variant=Variant.PLAIN,
+        variant=TaskVariant.PLAIN,
         shots=shots or Shots(size=96),
         kind=kind,
         out=out,

@@ -13,8 +13,8 @@ from kinebench_drake.suites.assets.library import asset_ids, model
 from kinebench_drake.suites.assets.model import Body, Model
 from kinebench_drake.suites.episode import compose
 from kinebench_drake.suites.experts.registry import find_expert
-from kinebench_drake.suites.rollout import perform
-from kinebench_drake.suites.stage import Stage
+from kinebench_drake.suites.rollout import rollout
+from kinebench_drake.suites.simulator import Simulator
 from kinebench_drake.suites.tasks.registry import find_task
 from kinebench_drake.suites.tasks.state import ARM, State
 
@@ -128,19 +128,19 @@ def test_lids_have_far_to_go_and_boxes_stand_on_the_table(task: str) -> None:
 @pytest.mark.sapien
 @pytest.mark.parametrize("task", TASKS)
 def test_expert_succeeds_and_a_lid_left_alone_stays(task: str) -> None:
-    with Stage(task, renders=False) as stage:
+    with Simulator(task, renders=False) as stage:
         stage.reset(compose(task, 5))
         before, q = stage.scene().joints["box"], stage.snapshot().q
         for _ in range(40):
             stage.step(q, 0.0)
         assert stage.scene().joints["box"] == pytest.approx(before, abs=0.005)
-        outcome = perform(stage, find_expert(task), compose(task, 5)).outcome
+        outcome = rollout(stage, find_expert(task), compose(task, 5)).outcome
         assert outcome.success, outcome
 
 
 @pytest.mark.sapien
 def test_lid_that_is_let_go_stops_soon_without_bouncing_back() -> None:
-    with Stage("OpenBoxEasy-v1", renders=False) as stage:
+    with Simulator("OpenBoxEasy-v1", renders=False) as stage:
         stage.reset(compose("OpenBoxEasy-v1", 0))
         box, q = stage._env.things["box"], ArmPlant().robot.rest_q
         for speed in (2.0, -0.5):

@@ -9,13 +9,17 @@ from kinebench_drake.suites.assets import cubes, marks
 from kinebench_drake.suites.assets.library import asset_ids, model
 from kinebench_drake.suites.episode import compose
 from kinebench_drake.suites.experts.registry import find_expert
-from kinebench_drake.suites.rollout import perform
-from kinebench_drake.suites.stage import Outcome, Stage
-from kinebench_drake.suites.tasks.card import Variant
-from kinebench_drake.suites.tasks.obstacles import MOVED_M
+from kinebench_drake.suites.rollout import rollout
+from kinebench_drake.suites.simulator import Simulator, TaskOutcome
+from kinebench_drake.suites.tasks.card import TaskVariant
+from kinebench_drake.suites.tasks.layout import MOVED_M
 
 X_WB = np.array([-0.615, 0.0, 0.0])
-SCENES = [("PullCube-v1", Variant.PLAIN), ("StackCube-v1", Variant.PLAIN), ("StackCube-v1", Variant.OBSTACLES)]
+SCENES = [
+    ("PullCube-v1", TaskVariant.PLAIN),
+    ("StackCube-v1", TaskVariant.PLAIN),
+    ("StackCube-v1", TaskVariant.OBSTACLES),
+]
 
 
 @pytest.mark.parametrize("color", cubes.COLORS)
@@ -46,7 +50,7 @@ def test_targets_are_flat_and_obstacles_stand_on_their_foot() -> None:
 
 def test_the_obstacle_stands_between_the_cubes() -> None:
     for seed in range(30):
-        layout = compose("StackCube-v1", seed, variant=Variant.OBSTACLES).layout()
+        layout = compose("StackCube-v1", seed, variant=TaskVariant.OBSTACLES).layout()
         green, red, obstacle = (layout.placements[n].X_BM[:2, 3] for n in ("green", "red", "obstacle"))
         assert np.dot(green - obstacle, red - obstacle) < -0.99 * np.linalg.norm(green - obstacle) * np.linalg.norm(
             red - obstacle
@@ -56,13 +60,13 @@ def test_the_obstacle_stands_between_the_cubes() -> None:
 
 
 @pytest.fixture(scope="module", params=SCENES, ids=lambda scene: f"{scene[0]}-{scene[1].value}")
-def stage(request: pytest.FixtureRequest) -> Iterator[tuple[Stage, Variant]]:
+def stage(request: pytest.FixtureRequest) -> Iterator[tuple[Simulator, TaskVariant]]:
     task, variant = request.param
-    with Stage(task, variant=variant, renders=False) as stage:
+    with Simulator(task, variant=variant, renders=False) as stage:
         yield stage, variant
 
 
-def with_things(stage: Stage, poses: dict[str, Array]) -> Outcome:
+def with_things(stage: Simulator, poses: dict[str, Array]) -> TaskOutcome:
     """The verdict with things at poses (4, 4) in B."""
     moved = {name: np.concatenate([X[:3, 3] + X_WB, to_quaternion(X[:3, :3])]) for name, X in poses.items()}
     snapshot = stage.snapshot()
@@ -72,7 +76,7 @@ def with_things(stage: Stage, poses: dict[str, Array]) -> Outcome:
 
 @pytest.mark.sapien
 @pytest.mark.parametrize("stage", SCENES[1:], indirect=True, ids=["plain", "obstacles"])
-def test_a_stack_is_green_on_red_and_nothing_else_moved(stage: tuple[Stage, Variant]) -> None:
+def test_a_stack_is_green_on_red_and_nothing_else_moved(stage: tuple[Simulator, TaskVariant]) -> None:
     own, variant = stage
     own.reset(compose("StackCube-v1", 4, variant=variant))
     scene = own.scene()
@@ -83,7 +87,7 @@ def test_a_stack_is_green_on_red_and_nothing_else_moved(stage: tuple[Stage, Vari
     assert not with_things(own, {"green": beside}).conditions["above"]
     assert not with_things(own, {"green": above}).conditions["on_top"]
     assert with_things(own, {"green": top}).success
-    if variant is Variant.OBSTACLES:
+    if variant is TaskVariant.OBSTACLES:
         X = scene.poses["obstacle"]
         fallen = make_pose(rotation_exp(np.array([1.4, 0.0, 0.0])) @ X[:3, :3], X[:3, 3])
         pushed = make_pose(X[:3, :3], X[:3, 3] + [0.0, MOVED_M + 0.002, 0.0])
@@ -94,7 +98,7 @@ def test_a_stack_is_green_on_red_and_nothing_else_moved(stage: tuple[Stage, Vari
 
 @pytest.mark.sapien
 @pytest.mark.parametrize("stage", SCENES[:1], indirect=True, ids=["plain"])
-def test_a_cube_is_pulled_when_it_lies_on_the_target(stage: tuple[Stage, Variant]) -> None:
+def test_a_cube_is_pulled_when_it_lies_on_the_target(stage: tuple[Simulator, TaskVariant]) -> None:
     own, _ = stage
     own.reset(compose("PullCube-v1", 4))
     scene = own.scene()
@@ -111,7 +115,7 @@ def test_a_cube_is_pulled_when_it_lies_on_the_target(stage: tuple[Stage, Variant
 
 @pytest.mark.sapien
 @pytest.mark.parametrize("stage", SCENES[2:], indirect=True, ids=["obstacles"])
-def test_obstacles_fall_when_they_lean_too_far(stage: tuple[Stage, Variant]) -> None:
+def test_obstacles_fall_when_they_lean_too_far(stage: tuple[Simulator, TaskVariant]) -> None:
     own, variant = stage
     for lean, falls in ((0.1, False), (0.7, True)):
         own.reset(compose("StackCube-v1", 7, variant=variant))
@@ -124,8 +128,8 @@ def test_obstacles_fall_when_they_lean_too_far(stage: tuple[Stage, Variant]) -> 
 
 
 @pytest.mark.sapien
-def test_experts_succeed(stage: tuple[Stage, Variant]) -> None:
+def test_experts_succeed(stage: tuple[Simulator, TaskVariant]) -> None:
     own, variant = stage
     task = own.task.card.id
     for seed in (31, 32):
-        assert perform(own, find_expert(task), compose(task, seed, variant=variant)).outcome.success
+        assert rollout(own, find_expert(task), compose(task, seed, variant=variant)).outcome.success

@@ -8,15 +8,15 @@ from typing import Any
 
 import pytest
 
-from kinebench_drake.engines import Crashed, Done
 from kinebench_drake.errors import SetupError, UsageError
-from kinebench_drake.shard import Shard
+from kinebench_drake.executors.base import Crashed, Done
+from kinebench_drake.results.metadata import Shard
 from kinebench_drake.suites import demos
 from kinebench_drake.suites.demos import Delivery, make_demos
 from kinebench_drake.suites.formats.demo import Content, FormatKind, Record, Shots
-from kinebench_drake.suites.order import Order
-from kinebench_drake.suites.stagehand import Stagehand
-from kinebench_drake.suites.suite import Draw
+from kinebench_drake.suites.order import DemoOrder
+from kinebench_drake.suites.simulator_cache import SimulatorCache
+from kinebench_drake.suites.suite import EpisodeSpec
 from tests.suites.orders import FIRST, TASK, Watcher, an_order
 
 
@@ -44,8 +44,8 @@ class FakeEngine:
         self.tried: list[int] = []
 
     def run(
-        self, make_worker: Callable[[], Callable[[Draw], Record]], items: Sequence[Draw]
-    ) -> Generator[Done[Draw, Record] | Crashed[Draw], None, None]:
+        self, make_worker: Callable[[], Callable[[EpisodeSpec], Record]], items: Sequence[EpisodeSpec]
+    ) -> Generator[Done[EpisodeSpec, Record] | Crashed[EpisodeSpec], None, None]:
         for draw in reversed(items):
             if self.until is not None and len(self.tried) == self.until:
                 yield Crashed(item=draw, reason="killed")
@@ -122,14 +122,14 @@ def test_a_task_is_given_up_when_its_expert_hardly_succeeds(deliver: Any) -> Non
     assert delivery.failures == 2 * 5 + demos.PATIENCE - 3
 
 
-def broken_worker(out: Path, monkeypatch: pytest.MonkeyPatch, error: Exception) -> tuple[Order, Callable[..., Any]]:
+def broken_worker(out: Path, monkeypatch: pytest.MonkeyPatch, error: Exception) -> tuple[DemoOrder, Callable[..., Any]]:
     """What would make demonstrations, were it not for an error."""
 
     def fail(*args: object, **kwargs: object) -> None:
         raise error
 
     monkeypatch.setattr(demos, "perform", fail)
-    monkeypatch.setattr(Stagehand, "stage", lambda self, task, variant: None)
+    monkeypatch.setattr(SimulatorCache, "stage", lambda self, task, variant: None)
     order = an_order(out, FormatKind.MANISKILL, 1)
     return order, demos._Experts(order.kind, order.shots, order.out)()
 

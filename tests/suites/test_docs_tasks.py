@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
+from kinebench_drake.suites.contact_sheet import task_table
 from kinebench_drake.suites.experts.registry import EXPERTS
-from kinebench_drake.suites.sheet import task_table
 from kinebench_drake.suites.tasks.registry import TASKS
 
 PAGE = (Path(__file__).parents[2] / "docs/tasks.md").read_text()

@@ -11,8 +11,8 @@ from kinebench_drake.suites.assets.library import asset_ids, model
 from kinebench_drake.suites.assets.model import Body, ColliderKind
 from kinebench_drake.suites.episode import compose
 from kinebench_drake.suites.experts.registry import find_expert
-from kinebench_drake.suites.rollout import perform
-from kinebench_drake.suites.stage import Stage
+from kinebench_drake.suites.rollout import rollout
+from kinebench_drake.suites.simulator import Simulator
 from kinebench_drake.suites.tasks.drawers import SHUT_M, TASKS
 
 IDS = asset_ids("cabinet")
@@ -62,14 +62,14 @@ def test_every_handle_finish_and_foot_occurs_with_every_other() -> None:
 
 
 @pytest.fixture(scope="module", params=NAMES)
-def stage(request: pytest.FixtureRequest) -> Iterator[Stage]:
-    with Stage(request.param, renders=False) as stage:
+def stage(request: pytest.FixtureRequest) -> Iterator[Simulator]:
+    with Simulator(request.param, renders=False) as stage:
         yield stage
 
 
 @pytest.mark.sapien
 @pytest.mark.parametrize("stage", ["CloseDrawer-v1"], indirect=True)
-def test_a_drawer_stays_where_it_is_left_and_stops_when_let_go(stage: Stage) -> None:
+def test_a_drawer_stays_where_it_is_left_and_stops_when_let_go(stage: Simulator) -> None:
     stage.reset(compose(stage.task.card.id, 3))
     start, cabinet = stage.snapshot(), stage._env.things["cabinet"]
     travel = stage.scene().size("cabinet", "travel_m")
@@ -85,7 +85,7 @@ def test_a_drawer_stays_where_it_is_left_and_stops_when_let_go(stage: Stage) -> 
 
 
 @pytest.mark.sapien
-def test_the_conditions_hold_at_the_goal_only(stage: Stage) -> None:
+def test_the_conditions_hold_at_the_goal_only(stage: Simulator) -> None:
     stage.reset(compose(stage.task.card.id, 4))
     start, scene = stage.snapshot(), stage.scene()
     assert not stage.outcome().success
@@ -107,10 +107,10 @@ def test_the_conditions_hold_at_the_goal_only(stage: Stage) -> None:
 
 
 @pytest.mark.sapien
-def test_the_expert_does_it(stage: Stage) -> None:
+def test_the_expert_does_it(stage: Simulator) -> None:
     name = stage.task.card.id
     for seed in (2, 3):
-        performance = perform(stage, find_expert(name), compose(name, seed))
+        performance = rollout(stage, find_expert(name), compose(name, seed))
         assert performance.outcome.success, (seed, performance.outcome)
         lifted = stage.scene().X_BG[2, 3] - stage.scene().size("cabinet", "height_m")
         assert lifted > 0.03  # the gripper is free again

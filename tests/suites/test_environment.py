@@ -12,22 +12,22 @@ from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.geometry import pose_difference
 from kinebench_drake.suites.episode import compose
 from kinebench_drake.suites.experts.registry import find_expert
-from kinebench_drake.suites.rollout import perform
+from kinebench_drake.suites.rollout import rollout
+from kinebench_drake.suites.simulator import Simulator
 from kinebench_drake.suites.split import Pool
-from kinebench_drake.suites.stage import Stage
-from kinebench_drake.suites.tasks.card import Variant
+from kinebench_drake.suites.tasks.card import TaskVariant
 from kinebench_drake.suites.tasks.registry import TASKS
 
 TASK = "StackCube-v1"
 
 
 @pytest.fixture(scope="module")
-def stage() -> Iterator[Stage]:
-    with Stage(TASK) as stage:
+def stage() -> Iterator[Simulator]:
+    with Simulator(TASK) as stage:
         yield stage
 
 
-def picture_hash(stage: Stage) -> str:
+def picture_hash(stage: Simulator) -> str:
     p = stage.picture()
     return hashlib.sha256(p.rgb.tobytes() + p.depth_mm.tobytes() + p.mask.tobytes()).hexdigest()
 
@@ -49,7 +49,7 @@ def test_names_shadow_none_of_maniskill() -> None:
 
 
 @pytest.mark.sapien
-def test_a_seed_gives_the_same_first_frame_whatever_came_before(stage: Stage) -> None:
+def test_a_seed_gives_the_same_first_frame_whatever_came_before(stage: Simulator) -> None:
     stage.reset(compose(TASK, 5))
     first = picture_hash(stage)
     stage.reset(compose(TASK, 6))
@@ -59,7 +59,7 @@ def test_a_seed_gives_the_same_first_frame_whatever_came_before(stage: Stage) ->
     code = (
         "import hashlib\n"
         "from kinebench_drake.suites.episode import compose\n"
-        "from kinebench_drake.suites.stage import Stage\n"
+        "from kinebench_drake.suites.simulator import Stage\n"
         f"with Stage({TASK!r}) as stage:\n"
         f"    stage.reset(compose({TASK!r}, 5))\n"
         "    p = stage.picture()\n"
@@ -70,18 +70,18 @@ def test_a_seed_gives_the_same_first_frame_whatever_came_before(stage: Stage) ->
 
 
 @pytest.mark.sapien
-def test_a_seed_gives_the_same_motion_whatever_came_before(stage: Stage) -> None:
+def test_a_seed_gives_the_same_motion_whatever_came_before(stage: Simulator) -> None:
     def run() -> np.ndarray:
-        performance = perform(stage, find_expert(TASK), compose(TASK, 2))
+        performance = rollout(stage, find_expert(TASK), compose(TASK, 2))
         return np.stack([np.concatenate([s.q, *s.objects.values()]) for s in performance.snapshots])
 
     first = run()
-    perform(stage, find_expert(TASK), compose(TASK, 3))
+    rollout(stage, find_expert(TASK), compose(TASK, 3))
     assert np.array_equal(run(), first)
 
 
 @pytest.mark.sapien
-def test_the_environment_alone_composes_the_same_episodes(stage: Stage) -> None:
+def test_the_environment_alone_composes_the_same_episodes(stage: Simulator) -> None:
     import gymnasium
 
     stage.reset(compose(TASK, 9))
@@ -129,7 +129,7 @@ def test_a_scene_that_is_not_rebuilt_keeps_its_assets_and_moves_them() -> None:
 
 
 @pytest.mark.sapien
-def test_episodes_of_another_task_are_refused(stage: Stage) -> None:
+def test_episodes_of_another_task_are_refused(stage: Simulator) -> None:
     other = next(task for task in TASKS if task != TASK)
     with pytest.raises(InputError, match=other):
         stage.reset(compose(other, 0))
@@ -138,9 +138,9 @@ def test_episodes_of_another_task_are_refused(stage: Stage) -> None:
 def test_unknown_tasks_and_variants_are_usage_errors() -> None:
     with pytest.raises(UsageError, match="StackCube-v1"):
         compose("StackCubes", 0)
-    plain = next(task for task, t in TASKS.items() if Variant.OBSTACLES not in t.card.variants)
+    plain = next(task for task, t in TASKS.items() if TaskVariant.OBSTACLES not in t.card.variants)
     with pytest.raises(UsageError, match="obstacles"):
-        compose(plain, 0, variant=Variant.OBSTACLES)
+        compose(plain, 0, variant=TaskVariant.OBSTACLES)
 
 
 @pytest.mark.parametrize("task", TASKS)
@@ -159,7 +159,7 @@ def test_episodes_are_what_their_seed_says(task: str) -> None:
 @pytest.mark.parametrize("task", TASKS)
 def test_layouts_say_where_bodies_are_without_a_simulator(task: str) -> None:
     episode = compose(task, 1)
-    with Stage(task, renders=False) as stage:
+    with Simulator(task, renders=False) as stage:
         stage.reset(episode)
         seen = stage.scene()
     foreseen = episode.layout().scene(seen.X_BG)

@@ -8,15 +8,15 @@ import pytest
 from PIL import Image
 
 from kinebench_drake.camera import Camera, benchmark_camera
-from kinebench_drake.engines import EngineKind, create_engine
+from kinebench_drake.datasets.videos.find import find_samples
 from kinebench_drake.errors import SetupError, UsageError
-from kinebench_drake.inputs import find_samples
-from kinebench_drake.storage import write_atomically
+from kinebench_drake.executors.base import EngineKind, create_engine
+from kinebench_drake.io.atomic import write_atomically
 from kinebench_drake.suites.episode import compose
 from kinebench_drake.suites.export import Export, export_suite
-from kinebench_drake.suites.stage import Stage
+from kinebench_drake.suites.simulator import Simulator
 from kinebench_drake.suites.suite import load_suite
-from kinebench_drake.suites.tasks.card import Variant
+from kinebench_drake.suites.tasks.card import TaskVariant
 
 TASKS = ("PullCube-v1", "StackCube-v1")
 
@@ -41,7 +41,7 @@ def export(out: Path, tasks: tuple[str, ...], count: int) -> Path:
         tasks=tasks,
         episodes=count,
         seed=0,
-        variant=Variant.PLAIN,
+        variant=TaskVariant.PLAIN,
         size=96,
         out=out,
     )
@@ -57,13 +57,13 @@ def exported(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.sapien
 def test_first_frames_are_what_a_reset_shows(exported: Path) -> None:
-    with Stage("StackCube-v1", camera=benchmark_camera().resized(96, 96)) as stage:
+    with Simulator("StackCube-v1", camera=benchmark_camera().resized(96, 96)) as stage:
         stage.reset(compose("StackCube-v1", 1))
         rgb = stage.picture().rgb
         X_BG = stage.scene().X_BG
     assert np.array_equal(np.asarray(Image.open(exported / "StackCube-v1_s0001.png")), rgb)
     samples = {sample.id: sample for sample in find_samples(exported / "manifest.jsonl").samples}
-    first = samples["StackCube-v1_s0001"].first
+    first = samples["StackCube-v1_s0001"].initial_state
     assert first is not None
     assert np.allclose(first.X_BG, X_BG, atol=1e-6)
     assert first.finger_width_m == pytest.approx(0.08, abs=1e-6)

@@ -11,8 +11,8 @@ from kinebench_drake.suites.assets.model import Body, Model
 from kinebench_drake.suites.episode import compose
 from kinebench_drake.suites.experts.clearance import SceneGeometry
 from kinebench_drake.suites.experts.registry import find_expert
-from kinebench_drake.suites.rollout import perform
-from kinebench_drake.suites.stage import Stage
+from kinebench_drake.suites.rollout import rollout
+from kinebench_drake.suites.simulator import Simulator
 from kinebench_drake.suites.start import START_Q
 from kinebench_drake.suites.tasks.faucets import CLOSED_PART, OPEN_PART, TASKS
 from kinebench_drake.suites.tasks.task import Scene
@@ -90,14 +90,14 @@ def alone(body: Body) -> Model:
 
 
 @pytest.fixture(scope="module", params=NAMES)
-def stage(request: pytest.FixtureRequest) -> Iterator[Stage]:
-    with Stage(request.param, renders=False) as stage:
+def stage(request: pytest.FixtureRequest) -> Iterator[Simulator]:
+    with Simulator(request.param, renders=False) as stage:
         yield stage
 
 
 @pytest.mark.sapien
 @pytest.mark.parametrize("stage", NAMES[1:], indirect=True)
-def test_a_handle_that_is_let_go_stops_and_stays(stage: Stage) -> None:
+def test_a_handle_that_is_let_go_stops_and_stays(stage: Simulator) -> None:
     """Of all shapes: turning at 1 rad/s with nothing to push, it comes to rest at once and stays."""
     task = stage.task.card.id
     for shape in range(6):
@@ -117,7 +117,7 @@ def test_a_handle_that_is_let_go_stops_and_stays(stage: Stage) -> None:
 
 
 @pytest.mark.sapien
-def test_conditions_follow_the_handle(stage: Stage) -> None:
+def test_conditions_follow_the_handle(stage: Simulator) -> None:
     stage.reset(compose(stage.task.card.id, 3))
     travel = stage.scene().size("faucet", "range_rad")
     opens = stage.task.card.id == "OpenFaucet-v1"
@@ -131,7 +131,7 @@ def test_conditions_follow_the_handle(stage: Stage) -> None:
 
 
 @pytest.mark.sapien
-def test_experts_succeed(stage: Stage) -> None:
+def test_experts_succeed(stage: Simulator) -> None:
     task = stage.task.card.id
     for seed in (31, 32):
-        assert perform(stage, find_expert(task), compose(task, seed)).outcome.success
+        assert rollout(stage, find_expert(task), compose(task, seed)).outcome.success

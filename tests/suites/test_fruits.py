@@ -13,11 +13,11 @@ from kinebench_drake.suites.assets.library import asset_ids, model
 from kinebench_drake.suites.assets.model import Collider, ColliderKind
 from kinebench_drake.suites.episode import Episode, compose
 from kinebench_drake.suites.experts.registry import find_expert
-from kinebench_drake.suites.rollout import perform
-from kinebench_drake.suites.stage import Stage
-from kinebench_drake.suites.tasks.card import Variant
+from kinebench_drake.suites.rollout import rollout
+from kinebench_drake.suites.simulator import Simulator
+from kinebench_drake.suites.tasks.card import TaskVariant
 from kinebench_drake.suites.tasks.fruits import GAP_M, ORDER, OTHERS
-from kinebench_drake.suites.tasks.place import resting
+from kinebench_drake.suites.tasks.layout import resting
 from kinebench_drake.suites.tasks.registry import find_task
 from kinebench_drake.suites.tasks.state import State
 
@@ -81,8 +81,8 @@ def test_every_container_holds_a_fruit_and_stands_on_the_table() -> None:
         assert high[over, 2].max() == pytest.approx(found.size["floor_m"], abs=1e-6), asset_id
 
 
-@pytest.mark.parametrize("variant", list(Variant))
-def test_every_scene_has_the_same_names_and_room_for_the_fingers(variant: Variant) -> None:
+@pytest.mark.parametrize("variant", list(TaskVariant))
+def test_every_scene_has_the_same_names_and_room_for_the_fingers(variant: TaskVariant) -> None:
     names, targets = set(), set()
     for seed in range(60):
         layout = compose("PickFruits-v1", seed, variant=variant).layout()
@@ -161,7 +161,7 @@ def test_order_is_the_order_of_the_compartments() -> None:
 @pytest.mark.sapien
 @pytest.mark.parametrize("task", ["PickFruits-v1", "StoreFruitsBox-v1"])
 def test_untouched_things_stay_where_they_are(task: str) -> None:
-    with Stage(task, renders=False) as stage:
+    with Simulator(task, renders=False) as stage:
         stage.reset(compose(task, 7))
         start = stage.snapshot()
         for _ in range(200):
@@ -175,12 +175,12 @@ def test_untouched_things_stay_where_they_are(task: str) -> None:
 @pytest.mark.parametrize(
     ("task", "seed", "variant"),
     [
-        ("PickFruits-v1", 7, Variant.PLAIN),
-        ("PickFruits-v1", 39, Variant.OBSTACLES),
-        ("StoreFruitsBox-v1", 0, Variant.PLAIN),
+        ("PickFruits-v1", 7, TaskVariant.PLAIN),
+        ("PickFruits-v1", 39, TaskVariant.OBSTACLES),
+        ("StoreFruitsBox-v1", 0, TaskVariant.PLAIN),
     ],
 )
-def test_experts_succeed(task: str, seed: int, variant: Variant) -> None:
-    with Stage(task, renders=False, variant=variant) as stage:
-        performance = perform(stage, find_expert(task), compose(task, seed, variant=variant))
+def test_experts_succeed(task: str, seed: int, variant: TaskVariant) -> None:
+    with Simulator(task, renders=False, variant=variant) as stage:
+        performance = rollout(stage, find_expert(task), compose(task, seed, variant=variant))
     assert performance.outcome.success, performance.outcome.conditions

@@ -14,8 +14,8 @@ from kinebench_drake.suites.assets.library import asset_ids, model
 from kinebench_drake.suites.assets.model import Body, Model
 from kinebench_drake.suites.episode import compose
 from kinebench_drake.suites.experts.registry import find_expert
-from kinebench_drake.suites.rollout import perform
-from kinebench_drake.suites.stage import Stage
+from kinebench_drake.suites.rollout import rollout
+from kinebench_drake.suites.simulator import Simulator
 from kinebench_drake.suites.tasks.laptops import OPEN_RAD, SHUT_RAD, TASKS
 from kinebench_drake.suites.tasks.registry import find_task
 from kinebench_drake.suites.tasks.state import ARM, State
@@ -111,13 +111,13 @@ def test_goal_needs_a_quarter_of_the_range(task_id: str) -> None:
 
 
 @pytest.fixture(scope="module")
-def ajar() -> Iterator[Stage]:
-    with Stage("OpenLaptopEasy-v1", renders=False) as stage:
+def ajar() -> Iterator[Simulator]:
+    with Simulator("OpenLaptopEasy-v1", renders=False) as stage:
         yield stage
 
 
 @pytest.mark.sapien
-def test_lid_at_rest_stays(ajar: Stage) -> None:
+def test_lid_at_rest_stays(ajar: Simulator) -> None:
     ajar.reset(compose("OpenLaptopEasy-v1", 3))
     before = ajar.snapshot()
     for _ in range(200):
@@ -126,7 +126,7 @@ def test_lid_at_rest_stays(ajar: Stage) -> None:
 
 
 @pytest.mark.sapien
-def test_pushed_lid_stops_soon(ajar: Stage) -> None:
+def test_pushed_lid_stops_soon(ajar: Simulator) -> None:
     ajar.reset(compose("OpenLaptopEasy-v1", 4))
     before = ajar.snapshot()
     lid = ajar._env.things["laptop"]
@@ -143,9 +143,9 @@ def test_pushed_lid_stops_soon(ajar: Stage) -> None:
 @pytest.mark.sapien
 @pytest.mark.parametrize("task_id", TASK_IDS)
 def test_expert_succeeds(task_id: str) -> None:
-    with Stage(task_id, renders=False) as stage:
+    with Simulator(task_id, renders=False) as stage:
         for seed in (11, 12):
-            performance = perform(stage, find_expert(task_id), compose(task_id, seed))
+            performance = rollout(stage, find_expert(task_id), compose(task_id, seed))
             assert performance.outcome.success, performance.outcome
             lids = np.array([snapshot.joints["laptop"] for snapshot in performance.snapshots])
             sign = 1.0 if "Open" in task_id else -1.0

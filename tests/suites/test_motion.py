@@ -5,7 +5,7 @@ import pytest
 
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import make_pose, pose_difference
-from kinebench_drake.kinematics.following import minimum_jerk
+from kinebench_drake.kinematics.continuation import minimum_jerk
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.models.panda.robot import rest_q
 from kinebench_drake.suites.clock import CONTROL_PERIOD_S

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from kinebench_drake.geometry import rotation_exp, transform_points
-from kinebench_drake.suites.assets.model import Material, Surface
-from kinebench_drake.suites.assets.parts import Parts, block, board
+from kinebench_drake.suites.assets.mesh import Parts, block, board
+from kinebench_drake.suites.assets.model import Material, SurfaceFinish
 
 LOW, HIGH = np.array([-0.1, 0.2, 0.0]), np.array([0.3, 0.25, 0.5])
 
@@ -13,8 +13,8 @@ LOW, HIGH = np.array([-0.1, 0.2, 0.0]), np.array([0.3, 0.25, 0.5])
 @pytest.mark.parametrize("bevel_m", [0.0, 0.001])
 def test_a_panel_fills_the_space_between_its_corners(bevel_m: float) -> None:
     parts = Parts()
-    parts.panel(LOW, HIGH, Surface(), bevel_m=bevel_m)
-    parts.panel(LOW, HIGH + 1.0, Surface(), solid=False)
+    parts.panel(LOW, HIGH, SurfaceFinish(), bevel_m=bevel_m)
+    parts.panel(LOW, HIGH + 1.0, SurfaceFinish(), solid=False)
     body = parts.body("shelf", Material())
     seen, [solid] = body.visuals[0], body.colliders
     points = transform_points(seen.X_BodyV, seen.mesh.vertices)
@@ -26,5 +26,5 @@ def test_a_panel_fills_the_space_between_its_corners(bevel_m: float) -> None:
 
 def test_a_turned_board_is_touched_where_it_is_seen() -> None:
     R, size, center = rotation_exp([0.0, 0.0, 0.4]), [0.2, 0.1, 0.02], [0.5, 0.0, 0.1]
-    assert np.array_equal(board(size, center, Surface(), R=R).X_BodyV, block(size, center, R=R).X_BodyC)
+    assert np.array_equal(board(size, center, SurfaceFinish(), R=R).X_BodyV, block(size, center, R=R).X_BodyC)
     assert np.allclose(block(size, center, R=R).X_BodyC[:3, :3], R)

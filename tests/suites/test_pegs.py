@@ -9,8 +9,8 @@ from kinebench_drake.suites.assets import pegs
 from kinebench_drake.suites.assets.library import asset_ids, model
 from kinebench_drake.suites.episode import compose
 from kinebench_drake.suites.experts.registry import find_expert
-from kinebench_drake.suites.rollout import perform
-from kinebench_drake.suites.stage import Stage
+from kinebench_drake.suites.rollout import rollout
+from kinebench_drake.suites.simulator import Simulator
 
 TASK = "LiftPegUpright-v1"
 X_WB = np.array([-0.615, 0.0, 0.0])
@@ -28,8 +28,8 @@ def test_pegs_fit_between_the_fingers_and_are_red_at_one_end() -> None:
 
 
 @pytest.fixture(scope="module")
-def stage() -> Iterator[Stage]:
-    with Stage(TASK, renders=False) as stage:
+def stage() -> Iterator[Simulator]:
+    with Simulator(TASK, renders=False) as stage:
         yield stage
 
 
@@ -52,7 +52,7 @@ def turned_up(lean_rad: float) -> Array:
     ],
     ids=["upright", "leaning", "leaning too far", "blue end up", "in the air", "lying"],
 )
-def test_conditions_ask_for_a_standing_peg(stage: Stage, R: Array, lift_m: float, failed: set[str]) -> None:
+def test_conditions_ask_for_a_standing_peg(stage: Simulator, R: Array, lift_m: float, failed: set[str]) -> None:
     stage.reset(compose(TASK, 5))
     lying = R[2, 2] == 1.0
     height = 0.5 * stage.scene().size("peg", "width_m" if lying else "length_m") + lift_m
@@ -65,7 +65,7 @@ def test_conditions_ask_for_a_standing_peg(stage: Stage, R: Array, lift_m: float
 
 
 @pytest.mark.sapien
-def test_a_standing_peg_keeps_standing(stage: Stage) -> None:
+def test_a_standing_peg_keeps_standing(stage: Simulator) -> None:
     stage.reset(compose(TASK, 6))
     snapshot = stage.snapshot()
     X = make_pose(turned_up(0.02), [0.5, 0.25, 0.5 * stage.scene().size("peg", "length_m") + 0.0005])
@@ -76,6 +76,6 @@ def test_a_standing_peg_keeps_standing(stage: Stage) -> None:
 
 
 @pytest.mark.sapien
-def test_the_expert_stands_it_up(stage: Stage) -> None:
+def test_the_expert_stands_it_up(stage: Simulator) -> None:
     for seed in (31, 32):
-        assert perform(stage, find_expert(TASK), compose(TASK, seed)).outcome.success
+        assert rollout(stage, find_expert(TASK), compose(TASK, seed)).outcome.success

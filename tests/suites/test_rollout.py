@@ -7,15 +7,15 @@ from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.errors import UsageError
 from kinebench_drake.geometry import invert, pose_difference, transform_points
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.suites.clip import Clip, film
+from kinebench_drake.suites.clip import RolloutVideo, film
 from kinebench_drake.suites.clock import FRAME_PERIOD_S
 from kinebench_drake.suites.episode import compose
 from kinebench_drake.suites.experts.registry import find_expert
-from kinebench_drake.suites.rollout import Performance, perform
-from kinebench_drake.suites.stage import Outcome, Stage
+from kinebench_drake.suites.rollout import Rollout, rollout
+from kinebench_drake.suites.simulator import Simulator, TaskOutcome
 from kinebench_drake.suites.tasks.registry import TASKS
 
-Filmed = tuple[Stage, Performance, Clip]
+Filmed = tuple[Simulator, Rollout, RolloutVideo]
 
 
 def test_unknown_task_is_a_usage_error() -> None:
@@ -25,8 +25,8 @@ def test_unknown_task_is_a_usage_error() -> None:
 
 def test_a_failure_names_the_conditions_that_fail() -> None:
     conditions = {"above": True, "still": False, "released": False}
-    assert Outcome(success=False, progress=0.5, conditions=conditions).reason == "not still, released"
-    assert Outcome(success=True, progress=1.0, conditions=dict.fromkeys(conditions, True)).reason == ""
+    assert TaskOutcome(success=False, progress=0.5, conditions=conditions).reason == "not still, released"
+    assert TaskOutcome(success=True, progress=1.0, conditions=dict.fromkeys(conditions, True)).reason == ""
 
 
 @pytest.mark.sapien
@@ -48,8 +48,8 @@ def test_sapien_camera_looks_along_its_x_axis() -> None:
 def test_expert_succeeds_within_speed_limits(task: str, robot: str, seeds: tuple[int, ...]) -> None:
     plant = ArmPlant()
     for seed in seeds:
-        with Stage(task, robot=robot, renders=robot != "panda") as stage:
-            performance = perform(stage, find_expert(task), compose(task, seed))
+        with Simulator(task, robot=robot, renders=robot != "panda") as stage:
+            performance = rollout(stage, find_expert(task), compose(task, seed))
         assert performance.outcome.success, f"{task} seed {seed} failed: {performance.outcome}"
         q = np.stack([snapshot.q for snapshot in performance.snapshots])
         assert len(q) in [48 * clips + 1 for clips in range(1, TASKS[task].card.clips + 1)]
@@ -94,8 +94,8 @@ def test_filming_changes_nothing(filmed: Filmed) -> None:
     assert np.array_equal(again.rgb, clip.rgb[30:33])
     assert np.array_equal(again.depth_mm, clip.depth_mm[30:33])
     assert np.array_equal(again.t_s, clip.t_s[30:33])
-    with Stage("StackCube-v1", camera=clip.camera) as other:
-        assert perform(other, find_expert("StackCube-v1"), performance.episode).outcome.success
+    with Simulator("StackCube-v1", camera=clip.camera) as other:
+        assert rollout(other, find_expert("StackCube-v1"), performance.episode).outcome.success
         picture = other.picture()  # straight from the simulation, no snapshot between
     assert np.array_equal(picture.rgb, clip.rgb[-1])
     assert np.array_equal(picture.mask, clip.mask[-1])

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from benchmarks.planted_videos import choose_draws, main, parse_seeds
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import UsageError
-from kinebench_drake.mp4 import write_video
-from kinebench_drake.suites.samples import choose_draws, main, parse_seeds
+from kinebench_drake.io.container import write_video
 from kinebench_drake.suites.split import Pool
 
 

@@ -9,9 +9,9 @@ from click.testing import CliRunner
 from PIL import Image
 
 from kinebench_drake.cli import cli
-from kinebench_drake.engines import Crashed, Done, EngineKind, create_engine
+from kinebench_drake.executors.base import Crashed, Done, EngineKind, create_engine
+from kinebench_drake.suites.contact_sheet import GAP_PX, MARGIN_PX, PICTURE_PX, Shot, contact_sheet, task_shots
 from kinebench_drake.suites.episode import Episode
-from kinebench_drake.suites.sheet import GAP_PX, MARGIN_PX, PICTURE_PX, Shot, contact_sheet, task_shots
 
 
 def _shot(level: int) -> Shot:
@@ -73,7 +73,9 @@ def test_a_shot_is_the_first_and_last_frame() -> None:
 
 
 def test_command_writes_a_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("kinebench_drake.suites.sheet.task_shots", lambda engine, tasks, seed: [_shot(9)] * len(tasks))
+    monkeypatch.setattr(
+        "kinebench_drake.suites.contact_sheet.task_shots", lambda engine, tasks, seed: [_shot(9)] * len(tasks)
+    )
     out = tmp_path / "sheet.jpg"
     done = CliRunner().invoke(cli, ["suite", "sheet", "--tasks", "StackCube-v1,PullCube-v1", "--out", str(out)])
     assert done.exit_code == 0, done.output

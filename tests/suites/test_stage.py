@@ -3,7 +3,7 @@
 import pytest
 
 from kinebench_drake.errors import SetupError
-from kinebench_drake.suites.stage import _named_causes
+from kinebench_drake.suites.simulator import _named_causes
 
 
 @pytest.mark.parametrize(

@@ -5,8 +5,8 @@ import pytest
 
 from kinebench_drake.errors import UsageError
 from kinebench_drake.suites.episode import compose
+from kinebench_drake.suites.simulator import Simulator
 from kinebench_drake.suites.split import Pool
-from kinebench_drake.suites.stage import Stage
 from kinebench_drake.suites.start import START_WIDTH_M, start_q
 from kinebench_drake.suites.tasks.registry import TASKS
 
@@ -26,7 +26,7 @@ def test_a_task_that_is_not_known_needs_a_gap() -> None:
     ("task", "seed", "pool"), [("CloseLaptopHard-v1", 3, Pool.ALL), ("StackCube-v1", 7, Pool.SEEN)]
 )
 def test_a_reset_puts_the_robot_there(task: str, seed: int, pool: Pool) -> None:
-    with Stage(task, renders=False) as stage:
+    with Simulator(task, renders=False) as stage:
         stage.reset(compose(task, seed, pool=pool))
         start = stage.snapshot()
     assert np.allclose(np.concatenate([start.q, start.fingers_m]), start_q(task, seed), atol=1e-6)

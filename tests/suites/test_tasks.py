@@ -8,8 +8,8 @@ import pytest
 from kinebench_drake.suites.assets.library import INSTANCES, KINDS, asset_ids, model
 from kinebench_drake.suites.episode import compose
 from kinebench_drake.suites.experts.registry import EXPERTS
-from kinebench_drake.suites.stage import Stage
-from kinebench_drake.suites.tasks.card import Variant
+from kinebench_drake.suites.simulator import Simulator
+from kinebench_drake.suites.tasks.card import TaskVariant
 from kinebench_drake.suites.tasks.registry import TASKS
 
 BENCHMARK = [
@@ -45,7 +45,7 @@ DRIFT_M, DRIFT_SHARE = 0.004, 0.01
 def test_the_benchmark_is_complete() -> None:
     assert list(TASKS) == BENCHMARK
     assert sorted(EXPERTS) == BENCHMARK
-    assert sum(Variant.OBSTACLES in task.card.variants for task in TASKS.values()) >= 2
+    assert sum(TaskVariant.OBSTACLES in task.card.variants for task in TASKS.values()) >= 2
 
 
 @pytest.mark.parametrize("task", TASKS)
@@ -100,14 +100,14 @@ def _corners(collider) -> np.ndarray:
 
 
 @pytest.fixture(scope="module", params=SCENES, ids=lambda scene: f"{scene[0]}-{scene[1].value}")
-def stage(request: pytest.FixtureRequest) -> Iterator[tuple[Stage, Variant]]:
+def stage(request: pytest.FixtureRequest) -> Iterator[tuple[Simulator, TaskVariant]]:
     task, variant = request.param
-    with Stage(task, variant=variant, renders=False) as stage:
+    with Simulator(task, variant=variant, renders=False) as stage:
         yield stage, variant
 
 
 @pytest.mark.sapien
-def test_nothing_moves_by_itself_and_nothing_is_done_at_first(stage: tuple[Stage, Variant]) -> None:
+def test_nothing_moves_by_itself_and_nothing_is_done_at_first(stage: tuple[Simulator, TaskVariant]) -> None:
     own, variant = stage
     for seed in SEEDS:
         episode = compose(own.task.card.id, seed, variant=variant)
@@ -129,7 +129,7 @@ def test_nothing_moves_by_itself_and_nothing_is_done_at_first(stage: tuple[Stage
 
 
 @pytest.mark.sapien
-def test_verdicts_of_a_batch_are_those_of_its_scenes(stage: tuple[Stage, Variant]) -> None:
+def test_verdicts_of_a_batch_are_those_of_its_scenes(stage: tuple[Simulator, TaskVariant]) -> None:
     """Conditions and progress of two scenes at once, as ManiSkill's GPU simulation asks for them."""
     import torch
 

@@ -5,15 +5,15 @@ import zipfile
 import numpy as np
 import pytest
 
+from kinebench_drake.datasets.trajectories.source import find_trajectories, read_trajectory
+from kinebench_drake.datasets.trajectories.trajectory import TrajectoryOptions
 from kinebench_drake.errors import InputError, UnmeasurableError
-from kinebench_drake.products import GripperTrack
-from kinebench_drake.trackfile import write_track
-from kinebench_drake.trajectories.source import find_trajectories, read_trajectory
-from kinebench_drake.trajectories.trajectory import Choice
+from kinebench_drake.results.trackfile import write_track
+from kinebench_drake.types import GripperTrack
 
 
 def read(path, **choice):
-    chosen = Choice(**choice)
+    chosen = TrajectoryOptions(**choice)
     (sample,) = find_trajectories(path, chosen)
     return read_trajectory(sample, chosen)
 

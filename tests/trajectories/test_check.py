@@ -5,14 +5,14 @@ import re
 import numpy as np
 import pytest
 
+from kinebench_drake.datasets.trajectories.check import MAX_FRAMES, check
+from kinebench_drake.datasets.trajectories.trajectory import RawTrajectory
 from kinebench_drake.errors import InputError, UnmeasurableError
 from kinebench_drake.geometry import pose_difference, rotation_exp
-from kinebench_drake.trajectories.check import MAX_FRAMES, check
-from kinebench_drake.trajectories.trajectory import Recording
 
 
 def recording(**arrays):
-    return Recording(**{"t_s": None, "columns": "test", **arrays})
+    return RawTrajectory(**{"t_s": None, "columns": "test", **arrays})
 
 
 def told(error, **arrays):

@@ -5,18 +5,18 @@ import json
 import numpy as np
 import pytest
 
+from kinebench_drake.datasets.trajectories.columns import ColumnLayout, find_columns
+from kinebench_drake.datasets.trajectories.source import find_trajectories, read_trajectory
+from kinebench_drake.datasets.trajectories.trajectory import TrajectoryOptions
 from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.geometry import pose_difference, rotation_log
-from kinebench_drake.trajectories.columns import Layout, find_columns
-from kinebench_drake.trajectories.source import find_trajectories, read_trajectory
-from kinebench_drake.trajectories.trajectory import Choice
 
 NUMBERED = [f"joint_{j}" for j in range(7)]
 STATE = {"observation.state": [*NUMBERED, "gripper"]}
 
 
 def read_all(path, **choice):
-    chosen = Choice(**choice)
+    chosen = TrajectoryOptions(**choice)
     samples = find_trajectories(path, chosen)
     return samples, [read_trajectory(s, chosen) for s in samples]
 
@@ -91,40 +91,40 @@ def features(**columns):
 @pytest.mark.parametrize(
     ("columns", "column", "layout"),
     [
-        ({"observation__state": [f"panda_joint{j}" for j in range(1, 8)]}, "observation.state", Layout.JOINTS),
-        ({"observation__state": [f"joint_{j}.pos" for j in range(1, 8)]}, "observation.state", Layout.JOINTS),
-        ({"observation__state": [f"q{j}_rad" for j in range(1, 8)]}, "observation.state", Layout.JOINTS),
-        ({"observation__joint_positions": 7, "action": NUMBERED}, "observation.joint_positions", Layout.JOINTS),
-        ({"observation__qpos": 9}, "observation.qpos", Layout.JOINTS),
+        ({"observation__state": [f"panda_joint{j}" for j in range(1, 8)]}, "observation.state", ColumnLayout.JOINTS),
+        ({"observation__state": [f"joint_{j}.pos" for j in range(1, 8)]}, "observation.state", ColumnLayout.JOINTS),
+        ({"observation__state": [f"q{j}_rad" for j in range(1, 8)]}, "observation.state", ColumnLayout.JOINTS),
+        ({"observation__joint_positions": 7, "action": NUMBERED}, "observation.joint_positions", ColumnLayout.JOINTS),
+        ({"observation__qpos": 9}, "observation.qpos", ColumnLayout.JOINTS),
         (
             {"observation__state": 8, "observation__states__joint_state": NUMBERED},
             "observation.states.joint_state",
-            Layout.JOINTS,
+            ColumnLayout.JOINTS,
         ),
         (
             {"observation__ee": ["x", "y", "z", "roll", "pitch", "yaw"], "observation__state": NUMBERED},
             "observation.state",
-            Layout.JOINTS,
+            ColumnLayout.JOINTS,
         ),
         (
             {"observation__joint_velocities": NUMBERED, "ee_pose": ["x", "y", "z", "qx", "qy", "qz", "qw"]},
             "ee_pose",
-            Layout.QUATERNION,
+            ColumnLayout.QUATERNION,
         ),
     ],
 )
 def test_columns_that_tell_what_they_are(columns, column, layout):
-    found = find_columns(features(**columns), Choice())
+    found = find_columns(features(**columns), TrajectoryOptions())
     assert (found.column, found.layout) == (column, layout)
 
 
 def test_names_within_names(q):
     feature = {"dtype": "float32", "shape": [8], "names": {"motors": [*NUMBERED, "gripper"]}}
-    assert find_columns({"observation.state": feature}, Choice()).indices == tuple(range(7))
+    assert find_columns({"observation.state": feature}, TrajectoryOptions()).indices == tuple(range(7))
 
 
 def test_the_joints_are_taken_in_the_order_of_their_numbers():
-    found = find_columns(features(observation__state=["gripper", *reversed(NUMBERED)]), Choice())
+    found = find_columns(features(observation__state=["gripper", *reversed(NUMBERED)]), TrajectoryOptions())
     assert found.indices == (7, 6, 5, 4, 3, 2, 1)
 
 
@@ -155,7 +155,7 @@ def test_fingers_and_widths_whose_unit_is_clear(dataset, q):
 )
 def test_doubtful_columns_are_not_guessed(columns):
     with pytest.raises(InputError, match="no column is known") as caught:
-        find_columns(features(**columns), Choice())
+        find_columns(features(**columns), TrajectoryOptions())
     assert "--joints COLUMN" in str(caught.value)
     for name in columns:
         assert name.replace("__", ".") in str(caught.value)
@@ -165,16 +165,16 @@ def test_columns_named_by_hand(dataset, q, X_BG, quaternion):
     pose = np.hstack([X_BG[:, :3, 3], quaternion])
     root = dataset({0: {"observation.state": q, "action": pose}}, {"observation.state": 7, "action": 7})
     with pytest.raises(UsageError, match=r"ds: no column is known.*observation.state \(7\); action \(7\)"):
-        find_trajectories(root, Choice())
+        find_trajectories(root, TrajectoryOptions())
     _, (found,) = read_all(root, joints="observation.state")
     np.testing.assert_allclose(found.q, q, atol=1e-6)
     _, (found,) = read_all(root, poses="action")
     assert max(d.max() for d in pose_difference(found.X_BG, X_BG)) < 1e-5
     assert "x y z qw qx qy qz was assumed" in found.warnings[0]
     with pytest.raises(UsageError, match=r"no column 'nope' of numbers; found observation\.state"):
-        find_trajectories(root, Choice(joints="nope"))
+        find_trajectories(root, TrajectoryOptions(joints="nope"))
     with pytest.raises(UsageError, match="expected x y z with"):
-        find_trajectories(dataset({0: {"a": q[:, :6]}}, {"a": 6}, folder="six"), Choice(poses="a"))
+        find_trajectories(dataset({0: {"a": q[:, :6]}}, {"a": 6}, folder="six"), TrajectoryOptions(poses="a"))
 
 
 def test_degrees_are_suspected(dataset, q, X_BG):
@@ -189,14 +189,14 @@ def test_degrees_are_suspected(dataset, q, X_BG):
 def test_broken_datasets(dataset, q, tmp_path):
     root = dataset({0: {"observation.state": with_gripper(q)}, 1: {"observation.state": with_gripper(q)}}, STATE)
     (root / "data" / "chunk-000" / "episode_000001.parquet").write_bytes(b"PAR1 no")
-    good, bad = find_trajectories(root, Choice())
-    assert read_trajectory(good, Choice()).q is not None
+    good, bad = find_trajectories(root, TrajectoryOptions())
+    assert read_trajectory(good, TrajectoryOptions()).q is not None
     with pytest.raises(InputError, match=r"episode_000001\.parquet is not a readable parquet file") as caught:
-        read_trajectory(bad, Choice())
+        read_trajectory(bad, TrajectoryOptions())
     assert str(tmp_path) not in str(caught.value)
     gone = dataset({0: {"observation.state": with_gripper(q)}}, STATE, version="v3.0", folder="gone")
     (gone / "data" / "chunk-000" / "file-000.parquet").unlink()
-    (sample,) = find_trajectories(gone, Choice())
+    (sample,) = find_trajectories(gone, TrajectoryOptions())
     assert "there is no such file" in sample.problem
     for lengths in ((6, 8), (0,)):
         rows = [row[: lengths[k % len(lengths)]] for k, row in enumerate(with_gripper(q))]
@@ -222,6 +222,6 @@ def test_unusable_descriptions(tmp_path, text, told):
     (tmp_path / "ds" / "meta").mkdir(parents=True)
     (tmp_path / "ds" / "meta" / "info.json").write_text(text)
     with pytest.raises(UsageError, match=told):
-        find_trajectories(tmp_path / "ds", Choice())
-    (sample,) = find_trajectories(tmp_path, Choice())  # beside others it is one bad sample
+        find_trajectories(tmp_path / "ds", TrajectoryOptions())
+    (sample,) = find_trajectories(tmp_path, TrajectoryOptions())  # beside others it is one bad sample
     assert sample.problem is not None

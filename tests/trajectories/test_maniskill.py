@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
+from kinebench_drake.datasets.trajectories.source import find_trajectories, read_trajectory
+from kinebench_drake.datasets.trajectories.trajectory import TrajectoryOptions
 from kinebench_drake.errors import InputError
-from kinebench_drake.trajectories.source import find_trajectories, read_trajectory
-from kinebench_drake.trajectories.trajectory import Choice
 
 
 def read_all(path, **choice):
-    chosen = Choice(**choice)
+    chosen = TrajectoryOptions(**choice)
     samples = find_trajectories(path, chosen)
     return samples, [read_trajectory(s, chosen) for s in samples]
 
@@ -108,21 +108,21 @@ def test_the_data_set_can_be_named(maniskill, q):
 )
 def test_a_bad_trajectory_is_one_bad_sample(maniskill, q, sets, told):
     path = maniskill({"traj_0": sets, "traj_1": {"obs/agent/qpos": q}}, about())
-    bad, good = find_trajectories(path, Choice())
+    bad, good = find_trajectories(path, TrajectoryOptions())
     with pytest.raises(InputError, match=told):
-        read_trajectory(bad, Choice())
-    np.testing.assert_array_equal(read_trajectory(good, Choice()).q, q)
+        read_trajectory(bad, TrajectoryOptions())
+    np.testing.assert_array_equal(read_trajectory(good, TrajectoryOptions()).q, q)
 
 
 @pytest.mark.parametrize("data", [b"", b"no hdf5 at all" * 40])
 def test_files_that_are_no_hdf5(tmp_path, data):
     (tmp_path / "a.h5").write_bytes(data)
-    (sample,) = find_trajectories(tmp_path / "a.h5", Choice())
+    (sample,) = find_trajectories(tmp_path / "a.h5", TrajectoryOptions())
     with pytest.raises(InputError, match="empty" if not data else "not a readable HDF5 file") as caught:
-        read_trajectory(sample, Choice())
+        read_trajectory(sample, TrajectoryOptions())
     assert str(tmp_path) not in str(caught.value)
 
 
 def test_a_file_without_trajectories(maniskill):
-    (sample,) = find_trajectories(maniskill({"other": {"a": np.zeros(3)}}), Choice())
+    (sample,) = find_trajectories(maniskill({"other": {"a": np.zeros(3)}}), TrajectoryOptions())
     assert "holds no trajectory traj_0, traj_1, ... but other" in sample.problem

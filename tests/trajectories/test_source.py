@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
+from kinebench_drake.datasets.trajectories.source import find_trajectories
+from kinebench_drake.datasets.trajectories.trajectory import TrajectoryOptions
 from kinebench_drake.errors import UsageError
-from kinebench_drake.results import ResultStore
-from kinebench_drake.row import SampleRow, Status
-from kinebench_drake.trajectories.source import find_trajectories
-from kinebench_drake.trajectories.trajectory import Choice
+from kinebench_drake.results.row import SampleRow, Status
+from kinebench_drake.results.store import ResultStore
 
 
 def touch(folder, *names):
@@ -23,7 +23,7 @@ def test_a_folder_of_everything(tmp_path, archive, maniskill, dataset, t_s, q):
     touch(tmp_path, "sub/a.CSV", "notes.txt", "clip.mp4", ".hidden.npz", ".git/x.npz", "sub/deep/b.npz")
     touch(tmp_path, "old/samples.jsonl", "old/results.json", "old/tracks/c.npz", "out/tracks/d.npz")
     touch(tmp_path, "stopped/samples.jsonl", "stopped/run.json", "stopped/tracks/e.npz")
-    samples = find_trajectories(tmp_path, Choice(), out=tmp_path / "out", model="m", task="t")
+    samples = find_trajectories(tmp_path, TrajectoryOptions(), out=tmp_path / "out", model="m", task="t")
     assert [(s.id, s.video) for s in samples] == [
         ("b", "b.npz"),
         ("demo-traj_0", "demo.h5#traj_0"),
@@ -33,7 +33,7 @@ def test_a_folder_of_everything(tmp_path, archive, maniskill, dataset, t_s, q):
         ("sub-deep-b", "sub/deep/b.npz"),
     ]
     assert {(s.model, s.task) for s in samples} == {("m", "t")}
-    assert samples == find_trajectories(tmp_path, Choice(), out=tmp_path / "out", model="m", task="t")
+    assert samples == find_trajectories(tmp_path, TrajectoryOptions(), out=tmp_path / "out", model="m", task="t")
 
 
 def test_an_output_folder_and_its_tracks_keep_their_labels(tmp_path):
@@ -46,14 +46,14 @@ def test_an_output_folder_and_its_tracks_keep_their_labels(tmp_path):
         store.append(row, 0.1)
     touch(tmp_path, "tracks/a.npz", "tracks/b.npz")
     for source in (tmp_path, tmp_path / "tracks"):
-        a, b = find_trajectories(source, Choice(), task="other")
+        a, b = find_trajectories(source, TrajectoryOptions(), task="other")
         assert (a.id, a.task, a.model, a.seed, a.prompt, a.video) == ("a", "T", "M", 4, "p", "tracks/a.npz")
         assert (b.id, b.task, b.model, b.seed) == ("b", "other", None, None)
 
 
 def test_ids_never_meet(tmp_path):
     touch(tmp_path, "x/a.npz", "y/a.npz", "a.csv", "a.npz", "b.csv")
-    ids = [s.id for s in find_trajectories(tmp_path, Choice())]
+    ids = [s.id for s in find_trajectories(tmp_path, TrajectoryOptions())]
     assert len({i.casefold() for i in ids}) == 5
     assert {"x-a", "y-a", "b"} <= set(ids)
 
@@ -72,24 +72,24 @@ def test_what_cannot_be_input(tmp_path, name, told):
     touch(tmp_path, "a.mp4", "plain", "films/a.mp4")
     (tmp_path / "empty").mkdir()
     with pytest.raises(UsageError, match=told):
-        find_trajectories(tmp_path / name, Choice())
+        find_trajectories(tmp_path / name, TrajectoryOptions())
 
 
 def test_the_output_folder_is_no_input(tmp_path):
     touch(tmp_path, "tracks/a.npz")
     with pytest.raises(UsageError, match="input folder itself"):
-        find_trajectories(tmp_path, Choice(), out=tmp_path)
+        find_trajectories(tmp_path, TrajectoryOptions(), out=tmp_path)
     for source in (tmp_path / "tracks", tmp_path / "tracks" / "a.npz"):
         with pytest.raises(UsageError, match=r"the run fills .*tracks"):
-            find_trajectories(source, Choice(), out=tmp_path)
+            find_trajectories(source, TrajectoryOptions(), out=tmp_path)
 
 
 @pytest.mark.parametrize("rate", [0.0, -5.0, np.nan, np.inf, 1e-300, 1e300])
 def test_impossible_rates(rate):
     with pytest.raises(UsageError, match="--rate is"):
-        Choice(rate_hz=rate)
+        TrajectoryOptions(rate_hz=rate)
 
 
 def test_joints_and_poses_exclude_each_other():
     with pytest.raises(UsageError, match="exclude each other"):
-        Choice(joints="a", poses="b")
+        TrajectoryOptions(joints="a", poses="b")

@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
+from kinebench_drake.datasets.trajectories.check import check
+from kinebench_drake.datasets.trajectories.tables import JOINTS, POSE, read_table
+from kinebench_drake.datasets.trajectories.trajectory import TrajectoryOptions
 from kinebench_drake.errors import InputError, UnmeasurableError
-from kinebench_drake.trajectories.check import check
-from kinebench_drake.trajectories.table import JOINTS, POSE, read_table
-from kinebench_drake.trajectories.trajectory import Choice
 
 
 def read(path, **choice):
-    return check(read_table(path, Choice(**choice)))
+    return check(read_table(path, TrajectoryOptions(**choice)))
 
 
 @pytest.fixture

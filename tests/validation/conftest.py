@@ -1,6 +1,6 @@
 import pytest
 
-from kinebench_drake.validation.motion import Arm
+from benchmarks.motion import Arm
 
 
 @pytest.fixture(scope="session")

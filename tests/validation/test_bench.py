@@ -3,8 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kinebench_drake.provenance import host
-from kinebench_drake.validation.bench import (
+from benchmarks.bench import (
     IK_SETS,
     Bench,
     Comparison,
@@ -18,18 +17,9 @@ from kinebench_drake.validation.bench import (
     smooth_motions,
     track_of,
 )
-from kinebench_drake.validation.page import document
-from kinebench_drake.validation.peers import (
-    FRANKIK_HELD,
-    OURS,
-    OURS_HELD,
-    OWN_PARTS,
-    PEERS,
-    PLAIN_DRAKE,
-    Peer,
-    kept_up,
-    reached,
-)
+from benchmarks.page import document
+from benchmarks.peers import FRANKIK_HELD, OURS, OURS_HELD, OWN_PARTS, PEERS, PLAIN_DRAKE, Peer, kept_up, reached
+from kinebench_drake.results.provenance import host
 
 EPISODES, LONG = IK_SETS
 ALWAYS = [peer for peer in PEERS if peer.name in (OURS, OURS_HELD, OWN_PARTS, PLAIN_DRAKE)]

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 from pydrake.multibody.tree import BodyIndex
 
+from benchmarks.body import _vertices
 from kinebench_drake.geometry import transform_points
-from kinebench_drake.validation.body import _vertices
 
 
 @pytest.fixture

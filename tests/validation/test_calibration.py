@@ -3,13 +3,13 @@ import json
 import numpy as np
 import pytest
 
-from kinebench_drake.calibration.calibration import Method
+from benchmarks.calibration import CONDITIONS, Condition, measure, table
+from kinebench_drake.calibration.result import CalibrationMethod
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.errors import UsageError
 from kinebench_drake.geometry import invert
-from kinebench_drake.grounding.arm import ArmModel
-from kinebench_drake.models.panda.part import Part
-from kinebench_drake.validation.calibration import CONDITIONS, Condition, measure, table
+from kinebench_drake.grounding.registration.arm_model import ArmModel
+from kinebench_drake.models.panda.robot import RobotPart
 from tests.calibration.robot import PerfectEye, postures
 
 T = 5
@@ -28,7 +28,7 @@ def folder(tmp_path, eye):
     (tmp_path / "manifest.jsonl").write_text(json.dumps({"video": "a.npy", "task": "PullCube-v1"}) + "\n")
     eye.camera.save(tmp_path / "camera.json")
     (tmp_path / "truth").mkdir()
-    X_CH = invert(eye.camera.X_BC) @ eye.model.poses(eye.q)[:, Part.HAND]
+    X_CH = invert(eye.camera.X_BC) @ eye.model.poses(eye.q)[:, RobotPart.HAND]
     np.savez(tmp_path / "truth" / "a.npz", q=eye.q, finger_width_m=np.full(T, 0.02), camera_from_hand=X_CH)
     return tmp_path
 
@@ -38,13 +38,13 @@ def test_a_perfect_picture_is_measured_without_an_error(folder, eye):
     trials = list(measure(folder, limit=None, frames=T, conditions=conditions, eye=eye))
     assert [t.condition for t in trials] == conditions
     for trial in trials:
-        told = trial.condition.method in (Method.JOINTS, Method.POSES)
+        told = trial.condition.method in (CalibrationMethod.JOINTS, CalibrationMethod.POSES)
         assert trial.distance_m < (1e-5 if told else 5e-3)
     assert len(table(trials)) == 2 + len(conditions)
 
 
 def test_a_folder_without_joint_angles_is_refused(folder, eye):
     np.savez(folder / "truth" / "a.npz", finger_width_m=np.zeros(T))
-    condition = Condition(method=Method.JOINTS, zoom_free=False)
+    condition = Condition(method=CalibrationMethod.JOINTS, zoom_free=False)
     with pytest.raises(UsageError, match="holds no joint angles"):
         next(measure(folder, limit=None, frames=T, conditions=[condition], eye=eye))

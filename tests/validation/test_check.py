@@ -1,9 +1,10 @@
 import pytest
 
+from benchmarks.check import compare, read_rows, table
+from benchmarks.sample import REASONS, Kind, Truth
 from kinebench_drake.errors import InputError
-from kinebench_drake.row import SampleRow, Status, dump
-from kinebench_drake.validation.check import compare, read_rows, table
-from kinebench_drake.validation.sample import REASONS, Kind, Truth
+from kinebench_drake.io.jsonl import dump
+from kinebench_drake.results.row import SampleRow, Status
 
 
 def truth(kind, n):

@@ -6,8 +6,8 @@ import subprocess
 import sys
 import time
 
-from kinebench_drake.validation.cluster import Trial, _Killer, differences, section
-from kinebench_drake.validation.watched import children, command_line
+from benchmarks.cluster import Trial, _Killer, differences, section
+from benchmarks.watched import children, command_line
 
 STAND_IN = """
 import subprocess, sys

@@ -3,9 +3,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kinebench_drake.validation.feasible import draw_feasible
-from kinebench_drake.validation.motion import CLEARANCE_M, Motion, prove
-from kinebench_drake.validation.moves import Family, trapezoid
+from benchmarks.feasible import draw_feasible
+from benchmarks.motion import CLEARANCE_M, Motion, prove
+from benchmarks.moves import Family, trapezoid
 
 
 def swing(arm, joint, size, duration):

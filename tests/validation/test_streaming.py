@@ -3,10 +3,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.streaming import Streaming, cut, growth, section
+from benchmarks.watched import Memory
 from kinebench_drake.errors import UsageError
-from kinebench_drake.grounding.video import read_video
-from kinebench_drake.validation.streaming import Streaming, cut, growth, section
-from kinebench_drake.validation.watched import Memory
+from kinebench_drake.io.reader import read_video
 
 EXAMPLES = Path(__file__).parents[2] / "examples" / "videos"
 

@@ -1,16 +1,9 @@
 import numpy as np
 import pytest
 
+from benchmarks.postures import all_postures
+from benchmarks.sweep import REACH_M, least_bend, least_excess, least_step, postures, wrist_distance
 from kinebench_drake.geometry import make_pose
-from kinebench_drake.validation.postures import all_postures
-from kinebench_drake.validation.sweep import (
-    REACH_M,
-    least_bend,
-    least_excess,
-    least_step,
-    postures,
-    wrist_distance,
-)
 
 
 @pytest.fixture

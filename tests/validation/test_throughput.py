@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
+from benchmarks.throughput import Job, Setting, Turn, copies, measure, section, settings
+from benchmarks.watched import Memory
 from kinebench_drake.errors import UsageError
-from kinebench_drake.validation.throughput import Job, Setting, Turn, copies, measure, section, settings
-from kinebench_drake.validation.watched import Memory
 
 PEAK = Memory(main_mb=100.0, workers_mb=(900.0, 800.0))
 

@@ -3,7 +3,7 @@ import io
 import numpy as np
 import pytest
 
-from kinebench_drake.validation.planted import (
+from benchmarks.planted import (
     DEPTH_M,
     JUMP_BEND,
     JUMP_STEP,
@@ -13,9 +13,9 @@ from kinebench_drake.validation.planted import (
     REACH_EXCESS_M,
     SPEED_RATIO,
 )
-from kinebench_drake.validation.sample import REASONS, TRUTH, Kind, read_truth
-from kinebench_drake.validation.sweep import REACH_M, least_excess, least_step, wrist_distance
-from kinebench_drake.validation.tracks import Recipe, Set, draw, make
+from benchmarks.sample import REASONS, TRUTH, Kind, read_truth
+from benchmarks.sweep import REACH_M, least_excess, least_step, wrist_distance
+from benchmarks.tracks import Recipe, Set, draw, make
 
 
 @pytest.fixture(scope="module")

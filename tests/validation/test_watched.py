@@ -7,8 +7,8 @@ import sys
 import numpy as np
 import pytest
 
+from benchmarks.watched import Memory, children, held, watch
 from kinebench_drake.errors import KinebenchError
-from kinebench_drake.validation.watched import Memory, children, held, watch
 
 
 def test_a_process_and_its_workers_are_weighed_and_helpers_are_not():

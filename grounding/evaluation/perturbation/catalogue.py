@@ -12,15 +12,18 @@ from enum import Enum
 
 import numpy as np
 
-from kinebench_drake.grounding.evaluation.perturbation.compression import code_h264, code_latent
-from kinebench_drake.grounding.evaluation.perturbation.deformation import deform
-from kinebench_drake.grounding.evaluation.perturbation.light import add_noise, fade
-from kinebench_drake.grounding.evaluation.perturbation.motion import blur_motion, ghost
-from kinebench_drake.grounding.evaluation.perturbation.occlusion import occlude
-from kinebench_drake.grounding.evaluation.perturbation.seen import Frames, Masks, Seen
+from kinebench_drake.grounding.evaluation.perturbation.degrade import (
+    add_noise,
+    blur_motion,
+    code_h264,
+    code_latent,
+    fade,
+    ghost,
+)
+from kinebench_drake.grounding.evaluation.perturbation.gripper import Frames, Masks, PerturbedFrames, deform, occlude
 
 
-class Kind(Enum):
+class PerturbationKind(Enum):
     """What can be done to frames."""
 
     DEFORMATION = "deformation"
@@ -37,7 +40,7 @@ class Kind(Enum):
 class Perturbation:
     """A kind at a strength."""
 
-    kind: Kind
+    kind: PerturbationKind
     strength: float
     """In the kind's own unit; 0 changes nothing."""
 
@@ -52,7 +55,7 @@ class Perturbation:
         return self.strength in _ENTRIES[self.kind].borne
 
 
-Function = Callable[[Frames, Masks, np.random.Generator, float], Seen]
+Function = Callable[[Frames, Masks, np.random.Generator, float], PerturbedFrames]
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,19 +66,19 @@ class _Entry:
     borne: tuple[float, ...]
 
 
-_ENTRIES: Mapping[Kind, _Entry] = {
-    Kind.DEFORMATION: _Entry(deform, "deformation {:g} px", (2.0, 4.0, 8.0), (4.0,)),
-    Kind.OCCLUSION: _Entry(occlude, "occlusion {:.0%}", (0.15, 0.30, 0.50), (0.15, 0.30, 0.50)),
-    Kind.CONTRAST: _Entry(fade, "contrast -{:.0%}", (0.4, 0.6, 0.8), (0.6,)),
-    Kind.MOTION_BLUR: _Entry(blur_motion, "motion blur {:g} px", (5.0, 10.0, 20.0), (10.0,)),
-    Kind.NOISE: _Entry(add_noise, "noise {:g}/255", (10.0, 20.0, 40.0), (20.0,)),
-    Kind.H264: _Entry(code_h264, "H.264 crf {:g}", (28.0, 35.0, 42.0), (35.0,)),
-    Kind.LATENT: _Entry(code_latent, "latent 1:{:g}", (24.0, 48.0, 96.0), (48.0,)),
-    Kind.GHOSTING: _Entry(ghost, "ghosting {:.0%}", (0.2, 0.35, 0.5), (0.35,)),
+_ENTRIES: Mapping[PerturbationKind, _Entry] = {
+    PerturbationKind.DEFORMATION: _Entry(deform, "deformation {:g} px", (2.0, 4.0, 8.0), (4.0,)),
+    PerturbationKind.OCCLUSION: _Entry(occlude, "occlusion {:.0%}", (0.15, 0.30, 0.50), (0.15, 0.30, 0.50)),
+    PerturbationKind.CONTRAST: _Entry(fade, "contrast -{:.0%}", (0.4, 0.6, 0.8), (0.6,)),
+    PerturbationKind.MOTION_BLUR: _Entry(blur_motion, "motion blur {:g} px", (5.0, 10.0, 20.0), (10.0,)),
+    PerturbationKind.NOISE: _Entry(add_noise, "noise {:g}/255", (10.0, 20.0, 40.0), (20.0,)),
+    PerturbationKind.H264: _Entry(code_h264, "H.264 crf {:g}", (28.0, 35.0, 42.0), (35.0,)),
+    PerturbationKind.LATENT: _Entry(code_latent, "latent 1:{:g}", (24.0, 48.0, 96.0), (48.0,)),
+    PerturbationKind.GHOSTING: _Entry(ghost, "ghosting {:.0%}", (0.2, 0.35, 0.5), (0.35,)),
 }
 
 
-def ladder(kind: Kind) -> tuple[Perturbation, ...]:
+def ladder(kind: PerturbationKind) -> tuple[Perturbation, ...]:
     """A kind at its strengths, in increasing order."""
     return tuple(Perturbation(kind=kind, strength=s) for s in _ENTRIES[kind].strengths)
 

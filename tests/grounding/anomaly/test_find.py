@@ -5,11 +5,11 @@ import pytest
 
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.errors import InputError
+from kinebench_drake.grounding.anomaly.camera_motion import CameraMotion
+from kinebench_drake.grounding.anomaly.detect import find_anomalies
+from kinebench_drake.grounding.anomaly.detection import AnomalyDetections
 from kinebench_drake.grounding.anomaly.evidence import Evidence
-from kinebench_drake.grounding.anomaly.find import find_anomalies
-from kinebench_drake.grounding.anomaly.finding import Findings
-from kinebench_drake.grounding.anomaly.motion import CameraMotion
-from kinebench_drake.products import AnomalyKind
+from kinebench_drake.types import AnomalyKind
 
 
 @pytest.fixture
@@ -71,6 +71,6 @@ def test_nothing_seen_is_nothing_found(clean):
 
 def test_missing_kinds_and_uneven_series_are_refused(clean):
     with pytest.raises(InputError, match="vanish"):
-        Findings(findings={})
+        AnomalyDetections(findings={})
     with pytest.raises(InputError, match="scale"):
         replace(clean, scale=clean.scale[:5])

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from kinebench_drake.grounding.anomaly.fingers import MAX_WIDTH_M, find_finger_faults
+from kinebench_drake.grounding.anomaly.jumps import MAX_WIDTH_M, find_finger_faults
 
 
 def grasp(seed, noise_m=0.003):

@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.geometry import rotation_angle, rotation_exp
-from kinebench_drake.grounding.anomaly.motion import find_camera_motion, measure_camera_motion
+from kinebench_drake.grounding.anomaly.camera_motion import find_camera_motion, measure_camera_motion
 
 CAMERA = benchmark_camera().resized(192, 192)
 ROBOT = np.zeros((192, 192), dtype=bool)

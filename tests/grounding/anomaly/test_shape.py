@@ -8,14 +8,13 @@ import pytest
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.geometry import invert, make_pose, rotation_exp, transform_points
 from kinebench_drake.grounding.anomaly.duplicate import find_duplicates, second_gripper
-from kinebench_drake.grounding.anomaly.scale import find_scale_drift
-from kinebench_drake.grounding.anomaly.shape import find_deformations, shape_misfit
+from kinebench_drake.grounding.anomaly.shape import find_deformations, find_scale_drift, shape_misfit
 from kinebench_drake.grounding.crop import Crop
-from kinebench_drake.grounding.fit import fit
+from kinebench_drake.grounding.registration.fit import fit
 from kinebench_drake.grounding.tracker import whole_frame
 from kinebench_drake.grounding.view import GripperView
 from kinebench_drake.models.panda.cad import GripperCad
-from kinebench_drake.models.panda.part import Part
+from kinebench_drake.models.panda.robot import RobotPart
 
 CAMERA = benchmark_camera()
 
@@ -39,7 +38,7 @@ def view_of(cad, X_CH, crop, noise_m=0.004, seed=0):
     part = surface.part.reshape(rays.shape[:2])
     z = np.where(np.isfinite(surface.distance), surface.distance, 1.0).reshape(part.shape)
     p_H = transform_points(invert(X_VH), (rays * z[..., None]).reshape(-1, 3)).reshape(rays.shape)
-    p_H[..., 1] -= 0.03 * ((part == Part.LEFT_FINGER).astype(float) - (part == Part.RIGHT_FINGER))
+    p_H[..., 1] -= 0.03 * ((part == RobotPart.LEFT_FINGER).astype(float) - (part == RobotPart.RIGHT_FINGER))
     return GripperView(
         crop=crop,
         stride=2,

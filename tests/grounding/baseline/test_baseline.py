@@ -14,13 +14,24 @@ from torch import Tensor
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.errors import SetupError, UsageError
 from kinebench_drake.geometry import make_pose, rotation_exp
-from kinebench_drake.grounding.baseline.cache import decode, resized
-from kinebench_drake.grounding.baseline.comparison import ClipComparison, Errors, Method, Quantity, groups, percentiles
-from kinebench_drake.grounding.baseline.dataset import LABELLED, Windows
-from kinebench_drake.grounding.baseline.demonstration import Demonstrations, load_demonstrations
-from kinebench_drake.grounding.baseline.network import CONTEXT, PoseOutput
+from kinebench_drake.grounding.baseline.comparison import (
+    ClipComparison,
+    Extractor,
+    PoseErrors,
+    Quantity,
+    groups,
+    percentiles,
+)
+from kinebench_drake.grounding.baseline.dataset import (
+    LABELLED,
+    Demonstrations,
+    Windows,
+    decode,
+    load_demonstrations,
+    resized,
+)
+from kinebench_drake.grounding.baseline.network import CONTEXT, PoseOutput, from_six, to_six
 from kinebench_drake.grounding.baseline.predictor import Baseline
-from kinebench_drake.grounding.baseline.rotation import from_six, to_six
 from kinebench_drake.grounding.baseline.train import BaselineConfig, losses, train
 from kinebench_drake.grounding.training.loop import Schedule
 
@@ -220,8 +231,8 @@ def test_resizing_keeps_what_a_picture_shows() -> None:
     assert np.abs(direct.astype(int) - over).max() <= 1
 
 
-def errors_of(position_m: np.ndarray) -> Errors:
-    return Errors(position_m=position_m, rotation_rad=position_m, finger_m=position_m)
+def errors_of(position_m: np.ndarray) -> PoseErrors:
+    return PoseErrors(position_m=position_m, rotation_rad=position_m, finger_m=position_m)
 
 
 def test_groups_pool_frames_and_tell_trained_from_unseen() -> None:
@@ -231,7 +242,7 @@ def test_groups_pool_frames_and_tell_trained_from_unseen() -> None:
             task=task,
             trained=task != "C",
             tracked_fraction=1.0,
-            errors={m: errors_of(np.full(10, 0.001 * (i + 1))) for m in Method},
+            errors={m: errors_of(np.full(10, 0.001 * (i + 1))) for m in Extractor},
         )
         for task in "ABC"
         for i in range(3)
@@ -239,7 +250,7 @@ def test_groups_pool_frames_and_tell_trained_from_unseen() -> None:
     found = list(groups(clips))
     assert [g.name for g in found] == ["A", "B", "trained tasks", "C", "unseen tasks"]
     assert [g.videos for g in found] == [3, 3, 6, 3, 3]
-    assert found[2].medians[Method.BASELINE, Quantity.POSITION].value == pytest.approx(2.0)
+    assert found[2].medians[Extractor.BASELINE, Quantity.POSITION].value == pytest.approx(2.0)
 
 
 def test_the_interval_is_over_videos_not_frames() -> None:

@@ -10,13 +10,11 @@ import pytest
 
 from kinebench_drake.camera import Camera, benchmark_camera
 from kinebench_drake.geometry import Array, make_pose, rotation_exp
-from kinebench_drake.grounding.evaluation.clip import Clip
-from kinebench_drake.grounding.evaluation.errors import ClipErrors, compare
-from kinebench_drake.grounding.evaluation.expense import Expense
-from kinebench_drake.grounding.known import FirstFrameUse
-from kinebench_drake.grounding.pipeline import Grounding
-from kinebench_drake.mp4 import write_video
-from kinebench_drake.products import Anomaly, GripperTrack
+from kinebench_drake.grounding.evaluation.clip import TruthClip
+from kinebench_drake.grounding.evaluation.errors import ClipErrors, Expense, compare
+from kinebench_drake.grounding.pipeline import GroundingResult
+from kinebench_drake.io.container import write_video
+from kinebench_drake.types import Anomaly, GripperTrack, InitialStateUse
 
 FRAMES, SIDE = 12, 96
 
@@ -34,8 +32,8 @@ def truth() -> Array:
 
 
 @pytest.fixture
-def clip(camera: Camera, truth: Array) -> Clip:
-    return Clip(
+def clip(camera: Camera, truth: Array) -> TruthClip:
+    return TruthClip(
         id="Some-v1_s0",
         task="Some-v1",
         path=Path("none.mp4"),
@@ -50,10 +48,10 @@ def clip(camera: Camera, truth: Array) -> Clip:
 
 
 @pytest.fixture
-def grounded() -> Callable[..., Grounding]:
+def grounded() -> Callable[..., GroundingResult]:
     """A grounding that says so much."""
 
-    def make(clip: Clip, X_CH: Array, tracked: Array | None = None, confidence: float = 0.9) -> Grounding:
+    def make(clip: TruthClip, X_CH: Array, tracked: Array | None = None, confidence: float = 0.9) -> GroundingResult:
         n = len(clip.t_s)
         tracked = np.ones(n, dtype=bool) if tracked is None else tracked.astype(bool)
         X_CH = np.where(tracked[:, None, None], X_CH, np.nan)
@@ -65,10 +63,10 @@ def grounded() -> Callable[..., Grounding]:
             confidence=np.full(n, confidence),
             finger_width_m=np.where(tracked, clip.finger_width_m, np.nan),
         )
-        return Grounding(
+        return GroundingResult(
             track=track,
             given=np.zeros(n, dtype=bool),
-            first_frame=FirstFrameUse.UNKNOWN,
+            first_frame=InitialStateUse.UNKNOWN,
             anomalies=(),
             camera_motion_px=None,
             arm_consistency_px=None,
@@ -79,7 +77,7 @@ def grounded() -> Callable[..., Grounding]:
 
 
 @pytest.fixture
-def errors(clip: Clip, grounded: Callable[..., Grounding]) -> Callable[..., ClipErrors]:
+def errors(clip: TruthClip, grounded: Callable[..., GroundingResult]) -> Callable[..., ClipErrors]:
     """The errors of a track that is off by an offset [m], tracked where told."""
 
     def make(
@@ -116,7 +114,7 @@ def square() -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.fixture
-def folder(tmp_path: Path, clip: Clip, square: tuple[np.ndarray, np.ndarray]) -> Path:
+def folder(tmp_path: Path, clip: TruthClip, square: tuple[np.ndarray, np.ndarray]) -> Path:
     """A folder of three clips of two tasks as the commands read it."""
     frames, masks = square
     (tmp_path / "truth").mkdir()

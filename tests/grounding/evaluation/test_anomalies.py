@@ -8,24 +8,32 @@ import pytest
 
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.errors import UsageError
-from kinebench_drake.grounding.evaluation.anomalies import ClipFindings, Planted, find_cases, located
-from kinebench_drake.grounding.evaluation.anomaly_figure import draw_anomalies
-from kinebench_drake.grounding.evaluation.anomaly_table import GATES, UNITS, alarms, area, rows, table_json, table_lines
-from kinebench_drake.products import Anomaly, AnomalyKind
+from kinebench_drake.grounding.evaluation.anomalies import ClipAnomalies, PlantedCase, find_cases, located
+from kinebench_drake.grounding.evaluation.anomaly_table import (
+    GATES,
+    UNITS,
+    alarms,
+    area,
+    draw_anomalies,
+    rows,
+    table_json,
+    table_lines,
+)
 from kinebench_drake.suites.faults.fault import GRADES
+from kinebench_drake.types import Anomaly, AnomalyKind
 
 
 def clip(i, planted=None, score=0.1, found=()):
     kind = planted.kind if planted else AnomalyKind.TELEPORT
     scores = {k: 0.1 for k in AnomalyKind} | {kind: score}
-    return ClipFindings(id=f"v{i}", task="StackCube-v1", planted=planted, scores=scores, found=tuple(found))
+    return ClipAnomalies(id=f"v{i}", task="StackCube-v1", planted=planted, scores=scores, found=tuple(found))
 
 
 def jump(frame, kind=AnomalyKind.TELEPORT, end=None):
     return Anomaly(kind=kind, frame_start=frame, frame_end=frame if end is None else end, severity=1.0)
 
 
-PLANTED = Planted(kind=AnomalyKind.TELEPORT, frame_start=20, frame_end=48, size=0.05, form="")
+PLANTED = PlantedCase(kind=AnomalyKind.TELEPORT, frame_start=20, frame_end=48, size=0.05, form="")
 
 
 def test_the_gates_are_those_of_what_is_planted():
@@ -87,7 +95,7 @@ def test_shares_rows_and_alarms_count_what_they_say():
     assert 0.1 < high < 0.5
     assert any("v8: teleport 3-3" in line for line in table_lines(findings))
     json.dumps(table_json(findings), allow_nan=False)
-    assert [f for f in findings if ClipFindings.from_json(json.loads(json.dumps(f.to_json()))) != f] == []
+    assert [f for f in findings if ClipAnomalies.from_json(json.loads(json.dumps(f.to_json()))) != f] == []
 
 
 def test_the_figure_has_a_panel_a_kind():

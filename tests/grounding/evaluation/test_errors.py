@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 from kinebench_drake.geometry import Array, make_pose, rotation_exp
-from kinebench_drake.grounding.evaluation.clip import Clip
-from kinebench_drake.grounding.evaluation.errors import ClipErrors, compare
-from kinebench_drake.grounding.evaluation.expense import Expense
-from kinebench_drake.grounding.pipeline import Grounding
-from kinebench_drake.products import Anomaly, AnomalyKind
+from kinebench_drake.grounding.evaluation.clip import TruthClip
+from kinebench_drake.grounding.evaluation.errors import ClipErrors, Expense, compare
+from kinebench_drake.grounding.pipeline import GroundingResult
+from kinebench_drake.types import Anomaly, AnomalyKind
 
 HALF_TURN = make_pose(rotation_exp([0.0, 0.0, np.pi]), np.zeros(3))
 EXPENSE = Expense(wall_s=1.0, cpu_s=1.0, peak_mb=1.0)
@@ -31,7 +30,7 @@ def test_an_offset_is_read_as_it_is(errors: Callable[..., ClipErrors]) -> None:
 
 @pytest.mark.parametrize(("hidden", "runs"), [((), [5]), ((5,), [4]), ((2,), [5])])
 def test_a_flip_is_counted_in_tracked_frames(
-    clip: Clip, grounded: Callable[..., Grounding], hidden: tuple[int, ...], runs: list[int]
+    clip: TruthClip, grounded: Callable[..., GroundingResult], hidden: tuple[int, ...], runs: list[int]
 ) -> None:
     X: Array = clip.X_CH.copy()
     X[3:8] = X[3:8] @ HALF_TURN
@@ -39,7 +38,7 @@ def test_a_flip_is_counted_in_tracked_frames(
     assert compare(clip, grounded(clip, X, tracked), EXPENSE).flips == runs
 
 
-def test_two_flips_are_two(clip: Clip, grounded: Callable[..., Grounding]) -> None:
+def test_two_flips_are_two(clip: TruthClip, grounded: Callable[..., GroundingResult]) -> None:
     X = clip.X_CH.copy()
     X[1:3], X[9:] = X[1:3] @ HALF_TURN, X[9:] @ HALF_TURN
     e = compare(clip, grounded(clip, X), EXPENSE)

@@ -9,10 +9,10 @@ from kinebench_drake.camera import Camera
 from kinebench_drake.errors import InputError
 from kinebench_drake.grounding.crop import Crop
 from kinebench_drake.grounding.evaluation.degradation import Degradation, DegradedEstimator
-from kinebench_drake.grounding.given import GivenEstimator
-from kinebench_drake.grounding.known import GivenDepth, Known
+from kinebench_drake.grounding.override_estimator import OverrideEstimator
 from kinebench_drake.grounding.view import Frames, GripperView
-from kinebench_drake.models.panda.part import Part
+from kinebench_drake.models.panda.robot import RobotPart
+from kinebench_drake.types import ExternalDepth, Priors
 
 
 class Flat:
@@ -28,7 +28,7 @@ class Flat:
             crop=crop,
             stride=2,
             shown=np.ones((n, n), dtype=bool),
-            part=np.full((n, n), Part.HAND, np.uint8),
+            part=np.full((n, n), RobotPart.HAND, np.uint8),
             depth_m=np.ones((n, n)),
             depth_sigma=np.full((n, n), 0.02),
             level_sigma=0.012,
@@ -45,7 +45,9 @@ def crop() -> Crop:
 def test_true_values_follow_their_frames(square: tuple[np.ndarray, np.ndarray], camera: Camera, crop: Crop) -> None:
     frames, masks = square
     depth = np.broadcast_to(0.5 + 0.01 * np.arange(len(frames))[:, None, None], masks.shape)
-    given = GivenEstimator(Flat(), Known(mask=masks, depth=GivenDepth(depth_m=np.where(masks, depth, 0.0), exact=True)))
+    given = OverrideEstimator(
+        Flat(), Priors(mask=masks, depth=ExternalDepth(depth_m=np.where(masks, depth, 0.0), exact=True))
+    )
     views = dict(given.estimate(frames, camera, dict.fromkeys([7, 2, 11], crop)))
     assert views.keys() == {7, 2, 11}
     for number, view in views.items():
@@ -57,11 +59,13 @@ def test_true_values_follow_their_frames(square: tuple[np.ndarray, np.ndarray], 
 
 def test_what_is_not_given_stays_estimated(square: tuple[np.ndarray, np.ndarray], camera: Camera, crop: Crop) -> None:
     frames, masks = square
-    view = dict(GivenEstimator(Flat(), Known(mask=masks)).estimate(frames, camera, {0: crop}))[0]
+    view = dict(OverrideEstimator(Flat(), Priors(mask=masks)).estimate(frames, camera, {0: crop}))[0]
     assert (view.depth_m == 1.0).all()
     assert not view.gripper.all()
     depth = np.full(masks.shape, 0.6)
-    view = dict(GivenEstimator(Flat(), Known(depth=GivenDepth(depth_m=depth))).estimate(frames, camera, {0: crop}))[0]
+    view = dict(
+        OverrideEstimator(Flat(), Priors(depth=ExternalDepth(depth_m=depth))).estimate(frames, camera, {0: crop})
+    )[0]
     assert view.gripper.all()
     np.testing.assert_allclose(view.depth_m, 0.6, rtol=1e-6)
 
@@ -69,7 +73,7 @@ def test_what_is_not_given_stays_estimated(square: tuple[np.ndarray, np.ndarray]
 def test_masks_of_another_video_are_refused(square: tuple[np.ndarray, np.ndarray], camera: Camera, crop: Crop) -> None:
     frames, masks = square
     with pytest.raises(InputError, match="shape"):
-        Known(mask=masks[:3]).require(*frames.shape[:3])
+        Priors(mask=masks[:3]).check_shapes(*frames.shape[:3])
 
 
 @pytest.mark.parametrize(

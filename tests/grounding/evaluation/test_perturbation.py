@@ -6,17 +6,15 @@ import numpy as np
 import pytest
 from scipy.ndimage import binary_dilation
 
-from kinebench_drake.grounding.evaluation.perturbation.catalogue import Kind, Perturbation, ladder, perturb
-from kinebench_drake.grounding.evaluation.perturbation.compression import code_latent
-from kinebench_drake.grounding.evaluation.perturbation.deformation import displacement
-from kinebench_drake.grounding.evaluation.perturbation.motion import directions, line_kernel
-from kinebench_drake.grounding.evaluation.perturbation.seen import turning
+from kinebench_drake.grounding.evaluation.perturbation.catalogue import Perturbation, PerturbationKind, ladder, perturb
+from kinebench_drake.grounding.evaluation.perturbation.degrade import code_latent, directions, line_kernel
+from kinebench_drake.grounding.evaluation.perturbation.gripper import displacement, turning
 
 Square = tuple[np.ndarray, np.ndarray]
 
 
-@pytest.mark.parametrize("kind", Kind)
-def test_shape_and_seed_hold_and_strength_0_changes_nothing(kind: Kind, square: Square) -> None:
+@pytest.mark.parametrize("kind", PerturbationKind)
+def test_shape_and_seed_hold_and_strength_0_changes_nothing(kind: PerturbationKind, square: Square) -> None:
     frames, masks = square
     before = frames.copy()
     step = ladder(kind)[1]
@@ -30,14 +28,14 @@ def test_shape_and_seed_hold_and_strength_0_changes_nothing(kind: Kind, square: 
     np.testing.assert_array_equal(all_left, masks)
 
 
-@pytest.mark.parametrize("kind", [Kind.DEFORMATION, Kind.OCCLUSION, Kind.NOISE])
-def test_clips_are_perturbed_differently(kind: Kind, square: Square) -> None:
+@pytest.mark.parametrize("kind", [PerturbationKind.DEFORMATION, PerturbationKind.OCCLUSION, PerturbationKind.NOISE])
+def test_clips_are_perturbed_differently(kind: PerturbationKind, square: Square) -> None:
     step = ladder(kind)[1]
     assert (perturb(step, *square, 0, "a")[0] != perturb(step, *square, 0, "b")[0]).any()
 
 
-@pytest.mark.parametrize("kind", [k for k in Kind if k is not Kind.OCCLUSION])
-def test_a_greater_strength_changes_more(kind: Kind, square: Square) -> None:
+@pytest.mark.parametrize("kind", [k for k in PerturbationKind if k is not PerturbationKind.OCCLUSION])
+def test_a_greater_strength_changes_more(kind: PerturbationKind, square: Square) -> None:
     frames, masks = square
     changes = [np.abs(perturb(p, frames, masks, 0, "a")[0].astype(float) - frames)[masks].mean() for p in ladder(kind)]
     assert all(a < b for a, b in pairwise(changes))
@@ -45,7 +43,7 @@ def test_a_greater_strength_changes_more(kind: Kind, square: Square) -> None:
 
 def test_occlusion_hides_the_share_it_says(square: Square) -> None:
     frames, masks = square
-    for step in ladder(Kind.OCCLUSION):
+    for step in ladder(PerturbationKind.OCCLUSION):
         seen, left = perturb(step, frames, masks, 0, "a")
         hidden = 1 - left.sum(axis=(1, 2)) / masks.sum(axis=(1, 2))
         assert np.abs(hidden - step.strength).max() <= 0.03
@@ -59,7 +57,7 @@ def test_occlusion_hides_the_share_it_says(square: Square) -> None:
 def test_occlusion_moves_smoothly(square: Square) -> None:
     frames, masks = square
     still = np.repeat(masks[:1], len(masks), axis=0)
-    _, left = perturb(Perturbation(kind=Kind.OCCLUSION, strength=0.3), frames, still, 0, "a")
+    _, left = perturb(Perturbation(kind=PerturbationKind.OCCLUSION, strength=0.3), frames, still, 0, "a")
     hidden = still & ~left
     overlap = [(a & b).sum() / (a | b).sum() for a, b in pairwise(hidden)]
     assert min(overlap) > 0.5
@@ -92,13 +90,15 @@ def test_blur_lies_along_the_motion() -> None:
 
 def test_noise_has_its_standard_deviation() -> None:
     grey = np.full((3, 64, 64, 3), 128, np.uint8)
-    noisy, _ = perturb(Perturbation(kind=Kind.NOISE, strength=20.0), grey, np.ones((3, 64, 64), bool), 0, "a")
+    noisy, _ = perturb(
+        Perturbation(kind=PerturbationKind.NOISE, strength=20.0), grey, np.ones((3, 64, 64), bool), 0, "a"
+    )
     assert (noisy.astype(float) - 128).std() == pytest.approx(20.0, rel=0.03)
 
 
 def test_lost_contrast_keeps_the_mean(square: Square) -> None:
     frames, masks = square
-    faded, _ = perturb(Perturbation(kind=Kind.CONTRAST, strength=0.6), frames, masks, 0, "a")
+    faded, _ = perturb(Perturbation(kind=PerturbationKind.CONTRAST, strength=0.6), frames, masks, 0, "a")
     np.testing.assert_allclose(faded.mean(axis=(0, 1, 2)), frames.mean(axis=(0, 1, 2)), atol=0.3)
     assert faded.std() == pytest.approx(0.4 * frames.std(), rel=0.02)
 
@@ -106,7 +106,9 @@ def test_lost_contrast_keeps_the_mean(square: Square) -> None:
 def test_ghosts_are_of_the_frames_before() -> None:
     frames = np.zeros((4, 8, 8, 3), np.uint8)
     frames[1] = 200
-    ghosts, _ = perturb(Perturbation(kind=Kind.GHOSTING, strength=0.4), frames, np.ones((4, 8, 8), bool), 0, "a")
+    ghosts, _ = perturb(
+        Perturbation(kind=PerturbationKind.GHOSTING, strength=0.4), frames, np.ones((4, 8, 8), bool), 0, "a"
+    )
     np.testing.assert_array_equal(ghosts[:, 0, 0, 0], [0, 120, 40, 40])
 
 

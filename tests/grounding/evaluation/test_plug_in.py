@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from kinebench_drake.errors import UsageError
-from kinebench_drake.grounding.evaluation.clip import Clip
+from kinebench_drake.grounding.evaluation.clip import TruthClip
 from kinebench_drake.grounding.evaluation.variants import plug_in
-from kinebench_drake.grounding.known import Known
+from kinebench_drake.types import Priors
 
 CLASS = """
 class Ramp:
@@ -18,10 +18,12 @@ class Ramp:
 """
 
 
-def test_the_pipeline_gets_the_depth_of_a_class(clip: Clip, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_pipeline_gets_the_depth_of_a_class(
+    clip: TruthClip, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (tmp_path / "a_ramp_of_mine.py").write_text(CLASS)
     monkeypatch.syspath_prepend(tmp_path)
-    told = list[Known]()
+    told = list[Priors]()
     shipped = SimpleNamespace(ground=lambda frames, camera, t_s, known: told.append(known))
     ground = plug_in("a_ramp_of_mine:Ramp")(SimpleNamespace(shipped=shipped), clip)  # type: ignore[arg-type]
     frames = np.random.default_rng(0).integers(0, 255, (5, 192, 192, 3), dtype=np.uint8)  # other than the camera
@@ -30,7 +32,7 @@ def test_the_pipeline_gets_the_depth_of_a_class(clip: Clip, tmp_path: Path, monk
     assert known.depth is not None
     assert not known.depth.exact
     np.testing.assert_allclose(known.depth.depth_m, 0.5 + frames[..., 1] / 100)
-    assert (known.mask, known.X_CH, known.first) == (None, None, None)
+    assert (known.mask, known.X_CH, known.initial_state) == (None, None, None)
 
 
 def test_an_estimator_that_is_not_there_is_told_before_anything_is_measured() -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.geometry import make_pose
-from kinebench_drake.grounding.evaluation.clip import Clip
+from kinebench_drake.grounding.evaluation.clip import TruthClip
 from kinebench_drake.grounding.evaluation.reframed import Reframing, reframe, reframings
 
 POINT_C = np.array([0.05, 0.03, 0.7])
@@ -18,7 +18,7 @@ POINT_C = np.array([0.05, 0.03, 0.7])
 @pytest.fixture
 def clip():
     poses = np.stack([make_pose(np.eye(3), POINT_C)] * 2)
-    return Clip(
+    return TruthClip(
         id="a",
         task="",
         path=Path("a.mp4"),

@@ -8,17 +8,17 @@ import pytest
 from click.testing import CliRunner
 
 from kinebench_drake.cli import cli
-from kinebench_drake.drawing import save
-from kinebench_drake.engines import EngineKind, create_engine
 from kinebench_drake.errors import UsageError
+from kinebench_drake.executors.base import EngineKind, create_engine
 from kinebench_drake.grounding.evaluation import study
 from kinebench_drake.grounding.evaluation.clip import choose, find_clips, load_clips
 from kinebench_drake.grounding.evaluation.errors import ClipErrors
 from kinebench_drake.grounding.evaluation.figures import draw_comparison, draw_evaluation
-from kinebench_drake.grounding.evaluation.perturbation.catalogue import Kind
-from kinebench_drake.grounding.evaluation.store import Store
+from kinebench_drake.grounding.evaluation.perturbation.catalogue import PerturbationKind
+from kinebench_drake.grounding.evaluation.store import TrialStore
 from kinebench_drake.grounding.evaluation.tables import evaluation_json, pooled_lines, table, task_table
-from kinebench_drake.grounding.evaluation.trial import Trial
+from kinebench_drake.grounding.evaluation.trial import GroundingTrial
+from kinebench_drake.io.figure import save
 
 ENGINE = create_engine(EngineKind.LOCAL, 1)
 
@@ -39,8 +39,8 @@ class Pretender:
     def __init__(self, errors: Callable[..., ClipErrors], patience: int = 10_000) -> None:
         self.errors, self.patience, self.made = errors, patience, 0
 
-    def __call__(self) -> Callable[[Trial], ClipErrors]:
-        def measure(trial: Trial) -> ClipErrors:
+    def __call__(self) -> Callable[[GroundingTrial], ClipErrors]:
+        def measure(trial: GroundingTrial) -> ClipErrors:
             if self.made == self.patience:
                 raise KeyboardInterrupt
             self.made += 1
@@ -52,7 +52,7 @@ class Pretender:
 
 def test_an_interrupted_study_goes_on(folder: Path, tmp_path: Path, errors: Callable[..., ClipErrors]) -> None:
     plan = study.Plan(folder=folder, keep=tmp_path / "kept.clips.jsonl")
-    noise = study.robustness([Kind.NOISE])
+    noise = study.robustness([PerturbationKind.NOISE])
     first = Pretender(errors, patience=5)
     with pytest.raises(KeyboardInterrupt):
         study.carry_out(noise, plan, ENGINE, Silence(), first)
@@ -72,7 +72,7 @@ def test_an_interrupted_study_goes_on(folder: Path, tmp_path: Path, errors: Call
 
 def test_the_table_tells_conditions_apart(folder: Path, errors: Callable[..., ClipErrors]) -> None:
     outcome = study.carry_out(
-        study.robustness([Kind.NOISE]), study.Plan(folder=folder), ENGINE, Silence(), Pretender(errors)
+        study.robustness([PerturbationKind.NOISE]), study.Plan(folder=folder), ENGINE, Silence(), Pretender(errors)
     )
     lines = list(outcome.lines())
     assert lines[0].startswith("Pose errors under perturbations: 3 videos, 36 frames")
@@ -123,12 +123,12 @@ def test_a_file_of_something_else_is_no_store(tmp_path: Path) -> None:
     path = tmp_path / "other.jsonl"
     path.write_text('{"key": "a", "size": 3}\n')
     with pytest.raises(UsageError, match="no measurements"):
-        Store(path)
+        TrialStore(path)
 
 
 def test_figures_are_drawn(folder: Path, tmp_path: Path, errors: Callable[..., ClipErrors]) -> None:
     outcome = study.carry_out(
-        study.robustness([Kind.NOISE]), study.Plan(folder=folder), ENGINE, Silence(), Pretender(errors)
+        study.robustness([PerturbationKind.NOISE]), study.Plan(folder=folder), ENGINE, Silence(), Pretender(errors)
     )
     save(draw_comparison(outcome.results, outcome.figures, outcome.study.groups, "title"), tmp_path / "a.png")
     save(draw_evaluation(outcome.results["as it is"]), tmp_path / "b.png")

@@ -6,11 +6,9 @@ import numpy as np
 import pytest
 
 from kinebench_drake.grounding.evaluation.errors import ClipErrors
-from kinebench_drake.grounding.evaluation.latency import latency
-from kinebench_drake.grounding.evaluation.opening import boundary, judged
 from kinebench_drake.grounding.evaluation.reliability import judged_frames, reliability
-from kinebench_drake.grounding.evaluation.summary import intervals, summarize
-from kinebench_drake.products import Anomaly, AnomalyKind
+from kinebench_drake.grounding.evaluation.summary import boundary, intervals, judged, latency, summarize
+from kinebench_drake.types import Anomaly, AnomalyKind
 
 VANISH = Anomaly(kind=AnomalyKind.VANISH, frame_start=4, frame_end=7, severity=4.0)
 

@@ -9,16 +9,16 @@ import pytest
 
 from kinebench_drake.camera import Camera, benchmark_camera
 from kinebench_drake.grounding.crop import Crop
-from kinebench_drake.grounding.evaluation.clip import Clip, find_clips
+from kinebench_drake.grounding.evaluation.clip import TruthClip, find_clips
 from kinebench_drake.grounding.evaluation.depth_map import measure_depth
 from kinebench_drake.grounding.evaluation.visibility import true_masks, visible_share
 from kinebench_drake.grounding.view import Frames, GripperView
 from kinebench_drake.models.panda.cad import GripperCad
-from kinebench_drake.models.panda.part import Part
+from kinebench_drake.models.panda.robot import RobotPart
 
 
 @pytest.fixture
-def small(clip: Clip) -> Clip:
+def small(clip: TruthClip) -> TruthClip:
     """Three frames: in the middle, half out of the picture, not there."""
     X = np.repeat(clip.X_CH[:1], 3, axis=0)
     X[:, :3, 3] = [0.0, 0.0, 0.7]
@@ -29,7 +29,7 @@ def small(clip: Clip) -> Clip:
     return replace(clip, camera=camera, X_CH=X, t_s=clip.t_s[:3], finger_width_m=clip.finger_width_m[:3])
 
 
-def test_a_gripper_in_the_picture_shows_all_of_it(small: Clip, cad: GripperCad) -> None:
+def test_a_gripper_in_the_picture_shows_all_of_it(small: TruthClip, cad: GripperCad) -> None:
     masks = true_masks(small, cad)
     share = visible_share(small, masks, cad)
     assert share[0] > 0.97
@@ -42,7 +42,7 @@ def test_a_gripper_in_the_picture_shows_all_of_it(small: Clip, cad: GripperCad) 
     assert not masks[2].any()
 
 
-def test_a_stored_mask_goes_before_the_outline(small: Clip, cad: GripperCad) -> None:
+def test_a_stored_mask_goes_before_the_outline(small: TruthClip, cad: GripperCad) -> None:
     outline = true_masks(small, cad)
     stored = outline.copy()
     stored[0, :, :192] = False
@@ -59,7 +59,7 @@ class TooFar:
         for number, crop in crops.items():
             n = crop.size // 2
             z_V = 0.7005 / (crop.rays(2) @ crop.R_CV.T)[..., 2]
-            part = np.full((n, n), Part.HAND, np.uint8)
+            part = np.full((n, n), RobotPart.HAND, np.uint8)
             flat = np.full((n, n), 0.01)
             view = GripperView(
                 crop=crop, stride=2, shown=part > 0, part=part, depth_m=1.02 * z_V, depth_sigma=flat,

@@ -11,7 +11,7 @@ import torch
 
 from kinebench_drake.camera import Camera, benchmark_camera
 from kinebench_drake.errors import InputError, SetupError, UsageError
-from kinebench_drake.grounding.sources.depth_source import (
+from kinebench_drake.grounding.overrides.depth import (
     check_depth_source,
     depth_source_files,
     depth_source_name,
@@ -130,7 +130,7 @@ def moge(monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
             module.__name__: module,
         }.items():
             monkeypatch.setitem(sys.modules, name, value)
-        monkeypatch.delitem(sys.modules, "kinebench_drake.grounding.sources.moge", raising=False)
+        monkeypatch.delitem(sys.modules, "kinebench_drake.grounding.overrides.depth", raising=False)
 
     return install
 

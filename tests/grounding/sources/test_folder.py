@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from kinebench_drake.errors import InputError
-from kinebench_drake.grounding.sources.folder import TRACKS, TRUTH, find_entry
+from kinebench_drake.grounding.overrides.overrides import TRACKS, TRUTH, find_entry
 
 
 def test_the_better_name_and_the_safer_place_go_first(tmp_path: Path) -> None:

@@ -5,9 +5,9 @@ from kinebench_drake.geometry import invert, transform_points
 from kinebench_drake.grounding.crop import CLOSE_SIZE, WIDE_SIZE, Crop
 from kinebench_drake.grounding.training.dataset import WIDE_EVERY, Crops, Shards, Steps, frame_camera, label
 from kinebench_drake.grounding.training.render import FRAMES_PER_SCENE
-from kinebench_drake.grounding.training.scene import Scene
+from kinebench_drake.grounding.training.scene import TrainingScene
 from kinebench_drake.models.panda.cad import GripperCad, link_meshes
-from kinebench_drake.models.panda.part import ARM, Part
+from kinebench_drake.models.panda.robot import ARM, RobotPart
 from kinebench_drake.models.perception.frame import DEPTH_UNIT_M
 from kinebench_drake.models.perception.network import COORDINATE_SCALE_M
 
@@ -40,7 +40,7 @@ def test_labels_are_points_of_the_cad_model(shards: Shards, cad: GripperCad) -> 
         part, coordinates, log_depth = label(frame, crop)
         rays = crop.rays(2)
         hit = cad.cast(invert(crop.X_CV) @ frame.X_CH, rays.reshape(-1, 3), frame.finger_m)
-        same = (hit.part.reshape(part.shape) == part) & (part == Part.HAND)
+        same = (hit.part.reshape(part.shape) == part) & (part == RobotPart.HAND)
         p_V = rays[same] * hit.distance.reshape(part.shape)[same][:, None]
         p_H = transform_points(invert(frame.X_CH) @ crop.X_CV, p_V)
         assert np.median(np.abs(p_H - coordinates[same] * COORDINATE_SCALE_M)) < 2e-3
@@ -50,7 +50,7 @@ def test_labels_are_points_of_the_cad_model(shards: Shards, cad: GripperCad) -> 
 def test_a_handless_scene_shows_an_arm_without_gripper(shards: Shards) -> None:
     parts = np.concatenate([shards[FRAMES_PER_SCENE + i].part.ravel() for i in range(FRAMES_PER_SCENE)])
     shown = set(np.unique(parts))
-    assert shown <= {Part.BACKGROUND, *ARM}
+    assert shown <= {RobotPart.BACKGROUND, *ARM}
     assert len(shown) > 4
 
 
@@ -73,7 +73,7 @@ def test_all_crops_of_a_step_are_of_one_size(shards: Shards) -> None:
 
 def test_arm_labels_are_points_of_their_links(shards: Shards) -> None:
     """A link's points stay where they are in the link whatever the arm does: their box is that of the link's mesh."""
-    low, high = np.full((len(Part), 3), np.inf), np.full((len(Part), 3), -np.inf)
+    low, high = np.full((len(RobotPart), 3), np.inf), np.full((len(RobotPart), 3), -np.inf)
     for i in clear_frames(shards):
         part, coordinates, _ = label(shards[i], Crop.of_gripper(shards[i].X_CH, 3.0, CLOSE_SIZE))
         for value in ARM:
@@ -89,6 +89,6 @@ def test_arm_labels_are_points_of_their_links(shards: Shards) -> None:
 
 
 def test_the_same_seed_renders_the_same_frame() -> None:
-    frames = [Scene(np.random.default_rng(5)).frame() for _ in range(2)]
+    frames = [TrainingScene(np.random.default_rng(5)).frame() for _ in range(2)]
     np.testing.assert_array_equal(frames[0].rgb, frames[1].rgb)
     np.testing.assert_array_equal(frames[0].X_CH, frames[1].X_CH)

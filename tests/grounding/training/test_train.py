@@ -11,7 +11,7 @@ from kinebench_drake.grounding.training import loop
 from kinebench_drake.grounding.training.dataset import Shards
 from kinebench_drake.grounding.training.loop import Schedule
 from kinebench_drake.grounding.training.train import TrainingConfig, losses, train
-from kinebench_drake.models.panda.part import Part
+from kinebench_drake.models.panda.robot import RobotPart
 from kinebench_drake.models.perception.network import DenseOutput
 from kinebench_drake.models.perception.weights import load_network
 
@@ -65,7 +65,7 @@ def test_weights_that_are_none_are_refused(tmp_path: Path) -> None:
         load_network(path)
 
 
-def batch_of(part: Part) -> dict[str, torch.Tensor]:
+def batch_of(part: RobotPart) -> dict[str, torch.Tensor]:
     return {
         "part": torch.full((1, 8, 8), int(part)),
         "coordinates": torch.zeros(1, 3, 8, 8),
@@ -77,7 +77,7 @@ def output_for(batch: dict[str, torch.Tensor], errors: tuple[float, float], log_
     """An output whose coordinates are off by one error where it takes cells for gripper, by another for arm."""
     h = batch["part"].shape[1]
     return DenseOutput(
-        part_logits=torch.zeros(1, len(Part), h, h),
+        part_logits=torch.zeros(1, len(RobotPart), h, h),
         coordinates=torch.stack([batch["coordinates"] + error for error in errors], dim=1),
         coordinate_log_scale=torch.full((1, 2, h, h), log_scale),
         log_depth=batch["log_depth"].clone(),
@@ -86,14 +86,14 @@ def output_for(batch: dict[str, torch.Tensor], errors: tuple[float, float], log_
 
 
 def test_the_likelihood_is_best_at_the_true_scale() -> None:
-    batch = batch_of(Part.HAND)
+    batch = batch_of(RobotPart.HAND)
     scales = np.linspace(-4, 0, 41)
     values = [float(losses(output_for(batch, (0.1, 0.1), float(s)), batch).coordinates) for s in scales]
     assert scales[int(np.argmin(values))] == pytest.approx(np.log(0.1), abs=0.06)
 
 
-@pytest.mark.parametrize(("part", "others"), [(Part.LEFT_FINGER, (0.1, 9.0)), (Part.LINK6, (9.0, 0.1))])
-def test_gripper_and_arm_answer_for_their_own_coordinates(part: Part, others: tuple[float, float]) -> None:
+@pytest.mark.parametrize(("part", "others"), [(RobotPart.LEFT_FINGER, (0.1, 9.0)), (RobotPart.LINK6, (9.0, 0.1))])
+def test_gripper_and_arm_answer_for_their_own_coordinates(part: RobotPart, others: tuple[float, float]) -> None:
     batch = batch_of(part)
     right = float(losses(output_for(batch, (0.1, 0.1), 0.0), batch).coordinates)
     assert float(losses(output_for(batch, others, 0.0), batch).coordinates) == pytest.approx(right)
@@ -101,7 +101,7 @@ def test_gripper_and_arm_answer_for_their_own_coordinates(part: Part, others: tu
 
 
 def test_the_background_has_no_coordinates() -> None:
-    batch = batch_of(Part.BACKGROUND)
+    batch = batch_of(RobotPart.BACKGROUND)
     assert float(losses(output_for(batch, (5.0, 5.0), 0.0), batch).coordinates) == 0.0
 
 

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from kinebench_drake.closed_loop.attribution import ClipEvidence, FailureVerdict, attribute
 from kinebench_drake.geometry import make_pose, rotation_exp
-from kinebench_drake.products import Anomaly, AnomalyKind
-from kinebench_drake.suites.closedloop.attribution import ClipEvidence, Verdict, attribute
+from kinebench_drake.types import Anomaly, AnomalyKind
 
 FRAMES = 30
 
@@ -47,58 +47,64 @@ def astray(metres: float, turn_rad: float, gap_m: float) -> ClipEvidence:
 
 def test_what_is_fine_leaves_the_task() -> None:
     cause = attribute([clip(), clip()], "not released")
-    assert cause.verdict is Verdict.TASK
+    assert cause.verdict is FailureVerdict.TASK
     assert "not released" in cause.text
 
 
 def test_frames_that_were_not_read_come_first() -> None:
     cause = attribute([clip(), lost(10, 14)], "")
-    assert (cause.verdict, cause.round, cause.frame_start, cause.frame_end) == (Verdict.GROUNDING, 1, 10, 14)
-    assert attribute([lost(10, 10)], "").verdict is Verdict.TASK
+    assert (cause.verdict, cause.round, cause.frame_start, cause.frame_end) == (FailureVerdict.GROUNDING, 1, 10, 14)
+    assert attribute([lost(10, 10)], "").verdict is FailureVerdict.TASK
 
 
 @pytest.mark.parametrize(
-    ("after_m", "verdict"), [(0.041, Verdict.TASK), (0.08, Verdict.GROUNDING), (np.nan, Verdict.GROUNDING)]
+    ("after_m", "verdict"),
+    [(0.041, FailureVerdict.TASK), (0.08, FailureVerdict.GROUNDING), (np.nan, FailureVerdict.GROUNDING)],
 )
-def test_fingers_that_move_unseen_were_not_read(after_m: float, verdict: Verdict) -> None:
+def test_fingers_that_move_unseen_were_not_read(after_m: float, verdict: FailureVerdict) -> None:
     gap = np.full(FRAMES, 0.04)
     gap[12:20], gap[20:] = np.nan, after_m
     cause = attribute([replace(clip(), finger_width_imagined_m=gap, finger_width_executed_m=gap)], "")
     assert cause.verdict is verdict
-    assert cause.frame_start == (None if verdict is Verdict.TASK else 12)
+    assert cause.frame_start == (None if verdict is FailureVerdict.TASK else 12)
 
 
 def test_hidden_fingers_explain_only_what_nothing_else_does() -> None:
     gap = np.where(np.arange(FRAMES) < 12, 0.04, np.nan)
-    assert attribute([replace(astray(0.1, 0.0, 0.0), finger_width_imagined_m=gap)], "").verdict is Verdict.EXECUTION
-    assert attribute([replace(vanished(clip(), 3, 8), finger_width_imagined_m=gap)], "").verdict is Verdict.GENERATION
+    assert (
+        attribute([replace(astray(0.1, 0.0, 0.0), finger_width_imagined_m=gap)], "").verdict is FailureVerdict.EXECUTION
+    )
+    assert (
+        attribute([replace(vanished(clip(), 3, 8), finger_width_imagined_m=gap)], "").verdict
+        is FailureVerdict.GENERATION
+    )
 
 
 def test_a_gripper_that_is_not_there_is_not_the_reader_s_fault() -> None:
     cause = attribute([vanished(lost(10, 14), 10, 14)], "")
-    assert (cause.verdict, cause.frame_start, cause.frame_end) == (Verdict.GENERATION, 10, 14)
-    assert attribute([vanished(lost(10, 20), 10, 12)], "").verdict is Verdict.GROUNDING
+    assert (cause.verdict, cause.frame_start, cause.frame_end) == (FailureVerdict.GENERATION, 10, 14)
+    assert attribute([vanished(lost(10, 20), 10, 12)], "").verdict is FailureVerdict.GROUNDING
 
 
 def test_motion_that_no_robot_can_do_is_the_video_s_fault() -> None:
     cause = attribute([replace(astray(0.1, 0.0, 0.0), violations=(("velocity", 11, 12),))], "")
-    assert (cause.verdict, cause.frame_start) == (Verdict.GENERATION, 11)
+    assert (cause.verdict, cause.frame_start) == (FailureVerdict.GENERATION, 11)
     after = replace(clip(), violations=(("velocity", FRAMES, FRAMES + 2),))
-    assert attribute([after], "").verdict is Verdict.TASK
+    assert attribute([after], "").verdict is FailureVerdict.TASK
 
 
 @pytest.mark.parametrize(
     ("metres", "turn_rad", "gap_m", "verdict"),
     [
-        (0.05, 0.0, 0.0, Verdict.EXECUTION),
-        (0.0, 0.5, 0.0, Verdict.EXECUTION),
-        (0.0, 0.0, 0.03, Verdict.EXECUTION),
-        (0.02, 0.1, 0.01, Verdict.TASK),
+        (0.05, 0.0, 0.0, FailureVerdict.EXECUTION),
+        (0.0, 0.5, 0.0, FailureVerdict.EXECUTION),
+        (0.0, 0.0, 0.03, FailureVerdict.EXECUTION),
+        (0.02, 0.1, 0.01, FailureVerdict.TASK),
     ],
 )
 def test_a_gripper_elsewhere_is_the_robot_s_fault(
-    metres: float, turn_rad: float, gap_m: float, verdict: Verdict
+    metres: float, turn_rad: float, gap_m: float, verdict: FailureVerdict
 ) -> None:
     cause = attribute([astray(metres, turn_rad, gap_m)], "")
     assert cause.verdict is verdict
-    assert cause.frame_start == (None if verdict is Verdict.TASK else 12)
+    assert cause.frame_start == (None if verdict is FailureVerdict.TASK else 12)

@@ -3,16 +3,16 @@
 import numpy as np
 import pytest
 
+from kinebench_drake.closed_loop.commands import LEAD_S, SQUEEZE_M, CommandPlanner, RejectionReason, RobotState
 from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.geometry import Array, make_pose, pose_difference, rotation_exp
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.suites.clock import CONTROL_PERIOD_S
-from kinebench_drake.suites.closedloop.commands import LEAD_S, SQUEEZE_M, Commander, Posed, Refusal
 from kinebench_drake.suites.start import START_Q
 
 FRAMES, STEPS = 25, 4
 T_S = CONTROL_PERIOD_S * STEPS * np.arange(FRAMES)
-START = Posed(q=START_Q, finger_width_m=0.08, gripping=False)
+START = RobotState(q=START_Q, finger_width_m=0.08, gripping=False)
 SEEN = np.ones(FRAMES, dtype=bool)
 
 
@@ -22,8 +22,8 @@ def plant() -> ArmPlant:
 
 
 @pytest.fixture(scope="module")
-def commander(plant: ArmPlant) -> Commander:
-    return Commander(plant)
+def commander(plant: ArmPlant) -> CommandPlanner:
+    return CommandPlanner(plant)
 
 
 def along(plant: ArmPlant, way: Array, turn: float = 0.0) -> Array:
@@ -33,7 +33,7 @@ def along(plant: ArmPlant, way: Array, turn: float = 0.0) -> Array:
     return make_pose(X[:3, :3] @ rotation_exp(np.outer(s, [0.0, 0.0, turn])), X[:3, 3] + np.outer(s, way))
 
 
-def test_each_pose_is_commanded_as_early_as_the_servos_are_late(plant: ArmPlant, commander: Commander) -> None:
+def test_each_pose_is_commanded_as_early_as_the_servos_are_late(plant: ArmPlant, commander: CommandPlanner) -> None:
     X = along(plant, np.array([0.1, 0.1, -0.1]), 0.5)
     told = commander.commands(X, np.full(FRAMES, 0.08), SEEN, T_S, START)
     assert told.refused == ()
@@ -46,33 +46,33 @@ def test_each_pose_is_commanded_as_early_as_the_servos_are_late(plant: ArmPlant,
     np.testing.assert_allclose(told.X_BG[-1], X[-1], atol=1e-5)
 
 
-def test_what_is_not_tracked_is_bridged_and_told(plant: ArmPlant, commander: Commander) -> None:
+def test_what_is_not_tracked_is_bridged_and_told(plant: ArmPlant, commander: CommandPlanner) -> None:
     X = along(plant, np.array([0.0, 0.12, 0.0]))
     broken, tracked = X.copy(), SEEN.copy()
     broken[10:13], tracked[10:13] = np.nan, False
     told = commander.commands(broken, np.full(FRAMES, 0.08), tracked, T_S, START)
-    assert [(r.reason, r.frame_start, r.frame_end) for r in told.refused] == [(Refusal.NOT_TRACKED, 10, 12)]
+    assert [(r.reason, r.frame_start, r.frame_end) for r in told.refused] == [(RejectionReason.NOT_TRACKED, 10, 12)]
     whole = commander.commands(X, np.full(FRAMES, 0.08), SEEN, T_S, START)
     assert np.abs(told.X_BG[:, :3, 3] - whole.X_BG[:, :3, 3]).max() < 2e-3
 
 
-def test_no_joint_is_told_to_go_past_its_limits(plant: ArmPlant, commander: Commander) -> None:
+def test_no_joint_is_told_to_go_past_its_limits(plant: ArmPlant, commander: CommandPlanner) -> None:
     X = along(plant, np.array([0.1, 0.0, 0.0]))
     X[12:, 1, 3] += 0.4  # a jump
     told = commander.commands(X, np.full(FRAMES, 0.08), SEEN, T_S, START)
     rates = np.diff(np.concatenate([START_Q[None], told.q]), axis=0) / CONTROL_PERIOD_S
     assert (np.abs(rates) <= plant.velocity_limits + 1e-9).all()
-    assert {r.reason for r in told.refused} == {Refusal.SPEED}
+    assert {r.reason for r in told.refused} == {RejectionReason.SPEED}
     assert all(11 <= r.frame_start <= 14 for r in told.refused)
     np.testing.assert_allclose(told.X_BG[-1], X[-1], atol=1e-4)
 
 
 @pytest.mark.parametrize(
     ("way", "reason"),
-    [((0.0, 0.0, -0.4), Refusal.TABLE_COLLISION), ((0.9, 0.0, 0.0), Refusal.UNREACHABLE)],
+    [((0.0, 0.0, -0.4), RejectionReason.TABLE_COLLISION), ((0.9, 0.0, 0.0), RejectionReason.UNREACHABLE)],
 )
 def test_what_the_arm_must_not_do_is_not_commanded(
-    plant: ArmPlant, commander: Commander, way: tuple[float, float, float], reason: Refusal
+    plant: ArmPlant, commander: CommandPlanner, way: tuple[float, float, float], reason: RejectionReason
 ) -> None:
     told = commander.commands(along(plant, np.array(way)), np.full(FRAMES, 0.08), SEEN, T_S, START)
     last = [r for r in told.refused if r.reason is reason]
@@ -83,7 +83,7 @@ def test_what_the_arm_must_not_do_is_not_commanded(
     assert (told.q <= plant.upper).all()
 
 
-def test_fingers_that_have_closed_press_until_they_open(plant: ArmPlant, commander: Commander) -> None:
+def test_fingers_that_have_closed_press_until_they_open(plant: ArmPlant, commander: CommandPlanner) -> None:
     X = along(plant, np.array([0.05, 0.0, 0.0]))
     gap = np.array([0.08] * 5 + [0.06, 0.042] + [0.04] * 10 + [0.06] + [0.08] * 7)
     noisy = gap + np.random.default_rng(0).normal(0.0, 5e-4, FRAMES)
@@ -96,13 +96,13 @@ def test_fingers_that_have_closed_press_until_they_open(plant: ArmPlant, command
     assert commander.commands(X, np.full(FRAMES, 0.04), SEEN, T_S, START).gripping
 
 
-def test_a_track_of_nothing_is_refused(plant: ArmPlant, commander: Commander) -> None:
+def test_a_track_of_nothing_is_refused(plant: ArmPlant, commander: CommandPlanner) -> None:
     X = along(plant, np.array([0.05, 0.0, 0.0]))
     with pytest.raises(UnmeasurableError, match="nothing to execute"):
         commander.commands(X, np.full(FRAMES, 0.08), np.zeros(FRAMES, dtype=bool), T_S, START)
 
 
-def test_frames_may_come_faster_than_commands(plant: ArmPlant, commander: Commander) -> None:
+def test_frames_may_come_faster_than_commands(plant: ArmPlant, commander: CommandPlanner) -> None:
     X, period = along(plant, np.array([0.05, 0.05, -0.05])), 1.0 / 30.0
     told = commander.commands(X, np.full(FRAMES, 0.08), SEEN, period * np.arange(FRAMES), START)
     assert told.refused == ()
@@ -110,12 +110,12 @@ def test_frames_may_come_faster_than_commands(plant: ArmPlant, commander: Comman
     np.testing.assert_allclose(told.X_BG[-1], X[-1], atol=1e-5)
 
 
-def test_hidden_fingers_open_while_the_hand_waits(plant: ArmPlant, commander: Commander) -> None:
+def test_hidden_fingers_open_while_the_hand_waits(plant: ArmPlant, commander: CommandPlanner) -> None:
     X = along(plant, np.array([0.0, 0.12, 0.0]))
     X = X[np.concatenate([np.arange(0, 12), np.full(5, 12), np.arange(13, 21)])]  # it waits in frames 12 to 16
     width = np.full(FRAMES, 0.04)
     width[8:22], width[22:] = np.nan, 0.08
-    held = Posed(q=START_Q, finger_width_m=0.04, gripping=False)
+    held = RobotState(q=START_Q, finger_width_m=0.04, gripping=False)
     told = commander.commands(X, width, SEEN, T_S, held).finger_width_m
     at_s = CONTROL_PERIOD_S * np.arange(1, len(told) + 1) + LEAD_S
     opening_s = at_s[np.flatnonzero(told > 0.06)[0]]

@@ -7,15 +7,15 @@ from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.suites.clip import film
 from kinebench_drake.suites.episode import compose
 from kinebench_drake.suites.experts.registry import find_expert
-from kinebench_drake.suites.faults.take import Take
-from kinebench_drake.suites.faults.trickstage import TrickStage
-from kinebench_drake.suites.rollout import perform
+from kinebench_drake.suites.faults.fault_simulator import FaultSimulator
+from kinebench_drake.suites.faults.recording import Recording
+from kinebench_drake.suites.rollout import rollout
 
 
 @pytest.fixture(scope="session")
-def take() -> Iterator[Take]:
+def take() -> Iterator[Recording]:
     """StackCube-v1, seed 0, the first 30 frames, filmed in a quarter of the benchmark's resolution."""
-    with TrickStage("StackCube-v1", camera=benchmark_camera().resized(96, 96)) as stage:
-        performance = perform(stage, find_expert("StackCube-v1"), compose("StackCube-v1", 0))
+    with FaultSimulator("StackCube-v1", camera=benchmark_camera().resized(96, 96)) as stage:
+        performance = rollout(stage, find_expert("StackCube-v1"), compose("StackCube-v1", 0))
         performance = replace(performance, snapshots=performance.snapshots[:30])
-        yield Take(stage=stage, performance=performance, clip=film(stage, performance.snapshots))
+        yield Recording(stage=stage, performance=performance, clip=film(stage, performance.snapshots))

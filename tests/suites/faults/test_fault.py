@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from kinebench_drake.errors import UsageError
-from kinebench_drake.products import AnomalyKind
-from kinebench_drake.suites.faults.fault import GRADES, Form, choose
-from kinebench_drake.suites.faults.shape import deformation
+from kinebench_drake.suites.faults.appearance import deformation
+from kinebench_drake.suites.faults.fault import GRADES, FaultForm, choose
+from kinebench_drake.types import AnomalyKind
 
 
 def test_every_kind_can_be_planted_above_and_below_its_gate() -> None:
@@ -18,7 +18,7 @@ def test_every_kind_can_be_planted_above_and_below_its_gate() -> None:
 
 def test_gated_sizes_are_those_that_must_be_found() -> None:
     grades = choose([AnomalyKind.CAMERA], "gated")
-    assert [(g.size, g.form) for g in grades] == [(s, f) for s in (2, 4, 8) for f in (Form.SHAKE, Form.DRIFT)]
+    assert [(g.size, g.form) for g in grades] == [(s, f) for s in (2, 4, 8) for f in (FaultForm.SHAKE, FaultForm.DRIFT)]
     assert grades[0].label == "camera_motion_shake_2px"
 
 

@@ -8,26 +8,28 @@ import pytest
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import pose_difference, transform_points
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.products import AnomalyKind
-from kinebench_drake.suites.clip import Clip
+from kinebench_drake.suites.clip import RolloutVideo
 from kinebench_drake.suites.clock import FRAME_PERIOD_S
-from kinebench_drake.suites.faults.fault import Form, Grade, PlantedFault
+from kinebench_drake.suites.faults.fault import FaultForm, FaultGrade, PlantedFault
+from kinebench_drake.suites.faults.fault_simulator import RenderFault
 from kinebench_drake.suites.faults.motion import FREEZE_SPEED_M_S, plant_freeze, plant_teleport, plant_vanish
 from kinebench_drake.suites.faults.plant import plant
-from kinebench_drake.suites.faults.take import Take
-from kinebench_drake.suites.faults.trickstage import Costume
+from kinebench_drake.suites.faults.recording import Recording
+from kinebench_drake.types import AnomalyKind
 
 pytestmark = pytest.mark.sapien
 
 
-def planted(take: Take, kind: AnomalyKind, size: float, form: Form | None = None) -> tuple[Clip, PlantedFault]:
-    clip, fault = plant(take, Grade(kind=kind, size=size, form=form))
+def planted(
+    take: Recording, kind: AnomalyKind, size: float, form: FaultForm | None = None
+) -> tuple[RolloutVideo, PlantedFault]:
+    clip, fault = plant(take, FaultGrade(kind=kind, size=size, form=form))
     assert (fault.kind, fault.size, fault.form) == (kind, size, form)
     assert_only_altered(take.clip, clip, fault)
     return clip, fault
 
 
-def assert_only_altered(clip: Clip, faulty: Clip, fault: PlantedFault) -> None:
+def assert_only_altered(clip: RolloutVideo, faulty: RolloutVideo, fault: PlantedFault) -> None:
     frames = np.arange(len(clip.t_s))
     inside = (frames >= fault.frame_start) & (frames <= fault.frame_end)
     for name in ("rgb", "depth_mm", "mask", "q", "X_CH", "X_BG", "finger_width_m"):
@@ -42,7 +44,7 @@ def span(fault: PlantedFault) -> slice:
     return slice(fault.frame_start, fault.frame_end + 1)
 
 
-def test_vanish(take: Take) -> None:
+def test_vanish(take: Recording) -> None:
     faulty, fault = planted(take, AnomalyKind.VANISH, 5)
     assert fault.frame_end - fault.frame_start + 1 == 5
     assert not faulty.mask[span(fault)].any()
@@ -51,7 +53,7 @@ def test_vanish(take: Take) -> None:
     assert np.array_equal(take.stage.picture().rgb, take.clip.rgb[fault.frame_start])  # the links are drawn again
 
 
-def test_freeze(take: Take) -> None:
+def test_freeze(take: Recording) -> None:
     faulty, fault = planted(take, AnomalyKind.FREEZE, 8)
     assert fault.frame_end - fault.frame_start + 1 == 8
     assert (faulty.rgb[span(fault)] == take.clip.rgb[fault.frame_start - 1]).all()
@@ -60,19 +62,19 @@ def test_freeze(take: Take) -> None:
     assert np.array_equal(faulty.X_BG[fault.frame_end], take.clip.X_BG[fault.frame_start - 1])
 
 
-def test_freeze_of_a_resting_gripper_is_refused(take: Take) -> None:
+def test_freeze_of_a_resting_gripper_is_refused(take: Recording) -> None:
     still = replace(take.clip, X_BG=np.repeat(take.clip.X_BG[:1], len(take), axis=0))
     with pytest.raises(InputError, match="would not show"):
         plant_freeze(replace(take, clip=still), 5)
 
 
-def test_fault_out_of_view_is_refused(take: Take) -> None:
+def test_fault_out_of_view_is_refused(take: Recording) -> None:
     with pytest.raises(InputError, match="take another seed"):
         plant_vanish(replace(take, clip=replace(take.clip, mask=np.zeros_like(take.clip.mask))), 5)
 
 
 @pytest.mark.parametrize("distance_m", [0.05, 0.15])
-def test_teleport(take: Take, distance_m: float) -> None:
+def test_teleport(take: Recording, distance_m: float) -> None:
     faulty, fault = plant_teleport(take, distance_m)
     assert fault.frame_end == len(take) - 1
     assert_only_altered(take.clip, faulty, fault)
@@ -90,36 +92,36 @@ def test_teleport(take: Take, distance_m: float) -> None:
     assert np.linalg.norm(middle - there) < min(6.0, np.linalg.norm(middle - here))
 
 
-def test_a_gripper_drawn_in_its_own_shape_is_the_robots_own(take: Take) -> None:
-    costume = Costume(warp=lambda p: p, X_HP=np.eye(4), replaces=True)
+def test_a_gripper_drawn_in_its_own_shape_is_the_robots_own(take: Recording) -> None:
+    costume = RenderFault(warp=lambda p: p, X_HP=np.eye(4), replaces=True)
     part = take.film_again([12], lambda _: take.stage.wear(costume))
     assert np.array_equal(part.rgb[0], take.clip.rgb[12])
     assert np.array_equal(part.mask[0], take.clip.mask[12])
 
 
-def test_a_duplicate_leaves_the_gripper_where_it_is(take: Take) -> None:
+def test_a_duplicate_leaves_the_gripper_where_it_is(take: Recording) -> None:
     faulty, fault = planted(take, AnomalyKind.DUPLICATE, 0.25)
     changed = (faulty.rgb != take.clip.rgb)[span(fault)].any(axis=3)
     assert (changed.sum(axis=(1, 2)) > 0.5 * take.clip.mask[span(fault)].sum(axis=(1, 2))).all()
     assert np.allclose(faulty.X_CH, take.clip.X_CH, atol=1e-6)
 
 
-def test_a_deformed_gripper_keeps_its_pose(take: Take) -> None:
+def test_a_deformed_gripper_keeps_its_pose(take: Recording) -> None:
     faulty, fault = planted(take, AnomalyKind.DEFORMATION, 0.2)
     assert (faulty.mask != take.clip.mask)[span(fault)].any(axis=(1, 2)).all()
     assert np.allclose(faulty.X_CH, take.clip.X_CH, atol=1e-6)
 
 
-def test_a_gripper_drawn_too_large_or_small_covers_as_much_more_or_less(take: Take) -> None:
-    faulty, _ = planted(take, AnomalyKind.SCALE, 0.15, Form.CONSTANT)
+def test_a_gripper_drawn_too_large_or_small_covers_as_much_more_or_less(take: Recording) -> None:
+    faulty, _ = planted(take, AnomalyKind.SCALE, 0.15, FaultForm.CONSTANT)
     area = faulty.mask.sum() / take.clip.mask.sum()
     assert 0.15 < abs(np.log(area)) < 0.35  # twice the scale, less what leaves the picture
-    growing, _ = planted(take, AnomalyKind.SCALE, 0.15, Form.GROWING)
+    growing, _ = planted(take, AnomalyKind.SCALE, 0.15, FaultForm.GROWING)
     assert np.array_equal(growing.rgb[-1], faulty.rgb[-1])
 
 
-@pytest.mark.parametrize("form", [Form.SHAKE, Form.DRIFT])
-def test_a_moving_camera_shows_the_gripper_elsewhere_though_it_stays(take: Take, form: Form) -> None:
+@pytest.mark.parametrize("form", [FaultForm.SHAKE, FaultForm.DRIFT])
+def test_a_moving_camera_shows_the_gripper_elsewhere_though_it_stays(take: Recording, form: FaultForm) -> None:
     faulty, _ = planted(take, AnomalyKind.CAMERA, 4, form)
     assert np.allclose(faulty.X_BG, take.clip.X_BG, atol=1e-6)
     here, there = (take.clip.camera.project(c.X_CH[:, :3, 3]) for c in (take.clip, faulty))
@@ -128,11 +130,11 @@ def test_a_moving_camera_shows_the_gripper_elsewhere_though_it_stays(take: Take,
     assert take.stage.camera is take.clip.camera
 
 
-def test_fingers_flutter_and_jump(take: Take) -> None:
-    flutter, fault = planted(take, AnomalyKind.FINGERS, 0.04, Form.FLUTTER)
+def test_fingers_flutter_and_jump(take: Recording) -> None:
+    flutter, fault = planted(take, AnomalyKind.FINGERS, 0.04, FaultForm.FLUTTER)
     step = np.diff(flutter.finger_width_m[span(fault)])
     assert (step[1:] * step[:-1] < 0).all()
-    jump, fault = planted(take, AnomalyKind.FINGERS, 0.04, Form.JUMP)
+    jump, fault = planted(take, AnomalyKind.FINGERS, 0.04, FaultForm.JUMP)
     i = fault.frame_start
     assert abs(jump.finger_width_m[i] - jump.finger_width_m[i - 1]) == pytest.approx(0.04, abs=0.003)
     for clip in (flutter, jump):

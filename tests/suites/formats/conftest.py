@@ -1,13 +1,13 @@
 import pytest
 
-from kinebench_drake.suites.clip import Clip
+from kinebench_drake.suites.clip import RolloutVideo
 from kinebench_drake.suites.formats.demo import Demo, Shots
-from kinebench_drake.suites.rollout import Performance
-from kinebench_drake.suites.stage import Stage
+from kinebench_drake.suites.rollout import Rollout
+from kinebench_drake.suites.simulator import Simulator
 
 
 @pytest.fixture
-def demo(filmed: tuple[Stage, Performance, Clip]) -> Demo:
+def demo(filmed: tuple[Simulator, Rollout, RolloutVideo]) -> Demo:
     """The performance that `filmed` filmed, as a demonstration."""
     from kinebench_drake.suites.tasks.environment import X_WB
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from kinebench_drake.suites.clip import Clip
+from kinebench_drake.suites.clip import RolloutVideo
 from kinebench_drake.suites.export import episode_facts
 from kinebench_drake.suites.formats.demo import Demo, Record
 from kinebench_drake.suites.tasks.registry import TASKS
@@ -29,5 +29,5 @@ def doubled(demo: Demo) -> Demo:
             p, episode=episode, snapshots=(*p.snapshots, *p.snapshots[1:]), controls=np.tile(p.controls, (2, 1))
         ),
         film=replace(film, **{n: np.concatenate([getattr(film, n), getattr(film, n)[1:]])
-                              for n in Clip.__dataclass_fields__ if n != "camera"}),
+                              for n in RolloutVideo.__dataclass_fields__ if n != "camera"}),
     )  # fmt: skip

@@ -8,13 +8,13 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from kinebench_drake.grounding.video import read_video
-from kinebench_drake.inputs import find_samples
+from kinebench_drake.datasets.lerobot import list_lerobot_trajectories, read_lerobot
+from kinebench_drake.datasets.trajectories.check import check
+from kinebench_drake.datasets.trajectories.trajectory import TrajectoryOptions
+from kinebench_drake.datasets.videos.find import find_samples
+from kinebench_drake.io.reader import read_video
 from kinebench_drake.suites.formats.demo import Demo
 from kinebench_drake.suites.formats.lerobot import CAMERA, STATE, LeRobot
-from kinebench_drake.trajectories.check import check
-from kinebench_drake.trajectories.lerobot import list_lerobot, read_lerobot
-from kinebench_drake.trajectories.trajectory import Choice
 from tests.films import decoded
 from tests.suites.formats.records import record_of
 
@@ -30,10 +30,10 @@ def test_a_lerobot_dataset_holds_what_was_performed(demo: Demo, tmp_path: Path) 
     assert all(path.is_file() for path in files)
     info = json.loads((tmp_path / "meta" / "info.json").read_text())
     assert (info["total_episodes"], info["total_frames"], info["fps"]) == (2, 98, 5)
-    samples = list_lerobot(tmp_path, "demos", Choice())
+    samples = list_lerobot_trajectories(tmp_path, "demos", TrajectoryOptions())
     assert [sample.prompt for sample in samples] == [demo.performance.episode.prompt] * 2
     for k, sample in enumerate(samples):
-        track = check(read_lerobot(sample.path, k, tmp_path / "meta" / "info.json", Choice()))
+        track = check(read_lerobot(sample.path, k, tmp_path / "meta" / "info.json", TrajectoryOptions()))
         assert track.q is not None
         assert np.allclose(track.q, [s.q for s in demo.performance.snapshots], atol=1e-6)
         assert np.allclose(track.t_s, 0.2 * np.arange(49))

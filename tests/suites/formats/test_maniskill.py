@@ -6,13 +6,13 @@ import h5py
 import numpy as np
 import pytest
 
-from kinebench_drake.engines import EngineKind, create_engine
+from kinebench_drake.datasets.trajectories.check import check
+from kinebench_drake.datasets.trajectories.maniskill import list_maniskill, read_maniskill
+from kinebench_drake.datasets.trajectories.trajectory import TrajectoryOptions
+from kinebench_drake.executors.base import EngineKind, create_engine
 from kinebench_drake.suites.demos import make_demos
 from kinebench_drake.suites.formats.demo import FormatKind
-from kinebench_drake.suites.stage import Stage
-from kinebench_drake.trajectories.check import check
-from kinebench_drake.trajectories.maniskill import list_maniskill, read_maniskill
-from kinebench_drake.trajectories.trajectory import Choice
+from kinebench_drake.suites.simulator import Simulator
 from tests.suites.orders import FIRST, TASK, Watcher, an_order
 
 
@@ -24,7 +24,7 @@ def test_maniskill_trajectories_hold_states_and_lead_to_success(tmp_path: Path) 
     assert not (tmp_path / ".parts").exists()
     [sample] = list_maniskill(path, path.name)
     assert (sample.task, sample.seed, sample.success, sample.rate_hz) == (f"KineBench/{TASK}", FIRST, True, 20.0)
-    track = check(read_maniskill(path, "traj_0", sample.rate_hz, Choice()))
+    track = check(read_maniskill(path, "traj_0", sample.rate_hz, TrajectoryOptions()))
     assert len(track.t_s) == 193
     with h5py.File(path) as file:
         group = file["traj_0"]
@@ -32,7 +32,7 @@ def test_maniskill_trajectories_hold_states_and_lead_to_success(tmp_path: Path) 
         assert group["success"][-1]
         assert group["env_states/actors/green"].shape == (193, 13)
         actions = np.asarray(group["actions"])
-    with Stage(TASK, renders=False) as stage:  # the commands alone lead to the same end
+    with Simulator(TASK, renders=False) as stage:  # the commands alone lead to the same end
         [draw] = order.draws(TASK, 1)
         stage.reset(draw.episode())
         for action in actions:

@@ -1,6 +1,6 @@
 import numpy as np
 
-from kinebench_drake.suites.formats.statistics import of_histograms, of_rows
+from kinebench_drake.suites.formats.lerobot import of_histograms, of_rows
 
 
 def test_statistics_of_histograms_are_those_of_the_pixels() -> None:

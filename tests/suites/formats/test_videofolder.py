@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from kinebench_drake.camera import Camera
-from kinebench_drake.inputs import find_samples
+from kinebench_drake.datasets.videos.find import find_samples
 from kinebench_drake.suites.formats.demo import Demo
 from kinebench_drake.suites.formats.videofolder import VideoFolder
 from tests.suites.formats.records import doubled, record_of
@@ -29,9 +29,9 @@ def test_a_video_folder_names_each_clip_with_its_caption(demo: Demo, tmp_path: P
     assert not inputs.warnings
     [sample] = inputs.samples
     assert sample.frame_period_s == 0.2
-    assert sample.first is not None
-    assert np.allclose(sample.first.X_BG, X_BG[0], atol=1e-6)
-    assert sample.first.finger_width_m == pytest.approx(0.08, abs=1e-6)
+    assert sample.initial_state is not None
+    assert np.allclose(sample.initial_state.X_BG, X_BG[0], atol=1e-6)
+    assert sample.initial_state.finger_width_m == pytest.approx(0.08, abs=1e-6)
     [labelled] = find_samples(tmp_path).samples  # without the manifest, by the metadata
     assert (labelled.prompt, labelled.task, labelled.dataset_period_s) == (record.prompt, record.task, 0.2)
     assert Camera.load(tmp_path / "camera.json").to_json() == demo.shots.camera.to_json()
@@ -45,6 +45,6 @@ def test_each_clip_is_told_with_the_frame_it_begins_with(demo: Demo, tmp_path: P
     film = long.film
     assert film is not None
     for k, sample in enumerate(find_samples(tmp_path / "manifest.jsonl").samples):
-        assert sample.first is not None
-        assert np.allclose(sample.first.X_BG, film.X_BG[48 * k], atol=1e-6)
+        assert sample.initial_state is not None
+        assert np.allclose(sample.initial_state.X_BG, film.X_BG[48 * k], atol=1e-6)
     assert not np.allclose(film.X_BG[0], film.X_BG[48], atol=1e-3)

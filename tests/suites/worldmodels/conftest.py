@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from kinebench_drake.mp4 import write_video
+from kinebench_drake.io.container import write_video
 from kinebench_drake.suites.worldmodels.service import Limits
 from kinebench_drake.suites.worldmodels.worldmodel import Request
 from tests.suites.worldmodels.servant import Servant

@@ -12,32 +12,30 @@ import pytest
 from pydantic import SecretStr
 
 from kinebench_drake.errors import SetupError
-from kinebench_drake.suites.worldmodels.address import is_loopback, retry_after, web_address
-from kinebench_drake.suites.worldmodels.client import Client
-from kinebench_drake.suites.worldmodels.deadline import Deadline
-from kinebench_drake.suites.worldmodels.service import Limits, ServiceError
+from kinebench_drake.suites.worldmodels.client import Deadline, HttpClient
+from kinebench_drake.suites.worldmodels.service import Limits, ServiceError, is_loopback, retry_after, web_address
 from kinebench_drake.suites.worldmodels.worldmodel import WorldModelError
 from tests.suites.worldmodels.servant import Reply, Servant
 
 
 @pytest.fixture
-def client(servant: Servant, hurried: Limits, keys: str) -> Client:
-    return Client("it", servant.url, key=SecretStr(keys), limits=hurried)
+def client(servant: Servant, hurried: Limits, keys: str) -> HttpClient:
+    return HttpClient("it", servant.url, key=SecretStr(keys), limits=hurried)
 
 
-def get(client: Client, limit_s: float = 5.0) -> dict:
+def get(client: HttpClient, limit_s: float = 5.0) -> dict:
     return client.call("GET", "/x", Deadline(limit_s))
 
 
 @pytest.mark.parametrize("status", [429, 500, 502, 503, 504])
-def test_what_may_pass_is_tried_again(client: Client, servant: Servant, status: int) -> None:
+def test_what_may_pass_is_tried_again(client: HttpClient, servant: Servant, status: int) -> None:
     servant.routes["/x"] = [Reply(status=status), Reply({"a": 1})]
     assert get(client) == {"a": 1}
     assert len(servant.asked) == 2
 
 
 @pytest.mark.parametrize("status", [400, 404, 409, 422, 501])
-def test_what_will_not_pass_is_not(client: Client, servant: Servant, status: int) -> None:
+def test_what_will_not_pass_is_not(client: HttpClient, servant: Servant, status: int) -> None:
     servant.routes["/x"] = [Reply({"code": "Bad", "message": "no"}, status=status)]
     with pytest.raises(ServiceError, match=f"it answered HTTP {status}: Bad: no") as caught:
         get(client)
@@ -45,14 +43,14 @@ def test_what_will_not_pass_is_not(client: Client, servant: Servant, status: int
     assert len(servant.asked) == 1
 
 
-def test_errors_without_end_end(client: Client, servant: Servant, hurried: Limits) -> None:
+def test_errors_without_end_end(client: HttpClient, servant: Servant, hurried: Limits) -> None:
     servant.routes["/x"] = [Reply({"error": {"message": "out of\nmemory"}}, status=500)]
     with pytest.raises(ServiceError, match="HTTP 500: out of memory"):
         get(client)
     assert len(servant.asked) == hurried.attempts
 
 
-def test_the_service_says_how_long_to_wait(client: Client, servant: Servant) -> None:
+def test_the_service_says_how_long_to_wait(client: HttpClient, servant: Servant) -> None:
     servant.routes["/x"] = [Reply(status=429, headers={"Retry-After": "3600"}), Reply({})]
     start = time.monotonic()
     with pytest.raises(WorldModelError, match="HTTP 429"):
@@ -72,7 +70,7 @@ def test_retry_after_is_a_number_or_a_date() -> None:
 
 @pytest.mark.parametrize("status", [401, 403])
 def test_a_refused_key_ends_the_run_and_is_never_told(
-    client: Client, servant: Servant, keys: str, status: int, caplog: pytest.LogCaptureFixture
+    client: HttpClient, servant: Servant, keys: str, status: int, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level(logging.DEBUG)
     servant.routes["/x"] = [Reply({"message": f"wrong key {keys}, sorry"}, status=status)]
@@ -87,13 +85,13 @@ def test_a_refused_key_ends_the_run_and_is_never_told(
 def test_a_key_travels_only_where_nobody_listens() -> None:
     key = SecretStr("secret")
     for base in ("https://example.org", "http://127.0.0.1:9", "http://localhost:9", "http://[::1]:9"):
-        Client("it", base, key=key).close()
+        HttpClient("it", base, key=key).close()
     with pytest.raises(SetupError, match="only over https"):
-        Client("it", "http://example.org", key=key)
+        HttpClient("it", "http://example.org", key=key)
 
 
 @pytest.mark.parametrize("status", [301, 302, 307, 308])
-def test_calls_follow_no_redirect(client: Client, servant: Servant, status: int) -> None:
+def test_calls_follow_no_redirect(client: HttpClient, servant: Servant, status: int) -> None:
     other = Servant()
     servant.routes["/x"] = [Reply(status=status, headers={"Location": f"{other.url}/y"})]
     with pytest.raises(ServiceError, match="redirects"):
@@ -103,7 +101,7 @@ def test_calls_follow_no_redirect(client: Client, servant: Servant, status: int)
 
 
 def test_downloads_follow_redirects_without_the_key(
-    client: Client, servant: Servant, keys: str, film: bytes, tmp_path: Path
+    client: HttpClient, servant: Servant, keys: str, film: bytes, tmp_path: Path
 ) -> None:
     other = Servant()
     servant.routes["/v"] = [Reply(status=302, headers={"Location": f"{other.url}/v"})]
@@ -116,13 +114,13 @@ def test_downloads_follow_redirects_without_the_key(
 
 
 @pytest.mark.parametrize("address", ["file:///etc/hosts", "ftp://x/y", "/v", "http://", "", "http://u:p@127.0.0.1/v"])
-def test_downloads_are_of_the_web(client: Client, address: str, tmp_path: Path) -> None:
+def test_downloads_are_of_the_web(client: HttpClient, address: str, tmp_path: Path) -> None:
     with pytest.raises(WorldModelError, match="not http or https"):
         client.download(address, tmp_path / "v", Deadline(5))
 
 
 def test_redirects_out_of_the_web_or_in_circles_are_not_followed(
-    client: Client, servant: Servant, tmp_path: Path
+    client: HttpClient, servant: Servant, tmp_path: Path
 ) -> None:
     servant.routes["/a"] = [Reply(status=302, headers={"Location": "file:///etc/hosts"})]
     servant.routes["/b"] = [Reply(status=302, headers={"Location": "/b"})]
@@ -133,11 +131,13 @@ def test_redirects_out_of_the_web_or_in_circles_are_not_followed(
 
 def test_a_far_service_does_not_send_us_to_our_own(tmp_path: Path) -> None:
     with pytest.raises(WorldModelError, match="on this machine"):
-        Client("it", "https://example.org").download("http://localhost:80/v", tmp_path / "v", Deadline(5))
+        HttpClient("it", "https://example.org").download("http://localhost:80/v", tmp_path / "v", Deadline(5))
 
 
 @pytest.mark.parametrize("headers", [{}, {"Content-Length": "99999999"}])
-def test_answers_have_a_largest_size(client: Client, servant: Servant, headers: dict[str, str], tmp_path: Path) -> None:
+def test_answers_have_a_largest_size(
+    client: HttpClient, servant: Servant, headers: dict[str, str], tmp_path: Path
+) -> None:
     servant.routes["/x"] = [Reply(b'{"a": "' + b"a" * 5000 + b'"}')]
     servant.routes["/v"] = [Reply(b"v" * 20_001, headers=headers)]
     with pytest.raises(WorldModelError, match=r"more than 0\.0039"):
@@ -146,7 +146,7 @@ def test_answers_have_a_largest_size(client: Client, servant: Servant, headers: 
         client.download(f"{servant.url}/v", tmp_path / "v", Deadline(5))
 
 
-def test_a_body_that_drips_runs_into_the_deadline(client: Client, servant: Servant) -> None:
+def test_a_body_that_drips_runs_into_the_deadline(client: HttpClient, servant: Servant) -> None:
     servant.routes["/x"] = [Reply({"a": "a" * 1000}, drip_s=0.01)]
     start = time.monotonic()
     with pytest.raises(WorldModelError, match=r"no video within 0\.1 s"):
@@ -155,7 +155,7 @@ def test_a_body_that_drips_runs_into_the_deadline(client: Client, servant: Serva
 
 
 def test_a_silent_service_is_given_up(servant: Servant, tmp_path: Path) -> None:
-    client = Client("it", servant.url, limits=Limits(attempts=2, first_wait_s=0.001, silence_s=0.05))
+    client = HttpClient("it", servant.url, limits=Limits(attempts=2, first_wait_s=0.001, silence_s=0.05))
     servant.routes["/x"] = [Reply({"a": 1}, drip_s=0.5)]
     with pytest.raises(ServiceError, match=re.escape("it broke off (ReadTimeout)")):
         get(client)
@@ -163,13 +163,13 @@ def test_a_silent_service_is_given_up(servant: Servant, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("body", [b"<html>", b"[1]", b"", b"\xff\xfe", b"[" * 3000])
-def test_only_objects_are_answers(client: Client, servant: Servant, body: bytes) -> None:
+def test_only_objects_are_answers(client: HttpClient, servant: Servant, body: bytes) -> None:
     servant.routes["/x"] = [Reply(body)]
     with pytest.raises(WorldModelError, match="something else than a JSON object"):
         get(client)
 
 
-def test_a_torn_answer_is_asked_for_again_unless_it_may_have_cost(client: Client, servant: Servant) -> None:
+def test_a_torn_answer_is_asked_for_again_unless_it_may_have_cost(client: HttpClient, servant: Servant) -> None:
     servant.routes["/x"] = [Reply(b'{"a', headers={"Content-Length": "10"}), Reply({"a": 1})]
     assert get(client) == {"a": 1}
     servant.routes["/y"] = servant.routes["/x"]
@@ -182,7 +182,7 @@ def test_nobody_there(keys: str, hurried: Limits) -> None:
     servant = Servant()
     servant.stop()
     with pytest.raises(WorldModelError, match=re.escape("it cannot be reached (ConnectError)")):
-        get(Client("it", servant.url, limits=hurried))
+        get(HttpClient("it", servant.url, limits=hurried))
 
 
 def test_addresses() -> None:

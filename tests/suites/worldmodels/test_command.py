@@ -12,14 +12,16 @@ import pytest
 from PIL import Image
 
 from kinebench_drake.errors import UsageError
-from kinebench_drake.suites.worldmodels.command import Command
+from kinebench_drake.suites.worldmodels.command import CommandModel
 from kinebench_drake.suites.worldmodels.spec import parse
 from kinebench_drake.suites.worldmodels.worldmodel import Request, WorldModelError
 
 
 def run(program: str, request: Request, out: Path, *, arguments: str = "", options: str = "?timeout=60") -> Path:
     """Run a Python program (without quotes) as a world model."""
-    return Command(parse(f"command:{sys.executable} -S -c '{program}' {arguments}{options}")).generate(request, out)
+    return CommandModel(parse(f"command:{sys.executable} -S -c '{program}' {arguments}{options}")).generate(
+        request, out
+    )
 
 
 COPY = 'import json, shutil, sys; shutil.copy(sys.argv[1], json.load(sys.stdin)["out"])'
@@ -73,7 +75,7 @@ def test_a_program_and_its_children_end_with_the_time(request_: Request, out: Pa
     spec = f"command:sh -c '({child}) > {tmp_path}/pipe & echo dying >&2; wait'?timeout=0.4"
     start = time.monotonic()
     with pytest.raises(WorldModelError, match=r"no video within 0\.4 s.*: dying"):
-        Command(parse(spec)).generate(request_, out)
+        CommandModel(parse(spec)).generate(request_, out)
     assert time.monotonic() - start < 30
     os.set_blocking(end, True)
     heard = b""
@@ -103,7 +105,7 @@ def test_a_program_ends_with_the_run(
     first = "kill -TERM $PPID; " if moment == "it runs" else ""
     try:
         with pytest.raises(SystemExit, match="7"):
-            Command(parse(f"command:sh -c '{first}exec sleep 60'")).generate(request_, out)
+            CommandModel(parse(f"command:sh -c '{first}exec sleep 60'")).generate(request_, out)
     finally:
         signal.signal(signal.SIGTERM, before)
     assert [process.returncode for process in started] == [-signal.SIGTERM]
@@ -127,7 +129,7 @@ def test_secrets_in_the_last_words(request_: Request, out: Path, keys: str) -> N
 )
 def test_commands_that_cannot_be_used(spec: str, message: str) -> None:
     with pytest.raises(UsageError, match=message):
-        Command(parse(spec))
+        CommandModel(parse(spec))
 
 
 def test_question_marks_of_a_program_are_its_own() -> None:

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from kinebench_drake.errors import SetupError, UsageError
-from kinebench_drake.suites.worldmodels.checkpoint import shown
-from kinebench_drake.suites.worldmodels.diffusers import Diffusers
+from kinebench_drake.suites.worldmodels.diffusers import DiffusersModel, shown
 from kinebench_drake.suites.worldmodels.spec import parse
 from kinebench_drake.suites.worldmodels.worldmodel import Request
 from tests.films import decoded
@@ -30,7 +29,7 @@ def checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def make(folder: Path, request: Request, out: Path, options: str = "") -> np.ndarray:
     """Frames (T, H, W, 3) of a video made in one step, so that it is quick."""
-    model = Diffusers(parse(f"diffusers:{folder}?steps=1&device=cpu{options}"))
+    model = DiffusersModel(parse(f"diffusers:{folder}?steps=1&device=cpu{options}"))
     path = model.generate(request, out)
     model.close()
     assert list(out.parent.iterdir()) == [path]
@@ -123,8 +122,8 @@ def test_only_safetensors_and_known_code_are_loaded(
 
 
 def test_names_hold_no_paths(checkpoint: Path) -> None:
-    assert Diffusers(parse(f"diffusers:{checkpoint}")).name == "Wan-tiny"
-    assert Diffusers(parse(f"diffusers:{checkpoint}?lora=/a/b/c.safetensors")).name == "Wan-tiny+c.safetensors"
+    assert DiffusersModel(parse(f"diffusers:{checkpoint}")).name == "Wan-tiny"
+    assert DiffusersModel(parse(f"diffusers:{checkpoint}?lora=/a/b/c.safetensors")).name == "Wan-tiny+c.safetensors"
     assert shown("Wan-AI/Wan2.1") == "Wan-AI/Wan2.1"
     assert shown("/home/me/") == "me"
 
@@ -141,4 +140,4 @@ def test_names_hold_no_paths(checkpoint: Path) -> None:
 )
 def test_specs_that_cannot_be_used(spec: str, message: str) -> None:
     with pytest.raises(UsageError, match=message):
-        Diffusers(parse(spec))
+        DiffusersModel(parse(spec))

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from kinebench_drake.errors import UsageError
-from kinebench_drake.filetypes import FILM_SUFFIXES
-from kinebench_drake.suites.worldmodels.factory import FORMS, Form, create
+from kinebench_drake.io.files import FILM_SUFFIXES
+from kinebench_drake.suites.worldmodels.factory import FORMS, SpecForm, create
 from kinebench_drake.suites.worldmodels.spec import Spec, parse
-from kinebench_drake.suites.worldmodels.still import Still
+from kinebench_drake.suites.worldmodels.still import StillModel
 from kinebench_drake.suites.worldmodels.videofile import _DEMUXERS, suffix_of
 from kinebench_drake.suites.worldmodels.worldmodel import Request
 from tests.films import decoded
@@ -124,7 +124,7 @@ def test_plugins() -> None:
 
 
 def test_forms_that_others_add() -> None:
-    further = {"oracle": Form(usage="oracle", make=Still)}
+    further = {"oracle": SpecForm(usage="oracle", make=StillModel)}
     assert create("oracle", further).name == "still"
     with pytest.raises(UsageError, match="still, oracle, module:Class"):
         create("", further)

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from kinebench_drake.errors import UsageError
-from kinebench_drake.suites.worldmodels.folder import Folder
+from kinebench_drake.suites.worldmodels.folder import FolderModel
 from kinebench_drake.suites.worldmodels.spec import parse
 from kinebench_drake.suites.worldmodels.worldmodel import Request, WorldModelError
 
@@ -18,7 +18,7 @@ def videos(tmp_path: Path) -> Path:
 
 
 def answer(videos: Path, request: Request) -> Path:
-    return Folder(parse(f"folder:{videos}")).generate(request, videos.parent / "out")
+    return FolderModel(parse(f"folder:{videos}")).generate(request, videos.parent / "out")
 
 
 def manifest(videos: Path, *rows: dict) -> None:
@@ -93,10 +93,10 @@ def test_a_damaged_video_is_told(videos: Path, request_: Request) -> None:
 def test_folders_that_cannot_be_used(videos: Path) -> None:
     for spec in ("folder:", f"folder:{videos}/none"):
         with pytest.raises(UsageError, match="expected folder:DIR"):
-            Folder(parse(spec))
+            FolderModel(parse(spec))
     (videos / "manifest.jsonl").write_text('{"video": "a"}\n[]\n')
     with pytest.raises(UsageError, match=r"line 2 of manifest\.jsonl"):
-        Folder(parse(f"folder:{videos}"))
+        FolderModel(parse(f"folder:{videos}"))
     (videos / "manifest.jsonl").write_bytes(b"\xff")
     with pytest.raises(UsageError, match="cannot be read"):
-        Folder(parse(f"folder:{videos}"))
+        FolderModel(parse(f"folder:{videos}"))

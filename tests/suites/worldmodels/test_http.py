@@ -11,9 +11,8 @@ import pytest
 from PIL import Image
 
 from kinebench_drake.errors import SetupError, UsageError
-from kinebench_drake.suites.worldmodels.http import Http
-from kinebench_drake.suites.worldmodels.picture import base64_png, png
-from kinebench_drake.suites.worldmodels.service import Limits
+from kinebench_drake.suites.worldmodels.http import HttpModel
+from kinebench_drake.suites.worldmodels.service import Limits, base64_png, png
 from kinebench_drake.suites.worldmodels.spec import parse
 from kinebench_drake.suites.worldmodels.worldmodel import Request, WorldModelError
 from tests.films import decoded
@@ -26,7 +25,7 @@ def ask(servant: Servant, hurried: Limits, keys: str, request_: Request, out: Pa
 
     def answered(answer: Any, *, status: int = 200, options: str = "") -> Path:
         servant.routes["/make"] = [Reply(answer, status=status)]
-        model = Http(parse(f"{servant.url}/make?timeout=20{options}"), hurried)
+        model = HttpModel(parse(f"{servant.url}/make?timeout=20{options}"), hurried)
         return model.generate(request_, out)
 
     return answered
@@ -94,7 +93,7 @@ def test_answers_without_a_video(ask: Callable[..., Path], answer: Any, message:
 
 def test_a_path_is_believed_only_from_this_machine(hurried: Limits, tmp_path: Path, film: bytes) -> None:
     (tmp_path / "v.mp4").write_bytes(film)
-    model = Http(parse("https://example.org/make"), hurried)
+    model = HttpModel(parse("https://example.org/make"), hurried)
     with pytest.raises(WorldModelError, match="only from a server on this machine"):
         model._fetch({"video_path": str(tmp_path / "v.mp4")}, tmp_path / "part", None)  # no server there to ask
 
@@ -103,9 +102,9 @@ def test_a_key_on_request(ask: Callable[..., Path], servant: Servant, film: byte
     ask({"video_base64": base64_of(film)}, options="&key_env=MY_API_KEY")
     assert {asked.headers["Authorization"] for asked in servant.asked} == {f"Bearer {keys}"}
     with pytest.raises(SetupError, match="only over https"):
-        Http(parse("http://example.org?key_env=MY_API_KEY"))
+        HttpModel(parse("http://example.org?key_env=MY_API_KEY"))
     with pytest.raises(SetupError, match="NO_SUCH is not set"):
-        Http(parse("http://localhost?key_env=NO_SUCH"))
+        HttpModel(parse("http://localhost?key_env=NO_SUCH"))
 
 
 @pytest.mark.parametrize(
@@ -113,7 +112,7 @@ def test_a_key_on_request(ask: Callable[..., Path], servant: Servant, film: byte
 )
 def test_addresses_that_cannot_be_used(spec: str) -> None:
     with pytest.raises(UsageError, match="expected http://HOST:PORT/PATH") as caught:
-        Http(parse(spec))
+        HttpModel(parse(spec))
     assert "pass@" not in str(caught.value)
 
 
@@ -139,7 +138,7 @@ def predictor(servant: Servant) -> dict[str, Any]:
 def test_predict(
     predictor: dict[str, Any], servant: Servant, hurried: Limits, request_: Request, out: Path, path: str
 ) -> None:
-    model = Http(parse(f"http:{servant.url}{path}"), hurried)
+    model = HttpModel(parse(f"http:{servant.url}{path}"), hurried)
     model.generate(request_, out)
     video = model.generate(request_, out)
     frames = decoded(video)[1]
@@ -154,7 +153,7 @@ def test_predict_keeps_within_what_the_server_can(
     predictor: dict[str, Any], servant: Servant, hurried: Limits, request_: Request, out: Path
 ) -> None:
     predictor.update(max_num_frames=3, size=[32, 48])
-    frames = decoded(Http(parse(servant.url), hurried).generate(request_, out))[1]
+    frames = decoded(HttpModel(parse(servant.url), hurried).generate(request_, out))[1]
     assert frames.shape == (3, 48, 32, 3)
     (asked,) = servant.at("/v1/predict")
     (picture,) = asked.body["frames"]
@@ -176,7 +175,7 @@ def test_base64_may_be_broken_into_lines(
     text = head + base64.encodebytes(png(picture)).decode()
     assert "\n" in text.strip()
     servant.routes["/v1/predict"] = [Reply({"frames": [text] * 3})]
-    frames = decoded(Http(parse(servant.url), hurried).generate(request_, out))[1]
+    frames = decoded(HttpModel(parse(servant.url), hurried).generate(request_, out))[1]
     assert frames.shape == (3, 8, 16, 3)
     assert ask({"video_base64": head + base64.encodebytes(film).decode()}).read_bytes() == film
 
@@ -204,7 +203,7 @@ def test_predictions_that_cannot_be_used(
 ) -> None:
     servant.routes["/v1/predict"] = [Reply({"frames": frames})]
     with pytest.raises(WorldModelError, match=message):
-        Http(parse(servant.url), hurried).generate(request_, out)
+        HttpModel(parse(servant.url), hurried).generate(request_, out)
     assert list(out.parent.iterdir()) == []
 
 
@@ -213,10 +212,10 @@ def test_a_server_that_is_not_ready_or_talks_nonsense(
 ) -> None:
     predictor["max_num_frames"] = "many"
     with pytest.raises(SetupError, match="capabilities: max_num_frames"):
-        Http(parse(servant.url), hurried).generate(request_, out)
+        HttpModel(parse(servant.url), hurried).generate(request_, out)
     servant.routes["/v1/health"] = [Reply({"status": "loading"})]
     with pytest.raises(SetupError, match="its health is 'loading'"):
-        Http(parse(servant.url), hurried).generate(request_, out)
+        HttpModel(parse(servant.url), hurried).generate(request_, out)
     servant.routes["/v1/capabilities"] = [Reply(status=500)]
     with pytest.raises(WorldModelError, match="HTTP 500"):  # it is not taken for a server of the simple contract
-        Http(parse(servant.url), hurried).generate(request_, out)
+        HttpModel(parse(servant.url), hurried).generate(request_, out)

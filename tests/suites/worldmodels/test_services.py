@@ -1,4 +1,4 @@
-"""DashScope and MiniMax against a server that speaks their protocols, their errors included."""
+"""DashScopeModel and MiniMaxModel against a server that speaks their protocols, their errors included."""
 
 import base64
 import io
@@ -10,8 +10,8 @@ import pytest
 from PIL import Image
 
 from kinebench_drake.errors import SetupError, UsageError
-from kinebench_drake.suites.worldmodels.dashscope import DashScope
-from kinebench_drake.suites.worldmodels.minimax import MiniMax
+from kinebench_drake.suites.worldmodels.dashscope import DashScopeModel
+from kinebench_drake.suites.worldmodels.minimax import MiniMaxModel
 from kinebench_drake.suites.worldmodels.service import Limits
 from kinebench_drake.suites.worldmodels.spec import parse
 from kinebench_drake.suites.worldmodels.worldmodel import Request, WorldModelError
@@ -23,7 +23,7 @@ TASK = "/api/v1/tasks/t%2F1"
 
 
 @pytest.fixture
-def dashscope(servant: Servant, hurried: Limits, keys: str, film: bytes) -> DashScope:
+def dashscope(servant: Servant, hurried: Limits, keys: str, film: bytes) -> DashScopeModel:
     def state(status: str, **more: str) -> Reply:
         return Reply({"output": {"task_id": "t/1", "task_status": status, **more}})
 
@@ -34,11 +34,11 @@ def dashscope(servant: Servant, hurried: Limits, keys: str, film: bytes) -> Dash
         state("SUCCEEDED", video_url=f"{servant.url}/v.mp4?sig=1"),
     ]
     servant.routes["/v.mp4"] = [Reply(film)]
-    return DashScope(parse(f"dashscope:?base={servant.url}&timeout=20&duration=4"), hurried)
+    return DashScopeModel(parse(f"dashscope:?base={servant.url}&timeout=20&duration=4"), hurried)
 
 
 @pytest.fixture
-def minimax(servant: Servant, hurried: Limits, keys: str, film: bytes) -> MiniMax:
+def minimax(servant: Servant, hurried: Limits, keys: str, film: bytes) -> MiniMaxModel:
     fine = {"base_resp": {"status_code": 0, "status_msg": "success"}}
     servant.routes["/v1/video_generation"] = [Reply({"task_id": "t1", **fine})]
     servant.routes["/v1/query/video_generation"] = [
@@ -47,7 +47,7 @@ def minimax(servant: Servant, hurried: Limits, keys: str, film: bytes) -> MiniMa
     ]
     servant.routes["/v1/files/retrieve"] = [Reply({"file": {"download_url": f"{servant.url}/v.mp4"}, **fine})]
     servant.routes["/v.mp4"] = [Reply(film)]
-    return MiniMax(parse(f"minimax:?base={servant.url}&timeout=20"), hurried)
+    return MiniMaxModel(parse(f"minimax:?base={servant.url}&timeout=20"), hurried)
 
 
 def refusal(code: int, message: str = "no") -> Reply:
@@ -62,7 +62,7 @@ def shown(uri: str) -> np.ndarray:
 
 
 def test_dashscope(
-    dashscope: DashScope, servant: Servant, request_: Request, out: Path, film: bytes, keys: str
+    dashscope: DashScopeModel, servant: Servant, request_: Request, out: Path, film: bytes, keys: str
 ) -> None:
     path = dashscope.generate(request_, out)
     assert (path, path.read_bytes()) == (out.with_name(f"{out.name}.mp4"), film)
@@ -91,7 +91,7 @@ def test_dashscope(
     ],
 )
 def test_dashscope_tasks_that_fail(
-    dashscope: DashScope, servant: Servant, request_: Request, out: Path, output: dict[str, str], message: str
+    dashscope: DashScopeModel, servant: Servant, request_: Request, out: Path, output: dict[str, str], message: str
 ) -> None:
     servant.routes[TASK] = [Reply({"output": output})]
     with pytest.raises(WorldModelError, match=message):
@@ -99,7 +99,7 @@ def test_dashscope_tasks_that_fail(
     assert list(out.parent.iterdir()) == []
 
 
-def test_dashscope_refuses(dashscope: DashScope, servant: Servant, request_: Request, out: Path) -> None:
+def test_dashscope_refuses(dashscope: DashScopeModel, servant: Servant, request_: Request, out: Path) -> None:
     servant.routes[SUBMIT] = [
         Reply({"code": "DataInspectionFailed", "message": "bad words"}, status=400),
         Reply({"code": "InvalidApiKey", "message": "no"}, status=401),
@@ -113,7 +113,9 @@ def test_dashscope_refuses(dashscope: DashScope, servant: Servant, request_: Req
         dashscope.generate(request_, out)
 
 
-def test_dashscope_is_patient_with_limits(dashscope: DashScope, servant: Servant, request_: Request, out: Path) -> None:
+def test_dashscope_is_patient_with_limits(
+    dashscope: DashScopeModel, servant: Servant, request_: Request, out: Path
+) -> None:
     servant.routes[SUBMIT].insert(0, Reply(status=429, headers={"Retry-After": "0"}))
     servant.routes[TASK].insert(1, Reply(status=503))
     assert dashscope.generate(request_, out).is_file()
@@ -121,7 +123,7 @@ def test_dashscope_is_patient_with_limits(dashscope: DashScope, servant: Servant
 
 @pytest.mark.parametrize("status", [500, 502, 503, 504])
 def test_what_may_have_cost_is_not_submitted_again(
-    dashscope: DashScope, minimax: MiniMax, servant: Servant, request_: Request, out: Path, status: int
+    dashscope: DashScopeModel, minimax: MiniMaxModel, servant: Servant, request_: Request, out: Path, status: int
 ) -> None:
     for model, path in ((dashscope, SUBMIT), (minimax, "/v1/video_generation")):
         servant.routes[path].insert(0, Reply(status=status, headers={"Retry-After": "0"}))
@@ -134,7 +136,7 @@ def test_a_task_without_end_ends(servant: Servant, hurried: Limits, keys: str, r
     servant.routes[SUBMIT] = [Reply({"output": {"task_id": "t"}})]
     servant.routes["/api/v1/tasks/t"] = [Reply({"output": {"task_status": "RUNNING"}})]
     with pytest.raises(WorldModelError, match=r"no video within 0\.2 s"):
-        DashScope(parse(f"dashscope:?base={servant.url}&timeout=0.2"), hurried).generate(request_, out)
+        DashScopeModel(parse(f"dashscope:?base={servant.url}&timeout=0.2"), hurried).generate(request_, out)
     assert len(servant.at(SUBMIT)) <= 1
 
 
@@ -150,7 +152,7 @@ def test_a_task_without_end_ends(servant: Servant, hurried: Limits, keys: str, r
     ],
 )
 def test_only_videos_count(
-    dashscope: DashScope, servant: Servant, request_: Request, out: Path, data: bytes, message: str
+    dashscope: DashScopeModel, servant: Servant, request_: Request, out: Path, data: bytes, message: str
 ) -> None:
     servant.routes["/v.mp4"] = [Reply(data)]
     with pytest.raises(WorldModelError, match=message):
@@ -159,13 +161,13 @@ def test_only_videos_count(
 
 
 def test_a_video_is_called_what_it_is(
-    dashscope: DashScope, servant: Servant, request_: Request, out: Path, gif: bytes
+    dashscope: DashScopeModel, servant: Servant, request_: Request, out: Path, gif: bytes
 ) -> None:
     servant.routes["/v.mp4"] = [Reply(gif)]
     assert dashscope.generate(request_, out).suffix == ".gif"
 
 
-def test_minimax(minimax: MiniMax, servant: Servant, request_: Request, out: Path, film: bytes, keys: str) -> None:
+def test_minimax(minimax: MiniMaxModel, servant: Servant, request_: Request, out: Path, film: bytes, keys: str) -> None:
     assert minimax.generate(request_, out).read_bytes() == film
     (submit,) = servant.at("/v1/video_generation")
     assert submit.headers["Authorization"] == f"Bearer {keys}"
@@ -186,14 +188,14 @@ def test_minimax(minimax: MiniMax, servant: Servant, request_: Request, out: Pat
 
 @pytest.mark.parametrize("code", [1004, 1008, 2049])
 def test_minimax_accounts(
-    minimax: MiniMax, servant: Servant, request_: Request, out: Path, code: int, keys: str
+    minimax: MiniMaxModel, servant: Servant, request_: Request, out: Path, code: int, keys: str
 ) -> None:
     servant.routes["/v1/video_generation"] = [refusal(code, f"bad {keys}")]
     with pytest.raises(SetupError, match=rf"{code}: bad \*\*\*; look at MINIMAX_API_KEY"):
         minimax.generate(request_, out)
 
 
-def test_minimax_refuses(minimax: MiniMax, servant: Servant, request_: Request, out: Path) -> None:
+def test_minimax_refuses(minimax: MiniMaxModel, servant: Servant, request_: Request, out: Path) -> None:
     servant.routes["/v1/video_generation"] = [refusal(1026), refusal(2013, "invalid params")]
     with pytest.raises(WorldModelError, match="moderation"):
         minimax.generate(request_, out)
@@ -202,7 +204,7 @@ def test_minimax_refuses(minimax: MiniMax, servant: Servant, request_: Request, 
     assert len(servant.asked) == 2
 
 
-def test_minimax_moderates_what_it_made(minimax: MiniMax, servant: Servant, request_: Request, out: Path) -> None:
+def test_minimax_moderates_what_it_made(minimax: MiniMaxModel, servant: Servant, request_: Request, out: Path) -> None:
     servant.routes["/v1/query/video_generation"] = [
         Reply({"status": "Fail", "base_resp": {"status_code": 1027, "status_msg": "x"}}),
         Reply({"status": "Fail", "base_resp": {"status_code": 0, "status_msg": "lost"}}),
@@ -213,7 +215,7 @@ def test_minimax_moderates_what_it_made(minimax: MiniMax, servant: Servant, requ
         minimax.generate(request_, out)
 
 
-def test_minimax_limits_in_disguise(minimax: MiniMax, servant: Servant, request_: Request, out: Path) -> None:
+def test_minimax_limits_in_disguise(minimax: MiniMaxModel, servant: Servant, request_: Request, out: Path) -> None:
     """A rate limit comes with HTTP status 200. Other troubles are not tried again where it might cost."""
     submit = servant.routes["/v1/video_generation"]
     servant.routes["/v1/video_generation"] = [refusal(1002), *submit]
@@ -226,15 +228,15 @@ def test_minimax_limits_in_disguise(minimax: MiniMax, servant: Servant, request_
     assert len(servant.asked) == count + 1
 
 
-def test_minimax_without_an_address(minimax: MiniMax, servant: Servant, request_: Request, out: Path) -> None:
+def test_minimax_without_an_address(minimax: MiniMaxModel, servant: Servant, request_: Request, out: Path) -> None:
     servant.routes["/v1/files/retrieve"] = [Reply({"file": {}})]
     with pytest.raises(WorldModelError, match="no download_url"):
         minimax.generate(request_, out)
 
 
-@pytest.mark.parametrize(("kind", "make"), [("dashscope", DashScope), ("minimax", MiniMax)])
+@pytest.mark.parametrize(("kind", "make"), [("dashscope", DashScopeModel), ("minimax", MiniMaxModel)])
 def test_services_need_a_key_and_a_good_address(
-    kind: str, make: type[DashScope] | type[MiniMax], monkeypatch: pytest.MonkeyPatch
+    kind: str, make: type[DashScopeModel] | type[MiniMaxModel], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     variable = f"{kind.upper()}_API_KEY"
     for bad in (None, "", "  ", "a\nb", "clé"):

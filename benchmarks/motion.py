@@ -1,0 +1,139 @@
+"""Joint motions as smooth splines, and the proof that the arm can make one."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.interpolate import BSpline, make_interp_spline
+
+from benchmarks.body import Body
+from kinebench_drake.geometry import Array
+from kinebench_drake.kinematics.plant import ArmPlant
+
+PROOF_HZ = 500.0
+"""Instants a second at which a motion is held against every limit."""
+CLEARANCE_M = 0.001
+"""Least distance between links that may not touch."""
+
+_FAR_M = 0.05  # distances beyond are not told apart
+_DEGREE = 5  # a continuous fourth derivative: acceleration and jerk are exact, not differences
+
+
+class Arm:
+    """The robot, twice: Drake's plant, and the copy of its geometry that takes whole arrays."""
+
+    def __init__(self) -> None:
+        """Load the Panda."""
+        self.plant = ArmPlant()
+        self.body = Body(self.plant)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Motion:
+    """A joint path over time, at rest at both ends if it came from `through`."""
+
+    spline: BSpline
+    """From time [s] to the (7,) joint angles [rad], four times differentiable."""
+    duration_s: float
+    """It runs from 0 to here."""
+    t_width_s: Array
+    """(K,) times of the finger widths [s]."""
+    finger_width_m: Array
+    """(K,) gap between the pads at those times [m]; linear in between."""
+
+    @classmethod
+    def through(cls, t_s: Array, q: Array, finger_width_m: Array) -> "Motion":
+        """The motion through postures `q` (K, 7) [rad] at times `t_s` (K,) [s] from 0, from rest to rest."""
+        rest = [(1, np.zeros(7)), (2, np.zeros(7))]
+        spline = make_interp_spline(t_s, q, k=_DEGREE, bc_type=(rest, rest))
+        return cls(spline=spline, duration_s=float(t_s[-1]), t_width_s=t_s, finger_width_m=finger_width_m)
+
+    def q(self, t_s: Array, derivative: int = 0) -> Array:
+        """Joint angles (N, 7) [rad], or a derivative of them, at times (N,) [s]."""
+        return np.asarray(self.spline(t_s, nu=derivative))
+
+    def width(self, t_s: Array) -> Array:
+        """Gap between the pads (N,) [m] at times (N,) [s]."""
+        return np.asarray(np.interp(t_s, self.t_width_s, self.finger_width_m))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Proof:
+    """A motion held against every limit, `PROOF_HZ` times a second."""
+
+    position_margin_rad: float
+    """Least distance to a joint limit [rad]; negative outside."""
+    velocity: float
+    """Greatest joint speed / its limit; likewise the next three."""
+    acceleration: float
+    jerk: float
+    torque: float
+    self_distance_m: float
+    """Least distance between links that may not touch [m], at most 0.05; negative inside. NaN where not needed."""
+    table_distance_m: float
+    """Height of the lowest point of all links but the base over the table [m]."""
+
+    @property
+    def holds(self) -> bool:
+        """Whether the arm can do it."""
+        return (
+            self.position_margin_rad >= 0.0
+            and all(ratio <= 1.0 for ratio in (self.velocity, self.acceleration, self.jerk, self.torque))
+            and self.self_distance_m >= CLEARANCE_M
+            and self.table_distance_m >= 0.0
+        )
+
+
+def prove(arm: Arm, motion: Motion, start_s: float, end_s: float) -> Proof:
+    """Hold a motion between two times against position, speed, acceleration, jerk, torque, itself and the table.
+
+    The derivatives are the spline's own. The dear tests are left out (NaN) once a cheap one has failed.
+    """
+    t_s = np.linspace(start_s, end_s, max(2, round((end_s - start_s) * PROOF_HZ) + 1))
+    plant, body = arm.plant, arm.body
+    q, v, a, j = (motion.q(t_s, order) for order in range(4))
+    width = motion.width(t_s)
+    margin = float(np.minimum(q - plant.lower, plant.upper - q).min())
+    ratios = [
+        float((np.abs(x) / limit).max())
+        for x, limit in ((v, plant.velocity_limits), (a, accelerations(arm)), (j, jerks(arm)))
+    ]
+    height = float(body.lowest(q, width).min())
+    torque = distance = np.nan
+    if margin >= 0.0 and max(ratios) <= 1.0 and height >= 0.0:
+        tau = np.array([plant.torque(*state) for state in zip(q, v, a, strict=True)])
+        torque = float((np.abs(tau) / plant.effort_limits).max())
+        distance = float(self_distance(arm, q, width).min())
+    return Proof(
+        position_margin_rad=margin,
+        velocity=ratios[0],
+        acceleration=ratios[1],
+        jerk=ratios[2],
+        torque=torque,
+        self_distance_m=distance,
+        table_distance_m=height,
+    )
+
+
+def accelerations(arm: Arm) -> Array:
+    """Greatest joint accelerations (7,) [rad/s^2]."""
+    return np.asarray(arm.plant.acceleration_limits, dtype=np.float64)
+
+
+def jerks(arm: Arm) -> Array:
+    """Greatest joint jerks (7,) [rad/s^3]."""
+    return np.asarray(arm.plant.jerk_limits, dtype=np.float64)
+
+
+def self_distance(arm: Arm, q: Array, finger_width_m: Array) -> Array:
+    """Least distance (N,) [m] between links that may not touch at postures (N, 7) [rad], at most 0.05."""
+    return np.array(
+        [
+            min((pair.distance for pair in _pairs(arm, *state)), default=_FAR_M)
+            for state in zip(q, finger_width_m, strict=True)
+        ]
+    )
+
+
+def _pairs(arm: Arm, q: Array, width: float) -> Any:
+    return arm.plant.query(q, width).ComputeSignedDistancePairwiseClosestPoints(_FAR_M)

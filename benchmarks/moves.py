@@ -1,0 +1,271 @@
+"""Motions of the kind that experts make, and others that the arm can make all the same.
+
+Straight moves between gripper poses (minimum jerk or a trapezoid of speed with smooth flanks), some flowing into each
+other, rests while the fingers move; followed by inverse kinematics and made a spline in joint space. What a motion is
+meant to do is drawn here; whether the arm can do it, `motion.prove` tells.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from benchmarks.motion import Arm, Motion, accelerations
+from kinebench_drake.errors import InputError
+from kinebench_drake.geometry import Array, make_pose, rotation_angle, rotation_exp, rotation_log
+from kinebench_drake.kinematics.continuation import minimum_jerk
+from kinebench_drake.kinematics.newton import REACHED_M, newton
+from kinebench_drake.suites.clock import CONTROL_PERIOD_S
+from kinebench_drake.suites.episode import compose
+from kinebench_drake.suites.experts.grasp import DOWN, grasp_rotation
+from kinebench_drake.suites.experts.motion import plan
+from kinebench_drake.suites.experts.registry import EXPERTS
+
+KNOT_S = 0.04
+"""Time between the postures that a spline joins [s]."""
+TABLE_X_M, TABLE_Y_M, CEILING_M = (0.3, 0.75), (-0.35, 0.35), 0.5
+"""Where the gripper works."""
+TOUCH_M = 1e-4
+"""Height of the fingertips above a table they touch: rounding must not push them in."""
+SHORTEST_S = 0.5
+"""Least time of a move."""
+JOINT_SPEED_SHARE, JOINT_ACCELERATION_SHARE = 0.9, 0.8
+"""The most of the limits that motions drawn in joint space ask for."""
+
+
+class Family(Enum):
+    """How a feasible motion was drawn."""
+
+    CARTESIAN = "cartesian"
+    """Pick, place, push, pull, turn, open: straight or curved moves of the gripper."""
+    SHIPPED = "shipped"
+    """The plans of the shipped experts in random scenes."""
+    JOINT = "joint"
+    """Smooth random joint paths up to high speeds and accelerations."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Move:
+    """One move of the gripper."""
+
+    X_BG: Array
+    """(4, 4) pose of the TCP at its end [m]."""
+    finger_width_m: float
+    """Gap between the pads at its end [m]."""
+    flows: bool = False
+    """Whether the next move begins before this one ends."""
+
+
+def trapezoid(s: Array, flank: float) -> Array:
+    """Fraction of the way at fraction `s` of the time: steady speed, with cubic flanks of `flank` at both ends."""
+    s = np.clip(s, 0.0, 1.0)
+
+    def risen(u: Array) -> Array:  # integral of 3 u^2 - 2 u^3, and of 1 beyond
+        c = np.clip(u, 0.0, 1.0)
+        return np.asarray(c**3 - 0.5 * c**4 + np.maximum(u - 1.0, 0.0))
+
+    return np.asarray(flank * (risen(s / flank) - risen((s - 1.0 + flank) / flank)) / (1.0 - flank))
+
+
+def cartesian(rng: np.random.Generator, arm: Arm, at_least_s: float) -> Motion | None:
+    """An expert's motion of at least `at_least_s` [s]; None if the arm cannot follow it."""
+    plant = arm.plant
+    q = np.clip(
+        plant.robot.rest_q + rng.normal(0.0, [0.15, 0.05, 0.15, 0.05, 0.1, 0.05, 0.15]), plant.lower, plant.upper
+    )
+    speed_m_s, turn_rad_s = rng.uniform(0.06, 0.35), rng.uniform(0.3, 0.9)
+    start = Move(X_BG=plant.forward(q), finger_width_m=float(rng.choice([0.0, 0.04, 0.08])))
+    moves, lengths, starts = [start], list[float](), [0.0]
+    end_s = 0.0
+    profile = float(rng.uniform(0.2, 0.45)) if rng.random() < 0.4 else None
+    while end_s < at_least_s:
+        for move in _task(rng, arm):
+            last = moves[-1]
+            length = max(
+                float(np.linalg.norm(move.X_BG[:3, 3] - last.X_BG[:3, 3])) / speed_m_s,
+                float(rotation_angle(last.X_BG[:3, :3].T @ move.X_BG[:3, :3])) / turn_rad_s,
+                abs(move.finger_width_m - last.finger_width_m) / 0.15,
+                SHORTEST_S,
+            ) * rng.uniform(0.9, 1.3)
+            if last.flows and lengths:
+                starts[-1] -= 0.45 * min(lengths[-1], length)
+            lengths.append(length)
+            moves.append(move)
+            end_s = starts[-1] + length
+            rest = 0.0 if move.flows else float(rng.choice([0.0, rng.uniform(0.1, 0.6)]))
+            starts.append(end_s + rest)
+        end_s = starts[-1]
+    duration = max(end_s + 0.2, at_least_s)
+    t_s = np.linspace(0.0, duration, round(duration / KNOT_S) + 1)
+    s = (t_s[:, None] - np.array(starts[: len(lengths)])) / np.array(lengths)
+    done = minimum_jerk(s) if profile is None else trapezoid(s, profile)
+    X = np.array([m.X_BG for m in moves])
+    widths = np.array([m.finger_width_m for m in moves])
+    turns = rotation_log(np.swapaxes(X[:-1, :3, :3], 1, 2) @ X[1:, :3, :3])
+    R = np.broadcast_to(X[0, :3, :3], (len(t_s), 3, 3))
+    for i, turn in enumerate(turns):
+        R = R @ rotation_exp(done[:, i, None] * turn)
+    poses = make_pose(R, X[0, :3, 3] + done @ np.diff(X[:, :3, 3], axis=0))
+    path = follow(arm, poses, q)
+    return None if path is None else Motion.through(t_s, path, widths[0] + done @ np.diff(widths))
+
+
+def follow(arm: Arm, poses: Array, q: Array) -> Array | None:
+    """Postures (N, 7) [rad] through poses (N, 4, 4) that lie close together, from `q` (7,); None at a dead end."""
+    path = np.empty((len(poses), 7))
+    for i, X_BG in enumerate(poses):
+        q, error = newton(arm.plant, X_BG, q, iterations=20)
+        if error > REACHED_M:
+            return None
+        path[i] = q
+    return path
+
+
+def _task(rng: np.random.Generator, arm: Arm) -> Sequence[Move]:
+    return _TASKS[rng.integers(len(_TASKS))](rng, arm)
+
+
+def _tilted(rng: np.random.Generator) -> Array:
+    """A rotation (3, 3) that looks down, turned about the vertical, in half of the cases tilted up to 40 degrees."""
+    yaw = rng.uniform(-0.6, 0.6) + (np.pi / 2 if rng.random() < 0.25 else 0.0)
+    R = grasp_rotation(DOWN, (np.sin(yaw), -np.cos(yaw), 0.0))
+    if rng.random() < 0.5:
+        direction, tilt = rng.uniform(-np.pi, np.pi), np.deg2rad(rng.uniform(0.0, 40.0))
+        R = rotation_exp(tilt * np.array([np.cos(direction), np.sin(direction), 0.0])) @ R
+    return np.asarray(R)
+
+
+def _place(rng: np.random.Generator, arm: Arm, R: Array, width: float, height_m: float) -> Array:
+    """A pose over the table whose lowest point is `height_m` above it."""
+    X = make_pose(R, [rng.uniform(*TABLE_X_M), rng.uniform(*TABLE_Y_M), 0.0])
+    X[2, 3] = height_m - float(arm.body.lowest_of_gripper(X[None], np.array([width]))[0])
+    return X
+
+
+def _height(rng: np.random.Generator) -> float:
+    """On the table or a little above."""
+    return TOUCH_M if rng.random() < 0.4 else float(rng.uniform(0.001, 0.08))
+
+
+def _up(X: Array, height_m: float) -> Array:
+    X = X.copy()
+    X[2, 3] = min(X[2, 3] + height_m, CEILING_M)
+    return X
+
+
+def _pick_and_place(rng: np.random.Generator, arm: Arm) -> list[Move]:
+    held = float(rng.uniform(0.02, 0.06))
+    grasp = _place(rng, arm, _tilted(rng), 0.08, _height(rng))
+    goal = _place(rng, arm, _tilted(rng) if rng.random() < 0.5 else grasp[:3, :3], 0.08, _height(rng))
+    over = rng.uniform(0.06, 0.2, size=3)
+    flows = bool(rng.random() < 0.6)
+    return [
+        Move(X_BG=_up(grasp, over[0]), finger_width_m=0.08, flows=flows and grasp[2, 3] + over[0] < CEILING_M),
+        Move(X_BG=grasp, finger_width_m=0.08),
+        Move(X_BG=grasp, finger_width_m=held),
+        Move(X_BG=_up(grasp, over[1]), finger_width_m=held),
+        Move(X_BG=_up(goal, over[2]), finger_width_m=held),
+        Move(X_BG=goal, finger_width_m=held),
+        Move(X_BG=goal, finger_width_m=0.08),
+        Move(X_BG=_up(goal, over[1]), finger_width_m=0.08),
+    ]
+
+
+def _push(rng: np.random.Generator, arm: Arm) -> list[Move]:
+    """Closed fingers drag or push something along a straight line."""
+    start = _place(rng, arm, _tilted(rng), 0.0, _height(rng))
+    end = start.copy()
+    heading, way = rng.uniform(-np.pi, np.pi), rng.uniform(0.05, 0.3)
+    end[:2, 3] = np.clip(
+        end[:2, 3] + way * np.array([np.cos(heading), np.sin(heading)]),
+        [TABLE_X_M[0], TABLE_Y_M[0]],
+        [TABLE_X_M[1], TABLE_Y_M[1]],
+    )
+    over = rng.uniform(0.05, 0.15)
+    return [
+        Move(X_BG=_up(start, over), finger_width_m=0.0),
+        Move(X_BG=start, finger_width_m=0.0),
+        Move(X_BG=end, finger_width_m=0.0),
+        Move(X_BG=_up(end, over), finger_width_m=0.0),
+    ]
+
+
+def _drawer(rng: np.random.Generator, arm: Arm) -> list[Move]:
+    """The gripper looks forward or aslant, grips or hooks something at half height, pulls or pushes it."""
+    slope, yaw = np.deg2rad(rng.uniform(0.0, 50.0)), rng.uniform(-0.5, 0.5)
+    approach = np.array([np.cos(yaw) * np.cos(slope), np.sin(yaw) * np.cos(slope), -np.sin(slope)])
+    closing = np.array([-np.sin(yaw), np.cos(yaw), 0.0]) * rng.choice([-1.0, 1.0])
+    if rng.random() < 0.3:
+        closing = np.cross(approach, closing)
+    R = grasp_rotation(approach, closing)
+    handle = make_pose(R, [rng.uniform(0.45, 0.7), rng.uniform(-0.25, 0.25), rng.uniform(0.12, 0.4)])
+    before, pulled = handle.copy(), handle.copy()
+    before[:3, 3] -= rng.uniform(0.04, 0.1) * approach
+    pulled[:3, 3] -= rng.uniform(0.05, 0.18) * np.array([np.cos(yaw), np.sin(yaw), 0.0])
+    width = float(rng.choice([0.0, 0.02]))
+    return [
+        Move(X_BG=before, finger_width_m=0.08),
+        Move(X_BG=handle, finger_width_m=0.08),
+        Move(X_BG=handle, finger_width_m=width),
+        Move(X_BG=pulled, finger_width_m=width),
+        Move(X_BG=pulled, finger_width_m=0.08),
+    ]
+
+
+def _lid(rng: np.random.Generator, arm: Arm) -> list[Move]:
+    """The gripper carries a lid's edge (or a faucet's handle) along an arc, in short chords that flow together."""
+    X = _place(rng, arm, _tilted(rng), 0.02, float(rng.uniform(0.05, 0.2)))
+    vertical = rng.random() < 0.5
+    axis = np.array([0.0, 0.0, 1.0]) if vertical else np.array([0.0, 1.0, 0.0])
+    lever = rng.uniform(0.06, 0.15) * np.array([1.0, 0.0, 0.0])
+    angle = rng.uniform(0.4, 1.1) * rng.choice([-1.0, 1.0])
+    turned = bool(rng.random() < 0.7)
+    moves = [Move(X_BG=_up(X, 0.06), finger_width_m=0.04), Move(X_BG=X, finger_width_m=0.02)]
+    for part in np.linspace(0.0, 1.0, 6)[1:]:
+        R = rotation_exp(part * angle * axis)
+        arc = make_pose(R @ X[:3, :3] if turned else X[:3, :3], X[:3, 3] + lever - R @ lever)
+        moves.append(Move(X_BG=arc, finger_width_m=0.02, flows=part < 1.0))
+    return [*moves, Move(X_BG=_up(moves[-1].X_BG, 0.08), finger_width_m=0.04)]
+
+
+_TASKS = (_pick_and_place, _push, _drawer, _lid)
+
+_STEPS = 192  # control steps of a benchmark episode
+_JOINT_KNOTS = 40
+
+
+def shipped(rng: np.random.Generator, arm: Arm, at_least_s: float) -> Motion | None:
+    """The plan of one of the shipped experts for a random scene of its task; None if it has none there."""
+    task = list(EXPERTS)[rng.integers(len(EXPERTS))]
+    plant = arm.plant
+    q = plant.robot.rest_q + rng.normal(0.0, 0.02, size=7)
+    steps = max(_STEPS, int(np.ceil(at_least_s / CONTROL_PERIOD_S)))
+    scene = compose(task, int(rng.integers(2**31))).layout().scene(plant.forward(q))
+    try:
+        motion = plan(plant, q, scene.finger_width_m, EXPERTS[task](scene), steps)
+    except InputError:
+        return None
+    t_s = np.asarray(CONTROL_PERIOD_S * np.arange(steps + 1), dtype=np.float64)
+    widths = np.concatenate([[scene.finger_width_m], np.maximum(motion.finger_width_m, 0.0)])
+    return Motion.through(t_s, np.vstack([q, motion.q]), widths)
+
+
+def joint_space(rng: np.random.Generator, arm: Arm, at_least_s: float) -> Motion | None:
+    """A smooth random joint path that uses up to nine tenths of the speeds and eight of the accelerations."""
+    plant = arm.plant
+    share = rng.uniform(0.3, 1.0)
+    middle = rng.uniform(0.8 * plant.lower + 0.2 * plant.upper, 0.2 * plant.lower + 0.8 * plant.upper)
+    spread = rng.uniform(0.05, 0.5) * 0.5 * (plant.upper - plant.lower)
+    knots = np.clip(middle + rng.uniform(-1.0, 1.0, (_JOINT_KNOTS, 7)) * spread, plant.lower, plant.upper)
+    widths = np.full(_JOINT_KNOTS, float(rng.uniform(0.0, 0.08)))
+    unit = Motion.through(np.arange(_JOINT_KNOTS, dtype=np.float64), knots, widths)
+    fine = np.linspace(0.0, unit.duration_s, 50 * _JOINT_KNOTS)
+    speed = np.abs(unit.q(fine, 1)) / plant.velocity_limits
+    bend = np.abs(unit.q(fine, 2)) / accelerations(arm)
+    spacing = max(
+        float(speed.max()) / (JOINT_SPEED_SHARE * share),
+        float(np.sqrt(bend.max() / (JOINT_ACCELERATION_SHARE * share))),
+    )
+    motion = Motion.through(spacing * unit.t_width_s, knots, widths)
+    return motion if motion.duration_s >= at_least_s else None

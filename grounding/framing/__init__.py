@@ -1,0 +1,1 @@
+"""Framing of generated videos: where the conditioning image lies in the frames."""

@@ -1,0 +1,166 @@
+"""Which stages of the grounding are done elsewhere, and where their results are."""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinebench_drake.camera import Camera
+from kinebench_drake.errors import InputError, UsageError
+from kinebench_drake.grounding.overrides.arrays import mask_files, read_masks
+from kinebench_drake.grounding.overrides.depth import (
+    check_depth_source,
+    depth_files,
+    depth_source_files,
+    depth_source_name,
+    estimate_depth,
+    is_depth_source,
+    read_depth,
+)
+from kinebench_drake.grounding.overrides.poses import pose_files, read_poses
+from kinebench_drake.types import InitialState, Priors
+
+TRUTH, TRACKS = "truth", "tracks"
+"""Subfolders: of a demonstration folder, and of the output folder of another run."""
+
+
+def find_entry(folder: Path, names: Sequence[str], places: Sequence[str] = (TRUTH,)) -> Path:
+    """The file `NAME.npz` or `NAME.npy` or the folder `NAME/` that belongs to a video.
+
+    Args:
+        folder: where to look.
+        names: what the video is called, the best name first.
+        places: subfolders that go before the folder itself: there the videos themselves may lie, under the same names.
+
+    Raises:
+        InputError: there is none.
+    """
+    for name in names:
+        for place in (*places, ""):
+            for file in (folder / place / f"{name}.npz", folder / place / f"{name}.npy"):
+                if file.is_file():
+                    return file
+            if (folder / place / name).is_dir():
+                return folder / place / name
+    told = " or ".join(f"{name}.npz, {name}.npy, {name}/" for name in names)
+    where = " and ".join(f"{place}/" for place in places)
+    raise InputError(f"{folder.resolve().name} has nothing for this video: looked for {told} in it and in its {where}")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Overrides:
+    """What the command line names in place of stages; light, so that it can be handed to other processes."""
+
+    masks: Path | None = None
+    """Folder of masks."""
+    depth: str | None = None
+    """Folder of depth, or `moge:CHECKPOINT` or `module:Class`."""
+    poses: Path | None = None
+    """Folder of poses."""
+    depth_exact: bool = False
+    """Whether the depth can be trusted to a few millimetres."""
+
+    def __post_init__(self) -> None:
+        """Check that everything named is there.
+
+        Raises:
+            UsageError: it is not.
+        """
+        if self.depth_exact and self.depth is None:
+            raise UsageError("--depth-exact says how good the depth of --depth is; give that as well")
+        for option, folder in (("--masks", self.masks), ("--poses", self.poses)):
+            if folder is not None and not folder.is_dir():
+                raise UsageError(f"{option} {folder}: there is no such folder")
+        if self.depth is None or Path(self.depth).is_dir():
+            return
+        if not is_depth_source(self.depth):
+            raise UsageError(
+                f"--depth {self.depth}: there is no such folder; expected a folder, moge:CHECKPOINT or module:Class"
+            )
+        check_depth_source(self.depth)
+
+    @property
+    def folders(self) -> tuple[Path, ...]:
+        """The folders named: their pictures are no videos."""
+        named = (self.masks, self._depth_folder, self.poses)
+        return tuple(folder for folder in named if folder is not None)
+
+    @property
+    def names(self) -> dict[str, str]:
+        """What takes the place of each replaced stage, as results name it: without the paths of this machine."""
+        named = {"masks": self.masks, "depth": self._depth_folder, "poses": self.poses}
+        names = {stage: folder.resolve().name for stage, folder in named.items() if folder is not None}
+        if self._plug_in is not None:
+            names["depth"] = depth_source_name(self._plug_in)
+        return dict(sorted(names.items()))
+
+    def files(self, video: Sequence[str]) -> list[Path]:
+        """All files that `known` reads for a video, in a fixed order; those that are there."""
+        files: list[Path] = []
+        try:
+            if self.masks is not None:
+                files += mask_files(find_entry(self.masks, video))
+            if self._depth_folder is not None:
+                files += depth_files(find_entry(self._depth_folder, video))
+            if self.poses is not None:
+                files += pose_files(self.poses, find_entry(self.poses, video, (TRUTH, TRACKS)))
+        except InputError:
+            return files  # the video becomes an error, and errors are never kept
+        return [*files, *(depth_source_files(self._plug_in) if self._plug_in is not None else [])]
+
+    def known(
+        self, video: Sequence[str], frames: NDArray[np.uint8], camera: Camera, first: InitialState | None = None
+    ) -> Priors:
+        """What is known of a video.
+
+        Args:
+            video: what it is called, the best name first.
+            frames: (T, H, W, 3) RGB.
+            camera: what they were taken with, at their size.
+            first: the robot in the first frame.
+
+        Raises:
+            InputError: there is nothing for the video, or it is of another one or broken; the message names the option.
+            SetupError: the plug-in cannot be made ready.
+        """
+        mask, depth, poses = None, None, None
+        if self.masks is not None:
+            with _told("--masks"):
+                mask = read_masks(find_entry(self.masks, video))
+        if self._depth_folder is not None:
+            with _told("--depth"):
+                depth = read_depth(find_entry(self._depth_folder, video), exact=self.depth_exact)
+        if self.poses is not None:
+            with _told("--poses"):
+                poses = read_poses(self.poses, find_entry(self.poses, video, (TRUTH, TRACKS)), len(frames))
+        if self._plug_in is not None:
+            depth = estimate_depth(self._plug_in, frames, camera, exact=self.depth_exact)
+        known = Priors(
+            initial_state=first,
+            mask=mask,
+            depth=depth,
+            X_CH=poses.X_CH if poses else None,
+            finger_width_m=poses.finger_width_m if poses else None,
+        )
+        known.check_shapes(*frames.shape[:3])
+        return known
+
+    @property
+    def _depth_folder(self) -> Path | None:
+        return Path(self.depth) if self.depth is not None and Path(self.depth).is_dir() else None
+
+    @property
+    def _plug_in(self) -> str | None:
+        return self.depth if self._depth_folder is None else None
+
+
+@contextmanager
+def _told(option: str) -> Iterator[None]:
+    """Name the option in what goes wrong with its files."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(f"{option}: {error}") from None

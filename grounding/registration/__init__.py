@@ -1,0 +1,1 @@
+"""Registration of the CAD model to one frame: correspondences, least squares, silhouette, ICP."""

@@ -1,0 +1,99 @@
+"""The Panda's arm as a body to be fitted: where its parts are at a posture, and how they move with the joints."""
+
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+
+from kinebench_drake.geometry import Array, invert
+from kinebench_drake.grounding.registration.correspondences import Correspondences
+from kinebench_drake.grounding.registration.fit import opened, opening_information
+from kinebench_drake.kinematics.chain import LinkChain
+from kinebench_drake.kinematics.plant import ArmPlant
+from kinebench_drake.models.panda.robot import ARM_LINKS, GRIPPER, HAND_LINK, LINK_OF, RobotPart
+
+OVER_LIMIT_RAD = 0.1
+"""By which a posture may exceed a joint's limits: the pose that asks for it is not exact yet."""
+_POSTURE_SIGMA_RAD = 0.7  # by which the fit leaves the first posture where nothing is seen of it
+
+
+class ArmModel:
+    """Link poses and joint axes of the Panda, and which joint moves what."""
+
+    def __init__(self) -> None:
+        """Load the plant.
+
+        Raises:
+            SetupError: the Panda's files are missing.
+        """
+        plant = ArmPlant()
+        self.lower, self.upper = plant.lower, plant.upper
+        self._chain = LinkChain(plant)
+        parts = [part for part in RobotPart if part is not RobotPart.BACKGROUND]
+        names = [HAND_LINK if part in GRIPPER else LINK_OF[part] for part in parts]
+        self._stage = np.array([0, *(self._chain.stage[name] for name in names)])
+        self._home = np.stack([np.eye(4), *(self._chain.home[name] for name in names)])
+        self.moves = np.stack([np.zeros(7), *(self._chain.carries(name) for name in names)])
+        """(PARTS, 7) 1 where a joint moves a part, else 0."""
+        self.X_HF = invert(self._chain.home[HAND_LINK]) @ self._chain.home[ARM_LINKS[-1]]
+        """(4, 4) the flange in the hand's frame [m]."""
+
+    def poses(self, q: Array) -> Array:
+        """(M, PARTS, 4, 4) frames of the parts' CAD coordinates in B, fingers closed, at postures `q` (M, 7)."""
+        return np.asarray(self._chain.motions(q)[:, self._stage] @ self._home)
+
+    def poses_and_axes(self, q: Array) -> tuple[Array, Array, Array]:
+        """Of one posture (7,): poses (PARTS, 4, 4), the joints' axes (7, 3) and a point (7, 3) on each, all in B."""
+        M = self._chain.motions(q[None])
+        axis, point = self._chain.axes(M)
+        return np.asarray(M[0, self._stage] @ self._home), axis[0], point[0]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FittedArm:
+    """An arm with its gripper: seven joints and the opening are unknown."""
+
+    model: ArmModel
+    X_CB: Array
+    q: Array
+    q_start: Array
+    finger_m: float
+    opening_free: bool
+
+    def points(self, cells: Correspondences) -> tuple[Array, Array]:
+        """See `Body`."""
+        X_BP, axis, point = self.model.poses_and_axes(self.q)
+        X = X_BP[cells.part]
+        opened_P = cells.p_P + cells.opening_sign[:, None] * np.array([0.0, self.finger_m, 0.0])
+        p_B = np.einsum("nij,nj->ni", X[:, :3, :3], opened_P) + X[:, :3, 3]
+        arm = p_B[:, None] - point
+        d_B = np.empty((len(p_B), 3, 8))
+        d_B[:, 0, :7] = axis[:, 1] * arm[..., 2] - axis[:, 2] * arm[..., 1]
+        d_B[:, 1, :7] = axis[:, 2] * arm[..., 0] - axis[:, 0] * arm[..., 2]
+        d_B[:, 2, :7] = axis[:, 0] * arm[..., 1] - axis[:, 1] * arm[..., 0]
+        d_B[:, :, :7] *= self.model.moves[cells.part][:, None]
+        d_B[:, :, 7] = cells.opening_sign[:, None] * X[:, :3, 1]
+        R_CB = self.X_CB[:3, :3]
+        return p_B @ R_CB.T + self.X_CB[:3, 3], R_CB @ d_B
+
+    def prior(self) -> tuple[Array, Array]:
+        """See `Body`: joints stay near their first angles unless something is seen of them."""
+        information = np.eye(8) / _POSTURE_SIGMA_RAD**2
+        information[7, 7] = opening_information(self.opening_free)
+        gradient = np.zeros(8)
+        gradient[:7] = (self.q - self.q_start) / _POSTURE_SIGMA_RAD**2
+        return information, gradient
+
+    def moved(self, step: Array) -> Self:
+        """See `Body`; joints end at their limits."""
+        over = OVER_LIMIT_RAD
+        q = np.clip(self.q + step[:7], self.model.lower - over, self.model.upper + over)
+        return replace(self, q=q, finger_m=opened(self.finger_m, step[7]))
+
+    def hand(self) -> tuple[Array, Array]:
+        """Pose (4, 4) of the hand in C and its derivatives (6, 7), rotation first, by the joints, in C."""
+        X_BP, axis, point = self.model.poses_and_axes(self.q)
+        p = X_BP[RobotPart.HAND, :3, 3]
+        J_B = np.concatenate([axis.T, np.cross(axis, p - point).T])
+        R_CB = self.X_CB[:3, :3]
+        return self.X_CB @ X_BP[RobotPart.HAND], np.concatenate([R_CB @ J_B[:3], R_CB @ J_B[3:]])

@@ -1,0 +1,105 @@
+"""What of a camera a video determines, and the reasons why not."""
+
+import numpy as np
+
+from kinebench_drake.calibration.result import CalibrationMethod, CameraCalibration
+from kinebench_drake.errors import UnmeasurableError
+
+FOCAL_LIMIT, FOCAL_WARNING = 0.05, 0.02
+"""Standard deviation of the focal length over itself from which it is refused, and from which it is told."""
+POSITION_LIMIT_M, POSITION_WARNING_M = 0.05, 0.02
+"""The same of the camera's place [m]."""
+ROTATION_LIMIT_RAD, ROTATION_WARNING_RAD = np.deg2rad(3.0), np.deg2rad(1.5)
+"""The same of its axes [rad]."""
+MISFIT_LIMIT_PX, MISFIT_WARNING_PX = 6.0, 2.5
+"""Median reprojection error of the gripper's cells, in a picture 384 px wide, likewise [px]."""
+MIN_MOTION_M = 0.10
+"""A hand whose places lie no farther apart than this shows the robot in one posture."""
+MIN_DEPTH_RATIO = 1.25
+"""Farthest over nearest part of the robot below which perspective hardly tells the focal length."""
+_MIN_INLIERS = 0.5
+
+
+def require_determined(calibration: CameraCalibration) -> None:
+    """Refuse what is not determined, or contradicts itself.
+
+    Raises:
+        UnmeasurableError: the postures do not go with the picture, or the camera is not determined; the message says
+            which quantity is not, and why.
+    """
+    unit = calibration.camera.unit_px
+    misfit = calibration.part_px["gripper"]
+    if misfit > MISFIT_LIMIT_PX * unit or calibration.inlier_share < _MIN_INLIERS:
+        raise UnmeasurableError(
+            f"{calibration.source} does not go with the picture: the gripper is {misfit:.1f} px off (median, at most "
+            f"{MISFIT_LIMIT_PX * unit:.1f}), {calibration.inlier_share:.0%} of the cells agree; are the angles of this "
+            "video, at the frames' times, in radians? Is the lens free of distortion?"
+        )
+    if calibration.focal_sigma > FOCAL_LIMIT:
+        raise UnmeasurableError(
+            f"the focal length is not determined ({calibration.focal_sigma:.1%} standard deviation, at most "
+            f"{FOCAL_LIMIT:.0%}): {_why(calibration)}; give --focal PX or --camera FILE, or a video in which the arm "
+            "moves towards the camera"
+        )
+    if calibration.position_sigma_m > POSITION_LIMIT_M or calibration.rotation_sigma_rad > ROTATION_LIMIT_RAD:
+        told = (
+            f"{1e3 * calibration.position_sigma_m:.0f} mm and {np.rad2deg(calibration.rotation_sigma_rad):.1f} degrees "
+            f"standard deviation, at most {1e3 * POSITION_LIMIT_M:.0f} mm and {np.rad2deg(ROTATION_LIMIT_RAD):.0f}"
+        )
+        if calibration.method is CalibrationMethod.MOTION:
+            raise UnmeasurableError(
+                f"base_from_camera is not determined without joint angles ({told}): turned about the axis of joint 1 "
+                f"the camera would see the same arm, and the base link's {calibration.part_cells['base']} cells do not "
+                f"tell that turn well enough; what is determined: {_without_turn(calibration)}; give --joints FILE, or "
+                "the posture of one frame (--joints q1,...,q7)"
+            )
+        raise UnmeasurableError(f"base_from_camera is not determined ({told}): {_why(calibration)}")
+
+
+def warnings_of(calibration: CameraCalibration) -> tuple[str, ...]:
+    """What the user should know, a line each."""
+    found = []
+    unit = calibration.camera.unit_px
+    misfit = calibration.part_px["gripper"]
+    if misfit > MISFIT_WARNING_PX * unit:
+        found.append(
+            f"the gripper is {misfit:.1f} px off (median): the joint angles may be late or early, the joints badly "
+            "calibrated, or the lens distorted"
+        )
+    if calibration.focal_sigma > FOCAL_WARNING:
+        found.append(f"the focal length is uncertain by {calibration.focal_sigma:.1%}: {_why(calibration)}")
+    if calibration.position_sigma_m > POSITION_WARNING_M or calibration.rotation_sigma_rad > ROTATION_WARNING_RAD:
+        found.append(
+            f"base_from_camera is uncertain by {1e3 * calibration.position_sigma_m:.0f} mm and "
+            f"{np.rad2deg(calibration.rotation_sigma_rad):.1f} degrees: {_why(calibration)}"
+        )
+    if calibration.method is not CalibrationMethod.POSTURE and calibration.motion_m < MIN_MOTION_M:
+        found.append(
+            f"the hand moves by {1e3 * calibration.motion_m:.0f} mm only, less than {1e3 * MIN_MOTION_M:.0f}: errors "
+            "that all frames have in common are not averaged out"
+        )
+    return tuple(found)
+
+
+def _without_turn(calibration: CameraCalibration) -> str:
+    """What a turn of the camera about the axis of joint 1 leaves as it is."""
+    camera = calibration.camera
+    x, y, z = camera.X_BC[:3, 3]
+    down = np.rad2deg(np.arcsin(np.clip(-camera.X_BC[2, 2], -1.0, 1.0)))
+    focal = f", focal length {camera.fx:.0f} px" if calibration.focal_free else ""
+    return f"{1e3 * np.hypot(x, y):.0f} mm from that axis, height {1e3 * z:.0f} mm, {down:.0f} degrees down{focal}"
+
+
+def _why(calibration: CameraCalibration) -> str:
+    """What is missing in the video."""
+    near, far = calibration.depth_m
+    reasons = []
+    if len(calibration.frames) == 1:
+        reasons.append("one frame is used")
+    elif calibration.motion_m < MIN_MOTION_M:
+        reasons.append(f"the hand moves by {1e3 * calibration.motion_m:.0f} mm only")
+    if far < MIN_DEPTH_RATIO * near:
+        reasons.append(f"all that is seen of the robot is {near:.2f} to {far:.2f} m away, nearly the same depth")
+    if not reasons:
+        reasons.append(f"{sum(calibration.part_cells.values())} cells of the robot are seen, few of them surely")
+    return ", ".join(reasons)

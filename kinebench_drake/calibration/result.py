@@ -1,0 +1,204 @@
+"""The result of a camera calibration, its uncertainty and its description."""
+
+from dataclasses import dataclass, replace
+from enum import Enum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinebench_drake.calibration.correspondences import CalibrationCorrespondences
+from kinebench_drake.calibration.fit import UNKNOWNS, LensFit, refine
+from kinebench_drake.camera import Camera
+from kinebench_drake.geometry import Array, pose_difference
+from kinebench_drake.models.panda.robot import ARM, GRIPPER
+from kinebench_drake.types import Json
+
+MIN_CELLS = 60
+"""Fewer cells of the robot, over all frames, make no calibration."""
+_GROUPS = {"gripper": GRIPPER, "arm": ARM[1:], "base": ARM[:1]}
+
+
+class CalibrationMethod(Enum):
+    """What the robot's postures were known from."""
+
+    JOINTS = "joint angles of the frames"
+    POSES = "poses of the gripper in the frames"
+    POSTURE = "posture of one frame"
+    MOTION = "motion without joint angles"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CameraCalibration:
+    """A camera found from the robot it sees."""
+
+    camera: Camera
+    method: CalibrationMethod
+    source: str
+    """What the postures were taken from."""
+    frames: NDArray[np.intp]
+    """(T,) numbers of the frames used."""
+    focal_free: bool
+    """Whether the focal length was found here."""
+    position_sigma_m: float
+    """Standard deviation of the camera's place, by the Jacobian: the length of its three axes' [m]."""
+    rotation_sigma_rad: float
+    """The same of its axes [rad]."""
+    focal_sigma: float
+    """Standard deviation of the focal length over itself; 0 where it was given."""
+    residual_px: float
+    """Root mean square of the reprojection [px], each cell counting as much as it is sure."""
+    part_px: dict[str, float]
+    """Median reprojection error [px] of the cells of gripper, arm and base."""
+    part_cells: dict[str, int]
+    """How many cells show these."""
+    inlier_share: float
+    """Share of the cells within four standard deviations."""
+    spread_m: Array
+    """(K,) from the camera to the ones that single frames tell by themselves [m]."""
+    spread_rad: Array
+    """(K,) angles between them [rad]."""
+    depth_m: tuple[float, float]
+    """Nearest and farthest parts of the robot that are seen, 5th and 95th percentile [m]."""
+    motion_m: float
+    """How far the hand's places in the frames lie apart at most [m]."""
+    warnings: tuple[str, ...] = ()
+    """What the user should know."""
+
+    def to_json(self) -> dict[str, Json]:
+        """All figures; the camera is what `camera.json` holds."""
+
+        def quantiles(values: Array, unit: float) -> Json:
+            if not len(values):
+                return None
+            return {"median": float(np.median(values)) * unit, "95%": float(np.quantile(values, 0.95)) * unit}
+
+        return {
+            "camera": self.camera.to_json(),
+            "method": self.method.value,
+            "source": self.source,
+            "frames": self.frames.tolist(),
+            "focal_length": "estimated" if self.focal_free else "given",
+            "sigma": {
+                "position_mm": 1e3 * self.position_sigma_m,
+                "rotation_deg": float(np.rad2deg(self.rotation_sigma_rad)),
+                "focal_percent": 100 * self.focal_sigma,
+            },
+            "residual_px": self.residual_px,
+            "part_median_px": {name: px if np.isfinite(px) else None for name, px in self.part_px.items()},
+            "part_cells": dict(self.part_cells),
+            "inlier_share": self.inlier_share,
+            "frame_position_mm": quantiles(self.spread_m, 1e3),
+            "frame_rotation_deg": quantiles(self.spread_rad, 180 / np.pi),
+            "depth_m": list(self.depth_m),
+            "hand_motion_m": self.motion_m,
+            "warnings": list(self.warnings),
+        }
+
+
+def describe(
+    fit: LensFit,
+    cells: CalibrationCorrespondences,
+    p_B: Array,
+    *,
+    method: CalibrationMethod,
+    source: str,
+    frames: NDArray[np.intp],
+    hands_B: Array,
+    focal_free: bool,
+) -> CameraCalibration:
+    """The calibration that a fit comes to.
+
+    Args:
+        fit: the fitted lens.
+        cells: what it was fitted to.
+        p_B: (N, 3) points of the cells [m].
+        method: how it was done.
+        source: what the postures were taken from.
+        frames: (T,) numbers of the frames used.
+        hands_B: (T, 3) places of the hand [m].
+        focal_free: whether the focal length was looked for.
+    """
+    position, rotation, focal = _sigmas(fit, UNKNOWNS if focal_free else UNKNOWNS - 1)
+    error = np.linalg.norm(fit.residual_px, axis=1)
+    sure = cells.weight / fit.sigma_px**2
+    groups = {name: np.isin(cells.part, parts) for name, parts in _GROUPS.items()}
+    _, z = fit.lens.project(p_B)
+    spread_m, spread_rad = _spread(fit, cells, p_B)
+    near, far = np.quantile(z[fit.inlier], [0.05, 0.95]) if fit.inlier.any() else (np.nan, np.nan)
+    apart = np.linalg.norm(hands_B[:, None] - hands_B[None], axis=-1)
+    return CameraCalibration(
+        camera=fit.lens.placed(),
+        method=method,
+        source=source,
+        frames=frames,
+        focal_free=focal_free,
+        position_sigma_m=position,
+        rotation_sigma_rad=rotation,
+        focal_sigma=focal,
+        residual_px=float(np.sqrt((sure * error**2)[fit.inlier].sum() / max(sure[fit.inlier].sum(), 1e-12))),
+        part_px={name: float(np.median(error[of])) if of.any() else float("nan") for name, of in groups.items()},
+        part_cells={name: int(of.sum()) for name, of in groups.items()},
+        inlier_share=float(fit.inlier.mean()),
+        spread_m=spread_m,
+        spread_rad=spread_rad,
+        depth_m=(float(near), float(far)),
+        motion_m=float(np.nanmax(apart)) if len(hands_B) else 0.0,
+    )
+
+
+def with_warnings(calibration: CameraCalibration, warnings: tuple[str, ...]) -> CameraCalibration:
+    """The calibration with more to know."""
+    return replace(calibration, warnings=(*calibration.warnings, *warnings))
+
+
+def _sigmas(fit: LensFit, free: int) -> tuple[float, float, float]:
+    """Standard deviations of the camera's place [m], of its axes [rad] and of the focal length over itself."""
+    H = fit.information[:free, :free]
+    scale = np.sqrt(np.maximum(np.diag(H), 1e-12))
+    covariance = np.linalg.pinv(H / np.outer(scale, scale) + 1e-9 * np.eye(free)) / np.outer(scale, scale)
+    x, y, z = fit.lens.X_CB[:3, 3]
+    by_turn = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])  # the camera's place is -R^T t
+    J = np.concatenate([by_turn, np.eye(3)], axis=1)
+    position = float(np.trace(J @ covariance[:6, :6] @ J.T)) ** 0.5
+    focal = float(covariance[6, 6]) ** 0.5 if free == UNKNOWNS else 0.0
+    return position, float(np.trace(covariance[:3, :3])) ** 0.5, focal
+
+
+def _spread(fit: LensFit, cells: CalibrationCorrespondences, p_B: Array) -> tuple[Array, Array]:
+    """How far the cameras of single frames are from that of all of them [m, rad]; the focal length is held."""
+    X_BC = fit.lens.placed().X_BC
+    found = []
+    for frame in np.unique(cells.frame):
+        own = cells.frame == frame
+        if own.sum() >= MIN_CELLS and len(np.unique(cells.part[own])) > 1:
+            alone = refine(cells.take(own), p_B[own], fit.lens, zoom_free=False, rounds=1)
+            found.append(pose_difference(alone.lens.placed().X_BC, X_BC))
+    distance, angle = np.array(found, dtype=np.float64).reshape(-1, 2).T
+    return distance, angle
+
+
+def lines(calibration: CameraCalibration) -> list[str]:
+    """What a user reads of it."""
+    c, camera = calibration, calibration.camera
+    place = ", ".join(f"{1e3 * x:.0f}" for x in camera.X_BC[:3, 3])
+    fov = np.rad2deg(2 * np.arctan(camera.width / 2 / camera.fx))
+    sure = f" +- {100 * c.focal_sigma:.1f} %" if c.focal_free else ", given"
+    told = [
+        f"from: {c.source}; {len(c.frames)} frames, {sum(c.part_cells.values())} cells of the robot "
+        f"(gripper {c.part_cells['gripper']}, arm {c.part_cells['arm']}, base {c.part_cells['base']})",
+        f"camera in the base frame: {place} mm, +- {1e3 * c.position_sigma_m:.0f} mm, "
+        f"{np.rad2deg(c.rotation_sigma_rad):.2f} degrees",
+        f"focal length: {camera.fx:.1f} px{sure} (field of view {fov:.1f} degrees across {camera.width} px)",
+        f"residual: {c.residual_px:.2f} px rms; medians "
+        + ", ".join(f"{name} {px:.1f}" for name, px in c.part_px.items() if np.isfinite(px)),
+    ]
+    if len(c.spread_m) > 1:
+        told.append(
+            f"single frames: {1e3 * np.median(c.spread_m):.0f} mm and {np.rad2deg(np.median(c.spread_rad)):.2f} "
+            f"degrees from it (median of {len(c.spread_m)}), 95 %: {1e3 * np.quantile(c.spread_m, 0.95):.0f} mm, "
+            f"{np.rad2deg(np.quantile(c.spread_rad, 0.95)):.2f} degrees"
+        )
+    told.append(
+        f"the robot is seen {c.depth_m[0]:.2f} to {c.depth_m[1]:.2f} m away, the hand moves {1e3 * c.motion_m:.0f} mm"
+    )
+    return [*told, *(f"warning: {warning}" for warning in c.warnings)]

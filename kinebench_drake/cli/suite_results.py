@@ -1,0 +1,151 @@
+"""`kinebench-drake suite report`, `ceiling` and `tolerance`."""
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from kinebench_drake.cli.options import (
+    SPLITS,
+    SUITES,
+    check_parent,
+    episodes_option,
+    jobs_option,
+    split_help,
+    tasks_option,
+)
+from kinebench_drake.io.atomic import write_atomically
+from kinebench_drake.suites.selection import chosen_tasks
+
+if TYPE_CHECKING:
+    from kinebench_drake.closed_loop.tolerance import ToleranceAttempt
+
+
+@click.command(
+    short_help="Hold runs against direct execution of the expert's track.",
+    epilog="\b\nExamples:\n"
+    "  kinebench-drake suite run --suite 0 --world-model oracle --pixels-only --episodes 20 --out pixels/ --jobs 2\n"
+    "  kinebench-drake suite ceiling pixels/ --out ceiling/ --jobs 2",
+)
+@click.argument("folders", metavar="DIR...", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option(
+    "--out", type=click.Path(path_type=Path, file_okay=False),
+    help="Write report.html, figure and table (csv, LaTeX) to this folder, too.",
+)  # fmt: skip
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the intervals' resampling.")
+@jobs_option
+def ceiling(folders: tuple[Path, ...], out: Path | None, seed: int, jobs: int) -> None:
+    """Execute the expert's own true track in the episodes of suite runs DIR, and compare each model with it.
+
+    No model succeeds more often, but by chance: what is missing was lost between the imagined and the executed motion.
+    For a run of the oracle that is the cost of grounding; for other models that of their videos, too.
+    """
+    from kinebench_drake.cli.run import EpisodeView, terminate_as_interrupt
+    from kinebench_drake.executors.base import EngineKind, create_engine
+    from kinebench_drake.report.suite import write_comparison
+    from kinebench_drake.report.suite.ceiling import read_ceiling, share_lines
+    from kinebench_drake.report.suite.comparison import comparison_lines
+
+    with EpisodeView() as view, terminate_as_interrupt():
+
+        def told(attempt: "ToleranceAttempt", total: int) -> None:
+            if not view.total:
+                view.started(total, 0)
+            view.advanced(attempt.episode.id if attempt.success else f"{attempt.episode.id}: {attempt.reason}")
+
+        comparison = read_ceiling(folders, create_engine(EngineKind.LOCAL, jobs), seed, told=told)
+    page = None if out is None else write_comparison(comparison, out)
+    for line in (*comparison_lines(comparison.table), "", *share_lines(comparison.compared)):
+        click.echo(line)
+    if page is not None:
+        click.echo(page)
+
+
+@click.command(
+    short_help="Report on suite runs.",
+    epilog="\b\nExamples:\n"
+    "  kinebench-drake suite report runs/wan-suite0/ runs/wan-suite2/ --out report/\n"
+    "  kinebench-drake suite report scaling/*/ --out report/",
+)
+@click.argument("folders", metavar="DIR...", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option("--out", type=click.Path(path_type=Path, file_okay=False), required=True, help="Folder to write to.")
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the intervals' resampling.")
+def report(folders: tuple[Path, ...], out: Path, seed: int) -> None:
+    """Put output folders DIR of `suite run` together: report.html, figures (png, svg), tables (csv, LaTeX).
+
+    Runs of one model on one suite are one run, as shards are, unless their tags or settings differ.
+    """
+    from kinebench_drake.report.suite import write_suite_report
+
+    click.echo(write_suite_report(folders, out, seed))
+
+
+_ERRORS = ("bias", "jitter", "finger_delay")
+
+
+@click.command(
+    short_help="Measure how much error in a track each task forgives.",
+    epilog="\b\nExamples:\n"
+    "  kinebench-drake suite tolerance --suite 0 --episodes 10 --out tolerance.json --figure tolerance.png --jobs 2\n"
+    "  kinebench-drake suite tolerance --suite 0 --tasks StackCube-v1 --errors bias --out stack.json",
+)
+@click.option("--suite", "number", type=SUITES, required=True, help="Number of the suite.", metavar="N")
+@click.option("--split", type=SPLITS, default="test", show_default=True, help=split_help)
+@tasks_option
+@episodes_option
+@click.option(
+    "--seed", type=click.IntRange(0), default=0, show_default=True, help="Number of the first of the split's seeds."
+)
+@click.option("--errors", default=",".join(_ERRORS), show_default=True, help="Which ones to plant.")
+@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), required=True, help="Figures, as JSON.")
+@click.option("--figure", type=click.Path(path_type=Path, dir_okay=False), help="Draw the curves (png, svg, pdf).")
+@jobs_option
+def tolerance(
+    number: int,
+    split: str,
+    tasks: str | None,
+    episodes: int,
+    seed: int,
+    errors: str,
+    out: Path,
+    figure: Path | None,
+    jobs: int,
+) -> None:
+    """Execute the expert's own true track, exact and with errors of graded size: success against error, task by task.
+
+    The exact track's success is what a perfect video with perfect grounding would reach. Poses are off by a constant
+    displacement (bias) or by one of their own each frame (jitter), rotations in proportion (5 degrees with 15 mm), or
+    the fingers move so many frames late (finger_delay).
+    """
+    from kinebench_drake.cli.run import EpisodeView, terminate_as_interrupt
+    from kinebench_drake.closed_loop.tolerance import PoseError, ToleranceAttempt, run_attempts, table_json, table_lines
+    from kinebench_drake.errors import UsageError
+    from kinebench_drake.executors.base import EngineKind, create_engine
+    from kinebench_drake.suites.suite import load_suite
+    from kinebench_drake.suites.tasks.card import TaskVariant
+
+    names = errors.split(",")
+    if unknown := [name for name in names if name not in _ERRORS]:
+        raise UsageError(f"--errors {errors}: no {unknown[0]!r}; there are {', '.join(_ERRORS)}")
+    for option, path in (("--out", out), ("--figure", figure)):
+        if path is not None:
+            check_parent(option, path)
+    suite = load_suite(number)
+    chosen = chosen_tasks(suite, split, tasks, TaskVariant.PLAIN)
+    order = suite.episodes(suite.split_name(split), episodes, tasks=chosen, offset=seed)
+    attempts: list[ToleranceAttempt] = []
+    with EpisodeView() as view, terminate_as_interrupt():
+        view.started(len(order), 0)
+        for done in run_attempts(create_engine(EngineKind.LOCAL, jobs), order, [PoseError(name) for name in names]):
+            attempts += done
+            view.advanced(done[0].episode.id)
+    attempts.sort(key=lambda a: a.episode.id)
+    write_atomically(out, (json.dumps(table_json(attempts), indent=1) + "\n").encode())
+    for line in table_lines(attempts):
+        click.echo(line)
+    if figure is not None:
+        from kinebench_drake.closed_loop.tolerance import draw_tolerance
+        from kinebench_drake.io.figure import save
+
+        save(draw_tolerance(attempts), figure)

@@ -1,0 +1,1 @@
+"""Closed loop: from generated video to commands, execution, success and attribution."""

@@ -1,0 +1,56 @@
+"""Commands carried out on a stage, frame by frame."""
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from kinebench_drake.closed_loop.commands import Commands
+from kinebench_drake.geometry import Array
+from kinebench_drake.models.panda.robot import TCP_LINK
+from kinebench_drake.suites.simulator import Control, Simulator, Snapshot, TaskOutcome
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Execution:
+    """What came of commands."""
+
+    snapshots: tuple[Snapshot, ...]
+    """The state at each frame, the one before the first command included; none after success."""
+    outcomes: tuple[TaskOutcome, ...]
+    """The task's verdict at each frame but the first."""
+    X_BG: Array
+    """(T, 4, 4) panda_hand_tcp in the base frame at each snapshot [m]."""
+
+    @property
+    def finger_width_m(self) -> Array:
+        """(T,) gap between the finger pads at each snapshot [m]."""
+        return np.array([s.fingers_m.sum() for s in self.snapshots])
+
+    @property
+    def outcome(self) -> TaskOutcome:
+        """The verdict at the end."""
+        return self.outcomes[-1]
+
+
+def execute(stage: Simulator, commands: Commands, control: Control) -> Execution:
+    """Carry out commands from the present state on, until the task succeeds or they end.
+
+    Args:
+        stage: where; it must be under `control`.
+        commands: what to do.
+        control: whether the robot is told joint angles or poses.
+    """
+    snapshots, outcomes, X_BG = [stage.snapshot()], list[TaskOutcome](), [stage.link_pose(TCP_LINK)]
+    for start, end in pairwise(commands.frame_steps):
+        for i in range(start, end):
+            if control is Control.JOINTS:
+                stage.step(commands.q[i], float(commands.finger_width_m[i]))
+            else:
+                stage.step_pose(commands.X_BG[i], float(commands.finger_width_m[i]))
+        snapshots.append(stage.snapshot())
+        outcomes.append(stage.outcome())
+        X_BG.append(stage.link_pose(TCP_LINK))
+        if outcomes[-1].success:
+            break
+    return Execution(snapshots=tuple(snapshots), outcomes=tuple(outcomes), X_BG=np.stack(X_BG))

@@ -1,0 +1,1 @@
+"""Input data sets: videos, trajectories and their metadata."""

@@ -1,0 +1,157 @@
+"""From what the user named (a file, a dataset, a folder, an output folder) to the list of trajectories in it."""
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+from kinebench_drake.datasets import lerobot
+from kinebench_drake.datasets.folders import require_apart, walk
+from kinebench_drake.datasets.ids import unique_ids
+from kinebench_drake.datasets.lerobot import is_lerobot
+from kinebench_drake.datasets.trajectories import maniskill
+from kinebench_drake.datasets.trajectories.check import check
+from kinebench_drake.datasets.trajectories.tables import CSV_SUFFIXES, NPZ_SUFFIXES, read_archive, read_table
+from kinebench_drake.datasets.trajectories.trajectory import (
+    Trajectory,
+    TrajectoryFormat,
+    TrajectoryOptions,
+    TrajectorySample,
+)
+from kinebench_drake.errors import InputError, UsageError
+from kinebench_drake.results.store import SAMPLES, read_rows
+
+EXPECTED = (
+    "a trajectory (npz, csv, ManiSkill h5), a LeRobot dataset, an output folder or its tracks, or a folder of these"
+)
+_SUFFIXES = NPZ_SUFFIXES | CSV_SUFFIXES | maniskill.SUFFIXES
+
+
+def find_trajectories(
+    source: Path,
+    choice: TrajectoryOptions,
+    *,
+    out: Path | None = None,
+    model: str | None = None,
+    task: str | None = None,
+) -> tuple[TrajectorySample, ...]:
+    """List the trajectories of a file, a LeRobot dataset, an output folder or a folder of these, in a fixed order.
+
+    None of them is read.
+
+    Args:
+        source: what the user named.
+        choice: what the user says about the data.
+        out: a folder whose content is never taken for input (the run's own output).
+        model: who made the trajectories, for those that name no one.
+        task: name of the task, for trajectories that name none.
+
+    Raises:
+        UsageError: there is nothing to read, a dataset has no fitting column, or a run into `out` would harm what it
+            reads.
+    """
+    if not source.exists():
+        raise UsageError(f"{source}: there is no such file or folder")
+    if out is not None:
+        require_apart(out, source)
+    if not source.is_dir():
+        if source.suffix.lower() not in _SUFFIXES:
+            raise UsageError(f"{source}: found a {source.suffix or 'nameless'} file, expected {EXPECTED}")
+        samples = _from_file(source, source.name)
+    elif is_lerobot(source):
+        try:
+            samples = lerobot.list_lerobot_trajectories(source, source.resolve().name, choice)
+        except InputError as error:
+            raise UsageError(f"{source}: {error}") from None
+    elif (source / SAMPLES).is_file():
+        samples = _from_output(source)
+    elif source.resolve().name == "tracks" and (source.resolve().parent / SAMPLES).is_file():
+        samples = _from_output(source.resolve().parent)
+    else:
+        samples = list(_from_folder(source, choice, out))
+    if not samples:
+        held = Counter(p.suffix.lower() or "no suffix" for p in source.iterdir() if p.is_file())
+        found = ", ".join(f"{n} x {suffix}" for suffix, n in held.most_common(4)) or "nothing"
+        raise UsageError(f"{source}: holds no trajectory (found {found}), expected {EXPECTED}")
+    ids = unique_ids([(s.id, Path(s.video).parent.parts) for s in samples])
+    return tuple(
+        replace(s, id=id, model=s.model or model, task=s.task or task) for s, id in zip(samples, ids, strict=True)
+    )
+
+
+def read_trajectory(sample: TrajectorySample, choice: TrajectoryOptions) -> Trajectory:
+    """Read one trajectory and check it.
+
+    Raises:
+        InputError: it cannot be read, or is not sound; one line says why.
+        UnmeasurableError: it is too short.
+    """
+    if sample.problem is not None:
+        raise InputError(sample.problem)
+    if not sample.path.is_file():
+        raise InputError(f"{sample.path.name}: there is no such file")
+    if sample.format is TrajectoryFormat.NPZ:
+        recording = read_archive(sample.path, choice)
+    elif sample.format is TrajectoryFormat.CSV:
+        recording = read_table(sample.path, choice)
+    elif sample.format is TrajectoryFormat.MANISKILL:
+        recording = maniskill.read_maniskill(sample.path, str(sample.part), sample.rate_hz, choice)
+    else:
+        recording = lerobot.read_lerobot(sample.path, int(str(sample.part)), sample.about[0], choice)
+    return check(replace(recording, warnings=(*sample.warnings, *recording.warnings)), choice.rate_hz)
+
+
+def _from_file(path: Path, video: str) -> list[TrajectorySample]:
+    suffix = path.suffix.lower()
+    if suffix in maniskill.SUFFIXES:
+        return maniskill.list_maniskill(path, video)
+    format = TrajectoryFormat.NPZ if suffix in NPZ_SUFFIXES else TrajectoryFormat.CSV
+    return [TrajectorySample(id=path.stem, path=path, video=video, format=format)]
+
+
+def _from_output(folder: Path) -> list[TrajectorySample]:
+    """The tracks of an output folder, with the labels of their rows."""
+    try:
+        rows = read_rows(folder)
+    except InputError as error:
+        raise UsageError(str(error)) from None
+    samples = []
+    for path in sorted((folder / "tracks").glob("*.npz")):
+        row = rows.get(path.stem)
+        seed, prompt = (row.extra.get(key) if row else None for key in ("seed", "prompt"))
+        samples.append(
+            TrajectorySample(
+                id=path.stem,
+                path=path,
+                video=f"tracks/{path.name}",
+                format=TrajectoryFormat.NPZ,
+                task=row.task if row else None,
+                model=row.model if row else None,
+                seed=seed if isinstance(seed, int) else None,
+                prompt=prompt if isinstance(prompt, str) else None,
+            )
+        )
+    return samples
+
+
+def _from_folder(folder: Path, choice: TrajectoryOptions, out: Path | None) -> Iterator[TrajectorySample]:
+    """Trajectory files and datasets at any depth, sorted."""
+    for here, folders, files in walk(folder, [] if out is None else [out]):
+        if is_lerobot(here):
+            folders.clear()
+            yield from _dataset(here, here.relative_to(folder).as_posix(), choice)
+            continue
+        for name in (f for f in files if Path(f).suffix.lower() in _SUFFIXES):
+            yield from _from_file(here / name, (here / name).relative_to(folder).as_posix())
+
+
+def _dataset(folder: Path, name: str, choice: TrajectoryOptions) -> list[TrajectorySample]:
+    """Episodes of a dataset; a dataset that cannot be used is one trajectory with a problem."""
+    try:
+        return lerobot.list_lerobot_trajectories(folder, name, choice)
+    except InputError as error:
+        return [
+            TrajectorySample(
+                id=folder.name, path=folder, video=name, format=TrajectoryFormat.LEROBOT, problem=str(error)
+            )
+        ]

@@ -1,0 +1,155 @@
+"""Trajectories in npz and csv files."""
+
+import csv
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinebench_drake.datasets.trajectories.check import MAX_FRAMES
+from kinebench_drake.datasets.trajectories.pose import from_quaternions
+from kinebench_drake.datasets.trajectories.trajectory import RawTrajectory, TrajectoryOptions
+from kinebench_drake.errors import InputError, cause
+from kinebench_drake.geometry import Array
+from kinebench_drake.io.npz import Archive, at_most, open_npz
+
+NPZ_SUFFIXES = frozenset({".npz"})
+
+_MAX_BYTES = 2**28
+_POSES, _JOINTS = "base_from_tcp", "q"
+
+
+def read_archive(path: Path, choice: TrajectoryOptions) -> RawTrajectory:
+    """Read `t_s` and `base_from_tcp` or `q`, and where they are there `tracked` and `finger_width_m`.
+
+    Joint angles go before poses, as they leave no choice of posture; not so in the tracks of an output folder (told by
+    their array `ik_ok`), whose angles were found from the poses.
+
+    Raises:
+        InputError: the file is damaged, lacks an array, or holds pickled objects.
+    """
+    with open_npz(path, at_most(_MAX_BYTES)) as archive:
+        return _recording(archive, choice)
+
+
+def _recording(archive: Archive, choice: TrajectoryOptions) -> RawTrajectory:
+    names = archive.files
+
+    def optional(name: str) -> NDArray[np.generic] | None:
+        return archive[name] if name in names else None
+
+    warnings = []
+    if choice.joints is not None or choice.poses is not None:
+        taken = str(choice.joints or choice.poses)
+        if taken not in names:
+            raise InputError(f"holds no array {taken!r}, but {_listed(names)}")
+        is_joints = choice.joints is not None
+    else:
+        order = (_POSES, _JOINTS) if "ik_ok" in names else (_JOINTS, _POSES)
+        found = [name for name in order if name in names]
+        if not found:
+            raise InputError(f"holds {_listed(names)}, expected t_s and {_POSES} (T,4,4) or {_JOINTS} (T,7)")
+        taken, is_joints = found[0], found[0] == _JOINTS
+        if len(found) > 1 and "ik_ok" not in names:
+            warnings.append(f"holds {_JOINTS} and {_POSES}: {_JOINTS} was taken (--poses {_POSES} takes the poses)")
+    values = archive[taken]
+    return RawTrajectory(
+        t_s=optional("t_s"),
+        X_BG=None if is_joints else values,
+        q=values if is_joints else None,
+        tracked=optional("tracked"),
+        finger_width_m=optional("finger_width_m"),
+        columns=taken,
+        warnings=tuple(warnings),
+    )
+
+
+def _listed(names: list[str]) -> str:
+    return f"the arrays {', '.join(names[:12])}" if names else "no array"
+
+
+CSV_SUFFIXES = frozenset({".csv"})
+
+TIME, WIDTH = "t_s", "finger_width_m"
+POSE = ("x_m", "y_m", "z_m", "qw", "qx", "qy", "qz")
+JOINTS = tuple(f"q{j}_rad" for j in range(1, 8))
+_EXPECTED = f"{TIME} and {','.join(POSE)} or {JOINTS[0]}..{JOINTS[-1]}"
+
+
+def read_table(path: Path, choice: TrajectoryOptions) -> RawTrajectory:
+    """Read `t_s` with x_m, y_m, z_m, qw, qx, qy, qz or with q1_rad .. q7_rad; columns in any order.
+
+    Where both are there the joint angles are taken, or what `choice` names (any name will do: it tells which of the
+    two). Columns that nobody reads are a warning.
+
+    Raises:
+        InputError: the file is no such table; the message names the line.
+    """
+    if not path.stat().st_size:
+        raise InputError("the file is empty (0 bytes)")
+    header, rows = _rows(path)
+    double = sorted({name for name in header if header.count(name) > 1})
+    if double:
+        raise InputError(f"the header names {', '.join(double)} more than once")
+    complete = [group for group in (JOINTS, POSE) if set(group) <= set(header)]
+    wanted = JOINTS if choice.joints else POSE if choice.poses else complete[0] if complete else None
+    if wanted is None or wanted not in complete:
+        began = wanted or next((g for g in (JOINTS, POSE) if set(g) & set(header)), ())
+        lacking = f", lacks {', '.join(n for n in began if n not in header)}" if began else ""
+        raise InputError(f"the header has {', '.join(header[:12]) or 'no name'}{lacking}; expected {_EXPECTED}")
+    warnings = []
+    if len(complete) > 1:
+        warnings.append(f"holds joint angles and poses: {wanted[0]}..{wanted[-1]} were taken")
+    unread = [name for name in header if name not in (*JOINTS, *POSE, TIME, WIDTH)]
+    if unread:
+        warnings.append(f"columns {', '.join(unread[:12])} are not read")
+
+    def columns(*names: str) -> Array:
+        return rows[:, [header.index(name) for name in names]]
+
+    values = columns(*wanted)
+    X_BG: Array | None = None
+    if wanted is POSE:
+        X_BG, mended = from_quaternions(values[:, :3], values[:, 3:])
+        warnings += mended
+    return RawTrajectory(
+        t_s=columns(TIME)[:, 0] if TIME in header else None,
+        X_BG=X_BG,
+        q=values if wanted is JOINTS else None,
+        finger_width_m=columns(WIDTH)[:, 0] if WIDTH in header else None,
+        columns=",".join(wanted),
+        warnings=tuple(warnings),
+    )
+
+
+def _rows(path: Path) -> tuple[list[str], Array]:
+    """The header's names and the numbers (T, columns) below it."""
+    rows: list[list[float]] = []
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            reader = csv.reader(file)
+            header = [name.strip() for name in next(reader, [])]
+            for fields in reader:
+                if any(field.strip() for field in fields):
+                    rows.append(_numbers(fields, header, reader.line_num))
+                if len(rows) > MAX_FRAMES:
+                    raise InputError(f"has more than {MAX_FRAMES} frames: cut it into parts")
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"cannot be read as a comma-separated text ({cause(error)})") from None
+    if len(header) == 1 and (";" in header[0] or "\t" in header[0]):
+        raise InputError("the header's names are not separated by commas, expected a comma-separated table")
+    return header, np.reshape(np.array(rows, dtype=np.float64), (len(rows), len(header)))
+
+
+def _numbers(fields: list[str], header: list[str], line: int) -> list[float]:
+    if len(fields) != len(header):
+        raise InputError(f"line {line} has {len(fields)} fields, the header {len(header)}")
+    numbers = []
+    for name, text in zip(header, fields, strict=True):
+        try:
+            numbers.append(float(text))
+        except ValueError:
+            if name in (TIME, WIDTH, *POSE, *JOINTS) and (text.strip() or name != WIDTH):
+                raise InputError(f"line {line}: {name} is {text.strip()!r:.40}, expected a number") from None
+            numbers.append(np.nan)  # a column that nobody reads, or an unknown width
+    return numbers

@@ -1,0 +1,1 @@
+"""Video samples from files, folders, manifests and dataset formats: one module a format, their registry in `find`."""

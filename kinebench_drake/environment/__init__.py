@@ -1,0 +1,1 @@
+"""The environment of the program: checks, repairs and native libraries."""

@@ -1,0 +1,245 @@
+"""What works on this machine, and how to mend what does not."""
+
+import importlib.metadata
+import importlib.util
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from kinebench_drake.environment import native
+
+FIX = "`kinebench-drake doctor --fix`"
+CLONE = "in a clone: delete .venv, run setup/install.sh"
+WEIGHTS = Path(__file__).parent / "models" / "perception"
+CV2_OWNERS = ("opencv-python", "opencv-python-headless", "opencv-contrib-python", "opencv-contrib-python-headless")
+NATIVE_CHECKS = ("native libraries", "Drake", "Open3D", "Vulkan device")
+"""Names of the checks that fail where native libraries are missing or torn."""
+CV2_CHECK = "cv2"
+PROBE_TIMEOUT_S = 120.0
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """One thing looked at."""
+
+    name: str
+    """What was looked at."""
+    ok: bool
+    """Whether it works."""
+    found: str
+    """What was found: a version, a device, or the reason why it does not work."""
+    fix: str
+    """What to do when it does not work."""
+
+
+class _BrokenError(Exception):
+    """A check's finding when the thing looked at does not work."""
+
+
+def run_checks() -> list[Check]:
+    """Look at everything a run needs; takes some seconds, as the large libraries are loaded for real.
+
+    Libraries that could crash are loaded in processes of their own.
+    """
+    return [
+        _check("Python", _python, f"make a virtual environment with Python 3.11 or 3.12 and install into it; {CLONE}"),
+        _check("native libraries", _native, FIX),
+        _check("Drake", _drake, f"{FIX}; a damaged package: {_reinstall('drake')}"),
+        _check("torch", _torch, f"{_reinstall('torch')}; {CLONE}"),
+        _check("Open3D", _open3d, f"{FIX}; a damaged package: {_reinstall('open3d')}"),
+        _check("Vulkan device", _vulkan, f"{FIX}; beside a broken NVIDIA driver with KINEBENCH_DRAKE_RENDER=cpu set"),
+        _check(CV2_CHECK, _cv2, FIX),
+        _check("video decoding", _video, f"{_reinstall('av')}: PyAV's wheel from the index brings the codecs"),
+        _check("Panda URDF", _panda, f"{_reinstall('mani-skill')}; {CLONE}"),
+        _check(
+            "perception weights",
+            _weights,
+            "install kinebench-drake's wheel again; in a clone, restore models/perception/ from the repository",
+        ),
+        _check("cache folder", _cache_folder, "set XDG_CACHE_HOME to a folder that you can write to"),
+    ]
+
+
+def render(checks: Sequence[Check]) -> str:
+    """The checks as lines of a table, each failure followed by its fix, a summary at the end."""
+    width = max((len(check.name) for check in checks), default=0)
+    lines = []
+    for check in checks:
+        lines.append(f"{'ok' if check.ok else 'FAIL':<5} {check.name:<{width}}  {check.found}".rstrip())
+        if not check.ok:
+            lines.append(f"{'':<5} {'':<{width}}  fix: {check.fix}")
+    failed = sum(not check.ok for check in checks)
+    lines.append(f"{failed} of {len(checks)} checks failed." if failed else f"All {len(checks)} checks passed.")
+    return "\n".join(lines)
+
+
+def _check(name: str, look: Callable[[], str], fix: str) -> Check:
+    try:
+        return Check(name, True, look(), fix)
+    except Exception as error:  # whatever is wrong with this machine is the finding
+        return Check(name, False, _one_line(error), fix)
+
+
+def _one_line(error: Exception) -> str:
+    lines = str(error).strip().splitlines()
+    return lines[0] if lines else type(error).__name__
+
+
+def _probe(code: str) -> str:
+    """Run code in a fresh interpreter; return its last line of output, or raise with the last line of its complaint."""
+    try:
+        # -P: a file in the current folder must not stand in for a library of the same name.
+        command = [sys.executable, "-P", "-c", code]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=PROBE_TIMEOUT_S)
+    except subprocess.TimeoutExpired as error:
+        raise _BrokenError(f"no answer within {PROBE_TIMEOUT_S:.0f} s") from error
+    if done.returncode < 0:
+        raise _BrokenError(f"crashed with signal {-done.returncode}")
+    if done.returncode:
+        raise _BrokenError((done.stderr.strip().splitlines() or [f"exit status {done.returncode}"])[-1])
+    return done.stdout.strip().splitlines()[-1]
+
+
+def _reinstall(package: str) -> str:
+    return f"`python -m pip install --force-reinstall --no-deps {package}`"
+
+
+def _python() -> str:
+    version = ".".join(str(part) for part in sys.version_info[:3])
+    if not (3, 11) <= sys.version_info[:2] < (3, 13):
+        raise _BrokenError(f"{version}, expected 3.11 or 3.12")
+    return version
+
+
+def _native() -> str:
+    """The libraries unpacked beside the environment, each loaded."""
+    wrong = _probe("from kinebench_drake import native\nprint(native.damage())")
+    if wrong != "None":
+        raise _BrokenError(wrong)
+    wanted = native.ROOT / "wanted.txt"
+    return f"unpacked: {', '.join(wanted.read_text().split())}" if wanted.is_file() else "none unpacked"
+
+
+def _drake() -> str:
+    _probe(
+        "from kinebench_drake import native\n"
+        "native.prepare_drake()\n"
+        "from pydrake.multibody.plant import MultibodyPlant\n"
+        "MultibodyPlant(0.0).Finalize()\n"
+        "print('loaded')"
+    )
+    return importlib.metadata.version("drake")
+
+
+def _torch() -> str:
+    return _probe(
+        "import torch\n"
+        "gpu = torch.cuda.is_available()\n"
+        "torch.ones(2, device='cuda' if gpu else 'cpu').sum().item()\n"
+        "device = torch.cuda.get_device_name() if gpu else f'CPU, {torch.get_num_threads()} threads'\n"
+        "print(f'{torch.__version__} on {device}')"
+    )
+
+
+def _open3d() -> str:
+    return _probe(
+        "from kinebench_drake import native\n"
+        "native.prepare_open3d()\n"
+        "import open3d\n"
+        "open3d.t.geometry.RaycastingScene()\n"
+        "print(open3d.__version__)"
+    )
+
+
+def _vulkan() -> str:
+    """Draw one picture: a device may be listed and yet fail when it is used."""
+    return _probe(
+        "from kinebench_drake import native\n"
+        "backend = native.prepare_vulkan()\n"
+        "import sapien\n"
+        "device = sapien.Device('cuda' if backend == 'gpu' else 'cpu')\n"
+        "scene = sapien.Scene([sapien.physx.PhysxCpuSystem(), sapien.render.RenderSystem(device)])\n"
+        "camera = scene.add_camera('camera', 16, 16, 1.0, 0.1, 10.0)\n"
+        "scene.update_render()\n"
+        "camera.take_picture()\n"
+        "assert camera.get_picture('Color').shape == (16, 16, 4)\n"
+        "name = next(x for x in sapien.render.get_device_summary().splitlines() if x.startswith('GPU:'))\n"
+        "print(f'{name[4:].strip()} (render backend {backend})')"
+    )
+
+
+def cv2_owners() -> list[str]:
+    """Names of the installed distributions that brought a `cv2`."""
+    owners = []
+    for name in CV2_OWNERS:
+        try:
+            files = importlib.metadata.files(name) or []
+        except importlib.metadata.PackageNotFoundError:
+            continue
+        if any(file.parts[0] == "cv2" for file in files):
+            owners.append(name)
+    return owners
+
+
+def _cv2() -> str:
+    """Two distributions that both own `cv2` overwrite each other's files: exactly one may, the one without a window."""
+    owners = cv2_owners()
+    if owners != ["opencv-python-headless"]:
+        raise _BrokenError(f"cv2 comes from {' and '.join(owners) or 'nowhere'}, expected opencv-python-headless alone")
+    return f"{_probe('import cv2; print(cv2.__version__)')}, opencv-python-headless alone"
+
+
+def _video() -> str:
+    import av.codec
+
+    missing = []
+    for codec, encodes, purpose in (
+        ("h264", False, "H.264 decoder"),
+        ("libdav1d", False, "AV1 decoder (dav1d; FFmpeg's own needs special hardware)"),
+        ("libx264", True, "H.264 encoder (x264)"),
+    ):
+        try:
+            av.codec.Codec(codec, "w" if encodes else "r")
+        except ValueError:  # av's UnknownCodecError
+            missing.append(purpose)
+    if missing:
+        raise _BrokenError(f"PyAV {av.__version__} has no {', no '.join(missing)}")
+    return f"PyAV {av.__version__} with H.264 and AV1"
+
+
+def _panda() -> str:
+    package = importlib.util.find_spec("mani_skill")
+    if package is None or package.origin is None:
+        raise _BrokenError("mani_skill is not installed")
+    urdf = Path(package.origin).parent / "assets" / "robots" / "panda" / "panda_v2.urdf"
+    if not urdf.is_file():
+        raise _BrokenError(f"{urdf} is missing")
+    return f"in mani_skill {importlib.metadata.version('mani_skill')}"
+
+
+def _weights() -> str:
+    from safetensors.numpy import load_file
+
+    files = sorted(WEIGHTS.glob("*.safetensors"))
+    if not files:
+        raise _BrokenError(f"no *.safetensors in {WEIGHTS}")
+    found = []
+    for file in files:
+        try:
+            parameters = sum(array.size for array in load_file(file).values())
+        except Exception as error:  # a torn file or a Git LFS pointer: safetensors has several errors for it
+            raise _BrokenError(f"{file.name} cannot be read ({_one_line(error)})") from error
+        found.append(f"{file.stem} ({parameters / 1e6:.1f} M parameters)")
+    return ", ".join(found)
+
+
+def _cache_folder() -> str:
+    base = os.environ.get("XDG_CACHE_HOME")
+    folder = (Path(base) if base else Path.home() / ".cache") / "kinebench_drake"
+    folder.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryFile(dir=folder):
+        return str(folder)

@@ -1,0 +1,1 @@
+"""Runs: samples evaluated one by one into an output folder."""

@@ -1,0 +1,1 @@
+"""Executors of samples: local processes and Ray clusters."""

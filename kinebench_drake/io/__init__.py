@@ -1,0 +1,1 @@
+"""Files: atomic writes, safe reading, arrays, videos and figures."""

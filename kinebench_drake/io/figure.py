@@ -1,0 +1,42 @@
+"""Matplotlib figures written to files without a display."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from kinebench_drake.io.atomic import atomic_path
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+POSITION, ROTATION, FAINT = "#1f6fb2", "#c4622d", "#b8bec4"
+"""Colours of position, of rotation, and of what stands behind."""
+
+
+def new_figure(width: float, height: float, rows: int = 1, columns: int = 1, **options: Any) -> "tuple[Figure, Any]":
+    """A light figure of a size [inches] and its axes (rows, columns), drawn without any display."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), dpi=130, layout="constrained", facecolor="white")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(rows, columns, squeeze=False, **options)
+    for ax in axes.flat:
+        ax.spines[["top", "right"]].set_visible(False)
+        ax.grid(True, color="#e6e8ea", linewidth=0.7)
+        ax.set_axisbelow(True)
+    return figure, axes
+
+
+def plain(text: str) -> str:
+    """A text of somebody else's as it is: matplotlib would take what stands between dollar signs for mathematics."""
+    return text.replace("$", r"\$")
+
+
+def save(figure: "Figure", path: Path) -> None:
+    """Write a figure in the format of the path's suffix (png, svg, pdf), whole or not at all.
+
+    Raises:
+        SetupError: writing failed.
+    """
+    with atomic_path(path) as part:
+        figure.savefig(part, format=path.suffix[1:].lower() or "png")

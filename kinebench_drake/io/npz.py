@@ -1,0 +1,140 @@
+"""npy and npz files that anybody may have written: nothing pickled is loaded, nothing allocated that is not there."""
+
+import lzma
+import math
+import struct
+import tokenize
+import zipfile
+import zlib
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+from numpy.lib.format import read_array, read_array_header_1_0, read_array_header_2_0, read_magic
+from numpy.typing import NDArray
+
+from kinebench_drake.errors import InputError, cause
+from kinebench_drake.io.files import open_file
+
+MOST_BYTES = 2**31
+"""Largest array that is taken where nobody asks for less."""
+
+_DAMAGED = (
+    *(OSError, ValueError, EOFError, MemoryError, RuntimeError, OverflowError, TypeError, KeyError, SyntaxError),
+    *(zipfile.BadZipFile, zlib.error, lzma.LZMAError, struct.error, tokenize.TokenError),
+)
+"""What NumPy and zipfile raise over files that are not what they seem."""
+_HEADERS = {(1, 0): read_array_header_1_0, (2, 0): read_array_header_2_0}
+
+
+def at_most(limit: int) -> Callable[[int], None]:
+    """A check that refuses arrays of more bytes."""
+
+    def check(size: int) -> None:
+        if size > limit:
+            raise InputError(f"an array takes {size / 2**20:.0f} MiB, at most {limit / 2**20:.0f} are taken")
+
+    return check
+
+
+class Archive:
+    """An npz file that is open."""
+
+    def __init__(self, raw: zipfile.ZipFile, check: Callable[[int], None]) -> None:
+        self._raw = raw
+        self._check = check
+        self._entries = {entry.filename.removesuffix(".npy"): entry for entry in raw.infolist()}
+        self.files = list(self._entries)
+        """Names of its arrays."""
+
+    def shape(self, name: str) -> tuple[int, ...]:
+        """Shape of an array, which is not loaded."""
+        with self._raw.open(self._entries[name]) as file:
+            return _read_header(file, self._entries[name].file_size).shape
+
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        """An array.
+
+        Raises:
+            InputError: it is pickled, takes too much, or its header tells of more than there is.
+        """
+        entry = self._entries[name]
+        with self._raw.open(entry) as file:
+            self._check(_read_header(file, entry.file_size).nbytes)
+        with self._raw.open(entry) as file:
+            return read_array(file, allow_pickle=False)
+
+
+@contextmanager
+def open_npz(path: Path, check: Callable[[int], None] = at_most(MOST_BYTES)) -> Iterator[Archive]:  # noqa: B008
+    """Open an npz file.
+
+    Args:
+        path: the file.
+        check: raises InputError where an array of so many bytes may not be loaded.
+
+    Raises:
+        InputError: it is damaged, or no such file; messages do not name it.
+    """
+    try:
+        with open_file(path) as file:
+            if not file.seek(0, 2):
+                raise InputError("the file is empty (0 bytes)")
+            if not zipfile.is_zipfile(file):
+                raise InputError("is not a whole zip archive, expected an npz file as np.savez writes it")
+            with zipfile.ZipFile(file) as raw:
+                yield Archive(raw, check)
+    except _DAMAGED as error:
+        raise InputError(f"is not a readable npz archive ({cause(error)})") from None
+
+
+def read_npy(path: Path, check: Callable[[int], None] = at_most(MOST_BYTES)) -> NDArray[np.generic]:  # noqa: B008
+    """The array of an npy file.
+
+    Args:
+        path: the file.
+        check: raises InputError where an array of so many bytes may not be loaded.
+
+    Raises:
+        InputError: it is damaged, or no such file; messages do not name it.
+    """
+    try:
+        with open_file(path) as file:
+            if file.read(2) == b"PK":
+                raise InputError("holds several arrays: an npz file is called .npz")
+            size = file.seek(0, 2)
+            file.seek(0)
+            check(_read_header(file, size).nbytes)
+            file.seek(0)
+            return read_array(file, allow_pickle=False)
+    except _DAMAGED as error:
+        raise InputError(f"is not a readable npy file ({cause(error)})") from None
+
+
+@dataclass(frozen=True, slots=True)
+class _Header:
+    """What an npy file tells of its array."""
+
+    shape: tuple[int, ...]
+    nbytes: int
+
+
+def _read_header(file: IO[bytes], size: int) -> _Header:
+    """The header at the beginning of a file of so many bytes.
+
+    Raises:
+        InputError: it is of pickled objects, or tells of more than there is.
+    """
+    version = read_magic(file)
+    if version not in _HEADERS:
+        raise InputError(f"is of npy version {version[0]}.{version[1]}, expected 1.0 or 2.0")
+    shape, _, dtype = _HEADERS[version](file)
+    if dtype.hasobject:
+        raise InputError("holds pickled Python objects, which are never loaded: save plain arrays")
+    nbytes = math.prod(shape) * dtype.itemsize
+    if min(shape, default=0) < 0 or nbytes > size:
+        raise InputError(f"its header tells of an array of shape {shape}, which is not there")
+    return _Header(shape=shape, nbytes=nbytes)

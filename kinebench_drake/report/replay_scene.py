@@ -1,0 +1,285 @@
+"""What a replay shows: arm, wanted gripper, path and table as objects of a Meshcat server, and their motion."""
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+import trimesh
+from numpy.typing import ArrayLike, NDArray
+from pydrake.geometry import Box, MeshcatAnimation, Rgba
+from pydrake.math import RigidTransform
+from scipy.spatial.transform import Rotation, Slerp
+
+from kinebench_drake.geometry import Array, invert, make_pose, pose_difference
+from kinebench_drake.kinematics.plant import ArmPlant
+from kinebench_drake.report.frames import FrameState, frame_states, frames_of
+from kinebench_drake.report.link_meshes import LinkMesh
+from kinebench_drake.results.row import SampleRow
+from kinebench_drake.results.trackfile import TrackFile
+from kinebench_drake.segments import segments
+
+Color = tuple[float, float, float]
+
+COLORS = {
+    FrameState.OK: (0.11, 0.60, 0.35),
+    FrameState.DOUBT: (0.93, 0.58, 0.07),
+    FrameState.UNTRACKED: (0.60, 0.64, 0.69),
+    FrameState.BROKEN: (0.84, 0.16, 0.09),
+}
+"""sRGB of the path and of the key."""
+
+_ARM = {
+    FrameState.OK: (0.90, 0.91, 0.92),
+    FrameState.DOUBT: (0.97, 0.84, 0.62),
+    FrameState.UNTRACKED: (0.66, 0.69, 0.73),
+    FrameState.BROKEN: (0.95, 0.62, 0.57),
+}
+_REACHED = (0.13, 0.38, 0.75)
+_AXES = {"x": (0.8, 0.0, 0.0), "y": (0.0, 0.6, 0.0), "z": (0.0, 0.0, 0.8)}
+_TABLE = Rgba(0.62, 0.53, 0.42, 0.35)
+_TABLE_SIZE_M = (1.2, 1.4, 0.01)
+_GHOST = 0.45
+"""Opacity of the gripper where it is wanted."""
+
+_STEP_S = 0.04
+_MAX_STEPS = 400
+_FPS = 1000.0
+"""Ticks a second of the animation: keyframes lie on whole ticks."""
+_APART_M, _APART_RAD = 0.002, 0.02
+"""Errors beyond which the wanted gripper is shown beside the arm's own."""
+_MAX_BEADS = 300
+_MAX_POINTS = 500
+_SIDES = 6
+
+
+def posed_frames(file: TrackFile) -> NDArray[np.bool_]:
+    """Frames (T,) whose pose is known."""
+    return np.asarray(np.isfinite(file.track.X_BG).all(axis=(1, 2)), dtype=bool)
+
+
+class ReplayScene:
+    """One track's objects and their motion, put into a Meshcat server."""
+
+    def __init__(
+        self,
+        plant: ArmPlant,
+        surfaces: Sequence[LinkMesh],
+        meshcat: Any,
+        row: SampleRow,
+        file: TrackFile,
+    ) -> None:
+        """Take in what is to be shown.
+
+        Args:
+            plant: the robot.
+            surfaces: its links' surfaces.
+            meshcat: an empty Meshcat server.
+            row: violations and anomalies.
+            file: the track, with a pose in at least one frame.
+        """
+        self._plant, self._surfaces, self._meshcat = plant, surfaces, meshcat
+        self._row, self._t_s = row, file.track.t_s
+        self._posed = posed = posed_frames(file)
+        self._X_BG, self._q = file.track.X_BG, file.q
+        self._states = frame_states(row, file)
+        known = np.isfinite(file.q).all(axis=-1)
+        self.has_arm = bool(known.any())
+        """Whether joint angles are known anywhere."""
+        self._known = known
+        width = file.track.finger_width_m
+        measured = np.isfinite(width)
+        self._width = (
+            np.interp(self._t_s, self._t_s[measured], width[measured])
+            if measured.any()
+            else np.full(len(width), plant.finger_width_m)
+        )
+        self._reached = np.array([plant.forward(q) for q in file.q[known]]).reshape(-1, 4, 4)
+        apart = np.zeros(len(self._t_s), dtype=bool)
+        both = known & posed
+        distance, angle = pose_difference(self._reached[both[known]], self._X_BG[both])
+        apart[both] = (distance > _APART_M) | (angle > _APART_RAD)
+        self._apart = apart
+
+    def draw_table(self, height_m: float) -> None:
+        """The table's top as a thin slab, instead of Meshcat's grid."""
+        for path in ("/Grid", "/Axes"):
+            self._meshcat.SetProperty(path, "visible", False)
+        self._meshcat.SetProperty("/Background/<object>", "top_color", [0.97, 0.98, 1.0])
+        self._meshcat.SetProperty("/Background/<object>", "bottom_color", [0.80, 0.83, 0.87])
+        self._meshcat.SetObject("/table", Box(*_TABLE_SIZE_M), _TABLE)
+        self._meshcat.SetTransform("/table", RigidTransform([0.4, 0.0, height_m - 0.5 * _TABLE_SIZE_M[2]]))
+
+    def draw_paths(self) -> None:
+        """The path wanted, coloured by state, with beads where a limit is broken; the path reached where it differs."""
+        frames = np.flatnonzero(self._posed)
+        points = self._X_BG[frames, :3, 3]
+        for k in np.flatnonzero(np.diff(frames) > 1):
+            self._mesh(f"/wanted/gap{k}", *_tube(points[k : k + 2], 0.002), COLORS[FrameState.UNTRACKED])
+        for run in segments(self._posed):
+            kept = _thinned(run.start, run.stop)
+            color = np.array([_linear(COLORS[self._states[k]]) for k in kept])
+            tube = _tube(self._X_BG[kept, :3, 3], 0.004)
+            self._paint(f"/wanted/{run.start}", *tube, np.repeat(color, _SIDES, axis=0))
+        broken = [k for k in frames if self._states[k] is FrameState.BROKEN]
+        broken = broken[:: -(-len(broken) // _MAX_BEADS) or 1]
+        if broken:
+            bead = trimesh.creation.icosphere(1, 0.008)
+            beads = trimesh.util.concatenate([bead.copy().apply_translation(self._X_BG[k, :3, 3]) for k in broken])
+            self._mesh("/broken", beads.vertices, beads.faces, COLORS[FrameState.BROKEN])
+        if self._apart.any():
+            self._mesh("/reached", *_tube(self._reached[_thinned(0, len(self._reached)), :3, 3], 0.0025), _REACHED)
+
+    def place_camera(self) -> None:
+        """Look at base and path from the robot's front left."""
+        points = np.vstack([self._X_BG[self._posed, :3, 3], [[0.0, 0.0, 0.0], [0.0, 0.0, 0.6]]])
+        centre = 0.5 * (points.min(axis=0) + points.max(axis=0))
+        radius = max(float(np.linalg.norm(points - centre, axis=-1).max()), 0.35)
+        self._meshcat.SetCameraPose(centre + 1.6 * radius * np.array([0.75, 0.85, 0.55]), centre)
+
+    def animate(self) -> None:
+        """Arm, wanted gripper and frame of the TCP, moving at the track's own speed."""
+        times = self._times()
+        animation = MeshcatAnimation(_FPS)
+        animation.set_loop_mode(MeshcatAnimation.LoopMode.kLoopRepeat)
+        animation.set_repetitions(1_000_000)
+        wanted = _along(times, self._t_s[self._posed], self._X_BG[self._posed])
+        width = np.interp(times, self._t_s, self._width)
+        self._move(animation, "/tcp", times, wanted)
+        self._draw_axes()
+        if self.has_arm:
+            t_known, q_known = self._t_s[self._known], self._q[self._known]
+            q = np.stack([np.interp(times, t_known, q_known[:, j]) for j in range(q_known.shape[1])], axis=-1)
+            for surface, poses in zip(self._surfaces, self._poses(q, width, self._surfaces), strict=True):
+                path = f"/arm/{surface.link}"
+                self._mesh(path, surface.vertices, surface.faces, _ARM[FrameState.OK])
+                self._move(animation, path, times, poses)
+                self._tint(animation, path, self._link_colors(surface.link))
+        if self.has_arm and not self._apart.any():
+            self._meshcat.SetAnimation(animation)
+            return
+        gripper = self._gripper()
+        rest = np.broadcast_to(self._plant.robot.rest_q, (len(times), 7))
+        X_GB = invert(self._plant.forward(self._plant.robot.rest_q))
+        self._move(animation, "/gripper", times, wanted)
+        for surface, poses in zip(gripper, self._poses(rest, width, gripper), strict=True):
+            path = f"/gripper/{surface.link}"
+            opacity = _GHOST if self.has_arm else 1.0
+            self._mesh(path, surface.vertices, surface.faces, _ARM[FrameState.OK], opacity)
+            self._move(animation, path, times, X_GB @ poses)
+            self._tint(animation, path, [(COLORS if self.has_arm else _ARM)[s] for s in self._states])
+        if self.has_arm:
+            self._switch(animation, "/gripper", self._apart)
+        self._meshcat.SetAnimation(animation)
+
+    def _times(self) -> Array:
+        """Keyframes (N,) [s], evenly spaced; they hold the track's frames if those are even and not too many."""
+        duration = float(self._t_s[-1] - self._t_s[0])
+        frames = max(len(self._t_s) - 1, 1)
+        steps = frames * max(round(duration / frames / _STEP_S), 1)
+        return np.linspace(self._t_s[0], self._t_s[-1], min(steps, _MAX_STEPS) + 1)
+
+    def _poses(self, q: Array, width: Array, surfaces: Sequence[LinkMesh]) -> list[Array]:
+        """Poses (N, 4, 4) in B of some links along postures (N, 7)."""
+        bodies = [self._plant.drake.GetBodyByName(surface.link) for surface in surfaces]
+        poses = np.empty((len(bodies), len(q), 4, 4))
+        for k in range(len(q)):
+            self._plant.set_posture(q[k], float(width[k]))
+            for body, X in zip(bodies, poses, strict=True):
+                X[k] = self._plant.drake.EvalBodyPoseInWorld(self._plant.context, body).GetAsMatrix4()
+        return list(poses)
+
+    def _gripper(self) -> list[LinkMesh]:
+        """The hand and what its fingers' joints move."""
+        robot = self._plant.robot
+        fingers = {self._plant.drake.GetJointByName(name).child_body().name() for name in robot.finger_joints}
+        return [surface for surface in self._surfaces if surface.link in fingers | {robot.hand_link}]
+
+    def _link_colors(self, link: str) -> list[Color]:
+        """Colour of a link in each frame: full red where its own joint is at fault."""
+        colors = [_ARM[state] for state in self._states]
+        joints = [
+            j for j in self._plant.robot.joints if self._plant.drake.GetJointByName(j).child_body().name() == link
+        ]
+        own = frames_of([v for v in self._row.violations if v.get("joint") in joints], len(colors))
+        return [COLORS[FrameState.BROKEN] if at_fault else color for color, at_fault in zip(colors, own, strict=True)]
+
+    def _draw_axes(self) -> None:
+        """A small red, green and blue frame at the TCP."""
+        for axis, (name, color) in enumerate(_AXES.items()):
+            ends = np.stack([np.zeros(3), 0.06 * np.eye(3)[axis]])
+            self._mesh(f"/tcp/{name}", *_tube(ends, 0.002), color)
+
+    def _mesh(self, path: str, vertices: ArrayLike, faces: ArrayLike, color: Color, opacity: float = 1.0) -> None:
+        self._meshcat.SetTriangleMesh(
+            path,
+            np.asfortranarray(np.asarray(vertices, dtype=np.float64).T),
+            np.asfortranarray(np.asarray(faces, dtype=np.int32).T),
+            Rgba(*color, opacity),
+        )
+
+    def _paint(self, path: str, vertices: Array, faces: NDArray[np.int32], colors: Array) -> None:
+        self._meshcat.SetTriangleColorMesh(
+            path, np.asfortranarray(vertices.T), np.asfortranarray(faces.T), np.asfortranarray(colors.T)
+        )
+
+    def _tick(self, t: float) -> int:
+        return round((t - float(self._t_s[0])) * _FPS)
+
+    def _move(self, animation: Any, path: str, times: Array, poses: Array) -> None:
+        moving = len(poses) > 1 and not np.allclose(poses, poses[0], atol=1e-7)
+        for t, X in zip(times, poses, strict=True) if moving else [(times[0], poses[0])]:
+            animation.SetTransform(self._tick(t), path, RigidTransform(X))
+
+    def _changes(self, values: Sequence[Any]) -> Iterator[tuple[int, Any]]:
+        """Ticks at which a value per frame changes, half-way between the frames, with the values on both sides."""
+        yield 0, values[0]
+        for k in range(1, len(values)):
+            if values[k] != values[k - 1]:
+                tick = self._tick(0.5 * float(self._t_s[k - 1] + self._t_s[k]))
+                yield tick, values[k - 1]
+                yield tick + 1, values[k]
+
+    def _tint(self, animation: Any, path: str, colors: Sequence[Color]) -> None:
+        for tick, color in self._changes(colors):
+            animation.SetProperty(tick, f"{path}/<object>", "material.color", _linear(color))
+
+    def _switch(self, animation: Any, path: str, shown: NDArray[np.bool_]) -> None:
+        for tick, value in self._changes([bool(s) for s in shown]):
+            animation.SetProperty(tick, path, "visible", value)
+
+
+def _along(times: Array, t_s: Array, X: Array) -> Array:
+    """Poses (N, 4, 4) at `times` (N,), between poses `X` (T, 4, 4) at `t_s` (T,): straight lines, even turning."""
+    if len(t_s) == 1:
+        return np.repeat(X, len(times), axis=0)
+    inside = np.clip(times, t_s[0], t_s[-1])
+    p = np.stack([np.interp(inside, t_s, X[:, k, 3]) for k in range(3)], axis=-1)
+    return make_pose(Slerp(t_s, Rotation.from_matrix(X[:, :3, :3]))(inside).as_matrix(), p)
+
+
+def _thinned(start: int, stop: int) -> NDArray[np.intp]:
+    """Frames from `start` to `stop`, both ends kept, no more than a path needs to look smooth."""
+    return np.unique(np.linspace(start, stop - 1, min(stop - start, _MAX_POINTS)).round().astype(np.intp))
+
+
+def _tube(points: Array, radius: float) -> tuple[Array, NDArray[np.int32]]:
+    """Vertices (_SIDES T, 3) and faces of a thin tube along `points` (T, 3), its rings in the points' order."""
+    n = len(points)
+    along = np.gradient(points, axis=0) if n > 1 else np.zeros((1, 3))
+    length = np.linalg.norm(along, axis=-1, keepdims=True)
+    along = np.where(length > 1e-12, along / np.maximum(length, 1e-12), [0.0, 0.0, 1.0])
+    aside = np.cross(along, np.eye(3)[np.argmin(np.abs(along), axis=-1)])
+    aside /= np.linalg.norm(aside, axis=-1, keepdims=True)
+    up = np.cross(along, aside)
+    angle = 2.0 * np.pi * np.arange(_SIDES) / _SIDES
+    ring = np.cos(angle)[None, :, None] * aside[:, None] + np.sin(angle)[None, :, None] * up[:, None]
+    k, s = np.meshgrid(np.arange(n - 1) * _SIDES, np.arange(_SIDES), indexing="ij")
+    a, b = (k + s).ravel(), (k + (s + 1) % _SIDES).ravel()
+    faces = np.concatenate([np.stack([a, b, b + _SIDES], axis=-1), np.stack([a, b + _SIDES, a + _SIDES], axis=-1)])
+    return (points[:, None] + radius * ring).reshape(-1, 3), faces.astype(np.int32)
+
+
+def _linear(color: Color) -> list[float]:
+    """Linear light of an sRGB colour (IEC 61966-2-1), in which the page's material colours are animated."""
+    c = np.asarray(color)
+    return [float(v) for v in np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)]

@@ -1,0 +1,1 @@
+"""Results of runs: rows, metadata, aggregates and the output folder."""

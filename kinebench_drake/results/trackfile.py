@@ -1,0 +1,147 @@
+"""`tracks/ID.npz`: a gripper track, its joint angles and what was found along it; equal numbers give equal bytes."""
+
+import io
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinebench_drake.errors import InputError
+from kinebench_drake.geometry import Array
+from kinebench_drake.io.atomic import write_atomically
+from kinebench_drake.io.npz import Archive, open_npz
+from kinebench_drake.types import GripperTrack, IkStatus, JointTrack
+
+_EPOCH = (1980, 1, 1, 0, 0, 0)
+"""The earliest date a zip entry can bear: a fixed one, as clock times would change the bytes."""
+_OWN = (
+    *("t_s", "camera_from_hand", "base_from_tcp", "tracked", "confidence", "finger_width_m"),
+    *("q", "ik_ok", "status"),
+)
+"""Arrays that are no curves."""
+_SEVEN = ("q", "velocity", "acceleration", "jerk", "torque")
+_SINGLE = (
+    *("ik_ok", "manipulability", "manipulability_weighted", "joint_margin", "self_distance_m", "table_distance_m"),
+    *("ik_position_error_m", "ik_rotation_error_rad"),
+)
+"""Arrays that have a number a joint, and such that have one a frame; others may have either."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrackFile:
+    """What one file holds."""
+
+    track: GripperTrack
+    q: Array
+    """(T, 7) joint angles [rad]; NaN where there are none."""
+    ik_ok: NDArray[np.bool_]
+    """(T,) whether the pose is reached within limits."""
+    status: tuple[IkStatus, ...] | None
+    """(T,) outcome of inverse kinematics; None in a file without joint angles."""
+    curves: Mapping[str, Array]
+    """What was found along the track by name, such as `manipulability` (T,) or `torque` (T, 7); NaN where there is
+    none. Names that a file lacks are absent."""
+
+
+def write_track(path: Path, track: GripperTrack, joints: JointTrack | None, curves: Mapping[str, Array]) -> None:
+    """Write a track; without `joints` (video only) q is NaN and ik_ok false.
+
+    The errors and the outcome of inverse kinematics are written from `joints`. A curve that bears the name of another
+    array of the file is passed over.
+
+    Args:
+        path: the file, `tracks/ID.npz`.
+        track: poses in the camera and in the base frame.
+        joints: joint angles that follow them.
+        curves: further arrays, (T,) or (T, 7), NaN where there is none; stored under their names.
+
+    Raises:
+        InputError: a curve is not (T,) or (T, 7).
+        SetupError: writing failed.
+    """
+    n = len(track.t_s)
+    arrays: dict[str, NDArray[np.generic]] = {
+        "t_s": track.t_s,
+        "camera_from_hand": track.X_CH,
+        "base_from_tcp": track.X_BG,
+        "tracked": track.tracked.astype(bool),
+        "confidence": track.confidence,
+        "finger_width_m": track.finger_width_m,
+        "q": joints.q if joints else np.full((n, 7), np.nan),
+        "ik_ok": joints.ok if joints else np.zeros(n, dtype=bool),
+    }
+    if joints:
+        arrays["status"] = np.array([status.value for status in joints.status], dtype=np.str_)
+        curves = {
+            "ik_position_error_m": joints.position_error_m,
+            "ik_rotation_error_rad": joints.rotation_error_rad,
+            **curves,
+        }
+    for name in sorted(curves.keys() - set(_OWN)):
+        shape = np.shape(curves[name])
+        if shape not in ((n,), (n, 7)):
+            raise InputError(f"curve {name!r} has shape {shape}, expected {(n,)} or {(n, 7)}")
+        arrays[name] = np.asarray(curves[name], dtype=np.float64)
+    write_atomically(path, pack_arrays(arrays))
+
+
+def pack_arrays(arrays: Mapping[str, NDArray[np.generic]]) -> bytes:
+    """An npz file of arrays in the order given; equal arrays give equal bytes."""
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as archive:
+        for name, array in arrays.items():
+            data = io.BytesIO()
+            np.lib.format.write_array(data, np.ascontiguousarray(array), allow_pickle=False)
+            entry = zipfile.ZipInfo(f"{name}.npy", date_time=_EPOCH)
+            archive.writestr(entry, data.getvalue(), compress_type=zipfile.ZIP_DEFLATED)
+    return buffer.getvalue()
+
+
+def read_track(path: Path) -> TrackFile:
+    """Read what `write_track` wrote, in this or an earlier version.
+
+    Raises:
+        InputError: the file is absent, damaged, or lacks an array.
+    """
+    try:
+        with open_npz(path) as a:
+            lacking = [name for name in _OWN if name not in (*a.files, "status")]
+            if lacking:
+                raise InputError(f"lacks {', '.join(lacking)}")
+            own = {name: _numbers(a, name) for name in _OWN if name != "status"}
+            track = GripperTrack(
+                t_s=own["t_s"],
+                X_CH=own["camera_from_hand"],
+                X_BG=own["base_from_tcp"],
+                tracked=own["tracked"].astype(bool),
+                confidence=own["confidence"],
+                finger_width_m=own["finger_width_m"],
+            )
+            n = len(track.t_s)
+            curves = {name: _numbers(a, name) for name in sorted(set(a.files) - set(_OWN))}
+            for name, array in {"q": own["q"], "ik_ok": own["ik_ok"], **curves}.items():
+                shapes: list[tuple[int, ...]] = [(n,)] * (name not in _SEVEN) + [(n, 7)] * (name not in _SINGLE)
+                if array.shape not in shapes:
+                    raise InputError(f"{name} has shape {array.shape}, expected {' or '.join(map(str, shapes))}")
+            told = a["status"] if "status" in a.files else None
+            if told is not None and told.shape != (n,):
+                raise InputError(f"status has shape {told.shape}, expected {(n,)}")
+            return TrackFile(
+                track=track,
+                q=own["q"],
+                ik_ok=own["ik_ok"].astype(bool),
+                status=None if told is None else tuple(IkStatus(str(s)) for s in told),
+                curves=curves,
+            )
+    except (InputError, ValueError) as error:
+        raise InputError(f"{path.name}: not a track file ({error})") from None
+
+
+def _numbers(archive: Archive, name: str) -> Array:
+    array = archive[name]
+    if array.dtype.kind not in "biuf":
+        raise InputError(f"{name} holds {array.dtype}, expected numbers")
+    return array

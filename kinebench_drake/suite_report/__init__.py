@@ -1,5 +1,0 @@
-"""Reports over the results of suite runs: tables, figures, a page; and models compared on the episodes they share."""
-
-from kinebench_drake.suite_report.writing import Comparison, read_comparison, write_comparison, write_suite_report
-
-__all__ = ["Comparison", "read_comparison", "write_comparison", "write_suite_report"]

@@ -1,1 +1,0 @@
-"""Damaged and hostile inputs by the thousand, held against every reader: each is read, or refused in one line."""

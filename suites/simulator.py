@@ -1,0 +1,311 @@
+"""The scene of an episode in ManiSkill: physics, pictures, the task's verdict.
+
+The module loads sapien and mani_skill only when a `Stage` is made.
+"""
+
+import re
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from enum import Enum
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
+
+from kinebench_drake.camera import Camera, benchmark_camera
+from kinebench_drake.environment.native import prepare_vulkan
+from kinebench_drake.errors import SetupError, UsageError
+from kinebench_drake.geometry import Array, from_quaternion, invert
+from kinebench_drake.kinematics.plant import ArmPlant
+from kinebench_drake.models.panda.robot import FINGER_LINKS, HAND_LINK, LINK_OF, RobotPart
+from kinebench_drake.models.perception.frame import RENDERED_DEPTH_BIAS_M, RenderedFrame, part_map
+from kinebench_drake.suites.episode import Episode
+from kinebench_drake.suites.tasks.card import TaskVariant
+from kinebench_drake.suites.tasks.registry import find_task
+from kinebench_drake.suites.tasks.task import Scene
+
+GRIPPER_LINKS = (HAND_LINK, *FINGER_LINKS, *(f"{finger}_pad" for finger in FINGER_LINKS))
+"""What counts as the gripper in masks; some of ManiSkill's Pandas have no pad links."""
+ROBOTS = ("panda", "panda_wristcam")
+"""Robots of ManiSkill that the experts know."""
+
+_FINGER_RANGE_M = (-0.01, 0.04)  # of one finger joint's target, for actions -1 and 1 (ManiSkill's Panda)
+
+
+@contextmanager
+def _named_causes() -> Iterator[None]:
+    """Tell what to do about a missing library or driver; other errors pass."""
+    try:
+        yield
+    except ImportError as error:
+        raise SetupError(
+            f"ManiSkill cannot be loaded ({error}); `kinebench-drake doctor --fix` mends what is missing, or tells how"
+        ) from error
+    except RuntimeError as error:  # SAPIEN's, with Vulkan's own name for what is wrong
+        reason = str(error).split("\n")[0]
+        if not re.search(r"\bvk::|vulkan|render", reason, re.IGNORECASE):
+            raise
+        raise SetupError(
+            f"Vulkan does not work ({reason}); `kinebench-drake doctor --fix` unpacks a driver that renders on the CPU "
+            "where one is missing"
+        ) from error
+
+
+class Control(Enum):
+    """What the robot is told at each control step."""
+
+    JOINTS = "pd_joint_pos"
+    """Joint angles."""
+    POSE = "pd_ee_pose"
+    """A pose of the TCP; ManiSkill's inverse kinematics takes one step towards it from the present posture."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Snapshot:
+    """Where everything is at one moment."""
+
+    q: Array
+    """(7,) arm joint angles [rad]."""
+    fingers_m: Array
+    """(2,) finger joints [m]."""
+    objects: dict[str, Array]
+    """Position and quaternion wxyz (7,) of each thing in the ManiSkill world [m]."""
+    joints: dict[str, float]
+    """Joint position of each articulated thing [rad or m]."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CameraImage:
+    """What the camera sees at one moment."""
+
+    rgb: NDArray[np.uint8]
+    """(H, W, 3)."""
+    depth_mm: NDArray[np.uint16]
+    """(H, W) distance along the camera's z in whole millimetres, towards zero; 0 where nothing is."""
+    mask: NDArray[np.bool_]
+    """(H, W) pixels of the gripper (hand and fingers)."""
+    robot: NDArray[np.bool_]
+    """(H, W) pixels of the robot, the gripper among them."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TaskOutcome:
+    """A task's verdict on one moment."""
+
+    success: bool
+    """Whether all conditions hold."""
+    progress: float
+    """How far things have come, 0..1."""
+    conditions: dict[str, bool]
+    """The task's named sub-conditions."""
+
+    @property
+    def reason(self) -> str:
+        """Which conditions fail, such as "not on_top, released"; empty with success."""
+        failed = ", ".join(name for name, holds in self.conditions.items() if not holds)
+        return "" if self.success else f"not {failed}"
+
+
+class Simulator:
+    """A task with one Panda and one camera, on the CPU's physics."""
+
+    def __init__(
+        self,
+        task: str,
+        *,
+        robot: str = "panda",
+        camera: Camera | None = None,
+        variant: TaskVariant = TaskVariant.PLAIN,
+        renders: bool = True,
+        control: Control = Control.JOINTS,
+    ) -> None:
+        """Build the scene (a third of a second, the first time in a process some seconds).
+
+        Args:
+            task: plain task id.
+            robot: one of `ROBOTS`.
+            camera: where to film from; the benchmark's camera if not given.
+            variant: version of the task's scene.
+            renders: whether pictures can be taken; physics alone needs no Vulkan.
+            control: what the robot is told.
+
+        Raises:
+            UsageError: there is no such task or variant.
+            SetupError: sapien, mani_skill or a Vulkan driver is missing or cannot be loaded.
+        """
+        backend = prepare_vulkan() if renders else "none"
+        with _named_causes():
+            import sapien
+
+            from kinebench_drake.suites.tasks.environment import CAMERA, X_WB, KineBenchEnv
+
+        plant = ArmPlant()
+        self.joint_limits = (plant.lower, plant.upper)
+        """Least and greatest joint angles, each (7,) [rad]."""
+        self.camera = benchmark_camera() if camera is None else camera
+        self.task = find_task(task, variant)
+        self._pose_class = sapien.Pose
+        self._camera_name, self._X_BW = CAMERA, invert(X_WB)
+        with _named_causes():
+            self._env: Any = KineBenchEnv(
+                task=task,
+                obs_mode="none",
+                reward_mode="none",
+                control_mode=control.value,
+                robot_uids=robot,
+                sim_backend="cpu",
+                render_backend=backend,
+                camera=self.camera,
+                variant=variant.value,
+            )
+
+    def __enter__(self) -> "Simulator":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Free the scene."""
+        self._env.close()
+
+    def reset(self, episode: Episode) -> None:
+        """Set up the scene of an episode."""
+        self._env.reset(seed=episode.seed, options={"episodes": [episode], "reconfigure": True})
+
+    def scene(self) -> Scene:
+        """What stands where now."""
+        scene: Scene = self._env.scene_of()
+        return scene
+
+    def link_pose(self, link: str) -> Array:
+        """Pose (4, 4) of one of the robot's links in its base frame [m]."""
+        raw = np.asarray(self._env.agent.robot.links_map[link].pose.raw_pose[0], dtype=np.float64)
+        return self._X_BW @ from_quaternion(raw[3:], raw[:3])
+
+    @staticmethod
+    def _finger_action(finger_width_m: float) -> float:
+        low, high = _FINGER_RANGE_M
+        return float(np.clip(2.0 * (finger_width_m / 2.0 - low) / (high - low) - 1.0, -1.0, 1.0))
+
+    @staticmethod
+    def action(q: ArrayLike, finger_width_m: float) -> NDArray[np.float32]:
+        """ManiSkill's action (8,) that sets the arm's servos to `q` (7,) [rad] and the fingers' to a gap [m]."""
+        return np.append(np.asarray(q), Simulator._finger_action(finger_width_m)).astype(np.float32)
+
+    def step(self, q: ArrayLike, finger_width_m: float) -> None:
+        """One control step with the arm's servos set to `q` (7,) [rad] and the fingers' to a gap [m]."""
+        self._env.step(self.action(q, finger_width_m))
+
+    def step_pose(self, X_BG: ArrayLike, finger_width_m: float) -> None:
+        """One control step towards a pose (4, 4) of panda_hand_tcp in B [m], of a stage under `Control.POSE`."""
+        X = np.asarray(X_BG, dtype=np.float64)
+        angles = Rotation.from_matrix(X[:3, :3]).as_euler("XYZ")  # as ManiSkill's controller reads them
+        self._env.step(np.concatenate([X[:3, 3], angles, [self._finger_action(finger_width_m)]]).astype(np.float32))
+
+    def simulation_state(self) -> dict[str, dict[str, NDArray[np.float32]]]:
+        """ManiSkill's own state: of each actor pose and velocities (13,), of each articulation its joints' as well."""
+        kinds: dict[str, Any] = self._env.get_state_dict()
+        return {
+            kind: {name: value[0].cpu().numpy() for name, value in kinds.get(kind, {}).items()}
+            for kind in ("actors", "articulations")
+        }
+
+    def restore(self, state: Mapping[str, Mapping[str, NDArray[np.float32]]]) -> None:
+        """Go on from the `simulation_state` of another stage with the same episode."""
+        import torch
+
+        self._env.set_state_dict(
+            {kind: {name: torch.from_numpy(value)[None] for name, value in members.items()}
+             for kind, members in state.items()}
+        )  # fmt: skip
+
+    def outcome(self) -> TaskOutcome:
+        """The task's verdict on the present state."""
+        verdict = {name: value[0].item() for name, value in self._env.evaluate().items()}
+        success, progress = bool(verdict.pop("success")), float(verdict.pop("progress"))
+        return TaskOutcome(success=success, progress=progress, conditions={n: bool(v) for n, v in verdict.items()})
+
+    def snapshot(self) -> Snapshot:
+        """The present state."""
+        qpos = np.asarray(self._env.agent.robot.get_qpos()[0], dtype=np.float64)
+        things = self._env.things
+        return Snapshot(
+            q=qpos[:7],
+            fingers_m=qpos[7:9],
+            objects={name: np.asarray(x.pose.raw_pose[0], dtype=np.float64) for name, x in things.items()},
+            joints={name: float(x.qpos[0, 0]) for name, x in things.items() if hasattr(x, "qpos")},
+        )
+
+    def show(self, snapshot: Snapshot) -> None:
+        """Put everything where the snapshot has it, without simulating."""
+        self._env.agent.robot.set_qpos(np.concatenate([snapshot.q, snapshot.fingers_m])[None].astype(np.float32))
+        for name, raw in snapshot.objects.items():
+            thing = self._env.things[name]
+            thing.set_pose(self._pose_class(raw[:3], raw[3:]))
+            if name in snapshot.joints:
+                thing.set_qpos(np.array([[snapshot.joints[name]]], dtype=np.float32))
+
+    def draw(self, links: Collection[str], *, visible: bool) -> None:
+        """Draw some of the robot's links, or do not."""
+        import sapien
+
+        for name, link in self._env.agent.robot.links_map.items():
+            if name in links:
+                body = link._objs[0].entity.find_component_by_type(sapien.render.RenderBodyComponent)
+                if body is not None:
+                    body.visibility = float(visible)
+
+    def look_from(self, camera: Camera) -> None:
+        """Take pictures from elsewhere; their size stays.
+
+        Raises:
+            UsageError: the camera has pictures of another size.
+        """
+        if (camera.width, camera.height) != (self.camera.width, self.camera.height):
+            raise UsageError(
+                f"the stage takes pictures of {self.camera.width} x {self.camera.height}, not of {camera.width} x "
+                f"{camera.height}"
+            )
+        from kinebench_drake.suites.tasks.environment import place_camera
+
+        place_camera(self._env._sensors[self._camera_name], camera)
+        self.camera = camera
+
+    def _capture(self) -> tuple[NDArray[np.uint8], NDArray[np.uint16], NDArray[np.integer[Any]]]:
+        """Colour (H, W, 3), depth (H, W) [mm] and segmentation ids (H, W) of the present state."""
+        self._env.scene.update_render(update_sensors=True, update_human_render_cameras=False)
+        sensor = self._env._sensors[self._camera_name]
+        sensor.capture()
+        images = sensor.get_obs(rgb=True, depth=True, position=False, segmentation=True)
+        rgb, depth, labels = (images[name][0].cpu().numpy() for name in ("rgb", "depth", "segmentation"))
+        return np.array(rgb, dtype=np.uint8), np.clip(depth[..., 0], 0, None).astype(np.uint16), labels[..., 0]
+
+    def _link_ids(self) -> dict[str, int]:
+        return {name: int(link.per_scene_id[0]) for name, link in self._env.agent.robot.links_map.items()}
+
+    def picture(self) -> CameraImage:
+        """The present state as the camera sees it."""
+        rgb, depth_mm, labels = self._capture()
+        ids = self._link_ids()
+        return CameraImage(
+            rgb=rgb,
+            depth_mm=depth_mm,
+            mask=np.isin(labels, [i for name, i in ids.items() if name in GRIPPER_LINKS]),
+            robot=np.isin(labels, list(ids.values())),
+        )
+
+    def still(self) -> RenderedFrame:
+        """The present state as a training frame: a picture in which each pixel knows what it shows."""
+        rgb, depth_mm, labels = self._capture()
+        part_of = {name: part for part, name in LINK_OF.items()}
+        ids = {i: part_of.get(name, RobotPart.BACKGROUND) for name, i in self._link_ids().items()}
+        X_BL = {name: self.link_pose(name) for name in part_of}
+        finger_m = float(self.snapshot().fingers_m.mean())
+        depth_m = depth_mm / 1000.0 + RENDERED_DEPTH_BIAS_M
+        return RenderedFrame.of_picture(rgb, depth_m, part_map(labels, ids), self.camera, X_BL, finger_m)
