@@ -40,7 +40,11 @@ def docstrings(tree):
     """Docstrings of modules, classes, functions and attributes, with their lines."""
     for node in ast.walk(tree):
         for child in getattr(node, "body", ()) if isinstance(getattr(node, "body", ()), list) else ():
-            if isinstance(child, ast.Expr) and isinstance(child.value, ast.Constant) and isinstance(child.value.value, str):
+            if (
+                isinstance(child, ast.Expr)
+                and isinstance(child.value, ast.Constant)
+                and isinstance(child.value.value, str)
+            ):
                 yield child.value.value, child.lineno
 
 
