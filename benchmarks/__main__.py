@@ -173,6 +173,32 @@ def calibration(folder: Path, limit: int | None, frames: int, part: float, quick
         click.echo(line)
 
 
+@main.command(
+    epilog="\b\nExample:\n  python -m benchmarks equivalence results-before results-after",
+)
+@click.argument("before", type=click.Path(path_type=Path, exists=True, file_okay=False))
+@click.argument("after", type=click.Path(path_type=Path, exists=True, file_okay=False))
+def equivalence(before: Path, after: Path) -> None:
+    """Compare two output folders of score, audit, ground or suite run; exit 1 if results differ.
+
+    Everything must be byte-equal but for hashes of the code, versions, host, wall times, the wording of messages,
+    report.html and replays.
+    """
+    from benchmarks.equivalence import compare_folders
+
+    try:
+        result = compare_folders(before, after)
+    except KinebenchError as error:
+        raise click.ClickException(str(error)) from None
+    for line in result.differences:
+        click.echo(line)
+    click.echo(
+        f"{len(result.equal)} files equal, {len(result.uncompared)} not compared, {len(result.differences)} differences"
+    )
+    if result.differences:
+        raise SystemExit(1)
+
+
 for command in COMMANDS:
     main.add_command(command)
 
