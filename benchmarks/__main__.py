@@ -119,7 +119,7 @@ def bench(out: Path | None, json_out: Path | None, repeats: int, tracks: int, au
 def causes(episodes: int, seed: int, limit: int | None, jobs: int) -> None:
     """Run episodes in closed loop with one planted cause of failure each, and see whether the verdict names it."""
     from benchmarks.causes import cases, finding_lines, run_cases
-    from kinebench_drake.executors.base import EngineKind, create_engine
+    from kinebench_drake.executors.base import ExecutorKind, create_executor
     from kinebench_drake.suites.suite import load_suite
 
     suite = load_suite(0)
@@ -127,7 +127,7 @@ def causes(episodes: int, seed: int, limit: int | None, jobs: int) -> None:
     draws = [draw for task in suite.tasks_of(split) for draw in suite.draws(split, task, episodes, offset=seed)]
     todo = cases(draws)[:limit]
     try:
-        with click.progressbar(run_cases(create_engine(EngineKind.LOCAL, jobs), todo), length=len(todo)) as done:
+        with click.progressbar(run_cases(create_executor(ExecutorKind.LOCAL, jobs), todo), length=len(todo)) as done:
             findings = sorted(done, key=lambda f: (f.case.draw.id, f.case.planted.name))
     except KinebenchError as error:
         raise click.ClickException(str(error)) from None

@@ -23,7 +23,7 @@ from kinebench_drake.closed_loop.commands import CommandPlanner
 from kinebench_drake.closed_loop.loop import ClosedLoop, LoopOptions
 from kinebench_drake.errors import InputError, KinebenchError
 from kinebench_drake.evaluation.stages import DrakeStages, RobotOptions
-from kinebench_drake.executors.base import Crashed, Engine
+from kinebench_drake.executors.base import Executor, WorkerCrash
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.pipeline import GroundingResult
 from kinebench_drake.kinematics.plant import ArmPlant
@@ -195,14 +195,14 @@ def cases(draws: Sequence[EpisodeSpec]) -> list[Case]:
     return [Case(draw=draw, planted=planted, number=i) for i, draw in enumerate(draws) for planted in Planted]
 
 
-def run_cases(engine: Engine, todo: Sequence[Case]) -> Iterator[Finding]:
+def run_cases(engine: Executor, todo: Sequence[Case]) -> Iterator[Finding]:
     """Run cases, in any order.
 
     Raises:
         KinebenchError: a worker died.
     """
     for done in engine.run(_Make(), list(todo)):
-        if isinstance(done, Crashed):
+        if isinstance(done, WorkerCrash):
             raise KinebenchError(f"{done.item.draw.id}: {done.reason}")
         yield done.result
 

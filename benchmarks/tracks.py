@@ -19,8 +19,8 @@ from benchmarks.perturbed import add_noise, perturb
 from benchmarks.planted import PLANTERS
 from benchmarks.sample import REASONS, TRUTH, Kind, Trajectory, Truth, write_truth
 from kinebench_drake.errors import KinebenchError
-from kinebench_drake.executors.base import Crashed
-from kinebench_drake.executors.local import LocalEngine
+from kinebench_drake.executors.base import WorkerCrash
+from kinebench_drake.executors.local import LocalExecutor
 from kinebench_drake.io.atomic import write_atomically
 from kinebench_drake.types import Json
 
@@ -160,8 +160,8 @@ def make(recipe: Recipe, count: int, out: Path, *, jobs: int = 1) -> Iterator[Tr
     """
     out.mkdir(parents=True, exist_ok=True)
     truths: list[Truth] = []
-    for outcome in LocalEngine(jobs=jobs).run(_Make(recipe=recipe, out=out), range(count)):
-        if isinstance(outcome, Crashed):
+    for outcome in LocalExecutor(jobs=jobs).run(_Make(recipe=recipe, out=out), range(count)):
+        if isinstance(outcome, WorkerCrash):
             raise KinebenchError(f"trajectory {outcome.item} of the {recipe.set.value} set could not be drawn")
         truths.append(outcome.result)
         yield outcome.result

@@ -9,7 +9,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.errors import InputError
-from kinebench_drake.executors.base import Crashed, Engine
+from kinebench_drake.executors.base import Executor, WorkerCrash
 from kinebench_drake.suites.assets.look import look_ids
 from kinebench_drake.suites.episode import Episode, compose
 from kinebench_drake.suites.experts.registry import find_expert
@@ -41,7 +41,7 @@ class Shot:
     """Whether the text tells what went wrong."""
 
 
-def task_shots(engine: Engine, tasks: Sequence[str], seed: int) -> list[Shot]:
+def task_shots(engine: Executor, tasks: Sequence[str], seed: int) -> list[Shot]:
     """First and last frame of each task, done by its expert, in the order of the tasks.
 
     Args:
@@ -56,7 +56,7 @@ def task_shots(engine: Engine, tasks: Sequence[str], seed: int) -> list[Shot]:
     return _shots(engine, [compose(task, seed) for task in tasks], performs=True)
 
 
-def look_shots(engine: Engine, sort: str, seed: int) -> list[Shot]:
+def look_shots(engine: Executor, sort: str, seed: int) -> list[Shot]:
     """The first frame of one scene with each look of a sort ("table", "background" or "light") in turn.
 
     Raises:
@@ -124,10 +124,10 @@ def _wrapped(text: str, font: ImageFont.ImageFont | ImageFont.FreeTypeFont, widt
     return lines
 
 
-def _shots(engine: Engine, episodes: Sequence[Episode], *, performs: bool) -> list[Shot]:
+def _shots(engine: Executor, episodes: Sequence[Episode], *, performs: bool) -> list[Shot]:
     shots = {}
     for done in engine.run(_MakeShots(performs), episodes):
-        if isinstance(done, Crashed):
+        if isinstance(done, WorkerCrash):
             shots[done.item.id] = Shot(title=_title(done.item, performs=performs), text=done.reason, failed=True)
         else:
             shots[done.item.id] = done.result

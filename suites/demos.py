@@ -19,7 +19,7 @@ from typing import Any
 from numpy.typing import ArrayLike
 
 from kinebench_drake.errors import InputError, SetupError, UsageError
-from kinebench_drake.executors.base import Crashed, Engine
+from kinebench_drake.executors.base import Executor, WorkerCrash
 from kinebench_drake.io.atomic import disk_errors
 from kinebench_drake.io.jsonl import append_line, make_folder, read_lines, write_json, write_lines
 from kinebench_drake.suites.clip import film
@@ -128,7 +128,7 @@ def _demo(stage: Simulator, performance: Rollout, shots: Shots, content: Content
     )
 
 
-def make_demos(order: DemoOrder, engine: Engine, watcher: Watcher, *, overwrite: bool = False) -> Delivery:
+def make_demos(order: DemoOrder, engine: Executor, watcher: Watcher, *, overwrite: bool = False) -> Delivery:
     """Make demonstrations, or go on making them where a run before was stopped.
 
     Raises:
@@ -280,14 +280,14 @@ def _tried(order: DemoOrder, records: Mapping[tuple[str, int], Record]) -> list[
     return [record for task in order.tasks for record in _tries(order, records, task)[0]]
 
 
-def _produce(order: DemoOrder, records: dict[tuple[str, int], Record], engine: Engine, watcher: Watcher) -> None:
+def _produce(order: DemoOrder, records: dict[tuple[str, int], Record], engine: Executor, watcher: Watcher) -> None:
     """Make attempts until each task has its demonstrations, or too many have failed."""
     kept = sum(record.success for record in _tried(order, records))
     watcher.started(order.wanted() * len(order.tasks), kept)
     while todo := [draw for task in order.tasks for draw in _tries(order, records, task)[1]]:
         died = []
         for done in engine.run(_Experts(order.kind, order.shots, order.out), todo):
-            if isinstance(done, Crashed):
+            if isinstance(done, WorkerCrash):
                 died.append(f"{done.item.task} seed {done.item.seed}: {done.reason}")
                 continue
             record = done.result

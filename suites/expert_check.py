@@ -8,7 +8,7 @@ import numpy as np
 from scipy.stats import binomtest
 
 from kinebench_drake.camera import benchmark_camera
-from kinebench_drake.executors.base import Crashed, Engine
+from kinebench_drake.executors.base import Executor, WorkerCrash
 from kinebench_drake.suites.clock import CLIP_FRAMES, STEPS_PER_FRAME
 from kinebench_drake.suites.episode import Episode
 from kinebench_drake.suites.experts.registry import find_expert
@@ -93,10 +93,10 @@ def _blind(stage: Simulator, episode: Episode, policy: Policy) -> tuple[TaskOutc
     return outcome, frames
 
 
-def run_trials(engine: Engine, episodes: Sequence[Episode], policy: Policy) -> Iterator[ExpertTrial]:
+def run_trials(engine: Executor, episodes: Sequence[Episode], policy: Policy) -> Iterator[ExpertTrial]:
     """Try every episode once; yields in any order. A worker that dies makes a failed trial."""
     for done in engine.run(_MakeTrials(policy), list(episodes)):
-        if isinstance(done, Crashed):
+        if isinstance(done, WorkerCrash):
             yield ExpertTrial(
                 episode=done.item, policy=policy, success=False, progress=0.0, reason=done.reason, frames=0
             )

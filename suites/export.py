@@ -10,7 +10,7 @@ from PIL import Image
 
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.errors import SetupError
-from kinebench_drake.executors.base import Crashed, Engine
+from kinebench_drake.executors.base import Executor, WorkerCrash
 from kinebench_drake.io.atomic import atomic_path
 from kinebench_drake.io.jsonl import make_folder, write_json, write_lines
 from kinebench_drake.models.panda.robot import TCP_LINK
@@ -92,7 +92,7 @@ class _Photographer:
         return photograph
 
 
-def export_suite(export: Export, engine: Engine, watcher: Watcher) -> int:
+def export_suite(export: Export, engine: Executor, watcher: Watcher) -> int:
     """Write first frames, manifest, camera and all that is known of the episodes; returns their number.
 
     The same arguments give the same bytes, whatever the engine.
@@ -106,7 +106,7 @@ def export_suite(export: Export, engine: Engine, watcher: Watcher) -> int:
     watcher.started(len(draws), 0)
     made: dict[EpisodeSpec, _Photo] = {}
     for done in engine.run(_Photographer(export.size, export.out), draws):
-        if isinstance(done, Crashed):
+        if isinstance(done, WorkerCrash):
             raise SetupError(f"{done.item.task} seed {done.item.seed}: {done.reason}; run the same command again")
         made[done.item] = done.result
         watcher.advanced(done.result.episode.id)

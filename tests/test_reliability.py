@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 
 from kinebench_drake.errors import SetupError, UsageError
-from kinebench_drake.executors.base import Done
+from kinebench_drake.executors.base import ItemResult
 from kinebench_drake.executors.interrupt import graceful_interrupt
-from kinebench_drake.executors.local import LocalEngine
+from kinebench_drake.executors.local import LocalExecutor
 from kinebench_drake.io import atomic as storage
 from kinebench_drake.results.store import ResultStore, read_rows
 from tests.report.pages import row
@@ -130,12 +130,12 @@ def make_slow():
 
 
 def test_the_first_interrupt_finishes_what_is_at_hand_and_begins_no_more():
-    engine, told = LocalEngine(jobs=1), []
+    engine, told = LocalExecutor(jobs=1), []
     before = signal.getsignal(signal.SIGINT)
     signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         with graceful_interrupt(engine.drain, told.append) as asked:
-            found = [outcome.result for outcome in engine.run(make_slow, [0, 1, 2]) if isinstance(outcome, Done)]
+            found = [outcome.result for outcome in engine.run(make_slow, [0, 1, 2]) if isinstance(outcome, ItemResult)]
             assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
             with pytest.raises(KeyboardInterrupt):
                 signal.raise_signal(signal.SIGINT)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from kinebench_drake.errors import InputError, SetupError, UsageError
-from kinebench_drake.executors.base import Crashed, Engine
+from kinebench_drake.executors.base import Executor, WorkerCrash
 from kinebench_drake.grounding.evaluation.clip import TruthClipFile, choose, find_clips
 from kinebench_drake.grounding.evaluation.store import fingerprint
 from kinebench_drake.grounding.evaluation.trial import TrialObserver
@@ -185,7 +185,7 @@ def _read_faults(folder: Path) -> dict[str, PlantedCase]:
 def measure(
     cases: Sequence[tuple[TruthClipFile, PlantedCase | None]],
     weights: Path | None,
-    engine: Engine,
+    engine: Executor,
     watcher: TrialObserver,
     keep: Path | None,
 ) -> list[ClipAnomalies]:
@@ -201,7 +201,7 @@ def measure(
     todo = [case for case in cases if keys[case[0].id] not in done]
     watcher.started(len(cases), len(cases) - len(todo))
     for result in engine.run(AnomalyExaminer(weights), todo):
-        if isinstance(result, Crashed):
+        if isinstance(result, WorkerCrash):
             raise SetupError(
                 f"{result.item[0].id}: {result.reason}; run the same command again, what is finished is kept"
             )

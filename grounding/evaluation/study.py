@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from kinebench_drake.errors import UsageError
-from kinebench_drake.executors.base import Engine
+from kinebench_drake.executors.base import Executor
 from kinebench_drake.grounding.evaluation.clip import TruthClipFile, choose, find_clips
 from kinebench_drake.grounding.evaluation.degradation import Degradation
 from kinebench_drake.grounding.evaluation.errors import ClipErrors
@@ -173,7 +173,7 @@ class StudyOutcome:
 def carry_out(
     study: GroundingStudy,
     plan: StudyPlan,
-    engine: Engine,
+    engine: Executor,
     watcher: TrialObserver,
     make_worker: MakeWorker | None = None,
 ) -> StudyOutcome:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.errors import SetupError
-from kinebench_drake.executors.base import Crashed, Engine
+from kinebench_drake.executors.base import Executor, WorkerCrash
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.evaluation.clip import TruthClip, TruthClipFile
 from kinebench_drake.grounding.evaluation.degradation import Degradation
@@ -136,7 +136,7 @@ def evaluate(
 def run(
     trials: Sequence[GroundingTrial],
     workshop: TrialRunner,
-    engine: Engine,
+    engine: Executor,
     store: TrialStore,
     watcher: TrialObserver,
     make_worker: MakeWorker | None = None,
@@ -154,7 +154,7 @@ def run(
     todo = [t for t in trials if keys[_name(t)] not in store]
     watcher.started(len(trials), len(trials) - len(todo))
     for done in engine.run(make_worker or workshop, sorted(todo, key=lambda t: t.clip.id)):
-        if isinstance(done, Crashed):
+        if isinstance(done, WorkerCrash):
             raise SetupError(
                 f"{done.item.clip.id}, {done.item.condition.name}: {done.reason}; run the same command again, what is "
                 "finished is kept"

@@ -6,7 +6,7 @@ from pathlib import Path
 from kinebench_drake.api.arguments import PathName, Warner, member_of, path_of
 from kinebench_drake.evaluation import score
 from kinebench_drake.evaluation.runner import Observer, RunSummary
-from kinebench_drake.executors.base import EngineKind
+from kinebench_drake.executors.base import ExecutorKind
 from kinebench_drake.results.metadata import Shard
 
 
@@ -30,7 +30,7 @@ def score_videos(
     limit: int | None = None,
     jobs: int = 1,
     shard: str | None = None,
-    engine: EngineKind | str = EngineKind.LOCAL,
+    engine: ExecutorKind | str = ExecutorKind.LOCAL,
     address: str | None = None,
     overwrite: bool = False,
     seed: int = 0,
@@ -97,7 +97,7 @@ def score_videos(
         limit=limit,
         jobs=jobs,
         shard=None if shard is None else Shard.parse(shard),
-        engine=member_of(EngineKind, engine, "--engine"),
+        engine=member_of(ExecutorKind, engine, "--engine"),
         address=address,
         overwrite=overwrite,
         seed=seed,
@@ -127,7 +127,7 @@ def run_suite(
     limit: int | None = None,
     jobs: int = 1,
     shard: str | None = None,
-    engine: EngineKind | str = EngineKind.LOCAL,
+    engine: ExecutorKind | str = ExecutorKind.LOCAL,
     address: str | None = None,
     overwrite: bool = False,
     seed: int = 0,
@@ -210,7 +210,7 @@ def run_suite(
         limit=limit,
         jobs=jobs,
         shard=None if shard is None else Shard.parse(shard),
-        engine=member_of(EngineKind, engine, "--engine"),
+        engine=member_of(ExecutorKind, engine, "--engine"),
         address=address,
         overwrite=overwrite,
         seed=seed,

@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 import click
 
 from kinebench_drake.errors import UsageError
-from kinebench_drake.executors.base import EngineKind
+from kinebench_drake.executors.base import ExecutorKind
 from kinebench_drake.results.metadata import Shard
 
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -18,8 +18,8 @@ def _shard(ctx: click.Context, param: click.Parameter, value: str | None) -> Sha
     return None if value is None else Shard.parse(value)
 
 
-def _engine(ctx: click.Context, param: click.Parameter, value: str) -> EngineKind:
-    return EngineKind(value)
+def _engine(ctx: click.Context, param: click.Parameter, value: str) -> ExecutorKind:
+    return ExecutorKind(value)
 
 
 def _tags(ctx: click.Context, param: click.Parameter, values: tuple[str, ...]) -> dict[str, str]:
@@ -43,9 +43,9 @@ _RUN = (
     click.option("--shard", callback=_shard, help="Work on part I (1 to N) of N, for several machines.", metavar="I/N"),
     click.option(
         "--engine",
-        type=click.Choice([kind.value for kind in EngineKind]),
+        type=click.Choice([kind.value for kind in ExecutorKind]),
         callback=_engine,
-        default=EngineKind.LOCAL.value,
+        default=ExecutorKind.LOCAL.value,
         show_default=True,
         help="Where workers run: processes of this machine, or a Ray cluster.",
     ),

@@ -40,7 +40,7 @@ def anomalies(
     CLEAN is what `suite demos` writes, FAULTY what `python -m benchmarks.planted_videos` writes.
     """
     from kinebench_drake.cli.run import EpisodeView
-    from kinebench_drake.executors.base import EngineKind, create_engine
+    from kinebench_drake.executors.base import ExecutorKind, create_executor
     from kinebench_drake.grounding.evaluation.anomalies import find_cases, measure
     from kinebench_drake.grounding.evaluation.anomaly_table import table_json, table_lines
 
@@ -48,7 +48,7 @@ def anomalies(
     cases = find_cases(clean, faulty, limit)
     keep = json_out.with_suffix(".clips.jsonl") if json_out else None
     with EpisodeView("videos") as view:
-        findings = measure(cases, weights, create_engine(EngineKind.LOCAL, jobs), view, keep)
+        findings = measure(cases, weights, create_executor(ExecutorKind.LOCAL, jobs), view, keep)
     for line in table_lines(findings):
         click.echo(line)
     write_json(json_out, table_json(findings))

@@ -50,7 +50,7 @@ class Measuring:
     def carry_out(self, study: "GroundingStudy") -> "StudyOutcome":
         """Measure a study, telling of the progress."""
         from kinebench_drake.cli.run import EpisodeView
-        from kinebench_drake.executors.base import EngineKind, create_engine
+        from kinebench_drake.executors.base import ExecutorKind, create_executor
         from kinebench_drake.grounding.evaluation import study as studies
 
         keep = self.json_out.with_suffix(".clips.jsonl") if self.json_out else None
@@ -58,7 +58,7 @@ class Measuring:
             keep.unlink(missing_ok=True)
         plan = studies.StudyPlan(folder=self.folder, weights=self.weights, limit=self.limit, seed=self.seed, keep=keep)
         with EpisodeView("measurements") as view:
-            return studies.carry_out(study, plan, create_engine(EngineKind.LOCAL, self.jobs), view)
+            return studies.carry_out(study, plan, create_executor(ExecutorKind.LOCAL, self.jobs), view)
 
     def compare(self, study: "GroundingStudy") -> "StudyOutcome":
         """Measure a study of several conditions, print its table and draw its figure."""

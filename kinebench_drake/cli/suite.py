@@ -101,7 +101,7 @@ def check(
     tasks: str | None, episodes: int, seed: int, policy: str, variant: str, pool: str, json_out: Path | None, jobs: int
 ) -> None:
     """Let a policy try tasks, and print success rates with 95 % intervals and the reasons of failures."""
-    from kinebench_drake.executors.base import EngineKind, create_engine
+    from kinebench_drake.executors.base import ExecutorKind, create_executor
     from kinebench_drake.suites.episode import compose
     from kinebench_drake.suites.expert_check import ExpertTrial, Policy, run_trials, task_lines
     from kinebench_drake.suites.split import Pool
@@ -113,7 +113,7 @@ def check(
     chosen = with_variant(_tasks(tasks), version, named=tasks is not None)
     order = [compose(t, s, pool=Pool(pool), variant=version) for t in chosen for s in range(seed, seed + episodes)]
     trials: dict[str, list[ExpertTrial]] = {task: [] for task in sorted(chosen)}
-    for trial in run_trials(create_engine(EngineKind.LOCAL, jobs), order, Policy(policy)):
+    for trial in run_trials(create_executor(ExecutorKind.LOCAL, jobs), order, Policy(policy)):
         own = trials[trial.episode.task]
         own.append(trial)
         if len(own) == episodes:
@@ -138,13 +138,13 @@ def check(
 def sheet(out: Path, tasks: str | None, looks: str | None, seed: int, jobs: int) -> None:
     """Draw a contact sheet: how each task begins and how its expert ends it, or all tables, backgrounds or lights."""
     from kinebench_drake.errors import UsageError
-    from kinebench_drake.executors.base import EngineKind, create_engine
+    from kinebench_drake.executors.base import ExecutorKind, create_executor
     from kinebench_drake.suites.contact_sheet import contact_sheet, look_shots, task_shots
 
     if out.suffix.lower() not in (".png", ".jpg", ".jpeg"):
         raise UsageError(f"--out {out} should end in .png or .jpg")
     check_parent("--out", out)
-    engine = create_engine(EngineKind.LOCAL, jobs)
+    engine = create_executor(ExecutorKind.LOCAL, jobs)
     shots = task_shots(engine, _tasks(tasks), seed) if looks is None else look_shots(engine, looks, seed)
     with atomic_path(out) as part:
         contact_sheet(shots, columns=4 if looks is None else 6).save(part)

@@ -62,7 +62,7 @@ def export(
     it, ID.mp4: with these there, `kinebench-drake score OUT/manifest.jsonl` judges them. episodes.jsonl holds all else
     that is known of the episodes. The same arguments give the same bytes.
     """
-    from kinebench_drake.executors.base import EngineKind, create_engine
+    from kinebench_drake.executors.base import ExecutorKind, create_executor
     from kinebench_drake.suites.export import Export, export_suite
     from kinebench_drake.suites.suite import load_suite
     from kinebench_drake.suites.tasks.card import TaskVariant
@@ -79,7 +79,7 @@ def export(
         out=out,
     )
     with EpisodeView() as view, terminate_as_interrupt():
-        count = export_suite(order, create_engine(EngineKind.LOCAL, jobs), view)
+        count = export_suite(order, create_executor(ExecutorKind.LOCAL, jobs), view)
     of = _counted(len(order.tasks), "task")
     click.echo(f"{_counted(count, 'episode')} of {of} (suite {number}, {order.split})")
     click.echo(out / "manifest.jsonl")
@@ -147,7 +147,7 @@ def demos(
     demos.jsonl and replaced by the next one. A larger K begins with the demonstrations of a smaller one, in the same
     folder too. The same command again goes on where a run was stopped.
     """
-    from kinebench_drake.executors.base import EngineKind, create_engine
+    from kinebench_drake.executors.base import ExecutorKind, create_executor
     from kinebench_drake.suites.demos import make_demos
     from kinebench_drake.suites.formats.demo import FormatKind
     from kinebench_drake.suites.order import DemoOrder
@@ -168,7 +168,7 @@ def demos(
         shard=None if shard is None else Shard.parse(shard),
     )
     with EpisodeView("demonstrations") as view, terminate_as_interrupt():
-        delivery = make_demos(order, create_engine(EngineKind.LOCAL, jobs), view, overwrite=overwrite)
+        delivery = make_demos(order, create_executor(ExecutorKind.LOCAL, jobs), view, overwrite=overwrite)
     failed = f"; the expert failed with {_counted(delivery.failures, 'other seed')}" if delivery.failures else ""
     made = _counted(delivery.demonstrations, "demonstration")
     click.echo(f"{made} of {_counted(len(order.tasks), 'task')}{failed}")

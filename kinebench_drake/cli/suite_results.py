@@ -42,7 +42,7 @@ def ceiling(folders: tuple[Path, ...], out: Path | None, seed: int, jobs: int) -
     For a run of the oracle that is the cost of grounding; for other models that of their videos, too.
     """
     from kinebench_drake.cli.run import EpisodeView, terminate_as_interrupt
-    from kinebench_drake.executors.base import EngineKind, create_engine
+    from kinebench_drake.executors.base import ExecutorKind, create_executor
     from kinebench_drake.report.suite import write_comparison
     from kinebench_drake.report.suite.ceiling import read_ceiling, share_lines
     from kinebench_drake.report.suite.comparison import comparison_lines
@@ -54,7 +54,7 @@ def ceiling(folders: tuple[Path, ...], out: Path | None, seed: int, jobs: int) -
                 view.started(total, 0)
             view.advanced(attempt.episode.id if attempt.success else f"{attempt.episode.id}: {attempt.reason}")
 
-        comparison = read_ceiling(folders, create_engine(EngineKind.LOCAL, jobs), seed, told=told)
+        comparison = read_ceiling(folders, create_executor(ExecutorKind.LOCAL, jobs), seed, told=told)
     page = None if out is None else write_comparison(comparison, out)
     for line in (*comparison_lines(comparison.table), "", *share_lines(comparison.compared)):
         click.echo(line)
@@ -121,7 +121,7 @@ def tolerance(
     from kinebench_drake.cli.run import EpisodeView, terminate_as_interrupt
     from kinebench_drake.closed_loop.tolerance import PoseError, ToleranceAttempt, run_attempts, table_json, table_lines
     from kinebench_drake.errors import UsageError
-    from kinebench_drake.executors.base import EngineKind, create_engine
+    from kinebench_drake.executors.base import ExecutorKind, create_executor
     from kinebench_drake.suites.suite import load_suite
     from kinebench_drake.suites.tasks.card import TaskVariant
 
@@ -137,7 +137,7 @@ def tolerance(
     attempts: list[ToleranceAttempt] = []
     with EpisodeView() as view, terminate_as_interrupt():
         view.started(len(order), 0)
-        for done in run_attempts(create_engine(EngineKind.LOCAL, jobs), order, [PoseError(name) for name in names]):
+        for done in run_attempts(create_executor(ExecutorKind.LOCAL, jobs), order, [PoseError(name) for name in names]):
             attempts += done
             view.advanced(done[0].episode.id)
     attempts.sort(key=lambda a: a.episode.id)

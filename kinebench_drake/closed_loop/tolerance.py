@@ -15,7 +15,7 @@ from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.closed_loop.commands import CommandPlanner, RobotState
 from kinebench_drake.closed_loop.execution import execute
 from kinebench_drake.errors import KinebenchError, UnmeasurableError
-from kinebench_drake.executors.base import Crashed, Engine
+from kinebench_drake.executors.base import Executor, WorkerCrash
 from kinebench_drake.geometry import Array, make_pose, rotation_exp
 from kinebench_drake.io.figure import new_figure
 from kinebench_drake.kinematics.plant import ArmPlant
@@ -173,7 +173,7 @@ class _MakeAttempts:
 
 
 def run_attempts(
-    engine: Engine, episodes: Sequence[Episode], errors: Sequence[PoseError]
+    engine: Executor, episodes: Sequence[Episode], errors: Sequence[PoseError]
 ) -> Iterator[list[ToleranceAttempt]]:
     """The attempts of each episode, in any order of episodes.
 
@@ -181,7 +181,7 @@ def run_attempts(
         KinebenchError: a worker died.
     """
     for done in engine.run(_MakeAttempts(tuple(errors)), list(episodes)):
-        if isinstance(done, Crashed):
+        if isinstance(done, WorkerCrash):
             raise KinebenchError(f"{done.item.id}: {done.reason}")
         yield done.result
 

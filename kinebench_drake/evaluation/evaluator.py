@@ -13,7 +13,7 @@ from typing import Generic, Protocol, TypeVar
 
 from kinebench_drake.errors import KinebenchError, SetupError, UnmeasurableError, one_line
 from kinebench_drake.evaluation.stages import Judgement, RobotOptions
-from kinebench_drake.executors.base import Closable
+from kinebench_drake.executors.base import SupportsClose
 from kinebench_drake.io.files import open_file
 from kinebench_drake.io.jsonl import dump, finite
 from kinebench_drake.models.urdf import robot_files
@@ -246,7 +246,7 @@ class SampleWorker(Generic[SampleT, ResourcesT]):
 
     def close(self) -> None:
         """Free the equipment."""
-        if isinstance(self.equipment, Closable):
+        if isinstance(self.equipment, SupportsClose):
             self.equipment.close()
 
 

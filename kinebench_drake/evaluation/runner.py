@@ -14,7 +14,7 @@ from kinebench_drake.errors import SetupError, UsageError
 from kinebench_drake.evaluation.evaluator import SCHEMA_VERSION, Evaluator, ResourcesT, RunKind, SampleT
 from kinebench_drake.evaluation.resume import resume
 from kinebench_drake.evaluation.stages import SHIPPED_STAGES, RobotOptions
-from kinebench_drake.executors.base import Crashed, Draining, Engine, EngineKind, create_engine
+from kinebench_drake.executors.base import Executor, ExecutorKind, SupportsDrain, WorkerCrash, create_executor
 from kinebench_drake.executors.interrupt import graceful_interrupt
 from kinebench_drake.io.atomic import disk_errors
 from kinebench_drake.report.sample import worst_samples
@@ -39,7 +39,7 @@ class RunConfig:
     """Work on this part of the samples only."""
     jobs: int = 1
     """Worker processes."""
-    engine: EngineKind = EngineKind.LOCAL
+    engine: ExecutorKind = ExecutorKind.LOCAL
     address: str | None = None
     """Address of the Ray cluster."""
     overwrite: bool = False
@@ -157,7 +157,7 @@ def run_samples(
         SetupError: something is missing on this machine, or the disk is full. What was finished is kept.
         KeyboardInterrupt: there was an interrupt. After the first the samples at hand were finished, if the engine can.
     """
-    engine = create_engine(config.engine, config.jobs, config.address)
+    engine = create_executor(config.engine, config.jobs, config.address)
     chosen = list(samples[: config.limit])
     chosen = config.shard.take(chosen) if config.shard else chosen
     header = run_metadata(config, found=len(samples))
@@ -168,7 +168,7 @@ def run_samples(
             done = 0
             with closing(engine.run(partial(_make, measure), waiting)) as outcomes:
                 for outcome in outcomes:
-                    if isinstance(outcome, Crashed):
+                    if isinstance(outcome, WorkerCrash):
                         row, wall_s = measure.failed(outcome.item, Status.ERROR, outcome.reason), 0.0
                     else:
                         row, wall_s = outcome.result
@@ -186,9 +186,9 @@ def run_samples(
             return close_run(store, config.kind, config.seed)
 
 
-def _interruptible(engine: Engine, observer: Observer) -> AbstractContextManager[threading.Event]:
+def _interruptible(engine: Executor, observer: Observer) -> AbstractContextManager[threading.Event]:
     """A context in which a first interrupt lets the samples at hand be finished, with engines that can."""
-    if isinstance(engine, Draining):
+    if isinstance(engine, SupportsDrain):
         return graceful_interrupt(engine.drain, observer.warned)
     return nullcontext(threading.Event())
 

@@ -9,7 +9,7 @@ from kinebench_drake.errors import UsageError
 from kinebench_drake.evaluation.episode import EpisodeEvaluator, EpisodeSample
 from kinebench_drake.evaluation.evaluator import RunKind
 from kinebench_drake.evaluation.runner import NullObserver, Observer, RunConfig, RunSummary, run_samples
-from kinebench_drake.executors.base import EngineKind
+from kinebench_drake.executors.base import ExecutorKind
 from kinebench_drake.suites.suite import VERSION, Suite
 from kinebench_drake.suites.tasks.card import TaskVariant
 from kinebench_drake.suites.worldmodels.lazy_model import LazyWorldModel
@@ -90,7 +90,7 @@ def run_suite(config: SuiteConfig, observer: Observer | None = None) -> RunSumma
         name, offline = model.name, isinstance(model, Offline)
         if offline and config.loop.rounds > 1:
             observer.warned(f"{name} holds finished videos: they answer the first round only")
-        if not offline and (config.jobs > 1 or config.engine is not EngineKind.LOCAL):
+        if not offline and (config.jobs > 1 or config.engine is not ExecutorKind.LOCAL):
             held.close()  # the workers make their own, and may need the room
         measure = EpisodeEvaluator(
             kind=config.kind,

@@ -1,1 +1,1 @@
-"""Executors of samples: local processes and Ray clusters."""
+"""Executors: where samples are processed."""

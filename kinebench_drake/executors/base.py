@@ -1,112 +1,116 @@
-"""Executors: where samples are processed (this process, worker processes, a Ray cluster)."""
+"""Executor interface: one function over many items, in this process, in worker processes or on a Ray cluster."""
 
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import Enum
 from importlib.util import find_spec
-from typing import Generic, Protocol, TypeVar, runtime_checkable
+from typing import Generic, Protocol, TypeAlias, TypeVar, runtime_checkable
 
 from kinebench_drake.errors import SetupError, UsageError
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
+MakeWorker: TypeAlias = Callable[[], Callable[[Item], Result]]
+"""Function that creates a worker, which maps an item to its result."""
 
-class EngineKind(Enum):
-    """The engines a command line can name."""
+
+class ExecutorKind(Enum):
+    """Executors that `--engine` can name."""
 
     LOCAL = "local"
     RAY = "ray"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Done(Generic[Item, Result]):
-    """An item whose work returned."""
+class ItemResult(Generic[Item, Result]):
+    """Result of one item."""
 
     item: Item
     result: Result
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Crashed(Generic[Item]):
-    """An item whose worker died over it."""
+class WorkerCrash(Generic[Item]):
+    """Item whose worker process died."""
 
     item: Item
     reason: str
 
 
-class Engine(Protocol):
+Outcomes: TypeAlias = Generator[ItemResult[Item, Result] | WorkerCrash[Item], None, None]
+
+
+class Executor(Protocol):
     """Runs one function over many items."""
 
-    def run(
-        self, make_worker: Callable[[], Callable[[Item], Result]], items: Sequence[Item]
-    ) -> Generator[Done[Item, Result] | Crashed[Item], None, None]:
-        """Yield outcomes as they come, in any order.
+    def run(self, make_worker: MakeWorker[Item, Result], items: Sequence[Item]) -> Outcomes[Item, Result]:
+        """Yield the outcome of each item as soon as it is available, in any order.
 
         Args:
-            make_worker: called once in each process; what it returns is called for each item, and closed when there
-                are no more if it can be. Must be picklable.
-            items: what to work on. Must be picklable, as must be the results.
+            make_worker: called once per process; returns the function called for each item, which is closed after the
+                last item if it has `close`. Must be picklable.
+            items: arguments of the function. Items and results must be picklable.
 
         Raises:
-            KinebenchError: one raised by a worker: the run cannot go on. Any other exception is a fault of the program:
-                it counts as a crash where workers are processes of their own, else it is raised as it is.
+            KinebenchError: a worker raised it, which ends the run. Any other exception is a bug: it counts as a crash
+                if workers are separate processes, otherwise it propagates.
         """
         ...
 
 
 @runtime_checkable
-class Draining(Protocol):
-    """An engine that can make an end of its own accord."""
+class SupportsDrain(Protocol):
+    """Executor that can stop early without losing running items."""
 
     def drain(self) -> None:
-        """Begin no more items; those at hand are finished. May be called amid `run`, by a signal's handler."""
+        """Start no further items and let running ones finish. May be called by a signal handler during `run`."""
         ...
 
 
 @runtime_checkable
-class Closable(Protocol):
-    """What holds something that is to be freed."""
+class SupportsClose(Protocol):
+    """Object with resources to release."""
 
     def close(self) -> None:
-        """Free it."""
+        """Release the resources."""
         ...
 
 
 @contextmanager
-def hired(make_worker: Callable[[], Callable[[Item], Result]]) -> Iterator[Callable[[Item], Result]]:
-    """A worker, closed in the end if it can be."""
+def open_worker(make_worker: MakeWorker[Item, Result]) -> Iterator[Callable[[Item], Result]]:
+    """Create a worker and close it on exit if it has `close`."""
     work = make_worker()
     try:
         yield work
     finally:
-        if isinstance(work, Closable):
+        if isinstance(work, SupportsClose):
             work.close()
 
 
-def create_engine(kind: EngineKind, jobs: int, address: str | None = None) -> Engine:
-    """The engine of a name, with `jobs` workers.
+def create_executor(kind: ExecutorKind, jobs: int, address: str | None = None) -> Executor:
+    """Return an executor with `jobs` workers.
 
     Args:
-        kind: the engine.
+        kind: type of executor.
         jobs: number of workers.
-        address: of a Ray cluster; for that engine alone.
+        address: address of a Ray cluster; only for Ray.
 
     Raises:
-        UsageError: jobs is not positive, or an address is given that nobody needs.
-        SetupError: the engine's package is not installed.
+        UsageError: `jobs` is not positive, or an address is given for a local executor.
+        SetupError: the package of the executor is not installed.
     """
     if jobs < 1:
         raise UsageError(f"--jobs is {jobs}, expected 1 or more")
-    if kind is EngineKind.RAY:
+    if kind is ExecutorKind.RAY:
         if find_spec("ray") is None:
             raise SetupError("--engine ray needs the package ray: pip install 'kinebench-drake[ray]'")
-        from kinebench_drake.executors.ray import RayEngine
+        from kinebench_drake.executors.ray import RayExecutor
 
-        return RayEngine(jobs=jobs, address=address)
+        return RayExecutor(jobs=jobs, address=address)
     if address is not None:
         raise UsageError(f"--address {address} goes with --engine ray")
-    from kinebench_drake.executors.local import LocalEngine
+    from kinebench_drake.executors.local import LocalExecutor
 
-    return LocalEngine(jobs=jobs)
+    return LocalExecutor(jobs=jobs)

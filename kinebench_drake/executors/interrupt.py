@@ -6,60 +6,59 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 
+_MESSAGE = "interrupted: running samples are being finished, no more are started; press Ctrl-C again to stop at once"
+
 
 @contextmanager
-def graceful_interrupt(stop: Callable[[], None], tell: Callable[[str], None]) -> Iterator[threading.Event]:
-    """Within this context the first interrupt (Ctrl-C) calls `stop`; a second one raises KeyboardInterrupt.
+def graceful_interrupt(stop: Callable[[], None], report: Callable[[str], None]) -> Iterator[threading.Event]:
+    """Call `stop` on the first interrupt (Ctrl-C) within this context; a second one raises KeyboardInterrupt.
 
-    Where the program has a handler of its own, or this is not its main thread, nothing is changed.
+    Nothing is changed if the program has its own handler of interrupts or this is not the main thread.
 
     Args:
-        stop: makes an end of it before long; called amid whatever the main thread does.
-        tell: says so to the user.
+        stop: requests an early end; called while the main thread does anything at all.
+        report: shows a message to the user.
 
     Yields:
-        Whether there was an interrupt.
+        An event that is set once there was an interrupt.
     """
-    asked = threading.Event()
+    interrupted = threading.Event()
     before = signal.getsignal(signal.SIGINT)
     if threading.current_thread() is not threading.main_thread() or before is not signal.default_int_handler:
-        yield asked
+        yield interrupted
         return
 
-    def answer(number: int, frame: FrameType | None) -> None:
+    def handle(number: int, frame: FrameType | None) -> None:
         signal.signal(signal.SIGINT, signal.default_int_handler)
-        asked.set()
+        interrupted.set()
         stop()
-        # From a thread of its own: whatever this one was doing, it may have been writing to the terminal.
-        threading.Thread(target=tell, args=(_TOLD,), daemon=True).start()
+        # In a separate thread: the main thread may have been interrupted while writing to the terminal.
+        threading.Thread(target=report, args=(_MESSAGE,), daemon=True).start()
 
-    signal.signal(signal.SIGINT, answer)
+    signal.signal(signal.SIGINT, handle)
     try:
-        yield asked
+        yield interrupted
     finally:
         signal.signal(signal.SIGINT, before)
 
 
 @contextmanager
-def without_interrupt() -> Iterator[None]:
-    """Within this context the program's own handlers of an interrupt and of SIGTERM wait: they are called as it ends.
+def defer_interrupts() -> Iterator[None]:
+    """Delay the program's own handlers of SIGINT and SIGTERM until this context ends.
 
-    Handlers run in the main thread only: in another there is nothing to wait for.
+    Handlers run in the main thread only: in any other thread there is nothing to delay.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    came: list[int] = []
+    pending: list[int] = []
     before = {n: handler for n in (signal.SIGINT, signal.SIGTERM) if callable(handler := signal.getsignal(n))}
     for number in before:
-        signal.signal(number, lambda n, _: came.append(n))
+        signal.signal(number, lambda n, _: pending.append(n))
     try:
         yield
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-        for late in came:
+        for late in pending:
             signal.raise_signal(late)
-
-
-_TOLD = "interrupted: what is at hand is being finished, no more is begun; press Ctrl-C again to stop at once"

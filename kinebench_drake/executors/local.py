@@ -1,7 +1,7 @@
-"""Workers on this machine: in this process, or several of one thread each.
+"""Execution on this machine: in this process, or in several worker processes.
 
-Every worker computes with one thread, also a single one: sums then come in one order, so that the number of jobs does
-not change a byte of the results.
+Every worker computes with one thread, even if there is only one worker: floating point sums then have one order, so
+the number of jobs does not change a byte of the results.
 """
 
 import multiprocessing
@@ -11,7 +11,7 @@ import sys
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from multiprocessing import resource_tracker
@@ -21,47 +21,45 @@ from types import FrameType
 from typing import Generic, cast
 
 from kinebench_drake.errors import KinebenchError
-from kinebench_drake.executors.base import Crashed, Done, Item, Result, hired
+from kinebench_drake.executors.base import Item, ItemResult, MakeWorker, Outcomes, Result, WorkerCrash, open_worker
 
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
-"""Environment variables that tell numeric libraries how many threads to take."""
+"""Environment variables that set the number of threads of numeric libraries."""
 _GRACE_S = 10.0
-"""How long workers that are ended may take to end what they have started, such as the program of a world model [s]."""
+"""Time that terminated workers have to end their own child processes, such as a world model's program [s]."""
 _TERMINATED = 128 + signal.SIGTERM
-"""Exit status, as shells have it, of a worker that was ended and has cleaned up."""
+"""Exit status, by shell convention, of a worker that was terminated and has cleaned up."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class LocalEngine:
-    """An `Engine` on this machine."""
+class LocalExecutor:
+    """`Executor` on this machine."""
 
     jobs: int
-    """Number of processes; 1 works in this very process."""
-    _drained: threading.Event = field(default_factory=threading.Event, init=False, repr=False, compare=False)
+    """Number of worker processes; with 1, items are processed in the calling process."""
+    _draining: threading.Event = field(default_factory=threading.Event, init=False, repr=False, compare=False)
 
     def drain(self) -> None:
-        """See `Draining`."""
-        self._drained.set()
+        """Start no further items and let running ones finish."""
+        self._draining.set()
 
-    def run(
-        self, make_worker: Callable[[], Callable[[Item], Result]], items: Sequence[Item]
-    ) -> Generator[Done[Item, Result] | Crashed[Item], None, None]:
-        """See `Engine.run`."""
+    def run(self, make_worker: MakeWorker[Item, Result], items: Sequence[Item]) -> Outcomes[Item, Result]:
+        """Yield the outcome of each item as soon as it is available, in any order."""
         if not items:
             return
         if self.jobs == 1:
-            with one_thread(), hired(make_worker) as work:
+            with one_thread(), open_worker(make_worker) as work:
                 for item in items:
-                    if self._drained.is_set():
+                    if self._draining.is_set():
                         return
-                    yield Done(item=item, result=work(item))
+                    yield ItemResult(item=item, result=work(item))
         else:
-            yield from _Pool(make_worker, items, min(self.jobs, len(items)), self._drained).outcomes()
+            yield from _ProcessPool(make_worker, items, min(self.jobs, len(items)), self._draining).outcomes()
 
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """One thread for numeric libraries: those not loaded yet read the environment, torch also listens later."""
+    """Limit numeric libraries to one thread: by environment for those not loaded yet, and by call for torch."""
     before = {name: os.environ.get(name) for name in THREAD_VARIABLES}
     torch = sys.modules.get("torch")
     threads = torch.get_num_threads() if torch else 0
@@ -81,99 +79,100 @@ def one_thread() -> Iterator[None]:
 
 
 @dataclass(slots=True)
-class _Slot(Generic[Item]):
-    """One worker process and what it is busy with."""
+class _WorkerProcess(Generic[Item]):
+    """One worker process and the item that it is processing."""
 
     process: BaseProcess
     pipe: Connection
     item: Item | None = None
 
 
-class _Pool(Generic[Item, Result]):
-    """Processes fed one item at a time over a pipe each: when one dies, only its item is lost."""
+class _ProcessPool(Generic[Item, Result]):
+    """Processes that receive one item at a time over a pipe each: when one dies, only its item is lost."""
 
     def __init__(
         self,
-        make_worker: Callable[[], Callable[[Item], Result]],
+        make_worker: MakeWorker[Item, Result],
         items: Sequence[Item],
         size: int,
-        drained: threading.Event,
+        draining: threading.Event,
     ) -> None:
-        self._drained = drained
+        self._draining = draining
         self._make_worker = make_worker
-        self._waiting = deque(items)
+        self._queue = deque(items)
         self._size = size
-        self._slots: list[_Slot[Item]] = []
+        self._workers: list[_WorkerProcess[Item]] = []
 
-    def outcomes(self) -> Generator[Done[Item, Result] | Crashed[Item], None, None]:
+    def outcomes(self) -> Outcomes[Item, Result]:
         try:
-            while self._has_more() or self._slots:
-                while self._has_more() and len(self._slots) < self._size:
+            while self._has_more() or self._workers:
+                while self._has_more() and len(self._workers) < self._size:
                     self._start()
-                ready = wait([slot.pipe for slot in self._slots]) if self._slots else []
-                for slot in [slot for slot in self._slots if slot.pipe in ready]:
-                    outcome = self._receive(slot)
+                ready = wait([worker.pipe for worker in self._workers]) if self._workers else []
+                for worker in [worker for worker in self._workers if worker.pipe in ready]:
+                    outcome = self._receive(worker)
                     if outcome is not None:
                         yield outcome
         finally:
-            for slot in self._slots:
-                slot.process.terminate()
-            give_up = time.monotonic() + _GRACE_S
-            for slot in self._slots:
-                slot.process.join(max(0.0, give_up - time.monotonic()))
-                slot.process.kill()
-                slot.process.join()
-                slot.pipe.close()
+            for worker in self._workers:
+                worker.process.terminate()
+            deadline = time.monotonic() + _GRACE_S
+            for worker in self._workers:
+                worker.process.join(max(0.0, deadline - time.monotonic()))
+                worker.process.kill()
+                worker.process.join()
+                worker.pipe.close()
 
     def _has_more(self) -> bool:
-        """Whether there is an item to be begun."""
-        return bool(self._waiting) and not self._drained.is_set()
+        """Return whether there is an item to start."""
+        return bool(self._queue) and not self._draining.is_set()
 
     def _start(self) -> None:
-        """Begin a worker and hand it an item, if an interrupt has not left it without one."""
+        """Start a worker and send it an item, unless an interrupt has come meanwhile."""
         context = multiprocessing.get_context("spawn")
-        ours, theirs = context.Pipe()
-        process = context.Process(target=_serve, args=(theirs, self._make_worker), daemon=True)
-        slot: _Slot[Item] = _Slot(process=process, pipe=ours)
-        resource_tracker.ensure_running()  # which unblocks signals, so not amid what follows
-        # Children inherit the environment and the blocked signals of this moment: an interrupt finds none unprepared.
+        own_end, worker_end = context.Pipe()
+        process = context.Process(target=_serve, args=(worker_end, self._make_worker), daemon=True)
+        worker: _WorkerProcess[Item] = _WorkerProcess(process=process, pipe=own_end)
+        resource_tracker.ensure_running()  # unblocks signals, so it must come before they are blocked
+        # The child inherits the environment and the blocked signals: no interrupt reaches it before it ignores them.
         before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
             with one_thread():
                 process.start()
-            self._slots.append(slot)  # whatever comes from here on finds it
+            self._workers.append(worker)  # registered before signals are unblocked, so that it is always terminated
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
-        theirs.close()
-        self._feed(slot)
+        worker_end.close()
+        self._feed(worker)
 
-    def _feed(self, slot: _Slot[Item]) -> None:
-        """Hand the next item to a worker, or send it home."""
-        slot.item = self._waiting.popleft() if self._has_more() else None
-        with suppress(BrokenPipeError, ConnectionResetError):  # it died; the next receive tells
-            slot.pipe.send(slot.item)
-        if slot.item is None:
-            self._dismiss(slot)
+    def _feed(self, worker: _WorkerProcess[Item]) -> None:
+        """Send the next item to a worker, or end the worker if there is none."""
+        worker.item = self._queue.popleft() if self._has_more() else None
+        with suppress(BrokenPipeError, ConnectionResetError):  # it died, which the next receive reports
+            worker.pipe.send(worker.item)
+        if worker.item is None:
+            self._dismiss(worker)
 
-    def _dismiss(self, slot: _Slot[Item]) -> None:
-        self._slots.remove(slot)
-        slot.process.join()
-        slot.pipe.close()
+    def _dismiss(self, worker: _WorkerProcess[Item]) -> None:
+        self._workers.remove(worker)
+        worker.process.join()
+        worker.pipe.close()
 
-    def _receive(self, slot: _Slot[Item]) -> Done[Item, Result] | Crashed[Item] | None:
-        item = cast(Item, slot.item)
+    def _receive(self, worker: _WorkerProcess[Item]) -> ItemResult[Item, Result] | WorkerCrash[Item] | None:
+        item = cast(Item, worker.item)
         try:
-            answer = slot.pipe.recv()
-        except (EOFError, OSError):  # OSError: it died amid its answer
-            self._dismiss(slot)
-            return Crashed(item=item, reason=_cause_of_death(slot.process.exitcode))
-        if isinstance(answer, KinebenchError):
-            raise answer
-        self._feed(slot)
-        return Done(item=item, result=answer)
+            message = worker.pipe.recv()
+        except (EOFError, OSError):  # OSError: it died while sending
+            self._dismiss(worker)
+            return WorkerCrash(item=item, reason=_describe_exit(worker.process.exitcode))
+        if isinstance(message, KinebenchError):
+            raise message
+        self._feed(worker)
+        return ItemResult(item=item, result=message)
 
 
-def _cause_of_death(code: int | None) -> str:
+def _describe_exit(code: int | None) -> str:
+    """Describe why a worker process ended, from its exit status."""
     code = -signal.SIGTERM if code == _TERMINATED else code
     if code is not None and code < 0:
         name = signal.Signals(-code).name if -code in set(signal.Signals) else f"signal {-code}"
@@ -182,18 +181,18 @@ def _cause_of_death(code: int | None) -> str:
     return f"the worker process ended with status {code}"
 
 
-def _leave(number: int, frame: FrameType | None) -> None:
-    """Unwind a worker that is ended, so that it ends what it has started."""
+def _terminate(number: int, frame: FrameType | None) -> None:
+    """Unwind a terminated worker, so that it ends its own child processes."""
     raise SystemExit(_TERMINATED)
 
 
-def _serve(pipe: Connection, make_worker: Callable[[], Callable[[Item], Result]]) -> None:
-    """Body of a worker process: items in, results out, until None or until the parent is gone."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides what an interrupt means
+def _serve(pipe: Connection, make_worker: MakeWorker[Item, Result]) -> None:
+    """Run a worker process: receive items and send results, until None arrives or the parent is gone."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles interrupts
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
-    signal.signal(signal.SIGTERM, _leave)
+    signal.signal(signal.SIGTERM, _terminate)
     try:
-        with hired(make_worker) as work:
+        with open_worker(make_worker) as work:
             while (item := pipe.recv()) is not None:
                 pipe.send(work(item))
     except KinebenchError as error:

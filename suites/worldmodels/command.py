@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import IO
 
 from kinebench_drake.errors import SetupError, cause
-from kinebench_drake.executors.interrupt import without_interrupt
+from kinebench_drake.executors.interrupt import defer_interrupts
 from kinebench_drake.io.atomic import disk_errors, unfinished
 from kinebench_drake.suites.worldmodels.service import png, remark
 from kinebench_drake.suites.worldmodels.spec import ServiceOptions, Spec
@@ -86,7 +86,7 @@ class CommandModel:
         """Exit status of the program; None if it took too long: then it is ended, with all that it started."""
         process: subprocess.Popen[bytes] | None = None
         try:
-            with without_interrupt():  # or it might run without anybody who knows it
+            with defer_interrupts():  # or it might run without anybody who knows it
                 process = subprocess.Popen(
                     arguments, stdin=request, stdout=subprocess.DEVNULL, stderr=log, start_new_session=True
                 )
@@ -97,7 +97,7 @@ class CommandModel:
             raise SetupError(f"{self.name} cannot be started ({cause(error)})") from None
         finally:
             if process is not None and process.returncode is None:
-                with without_interrupt():
+                with defer_interrupts():
                     _end(process)
 
 

@@ -9,7 +9,7 @@ from fake_stages import LOG, Act
 from kinebench_drake.errors import SetupError
 from kinebench_drake.evaluation.runner import NullObserver
 from kinebench_drake.evaluation.score import score_videos
-from kinebench_drake.executors.base import EngineKind
+from kinebench_drake.executors.base import ExecutorKind
 from kinebench_drake.results.row import Status
 from kinebench_drake.results.store import read_rows
 
@@ -41,7 +41,7 @@ def scored(cluster, config):
 
     def run(observer=None, **changes):
         cluster.log.write_text("")
-        return score_videos(config(engine=EngineKind.RAY, address=cluster.address, jobs=2, **changes), observer)
+        return score_videos(config(engine=ExecutorKind.RAY, address=cluster.address, jobs=2, **changes), observer)
 
     return run
 

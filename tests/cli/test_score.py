@@ -21,7 +21,7 @@ from kinebench_drake.evaluation import score
 from kinebench_drake.evaluation.evaluator import KINEMATIC_METRICS, RunKind
 from kinebench_drake.evaluation.runner import NullObserver
 from kinebench_drake.evaluation.score import VISUAL_METRICS, score_videos
-from kinebench_drake.executors.base import EngineKind
+from kinebench_drake.executors.base import ExecutorKind
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.results import store as results
 from kinebench_drake.results.metadata import Shard
@@ -296,7 +296,7 @@ def test_impossible_configurations(film, config, monkeypatch):
         score_videos(config(address="a:1"))
     monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(SetupError, match=r"pip install 'kinebench-drake\[ray\]'"):
-        score_videos(config(engine=EngineKind.RAY))
+        score_videos(config(engine=ExecutorKind.RAY))
     for changes in ({"limit": 0}, {"seed": -1}, {"frame_period_s": float("nan")}, {"frame_period_s": 0.0}):
         with pytest.raises(UsageError, match="expected"):
             config(**changes)

@@ -12,7 +12,7 @@ from kinebench_drake.closed_loop.loop import LoopOptions
 from kinebench_drake.errors import InputError
 from kinebench_drake.evaluation import episode as episode_measure
 from kinebench_drake.evaluation.suite import SuiteConfig, run_suite
-from kinebench_drake.executors.local import LocalEngine
+from kinebench_drake.executors.local import LocalExecutor
 from kinebench_drake.suites.suite import load_suite
 from tests.cli.fake_stages import FakeStages
 
@@ -120,6 +120,6 @@ class Hire:
 
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_workers_are_closed(tmp_path: Path, jobs: int) -> None:
-    outcomes = list(LocalEngine(jobs=jobs).run(Hire(tmp_path / "ledger"), range(3)))
+    outcomes = list(LocalExecutor(jobs=jobs).run(Hire(tmp_path / "ledger"), range(3)))
     assert sorted(outcome.result for outcome in outcomes) == [0, 1, 2]
     assert (tmp_path / "ledger").read_text() == "closed\n" * jobs

@@ -6,7 +6,7 @@ import pytest
 
 from kinebench_drake.closed_loop.tolerance import ErrorGrade, ToleranceAttempt
 from kinebench_drake.errors import UsageError
-from kinebench_drake.executors.base import Done
+from kinebench_drake.executors.base import ItemResult
 from kinebench_drake.report.suite.ceiling import DIRECT, read_ceiling, share_lines
 from kinebench_drake.report.suite.comparison import ALL
 from kinebench_drake.report.suite.writing import write_comparison
@@ -29,7 +29,7 @@ class Rehearsed:
             grade = ErrorGrade(error=None, size=0.0)
             told = "" if good else "placed"
             attempt = ToleranceAttempt(episode=episode, grade=grade, success=good, progress=float(good), reason=told)
-            yield Done(item=episode, result=[attempt])
+            yield ItemResult(item=episode, result=[attempt])
 
 
 def test_each_model_is_held_against_direct_execution_alone(tmp_path):

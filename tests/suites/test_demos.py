@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from kinebench_drake.errors import SetupError, UsageError
-from kinebench_drake.executors.base import Crashed, Done
+from kinebench_drake.executors.base import ItemResult, WorkerCrash
 from kinebench_drake.results.metadata import Shard
 from kinebench_drake.suites import demos
 from kinebench_drake.suites.demos import Delivery, make_demos
@@ -45,10 +45,10 @@ class FakeEngine:
 
     def run(
         self, make_worker: Callable[[], Callable[[EpisodeSpec], Record]], items: Sequence[EpisodeSpec]
-    ) -> Generator[Done[EpisodeSpec, Record] | Crashed[EpisodeSpec], None, None]:
+    ) -> Generator[ItemResult[EpisodeSpec, Record] | WorkerCrash[EpisodeSpec], None, None]:
         for draw in reversed(items):
             if self.until is not None and len(self.tried) == self.until:
-                yield Crashed(item=draw, reason="killed")
+                yield WorkerCrash(item=draw, reason="killed")
                 return
             number = draw.seed - FIRST
             self.tried.append(number)
@@ -59,7 +59,7 @@ class FakeEngine:
             )  # fmt: skip
             if good:
                 (self.out / f"{record.id}.mp4").touch()
-            yield Done(item=draw, result=record)
+            yield ItemResult(item=draw, result=record)
 
 
 @pytest.fixture

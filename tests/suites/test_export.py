@@ -10,7 +10,7 @@ from PIL import Image
 from kinebench_drake.camera import Camera, benchmark_camera
 from kinebench_drake.datasets.videos.find import find_samples
 from kinebench_drake.errors import SetupError, UsageError
-from kinebench_drake.executors.base import EngineKind, create_engine
+from kinebench_drake.executors.base import ExecutorKind, create_executor
 from kinebench_drake.io.atomic import write_atomically
 from kinebench_drake.suites.episode import compose
 from kinebench_drake.suites.export import Export, export_suite
@@ -46,7 +46,7 @@ def export(out: Path, tasks: tuple[str, ...], count: int) -> Path:
         out=out,
     )
     watcher = Quiet()
-    assert export_suite(order, create_engine(EngineKind.LOCAL, 1), watcher) == watcher.total == len(watcher.lines)
+    assert export_suite(order, create_executor(ExecutorKind.LOCAL, 1), watcher) == watcher.total == len(watcher.lines)
     return out
 
 

@@ -9,7 +9,7 @@ from click.testing import CliRunner
 from PIL import Image
 
 from kinebench_drake.cli import cli
-from kinebench_drake.executors.base import Crashed, Done, EngineKind, create_engine
+from kinebench_drake.executors.base import ExecutorKind, ItemResult, WorkerCrash, create_executor
 from kinebench_drake.suites.contact_sheet import GAP_PX, MARGIN_PX, PICTURE_PX, Shot, contact_sheet, task_shots
 from kinebench_drake.suites.episode import Episode
 
@@ -47,12 +47,14 @@ def test_a_failure_is_red() -> None:
 class _Backwards:
     """An engine that finishes the last first, and whose worker dies over one."""
 
-    def run(self, make_worker: object, items: Sequence[Episode]) -> Iterator[Done[Episode, Shot] | Crashed[Episode]]:
+    def run(
+        self, make_worker: object, items: Sequence[Episode]
+    ) -> Iterator[ItemResult[Episode, Shot] | WorkerCrash[Episode]]:
         for item in reversed(items):
             if item.task == "PullCube-v1":
-                yield Crashed(item=item, reason="the worker was killed")
+                yield WorkerCrash(item=item, reason="the worker was killed")
             else:
-                yield Done(item=item, result=Shot(title=item.task, text=item.prompt))
+                yield ItemResult(item=item, result=Shot(title=item.task, text=item.prompt))
 
 
 def test_shots_come_in_the_order_asked_for() -> None:
@@ -65,7 +67,7 @@ def test_shots_come_in_the_order_asked_for() -> None:
 
 @pytest.mark.sapien
 def test_a_shot_is_the_first_and_last_frame() -> None:
-    [shot] = task_shots(create_engine(EngineKind.LOCAL, 1), ["StackCube-v1"], 0)
+    [shot] = task_shots(create_executor(ExecutorKind.LOCAL, 1), ["StackCube-v1"], 0)
     assert not shot.failed
     first, last = shot.pictures
     assert first.shape == last.shape == (384, 384, 3)

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from kinebench_drake.closed_loop.tolerance import ToleranceAttempt, run_attempts
 from kinebench_drake.errors import UsageError
-from kinebench_drake.executors.base import Engine
+from kinebench_drake.executors.base import Executor
 from kinebench_drake.report.suite.comparison import ALL, Compared, compare, comparison_table
 from kinebench_drake.report.suite.episode import EpisodeResult
 from kinebench_drake.report.suite.folders import gather, models_of, read_folders
@@ -20,7 +20,7 @@ DIRECT = "expert's true track"
 
 
 def read_ceiling(
-    paths: Sequence[Path], engine: Engine, seed: int = 0, *, told: Callable[[ToleranceAttempt, int], None]
+    paths: Sequence[Path], engine: Executor, seed: int = 0, *, told: Callable[[ToleranceAttempt, int], None]
 ) -> ModelComparison:
     """Execute the expert's true track in every episode of some suite runs, and compare each model with it.
 

@@ -9,7 +9,7 @@ from click.testing import CliRunner
 
 from kinebench_drake.cli import cli
 from kinebench_drake.errors import UsageError
-from kinebench_drake.executors.base import EngineKind, create_engine
+from kinebench_drake.executors.base import ExecutorKind, create_executor
 from kinebench_drake.grounding.evaluation import study
 from kinebench_drake.grounding.evaluation.clip import choose, find_clips, load_clips
 from kinebench_drake.grounding.evaluation.errors import ClipErrors
@@ -20,7 +20,7 @@ from kinebench_drake.grounding.evaluation.tables import evaluation_json, pooled_
 from kinebench_drake.grounding.evaluation.trial import GroundingTrial
 from kinebench_drake.io.figure import save
 
-ENGINE = create_engine(EngineKind.LOCAL, 1)
+ENGINE = create_executor(ExecutorKind.LOCAL, 1)
 
 
 class Silence:

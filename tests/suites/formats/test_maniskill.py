@@ -9,7 +9,7 @@ import pytest
 from kinebench_drake.datasets.trajectories.check import check
 from kinebench_drake.datasets.trajectories.maniskill import list_maniskill, read_maniskill
 from kinebench_drake.datasets.trajectories.trajectory import TrajectoryOptions
-from kinebench_drake.executors.base import EngineKind, create_engine
+from kinebench_drake.executors.base import ExecutorKind, create_executor
 from kinebench_drake.suites.demos import make_demos
 from kinebench_drake.suites.formats.demo import FormatKind
 from kinebench_drake.suites.simulator import Simulator
@@ -19,7 +19,7 @@ from tests.suites.orders import FIRST, TASK, Watcher, an_order
 @pytest.mark.sapien
 def test_maniskill_trajectories_hold_states_and_lead_to_success(tmp_path: Path) -> None:
     order = an_order(tmp_path, FormatKind.MANISKILL, 1)
-    make_demos(order, create_engine(EngineKind.LOCAL, 1), Watcher())
+    make_demos(order, create_executor(ExecutorKind.LOCAL, 1), Watcher())
     path = tmp_path / f"{TASK}.h5"
     assert not (tmp_path / ".parts").exists()
     [sample] = list_maniskill(path, path.name)

@@ -7,9 +7,9 @@ from types import SimpleNamespace
 import pytest
 
 from kinebench_drake.errors import SetupError
-from kinebench_drake.executors.base import Crashed, Done, EngineKind, create_engine
+from kinebench_drake.executors.base import ExecutorKind, ItemResult, WorkerCrash, create_executor
 from kinebench_drake.executors.local import THREAD_VARIABLES
-from kinebench_drake.executors.ray import MOST_FAILED_STARTS, RayEngine, gpu_share
+from kinebench_drake.executors.ray import MOST_FAILED_STARTS, RayExecutor, gpu_share
 
 
 class RayError(Exception):
@@ -112,7 +112,7 @@ def doubling(losses=(), equips=()):
 
 
 def run(make, items, jobs=2):
-    return list(RayEngine(jobs=jobs).run(make, items))
+    return list(RayExecutor(jobs=jobs).run(make, items))
 
 
 def test_every_item_is_done_and_workers_are_kept(ray):
@@ -127,22 +127,22 @@ def test_every_item_is_done_and_workers_are_kept(ray):
 
 def test_a_lost_worker_costs_a_second_try(ray):
     outcomes = run(doubling(losses=[2]), [1, 2, 3])
-    assert {(o.item, o.result) for o in outcomes if isinstance(o, Done)} == {(1, 2), (2, 4), (3, 6)}
+    assert {(o.item, o.result) for o in outcomes if isinstance(o, ItemResult)} == {(1, 2), (2, 4), (3, 6)}
     assert ray.started == 3
 
 
 @pytest.mark.parametrize(("item", "told"), [(2, "lost 2 times"), (13, "ran out of memory: use fewer --jobs")])
 def test_the_second_loss_costs_the_item(ray, item, told):
     outcomes = run(doubling(losses=[item] * 2), [1, item, 3])
-    (crashed,) = [o for o in outcomes if isinstance(o, Crashed)]
+    (crashed,) = [o for o in outcomes if isinstance(o, WorkerCrash)]
     assert crashed.item == item
     assert told in crashed.reason
-    assert {o.item for o in outcomes if isinstance(o, Done)} == {1, 3}
+    assert {o.item for o in outcomes if isinstance(o, ItemResult)} == {1, 3}
 
 
 def test_workers_that_cannot_begin_end_the_run(ray):
     assert len(run(doubling(equips=[Lost()] * (MOST_FAILED_STARTS - 1)), [1, 2])) == 2
-    with pytest.raises(SetupError, match="die before they begin"):
+    with pytest.raises(SetupError, match="die before they start"):
         run(doubling(equips=[Lost()] * MOST_FAILED_STARTS), [1, 2])
     ray.started = 0
     for error, told in ((ImportError("no module"), "no module"), (SetupError("no weights"), "^no weights")):
@@ -159,12 +159,12 @@ def test_an_unlike_node_is_told(ray, monkeypatch):
         with pytest.raises(SetupError, match="has another version"):
             run(doubling(), [1], jobs=1)
     monkeypatch.setattr("os.getcwd", lambda: "/nowhere/at/all")
-    with pytest.raises(SetupError, match="does not see the folder /nowhere/at/all"):
+    with pytest.raises(SetupError, match="has no access to the folder /nowhere/at/all"):
         run(doubling(), [1], jobs=1)
 
 
 def test_a_run_that_is_left_leaves_nothing(ray):
-    outcomes = RayEngine(jobs=2).run(doubling(), [1, 2, 3])
+    outcomes = RayExecutor(jobs=2).run(doubling(), [1, 2, 3])
     next(outcomes)
     outcomes.close()
     assert (ray.alive, ray.on) == ([], False)
@@ -180,7 +180,7 @@ def test_a_cluster_that_is_none_is_told(ray, monkeypatch):
 
     monkeypatch.setattr(ray, "init", fail)
     with pytest.raises(SetupError, match=r"at host:1 \(nobody answers\)"):
-        list(create_engine(EngineKind.RAY, 2, "host:1").run(doubling(), [1]))
+        list(create_executor(ExecutorKind.RAY, 2, "host:1").run(doubling(), [1]))
 
 
 def test_a_cluster_that_is_joined_already_is_left_alone(ray):

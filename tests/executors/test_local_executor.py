@@ -9,8 +9,8 @@ from contextlib import closing, suppress
 import pytest
 
 from kinebench_drake.executors import local
-from kinebench_drake.executors.base import Done
-from kinebench_drake.executors.local import LocalEngine
+from kinebench_drake.executors.base import ItemResult
+from kinebench_drake.executors.local import LocalExecutor
 
 
 def make_doubling():
@@ -38,7 +38,7 @@ def make_busy():
 
 def test_a_worker_that_is_ended_ends_what_it_started(tmp_path):
     note = tmp_path / "note"
-    with closing(LocalEngine(jobs=2).run(make_busy, [note, *["idle"] * 1000])) as outcomes:
+    with closing(LocalExecutor(jobs=2).run(make_busy, [note, *["idle"] * 1000])) as outcomes:
         for _ in outcomes:
             if note.exists() and note.read_text():
                 break
@@ -48,7 +48,7 @@ def test_a_worker_that_is_ended_ends_what_it_started(tmp_path):
 
 def test_a_worker_that_does_not_end_is_killed(monkeypatch):
     monkeypatch.setattr(local, "_GRACE_S", 0.5)
-    with closing(LocalEngine(jobs=2).run(make_stubborn, ["deaf", "well"])) as outcomes:
+    with closing(LocalExecutor(jobs=2).run(make_stubborn, ["deaf", "well"])) as outcomes:
         assert next(outcomes).item == "well"
 
 
@@ -63,19 +63,19 @@ def make_stubborn():
 
 
 def test_who_ended_a_worker_is_told():
-    (outcome,) = LocalEngine(jobs=2).run(make_busy, ["terminated"])
+    (outcome,) = LocalExecutor(jobs=2).run(make_busy, ["terminated"])
     assert outcome.reason == "the worker process was ended by SIGTERM"
 
 
 def test_every_item_is_worked_on():
-    outcomes = list(LocalEngine(jobs=2).run(make_doubling, [1, 2, 3]))
-    assert {o.item: o.result for o in outcomes if isinstance(o, Done)} == {1: 2, 2: 4, 3: 6}
+    outcomes = list(LocalExecutor(jobs=2).run(make_doubling, [1, 2, 3]))
+    assert {o.item: o.result for o in outcomes if isinstance(o, ItemResult)} == {1: 2, 2: 4, 3: 6}
 
 
 @pytest.mark.parametrize("started", [1, 2])
 def test_an_interrupt_while_a_worker_starts_leaves_it_without_an_item(monkeypatch, started):
     """It is held back till the process is there, and delivered at once then."""
-    engine, unblocked = LocalEngine(jobs=2), []
+    engine, unblocked = LocalExecutor(jobs=2), []
 
     def mask(how, signals, before=signal.pthread_sigmask):
         blocked = before(how, signals)
