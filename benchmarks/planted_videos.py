@@ -21,6 +21,7 @@ from pathlib import Path
 import click
 
 from kinebench_drake.errors import InputError, KinebenchError, UsageError
+from kinebench_drake.io.camerafile import save_camera
 from kinebench_drake.io.container import write_video
 from kinebench_drake.suites.clip import film
 from kinebench_drake.suites.clock import CLIP_FRAMES, FRAME_PERIOD_S
@@ -126,7 +127,7 @@ def make(order: PlantingOrder) -> Made:
             write_video(order.out / f"{sample.id}.mp4", clip.rgb, FPS, crf=order.crf)
             clip.save_truth(order.out / "truth" / f"{sample.id}.npz", with_images=order.with_depth)
             samples.append(sample)
-        stage.camera.save(order.out / "camera.json")
+        save_camera(stage.camera, order.out / "camera.json")
     return Made(samples=tuple(samples), problems=tuple(problems))
 
 

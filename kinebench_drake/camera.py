@@ -1,16 +1,12 @@
 """The pinhole camera: intrinsics in pixels and its pose on the robot's base."""
 
-import json
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kinebench_drake.errors import InputError, UsageError, cause
+from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.geometry import Array, checked_pose, invert, make_pose, orthonormalize
-from kinebench_drake.io.atomic import write_atomically
-from kinebench_drake.io.files import read_json
 
 _KEYS = ("width", "height", "fx", "fy", "cx", "cy", "base_from_camera")
 _BENCHMARK_PX = 384
@@ -103,14 +99,6 @@ class Camera:
             "base_from_camera": self.X_BC.tolist(),
         }
 
-    def save(self, path: Path) -> None:
-        """Write `camera.json`.
-
-        Raises:
-            SetupError: writing failed.
-        """
-        write_atomically(path, (json.dumps(self.to_json(), indent=1) + "\n").encode())
-
     @classmethod
     def from_json(cls, data: object, source: str) -> "Camera":
         """Camera from a parsed `camera.json` object; `source` names it in messages.
@@ -144,23 +132,6 @@ class Camera:
             )
         except UsageError as error:
             raise UsageError(f"{source}: {error}") from None
-
-    @classmethod
-    def load(cls, path: Path, called: str | None = None) -> "Camera":
-        """Read `camera.json`.
-
-        Args:
-            path: the file.
-            called: what messages call it, if not by its name alone.
-
-        Raises:
-            UsageError: the file cannot be read, is not JSON, or holds no camera.
-        """
-        try:
-            data = read_json(path)
-        except (OSError, ValueError) as error:
-            raise UsageError(f"{called or path.name}: cannot be read as JSON ({cause(error)})") from None
-        return cls.from_json(data, called or path.name)
 
 
 def benchmark_camera() -> Camera:

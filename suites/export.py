@@ -12,6 +12,7 @@ from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.errors import SetupError
 from kinebench_drake.executors.base import Executor, WorkerCrash
 from kinebench_drake.io.atomic import atomic_path
+from kinebench_drake.io.camerafile import save_camera
 from kinebench_drake.io.jsonl import make_folder, write_json, write_lines
 from kinebench_drake.models.panda.robot import TCP_LINK
 from kinebench_drake.suites.clock import CLIP_FRAMES, FRAME_PERIOD_S
@@ -111,7 +112,7 @@ def export_suite(export: Export, engine: Executor, watcher: Watcher) -> int:
         made[done.item] = done.result
         watcher.advanced(done.result.episode.id)
     photos = [made[draw] for draw in draws]
-    benchmark_camera().resized(export.size, export.size).save(export.out / CAMERA)
+    save_camera(benchmark_camera().resized(export.size, export.size), export.out / CAMERA)
     write_lines(export.out / MANIFEST, [_manifest_row(photo, export) for photo in photos])
     write_lines(export.out / EPISODES, [_episode_row(photo.episode, export) for photo in photos])
     write_json(export.out / SUMMARY, _summary(export, len(photos)))

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from kinebench_drake.camera import benchmark_camera
+from kinebench_drake.io.camerafile import save_camera
 from kinebench_drake.io.container import write_video
 from kinebench_drake.io.reader import read_video
 
@@ -46,7 +47,7 @@ def test_pixels_of_points_are_those_that_the_text_tells(capsys):
 def test_the_interface_is_used_as_described(tmp_path, monkeypatch):
     (tmp_path / "videos").mkdir()
     write_video(tmp_path / "videos" / "clip.mp4", read_video(CLIP).frames[20:29], 17)
-    benchmark_camera().save(tmp_path / "videos" / "camera.json")
+    save_camera(benchmark_camera(), tmp_path / "videos" / "camera.json")
     monkeypatch.chdir(tmp_path)
     space = run("api.md", {"__name__": "docs"}, lambda heading: heading != "A suite")
     assert space["judgement"].feasible is True

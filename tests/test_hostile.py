@@ -7,10 +7,10 @@ import threading
 import numpy as np
 import pytest
 
-from kinebench_drake.camera import Camera
 from kinebench_drake.datasets.manifest import inside
 from kinebench_drake.datasets.videos.find import find_samples
 from kinebench_drake.errors import InputError, UsageError, one_line
+from kinebench_drake.io.camerafile import load_camera
 from kinebench_drake.io.files import parse_json, read_bytes
 from kinebench_drake.report import write_report
 from kinebench_drake.report.suite import write_suite_report
@@ -65,7 +65,7 @@ def test_a_pipe_is_not_waited_for(tmp_path, name):
 def test_an_endless_file_is_not_read(tmp_path):
     (tmp_path / "camera.json").symlink_to("/dev/zero")
     with pytest.raises(UsageError, match="regular file"):
-        Camera.load(tmp_path / "camera.json")
+        load_camera(tmp_path / "camera.json")
     (tmp_path / "big").write_bytes(b"x" * 11)
     with pytest.raises(OSError, match="Larger"):
         read_bytes(tmp_path / "big", most=10)

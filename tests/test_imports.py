@@ -89,6 +89,59 @@ def test_the_test_sees_forbidden_imports(tmp_path):
     assert set(imported_parts(path)) == {"suites", "cli"}
 
 
+def module_name(path):
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    return ".".join(parts if parts[0] == PACKAGE else (PACKAGE, *parts)).removesuffix(".__init__")
+
+
+def module_level_imports(tree, names):
+    """Those of `names`, modules, that a module imports outside its functions, also for type checking alone."""
+    nodes = list(tree.body)
+    while nodes:
+        node = nodes.pop()
+        if isinstance(node, ast.ImportFrom):
+            members = [f"{node.module}.{a.name}" for a in node.names]
+            yield from {member if member in names else node.module for member in members} & names
+        elif isinstance(node, ast.Import):
+            yield from {a.name for a in node.names} & names
+        elif not isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda):
+            nodes.extend(ast.iter_child_nodes(node))
+
+
+def import_cycles(sources):
+    """Cycles of imports among modules, from their source texts by name."""
+    imports = {
+        name: set(module_level_imports(ast.parse(text), sources.keys())) - {name} for name, text in sources.items()
+    }
+    done, cycles = set(), []
+
+    def visit(name, path):
+        if name in path:
+            cycles.append([*path[path.index(name) :], name])
+        elif name not in done:
+            for target in sorted(imports[name]):
+                visit(target, [*path, name])
+            done.add(name)
+
+    for name in sorted(imports):
+        visit(name, [])
+    return cycles
+
+
+def test_no_modules_import_each_other():
+    assert import_cycles({module_name(path): path.read_text() for path in modules()}) == []
+
+
+def test_the_test_sees_import_cycles():
+    sources = {
+        "a": "if TYPE_CHECKING:\n    from b import f",
+        "b": "class B:\n    import c",
+        "c": "import a",
+        "d": "def f():\n    import a\nfrom a import x",
+    }
+    assert import_cycles(sources) == [["a", "b", "c", "a"]]
+
+
 def loaded_by(statement):
     code = f"import sys\n{statement}\nprint(*sorted({{m.split('.')[0] for m in sys.modules}}))"
     return set(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split())

@@ -10,6 +10,7 @@ from kinebench_drake.datasets.videos.find import find_samples
 from kinebench_drake.datasets.videos.sample import CameraSource
 from kinebench_drake.errors import UsageError
 from kinebench_drake.geometry import make_pose, rotation_exp
+from kinebench_drake.io.camerafile import save_camera
 
 
 def touch(folder, *names):
@@ -226,8 +227,8 @@ def test_camera_precedence(tmp_path):
     assert {s.camera_source for s in find_samples(tmp_path).samples} == {CameraSource.BENCHMARK}
     other = benchmark.resized(192, 192)
     third = benchmark.resized(96, 96)
-    other.save(tmp_path / "camera.json")
-    third.save(tmp_path / "own" / "camera.json")
+    save_camera(other, tmp_path / "camera.json")
+    save_camera(third, tmp_path / "own" / "camera.json")
     widths = {s.video: (s.camera.width, s.camera_source) for s in find_samples(tmp_path).samples}
     assert widths == {
         "v.mp4": (192, CameraSource.FOLDER),
@@ -243,18 +244,18 @@ def test_camera_precedence(tmp_path):
 
 def test_a_frame_folder_has_the_camera_beside_it_unless_it_holds_one(tmp_path):
     touch(tmp_path, "still/0.png")
-    benchmark_camera().resized(192, 192).save(tmp_path / "camera.json")
+    save_camera(benchmark_camera().resized(192, 192), tmp_path / "camera.json")
     for source in (tmp_path, tmp_path / "still"):
         (sample,) = find_samples(source).samples
         assert (sample.camera.width, sample.camera_source) == (192, CameraSource.FOLDER)
-    benchmark_camera().resized(96, 96).save(tmp_path / "still" / "camera.json")
+    save_camera(benchmark_camera().resized(96, 96), tmp_path / "still" / "camera.json")
     assert find_samples(tmp_path / "still").samples[0].camera.width == 96
 
 
 @pytest.mark.parametrize("films", [("videos/v.mp4", "videos/preview.png"), ("videos/more/v.mp4", "videos/preview.png")])
 def test_a_folder_of_videos_has_no_camera_from_beside_it(tmp_path, films):
     touch(tmp_path, *films)
-    benchmark_camera().resized(192, 192).save(tmp_path / "camera.json")
+    save_camera(benchmark_camera().resized(192, 192), tmp_path / "camera.json")
     assert find_samples(tmp_path / "videos").samples[0].camera_source is CameraSource.BENCHMARK
 
 

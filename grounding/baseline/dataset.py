@@ -19,6 +19,7 @@ from kinebench_drake.grounding.baseline.network import CONTEXT
 from kinebench_drake.grounding.training.augment import degrade, occlude
 from kinebench_drake.grounding.view import Frames
 from kinebench_drake.io.atomic import atomic_path
+from kinebench_drake.io.camerafile import load_camera
 from kinebench_drake.io.reader import read_video
 
 _HOW = "make one with `kinebench-drake suite demos --suite 1 --split train --out FOLDER`"
@@ -86,7 +87,7 @@ def load_demonstrations(folder: Path, tasks: Collection[str] | None = None) -> D
             clips.append(_load(folder, video, task))
     if not clips:
         raise UsageError(f"{folder.name}: its manifest lists no video of {', '.join(tasks or ['any task'])}")
-    return Demonstrations(folder=folder, camera=Camera.load(folder / "camera.json"), clips=tuple(clips))
+    return Demonstrations(folder=folder, camera=load_camera(folder / "camera.json"), clips=tuple(clips))
 
 
 def _load(folder: Path, video: str, task: str) -> Demonstration:

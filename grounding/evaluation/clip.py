@@ -13,6 +13,7 @@ from kinebench_drake.camera import Camera
 from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.overrides.arrays import true_depth, true_mask
+from kinebench_drake.io.camerafile import load_camera
 from kinebench_drake.io.npz import open_npz
 from kinebench_drake.models.panda.robot import hand_from_tcp
 from kinebench_drake.types import Anomaly, AnomalyKind, InitialState
@@ -102,7 +103,7 @@ def find_clips(folder: Path) -> list[TruthClipFile]:
     manifest = folder / "manifest.jsonl"
     if not manifest.is_file():
         raise UsageError(f"{folder.name}: has no manifest.jsonl; make such a folder with `kinebench-drake suite demos`")
-    camera = Camera.load(folder / "camera.json")
+    camera = load_camera(folder / "camera.json")
     faults_path = folder / "truth" / "faults.json"
     planted = json.loads(faults_path.read_text()) if faults_path.is_file() else {}
     clips = []

@@ -8,7 +8,6 @@ import numpy as np
 from kinebench_drake.geometry import Array, invert
 from kinebench_drake.grounding.registration.correspondences import Correspondences
 from kinebench_drake.grounding.registration.fit import opened, opening_information
-from kinebench_drake.kinematics.chain import LinkChain
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.models.panda.robot import ARM_LINKS, GRIPPER, HAND_LINK, LINK_OF, RobotPart
 
@@ -28,7 +27,7 @@ class ArmModel:
         """
         plant = ArmPlant()
         self.lower, self.upper = plant.lower, plant.upper
-        self._chain = LinkChain(plant)
+        self._chain = plant.chain
         parts = [part for part in RobotPart if part is not RobotPart.BACKGROUND]
         names = [HAND_LINK if part in GRIPPER else LINK_OF[part] for part in parts]
         self._stage = np.array([0, *(self._chain.stage[name] for name in names)])

@@ -32,6 +32,7 @@ from kinebench_drake.evaluation.score import (
 from kinebench_drake.evaluation.stages import SHIPPED_STAGES, Grounded, Judgement, RobotOptions, Stages, load_stages
 from kinebench_drake.executors.local import one_thread
 from kinebench_drake.grounding.overrides.overrides import Overrides
+from kinebench_drake.io.camerafile import load_camera
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.io.video import Video
 from kinebench_drake.types import GripperTrack, InitialState
@@ -201,7 +202,7 @@ def ground_video(
         refuse_with("frames", camera_key=camera_key)
         decoded, sample = video_of(video, id)
     if camera is not None:
-        given = camera if isinstance(camera, Camera) else Camera.load(Path(camera))
+        given = camera if isinstance(camera, Camera) else load_camera(Path(camera))
         sample = replace(sample, camera=given, camera_source=CameraSource.GIVEN)
     if first is not None:
         sample = replace(sample, initial_state=first)

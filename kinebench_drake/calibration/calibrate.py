@@ -24,6 +24,7 @@ from kinebench_drake.geometry import Array, invert, pose_difference
 from kinebench_drake.grounding.anomaly.camera_motion import COMPENSABLE_PX, MOVING_PX, measure_camera_motion
 from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.grounding.view import Frames
+from kinebench_drake.io.camerafile import load_camera
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.io.video import Video
 from kinebench_drake.models.panda.robot import RobotPart
@@ -101,7 +102,7 @@ def calibrate(config: CalibrationConfig, eye: ViewEstimator | None = None) -> Ca
         SetupError: weights, meshes or native libraries are missing.
     """
     model = ArmModel()
-    intrinsics = None if config.camera is None else Camera.load(config.camera)
+    intrinsics = None if config.camera is None else load_camera(config.camera)
     if config.joints is not None and not Path(config.joints).exists():
         posture(config.joints)  # a usage error before minutes of work
     try:

@@ -63,13 +63,14 @@ def calibrate(out: Path, figure: Path | None, as_json: bool, **options: Any) -> 
     from kinebench_drake.calibration.calibrate import CalibrationConfig
     from kinebench_drake.calibration.calibrate import calibrate as find
     from kinebench_drake.calibration.result import lines
+    from kinebench_drake.io.camerafile import save_camera
     from kinebench_drake.io.jsonl import dump
 
     for name, path, suffix in (("--out", out, ".json"), ("--figure", figure, ".png")):
         if path is not None and path.suffix.lower() != suffix:
             raise click.UsageError(f"{name} {path.name}: expected a name that ends in {suffix}")
     found = find(CalibrationConfig(**options))
-    found.calibration.camera.save(out)
+    save_camera(found.calibration.camera, out)
     if figure is not None:
         from kinebench_drake.calibration.overlay import draw_robot, save
 

@@ -15,6 +15,7 @@ from kinebench_drake.datasets.videos.sample import CameraSource, VideoSample, ca
 from kinebench_drake.datasets.videos.search import Search, picture_beside
 from kinebench_drake.errors import InputError, UsageError, cause
 from kinebench_drake.geometry import checked_pose
+from kinebench_drake.io.camerafile import load_camera
 from kinebench_drake.io.files import parse_json, reach, read_text
 from kinebench_drake.types import InitialState
 
@@ -158,7 +159,7 @@ def entry_camera(entry: ManifestEntry, folder: Path) -> Camera | None:
         return None
     try:
         if isinstance(entry.camera, str):
-            return Camera.load(inside(folder, entry.camera, "camera"))
+            return load_camera(inside(folder, entry.camera, "camera"))
         return Camera.from_json(entry.camera, "camera")
     except UsageError as error:
         raise InputError(str(error)) from None

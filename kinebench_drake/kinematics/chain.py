@@ -3,18 +3,19 @@
 Drake answers one posture a call; where hundreds are wanted, the calls cost more than the arithmetic.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 from pydrake.multibody.tree import BodyIndex
 
 from kinebench_drake.geometry import Array, invert, make_pose
-from kinebench_drake.models.robot import N_JOINTS
+from kinebench_drake.models.robot import N_JOINTS, Robot
 
-if TYPE_CHECKING:
-    from kinebench_drake.kinematics.plant import ArmPlant
+Positions = Callable[[ArrayLike, ArrayLike | None], Array]
+"""Function from arm postures (N, 7) [rad] and finger widths (N,) [m] to all positions (N, n) of the Drake plant."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,9 +62,14 @@ class LinkChain:
     product of exponentials formula", Mathematical Theory of Networks and Systems, 1984.
     """
 
-    def __init__(self, plant: "ArmPlant") -> None:
-        """Read axes and poses off the plant's zero posture; the plant's context is left as it was."""
-        drake = plant.drake
+    def __init__(self, drake: Any, robot: Robot, positions: Positions) -> None:
+        """Read the joint axes and link poses at the zero posture from a finalized Drake plant.
+
+        Args:
+            drake: the MultibodyPlant.
+            robot: names of the arm's joints and of the TCP link.
+            positions: completes arm postures to positions of the whole plant.
+        """
         context = drake.CreateDefaultContext()
         drake.SetPositions(context, np.zeros(drake.num_positions()))
         joints = [drake.get_joint(index) for index in drake.GetJointIndices()]
@@ -71,7 +77,8 @@ class LinkChain:
         bodies = [drake.get_body(BodyIndex(i)) for i in range(drake.num_bodies())]
         names = [body.name() for body in bodies]
         home = {b.name(): np.asarray(b.EvalPoseInWorld(context).GetAsMatrix4()) for b in bodies}
-        self._plant = plant
+        self._positions = positions
+        self._tcp_link = robot.tcp_link
         self._joints: list[_Joint] = []
         self.stage = {drake.world_body().name(): 0}
         """Number of the motion that carries each link, 0 for those that never move."""
@@ -100,12 +107,12 @@ class LinkChain:
         self._carried = [drake.GetBodyByName(name) for name in first]
         self._to_zero = invert([home[name] for name in first])
         self._upstream = np.zeros((len(self._joints) + 1, N_JOINTS), dtype=bool)
-        arm = {name: j for j, name in enumerate(plant.robot.joints)}
+        arm = {name: j for j, name in enumerate(robot.joints)}
         for i, joint in enumerate(self._joints):
             self._upstream[i + 1] = self._upstream[joint.parent]
             if joint.name in arm:
                 self._upstream[i + 1, arm[joint.name]] = True
-        self._arm = [next(i for i, joint in enumerate(self._joints) if joint.name == n) for n in plant.robot.joints]
+        self._arm = [next(i for i, joint in enumerate(self._joints) if joint.name == n) for n in robot.joints]
 
     def motions(self, q: ArrayLike, finger_width_m: ArrayLike | None = None) -> Array:
         """Motions (N, stages, 4, 4) from the zero posture to postures `q` (N, 7) [rad], by stage; stage 0 stands still.
@@ -113,7 +120,7 @@ class LinkChain:
         A link's pose is `motions[:, stage[link]] @ home[link]`. The fingers are `finger_width_m` (N,) [m] apart, by
         default and where it is NaN as the plant has them.
         """
-        positions = self._plant.positions(q, finger_width_m)
+        positions = self._positions(q, finger_width_m)
         M = np.zeros((len(positions), len(self._joints) + 1, 4, 4))
         M[:, 0] = np.eye(4)
         steps = self._steps(positions[:, self._position])
@@ -127,12 +134,12 @@ class LinkChain:
         R = np.eye(3) + s * self._K + (1.0 - c) * (self._K @ self._K)
         return make_pose(R, self._point - (R @ self._point[..., None])[..., 0] + positions[..., None] * self._shift)
 
-    def current(self) -> Array:
-        """Motions (stages, 4, 4) of the one posture that the plant's context holds, asked of Drake: faster for one."""
+    def current(self, context: Any) -> Array:
+        """Return the motions (stages, 4, 4) of the one posture in a context of the Drake plant, computed by Drake."""
         M = np.empty((len(self._joints) + 1, 4, 4))
         M[0] = np.eye(4)
         for i, body in enumerate(self._carried):
-            M[i + 1] = body.EvalPoseInWorld(self._plant.context).GetAsMatrix4()
+            M[i + 1] = body.EvalPoseInWorld(context).GetAsMatrix4()
         M[1:] = M[1:] @ self._to_zero
         return M
 
@@ -157,7 +164,7 @@ class LinkChain:
     def jacobians(self, q: ArrayLike) -> Array:
         """Geometric Jacobians (N, 6, 7) of the TCP in B at `q` (N, 7) [rad], as `ArmPlant.jacobian` has them."""
         M = self.motions(q)
-        tcp = self._plant.robot.tcp_link
+        tcp = self._tcp_link
         p = (M[:, self.stage[tcp]] @ self.home[tcp])[:, None, :3, 3]
         axis, point = self.axes(M)
         J = np.concatenate([axis, np.cross(axis, p - point)], axis=-1)

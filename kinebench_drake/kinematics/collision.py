@@ -205,7 +205,7 @@ class CollisionModel:
         """
         width = None if finger_width_m is None or np.isnan(finger_width_m) else finger_width_m
         query = self._plant.query(q, width)
-        M = self._chain.current()
+        M = self._chain.current(self._plant.context)
         axis, point = (array[0] for array in self._chain.axes(M[None]))
         moment = _cross(point.T, axis.T).T
         found = []

@@ -82,7 +82,7 @@ class ArmPlant:
         self._held = np.clip(np.zeros(plant.num_positions()), low, high)
         self._held[self._fingers] = np.clip(finger_width_m / 2.0, *self._opening.T)
         self._positions = self._held.copy()
-        self.chain = LinkChain(self)
+        self.chain = LinkChain(plant, self.robot, self.positions)
         """Poses and Jacobians of many postures at once."""
         given = self.robot.allowed_pairs
         self.allowed_pairs = self._touching(0.5 * (self.lower + self.upper)) if given is None else given

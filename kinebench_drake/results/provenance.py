@@ -7,7 +7,6 @@ from functools import cache
 from importlib import metadata
 from pathlib import Path
 
-import kinebench_drake
 from kinebench_drake.types import Json
 
 _PACKAGES = ("numpy", "scipy", "drake", "open3d", "torch", "av", "mani_skill", "sapien")
@@ -17,7 +16,9 @@ _NOT_MEASURING = ("cli", "report", "suite_report")
 
 def versions() -> dict[str, Json]:
     """Versions of this package, of Python and of what the numbers depend on; None where not installed."""
-    found: dict[str, Json] = {"kinebench_drake": kinebench_drake.__version__, "python": platform.python_version()}
+    from kinebench_drake import __version__
+
+    found: dict[str, Json] = {"kinebench_drake": __version__, "python": platform.python_version()}
     for name in _PACKAGES:
         try:
             found[name] = metadata.version(name)
@@ -30,7 +31,7 @@ def versions() -> dict[str, Json]:
 def weights_hash() -> str:
     """SHA-256 over the networks' weights and calibrations that lie in the package."""
     digest = hashlib.sha256()
-    folder = Path(kinebench_drake.__file__).parent / "models" / "perception"
+    folder = Path(__file__).parents[1] / "models" / "perception"
     for file in sorted(p for p in folder.iterdir() if p.suffix in (".safetensors", ".json")):
         digest.update(file.name.encode() + b"\0")
         with file.open("rb") as data:
@@ -45,7 +46,7 @@ def code_hash() -> str:
     It stands for the code's version where results are recognised: changed code computes anew.
     """
     digest = hashlib.sha256()
-    top = Path(kinebench_drake.__file__).parent
+    top = Path(__file__).parents[1]
     files = []
     for root, folders, names in os.walk(top, followlinks=True):  # grounding, models and suites may be links
         if Path(root) == top:

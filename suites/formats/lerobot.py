@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from kinebench_drake.errors import SetupError
 from kinebench_drake.geometry import to_quaternion
 from kinebench_drake.io.atomic import atomic_path, disk_errors
+from kinebench_drake.io.camerafile import save_camera
 from kinebench_drake.io.container import join_videos, write_video
 from kinebench_drake.io.jsonl import write_arrays, write_json
 from kinebench_drake.suites.formats.demo import PARTS, Content, Demo, Record, Shots
@@ -144,7 +145,7 @@ class LeRobot:
         _write_tasks(folder / "meta" / "tasks.parquet", tasks)
         write_json(folder / "meta" / "stats.json", of_features(columns, {CAMERA: histograms}))
         write_json(folder / "meta" / "info.json", _info(shots, columns, len(tasks)))
-        shots.camera.save(folder / "meta" / "camera.json")
+        save_camera(shots.camera, folder / "meta" / "camera.json")
         return sorted(
             {folder / _DATA.format(**_numbers(place, "data")) for place in places}
             | {folder / _VIDEO.format(video_key=CAMERA, **_numbers(place, f"videos/{CAMERA}")) for place in places}

@@ -14,6 +14,7 @@ import numpy as np
 
 from kinebench_drake.errors import SetupError
 from kinebench_drake.io.atomic import disk_errors
+from kinebench_drake.io.camerafile import save_camera
 from kinebench_drake.io.container import write_video
 from kinebench_drake.io.jsonl import write_arrays, write_lines
 from kinebench_drake.suites.formats.demo import Content, Demo, Record, Shots
@@ -53,7 +54,7 @@ class VideoFolder:
 
     def finish(self, folder: Path, records: Sequence[Record], shots: Shots, about: dict[str, Any]) -> list[Path]:
         """Write metadata, manifest and camera."""
-        shots.camera.save(folder / "camera.json")
+        save_camera(shots.camera, folder / "camera.json")
         metadata, manifest = [], []
         for record in records:
             for k, name in enumerate(_names(record.task, record.id, record.clips)):

@@ -9,6 +9,7 @@ from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.errors import UsageError
 from kinebench_drake.geometry import invert
 from kinebench_drake.grounding.registration.arm_model import ArmModel
+from kinebench_drake.io.camerafile import save_camera
 from kinebench_drake.models.panda.robot import RobotPart
 from tests.calibration.robot import PerfectEye, postures
 
@@ -26,7 +27,7 @@ def folder(tmp_path, eye):
     frames[:, 0, 0, 0] = np.arange(T)
     np.save(tmp_path / "a.npy", frames)
     (tmp_path / "manifest.jsonl").write_text(json.dumps({"video": "a.npy", "task": "PullCube-v1"}) + "\n")
-    eye.camera.save(tmp_path / "camera.json")
+    save_camera(eye.camera, tmp_path / "camera.json")
     (tmp_path / "truth").mkdir()
     X_CH = invert(eye.camera.X_BC) @ eye.model.poses(eye.q)[:, RobotPart.HAND]
     np.savez(tmp_path / "truth" / "a.npz", q=eye.q, finger_width_m=np.full(T, 0.02), camera_from_hand=X_CH)

@@ -9,9 +9,9 @@ from kinebench_drake.calibration.correspondences import NetworkViewEstimator
 from kinebench_drake.calibration.fit import with_focal
 from kinebench_drake.calibration.overlay import part_map
 from kinebench_drake.calibration.result import CalibrationMethod
-from kinebench_drake.camera import Camera
 from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.geometry import invert, pose_difference, transform_points
+from kinebench_drake.io.camerafile import load_camera
 from kinebench_drake.models.panda.robot import RobotPart
 from tests.calibration.robot import PerfectEye, postures
 
@@ -51,7 +51,7 @@ def test_the_command_writes_a_camera_that_score_takes(program, video, eye, tmp_p
     joints = tmp_path / "joints.npz"
     code, told, err = program("calibrate", video, "--joints", joints, "--out", out, "--figure", figure, "--json")
     assert (code, err) == (0, "")
-    camera, figures = Camera.load(out), json.loads(told)
+    camera, figures = load_camera(out), json.loads(told)
     assert float(pose_difference(camera.X_BC, eye.camera.X_BC)[0]) < 0.02
     assert camera.fx == pytest.approx(400.0, rel=0.03)
     assert figures["camera"] == json.loads(out.read_text())
@@ -67,7 +67,7 @@ def test_a_given_focal_length_is_kept(program, video, tmp_path):
     assert code == 0
     assert "400.0 px, given" in told
     assert "4 frames" in told
-    assert Camera.load(out).fx == 400.0
+    assert load_camera(out).fx == 400.0
 
 
 @pytest.mark.parametrize(

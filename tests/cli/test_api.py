@@ -14,6 +14,7 @@ from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.cli import cli
 from kinebench_drake.errors import InputError, KinebenchError, UnmeasurableError, UsageError
 from kinebench_drake.geometry import make_pose
+from kinebench_drake.io.camerafile import save_camera
 from kinebench_drake.io.jsonl import finite
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.results.row import Status
@@ -104,7 +105,7 @@ def test_what_the_command_tells_on_the_screen_is_a_warning(program, tmp_path):
 def test_a_video_by_itself_has_the_track_of_the_command(program, film, tmp_path):
     path = film("videos/clip.mp4", side=128)
     film("videos/other.mp4", side=128)
-    benchmark_camera().resized(256, 256).save(tmp_path / "videos" / "camera.json")
+    save_camera(benchmark_camera().resized(256, 256), tmp_path / "videos" / "camera.json")
     assert program("ground", tmp_path / "videos", "--out", tmp_path / "out")[0] == 0
     written = read_track(tmp_path / "out" / "tracks" / "clip.npz").track
     frames = read_video(path).frames

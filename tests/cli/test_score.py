@@ -22,6 +22,7 @@ from kinebench_drake.evaluation.evaluator import KINEMATIC_METRICS, RunKind
 from kinebench_drake.evaluation.runner import NullObserver
 from kinebench_drake.evaluation.score import VISUAL_METRICS, score_videos
 from kinebench_drake.executors.base import ExecutorKind
+from kinebench_drake.io.camerafile import save_camera
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.results import store as results
 from kinebench_drake.results.metadata import Shard
@@ -152,7 +153,7 @@ def test_finished_samples_are_kept_and_only_as_long_as_nothing_changes(film, con
     assert grounded(frame_period_s=0.2, model="m") == 3
     assert grounded(frame_period_s=0.2, model="m", table_height_m=0.1) == 3
     assert grounded(frame_period_s=0.2, model="m") == 3
-    benchmark_camera().resized(192, 192).save(tmp_path / "videos" / "camera.json")
+    save_camera(benchmark_camera().resized(192, 192), tmp_path / "videos" / "camera.json")
     assert grounded(frame_period_s=0.2, model="m") == 3
     assert grounded(frame_period_s=0.2, model="m", overlay=True) == 2  # the unmeasurable one has no overlay
     (tmp_path / "out" / "tracks" / "c.npz").unlink()

@@ -13,6 +13,7 @@ from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.datasets.videos.find import find_samples
 from kinebench_drake.datasets.videos.sample import CameraSource
 from kinebench_drake.errors import InputError, UsageError
+from kinebench_drake.io.camerafile import save_camera
 from kinebench_drake.io.reader import read_video
 from tests.inputs.conftest import SIDE, frames_of, grey, levels, write_info, write_v3_episodes
 
@@ -82,8 +83,8 @@ def test_a_dataset_without_films_is_sent_to_audit(tmp_path):
 def test_the_datasets_camera_file_holds(lerobot):
     root = lerobot("v3.0")
     assert find_samples(root).samples[0].camera_source is CameraSource.BENCHMARK
-    benchmark_camera().resized(192, 192).save(root / "meta" / "camera.json")
-    benchmark_camera().resized(96, 96).save(root.parent / "camera.json")
+    save_camera(benchmark_camera().resized(192, 192), root / "meta" / "camera.json")
+    save_camera(benchmark_camera().resized(96, 96), root.parent / "camera.json")
     for source in (root, root.parent):
         sample = find_samples(source).samples[0]
         assert (sample.camera.width, sample.camera_source) == (192, CameraSource.FOLDER)

@@ -27,7 +27,7 @@ def test_jacobians_are_drakes(plant: ArmPlant, postures: np.ndarray) -> None:
 def test_motions_of_one_posture_are_drakes(plant: ArmPlant, postures: np.ndarray, width: float) -> None:
     chain = plant.chain
     plant.set_posture(postures[0], width)
-    np.testing.assert_allclose(chain.motions(postures[:1], [width])[0], chain.current(), atol=1e-13)
+    np.testing.assert_allclose(chain.motions(postures[:1], [width])[0], chain.current(plant.context), atol=1e-13)
 
 
 def test_fingers_part_by_their_width_and_no_farther_than_they_can(plant: ArmPlant, postures: np.ndarray) -> None:

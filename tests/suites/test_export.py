@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from kinebench_drake.camera import Camera, benchmark_camera
+from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.datasets.videos.find import find_samples
 from kinebench_drake.errors import SetupError, UsageError
 from kinebench_drake.executors.base import ExecutorKind, create_executor
 from kinebench_drake.io.atomic import write_atomically
+from kinebench_drake.io.camerafile import load_camera, save_camera
 from kinebench_drake.suites.episode import compose
 from kinebench_drake.suites.export import Export, export_suite
 from kinebench_drake.suites.simulator import Simulator
@@ -86,7 +87,7 @@ def test_the_manifest_is_one_for_score(exported: Path) -> None:
         assert sample.frame_period_s == 0.2
         assert sample.problem is None
         assert sample.prompt
-    assert Camera.load(exported / "camera.json").width == 96
+    assert load_camera(exported / "camera.json").width == 96
 
 
 @pytest.mark.sapien
@@ -109,4 +110,4 @@ def test_a_file_in_the_way_is_told_in_one_line(tmp_path: Path) -> None:
     with pytest.raises(SetupError, match="cannot write a"):
         write_atomically(tmp_path / "file" / "a.txt", b"")
     with pytest.raises(SetupError, match="cannot write camera"):
-        benchmark_camera().save(tmp_path / "file" / "camera.json")
+        save_camera(benchmark_camera(), tmp_path / "file" / "camera.json")

@@ -8,6 +8,7 @@ from pathlib import Path, PurePosixPath
 from kinebench_drake.camera import Camera
 from kinebench_drake.datasets.videos.sample import VideoSample, camera_of
 from kinebench_drake.errors import InputError
+from kinebench_drake.io.camerafile import load_camera
 from kinebench_drake.io.files import FRAME_SUFFIXES, reach
 
 CAMERA_NAME = "camera.json"
@@ -35,7 +36,7 @@ class CameraLookup:
         if folder not in self._known:
             file = folder / CAMERA_NAME
             if file.exists():
-                self._known[folder] = Camera.load(file, str(file))
+                self._known[folder] = load_camera(file, str(file))
             else:
                 within = folder != self._top and folder.is_relative_to(self._top)
                 self._known[folder] = self.of(folder.parent) if within else None
@@ -48,7 +49,7 @@ class CameraLookup:
             UsageError: it is unusable.
         """
         if file.is_file() and not (folder / CAMERA_NAME).exists():
-            self._known[folder] = Camera.load(file, str(file))
+            self._known[folder] = load_camera(file, str(file))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -34,6 +34,7 @@ from kinebench_drake.grounding.baseline.network import CONTEXT, PoseOutput, from
 from kinebench_drake.grounding.baseline.predictor import Baseline
 from kinebench_drake.grounding.baseline.train import BaselineConfig, losses, train
 from kinebench_drake.grounding.training.loop import Schedule
+from kinebench_drake.io.camerafile import save_camera
 
 FRAMES = 6
 SIZE = 64
@@ -49,7 +50,7 @@ def rotations(n: int, seed: int = 0) -> np.ndarray:
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out: Path = tmp_path_factory.mktemp("demos")
     (out / "truth").mkdir()
-    benchmark_camera().save(out / "camera.json")
+    save_camera(benchmark_camera(), out / "camera.json")
     lines = []
     for number, task in enumerate(("Often-v1", "Often-v1", "Often-v1", "Rare-v1")):
         name = f"{task}_{number}"

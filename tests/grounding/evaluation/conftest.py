@@ -13,6 +13,7 @@ from kinebench_drake.geometry import Array, make_pose, rotation_exp
 from kinebench_drake.grounding.evaluation.clip import TruthClip
 from kinebench_drake.grounding.evaluation.errors import ClipErrors, Expense, compare
 from kinebench_drake.grounding.pipeline import GroundingResult
+from kinebench_drake.io.camerafile import save_camera
 from kinebench_drake.io.container import write_video
 from kinebench_drake.types import Anomaly, GripperTrack, InitialStateUse
 
@@ -118,7 +119,7 @@ def folder(tmp_path: Path, clip: TruthClip, square: tuple[np.ndarray, np.ndarray
     """A folder of three clips of two tasks as the commands read it."""
     frames, masks = square
     (tmp_path / "truth").mkdir()
-    clip.camera.save(tmp_path / "camera.json")
+    save_camera(clip.camera, tmp_path / "camera.json")
     lines = []
     for id, task in (("A-v1_s0", "A-v1"), ("A-v1_s1", "A-v1"), ("B-v1_s0", "B-v1")):
         write_video(tmp_path / f"{id}.mp4", frames, 17.0)

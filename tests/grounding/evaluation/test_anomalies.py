@@ -19,6 +19,7 @@ from kinebench_drake.grounding.evaluation.anomaly_table import (
     table_json,
     table_lines,
 )
+from kinebench_drake.io.camerafile import save_camera
 from kinebench_drake.suites.faults.fault import GRADES
 from kinebench_drake.types import Anomaly, AnomalyKind
 
@@ -105,7 +106,7 @@ def test_the_figure_has_a_panel_a_kind():
 
 def folder(path, faults):
     (path / "truth").mkdir(parents=True)
-    benchmark_camera().save(path / "camera.json")
+    save_camera(benchmark_camera(), path / "camera.json")
     lines = [json.dumps({"video": f"{name}.mp4", "task": name[0]}) for name in faults]
     (path / "manifest.jsonl").write_text("\n".join(lines) + "\n")
     for name in faults:

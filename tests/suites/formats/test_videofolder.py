@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kinebench_drake.camera import Camera
 from kinebench_drake.datasets.videos.find import find_samples
+from kinebench_drake.io.camerafile import load_camera
 from kinebench_drake.suites.formats.demo import Demo
 from kinebench_drake.suites.formats.videofolder import VideoFolder
 from tests.suites.formats.records import doubled, record_of
@@ -34,7 +34,7 @@ def test_a_video_folder_names_each_clip_with_its_caption(demo: Demo, tmp_path: P
     assert sample.initial_state.finger_width_m == pytest.approx(0.08, abs=1e-6)
     [labelled] = find_samples(tmp_path).samples  # without the manifest, by the metadata
     assert (labelled.prompt, labelled.task, labelled.dataset_period_s) == (record.prompt, record.task, 0.2)
-    assert Camera.load(tmp_path / "camera.json").to_json() == demo.shots.camera.to_json()
+    assert load_camera(tmp_path / "camera.json").to_json() == demo.shots.camera.to_json()
 
 
 @pytest.mark.sapien

@@ -1,0 +1,36 @@
+"""camera.json: a `Camera` on disk."""
+
+import json
+from pathlib import Path
+
+from kinebench_drake.camera import Camera
+from kinebench_drake.errors import UsageError, cause
+from kinebench_drake.io.atomic import write_atomically
+from kinebench_drake.io.files import read_json
+
+
+def load_camera(path: Path, name: str | None = None) -> Camera:
+    """Read `camera.json`.
+
+    Args:
+        path: the file.
+        name: name of the file in messages; None takes the last part of the path.
+
+    Raises:
+        UsageError: the file cannot be read, is not JSON, or holds no camera.
+    """
+    name = name or path.name
+    try:
+        data = read_json(path)
+    except (OSError, ValueError) as error:
+        raise UsageError(f"{name}: cannot be read as JSON ({cause(error)})") from None
+    return Camera.from_json(data, name)
+
+
+def save_camera(camera: Camera, path: Path) -> None:
+    """Write `camera.json`.
+
+    Raises:
+        SetupError: writing failed.
+    """
+    write_atomically(path, (json.dumps(camera.to_json(), indent=1) + "\n").encode())
