@@ -1,12 +1,12 @@
 #!/usr/bin/env bash
-# Sets kinebench-drake up in this folder's .venv; safe to run again: what is there already is left as it is.
+# Installs kinebench-drake into .venv of this folder; safe to run again: existing installations are kept.
 #
 #   setup/install.sh              everything
-#   PYTHON=python3.12 setup/install.sh      with a Python of your choice (3.11 or 3.12)
-#   KINEBENCH_DRAKE_RENDER=cpu setup/install.sh     the software Vulkan driver too, although an NVIDIA driver is there
+#   PYTHON=python3.12 setup/install.sh      with a chosen Python (3.11 or 3.12)
+#   KINEBENCH_DRAKE_RENDER=cpu setup/install.sh     also the software Vulkan driver, despite an NVIDIA driver
 #
-# Everything lands below .venv. The one exception is named before it happens: where Debian's Python comes without
-# its venv module, that module is installed with apt-get (root or sudo).
+# Everything is installed below .venv, with one exception, which is announced: if Debian's Python lacks its venv module,
+# that module is installed with apt-get (root or sudo).
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 
@@ -36,7 +36,7 @@ find_python() {
     echo "$fallback"
 }
 
-install_venv_module() { # Debian and Ubuntu ship it as a package of its own
+install_venv_module() { # a separate package on Debian and Ubuntu
     local package as_root=
     package=$("$1" -c 'import sys; print("python%d.%d-venv" % sys.version_info[:2])')
     command -v apt-get >/dev/null || stop "$1 has no venv module and this system no apt-get; install Python's venv module."
@@ -62,28 +62,28 @@ make_venv() {
     [ -n "$python" ] || stop "no Python 3.11 or 3.12 found; install one (Debian 12, Ubuntu 24.04: apt-get install python3 python3-venv) or set PYTHON."
     "$python" -c 'import ensurepip, venv' 2>/dev/null || install_venv_module "$python"
     [ ! -e "$venv" ] || say "Emptying .venv, which has no working Python or pip"
-    say "Making .venv with $python ($("$python" -V))"
+    say "Creating .venv with $python ($("$python" -V))"
     "$python" -m venv --clear "$venv"
 }
 
 # --- Python packages ---------------------------------------------------------------------------------------------
 
-# What was installed, from what: when this is unchanged and the environment is sound, there is nothing to do.
+# Fingerprint of the installation's inputs: if it is unchanged and the environment is sound, there is nothing to do.
 packages_key() { { pwd && "$venv/bin/python" -V && cat pyproject.toml "$constraints" kinebench_drake/environment/cv2_shim.py; } | sha256sum; }
 
 install_packages() {
     local pip=("$venv/bin/python" -m pip --disable-pip-version-check) stamp=$venv/share/kinebench_drake/packages.sha256
-    [ -t 1 ] || pip+=(--quiet) # on a terminal pip's progress bars pass the time, in a log they are noise
+    [ -t 1 ] || pip+=(--quiet) # progress bars on a terminal only
     if [ "$(packages_key)" = "$(cat "$stamp" 2>/dev/null)" ] && "${pip[@]}" check >/dev/null 2>&1; then
         say "Python packages: as in $constraints, nothing to do"
         return
     fi
     say "Installing Python packages into .venv (about 4 GB; versions of $constraints)"
-    # First, so that sapien's wish for opencv-python is met without a second copy of cv2: stand_in.py says why.
-    work=$(mktemp -d "$venv/stand-in.XXXXXX")
+    # First, so that sapien's requirement of opencv-python brings no second copy of cv2 (see cv2_shim.py).
+    work=$(mktemp -d "$venv/cv2-shim.XXXXXX")
     trap 'rm -rf "$work"' EXIT
     "${pip[@]}" install -c "$constraints" "$("$venv/bin/python" -P kinebench_drake/environment/cv2_shim.py "$work")"
-    # By itself: beside other packages pip prefers the CUDA build and gigabytes of libraries, where a smaller one is at hand.
+    # Separately: together with other packages pip prefers the CUDA build, with gigabytes of libraries, to a smaller one.
     "${pip[@]}" install -c "$constraints" "$(grep '^torch==' "$constraints")"
     "${pip[@]}" install -c "$constraints" -e '.[dev,diffusers]'
     "$venv/bin/python" -m pip check

@@ -165,7 +165,7 @@ def test_importing_the_package_loads_nothing_heavy():
             "results.store",
             "evaluation.evaluator",
         ),
-        *("report", "results.merge", "cli.score", "cli.audit", "cli.run"),
+        *("report", "evaluation.merge", "cli.score", "cli.audit", "cli.run"),
         *("suites.start", "suites.worldmodels.factory"),
     ],
 )

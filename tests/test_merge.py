@@ -8,9 +8,9 @@ import pytest
 
 from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.evaluation.evaluator import RunKind
+from kinebench_drake.evaluation.merge import _copy, merge_folders
 from kinebench_drake.evaluation.runner import NullObserver, close_run, summarize
 from kinebench_drake.geometry import make_pose
-from kinebench_drake.results.merge import _copy, merge_folders
 from kinebench_drake.results.metadata import RunMetadata, read_metadata
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.results.store import ResultStore, artifact_path, read_rows

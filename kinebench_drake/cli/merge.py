@@ -34,6 +34,6 @@ def merge(ctx: click.Context, /, folders: tuple[Path, ...], out: Path) -> None:
     Shards must agree in everything but --shard, --jobs, --engine and --limit. The same command without --shard and with
     the merged folder as --out goes on from there: it does what is still absent.
     """
-    from kinebench_drake.results.merge import merge_folders
+    from kinebench_drake.evaluation.merge import merge_folders
 
     ctx.exit(run(lambda observer: merge_folders(folders, out, observer), out, MergeView()))

@@ -1,11 +1,12 @@
-"""A stand-in for `opencv-python`: a wheel with metadata and no code.
+"""Shim for `opencv-python`: a wheel with metadata and no code.
 
-SAPIEN asks for `opencv-python`, this project for `opencv-python-headless`; both own the module `cv2`, and whichever is
-copied last wins. The stand-in bears the first name and depends on the second: everybody's wish is met by one `cv2`.
+SAPIEN requires `opencv-python`, this project `opencv-python-headless`; both contain the module `cv2`, and the one
+installed last overwrites the other. The shim has the first name and depends on the second, so that one `cv2` satisfies
+both requirements.
 
-    python stand_in.py FOLDER      writes the wheel into the folder and prints its path
+    python cv2_shim.py FOLDER      writes the wheel into the folder and prints its path
 
-Needs nothing but Python: the set-up runs it before anything is installed.
+Uses the standard library only: setup/install.sh runs it before any package is installed.
 """
 
 import base64
@@ -16,14 +17,14 @@ from pathlib import Path
 
 NAME = "opencv-python"
 VERSION = "4.99.0"
-"""No index has this version."""
+"""Version that no package index has."""
 HEADLESS = "opencv-python-headless"
 
 _METADATA = f"""\
 Metadata-Version: 2.1
 Name: {NAME}
 Version: {VERSION}
-Summary: Stand-in that resolves {NAME} to {HEADLESS}
+Summary: Shim that resolves {NAME} to {HEADLESS}
 Requires-Dist: {HEADLESS}
 """
 _WHEEL = """\
@@ -35,15 +36,13 @@ Tag: py3-none-any
 
 
 def write_wheel(folder: Path) -> Path:
-    """Write the stand-in's wheel into a folder; the same bytes every time.
-
-    The layout is that of PyPA's binary distribution format.
+    """Write the wheel, in PyPA's binary distribution format, with the same bytes every time.
 
     Args:
-        folder: Where to; it exists.
+        folder: existing folder for the wheel.
 
     Returns:
-        The wheel's path.
+        Path of the wheel.
     """
     stem = f"{NAME.replace('-', '_')}-{VERSION}"
     info = f"{stem}.dist-info"

@@ -1,4 +1,4 @@
-"""What works on this machine, and how to mend what does not."""
+"""Checks of this machine: what works, and how to fix what does not."""
 
 import importlib.metadata
 import importlib.util
@@ -14,36 +14,36 @@ from kinebench_drake.environment import native
 
 FIX = "`kinebench-drake doctor --fix`"
 CLONE = "in a clone: delete .venv, run setup/install.sh"
-WEIGHTS = Path(__file__).parent / "models" / "perception"
+WEIGHTS = Path(__file__).parents[1] / "models" / "perception"
 CV2_OWNERS = ("opencv-python", "opencv-python-headless", "opencv-contrib-python", "opencv-contrib-python-headless")
 NATIVE_CHECKS = ("native libraries", "Drake", "Open3D", "Vulkan device")
-"""Names of the checks that fail where native libraries are missing or torn."""
+"""Names of the checks that fail if native libraries are missing or damaged."""
 CV2_CHECK = "cv2"
 PROBE_TIMEOUT_S = 120.0
 
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """One thing looked at."""
+    """Outcome of one check."""
 
     name: str
-    """What was looked at."""
+    """Subject of the check."""
     ok: bool
-    """Whether it works."""
-    found: str
-    """What was found: a version, a device, or the reason why it does not work."""
+    """True if it works."""
+    detail: str
+    """Version or device, or the reason why it does not work."""
     fix: str
-    """What to do when it does not work."""
+    """How to fix it if it does not work."""
 
 
 class _BrokenError(Exception):
-    """A check's finding when the thing looked at does not work."""
+    """Raised by a check whose subject does not work; the message is the detail."""
 
 
 def run_checks() -> list[Check]:
-    """Look at everything a run needs; takes some seconds, as the large libraries are loaded for real.
+    """Check everything that a run needs; takes some seconds, as the large libraries are really loaded.
 
-    Libraries that could crash are loaded in processes of their own.
+    Libraries that could crash are loaded in separate processes.
     """
     return [
         _check("Python", _python, f"make a virtual environment with Python 3.11 or 3.12 and install into it; {CLONE}"),
@@ -65,11 +65,11 @@ def run_checks() -> list[Check]:
 
 
 def render(checks: Sequence[Check]) -> str:
-    """The checks as lines of a table, each failure followed by its fix, a summary at the end."""
+    """Format the checks as a table, each failure followed by its fix, with a summary line."""
     width = max((len(check.name) for check in checks), default=0)
     lines = []
     for check in checks:
-        lines.append(f"{'ok' if check.ok else 'FAIL':<5} {check.name:<{width}}  {check.found}".rstrip())
+        lines.append(f"{'ok' if check.ok else 'FAIL':<5} {check.name:<{width}}  {check.detail}".rstrip())
         if not check.ok:
             lines.append(f"{'':<5} {'':<{width}}  fix: {check.fix}")
     failed = sum(not check.ok for check in checks)
@@ -77,10 +77,10 @@ def render(checks: Sequence[Check]) -> str:
     return "\n".join(lines)
 
 
-def _check(name: str, look: Callable[[], str], fix: str) -> Check:
+def _check(name: str, probe: Callable[[], str], fix: str) -> Check:
     try:
-        return Check(name, True, look(), fix)
-    except Exception as error:  # whatever is wrong with this machine is the finding
+        return Check(name, True, probe(), fix)
+    except Exception as error:  # any failure on this machine is a result
         return Check(name, False, _one_line(error), fix)
 
 
@@ -90,9 +90,9 @@ def _one_line(error: Exception) -> str:
 
 
 def _probe(code: str) -> str:
-    """Run code in a fresh interpreter; return its last line of output, or raise with the last line of its complaint."""
+    """Run code in a new interpreter; return its last line of output, or raise with the last line of its errors."""
     try:
-        # -P: a file in the current folder must not stand in for a library of the same name.
+        # -P: a file in the working directory must not shadow a library of the same name.
         command = [sys.executable, "-P", "-c", code]
         done = subprocess.run(command, capture_output=True, text=True, timeout=PROBE_TIMEOUT_S)
     except subprocess.TimeoutExpired as error:
@@ -116,17 +116,17 @@ def _python() -> str:
 
 
 def _native() -> str:
-    """The libraries unpacked beside the environment, each loaded."""
-    wrong = _probe("from kinebench_drake import native\nprint(native.damage())")
-    if wrong != "None":
-        raise _BrokenError(wrong)
+    """Load each library that was unpacked below the environment."""
+    damage = _probe("from kinebench_drake.environment import native\nprint(native.damage())")
+    if damage != "None":
+        raise _BrokenError(damage)
     wanted = native.ROOT / "wanted.txt"
     return f"unpacked: {', '.join(wanted.read_text().split())}" if wanted.is_file() else "none unpacked"
 
 
 def _drake() -> str:
     _probe(
-        "from kinebench_drake import native\n"
+        "from kinebench_drake.environment import native\n"
         "native.prepare_drake()\n"
         "from pydrake.multibody.plant import MultibodyPlant\n"
         "MultibodyPlant(0.0).Finalize()\n"
@@ -147,7 +147,7 @@ def _torch() -> str:
 
 def _open3d() -> str:
     return _probe(
-        "from kinebench_drake import native\n"
+        "from kinebench_drake.environment import native\n"
         "native.prepare_open3d()\n"
         "import open3d\n"
         "open3d.t.geometry.RaycastingScene()\n"
@@ -156,9 +156,9 @@ def _open3d() -> str:
 
 
 def _vulkan() -> str:
-    """Draw one picture: a device may be listed and yet fail when it is used."""
+    """Render one image: a device may be listed and yet fail when it is used."""
     return _probe(
-        "from kinebench_drake import native\n"
+        "from kinebench_drake.environment import native\n"
         "backend = native.prepare_vulkan()\n"
         "import sapien\n"
         "device = sapien.Device('cuda' if backend == 'gpu' else 'cpu')\n"
@@ -173,7 +173,7 @@ def _vulkan() -> str:
 
 
 def cv2_owners() -> list[str]:
-    """Names of the installed distributions that brought a `cv2`."""
+    """Return the names of the installed distributions that contain a module `cv2`."""
     owners = []
     for name in CV2_OWNERS:
         try:
@@ -186,7 +186,7 @@ def cv2_owners() -> list[str]:
 
 
 def _cv2() -> str:
-    """Two distributions that both own `cv2` overwrite each other's files: exactly one may, the one without a window."""
+    """Check that only opencv-python-headless owns `cv2`: two owners would overwrite each other's files."""
     owners = cv2_owners()
     if owners != ["opencv-python-headless"]:
         raise _BrokenError(f"cv2 comes from {' and '.join(owners) or 'nowhere'}, expected opencv-python-headless alone")
@@ -227,14 +227,14 @@ def _weights() -> str:
     files = sorted(WEIGHTS.glob("*.safetensors"))
     if not files:
         raise _BrokenError(f"no *.safetensors in {WEIGHTS}")
-    found = []
+    networks = []
     for file in files:
         try:
             parameters = sum(array.size for array in load_file(file).values())
-        except Exception as error:  # a torn file or a Git LFS pointer: safetensors has several errors for it
+        except Exception as error:  # safetensors raises various errors for a truncated file or a Git LFS pointer
             raise _BrokenError(f"{file.name} cannot be read ({_one_line(error)})") from error
-        found.append(f"{file.stem} ({parameters / 1e6:.1f} M parameters)")
-    return ", ".join(found)
+        networks.append(f"{file.stem} ({parameters / 1e6:.1f} M parameters)")
+    return ", ".join(networks)
 
 
 def _cache_folder() -> str:

@@ -1,8 +1,8 @@
-"""Native libraries that wheels expect from the system: found beside the environment when the system lacks them.
+"""Native libraries that wheels expect from the system, loaded from the environment if the system lacks them.
 
-The set-up script, native.sh beside this module, unpacks Debian packages (Mesa's software Vulkan driver, libusb, ...)
-under `sys.prefix`, without touching the system, and writes one list of libraries a purpose. The lists are loaded here,
-before the module that needs them: the dynamic linker then finds each by its name, without LD_LIBRARY_PATH or a restart.
+native.sh beside this module unpacks Debian packages (Mesa's software Vulkan driver, libusb, ...) below `sys.prefix`,
+without changing the system, and writes one list of libraries per purpose. This module loads the lists before the module
+that needs them: the dynamic linker then finds each library by name, without LD_LIBRARY_PATH or a restart.
 """
 
 import ctypes
@@ -16,10 +16,10 @@ from pathlib import Path
 from kinebench_drake.errors import SetupError
 
 ROOT = Path(sys.prefix) / "share" / "kinebench_drake" / "native"
-"""Where the set-up script unpacks libraries; `open3d.txt`, `vulkan.txt`, ... list what to load, as paths below it."""
+"""Folder of unpacked libraries; `open3d.txt`, `vulkan.txt`, ... list those to load, as paths relative to it."""
 
 RENDER_VARIABLE = "KINEBENCH_DRAKE_RENDER"
-"""Set to `cpu` to render with the software driver although an NVIDIA driver is installed."""
+"""Environment variable; `cpu` selects the software driver although an NVIDIA driver is installed."""
 
 _DRIVER_FOLDERS = (Path("/usr/share/vulkan/icd.d"), Path("/etc/vulkan/icd.d"))
 _NVIDIA_CONTROL = Path("/dev/nvidiactl")
@@ -27,13 +27,13 @@ _DRIVER_VARIABLES = ("VK_DRIVER_FILES", "VK_ICD_FILENAMES")
 
 
 def _listed(purpose: str) -> list[Path]:
-    """Libraries that the set-up script unpacked for a purpose; none where the system has them all."""
+    """Return the libraries that were unpacked for a purpose; empty if the system has them all."""
     listing = ROOT / f"{purpose}.txt"
     return [ROOT / line for line in listing.read_text().splitlines() if line] if listing.is_file() else []
 
 
 def _preload(purpose: str) -> None:
-    """Load the libraries of `ROOT/purpose.txt`, in whatever order their dependencies allow."""
+    """Load the libraries of `ROOT/purpose.txt`, in any order that their dependencies allow."""
     waiting = _listed(purpose)
     while waiting:
         failed, reason = [], ""
@@ -54,7 +54,7 @@ def _preload(purpose: str) -> None:
 def prepare_drake() -> None:
     """Make `import pydrake` work on a system without GLib.
 
-    The set-up script has this called whenever the environment's Python starts, so modules import pydrake as usual.
+    native.sh arranges that this is called whenever the environment's Python starts; modules import pydrake as usual.
 
     Raises:
         SetupError: an unpacked library cannot be loaded.
@@ -73,7 +73,7 @@ def prepare_open3d() -> None:
 
 
 def has_nvidia_vulkan() -> bool:
-    """Whether an NVIDIA Vulkan driver is installed with a device to drive."""
+    """Return whether an NVIDIA Vulkan driver and device are present."""
     return _NVIDIA_CONTROL.exists() and any(
         driver for folder in _DRIVER_FOLDERS for driver in folder.glob("*nvidia*.json")
     )
@@ -81,20 +81,20 @@ def has_nvidia_vulkan() -> bool:
 
 @cache
 def prepare_vulkan() -> str:
-    """Make SAPIEN render; call before importing sapien or mani_skill. Returns their render backend: "gpu" or "cpu".
+    """Select the Vulkan driver and return SAPIEN's render backend, "gpu" or "cpu"; call before importing sapien.
 
-    A driver named by the user (VK_DRIVER_FILES or VK_ICD_FILENAMES) goes before an NVIDIA driver, that before the
-    unpacked software driver (Mesa lavapipe), that before what else the system has.
+    Order of preference: a driver named by the user (VK_DRIVER_FILES or VK_ICD_FILENAMES), an NVIDIA driver, the
+    unpacked software driver (Mesa lavapipe), any other driver of the system.
 
     Raises:
         SetupError: an unpacked library cannot be loaded.
     """
     _preload("vulkan")
-    # The set-up's driver needs no newer loader than the one SAPIEN brings, so this says nothing that users must act on.
+    # The unpacked driver works with the Vulkan loader that SAPIEN ships, so users need not act on this warning.
     warnings.filterwarnings("ignore", message="Failed to find system libvulkan")
-    chosen = [os.environ[name] for name in _DRIVER_VARIABLES if os.environ.get(name)]
-    if chosen:
-        return "gpu" if "nvidia" in chosen[0] else "cpu"
+    drivers = [os.environ[name] for name in _DRIVER_VARIABLES if os.environ.get(name)]
+    if drivers:
+        return "gpu" if "nvidia" in drivers[0] else "cpu"
     if os.environ.get(RENDER_VARIABLE) != "cpu" and has_nvidia_vulkan():
         return "gpu"
     driver = ROOT / "lavapipe.json"
@@ -105,9 +105,9 @@ def prepare_vulkan() -> str:
 
 
 def damage() -> str | None:
-    """What is wrong with the unpacked libraries; None where they are whole or there are none. Loads them all.
+    """Return what is wrong with the unpacked libraries; None if they are intact or there are none. Loads them all.
 
-    A torn library can crash the process that loads it: ask in a process of its own.
+    A truncated library can crash the process that loads it: call this in a separate process.
     """
     if not ROOT.exists():
         return None
@@ -134,5 +134,5 @@ def damage() -> str | None:
 
 
 def allocator() -> Path | None:
-    """The unpacked tcmalloc, for LD_PRELOAD of a training process; None where the set-up script found none."""
+    """Return the unpacked tcmalloc, for LD_PRELOAD of a training process; None if there is none."""
     return next(iter(_listed("tcmalloc")), None)

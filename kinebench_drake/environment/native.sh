@@ -1,12 +1,12 @@
 #!/usr/bin/env bash
-# Unpacks native libraries that this system lacks below a Python environment: no root, and the system stays as it is.
+# Unpacks native libraries that this system lacks below a Python environment: no root, no change of the system.
 #
-#   native.sh PYTHON           for the environment of PYTHON (its sys.prefix); what is there already and whole is left
-#   native.sh PYTHON --anew    the same, but what was unpacked before is made again
-#   native.sh PYTHON --plan    only tells what --anew would change
+#   native.sh PYTHON           for the environment of PYTHON (its sys.prefix); intact libraries are kept
+#   native.sh PYTHON --anew    the same, but libraries unpacked before are replaced
+#   native.sh PYTHON --plan    prints what --anew would change
 #
-# `setup/install.sh` and `kinebench-drake doctor --fix` call it. KINEBENCH_DRAKE_RENDER=cpu: the software Vulkan driver
-# too, although an NVIDIA driver is there.
+# Called by `setup/install.sh` and `kinebench-drake doctor --fix`. KINEBENCH_DRAKE_RENDER=cpu: also unpack the software
+# Vulkan driver although there is an NVIDIA driver.
 set -euo pipefail
 
 mesa_minimum=24.3 # the first Mesa whose software driver has what SAPIEN asks for
@@ -17,8 +17,7 @@ stop() {
     exit 1
 }
 
-# The shared objects a purpose starts from; native.py, beside this script, preloads what they need, by purpose.
-# $driver is the unpacked Vulkan driver, if there is one.
+# The shared objects of a purpose, whose dependencies native.py preloads. $driver: the unpacked Vulkan driver, if any.
 roots() {
     case $1 in
     drake) ls "$site"/pydrake/lib/libdrake.so ;;
@@ -27,8 +26,8 @@ roots() {
     esac
 }
 
-# Names of libraries that the linker misses for the purposes given ($1: further folders to look in).
-# SAPIEN loads its own OpenImageDenoise before the linker asks for it.
+# Names of libraries that the linker does not find for some purposes ($1: further folders to search).
+# SAPIEN loads its own OpenImageDenoise.
 missing() {
     local folders=$1 purpose
     shift
@@ -37,7 +36,7 @@ missing() {
     done | awk '/not found/ && $1 !~ /^libOpenImageDenoise/ { print $1 }' | sort -u
 }
 
-package_of() { # Debian's names; a second one where Ubuntu 24.04 and Debian 13 renamed it
+package_of() { # Debian's package names; a second one if Ubuntu 24.04 and Debian 13 renamed it
     case $1 in
     libEGL.so.1) echo libegl1 ;;
     libGL.so.1) echo libgl1 ;;
@@ -56,7 +55,7 @@ package_of() { # Debian's names; a second one where Ubuntu 24.04 and Debian 13 r
 
 has_vulkan_driver() {
     if [ "${KINEBENCH_DRAKE_RENDER:-}" != cpu ] && "$python" -P -c \
-        'import sys; from kinebench_drake import native; sys.exit(not native.has_nvidia_vulkan())'; then
+        'import sys; from kinebench_drake.environment import native; sys.exit(not native.has_nvidia_vulkan())'; then
         say "Vulkan: NVIDIA's driver is installed and is used"
         return
     fi
@@ -70,7 +69,7 @@ has_vulkan_driver() {
     say "Vulkan: the system's Mesa $version is used"
 }
 
-# A file of apt's sources with a further suite from the mirrors that serve the first one.
+# Prints a file of apt sources with a further suite from the same mirrors.
 with_suite() { # $1: codename, $2: the further suite (may be empty), $3: file
     if [ -z "$2" ] || grep -q "$2" "$3"; then
         cat "$3"
@@ -81,8 +80,8 @@ with_suite() { # $1: codename, $2: the further suite (may be empty), $3: file
     fi
 }
 
-# A private apt: the machine's own sources (with its backports suite on Debian 12), lists and cache below $work.
-# It needs no root, and neither the system's package lists nor its packages change.
+# A private apt: the machine's sources (with the backports suite on Debian 12), lists and cache below $work.
+# Needs no root; the system's package lists and packages do not change.
 private_apt() {
     local file codename suite=
     codename=$(. /etc/os-release && echo "${VERSION_CODENAME:-}")
@@ -105,7 +104,7 @@ Acquire::Languages "none";
 #clear APT::Update::Post-Invoke-Success;
 #clear DPkg::Post-Invoke;
 CONF
-    # A source that fails is no reason to stop: what matters is whether the packages can be had, and that is asked next.
+    # A failing source is no reason to stop: whether the packages are available is checked next.
     apt-get -c "$work/apt.conf" -q update >"$work/update.log" 2>&1 || true
     if [ -n "$suite" ] && compgen -G "$work/lists/*${suite}*" >/dev/null; then
         echo "APT::Default-Release \"$suite\";" >>"$work/apt.conf"
@@ -130,7 +129,7 @@ fetch_libraries() { # $@: names that package_of knows
         elif [ "$name" != tcmalloc ]; then
             [ -n "$(package_of "$name")" ] || stop "no package is known for $name; install the library with your system's package manager and run this again."
             tail -n 3 "$work/update.log" >&2
-            stop "the package for $name cannot be had ($(package_of "$name")); is the network up and the distribution's archive in apt's sources?"
+            stop "the package for $name is not available ($(package_of "$name")); is the network up and the distribution's archive in apt's sources?"
         fi
     done
     apt-get -c "$work/apt.conf" -q -y --download-only --no-install-recommends install "${packages[@]}" >"$work/install.log" 2>&1 || {
@@ -143,7 +142,7 @@ fetch_libraries() { # $@: names that package_of knows
     done
 }
 
-# The libraries below the folder that the linker picks for a purpose, as paths below the folder.
+# Prints the libraries below the folder that the linker uses for a purpose, as relative paths.
 preload_list() { # $1: the folder, $2: library folders, rest: shared objects
     local folder=$1 folders=$2
     shift 2
@@ -151,19 +150,19 @@ preload_list() { # $1: the folder, $2: library folders, rest: shared objects
         sed -n "s#^$folder/##p" | sort -u
 }
 
-# What is wrong with what was unpacked before; empty where it is whole or there is nothing.
+# Prints what is wrong with the unpacked libraries; nothing if they are intact or there are none.
 damage() {
-    local said
+    local output
     [ -e "$native" ] || return 0
-    said=$("$python" -P -c 'import sys; from kinebench_drake import native; sys.exit(native.damage())' 2>&1) ||
-        tail -n 1 <<<"${said:-a library crashes the process that loads it}"
+    output=$("$python" -P -c 'import sys; from kinebench_drake.environment import native; sys.exit(native.damage())' 2>&1) ||
+        tail -n 1 <<<"${output:-a library crashes the process that loads it}"
 }
 
-lacks() { # $@: what is wanted. Whether something of it was not unpacked before.
+lacks() { # $@: wanted names; true if one of them was not unpacked before
     [ -n "$(printf '%s\n' "$@" | grep -vxF -f <(cat "$native/wanted.txt" 2>/dev/null || true))" ]
 }
 
-described() { # $@: names that package_of knows
+describe() { # $@: names that package_of knows
     local name packages
     for name; do
         packages=$(package_of "$name")
@@ -177,19 +176,19 @@ install_native() { # $1: --plan, --anew or nothing
     mapfile -t wanted < <(missing "" drake open3d vulkan)
     has_vulkan_driver || wanted+=(mesa)
     wrong=$(damage)
-    [ "$1" = "" ] || [ ! -e "$native" ] || wrong=${wrong:-it is to be made anew}
+    [ "$1" = "" ] || [ ! -e "$native" ] || wrong=${wrong:-replacement was requested}
     if ! lacks "${wanted[@]}" && [ -z "$wrong" ]; then
         say "Native libraries: all there, nothing to do"
         return
     fi
     if [ "${#wanted[@]}" != 0 ]; then
         command -v apt-get >/dev/null && command -v dpkg >/dev/null ||
-            stop "this system has no apt-get; install by its own means (mesa: Mesa's Vulkan drivers $mesa_minimum or newer): ${wanted[*]}"
-        wanted+=(tcmalloc) # makes training faster; nothing fails without it
+            stop "this system has no apt-get; install by other means (mesa: Mesa's Vulkan drivers $mesa_minimum or newer): ${wanted[*]}"
+        wanted+=(tcmalloc) # optional: makes training faster
     fi
     if [ "$1" = --plan ]; then
         [ -z "$wrong" ] || echo "delete $native"
-        described "${wanted[@]}"
+        describe "${wanted[@]}"
         return
     fi
     [ -z "$wrong" ] || say "Replacing $native ($wrong)"
@@ -202,7 +201,7 @@ install_native() { # $1: --plan, --anew or nothing
         say "Native libraries: the system has them all"
         return
     fi
-    say "Unpacking libraries that this system lacks below $native (${wanted[*]}); the system stays as it is"
+    say "Unpacking libraries that this system lacks below $native (${wanted[*]}); the system is not changed"
     fetch_libraries "${wanted[@]}"
 
     folders=$(find "$root" -name '*.so*' -path "*/x86_64-linux-gnu/*" -printf '%h\n' | grep 'x86_64-linux-gnu$' | sort -u | paste -sd:)
@@ -221,9 +220,9 @@ install_native() { # $1: --plan, --anew or nothing
     mkdir -p "$(dirname "$native")"
     rm -rf "$native" "$site/kinebench_drake_native.pth"
     mv "$root" "$native"
-    # Drake's modules are imported everywhere, so its list is loaded whenever this environment's Python starts.
+    # Many modules import Drake, so its list is loaded whenever this environment's Python starts.
     if [ -s "$native/drake.txt" ]; then
-        echo 'import importlib.util; importlib.util.find_spec("kinebench_drake") and __import__("kinebench_drake.environment.native").native.prepare_drake()' \
+        echo 'import importlib.util; importlib.util.find_spec("kinebench_drake") and __import__("kinebench_drake.environment.native").environment.native.prepare_drake()' \
             >"$site/kinebench_drake_native.pth"
     fi
 }
@@ -236,6 +235,6 @@ python=$1
 native=$prefix/share/kinebench_drake/native
 for package in pydrake open3d sapien; do
     [ -e "$site/$package" ] ||
-        stop "$site holds no $package; \`$python -m pip install kinebench-drake\` brings packages that are missing."
+        stop "$site holds no $package; \`$python -m pip install kinebench-drake\` brings missing packages."
 done
 install_native "${2:-}"

@@ -1,6 +1,6 @@
-"""What `kinebench-drake doctor --fix` mends: the native libraries and the clash over `cv2`.
+"""Repairs of `kinebench-drake doctor --fix`: native libraries and the conflict over `cv2`.
 
-Only the environment that this Python belongs to (`sys.prefix`) is changed, never the system or another environment.
+Only the environment of this Python (`sys.prefix`) is changed, never the system or another environment.
 """
 
 import importlib
@@ -14,61 +14,60 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 
-from kinebench_drake.environment import cv2_shim as stand_in
-from kinebench_drake.environment import doctor
+from kinebench_drake.environment import cv2_shim, doctor
 from kinebench_drake.errors import SetupError
 
 Say = Callable[[str], None]
-"""Takes a line for the user."""
+"""Prints a line for the user."""
 
 NATIVE_SCRIPT = Path(__file__).with_name("native.sh")
 _ELSEWHERE = ("PIP_TARGET", "PIP_PREFIX", "PIP_ROOT", "PIP_USER", "PIP_PYTHON")
-"""Settings that would have pip install into another place than this environment."""
+"""Environment variables that would make pip install outside this environment."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Repair:
-    """Something that can be mended."""
+    """One repair."""
 
     title: str
-    """What is mended, a line."""
+    """Subject of the repair, one line."""
     changes: Callable[[], list[str]]
-    """Tells what will change, a line each; changes nothing. Raises SetupError where it cannot be mended here."""
+    """Returns the planned changes, one line each, without making them. Raises SetupError if repair is impossible."""
     perform: Callable[[Say], None]
-    """Mends it; raises SetupError."""
+    """Makes the changes; raises SetupError."""
 
 
 def needed(checks: Sequence[doctor.Check]) -> list[Repair]:
-    """The repairs that failed checks call for, and the one that `pip check` would call for."""
+    """Return the repairs that failed checks need, and the one that `pip check` would ask for."""
     failed = {check.name for check in checks if not check.ok}
     repairs = []
     if failed.intersection(doctor.NATIVE_CHECKS):
-        repairs.append(Repair(title="Native libraries", changes=_native_changes, perform=_mend_native))
-    clash = doctor.CV2_CHECK in failed
-    if clash or _version(stand_in.NAME) is None:
+        repairs.append(Repair(title="Native libraries", changes=_native_changes, perform=_repair_native))
+    conflict = doctor.CV2_CHECK in failed
+    if conflict or _version(cv2_shim.NAME) is None:
         repairs.append(
             Repair(
                 title="cv2 from opencv-python-headless alone",
-                changes=lambda: _cv2_changes(clash),
-                perform=lambda say: _mend_cv2(clash, say),
+                changes=lambda: _cv2_changes(conflict),
+                perform=lambda say: _repair_cv2(conflict, say),
             )
         )
     return repairs
 
 
-def mend(checks: Sequence[doctor.Check], say: Say, *, dry_run: bool = False) -> bool:
-    """Announce what is needed, and do it; a repair that fails does not keep the others from being done.
+def repair_environment(checks: Sequence[doctor.Check], say: Say, *, dry_run: bool = False) -> bool:
+    """Announce the needed repairs and make them; a repair that fails does not stop the others.
 
     Args:
-        checks: What `doctor.run_checks()` found.
-        say: Takes the lines that tell what is going on.
-        dry_run: Announce only.
+        checks: results of `doctor.run_checks()`.
+        say: prints progress.
+        dry_run: announce only.
 
     Returns:
-        Whether something was changed.
+        True if something was changed.
 
     Raises:
-        SetupError: this Python belongs to no environment, or to one that cannot be written to; nothing was changed.
+        SetupError: this Python belongs to no environment, or to one that is not writable; nothing was changed.
     """
     repairs = needed(checks)
     if repairs:
@@ -83,14 +82,14 @@ def mend(checks: Sequence[doctor.Check], say: Say, *, dry_run: bool = False) -> 
                 changed = True
                 repair.perform(lambda line: say(f"    {line}"))
         except SetupError as error:
-            say(f"    not mended: {error}")
+            say(f"    not repaired: {error}")
     return changed
 
 
 def _require_environment() -> None:
-    """A virtual or conda environment that can be written to."""
+    """Raise SetupError unless this is a virtual or conda environment that is writable."""
     prefix = Path(sys.prefix)
-    conda = (prefix / "conda-meta").is_dir() and not (prefix / "condabin").is_dir()  # its base has the latter
+    conda = (prefix / "conda-meta").is_dir() and not (prefix / "condabin").is_dir()  # its base has both
     if sys.prefix == sys.base_prefix and not conda:
         raise SetupError(
             f"{prefix} is no virtual environment, and --fix changes no other Python; "
@@ -108,7 +107,7 @@ def _native_changes() -> list[str]:
     return lines
 
 
-def _mend_native(say: Say) -> None:
+def _repair_native(say: Say) -> None:
     _run(["bash", str(NATIVE_SCRIPT), sys.executable, "--anew"], say)
 
 
@@ -119,8 +118,8 @@ def _version(distribution: str) -> str | None:
         return None
 
 
-def _removed() -> list[str]:
-    """The distributions of this environment that brought a `cv2`; pip leaves those of other places alone."""
+def _removable() -> list[str]:
+    """Return the distributions in this environment that contain a `cv2`; pip leaves others alone."""
     return [
         name
         for name in doctor.cv2_owners()
@@ -130,46 +129,46 @@ def _removed() -> list[str]:
     ]
 
 
-def _cv2_changes(clash: bool) -> list[str]:
+def _cv2_changes(conflict: bool) -> list[str]:
     changes = []
-    if clash:
-        changes += [f"remove {name} {_version(name)}" for name in _removed()]
+    if conflict:
+        changes += [f"remove {name} {_version(name)}" for name in _removable()]
         changes.append(f"install {_headless()[0]}, downloaded before anything is removed")
-    if _needs_stand_in():
-        changes.append(f"install a stand-in for {stand_in.NAME} {stand_in.VERSION}: metadata, no code")
+    if _needs_shim():
+        changes.append(f"install a shim for {cv2_shim.NAME} {cv2_shim.VERSION}: metadata, no code")
     return changes
 
 
-def _needs_stand_in() -> bool:
-    return _version(stand_in.NAME) is None or stand_in.NAME in doctor.cv2_owners()
+def _needs_shim() -> bool:
+    return _version(cv2_shim.NAME) is None or cv2_shim.NAME in doctor.cv2_owners()
 
 
 def _headless() -> list[str]:
-    """What to ask pip for: the version that is here if it will do, else any that this package can use."""
+    """Return requirements for pip in order of preference: the installed version, then any compatible one."""
     required = next(
-        (line for line in importlib.metadata.requires("kinebench-drake") or [] if line.startswith(stand_in.HEADLESS)),
-        stand_in.HEADLESS,
+        (line for line in importlib.metadata.requires("kinebench-drake") or [] if line.startswith(cv2_shim.HEADLESS)),
+        cv2_shim.HEADLESS,
     )
-    version = _version(stand_in.HEADLESS)
+    version = _version(cv2_shim.HEADLESS)
     return [required] if version is None else [f"{required},=={version}", required]
 
 
-def _mend_cv2(clash: bool, say: Say) -> None:
+def _repair_cv2(conflict: bool, say: Say) -> None:
     if find_spec("pip") is None:
-        raise SetupError(f"this environment has no pip; `{sys.executable} -m ensurepip` brings it, then try again")
+        raise SetupError(f"this environment has no pip; `{sys.executable} -m ensurepip` installs it, then try again")
     with tempfile.TemporaryDirectory() as folder:
-        wheels = [str(stand_in.write_wheel(Path(folder)))] if _needs_stand_in() else []
-        if clash:
+        wheels = [str(cv2_shim.write_wheel(Path(folder)))] if _needs_shim() else []
+        if conflict:
             wheels.append(_download(_headless(), Path(folder), say))
-            removed = _removed()
-            if removed:
-                _run(_pip("uninstall", "--yes", *removed), say)
+            removable = _removable()
+            if removable:
+                _run(_pip("uninstall", "--yes", *removable), say)
         _run(_pip("install", "--no-index", "--no-deps", "--force-reinstall", *wheels), say)
     importlib.invalidate_caches()
 
 
 def _download(requirements: Sequence[str], folder: Path, say: Say) -> str:
-    """The wheel of the first requirement that pip can fetch."""
+    """Download the wheel of the first requirement that pip can fetch; return its path."""
     place = folder / "downloaded"
     for requirement in requirements:
         try:
@@ -179,7 +178,7 @@ def _download(requirements: Sequence[str], folder: Path, say: Say) -> str:
         else:
             return str(next(place.glob("*.whl")))
     raise SetupError(
-        f"{stand_in.HEADLESS} cannot be downloaded ({reason}), nothing was changed; "
+        f"{cv2_shim.HEADLESS} cannot be downloaded ({reason}), nothing was changed; "
         "is the network up and pip's index reachable? Then run `kinebench-drake doctor --fix` again"
     )
 
@@ -190,7 +189,7 @@ def _pip(command: str, *arguments: str) -> list[str]:
 
 
 def _run(command: Sequence[str], say: Say) -> None:
-    """Run a command that says what it does line by line; its last line is the reason where it fails."""
+    """Run a command and pass on its output line by line; if it fails, its last line is the reason."""
     environment = {name: value for name, value in os.environ.items() if name not in _ELSEWHERE}
     last = ""
     try:

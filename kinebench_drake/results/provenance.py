@@ -1,4 +1,4 @@
-"""What a result came from besides its inputs: versions, weights and the machine. Holds no clock time and no path."""
+"""Provenance of a result besides its inputs: package versions, weights, code and machine. No clock time, no path."""
 
 import hashlib
 import os
@@ -9,29 +9,47 @@ from pathlib import Path
 
 from kinebench_drake.types import Json
 
+_TOP = Path(__file__).parents[1]
 _PACKAGES = ("numpy", "scipy", "drake", "open3d", "torch", "av", "mani_skill", "sapien")
 
-_NOT_MEASURING = ("cli", "report", "suite_report")
+MEASURING = (
+    *("camera.py", "geometry.py", "segments.py", "types.py", "io/*.py", "datasets/**/*.py", "models/**/*.py"),
+    *("kinematics/*.py", "metrics/*.py", "grounding/*.py", "grounding/anomaly/*.py", "grounding/framing/*.py"),
+    *("grounding/overrides/*.py", "grounding/registration/*.py", "evaluation/*.py", "closed_loop/*.py"),
+    *("suites/*.py", "suites/assets/*.py", "suites/experts/*.py", "suites/faults/*.py", "suites/tasks/*.py"),
+    "suites/worldmodels/*.py",
+)
+"""Sources that shape a measurement, as patterns below the package: changed code invalidates stored rows."""
+NOT_MEASURING = (
+    # Imported by measuring code, but no number depends on them: storage, presentation, distribution of the work.
+    *("__init__.py", "errors.py", "plugin.py", "environment/*.py", "executors/*.py", "report/*.py", "results/*.py"),
+    *("evaluation/resume.py", "evaluation/runner.py", "evaluation/suite.py", "evaluation/thumbnail.py"),
+    *("io/atomic.py", "io/jsonl.py", "grounding/overlay.py"),
+    # In the folders of measuring code, but not used by it.
+    *("io/figure.py", "io/markdown.py", "evaluation/merge.py", "closed_loop/tolerance.py", "suites/contact_sheet.py"),
+    *("suites/demos.py", "suites/expert_check.py", "suites/order.py", "suites/selection.py", "suites/stills.py"),
+)
+"""Exceptions from `MEASURING`."""
 
 
 def versions() -> dict[str, Json]:
-    """Versions of this package, of Python and of what the numbers depend on; None where not installed."""
+    """Return the versions of this package, of Python and of numerical packages; None for those not installed."""
     from kinebench_drake import __version__
 
-    found: dict[str, Json] = {"kinebench_drake": __version__, "python": platform.python_version()}
+    result: dict[str, Json] = {"kinebench_drake": __version__, "python": platform.python_version()}
     for name in _PACKAGES:
         try:
-            found[name] = metadata.version(name)
+            result[name] = metadata.version(name)
         except metadata.PackageNotFoundError:
-            found[name] = None
-    return found
+            result[name] = None
+    return result
 
 
 @cache
 def weights_hash() -> str:
-    """SHA-256 over the networks' weights and calibrations that lie in the package."""
+    """Return the SHA-256 of the network weights and calibrations in the package."""
     digest = hashlib.sha256()
-    folder = Path(__file__).parents[1] / "models" / "perception"
+    folder = _TOP / "models" / "perception"
     for file in sorted(p for p in folder.iterdir() if p.suffix in (".safetensors", ".json")):
         digest.update(file.name.encode() + b"\0")
         with file.open("rb") as data:
@@ -39,26 +57,22 @@ def weights_hash() -> str:
     return digest.hexdigest()
 
 
+def sources(patterns: tuple[str, ...]) -> set[Path]:
+    """Return the files of the package that match one of the patterns."""
+    return {file for pattern in patterns for file in _TOP.glob(pattern)}
+
+
 @cache
 def code_hash() -> str:
-    """SHA-256 over the package's own sources, those of the command line and the reports left out.
-
-    It stands for the code's version where results are recognised: changed code computes anew.
-    """
+    """Return the SHA-256 of the sources that shape a measurement: a row with another hash is computed again."""
     digest = hashlib.sha256()
-    top = Path(__file__).parents[1]
-    files = []
-    for root, folders, names in os.walk(top, followlinks=True):  # grounding, models and suites may be links
-        if Path(root) == top:
-            folders[:] = [name for name in folders if name not in _NOT_MEASURING]
-        files += [Path(root) / name for name in names if name.endswith(".py")]
-    for file in sorted(files):
-        digest.update(file.relative_to(top).as_posix().encode() + b"\0" + file.read_bytes() + b"\0")
+    for file in sorted(sources(MEASURING) - sources(NOT_MEASURING)):
+        digest.update(file.relative_to(_TOP).as_posix().encode() + b"\0" + file.read_bytes() + b"\0")
     return digest.hexdigest()
 
 
 def host() -> dict[str, Json]:
-    """The machine in few words: system, processor, cores; nothing that names its owner."""
+    """Return a summary of the machine without its owner's names: system, architecture, processor, cores."""
     return {"system": platform.system(), "machine": platform.machine(), "cpu": _cpu(), "cores": os.cpu_count()}
 
 

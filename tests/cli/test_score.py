@@ -234,7 +234,7 @@ def test_changed_code_computes_anew(film, config, log, monkeypatch):
     score_videos(config())
     score_videos(config())
     assert len(log.read_text().splitlines()) == 1
-    monkeypatch.setattr(score, "VideoMeasure", partial(score.VideoMeasure, code="another version"))
+    monkeypatch.setattr(score, "VideoEvaluator", partial(score.VideoEvaluator, code="another version"))
     score_videos(config())
     assert len(log.read_text().splitlines()) == 2
 

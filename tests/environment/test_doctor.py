@@ -43,13 +43,13 @@ def test_a_raising_look_is_a_failed_check() -> None:
 )
 def test_probe_survives_what_its_process_does_not(code: str, reason: str) -> None:
     check = doctor._check("probe", lambda: doctor._probe(code), "")
-    assert (check.ok, check.found) == (False, reason)
+    assert (check.ok, check.detail) == (False, reason)
 
 
 def test_probe_gives_up(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(doctor, "PROBE_TIMEOUT_S", 0.2)
     check = doctor._check("probe", lambda: doctor._probe("import time; time.sleep(60)"), "")
-    assert (check.ok, "no answer" in check.found) == (False, True)
+    assert (check.ok, "no answer" in check.detail) == (False, True)
 
 
 def test_probe_ignores_files_of_the_current_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -83,10 +83,10 @@ def test_two_owners_of_cv2_are_a_clash(monkeypatch: pytest.MonkeyPatch) -> None:
     owned_by(monkeypatch, {"opencv-python": ["cv2/cv2.so"], "opencv-python-headless": ["cv2/cv2.so"]})
     check = doctor._check("cv2", doctor._cv2, "")
     assert not check.ok
-    assert "opencv-python and opencv-python-headless" in check.found
+    assert "opencv-python and opencv-python-headless" in check.detail
 
 
-def test_the_stand_in_owns_no_cv2(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_shim_owns_no_cv2(monkeypatch: pytest.MonkeyPatch) -> None:
     owned_by(
         monkeypatch, {"opencv-python": ["opencv_python.dist-info/RECORD"], "opencv-python-headless": ["cv2/cv2.so"]}
     )
@@ -110,7 +110,7 @@ def test_torn_weights_are_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path,
     (tmp_path / "net.safetensors").write_bytes(content)
     check = doctor._check("weights", doctor._weights, "")
     assert not check.ok
-    assert "net.safetensors cannot be read" in check.found
+    assert "net.safetensors cannot be read" in check.detail
 
 
 def test_missing_weights_fail(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -139,6 +139,6 @@ def test_cache_folder_is_the_one_that_is_used(monkeypatch: pytest.MonkeyPatch, t
 def test_everything_works_after_the_set_up() -> None:
     checks = doctor.run_checks()
     assert len({check.name for check in checks}) == len(checks) == 11
-    assert all(check.found and check.fix for check in checks)
-    failed = [f"{check.name}: {check.found}" for check in checks if not check.ok]
+    assert all(check.detail and check.fix for check in checks)
+    failed = [f"{check.name}: {check.detail}" for check in checks if not check.ok]
     assert failed == []

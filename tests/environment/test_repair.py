@@ -9,8 +9,7 @@ import pytest
 from click.testing import CliRunner
 
 from kinebench_drake.cli.doctor import doctor as command
-from kinebench_drake.environment import cv2_shim as stand_in
-from kinebench_drake.environment import doctor, repair
+from kinebench_drake.environment import cv2_shim, doctor, repair
 from kinebench_drake.environment.doctor import Check
 from kinebench_drake.errors import SetupError
 
@@ -51,11 +50,11 @@ def machine(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Machine:
 
 
 def owned(monkeypatch: pytest.MonkeyPatch, **versions: str) -> None:
-    """These distributions own a cv2 and lie in the environment; a stand-in alone owns none."""
+    """These distributions own a cv2 and lie in the environment; a shim alone owns none."""
     names = {name.replace("_", "-"): version for name, version in versions.items()}
     monkeypatch.setattr(repair, "_version", names.get)
-    monkeypatch.setattr(doctor, "cv2_owners", lambda: [n for n, v in names.items() if v != stand_in.VERSION])
-    monkeypatch.setattr(repair, "_removed", lambda: doctor.cv2_owners())
+    monkeypatch.setattr(doctor, "cv2_owners", lambda: [n for n, v in names.items() if v != cv2_shim.VERSION])
+    monkeypatch.setattr(repair, "_removable", lambda: doctor.cv2_owners())
 
 
 def checks(*failed: str) -> list[Check]:
@@ -65,11 +64,11 @@ def checks(*failed: str) -> list[Check]:
 
 def mend(*failed: str, dry_run: bool = False) -> tuple[bool, list[str]]:
     lines: list[str] = []
-    return repair.mend(checks(*failed), lines.append, dry_run=dry_run), lines
+    return repair.repair_environment(checks(*failed), lines.append, dry_run=dry_run), lines
 
 
 def test_nothing_failed_is_nothing_to_do(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
-    owned(monkeypatch, opencv_python=stand_in.VERSION, opencv_python_headless="5.0")
+    owned(monkeypatch, opencv_python=cv2_shim.VERSION, opencv_python_headless="5.0")
     assert mend("torch") == (False, [])
     assert machine.ran == []
 
@@ -78,7 +77,7 @@ def test_nothing_failed_is_nothing_to_do(machine: Machine, monkeypatch: pytest.M
 def test_failed_native_checks_have_the_libraries_made_anew(
     machine: Machine, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
-    owned(monkeypatch, opencv_python=stand_in.VERSION, opencv_python_headless="5.0")
+    owned(monkeypatch, opencv_python=cv2_shim.VERSION, opencv_python_headless="5.0")
     changed, lines = mend(name)
     assert changed
     assert lines == [f"==> Native libraries, in {sys.prefix}", "    unpack mesa"]
@@ -87,21 +86,21 @@ def test_failed_native_checks_have_the_libraries_made_anew(
     assert Path(script).is_file()
 
 
-def test_checks_that_native_sh_mends_exist(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_checks_that_native_sh_repairs_exist(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(doctor, "_check", lambda name, look, fix: Check(name, True, "", fix))
     names = {check.name: check.fix for check in doctor.run_checks()}
     assert {*doctor.NATIVE_CHECKS, doctor.CV2_CHECK} <= set(names)
     assert all("doctor --fix" in names[name] for name in (*doctor.NATIVE_CHECKS, doctor.CV2_CHECK))
 
 
-def test_the_clash_over_cv2_is_mended_from_what_was_downloaded_first(machine: Machine) -> None:
+def test_the_clash_over_cv2_is_repaired_from_what_was_downloaded_first(machine: Machine) -> None:
     changed, lines = mend("cv2")
     assert changed
     assert lines[1:] == [
         "    remove opencv-python 4.13",
         "    remove opencv-python-headless 5.0",
         "    install opencv-python-headless>=4.10,==5.0, downloaded before anything is removed",
-        "    install a stand-in for opencv-python 4.99.0: metadata, no code",
+        "    install a shim for opencv-python 4.99.0: metadata, no code",
     ]
     download, uninstall, install = machine.pip()
     assert download[0] == "download"
@@ -118,7 +117,7 @@ def test_a_version_that_cannot_be_had_gives_way_to_one_that_can(machine: Machine
     assert machine.pip()[-1][0] == "install"
 
 
-def test_without_network_nothing_is_removed(machine: Machine) -> None:
+def test_without_network_nothing_is_removable(machine: Machine) -> None:
     machine.fails = {"download": "Could not find a version"}
     _, lines = mend("cv2")
     assert {c[0] for c in machine.pip()} == {"download"}
@@ -126,7 +125,7 @@ def test_without_network_nothing_is_removed(machine: Machine) -> None:
     assert "network" in lines[-1]
 
 
-def test_a_stand_in_that_pip_check_misses_is_put_in_without_network(
+def test_a_shim_that_pip_check_misses_is_put_in_without_network(
     machine: Machine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     owned(monkeypatch, opencv_python_headless="5.0")
@@ -134,7 +133,7 @@ def test_a_stand_in_that_pip_check_misses_is_put_in_without_network(
         True,
         [
             f"==> cv2 from opencv-python-headless alone, in {sys.prefix}",
-            "    install a stand-in for opencv-python 4.99.0: metadata, no code",
+            "    install a shim for opencv-python 4.99.0: metadata, no code",
         ],
     )
     (install,) = machine.pip()
@@ -144,7 +143,7 @@ def test_a_stand_in_that_pip_check_misses_is_put_in_without_network(
 def test_an_environment_without_pip_is_told_how_to_get_it(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(repair, "find_spec", lambda name: None)
     _, lines = mend("cv2")
-    assert "-m ensurepip` brings it" in lines[-1]
+    assert "-m ensurepip` installs it" in lines[-1]
     assert machine.ran == []
 
 
@@ -156,10 +155,10 @@ def test_dry_run_changes_nothing(machine: Machine) -> None:
 
 
 def test_one_repair_that_fails_leaves_the_other(machine: Machine) -> None:
-    machine.fails = {"native.sh": "this system has no apt-get; install by its own means: mesa"}
+    machine.fails = {"native.sh": "this system has no apt-get; install by other means: mesa"}
     changed, lines = mend("Vulkan device", "cv2")
     assert changed
-    assert lines[1] == "    not mended: this system has no apt-get; install by its own means: mesa"
+    assert lines[1] == "    not repaired: this system has no apt-get; install by other means: mesa"
     assert machine.pip()[-1][0] == "install"
 
 
@@ -218,12 +217,12 @@ def test_distributions_of_other_places_are_left(monkeypatch: pytest.MonkeyPatch,
     monkeypatch.setattr(sys, "path", [str(tmp_path / "env"), str(tmp_path / "usr")])
     monkeypatch.setattr(sys, "prefix", str(tmp_path / "env"))
     assert doctor.cv2_owners() == ["opencv-python", "opencv-contrib-python"]
-    assert repair._removed() == ["opencv-contrib-python"]
+    assert repair._removable() == ["opencv-contrib-python"]
 
 
-def test_the_stand_in_is_a_wheel_that_pip_takes(tmp_path: Path) -> None:
+def test_the_shim_is_a_wheel_that_pip_accepts(tmp_path: Path) -> None:
     (tmp_path / "other").mkdir()
-    wheel, again = stand_in.write_wheel(tmp_path), stand_in.write_wheel(tmp_path / "other")
+    wheel, again = cv2_shim.write_wheel(tmp_path), cv2_shim.write_wheel(tmp_path / "other")
     assert wheel.read_bytes() == again.read_bytes()
     pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "-q", "install", "--no-index", "--no-deps"]
     subprocess.run([*pip, "--target", str(tmp_path / "site"), str(wheel)], check=True)

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from kinebench_drake.environment import cv2_shim as stand_in
+from kinebench_drake.environment import cv2_shim
 
-REPOSITORY = Path(__file__).parent.parent
+REPOSITORY = Path(__file__).parents[2]
 SCRIPT = REPOSITORY / "setup" / "install.sh"
 NATIVE = REPOSITORY / "kinebench_drake" / "environment" / "native.sh"
 
@@ -62,10 +62,10 @@ def test_pins_are_plain_versions() -> None:
     assert [name for name, version in versions.items() if not re.fullmatch(r"[0-9][0-9a-z.]*", version)] == []
 
 
-def test_the_pin_of_opencv_python_is_met_by_the_stand_in_alone() -> None:
-    """No index has the stand-in's version."""
-    assert pinned()["opencv-python"] == stand_in.VERSION == "4.99.0"
-    assert f"opencv-python=={stand_in.VERSION}" in (REPOSITORY / "setup" / "freeze.sh").read_text()
+def test_the_pin_of_opencv_python_is_met_by_the_shim_alone() -> None:
+    """No index has the shim's version."""
+    assert pinned()["opencv-python"] == cv2_shim.VERSION == "4.99.0"
+    assert f"opencv-python=={cv2_shim.VERSION}" in (REPOSITORY / "setup" / "freeze.sh").read_text()
 
 
 @pytest.mark.parametrize("script", [SCRIPT, NATIVE, REPOSITORY / "setup" / "freeze.sh", REPOSITORY / ".ci" / "run"])
@@ -175,7 +175,7 @@ def test_packages_are_downloaded_and_never_installed(tmp_path: Path) -> None:
     ("mesa", "names", "message"),
     [
         ("22.3.6-1", "mesa", "needs Mesa 24.3 or newer, this system's newest is 22.3.6-1"),
-        ("(none)", "mesa", "the package for mesa cannot be had"),
+        ("(none)", "mesa", "the package for mesa is not available"),
         ("25.0.7-2", "libnovel.so.7", "no package is known for libnovel.so.7"),
     ],
 )
@@ -278,7 +278,7 @@ def test_a_system_without_apt_is_told_what_to_install(tmp_path: Path) -> None:
     before = 'command() { [ "$2" != apt-get ] && builtin command "$@"; }'
     done = install_native(tmp_path, "libusb-1.0.so.0", "--plan", before)
     assert done.returncode == 1
-    assert done.stderr.startswith("setup: this system has no apt-get; install by its own means")
+    assert done.stderr.startswith("setup: this system has no apt-get; install by other means")
     assert done.stderr.endswith("libusb-1.0.so.0\n")
 
 

@@ -161,7 +161,8 @@ def test_listed_libraries_exist() -> None:
 
 
 def test_importing_native_loads_no_heavy_module() -> None:
-    code = "import sys, kinebench_drake.native; print({'torch', 'open3d', 'sapien', 'pydrake'} & set(sys.modules))"
+    heavy = "{'torch', 'open3d', 'sapien', 'pydrake'}"
+    code = f"import sys, kinebench_drake.environment.native; print({heavy} & set(sys.modules))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "set()"
 
@@ -169,7 +170,7 @@ def test_importing_native_loads_no_heavy_module() -> None:
 def test_wheels_find_their_libraries() -> None:
     """The modules load in a fresh process after their prepare function, in one process together."""
     code = (
-        "from kinebench_drake import native\n"
+        "from kinebench_drake.environment import native\n"
         "native.prepare_drake(), native.prepare_open3d(), native.prepare_vulkan()\n"
         "import pydrake.multibody.plant, open3d, sapien\n"
     )
