@@ -1,18 +1,84 @@
-"""Statistics: intervals of shares and means, and paired comparisons."""
+"""Statistics: intervals of shares and means, resampling, and paired comparisons."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from kinebench_drake.errors import InputError
+from kinebench_drake.geometry import Array
 
-_CONFIDENCE = 0.95
+CONFIDENCE = 0.95
+"""Level of every interval in results and reports."""
+PERCENTILES = (50.0 * (1.0 - CONFIDENCE), 50.0 * (1.0 + CONFIDENCE))
+"""Percentiles of a bootstrap distribution at the ends of its interval."""
+RESAMPLES = 2000
+_AT_ONCE = 2_000_000  # numbers drawn at a time: all at once would take 1 GB for 20,000 samples
+
+
+def wilson(hits: int, n: int, confidence: float = CONFIDENCE) -> tuple[float, float]:
+    """Return the ends of the score interval of the share hits / n (Wilson, JASA 22, 1927); (0, 1) for n = 0."""
+    if n == 0:
+        return 0.0, 1.0
+    from scipy.stats import binomtest
+
+    bounds = binomtest(hits, n).proportion_ci(confidence_level=confidence, method="wilson")
+    return float(bounds.low), float(bounds.high)
+
+
+def bootstrap_mean(values: Array, rng: np.random.Generator, resamples: int = RESAMPLES) -> tuple[float, float]:
+    """Return the ends of the percentile bootstrap interval of the mean of `values` (N,), N > 1 (Efron 1979)."""
+    from scipy.stats import bootstrap
+
+    result = bootstrap(
+        (values,),
+        np.mean,
+        n_resamples=resamples,
+        batch=max(1, _AT_ONCE // len(values)),
+        confidence_level=CONFIDENCE,
+        method="percentile",
+        rng=rng,
+    )
+    return float(result.confidence_interval.low), float(result.confidence_interval.high)
+
+
+def percentile_interval(draws: ArrayLike, percentiles: tuple[float, float] = PERCENTILES) -> tuple[float, float]:
+    """Return the ends of the percentile interval of a bootstrap distribution (Efron, Ann. Statist. 7, 1979).
+
+    Args:
+        draws: (D,) the statistic of each resample; those not finite are left out.
+        percentiles: of the draws, at the lower and upper end.
+
+    Returns:
+        NaN twice if no draw is finite.
+    """
+    values = np.asarray(draws, dtype=np.float64)
+    values = values[np.isfinite(values)]
+    low, high = np.percentile(values, percentiles) if values.size else (np.nan, np.nan)
+    return float(low), float(high)
+
+
+def resampled_indices(n: int, rng: np.random.Generator, resamples: int = RESAMPLES) -> Iterator[NDArray[np.int64]]:
+    """Yield resamples of n units with replacement, in parts (D, n) of bounded memory that do not change the draws."""
+    part = max(1, _AT_ONCE // max(n, 1))
+    for start in range(0, resamples, part):
+        yield rng.integers(n, size=(min(part, resamples - start), n))
+
+
+def resampled_means(values: Array, rng: np.random.Generator, resamples: int = RESAMPLES) -> Array:
+    """Return the means (resamples,) of resamples of `values` (N,) with replacement."""
+    return np.concatenate([values[drawn].mean(axis=1) for drawn in resampled_indices(len(values), rng, resamples)])
+
+
+def resampled_counts(n: int, rng: np.random.Generator, resamples: int = RESAMPLES) -> Array:
+    """Return how often each of n units occurs in each resample with replacement (resamples, n)."""
+    return rng.multinomial(n, np.full(n, 1.0 / n), size=resamples).astype(np.float64)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PairedOutcomes:
-    """How two groups of outcomes, episode by episode, compare."""
+    """Counts of episodes by the outcomes of two groups, such as two models on the same episodes."""
 
     both: int
     """Episodes in which both succeed."""
@@ -21,7 +87,7 @@ class PairedOutcomes:
     neither: int
 
     def __post_init__(self) -> None:
-        """Check that there is something to compare.
+        """Check the counts.
 
         Raises:
             InputError: there is no pair, or a count is negative.
@@ -31,10 +97,10 @@ class PairedOutcomes:
 
     @classmethod
     def of(cls, first: Sequence[bool], second: Sequence[bool]) -> "PairedOutcomes":
-        """Count outcomes of the same episodes in the same order.
+        """Count the outcomes of the same episodes in the same order.
 
         Raises:
-            InputError: they are not as many, or none.
+            InputError: the sequences differ in length, or are empty.
         """
         if len(first) != len(second):
             raise InputError(f"{len(first)} outcomes cannot be paired with {len(second)}")
@@ -48,36 +114,36 @@ class PairedOutcomes:
 
     @property
     def n(self) -> int:
-        """Episodes."""
+        """Number of episodes."""
         return self.both + self.first_only + self.second_only + self.neither
 
     @property
     def difference(self) -> float:
-        """Success rate of the first less that of the second."""
+        """Difference of the success rates, first minus second."""
         return (self.first_only - self.second_only) / self.n
 
     @property
     def p_value(self) -> float:
-        """Two-sided exact test of McNemar (Psychometrika 12, 1947): the discordant pairs are as likely either way."""
+        """Two-sided p-value of the exact test of McNemar (Psychometrika 12, 1947) on the discordant pairs."""
         from scipy.stats import binomtest
 
         discordant = self.first_only + self.second_only
         return float(binomtest(self.first_only, discordant).pvalue) if discordant else 1.0
 
     def interval(self) -> tuple[float, float]:
-        """95 % interval of the difference: method 10 of Newcombe (Statistics in Medicine 17, 1998, pp. 2635-2650).
+        """Return the 95 % interval of the difference: method 10 of Newcombe (Stat. Med. 17, 1998, pp. 2635-2650).
 
-        Wilson's intervals of both rates, put together with their correlation.
+        The Wilson intervals of both rates are combined with the correlation of the outcomes.
         """
         first, second = (self.both + self.first_only, self.both + self.second_only)
-        (p_1, l_1, u_1), (p_2, l_2, u_2) = (_wilson(hits, self.n) for hits in (first, second))
+        (p_1, l_1, u_1), (p_2, l_2, u_2) = ((hits / self.n, *wilson(hits, self.n)) for hits in (first, second))
         phi, d = self._correlation(), self.difference
         low = (p_1 - l_1) ** 2 - 2.0 * phi * (p_1 - l_1) * (u_2 - p_2) + (u_2 - p_2) ** 2
         high = (u_1 - p_1) ** 2 - 2.0 * phi * (u_1 - p_1) * (p_2 - l_2) + (p_2 - l_2) ** 2
         return max(-1.0, d - float(np.sqrt(max(low, 0.0)))), min(1.0, d + float(np.sqrt(max(high, 0.0))))
 
     def _correlation(self) -> float:
-        """Phi, with Newcombe's continuity correction where it is positive."""
+        """Return the phi coefficient, with Newcombe's continuity correction where it is positive."""
         a, b, c, d = self.both, self.first_only, self.second_only, self.neither
         product = (a + b) * (c + d) * (a + c) * (b + d)
         if product == 0:
@@ -85,11 +151,3 @@ class PairedOutcomes:
         determinant = a * d - b * c
         corrected = max(determinant - self.n / 2.0, 0.0) if determinant > 0 else float(determinant)
         return float(corrected / np.sqrt(product))
-
-
-def _wilson(hits: int, n: int) -> tuple[float, float, float]:
-    """A rate and the ends of Wilson's interval."""
-    from scipy.stats import binomtest
-
-    bounds = binomtest(hits, n).proportion_ci(confidence_level=_CONFIDENCE, method="wilson")
-    return hits / n, float(bounds.low), float(bounds.high)

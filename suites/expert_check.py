@@ -5,10 +5,10 @@ from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
-from scipy.stats import binomtest
 
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.executors.base import Executor, WorkerCrash
+from kinebench_drake.stats import wilson
 from kinebench_drake.suites.clock import CLIP_FRAMES, STEPS_PER_FRAME
 from kinebench_drake.suites.episode import Episode
 from kinebench_drake.suites.experts.registry import find_expert
@@ -117,7 +117,7 @@ class _MakeTrials:
 def task_lines(trials: Sequence[ExpertTrial]) -> list[str]:
     """What came of the trials of one task, to print: the rate, and for the expert each failure."""
     good, progress = sum(t.success for t in trials), sum(t.progress for t in trials) / len(trials)
-    low, high = interval(good, len(trials))
+    low, high = wilson(good, len(trials))
     rate = f"{good:4}/{len(trials)}  {low:6.1%} to {high:6.1%}"
     frames = max(t.frames for t in trials)
     failures = [t for t in trials if not t.success and t.policy is Policy.EXPERT]
@@ -125,9 +125,3 @@ def task_lines(trials: Sequence[ExpertTrial]) -> list[str]:
         f"{trials[0].episode.task:20} {rate}  progress {progress:.2f}  {frames} frames",
         *(f"    seed {t.episode.seed}: {t.reason} (progress {t.progress:.2f})" for t in failures),
     ]
-
-
-def interval(successes: int, trials: int) -> tuple[float, float]:
-    """95 % interval of a success rate (Wilson's, with scipy)."""
-    bounds = binomtest(successes, trials).proportion_ci(method="wilson")
-    return float(bounds.low), float(bounds.high)

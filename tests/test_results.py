@@ -257,7 +257,7 @@ def test_bootstrap_interval_covers_the_mean_about_as_often_as_it_says():
 def test_a_bootstrap_in_parts_gives_the_same_numbers_in_less_memory(monkeypatch):
     values = [float(v) for v in np.random.default_rng(1).normal(size=701)]
     whole = estimate(values, total=701, seed=4)
-    monkeypatch.setattr("kinebench_drake.results.aggregate._AT_ONCE", 10_000)
+    monkeypatch.setattr("kinebench_drake.stats._AT_ONCE", 10_000)
     tracemalloc.start()
     assert estimate(values, total=701, seed=4) == whole
     peak = tracemalloc.get_traced_memory()[1]

@@ -13,8 +13,8 @@ from kinebench_drake.grounding.baseline.dataset import Demonstration
 from kinebench_drake.grounding.baseline.predictor import Baseline
 from kinebench_drake.grounding.pipeline import GroundingPipeline
 from kinebench_drake.io.reader import read_video
+from kinebench_drake.stats import percentile_interval, resampled_indices
 
-CONFIDENCE = 0.95
 _RESAMPLES = 1000
 _TOLD = (50, 95)  # percentiles
 
@@ -141,10 +141,11 @@ def percentiles(videos: Sequence[Array], rng: np.random.Generator) -> tuple[Erro
         values = np.percentile(np.concatenate(known), _TOLD)
     if len(known) > 1:
         draws = [
-            np.percentile(np.concatenate([known[i] for i in rng.integers(len(known), size=len(known))]), _TOLD)
-            for _ in range(_RESAMPLES)
+            np.percentile(np.concatenate([known[i] for i in drawn]), _TOLD)
+            for part in resampled_indices(len(known), rng, _RESAMPLES)
+            for drawn in part
         ]
-        low, high = np.percentile(draws, [50 * (1 - CONFIDENCE), 50 * (1 + CONFIDENCE)], axis=0)
+        low, high = np.transpose([percentile_interval(column) for column in np.transpose(draws)])
     median, p95 = (
         ErrorFigure(value=float(v), low=float(a), high=float(b)) for v, a, b in zip(values, low, high, strict=True)
     )

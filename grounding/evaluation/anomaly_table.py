@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import brentq
-from scipy.stats import binomtest, norm, rankdata
+from scipy.stats import norm, rankdata
 
 from kinebench_drake.grounding.evaluation.anomalies import ClipAnomalies
 from kinebench_drake.io.figure import FAINT, POSITION, ROTATION, new_figure
+from kinebench_drake.stats import wilson
 from kinebench_drake.types import AnomalyKind
 
 if TYPE_CHECKING:
@@ -60,10 +61,7 @@ class Share:
     @property
     def interval(self) -> tuple[float, float]:
         """Its interval; anything of nothing."""
-        if not self.n:
-            return 0.0, 1.0
-        bounds = binomtest(self.hits, self.n).proportion_ci(method="wilson")
-        return float(bounds.low), float(bounds.high)
+        return wilson(self.hits, self.n)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.confidence import GOOD_M, GOOD_RAD
 from kinebench_drake.grounding.evaluation.errors import ClipErrors
+from kinebench_drake.stats import wilson
 
 BINS = 10
-_Z = 1.959964  # of a 95 % interval
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,7 +68,7 @@ def reliability(confidence: Array, good: NDArray[np.bool_]) -> Reliability:
         n = int(inside.sum())
         if n:
             share = float(good[inside].mean())
-            low, high = _wilson(share, n)
+            low, high = wilson(int(good[inside].sum()), n)
             mean = float(confidence[inside].mean())
             bins.append(
                 Bin(low=i / BINS, high=(i + 1) / BINS, frames=n, confidence=mean, good=share, good_low=low,
@@ -77,9 +77,3 @@ def reliability(confidence: Array, good: NDArray[np.bool_]) -> Reliability:
     total = sum(b.frames for b in bins)
     error = sum(b.frames * abs(b.confidence - b.good) for b in bins) / total if total else float("nan")
     return Reliability(bins=tuple(bins), error=error)
-
-
-def _wilson(share: float, n: int) -> tuple[float, float]:
-    middle = (share + _Z**2 / (2 * n)) / (1 + _Z**2 / n)
-    half = _Z / (1 + _Z**2 / n) * float(np.sqrt(share * (1 - share) / n + _Z**2 / (4 * n**2)))
-    return middle - half, middle + half

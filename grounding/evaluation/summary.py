@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.evaluation.errors import LASTING_FRAMES, ClipErrors
 from kinebench_drake.grounding.evaluation.reliability import judged_frames, reliability
+from kinebench_drake.stats import percentile_interval, resampled_indices
 from kinebench_drake.types import Anomaly, AnomalyKind
 
 
@@ -184,14 +185,12 @@ def intervals(
     The interval is NaN of fewer than two clips.
     """
     rng = np.random.default_rng(seed)
-    draws = rng.integers(len(results), size=(RESAMPLES if len(results) > 1 else 0, len(results)))
-    drawn = [[results[i] for i in draw] for draw in draws]
+    parts = resampled_indices(len(results), rng, RESAMPLES if len(results) > 1 else 0)
+    samples = [[results[i] for i in drawn] for part in parts for drawn in part]
     table = {}
     for name, statistic in statistics.items():
-        values = np.array([statistic(sample) for sample in drawn])
-        values = values[np.isfinite(values)]
-        low, high = np.percentile(values, [2.5, 97.5]) if values.size else (np.nan, np.nan)
-        table[name] = PercentileInterval(value=statistic(results), low=float(low), high=float(high))
+        low, high = percentile_interval([statistic(sample) for sample in samples], (2.5, 97.5))
+        table[name] = PercentileInterval(value=statistic(results), low=low, high=high)
     return table
 
 

@@ -19,9 +19,9 @@ from kinebench_drake.executors.base import Executor, WorkerCrash
 from kinebench_drake.geometry import Array, make_pose, rotation_exp
 from kinebench_drake.io.figure import new_figure
 from kinebench_drake.kinematics.plant import ArmPlant
+from kinebench_drake.stats import wilson
 from kinebench_drake.suites.clock import CLIP_FRAMES, FRAME_PERIOD_S
 from kinebench_drake.suites.episode import Episode
-from kinebench_drake.suites.expert_check import interval
 from kinebench_drake.suites.experts.registry import find_expert
 from kinebench_drake.suites.rollout import Rollout, rollout
 from kinebench_drake.suites.seeding import generator
@@ -225,7 +225,7 @@ def table_lines(attempts: Sequence[ToleranceAttempt]) -> Iterator[str]:
         for task in (*tasks_of(attempts), None):
             cells = [rate(attempts, grade, task) for grade in tried]
             yield f"{task or 'all':20}" + "".join(f"{good:>7}/{n:<3}" for good, n in cells)
-        bounds = [interval(*rate(attempts, grade)) for grade in tried]
+        bounds = [wilson(*rate(attempts, grade)) for grade in tried]
         yield f"{'95 % interval':20}" + "".join(f"{f'{low:.0%}-{high:.0%}':>11}" for low, high in bounds)
         yield ""
 

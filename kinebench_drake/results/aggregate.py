@@ -11,11 +11,9 @@ from numpy.typing import ArrayLike
 from kinebench_drake.errors import UsageError
 from kinebench_drake.geometry import Array
 from kinebench_drake.results.row import SampleRow, Status
+from kinebench_drake.stats import bootstrap_mean, wilson
 from kinebench_drake.types import Json
 
-CONFIDENCE = 0.95
-_RESAMPLES = 2000
-_AT_ONCE = 2_000_000  # numbers drawn at a time: all at once would take 1 GB for 20,000 samples
 _EXTRA = ("success", "progress", "rounds")
 
 
@@ -110,25 +108,11 @@ def estimate(values: Sequence[Json], *, total: int, seed: int = 0) -> Estimate:
     low: float | None = None
     high: float | None = None
     if all(isinstance(v, bool) for v in values if v is not None):
-        from scipy.stats import binomtest
-
-        interval = binomtest(round(sum(known)), n).proportion_ci(confidence_level=CONFIDENCE, method="wilson")
-        low, high = float(interval.low), float(interval.high)
+        low, high = wilson(round(sum(known)), n)
     elif n > 1 and min(known) == max(known):
         low = high = mean
     elif n > 1:
-        from scipy.stats import bootstrap
-
-        result = bootstrap(
-            (np.array(known),),
-            np.mean,
-            n_resamples=_RESAMPLES,
-            batch=max(1, _AT_ONCE // n),
-            confidence_level=CONFIDENCE,
-            method="percentile",
-            rng=np.random.default_rng(seed),
-        )
-        low, high = float(result.confidence_interval.low), float(result.confidence_interval.high)
+        low, high = bootstrap_mean(np.array(known), np.random.default_rng(seed))
     return Estimate(mean=mean, low=low, high=high, n=n, total=total)
 
 

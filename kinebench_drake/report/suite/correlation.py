@@ -8,9 +8,8 @@ from numpy.typing import NDArray
 
 from kinebench_drake.geometry import Array
 from kinebench_drake.report.suite.episode import EpisodePart, EpisodeResult, group
-from kinebench_drake.results.aggregate import CONFIDENCE
+from kinebench_drake.stats import percentile_interval, resampled_counts
 
-RESAMPLES = 2000
 LEAST_POINTS = 3
 """Two points are always in perfect order."""
 LEAST_TASKS = 2
@@ -70,11 +69,8 @@ class SparcStudy:
             return Correlation(rho=None, low=None, high=None, points=points, tasks=tasks)
         if tasks < LEAST_TASKS:
             return Correlation(rho=whole, low=None, high=None, points=points, tasks=tasks)
-        draws = np.random.default_rng(seed).multinomial(tasks, np.full(tasks, 1.0 / tasks), size=RESAMPLES)
-        found = _rho(x, y, draws.astype(np.float64))
-        tail = 50.0 * (1.0 - CONFIDENCE)
-        low, high = np.percentile(found[np.isfinite(found)], [tail, 100.0 - tail])
-        return Correlation(rho=whole, low=float(low), high=float(high), points=points, tasks=tasks)
+        low, high = percentile_interval(_rho(x, y, resampled_counts(tasks, np.random.default_rng(seed))))
+        return Correlation(rho=whole, low=low, high=high, points=points, tasks=tasks)
 
 
 def study_sparc(episodes: Sequence[EpisodeResult]) -> SparcStudy:

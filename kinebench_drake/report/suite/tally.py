@@ -7,10 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from kinebench_drake.report.suite.episode import EpisodeResult, group
-from kinebench_drake.results.aggregate import CONFIDENCE, Estimate, estimate
+from kinebench_drake.results.aggregate import Estimate, estimate
 from kinebench_drake.results.row import Status
-
-RESAMPLES = 2000
+from kinebench_drake.stats import percentile_interval, resampled_means
 
 
 def balanced(groups: Mapping[str, Sequence[float | None]], *, seed: int = 0) -> Estimate:
@@ -39,9 +38,7 @@ def balanced(groups: Mapping[str, Sequence[float | None]], *, seed: int = 0) -> 
     if min(map(len, known)) < 2:
         return nothing
     rng = np.random.default_rng(seed)
-    means = np.mean([v[rng.integers(len(v), size=(RESAMPLES, len(v)))].mean(axis=1) for v in known], axis=0)
-    tail = 50.0 * (1.0 - CONFIDENCE)
-    low, high = (float(v) for v in np.percentile(means, [tail, 100.0 - tail]))
+    low, high = percentile_interval(np.mean([resampled_means(v, rng) for v in known], axis=0))
     return nothing if high - low < 1e-12 else Estimate(mean=mean, low=low, high=high, n=n, total=total)
 
 
