@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike
 
 from kinebench_drake.errors import InputError, SetupError, UsageError
 from kinebench_drake.executors.base import Executor, WorkerCrash
+from kinebench_drake.executors.progress import Observer
 from kinebench_drake.io.atomic import disk_errors
 from kinebench_drake.io.jsonl import append_line, make_folder, read_lines, write_json, write_lines
 from kinebench_drake.suites.clip import film
@@ -35,7 +36,6 @@ from kinebench_drake.suites.simulator import Simulator
 from kinebench_drake.suites.simulator_cache import SimulatorCache, failure
 from kinebench_drake.suites.stills import take_stills
 from kinebench_drake.suites.suite import EpisodeSpec
-from kinebench_drake.suites.watcher import Watcher
 
 RECORDS, SUMMARY = "demos.jsonl", "demos.json"
 PATIENCE = 10
@@ -128,7 +128,7 @@ def _demo(stage: Simulator, performance: Rollout, shots: Shots, content: Content
     )
 
 
-def make_demos(order: DemoOrder, engine: Executor, watcher: Watcher, *, overwrite: bool = False) -> Delivery:
+def make_demos(order: DemoOrder, engine: Executor, observer: Observer, *, overwrite: bool = False) -> Delivery:
     """Make demonstrations, or go on making them where a run before was stopped.
 
     Raises:
@@ -146,7 +146,7 @@ def make_demos(order: DemoOrder, engine: Executor, watcher: Watcher, *, overwrit
             replaced = before.get("files", before.get("replaces", []))
             write_json(order.out / SUMMARY, {**order.request(), "replaces": replaced})
             write_lines(order.out / RECORDS, [asdict(record) for record in records.values()])
-            _produce(order, records, engine, watcher)
+            _produce(order, records, engine, observer)
             _finish(order, form, records)
         tried = _tried(order, records)
         made = Counter(record.task for record in tried if record.success)
@@ -280,10 +280,10 @@ def _tried(order: DemoOrder, records: Mapping[tuple[str, int], Record]) -> list[
     return [record for task in order.tasks for record in _tries(order, records, task)[0]]
 
 
-def _produce(order: DemoOrder, records: dict[tuple[str, int], Record], engine: Executor, watcher: Watcher) -> None:
+def _produce(order: DemoOrder, records: dict[tuple[str, int], Record], engine: Executor, observer: Observer) -> None:
     """Make attempts until each task has its demonstrations, or too many have failed."""
     kept = sum(record.success for record in _tried(order, records))
-    watcher.started(order.wanted() * len(order.tasks), kept)
+    observer.start(order.wanted() * len(order.tasks), kept)
     while todo := [draw for task in order.tasks for draw in _tries(order, records, task)[1]]:
         died = []
         for done in engine.run(_Experts(order.kind, order.shots, order.out), todo):
@@ -293,7 +293,7 @@ def _produce(order: DemoOrder, records: dict[tuple[str, int], Record], engine: E
             record = done.result
             append_line(order.out / RECORDS, asdict(record))
             records[record.task, record.seed] = record
-            watcher.advanced(f"{record.id}: {record.reason}" if record.reason else record.id, good=record.success)
+            observer.advance(f"{record.id}: {record.reason}" if record.reason else record.id, ok=record.success)
         if died:
             raise SetupError(f"{died[0]}; run the same command again, what is finished is kept")
 

@@ -11,6 +11,7 @@ from PIL import Image
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.errors import SetupError
 from kinebench_drake.executors.base import Executor, WorkerCrash
+from kinebench_drake.executors.progress import Observer
 from kinebench_drake.io.atomic import atomic_path
 from kinebench_drake.io.camerafile import save_camera
 from kinebench_drake.io.jsonl import make_folder, write_json, write_lines
@@ -23,7 +24,6 @@ from kinebench_drake.suites.start import first_facts
 from kinebench_drake.suites.suite import VERSION, EpisodeSpec, Suite
 from kinebench_drake.suites.tasks.card import TaskCard, TaskVariant
 from kinebench_drake.suites.tasks.registry import TASKS
-from kinebench_drake.suites.watcher import Watcher
 
 MANIFEST, EPISODES, CAMERA, SUMMARY = "manifest.jsonl", "episodes.jsonl", "camera.json", "suite.json"
 FPS = 17
@@ -93,7 +93,7 @@ class _Photographer:
         return photograph
 
 
-def export_suite(export: Export, engine: Executor, watcher: Watcher) -> int:
+def export_suite(export: Export, engine: Executor, observer: Observer) -> int:
     """Write first frames, manifest, camera and all that is known of the episodes; returns their number.
 
     The same arguments give the same bytes, whatever the engine.
@@ -104,13 +104,13 @@ def export_suite(export: Export, engine: Executor, watcher: Watcher) -> int:
     """
     draws = export.draws()
     make_folder(export.out)
-    watcher.started(len(draws), 0)
+    observer.start(len(draws), 0)
     made: dict[EpisodeSpec, _Photo] = {}
     for done in engine.run(_Photographer(export.size, export.out), draws):
         if isinstance(done, WorkerCrash):
             raise SetupError(f"{done.item.task} seed {done.item.seed}: {done.reason}; run the same command again")
         made[done.item] = done.result
-        watcher.advanced(done.result.episode.id)
+        observer.advance(done.result.episode.id)
     photos = [made[draw] for draw in draws]
     save_camera(benchmark_camera().resized(export.size, export.size), export.out / CAMERA)
     write_lines(export.out / MANIFEST, [_manifest_row(photo, export) for photo in photos])

@@ -9,7 +9,7 @@ import pytest
 from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.evaluation.evaluator import RunKind
 from kinebench_drake.evaluation.merge import _copy, merge_folders
-from kinebench_drake.evaluation.runner import NullObserver, close_run, summarize
+from kinebench_drake.evaluation.runner import NullRunObserver, close_run, summarize
 from kinebench_drake.geometry import make_pose
 from kinebench_drake.results.metadata import RunMetadata, read_metadata
 from kinebench_drake.results.row import SampleRow, Status
@@ -20,11 +20,11 @@ from kinebench_drake.types import GripperTrack
 IDS = ["a", "b", "b_r0", "c", "d", "e", "f"]
 
 
-class Ear(NullObserver):
+class Ear(NullRunObserver):
     def __init__(self):
         self.warnings = []
 
-    def warned(self, message):
+    def warn(self, message):
         self.warnings.append(message)
 
 

@@ -9,9 +9,9 @@ from typing import Any
 
 from kinebench_drake.errors import InputError, SetupError, UsageError
 from kinebench_drake.executors.base import Executor, WorkerCrash
+from kinebench_drake.executors.progress import Observer
 from kinebench_drake.grounding.evaluation.clip import TruthClipFile, choose, find_clips
 from kinebench_drake.grounding.evaluation.store import fingerprint
-from kinebench_drake.grounding.evaluation.trial import TrialObserver
 from kinebench_drake.grounding.evaluation.variants import VariantTools
 from kinebench_drake.grounding.pipeline import GroundingPipeline
 from kinebench_drake.io.atomic import disk_errors
@@ -186,7 +186,7 @@ def measure(
     cases: Sequence[tuple[TruthClipFile, PlantedCase | None]],
     weights: Path | None,
     engine: Executor,
-    watcher: TrialObserver,
+    observer: Observer,
     keep: Path | None,
 ) -> list[ClipAnomalies]:
     """Look at all clips; what stands in `keep` already is not looked at again.
@@ -199,7 +199,7 @@ def measure(
     keys = {clip.id: f"{base}-{clip.digest()}" for clip, _ in cases}
     done = {row["key"]: ClipAnomalies.from_json(row) for row in _rows(keep)}
     todo = [case for case in cases if keys[case[0].id] not in done]
-    watcher.started(len(cases), len(cases) - len(todo))
+    observer.start(len(cases), len(cases) - len(todo))
     for result in engine.run(AnomalyExaminer(weights), todo):
         if isinstance(result, WorkerCrash):
             raise SetupError(
@@ -208,7 +208,7 @@ def measure(
         findings = result.result
         done[keys[findings.id]] = findings
         _append(keep, {"key": keys[findings.id], **findings.to_json()})
-        watcher.advanced(findings.id)
+        observer.advance(findings.id)
     return [done[keys[clip.id]] for clip, _ in cases]
 
 

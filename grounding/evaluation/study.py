@@ -7,6 +7,7 @@ from typing import Any
 
 from kinebench_drake.errors import UsageError
 from kinebench_drake.executors.base import Executor
+from kinebench_drake.executors.progress import Observer
 from kinebench_drake.grounding.evaluation.clip import TruthClipFile, choose, find_clips
 from kinebench_drake.grounding.evaluation.degradation import Degradation
 from kinebench_drake.grounding.evaluation.errors import ClipErrors
@@ -19,7 +20,6 @@ from kinebench_drake.grounding.evaluation.trial import (
     GroundingTrial,
     MakeWorker,
     TrialCondition,
-    TrialObserver,
     TrialRunner,
     run,
 )
@@ -174,7 +174,7 @@ def carry_out(
     study: GroundingStudy,
     plan: StudyPlan,
     engine: Executor,
-    watcher: TrialObserver,
+    observer: Observer,
     make_worker: MakeWorker | None = None,
 ) -> StudyOutcome:
     """Measure all clips under all conditions, going on where a run before was stopped.
@@ -188,5 +188,5 @@ def carry_out(
         raise UsageError("there is nothing to compare; name at least one condition")
     trials = [GroundingTrial(clip=clip, condition=condition) for clip in clips for condition in study.conditions]
     workshop = TrialRunner(weights=plan.weights, seed=plan.seed, with_depth=study.needs_depth)
-    results = run(trials, workshop, engine, TrialStore(plan.keep), watcher, make_worker)
+    results = run(trials, workshop, engine, TrialStore(plan.keep), observer, make_worker)
     return StudyOutcome(study=study, results=dict(results), figures=compared(results, plan.seed))

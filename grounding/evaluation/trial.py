@@ -3,13 +3,13 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.errors import SetupError
 from kinebench_drake.executors.base import Executor, WorkerCrash
+from kinebench_drake.executors.progress import Observer
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.evaluation.clip import TruthClip, TruthClipFile
 from kinebench_drake.grounding.evaluation.degradation import Degradation
@@ -48,18 +48,6 @@ class GroundingTrial:
 
     clip: TruthClipFile
     condition: TrialCondition
-
-
-class TrialObserver(Protocol):
-    """Who is told how things go."""
-
-    def started(self, total: int, kept: int) -> None:
-        """So many trials are to be made, of which so many are there already."""
-        ...
-
-    def advanced(self, line: str) -> None:
-        """One more is made."""
-        ...
 
 
 MakeWorker = Callable[[], Callable[[GroundingTrial], ClipErrors]]
@@ -138,7 +126,7 @@ def run(
     workshop: TrialRunner,
     engine: Executor,
     store: TrialStore,
-    watcher: TrialObserver,
+    observer: Observer,
     make_worker: MakeWorker | None = None,
 ) -> Mapping[str, list[ClipErrors]]:
     """Measure what is not in the store yet; the results of each condition, in the order of the trials.
@@ -152,7 +140,7 @@ def run(
     conditions = {t.condition: _told(t.condition) for t in trials}
     keys = {_name(t): f"{base}-{digests[t.clip.id]}-{t.clip.id}-{conditions[t.condition]}" for t in trials}
     todo = [t for t in trials if keys[_name(t)] not in store]
-    watcher.started(len(trials), len(trials) - len(todo))
+    observer.start(len(trials), len(trials) - len(todo))
     for done in engine.run(make_worker or workshop, sorted(todo, key=lambda t: t.clip.id)):
         if isinstance(done, WorkerCrash):
             raise SetupError(
@@ -160,7 +148,7 @@ def run(
                 "finished is kept"
             )
         store.put(keys[_name(done.item)], done.result)
-        watcher.advanced(f"{done.item.clip.id}  {done.item.condition.name}")
+        observer.advance(f"{done.item.clip.id}  {done.item.condition.name}")
     results: dict[str, list[ClipErrors]] = {}
     for trial in trials:
         results.setdefault(trial.condition.name, []).append(store[keys[_name(trial)]])

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TypeAlias, TypeVar
 
 from kinebench_drake.errors import UsageError
-from kinebench_drake.evaluation.runner import NullObserver
+from kinebench_drake.evaluation.runner import NullRunObserver
 
 PathName: TypeAlias = str | PathLike[str]
 Member = TypeVar("Member", bound=Enum)
@@ -47,9 +47,9 @@ def warn(*messages: str) -> None:
         warnings.warn(message, stacklevel=3)
 
 
-class Warner(NullObserver):
-    """An `Observer` that turns what the user should know into Python warnings."""
+class Warner(NullRunObserver):
+    """An `RunObserver` that turns what the user should know into Python warnings."""
 
-    def warned(self, message: str) -> None:
+    def warn(self, message: str) -> None:
         """Warn, as of whoever called the function of the interface."""
         warnings.warn(message, stacklevel=4)

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from kinebench_drake.api.arguments import PathName, Warner, member_of, path_of
 from kinebench_drake.evaluation import score
-from kinebench_drake.evaluation.runner import Observer, RunSummary
+from kinebench_drake.evaluation.runner import RunObserver, RunSummary
 from kinebench_drake.executors.base import ExecutorKind
 from kinebench_drake.results.metadata import Shard
 
@@ -34,7 +34,7 @@ def score_videos(
     address: str | None = None,
     overwrite: bool = False,
     seed: int = 0,
-    observer: Observer | None = None,
+    observer: RunObserver | None = None,
 ) -> RunSummary:
     """Score videos as `kinebench-drake score` does: tracks, kinematic metrics, verdicts, a report.
 
@@ -64,7 +64,7 @@ def score_videos(
         address: of the Ray cluster.
         overwrite: start anew instead of keeping finished rows.
         seed: of the intervals' resampling.
-        observer: told of warnings and progress; None: warnings are Python warnings.
+        observer: receiver of warnings and progress; None: warnings are Python warnings.
 
     Returns:
         All rows of the output folder by id, counts of their statuses, the share that is feasible, the report's path.
@@ -131,7 +131,7 @@ def run_suite(
     address: str | None = None,
     overwrite: bool = False,
     seed: int = 0,
-    observer: Observer | None = None,
+    observer: RunObserver | None = None,
 ) -> RunSummary:
     """Run a world model on a suite in closed loop, as `kinebench-drake suite run` does.
 

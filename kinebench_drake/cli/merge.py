@@ -9,11 +9,11 @@ from kinebench_drake.results.row import SampleRow
 
 
 class MergeView(ProgressView):
-    """Progress of a merge: samples are counted, not told one by one."""
+    """Progress of a merge: samples are counted, not printed."""
 
-    def finished(self, row: SampleRow, wall_s: float) -> None:
+    def finish(self, row: SampleRow, wall_s: float) -> None:
         """Count the sample."""
-        self._advance()
+        self._count()
 
 
 @click.command(
@@ -36,4 +36,4 @@ def merge(ctx: click.Context, /, folders: tuple[Path, ...], out: Path) -> None:
     """
     from kinebench_drake.evaluation.merge import merge_folders
 
-    ctx.exit(run(lambda observer: merge_folders(folders, out, observer), out, MergeView()))
+    ctx.exit(run(lambda observer: merge_folders(folders, out, observer), out, MergeView("samples")))

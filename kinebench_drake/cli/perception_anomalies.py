@@ -39,7 +39,7 @@ def anomalies(
 
     CLEAN is what `suite demos` writes, FAULTY what `python -m benchmarks.planted_videos` writes.
     """
-    from kinebench_drake.cli.run import EpisodeView
+    from kinebench_drake.cli.run import ProgressView
     from kinebench_drake.executors.base import ExecutorKind, create_executor
     from kinebench_drake.grounding.evaluation.anomalies import find_cases, measure
     from kinebench_drake.grounding.evaluation.anomaly_table import table_json, table_lines
@@ -47,7 +47,7 @@ def anomalies(
     check_figure(figure)
     cases = find_cases(clean, faulty, limit)
     keep = json_out.with_suffix(".clips.jsonl") if json_out else None
-    with EpisodeView("videos") as view:
+    with ProgressView("videos") as view:
         findings = measure(cases, weights, create_executor(ExecutorKind.LOCAL, jobs), view, keep)
     for line in table_lines(findings):
         click.echo(line)

@@ -49,7 +49,7 @@ class Measuring:
 
     def carry_out(self, study: "GroundingStudy") -> "StudyOutcome":
         """Measure a study, telling of the progress."""
-        from kinebench_drake.cli.run import EpisodeView
+        from kinebench_drake.cli.run import ProgressView
         from kinebench_drake.executors.base import ExecutorKind, create_executor
         from kinebench_drake.grounding.evaluation import study as studies
 
@@ -57,7 +57,7 @@ class Measuring:
         if keep and self.overwrite:
             keep.unlink(missing_ok=True)
         plan = studies.StudyPlan(folder=self.folder, weights=self.weights, limit=self.limit, seed=self.seed, keep=keep)
-        with EpisodeView("measurements") as view:
+        with ProgressView("measurements") as view:
             return studies.carry_out(study, plan, create_executor(ExecutorKind.LOCAL, self.jobs), view)
 
     def compare(self, study: "GroundingStudy") -> "StudyOutcome":

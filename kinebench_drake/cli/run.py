@@ -14,25 +14,31 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.text import Text
 
 from kinebench_drake.errors import one_line
-from kinebench_drake.evaluation.runner import Observer, RunSummary
+from kinebench_drake.evaluation.runner import RunObserver, RunSummary
 from kinebench_drake.results.row import SampleRow, Status
 
 _STYLES = {Status.OK: "green", Status.UNMEASURABLE: "yellow", Status.ERROR: "red"}
 
 
-class _View:
-    """A bar on a terminal, or nothing, and lines above it. Use as a context."""
+class ProgressView:
+    """Observer that shows a progress bar on a terminal and log lines elsewhere, on standard error. Use as a context."""
 
-    def __init__(self, what: str) -> None:
+    def __init__(self, unit: str = "episodes") -> None:
+        """Prepare the display.
+
+        Args:
+            unit: what is counted, in the plural.
+        """
         self.total = 0
-        """Things to be done in all."""
-        self.done = 0
-        """Things done, those kept from before included."""
+        """Items in all."""
+        self.completed = 0
+        """Items completed, by this run or an earlier one."""
+        self._unit = unit
         self._bar: Progress | None = None
         if sys.stderr.isatty():
             columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
             self._bar = Progress(*columns, console=Console(stderr=True))
-            self._task = self._bar.add_task(what, total=None)
+            self._task = self._bar.add_task(unit, total=None)
 
     def __enter__(self) -> Self:
         if self._bar:
@@ -45,76 +51,57 @@ class _View:
         if self._bar:
             self._bar.stop()
 
-    def _begin(self, total: int, kept: int, what: str) -> None:
-        self.total, self.done = total, kept
-        if kept:
-            self._say(Text(f"{kept} of {total} {what} are finished already and kept"))
-        if self._bar:
-            self._bar.update(self._task, total=total, completed=kept)
+    def warn(self, message: str) -> None:
+        """Print a warning."""
+        self._print(f"warning: {message}", "yellow")
 
-    def _advance(self) -> None:
-        self.done += 1
+    def start(self, total: int, completed: int) -> None:
+        """Set the length of the bar."""
+        self.total, self.completed = total, completed
+        if completed:
+            self._print(f"{completed} of {total} {self._unit} are finished already and kept")
         if self._bar:
-            self._bar.update(self._task, completed=self.done)
+            self._bar.update(self._task, total=total, completed=completed)
 
-    def _say(self, text: Text) -> None:
+    def advance(self, line: str, *, ok: bool = True) -> None:
+        """Count and print an item; on a terminal only print those that are not ok, which never count."""
+        if ok:
+            self._count()
+        if self._bar is None or not ok:
+            self._print(f"[{self.completed}/{self.total}] {line}", "" if ok else "yellow")
+
+    def finish(self, row: SampleRow, wall_s: float) -> None:
+        """Count and print a sample; on a terminal only print those that failed."""
+        self._count()
+        if self._bar is None or row.status is not Status.OK:
+            reason = f": {row.reason}" if row.reason else ""
+            line = f"[{self.completed}/{self.total}] {row.id} {row.status.value}{reason} ({wall_s:.1f} s)"
+            self._print(line, _STYLES[row.status])
+
+    def _count(self) -> None:
+        self.completed += 1
+        if self._bar:
+            self._bar.update(self._task, completed=self.completed)
+
+    def _print(self, line: str, style: str = "") -> None:
+        text = Text(one_line(line), style=style)
         if self._bar:
             self._bar.console.print(text, soft_wrap=True)
         else:
             click.echo(text.plain, err=True)
 
 
-class ProgressView(_View):
-    """An observer of runs that writes to standard error. Use as a context."""
-
-    def __init__(self) -> None:
-        super().__init__("samples")
-
-    def warned(self, message: str) -> None:
-        """Tell a warning."""
-        self._say(Text(one_line(f"warning: {message}"), style="yellow"))
-
-    def started(self, total: int, kept: int) -> None:
-        """Begin to count."""
-        self._begin(total, kept, "samples")
-
-    def finished(self, row: SampleRow, wall_s: float) -> None:
-        """Tell of a sample; on a terminal only of those that failed."""
-        self._advance()
-        reason = f": {row.reason}" if row.reason else ""
-        if self._bar is None or row.status is not Status.OK:
-            line = f"[{self.done}/{self.total}] {row.id} {row.status.value}{reason} ({wall_s:.1f} s)"
-            self._say(Text(one_line(line), style=_STYLES[row.status]))
-
-
-class EpisodeView(_View):
-    """A watcher of work on episodes that writes to standard error. Use as a context."""
-
-    def __init__(self, what: str = "episodes") -> None:
-        super().__init__(what)
-        self._what = what
-
-    def started(self, total: int, kept: int) -> None:
-        """Begin to count."""
-        self._begin(total, kept, self._what)
-
-    def advanced(self, line: str, *, good: bool = True) -> None:
-        """Tell of an episode; on a terminal only of those that failed, which do not count."""
-        if good:
-            self._advance()
-        if self._bar is None or not good:
-            self._say(Text(f"[{self.done}/{self.total}] {line}", style="" if good else "yellow"))
-
-
-def run(job: Callable[[Observer], RunSummary], out: Path, view: ProgressView | None = None) -> int:
-    """Work through a run that fills the folder `out`, with progress shown; returns the exit status."""
-    view = view or ProgressView()
+def run(job: Callable[[RunObserver], RunSummary], out: Path, view: ProgressView | None = None) -> int:
+    """Execute a run that fills the folder `out`, showing its progress; return the exit status."""
+    view = view or ProgressView("samples")
     try:
         with view, terminate_as_interrupt():
             summary = job(view)
     except KeyboardInterrupt:
-        told = f"with {view.done} of {view.total} samples finished" if view.total else "before any sample was begun"
-        click.echo(f"interrupted {told}; run the same command again, without --overwrite, to go on", err=True)
+        progress = (
+            f"with {view.completed} of {view.total} samples finished" if view.total else "before any sample was begun"
+        )
+        click.echo(f"interrupted {progress}; run the same command again, without --overwrite, to go on", err=True)
         return 130
     _tell(out, summary)
     return 0 if summary.counts[Status.OK] else 1

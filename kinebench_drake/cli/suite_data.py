@@ -16,7 +16,7 @@ from kinebench_drake.cli.options import (
     tasks_option,
     variant_option,
 )
-from kinebench_drake.cli.run import EpisodeView, terminate_as_interrupt
+from kinebench_drake.cli.run import ProgressView, terminate_as_interrupt
 from kinebench_drake.errors import UsageError
 from kinebench_drake.results.metadata import Shard
 from kinebench_drake.suites.selection import chosen_tasks
@@ -78,7 +78,7 @@ def export(
         size=size,
         out=out,
     )
-    with EpisodeView() as view, terminate_as_interrupt():
+    with ProgressView() as view, terminate_as_interrupt():
         count = export_suite(order, create_executor(ExecutorKind.LOCAL, jobs), view)
     of = _counted(len(order.tasks), "task")
     click.echo(f"{_counted(count, 'episode')} of {of} (suite {number}, {order.split})")
@@ -167,7 +167,7 @@ def demos(
         out=out,
         shard=None if shard is None else Shard.parse(shard),
     )
-    with EpisodeView("demonstrations") as view, terminate_as_interrupt():
+    with ProgressView("demonstrations") as view, terminate_as_interrupt():
         delivery = make_demos(order, create_executor(ExecutorKind.LOCAL, jobs), view, overwrite=overwrite)
     failed = f"; the expert failed with {_counted(delivery.failures, 'other seed')}" if delivery.failures else ""
     made = _counted(delivery.demonstrations, "demonstration")

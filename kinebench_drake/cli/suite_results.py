@@ -2,7 +2,6 @@
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
@@ -17,9 +16,6 @@ from kinebench_drake.cli.options import (
 )
 from kinebench_drake.io.atomic import write_atomically
 from kinebench_drake.suites.selection import chosen_tasks
-
-if TYPE_CHECKING:
-    from kinebench_drake.closed_loop.tolerance import ToleranceAttempt
 
 
 @click.command(
@@ -41,20 +37,14 @@ def ceiling(folders: tuple[Path, ...], out: Path | None, seed: int, jobs: int) -
     No model succeeds more often, but by chance: what is missing was lost between the imagined and the executed motion.
     For a run of the oracle that is the cost of grounding; for other models that of their videos, too.
     """
-    from kinebench_drake.cli.run import EpisodeView, terminate_as_interrupt
+    from kinebench_drake.cli.run import ProgressView, terminate_as_interrupt
     from kinebench_drake.executors.base import ExecutorKind, create_executor
     from kinebench_drake.report.suite import write_comparison
     from kinebench_drake.report.suite.ceiling import read_ceiling, share_lines
     from kinebench_drake.report.suite.comparison import comparison_lines
 
-    with EpisodeView() as view, terminate_as_interrupt():
-
-        def told(attempt: "ToleranceAttempt", total: int) -> None:
-            if not view.total:
-                view.started(total, 0)
-            view.advanced(attempt.episode.id if attempt.success else f"{attempt.episode.id}: {attempt.reason}")
-
-        comparison = read_ceiling(folders, create_executor(ExecutorKind.LOCAL, jobs), seed, told=told)
+    with ProgressView() as view, terminate_as_interrupt():
+        comparison = read_ceiling(folders, create_executor(ExecutorKind.LOCAL, jobs), view, seed)
     page = None if out is None else write_comparison(comparison, out)
     for line in (*comparison_lines(comparison.table), "", *share_lines(comparison.compared)):
         click.echo(line)
@@ -118,8 +108,8 @@ def tolerance(
     displacement (bias) or by one of their own each frame (jitter), rotations in proportion (5 degrees with 15 mm), or
     the fingers move so many frames late (finger_delay).
     """
-    from kinebench_drake.cli.run import EpisodeView, terminate_as_interrupt
-    from kinebench_drake.closed_loop.tolerance import PoseError, ToleranceAttempt, run_attempts, table_json, table_lines
+    from kinebench_drake.cli.run import ProgressView, terminate_as_interrupt
+    from kinebench_drake.closed_loop.tolerance import PoseError, run_attempts, table_json, table_lines
     from kinebench_drake.errors import UsageError
     from kinebench_drake.executors.base import ExecutorKind, create_executor
     from kinebench_drake.suites.suite import load_suite
@@ -134,13 +124,9 @@ def tolerance(
     suite = load_suite(number)
     chosen = chosen_tasks(suite, split, tasks, TaskVariant.PLAIN)
     order = suite.episodes(suite.split_name(split), episodes, tasks=chosen, offset=seed)
-    attempts: list[ToleranceAttempt] = []
-    with EpisodeView() as view, terminate_as_interrupt():
-        view.started(len(order), 0)
-        for done in run_attempts(create_executor(ExecutorKind.LOCAL, jobs), order, [PoseError(name) for name in names]):
-            attempts += done
-            view.advanced(done[0].episode.id)
-    attempts.sort(key=lambda a: a.episode.id)
+    with ProgressView() as view, terminate_as_interrupt():
+        chosen_errors = [PoseError(name) for name in names]
+        attempts = run_attempts(create_executor(ExecutorKind.LOCAL, jobs), order, chosen_errors, view)
     write_atomically(out, (json.dumps(table_json(attempts), indent=1) + "\n").encode())
     for line in table_lines(attempts):
         click.echo(line)

@@ -16,6 +16,7 @@ from kinebench_drake.closed_loop.commands import CommandPlanner, RobotState
 from kinebench_drake.closed_loop.execution import execute
 from kinebench_drake.errors import KinebenchError, UnmeasurableError
 from kinebench_drake.executors.base import Executor, WorkerCrash
+from kinebench_drake.executors.progress import Observer
 from kinebench_drake.geometry import Array, make_pose, rotation_exp
 from kinebench_drake.io.figure import new_figure
 from kinebench_drake.kinematics.plant import ArmPlant
@@ -173,17 +174,22 @@ class _MakeAttempts:
 
 
 def run_attempts(
-    engine: Executor, episodes: Sequence[Episode], errors: Sequence[PoseError]
-) -> Iterator[list[ToleranceAttempt]]:
-    """The attempts of each episode, in any order of episodes.
+    engine: Executor, episodes: Sequence[Episode], errors: Sequence[PoseError], observer: Observer
+) -> list[ToleranceAttempt]:
+    """Execute the exact and the worsened tracks of episodes; return all attempts, ordered by episode id.
 
     Raises:
         KinebenchError: a worker died.
     """
+    observer.start(len(episodes), 0)
+    attempts: list[ToleranceAttempt] = []
     for done in engine.run(_MakeAttempts(tuple(errors)), list(episodes)):
         if isinstance(done, WorkerCrash):
             raise KinebenchError(f"{done.item.id}: {done.reason}")
-        yield done.result
+        exact = done.result[0]
+        observer.advance(f"{done.item.id}: {exact.reason}" if exact.reason else done.item.id)
+        attempts += done.result
+    return sorted(attempts, key=lambda a: a.episode.id)
 
 
 _UNITS = {PoseError.BIAS: (1000.0, "mm"), PoseError.JITTER: (1000.0, "mm"), PoseError.FINGERS: (1.0, "frames")}

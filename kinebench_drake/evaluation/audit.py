@@ -10,7 +10,7 @@ from kinebench_drake.datasets.trajectories.source import find_trajectories, read
 from kinebench_drake.datasets.trajectories.trajectory import Trajectory, TrajectoryOptions, TrajectorySample
 from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.evaluation.evaluator import KINEMATIC_METRICS, Evaluation, Evaluator, RunKind
-from kinebench_drake.evaluation.runner import NullObserver, Observer, RunConfig, RunSummary, run_samples
+from kinebench_drake.evaluation.runner import NullRunObserver, RunConfig, RunObserver, RunSummary, run_samples
 from kinebench_drake.evaluation.stages import Judgement, RobotOptions, Stages, load_stages
 from kinebench_drake.models.arm import choose_robot
 from kinebench_drake.results.row import SampleRow
@@ -166,19 +166,19 @@ class AuditConfig(RunConfig):
         }
 
 
-def audit_trajectories(config: AuditConfig, observer: Observer | None = None) -> RunSummary:
+def audit_trajectories(config: AuditConfig, observer: RunObserver | None = None) -> RunSummary:
     """Judge every trajectory of `config.source` and fill the output folder.
 
     Raises:
         UsageError: the configuration, the input or the output folder cannot be used.
         SetupError: something is missing on this machine, or the disk is full. What was finished is kept.
     """
-    observer = observer or NullObserver()
+    observer = observer or NullRunObserver()
     samples = find_trajectories(config.source, config.choice(), out=config.out, model=config.model, task=config.task)
     if config.urdf is not None:
         remarks = robot_remarks(config.urdf, config.tcp_frame)
         for remark in remarks:
-            observer.warned(f"{config.urdf.name}: {remark}")
+            observer.warn(f"{config.urdf.name}: {remark}")
         config = replace(config, robot_remarks=remarks)
     measure = TrajectoryEvaluator(
         kind=config.kind,
@@ -190,9 +190,9 @@ def audit_trajectories(config: AuditConfig, observer: Observer | None = None) ->
     summary = run_samples(config, samples, measure, observer)
     warnings = _warnings(summary.rows)
     for text, ids in list(warnings.items())[:_MOST_WARNINGS]:
-        observer.warned(f"{ids[0]}: {text}" + (f" (and {len(ids) - 1} more)" if ids[1:] else ""))
+        observer.warn(f"{ids[0]}: {text}" + (f" (and {len(ids) - 1} more)" if ids[1:] else ""))
     if len(warnings) > _MOST_WARNINGS:
-        observer.warned(f"{len(warnings) - _MOST_WARNINGS} more kinds of warnings; the rows have them all")
+        observer.warn(f"{len(warnings) - _MOST_WARNINGS} more kinds of warnings; the rows have them all")
     return summary
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.evaluation.evaluator import SCHEMA_VERSION, RunKind
-from kinebench_drake.evaluation.runner import NullObserver, Observer, RunSummary, close_run, summarize
+from kinebench_drake.evaluation.runner import NullRunObserver, RunObserver, RunSummary, close_run, summarize
 from kinebench_drake.io.atomic import atomic_path, write_atomically
 from kinebench_drake.io.jsonl import dump
 from kinebench_drake.report.sample import worst_samples
@@ -45,7 +45,7 @@ class Taken:
     part: ShardFolder
 
 
-def merge_folders(folders: Sequence[Path], out: Path, observer: Observer | None = None) -> RunSummary:
+def merge_folders(folders: Sequence[Path], out: Path, observer: RunObserver | None = None) -> RunSummary:
     """Join output folders of shards of one run into `out`: rows, their files and times, numbers and report made anew.
 
     The folders are only read. `out` may hold an earlier merge of the same run, which is added to. A sample that two
@@ -57,30 +57,30 @@ def merge_folders(folders: Sequence[Path], out: Path, observer: Observer | None 
             something else.
         SetupError: writing failed.
     """
-    observer = observer or NullObserver()
+    observer = observer or NullRunObserver()
     _check_names(folders, out)
     parts = [read_part(folder) for folder in folders]
     for part in parts[1:]:
         _check_same_run(parts[0], part, "run one of them again as the other, what still holds is kept")
     for part in parts:
         for warning in _flaws(part):
-            observer.warned(warning)
+            observer.warn(warning)
     if (held := _held(out)) is not None:
         _check_same_run(held, parts[0], "name another --out")
         parts.insert(0, held)
     taken = _choose(parts)
     header = _joint_header([part.header for part in parts])
     for warning in _gaps([part.header for part in parts], header, len(taken)):
-        observer.warned(warning)
+        observer.warn(warning)
     new = {id: found for id, found in taken.items() if found.part is not held}
     replayed = _replayed(taken, header)
-    observer.started(total=len(taken), kept=len(taken) - len(new))
+    observer.start(total=len(taken), completed=len(taken) - len(new))
     with ResultStore(out) as store:
         store.begin(header.to_json())
         for id, found in new.items():
             for source in _files(found, replayed=id in replayed):
                 _copy(source, out / source.relative_to(found.part.path))
-            observer.finished(found.row, 0.0)
+            observer.finish(found.row, 0.0)
         store.keep_files("replays", replayed)
         write_atomically(out / TIMINGS, _timings(parts, taken).encode())
         store.rows = {id: found.row for id, found in taken.items()}

@@ -16,6 +16,7 @@ from kinebench_drake.evaluation.resume import resume
 from kinebench_drake.evaluation.stages import SHIPPED_STAGES, RobotOptions
 from kinebench_drake.executors.base import Executor, ExecutorKind, SupportsDrain, WorkerCrash, create_executor
 from kinebench_drake.executors.interrupt import graceful_interrupt
+from kinebench_drake.executors.progress import NullObserver, Observer
 from kinebench_drake.io.atomic import disk_errors
 from kinebench_drake.report.sample import worst_samples
 from kinebench_drake.results.aggregate import Estimate, aggregate, by_key, estimate, normalize_run
@@ -99,33 +100,19 @@ class RunConfig:
         }
 
 
-class Observer(Protocol):
-    """Who wants to hear how a run goes."""
+class RunObserver(Observer, Protocol):
+    """Observer of a run: receives finished rows in place of `advance`."""
 
-    def warned(self, message: str) -> None:
-        """Something the user should know."""
-        ...
-
-    def started(self, total: int, kept: int) -> None:
-        """So many samples are to be done in all, of which so many are done from before."""
-        ...
-
-    def finished(self, row: SampleRow, wall_s: float) -> None:
-        """One more sample is done and on disk."""
+    def finish(self, row: SampleRow, wall_s: float) -> None:
+        """Report a sample whose row is stored, and its processing time [s]."""
         ...
 
 
-class NullObserver:
-    """An `Observer` that does not care."""
+class NullRunObserver(NullObserver):
+    """Run observer that ignores every report; override the methods of interest."""
 
-    def warned(self, message: str) -> None:
-        """Ignore it."""
-
-    def started(self, total: int, kept: int) -> None:
-        """Ignore it."""
-
-    def finished(self, row: SampleRow, wall_s: float) -> None:
-        """Ignore it."""
+    def finish(self, row: SampleRow, wall_s: float) -> None:
+        """Ignore the row."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -145,7 +132,7 @@ class RunSummary:
 
 
 def run_samples(
-    config: RunConfig, samples: Sequence[SampleT], measure: Evaluator[SampleT, ResourcesT], observer: Observer
+    config: RunConfig, samples: Sequence[SampleT], measure: Evaluator[SampleT, ResourcesT], observer: RunObserver
 ) -> RunSummary:
     """Measure every sample and fill the output folder.
 
@@ -162,8 +149,8 @@ def run_samples(
     chosen = config.shard.take(chosen) if config.shard else chosen
     header = run_metadata(config, found=len(samples))
     with ResultStore(config.out, overwrite=config.overwrite) as store:
-        waiting = resume(store, samples, chosen, measure, header, observer.warned)
-        observer.started(total=len(chosen), kept=len(chosen) - len(waiting))
+        waiting = resume(store, samples, chosen, measure, header, observer.warn)
+        observer.start(total=len(chosen), completed=len(chosen) - len(waiting))
         with _interruptible(engine, observer) as interrupted:
             done = 0
             with closing(engine.run(partial(_make, measure), waiting)) as outcomes:
@@ -173,7 +160,7 @@ def run_samples(
                     else:
                         row, wall_s = outcome.result
                     store.append(row, wall_s)
-                    observer.finished(row, wall_s)
+                    observer.finish(row, wall_s)
                     done += 1
             if interrupted.is_set() and done < len(waiting):
                 raise KeyboardInterrupt
@@ -186,10 +173,10 @@ def run_samples(
             return close_run(store, config.kind, config.seed)
 
 
-def _interruptible(engine: Executor, observer: Observer) -> AbstractContextManager[threading.Event]:
+def _interruptible(engine: Executor, observer: RunObserver) -> AbstractContextManager[threading.Event]:
     """A context in which a first interrupt lets the samples at hand be finished, with engines that can."""
     if isinstance(engine, SupportsDrain):
-        return graceful_interrupt(engine.drain, observer.warned)
+        return graceful_interrupt(engine.drain, observer.warn)
     return nullcontext(threading.Event())
 
 
@@ -261,7 +248,7 @@ def summarize(rows: Sequence[SampleRow], header: RunMetadata) -> dict[str, Json]
     )
 
 
-def _replay(config: RunConfig, ids: Sequence[str], observer: Observer) -> None:
+def _replay(config: RunConfig, ids: Sequence[str], observer: RunObserver) -> None:
     """Write replays of samples; the robot's meshes are simplified anew each time (some two seconds).
 
     A machine that can draw none, as it lets no program open a port, costs the replays, not the report.
@@ -274,7 +261,7 @@ def _replay(config: RunConfig, ids: Sequence[str], observer: Observer) -> None:
     try:
         write_replays(config.out, ids, ArmPlant(choose_robot(options.urdf, options.tcp_frame)))
     except SetupError as error:
-        observer.warned(f"there are no 3D replays: {error}")
+        observer.warn(f"there are no 3D replays: {error}")
 
 
 def _report(out: Path) -> Path:

@@ -15,7 +15,7 @@ from kinebench_drake.datasets.videos.find import find_samples
 from kinebench_drake.datasets.videos.sample import VideoSample
 from kinebench_drake.errors import InputError, UnmeasurableError, UsageError
 from kinebench_drake.evaluation.evaluator import KINEMATIC_METRICS, MIN_TRACKED, Evaluation, Evaluator, RunKind
-from kinebench_drake.evaluation.runner import NullObserver, Observer, RunConfig, RunSummary, run_samples
+from kinebench_drake.evaluation.runner import NullRunObserver, RunConfig, RunObserver, RunSummary, run_samples
 from kinebench_drake.evaluation.stages import Grounded, Judgement, Stages, load_stages
 from kinebench_drake.evaluation.thumbnail import side_by_side, worst_frame
 from kinebench_drake.geometry import Array
@@ -391,14 +391,14 @@ class ScoreConfig(RunConfig):
         }
 
 
-def score_videos(config: ScoreConfig, observer: Observer | None = None) -> RunSummary:
+def score_videos(config: ScoreConfig, observer: RunObserver | None = None) -> RunSummary:
     """Measure every video of `config.source` and fill the output folder.
 
     Raises:
         UsageError: the configuration, the input or the output folder cannot be used.
         SetupError: something is missing on this machine, or the disk is full. What was finished is kept.
     """
-    observer = observer or NullObserver()
+    observer = observer or NullRunObserver()
     sources = config.sources()
     inputs = find_samples(
         config.source,
@@ -409,7 +409,7 @@ def score_videos(config: ScoreConfig, observer: Observer | None = None) -> RunSu
         camera_key=config.camera_key,
     )
     for warning in inputs.warnings:
-        observer.warned(warning)
+        observer.warn(warning)
     samples = (
         [replace(s, initial_state=None) for s in inputs.samples]
         if config.pixels_only
@@ -427,13 +427,13 @@ def score_videos(config: ScoreConfig, observer: Observer | None = None) -> RunSu
     summary = run_samples(config, samples, measure, observer)
     contradicted = sum(row.extra.get("first_frame") == InitialStateUse.CONTRADICTED.value for row in summary.rows)
     if contradicted:
-        observer.warned(
+        observer.warn(
             f"{contradicted} samples do not begin with the pose that their manifest tells, or that the episode of its "
             "task and seed has: it was not used"
         )
     clockless = sum(row.extra.get("frame_period_source") == PeriodSource.BENCHMARK.value for row in summary.rows)
     if clockless:
-        observer.warned(
+        observer.warn(
             f"{clockless} samples have no frame rate: {BENCHMARK_PERIOD_S} s between frames was taken, as in the "
             "benchmark; give --frame-period SECONDS if it is not so"
         )

@@ -8,7 +8,7 @@ from kinebench_drake.closed_loop.loop import LoopOptions
 from kinebench_drake.errors import UsageError
 from kinebench_drake.evaluation.episode import EpisodeEvaluator, EpisodeSample
 from kinebench_drake.evaluation.evaluator import RunKind
-from kinebench_drake.evaluation.runner import NullObserver, Observer, RunConfig, RunSummary, run_samples
+from kinebench_drake.evaluation.runner import NullRunObserver, RunConfig, RunObserver, RunSummary, run_samples
 from kinebench_drake.executors.base import ExecutorKind
 from kinebench_drake.suites.suite import VERSION, Suite
 from kinebench_drake.suites.tasks.card import TaskVariant
@@ -77,19 +77,19 @@ class SuiteConfig(RunConfig):
         }
 
 
-def run_suite(config: SuiteConfig, observer: Observer | None = None) -> RunSummary:
+def run_suite(config: SuiteConfig, observer: RunObserver | None = None) -> RunSummary:
     """Run every episode of a suite's split with a world model and fill the output folder.
 
     Raises:
         UsageError: the configuration or the output folder cannot be used.
         SetupError: something is missing on this machine, or the disk is full. What was finished is kept.
     """
-    observer = observer or NullObserver()
+    observer = observer or NullRunObserver()
     with closing(LazyWorldModel(config.world_model)) as held:
         model = held.get()
         name, offline = model.name, isinstance(model, Offline)
         if offline and config.loop.rounds > 1:
-            observer.warned(f"{name} holds finished videos: they answer the first round only")
+            observer.warn(f"{name} holds finished videos: they answer the first round only")
         if not offline and (config.jobs > 1 or config.engine is not ExecutorKind.LOCAL):
             held.close()  # the workers make their own, and may need the room
         measure = EpisodeEvaluator(

@@ -10,7 +10,7 @@ from fake_stages import LOG
 from kinebench_drake.errors import SetupError, UsageError
 from kinebench_drake.evaluation.audit import AuditConfig, audit_trajectories
 from kinebench_drake.evaluation.evaluator import KINEMATIC_METRICS
-from kinebench_drake.evaluation.runner import NullObserver
+from kinebench_drake.evaluation.runner import NullRunObserver
 from kinebench_drake.results.metadata import Shard
 from kinebench_drake.results.row import Status
 from kinebench_drake.results.store import artifact_path, read_rows
@@ -119,14 +119,14 @@ def test_same_arguments_same_bytes_however_many_jobs(run, tmp_path):
     assert str(tmp_path) not in b"".join(first.values()).decode(errors="ignore")
 
 
-class Count(NullObserver):
+class Count(NullRunObserver):
     def __init__(self):
         self.done, self.warnings = [], []
 
-    def finished(self, row, wall_s):
+    def finish(self, row, wall_s):
         self.done.append(row.id)
 
-    def warned(self, message):
+    def warn(self, message):
         self.warnings.append(message)
 
 

@@ -7,7 +7,7 @@ import pytest
 from fake_stages import LOG, Act
 
 from kinebench_drake.errors import SetupError
-from kinebench_drake.evaluation.runner import NullObserver
+from kinebench_drake.evaluation.runner import NullRunObserver
 from kinebench_drake.evaluation.score import score_videos
 from kinebench_drake.executors.base import ExecutorKind
 from kinebench_drake.results.row import Status
@@ -59,13 +59,13 @@ def content(out):
     }
 
 
-class AtFirst(NullObserver):
+class AtFirst(NullRunObserver):
     """Does something when the first sample is finished."""
 
     def __init__(self, act):
         self._act = act
 
-    def finished(self, row, wall_s):
+    def finish(self, row, wall_s):
         act, self._act = self._act, None
         if act:
             act()

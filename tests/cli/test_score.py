@@ -19,7 +19,7 @@ from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.errors import SetupError, UsageError
 from kinebench_drake.evaluation import score
 from kinebench_drake.evaluation.evaluator import KINEMATIC_METRICS, RunKind
-from kinebench_drake.evaluation.runner import NullObserver
+from kinebench_drake.evaluation.runner import NullRunObserver
 from kinebench_drake.evaluation.score import VISUAL_METRICS, score_videos
 from kinebench_drake.executors.base import ExecutorKind
 from kinebench_drake.io.camerafile import save_camera
@@ -38,11 +38,11 @@ def log(tmp_path, monkeypatch):
     return path
 
 
-class Ear(NullObserver):
+class Ear(NullRunObserver):
     def __init__(self):
         self.warnings = []
 
-    def warned(self, message):
+    def warn(self, message):
         self.warnings.append(message)
 
 

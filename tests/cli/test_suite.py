@@ -32,11 +32,11 @@ def orders(monkeypatch):
     """What would have been made; nothing is."""
     taken = []
 
-    def make(order, engine, watcher, *, overwrite=False):
+    def make(order, engine, observer, *, overwrite=False):
         taken.append(order)
         return Delivery(demonstrations=3, failures=1, short={"StackCube-v1": 2} if order.episodes == 5 else {})
 
-    def export(order, engine, watcher):
+    def export(order, engine, observer):
         taken.append(order)
         return order.episodes * len(order.tasks)
 

@@ -1,7 +1,8 @@
-"""Orders of demonstrations, and who watches them made."""
+"""Orders of demonstrations, and a recording observer."""
 
 from pathlib import Path
 
+from kinebench_drake.executors.progress import NullObserver
 from kinebench_drake.suites.formats.demo import FormatKind, Shots
 from kinebench_drake.suites.order import DemoOrder
 from kinebench_drake.suites.suite import load_suite
@@ -12,17 +13,17 @@ FIRST = 1_000_000
 """The first seed for training."""
 
 
-class Watcher:
-    """A watcher that remembers."""
+class Recorder(NullObserver):
+    """Observer that keeps what it receives."""
 
     def __init__(self) -> None:
-        self.kept = 0
+        self.total = self.completed = 0
         self.lines: list[str] = []
 
-    def started(self, total: int, kept: int) -> None:
-        self.kept = kept
+    def start(self, total: int, completed: int) -> None:
+        self.total, self.completed = total, completed
 
-    def advanced(self, line: str, *, good: bool = True) -> None:
+    def advance(self, line: str, *, ok: bool = True) -> None:
         self.lines.append(line)
 
 

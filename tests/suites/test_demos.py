@@ -17,7 +17,7 @@ from kinebench_drake.suites.formats.demo import Content, FormatKind, Record, Sho
 from kinebench_drake.suites.order import DemoOrder
 from kinebench_drake.suites.simulator_cache import SimulatorCache
 from kinebench_drake.suites.suite import EpisodeSpec
-from tests.suites.orders import FIRST, TASK, Watcher, an_order
+from tests.suites.orders import FIRST, TASK, Recorder, an_order
 
 
 class FakeFormat:
@@ -73,7 +73,7 @@ def deliver(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., tu
         overwrite = changes.pop("overwrite", False)
         order = replace(an_order(tmp_path, FormatKind.MP4, episodes), **changes)
         engine = FakeEngine(order.out, failing or set(), until=until)
-        delivery = make_demos(order, engine, Watcher(), overwrite=overwrite)
+        delivery = make_demos(order, engine, Recorder(), overwrite=overwrite)
         return delivery, engine, [int(word) for word in (order.out / "all.txt").read_text().split()]
 
     return call

@@ -18,21 +18,9 @@ from kinebench_drake.suites.export import Export, export_suite
 from kinebench_drake.suites.simulator import Simulator
 from kinebench_drake.suites.suite import load_suite
 from kinebench_drake.suites.tasks.card import TaskVariant
+from tests.suites.orders import Recorder
 
 TASKS = ("PullCube-v1", "StackCube-v1")
-
-
-class Quiet:
-    """A watcher that counts."""
-
-    def __init__(self) -> None:
-        self.lines: list[str] = []
-
-    def started(self, total: int, kept: int) -> None:
-        self.total = total
-
-    def advanced(self, line: str, *, good: bool = True) -> None:
-        self.lines.append(line)
 
 
 def export(out: Path, tasks: tuple[str, ...], count: int) -> Path:
@@ -46,8 +34,10 @@ def export(out: Path, tasks: tuple[str, ...], count: int) -> Path:
         size=96,
         out=out,
     )
-    watcher = Quiet()
-    assert export_suite(order, create_executor(ExecutorKind.LOCAL, 1), watcher) == watcher.total == len(watcher.lines)
+    observer = Recorder()
+    assert (
+        export_suite(order, create_executor(ExecutorKind.LOCAL, 1), observer) == observer.total == len(observer.lines)
+    )
     return out
 
 

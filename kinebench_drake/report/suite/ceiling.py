@@ -1,11 +1,12 @@
 """Runs beside the direct execution of the expert's own true track in the same episodes: each task's ceiling."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from kinebench_drake.closed_loop.tolerance import ToleranceAttempt, run_attempts
 from kinebench_drake.errors import UsageError
 from kinebench_drake.executors.base import Executor
+from kinebench_drake.executors.progress import Observer
 from kinebench_drake.report.suite.comparison import ALL, Compared, compare, comparison_table
 from kinebench_drake.report.suite.episode import EpisodeResult
 from kinebench_drake.report.suite.folders import gather, models_of, read_folders
@@ -19,16 +20,14 @@ DIRECT = "expert's true track"
 """Stands for direct execution in the place of a model's name."""
 
 
-def read_ceiling(
-    paths: Sequence[Path], engine: Executor, seed: int = 0, *, told: Callable[[ToleranceAttempt, int], None]
-) -> ModelComparison:
+def read_ceiling(paths: Sequence[Path], engine: Executor, observer: Observer, seed: int = 0) -> ModelComparison:
     """Execute the expert's true track in every episode of some suite runs, and compare each model with it.
 
     Args:
         paths: output folders of `suite run`.
         engine: where episodes are executed.
+        observer: receiver of progress reports.
         seed: of the intervals' resampling.
-        told: is told of each execution as it ends, and of how many there are.
 
     Raises:
         UsageError: the folders cannot be used or put together, or a row does not tell its episode.
@@ -39,13 +38,10 @@ def read_ceiling(
     if DIRECT in models_of(episodes):
         raise UsageError(f"a model is called {DIRECT!r}, as direct execution is; give it another name")
     draws = {e.key: _draw(e) for e in episodes}
-    found: dict[str, ToleranceAttempt] = {}
-    for attempts in run_attempts(engine, [draw.episode() for draw in dict.fromkeys(draws.values())], ()):
-        attempt = attempts[0]
-        found[attempt.episode.id] = attempt
-        told(attempt, len(set(draws.values())))
+    attempts = run_attempts(engine, [draw.episode() for draw in dict.fromkeys(draws.values())], (), observer)
+    attempt_of = {attempt.episode.id: attempt for attempt in attempts}
     once = {e.key: e for e in episodes}
-    direct = [_direct(e, found[draws[key].id]) for key, e in once.items()]
+    direct = [_direct(e, attempt_of[draws[key].id]) for key, e in once.items()]
     compared = [c for c in compare([*episodes, *direct], seed) if c.second == DIRECT]
     return ModelComparison(
         folders=tuple(folders),

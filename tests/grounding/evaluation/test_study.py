@@ -10,6 +10,7 @@ from click.testing import CliRunner
 from kinebench_drake.cli import cli
 from kinebench_drake.errors import UsageError
 from kinebench_drake.executors.base import ExecutorKind, create_executor
+from kinebench_drake.executors.progress import NullObserver
 from kinebench_drake.grounding.evaluation import study
 from kinebench_drake.grounding.evaluation.clip import choose, find_clips, load_clips
 from kinebench_drake.grounding.evaluation.errors import ClipErrors
@@ -23,14 +24,11 @@ from kinebench_drake.io.figure import save
 ENGINE = create_executor(ExecutorKind.LOCAL, 1)
 
 
-class Silence:
-    kept = 0
+class Silence(NullObserver):
+    completed = 0
 
-    def started(self, total: int, kept: int) -> None:
-        self.kept = kept
-
-    def advanced(self, line: str) -> None:
-        pass
+    def start(self, total: int, completed: int) -> None:
+        self.completed = completed
 
 
 class Pretender:
@@ -58,9 +56,9 @@ def test_an_interrupted_study_goes_on(folder: Path, tmp_path: Path, errors: Call
         study.carry_out(noise, plan, ENGINE, Silence(), first)
     with (tmp_path / "kept.clips.jsonl").open("a") as file:
         file.write('{"key": "torn')
-    second, watcher = Pretender(errors), Silence()
-    whole = study.carry_out(noise, plan, ENGINE, watcher, second)
-    assert watcher.kept == 5
+    second, observer = Pretender(errors), Silence()
+    whole = study.carry_out(noise, plan, ENGINE, observer, second)
+    assert observer.completed == 5
     assert second.made == 3 * 4 - 5
     fresh = study.carry_out(noise, replace(plan, keep=None), ENGINE, Silence(), Pretender(errors))
     assert list(whole.lines()) == list(fresh.lines())

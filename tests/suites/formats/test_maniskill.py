@@ -13,13 +13,13 @@ from kinebench_drake.executors.base import ExecutorKind, create_executor
 from kinebench_drake.suites.demos import make_demos
 from kinebench_drake.suites.formats.demo import FormatKind
 from kinebench_drake.suites.simulator import Simulator
-from tests.suites.orders import FIRST, TASK, Watcher, an_order
+from tests.suites.orders import FIRST, TASK, Recorder, an_order
 
 
 @pytest.mark.sapien
 def test_maniskill_trajectories_hold_states_and_lead_to_success(tmp_path: Path) -> None:
     order = an_order(tmp_path, FormatKind.MANISKILL, 1)
-    make_demos(order, create_executor(ExecutorKind.LOCAL, 1), Watcher())
+    make_demos(order, create_executor(ExecutorKind.LOCAL, 1), Recorder())
     path = tmp_path / f"{TASK}.h5"
     assert not (tmp_path / ".parts").exists()
     [sample] = list_maniskill(path, path.name)
