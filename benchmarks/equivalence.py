@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from kinebench_drake.errors import InputError
-from kinebench_drake.io.files import parse_json
+from kinebench_drake.io.jsonl import parse_json
 
 IDENTITY = frozenset({"code_sha256", "content_hash", "versions", "host"})
 """JSON keys that name the code and the machine; their values are not compared."""

@@ -13,8 +13,8 @@ from kinebench_drake.errors import InputError, cause
 from kinebench_drake.geometry import Array
 from kinebench_drake.io.atomic import write_atomically
 from kinebench_drake.io.jsonl import dump
+from kinebench_drake.io.npz import pack_arrays
 from kinebench_drake.metrics.violation import ViolationKind
-from kinebench_drake.results.trackfile import pack_arrays
 from kinebench_drake.types import Json
 
 TRUTH = "truth.jsonl"

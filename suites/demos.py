@@ -21,8 +21,8 @@ from numpy.typing import ArrayLike
 from kinebench_drake.errors import InputError, SetupError, UsageError
 from kinebench_drake.executors.base import Executor, WorkerCrash
 from kinebench_drake.executors.progress import Observer
-from kinebench_drake.io.atomic import disk_errors
-from kinebench_drake.io.jsonl import append_line, make_folder, read_lines, write_json, write_lines
+from kinebench_drake.io.atomic import disk_errors, make_folder
+from kinebench_drake.io.jsonl import append_line, read_lines, write_json, write_lines
 from kinebench_drake.suites.clip import film
 from kinebench_drake.suites.episode import Episode
 from kinebench_drake.suites.experts.registry import find_expert

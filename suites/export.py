@@ -12,9 +12,9 @@ from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.errors import SetupError
 from kinebench_drake.executors.base import Executor, WorkerCrash
 from kinebench_drake.executors.progress import Observer
-from kinebench_drake.io.atomic import atomic_path
+from kinebench_drake.io.atomic import atomic_path, make_folder
 from kinebench_drake.io.camerafile import save_camera
-from kinebench_drake.io.jsonl import make_folder, write_json, write_lines
+from kinebench_drake.io.jsonl import write_json, write_lines
 from kinebench_drake.models.panda.robot import TCP_LINK
 from kinebench_drake.suites.clock import CLIP_FRAMES, FRAME_PERIOD_S
 from kinebench_drake.suites.episode import Episode

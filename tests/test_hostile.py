@@ -11,7 +11,8 @@ from kinebench_drake.datasets.manifest import inside
 from kinebench_drake.datasets.videos.find import find_samples
 from kinebench_drake.errors import InputError, UsageError, one_line
 from kinebench_drake.io.camerafile import load_camera
-from kinebench_drake.io.files import parse_json, read_bytes
+from kinebench_drake.io.files import read_bytes
+from kinebench_drake.io.jsonl import parse_json
 from kinebench_drake.report import write_report
 from kinebench_drake.report.suite import write_suite_report
 from kinebench_drake.results.row import Status
@@ -80,14 +81,14 @@ def test_deep_json_and_long_numbers_are_values_or_refused():
 
 
 def test_a_playlist_is_no_film(tmp_path):
-    from kinebench_drake.io.container import read_film, write_video
+    from kinebench_drake.io.container import read_container, write_video
     from kinebench_drake.io.video import WHOLE
 
     write_video(tmp_path / "real.mp4", np.zeros((3, 96, 96, 3), np.uint8), 10)
     (tmp_path / "list.mp4").write_text("ffconcat version 1.0\nfile real.mp4\n")
-    assert len(read_film(tmp_path / "real.mp4", WHOLE).frames) == 3
+    assert len(read_container(tmp_path / "real.mp4", WHOLE).frames) == 3
     with pytest.raises(InputError, match="not a readable video"):
-        read_film(tmp_path / "list.mp4", WHOLE)
+        read_container(tmp_path / "list.mp4", WHOLE)
 
 
 def test_errors_are_one_plain_line_whatever_names_they_repeat():

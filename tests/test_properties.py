@@ -16,8 +16,7 @@ from kinebench_drake.datasets.trajectories.check import check
 from kinebench_drake.datasets.trajectories.trajectory import RawTrajectory
 from kinebench_drake.errors import InputError, KinebenchError, UsageError
 from kinebench_drake.io.camerafile import load_camera, save_camera
-from kinebench_drake.io.files import parse_json
-from kinebench_drake.io.jsonl import dump, finite
+from kinebench_drake.io.jsonl import dump, finite, parse_json
 from kinebench_drake.results.metadata import RunMetadata
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.results.store import SAMPLES, read_rows

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array
 from kinebench_drake.io import npz
-from kinebench_drake.io.frames import frame_files, open_picture
+from kinebench_drake.io.images import frame_files, open_image
 from kinebench_drake.io.npz import Archive
 
 
@@ -72,7 +72,7 @@ def read_pngs(folder: Path) -> NDArray[np.generic]:
         raise InputError(f"{folder.name}/: holds no png files, expected one for every frame")
     images: list[NDArray[np.generic]] = []
     for file in files:
-        with open_picture(file) as picture:
+        with open_image(file) as picture:
             image = np.asarray(picture)
         if images and (image.shape, image.dtype) != (images[0].shape, images[0].dtype):
             raise InputError(

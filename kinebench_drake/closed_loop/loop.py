@@ -17,7 +17,7 @@ from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.framing.framing import unframed
 from kinebench_drake.grounding.framing.search import find_framing
 from kinebench_drake.io.atomic import disk_errors, remove
-from kinebench_drake.io.files import FILM_SUFFIXES
+from kinebench_drake.io.files import VIDEO_SUFFIXES
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.suites.clock import (
     CLIP_FRAMES,
@@ -211,7 +211,7 @@ def _kept(video: Path, out: Path) -> Path:
         return video
     copy = out.with_name(f"{out.name}{video.suffix}" if video.is_file() else out.name)
     with disk_errors(copy.name):
-        for earlier in (here / f"{out.name}{suffix}" for suffix in ("", *FILM_SUFFIXES)):
+        for earlier in (here / f"{out.name}{suffix}" for suffix in ("", *VIDEO_SUFFIXES)):
             if not source.is_relative_to(earlier):  # a model may work in a folder of the clip's name
                 remove(earlier)
         if video.is_file():

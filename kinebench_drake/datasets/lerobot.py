@@ -15,7 +15,6 @@ from pyarrow import compute
 from kinebench_drake.datasets.manifest import MAX_PERIOD_S, MIN_PERIOD_S
 from kinebench_drake.datasets.trajectories.check import MAX_FRAMES, numbers
 from kinebench_drake.datasets.trajectories.columns import ColumnLayout, Columns, find_columns
-from kinebench_drake.datasets.trajectories.description import mapping, read_description
 from kinebench_drake.datasets.trajectories.pose import from_quaternions, from_vectors
 from kinebench_drake.datasets.trajectories.trajectory import (
     RawTrajectory,
@@ -27,7 +26,8 @@ from kinebench_drake.datasets.videos.sample import VideoSample, camera_of
 from kinebench_drake.datasets.videos.search import CAMERA_NAME, Search
 from kinebench_drake.errors import InputError, cause
 from kinebench_drake.geometry import Array
-from kinebench_drake.io.files import open_file, parse_json, reach, read_text
+from kinebench_drake.io.files import open_file, read_text, require_accessible
+from kinebench_drake.io.jsonl import as_object, parse_json, read_object
 from kinebench_drake.io.video import VideoPart
 
 INFO = Path("meta") / "info.json"
@@ -78,7 +78,7 @@ def read_lerobot_info(folder: Path) -> Mapping[str, object]:
         InputError: it is no JSON object, names no features, or is of a version that is not read.
     """
     try:
-        info = read_description(folder / INFO)
+        info = read_object(folder / INFO)
     except FileNotFoundError:
         raise InputError(f"there is no {INFO.as_posix()}, expected a LeRobot v2 or v3 dataset") from None
     except InputError as error:
@@ -202,7 +202,7 @@ def _described(path: Path) -> dict[int, Mapping[str, object]]:
     found: dict[int, Mapping[str, object]] = {}
     try:
         for line in read_text(path).splitlines():
-            row = mapping(parse_json(line))
+            row = as_object(parse_json(line))
             number = row.get("episode_index")
             if isinstance(number, int):
                 found[number] = row
@@ -240,7 +240,7 @@ def _filled(folder: Path, info: Mapping[str, object], default: str, key: str, nu
     pure = PurePosixPath(_FIELD.sub(put, pattern))
     if pure.is_absolute() or ".." in pure.parts:
         raise InputError(f"video_path {pattern!r} of {INFO.as_posix()} leads out of the dataset")
-    return reach(
+    return require_accessible(
         folder / pure, f"video_path {pattern!r} of {INFO.as_posix()}"
     )  # links are followed wherever they lead: the Hub's cache consists of them
 
@@ -258,13 +258,13 @@ def list_lerobot_videos(folder: Path, search: Search) -> list[VideoSample]:
         UsageError: a camera.json is unusable.
     """
     info = read_lerobot_info(folder)
-    features = mapping(info["features"])
+    features = as_object(info["features"])
     cameras = list(_cameras(features))
     if not cameras:
         expected = "expected a feature of dtype video or image (`audit` reads its trajectories)"
         raise InputError(f"the LeRobot dataset has no video, {expected}")
     key = search.choose(cameras, "the dataset")
-    in_parquet = mapping(features[key]).get("dtype") == "image"
+    in_parquet = as_object(features[key]).get("dtype") == "image"
     search.cameras.settle(folder, folder / "meta" / CAMERA_NAME)
     samples = []
     for episode in list_lerobot_episodes(folder, info, key):
@@ -302,8 +302,8 @@ def list_lerobot_videos(folder: Path, search: Search) -> list[VideoSample]:
 def _cameras(features: Mapping[str, object]) -> Iterator[str]:
     """Features that hold colour pictures."""
     for name, feature in features.items():
-        about = mapping(feature)
-        told = {**mapping(about.get("info")), **mapping(about.get("video_info"))}
+        about = as_object(feature)
+        told = {**as_object(about.get("info")), **as_object(about.get("video_info"))}
         depth = any(told.get(key) is True for key in ("video.is_depth_map", "is_depth_map"))
         if about.get("dtype") in ("video", "image") and not depth:
             yield name
@@ -332,7 +332,7 @@ def list_lerobot_trajectories(folder: Path, name: str, choice: TrajectoryOptions
         InputError: the dataset cannot be used: no description, no fitting column, no episode.
     """
     info = read_lerobot_info(folder)
-    find_columns(mapping(info["features"]), choice)  # told once, not once an episode
+    find_columns(as_object(info["features"]), choice)  # told once, not once an episode
     stem = folder.resolve().name
     samples = []
     for episode in list_lerobot_episodes(folder, info):
@@ -367,7 +367,7 @@ def read_lerobot(path: Path, episode: int, info_path: Path, choice: TrajectoryOp
         InputError: the file is damaged, or lacks a column or the episode.
     """
     info = read_lerobot_info(info_path.parent.parent)
-    columns = find_columns(mapping(info["features"]), choice)
+    columns = find_columns(as_object(info["features"]), choice)
     table = _rows(path, episode, columns)
     values = _matrix(table, columns.column)
     if max(columns.indices) >= values.shape[1]:

@@ -16,7 +16,8 @@ from kinebench_drake.datasets.videos.search import Search, picture_beside
 from kinebench_drake.errors import InputError, UsageError, cause
 from kinebench_drake.geometry import checked_pose
 from kinebench_drake.io.camerafile import load_camera
-from kinebench_drake.io.files import parse_json, reach, read_text
+from kinebench_drake.io.files import read_text, require_accessible
+from kinebench_drake.io.jsonl import parse_json
 from kinebench_drake.types import InitialState
 
 NAME = "manifest.jsonl"
@@ -143,7 +144,7 @@ def inside(folder: Path, relative: str, what: str) -> Path:
     pure = PurePosixPath(relative)
     if pure.is_absolute() or ".." in pure.parts or "\0" in relative:
         raise InputError(f"{what} {relative!r} must be a relative path inside the manifest's folder")
-    path = reach(folder / pure, f"{what} {relative!r}")
+    path = require_accessible(folder / pure, f"{what} {relative!r}")
     if not path.resolve().is_relative_to(folder.resolve()):
         raise InputError(f"{what} {relative!r} is a link that leads out of the manifest's folder")
     return path

@@ -23,7 +23,7 @@ from kinebench_drake.grounding.framing.framing import Framing
 from kinebench_drake.grounding.overrides.overrides import Overrides
 from kinebench_drake.io.atomic import disk_errors, write_atomically
 from kinebench_drake.io.container import write_video
-from kinebench_drake.io.frames import frame_files, read_picture
+from kinebench_drake.io.images import frame_files, read_image
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.io.video import Video
 from kinebench_drake.results.provenance import weights_hash
@@ -161,7 +161,7 @@ def _framing(sample: VideoSample, video: Video) -> Framing:
     from kinebench_drake.grounding.framing.search import find_framing  # loads OpenCV
 
     try:
-        picture = None if sample.first_frame is None else read_picture(sample.first_frame)
+        picture = None if sample.first_frame is None else read_image(sample.first_frame)
     except InputError:
         picture = None  # a picture that happens to be called like the video need not be one
     try:

@@ -1,1 +1,1 @@
-"""Files: atomic writes, safe reading, arrays, videos and figures."""
+"""Input and output: atomic writes, safe reading, JSON, arrays, videos and figures."""

@@ -1,4 +1,4 @@
-"""Atomic file writes, and disk errors as one-line messages."""
+"""Atomic file writes, output folders, and disk errors as one-line messages."""
 
 import errno
 import os
@@ -7,12 +7,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from kinebench_drake.errors import SetupError
+from kinebench_drake.errors import SetupError, UsageError, cause
 
 
 @contextmanager
 def disk_errors(name: str) -> Iterator[None]:
-    """Turn a failing disk into one line that says what to do.
+    """Turn an OSError into a one-line message that names the fix.
 
     Raises:
         SetupError: writing failed (disk full, no permission, ...).
@@ -29,12 +29,12 @@ def disk_errors(name: str) -> Iterator[None]:
 
 
 def unfinished(path: Path) -> Path:
-    """Where this process writes a file until it is whole; by such names that is known which a killed one leaves."""
+    """Return the path to which this process writes a file until it is complete; leftovers have such names."""
     return path.with_name(f".{os.getpid()}.part.{path.name}")
 
 
 def remove(path: Path) -> None:
-    """Remove a file, or a folder with all that is in it, if it is there; of a link the link.
+    """Remove a file, or a folder with its content, if it exists; of a link only the link.
 
     Raises:
         OSError: it cannot be removed.
@@ -45,9 +45,21 @@ def remove(path: Path) -> None:
         path.unlink(missing_ok=True)
 
 
+def make_folder(out: Path) -> None:
+    """Create an output folder.
+
+    Raises:
+        UsageError: it cannot be created.
+    """
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UsageError(f"--out {out}: cannot be made a folder ({cause(error)}); name another one") from None
+
+
 @contextmanager
 def atomic_path(path: Path) -> Iterator[Path]:
-    """A path to write to beside `path`, which takes its place when the context ends without an error.
+    """Yield a path beside `path` to write to; it replaces `path` when the context ends without an error.
 
     Raises:
         SetupError: writing failed.
@@ -61,12 +73,12 @@ def atomic_path(path: Path) -> Iterator[Path]:
                 os.fsync(file.fileno())
             os.replace(part, path)
     finally:
-        with suppress(OSError):  # the parent may be no folder; the error on its way tells
+        with suppress(OSError):  # the parent may be no folder, which the error being raised reports
             part.unlink()
 
 
 def write_atomically(path: Path, data: bytes) -> None:
-    """Write a file that is there whole or not at all, whatever stops the program.
+    """Write a file completely or not at all, even if the program is killed.
 
     Raises:
         SetupError: writing failed.

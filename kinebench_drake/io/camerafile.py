@@ -1,12 +1,10 @@
-"""camera.json: a `Camera` on disk."""
+"""The file `camera.json`."""
 
-import json
 from pathlib import Path
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import UsageError, cause
-from kinebench_drake.io.atomic import write_atomically
-from kinebench_drake.io.files import read_json
+from kinebench_drake.io.jsonl import read_json, write_json
 
 
 def load_camera(path: Path, name: str | None = None) -> Camera:
@@ -33,4 +31,4 @@ def save_camera(camera: Camera, path: Path) -> None:
     Raises:
         SetupError: writing failed.
     """
-    write_atomically(path, (json.dumps(camera.to_json(), indent=1) + "\n").encode())
+    write_json(path, camera.to_json())

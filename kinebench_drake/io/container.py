@@ -1,7 +1,7 @@
 """Video containers through PyAV: decoding of every FFmpeg codec, and mp4 files with reproducible bytes."""
 
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from fractions import Fraction
 from pathlib import Path
 
@@ -15,22 +15,20 @@ from numpy.typing import NDArray
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array
 from kinebench_drake.io.atomic import unfinished
-from kinebench_drake.io.video import Video, VideoPart, check_size
+from kinebench_drake.io.video import Video, VideoPart, stack_frames
 
 _OPTIONS = {"format_whitelist": "mov,matroska,avi,gif", "protocol_whitelist": "file"}
-"""FFmpeg reads no playlist for a film: lists name other files, and addresses."""
-_BEFORE_S = 1.0  # how much earlier decoding begins: files are searched by the order of decoding, not of showing
+"""FFmpeg must read no playlist: playlists name other files and addresses."""
+_BEFORE_S = 1.0  # decoding starts this much earlier: seeking uses the decoding order, not the display order
 
 
-def read_film(path: Path, part: VideoPart) -> Video:
-    """Decode a film, or the frames of it from one time stamp to before another.
+def read_container(path: Path, part: VideoPart) -> Video:
+    """Decode a video file, or its frames between two time stamps.
 
     Raises:
         InputError: it is damaged, cut off, or holds no such frames.
     """
-    images: list[NDArray[np.uint8]] = []
     stamps: list[float | None] = []
-    size = 0
     try:
         with av.open(path, container_options=_OPTIONS, metadata_errors="replace") as container:
             if not container.streams.video:
@@ -38,47 +36,56 @@ def read_film(path: Path, part: VideoPart) -> Video:
             stream = container.streams.video[0]
             stream.thread_count = 1
             rate = stream.average_rate or stream.guessed_rate
-            half_s = 0.5 / float(rate) if rate else 0.0
-            if part.from_s and stream.time_base:
-                begin_s = max(0.0, part.from_s - _BEFORE_S)
-                container.seek(int(begin_s / stream.time_base), stream=stream)
-            for frame in container.decode(stream):
-                if part.to_s is not None and frame.time is not None and frame.time >= part.to_s - half_s:
-                    break
-                if part.from_s is not None and (frame.time is None or frame.time < part.from_s - half_s):
-                    continue
-                if frame.is_corrupt:
-                    raise InputError(f"{path.name}: frame {len(images)} is damaged")
-                image = _upright(frame)
-                if images and image.shape != images[0].shape:
-                    raise InputError(
-                        f"{path.name}: frame {len(images)} has size {image.shape[1]} x {image.shape[0]}, the first "
-                        f"{images[0].shape[1]} x {images[0].shape[0]}"
-                    )
-                size += image.nbytes
-                check_size(path.name, size)
-                images.append(image)
-                stamps.append(frame.time)
+            frames = stack_frames(path.name, _decode(path.name, container, stream, part, rate, stamps))
             missing = _missing_s(container, stream, stamps, rate) if part.to_s is None else None
     except (av.FFmpegError, OSError, ValueError, OverflowError, MemoryError) as error:
-        told = f" after {len(images)} frames" if images else ""
+        progress = f" after {len(stamps)} frames" if stamps else ""
         reason = getattr(error, "strerror", None) or str(error)
-        raise InputError(f"{path.name}: not a readable video{told} ({reason})") from None
-    span = f" from {part.from_s or 0.0:g} s to {part.to_s:g} s" if part.to_s is not None else ""
-    if not images:
-        raise InputError(f"{path.name}: holds no decodable frame{span}")
+        raise InputError(f"{path.name}: not a readable video{progress} ({reason})") from None
     if missing is not None:
-        raise InputError(f"{path.name}: cut off, the last {missing:.2f} s are missing after {len(images)} frames")
-    if part.frames is not None and len(images) != part.frames:
-        raise InputError(f"{path.name}: has {len(images)} frames{span}, its description tells {part.frames}")
+        raise InputError(f"{path.name}: cut off, the last {missing:.2f} s are missing after {len(frames)} frames")
+    if part.frames is not None and len(frames) != part.frames:
+        raise InputError(f"{path.name}: has {len(frames)} frames{_span(part)}, its metadata says {part.frames}")
     if path.suffix.lower() == ".gif" and not _gif_ends(path):
-        raise InputError(f"{path.name}: cut off after {len(images)} frames (the gif lacks its trailer)")
+        raise InputError(f"{path.name}: cut off after {len(frames)} frames (the gif lacks its trailer)")
     fps = float(rate) if rate else None
-    return Video(frames=np.stack(images), fps=fps, stamps_s=_irregular(stamps, fps))
+    return Video(frames=frames, fps=fps, stamps_s=_irregular_stamps(stamps, fps))
+
+
+def _decode(
+    name: str,
+    container: InputContainer,
+    stream: VideoStream,
+    part: VideoPart,
+    rate: Fraction | None,
+    stamps: list[float | None],
+) -> Iterator[tuple[str, NDArray[np.uint8]]]:
+    """Yield the name and the image of each frame of a part, and append its time stamp to `stamps`."""
+    half_s = 0.5 / float(rate) if rate else 0.0
+    if part.from_s and stream.time_base:
+        begin_s = max(0.0, part.from_s - _BEFORE_S)
+        container.seek(int(begin_s / stream.time_base), stream=stream)
+    for frame in container.decode(stream):
+        if part.to_s is not None and frame.time is not None and frame.time >= part.to_s - half_s:
+            break
+        if part.from_s is not None and (frame.time is None or frame.time < part.from_s - half_s):
+            continue
+        label = f"{name}: frame {len(stamps)}"
+        if frame.is_corrupt:
+            raise InputError(f"{label} is damaged")
+        image = _upright(frame)
+        stamps.append(frame.time)
+        yield label, image
+    if not stamps:
+        raise InputError(f"{name}: holds no decodable frame{_span(part)}")
+
+
+def _span(part: VideoPart) -> str:
+    return f" from {part.from_s or 0.0:g} s to {part.to_s:g} s" if part.to_s is not None else ""
 
 
 def _upright(frame: VideoFrame) -> NDArray[np.uint8]:
-    """The image turned the way players show it (phones store a rotation beside the pixels)."""
+    """Return the image as players show it: phones store a rotation beside the pixels."""
     image = frame.to_ndarray(format="rgb24")
     return np.ascontiguousarray(np.rot90(image, k=round(frame.rotation / 90) % 4)).astype(np.uint8, copy=False)
 
@@ -86,11 +93,11 @@ def _upright(frame: VideoFrame) -> NDArray[np.uint8]:
 def _missing_s(
     container: InputContainer, stream: VideoStream, stamps: list[float | None], rate: Fraction | None
 ) -> float | None:
-    """Seconds that the header announces but the data do not hold; None when the film is whole."""
+    """Return the seconds that the header announces but the data lack; None if the video is complete."""
     if not rate or not stamps or stamps[-1] is None:
         return None
-    # Trimmed films (edit lists) hold fewer frames than counted, yet last as announced. Where nothing is counted, the
-    # length of the whole file tells, unless there is sound, which may be longer.
+    # Trimmed videos (edit lists) have fewer frames than counted, but the announced duration. Without a count, the
+    # duration of the file decides, unless there is sound, which may be longer.
     if len(stamps) >= stream.frames if stream.frames else len(container.streams) > 1:
         return None
     if stream.duration is not None and stream.time_base is not None:
@@ -104,14 +111,14 @@ def _missing_s(
 
 
 def _gif_ends(path: Path) -> bool:
-    """Whether a gif ends with its trailer byte (the format's section 27), its header naming no length."""
+    """Return whether a gif, whose header names no length, ends with its trailer byte (section 27 of the format)."""
     with path.open("rb") as file:
         file.seek(-min(64, path.stat().st_size), os.SEEK_END)
         return file.read().rstrip(b"\0").endswith(b";")
 
 
-def _irregular(stamps: list[float | None], fps: float | None) -> Array | None:
-    """Time stamps from 0 when they differ from k / fps by more than half a frame and increase; None otherwise."""
+def _irregular_stamps(stamps: list[float | None], fps: float | None) -> Array | None:
+    """Return time stamps from 0 if they increase and differ from k / fps by more than half a frame, else None."""
     if fps is None or any(s is None for s in stamps):
         return None
     times = np.array(stamps, dtype=np.float64)
@@ -121,7 +128,7 @@ def _irregular(stamps: list[float | None], fps: float | None) -> Array | None:
 
 
 def join_videos(path: Path, parts: Iterable[Path]) -> None:
-    """Put films of one size, rate and encoding one after the other, without encoding anything anew."""
+    """Concatenate videos of one size, rate and encoding without encoding them again."""
     part_path = unfinished(path)
     try:
         with av.open(part_path, "w", format="mp4", container_options={"fflags": "+bitexact"}) as container:
@@ -134,7 +141,7 @@ def join_videos(path: Path, parts: Iterable[Path]) -> None:
                         joined = container.add_stream_from_template(stream)
                     end = 0
                     for packet in source.demux(stream):
-                        if packet.pts is None or packet.dts is None:  # the mark of the end
+                        if packet.pts is None or packet.dts is None:  # end marker
                             continue
                         end = max(end, packet.pts + (packet.duration or 0))
                         packet.pts, packet.dts, packet.stream = packet.pts + shift, packet.dts + shift, joined
@@ -148,18 +155,18 @@ def join_videos(path: Path, parts: Iterable[Path]) -> None:
 def write_video(
     path: Path, frames: Iterable[NDArray[np.uint8]], fps: float, *, crf: int = 16, keyframe_every: int | None = None
 ) -> None:
-    """Write frames (H, W, 3) RGB as H.264 in mp4: same frames, same bytes. The file appears only when it is whole.
+    """Write frames (H, W, 3) RGB as H.264 in mp4: same frames, same bytes. The file appears only when complete.
 
-    Films with sides of less than 96 pixels may come out with other bytes each time: x264's choices vary.
+    Videos with sides of less than 96 pixels may differ in their bytes each time: x264's choices vary.
 
-    Odd sizes lose nothing: the last row or column is repeated, as yuv420p needs even ones.
+    Of odd sizes the last row or column is repeated, as yuv420p needs even ones.
 
     Args:
         path: file to write.
-        frames: images, all of one size.
+        frames: images of one size.
         fps: frames per second.
-        crf: x264's quality, 0 (lossless) to 51; 18 is hard to tell from the original.
-        keyframe_every: most frames from one that can be decoded by itself to the next; x264's choice if not given.
+        crf: quality of x264, 0 (lossless) to 51; 18 is visually close to lossless.
+        keyframe_every: greatest distance between keyframes [frames]; None leaves it to x264.
     """
     part = unfinished(path)
     try:

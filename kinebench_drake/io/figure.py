@@ -9,11 +9,11 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 POSITION, ROTATION, FAINT = "#1f6fb2", "#c4622d", "#b8bec4"
-"""Colours of position, of rotation, and of what stands behind."""
+"""Colours of position, of rotation, and of background elements."""
 
 
 def new_figure(width: float, height: float, rows: int = 1, columns: int = 1, **options: Any) -> "tuple[Figure, Any]":
-    """A light figure of a size [inches] and its axes (rows, columns), drawn without any display."""
+    """Return a figure of a size [inches] and its axes (rows, columns), drawn without a display."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -28,12 +28,12 @@ def new_figure(width: float, height: float, rows: int = 1, columns: int = 1, **o
 
 
 def plain(text: str) -> str:
-    """A text of somebody else's as it is: matplotlib would take what stands between dollar signs for mathematics."""
+    """Escape dollar signs, between which matplotlib would typeset mathematics."""
     return text.replace("$", r"\$")
 
 
 def save(figure: "Figure", path: Path) -> None:
-    """Write a figure in the format of the path's suffix (png, svg, pdf), whole or not at all.
+    """Write a figure atomically in the format of the path's suffix (png, svg, pdf).
 
     Raises:
         SetupError: writing failed.

@@ -1,7 +1,6 @@
 """Files named by the user: regular files only, read whole within a size limit, and the suffixes of videos."""
 
 import errno
-import json
 import os
 import stat
 from contextlib import suppress
@@ -11,19 +10,22 @@ from pathlib import Path
 from kinebench_drake.errors import InputError, cause
 
 MOST_BYTES = 2**28
-"""Largest text that is read."""
-_DIGITS = 20
+"""Largest text file that is read [bytes]."""
+VIDEO_SUFFIXES = frozenset({".mp4", ".mov", ".avi", ".gif", ".webm", ".mkv"})
+"""Video containers."""
+IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg"})
+"""Images of a frame folder."""
 
 
-def reach(path: Path, what: str) -> Path:
-    """`path`, which need not be there, once it is known that the disk can be asked about it.
+def require_accessible(path: Path, what: str) -> Path:
+    """Return `path`, which need not exist, if the file system can answer whether it does.
 
     Args:
-        path: where some file of the user says that another one is.
-        what: how to name it in a message.
+        path: path named in a file of the user.
+        what: its name in messages.
 
     Raises:
-        InputError: its name is too long or no text, a folder above it is locked, or links go round in a circle.
+        InputError: the name is too long or not text, a folder above it is locked, or links form a circle.
     """
     try:
         with suppress(FileNotFoundError, NotADirectoryError):
@@ -34,10 +36,10 @@ def reach(path: Path, what: str) -> Path:
 
 
 def open_file(path: Path) -> BufferedReader:
-    """A regular file, open.
+    """Open a regular file for reading.
 
     Raises:
-        OSError: there is none, or it cannot be read.
+        OSError: it does not exist, is no regular file or cannot be read.
     """
     if not stat.S_ISREG(os.stat(path).st_mode):
         raise OSError(errno.EINVAL, "Not a regular file", str(path))
@@ -45,10 +47,10 @@ def open_file(path: Path) -> BufferedReader:
 
 
 def read_bytes(path: Path, most: int = MOST_BYTES) -> bytes:
-    """All of a regular file.
+    """Return the content of a regular file.
 
     Raises:
-        OSError: there is none, it cannot be read, or holds more than `most` bytes.
+        OSError: it does not exist, cannot be read, or holds more than `most` bytes.
     """
     with open_file(path) as file:
         data = file.read(most + 1)
@@ -58,47 +60,10 @@ def read_bytes(path: Path, most: int = MOST_BYTES) -> bytes:
 
 
 def read_text(path: Path, encoding: str = "utf-8-sig") -> str:
-    """All of a regular file as text.
+    """Return the content of a regular file as text.
 
     Raises:
         OSError: as `read_bytes`.
-        ValueError: it is no text in this encoding.
+        ValueError: it is not text in this encoding.
     """
     return read_bytes(path).decode(encoding)
-
-
-def read_json(path: Path) -> object:
-    """What a JSON file holds.
-
-    Raises:
-        OSError: as `read_bytes`.
-        ValueError: it is not JSON.
-    """
-    return parse_json(read_bytes(path))
-
-
-def _number(text: str) -> int | float:
-    """A whole number; one that fits into no machine's word comes as a float, as arithmetic would have it."""
-    if len(text) > _DIGITS:
-        return float(text)
-    value = int(text)
-    return value if abs(value) < 2**63 else float(value)
-
-
-def parse_json(text: str | bytes) -> object:
-    """What a JSON text says.
-
-    Raises:
-        ValueError: it is not JSON, or nested more deeply than anything sensible.
-    """
-    try:
-        value: object = json.loads(text, parse_int=_number)
-    except RecursionError:
-        raise ValueError("it is nested too deeply") from None
-    return value
-
-
-FILM_SUFFIXES = frozenset({".mp4", ".mov", ".avi", ".gif", ".webm", ".mkv"})
-"""Films."""
-FRAME_SUFFIXES = frozenset({".png", ".jpg", ".jpeg"})
-"""Pictures that make a folder of frames."""

@@ -1,5 +1,6 @@
-"""HDF5 files that anybody may have written: only what lies in the file itself is read, and only if it is there."""
+"""HDF5 files from untrusted sources: only data stored in the file itself is read, also as video frames."""
 
+import io
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -8,19 +9,25 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from kinebench_drake.errors import InputError, cause
 from kinebench_drake.io.files import open_file
+from kinebench_drake.io.images import decode_image, natural_key
+from kinebench_drake.io.video import Video, VideoPart, check_size, stack_frames
 
+HDF5_SUFFIXES = frozenset({".h5", ".hdf5"})
 DAMAGED = (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError, IndexError, MemoryError)
-"""What h5py raises over files that are not what they seem."""
+"""Exceptions that h5py raises for damaged files."""
+
+_IMAGE_MAGIC = (b"\xff\xd8\xff", b"\x89PNG")
 
 
 @contextmanager
 def open_hdf5(path: Path) -> Iterator[h5py.File]:
-    """A file to read from.
+    """Open a file for reading.
 
     Raises:
         ValueError: it is empty, or no HDF5 file.
-        OSError: it cannot be read; one of DAMAGED where more is wrong.
+        OSError: it cannot be read; another one of DAMAGED for other defects.
     """
     with open_file(path) as raw:
         if not raw.seek(0, 2):
@@ -34,22 +41,95 @@ def open_hdf5(path: Path) -> Iterator[h5py.File]:
 
 
 def is_own(data: h5py.Dataset) -> bool:
-    """Whether a data set's numbers lie in the file itself, not in another that it names, and are there at all."""
+    """Return whether the values of a data set are stored in the file itself, not in another file that it names."""
     if data.is_virtual or data.external or data.shape is None:
         return False
     return not data.size or bool(data.id.get_storage_size())
 
 
 def read_all(data: h5py.Dataset, most_bytes: int) -> NDArray[np.generic]:
-    """All of a data set.
+    """Return all values of a data set.
 
     Raises:
-        ValueError: it is not in the file, or too large.
+        ValueError: they are not in the file, or too large.
     """
     if not is_own(data):
         raise ValueError("its numbers are not in the file")
     if data.size * data.dtype.itemsize > most_bytes:
         raise ValueError(
-            f"it takes {data.size * data.dtype.itemsize / 2**20:.0f} MiB, at most {most_bytes >> 20} are taken"
+            f"it takes {data.size * data.dtype.itemsize / 2**20:.0f} MiB, at most {most_bytes >> 20} are accepted"
         )
     return np.asarray(data[()])
+
+
+def list_hdf5_videos(path: Path) -> list[str]:
+    """Return the names of the data sets that hold a video, in natural order; external links are not followed.
+
+    Raises:
+        InputError: the file is damaged.
+    """
+    names: list[str] = []
+
+    def visit(name: str, item: object) -> None:
+        readable = isinstance(name, str)  # names that are not valid text come as bytes
+        if readable and isinstance(item, h5py.Dataset) and is_own(item) and (_is_frames(item) or _is_encoded(item)):
+            names.append(name)
+
+    try:
+        with open_hdf5(path) as file:
+            file.visititems(visit)
+    except DAMAGED as error:
+        raise InputError(f"{path.name}: {cause(error)}") from None
+    return sorted(names, key=natural_key)
+
+
+def read_hdf5(path: Path, part: VideoPart) -> Video:
+    """Read the data set that `part` names, else the only one, as frames.
+
+    Raises:
+        InputError: the file is damaged, holds no such data set, or several and none is named.
+    """
+    key = part.key
+    if key is None:
+        names = list_hdf5_videos(path)
+        if len(names) != 1:
+            listing = ", ".join(names[:8]) or "none"
+            raise InputError(f"{path.name}: holds {len(names)} videos ({listing}), expected one if none is named")
+        (key,) = names
+    try:
+        with open_hdf5(path) as file:
+            data = file.get(key)
+            if not isinstance(data, h5py.Dataset) or not is_own(data):
+                raise InputError(f"{path.name}: holds no data set {key!r} of its own")
+            frames = _decode(path, data) if _is_encoded(data) else _read_frames(path, data)
+    except DAMAGED as error:
+        raise InputError(f"{path.name}: {key} cannot be read ({cause(error)})") from None
+    try:
+        return Video(frames=frames, fps=None, stamps_s=None)
+    except InputError as error:
+        raise InputError(f"{path.name}: {key} {error}") from None
+
+
+def _is_frames(data: h5py.Dataset) -> bool:
+    return bool(data.dtype == np.uint8 and data.ndim == 4 and data.shape[3] == 3 and data.shape[0])
+
+
+def _is_encoded(data: h5py.Dataset) -> bool:
+    """Return whether each row begins like an encoded image."""
+    rows = data.ndim == 2 and data.dtype == np.uint8
+    texts = data.ndim == 1 and (data.dtype.kind == "S" or h5py.check_vlen_dtype(data.dtype) == np.uint8)
+    return bool((rows or texts) and data.shape[0]) and _bytes(data[0]).startswith(_IMAGE_MAGIC)
+
+
+def _bytes(row: object) -> bytes:
+    return row if isinstance(row, bytes) else np.asarray(row).tobytes()
+
+
+def _read_frames(path: Path, data: h5py.Dataset) -> NDArray[np.uint8]:
+    check_size(path.name, data.size * data.dtype.itemsize)
+    return np.ascontiguousarray(data[()])
+
+
+def _decode(path: Path, data: h5py.Dataset) -> NDArray[np.uint8]:
+    rows = ((f"{path.name}: frame {k} of {data.name}", data[k]) for k in range(data.shape[0]))
+    return stack_frames(path.name, ((label, decode_image(io.BytesIO(_bytes(row)))) for label, row in rows))

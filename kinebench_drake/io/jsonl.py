@@ -8,26 +8,65 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
-import numpy as np
-
-from kinebench_drake.errors import InputError, UsageError, cause
-from kinebench_drake.io.atomic import atomic_path, disk_errors, write_atomically
-from kinebench_drake.io.files import parse_json
+from kinebench_drake.errors import InputError, cause
+from kinebench_drake.io.atomic import disk_errors, write_atomically
+from kinebench_drake.io.files import read_bytes
 from kinebench_drake.types import Json
 
 Row = TypeVar("Row")
 
+_DIGITS = 20
+"""Longest integer that is parsed as an integer."""
 
-def make_folder(out: Path) -> None:
-    """Create an output folder.
+
+def parse_json(text: str | bytes) -> object:
+    """Parse JSON text; integers that fit no 64-bit word become floats.
 
     Raises:
-        UsageError: it cannot be created.
+        ValueError: it is not JSON, or nested too deeply.
     """
     try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UsageError(f"--out {out}: cannot be made a folder ({cause(error)}); name another one") from None
+        value: object = json.loads(text, parse_int=_parse_integer)
+    except RecursionError:
+        raise ValueError("it is nested too deeply") from None
+    return value
+
+
+def _parse_integer(text: str) -> int | float:
+    if len(text) > _DIGITS:
+        return float(text)
+    value = int(text)
+    return value if abs(value) < 2**63 else float(value)
+
+
+def read_json(path: Path) -> object:
+    """Return the value in a JSON file.
+
+    Raises:
+        OSError: as `read_bytes`.
+        ValueError: it is not JSON.
+    """
+    return parse_json(read_bytes(path))
+
+
+def read_object(path: Path) -> Mapping[str, object]:
+    """Return the object in a JSON file; empty if the file holds another value.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        InputError: it cannot be read as JSON.
+    """
+    try:
+        return as_object(read_json(path))
+    except FileNotFoundError:
+        raise
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path.name} cannot be read as JSON ({cause(error)})") from None
+
+
+def as_object(value: object) -> Mapping[str, object]:
+    """Return the value if it is a JSON object, else an empty object."""
+    return value if isinstance(value, Mapping) else {}
 
 
 def write_json(path: Path, value: Mapping[str, Any]) -> None:
@@ -45,7 +84,7 @@ def read_lines(path: Path, parse: Callable[[object], Row]) -> list[Row]:
 
     Args:
         path: the file.
-        parse: converts the JSON value of a line; a ValueError or InputError says that it is invalid.
+        parse: converts the JSON value of a line; raises ValueError or InputError if it is invalid.
 
     Raises:
         InputError: a line other than the last is invalid.
@@ -91,12 +130,6 @@ def drop_torn_line(path: Path) -> None:
         whole = data[: data.rfind(b"\n") + 1]
         if len(whole) < len(data):
             write_atomically(path, whole)
-
-
-def write_arrays(path: Path, arrays: Mapping[str, Any]) -> None:
-    """Write an npz file, the same bytes for the same arrays."""
-    with atomic_path(path) as part, part.open("wb") as file:
-        np.savez_compressed(file, **arrays)
 
 
 def dump(value: Json, *, indent: int | None = None) -> str:

@@ -1,12 +1,13 @@
-"""npy and npz files that anybody may have written: nothing pickled is loaded, nothing allocated that is not there."""
+"""npy and npz files from untrusted sources, read without pickle and within size limits; reproducible npz files."""
 
+import io
 import lzma
 import math
 import struct
 import tokenize
 import zipfile
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,49 +18,52 @@ from numpy.lib.format import read_array, read_array_header_1_0, read_array_heade
 from numpy.typing import NDArray
 
 from kinebench_drake.errors import InputError, cause
+from kinebench_drake.io.atomic import atomic_path
 from kinebench_drake.io.files import open_file
 
 MOST_BYTES = 2**31
-"""Largest array that is taken where nobody asks for less."""
+"""Default limit of an array [bytes]."""
 
 _DAMAGED = (
     *(OSError, ValueError, EOFError, MemoryError, RuntimeError, OverflowError, TypeError, KeyError, SyntaxError),
     *(zipfile.BadZipFile, zlib.error, lzma.LZMAError, struct.error, tokenize.TokenError),
 )
-"""What NumPy and zipfile raise over files that are not what they seem."""
+"""Exceptions that NumPy and zipfile raise for damaged files."""
+_EPOCH = (1980, 1, 1, 0, 0, 0)
+"""Earliest date of a zip entry: a fixed one, as clock times would change the bytes."""
 _HEADERS = {(1, 0): read_array_header_1_0, (2, 0): read_array_header_2_0}
 
 
 def at_most(limit: int) -> Callable[[int], None]:
-    """A check that refuses arrays of more bytes."""
+    """Return a check that refuses arrays of more than `limit` bytes."""
 
     def check(size: int) -> None:
         if size > limit:
-            raise InputError(f"an array takes {size / 2**20:.0f} MiB, at most {limit / 2**20:.0f} are taken")
+            raise InputError(f"an array takes {size / 2**20:.0f} MiB, at most {limit / 2**20:.0f} are accepted")
 
     return check
 
 
 class Archive:
-    """An npz file that is open."""
+    """Open npz file."""
 
     def __init__(self, raw: zipfile.ZipFile, check: Callable[[int], None]) -> None:
         self._raw = raw
         self._check = check
         self._entries = {entry.filename.removesuffix(".npy"): entry for entry in raw.infolist()}
         self.files = list(self._entries)
-        """Names of its arrays."""
+        """Names of the arrays."""
 
     def shape(self, name: str) -> tuple[int, ...]:
-        """Shape of an array, which is not loaded."""
+        """Return the shape of an array without loading it."""
         with self._raw.open(self._entries[name]) as file:
             return _read_header(file, self._entries[name].file_size).shape
 
     def __getitem__(self, name: str) -> NDArray[Any]:
-        """An array.
+        """Return an array.
 
         Raises:
-            InputError: it is pickled, takes too much, or its header tells of more than there is.
+            InputError: it is pickled, too large, or its header announces more data than there are.
         """
         entry = self._entries[name]
         with self._raw.open(entry) as file:
@@ -74,17 +78,17 @@ def open_npz(path: Path, check: Callable[[int], None] = at_most(MOST_BYTES)) -> 
 
     Args:
         path: the file.
-        check: raises InputError where an array of so many bytes may not be loaded.
+        check: raises InputError if an array of so many bytes may not be loaded.
 
     Raises:
-        InputError: it is damaged, or no such file; messages do not name it.
+        InputError: it is absent or damaged; messages do not name it.
     """
     try:
         with open_file(path) as file:
             if not file.seek(0, 2):
                 raise InputError("the file is empty (0 bytes)")
             if not zipfile.is_zipfile(file):
-                raise InputError("is not a whole zip archive, expected an npz file as np.savez writes it")
+                raise InputError("is not a complete zip archive, expected an npz file as np.savez writes it")
             with zipfile.ZipFile(file) as raw:
                 yield Archive(raw, check)
     except _DAMAGED as error:
@@ -92,14 +96,14 @@ def open_npz(path: Path, check: Callable[[int], None] = at_most(MOST_BYTES)) -> 
 
 
 def read_npy(path: Path, check: Callable[[int], None] = at_most(MOST_BYTES)) -> NDArray[np.generic]:  # noqa: B008
-    """The array of an npy file.
+    """Return the array of an npy file.
 
     Args:
         path: the file.
-        check: raises InputError where an array of so many bytes may not be loaded.
+        check: raises InputError if an array of so many bytes may not be loaded.
 
     Raises:
-        InputError: it is damaged, or no such file; messages do not name it.
+        InputError: it is absent or damaged; messages do not name it.
     """
     try:
         with open_file(path) as file:
@@ -116,17 +120,17 @@ def read_npy(path: Path, check: Callable[[int], None] = at_most(MOST_BYTES)) -> 
 
 @dataclass(frozen=True, slots=True)
 class _Header:
-    """What an npy file tells of its array."""
+    """Header of an npy file."""
 
     shape: tuple[int, ...]
     nbytes: int
 
 
 def _read_header(file: IO[bytes], size: int) -> _Header:
-    """The header at the beginning of a file of so many bytes.
+    """Read the header at the beginning of a file of `size` bytes.
 
     Raises:
-        InputError: it is of pickled objects, or tells of more than there is.
+        InputError: the array is pickled, or larger than the file.
     """
     version = read_magic(file)
     if version not in _HEADERS:
@@ -136,5 +140,27 @@ def _read_header(file: IO[bytes], size: int) -> _Header:
         raise InputError("holds pickled Python objects, which are never loaded: save plain arrays")
     nbytes = math.prod(shape) * dtype.itemsize
     if min(shape, default=0) < 0 or nbytes > size:
-        raise InputError(f"its header tells of an array of shape {shape}, which is not there")
+        raise InputError(f"its header announces an array of shape {shape}, which is not there")
     return _Header(shape=shape, nbytes=nbytes)
+
+
+def write_arrays(path: Path, arrays: Mapping[str, Any]) -> None:
+    """Write an npz file; equal arrays give equal bytes.
+
+    Raises:
+        SetupError: writing failed.
+    """
+    with atomic_path(path) as part, part.open("wb") as file:
+        np.savez_compressed(file, **arrays)
+
+
+def pack_arrays(arrays: Mapping[str, NDArray[np.generic]]) -> bytes:
+    """Return the bytes of an npz file of arrays in the order of the mapping; equal arrays give equal bytes."""
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as archive:
+        for name, array in arrays.items():
+            data = io.BytesIO()
+            np.lib.format.write_array(data, np.ascontiguousarray(array), allow_pickle=False)
+            entry = zipfile.ZipInfo(f"{name}.npy", date_time=_EPOCH)
+            archive.writestr(entry, data.getvalue(), compress_type=zipfile.ZIP_DEFLATED)
+    return buffer.getvalue()

@@ -1,5 +1,6 @@
-"""A decoded video as an array, and its limits."""
+"""A decoded video as an array, the part of a file that is a video, and limits of both."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,19 +14,19 @@ MIN_FRAMES = 2
 MIN_SIDE_PX = 64
 """Below this the gripper covers a handful of pixels in any benchmark view."""
 MAX_BYTES = 6 * 2**30
-"""Decoded frames beyond this are refused rather than risking the machine's memory."""
+"""Larger videos are refused, to protect the machine's memory [bytes of decoded frames]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Video:
-    """Decoded frames and what the file says about their time."""
+    """Decoded frames and their times according to the file."""
 
     frames: NDArray[np.uint8]
     """(T, H, W, 3) RGB."""
     fps: float | None
-    """Frames per second [1/s]; None where the source has no clock (frame folders, arrays)."""
+    """Frames per second [1/s]; None if the source has no clock (frame folders, arrays)."""
     stamps_s: Array | None
-    """(T,) time stamps of an irregular film, from 0, increasing [s]; None where `fps` says it all."""
+    """(T,) time stamps of an irregular video, from 0, increasing [s]; None if they follow from `fps`."""
 
     def __post_init__(self) -> None:
         """Check shape and type.
@@ -51,7 +52,7 @@ class Video:
         return int(self.frames.shape[1])
 
     def require_measurable(self) -> None:
-        """Refuse what no track can be taken from.
+        """Check that a track can be estimated.
 
         Raises:
             UnmeasurableError: there are too few frames or too few pixels.
@@ -64,29 +65,51 @@ class Video:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VideoPart:
-    """Which part of a file is the video, where the file holds more."""
+    """Part of a file that is one video."""
 
     key: str | None = None
     """Array of an npz file, data set of an HDF5 file, column of a parquet file; None for the only one."""
     episode: int | None = None
     """Episode of a parquet file."""
     from_s: float | None = None
-    """Time stamp of the first frame in a film [s]; None for its beginning."""
+    """Time stamp of the first frame in a container [s]; None for the beginning of the file."""
     to_s: float | None = None
-    """Time stamp at which something else begins [s]; None for the film's end."""
+    """Time stamp of the first frame after the part [s]; None for the end of the file."""
     frames: int | None = None
-    """Frames that must be there; None where nobody tells."""
+    """Expected number of frames; None if unknown."""
 
 
 WHOLE = VideoPart()
-"""All of a file."""
+"""The whole file."""
 
 
 def check_size(name: str, size: int) -> None:
-    """Refuse what would not fit into memory.
+    """Refuse a video that would not fit into memory.
 
     Raises:
         InputError: the decoded frames take more than `MAX_BYTES`.
     """
     if size > MAX_BYTES:
         raise InputError(f"{name} exceeds {MAX_BYTES / 2**30:.0f} GiB when decoded; cut it into shorter clips")
+
+
+def stack_frames(name: str, images: Iterable[tuple[str, NDArray[np.uint8]]]) -> NDArray[np.uint8]:
+    """Stack images (H, W, 3) into frames (T, H, W, 3).
+
+    Args:
+        name: name of the video in messages.
+        images: at least one name of a frame and its image.
+
+    Raises:
+        InputError: the images differ in size or take too much memory.
+    """
+    frames: list[NDArray[np.uint8]] = []
+    size = 0
+    for label, image in images:
+        if frames and image.shape != frames[0].shape:
+            (height, width), (first_height, first_width) = image.shape[:2], frames[0].shape[:2]
+            raise InputError(f"{label}: size {width} x {height}, the first frame has {first_width} x {first_height}")
+        size += image.nbytes
+        check_size(name, size)
+        frames.append(image)
+    return np.stack(frames)

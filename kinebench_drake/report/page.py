@@ -8,8 +8,7 @@ from typing import cast
 from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 
 from kinebench_drake.errors import InputError, cause
-from kinebench_drake.io.files import read_json
-from kinebench_drake.io.jsonl import intern_text
+from kinebench_drake.io.jsonl import intern_text, read_json
 from kinebench_drake.report.histogram import Histogram, count_values, draw_histogram
 from kinebench_drake.report.metric import BY_NAME, METRICS, Metric, MetricLayout, layout_of
 from kinebench_drake.report.sample import (

@@ -24,7 +24,7 @@ NOT_MEASURING = (
     # Imported by measuring code, but no number depends on them: storage, presentation, distribution of the work.
     *("__init__.py", "errors.py", "plugin.py", "environment/*.py", "executors/*.py", "report/*.py", "results/*.py"),
     *("evaluation/resume.py", "evaluation/runner.py", "evaluation/suite.py", "evaluation/thumbnail.py"),
-    *("io/atomic.py", "io/jsonl.py", "grounding/overlay.py"),
+    *("io/atomic.py", "grounding/overlay.py"),
     # In the folders of measuring code, but not used by it.
     *("io/figure.py", "io/markdown.py", "evaluation/merge.py", "closed_loop/tolerance.py", "suites/contact_sheet.py"),
     *("suites/demos.py", "suites/expert_check.py", "suites/order.py", "suites/selection.py", "suites/stills.py"),

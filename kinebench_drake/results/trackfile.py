@@ -1,7 +1,5 @@
 """`tracks/ID.npz`: a gripper track, its joint angles and what was found along it; equal numbers give equal bytes."""
 
-import io
-import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,11 +10,9 @@ from numpy.typing import NDArray
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array
 from kinebench_drake.io.atomic import write_atomically
-from kinebench_drake.io.npz import Archive, open_npz
+from kinebench_drake.io.npz import Archive, open_npz, pack_arrays
 from kinebench_drake.types import GripperTrack, IkStatus, JointTrack
 
-_EPOCH = (1980, 1, 1, 0, 0, 0)
-"""The earliest date a zip entry can bear: a fixed one, as clock times would change the bytes."""
 _OWN = (
     *("t_s", "camera_from_hand", "base_from_tcp", "tracked", "confidence", "finger_width_m"),
     *("q", "ik_ok", "status"),
@@ -86,18 +82,6 @@ def write_track(path: Path, track: GripperTrack, joints: JointTrack | None, curv
             raise InputError(f"curve {name!r} has shape {shape}, expected {(n,)} or {(n, 7)}")
         arrays[name] = np.asarray(curves[name], dtype=np.float64)
     write_atomically(path, pack_arrays(arrays))
-
-
-def pack_arrays(arrays: Mapping[str, NDArray[np.generic]]) -> bytes:
-    """An npz file of arrays in the order given; equal arrays give equal bytes."""
-    buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w") as archive:
-        for name, array in arrays.items():
-            data = io.BytesIO()
-            np.lib.format.write_array(data, np.ascontiguousarray(array), allow_pickle=False)
-            entry = zipfile.ZipInfo(f"{name}.npy", date_time=_EPOCH)
-            archive.writestr(entry, data.getvalue(), compress_type=zipfile.ZIP_DEFLATED)
-    return buffer.getvalue()
 
 
 def read_track(path: Path) -> TrackFile:

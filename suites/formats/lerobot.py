@@ -19,7 +19,8 @@ from kinebench_drake.geometry import to_quaternion
 from kinebench_drake.io.atomic import atomic_path, disk_errors
 from kinebench_drake.io.camerafile import save_camera
 from kinebench_drake.io.container import join_videos, write_video
-from kinebench_drake.io.jsonl import write_arrays, write_json
+from kinebench_drake.io.jsonl import write_json
+from kinebench_drake.io.npz import write_arrays
 from kinebench_drake.suites.formats.demo import PARTS, Content, Demo, Record, Shots
 
 QUANTILES = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}

@@ -11,7 +11,8 @@ import h5py
 import numpy as np
 
 from kinebench_drake.io.atomic import atomic_path
-from kinebench_drake.io.jsonl import write_arrays, write_json
+from kinebench_drake.io.jsonl import write_json
+from kinebench_drake.io.npz import write_arrays
 from kinebench_drake.suites.clock import CONTROL_PERIOD_S
 from kinebench_drake.suites.formats.demo import CLIP_STEPS, PARTS, Content, Demo, Record, Shots
 from kinebench_drake.suites.simulator import Simulator

@@ -16,7 +16,8 @@ from kinebench_drake.errors import SetupError
 from kinebench_drake.io.atomic import disk_errors
 from kinebench_drake.io.camerafile import save_camera
 from kinebench_drake.io.container import write_video
-from kinebench_drake.io.jsonl import write_arrays, write_lines
+from kinebench_drake.io.jsonl import write_lines
+from kinebench_drake.io.npz import write_arrays
 from kinebench_drake.suites.formats.demo import Content, Demo, Record, Shots
 from kinebench_drake.suites.start import first_facts
 from kinebench_drake.suites.tasks.registry import TASKS

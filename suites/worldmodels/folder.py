@@ -5,7 +5,8 @@ from pathlib import Path
 from typing import Any
 
 from kinebench_drake.errors import InputError, cause
-from kinebench_drake.io.files import FILM_SUFFIXES, FRAME_SUFFIXES, parse_json, read_text
+from kinebench_drake.io.files import IMAGE_SUFFIXES, VIDEO_SUFFIXES, read_text
+from kinebench_drake.io.jsonl import parse_json
 from kinebench_drake.suites.worldmodels.spec import Options, Spec
 from kinebench_drake.suites.worldmodels.videofile import check_video
 from kinebench_drake.suites.worldmodels.worldmodel import Request, WorldModelError
@@ -106,11 +107,11 @@ def _seed_of(episode: str, task: str) -> int | None:
 
 
 def _is_film(path: Path) -> bool:
-    return path.suffix.lower() in FILM_SUFFIXES and not path.name.startswith(".") and path.is_file()
+    return path.suffix.lower() in VIDEO_SUFFIXES and not path.name.startswith(".") and path.is_file()
 
 
 def _is_frames(path: Path) -> bool:
-    return path.is_dir() and any(inner.suffix.lower() in FRAME_SUFFIXES for inner in path.iterdir())
+    return path.is_dir() and any(inner.suffix.lower() in IMAGE_SUFFIXES for inner in path.iterdir())
 
 
 def _rows(manifest: Path) -> list[dict[str, Any]]:

@@ -6,7 +6,7 @@ import pytest
 from click.testing import CliRunner
 
 from benchmarks.__main__ import main
-from kinebench_drake.results.trackfile import pack_arrays
+from kinebench_drake.io.npz import pack_arrays
 
 
 def write(folder, row, *, times=(0.0, 0.2), results=None):

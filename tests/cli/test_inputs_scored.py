@@ -14,7 +14,7 @@ from kinebench_drake.grounding.framing.framing import letterboxes
 from kinebench_drake.io.container import join_videos, write_video
 from kinebench_drake.results.row import Status
 from kinebench_drake.results.store import read_rows
-from tests.inputs.conftest import write_info, write_v3_episodes
+from tests.datasets.videos.conftest import write_info, write_v3_episodes
 
 KEY = "observation.images.front"
 

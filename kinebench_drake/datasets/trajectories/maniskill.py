@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.datasets.trajectories.check import MAX_FRAMES
-from kinebench_drake.datasets.trajectories.description import mapping, read_description
 from kinebench_drake.datasets.trajectories.trajectory import (
     MAX_STEP_S,
     MIN_STEP_S,
@@ -25,6 +24,7 @@ from kinebench_drake.datasets.trajectories.trajectory import (
 )
 from kinebench_drake.errors import InputError, cause
 from kinebench_drake.io.hdf5 import DAMAGED, open_hdf5, read_all
+from kinebench_drake.io.jsonl import as_object, read_object
 
 SUFFIXES = frozenset({".h5", ".hdf5"})
 
@@ -56,12 +56,12 @@ def list_maniskill(path: Path, video: str) -> list[TrajectorySample]:
     if not names:
         return [_replaced(bare, problem=f"holds no trajectory traj_0, traj_1, ... but {held or 'nothing'}")]
     about, note = _description(path.with_suffix(".json"))
-    info, episodes = mapping(about.get("env_info")), about.get("episodes")
+    info, episodes = as_object(about.get("env_info")), about.get("episodes")
     told = episodes if isinstance(episodes, list) else []
-    by_id = {e["episode_id"]: e for e in map(mapping, told) if isinstance(e.get("episode_id"), int)}
+    by_id = {e["episode_id"]: e for e in map(as_object, told) if isinstance(e.get("episode_id"), int)}
     samples = []
     for name in sorted(names, key=lambda n: int(n.removeprefix("traj_"))):
-        episode = mapping(by_id.get(int(name.removeprefix("traj_"))))
+        episode = as_object(by_id.get(int(name.removeprefix("traj_"))))
         task, seed, success = info.get("env_id"), episode.get("episode_seed"), episode.get("success")
         samples.append(
             TrajectorySample(
@@ -172,7 +172,7 @@ def _listed(trajectory: h5py.Group) -> str:
 def _description(path: Path) -> tuple[Mapping[str, object], str | None]:
     """The description beside a file, and what is wrong with it."""
     try:
-        return read_description(path), None
+        return read_object(path), None
     except FileNotFoundError:
         return {}, f"{path.name} is not there: task, seed and success are unknown"
     except InputError as error:
@@ -181,9 +181,9 @@ def _description(path: Path) -> tuple[Mapping[str, object], str | None]:
 
 def _rate(about: Mapping[str, object]) -> float | None:
     """Control steps per second that a description tells [Hz]."""
-    info = mapping(about.get("env_info"))
-    arguments = mapping(info.get("env_kwargs"))
-    for place in (info, arguments, mapping(arguments.get("sim_config")), mapping(arguments.get("sim_cfg"))):
+    info = as_object(about.get("env_info"))
+    arguments = as_object(info.get("env_kwargs"))
+    for place in (info, arguments, as_object(arguments.get("sim_config")), as_object(arguments.get("sim_cfg"))):
         value = place.get("control_freq")
         if (
             isinstance(value, int | float)

@@ -17,7 +17,7 @@ from pathlib import Path
 from kinebench_drake.datasets.videos.sample import VideoSample, camera_of
 from kinebench_drake.datasets.videos.search import Search
 from kinebench_drake.errors import InputError
-from kinebench_drake.io.files import FRAME_SUFFIXES, read_text
+from kinebench_drake.io.files import IMAGE_SUFFIXES, read_text
 
 _SUFFIX, _TRUE = "_dataset", "gt"
 _PROMPTS = ("introduction.txt", "prompt.txt")
@@ -66,7 +66,7 @@ def _videos(folder: Path) -> Iterator[Path]:
     """The folders of frames."""
     for episode in sorted(folder.glob("*/*")):
         for video in (episode / "video", *sorted(episode.glob("*/video"))):
-            if video.is_dir() and any(file.suffix.lower() in FRAME_SUFFIXES for file in video.iterdir()):
+            if video.is_dir() and any(file.suffix.lower() in IMAGE_SUFFIXES for file in video.iterdir()):
                 yield video
 
 

@@ -13,8 +13,8 @@ from kinebench_drake.datasets.videos.folder import FolderLayout, is_frame_folder
 from kinebench_drake.datasets.videos.sample import VideoSample, VideoSamples
 from kinebench_drake.datasets.videos.search import CameraLookup, Search, plain
 from kinebench_drake.errors import InputError, UsageError
-from kinebench_drake.io.files import FILM_SUFFIXES
-from kinebench_drake.io.frames import HDF5_SUFFIXES
+from kinebench_drake.io.files import VIDEO_SUFFIXES
+from kinebench_drake.io.hdf5 import HDF5_SUFFIXES
 from kinebench_drake.io.reader import ARRAY_SUFFIXES
 from kinebench_drake.io.video import VideoPart
 
@@ -35,7 +35,7 @@ def list_array(path: Path, search: Search) -> list[VideoSample]:
 FILES: Mapping[str, Callable[[Path, Search], Sequence[VideoSample]]] = {
     ".jsonl": manifest.list_manifest,
     **dict.fromkeys(HDF5_SUFFIXES, hdf5_videos.list_hdf5),
-    **dict.fromkeys(FILM_SUFFIXES, list_film),
+    **dict.fromkeys(VIDEO_SUFFIXES, list_film),
     **dict.fromkeys(ARRAY_SUFFIXES, list_array),
 }
 """What lists the videos of a file that was named, by its suffix in lower case."""
@@ -116,7 +116,7 @@ def _list(source: Path, search: Search, skipped: Sequence[Path]) -> Sequence[Vid
 
 
 def _expected() -> str:
-    films = ", ".join(sorted(s[1:] for s in FILM_SUFFIXES))
+    films = ", ".join(sorted(s[1:] for s in VIDEO_SUFFIXES))
     return (
         f"a video ({films}), a folder of videos or frame folders, a npy/npz or HDF5 file, a LeRobot dataset or a "
         f"{manifest.NAME}"

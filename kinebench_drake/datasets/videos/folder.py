@@ -10,7 +10,7 @@ from kinebench_drake.datasets.videos import videofolder
 from kinebench_drake.datasets.videos.sample import VideoSample, camera_of
 from kinebench_drake.datasets.videos.search import Search, plain
 from kinebench_drake.errors import InputError
-from kinebench_drake.io.files import FILM_SUFFIXES, FRAME_SUFFIXES
+from kinebench_drake.io.files import IMAGE_SUFFIXES, VIDEO_SUFFIXES
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,7 +43,7 @@ def list_folder(
             folders.clear()
             samples += _dataset(here, search, layout)
             continue
-        films = [f for f in files if Path(f).suffix.lower() in FILM_SUFFIXES]
+        films = [f for f in files if Path(f).suffix.lower() in VIDEO_SUFFIXES]
         if films:
             samples += [plain(here / f, search) for f in films]
         elif is_frame_folder(files):
@@ -59,7 +59,7 @@ def list_folder(
 def is_frame_folder(files: Sequence[str]) -> bool:
     """Whether a folder of these files is one video: it holds pictures, and no films."""
     suffixes = {Path(f).suffix.lower() for f in files}
-    return bool(suffixes & FRAME_SUFFIXES) and not suffixes & FILM_SUFFIXES
+    return bool(suffixes & IMAGE_SUFFIXES) and not suffixes & VIDEO_SUFFIXES
 
 
 def _dataset(folder: Path, search: Search, layout: FolderLayout) -> list[VideoSample]:

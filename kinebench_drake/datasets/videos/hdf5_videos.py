@@ -10,7 +10,7 @@ from kinebench_drake.datasets.trajectories.maniskill import DEFAULT_RATE_HZ, lis
 from kinebench_drake.datasets.trajectories.trajectory import TrajectorySample
 from kinebench_drake.datasets.videos.sample import VideoSample, camera_of
 from kinebench_drake.datasets.videos.search import Search
-from kinebench_drake.io.frames import list_films
+from kinebench_drake.io.hdf5 import list_hdf5_videos
 from kinebench_drake.io.video import VideoPart
 
 _EPISODE = re.compile(r"(?P<episode>(?:data/)?(?:demo|traj|episode)_\d+)/(?P<camera>.+)")
@@ -23,7 +23,7 @@ def list_hdf5(path: Path, search: Search) -> list[VideoSample]:
         InputError: the file is damaged, holds no video, or it is not said which of its cameras to take.
     """
     episodes: dict[str, dict[str, str]] = {}
-    for name in list_films(path):
+    for name in list_hdf5_videos(path):
         match = _EPISODE.fullmatch(name)
         episode, key = (match["episode"], match["camera"]) if match else ("", name)
         episodes.setdefault(episode, {})[key] = name

@@ -9,7 +9,7 @@ from kinebench_drake.camera import Camera
 from kinebench_drake.datasets.videos.sample import VideoSample, camera_of
 from kinebench_drake.errors import InputError
 from kinebench_drake.io.camerafile import load_camera
-from kinebench_drake.io.files import FRAME_SUFFIXES, reach
+from kinebench_drake.io.files import IMAGE_SUFFIXES, require_accessible
 
 CAMERA_NAME = "camera.json"
 
@@ -101,7 +101,7 @@ def below(folder: Path, relative: str) -> Path:
     pure = PurePosixPath(relative)
     if pure.is_absolute() or ".." in pure.parts or "\0" in relative:
         raise InputError(f"{relative!r} must be a relative path inside the dataset's folder")
-    return reach(folder / pure, repr(relative))
+    return require_accessible(folder / pure, repr(relative))
 
 
 def plain(path: Path, search: Search) -> VideoSample:
@@ -121,7 +121,7 @@ def picture_beside(path: Path) -> Path | None:
     """The picture called like a video: what `suite export` wrote and a model was given; None if there is none."""
     if path.is_dir():
         return None
-    beside = (path.with_suffix(suffix) for suffix in sorted(FRAME_SUFFIXES, reverse=True))
+    beside = (path.with_suffix(suffix) for suffix in sorted(IMAGE_SUFFIXES, reverse=True))
     return next((picture for picture in beside if os.path.isfile(picture)), None)  # a longer suffix may be too long
 
 

@@ -16,11 +16,11 @@ import pyarrow
 import pyarrow.parquet as parquet
 
 from kinebench_drake.datasets.manifest import MAX_PERIOD_S, MIN_PERIOD_S
-from kinebench_drake.datasets.trajectories.description import mapping
 from kinebench_drake.datasets.videos.sample import VideoSample
 from kinebench_drake.datasets.videos.search import Search, below, plain
 from kinebench_drake.errors import InputError, cause
-from kinebench_drake.io.files import FILM_SUFFIXES, parse_json, read_bytes
+from kinebench_drake.io.files import VIDEO_SUFFIXES, read_bytes
+from kinebench_drake.io.jsonl import as_object, parse_json
 
 Row = Mapping[str, object]
 
@@ -36,7 +36,7 @@ def list_metadata(path: Path, search: Search) -> list[VideoSample]:
     """
     samples = with_labels([], [path], search)
     if not samples:
-        raise InputError(f"names no video; expected a column file_name with {', '.join(sorted(FILM_SUFFIXES))} files")
+        raise InputError(f"names no video; expected a column file_name with {', '.join(sorted(VIDEO_SUFFIXES))} files")
     return samples
 
 
@@ -53,7 +53,7 @@ def with_labels(samples: Sequence[VideoSample], files: Sequence[Path], search: S
         passed = 0
         for row in _rows(file, search):
             name = next((row[key] for key in _FILES if isinstance(row.get(key), str)), None)
-            if not isinstance(name, str) or Path(name).suffix.lower() not in FILM_SUFFIXES:
+            if not isinstance(name, str) or Path(name).suffix.lower() not in VIDEO_SUFFIXES:
                 passed += 1
                 continue
             try:
@@ -127,7 +127,7 @@ def _csv(data: bytes) -> Iterator[Row]:
 def _jsonl(data: bytes) -> Iterator[Row]:
     for line in data.decode("utf-8-sig").split("\n"):
         if line.strip():
-            yield mapping(parse_json(line))
+            yield as_object(parse_json(line))
 
 
 def _parquet(data: bytes) -> Iterator[Row]:

@@ -15,11 +15,11 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
-from kinebench_drake.datasets.trajectories.description import mapping, read_description
 from kinebench_drake.datasets.videos.sample import VideoSample
 from kinebench_drake.datasets.videos.search import Search, plain
 from kinebench_drake.errors import InputError
-from kinebench_drake.io.files import FILM_SUFFIXES, read_json
+from kinebench_drake.io.files import VIDEO_SUFFIXES
+from kinebench_drake.io.jsonl import as_object, read_json, read_object
 
 _FOLDER = re.compile(r"(?P<model>.+?)(?P<variant>_[12])?_(?:sort|test|val|arena)(?P<changed>_[12])?")
 _FILM = re.compile(r"(?P<task>.+?)_?episode_?(?P<number>\d+)")
@@ -64,7 +64,7 @@ def list_worldarena(folder: Path, search: Search) -> list[VideoSample]:
 
 def _films(folder: Path) -> list[Path]:
     files = sorted(folder.iterdir())
-    return [f for f in files if f.suffix.lower() in FILM_SUFFIXES and f.is_file() and not f.name.startswith(".")]
+    return [f for f in files if f.suffix.lower() in VIDEO_SUFFIXES and f.is_file() and not f.name.startswith(".")]
 
 
 def _prompts(places: tuple[Path, ...], search: Search) -> dict[object, str]:
@@ -79,7 +79,7 @@ def _prompts(places: tuple[Path, ...], search: Search) -> dict[object, str]:
         return {}
     found: dict[object, str] = {}
     for entry in entries if isinstance(entries, list) else []:
-        about: Mapping[str, object] = mapping(entry)
+        about: Mapping[str, object] = as_object(entry)
         prompt, true = about.get("prompt"), about.get("gt_path")
         prompt = prompt[0] if isinstance(prompt, list) and prompt else prompt
         if isinstance(prompt, str) and isinstance(true, str):
@@ -92,7 +92,7 @@ def _prompts(places: tuple[Path, ...], search: Search) -> dict[object, str]:
 
 def _instruction(folder: Path, task: str, number: int | None) -> str | None:
     try:
-        told = read_description(folder / "instructions" / task / f"episode{number}.json").get("instruction")
+        told = read_object(folder / "instructions" / task / f"episode{number}.json").get("instruction")
     except (FileNotFoundError, InputError):
         return None
     return told if isinstance(told, str) else None

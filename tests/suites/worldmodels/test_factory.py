@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from kinebench_drake.errors import UsageError
-from kinebench_drake.io.files import FILM_SUFFIXES
+from kinebench_drake.io.files import VIDEO_SUFFIXES
 from kinebench_drake.suites.worldmodels.factory import FORMS, SpecForm, create
 from kinebench_drake.suites.worldmodels.spec import Spec, parse
 from kinebench_drake.suites.worldmodels.still import StillModel
@@ -131,7 +131,7 @@ def test_forms_that_others_add() -> None:
 
 
 def test_every_film_can_be_opened() -> None:
-    assert set(_DEMUXERS) == FILM_SUFFIXES
+    assert set(_DEMUXERS) == VIDEO_SUFFIXES
 
 
 def test_videos_are_told_by_their_first_bytes(film: bytes, gif: bytes) -> None:

@@ -11,7 +11,7 @@ from PIL import Image
 from kinebench_drake.datasets.videos.find import find_samples
 from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.io.reader import read_video
-from tests.inputs.conftest import frames_of
+from tests.datasets.videos.conftest import frames_of
 
 
 @pytest.fixture

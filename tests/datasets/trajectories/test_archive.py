@@ -112,9 +112,9 @@ def damaged(tmp_path, archive, t_s, q, kind):
     ("kind", "told"),
     [
         ("empty", r"empty \(0 bytes\)"),
-        ("text", "not a whole zip archive"),
-        ("cut", "not a whole zip archive"),
-        ("npy", "not a whole zip archive"),
+        ("text", "not a complete zip archive"),
+        ("cut", "not a complete zip archive"),
+        ("npy", "not a complete zip archive"),
         ("pickled", "pickled Python objects, which are never loaded"),
         ("flipped", "not a readable npz archive"),
         ("no header", "not a readable npz archive"),

@@ -189,7 +189,7 @@ def test_a_full_disk_leaves_the_rows_as_they_were(tmp_path, monkeypatch):
 def test_a_file_that_cannot_be_dropped_is_one_line(tmp_path, monkeypatch):
     with ResultStore(tmp_path) as store:
         store.append(row("a"), 0.1)
-        monkeypatch.setattr(results, "part_path", lambda out, part, id: out / part)  # a folder cannot be unlinked
+        monkeypatch.setattr(results, "artifact_path", lambda out, part, id: out / part)  # a folder cannot be unlinked
         with pytest.raises(SetupError, match="make the folder writable"):
             store.keep(lambda _: False)
 

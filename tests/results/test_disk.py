@@ -1,4 +1,4 @@
-"""What may go wrong around a run: disk, clock, signals."""
+"""Output folders on disks that are full or read-only, and under a clock that jumps."""
 
 import errno
 import json
@@ -10,14 +10,9 @@ from pathlib import Path
 import pytest
 
 from kinebench_drake.errors import SetupError, UsageError
-from kinebench_drake.executors.base import ItemResult
-from kinebench_drake.executors.interrupt import graceful_interrupt
-from kinebench_drake.executors.local import LocalExecutor
 from kinebench_drake.io import atomic as storage
 from kinebench_drake.results.store import ResultStore, read_rows
 from tests.report.pages import row
-
-# Disk
 
 
 def full(*_, **__):
@@ -94,9 +89,6 @@ def test_a_folder_that_cannot_be_written_is_told(tmp_path, monkeypatch):
     assert sorted(read_rows(tmp_path / "out")) == ["a", "b"]
 
 
-# Clock
-
-
 @pytest.mark.parametrize("jump_s", [-1e9, 1e9, -3600.0])
 def test_a_clock_that_jumps_changes_no_time_and_no_result(tmp_path, monkeypatch, jump_s):
     from kinebench_drake.suites.worldmodels.client import Deadline
@@ -114,47 +106,3 @@ def test_a_clock_that_jumps_changes_no_time_and_no_result(tmp_path, monkeypatch,
         store.finish({"kind": "score"})
     walls = [json.loads(line)["wall_s"] for line in (tmp_path / "timings.jsonl").read_text().splitlines()]
     assert all(wall >= 0 for wall in walls)
-
-
-# Signals
-
-
-def make_slow():
-    def work(item):
-        if item == 0:
-            signal.raise_signal(signal.SIGINT)
-            time.sleep(0.05)
-        return item
-
-    return work
-
-
-def test_the_first_interrupt_finishes_what_is_at_hand_and_begins_no_more():
-    engine, told = LocalExecutor(jobs=1), []
-    before = signal.getsignal(signal.SIGINT)
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-    try:
-        with graceful_interrupt(engine.drain, told.append) as asked:
-            found = [outcome.result for outcome in engine.run(make_slow, [0, 1, 2]) if isinstance(outcome, ItemResult)]
-            assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
-            with pytest.raises(KeyboardInterrupt):
-                signal.raise_signal(signal.SIGINT)
-        assert asked.is_set()
-        assert found == [0]
-        give_up = time.monotonic() + 10
-        while not told and time.monotonic() < give_up:
-            time.sleep(0.01)
-        assert "press Ctrl-C again to stop at once" in told[0]
-        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    finally:
-        signal.signal(signal.SIGINT, before)
-
-
-def test_a_handler_of_the_programs_own_stays():
-    mine = lambda *_: None  # noqa: E731
-    before = signal.signal(signal.SIGINT, mine)
-    try:
-        with graceful_interrupt(lambda: None, print):
-            assert signal.getsignal(signal.SIGINT) is mine
-    finally:
-        signal.signal(signal.SIGINT, before)

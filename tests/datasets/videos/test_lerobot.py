@@ -15,7 +15,7 @@ from kinebench_drake.datasets.videos.sample import CameraSource
 from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.io.camerafile import save_camera
 from kinebench_drake.io.reader import read_video
-from tests.inputs.conftest import SIDE, frames_of, grey, levels, write_info, write_v3_episodes
+from tests.datasets.videos.conftest import SIDE, frames_of, grey, levels, write_info, write_v3_episodes
 
 LENGTHS = (5, 4, 6)
 TWO = ("observation.images.front", "observation.images.wrist")
@@ -94,7 +94,7 @@ def test_missing_frames_and_films_are_errors_of_their_episodes(lerobot):
     root = lerobot("v3.0")
     write_v3_episodes(root, ("observation.images.front",), (5, 4, 9), 10)
     *_, last = find_samples(root).samples
-    with pytest.raises(InputError, match=r"has 6 frames from 0.9 s to 1.8 s, its description tells 9"):
+    with pytest.raises(InputError, match=r"has 6 frames from 0.9 s to 1.8 s, its metadata says 9"):
         read_video(last.path, last.part)
     last.path.unlink()
     assert all("there is no such file" in s.problem for s in find_samples(root).samples)

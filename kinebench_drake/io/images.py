@@ -1,0 +1,102 @@
+"""Image files, and folders of them that are videos."""
+
+import re
+import struct
+import warnings
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from kinebench_drake.errors import InputError, cause
+from kinebench_drake.io.files import IMAGE_SUFFIXES, open_file
+from kinebench_drake.io.video import Video, stack_frames
+
+_FORMATS = ("PNG", "JPEG", "WEBP", "BMP")  # whatever the suffix; other formats may start programs or read other files
+_DAMAGED = (
+    *(OSError, ValueError, SyntaxError, EOFError, MemoryError, TypeError, IndexError, KeyError, OverflowError),
+    *(RuntimeError, ZeroDivisionError, AttributeError, struct.error, zlib.error),
+    *(Image.DecompressionBombError, Image.DecompressionBombWarning),
+)
+"""Exceptions that Pillow raises for damaged files."""
+
+
+def natural_key(name: str) -> list[tuple[int, str]]:
+    """Return a sort key for natural order: frame_2.png before frame_10.png."""
+    parts = enumerate(re.split(r"(\d+)", name))
+    numbers = (part.lstrip("0") if k % 2 else part for k, part in parts)
+    return [(len(part) if k % 2 else 0, part) for k, part in enumerate(numbers)]
+
+
+def frame_files(folder: Path) -> list[Path]:
+    """Return the frames of a folder in natural order."""
+    files = [p for p in folder.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and not p.name.startswith(".")]
+    return sorted(files, key=lambda p: (natural_key(p.name), p.name))
+
+
+@contextmanager
+def _open_stream(file: IO[bytes]) -> Iterator[Image.Image]:
+    """Open an encoded image with Pillow.
+
+    Raises:
+        ValueError: it is not a readable image, or a very large one.
+    """
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", Image.DecompressionBombWarning)
+            with Image.open(file, formats=_FORMATS) as image:
+                yield image
+    except _DAMAGED as error:
+        raise ValueError(f"no readable png or jpg ({cause(error)})") from None
+
+
+def decode_image(file: IO[bytes]) -> NDArray[np.uint8]:
+    """Decode an image to (H, W, 3) RGB.
+
+    Raises:
+        ValueError: it is not a readable image, or a very large one.
+    """
+    with _open_stream(file) as image:
+        return np.asarray(image.convert("RGB"), dtype=np.uint8)
+
+
+@contextmanager
+def open_image(path: Path) -> Iterator[Image.Image]:
+    """Open an image file with Pillow.
+
+    Raises:
+        InputError: it is not a readable image, or a very large one.
+    """
+    try:
+        with open_file(path) as file, _open_stream(file) as image:
+            yield image
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path.parent.name}/{path.name}: not a readable image ({cause(error)})") from None
+
+
+def read_image(path: Path) -> NDArray[np.uint8]:
+    """Read an image file as (H, W, 3) RGB.
+
+    Raises:
+        InputError: it is not a readable image.
+    """
+    with open_image(path) as image:
+        return np.asarray(image.convert("RGB"), dtype=np.uint8)
+
+
+def read_folder(folder: Path) -> Video:
+    """Read the frames of a folder in natural order.
+
+    Raises:
+        InputError: there are none, or one is damaged or of another size.
+    """
+    files = frame_files(folder)
+    if not files:
+        raise InputError(f"{folder.name}: the folder holds no png or jpg frames")
+    images = ((f"{folder.name}/{file.name}", read_image(file)) for file in files)
+    return Video(frames=stack_frames(folder.name, images), fps=None, stamps_s=None)

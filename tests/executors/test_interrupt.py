@@ -1,0 +1,51 @@
+"""Interrupts: the first lets running samples finish, the second stops."""
+
+import signal
+import time
+
+import pytest
+
+from kinebench_drake.executors.base import ItemResult
+from kinebench_drake.executors.interrupt import graceful_interrupt
+from kinebench_drake.executors.local import LocalExecutor
+
+
+def make_slow():
+    def work(item):
+        if item == 0:
+            signal.raise_signal(signal.SIGINT)
+            time.sleep(0.05)
+        return item
+
+    return work
+
+
+def test_the_first_interrupt_finishes_what_is_at_hand_and_begins_no_more():
+    engine, told = LocalExecutor(jobs=1), []
+    before = signal.getsignal(signal.SIGINT)
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with graceful_interrupt(engine.drain, told.append) as asked:
+            found = [outcome.result for outcome in engine.run(make_slow, [0, 1, 2]) if isinstance(outcome, ItemResult)]
+            assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+            with pytest.raises(KeyboardInterrupt):
+                signal.raise_signal(signal.SIGINT)
+        assert asked.is_set()
+        assert found == [0]
+        give_up = time.monotonic() + 10
+        while not told and time.monotonic() < give_up:
+            time.sleep(0.01)
+        assert "press Ctrl-C again to stop at once" in told[0]
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def test_a_handler_of_the_programs_own_stays():
+    mine = lambda *_: None  # noqa: E731
+    before = signal.signal(signal.SIGINT, mine)
+    try:
+        with graceful_interrupt(lambda: None, print):
+            assert signal.getsignal(signal.SIGINT) is mine
+    finally:
+        signal.signal(signal.SIGINT, before)
