@@ -22,7 +22,7 @@ from kinebench_drake.closed_loop.attribution import FailureVerdict, find_cause
 from kinebench_drake.closed_loop.commands import CommandPlanner
 from kinebench_drake.closed_loop.loop import ClosedLoop, LoopOptions
 from kinebench_drake.errors import InputError, KinebenchError
-from kinebench_drake.evaluation.stages import DrakeStages, RobotOptions
+from kinebench_drake.evaluation.analyzer import Analyzer, RobotOptions
 from kinebench_drake.executors.base import Executor, WorkerCrash
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.pipeline import GroundingResult
@@ -85,14 +85,14 @@ class Finding:
     """The cause in words, or why there was no episode."""
 
 
-class _ForgetfulStages(DrakeStages):
-    """Stages whose reader loses the gripper for a while."""
+class _ForgetfulAnalyzer(Analyzer):
+    """An analyzer that loses the gripper for a while."""
 
     share: tuple[float, float] | None = None
     """First frame and number of frames that are lost, as parts of the clip."""
 
     def ground(self, frames: NDArray[np.uint8], camera: Camera, t_s: Array, known: Priors) -> GroundingResult:
-        """See `DrakeStages.ground`."""
+        """Track the gripper, then lose it."""
         grounding = super().ground(frames, camera, t_s, known)
         if self.share is None:
             return grounding
@@ -149,10 +149,10 @@ class _Worker:
 
     def __init__(self) -> None:
         plant = ArmPlant()
-        self._stages = _ForgetfulStages(RobotOptions())
+        self._analyzer = _ForgetfulAnalyzer(RobotOptions())
         self._hand = SimulatorCache(_SlackStage, _SIZE_PX)
         commander, options = CommandPlanner(plant), LoopOptions(rounds=1, pixels_only=True)
-        make: Any = partial(ClosedLoop, self._stages, commander)
+        make: Any = partial(ClosedLoop, self._analyzer.ground, commander)
         self._plain, self._half = make(OracleModel(), options), make(_HalfWay(), options)
         self._faulty = [make(OracleModel(fault=fault), options) for fault in FAULTS]
 
@@ -161,7 +161,7 @@ class _Worker:
         stage = self._hand.stage(episode.task, episode.variant)
         rng = generator("causes", episode.id, case.planted.name)
         length = float(rng.uniform(*LOST_SHARE))
-        self._stages.share = (
+        self._analyzer.share = (
             (float(rng.uniform(0.05, 1.0 - length)), length) if case.planted is Planted.READING else None
         )
         stage.slack_rad = SLACK_RAD if case.planted is Planted.ROBOT and case.number % 2 == 0 else 0.0
@@ -174,7 +174,7 @@ class _Worker:
                 run = loop.run(stage, episode, Path(folder) / episode.id)
             except InputError as error:  # the expert finds no path, the clip has no place for the fault
                 return Finding(case=case, verdict=None, text=str(error))
-        cause = find_cause(run, [self._stages.judge(r.grounded.track) for r in run.rounds])
+        cause = find_cause(run, [self._analyzer.judge(r.grounded.track) for r in run.rounds])
         return Finding(
             case=case,
             verdict=None if cause is None else cause.verdict,

@@ -8,8 +8,8 @@ The gripper points down and goes 30 cm to the left, once in 2 s and once in 0.5 
 import numpy as np
 
 from kinebench_drake import audit_trajectory
-from kinebench_drake.evaluation.stages import Judgement
 from kinebench_drake.geometry import make_pose
+from kinebench_drake.metrics.result import KinematicResult
 
 DOWN = np.diag([1.0, -1.0, -1.0])
 """Rotation of panda_hand_tcp in the base frame: its z axis, along the fingers, points to the table."""
@@ -21,13 +21,13 @@ def minimum_jerk(frames: int) -> np.ndarray:
     return s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
 
 
-def tell(name: str, judgement: Judgement) -> None:
-    print(f"{name}: {'feasible' if judgement.feasible else 'infeasible'}")
-    for v in judgement.violations:
+def tell(name: str, result: KinematicResult) -> None:
+    print(f"{name}: {'feasible' if result.feasible else 'infeasible'}")
+    for v in result.violations:
         print(f"  {v['kind']} of {v['joint']} in frames {v['frame_start']} to {v['frame_end']}: {v['value']:.3g}")
     for metric in ("slowdown_min", "manipulability_min", "joint_limit_margin_min", "sparc"):
-        value = judgement.metrics[metric]
-        print(f"  {metric}: {judgement.reasons[metric] if value is None else f'{value:.3g}'}")
+        value = result.metrics[metric]
+        print(f"  {metric}: {result.reasons[metric] if value is None else f'{value:.3g}'}")
 
 
 def main() -> None:

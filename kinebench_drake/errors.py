@@ -3,6 +3,11 @@
 Every message is one line and names what was found, what was expected and what to do about it.
 """
 
+from enum import Enum
+from typing import TypeVar
+
+Member = TypeVar("Member", bound=Enum)
+
 _MOST_SIGNS = 1000
 
 
@@ -42,3 +47,15 @@ def cause(error: Exception) -> str:
     if isinstance(error, OSError):
         return error.strerror or "of an unknown kind, or damaged"
     return str(error).split("\n")[0]
+
+
+def member_of(kind: type[Member], value: Member | str, option: str) -> Member:
+    """Return the member of an enumeration for an option's value.
+
+    Raises:
+        UsageError: the value is invalid; the message lists the valid ones.
+    """
+    try:
+        return kind(value)
+    except ValueError:
+        raise UsageError(f"{option} is {value!r}, expected {', '.join(repr(m.value) for m in kind)}") from None

@@ -123,6 +123,15 @@ class Anomaly:
     (duplicate_gripper), metres jumped (teleport) or beyond what fingers can do (finger_opening), relative misfit of the
     shape (deformation) or of the size (scale_drift), pixels moved (camera_motion)."""
 
+    def to_json(self, first_frame: int = 0) -> dict[str, Json]:
+        """Serialize into an entry of `anomalies`, frames counted from `first_frame`."""
+        return {
+            "kind": self.kind.value,
+            "frame_start": first_frame + int(self.frame_start),
+            "frame_end": first_frame + int(self.frame_end),
+            "severity": float(self.severity),
+        }
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class InitialState:

@@ -25,10 +25,10 @@ MAY_IMPORT = {
     "kinematics": IO | {"models"},
     "metrics": IO | {"models", "kinematics"},
     "grounding": IO | {"models", "kinematics", "executors"},
-    "suites": IO | {"models", "kinematics", "executors"},
+    "suites": IO | {"models", "kinematics", "results", "executors"},
     "calibration": IO | {"models", "datasets", "results", "grounding"},
     "closed_loop": IO | {"models", "kinematics", "metrics", "executors", "grounding", "suites"},
-    "report": IO | {"models", "kinematics", "metrics", "datasets", "results", "suites"},
+    "report": IO | {"models", "kinematics", "metrics", "datasets", "results", "executors", "suites", "closed_loop"},
     "evaluation": IO
     | {"models", "kinematics", "metrics", "datasets", "results", "executors"}
     | {"grounding", "suites", "closed_loop", "report"},

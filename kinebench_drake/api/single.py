@@ -1,4 +1,4 @@
-"""One sample by itself, nothing written: `ground_video` and `audit_trajectory`."""
+"""Single samples without an output folder: `ground_video` and `audit_trajectory`."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -6,7 +6,7 @@ from difflib import get_close_matches
 from functools import lru_cache
 from os import PathLike
 from pathlib import Path
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,16 +20,17 @@ from kinebench_drake.datasets.videos.find import find_samples
 from kinebench_drake.datasets.videos.sample import CameraSource, VideoSample
 from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.evaluation import audit
+from kinebench_drake.evaluation.analyzer import Analyzer, AnalyzerFactory, RobotOptions, load_analyzer
 from kinebench_drake.evaluation.audit import judge_trajectory
 from kinebench_drake.evaluation.evaluator import SampleInfo
 from kinebench_drake.evaluation.score import (
     BENCHMARK_PERIOD_S,
     PeriodSource,
     check_period,
+    ground_prepared,
     prepare_video,
-    with_first_frames,
+    with_initial_states,
 )
-from kinebench_drake.evaluation.stages import SHIPPED_STAGES, Grounded, Judgement, RobotOptions, Stages, load_stages
 from kinebench_drake.executors.local import one_thread
 from kinebench_drake.grounding.overrides.overrides import Overrides
 from kinebench_drake.io.camerafile import load_camera
@@ -37,31 +38,35 @@ from kinebench_drake.io.reader import read_video
 from kinebench_drake.io.video import Video
 from kinebench_drake.types import GripperTrack, InitialState
 
+if TYPE_CHECKING:  # torch, Open3D and Drake take seconds to load
+    from kinebench_drake.grounding.pipeline import GroundingResult
+    from kinebench_drake.metrics.result import KinematicResult
+
 AnySample = TypeVar("AnySample", bound=SampleInfo)
 
 
 def single_video(
-    source: Path, *, id: str | None, camera_key: str | None, pixels_only: bool, sources: Overrides
+    source: Path, *, id: str | None, camera_key: str | None, pixels_only: bool, overrides: Overrides
 ) -> tuple[Video, VideoSample, Sequence[str]]:
-    """One video of a file, dataset or manifest, what its owner says about it, and what the user should know.
+    """Read one video of a file, dataset or manifest; return it with its sample and warnings.
 
     Raises:
-        UsageError: there is none, or it is not said which one is meant.
+        UsageError: there is none, or several and no id.
         InputError: it cannot be read.
     """
-    inputs = find_samples(source, others=sources.folders, camera_key=camera_key)
+    inputs = find_samples(source, others=overrides.folders, camera_key=camera_key)
     sample = _one(inputs.samples, source, id)
     if sample.problem is not None:
         raise InputError(sample.problem)
-    sample = replace(sample, initial_state=None) if pixels_only else with_first_frames([sample])[0]
+    sample = replace(sample, initial_state=None) if pixels_only else with_initial_states([sample])[0]
     return read_video(sample.path, sample.part), sample, inputs.warnings
 
 
 def video_of(frames: NDArray[np.uint8], id: str | None) -> tuple[Video, VideoSample]:
-    """A video given as frames (T, H, W, 3) RGB, by the benchmark's camera unless it is said otherwise.
+    """Return a video of frames (T, H, W, 3) RGB and its sample, with the benchmark camera.
 
     Raises:
-        InputError: the array is no video.
+        InputError: the array is not a video.
     """
     name = id or "video"
     sample = VideoSample(
@@ -71,10 +76,10 @@ def video_of(frames: NDArray[np.uint8], id: str | None) -> tuple[Video, VideoSam
 
 
 def single_trajectory(source: Path, choice: TrajectoryOptions, *, id: str | None) -> Trajectory:
-    """One trajectory of a file, dataset or folder.
+    """Read one trajectory of a file, dataset or folder.
 
     Raises:
-        UsageError: there is none, or it is not said which one is meant.
+        UsageError: there is none, or several and no id.
         InputError: it cannot be read, or is not sound.
         UnmeasurableError: it is too short.
     """
@@ -89,7 +94,7 @@ def trajectory_of(
     tracked: ArrayLike | None,
     finger_width_m: ArrayLike | None,
 ) -> Trajectory:
-    """A trajectory given as joint angles (T, 7) [rad] or poses (T, 4, 4) [m], checked as files are.
+    """Return a trajectory of joint angles (T, 7) [rad] or poses (T, 4, 4) [m], checked as files are.
 
     Raises:
         InputError: the arrays are not sound.
@@ -111,21 +116,22 @@ def trajectory_of(
     return check(recording, rate_hz)
 
 
-def stages_for(options: RobotOptions) -> Stages:
-    """What grounds and judges: kept for the next call with the same options, unless the robot is the user's own.
+def analyzer_for(options: RobotOptions) -> Analyzer:
+    """Return the analyzer of a robot, cached between calls unless the URDF is the user's own.
 
     Raises:
         SetupError: a library, a driver or the weights are missing.
         UsageError: the robot cannot be used.
     """
-    if options.urdf is None:
-        return _kept_stages(SHIPPED_STAGES, options)
-    return load_stages(SHIPPED_STAGES, options)  # its files may change between calls
+    return _cached_analyzer(options) if options.urdf is None else load_analyzer(make_analyzer, options)
+
+
+make_analyzer: AnalyzerFactory = Analyzer
 
 
 @lru_cache(maxsize=4)
-def _kept_stages(path: str, options: RobotOptions) -> Stages:
-    return load_stages(path, options)
+def _cached_analyzer(options: RobotOptions) -> Analyzer:
+    return load_analyzer(make_analyzer, options)
 
 
 def _one(samples: Sequence[AnySample], source: Path, id: str | None) -> AnySample:
@@ -153,23 +159,23 @@ def ground_video(
     depth: PathName | None = None,
     depth_exact: bool = False,
     poses: PathName | None = None,
-) -> Grounded:
-    """Take the gripper's track from one video, as `kinebench-drake ground` does; nothing is written.
+) -> "GroundingResult":
+    """Track the gripper through one video, as `kinebench-drake ground` does; nothing is written.
 
     The networks are loaded with the first call and kept.
 
     Args:
         video: a path as `score_videos` takes it, or frames (T, H, W, 3) uint8 RGB.
-        id: which one, where the path holds several; of frames: the name of their files in `masks`, `depth`, `poses`.
+        id: id of the sample, where the path holds several; of frames: name of their files in `masks`, `depth`, `poses`.
         camera: the camera, or the path of its camera.json; None: that of the input, else the benchmark's.
         camera_key: camera to take of datasets that have several.
         frame_period_s: task time between two frames [s], where no manifest tells; None: 1 / fps, 0.2 without a clock.
-        first: the robot in the first frame, over what the input tells (`X_BG`: the TCP in the robot base frame [m]).
-        pixels_only: leave aside what the input tells of the first frame.
-        masks: see `score_videos`.
-        depth: see `score_videos`.
-        depth_exact: see `score_videos`.
-        poses: see `score_videos`.
+        first: state of the robot in the first frame, in place of the input's (`X_BG`: TCP in the robot base frame [m]).
+        pixels_only: ignore the initial state that the input states.
+        masks: folder of masks that replace the network's.
+        depth: folder of depth maps [m], `moge:CHECKPOINT` or `module:Class` that replaces the network's depth.
+        depth_exact: treat that depth as accurate to a few millimetres.
+        poses: folder of poses of panda_hand in the camera frame that replace the tracker's.
 
     Returns:
         `track`: (T,) times [s], poses (T, 4, 4) of panda_hand in the camera frame and of panda_hand_tcp in the base
@@ -187,30 +193,30 @@ def ground_video(
         print(track.X_BG[track.tracked, :3, 3])
     """
     check_period(frame_period_s)
-    sources = Overrides(
+    overrides = Overrides(
         masks=path_of(masks),
         depth=None if depth is None else str(depth),
         poses=path_of(poses),
         depth_exact=depth_exact,
     )
     if isinstance(video, str | PathLike):
-        decoded, sample, told = single_video(
-            Path(video), id=id, camera_key=camera_key, pixels_only=pixels_only, sources=sources
+        decoded, sample, warnings = single_video(
+            Path(video), id=id, camera_key=camera_key, pixels_only=pixels_only, overrides=overrides
         )
-        warn(*told)
+        warn(*warnings)
     else:
         refuse_with("frames", camera_key=camera_key)
         decoded, sample = video_of(video, id)
     if camera is not None:
-        given = camera if isinstance(camera, Camera) else load_camera(Path(camera))
-        sample = replace(sample, camera=given, camera_source=CameraSource.GIVEN)
+        chosen = camera if isinstance(camera, Camera) else load_camera(Path(camera))
+        sample = replace(sample, camera=chosen, camera_source=CameraSource.GIVEN)
     if first is not None:
         sample = replace(sample, initial_state=first)
     with one_thread():
-        footage = prepare_video(decoded, sample, frame_period_s, sources)
-        if footage.period_source is PeriodSource.BENCHMARK:
+        prepared = prepare_video(decoded, sample, frame_period_s, overrides)
+        if prepared.period_source is PeriodSource.BENCHMARK:
             warn(f"the video has no frame rate: {BENCHMARK_PERIOD_S} s between frames was taken; give frame_period_s")
-        return footage.ground(stages_for(RobotOptions()))
+        return ground_prepared(prepared, analyzer_for(RobotOptions()))
 
 
 def audit_trajectory(
@@ -226,11 +232,11 @@ def audit_trajectory(
     table_height_m: float = 0.0,
     urdf: PathName | None = None,
     tcp_frame: str | None = None,
-) -> Judgement:
-    """Judge one trajectory, as `kinebench-drake audit` does: can the robot do it, how well, and if not, why.
+) -> "KinematicResult":
+    """Judge one trajectory, as `kinebench-drake audit` does: whether and how well the robot executes it, else why not.
 
-    Joint angles are judged as they are given; poses are infeasible only if no joint path does them. A track that
-    `ground_video` found is judged as `score_videos` does it: allowing for what an estimated pose may be off.
+    Joint angles are judged as recorded; poses are infeasible only if no joint path follows them. A track of
+    `ground_video` is judged as in `score_videos`: with the error that an estimated pose may have.
 
     Args:
         trajectory: joint angles (T, 7) [rad], poses (T, 4, 4) of the TCP in the robot base frame [m], a track, or a
@@ -239,7 +245,7 @@ def audit_trajectory(
         rate_hz: frames per second [Hz], over the times.
         tracked: (T,) which frames are known; None: all. Of arrays only.
         finger_width_m: (T,) gap between the pads, 0 to 0.08 [m]; NaN or None: unknown. Of arrays only.
-        id: which one, where the path holds several.
+        id: id of the sample, where the path holds several.
         joints: array, data set or column of a file that holds the joint angles.
         poses: array or column of a file that holds the poses.
         table_height_m: height of the table's top in the robot base frame [m].
@@ -257,8 +263,8 @@ def audit_trajectory(
         SetupError: a library or the Panda's files are missing.
 
     Example:
-        judgement = audit_trajectory(q, t_s=t_s)
-        print(judgement.feasible, judgement.violations, judgement.metrics["manipulability_min"])
+        result = audit_trajectory(q, t_s=t_s)
+        print(result.feasible, result.violations, result.metrics["manipulability_min"])
     """
     options = RobotOptions(table_height_m=table_height_m, urdf=path_of(urdf), tcp_frame=tcp_frame)
     if options.urdf is not None:
@@ -270,15 +276,15 @@ def audit_trajectory(
             id=id, joints=joints, poses=poses,
         )  # fmt: skip
         with one_thread():
-            return stages_for(options).judge(trajectory)
+            return analyzer_for(options).judge(trajectory)
     if isinstance(trajectory, str | PathLike):
         refuse_with("a file", t_s=t_s, tracked=tracked, finger_width_m=finger_width_m)
-        found = single_trajectory(Path(trajectory), choice, id=id)
+        checked = single_trajectory(Path(trajectory), choice, id=id)
     else:
         refuse_with("an array", id=id, joints=joints, poses=poses)
-        found = trajectory_of(
+        checked = trajectory_of(
             np.asarray(trajectory), t_s=t_s, rate_hz=rate_hz, tracked=tracked, finger_width_m=finger_width_m
         )
-    warn(*found.warnings)
+    warn(*checked.warnings)
     with one_thread():
-        return judge_trajectory(stages_for(options), found)
+        return judge_trajectory(analyzer_for(options), checked)

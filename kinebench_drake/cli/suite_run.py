@@ -16,7 +16,6 @@ from kinebench_drake.cli.options import (
 )
 from kinebench_drake.cli.run import run as carry_out
 from kinebench_drake.suites.clock import FRAME_PERIOD_S, MAX_FRAME_PERIOD_S, MIN_FRAME_PERIOD_S
-from kinebench_drake.suites.selection import chosen_tasks
 
 
 @click.command(
@@ -59,46 +58,13 @@ from kinebench_drake.suites.selection import chosen_tasks
 @replays_option
 @run_options
 @click.pass_context
-def run(
-    ctx: click.Context,
-    /,
-    number: int,
-    split: str,
-    tasks: str | None,
-    variant: str,
-    rounds: int,
-    control: str,
-    action_repeat: int | None,
-    frame_period_s: float,
-    pixels_only: bool,
-    negative_prompt: str,
-    **options: Any,
-) -> None:
-    """Let a world model do a suite's episodes: it imagines, the grounding reads, ManiSkill executes.
+def run(ctx: click.Context, /, number: int, **options: Any) -> None:
+    """Run a world model on the episodes of a suite: it generates, the grounding tracks, ManiSkill executes.
 
     Each episode begins with its seeded scene; after a clip the model is asked again from the last executed frame, until
     the task succeeds or the rounds are used up. --seed is the number of the first of the split's seeds.
     """
-    from kinebench_drake.closed_loop.loop import LoopOptions
-    from kinebench_drake.evaluation.suite import SuiteConfig, run_suite
-    from kinebench_drake.suites.simulator import Control
-    from kinebench_drake.suites.suite import load_suite
-    from kinebench_drake.suites.tasks.card import TaskVariant
+    from kinebench_drake.evaluation.suite import run_suite, suite_config
 
-    suite, version = load_suite(number), TaskVariant(variant)
-    config = SuiteConfig(
-        suite=suite,
-        split=suite.split_name(split),
-        tasks=chosen_tasks(suite, split, tasks, version),
-        variant=version,
-        loop=LoopOptions(
-            rounds=rounds,
-            control=Control(control),
-            action_repeat=action_repeat,
-            frame_period_s=frame_period_s,
-            pixels_only=pixels_only,
-            negative_prompt=negative_prompt,
-        ),
-        **options,
-    )
+    config = suite_config(number, **options)
     ctx.exit(carry_out(lambda observer: run_suite(config, observer), config.out))

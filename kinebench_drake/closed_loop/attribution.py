@@ -7,14 +7,13 @@ has wrong not on the robot, and what the robot did otherwise not on the task.
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from enum import Enum
-from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.closed_loop.loop import EpisodeRun
-from kinebench_drake.evaluation.stages import Judgement
 from kinebench_drake.geometry import Array, pose_difference
+from kinebench_drake.metrics.result import KinematicResult
 from kinebench_drake.segments import segments
 from kinebench_drake.types import Anomaly
 
@@ -201,7 +200,7 @@ def _length(run: slice) -> int:
     return int(run.stop - run.start)
 
 
-def find_cause(run: EpisodeRun, judgements: Sequence[Judgement]) -> Cause | None:
+def find_cause(run: EpisodeRun, judgements: Sequence[KinematicResult]) -> Cause | None:
     """Why an episode failed; None of one that succeeded.
 
     Args:
@@ -211,7 +210,7 @@ def find_cause(run: EpisodeRun, judgements: Sequence[Judgement]) -> Cause | None
     return None if run.outcome.success else attribute(_evidence(run, judgements), run.outcome.reason)
 
 
-def _evidence(run: EpisodeRun, judgements: Sequence[Judgement]) -> list[ClipEvidence]:
+def _evidence(run: EpisodeRun, judgements: Sequence[KinematicResult]) -> list[ClipEvidence]:
     """What the rounds left behind, each up to the last executed frame."""
     found = []
     for done, judgement in zip(run.rounds, judgements, strict=True):
@@ -225,10 +224,7 @@ def _evidence(run: EpisodeRun, judgements: Sequence[Judgement]) -> list[ClipEvid
                 X_BG_executed=np.full((frames, 4, 4), np.nan) if execution is None else execution.X_BG,
                 finger_width_imagined_m=track.finger_width_m[:frames],
                 finger_width_executed_m=np.full(frames, np.nan) if execution is None else execution.finger_width_m,
-                violations=tuple(
-                    (str(v["kind"]), cast(int, v["frame_start"]), cast(int, v["frame_end"]))
-                    for v in judgement.violations
-                ),
+                violations=tuple((v.kind.value, v.frame_start, v.frame_end) for v in judgement.violations),
             )
         )
     return found

@@ -2,20 +2,21 @@
 
 import glob
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from kinebench_drake.camera import Camera
 from kinebench_drake.closed_loop.commands import CommandPlanner, Commands, RobotState
 from kinebench_drake.closed_loop.execution import Execution, execute
 from kinebench_drake.errors import InputError, UnmeasurableError, UsageError
-from kinebench_drake.evaluation.stages import Grounded, Stages
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.framing.framing import unframed
 from kinebench_drake.grounding.framing.search import find_framing
+from kinebench_drake.grounding.pipeline import GroundingResult
 from kinebench_drake.io.atomic import disk_errors, remove
 from kinebench_drake.io.files import VIDEO_SUFFIXES
 from kinebench_drake.io.reader import read_video
@@ -81,7 +82,7 @@ class Round:
     """(T, H, W, 3) the same as frames in the shape of the camera's picture, whatever the model made of it."""
     robot: NDArray[np.bool_]
     """(T, H, W) their pixels that show the robot."""
-    grounded: Grounded
+    grounded: GroundingResult
     commands: Commands | None
     """None where the track holds nothing to execute; `refusal` says why."""
     refusal: str | None
@@ -97,12 +98,16 @@ class EpisodeRun:
     """The task's verdict at the end."""
 
 
+Ground = Callable[[NDArray[np.uint8], Camera, Array, Priors], GroundingResult]
+"""Tracks the gripper through frames (T, H, W, 3) of a camera at times (T,) [s], with priors."""
+
+
 class ClosedLoop:
     """Runs episodes with one model on one stage."""
 
-    def __init__(self, stages: Stages, commander: CommandPlanner, model: WorldModel, options: LoopOptions) -> None:
+    def __init__(self, ground: Ground, commander: CommandPlanner, model: WorldModel, options: LoopOptions) -> None:
         """Compose."""
-        self._stages, self._commander, self._model, self._options = stages, commander, model, options
+        self._ground, self._commander, self._model, self._options = ground, commander, model, options
 
     def run(self, stage: Simulator, episode: Episode, videos: Path) -> EpisodeRun:
         """Run an episode until it succeeds, the rounds are used up, or nothing can be executed.
@@ -162,7 +167,7 @@ class ClosedLoop:
         except UnmeasurableError as error:
             raise InputError(f"{video.name}: {error}") from None
         shown = framing.cut(frames)
-        grounded = self._stages.ground(shown, framing.camera(stage.camera), t_s, known)
+        grounded = self._ground(shown, framing.camera(stage.camera), t_s, known)
         commands, refusal, execution = None, None, None
         try:
             start = RobotState(q=now.q, finger_width_m=width, gripping=gripping)

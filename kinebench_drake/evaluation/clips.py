@@ -1,16 +1,16 @@
-"""What kinematics says of an episode of several clips: each is judged by itself, and the findings put together.
+"""Kinematics of an episode of several clips: each clip is judged alone, and the results are combined.
 
-A later clip begins where the robot was when it was asked for, which need not be where the earlier clip had imagined it:
-the step between the two is nobody's motion and is not judged.
+A later clip begins where the robot was when the clip was requested, which need not be where the earlier clip ended.
+The step between the two is not a motion of any clip and is not judged.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from kinebench_drake.evaluation.stages import Judgement
 from kinebench_drake.geometry import Array
+from kinebench_drake.metrics.result import KinematicResult, Value
 from kinebench_drake.types import GripperTrack, IkStatus, JointTrack, Json
 
 _GREATEST = frozenset(
@@ -29,14 +29,14 @@ _TOTAL = frozenset({"manipulability_integral", "branch_jumps"})
 
 
 def clip_starts(tracks: Sequence[GripperTrack]) -> list[int]:
-    """Frame of the joined track at which each clip begins."""
+    """Return the frame of the joined track at which each clip begins."""
     return [int(n) for n in np.cumsum([0, *(len(track.t_s) - 1 for track in tracks[:-1])])]
 
 
-def joined_track(tracks: Sequence[GripperTrack]) -> GripperTrack:
-    """The tracks of clips that follow each other, each beginning at the moment at which the one before ends.
+def join_tracks(tracks: Sequence[GripperTrack]) -> GripperTrack:
+    """Join the tracks of consecutive clips, each beginning at the time at which the one before ends.
 
-    The first frame of a later clip shows what the last one of the clip before led to, and is left out.
+    The first frame of a later clip shows the result of the last frame of the clip before, and is left out.
     """
     ends = np.cumsum([0.0, *(track.t_s[-1] - track.t_s[0] for track in tracks)])
     parts = [track.at(np.arange(k > 0, len(track.t_s))) for k, track in enumerate(tracks)]
@@ -51,58 +51,59 @@ def joined_track(tracks: Sequence[GripperTrack]) -> GripperTrack:
     )
 
 
-def combine(tracks: Sequence[GripperTrack], found: Sequence[Judgement]) -> Judgement:
-    """The judgement of the joined track of some clips, frames counted through all of them.
+def combine(tracks: Sequence[GripperTrack], results: Sequence[KinematicResult]) -> KinematicResult:
+    """Combine the results of consecutive clips into one of the joined track, frames counted through all clips.
 
-    Of several clips the worst extremes count, integrals add up, and means are weighed by the clips' durations. A clip
-    of which a metric cannot be told is left out of means; extremes and integrals cannot be told then. The episode is
-    infeasible if one clip is, and feasible if all are.
-
-    Args:
-        tracks: the clips', in their order.
-        found: what is said of each.
+    Extremes are those of the worst clip, integrals add up, and means are weighted by the clips' durations. A clip
+    without a value is left out of means; extremes and integrals then have no value. The episode is infeasible if one
+    clip is, and feasible if all are.
     """
-    if len(found) == 1:
-        return found[0]
-    track, starts = joined_track(tracks), clip_starts(tracks)
+    if len(results) == 1:
+        return results[0]
+    track, starts = join_tracks(tracks), clip_starts(tracks)
     durations = [float(t.t_s[-1] - t.t_s[0]) for t in tracks]
-    metrics = {name: _combined(name, [f.metrics.get(name) for f in found], durations) for name in found[0].metrics}
-    details: dict[str, Json] = {name: value for name, value in found[0].details.items() if name == "limits"}
-    details |= {f"clip {k}": {n: v for n, v in f.details.items() if n != "limits"} for k, f in enumerate(found, 1)}
-    verdicts = [f.feasible for f in found]
-    curves = {
-        name: np.concatenate([f.curves[name][k > 0 :] for k, f in enumerate(found)])
-        for name in found[0].curves
-        if all(name in f.curves for f in found)
-    }
-    return Judgement(
+    first = results[0]
+    details: dict[str, Json] = {name: value for name, value in first.details.items() if name == "limits"}
+    details |= {f"clip {k}": {n: v for n, v in r.details.items() if n != "limits"} for k, r in enumerate(results, 1)}
+    verdicts = [r.feasible for r in results]
+    return KinematicResult(
         track=track,
-        joints=_joined_joints(track.t_s, [f.joints for f in found]),
+        joints=_join_joints(track.t_s, [r.joints for r in results]),
         feasible=False if False in verdicts else None if None in verdicts else True,
-        metrics=metrics,
-        reasons={
-            name: f"clip {k}: {why}" for k, f in reversed([*enumerate(found, 1)]) for name, why in f.reasons.items()
+        violations=tuple(
+            replace(v, frame_start=start + v.frame_start, frame_end=start + v.frame_end)
+            for result, start in zip(results, starts, strict=True)
+            for v in result.violations
+        ),
+        metrics={
+            name: _combine_metric(name, [r.metrics.get(name) for r in results], durations) for name in first.metrics
         },
-        violations=tuple(_later(v, start) for f, start in zip(found, starts, strict=True) for v in f.violations),
+        reasons={
+            name: f"clip {k}: {why}" for k, r in reversed([*enumerate(results, 1)]) for name, why in r.reasons.items()
+        },
         details=details,
-        curves=curves,
+        curves={
+            name: np.concatenate([r.curves[name][k > 0 :] for k, r in enumerate(results)])
+            for name in first.curves
+            if all(name in r.curves for r in results)
+        },
     )
 
 
-def _combined(name: str, values: Sequence[Json], durations: Sequence[float]) -> Json:
-    """One metric of all clips."""
-    known = [(v, d) for v, d in zip(values, durations, strict=True) if isinstance(v, bool | int | float)]
+def _combine_metric(name: str, values: Sequence[Value], durations: Sequence[float]) -> Value:
+    """Combine the values of one metric over all clips."""
+    measured = [(v, d) for v, d in zip(values, durations, strict=True) if v is not None]
     if name in _GREATEST | _LEAST | _TOTAL:
-        if len(known) < len(values):
+        if len(measured) < len(values):
             return None
-        numbers = [v for v, _ in known]
+        numbers = [v for v, _ in measured]
         return max(numbers) if name in _GREATEST else min(numbers) if name in _LEAST else sum(numbers)
-    if not known:
+    if not measured:
         return None
-    return float(np.average([float(v) for v, _ in known], weights=[d for _, d in known]))
+    return float(np.average([float(v) for v, _ in measured], weights=[d for _, d in measured]))
 
 
-def _joined_joints(t_s: Array, clips: Sequence[JointTrack]) -> JointTrack:
+def _join_joints(t_s: Array, clips: Sequence[JointTrack]) -> JointTrack:
     def joined(name: str) -> Array:
         return np.concatenate([getattr(clip, name)[k > 0 :] for k, clip in enumerate(clips)])
 
@@ -114,9 +115,3 @@ def _joined_joints(t_s: Array, clips: Sequence[JointTrack]) -> JointTrack:
         position_error_m=joined("position_error_m"),
         rotation_error_rad=joined("rotation_error_rad"),
     )
-
-
-def _later(violation: Mapping[str, Json], start: int) -> Mapping[str, Json]:
-    """A violation of a clip that begins at frame `start` of the episode."""
-    frames = {name: violation.get(name) for name in ("frame_start", "frame_end")}
-    return {**violation, **{name: start + f for name, f in frames.items() if isinstance(f, int)}}

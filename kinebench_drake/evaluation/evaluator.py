@@ -1,4 +1,4 @@
-"""What is done to one sample, whatever it is: the boundary where its failures end, and the row that sums it up."""
+"""Evaluation of one sample: the boundary that turns every failure into a row, and what makes a stored row valid."""
 
 import hashlib
 import math
@@ -9,10 +9,10 @@ from dataclasses import dataclass, field
 from enum import Enum
 from functools import lru_cache
 from pathlib import Path
-from typing import Generic, Protocol, TypeVar
+from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
 
 from kinebench_drake.errors import KinebenchError, SetupError, UnmeasurableError, one_line
-from kinebench_drake.evaluation.stages import Judgement, RobotOptions
+from kinebench_drake.evaluation.analyzer import Analyzer, AnalyzerFactory, RobotOptions
 from kinebench_drake.executors.base import SupportsClose
 from kinebench_drake.io.files import open_file
 from kinebench_drake.io.jsonl import dump, finite
@@ -22,6 +22,9 @@ from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.results.store import artifact_path
 from kinebench_drake.types import Json
 
+if TYPE_CHECKING:  # loads Drake
+    from kinebench_drake.metrics.result import KinematicResult
+
 SCHEMA_VERSION = 1
 
 KINEMATIC_METRICS = (
@@ -30,10 +33,10 @@ KINEMATIC_METRICS = (
     *("velocity_ratio_max", "acceleration_ratio_max", "jerk_ratio_max", "torque_ratio_max", "time_scale"),
     *("slowdown_min", "trajopt_feasible", "trajopt_position_tube_m", "self_distance_min_m", "table_distance_min_m"),
 )
-"""Names every judged row bears; null where there is nothing to measure."""
+"""Metrics of every judged row; null where not measurable."""
 
 MIN_TRACKED = 2
-"""Frames whose pose must be known: a path needs two poses."""
+"""Fewest frames with a pose: a path needs two."""
 
 
 class RunKind(Enum):
@@ -46,104 +49,104 @@ class RunKind(Enum):
 
     @property
     def noun(self) -> str:
-        """What its samples are, in the plural."""
+        """Plural noun for the samples of the run."""
         return {RunKind.AUDIT: "trajectories", RunKind.SUITE: "episodes"}.get(self, "videos")
 
     @property
     def judges(self) -> bool:
-        """Whether tracks are held against the robot."""
+        """True if the run judges kinematics."""
         return self is not RunKind.GROUND
 
 
 class SampleInfo(Protocol):
-    """What every sample tells about itself."""
+    """Fields common to all samples."""
 
     @property
     def id(self) -> str:
-        """Unique, safe as a file name."""
+        """Unique id, safe as a file name."""
         ...
 
     @property
     def video(self) -> str:
-        """What the sample is taken from, as results name it."""
+        """Source of the sample as results name it."""
         ...
 
     @property
     def task(self) -> str | None:
-        """The task shown."""
+        """Task name."""
         ...
 
     @property
     def model(self) -> str | None:
-        """Who made it."""
+        """Name of the model that made the sample."""
         ...
 
 
 SampleT = TypeVar("SampleT", bound=SampleInfo)
 ResourcesT = TypeVar("ResourcesT")
-"""What a worker process loads once to measure samples with."""
+"""Resources that a worker process loads once: networks, robot, simulator."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Evaluation:
-    """What came of a sample that could be measured."""
+    """Results of one measurable sample."""
 
-    judgement: Judgement | None
-    """None where nothing was asked of the robot."""
+    kinematics: "KinematicResult | None"
+    """Verdict and metrics of the track; None where kinematics is not judged."""
     metrics: Mapping[str, Json] = field(default_factory=dict)
-    """Metrics besides the judgement's."""
+    """Metrics besides those of the kinematics."""
     extra: Mapping[str, Json] = field(default_factory=dict)
     """Further keys of the row."""
     video: str | None = None
-    """The video, where it is known only now; None where the sample names it."""
+    """Name of the video where it differs from the sample's."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Evaluator(ABC, Generic[SampleT, ResourcesT]):
-    """How samples of one run are measured; picklable. `make` turns it into the function a worker calls."""
+    """Evaluation of the samples of one run; picklable. `start_worker` creates the callable of a worker process."""
 
     kind: RunKind
     out: Path
-    stages: str
-    """Import path of the `Stages`."""
-    stage_options: RobotOptions
+    robot: RobotOptions
+    make_analyzer: AnalyzerFactory = Analyzer
+    """Creates the analyzer of a worker process."""
     code: str = field(default_factory=code_hash)
-    """SHA-256 of the program's sources when the run began; workers take it over."""
+    """SHA-256 of the sources when the run began, shared by all workers."""
 
     @property
     @abstractmethod
     def metric_names(self) -> tuple[str, ...]:
-        """Metrics that every row of the run bears."""
+        """Metrics of every row of the run."""
 
     @property
     @abstractmethod
-    def parts(self) -> tuple[str, ...]:
-        """Files that every sample with status ok has: "tracks", "overlays"."""
+    def artifacts(self) -> tuple[str, ...]:
+        """Folders in which every sample of status ok has a file: "tracks", "overlays", ..."""
 
     @abstractmethod
-    def facts(self, sample: SampleT) -> Mapping[str, Json]:
-        """All that a sample's row follows from, but the bytes of its files, the code and the robot."""
+    def cache_key(self, sample: SampleT) -> Mapping[str, Json]:
+        """Return the options and labels that determine the row, besides input files, code and robot."""
 
     @abstractmethod
-    def files(self, sample: SampleT) -> Sequence[Path]:
-        """The files that a sample is read from; none where it cannot be read."""
+    def input_files(self, sample: SampleT) -> Sequence[Path]:
+        """Return the files that the sample is read from; none where it cannot be read."""
 
     @abstractmethod
     def labels(self, sample: SampleT) -> Mapping[str, Json]:
-        """Further keys of the row that are known before the sample is read."""
+        """Return further keys of the row that are defined before the sample is read."""
 
     @abstractmethod
-    def equip(self) -> ResourcesT:
-        """Load what measuring takes; called once a process, and closed at its end if it can be.
+    def setup(self) -> ResourcesT:
+        """Load the resources; called once a process, and closed at its end if they have `close`.
 
         Raises:
             SetupError: a library, a driver or the weights are missing.
-            UsageError: something that the command line named cannot be used.
+            UsageError: an option cannot be used.
         """
 
     @abstractmethod
-    def measure(self, sample: SampleT, equipment: ResourcesT) -> Evaluation:
-        """Read the sample, measure it, write its files.
+    def evaluate(self, sample: SampleT, resources: ResourcesT) -> Evaluation:
+        """Read the sample, measure it, write its artifacts.
 
         Raises:
             InputError: the sample is broken.
@@ -152,41 +155,40 @@ class Evaluator(ABC, Generic[SampleT, ResourcesT]):
         """
 
     def content_hash(self, sample: SampleT) -> str:
-        """SHA-256 of all that a sample's row follows from: its files' bytes, labels, options, code and robot."""
-        told: dict[str, Json] = {
+        """Return the SHA-256 of all that determines a sample's row: input bytes, labels, options, code and robot."""
+        key: dict[str, Json] = {
             "schema": SCHEMA_VERSION,
             "kind": self.kind.value,
-            "stages": self.stages,
+            "analyzer": f"{self.make_analyzer.__module__}:{self.make_analyzer.__qualname__}",
             "code": self.code,
-            "table_height_m": self.stage_options.table_height_m,
-            "tcp_frame": self.stage_options.tcp_frame,
+            "table_height_m": self.robot.table_height_m,
+            "tcp_frame": self.robot.tcp_frame,
             "sample": [sample.id, sample.video, sample.task, sample.model],
-            **self.facts(sample),
+            **self.cache_key(sample),
         }
-        digest = hashlib.sha256(dump(finite(told)).encode())  # a hash is made of any sample, also of a broken one
-        robot = self.stage_options.urdf
-        for file in (*self.files(sample), *(robot_files(robot) if robot else ())):
+        digest = hashlib.sha256(dump(finite(key)).encode())  # labels of a broken sample may be NaN
+        urdf = self.robot.urdf
+        for file in (*self.input_files(sample), *(robot_files(urdf) if urdf else ())):
             digest.update(file.name.encode(errors="surrogateescape") + b"\0" + _digest(file))
         return digest.hexdigest()
 
-    def holds(self, sample: SampleT, row: SampleRow) -> bool:
-        """Whether a kept row still is what comes of this sample."""
-        needed = self.parts if row.status is Status.OK else ()
-        return all(
-            artifact_path(self.out, p, row.id).is_file() for p in needed
-        ) and row.content_hash == self.content_hash(sample)
+    def is_current(self, sample: SampleT, row: SampleRow) -> bool:
+        """Return whether the stored row is still valid: same content hash, all artifacts present."""
+        artifacts = self.artifacts if row.status is Status.OK else ()
+        present = all(artifact_path(self.out, name, row.id).is_file() for name in artifacts)
+        return present and row.content_hash == self.content_hash(sample)
 
-    def make(self) -> "SampleWorker[SampleT, ResourcesT]":
-        """Load the equipment.
+    def start_worker(self) -> "SampleWorker[SampleT, ResourcesT]":
+        """Load the resources and return the callable that evaluates samples with them.
 
         Raises:
             SetupError: a library, a driver or the weights are missing.
-            UsageError: something that the command line named cannot be used.
+            UsageError: an option cannot be used.
         """
-        return SampleWorker(self, self.equip())
+        return SampleWorker(self, self.setup())
 
-    def failed(self, sample: SampleT, status: Status, reason: str) -> SampleRow:
-        """Row of a sample that came to nothing: every metric is null."""
+    def failed_row(self, sample: SampleT, status: Status, reason: str) -> SampleRow:
+        """Return the row of a sample without results: every metric is null."""
         return SampleRow(
             id=sample.id,
             video=sample.video,
@@ -199,72 +201,77 @@ class Evaluator(ABC, Generic[SampleT, ResourcesT]):
             extra=self.labels(sample),
         )
 
-    def row(self, sample: SampleT, equipment: ResourcesT) -> SampleRow:
-        """The per-sample boundary: whatever goes wrong with a sample ends here, in its row."""
+    def row(self, sample: SampleT, resources: ResourcesT) -> SampleRow:
+        """Evaluate a sample; any failure but a SetupError ends here and becomes its row."""
         try:
-            return self._finished(sample, self.measure(sample, equipment))
+            return self._ok_row(sample, self.evaluate(sample, resources))
         except SetupError:
             raise
         except UnmeasurableError as error:
-            return self.failed(sample, Status.UNMEASURABLE, str(error))
+            return self.failed_row(sample, Status.UNMEASURABLE, str(error))
         except KinebenchError as error:
-            return self.failed(sample, Status.ERROR, str(error))
+            return self.failed_row(sample, Status.ERROR, str(error))
         except Exception as error:
-            return self.failed(sample, Status.ERROR, f"unexpected {type(error).__name__}: {error}")
+            return self.failed_row(sample, Status.ERROR, f"unexpected {type(error).__name__}: {error}")
 
-    def _finished(self, sample: SampleT, found: Evaluation) -> SampleRow:
-        judgement = found.judgement
-        metrics = {**dict.fromkeys(self.metric_names), **found.metrics, **(judgement.metrics if judgement else {})}
+    def _ok_row(self, sample: SampleT, evaluation: Evaluation) -> SampleRow:
+        kinematics = evaluation.kinematics
+        metrics = {
+            **dict.fromkeys(self.metric_names),
+            **evaluation.metrics,
+            **(kinematics.metrics if kinematics else {}),
+        }
         return SampleRow(
             id=sample.id,
-            video=found.video or sample.video,
+            video=evaluation.video or sample.video,
             task=sample.task,
             model=sample.model,
             status=Status.OK,
             reason=None,
             content_hash=self.content_hash(sample),
-            feasible=judgement.feasible if judgement else None,
-            violations=judgement.violations if judgement else (),
+            feasible=kinematics.feasible if kinematics else None,
+            violations=tuple(v.to_json() for v in kinematics.violations) if kinematics else (),
             metrics=metrics,
-            null_reasons=_null_reasons(metrics, judgement),
-            details=judgement.details if judgement else {},
-            extra={**found.extra, **self.labels(sample)},
+            null_reasons=_null_reasons(metrics, kinematics),
+            details=kinematics.details if kinematics else {},
+            extra={**evaluation.extra, **self.labels(sample)},
         )
 
 
 @dataclass(frozen=True, slots=True)
 class SampleWorker(Generic[SampleT, ResourcesT]):
-    """What one process measures samples with."""
+    """Evaluates samples in one process."""
 
-    measure: Evaluator[SampleT, ResourcesT]
-    equipment: ResourcesT
+    evaluator: Evaluator[SampleT, ResourcesT]
+    resources: ResourcesT
 
     def __call__(self, sample: SampleT) -> tuple[SampleRow, float]:
-        """A sample's row and the seconds it took."""
+        """Return the sample's row and the wall time it took [s]."""
         start = time.perf_counter()
-        return self.measure.row(sample, self.equipment), time.perf_counter() - start
+        return self.evaluator.row(sample, self.resources), time.perf_counter() - start
 
     def close(self) -> None:
-        """Free the equipment."""
-        if isinstance(self.equipment, SupportsClose):
-            self.equipment.close()
+        """Release the resources."""
+        if isinstance(self.resources, SupportsClose):
+            self.resources.close()
 
 
-def _null_reasons(metrics: Mapping[str, Json], judgement: Judgement | None) -> dict[str, str]:
-    """Why each null metric is null, in the metrics' order."""
+def _null_reasons(metrics: Mapping[str, Json], kinematics: "KinematicResult | None") -> dict[str, str]:
+    """Return why each null metric is null, in the metrics' order."""
+    stated = kinematics.reasons if kinematics else {}
     reasons = {}
     for name, value in metrics.items():
-        if value is None or (isinstance(value, float) and not math.isfinite(value)):
-            given = judgement.reasons.get(name) if judgement else None
-            unsaid = "cannot be told from this sample" if value is None else f"came out as {value}"
-            reasons[name] = given or unsaid
-    if judgement and judgement.feasible is None:
-        reasons["feasible"] = judgement.reasons.get("feasible", "cannot be told from this sample")
+        if value is None:
+            reasons[name] = stated.get(name) or "cannot be measured on this sample"
+        elif isinstance(value, float) and not math.isfinite(value):
+            reasons[name] = stated.get(name) or f"came out as {value}"
+    if kinematics and kinematics.feasible is None:
+        reasons["feasible"] = stated.get("feasible", "cannot be measured on this sample")
     return reasons
 
 
 def _digest(file: Path) -> bytes:
-    """SHA-256 of a file's bytes; many samples may share one file, which is then read once."""
+    """Return the SHA-256 of a file's bytes; a file shared by many samples is read once."""
     try:
         state = file.stat()
         return _digest_of(file, state.st_ino, state.st_size, state.st_mtime_ns, state.st_ctime_ns)

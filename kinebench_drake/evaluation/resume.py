@@ -1,4 +1,4 @@
-"""What a run may keep of what its folder holds, and what it must not lose."""
+"""Resuming a run: which stored rows are kept, and which must not be lost."""
 
 from collections.abc import Callable, Sequence
 
@@ -9,80 +9,81 @@ from kinebench_drake.results.row import Status
 from kinebench_drake.results.store import ResultStore
 
 _SUBJECT = ("source", "suite", "split", "variant", "world_model")
-"""What results are of, by keys of a run's configuration; options that say how may change."""
+"""Keys of a run's configuration that identify the subject of its results; the other options may change."""
 
 
 def resume(
     store: ResultStore,
     samples: Sequence[SampleT],
-    chosen: Sequence[SampleT],
-    measure: Evaluator[SampleT, ResourcesT],
-    header: RunMetadata,
-    warned: Callable[[str], None],
+    selected: Sequence[SampleT],
+    evaluator: Evaluator[SampleT, ResourcesT],
+    metadata: RunMetadata,
+    warn: Callable[[str], None],
 ) -> list[SampleT]:
-    """Drop kept rows that no longer hold; return the samples still to do. The folder is this run's from here on.
+    """Drop stored rows that are no longer valid, claim the folder for this run, return the samples to evaluate.
 
-    Rows of samples that are not `chosen` stay only if they hold, too: what results tell of the run is true of all rows.
+    Rows of samples that are not selected stay only if they are valid, too: the metadata describe every row.
 
     Args:
-        store: the folder, opened.
-        samples: all that there are.
-        chosen: those that this run is to do.
-        measure: tells which rows hold.
-        header: what the folder is to tell of the run.
-        warned: told of rows that are dropped.
+        store: the opened output folder.
+        samples: all samples of the input.
+        selected: samples of this run (limit, shard).
+        evaluator: decides which rows are valid.
+        metadata: metadata of this run.
+        warn: receives a message about dropped rows.
 
     Raises:
-        UsageError: finished rows would be lost that this run does not measure anew.
+        UsageError: finished rows would be lost that this run does not evaluate again.
     """
-    known, doing = {sample.id for sample in samples}, {sample.id for sample in chosen}
-    held = {s.id for s in samples if s.id in store.rows and measure.holds(s, store.rows[s.id])}
-    waiting = [s for s in chosen if s.id not in held or store.rows[s.id].status is Status.ERROR]  # whose cause may go
+    ids, selected_ids = {sample.id for sample in samples}, {sample.id for sample in selected}
+    current = {s.id for s in samples if s.id in store.rows and evaluator.is_current(s, store.rows[s.id])}
+    # The cause of an error may be gone: errors are evaluated again.
+    waiting = [s for s in selected if s.id not in current or store.rows[s.id].status is Status.ERROR]
     finished = {id for id, row in store.rows.items() if row.status is not Status.ERROR}
-    lost = sorted(finished - held)
-    strangers = sorted(store.rows.keys() - known)
-    outdated = sorted((finished - held) & (known - doing))
-    before = _header(store)
-    if before is not None and lost and (differs := _subject(before, header)):
-        raise _loss(store, lost, differs)
-    # Of a folder a file may have been removed; a suite's episodes are all there, and were left out.
-    if strangers and (len(strangers) == len(store.rows) or "source" not in header.config):
-        raise _loss(store, strangers, f"not among the {len(samples)} {measure.kind.noun} named now")
+    lost = sorted(finished - current)
+    unlisted = sorted(store.rows.keys() - ids)
+    outdated = sorted((finished - current) & (ids - selected_ids))
+    before = _stored_metadata(store)
+    if before is not None and lost and (difference := _subject_difference(before, metadata)):
+        raise _loss(store, lost, difference)
+    # A file may have been removed from a folder; a suite always has all its episodes, so these were deselected.
+    if unlisted and (len(unlisted) == len(store.rows) or "source" not in metadata.config):
+        raise _loss(store, unlisted, f"not among the {len(samples)} {evaluator.kind.noun} named now")
     if outdated:
         raise _loss(store, outdated, "of other input, options or code, and not among those to be done now")
-    if strangers:
-        warned(
-            f"{len(strangers)} earlier results are dropped: they are not among the {len(samples)} {measure.kind.noun} "
-            f"named now (such as {strangers[0]!r})"
+    if unlisted:
+        warn(
+            f"{len(unlisted)} earlier results are dropped: they are not among the {len(samples)} {evaluator.kind.noun} "
+            f"named now (such as {unlisted[0]!r})"
         )
-    if waiting or strangers:
-        store.begin(header.to_json())
-    kept = held - {s.id for s in waiting}
+    if waiting or unlisted:
+        store.begin(metadata.to_json())
+    kept = current - {s.id for s in waiting}
     store.keep(lambda row: row.id in kept)
     return waiting
 
 
-def _header(store: ResultStore) -> RunMetadata | None:
-    """What run the kept rows are of; None where there are none, or nothing tells.
+def _stored_metadata(store: ResultStore) -> RunMetadata | None:
+    """Return the metadata of the stored rows; None where there are none.
 
     Raises:
-        UsageError: it is damaged.
+        UsageError: the metadata are damaged.
     """
     try:
-        found = read_metadata(store.out) if store.rows else None
+        stored = read_metadata(store.out) if store.rows else None
     except InputError as error:
         raise UsageError(f"--out {error}; --overwrite starts anew") from None
-    return None if found is None else found.header
+    return None if stored is None else stored.header
 
 
-def _subject(before: RunMetadata, now: RunMetadata) -> str:
-    """What tells that results are of something else than this run's, which the user may mean to read; else nothing."""
+def _subject_difference(before: RunMetadata, now: RunMetadata) -> str:
+    """Return how the stored results differ in their subject from those of this run; empty if they do not."""
     if before.kind != now.kind:
         return f"of a run of kind {before.kind}, this one is of kind {now.kind}"
     for key in _SUBJECT:
-        was, is_now = before.config.get(key), now.config.get(key)
-        if was != is_now:
-            return f"of {key.replace('_', ' ')} {was!r}, this run is of {is_now!r}"
+        stored, current = before.config.get(key), now.config.get(key)
+        if stored != current:
+            return f"of {key.replace('_', ' ')} {stored!r}, this run is of {current!r}"
     return ""
 
 

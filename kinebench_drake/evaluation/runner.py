@@ -1,4 +1,4 @@
-"""One run over many samples, whatever they are: resumed, shared out, stored, summed up."""
+"""A run over many samples of any kind: resume, distribute, store, summarize."""
 
 import os
 import platform
@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Protocol
 
 from kinebench_drake.errors import SetupError, UsageError
+from kinebench_drake.evaluation.analyzer import Analyzer, AnalyzerFactory, RobotOptions
 from kinebench_drake.evaluation.evaluator import SCHEMA_VERSION, Evaluator, ResourcesT, RunKind, SampleT
 from kinebench_drake.evaluation.resume import resume
-from kinebench_drake.evaluation.stages import SHIPPED_STAGES, RobotOptions
 from kinebench_drake.executors.base import Executor, ExecutorKind, SupportsDrain, WorkerCrash, create_executor
 from kinebench_drake.executors.interrupt import graceful_interrupt
 from kinebench_drake.executors.progress import NullObserver, Observer
@@ -29,40 +29,40 @@ from kinebench_drake.types import Json
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunConfig:
-    """What every run is told."""
+    """Options common to all runs."""
 
     out: Path
-    """Output folder, made if absent."""
+    """Output folder, created if absent."""
     kind: RunKind
     limit: int | None = None
-    """Work on the first so many samples only."""
+    """Evaluate only the first so many samples."""
     shard: Shard | None = None
-    """Work on this part of the samples only."""
+    """Evaluate only this part of the samples."""
     jobs: int = 1
     """Worker processes."""
     engine: ExecutorKind = ExecutorKind.LOCAL
     address: str | None = None
     """Address of the Ray cluster."""
     overwrite: bool = False
-    """Forget what `out` holds instead of going on from there."""
+    """Discard the content of `out` instead of resuming."""
     seed: int = 0
-    """Seed of the intervals' resampling."""
+    """Seed of the bootstrap."""
     model: str | None = None
-    """Model of samples that name none."""
+    """Model of samples whose input names none."""
     tags: Mapping[str, str] = field(default_factory=dict)
-    """Free labels, kept in the results."""
-    stages: str = SHIPPED_STAGES
-    """Import path of the heavy steps."""
+    """Labels kept in the results."""
+    make_analyzer: AnalyzerFactory = Analyzer
+    """Creates the analyzer of a worker process; picklable."""
     table_height_m: float = 0.0
-    """Height of the table's top in the robot's base frame [m]."""
+    """Height of the table top in the robot base frame [m]."""
     replays: int | None = None
-    """3D replays to write, of the worst samples; None for runs that write none, where those of `view` stay."""
+    """Number of 3D replays of the worst samples; None keeps those that `view` wrote and writes none."""
 
     def __post_init__(self) -> None:
-        """Check the numbers.
+        """Check the options.
 
         Raises:
-            UsageError: one of them makes no sense.
+            UsageError: one of them is invalid.
         """
         if self.limit is not None and self.limit < 1:
             raise UsageError(f"--limit is {self.limit}, expected 1 or more")
@@ -70,23 +70,23 @@ class RunConfig:
             raise UsageError(f"--seed is {self.seed}, expected 0 or more")
         if self.replays is not None and self.replays < 0:
             raise UsageError(f"--replays is {self.replays}, expected 0 or more")
-        self.stage_options()
+        self.robot_options()
 
     @property
     def suite_version(self) -> str | None:
-        """Version of the suites whose episodes are run; None where none are."""
+        """Version of the suites; None for runs without episodes."""
         return None
 
-    def stage_options(self) -> RobotOptions:
-        """What the stages are told.
+    def robot_options(self) -> RobotOptions:
+        """Return robot and table.
 
         Raises:
-            UsageError: it cannot be used.
+            UsageError: they are invalid.
         """
         return RobotOptions(table_height_m=self.table_height_m)
 
     def to_json(self) -> dict[str, Json]:
-        """What results tell of the configuration; paths by their last name only."""
+        """Serialize into `config` of results.json; paths by their last name only."""
         return {
             "kind": self.kind.value,
             "limit": self.limit,
@@ -117,46 +117,46 @@ class NullRunObserver(NullObserver):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunSummary:
-    """How a run ended."""
+    """Outcome of a run."""
 
     rows: tuple[SampleRow, ...]
     """All rows of the output folder, by id."""
     counts: Mapping[Status, int]
     """Samples of each status in the output folder."""
     feasible: Estimate | None
-    """Share of the measured samples that the robot can do; None where none was judged."""
+    """Share of the measured samples that are feasible; None where none was judged."""
     success: Estimate | None
-    """Share of episodes that reached their goal; None of runs without goals, or where none was measured."""
+    """Share of successful episodes; None for runs without episodes, or where none was measured."""
     report: Path | None
     """The html report; None for kinds that have none."""
 
 
 def run_samples(
-    config: RunConfig, samples: Sequence[SampleT], measure: Evaluator[SampleT, ResourcesT], observer: RunObserver
+    config: RunConfig, samples: Sequence[SampleT], evaluator: Evaluator[SampleT, ResourcesT], observer: RunObserver
 ) -> RunSummary:
-    """Measure every sample and fill the output folder.
+    """Evaluate every sample and fill the output folder.
 
-    Samples whose results are there already, from the same bytes and settings, are kept. A sample that fails is a row
-    like any other.
+    Rows that are still valid (same input bytes, options and code) are kept. A sample that fails becomes a row, too.
 
     Raises:
         UsageError: the configuration or the output folder cannot be used.
-        SetupError: something is missing on this machine, or the disk is full. What was finished is kept.
-        KeyboardInterrupt: there was an interrupt. After the first the samples at hand were finished, if the engine can.
+        SetupError: something is missing on this machine, or the disk is full. Finished samples are kept.
+        KeyboardInterrupt: the run was interrupted; at the first interrupt running samples are finished, if the executor
+            can.
     """
-    engine = create_executor(config.engine, config.jobs, config.address)
+    executor = create_executor(config.engine, config.jobs, config.address)
     chosen = list(samples[: config.limit])
     chosen = config.shard.take(chosen) if config.shard else chosen
-    header = run_metadata(config, found=len(samples))
+    metadata = run_metadata(config, samples_found=len(samples))
     with ResultStore(config.out, overwrite=config.overwrite) as store:
-        waiting = resume(store, samples, chosen, measure, header, observer.warn)
+        waiting = resume(store, samples, chosen, evaluator, metadata, observer.warn)
         observer.start(total=len(chosen), completed=len(chosen) - len(waiting))
-        with _interruptible(engine, observer) as interrupted:
+        with _graceful(executor, observer) as interrupted:
             done = 0
-            with closing(engine.run(partial(_make, measure), waiting)) as outcomes:
+            with closing(executor.run(partial(_start_worker, evaluator), waiting)) as outcomes:
                 for outcome in outcomes:
                     if isinstance(outcome, WorkerCrash):
-                        row, wall_s = measure.failed(outcome.item, Status.ERROR, outcome.reason), 0.0
+                        row, wall_s = evaluator.failed_row(outcome.item, Status.ERROR, outcome.reason), 0.0
                     else:
                         row, wall_s = outcome.result
                     store.append(row, wall_s)
@@ -167,34 +167,34 @@ def run_samples(
             worst = worst_samples(store.rows.values(), partial(artifact_path, store.out, "tracks"), config.replays or 0)
             if config.replays is not None:
                 store.keep_files("replays", worst)
-            store.finish(summarize(store.sorted_rows(), header))
+            store.finish(summarize(store.sorted_rows(), metadata))
             if worst:
                 _replay(config, worst, observer)
             return close_run(store, config.kind, config.seed)
 
 
-def _interruptible(engine: Executor, observer: RunObserver) -> AbstractContextManager[threading.Event]:
-    """A context in which a first interrupt lets the samples at hand be finished, with engines that can."""
-    if isinstance(engine, SupportsDrain):
-        return graceful_interrupt(engine.drain, observer.warn)
+def _graceful(executor: Executor, observer: RunObserver) -> AbstractContextManager[threading.Event]:
+    """Return a context in which the first interrupt lets running samples finish, if the executor can."""
+    if isinstance(executor, SupportsDrain):
+        return graceful_interrupt(executor.drain, observer.warn)
     return nullcontext(threading.Event())
 
 
-def _make(measure: Evaluator[SampleT, ResourcesT]) -> Callable[[SampleT], tuple[SampleRow, float]]:
-    """Begin to work in some process.
+def _start_worker(evaluator: Evaluator[SampleT, ResourcesT]) -> Callable[[SampleT], tuple[SampleRow, float]]:
+    """Load the resources of a worker process.
 
     Raises:
-        SetupError: it does not see what is written here, or something is missing.
+        SetupError: the process does not see the output folder, or something is missing.
     """
-    if not measure.out.is_dir() or RUN not in os.listdir(measure.out):  # a listing is fresh also over a network
+    if not evaluator.out.is_dir() or RUN not in os.listdir(evaluator.out):  # a listing is fresh also over a network
         raise SetupError(
-            f"{platform.node()} does not see the run in {measure.out}: put --out in a folder that all nodes share"
+            f"{platform.node()} does not see the run in {evaluator.out}: put --out in a folder that all nodes share"
         )
-    return measure.make()
+    return evaluator.start_worker()
 
 
 def close_run(store: ResultStore, kind: RunKind, seed: int) -> RunSummary:
-    """Write the report of a finished folder and sum it up.
+    """Write the report of a finished output folder and return its summary.
 
     Raises:
         SetupError: writing failed.
@@ -214,13 +214,13 @@ def close_run(store: ResultStore, kind: RunKind, seed: int) -> RunSummary:
     )
 
 
-def run_metadata(config: RunConfig, found: int) -> RunMetadata:
-    """What results tell of a run besides its rows and their numbers, on this machine with this code."""
+def run_metadata(config: RunConfig, samples_found: int) -> RunMetadata:
+    """Return the metadata of a run with this configuration, on this machine, with this code."""
     return RunMetadata(
         schema_version=SCHEMA_VERSION,
         suite_version=config.suite_version,
         kind=config.kind.value,
-        samples_found=found,
+        samples_found=samples_found,
         config=config.to_json(),
         tags=config.tags,
         bootstrap_seed=config.seed,
@@ -231,14 +231,14 @@ def run_metadata(config: RunConfig, found: int) -> RunMetadata:
     )
 
 
-def summarize(rows: Sequence[SampleRow], header: RunMetadata) -> dict[str, Json]:
-    """The content of `results.json`."""
-    seed = header.bootstrap_seed
+def summarize(rows: Sequence[SampleRow], metadata: RunMetadata) -> dict[str, Json]:
+    """Return the content of `results.json`."""
+    seed = metadata.bootstrap_seed
 
     def groups(key: str) -> dict[str, Json]:
         return {name: aggregate(group, seed).to_json() for name, group in by_key(rows, key).items()}
 
-    return header.to_json(
+    return metadata.to_json(
         {
             "aggregates": aggregate(rows, seed).to_json(),
             "per_task": groups("task"),
@@ -249,19 +249,16 @@ def summarize(rows: Sequence[SampleRow], header: RunMetadata) -> dict[str, Json]
 
 
 def _replay(config: RunConfig, ids: Sequence[str], observer: RunObserver) -> None:
-    """Write replays of samples; the robot's meshes are simplified anew each time (some two seconds).
-
-    A machine that can draw none, as it lets no program open a port, costs the replays, not the report.
-    """
+    """Write 3D replays; a machine that cannot (no program may open a port) costs the replays, not the report."""
     from kinebench_drake.kinematics.plant import ArmPlant
     from kinebench_drake.models.arm import choose_robot
     from kinebench_drake.report.replay import write_replays
 
-    options = config.stage_options()
+    options = config.robot_options()
     try:
         write_replays(config.out, ids, ArmPlant(choose_robot(options.urdf, options.tcp_frame)))
     except SetupError as error:
-        observer.warn(f"there are no 3D replays: {error}")
+        observer.warn(f"no 3D replays were written: {error}")
 
 
 def _report(out: Path) -> Path:

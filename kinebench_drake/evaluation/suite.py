@@ -1,16 +1,20 @@
-"""A world model on a suite: every episode in closed loop, and what came of them."""
+"""`suite run`: a world model on the episodes of a suite in closed loop."""
 
 import hashlib
+from collections.abc import Sequence
 from contextlib import closing
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
 
 from kinebench_drake.closed_loop.loop import LoopOptions
-from kinebench_drake.errors import UsageError
+from kinebench_drake.errors import UsageError, member_of
 from kinebench_drake.evaluation.episode import EpisodeEvaluator, EpisodeSample
 from kinebench_drake.evaluation.evaluator import RunKind
 from kinebench_drake.evaluation.runner import NullRunObserver, RunConfig, RunObserver, RunSummary, run_samples
 from kinebench_drake.executors.base import ExecutorKind
-from kinebench_drake.suites.suite import VERSION, Suite
+from kinebench_drake.suites.selection import chosen_tasks
+from kinebench_drake.suites.simulator import Control
+from kinebench_drake.suites.suite import VERSION, Suite, load_suite
 from kinebench_drake.suites.tasks.card import TaskVariant
 from kinebench_drake.suites.worldmodels.lazy_model import LazyWorldModel
 from kinebench_drake.suites.worldmodels.spec import parse
@@ -20,7 +24,7 @@ from kinebench_drake.types import Json
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SuiteConfig(RunConfig):
-    """Everything a run of a suite is told. `seed`: number of the first of the split's seeds."""
+    """Options of a run over the episodes of a suite. `seed`: number of the first of the split's seeds."""
 
     kind: RunKind = RunKind.SUITE
     suite: Suite
@@ -32,18 +36,18 @@ class SuiteConfig(RunConfig):
     """Episodes of each task."""
     variant: TaskVariant = TaskVariant.PLAIN
     world_model: str
-    """What to ask: see docs/worldmodels.md."""
+    """Spec of the world model (docs/worldmodels.md)."""
     model_name: str | None = None
-    """What the world model calls itself; `run_suite` asks it."""
+    """Name of the world model; filled in by `run_suite`."""
     loop: LoopOptions = field(default_factory=LoopOptions)
     rollouts: bool = True
     """Write rollouts/ID.mp4."""
 
     def __post_init__(self) -> None:
-        """Check the numbers.
+        """Check the options.
 
         Raises:
-            UsageError: one of them makes no sense.
+            UsageError: one of them is invalid.
         """
         RunConfig.__post_init__(self)
         if self.episodes < 1:
@@ -51,12 +55,12 @@ class SuiteConfig(RunConfig):
 
     @property
     def suite_version(self) -> str:
-        """See `RunConfig`."""
+        """Version of the suites."""
         return VERSION
 
     def to_json(self) -> dict[str, Json]:
-        """What results tell of the configuration."""
-        known = parse(self.world_model).identity
+        """Serialize into `config` of results.json."""
+        identity = parse(self.world_model).identity
         return {
             **RunConfig.to_json(self),
             "suite": self.suite.number,
@@ -66,7 +70,7 @@ class SuiteConfig(RunConfig):
             "variant": self.variant.value,
             "world_model": self.model_name,
             # The spec itself may hold addresses, paths or keys.
-            "world_model_sha256": hashlib.sha256(known.encode(errors="surrogateescape")).hexdigest(),
+            "world_model_sha256": hashlib.sha256(identity.encode(errors="surrogateescape")).hexdigest(),
             "rounds": self.loop.rounds,
             "control": self.loop.control.value,
             "action_repeat": self.loop.action_repeat,
@@ -77,36 +81,74 @@ class SuiteConfig(RunConfig):
         }
 
 
+def suite_config(
+    number: int,
+    *,
+    split: str = "test",
+    tasks: str | Sequence[str] | None = None,
+    episodes: int = 10,
+    variant: str = TaskVariant.PLAIN.value,
+    control: str = Control.JOINTS.value,
+    **options: Any,
+) -> SuiteConfig:
+    """Build the configuration of a run from the values of command line or Python interface.
+
+    Args:
+        number: number of the suite.
+        split: name of the split.
+        tasks: plain task ids, in a list or comma-separated; None: all of the split.
+        episodes: episodes of each task.
+        variant: name of a task variant.
+        control: name of a controller.
+        **options: further fields of `SuiteConfig` and `LoopOptions`.
+
+    Raises:
+        UsageError: a value is invalid.
+    """
+    suite = load_suite(number)
+    task_variant = member_of(TaskVariant, variant, "--variant")
+    loop = {f.name: options.pop(f.name) for f in fields(LoopOptions) if f.name in options and f.name != "seed"}
+    return SuiteConfig(
+        suite=suite,
+        split=suite.split_name(split),
+        tasks=chosen_tasks(suite, split, tasks, task_variant),
+        episodes=episodes,
+        variant=task_variant,
+        loop=LoopOptions(control=member_of(Control, control, "--control"), **loop),
+        **options,
+    )
+
+
 def run_suite(config: SuiteConfig, observer: RunObserver | None = None) -> RunSummary:
     """Run every episode of a suite's split with a world model and fill the output folder.
 
     Raises:
         UsageError: the configuration or the output folder cannot be used.
-        SetupError: something is missing on this machine, or the disk is full. What was finished is kept.
+        SetupError: something is missing on this machine, or the disk is full. Finished samples are kept.
     """
     observer = observer or NullRunObserver()
-    with closing(LazyWorldModel(config.world_model)) as held:
-        model = held.get()
+    with closing(LazyWorldModel(config.world_model)) as world_model:
+        model = world_model.get()
         name, offline = model.name, isinstance(model, Offline)
         if offline and config.loop.rounds > 1:
-            observer.warn(f"{name} holds finished videos: they answer the first round only")
+            observer.warn(f"{name} consists of finished videos: only the first round is run")
         if not offline and (config.jobs > 1 or config.engine is not ExecutorKind.LOCAL):
-            held.close()  # the workers make their own, and may need the room
-        measure = EpisodeEvaluator(
+            world_model.close()  # workers load their own, and may need the memory
+        evaluator = EpisodeEvaluator(
             kind=config.kind,
             out=config.out,
-            stages=config.stages,
-            stage_options=config.stage_options(),
-            world_model=held,
+            robot=config.robot_options(),
+            make_analyzer=config.make_analyzer,
+            world_model=world_model,
             offline=offline,
             loop=config.loop,
             rollouts=config.rollouts,
         )
         samples = [
-            EpisodeSample(draw=draw, model=config.model or name)
+            EpisodeSample(spec=spec, model=config.model or name)
             for task in config.tasks
-            for draw in config.suite.draws(
+            for spec in config.suite.draws(
                 config.split, task, config.episodes, offset=config.seed, variant=config.variant
             )
         ]
-        return run_samples(replace(config, model_name=name), samples, measure, observer)
+        return run_samples(replace(config, model_name=name), samples, evaluator, observer)

@@ -1,28 +1,29 @@
-"""The small picture of a sample that the report shows: its first frame and its worst, with the gripper drawn."""
+"""Thumbnails of samples: a few frames in a row."""
 
 import io
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from kinebench_drake.evaluation.stages import Judgement
 from kinebench_drake.types import GripperTrack
+
+if TYPE_CHECKING:  # loads Drake
+    from kinebench_drake.metrics.result import KinematicResult
 
 HEIGHT_PX = 240
 
 
-def worst_frame(track: GripperTrack, judgement: Judgement | None) -> int:
-    """The frame a reviewer wants to see: where the first violation begins, else the least certain tracked one."""
-    for violation in judgement.violations if judgement else ():
-        frame = violation.get("frame_start")
-        if isinstance(frame, int):
-            return min(max(frame, 0), len(track.t_s) - 1)
+def worst_frame(track: GripperTrack, kinematics: "KinematicResult | None") -> int:
+    """Return the frame of the first violation, else the tracked frame of lowest confidence."""
+    if kinematics and kinematics.violations:
+        return min(max(int(kinematics.violations[0].frame_start), 0), len(track.t_s) - 1)
     return int(np.argmin(np.where(track.tracked, np.nan_to_num(track.confidence), 2.0)))
 
 
-def side_by_side(images: list[NDArray[np.uint8]]) -> bytes:
-    """A small JPEG of some frames in a row."""
+def encode_strip(images: list[NDArray[np.uint8]]) -> bytes:
+    """Encode images of equal height, side by side, as a small JPEG."""
     strip = Image.fromarray(np.concatenate(images, axis=1))
     strip.thumbnail((10_000, HEIGHT_PX), Image.Resampling.LANCZOS)
     buffer = io.BytesIO()

@@ -1,11 +1,13 @@
-"""What a track asks of the robot that it cannot do."""
+"""Violations: limits of the robot that a track breaks."""
 
 from dataclasses import dataclass
 from enum import Enum
 
+from kinebench_drake.types import Json
+
 
 class ViolationKind(Enum):
-    """What a track asks of the robot that it cannot do."""
+    """Kind of limit that a track breaks."""
 
     UNREACHABLE = "unreachable"
     JOINT_LIMIT = "joint_limit"
@@ -28,8 +30,23 @@ class Violation:
     frame_end: int
     """Last affected frame, inclusive."""
     joint: str | None
-    """Name of the joint, such as panda_joint4; None if no single joint is at fault."""
+    """Joint, such as panda_joint4; None if no single joint is at fault."""
     value: float
-    """The worst value: distance left to the pose [m] (unreachable), angle [rad] (joint_limit), and so on by kind."""
+    """Worst value: remaining distance to the pose [m] (unreachable), angle [rad] (joint_limit), and so on by kind."""
     limit: float
-    """What the value may be at most, or at least for a lower joint limit; in the value's unit."""
+    """Greatest allowed value (for a lower joint limit: the least), in the unit of `value`."""
+
+    def to_json(self) -> dict[str, Json]:
+        """Serialize into an entry of `violations` of samples.jsonl."""
+        return {
+            "kind": self.kind.value,
+            "frame_start": int(self.frame_start),
+            "frame_end": int(self.frame_end),
+            "joint": self.joint,
+            "value": float(self.value),
+            "limit": float(self.limit),
+        }
+
+    def __getitem__(self, key: str) -> Json:
+        """Return a field by its key in samples.jsonl, so that results and rows are read alike."""
+        return self.to_json()[key]

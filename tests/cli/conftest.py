@@ -9,15 +9,14 @@ import pytest
 from kinebench_drake import cli
 from kinebench_drake.evaluation import audit, score
 from kinebench_drake.evaluation import runner as run
+from kinebench_drake.evaluation.analyzer import Analyzer
 from kinebench_drake.evaluation.score import ScoreConfig
 from kinebench_drake.io.container import write_video
 from kinebench_drake.results.provenance import code_hash
 
 HERE = Path(__file__).parent
-STAGES = "fake_stages:FakeStages"
-
-
 sys.path.insert(0, str(HERE))
+from fake_analyzer import FakeAnalyzer  # noqa: E402  importable by name in worker processes, too
 
 
 @pytest.fixture(autouse=True)
@@ -27,14 +26,14 @@ def _code_as_it_is_now():
 
 
 @pytest.fixture(autouse=True)
-def _fake_stages_in_workers(monkeypatch):
-    """Worker processes can import the fake stages, too, and the same package as the tests."""
+def _fake_analyzer_in_workers(monkeypatch):
+    """Worker processes can import the fake analyzer, too, and the same package as the tests."""
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(HERE), str(HERE.parent.parent)]))
 
 
 @pytest.fixture
 def film(tmp_path):
-    """Writes a small film that makes the fake stages do something."""
+    """Writes a small film that makes the fake analyzer do something."""
 
     def write(name, act=0, *, frames=8, side=96, fps=17):
         path = tmp_path / name
@@ -51,21 +50,23 @@ def film(tmp_path):
 
 @pytest.fixture
 def config(tmp_path):
-    """A run over tmp_path/videos into tmp_path/out with the fake stages."""
+    """A run over tmp_path/videos into tmp_path/out with the fake analyzer."""
 
     def make(**changes):
-        return ScoreConfig(**{"source": tmp_path / "videos", "out": tmp_path / "out", "stages": STAGES, **changes})
+        return ScoreConfig(
+            **{"source": tmp_path / "videos", "out": tmp_path / "out", "make_analyzer": FakeAnalyzer, **changes}
+        )
 
     return make
 
 
 @pytest.fixture
 def program(capfd, monkeypatch):
-    """Runs the program in this process with the fake stages; returns exit status, standard output and error."""
+    """Runs the program in this process with the fake analyzer; returns exit status, standard output and error."""
     for job, name in ((score, "ScoreConfig"), (audit, "AuditConfig")):
         make = getattr(job, name)
-        assert make.__dataclass_fields__["stages"].default.endswith(":DrakeStages")
-        monkeypatch.setattr(job, name, partial(make, stages=STAGES))
+        assert make.__dataclass_fields__["make_analyzer"].default is Analyzer
+        monkeypatch.setattr(job, name, partial(make, make_analyzer=FakeAnalyzer))
 
     monkeypatch.setattr(run, "_replay", lambda *_: None)  # needs Drake and seconds
 

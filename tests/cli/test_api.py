@@ -1,18 +1,21 @@
 """The Python interface beside the commands: the same arguments, the same numbers."""
 
+import dataclasses
 import inspect
+import typing
 from pathlib import Path
 
 import numpy as np
 import pytest
-from fake_stages import Act
+from fake_analyzer import Act, FakeAnalyzer
 
 import kinebench_drake
 from kinebench_drake import audit_trajectory, ground_video, run_suite, score_videos
-from kinebench_drake.api import single as sample
+from kinebench_drake.api import single
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.cli import cli
 from kinebench_drake.errors import InputError, KinebenchError, UnmeasurableError, UsageError
+from kinebench_drake.evaluation import score, suite
 from kinebench_drake.geometry import make_pose
 from kinebench_drake.io.camerafile import save_camera
 from kinebench_drake.io.jsonl import finite
@@ -28,10 +31,10 @@ EXAMPLES = Path(__file__).parents[2] / "examples" / "videos"
 
 @pytest.fixture
 def quick(monkeypatch):
-    """Single samples are worked on by the fake stages, too."""
-    monkeypatch.setattr(sample, "SHIPPED_STAGES", "fake_stages:FakeStages")
+    """Single samples are worked on by the fake analyzer, too."""
+    monkeypatch.setattr(single, "make_analyzer", FakeAnalyzer)
     yield
-    sample._kept_stages.cache_clear()
+    single._cached_analyzer.cache_clear()
 
 
 def content(out):
@@ -55,15 +58,34 @@ def command(*names):
 def test_every_option_is_an_argument_with_the_same_default(names, function, renamed):
     options = {renamed.get(name, name): option for name, option in command(*names).items()}
     arguments = dict(inspect.signature(function).parameters)
+    keywords = typing.get_args(arguments.pop("options").annotation)[0].__annotations__.keys()
     assert arguments.pop("observer").default is None
-    assert options.keys() == arguments.keys()
+    assert options.keys() == arguments.keys() | keywords
     first, *others = arguments.values()
     assert first.kind is inspect.Parameter.POSITIONAL_OR_KEYWORD
     assert all(argument.kind is inspect.Parameter.KEYWORD_ONLY for argument in others)
-    for name, argument in arguments.items():
-        told = options[name].default
-        if not options[name].required and isinstance(told, bool | int | float | str):
-            assert getattr(argument.default, "value", argument.default) == told, name
+
+
+def test_defaults_are_those_of_the_commands(film, monkeypatch, tmp_path):
+    """A run of the interface with no options has the configuration of the command with none."""
+    configs = []
+    monkeypatch.setattr(score, "score_videos", lambda config, observer: configs.append(config))
+    monkeypatch.setattr(suite, "run_suite", lambda config, observer: configs.append(config))
+    score_videos(tmp_path, out=tmp_path / "out")
+    run_suite(0, world_model="still", out=tmp_path / "out")
+    by_command = {
+        (): {p.name: p.default for p in cli.get_command(None, "score").params},
+        ("run",): {p.name: p.default for p in cli.get_command(None, "suite").commands["run"].params},
+    }
+    for config, options in zip(configs, by_command.values(), strict=True):
+        values = {**vars_of(config), **(vars_of(config.loop) if hasattr(config, "loop") else {}), "seed": config.seed}
+        for name, default in options.items():
+            if name in values and isinstance(default, bool | int | float | str):
+                assert getattr(values[name], "value", values[name]) == default, name
+
+
+def vars_of(config):
+    return {f.name: getattr(config, f.name) for f in dataclasses.fields(config)}
 
 
 def test_options_of_single_samples_are_arguments():
@@ -160,7 +182,7 @@ def test_a_trajectory_by_itself_has_the_numbers_of_the_command(program, tmp_path
         (lambda at: audit_trajectory(np.zeros((4, 7))), InputError, "no times"),
         (lambda at: audit_trajectory(np.zeros(7), rate_hz=10), InputError, r"shape \(7,\)"),
         (lambda at: audit_trajectory(np.full((4, 7), 90.0), rate_hz=10), InputError, "degrees"),
-        (lambda at: audit_trajectory(at / "q.npz", t_s=[0, 1]), UsageError, "t_s: of no use with a file"),
+        (lambda at: audit_trajectory(at / "q.npz", t_s=[0, 1]), UsageError, "t_s: has no effect with a file"),
         (lambda at: audit_trajectory(np.zeros((4, 7)), rate_hz=10, joints="q"), UsageError, "joints"),
         (lambda at: audit_trajectory(np.zeros((4, 7)), rate_hz=10, urdf="arm.urdf"), UsageError, "go together"),
         (lambda at: score_videos(at / "videos", out=at / "out", engine="slurm"), UsageError, "'local', 'ray'"),

@@ -1,11 +1,11 @@
-"""Whole audits of tiny files with fake stages: rows, files, resume, and the program as a user meets it."""
+"""Whole audits of tiny files with fake analyzer: rows, files, resume, and the program as a user meets it."""
 
 import json
 
 import h5py
 import numpy as np
 import pytest
-from fake_stages import LOG
+from fake_analyzer import LOG, FakeAnalyzer
 
 from kinebench_drake.errors import SetupError, UsageError
 from kinebench_drake.evaluation.audit import AuditConfig, audit_trajectories
@@ -16,7 +16,6 @@ from kinebench_drake.results.row import Status
 from kinebench_drake.results.store import artifact_path, read_rows
 from kinebench_drake.results.trackfile import read_track
 
-STAGES = "fake_stages:FakeStages"
 N = 10
 Q = 0.1 * np.ones((N, 7)) + 0.01 * np.arange(N)[:, None]
 T_S = 0.1 * np.arange(N)
@@ -44,7 +43,7 @@ def source(tmp_path):
 @pytest.fixture
 def run(source, tmp_path):
     def call(observer=None, **changes):
-        config = {"source": source, "out": tmp_path / "out", "stages": STAGES, **changes}
+        config = {"source": source, "out": tmp_path / "out", "make_analyzer": FakeAnalyzer, **changes}
         return audit_trajectories(AuditConfig(**config), observer)
 
     return call
@@ -233,7 +232,7 @@ def test_a_machine_that_draws_no_replays_has_a_report(run, tmp_path, monkeypatch
     monkeypatch.setattr("kinebench_drake.report.replay.write_replays", refuse)
     count = Count()
     run(count, replays=1)
-    assert "there are no 3D replays: Meshcat cannot open a port of this machine" in count.warnings
+    assert "no 3D replays were written: Meshcat cannot open a port of this machine" in count.warnings
     assert (tmp_path / "out" / "report.html").is_file()
 
 

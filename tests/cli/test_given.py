@@ -1,11 +1,11 @@
-"""Stages of the grounding replaced by files: whole runs with fake stages, whose track shows what it was given."""
+"""Stages of the grounding replaced by files: whole runs with fake analyzer, whose track shows what it was given."""
 
 import json
 import sys
 
 import numpy as np
 import pytest
-from fake_stages import LOG
+from fake_analyzer import LOG
 from PIL import Image
 
 from kinebench_drake.evaluation.score import score_videos

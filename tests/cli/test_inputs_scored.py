@@ -1,4 +1,4 @@
-"""Runs over videos of other formats, sizes and clocks with fake stages: what their rows tell."""
+"""Runs over videos of other formats, sizes and clocks with fake analyzer: what their rows tell."""
 
 import json
 from fractions import Fraction

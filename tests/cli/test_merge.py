@@ -1,11 +1,11 @@
-"""Shards of real runs with fake stages, merged by the program and gone on from."""
+"""Shards of real runs with fake analyzer, merged by the program and gone on from."""
 
 import os
 import subprocess
 from pathlib import Path
 
 import pytest
-from fake_stages import LOG, Act
+from fake_analyzer import LOG, Act
 
 from kinebench_drake.results.store import read_rows
 

@@ -4,7 +4,7 @@ import os
 import signal
 
 import pytest
-from fake_stages import LOG, Act
+from fake_analyzer import LOG, Act, broken
 
 from kinebench_drake.errors import SetupError
 from kinebench_drake.evaluation.runner import NullRunObserver
@@ -19,7 +19,7 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture(scope="module")
 def cluster(tmp_path_factory):
-    """Two nodes of one CPU each, whose workers know the fake stages and write to `cluster.log`."""
+    """Two nodes of one CPU each, whose workers know the fake analyzer and write to `cluster.log`."""
     from ray.cluster_utils import Cluster
 
     here = os.path.dirname(__file__)
@@ -131,4 +131,4 @@ def test_an_interrupt_keeps_what_is_done(film, tmp_path, scored):
 def test_what_is_missing_stops_the_run_at_once(film, scored):
     film("videos/a.mp4")
     with pytest.raises(SetupError, match="doctor"):
-        scored(stages="no_such_module:Stages")
+        scored(make_analyzer=broken)

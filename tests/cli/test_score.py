@@ -1,4 +1,4 @@
-"""Whole runs over tiny films with fake stages: rows, resume, crashes, full disks."""
+"""Whole runs over tiny films with fake analyzer: rows, resume, crashes, full disks."""
 
 import errno
 import json
@@ -12,7 +12,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from fake_stages import LOG, Act
+from fake_analyzer import LOG, Act, broken
 from PIL import Image
 
 from kinebench_drake.camera import benchmark_camera
@@ -22,9 +22,10 @@ from kinebench_drake.evaluation.evaluator import KINEMATIC_METRICS, RunKind
 from kinebench_drake.evaluation.runner import NullRunObserver
 from kinebench_drake.evaluation.score import VISUAL_METRICS, score_videos
 from kinebench_drake.executors.base import ExecutorKind
+from kinebench_drake.io.atomic import disk_errors
 from kinebench_drake.io.camerafile import save_camera
 from kinebench_drake.io.reader import read_video
-from kinebench_drake.results import store as results
+from kinebench_drake.results import store
 from kinebench_drake.results.metadata import Shard
 from kinebench_drake.results.row import Status
 from kinebench_drake.results.store import read_rows
@@ -282,12 +283,12 @@ def test_a_killed_worker_costs_its_sample_only(film, config, tmp_path):
     assert rows["v1"].status is rows["v3"].status is Status.ERROR
 
 
-def test_missing_stages_stop_the_run_at_once(film, config, tmp_path):
+def test_an_analyzer_that_cannot_be_loaded_stops_the_run_at_once(film, config, tmp_path):
     for k in range(3):
         film(f"videos/v{k}.mp4")
     for jobs in (1, 2):
         with pytest.raises(SetupError, match="doctor"):
-            score_videos(config(stages="no_such_module:Stages", jobs=jobs))
+            score_videos(config(make_analyzer=broken, jobs=jobs))
     assert read_rows(tmp_path / "out") == {}
 
 
@@ -348,31 +349,33 @@ def test_a_camera_of_another_shape_makes_the_sample_unmeasurable(film, config, t
 def test_a_disk_that_fills_up_stops_the_run_and_keeps_what_is_done(film, config, tmp_path, monkeypatch):
     for k in range(3):
         film(f"videos/v{k}.mp4")
-    append = results.ResultStore._append
+    append = store.append_line
     written = []
 
-    def full(path, line):
-        if path.name == results.SAMPLES:
+    def full(path, row):
+        if path.name == store.SAMPLES:
             if written:
-                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-            written.append(line)
-        append(path, line)
+                with disk_errors(path.name):
+                    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            written.append(row)
+        append(path, row)
 
-    monkeypatch.setattr(results.ResultStore, "_append", staticmethod(full))
+    monkeypatch.setattr(store, "append_line", full)
     with pytest.raises(SetupError, match="No space left"):
         score_videos(config())
     assert set(read_rows(tmp_path / "out")) == {"v0"}
-    monkeypatch.setattr(results.ResultStore, "_append", staticmethod(append))
+    monkeypatch.setattr(store, "append_line", append)
     assert score_videos(config()).counts[Status.OK] == 3
 
 
 RUN = """
 import sys
 from pathlib import Path
-from kinebench_drake.score import ScoreConfig, score_videos
+from fake_analyzer import FakeAnalyzer
+from kinebench_drake.evaluation.score import ScoreConfig, score_videos
 if __name__ == "__main__":
     source, out, jobs = sys.argv[1:]
-    score_videos(ScoreConfig(source=Path(source), out=Path(out), jobs=int(jobs), stages="fake_stages:FakeStages"))
+    score_videos(ScoreConfig(source=Path(source), out=Path(out), jobs=int(jobs), make_analyzer=FakeAnalyzer))
 """
 
 

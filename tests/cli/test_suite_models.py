@@ -10,11 +10,11 @@ import pytest
 
 from kinebench_drake.closed_loop.loop import LoopOptions
 from kinebench_drake.errors import InputError
-from kinebench_drake.evaluation import episode as episode_measure
+from kinebench_drake.evaluation import episode
 from kinebench_drake.evaluation.suite import SuiteConfig, run_suite
 from kinebench_drake.executors.local import LocalExecutor
 from kinebench_drake.suites.suite import load_suite
-from tests.cli.fake_stages import FakeStages
+from tests.cli.fake_analyzer import FakeAnalyzer
 
 did: Counter[str] = Counter()
 
@@ -44,13 +44,13 @@ class Stage:
     """A stage on which nothing can be done."""
 
     def __init__(self, *_: object, **__: object) -> None:
-        did["stages"] += 1
+        did["simulators"] += 1
 
     def reset(self, episode: object) -> None:
         raise InputError("the curtain stays down")
 
     def close(self) -> None:
-        did["stages"] -= 1
+        did["simulators"] -= 1
 
 
 @pytest.fixture
@@ -60,11 +60,11 @@ def config(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Sui
     module = ModuleType("my_models")
     module.Model, module.Stored = Model, Stored
     monkeypatch.setitem(sys.modules, "my_models", module)
-    monkeypatch.setattr(episode_measure, "Stage", Stage)
+    monkeypatch.setattr(episode, "Simulator", Stage)
 
     def make(world_model: str, **changes: object) -> SuiteConfig:
         told = {"suite": load_suite(0), "split": "test", "tasks": ("PullCube-v1",), "episodes": 2}
-        told |= {"out": tmp_path / "out", "stages": f"{FakeStages.__module__}:FakeStages", "world_model": world_model}
+        told |= {"out": tmp_path / "out", "make_analyzer": FakeAnalyzer, "world_model": world_model}
         return SuiteConfig(**{**told, **changes})
 
     return make
@@ -74,7 +74,7 @@ def config(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Sui
 def test_a_run_makes_one_model_and_frees_all_it_made(config: Callable[..., SuiteConfig], name: str) -> None:
     rows = run_suite(config(f"my_models:{name}")).rows
     assert [(row.model, row.reason) for row in rows] == [("mine", "the curtain stays down")] * 2
-    assert (did["made"], did["alive"], did["stages"]) == (1, 0, 0)
+    assert (did["made"], did["alive"], did["simulators"]) == (1, 0, 0)
     assert bool(did["asked for files"]) is (name == "Stored")
 
 

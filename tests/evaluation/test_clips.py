@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kinebench_drake.evaluation.clips import combine, joined_track
-from kinebench_drake.evaluation.stages import DrakeStages, RobotOptions
+from kinebench_drake.evaluation.analyzer import Analyzer, RobotOptions
+from kinebench_drake.evaluation.clips import combine, join_tracks
 from kinebench_drake.geometry import make_pose
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.types import GripperTrack
@@ -16,8 +16,8 @@ N = 25
 
 
 @pytest.fixture(scope="module")
-def stages():
-    return DrakeStages(RobotOptions())
+def analyzer():
+    return Analyzer(RobotOptions())
 
 
 def clip(shift=(0.0, 0.0, 0.0), reach=0.1, seen=N):
@@ -33,25 +33,25 @@ def clip(shift=(0.0, 0.0, 0.0), reach=0.1, seen=N):
     )  # fmt: skip
 
 
-def judged(stages, *clips):
-    return combine(clips, [stages.judge(c) for c in clips])
+def judged(analyzer, *clips):
+    return combine(clips, [analyzer.judge(c) for c in clips])
 
 
-def test_one_clip_is_judged_as_it_is(stages):
-    alone, combined = stages.judge(clip()), judged(stages, clip())
+def test_one_clip_is_judged_as_it_is(analyzer):
+    alone, combined = analyzer.judge(clip()), judged(analyzer, clip())
     assert combined.metrics == alone.metrics
     assert combined.violations == alone.violations
 
 
-def test_a_step_between_clips_is_no_violation(stages):
+def test_a_step_between_clips_is_no_violation(analyzer):
     clips = clip(), clip(shift=(0.0, -0.1, 0.15))  # the second begins 25 cm from where the first ends
-    assert judged(stages, *clips).feasible is True
-    assert stages.judge(joined_track(clips)).feasible is False
+    assert judged(analyzer, *clips).feasible is True
+    assert analyzer.judge(join_tracks(clips)).feasible is False
 
 
-def test_extremes_count_and_integrals_add_up(stages):
+def test_extremes_count_and_integrals_add_up(analyzer):
     slow, fast = clip(reach=0.05), clip(reach=0.25)
-    a, b, both = stages.judge(slow).metrics, stages.judge(fast).metrics, judged(stages, slow, fast).metrics
+    a, b, both = analyzer.judge(slow).metrics, analyzer.judge(fast).metrics, judged(analyzer, slow, fast).metrics
     assert both.keys() == a.keys()
     assert both["velocity_ratio_max"] == max(a["velocity_ratio_max"], b["velocity_ratio_max"]) > a["velocity_ratio_max"]
     assert both["slowdown_min"] == max(a["slowdown_min"], b["slowdown_min"])
@@ -60,9 +60,9 @@ def test_extremes_count_and_integrals_add_up(stages):
     assert both["sparc"] == pytest.approx((a["sparc"] + b["sparc"]) / 2)
 
 
-def test_frames_are_counted_through(stages):
+def test_frames_are_counted_through(analyzer):
     down = clip(shift=(0.0, 0.0, -0.5))  # through the table
-    alone, both = stages.judge(down), judged(stages, clip(), down)
+    alone, both = analyzer.judge(down), judged(analyzer, clip(), down)
     assert both.feasible is False
     assert [v["kind"] for v in both.violations] == [v["kind"] for v in alone.violations]
     starts = [v["frame_start"] for v in alone.violations]
@@ -73,16 +73,16 @@ def test_frames_are_counted_through(stages):
     assert all(len(curve) == 2 * N - 1 for curve in both.curves.values())
 
 
-def test_a_clip_that_was_not_seen_leaves_the_verdict_open(stages):
-    both = judged(stages, clip(), clip(seen=1))
+def test_a_clip_that_was_not_seen_leaves_the_verdict_open(analyzer):
+    both = judged(analyzer, clip(), clip(seen=1))
     assert both.feasible is None
     assert both.metrics["slowdown_min"] is None
     assert both.reasons["slowdown_min"].startswith("clip 2: ")
-    assert both.metrics["sparc"] == stages.judge(clip()).metrics["sparc"]
+    assert both.metrics["sparc"] == analyzer.judge(clip()).metrics["sparc"]
 
 
-def test_joined_tracks_leave_out_what_is_seen_twice():
+def test_join_trackss_leave_out_what_is_seen_twice():
     one, other = clip(), replace(clip(), finger_width_m=np.full(N, 0.01))
-    joined = joined_track([one, other])
+    joined = join_tracks([one, other])
     assert joined.finger_width_m.tolist() == [0.04] * N + [0.01] * (N - 1)
     np.testing.assert_allclose(np.diff(joined.t_s), 0.2)

@@ -14,11 +14,12 @@ from pathlib import Path
 import numpy as np
 
 from kinebench_drake.errors import InputError
-from kinebench_drake.evaluation.stages import Judgement
 from kinebench_drake.geometry import make_pose
+from kinebench_drake.metrics.result import KinematicResult
+from kinebench_drake.metrics.violation import Violation, ViolationKind
 from kinebench_drake.types import Anomaly, AnomalyKind, GripperTrack, IkStatus, InitialStateUse, JointTrack
 
-LOG = "FAKE_STAGES_LOG"
+LOG = "FAKE_ANALYZER_LOG"
 """Environment variable: file to which every call of `ground` adds a line."""
 
 
@@ -46,7 +47,7 @@ class FakeGrounding:
     first_frame: InitialStateUse = InitialStateUse.UNKNOWN
 
 
-class FakeStages:
+class FakeAnalyzer:
     def __init__(self, options):
         if options.tcp_frame == "nowhere":
             raise InputError("arm.urdf has no frame nowhere")
@@ -107,8 +108,10 @@ class FakeStages:
             rotation_error_rad=np.where(track.tracked, 1e-6, np.nan),
         )
         speed = float(np.abs(np.diff(track.t_s)).mean())
-        violation = {"kind": "velocity", "frame_start": 3, "frame_end": 5, "joint": 2, "value": 1.7, "limit": 1.0}
-        return Judgement(
+        violation = Violation(
+            kind=ViolationKind.VELOCITY, frame_start=3, frame_end=5, joint="panda_joint2", value=1.7, limit=1.0
+        )
+        return KinematicResult(
             track=track,
             joints=joints,
             feasible=not self._infeasible,
@@ -143,3 +146,8 @@ class FakeStages:
                 u = int(np.clip((X[0, 3] - 0.35) / 0.2, 0, 0.9) * image.shape[1])
                 image[image.shape[0] // 2 :, u : u + 6] = [255, 220, 0]
             yield image
+
+
+def broken(options):
+    """A factory of analyzers on a machine that lacks a library."""
+    raise ImportError("libmissing.so: cannot open shared object file")

@@ -1,0 +1,124 @@
+"""The grounding pipeline and the kinematic judge, loaded once per worker process."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinebench_drake.camera import Camera
+from kinebench_drake.errors import InputError, SetupError, UsageError
+from kinebench_drake.geometry import Array
+from kinebench_drake.types import GripperTrack, Priors
+
+if TYPE_CHECKING:  # Drake, torch and Open3D take seconds to load
+    from kinebench_drake.grounding.pipeline import GroundingPipeline, GroundingResult
+    from kinebench_drake.metrics.result import KinematicResult
+
+MAX_TABLE_HEIGHT_M = 2.0
+"""Greatest distance of the table top from the robot's base, up or down [m]."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RobotOptions:
+    """The robot and its table."""
+
+    table_height_m: float = 0.0
+    """Height of the table top in the robot base frame B [m]."""
+    urdf: Path | None = None
+    """URDF of the robot; None for mani_skill's Panda."""
+    tcp_frame: str | None = None
+    """TCP frame of the URDF; None for the Panda's."""
+
+    def __post_init__(self) -> None:
+        """Check the options against each other.
+
+        Raises:
+            UsageError: the table height is out of range, or only one of URDF and TCP frame is set.
+        """
+        if not abs(self.table_height_m) <= MAX_TABLE_HEIGHT_M:
+            raise UsageError(
+                f"--table-height is {self.table_height_m}, expected metres from {-MAX_TABLE_HEIGHT_M} to "
+                f"{MAX_TABLE_HEIGHT_M} in the robot's base frame"
+            )
+        if (self.urdf is None) is not (self.tcp_frame is None):
+            raise UsageError("--robot and --tcp-frame go together: the URDF and the name of its TCP frame")
+        if self.urdf is not None and not self.urdf.is_file():
+            raise UsageError(f"--robot {self.urdf}: there is no such file, expected a URDF")
+
+
+class Analyzer:
+    """Grounding with the shipped networks, kinematics in Drake."""
+
+    def __init__(self, options: RobotOptions) -> None:
+        """Load the robot; networks and gripper meshes are loaded with the first video.
+
+        Raises:
+            InputError: the robot cannot be used.
+            SetupError: the Panda's files are missing.
+        """
+        from kinebench_drake.kinematics.plant import ArmPlant
+        from kinebench_drake.metrics.judge import TrackJudge
+        from kinebench_drake.models.arm import choose_robot
+
+        plant = ArmPlant(choose_robot(options.urdf, options.tcp_frame))
+        self._judge = TrackJudge(plant, table_height_m=options.table_height_m)
+
+    @cached_property
+    def _pipeline(self) -> "GroundingPipeline":
+        from kinebench_drake.grounding.pipeline import GroundingPipeline
+
+        return GroundingPipeline.create()
+
+    def ground(self, frames: NDArray[np.uint8], camera: Camera, t_s: Array, priors: Priors) -> "GroundingResult":
+        """Track the gripper through frames (T, H, W, 3) at times (T,) [s]; priors replace estimates.
+
+        Raises:
+            InputError: the priors do not fit the video.
+            SetupError: weights or libraries are missing.
+        """
+        return self._pipeline.ground(frames, camera, t_s, priors)
+
+    def judge(self, track: GripperTrack) -> "KinematicResult":
+        """Judge a track of poses: infeasible only if no joint path follows it."""
+        return self._judge.judge_poses(track)
+
+    def judge_joints(self, t_s: Array, q: Array, finger_width_m: Array) -> "KinematicResult":
+        """Judge joint angles (T, 7) [rad] as recorded; NaN where unknown.
+
+        Args:
+            t_s: (T,) times [s], increasing.
+            q: (T, 7) joint angles [rad].
+            finger_width_m: (T,) gap between the finger pads [m].
+        """
+        return self._judge.judge_joints(t_s, q, finger_width_m)
+
+    def overlay(self, frames: NDArray[np.uint8], camera: Camera, track: GripperTrack) -> Iterator[NDArray[np.uint8]]:
+        """Draw the posed gripper on the frames."""
+        from kinebench_drake.grounding.overlay import draw_overlay
+
+        return draw_overlay(frames, camera, track)
+
+
+AnalyzerFactory = Callable[[RobotOptions], Analyzer]
+"""Creates the analyzer of a worker process; picklable."""
+
+
+def load_analyzer(make: AnalyzerFactory, options: RobotOptions) -> Analyzer:
+    """Create an analyzer.
+
+    Raises:
+        UsageError: the robot cannot be used.
+        SetupError: a library, a driver or the Panda's files are missing.
+    """
+    try:
+        return make(options)
+    except (ImportError, OSError, AttributeError) as error:
+        raise SetupError(
+            f"cannot load the robot ({error}); `kinebench-drake doctor --fix` repairs what is missing, or says how"
+        ) from None
+    except InputError as error:
+        raise UsageError(f"--robot and --tcp-frame: {error}") from None
