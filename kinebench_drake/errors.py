@@ -1,26 +1,23 @@
-"""The one family of errors this package raises on purpose.
-
-Every message is one line and names what was found, what was expected and what to do about it.
-"""
+"""Expected errors. Every message is one line: the value, what was expected, and the fix."""
 
 from enum import Enum
 from typing import TypeVar
 
 Member = TypeVar("Member", bound=Enum)
 
-_MOST_SIGNS = 1000
+_MAX_CHARACTERS = 1000
 
 
 def one_line(text: str) -> str:
-    """Text as one line that a terminal can be shown: no control signs, which names in files may hold, not too long."""
+    """Return text as one line that is safe on a terminal: control characters escaped, length limited."""
     line = " ".join(text.split())
     if not line.isprintable():
         line = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in line)
-    return line if len(line) <= _MOST_SIGNS else f"{line[: _MOST_SIGNS - 4]} ..."
+    return line if len(line) <= _MAX_CHARACTERS else f"{line[: _MAX_CHARACTERS - 4]} ..."
 
 
 class KinebenchError(Exception):
-    """Base of all expected failures; its text is fit to show to a user as it is."""
+    """Base of all expected errors; the text is shown to the user unchanged."""
 
     def __init__(self, message: str = "") -> None:
         super().__init__(one_line(message))
@@ -43,7 +40,7 @@ class SetupError(KinebenchError):
 
 
 def cause(error: Exception) -> str:
-    """What went wrong in one line, without the paths of this machine that an OSError names."""
+    """Return the cause of an error in one line, without the paths that an OSError contains."""
     if isinstance(error, OSError):
         return error.strerror or "of an unknown kind, or damaged"
     return str(error).split("\n")[0]

@@ -1,4 +1,4 @@
-"""Classes that a user names on the command line as `module:Class`."""
+"""Plug-in classes named `module:Class` on the command line."""
 
 import importlib
 import os
@@ -11,18 +11,18 @@ _CLASS = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
 
 
 def is_class_name(text: str) -> bool:
-    """Whether `text` has the form `module:Class`."""
+    """Return whether `text` has the form `module:Class`."""
     return _CLASS.fullmatch(text) is not None
 
 
 def load_class(spec: str, *, option: str, method: str, arguments: str) -> type:
-    """The class of a spec `module:Class`; modules of the working directory can be named, after those installed.
+    """Import the class of a spec `module:Class`, from installed modules or else from the working directory.
 
     Args:
-        spec: what was given.
-        option: where it was given, such as `--depth`.
+        spec: the spec.
+        option: option of the spec for messages, such as `--depth`.
         method: a method that the class must have.
-        arguments: what the method takes, for the message.
+        arguments: arguments of the method, for messages.
 
     Raises:
         UsageError: there is no such module or class, or the class has no such method.
@@ -31,7 +31,7 @@ def load_class(spec: str, *, option: str, method: str, arguments: str) -> type:
     if os.getcwd() not in sys.path and "" not in sys.path:
         sys.path.append(os.getcwd())  # stays: the class may import its neighbours later
     try:
-        found = getattr(importlib.import_module(module_name), name)
+        loaded = getattr(importlib.import_module(module_name), name)
     except ModuleNotFoundError as error:
         raise UsageError(
             f"{option} {spec}: there is no module {error.name!r}; expected one that is installed, or a file "
@@ -41,6 +41,6 @@ def load_class(spec: str, *, option: str, method: str, arguments: str) -> type:
         raise UsageError(f"{option} {spec}: the module {module_name} has no {name}") from None
     except Exception as error:  # another program's code, which may raise anything
         raise UsageError(f"{option} {spec}: cannot be imported ({type(error).__name__}: {error})") from error
-    if not isinstance(found, type) or not callable(getattr(found, method, None)):
+    if not isinstance(loaded, type) or not callable(getattr(loaded, method, None)):
         raise UsageError(f"{option} {spec}: expected a class with a method {method}({arguments})")
-    return found
+    return loaded

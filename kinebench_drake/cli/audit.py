@@ -24,7 +24,7 @@ from kinebench_drake.cli.options import judging_options, sample_options
     "--rate",
     "rate_hz",
     type=float,
-    help="Frames per second, over the times of the files (t_s = k / rate).",
+    help="Frames per second, in place of the times of the files (t_s = k / rate).",
     metavar="HZ",
 )
 @judging_options
@@ -32,24 +32,24 @@ from kinebench_drake.cli.options import judging_options, sample_options
     "--robot",
     "urdf",
     type=click.Path(path_type=Path),
-    help="Seven-joint arm to judge by, with --tcp-frame.  [default: mani_skill's Franka Panda]",
+    help="URDF of a seven-joint arm, with --tcp-frame.  [default: mani_skill's Franka Panda]",
     metavar="URDF",
 )
-@click.option("--tcp-frame", help="Frame of the URDF whose poses are given.  [default: panda_hand_tcp]", metavar="NAME")
+@click.option("--tcp-frame", help="TCP frame of the URDF.  [default: panda_hand_tcp]", metavar="NAME")
 @click.option(
     "--joints",
-    help="Take the joint angles from this array (npz), data set (h5) or column (LeRobot).",
+    help="Array (npz), data set (h5) or column (LeRobot) of the joint angles.",
     metavar="COLUMN",
 )
-@click.option("--poses", help="Take the TCP's poses from this array (npz) or column (LeRobot).", metavar="COLUMN")
+@click.option("--poses", help="Array (npz) or column (LeRobot) of the TCP poses.", metavar="COLUMN")
 @click.pass_context
 def audit(ctx: click.Context, /, **options: Any) -> None:
-    """Judge the trajectories of PATH: can the robot do them, how well, and if not, why.
+    """Check the trajectories of PATH: whether and how well the robot executes each, and if not, why not.
 
     PATH is an npz file (t_s with base_from_tcp or q), a csv file (t_s,x_m,y_m,z_m,qw,qx,qy,qz or t_s,q1_rad..q7_rad),
     a ManiSkill trajectory (.h5, its .json beside it), a LeRobot dataset (v2 or v3), an output folder of score or ground
-    or its tracks/, or a folder of these. Joint angles are judged as given; poses are infeasible only if no joint path
-    does them. Lengths are metres, angles radians, poses those of the TCP in the robot's base frame.
+    or its tracks/, or a folder of these. Joint angles are judged as recorded; poses are infeasible only if no joint
+    path follows them. Lengths are metres, angles radians, poses those of the TCP in the robot's base frame.
     """
     from kinebench_drake.cli.run import run
     from kinebench_drake.evaluation.audit import AuditConfig, audit_trajectories

@@ -1,4 +1,4 @@
-"""Options that commands share."""
+"""Options shared by several commands."""
 
 import re
 from collections.abc import Callable
@@ -37,10 +37,12 @@ def _tags(ctx: click.Context, param: click.Parameter, values: tuple[str, ...]) -
 _COUNT = click.IntRange(min=1)
 
 _RUN = (
-    click.option("--out", type=click.Path(path_type=Path), required=True, help="Output folder; made if absent."),
-    click.option("--limit", type=_COUNT, help="Work on the first N samples only.", metavar="N"),
+    click.option("--out", type=click.Path(path_type=Path), required=True, help="Output folder; created if absent."),
+    click.option("--limit", type=_COUNT, help="Evaluate only the first N samples.", metavar="N"),
     click.option("--jobs", type=_COUNT, default=1, show_default=True, help="Worker processes.", metavar="N"),
-    click.option("--shard", callback=_shard, help="Work on part I (1 to N) of N, for several machines.", metavar="I/N"),
+    click.option(
+        "--shard", callback=_shard, help="Evaluate only part I (1 to N) of N, for several machines.", metavar="I/N"
+    ),
     click.option(
         "--engine",
         type=click.Choice([kind.value for kind in ExecutorKind]),
@@ -57,24 +59,24 @@ _RUN = (
     click.option(
         "--overwrite/--resume",
         default=False,
-        help="Start anew, or keep finished samples whose input and settings are the same.  [default: resume]",
+        help="Start anew, or keep finished samples whose input and options are unchanged.  [default: resume]",
     ),
     click.option(
         "--seed",
         type=click.IntRange(min=0),
         default=0,
         show_default=True,
-        help="Seed of the bootstrap behind intervals; of a suite also its first episode's.",
+        help="Seed of the bootstrap; of `suite` commands also the number of the first of the split's seeds.",
     ),
     click.option(
         "--model",
-        help="World model behind the samples, where the input does not tell; of a suite its name in tables.",
+        help="World model behind the samples, where the input does not name it; of `suite run` its name in tables.",
         metavar="NAME",
     ),
     click.option("--tag", "tags", multiple=True, callback=_tags, help="Label kept in results.", metavar="KEY=VALUE"),
 )
 
-_TASK = click.option("--task", help="Task of the samples, where the input does not tell.", metavar="NAME")
+_TASK = click.option("--task", help="Task of the samples, where the input does not name it.", metavar="NAME")
 
 _VIDEO = (
     click.option(
@@ -86,35 +88,37 @@ _VIDEO = (
     ),
     click.option(
         "--camera-key",
-        help="Camera to take of a LeRobot dataset, HDF5 or npz file that has several, by its name or part of it.",
+        help="Camera to use of a LeRobot dataset, HDF5 or npz file that has several, by its name or part of it.",
         metavar="NAME",
     ),
-    click.option("--overlay/--no-overlay", default=False, help="Write videos with the gripper drawn in."),
+    click.option(
+        "--overlay/--no-overlay", default=False, help="Write videos with the tracked gripper drawn on the frames."
+    ),
     click.option(
         "--pixels-only",
         is_flag=True,
-        help="Leave aside what the manifest tells of the first frame (its pose, or task and seed of an episode).",
+        help="Ignore the initial state in the manifest (pose of the first frame, or task and seed of an episode).",
     ),
     click.option(
         "--masks",
         type=click.Path(path_type=Path),
-        help="Take the gripper's masks from here, not from the network.",
+        help="Gripper masks that replace the network's.",
         metavar="DIR",
     ),
     click.option(
         "--depth",
-        help="Take metric depth from files, from MoGe-2 or from a class of yours.",
+        help="Metric depth that replaces the network's: files, MoGe-2 or a class of yours.",
         metavar="DIR|moge:CHECKPOINT|module:Class",
     ),
     click.option(
         "--depth-exact",
         is_flag=True,
-        help="Trust the depth of --depth to a few millimetres (sensor, simulator), not as an estimate.",
+        help="Treat the depth of --depth as accurate to a few millimetres (sensor, simulator).",
     ),
     click.option(
         "--poses",
         type=click.Path(path_type=Path),
-        help="Take poses of panda_hand in the camera frame from here, not from the tracker.",
+        help="Poses of panda_hand in the camera frame that replace the tracker's.",
         metavar="DIR",
     ),
 )
@@ -127,7 +131,7 @@ _JUDGING = (
         type=float,
         default=0.0,
         show_default=True,
-        help="Height of the table's top in the robot's base frame.",
+        help="Height of the table top in the robot base frame.",
         metavar="METRES",
     ),
 )
@@ -143,34 +147,32 @@ replays_option = click.option(
 
 
 def sample_options(function: Function) -> Function:
-    """Add what `score`, `ground` and `audit` share."""
+    """Add the options of `score`, `ground` and `audit`."""
     return run_options(_TASK(function))
 
 
 def run_options(function: Function) -> Function:
-    """Add what these and `suite run` share."""
+    """Add the options of `score`, `ground`, `audit` and `suite run`."""
     for option in reversed(_RUN):
         function = option(function)
     return function
 
 
 def judging_options(function: Function) -> Function:
-    """Add what commands that hold tracks against the robot share."""
+    """Add the options of commands that judge kinematics."""
     for option in reversed(_JUDGING):
         function = option(function)
     return replays_option(function)
 
 
 def video_options(function: Function) -> Function:
-    """Add what commands that read videos share."""
+    """Add the options of commands that read videos."""
     for option in reversed(_VIDEO):
         function = option(function)
     return function
 
 
-tasks_option = click.option(
-    "--tasks", "--task", "tasks", metavar="A,B", help="Tasks, comma-separated.  [default: all there are]"
-)
+tasks_option = click.option("--tasks", "--task", "tasks", metavar="A,B", help="Tasks, comma-separated.  [default: all]")
 episodes_option = click.option(
     "--episodes", type=click.IntRange(1), default=10, show_default=True, help="Episodes of each task.", metavar="K"
 )
@@ -180,20 +182,20 @@ variant_option = click.option(
     type=click.Choice(["plain", "obstacles"]),
     default="plain",
     show_default=True,
-    help="Version of the scenes; without --tasks: of the tasks that have it.",
+    help="Variant of the scenes; without --tasks: of the tasks that have it.",
 )
-split_help = "Part of the suite; test: the part that models are judged on."
+split_help = "Split of the suite; test: the split on which models are evaluated."
 SPLITS = click.Choice(["train", "test", "seen", "unseen"])
 SUITES = click.IntRange(0, 3)
 SIZES = click.IntRange(128, 2048)
-"""Sizes of pictures [px]: x264 writes films smaller than that with other bytes each time."""
+"""Side lengths of images [px]: below that x264 does not write reproducible bytes."""
 
 
 def check_parent(option: str, path: Path) -> None:
-    """Make sure, before long work, that a file can be written where the user wants it.
+    """Check, before long work, that the folder of an output file exists.
 
     Raises:
-        UsageError: its folder is not there.
+        UsageError: it does not.
     """
     if not path.parent.is_dir():
-        raise UsageError(f"{option} {path}: there is no folder {path.parent}; make it first")
+        raise UsageError(f"{option} {path}: there is no folder {path.parent}; create it first")

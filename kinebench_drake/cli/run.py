@@ -103,30 +103,30 @@ def run(job: Callable[[RunObserver], RunSummary], out: Path, view: ProgressView 
         )
         click.echo(f"interrupted {progress}; run the same command again, without --overwrite, to go on", err=True)
         return 130
-    _tell(out, summary)
+    _print_summary(out, summary)
     return 0 if summary.counts[Status.OK] else 1
 
 
-def _tell(out: Path, summary: RunSummary) -> None:
-    counted = ", ".join(f"{n} {status.value}" for status, n in summary.counts.items() if n)
+def _print_summary(out: Path, summary: RunSummary) -> None:
+    counts = ", ".join(f"{n} {status.value}" for status, n in summary.counts.items() if n)
     if not any(summary.counts.values()):
         click.echo("there was nothing to do: this shard holds no sample", err=True)
     elif not summary.counts[Status.OK]:
-        click.echo(f"nothing could be measured ({counted}); {out / 'samples.jsonl'} has the reasons", err=True)
+        click.echo(f"nothing could be measured ({counts}); {out / 'samples.jsonl'} has the reasons", err=True)
     else:
-        click.echo(counted)
-    for share, told in (
-        (summary.success, "episodes reach their goal"),
+        click.echo(counts)
+    for share, label in (
+        (summary.success, "episodes are successful"),
         (summary.feasible, "judged samples are feasible"),
     ):
         if share is not None and share.mean is not None:
-            click.echo(f"{share.mean:.0%} of {share.n} {told} (95% interval {share.low:.0%} to {share.high:.0%})")
+            click.echo(f"{share.mean:.0%} of {share.n} {label} (95% interval {share.low:.0%} to {share.high:.0%})")
     click.echo(summary.report or out / "results.json")
 
 
 @contextmanager
 def terminate_as_interrupt() -> Iterator[None]:
-    """Within this context a request to terminate ends the run as an interrupt does: rows kept, workers gone."""
+    """Return a context in which SIGTERM ends the run as an interrupt does: rows kept, workers ended."""
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         yield

@@ -30,8 +30,8 @@ def score(ctx: click.Context, /, **options: Any) -> None:
     (T,H,W,3 uint8), an HDF5 file, a LeRobot dataset (v2 or v3), a VideoFolder with its metadata, a folder of EWMBench
     or WorldArena, or a manifest.jsonl. A camera.json beside the videos gives their camera (docs/formats.md).
 
-    --masks, --depth and --poses put results of other tools in place of stages of the grounding. Each DIR holds
-    ID.npz, ID.npy or a folder ID/ for every video (docs/grounding.md), or is a demonstration folder with its truth.
+    --masks, --depth and --poses replace stages of the grounding by results of other tools. Each DIR holds ID.npz,
+    ID.npy or a folder ID/ for every video (docs/grounding.md), or is a demonstration folder with its truth.
     """
     from kinebench_drake.cli.run import run
     from kinebench_drake.evaluation.score import ScoreConfig, score_videos
@@ -53,13 +53,13 @@ def score(ctx: click.Context, /, **options: Any) -> None:
 @video_options
 @click.pass_context
 def ground(ctx: click.Context, /, **options: Any) -> None:
-    """Take the gripper's track from each video of PATH, without judging it.
+    """Extract the gripper track of each video of PATH, without judging it.
 
-    PATH is what `score` takes. Tracks go to tracks/ID.npz in the output folder, videos with the gripper drawn in to
-    overlays/ID.mp4.
+    PATH is as in `score`. Tracks are written to tracks/ID.npz in the output folder, videos with the tracked gripper
+    to overlays/ID.mp4.
 
-    --masks, --depth and --poses put results of other tools in place of stages of the grounding. Each DIR holds
-    ID.npz, ID.npy or a folder ID/ for every video (docs/grounding.md), or is a demonstration folder with its truth.
+    --masks, --depth and --poses replace stages of the grounding by results of other tools. Each DIR holds ID.npz,
+    ID.npy or a folder ID/ for every video (docs/grounding.md), or is a demonstration folder with its truth.
     """
     from kinebench_drake.cli.run import run
     from kinebench_drake.evaluation.evaluator import RunKind
