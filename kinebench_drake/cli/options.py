@@ -40,9 +40,7 @@ _RUN = (
     click.option("--out", type=click.Path(path_type=Path), required=True, help="Output folder; created if absent."),
     click.option("--limit", type=_COUNT, help="Evaluate only the first N samples.", metavar="N"),
     click.option("--jobs", type=_COUNT, default=1, show_default=True, help="Worker processes.", metavar="N"),
-    click.option(
-        "--shard", callback=_shard, help="Evaluate only part I (1 to N) of N, for several machines.", metavar="I/N"
-    ),
+    click.option("--shard", callback=_shard, help="Evaluate only part I of N, for several machines.", metavar="I/N"),
     click.option(
         "--engine",
         type=click.Choice([kind.value for kind in ExecutorKind]),
@@ -91,9 +89,7 @@ _VIDEO = (
         help="Camera to use of a LeRobot dataset, HDF5 or npz file that has several, by its name or part of it.",
         metavar="NAME",
     ),
-    click.option(
-        "--overlay/--no-overlay", default=False, help="Write videos with the tracked gripper drawn on the frames."
-    ),
+    click.option("--overlay/--no-overlay", default=False, help="Write videos with the tracked gripper drawn in."),
     click.option(
         "--pixels-only",
         is_flag=True,
