@@ -1,8 +1,8 @@
-"""Judge a trajectory that is there as NumPy arrays: poses of the TCP, and joint angles.
+"""Judge trajectories in NumPy arrays: poses of the TCP, and joint angles.
 
     python examples/audit_arrays.py
 
-The gripper points down and goes 30 cm to the left, once in 2 s and once in 0.5 s: no Panda is as fast.
+The gripper points down and moves 30 cm to the left, once in 2 s and once in 0.5 s, which is too fast for a Panda.
 """
 
 import numpy as np
@@ -21,7 +21,7 @@ def minimum_jerk(frames: int) -> np.ndarray:
     return s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
 
 
-def tell(name: str, result: KinematicResult) -> None:
+def print_result(name: str, result: KinematicResult) -> None:
     print(f"{name}: {'feasible' if result.feasible else 'infeasible'}")
     for v in result.violations:
         print(f"  {v['kind']} of {v['joint']} in frames {v['frame_start']} to {v['frame_end']}: {v['value']:.3g}")
@@ -35,9 +35,9 @@ def main() -> None:
     p_BG = np.stack([np.full(41, 0.5), -0.15 + 0.3 * way, np.full(41, 0.25)], axis=1)
     X_BG = make_pose(DOWN, p_BG)  # (41, 4, 4), metres
     slow = audit_trajectory(X_BG, rate_hz=20)
-    tell("poses, 2 s", slow)
-    tell("poses, 0.5 s", audit_trajectory(X_BG, t_s=np.linspace(0.0, 0.5, 41)))
-    tell("the joint path found, as joint angles", audit_trajectory(slow.joints.q, rate_hz=20))
+    print_result("poses, 2 s", slow)
+    print_result("poses, 0.5 s", audit_trajectory(X_BG, t_s=np.linspace(0.0, 0.5, 41)))
+    print_result("the solved joint path, as joint angles", audit_trajectory(slow.joints.q, rate_hz=20))
 
 
 if __name__ == "__main__":

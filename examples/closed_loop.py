@@ -1,4 +1,4 @@
-r"""Run a world model of one's own in closed loop: one task, one episode, one round.
+r"""Run your own world model in closed loop: one task, one episode, one round.
 
     python examples/closed_loop.py [OUT]
 

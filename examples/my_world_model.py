@@ -1,7 +1,6 @@
-"""A world model of one's own as a class, for `--world-model my_world_model:MyWorldModel` (docs/worldmodels.md).
+"""Your own world model as a class, for `--world-model my_world_model:MyWorldModel` (docs/worldmodels.md).
 
-This one has learned nothing: it shows the first frame for as long as it is asked to, a little darker each time. Put
-your model in its place.
+This placeholder repeats the first frame, a little darker each time. Replace it by your model.
 """
 
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Take the gripper's track from one video and plot its path, its height and the gap between its fingers.
+"""Track the gripper in one video and plot its path, its height and the gap between the fingers.
 
 python examples/plot_path.py [VIDEO [PICTURE.png]]
 """

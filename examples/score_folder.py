@@ -1,9 +1,9 @@
-"""Score a folder of one's own videos from Python, and read the results.
+"""Score a folder of your videos from Python, and read the results.
 
     python examples/score_folder.py [FOLDER [OUT]]
 
 FOLDER holds videos (mp4, mov, gif, webm ...) or folders of frames and, where the camera is not the benchmark's, its
-camera.json. Without FOLDER: the example videos. Run again it does what is not done yet.
+camera.json. Without FOLDER: the example videos. A second call evaluates only what is missing.
 """
 
 import sys

@@ -1,8 +1,8 @@
-r"""A world model behind HTTP, with nothing but Python's own library: the contract "simple" of docs/worldmodels.md.
+r"""A world model behind HTTP, with the standard library only: the contract "simple" of docs/worldmodels.md.
 
     python examples/world_model_server.py [PORT]        # 0: any free port
 
-It has learned nothing and answers with the first frame, repeated. Ask it with
+This placeholder answers with the first frame, repeated. Use it with
 
     kinebench-drake suite run --suite 0 --tasks PullCube-v1 --episodes 1 --out served \
         --world-model http://127.0.0.1:8000/generate

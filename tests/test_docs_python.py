@@ -50,8 +50,8 @@ def test_the_interface_is_used_as_described(tmp_path, monkeypatch):
     save_camera(benchmark_camera(), tmp_path / "videos" / "camera.json")
     monkeypatch.chdir(tmp_path)
     space = run("api.md", {"__name__": "docs"}, lambda heading: heading != "A suite")
-    assert space["judgement"].feasible is True
-    assert 1.0 < space["quick"].metrics["slowdown_min"] < 20.0
+    assert space["result"].feasible is True
+    assert 1.0 < space["fast"].metrics["slowdown_min"] < 20.0
     assert [row.id for row in space["summary"].rows] == ["clip"]  # of the audit
 
 
@@ -59,5 +59,5 @@ def test_the_interface_is_used_as_described(tmp_path, monkeypatch):
 @pytest.mark.slow
 def test_a_suite_is_run_as_described(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    space = run("api.md", {"__name__": "docs"}, lambda heading: heading in ("From Python", "A suite"))
+    space = run("api.md", {"__name__": "docs"}, lambda heading: heading in ("Python interface", "A suite"))
     assert space["summary"].success.mean == 0.0
