@@ -1,15 +1,28 @@
-# make demo: set up and score the example videos.  make test: set up and run every check.  Both are safe to repeat.
+# make demo: set up and score the example videos.  make test: set up, check and test (some minutes).  make test-all: also
+# the exhaustive tests.  make soak: hostile input and killed runs, over and over.  All are safe to repeat.
 BIN := .venv/bin
 JOBS ?= 2
 
-.PHONY: demo test bench check setup wheel format constraints clean
+.PHONY: demo test test-all soak bench check setup wheel format constraints clean
 
 demo: setup
 	$(BIN)/kinebench-drake score examples/videos/manifest.jsonl --out demo-output --overlay
 	@echo "Look at demo-output/report.html (the report), demo-output/overlays (what was tracked), demo-output/results.json."
 
+# One thread a worker: the networks are small, and threads of several workers would wait for each other. Workers begin
+# with whole files, which share what is expensive to set up, and take over from each other at the end.
+PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(JOBS) --dist worksteal
+
 test: check
-	$(BIN)/python -m pytest -n $(JOBS)
+	$(PYTEST) -m "not exhaustive"
+
+test-all: check
+	$(PYTEST)
+
+# Properties and damaged inputs with thousands of random examples each, then runs that are killed: about an hour.
+soak: setup
+	$(PYTEST) --hypothesis-profile soak tests/reliability tests/test_properties.py
+	for round in $$(seq 20); do $(PYTEST) tests/cli -k "kill or interrupt" || exit 1; done
 
 # Inverse kinematics beside that of other packages (installed first), audits, simulation, whole runs of the program, and
 # memory over 2,000 samples: about an hour on two cores.

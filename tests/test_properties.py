@@ -23,7 +23,7 @@ from kinebench_drake.results.store import SAMPLES, read_rows
 from kinebench_drake.results.trackfile import read_track, write_track
 from kinebench_drake.types import GripperTrack, IkStatus, JointTrack
 
-usual = settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+usual = settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 numbers = st.floats(-2.0, 2.0, allow_subnormal=False)
 vectors = st.tuples(numbers, numbers, numbers).map(np.array)

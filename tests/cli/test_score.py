@@ -3,6 +3,7 @@
 import errno
 import json
 import os
+import random
 import signal
 import subprocess
 import sys
@@ -393,6 +394,7 @@ def test_kill_9_in_mid_run_then_resume_gives_the_same_files(film, config, tmp_pa
     deadline = time.monotonic() + 60
     while len(read_rows(out) if out.is_dir() else {}) < 2 and time.monotonic() < deadline:
         time.sleep(0.02)
+    time.sleep(random.uniform(0.0, 0.2))  # any moment of a sample's work
     process.send_signal(signal.SIGKILL)
     process.wait()
     done = read_rows(out)

@@ -72,15 +72,21 @@ def test_what_is_finished_is_kept_and_made_again_it_is_the_same(oracle: Path, tm
     assert (tmp_path / "samples.jsonl").read_bytes() == before
 
 
-def test_films_of_an_earlier_run_of_an_episode_are_gone(oracle: Path, tmp_path: Path) -> None:
-    [row] = rows(oracle)
-    films = tmp_path / "videos"
-    (films / f"{row['id']}_r2").mkdir(parents=True)
-    (films / f"{row['id']}_r2" / "0.png").touch()
-    (films / f"{row['id']}_r1.mp4").touch()
-    (films / "other_r1.mp4").touch()
-    assert run(tmp_path, "--world-model", "still", "--rounds", "1", "--overwrite")[0] == 0
-    assert sorted(film.name for film in films.iterdir()) == sorted(["other_r1.mp4", f"{row['id']}_r0.mp4"])
+@pytest.fixture(scope="module")
+def still(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run over the videos of an earlier run of the same episode."""
+    out = tmp_path_factory.mktemp("still")
+    videos = out / "videos"
+    (videos / "PullCube-v1_s0000_r2").mkdir(parents=True)
+    (videos / "PullCube-v1_s0000_r2" / "0.png").touch()
+    (videos / "PullCube-v1_s0000_r1.mp4").touch()
+    (videos / "other_r1.mp4").touch()
+    assert run(out, "--world-model", "still", "--rounds", "1", "--no-rollouts", "--overwrite")[0] == 0
+    return out
+
+
+def test_videos_of_an_earlier_run_of_an_episode_are_gone(still: Path) -> None:
+    assert sorted(video.name for video in (still / "videos").iterdir()) == ["PullCube-v1_s0000_r0.mp4", "other_r1.mp4"]
 
 
 def test_a_letter_boxed_video_is_read_and_shown_without_its_bars(oracle: Path, tmp_path: Path) -> None:
@@ -102,9 +108,8 @@ def test_a_letter_boxed_video_is_read_and_shown_without_its_bars(oracle: Path, t
         assert other["metrics"][name] > row["metrics"][name] + factor
 
 
-def test_a_still_video_fails_for_the_task_s_reason(tmp_path: Path) -> None:
-    assert run(tmp_path, "--world-model", "still", "--rounds", "1", "--no-rollouts")[0] == 0
-    [row] = rows(tmp_path)
+def test_a_still_video_fails_for_the_task_s_reason(still: Path) -> None:
+    [row] = rows(still)
     assert row["success"] is False
     assert row["verdict"] == row["cause"]["verdict"] == "task"
     assert row["missed"]

@@ -107,10 +107,10 @@ def test_the_conditions_hold_at_the_goal_only(stage: Simulator) -> None:
 
 
 @pytest.mark.sapien
-def test_the_expert_does_it(stage: Simulator) -> None:
+@pytest.mark.parametrize("seed", [2, pytest.param(3, marks=pytest.mark.exhaustive)])
+def test_the_expert_does_it(stage: Simulator, seed: int) -> None:
     name = stage.task.card.id
-    for seed in (2, 3):
-        performance = rollout(stage, find_expert(name), compose(name, seed))
-        assert performance.outcome.success, (seed, performance.outcome)
-        lifted = stage.scene().X_BG[2, 3] - stage.scene().size("cabinet", "height_m")
-        assert lifted > 0.03  # the gripper is free again
+    performance = rollout(stage, find_expert(name), compose(name, seed))
+    assert performance.outcome.success, performance.outcome
+    lifted = stage.scene().X_BG[2, 3] - stage.scene().size("cabinet", "height_m")
+    assert lifted > 0.03  # the gripper is free again

@@ -17,6 +17,7 @@ from kinebench_drake.suites.simulator import Simulator
 from kinebench_drake.suites.split import Pool
 from kinebench_drake.suites.tasks.card import TaskVariant
 from kinebench_drake.suites.tasks.registry import TASKS
+from tests.suites.scenes import EACH_TASK
 
 TASK = "StackCube-v1"
 
@@ -59,8 +60,8 @@ def test_a_seed_gives_the_same_first_frame_whatever_came_before(stage: Simulator
     code = (
         "import hashlib\n"
         "from kinebench_drake.suites.episode import compose\n"
-        "from kinebench_drake.suites.simulator import Stage\n"
-        f"with Stage({TASK!r}) as stage:\n"
+        "from kinebench_drake.suites.simulator import Simulator\n"
+        f"with Simulator({TASK!r}) as stage:\n"
         f"    stage.reset(compose({TASK!r}, 5))\n"
         "    p = stage.picture()\n"
         "    print(hashlib.sha256(p.rgb.tobytes() + p.depth_mm.tobytes() + p.mask.tobytes()).hexdigest())\n"
@@ -156,7 +157,7 @@ def test_episodes_are_what_their_seed_says(task: str) -> None:
 
 
 @pytest.mark.sapien
-@pytest.mark.parametrize("task", TASKS)
+@pytest.mark.parametrize("task", EACH_TASK)
 def test_layouts_say_where_bodies_are_without_a_simulator(task: str) -> None:
     episode = compose(task, 1)
     with Simulator(task, renders=False) as stage:
