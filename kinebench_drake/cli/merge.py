@@ -24,15 +24,15 @@ class MergeView(ProgressView):
 @click.argument("folders", metavar="DIR...", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option(
     "--out", type=click.Path(path_type=Path), required=True,
-    help="Folder for all of it; made if absent, added to if it holds an earlier merge of the run.",
+    help="Output folder; created if absent, extended if it holds an earlier merge of the run.",
 )  # fmt: skip
 @click.pass_context
 def merge(ctx: click.Context, /, folders: tuple[Path, ...], out: Path) -> None:
-    """Join the output folders DIR of a run's shards (--shard I/N) into one, as if one run had done all of it.
+    """Merge the output folders DIR of a run's shards (--shard I/N) into one, as if a single run had made them.
 
-    Rows, tracks, videos and the rest are copied, DIR is left as it is; numbers and report are made anew from all rows.
-    Shards must agree in everything but --shard, --jobs, --engine and --limit. The same command without --shard and with
-    the merged folder as --out goes on from there: it does what is still absent.
+    Rows, tracks, videos and other files are copied, DIR is not changed; aggregates and report are computed from all
+    rows. Shards must agree in all settings but --shard, --jobs, --engine and --limit. To complete a merged folder, run
+    the original command without --shard and with the merged folder as --out: it processes the samples still absent.
     """
     from kinebench_drake.evaluation.merge import merge_folders
 

@@ -59,7 +59,7 @@ def resume(
     if waiting or unlisted:
         store.begin(metadata.to_json())
     kept = current - {s.id for s in waiting}
-    store.keep(lambda row: row.id in kept)
+    store.keep_rows(lambda row: row.id in kept)
     return waiting
 
 
@@ -73,7 +73,7 @@ def _stored_metadata(store: ResultStore) -> RunMetadata | None:
         stored = read_metadata(store.out) if store.rows else None
     except InputError as error:
         raise UsageError(f"--out {error}; --overwrite starts anew") from None
-    return None if stored is None else stored.header
+    return None if stored is None else stored.run
 
 
 def _subject_difference(before: RunMetadata, now: RunMetadata) -> str:

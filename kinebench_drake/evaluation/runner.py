@@ -19,7 +19,7 @@ from kinebench_drake.executors.interrupt import graceful_interrupt
 from kinebench_drake.executors.progress import NullObserver, Observer
 from kinebench_drake.io.atomic import disk_errors
 from kinebench_drake.report.sample import worst_samples
-from kinebench_drake.results.aggregate import Estimate, aggregate, by_key, estimate, normalize_run
+from kinebench_drake.results.aggregate import Estimate, aggregate, estimate, normalize_run, split_rows
 from kinebench_drake.results.metadata import RunMetadata, Shard
 from kinebench_drake.results.provenance import code_hash, host, versions, weights_hash
 from kinebench_drake.results.row import SampleRow, Status
@@ -166,7 +166,7 @@ def run_samples(
                 raise KeyboardInterrupt
             worst = worst_samples(store.rows.values(), partial(artifact_path, store.out, "tracks"), config.replays or 0)
             if config.replays is not None:
-                store.keep_files("replays", worst)
+                store.keep_artifacts("replays", worst)
             store.finish(summarize(store.sorted_rows(), metadata))
             if worst:
                 _replay(config, worst, observer)
@@ -236,7 +236,7 @@ def summarize(rows: Sequence[SampleRow], metadata: RunMetadata) -> dict[str, Jso
     seed = metadata.bootstrap_seed
 
     def groups(key: str) -> dict[str, Json]:
-        return {name: aggregate(group, seed).to_json() for name, group in by_key(rows, key).items()}
+        return {name: aggregate(group, seed).to_json() for name, group in split_rows(rows, key).items()}
 
     return metadata.to_json(
         {

@@ -22,7 +22,7 @@ from kinebench_drake.report.sample import (
     verdict_of,
     view_sample,
 )
-from kinebench_drake.results.aggregate import Aggregate, Estimate, aggregate, by_key
+from kinebench_drake.results.aggregate import Aggregate, Estimate, aggregate, split_rows
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.results.store import RESULTS, read_rows
 from kinebench_drake.types import Json
@@ -41,7 +41,7 @@ class SampleGroup:
 def group_rows(rows: Sequence[SampleRow], key: str, seed: int = 0) -> list[SampleGroup]:
     """Groups of rows by their `task` or `model`, sorted by name; rows without one are left out."""
     found = []
-    for name, group in by_key(rows, key).items():
+    for name, group in split_rows(rows, key).items():
         told = [verdict_of(row) for row in group]
         verdicts = {verdict: told.count(verdict) for verdict in RANK if verdict in told}
         found.append(SampleGroup(name=name, total=aggregate(group, seed), verdicts=verdicts))

@@ -1,4 +1,4 @@
-"""Aggregates over many samples: means with intervals, coverage, and run-wise normalization."""
+"""Aggregates over samples: means with intervals and coverage, and normalization within a run."""
 
 import math
 from collections import Counter
@@ -14,49 +14,54 @@ from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.stats import bootstrap_mean, wilson
 from kinebench_drake.types import Json
 
+NORMALIZED = ("manipulability_cost_mean",)
+"""Metrics that results also report on a scale from 0 to 1."""
+PERCENTILES = (10.0, 90.0)
+"""Percentiles at the ends of the scale."""
+
 _EXTRA = ("success", "progress", "rounds")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Estimate:
-    """A mean or a share with its 95 % interval and its coverage."""
+    """Mean or share with its 95 % interval and its coverage."""
 
     mean: float | None
-    """Mean of the values, or share of true ones; None without a value."""
+    """Mean of the values, or share of true values; None without values."""
     low: float | None
-    """Lower end of the interval; None where the samples are too few to say."""
+    """Lower end of the interval; None if there are too few samples."""
     high: float | None
     """Upper end of the interval."""
     n: int
-    """Samples with a value."""
+    """Number of samples with a value."""
     total: int
-    """Samples in the group, measurable or not."""
+    """Number of samples in the group, measurable or not."""
 
     def to_json(self) -> dict[str, Json]:
-        """The object that `results.json` holds."""
+        """Return the object in `results.json`."""
         return {"mean": self.mean, "low": self.low, "high": self.high, "n": self.n, "total": self.total}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Aggregate:
-    """A group of samples in numbers."""
+    """Statistics of a group of samples."""
 
     status: Mapping[Status, int]
-    """Samples of each status."""
+    """Number of samples by status."""
     estimates: Mapping[str, Estimate]
-    """`feasible` and every metric that is a number or a truth value, over the samples that are ok."""
+    """`feasible` and every numerical or boolean metric, over the samples with status ok."""
     violations: Mapping[str, int]
-    """Samples that show a violation, for each kind."""
+    """Number of samples with a violation, by kind."""
     anomalies: Mapping[str, int]
-    """Samples that show an anomaly, for each kind."""
+    """Number of samples with an anomaly, by kind."""
 
     @property
     def total(self) -> int:
-        """Samples in the group."""
+        """Number of samples in the group."""
         return sum(self.status.values())
 
     def to_json(self) -> dict[str, Json]:
-        """The object that `results.json` holds."""
+        """Return the object in `results.json`."""
         return {
             "samples": {"total": self.total, **{s.value: self.status[s] for s in Status}},
             **{name: estimate.to_json() for name, estimate in self.estimates.items() if name == "feasible"},
@@ -67,7 +72,7 @@ class Aggregate:
 
 
 def aggregate(rows: Sequence[SampleRow], seed: int = 0) -> Aggregate:
-    """Put a group of rows into numbers. The same rows and seed give the same numbers."""
+    """Compute the statistics of a group of rows; the same rows and seed give the same numbers."""
     columns: dict[str, list[Json]] = {"feasible": []}
     for row in (r for r in rows if r.status is Status.OK):
         columns["feasible"].append(row.feasible)
@@ -79,13 +84,13 @@ def aggregate(rows: Sequence[SampleRow], seed: int = 0) -> Aggregate:
     return Aggregate(
         status={status: counts[status] for status in Status},
         estimates={name: estimate(values, total=len(rows), seed=seed) for name, values in columns.items()},
-        violations=_share({str(v.get("kind")) for v in row.violations} for row in rows),
-        anomalies=_share(_anomaly_kinds(row) for row in rows),
+        violations=_count_kinds({str(v.get("kind")) for v in row.violations} for row in rows),
+        anomalies=_count_kinds(_anomaly_kinds(row) for row in rows),
     )
 
 
-def by_key(rows: Iterable[SampleRow], key: str) -> dict[str, list[SampleRow]]:
-    """Rows grouped by their `task` or `model`, sorted; rows without one are left out."""
+def split_rows(rows: Iterable[SampleRow], key: str) -> dict[str, list[SampleRow]]:
+    """Group rows by their `task` or `model`, sorted; rows without one are left out."""
     groups: dict[str, list[SampleRow]] = {}
     for row in rows:
         name = getattr(row, key)
@@ -95,50 +100,44 @@ def by_key(rows: Iterable[SampleRow], key: str) -> dict[str, list[SampleRow]]:
 
 
 def estimate(values: Sequence[Json], *, total: int, seed: int = 0) -> Estimate:
-    """Mean and interval of `values`, of which None does not count.
+    """Compute mean and interval of `values`, ignoring None.
 
-    Truth values give a share with Wilson's score interval (Wilson 1927); numbers give a mean with the percentile
+    Booleans give a share with Wilson's score interval (Wilson 1927); numbers give a mean with the percentile
     bootstrap interval (Efron 1979). A single number has no interval.
     """
-    known = [float(v) for v in values if isinstance(v, bool | int | float) and math.isfinite(v)]
-    n = len(known)
+    numbers = [float(v) for v in values if isinstance(v, bool | int | float) and math.isfinite(v)]
+    n = len(numbers)
     if not n:
         return Estimate(mean=None, low=None, high=None, n=0, total=total)
-    mean = math.fsum(known) / n
+    mean = math.fsum(numbers) / n
     low: float | None = None
     high: float | None = None
     if all(isinstance(v, bool) for v in values if v is not None):
-        low, high = wilson(round(sum(known)), n)
-    elif n > 1 and min(known) == max(known):
+        low, high = wilson(round(sum(numbers)), n)
+    elif n > 1 and min(numbers) == max(numbers):
         low = high = mean
     elif n > 1:
-        low, high = bootstrap_mean(np.array(known), np.random.default_rng(seed))
+        low, high = bootstrap_mean(np.array(numbers), np.random.default_rng(seed))
     return Estimate(mean=mean, low=low, high=high, n=n, total=total)
 
 
-def _share(kinds: Iterable[set[str]]) -> dict[str, int]:
-    return dict(sorted(Counter(kind for found in kinds for kind in found).items()))
+def _count_kinds(samples: Iterable[set[str]]) -> dict[str, int]:
+    return dict(sorted(Counter(kind for kinds in samples for kind in kinds).items()))
 
 
 def _anomaly_kinds(row: SampleRow) -> set[str]:
-    found = row.metrics.get("anomalies")
-    if isinstance(found, str) or not isinstance(found, Sequence):
+    anomalies = row.metrics.get("anomalies")
+    if isinstance(anomalies, str) or not isinstance(anomalies, Sequence):
         return set()
-    return {str(a.get("kind")) for a in found if isinstance(a, Mapping)}
-
-
-NORMALIZED = ("manipulability_cost_mean",)
-"""Metrics that results give on that scale, too."""
-PERCENTILES = (10.0, 90.0)
-"""Ends of the scale: values of these percentiles count as 0 and 1."""
+    return {str(a.get("kind")) for a in anomalies if isinstance(a, Mapping)}
 
 
 def robust_normalize(values: ArrayLike, low: float = PERCENTILES[0], high: float = PERCENTILES[1]) -> Array:
-    """Values (N,) of a run's samples on the scale 0 (at the `low`-th percentile or below) to 1 (`high`-th or above).
+    """Scale values (N,) to 0 at the `low`-th percentile or below and 1 at the `high`-th percentile or above.
 
     clip((v - p_low) / (p_high - p_low), 0, 1) over the finite values, percentiles by linear interpolation; NaN stays
-    NaN. Where both percentiles are the same number there is no scale: what is below it becomes 0, what is above it 1,
-    the number itself 0.5. The result compares samples of one run with each other, never with another run's.
+    NaN. If both percentiles are equal there is no scale: smaller values become 0, greater ones 1 and equal ones 0.5.
+    The result compares samples within one run, never across runs.
 
     Raises:
         UsageError: the percentiles are not 0 <= low < high <= 100.
@@ -158,29 +157,29 @@ def robust_normalize(values: ArrayLike, low: float = PERCENTILES[0], high: float
 
 
 def normalize_run(rows: Sequence[SampleRow]) -> dict[str, Json]:
-    """Ends of the scale of each metric of NORMALIZED, and the mean on it of all samples, of each task and each model.
+    """Normalize the metrics of NORMALIZED: ends of the scale, means of all samples, of each task and of each model.
 
-    Metrics that fewer than two samples have are left out: they span no scale.
+    Metrics of fewer than two samples are left out, as they span no scale.
     """
-    found: dict[str, Json] = {}
+    result: dict[str, Json] = {}
     for name in NORMALIZED:
-        known = [row for row in rows if row.status is Status.OK and isinstance(row.metrics.get(name), int | float)]
-        values = np.array([row.metrics[name] for row in known], dtype=np.float64)
+        measured = [row for row in rows if row.status is Status.OK and isinstance(row.metrics.get(name), int | float)]
+        values = np.array([row.metrics[name] for row in measured], dtype=np.float64)
         if len(values) < 2:
             continue
-        scaled = dict(zip((row.id for row in known), robust_normalize(values).tolist(), strict=True))
+        scaled = dict(zip((row.id for row in measured), robust_normalize(values).tolist(), strict=True))
         low, high = np.percentile(values, PERCENTILES)
-        found[name] = {
+        result[name] = {
             "low": float(low),
             "high": float(high),
-            "n": len(known),
+            "n": len(measured),
             "mean": float(np.mean(list(scaled.values()))),
             **{
                 f"per_{key}": {
                     group: float(np.mean([scaled[row.id] for row in members]))
-                    for group, members in by_key(known, key).items()
+                    for group, members in split_rows(measured, key).items()
                 }
                 for key in ("task", "model")
             },
         }
-    return found
+    return result

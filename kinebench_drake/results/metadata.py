@@ -1,4 +1,4 @@
-"""Run metadata in results.json and run.json, and shards of a run."""
+"""Metadata of a run in results.json and run.json, and shards of a run."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -16,7 +16,7 @@ Item = TypeVar("Item")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Shard:
-    """One of `count` equal parts of a list: part k has items k, k + count, k + 2 count, ..., counted from 1."""
+    """One of `count` parts of a list: part k holds items k, k + count, k + 2 count, ..., counted from 1."""
 
     index: int
     """Number of the part, 1..count."""
@@ -24,7 +24,7 @@ class Shard:
     """Number of parts."""
 
     def __post_init__(self) -> None:
-        """Check the numbers.
+        """Check the range of the index.
 
         Raises:
             UsageError: there is no such part.
@@ -37,10 +37,10 @@ class Shard:
 
     @classmethod
     def parse(cls, text: str) -> "Shard":
-        """Read "I/N", parts counted 1 .. N.
+        """Parse "I/N", I from 1 to N.
 
         Raises:
-            UsageError: it is not of that form.
+            UsageError: the text has another form.
         """
         match = re.fullmatch(r"(\d{1,9})/(\d{1,9})", text.strip())
         if not match:
@@ -48,54 +48,54 @@ class Shard:
         return cls(index=int(match[1]), count=int(match[2]))
 
     def take(self, items: Sequence[Item]) -> list[Item]:
-        """This part of `items`."""
+        """Return this part of `items`."""
         return list(items[self.index - 1 :: self.count])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunMetadata:
-    """The part of `results.json` that is known before the first sample is done."""
+    """Part of `results.json` that does not depend on the samples' results."""
 
     schema_version: int
-    """Version of the files' format."""
+    """Version of the file format."""
     suite_version: Json
-    """Version of the suites; None where none is involved."""
+    """Version of the suites; None if the run uses none."""
     kind: str
-    """What is done with the samples."""
+    """Kind of run: score, ground, audit or suite."""
     samples_found: int
-    """Samples of the whole run, shard and limit aside."""
+    """Number of samples of the whole run, regardless of shard and limit."""
     config: Mapping[str, Json]
-    """What the run was told."""
+    """Configuration of the run."""
     tags: Mapping[str, str]
-    """Labels that the user gave."""
+    """Labels of the user."""
     bootstrap_seed: int
-    """Seed of the intervals' resampling."""
+    """Seed of the bootstrap intervals."""
     versions: Mapping[str, Json]
-    """Packages and their versions."""
+    """Versions of packages."""
     code_sha256: str
     weights_sha256: str
     host: Mapping[str, Json]
-    """The machine in few words."""
+    """Summary of the machine."""
 
     @property
     def shard(self) -> Shard | None:
-        """The part of the samples that was worked on; None for all.
+        """Shard of the run; None if it processed all samples.
 
         Raises:
-            UsageError: it is told in another form than I/N.
+            UsageError: its text is not of the form I/N.
         """
-        told = self.config.get("shard")
-        return None if told is None else Shard.parse(str(told))
+        text = self.config.get("shard")
+        return None if text is None else Shard.parse(str(text))
 
     @property
     def planned(self) -> int:
-        """Samples that all shards together have."""
+        """Number of samples of all shards together."""
         limit = self.config.get("limit")
         return min(self.samples_found, limit) if isinstance(limit, int) else self.samples_found
 
     def to_json(self, aggregates: Mapping[str, Json] | None = None) -> dict[str, Json]:
-        """The object as written, the numbers over all rows amid it."""
-        told = {
+        """Return the JSON object, with the aggregates over all rows in the middle."""
+        values = {
             "schema_version": self.schema_version,
             "suite_version": self.suite_version,
             "kind": self.kind,
@@ -109,60 +109,61 @@ class RunMetadata:
             "weights_sha256": self.weights_sha256,
             "host": self.host,
         }
-        return cast(dict[str, Json], intern_text(told))
+        return cast(dict[str, Json], intern_text(values))
 
     @classmethod
     def from_json(cls, data: object) -> "RunMetadata":
-        """Header from a parsed `results.json` or `run.json`.
+        """Convert a parsed `results.json` or `run.json`.
 
         Raises:
-            InputError: a part is missing or has another form.
+            InputError: a value is missing or of the wrong type.
         """
         if not isinstance(data, dict):
             raise InputError(f"expected an object, found {type(data).__name__}")
         seeds = data.get("seeds")
-        told: dict[str, Any] = {
+        values: dict[str, Any] = {
             **{name: data.get(name) for name in cls.__dataclass_fields__},
             "bootstrap_seed": seeds.get("bootstrap") if isinstance(seeds, dict) else None,
         }
-        forms = {
+        types = {
             **dict.fromkeys(("schema_version", "samples_found", "bootstrap_seed"), int),
             **dict.fromkeys(("kind", "code_sha256", "weights_sha256"), str),
             **dict.fromkeys(("config", "tags", "versions", "host"), dict),
         }
-        for name, form in forms.items():
-            if not isinstance(told[name], form):
-                raise InputError(f"{name} is {told[name]!r:.60}, expected {form.__name__}")
-        return cls(**told)
+        for name, kind in types.items():
+            if not isinstance(values[name], kind):
+                raise InputError(f"{name} is {values[name]!r:.60}, expected {kind.__name__}")
+        return cls(**values)
 
     def with_config(self, **changes: Json) -> "RunMetadata":
-        """The same, told other things."""
+        """Return the metadata with changes of the configuration."""
         return replace(self, config={**self.config, **changes})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StoredMetadata:
-    """A header and whether the run it is of came to its end."""
+    """Metadata of an output folder."""
 
-    header: RunMetadata
+    run: RunMetadata
     finished: bool
+    """True if the run has ended."""
 
 
 def read_metadata(out: Path) -> StoredMetadata | None:
-    """The header of an output folder; None if it holds none.
+    """Read the metadata of an output folder; None if it holds none.
 
     Raises:
         InputError: the file is damaged.
     """
-    for name in (RESULTS, RUN):  # where both are there, the run was stopped with its results written
+    for name in (RESULTS, RUN):  # if both exist, the run was stopped after it had written its results
         path = out / name
         try:
-            header = RunMetadata.from_json(read_json(path))
+            run = RunMetadata.from_json(read_json(path))
         except FileNotFoundError:
             continue
         except OSError as error:
             raise InputError(f"{path}: cannot be read ({error.strerror or error})") from None
         except (ValueError, InputError) as error:
             raise InputError(f"{path}: is not what a run writes ({error})") from None
-        return StoredMetadata(header=header, finished=name == RESULTS)
+        return StoredMetadata(run=run, finished=name == RESULTS)
     return None

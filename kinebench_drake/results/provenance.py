@@ -22,9 +22,9 @@ MEASURING = (
 """Sources that shape a measurement, as patterns below the package: changed code invalidates stored rows."""
 NOT_MEASURING = (
     # Imported by measuring code, but no number depends on them: storage, presentation, distribution of the work.
-    *("__init__.py", "errors.py", "plugin.py", "environment/*.py", "executors/*.py", "report/*.py", "results/*.py"),
-    *("evaluation/resume.py", "evaluation/runner.py", "evaluation/suite.py", "evaluation/thumbnail.py"),
-    *("io/atomic.py", "grounding/overlay.py"),
+    *("__init__.py", "errors.py", "plugin.py", "stats.py", "environment/*.py", "executors/*.py", "report/*.py"),
+    *("results/*.py", "evaluation/resume.py", "evaluation/runner.py", "evaluation/suite.py"),
+    *("evaluation/thumbnail.py", "io/atomic.py", "grounding/overlay.py"),
     # In the folders of measuring code, but not used by it.
     *("io/figure.py", "io/markdown.py", "evaluation/merge.py", "closed_loop/tolerance.py", "suites/contact_sheet.py"),
     *("suites/demos.py", "suites/expert_check.py", "suites/order.py", "suites/selection.py", "suites/stills.py"),

@@ -1,4 +1,4 @@
-"""`tracks/ID.npz`: a gripper track, its joint angles and what was found along it; equal numbers give equal bytes."""
+"""`tracks/ID.npz`: a gripper track, its joint angles and curves along it; equal values give equal bytes."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -17,42 +17,41 @@ _OWN = (
     *("t_s", "camera_from_hand", "base_from_tcp", "tracked", "confidence", "finger_width_m"),
     *("q", "ik_ok", "status"),
 )
-"""Arrays that are no curves."""
+"""Arrays other than curves."""
 _SEVEN = ("q", "velocity", "acceleration", "jerk", "torque")
 _SINGLE = (
     *("ik_ok", "manipulability", "manipulability_weighted", "joint_margin", "self_distance_m", "table_distance_m"),
     *("ik_position_error_m", "ik_rotation_error_rad"),
 )
-"""Arrays that have a number a joint, and such that have one a frame; others may have either."""
+"""Arrays with one value per joint and frame, and those with one per frame; other curves may be either."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrackFile:
-    """What one file holds."""
+    """Content of a track file."""
 
     track: GripperTrack
     q: Array
-    """(T, 7) joint angles [rad]; NaN where there are none."""
+    """(T, 7) joint angles [rad]; NaN where unknown."""
     ik_ok: NDArray[np.bool_]
-    """(T,) whether the pose is reached within limits."""
+    """(T,) True where the pose is reached within limits."""
     status: tuple[IkStatus, ...] | None
     """(T,) outcome of inverse kinematics; None in a file without joint angles."""
     curves: Mapping[str, Array]
-    """What was found along the track by name, such as `manipulability` (T,) or `torque` (T, 7); NaN where there is
-    none. Names that a file lacks are absent."""
+    """Curves along the track by name, such as `manipulability` (T,) or `torque` (T, 7); NaN where unknown."""
 
 
 def write_track(path: Path, track: GripperTrack, joints: JointTrack | None, curves: Mapping[str, Array]) -> None:
-    """Write a track; without `joints` (video only) q is NaN and ik_ok false.
+    """Write a track file; without `joints` (grounding only) q is NaN and ik_ok false.
 
-    The errors and the outcome of inverse kinematics are written from `joints`. A curve that bears the name of another
-    array of the file is passed over.
+    The residuals and the status of inverse kinematics are taken from `joints`. A curve with the name of another array
+    of the file is ignored.
 
     Args:
         path: the file, `tracks/ID.npz`.
-        track: poses in the camera and in the base frame.
-        joints: joint angles that follow them.
-        curves: further arrays, (T,) or (T, 7), NaN where there is none; stored under their names.
+        track: poses in the camera frame and in the base frame.
+        joints: joint angles that reach them.
+        curves: further arrays (T,) or (T, 7), NaN where unknown, by name.
 
     Raises:
         InputError: a curve is not (T,) or (T, 7).
@@ -85,7 +84,7 @@ def write_track(path: Path, track: GripperTrack, joints: JointTrack | None, curv
 
 
 def read_track(path: Path) -> TrackFile:
-    """Read what `write_track` wrote, in this or an earlier version.
+    """Read a track file of this or an earlier version.
 
     Raises:
         InputError: the file is absent, damaged, or lacks an array.
@@ -110,14 +109,14 @@ def read_track(path: Path) -> TrackFile:
                 shapes: list[tuple[int, ...]] = [(n,)] * (name not in _SEVEN) + [(n, 7)] * (name not in _SINGLE)
                 if array.shape not in shapes:
                     raise InputError(f"{name} has shape {array.shape}, expected {' or '.join(map(str, shapes))}")
-            told = a["status"] if "status" in a.files else None
-            if told is not None and told.shape != (n,):
-                raise InputError(f"status has shape {told.shape}, expected {(n,)}")
+            status = a["status"] if "status" in a.files else None
+            if status is not None and status.shape != (n,):
+                raise InputError(f"status has shape {status.shape}, expected {(n,)}")
             return TrackFile(
                 track=track,
                 q=own["q"],
                 ik_ok=own["ik_ok"].astype(bool),
-                status=None if told is None else tuple(IkStatus(str(s)) for s in told),
+                status=None if status is None else tuple(IkStatus(str(s)) for s in status),
                 curves=curves,
             )
     except (InputError, ValueError) as error:

@@ -272,7 +272,7 @@ def test_lost_files_and_unlike_versions_are_told(tmp_path):
 def test_headers_survive_their_file(tmp_path):
     out = fill(tmp_path / "out", header(), [sample("a")], finished=False)
     found = read_metadata(out)
-    assert (found.header, found.finished) == (header(), False)
+    assert (found.run, found.finished) == (header(), False)
     assert fill(out, header(), []) == out
     assert read_metadata(out).finished
     assert not (out / "run.json").exists()

@@ -14,7 +14,7 @@ from kinebench_drake.io.atomic import write_atomically
 from kinebench_drake.io.container import write_video
 from kinebench_drake.io.jsonl import dump
 from kinebench_drake.results import store as results
-from kinebench_drake.results.aggregate import aggregate, by_key, estimate
+from kinebench_drake.results.aggregate import aggregate, estimate, split_rows
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.results.store import ResultStore, read_rows
 from kinebench_drake.results.trackfile import read_track, write_track
@@ -110,7 +110,7 @@ def test_a_torn_last_line_is_dropped(tmp_path, torn):
         file.write(torn)
     with ResultStore(tmp_path) as store:
         assert list(store.rows) == ["a"]
-        store.keep(lambda _: True)
+        store.keep_rows(lambda _: True)
         store.append(row("c"), 0.1)
     assert list(read_rows(tmp_path)) == ["a", "c"]
 
@@ -191,7 +191,7 @@ def test_a_file_that_cannot_be_dropped_is_one_line(tmp_path, monkeypatch):
         store.append(row("a"), 0.1)
         monkeypatch.setattr(results, "artifact_path", lambda out, part, id: out / part)  # a folder cannot be unlinked
         with pytest.raises(SetupError, match="make the folder writable"):
-            store.keep(lambda _: False)
+            store.keep_rows(lambda _: False)
 
 
 def test_atomic_files_are_whole_or_absent(tmp_path, monkeypatch):
@@ -290,4 +290,4 @@ def test_aggregates_count_everything_and_average_only_what_was_measured():
     )
     assert told["violations"] == {"jerk": 1}
     assert told["anomalies"] == {"vanish": 1}
-    assert {name: len(group) for name, group in by_key(rows, "model").items()} == {"m": 2, "n": 1}
+    assert {name: len(group) for name, group in split_rows(rows, "model").items()} == {"m": 2, "n": 1}
