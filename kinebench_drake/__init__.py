@@ -1,7 +1,7 @@
 """Judge robot videos by geometry: gripper tracks from pixels, kinematics in Drake.
 
-Four functions do from Python what the commands do: `score_videos`, `ground_video`, `audit_trajectory`, `run_suite`
-(docs/api.md). They are loaded when they are first asked for.
+Four functions are the Python interface: `score_videos`, `ground_video`, `audit_trajectory`, `run_suite` (docs/api.md).
+They are imported on first use.
 """
 
 from typing import TYPE_CHECKING
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 else:
 
     def __getattr__(name: str) -> object:
-        """Load a function of the Python interface (PEP 562): importing the package stays cheap."""
+        """Import a function of the Python interface on first use (PEP 562)."""
         if name in __all__:
             from kinebench_drake import api
 

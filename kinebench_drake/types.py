@@ -22,7 +22,7 @@ def _check(name: str, value: NDArray[np.generic], shape: tuple[int, ...]) -> Non
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GripperTrack:
-    """The gripper's path through a video, as seen."""
+    """Poses of the gripper over the frames of a video."""
 
     t_s: Array
     """(T,) task time of each frame [s], increasing."""
@@ -31,15 +31,15 @@ class GripperTrack:
     X_BG: Array
     """(T, 4, 4) pose of panda_hand_tcp in the robot base frame [m]; NaN where not tracked."""
     tracked: NDArray[np.bool_]
-    """(T,) whether the pose of the frame can be relied upon."""
+    """(T,) frames whose pose is reliable."""
     confidence: Array
-    """(T,) probability 0..1 that the pose is within 10 mm and 5 degrees."""
+    """(T,) probability 0..1 that the pose is within 10 mm and 5 degrees of the truth."""
     finger_width_m: Array
     """(T,) gap between the finger pads, 0..0.08 [m]; NaN where unknown."""
     offset_m: float = 0.0
-    """How far tracked poses may be off, neighbours alike, beyond what they jitter [m]: the error of an estimate."""
+    """Position error that neighbouring tracked poses may share, beyond their noise: that of an estimate [m]."""
     offset_rad: float = 0.0
-    """The same of their rotation [rad]."""
+    """Rotation error that they may share [rad]."""
 
     def __post_init__(self) -> None:
         """Check shapes against the number of frames."""
@@ -50,7 +50,7 @@ class GripperTrack:
             _check(name, getattr(self, name), (n, 4, 4))
 
     def at(self, frames: NDArray[np.intp]) -> "GripperTrack":
-        """The track at some of its frames."""
+        """Return the track at a selection of its frames."""
         arrays = ("t_s", "X_CH", "X_BG", "tracked", "confidence", "finger_width_m")
         return replace(self, **{name: getattr(self, name)[frames] for name in arrays})
 
@@ -68,18 +68,18 @@ class IkStatus(Enum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class JointTrack:
-    """Joint angles that put the gripper on its track."""
+    """Joint angles that follow a track of the gripper."""
 
     t_s: Array
     """(T,) task time [s]."""
     q: Array
-    """(T, 7) joint angles [rad]; the best found within limits where the status is not ok; NaN where not tracked."""
+    """(T, 7) joint angles [rad]; the best within limits where the status is not ok; NaN where not tracked."""
     status: tuple[IkStatus, ...]
     """(T,) outcome of each frame."""
     position_error_m: Array
-    """(T,) distance left between the wanted and the reached TCP [m]; NaN where not tracked."""
+    """(T,) distance between the tracked and the reached TCP [m]; NaN where not tracked."""
     rotation_error_rad: Array
-    """(T,) angle left between the wanted and the reached TCP [rad]; NaN where not tracked."""
+    """(T,) angle between the tracked and the reached TCP [rad]; NaN where not tracked."""
 
     def __post_init__(self) -> None:
         """Check shapes against the number of frames."""
@@ -97,7 +97,7 @@ class JointTrack:
 
 
 class AnomalyKind(Enum):
-    """What a video can do that a real gripper cannot."""
+    """Kind of anomaly: something in a video that no real gripper shows."""
 
     VANISH = "vanish"
     DUPLICATE = "duplicate_gripper"
@@ -119,7 +119,7 @@ class Anomaly:
     frame_end: int
     """Last affected frame, inclusive."""
     severity: float
-    """The kind's own measure: frames without a gripper (vanish) or frozen (freeze), share of a gripper seen twice
+    """Measure of the kind: frames without a gripper (vanish) or frozen (freeze), share of a gripper seen twice
     (duplicate_gripper), metres jumped (teleport) or beyond what fingers can do (finger_opening), relative misfit of the
     shape (deformation) or of the size (scale_drift), pixels moved (camera_motion)."""
 

@@ -1,7 +1,7 @@
-"""The Python interface: what the commands do, as four functions that return typed objects. See docs/api.md.
+"""The Python interface: four functions that return typed objects (docs/api.md).
 
-`score_videos` and `run_suite` fill an output folder as their commands do; `ground_video` and `audit_trajectory` take
-one sample and write nothing. Arguments are called after the commands' options, and messages name the options.
+`score_videos` and `run_suite` fill an output folder as their commands do; `ground_video` and `audit_trajectory` process
+one sample and write nothing. Arguments have the names of the commands' options.
 """
 
 from kinebench_drake.api.run import run_suite, score_videos
