@@ -1,1 +1,1 @@
-"""Frames to gripper track: masks, metric depth, CAD registration, tracking."""
+"""Estimation of the gripper's track from video: segmentation, metric depth, CAD registration, tracking, anomalies."""

@@ -1,7 +1,7 @@
-"""Square crops around the gripper, seen by a virtual camera that looks straight at it.
+"""Square crops around the gripper: images of a virtual camera whose optical axis points at the gripper.
 
-A virtual camera V shares the real camera's centre, so warping the image by a homography shows exactly what a camera
-turned towards the gripper would see: the network then meets the same view wherever in the frame the gripper is.
+The virtual camera V shares the real camera's centre, so a homography of the image gives exactly the image of a camera
+rotated towards the gripper. The network's input then does not depend on where in the image the gripper is.
 """
 
 from dataclasses import dataclass
@@ -18,32 +18,36 @@ GRIPPER_CENTRE_H = np.array([0.0, 0.0, 0.045])
 GRIPPER_RADIUS_M = 0.115
 """Radius of that sphere [m]."""
 WIDE_SIZE = 192
-"""Width of the view of the whole frame that finds the gripper [px]."""
+"""Width of the crop that holds the whole image, for detection [px]."""
 CLOSE_SIZE = 128
-"""Width of the close view [px]."""
+"""Width of the crop around the gripper, for pose estimation [px]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Crop:
-    """A square virtual view."""
+    """Square image of a virtual camera V."""
 
     R_CV: Array
-    """(3, 3) axes of the virtual camera in the real camera's frame."""
+    """(3, 3) rotation of V in the camera frame."""
     focal: float
-    """Focal length of the virtual camera [px]."""
+    """Focal length of V [px]."""
     size: int
-    """Width and height [px]; the principal point is the centre."""
+    """Width and height [px]; the principal point is at the centre."""
 
     @property
     def X_CV(self) -> Array:
-        """(4, 4) pose of the virtual camera in the real camera's frame: a pure rotation."""
+        """(4, 4) pose of V in the camera frame: a pure rotation."""
         return make_pose(self.R_CV, np.zeros(3))
 
     @classmethod
     def towards(cls, direction_C: ArrayLike, half_tangent: float, size: int, roll: float = 0.0) -> "Crop":
-        """A view along `direction_C` (3,) whose half width subtends `half_tangent`, rolled about its axis [rad].
+        """Return the crop along `direction_C` (3,) whose half width has the tangent `half_tangent`.
 
-        Without roll the view is turned the shortest way from the real camera, so upright stays upright.
+        Args:
+            direction_C: (3,) optical axis of V in the camera frame.
+            half_tangent: tangent of half the field of view.
+            size: width and height [px].
+            roll: rotation about the optical axis [rad]; at 0, V is the camera rotated by the smallest angle.
         """
         z = np.asarray(direction_C, dtype=np.float64)
         z = z / np.linalg.norm(z)
@@ -55,12 +59,19 @@ class Crop:
 
     @classmethod
     def of_gripper(cls, X_CH: ArrayLike, margin: float, size: int) -> "Crop":
-        """A view of the gripper at pose `X_CH` (4, 4): its bounding sphere times `margin` fills the crop."""
+        """Return the crop filled by the bounding sphere, times `margin`, of a gripper at `X_CH` (4, 4)."""
         centre = transform_points(X_CH, GRIPPER_CENTRE_H[None])[0]
         return cls.towards(centre, margin * GRIPPER_RADIUS_M / float(np.linalg.norm(centre)), size)
 
+    @classmethod
+    def of_frame(cls, camera: Camera, size: int = WIDE_SIZE) -> "Crop":
+        """Return the crop that holds the whole image of `camera`."""
+        half = np.array([camera.width / 2, camera.height / 2])
+        direction = np.array([(half[0] - camera.cx) / camera.fx, (half[1] - camera.cy) / camera.fy, 1.0])
+        return cls.towards(direction, float(max(half / [camera.fx, camera.fy])), size)
+
     def homography(self, camera: Camera, stride: int = 1) -> Array:
-        """Matrix (3, 3) from pixels of the crop (every `stride`-th) to pixels of the frame, half-integer centres."""
+        """Return the (3, 3) homography from cells of the crop to pixels of `camera`, centres at half-integers."""
         f, c = self.focal / stride, self.size / stride / 2
         K_V_inverse = np.array([[1 / f, 0.0, -c / f], [0.0, 1 / f, -c / f], [0.0, 0.0, 1.0]])
         return np.asarray(camera.K @ self.R_CV @ K_V_inverse)
@@ -68,23 +79,23 @@ class Crop:
     def warp(
         self, image: NDArray[np.generic], camera: Camera, stride: int = 1, nearest: bool = False
     ) -> NDArray[np.generic]:
-        """The crop of an image (H, W[, 3]) of `camera`; what lies outside the frame is 0."""
-        M = _in_opencv(self.homography(camera, stride))
+        """Return the crop (n, n[, 3]) of an image (H, W[, 3]) of `camera`; 0 outside the image."""
+        M = _opencv_homography(self.homography(camera, stride))
         n = self.size // stride
         flags = (cv2.INTER_NEAREST if nearest else cv2.INTER_LINEAR) | cv2.WARP_INVERSE_MAP
         return np.asarray(cv2.warpPerspective(image, M, (n, n), flags=flags))
 
     def unwarp(self, cells: NDArray[np.uint8], camera: Camera, stride: int = 1) -> NDArray[np.uint8]:
-        """An image (H, W) of `camera` from labels (n, n) of every `stride`-th pixel of the crop; 0 elsewhere."""
-        M = _in_opencv(self.homography(camera, stride))
+        """Return the labels (n, n) of cells as an image (H, W) of `camera`; 0 outside the crop."""
+        M = _opencv_homography(self.homography(camera, stride))
         return np.asarray(cv2.warpPerspective(cells, M, (camera.width, camera.height), flags=cv2.INTER_NEAREST))
 
-    def shown(self, camera: Camera, stride: int = 1) -> NDArray[np.bool_]:
-        """Which of every `stride`-th pixel (n, n) lie within the frames of `camera`."""
+    def in_image(self, camera: Camera, stride: int = 1) -> NDArray[np.bool_]:
+        """Return the cells (n, n) that lie inside the image of `camera`."""
         return self.warp(np.ones((camera.height, camera.width), np.uint8), camera, stride, nearest=True).astype(bool)
 
     def rays(self, stride: int = 1) -> Array:
-        """Directions (n, n, 3) in V through the centres of every `stride`-th pixel, scaled so that z = 1."""
+        """Return the directions (n, n, 3) in V through the centres of the cells, scaled to z = 1."""
         n = self.size // stride
         u = ((np.arange(n) + 0.5) * stride - self.size / 2) / self.focal
         grid = np.ones((n, n, 3))
@@ -92,7 +103,7 @@ class Crop:
         return grid
 
 
-def _in_opencv(M: Array) -> Array:
-    """A homography between pixels with half-integer centres for OpenCV, whose centres are integers."""
+def _opencv_homography(M: Array) -> Array:
+    """Convert a homography from half-integer pixel centres to OpenCV's integer ones."""
     shift = np.array([[1.0, 0.0, 0.5], [0.0, 1.0, 0.5], [0.0, 0.0, 1.0]])
     return np.asarray(np.linalg.inv(shift) @ M @ shift)

@@ -1,4 +1,4 @@
-"""Mask, metric depth and CAD coordinates from pixels by the trained network."""
+"""Dense estimates (part labels, metric depth, CAD coordinates) by the trained network."""
 
 from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -22,16 +22,16 @@ from kinebench_drake.models.perception.network import (
 from kinebench_drake.models.perception.weights import folded
 
 _BATCH, _BATCH_ON_GPU = 8, 64
-LEVEL_SIGMA = 0.012
-"""Standard deviation of the relative error that the network's depth has in common all over the robot."""
+DEPTH_FACTOR_SIGMA = 0.012
+"""Relative standard deviation of the depth error that the network makes alike on all of the robot."""
 _LAPLACE_TO_SIGMA = np.sqrt(2.0)  # standard deviation of a Laplace distribution of scale 1
 
 
 class NetworkEstimator:
-    """The perception network as a `DepthEstimator`."""
+    """Trained network as a `DenseEstimator`."""
 
     def __init__(self, network: GripperNetwork, device: str | None = None) -> None:
-        """Put `network` on `device` (default: the GPU when there is one)."""
+        """Move `network` to `device` (default: the GPU if there is one)."""
         self._device = torch.device(device or ("cuda" if torch.cuda.is_available() else "cpu"))
         self._network = folded(network).to(self._device).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
@@ -42,16 +42,16 @@ class NetworkEstimator:
         return output
 
     def estimate(self, frames: Frames, camera: Camera, crops: Mapping[int, Crop]) -> Iterator[tuple[int, GripperView]]:
-        """See `DepthEstimator`; crops of equal size run in batches, each while the one before is made use of."""
+        """Estimate crops of equal size in batches; the next batch runs while the caller processes the previous one."""
 
-        def look(batch: list[int]) -> list[GripperView]:
+        def run(batch: list[int]) -> list[GripperView]:
             output = self._run([crops[i].warp(frames[i], camera) for i in batch])
             return _views(output, [crops[i] for i in batch], camera)
 
         with ThreadPoolExecutor(max_workers=1) as worker:
             ahead = None
             for batch in self._batches(crops):
-                ready, ahead = ahead, (batch, worker.submit(look, batch))
+                ready, ahead = ahead, (batch, worker.submit(run, batch))
                 if ready:
                     yield from zip(ready[0], ready[1].result(), strict=True)
             if ahead:
@@ -81,11 +81,11 @@ def _views(output: DenseOutput, crops: list[Crop], camera: Camera) -> list[Gripp
         GripperView(
             crop=crop,
             stride=STRIDE,
-            shown=crop.shown(camera, STRIDE),
+            in_image=crop.in_image(camera, STRIDE),
             part=part[i],
             depth_m=depth[i] * crop.focal / crop.size,
             depth_sigma=depth_sigma[i],
-            level_sigma=LEVEL_SIGMA,
+            depth_factor_sigma=DEPTH_FACTOR_SIGMA,
             coordinates_P=coordinates[i],
             coordinates_sigma_m=sigma[i],
         )

@@ -1,4 +1,4 @@
-"""What was measured of the gripper in one frame."""
+"""Measurement of the gripper in one frame."""
 
 from dataclasses import dataclass
 
@@ -10,28 +10,28 @@ from kinebench_drake.grounding.view import GripperView
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FramePose:
-    """The gripper in one frame, with what its confidence rests on."""
+    """Pose of the gripper in one frame, with the fits that its confidence is computed from."""
 
     X_CH: Array
     """(4, 4) pose of panda_hand in the camera frame [m]."""
     finger_m: float
-    """Opening of each finger [m]; NaN when no finger was seen."""
+    """Travel of each finger [m]; NaN if no finger was visible."""
     finger_sigma_m: float
-    """Its standard deviation [m]."""
-    fit: Fit
-    """The hand by itself, without its arm."""
-    by_cells: Fit
-    """The same without its outline, which would draw it along where the gripper is deformed."""
+    """Standard deviation of the travel [m]."""
+    hand: Fit
+    """Fit of the hand alone, without the arm."""
+    hand_without_silhouette: Fit
+    """Fit to the cells alone: the silhouette would bias it where the gripper is deformed."""
     arm: ArmFit | None
-    """The arm that goes with it; None where too little is seen of it."""
+    """Fit of the arm; None if too little of it is visible."""
     view: GripperView
-    """The close view."""
+    """View of the crop around the gripper."""
     overlap: float
-    """Intersection over union of the seen and the rendered gripper."""
-    given: bool = False
-    """Whether the pose was known beforehand."""
+    """Intersection over union of the segmented and the rendered gripper."""
+    from_prior: bool = False
+    """True if the pose was taken from priors."""
 
     @property
     def covariance(self) -> Array:
-        """(6, 6) of rotation about the camera's axes [rad] and position [m], by the cells' own sigmas."""
-        return self.arm.covariance if self.arm is not None and self.arm.agrees else self.fit.covariance
+        """(6, 6) covariance of rotation about the camera's axes [rad] and position [m], from the cells' sigmas."""
+        return self.arm.covariance if self.arm is not None and self.arm.agrees else self.hand.covariance

@@ -1,4 +1,4 @@
-"""The tracked CAD model drawn over the video: what people look at to believe a track."""
+"""Overlay of the tracked CAD model on the video."""
 
 from collections.abc import Iterator
 
@@ -22,7 +22,7 @@ _OPACITY = 0.35
 
 
 def _part_map(camera: Camera, X_CH: Array, finger_m: float, cad: GripperCad) -> NDArray[np.uint8]:
-    """Labels (H, W) of the gripper at a pose."""
+    """Return the part labels (H, W) of a gripper at `X_CH` (4, 4)."""
     labels = np.zeros((camera.height, camera.width), np.uint8)
     centre = transform_points(X_CH, GRIPPER_CENTRE_H[None])[0]
     if centre[2] < GRIPPER_RADIUS_M:
@@ -39,7 +39,7 @@ def _part_map(camera: Camera, X_CH: Array, finger_m: float, cad: GripperCad) -> 
 
 
 def draw_pose(frame: Image, camera: Camera, X_CH: Array, finger_width_m: float, cad: GripperCad) -> Image:
-    """A copy of `frame` (H, W, 3) with the gripper at `X_CH` tinted, outlined, and the axes of its TCP."""
+    """Return `frame` (H, W, 3) with the tinted and outlined gripper at `X_CH` (4, 4) and the axes of its TCP."""
     finger_m = finger_width_m / 2 if np.isfinite(finger_width_m) else 0.02
     labels = _part_map(camera, X_CH, finger_m, cad)
     out = frame.astype(np.float32)
@@ -59,8 +59,8 @@ def draw_pose(frame: Image, camera: Camera, X_CH: Array, finger_width_m: float, 
     return image
 
 
-def caption(image: Image, text: str, colour: tuple[int, int, int] = (255, 255, 255)) -> None:
-    """Write `text` into the upper left corner of an image (H, W, 3)."""
+def draw_caption(image: Image, text: str, colour: tuple[int, int, int] = (255, 255, 255)) -> None:
+    """Write `text` into the upper left corner of an image (H, W, 3), in place."""
     size = max(0.4, image.shape[0] / 900)
     (width, height), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, size, 1)
     image[: height + 10, : width + 10] //= 3
@@ -68,13 +68,13 @@ def caption(image: Image, text: str, colour: tuple[int, int, int] = (255, 255, 2
 
 
 def draw_overlay(frames: NDArray[np.uint8], camera: Camera, track: GripperTrack) -> Iterator[Image]:
-    """Each of `frames` (T, H, W, 3) with its tracked gripper, the frame number and the confidence."""
+    """Yield each of `frames` (T, H, W, 3) with the tracked gripper, frame number, time and confidence."""
     cad = GripperCad()
     for i, frame in enumerate(frames):
         if track.tracked[i]:
             image = draw_pose(frame, camera, track.X_CH[i], float(track.finger_width_m[i]), cad)
-            caption(image, f"{i}  t {track.t_s[i]:.1f} s  confidence {track.confidence[i]:.2f}")
+            draw_caption(image, f"{i}  t {track.t_s[i]:.1f} s  confidence {track.confidence[i]:.2f}")
         else:
             image = frame.copy()
-            caption(image, f"{i}  t {track.t_s[i]:.1f} s  not tracked", (255, 110, 110))
+            draw_caption(image, f"{i}  t {track.t_s[i]:.1f} s  not tracked", (255, 110, 110))
         yield image

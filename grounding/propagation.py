@@ -1,62 +1,58 @@
-"""Frames in which the gripper was misread, measured again from the frames next to them.
+"""Propagation of arm postures between neighbouring frames, for frames whose CAD coordinates are wrong.
 
-Seen from its narrow side a gripper's CAD coordinates can be wrong all together, by 30 mm and 25 degrees, and still
-agree with each other; its outline and the arm show that. The pose of the frame before or after is near the right one,
-and from there both lead to it.
+Seen edge-on, a gripper's CAD coordinates can all be wrong by the same 30 mm and 25 degrees and still be consistent with
+each other; only silhouette and arm contradict them. Started from the posture of the frame before or after, the fit of
+silhouette and arm converges to the right pose.
 """
 
 from dataclasses import replace
 
 from kinebench_drake.grounding.frame_pose import FramePose
 from kinebench_drake.grounding.registration.arm_fit import ArmFitter
-from kinebench_drake.grounding.registration.fit import drawn
-from kinebench_drake.grounding.registration.silhouette import Silhouette
+from kinebench_drake.grounding.registration.fit import finger_or_default
+from kinebench_drake.grounding.registration.silhouette import SilhouetteMatcher
 from kinebench_drake.grounding.view import GripperView
 
-FAIR_OVERLAP, GOOD_OVERLAP = 0.6, 0.8
-"""Overlap of the seen and the rendered gripper from which a pose is an example, and from which it is not doubted."""
-_BETTER_OVERLAP = 0.03  # by which another pose has to cover the gripper better
+SOURCE_OVERLAP, GOOD_OVERLAP = 0.6, 0.8
+"""Overlap of segmented and rendered gripper from which a pose is propagated, and from which it is not replaced."""
+_OVERLAP_GAIN = 0.03  # least improvement of the overlap by a propagated pose
 
 
 def propagate(
-    poses: dict[int, FramePose], wide: dict[int, GripperView], arm_fitter: ArmFitter, outline: Silhouette
+    poses: dict[int, FramePose], wide: dict[int, GripperView], arm_fitter: ArmFitter, silhouette: SilhouetteMatcher
 ) -> None:
-    """Try the posture of the frame before, then of the one after, where a pose is doubted; keep what fits better.
+    """Refit doubtful poses from the frame before, then from the one after; keep a refit that matches better.
 
     Args:
-        poses: by number of the frame; doubted ones are replaced.
-        wide: views of the whole frames.
-        arm_fitter: what fits the arm.
-        outline: what compares the rendered gripper with the one seen.
+        poses: pose by frame number; doubtful ones are replaced.
+        wide: view of the whole image by frame number.
+        arm_fitter: fitter of the arm.
+        silhouette: comparison of the rendered with the segmented gripper.
     """
     for step in (1, -1):
         for i in sorted(poses)[::step]:
             near = poses.get(i - step)
-            if near is not None and _doubted(poses[i]) and _exemplary(near):
-                poses[i] = _followed(poses[i], near, wide[i], arm_fitter, outline)
+            if near is not None and _is_doubtful(poses[i]) and _arm_agrees(near) and near.overlap >= SOURCE_OVERLAP:
+                poses[i] = _refit(poses[i], near, wide[i], arm_fitter, silhouette)
 
 
-def _followed(
-    pose: FramePose, near: FramePose, wide: GripperView, arm_fitter: ArmFitter, outline: Silhouette
+def _refit(
+    pose: FramePose, near: FramePose, wide: GripperView, arm_fitter: ArmFitter, silhouette: SilhouetteMatcher
 ) -> FramePose:
-    arm = None if near.arm is None else arm_fitter.follow(near.arm, pose.fit, pose.view, wide, outline)
+    arm = None if near.arm is None else arm_fitter.fit_from_neighbour(near.arm, pose.hand, pose.view, wide, silhouette)
     if arm is None or not arm.agrees:
         return pose
-    overlap = outline.overlap(pose.view, arm.X_CH, drawn(arm.finger_m))
-    if overlap < max(FAIR_OVERLAP, pose.overlap + _BETTER_OVERLAP):
+    overlap = silhouette.overlap(pose.view, arm.X_CH, finger_or_default(arm.finger_m))
+    if overlap < max(SOURCE_OVERLAP, pose.overlap + _OVERLAP_GAIN):
         return pose
     return replace(
         pose, X_CH=arm.X_CH, finger_m=arm.finger_m, finger_sigma_m=arm.finger_sigma_m, arm=arm, overlap=overlap
     )
 
 
-def _doubted(pose: FramePose) -> bool:
-    return not pose.given and not (_agrees(pose) and pose.overlap >= GOOD_OVERLAP)
+def _is_doubtful(pose: FramePose) -> bool:
+    return not pose.from_prior and not (_arm_agrees(pose) and pose.overlap >= GOOD_OVERLAP)
 
 
-def _exemplary(pose: FramePose) -> bool:
-    return _agrees(pose) and pose.overlap >= FAIR_OVERLAP
-
-
-def _agrees(pose: FramePose) -> bool:
+def _arm_agrees(pose: FramePose) -> bool:
     return pose.arm is not None and pose.arm.agrees

@@ -1,4 +1,4 @@
-"""The track from per-frame poses: joint ordering and smoothing on SE(3)."""
+"""Smoothing of per-frame poses on SE(3)."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -12,27 +12,29 @@ from kinebench_drake.grounding.frame_pose import FramePose
 from kinebench_drake.types import Anomaly, AnomalyKind
 
 HALF_WINDOW = 3
-"""Frames before and after that a pose is smoothed with."""
+"""Number of frames before and after a frame that its pose is smoothed with."""
+MIN_CONFIDENCE = 0.02
+"""Least confidence at which a detection counts as a gripper."""
 _DEGREE = 2
 _MIN_NEIGHBOURS = 4
 _L1_PASSES, _TUKEY_PASSES = 4, 2
-_FLOOR = np.array([1e-2] * 3 + [1e-3] * 3)  # standard deviations [rad, m] that no frame is trusted to fall below
+_FLOOR = np.array([1e-2] * 3 + [1e-3] * 3)  # least standard deviations of a frame [rad, m]
 
 
 def _local_value(offset: Array, values: Array, weight: Array, information: Array) -> Array:
-    """Value (6,) at offset 0 of a polynomial fitted to `values` (n, 6) at `offset` (n,).
+    """Return the value (6,) at offset 0 of a polynomial fitted to `values` (n, 6) at `offset` (n,).
 
-    Generalised least squares with `information` (n, 6, 6); least absolute deviations first, which a wild frame cannot
-    bend, then Tukey's weights about that.
+    Generalised least squares with `information` (n, 6, 6): least absolute deviations first, robust to outliers, then
+    Tukey's weights about that fit.
     """
     degree = min(_DEGREE, int((weight > 0).sum()) - 1)
     A = np.vander(offset, degree + 1, increasing=True)
     robust = np.ones(len(offset))
     coefficients: Array = np.zeros((degree + 1, 6))
     for number in range(1 + _L1_PASSES + _TUKEY_PASSES):
-        weighed = (weight * robust)[:, None, None] * information
-        H = np.einsum("na,nb,nij->aibj", A, A, weighed).reshape(6 * (degree + 1), -1)
-        g = np.einsum("na,nij,nj->ai", A, weighed, values).reshape(-1)
+        weighted = (weight * robust)[:, None, None] * information
+        H = np.einsum("na,nb,nij->aibj", A, A, weighted).reshape(6 * (degree + 1), -1)
+        g = np.einsum("na,nij,nj->ai", A, weighted, values).reshape(-1)
         coefficients = np.linalg.solve(H, g).reshape(degree + 1, 6)
         error = values - A @ coefficients
         residual = np.sqrt(np.einsum("ni,nij,nj->n", error, information, error) / 6)
@@ -47,109 +49,105 @@ def _local_value(offset: Array, values: Array, weight: Array, information: Array
 def smooth_track(
     X: ArrayLike, covariance: ArrayLike, weight: ArrayLike, breaks: Iterable[int] = (), *, leave_out: bool = False
 ) -> Array:
-    """Smoothed poses (T, 4, 4) [m].
+    """Return poses (T, 4, 4) smoothed by local regression [m].
 
     Args:
-        X: (T, 4, 4) poses X_AH; NaN where there is none, and so in the result.
-        covariance: (T, 6, 6) of each: rotation about the axes of A [rad], then position [m].
-        weight: (T,) how far each is trusted, 0 for not at all.
-        breaks: frames that begin after a jump; nothing is smoothed across them.
-        leave_out: give what the neighbours alone say of each frame; NaN where there are fewer than four.
+        X: (T, 4, 4) poses X_AH [m]; NaN where there is none, and so in the result.
+        covariance: (T, 6, 6) covariances: rotation about the axes of A [rad], then position [m].
+        weight: (T,) weights >= 0.
+        breaks: first frames after a jump; poses are not smoothed across them.
+        leave_out: predict each frame from its neighbours alone; NaN where there are fewer than four.
     """
     X, weight = np.asarray(X, dtype=np.float64), np.asarray(weight, dtype=np.float64)
-    known = np.isfinite(X).all(axis=(1, 2))
+    has_pose = np.isfinite(X).all(axis=(1, 2))
     information = np.full((len(X), 6, 6), np.nan)
-    information[known] = np.linalg.inv(np.asarray(covariance)[known] + np.diag(_FLOOR**2))
+    information[has_pose] = np.linalg.inv(np.asarray(covariance)[has_pose] + np.diag(_FLOOR**2))
     segment = np.zeros(len(X), dtype=int)
     for frame in breaks:
         segment[frame:] += 1
     smoothed = np.full_like(X, np.nan) if leave_out else X.copy()
-    for i in np.flatnonzero(known).tolist():
+    for i in np.flatnonzero(has_pose).tolist():
         near = np.arange(max(0, i - HALF_WINDOW), min(len(X), i + HALF_WINDOW + 1))
-        near = near[known[near] & (segment[near] == segment[i]) & ~(leave_out & (near == i))]
+        near = near[has_pose[near] & (segment[near] == segment[i]) & ~(leave_out & (near == i))]
         if len(near) < _MIN_NEIGHBOURS:
             continue
         offset = (near - i).astype(np.float64)
         w = (1.0 - np.abs(offset / (HALF_WINDOW + 1)) ** 3) ** 3 * np.maximum(weight[near], 1e-3)
-        turn = rotation_log(X[near, :3, :3] @ X[i, :3, :3].T)
-        value = _local_value(offset, np.hstack([turn, X[near, :3, 3]]), w, information[near])
+        rotation = rotation_log(X[near, :3, :3] @ X[i, :3, :3].T)
+        value = _local_value(offset, np.hstack([rotation, X[near, :3, 3]]), w, information[near])
         smoothed[i] = make_pose(rotation_exp(value[:3]) @ X[i, :3, :3], value[3:])
     return smoothed
 
 
-MIN_CONFIDENCE = 0.02
-"""From here on what was found in a frame is taken for a gripper."""
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RawTrack:
-    """T poses as measured, against the camera A of the first frame."""
+    """Poses of T frames before smoothing, in the camera frame A of the first frame."""
 
     X_AH: Array
-    """(T, 4, 4) poses of panda_hand [m]; NaN where none was found."""
+    """(T, 4, 4) poses of panda_hand [m]; NaN where there is none."""
     covariance: Array
-    """(T, 6, 6) of each: rotation about the axes of A [rad], then position [m]."""
+    """(T, 6, 6) covariances: rotation about the axes of A [rad], then position [m]."""
     confidence: Array
-    """(T,) of each frame by itself, 0..1."""
-    given: NDArray[np.bool_]
-    """(T,) frames whose pose was known beforehand."""
+    """(T,) confidence 0..1 of each frame by itself."""
+    from_prior: NDArray[np.bool_]
+    """(T,) frames whose pose was taken from priors."""
     breaks: tuple[int, ...]
-    """Frames that begin after a jump."""
+    """First frames after a jump."""
 
     @classmethod
-    def of(
+    def from_poses(
         cls,
         poses: Sequence[FramePose | None],
         confidence: Array,
         anomalies: Sequence[Anomaly],
         lost: NDArray[np.bool_],
-        X_given: Array,
+        X_prior: Array,
     ) -> "RawTrack":
-        """Leave out what is no gripper: doubtful from the start, where it has vanished, where the camera is lost.
+        """Collect poses, without false detections, vanished grippers and frames whose camera pose is lost.
 
         Args:
-            poses: (T,) as measured, those given among them.
-            confidence: (T,) of each frame by itself.
-            anomalies: of the video.
-            lost: (T,) frames whose camera is not known.
-            X_given: (T, 4, 4) poses that are known beforehand [m], NaN elsewhere; these are certain.
+            poses: (T,) measurements, including those from priors.
+            confidence: (T,) confidence of each frame by itself.
+            anomalies: anomalies of the video.
+            lost: (T,) frames whose camera pose is unknown.
+            X_prior: (T, 4, 4) poses from priors [m], NaN elsewhere; their confidence is 1.
         """
         X_AH = np.stack([np.full((4, 4), np.nan) if p is None else p.X_CH for p in poses])
         X_AH[(confidence < MIN_CONFIDENCE) | lost | _vanished(anomalies, len(poses))] = np.nan
-        given = np.asarray(np.isfinite(X_given).all(axis=(1, 2)))
-        X_AH[given] = X_given[given]
+        from_prior = np.asarray(np.isfinite(X_prior).all(axis=(1, 2)))
+        X_AH[from_prior] = X_prior[from_prior]
         return cls(
             X_AH=X_AH,
             covariance=np.stack([np.zeros((6, 6)) if p is None else p.covariance for p in poses]),
-            confidence=np.where(given, 1.0, confidence),
-            given=given,
+            confidence=np.where(from_prior, 1.0, confidence),
+            from_prior=from_prior,
             breaks=_breaks(anomalies),
         )
 
     @property
-    def found(self) -> NDArray[np.bool_]:
+    def has_pose(self) -> NDArray[np.bool_]:
         """(T,) frames with a pose."""
         return np.asarray(np.isfinite(self.X_AH).all(axis=(1, 2)))
 
     def features(self) -> Array:
-        """(T, 4) what the confidence of frames among others rests on (`confidence.TRACK_FEATURES`)."""
-        told = smooth_track(self.X_AH, self.covariance, self.confidence, self.breaks, leave_out=True)
-        return track_features(self.confidence, *pose_difference(self.X_AH, told))
+        """Return the features (T, 4) of `confidence.TRACK_FEATURES`."""
+        predicted = smooth_track(self.X_AH, self.covariance, self.confidence, self.breaks, leave_out=True)
+        return track_features(self.confidence, *pose_difference(self.X_AH, predicted))
 
-    def smoothed(self, tracked: NDArray[np.bool_], weight: Array) -> Array:
-        """(T, 4, 4) poses of the `tracked` (T,) frames [m], each trusted as `weight` (T,) says; those given stay."""
+    def smooth(self, tracked: NDArray[np.bool_], weight: Array) -> Array:
+        """Return poses (T, 4, 4) of the `tracked` (T,) frames [m], weighted by `weight` (T,); priors are unchanged."""
         X_AH = np.where(tracked[:, None, None], self.X_AH, np.nan)
-        smooth = smooth_track(X_AH, self.covariance, weight, self.breaks)
-        return np.where(self.given[:, None, None], X_AH, smooth)
+        smoothed = smooth_track(X_AH, self.covariance, weight, self.breaks)
+        return np.where(self.from_prior[:, None, None], X_AH, smoothed)
 
 
 def _vanished(anomalies: Sequence[Anomaly], frames: int) -> NDArray[np.bool_]:
-    """(T,) frames in which the gripper is gone, whatever else may look a little like one."""
-    gone = np.zeros(frames, dtype=bool)
+    """Return the frames (T,) in which the gripper has vanished: a detection there is false."""
+    vanished = np.zeros(frames, dtype=bool)
     for anomaly in anomalies:
         if anomaly.kind is AnomalyKind.VANISH:
-            gone[anomaly.frame_start : anomaly.frame_end + 1] = True
-    return gone
+            vanished[anomaly.frame_start : anomaly.frame_end + 1] = True
+    return vanished
 
 
 def _breaks(anomalies: Sequence[Anomaly]) -> tuple[int, ...]:

@@ -1,4 +1,4 @@
-"""What is known of the gripper in one crop, whoever measured it: masks, depth and CAD coordinates on a grid."""
+"""Dense estimates of one crop: part labels, metric depth and CAD coordinates on a grid of cells."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -22,20 +22,21 @@ class GripperView:
 
     crop: Crop
     stride: int
-    shown: NDArray[np.bool_]
-    """(h, w) cells within the picture: a gripper at its edge goes on beyond it, unseen."""
+    in_image: NDArray[np.bool_]
+    """(h, w) cells inside the camera image; outside, a gripper cut by the image border goes on unseen."""
     part: NDArray[np.uint8]
-    """(h, w) values of `Part`."""
+    """(h, w) values of `RobotPart`."""
     depth_m: Array
-    """(h, w) along the crop's optical axis [m]."""
+    """(h, w) depth along the crop's optical axis [m]."""
     depth_sigma: Array
-    """(h, w) standard deviation of the depth, relative."""
-    level_sigma: float
-    """Standard deviation of the error that all of the depth has in common, relative."""
+    """(h, w) relative standard deviation of the depth."""
+    depth_factor_sigma: float
+    """Relative standard deviation of the depth error that all cells have in common."""
     coordinates_P: Array
-    """(h, w, 3) point seen [m]: of the gripper in the hand frame with closed fingers, of a link in the link's frame."""
+    """(h, w, 3) CAD coordinates of the surface point [m]: of the gripper in the hand frame with closed fingers, of a
+    link in the link's frame."""
     coordinates_sigma_m: Array
-    """(h, w) standard deviation of each coordinate [m]."""
+    """(h, w) standard deviation of each CAD coordinate [m]."""
 
     @property
     def gripper(self) -> NDArray[np.bool_]:
@@ -44,32 +45,32 @@ class GripperView:
 
     @property
     def opening_sign(self) -> Array:
-        """(h, w) 1 on the left finger, -1 on the right, else 0: where cells go along y as the gripper opens."""
+        """(h, w) direction along the hand's y axis as the fingers open: 1 (left finger), -1 (right finger) or 0."""
         return np.asarray(
             (self.part == RobotPart.LEFT_FINGER).astype(np.float64) - (self.part == RobotPart.RIGHT_FINGER)
         )
 
     def rays(self) -> Array:
-        """(h, w, 3) directions in the crop's frame with z = 1."""
+        """Return the viewing directions (h, w, 3) of the cells in the crop's frame, scaled to z = 1."""
         return self.crop.rays(self.stride)
 
     def to_frame(self, cells: NDArray[np.bool_], camera: Camera) -> NDArray[np.bool_]:
-        """Cells (h, w) of the view as pixels (H, W) of the frame."""
+        """Return the pixels (H, W) of the camera image that are covered by `cells` (h, w)."""
         return self.crop.unwarp(cells.astype(np.uint8), camera, self.stride) > 0
 
 
-class DepthEstimator(Protocol):
-    """Where masks and metric depth come from: the trained network, true values, or another model."""
+class DenseEstimator(Protocol):
+    """Source of dense estimates: the trained network, ground truth, or another model."""
 
     def estimate(self, frames: Frames, camera: Camera, crops: Mapping[int, Crop]) -> Iterator[tuple[int, GripperView]]:
-        """Views of some frames of a video.
+        """Estimate one view per crop.
 
         Args:
-            frames: (T, H, W, 3), all of them.
-            camera: what they were taken with.
-            crops: by number of the frame, where to look.
+            frames: (T, H, W, 3) all frames of the video.
+            camera: camera of the frames.
+            crops: crop by frame number.
 
         Yields:
-            Number and view of each crop, in any order, as they are ready.
+            Frame number and view of each crop, in any order.
         """
         ...

@@ -1,1 +1,1 @@
-"""What a video shows that no real gripper does: one detector a kind, each a pure function of what the tracker saw."""
+"""Detection of events that no real gripper shows: one detector per kind, each a pure function of the measurements."""

@@ -1,4 +1,4 @@
-"""Motion of the camera against the first frame, from features of the background."""
+"""Motion of the camera relative to the first frame, from features of the background."""
 
 from dataclasses import dataclass
 
@@ -8,51 +8,51 @@ from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, make_pose, orthonormalize
-from kinebench_drake.grounding.anomaly.detection import Detection, detection_segments, sustained
+from kinebench_drake.grounding.anomaly.detection import Detection, sustained
 from kinebench_drake.grounding.view import Frames
-from kinebench_drake.types import Anomaly, AnomalyKind
+from kinebench_drake.types import AnomalyKind
 
 MOVING_PX = 1.2
-"""From this motion on [px of a picture 384 px wide] the camera is called moving."""
+"""Least motion of a moving camera [px of an image 384 px wide]."""
 LEAST_PX = 0.5
-"""A camera whose largest motion is less than this stands still: nothing is compensated."""
+"""Largest motion below which the camera counts as fixed and nothing is compensated [px, likewise]."""
 COMPENSABLE_PX = 8.0
-"""Up to this motion poses are carried back to the first frame's camera; beyond it the base is lost."""
+"""Largest motion that is compensated; beyond it the base frame is lost [px, likewise]."""
 MIN_FEATURES = 12
-"""Fewer tell nothing."""
+"""Least number of features for a measurement."""
 SHARE = 0.3
-"""The motion is what all but this share of the features exceed: so many may be moved by the robot the other way, and up
-to the rest of them may be moved by it where the camera stands still."""
+"""Quantile of the features' displacements that counts as the motion: up to this share may be moved against it by the
+robot, and up to the rest may be moved by the robot while the camera is fixed."""
 MIN_FRAMES = 2
-"""Frames in a row that must say so: one may have lost its features to the robot."""
+"""Least number of consecutive frames of a motion: a single one may have lost its features to the robot."""
 _MAX_FEATURES = 200
 _MARGIN_PX = 15  # features this near the robot's outline may move with it
-_ROUND_TRIP_PX = 0.5  # a feature followed there and back must return this close
+_ROUND_TRIP_PX = 0.5  # largest error of a feature tracked forth and back
 _ROTATION_PASSES = 8
-_TUKEY_PX = 1.5  # features off by more than this do not count for the rotation
-_MIN_AGREEING = 0.5  # share of the features that must move as the rotation has it
+_TUKEY_PX = 1.5  # residual beyond which a feature has no weight for the rotation
+_MIN_AGREEING = 0.5  # least share of features that move according to the rotation
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraMotion:
-    """How the camera moves."""
+    """Motion of the camera relative to the first frame."""
 
     px: Array
-    """(T,) displacement of the background against the first frame, in pixels of the video; NaN where too few features
-    can be followed, or where they do not move as one."""
+    """(T,) displacement of the background [px of the video]; NaN where too few features are tracked, or where they do
+    not move according to one rotation."""
     R_AC: Array
-    """(T, 3, 3) the camera's axes in those of the first frame's camera, A; the identity where unknown."""
+    """(T, 3, 3) rotation of the camera in A, the camera frame of the first frame; the identity where unknown."""
     unit_px: float
-    """Pixels of the video that make one of a picture 384 px wide."""
+    """Pixels of the video per pixel of an image 384 px wide."""
 
     @property
     def moves(self) -> bool:
-        """Whether there is something to compensate."""
+        """True if the motion is large enough to be compensated."""
         return (self.largest_px or 0.0) >= LEAST_PX * self.unit_px
 
     @property
     def largest_px(self) -> float | None:
-        """Largest displacement [px]; None where nothing can be said."""
+        """Largest displacement [px]; None if it is unknown in all frames."""
         return float(np.nanmax(self.px)) if np.isfinite(self.px).any() else None
 
     @property
@@ -62,40 +62,39 @@ class CameraMotion:
 
     @property
     def X_AC(self) -> Array:
-        """(T, 4, 4) the camera in the frame of the first frame's camera [m].
+        """(T, 4, 4) pose of the camera in A [m]: a pure rotation, the identity if the camera counts as fixed.
 
-        What moves the background is taken for a turn about the camera's centre: for the few pixels that are compensated
-        a shift of the camera looks nearly the same. A camera that stands still is left where it is.
+        For the few pixels that are compensated, a translation of the camera looks nearly the same as a rotation.
         """
         R_AC = self.R_AC if self.moves else np.repeat(np.eye(3)[None], len(self.px), axis=0)
         return make_pose(R_AC, np.zeros(3))
 
-    def steadied(self, frames: Frames, camera: Camera) -> Frames:
-        """The frames (T, H, W, 3) as the first frame's camera would have seen them; those that are lost as they are."""
+    def stabilize(self, frames: Frames, camera: Camera) -> Frames:
+        """Warp the frames (T, H, W, 3) into the camera of the first frame; lost frames stay as they are."""
         if not self.moves:
             return frames
         shift = np.array([[1.0, 0.0, 0.5], [0.0, 1.0, 0.5], [0.0, 0.0, 1.0]])  # OpenCV's pixel centres are integers
         K = np.linalg.inv(shift) @ camera.K
-        steady = frames.copy()
+        stabilized = frames.copy()
         for i in np.flatnonzero(~self.lost & (np.nan_to_num(self.px) > 0)):
-            turned = K @ self.R_AC[i] @ np.linalg.inv(K)
-            steady[i] = cv2.warpPerspective(
-                frames[i], turned, (camera.width, camera.height), borderMode=cv2.BORDER_REPLICATE
+            homography = K @ self.R_AC[i] @ np.linalg.inv(K)
+            stabilized[i] = cv2.warpPerspective(
+                frames[i], homography, (camera.width, camera.height), borderMode=cv2.BORDER_REPLICATE
             )
-        return steady
+        return stabilized
 
 
 def measure_camera_motion(frames: Frames, robot: NDArray[np.bool_], camera: Camera) -> CameraMotion:
-    """Follow the background through a video.
+    """Measure the motion of the camera by tracking the background.
 
-    Features (Shi and Tomasi 1994) off the robot are followed by pyramidal Lucas-Kanade from the first frame to every
-    other one, there and back. What most of them exceed is the motion of the camera, if at least half of them move as
-    the background does when a camera turns.
+    Features (Shi and Tomasi 1994) off the robot are tracked by pyramidal Lucas-Kanade from the first frame to every
+    other one, forth and back. Their displacement, at the quantile `SHARE`, is the motion of the camera if at least half
+    of them move according to one rotation of the camera.
 
     Args:
         frames: (T, H, W, 3) RGB.
-        robot: (H, W) pixels of the first frame to leave out.
-        camera: that of the first frame.
+        robot: (H, W) pixels of the first frame that show the robot.
+        camera: camera of the first frame.
     """
     n = len(frames)
     px, R_AC = np.full(n, np.nan), np.repeat(np.eye(3)[None], n, axis=0)
@@ -106,23 +105,24 @@ def measure_camera_motion(frames: Frames, robot: NDArray[np.bool_], camera: Came
     if start is not None and len(start) >= MIN_FEATURES:
         px[0] = 0.0
         for i, image in enumerate(grey[1:], 1):
-            there, ok, _ = cv2.calcOpticalFlowPyrLK(grey[0], image, start, None)
-            back, ok_back, _ = cv2.calcOpticalFlowPyrLK(image, grey[0], there, None)
+            forth, ok, _ = cv2.calcOpticalFlowPyrLK(grey[0], image, start, None)
+            back, ok_back, _ = cv2.calcOpticalFlowPyrLK(image, grey[0], forth, None)
             returned = np.linalg.norm((back - start)[:, 0], axis=1) < _ROUND_TRIP_PX
             good = (ok[:, 0] > 0) & (ok_back[:, 0] > 0) & returned
             if good.sum() >= MIN_FEATURES:
-                first, now = (np.asarray(p[good, 0], dtype=np.float64) + 0.5 for p in (start, there))
-                R, share = _turn(first, now, camera)
+                first, now = (np.asarray(p[good, 0], dtype=np.float64) + 0.5 for p in (start, forth))
+                R, share = _rotation(first, now, camera)
                 moved = float(np.quantile(np.linalg.norm(now - first, axis=1), SHARE))
                 if share >= _MIN_AGREEING or moved < LEAST_PX * camera.unit_px:
                     px[i], R_AC[i] = moved, R
     return CameraMotion(px=px, R_AC=R_AC, unit_px=camera.unit_px)
 
 
-def _turn(first: Array, now: Array, camera: Camera) -> tuple[Array, float]:
-    """The rotation (3, 3) of a camera that sees `now` (N, 2) what it saw at `first` [px], and who agrees with it.
+def _rotation(first: Array, now: Array, camera: Camera) -> tuple[Array, float]:
+    """Return the rotation (3, 3) of the camera that moves features from `first` to `now` (N, 2) [px], and their share.
 
-    Kabsch (1976) on lines of sight, reweighted after Tukey: things that were moved do not count.
+    Kabsch (1976) on lines of sight with Tukey's weights, so that moved objects have no influence. The share is that of
+    the features that move according to the rotation.
     """
     lines = []
     for pixels in (first, now):
@@ -139,11 +139,6 @@ def _turn(first: Array, now: Array, camera: Camera) -> tuple[Array, float]:
 
 
 def find_camera_motion(motion: CameraMotion) -> Detection:
-    """Frames in which the camera is not where it was; severity: by how much at most [px of the video]."""
+    """Detect frames in which the camera is not in its first pose; severity: the largest motion [px of the video]."""
     px = sustained(motion.px, MIN_FRAMES)
-    score = px / (MOVING_PX * motion.unit_px)
-    anomalies = tuple(
-        Anomaly(kind=AnomalyKind.CAMERA, frame_start=a, frame_end=b, severity=float(px[a : b + 1].max()))
-        for a, b in detection_segments(score >= 1.0)
-    )
-    return Detection(kind=AnomalyKind.CAMERA, score=score, anomalies=anomalies)
+    return Detection.from_score(AnomalyKind.CAMERA, px / (MOVING_PX * motion.unit_px), px)

@@ -1,41 +1,169 @@
-"""All anomaly detectors applied to a video."""
+"""All anomaly detectors applied to the measurements of a video."""
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from kinebench_drake.grounding.anomaly.camera_motion import find_camera_motion
+from kinebench_drake.camera import Camera
+from kinebench_drake.errors import InputError
+from kinebench_drake.geometry import Array, transform_points
+from kinebench_drake.grounding.anomaly.camera_motion import CameraMotion, find_camera_motion
 from kinebench_drake.grounding.anomaly.detection import AnomalyDetections, Detection
-from kinebench_drake.grounding.anomaly.duplicate import find_duplicates
-from kinebench_drake.grounding.anomaly.evidence import Evidence
-from kinebench_drake.grounding.anomaly.freeze import find_freezes
-from kinebench_drake.grounding.anomaly.jumps import find_finger_faults, find_teleports
-from kinebench_drake.grounding.anomaly.shape import find_deformations, find_scale_drift
-from kinebench_drake.grounding.anomaly.vanish import find_vanishing
+from kinebench_drake.grounding.anomaly.jumps import find_finger_faults, find_freezes, find_teleports, still_frames
+from kinebench_drake.grounding.anomaly.presence import find_duplicates, find_vanishing, second_gripper
+from kinebench_drake.grounding.anomaly.shape import find_deformations, find_scale_drift, shape_misfit
+from kinebench_drake.grounding.crop import GRIPPER_CENTRE_H
+from kinebench_drake.grounding.frame_pose import FramePose
+from kinebench_drake.grounding.gripper_width import SHARP_M
+from kinebench_drake.grounding.view import Frames, GripperView
+
+FAIR_CONFIDENCE = 0.1
+"""Least confidence at which a frame's position and shape count; a deformed gripper has a low confidence ..."""
+SURE_CONFIDENCE = 0.3
+"""... its finger travel ..."""
+GOOD_CONFIDENCE = 0.5
+"""... and its size, which an error of a few degrees falsifies."""
+WIDTH_SIGMA_M = 0.006
+"""Largest standard deviation of a width that counts [m]."""
+MAX_SIDE_COSINE = 0.5
+"""Largest cosine between fingers' axis and line of sight at which the size counts: seen edge-on the gripper is narrow
+and its fingers hide each other."""
 
 
-def find_anomalies(seen: Evidence) -> AnomalyDetections:
-    """Ask every detector; the jump that ends a freeze is part of it, no teleport."""
-    freezes = find_freezes(seen.p_C, seen.fair, seen.still, seen.t_s)
-    found = (
-        find_vanishing(seen.p_C, seen.confidence, seen.explained, seen.fair, seen.camera),
-        find_duplicates(seen.other),
-        _without(find_teleports(seen.p_C, seen.fair, seen.good), {a.frame_end + 1 for a in freezes.anomalies}),
-        freezes,
-        find_deformations(seen.misfit, seen.residual),
-        find_scale_drift(seen.scale),
-        find_camera_motion(seen.motion),
-        find_finger_faults(seen.finger_width_m, seen.t_s),
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AnomalyEvidence:
+    """Input of the detectors: series over the T frames of a video; NaN where unknown."""
+
+    t_s: Array
+    """(T,) task time [s]."""
+    p_C: Array
+    """(T, 3) centre of the gripper in the camera frame [m]."""
+    confidence: Array
+    """(T,) confidence 0..1, 0 without a detection."""
+    explained: Array
+    """(T,) cells of the crop explained by the posed gripper, 0 without a detection."""
+    finger_width_m: Array
+    """(T,) gripper width [m] where it is measured precisely."""
+    other: Array
+    """(T,) share of a second gripper."""
+    misfit: Array
+    """(T,) relative misfit of the gripper's shape."""
+    residual: Array
+    """(T,) residual of the cells against the rigid gripper [standard deviations]."""
+    scale: Array
+    """(T,) apparent size of the hand over its size at the distance given by the arm, unless seen edge-on."""
+    still: NDArray[np.bool_]
+    """(T,) frames that repeat the one before."""
+    motion: CameraMotion
+    camera: Camera
+
+    def __post_init__(self) -> None:
+        """Check that all series have the same length.
+
+        Raises:
+            InputError: a length differs.
+        """
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if isinstance(value, np.ndarray) and len(value) != len(self.t_s):
+                raise InputError(f"{field.name} is of {len(value)} frames, t_s of {len(self.t_s)}; they must be equal")
+
+    @property
+    def fair(self) -> NDArray[np.bool_]:
+        """(T,) frames whose position counts."""
+        return np.asarray(self.confidence >= FAIR_CONFIDENCE)
+
+    @property
+    def good(self) -> NDArray[np.bool_]:
+        """(T,) frames whose pose is more likely right than wrong."""
+        return np.asarray(self.confidence >= GOOD_CONFIDENCE)
+
+
+def gather_evidence(
+    frames: Frames,
+    camera: Camera,
+    t_s: Array,
+    wide: Sequence[GripperView],
+    poses: Sequence[FramePose | None],
+    confidence: Array,
+    motion: CameraMotion,
+) -> AnomalyEvidence:
+    """Compute the input of the detectors.
+
+    Args:
+        frames: (T, H, W, 3) RGB.
+        camera: camera of the first frame.
+        t_s: (T,) task time [s].
+        wide: (T,) views of whole images.
+        poses: (T,) poses with flips resolved, in the camera frame of the first frame.
+        confidence: (T,) confidence of the poses, 0 where there is none.
+        motion: motion of the camera.
+    """
+    n = len(frames)
+    p_C = np.full((n, 3), np.nan)
+    explained = np.zeros(n)
+    width, misfit, residual, scale = (np.full(n, np.nan) for _ in range(4))
+    for i, pose in enumerate(poses):
+        if pose is None:
+            continue
+        explained[i] = pose.hand.points * pose.overlap
+        p_C[i] = transform_points(pose.X_CH, GRIPPER_CENTRE_H[None])[0]
+        if confidence[i] >= FAIR_CONFIDENCE:
+            hand = pose.hand_without_silhouette
+            sharp = 2 * hand.finger_sigma_m <= SHARP_M
+            misfit[i] = shape_misfit(pose.view, hand.X_CH, hand.finger_m if sharp else np.nan)
+            residual[i] = hand.residual
+        if confidence[i] >= SURE_CONFIDENCE:
+            sigma_m = 2 * pose.hand.finger_sigma_m
+            width[i] = 2 * pose.finger_m if sigma_m <= WIDTH_SIGMA_M else np.nan
+            cosine = abs(float(pose.X_CH[:3, 1] @ p_C[i])) / float(np.linalg.norm(p_C[i]))
+            if cosine <= MAX_SIDE_COSINE and pose.arm is not None and confidence[i] >= GOOD_CONFIDENCE:
+                scale[i] = pose.arm.scale
+    other = [
+        second_gripper(view, None if pose is None else pose.X_CH, camera)
+        for view, pose in zip(wide, poses, strict=True)
+    ]
+    return AnomalyEvidence(
+        t_s=t_s,
+        p_C=p_C,
+        confidence=confidence,
+        explained=explained,
+        finger_width_m=width,
+        other=np.array(other),
+        misfit=misfit,
+        residual=residual,
+        scale=scale,
+        still=still_frames(frames),
+        motion=motion,
+        camera=camera,
     )
-    return AnomalyDetections(findings={finding.kind: finding for finding in found})
 
 
-def _without(finding: Detection, frames: set[int]) -> Detection:
-    """A finding without its anomalies that begin in, or next to, some frames."""
-    score, near = finding.score.copy(), {f + d for f in frames for d in (-1, 0, 1)}
+def find_anomalies(evidence: AnomalyEvidence) -> AnomalyDetections:
+    """Apply every detector; the jump that ends a freeze is part of the freeze, no teleport."""
+    e = evidence
+    freezes = find_freezes(e.p_C, e.fair, e.still, e.t_s)
+    detections = (
+        find_vanishing(e.p_C, e.confidence, e.explained, e.fair, e.camera),
+        find_duplicates(e.other),
+        _without(find_teleports(e.p_C, e.fair, e.good), {a.frame_end + 1 for a in freezes.anomalies}),
+        freezes,
+        find_deformations(e.misfit, e.residual),
+        find_scale_drift(e.scale),
+        find_camera_motion(e.motion),
+        find_finger_faults(e.finger_width_m, e.t_s),
+    )
+    return AnomalyDetections(by_kind={detection.kind: detection for detection in detections})
+
+
+def _without(detection: Detection, frames: set[int]) -> Detection:
+    """Return a detection without the anomalies that begin within one frame of `frames`."""
+    score, near = detection.score.copy(), {f + d for f in frames for d in (-1, 0, 1)}
     score[[f for f in near if 0 <= f < len(score)]] = 0.0
     return replace(
-        finding,
+        detection,
         score=np.asarray(score),
-        anomalies=tuple(a for a in finding.anomalies if a.frame_start not in near),
+        anomalies=tuple(a for a in detection.anomalies if a.frame_start not in near),
     )

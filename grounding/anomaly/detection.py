@@ -1,4 +1,4 @@
-"""What a detector says."""
+"""Result of an anomaly detector, and operations on per-frame series that detectors share."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -15,62 +15,75 @@ from kinebench_drake.types import Anomaly, AnomalyKind
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Detection:
-    """One kind of anomaly in one video."""
+    """Result of one detector on one video."""
 
     kind: AnomalyKind
     score: Array
-    """(T,) how strongly each frame speaks for it, over the threshold: from 1 on it is an anomaly. 0 where nothing can
-    be said."""
+    """(T,) evidence over its threshold: an anomaly from 1 on; 0 where there is no evidence."""
     anomalies: tuple[Anomaly, ...] = ()
-    """Where it is one."""
+
+    @classmethod
+    def from_score(cls, kind: AnomalyKind, score: Array, size: Array) -> "Detection":
+        """Return an anomaly for each run of frames whose score is at least 1.
+
+        Args:
+            kind: kind of anomaly.
+            score: (T,) evidence over its threshold.
+            size: (T,) severity of each frame; that of an anomaly is the largest.
+        """
+        anomalies = tuple(
+            Anomaly(kind=kind, frame_start=a, frame_end=b, severity=float(size[a : b + 1].max()))
+            for a, b in detection_segments(score >= 1.0)
+        )
+        return cls(kind=kind, score=score, anomalies=anomalies)
 
     @property
     def peak(self) -> float:
-        """The video's score: that of its worst frame."""
+        """Largest score of a frame."""
         return float(self.score.max(initial=0.0))
 
     def within(self, start: int, end: int) -> float:
-        """The score of the frames from `start` to `end`, both included."""
+        """Return the largest score of the frames from `start` to `end`, inclusive."""
         return float(self.score[start : end + 1].max(initial=0.0))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AnomalyDetections:
-    """All kinds of anomalies in one video."""
+    """Results of all detectors on one video."""
 
-    findings: Mapping[AnomalyKind, Detection]
+    by_kind: Mapping[AnomalyKind, Detection]
 
     def __post_init__(self) -> None:
-        """Check that all kinds are there and that their scores are finite.
+        """Check that every kind has a finite score.
 
         Raises:
-            InputError: one is missing, or its score is not a number.
+            InputError: a kind is missing, or its score is not finite.
         """
         for kind in AnomalyKind:
-            if kind not in self.findings or not np.isfinite(self.findings[kind].score).all():
+            if kind not in self.by_kind or not np.isfinite(self.by_kind[kind].score).all():
                 raise InputError(f"no finite score of {kind.value}; expected one for each kind of anomaly")
 
     @property
     def anomalies(self) -> tuple[Anomaly, ...]:
-        """All of them, in the order of their frames."""
-        found = [anomaly for finding in self.findings.values() for anomaly in finding.anomalies]
-        return tuple(sorted(found, key=lambda a: (a.frame_start, a.frame_end, a.kind.value)))
+        """All anomalies in the order of their frames."""
+        anomalies = [anomaly for detection in self.by_kind.values() for anomaly in detection.anomalies]
+        return tuple(sorted(anomalies, key=lambda a: (a.frame_start, a.frame_end, a.kind.value)))
 
     @property
     def scores(self) -> dict[AnomalyKind, float]:
-        """The video's score of each kind: its worst frame's, 1 at the threshold."""
-        return {kind: finding.peak for kind, finding in self.findings.items()}
+        """Score of the video by kind: the largest of its frames, 1 at the threshold."""
+        return {kind: detection.peak for kind, detection in self.by_kind.items()}
 
 
 def detection_segments(flags: ArrayLike) -> Iterator[tuple[int, int]]:
-    """First and last index of each run of true values."""
+    """Yield the first and last index of each run of true values."""
     yield from ((run.start, run.stop - 1) for run in segments(np.asarray(flags, dtype=bool)))
 
 
 def sustained(values: ArrayLike, frames: int) -> Array:
-    """(T,) at each frame the largest value that some `frames` frames in a row around it all reach; unknown ones are 0.
+    """Return for each frame (T,) the largest value that `frames` consecutive frames around it all reach; NaN is 0.
 
-    A grey opening (Serra 1982): peaks shorter than that are levelled, longer ones stay.
+    A grey opening (Serra 1982): shorter peaks are removed, longer ones stay.
     """
     values = np.nan_to_num(np.asarray(values, dtype=np.float64), nan=0.0)
     if len(values) < frames:
@@ -80,7 +93,7 @@ def sustained(values: ArrayLike, frames: int) -> Array:
 
 
 def finite_median(values: ArrayLike, window: int) -> Array:
-    """(T,) running median of what is known in `window` frames around each; NaN where less than half of them is."""
+    """Return the running median (T,) over `window` frames; NaN where fewer than half of them are finite."""
     values = np.asarray(values, dtype=np.float64)
     half = window // 2
     smoothed = np.full(len(values), np.nan)
@@ -92,7 +105,7 @@ def finite_median(values: ArrayLike, window: int) -> Array:
     return smoothed
 
 
-def is_known(values: ArrayLike) -> NDArray[np.bool_]:
-    """(T,) whether all of a frame's values (T,) or (T, n) are there."""
+def is_finite(values: ArrayLike) -> NDArray[np.bool_]:
+    """Return for each frame (T,) whether its values, of shape (T,) or (T, n), are all finite."""
     finite = np.isfinite(np.asarray(values, dtype=np.float64))
     return np.asarray(finite if finite.ndim == 1 else finite.all(axis=1))

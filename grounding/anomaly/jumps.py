@@ -1,35 +1,57 @@
-"""Jumps of a path that noise and motion do not explain."""
+"""Detectors of implausible motion: teleports, frozen images, impossible finger motion."""
 
+from itertools import pairwise
+
+import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from kinebench_drake.geometry import Array
-from kinebench_drake.grounding.anomaly.detection import Detection, detection_segments, is_known
+from kinebench_drake.grounding.anomaly.detection import Detection, detection_segments, is_finite
+from kinebench_drake.grounding.view import Frames
 from kinebench_drake.types import Anomaly, AnomalyKind
 
-TELEPORT_M = 0.04
-"""A jump is longer than this [m] ..."""
-CONTRAST = 4.0
-"""... and than so many times what the path around it is uneven by."""
-_STEPS = 3  # steps to each side that tell how fast the gripper moves
-_AROUND = 8  # frames to each side that tell how uneven the path is
+TELEPORT_M, TELEPORT_CONTRAST = 0.04, 4.0
+"""Least length of a teleport [m], and least ratio to the median jump length of the path around it."""
+FREEZE_FRAMES = 5
+"""Least number of still frames of a freeze ..."""
+FREEZE_SPEED_M_S = 0.035
+"""... that begins at no less than this speed [m/s] ..."""
+FREEZE_JUMP = 2.0
+"""... and ends with a step of no less than so many times those before the freeze and after that step."""
+STILL_LEVELS = 4.0
+"""A frame is still if all but 0.5 % of its pixels, slightly blurred, change by less than this, of 255."""
+FINGER_SPEED_M_S = 0.1
+"""Fastest change of the gripper width [m/s]: each finger travels at up to 50 mm/s (Franka Emika, "Panda datasheet",
+Franka Hand: travel speed)."""
+MAX_WIDTH_M = 0.08
+"""Largest gripper width [m]."""
+EXCESS_M = 0.015
+"""Least excess of a change of the width over the possible one, or of the width over the largest, of an anomaly [m]."""
+FLUTTER_M = 0.015
+"""Least amplitude of alternate opening and closing over four frames of an anomaly [m]."""
+_STEPS = 3  # steps to each side whose median is the velocity at a jump
+_AROUND = 8  # frames to each side whose median is the usual jump length
 _MAX_GAP = 2  # frames that may be missing at a jump
+_STILL_M = 0.004  # motion per frame of a track of still images: codec and network noise
+_FLUTTER_FRAMES = 4
 
 
-def jump_lengths(p: ArrayLike, sure: NDArray[np.bool_]) -> Array:
-    """(T,) how far the path jumps just before each frame [m].
+def jump_lengths(p: ArrayLike, fair: NDArray[np.bool_]) -> Array:
+    """Return the length (T,) of the path's jump just before each frame [m].
 
-    The way from each of the two frames before to each of the two from it on, less what the median velocity of three
-    steps to each side accounts for: the least of the four lengths, so that no single wild frame makes a jump; and no
-    more than what the mean velocity of the steps just before and after leaves of the way, for a short burst of speed
-    gathers pace and loses it. A way over a missing frame counts half. 0 where there are less than two frames on a side.
+    The displacement from each of the two frames before to each of the two from it on, less what the median velocity of
+    three steps to each side explains: the least of the four lengths, so that no single outlier makes a jump; and no
+    more than the displacement less that by the mean velocity of the steps just before and after, since a short burst of
+    speed accelerates and decelerates. A displacement over a missing frame counts half. 0 where a side has less than two
+    frames.
 
     Args:
-        p: (T, n) positions.
-        sure: (T,) frames whose position counts.
+        p: (T, n) positions [m].
+        fair: (T,) frames whose position counts.
     """
     p = np.asarray(p, dtype=np.float64)
-    index = np.flatnonzero(sure & np.isfinite(p).all(axis=1))
+    index = np.flatnonzero(fair & np.isfinite(p).all(axis=1))
     lengths = np.zeros(len(p))
     if len(index) < 4:
         return lengths
@@ -40,33 +62,32 @@ def jump_lengths(p: ArrayLike, sure: NDArray[np.bool_]) -> Array:
             continue
         steps = [j for j in range(k - 1 - _STEPS, k + _STEPS) if 0 <= j < len(gaps) and j != k - 1]
         usual = np.median(velocity[steps], axis=0)
-        ways = [q[b] - q[a] - usual * (index[b] - index[a]) for a in (k - 2, k - 1) for b in (k, k + 1)]
-        ways.append(q[k] - q[k - 1] - 0.5 * (velocity[k - 2] + velocity[k]) * gaps[k - 1])
-        lengths[index[k]] = min(float(np.linalg.norm(way)) for way in ways) / gaps[k - 1]
+        moves = [q[b] - q[a] - usual * (index[b] - index[a]) for a in (k - 2, k - 1) for b in (k, k + 1)]
+        moves.append(q[k] - q[k - 1] - 0.5 * (velocity[k - 2] + velocity[k]) * gaps[k - 1])
+        lengths[index[k]] = min(float(np.linalg.norm(move)) for move in moves) / gaps[k - 1]
     return lengths
 
 
 def find_teleports(p: ArrayLike, fair: NDArray[np.bool_], good: NDArray[np.bool_]) -> Detection:
-    """Jumps of the gripper: the first frame after one is both start and end, its length [m] the severity.
+    """Detect jumps of the gripper; start and end: the first frame after the jump; severity: its length [m].
 
-    The score is the length over the larger of `TELEPORT_M` and `CONTRAST` times the median length around it. A jump
-    to or from a frame that may well be wrong is none.
+    The score is the length over the larger of `TELEPORT_M` and `TELEPORT_CONTRAST` times the median length around it.
 
     Args:
         p: (T, 3) position of the gripper [m].
         fair: (T,) frames whose position counts.
-        good: (T,) those of them that a jump may lead from or to.
+        good: (T,) frames that a jump may start from or lead to: others are too likely wrong.
     """
     lengths = jump_lengths(p, fair)
-    known = np.flatnonzero(fair & np.isfinite(np.asarray(p, dtype=np.float64)).all(axis=1))
-    doubtful = ~(good[known[1:]] & good[known[:-1]])
-    lengths[known[1:][doubtful]] = 0.0
+    index = np.flatnonzero(fair & is_finite(p))
+    doubtful = ~(good[index[1:]] & good[index[:-1]])
+    lengths[index[1:][doubtful]] = 0.0
     score = np.zeros(len(lengths))
     for i in np.flatnonzero(lengths).tolist():
         around = [k for k in range(max(0, i - _AROUND), min(len(lengths), i + _AROUND + 1)) if abs(k - i) > 2]
         usual = [lengths[k] for k in around if lengths[k] > 0]
-        score[i] = lengths[i] / max(TELEPORT_M, CONTRAST * float(np.median(usual)) if usual else 0.0)
-    score = _peaks(score, lengths)
+        score[i] = lengths[i] / max(TELEPORT_M, TELEPORT_CONTRAST * float(np.median(usual)) if usual else 0.0)
+    score = _suppress_non_maxima(score, lengths)
     anomalies = tuple(
         Anomaly(kind=AnomalyKind.TELEPORT, frame_start=int(i), frame_end=int(i), severity=float(lengths[i]))
         for i in np.flatnonzero(score >= 1.0)
@@ -74,8 +95,8 @@ def find_teleports(p: ArrayLike, fair: NDArray[np.bool_], good: NDArray[np.bool_
     return Detection(kind=AnomalyKind.TELEPORT, score=score, anomalies=anomalies)
 
 
-def _peaks(score: Array, lengths: Array) -> Array:
-    """The scores of the longest jumps; those beside a longer one are its shadow, and 0."""
+def _suppress_non_maxima(score: Array, lengths: Array) -> Array:
+    """Return the scores of the longest jumps, 0 within two frames of a longer one."""
     kept = np.zeros(len(score))
     for i in np.argsort(-lengths, kind="stable"):
         if not kept[max(0, i - 2) : i + 3].any():
@@ -83,58 +104,81 @@ def _peaks(score: Array, lengths: Array) -> Array:
     return kept
 
 
-SPEED_M_S = 0.1
-"""Fastest change of the gap between the pads [m/s]: each finger travels at up to 50 mm/s (Franka Emika, "Panda
-datasheet", Franka Hand: travel speed)."""
-MAX_WIDTH_M = 0.08
-"""Widest gap."""
-EXCESS_M = 0.015
-"""A change of so much more than is possible in a frame, or a gap so much wider than the widest, is an anomaly [m]."""
-FLUTTER_M = 0.015
-"""So is opening and closing by this much in turn, four frames on end [m]."""
-_IN_TURN = 4
+def still_frames(frames: Frames) -> NDArray[np.bool_]:
+    """Return the frames (T,) that show the same image as the one before; the first never does."""
+    small = [cv2.GaussianBlur(cv2.cvtColor(f, cv2.COLOR_RGB2GRAY), (0, 0), 1.5).astype(np.float32) for f in frames]
+    change = [np.percentile(np.abs(b - a), 99.5) for a, b in pairwise(small)]
+    return np.array([False, *(c < STILL_LEVELS for c in change)])
 
 
-def impossible_change(width_m: Array, t_s: Array) -> Array:
-    """(T,) by how much the gap jumps, just before each frame, beyond what fingers travel in that time [m]."""
+def find_freezes(p: ArrayLike, fair: NDArray[np.bool_], still: NDArray[np.bool_], t_s: Array) -> Detection:
+    """Detect runs of still frames that begin in motion and end with a jump; severity: their number of frames.
+
+    A dwell slows down before and is no freeze. The score of a run is the least of its length over `FREEZE_FRAMES`, of
+    the speed before over `FREEZE_SPEED_M_S`, and of the last step over `FREEZE_JUMP` times its neighbours'.
+
+    Args:
+        p: (T, 3) position of the gripper [m].
+        fair: (T,) frames whose position counts.
+        still: (T,) frames that repeat the one before (`still_frames`).
+        t_s: (T,) task time [s].
+    """
+    p = np.asarray(p, dtype=np.float64)
+    step = np.concatenate([[np.nan], np.linalg.norm(np.diff(p, axis=0), axis=1)])
+    quiet = still & ~(step > _STILL_M)
+    score = np.zeros(len(p))
+    anomalies = []
+    for start, end in detection_segments(quiet):
+        if start < 2 or end + 1 >= len(p) or not fair[[start - 2, start - 1, end, end + 1]].all():
+            continue
+        before, jump = step[start - 1], step[end + 1]
+        after = step[end + 2] if end + 2 < len(p) and fair[end + 2] else before
+        speed = before / (t_s[start - 1] - t_s[start - 2])
+        frames = end - start + 1
+        score[start : end + 1] = min(
+            frames / FREEZE_FRAMES, speed / FREEZE_SPEED_M_S, jump / (FREEZE_JUMP * max(before, after, _STILL_M))
+        )
+        if score[start] >= 1.0:
+            anomalies.append(Anomaly(kind=AnomalyKind.FREEZE, frame_start=start, frame_end=end, severity=float(frames)))
+    return Detection(kind=AnomalyKind.FREEZE, score=score, anomalies=tuple(anomalies))
+
+
+def excess_change(width_m: Array, t_s: Array) -> Array:
+    """Return by how much (T,) the width jumps just before each frame beyond the fingers' largest travel [m]."""
     jumps = jump_lengths(width_m[:, None], np.ones(len(width_m), dtype=bool))
-    return np.maximum(0.0, jumps - SPEED_M_S * np.diff(t_s, prepend=t_s[0]))
+    return np.maximum(0.0, jumps - FINGER_SPEED_M_S * np.diff(t_s, prepend=t_s[0]))
 
 
 def flutter(width_m: Array) -> Array:
-    """(T,) how far the gap goes to and fro around each frame, from one frame to the next [m].
+    """Return the amplitude (T,) of alternate opening and closing around each frame [m].
 
-    A frame's bump is its gap over the mean of its neighbours'; four bumps whose signs alternate are a flutter as large
-    as the least of them. One wild frame makes no more than three.
+    A frame's deviation is its width minus the mean of its neighbours'; four deviations of alternating sign are a
+    flutter of the least of their magnitudes. A single outlier makes no more than three.
     """
-    bump = np.zeros(len(width_m))
-    bump[1:-1] = width_m[1:-1] - 0.5 * (width_m[:-2] + width_m[2:])
-    swing = np.zeros(len(width_m))
-    for start in range(len(width_m) - _IN_TURN + 1):
-        some = slice(start, start + _IN_TURN)
-        if (bump[some][1:] * bump[some][:-1] < 0).all():
-            swing[some] = np.maximum(swing[some], np.abs(bump[some]).min())
-    return swing
+    deviation = np.zeros(len(width_m))
+    deviation[1:-1] = width_m[1:-1] - 0.5 * (width_m[:-2] + width_m[2:])
+    amplitude = np.zeros(len(width_m))
+    for start in range(len(width_m) - _FLUTTER_FRAMES + 1):
+        window = slice(start, start + _FLUTTER_FRAMES)
+        if (deviation[window][1:] * deviation[window][:-1] < 0).all():
+            amplitude[window] = np.maximum(amplitude[window], np.abs(deviation[window]).min())
+    return amplitude
 
 
 def find_finger_faults(width_m: ArrayLike, t_s: ArrayLike) -> Detection:
-    """Gaps that jump, flutter or are wider than the gripper opens; severity: by how much too far [m].
+    """Detect widths that jump, flutter or exceed the gripper's range; severity: the largest excess [m].
 
     Args:
-        width_m: (T,) gap between the pads [m]; NaN where unknown.
+        width_m: (T,) gripper width [m]; NaN where unknown.
         t_s: (T,) task time [s].
     """
     width_m, t_s = np.asarray(width_m, dtype=np.float64), np.asarray(t_s, dtype=np.float64)
-    index = np.flatnonzero(is_known(width_m))
+    index = np.flatnonzero(is_finite(width_m))
     width, times = width_m[index], t_s[index]
     outside = np.maximum(np.maximum(-width, width - MAX_WIDTH_M), 0.0)
     size, score = np.zeros(len(width_m)), np.zeros(len(width_m))
     if len(index) >= 4:
-        change, swing = impossible_change(width, times), flutter(width)
-        size[index] = np.maximum(np.maximum(change, outside), swing)
-        score[index] = np.maximum(np.maximum(change, outside) / EXCESS_M, swing / FLUTTER_M)
-    anomalies = tuple(
-        Anomaly(kind=AnomalyKind.FINGERS, frame_start=a, frame_end=b, severity=float(size[a : b + 1].max()))
-        for a, b in detection_segments(score >= 1.0)
-    )
-    return Detection(kind=AnomalyKind.FINGERS, score=score, anomalies=anomalies)
+        change, amplitude = excess_change(width, times), flutter(width)
+        size[index] = np.maximum(np.maximum(change, outside), amplitude)
+        score[index] = np.maximum(np.maximum(change, outside) / EXCESS_M, amplitude / FLUTTER_M)
+    return Detection.from_score(AnomalyKind.FINGERS, score, size)

@@ -130,7 +130,7 @@ def examine(clip: TruthClipFile, planted: PlantedCase | None, pipeline: Groundin
     Raises:
         InputError: the pipeline tells no scores.
     """
-    findings = pipeline.ground(read_video(clip.video).frames, clip.camera, clip.load().t_s).findings
+    findings = pipeline.ground(read_video(clip.video).frames, clip.camera, clip.load().t_s).detections
     if findings is None:
         raise InputError(f"{clip.id}: this pipeline tells no scores of anomalies")
     return ClipAnomalies(

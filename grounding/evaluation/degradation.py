@@ -9,7 +9,7 @@ import numpy as np
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.crop import Crop
-from kinebench_drake.grounding.view import DepthEstimator, Frames, GripperView
+from kinebench_drake.grounding.view import DenseEstimator, Frames, GripperView
 
 _FIELD_CELLS = 12  # nodes of an error field across the picture: about a gripper's width apart
 _FIELD_FRAMES = 8  # frames from one field to the next, between which it turns smoothly
@@ -30,7 +30,7 @@ class Degradation:
 class DegradedEstimator:
     """Another estimator with its depth made worse."""
 
-    def __init__(self, base: DepthEstimator, count: int, degradation: Degradation, rng: np.random.Generator) -> None:
+    def __init__(self, base: DenseEstimator, count: int, degradation: Degradation, rng: np.random.Generator) -> None:
         """Draw the errors for a video of `count` frames: the same state of `rng` gives the same errors."""
         self._base, self._degradation = base, degradation
         self._sign = float(rng.choice([-1.0, 1.0]))

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from kinebench_drake.geometry import Array, invert, transform_points
 from kinebench_drake.grounding.crop import Crop
 from kinebench_drake.grounding.evaluation.clip import TruthClipFile
-from kinebench_drake.grounding.override_estimator import with_depth, with_mask
-from kinebench_drake.grounding.view import DepthEstimator, Frames, GripperView
+from kinebench_drake.grounding.override_estimator import replace_depth, replace_mask
+from kinebench_drake.grounding.view import DenseEstimator, Frames, GripperView
 from kinebench_drake.io.figure import new_figure
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.types import ExternalDepth
@@ -90,7 +90,7 @@ class DepthErrors:
     example: DepthExample
 
 
-def measure_depth(clips: Sequence[TruthClipFile], estimator: DepthEstimator) -> DepthErrors | None:
+def measure_depth(clips: Sequence[TruthClipFile], estimator: DenseEstimator) -> DepthErrors | None:
     """Hold the depth of an estimator against the truth on the gripper's visible pixels; None if none is visible.
 
     The close views are those of the true poses, so that nothing but the depth counts; fingers are moved to where they
@@ -132,7 +132,7 @@ def measure_depth(clips: Sequence[TruthClipFile], estimator: DepthEstimator) -> 
 
 
 def _views(
-    file: TruthClipFile, estimator: DepthEstimator
+    file: TruthClipFile, estimator: DenseEstimator
 ) -> Iterable[tuple[NDArray[np.uint8], GripperView, GripperView, Array, float]]:
     """Of every fourth frame: close view, what is estimated in it, the truth, its pose on the hand, the opening."""
     clip = file.load(with_depth=True)
@@ -143,7 +143,7 @@ def _views(
     depth = ExternalDepth(depth_m=clip.depth_m, exact=True)
     crops = {i: Crop.of_gripper(clip.X_CH[i], _MARGIN, _CROP_PX) for i in numbers}
     for i, view in estimator.estimate(frames, clip.camera, crops):
-        true = with_depth(with_mask(view, clip.mask[i], clip.camera), depth, i, clip.camera)
+        true = replace_depth(replace_mask(view, clip.mask[i], clip.camera), depth, i, clip.camera)
         picture = np.asarray(view.crop.warp(frames[i], clip.camera), dtype=np.uint8)
         yield picture, view, true, invert(clip.X_CH[i]) @ view.crop.X_CV, float(clip.finger_width_m[i]) / 2
 

@@ -157,7 +157,7 @@ def compare(clip: TruthClip, grounding: GroundingResult, expense: Expense, share
 
     Frames whose pose was given are nobody's merit: they are left out, as if nothing were there to be seen.
     """
-    given = grounding.given
+    given = grounding.from_prior
     position, rotation = pose_difference(clip.X_CH, grounding.track.X_CH)
     return ClipErrors(
         id=clip.id,

@@ -73,7 +73,7 @@ def reframe(reframing: Reframing, clip: TruthClip, frames: Frames, masks: NDArra
     ends = (np.array([[0, 0], reframing.size]) - made.map[:, 2]) / np.diag(made.map)  # of the video, in the picture
     (left, top), (right, bottom) = np.clip(ends, 0, picture).round().astype(int)
     kept = masks[:, top:bottom, left:right].sum(axis=(1, 2)) / np.maximum(masks.sum(axis=(1, 2)), 1)
-    return Reframed(clip=replace(clip, camera=found.camera(clip.camera)), frames=found.cut(shown), shown=kept)
+    return Reframed(clip=replace(clip, camera=found.camera(clip.camera)), frames=found.crop(shown), shown=kept)
 
 
 def _shown(frame: NDArray[np.uint8], framing: Framing) -> NDArray[np.uint8]:

@@ -13,7 +13,7 @@ from kinebench_drake.grounding.evaluation.degradation import Degradation, Degrad
 from kinebench_drake.grounding.overrides.depth import check_depth_source, estimate_depth
 from kinebench_drake.grounding.pipeline import GroundingPipeline, GroundingResult
 from kinebench_drake.grounding.tracker import CadTracker
-from kinebench_drake.grounding.view import DepthEstimator, Frames
+from kinebench_drake.grounding.view import DenseEstimator, Frames
 from kinebench_drake.models.panda.cad import GripperCad
 from kinebench_drake.models.perception.weights import WEIGHTS, load_network
 from kinebench_drake.types import ExternalDepth, Priors
@@ -23,7 +23,7 @@ from kinebench_drake.types import ExternalDepth, Priors
 class VariantTools:
     """What is loaded once and serves every clip."""
 
-    estimator: DepthEstimator
+    estimator: DenseEstimator
     cad: GripperCad
     confidence: Confidence
     shipped: GroundingPipeline
@@ -42,7 +42,7 @@ class VariantTools:
         pipeline.warm_up()
         return cls(estimator=estimator, cad=cad, confidence=confidence, shipped=pipeline)
 
-    def pipeline(self, estimator: DepthEstimator) -> GroundingPipeline:
+    def pipeline(self, estimator: DenseEstimator) -> GroundingPipeline:
         """The shipped pipeline with another estimator."""
         return GroundingPipeline(CadTracker(estimator, self.cad), self.confidence)
 

@@ -1,1 +1,1 @@
-"""Framing of generated videos: where the conditioning image lies in the frames."""
+"""Framing of generated videos: where the conditioning image is in the frames."""

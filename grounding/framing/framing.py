@@ -1,10 +1,9 @@
-"""Framing: how a video shows the image its model was given (scaled, letter-boxed, cropped, stretched)."""
+"""Framing of a video: how it shows the conditioning image (scaled, letter-boxed, cropped, stretched)."""
 
 from dataclasses import dataclass, replace
 from enum import Enum
 from typing import TypeVar
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,20 +11,24 @@ from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array
 
 SQUARE = 0.01
-"""Scales along x and y that differ by no more, relatively, are one scale (`Camera.resized` allows as much)."""
-_PART_PX = 0.75  # bars and crops of less are rounding
+"""Largest relative difference of the scales along x and y that counts as none (`Camera.resized` allows as much)."""
+_PART_PX = 0.75  # least width of a bar or crop; less is rounding
+_PLACES = (0.5, 0.0, 1.0)  # centred, at the beginning, at the end
+_ZOOMS = (1.15, 1.35)  # crops tighter than needed to fill the video
+
+ImageType = TypeVar("ImageType", np.uint8, np.bool_)
 
 
-class Change(Enum):
-    """What was done to the picture beside scaling it."""
+class FramingChange(Enum):
+    """Change of the conditioning image besides scaling."""
 
     LETTERBOX = "letterbox"
     CROP = "crop"
     STRETCH = "stretch"
 
 
-class Witness(Enum):
-    """What tells the framing."""
+class FramingSource(Enum):
+    """Source of the framing."""
 
     SIZE = "size"
     FIRST_FRAME = "first_frame"
@@ -34,35 +37,35 @@ class Witness(Enum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Framing:
-    """Where the picture is in the frames of a video."""
+    """Map from the conditioning image to the frames of a video."""
 
     width: int
     """Width of the video [px]."""
     height: int
     """Height of the video [px]."""
-    picture_width: float
-    """Width of the picture [px]."""
-    picture_height: float
-    """Height of the picture [px]."""
+    image_width: float
+    """Width of the conditioning image [px]."""
+    image_height: float
+    """Height of the conditioning image [px]."""
     scale_x: float
     scale_y: float
     offset_x: float
-    """Where the picture's left edge is in the video [px]; negative where it is cropped."""
+    """Left edge of the image in the video [px]; negative if cropped."""
     offset_y: float
-    """Where its upper edge is [px]."""
-    witness: Witness = Witness.SIZE
+    """Upper edge of the image in the video [px]."""
+    source: FramingSource = FramingSource.SIZE
     correlation: float | None = None
-    """How well the first frame agrees with the picture, up to 1; None where they were not compared."""
+    """Correlation of the first frame with the image, at most 1; None if they were not compared."""
 
     @classmethod
-    def filling(cls, picture: tuple[float, float], video: tuple[int, int]) -> "Framing":
-        """A picture of (width, height) stretched over a video of (width, height), as a camera is scaled."""
-        (w, h), (width, height) = picture, video
+    def filling(cls, image: tuple[float, float], video: tuple[int, int]) -> "Framing":
+        """Return the framing of an image of (width, height) scaled to a video of (width, height)."""
+        (w, h), (width, height) = image, video
         return cls(
             width=width,
             height=height,
-            picture_width=w,
-            picture_height=h,
+            image_width=w,
+            image_height=h,
             scale_x=width / w,
             scale_y=height / h,
             offset_x=0.0,
@@ -71,29 +74,29 @@ class Framing:
 
     @property
     def map(self) -> Array:
-        """(2, 3) matrix from points of the picture to points of the video [px]."""
+        """(2, 3) matrix from points of the image to points of the video [px]."""
         return np.array([[self.scale_x, 0.0, self.offset_x], [0.0, self.scale_y, self.offset_y]])
 
     @property
     def corners(self) -> Array:
-        """(2, 2) the picture's upper left and lower right corner in the video [px]."""
-        return np.array([[0.0, 0.0], [self.picture_width, self.picture_height]]) * np.diag(self.map) + self.map[:, 2]
+        """(2, 2) upper left and lower right corner of the image in the video [px]."""
+        return np.array([[0.0, 0.0], [self.image_width, self.image_height]]) * np.diag(self.map) + self.map[:, 2]
 
     @property
-    def changes(self) -> tuple[Change, ...]:
-        """What was done beside scaling."""
+    def changes(self) -> tuple[FramingChange, ...]:
+        """Changes besides scaling."""
         (left, top), (right, bottom) = self.corners
         over = np.array([left, top, self.width - right, self.height - bottom])
-        found = {
-            Change.LETTERBOX: (over > _PART_PX).any(),
-            Change.CROP: (over < -_PART_PX).any(),
-            Change.STRETCH: abs(self.scale_x / self.scale_y - 1.0) > SQUARE,
+        changed = {
+            FramingChange.LETTERBOX: (over > _PART_PX).any(),
+            FramingChange.CROP: (over < -_PART_PX).any(),
+            FramingChange.STRETCH: not _is_square(self),
         }
-        return tuple(change for change, there in found.items() if there)
+        return tuple(change for change, applies in changed.items() if applies)
 
     @property
     def window(self) -> tuple[slice, slice]:
-        """Rows and columns of the video that show the picture and nothing of the bars."""
+        """Rows and columns of the video between the bars."""
         (left, top), (right, bottom) = self.corners
         rows, columns = (
             slice(max(0, int(np.ceil(low - _PART_PX))), min(size, int(np.floor(high + _PART_PX))))
@@ -102,10 +105,10 @@ class Framing:
         return rows, columns
 
     def whole_camera(self, camera: Camera) -> Camera:
-        """The camera of the video's frames with their bars, from that of the picture (at any size of it)."""
-        if self.witness is Witness.SIZE and not self.changes:
+        """Return the camera of the frames with their bars, from that of the image (at any size)."""
+        if self.source is FramingSource.SIZE and not self.changes:
             return camera.resized(self.width, self.height)
-        x, y = self.scale_x * self.picture_width / camera.width, self.scale_y * self.picture_height / camera.height
+        x, y = self.scale_x * self.image_width / camera.width, self.scale_y * self.image_height / camera.height
         return replace(
             camera,
             width=self.width,
@@ -117,7 +120,7 @@ class Framing:
         )
 
     def camera(self, camera: Camera) -> Camera:
-        """The camera of the frames without their bars, from that of the picture."""
+        """Return the camera of the frames without their bars, from that of the image."""
         whole = self.whole_camera(camera)
         rows, columns = self.window
         return replace(
@@ -128,20 +131,20 @@ class Framing:
             cy=whole.cy - rows.start,
         )
 
-    def cut(self, frames: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """The frames (T, H, W, ...) without their bars."""
+    def crop(self, frames: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """Return the frames (T, H, W, ...) without their bars."""
         rows, columns = self.window
         if (rows.stop - rows.start, columns.stop - columns.start) == frames.shape[1:3]:
             return frames
         return np.ascontiguousarray(frames[:, rows, columns])
 
-    def mapped(self, scale: Array, offset: Array) -> "Framing":
-        """The same picture in the same video at other scales (2,) and offsets (2,) [px]."""
+    def with_map(self, scale: Array, offset: Array) -> "Framing":
+        """Return the framing with other scales (2,) and offsets (2,) [px]."""
         (scale_x, scale_y), (offset_x, offset_y) = scale.tolist(), offset.tolist()
         return replace(self, scale_x=scale_x, scale_y=scale_y, offset_x=offset_x, offset_y=offset_y)
 
     def to_json(self) -> dict[str, str | float | list[str] | None]:
-        """The framing as results tell it."""
+        """Serialize the framing for results."""
         numbers = {
             "scale_x": self.scale_x,
             "scale_y": self.scale_y,
@@ -150,42 +153,42 @@ class Framing:
         }
         return {
             "changes": [change.value for change in self.changes],
-            "told_by": self.witness.value,
+            "told_by": self.source.value,
             **{name: round(float(value), 4) + 0.0 for name, value in numbers.items()},
             "correlation": None if self.correlation is None else round(self.correlation, 3),
         }
 
 
-_PLACES = (0.5, 0.0, 1.0)  # centred, at the beginning, at the end
-_ZOOMS = (1.15, 1.35)  # crops that are deeper than they need to be
-
-
-def placements(picture: tuple[float, float], video: tuple[int, int]) -> list[Framing]:
-    """What resizing programs do: scale, stretch, letter-box and crop, the last two centred or at an edge.
+def placements(image: tuple[float, float], video: tuple[int, int]) -> list[Framing]:
+    """Return the usual framings: scaled, stretched, letter-boxed and cropped, the last two centred or at an edge.
 
     Args:
-        picture: width and height of the picture [px].
+        image: width and height of the conditioning image [px].
         video: width and height of the video [px].
     """
-    filled = Framing.filling(picture, video)
-    if abs(filled.scale_x / filled.scale_y - 1.0) <= SQUARE:
+    filled = Framing.filling(image, video)
+    if _is_square(filled):
         return [filled]
-    least, most = sorted((filled.scale_x, filled.scale_y))
-    return [filled, *(_placed(filled, scale, place) for scale in (least, most) for place in _PLACES)]
+    scales = sorted((filled.scale_x, filled.scale_y))
+    return [filled, *(_placed(filled, scale, place) for scale in scales for place in _PLACES)]
 
 
-def letterboxes(picture: tuple[float, float], video: tuple[int, int]) -> list[Framing]:
-    """The picture inside the video with bars, centred or at an edge; none where it fills the video."""
-    filled = Framing.filling(picture, video)
-    if abs(filled.scale_x / filled.scale_y - 1.0) <= SQUARE:
+def letterboxes(image: tuple[float, float], video: tuple[int, int]) -> list[Framing]:
+    """Return the framings with bars, centred or at an edge; none if the image fills the video."""
+    filled = Framing.filling(image, video)
+    if _is_square(filled):
         return []
     return [_placed(filled, min(filled.scale_x, filled.scale_y), place) for place in _PLACES]
 
 
-def deeper_crops(picture: tuple[float, float], video: tuple[int, int]) -> list[Framing]:
-    """Centred crops that show less than would fill the video; where a search for a free one may begin."""
-    filled = Framing.filling(picture, video)
+def deeper_crops(image: tuple[float, float], video: tuple[int, int]) -> list[Framing]:
+    """Return centred crops tighter than needed to fill the video: initial values of a search for any crop."""
+    filled = Framing.filling(image, video)
     return [_placed(filled, zoom * max(filled.scale_x, filled.scale_y), 0.5) for zoom in _ZOOMS]
+
+
+def _is_square(framing: Framing) -> bool:
+    return abs(framing.scale_x / framing.scale_y - 1.0) <= SQUARE
 
 
 def _placed(filled: Framing, scale: float, place: float) -> Framing:
@@ -193,27 +196,26 @@ def _placed(filled: Framing, scale: float, place: float) -> Framing:
         filled,
         scale_x=scale,
         scale_y=scale,
-        offset_x=place * (filled.width - scale * filled.picture_width),
-        offset_y=place * (filled.height - scale * filled.picture_height),
+        offset_x=place * (filled.width - scale * filled.image_width),
+        offset_y=place * (filled.height - scale * filled.image_height),
     )
 
 
-ImageType = TypeVar("ImageType", np.uint8, np.bool_)
+def undo_framing(framing: Framing, images: NDArray[ImageType]) -> NDArray[ImageType]:
+    """Warp images (T, h, w, ...) without bars back to the shape of the conditioning image; 0 where it was cropped.
 
-
-def unframed(framing: Framing, images: NDArray[ImageType]) -> NDArray[ImageType]:
-    """Images (T, h, w, ...) without their bars in the shape of the picture; 0 where it was cropped.
-
-    They get the larger of the two scales, so that nothing of them is lost.
+    The result has the larger of the two scales, so that no resolution is lost.
     """
+    import cv2  # slow to load, and not needed by the commands that import `Framing`
+
     rows, columns = framing.window
     scale = max(framing.scale_x, framing.scale_y)
-    size = round(framing.picture_width * scale), round(framing.picture_height * scale)
+    size = round(framing.image_width * scale), round(framing.image_height * scale)
     if not framing.changes and size == (images.shape[2], images.shape[1]):
         return images
     M = framing.map - [[0.0, 0.0, columns.start], [0.0, 0.0, rows.start]]
     M[:, :2] /= scale
-    M[:, 2] += 0.5 * np.diag(M) - 0.5  # OpenCV's centres are integers
+    M[:, 2] += 0.5 * np.diag(M) - 0.5  # OpenCV's pixel centres are integers
     smooth = images.dtype != np.bool_
     flags = (cv2.INTER_LINEAR if smooth else cv2.INTER_NEAREST) | cv2.WARP_INVERSE_MAP
     source = images if smooth else images.astype(np.uint8)

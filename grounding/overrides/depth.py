@@ -1,4 +1,4 @@
-"""Metric depth in files: from a sensor, a simulator or another estimator."""
+"""Metric depth from files or from another program: a sensor, a simulator, MoGe-2, or a plug-in class."""
 
 import importlib.util
 import sys
@@ -13,7 +13,7 @@ from kinebench_drake.camera import Camera
 from kinebench_drake.errors import InputError, SetupError, UsageError
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.overrides.arrays import (
-    holds_truth,
+    is_demo_truth,
     open_archive,
     pick,
     png_files,
@@ -24,96 +24,114 @@ from kinebench_drake.grounding.overrides.arrays import (
 from kinebench_drake.plugin import is_class_name, load_class
 from kinebench_drake.types import ExternalDepth
 
-_NEAR_M, _FAR_M = 0.02, 50.0  # no scene with a robot in view has a median depth beyond
+_NEAR_M, _FAR_M = 0.02, 50.0  # range of the median depth of a scene with a robot
+_MOGE = "moge:"
 
 
 def depth_files(entry: Path) -> list[Path]:
-    """The files that `read_depth` reads."""
+    """Return the files that `read_depth` reads."""
     return png_files(entry) if entry.is_dir() else [entry]
 
 
 def read_depth(entry: Path, *, exact: bool = False) -> ExternalDepth:
-    """Depth of every frame along the camera's axis; what is not positive and finite is unknown.
+    """Read the depth of every frame along the camera's axis; values that are not positive and finite are unknown.
 
     Args:
-        entry: npz with `depth_m`, `depth_mm` or `depth`, npy, folder of one 16-bit png a frame, or the truth of a
-            demonstration, which is exact. Where the name does not tell, whole numbers are millimetres, others metres.
-        exact: whether the depth can be trusted to a few millimetres.
+        entry: npz with `depth_m`, `depth_mm` or `depth`, npy, folder of one 16-bit png per frame, or the ground truth
+            of a demonstration, which is exact. In `depth` and npy, whole numbers are millimetres, others metres.
+        exact: True if the depth is accurate to a few millimetres.
 
     Raises:
         InputError: it cannot be read, or is no depth in metres.
     """
     if entry.is_dir():
-        pictures = read_pngs(entry)
-        if pictures.ndim != 3 or pictures.dtype.itemsize < 2:
-            raise InputError(f"{entry.name}/: the pictures have 8 bits or colours, expected 16-bit grey in millimetres")
-        return ExternalDepth(depth_m=_metres(pictures, "depth_mm", entry), exact=exact)
+        images = read_pngs(entry)
+        if images.ndim != 3 or images.dtype.itemsize < 2:
+            raise InputError(f"{entry.name}/: the images have 8 bits or colours, expected 16-bit grey in millimetres")
+        return ExternalDepth(depth_m=_metres(images, "depth_mm", entry), exact=exact)
     if entry.suffix == ".npy":
         return ExternalDepth(depth_m=_metres(read_npy(entry), "depth", entry), exact=exact)
     with open_archive(entry) as archive:
-        if holds_truth(archive):
+        if is_demo_truth(archive):
             return ExternalDepth(depth_m=true_depth(archive), exact=True)
         name, array = pick(archive, ("depth_m", "depth_mm", "depth"), entry)
         return ExternalDepth(depth_m=_metres(array, name, entry), exact=exact)
 
 
-def known_depth(depth_m: Array, source: str) -> Array:
-    """Depth with 0 where it is unknown.
-
-    Args:
-        depth_m: (T, H, W) along the camera's axis [m].
-        source: what messages call it.
+def _checked_depth(depth_m: Array, source: str) -> Array:
+    """Return depth (T, H, W) [m] with 0 where it is unknown; `source` names it in messages.
 
     Raises:
-        InputError: nothing is known, or it cannot be in metres.
+        InputError: all of it is unknown, or it cannot be in metres.
     """
-    seen = np.isfinite(depth_m) & (depth_m > 0)
-    if not seen.any():
+    valid = np.isfinite(depth_m) & (depth_m > 0)
+    if not valid.any():
         raise InputError(f"{source}: no depth is known in any frame; expected metres, positive before the camera")
-    median = float(np.median(depth_m[seen]))
+    median = float(np.median(depth_m[valid]))
     if not _NEAR_M <= median <= _FAR_M:
-        raise InputError(f"{source}: the median depth is {median:.4g} m; is it in another unit than said?")
-    return np.where(seen, depth_m, 0.0)
+        raise InputError(f"{source}: the median depth is {median:.4g} m; expected metres (another unit?)")
+    return np.where(valid, depth_m, 0.0)
 
 
 def _metres(array: NDArray[np.generic], name: str, entry: Path) -> Array:
     if array.dtype.kind not in "iuf":
         raise InputError(f"{entry.name}: the depth is {array.dtype}, expected numbers")
     whole_mm = name == "depth_mm" or (name == "depth" and array.dtype.kind in "iu")
-    return known_depth(array.astype(np.float64) / (1000.0 if whole_mm else 1.0), entry.name)
-
-
-_MOGE = "moge:"
+    return _checked_depth(array.astype(np.float64) / (1000.0 if whole_mm else 1.0), entry.name)
 
 
 class DepthSource(Protocol):
-    """Another program's metric depth. A class that is named on the command line is made without arguments."""
+    """Metric depth of another program; a class named on the command line is created without arguments."""
 
     def depth(self, frames: NDArray[np.uint8], camera: Camera) -> NDArray[np.floating]:
-        """Depth (T, H, W) along the camera's axis [m] of frames (T, H, W, 3) in RGB; 0 or not finite where unknown.
+        """Estimate depth (T, H, W) along the camera's axis [m]; 0 or not finite where unknown.
 
         Args:
-            frames: the whole video.
-            camera: what it was taken with, at the size of its frames.
+            frames: (T, H, W, 3) RGB, the whole video.
+            camera: camera of the frames, at their size.
         """
         ...
 
 
+class MogeDepth:
+    """Depth by a checkpoint of MoGe-2, given the camera's field of view; on a GPU if there is one."""
+
+    def __init__(self, checkpoint: Path) -> None:
+        """Load the network from the file `checkpoint`, such as model.pt."""
+        import torch
+        from moge.model.v2 import MoGeModel
+
+        self._device = "cuda" if torch.cuda.is_available() else "cpu"
+        self._model = MoGeModel.from_pretrained(str(checkpoint)).to(self._device).eval()
+
+    def depth(self, frames: NDArray[np.uint8], camera: Camera) -> NDArray[np.floating]:
+        """Estimate depth (T, H, W) of frames (T, H, W, 3) [m]; 0 where the network finds no surface."""
+        import torch
+
+        fov_x_deg = float(np.degrees(2.0 * np.arctan(camera.width / (2.0 * camera.fx))))
+        depth_m = np.zeros(frames.shape[:3], np.float32)
+        for i, frame in enumerate(frames):
+            image = torch.from_numpy(frame / np.float32(255.0)).permute(2, 0, 1).to(self._device)
+            output = self._model.infer(image, fov_x=fov_x_deg, use_fp16=self._device == "cuda")
+            depth_m[i] = np.nan_to_num(output["depth"].float().cpu().numpy(), nan=0.0, posinf=0.0)  # inf: no surface
+        return depth_m
+
+
 def is_depth_source(spec: str) -> bool:
-    """Whether `spec` has the form `moge:CHECKPOINT` or `module:Class`."""
+    """Return whether `spec` has the form `moge:CHECKPOINT` or `module:Class`."""
     return spec.startswith(_MOGE) or is_class_name(spec)
 
 
 def depth_source_name(spec: str) -> str:
-    """The spec as results name it: a checkpoint by its last name only."""
+    """Return the spec for results: a checkpoint by its file name only."""
     return _MOGE + Path(spec.removeprefix(_MOGE)).name if spec.startswith(_MOGE) else spec
 
 
 def check_depth_source(spec: str) -> None:
-    """Hold a spec against this machine without loading a network.
+    """Check that everything a spec names exists, without loading a network.
 
     Raises:
-        UsageError: there is no such checkpoint, package, module or class; the message says what to do.
+        UsageError: checkpoint, package, module or class does not exist; the message says how to fix it.
     """
     if spec.startswith(_MOGE):
         checkpoint = Path(spec.removeprefix(_MOGE))
@@ -122,7 +140,7 @@ def check_depth_source(spec: str) -> None:
                 f"--depth {spec}: there is no file {checkpoint}; expected a MoGe-2 checkpoint, such as model.pt of "
                 "Ruicheng/moge-2-vits-normal on Hugging Face"
             )
-        if not _is_there("moge.model.v2"):
+        if not _is_importable("moge.model.v2"):
             raise UsageError(
                 f"--depth {spec}: MoGe-2 is not installed; pip install git+https://github.com/microsoft/MoGe.git"
             )
@@ -133,7 +151,7 @@ def check_depth_source(spec: str) -> None:
 
 
 def depth_source_files(spec: str) -> list[Path]:
-    """What a plug-in consists of, as far as that can be told: the checkpoint, or the file of the class's module."""
+    """Return the files of a plug-in, as far as known: the checkpoint, or the file of the class's module."""
     if spec.startswith(_MOGE):
         return [Path(spec.removeprefix(_MOGE))]
     file = getattr(sys.modules[_class_of(spec).__module__], "__file__", None)
@@ -142,46 +160,44 @@ def depth_source_files(spec: str) -> list[Path]:
 
 @lru_cache(maxsize=4)
 def load_depth_source(spec: str) -> DepthSource:
-    """The estimator that `moge:CHECKPOINT` or `module:Class` names; once a process.
+    """Create the estimator `moge:CHECKPOINT` or `module:Class`, once per process.
 
     Raises:
-        UsageError: there is none.
-        SetupError: it cannot be made ready.
+        UsageError: it does not exist.
+        SetupError: it cannot be created.
     """
     check_depth_source(spec)
     try:
         if spec.startswith(_MOGE):
-            from kinebench_drake.grounding.overrides.moge import MogeDepth
-
             return MogeDepth(Path(spec.removeprefix(_MOGE)))
         return cast(DepthSource, _class_of(spec)())
     except Exception as error:  # another program's code, which may raise anything
-        raise SetupError(f"--depth {spec}: cannot be made ready ({type(error).__name__}: {error})") from error
+        raise SetupError(f"--depth {spec}: cannot be created ({type(error).__name__}: {error})") from error
 
 
 def estimate_depth(spec: str, frames: NDArray[np.uint8], camera: Camera, *, exact: bool = False) -> ExternalDepth:
-    """Depth of a video by a plug-in.
+    """Estimate the depth of a video by a plug-in.
 
     Args:
         spec: `moge:CHECKPOINT` or `module:Class`.
         frames: (T, H, W, 3) RGB.
-        camera: what they were taken with, at their size.
-        exact: whether the depth can be trusted to a few millimetres.
+        camera: camera of the frames, at their size.
+        exact: True if the depth is accurate to a few millimetres.
 
     Raises:
-        InputError: what the plug-in gives is no depth in metres.
-        UsageError: there is no such plug-in.
-        SetupError: it cannot be made ready.
+        InputError: the output of the plug-in is no depth in metres.
+        UsageError: the plug-in does not exist.
+        SetupError: it cannot be created.
     """
     depth_m: Array = np.asarray(load_depth_source(spec).depth(frames, camera), dtype=np.float64)
-    return ExternalDepth(depth_m=known_depth(depth_m, f"--depth {depth_source_name(spec)}"), exact=exact)
+    return ExternalDepth(depth_m=_checked_depth(depth_m, f"--depth {depth_source_name(spec)}"), exact=exact)
 
 
 def _class_of(spec: str) -> type:
     return load_class(spec, option="--depth", method="depth", arguments="frames, camera")
 
 
-def _is_there(module: str) -> bool:
+def _is_importable(module: str) -> bool:
     try:
         return module in sys.modules or importlib.util.find_spec(module) is not None
     except (ImportError, ValueError):

@@ -1,4 +1,4 @@
-"""Which stages of the grounding are done elsewhere, and where their results are."""
+"""Overrides of grounding stages: where masks, depth and poses of other programs are read from."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -24,16 +24,16 @@ from kinebench_drake.grounding.overrides.poses import pose_files, read_poses
 from kinebench_drake.types import InitialState, Priors
 
 TRUTH, TRACKS = "truth", "tracks"
-"""Subfolders: of a demonstration folder, and of the output folder of another run."""
+"""Subfolder of a demonstration folder, and of the output folder of another run."""
 
 
 def find_entry(folder: Path, names: Sequence[str], places: Sequence[str] = (TRUTH,)) -> Path:
-    """The file `NAME.npz` or `NAME.npy` or the folder `NAME/` that belongs to a video.
+    """Find the file `NAME.npz` or `NAME.npy` or the folder `NAME/` that belongs to a video.
 
     Args:
-        folder: where to look.
-        names: what the video is called, the best name first.
-        places: subfolders that go before the folder itself: there the videos themselves may lie, under the same names.
+        folder: folder to search.
+        names: names of the video, the preferred one first.
+        places: subfolders to search before the folder itself, which may hold the videos under the same names.
 
     Raises:
         InputError: there is none.
@@ -45,29 +45,31 @@ def find_entry(folder: Path, names: Sequence[str], places: Sequence[str] = (TRUT
                     return file
             if (folder / place / name).is_dir():
                 return folder / place / name
-    told = " or ".join(f"{name}.npz, {name}.npy, {name}/" for name in names)
+    expected = " or ".join(f"{name}.npz, {name}.npy, {name}/" for name in names)
     where = " and ".join(f"{place}/" for place in places)
-    raise InputError(f"{folder.resolve().name} has nothing for this video: looked for {told} in it and in its {where}")
+    raise InputError(
+        f"{folder.resolve().name} has nothing for this video: looked for {expected} in it and in its {where}"
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Overrides:
-    """What the command line names in place of stages; light, so that it can be handed to other processes."""
+    """Sources of masks, depth and poses named on the command line; picklable, unlike their content."""
 
     masks: Path | None = None
     """Folder of masks."""
     depth: str | None = None
-    """Folder of depth, or `moge:CHECKPOINT` or `module:Class`."""
+    """Folder of depth, `moge:CHECKPOINT` or `module:Class`."""
     poses: Path | None = None
     """Folder of poses."""
     depth_exact: bool = False
-    """Whether the depth can be trusted to a few millimetres."""
+    """True if the depth is accurate to a few millimetres."""
 
     def __post_init__(self) -> None:
-        """Check that everything named is there.
+        """Check that all sources exist.
 
         Raises:
-            UsageError: it is not.
+            UsageError: one does not exist, or `depth_exact` is set without `depth`.
         """
         if self.depth_exact and self.depth is None:
             raise UsageError("--depth-exact says how good the depth of --depth is; give that as well")
@@ -84,13 +86,13 @@ class Overrides:
 
     @property
     def folders(self) -> tuple[Path, ...]:
-        """The folders named: their pictures are no videos."""
+        """Folders of the overrides: their images are no videos."""
         named = (self.masks, self._depth_folder, self.poses)
         return tuple(folder for folder in named if folder is not None)
 
     @property
     def names(self) -> dict[str, str]:
-        """What takes the place of each replaced stage, as results name it: without the paths of this machine."""
+        """Source of each replaced stage, for results: without absolute paths."""
         named = {"masks": self.masks, "depth": self._depth_folder, "poses": self.poses}
         names = {stage: folder.resolve().name for stage, folder in named.items() if folder is not None}
         if self._plug_in is not None:
@@ -98,7 +100,7 @@ class Overrides:
         return dict(sorted(names.items()))
 
     def files(self, video: Sequence[str]) -> list[Path]:
-        """All files that `known` reads for a video, in a fixed order; those that are there."""
+        """Return the files that `priors` reads for a video, in a fixed order; `video` as in `priors`."""
         files: list[Path] = []
         try:
             if self.masks is not None:
@@ -108,45 +110,45 @@ class Overrides:
             if self.poses is not None:
                 files += pose_files(self.poses, find_entry(self.poses, video, (TRUTH, TRACKS)))
         except InputError:
-            return files  # the video becomes an error, and errors are never kept
+            return files  # the video becomes an error row, which is never reused
         return [*files, *(depth_source_files(self._plug_in) if self._plug_in is not None else [])]
 
-    def known(
+    def priors(
         self, video: Sequence[str], frames: NDArray[np.uint8], camera: Camera, first: InitialState | None = None
     ) -> Priors:
-        """What is known of a video.
+        """Read the priors of a video.
 
         Args:
-            video: what it is called, the best name first.
+            video: names of the video, the preferred one first.
             frames: (T, H, W, 3) RGB.
-            camera: what they were taken with, at their size.
-            first: the robot in the first frame.
+            camera: camera of the frames, at their size.
+            first: state of the robot in the first frame.
 
         Raises:
-            InputError: there is nothing for the video, or it is of another one or broken; the message names the option.
-            SetupError: the plug-in cannot be made ready.
+            InputError: a source has nothing for the video, does not fit it or is broken; the message names the option.
+            SetupError: the plug-in cannot be created.
         """
         mask, depth, poses = None, None, None
         if self.masks is not None:
-            with _told("--masks"):
+            with _naming("--masks"):
                 mask = read_masks(find_entry(self.masks, video))
         if self._depth_folder is not None:
-            with _told("--depth"):
+            with _naming("--depth"):
                 depth = read_depth(find_entry(self._depth_folder, video), exact=self.depth_exact)
         if self.poses is not None:
-            with _told("--poses"):
+            with _naming("--poses"):
                 poses = read_poses(self.poses, find_entry(self.poses, video, (TRUTH, TRACKS)), len(frames))
         if self._plug_in is not None:
             depth = estimate_depth(self._plug_in, frames, camera, exact=self.depth_exact)
-        known = Priors(
+        priors = Priors(
             initial_state=first,
             mask=mask,
             depth=depth,
             X_CH=poses.X_CH if poses else None,
             finger_width_m=poses.finger_width_m if poses else None,
         )
-        known.check_shapes(*frames.shape[:3])
-        return known
+        priors.check_shapes(*frames.shape[:3])
+        return priors
 
     @property
     def _depth_folder(self) -> Path | None:
@@ -158,8 +160,8 @@ class Overrides:
 
 
 @contextmanager
-def _told(option: str) -> Iterator[None]:
-    """Name the option in what goes wrong with its files."""
+def _naming(option: str) -> Iterator[None]:
+    """Prefix the messages of input errors with the option."""
     try:
         yield
     except InputError as error:

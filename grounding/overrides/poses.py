@@ -1,4 +1,4 @@
-"""Poses of the gripper from another tracker."""
+"""Poses of the gripper from files of another tracker."""
 
 import io
 import re
@@ -14,41 +14,40 @@ from kinebench_drake.grounding.overrides.arrays import open_archive, pick, read_
 from kinebench_drake.io.files import read_text
 
 MESH_NAME = "mesh_from_hand.txt"
-"""File with the pose (4, 4) of panda_hand in the frame of the mesh that was tracked."""
-
+"""File with the pose (4, 4) of panda_hand in the frame of the tracked mesh."""
 _FOUNDATION_POSE = "ob_in_cam"
 _FAR_M = 10.0
-_WIDEST_M, _PLAY_M = 0.08, 0.01  # gap between the pads, and what others overshoot
+_MAX_WIDTH_M, _TOLERANCE_M = 0.08, 0.01  # of the gripper width
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PoseOverrides:
-    """What another tracker says of a video."""
+    """Poses and gripper widths of a video from another tracker."""
 
     X_CH: Array
-    """(T, 4, 4) panda_hand in the camera frame [m]; NaN where there is none."""
+    """(T, 4, 4) poses of panda_hand in the camera frame [m]; NaN where there is none."""
     finger_width_m: Array | None = None
-    """(T,) gap between the finger pads [m]; NaN where unknown."""
+    """(T,) gripper width, the gap between the pads [m]; NaN where unknown."""
 
 
 def pose_files(folder: Path, entry: Path) -> list[Path]:
-    """The files that `read_poses` reads."""
+    """Return the files that `read_poses` reads."""
     mesh = folder / MESH_NAME
     own = [file for _, file in _numbered(entry)] if entry.is_dir() else [entry]
     return [*own, *([mesh] if mesh.is_file() else [])]
 
 
 def read_poses(folder: Path, entry: Path, frames: int) -> PoseOverrides:
-    """Poses of panda_hand in the camera frame (OpenCV axes, metres).
+    """Read poses of panda_hand in the camera frame (OpenCV axes, metres).
 
     Args:
-        folder: what the user named; where it holds `mesh_from_hand.txt`, the poses are those of that mesh.
+        folder: folder of all videos' poses; if it has a `mesh_from_hand.txt`, the poses are those of that mesh.
         entry: npz with `camera_from_hand` (T, 4, 4) and optional `finger_width_m` (T,) and `tracked` (T,), such as a
-            track file; npy (T, 4, 4); or a folder of 4x4 text matrices, its own or its `ob_in_cam/`, one a frame.
-        frames: frames T of the video.
+            track file; npy (T, 4, 4); or a folder with one 4x4 text matrix per frame, in itself or its `ob_in_cam/`.
+        frames: number T of frames of the video.
 
     Raises:
-        InputError: it cannot be read, or the poses are none.
+        InputError: it cannot be read, or its values are no poses.
     """
     width: Array | None = None
     if entry.is_dir():
@@ -72,7 +71,7 @@ def read_poses(folder: Path, entry: Path, frames: int) -> PoseOverrides:
 
 
 def _checked(X: Array, entry: Path) -> Array:
-    """The poses that are finite, made exactly rigid, NaN elsewhere."""
+    """Return the finite poses, made exactly rigid, and NaN elsewhere."""
     rigid = np.full_like(X, np.nan)
     for number in np.flatnonzero(np.isfinite(X).all(axis=(1, 2))):
         rigid[number] = _rigid(X[number], f"{entry.name}: the pose of frame {number}")
@@ -85,13 +84,13 @@ def _checked(X: Array, entry: Path) -> Array:
 
 
 def _checked_width(width_m: Array, entry: Path) -> Array:
-    known = width_m[np.isfinite(width_m)]
-    if len(known) and not -_PLAY_M <= known.min() <= known.max() <= _WIDEST_M + _PLAY_M:
+    finite = width_m[np.isfinite(width_m)]
+    if len(finite) and not -_TOLERANCE_M <= finite.min() <= finite.max() <= _MAX_WIDTH_M + _TOLERANCE_M:
         raise InputError(
-            f"{entry.name}: finger_width_m goes from {known.min():.4g} to {known.max():.4g}, expected metres from 0 to "
-            f"{_WIDEST_M:g} between the pads"
+            f"{entry.name}: finger_width_m goes from {finite.min():.4g} to {finite.max():.4g}, expected metres from "
+            f"0 to {_MAX_WIDTH_M:g} between the pads"
         )
-    return np.clip(np.where(np.isfinite(width_m), width_m, np.nan), 0.0, _WIDEST_M)
+    return np.clip(np.where(np.isfinite(width_m), width_m, np.nan), 0.0, _MAX_WIDTH_M)
 
 
 def _rigid(X: Array, name: str) -> Array:
@@ -108,21 +107,21 @@ def _numbers(array: NDArray[np.generic], entry: Path) -> Array:
 
 
 def _numbered(folder: Path) -> list[tuple[int, Path]]:
-    """Text files and the last number in their names, in the order of the numbers."""
+    """Return the text files with the last number in their names, sorted by it."""
     inner = folder / _FOUNDATION_POSE
-    found = []
+    numbered = []
     for file in (inner if inner.is_dir() else folder).glob("*.txt"):
         digits = re.findall(r"\d+", file.stem)
         if digits:
-            found.append((int(digits[-1]), file))
-    return sorted(found)
+            numbered.append((int(digits[-1]), file))
+    return sorted(numbered)
 
 
 def _read_texts(folder: Path, frames: int) -> Array:
-    """One matrix a frame; NaN where there is no file.
+    """Read one matrix per frame; NaN where there is no file.
 
-    Frames count from 0; from 1 where that is the only way to fit them in. As many consecutive numbers as frames are
-    taken in order, wherever they begin.
+    Numbers start at 0, or at 1 if the last one is the number of frames; a complete run of consecutive numbers may
+    start anywhere.
     """
     files = _numbered(folder)
     if not files:

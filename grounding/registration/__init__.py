@@ -1,1 +1,1 @@
-"""Registration of the CAD model to one frame: correspondences, least squares, silhouette, ICP."""
+"""Registration of the CAD model to one frame: correspondences, least squares, silhouette, arm, ICP."""

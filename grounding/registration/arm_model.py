@@ -1,4 +1,4 @@
-"""The Panda's arm as a body to be fitted: where its parts are at a posture, and how they move with the joints."""
+"""Model of the arm for fitting: poses of its parts at a posture, and their derivatives by the joint angles."""
 
 from dataclasses import dataclass, replace
 from typing import Self
@@ -7,23 +7,23 @@ import numpy as np
 
 from kinebench_drake.geometry import Array, invert
 from kinebench_drake.grounding.registration.correspondences import Correspondences
-from kinebench_drake.grounding.registration.fit import opened, opening_information
+from kinebench_drake.grounding.registration.fit import clip_finger, finger_information
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.models.panda.robot import ARM_LINKS, GRIPPER, HAND_LINK, LINK_OF, RobotPart
 
 OVER_LIMIT_RAD = 0.1
-"""By which a posture may exceed a joint's limits: the pose that asks for it is not exact yet."""
-_POSTURE_SIGMA_RAD = 0.7  # by which the fit leaves the first posture where nothing is seen of it
+"""Tolerance of the joint limits: the pose that a posture is computed from is not exact yet."""
+_POSTURE_SIGMA_RAD = 0.7  # prior standard deviation of the joint angles about the initial posture
 
 
 class ArmModel:
-    """Link poses and joint axes of the Panda, and which joint moves what."""
+    """Poses of the Panda's parts and joint axes by posture, and which joint moves which part."""
 
     def __init__(self) -> None:
-        """Load the plant.
+        """Load the kinematics.
 
         Raises:
-            SetupError: the Panda's files are missing.
+            SetupError: the robot description is missing.
         """
         plant = ArmPlant()
         self.lower, self.upper = plant.lower, plant.upper
@@ -33,34 +33,39 @@ class ArmModel:
         self._stage = np.array([0, *(self._chain.stage[name] for name in names)])
         self._home = np.stack([np.eye(4), *(self._chain.home[name] for name in names)])
         self.moves = np.stack([np.zeros(7), *(self._chain.carries(name) for name in names)])
-        """(PARTS, 7) 1 where a joint moves a part, else 0."""
+        """(PARTS, 7) 1 if the joint moves the part, else 0."""
         self.X_HF = invert(self._chain.home[HAND_LINK]) @ self._chain.home[ARM_LINKS[-1]]
-        """(4, 4) the flange in the hand's frame [m]."""
+        """(4, 4) pose of the flange in the hand frame [m]."""
 
     def poses(self, q: Array) -> Array:
-        """(M, PARTS, 4, 4) frames of the parts' CAD coordinates in B, fingers closed, at postures `q` (M, 7)."""
+        """Return the poses (M, PARTS, 4, 4) of the parts' CAD frames in B, fingers closed, at postures `q` (M, 7)."""
         return np.asarray(self._chain.motions(q)[:, self._stage] @ self._home)
 
     def poses_and_axes(self, q: Array) -> tuple[Array, Array, Array]:
-        """Of one posture (7,): poses (PARTS, 4, 4), the joints' axes (7, 3) and a point (7, 3) on each, all in B."""
+        """Return poses (PARTS, 4, 4), joint axes (7, 3) and a point (7, 3) on each axis in B, at one posture (7,)."""
         M = self._chain.motions(q[None])
         axis, point = self._chain.axes(M)
         return np.asarray(M[0, self._stage] @ self._home), axis[0], point[0]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class FittedArm:
-    """An arm with its gripper: seven joints and the opening are unknown."""
+class ArmHandModel:
+    """`FitModel` of an arm with its hand; 8 parameters: joint angles, finger travel."""
 
     model: ArmModel
     X_CB: Array
+    """(4, 4) pose of the base in the camera frame [m]."""
     q: Array
+    """(7,) joint angles [rad]."""
     q_start: Array
+    """(7,) mean of their prior [rad]."""
     finger_m: float
-    opening_free: bool
+    """Travel of each finger [m]."""
+    finger_free: bool
+    """True if the travel is estimated."""
 
-    def points(self, cells: Correspondences) -> tuple[Array, Array]:
-        """See `Body`."""
+    def predict(self, cells: Correspondences) -> tuple[Array, Array]:
+        """Return the CAD points (N, 3) in the camera frame [m] and their derivatives (N, 3, 8)."""
         X_BP, axis, point = self.model.poses_and_axes(self.q)
         X = X_BP[cells.part]
         opened_P = cells.p_P + cells.opening_sign[:, None] * np.array([0.0, self.finger_m, 0.0])
@@ -76,21 +81,21 @@ class FittedArm:
         return p_B @ R_CB.T + self.X_CB[:3, 3], R_CB @ d_B
 
     def prior(self) -> tuple[Array, Array]:
-        """See `Body`: joints stay near their first angles unless something is seen of them."""
+        """Return the information (8, 8) that keeps unobserved joints near `q_start`, and its gradient (8,)."""
         information = np.eye(8) / _POSTURE_SIGMA_RAD**2
-        information[7, 7] = opening_information(self.opening_free)
+        information[7, 7] = finger_information(self.finger_free)
         gradient = np.zeros(8)
         gradient[:7] = (self.q - self.q_start) / _POSTURE_SIGMA_RAD**2
         return information, gradient
 
-    def moved(self, step: Array) -> Self:
-        """See `Body`; joints end at their limits."""
+    def updated(self, step: Array) -> Self:
+        """Return the arm after a change (8,) of its parameters, within the joint limits."""
         over = OVER_LIMIT_RAD
         q = np.clip(self.q + step[:7], self.model.lower - over, self.model.upper + over)
-        return replace(self, q=q, finger_m=opened(self.finger_m, step[7]))
+        return replace(self, q=q, finger_m=clip_finger(self.finger_m + step[7]))
 
     def hand(self) -> tuple[Array, Array]:
-        """Pose (4, 4) of the hand in C and its derivatives (6, 7), rotation first, by the joints, in C."""
+        """Return the pose (4, 4) of the hand in C [m] and its derivatives (6, 7) by the joints, rotation first."""
         X_BP, axis, point = self.model.poses_and_axes(self.q)
         p = X_BP[RobotPart.HAND, :3, 3]
         J_B = np.concatenate([axis.T, np.cross(axis, p - point).T])

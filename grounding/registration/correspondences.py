@@ -1,4 +1,4 @@
-"""Cells of views as measurements: the direction in which each looks, how far it sees, which point of the CAD model."""
+"""Correspondences between cells of views and CAD points: line of sight, range and CAD coordinates of each cell."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
@@ -12,63 +12,63 @@ from kinebench_drake.grounding.view import GripperView
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Correspondences:
-    """N cells, of one view or of several that share the camera's centre."""
+    """N correspondences, from one view or several that share the camera's centre."""
 
     R_LC: Array
-    """(N, 3, 3) from the camera frame C into a frame of the cell's own whose z axis is its line of sight."""
+    """(N, 3, 3) rotation from the camera frame C to a frame L whose z axis is the line of sight."""
     range_m: Array
     """(N,) distance along the line of sight [m]."""
     range_sigma: Array
-    """(N,) its standard deviation, relative."""
+    """(N,) relative standard deviation of the range; inf if there is none."""
     p_P: Array
-    """(N, 3) point seen in the frame of its part [m]; see `GripperView.coordinates_P`."""
+    """(N, 3) CAD point in the frame of its part [m], as in `GripperView.coordinates_P`."""
     sigma_m: Array
-    """(N, 2) standard deviation across the line of sight, along the first axes of L [m]; inf where nothing is said."""
+    """(N, 2) standard deviation along the first two axes of L [m]; inf where the point is unconstrained."""
     part: NDArray[np.uint8]
-    """(N,) values of `Part`."""
+    """(N,) values of `RobotPart`."""
     opening_sign: Array
-    """(N,) where the cell goes along the hand's y axis as the gripper opens: 1, -1 or, but for fingers, 0."""
+    """(N,) direction along the hand's y axis as the fingers open: 1 or -1 on a finger, else 0."""
     weight: Array
-    """(N,) how many independent measurements it is worth: cells next to each other err alike."""
+    """(N,) number of independent measurements that it counts as: adjacent cells have correlated errors."""
 
     def __len__(self) -> int:
-        """Number of cells."""
+        """Return the number N of correspondences."""
         return len(self.range_m)
 
     @property
     def p_C(self) -> Array:
-        """(N, 3) points seen, by their ranges, in the camera frame [m]."""
+        """(N, 3) points in the camera frame according to their ranges [m]."""
         return np.asarray(self.R_LC[:, 2] * self.range_m[:, None])
 
-    def take(self, chosen: NDArray[np.generic]) -> "Correspondences":
-        """Some of the cells, by index or mask."""
-        return Correspondences(**{f.name: getattr(self, f.name)[chosen] for f in fields(self)})
+    def take(self, index: NDArray[np.generic]) -> "Correspondences":
+        """Return a subset, by index or mask."""
+        return Correspondences(**{f.name: getattr(self, f.name)[index] for f in fields(self)})
 
     @staticmethod
-    def join(several: "Sequence[Correspondences]") -> "Correspondences":
-        """The cells of several views."""
+    def join(parts: "Sequence[Correspondences]") -> "Correspondences":
+        """Concatenate correspondences."""
         return Correspondences(
-            **{f.name: np.concatenate([getattr(c, f.name) for c in several]) for f in fields(Correspondences)}
+            **{f.name: np.concatenate([getattr(c, f.name) for c in parts]) for f in fields(Correspondences)}
         )
 
     @staticmethod
-    def of_view(view: GripperView, wanted: NDArray[np.bool_], limit: int, independent: float) -> "Correspondences":
-        """The `wanted` cells (h, w) of a view, every so many if there are more than `limit`.
+    def of_view(view: GripperView, mask: NDArray[np.bool_], limit: int, independent: float) -> "Correspondences":
+        """Return the correspondences of the cells in `mask` (h, w).
 
         Args:
-            view: the view.
-            wanted: (h, w) which of its cells.
-            limit: greatest number of cells.
-            independent: what all of them together are worth at most, in independent measurements.
+            view: dense estimates.
+            mask: (h, w) cells to use.
+            limit: greatest number of cells; more are subsampled evenly.
+            independent: greatest total weight.
         """
-        v, u = np.nonzero(wanted)
+        v, u = np.nonzero(mask)
         if len(v) > limit:
-            chosen = np.linspace(0, len(v) - 1, limit).astype(int)
-            v, u = v[chosen], u[chosen]
+            subset = np.linspace(0, len(v) - 1, limit).astype(int)
+            v, u = v[subset], u[subset]
         rays = view.rays()[v, u] @ view.crop.R_CV.T
         length = np.linalg.norm(rays, axis=1)
         return Correspondences(
-            R_LC=_frames(rays / length[:, None]),
+            R_LC=_line_frames(rays / length[:, None]),
             range_m=view.depth_m[v, u] * length,
             range_sigma=view.depth_sigma[v, u],
             p_P=view.coordinates_P[v, u],
@@ -79,8 +79,8 @@ class Correspondences:
         )
 
 
-def _frames(z: Array) -> Array:
-    """Rotations (N, 3, 3) whose third rows are the unit vectors `z` (N, 3)."""
-    x = np.cross([0.0, 1.0, 0.0], z)  # lines of sight are near the camera's axis, never along its y
+def _line_frames(z: Array) -> Array:
+    """Return rotations (N, 3, 3) whose third rows are the unit vectors `z` (N, 3)."""
+    x = np.cross([0.0, 1.0, 0.0], z)  # a line of sight is never parallel to the camera's y axis
     x /= np.linalg.norm(x, axis=1, keepdims=True)
     return np.stack([x, np.cross(z, x), z], axis=1)

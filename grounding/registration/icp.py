@@ -1,8 +1,8 @@
-"""Refinement of a pose against the CAD surface: robust point-to-plane ICP (Open3D) on what the camera can see of it.
+"""Refinement of a pose by robust point-to-plane ICP (Open3D) against the visible CAD surface.
 
-The CAD model is rendered from the current pose, and the observed cloud is registered to that visible surface alone, so
-that points never match the far side. Gates shrink from pass to pass. Point-to-plane ICP after Chen and Medioni (1992),
-robust kernels after Babin et al. (ICRA 2019) as in Open3D.
+The CAD model is rendered at the current pose, and the observed cloud is registered to that visible surface alone, so
+that points never match the far side. The largest distance of matched points shrinks from pass to pass. Point-to-plane
+ICP after Chen and Medioni (1992), robust kernels after Babin et al. (ICRA 2019) as in Open3D.
 """
 
 from dataclasses import dataclass
@@ -15,11 +15,15 @@ from kinebench_drake.geometry import Array, invert, transform_points
 from kinebench_drake.grounding.view import GripperView
 from kinebench_drake.models.panda.cad import GripperCad
 
-_EDGE_JUMP = 0.03  # relative depth step to a neighbour beyond which a cell straddles an edge
+GATES_M = (0.03, 0.015, 0.008, 0.004)
+"""Largest distance between matched points in each pass [m]."""
+_MIN_POINTS = 30
+_MAX_ITERATIONS = 12
+_EDGE_JUMP = 0.03  # relative depth step to an adjacent cell that marks a depth edge
 
 
 def gripper_cloud(view: GripperView) -> Array:
-    """Points (N, 3) [m] of the view's gripper cells in V, cells on depth edges left out."""
+    """Return the points (N, 3) of the gripper cells in V [m], without cells on depth edges."""
     depth = np.where(view.gripper, view.depth_m, np.nan)
     jump = np.zeros(depth.shape, dtype=bool)
     for axis in (0, 1):
@@ -31,18 +35,12 @@ def gripper_cloud(view: GripperView) -> Array:
     return np.asarray(view.rays()[keep] * depth[keep][:, None])
 
 
-GATES_M = (0.03, 0.015, 0.008, 0.004)
-"""Largest distance between matched points in each pass [m]."""
-_MIN_POINTS = 30
-_MAX_ITERATIONS = 12
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Registration:
-    """A refined pose and how well the cloud lies on the model there."""
+    """Pose refined by ICP."""
 
     X_VH: Array
-    """(4, 4) pose of panda_hand in the crop's camera [m]."""
+    """(4, 4) pose of panda_hand in the crop's camera V [m]."""
     fitness: float
     """Fraction of the observed points within the last gate of the visible surface."""
     rmse_m: float
@@ -62,7 +60,7 @@ class IcpRefiner:
         self._icp: Any = open3d.pipelines.registration
 
     def refine(self, view: GripperView, X_VH: Array, finger_m: float) -> Registration | None:
-        """Refine `X_VH` (4, 4) on the view's cloud; None when too few points match to say anything."""
+        """Refine `X_VH` (4, 4) on the view's cloud, fingers at travel `finger_m`; None if too few points match."""
         cloud_V = gripper_cloud(view)
         if len(cloud_V) < _MIN_POINTS:
             return None

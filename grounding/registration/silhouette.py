@@ -1,9 +1,9 @@
-"""The gripper's outline as measurements: where the rendered gripper ends, the seen one should.
+"""Silhouette of the gripper as measurements: its rendered rim should coincide with the segmented one.
 
-Points of the CAD model on the rim of its rendered outline are paired with the nearest point of the seen outline, across
-which they should move; along it nothing is said (as in Drummond and Cipolla, "Real-time visual tracking of complex
-structures", PAMI 2002, with the outline of a mask in place of image edges). Fingers count as opened as they are: their
-gap is told by their cells alone, for a mask shows it only from the front and then too coarsely.
+CAD points on the rim of the rendered silhouette are paired with the nearest point of the segmented one; the distance
+across it is a residual, along it the point is unconstrained (as in Drummond and Cipolla, "Real-time visual tracking of
+complex structures", PAMI 2002, with the rim of a mask in place of image edges). The silhouette does not change the
+finger travel: a mask shows the gap only from the front and then too coarsely, so the travel comes from the cells.
 """
 
 import cv2
@@ -14,59 +14,61 @@ from scipy.ndimage import distance_transform_edt
 from kinebench_drake.geometry import Array, invert, transform_points
 from kinebench_drake.grounding.registration.correspondences import Correspondences
 from kinebench_drake.grounding.view import GripperView
-from kinebench_drake.models.panda.cad import GripperCad
+from kinebench_drake.models.panda.cad import CadSurface, GripperCad
 from kinebench_drake.models.panda.robot import ARM
 
 GATE_CELLS = 4.0
-"""Farthest pairs of rendered and seen outline, where the pose is near the right one."""
-_SIGMA_CELLS = 0.5  # how exactly a mask shows an outline
-_INDEPENDENT = 80.0  # measurements that an outline is worth at most
-_LEAST_AGREEMENT = 0.3  # cosine between the normals of rendered and seen outline
+"""Farthest pairs of rendered and segmented rim, for a pose near the true one [cells]."""
+_SIGMA_CELLS = 0.5  # standard deviation of the rim of a mask
+_INDEPENDENT = 80.0  # independent measurements that a silhouette counts as at most
+_MIN_COSINE = 0.3  # between the normals of rendered and segmented rim
 _MIN_POINTS = 12
 
 
-class Silhouette:
-    """Pairs the rim of the rendered gripper with the seen outline."""
+class SilhouetteMatcher:
+    """Comparison of the rendered with the segmented silhouette of the gripper."""
 
     def __init__(self, cad: GripperCad) -> None:
         self._cad = cad
 
     def overlap(self, view: GripperView, X_CH: Array, finger_m: float) -> float:
-        """Intersection over union of the seen and the rendered gripper in the picture, links before it left out."""
-        X_VH = invert(view.crop.X_CV) @ X_CH
-        part = self._cad.cast(X_VH, view.rays().reshape(-1, 3), finger_m).part.reshape(view.part.shape)
-        rendered, seen = (part > 0) & view.shown, view.gripper & view.shown
-        union = (rendered & ~np.isin(view.part, ARM)) | seen
-        return float((rendered & seen).sum() / max(1, union.sum()))
+        """Return the intersection over union of the segmented and the rendered gripper, links in front excluded."""
+        surface = self._render(view, X_CH, finger_m)
+        part = surface.part.reshape(view.part.shape)
+        rendered, segmented = (part > 0) & view.in_image, view.gripper & view.in_image
+        union = (rendered & ~np.isin(view.part, ARM)) | segmented
+        return float((rendered & segmented).sum() / max(1, union.sum()))
 
-    def rim(self, view: GripperView, X_CH: Array, finger_m: float, gate: float = GATE_CELLS) -> Correspondences | None:
-        """What the outline says of a hand near `X_CH` (4, 4); None where too little of it is seen.
+    def match(
+        self, view: GripperView, X_CH: Array, finger_m: float, gate: float = GATE_CELLS
+    ) -> Correspondences | None:
+        """Return correspondences of the rim for a hand near `X_CH` (4, 4); None if too little of it is visible.
 
         Args:
-            view: what is seen.
-            X_CH: pose of panda_hand in the camera frame [m].
-            finger_m: opening of each finger [m].
-            gate: farthest pairs [cells of the view].
+            view: dense estimates.
+            X_CH: (4, 4) pose of panda_hand in the camera frame [m].
+            finger_m: travel of each finger [m].
+            gate: farthest pairs [cells].
         """
         X_VH = invert(view.crop.X_CV) @ X_CH
         rays = view.rays()
         shape = view.part.shape
-        surface = self._cad.cast(X_VH, rays.reshape(-1, 3), finger_m)
+        surface = self._render(view, X_CH, finger_m)
         part = surface.part.reshape(shape)
-        rendered, seen = (part > 0) & view.shown, view.gripper & view.shown
+        rendered, segmented = (part > 0) & view.in_image, view.gripper & view.in_image
         arm = np.isin(view.part, ARM)
-        if not seen.any() or not rendered.any():
+        if not segmented.any() or not rendered.any():
             return None
-        inside, target = _signed(rendered), _signed(seen)
-        slope_rendered, slope_seen = _slope(inside), _slope(target)
-        rim = rendered & (inside > -1.0) & ~_near(arm) & ~_near(~view.shown) & ~_border(shape)
-        step = target - inside
-        agree = (slope_rendered * slope_seen).sum(axis=-1) > _LEAST_AGREEMENT
+        distance, target = _signed_distance(rendered), _signed_distance(segmented)
+        normal_rendered, normal_segmented = _outward_normal(distance), _outward_normal(target)
+        rim = rendered & (distance > -1.0) & ~_dilated(arm) & ~_dilated(~view.in_image) & ~_border(shape)
+        step = target - distance
+        agree = (normal_rendered * normal_segmented).sum(axis=-1) > _MIN_COSINE
         rim &= agree & (np.abs(step) <= gate)
         v, u = np.nonzero(rim)
         if len(v) < _MIN_POINTS:
             return None
-        normal, move = slope_seen[v, u], step[v, u]
+        normal, move = normal_segmented[v, u], step[v, u]
         normal = normal / np.linalg.norm(normal, axis=1, keepdims=True)
         focal = view.crop.focal / view.stride
         p_V = rays[v, u] * surface.distance.reshape(shape)[v, u, None]
@@ -79,33 +81,36 @@ class Silhouette:
         x /= np.linalg.norm(x, axis=1, keepdims=True)
         R_LV = np.stack([x, np.cross(z, x), z], axis=1)
         sigma = _SIGMA_CELLS / focal * p_V[:, 2]
-        free = np.full(len(v), np.inf)
+        unconstrained = np.full(len(v), np.inf)
         return Correspondences(
             R_LC=R_LV @ view.crop.R_CV.T,
             range_m=np.ones(len(v)),
-            range_sigma=free,
+            range_sigma=unconstrained,
             p_P=p_P,
-            sigma_m=np.column_stack([sigma, free]),
+            sigma_m=np.column_stack([sigma, unconstrained]),
             part=part[v, u],
             opening_sign=np.zeros(len(v)),
             weight=np.full(len(v), min(1.0, _INDEPENDENT / len(v))),
         )
 
+    def _render(self, view: GripperView, X_CH: Array, finger_m: float) -> CadSurface:
+        return self._cad.cast(invert(view.crop.X_CV) @ X_CH, view.rays().reshape(-1, 3), finger_m)
 
-def _signed(mask: NDArray[np.bool_]) -> Array:
-    """Distance (h, w) of each cell's centre from a mask's outline [cells], negative inside."""
+
+def _signed_distance(mask: NDArray[np.bool_]) -> Array:
+    """Return the distance (h, w) of each cell's centre from the rim of a mask [cells], negative inside."""
     return np.asarray(np.where(mask, 0.5 - distance_transform_edt(mask), distance_transform_edt(~mask) - 0.5))
 
 
-def _slope(distance: Array) -> Array:
-    """Unit-length outward direction (h, w, 2) of a distance, x first."""
+def _outward_normal(distance: Array) -> Array:
+    """Return the unit gradient (h, w, 2) of a signed distance, x first."""
     smooth = cv2.GaussianBlur(distance, (0, 0), 1.0)
     dy, dx = np.gradient(smooth)
-    slope = np.stack([dx, dy], axis=-1)
-    return np.asarray(slope / np.maximum(np.linalg.norm(slope, axis=-1, keepdims=True), 1e-6))
+    gradient = np.stack([dx, dy], axis=-1)
+    return np.asarray(gradient / np.maximum(np.linalg.norm(gradient, axis=-1, keepdims=True), 1e-6))
 
 
-def _near(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _dilated(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return np.asarray(cv2.dilate(mask.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0)
 
 

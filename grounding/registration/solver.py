@@ -1,7 +1,7 @@
-"""Robust least squares of a body's unknowns against cells: reprojection and range, with a common factor of the ranges.
+"""Robust least squares of a model's parameters on reprojection and range residuals, with a common depth factor.
 
-The factor matters: an estimated depth errs by nearly the same factor all over the robot, so its shape is trusted more
-than its level, and the level is weighed against the size at which things appear.
+An estimated depth errs by nearly the same factor everywhere on the robot, so a common factor of all ranges is estimated
+as well: the shape of the depth counts more than its absolute value, which is weighed against the apparent size.
 """
 
 from dataclasses import dataclass
@@ -12,46 +12,56 @@ import numpy as np
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.registration.correspondences import Correspondences
 
-_CAUCHY = 2.0  # residual, in standard deviations, that counts half
+_CAUCHY = 2.0  # residual, in standard deviations, whose weight is one half
 _NEAREST_M = 0.05
 
 
 class FitModel(Protocol):
-    """Something with K unknowns that says where its points are."""
+    """Model with K parameters that predicts where CAD points are."""
 
-    def points(self, cells: Correspondences) -> tuple[Array, Array]:
-        """Points (N, 3) of the cells in the camera frame [m] and their derivatives (N, 3, K) by the unknowns."""
+    def predict(self, cells: Correspondences) -> tuple[Array, Array]:
+        """Return the CAD points (N, 3) in the camera frame [m] and their derivatives (N, 3, K) by the parameters."""
         ...
 
     def prior(self) -> tuple[Array, Array]:
-        """Information matrix (K, K) and its gradient (K,) of what is known of the unknowns beforehand."""
+        """Return the information matrix (K, K) of the parameters' prior and the gradient (K,) of its cost."""
         ...
 
-    def moved(self, step: Array) -> Self:
-        """The body after a change (K,) of its unknowns."""
+    def updated(self, step: Array) -> Self:
+        """Return the model after a change (K,) of its parameters."""
         ...
 
 
-BodyType = TypeVar("BodyType", bound=FitModel)
+ModelType = TypeVar("ModelType", bound=FitModel)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Solution(Generic[BodyType]):
-    """Where the body ended."""
+class Solution(Generic[ModelType]):
+    """Result of `solve`."""
 
-    body: BodyType
-    level: float
-    """Logarithm of true over estimated range."""
+    model: ModelType
+    log_depth_factor: float
+    """Logarithm of true range over estimated range."""
     residual: Array
-    """(N, 3) residuals in standard deviations: across the line of sight twice, log range."""
+    """(N, 3) residuals in standard deviations: two across the line of sight, then log range."""
     robust: Array
-    """(N, 3) the weights that outliers have lost, 0..1."""
+    """(N, 3) robust weights, 0..1."""
     information: Array
-    """(K, K) inverse covariance of the unknowns, the level being free."""
+    """(K, K) inverse covariance of the parameters, with the depth factor marginalized."""
 
 
-def residuals(p_C: Array, d_p: Array, cells: Correspondences, level: float) -> tuple[Array, Array]:
-    """Residuals (N, 3) of points (N, 3) and their derivatives (N, 3, K + 1), the level's last, by those of `p_C`."""
+def residuals(p_C: Array, d_p: Array, cells: Correspondences, log_depth_factor: float) -> tuple[Array, Array]:
+    """Return the residuals of predicted points and their derivatives.
+
+    Args:
+        p_C: (N, 3) predicted points in the camera frame [m].
+        d_p: (N, 3, K) their derivatives by the parameters.
+        cells: N correspondences.
+        log_depth_factor: logarithm of true range over estimated range.
+
+    Returns:
+        Residuals (N, 3), as in `Solution`, and their derivatives (N, 3, K + 1), by the log depth factor last.
+    """
     p_L = np.einsum("nij,nj->ni", cells.R_LC, p_C)
     d_L = cells.R_LC @ d_p
     z = p_L[:, 2]
@@ -60,43 +70,48 @@ def residuals(p_C: Array, d_p: Array, cells: Correspondences, level: float) -> t
     r[:, :2] = p_L[:, :2] / across
     J[:, :2, :-1] = (d_L[:, :2] - (p_L[:, :2] / z[:, None])[..., None] * d_L[:, 2:]) / across[..., None]
     sigma = np.hypot(cells.range_sigma, cells.sigma_m[:, 0] / z)
-    r[:, 2] = (np.log(np.maximum(z, 1e-3) / cells.range_m) - level) / sigma
+    r[:, 2] = (np.log(np.maximum(z, 1e-3) / cells.range_m) - log_depth_factor) / sigma
     J[:, 2, :-1] = d_L[:, 2] / (z * sigma)[:, None]
     J[:, 2, -1] = -1.0 / sigma
     return r, J
 
 
 def solve(
-    body: BodyType, cells: Correspondences, level_sigma: float, level: float = 0.0, *, iterations: int = 8
-) -> Solution[BodyType] | None:
-    """Cauchy-weighted Gauss-Newton from `body` on; None if it ends before the camera.
+    model: ModelType,
+    cells: Correspondences,
+    depth_factor_sigma: float,
+    log_depth_factor: float = 0.0,
+    *,
+    iterations: int = 8,
+) -> Solution[ModelType] | None:
+    """Minimize Cauchy-weighted residuals by Gauss-Newton; None if a point ends behind the camera.
 
     Args:
-        body: where to start.
-        cells: what was seen.
-        level_sigma: prior standard deviation of the ranges' common relative error.
-        level: where to start with the ranges' factor.
+        model: initial parameters.
+        cells: correspondences.
+        depth_factor_sigma: prior relative standard deviation of the depth factor.
+        log_depth_factor: initial logarithm of the depth factor.
         iterations: greatest number of steps.
     """
     for _ in range(iterations):
-        _, _, H, g = _normal(body, cells, level_sigma, level)
+        _, _, H, g = _normal_equations(model, cells, depth_factor_sigma, log_depth_factor)
         step: Array = np.asarray(-np.linalg.solve(H + 1e-6 * np.diag(np.diag(H)) + 1e-9 * np.eye(len(H)), g))
-        body, level = body.moved(step[:-1]), level + step[-1]
+        model, log_depth_factor = model.updated(step[:-1]), log_depth_factor + step[-1]
         if np.abs(step).max() < 2e-5:
             break
-    p_C, _ = body.points(cells)
+    p_C, _ = model.predict(cells)
     if not np.isfinite(p_C).all() or (p_C[:, 2] < _NEAREST_M).any():
         return None
-    r, weight, H, _ = _normal(body, cells, level_sigma, level)
+    r, weight, H, _ = _normal_equations(model, cells, depth_factor_sigma, log_depth_factor)
     information = H[:-1, :-1] - np.outer(H[:-1, -1], H[:-1, -1]) / H[-1, -1]
-    return Solution(body=body, level=level, residual=r, robust=weight, information=information)
+    return Solution(model=model, log_depth_factor=log_depth_factor, residual=r, robust=weight, information=information)
 
 
-def _normal(
-    body: FitModel, cells: Correspondences, level_sigma: float, level: float
+def _normal_equations(
+    model: FitModel, cells: Correspondences, depth_factor_sigma: float, log_depth_factor: float
 ) -> tuple[Array, Array, Array, Array]:
-    """Residuals, robust weights, normal matrix and gradient of one step; the last unknown is the level."""
-    r, J = residuals(*body.points(cells), cells, level)
+    """Return residuals, robust weights, normal matrix and gradient; the last unknown is the log depth factor."""
+    r, J = residuals(*model.predict(cells), cells, log_depth_factor)
     size = np.abs(r)
     size[:, :2] = np.linalg.norm(r[:, :2], axis=1, keepdims=True)
     robust = 1.0 / (1.0 + (size / _CAUCHY) ** 2)
@@ -104,9 +119,9 @@ def _normal(
     flat = J.reshape(len(W), -1)
     H = flat.T @ (flat * W[:, None])
     g = flat.T @ (r.reshape(-1) * W)
-    information, gradient = body.prior()
+    information, gradient = model.prior()
     H[:-1, :-1] += information
     g[:-1] += gradient
-    H[-1, -1] += 1.0 / level_sigma**2
-    g[-1] += level / level_sigma**2
+    H[-1, -1] += 1.0 / depth_factor_sigma**2
+    g[-1] += log_depth_factor / depth_factor_sigma**2
     return r, robust, H, g

@@ -167,11 +167,11 @@ def measure_footage(pipeline: GroundingPipeline, file: TruthClipFile, number: in
         observed = pipeline.observe(worse, clip.camera, clip.t_s)
         poses, seen = observed.poses, observed.evidence
         anomalies = find_anomalies(seen).anomalies
-        raw = RawTrack.of(poses, seen.confidence, anomalies, seen.motion.lost, nothing)
-        distance, angle = pose_difference(clip.X_CH, raw.smoothed(raw.found, raw.confidence))
-        features.append(raw.features()[raw.found])
-        position.append(np.where(np.isfinite(distance), distance, np.inf)[raw.found])
-        good.append(((distance <= GOOD_M) & (angle <= GOOD_RAD))[raw.found])
+        raw = RawTrack.from_poses(poses, seen.confidence, anomalies, seen.motion.lost, nothing)
+        distance, angle = pose_difference(clip.X_CH, raw.smooth(raw.has_pose, raw.confidence))
+        features.append(raw.features()[raw.has_pose])
+        position.append(np.where(np.isfinite(distance), distance, np.inf)[raw.has_pose])
+        good.append(((distance <= GOOD_M) & (angle <= GOOD_RAD))[raw.has_pose])
     return HeldOutVideo(
         clip=np.full(sum(map(len, good)), number),
         features=np.concatenate(features),

@@ -14,7 +14,7 @@ from kinebench_drake.closed_loop.commands import CommandPlanner, Commands, Robot
 from kinebench_drake.closed_loop.execution import Execution, execute
 from kinebench_drake.errors import InputError, UnmeasurableError, UsageError
 from kinebench_drake.geometry import Array
-from kinebench_drake.grounding.framing.framing import unframed
+from kinebench_drake.grounding.framing.framing import undo_framing
 from kinebench_drake.grounding.framing.search import find_framing
 from kinebench_drake.grounding.pipeline import GroundingResult
 from kinebench_drake.io.atomic import disk_errors, remove
@@ -166,7 +166,7 @@ class ClosedLoop:
             framing = find_framing(frames, stage.camera, first_frame)
         except UnmeasurableError as error:
             raise InputError(f"{video.name}: {error}") from None
-        shown = framing.cut(frames)
+        shown = framing.crop(frames)
         grounded = self._ground(shown, framing.camera(stage.camera), t_s, known)
         commands, refusal, execution = None, None, None
         try:
@@ -178,8 +178,8 @@ class ClosedLoop:
             execution = execute(stage, commands, options.control)
         return Round(
             video=video,
-            frames=unframed(framing, shown),
-            robot=unframed(framing, grounded.robot),
+            frames=undo_framing(framing, shown),
+            robot=undo_framing(framing, grounded.robot),
             grounded=grounded,
             commands=commands,
             refusal=refusal,

@@ -18,7 +18,7 @@ from kinebench_drake.evaluation.clips import clip_starts, combine, join_tracks
 from kinebench_drake.evaluation.evaluator import KINEMATIC_METRICS, Evaluation, Evaluator
 from kinebench_drake.evaluation.score import VISUAL_METRICS
 from kinebench_drake.evaluation.thumbnail import encode_strip
-from kinebench_drake.grounding.overlay import caption
+from kinebench_drake.grounding.overlay import draw_caption
 from kinebench_drake.io.atomic import disk_errors, write_atomically
 from kinebench_drake.io.container import write_video
 from kinebench_drake.kinematics.plant import ArmPlant
@@ -190,7 +190,7 @@ def _thumbnail(run: EpisodeRun, executed: Sequence[RolloutVideo | None]) -> byte
 
 def _captioned(frame: NDArray[np.uint8], text: str) -> NDArray[np.uint8]:
     image = np.asarray(cv2.resize(frame, (SIZE_PX, SIZE_PX), interpolation=cv2.INTER_AREA), dtype=np.uint8)
-    caption(image, text)
+    draw_caption(image, text)
     return image
 
 

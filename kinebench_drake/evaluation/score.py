@@ -322,9 +322,9 @@ def prepare_video(video: Video, sample: VideoSample, period_s: float | None, ove
     framing = _framing(sample, video)
     t_s, period_s, source = _times(sample, video, period_s)
     camera = framing.whole_camera(sample.camera)
-    priors = overrides.known(override_names(sample), video.frames, camera, sample.initial_state)
+    priors = overrides.priors(override_names(sample), video.frames, camera, sample.initial_state)
     return PreparedVideo(
-        frames=framing.cut(video.frames),
+        frames=framing.crop(video.frames),
         camera=framing.camera(sample.camera),
         t_s=t_s,
         period_s=period_s,

@@ -46,11 +46,11 @@ def perfect_view(
     return GripperView(
         crop=crop,
         stride=2,
-        shown=np.ones(part.shape, dtype=bool),
+        in_image=np.ones(part.shape, dtype=bool),
         part=part,
         depth_m=z * depth_factor,
         depth_sigma=np.full(part.shape, 0.01),
-        level_sigma=0.012,
+        depth_factor_sigma=0.012,
         coordinates_P=p_H + rng.normal(0, noise_m, p_H.shape),
         coordinates_sigma_m=np.full(part.shape, max(noise_m, 1e-3)),
     )

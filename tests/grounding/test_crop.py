@@ -4,7 +4,6 @@ import pytest
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.geometry import make_pose, transform_points
 from kinebench_drake.grounding.crop import GRIPPER_CENTRE_H, Crop
-from kinebench_drake.grounding.tracker import whole_frame
 
 
 def test_a_point_of_the_crop_lies_on_the_same_ray_of_the_frame() -> None:
@@ -46,7 +45,7 @@ def test_the_whole_frame_fits_into_its_view(width: int, height: int) -> None:
     from dataclasses import replace
 
     camera = replace(benchmark_camera(), width=width, height=height, cx=width / 2 + 7, cy=height / 2)
-    crop = whole_frame(camera)
+    crop = Crop.of_frame(camera)
     to_crop = np.linalg.inv(crop.homography(camera))
     for corner in ((0, 0), (width, 0), (0, height), (width, height)):
         p = to_crop @ [*corner, 1.0]
@@ -55,7 +54,7 @@ def test_the_whole_frame_fits_into_its_view(width: int, height: int) -> None:
 
 def test_labels_go_back_to_where_they_came_from() -> None:
     camera = benchmark_camera()
-    crop = whole_frame(camera)
+    crop = Crop.of_frame(camera)
     frame = np.zeros((384, 384), np.uint8)
     frame[100:220, 60:300] = 1
     cells = np.asarray(crop.warp(frame, camera, 2, nearest=True), dtype=np.uint8)

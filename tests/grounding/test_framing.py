@@ -8,7 +8,14 @@ import pytest
 
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.errors import UnmeasurableError
-from kinebench_drake.grounding.framing.framing import Change, Framing, Witness, letterboxes, placements, unframed
+from kinebench_drake.grounding.framing.framing import (
+    Framing,
+    FramingChange,
+    FramingSource,
+    letterboxes,
+    placements,
+    undo_framing,
+)
 from kinebench_drake.grounding.framing.search import find_framing
 from kinebench_drake.types import ExternalDepth, Priors
 
@@ -54,7 +61,7 @@ def all_framings():
 def test_a_framing_moves_the_points_that_its_camera_sees(size, framing):
     camera = framing.camera(CAMERA)
     rows, columns = framing.window
-    assert (camera.width, camera.height) == framing.cut(np.zeros((1, *size[::-1], 3), np.uint8)).shape[2:0:-1]
+    assert (camera.width, camera.height) == framing.crop(np.zeros((1, *size[::-1], 3), np.uint8)).shape[2:0:-1]
     p_C = np.random.default_rng(0).normal([0.0, 0.0, 0.7], 0.1, (20, 3))
     moved = CAMERA.project(p_C) * np.diag(framing.map) + framing.map[:, 2] - [columns.start, rows.start]
     np.testing.assert_allclose(camera.project(p_C), moved, atol=1e-9)
@@ -66,16 +73,16 @@ def test_the_first_frame_tells_how_a_video_was_made(size, framing):
     found = find_framing(shown(framing), CAMERA, PICTURE)
     np.testing.assert_allclose(found.map, framing.map)  # exactly: it is a usual one
     assert found.changes == framing.changes
-    assert (found.witness, found.correlation > 0.9) == (Witness.FIRST_FRAME, True)
+    assert (found.source, found.correlation > 0.9) == (FramingSource.FIRST_FRAME, True)
 
 
 @pytest.mark.parametrize("framing", [framing for _, framing in all_framings()])
 def test_unframed_a_video_shows_the_picture_again(framing):
-    frames = framing.cut(shown(framing, frames=1))
-    restored = unframed(framing, frames)[0]
-    inside = unframed(framing, np.ones(frames.shape[:3], bool))[0]
+    frames = framing.crop(shown(framing, frames=1))
+    restored = undo_framing(framing, frames)[0]
+    inside = undo_framing(framing, np.ones(frames.shape[:3], bool))[0]
     picture = cv2.resize(PICTURE, restored.shape[1::-1], interpolation=cv2.INTER_AREA)
-    assert (inside.mean() < 0.98) == (Change.CROP in framing.changes)
+    assert (inside.mean() < 0.98) == (FramingChange.CROP in framing.changes)
     inside = cv2.erode(inside.astype(np.uint8), np.ones((5, 5))) > 0
     inside[:, restored.shape[1] // 2 - 40 : restored.shape[1] // 2 + 60] = False  # something moves there
     assert abs(restored.shape[0] / restored.shape[1] - 1.0) < 0.01
@@ -88,15 +95,15 @@ def test_an_unusual_crop_is_found_to_a_fraction_of_a_pixel():
         Framing.filling((384, 384), (720, 480)), scale_x=2.3, scale_y=2.3, offset_x=-61.0, offset_y=-230.0
     )
     found = find_framing(shown(framing), CAMERA, PICTURE)
-    assert found.changes == (Change.CROP,)
+    assert found.changes == (FramingChange.CROP,)
     assert np.abs(found.corners - framing.corners).max() < 0.6
 
 
 def test_another_picture_is_no_witness():
     video = shown(Framing.filling((384, 384), (512, 512)))
-    assert find_framing(video, CAMERA, scene(9)).witness is Witness.SIZE
+    assert find_framing(video, CAMERA, scene(9)).source is FramingSource.SIZE
     wide = shown(placements((384, 384), (720, 480))[-1])
-    with pytest.raises(UnmeasurableError, match=r"384 x 384, the video 720 x 480.*first frame's picture"):
+    with pytest.raises(UnmeasurableError, match=r"384 x 384, the video 720 x 480.*first frame's image"):
         find_framing(wide, CAMERA, scene(9))
 
 
@@ -104,13 +111,13 @@ def test_another_picture_is_no_witness():
 @pytest.mark.parametrize("size", [(384, 384), (1, 1), (9, 9)])
 def test_a_picture_of_one_colour_tells_nothing(size):
     video = shown(Framing.filling((384, 384), (512, 512)))
-    assert find_framing(video, CAMERA, np.full((*size, 3), 90, np.uint8)).witness is Witness.SIZE
+    assert find_framing(video, CAMERA, np.full((*size, 3), 90, np.uint8)).source is FramingSource.SIZE
 
 
 @pytest.mark.parametrize("framing", letterboxes((384, 384), (832, 480)))
 def test_bars_tell_themselves(framing):
     found = find_framing(shown(framing), CAMERA, None)
-    assert (found.changes, found.witness) == ((Change.LETTERBOX,), Witness.BARS)
+    assert (found.changes, found.source) == ((FramingChange.LETTERBOX,), FramingSource.BARS)
     np.testing.assert_allclose(found.map, framing.map)
 
 

@@ -94,7 +94,7 @@ def test_a_known_first_frame_is_used_where_the_picture_does_not_contradict_it(
     frames, t_s = read_video(clip.path).frames[:6], clip.t_s[:6]
     used = pipeline.ground(frames, clip.camera, t_s, Priors(initial_state=clip.initial_state))
     assert used.first_frame is InitialStateUse.USED
-    assert used.given.tolist() == [True] + [False] * 5
+    assert used.from_prior.tolist() == [True] + [False] * 5
     np.testing.assert_allclose(used.track.X_CH[0], clip.X_CH[0], atol=1e-9)
     assert used.track.finger_width_m[0] == pytest.approx(clip.finger_width_m[0], abs=1e-4)
     elsewhere = replace(
@@ -111,7 +111,7 @@ def test_given_poses_are_taken_as_they_are(pipeline: GroundingPipeline, clip: Tr
     X_CH[3] = np.nan
     grounding = pipeline.ground(read_video(clip.path).frames[:6], clip.camera, clip.t_s[:6], Priors(X_CH=X_CH))
     known = [0, 1, 2, 4, 5]
-    assert grounding.given.nonzero()[0].tolist() == known
+    assert grounding.from_prior.nonzero()[0].tolist() == known
     np.testing.assert_allclose(grounding.track.X_CH[known], X_CH[known], atol=1e-9)
     assert (grounding.track.confidence[known] == 1.0).all()
     assert np.linalg.norm(grounding.track.X_CH[3, :3, 3] - clip.X_CH[3, :3, 3]) < 0.01

@@ -24,8 +24,8 @@ def pose(cad: GripperCad) -> FramePose:
         X_CH=found.X_CH,
         finger_m=0.02,
         finger_sigma_m=1e-3,
-        fit=found,
-        by_cells=found,
+        hand=found,
+        hand_without_silhouette=found,
         arm=None,
         view=view,
         overlap=0.95,
@@ -33,12 +33,12 @@ def pose(cad: GripperCad) -> FramePose:
 
 
 def made(pose: FramePose, confidence: np.ndarray, anomalies: tuple[Anomaly, ...] = (), **known: np.ndarray) -> RawTrack:
-    return RawTrack.of(
+    return RawTrack.from_poses(
         [None if c == 0.0 else pose for c in confidence],
         confidence,
         anomalies,
         known.get("lost", np.zeros(FRAMES, dtype=bool)),
-        known.get("X_given", np.full((FRAMES, 4, 4), np.nan)),
+        known.get("X_prior", np.full((FRAMES, 4, 4), np.nan)),
     )
 
 
@@ -47,7 +47,7 @@ def test_what_is_no_gripper_is_left_out(pose: FramePose) -> None:
     confidence[[0, 1]] = 0.0, 0.01
     gone = Anomaly(kind=AnomalyKind.VANISH, frame_start=4, frame_end=6, severity=3.0)
     lost = np.arange(FRAMES) == 9
-    assert np.flatnonzero(made(pose, confidence, (gone,), lost=lost).found).tolist() == [2, 3, 7, 8, 10, 11]
+    assert np.flatnonzero(made(pose, confidence, (gone,), lost=lost).has_pose).tolist() == [2, 3, 7, 8, 10, 11]
 
 
 def test_nothing_is_smoothed_across_a_jump(pose: FramePose) -> None:
@@ -55,20 +55,20 @@ def test_nothing_is_smoothed_across_a_jump(pose: FramePose) -> None:
     raw = made(pose, np.full(FRAMES, 0.9), (jump,))
     X_AH = raw.X_AH.copy()
     X_AH[6:, 0, 3] += 0.1
-    smooth = replace(raw, X_AH=X_AH).smoothed(np.ones(FRAMES, dtype=bool), raw.confidence)
+    smooth = replace(raw, X_AH=X_AH).smooth(np.ones(FRAMES, dtype=bool), raw.confidence)
     np.testing.assert_allclose(smooth, X_AH, atol=1e-9)
 
 
 def test_given_poses_are_certain_and_stay(pose: FramePose) -> None:
-    X_given = np.full((FRAMES, 4, 4), np.nan)
-    X_given[3] = pose.X_CH
-    X_given[3, :3, 3] += 0.05
+    X_prior = np.full((FRAMES, 4, 4), np.nan)
+    X_prior[3] = pose.X_CH
+    X_prior[3, :3, 3] += 0.05
     confidence = np.full(FRAMES, 0.9)
     confidence[3] = 0.0
-    raw = made(pose, confidence, X_given=X_given)
-    assert raw.given.nonzero()[0].tolist() == [3]
+    raw = made(pose, confidence, X_prior=X_prior)
+    assert raw.from_prior.nonzero()[0].tolist() == [3]
     assert raw.confidence[3] == 1.0
-    np.testing.assert_array_equal(raw.smoothed(raw.found, raw.confidence)[3], X_given[3])
+    np.testing.assert_array_equal(raw.smooth(raw.has_pose, raw.confidence)[3], X_prior[3])
 
 
 def test_a_frame_that_its_neighbours_deny_shows_it(pose: FramePose) -> None:

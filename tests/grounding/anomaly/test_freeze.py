@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from kinebench_drake.grounding.anomaly.freeze import find_freezes, still_frames
+from kinebench_drake.grounding.anomaly.jumps import find_freezes, still_frames
 
 
 @pytest.mark.parametrize("length", [5, 8])

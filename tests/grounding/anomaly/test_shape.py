@@ -7,11 +7,10 @@ import pytest
 
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.geometry import invert, make_pose, rotation_exp, transform_points
-from kinebench_drake.grounding.anomaly.duplicate import find_duplicates, second_gripper
+from kinebench_drake.grounding.anomaly.presence import find_duplicates, second_gripper
 from kinebench_drake.grounding.anomaly.shape import find_deformations, find_scale_drift, shape_misfit
 from kinebench_drake.grounding.crop import Crop
 from kinebench_drake.grounding.registration.fit import fit
-from kinebench_drake.grounding.tracker import whole_frame
 from kinebench_drake.grounding.view import GripperView
 from kinebench_drake.models.panda.cad import GripperCad
 from kinebench_drake.models.panda.robot import RobotPart
@@ -42,11 +41,11 @@ def view_of(cad, X_CH, crop, noise_m=0.004, seed=0):
     return GripperView(
         crop=crop,
         stride=2,
-        shown=np.ones(part.shape, dtype=bool),
+        in_image=np.ones(part.shape, dtype=bool),
         part=part,
         depth_m=z,
         depth_sigma=np.full(part.shape, 0.01),
-        level_sigma=0.012,
+        depth_factor_sigma=0.012,
         coordinates_P=p_H + rng.normal(0, noise_m, p_H.shape),
         coordinates_sigma_m=np.full(part.shape, noise_m),
     )
@@ -107,10 +106,10 @@ def test_a_wrong_size_is_named_whether_at_once_or_growing(size):
 def test_a_second_gripper_counts_and_the_first_does_not(cad):
     for seed in range(3):
         X_CH = hand_pose(seed)
-        first = view_of(cad, X_CH, whole_frame(CAMERA))
+        first = view_of(cad, X_CH, Crop.of_frame(CAMERA))
         beside = X_CH.copy()
         beside[0, 3] -= np.sign(X_CH[0, 3]) * 0.25
-        second = view_of(cad, beside, whole_frame(CAMERA))
+        second = view_of(cad, beside, Crop.of_frame(CAMERA))
         both = replace(first, part=np.where(first.part > 0, first.part, second.part))
         assert second_gripper(first, X_CH, CAMERA) == 0.0
         assert second_gripper(both, X_CH, CAMERA) > 0.3

@@ -1,7 +1,7 @@
 import numpy as np
 
 from kinebench_drake.camera import benchmark_camera
-from kinebench_drake.grounding.anomaly.vanish import find_vanishing
+from kinebench_drake.grounding.anomaly.presence import find_vanishing
 
 CAMERA = benchmark_camera()
 

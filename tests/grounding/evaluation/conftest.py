@@ -66,7 +66,7 @@ def grounded() -> Callable[..., GroundingResult]:
         )
         return GroundingResult(
             track=track,
-            given=np.zeros(n, dtype=bool),
+            from_prior=np.zeros(n, dtype=bool),
             first_frame=InitialStateUse.UNKNOWN,
             anomalies=(),
             camera_motion_px=None,

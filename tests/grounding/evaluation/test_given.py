@@ -27,11 +27,11 @@ class Flat:
         return GripperView(
             crop=crop,
             stride=2,
-            shown=np.ones((n, n), dtype=bool),
+            in_image=np.ones((n, n), dtype=bool),
             part=np.full((n, n), RobotPart.HAND, np.uint8),
             depth_m=np.ones((n, n)),
             depth_sigma=np.full((n, n), 0.02),
-            level_sigma=0.012,
+            depth_factor_sigma=0.012,
             coordinates_P=np.zeros((n, n, 3)),
             coordinates_sigma_m=np.full((n, n), 0.01),
         )

@@ -62,8 +62,8 @@ class TooFar:
             part = np.full((n, n), RobotPart.HAND, np.uint8)
             flat = np.full((n, n), 0.01)
             view = GripperView(
-                crop=crop, stride=2, shown=part > 0, part=part, depth_m=1.02 * z_V, depth_sigma=flat,
-                level_sigma=0.012, coordinates_P=np.zeros((n, n, 3)), coordinates_sigma_m=flat,
+                crop=crop, stride=2, in_image=part > 0, part=part, depth_m=1.02 * z_V, depth_sigma=flat,
+                depth_factor_sigma=0.012, coordinates_P=np.zeros((n, n, 3)), coordinates_sigma_m=flat,
             )  # fmt: skip
             yield number, view
 

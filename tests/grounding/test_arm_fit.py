@@ -12,8 +12,7 @@ from kinebench_drake.grounding.crop import CLOSE_SIZE, Crop
 from kinebench_drake.grounding.registration.arm_fit import ArmFitter
 from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.grounding.registration.fit import fit
-from kinebench_drake.grounding.registration.silhouette import Silhouette
-from kinebench_drake.grounding.tracker import whole_frame
+from kinebench_drake.grounding.registration.silhouette import SilhouetteMatcher
 from kinebench_drake.grounding.view import GripperView
 from kinebench_drake.models.panda.cad import GripperCad, link_meshes, part_meshes
 from kinebench_drake.models.panda.robot import OPENING_SIGN, RobotPart
@@ -51,11 +50,11 @@ def view(model: ArmModel, q: Array, crop: Crop, *, noise_m: float, depth_factor:
     return GripperView(
         crop=crop,
         stride=2,
-        shown=np.ones((n, n), dtype=bool),
+        in_image=np.ones((n, n), dtype=bool),
         part=part,
         depth_m=np.where(np.isfinite(depth), depth, 1.0) * depth_factor,
         depth_sigma=np.full((n, n), 0.01),
-        level_sigma=0.012,
+        depth_factor_sigma=0.012,
         coordinates_P=coordinates + rng.normal(0, noise_m, coordinates.shape),
         coordinates_sigma_m=np.full((n, n), max(noise_m, 1e-3)),
     )
@@ -76,7 +75,7 @@ def scene(request: pytest.FixtureRequest, model: ArmModel) -> tuple[Array, Gripp
 def views(model: ArmModel, q: Array, seed: int) -> tuple[Array, GripperView, GripperView]:
     """Pose of the hand, close and wide view of a posture, depth 3 % too large."""
     X_CH = invert(CAMERA.X_BC) @ model.poses(q[None])[0, RobotPart.HAND]
-    crops = Crop.of_gripper(X_CH, 1.3, CLOSE_SIZE), whole_frame(CAMERA)
+    crops = Crop.of_gripper(X_CH, 1.3, CLOSE_SIZE), Crop.of_frame(CAMERA)
     close, wide = (view(model, q, crop, noise_m=0.003, depth_factor=1.03, seed=seed) for crop in crops)
     return X_CH, close, wide
 
@@ -144,7 +143,7 @@ def test_too_little_of_an_arm_is_no_arm(scene: tuple[Array, GripperView, Gripper
 def test_a_misread_hand_is_found_from_the_frame_before(model: ArmModel, seed: int) -> None:
     """Seen from its narrow side, all CAD coordinates turned by 30 degrees: outline and arm tell otherwise."""
     X_CH, close, wide = views(model, posture(seed) + np.pi / 2 * np.eye(7)[6], seed)
-    outline = Silhouette(GripperCad())
+    silhouette = SilhouetteMatcher(GripperCad())
     hand = fit(close)
     assert hand is not None
     fitter = ArmFitter(CAMERA, model)
@@ -156,7 +155,7 @@ def test_a_misread_hand_is_found_from_the_frame_before(model: ArmModel, seed: in
     assert wrong is not None
     assert np.rad2deg(pose_difference(wrong.X_CH, X_CH)[1]) > 15.0
     before = replace(right, q=right.q + np.deg2rad([1.0, -1.0, 1.0, 1.5, -1.0, 1.0, 4.0]))
-    arm = fitter.follow(before, wrong, misread, wide, outline)
+    arm = fitter.fit_from_neighbour(before, wrong, misread, wide, silhouette)
     assert arm is not None
     assert arm.agrees
     distance, angle = pose_difference(arm.X_CH, X_CH)

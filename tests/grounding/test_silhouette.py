@@ -7,7 +7,7 @@ from kinebench_drake.geometry import Array, invert, make_pose, pose_difference, 
 from kinebench_drake.grounding.crop import CLOSE_SIZE, Crop
 from kinebench_drake.grounding.registration.correspondences import Correspondences
 from kinebench_drake.grounding.registration.fit import HandModel, gripper_cells
-from kinebench_drake.grounding.registration.silhouette import Silhouette
+from kinebench_drake.grounding.registration.silhouette import SilhouetteMatcher
 from kinebench_drake.grounding.registration.solver import solve
 from kinebench_drake.grounding.view import GripperView
 from kinebench_drake.models.panda.cad import GripperCad
@@ -18,8 +18,8 @@ X_CH = make_pose(rotation_exp([2.2, 0.5, 0.3]), [0.05, -0.02, 0.9])
 
 
 @pytest.fixture(scope="module")
-def outline() -> Silhouette:
-    return Silhouette(GripperCad())
+def silhouette() -> SilhouetteMatcher:
+    return SilhouetteMatcher(GripperCad())
 
 
 def seen(X: Array) -> GripperView:
@@ -30,11 +30,11 @@ def seen(X: Array) -> GripperView:
     return GripperView(
         crop=crop,
         stride=2,
-        shown=np.ones((n, n), dtype=bool),
+        in_image=np.ones((n, n), dtype=bool),
         part=part,
         depth_m=np.full((n, n), 0.9),
         depth_sigma=np.full((n, n), np.inf),
-        level_sigma=0.01,
+        depth_factor_sigma=0.01,
         coordinates_P=np.zeros((n, n, 3)),
         coordinates_sigma_m=np.full((n, n), np.inf),
     )
@@ -48,80 +48,82 @@ def moved(turn: list[float], shift: list[float]) -> Array:
 @pytest.mark.parametrize(
     ("turn", "shift"), [([0.0, 0.0, 0.12], [0.006, 0.0, 0.0]), ([0.1, 0.0, 0.1], [0.0, 0.012, -0.012])]
 )
-def test_an_outline_alone_leads_back_to_the_pose(outline: Silhouette, turn: list[float], shift: list[float]) -> None:
+def test_an_outline_alone_leads_back_to_the_pose(
+    silhouette: SilhouetteMatcher, turn: list[float], shift: list[float]
+) -> None:
     """Across the line of sight, that is: along it an outline says little."""
     view = seen(X_CH)
-    hand = HandModel(X_CH=moved(turn, shift), finger_m=FINGER_M, opening_free=False)
-    before = outline.overlap(view, hand.X_CH, FINGER_M)
+    hand = HandModel(X_CH=moved(turn, shift), finger_m=FINGER_M, finger_free=False)
+    before = silhouette.overlap(view, hand.X_CH, FINGER_M)
     for _ in range(4):
-        rim = outline.rim(view, hand.X_CH, FINGER_M, 8.0)
+        rim = silhouette.match(view, hand.X_CH, FINGER_M, 8.0)
         assert rim is not None
-        solution = solve(hand, rim, view.level_sigma)
+        solution = solve(hand, rim, view.depth_factor_sigma)
         assert solution is not None
-        hand = solution.body
+        hand = solution.model
     distance, angle = pose_difference(hand.X_CH, X_CH)
     across = np.linalg.norm((hand.X_CH - X_CH)[:2, 3])
     assert before < 0.9
-    assert outline.overlap(view, hand.X_CH, FINGER_M) > 0.95
+    assert silhouette.overlap(view, hand.X_CH, FINGER_M) > 0.95
     assert across < 0.003
     assert distance < 0.03
     assert np.rad2deg(angle) < 3.0
 
 
-def test_a_pose_that_fits_is_left_where_it_is(outline: Silhouette) -> None:
+def test_a_pose_that_fits_is_left_where_it_is(silhouette: SilhouetteMatcher) -> None:
     view = seen(X_CH)
-    rim = outline.rim(view, X_CH, FINGER_M)
+    rim = silhouette.match(view, X_CH, FINGER_M)
     assert rim is not None
-    p_C, _ = HandModel(X_CH=X_CH, finger_m=FINGER_M, opening_free=False).points(rim)
+    p_C, _ = HandModel(X_CH=X_CH, finger_m=FINGER_M, finger_free=False).predict(rim)
     off = np.einsum("nij,nj->ni", rim.R_LC, p_C)[:, 0] / p_C[:, 2]
     assert np.abs(off).max() < 1e-9
 
 
 @pytest.mark.parametrize("side", [0, 1])
-def test_the_edge_of_the_picture_is_no_outline(outline: Silhouette, side: int) -> None:
+def test_the_edge_of_the_picture_is_no_outline(silhouette: SilhouetteMatcher, side: int) -> None:
     """A gripper that is half out of the picture: its pose stays, and what is in the picture is covered."""
     view = seen(X_CH)
     middle = int(np.mean(np.nonzero(view.part)[side]))
-    np.moveaxis(view.shown, side, 0)[middle:] = False
-    view.part[~view.shown] = 0
-    rim = outline.rim(view, X_CH, FINGER_M)
+    np.moveaxis(view.in_image, side, 0)[middle:] = False
+    view.part[~view.in_image] = 0
+    rim = silhouette.match(view, X_CH, FINGER_M)
     assert rim is not None
-    solution = solve(HandModel(X_CH=X_CH, finger_m=FINGER_M, opening_free=False), rim, view.level_sigma)
+    solution = solve(HandModel(X_CH=X_CH, finger_m=FINGER_M, finger_free=False), rim, view.depth_factor_sigma)
     assert solution is not None
-    assert np.linalg.norm((solution.body.X_CH - X_CH)[:2, 3]) < 1e-6
-    assert outline.overlap(view, X_CH, FINGER_M) == 1.0
+    assert np.linalg.norm((solution.model.X_CH - X_CH)[:2, 3]) < 1e-6
+    assert silhouette.overlap(view, X_CH, FINGER_M) == 1.0
 
 
-def test_what_an_outline_does_not_say_has_no_weight(outline: Silhouette) -> None:
+def test_what_an_outline_does_not_say_has_no_weight(silhouette: SilhouetteMatcher) -> None:
     """Along itself and along the line of sight: points moved there cost nothing."""
-    rim = outline.rim(seen(X_CH), X_CH, FINGER_M)
+    rim = silhouette.match(seen(X_CH), X_CH, FINGER_M)
     assert rim is not None
     assert np.isinf(rim.sigma_m[:, 1]).all()
     assert np.isinf(rim.range_sigma).all()
     assert np.isfinite(rim.sigma_m[:, 0]).all()
 
 
-def test_where_the_arm_begins_there_is_no_outline(outline: Silhouette) -> None:
+def test_where_the_arm_begins_there_is_no_outline(silhouette: SilhouetteMatcher) -> None:
     view = seen(X_CH)
-    rim = outline.rim(view, X_CH, FINGER_M)
+    rim = silhouette.match(view, X_CH, FINGER_M)
     rows = np.flatnonzero((view.part > 0).any(axis=1))
     view.part[: rows[0] + len(rows) // 2][view.part[: rows[0] + len(rows) // 2] == 0] = RobotPart.LINK7
-    less = outline.rim(view, X_CH, FINGER_M)
+    less = silhouette.match(view, X_CH, FINGER_M)
     assert rim is not None
     assert less is not None
     assert 0 < len(less) < 0.8 * len(rim)
 
 
-def test_nothing_seen_is_no_outline(outline: Silhouette) -> None:
+def test_nothing_seen_is_no_outline(silhouette: SilhouetteMatcher) -> None:
     view = seen(X_CH)
     view.part[:] = 0
-    assert outline.rim(view, X_CH, FINGER_M) is None
-    assert outline.overlap(view, X_CH, FINGER_M) == 0.0
+    assert silhouette.match(view, X_CH, FINGER_M) is None
+    assert silhouette.overlap(view, X_CH, FINGER_M) == 0.0
 
 
-def test_outline_and_cells_go_together(outline: Silhouette) -> None:
+def test_outline_and_cells_go_together(silhouette: SilhouetteMatcher) -> None:
     view = seen(X_CH)
-    rim = outline.rim(view, X_CH, FINGER_M)
+    rim = silhouette.match(view, X_CH, FINGER_M)
     assert rim is not None
     cells = gripper_cells(view)
     assert len(Correspondences.join([cells, rim])) == len(cells) + len(rim)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from kinebench_drake.grounding.override_estimator import calibrated
+from kinebench_drake.grounding.override_estimator import calibrate_depth
 from kinebench_drake.models.panda.cad import GripperCad
 from kinebench_drake.types import ExternalDepth
 from tests.grounding.conftest import hand_pose, perfect_view
@@ -14,6 +14,6 @@ def test_a_known_first_frame_tells_the_factor_of_an_estimated_depth(cad: Gripper
     X_CH = hand_pose(3)
     view = perfect_view(cad, X_CH, 0.02, depth_factor=factor, noise_m=1e-3)
     depth = ExternalDepth(depth_m=np.full((2, 4, 4), factor))
-    told = calibrated(depth, view, X_CH, 0.02)
+    told = calibrate_depth(depth, view, X_CH, 0.02)
     assert told.calibrated
     np.testing.assert_allclose(told.depth_m, 1.0, rtol=3e-3)

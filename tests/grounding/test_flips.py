@@ -17,7 +17,14 @@ def frame_pose(cad: GripperCad, X_CH: Array, *, turned: bool, noise_m: float = 0
     found = fit(view)
     assert isinstance(found, Fit)
     return FramePose(
-        X_CH=found.X_CH, finger_m=0.02, finger_sigma_m=1e-3, fit=found, by_cells=found, arm=None, view=view, overlap=1.0
+        X_CH=found.X_CH,
+        finger_m=0.02,
+        finger_sigma_m=1e-3,
+        hand=found,
+        hand_without_silhouette=found,
+        arm=None,
+        view=view,
+        overlap=1.0,
     )
 
 

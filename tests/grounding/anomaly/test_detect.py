@@ -6,9 +6,8 @@ import pytest
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.errors import InputError
 from kinebench_drake.grounding.anomaly.camera_motion import CameraMotion
-from kinebench_drake.grounding.anomaly.detect import find_anomalies
+from kinebench_drake.grounding.anomaly.detect import AnomalyEvidence, find_anomalies
 from kinebench_drake.grounding.anomaly.detection import AnomalyDetections
-from kinebench_drake.grounding.anomaly.evidence import Evidence
 from kinebench_drake.types import AnomalyKind
 
 
@@ -16,7 +15,7 @@ from kinebench_drake.types import AnomalyKind
 def clean(reach, t_s):
     n = len(t_s)
     rng = np.random.default_rng(0)
-    return Evidence(
+    return AnomalyEvidence(
         t_s=t_s,
         p_C=reach(),
         confidence=np.full(n, 0.8),
@@ -47,8 +46,8 @@ def test_anomalies_are_told_exactly_where_scores_reach_one(clean):
     found = find_anomalies(replace(clean, p_C=p, other=other))
     assert [a.kind for a in found.anomalies] == [AnomalyKind.DUPLICATE, AnomalyKind.TELEPORT]
     assert {kind for kind, score in found.scores.items() if score >= 1.0} == {a.kind for a in found.anomalies}
-    assert found.findings[AnomalyKind.TELEPORT].within(29, 31) >= 1.0
-    assert found.findings[AnomalyKind.TELEPORT].within(0, 25) < 1.0
+    assert found.by_kind[AnomalyKind.TELEPORT].within(29, 31) >= 1.0
+    assert found.by_kind[AnomalyKind.TELEPORT].within(0, 25) < 1.0
 
 
 def test_the_jump_at_the_end_of_a_freeze_is_part_of_it(clean):
@@ -71,6 +70,6 @@ def test_nothing_seen_is_nothing_found(clean):
 
 def test_missing_kinds_and_uneven_series_are_refused(clean):
     with pytest.raises(InputError, match="vanish"):
-        AnomalyDetections(findings={})
+        AnomalyDetections(by_kind={})
     with pytest.raises(InputError, match="scale"):
         replace(clean, scale=clean.scale[:5])

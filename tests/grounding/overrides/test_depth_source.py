@@ -130,7 +130,6 @@ def moge(monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
             module.__name__: module,
         }.items():
             monkeypatch.setitem(sys.modules, name, value)
-        monkeypatch.delitem(sys.modules, "kinebench_drake.grounding.overrides.depth", raising=False)
 
     return install
 

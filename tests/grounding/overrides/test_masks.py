@@ -65,11 +65,11 @@ def test_what_is_no_mask_is_told(tmp_path: Path) -> None:
     Image.fromarray(np.zeros((5, 4), np.uint8)).save(uneven / "mask_2.png")
     told = {
         "soft.npy": "besides 0 and 1",
-        "turned_round.npy": "other way round",
+        "turned_round.npy": "inverted masks",
         "other.npz": "holds frames; expected mask or masks",
         "torn.npz": "zip archive",
         "empty": "holds no png",
-        "uneven": r"mask_2\.png.*first picture",
+        "uneven": r"mask_2\.png.*first image",
     }
     for name, message in told.items():
         with pytest.raises(InputError, match=message):

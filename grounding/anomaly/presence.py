@@ -1,0 +1,130 @@
+"""Detectors of a vanished gripper and of a second one."""
+
+from functools import cache
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from kinebench_drake.camera import Camera
+from kinebench_drake.geometry import Array, transform_points
+from kinebench_drake.grounding.anomaly.detection import Detection, detection_segments, is_finite, sustained
+from kinebench_drake.grounding.view import GripperView
+from kinebench_drake.models.panda.cad import part_meshes
+from kinebench_drake.models.panda.robot import OPENING_SIGN
+from kinebench_drake.types import Anomaly, AnomalyKind
+
+VANISH_FRAMES = 3
+"""Least number of frames without a gripper; fewer may be an occlusion."""
+ABSENT_CONFIDENCE, ABSENT_CELLS = 0.01, 50.0
+"""Confidence, or cells explained by the posed gripper, below which it is absent: a third of a gripper explains 100."""
+DUPLICATE_SHARE, DUPLICATE_FRAMES = 0.2, 3
+"""Least share of a second gripper's cells, and least number of consecutive frames that show it."""
+_BORDER_PX = 8.0
+_MARGIN_CELLS = 2  # cells of the whole-image view around the tracked gripper that belong to it
+_FINGER_M = 0.04
+
+
+def find_vanishing(
+    p_C: Array, confidence: Array, explained: Array, fair: NDArray[np.bool_], camera: Camera
+) -> Detection:
+    """Detect frames without a gripper that should be inside the image by its motion; severity: their number.
+
+    Absence is c0 / (c0 + confidence), one half at the threshold c0, or the same of the explained cells, whichever is
+    larger; the score is twice the absence that `VANISH_FRAMES` consecutive frames reach.
+
+    Args:
+        p_C: (T, 3) centre of the gripper in the camera frame [m]; NaN where unknown.
+        confidence: (T,) confidence 0..1, 0 without a detection.
+        explained: (T,) cells of the crop explained by the posed gripper, 0 without a detection.
+        fair: (T,) frames whose position counts.
+        camera: camera of the frames.
+    """
+    absence = np.maximum(
+        ABSENT_CONFIDENCE / (ABSENT_CONFIDENCE + confidence), ABSENT_CELLS / (ABSENT_CELLS + explained)
+    )
+    score = 2.0 * sustained(absence * _expected(p_C, fair & is_finite(p_C), camera), VANISH_FRAMES)
+    anomalies = tuple(
+        Anomaly(kind=AnomalyKind.VANISH, frame_start=start, frame_end=end, severity=float(end - start + 1))
+        for start, end in detection_segments(score > 1.0)
+    )
+    return Detection(kind=AnomalyKind.VANISH, score=score, anomalies=anomalies)
+
+
+def _expected(p_C: Array, fair: NDArray[np.bool_], camera: Camera) -> Array:
+    """Return (T,) 1 where the gripper, at constant velocity, would be inside the image; 0 before it first appears."""
+    expected = np.zeros(len(p_C))
+    last = None
+    for i in range(len(p_C)):
+        if fair[i]:
+            last, expected[i] = i, 1.0
+            continue
+        if last is None:
+            continue
+        ahead = p_C[last] + (p_C[last] - p_C[last - 1] if last > 0 and fair[last - 1] else 0.0)
+        pixel = camera.project(ahead)
+        size = np.array([camera.width, camera.height])
+        expected[i] = float(ahead[2] > 0 and (pixel > _BORDER_PX).all() and (pixel < size - _BORDER_PX).all())
+    return expected
+
+
+def second_gripper(view: GripperView, X_CH: Array | None, camera: Camera) -> float:
+    """Return the share of a second gripper: its cells over those that the tracked one should cover.
+
+    Cells within the convex outline of the tracked gripper and a margin around it belong to the tracked one.
+
+    Args:
+        view: view of the whole image.
+        X_CH: (4, 4) pose of the tracked gripper in the camera frame [m]; if None, the largest component of gripper
+            cells counts as the tracked one.
+        camera: camera of the frame.
+    """
+    cells = view.gripper.astype(np.uint8)
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(cells, connectivity=8)
+    if count < 2:
+        return 0.0
+    if X_CH is None:
+        sizes = np.sort(stats[1:, cv2.CC_STAT_AREA].astype(float))
+        return float(sizes[-2] / sizes[-1]) if count > 2 else 0.0
+    outline = _outline(view, X_CH, camera)
+    covered = float(outline.sum())
+    if covered == 0.0:
+        return 0.0
+    kernel = np.ones((2 * _MARGIN_CELLS + 1, 2 * _MARGIN_CELLS + 1), np.uint8)
+    outside = (cv2.dilate(outline, kernel) == 0) & (cells > 0)
+    shares = np.bincount(labels[outside], minlength=count)[1:] / covered
+    return float(min(1.0, shares.max()))
+
+
+@cache
+def _hull_corners_H() -> Array:
+    """Return the corners (N, 3) of the open gripper's convex hulls in the hand frame [m]."""
+    corners = []
+    for part, mesh in part_meshes().items():
+        hull = np.asarray(mesh.convex_hull.vertices, dtype=np.float64)
+        corners.append(hull + np.array([0.0, OPENING_SIGN[part] * _FINGER_M, 0.0]))
+    return np.concatenate(corners)
+
+
+def _outline(view: GripperView, X_CH: Array, camera: Camera) -> NDArray[np.uint8]:
+    """Return the cells (h, w) inside the convex outline of a gripper at `X_CH` (4, 4)."""
+    n = view.part.shape[0]
+    outline = np.zeros((n, n), np.uint8)
+    p_C = transform_points(X_CH, _hull_corners_H())
+    if p_C[:, 2].min() <= 0.05:
+        return outline
+    pixel = np.column_stack([camera.project(p_C), np.ones(len(p_C))])
+    cell = pixel @ np.linalg.inv(view.crop.homography(camera, view.stride)).T
+    corners = np.round(cell[:, :2] / cell[:, 2:] - 0.5).astype(np.int32)
+    cv2.fillConvexPoly(outline, cv2.convexHull(corners), 1)
+    return outline
+
+
+def find_duplicates(share: ArrayLike) -> Detection:
+    """Detect frames that show a second gripper; severity: its largest share.
+
+    Args:
+        share: (T,) share of a second gripper (`second_gripper`); NaN where unknown.
+    """
+    size = sustained(share, DUPLICATE_FRAMES)
+    return Detection.from_score(AnomalyKind.DUPLICATE, size / DUPLICATE_SHARE, size)
