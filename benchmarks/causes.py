@@ -36,10 +36,8 @@ from kinebench_drake.suites.simulator import Simulator
 from kinebench_drake.suites.simulator_cache import SimulatorCache
 from kinebench_drake.suites.suite import EpisodeSpec
 from kinebench_drake.suites.tasks.task import Scene
-from kinebench_drake.suites.worldmodels.oracle import OracleModel
-from kinebench_drake.suites.worldmodels.oracle_renderer import OracleRenderer
-from kinebench_drake.suites.worldmodels.privileged import State
-from kinebench_drake.suites.worldmodels.worldmodel import Request
+from kinebench_drake.suites.worldmodels.reference import OracleModel, OracleRenderer
+from kinebench_drake.suites.worldmodels.worldmodel import Request, SimulatorState
 from kinebench_drake.types import AnomalyKind, GripperTrack, Priors
 
 FAULTS = (
@@ -128,8 +126,8 @@ class _HalfWay:
     def __init__(self) -> None:
         self._private = OracleRenderer()
 
-    def see(self, episode: Episode, state: State) -> None:
-        self._private.see(episode, state)
+    def set_state(self, episode: Episode, state: SimulatorState) -> None:
+        self._private.set_state(episode, state)
 
     def generate(self, request: Request, out: Path) -> Path:
         return self._private.write_clip(partial(_first_half, find_expert(request.task)), request, out)

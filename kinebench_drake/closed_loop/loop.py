@@ -31,8 +31,13 @@ from kinebench_drake.suites.episode import Episode
 from kinebench_drake.suites.export import FPS
 from kinebench_drake.suites.seeding import generator
 from kinebench_drake.suites.simulator import Control, Simulator, TaskOutcome
-from kinebench_drake.suites.worldmodels.privileged import Privileged, Telling
-from kinebench_drake.suites.worldmodels.worldmodel import Offline, Request, WorldModel
+from kinebench_drake.suites.worldmodels.worldmodel import (
+    OfflineModel,
+    PrivilegedModel,
+    Request,
+    SupportsTrueTrack,
+    WorldModel,
+)
 from kinebench_drake.types import GripperTrack, InitialState, Priors
 
 
@@ -122,14 +127,14 @@ class ClosedLoop:
             InputError: its video cannot be read.
             SetupError: something is missing on this machine.
         """
-        if not isinstance(self._model, Offline):  # whose own folder this may be
+        if not isinstance(self._model, OfflineModel):  # whose own folder this may be
             _forget(videos)
         stage.reset(episode)
         return EpisodeRun(rounds=tuple(self._rounds(stage, episode, videos)), outcome=stage.outcome())
 
     def _rounds(self, stage: Simulator, episode: Episode, videos: Path) -> Iterator[Round]:
         gripping = False
-        for number in range(1 if isinstance(self._model, Offline) else self._options.rounds):
+        for number in range(1 if isinstance(self._model, OfflineModel) else self._options.rounds):
             done = self._round(stage, episode, number, videos.with_name(f"{videos.name}_r{number}"), gripping)
             yield done
             if done.execution is None or done.execution.outcome.success:
@@ -150,8 +155,8 @@ class ClosedLoop:
             num_frames=options.num_frames,
             fps=FPS,
         )
-        if isinstance(self._model, Privileged):
-            self._model.see(episode, stage.simulation_state())
+        if isinstance(self._model, PrivilegedModel):
+            self._model.set_state(episode, stage.simulation_state())
         video = _kept(self._model.generate(request, out), out)
         frames = read_video(video).frames
         if len(frames) < 2:
@@ -160,7 +165,7 @@ class ClosedLoop:
         width = float(now.fingers_m.sum())
         first = InitialState(X_BG=self._commander.plant.forward(now.q), finger_width_m=width)
         known = Priors() if options.pixels_only else Priors(initial_state=first)
-        if isinstance(self._model, Telling) and (truth := self._model.true_track()) is not None:
+        if isinstance(self._model, SupportsTrueTrack) and (truth := self._model.true_track()) is not None:
             known = Priors(X_CH=truth.X_CH, finger_width_m=truth.finger_width_m)
         try:
             framing = find_framing(frames, stage.camera, first_frame)

@@ -30,8 +30,8 @@ from kinebench_drake.suites.export import FPS
 from kinebench_drake.suites.simulator import Simulator
 from kinebench_drake.suites.simulator_cache import SimulatorCache
 from kinebench_drake.suites.suite import EpisodeSpec
-from kinebench_drake.suites.worldmodels.lazy_model import LazyWorldModel
-from kinebench_drake.suites.worldmodels.worldmodel import Offline
+from kinebench_drake.suites.worldmodels.factory import LazyWorldModel
+from kinebench_drake.suites.worldmodels.worldmodel import OfflineModel
 from kinebench_drake.types import GripperTrack, Json
 
 SIZE_PX = 384
@@ -85,7 +85,7 @@ class EpisodeEvaluator(Evaluator[EpisodeSample, EpisodeResources]):
 
     world_model: LazyWorldModel
     offline: bool
-    """True if the world model is `Offline`: its files count as input."""
+    """True if the world model is `OfflineModel`: its files count as input."""
     loop: LoopOptions
     rollouts: bool
     """Write rollouts/ID.mp4."""
@@ -157,7 +157,7 @@ class EpisodeEvaluator(Evaluator[EpisodeSample, EpisodeResources]):
     def input_files(self, sample: EpisodeSample) -> Sequence[Path]:
         """Return the clips of an offline world model."""
         model = self.world_model.get() if self.offline else None
-        return model.files(sample.id, sample.task) if isinstance(model, Offline) else ()
+        return model.files(sample.id, sample.task) if isinstance(model, OfflineModel) else ()
 
     def labels(self, sample: EpisodeSample) -> Mapping[str, Json]:
         """Return seed, pool and variant."""

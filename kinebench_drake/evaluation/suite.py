@@ -16,9 +16,9 @@ from kinebench_drake.suites.selection import chosen_tasks
 from kinebench_drake.suites.simulator import Control
 from kinebench_drake.suites.suite import VERSION, Suite, load_suite
 from kinebench_drake.suites.tasks.card import TaskVariant
-from kinebench_drake.suites.worldmodels.lazy_model import LazyWorldModel
+from kinebench_drake.suites.worldmodels.factory import LazyWorldModel
 from kinebench_drake.suites.worldmodels.spec import parse
-from kinebench_drake.suites.worldmodels.worldmodel import Offline
+from kinebench_drake.suites.worldmodels.worldmodel import OfflineModel
 from kinebench_drake.types import Json
 
 
@@ -129,7 +129,7 @@ def run_suite(config: SuiteConfig, observer: RunObserver | None = None) -> RunSu
     observer = observer or NullRunObserver()
     with closing(LazyWorldModel(config.world_model)) as world_model:
         model = world_model.get()
-        name, offline = model.name, isinstance(model, Offline)
+        name, offline = model.name, isinstance(model, OfflineModel)
         if offline and config.loop.rounds > 1:
             observer.warn(f"{name} consists of finished videos: only the first round is run")
         if not offline and (config.jobs > 1 or config.engine is not ExecutorKind.LOCAL):

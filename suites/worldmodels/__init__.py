@@ -1,1 +1,1 @@
-"""World models to be judged: each adapter a module of its own, all behind one protocol."""
+"""World models under evaluation: adapters behind one protocol."""

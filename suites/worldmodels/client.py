@@ -1,9 +1,8 @@
-"""HTTP as services of world models need it: patient, but not for ever, and close-mouthed about keys.
+"""HTTP client with deadlines, retries and confined keys.
 
-Repeated, with waits that double and vary: connections that fail, answers 429 (after the time they ask for) and 5xx.
-Never repeated: any other answer; and what the service may have begun to work on, where that may cost: then only
-connections that never stood and 429 are. A key goes to the service's own origin alone, over https or within this
-machine.
+Retried, with exponential backoff and jitter: failed connections, answers 429 (after the time they ask for) and 5xx.
+Never retried: any other answer. Of requests that cost money only those are retried that the service cannot have
+accepted: failed connects and 429. A key is sent to the service's origin only, over https or within this machine.
 """
 
 import json
@@ -27,86 +26,85 @@ from tenacity import (
 
 from kinebench_drake.errors import SetupError
 from kinebench_drake.io.atomic import disk_errors
-from kinebench_drake.suites.worldmodels.service import (
+from kinebench_drake.suites.worldmodels.remote import (
     BusyError,
     Limits,
     ServiceError,
+    clean,
     is_loopback,
     origin,
-    remark,
     retry_after,
     web_address,
 )
 from kinebench_drake.suites.worldmodels.worldmodel import WorldModelError
 
-_Found = TypeVar("_Found")
+_T = TypeVar("_T")
 
 
 class Deadline:
-    """A moment after which nobody waits any more."""
+    """Time limit of one video."""
 
     def __init__(self, limit_s: float) -> None:
         self._limit_s = limit_s
         self._end = time.monotonic() + limit_s
 
     def left(self) -> float:
-        """Seconds that are left.
+        """Return the remaining seconds.
 
         Raises:
-            WorldModelError: none is.
+            WorldModelError: the deadline has passed.
         """
         left = self._end - time.monotonic()
         if left <= 0:
-            raise self.passed()
+            raise self.error()
         return left
 
-    def passed(self) -> WorldModelError:
-        """The error that says so."""
+    def error(self) -> WorldModelError:
+        """Return the error for a passed deadline."""
         return WorldModelError(f"no video within {self._limit_s:g} s; the option timeout= allows more")
 
     def wait(self, seconds: float) -> None:
-        """Wait.
+        """Sleep.
 
         Raises:
-            WorldModelError: so long may not be waited.
+            WorldModelError: the deadline would pass before.
         """
         if seconds >= self.left():
-            raise self.passed()
+            raise self.error()
         time.sleep(seconds)
 
-    def poll(self, ask: Callable[[], _Found | None], every_s: float) -> _Found:
-        """Ask until there is an answer.
+    def poll(self, ask: Callable[[], _T | None], every_s: float) -> _T:
+        """Call a function until it returns a value.
 
         Args:
-            ask: returns what is wanted, or None while there is none.
-            every_s: pause between two questions [s].
+            ask: returns None while there is no value yet.
+            every_s: period of the calls [s].
 
         Raises:
-            WorldModelError: there was none in time, or `ask` said that there will be none.
+            WorldModelError: the deadline passed, or `ask` raised it.
         """
-        while (found := ask()) is None:
+        while (answer := ask()) is None:
             self.wait(every_s)
-        return found
+        return answer
 
 
 _REDIRECTS = 5
 _FINAL = (HTTPStatus.NOT_IMPLEMENTED, HTTPStatus.HTTP_VERSION_NOT_SUPPORTED)
 _UNSENT = (httpx.ConnectError, httpx.ConnectTimeout, httpx.PoolTimeout, httpx.ProxyError)
-"""Failures before the service has seen anything of a request."""
-_Got = TypeVar("_Got")
+"""Failures before a request was sent."""
 
 
 class HttpClient:
-    """Calls to one service.
+    """Client of one service.
 
     Args:
-        service: its name in messages.
-        base: its address; only this origin is shown the key.
-        key: its key, if it wants one.
-        limits: how long and how much.
+        service: name in messages.
+        base: base address; the key is sent to its origin only.
+        key: bearer token, if the service requires one.
+        limits: limits of time and size.
 
     Raises:
-        SetupError: the key would travel in the clear.
+        SetupError: the key would be sent unencrypted.
     """
 
     def __init__(self, service: str, base: str, *, key: SecretStr | None = None, limits: Limits | None = None) -> None:
@@ -132,22 +130,22 @@ class HttpClient:
         repeatable: bool = True,
         check: Callable[[dict[str, Any]], None] = lambda answer: None,
     ) -> dict[str, Any]:
-        """Ask the service something and return the JSON object it answers with.
+        """Send a request and return the JSON object of the answer.
 
         Args:
             method: GET or POST.
-            path: what follows the base address; empty for the address itself.
-            deadline: when to give up.
-            body: sent as JSON.
-            headers: further ones.
-            most_bytes: largest answer, `json_bytes` if not given.
-            patient: whether the answer may be as long in coming as the deadline allows.
-            repeatable: whether a request that the service may have begun to work on can be sent again.
-            check: looks at the answer; may raise `BusyError`.
+            path: path below the base address; empty for the address itself.
+            deadline: time limit.
+            body: body, sent as JSON.
+            headers: additional headers.
+            most_bytes: largest answer; None: `json_bytes`.
+            patient: whether the service may be silent until the deadline.
+            repeatable: whether a request that the service may have accepted can be sent again.
+            check: validates the answer; may raise `BusyError` for another attempt.
 
         Raises:
-            WorldModelError: there was no such answer.
-            SetupError: the service does not accept the key.
+            WorldModelError: there was no valid answer.
+            SetupError: the service rejected the key.
         """
         url = httpx.URL(f"{str(self._base).rstrip('/')}{path}") if path else self._base
         most = most_bytes or self.limits.json_bytes
@@ -156,21 +154,23 @@ class HttpClient:
 
         def attempt() -> dict[str, Any]:
             timeout = self._timeout(deadline, patient)
-            sent = {"Accept": "application/json", **kind, **(headers or {}), **self._authorization(url)}
-            with self._stream(method, url, deadline, repeatable, content=content, headers=sent, timeout=timeout) as got:
-                self._accept(got, deadline, repeatable)
-                data = b"".join(self._read(got, most, deadline))
-            answer = self._object(data, got.status_code)
+            request_headers = {"Accept": "application/json", **kind, **(headers or {}), **self._authorization(url)}
+            with self._stream(
+                method, url, deadline, repeatable, content=content, headers=request_headers, timeout=timeout
+            ) as response:
+                self._accept(response, deadline, repeatable)
+                data = b"".join(self._read(response, most, deadline))
+            answer = self._object(data, response.status_code)
             check(answer)
             return answer
 
         return self._repeat(attempt, deadline)
 
     def download(self, address: str, part: Path, deadline: Deadline) -> None:
-        """Fetch a file; redirects are followed, http and https only.
+        """Download a file, following http and https redirects.
 
         Raises:
-            WorldModelError: it did not come whole.
+            WorldModelError: the download failed.
             SetupError: the disk failed.
         """
 
@@ -179,14 +179,14 @@ class HttpClient:
             for _ in range(_REDIRECTS):
                 headers = {"Accept-Encoding": "identity", **self._authorization(url)}
                 timeout = self._timeout(deadline, False)
-                with self._stream("GET", url, deadline, True, headers=headers, timeout=timeout) as got:
-                    if not got.has_redirect_location:
-                        self._accept(got, deadline, True)
+                with self._stream("GET", url, deadline, True, headers=headers, timeout=timeout) as response:
+                    if not response.has_redirect_location:
+                        self._accept(response, deadline, True)
                         with disk_errors(part.name), part.open("wb") as file:
-                            for chunk in self._read(got, self.limits.video_bytes, deadline):
+                            for chunk in self._read(response, self.limits.video_bytes, deadline):
                                 file.write(chunk)
                         return
-                    url = self._download_address(str(url.join(got.headers["Location"])))
+                    url = self._download_address(str(url.join(response.headers["Location"])))
             raise ServiceError(f"{self.service}: the video's address redirects more than {_REDIRECTS} times")
 
         self._repeat(attempt, deadline)
@@ -197,7 +197,7 @@ class HttpClient:
             client.close()
         self._clients.clear()
 
-    def _repeat(self, attempt: Callable[[], _Got], deadline: Deadline) -> _Got:
+    def _repeat(self, attempt: Callable[[], _T], deadline: Deadline) -> _T:
         limits = self.limits
         backoff = wait_exponential(limits.first_wait_s, limits.longest_wait_s) + wait_random(0, limits.first_wait_s)
         enough = stop_after_attempt(limits.attempts)
@@ -219,20 +219,21 @@ class HttpClient:
     def _stream(
         self, method: str, url: httpx.URL, deadline: Deadline, repeatable: bool, **request: Any
     ) -> Iterator[httpx.Response]:
-        """Send a request; failures of the network come out as `BusyError` where trying again may help."""
+        """Send a request; network failures become `BusyError` where a retry may help."""
         local = is_loopback(url)
         if local not in self._clients:
-            # What the environment says of proxies is not for this machine's own services.
+            # Proxies of the environment do not apply to services on this machine.
             self._clients[local] = httpx.Client(trust_env=not local, follow_redirects=False)
         try:
             with self._clients[local].stream(method, url, **request) as response:
                 yield response
         except (httpx.TransportError, httpx.DecodingError) as error:
-            deadline.left()  # a silence that outlasts the deadline is told as such
-            again = isinstance(error, _UNSENT) or (repeatable and not isinstance(error, httpx.UnsupportedProtocol))
-            kind = BusyError if again else ServiceError
-            fate = "cannot be reached" if isinstance(error, _UNSENT) else "broke off"
-            raise kind(f"{self.service} {fate} ({type(error).__name__})") from None
+            deadline.left()  # raises if the deadline has passed meanwhile
+            unsent = isinstance(error, _UNSENT)
+            retry = unsent or (repeatable and not isinstance(error, httpx.UnsupportedProtocol))
+            problem = "cannot be reached" if unsent else "broke off"
+            message = f"{self.service} {problem} ({type(error).__name__})"
+            raise (BusyError if retry else ServiceError)(message) from None
 
     def _accept(self, response: httpx.Response, deadline: Deadline, repeatable: bool) -> None:
         status = response.status_code
@@ -240,11 +241,11 @@ class HttpClient:
             return
         if response.is_redirect:
             raise ServiceError(f"{self.service} redirects (HTTP {status}); give the address it leads to", status=status)
-        said, code = self._complaint(response, deadline)
-        message = f"{self.service} answered HTTP {status}" + (f": {said}" if said else "")
-        # Any 5xx may come from a gateway behind which the request was taken all the same; 429 says that it was not.
-        passing = status >= HTTPStatus.INTERNAL_SERVER_ERROR and status not in _FINAL
-        if status == HTTPStatus.TOO_MANY_REQUESTS or (passing and repeatable):
+        reason, code = self._error_of(response, deadline)
+        message = f"{self.service} answered HTTP {status}" + (f": {reason}" if reason else "")
+        # A 5xx may come from a gateway behind which the request was accepted; 429 means that it was not.
+        transient = status >= HTTPStatus.INTERNAL_SERVER_ERROR and status not in _FINAL
+        if status == HTTPStatus.TOO_MANY_REQUESTS or (transient and repeatable):
             busy = BusyError(message, status=status, code=code)
             busy.after_s = retry_after(response.headers.get("Retry-After", ""))
             raise busy
@@ -252,20 +253,19 @@ class HttpClient:
             raise SetupError(f"{message}; is the key right, and meant for this address?")
         raise ServiceError(message, status=status, code=code)
 
-    def _complaint(self, response: httpx.Response, deadline: Deadline) -> tuple[str, str]:
-        """What a service says of a request it refused, and its code for it."""
+    def _error_of(self, response: httpx.Response, deadline: Deadline) -> tuple[str, str]:
+        """Return message and error code of an answer that reports an error."""
         try:
-            answer = self._object(
-                b"".join(self._read(response, self.limits.json_bytes, deadline)), response.status_code
-            )
+            data = b"".join(self._read(response, self.limits.json_bytes, deadline))
+            answer = self._object(data, response.status_code)
         except ServiceError:
-            return remark(response.reason_phrase), ""
-        inner = answer.get("error")
-        told = inner if isinstance(inner, dict) else answer
-        texts = (told.get("message"), answer.get("detail"), inner, response.reason_phrase)
-        code = told.get("code")
-        said = next(text for text in texts if isinstance(text, str))
-        return remark(f"{code}: {said}" if isinstance(code, str) else said), code if isinstance(code, str) else ""
+            return clean(response.reason_phrase), ""
+        error = answer.get("error")
+        details = error if isinstance(error, dict) else answer
+        texts = (details.get("message"), answer.get("detail"), error, response.reason_phrase)
+        text = next(text for text in texts if isinstance(text, str))
+        code = details.get("code")
+        return (clean(f"{code}: {text}"), code) if isinstance(code, str) else (clean(text), "")
 
     def _read(self, response: httpx.Response, most_bytes: int, deadline: Deadline) -> Iterator[bytes]:
         size = int(length) if (length := response.headers.get("Content-Length", "")).isdecimal() else 0

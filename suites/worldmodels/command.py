@@ -1,4 +1,4 @@
-"""Any program as a world model: asked on its standard input, answers with a file."""
+"""Program as a world model: reads the request on standard input, writes a video file."""
 
 import json
 import os
@@ -17,8 +17,8 @@ from typing import IO
 from kinebench_drake.errors import SetupError, cause
 from kinebench_drake.executors.interrupt import defer_interrupts
 from kinebench_drake.io.atomic import disk_errors, unfinished
-from kinebench_drake.suites.worldmodels.service import png, remark
-from kinebench_drake.suites.worldmodels.spec import ServiceOptions, Spec
+from kinebench_drake.suites.worldmodels.remote import clean, png
+from kinebench_drake.suites.worldmodels.spec import Spec, TimeoutOptions
 from kinebench_drake.suites.worldmodels.videofile import adopt
 from kinebench_drake.suites.worldmodels.worldmodel import Request, WorldModelError
 
@@ -27,19 +27,19 @@ _FIELDS = ("episode", "task", "round", "prompt", "negative_prompt", "seed", "num
 _PLACEHOLDERS = (*_FIELDS, "width", "height", "first_frame", "out")
 _TAIL = 4096
 _GRACE_S = 2.0
-"""Time between asking a program to end and ending it."""
+"""Time between SIGTERM and SIGKILL."""
 _PEEK = os.WEXITED | os.WNOHANG | os.WNOWAIT
 
 
 class CommandModel:
-    """Runs a program once a video; never through a shell.
+    """World model that runs a program for each video, without a shell.
 
-    The program gets the request as one JSON object on its standard input, and `{placeholders}` of its arguments filled
-    in. It writes the video to the path `out` and ends with status 0.
+    The program receives the request as a JSON object on standard input and through `{placeholders}` in its arguments.
+    It writes the video to the path `out` and exits with status 0.
     """
 
     def __init__(self, spec: Spec) -> None:
-        options = spec.read(ServiceOptions)
+        options = spec.read(TimeoutOptions)
         try:
             self._arguments = shlex.split(spec.rest)
         except ValueError as error:
@@ -56,15 +56,15 @@ class CommandModel:
         self.name = options.name or Path(self._arguments[0]).name
 
     def generate(self, request: Request, out: Path) -> Path:
-        """See `WorldModel`."""
+        """Run the program and store its video beside `out`."""
         part = unfinished(out)
         with disk_errors(out.name), tempfile.TemporaryDirectory(prefix=f"{part.name}.", dir=part.parent) as name:
             folder = Path(name)
             first_frame, video, log = folder / "first_frame.png", folder / "video.mp4", folder / "log"
             first_frame.write_bytes(png(request.first_frame))
-            facts = _facts(request, first_frame, video)
-            (folder / "request.json").write_text(json.dumps(facts), encoding="utf-8")
-            arguments = [_PLACEHOLDER.sub(lambda m: str(facts[m[1]]), argument) for argument in self._arguments]
+            fields = _request_fields(request, first_frame, video)
+            (folder / "request.json").write_text(json.dumps(fields), encoding="utf-8")
+            arguments = [_PLACEHOLDER.sub(lambda m: str(fields[m[1]]), argument) for argument in self._arguments]
             with (folder / "request.json").open("rb") as request_file, log.open("wb") as log_file:
                 status = self._run(arguments, request_file, log_file)
             if status is None:
@@ -73,20 +73,20 @@ class CommandModel:
                     f"{_last_line(log)}"
                 )
             if status:
-                how = f"status {status}" if status > 0 else f"signal {-status}"
-                raise WorldModelError(f"{self.name} failed with {how}{_last_line(log)}")
+                code = f"status {status}" if status > 0 else f"signal {-status}"
+                raise WorldModelError(f"{self.name} failed with {code}{_last_line(log)}")
             if not video.exists():
                 raise WorldModelError(f"{self.name} ended well but wrote no video to {{out}}{_last_line(log)}")
             return adopt(video, out)
 
     def close(self) -> None:
-        """Nothing is held."""
+        """Do nothing: there are no resources."""
 
     def _run(self, arguments: list[str], request: IO[bytes], log: IO[bytes]) -> int | None:
-        """Exit status of the program; None if it took too long: then it is ended, with all that it started."""
+        """Run the program and return its exit status; None if it was terminated after the time limit."""
         process: subprocess.Popen[bytes] | None = None
         try:
-            with defer_interrupts():  # or it might run without anybody who knows it
+            with defer_interrupts():  # else an interrupt could leave a process that nothing terminates
                 process = subprocess.Popen(
                     arguments, stdin=request, stdout=subprocess.DEVNULL, stderr=log, start_new_session=True
                 )
@@ -98,22 +98,22 @@ class CommandModel:
         finally:
             if process is not None and process.returncode is None:
                 with defer_interrupts():
-                    _end(process)
+                    _terminate(process)
 
 
-def _end(process: subprocess.Popen[bytes]) -> None:
-    """End a process and all it started. It is reaped last, so that its group's number is nobody else's till then."""
+def _terminate(process: subprocess.Popen[bytes]) -> None:
+    """Terminate the process group. Its leader is reaped last, so that the group id cannot be reused before."""
     for number in (signal.SIGTERM, signal.SIGKILL):
         with suppress(ProcessLookupError):
             os.killpg(process.pid, number)
         if number == signal.SIGTERM:
-            give_up = time.monotonic() + _GRACE_S
-            while os.waitid(os.P_PID, process.pid, _PEEK) is None and time.monotonic() < give_up:
+            deadline = time.monotonic() + _GRACE_S
+            while os.waitid(os.P_PID, process.pid, _PEEK) is None and time.monotonic() < deadline:
                 time.sleep(_GRACE_S / 100)
     process.wait()
 
 
-def _facts(request: Request, first_frame: Path, video: Path) -> Mapping[str, str | int | float]:
+def _request_fields(request: Request, first_frame: Path, video: Path) -> Mapping[str, str | int | float]:
     height, width = request.first_frame.shape[:2]
     return {
         **{name: getattr(request, name) for name in _FIELDS},
@@ -125,8 +125,8 @@ def _facts(request: Request, first_frame: Path, video: Path) -> Mapping[str, str
 
 
 def _last_line(log: Path) -> str:
-    """The last words on standard error, for a message."""
+    """Return the last line of standard error, for a message."""
     with log.open("rb") as file:
         file.seek(max(file.seek(0, os.SEEK_END) - _TAIL, 0))
         lines = [line for line in file.read().decode(errors="replace").splitlines() if line.strip()]
-    return f": {remark(lines[-1])}" if lines else ""
+    return f": {clean(lines[-1])}" if lines else ""

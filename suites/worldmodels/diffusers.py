@@ -1,4 +1,4 @@
-"""Local video models through Hugging Face's diffusers: Wan 2.1 and 2.2, CogVideoX, with LoRA weights.
+"""Local image-to-video pipelines of Hugging Face diffusers: Wan 2.1 and 2.2, CogVideoX, with LoRA weights.
 
 Pipelines: https://huggingface.co/docs/diffusers/api/pipelines/wan and .../api/pipelines/cogvideox
 """
@@ -17,15 +17,15 @@ from pydantic import Field
 from kinebench_drake.errors import SetupError
 from kinebench_drake.io.atomic import disk_errors
 from kinebench_drake.io.container import write_video
-from kinebench_drake.suites.worldmodels.service import remark
+from kinebench_drake.suites.worldmodels.remote import clean
 from kinebench_drake.suites.worldmodels.spec import Options, Spec
 from kinebench_drake.suites.worldmodels.worldmodel import Request, WorldModelError
 
 _WAN = "WanImageToVideoPipeline"
 PIPELINES = (_WAN, "CogVideoXImageToVideoPipeline")
-"""Classes of pipelines that a checkpoint may name: Wan 2.1 and 2.2, CogVideoX."""
+"""Pipeline classes that a checkpoint may name: Wan 2.1 and 2.2, CogVideoX."""
 _LIBRARIES = ("diffusers", "transformers", None)
-"""Where the parts of a pipeline may come from; None: the part is left out. A checkpoint brings no code of its own."""
+"""Libraries of the parts of a pipeline; None: the part is absent. Code in a checkpoint is never run."""
 _INDEX = "model_index.json"
 _LORA_FILE = "pytorch_lora_weights.safetensors"
 _ADAPTER = "lora"
@@ -38,16 +38,16 @@ def load_pipeline(
     device: str | None,
     offload: Literal["none", "model", "sequential"],
 ) -> Any:
-    """The pipeline of a checkpoint, ready to run.
+    """Load the pipeline of a checkpoint.
 
     Args:
         source: a folder, or an id on Hugging Face's hub.
-        dtype: of the weights; auto: bfloat16 on a GPU, else float32.
-        device: where it runs; the GPU if not given, else the CPU.
-        offload: what is kept in main memory till it is needed.
+        dtype: precision of the weights; auto: bfloat16 on a GPU, else float32.
+        device: device to run on; None: the GPU if there is one, else the CPU.
+        offload: parts kept in main memory while unused.
 
     Raises:
-        SetupError: diffusers is not installed, or the checkpoint is none of the known kinds or cannot be loaded.
+        SetupError: diffusers is not installed, or the checkpoint is not supported or cannot be loaded.
     """
     try:
         import diffusers
@@ -62,7 +62,7 @@ def load_pipeline(
     precision = automatic if dtype == "auto" else getattr(torch, dtype)
     try:
         kind = _kind(diffusers.DiffusionPipeline.load_config(source))
-        # Wan's manual keeps these two exact: half of their precision is seen in the pictures.
+        # Wan's documentation keeps these two in float32: half precision is visible in the video.
         exact = {"vae": torch.float32, "image_encoder": torch.float32} if kind == _WAN else {}
         pipeline = getattr(diffusers, kind).from_pretrained(
             source, dtype={"default": precision, **exact}, use_safetensors=True
@@ -74,53 +74,53 @@ def load_pipeline(
         else:
             pipeline.to(place)
     except (OSError, ValueError, ImportError, RuntimeError) as error:
-        raise SetupError(f"the checkpoint {shown(source)} cannot be loaded: {remark(str(error))}") from None
+        raise SetupError(f"the checkpoint {checkpoint_name(source)} cannot be loaded: {clean(error)}") from None
     pipeline.set_progress_bar_config(disable=True)
     return pipeline
 
 
 def add_lora(pipeline: Any, lora: str, scale: float) -> None:
-    """Put LoRA weights on a pipeline.
+    """Add LoRA weights to a pipeline.
 
     Args:
-        pipeline: of `load_pipeline`.
+        pipeline: pipeline of `load_pipeline`.
         lora: a .safetensors file, a folder with the file that diffusers' trainers write, or ORG/NAME[/FILE] on the hub.
-        scale: their strength.
+        scale: strength of the weights.
 
     Raises:
-        SetupError: they cannot be loaded.
+        SetupError: the weights cannot be loaded.
     """
-    folder, file = lora, _LORA_FILE
+    name, folder, file = checkpoint_name(lora), lora, _LORA_FILE
     if lora.endswith(".safetensors"):
         folder, _, file = lora.rpartition("/")
         folder = folder or "."
     if Path(folder).is_dir() and not (Path(folder) / file).is_file():
-        raise SetupError(
-            f"the LoRA {shown(lora)} is not there; expected a .safetensors file or a folder with {_LORA_FILE}"
-        )
+        raise SetupError(f"the LoRA {name} is not there; expected a .safetensors file or a folder with {_LORA_FILE}")
     try:
         pipeline.load_lora_weights(folder, weight_name=file, use_safetensors=True, adapter_name=_ADAPTER)
-        if _ADAPTER not in {name for names in pipeline.get_list_adapters().values() for name in names}:
+        if _ADAPTER not in {adapter for adapters in pipeline.get_list_adapters().values() for adapter in adapters}:
             raise ValueError("it has no weights for the pipeline")
         pipeline.set_adapters([_ADAPTER], [scale])
     except LookupError:
-        raise SetupError(f"the LoRA {shown(lora)} cannot be loaded: its weights do not fit the pipeline") from None
+        raise SetupError(
+            f"the LoRA {checkpoint_name(lora)} cannot be loaded: its weights do not fit the pipeline"
+        ) from None
     except (OSError, ValueError, ImportError, RuntimeError) as error:
-        raise SetupError(f"the LoRA {shown(lora)} cannot be loaded: {remark(str(error))}") from None
+        raise SetupError(f"the LoRA {checkpoint_name(lora)} cannot be loaded: {clean(error)}") from None
 
 
-def shown(source: str) -> str:
-    """A checkpoint as messages and results call it: a path by its last name, an id of the hub as it is."""
+def checkpoint_name(source: str) -> str:
+    """Return the name of a checkpoint in messages and results: the last part of a path, or an id of the hub."""
     parts = source.rstrip("/").split("/")
     is_path = Path(source).exists() or source.startswith((".", "/", "~")) or len(parts) != 2
     return parts[-1] if is_path else source
 
 
 def _kind(index: dict[str, Any]) -> str:
-    """Name of the pipeline's class.
+    """Return the name of the pipeline class.
 
     Raises:
-        ValueError: it is not one of ours, or the checkpoint wants to bring code.
+        ValueError: it is not supported, or a part comes from another library.
     """
     kind = index.get("_class_name")
     if kind not in PIPELINES:
@@ -134,7 +134,7 @@ def _kind(index: dict[str, Any]) -> str:
 _SIZE = r"^[1-9]\d{1,3}x[1-9]\d{1,3}$"
 _HUB_ID = re.compile(r"\w[\w.-]*/[\w.-]+")
 _WAN_SIDES = 16
-"""The Wan pipeline takes no other sides than multiples of this, whatever its networks could do."""
+"""The Wan pipeline requires sides that are multiples of this."""
 
 
 class DiffusersOptions(Options):
@@ -155,7 +155,7 @@ class DiffusersOptions(Options):
 
 
 class DiffusersModel:
-    """Runs an image-to-video pipeline in this process; the checkpoint is loaded with the first video."""
+    """World model that runs a pipeline in this process; the checkpoint is loaded with the first video."""
 
     def __init__(self, spec: Spec) -> None:
         self._options = spec.read(DiffusersOptions)
@@ -167,12 +167,12 @@ class DiffusersModel:
         for package in ("diffusers", "transformers"):
             if importlib.util.find_spec(package) is None:
                 raise SetupError(f"the package {package} is missing; pip install 'kinebench-drake[diffusers]'")
-        lora = f"+{shown(self._options.lora)}" if self._options.lora else ""
-        self.name = self._options.name or f"{shown(self._source)}{lora}"
+        lora = f"+{checkpoint_name(self._options.lora)}" if self._options.lora else ""
+        self.name = self._options.name or f"{checkpoint_name(self._source)}{lora}"
         self._pipeline: Any = None
 
     def generate(self, request: Request, out: Path) -> Path:
-        """See `WorldModel`."""
+        """Run the pipeline and write its frames as an mp4 beside `out`."""
         import torch
 
         options = self._options
@@ -182,9 +182,9 @@ class DiffusersModel:
                 add_lora(pipeline, options.lora, options.lora_scale)
             self._pipeline = pipeline
         width, height = self._size(request.first_frame)
-        further = {} if options.guidance is None else {"guidance_scale": options.guidance}
+        guidance = {} if options.guidance is None else {"guidance_scale": options.guidance}
         try:
-            made = self._pipeline(
+            output = self._pipeline(
                 image=Image.fromarray(request.first_frame).resize((width, height), Image.Resampling.LANCZOS),
                 prompt=request.prompt,
                 negative_prompt=request.negative_prompt or None,
@@ -192,23 +192,23 @@ class DiffusersModel:
                 width=width,
                 num_frames=self._num_frames(request.num_frames),
                 num_inference_steps=options.steps,
-                # On the CPU, so that a seed means the same wherever the model runs.
+                # On the CPU, so that a seed gives the same noise on every device.
                 generator=torch.Generator("cpu").manual_seed(request.seed),
                 output_type="np",
-                **further,
+                **guidance,
             )
         except torch.OutOfMemoryError:
             raise SetupError(
                 f"{self.name} at {width}x{height} needs more memory than the GPU has; use offload=model or another size"
             ) from None
-        frames = _frames(np.asarray(made.frames[0])[: request.num_frames], request.first_frame)
+        frames = _to_bytes(np.asarray(output.frames[0])[: request.num_frames], request.first_frame)
         path = out.with_name(f"{out.name}.mp4")
         with disk_errors(path.name):
             write_video(path, frames, request.fps)
         return path
 
     def close(self) -> None:
-        """Drop the pipeline and give the GPU's memory back."""
+        """Release the pipeline and the memory of the GPU."""
         if self._pipeline is not None:
             import torch
 
@@ -216,11 +216,11 @@ class DiffusersModel:
             torch.cuda.empty_cache()
 
     def _size(self, frame: NDArray[np.uint8]) -> tuple[int, int]:
-        """Width and height [px] nearest to those wanted that the pipeline can do."""
+        """Return the supported width and height [px] nearest to the requested ones."""
         pipeline, network = self._pipeline, _network(self._pipeline)
         scale, patch = pipeline.vae_scale_factor_spatial, network.config.patch_size
         if getattr(network.config, "use_learned_positional_embeddings", False):
-            # Positions were learned one by one: there are none for another size.
+            # Learned position embeddings exist for one size only.
             return int(network.config.sample_width * scale), int(network.config.sample_height * scale)
         if self._options.size:
             width, height = (int(side) for side in self._options.size.split("x"))
@@ -230,7 +230,7 @@ class DiffusersModel:
         return _nearest(width, multiple), _nearest(height, multiple)
 
     def _num_frames(self, wanted: int) -> int:
-        """Frames to ask for: as many as wanted, or the next number that the pipeline can do, or else its largest."""
+        """Return the supported number of frames: the next one from `wanted`, at most the largest."""
         network, period = _network(self._pipeline), self._pipeline.vae_scale_factor_temporal
         frames: int = math.ceil((wanted - 1) / period) * period + 1
         if getattr(network.config, "use_learned_positional_embeddings", False):
@@ -239,7 +239,7 @@ class DiffusersModel:
 
 
 def _network(pipeline: Any) -> Any:
-    """The denoising network; of Wan 2.2's two, either may be left out."""
+    """Return the denoising network; of Wan 2.2's two, either may be absent."""
     return pipeline.transformer if pipeline.transformer is not None else pipeline.transformer_2
 
 
@@ -247,13 +247,13 @@ def _nearest(side_px: int, multiple: int) -> int:
     return max(round(side_px / multiple), 1) * multiple
 
 
-def _frames(frames: NDArray[np.floating], first: NDArray[np.uint8]) -> list[NDArray[np.uint8]]:
-    """Frames (T, H, W, 3) in 0..1 as bytes; where the aspect ratio was changed, at the first frame's size again."""
+def _to_bytes(frames: NDArray[np.floating], first: NDArray[np.uint8]) -> list[NDArray[np.uint8]]:
+    """Convert frames (T, H, W, 3) in 0..1 to bytes, resized to the first frame if the aspect ratio differs."""
     if not np.isfinite(frames).all():
         raise WorldModelError("the video has values that are not numbers; another dtype= may help")
-    pictures = (np.clip(frames, 0, 1) * 255).round().astype(np.uint8)
-    (height, width), (first_height, first_width) = pictures.shape[1:3], first.shape[:2]
+    images = (np.clip(frames, 0, 1) * 255).round().astype(np.uint8)
+    (height, width), (first_height, first_width) = images.shape[1:3], first.shape[:2]
     if width * first_height == height * first_width:
-        return list(pictures)
+        return list(images)
     size = (first_width, first_height)
-    return [np.asarray(Image.fromarray(picture).resize(size, Image.Resampling.LANCZOS)) for picture in pictures]
+    return [np.asarray(Image.fromarray(image).resize(size, Image.Resampling.LANCZOS)) for image in images]

@@ -1,33 +1,90 @@
-"""From what the command line says to a world model."""
+"""World models from the specs of the command line. Importing this module loads neither simulator nor network."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import cast
+from typing import Any, cast
+
+from pydantic import Field
 
 from kinebench_drake.errors import UsageError
 from kinebench_drake.plugin import is_class_name, load_class
+from kinebench_drake.suites.worldmodels.cloud import DashScopeModel, MiniMaxModel
 from kinebench_drake.suites.worldmodels.command import CommandModel
-from kinebench_drake.suites.worldmodels.dashscope import DashScopeModel
 from kinebench_drake.suites.worldmodels.diffusers import DiffusersModel
 from kinebench_drake.suites.worldmodels.folder import FolderModel
 from kinebench_drake.suites.worldmodels.http import HttpModel
-from kinebench_drake.suites.worldmodels.minimax import MiniMaxModel
-from kinebench_drake.suites.worldmodels.spec import OPTION, SERVERS, Spec, parse
-from kinebench_drake.suites.worldmodels.still import StillModel
+from kinebench_drake.suites.worldmodels.spec import OPTION, SERVERS, Options, Spec, parse
 from kinebench_drake.suites.worldmodels.worldmodel import WorldModel
+from kinebench_drake.types import AnomalyKind
+
+_FAULTY = "oracle+"
+
+
+class OracleOptions(Options):
+    """Options of the oracle."""
+
+    true_track: bool = Field(
+        False, alias="told", description="report the true track of each clip, so that no pose is read from pixels"
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SpecForm:
-    """One way of naming a world model."""
+    """Form of a spec."""
 
     usage: str
-    """How the spec looks, such as "folder:DIR"."""
+    """Example, such as "folder:DIR"."""
     make: Callable[[Spec], WorldModel]
-    """Makes the world model; raises UsageError or SetupError."""
+    """Creates the world model; raises UsageError or SetupError."""
+
+
+def _make_still(spec: Spec) -> WorldModel:
+    from kinebench_drake.suites.worldmodels.reference import StillModel
+
+    spec.expect_no_argument()
+    return StillModel(**_name_option(spec))
+
+
+def _make_random(spec: Spec) -> WorldModel:
+    from kinebench_drake.suites.worldmodels.reference import RandomPolicyModel
+
+    spec.expect_no_argument()
+    return RandomPolicyModel(**_name_option(spec))
+
+
+def _make_oracle(spec: Spec) -> WorldModel:
+    from kinebench_drake.suites.worldmodels.reference import OracleModel
+
+    spec.expect_no_argument()
+    options = spec.read(OracleOptions)
+    name = options.name or ("oracle, true track" if options.true_track else "oracle")
+    return OracleModel(name, discloses=options.true_track)
+
+
+def _make_faulty_oracle(spec: Spec) -> WorldModel:
+    """Create the oracle of a spec such as "oracle+teleport:0.15".
+
+    Raises:
+        UsageError: there is no size, or more than one.
+    """
+    from kinebench_drake.suites.faults.fault import choose
+    from kinebench_drake.suites.worldmodels.reference import OracleModel
+
+    grades = choose([AnomalyKind(spec.kind.removeprefix(_FAULTY))], spec.rest)
+    if len(grades) > len({grade.form for grade in grades}):
+        raise spec.unusable(f"expected one size, such as {spec.kind}:{grades[0].size:g}")
+    return OracleModel(spec.read(Options).name or f"{_FAULTY}{grades[0].label}", grades[0])
+
+
+def _name_option(spec: Spec) -> dict[str, str]:
+    name = spec.read(Options).name
+    return {} if name is None else {"name": name}
 
 
 _HTTP = SpecForm(usage="http://HOST:PORT/PATH", make=HttpModel)
+_FAULTY_FORM = SpecForm(
+    usage=f"{_FAULTY}KIND:SIZE (KIND: {' '.join(kind.value for kind in AnomalyKind)})", make=_make_faulty_oracle
+)
 FORMS: Mapping[str, SpecForm] = {
     "folder": SpecForm(usage="folder:DIR", make=FolderModel),
     **dict.fromkeys(SERVERS, _HTTP),
@@ -35,42 +92,80 @@ FORMS: Mapping[str, SpecForm] = {
     "dashscope": SpecForm(usage="dashscope:[MODEL]", make=DashScopeModel),
     "minimax": SpecForm(usage="minimax:[MODEL]", make=MiniMaxModel),
     "diffusers": SpecForm(usage="diffusers:PATH_OR_ID", make=DiffusersModel),
-    "still": SpecForm(usage="still", make=StillModel),
+    "still": SpecForm(usage="still", make=_make_still),
+    "oracle": SpecForm(usage="oracle", make=_make_oracle),
+    **{f"{_FAULTY}{kind.value}": _FAULTY_FORM for kind in AnomalyKind},
+    "random": SpecForm(usage="random", make=_make_random),
 }
-"""World models by the kind in their spec. Those that need the simulator are handed to `create` by who has it."""
+"""World models by the kind of their spec."""
 _CLASS_USAGE = "module:Class"
 
 
-def create(text: str, further: Mapping[str, SpecForm] | None = None) -> WorldModel:
-    """The world model that a spec names; nothing is loaded or asked before the first video.
+def create(text: str) -> WorldModel:
+    """Create the world model of a spec; nothing is loaded or requested before the first video.
 
     Args:
-        text: `KIND[:REST][?key=value&key=value]`, or `module:Class`, whose options are given to the class as keywords.
-        further: forms beyond `FORMS`, by kind: those that need more than a request to answer it.
+        text: `KIND[:REST][?key=value&key=value]`, or `module:Class`, whose options become keyword arguments.
 
     Raises:
-        UsageError: the spec cannot be used; the message lists the forms.
+        UsageError: the spec is invalid; the message lists the forms.
         SetupError: something it needs is missing on this machine, such as a key.
     """
-    forms = {**FORMS, **(further or {})}
     spec = parse(text)
-    if form := forms.get(spec.kind):
+    if form := FORMS.get(spec.kind):
         return form.make(spec)
-    usages = ", ".join(dict.fromkeys([*(form.usage for form in forms.values()), _CLASS_USAGE]))
+    usages = ", ".join(dict.fromkeys([*(form.usage for form in FORMS.values()), _CLASS_USAGE]))
     if not is_class_name(spec.plain):
         raise spec.unusable(f"expected one of {usages}, each with options ?key=value&key=value")
     try:
-        return _plugin(spec)
+        return _make_plugin(spec)
     except UsageError as error:
         raise UsageError(f"{error}; world models are named {usages}") from None
 
 
-def _plugin(spec: Spec) -> WorldModel:
-    found = load_class(spec.plain, option=OPTION, method="generate", arguments="request, out")
+def _make_plugin(spec: Spec) -> WorldModel:
+    plugin = load_class(spec.plain, option=OPTION, method="generate", arguments="request, out")
     try:
-        made = found(**spec.options)
+        model: Any = plugin(**spec.options)
     except TypeError as error:
         raise spec.unusable(f"the class does not take these options ({error})") from error
-    if not isinstance(getattr(made, "name", None), str) or not callable(getattr(made, "close", None)):
+    if not isinstance(getattr(model, "name", None), str) or not callable(getattr(model, "close", None)):
         raise spec.unusable("expected a class whose instances have a name, a string, and a method close()")
-    return cast(WorldModel, made)
+    return cast(WorldModel, model)
+
+
+class LazyWorldModel:
+    """The world model of a process, created on first use. Pickled as its spec, so that each process creates its own."""
+
+    def __init__(self, spec: str) -> None:
+        """Parse the spec without creating the model.
+
+        Args:
+            spec: spec of the command line (docs/worldmodels.md).
+
+        Raises:
+            UsageError: an option is given twice.
+        """
+        self.spec = spec
+        self.identity = parse(spec).identity
+        self._model: WorldModel | None = None
+
+    def __reduce__(self) -> tuple[type["LazyWorldModel"], tuple[str]]:
+        return LazyWorldModel, (self.spec,)
+
+    def get(self) -> WorldModel:
+        """Return the world model.
+
+        Raises:
+            UsageError: the spec is invalid.
+            SetupError: something it needs is missing, such as a key.
+        """
+        if self._model is None:
+            self._model = create(self.spec)
+        return self._model
+
+    def close(self) -> None:
+        """Release the model."""
+        model, self._model = self._model, None
+        if model is not None:
+            model.close()

@@ -1,4 +1,4 @@
-"""Videos that were generated elsewhere, for the episodes of `suite export`."""
+"""Folder of finished videos as a world model, for the episodes of `suite export`."""
 
 import re
 from pathlib import Path
@@ -16,10 +16,10 @@ _SEED = re.compile(r"[-_](?:seed|s)?[-_]?(\d+)", re.IGNORECASE)
 
 
 class FolderModel:
-    """Answers from a folder: the manifest's row of the episode, else the video that is called like it.
+    """World model that looks up videos in a folder, by manifest row or else by file name.
 
-    A row is the episode's if its `id` is, else if its `task` and `seed` are. A video or folder of frames is called like
-    the episode if its stem is the episode's id, else if it is the task and the seed, such as `StackCube-v1_seed3`.
+    A row matches an episode by its `id`, else by its `task` and `seed`. A video or folder of frames matches if its stem
+    is the episode's id, else if it is the task and the seed, such as `StackCube-v1_seed3`.
     """
 
     def __init__(self, spec: Spec) -> None:
@@ -34,79 +34,79 @@ class FolderModel:
             raise spec.unusable(str(error)) from None
 
     def generate(self, request: Request, out: Path) -> Path:
-        """See `WorldModel`; the answer lies in the folder itself."""
+        """Return the video of the episode, which stays in its folder."""
         if request.round:
             raise WorldModelError(
                 f"a folder of finished videos can answer the first round only, this is round {request.round + 1}: it "
                 "would have to know what was executed; use --rounds 1"
             )
-        found = self._find(request.episode, request.task)
-        if not found:
+        matches = self._find(request.episode, request.task)
+        if not matches:
             raise WorldModelError(
                 f"the folder has no video of {request.episode}; expected {request.episode}.mp4 (or mov, avi, gif, "
                 f"webm, mkv, a folder of frames), or a row of {_MANIFEST} with its id and video"
             )
-        if len(found) > 1:
-            names = ", ".join(path.name for path in found)
+        if len(matches) > 1:
+            names = ", ".join(path.name for path in matches)
             raise WorldModelError(f"the folder has several videos of {request.episode} ({names}); leave one")
-        return self._checked(found[0])
+        return self._check(matches[0])
 
     def files(self, episode: str, task: str) -> list[Path]:
-        """See `Offline`."""
-        found = self._find(episode, task)
-        return [inner for path in found for inner in (sorted(path.iterdir()) if path.is_dir() else [path])]
+        """Return the files of the episode's video, or of its folder of frames."""
+        matches = self._find(episode, task)
+        return [inner for path in matches for inner in (sorted(path.iterdir()) if path.is_dir() else [path])]
 
     def close(self) -> None:
-        """Nothing is held."""
+        """Do nothing: there are no resources."""
 
     def _find(self, episode: str, task: str) -> list[Path]:
         return self._by_manifest(episode, task) or self._by_name(episode, task)
 
     def _by_manifest(self, episode: str, task: str) -> list[Path]:
-        """Videos of the episode's rows that are there; rows of an export whose video was never made are passed over."""
+        """Return existing videos of matching rows; an export has rows without a video."""
         seed = _seed_of(episode, task)
         by_id = [row for row in self._rows if row.get("id") == episode]
         nameless = [row for row in self._rows if "id" not in row and seed is not None]
         by_seed = [row for row in nameless if (row.get("task"), row.get("seed")) == (task, seed)]
         for rows in (by_id, by_seed):
             videos = [self._folder / row["video"] for row in rows if isinstance(row.get("video"), str)]
-            if found := [path for path in dict.fromkeys(videos) if path.exists()]:
-                return found
+            if matches := [path for path in dict.fromkeys(videos) if path.exists()]:
+                return matches
         return []
 
     def _by_name(self, episode: str, task: str) -> list[Path]:
-        named = {path: path.stem if _is_film(path) else path.name for path in sorted(self._folder.iterdir())}
-        videos = {path: name for path, name in named.items() if _is_film(path) or _is_frames(path)}
-        if found := [path for path, name in videos.items() if name == episode]:
-            return found
+        names = {path: path.stem if _is_video(path) else path.name for path in sorted(self._folder.iterdir())}
+        videos = {path: name for path, name in names.items() if _is_video(path) or _is_frames(path)}
+        if matches := [path for path, name in videos.items() if name == episode]:
+            return matches
         seed = _seed_of(episode, task)
         return [
             path
             for path, name in videos.items()
             if name.startswith(task)
-            and (told := _SEED.fullmatch(name.removeprefix(task))) is not None
-            and int(told[1]) == seed
+            and (number := _SEED.fullmatch(name.removeprefix(task))) is not None
+            and int(number[1]) == seed
         ]
 
-    def _checked(self, path: Path) -> Path:
+    def _check(self, path: Path) -> Path:
         real = path.resolve()
         if not real.is_relative_to(self._folder) or real == self._folder:
             raise WorldModelError(f"the video {path.name} lies outside the folder; copy it into it")
         if real.is_dir():
             if not _is_frames(real):
-                raise WorldModelError(f"{path.name} is a folder without pictures (png, jpg)")
+                raise WorldModelError(f"{path.name} is a folder without images (png, jpg)")
         else:
             check_video(real)
         return real
 
 
 def _seed_of(episode: str, task: str) -> int | None:
-    """The episode's own seed; its id is the task, `_s` and the seed, whatever follows."""
-    told = re.match(rf"{re.escape(task)}_s(\d+)", episode)
-    return int(told[1]) if told else None
+    """Return the seed in an episode's id, which begins with the task, `_s` and the seed."""
+    match = re.match(rf"{re.escape(task)}_s(\d+)", episode)
+    return int(match[1]) if match else None
 
 
-def _is_film(path: Path) -> bool:
+def _is_video(path: Path) -> bool:
     return path.suffix.lower() in VIDEO_SUFFIXES and not path.name.startswith(".") and path.is_file()
 
 
@@ -115,10 +115,10 @@ def _is_frames(path: Path) -> bool:
 
 
 def _rows(manifest: Path) -> list[dict[str, Any]]:
-    """Rows of a manifest, none if there is no manifest.
+    """Read the rows of a manifest; none if there is no manifest.
 
     Raises:
-        InputError: a line is no JSON object.
+        InputError: a line is not a JSON object.
     """
     if not manifest.is_file():
         return []

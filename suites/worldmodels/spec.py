@@ -1,4 +1,4 @@
-"""How a world model is named on the command line: `KIND[:REST][?key=value&key=value]`."""
+"""Spec of a world model on the command line: `KIND[:REST][?key=value&key=value]`."""
 
 import re
 from collections.abc import Mapping
@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from kinebench_drake.errors import UsageError
 
 OPTION = "--world-model"
-"""Where a spec is given."""
+"""Command line option of specs."""
 SERVERS = ("http", "https")
 """Kinds that name a server by its address."""
 _PAIR = r"[A-Za-z_]\w*=[^&?]*"
@@ -19,15 +19,15 @@ _OPTIONS = re.compile(rf"(.*)\?((?:{_PAIR}(?:&{_PAIR})*)?)", re.DOTALL)
 
 
 class Options(BaseModel):
-    """Options that every world model has; a field is a key of the spec, its description says what it does."""
+    """Options of every world model; a field is a key of the spec, its description the help text."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    name: str | None = Field(None, pattern=r"^[^\x00-\x1f/\\]{1,80}$", description="how results call the model")
+    name: str | None = Field(None, pattern=r"^[^\x00-\x1f/\\]{1,80}$", description="name of the model in results")
 
 
-class ServiceOptions(Options):
-    """Options of everything that may take long."""
+class TimeoutOptions(Options):
+    """Options of world models that may take long."""
 
     timeout: float = Field(1800.0, gt=0, allow_inf_nan=False, description="seconds for one video, all retries included")
 
@@ -37,20 +37,20 @@ _Model = TypeVar("_Model", bound=Options)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Spec:
-    """A spec, taken apart."""
+    """Parsed spec."""
 
     text: str
-    """As it was given."""
+    """The whole spec."""
     kind: str
-    """What stands before the first colon."""
+    """Text before the first colon."""
     rest: str
-    """What stands after it, without the options."""
+    """Text after it, without the options."""
     options: Mapping[str, str]
-    """The options, percent signs decoded."""
+    """Options, percent-decoded."""
 
     @property
     def identity(self) -> str:
-        """What tells its model from others: the spec as given, of a server with a name but for where that listens."""
+        """Text that identifies the model: the spec, but for a server with a name without scheme, host and port."""
         url = urlsplit(self.plain)
         if self.kind not in SERVERS or "name" not in self.options:
             return self.text
@@ -59,26 +59,27 @@ class Spec:
 
     @property
     def plain(self) -> str:
-        """The spec without its options."""
+        """Spec without options."""
         return f"{self.kind}:{self.rest}" if self.rest else self.kind
 
     def read(self, model: type[_Model]) -> _Model:
-        """The options, checked.
+        """Validate the options.
 
         Raises:
-            UsageError: a key is unknown or a value unusable; the message lists the valid keys.
+            UsageError: a key is unknown or a value invalid; the message lists the valid keys.
         """
         try:
             return model.model_validate(self.options)
         except ValidationError as error:
             first = error.errors(include_url=False, include_context=False)[0]
             key = str(first["loc"][0]) if first["loc"] else ""
-            told = "is not an option" if first["type"] == "extra_forbidden" else f"={first['input']}: {first['msg']}"
-            valid = ", ".join(model.model_fields)
-            raise self.unusable(f"{key}{'' if told.startswith('=') else ' '}{told}; options are {valid}") from None
+            extra = first["type"] == "extra_forbidden"
+            problem = f"{key} is not an option" if extra else f"{key}={first['input']}: {first['msg']}"
+            keys = ", ".join(field.alias or name for name, field in model.model_fields.items())
+            raise self.unusable(f"{problem}; options are {keys}") from None
 
-    def bare(self) -> None:
-        """Make sure that nothing follows the kind.
+    def expect_no_argument(self) -> None:
+        """Check that nothing follows the kind.
 
         Raises:
             UsageError: something does.
@@ -87,19 +88,19 @@ class Spec:
             raise self.unusable(f"expected {self.kind} by itself, found {self.rest!r} after it")
 
     def unusable(self, why: str) -> UsageError:
-        """The error that says why the spec cannot be used."""
+        """Return the error for an invalid spec."""
         return UsageError(f"{OPTION} {self.text}: {why}")
 
 
 def parse(text: str) -> Spec:
-    """Take a spec apart. Options begin at the last `?` that nothing but `key=value` pairs, or nothing at all, follows.
+    """Parse a spec. Options begin at the last `?` that is followed by `key=value` pairs only, or by nothing.
 
     Raises:
         UsageError: a key is given twice.
     """
     plain, pairs = text, ""
-    if found := _OPTIONS.fullmatch(text):
-        plain, pairs = found.groups()
+    if match := _OPTIONS.fullmatch(text):
+        plain, pairs = match.groups()
     kind, _, rest = plain.partition(":")
     spec = Spec(text=text, kind=kind, rest=rest, options={})
     options: dict[str, str] = {}

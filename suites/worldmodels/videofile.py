@@ -1,4 +1,4 @@
-"""A video that came from elsewhere: told by its first bytes, opened, and put in its place whole."""
+"""Validation of video files from outside: format by the first bytes, a test decode, atomic placement."""
 
 import os
 from collections.abc import Iterator
@@ -24,7 +24,7 @@ _DEMUXERS = {
 
 
 def suffix_of(head: bytes) -> str | None:
-    """The suffix of a video file that begins with `head`; None if it begins like none."""
+    """Return the suffix of the video format that begins with `head`; None if there is none."""
     if head[4:8] == b"ftyp":
         return ".mov" if head[8:12] == b"qt  " else ".mp4"
     if head[:4] == b"RIFF" and head[8:12] == b"AVI ":
@@ -37,13 +37,10 @@ def suffix_of(head: bytes) -> str | None:
 
 
 def check_video(path: Path) -> str:
-    """Make sure that a file is a video whose first frame can be decoded.
-
-    Returns:
-        The suffix that befits it.
+    """Check that a file is a video whose first frame can be decoded, and return the suffix of its format.
 
     Raises:
-        WorldModelError: it is none.
+        WorldModelError: it is not.
     """
     try:
         with path.open("rb") as file:
@@ -52,16 +49,14 @@ def check_video(path: Path) -> str:
         raise WorldModelError(f"the video cannot be read ({cause(error)})") from None
     suffix = suffix_of(head)
     if suffix is None:
-        raise WorldModelError(
-            f"what came is not a video ({_looks_like(head)}); expected mp4, mov, avi, gif, webm or mkv"
-        )
+        raise WorldModelError(f"the file is not a video ({_describe(head)}); expected mp4, mov, avi, gif, webm or mkv")
     try:
-        # The format is given: otherwise a list of other addresses to read would pass for a video, too.
+        # The format is fixed: otherwise a playlist of other addresses would pass as a video.
         with av.open(path, format=_DEMUXERS[suffix], metadata_errors="replace") as container:
             if not isinstance(container, InputContainer) or not container.streams.video:
-                raise WorldModelError("what came is a media file without pictures")
+                raise WorldModelError("the file is a media file without a video stream")
             if next(container.decode(video=0), None) is None:
-                raise WorldModelError("what came is a video without frames")
+                raise WorldModelError("the file is a video without frames")
     except (av.FFmpegError, EOFError, ValueError, OverflowError, MemoryError) as error:
         raise WorldModelError(f"the video is damaged ({type(error).__name__})") from None
     return suffix
@@ -69,27 +64,24 @@ def check_video(path: Path) -> str:
 
 @contextmanager
 def arriving(out: Path) -> Iterator[Path]:
-    """A hidden path beside `out` for what is not yet known to be whole; gone when the context ends."""
+    """Provide a hidden path beside `out` for an incomplete file, deleted when the context ends."""
     part = unfinished(out)
     try:
         yield part
     finally:
-        with suppress(OSError):  # the error on its way tells
+        with suppress(OSError):  # does not hide the error that ended the context
             part.unlink()
 
 
 def adopt(part: Path, out: Path) -> Path:
-    """Put a video in its place.
+    """Check a video and move it to its final path, which is returned.
 
     Args:
         part: the file, on the same disk as `out`.
-        out: its place, without a suffix.
-
-    Returns:
-        The path with the suffix that befits the file.
+        out: final path without a suffix; that of the file's format is appended.
 
     Raises:
-        WorldModelError: it is no video.
+        WorldModelError: it is not a video.
         SetupError: the disk failed.
     """
     suffix = check_video(part)
@@ -101,7 +93,7 @@ def adopt(part: Path, out: Path) -> Path:
     return path
 
 
-def _looks_like(head: bytes) -> str:
+def _describe(head: bytes) -> str:
     if not head:
         return "it is empty"
     text = head.lstrip()

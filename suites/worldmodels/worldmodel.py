@@ -1,80 +1,115 @@
-"""What a world model is asked and what it answers."""
+"""World model interface: request, answer, and the protocols that an adapter may implement."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.errors import InputError
+from kinebench_drake.geometry import Array
+
+if TYPE_CHECKING:  # naming a world model should not load the assets
+    from kinebench_drake.suites.episode import Episode
+
+SimulatorState: TypeAlias = Mapping[str, Mapping[str, NDArray[np.float32]]]
+"""ManiSkill's state: kind (actors, articulations) and name to values."""
 
 
 class WorldModelError(InputError):
-    """A world model gave no video for one request; what it said is the message. Another request may well succeed."""
+    """No video for one request; another request may succeed. The message is what the model or service reported."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Request:
-    """One clip asked of a world model."""
+    """Request for one clip."""
 
     episode: str
     """Id of the episode, safe as a file name, such as "StackCube-v1_s0003"."""
     task: str
     """Plain task id."""
     round: int
-    """0 for the clip that begins the episode, 1 for the one that goes on from its last executed frame, ..."""
+    """0 for the first clip of the episode, 1 for the one that continues from its last executed frame, ..."""
     prompt: str
-    """What shall happen, in words."""
+    """Task instruction."""
     negative_prompt: str
-    """What shall not be seen; empty if nothing is said."""
+    """Content to avoid; may be empty."""
     seed: int
-    """Seed of the model's own randomness; the same for the same episode, round and run."""
+    """Seed of the model's randomness; the same for the same episode, round and run."""
     first_frame: NDArray[np.uint8]
-    """(H, W, 3) RGB: what the camera sees now."""
+    """(H, W, 3) RGB: current camera image."""
     num_frames: int
-    """Frames wanted, the first one included."""
+    """Requested number of frames, including the first one."""
     fps: float
-    """Frames per second at which the video shall play."""
+    """Playback rate of the video [frames/s]."""
 
 
-@runtime_checkable
-class Offline(Protocol):
-    """A world model whose videos were made beforehand: it answers the first round of an episode only."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrueTrack:
+    """Ground-truth gripper track of a clip."""
 
-    def files(self, episode: str, task: str) -> Sequence[Path]:
-        """The files that the answer for an episode consists of; none where there is no answer."""
-        ...
+    X_CH: Array
+    """(T, 4, 4) panda_hand in the camera frame [m]."""
+    finger_width_m: Array
+    """(T,) gap between the finger pads [m]."""
 
 
 class WorldModel(Protocol):
-    """Turns a first frame and a prompt into a video. One process makes one of it; it is used by one thread.
+    """Generates a video from a first frame and a prompt. One instance per process, used by one thread.
 
-    The process that begins a run makes one for its name alone where others do the work.
+    Where workers generate the videos, the process that starts the run creates an instance for its name only.
     """
 
     @property
     def name(self) -> str:
-        """How results call it, without secrets, host names or absolute paths."""
+        """Name in the results, without secrets, host names or absolute paths."""
         ...
 
     def generate(self, request: Request, out: Path) -> Path:
-        """Make the video of a request.
+        """Generate the video of a request.
 
         Args:
-            request: what is asked.
-            out: where to put the video, without a suffix; its folder exists. Adapters add ".mp4" or whatever they got.
+            request: the clip to generate.
+            out: path of the video without a suffix; its folder exists. Adapters append ".mp4" or the actual suffix.
 
         Returns:
             The video file, or folder of frames, beside `out`; written whole or not at all.
 
         Raises:
             WorldModelError: there is no video for this request.
-            SetupError: there will be none for any (no key, no such checkpoint, a package is missing).
+            SetupError: no request can succeed (no key, no such checkpoint, a package is missing).
         """
         ...
 
     def close(self) -> None:
-        """Free what it holds."""
+        """Release all resources."""
+        ...
+
+
+@runtime_checkable
+class OfflineModel(Protocol):
+    """World model whose videos exist already: it answers the first round of an episode only."""
+
+    def files(self, episode: str, task: str) -> Sequence[Path]:
+        """Return the files of the answer for an episode; none where there is no answer."""
+        ...
+
+
+@runtime_checkable
+class PrivilegedModel(Protocol):
+    """World model that receives the simulator state before each request."""
+
+    def set_state(self, episode: "Episode", state: SimulatorState) -> None:
+        """Set the state from which the next clip begins."""
+        ...
+
+
+@runtime_checkable
+class SupportsTrueTrack(Protocol):
+    """World model that can report the ground-truth track of its clips, which replaces grounding."""
+
+    def true_track(self) -> TrueTrack | None:
+        """Return the track of the clip generated last; None where the model does not disclose it."""
         ...

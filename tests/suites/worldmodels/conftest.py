@@ -7,7 +7,7 @@ import pytest
 from PIL import Image
 
 from kinebench_drake.io.container import write_video
-from kinebench_drake.suites.worldmodels.service import Limits
+from kinebench_drake.suites.worldmodels.remote import Limits
 from kinebench_drake.suites.worldmodels.worldmodel import Request
 from tests.suites.worldmodels.servant import Servant
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from kinebench_drake.errors import SetupError, UsageError
-from kinebench_drake.suites.worldmodels.diffusers import DiffusersModel, shown
+from kinebench_drake.suites.worldmodels.diffusers import DiffusersModel, checkpoint_name
 from kinebench_drake.suites.worldmodels.spec import parse
 from kinebench_drake.suites.worldmodels.worldmodel import Request
 from tests.films import decoded
@@ -124,8 +124,8 @@ def test_only_safetensors_and_known_code_are_loaded(
 def test_names_hold_no_paths(checkpoint: Path) -> None:
     assert DiffusersModel(parse(f"diffusers:{checkpoint}")).name == "Wan-tiny"
     assert DiffusersModel(parse(f"diffusers:{checkpoint}?lora=/a/b/c.safetensors")).name == "Wan-tiny+c.safetensors"
-    assert shown("Wan-AI/Wan2.1") == "Wan-AI/Wan2.1"
-    assert shown("/home/me/") == "me"
+    assert checkpoint_name("Wan-AI/Wan2.1") == "Wan-AI/Wan2.1"
+    assert checkpoint_name("/home/me/") == "me"
 
 
 @pytest.mark.parametrize(

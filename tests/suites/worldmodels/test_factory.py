@@ -7,11 +7,11 @@ import pytest
 
 from kinebench_drake.errors import UsageError
 from kinebench_drake.io.files import VIDEO_SUFFIXES
-from kinebench_drake.suites.worldmodels.factory import FORMS, SpecForm, create
+from kinebench_drake.suites.worldmodels.factory import FORMS, create
 from kinebench_drake.suites.worldmodels.spec import Spec, parse
-from kinebench_drake.suites.worldmodels.still import StillModel
 from kinebench_drake.suites.worldmodels.videofile import _DEMUXERS, suffix_of
 from kinebench_drake.suites.worldmodels.worldmodel import Request
+from kinebench_drake.types import AnomalyKind
 from tests.films import decoded
 
 
@@ -34,6 +34,10 @@ def test_still_shows_the_first_frame_and_nothing_else(request_: Request, out: Pa
         ("command:true {prompt}", "true"),
         ("dashscope", "wan2.6-i2v"),
         ("minimax:MiniMax-Hailuo-2.3", "MiniMax-Hailuo-2.3"),
+        ("oracle", "oracle"),
+        ("oracle?told=true", "oracle, true track"),
+        ("oracle+teleport:0.15", "oracle+teleport_15cm"),
+        ("random?name=walk", "walk"),
     ],
 )
 def test_specs(text: str, name: str, keys: str) -> None:
@@ -44,7 +48,7 @@ def test_specs(text: str, name: str, keys: str) -> None:
 
 def test_every_adapter_is_named_and_told_apart(tmp_path: Path, keys: str) -> None:
     """Wrong forms list every right one; every kind says of a wrong option which ones there are."""
-    for text in ("", "floder", "oracle", "a b:c"):
+    for text in ("", "floder", "oracle+", "a b:c"):
         with pytest.raises(UsageError) as caught:
             create(text)
         assert all(form.usage in str(caught.value) for form in FORMS.values())
@@ -55,6 +59,7 @@ def test_every_adapter_is_named_and_told_apart(tmp_path: Path, keys: str) -> Non
         "https": "//localhost",
         "command": "true",
         "diffusers": "x",
+        **{f"oracle+{kind.value}": "3" for kind in AnomalyKind},
     }
     for kind in FORMS:
         with pytest.raises(UsageError, match="zzz is not an option; options are name"):
@@ -72,6 +77,7 @@ def test_every_adapter_is_named_and_told_apart(tmp_path: Path, keys: str) -> Non
         ("dashscope:?duration=many", "duration=many: Input should be a valid integer"),
         ("minimax:?resolution=4K", "resolution=4K: Input should be '512P', '768P' or '1080P'"),
         ("folder:/nonexistent", "expected folder:DIR"),
+        ("oracle+teleport:gated", "expected one size, such as oracle.teleport:0.05"),
     ],
 )
 def test_specs_that_cannot_be_used(text: str, message: str, keys: str) -> None:
@@ -121,13 +127,6 @@ def test_plugins() -> None:
     }.items():
         with pytest.raises(UsageError, match=rf"{message}.*; world models are named folder:DIR"):
             create(text)
-
-
-def test_forms_that_others_add() -> None:
-    further = {"oracle": SpecForm(usage="oracle", make=StillModel)}
-    assert create("oracle", further).name == "still"
-    with pytest.raises(UsageError, match="still, oracle, module:Class"):
-        create("", further)
 
 
 def test_every_film_can_be_opened() -> None:

@@ -12,7 +12,7 @@ from PIL import Image
 
 from kinebench_drake.errors import SetupError, UsageError
 from kinebench_drake.suites.worldmodels.http import HttpModel
-from kinebench_drake.suites.worldmodels.service import Limits, base64_png, png
+from kinebench_drake.suites.worldmodels.remote import Limits, base64_png, png
 from kinebench_drake.suites.worldmodels.spec import parse
 from kinebench_drake.suites.worldmodels.worldmodel import Request, WorldModelError
 from tests.films import decoded

@@ -1,4 +1,4 @@
-"""DashScopeModel and MiniMaxModel against a server that speaks their protocols, their errors included."""
+"""DashScope and MiniMax against a server that speaks their protocols, their errors included."""
 
 import base64
 import io
@@ -10,9 +10,8 @@ import pytest
 from PIL import Image
 
 from kinebench_drake.errors import SetupError, UsageError
-from kinebench_drake.suites.worldmodels.dashscope import DashScopeModel
-from kinebench_drake.suites.worldmodels.minimax import MiniMaxModel
-from kinebench_drake.suites.worldmodels.service import Limits
+from kinebench_drake.suites.worldmodels.cloud import DashScopeModel, MiniMaxModel
+from kinebench_drake.suites.worldmodels.remote import Limits
 from kinebench_drake.suites.worldmodels.spec import parse
 from kinebench_drake.suites.worldmodels.worldmodel import Request, WorldModelError
 from tests.suites.worldmodels.servant import Reply, Servant

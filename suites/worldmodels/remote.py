@@ -1,4 +1,4 @@
-"""What a service may take, and how it fails."""
+"""Values exchanged with remote services: limits, errors, encoded images, keys, addresses."""
 
 import base64
 import io
@@ -21,31 +21,36 @@ from kinebench_drake.suites.worldmodels.worldmodel import WorldModelError
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Limits:
-    """How long and how much."""
+    """Limits of time and size."""
 
     attempts: int = 8
-    """Times that one call is tried."""
+    """Attempts of one call."""
     first_wait_s: float = 1.0
-    """Wait before the second attempt; each further one is twice as long, and up to this much is added by chance."""
+    """Wait before the second attempt; doubled for each further one, plus a random part of up to this much."""
     longest_wait_s: float = 60.0
-    """Longest wait of our own choice; a service may ask for longer ones."""
+    """Upper limit of this wait; a service may ask for a longer one."""
     silence_s: float = 60.0
-    """Longest time without a byte, save where a service makes a video while we wait."""
+    """Longest time without a byte, except while a service generates a video."""
     poll_s: float = 10.0
-    """Pause between two questions whether a video is ready."""
+    """Period of asking whether a video is ready."""
     json_bytes: int = 4 << 20
-    """Largest answer in JSON that holds no video."""
+    """Largest JSON answer without a video."""
     video_bytes: int = 512 << 20
     """Largest video."""
 
+    @property
+    def encoded_video_bytes(self) -> int:
+        """Largest JSON answer with a video in base64."""
+        return self.video_bytes // 3 * 4 + self.json_bytes
+
 
 class ServiceError(WorldModelError):
-    """A service did not give what was asked for.
+    """Failed call of a service.
 
     Args:
-        message: what happened.
-        status: HTTP status of its answer; None if there was none.
-        code: its own code for what it did not like.
+        message: description.
+        status: HTTP status of the answer; None without an answer.
+        code: error code of the service.
     """
 
     def __init__(self, message: str, *, status: int | None = None, code: str = "") -> None:
@@ -55,30 +60,30 @@ class ServiceError(WorldModelError):
 
 
 class BusyError(ServiceError):
-    """The same request may succeed a little later: after `after_s` seconds if the service said so."""
+    """Failure after which the same request may succeed: after `after_s` seconds if the service gave them."""
 
     after_s: float | None = None
 
 
 def png(frame: NDArray[np.uint8]) -> bytes:
-    """A frame (H, W, 3) RGB as the bytes of a PNG file."""
+    """Encode a frame (H, W, 3) RGB as PNG."""
     buffer = io.BytesIO()
     Image.fromarray(frame).save(buffer, format="png")
     return buffer.getvalue()
 
 
 def base64_png(frame: NDArray[np.uint8]) -> str:
-    """A frame (H, W, 3) RGB as a PNG file in base64."""
+    """Encode a frame (H, W, 3) RGB as PNG in base64."""
     return base64.b64encode(png(frame)).decode()
 
 
 def data_uri(frame: NDArray[np.uint8]) -> str:
-    """A frame (H, W, 3) RGB as a data URI of type image/png."""
+    """Encode a frame (H, W, 3) RGB as a data URI of type image/png."""
     return f"data:image/png;base64,{base64_png(frame)}"
 
 
 def from_base64(text: str) -> bytes:
-    """The bytes of a file in base64, with or without the head of a data URI and line breaks.
+    """Decode a file in base64, with or without the head of a data URI and line breaks.
 
     Raises:
         ValueError: it is not base64.
@@ -89,16 +94,17 @@ def from_base64(text: str) -> bytes:
 
 _LONGEST = 200
 _SECRET = re.compile(r"KEY|TOKEN|SECRET|PASSWORD|CREDENTIAL")
-_LEAST_SECRET = 6
-"""Shorter values of such variables are no secrets; blotting them out would only spoil words."""
+_LEAST_SECRET = 6  # shorter values are no secrets; masking them would garble words
 
 
-def remark(text: str) -> str:
-    """`text` in one line without control signs, not too long, without what the environment holds as secret.
+def clean(message: object) -> str:
+    """Return a remote message as one line of limited length, without control characters and secrets.
 
     Args:
-        text: an error message, perhaps of many lines; services like to repeat the key they did not accept.
+        message: text of a service or program. Services like to repeat a rejected key, so values of environment
+            variables with names of secrets are masked.
     """
+    text = str(message)
     values = (v.strip() for name, v in os.environ.items() if _SECRET.search(name.upper()))
     for value in sorted((v for v in values if len(v) >= _LEAST_SECRET), key=len, reverse=True):
         text = text.replace(value, "***")
@@ -107,10 +113,10 @@ def remark(text: str) -> str:
 
 
 def key_from(variable: str) -> SecretStr:
-    """The key that an environment variable holds; nothing but the request's header ever sees it.
+    """Return the key in an environment variable; it is used in request headers only.
 
     Raises:
-        SetupError: the variable is not set, or holds what no header can carry.
+        SetupError: the variable is not set, or is not valid in a header.
     """
     key = os.environ.get(variable, "").strip()
     if not key:
@@ -121,17 +127,17 @@ def key_from(variable: str) -> SecretStr:
 
 
 def web_address(text: str) -> httpx.URL | None:
-    """The address if it is one of http or https with a host and without a name and password, else None."""
+    """Parse an http or https address with a host and without user information; None for any other text."""
     try:
         url = httpx.URL(text)
-        url.host.encode("idna")  # as whoever looks it up will
+        url.host.encode("idna")  # as name resolution does
     except (httpx.InvalidURL, ValueError):
         return None
     return url if url.scheme in ("http", "https") and url.host and not url.userinfo else None
 
 
 def is_loopback(url: httpx.URL) -> bool:
-    """Whether the host is this machine by any of its own names."""
+    """Return whether the host is a loopback name or address."""
     host = url.host.rstrip(".").lower()
     if host == "localhost" or host.endswith(".localhost"):
         return True
@@ -142,13 +148,13 @@ def is_loopback(url: httpx.URL) -> bool:
 
 
 def origin(url: httpx.URL) -> tuple[str, str, int | None]:
-    """Scheme, host and port: what a key is meant for."""
+    """Return scheme, host and port, the scope of a key."""
     port = url.port if url.port is not None else {"http": 80, "https": 443}.get(url.scheme)
     return url.scheme, url.host.lower(), port
 
 
 def retry_after(header: str) -> float | None:
-    """Seconds that a `Retry-After` header asks to wait; None if it asks for nothing (RFC 9110, section 10.2.3)."""
+    """Parse a `Retry-After` header into seconds; None if it is empty or invalid (RFC 9110, section 10.2.3)."""
     text = header.strip()
     if text.isascii() and text.isdecimal():
         return float(text)

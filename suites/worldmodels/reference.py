@@ -1,0 +1,180 @@
+"""Reference models without a network: the expert (upper bound), a random policy and a still image (lower bounds)."""
+
+from collections.abc import Iterable
+from functools import partial
+from itertools import repeat
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinebench_drake.errors import InputError
+from kinebench_drake.geometry import rotation_exp
+from kinebench_drake.io.atomic import disk_errors
+from kinebench_drake.io.container import write_video
+from kinebench_drake.suites.clip import film
+from kinebench_drake.suites.clock import CLIP_FRAMES
+from kinebench_drake.suites.episode import Episode
+from kinebench_drake.suites.experts.motion import Waypoint
+from kinebench_drake.suites.experts.registry import Expert, find_expert
+from kinebench_drake.suites.faults.fault import FaultGrade
+from kinebench_drake.suites.faults.fault_simulator import FaultSimulator
+from kinebench_drake.suites.faults.plant import plant
+from kinebench_drake.suites.faults.recording import Recording
+from kinebench_drake.suites.rollout import Rollout, rollout_clip
+from kinebench_drake.suites.simulator_cache import SimulatorCache
+from kinebench_drake.suites.tasks.task import Scene
+from kinebench_drake.suites.worldmodels.worldmodel import Request, SimulatorState, TrueTrack, WorldModelError
+
+MOVES = 4
+"""Waypoints of the random policy in a clip."""
+SPREAD_M = (0.12, 0.2, 0.08)
+"""Standard deviation of its waypoints along x, y and z."""
+MIDDLE_M = (0.5, 0.0, 0.2)
+"""Mean of its waypoints in B: the middle of the workspace."""
+LOWEST_M = 0.03
+"""Least height of its waypoints above the table."""
+TURN_RAD = 0.5
+"""Standard deviation of its rotations about each axis."""
+_TRIES = 20
+
+
+class StillModel:
+    """World model that repeats the first frame."""
+
+    def __init__(self, name: str = "still") -> None:
+        self.name = name
+
+    def generate(self, request: Request, out: Path) -> Path:
+        """Write the first frame `num_frames` times."""
+        return _write(repeat(request.first_frame, request.num_frames), request, out)
+
+    def close(self) -> None:
+        """Do nothing: there are no resources."""
+
+
+class OracleRenderer:
+    """Simulator of its own in which an expert continues from a given state and is rendered."""
+
+    def __init__(self) -> None:
+        self._simulators: SimulatorCache[FaultSimulator] | None = None
+        self._state: tuple[Episode, SimulatorState] | None = None
+        self.true_track: TrueTrack | None = None
+        """Ground truth of the last clip; None before the first."""
+
+    def set_state(self, episode: Episode, state: SimulatorState) -> None:
+        """Set the state from which the next clip begins."""
+        self._state = episode, state
+
+    def write_clip(self, expert: Expert, request: Request, out: Path, fault: FaultGrade | None = None) -> Path:
+        """Write the clip in which an expert continues from the state, optionally with a planted fault.
+
+        Raises:
+            InputError: the expert finds no path, or the clip has no place for the fault.
+            WorldModelError: there is no state.
+            SetupError: the video cannot be written.
+        """
+        if self._state is None:
+            raise WorldModelError("no simulator state was set")
+        return _write(self._frames(*self._state, expert, request, fault), request, out)
+
+    def close(self) -> None:
+        """Release the simulator."""
+        if self._simulators is not None:
+            self._simulators.close()
+            self._simulators = None
+
+    def _frames(
+        self, episode: Episode, state: SimulatorState, expert: Expert, request: Request, fault: FaultGrade | None
+    ) -> NDArray[np.uint8]:
+        self._simulators = self._simulators or SimulatorCache(FaultSimulator, request.first_frame.shape[0])
+        simulator = self._simulators.stage(episode.task, episode.variant)
+        simulator.reset(episode)
+        simulator.restore(state)
+        before = simulator.snapshot()
+        segment = rollout_clip(simulator, expert)
+        rest = (before,) * CLIP_FRAMES if segment is None else segment.snapshots  # None: the expert has finished
+        snapshots = (before, *rest)[: request.num_frames]
+        outcome = simulator.outcome()
+        video = film(simulator, snapshots)
+        if fault is not None and segment is not None:
+            rollout = Rollout(episode=episode, snapshots=snapshots, controls=segment.controls, outcome=outcome)
+            video, _ = plant(Recording(stage=simulator, performance=rollout, clip=video), fault)
+        self.true_track = TrueTrack(X_CH=video.X_CH, finger_width_m=video.finger_width_m)
+        return video.rgb
+
+
+class OracleModel:
+    """World model that renders what the task's expert does next: a perfect model, unless a fault is planted."""
+
+    def __init__(self, name: str = "oracle", fault: FaultGrade | None = None, *, discloses: bool = False) -> None:
+        """Create the model.
+
+        Args:
+            name: name in the results.
+            fault: fault to plant into the first clip of each episode.
+            discloses: whether it reports the true track of its clips, so that no pose is estimated from pixels.
+        """
+        self.name = name
+        self._fault, self._discloses = fault, discloses
+        self._renderer = OracleRenderer()
+        self.set_state = self._renderer.set_state
+
+    def generate(self, request: Request, out: Path) -> Path:
+        """Render the expert from the current state."""
+        fault = self._fault if request.round == 0 else None
+        try:
+            return self._renderer.write_clip(find_expert(request.task), request, out, fault)
+        except WorldModelError:
+            raise
+        except InputError as error:
+            raise WorldModelError(str(error)) from None
+
+    def true_track(self) -> TrueTrack | None:
+        """Return the true track of the last clip, if the model discloses it."""
+        return self._renderer.true_track if self._discloses else None
+
+    def close(self) -> None:
+        """Release the simulator."""
+        self._renderer.close()
+
+
+class RandomPolicyModel:
+    """World model that renders a robot moving through random waypoints."""
+
+    def __init__(self, name: str = "random") -> None:
+        self.name = name
+        self._renderer = OracleRenderer()
+        self.set_state = self._renderer.set_state
+
+    def generate(self, request: Request, out: Path) -> Path:
+        """Render random motion from the current state; infeasible or colliding paths are drawn again."""
+        rng = np.random.default_rng(request.seed)
+        for _ in range(_TRIES):
+            try:
+                return self._renderer.write_clip(partial(_draw_waypoints, rng), request, out)
+            except InputError as error:
+                reason = str(error)
+        raise WorldModelError(f"no random path in {_TRIES} tries: {reason}")
+
+    def close(self) -> None:
+        """Release the simulator."""
+        self._renderer.close()
+
+
+def _draw_waypoints(rng: np.random.Generator, scene: Scene) -> list[Waypoint]:
+    waypoints = []
+    for _ in range(MOVES):
+        X = scene.X_BG.copy()
+        X[:3, 3] = rng.normal(MIDDLE_M, SPREAD_M)
+        X[2, 3] = max(X[2, 3], LOWEST_M)
+        X[:3, :3] = X[:3, :3] @ rotation_exp(rng.normal(0.0, TURN_RAD, 3))
+        waypoints.append(Waypoint(X_BG=X, finger_width_m=float(rng.choice([0.0, 0.08]))))
+    return waypoints
+
+
+def _write(frames: Iterable[NDArray[np.uint8]], request: Request, out: Path) -> Path:
+    path = out.with_name(f"{out.name}.mp4")
+    with disk_errors(path.name):
+        write_video(path, frames, request.fps)
+    return path
