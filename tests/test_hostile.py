@@ -6,6 +6,7 @@ import threading
 
 import numpy as np
 import pytest
+from tests.report.suite.synthetic import write_run
 
 from kinebench_drake.datasets.manifest import inside
 from kinebench_drake.datasets.videos.find import find_samples
@@ -13,12 +14,11 @@ from kinebench_drake.errors import InputError, UsageError, one_line
 from kinebench_drake.io.camerafile import load_camera
 from kinebench_drake.io.files import read_bytes
 from kinebench_drake.io.jsonl import parse_json
-from kinebench_drake.report import write_report
-from kinebench_drake.report.suite import write_suite_report
+from kinebench_drake.report.page import write_report
+from kinebench_drake.report.suite.suite_page import write_suite_report
 from kinebench_drake.results.row import Status
 from kinebench_drake.results.store import ResultStore
 from tests.report.pages import Page, row
-from tests.suite_report.synthetic import write_run
 
 # What users hand in
 

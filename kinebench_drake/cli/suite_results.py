@@ -19,7 +19,7 @@ from kinebench_drake.suites.selection import chosen_tasks
 
 
 @click.command(
-    short_help="Hold runs against direct execution of the expert's track.",
+    short_help="Compare runs with direct execution of the expert's track.",
     epilog="\b\nExamples:\n"
     "  kinebench-drake suite run --suite 0 --world-model oracle --pixels-only --episodes 20 --out pixels/ --jobs 2\n"
     "  kinebench-drake suite ceiling pixels/ --out ceiling/ --jobs 2",
@@ -27,26 +27,27 @@ from kinebench_drake.suites.selection import chosen_tasks
 @click.argument("folders", metavar="DIR...", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option(
     "--out", type=click.Path(path_type=Path, file_okay=False),
-    help="Write report.html, figure and table (csv, LaTeX) to this folder, too.",
+    help="Also write report.html, figure and table (csv, LaTeX) to this folder.",
 )  # fmt: skip
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the intervals' resampling.")
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the bootstrap intervals.")
 @jobs_option
 def ceiling(folders: tuple[Path, ...], out: Path | None, seed: int, jobs: int) -> None:
     """Execute the expert's own true track in the episodes of suite runs DIR, and compare each model with it.
 
-    No model succeeds more often, but by chance: what is missing was lost between the imagined and the executed motion.
-    For a run of the oracle that is the cost of grounding; for other models that of their videos, too.
+    No model succeeds more often, except by chance: the difference was lost between the imagined and the executed
+    motion. For a run of the oracle that is the cost of grounding; for other models their videos add to it.
     """
     from kinebench_drake.cli.run import ProgressView, terminate_as_interrupt
+    from kinebench_drake.closed_loop.tolerance import run_attempts
     from kinebench_drake.executors.base import ExecutorKind, create_executor
-    from kinebench_drake.report.suite import write_comparison
-    from kinebench_drake.report.suite.ceiling import read_ceiling, share_lines
-    from kinebench_drake.report.suite.comparison import comparison_lines
+    from kinebench_drake.report.suite.comparison import ceiling_lines, comparison_lines, read_ceiling
+    from kinebench_drake.report.suite.suite_page import write_comparison
 
+    executor = create_executor(ExecutorKind.LOCAL, jobs)
     with ProgressView() as view, terminate_as_interrupt():
-        comparison = read_ceiling(folders, create_executor(ExecutorKind.LOCAL, jobs), view, seed)
+        comparison = read_ceiling(folders, lambda episodes: run_attempts(executor, episodes, (), view), seed)
     page = None if out is None else write_comparison(comparison, out)
-    for line in (*comparison_lines(comparison.table), "", *share_lines(comparison.compared)):
+    for line in (*comparison_lines(comparison.table), "", *ceiling_lines(comparison.pairs)):
         click.echo(line)
     if page is not None:
         click.echo(page)
@@ -60,13 +61,13 @@ def ceiling(folders: tuple[Path, ...], out: Path | None, seed: int, jobs: int) -
 )
 @click.argument("folders", metavar="DIR...", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), required=True, help="Folder to write to.")
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the intervals' resampling.")
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the bootstrap intervals.")
 def report(folders: tuple[Path, ...], out: Path, seed: int) -> None:
-    """Put output folders DIR of `suite run` together: report.html, figures (png, svg), tables (csv, LaTeX).
+    """Report on output folders DIR of `suite run`: report.html, figures (png, svg), tables (csv, LaTeX).
 
-    Runs of one model on one suite are one run, as shards are, unless their tags or settings differ.
+    Folders of one model on one suite are pooled, such as shards, unless their tags or settings differ.
     """
-    from kinebench_drake.report.suite import write_suite_report
+    from kinebench_drake.report.suite.suite_page import write_suite_report
 
     click.echo(write_suite_report(folders, out, seed))
 

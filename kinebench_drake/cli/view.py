@@ -19,15 +19,15 @@ if TYPE_CHECKING:
     "--robot",
     "urdf",
     type=click.Path(path_type=Path),
-    help="The robot's URDF, of a run that was not judged by the Panda.",
+    help="URDF of the robot, for a run judged with another robot than the Panda.",
     metavar="URDF",
 )
-@click.option("--open/--no-open", "opened", default=False, help="Show it in the browser.")
+@click.option("--open/--no-open", "opened", default=False, help="Open it in the browser.")
 def view(out: Path, id: str, urdf: Path | None, opened: bool) -> None:
     """Write a 3D replay of sample ID of the output folder OUT and print its path.
 
-    The replay, OUT/replays/ID.html, needs nothing but a browser. It shows the arm on its way, coloured by what it
-    cannot do.
+    The replay, OUT/replays/ID.html, opens in any browser. It shows the motion of the arm, coloured by the limits that
+    it violates.
     """
     from difflib import get_close_matches
 
@@ -53,21 +53,21 @@ def view(out: Path, id: str, urdf: Path | None, opened: bool) -> None:
         raise UsageError(f"{id}: no frame is tracked, there is nothing to show")
     click.echo(paths[0])
     if opened and click.launch(paths[0].resolve().as_uri()) != 0:
-        click.echo("no browser could be started; open the file by hand", err=True)
+        click.echo("no browser could be started; open the file yourself", err=True)
 
 
 def _plant(out: Path, urdf: Path | None) -> "ArmPlant":
-    """The robot that a run was judged by."""
+    """Load the robot that a run was judged with."""
     from kinebench_drake.report.page import read_results
 
     config = read_results(out).get("config")
     robot, tcp_frame = (config.get(key) if isinstance(config, Mapping) else None for key in ("robot", "tcp_frame"))
     if robot is None and urdf is not None:
-        raise UsageError(f"{out}: was judged by the Panda, leave out --robot")
+        raise UsageError(f"{out}: was judged with the Panda, leave out --robot")
     if robot is not None and urdf is None:
-        raise UsageError(f"{out}: was judged by {robot}, name that file with --robot")
+        raise UsageError(f"{out}: was judged with {robot}, name that file with --robot")
     if urdf is not None and urdf.name != robot:
-        raise UsageError(f"{out}: was judged by {robot}, but --robot names {urdf.name}")
+        raise UsageError(f"{out}: was judged with {robot}, but --robot names {urdf.name}")
     from kinebench_drake.kinematics.plant import ArmPlant
     from kinebench_drake.models.arm import choose_robot
 

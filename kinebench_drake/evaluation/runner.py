@@ -262,7 +262,7 @@ def _replay(config: RunConfig, ids: Sequence[str], observer: RunObserver) -> Non
 
 
 def _report(out: Path) -> Path:
-    from kinebench_drake.report import write_report
+    from kinebench_drake.report.page import write_report
 
     with disk_errors(REPORT):
         return write_report(out)

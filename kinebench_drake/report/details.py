@@ -1,4 +1,4 @@
-"""Details of one sample as lines of text: checks, noise, limits."""
+"""Details of one sample as lines of text: summaries of the checks, their resolution, and all other entries."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kinebench_drake.geometry import Array
-from kinebench_drake.report.moments import find_checks, number
+from kinebench_drake.report.limits import find_checks, to_number
 from kinebench_drake.results.row import SampleRow
 from kinebench_drake.types import Json
 
@@ -17,153 +17,140 @@ _SUFFIXES = {
     "_hz": (1.0, "Hz"),
     "_px": (1.0, "px"),
 }
+"""Factor and unit on the page by suffix of the key."""
 _MAX_ENTRIES = 12
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Fact:
-    """One finding."""
+class DetailLine:
+    """One entry."""
 
     depth: int
+    """Level of nesting."""
     name: str
     text: str
-    """Empty for the heading of the deeper ones that follow."""
+    """Value; empty for the heading of a nested object."""
 
 
-def list_facts(details: Mapping[str, Json], depth: int = 0) -> Iterator[Fact]:
-    """Findings in their order, those of an object after its name and one deeper; null ones are left out."""
+def list_details(details: Mapping[str, Json], depth: int = 0) -> Iterator[DetailLine]:
+    """List entries in their order, those of an object one level below its name; null entries are left out."""
     for key, value in details.items():
-        factor, unit, name = _read(key)
+        suffix = next((suffix for suffix in _SUFFIXES if key.endswith(suffix)), "")
+        factor, unit = _SUFFIXES.get(suffix, (1.0, ""))
+        name = key.removesuffix(suffix).replace("_", " ")
         if value is None:
             continue
         if isinstance(value, Mapping):
-            inner = list(list_facts(value, depth + 1))
+            inner = list(list_details(value, depth + 1))
             if inner:
-                yield Fact(depth=depth, name=name, text="")
+                yield DetailLine(depth=depth, name=name, text="")
                 yield from inner
         elif isinstance(value, Sequence) and any(isinstance(v, Mapping) for v in value):
-            yield Fact(depth=depth, name=name, text="")
+            yield DetailLine(depth=depth, name=name, text="")
             for number, item in enumerate(value[:_MAX_ENTRIES], 1):
                 if isinstance(item, Mapping):
-                    told = "; ".join(f"{fact.name} {fact.text}" for fact in list_facts(item))
-                    yield Fact(depth=depth + 1, name=str(number), text=told)
+                    text = "; ".join(f"{line.name} {line.text}" for line in list_details(item))
+                    yield DetailLine(depth=depth + 1, name=str(number), text=text)
         else:
-            yield Fact(depth=depth, name=name, text=_text(value, factor, unit))
+            yield DetailLine(depth=depth, name=name, text=_format(value, factor, unit))
 
 
-def _read(key: str) -> tuple[float, str, str]:
-    """Factor and unit to show a key's values in, and its name in words."""
-    for suffix, (factor, unit) in _SUFFIXES.items():
-        if key.endswith(suffix):
-            return factor, unit, key.removesuffix(suffix).replace("_", " ")
-    return 1.0, "", key.replace("_", " ")
-
-
-def _text(value: Json, factor: float, unit: str) -> str:
+def _format(value: Json, factor: float, unit: str) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, int | float):
         return f"{value * factor:.4g} {unit}".strip()
     if isinstance(value, Sequence) and not isinstance(value, str):
-        entries = [_text(v, factor, "") for v in value[:_MAX_ENTRIES]]
+        entries = [_format(v, factor, "") for v in value[:_MAX_ENTRIES]]
         more = f" … ({len(value)} in all)" if len(value) > _MAX_ENTRIES else ""
         return f"{', '.join(entries)}{more} {unit}".strip()
     return "–" if value is None else str(value)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Resolution:
-    """How well one kind of limit could be looked at."""
+class CheckResolution:
+    """Resolution and result of the check of one rate limit."""
 
     kind: str
     window_s: float | None
+    """Window of the smoothing [s]."""
     bandwidth_hz: float | None
     noise_ratio: float | None
     """Standard error / limit."""
     ratios: tuple[float | None, ...]
-    """Greatest value / limit of each joint; None where the noise hides it or there is no limit."""
+    """Peak value / limit of each joint; None if below the noise or without a limit."""
 
 
-def resolutions(row: SampleRow) -> list[Resolution]:
-    """Windows, bandwidths and joint ratios of the checks in a row's details."""
-    found = []
+def check_resolutions(row: SampleRow) -> list[CheckResolution]:
+    """Read windows, bandwidths and joint ratios of the checks in a row's details."""
+    resolutions = []
     for kind, check in find_checks(row.details).items():
         ratios = check.get("ratios")
-        found.append(
-            Resolution(
-                kind=kind,
-                window_s=number(check.get("window_s")),
-                bandwidth_hz=number(check.get("bandwidth_hz")),
-                noise_ratio=number(check.get("noise_ratio")),
-                ratios=tuple(number(r) for r in ratios) if isinstance(ratios, list | tuple) else (),
-            )
-        )
-    return found
+        numbers = {name: to_number(check.get(name)) for name in ("window_s", "bandwidth_hz", "noise_ratio")}
+        joints = tuple(to_number(r) for r in ratios) if isinstance(ratios, list | tuple) else ()
+        resolutions.append(CheckResolution(kind=kind, ratios=joints, **numbers))
+    return resolutions
 
 
-def summarize_checks(row: SampleRow, t_s: Array | None) -> list[Fact]:
-    """Noise, slow-down, fastest run and tube of a row, as far as it has them."""
+def summarize_checks(row: SampleRow, t_s: Array | None) -> list[DetailLine]:
+    """Summarize noise, slow-down, fastest execution and optimised trajectory of a row, as far as it has them."""
     lines = [
         ("noise of the track", _noise(row)),
         ("slow-down needed", _slowdown(row, t_s)),
-        ("fastest run", _fastest(row, t_s)),
-        ("smooth trajectory within all limits", _tube(row, t_s)),
+        ("fastest execution", _fastest(row, t_s)),
+        ("smooth trajectory within all limits", _trajectory(row, t_s)),
     ]
-    return [Fact(depth=0, name=name, text=text) for name, text in lines if text is not None]
+    return [DetailLine(depth=0, name=name, text=text) for name, text in lines if text is not None]
 
 
 def _noise(row: SampleRow) -> str | None:
-    noise = _part(row, "noise")
-    known = {k: v for k in ("position_m", "rotation_rad") if isinstance(v := noise.get(k), int | float)}
-    # What is below a micrometre or a microradian is rounding.
-    text = ", ".join(fact.text for fact in list_facts({k: 0.0 if v < 1e-6 else v for k, v in known.items()}))
+    noise = _section(row, "noise")
+    values = {k: v for k in ("position_m", "rotation_rad") if isinstance(v := noise.get(k), int | float)}
+    # Values below a micrometre or a microradian are rounding errors.
+    text = ", ".join(line.text for line in list_details({k: 0.0 if v < 1e-6 else v for k, v in values.items()}))
     if not text:
         return None
-    return f"{text} (assumed: the track is too short to tell)" if noise.get("assumed") is True else text
+    return f"{text} (assumed: the track is too short for an estimate)" if noise.get("assumed") is True else text
 
 
 def _slowdown(row: SampleRow, t_s: Array | None) -> str | None:
-    factor, by = number(row.metrics.get("slowdown_min")), _limiter(_part(row, "slowdown"), t_s)
+    factor, limit = to_number(row.metrics.get("slowdown_min")), _format_limit(_section(row, "slowdown"), t_s)
     if factor is None:
         return None
-    verdict = "none, " if factor <= 1.0 else ""
-    return f"{verdict}{factor:.3g}{by and f', for {by}'}"
+    return f"{'none, ' if factor <= 1.0 else ''}{factor:.3g}{limit and f', for {limit}'}"
 
 
 def _fastest(row: SampleRow, t_s: Array | None) -> str | None:
-    scale, by = number(row.metrics.get("time_scale")), _limiter(_part(row, "time_scale"), t_s)
-    return None if scale is None else f"{scale:.3g} of its own time{by and f', held back by {by}'}"
+    scale, limit = to_number(row.metrics.get("time_scale")), _format_limit(_section(row, "time_scale"), t_s)
+    return None if scale is None else f"{scale:.3g} of its own duration{limit and f', limited by {limit}'}"
 
 
-def _tube(row: SampleRow, t_s: Array | None) -> str | None:
-    feasible, radius = row.metrics.get("trajopt_feasible"), number(row.metrics.get("trajopt_position_tube_m"))
-    part = _part(row, "trajopt")
-    against = part.get("against")
-    asked = number(part.get("tube_limit_m"))
-    bound = "" if asked is None else f" (allowed: {asked * 1000.0:.3g} mm)"
+def _trajectory(row: SampleRow, t_s: Array | None) -> str | None:
+    feasible, radius = row.metrics.get("trajopt_feasible"), to_number(row.metrics.get("trajopt_position_tube_m"))
     if not isinstance(feasible, bool):
         return None
-    found = f"within {radius * 1000.0:.3g} mm of the track{bound}" if radius is not None else f"none{bound}"
-    if feasible or not isinstance(against, Mapping):
-        return found
-    value, limit = number(against.get("value")), number(against.get("limit"))
+    section = _section(row, "trajopt")
+    tube, obstacle = to_number(section.get("tube_limit_m")), section.get("against")
+    bound = "" if tube is None else f" (allowed: {tube * 1000.0:.3g} mm)"
+    text = f"within {radius * 1000.0:.3g} mm of the track{bound}" if radius is not None else f"none{bound}"
+    if feasible or not isinstance(obstacle, Mapping):
+        return text
+    value, limit = to_number(obstacle.get("value")), to_number(obstacle.get("limit"))
     numbers = "" if value is None or limit is None else f", {value:.4g} against {limit:.4g}"
-    return f"{found}; {_limiter({**against, 'limit': against.get('kind')}, t_s)} stands against it{numbers}"
+    return f"{text}; prevented by {_format_limit({**obstacle, 'limit': obstacle.get('kind')}, t_s)}{numbers}"
 
 
-def _limiter(part: Mapping[str, Json], t_s: Array | None) -> str:
-    """The limit, joint and time that a finding names; empty if it names no limit."""
-    limit, joint, frame = part.get("limit"), part.get("joint"), part.get("frame")
+def _format_limit(section: Mapping[str, Json], t_s: Array | None) -> str:
+    """Format the limit, joint and time that a section names; empty if it names no limit."""
+    limit, joint, frame = section.get("limit"), section.get("joint"), section.get("frame")
     if limit is None:
         return ""
-    whose = f" of {joint}" if joint is not None else ""
     when = ""
     if isinstance(frame, int):
-        inside = t_s is not None and 0 <= frame < len(t_s)
-        when = f" at {t_s[frame]:.2f} s" if inside and t_s is not None else f" in frame {frame}"
-    return f"{str(limit).replace('_', ' ')}{whose}{when}"
+        when = f" at {t_s[frame]:.2f} s" if t_s is not None and 0 <= frame < len(t_s) else f" in frame {frame}"
+    return f"{str(limit).replace('_', ' ')}{'' if joint is None else f' of {joint}'}{when}"
 
 
-def _part(row: SampleRow, name: str) -> Mapping[str, Json]:
-    found = row.details.get(name)
-    return found if isinstance(found, Mapping) else {}
+def _section(row: SampleRow, name: str) -> Mapping[str, Json]:
+    section = row.details.get(name)
+    return section if isinstance(section, Mapping) else {}

@@ -1,20 +1,22 @@
-"""The report's figures and tables as files: png and svg to show, csv to reckon with."""
+"""Matplotlib figures of reports as files and as parts of pages; figures and tables of one run as files."""
 
-import csv
-import io
+import re
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+from markupsafe import Markup, escape
 
 from kinebench_drake.io.atomic import atomic_path, write_atomically
 from kinebench_drake.io.figure import new_figure, plain, save
-from kinebench_drake.report.frames import anomalies_of
-from kinebench_drake.report.histogram import Histogram
 from kinebench_drake.report.metric import layout_of
-from kinebench_drake.report.page import SampleGroup, bootstrap_seed, group_rows, histograms, read_results
-from kinebench_drake.report.sample import FAILURES, badness, verdict_of
-from kinebench_drake.report.timeline import LEGEND, Lane, frame_count, lanes_of
-from kinebench_drake.results.aggregate import aggregate
+from kinebench_drake.report.page import SampleGroup, bootstrap_seed, count_metrics, group_rows, read_results
+from kinebench_drake.report.plot import Histogram
+from kinebench_drake.report.sample import VERDICTS, badness, verdict_of
+from kinebench_drake.report.table import format_csv
+from kinebench_drake.report.timeline import LEGEND, FaultLane, anomalies_of, fault_lanes, frame_count
+from kinebench_drake.results.aggregate import Estimate, aggregate
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.results.store import artifact_path, read_rows
 from kinebench_drake.results.trackfile import read_track
@@ -22,21 +24,118 @@ from kinebench_drake.results.trackfile import read_track
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-FIGURES = "figures"
-"""Folder of the files, in the output folder."""
-TIMELINES = 40
-"""Samples with faults that the picture of timelines holds, the worst first."""
-_VERDICTS = {
+COLOURS = ("#2f7fc1", "#d06a2a", "#2a9d7f", "#9b62c4", "#b3902f", "#cf5a8e", "#7a8794", "#4f9bd9", "#a65a5a", "#5f8f3e")
+"""Colours that can be distinguished on a light and on a dark background."""
+_MARKERS = "os^Dv<>PX*"
+GOOD, NEUTRAL = "#2a9d5f", "#9aa5b1"
+_THEME = {"#000000": "var(--ink)", "#ffffff": "var(--card)", "#e6e8ea": "var(--line)", "#b8bec4": "var(--faint)"}
+"""Replacements of drawn colours on a page."""
+_PX_PER_POINT = 1.5
+"""Size of figures on a page [px of CSS / point]."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReportFigure:
+    """A figure with its caption."""
+
+    name: str
+    """Stem of the file names."""
+    title: str
+    caption: str
+    """Contents, and how to read them."""
+    figure: "Figure"
+
+
+def style(index: int) -> tuple[str, str]:
+    """Return colour and marker of a model by its number."""
+    return COLOURS[index % len(COLOURS)], _MARKERS[index % len(_MARKERS)]
+
+
+def assign_numbers(models: Sequence[str], here: Sequence[str]) -> dict[str, int]:
+    """Number the models of a panel: the same in all panels as long as there are colours for all models."""
+    order = models if len(models) <= len(COLOURS) else here
+    return {model: order.index(model) for model in here}
+
+
+def add_legend(figure: "Figure", labels: Sequence[str]) -> None:
+    """Put a legend above a figure, in as many columns as fit."""
+    width = 0.45 + 0.075 * max(map(len, labels), default=0)  # inches per label with its mark
+    columns = max(1, min(5, int(figure.get_figwidth() / width)))
+    figure.legend(loc="outside upper center", ncols=columns, fontsize=8, frameon=False)
+
+
+def draw_interval(ax: Any, value: Estimate, y: float, colour: str, marker: str) -> None:
+    """Draw the mean of an estimate at height `y`, and its interval as a horizontal line."""
+    if value.mean is None:
+        return
+    if value.low is not None and value.high is not None:
+        ax.plot([value.low, value.high], [y, y], color=colour, linewidth=1.2, solid_capstyle="round")
+    ax.plot([value.mean], [y], color=colour, marker=marker, markersize=4)
+
+
+def format_percent(ax: Any, low: float = 0.0) -> None:
+    """Label the horizontal axis, from `low` to 1, in percent."""
+    from matplotlib.ticker import PercentFormatter
+
+    ax.set_xlim(low - 0.02, 1.02)
+    ax.xaxis.set_major_formatter(PercentFormatter(xmax=1.0, decimals=0))
+    ax.tick_params(axis="x", labelsize=8)
+
+
+def write_figure(figure: ReportFigure, folder: Path) -> Markup:
+    """Write a figure as png and svg, always the same bytes; returns it as markup for a page.
+
+    Raises:
+        SetupError: writing failed.
+    """
+    _save(figure.figure, folder / figure.name)
+    svg = (folder / f"{figure.name}.svg").read_text(encoding="utf-8")
+    return Markup(inline_svg(svg, figure.name, figure.title))
+
+
+def _save(figure: "Figure", path: Path) -> None:
+    """Write PATH.png and PATH.svg."""
+    from matplotlib import rc_context
+
+    save(figure, path.with_suffix(".png"))
+    with rc_context({"svg.hashsalt": path.name}), atomic_path(path.with_suffix(".svg")) as part:
+        figure.savefig(part, format="svg", metadata={"Date": None})
+
+
+def inline_svg(svg: str, name: str, title: str) -> str:
+    """Convert a drawing to a part of an html page: unique ids, the page's colours, no external addresses."""
+    body = svg[svg.index("<svg") :]
+    body = re.sub(r"<metadata>.*?</metadata>", "", body, flags=re.DOTALL)
+    body = re.sub(r"<style[^>]*>.*?</style>", "", body, flags=re.DOTALL)
+    body = re.sub(r"<!--.*?-->", "", body, flags=re.DOTALL)
+    body = re.sub(r'(<g) id="[^"]*"', r"\1", body)
+    body = re.sub(r'\bid="([^"]*)"', rf'id="{name}-\1"', body)
+    body = re.sub(r'xlink:href="#([^"]*)"', rf'href="#{name}-\1"', body)
+    body = re.sub(r"url\(#([^)]*)\)", rf"url(#{name}-\1)", body)
+    for drawn, themed in _THEME.items():
+        body = body.replace(drawn, themed)
+    box = re.search(r'viewBox="0 0 ([\d.]+) [\d.]+"', body)
+    size = f'{box[0]} width="{float(box[1]) * _PX_PER_POINT:.0f}"' if box else ""
+    head = f'<svg {size} role="img" aria-label="{escape(title)}">'
+    return re.sub(r"<svg[^>]*>", lambda _: head, body, count=1)
+
+
+_MAX_TIMELINES = 40
+"""Samples with faults in the figure of timelines, the worst first."""
+_VERDICT_COLOURS = {
     **{"feasible": "#1b7f4b", "success": "#1b7f4b", "infeasible": "#c2361c", "error": "#7a1f10"},
     **{"grounding": "#a3842b", "generation": "#c2361c", "execution": "#8a4fb5", "task": "#2563ab"},
     **{"unmeasurable": "#9a6700", "unjudged": "#66727f"},
 }
-_FAULTS = {"violation": "#c2361c", "anomaly": "#d99200", "lost": "#66727f", "unsure": "#c7a6e0"}
+_FAULT_COLOURS = {"violation": "#c2361c", "anomaly": "#d99200", "lost": "#66727f", "unsure": "#c7a6e0"}
 _COLUMNS = 3
+_ESTIMATE = ("mean", "low", "high", "n", "total")
+Faults = tuple[SampleRow, list[FaultLane], int]
+"""A row, its faults, and its number of frames."""
 
 
 def write_figures(out: Path) -> Path:
-    """Write figures and tables of an output folder to `figures/` in it; the same folder gives the same bytes.
+    """Write figures (png, svg) and tables (csv) of an output folder to `figures/`; the same folder, the same bytes.
 
     Returns:
         The folder of the files.
@@ -47,95 +146,73 @@ def write_figures(out: Path) -> Path:
     """
     rows, results = sorted(read_rows(out).values(), key=badness), read_results(out)
     seed = bootstrap_seed(results)
-    folder, total = out / FIGURES, aggregate(rows, seed)
-    spread = histograms(rows, total, layout_of(results))
-    faults = [(row, *_faults(out, row)) for row in rows]
-    _write_csv(folder / "samples.csv", *_samples(rows, list(total.estimates)))
-    _write_csv(folder / "metrics.csv", ("metric", *_ESTIMATE), ([n, *_cells(e)] for n, e in total.estimates.items()))
-    _write_csv(folder / "faults.csv", *_fault_lines(faults))
-    _write_csv(folder / "distributions.csv", *_bins(spread))
+    folder, total = out / "figures", aggregate(rows, seed)
+    histograms = count_metrics(rows, total, layout_of(results))
+    faults = [_find_faults(out, row) for row in rows]
+
+    def write_csv(name: str, heads: Sequence[str], lines: Iterable[Sequence[object]]) -> None:
+        write_atomically(folder / f"{name}.csv", format_csv(heads, lines).encode())
+
+    write_csv("samples", *_sample_lines(rows, list(total.estimates)))
+    write_csv("metrics", ("metric", *_ESTIMATE), ([n, *_estimate_cells(e)] for n, e in total.estimates.items()))
+    write_csv(
+        "faults",
+        ("id", "frames", "fault", "sort", "frame_start", "frame_end", "told"),
+        (
+            (row.id, n, lane.label, LEGEND[lane.css], span.start, span.end, span.text)
+            for row, lanes, n in faults
+            for lane in lanes
+            for span in lane.spans
+        ),
+    )
+    write_csv(
+        "distributions",
+        ("metric", "verdict", "low", "high", "samples"),
+        (
+            (h.metric.name, verdict, float(h.edges[k]), float(h.edges[k + 1]), n)
+            for h in histograms
+            for verdict, counts in h.counts.items()
+            for k, n in enumerate(counts)
+        ),
+    )
     for key in ("task", "model"):
         groups = group_rows(rows, key, seed)
         if groups:
-            _write_csv(folder / f"{key}s.csv", *_group_lines(key, groups))
-            _write_picture(_draw_verdicts(groups), folder / f"verdicts_by_{key}")
-    if spread:
-        _write_picture(_draw_distributions(spread), folder / "distributions")
-    shown = [found for found in faults if found[1]][:TIMELINES]
-    if shown:
-        _write_picture(_draw_faults(shown), folder / "faults")
+            lines = (
+                (g.name, g.total.total, g.total.status[Status.OK], name, *_estimate_cells(estimate))
+                for g in groups
+                for name, estimate in g.total.estimates.items()
+            )
+            write_csv(f"{key}s", (key, "samples", "measured", "metric", *_ESTIMATE), lines)
+            _save(_draw_verdicts(groups), folder / f"verdicts_by_{key}")
+    if histograms:
+        _save(_draw_distributions(histograms), folder / "distributions")
+    if any(lanes for _, lanes, _ in faults):
+        _save(_draw_faults([f for f in faults if f[1]][:_MAX_TIMELINES]), folder / "faults")
     return folder
 
 
-_ESTIMATE = ("mean", "low", "high", "n", "total")
-
-
-def _cells(estimate: object) -> list[object]:
+def _estimate_cells(estimate: Estimate) -> list[object]:
     return [getattr(estimate, name) for name in _ESTIMATE]
 
 
-def _write_csv(path: Path, heads: Sequence[str], lines: Iterable[Sequence[object]]) -> None:
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(heads)
-    writer.writerows(lines)
-    write_atomically(path, text.getvalue().encode())
-
-
-def _write_picture(figure: "Figure", path: Path) -> None:
-    from matplotlib import rc_context
-
-    save(figure, path.with_suffix(".png"))
-    with rc_context({"svg.hashsalt": path.name}), atomic_path(path.with_suffix(".svg")) as part:
-        figure.savefig(part, format="svg", metadata={"Date": None})
-
-
-def _faults(out: Path, row: SampleRow) -> tuple[list[Lane], int]:
-    """A sample's faults and its number of frames."""
+def _find_faults(out: Path, row: SampleRow) -> Faults:
     track = artifact_path(out, "tracks", row.id)
     file = read_track(track) if row.status is Status.OK and track.is_file() else None
-    lanes = lanes_of(row, file)
-    return lanes, frame_count(row, file, lanes)
+    lanes = fault_lanes(row, file)
+    return row, lanes, frame_count(row, file, lanes)
 
 
-def _samples(rows: Sequence[SampleRow], names: Sequence[str]) -> tuple[list[str], Iterable[list[object]]]:
+def _sample_lines(rows: Sequence[SampleRow], names: Sequence[str]) -> tuple[list[str], Iterable[list[object]]]:
     metrics = [name for name in names if name != "feasible"]
     heads = ["id", "video", "task", "model", "status", "verdict", "reason", "feasible", "violations", "anomalies"]
 
     def line(row: SampleRow) -> list[object]:
         kinds = [sorted({str(mark.get("kind")) for mark in marks}) for marks in (row.violations, anomalies_of(row))]
-        told = [row.id, row.video, row.task, row.model, row.status.value, verdict_of(row), row.reason, row.feasible]
-        return [*told, *("; ".join(k) for k in kinds), *(row.metrics.get(n, row.extra.get(n)) for n in metrics)]
+        cells = [row.id, row.video, row.task, row.model, row.status.value, verdict_of(row), row.reason, row.feasible]
+        return [*cells, *("; ".join(k) for k in kinds), *(row.metrics.get(n, row.extra.get(n)) for n in metrics)]
 
     return [*heads, *metrics], map(line, rows)
-
-
-def _fault_lines(
-    faults: Sequence[tuple[SampleRow, list[Lane], int]],
-) -> tuple[Sequence[str], Iterable[Sequence[object]]]:
-    return ("id", "frames", "fault", "sort", "frame_start", "frame_end", "told"), (
-        (row.id, n, lane.label, LEGEND[lane.css], span.start, span.end, span.text)
-        for row, lanes, n in faults
-        for lane in lanes
-        for span in lane.spans
-    )
-
-
-def _bins(spread: Sequence[Histogram]) -> tuple[Sequence[str], Iterable[Sequence[object]]]:
-    return ("metric", "verdict", "low", "high", "samples"), (
-        (h.metric.name, verdict, float(h.edges[k]), float(h.edges[k + 1]), n)
-        for h in spread
-        for verdict, counts in h.counts.items()
-        for k, n in enumerate(counts)
-    )
-
-
-def _group_lines(key: str, groups: Sequence[SampleGroup]) -> tuple[Sequence[str], Iterable[Sequence[object]]]:
-    return (key, "samples", "measured", "metric", *_ESTIMATE), (
-        (g.name, g.total.total, g.total.status[Status.OK], name, *_cells(estimate))
-        for g in groups
-        for name, estimate in g.total.estimates.items()
-    )
 
 
 def _draw_verdicts(groups: Sequence[SampleGroup]) -> "Figure":
@@ -144,13 +221,12 @@ def _draw_verdicts(groups: Sequence[SampleGroup]) -> "Figure":
     figure, axes = new_figure(7.0, 1.2 + 0.26 * len(groups))
     ax = axes[0, 0]
     left = [0] * len(groups)
-    for verdict, colour in _VERDICTS.items():
+    for verdict, colour in _VERDICT_COLOURS.items():
         counts = [group.verdicts.get(verdict, 0) for group in groups]
         if any(counts):
-            label = FAILURES.get(verdict, verdict)
-            ax.barh(range(len(groups)), counts, left=left, color=colour, label=label, height=0.7)
+            ax.barh(range(len(groups)), counts, left=left, color=colour, label=VERDICTS[verdict], height=0.7)
             left = [a + b for a, b in zip(left, counts, strict=True)]
-    ax.set_yticks(range(len(groups)), [_short(group.name) for group in groups], fontsize=8)
+    ax.set_yticks(range(len(groups)), [_shorten(group.name) for group in groups], fontsize=8)
     ax.invert_yaxis()
     ax.set_xlabel("samples")
     ax.xaxis.set_major_locator(MaxNLocator(integer=True))
@@ -158,55 +234,56 @@ def _draw_verdicts(groups: Sequence[SampleGroup]) -> "Figure":
     return figure
 
 
-def _draw_distributions(spread: Sequence[Histogram]) -> "Figure":
+def _draw_distributions(histograms: Sequence[Histogram]) -> "Figure":
     from matplotlib.patches import Patch
     from matplotlib.ticker import MaxNLocator
 
-    lines = -(-len(spread) // _COLUMNS)
+    lines = -(-len(histograms) // _COLUMNS)
     figure, axes = new_figure(10.0, 0.4 + 2.1 * lines, lines, _COLUMNS)
-    for ax, h in zip(axes.flat, spread, strict=False):
+    for ax, h in zip(axes.flat, histograms, strict=False):
         below = [0] * (len(h.edges) - 1)
         for verdict, counts in h.counts.items():
-            ax.bar(h.edges[:-1], counts, h.edges[1:] - h.edges[:-1], below, align="edge", color=_VERDICTS[verdict])
+            widths, colour = h.edges[1:] - h.edges[:-1], _VERDICT_COLOURS[verdict]
+            ax.bar(h.edges[:-1], counts, widths, below, align="edge", color=colour)
             below = [a + b for a, b in zip(below, counts, strict=True)]
         if h.estimate.mean is not None:
             ax.axvline(h.estimate.mean, color="black", linewidth=1.2)
         if h.estimate.low is not None and h.estimate.high is not None:
             ax.axvspan(h.estimate.low, h.estimate.high, color="black", alpha=0.12, linewidth=0.0)
-        far = f", {h.below + h.above} far out at the edge" if h.below or h.above else ""
-        ax.set_title(f"{h.metric.label}: {h.estimate.n} of {h.estimate.total}{far}", fontsize=8, loc="left")
+        outliers = f", {h.outliers} outliers in the outermost bins" if h.outliers else ""
+        ax.set_title(f"{h.metric.label}: {h.estimate.n} of {h.estimate.total}{outliers}", fontsize=8, loc="left")
         ax.set_xlim(h.edges[0], h.edges[-1])
         ax.tick_params(labelsize=7)
         ax.yaxis.set_major_locator(MaxNLocator(nbins=4, integer=True))
-    for ax in axes.flat[len(spread) :]:
+    for ax in axes.flat[len(histograms) :]:
         ax.set_visible(False)
     handles = [
-        Patch(color=colour, label=FAILURES.get(verdict, verdict))
-        for verdict, colour in _VERDICTS.items()
-        if any(verdict in h.counts for h in spread)
+        Patch(color=colour, label=VERDICTS[verdict])
+        for verdict, colour in _VERDICT_COLOURS.items()
+        if any(verdict in h.counts for h in histograms)
     ]
     figure.legend(handles=handles, loc="outside upper center", ncols=5, fontsize=8, frameon=False)
     return figure
 
 
-def _draw_faults(faults: Sequence[tuple[SampleRow, list[Lane], int]]) -> "Figure":
+def _draw_faults(faults: Sequence[Faults]) -> "Figure":
     from matplotlib.patches import Patch
 
     figure, axes = new_figure(8.0, 1.0 + 0.24 * len(faults))
     ax = axes[0, 0]
     for k, (_, lanes, n) in enumerate(faults):
         ax.broken_barh([(0, n)], (k - 0.35, 0.7), color="#eef2f7", linewidth=0.0)
-        for css in reversed(_FAULTS):
+        for css in reversed(_FAULT_COLOURS):
             spans = [(s.start, s.end + 1 - s.start) for lane in lanes if lane.css == css for s in lane.spans]
-            ax.broken_barh(spans, (k - 0.35, 0.7), color=_FAULTS[css], linewidth=0.0)
-    ax.set_yticks(range(len(faults)), [_short(row.id) for row, _, _ in faults], fontsize=7)
+            ax.broken_barh(spans, (k - 0.35, 0.7), color=_FAULT_COLOURS[css], linewidth=0.0)
+    ax.set_yticks(range(len(faults)), [_shorten(row.id) for row, _, _ in faults], fontsize=7)
     ax.invert_yaxis()
     ax.set_xlabel("frames")
-    handles = [Patch(color=colour, label=LEGEND[css]) for css, colour in _FAULTS.items()]
+    handles = [Patch(color=colour, label=LEGEND[css]) for css, colour in _FAULT_COLOURS.items()]
     figure.legend(handles=handles, loc="outside upper center", ncols=4, fontsize=8, frameon=False)
     return figure
 
 
-def _short(name: str) -> str:
-    """A name to draw, cut where it is endless."""
+def _shorten(name: str) -> str:
+    """Cut a name to the room that a figure has."""
     return plain(name if len(name) <= 48 else f"{name[:47]}…")

@@ -1,4 +1,4 @@
-"""How metrics are shown, and which of them stand first on the page of each kind of run."""
+"""Labels and formats of metrics, and the metrics that the page of each kind of run shows first."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -8,97 +8,85 @@ from kinebench_drake.types import Json
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Metric:
-    """How a metric is shown."""
+    """Label and format of a metric."""
 
     name: str
     label: str
     pattern: str
     """Format of its values."""
     meaning: str
-    """One clause for the reader."""
+    """Explanation: one clause."""
 
 
+_TRACK = (
+    ("tracked_fraction", "Frames tracked", "{:.0%}", "share of frames with a reliable gripper pose"),
+    ("camera_motion_px", "Camera motion [px]", "{:.2f}", "motion of the background; about 0 for a fixed camera"),
+    ("arm_consistency_px", "Arm consistency [px]", "{:.1f}", "distance of the links from the arm posed by the hand"),
+    ("ik_success_rate", "IK success", "{:.0%}", "share of tracked frames reached within joint limits"),
+    ("ik_position_error_max_m", "IK position error, max [m]", "{:.2g}", "greatest distance from the wanted pose"),
+)
+_CONFIGURATION = (
+    ("joint_limit_margin_min", "Joint margin, min", "{:.3f}", "distance to the limit / half the range; < 0 is outside"),
+    ("manipulability_mean", "Manipulability, mean", "{:.4f}", "volume of the 6x7 Jacobian; 0 is singular"),
+    ("manipulability_min", "Manipulability, min", "{:.4f}", "volume of the 6x7 Jacobian at its worst frame"),
+    ("manipulability_integral", "Manipulability, integral", "{:.4f}", "over task time"),
+    ("manipulability_cost_mean", "Manipulability cost", "{:.2f}", "1 / (translational volume); lower is better"),
+    (
+        "manipulability_translation_mean",
+        "Manipulability, translation",
+        "{:.4f}",
+        "of the translational Jacobian",
+    ),
+    ("manipulability_rotation_mean", "Manipulability, rotation", "{:.4f}", "of the rotational Jacobian"),
+    ("manipulability_limited_mean", "Manipulability within limits, mean", "{:.4f}", "weighted by joint limits"),
+    ("manipulability_limited_min", "Manipulability within limits, min", "{:.4f}", "weighted by joint limits"),
+    ("condition_number_max", "Condition number, max", "{:.1f}", "of the 6x7 Jacobian; large near a singularity"),
+    ("branch_jumps", "Branch jumps", "{:.2f}", "changes of arm configuration that the joint path needs"),
+)
+_MOTION = (
+    ("sparc", "SPARC", "{:.2f}", "smoothness of the position; nearer 0 is smoother"),
+    ("sparc_rotation", "SPARC, rotation", "{:.2f}", "smoothness of the rotation; nearer 0 is smoother"),
+    ("sparc_filtered", "SPARC, filtered", "{:.2f}", "SPARC after one fixed filter, to compare frame rates"),
+    ("sparc_rotation_filtered", "SPARC, rotation, filtered", "{:.2f}", "after one fixed filter"),
+    ("ldlj", "Log dimensionless jerk", "{:.2f}", "nearer 0 is smoother"),
+    ("velocity_ratio_max", "Joint speed / limit", "{:.2f}", "above 1 exceeds the limit"),
+    ("acceleration_ratio_max", "Joint acceleration / limit", "{:.2f}", "above 1 exceeds the limit"),
+    ("jerk_ratio_max", "Joint jerk / limit", "{:.2f}", "above 1 exceeds the limit"),
+    ("torque_ratio_max", "Joint torque / limit", "{:.2f}", "above 1 exceeds the limit"),
+    ("slowdown_min", "Slow-down needed", "{:.2f}", "1 or less is feasible at its own speed"),
+    ("time_scale", "Fastest / own duration", "{:.2f}", "fastest feasible duration of the path over its own"),
+    ("trajopt_feasible", "Trajectory optimised", "{:.0%}", "share with a feasible trajectory"),
+    ("trajopt_position_tube_m", "Trajectory tube [m]", "{:.4f}", "distance of the feasible trajectory from the track"),
+    ("self_distance_min_m", "Self-collision clearance [m]", "{:.3f}", "negative is a collision"),
+    ("table_distance_min_m", "Table clearance [m]", "{:.3f}", "negative is a collision"),
+)
+_EPISODE = (
+    ("success", "Success", "{:.0%}", "share of episodes that reach the task's goal"),
+    ("progress", "Progress", "{:.0%}", "share of the task's steps completed"),
+    ("rounds", "Rounds", "{:.2f}", "clips requested from the model per episode"),
+    ("gap_robot_iou", "Robot overlap", "{:.2f}", "intersection over union of the imagined and the executed robot"),
+    ("gap_gripper_m", "Gripper distance [m]", "{:.4f}", "between the imagined and the executed gripper"),
+    ("gap_gripper_rad", "Gripper angle [rad]", "{:.3f}", "between the imagined and the executed gripper"),
+    ("gap_psnr_db", "PSNR [dB]", "{:.1f}", "of imagined against executed frames"),
+    ("gap_ssim", "SSIM", "{:.3f}", "of imagined against executed frames"),
+)
 METRICS = tuple(
     Metric(name=name, label=label, pattern=pattern, meaning=meaning)
-    for name, label, pattern, meaning in (
-        (
-            "tracked_fraction",
-            "Frames tracked",
-            "{:.0%}",
-            "share of frames in which the gripper's pose can be relied upon",
-        ),
-        (
-            "camera_motion_px",
-            "Camera motion [px]",
-            "{:.2f}",
-            "how far the background moves; a fixed camera gives about 0",
-        ),
-        (
-            "arm_consistency_px",
-            "Arm consistency [px]",
-            "{:.1f}",
-            "how far the links are from where the arm that goes with the hand would have them",
-        ),
-        ("ik_success_rate", "IK success", "{:.0%}", "share of tracked frames reached within joint limits"),
-        ("ik_position_error_max_m", "IK error, worst [m]", "{:.2g}", "largest distance left to the wanted pose"),
-        (
-            "joint_limit_margin_min",
-            "Joint margin, least",
-            "{:.3f}",
-            "distance to the limit over half the range; negative is outside",
-        ),
-        ("manipulability_mean", "Manipulability, mean", "{:.4f}", "volume of the 6x7 Jacobian; 0 is singular"),
-        ("manipulability_min", "Manipulability, least", "{:.4f}", "volume of the 6x7 Jacobian at its worst frame"),
-        ("manipulability_integral", "Manipulability, integral", "{:.4f}", "over task time"),
-        ("manipulability_cost_mean", "Manipulability cost", "{:.2f}", "1 / (translational volume); lower is better"),
-        ("manipulability_translation_mean", "Manipulability, moving", "{:.4f}", "volume of the translational Jacobian"),
-        ("manipulability_rotation_mean", "Manipulability, turning", "{:.4f}", "volume of the rotational Jacobian"),
-        ("manipulability_limited_mean", "Manipulability within limits, mean", "{:.4f}", "weighed by joint limits"),
-        ("manipulability_limited_min", "Manipulability within limits, least", "{:.4f}", "weighed by joint limits"),
-        (
-            "condition_number_max",
-            "Condition number, greatest",
-            "{:.1f}",
-            "of the 6x7 Jacobian; great near a singularity",
-        ),
-        ("branch_jumps", "Branch jumps", "{:.2f}", "changes of posture that the joint path needs"),
-        ("sparc", "SPARC", "{:.2f}", "smoothness of the position; nearer 0 is smoother"),
-        ("sparc_rotation", "SPARC, rotation", "{:.2f}", "smoothness of the turning; nearer 0 is smoother"),
-        ("sparc_filtered", "SPARC, filtered", "{:.2f}", "SPARC behind one fixed filter, to compare frame rates"),
-        ("sparc_rotation_filtered", "SPARC, rotation, filtered", "{:.2f}", "behind one fixed filter"),
-        ("ldlj", "Log dimensionless jerk", "{:.2f}", "nearer 0 is smoother"),
-        ("velocity_ratio_max", "Joint speed / limit", "{:.2f}", "above 1 breaks the limit"),
-        ("acceleration_ratio_max", "Joint acceleration / limit", "{:.2f}", "above 1 breaks the limit"),
-        ("jerk_ratio_max", "Joint jerk / limit", "{:.2f}", "above 1 breaks the limit"),
-        ("torque_ratio_max", "Joint torque / limit", "{:.2f}", "above 1 breaks the limit"),
-        ("slowdown_min", "Slow-down needed", "{:.2f}", "1 or less can be played at its own speed"),
-        ("time_scale", "Fastest / own duration", "{:.2f}", "how much faster the path could be run"),
-        ("trajopt_feasible", "Trajectory optimised", "{:.0%}", "share for which a feasible trajectory was found"),
-        ("trajopt_position_tube_m", "Trajectory tube [m]", "{:.4f}", "how far the feasible trajectory strays"),
-        ("self_distance_min_m", "Clearance to itself [m]", "{:.3f}", "negative is a collision"),
-        ("table_distance_min_m", "Clearance to the table [m]", "{:.3f}", "negative is a collision"),
-        ("success", "Success", "{:.0%}", "share of episodes that reach the task's goal"),
-        ("progress", "Progress", "{:.0%}", "share of the task's steps done"),
-        ("rounds", "Rounds", "{:.2f}", "clips asked of the model in an episode"),
-        ("gap_robot_iou", "Robot overlap", "{:.2f}", "of its pixels as imagined and as executed, over their union"),
-        ("gap_gripper_m", "Gripper apart [m]", "{:.4f}", "between the imagined and the executed gripper"),
-        ("gap_gripper_rad", "Gripper turned [rad]", "{:.3f}", "between the imagined and the executed gripper"),
-        ("gap_psnr_db", "PSNR [dB]", "{:.1f}", "of imagined frames against executed ones"),
-        ("gap_ssim", "SSIM", "{:.3f}", "of imagined frames against executed ones"),
-    )
+    for name, label, pattern, meaning in (*_TRACK, *_CONFIGURATION, *_MOTION, *_EPISODE)
 )
+BY_NAME = {metric.name: metric for metric in METRICS}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MetricLayout:
-    """What the page of a kind of run shows first."""
+    """Metrics that the page of a kind of run shows first."""
 
     headlines: tuple[str, ...]
-    """Metrics with a tile of their own."""
+    """Metrics with a tile."""
     columns: tuple[str, ...]
     """Metrics in the table of samples."""
     shares: tuple[str, ...] = ()
-    """Metrics, one truth value a sample, that groups are told by besides."""
+    """Truth values per sample that the tables by task and by model show, too."""
 
 
 _VIDEOS = MetricLayout(
@@ -122,10 +110,9 @@ _LAYOUTS = {
         shares=("success",),
     ),
 }
-"""By kind of run; the others are of videos."""
-BY_NAME = {metric.name: metric for metric in METRICS}
+"""By kind of run; all others are of videos."""
 
 
 def layout_of(results: Mapping[str, Json]) -> MetricLayout:
-    """What the page of a run shows first, by the kind that its results tell."""
+    """Return the layout for the kind of run that `results.json` names."""
     return _LAYOUTS.get(str(results.get("kind")), _VIDEOS)

@@ -1,31 +1,42 @@
-"""The html report of an output folder: content, template environment."""
+"""`report.html`: the self-contained page of one output folder."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
 
-from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
+from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from kinebench_drake.errors import InputError, cause
+from kinebench_drake.io.atomic import write_atomically
 from kinebench_drake.io.jsonl import intern_text, read_json
-from kinebench_drake.report.histogram import Histogram, count_values, draw_histogram
+from kinebench_drake.report.limits import to_number
 from kinebench_drake.report.metric import BY_NAME, METRICS, Metric, MetricLayout, layout_of
+from kinebench_drake.report.plot import Histogram, count_values, draw_histogram
 from kinebench_drake.report.sample import (
-    FAILURES,
-    GOOD,
-    RANK,
+    GOOD_VERDICTS,
+    VERDICTS,
     badness,
     goodness,
-    has_picture,
-    number_of,
+    has_thumbnail,
+    numeric_value,
     verdict_of,
     view_sample,
 )
-from kinebench_drake.results.aggregate import Aggregate, Estimate, aggregate, split_rows
+from kinebench_drake.report.table import format_interval, format_value
+from kinebench_drake.results.aggregate import Aggregate, aggregate, split_rows
 from kinebench_drake.results.row import SampleRow, Status
-from kinebench_drake.results.store import RESULTS, read_rows
+from kinebench_drake.results.store import REPORT, RESULTS, read_rows
 from kinebench_drake.types import Json
+
+DRAWN = 100
+"""Samples, the worst first, whose curves and details are on the page: all would make it slow to open."""
+_PICTURED = 40
+"""Samples, the worst first, whose images are on the page."""
+_SHOWN = 100
+"""Samples in the table until all are requested."""
+_GALLERY = 6
+"""Worst and best samples that are shown large."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,42 +49,20 @@ class SampleGroup:
     """Samples of each verdict that occurs, the worst verdict first."""
 
 
-def group_rows(rows: Sequence[SampleRow], key: str, seed: int = 0) -> list[SampleGroup]:
-    """Groups of rows by their `task` or `model`, sorted by name; rows without one are left out."""
-    found = []
-    for name, group in split_rows(rows, key).items():
-        told = [verdict_of(row) for row in group]
-        verdicts = {verdict: told.count(verdict) for verdict in RANK if verdict in told}
-        found.append(SampleGroup(name=name, total=aggregate(group, seed), verdicts=verdicts))
-    return found
+def write_report(out: Path) -> Path:
+    """Write `report.html` from the rows and files of an output folder; the same folder gives the same bytes.
 
-
-HOME = "kinebench_drake.report"
-
-
-def environment(package: str = HOME) -> Environment:
-    """Templates of a package, then those that all pages share; what is put into them is escaped."""
-    return Environment(
-        loader=ChoiceLoader([PackageLoader(package, "."), PackageLoader(HOME, ".")]),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-
-
-DRAWN = 100
-"""Samples, the worst first, whose curves and findings stand on the page: the rest would make it slow to open."""
-PICTURED = 40
-"""Samples, the worst first, whose pictures stand on the page."""
-SHOWN = 100
-"""Samples in the table until more are asked for."""
-GALLERY = 6
-"""Worst and best samples that are shown in large."""
+    Raises:
+        InputError: the folder's files are broken.
+        SetupError: writing failed.
+    """
+    path = out / REPORT
+    write_atomically(path, build_page(out).encode())
+    return path
 
 
 def build_page(out: Path) -> str:
-    """The html text of an output folder's report.
+    """Build the html of an output folder's report.
 
     Raises:
         InputError: the folder's files are broken.
@@ -83,98 +72,56 @@ def build_page(out: Path) -> str:
     seed = bootstrap_seed(results)
     total = aggregate(rows, seed)
     layout = layout_of(results)
-    worst, best = _outstanding(out, rows)
+    worst, best = _choose_gallery(out, rows)
     large = {row.id for row in (*worst, *best)}
     samples = [
-        view_sample(out, row, drawn=k < DRAWN or row.id in large, pictured=k < PICTURED or row.id in large)
+        view_sample(out, row, drawn=k < DRAWN or row.id in large, pictured=k < _PICTURED or row.id in large)
         for k, row in enumerate(rows)
     ]
     views = {sample.row.id: sample for sample in samples}
-    names = {verdict: FAILURES.get(verdict, verdict) for verdict in RANK}
-    templates = environment()
-    templates.filters.update(shown=shown, named=names.__getitem__)
+    templates = template_environment()
+    templates.filters["label"] = VERDICTS.__getitem__
     return templates.get_template("page.html.j2").render(
         title=_title(results),
         results=results,
         total=total,
-        headlines=[(BY_NAME[n], total.estimates[n]) for n in layout.headlines if _measured(total, n)],
-        metrics=[(m, total.estimates[m.name]) for m in (*METRICS, *_others(total)) if _measured(total, m.name)],
-        groups=[(key, found) for key in ("task", "model") if (found := group_rows(rows, key, seed))],
-        histograms=[draw_histogram(h, names) for h in histograms(rows, total, layout)],
+        headlines=[(BY_NAME[n], total.estimates[n]) for n in layout.headlines if _is_measured(total, n)],
+        metrics=[
+            (m, total.estimates[m.name]) for m in (*METRICS, *_other_metrics(total)) if _is_measured(total, m.name)
+        ],
+        groups=[(key, groups) for key in ("task", "model") if (groups := group_rows(rows, key, seed))],
+        histograms=[draw_histogram(h, VERDICTS) for h in count_metrics(rows, total, layout)],
         gallery=[
             (title, [views[row.id] for row in chosen]) for title, chosen in (("Worst", worst), ("Best", best)) if chosen
         ],
-        columns=[BY_NAME[n] for n in layout.columns if _measured(total, n)],
-        shares=[BY_NAME[n] for n in layout.shares if _measured(total, n)],
+        columns=[BY_NAME[n] for n in layout.columns if _is_measured(total, n)],
+        shares=[BY_NAME[n] for n in layout.shares if _is_measured(total, n)],
         samples=samples,
         large=large,
-        first=SHOWN,
+        first=_SHOWN,
         drawn=min(DRAWN, len(samples)),
         left_out=max(len(samples) - DRAWN, 0),
-        normalization=_normalization(results),
-        counts={v: n for v in RANK if (n := sum(sample.verdict == v for sample in samples))},
+        normalization=_read_normalization(results),
+        counts={v: n for v in VERDICTS if (n := sum(sample.verdict == v for sample in samples))},
         Status=Status,
     )
 
 
-def histograms(rows: Sequence[SampleRow], total: Aggregate, layout: MetricLayout) -> list[Histogram]:
-    """The spread of the metrics that stand first on a page, as far as they spread."""
-    found = []
-    for name in dict.fromkeys((*layout.headlines, *layout.columns)):
-        if _measured(total, name):
-            values = [
-                (verdict_of(row), number_of(row, name) if row.status is Status.OK else None)
-                for row in rows
-                if not isinstance(row.metrics.get(name, row.extra.get(name)), bool)
-            ]
-            found.append(count_values(BY_NAME[name], values, total.estimates[name]))
-    return [histogram for histogram in found if histogram is not None]
-
-
-def _outstanding(out: Path, rows: Sequence[SampleRow]) -> tuple[list[SampleRow], list[SampleRow]]:
-    """The worst and the best samples that have a picture, as many of these as of those, none twice."""
-    pictured = [row for row in rows if has_picture(out, row)]
-    n = min(GALLERY, len(pictured) // 2)
-    best = sorted((r for r in pictured if verdict_of(r) in GOOD), key=goodness)[:n]
-    chosen = {row.id for row in best}
-    return [row for row in pictured if row.id not in chosen][:n], best
-
-
-def _title(results: Mapping[str, Json]) -> str:
-    """The run's input, or who did what."""
-    config = results.get("config")
-    config = config if isinstance(config, Mapping) else {}
-    if "suite" in config:
-        return f"{config.get('world_model')}, suite {config['suite']} ({config.get('split')})"
-    return str(config.get("source") or "Report")
-
-
-def shown(value: float | None, pattern: str) -> str:
-    """A number in its format; a dash where there is none."""
-    return "–" if value is None else pattern.format(value)
-
-
-def _others(total: Aggregate) -> list[Metric]:
-    """Metrics that the page knows nothing about but their names; noise floors mean nothing apart from their track."""
-    known = {*BY_NAME, "feasible"}
-    names = [name for name in total.estimates if name not in known and "_floor_" not in name]
-    return [Metric(name=name, label=name, pattern="{:.4g}", meaning="") for name in names]
-
-
-def _measured(total: Aggregate, name: str) -> bool:
-    found: Estimate | None = total.estimates.get(name)
-    return found is not None and found.n > 0
-
-
-def bootstrap_seed(results: Mapping[str, Json]) -> int:
-    """Seed of the intervals' resampling that a run's results tell."""
-    seeds = results.get("seeds")
-    seed = seeds.get("bootstrap", 0) if isinstance(seeds, Mapping) else 0
-    return seed if isinstance(seed, int) else 0
+def template_environment() -> Environment:
+    """Return the templates of this package, with escaping and the number formats of all pages."""
+    templates = Environment(
+        loader=PackageLoader("kinebench_drake.report", "."),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    templates.filters.update(number=format_value, interval=format_interval)
+    return templates
 
 
 def read_results(out: Path) -> Mapping[str, Json]:
-    """What `results.json` holds; nothing for a run that was interrupted.
+    """Read `results.json`; empty for a run that was interrupted.
 
     Raises:
         InputError: the file is damaged.
@@ -188,26 +135,72 @@ def read_results(out: Path) -> Mapping[str, Json]:
     return cast(Mapping[str, Json], intern_text(data)) if isinstance(data, dict) else {}
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class NormalizedMetric:
-    """A metric put on the scale that its own run spans."""
-
-    metric: str
-    low: float
-    """Value that counts as 0: the run's 10th percentile."""
-    high: float
-    """Value that counts as 1: the run's 90th percentile."""
-    mean: float
-    """Mean over samples of (value - low) / (high - low), held within 0..1."""
-    n: int
+def bootstrap_seed(results: Mapping[str, Json]) -> int:
+    """Return the seed of the resampling of a run's intervals."""
+    seeds = results.get("seeds")
+    seed = seeds.get("bootstrap", 0) if isinstance(seeds, Mapping) else 0
+    return seed if isinstance(seed, int) else 0
 
 
-def _normalization(results: Mapping[str, Json]) -> list[NormalizedMetric]:
-    found = results.get("normalization")
-    told = []
-    for name, entry in found.items() if isinstance(found, Mapping) else ():
-        numbers = [entry.get(key) if isinstance(entry, Mapping) else None for key in ("low", "high", "mean", "n")]
-        low, high, mean, n = (float(v) if isinstance(v, int | float) else None for v in numbers)
-        if low is not None and high is not None and mean is not None and n is not None:
-            told.append(NormalizedMetric(metric=name, low=low, high=high, mean=mean, n=int(n)))
-    return told
+def group_rows(rows: Sequence[SampleRow], key: str, seed: int = 0) -> list[SampleGroup]:
+    """Group rows by `task` or `model`, sorted by name; rows without one are left out."""
+    groups = []
+    for name, group in split_rows(rows, key).items():
+        verdicts = [verdict_of(row) for row in group]
+        counts = {verdict: verdicts.count(verdict) for verdict in VERDICTS if verdict in verdicts}
+        groups.append(SampleGroup(name=name, total=aggregate(group, seed), verdicts=counts))
+    return groups
+
+
+def count_metrics(rows: Sequence[SampleRow], total: Aggregate, layout: MetricLayout) -> list[Histogram]:
+    """Count the values of the metrics that a page shows first, where they differ."""
+    histograms = []
+    for name in dict.fromkeys((*layout.headlines, *layout.columns)):
+        if _is_measured(total, name):
+            values = [
+                (verdict_of(row), numeric_value(row, name) if row.status is Status.OK else None)
+                for row in rows
+                if not isinstance(row.metrics.get(name, row.extra.get(name)), bool)
+            ]
+            histograms.append(count_values(BY_NAME[name], values, total.estimates[name]))
+    return [histogram for histogram in histograms if histogram is not None]
+
+
+def _choose_gallery(out: Path, rows: Sequence[SampleRow]) -> tuple[list[SampleRow], list[SampleRow]]:
+    """Choose equally many worst and best samples with an image, none twice."""
+    pictured = [row for row in rows if has_thumbnail(out, row)]
+    n = min(_GALLERY, len(pictured) // 2)
+    best = sorted((r for r in pictured if verdict_of(r) in GOOD_VERDICTS), key=goodness)[:n]
+    chosen = {row.id for row in best}
+    return [row for row in pictured if row.id not in chosen][:n], best
+
+
+def _title(results: Mapping[str, Json]) -> str:
+    """Return the input of a run, or its model and suite."""
+    config = results.get("config")
+    config = config if isinstance(config, Mapping) else {}
+    if "suite" in config:
+        return f"{config.get('world_model')}, suite {config['suite']} ({config.get('split')})"
+    return str(config.get("source") or "Report")
+
+
+def _other_metrics(total: Aggregate) -> list[Metric]:
+    """List metrics without a label, except noise floors, which mean nothing without their track."""
+    names = [name for name in total.estimates if name not in {*BY_NAME, "feasible"} and "_floor_" not in name]
+    return [Metric(name=name, label=name, pattern="{:.4g}", meaning="") for name in names]
+
+
+def _is_measured(total: Aggregate, name: str) -> bool:
+    return name in total.estimates and total.estimates[name].n > 0
+
+
+def _read_normalization(results: Mapping[str, Json]) -> list[tuple[str, list[float]]]:
+    """Read the metrics normalized within the run: name, 10th and 90th percentile, mean on that scale, samples."""
+    normalization = results.get("normalization")
+    lines = []
+    for name, entry in normalization.items() if isinstance(normalization, Mapping) else ():
+        if isinstance(entry, Mapping):
+            numbers = [to_number(entry.get(key)) for key in ("low", "high", "mean", "n")]
+            if None not in numbers:
+                lines.append((name, cast(list[float], numbers)))
+    return lines

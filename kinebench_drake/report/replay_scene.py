@@ -1,6 +1,7 @@
-"""What a replay shows: arm, wanted gripper, path and table as objects of a Meshcat server, and their motion."""
+"""Scene of a replay: arm, wanted gripper, paths and table as objects of a Meshcat server, and their motion."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,8 +13,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from kinebench_drake.geometry import Array, invert, make_pose, pose_difference
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.report.frames import FrameState, frame_states, frames_of
-from kinebench_drake.report.link_meshes import LinkMesh
+from kinebench_drake.report.timeline import FrameState, covered_frames, frame_states
 from kinebench_drake.results.row import SampleRow
 from kinebench_drake.results.trackfile import TrackFile
 from kinebench_drake.segments import segments
@@ -26,66 +26,70 @@ COLORS = {
     FrameState.UNTRACKED: (0.60, 0.64, 0.69),
     FrameState.BROKEN: (0.84, 0.16, 0.09),
 }
-"""sRGB of the path and of the key."""
-
-_ARM = {
+"""sRGB of the path and of the legend."""
+_ARM_COLORS = {
     FrameState.OK: (0.90, 0.91, 0.92),
     FrameState.DOUBT: (0.97, 0.84, 0.62),
     FrameState.UNTRACKED: (0.66, 0.69, 0.73),
     FrameState.BROKEN: (0.95, 0.62, 0.57),
 }
-_REACHED = (0.13, 0.38, 0.75)
+_REACHED_COLOR = (0.13, 0.38, 0.75)
 _AXES = {"x": (0.8, 0.0, 0.0), "y": (0.0, 0.6, 0.0), "z": (0.0, 0.0, 0.8)}
-_TABLE = Rgba(0.62, 0.53, 0.42, 0.35)
+_TABLE_COLOR = Rgba(0.62, 0.53, 0.42, 0.35)
 _TABLE_SIZE_M = (1.2, 1.4, 0.01)
-_GHOST = 0.45
-"""Opacity of the gripper where it is wanted."""
-
+_OPACITY = 0.45
+"""Opacity of the wanted gripper beside the arm."""
 _STEP_S = 0.04
+"""Greatest time between keyframes."""
 _MAX_STEPS = 400
-_FPS = 1000.0
-"""Ticks a second of the animation: keyframes lie on whole ticks."""
-_APART_M, _APART_RAD = 0.002, 0.02
+_TICKS_PER_S = 1000.0
+"""Time resolution of the animation: keyframes lie on whole ticks."""
+_MIN_ERROR_M, _MIN_ERROR_RAD = 0.002, 0.02
 """Errors beyond which the wanted gripper is shown beside the arm's own."""
 _MAX_BEADS = 300
 _MAX_POINTS = 500
 _SIDES = 6
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LinkMesh:
+    """Surface of one link."""
+
+    link: str
+    vertices: Array
+    """(N, 3) in the link's frame [m]."""
+    faces: NDArray[np.int32]
+    """(M, 3) indices of vertices."""
+
+
 def posed_frames(file: TrackFile) -> NDArray[np.bool_]:
-    """Frames (T,) whose pose is known."""
+    """Return which frames (T,) have a pose."""
     return np.asarray(np.isfinite(file.track.X_BG).all(axis=(1, 2)), dtype=bool)
 
 
 class ReplayScene:
-    """One track's objects and their motion, put into a Meshcat server."""
+    """Objects of one track and their motion, in a Meshcat server."""
 
     def __init__(
-        self,
-        plant: ArmPlant,
-        surfaces: Sequence[LinkMesh],
-        meshcat: Any,
-        row: SampleRow,
-        file: TrackFile,
+        self, plant: ArmPlant, meshes: Sequence[LinkMesh], meshcat: Any, row: SampleRow, file: TrackFile
     ) -> None:
-        """Take in what is to be shown.
+        """Prepare the scene.
 
         Args:
             plant: the robot.
-            surfaces: its links' surfaces.
+            meshes: surfaces of its links.
             meshcat: an empty Meshcat server.
             row: violations and anomalies.
             file: the track, with a pose in at least one frame.
         """
-        self._plant, self._surfaces, self._meshcat = plant, surfaces, meshcat
+        self._plant, self._meshes, self._meshcat = plant, meshes, meshcat
         self._row, self._t_s = row, file.track.t_s
-        self._posed = posed = posed_frames(file)
         self._X_BG, self._q = file.track.X_BG, file.q
+        self._posed = posed_frames(file)
+        self._solved = np.isfinite(file.q).all(axis=-1)
         self._states = frame_states(row, file)
-        known = np.isfinite(file.q).all(axis=-1)
-        self.has_arm = bool(known.any())
-        """Whether joint angles are known anywhere."""
-        self._known = known
+        self.has_arm = bool(self._solved.any())
+        """True if any frame has joint angles."""
         width = file.track.finger_width_m
         measured = np.isfinite(width)
         self._width = (
@@ -93,30 +97,29 @@ class ReplayScene:
             if measured.any()
             else np.full(len(width), plant.finger_width_m)
         )
-        self._reached = np.array([plant.forward(q) for q in file.q[known]]).reshape(-1, 4, 4)
-        apart = np.zeros(len(self._t_s), dtype=bool)
-        both = known & posed
-        distance, angle = pose_difference(self._reached[both[known]], self._X_BG[both])
-        apart[both] = (distance > _APART_M) | (angle > _APART_RAD)
-        self._apart = apart
+        self._reached = np.array([plant.forward(q) for q in file.q[self._solved]]).reshape(-1, 4, 4)
+        self._apart = np.zeros(len(self._t_s), dtype=bool)
+        both = self._solved & self._posed
+        distance, angle = pose_difference(self._reached[both[self._solved]], self._X_BG[both])
+        self._apart[both] = (distance > _MIN_ERROR_M) | (angle > _MIN_ERROR_RAD)
 
     def draw_table(self, height_m: float) -> None:
-        """The table's top as a thin slab, instead of Meshcat's grid."""
+        """Draw the table's top as a thin slab, instead of Meshcat's grid."""
         for path in ("/Grid", "/Axes"):
             self._meshcat.SetProperty(path, "visible", False)
         self._meshcat.SetProperty("/Background/<object>", "top_color", [0.97, 0.98, 1.0])
         self._meshcat.SetProperty("/Background/<object>", "bottom_color", [0.80, 0.83, 0.87])
-        self._meshcat.SetObject("/table", Box(*_TABLE_SIZE_M), _TABLE)
+        self._meshcat.SetObject("/table", Box(*_TABLE_SIZE_M), _TABLE_COLOR)
         self._meshcat.SetTransform("/table", RigidTransform([0.4, 0.0, height_m - 0.5 * _TABLE_SIZE_M[2]]))
 
     def draw_paths(self) -> None:
-        """The path wanted, coloured by state, with beads where a limit is broken; the path reached where it differs."""
+        """Draw the wanted path, coloured by state, with beads at violations; and the path reached if it differs."""
         frames = np.flatnonzero(self._posed)
         points = self._X_BG[frames, :3, 3]
         for k in np.flatnonzero(np.diff(frames) > 1):
             self._mesh(f"/wanted/gap{k}", *_tube(points[k : k + 2], 0.002), COLORS[FrameState.UNTRACKED])
         for run in segments(self._posed):
-            kept = _thinned(run.start, run.stop)
+            kept = _thin(run.start, run.stop)
             color = np.array([_linear(COLORS[self._states[k]]) for k in kept])
             tube = _tube(self._X_BG[kept, :3, 3], 0.004)
             self._paint(f"/wanted/{run.start}", *tube, np.repeat(color, _SIDES, axis=0))
@@ -127,33 +130,34 @@ class ReplayScene:
             beads = trimesh.util.concatenate([bead.copy().apply_translation(self._X_BG[k, :3, 3]) for k in broken])
             self._mesh("/broken", beads.vertices, beads.faces, COLORS[FrameState.BROKEN])
         if self._apart.any():
-            self._mesh("/reached", *_tube(self._reached[_thinned(0, len(self._reached)), :3, 3], 0.0025), _REACHED)
+            reached = self._reached[_thin(0, len(self._reached)), :3, 3]
+            self._mesh("/reached", *_tube(reached, 0.0025), _REACHED_COLOR)
 
     def place_camera(self) -> None:
-        """Look at base and path from the robot's front left."""
+        """Point the camera at base and path from the robot's front left."""
         points = np.vstack([self._X_BG[self._posed, :3, 3], [[0.0, 0.0, 0.0], [0.0, 0.0, 0.6]]])
         centre = 0.5 * (points.min(axis=0) + points.max(axis=0))
         radius = max(float(np.linalg.norm(points - centre, axis=-1).max()), 0.35)
         self._meshcat.SetCameraPose(centre + 1.6 * radius * np.array([0.75, 0.85, 0.55]), centre)
 
     def animate(self) -> None:
-        """Arm, wanted gripper and frame of the TCP, moving at the track's own speed."""
+        """Animate arm, wanted gripper and TCP frame at the track's own speed."""
         times = self._times()
-        animation = MeshcatAnimation(_FPS)
+        animation = MeshcatAnimation(_TICKS_PER_S)
         animation.set_loop_mode(MeshcatAnimation.LoopMode.kLoopRepeat)
         animation.set_repetitions(1_000_000)
-        wanted = _along(times, self._t_s[self._posed], self._X_BG[self._posed])
+        wanted = _interpolate(times, self._t_s[self._posed], self._X_BG[self._posed])
         width = np.interp(times, self._t_s, self._width)
         self._move(animation, "/tcp", times, wanted)
         self._draw_axes()
         if self.has_arm:
-            t_known, q_known = self._t_s[self._known], self._q[self._known]
-            q = np.stack([np.interp(times, t_known, q_known[:, j]) for j in range(q_known.shape[1])], axis=-1)
-            for surface, poses in zip(self._surfaces, self._poses(q, width, self._surfaces), strict=True):
-                path = f"/arm/{surface.link}"
-                self._mesh(path, surface.vertices, surface.faces, _ARM[FrameState.OK])
+            t_solved, q_solved = self._t_s[self._solved], self._q[self._solved]
+            q = np.stack([np.interp(times, t_solved, q_solved[:, j]) for j in range(q_solved.shape[1])], axis=-1)
+            for mesh, poses in zip(self._meshes, self._poses(q, width, self._meshes), strict=True):
+                path = f"/arm/{mesh.link}"
+                self._mesh(path, mesh.vertices, mesh.faces, _ARM_COLORS[FrameState.OK])
                 self._move(animation, path, times, poses)
-                self._tint(animation, path, self._link_colors(surface.link))
+                self._tint(animation, path, self._link_colors(mesh.link))
         if self.has_arm and not self._apart.any():
             self._meshcat.SetAnimation(animation)
             return
@@ -161,26 +165,26 @@ class ReplayScene:
         rest = np.broadcast_to(self._plant.robot.rest_q, (len(times), 7))
         X_GB = invert(self._plant.forward(self._plant.robot.rest_q))
         self._move(animation, "/gripper", times, wanted)
-        for surface, poses in zip(gripper, self._poses(rest, width, gripper), strict=True):
-            path = f"/gripper/{surface.link}"
-            opacity = _GHOST if self.has_arm else 1.0
-            self._mesh(path, surface.vertices, surface.faces, _ARM[FrameState.OK], opacity)
+        opacity, colors = (_OPACITY, COLORS) if self.has_arm else (1.0, _ARM_COLORS)
+        for mesh, poses in zip(gripper, self._poses(rest, width, gripper), strict=True):
+            path = f"/gripper/{mesh.link}"
+            self._mesh(path, mesh.vertices, mesh.faces, _ARM_COLORS[FrameState.OK], opacity)
             self._move(animation, path, times, X_GB @ poses)
-            self._tint(animation, path, [(COLORS if self.has_arm else _ARM)[s] for s in self._states])
+            self._tint(animation, path, [colors[state] for state in self._states])
         if self.has_arm:
             self._switch(animation, "/gripper", self._apart)
         self._meshcat.SetAnimation(animation)
 
     def _times(self) -> Array:
-        """Keyframes (N,) [s], evenly spaced; they hold the track's frames if those are even and not too many."""
+        """Return evenly spaced keyframes (N,) [s]; they include the frames if these are even and not too many."""
         duration = float(self._t_s[-1] - self._t_s[0])
         frames = max(len(self._t_s) - 1, 1)
         steps = frames * max(round(duration / frames / _STEP_S), 1)
         return np.linspace(self._t_s[0], self._t_s[-1], min(steps, _MAX_STEPS) + 1)
 
-    def _poses(self, q: Array, width: Array, surfaces: Sequence[LinkMesh]) -> list[Array]:
-        """Poses (N, 4, 4) in B of some links along postures (N, 7)."""
-        bodies = [self._plant.drake.GetBodyByName(surface.link) for surface in surfaces]
+    def _poses(self, q: Array, width: Array, meshes: Sequence[LinkMesh]) -> list[Array]:
+        """Compute the poses (N, 4, 4) in B of some links for joint angles (N, 7) and finger widths (N,)."""
+        bodies = [self._plant.drake.GetBodyByName(mesh.link) for mesh in meshes]
         poses = np.empty((len(bodies), len(q), 4, 4))
         for k in range(len(q)):
             self._plant.set_posture(q[k], float(width[k]))
@@ -189,22 +193,22 @@ class ReplayScene:
         return list(poses)
 
     def _gripper(self) -> list[LinkMesh]:
-        """The hand and what its fingers' joints move."""
+        """Return the meshes of hand and fingers."""
         robot = self._plant.robot
         fingers = {self._plant.drake.GetJointByName(name).child_body().name() for name in robot.finger_joints}
-        return [surface for surface in self._surfaces if surface.link in fingers | {robot.hand_link}]
+        return [mesh for mesh in self._meshes if mesh.link in fingers | {robot.hand_link}]
 
     def _link_colors(self, link: str) -> list[Color]:
-        """Colour of a link in each frame: full red where its own joint is at fault."""
-        colors = [_ARM[state] for state in self._states]
+        """Return the colour of a link in each frame: full red where its own joint violates a limit."""
+        colors = [_ARM_COLORS[state] for state in self._states]
         joints = [
             j for j in self._plant.robot.joints if self._plant.drake.GetJointByName(j).child_body().name() == link
         ]
-        own = frames_of([v for v in self._row.violations if v.get("joint") in joints], len(colors))
-        return [COLORS[FrameState.BROKEN] if at_fault else color for color, at_fault in zip(colors, own, strict=True)]
+        broken = covered_frames([v for v in self._row.violations if v.get("joint") in joints], len(colors))
+        return [COLORS[FrameState.BROKEN] if b else color for color, b in zip(colors, broken, strict=True)]
 
     def _draw_axes(self) -> None:
-        """A small red, green and blue frame at the TCP."""
+        """Draw a small red, green and blue frame at the TCP."""
         for axis, (name, color) in enumerate(_AXES.items()):
             ends = np.stack([np.zeros(3), 0.06 * np.eye(3)[axis]])
             self._mesh(f"/tcp/{name}", *_tube(ends, 0.002), color)
@@ -223,7 +227,7 @@ class ReplayScene:
         )
 
     def _tick(self, t: float) -> int:
-        return round((t - float(self._t_s[0])) * _FPS)
+        return round((t - float(self._t_s[0])) * _TICKS_PER_S)
 
     def _move(self, animation: Any, path: str, times: Array, poses: Array) -> None:
         moving = len(poses) > 1 and not np.allclose(poses, poses[0], atol=1e-7)
@@ -231,7 +235,7 @@ class ReplayScene:
             animation.SetTransform(self._tick(t), path, RigidTransform(X))
 
     def _changes(self, values: Sequence[Any]) -> Iterator[tuple[int, Any]]:
-        """Ticks at which a value per frame changes, half-way between the frames, with the values on both sides."""
+        """Yield the ticks half-way between frames at which a value per frame changes, with the values on both sides."""
         yield 0, values[0]
         for k in range(1, len(values)):
             if values[k] != values[k - 1]:
@@ -248,8 +252,8 @@ class ReplayScene:
             animation.SetProperty(tick, path, "visible", value)
 
 
-def _along(times: Array, t_s: Array, X: Array) -> Array:
-    """Poses (N, 4, 4) at `times` (N,), between poses `X` (T, 4, 4) at `t_s` (T,): straight lines, even turning."""
+def _interpolate(times: Array, t_s: Array, X: Array) -> Array:
+    """Interpolate poses `X` (T, 4, 4) at `t_s` (T,) to `times` (N,): linearly, rotations by slerp."""
     if len(t_s) == 1:
         return np.repeat(X, len(times), axis=0)
     inside = np.clip(times, t_s[0], t_s[-1])
@@ -257,13 +261,13 @@ def _along(times: Array, t_s: Array, X: Array) -> Array:
     return make_pose(Slerp(t_s, Rotation.from_matrix(X[:, :3, :3]))(inside).as_matrix(), p)
 
 
-def _thinned(start: int, stop: int) -> NDArray[np.intp]:
-    """Frames from `start` to `stop`, both ends kept, no more than a path needs to look smooth."""
+def _thin(start: int, stop: int) -> NDArray[np.intp]:
+    """Return at most _MAX_POINTS frames from `start` to `stop`, both ends included."""
     return np.unique(np.linspace(start, stop - 1, min(stop - start, _MAX_POINTS)).round().astype(np.intp))
 
 
 def _tube(points: Array, radius: float) -> tuple[Array, NDArray[np.int32]]:
-    """Vertices (_SIDES T, 3) and faces of a thin tube along `points` (T, 3), its rings in the points' order."""
+    """Compute vertices (_SIDES T, 3) and faces of a thin tube along `points` (T, 3), one ring per point in order."""
     n = len(points)
     along = np.gradient(points, axis=0) if n > 1 else np.zeros((1, 3))
     length = np.linalg.norm(along, axis=-1, keepdims=True)
@@ -280,6 +284,6 @@ def _tube(points: Array, radius: float) -> tuple[Array, NDArray[np.int32]]:
 
 
 def _linear(color: Color) -> list[float]:
-    """Linear light of an sRGB colour (IEC 61966-2-1), in which the page's material colours are animated."""
+    """Convert an sRGB colour to linear light (IEC 61966-2-1), the scale of animated material colours."""
     c = np.asarray(color)
     return [float(v) for v in np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)]

@@ -1,6 +1,7 @@
-"""One sample as the report shows it."""
+"""One sample of a report: its verdict, its rank among the others, and all that the page shows of it."""
 
 import base64
+import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
@@ -11,28 +12,31 @@ import numpy as np
 from markupsafe import Markup
 
 from kinebench_drake.report.curves import draw_curves
-from kinebench_drake.report.details import Fact, Resolution, list_facts, resolutions, summarize_checks
-from kinebench_drake.report.frames import anomalies_of
-from kinebench_drake.report.moments import Moment, worst_moments
-from kinebench_drake.report.timeline import draw_strip, frame_count, lanes_of
+from kinebench_drake.report.details import (
+    CheckResolution,
+    DetailLine,
+    check_resolutions,
+    list_details,
+    summarize_checks,
+)
+from kinebench_drake.report.limits import LimitPeak, find_peaks
+from kinebench_drake.report.timeline import anomalies_of, draw_strip, fault_lanes, frame_count
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.results.store import artifact_path
 from kinebench_drake.results.trackfile import read_track
 from kinebench_drake.types import Json
 
-FAILURES = {cause: f"failed: {cause}" for cause in ("grounding", "generation", "execution", "task")}
-"""Verdicts of episodes that failed, and how they are shown."""
-RANK = {
-    name: rank
-    for rank, name in enumerate(("error", "infeasible", *FAILURES, "unmeasurable", "unjudged", "feasible", "success"))
+_FAILURES = {cause: f"failed: {cause}" for cause in ("grounding", "generation", "execution", "task")}
+VERDICTS = {
+    **{"error": "error", "infeasible": "infeasible", **_FAILURES},
+    **{name: name for name in ("unmeasurable", "unjudged", "feasible", "success")},
 }
-"""Verdicts, the worst first."""
-GOOD = ("feasible", "success")
-"""Verdicts without blame."""
-MOST_BROKEN = 20
-"""Broken limits that a sample's table lists, the first ones."""
-_FILMS = {"rollouts": "Imagined and executed, side by side", "overlays": "Video with the gripper's pose drawn on it"}
-_SHOWN_ELSEWHERE = ("limits", "checks")
+"""Labels of the verdicts, the worst first."""
+GOOD_VERDICTS = ("feasible", "success")
+_RANK = {verdict: rank for rank, verdict in enumerate(VERDICTS)}
+_MAX_VIOLATIONS = 20
+"""Violations that a sample's table lists, the first ones."""
+_VIDEOS = {"rollouts": "Imagined and executed, side by side", "overlays": "Video with the gripper's pose drawn on it"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -41,137 +45,151 @@ class SampleView:
 
     row: SampleRow
     verdict: str
-    """A key of RANK."""
-    told: str
-    """Why there is no result, or why the episode failed; empty where there is nothing to tell."""
+    """A key of VERDICTS."""
+    explanation: str
+    """Reason of a missing result, or cause of a failure; may be empty."""
     anomalies: Sequence[Mapping[str, Json]]
     thumbnail: str | None
-    """Picture as a data URI; None where there is none, or where it is not put on the page."""
+    """Image as a data URI; None if there is none, or if it is not on the page."""
     strip: Markup | None
-    """When it goes wrong, in small; None if nothing does."""
-    moments: Sequence[Moment]
+    """Faults over frames, small; None without faults."""
+    peaks: Sequence[LimitPeak]
+    """Limits broken, and the peaks against the others."""
     left_out: int
-    """Limits broken that `moments` leaves out, being too many."""
+    """Violations that `peaks` leaves out."""
     plots: Sequence[Markup]
-    summary: Sequence[Fact]
-    """What the checks came to."""
-    resolutions: Sequence[Resolution]
-    """How well each kind of limit could be looked at."""
-    facts: Sequence[Fact]
-    """What else stands behind the verdict."""
+    summary: Sequence[DetailLine]
+    """Results of the checks."""
+    resolutions: Sequence[CheckResolution]
+    """Resolution of the check of each limit."""
+    details: Sequence[DetailLine]
+    """All other details of the verdict."""
     replay: str | None
-    """Link to the 3D replay, relative to the page; None if none was written."""
-    films: Sequence[tuple[str, str]]
-    """What each film beside the page shows, and its relative link."""
+    """Link to the 3D replay, relative to the page; None if there is none."""
+    videos: Sequence[tuple[str, str]]
+    """Labels and relative links of the videos beside the page."""
     viewable: bool
-    """Whether there is a track that `kinebench-drake view` can replay."""
+    """True if there is a track for `kinebench-drake view`."""
 
     def value(self, name: str) -> float | None:
-        """A metric, or a further key of the row, as a number; None where it has none."""
-        return number_of(self.row, name)
+        """Return a metric, or a further key of the row, as a number; None if it is none."""
+        return numeric_value(self.row, name)
+
+
+def numeric_value(row: SampleRow, name: str) -> float | None:
+    """Return a metric, or a further key of the row, as a number; None if it is none."""
+    value = row.metrics.get(name, row.extra.get(name))
+    return float(value) if isinstance(value, bool | int | float) else None
 
 
 def verdict_of(row: SampleRow) -> str:
-    """The key of RANK that a row deserves: of an episode in closed loop, how it ended."""
+    """Return the verdict of a row, a key of VERDICTS; of a closed-loop episode its outcome."""
     if row.status is not Status.OK:
         return str(row.status.value)
     if "verdict" in row.extra:
         cause = row.extra["verdict"]
-        return "success" if row.extra.get("success") is True else cause if cause in FAILURES else "unjudged"
+        return "success" if row.extra.get("success") is True else cause if cause in _FAILURES else "unjudged"
     return "unjudged" if row.feasible is None else "feasible" if row.feasible else "infeasible"
 
 
+def explain(row: SampleRow) -> str:
+    """Return the reason of a missing result, or the cause of a failure; empty if there is none."""
+    cause = row.extra.get("cause")
+    return row.reason or (str(cause.get("text") or "") if isinstance(cause, Mapping) else "")
+
+
 def badness(row: SampleRow) -> tuple[float | str, ...]:
-    """Sorts the worst first."""
-    tracked = number_of(row, "tracked_fraction")
+    """Return a sort key, the worst first: verdict, number of faults, share of frames tracked."""
+    tracked = numeric_value(row, "tracked_fraction")
     faults = len(row.violations) + len(anomalies_of(row))
-    return RANK[verdict_of(row)], -faults, 1.0 if tracked is None else tracked, row.id
+    return _RANK[verdict_of(row)], -faults, 1.0 if tracked is None else tracked, row.id
+
+
+def goodness(row: SampleRow) -> tuple[float | str, ...]:
+    """Return a sort key, the best first: the reverse of `badness`, then the least slow-down needed."""
+    rank, faults, tracked, id = badness(row)
+    slowdown = numeric_value(row, "slowdown_min")
+    return -float(rank), -float(faults), -float(tracked), np.inf if slowdown is None else slowdown, id
 
 
 def worst_samples(rows: Iterable[SampleRow], track: Callable[[str], Path], n: int) -> list[str]:
-    """Ids of the `n` worst samples that have a track, in the order of the report.
+    """List the ids of the `n` worst samples that have a track, in the order of the report.
 
     Args:
         rows: the samples.
-        track: where the track of an id lies.
-        n: how many at most.
+        track: returns the path of an id's track.
+        n: maximum number.
     """
     worst = (row.id for row in sorted(rows, key=badness) if track(row.id).is_file())
     return list(islice(worst, n))
 
 
-def goodness(row: SampleRow) -> tuple[float | str, ...]:
-    """Sorts the best first; among equals that which keeps the greatest distance to the limits of the joints' rates."""
-    rank, faults, tracked, id = badness(row)
-    slowdown = number_of(row, "slowdown_min")
-    return -float(rank), -float(faults), -float(tracked), np.inf if slowdown is None else slowdown, id
-
-
-def has_picture(out: Path, row: SampleRow) -> bool:
-    """Whether the folder holds a picture of the sample."""
+def has_thumbnail(out: Path, row: SampleRow) -> bool:
+    """Return whether the folder holds an image of the sample."""
     return artifact_path(out, "thumbnails", row.id).is_file()
 
 
+def relative_link(file: Path, folder: Path, anchor: str = "") -> str:
+    """Return the address of a file, relative to the folder of a page, with an optional anchor."""
+    return quote(Path(os.path.relpath(file, folder)).as_posix()) + (f"#{quote(anchor)}" if anchor else "")
+
+
 def view_sample(out: Path, row: SampleRow, *, drawn: bool, pictured: bool = True) -> SampleView:
-    """Gather a sample's findings from an output folder.
+    """Collect everything that the page shows of a sample.
 
     Args:
-        out: the folder.
+        out: the output folder.
         row: the sample's row.
-        drawn: whether to draw its curves and list its findings; else the row alone is used.
-        pictured: whether to take its picture along.
+        drawn: whether to draw its curves and list its details; otherwise only the row is used.
+        pictured: whether to include its image.
 
     Raises:
         InputError: the track's file is damaged.
     """
     uri = None
-    if pictured and has_picture(out, row):
+    if pictured and has_thumbnail(out, row):
         data = artifact_path(out, "thumbnails", row.id).read_bytes()
         uri = f"data:image/jpeg;base64,{base64.b64encode(data).decode()}"
     track = artifact_path(out, "tracks", row.id)
-    replay = artifact_path(out, "replays", row.id)
-    cause = row.extra.get("cause")
     viewable = row.status is Status.OK and track.is_file()
     file = read_track(track) if viewable and drawn else None
-    details = {name: value for name, value in row.details.items() if name not in _SHOWN_ELSEWHERE}
-    reasons = {f"no {name}": reason for name, reason in row.null_reasons.items() if "_floor_" not in name}
-    moments = worst_moments(row, file)
-    broken = [moment for moment in moments if moment.broken]
-    lanes = lanes_of(row, file)
+    links = {
+        part: relative_link(path, out)
+        for part in ("replays", *_VIDEOS)
+        if (path := artifact_path(out, part, row.id)).is_file()
+    }
+    peaks = find_peaks(row, file)
+    violations = [peak for peak in peaks if peak.broken]
+    lanes = fault_lanes(row, file)
     return SampleView(
         row=row,
         verdict=verdict_of(row),
-        told=row.reason or (str(cause.get("text") or "") if isinstance(cause, Mapping) else ""),
+        explanation=explain(row),
         anomalies=anomalies_of(row),
         thumbnail=uri,
         strip=draw_strip(lanes, frame_count(row, file, lanes)) if lanes else None,
-        moments=[*broken[:MOST_BROKEN], *(moment for moment in moments if not moment.broken)],
-        left_out=max(len(broken) - MOST_BROKEN, 0),
+        peaks=[*violations[:_MAX_VIOLATIONS], *(peak for peak in peaks if not peak.broken)],
+        left_out=max(len(violations) - _MAX_VIOLATIONS, 0),
         plots=draw_curves(row, file) if file else [],
         summary=summarize_checks(row, file.track.t_s) if file else [],
-        resolutions=resolutions(row) if drawn else [],
-        facts=[*list_facts(details), *_floors(row), *list_facts(reasons)] if drawn else [],
-        replay=f"replays/{quote(row.id)}.html" if viewable and replay.is_file() else None,
-        films=[
-            (told, f"{part}/{quote(row.id)}.mp4")
-            for part, told in _FILMS.items()
-            if artifact_path(out, part, row.id).is_file()
-        ],
+        resolutions=check_resolutions(row) if drawn else [],
+        details=list(_other_details(row)) if drawn else [],
+        replay=links.get("replays") if viewable else None,
+        videos=[(label, links[part]) for part, label in _VIDEOS.items() if part in links],
         viewable=viewable,
     )
 
 
-def _floors(row: SampleRow) -> Iterator[Fact]:
-    """Smoothness beside what this track's motion would score with its noise."""
+def _other_details(row: SampleRow) -> Iterator[DetailLine]:
+    """List details without limits and checks, smoothness beside its noise floor, and reasons of missing metrics."""
+    yield from list_details({name: value for name, value in row.details.items() if name not in ("limits", "checks")})
     for name in row.metrics:
-        value = number_of(row, name)
-        median, low, high = (number_of(row, f"{name}_floor_{part}") for part in ("median", "low", "high"))
+        value, median, low, high = (
+            numeric_value(row, name + suffix) for suffix in ("", "_floor_median", "_floor_low", "_floor_high")
+        )
         if value is not None and median is not None and low is not None and high is not None:
-            text = f"{value:.2f}; smoothed and with its noise {median:.2f} ({low:.2f} to {high:.2f})"
-            yield Fact(depth=0, name=name.replace("_", " "), text=text)
-
-
-def number_of(row: SampleRow, name: str) -> float | None:
-    """A metric, or a further key of the row, as a number; None where it has none."""
-    value = row.metrics.get(name, row.extra.get(name))
-    return float(value) if isinstance(value, bool | int | float) else None
+            text = f"{value:.2f}; smoothed track with its noise {median:.2f} ({low:.2f} to {high:.2f})"
+            yield DetailLine(depth=0, name=name.replace("_", " "), text=text)
+    yield from list_details(
+        {f"no {name}": reason for name, reason in row.null_reasons.items() if "_floor_" not in name}
+    )

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-
 from kinebench_drake.report.frames import FrameState, frame_states, frames_of, joint_limits, limit_ratios
+
 from kinebench_drake.types import IkStatus
 
 OK, DOUBT, BROKEN, UNTRACKED = FrameState.OK, FrameState.DOUBT, FrameState.BROKEN, FrameState.UNTRACKED

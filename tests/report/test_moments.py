@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-
 from kinebench_drake.report.moments import find_checks, worst_moments
 
 VIOLATION = {

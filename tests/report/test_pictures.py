@@ -5,10 +5,10 @@ import re
 
 import numpy as np
 import pytest
-
-from kinebench_drake.report.curves import draw_joint_ranges
 from kinebench_drake.report.frames import joint_limits
 from kinebench_drake.report.histogram import count_values, draw_histogram
+
+from kinebench_drake.report.curves import draw_joint_ranges
 from kinebench_drake.report.metric import BY_NAME
 from kinebench_drake.report.timeline import draw_strip, draw_timeline, frame_count, lanes_of
 from kinebench_drake.results.aggregate import estimate

@@ -1,79 +1,225 @@
-"""Two models on the episodes that both did."""
+"""Models compared, two by two, on the episodes that both did; and with direct execution of the expert's track."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, groupby
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 from kinebench_drake.errors import UsageError
-from kinebench_drake.report.suite.episode import EpisodePart, EpisodeResult, group
-from kinebench_drake.report.suite.folders import models_of
-from kinebench_drake.report.suite.table import Column, Table, Value, lines
-from kinebench_drake.report.suite.tally import balanced
+from kinebench_drake.io.figure import FAINT, new_figure, plain
+from kinebench_drake.report.figures import COLOURS, ReportFigure, draw_interval, format_percent
+from kinebench_drake.report.suite.episode import EpisodeResult, SuitePart, balanced_mean, group_by, list_models
+from kinebench_drake.report.suite.folders import RunFolder, pool_episodes, read_folders
+from kinebench_drake.report.table import Column, Table, Value, table_lines
 from kinebench_drake.results.aggregate import Estimate
+from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.stats import PairedOutcomes
 
-ALL = "all tasks"
+if TYPE_CHECKING:
+    from kinebench_drake.closed_loop.tolerance import ToleranceAttempt
+    from kinebench_drake.suites.episode import Episode
+
+ALL_TASKS = "all tasks"
+DIRECT = "expert's true track"
+"""Label of direct execution in place of a model's name."""
+_MAX_DIFFERENCES = 170
+"""Differences up to which single tasks are drawn."""
 _PRINTED = (
     *("task", "success_first", "success_second", "difference", "p", "p_adjusted", "progress_difference"),
     *("measured", "shared"),
 )
-"""Keys of the columns that a terminal has room for."""
+"""Keys of the columns printed to a terminal."""
 Pair = tuple[EpisodeResult, EpisodeResult]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Compared:
+class PairComparison:
     """Two models on the shared episodes of one task, or of all tasks of a part."""
 
-    part: EpisodePart
+    part: SuitePart
     task: str
-    """Plain task id, or ALL."""
+    """Plain task id, or ALL_TASKS."""
     first: str
     second: str
     shared: int
     """Episodes that both have a row of."""
     paired: PairedOutcomes | None
-    """Outcomes of those that both have measured; None if there is none."""
+    """Outcomes of those measured for both; None if there is none."""
     counted: PairedOutcomes
-    """Outcomes of all shared ones, what was not measured counted as a failure."""
+    """Outcomes of all shared episodes, unmeasured ones counted as failures."""
     progress: Estimate
-    """Mean over tasks of the differences of progress, first less second."""
+    """Mean over tasks of the differences of progress, first minus second."""
     adjusted_p: float | None = None
-    """p-value adjusted for the number of tasks tested, of a task."""
+    """p-value of a task, adjusted for the number of tasks tested."""
 
 
-def compare(episodes: Sequence[EpisodeResult], seed: int = 0) -> list[Compared]:
-    """Every two models on every part: each task they share, and all of these together first.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ModelComparison:
+    """Comparison of all pairs of models of some runs."""
+
+    folders: tuple[RunFolder, ...]
+    episodes: tuple[EpisodeResult, ...]
+    pairs: tuple[PairComparison, ...]
+    table: Table
+
+
+def read_comparison(paths: Sequence[Path], seed: int = 0) -> ModelComparison:
+    """Compare the models of some suite runs on the episodes they share.
+
+    Raises:
+        UsageError: the folders cannot be used or pooled, or no two models share an episode.
+    """
+    folders = read_folders(paths)
+    episodes = pool_episodes(folders)
+    return _pack(folders, episodes, compare(episodes, seed))
+
+
+def read_ceiling(
+    paths: Sequence[Path], execute: "Callable[[Sequence[Episode]], Iterable[ToleranceAttempt]]", seed: int = 0
+) -> ModelComparison:
+    """Compare each model of some suite runs with direct execution of the expert's true track: each task's ceiling.
+
+    Args:
+        paths: output folders of `suite run`.
+        execute: executes the expert's track in each of some episodes, in any order.
+        seed: seed of the resampling.
+
+    Raises:
+        UsageError: the folders cannot be used or pooled, or a row lacks its seed, pool or variant.
+        KinebenchError: a worker died.
+    """
+    folders = read_folders(paths)
+    episodes = pool_episodes(folders)
+    if DIRECT in list_models(episodes):
+        raise UsageError(f"a model is named {DIRECT!r}, which is the label of direct execution; give it another name")
+    compositions = {e.key: _compose(e) for e in episodes}
+    unique = {episode.id: episode for episode in compositions.values()}
+    attempts = {attempt.episode.id: attempt for attempt in execute(list(unique.values()))}
+    once = {e.key: e for e in episodes}
+    direct = [_direct_result(e, attempts[compositions[key].id]) for key, e in once.items()]
+    pairs = [c for c in compare([*episodes, *direct], seed) if c.second == DIRECT]
+    return _pack(folders, [*episodes, *direct], pairs)
+
+
+def _compose(result: EpisodeResult) -> "Episode":
+    """Compose the episode that a row names."""
+    from kinebench_drake.suites.split import Pool
+    from kinebench_drake.suites.suite import EpisodeSpec
+    from kinebench_drake.suites.tasks.card import TaskVariant
+
+    extra = result.row.extra
+    try:
+        seed, pool, variant = int(str(extra["seed"])), Pool(extra["pool"]), TaskVariant(extra["variant"])
+    except (KeyError, ValueError) as error:
+        raise UsageError(f"{result.folder}: row {result.row.id} does not identify its episode ({error})") from None
+    return EpisodeSpec(task=result.task, seed=seed, pool=pool, variant=variant).episode()
+
+
+def _direct_result(result: EpisodeResult, attempt: "ToleranceAttempt") -> EpisodeResult:
+    """Convert a direct execution into the result of a model; `result` is a model's in the same episode."""
+    labels = {name: result.row.extra[name] for name in ("seed", "pool", "variant")}
+    cause = None if attempt.success else {"verdict": None, "text": attempt.reason}
+    row = SampleRow(
+        id=result.row.id,
+        video="",
+        task=result.task,
+        model=DIRECT,
+        status=Status.OK,
+        reason=None,
+        content_hash="",
+        extra={**labels, "success": attempt.success, "progress": attempt.progress, "cause": cause},
+    )
+    return EpisodeResult(part=result.part, model=DIRECT, folder=None, row=row)
+
+
+def _pack(
+    folders: Sequence[RunFolder], episodes: Sequence[EpisodeResult], pairs: Sequence[PairComparison]
+) -> ModelComparison:
+    return ModelComparison(
+        folders=tuple(folders), episodes=tuple(episodes), pairs=tuple(pairs), table=tabulate_comparison(pairs)
+    )
+
+
+def compare(episodes: Sequence[EpisodeResult], seed: int = 0) -> list[PairComparison]:
+    """Compare every two models on every part: all shared tasks together, then each.
 
     Raises:
         UsageError: there are not two models, or no two share an episode.
     """
-    models = models_of(episodes)
+    models = list_models(episodes)
     if len(models) < 2:
         raise UsageError(
             f"all episodes are of one model, {', '.join(models)}: there is nothing to compare; name folders of two "
-            "models, or runs told apart with `suite run --tag KEY=VALUE`"
+            "models, or runs distinguished with `suite run --tag KEY=VALUE`"
         )
-    own = {model: {e.key: e for e in some} for model, some in group(episodes, lambda e: e.model).items()}
-    found: list[Compared] = []
+    own = {model: {e.key: e for e in some} for model, some in group_by(episodes, lambda e: e.model).items()}
+    comparisons: list[PairComparison] = []
     for first, second in combinations(models, 2):
         keys = [key for key in own[first] if key in own[second]]
         pairs = [(own[first][key], own[second][key]) for key in keys]
         for part in sorted({a.part for a, _ in pairs}):
-            found += _compare_part(part, [pair for pair in pairs if pair[0].part == part], seed)
-    if not found:
+            shared = [pair for pair in pairs if pair[0].part == part]
+            tasks = [_compare_pairs(task, some, seed) for task, some in sorted(_by_task(shared).items())]
+            comparisons += [_compare_pairs(ALL_TASKS, shared, seed), *_adjust(tasks)]
+    if not comparisons:
         raise UsageError(
             f"no two of {', '.join(models)} share an episode (the same suite, split, task, seed, pool and variant): "
             "there is nothing to compare"
         )
-    return found
+    return comparisons
 
 
-def comparison_table(compared: Sequence[Compared]) -> Table:
-    """All comparisons, one a row."""
+def _compare_pairs(task: str, pairs: Sequence[Pair], seed: int) -> PairComparison:
+    outcomes = [(a.success, b.success) for a, b in pairs]
+    measured = [(a, b) for a, b in outcomes if a is not None and b is not None]
+    differences = {
+        name: [a.progress - b.progress for a, b in own if a.progress is not None and b.progress is not None]
+        for name, own in _by_task(pairs).items()
+    }
+    first, second = pairs[0]
+    return PairComparison(
+        part=first.part,
+        task=task,
+        first=first.model,
+        second=second.model,
+        shared=len(pairs),
+        paired=PairedOutcomes.of([a for a, _ in measured], [b for _, b in measured]) if measured else None,
+        counted=PairedOutcomes.of([a is True for a, _ in outcomes], [b is True for _, b in outcomes]),
+        progress=balanced_mean(differences, seed=seed),
+    )
+
+
+def _by_task(pairs: Sequence[Pair]) -> dict[str, list[Pair]]:
+    groups: dict[str, list[Pair]] = {}
+    for pair in pairs:
+        groups.setdefault(pair[0].task, []).append(pair)
+    return groups
+
+
+def _adjust(tasks: Sequence[PairComparison]) -> list[PairComparison]:
+    """Adjust the p-values of tasks as Benjamini and Hochberg (J. R. Statist. Soc. B 57, 1995)."""
+    from scipy.stats import false_discovery_control
+
+    p_values = {c.task: c.paired.p_value for c in tasks if c.paired is not None}
+    adjusted = false_discovery_control(list(p_values.values())) if p_values else []
+    by_task = {task: float(p) for task, p in zip(p_values, adjusted, strict=True)}
+    return [replace(c, adjusted_p=by_task.get(c.task)) for c in tasks]
+
+
+def _difference(paired: PairedOutcomes | None) -> Estimate | None:
+    """Return the difference of the success rates with Newcombe's interval."""
+    if paired is None:
+        return None
+    low, high = paired.interval()
+    return Estimate(mean=paired.difference, low=low, high=high, n=paired.n, total=paired.n)
+
+
+def tabulate_comparison(pairs: Sequence[PairComparison]) -> Table:
+    """Build the table of comparisons, one per row."""
     return Table(
         name="comparison",
-        title="PairedOutcomes comparison on shared episodes",
+        title="Paired comparison on shared episodes",
         note="Differences are the first model's less the second's, over the episodes that both have measured. Success "
         "with 95 % intervals by Newcombe's method 10; p: McNemar's exact test; adjusted p: by Benjamini and Hochberg "
         "over the tasks of two models on one suite. Progress, every task the same, with 95 % bootstrap intervals over "
@@ -88,87 +234,25 @@ def comparison_table(compared: Sequence[Compared]) -> Table:
             Column(key="difference", label="Difference", pattern="{:+.1%}", estimated=True),
             Column(key="p", label="p", pattern="{:.3g}"),
             Column(key="p_adjusted", label="Adjusted p", pattern="{:.3g}"),
-            Column(key="first_only", label="First only", meaning="episodes in which the first model alone succeeds"),
-            Column(key="second_only", label="Second only", meaning="episodes in which the second alone succeeds"),
+            Column(key="first_only", label="First only", meaning="episodes in which only the first model succeeds"),
+            Column(key="second_only", label="Second only", meaning="episodes in which only the second model succeeds"),
             Column(key="progress_difference", label="Progress", pattern="{:+.1%}", estimated=True),
             Column(key="measured", label="Measured by both"),
             Column(key="shared", label="Shared"),
             Column(key="difference_all", label="Difference, unmeasured as failures", pattern="{:+.1%}", estimated=True),
         ),
-        rows=tuple(_row(c) for c in compared),
-        bold=frozenset((i, 6) for i, c in enumerate(compared) if c.task == ALL),
+        rows=tuple(_row(c) for c in pairs),
+        bold=frozenset((i, 6) for i, c in enumerate(pairs) if c.task == ALL_TASKS),
     )
 
 
-def comparison_lines(table: Table) -> Iterator[str]:
-    """The table to print: what matters most, two models on one part at a time."""
-    keep = [k for k, column in enumerate(table.columns) if column.key in _PRINTED]
-    columns = tuple(table.columns[k] for k in keep)
-    for (part, first, second), rows in groupby(table.rows, key=lambda row: row[:3]):
-        yield f"{first} - {second}, {part}"
-        chosen = tuple(tuple(row[k] for k in keep) for row in rows)
-        yield from lines(replace(table, columns=columns, rows=chosen, bold=frozenset()))
-        yield ""
-    yield table.note
-
-
-def _compare_part(part: EpisodePart, pairs: Sequence[Pair], seed: int) -> list[Compared]:
-    tasks = [_compared(part, task, own, seed) for task, own in sorted(_by_task(pairs).items())]
-    return [_compared(part, ALL, pairs, seed), *_adjusted(tasks)]
-
-
-def _compared(part: EpisodePart, task: str, pairs: Sequence[Pair], seed: int) -> Compared:
-    outcomes = [(a.success, b.success) for a, b in pairs]
-    known = [(a, b) for a, b in outcomes if a is not None and b is not None]
-    differences = {
-        name: [a.progress - b.progress for a, b in own if a.progress is not None and b.progress is not None]
-        for name, own in _by_task(pairs).items()
-    }
-    return Compared(
-        part=part,
-        task=task,
-        first=pairs[0][0].model,
-        second=pairs[0][1].model,
-        shared=len(pairs),
-        paired=PairedOutcomes.of([a for a, _ in known], [b for _, b in known]) if known else None,
-        counted=PairedOutcomes.of([a is True for a, _ in outcomes], [b is True for _, b in outcomes]),
-        progress=balanced(differences, seed=seed),
-    )
-
-
-def _by_task(pairs: Sequence[Pair]) -> dict[str, list[Pair]]:
-    groups: dict[str, list[Pair]] = {}
-    for pair in pairs:
-        groups.setdefault(pair[0].task, []).append(pair)
-    return groups
-
-
-def _adjusted(tasks: Sequence[Compared]) -> list[Compared]:
-    """The tasks with p-values adjusted as by Benjamini and Hochberg (J. R. Statist. Soc. B 57, 1995)."""
-    from scipy.stats import false_discovery_control
-
-    tested = [c for c in tasks if c.paired is not None]
-    values = [c.paired.p_value for c in tested if c.paired is not None]
-    adjusted = false_discovery_control(values) if values else []
-    found = {c.task: float(p) for c, p in zip(tested, adjusted, strict=True)}
-    return [replace(c, adjusted_p=found.get(c.task)) for c in tasks]
-
-
-def difference_of(paired: PairedOutcomes | None) -> Estimate | None:
-    """Difference of the success rates with Newcombe's interval."""
-    if paired is None:
-        return None
-    low, high = paired.interval()
-    return Estimate(mean=paired.difference, low=low, high=high, n=paired.n, total=paired.n)
-
-
-def _row(c: Compared) -> tuple[Value, ...]:
+def _row(c: PairComparison) -> tuple[Value, ...]:
     p = c.paired
     return (
         *(c.part.title, c.first, c.second, c.task),
         None if p is None else (p.both + p.first_only) / p.n,
         None if p is None else (p.both + p.second_only) / p.n,
-        difference_of(p),
+        _difference(p),
         None if p is None else p.p_value,
         c.adjusted_p,
         None if p is None else p.first_only,
@@ -176,5 +260,57 @@ def _row(c: Compared) -> tuple[Value, ...]:
         c.progress if c.progress.n else None,
         0 if p is None else p.n,
         c.shared,
-        difference_of(c.counted),
+        _difference(c.counted),
+    )
+
+
+def comparison_lines(table: Table) -> Iterator[str]:
+    """Format the main columns of a comparison for a terminal, one block per pair of models and part."""
+    printed = [k for k, column in enumerate(table.columns) if column.key in _PRINTED]
+    columns = tuple(table.columns[k] for k in printed)
+    for (part, first, second), rows in groupby(table.rows, key=lambda row: row[:3]):
+        yield f"{first} - {second}, {part}"
+        cells = tuple(tuple(row[k] for k in printed) for row in rows)
+        yield from table_lines(replace(table, columns=columns, rows=cells, bold=frozenset()))
+        yield ""
+    yield table.note
+
+
+def ceiling_lines(pairs: Sequence[PairComparison]) -> Iterator[str]:
+    """Format each model's share of the successes of direct execution, all tasks together."""
+    for c in pairs:
+        if c.task == ALL_TASKS and c.paired is not None:
+            own, ceiling = c.paired.both + c.paired.first_only, c.paired.both + c.paired.second_only
+            share = f", {own / ceiling:.1%} of it" if ceiling else ""
+            yield f"{c.first}, {c.part.title}: success in {own} of {c.paired.n}, direct execution in {ceiling}{share}"
+
+
+def draw_differences(pairs: Sequence[PairComparison]) -> ReportFigure | None:
+    """Draw differences of success on shared episodes with Newcombe's intervals; None if nothing is measured twice."""
+    lines = [(c, d) for c in pairs if (d := _difference(c.paired)) is not None]
+    if len(lines) > _MAX_DIFFERENCES:
+        lines = [(c, d) for c, d in lines if c.task == ALL_TASKS]
+    if not lines:
+        return None
+    lines.reverse()
+    figure, axes = new_figure(7.2, 1.2 + 0.27 * len(lines))
+    ax = axes[0, 0]
+    for k, (c, d) in enumerate(lines):
+        pooled = c.task == ALL_TASKS
+        draw_interval(ax, d, float(k), "#000000" if pooled else COLOURS[0], "D" if pooled else "o")
+    ax.axvline(0.0, color=FAINT, linewidth=1.2, zorder=1)
+    names = [c.task if c.task != ALL_TASKS else f"{c.first} − {c.second}, {c.part.title}" for c, _ in lines]
+    ax.set_yticks(range(len(lines)), [plain(n) for n in names], fontsize=8)
+    for text, (c, _) in zip(ax.get_yticklabels(), lines, strict=True):
+        text.set_fontweight("bold" if c.task == ALL_TASKS else "normal")
+    ax.set_ylim(-0.6, len(lines) - 0.4)
+    format_percent(ax, low=-1.0)
+    ax.set_xlabel("difference of success on shared episodes", fontsize=9)
+    return ReportFigure(
+        name="differences",
+        title="Differences of success",
+        caption="Success of the first model minus that of the second on the episodes measured for both, all tasks "
+        "together (diamonds) and, unless there are too many, task by task, with 95 % intervals by Newcombe's method "
+        "10.",
+        figure=figure,
     )

@@ -1,26 +1,32 @@
-"""Do smoother models succeed more often? Task-balanced SPARC against success standardised within tasks."""
+"""Rank correlation of smoothness and success: task-balanced SPARC against success standardised within tasks."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.geometry import Array
-from kinebench_drake.report.suite.episode import EpisodePart, EpisodeResult, group
+from kinebench_drake.io.figure import FAINT, new_figure, plain
+from kinebench_drake.report.figures import COLOURS, ReportFigure, add_legend, style
+from kinebench_drake.report.suite.episode import EpisodeResult, SuitePart, group_by
+from kinebench_drake.report.suite.folders import model_of
+from kinebench_drake.report.table import Column, Table, Value
+from kinebench_drake.results.aggregate import Estimate
 from kinebench_drake.stats import percentile_interval, resampled_counts
 
-LEAST_POINTS = 3
-"""Two points are always in perfect order."""
-LEAST_TASKS = 2
-"""One task leaves nothing to draw from."""
+MIN_POINTS = 3
+"""Points needed: two are always in perfect order."""
+_MIN_TASKS = 2
+"""Tasks needed for an interval, which resamples them."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Point:
+class CorrelationPoint:
     """One model on one part."""
 
-    part: EpisodePart
+    part: SuitePart
     model: str
     sparc: float
     """Mean over tasks of the mean SPARC of their episodes."""
@@ -35,9 +41,9 @@ class Correlation:
     """Spearman's rank correlation of some points."""
 
     rho: float | None
-    """None with fewer than three points, or where one of the two is the same for all."""
+    """None with fewer than three points, or if one of the two variables is constant."""
     low: float | None
-    """Lower end of the 95 % interval; None where there are too few tasks."""
+    """Lower end of the 95 % interval; None if there are too few tasks."""
     high: float | None
     points: int
     tasks: int
@@ -45,66 +51,66 @@ class Correlation:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SparcStudy:
-    """Points with what stands behind them."""
+    """Points, and the values of the single tasks that they average."""
 
-    points: tuple[Point, ...]
+    points: tuple[CorrelationPoint, ...]
     sparc: Array
-    """(P, T) mean SPARC of each point and task; NaN where it was not measured."""
+    """(P, T) mean SPARC of each point and task; NaN where not measured."""
     success: Array
-    """(P, T) standardised success; NaN as above."""
+    """(P, T) standardised success; NaN where not measured."""
 
-    def correlation(self, part: EpisodePart | None = None, seed: int = 0) -> Correlation:
-        """Spearman's rho (Am. J. Psychology 15, 1904) over the points, of one part or of all.
+    def correlate(self, part: SuitePart | None = None, seed: int = 0) -> Correlation:
+        """Compute Spearman's rho (Am. J. Psychology 15, 1904) over the points of one part, or of all.
 
-        The percentile interval is over 2000 draws of tasks with replacement, the same for all points: it tells what
-        other tasks of the sort might have given. Draws in which rho is not defined are passed over.
+        The percentile interval is over 2000 draws of tasks with replacement, the same for all points: it covers other
+        tasks of the same kind. Draws in which rho is undefined are skipped.
         """
         chosen = np.array([part in (None, p.part) for p in self.points], dtype=bool)
         x, y = self.sparc[chosen], self.success[chosen]
         some = np.isfinite(x).any(axis=0)
         x, y = x[:, some], y[:, some]
         points, tasks = x.shape
-        whole = float(_rho(x, y, np.ones((1, tasks)))[0]) if points >= LEAST_POINTS else np.nan
-        if not np.isfinite(whole):
+        rho = float(_rho(x, y, np.ones((1, tasks)))[0]) if points >= MIN_POINTS else np.nan
+        if not np.isfinite(rho):
             return Correlation(rho=None, low=None, high=None, points=points, tasks=tasks)
-        if tasks < LEAST_TASKS:
-            return Correlation(rho=whole, low=None, high=None, points=points, tasks=tasks)
+        if tasks < _MIN_TASKS:
+            return Correlation(rho=rho, low=None, high=None, points=points, tasks=tasks)
         low, high = percentile_interval(_rho(x, y, resampled_counts(tasks, np.random.default_rng(seed))))
-        return Correlation(rho=whole, low=low, high=high, points=points, tasks=tasks)
+        return Correlation(rho=rho, low=low, high=high, points=points, tasks=tasks)
 
 
 def study_sparc(episodes: Sequence[EpisodeResult]) -> SparcStudy:
-    """Points of all models and parts that have success and SPARC of a task in common.
+    """Compute the points of all models and parts that share tasks with SPARC and success.
 
     Success is standardised within each task of each part: z = (s - mean) / sd over the models that did it, with the
-    standard deviation over these models (ddof 0); 0 where all do alike. What makes one task harder than another is thus
-    taken out, and what is left is who does better at it. Tasks that one model alone did tell nothing and are left out,
-    and so are models that did fewer than half as many tasks of a part as another: their means are of something else.
+    standard deviation over these models (ddof 0); 0 where all are equal. This removes the difficulty of the tasks.
+    Tasks of a single model carry no information and are left out, and so are models that did fewer than half as many
+    tasks of a part as another: their means are over different tasks.
     """
     tasks = sorted({(e.part, e.task) for e in episodes})
-    names = list(group(episodes, lambda e: (e.part, e.model)))
+    names = list(group_by(episodes, lambda e: (e.part, e.model)))
     column = {key: k for k, key in enumerate(tasks)}
     line = {key: k for k, key in enumerate(names)}
     x, s = np.full((len(names), len(tasks)), np.nan), np.full((len(names), len(tasks)), np.nan)
-    for (part, model, task), own in group(episodes, lambda e: (e.part, e.model, e.task)).items():
-        at = line[part, model], column[part, task]
-        x[at] = _mean(own, lambda e: e.metric("sparc"))
-        s[at] = _mean(own, lambda e: e.hit)
-    known = np.isfinite(x) & np.isfinite(s)
+    for (part, model, task), own in group_by(episodes, lambda e: (e.part, e.model, e.task)).items():
+        cell = line[part, model], column[part, task]
+        x[cell] = _mean([e.metric("sparc") for e in own])
+        s[cell] = _mean([e.hit for e in own])
+    valid = np.isfinite(x) & np.isfinite(s)
     for part in {p for p, _ in names}:
         rows = np.array([p == part for p, _ in names], dtype=bool)
-        counts = known.sum(axis=1)
-        known[rows & (2 * counts < counts[rows].max())] = False
-    known &= known.sum(axis=0) >= 2
-    x[~known], z = np.nan, standardise(np.where(known, s, np.nan))
-    kept = np.flatnonzero(known.any(axis=1))
+        counts = valid.sum(axis=1)
+        valid[rows & (2 * counts < counts[rows].max())] = False
+    valid &= valid.sum(axis=0) >= 2
+    x[~valid], z = np.nan, standardise(np.where(valid, s, np.nan))
+    kept = np.flatnonzero(valid.any(axis=1))
     points = [
-        Point(
+        CorrelationPoint(
             part=names[k][0],
             model=names[k][1],
             sparc=float(np.nanmean(x[k])),
             success=float(np.nanmean(z[k])),
-            tasks=int(known[k].sum()),
+            tasks=int(valid[k].sum()),
         )
         for k in kept
     ]
@@ -112,36 +118,119 @@ def study_sparc(episodes: Sequence[EpisodeResult]) -> SparcStudy:
 
 
 def standardise(values: Array) -> Array:
-    """Columns (P, T) with mean 0 and standard deviation 1 over their known values; 0 where those are all alike."""
-    known = np.isfinite(values)
-    n = np.maximum(known.sum(axis=0), 1)
-    centred = values - np.where(known, values, 0.0).sum(axis=0) / n
-    spread = np.sqrt((np.where(known, centred, 0.0) ** 2).sum(axis=0) / n)
+    """Scale columns (P, T) to mean 0 and standard deviation 1 over their finite values; 0 where these are equal."""
+    finite = np.isfinite(values)
+    n = np.maximum(finite.sum(axis=0), 1)
+    centred = values - np.where(finite, values, 0.0).sum(axis=0) / n
+    spread = np.sqrt((np.where(finite, centred, 0.0) ** 2).sum(axis=0) / n)
     flat = spread < 1e-12
-    return np.asarray(np.where(flat & known, 0.0, centred / np.where(flat, 1.0, spread)))
+    return np.asarray(np.where(flat & finite, 0.0, centred / np.where(flat, 1.0, spread)))
 
 
 def _rho(x: Array, y: Array, weights: Array) -> Array:
-    """Spearman's rho (D,) of the points' weighted means over tasks, for weights (D, T) of the tasks.
+    """Compute Spearman's rho (D,) of the points' weighted means over tasks, for weights (D, T) of the tasks.
 
-    Points without any task of weight are left out; NaN where fewer than three are left or one side is flat.
+    Points without any task of weight are left out; NaN where fewer than three remain or one variable is constant.
     """
     from scipy.stats import rankdata
 
-    known: NDArray[np.float64] = np.isfinite(x).astype(np.float64)
-    total = weights @ known.T
+    finite: NDArray[np.float64] = np.isfinite(x).astype(np.float64)
+    total = weights @ finite.T
     one, other = (
-        np.where(total > 0, weights @ np.where(known > 0, v, 0.0).T / np.maximum(total, 1.0), np.nan).round(12)
+        np.where(total > 0, weights @ np.where(finite > 0, v, 0.0).T / np.maximum(total, 1.0), np.nan).round(12)
         for v in (x, y)
     )
     a, b = (rankdata(v, axis=1, nan_policy="omit") for v in (one, other))
     n = (total > 0).sum(axis=1)
     a, b = (np.nan_to_num(v - (np.nansum(v, axis=1) / np.maximum(n, 1))[:, None]) for v in (a, b))
     spread = np.sqrt((a**2).sum(axis=1) * (b**2).sum(axis=1))
-    told = (n >= LEAST_POINTS) & (spread > 0)
-    return np.where(told, (a * b).sum(axis=1) / np.where(told, spread, 1.0), np.nan)
+    defined = (n >= MIN_POINTS) & (spread > 0)
+    return np.where(defined, (a * b).sum(axis=1) / np.where(defined, spread, 1.0), np.nan)
 
 
-def _mean(episodes: Sequence[EpisodeResult], value: Callable[[EpisodeResult], float | None]) -> float:
-    values = [v for v in map(value, episodes) if v is not None]
-    return float(np.mean(values)) if values else float("nan")
+def _mean(values: Sequence[float | None]) -> float:
+    numbers = [v for v in values if v is not None]
+    return float(np.mean(numbers)) if numbers else float("nan")
+
+
+def tabulate_correlation(study: SparcStudy, seed: int = 0) -> Table:
+    """Build the table of Spearman's rho between SPARC and success, of each part and of all."""
+    parts = sorted({p.part for p in study.points})
+    lines = [(p.title, study.correlate(p, seed)) for p in parts]
+    if len(parts) > 1:
+        lines.append(("All", study.correlate(None, seed)))
+
+    def rho(c: Correlation) -> Value:
+        return Estimate(mean=c.rho, low=c.low, high=c.high, n=c.points, total=c.points)
+
+    return Table(
+        name="sparc_correlation",
+        title="SPARC and success",
+        note="Spearman's rank correlation between a model's task-balanced mean SPARC and its success standardised "
+        "within tasks; 95 % bootstrap intervals over tasks. Three models at least.",
+        columns=(
+            Column(key="part", label="Suite"),
+            Column(
+                key="rho", label="Spearman's rho", pattern="{:.2f}", estimated=True, meaning="1: smoother is better"
+            ),
+            Column(key="points", label="Models"),
+            Column(key="tasks", label="Tasks"),
+        ),
+        rows=tuple((title, rho(c), c.points, c.tasks) for title, c in lines),
+    )
+
+
+def draw_correlation(episodes: Sequence[EpisodeResult], study: SparcStudy, seed: int = 0) -> ReportFigure | None:
+    """Draw SPARC against success, by model and task and, beside it, task-balanced; None without a point."""
+    parts = sorted({e.part for e in episodes})
+    own_names = {e.model: model_of(e.row) for e in episodes}
+    labels = {model: model if len(own_names) <= len(COLOURS) else name for model, name in own_names.items()}
+    models = list(dict.fromkeys(labels.values()))
+    points = []
+    for (part, model, _), own in group_by(episodes, lambda e: (e.part, e.model, e.task)).items():
+        sparc, success = _mean([e.metric("sparc") for e in own]), _mean([e.hit for e in own])
+        if np.isfinite(sparc) and np.isfinite(success):
+            points.append((part, labels[model], sparc, success))
+    if not points:
+        return None
+
+    def marks(model: str, part: SuitePart) -> dict[str, Any]:
+        return {"color": style(models.index(model))[0], "marker": style(parts.index(part))[1], "linewidths": 0}
+
+    figure, axes = new_figure(9.2, 4.2, 1, 2)
+    left, right = axes[0]
+    for part, model, sparc, success in points:
+        left.scatter(sparc, success, **marks(model, part), s=20, alpha=0.7)
+    left.set_ylim(-0.04, 1.04)
+    left.set_ylabel("success of a task", fontsize=9)
+    left.set_xlabel("mean SPARC of a task (nearer 0 is smoother)", fontsize=9)
+    right.set_xlabel("task-balanced mean SPARC", fontsize=9)
+    right.set_ylabel("success, standardised within tasks [sd]", fontsize=9)
+    right.axhline(0.0, color=FAINT, linewidth=1.0)
+    for point in study.points:
+        right.scatter(point.sparc, point.success, **marks(labels[point.model], point.part), s=42)
+    title = _format_rho(study.correlate(None, seed)) if study.points else "needs two models on a task"
+    right.set_title(title, fontsize=9)
+    for ax in (left, right):
+        ax.tick_params(labelsize=8)
+    for model in dict.fromkeys(m for _, m, *_ in points):
+        colour = style(models.index(model))[0]
+        left.plot([], [], linestyle="", marker="o", color=colour, markersize=5, label=plain(model))
+    if len(parts) > 1:
+        for k, part in enumerate(parts):
+            left.plot([], [], linestyle="", marker=style(k)[1], color=FAINT, markersize=5, label=plain(part.title))
+    add_legend(figure, models)
+    return ReportFigure(
+        name="sparc_success",
+        title="SPARC and success",
+        caption="Left: one point per model and task. Right: one point per model and suite; success is standardised "
+        "within tasks, which removes the difficulty of the tasks. Rho: Spearman's rank correlation of the right "
+        "points with its 95 % bootstrap interval over tasks.",
+        figure=figure,
+    )
+
+
+def _format_rho(c: Correlation) -> str:
+    if c.rho is None:
+        return "rho needs three models"
+    return f"Spearman's rho {c.rho:.2f}" + ("" if c.low is None else f" [{c.low:.2f}, {c.high:.2f}]")

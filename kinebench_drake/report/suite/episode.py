@@ -1,59 +1,64 @@
-"""One episode of a suite run as reports see it: which it was, who did it, and what came of it."""
+"""One episode of a suite run as a row of reports, and means over episodes in which every task counts the same."""
 
-from collections.abc import Callable, Hashable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
 
 from kinebench_drake.io.jsonl import dump, finite
-from kinebench_drake.report.suite.table import Column, Table, Value
-from kinebench_drake.results.aggregate import robust_normalize
+from kinebench_drake.report.sample import explain
+from kinebench_drake.report.table import Column, Table, Value
+from kinebench_drake.results.aggregate import Estimate
 from kinebench_drake.results.row import SampleRow, Status
+from kinebench_drake.stats import percentile_interval, resampled_means
 from kinebench_drake.types import Json
 
 COST = "manipulability_cost_mean"
-"""Metric that is put on the scale of all episodes of a report."""
+"""Metric that is scaled over all episodes of a report."""
 Key = TypeVar("Key", bound=Hashable)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, order=True)
-class EpisodePart:
-    """What a run was about: episodes of different parts are never put together."""
+class SuitePart:
+    """Suite, split and scene variant of a run; episodes of different parts are never pooled."""
 
     suite: int
     """Number of the suite."""
     split: str
     """Name of its split."""
     variant: str = "plain"
-    """Version of the scenes."""
+    """Variant of the scenes."""
 
     @property
     def title(self) -> str:
-        """Its name for a reader, such as "Suite 2 (unseen)"; the split "test" and plain scenes are not named."""
-        told = [text for text, usual in ((self.split, "test"), (self.variant, "plain")) if text != usual]
-        return f"Suite {self.suite}" + (f" ({', '.join(told)})" if told else "")
+        """Name on pages, such as "Suite 2 (unseen)"; the split "test" and the variant "plain" are omitted."""
+        return f"Suite {self.suite}" + (f" ({', '.join(self._unusual)})" if self._unusual else "")
 
     @property
     def slug(self) -> str:
-        """Its name in file names, such as "suite2_unseen"."""
-        return "_".join([f"suite{self.suite}", *(t for t in (self.split, self.variant) if t not in ("test", "plain"))])
+        """Name in file names, such as "suite2_unseen"."""
+        return "_".join([f"suite{self.suite}", *self._unusual])
+
+    @property
+    def _unusual(self) -> list[str]:
+        return [name for name, usual in ((self.split, "test"), (self.variant, "plain")) if name != usual]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EpisodeResult:
-    """One episode, done once by one model."""
+    """One episode of one model."""
 
-    part: EpisodePart
+    part: SuitePart
     model: str
-    """Name of the model, with whatever else tells its run from others of the same model."""
+    """Label of the model: its name, and what distinguishes this run from its other runs."""
     folder: Path | None
-    """Output folder of the run; None where there was none."""
+    """Output folder of the run; None if there is none."""
     row: SampleRow
-    """Its line in the folder, or as one would be."""
+    """Row of samples.jsonl."""
     cost_scaled: float | None = None
-    """`manipulability_cost_mean` on the scale of all episodes reported, 0..1; see `scale_costs`."""
+    """`manipulability_cost_mean` scaled over all episodes of the report, 0..1; see `scale_costs`."""
 
     @property
     def task(self) -> str:
@@ -61,67 +66,114 @@ class EpisodeResult:
         return self.row.task or "unnamed"
 
     @property
-    def key(self) -> tuple[EpisodePart, str, str]:
-        """What makes two models' episodes the same one: part, task, seed, pool and variant."""
+    def key(self) -> tuple[SuitePart, str, str]:
+        """Identity of the episode across models: part, task, and seed, pool and variant as JSON."""
         extra = self.row.extra
         return self.part, self.task, dump(finite([extra.get(name) for name in ("seed", "pool", "variant")]))
 
     @property
     def success(self) -> bool | None:
-        """Whether the goal was met; None where it could not be told: the row is no success and no failure."""
-        told = self.row.extra.get("success")
-        return told if isinstance(told, bool) and self.row.status is Status.OK else None
+        """True if the goal was reached; None if not measured, which is neither success nor failure."""
+        success = self.row.extra.get("success")
+        return success if isinstance(success, bool) and self.row.status is Status.OK else None
+
+    @property
+    def outcome(self) -> str:
+        """The word "success", "failure", "unmeasurable", "error" or "unknown"."""
+        if self.success is not None:
+            return "success" if self.success else "failure"
+        return "unknown" if self.row.status is Status.OK else str(self.row.status.value)
+
+    @property
+    def explanation(self) -> str:
+        """Cause of a failure, or reason of a missing outcome; may be empty."""
+        return explain(self.row)
 
     @property
     def hit(self) -> float | None:
-        """Success as a number, 0 or 1."""
+        """Success as 0 or 1."""
         return None if self.success is None else float(self.success)
 
     @property
     def progress(self) -> float | None:
-        """Share of the task's steps done, 0..1; None where it could not be told."""
+        """Share of the task's steps completed, 0..1; None if not measured."""
         return self._number(self.row.extra.get("progress"))
 
     @property
     def rounds(self) -> float | None:
-        """Clips asked for; None where it could not be told."""
+        """Clips requested from the model; None if not measured."""
         return self._number(self.row.extra.get("rounds"))
 
     @property
     def verdict(self) -> str | None:
-        """Cause of a failure; None for a success, or where none was found."""
-        told = self.row.extra.get("verdict")
-        return told if isinstance(told, str) and self.success is False else None
+        """Cause of a failure; None for a success or an unexplained failure."""
+        verdict = self.row.extra.get("verdict")
+        return verdict if isinstance(verdict, str) and self.success is False else None
 
     def metric(self, name: str) -> float | None:
-        """A metric, a truth value as 0 or 1; None where it was not measurable."""
+        """Return a metric, a truth value as 0 or 1; None if not measurable."""
         return self._number(self.row.metrics.get(name))
 
     def _number(self, value: Json) -> float | None:
-        known = isinstance(value, bool | int | float) and self.row.status is Status.OK
-        return float(value) if known and isinstance(value, bool | int | float) and np.isfinite(value) else None
+        if self.row.status is not Status.OK or not isinstance(value, bool | int | float) or not np.isfinite(value):
+            return None
+        return float(value)
 
 
-def scale_costs(episodes: Iterable[EpisodeResult]) -> list[EpisodeResult]:
-    """Put the manipulability costs of all episodes on one scale from their 10th to their 90th percentile.
-
-    0 is the 10th percentile or less, 1 the 90th or more; see `normalization.robust_normalize`. Fewer than two costs
-    span no scale, and nothing is scaled.
-    """
-    given = list(episodes)
-    costs = np.array([np.nan if (c := e.metric(COST)) is None else c for e in given], dtype=np.float64)
-    if np.isfinite(costs).sum() < 2:
-        return given
-    scaled = robust_normalize(costs)
-    return [replace(e, cost_scaled=float(v) if np.isfinite(v) else None) for e, v in zip(given, scaled, strict=True)]
-
-
-def group(episodes: Iterable[EpisodeResult], key: Callable[[EpisodeResult], Key]) -> dict[Key, list[EpisodeResult]]:
-    """Episodes by a key, in the order in which the keys turn up."""
+def group_by(episodes: Iterable[EpisodeResult], key: Callable[[EpisodeResult], Key]) -> dict[Key, list[EpisodeResult]]:
+    """Group episodes by a key, in the order of the keys' first occurrence."""
     groups: dict[Key, list[EpisodeResult]] = {}
     for episode in episodes:
         groups.setdefault(key(episode), []).append(episode)
     return groups
+
+
+def group_by_run(episodes: Iterable[EpisodeResult]) -> list[tuple[SuitePart, str, list[EpisodeResult]]]:
+    """Group episodes by part, sorted, and model, in the order of the episodes."""
+    groups = group_by(episodes, lambda e: (e.part, e.model)).items()
+    return [(part, model, own) for (part, model), own in sorted(groups, key=lambda item: item[0][0])]
+
+
+def list_models(episodes: Iterable[EpisodeResult]) -> list[str]:
+    """List the labels of the models, in the order of the episodes."""
+    return list(group_by(episodes, lambda e: e.model))
+
+
+def balanced_mean(groups: Mapping[str, Sequence[float | None]], *, seed: int = 0) -> Estimate:
+    """Compute the mean over tasks of the mean over each task's episodes, with a percentile bootstrap interval.
+
+    m = 1/T sum_t 1/n_t sum_i x_ti over the tasks that have a value. Each of 2000 resamples draws as many episodes as
+    there are within every task, with replacement (Efron and Tibshirani, An Introduction to the Bootstrap, 1993,
+    chapters 8 and 13): the tasks are fixed, and the interval covers other episodes of the same tasks, not other tasks.
+
+    Args:
+        groups: values of each task's episodes; None if missing. For a single task it is the plain mean.
+        seed: seed of the resampling.
+
+    Returns:
+        The mean; without an interval if a task has a single value, or if resampling changes nothing: zero spread
+        within the samples does not mean zero uncertainty.
+    """
+    total = sum(len(values) for values in groups.values())
+    values = [np.array([v for v in own if v is not None], dtype=np.float64) for own in groups.values()]
+    values = [own for own in values if len(own)]
+    if not values:
+        return Estimate(mean=None, low=None, high=None, n=0, total=total)
+    n, mean = sum(map(len, values)), float(np.mean([own.mean() for own in values]))
+    pointwise = Estimate(mean=mean, low=None, high=None, n=n, total=total)
+    if min(map(len, values)) < 2:
+        return pointwise
+    rng = np.random.default_rng(seed)
+    low, high = percentile_interval(np.mean([resampled_means(v, rng) for v in values], axis=0))
+    return pointwise if high - low < 1e-12 else Estimate(mean=mean, low=low, high=high, n=n, total=total)
+
+
+def mean_over_tasks(
+    episodes: Sequence[EpisodeResult], value: Callable[[EpisodeResult], float | None], seed: int = 0
+) -> Estimate:
+    """Compute the `balanced_mean` of a value of some episodes."""
+    tasks = group_by(episodes, lambda e: e.task)
+    return balanced_mean({task: [value(e) for e in own] for task, own in tasks.items()}, seed=seed)
 
 
 _METRICS = ("sparc", "sparc_rotation", "ldlj", "manipulability_mean", COST, "ik_success_rate", "tracked_fraction")
@@ -131,8 +183,8 @@ _KEYS = (
 )
 
 
-def episode_table(episodes: Sequence[EpisodeResult]) -> Table:
-    """All episodes, a row each."""
+def tabulate_episodes(episodes: Sequence[EpisodeResult]) -> Table:
+    """Build the table of all episodes, one per row, for episodes.csv."""
     return Table(
         name="episodes",
         title="Episodes",
@@ -144,14 +196,12 @@ def episode_table(episodes: Sequence[EpisodeResult]) -> Table:
 
 
 def _row(e: EpisodeResult) -> tuple[Value, ...]:
-    success = None if e.success is None else int(e.success)
-    extra, folder = e.row.extra, e.folder.resolve().name if e.folder else None
-    return (
-        *(e.part.title, e.part.suite, e.part.split, _plain(extra.get("variant")), _plain(extra.get("pool")), e.task),
-        *(_plain(extra.get("seed")), e.model, folder, e.row.id, e.row.status.value, e.row.reason),
-        *(success, e.progress, e.rounds, e.verdict, e.cost_scaled, *(e.metric(name) for name in _METRICS)),
+    variant, pool, seed = (
+        v if isinstance(v := e.row.extra.get(name), str | int | float) else None for name in ("variant", "pool", "seed")
     )
-
-
-def _plain(value: Json) -> Value:
-    return value if isinstance(value, str | int | float) else None
+    return (
+        *(e.part.title, e.part.suite, e.part.split, variant, pool, e.task, seed, e.model),
+        *(e.folder.resolve().name if e.folder else None, e.row.id, e.row.status.value, e.row.reason),
+        *(None if e.success is None else int(e.success), e.progress, e.rounds, e.verdict, e.cost_scaled),
+        *(e.metric(name) for name in _METRICS),
+    )

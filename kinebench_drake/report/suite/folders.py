@@ -1,23 +1,23 @@
-"""Output folders of `suite run`, read back: only such as can be put together."""
+"""Output folders of `suite run`: read, checked for compatibility, and pooled into episodes."""
 
 import hashlib
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
 
 from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.report.page import read_results
-from kinebench_drake.report.suite.episode import EpisodePart, EpisodeResult, group
+from kinebench_drake.report.suite.episode import EpisodeResult, SuitePart
 from kinebench_drake.results.row import SampleRow
 from kinebench_drake.results.store import RESULTS, SAMPLES, read_rows
 from kinebench_drake.types import Json
 
-KIND = "suite"
-SETTINGS = ("rounds", "control", "action_repeat", "frame_period_s", "pixels_only", "negative_prompt")
-"""Settings of a run that change what its episodes come to."""
-_LONG = 24
+_KIND = "suite"
+_SETTINGS = ("rounds", "control", "action_repeat", "frame_period_s", "pixels_only", "negative_prompt")
+"""Settings of a run that change the results of its episodes."""
+_MAX_LETTERS = 24
 """Letters of a setting that a label has room for."""
 
 
@@ -26,25 +26,23 @@ class RunFolder:
     """One output folder of a suite run."""
 
     path: Path
-    """Where it lies."""
-    part: EpisodePart
-    """What it was about."""
+    part: SuitePart
     rows: tuple[SampleRow, ...]
-    """Its episodes, by id."""
+    """Episodes, sorted by id."""
     planned: int | None
-    """Episodes that the whole run has, shards and limits aside; None where it is not told."""
+    """Episodes of the whole run, ignoring shards and limits; None if unknown."""
     tags: Mapping[str, str]
-    """Labels that the user gave."""
+    """Tags of `suite run --tag`."""
     settings: Mapping[str, str]
-    """Its SETTINGS in words."""
+    """Those of _SETTINGS that are set, as text."""
     schema_version: Json
-    """Version of the files' format."""
+    """Version of the file format."""
     suite_version: Json
     """Version of the suites."""
 
     @property
     def name(self) -> str:
-        """Its last name."""
+        """Last component of the path."""
         return self.path.resolve().name
 
     @property
@@ -52,9 +50,14 @@ class RunFolder:
         """Names of the models in it, in the order of its rows."""
         return list(dict.fromkeys(model_of(row) for row in self.rows))
 
+    @property
+    def options(self) -> Mapping[str, str]:
+        """Settings and tags by name; a tag overrides a setting."""
+        return {**self.settings, **self.tags}
+
 
 def model_of(row: SampleRow) -> str:
-    """Name of a row's model."""
+    """Return the name of a row's model."""
     return row.model or "unnamed"
 
 
@@ -67,11 +70,11 @@ def read_folders(paths: Sequence[Path]) -> list[RunFolder]:
     """
     if not paths:
         raise UsageError("no folder named, expected the output folders of `kinebench-drake suite run`")
-    seen: set[Path] = set()
+    unique: set[Path] = set()
     for path in paths:
-        if path.resolve() in seen:
+        if path.resolve() in unique:
             raise UsageError(f"{path}: named twice; its episodes would count twice")
-        seen.add(path.resolve())
+        unique.add(path.resolve())
     folders = [read_folder(path) for path in paths]
     first = folders[0]
     for folder in folders[1:]:
@@ -79,8 +82,8 @@ def read_folders(paths: Sequence[Path]) -> list[RunFolder]:
             one, other = getattr(first, name), getattr(folder, name)
             if one != other:
                 raise UsageError(
-                    f"{first.path} has {name} {one} and {folder.path} {other}: their numbers cannot be put together; "
-                    "run one of them anew with the other's version"
+                    f"{first.path} has {name} {one} and {folder.path} {other}: their numbers cannot be compared; "
+                    "run one of them again with the other's version"
                 )
     return folders
 
@@ -99,8 +102,8 @@ def read_folder(path: Path) -> RunFolder:
         rows, results = read_rows(path), read_results(path)
     except InputError as error:
         raise UsageError(str(error)) from None
-    if results.get("kind") != KIND:
-        raise UsageError(f"{path}: is of a run of kind {results.get('kind')!r}, expected {KIND!r}")
+    if results.get("kind") != _KIND:
+        raise UsageError(f"{path}: is of a run of kind {results.get('kind')!r}, expected {_KIND!r}")
     if not rows:
         raise UsageError(f"{path}: holds no episode")
     config, tags, planned = results.get("config"), results.get("tags"), results.get("samples_found")
@@ -110,90 +113,77 @@ def read_folder(path: Path) -> RunFolder:
         raise UsageError(f"{path / RESULTS}: config names no suite, split and variant, expected those of a suite run")
     return RunFolder(
         path=path,
-        part=EpisodePart(suite=suite, split=split, variant=variant),
+        part=SuitePart(suite=suite, split=split, variant=variant),
         rows=tuple(rows[id] for id in sorted(rows)),
         planned=planned if isinstance(planned, int) else None,
         tags={key: str(value) for key, value in tags.items()} if isinstance(tags, Mapping) else {},
-        settings={name: _words(config[name]) for name in SETTINGS if config.get(name) not in (None, "")},
+        settings={name: _format_setting(config[name]) for name in _SETTINGS if config.get(name) not in (None, "")},
         schema_version=results.get("schema_version"),
         suite_version=results.get("suite_version"),
     )
 
 
-def _words(value: Json) -> str:
-    """A setting in a label; long texts are cut, and told apart by their hash."""
-    if isinstance(value, str) and len(value) > _LONG:
-        return f"{value[:_LONG]}… {hashlib.sha256(value.encode()).hexdigest()[:6]}"
+def _format_setting(value: Json) -> str:
+    """Format a setting for a label; a long text is cut and followed by its hash."""
+    if isinstance(value, str) and len(value) > _MAX_LETTERS:
+        return f"{value[:_MAX_LETTERS]}… {hashlib.sha256(value.encode()).hexdigest()[:6]}"
     return str(value).lower() if isinstance(value, bool) else f"{value:g}" if isinstance(value, float) else str(value)
 
 
-def gather(folders: Sequence[RunFolder]) -> list[EpisodeResult]:
-    """All episodes of some folders, model by model in the order in which the folders name them.
+def pool_episodes(folders: Sequence[RunFolder]) -> list[EpisodeResult]:
+    """List all episodes of some folders, model by model in the order in which the folders name them.
 
-    Runs of one model on one part are one run (as shards are) unless tags or settings differ; what differs is put behind
-    the model's name, as in "wan (data=25, steps=7500)". If they hold the same episodes all the same, the folders' names
-    are put behind it.
+    Folders of one model on one part are pooled into one run (such as shards) unless tags or settings differ; the
+    differences are appended to the model's name, as in "wan (data=25, steps=7500)". If folders of one label hold the
+    same episodes, their names are appended.
 
     Raises:
-        UsageError: two folders hold the same episode of a model, and nothing tells them apart.
+        UsageError: two folders of the same name hold the same episode of a model.
     """
-    telling = {model: _telling([f for f in folders if model in f.models]) for f in folders for model in f.models}
+    differing = {model: _differing([f for f in folders if model in f.models]) for f in folders for model in f.models}
     episodes = [
-        (index, EpisodeResult(part=f.part, model=_label(model_of(row), f, telling), folder=f.path, row=row))
+        (index, EpisodeResult(part=f.part, model=_label(model, f, differing[model]), folder=f.path, row=row))
         for index, f in enumerate(folders)
         for row in f.rows
+        for model in [model_of(row)]
     ]
-    held: dict[tuple[str, EpisodePart, int], set[object]] = {}
+    keys: dict[tuple[str, SuitePart, int], set[object]] = {}
     for index, episode in episodes:
-        held.setdefault((episode.model, episode.part, index), set()).add(episode.key)
-    clashing: set[tuple[str, EpisodePart]] = set()
-    for (one, these), (other, those) in combinations(held.items(), 2):
+        keys.setdefault((episode.model, episode.part, index), set()).add(episode.key)
+    clashing: set[tuple[str, SuitePart]] = set()
+    for (one, these), (other, those) in combinations(keys.items(), 2):
         if one[:2] == other[:2] and these & those:
             a, b = folders[one[2]], folders[other[2]]
             if a.name == b.name:
                 raise UsageError(
-                    f"{a.path} and {b.path} hold the same episodes of {one[0]}: name one of them, or tell them apart "
+                    f"{a.path} and {b.path} hold the same episodes of {one[0]}: name one of them, or distinguish them "
                     "with `suite run --tag KEY=VALUE`"
                 )
             clashing.add(one[:2])
     named = [
-        EpisodeResult(part=e.part, model=f"{e.model} [{folders[k].name}]", folder=e.folder, row=e.row)
-        if (e.model, e.part) in clashing
-        else e
-        for k, e in episodes
+        replace(e, model=f"{e.model} [{folders[k].name}]") if (e.model, e.part) in clashing else e for k, e in episodes
     ]
-    order = {model: number for number, model in enumerate(telling)}
+    order = {model: number for number, model in enumerate(differing)}
     return sorted(named, key=lambda e: (order[model_of(e.row)], _natural(e.model), e.part, e.task, _natural(e.row.id)))
 
 
-def models_of(episodes: Sequence[EpisodeResult]) -> list[str]:
-    """Labels of the models, in the order of the episodes."""
-    return list(group(episodes, lambda e: e.model))
-
-
-def _facts(folder: RunFolder) -> Mapping[str, str]:
-    """Tags and settings; a tag wins."""
-    return {**folder.settings, **folder.tags}
-
-
-def _telling(folders: Sequence[RunFolder]) -> list[str]:
-    """Names of the tags and settings that differ among one model's runs on the same part, tags first."""
-    found: dict[str, None] = {}
+def _differing(folders: Sequence[RunFolder]) -> list[str]:
+    """List the tags and settings that differ among one model's runs on the same part, tags first."""
+    names: set[str] = set()
     for one, other in combinations(folders, 2):
         if one.part == other.part:
-            a, b = _facts(one), _facts(other)
-            found |= dict.fromkeys(key for key in {**a, **b} if a.get(key) != b.get(key))
+            a, b = one.options, other.options
+            names |= {key for key in {**a, **b} if a.get(key) != b.get(key)}
     tags = {key for folder in folders for key in folder.tags}
-    return sorted(found, key=lambda key: (key not in tags, key))
+    return sorted(names, key=lambda key: (key not in tags, key))
 
 
-def _label(model: str, folder: RunFolder, telling: Mapping[str, Sequence[str]]) -> str:
-    facts = _facts(folder)
-    told = [f"{key}={facts[key]}" for key in telling[model] if key in facts]
-    return f"{model} ({', '.join(told)})" if told else model
+def _label(model: str, folder: RunFolder, differing: Sequence[str]) -> str:
+    options = [f"{key}={folder.options[key]}" for key in differing if key in folder.options]
+    return f"{model} ({', '.join(options)})" if options else model
 
 
 def _natural(text: str) -> list[tuple[int, int, str]]:
-    """Key that sorts the numbers within names as numbers."""
+    """Return a sort key that compares the numbers within names as numbers."""
     parts = re.split(r"(\d+)", text)
     return [(0, int(part), "") if part.isdecimal() else (1, 0, part) for part in parts]

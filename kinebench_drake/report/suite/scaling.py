@@ -1,32 +1,33 @@
-"""How success grows with demonstrations and optimisation steps, by the difficulty of tasks."""
+"""Success against demonstrations and optimisation steps, by difficulty of the tasks (suite 3)."""
 
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from kinebench_drake.report.suite.episode import EpisodeResult, group
+from kinebench_drake.io.figure import new_figure
+from kinebench_drake.report.figures import ReportFigure, style
+from kinebench_drake.report.suite.episode import EpisodeResult, group_by, mean_over_tasks
 from kinebench_drake.report.suite.folders import RunFolder, model_of
-from kinebench_drake.report.suite.tally import mean
+from kinebench_drake.report.table import Column, Table
 from kinebench_drake.results.aggregate import Estimate
 
 SUITE = 3
-"""Number of the suite that asks for it."""
-TAGS = ("data", "steps")
-"""Tags that name a run's demonstrations of each task and its optimisation steps."""
-ALL = "all"
-UNKNOWN = "unknown"
-"""Difficulty of tasks that are not the suites'."""
+"""Number of the suite of the scaling study."""
+ALL_LEVELS = "all"
+_UNKNOWN = "unknown"
+"""Difficulty of tasks that are not in the suites."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, order=True)
 class TrainingBudget:
-    """What a model was trained with."""
+    """Training data and steps of a model."""
 
     data: int
-    """Demonstrations of each task."""
+    """Demonstrations per task; tag `data`."""
     steps: int
-    """Optimisation steps."""
+    """Optimisation steps; tag `steps`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -34,61 +35,69 @@ class Scaling:
     """Success of one model after different trainings."""
 
     model: str
-    """Its plain name."""
+    """Plain name."""
     levels: tuple[str, ...]
-    """Difficulties that its tasks have, and ALL."""
+    """Difficulties of its tasks in rising order, and ALL_LEVELS."""
     success: Mapping[tuple[TrainingBudget, str], Estimate]
-    """Task-balanced success of each training and difficulty."""
+    """Task-balanced success by training and difficulty."""
 
     @property
-    def trainings(self) -> list[TrainingBudget]:
-        """What it was trained with, the least data first."""
-        return sorted({training for training, _ in self.success})
+    def budgets(self) -> list[TrainingBudget]:
+        """Training budgets, the least data first."""
+        return sorted({budget for budget, _ in self.success})
 
 
 def study_scaling(
     folders: Sequence[RunFolder], episodes: Sequence[EpisodeResult], difficulties: Mapping[str, str], seed: int = 0
 ) -> list[Scaling]:
-    """Task-balanced success of each model's runs on suite 3 by training and difficulty; runs of a training are pooled.
+    """Compute each model's task-balanced success on suite 3 by training and difficulty, pooling runs of one training.
 
     Args:
-        folders: the runs; those without readable tags are passed over.
+        folders: the runs; those without valid tags are skipped.
         episodes: their episodes.
-        difficulties: name of each task's difficulty, in rising order of difficulty.
-        seed: of the intervals' resampling.
+        difficulties: difficulty of each task, in rising order.
+        seed: seed of the resampling.
     """
-    trained: dict[Path | None, TrainingBudget] = {
-        f.path: training for f in folders if f.part.suite == SUITE and (training := training_of(f))
+    budgets: dict[Path | None, TrainingBudget] = {
+        f.path: budget for f in folders if f.part.suite == SUITE and (budget := budget_of(f))
     }
-    chosen = [e for e in episodes if e.folder in trained]
-    found = []
-    for model, own in group(chosen, lambda e: model_of(e.row)).items():
-        level = {e.task: difficulties.get(e.task, UNKNOWN) for e in own}
-        order = [*dict.fromkeys(difficulties.values()), UNKNOWN]
-        levels = [name for name in order if name in level.values()]
+    studies = []
+    for model, own in group_by((e for e in episodes if e.folder in budgets), lambda e: model_of(e.row)).items():
+        level = {e.task: difficulties.get(e.task, _UNKNOWN) for e in own}
+        order = [*dict.fromkeys(difficulties.values()), _UNKNOWN]
+        levels = (*(name for name in order if name in level.values()), ALL_LEVELS)
         success = {}
-        for training, runs in group(own, lambda e: trained[e.folder]).items():
-            for name in (*levels, ALL):
-                some = [e for e in runs if name in (ALL, level[e.task])]
+        for budget, runs in group_by(own, lambda e: budgets[e.folder]).items():
+            for name in levels:
+                some = [e for e in runs if name in (ALL_LEVELS, level[e.task])]
                 if some:
-                    success[training, name] = mean(some, lambda e: e.hit, seed)
-        found.append(Scaling(model=model, levels=(*levels, ALL), success=success))
-    return found
+                    success[budget, name] = mean_over_tasks(some, lambda e: e.hit, seed)
+        studies.append(Scaling(model=model, levels=levels, success=success))
+    return studies
 
 
-def training_of(folder: RunFolder) -> TrainingBudget | None:
-    """What the tags of a run say of its training; None unless both do."""
-    data, steps = (_count(folder.tags.get(name, "")) for name in TAGS)
+def budget_of(folder: RunFolder) -> TrainingBudget | None:
+    """Parse the tags `data` and `steps` of a run; None unless both are counts."""
+    data, steps = (_parse_count(folder.tags.get(name, "")) for name in ("data", "steps"))
     return None if data is None or steps is None else TrainingBudget(data=data, steps=steps)
 
 
+def _parse_count(text: str) -> int | None:
+    """Parse a count such as "7500" or "7.5k"; None if it is none."""
+    match = re.fullmatch(r"(\d{1,9}(?:\.\d{1,3})?)(k?)", text.strip().lower())
+    if not match:
+        return None
+    value = float(match[1]) * (1000.0 if match[2] else 1.0)
+    return int(value) if value == int(value) and value > 0 else None
+
+
 def untagged(folders: Sequence[RunFolder]) -> list[Path]:
-    """Runs on suite 3 whose tags do not tell their training."""
-    return [f.path for f in folders if f.part.suite == SUITE and training_of(f) is None]
+    """List the runs on suite 3 whose tags name no training budget."""
+    return [f.path for f in folders if f.part.suite == SUITE and budget_of(f) is None]
 
 
 def task_difficulties() -> dict[str, str]:
-    """Difficulty of each task of the suites, the easy ones first."""
+    """Return the difficulty of each task of the suites, the easy ones first."""
     from kinebench_drake.suites.tasks.card import Difficulty
     from kinebench_drake.suites.tasks.registry import TASKS
 
@@ -96,10 +105,76 @@ def task_difficulties() -> dict[str, str]:
     return {card.id: card.difficulty.value for card in cards}
 
 
-def _count(text: str) -> int | None:
-    """A count such as "7500" or "7.5k"."""
-    match = re.fullmatch(r"(\d{1,9}(?:\.\d{1,3})?)(k?)", text.strip().lower())
-    if not match:
+def tabulate_scaling(studies: Sequence[Scaling]) -> Table:
+    """Build the table of success by model, training and difficulty."""
+    levels = [*dict.fromkeys(level for s in studies for level in s.levels[:-1]), *(s.levels[-1] for s in studies[:1])]
+    return Table(
+        name="scaling",
+        title="Success by demonstrations, steps and difficulty of the tasks",
+        note="Suite 3: means over the tasks of a difficulty, with 95 % bootstrap intervals over episodes within tasks.",
+        columns=(
+            Column(key="model", label="Model"),
+            Column(key="data", label="Demonstrations a task"),
+            Column(key="steps", label="Steps"),
+            *(Column(key=f"success_{v}", label=v.capitalize(), pattern="{:.1%}", estimated=True) for v in levels),
+        ),
+        rows=tuple(
+            (s.model, budget.data, budget.steps, *(s.success.get((budget, level)) for level in levels))
+            for s in studies
+            for budget in s.budgets
+        ),
+    )
+
+
+def draw_scaling(study: Scaling, name: str) -> ReportFigure | None:
+    """Draw success against demonstrations and against steps, by difficulty; None unless one of them was varied."""
+    budgets = study.budgets
+    varied = [
+        (label, along, across, pattern)
+        for label, along, across, pattern in (
+            ("demonstrations per task", "data", "steps", "{:,} steps"),
+            ("optimisation steps", "steps", "data", "{:,} demonstrations"),
+        )
+        if len(budgets) > len({getattr(b, across) for b in budgets})
+    ]
+    if not varied:
         return None
-    value = float(match[1]) * (1000.0 if match[2] else 1.0)
-    return int(value) if value == int(value) and value > 0 else None
+    figure, axes = new_figure(
+        2.5 * len(study.levels) + 1.6, 0.5 + 2.6 * len(varied), len(varied), len(study.levels), sharey=True
+    )
+    for row, (label, along, across, pattern) in zip(axes, varied, strict=True):
+        for ax, level in zip(row, study.levels, strict=True):
+            values = sorted({getattr(b, across) for b in budgets})
+            for k, value in enumerate(values):
+                line = [b for b in budgets if getattr(b, across) == value and (b, level) in study.success]
+                if line:
+                    shift = 1.03 ** (k - 0.5 * (len(values) - 1))  # keeps lines from hiding each other
+                    estimates = [study.success[b, level] for b in line]
+                    _draw_line(ax, [getattr(b, along) * shift for b in line], estimates, k, pattern.format(value))
+            ticks = sorted({getattr(b, along) for b in budgets})
+            ax.set_xscale("log")
+            ax.set_xticks(ticks, [f"{tick:,}" for tick in ticks], fontsize=7)
+            ax.minorticks_off()
+            ax.margins(x=0.12)
+            ax.set_ylim(-0.04, 1.04)
+            ax.tick_params(axis="y", labelsize=8)
+            ax.set_title(level, fontsize=9)
+            ax.set_xlabel(label, fontsize=8)
+        row[0].set_ylabel("success", fontsize=9)
+        row[-1].legend(fontsize=7, frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    return ReportFigure(
+        name=name,
+        title=f"Scaling of {study.model} by difficulty of the tasks",
+        caption="Suite 3: mean success over the tasks of a difficulty, with 95 % bootstrap intervals over episodes "
+        "within tasks; top: against demonstrations, bottom: against optimisation steps, where both were varied.",
+        figure=figure,
+    )
+
+
+def _draw_line(ax: Any, x: Sequence[float], estimates: Sequence[Estimate], index: int, label: str) -> None:
+    colour, marker = style(index)
+    points = [(at, e) for at, e in zip(x, estimates, strict=True) if e.mean is not None]
+    ax.plot([a for a, _ in points], [e.mean for _, e in points], color=colour, marker=marker, markersize=4, label=label)
+    for at, e in points:
+        if e.low is not None and e.high is not None:
+            ax.plot([at, at], [e.low, e.high], color=colour, linewidth=1.0, alpha=0.7)

@@ -1,145 +1,211 @@
-"""The html page: tables, figures, what is missing, and every episode."""
+"""Reports of suite runs and of comparisons: the html page with its tables and figures, and these as files."""
 
-import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from urllib.parse import quote
 
-from markupsafe import Markup
+from kinebench_drake.errors import UsageError
+from kinebench_drake.io.atomic import write_atomically
+from kinebench_drake.report.figures import ReportFigure, write_figure
+from kinebench_drake.report.page import template_environment
+from kinebench_drake.report.sample import relative_link
+from kinebench_drake.report.suite.comparison import ModelComparison, draw_differences
+from kinebench_drake.report.suite.correlation import MIN_POINTS, draw_correlation, study_sparc, tabulate_correlation
+from kinebench_drake.report.suite.episode import EpisodeResult, group_by, tabulate_episodes
+from kinebench_drake.report.suite.folders import RunFolder, pool_episodes, read_folders
+from kinebench_drake.report.suite.kinematics import draw_manipulability, scale_costs, tabulate_kinematics
+from kinebench_drake.report.suite.scaling import (
+    SUITE,
+    draw_scaling,
+    study_scaling,
+    tabulate_scaling,
+    task_difficulties,
+    untagged,
+)
+from kinebench_drake.report.suite.success import (
+    draw_success,
+    draw_verdicts,
+    tabulate_suites,
+    tabulate_summary,
+    tabulate_tasks,
+)
+from kinebench_drake.report.table import Table, sort_key, table_csv, table_latex
+from kinebench_drake.results.store import REPORT, SAMPLES, artifact_path
 
-from kinebench_drake.report.page import environment
-from kinebench_drake.report.suite.episode import EpisodeResult, group
-from kinebench_drake.report.suite.folders import RunFolder
-from kinebench_drake.report.suite.table import Table, is_numeric, shown, shown_interval, sort_key
-from kinebench_drake.results.store import REPORT, artifact_path
+LISTED = 2000
+"""Episodes on the page: more would make it slow to open."""
+_SHOWN = 200
+"""Episodes in its list until all are requested."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class EpisodeLink:
-    """A file to look at."""
+class MissingPart:
+    """A table or figure that cannot be made."""
 
-    label: str
-    target: str
-    """Address relative to the report."""
+    title: str
+    needs: str
+    """Data that would be needed."""
 
 
-def links_of(episode: EpisodeResult, out: Path) -> list[EpisodeLink]:
-    """What there is to look at of an episode: its rollout, the first imagined clip, its place in the run's own report.
+Part = Table | ReportFigure | MissingPart
 
-    Only of runs that lie beside the report, in the same parent folder or below it: links to elsewhere would tell paths
-    of this machine and break as soon as the report is moved.
+
+def write_suite_report(paths: Sequence[Path], out: Path, seed: int = 0) -> Path:
+    """Write the report of some suite runs: page, figures and tables. The same folders give the same bytes.
+
+    Args:
+        paths: output folders of `suite run`.
+        out: folder to write to, made if absent.
+        seed: seed of the resampling.
+
+    Returns:
+        The html page.
+
+    Raises:
+        UsageError: the folders cannot be used or pooled, or `out` is one of a run.
+        SetupError: writing failed.
+    """
+    _check_out(out)
+    folders = read_folders(paths)
+    episodes = scale_costs(pool_episodes(folders))
+    parts: list[Part] = [
+        tabulate_suites(episodes, seed),
+        tabulate_summary(episodes, seed),
+        *draw_success(episodes),
+        tabulate_tasks(episodes, seed),
+        draw_verdicts(episodes),
+        tabulate_kinematics(episodes, seed),
+        *_sparc_parts(episodes, seed),
+        draw_manipulability(episodes) or MissingPart(title="Manipulability", needs="two episodes with a measured cost"),
+        *_scaling_parts(folders, episodes, seed),
+    ]
+    return _write_page("Suite report", folders, episodes, out, parts)
+
+
+def write_comparison(comparison: ModelComparison, out: Path) -> Path:
+    """Write a comparison: page, figure and table; returns the page.
+
+    Raises:
+        UsageError: `out` is the folder of a run.
+        SetupError: writing failed.
+    """
+    _check_out(out)
+    figure = draw_differences(comparison.pairs) or MissingPart(
+        title="Differences of success", needs="episodes measured for two models"
+    )
+    parts: list[Part] = [comparison.table, figure]
+    return _write_page("Comparison of models", comparison.folders, comparison.episodes, out, parts)
+
+
+def _sparc_parts(episodes: Sequence[EpisodeResult], seed: int) -> list[Part]:
+    study = study_sparc(episodes)
+    figure = draw_correlation(episodes, study, seed) or MissingPart(
+        title="SPARC and success", needs="episodes with SPARC and an outcome"
+    )
+    if any(study.correlate(part).rho is not None for part in (None, *(p.part for p in study.points))):
+        return [figure, tabulate_correlation(study, seed)]
+    needs = f"{MIN_POINTS} models or runs that did the same tasks and differ in SPARC and in success"
+    return [figure, MissingPart(title="Rank correlation of SPARC and success", needs=needs)]
+
+
+def _scaling_parts(folders: Sequence[RunFolder], episodes: Sequence[EpisodeResult], seed: int) -> list[Part]:
+    tagged = "runs on suite 3 with --tag data=N and --tag steps=N, such as data=25 and steps=7500"
+    parts: list[Part] = []
+    bare = untagged(folders)
+    if bare:
+        names = ", ".join(path.resolve().name for path in bare)
+        parts.append(MissingPart(title=f"{names} in the scaling table", needs=f"both tags: {tagged}"))
+    if len(bare) == sum(f.part.suite == SUITE for f in folders):
+        return [*parts, MissingPart(title="Scaling", needs=tagged)]
+    studies = study_scaling(folders, episodes, task_difficulties(), seed)
+    parts.append(tabulate_scaling(studies))
+    for number, study in enumerate(studies, 1):
+        name = "scaling_curves" if len(studies) == 1 else f"scaling_{number}_curves"
+        needs = "two trainings that differ in data alone or in steps alone"
+        missing = MissingPart(title=f"Scaling curves of {study.model}", needs=needs)
+        parts.append(draw_scaling(study, name) or missing)
+    return parts
+
+
+def _check_out(out: Path) -> None:
+    if (out / SAMPLES).exists():
+        raise UsageError(
+            f"--out {out}: is the output folder of a run, whose own report it would overwrite; name another"
+        )
+
+
+def _write_page(
+    title: str, folders: Sequence[RunFolder], episodes: Sequence[EpisodeResult], out: Path, parts: Sequence[Part]
+) -> Path:
+    """Write all tables and figures as files, and the page with them."""
+    for table in (tabulate_episodes(episodes), *(part for part in parts if isinstance(part, Table))):
+        write_atomically(out / f"{table.name}.csv", table_csv(table).encode())
+        if table.latex:
+            write_atomically(out / f"{table.name}.tex", table_latex(table).encode())
+    page = out / REPORT
+    write_atomically(page, build_suite_page(title, folders, episodes, out, parts).encode())
+    return page
+
+
+def build_suite_page(
+    title: str, folders: Sequence[RunFolder], episodes: Sequence[EpisodeResult], out: Path, parts: Sequence[Part]
+) -> str:
+    """Build the page's html, writing its figures as files; the same input gives the same bytes.
+
+    Args:
+        title: heading.
+        folders: the runs it is about.
+        episodes: the episodes to list.
+        out: folder of the page and of the figures' files.
+        parts: tables and figures in their order.
+    """
+    templates = template_environment()
+    templates.filters["key"] = sort_key
+    return templates.get_template("suite_page.html.j2").render(
+        title=title,
+        folders=folders,
+        episodes=len(episodes),
+        parts=[
+            (part, write_figure(part, out) if isinstance(part, ReportFigure) else None)
+            for part in parts
+            if not isinstance(part, MissingPart)
+        ],
+        missing=[part for part in parts if isinstance(part, MissingPart)],
+        lines=[(e, _links(e, out)) for e in _choose_listed(episodes)],
+        left_out=max(len(episodes) - LISTED, 0),
+        first=_SHOWN,
+    )
+
+
+def _links(episode: EpisodeResult, out: Path) -> list[tuple[str, str]]:
+    """List labels and addresses of an episode's files: rollout, first imagined clip, entry in the run's own report.
+
+    Only for runs in the parent folder of `out` or below it: other links would reveal paths of this machine and break
+    when the report is moved.
     """
     if episode.folder is None:
         return []
     base, home = episode.folder.resolve(), out.resolve()
     if not base.is_relative_to(home.parent):
         return []
-    rollout = artifact_path(base, "rollouts", episode.row.id)
-    found = [("rollout", rollout, ""), ("video", base / episode.row.video, "")]
-    found.append(("report", base / REPORT, f"#{quote(episode.row.id)}"))
+    files = (
+        ("rollout", artifact_path(base, "rollouts", episode.row.id), ""),
+        ("video", base / episode.row.video, ""),
+        ("report", base / REPORT, episode.row.id),
+    )
     return [
-        EpisodeLink(label=label, target=quote(Path(os.path.relpath(file, home)).as_posix()) + tail)
-        for label, file, tail in found
+        (label, relative_link(file, home, anchor))
+        for label, file, anchor in files
         if file.is_file() and file.resolve().is_relative_to(home.parent)
     ]
 
 
-LISTED = 2000
-"""Episodes on the page: more would make it slow to open."""
-SHOWN = 200
-"""Episodes in its list until more are asked for."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Drawn:
-    """A figure on the page."""
-
-    name: str
-    title: str
-    caption: str
-    svg: Markup
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Missing:
-    """A table or a figure that could not be made."""
-
-    title: str
-    needs: str
-    """What would be needed."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PageLine:
-    """One episode on the page."""
-
-    episode: EpisodeResult
-    outcome: str
-    told: str
-    """Cause of a failure, or the reason why there is no outcome."""
-    links: tuple[EpisodeLink, ...]
-
-
-def build_page(
-    title: str,
-    folders: Sequence[RunFolder],
-    episodes: Sequence[EpisodeResult],
-    out: Path,
-    *,
-    parts: Sequence[Table | Drawn],
-    missing: Sequence[Missing] = (),
-) -> str:
-    """The page's html; the same input gives the same bytes.
-
-    Args:
-        title: its heading.
-        folders: the runs it is about.
-        episodes: the episodes to list.
-        out: folder that it will lie in, for links.
-        parts: tables and figures in their order.
-        missing: what could not be made.
-    """
-    templates = environment("kinebench_drake.report.suite")
-    templates.filters.update(shown=shown, interval=shown_interval, key=sort_key)
-    templates.tests["table"] = lambda part: isinstance(part, Table)
-    return templates.get_template("page.html.j2").render(
-        title=title,
-        folders=folders,
-        episodes=len(episodes),
-        parts=parts,
-        numeric={part.name: _numeric(part) for part in parts if isinstance(part, Table)},
-        missing=missing,
-        lines=[_line(e, out) for e in _listed(episodes)],
-        left_out=max(len(episodes) - LISTED, 0),
-        first=SHOWN,
-    )
-
-
-def _listed(episodes: Sequence[EpisodeResult]) -> list[EpisodeResult]:
-    """The episodes that have room, those without success first, of every model on every part as many as of another."""
+def _choose_listed(episodes: Sequence[EpisodeResult]) -> list[EpisodeResult]:
+    """Choose LISTED episodes, those without success first, evenly over models and parts."""
     turns = {
         id(e): (e.success is True, turn)
-        for own in group(episodes, lambda e: (e.part, e.model, e.success is True)).values()
+        for own in group_by(episodes, lambda e: (e.part, e.model, e.success is True)).values()
         for turn, e in enumerate(own)
     }
-    chosen = sorted(episodes, key=lambda e: turns[id(e)])[:LISTED]
-    kept = {id(e) for e in chosen}
-    return sorted((e for e in episodes if id(e) in kept), key=lambda e: e.success is True)
-
-
-def _numeric(table: Table) -> list[bool]:
-    return [is_numeric(table, k) for k in range(len(table.columns))]
-
-
-def _line(episode: EpisodeResult, out: Path) -> PageLine:
-    row = episode.row
-    cause = row.extra.get("cause")
-    told = cause.get("text") if isinstance(cause, Mapping) else row.reason
-    outcome = row.status.value if episode.success is None else "success" if episode.success else "failure"
-    return PageLine(
-        episode=episode,
-        outcome="not told" if outcome == "ok" else outcome,
-        told=str(told or ""),
-        links=tuple(links_of(episode, out)),
-    )
+    chosen = {id(e) for e in sorted(episodes, key=lambda e: turns[id(e)])[:LISTED]}
+    return sorted((e for e in episodes if id(e) in chosen), key=lambda e: e.success is True)

@@ -3,6 +3,9 @@
 import csv
 
 import pytest
+from kinebench_drake.report.suite.ceiling import DIRECT, read_ceiling, share_lines
+from kinebench_drake.report.suite.writing import write_comparison
+from tests.suite_report.synthetic import write_run
 
 from kinebench_drake.closed_loop.tolerance import ErrorGrade, ToleranceAttempt
 from kinebench_drake.errors import UsageError
@@ -10,9 +13,7 @@ from kinebench_drake.executors.base import ItemResult
 from kinebench_drake.executors.progress import NullObserver
 from kinebench_drake.report.suite.ceiling import DIRECT, read_ceiling, share_lines
 from kinebench_drake.report.suite.comparison import ALL
-from kinebench_drake.report.suite.writing import write_comparison
 from kinebench_drake.results.store import SAMPLES
-from tests.suite_report.synthetic import write_run
 
 TASKS = {"PullCube-v1": [True, False, True], "StackCube-v1": [False, False, True]}
 

@@ -2,7 +2,10 @@
 
 import numpy as np
 import pytest
+from kinebench_drake.report.suite.success_tables import suites_table
+from kinebench_drake.report.suite.tally import balanced, tally
 from scipy.stats import spearmanr
+from tests.suite_report.synthetic import change, failed, outcome, write_run
 
 from kinebench_drake.report.suite.comparison import ALL, compare, comparison_table
 from kinebench_drake.report.suite.correlation import standardise, study_sparc
@@ -10,11 +13,8 @@ from kinebench_drake.report.suite.episode import scale_costs
 from kinebench_drake.report.suite.folders import gather, models_of, read_folders
 from kinebench_drake.report.suite.scaling import ALL as EVERY
 from kinebench_drake.report.suite.scaling import TrainingBudget, study_scaling, task_difficulties, training_of, untagged
-from kinebench_drake.report.suite.success_tables import suites_table
-from kinebench_drake.report.suite.tally import balanced, tally
 from kinebench_drake.results.row import Status
 from kinebench_drake.stats import PairedOutcomes
-from tests.suite_report.synthetic import change, failed, outcome, write_run
 
 
 def episodes_of(*paths):

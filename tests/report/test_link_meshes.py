@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from kinebench_drake.report.link_meshes import MAX_TRIANGLES, link_meshes
 
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.models.arm import load_robot
-from kinebench_drake.report.link_meshes import MAX_TRIANGLES, link_meshes
 
 
 def by_link(plant):

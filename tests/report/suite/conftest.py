@@ -1,7 +1,7 @@
 import pytest
+from tests.suite_report.synthetic import EVIL, failed, outcome, write_run
 
 from kinebench_drake.results.row import Status
-from tests.suite_report.synthetic import EVIL, failed, outcome, write_run
 
 
 @pytest.fixture

@@ -6,6 +6,8 @@ import re
 from html.parser import HTMLParser
 
 import pytest
+from kinebench_drake.report.suite.table import Column, Table, csv_text, escape, latex_text, lines
+from tests.suite_report.synthetic import EVIL, change, outcome, write_run
 
 from kinebench_drake.cli import main
 from kinebench_drake.errors import UsageError
@@ -13,9 +15,7 @@ from kinebench_drake.report.suite import read_comparison, write_comparison, writ
 from kinebench_drake.report.suite import suite_page as page
 from kinebench_drake.report.suite.folders import gather, read_folders
 from kinebench_drake.report.suite.suite_page import build_page
-from kinebench_drake.report.suite.table import Column, Table, csv_text, escape, latex_text, lines
 from kinebench_drake.results.aggregate import Estimate
-from tests.suite_report.synthetic import EVIL, change, outcome, write_run
 
 VOID = {"meta", "input", "br", "path", "rect", "use", "line", "circle"}
 

@@ -1,0 +1,116 @@
+"""Kinematic metrics of models on suites: the scaled manipulability cost, table and figure."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from kinebench_drake.io.figure import new_figure, plain
+from kinebench_drake.report.figures import COLOURS, ReportFigure, add_legend, assign_numbers, style
+from kinebench_drake.report.metric import BY_NAME
+from kinebench_drake.report.suite.episode import COST, EpisodeResult, group_by_run, list_models, mean_over_tasks
+from kinebench_drake.report.suite.success import COST_COLUMN
+from kinebench_drake.report.table import Column, Table
+from kinebench_drake.results.aggregate import robust_normalize
+
+_METRICS = (
+    ("sparc", "SPARC", "{:.2f}"),
+    ("sparc_rotation", "SPARC, rotation", "{:.2f}"),
+    ("ldlj", "Log dimensionless jerk", "{:.2f}"),
+    ("manipulability_mean", "Manipulability", "{:.4f}"),
+    ("ik_success_rate", "IK success", "{:.1%}"),
+    ("slowdown_min", "Slow-down needed", "{:.2f}"),
+    ("tracked_fraction", "Frames tracked", "{:.1%}"),
+    ("gap_gripper_m", "Imagined to executed [m]", "{:.4f}"),
+    ("gap_robot_iou", "Robot overlap", "{:.2f}"),
+)
+
+
+def scale_costs(episodes: Iterable[EpisodeResult]) -> list[EpisodeResult]:
+    """Scale the manipulability costs of all episodes from their 10th percentile (0) to their 90th (1).
+
+    See `aggregate.robust_normalize`. Fewer than two costs define no scale: the episodes are returned unchanged.
+    """
+    episodes = list(episodes)
+    costs = np.array([np.nan if (c := e.metric(COST)) is None else c for e in episodes], dtype=np.float64)
+    if np.isfinite(costs).sum() < 2:
+        return episodes
+    scaled = robust_normalize(costs)
+    return [replace(e, cost_scaled=float(v) if np.isfinite(v) else None) for e, v in zip(episodes, scaled, strict=True)]
+
+
+def tabulate_kinematics(episodes: Sequence[EpisodeResult], seed: int = 0) -> Table:
+    """Build the table of task-balanced kinematic metrics of every model on every part."""
+    metrics = [m for m in _METRICS if any(e.metric(m[0]) is not None for e in episodes)]
+    return Table(
+        name="kinematics",
+        title="Motion of the imagined gripper",
+        note="Means over tasks of the episodes that have the metric, with 95 % bootstrap intervals over episodes "
+        "within tasks; successes and failures alike.",
+        columns=(
+            Column(key="part", label="Suite"),
+            Column(key="model", label="Model"),
+            COST_COLUMN,
+            *(
+                Column(key=name, label=label, pattern=pattern, meaning=BY_NAME[name].meaning, estimated=True)
+                for name, label, pattern in metrics
+            ),
+        ),
+        rows=tuple(
+            (
+                part.title,
+                model,
+                mean_over_tasks(own, lambda e: e.cost_scaled, seed),
+                *(mean_over_tasks(own, lambda e, name=name: e.metric(name), seed) for name, *_ in metrics),  # type: ignore[misc]
+            )
+            for part, model, own in group_by_run(episodes)
+        ),
+    )
+
+
+def draw_manipulability(episodes: Sequence[EpisodeResult]) -> ReportFigure | None:
+    """Draw violins of the scaled manipulability cost by part and model; None if there are no scaled costs."""
+    scaled = [e for e in episodes if e.cost_scaled is not None]
+    if not scaled:
+        return None
+    models, parts = list_models(scaled), sorted({e.part for e in scaled})
+    crowded = len(models) > len(COLOURS)
+    widths = [len(list_models(e for e in scaled if e.part == p)) for p in parts]
+    figure, axes = new_figure(
+        max(6.4, 1.6 + (0.4 if crowded else 0.8) * sum(widths)),
+        5.8 if crowded else 4.4,
+        1,
+        len(parts),
+        sharey=True,
+        gridspec_kw={"width_ratios": widths},
+    )
+    for ax, part in zip(axes[0], parts, strict=True):
+        here = [m for m in models if any(e.part == part and e.model == m for e in scaled)]
+        numbers = assign_numbers(models, here)
+        for k, model in enumerate(here):
+            costs = [e.cost_scaled for e in scaled if e.part == part and e.model == model and e.cost_scaled is not None]
+            colour = style(numbers[model])[0]
+            if len(costs) > 1 and np.ptp(costs) > 0:
+                for body in ax.violinplot(costs, [k], widths=0.8, showextrema=False)["bodies"]:
+                    body.set(facecolor=colour, edgecolor=colour, alpha=0.35)
+            low, middle, high = np.percentile(costs, [25, 50, 75])
+            ax.plot([k, k], [low, high], color=colour, linewidth=3.2, solid_capstyle="butt")
+            ax.plot([k], [middle], marker="o", color="white", markeredgecolor=colour, markersize=5)
+        names = [plain(n) for n in here] if crowded else []
+        ax.set_xticks(range(len(names)), names, fontsize=8, rotation=90)
+        ax.set_xlim(-0.6, len(here) - 0.4)
+        ax.set_title(plain(part.title), fontsize=9)
+        ax.tick_params(axis="y", labelsize=8)
+    axes[0, 0].set_ylabel("manipulability cost, scaled", fontsize=9)
+    if not crowded:
+        for model in models:
+            axes[0, 0].plot([], [], color=style(models.index(model))[0], linewidth=5.0, alpha=0.6, label=plain(model))
+        add_legend(figure, models)
+    return ReportFigure(
+        name="manipulability",
+        title="Manipulability cost by suite and model",
+        caption="Distribution over episodes of the mean manipulability cost (lower is better), scaled so that 0 is the "
+        "10th and 1 the 90th percentile of all episodes in this report; bars from the first to the third quartile, "
+        "dots at the median.",
+        figure=figure,
+    )

@@ -1,0 +1,307 @@
+"""Success of models on suites: counts of episodes, tables and figures."""
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from kinebench_drake.io.figure import new_figure, plain
+from kinebench_drake.report.figures import (
+    COLOURS,
+    GOOD,
+    NEUTRAL,
+    ReportFigure,
+    add_legend,
+    assign_numbers,
+    draw_interval,
+    format_percent,
+    style,
+)
+from kinebench_drake.report.suite.episode import (
+    EpisodeResult,
+    SuitePart,
+    group_by,
+    group_by_run,
+    list_models,
+    mean_over_tasks,
+)
+from kinebench_drake.report.table import Column, Table, Value
+from kinebench_drake.results.aggregate import Estimate, estimate
+from kinebench_drake.results.row import Status
+
+VERDICTS = ("grounding", "generation", "execution", "task")
+"""Causes of failure, in causal order (see docs/formats.md)."""
+NO_VERDICT = "no verdict"
+"""Failures without a recorded cause."""
+_NOT_MEASURED = "not measured"
+_MAX_MODELS = 8
+"""Models up to which success is drawn as points with intervals; more are drawn as a heat map."""
+_PERCENT = "{:.1%}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Tally:
+    """Numbers of a group of episodes."""
+
+    episodes: int
+    """All episodes."""
+    tasks: int
+    """Tasks with a measured episode."""
+    measured: int
+    """Episodes that ended as a success or a failure."""
+    unmeasurable: int
+    """Episodes with status unmeasurable, or without `success`: neither success nor failure."""
+    errors: int
+    """Episodes with status error."""
+    pooled: Estimate
+    """Share of successes among the measured, with Wilson's interval."""
+    counted: Estimate
+    """Share of successes among all, unmeasured ones counted as failures."""
+    success: Estimate
+    """Success, mean over tasks with a bootstrap interval."""
+    progress: Estimate
+    """Progress 0..1, mean over tasks."""
+    rounds: Estimate
+    """Clips requested, mean over tasks."""
+    sparc: Estimate
+    """SPARC, mean over tasks."""
+    cost: Estimate
+    """Scaled manipulability cost 0..1, mean over tasks."""
+    verdicts: Mapping[str, int]
+    """Measured failures by verdict, NO_VERDICT included."""
+
+
+def tally(episodes: Sequence[EpisodeResult], seed: int = 0) -> Tally:
+    """Count a group of episodes; every task has the same weight in the means."""
+    outcomes = [e.success for e in episodes]
+    measured = [o for o in outcomes if o is not None]
+    errors = sum(e.row.status is Status.ERROR for e in episodes)
+    failures = Counter(e.verdict or NO_VERDICT for e in episodes if e.success is False)
+    verdicts = {name: failures.pop(name, 0) for name in VERDICTS}
+    return Tally(
+        episodes=len(episodes),
+        tasks=len({e.task for e in episodes if e.success is not None}),
+        measured=len(measured),
+        errors=errors,
+        unmeasurable=len(episodes) - len(measured) - errors,
+        pooled=estimate(measured, total=len(episodes)),
+        counted=estimate([o is True for o in outcomes], total=len(episodes)),
+        success=mean_over_tasks(episodes, lambda e: e.hit, seed),
+        progress=mean_over_tasks(episodes, lambda e: e.progress, seed),
+        rounds=mean_over_tasks(episodes, lambda e: e.rounds, seed),
+        sparc=mean_over_tasks(episodes, lambda e: e.metric("sparc"), seed),
+        cost=mean_over_tasks(episodes, lambda e: e.cost_scaled, seed),
+        verdicts={**verdicts, NO_VERDICT: sum(failures.values())},
+    )
+
+
+COST_COLUMN = Column(
+    key="manipulability_cost_scaled", label="Manipulability cost, scaled", pattern="{:.2f}", estimated=True,
+    meaning="0 at the 10th percentile of all episodes here, 1 at the 90th; lower is better",
+)  # fmt: skip
+_TALLY = (
+    Column(key="progress", label="Progress", pattern=_PERCENT, estimated=True, meaning="share of the steps completed"),
+    Column(key="rounds", label="Rounds", pattern="{:.2f}", estimated=True, meaning="clips requested from the model"),
+    Column(key="sparc", label="SPARC", pattern="{:.2f}", estimated=True, meaning="nearer 0 is smoother"),
+    COST_COLUMN,
+    Column(key="measured", label="Measured", meaning="episodes that ended as a success or as a failure"),
+    Column(key="episodes", label="Episodes"),
+    Column(key="unmeasurable", label="Unmeasurable", meaning="neither success nor failure"),
+    Column(key="errors", label="Errors", meaning="neither success nor failure"),
+    Column(
+        key="success_all", label="Success, unmeasured as failures", pattern=_PERCENT, estimated=True,
+        meaning="share of all episodes, with Wilson's interval",
+    ),
+    *(Column(key=f"failed_{name}", label=f"Failed: {name}") for name in VERDICTS),
+    Column(key="failed_no_verdict", label=f"Failed: {NO_VERDICT}"),
+)  # fmt: skip
+
+
+def _tally_cells(t: Tally) -> list[Value]:
+    means = [t.progress, t.rounds, t.sparc, t.cost]
+    return [*means, t.measured, t.episodes, t.unmeasurable, t.errors, t.counted, *t.verdicts.values()]
+
+
+def tabulate_suites(episodes: Sequence[EpisodeResult], seed: int = 0) -> Table:
+    """Build the table of task-balanced success of every model (rows) on every part (columns).
+
+    The best model of each part is bold; models that did fewer tasks of a part than others are no candidates.
+    """
+    parts, models = sorted({e.part for e in episodes}), list_models(episodes)
+    tallies = {key: tally(own, seed) for key, own in group_by(episodes, lambda e: (e.model, e.part)).items()}
+    rows = [tuple[Value, ...]([m, *(t.success if (t := tallies.get((m, p))) else None for p in parts)]) for m in models]
+    return Table(
+        name="suites",
+        title="Closed-loop success by suite",
+        note="Mean over tasks of the share of successes among measured episodes; 95 % bootstrap intervals over "
+        "episodes within tasks. A dash: not run." + _incomplete(tallies, episodes),
+        columns=(
+            Column(key="model", label="Model"),
+            *(Column(key=p.slug, label=p.title, pattern=_PERCENT, estimated=True) for p in parts),
+        ),
+        rows=tuple(rows),
+        bold=frozenset(cell for k, part in enumerate(parts) for cell in _best(rows, k + 1, tallies, part)),
+    )
+
+
+def _best(
+    rows: Sequence[tuple[Value, ...]], column: int, tallies: Mapping[tuple[str, SuitePart], Tally], part: SuitePart
+) -> list[tuple[int, int]]:
+    """List the cells of the greatest mean among the models that did the most tasks of a part; none if all are equal."""
+    tasks = {model: t.tasks for (model, own), t in tallies.items() if own == part}
+    cells = {i: row[column] for i, row in enumerate(rows) if tasks.get(str(row[0])) == max(tasks.values())}
+    means = {i: v.mean for i, v in cells.items() if isinstance(v, Estimate) and v.mean is not None}
+    best = max(means.values(), default=0.0)
+    return [(i, column) for i, value in means.items() if value == best] if len(set(means.values())) > 1 else []
+
+
+def _incomplete(tallies: Mapping[tuple[str, SuitePart], Tally], episodes: Sequence[EpisodeResult]) -> str:
+    """Name the means over fewer tasks than others of their part, which are not comparable with these."""
+    notes = []
+    for part, own in sorted(group_by(episodes, lambda e: e.part).items()):
+        tasks = len({e.task for e in own})
+        notes += [
+            f"{model} did {t.tasks} of {tasks} tasks of {part.title}"
+            for (model, at), t in tallies.items()
+            if at == part and t.tasks < tasks
+        ]
+    return f" Not over the same tasks: {'; '.join(notes)}." if notes else ""
+
+
+def tabulate_summary(episodes: Sequence[EpisodeResult], seed: int = 0) -> Table:
+    """Build the table of all counts, a row per part and model."""
+    return Table(
+        name="summary",
+        title="Each suite and model in numbers",
+        note="Every task counts the same in success, progress, rounds, SPARC and cost (95 % bootstrap intervals over "
+        "episodes within tasks); pooled success counts every episode the same (95 % Wilson intervals). Episodes that "
+        "could not be measured are no failures: the last rate shows what they would make of it if they were.",
+        columns=(
+            Column(key="part", label="Suite"),
+            Column(key="model", label="Model"),
+            Column(key="tasks", label="Tasks"),
+            Column(key="success", label="Success", pattern=_PERCENT, estimated=True, meaning="mean over tasks"),
+            Column(key="success_pooled", label="Success, pooled", pattern=_PERCENT, estimated=True),
+            *_TALLY,
+        ),
+        rows=tuple(
+            (part.title, model, t.tasks, t.success, t.pooled, *_tally_cells(t))
+            for part, model, own in group_by_run(episodes)
+            for t in [tally(own, seed)]
+        ),
+    )
+
+
+def tabulate_tasks(episodes: Sequence[EpisodeResult], seed: int = 0) -> Table:
+    """Build the table of all counts, a row per part, task and model."""
+    groups = group_by(episodes, lambda e: (e.part, e.task, e.model)).items()
+    return Table(
+        name="tasks",
+        title="Each task",
+        note="Success with 95 % Wilson intervals, the other means with 95 % bootstrap intervals over episodes.",
+        columns=(
+            Column(key="part", label="Suite"),
+            Column(key="task", label="Task"),
+            Column(key="model", label="Model"),
+            Column(key="success", label="Success", pattern=_PERCENT, estimated=True),
+            *_TALLY,
+        ),
+        rows=tuple(
+            (part.title, task, model, t.pooled, *_tally_cells(t))
+            for (part, task, model), own in sorted(groups, key=lambda item: item[0][:2])
+            for t in [tally(own, seed)]
+        ),
+        latex=False,
+    )
+
+
+def draw_success(episodes: Sequence[EpisodeResult]) -> list[ReportFigure]:
+    """Draw success by task and model, one figure per part."""
+    models, figures = list_models(episodes), []
+    for part, own in sorted(group_by(episodes, lambda e: e.part).items()):
+        tasks, here = sorted({e.task for e in own}, reverse=True), [m for m in models if any(e.model == m for e in own)]
+        caption = "Share of successes among measured episodes"
+        if len(here) > _MAX_MODELS:
+            figure = _draw_map(own, tasks, here)
+            caption += " [%]; the table of tasks has the intervals."
+        else:
+            figure, axes = new_figure(7.2, 1.3 + len(tasks) * max(0.3, 0.1 + 0.1 * len(here)))
+            ax = axes[0, 0]
+            numbers = assign_numbers(models, here)
+            for k, model in enumerate(here):
+                colour, marker = style(numbers[model])
+                offset = 0.62 * (0.5 - (k + 0.5) / len(here))
+                for task, some in group_by([e for e in own if e.model == model], lambda e: e.task).items():
+                    draw_interval(ax, tally(some).pooled, tasks.index(task) + offset, colour, marker)
+                ax.plot([], [], color=colour, marker=marker, markersize=4, linewidth=1.2, label=plain(model))
+            ax.set_yticks(range(len(tasks)), [plain(n) for n in tasks], fontsize=8)
+            ax.set_ylim(-0.6, len(tasks) - 0.4)
+            format_percent(ax)
+            ax.set_xlabel("success, 95 % Wilson interval", fontsize=9)
+            add_legend(figure, here)
+            caption += ", with 95 % Wilson intervals."
+        name, title = f"success_{part.slug}", f"{part.title}: success by task"
+        figures.append(ReportFigure(name=name, title=title, caption=caption, figure=figure))
+    return figures
+
+
+def _draw_map(episodes: Sequence[EpisodeResult], tasks: Sequence[str], models: Sequence[str]) -> Any:
+    """Draw success by task (rows, bottom to top) and model (columns) as a heat map with numbers."""
+    rates = {key: tally(own).pooled.mean for key, own in group_by(episodes, lambda e: (e.task, e.model)).items()}
+    shades = np.array([[np.nan if (r := rates.get((t, m))) is None else r for m in models] for t in tasks])
+    figure, axes = new_figure(2.2 + 0.42 * len(models), 2.6 + 0.26 * len(tasks))
+    ax = axes[0, 0]
+    ax.grid(False)
+    ax.pcolormesh(
+        np.arange(len(models) + 1) - 0.5, np.arange(len(tasks) + 1) - 0.5, shades, cmap="Blues", vmin=0, vmax=1.3
+    )
+    for (row, column), rate in np.ndenumerate(shades):
+        if np.isfinite(rate):
+            colour = "#fefefe" if rate > 0.7 else "#101010"
+            ax.text(column, row, f"{100.0 * rate:.0f}", ha="center", va="center", fontsize=7, color=colour)
+    ax.set_yticks(range(len(tasks)), [plain(n) for n in tasks], fontsize=8)
+    ax.set_xticks(range(len(models)), [plain(n) for n in models], fontsize=8, rotation=90)
+    return figure
+
+
+def draw_verdicts(episodes: Sequence[EpisodeResult]) -> ReportFigure:
+    """Draw the outcomes of all episodes of every model on every part as stacked bars."""
+    runs = group_by_run(episodes)
+    colours = {
+        "success": GOOD,
+        **dict(zip(VERDICTS, (COLOURS[0], COLOURS[1], COLOURS[4], COLOURS[3]), strict=True)),
+        NO_VERDICT: COLOURS[5],
+        _NOT_MEASURED: NEUTRAL,
+    }
+    shares = [_shares(tally(own)) for *_, own in runs]
+    figure, axes = new_figure(7.2, 1.3 + 0.36 * len(runs))
+    ax = axes[0, 0]
+    left = [0.0] * len(runs)
+    for name, colour in colours.items():
+        widths = [share[name] for share in shares]
+        if any(widths):
+            places = [len(runs) - 1 - k for k in range(len(runs))]
+            ax.barh(places, widths, left=left, color=colour, height=0.68, label=name, edgecolor="white", linewidth=0.6)
+            left = [a + b for a, b in zip(left, widths, strict=True)]
+    names = [plain(f"{part.title} · {model}") for part, model, _ in reversed(runs)]
+    ax.set_yticks(range(len(runs)), names, fontsize=8)
+    format_percent(ax)
+    ax.set_xlabel("share of all episodes", fontsize=9)
+    ax.set_ylim(-0.6, len(runs) - 0.4)
+    add_legend(figure, list(colours))
+    return ReportFigure(
+        name="verdicts",
+        title="Outcomes of the episodes",
+        caption="Shares of all episodes: successes; failures by verdict (grounding: the gripper was not read; "
+        "generation: the video shows what no robot does; execution: the executed gripper deviates from the imagined "
+        "one; task: none of these, and the goal was not reached); episodes that could not be measured.",
+        figure=figure,
+    )
+
+
+def _shares(t: Tally) -> dict[str, float]:
+    successes = round((t.pooled.mean or 0.0) * t.measured)
+    counts = {"success": successes, **t.verdicts, _NOT_MEASURED: t.unmeasurable + t.errors}
+    return {name: count / t.episodes for name, count in counts.items()}

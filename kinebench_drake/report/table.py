@@ -1,0 +1,176 @@
+"""Tables of values with intervals: as CSV, as LaTeX, as text, and the number formatting that pages share."""
+
+import csv
+import io
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import TypeAlias
+
+from kinebench_drake.results.aggregate import Estimate
+
+Value: TypeAlias = str | int | float | Estimate | None
+DASH = "–"
+"""Text of a missing value."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Column:
+    """One column of a table."""
+
+    key: str
+    """Name in files."""
+    label: str
+    """Name on pages."""
+    pattern: str = "{}"
+    """Format of the numbers."""
+    meaning: str = ""
+    """Tooltip of the heading: one clause."""
+    estimated: bool = False
+    """True if the values are estimates: CSV files then have columns for the interval and the sample count."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Table:
+    """A table with its caption."""
+
+    name: str
+    """Stem of the file names."""
+    title: str
+    note: str
+    """Contents, and how to read them."""
+    columns: tuple[Column, ...]
+    rows: tuple[tuple[Value, ...], ...]
+    bold: frozenset[tuple[int, int]] = field(default_factory=frozenset)
+    """(row, column) of the cells set in bold."""
+    latex: bool = True
+    """True if a LaTeX file is written, too."""
+
+    def __post_init__(self) -> None:
+        """Check that every row has as many cells as there are columns.
+
+        Raises:
+            ValueError: it has not.
+        """
+        for row in self.rows:
+            if len(row) != len(self.columns):
+                raise ValueError(f"table {self.name}: a row of {len(row)} cells under {len(self.columns)} columns")
+
+    @property
+    def numeric(self) -> list[bool]:
+        """True for each column that holds no text."""
+        return [not any(isinstance(row[k], str) for row in self.rows) for k in range(len(self.columns))]
+
+
+def format_value(value: Value, pattern: str) -> str:
+    """Format a number, or the mean of an estimate; a dash if it is missing."""
+    if isinstance(value, Estimate):
+        value = value.mean
+    if value is None:
+        return DASH
+    return value if isinstance(value, str) else pattern.format(value)
+
+
+def format_interval(value: Value, pattern: str) -> str | None:
+    """Format the interval of an estimate; None if there is none."""
+    if not isinstance(value, Estimate) or value.low is None or value.high is None:
+        return None
+    return f"{pattern.format(value.low)} to {pattern.format(value.high)}"
+
+
+def sort_key(value: Value) -> str:
+    """Return the text by which a page sorts a value; empty if it is missing."""
+    if isinstance(value, Estimate):
+        value = value.mean
+    return "" if value is None else str(value)
+
+
+def format_csv(heads: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """Format rows as CSV (RFC 4180 with line feeds), numbers with all digits."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(heads)
+    writer.writerows(rows)
+    return text.getvalue()
+
+
+def table_csv(table: Table) -> str:
+    """Format a table as CSV; an estimate takes four columns: mean, interval and number of values."""
+    heads = [c.key + tail for c in table.columns for tail in (("", "_low", "_high", "_n") if c.estimated else ("",))]
+
+    def cells(value: Value, column: Column) -> list[object]:
+        if isinstance(value, Estimate):
+            return [value.mean, value.low, value.high, value.n] if column.estimated else [None]
+        return [value, None, None, None] if column.estimated else [value]
+
+    return format_csv(
+        heads, ([x for v, c in zip(row, table.columns, strict=True) for x in cells(v, c)] for row in table.rows)
+    )
+
+
+def table_lines(table: Table) -> Iterator[str]:
+    """Format a table as text for a terminal, its columns aligned."""
+
+    def cell(value: Value, column: Column) -> str:
+        interval = format_interval(value, column.pattern)
+        return format_value(value, column.pattern) + (f" [{interval}]" if interval else "")
+
+    texts = [[column.label for column in table.columns]]
+    texts += [[cell(v, c) for c, v in zip(table.columns, row, strict=True)] for row in table.rows]
+    widths = [max(map(len, column)) for column in zip(*texts, strict=True)]
+    for text in texts:
+        aligned = zip(text, widths, table.numeric, strict=True)
+        yield "  ".join(t.rjust(width) if right else t.ljust(width) for t, width, right in aligned).rstrip()
+
+
+_LATEX = {
+    "\\": r"\textbackslash{}",
+    **{char: "\\" + char for char in "&%$#_{}"},
+    "~": r"\textasciitilde{}",
+    "^": r"\textasciicircum{}",
+    "<": r"\textless{}",
+    ">": r"\textgreater{}",
+    "|": r"\textbar{}",
+    "[": "{[}",
+    "]": "{]}",
+    '"': r"\textquotedbl{}",
+    DASH: "--",
+    "−": "$-$",
+}
+
+
+def escape_latex(text: str) -> str:
+    """Escape all characters that are commands in LaTeX."""
+    return "".join(_LATEX.get(char, char) for char in " ".join(text.split()))
+
+
+def table_latex(table: Table) -> str:
+    """Format a table as a LaTeX `table` environment (package booktabs), intervals in small type after the means."""
+
+    def cell(value: Value, column: Column, bold: bool) -> str:
+        text = escape_latex(format_value(value, column.pattern))
+        interval = format_interval(value, column.pattern)
+        text = f"\\textbf{{{text}}}" if bold else text
+        return text if interval is None else f"{text} {{\\scriptsize ({escape_latex(interval)})}}"
+
+    body = [
+        [cell(v, c, (i, k) in table.bold) for k, (c, v) in enumerate(zip(table.columns, row, strict=True))]
+        for i, row in enumerate(table.rows)
+    ]
+    return "\n".join(
+        [
+            "% needs \\usepackage{booktabs}",
+            r"\begin{table}[t]",
+            r"  \centering",
+            f"  \\caption{{{escape_latex(table.title)}. {escape_latex(table.note)}}}",
+            f"  \\label{{tab:{table.name.replace('_', '-')}}}",
+            f"  \\begin{{tabular}}{{{''.join('r' if numeric else 'l' for numeric in table.numeric)}}}",
+            r"    \toprule",
+            f"    {' & '.join(escape_latex(column.label) for column in table.columns)} \\\\",
+            r"    \midrule",
+            *(f"    {' & '.join(cells)} \\\\" for cells in body),
+            r"    \bottomrule",
+            r"  \end{tabular}",
+            r"\end{table}",
+            "",
+        ]
+    )
