@@ -6,7 +6,6 @@ import threading
 
 import numpy as np
 import pytest
-from tests.report.suite.synthetic import write_run
 
 from kinebench_drake.datasets.manifest import inside
 from kinebench_drake.datasets.videos.find import find_samples
@@ -19,6 +18,7 @@ from kinebench_drake.report.suite.suite_page import write_suite_report
 from kinebench_drake.results.row import Status
 from kinebench_drake.results.store import ResultStore
 from tests.report.pages import Page, row
+from tests.report.suite.synthetic import write_run
 
 # What users hand in
 

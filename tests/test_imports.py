@@ -185,9 +185,8 @@ def test_every_package_and_data_file_is_shipped():
         first, *rest = path.relative_to(ROOT).parent.parts
         found.add(".".join([PACKAGE, *([] if first == PACKAGE else [first]), *rest]))
     assert sorted(settings["packages"]) == sorted(found)
-    for name in ("report", "report.suite"):
-        template = ROOT.joinpath(PACKAGE, *name.split("."), "page.html.j2")
-        assert any(template.match(pattern) for pattern in settings["package-data"][f"{PACKAGE}.{name}"])
+    for template in (ROOT / PACKAGE / "report").glob("*.j2"):
+        assert any(template.match(pattern) for pattern in settings["package-data"][f"{PACKAGE}.report"])
 
 
 def test_the_folders_at_the_top_are_the_packages_within():

@@ -19,7 +19,7 @@ from kinebench_drake.io.container import write_video
 from kinebench_drake.results.trackfile import pack_arrays, write_track
 from kinebench_drake.types import GripperTrack
 from tests.reliability.damage import Tree, npy
-from tests.suite_report.synthetic import write_run
+from tests.report.suite.synthetic import write_run
 
 SIDE_PX, FRAMES, FPS = 96, 4, 10
 CAMERA_KEY = "observation.images.front"

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from kinebench_drake.geometry import make_pose
-from kinebench_drake.report import page, write_report
+from kinebench_drake.report import page
+from kinebench_drake.report.page import write_report
 from kinebench_drake.results.store import ResultStore
 from kinebench_drake.results.trackfile import write_track
 from kinebench_drake.types import GripperTrack, IkStatus, JointTrack
@@ -90,8 +91,8 @@ def test_each_trajectory_shows_curves_against_limits(audit):
     fast = section(write_report(audit).read_text(), "fast")
     titles = re.findall(r"<figcaption>([^<]*)", fast)
     assert titles == [
-        "When it goes wrong [frames]",
-        "Joints within their ranges; right: least margin",
+        "Faults over frames",
+        "Joint angles within their limits; right: minimum margin",
         "Joint speed / limit:",
         "Manipulability",
         "Clearance [mm]",
@@ -127,7 +128,7 @@ def test_replays_are_linked_where_they_exist(audit):
 
 def test_the_run_s_own_scale_is_shown(audit):
     text = write_report(audit).read_text()
-    scale = text[text.index("On the run") :]
+    scale = text[text.index("Normalized within the run") :]
     assert re.search(r"noise_floor</td><td[^>]*>0\.2</td><td[^>]*>0\.4</td><td[^>]*>0\.250</td>", scale)
 
 
@@ -149,4 +150,4 @@ def test_endless_violations_are_cut_short(tmp_path):
         store.finish({"kind": "audit"})
     wild = section(write_report(tmp_path).read_text(), "wild")
     assert wild.count('<tr class="broken">') == 20
-    assert "480 more limits" in wild
+    assert "480 more violations" in wild

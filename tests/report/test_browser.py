@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from kinebench_drake.geometry import make_pose
-from kinebench_drake.report import write_report
+from kinebench_drake.report.page import write_report
 from kinebench_drake.results.row import Status
 from kinebench_drake.results.store import ResultStore
 from kinebench_drake.results.trackfile import write_track
@@ -31,22 +31,22 @@ PROBE = """
 addEventListener("load", () => {
   const table = document.getElementById("samples");
   const ids = () => [...table.tBodies].filter(b => !b.hidden).map(b => b.dataset.id);
-  const told = {errors: window.troubles, ids: ids()};
+  const state = {errors: window.troubles, ids: ids()};
   document.querySelector("[data-more=samples]").click();
-  told.all = ids().length;
+  state.all = ids().length;
   const heads = [...table.tHead.querySelectorAll("button")];
   heads.find(head => head.textContent === "SPARC").click();
-  told.sorted = ids();
+  state.sorted = ids();
   document.querySelector("[data-pick=good]").click();
-  told.picked = ids().length;
+  state.picked = ids().length;
   document.querySelector(".open").click();
   for (const body of table.tBodies) if (!body.hidden) body.querySelector(".open").click();
-  told.figures = table.querySelectorAll("figure").length;
+  state.figures = table.querySelectorAll("figure").length;
   const parts = [...document.querySelectorAll("main > *, .inner > *")];
-  told.wide = parts.filter(part => part.getBoundingClientRect().right > document.documentElement.clientWidth).length;
-  told.overflow = document.documentElement.scrollWidth - document.documentElement.clientWidth;
-  told.width = innerWidth;
-  document.documentElement.setAttribute("data-told", JSON.stringify(told));
+  state.wide = parts.filter(part => part.getBoundingClientRect().right > document.documentElement.clientWidth).length;
+  state.overflow = document.documentElement.scrollWidth - document.documentElement.clientWidth;
+  state.width = innerWidth;
+  document.documentElement.setAttribute("data-state", JSON.stringify(state));
 });
 </script>
 """
@@ -84,13 +84,13 @@ def test_the_page_works_in_a_browser_on_a_phone(page, tmp_path):
         capture_output=True, text=True, timeout=120, check=True,
     )  # fmt: skip
     assert "CONSOLE" not in done.stderr
-    told = json.loads(re.search(r'data-told="([^"]*)"', done.stdout)[1].replace("&quot;", '"'))
-    assert told["errors"] == []
-    assert told["width"] <= 500  # as narrow as the browser's windows get
-    assert (told["overflow"], told["wide"]) == (0, 0)
-    assert len(told["ids"]) == 100
-    assert told["all"] == 131
-    sparc = [int(id[-3:]) * 37 % 130 for id in told["sorted"] if id[-3:].isdigit()]
+    state = json.loads(re.search(r'data-state="([^"]*)"', done.stdout)[1].replace("&quot;", '"'))
+    assert state["errors"] == []
+    assert state["width"] <= 500  # as narrow as the browser's windows get
+    assert (state["overflow"], state["wide"]) == (0, 0)
+    assert len(state["ids"]) == 100
+    assert state["all"] == 131
+    sparc = [int(id[-3:]) * 37 % 130 for id in state["sorted"] if id[-3:].isdigit()]
     assert sparc == sorted(sparc)
-    assert told["picked"] == 2
-    assert told["figures"] > 0
+    assert state["picked"] == 2
+    assert state["figures"] > 0

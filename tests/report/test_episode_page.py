@@ -1,10 +1,10 @@
-"""The html report of a run in closed loop: success before feasibility, the cause of each failure, films linked."""
+"""The html report of a run in closed loop: success before feasibility, the cause of each failure, videos linked."""
 
 import re
 
 import pytest
 
-from kinebench_drake.report import write_report
+from kinebench_drake.report.page import write_report
 from kinebench_drake.results.row import Status
 from kinebench_drake.results.store import ResultStore
 from tests.report.pages import EVIL, Page, row
@@ -15,10 +15,10 @@ def page(tmp_path):
     """Two tasks: one episode each that succeeds, and one that fails."""
     with ResultStore(tmp_path) as store:
         for task, verdict in (("CloseBox-v1", "task"), ("StackCube-v1", "execution")):
-            for seed, told in enumerate((None, verdict)):
-                cause = told and {"verdict": told, "text": f"off by {EVIL}"}
-                extra = {"success": told is None, "progress": 0.5 + 0.5 * (told is None), "rounds": 1 + 2 * seed}
-                extra |= {"verdict": told, "cause": cause}
+            for seed, failure in enumerate((None, verdict)):
+                cause = failure and {"verdict": failure, "text": f"off by {EVIL}"}
+                extra = {"success": failure is None, "progress": 0.5 + 0.5 * (failure is None), "rounds": 1 + 2 * seed}
+                extra |= {"verdict": failure, "cause": cause}
                 store.append(row(f"{task}_s{seed}", task=task, feasible=True, extra=extra), 0.1)
         store.append(row("StackCube-v1_s2", status=Status.ERROR, task="StackCube-v1"), 0.1)
         config = {"world_model": "wan", "suite": 2, "split": "unseen"}
@@ -42,12 +42,12 @@ def test_each_failure_has_its_cause(page):
     assert EVIL not in page
 
 
-def test_films_are_linked_where_they_are(page):
+def test_videos_are_linked_where_they_exist(page):
     links = [link for link in Page(page).links if not link.startswith("data:")]
     assert links == ["rollouts/CloseBox-v1_s1.mp4"]
 
 
-def test_tasks_are_told_by_success(page):
+def test_tasks_have_a_column_of_success(page):
     table = page[page.index("<h2>By task</h2>") :]
     heads = re.findall(r"<th(?: [^>]*)?>(?:<button[^>]*>)?([^<]*)", table[: table.index("</thead>")])
     assert heads[:5] == ["Task", "Measured", "Verdicts", "Success", "Feasible"]

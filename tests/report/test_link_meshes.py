@@ -2,28 +2,28 @@
 
 import numpy as np
 import pytest
-from kinebench_drake.report.link_meshes import MAX_TRIANGLES, link_meshes
 
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.models.arm import load_robot
+from kinebench_drake.report.replay import MAX_TRIANGLES, link_meshes
 
 
 def by_link(plant):
-    return {surface.link: surface for surface in link_meshes(plant)}
+    return {mesh.link: mesh for mesh in link_meshes(plant)}
 
 
-def test_the_panda_s_surfaces_are_light_and_of_its_size():
-    surfaces = by_link(ArmPlant())
-    assert set(surfaces) == {
+def test_the_panda_s_meshes_are_light_and_of_its_size():
+    meshes = by_link(ArmPlant())
+    assert set(meshes) == {
         *(f"panda_link{k}" for k in range(8)),
         "panda_hand",
         "panda_leftfinger",
         "panda_rightfinger",
     }
-    for surface in surfaces.values():
-        assert len(surface.faces) <= MAX_TRIANGLES
-        assert surface.faces.max() < len(surface.vertices)
-    size = np.ptp(surfaces["panda_hand"].vertices, axis=0)
+    for mesh in meshes.values():
+        assert len(mesh.faces) <= MAX_TRIANGLES
+        assert mesh.faces.max() < len(mesh.vertices)
+    size = np.ptp(meshes["panda_hand"].vertices, axis=0)
     np.testing.assert_allclose(size, [0.063, 0.204, 0.092], atol=0.005)  # the hand as its maker draws it
 
 
@@ -38,7 +38,7 @@ SHAPES = {
     ),
     5: ('<collision><geometry><box size="0.2 0.2 0.2"/></geometry></collision>', [0.2, 0.2, 0.2]),
 }
-"""Elements of a link, by its number, and the extent of its surface [m]."""
+"""Elements of a link, by its number, and the extent of its mesh [m]."""
 
 
 @pytest.fixture
@@ -60,9 +60,9 @@ def arm(tmp_path):
     return ArmPlant(load_robot(path, "link7"))
 
 
-def test_plain_shapes_have_surfaces_too(arm):
-    surfaces = by_link(arm)
-    assert set(surfaces) == {f"link{k}" for k in SHAPES}
+def test_plain_shapes_have_meshes_too(arm):
+    meshes = by_link(arm)
+    assert set(meshes) == {f"link{k}" for k in SHAPES}
     for k, (_, extent) in SHAPES.items():
-        np.testing.assert_allclose(np.ptp(surfaces[f"link{k}"].vertices, axis=0), extent, rtol=0.02)
-    assert surfaces["link4"].vertices[:, 0].max() == pytest.approx(0.55)
+        np.testing.assert_allclose(np.ptp(meshes[f"link{k}"].vertices, axis=0), extent, rtol=0.02)
+    assert meshes["link4"].vertices[:, 0].max() == pytest.approx(0.55)

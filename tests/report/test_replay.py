@@ -13,8 +13,8 @@ from kinebench_drake.errors import SetupError, UnmeasurableError, UsageError
 from kinebench_drake.geometry import invert, make_pose, rotation_exp
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.report import replay
-from kinebench_drake.report.replay import ReplayWriter, replay_path, write_replays
-from kinebench_drake.report.replay_scene import _along, _linear, _tube
+from kinebench_drake.report.replay import build_replay, link_meshes, write_replays
+from kinebench_drake.report.replay_scene import _interpolate, _linear, _tube
 from kinebench_drake.report.sample import worst_samples
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.results.store import ResultStore, artifact_path, read_rows
@@ -30,8 +30,8 @@ def plant():
 
 
 @pytest.fixture(scope="module")
-def writer(plant):
-    return ReplayWriter(plant)
+def build(plant):
+    return partial(build_replay, plant, link_meshes(plant))
 
 
 @pytest.fixture
@@ -50,16 +50,16 @@ def joints(plant):
 @pytest.fixture
 def track(plant, joints):
     X = np.full((N, 4, 4), np.nan)
-    known = np.isfinite(joints.q[:, 0])
-    X[known] = [plant.forward(q) for q in joints.q[known]]
+    solved = np.isfinite(joints.q[:, 0])
+    X[solved] = [plant.forward(q) for q in joints.q[solved]]
     X[8, 2, 3] += 0.05
     return GripperTrack(
         t_s=joints.t_s,
         X_CH=X,
         X_BG=X,
-        tracked=known,
-        confidence=known * 0.9,
-        finger_width_m=np.where(known, 0.04, np.nan),
+        tracked=solved,
+        confidence=solved * 0.9,
+        finger_width_m=np.where(solved, 0.04, np.nan),
     )
 
 
@@ -99,14 +99,14 @@ def paths(html):
     }
 
 
-def test_the_same_track_gives_the_same_bytes_below_five_megabytes(writer, file):
-    page = writer.page(row(), file)
-    assert writer.page(row(), file) == page
+def test_the_same_track_gives_the_same_bytes_below_five_megabytes(build, file):
+    page = build(row(), file)
+    assert build(row(), file) == page
     assert len(page.encode()) < 5e6
 
 
-def test_the_page_may_fetch_nothing_but_its_own_data(writer, file):
-    page = writer.page(row(), file)
+def test_the_page_may_fetch_nothing_but_its_own_data(build, file):
+    page = build(row(), file)
     head = page[: page.index("<body")]
     policy = re.search(r'http-equiv="Content-Security-Policy" content="([^"]+)"', head)[1]
     assert "default-src 'none'" in policy
@@ -115,8 +115,8 @@ def test_the_page_may_fetch_nothing_but_its_own_data(writer, file):
     assert not re.search(r"<(?:script|link|img)[^>]+(?:src|href)=", page)
 
 
-def test_arm_and_wanted_gripper_are_there_where_they_differ(writer, plant, file, joints, track, tmp_path):
-    shown = paths(writer.page(row(), file))
+def test_arm_and_wanted_gripper_are_there_where_they_differ(build, plant, file, joints, track, tmp_path):
+    shown = paths(build(row(), file))
     assert {f"/arm/{name}" for name in ("panda_link0", "panda_link7", "panda_hand", "panda_leftfinger")} <= shown
     assert {"/gripper/panda_hand", "/reached", "/broken", "/table"} <= shown
     X = track.X_BG.copy()
@@ -128,21 +128,21 @@ def test_arm_and_wanted_gripper_are_there_where_they_differ(writer, plant, file,
         ),
         q=file.q, ik_ok=file.ik_ok, status=None, curves={},
     )  # fmt: skip
-    shown = paths(writer.page(row(violations=()), agreed))
+    shown = paths(build(row(violations=()), agreed))
     assert not {p for p in shown if p.startswith("/gripper")} | ({"/reached", "/broken"} & shown)
 
 
-def test_the_gripper_alone_is_shown_without_joint_angles(writer, track, tmp_path):
+def test_the_gripper_alone_is_shown_without_joint_angles(build, track, tmp_path):
     write_track(tmp_path / "b.npz", track, None, {})
-    page = writer.page(row(feasible=None, violations=()), read_track(tmp_path / "b.npz"))
+    page = build(row(feasible=None, violations=()), read_track(tmp_path / "b.npz"))
     shown = paths(page)
     assert not {p for p in shown if p.startswith("/arm")}
     assert {"/gripper/panda_hand", "/gripper/panda_leftfinger", "/gripper/panda_rightfinger", "/tcp/x"} <= shown
     assert "Not judged" in page
 
 
-def test_the_bar_shows_each_frame_by_its_state(writer, file):
-    page = writer.page(row(), file)
+def test_the_bar_shows_each_frame_by_its_state(build, file):
+    page = build(row(), file)
     bar = re.findall(r'<i class="(\w+)" style="flex: (\d+)"', page)
     assert bar == [
         ("ok", "2"),
@@ -156,16 +156,14 @@ def test_the_bar_shows_each_frame_by_its_state(writer, file):
     assert "velocity, panda_joint4: 0.40 to 0.60 s" in page
 
 
-def test_names_are_not_taken_for_html(writer, file):
+def test_names_are_not_taken_for_html(build, file):
     evil = "<script>alert(1)</script>"
-    page = writer.page(
-        row(id=evil, violations=({"kind": evil, "frame_start": 0, "frame_end": 0, "joint": evil},)), file
-    )
+    page = build(row(id=evil, violations=({"kind": evil, "frame_start": 0, "frame_end": 0, "joint": evil},)), file)
     assert evil not in page
     assert page.count("&lt;script&gt;") >= 4
 
 
-def test_the_server_is_gone(writer, file, monkeypatch):
+def test_the_server_is_gone(build, file, monkeypatch):
     ports = []
 
     def meshcat(parameters):
@@ -175,22 +173,22 @@ def test_the_server_is_gone(writer, file, monkeypatch):
         return server
 
     monkeypatch.setattr(replay, "Meshcat", meshcat)
-    writer.page(row(), file)
+    build(row(), file)
     (port,) = ports
     with pytest.raises(ConnectionRefusedError):
         socket.create_connection(("localhost", port), timeout=5.0)
 
 
-def test_a_machine_without_ports_is_told(writer, file, monkeypatch):
+def test_a_machine_without_ports_is_reported(build, file, monkeypatch):
     def refuse(parameters):
         raise RuntimeError("Meshcat failed to open a websocket port.")
 
     monkeypatch.setattr(replay, "Meshcat", refuse)
     with pytest.raises(SetupError, match="port of this machine"):
-        writer.page(row(), file)
+        build(row(), file)
 
 
-def test_a_track_of_one_frame_and_an_empty_one(writer, file):
+def test_a_track_of_one_frame_and_an_empty_one(build, file):
     track = file.track
     one = np.zeros(N, dtype=bool)
     one[3] = True
@@ -207,11 +205,9 @@ def test_a_track_of_one_frame_and_an_empty_one(writer, file):
         finger_width_m=np.full(N, np.nan),
     )
     q, ok = np.full((N, 7), np.nan), np.zeros(N, dtype=bool)
-    assert "/gripper/panda_hand" in paths(
-        writer.page(row(), TrackFile(track=lone, q=q, ik_ok=ok, status=None, curves={}))
-    )
+    assert "/gripper/panda_hand" in paths(build(row(), TrackFile(track=lone, q=q, ik_ok=ok, status=None, curves={})))
     with pytest.raises(UnmeasurableError, match="nothing to show"):
-        writer.page(row(), TrackFile(track=none, q=q, ik_ok=ok, status=None, curves={}))
+        build(row(), TrackFile(track=none, q=q, ik_ok=ok, status=None, curves={}))
 
 
 def test_replays_of_a_folder(tmp_path, plant, track, joints):
@@ -226,7 +222,7 @@ def test_replays_of_a_folder(tmp_path, plant, track, joints):
     assert worst_samples(rows, tracks, 5) == ["b", "a"]
     assert worst_samples(rows, tracks, 1) == ["b"]
     written = write_replays(tmp_path / "out", ["b", "trackless"], plant)
-    assert written == [replay_path(tmp_path / "out", "b")]
+    assert written == [artifact_path(tmp_path / "out", "replays", "b")]
     assert written[0].is_file()
     assert not list(written[0].parent.glob(".*"))
     with pytest.raises(UsageError, match="'c'"):
@@ -246,7 +242,7 @@ def test_tubes_are_closed_around_their_line():
 
 def test_poses_between_frames_move_straight_and_turn_evenly():
     X = make_pose(rotation_exp([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), [[0.0, 0.0, 0.0], [0.4, 0.0, 0.0]])
-    (quarter,) = _along(np.array([0.25]), np.array([0.0, 1.0]), X)
+    (quarter,) = _interpolate(np.array([0.25]), np.array([0.0, 1.0]), X)
     np.testing.assert_allclose(
         quarter @ invert(make_pose(rotation_exp([0.0, 0.0, 0.25]), [0.1, 0.0, 0.0])), np.eye(4), atol=1e-12
     )

@@ -1,7 +1,7 @@
 import pytest
-from tests.suite_report.synthetic import EVIL, failed, outcome, write_run
 
 from kinebench_drake.results.row import Status
+from tests.report.suite.synthetic import EVIL, failed, outcome, write_run
 
 
 @pytest.fixture
@@ -35,6 +35,6 @@ def runs(tmp_path):
             tags = {"data": str(data), "steps": str(steps)}
             folders.append(write_run(root / f"scale{data}_{steps}", episodes, model="small", suite=3, tags=tags))
     (root / "good0" / "rollouts").mkdir()
-    (root / "good0" / "rollouts" / f"{tasks[0]}_s0000.mp4").write_bytes(b"film")
+    (root / "good0" / "rollouts" / f"{tasks[0]}_s0000.mp4").write_bytes(b"video")
     (root / "good0" / "report.html").write_text("page")
     return folders

@@ -1,4 +1,4 @@
-"""Output folders of suite runs that never ran."""
+"""Synthetic output folders of suite runs."""
 
 import json
 
@@ -10,14 +10,14 @@ EVIL = "<script>alert('x')</script> & 50% _of_ $x$"
 
 
 def outcome(success, progress=None, verdict=None, sparc=-2.0, cost=8.0, rounds=1, **changes):
-    """What one episode came to, for `write_run`."""
+    """Fields of one episode's row, for `write_run`."""
     done = progress if progress is not None else float(success)
-    told = verdict or (None if success else "task")
-    cause = {"verdict": told, "text": f"because of {told}"} if told else None
+    failure = verdict or (None if success else "task")
+    cause = {"verdict": failure, "text": f"because of {failure}"} if failure else None
     return {
         "status": Status.OK,
         "metrics": {"sparc": sparc, "manipulability_cost_mean": cost, "tracked_fraction": 1.0, "anomalies": []},
-        "extra": {"success": success, "progress": done, "rounds": rounds, "verdict": told, "cause": cause},
+        "extra": {"success": success, "progress": done, "rounds": rounds, "verdict": failure, "cause": cause},
         **changes,
     }
 
@@ -33,12 +33,12 @@ def write_run(
     out.mkdir(parents=True)
     rows = []
     for task, outcomes in episodes.items():
-        for seed, found in enumerate(outcomes, first_seed):
-            found = outcome(found) if isinstance(found, bool) else found
+        for seed, result in enumerate(outcomes, first_seed):
+            result = outcome(result) if isinstance(result, bool) else result
             id = f"{task.replace('/', '_')}_s{seed:04d}"
             labels = {"seed": seed, "pool": "all", "variant": variant}
             row = {"id": id, "video": f"videos/{id}_r0.mp4", "task": task, "model": model, "reason": None}
-            row |= {"content_hash": "0", **found, "extra": {**found["extra"], **labels}}
+            row |= {"content_hash": "0", **result, "extra": {**result["extra"], **labels}}
             rows.append(SampleRow(**row))
     config = {"suite": suite, "split": split, "variant": variant, "rounds": 3, "control": "pd_joint_pos"}
     results = {

@@ -3,46 +3,19 @@
 import csv
 import io
 import re
-from html.parser import HTMLParser
 
 import pytest
-from kinebench_drake.report.suite.table import Column, Table, csv_text, escape, latex_text, lines
-from tests.suite_report.synthetic import EVIL, change, outcome, write_run
 
 from kinebench_drake.cli import main
 from kinebench_drake.errors import UsageError
-from kinebench_drake.report.suite import read_comparison, write_comparison, write_suite_report
-from kinebench_drake.report.suite import suite_page as page
-from kinebench_drake.report.suite.folders import gather, read_folders
-from kinebench_drake.report.suite.suite_page import build_page
+from kinebench_drake.report.suite import suite_page
+from kinebench_drake.report.suite.comparison import read_comparison
+from kinebench_drake.report.suite.folders import pool_episodes, read_folders
+from kinebench_drake.report.suite.suite_page import build_suite_page, write_comparison, write_suite_report
+from kinebench_drake.report.table import Column, Table, escape_latex, table_csv, table_latex, table_lines
 from kinebench_drake.results.aggregate import Estimate
-
-VOID = {"meta", "input", "br", "path", "rect", "use", "line", "circle"}
-
-
-class Page(HTMLParser):
-    """Collects what a page would load, its ids, and whether its tags balance."""
-
-    def __init__(self, text):
-        super().__init__()
-        self.links, self.open, self.ids, self.scripts = [], [], [], 0
-        self.feed(text)
-        self.close()
-
-    def handle_starttag(self, tag, attributes):
-        self.links += [v for k, v in attributes if k in ("src", "href", "xlink:href", "srcset", "action") and v]
-        self.ids += [v for k, v in attributes if k == "id"]
-        self.scripts += tag == "script"
-        if tag not in VOID:
-            self.open.append(tag)
-
-    def handle_startendtag(self, tag, attributes):
-        self.links += [v for k, v in attributes if k in ("href", "xlink:href") and v]
-        self.ids += [v for k, v in attributes if k == "id"]
-
-    def handle_endtag(self, tag):
-        if tag not in VOID:
-            assert self.open.pop() == tag
+from tests.report.pages import Page
+from tests.report.suite.synthetic import EVIL, change, outcome, write_run
 
 
 @pytest.fixture
@@ -63,7 +36,7 @@ def table():
 
 
 def test_csv_holds_the_numbers_in_full(table):
-    first, second = csv.DictReader(io.StringIO(csv_text(table)))
+    first, second = csv.DictReader(io.StringIO(table_csv(table)))
     assert first == {
         **{"who": EVIL, "n": "3", "rate": "0.1234567890123", "rate_low": "0.1", "rate_high": "0.2", "rate_n": "7"}
     }
@@ -71,13 +44,13 @@ def test_csv_holds_the_numbers_in_full(table):
 
 
 def test_latex_is_escaped_and_its_rows_fit(table):
-    text = latex_text(table)
+    text = table_latex(table)
     body = text[text.index(r"\midrule") : text.index(r"\bottomrule")].splitlines()[1:]
     rows = [line for line in body if line.strip()]
     assert all(len(re.findall(r"(?<!\\)&", row)) == 2 and row.endswith(r"\\") for row in rows)
     assert r"\textbf{12.3\%} {\scriptsize (10.0\% to 20.0\%)}" in rows[0]
     assert r"\begin{tabular}{lrr}" in text
-    assert escape("a_b\\c{$}") == r"a\_b\textbackslash{}c\{\$\}"
+    assert escape_latex("a_b\\c{$}") == r"a\_b\textbackslash{}c\{\$\}"
     depth = 0
     for brace in re.findall(r"(?<!\\)[{}]", text):
         depth += 1 if brace == "{" else -1
@@ -86,7 +59,7 @@ def test_latex_is_escaped_and_its_rows_fit(table):
 
 
 def test_printed_columns_are_aligned(table):
-    printed = list(lines(table))
+    printed = list(table_lines(table))
     assert printed[0].startswith("Who")
     assert printed[1].endswith("12.3% [10.0% to 20.0%]")
 
@@ -99,20 +72,20 @@ def test_a_row_must_fit_its_columns(table):
 def test_the_report_of_suite_runs(runs, tmp_path):
     out = tmp_path / "runs" / "report"
     text = write_suite_report(runs, out).read_text()
-    found = Page(text)
-    assert found.open == []
-    assert found.scripts == 1
-    assert len(found.ids) == len(set(found.ids))
+    page = Page(text)
+    assert page.open == []
+    assert page.scripts == 1
+    assert len(page.ids) == len(set(page.ids))
     assert not re.search(r"https?://|@import", text)
     assert str(tmp_path) not in text
     assert EVIL not in text
     assert "&lt;script&gt;" in text
-    outside = [link for link in found.links if not link.startswith("#")]
+    outside = [link for link in page.links if not link.startswith("#")]
     assert outside[0].startswith("../good0/")
     assert "../good0/rollouts/CloseBox-v1_s0000.mp4" in outside
     assert "../good0/report.html#CloseBox-v1_s0000" in outside
     assert all((out / link.split("#")[0]).is_file() for link in outside)
-    assert {link[1:] for link in found.links if link.startswith("#")} <= {*found.ids}
+    assert {link[1:] for link in page.links if link.startswith("#")} <= {*page.ids}
     names = {path.name for path in out.iterdir()}
     figures = ("success_suite0", "success_suite2_unseen", "success_suite3", "verdicts", "sparc_success")
     for figure in (*figures, "manipulability", "scaling_curves"):
@@ -129,9 +102,9 @@ def test_the_report_of_suite_runs(runs, tmp_path):
 
 
 def test_a_long_list_holds_all_models_failures_first(runs, tmp_path, monkeypatch):
-    monkeypatch.setattr(page, "LISTED", 100)
+    monkeypatch.setattr(suite_page, "LISTED", 100)
     folders = read_folders(runs)
-    text = build_page("t", folders, gather(folders), tmp_path, parts=())
+    text = build_suite_page("t", folders, pool_episodes(folders), tmp_path, parts=())
     outcomes = re.findall(r'<td class="o-(\w+)"', text)
     assert len(outcomes) == 100
     assert outcomes == sorted(outcomes, key=lambda o: o == "success")
@@ -192,7 +165,7 @@ def test_a_comparison_is_printed_and_written(runs, tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
-    ("changes", "told"),
+    ("changes", "message"),
     [
         ({"schema_version": 2}, "schema_version 1 and .* 2"),
         ({"suite_version": "1.1"}, "suite_version None and .* 1.1"),
@@ -201,11 +174,11 @@ def test_a_comparison_is_printed_and_written(runs, tmp_path, capsys):
         ({"config": {"suite": 1, "split": "test"}}, "share an episode"),
     ],
 )
-def test_folders_that_cannot_be_compared(tmp_path, changes, told):
+def test_folders_that_cannot_be_compared(tmp_path, changes, message):
     one = write_run(tmp_path / "one", {"T": [True]}, model="one")
     two = write_run(tmp_path / "two", {"T": [True]}, model="two")
     change(two, **changes)
-    with pytest.raises(UsageError, match=told) as error:
+    with pytest.raises(UsageError, match=message) as error:
         read_comparison([one, two])
     assert "\n" not in str(error.value)
 
@@ -215,7 +188,7 @@ def test_folders_that_cannot_be_reported(tmp_path):
     unfinished = write_run(tmp_path / "unfinished", {"T": [True]})
     (unfinished / "results.json").unlink()
     same = write_run(tmp_path / "other" / "run", {"T": [True]})
-    for paths, out, told in (
+    for paths, out, message in (
         ([run], run, "whose own report"),
         ([run, run], tmp_path / "x", "named twice"),
         ([run, same], tmp_path / "x", "--tag"),
@@ -224,7 +197,7 @@ def test_folders_that_cannot_be_reported(tmp_path):
         ([write_run(tmp_path / "empty", {})], tmp_path / "x", "holds no episode"),
         ([], tmp_path / "x", "no folder named"),
     ):
-        with pytest.raises(UsageError, match=told):
+        with pytest.raises(UsageError, match=message):
             write_suite_report(paths, out)
     with pytest.raises(UsageError, match="nothing to compare"):
         read_comparison([run])

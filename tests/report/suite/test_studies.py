@@ -1,27 +1,33 @@
-"""What the reports count: rates, balances, correlation, scaling and comparison on rows with known answers."""
+"""Rates, balanced means, correlation, scaling and comparison on rows with known results."""
 
 import numpy as np
 import pytest
-from kinebench_drake.report.suite.success_tables import suites_table
-from kinebench_drake.report.suite.tally import balanced, tally
 from scipy.stats import spearmanr
-from tests.suite_report.synthetic import change, failed, outcome, write_run
 
-from kinebench_drake.report.suite.comparison import ALL, compare, comparison_table
+from kinebench_drake.report.suite.comparison import ALL_TASKS, compare, tabulate_comparison
 from kinebench_drake.report.suite.correlation import standardise, study_sparc
-from kinebench_drake.report.suite.episode import scale_costs
-from kinebench_drake.report.suite.folders import gather, models_of, read_folders
-from kinebench_drake.report.suite.scaling import ALL as EVERY
-from kinebench_drake.report.suite.scaling import TrainingBudget, study_scaling, task_difficulties, training_of, untagged
+from kinebench_drake.report.suite.episode import balanced_mean, list_models
+from kinebench_drake.report.suite.folders import pool_episodes, read_folders
+from kinebench_drake.report.suite.kinematics import scale_costs
+from kinebench_drake.report.suite.scaling import (
+    ALL_LEVELS,
+    TrainingBudget,
+    budget_of,
+    study_scaling,
+    task_difficulties,
+    untagged,
+)
+from kinebench_drake.report.suite.success import tabulate_suites, tally
 from kinebench_drake.results.row import Status
 from kinebench_drake.stats import PairedOutcomes
+from tests.report.suite.synthetic import change, failed, outcome, write_run
 
 
 def episodes_of(*paths):
-    return gather(read_folders(paths))
+    return pool_episodes(read_folders(paths))
 
 
-def test_what_was_not_measured_is_no_failure_and_is_counted(tmp_path):
+def test_unmeasured_episodes_are_counted_and_are_no_failures(tmp_path):
     run = write_run(tmp_path / "a", {"T": [True, True, False, failed(), failed(Status.UNMEASURABLE)]})
     t = tally(episodes_of(run))
     assert (t.episodes, t.measured, t.errors, t.unmeasurable) == (5, 3, 1, 1)
@@ -40,61 +46,61 @@ def test_a_row_without_a_word_on_success_is_not_measured(tmp_path):
 
 
 def test_every_task_counts_the_same():
-    found = balanced({"A": [1.0] * 30, "B": [0.0, 1.0, None]})
-    assert found.mean == pytest.approx(0.75)
-    assert (found.n, found.total) == (32, 33)
-    assert (found.low, found.high) == (0.5, 1.0)  # B alone varies: 0, 1/2 or 1
-    assert balanced({"A": [1.0] * 30, "B": [0.0]}).low is None  # nothing tells how B varies
-    assert balanced({"A": [0.5, 0.5]}).low is None
-    assert balanced({"A": [None]}).mean is None
+    result = balanced_mean({"A": [1.0] * 30, "B": [0.0, 1.0, None]})
+    assert result.mean == pytest.approx(0.75)
+    assert (result.n, result.total) == (32, 33)
+    assert (result.low, result.high) == (0.5, 1.0)  # B alone varies: 0, 1/2 or 1
+    assert balanced_mean({"A": [1.0] * 30, "B": [0.0]}).low is None  # nothing tells how B varies
+    assert balanced_mean({"A": [0.5, 0.5]}).low is None
+    assert balanced_mean({"A": [None]}).mean is None
 
 
 def test_intervals_hold_the_true_balance_as_often_as_they_say():
-    rng, held = np.random.default_rng(0), 0
+    rng, covered = np.random.default_rng(0), 0
     for seed in range(200):
         groups = {f"{k}": rng.normal(k, 1.0, 15).tolist() for k in range(4)}
-        found = balanced(groups, seed=seed)
-        held += found.low <= 1.5 <= found.high
-    assert 0.89 <= held / 200 <= 0.98
+        result = balanced_mean(groups, seed=seed)
+        covered += result.low <= 1.5 <= result.high
+    assert 0.89 <= covered / 200 <= 0.98
 
 
 def test_shards_are_one_run_and_tags_or_settings_tell_runs_apart(tmp_path):
     one = write_run(tmp_path / "s1", {"T": [True] * 2})
     two = write_run(tmp_path / "s2", {"T": [False] * 2}, first_seed=2)
-    assert models_of(episodes_of(one, two)) == ["wan"]
+    assert list_models(episodes_of(one, two)) == ["wan"]
     change(two, tags={"data": "25"})
-    assert models_of(episodes_of(one, two)) == ["wan", "wan (data=25)"]
+    assert list_models(episodes_of(one, two)) == ["wan", "wan (data=25)"]
     change(two, tags={}, config={"suite": 0, "split": "test", "rounds": 5, "control": "pd_joint_pos"})
-    assert models_of(episodes_of(one, two)) == ["wan (rounds=3)", "wan (rounds=5)"]
+    assert list_models(episodes_of(one, two)) == ["wan (rounds=3)", "wan (rounds=5)"]
     config = {"suite": 0, "split": "test", "rounds": 3, "control": "pd_joint_pos"}
     change(one, config={**config, "negative_prompt": ""})
     change(two, config={**config, "negative_prompt": "blur"})
-    assert models_of(episodes_of(one, two)) == ["wan", "wan (negative_prompt=blur)"]
+    assert list_models(episodes_of(one, two)) == ["wan", "wan (negative_prompt=blur)"]
     for folder, end in ((one, "x"), (two, "y")):
         change(folder, config={**config, "negative_prompt": 200 * "blur, " + end})
-    assert len({*models_of(episodes_of(one, two))}) == 2
-    assert max(map(len, models_of(episodes_of(one, two)))) < 70
+    assert len({*list_models(episodes_of(one, two))}) == 2
+    assert max(map(len, list_models(episodes_of(one, two)))) < 70
     other = write_run(tmp_path / "u", {"T": [True]}, suite=2, split="unseen", tags={"data": "25"})
-    assert models_of(episodes_of(one, other)) == ["wan"]  # two parts need nothing to be told apart
+    assert list_models(episodes_of(one, other)) == ["wan"]  # two parts need nothing to be told apart
 
 
 def test_the_same_episodes_twice_are_told_apart_by_their_folders(tmp_path):
     one, two = (write_run(tmp_path / name, {"T": [True]}) for name in ("first", "again"))
-    assert models_of(episodes_of(one, two)) == ["wan [again]", "wan [first]"]
+    assert list_models(episodes_of(one, two)) == ["wan [again]", "wan [first]"]
 
 
 def test_numbers_in_names_are_sorted_as_numbers(tmp_path):
     runs = [write_run(tmp_path / n, {"T": [True]}, tags={"steps": n}) for n in ("15000", "7500")]
-    assert models_of(episodes_of(*runs)) == ["wan (steps=7500)", "wan (steps=15000)"]
+    assert list_models(episodes_of(*runs)) == ["wan (steps=7500)", "wan (steps=15000)"]
 
 
 def test_digits_that_are_no_numbers_are_letters_of_a_name(tmp_path):
     runs = [write_run(tmp_path / n, {"T": [True]}, model="wan2²", tags={"steps": n}) for n in ("1²", "10", "9")]
-    assert models_of(episodes_of(*runs)) == ["wan2² (steps=1²)", "wan2² (steps=9)", "wan2² (steps=10)"]
+    assert list_models(episodes_of(*runs)) == ["wan2² (steps=1²)", "wan2² (steps=9)", "wan2² (steps=10)"]
 
 
 def test_the_best_of_each_suite_stands_out(runs):
-    table = suites_table(episodes_of(*runs))
+    table = tabulate_suites(episodes_of(*runs))
     assert [c.label for c in table.columns] == ["Model", "Suite 0", "Suite 2 (unseen)", "Suite 3"]
     best = {(table.rows[i][0], table.columns[k].label) for i, k in table.bold}
     assert best == {
@@ -108,7 +114,7 @@ def test_models_that_did_fewer_tasks_are_named(tmp_path):
     one = write_run(tmp_path / "a", {"T": [True], "U": [False]}, model="all")
     two = write_run(tmp_path / "b", {"T": [True]}, model="half")
     third = write_run(tmp_path / "c", {"T": [False], "U": [False]}, model="none")
-    table = suites_table(episodes_of(one, two, third))
+    table = tabulate_suites(episodes_of(one, two, third))
     assert "half did 1 of 2 tasks of Suite 0" in table.note
     assert [table.rows[i][0] for i, _ in table.bold] == ["all"]
 
@@ -130,10 +136,10 @@ def grid(tmp_path, sparc, hits):
     """Runs of models (rows) on tasks (columns) with these mean SPARC and successes of ten."""
     paths = []
     for m, (xs, ns) in enumerate(zip(sparc, hits, strict=True)):
-        told = {
+        outcomes = {
             f"T{k}": [outcome(i < n, sparc=x) for i in range(10)] for k, (x, n) in enumerate(zip(xs, ns, strict=True))
         }
-        paths.append(write_run(tmp_path / f"m{m}", told, model=f"m{m}"))
+        paths.append(write_run(tmp_path / f"m{m}", outcomes, model=f"m{m}"))
     return episodes_of(*paths)
 
 
@@ -143,22 +149,22 @@ def test_rank_correlation_is_spearman_s(tmp_path):
     study = study_sparc(grid(tmp_path, sparc.tolist(), hits.tolist()))
     z = (hits - hits.mean(axis=0)) / hits.std(axis=0)
     expected = spearmanr(sparc.mean(axis=1), z.mean(axis=1)).statistic
-    found = study.correlation()
-    assert found.rho == pytest.approx(expected)
-    assert (found.points, found.tasks) == (5, 6)
-    assert -1 <= found.low <= found.rho <= found.high <= 1
-    assert study.correlation() == found
+    result = study.correlate()
+    assert result.rho == pytest.approx(expected)
+    assert (result.points, result.tasks) == (5, 6)
+    assert -1 <= result.low <= result.rho <= result.high <= 1
+    assert study.correlate() == result
 
 
 def test_hard_tasks_do_not_stand_for_bad_models(tmp_path):
     sparc = [[-3.0, -1.0], [-2.5, -0.5], [-2.0, 0.0]]
-    found = study_sparc(grid(tmp_path, sparc, [[8, 1], [9, 2], [10, 3]])).correlation()
-    assert (found.rho, found.low, found.high) == (pytest.approx(1.0), pytest.approx(1.0), pytest.approx(1.0))
+    result = study_sparc(grid(tmp_path, sparc, [[8, 1], [9, 2], [10, 3]])).correlate()
+    assert (result.rho, result.low, result.high) == (pytest.approx(1.0), pytest.approx(1.0), pytest.approx(1.0))
 
 
 def test_two_points_have_no_correlation(tmp_path):
-    found = study_sparc(grid(tmp_path, [[-1.0, -2.0], [-3.0, -2.0]], [[1, 2], [3, 4]])).correlation()
-    assert (found.rho, found.points) == (None, 2)
+    result = study_sparc(grid(tmp_path, [[-1.0, -2.0], [-3.0, -2.0]], [[1, 2], [3, 4]])).correlate()
+    assert (result.rho, result.points) == (None, 2)
 
 
 def test_models_with_few_tasks_are_no_points(tmp_path):
@@ -169,11 +175,11 @@ def test_models_with_few_tasks_are_no_points(tmp_path):
 
 def test_scaling_is_by_training_and_difficulty(runs):
     folders = read_folders(runs)
-    (study,) = study_scaling(folders, gather(folders), task_difficulties())
-    assert study.levels == ("easy", "medium", "hard", EVERY)
-    assert study.trainings == [TrainingBudget(data=d, steps=s) for d in (10, 100) for s in (1500, 15000)]
+    (study,) = study_scaling(folders, pool_episodes(folders), task_difficulties())
+    assert study.levels == ("easy", "medium", "hard", ALL_LEVELS)
+    assert study.budgets == [TrainingBudget(data=d, steps=s) for d in (10, 100) for s in (1500, 15000)]
     assert study.success[TrainingBudget(data=10, steps=1500), "hard"].mean == pytest.approx(0.1)
-    assert study.success[TrainingBudget(data=100, steps=15000), EVERY].mean == pytest.approx(0.7)
+    assert study.success[TrainingBudget(data=100, steps=15000), ALL_LEVELS].mean == pytest.approx(0.7)
     assert untagged(folders) == []
 
 
@@ -184,7 +190,7 @@ def test_scaling_is_by_training_and_difficulty(runs):
 def test_tags_are_read_as_numbers(tmp_path, data, steps, read):
     run = write_run(tmp_path / "a", {"T": [True]}, suite=3, tags={"data": data, "steps": steps})
     folders = read_folders([run])
-    assert training_of(folders[0]) == read
+    assert budget_of(folders[0]) == read
     assert untagged(folders) == ([] if read else [run])
 
 
@@ -192,20 +198,20 @@ def test_pairs_are_the_shared_episodes(tmp_path):
     hits = {"one": [True, True, True, False, failed(), True], "two": [True, False, False, False, True]}
     paths = [write_run(tmp_path / m, {"T": h, "U": h}, model=m) for m, h in hits.items()]
     whole, *tasks = compare(episodes_of(*paths))
-    assert (whole.task, [c.task for c in tasks]) == (ALL, ["T", "U"])
+    assert (whole.task, [c.task for c in tasks]) == (ALL_TASKS, ["T", "U"])
     assert (whole.shared, tasks[0].shared) == (10, 5)  # the sixth is the first model's alone
     assert tasks[0].paired == PairedOutcomes(both=1, first_only=2, second_only=0, neither=1)
     assert tasks[0].counted == PairedOutcomes(both=1, first_only=2, second_only=1, neither=1)
     assert whole.progress.mean == pytest.approx(0.5)
     assert [c.adjusted_p for c in (whole, *tasks)] == [None, 0.5, 0.5]
-    row = comparison_table([tasks[0]]).rows[0]
+    row = tabulate_comparison([tasks[0]]).rows[0]
     assert row[:4] == ("Suite 0", "one", "two", "T")
     low, high = tasks[0].paired.interval()
     assert (row[6].mean, row[6].low, row[6].high) == (0.5, low, high)
 
 
 def test_seeds_of_other_parts_are_no_pairs(runs):
-    whole = [c for c in compare(episodes_of(*runs[:4])) if c.task == ALL]
+    whole = [c for c in compare(episodes_of(*runs[:4])) if c.task == ALL_TASKS]
     assert [(c.part.title, c.first, c.second) for c in whole] == [
         ("Suite 0", "good", "fair"),
         ("Suite 2 (unseen)", "good", "fair"),

@@ -4,8 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from kinebench_drake.report.frames import FrameState, frame_states, frames_of, joint_limits, limit_ratios
 
+from kinebench_drake.report.limits import joint_limits, limit_ratios
+from kinebench_drake.report.timeline import FrameState, covered_frames, frame_states
 from kinebench_drake.types import IkStatus
 
 OK, DOUBT, BROKEN, UNTRACKED = FrameState.OK, FrameState.DOUBT, FrameState.BROKEN, FrameState.UNTRACKED
@@ -63,4 +64,4 @@ def test_limits_are_read_as_far_as_a_row_has_them(judged, file):
 
 def test_ranges_outside_the_track_are_cut():
     marks = [{"frame_start": -3, "frame_end": 1}, {"frame_start": 4, "frame_end": 99}, {"frame_start": None}]
-    assert frames_of(marks, 6).tolist() == [True, True, False, False, True, True]
+    assert covered_frames(marks, 6).tolist() == [True, True, False, False, True, True]

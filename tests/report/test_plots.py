@@ -1,23 +1,23 @@
-"""Pictures of a report: each value is counted, each fault is where its frames are, joints against their limits."""
+"""Plots: each value is counted, each fault lies at its frames, joints are drawn within their limits."""
 
 import csv
 import re
 
 import numpy as np
 import pytest
-from kinebench_drake.report.frames import joint_limits
-from kinebench_drake.report.histogram import count_values, draw_histogram
 
 from kinebench_drake.report.curves import draw_joint_ranges
+from kinebench_drake.report.limits import joint_limits
 from kinebench_drake.report.metric import BY_NAME
-from kinebench_drake.report.timeline import draw_strip, draw_timeline, frame_count, lanes_of
+from kinebench_drake.report.plot import count_values, draw_histogram
+from kinebench_drake.report.timeline import draw_strip, draw_timeline, fault_lanes, frame_count
 from kinebench_drake.results.aggregate import estimate
 from tests.report.pages import EVIL
 
 
 def counted(values, metric="sparc"):
-    told = [value for _, value in values]
-    return count_values(BY_NAME[metric], values, estimate(told, total=len(told)))
+    numbers = [value for _, value in values]
+    return count_values(BY_NAME[metric], values, estimate(numbers, total=len(numbers)))
 
 
 def test_each_value_is_in_one_bin():
@@ -27,19 +27,19 @@ def test_each_value_is_in_one_bin():
     assert sum(h.counts["feasible"]) == sum(verdict == "feasible" for verdict, _ in values)
     middles = 0.5 * (h.edges[1:] + h.edges[:-1])
     assert all(middle < 0.6 for middle, n in zip(middles, h.counts["feasible"], strict=True) if n)
-    assert (h.below, h.above) == (0, 0)
+    assert h.outliers == 0
 
 
-def test_values_far_out_are_counted_at_the_edge_and_told():
+def test_outliers_are_counted_in_the_outermost_bins():
     values = [("feasible", float(v)) for v in np.linspace(0.0, 1.0, 50)] + [
         ("infeasible", 900.0),
         ("infeasible", -80.0),
     ]
     h = counted(values, "slowdown_min")
-    assert (h.below, h.above) == (1, 1)
+    assert h.outliers == 2
     assert (h.edges[0], h.edges[-1]) == (0.0, 1.0)
     assert (h.counts["infeasible"][0], h.counts["infeasible"][-1]) == (1, 1)
-    assert "2 far out" in draw_histogram(h, {})
+    assert "2 outliers" in draw_histogram(h, {})
 
 
 @pytest.mark.parametrize("values", [[], [1.0], [2.0, 2.0, 2.0], [None, 3.0], [0.0, 0.0]])
@@ -48,8 +48,8 @@ def test_what_does_not_spread_has_no_histogram(values):
 
 
 def bars(svg, css):
-    found = re.findall(rf'<rect class="bar-{css}" x="([\d.]+)" y="[\d.]+" width="([\d.]+)"', svg)
-    return [(float(x), float(x) + float(width)) for x, width in found]
+    matches = re.findall(rf'<rect class="bar-{css}" x="([\d.]+)" y="[\d.]+" width="([\d.]+)"', svg)
+    return [(float(x), float(x) + float(width)) for x, width in matches]
 
 
 def test_faults_stand_where_their_frames_are(judged, file):
@@ -58,7 +58,7 @@ def test_faults_stand_where_their_frames_are(judged, file):
         metrics={"anomalies": [{"kind": "freeze", "frame_start": 0, "frame_end": 9, "severity": 1.0}]},
     )
     track = file()
-    lanes = lanes_of(row, track)
+    lanes = fault_lanes(row, track)
     assert [(lane.label, lane.css) for lane in lanes] == [
         ("velocity", "violation"),
         ("freeze", "anomaly"),
@@ -76,7 +76,7 @@ def test_faults_stand_where_their_frames_are(judged, file):
 
 def test_faults_beyond_the_frames_stay_inside(judged):
     row = judged(violations=({"kind": "jerk", "frame_start": -3, "frame_end": 400, "joint": None},))
-    lanes = lanes_of(row, None)
+    lanes = fault_lanes(row, None)
     assert frame_count(row, None, lanes) == 401
     ((first, last),) = bars(draw_strip(lanes, 10), "violation")
     assert (first, last) == (0.0, 150.0)
@@ -84,13 +84,13 @@ def test_faults_beyond_the_frames_stay_inside(judged):
 
 def test_a_thousand_faults_are_few_bars(judged):
     faults = tuple({"kind": "torque", "frame_start": k, "frame_end": k + 1, "joint": f"j{k % 7}"} for k in range(1000))
-    lanes = lanes_of(judged(violations=faults), None)
+    lanes = fault_lanes(judged(violations=faults), None)
     assert [(span.start, span.end) for lane in lanes for span in lane.spans] == [(0, 1000)]
 
 
 def test_a_long_track_that_flickers_is_few_bars(judged):
     faults = tuple({"kind": "vanish", "frame_start": k, "frame_end": k, "severity": 1.0} for k in range(0, 20000, 2))
-    lanes = lanes_of(judged(metrics={"anomalies": faults}), None)
+    lanes = fault_lanes(judged(metrics={"anomalies": faults}), None)
     assert len(lanes[0].spans) == 10000
     assert len(bars(draw_timeline(lanes, 20000), "anomaly")) == len(bars(draw_strip(lanes, 20000), "anomaly")) == 1
 

@@ -1,8 +1,9 @@
-"""The table of worst moments: limits broken first, then how near the track comes to the others."""
+"""Peaks of a track against its limits: violations first, then the nearest approaches to the others."""
 
 import numpy as np
 import pytest
-from kinebench_drake.report.moments import find_checks, worst_moments
+
+from kinebench_drake.report.limits import find_checks, find_peaks
 
 VIOLATION = {
     "kind": "velocity",
@@ -14,12 +15,12 @@ VIOLATION = {
 }
 
 
-def by_kind(moments):
-    return {moment.kind: moment for moment in moments}
+def by_kind(peaks):
+    return {peak.kind: peak for peak in peaks}
 
 
 def test_limits_broken_come_first_with_time_and_ratio(judged, file):
-    first, *rest = worst_moments(judged(violations=(VIOLATION,)), file())
+    first, *rest = find_peaks(judged(violations=(VIOLATION,)), file())
     assert (first.kind, first.broken, first.joint, first.value, first.limit) == (
         "velocity",
         True,
@@ -29,20 +30,20 @@ def test_limits_broken_come_first_with_time_and_ratio(judged, file):
     )
     assert first.ratio == pytest.approx(1.5)
     assert first.when == "1.30 to 1.50 s (frames 3 to 5)"
-    assert first.after_s == pytest.approx(0.3)
-    assert not {"velocity"} & {moment.kind for moment in rest}
+    assert first.offset_s == pytest.approx(0.3)
+    assert not {"velocity"} & {peak.kind for peak in rest}
 
 
 def test_without_a_track_frames_are_given(judged):
-    (moment,) = worst_moments(judged(violations=(VIOLATION,)), None)
-    assert moment.when == "frames 3 to 5"
-    assert moment.after_s is None
+    (peak,) = find_peaks(judged(violations=(VIOLATION,)), None)
+    assert peak.when == "frames 3 to 5"
+    assert peak.offset_s is None
 
 
 def test_the_nearest_approach_to_each_limit_is_found_in_the_curves(judged, file):
-    found = by_kind(worst_moments(judged(), file()))
-    assert not any(moment.broken for moment in found.values())
-    speed, angle, table = found["velocity"], found["joint_limit"], found["table_collision"]
+    peaks = by_kind(find_peaks(judged(), file()))
+    assert not any(peak.broken for peak in peaks.values())
+    speed, angle, table = peaks["velocity"], peaks["joint_limit"], peaks["table_collision"]
     assert (speed.joint, speed.when, speed.value) == ("arm_joint3", "1.40 s", 1.9)
     assert speed.ratio == pytest.approx(0.95)
     assert (angle.joint, angle.when, angle.unit) == ("arm_joint6", "1.20 s", "°")
@@ -55,32 +56,32 @@ def test_the_nearest_approach_to_each_limit_is_found_in_the_curves(judged, file)
 
 
 def test_the_nearest_comes_first_and_distances_last(judged, file):
-    kinds = [moment.kind for moment in worst_moments(judged(), file())]
+    kinds = [peak.kind for peak in find_peaks(judged(), file())]
     assert kinds == ["velocity", "joint_limit", "table_collision"]
 
 
 def test_what_the_details_say_goes_before_the_curves(judged, file):
     row = judged()
     details = {**row.details, "checks": {"velocity": {"ratio_max": 0.5, "joint": "arm_joint1", "t_worst_s": 1.8}}}
-    moment = by_kind(worst_moments(judged(details=details), file()))["velocity"]
-    assert (moment.joint, moment.value, moment.ratio, moment.when) == ("arm_joint1", 1.0, 0.5, "1.80 s")
+    peak = by_kind(find_peaks(judged(details=details), file()))["velocity"]
+    assert (peak.joint, peak.value, peak.ratio, peak.when) == ("arm_joint1", 1.0, 0.5, "1.80 s")
 
 
 def test_limits_of_no_known_joint_are_not_believed(judged, file):
     row = judged()
     details = {**row.details, "velocity": {"ratio_max": 0.5, "joint": "elbow", "t_worst_s": 1.8}}
-    assert by_kind(worst_moments(judged(details=details), file()))["velocity"].joint == "arm_joint3"
+    assert by_kind(find_peaks(judged(details=details), file()))["velocity"].joint == "arm_joint3"
 
 
 def test_joints_without_a_limit_have_no_ratio(judged, file):
     torque = np.zeros((10, 7))
     torque[6, 1], torque[6, 5] = 40.0, 1e6
-    moment = by_kind(worst_moments(judged(), file(torque=torque)))["torque"]
-    assert (moment.joint, moment.ratio) == ("arm_joint2", 0.5)
+    peak = by_kind(find_peaks(judged(), file(torque=torque)))["torque"]
+    assert (peak.joint, peak.ratio) == ("arm_joint2", 0.5)
 
 
 def test_rows_without_details_have_none(judged, file):
-    assert [m.kind for m in worst_moments(judged(details={}), file())] == ["table_collision"]
+    assert [m.kind for m in find_peaks(judged(details={}), file())] == ["table_collision"]
 
 
 def test_checks_are_found_at_any_depth():

@@ -8,8 +8,8 @@ import pytest
 
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import make_pose
-from kinebench_drake.report import write_report
-from kinebench_drake.report.plot import Band, Curve, draw_plot
+from kinebench_drake.report.page import write_report
+from kinebench_drake.report.plot import Curve, FrameSpan, draw_plot
 from kinebench_drake.results.row import Status
 from kinebench_drake.results.store import ResultStore
 from kinebench_drake.results.trackfile import write_track
@@ -93,7 +93,7 @@ def test_numbers_come_with_interval_and_coverage(out):
         r"Feasible for the robot</span><b>67%</b> <div class=\"note\">95% interval 21% to 94%<br>3 of 6", tile
     )
     sparc = text[text.index('<span class="name">SPARC') :]
-    assert re.match(r'<span class="name">SPARC</span><b>-1.50</b> <div class="note">all samples alike<br>3 of 6', sparc)
+    assert re.match(r'<span class="name">SPARC</span><b>-1.50</b> <div class="note">all samples equal<br>3 of 6', sparc)
 
 
 def test_the_same_folder_gives_the_same_bytes(out):
@@ -113,7 +113,7 @@ def test_both_colour_schemes_are_there(out):
 
 def test_an_unfinished_run_has_a_report_too(out):
     (out / "results.json").unlink()
-    assert "has not been finished" in write_report(out).read_text()
+    assert "has not finished" in write_report(out).read_text()
 
 
 def test_a_run_without_a_measured_sample_has_a_report(tmp_path):
@@ -123,7 +123,7 @@ def test_a_run_without_a_measured_sample_has_a_report(tmp_path):
     assert "0 / 1" in write_report(tmp_path).read_text()
 
 
-def test_damaged_files_are_told(out):
+def test_damaged_files_are_reported(out):
     (out / "tracks" / "good.npz").write_bytes(b"PK broken")
     with pytest.raises(InputError, match=r"good\.npz"):
         write_report(out)
@@ -140,7 +140,7 @@ def test_curves_break_where_nothing_is_known_and_stay_inside():
     t = np.arange(10) * 0.2
     values = np.array([0.0, 1.0, 2.0, np.nan, 4.0, 5.0, np.nan, 7.0, np.nan, np.nan])
     svg = draw_plot(
-        "p", t, [Curve(label="a", values=values, css="c0")], [Band(label="b", start=-5, end=99, css="anomaly")]
+        "p", t, [Curve(label="a", values=values, css="c0")], {"anomaly": [FrameSpan(text="b", start=-5, end=99)]}
     )
     lines = points(svg)
     assert [len(line) for line in lines] == [3, 2]
@@ -179,14 +179,14 @@ def test_a_gap_in_a_long_curve_stays_a_gap():
 
 
 @pytest.mark.parametrize(
-    ("used", "told"), [("used", "first frame known"), ("contradicted", "was not used"), ("unknown", None)]
+    ("used", "words"), [("used", "first-frame prior used"), ("contradicted", "was not used"), ("unknown", None)]
 )
-def test_what_was_given_stands_beside_the_video(tmp_path, used, told):
-    given = {"given": {"first_frame": "manifest", "depth": "sensor"}, "first_frame": used}
+def test_priors_are_named_beside_the_video(tmp_path, used, words):
+    priors = {"given": {"first_frame": "manifest", "depth": "sensor"}, "first_frame": used}
     with ResultStore(tmp_path) as store:
-        store.append(row("a", feasible=True, extra=given), 0.1)
+        store.append(row("a", feasible=True, extra=priors), 0.1)
         store.finish({"kind": "score", "config": {}, "tags": {}, "seeds": {"bootstrap": 0}})
     text = write_report(tmp_path).read_text()
     assert "depth from sensor" in text
-    for words in ("first frame known", "was not used"):
-        assert (words in text) == (words == told)
+    for sentence in ("first-frame prior used", "was not used"):
+        assert (sentence in text) == (sentence == words)

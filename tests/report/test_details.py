@@ -1,0 +1,107 @@
+"""Details as lines of text: units from the keys, degrees and millimetres on screen; summaries of the checks."""
+
+import numpy as np
+import pytest
+
+from kinebench_drake.report.details import check_resolutions, list_details, summarize_checks
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "name", "text"),
+    [
+        ("position_m", 0.0012, "position", "1.2 mm"),
+        ("rotation_rad", 3.141592653589793, "rotation", "180 °"),
+        ("bandwidth_hz", 1.25, "bandwidth", "1.25 Hz"),
+        ("t_worst_s", 2, "t worst", "2 s"),
+        ("feasible", False, "feasible", "no"),
+        ("joint", "panda_joint4", "joint", "panda_joint4"),
+        ("margins_rad", [0.0, 1.5707963267948966, None], "margins", "0, 90, – °"),
+        ("levels", list(range(20)), "levels", "0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11 … (20 in all)"),
+    ],
+)
+def test_units_follow_the_key(key, value, name, text):
+    (line,) = list_details({key: value})
+    assert (line.depth, line.name, line.text) == (0, name, text)
+
+
+def test_objects_within_objects_lie_deeper():
+    lines = list_details({"trajopt": {"certificate": {"samples": 3}, "note": None}, "empty": {}, "z": 1})
+    assert [(f.depth, f.name, f.text) for f in lines] == [
+        (0, "trajopt", ""),
+        (1, "certificate", ""),
+        (2, "samples", "3"),
+        (0, "z", "1"),
+    ]
+
+
+def test_lists_of_objects_have_a_line_each():
+    lines = list(list_details({"jumps": [{"frame": 3, "size_m": 0.1}, {"frame": 9, "size_m": 0.2}]}))
+    assert [(f.name, f.text) for f in lines] == [
+        ("jumps", ""),
+        ("1", "frame 3; size 100 mm"),
+        ("2", "frame 9; size 200 mm"),
+    ]
+
+
+T_S = 2.0 + 0.1 * np.arange(20)
+DETAILS = {
+    "noise": {"position_m": 0.003, "rotation_rad": 0.01, "assumed": False, "allowance_sigmas": 5.0},
+    "slowdown": {"limit": "acceleration", "joint": "j2", "frame": 4},
+    "time_scale": {"limit": "torque", "joint": "j4", "frame": 7, "active": []},
+    "trajopt": {"tube_limit_m": 0.005, "against": None},
+}
+
+
+def summary(row, t_s=T_S):
+    return {line.name: line.text for line in summarize_checks(row, t_s)}
+
+
+def test_a_feasible_track(judged):
+    metrics = {"slowdown_min": 0.42, "time_scale": 0.3, "trajopt_feasible": True, "trajopt_position_tube_m": 0.0021}
+    assert summary(judged(details=DETAILS, metrics=metrics)) == {
+        "noise of the track": "3 mm, 0.573 °",
+        "slow-down needed": "none, 0.42, for acceleration of j2 at 2.40 s",
+        "fastest execution": "0.3 of its own duration, limited by torque of j4 at 2.70 s",
+        "smooth trajectory within all limits": "within 2.1 mm of the track (allowed: 5 mm)",
+    }
+
+
+def test_an_infeasible_track_names_the_limit_that_prevents_it(judged):
+    against = {"kind": "table_collision", "frame": 3, "joint": None, "value": -0.02, "limit": -0.002}
+    details = {**DETAILS, "trajopt": {"tube_limit_m": 0.005, "against": against}}
+    metrics = {"slowdown_min": 1.5, "trajopt_feasible": False, "trajopt_position_tube_m": 0.018}
+    texts = summary(judged(details=details, metrics=metrics))
+    assert texts["slow-down needed"].startswith("1.5, for acceleration")
+    assert texts["smooth trajectory within all limits"] == (
+        "within 18 mm of the track (allowed: 5 mm); prevented by table collision at 2.30 s, -0.02 against -0.002"
+    )
+    metrics["trajopt_position_tube_m"] = None
+    texts = summary(judged(details=details, metrics=metrics), None)
+    assert texts["smooth trajectory within all limits"].startswith(
+        "none (allowed: 5 mm); prevented by table collision in frame 3"
+    )
+
+
+def test_assumed_noise_is_marked(judged):
+    details = {"noise": {**DETAILS["noise"], "assumed": True}}
+    assert "assumed" in summary(judged(details=details))["noise of the track"]
+
+
+@pytest.mark.parametrize("details", [{}, {"noise": None, "slowdown": None, "trajopt": None}, {"time_scale": {}}])
+def test_missing_checks_are_left_out(judged, details):
+    assert summarize_checks(judged(details=details, metrics={"slowdown_min": None}), T_S) == []
+
+
+def test_resolutions_of_each_limit(judged):
+    checks = {
+        "velocity": {"ratio_max": 0.5, "window_s": 0.2, "bandwidth_hz": 2.2, "ratios": [0.5, None], "noise_ratio": 0.1},
+        "jerk": {"ratio_max": None},
+    }
+    (resolution,) = check_resolutions(judged(details={"checks": checks}))
+    assert (resolution.kind, resolution.window_s, resolution.bandwidth_hz, resolution.noise_ratio) == (
+        "velocity",
+        0.2,
+        2.2,
+        0.1,
+    )
+    assert resolution.ratios == (0.5, None)
