@@ -34,8 +34,8 @@ from kinebench_drake.suites.rollout import Rollout, rollout
 from kinebench_drake.suites.simulator import ROBOTS
 from kinebench_drake.suites.split import Pool
 from kinebench_drake.suites.suite import EpisodeSpec, load_suite
-from kinebench_drake.suites.tasks.card import TaskVariant
 from kinebench_drake.suites.tasks.registry import TASKS, find_task
+from kinebench_drake.suites.tasks.task import TaskVariant
 from kinebench_drake.types import AnomalyKind
 
 FPS = 17

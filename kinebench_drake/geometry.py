@@ -83,6 +83,12 @@ def rotation_exp(w: ArrayLike) -> Array:
     return np.asarray(R.reshape(*w.shape[:-1], 3, 3))
 
 
+def rotation_z(angle_rad: float) -> Array:
+    """Rotation matrix (3, 3) about z."""
+    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
 def rotation_log(R: ArrayLike) -> Array:
     """Rotation vectors (..., 3) [rad] of rotation matrices (..., 3, 3)."""
     R = np.asarray(R, dtype=np.float64)

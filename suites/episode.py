@@ -4,12 +4,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from kinebench_drake.suites.assets.library import model
-from kinebench_drake.suites.assets.model import Model
+from kinebench_drake.suites.assets.model import AssetModel
 from kinebench_drake.suites.seeding import generator
 from kinebench_drake.suites.split import Pool, pool_assets, pool_looks
-from kinebench_drake.suites.tasks.card import TaskVariant
 from kinebench_drake.suites.tasks.registry import find_task
-from kinebench_drake.suites.tasks.task import SceneLayout
+from kinebench_drake.suites.tasks.task import SceneLayout, TaskVariant
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -37,7 +36,7 @@ class Episode:
     prompt: str
     """The task in words."""
 
-    def models(self) -> dict[str, Model]:
+    def models(self) -> dict[str, AssetModel]:
         """The asset of each slot."""
         return {slot: model(asset_id) for slot, asset_id in self.assets.items()}
 
@@ -58,7 +57,7 @@ class Episode:
         )
 
 
-def _layout(task: str, seed: int, variant: TaskVariant, models: Mapping[str, Model]) -> SceneLayout:
+def _layout(task: str, seed: int, variant: TaskVariant, models: Mapping[str, AssetModel]) -> SceneLayout:
     return find_task(task).layout(models, generator("layout", task, seed, variant.value), variant)
 
 

@@ -9,7 +9,7 @@ from kinebench_drake.results.metadata import Shard
 from kinebench_drake.suites.formats.demo import Content, FormatKind, Shots
 from kinebench_drake.suites.formats.format import find_format
 from kinebench_drake.suites.suite import EpisodeSpec, Suite
-from kinebench_drake.suites.tasks.card import TaskVariant
+from kinebench_drake.suites.tasks.task import TaskVariant
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -7,7 +7,7 @@ from kinebench_drake.errors import UsageError
 
 if TYPE_CHECKING:  # heavy: helps and usage errors should not wait for it
     from kinebench_drake.suites.suite import Suite
-    from kinebench_drake.suites.tasks.card import TaskVariant
+    from kinebench_drake.suites.tasks.task import TaskVariant
 
 _PREFIX = "KineBench/"
 

@@ -23,9 +23,8 @@ from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.models.panda.robot import FINGER_LINKS, HAND_LINK, LINK_OF, RobotPart
 from kinebench_drake.models.perception.frame import RENDERED_DEPTH_BIAS_M, RenderedFrame, part_map
 from kinebench_drake.suites.episode import Episode
-from kinebench_drake.suites.tasks.card import TaskVariant
 from kinebench_drake.suites.tasks.registry import find_task
-from kinebench_drake.suites.tasks.task import Scene
+from kinebench_drake.suites.tasks.task import Scene, TaskVariant
 
 GRIPPER_LINKS = (HAND_LINK, *FINGER_LINKS, *(f"{finger}_pad" for finger in FINGER_LINKS))
 """What counts as the gripper in masks; some of ManiSkill's Pandas have no pad links."""
@@ -234,7 +233,7 @@ class Simulator:
     def snapshot(self) -> Snapshot:
         """The present state."""
         qpos = np.asarray(self._env.agent.robot.get_qpos()[0], dtype=np.float64)
-        things = self._env.things
+        things = self._env.objects
         return Snapshot(
             q=qpos[:7],
             fingers_m=qpos[7:9],
@@ -246,7 +245,7 @@ class Simulator:
         """Put everything where the snapshot has it, without simulating."""
         self._env.agent.robot.set_qpos(np.concatenate([snapshot.q, snapshot.fingers_m])[None].astype(np.float32))
         for name, raw in snapshot.objects.items():
-            thing = self._env.things[name]
+            thing = self._env.objects[name]
             thing.set_pose(self._pose_class(raw[:3], raw[3:]))
             if name in snapshot.joints:
                 thing.set_qpos(np.array([[snapshot.joints[name]]], dtype=np.float32))

@@ -105,7 +105,7 @@ def check(
     from kinebench_drake.suites.episode import compose
     from kinebench_drake.suites.expert_check import ExpertTrial, Policy, run_trials, task_lines
     from kinebench_drake.suites.split import Pool
-    from kinebench_drake.suites.tasks.card import TaskVariant
+    from kinebench_drake.suites.tasks.task import TaskVariant
 
     version = TaskVariant(variant)
     if json_out is not None:

@@ -65,7 +65,7 @@ def export(
     from kinebench_drake.executors.base import ExecutorKind, create_executor
     from kinebench_drake.suites.export import Export, export_suite
     from kinebench_drake.suites.suite import load_suite
-    from kinebench_drake.suites.tasks.card import TaskVariant
+    from kinebench_drake.suites.tasks.task import TaskVariant
 
     suite, version = load_suite(number), TaskVariant(variant)
     order = Export(
@@ -152,7 +152,7 @@ def demos(
     from kinebench_drake.suites.formats.demo import FormatKind
     from kinebench_drake.suites.order import DemoOrder
     from kinebench_drake.suites.suite import load_suite
-    from kinebench_drake.suites.tasks.card import TaskVariant
+    from kinebench_drake.suites.tasks.task import TaskVariant
 
     suite, version, form = load_suite(number), TaskVariant(variant), FormatKind(kind)
     order = DemoOrder(

@@ -114,7 +114,7 @@ def tolerance(
     from kinebench_drake.errors import UsageError
     from kinebench_drake.executors.base import ExecutorKind, create_executor
     from kinebench_drake.suites.suite import load_suite
-    from kinebench_drake.suites.tasks.card import TaskVariant
+    from kinebench_drake.suites.tasks.task import TaskVariant
 
     names = errors.split(",")
     if unknown := [name for name in names if name not in _ERRORS]:

@@ -15,7 +15,7 @@ from kinebench_drake.executors.base import ExecutorKind
 from kinebench_drake.suites.selection import chosen_tasks
 from kinebench_drake.suites.simulator import Control
 from kinebench_drake.suites.suite import VERSION, Suite, load_suite
-from kinebench_drake.suites.tasks.card import TaskVariant
+from kinebench_drake.suites.tasks.task import TaskVariant
 from kinebench_drake.suites.worldmodels.factory import LazyWorldModel
 from kinebench_drake.suites.worldmodels.spec import parse
 from kinebench_drake.suites.worldmodels.worldmodel import OfflineModel

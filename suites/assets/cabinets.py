@@ -1,7 +1,7 @@
 """Low cabinets with one drawer that slides along x.
 
-A cabinet's frame stands in the middle of its foot: x points the way the drawer opens, z up. The drawer's frame is the
-same when it is shut; its joint's position is how far it is open.
+The cabinet's frame is at the centre of its underside: x points in the direction in which the drawer opens, z up. The
+drawer's frame coincides with it when shut; the joint position is the opening.
 """
 
 from dataclasses import dataclass
@@ -10,41 +10,41 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kinebench_drake.geometry import Array, make_pose
-from kinebench_drake.suites.assets.mesh import Parts, block, cylinder_mesh, lathe, sweep
+from kinebench_drake.suites.assets.mesh import BodyParts, box_collider, cylinder_mesh, lathe, sweep
 from kinebench_drake.suites.assets.model import (
     AssetKind,
+    AssetModel,
     Collider,
     ColliderKind,
     Joint,
     JointKind,
     Material,
-    Model,
-    Site,
     SurfaceFinish,
     Visual,
+    site_at,
 )
-from kinebench_drake.suites.assets.texture import brushed, mixed, wood
+from kinebench_drake.suites.assets.texture import brushed, mix, rgb, wood
 
 WIDTH_M = (0.172, 0.198)
-"""Least and greatest width, across the way of the drawer."""
+"""Least and greatest width, perpendicular to the drawer's travel."""
 DEPTH_M = (0.168, 0.188)
-"""Least and greatest depth, along the way of the drawer."""
+"""Least and greatest depth, along the drawer's travel."""
 HEIGHT_M = (0.114, 0.126)
 """Least and greatest height."""
 TRAVEL_M = (0.108, 0.124)
-"""Least and greatest way of the drawer."""
+"""Least and greatest travel of the drawer."""
 HANDLES = ("bar", "knob", "lip")
-"""Handles: a bow, a knob, or a ledge along the upper edge of the front."""
+"""Kinds of handles: a bow, a knob, or a ledge along the upper edge of the front."""
 FINISHES = ("wood", "paint", "metal", "front")
-"""Plain wood, paint, metal, or wood with a painted front."""
+"""Kinds of finishes: plain wood, paint, metal, or wood with a painted front."""
 FEET = ("legs", "plinth")
-"""What a cabinet stands on."""
-_CLEARANCE_M = 0.003  # between the drawer and what it runs in
-_WALL_M = 0.007  # of the tray
-_FLOOR_M = 0.006  # of the tray
-_BACK_M = 0.006  # of the cabinet
+"""Kinds of feet."""
+_CLEARANCE_M = 0.003  # between the drawer and the cabinet
+_WALL_M = 0.007  # thickness of the tray's walls
+_FLOOR_M = 0.006  # thickness of the tray's floor
+_BACK_M = 0.006  # thickness of the cabinet's back
 _SEAM_M = 0.001  # between the shut drawer's front and the cabinet
-_HELD_M = 0.044  # of the tray that stays in the cabinet, at least
+_ENGAGED_M = 0.044  # least length of the tray that stays in the cabinet
 _WOOD_PER_M = 3.3
 _WOOD_KINDS = ("oak", "pine", "walnut", "beech", "maple", "cherry", "teak", "ash", "mahogany")
 _PAINTS = {
@@ -66,8 +66,8 @@ _FITTINGS = (
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Measures:
-    """Lengths [m] that the parts are made from."""
+class _Dimensions:
+    """Dimensions of a cabinet [m]."""
 
     width: float
     depth: float
@@ -84,12 +84,12 @@ class _Measures:
 
     @property
     def face(self) -> float:
-        """Where the cabinet's front is along x."""
+        """X of the cabinet's front."""
         return self.depth / 2.0
 
     @property
     def floor(self) -> float:
-        """Height of the tray's floor, on which things lie."""
+        """Height of the upper side of the tray's floor."""
         return self.foot + self.panel + _CLEARANCE_M + _FLOOR_M
 
     @property
@@ -104,7 +104,7 @@ class _Measures:
 
     @property
     def tray_x(self) -> tuple[float, float]:
-        """Inner ends of the tray, the drawer shut."""
+        """X of the tray's inner back and front, the drawer shut."""
         return -self.face + _BACK_M + 2.0 * _CLEARANCE_M + _WALL_M, self.face + _SEAM_M
 
     @property
@@ -113,13 +113,13 @@ class _Measures:
         return self.width - 2.0 * (self.panel + _CLEARANCE_M + _WALL_M)
 
 
-def _measures(rng: np.random.Generator) -> _Measures:
+def _draw_dimensions(rng: np.random.Generator) -> _Dimensions:
     depth = float(rng.uniform(*DEPTH_M))
-    return _Measures(
+    return _Dimensions(
         width=float(rng.uniform(*WIDTH_M)),
         depth=depth,
         height=float(rng.uniform(*HEIGHT_M)),
-        travel=float(min(rng.uniform(*TRAVEL_M), depth - _BACK_M - 2.0 * _CLEARANCE_M - _HELD_M)),
+        travel=float(min(rng.uniform(*TRAVEL_M), depth - _BACK_M - 2.0 * _CLEARANCE_M - _ENGAGED_M)),
         panel=float(rng.uniform(0.0095, 0.012)),
         foot=float(rng.uniform(0.007, 0.011)),
         front=float(rng.uniform(0.012, 0.016)),
@@ -127,9 +127,11 @@ def _measures(rng: np.random.Generator) -> _Measures:
     )
 
 
-def _carcass(m: _Measures, feet: str, outside: SurfaceFinish, inside: SurfaceFinish, fitting: SurfaceFinish) -> Parts:
-    """The cabinet without its drawer."""
-    parts, x, y, p = Parts(_WOOD_PER_M), m.face, m.width / 2.0, m.panel
+def _carcass(
+    m: _Dimensions, feet: str, outside: SurfaceFinish, inside: SurfaceFinish, fitting: SurfaceFinish
+) -> BodyParts:
+    """Make the cabinet without its drawer."""
+    parts, x, y, p = BodyParts(_WOOD_PER_M), m.face, m.width / 2.0, m.panel
     parts.panel([-x, -y, m.height - p], [x, y, m.height], outside, bevel_m=0.002)
     parts.panel([-x, -y + p, m.foot], [x, y - p, m.foot + p], inside)
     parts.panel([-x, -y, m.foot], [x, -y + p, m.height - p], outside)
@@ -142,13 +144,13 @@ def _carcass(m: _Measures, feet: str, outside: SurfaceFinish, inside: SurfaceFin
         center = [sx * (x - 0.016), sy * (y - 0.014), m.foot / 2.0]
         X = make_pose(np.eye(3), center)
         parts.visuals.append(Visual(mesh=cylinder_mesh(0.009, m.foot), surface=fitting, X_BodyV=X))
-        parts.colliders.append(block([0.016, 0.016, m.foot], center))
+        parts.colliders.append(box_collider([0.016, 0.016, m.foot], center))
     return parts
 
 
-def _tray(m: _Measures, front: SurfaceFinish, inside: SurfaceFinish) -> Parts:
-    """The drawer without its handle."""
-    parts, y = Parts(_WOOD_PER_M), m.tray_width / 2.0
+def _tray(m: _Dimensions, front: SurfaceFinish, inside: SurfaceFinish) -> BodyParts:
+    """Make the drawer without its handle."""
+    parts, y = BodyParts(_WOOD_PER_M), m.tray_width / 2.0
     back, face = m.tray_x
     top = m.floor + m.wall
     parts.panel([back - _WALL_M, -y - _WALL_M, m.floor - _FLOOR_M], [face, y + _WALL_M, m.floor], inside, bevel_m=0.0)
@@ -160,19 +162,19 @@ def _tray(m: _Measures, front: SurfaceFinish, inside: SurfaceFinish) -> Parts:
     return parts
 
 
-def _turned_to(axis: ArrayLike, position: ArrayLike) -> Array:
-    """Pose (4, 4) whose z points along the unit vector `axis` (3,)."""
+def _pose_along(axis: ArrayLike, position: ArrayLike) -> Array:
+    """Return a pose (4, 4) whose z points along the unit vector `axis` (3,)."""
     z = np.asarray(axis, dtype=np.float64)
     x = np.cross([0.0, 1.0, 0.0] if abs(z[1]) < 0.5 else [0.0, 0.0, 1.0], z)
     return make_pose(np.stack([x, np.cross(z, x), z], axis=1), position)
 
 
 def _add_handle(
-    parts: Parts, m: _Measures, handle: str, front: SurfaceFinish, fitting: SurfaceFinish, size: float
+    parts: BodyParts, m: _Dimensions, handle: str, front: SurfaceFinish, fitting: SurfaceFinish, size: float
 ) -> float:
-    """Put a handle on the drawer's front; `size` 0..1 from small to large. Returns how far the upper part reaches out.
+    """Add a handle to the drawer's front, `size` 0..1 from small to large; return x of the foremost part at the top.
 
-    Bows and knobs sit below the middle, so that fingers may press on the front above them.
+    Bows and knobs sit below the middle, so that fingers can press on the front above them.
     """
     out = m.tray_x[1] + m.front
     z = m.front_bottom + 0.36 * (m.front_top - m.front_bottom)
@@ -187,7 +189,7 @@ def _add_handle(
             [0.9 * r, 0.87 * length], [0.5 * r, 0.97 * length], [0.0, length],
         ]  # fmt: skip
         mesh = lathe(profile, sections=28, crease_rad=0.9)
-        parts.visuals.append(Visual(mesh=mesh, surface=fitting, X_BodyV=_turned_to([1, 0, 0], [out, 0.0, z])))
+        parts.visuals.append(Visual(mesh=mesh, surface=fitting, X_BodyV=_pose_along([1, 0, 0], [out, 0.0, z])))
         X = make_pose(np.eye(3), [out + length / 2.0, 0.0, z])
         parts.colliders.append(Collider(kind=ColliderKind.CYLINDER, size=(0.9 * r, length / 2.0), X_BodyC=X))
         return out
@@ -198,22 +200,22 @@ def _add_handle(
     points = np.concatenate([side, side[::-1] * [1.0, -1.0]])
     bow = np.column_stack([out + points[:, 0], points[:, 1], np.full(len(points), z)])
     parts.visuals.append(Visual(mesh=sweep(bow, np.full(len(bow), r), sections=14), surface=fitting))
-    X = make_pose(_turned_to([0, 0, 1], [0, 0, 0])[:3, :3] @ _QUARTER, [out + reach, 0.0, z])
+    X = make_pose(_pose_along([0, 0, 1], [0, 0, 0])[:3, :3] @ _QUARTER, [out + reach, 0.0, z])
     parts.colliders.append(Collider(kind=ColliderKind.CAPSULE, size=(r, half - bend), X_BodyC=X))
     for y in (-half, half):
-        parts.colliders.append(block([reach, 2.0 * r, 2.0 * r], [out + reach / 2.0, y, z]))
+        parts.colliders.append(box_collider([reach, 2.0 * r, 2.0 * r], [out + reach / 2.0, y, z]))
     return out
 
 
-_QUARTER = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # x goes to y
+_QUARTER = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # rotates x to y
 
 
 def _surfaces(finish: str, rng: np.random.Generator) -> tuple[str, SurfaceFinish, SurfaceFinish, SurfaceFinish]:
-    """What it is called, and the surfaces of the cabinet, of the drawer's front and of the inside."""
+    """Draw the name, and the surfaces of the cabinet, of the drawer's front and of the inside."""
     kind, paint = str(rng.choice(_WOOD_KINDS)), str(rng.choice(list(_PAINTS)))
     shade = rng.uniform(0.85, 1.1)
-    r, g, b = (float(min(shade * c, 1.0)) for c in _PAINTS[paint])
-    painted = SurfaceFinish(color=(r, g, b), roughness=float(rng.uniform(0.35, 0.7)))
+    color = rgb(min(shade * c, 1.0) for c in _PAINTS[paint])
+    painted = SurfaceFinish(color=color, roughness=float(rng.uniform(0.35, 0.7)))
     wooden = SurfaceFinish(texture=wood(rng, kind), roughness=float(rng.uniform(0.5, 0.8)))
     pale = SurfaceFinish(texture=wood(rng, str(rng.choice(["maple", "pine", "ash"]))), roughness=0.8)
     if finish == "wood":
@@ -224,16 +226,16 @@ def _surfaces(finish: str, rng: np.random.Generator) -> tuple[str, SurfaceFinish
         return f"{kind} cabinet", wooden, painted, pale
     grey = rng.uniform(130, 185) + rng.uniform(-6, 6, 3)
     steel = SurfaceFinish(
-        texture=mixed(brushed(rng, grey), grey, np.full((1, 1), 0.7)),
+        texture=mix(brushed(rng, grey), grey, np.full((1, 1), 0.7)),
         roughness=float(rng.uniform(0.35, 0.5)),
         metallic=float(rng.uniform(0.3, 0.6)),
     )
     return "metal cabinet", steel, steel, SurfaceFinish(color=(0.30, 0.31, 0.33), roughness=0.6)
 
 
-def _cabinet(asset_id: str, index: int, rng: np.random.Generator) -> Model:
+def _cabinet(asset_id: str, index: int, rng: np.random.Generator) -> AssetModel:
     handle, finish = HANDLES[index % 3], FINISHES[(index // 3) % 4]
-    m = _measures(rng)
+    m = _draw_dimensions(rng)
     words, outside, front, inside = _surfaces(finish, rng)
     fitting = _FITTINGS[int(rng.integers(len(_FITTINGS)))]
     carcass = _carcass(m, FEET[index // 12], outside, inside, fitting)
@@ -250,7 +252,7 @@ def _cabinet(asset_id: str, index: int, rng: np.random.Generator) -> Model:
         damping=float(rng.uniform(20.0, 36.0)),
     )
     back, face = m.tray_x
-    return Model(
+    return AssetModel(
         kind="cabinet",
         asset_id=asset_id,
         words=words,
@@ -266,13 +268,14 @@ def _cabinet(asset_id: str, index: int, rng: np.random.Generator) -> Model:
             "reach_m": max(float(v.mesh.vertices[:, 0].max() + v.X_BodyV[0, 3]) for v in tray.visuals) - m.face,
         },
         sites={
-            "edge": Site(body="cabinet", X_BodyS=make_pose(np.eye(3), [m.face, 0.0, m.height])),
-            "pull": Site(body="drawer", X_BodyS=make_pose(np.eye(3), [face, 0.0, m.front_top])),
-            "push": Site(body="drawer", X_BodyS=make_pose(np.eye(3), [press, 0.0, m.front_top])),
-            "tray": Site(body="drawer", X_BodyS=make_pose(np.eye(3), [0.5 * (back + face), 0.0, m.floor])),
+            "edge": site_at("cabinet", [m.face, 0.0, m.height]),
+            "pull": site_at("drawer", [face, 0.0, m.front_top]),
+            "push": site_at("drawer", [press, 0.0, m.front_top]),
+            "tray": site_at("drawer", [0.5 * (back + face), 0.0, m.floor]),
         },
     )
 
 
 KINDS = (AssetKind(name="cabinet", make=_cabinet),)
-"""Kinds of this family."""
+"""Cabinets: sites are the upper edge over the drawer, the insides where to pull and outside where to push its front,
+and the centre of the tray's floor."""

@@ -1,6 +1,6 @@
-"""What to put things into: bowls, plates, trays, baskets; and crates with three compartments side by side.
+"""Containers: bowls, plates, trays, baskets; and crates with three compartments side by side.
 
-The origin is the middle of the underside; inside, a container is empty from its floor up.
+The origin is the centre of the underside.
 """
 
 from collections.abc import Callable
@@ -10,29 +10,29 @@ from itertools import pairwise
 import numpy as np
 
 from kinebench_drake.geometry import Array, make_pose, rotation_exp
-from kinebench_drake.suites.assets.mesh import block, board, lathe, sweep
+from kinebench_drake.suites.assets.mesh import box_collider, box_visual, lathe, sweep
 from kinebench_drake.suites.assets.model import (
     AssetKind,
-    Body,
+    AssetModel,
     Collider,
     ColliderKind,
     Material,
-    Model,
+    RigidBody,
     SurfaceFinish,
     Visual,
 )
-from kinebench_drake.suites.assets.texture import grains, plain, shaded, speckle, wood, woven
+from kinebench_drake.suites.assets.texture import fill, grains, shade, speckle, wood, woven
 
 COMPARTMENTS = 3
-"""Of a crate, side by side along y."""
+"""Number of compartments of a crate, side by side along y."""
 _SECTORS = 16
-"""Convex pieces around a round wall."""
+"""Number of box colliders around a round wall."""
 _WOODS = ("oak", "beech", "walnut", "pine")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Made:
-    """A container's parts and inner measures."""
+class _Container:
+    """Parts and dimensions of a container."""
 
     words: str
     visuals: tuple[Visual, ...]
@@ -42,10 +42,10 @@ class _Made:
 
 
 def _shell(inner: Array, thick_m: float) -> tuple[Collider, ...]:
-    """Boxes behind the inside's profile (N, 2) of radius and height, one a sector, and across the floor.
+    """Return box colliders outside the inner profile (N, 2) of radius and height, one per sector, and across the floor.
 
-    Boxes, since PhysX now and then finds a thin convex hull in contact that is far away. The flats of the polygon lie
-    as much inside the circle as its corners lie outside.
+    Boxes, because PhysX occasionally reports contacts with thin convex hulls that are far away. The flats of the
+    polygon are as far inside the circle as its corners are outside.
     """
     half = np.pi / _SECTORS
     apothem = 2.0 * np.cos(half) / (1.0 + np.cos(half))
@@ -60,7 +60,7 @@ def _shell(inner: Array, thick_m: float) -> tuple[Collider, ...]:
             run = (high - low) * [apothem, 1.0]
             length = float(np.linalg.norm(run))
             along = np.array([run[0], 0.0, run[1]]) / length
-            across = np.array([along[2], 0.0, -along[0]])  # out of the vessel
+            across = np.array([along[2], 0.0, -along[0]])  # outwards
             middle = 0.5 * (low + high) * [apothem, 1.0]
             center = np.array([middle[0], 0.0, middle[1]]) + 0.5 * thick_m * across
             size = (0.5 * length, float(apothem * high[0] * np.tan(half)), 0.5 * thick_m)
@@ -71,8 +71,8 @@ def _shell(inner: Array, thick_m: float) -> tuple[Collider, ...]:
 
 def _round(
     words: str, inner: Array, thick_m: float, surface: SurfaceFinish, mass_kg: float, *, extra: tuple[Visual, ...] = ()
-) -> _Made:
-    """A vessel from the profile (N, 2) of its inside, floor's edge first, rim last."""
+) -> _Container:
+    """Return a round vessel from its inner profile (N, 2), from the floor's edge to the rim."""
     along = np.gradient(inner, axis=0)
     along /= np.linalg.norm(along, axis=1, keepdims=True)
     outer = inner + thick_m * np.column_stack([along[:, 1], -along[:, 0]])
@@ -85,7 +85,7 @@ def _round(
     profile = np.concatenate([foot, outer[1:-1], lip, inner[-2::-1], [[0.0, inner[0, 1]]]])
     coarse = [0, *range(2, len(inner) - 1, 2), len(inner) - 1]
     radius = float(rim[0] + thick_m)
-    return _Made(
+    return _Container(
         words=words,
         visuals=(Visual(mesh=lathe(profile, sections=56, uv_per_m=6.0), surface=surface), *extra),
         colliders=_shell(inner[coarse], thick_m),
@@ -102,15 +102,16 @@ def _round(
 
 
 def _glazed(rng: np.random.Generator) -> SurfaceFinish:
+    """Draw a glazed ceramic surface, plain or speckled."""
     wheel = [(226, 222, 212), (96, 134, 168), (178, 84, 58), (120, 152, 120), (214, 180, 110), (70, 82, 110)]
     color = np.array(wheel[rng.integers(len(wheel))]) * rng.uniform(0.9, 1.08, 3)
     image = speckle(rng, color, [0.75 * color, np.minimum(1.12 * color, 255)]) if rng.random() < 0.5 else None
     if image is None:
-        image = shaded(plain(color, 128), 1.0 + 0.08 * (grains(rng, 128, 6.0) - 0.5))
+        image = shade(fill(color, 128), 1.0 + 0.08 * (grains(rng, 128, 6.0) - 0.5))
     return SurfaceFinish(texture=image, roughness=float(rng.uniform(0.2, 0.45)), specular=0.5)
 
 
-def _bowl(rng: np.random.Generator, index: int) -> _Made:
+def _bowl(rng: np.random.Generator, index: int) -> _Container:
     rim, floor = float(rng.uniform(0.080, 0.088)), float(rng.uniform(0.045, 0.054))
     height, thick = float(rng.uniform(0.042, 0.050)), float(rng.uniform(0.004, 0.006))
     s = np.linspace(0.0, 1.0, 9)
@@ -120,7 +121,7 @@ def _bowl(rng: np.random.Generator, index: int) -> _Made:
     return _round("wooden bowl" if wooden else "bowl", inner, thick, surface, 0.55)
 
 
-def _plate(rng: np.random.Generator, index: int) -> _Made:
+def _plate(rng: np.random.Generator, index: int) -> _Container:
     rim, floor = float(rng.uniform(0.086, 0.094)), float(rng.uniform(0.068, 0.074))
     height, thick = float(rng.uniform(0.026, 0.030)), 0.004
     s = np.linspace(0.0, 1.0, 7)
@@ -128,7 +129,7 @@ def _plate(rng: np.random.Generator, index: int) -> _Made:
     return _round("deep plate", inner, thick, _glazed(rng), 0.6)
 
 
-def _basket(rng: np.random.Generator, index: int) -> _Made:
+def _basket(rng: np.random.Generator, index: int) -> _Container:
     rim, floor = float(rng.uniform(0.080, 0.088)), float(rng.uniform(0.068, 0.074))
     height, thick = float(rng.uniform(0.042, 0.050)), 0.006
     s = np.linspace(0.0, 1.0, 7)
@@ -148,25 +149,25 @@ def _basket(rng: np.random.Generator, index: int) -> _Made:
     return _round("basket", inner, thick, surface, 0.5, extra=(Visual(mesh=braid, surface=dark),))
 
 
-def _tray(rng: np.random.Generator, index: int) -> _Made:
+def _tray(rng: np.random.Generator, index: int) -> _Container:
     x, y = float(rng.uniform(0.145, 0.160)), float(rng.uniform(0.155, 0.170))
     height, thick, floor = float(rng.uniform(0.030, 0.040)), float(rng.uniform(0.007, 0.010)), 0.006
     grain = wood(rng, str(rng.choice(_WOODS)))
     painted = index % 8 >= 4
     if painted:
         color = np.array([(196, 60, 48), (64, 110, 150), (232, 226, 210)][index % 3], dtype=np.float64)
-        grain = shaded(plain(color, 256), grain.mean(axis=-1) / grain.mean())
+        grain = shade(fill(color, 256), grain.mean(axis=-1) / grain.mean())
     side = SurfaceFinish(texture=grain, roughness=0.55)
-    inside = SurfaceFinish(texture=shaded(grain, np.full(grain.shape[:2], 0.86)), roughness=0.7)
+    inside = SurfaceFinish(texture=shade(grain, np.full(grain.shape[:2], 0.86)), roughness=0.7)
     parts = _walls(x, y, height, thick)
-    visuals = [board([x, y, floor], [0.0, 0.0, floor / 2.0], inside, bevel_m=0.0)]
-    visuals += [board(size, center, side, bevel_m=0.0016) for size, center in parts]
-    return _Made(
+    visuals = [box_visual([x, y, floor], [0.0, 0.0, floor / 2.0], inside, bevel_m=0.0)]
+    visuals += [box_visual(size, center, side, bevel_m=0.0016) for size, center in parts]
+    return _Container(
         words="tray",
         visuals=tuple(visuals),
         colliders=(
-            block([x, y, floor], [0.0, 0.0, floor / 2.0]),
-            *(block(size, center) for size, center in parts),
+            box_collider([x, y, floor], [0.0, 0.0, floor / 2.0]),
+            *(box_collider(size, center) for size, center in parts),
         ),
         size={
             "inner_x_m": x,
@@ -181,7 +182,7 @@ def _tray(rng: np.random.Generator, index: int) -> _Made:
 
 
 def _walls(x: float, y: float, height: float, thick: float) -> list[tuple[list[float], list[float]]]:
-    """Sizes and middles of four walls around an inside of `x` by `y`."""
+    """Return extents and centres of four walls around an interior of `x` by `y`."""
     walls = []
     for sign in (-1.0, 1.0):
         walls.append(([thick, y + 2.0 * thick, height], [sign * (x + thick) / 2.0, 0.0, height / 2.0]))
@@ -189,58 +190,58 @@ def _walls(x: float, y: float, height: float, thick: float) -> list[tuple[list[f
     return walls
 
 
-_STYLES: tuple[Callable[[np.random.Generator, int], _Made], ...] = (_bowl, _basket, _tray, _plate)
+_STYLES: tuple[Callable[[np.random.Generator, int], _Container], ...] = (_bowl, _basket, _tray, _plate)
 
 
-def _model(kind: str, asset_id: str, made: _Made) -> Model:
-    """Of the density that gives the container its mass."""
-    volume = sum(8.0 * float(np.prod(collider.size)) for collider in made.colliders)
-    return Model(
+def _model(kind: str, asset_id: str, container: _Container) -> AssetModel:
+    """Return the asset, with the density that gives the container its mass."""
+    volume = sum(8.0 * float(np.prod(collider.size)) for collider in container.colliders)
+    return AssetModel(
         kind=kind,
         asset_id=asset_id,
-        words=made.words,
+        words=container.words,
         bodies=(
-            Body(
+            RigidBody(
                 name="container",
-                visuals=made.visuals,
-                colliders=made.colliders,
+                visuals=container.visuals,
+                colliders=container.colliders,
                 material=Material(
-                    density=made.mass_kg / volume, static_friction=0.9, dynamic_friction=0.8, restitution=0.02
+                    density=container.mass_kg / volume, static_friction=0.9, dynamic_friction=0.8, restitution=0.02
                 ),
             ),
         ),
-        size=made.size,
+        size=container.size,
     )
 
 
-def _container(asset_id: str, index: int, rng: np.random.Generator) -> Model:
+def _container(asset_id: str, index: int, rng: np.random.Generator) -> AssetModel:
     return _model("container", asset_id, _STYLES[index % len(_STYLES)](rng, index // len(_STYLES)))
 
 
-def _crate(asset_id: str, index: int, rng: np.random.Generator) -> Model:
+def _crate(asset_id: str, index: int, rng: np.random.Generator) -> AssetModel:
     cell, deep = float(rng.uniform(0.082, 0.086)), float(rng.uniform(0.150, 0.158))
     divider, thick, floor = 0.005, float(rng.uniform(0.007, 0.009)), 0.005
     height, low = float(rng.uniform(0.034, 0.042)), float(rng.uniform(0.018, 0.022))
     wide = COMPARTMENTS * cell + (COMPARTMENTS - 1) * divider
     kind = _WOODS[index % len(_WOODS)]
     grain = wood(rng, kind)
-    side = SurfaceFinish(texture=shaded(grain, np.full(grain.shape[:2], rng.uniform(0.85, 1.1))), roughness=0.75)
-    dark = SurfaceFinish(texture=shaded(grain, np.full(grain.shape[:2], 0.75)), roughness=0.85)
-    visuals, colliders = [], [block([deep, wide, floor], [0.0, 0.0, floor / 2.0])]
-    for k in range(COMPARTMENTS):  # boards of the floor, with a gap under each divider
+    side = SurfaceFinish(texture=shade(grain, np.full(grain.shape[:2], rng.uniform(0.85, 1.1))), roughness=0.75)
+    dark = SurfaceFinish(texture=shade(grain, np.full(grain.shape[:2], 0.75)), roughness=0.85)
+    visuals, colliders = [], [box_collider([deep, wide, floor], [0.0, 0.0, floor / 2.0])]
+    for k in range(COMPARTMENTS):  # floor boards, with a gap under each divider
         y = (k - 0.5 * (COMPARTMENTS - 1)) * (cell + divider)
-        visuals.append(board([deep, cell, floor], [0.0, y, floor / 2.0], dark))
+        visuals.append(box_visual([deep, cell, floor], [0.0, y, floor / 2.0], dark))
     for k in range(COMPARTMENTS - 1):
         y = (k + 1 - 0.5 * COMPARTMENTS) * (cell + divider)
-        visuals.append(board([deep, divider, low], [0.0, y, low / 2.0], side))
-        colliders.append(block([deep, divider, low], [0.0, y, low / 2.0]))
+        visuals.append(box_visual([deep, divider, low], [0.0, y, low / 2.0], side))
+        colliders.append(box_collider([deep, divider, low], [0.0, y, low / 2.0]))
     slatted = index % 2 == 0
     for size, center in _walls(deep, wide, height, thick):
-        colliders.append(block(size, center))
+        colliders.append(box_collider(size, center))
         slats = [(0.0, 0.46), (0.54, 1.0)] if slatted else [(0.0, 1.0)]
         for bottom, top in slats:
             visuals.append(
-                board(
+                box_visual(
                     [size[0], size[1], (top - bottom) * height],
                     [center[0], center[1], 0.5 * (bottom + top) * height],
                     side,
@@ -250,13 +251,13 @@ def _crate(asset_id: str, index: int, rng: np.random.Generator) -> Model:
         for sx in (-1.0, 1.0):
             for sy in (-1.0, 1.0):
                 visuals.append(
-                    board(
+                    box_visual(
                         [0.6 * thick, 0.6 * thick, 0.96 * height],
                         [sx * (deep + thick) / 2.0, sy * (wide + thick) / 2.0, 0.48 * height],
                         dark,
                     )
                 )
-    made = _Made(
+    crate = _Container(
         words="crate",
         visuals=tuple(visuals),
         colliders=tuple(colliders),
@@ -272,20 +273,20 @@ def _crate(asset_id: str, index: int, rng: np.random.Generator) -> Model:
         },
         mass_kg=1.2,
     )
-    return _model("crate", asset_id, made)
+    return _model("crate", asset_id, crate)
 
 
-def cell_center(size: Callable[[str], float], number: int) -> Array:
-    """Middle (3,) of a crate's compartment in the crate's frame, on its floor [m]; 0 is the one towards -y.
+def compartment_center(size: Callable[[str], float], number: int) -> Array:
+    """Return the centre (3,) of a compartment's floor in the crate's frame [m]; compartment 0 is the one towards -y.
 
     Args:
-        size: the crate's measures by name.
-        number: which compartment, 0 .. `COMPARTMENTS` - 1.
+        size: returns a dimension of the crate by name.
+        number: compartment, 0 .. `COMPARTMENTS` - 1.
     """
     return np.array([0.0, (number - 0.5 * (COMPARTMENTS - 1)) * size("pitch_m"), size("floor_m")])
 
 
 KINDS = (AssetKind(name="container", make=_container), AssetKind(name="crate", make=_crate))
-"""Sizes: `inner_x_m` and `inner_y_m` (width at the rim), `round` (1 where these are diameters), `reach_m` (greatest
-level distance from the origin), `floor_m`, `rim_m` (heights); of a crate `cell_m` (width of a compartment), `pitch_m`
-(from one to the next) and its outer measures."""
+"""Sizes: `inner_x_m` and `inner_y_m` (width at the rim), `round` (1 if these are diameters), `reach_m` (greatest
+horizontal distance from the origin), `floor_m`, `rim_m` (heights); of a crate `cell_m` (width of a compartment),
+`pitch_m` (distance between compartments) and its outer dimensions."""

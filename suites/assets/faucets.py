@@ -1,7 +1,7 @@
 """Faucets that stand on the table: a body with a spout, and a handle that turns about the vertical axis.
 
-The origin is on the table under the handle's axis. The handle's lever points along x half-way through its travel; the
-first body is fixed. Where the lever goes, everything but the hub is lower than it, so that a finger can sweep along.
+The origin is on the table below the handle's axis. The handle's lever points along x at half its travel; the first body
+is fixed. All parts within the lever's sweep except the hub are below it, so that a finger can sweep along.
 """
 
 from collections.abc import Callable, Sequence
@@ -11,61 +11,62 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kinebench_drake.geometry import Array, make_pose
-from kinebench_drake.suites.assets.mesh import Parts, block, board, lathe, sweep
+from kinebench_drake.geometry import Array, make_pose, rotation_z
+from kinebench_drake.suites.assets.mesh import BodyParts, box_collider, box_visual, frustum, lathe, sweep, unit_ring
 from kinebench_drake.suites.assets.model import (
     AssetKind,
+    AssetModel,
     Collider,
     ColliderKind,
     Joint,
     JointKind,
     Material,
-    Model,
-    Site,
     SurfaceFinish,
     Visual,
+    site_at,
 )
+from kinebench_drake.suites.assets.texture import rgb
 
 LEVER_HEIGHT_M = (0.095, 0.125)
-"""Least and greatest height of the lever's middle line."""
+"""Least and greatest height of the lever's centre line."""
 LEVER_M = (0.062, 0.095)
 """Least and greatest reach of the lever from the axis, over all shapes."""
 RANGE_RAD = (1.55, 1.85)
 """Least and greatest travel of the handle."""
-_RING = np.column_stack([f(2.0 * np.pi * np.arange(20) / 20) for f in (np.cos, np.sin)])
+_SECTIONS = 20  # of the colliders around round parts
 
 
-class _Parts(Parts):
-    """Pieces that faucets are made of."""
+class _FaucetParts(BodyParts):
+    """Builder of a body from the shapes of which faucets consist."""
 
-    def turned(self, profile: ArrayLike, surface: SurfaceFinish) -> None:
-        """A solid of revolution about z, closed; each step of its profile (N, 2) is a collider."""
+    def revolve(self, profile: ArrayLike, surface: SurfaceFinish) -> None:
+        """Add a closed solid of revolution about z; each segment of its profile (N, 2) is a collider."""
         rz = np.asarray(profile, dtype=np.float64)
         self.visuals.append(Visual(mesh=lathe(rz, sections=36), surface=surface))
         for low, high in pairwise(rz):
             if high[1] - low[1] > 1e-4:
-                points = [np.column_stack([max(r, 5e-4) * _RING, np.full(len(_RING), z)]) for r, z in (low, high)]
-                self.colliders.append(Collider(kind=ColliderKind.HULL, points=np.concatenate(points)))
+                ends = [(max(r, 5e-4), z) for r, z in (low, high)]
+                self.colliders.append(frustum(*ends, sections=_SECTIONS))
 
     def tube(self, points: ArrayLike, radii: ArrayLike, surface: SurfaceFinish) -> None:
-        """A round tube along a smooth curve (N, 3), its radius going through those given."""
-        p, given = np.asarray(points, dtype=np.float64), np.atleast_1d(radii)
-        r = np.interp(np.linspace(0.0, 1.0, len(p)), np.linspace(0.0, 1.0, len(given)), given)
+        """Add a round tube along a smooth curve (N, 3), with radii interpolated from evenly spaced ones."""
+        p, knots = np.asarray(points, dtype=np.float64), np.atleast_1d(radii)
+        r = np.interp(np.linspace(0.0, 1.0, len(p)), np.linspace(0.0, 1.0, len(knots)), knots)
         self.visuals.append(Visual(mesh=sweep(p, r, sections=20), surface=surface))
         chain = np.unique(np.append(np.arange(0, len(p), max(1, len(p) // 8)), len(p) - 1))
         for i, j in pairwise(chain):
             across = _rotation_to((p[j] - p[i]) / np.linalg.norm(p[j] - p[i]))[:, 1:]
-            points = np.concatenate([p[k] + r[k] * _RING @ across.T for k in (i, j)])
+            points = np.concatenate([p[k] + r[k] * unit_ring(_SECTIONS) @ across.T for k in (i, j)])
             self.colliders.append(Collider(kind=ColliderKind.HULL, points=points))
 
     def box(self, size: Sequence[float], at: ArrayLike, surface: SurfaceFinish, *, yaw_rad: float = 0.0) -> None:
-        """A bevelled box of full sizes about a point, turned about z."""
-        R, bevel = _yawed(yaw_rad), min(0.0025, 0.2 * min(size))
-        self.visuals.append(board(size, at, surface, R=R, bevel_m=bevel, uv_per_m=1.0))
-        self.colliders.append(block(size, at, R=R))
+        """Add a bevelled box by its extents and centre, rotated about z."""
+        R, bevel = rotation_z(yaw_rad), min(0.0025, 0.2 * min(size))
+        self.visuals.append(box_visual(size, at, surface, R=R, bevel_m=bevel, uv_per_m=1.0))
+        self.colliders.append(box_collider(size, at, R=R))
 
     def ball(self, radius_m: float, at: ArrayLike, surface: SurfaceFinish) -> None:
-        """A sphere about a point."""
+        """Add a sphere by its centre."""
         angle = np.linspace(-np.pi / 2.0, np.pi / 2.0, 13)
         mesh = lathe(radius_m * np.column_stack([np.cos(angle), np.sin(angle)]), sections=24)
         X = make_pose(np.eye(3), at)
@@ -73,20 +74,15 @@ class _Parts(Parts):
         self.colliders.append(Collider(kind=ColliderKind.SPHERE, size=(radius_m,), X_BodyC=X))
 
 
-def _yawed(angle_rad: float) -> Array:
-    c, s = np.cos(angle_rad), np.sin(angle_rad)
-    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-
-
 def _rotation_to(x: Array) -> Array:
-    """A rotation (3, 3) whose first axis is the unit vector `x`."""
+    """Return a rotation (3, 3) whose first axis is the unit vector `x`."""
     y = np.cross(x, np.eye(3)[np.argmin(np.abs(x))])
     y /= np.linalg.norm(y)
     return np.stack([x, y, np.cross(x, y)], axis=1)
 
 
 def _curve(points: ArrayLike, *, rounds: int = 4) -> Array:
-    """Corners (N, 3) cut over and over (Chaikin 1974): a smooth curve from the first to the last."""
+    """Return a smooth curve from the first to the last of the points (N, 3) by corner cutting (Chaikin 1974)."""
     p = np.asarray(points, dtype=np.float64)
     for _ in range(rounds):
         cut = np.stack([0.75 * p[:-1] + 0.25 * p[1:], 0.25 * p[:-1] + 0.75 * p[1:]], axis=1).reshape(-1, 3)
@@ -94,128 +90,128 @@ def _curve(points: ArrayLike, *, rounds: int = 4) -> Array:
     return p
 
 
-def _away(angle_rad: float, points_rz: ArrayLike) -> Array:
-    """Points (N, 3) at distances and heights (N, 2) in the direction of an angle about z."""
+def _at(angle_rad: float, points_rz: ArrayLike) -> Array:
+    """Return points (N, 3) at distances and heights (N, 2) in the vertical half-plane at an angle about z."""
     rz = np.asarray(points_rz, dtype=np.float64)
     return np.column_stack([rz[:, 0] * np.cos(angle_rad), rz[:, 0] * np.sin(angle_rad), rz[:, 1]])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Draft:
-    """What is drawn for an instance before its shape is made."""
+class _FaucetDesign:
+    """Properties of an instance common to all shapes."""
 
     height: float
-    """Of the lever's middle line [m]."""
+    """Height of the lever's centre line [m]."""
     lever: float
     """Reach of the lever [m]."""
     spout: float
-    """Direction of the spout, from the lever's half-way direction [rad]."""
+    """Angle of the spout from the lever's direction at half travel [rad]."""
     metal: SurfaceFinish
     accent: SurfaceFinish
     rng: np.random.Generator
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Shape:
-    """A faucet in parts; the handle's frame has its origin on the axis at the lever's height, x along the lever."""
+class _FaucetShape:
+    """Parts of a faucet; the handle's frame has its origin on the axis at the lever's height and x along the lever."""
 
-    base: _Parts
-    handle: _Parts
+    base: _FaucetParts
+    handle: _FaucetParts
     half_width: float
-    """Half the lever's width where it is pushed [m]."""
+    """Half the lever's width at the point where it is pushed [m]."""
 
 
-def _mixer(d: _Draft) -> _Shape:
-    """A basin mixer: cylinder, short spout, one flat lever on top."""
-    base, handle = _Parts(), _Parts()
+def _mixer(d: _FaucetDesign) -> _FaucetShape:
+    """Make a basin mixer: cylinder, short spout, one flat lever on top."""
+    base, handle = _FaucetParts(), _FaucetParts()
     r, top = float(d.rng.uniform(0.021, 0.026)), d.height - 0.012
-    base.turned(
+    base.revolve(
         [[0.0, 0.0], [1.25 * r, 0.0], [1.25 * r, 0.006], [1.05 * r, 0.009], [r, 0.012], [r, top], [0.0, top]], d.metal
     )
     z, reach = 0.55 * d.height, float(d.rng.uniform(0.085, 0.11))
     base.tube(
-        _curve(_away(d.spout, [[0.0, z], [0.5 * reach, z + 0.012], [reach, z + 0.012], [reach + 0.004, z - 0.022]])),
+        _curve(_at(d.spout, [[0.0, z], [0.5 * reach, z + 0.012], [reach, z + 0.012], [reach + 0.004, z - 0.022]])),
         0.0105,
         d.metal,
     )
-    handle.turned(
+    handle.revolve(
         [[0.0, -0.0115], [r, -0.0115], [r, 0.004], [0.85 * r, 0.010], [0.5 * r, 0.0135], [0.0, 0.0145]], d.metal
     )
     handle.box([d.lever, 0.016, 0.010], [0.5 * d.lever, 0.0, 0.0], d.metal)
-    return _Shape(base=base, handle=handle, half_width=0.008)
+    return _FaucetShape(base=base, handle=handle, half_width=0.008)
 
 
-def _cross(d: _Draft) -> _Shape:
-    """A pillar tap: a waisted post and a cross of four arms with knobs."""
-    base, handle = _Parts(), _Parts()
+def _cross(d: _FaucetDesign) -> _FaucetShape:
+    """Make a pillar tap: a waisted post and a cross of four arms with knobs."""
+    base, handle = _FaucetParts(), _FaucetParts()
     h = d.height
-    base.turned(
+    base.revolve(
         [[0.0, 0.0], [0.031, 0.0], [0.031, 0.006], [0.023, 0.014], [0.018, 0.4 * h], [0.021, 0.5 * h],
          [0.021, 0.72 * h], [0.012, 0.76 * h], [0.010, h - 0.014], [0.0, h - 0.014]],
         d.metal,
     )  # fmt: skip
     z, reach = 0.6 * h, float(d.rng.uniform(0.085, 0.11))
     base.tube(
-        _curve(_away(d.spout, [[0.0, z], [0.45 * reach, z + 0.006], [0.9 * reach, z + 0.008], [reach, z - 0.03]])),
+        _curve(_at(d.spout, [[0.0, z], [0.45 * reach, z + 0.006], [0.9 * reach, z + 0.008], [reach, z - 0.03]])),
         [0.013, 0.010],
         d.metal,
     )
-    handle.turned([[0.0, -0.0135], [0.013, -0.0135], [0.015, 0.0], [0.013, 0.009], [0.0, 0.0115]], d.metal)
-    handle.turned([[0.0, 0.0105], [0.009, 0.0105], [0.008, 0.013], [0.0, 0.014]], d.accent)
+    handle.revolve([[0.0, -0.0135], [0.013, -0.0135], [0.015, 0.0], [0.013, 0.009], [0.0, 0.0115]], d.metal)
+    handle.revolve([[0.0, 0.0105], [0.009, 0.0105], [0.008, 0.013], [0.0, 0.014]], d.accent)
     for k in range(4):
-        handle.tube(_away(k * np.pi / 2.0, [[0.010, 0.0], [d.lever - 0.008, 0.0]]), [0.0055, 0.0065], d.metal)
-        handle.ball(0.0085, _away(k * np.pi / 2.0, [[d.lever - 0.0085, 0.0]])[0], d.metal)
-    return _Shape(base=base, handle=handle, half_width=0.0075)
+        handle.tube(_at(k * np.pi / 2.0, [[0.010, 0.0], [d.lever - 0.008, 0.0]]), [0.0055, 0.0065], d.metal)
+        handle.ball(0.0085, _at(k * np.pi / 2.0, [[d.lever - 0.0085, 0.0]])[0], d.metal)
+    return _FaucetShape(base=base, handle=handle, half_width=0.0075)
 
 
-def _gooseneck(d: _Draft) -> _Shape:
-    """A kitchen faucet: a plate with a high bent neck at one end, the lever's post at the other."""
-    base, handle = _Parts(), _Parts()
+def _gooseneck(d: _FaucetDesign) -> _FaucetShape:
+    """Make a kitchen faucet: a plate with a high bent neck at one end and the lever's post at the other."""
+    base, handle = _FaucetParts(), _FaucetParts()
     gap, h = float(d.rng.uniform(0.10, 0.12)), d.height
     base.box([gap + 0.06, 0.052, 0.012], [-0.5 * gap, 0.0, 0.006], d.metal)
-    base.turned([[0.0, 0.012], [0.020, 0.012], [0.017, 0.02], [0.016, h - 0.012], [0.0, h - 0.012]], d.metal)
+    base.revolve([[0.0, 0.012], [0.020, 0.012], [0.017, 0.02], [0.016, h - 0.012], [0.0, h - 0.012]], d.metal)
     high, reach = float(d.rng.uniform(0.165, 0.19)), float(d.rng.uniform(0.08, 0.10))
     away = np.sign(d.spout) * (np.pi - 0.7)
     neck = [[0.0, 0.012], [0.0, 0.75 * high], [0.0, high], [reach, high], [reach, 0.66 * high]]
     end = [[reach, 0.66 * high], [reach, 0.58 * high]]
-    base.tube(_curve(_away(away, neck)) - [gap, 0.0, 0.0], 0.010, d.metal)
-    base.tube(_away(away, end) - [gap, 0.0, 0.0], 0.0125, d.accent)
+    base.tube(_curve(_at(away, neck)) - [gap, 0.0, 0.0], 0.010, d.metal)
+    base.tube(_at(away, end) - [gap, 0.0, 0.0], 0.0125, d.accent)
     base.tube([[-gap, 0.0, 0.010], [-gap, 0.0, 0.045]], 0.016, d.metal)
-    handle.turned([[0.0, -0.0115], [0.0165, -0.0115], [0.0165, 0.004], [0.012, 0.010], [0.0, 0.012]], d.metal)
+    handle.revolve([[0.0, -0.0115], [0.0165, -0.0115], [0.0165, 0.004], [0.012, 0.010], [0.0, 0.012]], d.metal)
     handle.tube(
-        _curve(_away(0.0, [[0.0, 0.0], [0.5 * d.lever, 0.0], [d.lever - 0.0075, 0.003]])), [0.0055, 0.0075], d.metal
+        _curve(_at(0.0, [[0.0, 0.0], [0.5 * d.lever, 0.0], [d.lever - 0.0075, 0.003]])), [0.0055, 0.0075], d.metal
     )
     handle.ball(0.0075, [d.lever - 0.0075, 0.0, 0.003], d.metal)
-    return _Shape(base=base, handle=handle, half_width=0.0075)
+    return _FaucetShape(base=base, handle=handle, half_width=0.0075)
 
 
-def _modern(d: _Draft) -> _Shape:
-    """Everything square: a pillar, a straight spout, a long flat lever."""
-    base, handle = _Parts(), _Parts()
+def _modern(d: _FaucetDesign) -> _FaucetShape:
+    """Make a square faucet: a pillar, a straight spout, a long flat lever."""
+    base, handle = _FaucetParts(), _FaucetParts()
     a, h = float(d.rng.uniform(0.036, 0.044)), d.height
     square = round(d.spout / (np.pi / 2.0)) * np.pi / 2.0
     base.box([a + 0.016, a + 0.016, 0.006], [0.0, 0.0, 0.003], d.metal)
     base.box([a, a, h - 0.012], [0.0, 0.0, 0.5 * (h - 0.012)], d.metal)
     reach, z = float(d.rng.uniform(0.09, 0.12)), 0.58 * h
-    base.box([reach, 0.026, 0.016], _away(square, [[0.5 * reach + 0.01, z]])[0], d.metal, yaw_rad=square)
-    base.box([0.016, 0.016, 0.006], _away(square, [[reach, z - 0.010]])[0], d.accent, yaw_rad=square)
+    base.box([reach, 0.026, 0.016], _at(square, [[0.5 * reach + 0.01, z]])[0], d.metal, yaw_rad=square)
+    base.box([0.016, 0.016, 0.006], _at(square, [[reach, z - 0.010]])[0], d.accent, yaw_rad=square)
     handle.box([a, a, 0.018], [0.0, 0.0, -0.002], d.metal)
     handle.box([d.lever, 0.018, 0.009], [0.5 * d.lever, 0.0, 0.0], d.metal)
-    return _Shape(base=base, handle=handle, half_width=0.009)
+    return _FaucetShape(base=base, handle=handle, half_width=0.009)
 
 
-def _garden(d: _Draft) -> _Shape:
-    """A garden tap on a board: a pipe out of it, a nozzle that bends down, a handle of two wings."""
-    base, handle = _Parts(), _Parts()
+def _garden(d: _FaucetDesign) -> _FaucetShape:
+    """Make a garden tap on a board: a pipe, a nozzle that bends down, a handle with two wings."""
+    base, handle = _FaucetParts(), _FaucetParts()
     back, h = float(d.rng.uniform(0.10, 0.115)), d.height
     z = h - 0.052
     wood = np.array([0.34, 0.2, 0.09]) * d.rng.uniform(0.7, 1.3)
-    plank = SurfaceFinish(color=(float(wood[0]), float(wood[1]), float(wood[2])), roughness=0.8)
+    plank = SurfaceFinish(color=rgb(wood), roughness=0.8)
     base.box([0.018, 0.10, z + 0.03], [-back, 0.0, 0.5 * (z + 0.03)], plank)
     base.box([0.075, 0.10, 0.012], [-back + 0.028, 0.0, 0.006], plank)
     base.tube([[-back, 0.0, z], [0.0, 0.0, z]], 0.0115, d.metal)
     base.tube([[-back, 0.0, z], [-back + 0.014, 0.0, z]], 0.022, d.metal)
-    base.turned(
+    base.revolve(
         [[0.0, z - 0.020], [0.016, z - 0.020], [0.018, z], [0.014, z + 0.016], [0.009, z + 0.020], [0.008, h - 0.010],
          [0.0, h - 0.010]],
         d.metal,
@@ -223,7 +219,7 @@ def _garden(d: _Draft) -> _Shape:
     base.tube(
         _curve([[0.0, 0.0, z], [0.038, 0.0, z + 0.004], [0.05, 0.0, z], [0.052, 0.0, z - 0.035]]), 0.0115, d.metal
     )
-    handle.turned([[0.0, -0.0095], [0.011, -0.0095], [0.012, 0.004], [0.008, 0.009], [0.0, 0.010]], d.accent)
+    handle.revolve([[0.0, -0.0095], [0.011, -0.0095], [0.012, 0.004], [0.008, 0.009], [0.0, 0.010]], d.accent)
     for sign in (1.0, -1.0):
         handle.tube(
             np.array([[0.004, 0.0, 0.0], [0.6 * d.lever, 0.0, 0.0], [d.lever - 0.008, 0.0, 0.0]]) * [sign, sign, 1.0],
@@ -231,14 +227,14 @@ def _garden(d: _Draft) -> _Shape:
             d.accent,
         )
         handle.ball(0.008, [sign * (d.lever - 0.008), 0.0, 0.0], d.accent)
-    return _Shape(base=base, handle=handle, half_width=0.007)
+    return _FaucetShape(base=base, handle=handle, half_width=0.007)
 
 
-def _bell(d: _Draft) -> _Shape:
-    """An old-fashioned one: a bell-shaped body, a swan's spout, a thin lever with a china ball."""
-    base, handle = _Parts(), _Parts()
+def _bell(d: _FaucetDesign) -> _FaucetShape:
+    """Make an old-fashioned tap: a bell-shaped body, a swan-neck spout, a thin lever with a china ball."""
+    base, handle = _FaucetParts(), _FaucetParts()
     h = d.height
-    base.turned(
+    base.revolve(
         [[0.0, 0.0], [0.034, 0.0], [0.034, 0.005], [0.028, 0.012], [0.022, 0.25 * h], [0.0175, 0.45 * h],
          [0.022, 0.6 * h], [0.023, 0.68 * h], [0.016, 0.76 * h], [0.010, h - 0.011], [0.0, h - 0.011]],
         d.metal,
@@ -246,7 +242,7 @@ def _bell(d: _Draft) -> _Shape:
     reach = float(d.rng.uniform(0.09, 0.115))
     base.tube(
         _curve(
-            _away(
+            _at(
                 d.spout,
                 [
                     [0.0, 0.35 * h],
@@ -260,15 +256,15 @@ def _bell(d: _Draft) -> _Shape:
         0.0092,
         d.metal,
     )
-    handle.turned([[0.0, -0.0105], [0.012, -0.0105], [0.015, 0.0], [0.009, 0.010], [0.0, 0.013]], d.metal)
+    handle.revolve([[0.0, -0.0105], [0.012, -0.0105], [0.015, 0.0], [0.009, 0.010], [0.0, 0.013]], d.metal)
     handle.tube(
         [[0.006, 0.0, 0.0], [0.6 * d.lever, 0.0, 0.0], [d.lever - 0.012, 0.0, 0.0]], [0.006, 0.005, 0.005], d.metal
     )
     handle.ball(0.0115, [d.lever - 0.0115, 0.0, 0.0], d.accent)
-    return _Shape(base=base, handle=handle, half_width=0.0055)
+    return _FaucetShape(base=base, handle=handle, half_width=0.0055)
 
 
-_SHAPES: tuple[tuple[Callable[[_Draft], _Shape], tuple[float, float]], ...] = (
+_SHAPES: tuple[tuple[Callable[[_FaucetDesign], _FaucetShape], tuple[float, float]], ...] = (
     (_mixer, (0.080, LEVER_M[1])),
     (_cross, (LEVER_M[0], 0.070)),
     (_gooseneck, (0.085, LEVER_M[1])),
@@ -286,13 +282,13 @@ _METALS = {
 }
 _ACCENTS = ((0.65, 0.03, 0.03), (0.03, 0.1, 0.5), (0.8, 0.8, 0.76), (0.03, 0.3, 0.12))
 _TURN = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
-"""Its first axis is z: joints turn about x."""
+"""Joint frame: its x axis, about which joints rotate, is the body's z."""
 
 
-def _faucet(asset_id: str, index: int, rng: np.random.Generator) -> Model:
+def _faucet(asset_id: str, index: int, rng: np.random.Generator) -> AssetModel:
     make, levers = _SHAPES[index % len(_SHAPES)]
     finish = list(_METALS)[(index // len(_SHAPES) + index) % len(_METALS)]
-    draft = _Draft(
+    design = _FaucetDesign(
         height=float(rng.uniform(*LEVER_HEIGHT_M)),
         lever=float(rng.uniform(*levers)),
         spout=float(rng.choice([-1.0, 1.0]) * rng.uniform(1.4, 2.6)),
@@ -300,11 +296,11 @@ def _faucet(asset_id: str, index: int, rng: np.random.Generator) -> Model:
         accent=SurfaceFinish(color=_ACCENTS[rng.integers(len(_ACCENTS))], roughness=0.35, specular=0.5),
         rng=rng,
     )
-    shape, travel = make(draft), float(rng.uniform(*RANGE_RAD))
-    axis = [0.0, 0.0, draft.height]
+    shape, travel = make(design), float(rng.uniform(*RANGE_RAD))
+    axis = [0.0, 0.0, design.height]
     joint = Joint(
         kind=JointKind.HINGE,
-        X_ParentJ=make_pose(_yawed(-travel / 2.0) @ _TURN, axis),
+        X_ParentJ=make_pose(rotation_z(-travel / 2.0) @ _TURN, axis),
         X_BodyJ=make_pose(_TURN, np.zeros(3)),
         lower=0.0,
         upper=travel,
@@ -312,18 +308,18 @@ def _faucet(asset_id: str, index: int, rng: np.random.Generator) -> Model:
         damping=float(rng.uniform(0.05, 0.2)),
     )
     brass = Material(density=2500.0, static_friction=0.4, dynamic_friction=0.3)
-    return Model(
+    return AssetModel(
         kind="faucet",
         asset_id=asset_id,
         words=f"{finish} faucet",
         bodies=(shape.base.body("body", Material()), shape.handle.body("handle", brass, joint)),
         size={
             "range_rad": travel,
-            "height_m": draft.height,
-            "lever_m": draft.lever,
+            "height_m": design.height,
+            "lever_m": design.lever,
             "half_width_m": shape.half_width,
         },
-        sites={"lever": Site(body="handle", X_BodyS=make_pose(np.eye(3), [draft.lever, 0.0, 0.0]))},
+        sites={"lever": site_at("handle", [design.lever, 0.0, 0.0])},
     )
 
 

@@ -1,6 +1,6 @@
-"""Fruits a gripper can hold, at rest on the side or end on which they would come to lie.
+"""Fruits of graspable size, in the orientation in which they rest on the table.
 
-The origin is the middle of the thickest part, where to grasp; across long ones the fingers close along y.
+The origin is the centre of the thickest part, where to grasp; for long fruits the fingers close along y.
 """
 
 from collections.abc import Callable, Sequence
@@ -14,15 +14,15 @@ from numpy.typing import ArrayLike
 from scipy.interpolate import PchipInterpolator
 
 from kinebench_drake.geometry import Array, rotation_exp
-from kinebench_drake.suites.assets.mesh import lathe, smooth, sweep
+from kinebench_drake.suites.assets.mesh import lathe, smooth_mesh, sweep, unit_ring
 from kinebench_drake.suites.assets.model import (
     AssetKind,
-    Body,
+    AssetModel,
     Collider,
     ColliderKind,
     Material,
     Mesh,
-    Model,
+    RigidBody,
     SurfaceFinish,
     Visual,
 )
@@ -31,43 +31,43 @@ from kinebench_drake.suites.assets.peel import SKINS
 FRUITS = ("apple", "banana", "orange", "peach", "pear", "strawberry")
 """Names of the fruits."""
 FLAT_M = 0.0009
-"""How much of a fruit's underside is flattened, as its own weight does."""
+"""Depth by which a fruit's underside is flattened, as by its weight."""
 PRESSED_M = 0.0007
-"""How much long fruits give way between the fingers on each side; it keeps them from turning there."""
+"""Depth by which long fruits are flattened on each side, so that they do not turn between the fingers."""
 _SECTIONS, _DIRECTIONS, _OUTLINE_POINTS = 36, 40, 8
 _BROWN, _GREEN = (0.11, 0.06, 0.025), (0.07, 0.2, 0.03)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Shape:
-    """A fruit before it lies on anything; its axis is z, the thickest part at z = 0."""
+class _FruitShape:
+    """Upright fruit; its axis is z, the thickest part at z = 0."""
 
     skin: Mesh
     parts: tuple[Visual, ...] = ()
     """Stalk and leaves."""
     solids: tuple[Array, ...] = ()
-    """Points (N, 3) of convex solids; none: the skin's own hull."""
+    """Points (N, 3) of each convex collider; empty: the skin's hull."""
     R_BodyShape: Array | None = None
-    """How it lies; None: upright."""
+    """Rotation (3, 3) to the resting orientation; None: upright."""
     roughness: float = 0.5
     density: float = 850.0
 
 
 def _globe(profile: Array, bend: Callable[[Array, Array], Array] | None = None) -> Mesh:
-    """A surface of revolution with texture coordinates 0..1.
+    """Return a surface of revolution with texture coordinates 0..1.
 
-    `bend` gives factors (V,) of the radius from the angle (V,) [rad] and the part (V,) of the way up.
+    `bend` returns factors (V,) on the radius from the angle (V,) [rad] and the height (V,) 0..1.
     """
     mesh = lathe(profile, sections=_SECTIONS)
     uv = mesh.uv / mesh.uv.max(axis=0)
     vertices = np.array(mesh.vertices)
     if bend is not None:
         vertices[:, :2] *= bend(np.arctan2(vertices[:, 1], vertices[:, 0]), uv[:, 1])[:, None]
-    return smooth(vertices, mesh.faces, uv, crease_rad=1.0)
+    return smooth_mesh(vertices, mesh.faces, uv, crease_rad=1.0)
 
 
-def _curve(knots: ArrayLike, count: int = 26) -> Array:
-    """A smooth profile (count, 2) through a few radii and heights (K, 2)."""
+def _profile(knots: ArrayLike, count: int = 26) -> Array:
+    """Return a smooth profile (count, 2) through radii and heights (K, 2)."""
     p = np.asarray(knots, dtype=np.float64)
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(p, axis=0), axis=1))])
     s = np.linspace(0.0, along[-1], count)
@@ -75,7 +75,7 @@ def _curve(knots: ArrayLike, count: int = 26) -> Array:
 
 
 def _stalk(foot: ArrayLike, head: ArrayLike, radius_m: float) -> Visual:
-    """A thin brown stalk, a little thicker at its head."""
+    """Return a thin brown stalk, slightly thicker at its head."""
     s = np.linspace(0.0, 1.0, 6)[:, None]
     a, b = np.asarray(foot, dtype=np.float64), np.asarray(head, dtype=np.float64)
     bow = 0.12 * np.linalg.norm(b - a) * np.sin(np.pi * s) * np.array([0.0, 1.0, 0.0])
@@ -86,7 +86,7 @@ def _stalk(foot: ArrayLike, head: ArrayLike, radius_m: float) -> Visual:
 
 
 def _leaf(length_m: float, width_m: float, bow_m: float) -> tuple[Array, Array]:
-    """Vertices and triangles, both sides, of a leaf from the origin along x that rises by `bow_m` in its middle."""
+    """Return vertices and two-sided triangles of a leaf from the origin along x that rises by `bow_m` in its middle."""
     s = np.linspace(0.0, 1.0, 9)
     wide = 0.5 * width_m * np.sin(np.pi * s**0.8) ** 0.8
     rise = 4.0 * bow_m * s * (1.0 - s)
@@ -102,15 +102,15 @@ def _leaf(length_m: float, width_m: float, bow_m: float) -> tuple[Array, Array]:
     return vertices, np.concatenate([upper, upper[:, ::-1]])
 
 
-def _leaves(placed: Sequence[tuple[Array, Array]], surface: SurfaceFinish) -> Visual:
-    """One visual of several leaves (vertices, faces)."""
-    starts = np.cumsum([0, *(len(v) for v, _ in placed)])
-    vertices = np.concatenate([v for v, _ in placed])
-    faces = np.concatenate([f + start for (_, f), start in zip(placed, starts, strict=False)])
-    return Visual(mesh=smooth(vertices, faces, vertices[:, :2]), surface=surface)
+def _leaves(leaves: Sequence[tuple[Array, Array]], surface: SurfaceFinish) -> Visual:
+    """Return one visual of several leaves (vertices, faces)."""
+    starts = np.cumsum([0, *(len(v) for v, _ in leaves)])
+    vertices = np.concatenate([v for v, _ in leaves])
+    faces = np.concatenate([f + start for (_, f), start in zip(leaves, starts, strict=False)])
+    return Visual(mesh=smooth_mesh(vertices, faces, vertices[:, :2]), surface=surface)
 
 
-def _apple(rng: np.random.Generator, index: int) -> _Shape:
+def _apple(rng: np.random.Generator, index: int) -> _FruitShape:
     r = float(rng.uniform(0.0255, 0.0295))
     h = float(rng.uniform(0.86, 0.93)) * r
     top = float(rng.uniform(0.42, 0.52))
@@ -118,7 +118,7 @@ def _apple(rng: np.random.Generator, index: int) -> _Shape:
              [top + 0.24, 0.86], [top, 0.96], [0.26, 0.86], [0.08, 0.62], [0.0, 0.58]]  # fmt: skip
     lobes, phase = float(rng.uniform(0.01, 0.025)), rng.uniform(0.0, 2.0 * np.pi)
     skin = _globe(
-        _curve(knots) * [r, h], lambda angle, v: 1.0 + lobes * np.cos(5.0 * angle + phase) * np.abs(2.0 * v - 1.0)
+        _profile(knots) * [r, h], lambda angle, v: 1.0 + lobes * np.cos(5.0 * angle + phase) * np.abs(2.0 * v - 1.0)
     )
     tip = np.array([rng.uniform(-0.1, 0.1) * r, rng.uniform(-0.1, 0.1) * r, h + 0.0045])
     parts = [_stalk([0.0, 0.0, 0.58 * h], tip, 0.0011)]
@@ -128,20 +128,20 @@ def _apple(rng: np.random.Generator, index: int) -> _Shape:
         parts.append(
             _leaves([(vertices @ turn.T + [0.0, 0.0, 0.97 * h], faces)], SurfaceFinish(color=_GREEN, roughness=0.6))
         )
-    return _Shape(skin=skin, parts=tuple(parts), roughness=0.35)
+    return _FruitShape(skin=skin, parts=tuple(parts), roughness=0.35)
 
 
-def _orange(rng: np.random.Generator, index: int) -> _Shape:
+def _orange(rng: np.random.Generator, index: int) -> _FruitShape:
     r = float(rng.uniform(0.0260, 0.0300))
     h = float(rng.uniform(0.92, 0.97)) * r
     t = np.linspace(-np.pi / 2.0, np.pi / 2.0, 25)
     profile = np.column_stack([r * np.cos(t), h * np.sin(t)])
     profile[[0, -1], 0] = 0.0
     profile[-1, 1] -= 0.02 * h
-    return _Shape(skin=_globe(profile), roughness=0.45)
+    return _FruitShape(skin=_globe(profile), roughness=0.45)
 
 
-def _peach(rng: np.random.Generator, index: int) -> _Shape:
+def _peach(rng: np.random.Generator, index: int) -> _FruitShape:
     r = float(rng.uniform(0.0260, 0.0295))
     h = float(rng.uniform(0.88, 0.94)) * r
     knots = [[0.0, -0.98], [0.35, -0.94], [0.68, -0.74], [0.92, -0.38], [1.0, 0.05], [0.93, 0.45], [0.70, 0.78],
@@ -154,26 +154,26 @@ def _peach(rng: np.random.Generator, index: int) -> _Shape:
         groove = np.exp(-((off / wide) ** 2)) - 0.5 * np.exp(-((off / (2.5 * wide)) ** 2))
         return np.asarray(1.0 - deep * groove * np.sin(np.pi * np.clip(1.15 * v - 0.05, 0.0, 1.0)))
 
-    return _Shape(skin=_globe(_curve(knots) * [r, h], crease), roughness=0.95)
+    return _FruitShape(skin=_globe(_profile(knots) * [r, h], crease), roughness=0.95)
 
 
-def _pear(rng: np.random.Generator, index: int) -> _Shape:
+def _pear(rng: np.random.Generator, index: int) -> _FruitShape:
     r = float(rng.uniform(0.0245, 0.0275))
     long, neck = float(rng.uniform(1.75, 2.1)) * r, float(rng.uniform(0.42, 0.52))
     knots = [[0.0, -0.80 * r], [0.2 * r, -0.86 * r], [0.42 * r, -0.84 * r], [0.78 * r, -0.58 * r], [r, 0.0],
              [0.88 * r, 0.45 * r], [0.5 * (neck + 0.8) * r, 0.48 * long], [neck * r, 0.78 * long],
              [0.75 * neck * r, 0.96 * long], [0.3 * neck * r, long], [0.0, 0.97 * long]]  # fmt: skip
-    skin = _globe(_curve(knots, 30))
+    skin = _globe(_profile(knots, 30))
     stalk = _stalk([0.0, 0.0, 0.96 * long], [0.002, 0.0, long + rng.uniform(0.008, 0.013)], 0.0013)
-    return _Shape(skin=skin, parts=(stalk,), R_BodyShape=_lying(skin), roughness=0.5)
+    return _FruitShape(skin=skin, parts=(stalk,), R_BodyShape=_lying(skin), roughness=0.5)
 
 
-def _strawberry(rng: np.random.Generator, index: int) -> _Shape:
+def _strawberry(rng: np.random.Generator, index: int) -> _FruitShape:
     r = float(rng.uniform(0.0180, 0.0210))
     long = float(rng.uniform(1.35, 1.75)) * r
     knots = [[0.0, -long], [0.24 * r, -0.95 * long], [0.55 * r, -0.66 * long], [0.82 * r, -0.32 * long], [r, 0.0],
              [0.93 * r, 0.3 * r], [0.66 * r, 0.5 * r], [0.25 * r, 0.53 * r], [0.0, 0.5 * r]]  # fmt: skip
-    skin = _globe(_curve(knots))
+    skin = _globe(_profile(knots))
     leaves, phase = [], rng.uniform(0.0, 1.0)
     count = int(rng.integers(6, 9))
     for i in range(count):
@@ -184,7 +184,7 @@ def _strawberry(rng: np.random.Generator, index: int) -> _Shape:
         )
     stalk = _stalk([0.0, 0.0, 0.5 * r], [0.0012, 0.0, 0.5 * r + rng.uniform(0.006, 0.010)], 0.0010)
     green = replace(stalk.surface, color=_GREEN)
-    return _Shape(
+    return _FruitShape(
         skin=skin,
         parts=(replace(stalk, surface=green), _leaves(leaves, SurfaceFinish(color=_GREEN, roughness=0.7))),
         R_BodyShape=_lying(skin),
@@ -193,7 +193,7 @@ def _strawberry(rng: np.random.Generator, index: int) -> _Shape:
     )
 
 
-def _banana(rng: np.random.Generator, index: int) -> _Shape:
+def _banana(rng: np.random.Generator, index: int) -> _FruitShape:
     r, length = float(rng.uniform(0.0165, 0.0182)), float(rng.uniform(0.125, 0.145))
     turn = float(rng.uniform(0.8, 1.15))
     bow = length / turn
@@ -207,16 +207,16 @@ def _banana(rng: np.random.Generator, index: int) -> _Shape:
     angle = 2.0 * np.pi * uv[:, 0]
     axis = np.stack([np.interp(uv[:, 1], s + 0.5, middle[:, i]) for i in range(3)], axis=1)
     vertices = axis + (tube.vertices - axis) * (1.0 + 0.03 * np.cos(5.0 * angle))[:, None]
-    skin = smooth(vertices, tube.faces, uv, crease_rad=1.0)
+    skin = smooth_mesh(vertices, tube.faces, uv, crease_rad=1.0)
     cuts = np.linspace(0.0, 1.0, 7)
     solids = tuple(
         skin.vertices[(uv[:, 1] >= low - 0.016) & (uv[:, 1] <= high + 0.016)] for low, high in pairwise(cuts)
     )
-    return _Shape(skin=skin, solids=solids, R_BodyShape=np.eye(3), roughness=0.6)
+    return _FruitShape(skin=skin, solids=solids, R_BodyShape=np.eye(3), roughness=0.6)
 
 
 def _lying(skin: Mesh) -> Array:
-    """Rotation (3, 3) that lays a fruit on its side, its axis towards x, where its centre of mass is lowest."""
+    """Return the rotation (3, 3) about y that lays a fruit on its side with the lowest centre of mass."""
     hull = trimesh.convex.convex_hull(skin.vertices)
     points = hull.vertices - hull.center_mass
     tilts = np.linspace(0.9, 2.2, 261)
@@ -225,9 +225,8 @@ def _lying(skin: Mesh) -> Array:
 
 
 def _hull_of(points: Array, directions: Array) -> Array:
-    """A few points (N, 3) whose hull is about that of `points`, with the whole outlines of its flat sides."""
-    turn = 2.0 * np.pi * np.arange(_OUTLINE_POINTS) / _OUTLINE_POINTS
-    ring = np.column_stack([np.cos(turn), np.sin(turn)])
+    """Return few points (N, 3) whose hull approximates that of `points`, including the outlines of its flat sides."""
+    ring = unit_ring(_OUTLINE_POINTS)
     chosen = [points[np.argmax(points @ directions.T, axis=0)]]
     for axis, sign in ((2, -1.0), (1, -1.0), (1, 1.0)):
         reach = sign * points[:, axis]
@@ -237,18 +236,19 @@ def _hull_of(points: Array, directions: Array) -> Array:
 
 
 def _directions(count: int) -> Array:
-    """Unit vectors (count, 3) spread evenly (a spiral by the golden angle)."""
+    """Return evenly spread unit vectors (count, 3) on a golden-angle spiral."""
     z = 1.0 - (2.0 * np.arange(count) + 1.0) / count
     angle = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(count)
     level = np.sqrt(1.0 - z**2)
     return np.column_stack([level * np.cos(angle), level * np.sin(angle), z])
 
 
-def _turned(mesh: Mesh, R: Array) -> Mesh:
+def _rotate(mesh: Mesh, R: Array) -> Mesh:
+    """Return a mesh rotated by `R` (3, 3)."""
     return replace(mesh, vertices=mesh.vertices @ R.T, normals=mesh.normals @ R.T)
 
 
-_SHAPES: dict[str, Callable[[np.random.Generator, int], _Shape]] = {
+_SHAPES: dict[str, Callable[[np.random.Generator, int], _FruitShape]] = {
     "apple": _apple,
     "banana": _banana,
     "orange": _orange,
@@ -258,24 +258,24 @@ _SHAPES: dict[str, Callable[[np.random.Generator, int], _Shape]] = {
 }
 
 
-def _fruit(name: str, asset_id: str, index: int, rng: np.random.Generator) -> Model:
+def _fruit(name: str, asset_id: str, index: int, rng: np.random.Generator) -> AssetModel:
     shape = _SHAPES[name](rng, index)
     R = np.eye(3) if shape.R_BodyShape is None else shape.R_BodyShape
-    lain = _turned(shape.skin, R)
-    floor = float(lain.vertices[:, 2].min()) + FLAT_M
-    vertices = np.array(lain.vertices)
+    resting = _rotate(shape.skin, R)
+    floor = float(resting.vertices[:, 2].min()) + FLAT_M
+    vertices = np.array(resting.vertices)
     vertices[:, 2] = np.maximum(vertices[:, 2], floor)
-    skin = smooth(vertices, lain.faces, lain.uv, crease_rad=1.0)
+    skin = smooth_mesh(vertices, resting.faces, resting.uv, crease_rad=1.0)
     half = 0.5 * _thickness(skin) - (PRESSED_M if shape.R_BodyShape is not None else 0.0)
     solids = [np.maximum(points @ R.T, [-1.0, -1.0, floor]) for points in shape.solids]
     solids = solids or [np.clip(skin.vertices, [-1.0, -half, floor], [1.0, half, 1.0])]
     directions = _directions(_DIRECTIONS if len(solids) == 1 else 30)
     surface = SurfaceFinish(texture=SKINS[name](rng, index), roughness=shape.roughness)
-    body = Body(
+    body = RigidBody(
         name=name,
         visuals=(
             Visual(mesh=skin, surface=surface),
-            *(replace(part, mesh=_turned(part.mesh, R)) for part in shape.parts),
+            *(replace(part, mesh=_rotate(part.mesh, R)) for part in shape.parts),
         ),
         colliders=tuple(Collider(kind=ColliderKind.HULL, points=_hull_of(points, directions)) for points in solids),
         material=Material(
@@ -288,7 +288,7 @@ def _fruit(name: str, asset_id: str, index: int, rng: np.random.Generator) -> Mo
         ),
     )
     extent = np.ptp(skin.vertices, axis=0)
-    return Model(
+    return AssetModel(
         kind=f"fruit/{name}",
         asset_id=asset_id,
         words=name,
@@ -306,12 +306,12 @@ def _fruit(name: str, asset_id: str, index: int, rng: np.random.Generator) -> Mo
 
 
 def _thickness(skin: Mesh) -> float:
-    """Gap of the fingers that hold it at the origin [m]."""
+    """Return the finger width that grasps the fruit at the origin [m]."""
     near = np.abs(skin.vertices[:, 0]) < 0.006
     return float(np.ptp(skin.vertices[near, 1]))
 
 
 KINDS = tuple(AssetKind(name=f"fruit/{name}", make=partial(_fruit, name)) for name in FRUITS)
-"""Fruits by name; sizes: `rest_m` (height of the origin above what it lies on), `height_m`, `length_m` and `width_m`
-along x and y, `grip_m` (thickness at the origin along y), `oblong` (1 if only y will do), `reach_m` (greatest level
-distance from the origin)."""
+"""Fruits by name; sizes: `rest_m` (height of the origin above the support), `height_m`, `length_m` and `width_m` along
+x and y, `grip_m` (thickness at the origin along y), `oblong` (1 if the fingers must close along y), `reach_m`
+(greatest horizontal distance from the origin)."""

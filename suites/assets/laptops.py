@@ -1,7 +1,7 @@
 """Laptops: a base with keyboard and touchpad, and a lid with a screen on a stiff hinge.
 
-A laptop's x axis goes from the hinge to the edge where its user sits, y along the hinge, z up from the table. The lid
-has its origin on the hinge's axis and x towards its free edge; at joint position 0 it is shut.
+The laptop's x axis points from the hinge to the user, y along the hinge, z up from the table. The lid has its origin on
+the hinge's axis and x towards its free edge; at joint position 0 it is shut.
 """
 
 import numpy as np
@@ -9,33 +9,32 @@ import trimesh
 from numpy.typing import ArrayLike, NDArray
 
 from kinebench_drake.geometry import Array, make_pose
-from kinebench_drake.suites.assets.mesh import board, cylinder_mesh, flat, smooth
+from kinebench_drake.suites.assets.mesh import box_visual, cylinder_mesh, flat_mesh, smooth_mesh
 from kinebench_drake.suites.assets.model import (
     AssetKind,
-    Body,
+    AssetModel,
     Collider,
     ColliderKind,
-    Joint,
-    JointKind,
     Material,
     Mesh,
-    Model,
-    Site,
+    RigidBody,
     SurfaceFinish,
     Visual,
+    lid_hinge,
+    site_at,
 )
-from kinebench_drake.suites.assets.texture import blend, tileable_noise
+from kinebench_drake.suites.assets.texture import blend, rgb, tileable_noise
 
 WIDTH_M, DEPTH_M = (0.20, 0.25), (0.135, 0.16)
-"""Least and greatest sizes of the base along and across the hinge."""
+"""Least and greatest extents of the base along and across the hinge."""
 BASE_M, FEET_M, LID_M = (0.0145, 0.0165), (0.003, 0.004), (0.006, 0.0075)
 """Least and greatest thickness of base and lid, and height of the feet."""
 LIP_M = (0.0085, 0.011)
-"""How far the lid stands out beyond the base at least and at most: a fingertip gets under."""
+"""Least and greatest overhang of the lid over the base, under which a fingertip fits."""
 GREATEST_RAD = np.deg2rad(130.0)
-"""How far lids open."""
+"""Upper limit of the hinge."""
 HINGE_FROM_BACK_M, HINGE_ABOVE_BASE_M, GAP_M = 0.006, 0.003, 0.0005
-"""Where the hinge's axis is, and the gap between base and shut lid."""
+"""Position of the hinge's axis, and the gap between base and shut lid."""
 COLORS = {
     "silver": (0.60, 0.61, 0.63),
     "grey": (0.16, 0.165, 0.175),
@@ -46,17 +45,16 @@ COLORS = {
     "green": (0.05, 0.20, 0.13),
     "golden": (0.55, 0.40, 0.24),
 }
-"""Linear RGB, dealt out in turn."""
+"""Linear RGB of the cases, assigned in turn."""
 LOGOS = ("disc", "ring", "hexagon", "square", "triangle", "star")
-"""Shapes on the lid's back, dealt out in turn."""
+"""Shapes on the lid's back, assigned in turn."""
 
-_R_BODY_JOINT = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # its x is -y: turning lifts the lid
-_SKIN_M = 0.0003  # how far flat parts stand out from what they lie on
+_SKIN_M = 0.0003  # distance of decals from the surface below
 _PX_PER_M = 2000.0
 
 
 def _rounded(low: ArrayLike, high: ArrayLike, z_m: float, radius_m: float, sections: int = 8) -> Array:
-    """Outline (N, 3) of a level rectangle with round corners, counter-clockwise seen from above."""
+    """Return the outline (N, 3) of a horizontal rectangle with round corners, counter-clockwise seen from above."""
     (x0, y0), (x1, y1) = np.asarray(low, dtype=np.float64) + radius_m, np.asarray(high, dtype=np.float64) - radius_m
     quarter = np.linspace(0.0, np.pi / 2.0, sections)
     corners = [
@@ -68,19 +66,20 @@ def _rounded(low: ArrayLike, high: ArrayLike, z_m: float, radius_m: float, secti
 
 
 def _hull(points: Array) -> Mesh:
+    """Return the convex hull of points (N, 3) with smooth normals."""
     hull = trimesh.convex.convex_hull(points)
     vertices = np.asarray(hull.vertices, dtype=np.float64)
-    return smooth(vertices, np.asarray(hull.faces), vertices[:, :2], crease_rad=0.5)
+    return smooth_mesh(vertices, np.asarray(hull.faces), vertices[:, :2], crease_rad=0.5)
 
 
 def _sheet(low: ArrayLike, high: ArrayLike, z_m: float, *, up: bool = True) -> Mesh:
-    """A level rectangle with texture coordinates 0..1: a picture on it is upright for who looks along -x.
+    """Return a horizontal rectangle with texture coordinates 0..1, upright for a viewer looking along -x.
 
-    `up`: whether it faces up; else down, upright for who sits at the laptop when it is the lid's inside.
+    `up`: True to face up; else it faces down, and as the lid's inside is upright for the user.
     """
     (x0, y0), (x1, y1) = np.asarray(low, dtype=np.float64), np.asarray(high, dtype=np.float64)
     vertices = np.array([[x0, y0, z_m], [x1, y0, z_m], [x1, y1, z_m], [x0, y1, z_m]])
-    uv = np.array([[0.0, 0.0], [0.0, 1.0], [1.0, 1.0], [1.0, 0.0]])  # a picture's first row is at 0
+    uv = np.array([[0.0, 0.0], [0.0, 1.0], [1.0, 1.0], [1.0, 0.0]])  # the first row of the image is at 0
     faces = np.array([[0, 1, 2], [0, 2, 3]])
     if not up:
         faces, uv = faces[:, ::-1], uv * [1.0, -1.0] + [0.0, 1.0]
@@ -89,7 +88,7 @@ def _sheet(low: ArrayLike, high: ArrayLike, z_m: float, *, up: bool = True) -> M
 
 
 def _keyboard(size_m: tuple[float, float], keys: ArrayLike, well: ArrayLike, marks: ArrayLike) -> NDArray[np.uint8]:
-    """Picture of a keyboard of depth and width `size_m`: five rows of keys with marks; sRGB colours 0..255."""
+    """Draw a keyboard of depth and width `size_m`: five rows of keys with marks; sRGB colours 0..255."""
     height, width = (int(_PX_PER_M * s) for s in size_m)
     image = np.empty((height, width, 3))
     image[:] = well
@@ -114,7 +113,7 @@ def _keyboard(size_m: tuple[float, float], keys: ArrayLike, well: ArrayLike, mar
 
 
 def _desktop(rng: np.random.Generator, index: int) -> NDArray[np.uint8]:
-    """Picture of a screen: a wallpaper with a bar, icons and a window or two."""
+    """Draw a screen: a wallpaper with a task bar, icons and one or two windows."""
     height, width = 256, 410
     wallpaper = blend(rng.uniform(10, 120, 3), rng.uniform(120, 250, 3), tileable_noise(rng, height, slope=2.2))
     image = np.repeat(wallpaper.astype(np.float64), 2, axis=1)[:, :width]
@@ -135,7 +134,7 @@ def _desktop(rng: np.random.Generator, index: int) -> NDArray[np.uint8]:
 
 
 def _logo(shape: str, radius_m: float) -> Mesh:
-    """A flat shape facing up about the origin, pointing to -x: upright for who looks at an open laptop's back."""
+    """Return a flat shape at the origin facing up and pointing to -x: upright on the back of an open laptop."""
     corners = {"disc": 32, "ring": 32, "hexagon": 6, "square": 4, "triangle": 3, "star": 10}[shape]
     angle = 2.0 * np.pi * (np.arange(corners) + (0.5 if shape == "square" else 0.0)) / corners + np.pi
     outer = np.where((shape == "star") & (np.arange(corners) % 2 == 1), 0.45, 1.0) * radius_m
@@ -145,18 +144,13 @@ def _logo(shape: str, radius_m: float) -> Mesh:
     faces = np.concatenate(
         [np.column_stack([corners + here, here, after]), np.column_stack([corners + here, after, corners + after])]
     )
-    return flat(np.concatenate([rim, inner]), faces)
-
-
-def _rgb(color: ArrayLike) -> tuple[float, float, float]:
-    r, g, b = np.clip(np.asarray(color, dtype=np.float64), 0.0, 1.0)
-    return float(r), float(g), float(b)
+    return flat_mesh(np.concatenate([rim, inner]), faces)
 
 
 def _base(
     rng: np.random.Generator, size: dict[str, float], case: SurfaceFinish, *, dark_keys: bool
 ) -> tuple[tuple[Visual, ...], Array]:
-    """Visuals of the base, and the points whose hull it is."""
+    """Return the visuals of the base and the points of its convex collider."""
     w, d, feet, top = size["width_m"], size["depth_m"], size["feet_m"], size["top_m"]
     radius, undercut = float(rng.uniform(0.006, 0.012)), 0.75 * (top - feet)
     low, high = np.array([-d / 2.0, -w / 2.0]), np.array([d / 2.0, w / 2.0])
@@ -171,39 +165,41 @@ def _base(
     ink, key = ((215, 215, 215), rng.uniform(18, 40)) if dark_keys else ((60, 60, 64), rng.uniform(200, 235))
     back, keys_depth = -d / 2.0 + 0.022, 0.5 * d
     keys_low, keys_high = [back, -0.44 * w], [back + keys_depth, 0.44 * w]
-    picture = _keyboard((keys_depth, 0.88 * w), key * np.ones(3), 0.45 * key * np.ones(3), ink)
+    image = _keyboard((keys_depth, 0.88 * w), key * np.ones(3), 0.45 * key * np.ones(3), ink)
     pad = float(rng.uniform(0.13, 0.19)) * w
-    pad_color = _rgb(np.array(case.color) * 0.72 + (0.03 if max(case.color) < 0.1 else 0.0))
+    pad_color = rgb(np.array(case.color) * 0.72 + (0.03 if max(case.color) < 0.1 else 0.0))
     dark = SurfaceFinish(color=(0.01, 0.01, 0.011), roughness=0.8)
     visuals = [
         Visual(mesh=_hull(points), surface=case),
         Visual(
-            mesh=_sheet(keys_low, keys_high, top + 0.5 * _SKIN_M), surface=SurfaceFinish(texture=picture, roughness=0.8)
+            mesh=_sheet(keys_low, keys_high, top + 0.5 * _SKIN_M), surface=SurfaceFinish(texture=image, roughness=0.8)
         ),
         Visual(
             mesh=_sheet([back + keys_depth + 0.006, -pad], [d / 2.0 - 0.007, pad], top + 0.5 * _SKIN_M),
             surface=SurfaceFinish(color=pad_color, roughness=0.35, specular=0.5),
         ),
     ]
-    turned = make_pose([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]], np.zeros(3))
+    X_hinge = make_pose([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]], np.zeros(3))
     for y in (-0.32 * w, 0.32 * w):
-        X = turned.copy()
+        X = X_hinge.copy()
         X[:3, 3] = [size["hinge_x_m"], y, size["hinge_z_m"]]
         visuals.append(Visual(mesh=cylinder_mesh(HINGE_ABOVE_BASE_M, 0.16 * w), surface=dark, X_BodyV=X))
     for x in (-0.36 * d, 0.26 * d):
         for y in (-0.38 * w, 0.38 * w):
-            visuals.append(board([0.012, 0.02, feet + 0.0004], [x, y, 0.5 * feet], dark, bevel_m=0.0, uv_per_m=1.0))
-    for side in (-1.0, 1.0):  # sockets; the side walls lean in by 6 mm over their height
+            visuals.append(
+                box_visual([0.012, 0.02, feet + 0.0004], [x, y, 0.5 * feet], dark, bevel_m=0.0, uv_per_m=1.0)
+            )
+    for side in (-1.0, 1.0):  # sockets; the side walls taper by 6 mm over their height
         for i in range(int(rng.integers(1, 4))):
             center = [-0.3 * d + 0.02 * i, side * (w / 2.0 - 0.0022), top - 0.0052]
-            visuals.append(board([0.010, 0.0040, 0.0036], center, dark, bevel_m=0.0, uv_per_m=1.0))
+            visuals.append(box_visual([0.010, 0.0040, 0.0036], center, dark, bevel_m=0.0, uv_per_m=1.0))
     return tuple(visuals), points
 
 
 def _lid(
     rng: np.random.Generator, index: int, size: dict[str, float], case: SurfaceFinish
 ) -> tuple[tuple[Visual, ...], Array]:
-    """Visuals of the lid in its own frame, and the points whose hull it is."""
+    """Return the visuals of the lid in its own frame and the points of its convex collider."""
     w, near, far = size["width_m"], 0.004, size["reach_m"]
     inner, outer, radius = size["inside_m"], size["outside_m"], float(rng.uniform(0.006, 0.012))
     low, high = np.array([near, -w / 2.0]), np.array([far, w / 2.0])
@@ -218,7 +214,7 @@ def _lid(
     border = float(rng.uniform(0.006, 0.011))
     frame_low, frame_high = low + 0.004, high - 0.004
     screen_low, screen_high = low + np.array([0.004 + 1.4 * border, 0.004 + border]), high - 0.004 - border
-    logo = _rgb(np.array(case.color) * 0.4 if max(case.color) > 0.3 else np.array([0.75, 0.75, 0.75]))
+    logo = rgb(np.array(case.color) * 0.4 if max(case.color) > 0.3 else np.array([0.75, 0.75, 0.75]))
     X_logo = make_pose(np.eye(3), [0.5 * (near + far), 0.0, outer + 0.5 * _SKIN_M])
     visuals = (
         Visual(mesh=_hull(points), surface=case),
@@ -240,14 +236,15 @@ def _lid(
 
 
 def _solid(points: Array) -> tuple[Collider, ...]:
+    """Return the convex hull of points (N, 3) as the only collider."""
     return (Collider(kind=ColliderKind.HULL, points=points),)
 
 
-def _laptop(asset_id: str, index: int, rng: np.random.Generator) -> Model:
+def _laptop(asset_id: str, index: int, rng: np.random.Generator) -> AssetModel:
     name = list(COLORS)[index % len(COLORS)]
     metal = name not in ("white", "black") and rng.random() < 0.6
     case = SurfaceFinish(
-        color=_rgb(np.array(COLORS[name]) * rng.uniform(0.85, 1.15)),
+        color=rgb(np.array(COLORS[name]) * rng.uniform(0.85, 1.15)),
         roughness=float(rng.uniform(0.3, 0.6)),
         metallic=0.35 if metal else 0.0,
         specular=0.4,
@@ -267,35 +264,28 @@ def _laptop(asset_id: str, index: int, rng: np.random.Generator) -> Model:
     size["reach_m"] = size["depth_m"] / 2.0 + size["lip_m"] - size["hinge_x_m"]
     base_visuals, base_points = _base(rng, size, case, dark_keys=name != "white" and index % 3 != 1)
     lid_visuals, lid_points = _lid(rng, index, size, case)
-    at_hinge = make_pose(_R_BODY_JOINT, [size["hinge_x_m"], 0.0, size["hinge_z_m"]])
-    joint = Joint(
-        kind=JointKind.HINGE,
-        X_ParentJ=at_hinge,
-        X_BodyJ=make_pose(_R_BODY_JOINT, np.zeros(3)),
-        lower=0.0,
-        upper=GREATEST_RAD,
-        friction=float(rng.uniform(0.02, 0.06)),
-        damping=float(rng.uniform(0.06, 0.14)),
-    )
+    p_hinge = [size["hinge_x_m"], 0.0, size["hinge_z_m"]]
+    friction, damping = float(rng.uniform(0.02, 0.06)), float(rng.uniform(0.06, 0.14))
+    joint = lid_hinge(p_hinge, GREATEST_RAD, friction=friction, damping=damping)
     material = Material(
         density=float(rng.uniform(900.0, 1300.0)), static_friction=0.45, dynamic_friction=0.4, restitution=0.0
     )
-    return Model(
+    return AssetModel(
         kind="laptop",
         asset_id=asset_id,
         words=f"{name} laptop",
         bodies=(
-            Body(name="base", visuals=base_visuals, colliders=_solid(base_points), material=material),
-            Body(name="lid", visuals=lid_visuals, colliders=_solid(lid_points), material=material, joint=joint),
+            RigidBody(name="base", visuals=base_visuals, colliders=_solid(base_points), material=material),
+            RigidBody(name="lid", visuals=lid_visuals, colliders=_solid(lid_points), material=material, joint=joint),
         ),
         size=size,
         sites={
-            "hinge": Site(body="base", X_BodyS=make_pose(np.eye(3), [size["hinge_x_m"], 0.0, size["hinge_z_m"]])),
-            "edge": Site(body="lid", X_BodyS=make_pose(np.eye(3), [size["reach_m"], 0.0, size["inside_m"]])),
+            "hinge": site_at("base", p_hinge),
+            "edge": site_at("lid", [size["reach_m"], 0.0, size["inside_m"]]),
         },
     )
 
 
 KINDS = (AssetKind(name="laptop", make=_laptop),)
-"""Laptops: `size` has width, depth, feet, top of the base, lip, the hinge's place in the base, and of the lid in its
-own frame its reach from the axis and the heights of its inside and outside."""
+"""Laptops; sizes: width and depth, height of the feet and of the base's top, the lid's overhang, position of the hinge
+in the base, and in the lid's frame its reach from the axis and the heights of its inner and outer faces."""

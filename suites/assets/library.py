@@ -1,25 +1,25 @@
-"""All instances of all kinds of things, by asset id such as "box/07"."""
+"""Library of all assets, by asset id such as "box/07"."""
 
 from functools import lru_cache
 
 from kinebench_drake.errors import UsageError
-from kinebench_drake.suites.assets import boxes, cabinets, containers, cubes, faucets, fruits, laptops, marks, pegs
-from kinebench_drake.suites.assets.model import AssetKind, Model
+from kinebench_drake.suites.assets import blocks, boxes, cabinets, containers, faucets, fruits, laptops, marks
+from kinebench_drake.suites.assets.model import AssetKind, AssetModel
 from kinebench_drake.suites.seeding import generator
 
 INSTANCES = 24
-"""Instances of each kind."""
+"""Number of instances of each kind."""
 
-_FAMILIES = (boxes, cabinets, containers, cubes, faucets, fruits, laptops, marks, pegs)
+_FAMILIES = (blocks, boxes, cabinets, containers, faucets, fruits, laptops, marks)
 KINDS: dict[str, AssetKind] = {kind.name: kind for family in _FAMILIES for kind in family.KINDS}
-"""All kinds by name."""
+"""All asset kinds by name."""
 
 
 def asset_ids(kind: str) -> tuple[str, ...]:
-    """The ids of a kind's instances.
+    """Return the ids of a kind's instances.
 
     Raises:
-        UsageError: there is no such kind.
+        UsageError: the kind is unknown.
     """
     if kind not in KINDS:
         raise UsageError(f"no kind of asset {kind!r}; there are {', '.join(KINDS)}")
@@ -27,11 +27,11 @@ def asset_ids(kind: str) -> tuple[str, ...]:
 
 
 @lru_cache(maxsize=256)
-def model(asset_id: str) -> Model:
-    """The instance of an id.
+def model(asset_id: str) -> AssetModel:
+    """Make the asset with an id.
 
     Raises:
-        UsageError: there is none.
+        UsageError: the id is unknown.
     """
     kind, _, number = asset_id.rpartition("/")
     ids = asset_ids(kind)

@@ -1,7 +1,7 @@
-"""Looks of the place: table tops, backgrounds (wall and floor) and lights, each a seeded library.
+"""Looks of the surroundings: seeded libraries of table tops, backgrounds (wall and floor) and lights.
 
-The looks differ in kind, not only in shade. Table tops are neither as white as the robot nor as bright in colour as the
-things on them; lights come from all sides, and no picture is burnt out or lost in the dark.
+The looks differ in kind, not only in shade. Table tops are neither as white as the robot nor as saturated as the
+objects on them; lights come from all sides, and no image is over- or underexposed.
 """
 
 from collections.abc import Callable
@@ -12,56 +12,58 @@ import numpy as np
 
 from kinebench_drake.errors import UsageError
 from kinebench_drake.suites.assets import texture
-from kinebench_drake.suites.assets.model import SurfaceFinish
+from kinebench_drake.suites.assets.mesh import box_collider, box_visual
+from kinebench_drake.suites.assets.model import Material, RigidBody, SurfaceFinish, Visual
 from kinebench_drake.suites.assets.texture import Texture
 from kinebench_drake.suites.seeding import generator
 
 LOOKS = 24
-"""Looks of each sort."""
+"""Number of looks of each sort."""
 SORTS = ("table", "background", "light")
 """Sorts of looks."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Finish:
-    """How a table top, wall or floor looks."""
+class TiledFinish:
+    """Finish of a table top, wall or floor."""
 
     surface: SurfaceFinish
     uv_per_m: float
-    """Repetitions of the texture a metre."""
+    """Repetitions of the texture per metre."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Background:
-    """What is behind the robot."""
+    """Room behind the robot."""
 
-    wall: Finish
-    floor: Finish
+    wall: TiledFinish
+    floor: TiledFinish
     skirting: SurfaceFinish
-    """The board along the foot of the wall."""
+    """Skirting board along the foot of the wall."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Light:
-    """Where light comes from."""
+    """Illumination of the scene."""
 
     ambient: tuple[float, float, float]
-    """Linear RGB from everywhere."""
+    """Linear RGB of the ambient light."""
     key_direction: tuple[float, float, float]
-    """The way the brightest light goes, in B; it casts shadows."""
+    """Direction of travel of the main light in B; it casts shadows."""
     key_color: tuple[float, float, float]
-    """Its linear RGB."""
+    """Linear RGB."""
     fill_direction: tuple[float, float, float]
-    """The way a weaker light goes, without shadows."""
+    """Direction of travel of a weaker light in B, without shadows."""
     fill_color: tuple[float, float, float]
-    """Its linear RGB."""
+    """Linear RGB."""
 
 
 _Make = Callable[[np.random.Generator], Texture]
-_Recipe = tuple[_Make, float, float]  # image, metres of one repetition, roughness
+_Recipe = tuple[_Make, float, float]  # image, size of one repetition [m], roughness
 
 
 def _along_y(make: _Make) -> _Make:
+    """Return a recipe of the same image with rows and columns exchanged."""
     return lambda rng: np.ascontiguousarray(make(rng).swapaxes(0, 1))
 
 
@@ -106,24 +108,24 @@ _WALLS: tuple[_Recipe, ...] = (
     (lambda rng: texture.wallpaper(rng, (172, 180, 168), (140, 154, 140), "leaves"), 0.6, 0.95),
     (lambda rng: texture.plaster(rng, (142, 158, 170)), 0.6, 0.95),
     (lambda rng: texture.concrete(rng), 1.6, 0.95),
-    (lambda rng: np.ascontiguousarray(texture.planks(rng, "pine", boards=6).swapaxes(0, 1)), 0.8, 0.7),
+    _planks("pine", 6, 0.8, 0.7),
     (lambda rng: texture.wallpaper(rng, (196, 186, 166), (174, 158, 132), "stripes"), 0.8, 0.95),
     (lambda rng: texture.tiles(rng, (188, 196, 192), (150, 150, 146)), 0.6, 0.35),
     (lambda rng: texture.plaster(rng, (176, 124, 98)), 0.6, 0.95),
     (lambda rng: texture.bricks(rng, (198, 194, 186), (178, 174, 166)), 0.62, 0.9),
     (lambda rng: texture.wallpaper(rng, (116, 130, 150), (146, 158, 172), "dots"), 0.5, 0.95),
     (lambda rng: texture.plaster(rng, (160, 168, 142)), 0.6, 0.95),
-    (lambda rng: np.ascontiguousarray(texture.wood(rng, "walnut", size=512).swapaxes(0, 1)), 0.9, 0.6),
+    _wood("walnut", 0.9, 0.6),
     (lambda rng: texture.plaster(rng, (196, 172, 120)), 0.6, 0.95),
     (lambda rng: texture.wallpaper(rng, (184, 164, 158), (160, 134, 130), "diamonds"), 0.6, 0.95),
     (lambda rng: texture.plaster(rng, (92, 98, 106)), 0.6, 0.95),
     (lambda rng: texture.tiles(rng, (88, 126, 126), (186, 186, 178), other=(112, 146, 142)), 0.8, 0.35),
     (lambda rng: texture.bricks(rng, (164, 148, 122), (142, 136, 126), rows=10), 0.7, 0.95),
     (lambda rng: texture.plaster(rng, (194, 164, 160)), 0.6, 0.95),
-    (lambda rng: np.ascontiguousarray(texture.planks(rng, "weathered", boards=5).swapaxes(0, 1)), 0.8, 0.9),
+    _planks("weathered", 5, 0.8, 0.9),
     (lambda rng: texture.wallpaper(rng, (190, 188, 178), (150, 164, 174), "waves"), 0.7, 0.95),
     (lambda rng: texture.speckle(rng, (172, 136, 98), [(136, 98, 64), (194, 162, 122)], cycles=30.0), 0.5, 0.95),
-    (lambda rng: texture.stripes(rng, [(176, 186, 190), (150, 166, 174)], count=4).swapaxes(0, 1).copy(), 1.2, 0.95),
+    (_along_y(lambda rng: texture.stripes(rng, [(176, 186, 190), (150, 166, 174)], count=4)), 1.2, 0.95),
     (lambda rng: texture.marble(rng, (192, 184, 172), (138, 126, 112)), 1.6, 0.4),
 )
 
@@ -174,10 +176,10 @@ _LIGHTS: tuple[tuple[str, float, float, float, float], ...] = (  # from, slope, 
 
 
 def look_ids(sort: str) -> tuple[str, ...]:
-    """The ids of a sort's looks, such as "table/03".
+    """Return the ids of a sort's looks, such as "table/03".
 
     Raises:
-        UsageError: there is no such sort.
+        UsageError: the sort is unknown.
     """
     if sort not in SORTS:
         raise UsageError(f"no sort of look {sort!r}; there are {', '.join(SORTS)}")
@@ -185,23 +187,24 @@ def look_ids(sort: str) -> tuple[str, ...]:
 
 
 def _find(sort: str, look_id: str) -> tuple[int, np.random.Generator]:
+    """Return the number of a look and its random generator; raise UsageError if the id is unknown."""
     ids = look_ids(sort)
     if look_id not in ids:
         raise UsageError(f"no {sort} {look_id!r}; there are {ids[0]} to {ids[-1]}")
     return ids.index(look_id), generator("look", look_id)
 
 
-def _finish(recipe: _Recipe, rng: np.random.Generator) -> Finish:
+def _finish(recipe: _Recipe, rng: np.random.Generator) -> TiledFinish:
     make, length_m, roughness = recipe
-    return Finish(surface=SurfaceFinish(texture=make(rng), roughness=roughness), uv_per_m=1.0 / length_m)
+    return TiledFinish(surface=SurfaceFinish(texture=make(rng), roughness=roughness), uv_per_m=1.0 / length_m)
 
 
 @lru_cache(maxsize=64)
-def table(look_id: str) -> Finish:
-    """The table top of an id.
+def table(look_id: str) -> TiledFinish:
+    """Make the table top with an id.
 
     Raises:
-        UsageError: there is none.
+        UsageError: the id is unknown.
     """
     index, rng = _find("table", look_id)
     return _finish(_TABLES[index], rng)
@@ -209,10 +212,10 @@ def table(look_id: str) -> Finish:
 
 @lru_cache(maxsize=64)
 def background(look_id: str) -> Background:
-    """The background of an id.
+    """Make the background with an id.
 
     Raises:
-        UsageError: there is none.
+        UsageError: the id is unknown.
     """
     index, rng = _find("background", look_id)
     return Background(
@@ -222,17 +225,17 @@ def background(look_id: str) -> Background:
     )
 
 
-def _tinted(strength: float, warmth: float) -> tuple[float, float, float]:
-    """Linear RGB of a light between bluish (-1) and reddish (1), as a camera sees it that is set in between."""
+def _tint(strength: float, warmth: float) -> tuple[float, float, float]:
+    """Return the linear RGB of a light from bluish (-1) to reddish (1), for a camera balanced in between."""
     return strength * (1.0 + 0.13 * warmth), strength * (1.0 - 0.03 * abs(warmth)), strength * (1.0 - 0.36 * warmth)
 
 
 @lru_cache(maxsize=64)
 def light(look_id: str) -> Light:
-    """The light of an id.
+    """Make the light with an id.
 
     Raises:
-        UsageError: there is none.
+        UsageError: the id is unknown.
     """
     index, rng = _find("light", look_id)
     side, slope, strength, ambient, warmth = _LIGHTS[index]
@@ -240,9 +243,55 @@ def light(look_id: str) -> Light:
     behind = side.startswith("behind")
     other = (0.4 if behind else 0.3) * strength
     return Light(
-        ambient=_tinted(ambient, 0.4 * warmth),
+        ambient=_tint(ambient, 0.4 * warmth),
         key_direction=(-float(np.cos(azimuth)), -float(np.sin(azimuth)), -slope),
-        key_color=_tinted(strength, warmth),
+        key_color=_tint(strength, warmth),
         fill_direction=(-1.0, 0.8 * float(np.sin(azimuth)), -0.7),
-        fill_color=_tinted(other, 0.4 * warmth),
+        fill_color=_tint(other, 0.4 * warmth),
     )
+
+
+TABLE_SIZE_M = (1.5, 2.4, 0.04)
+"""Extents along x, y, z."""
+TABLE_CENTER_M = (0.55, 0.0, -0.02)
+"""Centre in B; the top is z = 0."""
+FLOOR_M = -0.75
+"""z of the floor."""
+WALL_M = -2.8
+"""x of the wall behind the robot."""
+WALL_TOP_M = 1.3
+"""z of the wall's upper edge: out of view, and low enough for light from behind the wall."""
+SKIRTING_M = (0.03, 8.0, 0.09)
+"""Extents of the skirting board along the foot of the wall."""
+_ROOM_M = 8.0
+
+
+def _slab(size: tuple[float, float, float], center: tuple[float, float, float], look: TiledFinish) -> Visual:
+    return box_visual(size, center, look.surface, bevel_m=0.0, uv_per_m=look.uv_per_m)
+
+
+def surroundings(table: TiledFinish, background: Background) -> dict[str, RigidBody]:
+    """Return the static bodies of table, wall and floor by name, in B."""
+    wall_height_m, foot_m = WALL_TOP_M - FLOOR_M, FLOOR_M + 0.5 * SKIRTING_M[2]
+    skirting = TiledFinish(surface=background.skirting, uv_per_m=1.0)
+    return {
+        "table": RigidBody(
+            name="table",
+            visuals=(_slab(TABLE_SIZE_M, TABLE_CENTER_M, table),),
+            colliders=(box_collider(TABLE_SIZE_M, TABLE_CENTER_M),),
+            material=Material(static_friction=0.6, dynamic_friction=0.5, restitution=0.0),
+        ),
+        "wall": RigidBody(
+            name="wall",
+            visuals=(
+                _slab(
+                    (0.1, _ROOM_M, wall_height_m), (WALL_M - 0.05, 0.0, FLOOR_M + 0.5 * wall_height_m), background.wall
+                ),
+                _slab(SKIRTING_M, (WALL_M, 0.0, foot_m), skirting),
+            ),
+        ),
+        "floor": RigidBody(
+            name="floor",
+            visuals=(_slab((_ROOM_M, _ROOM_M, 0.1), (WALL_M + 0.5 * _ROOM_M, 0.0, FLOOR_M - 0.05), background.floor),),
+        ),
+    }

@@ -1,28 +1,32 @@
-"""Meshes of simple shapes with normals and texture coordinates in metres (one texture per metre unless scaled)."""
+"""Visuals and colliders of simple shapes.
 
+Meshes have normals, and texture coordinates in metres: one repetition of the texture per metre unless scaled.
+"""
+
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 import trimesh
 from numpy.typing import ArrayLike
 
-from kinebench_drake.geometry import make_pose
+from kinebench_drake.geometry import Array, make_pose
 from kinebench_drake.suites.assets.model import (
-    Body,
     Collider,
     ColliderKind,
     Joint,
     Material,
     Mesh,
+    RigidBody,
     SurfaceFinish,
     Visual,
 )
 
 
 def box_mesh(size: ArrayLike, *, bevel_m: float = 0.0, uv_per_m: float = 1.0) -> Mesh:
-    """A box of full sizes `size` (3,) [m] about the origin; `bevel_m` cuts its edges, which then catch the light.
+    """Return a box of extents `size` (3,) [m] centred at the origin, with edges bevelled by `bevel_m`.
 
-    Each face has its own texture coordinates, `uv_per_m` a metre.
+    Each face has its own texture coordinates, `uv_per_m` repetitions per metre.
     """
     half = np.asarray(size, dtype=np.float64) / 2.0
     bevel = min(bevel_m, 0.45 * float(half.min()) * 2.0)
@@ -32,19 +36,19 @@ def box_mesh(size: ArrayLike, *, bevel_m: float = 0.0, uv_per_m: float = 1.0) ->
         corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=np.float64)
         points = [corners * (half - bevel * (1.0 - np.eye(3)[axis])) for axis in range(3)]
         solid = trimesh.convex.convex_hull(np.concatenate(points))
-    return flat(solid.vertices, solid.faces, uv_per_m=uv_per_m)
+    return flat_mesh(solid.vertices, solid.faces, uv_per_m=uv_per_m)
 
 
 def cylinder_mesh(radius_m: float, length_m: float, *, sections: int = 32, uv_per_m: float = 1.0) -> Mesh:
-    """A cylinder along z about the origin, smooth around, flat at its ends."""
+    """Return a cylinder along z centred at the origin, with a smooth side and flat ends."""
     h = length_m / 2.0
     return lathe([[0.0, -h], [radius_m, -h], [radius_m, h], [0.0, h]], sections=sections, uv_per_m=uv_per_m)
 
 
 def lathe(profile: ArrayLike, *, sections: int = 32, uv_per_m: float = 1.0, crease_rad: float = 0.6) -> Mesh:
-    """The surface of revolution about z of a profile (N, 2) of radius and height [m], from bottom to top outside.
+    """Return the surface of revolution about z of a profile (N, 2) of radius and height [m], from bottom to top.
 
-    Smooth where the profile turns by less than `crease_rad`.
+    Normals are smooth where the profile bends by less than `crease_rad`.
     """
     rz = np.asarray(profile, dtype=np.float64)
     angle = np.linspace(0.0, 2.0 * np.pi, sections + 1)
@@ -62,11 +66,11 @@ def lathe(profile: ArrayLike, *, sections: int = 32, uv_per_m: float = 1.0, crea
                 faces.append([a, a + 1, b + 1])
             if rz[i + 1, 0] > 1e-9:
                 faces.append([a, b + 1, b])
-    return smooth(vertices, np.array(faces), uv, crease_rad=crease_rad)
+    return smooth_mesh(vertices, np.array(faces), uv, crease_rad=crease_rad)
 
 
-def flat(vertices: ArrayLike, faces: ArrayLike, *, uv_per_m: float = 1.0) -> Mesh:
-    """Every triangle its own normal; texture coordinates by looking along the axis that it faces most."""
+def flat_mesh(vertices: ArrayLike, faces: ArrayLike, *, uv_per_m: float = 1.0) -> Mesh:
+    """Return a mesh with flat shading; texture coordinates are projected along the dominant axis of each normal."""
     triangles = np.asarray(vertices, dtype=np.float64)[np.asarray(faces)]
     n = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     n /= np.maximum(np.linalg.norm(n, axis=1, keepdims=True), 1e-12)
@@ -81,8 +85,8 @@ def flat(vertices: ArrayLike, faces: ArrayLike, *, uv_per_m: float = 1.0) -> Mes
     )
 
 
-def smooth(vertices: ArrayLike, faces: ArrayLike, uv: ArrayLike, *, crease_rad: float = 0.6) -> Mesh:
-    """Normals averaged over the triangles at the same place that face within `crease_rad` of each other."""
+def smooth_mesh(vertices: ArrayLike, faces: ArrayLike, uv: ArrayLike, *, crease_rad: float = 0.6) -> Mesh:
+    """Return a mesh whose vertex normals average the adjacent triangles that face within `crease_rad` of each other."""
     points, texture = np.asarray(vertices, dtype=np.float64), np.asarray(uv, dtype=np.float64)
     triangles = np.asarray(faces, dtype=np.intp)
     a, b, c = (points[triangles[:, i]] for i in range(3))
@@ -109,14 +113,14 @@ def smooth(vertices: ArrayLike, faces: ArrayLike, uv: ArrayLike, *, crease_rad: 
 
 
 def sweep(centers: ArrayLike, radii: ArrayLike, *, sections: int = 16, uv_per_m: float = 1.0) -> Mesh:
-    """A round tube along points (N, 3) with radii (N,) [m], its ends closed by the radii going to 0 or left flat."""
+    """Return a round tube along points (N, 3) with radii (N,) [m] and flat ends."""
     p, r = np.asarray(centers, dtype=np.float64), np.asarray(radii, dtype=np.float64)
     tangent = np.gradient(p, axis=0)
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
     side = np.cross(tangent[0], np.eye(3)[np.argmin(np.abs(tangent[0]))])
     angle = np.linspace(0.0, 2.0 * np.pi, sections + 1)
     rings = []
-    for i in range(len(p)):  # carried along without twist
+    for i in range(len(p)):  # parallel transport: no twist
         side = side - (side @ tangent[i]) * tangent[i]
         side /= np.linalg.norm(side)
         up = np.cross(tangent[i], side)
@@ -134,30 +138,43 @@ def sweep(centers: ArrayLike, radii: ArrayLike, *, sections: int = 16, uv_per_m:
             faces += [[a, a + 1, b + 1], [a, b + 1, b]]
         end = (len(p) - 1) * columns + j
         faces += [[j + 1, j, first + j], [end, end + 1, last + j]]
-    return smooth(vertices, np.array(faces), uv_per_m * uv)
+    return smooth_mesh(vertices, np.array(faces), uv_per_m * uv)
 
 
-_UPRIGHT = np.eye(3)
+def unit_ring(sections: int) -> Array:
+    """Return points (sections, 2) evenly spaced on the unit circle."""
+    angle = 2.0 * np.pi * np.arange(sections) / sections
+    return np.column_stack([np.cos(angle), np.sin(angle)])
 
 
-def block(size: ArrayLike, center: ArrayLike, *, R: ArrayLike = _UPRIGHT) -> Collider:
-    """A solid box of full sizes `size` (3,) about `center` (3,) [m], turned by `R` (3, 3)."""
+def frustum(low: Sequence[float], high: Sequence[float], *, sections: int) -> Collider:
+    """Return a collider, the convex hull about z between two points of a profile: radius and height [m]."""
+    ring = unit_ring(sections)
+    rings = [np.column_stack([r * ring, np.full(sections, z)]) for r, z in (low, high)]
+    return Collider(kind=ColliderKind.HULL, points=np.concatenate(rings))
+
+
+_IDENTITY = np.eye(3)
+
+
+def box_collider(size: ArrayLike, center: ArrayLike, *, R: ArrayLike = _IDENTITY) -> Collider:
+    """Return a box collider of extents `size` (3,) centred at `center` (3,) [m], rotated by `R` (3, 3)."""
     x, y, z = (float(s) for s in 0.5 * np.asarray(size, dtype=np.float64))
     return Collider(kind=ColliderKind.BOX, size=(x, y, z), X_BodyC=make_pose(R, center))
 
 
-def board(
+def box_visual(
     size: ArrayLike,
     center: ArrayLike,
     surface: SurfaceFinish,
     *,
-    R: ArrayLike = _UPRIGHT,
+    R: ArrayLike = _IDENTITY,
     bevel_m: float = 0.001,
     uv_per_m: float = 5.0,
 ) -> Visual:
-    """What is seen of a box of full sizes `size` (3,) about `center` (3,) [m], turned by `R` (3, 3).
+    """Return a box visual of extents `size` (3,) centred at `center` (3,) [m], rotated by `R` (3, 3).
 
-    `bevel_m` and `uv_per_m` are those of `box_mesh`.
+    `bevel_m` and `uv_per_m` as in `box_mesh`.
     """
     return Visual(
         mesh=box_mesh(size, bevel_m=bevel_m, uv_per_m=uv_per_m), surface=surface, X_BodyV=make_pose(R, center)
@@ -165,27 +182,27 @@ def board(
 
 
 @dataclass(slots=True)
-class Parts:
-    """Visuals and colliders of one body, added piece by piece in the body's frame."""
+class BodyParts:
+    """Builder of a body from parts in the body's frame."""
 
     uv_per_m: float = 5.0
-    """Textures a metre on panels."""
+    """Repetitions of the texture per metre on panels."""
     visuals: list[Visual] = field(default_factory=list)
     colliders: list[Collider] = field(default_factory=list)
 
     def panel(
         self, low: ArrayLike, high: ArrayLike, surface: SurfaceFinish, *, bevel_m: float = 0.001, solid: bool = True
     ) -> None:
-        """The box between two corners (3,) [m]; `solid`: not only to be seen."""
+        """Add the box between two corners (3,) [m]; without a collider if not `solid`."""
         low, high = np.asarray(low, dtype=np.float64), np.asarray(high, dtype=np.float64)
         size, center = high - low, 0.5 * (low + high)
-        self.visuals.append(board(size, center, surface, bevel_m=bevel_m, uv_per_m=self.uv_per_m))
+        self.visuals.append(box_visual(size, center, surface, bevel_m=bevel_m, uv_per_m=self.uv_per_m))
         if solid:
-            self.colliders.append(block(size, center))
+            self.colliders.append(box_collider(size, center))
 
-    def body(self, name: str, material: Material, joint: Joint | None = None) -> Body:
-        """All of it as one body."""
-        return Body(
+    def body(self, name: str, material: Material, joint: Joint | None = None) -> RigidBody:
+        """Return all parts as one body."""
+        return RigidBody(
             name=name,
             visuals=tuple(self.visuals),
             colliders=tuple(self.colliders),

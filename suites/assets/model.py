@@ -1,6 +1,6 @@
-"""What a thing is made of, for eyes and for physics, apart from any simulator.
+"""Simulator-independent description of an asset: rigid bodies with meshes, colliders, materials and joints.
 
-A model is a tree of rigid bodies; poses of a body's parts are given in the body's own frame. Lengths in metres.
+A model is a tree of rigid bodies; poses of a body's parts are in the body's own frame. Lengths in metres.
 """
 
 from collections.abc import Callable, Mapping
@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array, make_pose, rotation_exp
@@ -16,14 +16,14 @@ from kinebench_drake.geometry import Array, make_pose, rotation_exp
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SurfaceFinish:
-    """How a part looks."""
+    """Render material of a part."""
 
     color: tuple[float, float, float] = (1.0, 1.0, 1.0)
     """Linear RGB 0..1; multiplied with the texture, if there is one."""
     texture: NDArray[np.uint8] | None = None
-    """(H, W, 3) sRGB image laid on by the mesh's `uv`, repeated outside 0..1; None: plain."""
+    """(H, W, 3) sRGB image mapped by the mesh's `uv`, repeated outside 0..1; None: none."""
     roughness: float = 0.7
-    """0 (mirror) .. 1 (matt)."""
+    """0 (mirror) .. 1 (matte)."""
     metallic: float = 0.0
     """0 .. 1."""
     specular: float = 0.3
@@ -32,12 +32,12 @@ class SurfaceFinish:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Mesh:
-    """Triangles to look at."""
+    """Triangle mesh for rendering."""
 
     vertices: Array
     """(V, 3) [m]."""
     faces: NDArray[np.integer]
-    """(F, 3) indices, counter-clockwise seen from outside."""
+    """(F, 3) vertex indices, counter-clockwise seen from outside."""
     normals: Array
     """(V, 3) unit vectors."""
     uv: Array
@@ -54,7 +54,7 @@ class Mesh:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Visual:
-    """A mesh with its surface."""
+    """Mesh with a surface finish."""
 
     mesh: Mesh
     surface: SurfaceFinish
@@ -63,7 +63,7 @@ class Visual:
 
 
 class ColliderKind(Enum):
-    """Solids that physics knows."""
+    """Shape of a collider."""
 
     BOX = "box"
     SPHERE = "sphere"
@@ -74,11 +74,11 @@ class ColliderKind(Enum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Collider:
-    """A convex solid to bump into."""
+    """Convex collision geometry."""
 
     kind: ColliderKind
     size: tuple[float, ...] = ()
-    """BOX: half sizes along x, y, z. SPHERE: radius. CYLINDER, CAPSULE: radius, half length along x [m]. HULL: none."""
+    """BOX: half extents. SPHERE: radius. CYLINDER, CAPSULE: radius and half length along x [m]. HULL: empty."""
     points: Array | None = None
     """(N, 3) points whose convex hull is the solid [m]; HULL only."""
     X_BodyC: Array = field(default_factory=lambda: np.eye(4))
@@ -87,21 +87,21 @@ class Collider:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Material:
-    """What physics knows of a body's substance."""
+    """Physical material of a body."""
 
     density: float = 400.0
-    """[kg/m^3] of the colliders' volume; where these overlap it counts twice."""
+    """[kg/m^3] of the colliders' volume; overlapping volume counts twice."""
     static_friction: float = 0.7
     dynamic_friction: float = 0.6
     restitution: float = 0.05
     linear_damping: float = 0.0
     """Of free bodies [1/s]."""
     angular_damping: float = 0.05
-    """Of free bodies [1/s]; what keeps round things from rolling for ever."""
+    """Of free bodies [1/s]; stops round objects from rolling."""
 
 
 class JointKind(Enum):
-    """How a body may move against its parent."""
+    """Degree of freedom of a body relative to its parent."""
 
     HINGE = "revolute"
     SLIDER = "prismatic"
@@ -109,7 +109,7 @@ class JointKind(Enum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Joint:
-    """The one degree of freedom between a body and its parent; its axis is the x axis of both joint frames."""
+    """Joint with one degree of freedom between a body and its parent; its axis is the x axis of both joint frames."""
 
     kind: JointKind
     X_ParentJ: Array
@@ -117,65 +117,86 @@ class Joint:
     X_BodyJ: Array
     """Pose (4, 4) of the joint in the body [m]; at position 0 both frames coincide."""
     lower: float
-    """Least position [rad or m]."""
+    """Lower limit [rad or m]."""
     upper: float
-    """Greatest position [rad or m]."""
+    """Upper limit [rad or m]."""
     friction: float = 0.0
-    """PhysX's joint friction: a coefficient (no unit) of the load that the joint bears; it grows when pushed askew."""
+    """PhysX joint friction: coefficient (unitless) of the load on the joint; it grows with off-axis loads."""
     damping: float = 0.0
     """Viscous friction [N m s/rad or N s/m]."""
     balanced: bool = True
-    """Whether the joint carries the body's weight, as a stiff hinge does that holds a lid at any angle."""
+    """True if gravity does not move the joint, as with a stiff hinge that holds a lid at any angle."""
 
     def motion(self, position: float) -> Array:
-        """Pose (4, 4) of the body's joint frame in the parent's at a position [rad or m]."""
+        """Return the pose (4, 4) of the body's joint frame in the parent's at a position [rad or m]."""
         if self.kind is JointKind.SLIDER:
             return make_pose(np.eye(3), [position, 0.0, 0.0])
         return make_pose(rotation_exp([position, 0.0, 0.0]), np.zeros(3))
 
 
+_R_LID = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # joint x along the body's -y
+
+
+def lid_hinge(p_Hinge: ArrayLike, upper: float, *, friction: float, damping: float) -> Joint:
+    """Return a hinge along y at `p_Hinge` (3,) of the parent; positive angles lift a lid that extends along x."""
+    return Joint(
+        kind=JointKind.HINGE,
+        X_ParentJ=make_pose(_R_LID, p_Hinge),
+        X_BodyJ=make_pose(_R_LID, np.zeros(3)),
+        lower=0.0,
+        upper=upper,
+        friction=friction,
+        damping=damping,
+    )
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Body:
-    """One rigid body."""
+class RigidBody:
+    """Rigid body of an asset."""
 
     name: str
     visuals: tuple[Visual, ...]
     colliders: tuple[Collider, ...] = ()
     material: Material = field(default_factory=Material)
     joint: Joint | None = None
-    """How it hangs on the model's first body; None for the first body itself."""
+    """Joint to the model's first body; None for the first body itself."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Site:
-    """A named frame on a body: where to grasp, push or look."""
+    """Named frame on a body, used by tasks and experts."""
 
     body: str
     X_BodyS: Array
     """Pose (4, 4) in the body [m]."""
 
 
+def site_at(body: str, p: ArrayLike) -> Site:
+    """Return a site at a point (3,) of a body, with the body's orientation."""
+    return Site(body=body, X_BodyS=make_pose(np.eye(3), p))
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Model:
-    """One instance of a kind of thing."""
+class AssetModel:
+    """One instance of an asset kind."""
 
     kind: str
-    """Such as "box"."""
+    """Name of the kind, such as "box"."""
     asset_id: str
     """Such as "box/07"."""
     words: str
-    """What a person would call it in a prompt, such as "red apple"; without article."""
-    bodies: tuple[Body, ...]
-    """The first one carries the others; more than one make an articulation whose first body is fixed in the world."""
+    """Noun phrase for prompts without article, such as "red apple"."""
+    bodies: tuple[RigidBody, ...]
+    """The first body carries the others; several bodies form an articulation whose first body is fixed in the world."""
     size: Mapping[str, float]
-    """Measures that tasks and experts need, by name [m, rad]."""
+    """Dimensions used by tasks and experts, by name [m, rad]."""
     sites: Mapping[str, Site] = field(default_factory=dict)
-    """Frames that tasks and experts need, by name."""
+    """Frames used by tasks and experts, by name."""
 
     def __post_init__(self) -> None:
         names = [body.name for body in self.bodies]
         if not names or len(set(names)) != len(names):
-            raise InputError(f"{self.asset_id}: bodies need different names, found {names}")
+            raise InputError(f"{self.asset_id}: bodies need different names, got {names}")
         if self.bodies[0].joint is not None or any(body.joint is None for body in self.bodies[1:]):
             raise InputError(f"{self.asset_id}: all bodies but the first need a joint")
         for name, site in self.sites.items():
@@ -184,16 +205,16 @@ class Model:
 
     @property
     def articulated(self) -> bool:
-        """Whether it has a joint."""
+        """True if the asset has a joint."""
         return len(self.bodies) > 1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AssetKind:
-    """A kind of thing, of which the library has many instances."""
+    """Kind of asset, of which the library has several instances."""
 
     name: str
-    """Such as "box"; kinds that tasks tell apart have names of their own, such as "fruit/apple"."""
-    make: Callable[[str, int, np.random.Generator], Model]
-    """From the asset id, the instance's number 0.. (for what is dealt out in turn, such as a faucet's shape) and a
-    random generator of its own."""
+    """Such as "box"; kinds between which tasks distinguish have their own names, such as "fruit/apple"."""
+    make: Callable[[str, int, np.random.Generator], AssetModel]
+    """Makes an instance from its asset id, its number 0.. (for properties assigned in turn, such as a faucet's shape)
+    and its own random generator."""

@@ -1,10 +1,10 @@
-"""Procedural images to lay on surfaces: (size, size, 3) uint8 sRGB, repeating without a seam, from a random generator.
+"""Procedural textures: tileable (size, size, 3) uint8 sRGB images from a random generator.
 
-Colours are sRGB triples 0..255. Wood runs along rows, which `box_mesh` lays along a top's x; `image.swapaxes(0, 1)`
-turns it. What one repetition shows is said with each: use `uv_per_m` to give it its true size.
+Colours are sRGB triples 0..255. Wood grain runs along rows, which `box_mesh` maps to a top's x; `image.swapaxes(0, 1)`
+rotates it. Docstrings give the physical size of one repetition: set `uv_per_m` accordingly.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,71 +23,85 @@ WOODS: dict[str, tuple[tuple[int, int, int], tuple[int, int, int]]] = {
     "teak": ((172, 122, 74), (120, 78, 42)),
     "ash": ((212, 188, 154), (166, 136, 102)),
     "mahogany": ((146, 78, 54), (94, 44, 30)),
-    "wenge": ((96, 76, 62), (58, 44, 36)),
     "weathered": ((168, 158, 146), (116, 106, 96)),
 }
-"""Light and dark colour of each wood."""
+"""Light and dark colour of each kind of wood."""
 STONES: dict[str, tuple[tuple[int, int, int], ...]] = {
     "grey": ((84, 84, 88), (140, 139, 138), (176, 174, 170)),
-    "black": ((44, 45, 50), (66, 67, 72), (104, 104, 106)),
     "rose": ((98, 78, 74), (176, 130, 116), (204, 172, 156)),
     "beige": ((128, 108, 88), (188, 166, 138), (212, 196, 172)),
-    "green": ((50, 64, 58), (84, 106, 94), (126, 142, 130)),
 }
-"""Colours of granite, from dark to light grains."""
+"""Colours of the grains of each kind of granite, dark to light."""
 
 
 def tileable_noise(rng: np.random.Generator, size: int, *, slope: float = 1.5, stretch: float = 1.0) -> Array:
-    """Noise (size, size) in 0..1 whose amplitude falls with frequency to the power `slope`; `stretch` > 1: along rows.
+    """Return noise (size, size) in 0..1 with amplitude ~ frequency^-slope; `stretch` > 1 elongates it along rows.
 
-    Filtered white noise (the Fourier transform makes it periodic).
+    White noise filtered in the Fourier domain, hence periodic.
     """
     fy, fx = np.meshgrid(np.fft.fftfreq(size), np.fft.rfftfreq(size), indexing="ij")
     f = np.hypot(fy, fx * stretch)
     f[0, 0] = np.inf
-    return _filtered(rng, size, f**-slope)
+    return _filter_noise(rng, size, f**-slope)
 
 
 def grains(rng: np.random.Generator, size: int, cycles: float) -> Array:
-    """Noise (size, size) in 0..1 of blobs that are all about as large: `cycles` of them across the image."""
+    """Return band-pass noise (size, size) in 0..1: blobs of similar size, `cycles` of them across the image."""
     fy, fx = np.meshgrid(np.fft.fftfreq(size), np.fft.rfftfreq(size), indexing="ij")
     f = size * np.hypot(fy, fx)
     f[0, 0] = 1e-9
-    return _filtered(rng, size, np.exp(-((np.log(f / cycles) / 0.45) ** 2)))
+    return _filter_noise(rng, size, np.exp(-((np.log(f / cycles) / 0.45) ** 2)))
 
 
-def _filtered(rng: np.random.Generator, size: int, gain: Array) -> Array:
+def _filter_noise(rng: np.random.Generator, size: int, gain: Array) -> Array:
+    """Return white noise multiplied by a gain in the Fourier domain, scaled to 0..1 (mean 0.5, sigma 0.2)."""
     image = np.fft.irfft2(np.fft.rfft2(rng.standard_normal((size, size))) * gain, s=(size, size))
     image = (image - image.mean()) / (image.std() + 1e-12)
     return np.asarray(np.clip(0.5 + image / 5.0, 0.0, 1.0))
 
 
 def blend(first: ArrayLike, second: ArrayLike, weight: Array) -> Texture:
-    """The image (H, W, 3) that goes from one sRGB colour (3,) 0..255 to another where `weight` (H, W) goes 0 to 1."""
+    """Return the image (H, W, 3) between two sRGB colours (3,) 0..255 at the weights (H, W) 0..1."""
     return gradient((first, second), weight)
 
 
 def gradient(colors: Sequence[ArrayLike], weight: Array) -> Texture:
-    """The image (H, W, 3) that goes through sRGB colours, evenly spaced, where `weight` (H, W) goes 0 to 1."""
+    """Return the image (H, W, 3) that interpolates evenly spaced sRGB colours at the weights (H, W) 0..1."""
     table = np.asarray(colors, dtype=np.float64)
     place = np.clip(weight, 0.0, 1.0) * (len(table) - 1)
     return _image(np.stack([np.interp(place, np.arange(len(table)), channel) for channel in table.T], axis=-1))
 
 
-def shaded(image: ArrayLike, shade: Array) -> Texture:
-    """The image (H, W, 3) made lighter or darker by factors (H, W)."""
-    return _image(np.asarray(image, dtype=np.float64) * shade[..., None])
+def shade(image: ArrayLike, factor: Array) -> Texture:
+    """Multiply an image (H, W, 3) by factors (H, W)."""
+    return _image(np.asarray(image, dtype=np.float64) * factor[..., None])
 
 
-def mixed(first: ArrayLike, second: ArrayLike, weight: Array) -> Texture:
-    """The second image or colour over the first (H, W, 3), where `weight` (H, W) goes 0 to 1."""
+def mix(first: ArrayLike, second: ArrayLike, weight: Array) -> Texture:
+    """Blend a second image or colour over the first (H, W, 3) with the weights (H, W) 0..1."""
     a, b = np.asarray(first, dtype=np.float64), np.asarray(second, dtype=np.float64)
     return _image(a + np.clip(weight, 0.0, 1.0)[..., None] * (b - a))
 
 
-def plain(color: ArrayLike, size: int) -> Texture:
-    """One colour."""
+def fill(color: ArrayLike, size: int) -> Texture:
+    """Return an image (size, size, 3) of one colour."""
     return np.array(np.broadcast_to(_image(np.asarray(color, dtype=np.float64)), (size, size, 3)))
+
+
+def srgb(linear: Array) -> Array:
+    """Convert linear RGB 0..1 to sRGB 0..255 with a gamma of 2.2."""
+    return np.asarray(255.0 * linear ** (1.0 / 2.2))
+
+
+def linear_rgb(color: ArrayLike) -> tuple[float, float, float]:
+    """Convert sRGB (3,) 0..255 to linear RGB with a gamma of 2.2."""
+    return rgb((np.asarray(color, dtype=np.float64) / 255.0) ** 2.2)
+
+
+def rgb(color: Iterable[float]) -> tuple[float, float, float]:
+    """Return three numbers as a colour of `SurfaceFinish`."""
+    r, g, b = color
+    return float(r), float(g), float(b)
 
 
 def _image(values: Array) -> Texture:
@@ -95,14 +109,14 @@ def _image(values: Array) -> Texture:
 
 
 def _relief(height: Array, strength: float) -> Array:
-    """Factors (H, W) by which light from a corner shades a surface of heights (H, W)."""
+    """Return shading factors (H, W) of a height field (H, W) lit from a corner."""
     return 1.0 + strength * (np.roll(height, 1, (0, 1)) - np.roll(height, -1, (0, 1)))
 
 
 def _cells(size: int, rows: int, columns: int, shifts: ArrayLike = 0.0) -> tuple[NDArray[np.intp], Array]:
-    """Number (size, size) of the cell that each pixel is in and how far [pixels] it is from the cell's edge.
+    """Return each pixel's cell number (size, size) and its distance from the cell's edge [px].
 
-    Rows of cells are shifted by the parts `shifts` (rows,) of a cell's width.
+    Rows of cells are shifted by the fractions `shifts` (rows,) of a cell's width.
     """
     at = (np.arange(size) + 0.5) / size
     row = np.minimum((at * rows).astype(np.intp), rows - 1)
@@ -115,7 +129,7 @@ def _cells(size: int, rows: int, columns: int, shifts: ArrayLike = 0.0) -> tuple
 
 
 def _patches(rng: np.random.Generator, size: int, count: int) -> Array:
-    """Values (size, size) in 0..1, each constant on one of `count` by `count` patches with wavy edges."""
+    """Return values (size, size) in 0..1, constant on each of `count` by `count` patches with wavy edges."""
     at = (np.arange(size) + 0.5) / size * count
     u, v = (4.0 * grains(rng, size, 0.8 * count) for _ in range(2))
     rows, columns = (np.floor(x).astype(np.intp) % count for x in (at[:, None] + v, at[None, :] + u))
@@ -123,18 +137,18 @@ def _patches(rng: np.random.Generator, size: int, count: int) -> Array:
 
 
 def wood(rng: np.random.Generator, kind: str = "oak", *, size: int = 256) -> Texture:
-    """Plain wood of one of `WOODS`, its grain along rows; about 0.3 m."""
+    """Return plain wood of one of `WOODS`, grain along rows; about 0.3 m."""
     warp = tileable_noise(rng, size, slope=2.0, stretch=5.0) - 0.5
     phase = int(rng.integers(5, 11)) * np.arange(size)[:, None] / size + rng.uniform(2.0, 5.0) * warp
     ring = phase - np.floor(phase)
     late = ring**2 * np.clip((1.0 - ring) / 0.12, 0.0, 1.0)
     fibre = tileable_noise(rng, size, slope=0.7, stretch=28.0) - 0.5
     image = blend(*WOODS[kind], 0.32 + 0.5 * late + 1.1 * fibre + 0.25 * warp)
-    return shaded(image, 1.0 - 0.9 * np.clip(-fibre - 0.28, 0.0, 0.2))
+    return shade(image, 1.0 - 0.9 * np.clip(-fibre - 0.28, 0.0, 0.2))
 
 
 def planks(rng: np.random.Generator, kind: str = "oak", *, boards: int = 4, size: int = 512) -> Texture:
-    """Boards of wood side by side, their grain along rows, with seams; about 0.15 m a board."""
+    """Return wooden boards with seams, grain along rows; about 0.15 m per board."""
     grain = wood(rng, kind, size=size)
     cell, edge = _cells(size, boards, 1, rng.uniform(0.0, 1.0, boards))
     image = np.empty_like(grain)
@@ -142,11 +156,11 @@ def planks(rng: np.random.Generator, kind: str = "oak", *, boards: int = 4, size
         rows = slice(board * size // boards, (board + 1) * size // boards)
         image[rows] = np.roll(grain, rng.integers(0, size, 2), (0, 1))[rows]
     tone = rng.normal(1.0, 0.06, boards)[cell]
-    return shaded(image, tone * (1.0 - 0.45 * np.clip(1.6 - edge, 0.0, 1.0)))
+    return shade(image, tone * (1.0 - 0.45 * np.clip(1.6 - edge, 0.0, 1.0)))
 
 
 def parquet(rng: np.random.Generator, kind: str = "oak", *, cells: int = 4, size: int = 512) -> Texture:
-    """Squares of wood whose grain runs along and across in turn; about 0.15 m a square."""
+    """Return wooden squares with alternating grain direction; about 0.15 m per square."""
     grain = wood(rng, kind, size=size)
     cell, edge = _cells(size, cells, cells)
     across = (cell // cells + cell % cells) % 2 == 1
@@ -154,11 +168,11 @@ def parquet(rng: np.random.Generator, kind: str = "oak", *, cells: int = 4, size
     slat = np.where(across, slat.T, slat)
     image = np.where(across[..., None], grain.swapaxes(0, 1), grain)
     seams = 0.4 * np.clip(1.5 - edge, 0.0, 1.0) + 0.15 * np.clip(1.2 - slat, 0.0, 1.0)
-    return shaded(image, rng.normal(1.0, 0.05, cells * cells)[cell] * (1.0 - seams))
+    return shade(image, rng.normal(1.0, 0.05, cells * cells)[cell] * (1.0 - seams))
 
 
 def marble(rng: np.random.Generator, ground: ArrayLike, vein: ArrayLike, *, size: int = 512) -> Texture:
-    """Marble with veins in one colour on another; about 0.7 m."""
+    """Return marble with veins in one colour on another; about 0.7 m."""
     field = tileable_noise(rng, size, slope=1.7)
     fine = tileable_noise(rng, size, slope=1.5)
     veins = np.exp(-np.abs(field - 0.5) / 0.012) + 0.5 * np.exp(-np.abs(fine - 0.42) / 0.008)
@@ -167,36 +181,36 @@ def marble(rng: np.random.Generator, ground: ArrayLike, vein: ArrayLike, *, size
 
 
 def granite(rng: np.random.Generator, kind: str = "grey", *, size: int = 256) -> Texture:
-    """Granite of one of `STONES`; about 0.25 m."""
+    """Return granite of one of `STONES`; about 0.25 m."""
     crystals, fine = _patches(rng, size, size // 6), _patches(rng, size, size // 3)
     return gradient(STONES[kind], 0.72 * np.digitize(crystals, [0.22, 0.75]) / 2.0 + 0.28 * fine)
 
 
 def concrete(rng: np.random.Generator, color: ArrayLike = (158, 156, 152), *, size: int = 512) -> Texture:
-    """Cast concrete or stucco: cloudy, with fine grain and a few pores; about 1 m."""
+    """Return cast concrete or stucco: cloudy, with fine grain and a few pores; about 1 m."""
     clouds, fine = tileable_noise(rng, size, slope=1.4) - 0.5, grains(rng, size, size / 4.0) - 0.5
     pores = np.clip(grains(rng, size, size / 14.0) - 0.93, 0.0, 0.07)
-    return shaded(plain(color, size), 1.0 + 0.35 * clouds + 0.14 * fine - 5.0 * pores)
+    return shade(fill(color, size), 1.0 + 0.35 * clouds + 0.14 * fine - 5.0 * pores)
 
 
 def plaster(rng: np.random.Generator, color: ArrayLike = (222, 216, 204), *, size: int = 256) -> Texture:
-    """A painted wall with the relief of a roller; about 0.5 m."""
+    """Return a wall painted with a roller; about 0.5 m."""
     height = grains(rng, size, size / 8.0) + 0.5 * grains(rng, size, size / 20.0)
-    return shaded(plain(color, size), _relief(height, 0.07) + 0.06 * (tileable_noise(rng, size) - 0.5))
+    return shade(fill(color, size), _relief(height, 0.07) + 0.06 * (tileable_noise(rng, size) - 0.5))
 
 
 def speckle(
     rng: np.random.Generator, ground: ArrayLike, specks: Sequence[ArrayLike], *, cycles: float = 40.0, size: int = 256
 ) -> Texture:
-    """Specks of several colours on a ground, as in terrazzo or linoleum; `cycles` of them across."""
-    image = plain(ground, size)
+    """Return specks of several colours on a ground, as in terrazzo or linoleum; `cycles` of them across."""
+    image = fill(ground, size)
     for speck in specks:
-        image = mixed(image, speck, (grains(rng, size, cycles) - 0.72) / 0.03)
-    return shaded(image, 1.0 + 0.1 * (tileable_noise(rng, size, slope=0.8) - 0.5))
+        image = mix(image, speck, (grains(rng, size, cycles) - 0.72) / 0.03)
+    return shade(image, 1.0 + 0.1 * (tileable_noise(rng, size, slope=0.8) - 0.5))
 
 
 def woven(rng: np.random.Generator, warp: ArrayLike, weft: ArrayLike, *, threads: int = 64, size: int = 256) -> Texture:
-    """Cloth whose threads along columns and along rows have colours (3,) or, one by one, (threads, 3)."""
+    """Return cloth with warp threads along columns and weft along rows, of colours (3,) or (threads, 3)."""
     at = (np.arange(size) + 0.5) * threads / size
     number = np.minimum(at.astype(np.intp), threads - 1)
     round_ = 0.8 + 0.2 * np.sin(np.pi * (at - number))
@@ -205,20 +219,20 @@ def woven(rng: np.random.Generator, warp: ArrayLike, weft: ArrayLike, *, threads
     along, across = (c[number] * (t[number] * round_)[:, None] for c, t in zip(colors, tones, strict=True))
     over = (number[:, None] + number[None, :]) % 2 == 0
     image = np.where(over[..., None], along[None, :], across[:, None])
-    return shaded(image, 1.0 + 0.16 * (tileable_noise(rng, size, slope=1.0) - 0.5))
+    return shade(image, 1.0 + 0.16 * (tileable_noise(rng, size, slope=1.0) - 0.5))
 
 
 def checks(
     rng: np.random.Generator, first: ArrayLike, second: ArrayLike, *, count: int = 8, size: int = 256
 ) -> Texture:
-    """Gingham: cloth of two colours in `count` (even) stripes both ways."""
+    """Return gingham: cloth with `count` (even) stripes of two colours in both directions."""
     threads = 8 * count
     own = np.where((np.arange(threads) // 8 % 2 == 0)[:, None], np.asarray(first), np.asarray(second))
     return woven(rng, own, own, threads=threads, size=size)
 
 
 def tartan(rng: np.random.Generator, colors: Sequence[ArrayLike], *, threads: int = 96, size: int = 256) -> Texture:
-    """Cloth with the same stripes of irregular widths both ways; the first colour is the ground."""
+    """Return cloth with the same irregular stripes in both directions; the first colour is the ground."""
     own = np.array(np.broadcast_to(np.asarray(colors[0], dtype=np.float64), (threads, 3)))
     for color in colors[1:]:
         start, width = int(rng.integers(0, threads)), int(rng.integers(2, threads // 5))
@@ -228,46 +242,37 @@ def tartan(rng: np.random.Generator, colors: Sequence[ArrayLike], *, threads: in
 
 
 def stripes(rng: np.random.Generator, colors: Sequence[ArrayLike], *, count: int = 8, size: int = 256) -> Texture:
-    """Stripes of equal width along rows, `count` of them in turn of the colours (a multiple of their number)."""
+    """Return `count` stripes of equal width along rows in alternating colours (`count`: a multiple of their number)."""
     number = (np.arange(size) * count // size) % len(colors)
     image = np.broadcast_to(np.asarray(colors, dtype=np.float64)[number][:, None, :], (size, size, 3))
-    return shaded(image, 1.0 + 0.12 * (tileable_noise(rng, size, slope=0.9) - 0.5))
-
-
-def chessboard(
-    rng: np.random.Generator, first: ArrayLike, second: ArrayLike, *, count: int = 8, size: int = 256
-) -> Texture:
-    """Squares of two colours in turn, `count` (even) of them a row."""
-    cell, _ = _cells(size, count, count)
-    image = mixed(plain(first, size), second, ((cell // count + cell) % 2).astype(np.float64))
-    return shaded(image, 1.0 + 0.12 * (tileable_noise(rng, size, slope=0.9) - 0.5))
+    return shade(image, 1.0 + 0.12 * (tileable_noise(rng, size, slope=0.9) - 0.5))
 
 
 def carpet(rng: np.random.Generator, color: ArrayLike, *, size: int = 256) -> Texture:
-    """Short pile; about 0.5 m."""
+    """Return a short-pile carpet; about 0.5 m."""
     tufts, clouds = grains(rng, size, size / 4.0) - 0.5, tileable_noise(rng, size, slope=1.2) - 0.5
-    return shaded(plain(color, size), 1.0 + 0.8 * tufts + 0.2 * clouds)
+    return shade(fill(color, size), 1.0 + 0.8 * tufts + 0.2 * clouds)
 
 
 def leather(rng: np.random.Generator, color: ArrayLike, *, size: int = 256) -> Texture:
-    """Grained leather; about 0.15 m."""
+    """Return grained leather; about 0.15 m."""
     height = np.minimum(np.abs(grains(rng, size, size / 16.0) - 0.5), 0.1) * 6.0
-    return shaded(plain(color, size), _relief(height, 0.3) * (0.85 + 0.25 * height))
+    return shade(fill(color, size), _relief(height, 0.3) * (0.85 + 0.25 * height))
 
 
 def cardboard(rng: np.random.Generator, *, size: int = 256) -> Texture:
-    """Corrugated board, its flutes faintly seen along rows; about 0.2 m."""
+    """Return corrugated board with faint flutes along rows; about 0.2 m."""
     color = np.array([186, 148, 106]) * rng.uniform(0.85, 1.1)
     flutes = 0.025 * np.sin(2.0 * np.pi * 26.0 * np.arange(size) / size)[:, None]
     fibres = tileable_noise(rng, size, slope=0.5, stretch=3.0) - 0.5
     specks = np.clip(grains(rng, size, size / 4.0) - 0.85, 0.0, 0.15)
     clouds = tileable_noise(rng, size) - 0.5
-    return shaded(plain(color, size), 1.0 + flutes + 0.12 * fibres + 0.1 * clouds - 1.2 * specks)
+    return shade(fill(color, size), 1.0 + flutes + 0.12 * fibres + 0.1 * clouds - 1.2 * specks)
 
 
 def brushed(rng: np.random.Generator, color: ArrayLike = (176, 178, 182), *, size: int = 256) -> Texture:
-    """Metal brushed along rows; give its surface metallic 0.3 to 0.8 and roughness 0.3 to 0.5."""
-    return shaded(plain(color, size), 1.0 + 0.3 * (tileable_noise(rng, size, slope=0.3, stretch=40.0) - 0.5))
+    """Return metal brushed along rows; use it with metallic 0.3 to 0.8 and roughness 0.3 to 0.5."""
+    return shade(fill(color, size), 1.0 + 0.3 * (tileable_noise(rng, size, slope=0.3, stretch=40.0) - 0.5))
 
 
 def bricks(
@@ -278,13 +283,13 @@ def bricks(
     rows: int = 8,
     size: int = 512,
 ) -> Texture:
-    """Bricks in a running bond, `rows` of them (even) above each other; about 0.08 m a row, mortar included."""
+    """Return bricks in a running bond with `rows` (even) courses; about 0.08 m per course, mortar included."""
     columns = max(rows // 3, 1)
     cell, edge = _cells(size, rows, columns, np.where(np.arange(rows) % 2, 0.5, 0.0))
     rough = tileable_noise(rng, size, slope=1.0) - 0.5
-    stone = shaded(plain(brick, size), rng.normal(1.0, 0.11, rows * columns)[cell] + 0.35 * rough)
+    stone = shade(fill(brick, size), rng.normal(1.0, 0.11, rows * columns)[cell] + 0.35 * rough)
     joint = np.clip((size / 190.0 + 3.0 * rough - edge) / 1.5, 0.0, 1.0)
-    return mixed(stone, shaded(plain(mortar, size), 1.0 + 0.3 * rough), joint)
+    return mix(stone, shade(fill(mortar, size), 1.0 + 0.3 * rough), joint)
 
 
 def tiles(
@@ -296,19 +301,19 @@ def tiles(
     other: ArrayLike | None = None,
     size: int = 512,
 ) -> Texture:
-    """Square tiles of one colour, or in turn of two, with joints; `count` of them a row."""
+    """Return square tiles of one colour, or two alternating ones, with joints; `count` of them per row."""
     cell, edge = _cells(size, count, count)
     odd = ((cell // count + cell) % 2).astype(np.float64)
-    image = mixed(plain(color, size), color if other is None else other, odd)
+    image = mix(fill(color, size), color if other is None else other, odd)
     tone = rng.normal(1.0, 0.025, count * count)[cell] + 0.1 * (tileable_noise(rng, size) - 0.5)
     lip = 1.0 - 0.1 * np.clip(4.0 - edge, 0.0, 1.0)
-    return mixed(shaded(image, tone * lip), joint, np.clip(size / 256.0 + 0.5 - edge, 0.0, 1.0))
+    return mix(shade(image, tone * lip), joint, np.clip(size / 256.0 + 0.5 - edge, 0.0, 1.0))
 
 
 def wallpaper(
     rng: np.random.Generator, ground: ArrayLike, figure: ArrayLike, motif: str = "dots", *, size: int = 256
 ) -> Texture:
-    """Paper with a figure of "dots", "diamonds", "waves", "leaves" or "stripes"; about 0.4 m."""
+    """Return wallpaper with a motif of "dots", "diamonds", "waves", "leaves" or "stripes"; about 0.4 m."""
     turn = 2.0 * np.pi * (np.arange(size) + 0.5) / size
     u, v = turn[None, :], turn[:, None]
     count = 4
@@ -319,5 +324,5 @@ def wallpaper(
         "leaves": np.cos(count * u + 0.8 * np.sin(2 * count * v)) + 0.6 * np.cos(2 * count * v - count * u) - 0.75,
         "stripes": np.cos(2 * count * u) + 0.0 * v,
     }[motif]
-    image = mixed(plain(ground, size), figure, 0.5 + 6.0 * value)
-    return shaded(image, 1.0 + 0.08 * (tileable_noise(rng, size, slope=0.7) - 0.5))
+    image = mix(fill(ground, size), figure, 0.5 + 6.0 * value)
+    return shade(image, 1.0 + 0.08 * (tileable_noise(rng, size, slope=0.7) - 0.5))

@@ -1,7 +1,7 @@
-"""How far the arm stays from what stands around it: what a planned path is held against, with Drake's geometry.
+"""Collisions of the arm with the static objects of a scene, computed with Drake's geometry engine.
 
-Only what does not move is looked at, where the scene has it at the start: fixed things, the fixed bodies of
-articulations, and things that must not be touched. The gripper may touch all but these last; the arm may touch nothing.
+Checked at their initial poses: fixed objects, the fixed bodies of articulations, and objects that must not be touched.
+The gripper may touch all but the last group; the other links may touch nothing.
 """
 
 from collections.abc import Iterator
@@ -37,19 +37,21 @@ _X_ALONG_Z = make_pose(np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Touch:
-    """A link of the arm and a thing that overlap."""
+class Penetration:
+    """Overlap of a link of the arm with an object of the scene."""
 
     step: int
     """Row of the path."""
     link: str
-    thing: str
+    """Name of the link."""
+    object_name: str
+    """Name of the object."""
     depth_m: float
-    """How deep they do."""
+    """Penetration depth."""
 
 
 def _shape(collider: Collider) -> tuple[Shape, Array]:
-    """Drake's shape and its pose (4, 4) in the collider's frame."""
+    """Return Drake's shape of a collider and its pose (4, 4) in the collider's frame."""
     upright = np.eye(4)
     match collider.kind:
         case ColliderKind.BOX:
@@ -66,20 +68,20 @@ def _shape(collider: Collider) -> tuple[Shape, Array]:
 
 
 class SceneGeometry:
-    """The arm's links and a scene's solids in one of Drake's scene graphs."""
+    """The arm's links and a scene's static colliders in a Drake SceneGraph."""
 
     def __init__(self, plant: ArmPlant, scene: Scene) -> None:
-        """Copy the links' collision geometry from the plant and set up the scene's solids around it."""
+        """Copy the links' collision geometry from the plant and add the scene's static colliders."""
         self._plant = plant
         self._graph: Any = SceneGraph()
         self._source = self._graph.RegisterSource("scene")
         self._frames: dict[str, Any] = {}
         self._names: dict[Any, str] = {}
         arm, tool = self._add_links()
-        free, avoided = self._add_things(scene)
+        free, avoided = self._add_objects(scene)
         manager = self._graph.collision_filter_manager()
-        links, things = GeometrySet([*arm, *tool]), GeometrySet([*free, *avoided])
-        manager.Apply(CollisionFilterDeclaration().ExcludeWithin(links).ExcludeWithin(things))
+        links, objects = GeometrySet([*arm, *tool]), GeometrySet([*free, *avoided])
+        manager.Apply(CollisionFilterDeclaration().ExcludeWithin(links).ExcludeWithin(objects))
         manager.Apply(CollisionFilterDeclaration().ExcludeBetween(GeometrySet(tool), GeometrySet(free)))
         self._context: Any = self._graph.CreateDefaultContext()
 
@@ -94,7 +96,7 @@ class SceneGeometry:
         return key
 
     def _add_links(self) -> tuple[list[Any], list[Any]]:
-        """Geometry of the arm that moves, and of the tool."""
+        """Register the moving links; return the geometry of the arm and of the tool."""
         plant, inspector = self._plant, self._plant.query(self._plant.robot.rest_q).inspector()
         arm: list[Any] = []
         tool: list[Any] = []
@@ -109,18 +111,18 @@ class SceneGeometry:
             (tool if link in plant.tool else arm).append(own)
         return arm, tool
 
-    def _add_things(self, scene: Scene) -> tuple[list[Any], list[Any]]:
-        """Geometry that only the arm must keep off, and that the gripper must, too."""
+    def _add_objects(self, scene: Scene) -> tuple[list[Any], list[Any]]:
+        """Register the static colliders; return the geometry that the gripper may touch and that it must not."""
         free: list[Any] = []
         avoided: list[Any] = []
-        for thing, collider, X in _solids(scene):
+        for name, collider, X in _static_colliders(scene):
             shape, X_CS = _shape(collider)
-            own = self._register(None, shape, X @ collider.X_BodyC @ X_CS, thing)
-            (avoided if thing in scene.avoided else free).append(own)
+            own = self._register(None, shape, X @ collider.X_BodyC @ X_CS, name)
+            (avoided if name in scene.avoided else free).append(own)
         return free, avoided
 
-    def touches(self, q: Array, finger_width_m: Array) -> Iterator[Touch]:
-        """Overlaps along a path of postures (N, 7) [rad] with the fingers (N,) apart [m]."""
+    def penetrations(self, q: Array, finger_width_m: Array) -> Iterator[Penetration]:
+        """Yield the overlaps along a path of joint angles (N, 7) [rad] and finger widths (N,) [m]."""
         port = self._graph.get_source_pose_port(self._source)
         for step, (row, width) in enumerate(zip(q, finger_width_m, strict=True)):
             self._plant.set_posture(row, float(width))
@@ -132,13 +134,13 @@ class SceneGeometry:
             query: Any = self._graph.get_query_output_port().Eval(self._context)
             for pair in query.ComputePointPairPenetration():
                 names = self._names[pair.id_A], self._names[pair.id_B]
-                link, thing = names if names[0] in self._frames else names[::-1]
-                yield Touch(step=step, link=link, thing=thing, depth_m=float(pair.depth))
+                link, name = names if names[0] in self._frames else names[::-1]
+                yield Penetration(step=step, link=link, object_name=name, depth_m=float(pair.depth))
 
 
-def _solids(scene: Scene) -> Iterator[tuple[str, Collider, Array]]:
-    """Name, collider and pose (4, 4) in B of the body of everything that does not move."""
-    for thing, model in scene.models.items():
-        if thing in scene.fixed or thing in scene.avoided or model.articulated:
+def _static_colliders(scene: Scene) -> Iterator[tuple[str, Collider, Array]]:
+    """Yield the object name, the collider and the body's pose (4, 4) in B of everything that does not move."""
+    for name, model in scene.models.items():
+        if name in scene.fixed or name in scene.avoided or model.articulated:
             for collider in model.bodies[0].colliders:
-                yield thing, collider, scene.poses[thing]
+                yield name, collider, scene.poses[name]

@@ -1,8 +1,8 @@
-"""From a few gripper poses to a smooth joint path: minimum-jerk moves that blend, then inverse kinematics.
+"""Plan a smooth joint path through gripper waypoints: blended minimum-jerk moves, then inverse kinematics.
 
-Each move's displacement follows the minimum-jerk profile of Flash and Hogan (1985, eq. 3: 10 s^3 - 15 s^4 + 6 s^5); a
-move that need not stop at its waypoint overlaps with the next, and the displacements are summed (Flash and Henis 1991).
-So the gripper swings past such points instead of resting there.
+Each move's displacement follows the minimum-jerk profile of Flash and Hogan (1985, eq. 3: 10 s^3 - 15 s^4 + 6 s^5). A
+move that need not stop at its waypoint overlaps with the next, and the displacements are summed (Flash and Henis 1991),
+so that the gripper passes such waypoints without stopping.
 """
 
 from collections.abc import Sequence
@@ -21,73 +21,73 @@ from kinebench_drake.suites.experts.clearance import SceneGeometry
 from kinebench_drake.suites.tasks.task import Scene
 
 SETTLE_S = 0.3
-"""Rest at the end of every motion, for the joint servos to catch up (their lag is 0.1 s)."""
+"""Rest at the end of every path, for the joint servos to catch up (their lag is 0.1 s)."""
 SPEED_M_S, TURN_RATE_RAD_S, FINGER_SPEED_M_S, SHORTEST_S = 0.2, 0.8, 0.3, 0.35
-"""Mean speeds that share the clip's time out among the moves, and the least time of one."""
-TOUCH_M = 0.001
-"""Overlap with things in the scene that is let pass."""
+"""Mean speeds by which the clip's time is divided among the moves, and the least duration of a move."""
+PENETRATION_M = 0.001
+"""Tolerated penetration of objects in the scene."""
 CLEARANCE_STEPS = 4
-"""Collisions are looked for at one in so many control steps."""
+"""Number of control steps between collision checks."""
 OVERLAP = 0.45
-"""Part of the shorter of two moves during which both run, when the first flows through its waypoint."""
+"""Overlap of two moves as a fraction of the shorter one, if the waypoint between them is passed without stopping."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Arc:
-    """A turn about a fixed line, such as a hinge."""
+    """Rotation about a fixed line, such as a hinge."""
 
     point: Array
-    """(3,) a point of the line, in B [m]."""
+    """(3,) point on the line, in B [m]."""
     axis: Array
     """(3,) unit vector along it, in B."""
     angle_rad: float
-    """How far the turn goes, right-handed."""
+    """Rotation angle, right-handed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Waypoint:
-    """Where the gripper shall be after one move."""
+    """Target of one move of the gripper."""
 
     X_BG: Array
     """Pose (4, 4) of panda_hand_tcp in the robot base frame [m]."""
     finger_width_m: float
-    """Gap between the pads asked for at the end of the move [m]; less than the object's width squeezes it."""
+    """Commanded gap between the pads at the end of the move [m]; less than the object's width squeezes it."""
     through: bool = False
-    """Whether the next move begins before this one ends: the waypoint is then passed by, not reached."""
+    """True if the next move begins before this one ends: the waypoint is then passed nearby, not reached."""
     arc: Arc | None = None
-    """The way there; a straight line if None. What the arc leaves to the pose is made up for in a straight line."""
+    """Path to the pose; None: a straight line. A remaining offset between arc and pose is added linearly."""
     pace: float = 1.0
-    """How much longer than others of its length the move takes: 2 for half the speed."""
+    """Factor on the duration of the move: 2 for half the speed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Motion:
-    """What to command at each control step."""
+class MotionPlan:
+    """Commands at each control step."""
 
     q: Array
     """(N, 7) joint angles at the end of each control step [rad]."""
     finger_width_m: Array
     """(N,) gap between the finger pads [m]; negative squeezes."""
     X_BG: Array
-    """(N, 4, 4) the same path as poses of panda_hand_tcp in the base frame [m]."""
+    """(N, 4, 4) the planned poses of panda_hand_tcp in the base frame [m]."""
 
 
-def _ways(p: Array, waypoints: Sequence[Waypoint]) -> Array:
-    """Length (M,) [m] of the way of each move between the positions `p` (M + 1, 3)."""
-    ways: Array = np.linalg.norm(np.diff(p, axis=0), axis=1)
+def _path_lengths(p: Array, waypoints: Sequence[Waypoint]) -> Array:
+    """Return the path length (M,) [m] of each move between the positions `p` (M + 1, 3)."""
+    lengths: Array = np.linalg.norm(np.diff(p, axis=0), axis=1)
     for i, waypoint in enumerate(waypoints):
         if waypoint.arc is not None:
             radius = np.linalg.norm(np.cross(waypoint.arc.axis, p[i] - waypoint.arc.point))
-            ways[i] = max(ways[i], radius * abs(waypoint.arc.angle_rad))
-    return ways
+            lengths[i] = max(lengths[i], radius * abs(waypoint.arc.angle_rad))
+    return lengths
 
 
 def _schedule(X: Array, widths: Array, waypoints: Sequence[Waypoint], duration_s: float) -> tuple[Array, Array]:
-    """Start and length [s] of each move, so that all of them together last `duration_s`."""
+    """Return the start and duration [s] of each move, scaled so that the whole takes `duration_s`."""
     through = [w.through for w in waypoints]
     lengths_s = np.array([w.pace for w in waypoints]) * np.maximum.reduce(
         [
-            _ways(X[:, :3, 3], waypoints) / SPEED_M_S,
+            _path_lengths(X[:, :3, 3], waypoints) / SPEED_M_S,
             rotation_angle(np.swapaxes(X[:-1, :3, :3], 1, 2) @ X[1:, :3, :3]) / TURN_RATE_RAD_S,
             np.abs(np.diff(widths)) / FINGER_SPEED_M_S,
             np.full(len(X) - 1, SHORTEST_S),
@@ -100,19 +100,19 @@ def _schedule(X: Array, widths: Array, waypoints: Sequence[Waypoint], duration_s
 
 
 def _displacement(start: Array, end: Array, arc: Arc | None, done: Array) -> Array:
-    """How far (N, 3) [m] a move has come from `start` towards `end` (3,) at the fractions `done` (N,) of its way."""
+    """Return the displacement (N, 3) [m] of a move from `start` towards `end` (3,) at the fractions `done` (N,)."""
     straight = end - start
     if arc is None:
         return np.asarray(done[:, None] * straight)
     lever = start - arc.point
-    turned = rotation_exp(np.append(done, 1.0)[:, None] * arc.angle_rad * arc.axis) @ lever - lever
-    return np.asarray(turned[:-1] + done[:, None] * (straight - turned[-1]))
+    arced = rotation_exp(np.append(done, 1.0)[:, None] * arc.angle_rad * arc.axis) @ lever - lever
+    return np.asarray(arced[:-1] + done[:, None] * (straight - arced[-1]))
 
 
 def cartesian_path(
     X_BG_start: ArrayLike, finger_width_start_m: float, waypoints: Sequence[Waypoint], steps: int
 ) -> tuple[Array, Array]:
-    """Poses (steps, 4, 4) of the TCP in B [m] and finger widths (steps,) [m] at the end of each control step.
+    """Return TCP poses (steps, 4, 4) in B [m] and finger widths (steps,) [m] at the end of each control step.
 
     Straight lines or arcs and shortest rotations between waypoints, minimum-jerk in time, at rest at both ends.
     """
@@ -139,23 +139,23 @@ def plan(
     waypoints: Sequence[Waypoint],
     steps: int,
     scene: Scene | None = None,
-) -> Motion:
-    """Joint path of `steps` control steps through the waypoints, from rest at `q_start` (7,) [rad] to rest.
+) -> MotionPlan:
+    """Plan a joint path of `steps` control steps through the waypoints, from rest at `q_start` (7,) [rad] to rest.
 
-    Drake's plant says which postures reach the poses within joint limits, which of them collide with the arm itself,
-    the table or what stands in the scene, and how fast and how hard the joints may move.
+    Drake's plant checks joint limits, speed and acceleration limits, and collisions with the arm itself, the table and
+    the static objects of the scene.
 
     Args:
         plant: the robot.
         q_start: (7,) joint angles [rad].
         finger_width_start_m: gap between the finger pads [m].
-        waypoints: where to go.
-        steps: control steps.
-        scene: what stands around; nothing if None.
+        waypoints: targets of the moves.
+        steps: number of control steps.
+        scene: scene for the collision check; None for none.
 
     Raises:
-        InputError: the path leaves the workspace, a speed or acceleration limit is broken, or the arm would hit itself,
-            the table or something in the scene.
+        InputError: the path leaves the workspace, exceeds a speed or acceleration limit, or makes the arm collide with
+            itself, the table or an object.
     """
     q_start = np.asarray(q_start, dtype=np.float64)
     X_BG, widths = cartesian_path(plant.forward(q_start), finger_width_start_m, waypoints, steps)
@@ -169,10 +169,11 @@ def plan(
             raise error
         _check_rates(plant, q_start, q)
     _check_clearance(plant, q, widths, scene)
-    return Motion(q=q, finger_width_m=widths, X_BG=X_BG)
+    return MotionPlan(q=q, finger_width_m=widths, X_BG=X_BG)
 
 
 def _stepwise(plant: ArmPlant, q_start: Array, X_BG: Array) -> Array:
+    """Solve the inverse kinematics step by step; raise InputError at the first pose that is not reached."""
     q, missed = stepwise(plant, X_BG, q_start)
     if missed is not None:
         i = int(np.argmax(~np.isfinite(q[:, 0])))
@@ -184,6 +185,7 @@ def _stepwise(plant: ArmPlant, q_start: Array, X_BG: Array) -> Array:
 
 
 def _check_rates(plant: ArmPlant, q_start: Array, q: Array) -> None:
+    """Raise InputError if a joint exceeds its speed or acceleration limit."""
     rates = np.diff(np.concatenate([q_start[None], q]), axis=0) / CONTROL_PERIOD_S
     changes = np.diff(rates, axis=0, prepend=0.0 * rates[:1]) / CONTROL_PERIOD_S
     for name, unit, values, limits in (
@@ -199,13 +201,14 @@ def _check_rates(plant: ArmPlant, q_start: Array, q: Array) -> None:
 
 
 def _check_clearance(plant: ArmPlant, q: Array, widths: Array, scene: Scene | None) -> None:
+    """Raise InputError if the arm collides with itself, the table or a static object."""
     model, every = CollisionModel(plant), slice(None, None, CLEARANCE_STEPS)
     gaps = np.clip(widths[every], 0.0, plant.finger_width_m)
-    for touch in () if scene is None else SceneGeometry(plant, scene).touches(q[every], gaps):
-        if touch.depth_m > TOUCH_M:
+    for hit in () if scene is None else SceneGeometry(plant, scene).penetrations(q[every], gaps):
+        if hit.depth_m > PENETRATION_M:
             raise InputError(
-                f"the expert's path has {touch.link} and {touch.thing} collide by {1000.0 * touch.depth_m:.1f} mm at "
-                f"control step {CLEARANCE_STEPS * touch.step}"
+                f"the expert's path has {hit.link} and {hit.object_name} collide by {1000.0 * hit.depth_m:.1f} mm at "
+                f"control step {CLEARANCE_STEPS * hit.step}"
             )
     for clearance in (model.self_distance(q[every], gaps), model.table_distance(q[every], gaps)):
         i = int(np.nanargmin(clearance.distance_m))

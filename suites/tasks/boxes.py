@@ -6,32 +6,39 @@ from typing import ClassVar
 import numpy as np
 import torch
 from torch import Tensor
+from typing_extensions import override
 
-from kinebench_drake.geometry import make_pose
-from kinebench_drake.suites.assets.boxes import FLUSH, RIMMED, tight
-from kinebench_drake.suites.assets.model import Model
+from kinebench_drake.geometry import make_pose, rotation_z
+from kinebench_drake.suites.assets.boxes import FLUSH, RIMMED, with_tight_hinge
+from kinebench_drake.suites.assets.model import AssetModel
 from kinebench_drake.suites.start import START_WIDTH_M
-from kinebench_drake.suites.tasks.card import Difficulty, TaskCard, TaskVariant
-from kinebench_drake.suites.tasks.layout import resting, turned
-from kinebench_drake.suites.tasks.state import CLEAR_M, STILL_RAD_S, State
-from kinebench_drake.suites.tasks.task import Placement, SceneLayout, Task
+from kinebench_drake.suites.tasks.state import CLEAR_M, STILL_RAD_S, State, to_frame
+from kinebench_drake.suites.tasks.task import (
+    Difficulty,
+    Placement,
+    SceneLayout,
+    Task,
+    TaskCard,
+    TaskVariant,
+    upright_pose,
+)
 
-OPEN_PART = 0.9
-"""Part of its range that a lid must be open."""
+OPEN_FRACTION = 0.9
+"""Least opening of an open lid, as a fraction of its range."""
 SHUT_RAD = float(np.radians(4.0))
-"""How far a lid that counts as shut may be open."""
+"""Greatest opening of a shut lid."""
 AJAR_RAD = (float(np.radians(22.0)), float(np.radians(34.0)))
-"""How far a lid that is slightly open is open at the start."""
-WIDE_PART = (0.85, 0.98)
-"""Part of its range that a wide open lid is open at the start."""
+"""Least and greatest initial opening of a slightly open lid."""
+WIDE_FRACTION = (0.85, 0.98)
+"""Least and greatest initial opening of a wide open lid, as fractions of its range."""
 YAW_RAD = float(np.radians(12.0))
-"""How far boxes may be turned either way."""
+"""Greatest yaw of a box to either side."""
 
 
 def distance_to_lid(state: State) -> Tensor:
-    """Distance (N,) of the TCP from the rectangle that the lid is [m]."""
-    X_BH, angle = state.site("box", "hinge"), state.joints["box"]
-    p = torch.einsum("nij,ni->nj", X_BH[:, :3, :3], state.X_BG[:, :3, 3] - X_BH[:, :3, 3])
+    """Return the distance (N,) of the TCP from the lid's rectangle [m]."""
+    angle = state.joints["box"]
+    p = to_frame(state.site("box", "hinge"), state.X_BG[:, :3, 3])
     along = p[:, 0] * torch.cos(angle) + p[:, 2] * torch.sin(angle)
     off = p[:, 2] * torch.cos(angle) - p[:, 0] * torch.sin(angle)
     beyond = torch.maximum(along - state.size("box", "lid_m"), -along).clamp(min=0.0)
@@ -40,8 +47,8 @@ def distance_to_lid(state: State) -> Tensor:
     return distance
 
 
-def _left(state: State) -> dict[str, Tensor]:
-    """What both ways to move a lid ask for in the end."""
+def _rest_conditions(state: State) -> dict[str, Tensor]:
+    """Return the conditions common to opening and closing."""
     return {
         "still": state.speeds["box"] <= STILL_RAD_S,
         "calm": state.calm(),
@@ -52,13 +59,13 @@ def _left(state: State) -> dict[str, Tensor]:
 class OpenBox(Task):
     """Open the lid of an upright box.
 
-    Description: a box stands on the table; lift its lid with the fingertips, push it fully open and draw back. In
-    version 1 the hinge is on the robot's side of the box and the lid is taken by its side edge; in version 2 the box is
-    turned to its right, so that its front edge faces that way, and the lid is taken there. Easy: the lid is slightly
-    open. Hard: it is shut and must be pried up by its rim; in version 2 its hinge is tight, too.
-    Randomizations: box, position, direction, angle of the lid if it is open.
-    Success: the lid is open as far as it goes, or nearly (`open`), and at rest (`still`); so is the arm (`calm`),
-    3 cm or more off the lid (`released`).
+    Description: a box stands on the table; lift its lid with the fingertips, push it fully open and retreat. In
+    version 1 the hinge is on the robot's side of the box and the fingers act on the lid's side edge; in version 2 the
+    box faces to its right and the fingers act on the front edge. Easy: the lid is slightly open. Hard: it is shut and
+    must be pried up by its rim; in version 2 its hinge is also tight.
+    Randomizations: box, position, yaw (up to `YAW_RAD`), opening of a slightly open lid (`AJAR_RAD`).
+    Success: the lid is open by at least `OPEN_FRACTION` of its range (`open`) and slower than `STILL_RAD_S` (`still`);
+    the arm is slower than `CALM_RAD_S` (`calm`), and the TCP at least `CLEAR_M` away from the lid (`released`).
     """
 
     slots: ClassVar[Mapping[str, str]] = {"box": RIMMED}
@@ -68,8 +75,8 @@ class OpenBox(Task):
 
         Args:
             name: plain id.
-            ajar: whether the lid is slightly open at the start.
-            to_the_right: whether the box is turned to its right.
+            ajar: True if the lid is slightly open at the start.
+            to_the_right: True if the box faces to its right.
         """
         self._ajar, self._to_the_right = ajar, to_the_right
         self.card = TaskCard(
@@ -81,8 +88,8 @@ class OpenBox(Task):
             contacts=1 if ajar else 2,
         )
 
-    def layout(self, models: Mapping[str, Model], rng: np.random.Generator, variant: TaskVariant) -> SceneLayout:
-        """A box in front of the robot, so near that its lid does not touch the waiting gripper."""
+    def layout(self, models: Mapping[str, AssetModel], rng: np.random.Generator, variant: TaskVariant) -> SceneLayout:
+        """Place a box in front of the robot, close enough that its lid does not touch the gripper at the start."""
         box = models["box"]
         yaw = rng.uniform(-YAW_RAD, YAW_RAD)
         if self._to_the_right:
@@ -90,7 +97,7 @@ class OpenBox(Task):
         else:
             x, y = rng.uniform(0.46, 0.50), rng.uniform(-0.10, 0.10)
         if not self._ajar and self._to_the_right:
-            box = tight(box)
+            box = with_tight_hinge(box)
         joint = float(rng.uniform(*AJAR_RAD)) if self._ajar else 0.0
         edge = "front edge" if self._to_the_right else "side edge"
         if self._ajar:
@@ -98,29 +105,29 @@ class OpenBox(Task):
         else:
             prompt = f"goes to the {edge} of the closed {box.words}, pries up the lid with its fingertips and pushes it"
         return SceneLayout(
-            placements={"box": Placement(model=box, X_BM=resting(x, y, 0.0, yaw), joint=joint)},
+            placements={"box": Placement(model=box, X_BM=upright_pose(x, y, 0.0, yaw), joint=joint)},
             prompt=f"The robot arm {prompt} fully open.",
             finger_width_m=START_WIDTH_M[self.card.id],
         )
 
+    @override
     def conditions(self, state: State) -> dict[str, Tensor]:
-        """See the class."""
-        wide = state.joints["box"] >= OPEN_PART * state.size("box", "open_rad")
-        return {"open": wide, **_left(state)}
+        wide = state.joints["box"] >= OPEN_FRACTION * state.size("box", "open_rad")
+        return {"open": wide, **_rest_conditions(state)}
 
     def progress(self, state: State) -> Tensor:
-        """Part of the lid's way."""
-        return state.travelled("box", OPEN_PART * state.size("box", "open_rad"))
+        """Return the fraction of the lid's way to `OPEN_FRACTION` of its range."""
+        return state.joint_progress("box", OPEN_FRACTION * state.size("box", "open_rad"))
 
 
 class CloseBox(Task):
     """Press the lid of a lying box shut.
 
-    Description: a box lies on its side, its opening towards the camera, its lid wide open on an upright hinge; fold the
-    lid shut with the closed gripper and draw back.
-    Randomizations: box, position, direction, side of the hinge, angle of the lid.
-    Success: the lid is shut (`shut`) and at rest (`still`); so is the arm (`calm`), 3 cm or more off the lid
-    (`released`).
+    Description: a box lies on its side, its opening towards the camera, its lid wide open on a vertical hinge; fold the
+    lid shut with the closed gripper and retreat.
+    Randomizations: box, position, yaw (up to `YAW_RAD`), side of the hinge, opening of the lid (`WIDE_FRACTION`).
+    Success: the lid is open by at most `SHUT_RAD` (`shut`) and slower than `STILL_RAD_S` (`still`); the arm is slower
+    than `CALM_RAD_S` (`calm`), and the TCP at least `CLEAR_M` away from the lid (`released`).
     """
 
     card = TaskCard(
@@ -128,32 +135,32 @@ class CloseBox(Task):
     )
     slots: ClassVar[Mapping[str, str]] = {"box": FLUSH}
 
-    def layout(self, models: Mapping[str, Model], rng: np.random.Generator, variant: TaskVariant) -> SceneLayout:
-        """A box on its side in front of the robot."""
+    def layout(self, models: Mapping[str, AssetModel], rng: np.random.Generator, variant: TaskVariant) -> SceneLayout:
+        """Place a box on its side in front of the robot."""
         box = models["box"]
-        left = 1.0 if rng.random() < 0.5 else -1.0  # where the hinge is, for the robot
+        left = 1.0 if rng.random() < 0.5 else -1.0  # side of the hinge as seen from the robot
         R_lying = np.array([[0.0, 0.0, 1.0], [-left, 0.0, 0.0], [0.0, -left, 0.0]])
-        R = turned(rng.uniform(-YAW_RAD, YAW_RAD)) @ R_lying
+        R = rotation_z(rng.uniform(-YAW_RAD, YAW_RAD)) @ R_lying
         opening = np.array([rng.uniform(0.50, 0.54), left * rng.uniform(-0.03, 0.05), box.size["width_m"] / 2.0])
         return SceneLayout(
             placements={
                 "box": Placement(
                     model=box,
                     X_BM=make_pose(R, opening - box.size["height_m"] * R[:, 2]),
-                    joint=float(rng.uniform(*WIDE_PART)) * box.size["open_rad"],
+                    joint=float(rng.uniform(*WIDE_FRACTION)) * box.size["open_rad"],
                 )
             },
             prompt=f"The robot arm presses the open lid of the {box.words} shut with its closed gripper.",
             finger_width_m=START_WIDTH_M[self.card.id],
         )
 
+    @override
     def conditions(self, state: State) -> dict[str, Tensor]:
-        """See the class."""
-        return {"shut": state.joints["box"] <= SHUT_RAD, **_left(state)}
+        return {"shut": state.joints["box"] <= SHUT_RAD, **_rest_conditions(state)}
 
     def progress(self, state: State) -> Tensor:
-        """Part of the lid's way."""
-        return state.travelled("box", torch.full_like(state.joints["box"], SHUT_RAD))
+        """Return the fraction of the lid's way to `SHUT_RAD`."""
+        return state.joint_progress("box", torch.full_like(state.joints["box"], SHUT_RAD))
 
 
 TASKS: tuple[Task, ...] = (

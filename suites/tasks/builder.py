@@ -1,4 +1,4 @@
-"""From models to ManiSkill's actors and articulations, straight from arrays: no files are written."""
+"""Builders of ManiSkill actors and articulations from asset models, directly from arrays without files."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -11,18 +11,18 @@ from numpy.typing import NDArray
 from sapien.wrapper.articulation_builder import LinkBuilder
 
 from kinebench_drake.geometry import Array, to_quaternion
-from kinebench_drake.suites.assets.model import Body, Collider, ColliderKind, Model, SurfaceFinish, Visual
+from kinebench_drake.suites.assets.model import AssetModel, Collider, ColliderKind, RigidBody, SurfaceFinish, Visual
 
 _MIPMAPS = 6
 
 
 def to_pose(X: Array) -> sapien.Pose:
-    """SAPIEN's pose of a (4, 4)."""
+    """Convert a pose (4, 4) to SAPIEN."""
     return sapien.Pose(X[:3, 3], to_quaternion(X[:3, :3]))
 
 
-def _tinted(image: NDArray[np.uint8], color: tuple[float, float, float]) -> NDArray[np.uint8]:
-    """The sRGB image (H, W, 3) times a linear colour; SAPIEN shows a texture in place of the colour."""
+def _tint(image: NDArray[np.uint8], color: tuple[float, float, float]) -> NDArray[np.uint8]:
+    """Multiply an sRGB image (H, W, 3) by a linear colour, because SAPIEN ignores the colour if there is a texture."""
     if color == (1.0, 1.0, 1.0):
         return image
     level = np.arange(256) / 255.0
@@ -37,7 +37,7 @@ def _render_material(surface: SurfaceFinish) -> sapien.render.RenderMaterial:
     material.base_color = [*surface.color, 1.0]
     material.roughness, material.metallic, material.specular = surface.roughness, surface.metallic, surface.specular
     if surface.texture is not None:
-        image = _tinted(surface.texture, surface.color)
+        image = _tint(surface.texture, surface.color)
         image = np.concatenate([image, np.full((*image.shape[:2], 1), 255, np.uint8)], axis=-1)
         material.base_color_texture = sapien.render.RenderTexture2D(
             np.ascontiguousarray(image), "R8G8B8A8Unorm", mipmap_levels=_MIPMAPS, srgb=True
@@ -75,13 +75,14 @@ def _collision_shape(collider: Collider, material: sapien.physx.PhysxMaterial) -
 
 
 class _BodyBuilder:
-    """What both builders below add to SAPIEN's: visuals and colliders straight from a body's arrays."""
+    """Mixin for SAPIEN's builders that makes visuals and colliders directly from a body's arrays."""
 
-    body: Body
+    body: RigidBody
     decor = False
     collision_groups: list[int]
 
     def attach_colliders(self, component: Any) -> Any:
+        """Attach the body's colliders to a PhysX component and return it."""
         m = self.body.material
         material = sapien.physx.PhysxMaterial(m.static_friction, m.dynamic_friction, m.restitution)
         for collider in () if self.decor else self.body.colliders:
@@ -93,6 +94,7 @@ class _BodyBuilder:
         return component
 
     def build_render_component(self) -> sapien.render.RenderBodyComponent:
+        """Make the render component with the body's visuals."""
         component = sapien.render.RenderBodyComponent()
         for visual in self.body.visuals:
             component.attach(_render_shape(visual))
@@ -118,10 +120,10 @@ class _ActorBuilder(_BodyBuilder, ActorBuilder):  # type: ignore[misc]
 
 
 class _LinkBuilder(_BodyBuilder, LinkBuilder):  # type: ignore[misc]
-    def __init__(self, index: int, parent: "_LinkBuilder | None", body: Body) -> None:
+    def __init__(self, index: int, parent: "_LinkBuilder | None", body: RigidBody) -> None:
         super().__init__(index, parent)
         self.body = body
-        self.visual_records = [None]  # ManiSkill draws links that have some; what is drawn comes from the body
+        self.visual_records = [None]  # ManiSkill renders only links that have some; the visuals come from the body
 
     def build_physx_component(self, link_parent: Any = None) -> Any:
         component = self.attach_colliders(super().build_physx_component(link_parent))
@@ -130,29 +132,34 @@ class _LinkBuilder(_BodyBuilder, LinkBuilder):  # type: ignore[misc]
 
 
 def build_actor(
-    scene: Any, name: str, body: Body, X_WA: Array, scene_idxs: Sequence[int], *, how: str, decor: bool = False
+    scene: Any, name: str, body: RigidBody, X_WA: Array, scene_idxs: Sequence[int], *, physics: str, decor: bool = False
 ) -> Actor:
-    """A single rigid body at the pose (4, 4) in the ManiSkill world.
+    """Build a single rigid body.
 
     Args:
-        scene: ManiSkill's.
-        name: a name of its own in the scene.
-        body: what to build.
-        X_WA: its pose [m].
-        scene_idxs: which of the parallel scenes get one.
-        how: "dynamic", "kinematic" or "static".
-        decor: whether it has no colliders.
+        scene: ManiSkill scene.
+        name: unique name in the scene.
+        body: the body.
+        X_WA: pose (4, 4) in the ManiSkill world [m].
+        scene_idxs: parallel scenes that get one.
+        physics: "dynamic", "kinematic" or "static".
+        decor: True for no colliders.
     """
     builder = _ActorBuilder()
     builder.scene, builder.body, builder.decor = scene, body, decor
     builder.set_scene_idxs(list(scene_idxs))
-    builder.set_physx_body_type(how)
+    builder.set_physx_body_type(physics)
     builder.initial_pose = to_pose(X_WA)
     return builder.build(name)
 
 
-def build_articulation(scene: Any, name: str, model: Model, X_WM: Array, scene_idxs: Sequence[int]) -> Articulation:
-    """Bodies with joints; the first body is fixed at the pose (4, 4) in the ManiSkill world. Arguments as above."""
+def build_articulation(
+    scene: Any, name: str, model: AssetModel, X_WM: Array, scene_idxs: Sequence[int]
+) -> Articulation:
+    """Build bodies with joints, the first one fixed at the pose (4, 4) in the ManiSkill world.
+
+    Arguments as of `build_actor`.
+    """
     builder = ArticulationBuilder()
     builder.scene = scene
     builder.set_scene_idxs(list(scene_idxs))

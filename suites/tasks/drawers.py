@@ -1,4 +1,4 @@
-"""Tasks with a drawer."""
+"""Tasks with a cabinet with one drawer."""
 
 from collections.abc import Mapping
 from typing import ClassVar
@@ -6,84 +6,93 @@ from typing import ClassVar
 import numpy as np
 import torch
 from torch import Tensor
+from typing_extensions import override
 
-from kinebench_drake.geometry import Array, make_pose
-from kinebench_drake.suites.assets.model import Model
-from kinebench_drake.suites.tasks.card import Difficulty, TaskCard, TaskVariant
-from kinebench_drake.suites.tasks.layout import resting, turned
+from kinebench_drake.geometry import Array, make_pose, rotation_z
+from kinebench_drake.suites.assets.model import AssetModel
 from kinebench_drake.suites.tasks.state import CLEAR_M, STILL_M_S, State
-from kinebench_drake.suites.tasks.task import Placement, SceneLayout, Task
+from kinebench_drake.suites.tasks.task import (
+    Difficulty,
+    Placement,
+    SceneLayout,
+    Task,
+    TaskCard,
+    TaskVariant,
+    upright_pose,
+)
 
-OPEN_SHARE = 0.9
-"""Part of its way that an open drawer has come out."""
+OPEN_FRACTION = 0.9
+"""Least opening of an open drawer, as a fraction of its travel."""
 SHUT_M = 0.008
-"""A drawer that is open by no more than this is shut."""
+"""Greatest opening of a shut drawer."""
 HEAP_M = 0.045
-"""How far above the tray's floor the middle of something that lies in it may be."""
+"""Greatest height of the centre of an object in the tray above the tray's floor."""
 YAW_RAD = 0.25
-"""How far a cabinet may be turned to either side."""
-AJAR = 0.92
-"""Least part of its way that the drawer is open when a cube is to go into it."""
-ASKEW_RAD = 0.3
-"""How far a cube that is to be dragged may be turned against the drawer's way."""
+"""Greatest yaw of a cabinet to either side."""
+START_FRACTION = 0.92
+"""Least initial opening of a drawer that is to receive a cube, as a fraction of its travel."""
+CUBE_YAW_RAD = 0.3
+"""Greatest yaw of a cube that is to be dragged, relative to the drawer's direction."""
 
 
 def _shut(state: State) -> Tensor:
+    """Return (N,) bool: True where the drawer is shut."""
     return state.joints["cabinet"] <= SHUT_M
 
 
 def _still(state: State, name: str) -> Tensor:
+    """Return (N,) bool: True where an object is at rest."""
     return state.speeds[name] <= STILL_M_S
 
 
-def _left(state: State) -> dict[str, Tensor]:
-    """What opening and shutting ask for in the end."""
-    away = torch.linalg.norm(state.X_BG[:, :3, 3] - state.site("cabinet", "pull")[:, :3, 3], dim=-1)
-    return {"still": _still(state, "cabinet"), "calm": state.calm(), "released": away >= CLEAR_M}
+def _rest_conditions(state: State) -> dict[str, Tensor]:
+    """Return the conditions common to opening and closing."""
+    distance = torch.linalg.norm(state.X_BG[:, :3, 3] - state.site("cabinet", "pull")[:, :3, 3], dim=-1)
+    return {"still": _still(state, "cabinet"), "calm": state.calm(), "released": distance >= CLEAR_M}
 
 
-def _outside_by(state: State, poses: Mapping[str, Tensor], name: str) -> Tensor:
-    """How far (N,) the middle of a thing is outside the room of the tray in which it may lie [m]; 0 inside."""
+def _shut_progress(state: State) -> Tensor:
+    """Return the fraction (N,) of the drawer's way to `SHUT_M`."""
+    return state.joint_progress("cabinet", torch.full_like(state.joints["cabinet"], SHUT_M))
+
+
+def _distance_from_tray(state: State, poses: Mapping[str, Tensor], name: str) -> Tensor:
+    """Return the distance (N,) of an object's centre from the interior of the tray [m]; 0 inside."""
     X_BD = poses["cabinet/drawer"]
     tray = torch.stack([torch.as_tensor(m.sites["tray"].X_BodyS[:3, 3]) for m in state.models["cabinet"]])
     p = (X_BD[:, :3, :3].mT @ (poses[name][:, :3, 3] - X_BD[:, :3, 3])[..., None])[..., 0] - tray.to(X_BD)
     half = 0.5 * torch.stack([state.size("cabinet", "tray_length_m"), state.size("cabinet", "tray_width_m")], dim=-1)
     beside = (p[:, :2].abs() - half).clamp(min=0.0)
     over = torch.maximum(p[:, 2] - HEAP_M, -p[:, 2]).clamp(min=0.0)
-    away: Tensor = torch.linalg.norm(torch.cat([beside, over[:, None]], dim=-1), dim=-1)
-    return away
+    distance: Tensor = torch.linalg.norm(torch.cat([beside, over[:, None]], dim=-1), dim=-1)
+    return distance
 
 
-def _on_top(models: Mapping[str, Model], X_BM: Array, back_m: float, aside_m: float, turn_rad: float) -> Array:
-    """Pose (4, 4) of the cube on the cabinet, `back_m` behind the edge over the drawer."""
-    size = models["cabinet"].size
-    place = [size["depth_m"] / 2.0 - back_m, aside_m, size["height_m"] + models["cube"].size["edge_m"] / 2.0]
-    return np.asarray(X_BM @ make_pose(turned(turn_rad), place))
+def _sideways(x_m: tuple[float, float], rng: np.random.Generator) -> Array:
+    """Draw the pose (4, 4) of a cabinet at `x_m` whose drawer opens to the robot's left or right."""
+    side, x = int(rng.choice([-1, 1])), rng.uniform(*x_m)
+    yaw = side * np.pi / 2.0 + rng.uniform(-YAW_RAD, YAW_RAD)
+    return upright_pose(x, -side * rng.uniform(0.065, 0.095), 0.0, yaw)
 
 
-def _sideways(side: int, x_m: float, rng: np.random.Generator) -> Array:
-    """Pose (4, 4) of a cabinet at `x_m` whose drawer opens to the robot's left (`side` 1) or right (-1)."""
-    turn = side * np.pi / 2.0 + rng.uniform(-YAW_RAD, YAW_RAD)
-    return resting(x_m, -side * rng.uniform(0.065, 0.095), 0.0, turn)
-
-
-def _forwards(model: Model, rng: np.random.Generator) -> Array:
-    """Pose (4, 4) of a cabinet whose drawer opens away from the robot, towards the camera."""
+def _forwards(model: AssetModel, rng: np.random.Generator) -> Array:
+    """Draw the pose (4, 4) of a cabinet whose drawer opens away from the robot, towards the camera."""
     reach = model.size["depth_m"] / 2.0 + model.size["travel_m"] + model.size["reach_m"]
-    turn = rng.uniform(-YAW_RAD, YAW_RAD)
-    front, aside = rng.uniform(0.635, 0.66), rng.uniform(-0.09, 0.09)  # the handle's, the drawer wide open
-    return resting(front - reach * np.cos(turn), aside - reach * np.sin(turn), 0.0, turn)
+    yaw = rng.uniform(-YAW_RAD, YAW_RAD)
+    front, aside = rng.uniform(0.635, 0.66), rng.uniform(-0.09, 0.09)  # of the handle, the drawer fully open
+    return upright_pose(front - reach * np.cos(yaw), aside - reach * np.sin(yaw), 0.0, yaw)
 
 
 class OpenDrawer(Task):
     """Pull the drawer open.
 
     Description: a cabinet stands sideways, its drawer ajar; turn the gripper, reach with the closed fingertips into the
-        gap behind the drawer's front, pull, go up again.
-    Randomizations: the cabinet (measures, looks, handle, friction), its place, its direction, whether it opens to the
-        left or to the right, how far it is ajar.
-    Success: the drawer has come nearly as far as it goes (`open`) and is still (`still`), the arm is at rest (`calm`)
-        and off the drawer (`released`).
+    gap behind the drawer's front, pull, and move up again.
+    Randomizations: the cabinet (dimensions, surfaces, handle, friction), its position and yaw (up to `YAW_RAD`),
+    whether it opens to the left or to the right, how far it is ajar (34 to 48 mm).
+    Success: the drawer is open by at least `OPEN_FRACTION` of its travel (`open`) and slower than `STILL_M_S`
+    (`still`); the arm is slower than `CALM_RAD_S` (`calm`), and the TCP at least `CLEAR_M` away from the drawer's
+    upper edge (`released`).
     """
 
     card = TaskCard(
@@ -91,10 +100,10 @@ class OpenDrawer(Task):
     )
     slots: ClassVar[Mapping[str, str]] = {"cabinet": "cabinet"}
 
-    def layout(self, models: Mapping[str, Model], rng: np.random.Generator, variant: TaskVariant) -> SceneLayout:
-        """A cabinet across the robot's view."""
+    def layout(self, models: Mapping[str, AssetModel], rng: np.random.Generator, variant: TaskVariant) -> SceneLayout:
+        """Place a cabinet that opens to the side."""
         cabinet = models["cabinet"]
-        X_BM = _sideways(int(rng.choice([-1, 1])), rng.uniform(0.475, 0.54), rng)
+        X_BM = _sideways((0.475, 0.54), rng)
         return SceneLayout(
             placements={"cabinet": Placement(model=cabinet, X_BM=X_BM, joint=rng.uniform(0.034, 0.048))},
             prompt=(
@@ -103,24 +112,25 @@ class OpenDrawer(Task):
             ),
         )
 
+    @override
     def conditions(self, state: State) -> dict[str, Tensor]:
-        """See the class."""
-        wide = OPEN_SHARE * state.size("cabinet", "travel_m")
-        return {"open": state.joints["cabinet"] >= wide, **_left(state)}
+        wide = OPEN_FRACTION * state.size("cabinet", "travel_m")
+        return {"open": state.joints["cabinet"] >= wide, **_rest_conditions(state)}
 
     def progress(self, state: State) -> Tensor:
-        """Part of the drawer's way out."""
-        return state.travelled("cabinet", OPEN_SHARE * state.size("cabinet", "travel_m"))
+        """Return the fraction of the drawer's way to `OPEN_FRACTION` of its travel."""
+        return state.joint_progress("cabinet", OPEN_FRACTION * state.size("cabinet", "travel_m"))
 
 
 class CloseDrawer(Task):
     """Push the drawer shut.
 
-    Description: a cabinet's drawer is open towards the camera; go behind its front with the closed gripper, push it in,
-        go up again.
-    Randomizations: the cabinet (measures, looks, handle, friction), its place and direction, how far it is open.
-    Success: the drawer is shut (`shut`) and still (`still`), the arm is at rest (`calm`) and off the drawer
-        (`released`).
+    Description: a cabinet's drawer is open towards the camera; reach in front of it with the closed gripper, push it
+    in, and move up again.
+    Randomizations: the cabinet (dimensions, surfaces, handle, friction), its position and yaw (up to `YAW_RAD`), how
+    far it is open (65 to 100 % of its travel).
+    Success: the drawer is open by at most `SHUT_M` (`shut`) and slower than `STILL_M_S` (`still`); the arm is slower
+    than `CALM_RAD_S` (`calm`), and the TCP at least `CLEAR_M` away from the drawer's upper edge (`released`).
     """
 
     card = TaskCard(
@@ -128,8 +138,8 @@ class CloseDrawer(Task):
     )
     slots: ClassVar[Mapping[str, str]] = {"cabinet": "cabinet"}
 
-    def layout(self, models: Mapping[str, Model], rng: np.random.Generator, variant: TaskVariant) -> SceneLayout:
-        """A cabinet that opens away from the robot."""
+    def layout(self, models: Mapping[str, AssetModel], rng: np.random.Generator, variant: TaskVariant) -> SceneLayout:
+        """Place a cabinet that opens away from the robot."""
         cabinet = models["cabinet"]
         X_BM = _forwards(cabinet, rng)
         joint = rng.uniform(0.65, 1.0) * cabinet.size["travel_m"]
@@ -138,100 +148,120 @@ class CloseDrawer(Task):
             prompt=f"The robot arm pushes the open drawer of the {cabinet.words} completely shut and moves up again.",
         )
 
+    @override
     def conditions(self, state: State) -> dict[str, Tensor]:
-        """See the class."""
-        return {"shut": _shut(state), **_left(state)}
+        return {"shut": _shut(state), **_rest_conditions(state)}
 
+    @override
     def progress(self, state: State) -> Tensor:
-        """Part of the drawer's way in."""
-        return state.travelled("cabinet", torch.full_like(state.joints["cabinet"], SHUT_M))
+        return _shut_progress(state)
 
 
 class _StoreCube(Task):
-    """What the tasks that put a cube into a drawer share."""
+    """Common part of the tasks that put a cube into a drawer."""
 
     slots: ClassVar[Mapping[str, str]] = {"cabinet": "cabinet", "cube": "cube/red"}
+    prompt: ClassVar[str]
+    """Prompt with a placeholder for the cabinet's name."""
 
+    def _layout(
+        self,
+        models: Mapping[str, AssetModel],
+        rng: np.random.Generator,
+        X_BM: Array,
+        p_TopC: tuple[float, float],
+        yaw_rad: float,
+    ) -> SceneLayout:
+        """Return the scene with the cube on the cabinet.
+
+        Args:
+            models: the asset drawn for each slot.
+            rng: draws how far the drawer is open.
+            X_BM: pose (4, 4) of the cabinet.
+            p_TopC: position of the cube's centre on the cabinet: behind the edge over the drawer, and along it [m].
+            yaw_rad: yaw of the cube relative to the cabinet.
+        """
+        cabinet, cube = models["cabinet"], models["cube"]
+        back, aside = p_TopC
+        p_MC = [cabinet.size["depth_m"] / 2.0 - back, aside, cabinet.size["height_m"] + cube.size["edge_m"] / 2.0]
+        opening = rng.uniform(START_FRACTION, 1.0) * cabinet.size["travel_m"]
+        return SceneLayout(
+            placements={
+                "cabinet": Placement(model=cabinet, X_BM=X_BM, joint=opening),
+                "cube": Placement(model=cube, X_BM=np.asarray(X_BM @ make_pose(rotation_z(yaw_rad), p_MC))),
+            },
+            prompt=self.prompt.format(cabinet.words),
+        )
+
+    @override
     def conditions(self, state: State) -> dict[str, Tensor]:
-        """See the tasks."""
         return {
-            "inside": _outside_by(state, state.poses, "cube") <= 0.0,
+            "inside": _distance_from_tray(state, state.poses, "cube") <= 0.0,
             "shut": _shut(state),
             "still": _still(state, "cube") & _still(state, "cabinet"),
             "released": ~state.grasps("cube"),
         }
 
     def progress(self, state: State) -> Tensor:
-        """Half for the cube's way into the tray; then half for the drawer's way in."""
-        before = _outside_by(state, state.starts, "cube").clamp(min=1e-6)
-        entered = (1.0 - _outside_by(state, state.poses, "cube") / before).clamp(0.0, 1.0)
-        shut = state.travelled("cabinet", torch.full_like(state.joints["cabinet"], SHUT_M)).clamp(0.0, 1.0)
+        """Return half the fraction of the cube's way into the tray, then half the fraction of the drawer's way in."""
+        before = _distance_from_tray(state, state.starts, "cube").clamp(min=1e-6)
+        entered = (1.0 - _distance_from_tray(state, state.poses, "cube") / before).clamp(0.0, 1.0)
+        shut = _shut_progress(state).clamp(0.0, 1.0)
         return 0.5 * entered + 0.5 * torch.where(entered >= 1.0, shut, torch.zeros_like(shut))
 
 
 class StoreCubeDrop(_StoreCube):
     """Drop the cube into the drawer, shut the drawer.
 
-    Description: a red cube lies on top of a cabinet whose drawer is open towards the camera; grasp the cube, let it go
-        over the open drawer, push the drawer shut.
-    Randomizations: the cabinet (measures, looks, handle, friction), its place and direction, how far it is open, the
-        cube, its place on top and its direction.
-    Success: the cube is in the tray (`inside`), the drawer is shut (`shut`), both are still (`still`), and the cube is
-        let go (`released`).
+    Description: a red cube lies on top of a cabinet whose drawer is open towards the camera; grasp the cube, release it
+    above the open drawer, push the drawer shut.
+    Randomizations: the cabinet (dimensions, surfaces, handle, friction), its position and yaw (up to `YAW_RAD`), how
+    far it is open (at least `START_FRACTION`); the cube, its position on top and its yaw.
+    Success: the cube's centre is in the tray, at most `HEAP_M` above its floor (`inside`), the drawer is open by at
+    most `SHUT_M` (`shut`), both are slower than `STILL_M_S` (`still`), and the cube is not grasped (`released`).
     """
 
     card = TaskCard(
         id="StoreCube-v1", family="drawers", difficulty=Difficulty.HARD, articulated_dof=1, axes="x", contacts=2
     )
+    prompt = (
+        "The robot arm picks up the red cube from the top of the {}, drops it into the open "
+        "drawer and pushes the drawer shut."
+    )
 
-    def layout(self, models: Mapping[str, Model], rng: np.random.Generator, variant: TaskVariant) -> SceneLayout:
-        """A cabinet that opens away from the robot, the cube on top of it."""
-        cabinet = models["cabinet"]
-        X_BM = _forwards(cabinet, rng)
-        X_BC = _on_top(models, X_BM, rng.uniform(0.035, 0.075), rng.uniform(-0.04, 0.04), rng.uniform(-np.pi, np.pi))
-        return SceneLayout(
-            placements={
-                "cabinet": Placement(model=cabinet, X_BM=X_BM, joint=rng.uniform(AJAR, 1.0) * cabinet.size["travel_m"]),
-                "cube": Placement(model=models["cube"], X_BM=X_BC),
-            },
-            prompt=(
-                f"The robot arm picks up the red cube from the top of the {cabinet.words}, drops it into the open "
-                "drawer and pushes the drawer shut."
-            ),
-        )
+    def layout(self, models: Mapping[str, AssetModel], rng: np.random.Generator, variant: TaskVariant) -> SceneLayout:
+        """Place a cabinet that opens away from the robot, with the cube on top."""
+        X_BM = _forwards(models["cabinet"], rng)
+        p_TopC = rng.uniform(0.035, 0.075), rng.uniform(-0.04, 0.04)
+        return self._layout(models, rng, X_BM, p_TopC, rng.uniform(-np.pi, np.pi))
 
 
 class StoreCubeDrag(_StoreCube):
     """Drag the cube into the drawer, shut the drawer.
 
-    Description: a red cube lies on top of a cabinet that stands sideways, its drawer open; go behind the cube with the
-        closed gripper, drag it over the edge so that it falls into the drawer, push the drawer shut.
-    Randomizations: the cabinet (measures, looks, handle, friction), its place, its direction, whether it opens to the
-        left or to the right, how far it is open, the cube, its place on top and its direction.
-    Success: the cube is in the tray (`inside`), the drawer is shut (`shut`), both are still (`still`), and the cube is
-        not held (`released`).
+    Description: a red cube lies on top of a cabinet that stands sideways, its drawer open; reach behind the cube with
+    the closed gripper, drag it over the edge so that it falls into the drawer, push the drawer shut.
+    Randomizations: the cabinet (dimensions, surfaces, handle, friction), its position and yaw (up to `YAW_RAD`),
+    whether it opens to the left or to the right, how far it is open (at least `START_FRACTION`); the cube, its
+    position on top and its yaw (`CUBE_YAW_RAD`).
+    Success: the cube's centre is in the tray, at most `HEAP_M` above its floor (`inside`), the drawer is open by at
+    most `SHUT_M` (`shut`), both are slower than `STILL_M_S` (`still`), and the cube is not grasped (`released`).
     """
 
     card = TaskCard(
         id="StoreCube-v2", family="drawers", difficulty=Difficulty.HARD, articulated_dof=1, axes="y", contacts=2
     )
+    prompt = (
+        "The robot arm drags the red cube off the top of the {} into the open drawer with its "
+        "closed gripper and pushes the drawer shut."
+    )
 
-    def layout(self, models: Mapping[str, Model], rng: np.random.Generator, variant: TaskVariant) -> SceneLayout:
-        """A cabinet across the robot's view, the cube on top of it."""
-        cabinet = models["cabinet"]
-        X_BM = _sideways(int(rng.choice([-1, 1])), rng.uniform(0.465, 0.51), rng)
-        turn = rng.integers(4) * np.pi / 2.0 + rng.uniform(-ASKEW_RAD, ASKEW_RAD)
-        X_BC = _on_top(models, X_BM, rng.uniform(0.04, 0.075), rng.uniform(-0.025, 0.025), turn)
-        return SceneLayout(
-            placements={
-                "cabinet": Placement(model=cabinet, X_BM=X_BM, joint=rng.uniform(AJAR, 1.0) * cabinet.size["travel_m"]),
-                "cube": Placement(model=models["cube"], X_BM=X_BC),
-            },
-            prompt=(
-                f"The robot arm drags the red cube off the top of the {cabinet.words} into the open drawer with its "
-                "closed gripper and pushes the drawer shut."
-            ),
-        )
+    def layout(self, models: Mapping[str, AssetModel], rng: np.random.Generator, variant: TaskVariant) -> SceneLayout:
+        """Place a cabinet that opens to the side, with the cube on top."""
+        X_BM = _sideways((0.465, 0.51), rng)
+        yaw = rng.integers(4) * np.pi / 2.0 + rng.uniform(-CUBE_YAW_RAD, CUBE_YAW_RAD)
+        p_TopC = rng.uniform(0.04, 0.075), rng.uniform(-0.025, 0.025)
+        return self._layout(models, rng, X_BM, p_TopC, yaw)
 
 
 TASKS: tuple[Task, ...] = (OpenDrawer(), CloseDrawer(), StoreCubeDrop(), StoreCubeDrag())

@@ -1,10 +1,10 @@
-"""The tasks as ManiSkill environments: `gymnasium.make("KineBench/StackCube-v1")` after `register()`.
+"""ManiSkill environments of the tasks: `gymnasium.make("KineBench/StackCube-v1")` after `register()`.
 
-They run on the CPU and, in batches, on ManiSkill's GPU simulation. ManiSkill's own tasks of the same name stay as they
-are. A scene is rebuilt at every reset of a single environment, since each seed has its own assets and looks.
+They run on the CPU and, in batches, on ManiSkill's GPU simulation. ManiSkill's own tasks of the same names are not
+affected. A single environment is rebuilt at every reset, because each seed has its own assets and looks.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -22,85 +22,35 @@ from kinebench_drake.camera import Camera, benchmark_camera
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array, make_pose, to_quaternion
 from kinebench_drake.models.robot import N_JOINTS
-from kinebench_drake.suites.assets.look import Background, Finish, background, light, table
-from kinebench_drake.suites.assets.mesh import block, board
-from kinebench_drake.suites.assets.model import Body, Material, Visual
+from kinebench_drake.suites.assets.look import background, light, surroundings, table
 from kinebench_drake.suites.episode import Episode, compose
 from kinebench_drake.suites.split import Pool
 from kinebench_drake.suites.start import start_q
-from kinebench_drake.suites.tasks.builder import build_actor, build_articulation
-from kinebench_drake.suites.tasks.card import TaskVariant
+from kinebench_drake.suites.tasks.builder import build_actor, build_articulation, to_pose
 from kinebench_drake.suites.tasks.registry import TASKS, find_task
 from kinebench_drake.suites.tasks.state import ARM, State
-from kinebench_drake.suites.tasks.task import Placement, Scene, SceneLayout
-
-TABLE_SIZE_M = (1.5, 2.4, 0.04)
-"""Along x, y, z."""
-TABLE_CENTER_M = (0.55, 0.0, -0.02)
-"""In B; its top is z = 0."""
-FLOOR_M = -0.75
-"""Height of the floor."""
-WALL_M = -2.8
-"""x of the wall behind the robot."""
-WALL_TOP_M = 1.3
-"""Height of the wall's upper edge: out of view, and low enough for light from behind it."""
-SKIRTING_M = (0.03, 8.0, 0.09)
-"""The board along the foot of the wall."""
-_ROOM_M = 8.0
-
-
-def _board(size: tuple[float, float, float], center: tuple[float, float, float], look: Finish) -> Visual:
-    return board(size, center, look.surface, bevel_m=0.0, uv_per_m=look.uv_per_m)
-
-
-def surroundings(table: Finish, background: Background) -> dict[str, Body]:
-    """The bodies by name, in B."""
-    wall_height_m, foot_m = WALL_TOP_M - FLOOR_M, FLOOR_M + 0.5 * SKIRTING_M[2]
-    skirting = Finish(surface=background.skirting, uv_per_m=1.0)
-    return {
-        "table": Body(
-            name="table",
-            visuals=(_board(TABLE_SIZE_M, TABLE_CENTER_M, table),),
-            colliders=(block(TABLE_SIZE_M, TABLE_CENTER_M),),
-            material=Material(static_friction=0.6, dynamic_friction=0.5, restitution=0.0),
-        ),
-        "wall": Body(
-            name="wall",
-            visuals=(
-                _board(
-                    (0.1, _ROOM_M, wall_height_m), (WALL_M - 0.05, 0.0, FLOOR_M + 0.5 * wall_height_m), background.wall
-                ),
-                _board(SKIRTING_M, (WALL_M, 0.0, foot_m), skirting),
-            ),
-        ),
-        "floor": Body(
-            name="floor",
-            visuals=(_board((_ROOM_M, _ROOM_M, 0.1), (WALL_M + 0.5 * _ROOM_M, 0.0, FLOOR_M - 0.05), background.floor),),
-        ),
-    }
-
+from kinebench_drake.suites.tasks.task import Placement, Scene, SceneLayout, TaskVariant
 
 NAMESPACE = "KineBench"
 """Gymnasium namespace of the tasks."""
 X_WB = make_pose(np.eye(3), [-0.615, 0.0, 0.0])
-"""Robot base in the ManiSkill world, (4, 4) [m]."""
+"""Pose (4, 4) of the robot base in the ManiSkill world [m]."""
 CAMERA = "base_camera"
 """Name of the camera."""
 _NEAR_M, _FAR_M = 0.01, 20.0
 
 
 def sapien_from_opencv(X_AC: Array) -> Array:
-    """The pose (4, 4) of a camera with SAPIEN's axes (x forward, y left, z up), from OpenCV's (z forward, x right)."""
+    """Convert a camera pose (4, 4) from OpenCV's axes (z forward, x right) to SAPIEN's (x forward, y left, z up)."""
     R_CS = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
     return X_AC @ make_pose(R_CS, np.zeros(3))
 
 
 def camera_config(camera: Camera) -> CameraConfig:
-    """ManiSkill's description of a camera."""
-    X_WS = sapien_from_opencv(X_WB @ camera.X_BC)
+    """Convert a camera to ManiSkill's configuration."""
     return CameraConfig(
         CAMERA,
-        pose=sapien.Pose(X_WS[:3, 3], to_quaternion(X_WS[:3, :3])),
+        pose=to_pose(sapien_from_opencv(X_WB @ camera.X_BC)),
         width=camera.width,
         height=camera.height,
         near=_NEAR_M,
@@ -110,18 +60,18 @@ def camera_config(camera: Camera) -> CameraConfig:
 
 
 def place_camera(sensor: Any, camera: Camera) -> None:
-    """Move ManiSkill's camera and change its lens, without building the scene anew."""
-    X_WS = sapien_from_opencv(X_WB @ camera.X_BC)
+    """Set pose and intrinsics of ManiSkill's camera without rebuilding the scene."""
+    pose = to_pose(sapien_from_opencv(X_WB @ camera.X_BC))
     for component in sensor.camera._render_cameras:
         component.set_perspective_parameters(_NEAR_M, _FAR_M, camera.fx, camera.fy, camera.cx, camera.cy, 0.0)
-        component.set_local_pose(sapien.Pose(X_WS[:3, 3], to_quaternion(X_WS[:3, :3])))
+        component.set_local_pose(pose)
 
 
 class KineBenchEnv(BaseEnv):  # type: ignore[misc]
-    """One of the benchmark's tasks.
+    """Environment of one task.
 
-    `reset(seed=...)` composes the episode of that seed; `reset(options={"episodes": [episode, ...]})` takes given ones,
-    one a scene. `evaluate()` gives `success`, `progress` (0..1) and the task's named sub-conditions.
+    `reset(seed=...)` composes the episode of that seed; `reset(options={"episodes": [episode, ...]})` uses one episode
+    per scene. `evaluate()` returns `success`, `progress` (0..1) and the task's named sub-conditions.
     """
 
     SUPPORTED_ROBOTS = ("panda", "panda_wristcam")
@@ -141,16 +91,16 @@ class KineBenchEnv(BaseEnv):  # type: ignore[misc]
         """Make the environment.
 
         Args:
-            args: for ManiSkill.
+            args: passed to ManiSkill.
             task: plain task id.
             robot_uids: "panda" or "panda_wristcam".
             pool: assets and looks to draw from: "all", "seen" or "unseen".
             variant: "plain" or "obstacles".
-            camera: where to look from; the benchmark's if not given.
-            kwargs: for ManiSkill.
+            camera: camera of the observations; None: the benchmark's.
+            kwargs: passed to ManiSkill.
 
         Raises:
-            UsageError: there is no such task or variant.
+            UsageError: the task is unknown or has no such variant.
         """
         self.task = find_task(task, TaskVariant(variant))
         self._pool, self._variant = Pool(pool), TaskVariant(variant)
@@ -176,19 +126,20 @@ class KineBenchEnv(BaseEnv):  # type: ignore[misc]
         super()._load_agent(options, sapien.Pose(X_WB[:3, 3]))
 
     def _compose(self, options: dict[str, Any]) -> None:
-        given: Sequence[Episode] | None = options.get("episodes")
-        if given is None:
-            given = [
+        """Set the episodes and layouts of all scenes."""
+        episodes: Sequence[Episode] | None = options.get("episodes")
+        if episodes is None:
+            episodes = [
                 compose(self.task.card.id, int(seed), pool=self._pool, variant=self._variant)
                 for seed in self._episode_seed
             ]
-        if len(given) != self.num_envs or any(e.task != self.task.card.id for e in given):
+        if len(episodes) != self.num_envs or any(e.task != self.task.card.id for e in episodes):
             raise InputError(
                 f"{self.num_envs} episodes of {self.task.card.id} are expected, got "
-                f"{len(given)} of {', '.join(sorted({e.task for e in given}))}"
+                f"{len(episodes)} of {', '.join(sorted({e.task for e in episodes}))}"
             )
-        self.episodes = list(given)
-        self.layouts = [episode.layout() for episode in given]
+        self.episodes = list(episodes)
+        self.layouts = [episode.layout() for episode in episodes]
 
     def _load_scene(self, options: dict[str, Any]) -> None:
         self._compose(options)
@@ -196,10 +147,11 @@ class KineBenchEnv(BaseEnv):  # type: ignore[misc]
         names = list(self.layouts[0].placements)
         for i, episode in enumerate(self.episodes):
             for name, body in surroundings(table(episode.table), background(episode.background)).items():
-                build_actor(self.scene, f"{name}_{i}", body, X_WB, [i], how="static", decor=False)
-        self.things: dict[str, Actor | Articulation] = {name: self._load_thing(name) for name in names}
+                build_actor(self.scene, f"{name}_{i}", body, X_WB, [i], physics="static")
+        self.objects: dict[str, Actor | Articulation] = {name: self._load_object(name) for name in names}
 
-    def _load_thing(self, name: str) -> Actor | Articulation:
+    def _load_object(self, name: str) -> Actor | Articulation:
+        """Build the object with a name in all scenes."""
         built: list[Any] = []
         for i, layout in enumerate(self.layouts):
             placement = layout.placements[name]
@@ -208,12 +160,12 @@ class KineBenchEnv(BaseEnv):  # type: ignore[misc]
             if placement.model.articulated:
                 built.append(build_articulation(self.scene, own_name, placement.model, X_WM, [i]))
             else:
-                how = "dynamic" if placement.movable else "kinematic"
+                physics = "dynamic" if placement.movable else "kinematic"
                 [body] = placement.model.bodies
-                built.append(build_actor(self.scene, own_name, body, X_WM, [i], how=how, decor=placement.decor))
+                built.append(build_actor(self.scene, own_name, body, X_WM, [i], physics=physics, decor=placement.decor))
         if self.num_envs == 1:
             return built[0]
-        for part in built:  # the state is told of all scenes' things at once
+        for part in built:  # replaced by one merged entry for all scenes
             self.scene.remove_from_state_dict_registry(part)
         merged: Actor | Articulation = (
             Articulation.merge(built, name=name, merge_links=True)
@@ -234,41 +186,41 @@ class KineBenchEnv(BaseEnv):  # type: ignore[misc]
 
     def _initialize_episode(self, env_idx: Tensor, options: dict[str, Any]) -> None:
         if not self._fresh:
-            self._place_anew(env_idx, options)
+            self._redraw_poses(env_idx, options)
         self._fresh = False
         with torch.device(self.device):
             rows = [int(i) for i in env_idx]
             q = np.stack([self._start_q(i) for i in rows])
             self.agent.reset(q.astype(np.float32))
             self.agent.robot.set_pose(sapien.Pose(X_WB[:3, 3]))
-            for name, thing in self.things.items():
+            for name, entity in self.objects.items():
                 placements = [self.layouts[i].placements[name] for i in rows]
-                thing.set_pose(self._poses(placements))
-                if isinstance(thing, Articulation):
+                entity.set_pose(self._poses(placements))
+                if isinstance(entity, Articulation):
                     joint = torch.tensor([[p.joint] for p in placements], dtype=torch.float32)
-                    thing.set_qpos(joint)
-                    thing.set_qvel(torch.zeros_like(joint))
+                    entity.set_qpos(joint)
+                    entity.set_qvel(torch.zeros_like(joint))
                 elif placements[0].movable:
-                    thing.set_linear_velocity(torch.zeros(len(rows), 3))
-                    thing.set_angular_velocity(torch.zeros(len(rows), 3))
+                    entity.set_linear_velocity(torch.zeros(len(rows), 3))
+                    entity.set_angular_velocity(torch.zeros(len(rows), 3))
         if self.gpu_sim_enabled:
             self.scene._gpu_apply_all()
             self.scene.px.gpu_update_articulation_kinematics()
             self.scene._gpu_fetch_all()
-        self._remember(env_idx)
+        self._store_starts(env_idx)
 
-    def _place_anew(self, env_idx: Tensor, options: dict[str, Any]) -> None:
-        """New places for the assets that are built already, where scenes are not rebuilt."""
-        given: Sequence[Episode] | None = options.get("episodes")
+    def _redraw_poses(self, env_idx: Tensor, options: dict[str, Any]) -> None:
+        """Draw new layouts for the assets that are built already, where scenes are not rebuilt."""
+        episodes: Sequence[Episode] | None = options.get("episodes")
         for i in map(int, env_idx):
             old = self.episodes[i]
-            new = old.reseeded(int(self._episode_seed[i])) if given is None else given[i]
+            new = old.reseeded(int(self._episode_seed[i])) if episodes is None else episodes[i]
             if (new.assets, new.table, new.background, new.light) != (old.assets, old.table, old.background, old.light):
                 raise InputError("an episode with other assets or looks needs options={'reconfigure': True}")
             layout = new.layout()
-            for name, placed in layout.placements.items():
-                if placed.model.asset_id != self.layouts[i].placements[name].model.asset_id:
-                    raise InputError(f"{name} would be another thing: that needs options={{'reconfigure': True}}")
+            for name, placement in layout.placements.items():
+                if placement.model.asset_id != self.layouts[i].placements[name].model.asset_id:
+                    raise InputError(f"{name} has another asset: that needs options={{'reconfigure': True}}")
             self.episodes[i], self.layouts[i] = new, layout
 
     def _start_q(self, index: int) -> Array:
@@ -276,13 +228,15 @@ class KineBenchEnv(BaseEnv):  # type: ignore[misc]
         return start_q(episode.task, episode.seed, layout.finger_width_m)
 
     def _poses(self, placements: Sequence[Placement]) -> Pose:
+        """Return the poses of placements in the ManiSkill world."""
         X_WM = [X_WB @ p.X_BM for p in placements]
         return Pose.create_from_pq(
             torch.tensor(np.stack([X[:3, 3] for X in X_WM]), dtype=torch.float32),
             torch.tensor(np.stack([to_quaternion(X[:3, :3]) for X in X_WM]), dtype=torch.float32),
         )
 
-    def _remember(self, env_idx: Tensor) -> None:
+    def _store_starts(self, env_idx: Tensor) -> None:
+        """Store the current poses and joint positions of some scenes as those of the episode's start."""
         poses, joints = self._body_poses(), self._joints()
         if not self._starts or len(env_idx) == self.num_envs:
             self._starts, self._joint_starts = poses, joints
@@ -292,31 +246,33 @@ class KineBenchEnv(BaseEnv):  # type: ignore[misc]
                 start[name][env_idx] = value[env_idx]
 
     def _in_base(self, pose: Pose) -> Tensor:
+        """Convert poses of the ManiSkill world to matrices (N, 4, 4) in B."""
         X: Tensor = pose.to_transformation_matrix().clone()
         X[:, :3, 3] -= torch.as_tensor(X_WB[:3, 3], dtype=X.dtype, device=X.device)
         return X
 
     def _body_poses(self) -> dict[str, Tensor]:
         poses = {}
-        for name, thing in self.things.items():
-            poses[name] = self._in_base(thing.pose)
-            if isinstance(thing, Articulation):
+        for name, entity in self.objects.items():
+            poses[name] = self._in_base(entity.pose)
+            if isinstance(entity, Articulation):
                 for body in self.layouts[0].placements[name].model.bodies[1:]:
-                    poses[f"{name}/{body.name}"] = self._in_base(thing.links_map[body.name].pose)
+                    poses[f"{name}/{body.name}"] = self._in_base(entity.links_map[body.name].pose)
         return poses
 
     def _joints(self) -> dict[str, Tensor]:
-        return {n: thing.qpos[:, 0].clone() for n, thing in self.things.items() if isinstance(thing, Articulation)}
+        return {name: x.qpos[:, 0].clone() for name, x in self.objects.items() if isinstance(x, Articulation)}
 
-    def _speed(self, thing: Actor | Articulation) -> Tensor:
-        if isinstance(thing, Articulation):
-            rate: Tensor = thing.qvel[:, 0].abs()
+    def _speed(self, entity: Actor | Articulation) -> Tensor:
+        """Return the joint speed (N,) of an articulation, else the linear speed (N,)."""
+        if isinstance(entity, Articulation):
+            rate: Tensor = entity.qvel[:, 0].abs()
             return rate
-        speed: Tensor = torch.linalg.norm(thing.linear_velocity, dim=-1)
+        speed: Tensor = torch.linalg.norm(entity.linear_velocity, dim=-1)
         return speed
 
     def state(self) -> State:
-        """All scenes now."""
+        """Return the current state of all scenes."""
         return State(
             X_BG=self._in_base(self.agent.tcp.pose),
             finger_width_m=self.agent.robot.qpos[:, -2:].sum(dim=-1),
@@ -325,31 +281,35 @@ class KineBenchEnv(BaseEnv):  # type: ignore[misc]
             joints=self._joints(),
             joint_starts=self._joint_starts,
             speeds={
-                name: self._speed(thing)
-                for name, thing in self.things.items()
+                name: self._speed(entity)
+                for name, entity in self.objects.items()
                 if self.layouts[0].placements[name].movable
             }
             | {ARM: self.agent.robot.qvel[:, :N_JOINTS].abs().amax(dim=-1)},
-            models={name: [layout.placements[name].model for layout in self.layouts] for name in self.things},
-            grasps=lambda name: self.agent.is_grasping(self.things[name]),
+            models={name: [layout.placements[name].model for layout in self.layouts] for name in self.objects},
+            grasps=lambda name: self.agent.is_grasping(self.objects[name]),
         )
 
     def scene_of(self, index: int = 0) -> Scene:
-        """One of the scenes, as an expert sees it."""
+        """Return one of the scenes as an expert receives it."""
         state = self.state()
+
+        def matrices(poses: Mapping[str, Tensor]) -> dict[str, Array]:
+            return {name: X[index].cpu().numpy().astype(np.float64) for name, X in poses.items()}
+
         return Scene(
             X_BG=state.X_BG[index].cpu().numpy().astype(np.float64),
             finger_width_m=float(state.finger_width_m[index]),
-            poses={name: X[index].cpu().numpy().astype(np.float64) for name, X in state.poses.items()},
+            poses=matrices(state.poses),
             joints={name: float(x[index]) for name, x in state.joints.items()},
             models={name: models[index] for name, models in state.models.items()},
-            starts={name: X[index].cpu().numpy().astype(np.float64) for name, X in state.starts.items()},
+            starts=matrices(state.starts),
             fixed=self.layouts[index].fixed,
             avoided=self.layouts[index].avoided,
         )
 
     def evaluate(self) -> dict[str, Tensor]:
-        """Success, progress 0..1 and the task's sub-conditions, each (N,)."""
+        """Return success, progress 0..1 and the task's sub-conditions, each (N,)."""
         state = self.state()
         conditions = self.task.conditions(state)
         success = torch.stack(list(conditions.values())).all(dim=0)
@@ -359,26 +319,26 @@ class KineBenchEnv(BaseEnv):  # type: ignore[misc]
     def _get_obs_extra(self, info: dict[str, Any]) -> dict[str, Tensor]:
         extra = {"tcp_pose": self.agent.tcp.pose.raw_pose}
         if self.obs_mode_struct.use_state:
-            extra |= {f"{name}_pose": thing.pose.raw_pose for name, thing in self.things.items()}
+            extra |= {f"{name}_pose": entity.pose.raw_pose for name, entity in self.objects.items()}
         return extra
 
     def compute_dense_reward(self, obs: Any, action: Tensor, info: dict[str, Any]) -> Tensor:
-        """The progress, and 1 more for success."""
+        """Return the progress, plus 1 for success."""
         reward: Tensor = info["progress"] + info["success"]
         return reward
 
     def compute_normalized_dense_reward(self, obs: Any, action: Tensor, info: dict[str, Any]) -> Tensor:
-        """The dense reward over 2."""
+        """Return half the dense reward."""
         return self.compute_dense_reward(obs, action, info) / 2.0
 
 
 def environment_id(task: str) -> str:
-    """Gymnasium's id of a plain task id."""
+    """Return the gymnasium id of a plain task id."""
     return f"{NAMESPACE}/{task}"
 
 
 def register() -> None:
-    """Make the tasks known to gymnasium and ManiSkill; may be called again."""
+    """Register the tasks with gymnasium and ManiSkill; repeated calls have no effect."""
     for name in TASKS:
         uid = environment_id(name)
         if uid not in REGISTERED_ENVS:

@@ -6,28 +6,33 @@ from typing import ClassVar
 import numpy as np
 import torch
 from torch import Tensor
+from typing_extensions import override
 
-from kinebench_drake.suites.assets.model import Model
+from kinebench_drake.suites.assets.model import AssetModel
 from kinebench_drake.suites.start import START_WIDTH_M
-from kinebench_drake.suites.tasks.card import Difficulty, TaskCard, TaskVariant
-from kinebench_drake.suites.tasks.layout import resting
-from kinebench_drake.suites.tasks.state import CLEAR_M, STILL_RAD_S, State
-from kinebench_drake.suites.tasks.task import Placement, SceneLayout, Task
+from kinebench_drake.suites.tasks.state import CLEAR_M, STILL_RAD_S, State, to_frame
+from kinebench_drake.suites.tasks.task import (
+    Difficulty,
+    Placement,
+    SceneLayout,
+    Task,
+    TaskCard,
+    TaskVariant,
+    upright_pose,
+)
 
 OPEN_RAD = np.deg2rad(90.0)
-"""A lid open this far counts as open."""
+"""Least opening of an open lid."""
 SHUT_RAD = np.deg2rad(4.0)
-"""A lid open this little counts as shut."""
+"""Greatest opening of a shut lid."""
 
 FORWARD_M = (0.45, 0.52)
-"""Least and greatest x of the middle of the base."""
+"""Least and greatest x of the base's centre."""
 
 
 def _distance_to_lid(state: State) -> Tensor:
-    """(N,) distance of the TCP from the lid [m]."""
-    X_lid = state.poses["laptop/lid"]
-    offset = state.X_BG[:, :3, 3] - X_lid[:, :3, 3]
-    p = torch.einsum("nji,nj->ni", X_lid[:, :3, :3], offset)
+    """Return the distance (N,) of the TCP from the lid's box [m]."""
+    p = to_frame(state.poses["laptop/lid"], state.X_BG[:, :3, 3])
     half_width, zero = 0.5 * state.size("laptop", "width_m"), torch.zeros_like(p[:, 0])
     low = torch.stack([zero, -half_width, state.size("laptop", "inside_m")], dim=-1)
     high = torch.stack([state.size("laptop", "reach_m"), half_width, state.size("laptop", "outside_m")], dim=-1)
@@ -35,27 +40,28 @@ def _distance_to_lid(state: State) -> Tensor:
     return distance
 
 
-class _Laptop(Task):
-    """What the tasks with a laptop share."""
+class _MoveLid(Task):
+    """Common part of the tasks with a laptop."""
 
     slots: ClassVar[Mapping[str, str]] = {"laptop": "laptop"}
-    prompt: str
-    """With a place for what the laptop is called."""
-    goal_rad: float
-    side_m = (-0.02, 0.05)
-    """Least and greatest y of the middle of the base."""
-    start_deg: tuple[float, float]
-    """Least and greatest angle of the lid at the start."""
-    turn_deg: tuple[float, float]
-    """Least and greatest angle from the robot's right (-y) to where the free edge points, towards the camera (x)."""
+    prompt: ClassVar[str]
+    """Prompt with a placeholder for the laptop's name."""
+    goal_rad: ClassVar[float]
+    """Opening of the lid at which the task is done."""
+    side_m: ClassVar[tuple[float, float]] = (-0.02, 0.05)
+    """Least and greatest y of the base's centre."""
+    start_deg: ClassVar[tuple[float, float]]
+    """Least and greatest initial opening of the lid."""
+    turn_deg: ClassVar[tuple[float, float]]
+    """Least and greatest angle from the robot's right (-y) to the direction of the free edge, towards the camera."""
 
-    def layout(self, models: Mapping[str, Model], rng: np.random.Generator, variant: TaskVariant) -> SceneLayout:
-        """A laptop whose hinge is on the robot's left."""
+    def layout(self, models: Mapping[str, AssetModel], rng: np.random.Generator, variant: TaskVariant) -> SceneLayout:
+        """Place a laptop whose hinge is on the robot's left."""
         model = models["laptop"]
         x, y = rng.uniform(*FORWARD_M), rng.uniform(*self.side_m)
         yaw = np.deg2rad(rng.uniform(*self.turn_deg) - 90.0)
         placement = Placement(
-            model=model, X_BM=resting(x, y, 0.0, yaw), joint=float(np.deg2rad(rng.uniform(*self.start_deg)))
+            model=model, X_BM=upright_pose(x, y, 0.0, yaw), joint=float(np.deg2rad(rng.uniform(*self.start_deg)))
         )
         return SceneLayout(
             placements={"laptop": placement},
@@ -63,7 +69,8 @@ class _Laptop(Task):
             finger_width_m=START_WIDTH_M[self.card.id],
         )
 
-    def _freed(self, state: State) -> dict[str, Tensor]:
+    def _rest_conditions(self, state: State) -> dict[str, Tensor]:
+        """Return the conditions common to opening and closing."""
         return {
             "still": state.speeds["laptop"] <= STILL_RAD_S,
             "calm": state.calm(),
@@ -71,33 +78,34 @@ class _Laptop(Task):
         }
 
     def progress(self, state: State) -> Tensor:
-        """Part of the lid's way."""
-        return state.travelled("laptop", torch.full_like(state.joints["laptop"], self.goal_rad))
+        """Return the fraction of the lid's way to the goal."""
+        return state.joint_progress("laptop", torch.full_like(state.joints["laptop"], self.goal_rad))
 
 
-class _Open(_Laptop):
+class _OpenLid(_MoveLid):
     goal_rad = OPEN_RAD
     turn_deg = (15.0, 35.0)
 
+    @override
     def conditions(self, state: State) -> dict[str, Tensor]:
-        """See the class."""
-        return {"open": state.joints["laptop"] >= OPEN_RAD, **self._freed(state)}
+        return {"open": state.joints["laptop"] >= OPEN_RAD, **self._rest_conditions(state)}
 
 
-class _Close(_Laptop):
+class _CloseLid(_MoveLid):
     goal_rad = SHUT_RAD
 
+    @override
     def conditions(self, state: State) -> dict[str, Tensor]:
-        """See the class."""
-        return {"shut": state.joints["laptop"] <= SHUT_RAD, **self._freed(state)}
+        return {"shut": state.joints["laptop"] <= SHUT_RAD, **self._rest_conditions(state)}
 
 
-class OpenLaptopEasy(_Open):
+class OpenLaptopEasy(_OpenLid):
     """Push a laptop that is ajar open.
 
-    Description: the lid stands open a little; put a finger under its edge, push it up and over until it stands.
-    Randomizations: the laptop, its place and direction, how far it is open (18 to 32 degrees).
-    Success: the lid is open by 90 degrees or more (`open`), still and let go, the arm at rest (`calm`).
+    Description: the lid is slightly open; put a finger under its edge and push it up and over until it stands.
+    Randomizations: the laptop, its position and yaw, the initial opening (18 to 32 degrees).
+    Success: the lid is open by at least `OPEN_RAD` (`open`) and slower than `STILL_RAD_S` (`still`); the arm is slower
+    than `CALM_RAD_S` (`calm`), and the TCP at least `CLEAR_M` away from the lid (`released`).
     """
 
     card = TaskCard(
@@ -110,12 +118,13 @@ class OpenLaptopEasy(_Open):
     start_deg = (18.0, 32.0)
 
 
-class OpenLaptopHard(_Open):
+class OpenLaptopHard(_OpenLid):
     """Pry a shut laptop's lid up and push it open.
 
     Description: the laptop is shut; pry the lid's edge up with a fingertip, then push it up and over until it stands.
-    Randomizations: the laptop, its place and direction.
-    Success: the lid is open by 90 degrees or more (`open`), still and let go, the arm at rest (`calm`).
+    Randomizations: the laptop, its position and yaw.
+    Success: the lid is open by at least `OPEN_RAD` (`open`) and slower than `STILL_RAD_S` (`still`); the arm is slower
+    than `CALM_RAD_S` (`calm`), and the TCP at least `CLEAR_M` away from the lid (`released`).
     """
 
     card = TaskCard(
@@ -128,12 +137,13 @@ class OpenLaptopHard(_Open):
     start_deg = (0.0, 0.0)
 
 
-class CloseLaptopEasy(_Close):
-    """Press a laptop shut that is open a little.
+class CloseLaptopEasy(_CloseLid):
+    """Press a half-open laptop shut.
 
-    Description: the lid stands open a little; press it down from above until it lies on the base.
-    Randomizations: the laptop, its place and direction, how far it is open (37 to 47 degrees).
-    Success: the lid is open by 4 degrees at most (`shut`), still and let go, the arm at rest (`calm`).
+    Description: the lid is partly open; press it down from above until it lies on the base.
+    Randomizations: the laptop, its position and yaw, the initial opening (37 to 47 degrees).
+    Success: the lid is open by at most `SHUT_RAD` (`shut`) and slower than `STILL_RAD_S` (`still`); the arm is slower
+    than `CALM_RAD_S` (`calm`), and the TCP at least `CLEAR_M` away from the lid (`released`).
     """
 
     card = TaskCard(
@@ -144,13 +154,14 @@ class CloseLaptopEasy(_Close):
     turn_deg = (-15.0, 20.0)
 
 
-class CloseLaptopHard(_Close):
+class CloseLaptopHard(_CloseLid):
     """Shut a laptop that is wide open.
 
     Description: the lid leans back past the vertical; reach behind it, pull it forward over the vertical, then press it
     down until it lies on the base.
-    Randomizations: the laptop, its place and direction, how far it is open (110 to 125 degrees).
-    Success: the lid is open by 4 degrees at most (`shut`), still and let go, the arm at rest (`calm`).
+    Randomizations: the laptop, its position and yaw, the initial opening (110 to 125 degrees).
+    Success: the lid is open by at most `SHUT_RAD` (`shut`) and slower than `STILL_RAD_S` (`still`); the arm is slower
+    than `CALM_RAD_S` (`calm`), and the TCP at least `CLEAR_M` away from the lid (`released`).
     """
 
     card = TaskCard(

@@ -1,22 +1,21 @@
-"""The tasks by id."""
+"""Registry of all tasks."""
 
 from kinebench_drake.errors import UsageError
-from kinebench_drake.suites.tasks import boxes, cubes, drawers, faucets, fruits, laptops, pegs
-from kinebench_drake.suites.tasks.card import TaskVariant
-from kinebench_drake.suites.tasks.task import Task
+from kinebench_drake.suites.tasks import blocks, boxes, drawers, faucets, fruits, laptops
+from kinebench_drake.suites.tasks.task import Task, TaskVariant
 
-_FAMILIES = (boxes, cubes, drawers, faucets, fruits, laptops, pegs)
+_FAMILIES = (blocks, boxes, drawers, faucets, fruits, laptops)
 TASKS: dict[str, Task] = {
     task.card.id: task for task in sorted((t for f in _FAMILIES for t in f.TASKS), key=lambda task: task.card.id)
 }
-"""All tasks by plain id, in the order of their ids."""
+"""All tasks by plain id, sorted by id."""
 
 
 def find_task(task: str, variant: TaskVariant = TaskVariant.PLAIN) -> Task:
-    """The task of a plain id.
+    """Return the task with a plain id.
 
     Raises:
-        UsageError: there is none, or it has no such variant.
+        UsageError: the id is unknown, or the task has no such variant.
     """
     if task not in TASKS:
         raise UsageError(f"no task {task!r}; there are {', '.join(TASKS)}")

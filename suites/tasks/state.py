@@ -1,77 +1,100 @@
-"""N scenes at one moment as batches of tensors, for conditions of success; on the device of the simulation."""
+"""Batched state of N scenes as tensors on the simulation's device, from which success conditions are computed."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from kinebench_drake.suites.assets.model import Model
+from kinebench_drake.suites.assets.model import AssetModel
 
 STILL_M_S, STILL_RAD_S = 0.02, 0.05
-"""Things and drawers, or lids and handles, slower than this are at rest."""
+"""Speeds up to which objects and drawers, or lids and handles, count as at rest."""
 CLEAR_M = 0.03
-"""A gripper whose TCP is this far from what it moved has let go of it."""
+"""Least distance of the TCP from the part it moved for that part to count as released."""
 CALM_RAD_S = 0.2
-"""An arm whose every joint is slower than this is at rest."""
+"""Speed of the fastest joint up to which the arm counts as at rest."""
+UPRIGHT_RAD = np.deg2rad(10.0)
+"""Greatest tilt of an obstacle's z axis from the vertical."""
+MOVED_M = 0.02
+"""Greatest horizontal displacement of an obstacle."""
 ARM = "arm"
-"""The robot's arm, where speeds are named."""
+"""Key of the arm in `State.speeds`."""
+
+
+def to_frame(X: Tensor, p: Tensor) -> Tensor:
+    """Return points (N, 3) of B expressed in frames with poses (N, 4, 4) [m]."""
+    return torch.einsum("nji,nj->ni", X[:, :3, :3], p - X[:, :3, 3])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class State:
-    """N scenes; poses are in each scene's robot base frame B [m]."""
+    """N scenes at one moment; poses in each scene's robot base frame B [m]."""
 
     X_BG: Tensor
-    """(N, 4, 4) panda_hand_tcp."""
+    """(N, 4, 4) pose of panda_hand_tcp."""
     finger_width_m: Tensor
     """(N,) gap between the finger pads."""
     poses: Mapping[str, Tensor]
-    """(N, 4, 4) of each thing; of an articulation each body's too, as "box/lid"."""
+    """(N, 4, 4) pose of each object and of each further body of an articulation, as "box/lid"."""
     starts: Mapping[str, Tensor]
-    """(N, 4, 4) the same as the episodes began."""
+    """`poses` at the beginning of the episodes."""
     joints: Mapping[str, Tensor]
-    """(N,) joint position of each articulated thing [rad or m]."""
+    """(N,) joint position of each articulated object [rad or m]."""
     joint_starts: Mapping[str, Tensor]
-    """(N,) the same as the episodes began."""
+    """`joints` at the beginning of the episodes."""
     speeds: Mapping[str, Tensor]
-    """(N,) speed of each free thing [m/s] and, of articulated things, of the joint [rad/s or m/s]; of the arm's
-    fastest joint as `ARM` [rad/s]."""
-    models: Mapping[str, Sequence[Model]]
-    """N models of each thing."""
+    """(N,) speed of each free object [m/s], of the joint of each articulated object [rad/s or m/s], and of the arm's
+    fastest joint under `ARM` [rad/s]."""
+    models: Mapping[str, Sequence[AssetModel]]
+    """N assets of each object."""
     grasps: Callable[[str], Tensor]
-    """Whether (N,) the gripper holds the thing of a name between its fingers."""
+    """Returns (N,) bool: True where the gripper holds the named object between its fingers."""
 
     def calm(self) -> Tensor:
-        """Whether (N,) the arm is at rest: what a robot that thrashes about brings to pass does not count."""
+        """Return (N,) bool: True where the arm is at rest, so that a flailing arm does not succeed by chance."""
         return self.speeds[ARM] <= CALM_RAD_S
 
     def position(self, name: str) -> Tensor:
-        """(N, 3) where a thing is [m]."""
+        """Return the position (N, 3) of an object [m]."""
         return self.poses[name][:, :3, 3]
 
+    def displacement(self, name: str) -> Tensor:
+        """Return how far (N, 3) an object has moved since the episode began [m]."""
+        return self.position(name) - self.starts[name][:, :3, 3]
+
     def size(self, name: str, measure: str) -> Tensor:
-        """(N,) a measure of a thing."""
+        """Return a dimension (N,) of an object."""
         values = [model.size[measure] for model in self.models[name]]
         return torch.tensor(values, dtype=torch.float32, device=self.X_BG.device)
 
     def site(self, name: str, site: str) -> Tensor:
-        """(N, 4, 4) pose of a site of a thing."""
+        """Return the pose (N, 4, 4) of a site of an object."""
         models = self.models[name]
-        where = [model.sites[site] for model in models]
-        body = name if where[0].body == models[0].bodies[0].name else f"{name}/{where[0].body}"
-        offsets = torch.stack([torch.as_tensor(s.X_BodyS, dtype=torch.float32) for s in where])
+        frames = [model.sites[site] for model in models]
+        body = name if frames[0].body == models[0].bodies[0].name else f"{name}/{frames[0].body}"
+        offsets = torch.stack([torch.as_tensor(frame.X_BodyS, dtype=torch.float32) for frame in frames])
         return self.poses[body] @ offsets.to(self.X_BG.device)
 
-    def travelled(self, name: str, goal: Tensor) -> Tensor:
-        """(N,) part of the way to `goal` (N,) that a joint has come since the episode began."""
+    def joint_progress(self, name: str, goal: Tensor) -> Tensor:
+        """Return the fraction (N,) of the way to the joint position `goal` (N,) covered since the episode began."""
         start = self.joint_starts[name]
         way = goal - start
         return (self.joints[name] - start) / torch.where(way.abs() < 1e-6, torch.full_like(way, 1e-6), way)
 
-    def approached(self, name: str, goal: Tensor) -> Tensor:
-        """(N,) part of the distance between a thing and `goal` (N, 3) [m] that is gone since the episode began."""
+    def distance_progress(self, name: str, goal: Tensor) -> Tensor:
+        """Return the fraction (N,) of the distance from an object to `goal` (N, 3) [m] covered since the start."""
         before = torch.linalg.norm(self.starts[name][:, :3, 3] - goal, dim=-1)
         now = torch.linalg.norm(self.position(name) - goal, dim=-1)
         left: Tensor = now / before.clamp(min=1e-6)
         return 1.0 - left
+
+    def obstacle_conditions(self) -> dict[str, Tensor]:
+        """Return conditions (N,) that the obstacle stands upright and in its place; none without an obstacle."""
+        if "obstacle" not in self.poses:
+            return {}
+        return {
+            "obstacle_upright": self.poses["obstacle"][:, 2, 2] >= float(np.cos(UPRIGHT_RAD)),
+            "obstacle_in_place": torch.linalg.norm(self.displacement("obstacle")[:, :2], dim=-1) <= MOVED_M,
+        }

@@ -1,18 +1,18 @@
-"""What a task consists of: a scene drawn from a seed, conditions of success, and how far things have come.
+"""Contract of a task: its card, the scene drawn from a seed, the success conditions and the progress.
 
-Everything is in the robot base frame B: the table top is the plane z = 0, the robot looks along x, y is to its left.
+All poses are in the robot base frame B: the table top is the plane z = 0, the robot faces along x, y is to its left.
 """
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from enum import Enum
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from kinebench_drake.geometry import Array, invert
-from kinebench_drake.suites.assets.model import Model
-from kinebench_drake.suites.tasks.card import TaskCard, TaskVariant
+from kinebench_drake.geometry import Array, invert, make_pose, rotation_z
+from kinebench_drake.suites.assets.model import AssetModel
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -20,56 +20,104 @@ if TYPE_CHECKING:
     from kinebench_drake.suites.tasks.state import State
 
 
+class Difficulty(Enum):
+    """Difficulty of a task."""
+
+    EASY = "easy"
+    """One push or one grasp."""
+    MEDIUM = "medium"
+    """A grasp with a precise release, or contact that must be maintained."""
+    HARD = "hard"
+    """Prying, or several steps in sequence."""
+
+
+class TaskVariant(Enum):
+    """Variant of a task's scene."""
+
+    PLAIN = "plain"
+    OBSTACLES = "obstacles"
+    """An obstacle stands in the way and must not be knocked over."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TaskCard:
+    """Metadata of a task."""
+
+    id: str
+    """Plain id such as "StackCube-v1"."""
+    family: str
+    """Kind of objects manipulated, such as "boxes"."""
+    difficulty: Difficulty
+    articulated_dof: int
+    """Number of joints of the objects in the scene."""
+    axes: str
+    """World axes of these joints, such as "z"; empty if there are none."""
+    contacts: int
+    """Number of separate contacts of the gripper: grasps, pushes, pries."""
+    clips: int = 1
+    """Clips of 49 frames that the expert needs; each begins and ends at rest."""
+    variants: tuple[TaskVariant, ...] = (TaskVariant.PLAIN,)
+
+    @property
+    def horizon(self) -> int:
+        """Number of frames that the expert needs, including the first."""
+        return 48 * self.clips + 1
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Placement:
-    """One thing in its place."""
+    """One object and its initial pose."""
 
-    model: Model
+    model: AssetModel
     X_BM: Array
-    """Pose (4, 4) of its first body [m]."""
+    """Pose (4, 4) of the first body [m]."""
     joint: float = 0.0
-    """Position of its joint, if it has one [rad or m]."""
+    """Joint position of an articulated object [rad or m]."""
     fixed: bool = False
-    """Whether it cannot be moved; the first body of an articulation never can."""
+    """True if the object is immovable; the first body of an articulation always is."""
     decor: bool = False
-    """Whether it is only to be seen, such as a mark on the table."""
+    """True if the object is only visible and has no collision geometry, such as a mark on the table."""
     avoid: bool = False
-    """Whether it must not be touched: plans keep the gripper off, too."""
+    """True if the object must not be touched: plans keep the gripper clear of it too."""
 
     @property
     def movable(self) -> bool:
-        """Whether physics moves it, or its joint."""
+        """True if physics moves the object or its joint."""
         return not (self.fixed or self.decor)
+
+
+def upright_pose(x_m: float, y_m: float, z_m: float, yaw_rad: float = 0.0) -> Array:
+    """Return the pose (4, 4) of an upright object at a point of B, rotated about z."""
+    return make_pose(rotation_z(yaw_rad), [x_m, y_m, z_m])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SceneLayout:
-    """A scene as it begins. Every seed of a task and variant has the same names, for simulation in batches."""
+    """Initial scene. All seeds of a task and variant have the same object names, so that scenes can be batched."""
 
     placements: Mapping[str, Placement]
-    """Things by their role in the task, such as "target"."""
+    """Objects by their role in the task, such as "target"."""
     prompt: str
-    """The task in words, as a world model is asked."""
+    """Text prompt for a world model."""
     finger_width_m: float = 0.08
-    """Gap between the finger pads at the start."""
+    """Initial gap between the finger pads."""
 
     def scene(self, X_BG: Array) -> "Scene":
-        """What an expert would see before anything moves, the gripper at a pose (4, 4): no simulator is needed."""
-        poses = {name: placed.X_BM for name, placed in self.placements.items()}
-        for name, placed in self.placements.items():
-            for body in placed.model.bodies[1:]:
+        """Return the initial scene as an expert receives it, with the TCP at a pose (4, 4); needs no simulator."""
+        poses = {name: placement.X_BM for name, placement in self.placements.items()}
+        for name, placement in self.placements.items():
+            for body in placement.model.bodies[1:]:
                 if body.joint is not None:
-                    moved = body.joint.motion(placed.joint)
+                    X_JJ = body.joint.motion(placement.joint)
                     poses[f"{name}/{body.name}"] = (
-                        placed.X_BM @ body.joint.X_ParentJ @ moved @ invert(body.joint.X_BodyJ)
+                        placement.X_BM @ body.joint.X_ParentJ @ X_JJ @ invert(body.joint.X_BodyJ)
                     )
-        articulated = {name: p.joint for name, p in self.placements.items() if p.model.articulated}
         return Scene(
             X_BG=X_BG,
             finger_width_m=self.finger_width_m,
             poses=poses,
-            joints=articulated,
-            models={name: placed.model for name, placed in self.placements.items()},
+            joints={name: p.joint for name, p in self.placements.items() if p.model.articulated},
+            models={name: placement.model for name, placement in self.placements.items()},
             starts=poses,
             fixed=self.fixed,
             avoided=self.avoided,
@@ -77,72 +125,72 @@ class SceneLayout:
 
     @property
     def fixed(self) -> frozenset[str]:
-        """Things that cannot be moved, beside the first bodies of articulations."""
-        return frozenset(name for name, placed in self.placements.items() if placed.fixed and not placed.decor)
+        """Names of immovable objects, not counting the first bodies of articulations."""
+        return frozenset(name for name, p in self.placements.items() if p.fixed and not p.decor)
 
     @property
     def avoided(self) -> frozenset[str]:
-        """Things that must not be touched."""
-        return frozenset(name for name, placed in self.placements.items() if placed.avoid)
+        """Names of objects that must not be touched."""
+        return frozenset(name for name, p in self.placements.items() if p.avoid)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scene:
-    """One scene at one moment, as an expert sees it: true poses in B [m]."""
+    """Ground-truth state of one scene at one moment, as an expert receives it; poses in B [m]."""
 
     X_BG: Array
-    """(4, 4) panda_hand_tcp."""
+    """(4, 4) pose of panda_hand_tcp."""
     finger_width_m: float
     """Gap between the finger pads."""
     poses: Mapping[str, Array]
-    """(4, 4) of each thing; of an articulation each body's too, as "box/lid"."""
+    """(4, 4) pose of each object and of each further body of an articulation, as "box/lid"."""
     joints: Mapping[str, float]
-    """Joint position of each articulated thing [rad or m]."""
-    models: Mapping[str, Model]
-    """What the things are."""
+    """Joint position of each articulated object [rad or m]."""
+    models: Mapping[str, AssetModel]
+    """Asset of each object."""
     starts: Mapping[str, Array] = field(default_factory=dict)
-    """(4, 4) of each thing as the episode began."""
+    """`poses` at the beginning of the episode."""
     fixed: frozenset[str] = frozenset()
-    """Things that cannot be moved, beside the first bodies of articulations."""
+    """Names of immovable objects, not counting the first bodies of articulations."""
     avoided: frozenset[str] = frozenset()
-    """Things that must not be touched."""
+    """Names of objects that must not be touched."""
 
     def site(self, name: str, site: str) -> Array:
-        """Pose (4, 4) of a site of the thing `name`."""
-        where = self.models[name].sites[site]
-        body = name if where.body == self.models[name].bodies[0].name else f"{name}/{where.body}"
-        return np.asarray(self.poses[body] @ where.X_BodyS)
+        """Return the pose (4, 4) of a site of the object `name`."""
+        frame = self.models[name].sites[site]
+        body = name if frame.body == self.models[name].bodies[0].name else f"{name}/{frame.body}"
+        return np.asarray(self.poses[body] @ frame.X_BodyS)
 
     def size(self, name: str, measure: str) -> float:
-        """A measure of the thing `name` [m or rad]."""
+        """Return a dimension of the object `name` [m or rad]."""
         return self.models[name].size[measure]
 
 
 class Task(ABC):
-    """A manipulation task. Subclasses document Description, Randomizations and Success."""
+    """A manipulation task. The docstring of each subclass states Description, Randomizations and Success."""
 
     card: TaskCard
     slots: ClassVar[Mapping[str, str]]
-    """Kind of asset that an episode draws for each slot."""
+    """Asset kind from which an episode draws an asset, for each slot."""
 
     def slots_of(self, variant: TaskVariant) -> Mapping[str, str]:
-        """Slots of a variant; those of the task unless a task says otherwise."""
-        return self.slots
+        """Return the slots of a variant: `slots`, and one for the obstacle in the variant that has one."""
+        return self.slots if variant is TaskVariant.PLAIN else {**self.slots, "obstacle": "obstacle/upright"}
 
     @abstractmethod
-    def layout(self, models: Mapping[str, Model], rng: np.random.Generator, variant: TaskVariant) -> SceneLayout:
-        """The scene to begin with.
+    def layout(self, models: Mapping[str, AssetModel], rng: np.random.Generator, variant: TaskVariant) -> SceneLayout:
+        """Draw the initial scene.
 
         Args:
             models: the asset drawn for each slot.
             rng: the episode's generator for everything else.
-            variant: version of the scene.
+            variant: variant of the scene.
         """
 
     @abstractmethod
     def conditions(self, state: "State") -> "dict[str, Tensor]":
-        """Named sub-conditions (N,) bool of N scenes; success is all of them together."""
+        """Return the named sub-conditions, each (N,) bool for N scenes; success is their conjunction."""
 
     @abstractmethod
     def progress(self, state: "State") -> "Tensor":
-        """How far (N,) the scenes have come, 0 as they began, 1 done; it may leave 0..1, the environment clips it."""
+        """Return the progress (N,): 0 at the start, 1 at the goal. The environment clips it to 0..1."""

@@ -6,7 +6,7 @@ from kinebench_drake.executors.progress import NullObserver
 from kinebench_drake.suites.formats.demo import FormatKind, Shots
 from kinebench_drake.suites.order import DemoOrder
 from kinebench_drake.suites.suite import load_suite
-from kinebench_drake.suites.tasks.card import TaskVariant
+from kinebench_drake.suites.tasks.task import TaskVariant
 
 TASK = "StackCube-v1"
 FIRST = 1_000_000

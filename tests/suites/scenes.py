@@ -2,7 +2,7 @@
 
 import pytest
 
-from kinebench_drake.suites.tasks.card import TaskVariant
+from kinebench_drake.suites.tasks.task import TaskVariant
 from kinebench_drake.suites.tasks.registry import TASKS
 
 REPRESENTATIVES = frozenset(

@@ -8,9 +8,9 @@ import torch
 
 from kinebench_drake.geometry import make_pose, rotation_exp, transform_points
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.suites.assets.boxes import FLUSH, OPEN_RAD, OVERHANG_M, RIMMED, tight
+from kinebench_drake.suites.assets.boxes import FLUSH, OPEN_RAD, OVERHANG_M, RIMMED, with_tight_hinge
 from kinebench_drake.suites.assets.library import asset_ids, model
-from kinebench_drake.suites.assets.model import Body, Model
+from kinebench_drake.suites.assets.model import AssetModel, RigidBody
 from kinebench_drake.suites.episode import compose
 from kinebench_drake.suites.experts.registry import find_expert
 from kinebench_drake.suites.rollout import rollout
@@ -22,13 +22,13 @@ TASKS = ("CloseBox-v1", "OpenBoxEasy-v1", "OpenBoxEasy-v2", "OpenBoxHard-v1", "O
 BOXES = [*asset_ids(RIMMED), *asset_ids(FLUSH)]
 
 
-def _corners(body: Body) -> np.ndarray:
+def _corners(body: RigidBody) -> np.ndarray:
     """Corners (N, 3) of a body's colliders in its frame."""
     signs = np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).reshape(3, -1).T
     return np.concatenate([transform_points(c.X_BodyC, signs * c.size) for c in body.colliders])
 
 
-def _lid_pose(box: Model, angle: float) -> np.ndarray:
+def _lid_pose(box: AssetModel, angle: float) -> np.ndarray:
     """Pose (4, 4) of the lid in the base."""
     joint = box.bodies[1].joint
     assert joint is not None
@@ -62,7 +62,7 @@ def test_flush_lid_clears_the_table_when_the_box_lies() -> None:
 
 def test_tight_hinge_differs_in_nothing_but_damping() -> None:
     box = model(f"{RIMMED}/03")
-    hinge, tighter = box.bodies[1].joint, tight(box).bodies[1].joint
+    hinge, tighter = box.bodies[1].joint, with_tight_hinge(box).bodies[1].joint
     assert hinge is not None
     assert tighter is not None
     assert tighter.damping > hinge.damping
@@ -128,28 +128,28 @@ def test_lids_have_far_to_go_and_boxes_stand_on_the_table(task: str) -> None:
 @pytest.mark.sapien
 @pytest.mark.parametrize("task", TASKS)
 def test_expert_succeeds_and_a_lid_left_alone_stays(task: str) -> None:
-    with Simulator(task, renders=False) as stage:
-        stage.reset(compose(task, 5))
-        before, q = stage.scene().joints["box"], stage.snapshot().q
+    with Simulator(task, renders=False) as simulator:
+        simulator.reset(compose(task, 5))
+        before, q = simulator.scene().joints["box"], simulator.snapshot().q
         for _ in range(40):
-            stage.step(q, 0.0)
-        assert stage.scene().joints["box"] == pytest.approx(before, abs=0.005)
-        outcome = rollout(stage, find_expert(task), compose(task, 5)).outcome
+            simulator.step(q, 0.0)
+        assert simulator.scene().joints["box"] == pytest.approx(before, abs=0.005)
+        outcome = rollout(simulator, find_expert(task), compose(task, 5)).outcome
         assert outcome.success, outcome
 
 
 @pytest.mark.sapien
 def test_lid_that_is_let_go_stops_soon_without_bouncing_back() -> None:
-    with Simulator("OpenBoxEasy-v1", renders=False) as stage:
-        stage.reset(compose("OpenBoxEasy-v1", 0))
-        box, q = stage._env.things["box"], ArmPlant().robot.rest_q
+    with Simulator("OpenBoxEasy-v1", renders=False) as simulator:
+        simulator.reset(compose("OpenBoxEasy-v1", 0))
+        box, q = simulator._env.objects["box"], ArmPlant().robot.rest_q
         for speed in (2.0, -0.5):
-            before = stage.scene().joints["box"]
+            before = simulator.scene().joints["box"]
             box.set_qvel(np.array([[speed]], dtype=np.float32))
             angles = []
             for _ in range(20):
-                stage.step(q, 0.0)
-                angles.append(stage.scene().joints["box"])
+                simulator.step(q, 0.0)
+                angles.append(simulator.scene().joints["box"])
             moved = np.sign(speed) * (np.array(angles) - before)
             assert 0.0 < moved[-1] < 0.5
             assert np.ptp(angles[10:]) < 0.01

@@ -1,4 +1,4 @@
-"""The geometry that plans are held against: Drake's solids are where SAPIEN's are."""
+"""Collision geometry of plans: Drake's solids are where SAPIEN's are."""
 
 from dataclasses import replace
 
@@ -8,7 +8,7 @@ import pytest
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import make_pose
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.suites.assets.model import Body, Collider, ColliderKind, Model
+from kinebench_drake.suites.assets.model import AssetModel, Collider, ColliderKind, RigidBody
 from kinebench_drake.suites.experts.clearance import SceneGeometry
 from kinebench_drake.suites.experts.motion import Waypoint, plan
 from kinebench_drake.suites.tasks.task import Scene
@@ -17,15 +17,15 @@ UPRIGHT = make_pose(np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]
 POST = np.array([0.5, 0.2, 0.15])
 
 
-def thing(collider: Collider) -> Model:
-    body = Body(name="post", visuals=(), colliders=(collider,))
-    return Model(kind="post", asset_id="post/00", words="post", bodies=(body,), size={})
+def post(collider: Collider) -> AssetModel:
+    body = RigidBody(name="post", visuals=(), colliders=(collider,))
+    return AssetModel(kind="post", asset_id="post/00", words="post", bodies=(body,), size={})
 
 
 def scene_with(collider: Collider, position: np.ndarray, **marks: frozenset[str]) -> Scene:
     X = make_pose(np.eye(3), position)
     return Scene(
-        X_BG=np.eye(4), finger_width_m=0.08, poses={"post": X}, joints={}, models={"post": thing(collider)}, **marks
+        X_BG=np.eye(4), finger_width_m=0.08, poses={"post": X}, joints={}, models={"post": post(collider)}, **marks
     )
 
 
@@ -44,11 +44,11 @@ def test_the_gripper_touches_what_is_at_its_tip_and_nothing_else(collider: Colli
     q, width = plant.robot.rest_q[None], np.array([0.0])
     tip = plant.forward(q[0])[:3, 3]
     marks = {"avoided": frozenset({"post"})}
-    touched = {t.link for t in SceneGeometry(plant, scene_with(collider, tip, **marks)).touches(q, width)}
+    touched = {t.link for t in SceneGeometry(plant, scene_with(collider, tip, **marks)).penetrations(q, width)}
     assert touched & {"panda_leftfinger", "panda_rightfinger"}
     assert not touched & {"panda_link3", "panda_link4"}
     aside = tip + np.array([0.0, 0.3, 0.0])
-    assert not list(SceneGeometry(plant, scene_with(collider, aside, **marks)).touches(q, width))
+    assert not list(SceneGeometry(plant, scene_with(collider, aside, **marks)).penetrations(q, width))
 
 
 def test_long_shapes_stand_as_they_do_in_sapien() -> None:
@@ -59,10 +59,10 @@ def test_long_shapes_stand_as_they_do_in_sapien() -> None:
     marks = {"avoided": frozenset({"post"})}
     for offset, touches in (([0.0, 0.0, -0.12], True), ([0.0, 0.06, -0.1], False)):
         geometry = SceneGeometry(plant, scene_with(COLLIDERS[2], tip + offset, **marks))
-        assert bool(list(geometry.touches(q, width))) == touches
+        assert bool(list(geometry.penetrations(q, width))) == touches
 
 
-def test_the_gripper_may_touch_fixed_things_and_nothing_may_touch_avoided_ones() -> None:
+def test_the_gripper_may_touch_fixed_objects_and_nothing_may_touch_avoided_ones() -> None:
     plant = ArmPlant()
     q, width = plant.robot.rest_q[None], np.array([0.0])
     tip = plant.forward(q[0])[:3, 3]
@@ -71,10 +71,12 @@ def test_the_gripper_may_touch_fixed_things_and_nothing_may_touch_avoided_ones()
         ({"fixed": frozenset({"post"})}, False),
         ({"avoided": frozenset({"post"})}, True),
     ):
-        assert bool(list(SceneGeometry(plant, scene_with(COLLIDERS[0], tip, **marks)).touches(q, width))) == touches
+        assert (
+            bool(list(SceneGeometry(plant, scene_with(COLLIDERS[0], tip, **marks)).penetrations(q, width))) == touches
+        )
     elbow = plant.link_poses(q[0])["panda_link4"][:3, 3]
     fixed = scene_with(COLLIDERS[0], elbow, fixed=frozenset({"post"}))
-    assert {t.link for t in SceneGeometry(plant, fixed).touches(q, width)} & {
+    assert {t.link for t in SceneGeometry(plant, fixed).penetrations(q, width)} & {
         "panda_link3",
         "panda_link4",
         "panda_link5",
@@ -87,7 +89,7 @@ def test_a_plan_through_a_post_is_refused_and_one_around_it_is_not() -> None:
     X = plant.forward(q)
     beyond = X.copy()
     beyond[:3, 3] = [0.5, 0.3, X[2, 3]]
-    post = scene_with(COLLIDERS[0], POST, avoided=frozenset({"post"}))
+    scene = scene_with(COLLIDERS[0], POST, avoided=frozenset({"post"}))
     with pytest.raises(InputError, match="post collide"):
-        plan(plant, q, 0.08, [Waypoint(X_BG=beyond, finger_width_m=0.08)], 96, post)
-    plan(plant, q, 0.08, [Waypoint(X_BG=beyond, finger_width_m=0.08)], 96, replace(post, avoided=frozenset()))
+        plan(plant, q, 0.08, [Waypoint(X_BG=beyond, finger_width_m=0.08)], 96, scene)
+    plan(plant, q, 0.08, [Waypoint(X_BG=beyond, finger_width_m=0.08)], 96, replace(scene, avoided=frozenset()))

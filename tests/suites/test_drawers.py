@@ -6,9 +6,9 @@ import pytest
 
 from kinebench_drake.geometry import Array, to_quaternion
 from kinebench_drake.suites.assets import cabinets
-from kinebench_drake.suites.assets.cubes import EDGE_M
+from kinebench_drake.suites.assets.blocks import EDGE_M
 from kinebench_drake.suites.assets.library import asset_ids, model
-from kinebench_drake.suites.assets.model import Body, ColliderKind
+from kinebench_drake.suites.assets.model import ColliderKind, RigidBody
 from kinebench_drake.suites.episode import compose
 from kinebench_drake.suites.experts.registry import find_expert
 from kinebench_drake.suites.rollout import rollout
@@ -19,7 +19,7 @@ IDS = asset_ids("cabinet")
 NAMES = [task.card.id for task in TASKS]
 
 
-def boxes(body: Body, out_m: float = 0.0) -> list[tuple[Array, Array]]:
+def boxes(body: RigidBody, out_m: float = 0.0) -> list[tuple[Array, Array]]:
     """Corners of a body's boards, moved along x."""
     boards = [c for c in body.colliders if c.kind is ColliderKind.BOX]
     middles = [c.X_BodyC[:3, 3] + [out_m, 0.0, 0.0] for c in boards]
@@ -62,55 +62,55 @@ def test_every_handle_finish_and_foot_occurs_with_every_other() -> None:
 
 
 @pytest.fixture(scope="module", params=NAMES)
-def stage(request: pytest.FixtureRequest) -> Iterator[Simulator]:
-    with Simulator(request.param, renders=False) as stage:
-        yield stage
+def simulator(request: pytest.FixtureRequest) -> Iterator[Simulator]:
+    with Simulator(request.param, renders=False) as simulator:
+        yield simulator
 
 
 @pytest.mark.sapien
-@pytest.mark.parametrize("stage", ["CloseDrawer-v1"], indirect=True)
-def test_a_drawer_stays_where_it_is_left_and_stops_when_let_go(stage: Simulator) -> None:
-    stage.reset(compose(stage.task.card.id, 3))
-    start, cabinet = stage.snapshot(), stage._env.things["cabinet"]
-    travel = stage.scene().size("cabinet", "travel_m")
+@pytest.mark.parametrize("simulator", ["CloseDrawer-v1"], indirect=True)
+def test_a_drawer_stays_where_it_is_left_and_stops_when_let_go(simulator: Simulator) -> None:
+    simulator.reset(compose(simulator.task.card.id, 3))
+    start, cabinet = simulator.snapshot(), simulator._env.objects["cabinet"]
+    travel = simulator.scene().size("cabinet", "travel_m")
     for _ in range(20):
-        stage.step(start.q, 0.08)
-    rested = stage.snapshot().joints["cabinet"]
+        simulator.step(start.q, 0.08)
+    rested = simulator.snapshot().joints["cabinet"]
     assert abs(rested - start.joints["cabinet"]) < 0.01 * travel
     cabinet.set_qvel(np.array([[-0.2]], dtype=np.float32))
     for _ in range(20):
-        stage.step(start.q, 0.08)
-    assert 0.001 < rested - stage.snapshot().joints["cabinet"] < 0.15 * travel
+        simulator.step(start.q, 0.08)
+    assert 0.001 < rested - simulator.snapshot().joints["cabinet"] < 0.15 * travel
     assert abs(float(cabinet.qvel[0, 0])) < 1e-3
 
 
 @pytest.mark.sapien
-def test_the_conditions_hold_at_the_goal_only(stage: Simulator) -> None:
-    stage.reset(compose(stage.task.card.id, 4))
-    start, scene = stage.snapshot(), stage.scene()
-    assert not stage.outcome().success
-    assert stage.outcome().progress < 0.02
-    opens = stage.task.card.id.startswith("Open")
+def test_the_conditions_hold_at_the_goal_only(simulator: Simulator) -> None:
+    simulator.reset(compose(simulator.task.card.id, 4))
+    start, scene = simulator.snapshot(), simulator.scene()
+    assert not simulator.outcome().success
+    assert simulator.outcome().progress < 0.02
+    opens = simulator.task.card.id.startswith("Open")
     goal = scene.size("cabinet", "travel_m") if opens else 0.5 * SHUT_M
     moved = replace(start, joints={"cabinet": goal})
-    stage.show(moved)
+    simulator.show(moved)
     if "cube" in start.objects:
-        outcome = stage.outcome()
+        outcome = simulator.outcome()
         assert not outcome.success
         assert outcome.conditions == {"inside": False, "shut": True, "still": True, "released": True}
-        X_BT = stage.scene().site("cabinet", "tray")
+        X_BT = simulator.scene().site("cabinet", "tray")
         p = X_BT[:3, 3] + [-0.615, 0.0, scene.size("cube", "edge_m") / 2.0]
         cube = np.concatenate([p, to_quaternion(X_BT[:3, :3])])
-        stage.show(replace(moved, objects={**start.objects, "cube": cube}))
-    conditions = stage.outcome().conditions
+        simulator.show(replace(moved, objects={**start.objects, "cube": cube}))
+    conditions = simulator.outcome().conditions
     assert all(conditions.values())
 
 
 @pytest.mark.sapien
-@pytest.mark.parametrize("seed", [2, pytest.param(3, marks=pytest.mark.exhaustive)])
-def test_the_expert_does_it(stage: Simulator, seed: int) -> None:
-    name = stage.task.card.id
-    performance = rollout(stage, find_expert(name), compose(name, seed))
-    assert performance.outcome.success, performance.outcome
-    lifted = stage.scene().X_BG[2, 3] - stage.scene().size("cabinet", "height_m")
-    assert lifted > 0.03  # the gripper is free again
+def test_the_expert_does_it(simulator: Simulator) -> None:
+    name = simulator.task.card.id
+    for seed in (2, 3):
+        performance = rollout(simulator, find_expert(name), compose(name, seed))
+        assert performance.outcome.success, (seed, performance.outcome)
+        lifted = simulator.scene().X_BG[2, 3] - simulator.scene().size("cabinet", "height_m")
+        assert lifted > 0.03  # the gripper is free again

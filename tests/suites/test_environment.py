@@ -15,21 +15,20 @@ from kinebench_drake.suites.experts.registry import find_expert
 from kinebench_drake.suites.rollout import rollout
 from kinebench_drake.suites.simulator import Simulator
 from kinebench_drake.suites.split import Pool
-from kinebench_drake.suites.tasks.card import TaskVariant
 from kinebench_drake.suites.tasks.registry import TASKS
-from tests.suites.scenes import EACH_TASK
+from kinebench_drake.suites.tasks.task import TaskVariant
 
 TASK = "StackCube-v1"
 
 
 @pytest.fixture(scope="module")
-def stage() -> Iterator[Simulator]:
-    with Simulator(TASK) as stage:
-        yield stage
+def simulator() -> Iterator[Simulator]:
+    with Simulator(TASK) as simulator:
+        yield simulator
 
 
-def picture_hash(stage: Simulator) -> str:
-    p = stage.picture()
+def picture_hash(simulator: Simulator) -> str:
+    p = simulator.picture()
     return hashlib.sha256(p.rgb.tobytes() + p.depth_mm.tobytes() + p.mask.tobytes()).hexdigest()
 
 
@@ -50,20 +49,20 @@ def test_names_shadow_none_of_maniskill() -> None:
 
 
 @pytest.mark.sapien
-def test_a_seed_gives_the_same_first_frame_whatever_came_before(stage: Simulator) -> None:
-    stage.reset(compose(TASK, 5))
-    first = picture_hash(stage)
-    stage.reset(compose(TASK, 6))
-    assert picture_hash(stage) != first
-    stage.reset(compose(TASK, 5))
-    assert picture_hash(stage) == first
+def test_a_seed_gives_the_same_first_frame_whatever_came_before(simulator: Simulator) -> None:
+    simulator.reset(compose(TASK, 5))
+    first = picture_hash(simulator)
+    simulator.reset(compose(TASK, 6))
+    assert picture_hash(simulator) != first
+    simulator.reset(compose(TASK, 5))
+    assert picture_hash(simulator) == first
     code = (
         "import hashlib\n"
         "from kinebench_drake.suites.episode import compose\n"
         "from kinebench_drake.suites.simulator import Simulator\n"
-        f"with Simulator({TASK!r}) as stage:\n"
-        f"    stage.reset(compose({TASK!r}, 5))\n"
-        "    p = stage.picture()\n"
+        f"with Simulator({TASK!r}) as simulator:\n"
+        f"    simulator.reset(compose({TASK!r}, 5))\n"
+        "    p = simulator.picture()\n"
         "    print(hashlib.sha256(p.rgb.tobytes() + p.depth_mm.tobytes() + p.mask.tobytes()).hexdigest())\n"
     )
     other = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
@@ -71,22 +70,22 @@ def test_a_seed_gives_the_same_first_frame_whatever_came_before(stage: Simulator
 
 
 @pytest.mark.sapien
-def test_a_seed_gives_the_same_motion_whatever_came_before(stage: Simulator) -> None:
+def test_a_seed_gives_the_same_motion_whatever_came_before(simulator: Simulator) -> None:
     def run() -> np.ndarray:
-        performance = rollout(stage, find_expert(TASK), compose(TASK, 2))
+        performance = rollout(simulator, find_expert(TASK), compose(TASK, 2))
         return np.stack([np.concatenate([s.q, *s.objects.values()]) for s in performance.snapshots])
 
     first = run()
-    rollout(stage, find_expert(TASK), compose(TASK, 3))
+    rollout(simulator, find_expert(TASK), compose(TASK, 3))
     assert np.array_equal(run(), first)
 
 
 @pytest.mark.sapien
-def test_the_environment_alone_composes_the_same_episodes(stage: Simulator) -> None:
+def test_the_environment_alone_composes_the_same_episodes(simulator: Simulator) -> None:
     import gymnasium
 
-    stage.reset(compose(TASK, 9))
-    expected = stage.scene()
+    simulator.reset(compose(TASK, 9))
+    expected = simulator.scene()
     env = gymnasium.make(
         f"KineBench/{TASK}", obs_mode="state", sim_backend="cpu", render_backend="none", control_mode="pd_joint_pos"
     )
@@ -130,10 +129,10 @@ def test_a_scene_that_is_not_rebuilt_keeps_its_assets_and_moves_them() -> None:
 
 
 @pytest.mark.sapien
-def test_episodes_of_another_task_are_refused(stage: Simulator) -> None:
+def test_episodes_of_another_task_are_refused(simulator: Simulator) -> None:
     other = next(task for task in TASKS if task != TASK)
     with pytest.raises(InputError, match=other):
-        stage.reset(compose(other, 0))
+        simulator.reset(compose(other, 0))
 
 
 def test_unknown_tasks_and_variants_are_usage_errors() -> None:
@@ -157,12 +156,12 @@ def test_episodes_are_what_their_seed_says(task: str) -> None:
 
 
 @pytest.mark.sapien
-@pytest.mark.parametrize("task", EACH_TASK)
+@pytest.mark.parametrize("task", TASKS)
 def test_layouts_say_where_bodies_are_without_a_simulator(task: str) -> None:
     episode = compose(task, 1)
-    with Simulator(task, renders=False) as stage:
-        stage.reset(episode)
-        seen = stage.scene()
+    with Simulator(task, renders=False) as simulator:
+        simulator.reset(episode)
+        seen = simulator.scene()
     foreseen = episode.layout().scene(seen.X_BG)
     for name, X in foreseen.poses.items():
         distance, angle = pose_difference(seen.poses[name][None], X[None])

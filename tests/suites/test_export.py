@@ -17,7 +17,7 @@ from kinebench_drake.suites.episode import compose
 from kinebench_drake.suites.export import Export, export_suite
 from kinebench_drake.suites.simulator import Simulator
 from kinebench_drake.suites.suite import load_suite
-from kinebench_drake.suites.tasks.card import TaskVariant
+from kinebench_drake.suites.tasks.task import TaskVariant
 from tests.suites.orders import Recorder
 
 TASKS = ("PullCube-v1", "StackCube-v1")

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from kinebench_drake.geometry import Array
-from kinebench_drake.suites.assets.containers import COMPARTMENTS, cell_center
+from kinebench_drake.suites.assets.containers import COMPARTMENTS, compartment_center
 from kinebench_drake.suites.assets.fruits import FRUITS
 from kinebench_drake.suites.assets.library import asset_ids, model
 from kinebench_drake.suites.assets.model import Collider, ColliderKind
@@ -15,11 +15,10 @@ from kinebench_drake.suites.episode import Episode, compose
 from kinebench_drake.suites.experts.registry import find_expert
 from kinebench_drake.suites.rollout import rollout
 from kinebench_drake.suites.simulator import Simulator
-from kinebench_drake.suites.tasks.card import TaskVariant
 from kinebench_drake.suites.tasks.fruits import GAP_M, ORDER, OTHERS
-from kinebench_drake.suites.tasks.layout import resting
 from kinebench_drake.suites.tasks.registry import find_task
 from kinebench_drake.suites.tasks.state import State
+from kinebench_drake.suites.tasks.task import TaskVariant, upright_pose
 
 GRIP_M = (0.030, 0.062)
 """What the gripper holds easily."""
@@ -107,7 +106,7 @@ def test_a_fruit_counts_only_inside_and_let_go() -> None:
 
     def into(name: str, up_m: float = 0.0) -> list[Array]:
         return [
-            resting(
+            upright_pose(
                 *layout.placements["container"].X_BM[:2, 3],
                 layout.placements["container"].model.size["floor_m"]
                 + layout.placements[name].model.size["rest_m"]
@@ -137,8 +136,8 @@ def test_order_is_the_order_of_the_compartments() -> None:
             moved[name] = []
             for layout in layouts:
                 crate, size = layout.placements["crate"], layout.placements[name].model.size
-                p = crate.X_BM[:3, :3] @ cell_center(crate.model.size.__getitem__, cell) + crate.X_BM[:3, 3]
-                moved[name].append(resting(p[0], p[1], p[2] + size["rest_m"]))
+                p = crate.X_BM[:3, :3] @ compartment_center(crate.model.size.__getitem__, cell) + crate.X_BM[:3, 3]
+                moved[name].append(upright_pose(p[0], p[1], p[2] + size["rest_m"]))
         return moved
 
     right = state_of(episodes, stored((0, 1, 2)))
@@ -150,8 +149,8 @@ def test_order_is_the_order_of_the_compartments() -> None:
     assert wrong["third_in_right"].all()
     for layout in layouts:  # left is where the camera, which looks back at the robot, sees it: towards -y
         size = layout.placements["crate"].model.size.__getitem__
-        assert [cell_center(size, i)[1] for i in range(COMPARTMENTS)] == sorted(
-            cell_center(size, i)[1] for i in range(COMPARTMENTS)
+        assert [compartment_center(size, i)[1] for i in range(COMPARTMENTS)] == sorted(
+            compartment_center(size, i)[1] for i in range(COMPARTMENTS)
         )
     words = [layout.placements[name].model.words for layout in layouts[:1] for name in ORDER]
     found = [layouts[0].prompt.index(f"the {word} into") for word in words]
@@ -161,12 +160,12 @@ def test_order_is_the_order_of_the_compartments() -> None:
 @pytest.mark.sapien
 @pytest.mark.parametrize("task", ["PickFruits-v1", "StoreFruitsBox-v1"])
 def test_untouched_things_stay_where_they_are(task: str) -> None:
-    with Simulator(task, renders=False) as stage:
-        stage.reset(compose(task, 7))
-        start = stage.snapshot()
+    with Simulator(task, renders=False) as simulator:
+        simulator.reset(compose(task, 7))
+        start = simulator.snapshot()
         for _ in range(200):
-            stage.step(start.q, 0.08)
-        end = stage.snapshot()
+            simulator.step(start.q, 0.08)
+        end = simulator.snapshot()
     for name, pose in start.objects.items():
         assert np.linalg.norm(end.objects[name][:3] - pose[:3]) < 0.003, name
 
@@ -181,6 +180,6 @@ def test_untouched_things_stay_where_they_are(task: str) -> None:
     ],
 )
 def test_experts_succeed(task: str, seed: int, variant: TaskVariant) -> None:
-    with Simulator(task, renders=False, variant=variant) as stage:
-        performance = rollout(stage, find_expert(task), compose(task, seed, variant=variant))
+    with Simulator(task, renders=False, variant=variant) as simulator:
+        performance = rollout(simulator, find_expert(task), compose(task, seed, variant=variant))
     assert performance.outcome.success, performance.outcome.conditions

@@ -9,7 +9,7 @@ from kinebench_drake.kinematics.continuation import minimum_jerk
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.models.panda.robot import rest_q
 from kinebench_drake.suites.clock import CONTROL_PERIOD_S
-from kinebench_drake.suites.experts.grasp import DOWN, grasp_rotation, level_axes, raised
+from kinebench_drake.suites.experts.grasp import DOWN, grasp_rotation, level_axes, lift
 from kinebench_drake.suites.experts.motion import Waypoint, cartesian_path, plan
 
 R = grasp_rotation(DOWN, (0.0, -1.0, 0.0))
@@ -18,7 +18,7 @@ START = make_pose(R, [0.6, 0.0, 0.2])
 
 def path_with(through: bool, steps: int = 96) -> tuple[np.ndarray, np.ndarray]:
     corner = make_pose(grasp_rotation(DOWN, (1.0, -1.0, 0.0)), [0.6, 0.2, 0.2])
-    end = raised(corner, -0.15)
+    end = lift(corner, -0.15)
     waypoints = [
         Waypoint(X_BG=corner, finger_width_m=0.08, through=through),
         Waypoint(X_BG=end, finger_width_m=0.0),
@@ -39,9 +39,7 @@ def test_minimum_jerk_is_at_rest_at_both_ends() -> None:
 @pytest.mark.parametrize("through", [True, False])
 def test_path_ends_at_the_last_waypoint_at_rest(through: bool) -> None:
     X, widths = path_with(through)
-    distance, angle = pose_difference(
-        X[-1], raised(make_pose(grasp_rotation(DOWN, (1, -1, 0)), [0.6, 0.2, 0.2]), -0.15)
-    )
+    distance, angle = pose_difference(X[-1], lift(make_pose(grasp_rotation(DOWN, (1, -1, 0)), [0.6, 0.2, 0.2]), -0.15))
     assert distance < 1e-9
     assert angle < 1e-9
     assert widths[-1] == pytest.approx(0.0)
@@ -62,7 +60,7 @@ def test_only_stops_are_stopped_at() -> None:
 
 def test_plan_follows_the_path_within_speed_limits() -> None:
     plant = ArmPlant()
-    X_goal = raised(plant.forward(rest_q()), 0.1)
+    X_goal = lift(plant.forward(rest_q()), 0.1)
     motion = plan(plant, rest_q(), 0.08, [Waypoint(X_BG=X_goal, finger_width_m=0.04)], 40)
     reached = np.stack([plant.forward(q) for q in motion.q])
     distance, angle = pose_difference(reached, motion.X_BG)
@@ -76,9 +74,9 @@ def test_plan_refuses_what_the_arm_cannot_do() -> None:
     plant = ArmPlant()
     start = plant.forward(rest_q())
     with pytest.raises(InputError, match="leaves the workspace"):
-        plan(plant, rest_q(), 0.08, [Waypoint(X_BG=raised(start, 2.0), finger_width_m=0.08)], 40)
+        plan(plant, rest_q(), 0.08, [Waypoint(X_BG=lift(start, 2.0), finger_width_m=0.08)], 40)
     with pytest.raises(InputError, match=r"rad/s of joint \d at control step"):
-        plan(plant, rest_q(), 0.08, [Waypoint(X_BG=raised(start, 0.3), finger_width_m=0.08)], 10)
+        plan(plant, rest_q(), 0.08, [Waypoint(X_BG=lift(start, 0.3), finger_width_m=0.08)], 10)
 
 
 def test_grasp_rotation_and_level_axes() -> None:

@@ -9,9 +9,8 @@ from kinebench_drake.suites.assets.library import INSTANCES, KINDS, asset_ids, m
 from kinebench_drake.suites.episode import compose
 from kinebench_drake.suites.experts.registry import EXPERTS
 from kinebench_drake.suites.simulator import Simulator
-from kinebench_drake.suites.tasks.card import TaskVariant
 from kinebench_drake.suites.tasks.registry import TASKS
-from tests.suites.scenes import EACH_SCENE
+from kinebench_drake.suites.tasks.task import TaskVariant
 
 BENCHMARK = [
     "CloseBox-v1",
@@ -35,6 +34,7 @@ BENCHMARK = [
     "StoreCube-v2",
     "StoreFruitsBox-v1",
 ]
+SCENES = [(task, variant) for task, t in TASKS.items() for variant in t.card.variants]
 SEEDS = (21, 22)
 HOLD_STEPS = 60
 """Three seconds."""
@@ -99,16 +99,16 @@ def _corners(collider) -> np.ndarray:
     return points @ collider.X_BodyC[:3, :3].T + collider.X_BodyC[:3, 3]
 
 
-@pytest.fixture(scope="module", params=EACH_SCENE)
-def stage(request: pytest.FixtureRequest) -> Iterator[tuple[Simulator, TaskVariant]]:
+@pytest.fixture(scope="module", params=SCENES, ids=lambda scene: f"{scene[0]}-{scene[1].value}")
+def simulator(request: pytest.FixtureRequest) -> Iterator[tuple[Simulator, TaskVariant]]:
     task, variant = request.param
-    with Simulator(task, variant=variant, renders=False) as stage:
-        yield stage, variant
+    with Simulator(task, variant=variant, renders=False) as simulator:
+        yield simulator, variant
 
 
 @pytest.mark.sapien
-def test_nothing_moves_by_itself_and_nothing_is_done_at_first(stage: tuple[Simulator, TaskVariant]) -> None:
-    own, variant = stage
+def test_nothing_moves_by_itself_and_nothing_is_done_at_first(simulator: tuple[Simulator, TaskVariant]) -> None:
+    own, variant = simulator
     for seed in SEEDS:
         episode = compose(own.task.card.id, seed, variant=variant)
         own.reset(episode)
@@ -129,13 +129,13 @@ def test_nothing_moves_by_itself_and_nothing_is_done_at_first(stage: tuple[Simul
 
 
 @pytest.mark.sapien
-def test_verdicts_of_a_batch_are_those_of_its_scenes(stage: tuple[Simulator, TaskVariant]) -> None:
+def test_verdicts_of_a_batch_are_those_of_its_scenes(simulator: tuple[Simulator, TaskVariant]) -> None:
     """Conditions and progress of two scenes at once, as ManiSkill's GPU simulation asks for them."""
     import torch
 
     from kinebench_drake.suites.tasks.state import State
 
-    own, variant = stage
+    own, variant = simulator
     single = []
     for seed in SEEDS:
         own.reset(compose(own.task.card.id, seed, variant=variant))

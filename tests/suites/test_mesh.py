@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from kinebench_drake.geometry import rotation_exp, transform_points
-from kinebench_drake.suites.assets.mesh import Parts, block, board
+from kinebench_drake.suites.assets.mesh import BodyParts, box_collider, box_visual
 from kinebench_drake.suites.assets.model import Material, SurfaceFinish
 
 LOW, HIGH = np.array([-0.1, 0.2, 0.0]), np.array([0.3, 0.25, 0.5])
@@ -12,7 +12,7 @@ LOW, HIGH = np.array([-0.1, 0.2, 0.0]), np.array([0.3, 0.25, 0.5])
 
 @pytest.mark.parametrize("bevel_m", [0.0, 0.001])
 def test_a_panel_fills_the_space_between_its_corners(bevel_m: float) -> None:
-    parts = Parts()
+    parts = BodyParts()
     parts.panel(LOW, HIGH, SurfaceFinish(), bevel_m=bevel_m)
     parts.panel(LOW, HIGH + 1.0, SurfaceFinish(), solid=False)
     body = parts.body("shelf", Material())
@@ -26,5 +26,7 @@ def test_a_panel_fills_the_space_between_its_corners(bevel_m: float) -> None:
 
 def test_a_turned_board_is_touched_where_it_is_seen() -> None:
     R, size, center = rotation_exp([0.0, 0.0, 0.4]), [0.2, 0.1, 0.02], [0.5, 0.0, 0.1]
-    assert np.array_equal(board(size, center, SurfaceFinish(), R=R).X_BodyV, block(size, center, R=R).X_BodyC)
-    assert np.allclose(block(size, center, R=R).X_BodyC[:3, :3], R)
+    assert np.array_equal(
+        box_visual(size, center, SurfaceFinish(), R=R).X_BodyV, box_collider(size, center, R=R).X_BodyC
+    )
+    assert np.allclose(box_collider(size, center, R=R).X_BodyC[:3, :3], R)
