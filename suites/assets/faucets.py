@@ -111,39 +111,31 @@ class _FaucetDesign:
     rng: np.random.Generator
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _FaucetShape:
-    """Parts of a faucet; the handle's frame has its origin on the axis at the lever's height and x along the lever."""
+_Shape = Callable[[_FaucetDesign, _FaucetParts, _FaucetParts], float]
+"""Adds parts to the base and the handle; returns half the lever's width at the point where it is pushed [m].
 
-    base: _FaucetParts
-    handle: _FaucetParts
-    half_width: float
-    """Half the lever's width at the point where it is pushed [m]."""
+The handle's frame has its origin on the axis at the lever's height and x along the lever.
+"""
 
 
-def _mixer(d: _FaucetDesign) -> _FaucetShape:
+def _mixer(d: _FaucetDesign, base: _FaucetParts, handle: _FaucetParts) -> float:
     """Make a basin mixer: cylinder, short spout, one flat lever on top."""
-    base, handle = _FaucetParts(), _FaucetParts()
     r, top = float(d.rng.uniform(0.021, 0.026)), d.height - 0.012
     base.revolve(
         [[0.0, 0.0], [1.25 * r, 0.0], [1.25 * r, 0.006], [1.05 * r, 0.009], [r, 0.012], [r, top], [0.0, top]], d.metal
     )
     z, reach = 0.55 * d.height, float(d.rng.uniform(0.085, 0.11))
-    base.tube(
-        _curve(_at(d.spout, [[0.0, z], [0.5 * reach, z + 0.012], [reach, z + 0.012], [reach + 0.004, z - 0.022]])),
-        0.0105,
-        d.metal,
-    )
+    spout = [[0.0, z], [0.5 * reach, z + 0.012], [reach, z + 0.012], [reach + 0.004, z - 0.022]]
+    base.tube(_curve(_at(d.spout, spout)), 0.0105, d.metal)
     handle.revolve(
         [[0.0, -0.0115], [r, -0.0115], [r, 0.004], [0.85 * r, 0.010], [0.5 * r, 0.0135], [0.0, 0.0145]], d.metal
     )
     handle.box([d.lever, 0.016, 0.010], [0.5 * d.lever, 0.0, 0.0], d.metal)
-    return _FaucetShape(base=base, handle=handle, half_width=0.008)
+    return 0.008
 
 
-def _cross(d: _FaucetDesign) -> _FaucetShape:
+def _cross(d: _FaucetDesign, base: _FaucetParts, handle: _FaucetParts) -> float:
     """Make a pillar tap: a waisted post and a cross of four arms with knobs."""
-    base, handle = _FaucetParts(), _FaucetParts()
     h = d.height
     base.revolve(
         [[0.0, 0.0], [0.031, 0.0], [0.031, 0.006], [0.023, 0.014], [0.018, 0.4 * h], [0.021, 0.5 * h],
@@ -151,22 +143,18 @@ def _cross(d: _FaucetDesign) -> _FaucetShape:
         d.metal,
     )  # fmt: skip
     z, reach = 0.6 * h, float(d.rng.uniform(0.085, 0.11))
-    base.tube(
-        _curve(_at(d.spout, [[0.0, z], [0.45 * reach, z + 0.006], [0.9 * reach, z + 0.008], [reach, z - 0.03]])),
-        [0.013, 0.010],
-        d.metal,
-    )
+    spout = [[0.0, z], [0.45 * reach, z + 0.006], [0.9 * reach, z + 0.008], [reach, z - 0.03]]
+    base.tube(_curve(_at(d.spout, spout)), [0.013, 0.010], d.metal)
     handle.revolve([[0.0, -0.0135], [0.013, -0.0135], [0.015, 0.0], [0.013, 0.009], [0.0, 0.0115]], d.metal)
     handle.revolve([[0.0, 0.0105], [0.009, 0.0105], [0.008, 0.013], [0.0, 0.014]], d.accent)
     for k in range(4):
         handle.tube(_at(k * np.pi / 2.0, [[0.010, 0.0], [d.lever - 0.008, 0.0]]), [0.0055, 0.0065], d.metal)
         handle.ball(0.0085, _at(k * np.pi / 2.0, [[d.lever - 0.0085, 0.0]])[0], d.metal)
-    return _FaucetShape(base=base, handle=handle, half_width=0.0075)
+    return 0.0075
 
 
-def _gooseneck(d: _FaucetDesign) -> _FaucetShape:
+def _gooseneck(d: _FaucetDesign, base: _FaucetParts, handle: _FaucetParts) -> float:
     """Make a kitchen faucet: a plate with a high bent neck at one end and the lever's post at the other."""
-    base, handle = _FaucetParts(), _FaucetParts()
     gap, h = float(d.rng.uniform(0.10, 0.12)), d.height
     base.box([gap + 0.06, 0.052, 0.012], [-0.5 * gap, 0.0, 0.006], d.metal)
     base.revolve([[0.0, 0.012], [0.020, 0.012], [0.017, 0.02], [0.016, h - 0.012], [0.0, h - 0.012]], d.metal)
@@ -178,16 +166,14 @@ def _gooseneck(d: _FaucetDesign) -> _FaucetShape:
     base.tube(_at(away, end) - [gap, 0.0, 0.0], 0.0125, d.accent)
     base.tube([[-gap, 0.0, 0.010], [-gap, 0.0, 0.045]], 0.016, d.metal)
     handle.revolve([[0.0, -0.0115], [0.0165, -0.0115], [0.0165, 0.004], [0.012, 0.010], [0.0, 0.012]], d.metal)
-    handle.tube(
-        _curve(_at(0.0, [[0.0, 0.0], [0.5 * d.lever, 0.0], [d.lever - 0.0075, 0.003]])), [0.0055, 0.0075], d.metal
-    )
+    lever = [[0.0, 0.0], [0.5 * d.lever, 0.0], [d.lever - 0.0075, 0.003]]
+    handle.tube(_curve(_at(0.0, lever)), [0.0055, 0.0075], d.metal)
     handle.ball(0.0075, [d.lever - 0.0075, 0.0, 0.003], d.metal)
-    return _FaucetShape(base=base, handle=handle, half_width=0.0075)
+    return 0.0075
 
 
-def _modern(d: _FaucetDesign) -> _FaucetShape:
+def _modern(d: _FaucetDesign, base: _FaucetParts, handle: _FaucetParts) -> float:
     """Make a square faucet: a pillar, a straight spout, a long flat lever."""
-    base, handle = _FaucetParts(), _FaucetParts()
     a, h = float(d.rng.uniform(0.036, 0.044)), d.height
     square = round(d.spout / (np.pi / 2.0)) * np.pi / 2.0
     base.box([a + 0.016, a + 0.016, 0.006], [0.0, 0.0, 0.003], d.metal)
@@ -197,12 +183,11 @@ def _modern(d: _FaucetDesign) -> _FaucetShape:
     base.box([0.016, 0.016, 0.006], _at(square, [[reach, z - 0.010]])[0], d.accent, yaw_rad=square)
     handle.box([a, a, 0.018], [0.0, 0.0, -0.002], d.metal)
     handle.box([d.lever, 0.018, 0.009], [0.5 * d.lever, 0.0, 0.0], d.metal)
-    return _FaucetShape(base=base, handle=handle, half_width=0.009)
+    return 0.009
 
 
-def _garden(d: _FaucetDesign) -> _FaucetShape:
+def _garden(d: _FaucetDesign, base: _FaucetParts, handle: _FaucetParts) -> float:
     """Make a garden tap on a board: a pipe, a nozzle that bends down, a handle with two wings."""
-    base, handle = _FaucetParts(), _FaucetParts()
     back, h = float(d.rng.uniform(0.10, 0.115)), d.height
     z = h - 0.052
     wood = np.array([0.34, 0.2, 0.09]) * d.rng.uniform(0.7, 1.3)
@@ -216,23 +201,18 @@ def _garden(d: _FaucetDesign) -> _FaucetShape:
          [0.0, h - 0.010]],
         d.metal,
     )  # fmt: skip
-    base.tube(
-        _curve([[0.0, 0.0, z], [0.038, 0.0, z + 0.004], [0.05, 0.0, z], [0.052, 0.0, z - 0.035]]), 0.0115, d.metal
-    )
+    nozzle = [[0.0, 0.0, z], [0.038, 0.0, z + 0.004], [0.05, 0.0, z], [0.052, 0.0, z - 0.035]]
+    base.tube(_curve(nozzle), 0.0115, d.metal)
     handle.revolve([[0.0, -0.0095], [0.011, -0.0095], [0.012, 0.004], [0.008, 0.009], [0.0, 0.010]], d.accent)
+    wing = np.array([[0.004, 0.0, 0.0], [0.6 * d.lever, 0.0, 0.0], [d.lever - 0.008, 0.0, 0.0]])
     for sign in (1.0, -1.0):
-        handle.tube(
-            np.array([[0.004, 0.0, 0.0], [0.6 * d.lever, 0.0, 0.0], [d.lever - 0.008, 0.0, 0.0]]) * [sign, sign, 1.0],
-            [0.0055, 0.006, 0.008],
-            d.accent,
-        )
+        handle.tube(wing * [sign, sign, 1.0], [0.0055, 0.006, 0.008], d.accent)
         handle.ball(0.008, [sign * (d.lever - 0.008), 0.0, 0.0], d.accent)
-    return _FaucetShape(base=base, handle=handle, half_width=0.007)
+    return 0.007
 
 
-def _bell(d: _FaucetDesign) -> _FaucetShape:
+def _bell(d: _FaucetDesign, base: _FaucetParts, handle: _FaucetParts) -> float:
     """Make an old-fashioned tap: a bell-shaped body, a swan-neck spout, a thin lever with a china ball."""
-    base, handle = _FaucetParts(), _FaucetParts()
     h = d.height
     base.revolve(
         [[0.0, 0.0], [0.034, 0.0], [0.034, 0.005], [0.028, 0.012], [0.022, 0.25 * h], [0.0175, 0.45 * h],
@@ -240,31 +220,16 @@ def _bell(d: _FaucetDesign) -> _FaucetShape:
         d.metal,
     )  # fmt: skip
     reach = float(d.rng.uniform(0.09, 0.115))
-    base.tube(
-        _curve(
-            _at(
-                d.spout,
-                [
-                    [0.0, 0.35 * h],
-                    [0.35 * reach, 0.32 * h],
-                    [0.55 * reach, 0.68 * h],
-                    [reach, 0.68 * h],
-                    [reach, 0.45 * h],
-                ],
-            )
-        ),
-        0.0092,
-        d.metal,
-    )
+    spout = [[0.0, 0.35 * h], [0.35 * reach, 0.32 * h], [0.55 * reach, 0.68 * h], [reach, 0.68 * h], [reach, 0.45 * h]]
+    base.tube(_curve(_at(d.spout, spout)), 0.0092, d.metal)
     handle.revolve([[0.0, -0.0105], [0.012, -0.0105], [0.015, 0.0], [0.009, 0.010], [0.0, 0.013]], d.metal)
-    handle.tube(
-        [[0.006, 0.0, 0.0], [0.6 * d.lever, 0.0, 0.0], [d.lever - 0.012, 0.0, 0.0]], [0.006, 0.005, 0.005], d.metal
-    )
+    lever = [[0.006, 0.0, 0.0], [0.6 * d.lever, 0.0, 0.0], [d.lever - 0.012, 0.0, 0.0]]
+    handle.tube(lever, [0.006, 0.005, 0.005], d.metal)
     handle.ball(0.0115, [d.lever - 0.0115, 0.0, 0.0], d.accent)
-    return _FaucetShape(base=base, handle=handle, half_width=0.0055)
+    return 0.0055
 
 
-_SHAPES: tuple[tuple[Callable[[_FaucetDesign], _FaucetShape], tuple[float, float]], ...] = (
+_SHAPES: tuple[tuple[_Shape, tuple[float, float]], ...] = (
     (_mixer, (0.080, LEVER_M[1])),
     (_cross, (LEVER_M[0], 0.070)),
     (_gooseneck, (0.085, LEVER_M[1])),
@@ -296,7 +261,8 @@ def _faucet(asset_id: str, index: int, rng: np.random.Generator) -> AssetModel:
         accent=SurfaceFinish(color=_ACCENTS[rng.integers(len(_ACCENTS))], roughness=0.35, specular=0.5),
         rng=rng,
     )
-    shape, travel = make(design), float(rng.uniform(*RANGE_RAD))
+    base, handle = _FaucetParts(), _FaucetParts()
+    half_width, travel = make(design, base, handle), float(rng.uniform(*RANGE_RAD))
     axis = [0.0, 0.0, design.height]
     joint = Joint(
         kind=JointKind.HINGE,
@@ -312,12 +278,12 @@ def _faucet(asset_id: str, index: int, rng: np.random.Generator) -> AssetModel:
         kind="faucet",
         asset_id=asset_id,
         words=f"{finish} faucet",
-        bodies=(shape.base.body("body", Material()), shape.handle.body("handle", brass, joint)),
+        bodies=(base.body("body", Material()), handle.body("handle", brass, joint)),
         size={
             "range_rad": travel,
             "height_m": design.height,
             "lever_m": design.lever,
-            "half_width_m": shape.half_width,
+            "half_width_m": half_width,
         },
         sites={"lever": site_at("handle", [design.lever, 0.0, 0.0])},
     )

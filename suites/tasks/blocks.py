@@ -13,15 +13,7 @@ from kinebench_drake.geometry import Array
 from kinebench_drake.suites.assets.model import AssetModel
 from kinebench_drake.suites.start import START_WIDTH_M
 from kinebench_drake.suites.tasks.state import STILL_M_S, State
-from kinebench_drake.suites.tasks.task import (
-    Difficulty,
-    Placement,
-    SceneLayout,
-    Task,
-    TaskCard,
-    TaskVariant,
-    upright_pose,
-)
+from kinebench_drake.suites.tasks.task import Difficulty, Placement, SceneLayout, Task, TaskCard, TaskVariant
 
 STACK_RADIUS_M = 0.012
 """Greatest horizontal distance of the upper cube's centre from the lower one's."""
@@ -37,9 +29,9 @@ PEG_YAW_RAD = 0.35
 """Greatest initial yaw of the peg from pointing straight away from the robot."""
 
 
-def _on_table(model: AssetModel, xy_m: Array, yaw_rad: float) -> Array:
-    """Return the pose (4, 4) of a cube lying on the table."""
-    return upright_pose(xy_m[0], xy_m[1], model.size["edge_m"] / 2.0, yaw_rad)
+def _on_table(model: AssetModel, xy_m: Array, yaw_rad: float) -> Placement:
+    """Place a cube on the table."""
+    return Placement.upright(model, (xy_m[0], xy_m[1], model.size["edge_m"] / 2.0), yaw_rad)
 
 
 def _scatter(rng: np.random.Generator, count: int, low: ArrayLike, high: ArrayLike, apart_m: float) -> Array:
@@ -72,9 +64,6 @@ class StackCube(Task):
         id="StackCube-v1",
         family="cubes",
         difficulty=Difficulty.MEDIUM,
-        articulated_dof=0,
-        axes="",
-        contacts=1,
         variants=(TaskVariant.PLAIN, TaskVariant.OBSTACLES),
     )
     slots: ClassVar[Mapping[str, str]] = {"green": "cube/green", "red": "cube/red"}
@@ -90,14 +79,12 @@ class StackCube(Task):
             points = np.stack([middle + rng.uniform(0.11, 0.15) * side, middle - rng.uniform(0.11, 0.15) * side])
             prompt += f" It does not touch the {models['obstacle'].words} that stands between them."
         placements = {
-            name: Placement(model=models[name], X_BM=_on_table(models[name], point, rng.uniform(-np.pi, np.pi)))
+            name: _on_table(models[name], point, rng.uniform(-np.pi, np.pi))
             for name, point in zip(("green", "red"), points, strict=True)
         }
         if variant is TaskVariant.OBSTACLES:
-            placements["obstacle"] = Placement(
-                model=models["obstacle"],
-                X_BM=upright_pose(middle[0], middle[1], 0.0, rng.uniform(-np.pi, np.pi)),
-                avoid=True,
+            placements["obstacle"] = Placement.upright(
+                models["obstacle"], (middle[0], middle[1], 0.0), rng.uniform(-np.pi, np.pi), avoid=True
             )
         return SceneLayout(placements=placements, prompt=prompt)
 
@@ -107,8 +94,7 @@ class StackCube(Task):
         return {
             "above": torch.linalg.norm(offset[:, :2], dim=-1) <= STACK_RADIUS_M,
             "on_top": (offset[:, 2] - self._height(state)).abs() <= STACK_HEIGHT_M,
-            "still": state.speeds["green"] <= STILL_M_S,
-            "released": ~state.grasps("green"),
+            **state.release_conditions("green"),
         } | state.obstacle_conditions()
 
     def _height(self, state: State) -> Tensor:
@@ -133,9 +119,7 @@ class PullCube(Task):
     (`on_table`), and slower than `STILL_M_S` (`still`).
     """
 
-    card = TaskCard(
-        id="PullCube-v1", family="cubes", difficulty=Difficulty.EASY, articulated_dof=0, axes="", contacts=1
-    )
+    card = TaskCard(id="PullCube-v1", family="cubes", difficulty=Difficulty.EASY)
     slots: ClassVar[Mapping[str, str]] = {"cube": "cube/blue", "target": "mark/target"}
 
     def layout(self, models: Mapping[str, AssetModel], rng: np.random.Generator, variant: TaskVariant) -> SceneLayout:
@@ -145,8 +129,8 @@ class PullCube(Task):
         yaw = angle + rng.uniform(-0.25, 0.25)
         return SceneLayout(
             placements={
-                "cube": Placement(model=models["cube"], X_BM=_on_table(models["cube"], cube, yaw)),
-                "target": Placement(model=models["target"], X_BM=upright_pose(target[0], target[1], 0.0), decor=True),
+                "cube": _on_table(models["cube"], cube, yaw),
+                "target": Placement.upright(models["target"], (target[0], target[1], 0.0), decor=True),
             },
             prompt="The robot arm closes its gripper, reaches over the blue cube and drags it back "
             "onto the red and white target.",
@@ -180,18 +164,16 @@ class LiftPegUpright(Task):
     standing peg's within `PEG_HEIGHT_M` (`standing`), slower than `STILL_M_S` (`still`), and not grasped (`released`).
     """
 
-    card = TaskCard(
-        id="LiftPegUpright-v1", family="pegs", difficulty=Difficulty.MEDIUM, articulated_dof=0, axes="", contacts=1
-    )
+    card = TaskCard(id="LiftPegUpright-v1", family="pegs", difficulty=Difficulty.MEDIUM)
     slots: ClassVar[Mapping[str, str]] = {"peg": "peg"}
 
     def layout(self, models: Mapping[str, AssetModel], rng: np.random.Generator, variant: TaskVariant) -> SceneLayout:
         """Place the peg lying in front of the robot."""
         x, y = rng.uniform([0.51, -0.10], [0.60, 0.10])
         yaw = rng.uniform(-PEG_YAW_RAD, PEG_YAW_RAD)
-        X_BM = upright_pose(x, y, models["peg"].size["width_m"] / 2.0, yaw)
+        p_BM = (x, y, models["peg"].size["width_m"] / 2.0)
         return SceneLayout(
-            placements={"peg": Placement(model=models["peg"], X_BM=X_BM)},
+            placements={"peg": Placement.upright(models["peg"], p_BM, yaw)},
             prompt="The robot arm grasps the peg by its red end, stands it upright on its blue end and lets go.",
         )
 
@@ -201,8 +183,7 @@ class LiftPegUpright(Task):
         return {
             "upright": -state.poses["peg"][:, 2, 0] >= float(np.cos(PEG_TILT_RAD)),
             "standing": height.abs() <= PEG_HEIGHT_M,
-            "still": state.speeds["peg"] <= STILL_M_S,
-            "released": ~state.grasps("peg"),
+            **state.release_conditions("peg"),
         }
 
     def progress(self, state: State) -> Tensor:

@@ -12,16 +12,8 @@ from kinebench_drake.geometry import make_pose, rotation_z
 from kinebench_drake.suites.assets.boxes import FLUSH, RIMMED, with_tight_hinge
 from kinebench_drake.suites.assets.model import AssetModel
 from kinebench_drake.suites.start import START_WIDTH_M
-from kinebench_drake.suites.tasks.state import CLEAR_M, STILL_RAD_S, State, to_frame
-from kinebench_drake.suites.tasks.task import (
-    Difficulty,
-    Placement,
-    SceneLayout,
-    Task,
-    TaskCard,
-    TaskVariant,
-    upright_pose,
-)
+from kinebench_drake.suites.tasks.state import State, to_frame
+from kinebench_drake.suites.tasks.task import Difficulty, Placement, SceneLayout, Task, TaskCard, TaskVariant
 
 OPEN_FRACTION = 0.9
 """Least opening of an open lid, as a fraction of its range."""
@@ -45,15 +37,6 @@ def distance_to_lid(state: State) -> Tensor:
     beside = (p[:, 1].abs() - 0.5 * state.size("box", "width_m")).clamp(min=0.0)
     distance: Tensor = torch.linalg.norm(torch.stack([off, beyond, beside], dim=-1), dim=-1)
     return distance
-
-
-def _rest_conditions(state: State) -> dict[str, Tensor]:
-    """Return the conditions common to opening and closing."""
-    return {
-        "still": state.speeds["box"] <= STILL_RAD_S,
-        "calm": state.calm(),
-        "released": distance_to_lid(state) >= CLEAR_M,
-    }
 
 
 class OpenBox(Task):
@@ -105,7 +88,7 @@ class OpenBox(Task):
         else:
             prompt = f"goes to the {edge} of the closed {box.words}, pries up the lid with its fingertips and pushes it"
         return SceneLayout(
-            placements={"box": Placement(model=box, X_BM=upright_pose(x, y, 0.0, yaw), joint=joint)},
+            placements={"box": Placement.upright(box, (x, y, 0.0), yaw, joint=joint)},
             prompt=f"The robot arm {prompt} fully open.",
             finger_width_m=START_WIDTH_M[self.card.id],
         )
@@ -113,7 +96,7 @@ class OpenBox(Task):
     @override
     def conditions(self, state: State) -> dict[str, Tensor]:
         wide = state.joints["box"] >= OPEN_FRACTION * state.size("box", "open_rad")
-        return {"open": wide, **_rest_conditions(state)}
+        return {"open": wide, **state.rest_conditions("box", distance_to_lid(state))}
 
     def progress(self, state: State) -> Tensor:
         """Return the fraction of the lid's way to `OPEN_FRACTION` of its range."""
@@ -156,7 +139,7 @@ class CloseBox(Task):
 
     @override
     def conditions(self, state: State) -> dict[str, Tensor]:
-        return {"shut": state.joints["box"] <= SHUT_RAD, **_rest_conditions(state)}
+        return {"shut": state.joints["box"] <= SHUT_RAD, **state.rest_conditions("box", distance_to_lid(state))}
 
     def progress(self, state: State) -> Tensor:
         """Return the fraction of the lid's way to `SHUT_RAD`."""

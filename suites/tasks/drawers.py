@@ -10,16 +10,8 @@ from typing_extensions import override
 
 from kinebench_drake.geometry import Array, make_pose, rotation_z
 from kinebench_drake.suites.assets.model import AssetModel
-from kinebench_drake.suites.tasks.state import CLEAR_M, STILL_M_S, State
-from kinebench_drake.suites.tasks.task import (
-    Difficulty,
-    Placement,
-    SceneLayout,
-    Task,
-    TaskCard,
-    TaskVariant,
-    upright_pose,
-)
+from kinebench_drake.suites.tasks.state import STILL_M_S, State
+from kinebench_drake.suites.tasks.task import Difficulty, Placement, SceneLayout, Task, TaskCard, TaskVariant
 
 OPEN_FRACTION = 0.9
 """Least opening of an open drawer, as a fraction of its travel."""
@@ -40,15 +32,10 @@ def _shut(state: State) -> Tensor:
     return state.joints["cabinet"] <= SHUT_M
 
 
-def _still(state: State, name: str) -> Tensor:
-    """Return (N,) bool: True where an object is at rest."""
-    return state.speeds[name] <= STILL_M_S
-
-
 def _rest_conditions(state: State) -> dict[str, Tensor]:
     """Return the conditions common to opening and closing."""
     distance = torch.linalg.norm(state.X_BG[:, :3, 3] - state.site("cabinet", "pull")[:, :3, 3], dim=-1)
-    return {"still": _still(state, "cabinet"), "calm": state.calm(), "released": distance >= CLEAR_M}
+    return state.rest_conditions("cabinet", distance, still=STILL_M_S)
 
 
 def _shut_progress(state: State) -> Tensor:
@@ -72,7 +59,7 @@ def _sideways(x_m: tuple[float, float], rng: np.random.Generator) -> Array:
     """Draw the pose (4, 4) of a cabinet at `x_m` whose drawer opens to the robot's left or right."""
     side, x = int(rng.choice([-1, 1])), rng.uniform(*x_m)
     yaw = side * np.pi / 2.0 + rng.uniform(-YAW_RAD, YAW_RAD)
-    return upright_pose(x, -side * rng.uniform(0.065, 0.095), 0.0, yaw)
+    return make_pose(rotation_z(yaw), [x, -side * rng.uniform(0.065, 0.095), 0.0])
 
 
 def _forwards(model: AssetModel, rng: np.random.Generator) -> Array:
@@ -80,7 +67,7 @@ def _forwards(model: AssetModel, rng: np.random.Generator) -> Array:
     reach = model.size["depth_m"] / 2.0 + model.size["travel_m"] + model.size["reach_m"]
     yaw = rng.uniform(-YAW_RAD, YAW_RAD)
     front, aside = rng.uniform(0.635, 0.66), rng.uniform(-0.09, 0.09)  # of the handle, the drawer fully open
-    return upright_pose(front - reach * np.cos(yaw), aside - reach * np.sin(yaw), 0.0, yaw)
+    return make_pose(rotation_z(yaw), [front - reach * np.cos(yaw), aside - reach * np.sin(yaw), 0.0])
 
 
 class OpenDrawer(Task):
@@ -198,7 +185,7 @@ class _StoreCube(Task):
         return {
             "inside": _distance_from_tray(state, state.poses, "cube") <= 0.0,
             "shut": _shut(state),
-            "still": _still(state, "cube") & _still(state, "cabinet"),
+            "still": (state.speeds["cube"] <= STILL_M_S) & (state.speeds["cabinet"] <= STILL_M_S),
             "released": ~state.grasps("cube"),
         }
 

@@ -10,15 +10,7 @@ from typing_extensions import override
 from kinebench_drake.suites.assets.model import AssetModel
 from kinebench_drake.suites.start import START_WIDTH_M
 from kinebench_drake.suites.tasks.state import STILL_RAD_S, State
-from kinebench_drake.suites.tasks.task import (
-    Difficulty,
-    Placement,
-    SceneLayout,
-    Task,
-    TaskCard,
-    TaskVariant,
-    upright_pose,
-)
+from kinebench_drake.suites.tasks.task import Difficulty, Placement, SceneLayout, Task, TaskCard, TaskVariant
 
 OPEN_FRACTION = 0.8
 """Least opening of an open handle, as a fraction of its travel."""
@@ -43,11 +35,11 @@ class _TurnFaucet(Task):
         """Place a faucet whose lever at half travel points 55 to 100 degrees to the side of the camera."""
         model = models["faucet"]
         x, y = rng.uniform([0.52, -0.02], [0.59, 0.09])
-        X_BM = upright_pose(x, self.side * y, 0.0, self.side * np.deg2rad(rng.uniform(55.0, 100.0)))
+        yaw = self.side * np.deg2rad(rng.uniform(55.0, 100.0))
         start = rng.uniform(0.0, START_FRACTION)
-        opening = start if self.goal == OPEN_FRACTION else 1.0 - start
+        joint = (start if self.goal == OPEN_FRACTION else 1.0 - start) * model.size["range_rad"]
         return SceneLayout(
-            placements={"faucet": Placement(model=model, X_BM=X_BM, joint=opening * model.size["range_rad"])},
+            placements={"faucet": Placement.upright(model, (x, self.side * y, 0.0), yaw, joint=joint)},
             prompt=self.prompt.format(model.words),
             finger_width_m=START_WIDTH_M[self.card.id],
         )

@@ -14,15 +14,7 @@ from kinebench_drake.suites.assets.fruits import FRUITS
 from kinebench_drake.suites.assets.model import AssetModel
 from kinebench_drake.suites.seeding import generator
 from kinebench_drake.suites.tasks.state import STILL_M_S, State, to_frame
-from kinebench_drake.suites.tasks.task import (
-    Difficulty,
-    Placement,
-    SceneLayout,
-    Task,
-    TaskCard,
-    TaskVariant,
-    upright_pose,
-)
+from kinebench_drake.suites.tasks.task import Difficulty, Placement, SceneLayout, Task, TaskCard, TaskVariant
 
 GAP_M = 0.038
 """Least distance between the outlines of objects, so that a finger fits between them."""
@@ -118,9 +110,6 @@ class PickFruits(Task):
         id="PickFruits-v1",
         family="fruits",
         difficulty=Difficulty.MEDIUM,
-        articulated_dof=0,
-        axes="",
-        contacts=1,
         variants=(TaskVariant.PLAIN, TaskVariant.OBSTACLES),
     )
     slots: ClassVar[Mapping[str, str]] = {**{name: f"fruit/{name}" for name in FRUITS}, "container": "container"}
@@ -153,19 +142,13 @@ class PickFruits(Task):
         )
         points |= dict(zip(rest, drawn, strict=True))
         placements = {
-            name: Placement(
-                model=model, X_BM=upright_pose(points[name][0], points[name][1], model.size["rest_m"], _yaw(model, rng))
-            )
+            name: Placement.upright(model, (*points[name], model.size["rest_m"]), _yaw(model, rng))
             for name, model in fruits.items()
         }
-        placements["container"] = Placement(
-            model=container, X_BM=upright_pose(middle[0], middle[1], 0.0, rng.uniform(-0.25, 0.25))
-        )
+        placements["container"] = Placement.upright(container, (*middle, 0.0), rng.uniform(-0.25, 0.25))
         past = ""
         if variant is TaskVariant.OBSTACLES:
-            placements["obstacle"] = Placement(
-                model=obstacle, X_BM=upright_pose(post[0], post[1], 0.0, rng.uniform(-np.pi, np.pi)), avoid=True
-            )
+            placements["obstacle"] = Placement.upright(obstacle, (*post, 0.0), rng.uniform(-np.pi, np.pi), avoid=True)
             past = f", past the {obstacle.words} without knocking it over"
         return SceneLayout(
             placements=placements,
@@ -181,8 +164,7 @@ class PickFruits(Task):
         return {
             "in_container": in_container(state, "target", "container"),
             "others_stay": (strayed <= STAY_M).all(dim=0),
-            "still": state.speeds["target"] <= STILL_M_S,
-            "released": ~state.grasps("target"),
+            **state.release_conditions("target"),
         } | state.obstacle_conditions()
 
     def progress(self, state: State) -> Tensor:
@@ -208,8 +190,6 @@ class StoreFruitsBox(Task):
         id="StoreFruitsBox-v1",
         family="fruits",
         difficulty=Difficulty.HARD,
-        articulated_dof=0,
-        axes="",
         contacts=3,
         clips=3,
     )
@@ -225,16 +205,15 @@ class StoreFruitsBox(Task):
         names = _shuffle(models, ("apple", "banana", "orange"))
         fruits = dict(zip(ORDER, (models[name] for name in names), strict=True))
         x, y = rng.uniform(0.43, 0.46), rng.uniform(-0.03, 0.03)
-        crate = upright_pose(x, y, 0.0, rng.uniform(-0.08, 0.08))
+        crate = Placement.upright(models["crate"], (x, y, 0.0), rng.uniform(-0.08, 0.08))
         edge = x + 0.5 * models["crate"].size["outer_x_m"]
         row_y = rng.permutation([-0.15, 0.0, 0.15]) + rng.uniform(-0.02, 0.02, 3)
         placements = {}
         for (name, model), fruit_y in zip(fruits.items(), row_y, strict=True):
             nearest = edge + 0.5 * model.size["length_m"] + 0.025
-            fruit_x = rng.uniform(max(nearest, 0.59), 0.67)
-            X_BM = upright_pose(fruit_x, fruit_y, model.size["rest_m"], _yaw(model, rng))
-            placements[name] = Placement(model=model, X_BM=X_BM)
-        placements["crate"] = Placement(model=models["crate"], X_BM=crate)
+            p_BM = (rng.uniform(max(nearest, 0.59), 0.67), fruit_y, model.size["rest_m"])
+            placements[name] = Placement.upright(model, p_BM, _yaw(model, rng))
+        placements["crate"] = crate
         first, second, third = (model.words for model in fruits.values())
         return SceneLayout(
             placements=placements,

@@ -10,16 +10,8 @@ from typing_extensions import override
 
 from kinebench_drake.suites.assets.model import AssetModel
 from kinebench_drake.suites.start import START_WIDTH_M
-from kinebench_drake.suites.tasks.state import CLEAR_M, STILL_RAD_S, State, to_frame
-from kinebench_drake.suites.tasks.task import (
-    Difficulty,
-    Placement,
-    SceneLayout,
-    Task,
-    TaskCard,
-    TaskVariant,
-    upright_pose,
-)
+from kinebench_drake.suites.tasks.state import State, to_frame
+from kinebench_drake.suites.tasks.task import Difficulty, Placement, SceneLayout, Task, TaskCard, TaskVariant
 
 OPEN_RAD = np.deg2rad(90.0)
 """Least opening of an open lid."""
@@ -60,22 +52,12 @@ class _MoveLid(Task):
         model = models["laptop"]
         x, y = rng.uniform(*FORWARD_M), rng.uniform(*self.side_m)
         yaw = np.deg2rad(rng.uniform(*self.turn_deg) - 90.0)
-        placement = Placement(
-            model=model, X_BM=upright_pose(x, y, 0.0, yaw), joint=float(np.deg2rad(rng.uniform(*self.start_deg)))
-        )
+        joint = float(np.deg2rad(rng.uniform(*self.start_deg)))
         return SceneLayout(
-            placements={"laptop": placement},
+            placements={"laptop": Placement.upright(model, (x, y, 0.0), yaw, joint=joint)},
             prompt=self.prompt.format(model.words),
             finger_width_m=START_WIDTH_M[self.card.id],
         )
-
-    def _rest_conditions(self, state: State) -> dict[str, Tensor]:
-        """Return the conditions common to opening and closing."""
-        return {
-            "still": state.speeds["laptop"] <= STILL_RAD_S,
-            "calm": state.calm(),
-            "released": _distance_to_lid(state) >= CLEAR_M,
-        }
 
     def progress(self, state: State) -> Tensor:
         """Return the fraction of the lid's way to the goal."""
@@ -88,7 +70,7 @@ class _OpenLid(_MoveLid):
 
     @override
     def conditions(self, state: State) -> dict[str, Tensor]:
-        return {"open": state.joints["laptop"] >= OPEN_RAD, **self._rest_conditions(state)}
+        return {"open": state.joints["laptop"] >= OPEN_RAD, **state.rest_conditions("laptop", _distance_to_lid(state))}
 
 
 class _CloseLid(_MoveLid):
@@ -96,7 +78,7 @@ class _CloseLid(_MoveLid):
 
     @override
     def conditions(self, state: State) -> dict[str, Tensor]:
-        return {"shut": state.joints["laptop"] <= SHUT_RAD, **self._rest_conditions(state)}
+        return {"shut": state.joints["laptop"] <= SHUT_RAD, **state.rest_conditions("laptop", _distance_to_lid(state))}
 
 
 class OpenLaptopEasy(_OpenLid):

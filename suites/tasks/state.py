@@ -14,7 +14,7 @@ STILL_M_S, STILL_RAD_S = 0.02, 0.05
 CLEAR_M = 0.03
 """Least distance of the TCP from the part it moved for that part to count as released."""
 CALM_RAD_S = 0.2
-"""Speed of the fastest joint up to which the arm counts as at rest."""
+"""Speed of the fastest joint up to which the arm counts as at rest, so that a flailing arm does not succeed."""
 UPRIGHT_RAD = np.deg2rad(10.0)
 """Greatest tilt of an obstacle's z axis from the vertical."""
 MOVED_M = 0.02
@@ -52,10 +52,6 @@ class State:
     grasps: Callable[[str], Tensor]
     """Returns (N,) bool: True where the gripper holds the named object between its fingers."""
 
-    def calm(self) -> Tensor:
-        """Return (N,) bool: True where the arm is at rest, so that a flailing arm does not succeed by chance."""
-        return self.speeds[ARM] <= CALM_RAD_S
-
     def position(self, name: str) -> Tensor:
         """Return the position (N, 3) of an object [m]."""
         return self.poses[name][:, :3, 3]
@@ -89,6 +85,24 @@ class State:
         now = torch.linalg.norm(self.position(name) - goal, dim=-1)
         left: Tensor = now / before.clamp(min=1e-6)
         return 1.0 - left
+
+    def release_conditions(self, name: str) -> dict[str, Tensor]:
+        """Return conditions (N,) that a free object is at rest and not grasped."""
+        return {"still": self.speeds[name] <= STILL_M_S, "released": ~self.grasps(name)}
+
+    def rest_conditions(self, name: str, distance: Tensor, still: float = STILL_RAD_S) -> dict[str, Tensor]:
+        """Return conditions (N,) that an articulated object and the arm are at rest and apart.
+
+        Args:
+            name: the articulated object.
+            distance: distance (N,) of the TCP from the part that it moved [m].
+            still: greatest speed of the joint [rad/s or m/s].
+        """
+        return {
+            "still": self.speeds[name] <= still,
+            "calm": self.speeds[ARM] <= CALM_RAD_S,
+            "released": distance >= CLEAR_M,
+        }
 
     def obstacle_conditions(self) -> dict[str, Tensor]:
         """Return conditions (N,) that the obstacle stands upright and in its place; none without an obstacle."""

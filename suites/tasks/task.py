@@ -48,11 +48,11 @@ class TaskCard:
     family: str
     """Kind of objects manipulated, such as "boxes"."""
     difficulty: Difficulty
-    articulated_dof: int
+    articulated_dof: int = 0
     """Number of joints of the objects in the scene."""
-    axes: str
+    axes: str = ""
     """World axes of these joints, such as "z"; empty if there are none."""
-    contacts: int
+    contacts: int = 1
     """Number of separate contacts of the gripper: grasps, pushes, pries."""
     clips: int = 1
     """Clips of 49 frames that the expert needs; each begins and ends at rest."""
@@ -80,15 +80,24 @@ class Placement:
     avoid: bool = False
     """True if the object must not be touched: plans keep the gripper clear of it too."""
 
+    @classmethod
+    def upright(
+        cls,
+        model: AssetModel,
+        p_BM: tuple[float, float, float],
+        yaw_rad: float = 0.0,
+        *,
+        joint: float = 0.0,
+        decor: bool = False,
+        avoid: bool = False,
+    ) -> "Placement":
+        """Place an upright object with its origin at a point of B, rotated about z by `yaw_rad`."""
+        return cls(model=model, X_BM=make_pose(rotation_z(yaw_rad), p_BM), joint=joint, decor=decor, avoid=avoid)
+
     @property
     def movable(self) -> bool:
         """True if physics moves the object or its joint."""
         return not (self.fixed or self.decor)
-
-
-def upright_pose(x_m: float, y_m: float, z_m: float, yaw_rad: float = 0.0) -> Array:
-    """Return the pose (4, 4) of an upright object at a point of B, rotated about z."""
-    return make_pose(rotation_z(yaw_rad), [x_m, y_m, z_m])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -94,11 +94,11 @@ def test_open_means_far_open_at_rest_and_let_go(task: str) -> None:
     stop = compose(task, 3).layout().placements["box"].model.size["open_rad"]
     clear, touching, behind = [0.07, 0.0, 0.1], [0.1 * np.cos(stop), 0.0, 0.1 * np.sin(stop) + 0.01], [-0.2, 0.0, 0.15]
     state = _state(task, [stop, 0.85 * stop, stop, stop], [clear, clear, touching, behind])
-    found = find_task(task).conditions(state)
-    assert found["open"].tolist() == [True, False, True, True]
-    assert found["released"].tolist() == [True, True, False, True]
-    assert found["still"].all()
-    assert found["calm"].all()
+    conditions = find_task(task).conditions(state)
+    assert conditions["open"].tolist() == [True, False, True, True]
+    assert conditions["released"].tolist() == [True, True, False, True]
+    assert conditions["still"].all()
+    assert conditions["calm"].all()
     assert not find_task(task).conditions(_state(task, [stop], [clear], arm=0.5))["calm"].any()
     assert find_task(task).progress(state)[0] >= 1.0
     assert not find_task(task).conditions(_state(task, [stop], [clear], speed=0.2))["still"].any()
@@ -108,9 +108,9 @@ def test_shut_means_shut_at_rest_and_let_go() -> None:
     up = -1.0 if compose("CloseBox-v1", 3).layout().placements["box"].X_BM[2, 1] < 0.0 else 1.0
     clear, touching = [0.1, 0.12 * up, 0.06], [0.1, 0.04 * up, 0.015]
     state = _state("CloseBox-v1", [0.02, 0.2, 0.02], [clear, clear, touching])
-    found = find_task("CloseBox-v1").conditions(state)
-    assert found["shut"].tolist() == [True, False, True]
-    assert found["released"].tolist() == [True, True, False]
+    conditions = find_task("CloseBox-v1").conditions(state)
+    assert conditions["shut"].tolist() == [True, False, True]
+    assert conditions["released"].tolist() == [True, True, False]
     assert find_task("CloseBox-v1").progress(state)[1] < 1.0
 
 

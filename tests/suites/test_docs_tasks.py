@@ -1,4 +1,4 @@
-"""docs/tasks.md stays true: its table is that of the cards, its examples run, and its expert does its task."""
+"""docs/tasks.md: the table matches the cards, the examples run, and the example's expert succeeds."""
 
 import re
 import warnings
@@ -18,8 +18,8 @@ OWN = "PushCube-v1"
 
 
 @pytest.fixture
-def forgotten(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """What the example registers is gone afterwards."""
+def unregistered(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Remove what the example registers."""
     monkeypatch.delitem(TASKS, OWN, raising=False)
     monkeypatch.delitem(EXPERTS, OWN, raising=False)
     yield
@@ -28,8 +28,8 @@ def forgotten(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     from gymnasium import registry
     from mani_skill.utils.registration import REGISTERED_ENVS
 
-    for known in (registry, REGISTERED_ENVS):
-        known.pop(f"KineBench/{OWN}", None)
+    for environments in (registry, REGISTERED_ENVS):
+        environments.pop(f"KineBench/{OWN}", None)
 
 
 def _run(code: str, space: dict[str, Any]) -> dict[str, Any]:
@@ -58,7 +58,7 @@ def test_environment_example_runs() -> None:
 
 
 @pytest.mark.sapien
-@pytest.mark.usefixtures("forgotten")
+@pytest.mark.usefixtures("unregistered")
 def test_own_task_is_done_by_its_expert() -> None:
     space = _run(EXAMPLES[2], _run(EXAMPLES[1], {"__name__": "docs"}))
-    assert space["performance"].outcome.success
+    assert space["result"].outcome.success

@@ -103,10 +103,10 @@ def test_the_environment_alone_composes_the_same_episodes(simulator: Simulator) 
 @pytest.mark.parametrize("task", TASKS)
 def test_another_seed_on_the_same_assets_keeps_who_plays_what(task: str) -> None:
     episode = compose(task, 1)
-    things = {name: placed.model.asset_id for name, placed in episode.layout().placements.items()}
+    assets = {name: placement.model.asset_id for name, placement in episode.layout().placements.items()}
     for seed in range(2, 6):
         layout = episode.reseeded(seed).layout()
-        assert {name: placed.model.asset_id for name, placed in layout.placements.items()} == things
+        assert {name: placement.model.asset_id for name, placement in layout.placements.items()} == assets
 
 
 @pytest.mark.sapien
@@ -161,9 +161,9 @@ def test_layouts_say_where_bodies_are_without_a_simulator(task: str) -> None:
     episode = compose(task, 1)
     with Simulator(task, renders=False) as simulator:
         simulator.reset(episode)
-        seen = simulator.scene()
-    foreseen = episode.layout().scene(seen.X_BG)
-    for name, X in foreseen.poses.items():
-        distance, angle = pose_difference(seen.poses[name][None], X[None])
+        scene = simulator.scene()
+    expected = episode.layout().scene(scene.X_BG)
+    for name, X in expected.poses.items():
+        distance, angle = pose_difference(scene.poses[name][None], X[None])
         assert distance[0] < 1e-5, name
         assert angle[0] < 1e-3, name

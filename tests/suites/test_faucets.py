@@ -72,13 +72,13 @@ def test_the_waiting_gripper_touches_no_faucet(task: str) -> None:
     plant, margin = ArmPlant(), np.linspace(-0.03, 0.03, 3)
     for seed in range(12):
         layout = compose(task, seed).layout()
-        placed = layout.placements["faucet"]
-        base, handle = placed.model.bodies
+        placement = layout.placements["faucet"]
+        base, handle = placement.model.bodies
         assert handle.joint is not None
-        X = placed.X_BM @ handle.joint.X_ParentJ @ np.linalg.inv(handle.joint.X_BodyJ)
+        X = placement.X_BM @ handle.joint.X_ParentJ @ np.linalg.inv(handle.joint.X_BodyJ)
         models = {"body": alone(base), "handle": alone(handle)}
         scene = Scene(
-            X_BG=np.eye(4), finger_width_m=0.0, poses={"body": placed.X_BM, "handle": X}, joints={}, models=models,
+            X_BG=np.eye(4), finger_width_m=0.0, poses={"body": placement.X_BM, "handle": X}, joints={}, models=models,
             avoided=frozenset(models),
         )  # fmt: skip
         q = START_Q + margin[:, None] * np.eye(7)[3]  # the elbow moves the hand up and down

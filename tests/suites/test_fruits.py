@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from kinebench_drake.geometry import Array
+from kinebench_drake.geometry import Array, make_pose
 from kinebench_drake.suites.assets.containers import COMPARTMENTS, compartment_center
 from kinebench_drake.suites.assets.fruits import FRUITS
 from kinebench_drake.suites.assets.library import asset_ids, model
@@ -18,7 +18,7 @@ from kinebench_drake.suites.simulator import Simulator
 from kinebench_drake.suites.tasks.fruits import GAP_M, ORDER, OTHERS
 from kinebench_drake.suites.tasks.registry import find_task
 from kinebench_drake.suites.tasks.state import State
-from kinebench_drake.suites.tasks.task import TaskVariant, upright_pose
+from kinebench_drake.suites.tasks.task import TaskVariant
 
 GRIP_M = (0.030, 0.062)
 """What the gripper holds easily."""
@@ -31,7 +31,7 @@ def corners(collider: Collider) -> Array:
     return (signs * collider.size) @ collider.X_BodyC[:3, :3].T + collider.X_BodyC[:3, 3]
 
 
-def state_of(episodes: list[Episode], moved: Mapping[str, list[Array]], held: str = "") -> State:
+def state_of(episodes: list[Episode], moved: Mapping[str, list[Array]], grasped: str = "") -> State:
     """The scenes as they begin, but for things that were moved; all at rest."""
     layouts = [episode.layout() for episode in episodes]
     names = list(layouts[0].placements)
@@ -48,36 +48,36 @@ def state_of(episodes: list[Episode], moved: Mapping[str, list[Array]], held: st
         joint_starts={},
         speeds={name: torch.zeros(n) for name in names},
         models={name: [x.placements[name].model for x in layouts] for name in names},
-        grasps=lambda name: torch.full((n,), name == held),
+        grasps=lambda name: torch.full((n,), name == grasped),
     )
 
 
 def test_every_fruit_lies_on_a_flat_side_and_fits_the_gripper() -> None:
     for fruit in FRUITS:
         for asset_id in asset_ids(f"fruit/{fruit}"):
-            found = model(asset_id)
-            assert GRIP_M[0] < found.size["grip_m"] < GRIP_M[1], asset_id
-            assert found.size["height_m"] < 0.058, asset_id  # lower than the palm of a hand that holds its neighbour
-            points = np.concatenate([corners(c) for c in found.bodies[0].colliders])
-            seen = found.bodies[0].visuals[0].mesh.vertices
-            for low in (points[:, 2].min(), seen[:, 2].min()):
-                assert low == pytest.approx(-found.size["rest_m"], abs=1e-6)
+            asset = model(asset_id)
+            assert GRIP_M[0] < asset.size["grip_m"] < GRIP_M[1], asset_id
+            assert asset.size["height_m"] < 0.058, asset_id  # lower than the palm of a hand that holds its neighbour
+            points = np.concatenate([corners(c) for c in asset.bodies[0].colliders])
+            vertices = asset.bodies[0].visuals[0].mesh.vertices
+            for low in (points[:, 2].min(), vertices[:, 2].min()):
+                assert low == pytest.approx(-asset.size["rest_m"], abs=1e-6)
             assert (points[:, 2] < points[:, 2].min() + 1e-6).sum() >= 5, asset_id
-            assert np.abs(points.min(axis=0) - seen.min(axis=0)).max() < 0.002, asset_id
-            assert np.abs(points.max(axis=0) - seen.max(axis=0)).max() < 0.002, asset_id
+            assert np.abs(points.min(axis=0) - vertices.min(axis=0)).max() < 0.002, asset_id
+            assert np.abs(points.max(axis=0) - vertices.max(axis=0)).max() < 0.002, asset_id
 
 
 def test_every_container_holds_a_fruit_and_stands_on_the_table() -> None:
     for asset_id in (*asset_ids("container"), *asset_ids("crate")):
-        found = model(asset_id)
-        points = np.concatenate([corners(c) for c in found.bodies[0].colliders])
+        asset = model(asset_id)
+        points = np.concatenate([corners(c) for c in asset.bodies[0].colliders])
         assert points[:, 2].min() == pytest.approx(0.0, abs=1e-6), asset_id
-        assert points[:, 2].max() == pytest.approx(found.size["rim_m"], abs=0.004), asset_id
-        assert min(found.size["inner_x_m"], found.size["inner_y_m"]) > 0.14, asset_id
-        assert 0.02 < found.size["rim_m"] < 0.06, asset_id
-        low, high = (np.stack([f(corners(c), axis=0) for c in found.bodies[0].colliders]) for f in (np.min, np.max))
+        assert points[:, 2].max() == pytest.approx(asset.size["rim_m"], abs=0.004), asset_id
+        assert min(asset.size["inner_x_m"], asset.size["inner_y_m"]) > 0.14, asset_id
+        assert 0.02 < asset.size["rim_m"] < 0.06, asset_id
+        low, high = (np.stack([f(corners(c), axis=0) for c in asset.bodies[0].colliders]) for f in (np.min, np.max))
         over = ((low[:, :2] < -0.02) & (high[:, :2] > 0.02)).all(axis=1)
-        assert high[over, 2].max() == pytest.approx(found.size["floor_m"], abs=1e-6), asset_id
+        assert high[over, 2].max() == pytest.approx(asset.size["floor_m"], abs=1e-6), asset_id
 
 
 @pytest.mark.parametrize("variant", list(TaskVariant))
@@ -105,15 +105,12 @@ def test_a_fruit_counts_only_inside_and_let_go() -> None:
     layouts = [episode.layout() for episode in episodes]
 
     def into(name: str, up_m: float = 0.0) -> list[Array]:
-        return [
-            upright_pose(
-                *layout.placements["container"].X_BM[:2, 3],
-                layout.placements["container"].model.size["floor_m"]
-                + layout.placements[name].model.size["rest_m"]
-                + up_m,
-            )
-            for layout in layouts
-        ]
+        poses = []
+        for layout in layouts:
+            container = layout.placements["container"]
+            height = container.model.size["floor_m"] + layout.placements[name].model.size["rest_m"] + up_m
+            poses.append(make_pose(np.eye(3), container.X_BM[:3, 3] + [0.0, 0.0, height]))
+        return poses
 
     begin = state_of(episodes, {})
     assert not task.conditions(begin)["in_container"].any()
@@ -122,7 +119,7 @@ def test_a_fruit_counts_only_inside_and_let_go() -> None:
     assert torch.stack(list(task.conditions(done).values())).all()
     assert torch.allclose(task.progress(done), torch.ones(2), atol=1e-4)
     assert not task.conditions(state_of(episodes, {"target": into("target", 0.06)}))["in_container"].any()
-    assert not task.conditions(state_of(episodes, {"target": into("target")}, held="target"))["released"].any()
+    assert not task.conditions(state_of(episodes, {"target": into("target")}, grasped="target"))["released"].any()
     assert not task.conditions(state_of(episodes, {"other_1": into("other_1")}))["others_stay"].any()
 
 
@@ -137,7 +134,7 @@ def test_order_is_the_order_of_the_compartments() -> None:
             for layout in layouts:
                 crate, size = layout.placements["crate"], layout.placements[name].model.size
                 p = crate.X_BM[:3, :3] @ compartment_center(crate.model.size.__getitem__, cell) + crate.X_BM[:3, 3]
-                moved[name].append(upright_pose(p[0], p[1], p[2] + size["rest_m"]))
+                moved[name].append(make_pose(np.eye(3), [p[0], p[1], p[2] + size["rest_m"]]))
         return moved
 
     right = state_of(episodes, stored((0, 1, 2)))
@@ -153,8 +150,8 @@ def test_order_is_the_order_of_the_compartments() -> None:
             compartment_center(size, i)[1] for i in range(COMPARTMENTS)
         )
     words = [layout.placements[name].model.words for layout in layouts[:1] for name in ORDER]
-    found = [layouts[0].prompt.index(f"the {word} into") for word in words]
-    assert found == sorted(found)
+    asset = [layouts[0].prompt.index(f"the {word} into") for word in words]
+    assert asset == sorted(asset)
 
 
 @pytest.mark.sapien

@@ -52,12 +52,12 @@ def test_texture_repeats_without_a_seam_and_without_chance(name: str) -> None:
 
 def test_looks_are_the_same_every_time_and_differ() -> None:
     for make, sort in ((look.table, "table"), (look.background, "background"), (look.light, "light")):
-        kept = [make(look_id) for look_id in look.look_ids(sort)]
+        looks = [make(look_id) for look_id in look.look_ids(sort)]
         if sort == "light":
-            assert kept == [make.__wrapped__(look_id) for look_id in look.look_ids(sort)]
-            assert len(set(kept)) == look.LOOKS
+            assert looks == [make.__wrapped__(look_id) for look_id in look.look_ids(sort)]
+            assert len(set(looks)) == look.LOOKS
             continue
-        images = [x.surface.texture if isinstance(x, look.TiledFinish) else x.wall.surface.texture for x in kept]
+        images = [x.surface.texture if isinstance(x, look.TiledFinish) else x.wall.surface.texture for x in looks]
         again = make.__wrapped__(look.look_ids(sort)[7])
         finish = again if isinstance(again, look.TiledFinish) else again.wall
         assert np.array_equal(finish.surface.texture, images[7])
@@ -90,9 +90,9 @@ def test_lights_come_from_all_sides_above_the_wall_and_are_bright_enough() -> No
 
 def test_the_table_top_is_the_plane_zero() -> None:
     table = surroundings(look.table("table/00"), look.background("background/00"))["table"]
-    [top], [seen] = table.colliders, table.visuals
+    [top], [visual] = table.colliders, table.visuals
     assert top.X_BodyC[2, 3] + top.size[2] == pytest.approx(0.0, abs=1e-12)
-    assert (seen.mesh.vertices[:, 2] + seen.X_BodyV[2, 3]).max() == pytest.approx(0.0, abs=1e-12)
+    assert (visual.mesh.vertices[:, 2] + visual.X_BodyV[2, 3]).max() == pytest.approx(0.0, abs=1e-12)
 
 
 def test_unknown_look_is_a_usage_error() -> None:

@@ -1,4 +1,4 @@
-"""Boards: what is seen of them is where they are touched."""
+"""Boards: what is visual of them is where they are touched."""
 
 import numpy as np
 import pytest
@@ -16,8 +16,8 @@ def test_a_panel_fills_the_space_between_its_corners(bevel_m: float) -> None:
     parts.panel(LOW, HIGH, SurfaceFinish(), bevel_m=bevel_m)
     parts.panel(LOW, HIGH + 1.0, SurfaceFinish(), solid=False)
     body = parts.body("shelf", Material())
-    seen, [solid] = body.visuals[0], body.colliders
-    points = transform_points(seen.X_BodyV, seen.mesh.vertices)
+    visual, [solid] = body.visuals[0], body.colliders
+    points = transform_points(visual.X_BodyV, visual.mesh.vertices)
     assert np.allclose([points.min(axis=0), points.max(axis=0)], [LOW, HIGH])
     assert np.allclose(solid.X_BodyC[:3, 3] - solid.size, LOW)
     assert np.allclose(solid.X_BodyC[:3, 3] + solid.size, HIGH)

@@ -62,24 +62,24 @@ def test_tasks_are_described(task: str) -> None:
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_kind_has_many_different_instances(kind: str) -> None:
     assert INSTANCES >= 20
-    made = [model(asset_id) for asset_id in asset_ids(kind)]
-    assert len({tuple(sorted(m.size.items())) for m in made}) == len(made), "instances of the same measures"
-    for m in made:
+    assets = [model(asset_id) for asset_id in asset_ids(kind)]
+    assert len({tuple(sorted(m.size.items())) for m in assets}) == len(assets), "instances of the same measures"
+    for m in assets:
         assert m.kind == kind
         assert all(np.isfinite(v.mesh.vertices).all() for body in m.bodies for v in body.visuals)
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_solids_are_where_they_are_seen(kind: str) -> None:
-    """Bounding boxes of what collides and what is seen agree within a centimetre."""
+    """Bounding boxes of what collides and what is vertices agree within a centimetre."""
     for asset_id in asset_ids(kind)[::6]:
         for body in model(asset_id).bodies:
             if not body.colliders:
                 continue
-            seen = np.concatenate([v.mesh.vertices @ v.X_BodyV[:3, :3].T + v.X_BodyV[:3, 3] for v in body.visuals])
+            vertices = np.concatenate([v.mesh.vertices @ v.X_BodyV[:3, :3].T + v.X_BodyV[:3, 3] for v in body.visuals])
             solid = np.concatenate([_corners(c) for c in body.colliders])
-            assert np.abs(seen.min(axis=0) - solid.min(axis=0)).max() < 0.012, f"{asset_id} {body.name}"
-            assert np.abs(seen.max(axis=0) - solid.max(axis=0)).max() < 0.012, f"{asset_id} {body.name}"
+            assert np.abs(vertices.min(axis=0) - solid.min(axis=0)).max() < 0.012, f"{asset_id} {body.name}"
+            assert np.abs(vertices.max(axis=0) - solid.max(axis=0)).max() < 0.012, f"{asset_id} {body.name}"
 
 
 def _corners(collider) -> np.ndarray:
