@@ -22,8 +22,8 @@ from kinebench_drake.suites.simulator import Simulator
 from kinebench_drake.suites.simulator_cache import SimulatorCache
 from kinebench_drake.suites.start import first_facts
 from kinebench_drake.suites.suite import VERSION, EpisodeSpec, Suite
-from kinebench_drake.suites.tasks.task import TaskCard, TaskVariant
 from kinebench_drake.suites.tasks.registry import TASKS
+from kinebench_drake.suites.tasks.task import TaskCard, TaskVariant
 
 MANIFEST, EPISODES, CAMERA, SUMMARY = "manifest.jsonl", "episodes.jsonl", "camera.json", "suite.json"
 FPS = 17

@@ -2,8 +2,8 @@
 
 import pytest
 
-from kinebench_drake.suites.tasks.task import TaskVariant
 from kinebench_drake.suites.tasks.registry import TASKS
+from kinebench_drake.suites.tasks.task import TaskVariant
 
 REPRESENTATIVES = frozenset(
     {

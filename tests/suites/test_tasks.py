@@ -11,6 +11,7 @@ from kinebench_drake.suites.experts.registry import EXPERTS
 from kinebench_drake.suites.simulator import Simulator
 from kinebench_drake.suites.tasks.registry import TASKS
 from kinebench_drake.suites.tasks.task import TaskVariant
+from tests.suites.scenes import EACH_SCENE
 
 BENCHMARK = [
     "CloseBox-v1",
@@ -34,7 +35,6 @@ BENCHMARK = [
     "StoreCube-v2",
     "StoreFruitsBox-v1",
 ]
-SCENES = [(task, variant) for task, t in TASKS.items() for variant in t.card.variants]
 SEEDS = (21, 22)
 HOLD_STEPS = 60
 """Three seconds."""
@@ -99,7 +99,7 @@ def _corners(collider) -> np.ndarray:
     return points @ collider.X_BodyC[:3, :3].T + collider.X_BodyC[:3, 3]
 
 
-@pytest.fixture(scope="module", params=SCENES, ids=lambda scene: f"{scene[0]}-{scene[1].value}")
+@pytest.fixture(scope="module", params=EACH_SCENE)
 def simulator(request: pytest.FixtureRequest) -> Iterator[tuple[Simulator, TaskVariant]]:
     task, variant = request.param
     with Simulator(task, variant=variant, renders=False) as simulator:
