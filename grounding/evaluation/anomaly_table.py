@@ -1,4 +1,4 @@
-"""How well anomalies are found: shares, areas under the curve with their intervals, and false alarms."""
+"""Quality of anomaly detection: detection rates, areas under the ROC curve, false alarms, with intervals."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 GOALS = {kind: 0.95 for kind in AnomalyKind} | dict.fromkeys(
     (AnomalyKind.VANISH, AnomalyKind.DUPLICATE, AnomalyKind.TELEPORT), 0.99
 )
-"""The area under the curve that each kind is to reach from its gate on."""
+"""Area under the ROC curve required of each kind, for sizes from its gate on."""
 GATES = {
     AnomalyKind.VANISH: 3.0,
     AnomalyKind.DUPLICATE: 0.15,
@@ -32,7 +32,7 @@ GATES = {
     AnomalyKind.CAMERA: 2.0,
     AnomalyKind.FINGERS: 0.04,
 }
-"""The least size of each kind that has to be found; smaller ones are told."""
+"""Smallest size of each kind that must be detected; smaller ones are only reported."""
 UNITS = {
     AnomalyKind.VANISH: ("frames", 1.0),
     AnomalyKind.DUPLICATE: ("cm apart", 100.0),
@@ -43,30 +43,30 @@ UNITS = {
     AnomalyKind.CAMERA: ("px", 1.0),
     AnomalyKind.FINGERS: ("mm", 1000.0),
 }
-"""Unit in which sizes are told, and what a size is multiplied by."""
+"""Unit of the sizes in tables, and the factor to it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Share:
-    """A share with Wilson's 95 % interval."""
+    """Share of clips with its 95 % interval."""
 
     hits: int
     n: int
 
     @property
     def value(self) -> float:
-        """The share; NaN of nothing."""
+        """Share; NaN for n = 0."""
         return self.hits / self.n if self.n else float("nan")
 
     @property
     def interval(self) -> tuple[float, float]:
-        """Its interval; anything of nothing."""
+        """Ends of the Wilson interval; (0, 1) for n = 0."""
         return wilson(self.hits, self.n)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Area:
-    """An area under the ROC curve with its 95 % interval."""
+    """Area under the ROC curve with its 95 % interval."""
 
     value: float
     low: float
@@ -74,11 +74,12 @@ class Area:
 
 
 def area(faulty: ArrayLike, clean: ArrayLike) -> Area:
-    """How often a faulty video's score is above a clean one's, ties counting half (Mann and Whitney 1947).
+    """Return the area under the ROC curve: P(score of a faulty video > score of a clean one) + P(equal) / 2.
 
-    The interval is Newcombe's method 5 (Statistics in Medicine 25, 2006, part 2): the values t for which t is no more
-    than 1.96 standard errors V(t)^(1/2) away, with V(t) = t (1 - t) / (m n) (1 + (N - 1) ((1 - t) / (2 - t) +
-    t / (1 + t))), N = (m + n) / 2. It does not shrink to nothing where all videos are told apart.
+    This is the Mann-Whitney statistic (1947). The interval is Newcombe's method 5 (Statistics in Medicine 25, 2006,
+    part 2): the values t that differ from it by no more than 1.96 standard errors V(t)^(1/2), with V(t) =
+    t (1 - t) / (m n) (1 + (N - 1) ((1 - t) / (2 - t) + t / (1 + t))), N = (m + n) / 2. Its width stays positive where
+    the scores separate all videos.
     """
     faulty, clean = np.asarray(faulty, dtype=np.float64), np.asarray(clean, dtype=np.float64)
     m, n = len(faulty), len(clean)
@@ -98,46 +99,46 @@ def area(faulty: ArrayLike, clean: ArrayLike) -> Area:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AnomalyRow:
-    """One kind in one size and form, or all gated sizes of a kind together."""
+    """Detection of one kind in one size and form, or in all gated sizes together."""
 
     kind: AnomalyKind
     form: str
-    """Empty where the kind has one form, or where all are together."""
+    """Form of the anomaly; empty if the kind has a single form, and for all gated sizes together."""
     size: float | None
-    """None of all gated sizes together."""
+    """Size in the unit of the kind; None for all gated sizes together."""
     located: Share
-    """Found in the right frames."""
+    """Clips in which it is detected in the right frames."""
     named: Share
-    """Found at all."""
+    """Clips in which it is detected in any frame."""
     area: Area
 
     @property
     def gated(self) -> bool:
-        """Whether it has to be found."""
+        """True if it must be detected."""
         return self.size is None or self.size >= GATES[self.kind] - 1e-9
 
     @property
     def label(self) -> str:
-        """Its size in words."""
+        """Size with its unit."""
         unit, factor = UNITS[self.kind]
         return "all gated" if self.size is None else f"{self.size * factor:g} {unit}"
 
 
-def clean_ones(findings: Sequence[ClipAnomalies]) -> list[ClipAnomalies]:
-    """The clips without a fault."""
+def clean_clips(findings: Sequence[ClipAnomalies]) -> list[ClipAnomalies]:
+    """Return the clips without a planted anomaly."""
     return [f for f in findings if f.planted is None]
 
 
 def rows(findings: Sequence[ClipAnomalies]) -> list[AnomalyRow]:
-    """Every kind, form and size that there is, each kind's gated sizes together after its own."""
+    """Return a row for each kind, form and size, and after those of a kind a row for its gated sizes together."""
     table = []
     for kind in AnomalyKind:
         members = [f for f in findings if f.planted is not None and f.planted.kind is kind]
-        clean = [f.scores[kind] for f in clean_ones(findings)]
+        clean = [f.scores[kind] for f in clean_clips(findings)]
         grades = sorted({(f.planted.form, f.planted.size) for f in members if f.planted})
         for form, size in grades:
-            some = [f for f in members if f.planted and (f.planted.form, f.planted.size) == (form, size)]
-            table.append(_row(kind, form, size, some, clean))
+            group = [f for f in members if f.planted and (f.planted.form, f.planted.size) == (form, size)]
+            table.append(_row(kind, form, size, group, clean))
         gated = [f for f in members if f.planted and f.planted.size >= GATES[kind] - 1e-9]
         if gated:
             table.append(_row(kind, "", None, gated, clean))
@@ -145,31 +146,31 @@ def rows(findings: Sequence[ClipAnomalies]) -> list[AnomalyRow]:
 
 
 def _row(
-    kind: AnomalyKind, form: str, size: float | None, some: Sequence[ClipAnomalies], clean: Sequence[float]
+    kind: AnomalyKind, form: str, size: float | None, group: Sequence[ClipAnomalies], clean: Sequence[float]
 ) -> AnomalyRow:
     return AnomalyRow(
         kind=kind,
         form=form,
         size=size,
-        located=Share(hits=sum(f.is_located for f in some), n=len(some)),
-        named=Share(hits=sum(f.is_named for f in some), n=len(some)),
-        area=area([f.scores[kind] for f in some], clean),
+        located=Share(hits=sum(f.is_located for f in group), n=len(group)),
+        named=Share(hits=sum(f.is_named for f in group), n=len(group)),
+        area=area([f.scores[kind] for f in group], clean),
     )
 
 
 def alarms(findings: Sequence[ClipAnomalies]) -> dict[str, Share]:
-    """Share of clean videos in which something is found: of any kind, and of each."""
-    clean = clean_ones(findings)
-    shares = {"any": Share(hits=sum(bool(f.found) for f in clean), n=len(clean))}
+    """Return the share of clean videos with a false alarm: of any kind, and of each."""
+    clean = clean_clips(findings)
+    shares = {"any": Share(hits=sum(bool(f.detected) for f in clean), n=len(clean))}
     for kind in AnomalyKind:
-        hits = sum(any(a.kind is kind for a in f.found) for f in clean)
+        hits = sum(any(a.kind is kind for a in f.detected) for f in clean)
         shares[kind.value] = Share(hits=hits, n=len(clean))
     return shares
 
 
 def table_lines(findings: Sequence[ClipAnomalies]) -> Iterator[str]:
-    """The table to print."""
-    yield f"{'kind':18s} {'form':9s} {'size':>12s} {'videos':>6s}  frames right  found   area under the curve"
+    """Yield the lines of the table."""
+    yield f"{'kind':18s} {'form':9s} {'size':>12s} {'videos':>6s}  frames right  detected   area under the curve"
     for row in rows(findings):
         goal = ""
         if row.size is None:
@@ -178,20 +179,20 @@ def table_lines(findings: Sequence[ClipAnomalies]) -> Iterator[str]:
             goal = "  below the gate"
         yield (
             f"{row.kind.value:18s} {row.form:9s} {row.label:>12s} {row.located.n:6d}  {row.located.value:12.1%} "
-            f"{row.named.value:6.1%}   {row.area.value:.3f} ({row.area.low:.3f} to {row.area.high:.3f}){goal}"
+            f"{row.named.value:9.1%}   {row.area.value:.3f} ({row.area.low:.3f} to {row.area.high:.3f}){goal}"
         )
     yield ""
-    yield "clean videos in which something is found, with Wilson's 95 % interval"
+    yield "clean videos with a false alarm, with 95 % Wilson interval"
     for name, share in alarms(findings).items():
         low, high = share.interval
         yield f"{name:18s} {share.hits:4d} of {share.n}  {share.value:6.1%} ({low:.1%} to {high:.1%})"
-    for f in clean_ones(findings):
-        for a in f.found:
+    for f in clean_clips(findings):
+        for a in f.detected:
             yield f"  {f.id}: {a.kind.value} {a.frame_start}-{a.frame_end}, severity {a.severity:.3g}"
 
 
 def table_json(findings: Sequence[ClipAnomalies]) -> dict[str, Any]:
-    """The same as plain values."""
+    """Return the table as a JSON object."""
     return {
         "rows": [
             {
@@ -207,7 +208,7 @@ def table_json(findings: Sequence[ClipAnomalies]) -> dict[str, Any]:
             }
             for row in rows(findings)
         ],
-        "clean_videos": len(clean_ones(findings)),
+        "clean_videos": len(clean_clips(findings)),
         "false_alarms": {
             name: {"videos": share.hits, "interval": list(share.interval)} for name, share in alarms(findings).items()
         },
@@ -218,7 +219,7 @@ _STYLES = ("-", "--")
 
 
 def draw_anomalies(findings: Sequence[ClipAnomalies]) -> "Figure":
-    """Area under the curve with its interval and share found in the right frames, over size; gates and goals marked."""
+    """Plot area under the curve and share detected in the right frames over size, with gates and goals."""
     figure, axes = new_figure(15.0, 7.6, 2, 4, sharey=True)
     table = [row for row in rows(findings) if row.size is not None]
     for ax, kind in zip(axes.flat, AnomalyKind, strict=True):
@@ -229,7 +230,7 @@ def draw_anomalies(findings: Sequence[ClipAnomalies]) -> "Figure":
     low, high = share.interval
     figure.suptitle(
         f"Planted anomalies by size, against {share.n} clean videos "
-        f"(something found in {share.value:.1%} of these, 95 % interval {low:.1%} to {high:.1%})"
+        f"(false alarms in {share.value:.1%} of these, 95 % interval {low:.1%} to {high:.1%})"
     )
     return figure
 
@@ -241,15 +242,15 @@ def _panel(ax: Any, kind: AnomalyKind, table: Sequence[AnomalyRow]) -> None:
     ax.axhline(GOALS[kind], color=FAINT, linewidth=1.0, linestyle=":", zorder=1)
     ax.axvspan(0, GATES[kind] * factor * 0.93, color="#f1f2f4", zorder=0, label="below the gate")
     for form, style in zip(sorted({row.form for row in table}), _STYLES, strict=False):
-        some = [row for row in table if row.form == form]
-        x = np.array([(row.size or 0.0) * factor for row in some])
-        value = np.array([row.area.value for row in some])
-        bounds = np.array([[row.area.value - row.area.low, row.area.high - row.area.value] for row in some]).T
+        group = [row for row in table if row.form == form]
+        x = np.array([(row.size or 0.0) * factor for row in group])
+        value = np.array([row.area.value for row in group])
+        bounds = np.array([[row.area.value - row.area.low, row.area.high - row.area.value] for row in group]).T
         name = f", {form}" if form else ""
         ax.errorbar(x, value, bounds, color=POSITION, linestyle=style, marker="o", markersize=4, capsize=3,
                     label=f"area under the curve{name}")  # fmt: skip
-        ax.plot(x, [row.located.value for row in some], color=ROTATION, linestyle=style, marker="s", markersize=4,
-                label=f"found, frames right{name}")  # fmt: skip
+        ax.plot(x, [row.located.value for row in group], color=ROTATION, linestyle=style, marker="s", markersize=4,
+                label=f"detected, frames right{name}")  # fmt: skip
     if table:
         ax.set_xlim(0, max((row.size or 0.0) for row in table) * factor * 1.08)
     ax.set_ylim(-0.03, 1.05)

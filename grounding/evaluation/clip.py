@@ -1,4 +1,4 @@
-"""Clips with their truth, as `kinebench-drake suite demos` and `benchmarks.planted_videos` write them."""
+"""Videos with ground truth, as `kinebench-drake suite demos` and `benchmarks.planted_videos` write them."""
 
 import json
 from collections.abc import Sequence
@@ -11,61 +11,121 @@ from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import InputError, UsageError
-from kinebench_drake.geometry import Array
+from kinebench_drake.geometry import Array, invert
+from kinebench_drake.grounding.crop import Crop
 from kinebench_drake.grounding.overrides.arrays import true_depth, true_mask
 from kinebench_drake.io.camerafile import load_camera
 from kinebench_drake.io.npz import open_npz
+from kinebench_drake.models.panda.cad import GripperCad
 from kinebench_drake.models.panda.robot import hand_from_tcp
 from kinebench_drake.types import Anomaly, AnomalyKind, InitialState
+
+_MARGIN = 1.1  # half width of a crop over the gripper's radius
+_MASK_PX = 160  # width of the crop in which silhouettes for masks are rendered
+_SHARE_PX = 64  # width of the crop in which silhouettes for visible shares are rendered
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TruthClip:
-    """A video with its truth."""
+    """Ground truth of one video."""
 
     id: str
     task: str
-    """Plain task id; empty where the manifest names none."""
+    """Plain task id; empty if the manifest has none."""
     path: Path
+    """Video file."""
     camera: Camera
     t_s: Array
     """(T,) task time [s]."""
     X_CH: Array
-    """(T, 4, 4) true pose of panda_hand in the camera frame; NaN where the gripper is not in the picture."""
+    """(T, 4, 4) true pose of panda_hand in the camera frame; NaN where the gripper is absent."""
     finger_width_m: Array
-    """(T,) true gap between the pads [m]."""
+    """(T,) true gap between the finger pads [m]."""
     depth_m: Array | None
-    """(T, H, W) true depth [m], if stored and asked for."""
+    """(T, H, W) true depth [m]; None if not stored or not requested."""
     mask: NDArray[np.bool_] | None
-    """(T, H, W) pixels that show the gripper, if stored."""
+    """(T, H, W) gripper pixels; None if not stored."""
     faults: tuple[Anomaly, ...]
-    """Planted faults."""
+    """Planted anomalies."""
 
     @property
     def initial_state(self) -> InitialState:
-        """The robot in the first frame."""
+        """State of the robot in the first frame."""
         X_BG = self.camera.X_BC @ self.X_CH[0] @ hand_from_tcp()
         return InitialState(X_BG=X_BG, finger_width_m=float(self.finger_width_m[0]))
+
+    def masks(self, cad: GripperCad) -> NDArray[np.bool_]:
+        """Return the gripper masks (T, H, W): those stored, else the silhouettes of the CAD model at the true poses.
+
+        Silhouettes ignore occlusion by the arm and by objects.
+        """
+        if self.mask is not None:
+            return self.mask
+        masks = np.zeros((len(self.t_s), self.camera.height, self.camera.width), dtype=bool)
+        for i, X_CH in enumerate(self.X_CH):
+            if np.isfinite(X_CH).all() and X_CH[2, 3] > 0:
+                crop, hit = _silhouette(X_CH, float(self.finger_width_m[i]), cad, _MASK_PX)
+                masks[i] = crop.unwarp(hit.astype(np.uint8), self.camera) > 0
+        return masks
+
+    def visible_share(self, masks: NDArray[np.bool_], cad: GripperCad) -> Array:
+        """Return the share (T,) of the gripper's silhouette that `masks` (T, H, W) cover.
+
+        The silhouette includes what lies outside the image. NaN where the gripper is absent.
+        """
+        share = np.full(len(self.t_s), np.nan)
+        for i, X_CH in enumerate(self.X_CH):
+            if not np.isfinite(X_CH).all():
+                continue
+            if X_CH[2, 3] <= 0:
+                share[i] = 0.0
+                continue
+            crop, hit = _silhouette(X_CH, float(self.finger_width_m[i]), cad, _SHARE_PX)
+            area = _area_px(crop.rays()[hit] @ crop.R_CV.T, crop, self.camera)
+            share[i] = min(float(masks[i].sum()) / area, 1.0) if area else 0.0
+        return share
+
+
+def _silhouette(X_CH: Array, width_m: float, cad: GripperCad, size: int) -> tuple[Crop, NDArray[np.bool_]]:
+    """Return a crop around the gripper and the pixels (size, size) of it that the gripper covers."""
+    crop = Crop.of_gripper(X_CH, _MARGIN, size)
+    finger_m = width_m / 2 if np.isfinite(width_m) else 0.02
+    surface = cad.cast(invert(crop.X_CV) @ X_CH, crop.rays().reshape(-1, 3), finger_m)
+    return crop, surface.part.reshape(size, size) > 0
+
+
+def _area_px(rays_C: Array, crop: Crop, camera: Camera) -> float:
+    """Return the area [px] that pixels of a crop cover in the image plane, continued beyond the image.
+
+    Each pixel is scaled by the determinant of the homography's Jacobian.
+
+    Args:
+        rays_C: (n, 3) rays of the pixels, z = 1 in the crop's frame.
+        crop: the crop.
+        camera: camera of the image plane.
+    """
+    z = np.maximum(rays_C[:, 2], 0.1)
+    return float((camera.fx * camera.fy / crop.focal**2 / z**3).sum())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TruthClipFile:
-    """Where a clip and its truth lie: light enough to be handed to other processes."""
+    """Paths of a video and its ground truth: cheap to send to worker processes."""
 
     id: str
     task: str
-    """Plain task id; empty where the manifest names none."""
+    """Plain task id; empty if the manifest has none."""
     video: Path
     truth: Path
     camera: Camera
     faults: tuple[Anomaly, ...]
-    """Planted faults."""
+    """Planted anomalies."""
 
     def load(self, *, with_depth: bool = False) -> TruthClip:
-        """Read the truth, its depth maps only `with_depth`.
+        """Read the ground truth; depth maps only if `with_depth`.
 
         Raises:
-            UsageError: the file is damaged, or holds no depth although that is asked for.
+            UsageError: the file is damaged, or holds no depth although `with_depth`.
         """
         try:
             with open_npz(self.truth) as truth:
@@ -87,25 +147,25 @@ class TruthClipFile:
             raise UsageError(f"{self.truth.name}: not a readable truth file ({error})") from None
 
     def digest(self) -> str:
-        """A few characters that change with the video or its truth."""
-        hashed = blake2b(digest_size=8)
+        """Return a hash of the video and its ground truth."""
+        digest = blake2b(digest_size=8)
         for path in (self.video, self.truth):
-            hashed.update(path.read_bytes())
-        return hashed.hexdigest()
+            digest.update(path.read_bytes())
+        return digest.hexdigest()
 
 
 def find_clips(folder: Path) -> list[TruthClipFile]:
-    """The clips that the manifest of a folder lists, in its order.
+    """Return the clips listed in the manifest of a folder, in its order.
 
     Raises:
-        UsageError: there is no manifest, no camera or no truth.
+        UsageError: manifest, camera or ground truth is missing, or no video is listed.
     """
     manifest = folder / "manifest.jsonl"
     if not manifest.is_file():
         raise UsageError(f"{folder.name}: has no manifest.jsonl; make such a folder with `kinebench-drake suite demos`")
     camera = load_camera(folder / "camera.json")
     faults_path = folder / "truth" / "faults.json"
-    planted = json.loads(faults_path.read_text()) if faults_path.is_file() else {}
+    faults = json.loads(faults_path.read_text()) if faults_path.is_file() else {}
     clips = []
     for number, line in enumerate(manifest.read_text().splitlines(), 1):
         try:
@@ -124,7 +184,7 @@ def find_clips(folder: Path) -> list[TruthClipFile]:
                 video=folder / video,
                 truth=truth,
                 camera=camera,
-                faults=tuple(_fault(f) for f in _as_list(planted.get(name))),
+                faults=tuple(_fault(f) for f in _as_list(faults.get(name))),
             )
         )
     if not clips:
@@ -132,18 +192,13 @@ def find_clips(folder: Path) -> list[TruthClipFile]:
     return clips
 
 
-def load_clips(folder: Path, *, with_depth: bool = False) -> list[TruthClip]:
-    """All clips of a small folder at once; see `find_clips` and `ClipFile.load`."""
-    return [clip.load(with_depth=with_depth) for clip in find_clips(folder)]
-
-
 def choose(clips: Sequence[TruthClipFile], limit: int | None) -> list[TruthClipFile]:
-    """So many of the clips, from all tasks in turn, in the order of the manifest; all of them without a limit."""
-    seen: dict[str, int] = {}
+    """Return at most `limit` clips, taken from all tasks in turn, in the order of the manifest; all if None."""
+    counts: dict[str, int] = {}
     turns = []
     for clip in clips:
-        turns.append(seen.get(clip.task, 0))
-        seen[clip.task] = turns[-1] + 1
+        turns.append(counts.get(clip.task, 0))
+        counts[clip.task] = turns[-1] + 1
     order = sorted(range(len(clips)), key=lambda i: (turns[i], i))
     return [clips[i] for i in sorted(order[:limit])]
 

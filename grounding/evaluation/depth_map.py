@@ -1,4 +1,4 @@
-"""Where on the gripper an estimated depth errs: maps over the CAD model, and one frame to look at."""
+"""Errors of the estimated depth as maps over the gripper, and in one example frame."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
@@ -21,47 +21,47 @@ if TYPE_CHECKING:
 
 
 EVERY = 4
-"""One frame of so many is measured."""
+"""Interval between measured frames."""
 CELL_M = 0.005
-"""Side of a map's cells [m]."""
+"""Width of the cells of a map [m]."""
 EXTENT_H = np.array([[-0.06, 0.06], [-0.11, 0.11], [-0.03, 0.13]])
-"""What the maps cover of panda_hand along x, y, z [m]."""
+"""Bounds of the maps along x, y, z of panda_hand [m]."""
 _CROP_PX, _MARGIN = 128, 1.3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DepthExample:
-    """One frame's close view."""
+    """Crop of one frame around the gripper."""
 
-    picture: NDArray[np.uint8]
+    image: NDArray[np.uint8]
     """(S, S, 3)."""
     true_m: Array
-    """(h, w) true depth along the view's axis [m]; NaN off the gripper."""
+    """(h, w) true depth along the optical axis of the crop [m]; NaN off the gripper."""
     estimated_m: Array
-    """(h, w) likewise."""
+    """(h, w) estimated depth [m]; NaN likewise."""
 
     @property
     def error(self) -> Array:
-        """(h, w) relative error, positive where the estimate is too far; NaN off the gripper."""
+        """(h, w) relative error, positive if the estimate is too far; NaN off the gripper."""
         return np.asarray(self.estimated_m / self.true_m - 1.0)
 
 
 @dataclass(slots=True)
 class ErrorMap:
-    """Mean of the absolute relative depth error on one plane of the hand."""
+    """Mean absolute relative depth error, projected on one plane of panda_hand."""
 
     axes: tuple[int, int]
-    """Axes of panda_hand to the right and up."""
+    """Axes of panda_hand that point right and up in the map."""
     total: Array = field(init=False)
     count: Array = field(init=False)
 
     def __post_init__(self) -> None:
-        """An empty map."""
+        """Create an empty map."""
         across, up = (round(float(np.ptp(EXTENT_H[a])) / CELL_M) for a in self.axes)
         self.total, self.count = np.zeros((up, across)), np.zeros((up, across))
 
     def add(self, p_H: Array, error: Array) -> None:
-        """Enter errors (n,) at points (n, 3) of the hand."""
+        """Add errors (n,) at points (n, 3) of panda_hand."""
         cells = [np.floor((p_H[:, a] - EXTENT_H[a, 0]) / CELL_M).astype(int) for a in self.axes]
         inside = np.all([(c >= 0) & (c < n) for c, n in zip(cells, self.total.shape[::-1], strict=True)], axis=0)
         u, v = (c[inside] for c in cells)
@@ -69,32 +69,31 @@ class ErrorMap:
         np.add.at(self.count, (v, u), 1.0)
 
     def mean(self) -> Array:
-        """Mean in each cell; NaN where fewer than three measurements lie."""
+        """Return the mean of each cell; NaN for fewer than three measurements."""
         return np.where(self.count >= 3, self.total / np.maximum(self.count, 1.0), np.nan)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DepthErrors:
-    """The depth errors of an estimator over clips."""
+    """Depth errors of an estimator over clips."""
 
     front: ErrorMap
-    """Seen along the hand's x axis: the fingers open to the sides."""
+    """Projection along the x axis of panda_hand: the fingers open sideways."""
     side: ErrorMap
-    """Seen along the hand's y axis."""
+    """Projection along the y axis of panda_hand."""
     median: float
     """Median absolute relative error over all cells."""
     p95: float
-    """95th percentile likewise."""
+    """95th percentile of the same."""
     level_median: float
-    """Median over frames of the absolute median error of a frame: what is common to its cells."""
+    """Median over frames of the absolute median error of a frame: the error common to its cells."""
     example: DepthExample
 
 
 def measure_depth(clips: Sequence[TruthClipFile], estimator: DenseEstimator) -> DepthErrors | None:
-    """Hold the depth of an estimator against the truth on the gripper's visible pixels; None if none is visible.
+    """Compare the depth of an estimator with the true depth on visible gripper pixels; None if there are none.
 
-    The close views are those of the true poses, so that nothing but the depth counts; fingers are moved to where they
-    are when closed.
+    Crops are placed by the true poses, so that only errors of the depth count. In the maps the fingers are closed.
 
     Raises:
         UsageError: a clip's truth holds no depth.
@@ -104,20 +103,20 @@ def measure_depth(clips: Sequence[TruthClipFile], estimator: DenseEstimator) -> 
     example: DepthExample | None = None
     largest = 0
     for file in clips:
-        for picture, view, true, X_HV, finger_m in _views(file, estimator):
-            seen = np.isfinite(true.depth_m) & true.gripper & view.gripper
-            if not seen.any():
+        for image, view, true, X_HV, finger_m in _views(file, estimator):
+            both = np.isfinite(true.depth_m) & true.gripper & view.gripper
+            if not both.any():
                 continue
-            error = view.depth_m[seen] / true.depth_m[seen] - 1.0
-            p_H = transform_points(X_HV, true.rays()[seen] * true.depth_m[seen][:, None])
-            p_H[:, 1] -= finger_m * true.opening_sign[seen]
+            error = view.depth_m[both] / true.depth_m[both] - 1.0
+            p_H = transform_points(X_HV, true.rays()[both] * true.depth_m[both][:, None])
+            p_H[:, 1] -= finger_m * true.opening_sign[both]
             front.add(p_H, error)
             side.add(p_H, error)
             errors.append(error)
-            if file is clips[0] and seen.sum() > largest:
-                largest = int(seen.sum())
-                blank = np.where(seen, 1.0, np.nan)
-                example = DepthExample(picture=picture, true_m=true.depth_m * blank, estimated_m=view.depth_m * blank)
+            if file is clips[0] and both.sum() > largest:
+                largest = int(both.sum())
+                blank = np.where(both, 1.0, np.nan)
+                example = DepthExample(image=image, true_m=true.depth_m * blank, estimated_m=view.depth_m * blank)
     if not errors or example is None:
         return None
     pooled = np.abs(np.concatenate(errors))
@@ -134,7 +133,7 @@ def measure_depth(clips: Sequence[TruthClipFile], estimator: DenseEstimator) -> 
 def _views(
     file: TruthClipFile, estimator: DenseEstimator
 ) -> Iterable[tuple[NDArray[np.uint8], GripperView, GripperView, Array, float]]:
-    """Of every fourth frame: close view, what is estimated in it, the truth, its pose on the hand, the opening."""
+    """Yield for every fourth frame: cropped image, estimated view, true view, X_HV, displacement of a finger [m]."""
     clip = file.load(with_depth=True)
     frames: Frames = read_video(clip.path).frames
     if clip.depth_m is None or clip.mask is None:
@@ -144,15 +143,15 @@ def _views(
     crops = {i: Crop.of_gripper(clip.X_CH[i], _MARGIN, _CROP_PX) for i in numbers}
     for i, view in estimator.estimate(frames, clip.camera, crops):
         true = replace_depth(replace_mask(view, clip.mask[i], clip.camera), depth, i, clip.camera)
-        picture = np.asarray(view.crop.warp(frames[i], clip.camera), dtype=np.uint8)
-        yield picture, view, true, invert(clip.X_CH[i]) @ view.crop.X_CV, float(clip.finger_width_m[i]) / 2
+        image = np.asarray(view.crop.warp(frames[i], clip.camera), dtype=np.uint8)
+        yield image, view, true, invert(clip.X_CH[i]) @ view.crop.X_CV, float(clip.finger_width_m[i]) / 2
 
 
 _AXES = ("x", "y", "z")
 
 
 def draw_depth(errors: DepthErrors, label: str) -> "Figure":
-    """Mean relative error over the gripper from two sides; picture, true and estimated depth and error of one frame."""
+    """Plot the error maps from two sides, and image, true depth, estimated depth and error of one frame."""
     figure, axes = new_figure(15.0, 6.6, 2, 4)
     for ax in axes.flat:
         ax.grid(False)
@@ -175,7 +174,7 @@ def draw_depth(errors: DepthErrors, label: str) -> "Figure":
     example = errors.example
     depths = np.concatenate([d[np.isfinite(d)] for d in (example.true_m, example.estimated_m)])
     low, high = float(depths.min()), float(depths.max())
-    axes[1, 0].imshow(example.picture)
+    axes[1, 0].imshow(example.image)
     axes[1, 0].set_title("close view of one frame", fontsize=10)
     for ax, depth, name in zip(axes[1, 1:3], (example.true_m, example.estimated_m), ("true", "estimated"), strict=True):
         image = ax.imshow(depth, cmap="viridis", vmin=low, vmax=high)

@@ -1,4 +1,4 @@
-"""How the grounding of one clip differs from its truth, frame by frame."""
+"""Frame-by-frame errors of the grounding of one clip against its ground truth."""
 
 import resource
 import sys
@@ -21,24 +21,24 @@ _RSS_UNIT_MB = 2**20 if sys.platform == "darwin" else 2**10  # of ru_maxrss in a
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Expense:
-    """What the grounding of one clip cost."""
+    """Time and memory that the grounding of one clip took."""
 
     wall_s: float
-    """Time on the clock, decoding included [s]."""
+    """Wall time, decoding included [s]."""
     cpu_s: float
-    """Time of the processor, all threads together [s]: tells more than the clock on a busy machine."""
+    """Processor time of all threads [s]: more reliable than wall time on a busy machine."""
     peak_mb: float
-    """Most memory that the process has held so far [MiB]."""
+    """Peak resident memory of the process so far [MiB]."""
 
     def to_json(self) -> dict[str, float]:
-        """A JSON object of it."""
+        """Return the JSON object."""
         return {name: round(value, 3) for name, value in asdict(self).items()}
 
 
-def metered(work: Callable[[], Value]) -> tuple[Value, Expense]:
-    """What `work` returns, and what it cost."""
+def measure_expense(function: Callable[[], Value]) -> tuple[Value, Expense]:
+    """Return the result of `function` and what the call took."""
     wall, cpu = time.perf_counter(), time.process_time()
-    value = work()
+    value = function()
     return value, Expense(
         wall_s=time.perf_counter() - wall,
         cpu_s=time.process_time() - cpu,
@@ -47,59 +47,53 @@ def metered(work: Callable[[], Value]) -> tuple[Value, Expense]:
 
 
 FLIP_RAD = np.pi / 2
-"""A rotation error beyond this is the other reading of the gripper."""
+"""Rotation error beyond which the pose is flipped: the gripper looks alike after a half turn."""
 LASTING_FRAMES = 3
-"""Tracked frames in a row in the other reading that make a lasting flip."""
+"""Consecutive flipped frames, among the tracked ones, that make a lasting flip."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ClipErrors:
-    """How the grounding of one clip differs from its truth."""
+    """Errors of the grounding of one clip, frame by frame."""
 
     id: str
     task: str
-    """Plain task id; empty where unknown."""
+    """Plain task id; empty if unknown."""
     position_m: Array
-    """(T,) position error of panda_hand [m]; NaN where not tracked or not there."""
+    """(T,) position error of panda_hand [m]; NaN where not tracked or absent."""
     rotation_rad: Array
     """(T,) rotation error [rad]; NaN likewise."""
     width_m: Array
-    """(T,) gap between the pads as seen [m]; NaN where unknown."""
+    """(T,) estimated gap between the finger pads [m]; NaN where unknown."""
     true_width_m: Array
-    """(T,) the true gap [m]; NaN where the gripper is not there."""
+    """(T,) true gap [m]; NaN where the gripper is absent."""
     tracked: NDArray[np.bool_]
     """(T,)."""
     confidence: Array
     """(T,) 0..1."""
     visible: NDArray[np.bool_]
-    """(T,) frames in which the gripper is there."""
+    """(T,) frames in which the gripper is present."""
     share: Array
-    """(T,) part of the gripper's outline that the picture shows, 0..1; NaN where not measured."""
-    found: tuple[Anomaly, ...]
+    """(T,) share of the gripper's silhouette that the image shows, 0..1; NaN where not measured."""
+    detected: tuple[Anomaly, ...]
+    """Anomalies that the grounding reports."""
     planted: tuple[Anomaly, ...]
+    """Anomalies of the ground truth."""
     expense: Expense
 
     @property
     def finger_m(self) -> Array:
-        """(T,) error of the finger opening [m]; NaN where it or the truth is unknown."""
+        """(T,) error of the gap between the finger pads [m]; NaN where the estimate or the truth is unknown."""
         return np.asarray(np.abs(self.width_m - self.true_width_m))
 
     @property
     def tracked_fraction(self) -> float:
-        """Tracked frames over frames with a gripper; NaN without any."""
+        """Tracked frames / frames with a gripper; NaN without any."""
         return float(self.tracked[self.visible].mean()) if self.visible.any() else float("nan")
 
     @property
-    def wall_s(self) -> float:
-        """Time of the grounding, decoding included [s]."""
-        return self.expense.wall_s
-
-    @property
     def flips(self) -> list[int]:
-        """Lengths of the runs of tracked frames in the other reading; frames not tracked neither end nor lengthen one.
-
-        Rotations are told apart at 90 degrees: the readings are 180 degrees apart.
-        """
+        """Lengths of the runs of flipped frames; frames that are not tracked neither end nor lengthen a run."""
         runs, run = [], 0
         for angle in self.rotation_rad[np.isfinite(self.rotation_rad)]:
             if angle > FLIP_RAD:
@@ -111,11 +105,11 @@ class ClipErrors:
 
     @property
     def longest_flip(self) -> int:
-        """Longest run of tracked frames in the other reading."""
+        """Length of the longest run of flipped frames."""
         return max(self.flips, default=0)
 
     def to_json(self) -> dict[str, Any]:
-        """A JSON object of it, numbers rounded to what a measurement can tell."""
+        """Return the JSON object, numbers rounded to the resolution of the measurement."""
         return {
             "id": self.id,
             "task": self.task,
@@ -127,17 +121,17 @@ class ClipErrors:
             "confidence": _numbers(self.confidence, 4),
             "visible": self.visible.astype(int).tolist(),
             "share": _numbers(self.share, 3),
-            "found": [_anomaly(a) for a in self.found],
-            "planted": [_anomaly(a) for a in self.planted],
+            "found": [anomaly_json(a) for a in self.detected],
+            "planted": [anomaly_json(a) for a in self.planted],
             "expense": self.expense.to_json(),
         }
 
     @classmethod
     def from_json(cls, data: dict[str, Any]) -> "ClipErrors":
-        """The inverse of `to_json`.
+        """Read the object that `to_json` returns.
 
         Raises:
-            KeyError: something is missing.
+            KeyError: a key is missing.
         """
         names = ("position_m", "rotation_rad", "width_m", "true_width_m", "confidence", "share")
         return cls(
@@ -146,31 +140,31 @@ class ClipErrors:
             **{name: np.array(data[name], dtype=np.float64) for name in names},
             tracked=np.array(data["tracked"], dtype=bool),
             visible=np.array(data["visible"], dtype=bool),
-            found=tuple(_read_anomaly(a) for a in data["found"]),
-            planted=tuple(_read_anomaly(a) for a in data["planted"]),
+            detected=tuple(map(read_anomaly, data["found"])),
+            planted=tuple(map(read_anomaly, data["planted"])),
             expense=Expense(**data["expense"]),
         )
 
 
 def compare(clip: TruthClip, grounding: GroundingResult, expense: Expense, share: Array | None = None) -> ClipErrors:
-    """Hold a grounding against the truth; `share` (T,) is the part of the gripper that each frame shows.
+    """Return the errors of a grounding; `share` (T,) is the share of the gripper that each frame shows.
 
-    Frames whose pose was given are nobody's merit: they are left out, as if nothing were there to be seen.
+    Frames whose pose was an input are not an achievement of the grounding: they count as frames without a gripper.
     """
-    given = grounding.from_prior
+    overridden = grounding.from_prior
     position, rotation = pose_difference(clip.X_CH, grounding.track.X_CH)
     return ClipErrors(
         id=clip.id,
         task=clip.task,
-        position_m=np.where(given, np.nan, position),
-        rotation_rad=np.where(given, np.nan, rotation),
+        position_m=np.where(overridden, np.nan, position),
+        rotation_rad=np.where(overridden, np.nan, rotation),
         width_m=grounding.track.finger_width_m,
         true_width_m=clip.finger_width_m,
-        tracked=grounding.track.tracked & ~given,
+        tracked=grounding.track.tracked & ~overridden,
         confidence=grounding.track.confidence,
-        visible=np.asarray(np.isfinite(clip.X_CH).all(axis=(1, 2)) & ~given),
-        share=np.full(len(clip.t_s), np.nan) if share is None else np.where(given, np.nan, share),
-        found=grounding.anomalies,
+        visible=np.asarray(np.isfinite(clip.X_CH).all(axis=(1, 2)) & ~overridden),
+        share=np.full(len(clip.t_s), np.nan) if share is None else np.where(overridden, np.nan, share),
+        detected=grounding.anomalies,
         planted=clip.faults,
         expense=expense,
     )
@@ -180,14 +174,11 @@ def _numbers(values: Array, digits: int) -> list[float | None]:
     return [round(v, digits) if np.isfinite(v) else None for v in values.tolist()]
 
 
-def _anomaly(anomaly: Anomaly) -> dict[str, Any]:
-    return {
-        "kind": anomaly.kind.value,
-        "frame_start": anomaly.frame_start,
-        "frame_end": anomaly.frame_end,
-        "severity": float(anomaly.severity),
-    }
+def anomaly_json(anomaly: Anomaly) -> dict[str, Any]:
+    """Return the JSON object of an anomaly."""
+    return {**asdict(anomaly), "kind": anomaly.kind.value, "severity": float(anomaly.severity)}
 
 
-def _read_anomaly(data: dict[str, Any]) -> Anomaly:
+def read_anomaly(data: dict[str, Any]) -> Anomaly:
+    """Read the object that `anomaly_json` returns."""
     return Anomaly(**{**data, "kind": AnomalyKind(data["kind"])})

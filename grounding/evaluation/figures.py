@@ -1,4 +1,4 @@
-"""Measurements as pictures."""
+"""Plots of measurements, and the contact sheet of perturbations."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
@@ -7,10 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.geometry import Array
-from kinebench_drake.grounding.evaluation.reliability import Reliability, judged_frames, reliability
-from kinebench_drake.grounding.evaluation.summary import PercentileInterval, Results
+from kinebench_drake.grounding.evaluation.clip import TruthClipFile
+from kinebench_drake.grounding.evaluation.perturbation.catalogue import PerturbationKind, ladder, perturb
+from kinebench_drake.grounding.evaluation.summary import PercentileInterval, Reliability, Results, reliability
 from kinebench_drake.grounding.evaluation.tables import by_task
 from kinebench_drake.io.figure import FAINT, POSITION, ROTATION, new_figure
+from kinebench_drake.io.reader import read_video
+from kinebench_drake.models.panda.cad import GripperCad
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -19,20 +22,20 @@ _COLOURS = ("#1f6fb2", "#c4622d", "#3a8f5c", "#8a5fb0", "#b5485d", "#6b7a1e", "#
 _FLOOR_MM, _FLOOR_DEG = 0.05, 0.02  # of logarithmic axes
 
 
-def errors_of(results: Results) -> tuple[Array, Array]:
-    """Position [mm] and rotation errors [degrees] of all tracked frames with a gripper."""
+def pooled_errors(results: Results) -> tuple[Array, Array]:
+    """Return the position [mm] and rotation errors [degrees] of all tracked frames with a gripper."""
     position = np.concatenate([e.position_m[e.tracked & e.visible] for e in results]) * 1e3
     rotation = np.rad2deg(np.concatenate([e.rotation_rad[e.tracked & e.visible] for e in results]))
     return position, rotation
 
 
 def draw_evaluation(results: Results) -> "Figure":
-    """Error distributions over all frames, boxes for each task, and the reliability curve."""
+    """Plot the error distributions over all frames, boxes per task, and the reliability curve."""
     figure, axes = new_figure(13.0, 8.2, 2, 2)
-    position, rotation = errors_of(results)
+    position, rotation = pooled_errors(results)
     _distribution(axes[0, 0], position, rotation)
-    _reliability(axes[0, 1], reliability(*judged_frames(results)))
-    groups = {task: errors_of(group) for task, group in by_task(results).items()}
+    _reliability(axes[0, 1], reliability(results))
+    groups = {task: pooled_errors(group) for task, group in by_task(results).items()}
     _boxes(axes[1, 0], [g[0] for g in groups.values()], list(groups), [POSITION] * len(groups), _FLOOR_MM)
     axes[1, 0].set_ylabel("position error [mm]")
     _boxes(axes[1, 1], [g[1] for g in groups.values()], list(groups), [ROTATION] * len(groups), _FLOOR_DEG)
@@ -58,7 +61,7 @@ def _distribution(ax: Any, position: Array, rotation: Array) -> None:
 
 
 def _logarithmic(axis: Any, set_scale: Callable[[str], None]) -> None:
-    """A logarithmic axis with plain numbers."""
+    """Make an axis logarithmic, with plain numbers."""
     from matplotlib.ticker import LogLocator
 
     set_scale("log")
@@ -81,7 +84,7 @@ def _reliability(ax: Any, curve: Reliability) -> None:
 
 
 def _boxes(ax: Any, groups: Sequence[Array], labels: Sequence[str], colours: Sequence[str], floor: float) -> None:
-    """Boxes of quartiles with whiskers at 5 % and 95 %, on a logarithmic axis."""
+    """Draw boxes of quartiles with whiskers at 5 % and 95 %, on a logarithmic axis."""
     values = [np.maximum(g, floor) if g.size else np.array([np.nan]) for g in groups]
     boxes = ax.boxplot(
         values, whis=(5, 95), showfliers=False, widths=0.65, patch_artist=True, medianprops={"color": "#20262c"}
@@ -99,19 +102,19 @@ def draw_comparison(
     groups: Mapping[str, str],
     title: str,
 ) -> "Figure":
-    """Boxes of both errors and the tracked share for each condition.
+    """Plot both errors as boxes, and the tracked share, for each condition.
 
     Args:
-        results: clips by condition.
-        figures: the figures of the same conditions.
-        groups: what each condition belongs to: those of one group have one colour.
-        title: what is compared.
+        results: errors of the clips by condition name.
+        figures: figures of the same conditions.
+        groups: group of each condition; conditions of one group have one colour.
+        title: title of the figure.
     """
     names = list(results)
     shades = {group: _COLOURS[i % len(_COLOURS)] for i, group in enumerate(dict.fromkeys(groups.values()))}
     colours = [shades[groups[name]] for name in names]
     figure, axes = new_figure(max(8.0, 0.42 * len(names) + 3.5), 11.0, 3, 1, sharex=False)
-    errors = [errors_of(results[name]) for name in names]
+    errors = [pooled_errors(results[name]) for name in names]
     _boxes(axes[0, 0], [e[0] for e in errors], [""] * len(names), colours, _FLOOR_MM)
     axes[0, 0].set_ylabel("position error [mm]")
     axes[0, 0].axhline(10.0, color=FAINT, linestyle="--", linewidth=1)
@@ -134,13 +137,24 @@ def draw_comparison(
     return figure
 
 
-def draw_sheet(pictures: Mapping[str, NDArray[np.uint8]], columns: int = 4) -> "Figure":
-    """Named pictures (H, W, 3) side by side."""
-    rows = -(-len(pictures) // columns)
+def draw_contact_sheet(file: TruthClipFile, kinds: Sequence[PerturbationKind], seed: int, columns: int = 4) -> "Figure":
+    """Plot the frame of a clip that shows most of the gripper, unchanged and under each perturbation.
+
+    Raises:
+        UsageError: the clip's ground truth cannot be read.
+        InputError: its video cannot be read.
+    """
+    clip = file.load()
+    frames, masks = read_video(clip.path).frames, clip.masks(GripperCad())
+    chosen = int(masks.sum(axis=(1, 2)).argmax())
+    images: dict[str, NDArray[np.uint8]] = {"as it is": frames[chosen]}
+    for step in (p for kind in kinds for p in ladder(kind)):
+        images[step.label] = perturb(step, frames, masks, seed, clip.id)[0][chosen]
+    rows = -(-len(images) // columns)
     figure, axes = new_figure(2.6 * columns, 2.8 * rows, rows, columns)
     for ax in axes.flat:
         ax.axis("off")
-    for ax, (name, picture) in zip(axes.flat, pictures.items(), strict=False):
-        ax.imshow(picture)
+    for ax, (name, image) in zip(axes.flat, images.items(), strict=False):
+        ax.imshow(image)
         ax.set_title(name, fontsize=9)
     return figure

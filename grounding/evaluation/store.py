@@ -1,75 +1,94 @@
-"""Finished measurements on disk, so that an interrupted command goes on where it stopped.
+"""Measurements on disk, so that an interrupted command resumes: JSON Lines, each line a key and a measurement.
 
-One JSON object a line: key, and what `ClipErrors.to_json` gives. A key tells clip, condition and everything that shapes
-the result, so that lines of other weights, seeds or code are passed over, not mixed in.
+A key identifies the clip, the condition and all that shapes the result: lines of other code, weights or seeds are
+ignored.
 """
 
 from collections.abc import Iterable
 from hashlib import blake2b
 from pathlib import Path
-from typing import Any
+from typing import Any, Generic, Protocol, Self, TypeVar
 
+import kinebench_drake
+from kinebench_drake.environment.sources import reachable_sources
 from kinebench_drake.errors import InputError, UsageError
-from kinebench_drake.grounding.evaluation.errors import ClipErrors
 from kinebench_drake.io.jsonl import append_line, drop_torn_line, read_lines
 
-_GROUNDING = Path(__file__).parents[1]
-_CODE = ("*.py", "anomaly/*.py", "stages/**/*.py", "evaluation/*.py", "evaluation/perturbation/*.py")
-_MODELS = ("**/*.py", "**/*.json", "**/*.safetensors")
-_PRESENTING = frozenset({"figures.py", "tables.py", "summary.py", "reliability.py", "store.py", "anomalies.py"})
+
+class JsonRecord(Protocol):
+    """Measurement that converts to a JSON object and back."""
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the JSON object."""
+        ...
+
+    @classmethod
+    def from_json(cls, data: dict[str, Any], /) -> Self:
+        """Read the object that `to_json` returns."""
+        ...
 
 
-def fingerprint(*settings: object, files: Iterable[Path] = ()) -> str:
-    """A few characters that change with the settings, with `files`, and with the code and weights of the grounding."""
-    hashed = blake2b(repr(settings).encode(), digest_size=8)
-    code = [p for pattern in _CODE for p in _GROUNDING.glob(pattern) if p.name not in _PRESENTING]
-    models = [p for pattern in _MODELS for p in (_GROUNDING.parent / "models").glob(pattern)]
-    for path in [*sorted({*code, *models}), *files]:
-        hashed.update(path.name.encode())
-        hashed.update(path.read_bytes())
-    return hashed.hexdigest()
+Record = TypeVar("Record", bound=JsonRecord)
 
 
-class TrialStore:
-    """Measurements by key; without a file they last as long as the object."""
+def fingerprint(*settings: object, modules: Iterable[str] = (), files: Iterable[Path] = ()) -> str:
+    """Return a hash of settings, of the code and the models that a measurement depends on, and of files.
 
-    def __init__(self, path: Path | None) -> None:
-        """Read the file, if there is one; a torn last line is dropped.
+    Args:
+        settings: anything whose `repr` is the same for the same setting.
+        modules: names of measuring modules; they count with every module of the package that they import, and with
+            the weights and calibrations in models/.
+        files: further files that shape the result.
+    """
+    digest = blake2b(repr(settings).encode(), digest_size=8)
+    code = reachable_sources(*modules)
+    models = Path(kinebench_drake.__file__).parent / "models"
+    data = sorted([*models.rglob("*.json"), *models.rglob("*.safetensors")]) if code else []
+    for path in [*code, *data, *files]:
+        digest.update(path.name.encode())
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+class MeasurementStore(Generic[Record]):
+    """Measurements by key, kept in a file; in memory only if there is no file."""
+
+    def __init__(self, path: Path | None, record: type[Record]) -> None:
+        """Read the measurements of a file, if it exists; a torn last line is dropped.
 
         Raises:
             UsageError: the file holds something else.
         """
-        self._path = path
-        self._rows: dict[str, ClipErrors] = {}
+        self._path, self._type = path, record
+        self._records: dict[str, Record] = {}
         if path is None or not path.is_file():
             return
         try:
             for row in read_lines(path, _row):
-                self._rows[row.pop("key")] = ClipErrors.from_json(row)
-        except (InputError, KeyError, TypeError, AttributeError):
+                self._records[row.pop("key")] = record.from_json(row)
+        except (InputError, KeyError, ValueError, TypeError, AttributeError):
             raise UsageError(f"{path.name}: holds no measurements of this version; remove it to start anew") from None
         drop_torn_line(path)
 
     def __contains__(self, key: str) -> bool:
-        """Whether a measurement is there."""
-        return key in self._rows
+        """Return whether the measurement exists."""
+        return key in self._records
 
-    def __getitem__(self, key: str) -> ClipErrors:
-        """A measurement that is there."""
-        return self._rows[key]
+    def __getitem__(self, key: str) -> Record:
+        """Return an existing measurement."""
+        return self._records[key]
 
-    def put(self, key: str, errors: ClipErrors) -> None:
-        """Keep a measurement and see it to the disk.
+    def put(self, key: str, record: Record) -> None:
+        """Add a measurement; it is on disk when this returns.
 
         Raises:
             SetupError: writing failed.
         """
-        row = errors.to_json()
-        self._rows[key] = ClipErrors.from_json(row)  # rounded alike, whether kept or measured now
-        if self._path is None:
-            return
-        self._path.parent.mkdir(parents=True, exist_ok=True)
-        append_line(self._path, {"key": key, **row})
+        row = record.to_json()
+        self._records[key] = self._type.from_json(row)  # the same rounding, whether read from the file or measured now
+        if self._path is not None:
+            self._path.parent.mkdir(parents=True, exist_ok=True)
+            append_line(self._path, {"key": key, **row})
 
 
 def _row(value: object) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Measurements as lines of text and as JSON."""
+"""Measurements as tables of text and as JSON."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
@@ -6,14 +6,15 @@ from typing import Any
 import numpy as np
 
 from kinebench_drake.grounding.evaluation.errors import ClipErrors
-from kinebench_drake.grounding.evaluation.reliability import Reliability, judged_frames, reliability
 from kinebench_drake.grounding.evaluation.summary import (
     ACCURACY,
     MORE,
     PercentileInterval,
+    Reliability,
     Results,
     intervals,
     percentile,
+    reliability,
     summarize,
 )
 from kinebench_drake.types import Anomaly
@@ -26,12 +27,12 @@ COMPARED = {
     "rotation_p95_deg": "deg p95",
     "tracked_frames_off_by_3_cm": "off by > 3 cm",
 }
-"""Columns of comparisons; tracked: of the frames that show at least 30 % of the gripper."""
+"""Columns of comparisons and their headings; tracked: of the frames that show at least 30 % of the gripper."""
 _SHARES = frozenset({"tracked_fraction", "tracked_when_seen", "tracked_frames_off_by_3_cm"})
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> Iterator[str]:
-    """Columns of equal width, the first to the left, numbers to the right."""
+    """Yield the lines of a table with columns of equal width; the first is left-aligned, the others right-aligned."""
     widths = [max(len(row[i]) for row in (header, *rows)) for i in range(len(header))]
     for row in (header, *rows):
         first, *rest = (
@@ -41,24 +42,24 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> Iterator[str]
 
 
 def video_line(e: ClipErrors) -> str:
-    """One clip in one line; frames are 0-based."""
+    """Return the errors of one clip as one line; frames are 0-based."""
     position, rotation = (v[np.isfinite(v)] for v in (e.position_m * 1e3, np.rad2deg(e.rotation_rad)))
     parts = (
         f"{e.id:34s} tracked {e.tracked_fraction:.3f}",
         f"mm {percentile(position, 50):5.2f} {percentile(position, 95):6.2f}",
         f"deg {percentile(rotation, 50):5.2f} {percentile(rotation, 95):6.2f}",
-        f"flip {e.longest_flip}  {e.wall_s:4.1f} s",
-        f"planted {_found(e.planted)}; found {_found(e.found)}",
+        f"flip {e.longest_flip}  {e.expense.wall_s:4.1f} s",
+        f"planted {_ranges(e.planted)}; found {_ranges(e.detected)}",
     )
     return "  ".join(parts)
 
 
-def _found(anomalies: Sequence[Anomaly]) -> str:
+def _ranges(anomalies: Sequence[Anomaly]) -> str:
     return ", ".join(f"{a.kind.value} {a.frame_start}-{a.frame_end}" for a in anomalies) or "-"
 
 
 def by_task(results: Results) -> dict[str, list[ClipErrors]]:
-    """Clips of each task, tasks sorted."""
+    """Return the clips of each task, sorted by task."""
     groups: dict[str, list[ClipErrors]] = {}
     for e in results:
         groups.setdefault(e.task or "-", []).append(e)
@@ -66,7 +67,7 @@ def by_task(results: Results) -> dict[str, list[ClipErrors]]:
 
 
 def task_table(results: Results) -> Iterator[str]:
-    """Each task in one line."""
+    """Yield one line per task."""
     columns = {
         "videos": "videos",
         "tracked_fraction": "tracked",
@@ -87,7 +88,7 @@ def task_table(results: Results) -> Iterator[str]:
 
 
 def pooled_lines(results: Results, seed: int) -> Iterator[str]:
-    """All figures of all clips together, those over frames with intervals."""
+    """Yield all figures of all clips together, one a line; those over frames with intervals."""
     ranges = intervals(results, {**ACCURACY, **MORE}, seed)
     for name, value in summarize(results).items():
         at = ranges.get(name)
@@ -96,7 +97,7 @@ def pooled_lines(results: Results, seed: int) -> Iterator[str]:
 
 
 def reliability_lines(curve: Reliability) -> Iterator[str]:
-    """The reliability curve, a bin a line."""
+    """Yield the reliability curve, one bin a line."""
     yield f"expected calibration error {curve.error:.3f} over tracked frames"
     rows = [
         [f"{b.low:.1f}-{b.high:.1f}", str(b.frames), f"{b.confidence:.3f}", f"{b.good:.3f}",
@@ -107,7 +108,7 @@ def reliability_lines(curve: Reliability) -> Iterator[str]:
 
 
 def compared(results: Mapping[str, Results], seed: int) -> dict[str, dict[str, PercentileInterval]]:
-    """The figures of each condition that `comparison_table` shows."""
+    """Return the figures of each condition that `comparison_table` shows."""
     chosen = {name: ACCURACY[name] for name in COMPARED}
     return {name: intervals(group, chosen, seed) for name, group in results.items()}
 
@@ -115,11 +116,11 @@ def compared(results: Mapping[str, Results], seed: int) -> dict[str, dict[str, P
 def comparison_table(
     figures: Mapping[str, Mapping[str, PercentileInterval]], marks: Sequence[str] = ()
 ) -> Iterator[str]:
-    """Each condition in one line, figures with their intervals.
+    """Yield one line per condition, figures with their intervals.
 
     Args:
-        figures: by condition, as `compared` gives them.
-        marks: conditions that get a star.
+        figures: by condition name, see `compared`.
+        marks: names of the conditions marked with a star.
     """
     rows = [
         [name + (" *" if name in marks else ""), *(_with_interval(column, row[column]) for column in COMPARED)]
@@ -144,21 +145,21 @@ def _number(name: str, value: float) -> str:
 
 
 def evaluation_json(results: Results, seed: int) -> dict[str, Any]:
-    """All that `perception evaluate` prints, and each clip's figures."""
+    """Return the figures of all clips, of each task and of each clip, as a JSON object."""
     return {
         "summary": plain(summarize(results)),
         "intervals": intervals_json(intervals(results, {**ACCURACY, **MORE}, seed)),
         "tasks": {task: plain(summarize(group)) for task, group in by_task(results).items()},
-        "reliability": [b.to_json() for b in reliability(*judged_frames(results)).bins],
+        "reliability": [b.to_json() for b in reliability(results).bins],
         "videos": {e.id: plain(summarize([e])) for e in results},
     }
 
 
 def intervals_json(figures: Mapping[str, PercentileInterval]) -> dict[str, Any]:
-    """A JSON object of figures with their intervals."""
+    """Return figures with their intervals as a JSON object."""
     return {name: plain({"value": i.value, "low": i.low, "high": i.high}) for name, i in figures.items()}
 
 
 def plain(figures: Mapping[str, float]) -> dict[str, float | None]:
-    """The same with None for what was not measurable."""
+    """Return the figures with None in place of NaN."""
     return {name: float(value) if np.isfinite(value) else None for name, value in figures.items()}

@@ -1,33 +1,39 @@
-"""The pipelines that are held against each other, by name: as shipped, and with something known beforehand."""
+"""Variants of the grounding pipeline: with ground truth as prior, with degraded depth, with external depth."""
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 
+from kinebench_drake.camera import Camera
+from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.confidence import Confidence
+from kinebench_drake.grounding.crop import Crop
 from kinebench_drake.grounding.estimator import NetworkEstimator
 from kinebench_drake.grounding.evaluation.clip import TruthClip
-from kinebench_drake.grounding.evaluation.degradation import Degradation, DegradedEstimator
 from kinebench_drake.grounding.overrides.depth import check_depth_source, estimate_depth
 from kinebench_drake.grounding.pipeline import GroundingPipeline, GroundingResult
 from kinebench_drake.grounding.tracker import CadTracker
-from kinebench_drake.grounding.view import DenseEstimator, Frames
+from kinebench_drake.grounding.view import DenseEstimator, Frames, GripperView
 from kinebench_drake.models.panda.cad import GripperCad
 from kinebench_drake.models.perception.weights import WEIGHTS, load_network
 from kinebench_drake.types import ExternalDepth, Priors
 
+_FIELD_CELLS = 12  # nodes of an error field across the image: about a gripper's width apart
+_FIELD_FRAMES = 8  # frames from one error field to the next, interpolated smoothly between
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VariantTools:
-    """What is loaded once and serves every clip."""
+    """Models that are loaded once and shared by all variants."""
 
     estimator: DenseEstimator
     cad: GripperCad
     confidence: Confidence
     shipped: GroundingPipeline
-    """The pipeline of these, warmed up."""
+    """The shipped pipeline, warmed up."""
 
     @classmethod
     def load(cls, weights: Path | None = None) -> "VariantTools":
@@ -43,87 +49,124 @@ class VariantTools:
         return cls(estimator=estimator, cad=cad, confidence=confidence, shipped=pipeline)
 
     def pipeline(self, estimator: DenseEstimator) -> GroundingPipeline:
-        """The shipped pipeline with another estimator."""
+        """Return the shipped pipeline with another estimator."""
         return GroundingPipeline(CadTracker(estimator, self.cad), self.confidence)
 
 
-Know = Callable[[TruthClip], Priors]
-Ground = Callable[[Frames], GroundingResult]
-"""What grounds the frames of one video."""
-Make = Callable[[VariantTools, TruthClip], Ground]
-"""Makes it for a clip."""
+Ground = Callable[[VariantTools, TruthClip, Frames], GroundingResult]
+"""Function that grounds the frames of a clip."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PipelineVariant:
-    """The shipped pipeline with something known beforehand."""
+    """The shipped pipeline with ground truth as prior."""
 
     label: str
-    """What stands in tables."""
-    know: Know
-    """What is known of a clip."""
-    needs_depth: bool = False
-    """Whether the clip's truth must hold depth and mask."""
+    """Name in tables."""
+    mask: bool = False
+    depth: bool = False
+    start: bool = False
+    """True if the pose in the first frame is a prior."""
+    opening: bool = False
+    """True if the gap between the fingers is a prior."""
 
-    def make(self, tools: VariantTools, clip: TruthClip) -> Ground:
-        """See `Make`."""
-        known = self.know(clip)
-        return lambda frames: tools.shipped.ground(frames, clip.camera, clip.t_s[: len(frames)], known)
+    @property
+    def needs_depth(self) -> bool:
+        """True if the ground truth must hold depth and mask."""
+        return self.mask or self.depth
 
-
-def _true(*, mask: bool = False, depth: bool = False, first: bool = False, opening: bool = False) -> Know:
-    def know(clip: TruthClip) -> Priors:
-        return Priors(
-            mask=clip.mask if mask else None,
-            depth=ExternalDepth(depth_m=clip.depth_m, exact=True) if depth and clip.depth_m is not None else None,
-            initial_state=clip.initial_state if first else None,
-            finger_width_m=clip.finger_width_m if opening else None,
+    def ground(self, tools: VariantTools, clip: TruthClip, frames: Frames) -> GroundingResult:
+        """Ground frames with the priors of this variant."""
+        exact = ExternalDepth(depth_m=clip.depth_m, exact=True) if self.depth and clip.depth_m is not None else None
+        priors = Priors(
+            mask=clip.mask if self.mask else None,
+            depth=exact,
+            initial_state=clip.initial_state if self.start else None,
+            finger_width_m=clip.finger_width_m if self.opening else None,
         )
-
-    return know
+        return tools.shipped.ground(frames, clip.camera, clip.t_s[: len(frames)], priors)
 
 
 VARIANTS: Mapping[str, PipelineVariant] = {
-    "pixels": PipelineVariant(label="pixels only", know=_true()),
-    "true-mask": PipelineVariant(label="true mask", know=_true(mask=True), needs_depth=True),
-    "true-depth": PipelineVariant(label="true depth", know=_true(depth=True), needs_depth=True),
-    "true-mask-and-depth": PipelineVariant(
-        label="true mask and depth", know=_true(mask=True, depth=True), needs_depth=True
-    ),
-    "true-start": PipelineVariant(label="true start pose", know=_true(first=True)),
-    "true-opening": PipelineVariant(label="true finger opening", know=_true(opening=True)),
-    "all-true": PipelineVariant(
-        label="all of these", know=_true(mask=True, depth=True, first=True, opening=True), needs_depth=True
-    ),
+    "pixels": PipelineVariant(label="pixels only"),
+    "true-mask": PipelineVariant(label="true mask", mask=True),
+    "true-depth": PipelineVariant(label="true depth", depth=True),
+    "true-mask-and-depth": PipelineVariant(label="true mask and depth", mask=True, depth=True),
+    "true-start": PipelineVariant(label="true start pose", start=True),
+    "true-opening": PipelineVariant(label="true finger opening", opening=True),
+    "all-true": PipelineVariant(label="all of these", mask=True, depth=True, start=True, opening=True),
 }
-"""Pipelines by name."""
+"""Variants by their name on the command line."""
 
 
-def degraded(degradation: Degradation, seed: int) -> Make:
-    """The shipped pipeline on depth made worse; `seed` draws how."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Degradation:
+    """Artificial errors of the estimated depth, relative to the depth."""
 
-    def make(tools: VariantTools, clip: TruthClip) -> Ground:
+    scale: float = 0.0
+    """Scale error of a whole video; its sign is random."""
+    field: float = 0.0
+    """Root mean square of an error that varies smoothly over image and time."""
+    noise: float = 0.0
+    """Standard deviation of an independent error of each cell."""
+
+
+class DegradedEstimator:
+    """Estimator whose depth is degraded."""
+
+    def __init__(self, base: DenseEstimator, count: int, degradation: Degradation, rng: np.random.Generator) -> None:
+        """Draw the errors for a video of `count` frames; the same state of `rng` gives the same errors."""
+        self._base, self._degradation = base, degradation
+        self._sign = float(rng.choice([-1.0, 1.0]))
+        self._fields = rng.normal(0.0, 1.0, (-(-count // _FIELD_FRAMES) + 1, _FIELD_CELLS, _FIELD_CELLS))
+        self._seed = int(rng.integers(2**32))
+
+    def estimate(self, frames: Frames, camera: Camera, crops: Mapping[int, Crop]) -> Iterator[tuple[int, GripperView]]:
+        """Yield the views of the estimator with degraded depth."""
+        for number, view in self._base.estimate(frames, camera, crops):
+            yield number, replace(view, depth_m=view.depth_m * self.factor(number, view, camera))
+
+    def factor(self, number: int, view: GripperView, camera: Camera) -> Array:
+        """Return the factor (h, w) of the depth of each cell of a view of frame `number`."""
+        h, w = view.part.shape
+        noise = np.random.default_rng([self._seed, number]).normal(0.0, 1.0, (h, w))
+        d = self._degradation
+        errors = d.scale * self._sign + d.field * self._field(number, view, camera) + d.noise * noise
+        return np.asarray(np.clip(1.0 + errors, 0.2, 5.0))
+
+    def _field(self, number: int, view: GripperView, camera: Camera) -> Array:
+        """Return the smooth error (h, w) at the cells of a view, with unit variance."""
+        first, s = divmod(number / _FIELD_FRAMES, 1.0)
+        a, b = self._fields[int(first)], self._fields[min(int(first) + 1, len(self._fields) - 1)]
+        nodes = (np.cos(s * np.pi / 2) * a + np.sin(s * np.pi / 2) * b).astype(np.float32)
+        smooth = np.asarray(cv2.resize(nodes, (camera.width // 4, camera.height // 4), interpolation=cv2.INTER_CUBIC))
+        smooth /= max(float(smooth.std()), 1e-9)
+        whole = cv2.resize(smooth, (camera.width, camera.height), interpolation=cv2.INTER_LINEAR)
+        return np.asarray(view.crop.warp(np.asarray(whole), camera, view.stride), dtype=np.float64)
+
+
+def degraded(degradation: Degradation, seed: int) -> Ground:
+    """Return the shipped pipeline on degraded depth; `seed` and the clip's id determine the errors."""
+
+    def ground(tools: VariantTools, clip: TruthClip, frames: Frames) -> GroundingResult:
         rng = np.random.default_rng([seed, *clip.id.encode()])
         pipeline = tools.pipeline(DegradedEstimator(tools.estimator, len(clip.t_s), degradation, rng))
-        return lambda frames: pipeline.ground(frames, clip.camera, clip.t_s)
+        return pipeline.ground(frames, clip.camera, clip.t_s)
 
-    return make
+    return ground
 
 
-def plug_in(spec: str) -> Make:
-    """The shipped pipeline on depth of another estimator, `moge:CHECKPOINT` or `module:Class`.
+def plug_in(spec: str) -> Ground:
+    """Return the shipped pipeline on the depth of another estimator, `moge:CHECKPOINT` or `module:Class`.
 
     Raises:
         UsageError: there is no such estimator.
     """
     check_depth_source(spec)
 
-    def make(tools: VariantTools, clip: TruthClip) -> Ground:
-        def ground(frames: Frames) -> GroundingResult:
-            camera = clip.camera.resized(frames.shape[2], frames.shape[1])
-            known = Priors(depth=estimate_depth(spec, frames, camera))
-            return tools.shipped.ground(frames, clip.camera, clip.t_s[: len(frames)], known)
+    def ground(tools: VariantTools, clip: TruthClip, frames: Frames) -> GroundingResult:
+        camera = clip.camera.resized(frames.shape[2], frames.shape[1])
+        priors = Priors(depth=estimate_depth(spec, frames, camera))
+        return tools.shipped.ground(frames, clip.camera, clip.t_s[: len(frames)], priors)
 
-        return ground
-
-    return make
+    return ground

@@ -6,9 +6,8 @@ from typing import Any
 
 import click
 
-from kinebench_drake.cli.perception_anomalies import anomalies
 from kinebench_drake.cli.perception_baseline import baseline
-from kinebench_drake.cli.perception_evaluate import budget, depth_ablation, evaluate, framing, robustness
+from kinebench_drake.cli.perception_evaluate import anomalies, budget, depth_ablation, evaluate, framing, robustness
 
 _DATA = click.option(
     "--data", type=click.Path(path_type=Path, file_okay=False), default=Path("data/frames"), show_default=True,
@@ -127,10 +126,5 @@ def calibrate(
         click.echo(line)
 
 
-perception.add_command(evaluate)
-perception.add_command(anomalies)
-perception.add_command(framing)
-perception.add_command(robustness)
-perception.add_command(depth_ablation)
-perception.add_command(budget)
-perception.add_command(baseline)
+for _command in (evaluate, anomalies, framing, robustness, depth_ablation, budget, baseline):
+    perception.add_command(_command)

@@ -1,6 +1,5 @@
-"""`kinebench-drake perception evaluate`, and what its sisters have in common with it."""
+"""`kinebench-drake perception evaluate` and the other commands that measure the grounding against ground truth."""
 
-import json
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from functools import wraps
@@ -14,31 +13,35 @@ from kinebench_drake.errors import UsageError
 if TYPE_CHECKING:
     from kinebench_drake.grounding.evaluation.study import GroundingStudy, StudyOutcome
 
-
-_OPTIONS = (
-    click.argument("folder", type=click.Path(path_type=Path, exists=True, file_okay=False)),
-    click.option(
-        "--weights", type=click.Path(path_type=Path, dir_okay=False, exists=True), default=None,
-        help="Weights to measure (safetensors).  [default: those shipped]",
-    ),
-    click.option("--limit", type=click.IntRange(1), default=None, help="Measure so many videos only, tasks in turn."),
-    click.option("--jobs", type=click.IntRange(1), default=1, show_default=True, help="Worker processes."),
-    click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of all random draws."),
-    click.option(
-        "--json", "json_out", type=click.Path(path_type=Path, dir_okay=False),
-        help="Write the figures here; what is finished is kept in NAME.clips.jsonl beside it.",
-    ),
-    click.option("--overwrite", is_flag=True, help="Measure anew what is kept."),
-    click.option("--figure", type=click.Path(path_type=Path, dir_okay=False), help="Draw the figure (png)."),
+_FOLDER = click.Path(path_type=Path, exists=True, file_okay=False)
+_WEIGHTS = click.option(
+    "--weights", type=click.Path(path_type=Path, dir_okay=False, exists=True), default=None,
+    help="Network weights to evaluate (safetensors).  [default: those shipped]",
 )  # fmt: skip
+_JOBS = click.option("--jobs", type=click.IntRange(1), default=1, show_default=True, help="Worker processes.")
+_JSON = click.option(
+    "--json", "json_out", type=click.Path(path_type=Path, dir_okay=False),
+    help="Write the figures to this file; finished measurements are kept in NAME.clips.jsonl beside it.",
+)  # fmt: skip
+_FIGURE = click.option("--figure", type=click.Path(path_type=Path, dir_okay=False), help="Plot the figures (png).")
+_OPTIONS = (
+    click.argument("folder", type=_FOLDER),
+    _WEIGHTS,
+    click.option("--limit", type=click.IntRange(1), default=None, help="Number of videos, from all tasks in turn."),
+    _JOBS,
+    click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of all random draws."),
+    _JSON,
+    click.option("--overwrite", is_flag=True, help="Discard finished measurements and start over."),
+    _FIGURE,
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Measuring:
-    """What all measuring commands are told."""
+class MeasureOptions:
+    """Options common to the commands that measure errors."""
 
     folder: Path
-    """Videos with their truth."""
+    """Videos with ground truth."""
     weights: Path | None
     limit: int | None
     jobs: int
@@ -47,270 +50,293 @@ class Measuring:
     overwrite: bool
     figure: Path | None
 
-    def carry_out(self, study: "GroundingStudy") -> "StudyOutcome":
-        """Measure a study, telling of the progress."""
+    def run(self, study: "GroundingStudy") -> "StudyOutcome":
+        """Run a study with a progress display."""
         from kinebench_drake.cli.run import ProgressView
         from kinebench_drake.executors.base import ExecutorKind, create_executor
-        from kinebench_drake.grounding.evaluation import study as studies
+        from kinebench_drake.grounding.evaluation.study import StudyPlan, run_study
 
-        keep = self.json_out.with_suffix(".clips.jsonl") if self.json_out else None
+        keep = _clips_file(self.json_out)
         if keep and self.overwrite:
             keep.unlink(missing_ok=True)
-        plan = studies.StudyPlan(folder=self.folder, weights=self.weights, limit=self.limit, seed=self.seed, keep=keep)
+        plan = StudyPlan(folder=self.folder, weights=self.weights, limit=self.limit, seed=self.seed, keep=keep)
         with ProgressView("measurements") as view:
-            return studies.carry_out(study, plan, create_executor(ExecutorKind.LOCAL, self.jobs), view)
+            return run_study(study, plan, create_executor(ExecutorKind.LOCAL, self.jobs), view)
 
     def compare(self, study: "GroundingStudy") -> "StudyOutcome":
-        """Measure a study of several conditions, print its table and draw its figure."""
+        """Run a study of several conditions, print its table and write its figure."""
         from kinebench_drake.grounding.evaluation.figures import draw_comparison
         from kinebench_drake.io.figure import save
 
-        outcome = self.carry_out(study)
+        outcome = self.run(study)
         for line in outcome.lines():
             click.echo(line)
         if self.figure:
-            save(
-                draw_comparison(outcome.results, outcome.figures, outcome.study.groups, outcome.study.title),
-                self.figure,
-            )
+            save(draw_comparison(outcome.results, outcome.figures, study.groups, study.title), self.figure)
         return outcome
 
+    def write_json(self, value: dict[str, Any]) -> None:
+        """Write the figures to the file of --json, if given."""
+        _write_json(self.json_out, value)
 
-def measuring(command: Callable[..., None]) -> Callable[..., None]:
-    """The argument and the options that all measuring commands share; the command gets them as one `Measuring`."""
+
+def _measure_options(command: Callable[..., None]) -> Callable[..., None]:
+    """Add the common argument and options to a command, which receives them as `MeasureOptions`."""
 
     @wraps(command)
-    def told(**options: Any) -> None:
-        shared = {field.name: options.pop(field.name) for field in fields(Measuring)}
-        check_figure(shared["figure"])
-        command(Measuring(**shared), **options)
+    def wrapped(**options: Any) -> None:
+        common = {field.name: options.pop(field.name) for field in fields(MeasureOptions)}
+        _check_figure(common["figure"])
+        command(MeasureOptions(**common), **options)
 
     for option in reversed(_OPTIONS):
-        told = option(told)
-    return told
+        wrapped = option(wrapped)
+    return wrapped
 
 
-def write_json(path: Path | None, value: dict[str, Any]) -> None:
-    """Write figures where a user wants them."""
-    from kinebench_drake.io.atomic import write_atomically
+def _clips_file(json_out: Path | None) -> Path | None:
+    return json_out.with_suffix(".clips.jsonl") if json_out else None
+
+
+def _write_json(path: Path | None, value: dict[str, Any]) -> None:
+    from kinebench_drake.io.jsonl import write_json
 
     if path is not None:
-        write_atomically(path, (json.dumps(value, indent=1, allow_nan=False) + "\n").encode())
+        write_json(path, value)
 
 
-def check_figure(path: Path | None) -> None:
-    """Refuse a figure's name before minutes of work.
+def _check_figure(path: Path | None) -> None:
+    """Check the name of a figure before minutes of work.
 
     Raises:
-        UsageError: it is no png.
+        UsageError: it does not end in .png.
     """
     if path is not None and path.suffix.lower() != ".png":
         raise UsageError(f"--figure {path.name}: expected a name that ends in .png")
 
 
-_TERMS = """\b
-tracked_when_seen     over frames that show at least 30 % of the gripper
-lasting_flips         runs of 3 tracked frames or more in the 180-degree reading
-open_or_closed_right  gap above or below halfway between the episode's least and greatest (of 0..80 mm where these
-                      differ by less than 16 mm), in frames whose true gap is more than 8 mm from there
-tracked_frames_off_by_3_cm  frames called tracked that are off by more, or show no gripper at all
-vanish_*              frames until a planted vanishing is told and until the gripper is found again
-wall_*, cpu_*         for 49 frames, decoding included
-
-"""
-"""What the words of the table mean."""
-
-
 @click.command(
-    epilog=_TERMS + "\b\nExample:\n"
-    "  kinebench-drake suite demos --suite 2 --split unseen --episodes 5 --with-depth --out heldout\n"
-    "  kinebench-drake perception evaluate heldout --json pixels.json --figure pixels.png"
+    epilog="""\b
+tracked_when_seen     tracked frames / frames that show at least 30 % of the gripper
+lasting_flips         runs of 3 or more tracked frames with the gripper turned by 180 degrees
+open_or_closed_right  gap above or below the middle of the episode's range (of 0..80 mm if the range is smaller than
+                      16 mm), in frames whose true gap is more than 8 mm from there
+tracked_frames_off_by_3_cm  share of tracked frames that are off by more, or show no gripper
+vanish_*              frames until a planted vanishing is detected, and until the gripper is tracked again
+wall_*, cpu_*         time for 49 frames, decoding included
+
+\b
+Example:
+  kinebench-drake suite demos --suite 2 --split unseen --episodes 5 --with-depth --out heldout
+  kinebench-drake perception evaluate heldout --json pixels.json --figure pixels.png"""
 )
-@measuring
+@_measure_options
 @click.option(
     "--pipeline", default="pixels", show_default=True,
-    help="What to measure: pixels, or with true values put in: true-mask, true-depth, true-mask-and-depth, ...",
+    help="Pipeline: pixels, or with ground truth as prior: true-mask, true-depth, true-mask-and-depth, true-start, "
+    "true-opening, all-true.",
 )  # fmt: skip
-@click.option("--true-depth", is_flag=True, help="The same as --pipeline true-mask-and-depth.")
-def evaluate(
-    order: Measuring,
-    pipeline: str,
-    true_depth: bool,
-) -> None:
-    """Hold the tracks of videos against their ground truth.
+@click.option("--true-depth", is_flag=True, help="Same as --pipeline true-mask-and-depth.")
+def evaluate(options: MeasureOptions, pipeline: str, true_depth: bool) -> None:
+    """Measure the errors of gripper tracks against ground truth.
 
-    FOLDER is what `suite demos` or `python -m benchmarks.planted_videos` writes: videos, camera.json,
+    FOLDER is the output of `suite demos` or `python -m benchmarks.planted_videos`: videos, camera.json,
     manifest.jsonl and truth/.
     """
-    from kinebench_drake.grounding.evaluation.reliability import judged_frames, reliability
+    from kinebench_drake.grounding.evaluation import tables
     from kinebench_drake.grounding.evaluation.study import evaluation
-    from kinebench_drake.grounding.evaluation.tables import (
-        evaluation_json,
-        pooled_lines,
-        reliability_lines,
-        task_table,
-        video_line,
-    )
+    from kinebench_drake.grounding.evaluation.summary import reliability
 
-    pipeline = "true-mask-and-depth" if true_depth else pipeline
-    outcome = order.carry_out(evaluation(pipeline))
+    outcome = options.run(evaluation("true-mask-and-depth" if true_depth else pipeline))
     (results,) = outcome.results.values()
     click.echo("median and 95th percentile of position and rotation error of panda_hand; frames are 0-based")
-    for e in results:
-        click.echo(video_line(e))
+    for errors in results:
+        click.echo(tables.video_line(errors))
     for lines in (
-        task_table(results),
-        pooled_lines(results, order.seed),
-        reliability_lines(reliability(*judged_frames(results))),
+        tables.task_table(results),
+        tables.pooled_lines(results, options.seed),
+        tables.reliability_lines(reliability(results)),
     ):
         click.echo("")
         for line in lines:
             click.echo(line)
-    write_json(order.json_out, {"pipeline": outcome.study.title, **evaluation_json(results, order.seed)})
-    if order.figure:
+    options.write_json({"pipeline": outcome.study.title, **tables.evaluation_json(results, options.seed)})
+    if options.figure:
         from kinebench_drake.grounding.evaluation.figures import draw_evaluation
         from kinebench_drake.io.figure import save
 
-        save(draw_evaluation(results), order.figure)
+        save(draw_evaluation(results), options.figure)
 
 
 @click.command(
     epilog="\b\nExample:\n  kinebench-drake perception budget heldout --json budget.json --figure budget.png --jobs 2"
 )
-@measuring
-def budget(order: Measuring) -> None:
-    """Say which stage owes what of the error: true values put in one at a time, and all together.
+@_measure_options
+def budget(options: MeasureOptions) -> None:
+    """Measure the error budget: each stage's output replaced by ground truth, one at a time and all together.
 
-    FOLDER is what `suite demos --with-depth` writes.
+    FOLDER is the output of `suite demos --with-depth`.
     """
     from kinebench_drake.grounding.evaluation import study
 
-    write_json(order.json_out, order.compare(study.budget()).to_json())
+    options.write_json(options.compare(study.budget()).to_json())
 
 
-_FRAMING_METRICS = """\b
-scaled     the picture in another size
-letterbox  the whole picture, black bars beside it
-crop       the middle of the picture, as much as fills the video
-stretch    the picture drawn out of shape
+@click.command(
+    epilog="""\b
+scaled     the image in another size
+letterbox  the whole image with black bars
+crop       the largest centred part of the image that fills the video
+stretch    the image with another aspect ratio
 
-"""
-"""What the words of the table mean."""
+\b
+Example:
+  kinebench-drake perception framing heldout --limit 6"""
+)
+@_measure_options
+def framing(options: MeasureOptions) -> None:
+    """Measure the errors of the same videos in sizes of video models: 832x480, 720x480 and 512x512.
 
-
-@click.command(epilog=_FRAMING_METRICS + "\b\nExample:\n  kinebench-drake perception framing heldout --limit 6")
-@measuring
-def framing(order: Measuring) -> None:
-    """Measure the same videos in the sizes of video models: 832x480, 720x480 and 512x512, made in every usual way.
-
-    What was done is found out from each video's first frame and undone, as `score` does it.
+    The framing is estimated from the first frame of each video and undone, as `score` does it.
     """
     from kinebench_drake.grounding.evaluation import study
 
-    write_json(order.json_out, order.compare(study.framing()).to_json())
+    options.write_json(options.compare(study.framing()).to_json())
 
 
 _KINDS = ("deformation", "occlusion", "contrast", "motion-blur", "noise", "h264", "latent", "ghosting")
 
 
-_ROBUSTNESS_METRICS = """\b
-deformation  the gripper warped by so many px (root mean square over it), in ways that no rigid motion explains
-occlusion    textured shapes that drift over it and hide so much of what is seen of it
-contrast     so much of it lost
-motion-blur  the picture smeared over so many px along the gripper's motion
-noise        Gaussian noise of so many levels of 255
-h264         coded by x264 at this constant rate factor
-latent       of so many numbers one kept: the greatest coefficients of 4 x 8 x 8 blocks, as a video model's
-             autoencoder would
-ghosting     the two frames before shine through with this weight
-
-"""
-"""What the words of the table mean."""
-
-
 @click.command(
-    epilog=_ROBUSTNESS_METRICS
-    + "\b\nExample:\n  kinebench-drake perception robustness heldout --json robust.json --figure robust.png"
+    epilog="""\b
+deformation  non-rigid warp of the gripper [px, root mean square over the gripper]
+occlusion    share of the visible gripper hidden by drifting textured shapes
+contrast     loss of contrast
+motion-blur  blur along the motion of the gripper [px]
+noise        standard deviation of Gaussian noise [levels of 255]
+h264         constant rate factor of x264
+latent       compression ratio: of the coefficients of 4 x 8 x 8 blocks only the largest are kept, similar to the
+             autoencoder of a video model
+ghosting     weight of the two previous frames, blended in
+
+\b
+Example:
+  kinebench-drake perception robustness heldout --json robust.json --figure robust.png"""
 )
-@measuring
+@_measure_options
 @click.option("--only", default=",".join(_KINDS), show_default=True, help="Kinds of perturbations, comma-separated.")
 @click.option(
     "--sheet", type=click.Path(path_type=Path, dir_okay=False),
-    help="Draw a frame of the first video under each perturbation (png).",
+    help="Draw a contact sheet: one frame of the first video under each perturbation (png).",
 )  # fmt: skip
-def robustness(
-    order: Measuring,
-    only: str,
-    sheet: Path | None,
-) -> None:
-    """Measure the same videos with perturbed frames: how errors and tracking bear it."""
+def robustness(options: MeasureOptions, only: str, sheet: Path | None) -> None:
+    """Measure the errors of the same videos under perturbations of the frames."""
     from kinebench_drake.grounding.evaluation import study
-    from kinebench_drake.grounding.evaluation.figures import draw_sheet
+    from kinebench_drake.grounding.evaluation.figures import draw_contact_sheet
     from kinebench_drake.grounding.evaluation.perturbation.catalogue import PerturbationKind
-    from kinebench_drake.grounding.evaluation.sheet import sheet_of
     from kinebench_drake.io.figure import save
 
-    check_figure(sheet)
+    _check_figure(sheet)
     try:
         kinds = [PerturbationKind(name.strip()) for name in only.split(",")]
     except ValueError:
         raise click.BadParameter(f"{only!r}; there are {', '.join(_KINDS)}", param_hint="--only") from None
     if sheet:
-        save(draw_sheet(sheet_of(study.StudyPlan(folder=order.folder).clips()[0], kinds, order.seed)), sheet)
-    write_json(order.json_out, order.compare(study.robustness(kinds)).to_json())
-
-
-_DEPTH_METRICS = """\b
-scale         a whole video too far or too near by so much
-smooth error  errors that vary over picture and time, root mean square
-noise         each cell by itself, standard deviation
-
-"""
-"""What the words of the table mean."""
+        first = study.StudyPlan(folder=options.folder).clips()[0]
+        save(draw_contact_sheet(first, kinds, options.seed), sheet)
+    options.write_json(options.compare(study.robustness(kinds)).to_json())
 
 
 @click.command(
     "depth-ablation",
-    epilog=_DEPTH_METRICS + "\b\nExample:\n"
-    "  kinebench-drake perception depth-ablation heldout --json depth.json --figure depth.png --heatmap map.png",
+    epilog="""\b
+scale         scale error of a whole video
+smooth error  error that varies over image and time, root mean square
+noise         independent error of each cell, standard deviation
+
+\b
+Example:
+  kinebench-drake perception depth-ablation heldout --json depth.json --figure depth.png --heatmap map.png""",
 )
-@measuring
+@_measure_options
 @click.option(
-    "--depth",
-    "plug_ins",
-    multiple=True,
-    metavar="moge:CHECKPOINT|module:Class",
-    help="Another estimator: MoGe-2, or a class of yours; repeatable.",
-)
+    "--depth", "plug_ins", multiple=True, metavar="moge:CHECKPOINT|module:Class",
+    help="Another depth estimator: MoGe-2, or a class of yours; repeatable.",
+)  # fmt: skip
 @click.option(
     "--heatmap", type=click.Path(path_type=Path, dir_okay=False),
-    help="Draw where on the gripper the estimated depth errs, and one frame of it (png).",
+    help="Plot the depth errors over the gripper, and one example frame (png).",
 )  # fmt: skip
-def depth_ablation(
-    order: Measuring,
-    plug_ins: tuple[str, ...],
-    heatmap: Path | None,
-) -> None:
-    """Say what depth is worth: true depth, our estimate, our estimate made worse, other estimators.
+def depth_ablation(options: MeasureOptions, plug_ins: tuple[str, ...], heatmap: Path | None) -> None:
+    """Measure the effect of depth quality: true depth, estimated depth, degraded depth, other depth estimators.
 
-    FOLDER is what `suite demos --with-depth` writes.
+    FOLDER is the output of `suite demos --with-depth`.
     """
     from kinebench_drake.grounding.evaluation import study
     from kinebench_drake.grounding.evaluation.depth_map import draw_depth, measure_depth
     from kinebench_drake.grounding.evaluation.variants import VariantTools
     from kinebench_drake.io.figure import save
 
-    check_figure(heatmap)
-    outcome = order.compare(study.depth_ablation(plug_ins))
-    clips = study.StudyPlan(folder=order.folder, limit=order.limit).clips()
-    errors = measure_depth(clips, VariantTools.load(order.weights).estimator)
-    told = {}
+    _check_figure(heatmap)
+    outcome = options.compare(study.depth_ablation(plug_ins))
+    clips = study.StudyPlan(folder=options.folder, limit=options.limit).clips()
+    errors = measure_depth(clips, VariantTools.load(options.weights).estimator)
+    figures = {}
     if errors is not None:
-        told = {"median": errors.median, "p95": errors.p95, "common_error_median": errors.level_median}
+        figures = {"median": errors.median, "p95": errors.p95, "common_error_median": errors.level_median}
         click.echo(
             f"relative depth error of our estimate on the gripper: median {errors.median:.2%}, 95 % {errors.p95:.2%}; "
             f"common to a frame: median {errors.level_median:.2%}"
         )
-    write_json(order.json_out, {**outcome.to_json(), "relative_depth_error": told})
+    options.write_json({**outcome.to_json(), "relative_depth_error": figures})
     if heatmap and errors is not None:
         save(draw_depth(errors, "our estimate"), heatmap)
+
+
+@click.command(
+    epilog="""\b
+frames right           detected with the right first frame (and last frame, for kinds that end)
+detected               detected in any frame of the video
+area under the curve   probability that a faulty video has a higher score than a clean one; 95 % interval of Newcombe
+                       (2006)
+
+\b
+Example:
+  kinebench-drake suite demos --suite 2 --split unseen --episodes 5 --out clean
+  python -m benchmarks.planted_videos --suite 2 --split unseen --out faulty
+  kinebench-drake perception anomalies clean faulty --json anomalies.json --figure anomalies.png"""
+)
+@click.argument("clean", type=_FOLDER)
+@click.argument("faulty", type=_FOLDER)
+@_WEIGHTS
+@click.option(
+    "--limit",
+    type=click.IntRange(1),
+    help="Number of clean videos and of videos of each fault, from all tasks in turn.",
+)
+@_JOBS
+@_JSON
+@_FIGURE
+def anomalies(
+    clean: Path, faulty: Path, weights: Path | None, limit: int | None, jobs: int, json_out: Path | None,
+    figure: Path | None,
+) -> None:  # fmt: skip
+    """Measure the detection rate of planted anomalies and the rate of false alarms.
+
+    CLEAN is the output of `suite demos`, FAULTY that of `python -m benchmarks.planted_videos`.
+    """
+    from kinebench_drake.cli.run import ProgressView
+    from kinebench_drake.executors.base import ExecutorKind, create_executor
+    from kinebench_drake.grounding.evaluation.anomalies import detect_all, find_cases
+    from kinebench_drake.grounding.evaluation.anomaly_table import draw_anomalies, table_json, table_lines
+    from kinebench_drake.io.figure import save
+
+    _check_figure(figure)
+    cases = find_cases(clean, faulty, limit)
+    with ProgressView("videos") as view:
+        findings = detect_all(cases, weights, create_executor(ExecutorKind.LOCAL, jobs), view, _clips_file(json_out))
+    for line in table_lines(findings):
+        click.echo(line)
+    _write_json(json_out, table_json(findings))
+    if figure:
+        save(draw_anomalies(findings), figure)

@@ -10,7 +10,7 @@ from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.geometry import make_pose
 from kinebench_drake.grounding.confidence import Confidence
 from kinebench_drake.grounding.estimator import NetworkEstimator
-from kinebench_drake.grounding.evaluation.clip import TruthClip, load_clips
+from kinebench_drake.grounding.evaluation.clip import TruthClip, find_clips
 from kinebench_drake.grounding.evaluation.errors import ClipErrors
 from kinebench_drake.grounding.evaluation.summary import summarize
 from kinebench_drake.grounding.evaluation.trial import evaluate
@@ -44,12 +44,12 @@ def tools(estimator: NetworkEstimator, cad: GripperCad, pipeline: GroundingPipel
 
 @pytest.fixture(scope="session")
 def results(tools: VariantTools) -> list[ClipErrors]:
-    return [evaluate(clip, VARIANTS["pixels"].make(tools, clip)) for clip in load_clips(EXAMPLES)]
+    return [evaluate(c.load(), VARIANTS["pixels"].ground, tools) for c in find_clips(EXAMPLES)]
 
 
 @pytest.fixture(scope="session")
 def clip() -> TruthClip:
-    return next(c for c in load_clips(EXAMPLES) if not c.faults)
+    return next(c.load() for c in find_clips(EXAMPLES) if not c.faults)
 
 
 def test_clean_videos_are_tracked_to_the_bar(results: list[ClipErrors]) -> None:
@@ -151,9 +151,9 @@ def test_true_depth_leaves_a_millimetre_and_half_a_degree(tmp_path: Path, tools:
 
     arguments = ["suite", "demos", "--out", str(tmp_path), "--task", "PullCube-v1", "--episodes", "1", "--with-depth"]
     assert CliRunner().invoke(cli, arguments).exit_code == 0
-    (clip,) = load_clips(tmp_path, with_depth=True)
+    (clip,) = (c.load(with_depth=True) for c in find_clips(tmp_path))
     assert isinstance(clip, TruthClip)
-    errors = evaluate(clip, VARIANTS["true-mask-and-depth"].make(tools, clip))
+    errors = evaluate(clip, VARIANTS["true-mask-and-depth"].ground, tools)
     figures = summarize([errors])
     assert figures["tracked_fraction"] >= 0.95
     assert figures["position_median_mm"] <= 1.0

@@ -1,7 +1,7 @@
-"""What is done to frames before they are measured, to see how much the grounding bears.
+"""Perturbations of frames, to measure the robustness of the grounding.
 
 Every perturbation is a function of frames (T, H, W, 3), masks of the gripper (T, H, W), a random generator and a
-strength, and gives what is seen afterwards: the frames, and the masks of what is left to be seen of the gripper. The
-same state of the generator gives the same bytes, another strength the same pattern, stronger. Strength 0 changes
-nothing. None of them is used in training.
+strength. It returns perturbed frames and the masks of the pixels that still show the gripper. The same state of the
+generator gives the same bytes; another strength gives the same pattern, stronger. Strength 0 changes nothing. None of
+them is used in training.
 """

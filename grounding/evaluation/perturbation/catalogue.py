@@ -1,9 +1,9 @@
-"""All perturbations by name, with the strengths they are measured at.
+"""All perturbations by name, with the strengths at which they are measured.
 
 The kinds are those of the paper's section 4.2 (gripper deformation, three levels of occlusion, contrast, motion blur,
-noise), which gives no numbers, and what coding and blending of frames do. Of each kind's three strengths the first is a
-good video model's, the second the one that a pipeline has to bear, the third beyond that; occlusion has to be borne at
-all three.
+noise), which gives no numbers, and the effects of video coding and of frame blending. Of the three strengths of a kind
+the first is typical of a good video model, the second must be tolerated by the pipeline, and the third is beyond that;
+occlusion must be tolerated at all three.
 """
 
 from collections.abc import Callable, Mapping
@@ -20,11 +20,12 @@ from kinebench_drake.grounding.evaluation.perturbation.degrade import (
     fade,
     ghost,
 )
-from kinebench_drake.grounding.evaluation.perturbation.gripper import Frames, Masks, PerturbedFrames, deform, occlude
+from kinebench_drake.grounding.evaluation.perturbation.gripper import Masks, PerturbedFrames, deform, occlude
+from kinebench_drake.grounding.view import Frames
 
 
 class PerturbationKind(Enum):
-    """What can be done to frames."""
+    """Kinds of perturbations."""
 
     DEFORMATION = "deformation"
     OCCLUSION = "occlusion"
@@ -38,32 +39,29 @@ class PerturbationKind(Enum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Perturbation:
-    """A kind at a strength."""
+    """Kind and strength of a perturbation."""
 
     kind: PerturbationKind
     strength: float
-    """In the kind's own unit; 0 changes nothing."""
+    """Strength in the unit of the kind; 0 changes nothing."""
 
     @property
     def label(self) -> str:
-        """Name and strength for tables."""
+        """Kind and strength as in tables."""
         return _ENTRIES[self.kind].label.format(self.strength)
 
     @property
-    def must_be_borne(self) -> bool:
-        """Whether it is of the kind of strength that the grounding promises to bear."""
-        return self.strength in _ENTRIES[self.kind].borne
-
-
-Function = Callable[[Frames, Masks, np.random.Generator, float], PerturbedFrames]
+    def is_required(self) -> bool:
+        """True if the grounding is required to tolerate it."""
+        return self.strength in _ENTRIES[self.kind].required
 
 
 @dataclass(frozen=True, slots=True)
 class _Entry:
-    function: Function
+    function: Callable[[Frames, Masks, np.random.Generator, float], PerturbedFrames]
     label: str
     strengths: tuple[float, ...]
-    borne: tuple[float, ...]
+    required: tuple[float, ...]
 
 
 _ENTRIES: Mapping[PerturbationKind, _Entry] = {
@@ -79,15 +77,15 @@ _ENTRIES: Mapping[PerturbationKind, _Entry] = {
 
 
 def ladder(kind: PerturbationKind) -> tuple[Perturbation, ...]:
-    """A kind at its strengths, in increasing order."""
+    """Return a kind at its strengths, in increasing order."""
     return tuple(Perturbation(kind=kind, strength=s) for s in _ENTRIES[kind].strengths)
 
 
 def perturb(perturbation: Perturbation, frames: Frames, masks: Masks, seed: int, id: str) -> tuple[Frames, Masks]:
-    """Frames (T, H, W, 3) and masks (T, H, W) of the clip of a name after a perturbation.
+    """Return the perturbed frames (T, H, W, 3) and masks (T, H, W) of the clip `id`.
 
-    Clip, kind and seed draw the pattern, the strength does not: strengths differ in nothing else.
+    The pattern depends on clip, kind and seed, not on the strength.
     """
     rng = np.random.default_rng([seed, *perturbation.kind.value.encode(), *id.encode()])
-    seen = _ENTRIES[perturbation.kind].function(frames, masks, rng, perturbation.strength)
-    return seen.frames, seen.masks
+    result = _ENTRIES[perturbation.kind].function(frames, masks, rng, perturbation.strength)
+    return result.frames, result.masks

@@ -1,4 +1,4 @@
-"""Degradations of frames: compression, contrast, noise, motion blur, ghosting."""
+"""Perturbations of whole frames: compression, contrast, noise, motion blur, ghosting."""
 
 import tempfile
 from pathlib import Path
@@ -10,22 +10,22 @@ from scipy.fft import dctn, idctn
 
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.evaluation.perturbation.gripper import (
-    Frames,
     Masks,
     PerturbedFrames,
     centroids,
     to_bytes,
 )
+from kinebench_drake.grounding.view import Frames
 from kinebench_drake.io.container import write_video
 from kinebench_drake.io.reader import read_video
 
 _FPS = 17.0
-_TIME, _SIDE = 4, 8  # frames and pixels that a latent of Wan's and CogVideoX's VAEs stands for
+_TIME, _SIDE = 4, 8  # frames and pixels per latent of the VAEs of Wan and CogVideoX
 _SHIFTS = ((0, 0), (4, 4))
 
 
 def code_h264(frames: Frames, masks: Masks, rng: np.random.Generator, crf: float) -> PerturbedFrames:
-    """Code and decode with x264 at a constant rate factor, 1 to 51; 0 leaves the frames as they are."""
+    """Encode and decode with x264 at a constant rate factor, 1 to 51; 0 changes nothing."""
     if crf <= 0:
         return PerturbedFrames(frames=frames, masks=masks)
     with tempfile.TemporaryDirectory() as folder:
@@ -37,13 +37,13 @@ def code_h264(frames: Frames, masks: Masks, rng: np.random.Generator, crf: float
 
 
 def code_latent(frames: Frames, masks: Masks, rng: np.random.Generator, ratio: float) -> PerturbedFrames:
-    """Keep one of `ratio` numbers, as a video model's autoencoder does; 0 leaves the frames as they are.
+    """Compress by `ratio`, as the autoencoder of a video model does; 0 changes nothing.
 
-    A stand-in that needs no weights: each block of 4 frames x 8 x 8 pixels x 3 channels (luma and, worth half, chroma)
-    becomes the 768 coefficients of its cosine transform, of which only the greatest are kept: best approximation in an
-    orthonormal basis, which like the autoencoder keeps strong edges and drops fine texture and quick small motion.
-    Averaged over two grids of blocks, which takes the seams away (cycle spinning, Coifman and Donoho 1995). The VAE of
-    Wan 2.1 turns such a block into 16 numbers, a ratio of 48. The first frame opens a block of its own, as there.
+    A substitute that needs no weights: of the 768 cosine transform coefficients of each block of 4 frames x 8 x 8
+    pixels x 3 channels (luma and, weighted by half, chroma) only the largest are kept. This best approximation in an
+    orthonormal basis, like the autoencoder, keeps strong edges and drops fine texture and fast small motion. The
+    average over two grids of blocks removes the seams (cycle spinning, Coifman and Donoho 1995). The VAE of Wan 2.1
+    maps such a block to 16 numbers, a ratio of 48. As there, the first frame has a block of its own.
     """
     if ratio <= 0:
         return PerturbedFrames(frames=frames, masks=masks)
@@ -55,7 +55,7 @@ def code_latent(frames: Frames, masks: Masks, rng: np.random.Generator, ratio: f
 
 
 def _code_group(frames: Frames, keep: int) -> Frames:
-    """Four frames (4, H, W, 3) after coding."""
+    """Return four frames (4, H, W, 3) after coding."""
     _, height, width, _ = frames.shape
     colour = np.stack([cv2.cvtColor(f, cv2.COLOR_RGB2YCrCb) for f in frames]).astype(np.float32)
     colour[..., 1:] *= 0.5
@@ -70,7 +70,7 @@ def _code_group(frames: Frames, keep: int) -> Frames:
 
 
 def _code_blocks(colour: NDArray[np.float32], keep: int) -> NDArray[np.float32]:
-    """Frames (4, H, W, 3), H and W multiples of 8, from the `keep` greatest coefficients of each block."""
+    """Return frames (4, H, W, 3), H and W multiples of 8, from the `keep` largest coefficients of each block."""
     t, height, width, c = colour.shape
     rows, columns = height // _SIDE, width // _SIDE
     blocks = colour.reshape(t, rows, _SIDE, columns, _SIDE, c).transpose(1, 3, 0, 2, 4, 5)
@@ -83,27 +83,27 @@ def _code_blocks(colour: NDArray[np.float32], keep: int) -> NDArray[np.float32]:
 
 
 def fade(frames: Frames, masks: Masks, rng: np.random.Generator, loss: float) -> PerturbedFrames:
-    """Take `loss` (0..1) of the contrast: every level moves that far towards the mean of the whole video."""
+    """Reduce the contrast by `loss` (0..1): every level moves that far towards the mean of the whole video."""
     mean = frames.mean(axis=(0, 1, 2))
     return PerturbedFrames(frames=to_bytes(frames + loss * (mean - frames)), masks=masks)
 
 
 def add_noise(frames: Frames, masks: Masks, rng: np.random.Generator, sigma: float) -> PerturbedFrames:
-    """Add Gaussian noise of standard deviation `sigma` [levels of 255], anew in each pixel, channel and frame."""
+    """Add Gaussian noise of standard deviation `sigma` [levels of 255], independent by pixel, channel and frame."""
     out = np.empty_like(frames)
     for i, frame in enumerate(frames):
         out[i] = to_bytes(frame + sigma * rng.standard_normal(frame.shape, dtype=np.float32))
     return PerturbedFrames(frames=out, masks=masks)
 
 
-_STILL_PX = 0.5  # a gripper that moves less from the frame before to the one after has no direction of its own
-_SAMPLES_PX = 8  # points of the line for each pixel of its length
+_STILL_PX = 0.5  # motion from the previous to the next frame below which the gripper rests
+_SAMPLES_PX = 8  # samples per pixel of the line
 
 
 def blur_motion(frames: Frames, masks: Masks, rng: np.random.Generator, length_px: float) -> PerturbedFrames:
-    """Smear each picture over `length_px` along the gripper's motion in it.
+    """Blur each image over `length_px` along the motion of the gripper.
 
-    A resting gripper is smeared the way it last moved (before it ever moved: a random way).
+    For a resting gripper the direction is that of its last motion; random before any motion.
     """
     out = np.empty_like(frames)
     for i, angle in enumerate(directions(centroids(masks), float(rng.uniform(0, np.pi)))):
@@ -112,7 +112,7 @@ def blur_motion(frames: Frames, masks: Masks, rng: np.random.Generator, length_p
 
 
 def directions(points: Array, start: float) -> Array:
-    """Angle (T,) [rad] of the motion of `points` (T, 2); `start` before any motion."""
+    """Return the direction (T,) [rad] of the motion of `points` (T, 2); `start` before any motion."""
     n = len(points)
     angle, angles = start, []
     for i in range(n):
@@ -124,7 +124,7 @@ def directions(points: Array, start: float) -> Array:
 
 
 def line_kernel(length_px: float, angle: float) -> NDArray[np.float32]:
-    """A centred line of a length [px] and direction [rad] as a kernel of sum 1: the way light falls along it."""
+    """Return a kernel of sum 1 that blurs along a centred line of a length [px] and direction [rad]."""
     half = int(np.ceil(length_px / 2)) + 1
     kernel = np.zeros((2 * half + 1, 2 * half + 1))
     count = max(1, round(_SAMPLES_PX * length_px))
@@ -138,6 +138,6 @@ def line_kernel(length_px: float, angle: float) -> NDArray[np.float32]:
 
 
 def ghost(frames: Frames, masks: Masks, rng: np.random.Generator, weight: float) -> PerturbedFrames:
-    """Let the two frames before shine through with `weight` (0..1) together, as blending of frames does."""
+    """Blend each frame with the two previous ones, which together have the weight `weight` (0..1)."""
     past = [frames[np.maximum(np.arange(len(frames)) - lag, 0)].astype(np.float32) for lag in (1, 2)]
     return PerturbedFrames(frames=to_bytes((1 - weight) * frames + weight * (past[0] + past[1]) / 2), masks=masks)

@@ -1,4 +1,4 @@
-"""Perturbations that need to know where the gripper is: deformation and occlusion."""
+"""Perturbations located at the gripper: deformation and occlusion."""
 
 from dataclasses import dataclass
 
@@ -7,16 +7,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.geometry import Array
+from kinebench_drake.grounding.view import Frames
 
-Frames = NDArray[np.uint8]
-"""(T, H, W, 3) RGB."""
 Masks = NDArray[np.bool_]
 """(T, H, W)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PerturbedFrames:
-    """What a perturbation leaves."""
+    """Result of a perturbation."""
 
     frames: Frames
     masks: Masks
@@ -24,9 +23,9 @@ class PerturbedFrames:
 
 
 def centroids(masks: Masks) -> Array:
-    """Middle (T, 2) of each mask as x, y [px]; that of the nearest frame where one is empty, of the picture if all are.
+    """Return the centroid (T, 2) of each mask as x, y [px], pixel centres at integers.
 
-    Pixel centres lie at integers.
+    An empty mask gets the centroid of the nearest frame, or the image centre if all are empty.
     """
     n, height, width = masks.shape
     points = np.full((n, 2), np.nan)
@@ -34,15 +33,15 @@ def centroids(masks: Masks) -> Array:
         v, u = np.nonzero(mask)
         if len(u):
             points[i] = u.mean(), v.mean()
-    known = np.flatnonzero(np.isfinite(points[:, 0]))
-    if not len(known):
+    nonempty = np.flatnonzero(np.isfinite(points[:, 0]))
+    if not len(nonempty):
         return np.tile([(width - 1) / 2, (height - 1) / 2], (n, 1))
-    nearest = known[np.abs(np.arange(n)[:, None] - known).argmin(axis=1)]
+    nearest = nonempty[np.abs(np.arange(n)[:, None] - nonempty).argmin(axis=1)]
     return np.asarray(points[nearest])
 
 
-def turning(rng: np.random.Generator, frames: int, period: int, shape: tuple[int, ...]) -> Array:
-    """Random values (frames, *shape) of unit variance that turn smoothly, new ones every `period` frames."""
+def smooth_noise(rng: np.random.Generator, frames: int, period: int, shape: tuple[int, ...]) -> Array:
+    """Return random values (frames, *shape) of unit variance, interpolated smoothly between draws `period` apart."""
     keys = rng.normal(0.0, 1.0, (-(-frames // period) + 1, *shape))
     number, s = np.divmod(np.arange(frames) / period, 1.0)
     a, b = keys[number.astype(int)], keys[number.astype(int) + 1]
@@ -51,22 +50,22 @@ def turning(rng: np.random.Generator, frames: int, period: int, shape: tuple[int
 
 
 def to_bytes(values: NDArray[np.floating]) -> Frames:
-    """Rounded and clipped to 0..255."""
+    """Return values rounded and clipped to 0..255."""
     return np.asarray(np.clip(np.rint(values), 0, 255).astype(np.uint8))
 
 
-_NODES = 5  # of the field across the gripper
-_PERIOD = 8  # frames in which the field becomes another one
+_NODES = 5  # of the deformation field across the gripper
+_PERIOD = 8  # frames between two random deformation fields
 _MIN_PX = 20
 
 
 def deform(frames: Frames, masks: Masks, rng: np.random.Generator, rms_px: float) -> PerturbedFrames:
     """Warp the gripper so that its pixels move by `rms_px`, root mean square over its mask in every frame.
 
-    What a shift, a turn or another size would explain is taken out of the field, so that the true pose stays the one
-    that fits best. Off the gripper the warp fades away.
+    The similarity transform that fits the field best is subtracted, so that the true pose remains the best fit. The
+    warp fades out off the gripper.
     """
-    nodes = turning(rng, len(frames), _PERIOD, (_NODES, _NODES, 2))
+    nodes = smooth_noise(rng, len(frames), _PERIOD, (_NODES, _NODES, 2))
     middle = centroids(masks)
     out = frames.copy()
     for i, mask in enumerate(masks):
@@ -79,12 +78,12 @@ def deform(frames: Frames, masks: Masks, rng: np.random.Generator, rms_px: float
 
 
 def displacement(mask: NDArray[np.bool_], nodes: Array, middle: Array, rms_px: float) -> Array:
-    """Where each pixel (H, W) looks instead, as an offset (H, W, 2) [px].
+    """Return the offset (H, W, 2) [px] at which each pixel samples the image.
 
     Args:
         mask: (H, W) the gripper.
-        nodes: (n, n, 2) the field on a grid over the gripper, of any size.
-        middle: (2,) of the mask [px].
+        nodes: (n, n, 2) the field on a grid over the gripper, of any magnitude.
+        middle: (2,) centroid of the mask [px].
         rms_px: root mean square of the offsets over the mask [px].
     """
     v, u = np.nonzero(mask)
@@ -105,7 +104,7 @@ def displacement(mask: NDArray[np.bool_], nodes: Array, middle: Array, rms_px: f
 
 
 def _similarity(where: Array, moved: Array, everywhere: Array) -> Array:
-    """The part of offsets `moved` (n, 2) at points `where` (n, 2) that shift, turn and size explain, at all points."""
+    """Fit a similarity to offsets `moved` (n, 2) at points `where` (n, 2); return its offsets at all points."""
     (x, y), one, none = where.T, np.ones(len(where)), np.zeros(len(where))
     A = np.concatenate([np.stack([one, none, x, -y], axis=1), np.stack([none, one, y, x], axis=1)])
     a, b, size, turn = np.linalg.lstsq(A, moved.T.reshape(-1), rcond=None)[0]
@@ -114,29 +113,29 @@ def _similarity(where: Array, moved: Array, everywhere: Array) -> Array:
 
 
 def _window(mask: NDArray[np.bool_], reach: float) -> Array:
-    """1 on the gripper, falling smoothly to 0 within a third of its reach."""
+    """Return a weight (H, W): 1 on the gripper, falling smoothly to 0 within a third of its reach."""
     away = cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, 3)
     return np.asarray(0.5 + 0.5 * np.cos(np.pi * np.clip(away / (reach / 3), 0.0, 1.0)), dtype=np.float64)
 
 
 _SHAPES = 2
-_LOBES = (2, 3, 5)  # bumps around a shape's outline
-_BUMP = 0.16  # their height over the shape's radius
-_TEXTURE_PERIOD = 16  # frames in which a shape drifts to another place
-_DRIFT = 0.45  # of the way from the gripper's middle to its outline
+_LOBES = (2, 3, 5)  # bumps around the outline of a shape
+_BUMP = 0.16  # their height / the radius of the shape
+_TEXTURE_PERIOD = 16  # frames between two random places of a shape
+_DRIFT = 0.45  # distance of a shape from the gripper's centroid / the gripper's radius
 _TEXTURE_PX = 128
 _MIN_OCCLUDER_PX = 20
 
 
 def occlude(frames: Frames, masks: Masks, rng: np.random.Generator, share: float) -> PerturbedFrames:
-    """Hide `share` (0..1) of the gripper's visible pixels in every frame behind two shapes.
+    """Hide `share` (0..1) of the gripper's visible pixels in every frame behind two textured shapes.
 
-    Their places drift smoothly with the gripper; their common size is what hides the wanted share.
+    The shapes follow the gripper and drift smoothly; their common size is chosen to hide the requested share.
     """
     middle = centroids(masks)
-    drift = turning(rng, len(frames), _TEXTURE_PERIOD, (_SHAPES, 2))
+    drift = smooth_noise(rng, len(frames), _TEXTURE_PERIOD, (_SHAPES, 2))
     outlines = rng.uniform(0, 2 * np.pi, (_SHAPES, len(_LOBES)))
-    turns = rng.uniform(-0.04, 0.04, _SHAPES)  # [rad] a frame
+    turns = rng.uniform(-0.04, 0.04, _SHAPES)  # [rad / frame]
     textures = [texture(rng) for _ in range(_SHAPES)]
     out, left = frames.astype(np.float32), masks.copy()
     height, width = masks.shape[1:]
@@ -161,14 +160,14 @@ def occlude(frames: Frames, masks: Masks, rng: np.random.Generator, share: float
 
 
 def _gauge(x: Array, y: Array, phases: Array, turn: float) -> Array:
-    """Distance from a shape's middle over the radius of its outline there: the shape of size s is where it is <= s."""
+    """Return the distance from a shape's centre / the radius of its outline; a shape of size s covers values <= s."""
     angle = np.arctan2(y, x) + turn
     radius = 1.0 + _BUMP * sum(np.cos(k * angle + phase) for k, phase in zip(_LOBES, phases, strict=True))
     return np.asarray(np.hypot(x, y) / radius)
 
 
 def texture(rng: np.random.Generator) -> NDArray[np.float32]:
-    """A picture (128, 128, 3) in 0..255 that repeats without a seam: two colours mixed by noise of mixed grain."""
+    """Return a seamless texture (128, 128, 3) in 0..255: two colours mixed by noise of several scales."""
     spectrum = np.zeros((_TEXTURE_PX, _TEXTURE_PX))
     for grain in (2.0, 5.0, 14.0):
         noise = cv2.GaussianBlur(

@@ -27,7 +27,7 @@ from kinebench_drake.types import Anomaly, AnomalyKind
 def clip(i, planted=None, score=0.1, found=()):
     kind = planted.kind if planted else AnomalyKind.TELEPORT
     scores = {k: 0.1 for k in AnomalyKind} | {kind: score}
-    return ClipAnomalies(id=f"v{i}", task="StackCube-v1", planted=planted, scores=scores, found=tuple(found))
+    return ClipAnomalies(id=f"v{i}", task="StackCube-v1", planted=planted, scores=scores, detected=tuple(found))
 
 
 def jump(frame, kind=AnomalyKind.TELEPORT, end=None):
@@ -127,5 +127,5 @@ def test_cases_are_so_many_of_each_fault(tmp_path):
     with pytest.raises(UsageError, match="no fault of A1"):
         find_cases(clean, clean, None)
     (faulty / "truth" / "faults.json").unlink()
-    with pytest.raises(UsageError, match=r"suites\.samples"):
+    with pytest.raises(UsageError, match=r"benchmarks\.planted_videos"):
         find_cases(clean, faulty, None)

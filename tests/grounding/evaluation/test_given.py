@@ -8,7 +8,7 @@ import pytest
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import InputError
 from kinebench_drake.grounding.crop import Crop
-from kinebench_drake.grounding.evaluation.degradation import Degradation, DegradedEstimator
+from kinebench_drake.grounding.evaluation.variants import Degradation, DegradedEstimator
 from kinebench_drake.grounding.override_estimator import OverrideEstimator
 from kinebench_drake.grounding.view import Frames, GripperView
 from kinebench_drake.models.panda.robot import RobotPart

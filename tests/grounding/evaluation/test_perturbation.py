@@ -8,7 +8,7 @@ from scipy.ndimage import binary_dilation
 
 from kinebench_drake.grounding.evaluation.perturbation.catalogue import Perturbation, PerturbationKind, ladder, perturb
 from kinebench_drake.grounding.evaluation.perturbation.degrade import code_latent, directions, line_kernel
-from kinebench_drake.grounding.evaluation.perturbation.gripper import displacement, turning
+from kinebench_drake.grounding.evaluation.perturbation.gripper import displacement, smooth_noise
 
 Square = tuple[np.ndarray, np.ndarray]
 
@@ -65,7 +65,7 @@ def test_occlusion_moves_smoothly(square: Square) -> None:
 
 def test_a_deformation_is_as_strong_as_it_says_and_no_rigid_motion(square: Square) -> None:
     mask = square[1][3]
-    nodes = turning(np.random.default_rng(1), 1, 8, (5, 5, 2))[0]
+    nodes = smooth_noise(np.random.default_rng(1), 1, 8, (5, 5, 2))[0]
     v, u = np.nonzero(mask)
     middle = np.array([u.mean(), v.mean()])
     shift = displacement(mask, nodes, middle, 3.0)

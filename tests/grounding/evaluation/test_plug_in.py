@@ -23,16 +23,15 @@ def test_the_pipeline_gets_the_depth_of_a_class(
 ) -> None:
     (tmp_path / "a_ramp_of_mine.py").write_text(CLASS)
     monkeypatch.syspath_prepend(tmp_path)
-    told = list[Priors]()
-    shipped = SimpleNamespace(ground=lambda frames, camera, t_s, known: told.append(known))
-    ground = plug_in("a_ramp_of_mine:Ramp")(SimpleNamespace(shipped=shipped), clip)  # type: ignore[arg-type]
+    calls = list[Priors]()
+    shipped = SimpleNamespace(ground=lambda frames, camera, t_s, priors: calls.append(priors))
     frames = np.random.default_rng(0).integers(0, 255, (5, 192, 192, 3), dtype=np.uint8)  # other than the camera
-    ground(frames)
-    (known,) = told
-    assert known.depth is not None
-    assert not known.depth.exact
-    np.testing.assert_allclose(known.depth.depth_m, 0.5 + frames[..., 1] / 100)
-    assert (known.mask, known.X_CH, known.initial_state) == (None, None, None)
+    plug_in("a_ramp_of_mine:Ramp")(SimpleNamespace(shipped=shipped), clip, frames)  # type: ignore[arg-type]
+    (priors,) = calls
+    assert priors.depth is not None
+    assert not priors.depth.exact
+    np.testing.assert_allclose(priors.depth.depth_m, 0.5 + frames[..., 1] / 100)
+    assert (priors.mask, priors.X_CH, priors.initial_state) == (None, None, None)
 
 
 def test_an_estimator_that_is_not_there_is_told_before_anything_is_measured() -> None:

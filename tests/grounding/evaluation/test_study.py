@@ -1,4 +1,4 @@
-"""Studies carried out with workers that only pretend."""
+"""Studies with fake workers."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -12,26 +12,26 @@ from kinebench_drake.errors import UsageError
 from kinebench_drake.executors.base import ExecutorKind, create_executor
 from kinebench_drake.executors.progress import NullObserver
 from kinebench_drake.grounding.evaluation import study
-from kinebench_drake.grounding.evaluation.clip import choose, find_clips, load_clips
+from kinebench_drake.grounding.evaluation.clip import choose, find_clips
 from kinebench_drake.grounding.evaluation.errors import ClipErrors
 from kinebench_drake.grounding.evaluation.figures import draw_comparison, draw_evaluation
 from kinebench_drake.grounding.evaluation.perturbation.catalogue import PerturbationKind
-from kinebench_drake.grounding.evaluation.store import TrialStore
+from kinebench_drake.grounding.evaluation.store import MeasurementStore
 from kinebench_drake.grounding.evaluation.tables import evaluation_json, pooled_lines, table, task_table
 from kinebench_drake.grounding.evaluation.trial import GroundingTrial
 from kinebench_drake.io.figure import save
 
-ENGINE = create_executor(ExecutorKind.LOCAL, 1)
+EXECUTOR = create_executor(ExecutorKind.LOCAL, 1)
 
 
-class Silence(NullObserver):
+class SilentObserver(NullObserver):
     completed = 0
 
     def start(self, total: int, completed: int) -> None:
         self.completed = completed
 
 
-class Pretender:
+class FakeWorkers:
     """Errors that grow with the strength of the perturbation; stops like a killed program after so many trials."""
 
     def __init__(self, errors: Callable[..., ClipErrors], patience: int = 10_000) -> None:
@@ -49,28 +49,32 @@ class Pretender:
 
 
 def test_an_interrupted_study_goes_on(folder: Path, tmp_path: Path, errors: Callable[..., ClipErrors]) -> None:
-    plan = study.Plan(folder=folder, keep=tmp_path / "kept.clips.jsonl")
+    plan = study.StudyPlan(folder=folder, keep=tmp_path / "kept.clips.jsonl")
     noise = study.robustness([PerturbationKind.NOISE])
-    first = Pretender(errors, patience=5)
+    first = FakeWorkers(errors, patience=5)
     with pytest.raises(KeyboardInterrupt):
-        study.carry_out(noise, plan, ENGINE, Silence(), first)
+        study.run_study(noise, plan, EXECUTOR, SilentObserver(), first)
     with (tmp_path / "kept.clips.jsonl").open("a") as file:
         file.write('{"key": "torn')
-    second, observer = Pretender(errors), Silence()
-    whole = study.carry_out(noise, plan, ENGINE, observer, second)
+    second, observer = FakeWorkers(errors), SilentObserver()
+    whole = study.run_study(noise, plan, EXECUTOR, observer, second)
     assert observer.completed == 5
     assert second.made == 3 * 4 - 5
-    fresh = study.carry_out(noise, replace(plan, keep=None), ENGINE, Silence(), Pretender(errors))
+    fresh = study.run_study(noise, replace(plan, keep=None), EXECUTOR, SilentObserver(), FakeWorkers(errors))
     assert list(whole.lines()) == list(fresh.lines())
     assert whole.to_json() == fresh.to_json()
-    third = Pretender(errors)
-    study.carry_out(noise, replace(plan, seed=1), ENGINE, Silence(), third)
+    third = FakeWorkers(errors)
+    study.run_study(noise, replace(plan, seed=1), EXECUTOR, SilentObserver(), third)
     assert third.made == 3 * 4  # another seed's measurements are no measurements of this one
 
 
 def test_the_table_tells_conditions_apart(folder: Path, errors: Callable[..., ClipErrors]) -> None:
-    outcome = study.carry_out(
-        study.robustness([PerturbationKind.NOISE]), study.Plan(folder=folder), ENGINE, Silence(), Pretender(errors)
+    outcome = study.run_study(
+        study.robustness([PerturbationKind.NOISE]),
+        study.StudyPlan(folder=folder),
+        EXECUTOR,
+        SilentObserver(),
+        FakeWorkers(errors),
     )
     lines = list(outcome.lines())
     assert lines[0].startswith("Pose errors under perturbations: 3 videos, 36 frames")
@@ -81,7 +85,7 @@ def test_the_table_tells_conditions_apart(folder: Path, errors: Callable[..., Cl
 
 def test_a_budget_puts_in_one_thing_at_a_time(folder: Path, errors: Callable[..., ClipErrors]) -> None:
     order = study.budget()
-    outcome = study.carry_out(order, study.Plan(folder=folder), ENGINE, Silence(), Pretender(errors))
+    outcome = study.run_study(order, study.StudyPlan(folder=folder), EXECUTOR, SilentObserver(), FakeWorkers(errors))
     text = "\n".join(outcome.lines())
     assert all(
         name in text for name in ("pixels only", "true mask", "true depth", "true start pose", "true finger opening")
@@ -100,7 +104,7 @@ def test_tasks_take_turns(folder: Path) -> None:
 
 
 def test_clips_are_read_as_written(folder: Path) -> None:
-    clip = load_clips(folder, with_depth=True)[0]
+    clip = find_clips(folder)[0].load(with_depth=True)
     assert clip.task == "A-v1"
     assert clip.mask is not None
     assert clip.depth_m is not None
@@ -121,12 +125,16 @@ def test_a_file_of_something_else_is_no_store(tmp_path: Path) -> None:
     path = tmp_path / "other.jsonl"
     path.write_text('{"key": "a", "size": 3}\n')
     with pytest.raises(UsageError, match="no measurements"):
-        TrialStore(path)
+        MeasurementStore(path, ClipErrors)
 
 
 def test_figures_are_drawn(folder: Path, tmp_path: Path, errors: Callable[..., ClipErrors]) -> None:
-    outcome = study.carry_out(
-        study.robustness([PerturbationKind.NOISE]), study.Plan(folder=folder), ENGINE, Silence(), Pretender(errors)
+    outcome = study.run_study(
+        study.robustness([PerturbationKind.NOISE]),
+        study.StudyPlan(folder=folder),
+        EXECUTOR,
+        SilentObserver(),
+        FakeWorkers(errors),
     )
     save(draw_comparison(outcome.results, outcome.figures, outcome.study.groups, "title"), tmp_path / "a.png")
     save(draw_evaluation(outcome.results["as it is"]), tmp_path / "b.png")

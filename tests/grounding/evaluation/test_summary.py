@@ -6,8 +6,15 @@ import numpy as np
 import pytest
 
 from kinebench_drake.grounding.evaluation.errors import ClipErrors
-from kinebench_drake.grounding.evaluation.reliability import judged_frames, reliability
-from kinebench_drake.grounding.evaluation.summary import boundary, intervals, judged, latency, summarize
+from kinebench_drake.grounding.evaluation.summary import (
+    confidence_samples,
+    intervals,
+    latency,
+    open_is_correct,
+    open_threshold,
+    reliability_curve,
+    summarize,
+)
 from kinebench_drake.types import Anomaly, AnomalyKind
 
 VANISH = Anomaly(kind=AnomalyKind.VANISH, frame_start=4, frame_end=7, severity=4.0)
@@ -50,15 +57,15 @@ def test_intervals_hold_the_figure_and_repeat(errors: Callable[..., ClipErrors])
 
 
 def test_the_boundary_is_halfway_of_the_episode() -> None:
-    assert boundary(np.array([0.08, 0.05, np.nan, 0.065])) == pytest.approx(0.065)
-    assert boundary(np.zeros(5)) == 0.04
-    assert boundary(np.array([0.080, 0.065])) == 0.04
+    assert open_threshold(np.array([0.08, 0.05, np.nan, 0.065])) == pytest.approx(0.065)
+    assert open_threshold(np.zeros(5)) == 0.04
+    assert open_threshold(np.array([0.080, 0.065])) == 0.04
 
 
 def test_open_and_closed_are_judged_away_from_the_boundary() -> None:
     true = np.array([0.08, 0.00, 0.041, 0.00, 0.08])
     seen = np.array([0.07, 0.05, 0.000, 0.01, np.nan])
-    assert judged(seen, true).tolist() == [True, False, True]
+    assert open_is_correct(seen, true).tolist() == [True, False, True]
 
 
 @pytest.mark.parametrize(
@@ -72,7 +79,7 @@ def test_open_and_closed_are_judged_away_from_the_boundary() -> None:
 )
 def test_latency(tracked: list[int], expected: tuple[int, int, int]) -> None:
     told = latency(np.array(tracked, dtype=bool), 2, 4)
-    assert (told.loss, told.recovery, told.phantoms) == expected
+    assert (told.loss, told.recovery, told.false_frames) == expected
     assert latency(np.array(tracked, dtype=bool), 6, 7).recovery is None
 
 
@@ -88,15 +95,15 @@ def test_a_confidence_that_means_what_it_says_has_no_error() -> None:
     rng = np.random.default_rng(0)
     confidence = rng.uniform(0, 1, 40_000)
     good = rng.random(40_000) < confidence
-    curve = reliability(confidence, good)
+    curve = reliability_curve(confidence, good)
     assert curve.error < 0.02
     assert sum(b.frames for b in curve.bins) == 40_000
     assert all(b.good_low <= b.good <= b.good_high for b in curve.bins)
-    boastful = reliability(np.full(100, 0.95), np.arange(100) < 60)
+    boastful = reliability_curve(np.full(100, 0.95), np.arange(100) < 60)
     assert boastful.error == pytest.approx(0.35)
 
 
 def test_a_gripper_that_is_none_is_never_good(errors: Callable[..., ClipErrors]) -> None:
-    confidence, good = judged_frames([errors(0.009, gone=slice(0, 3)), errors(0.011)])
+    confidence, good = confidence_samples([errors(0.009, gone=slice(0, 3)), errors(0.011)])
     assert len(confidence) == 24
     assert good.sum() == 9

@@ -11,7 +11,6 @@ from kinebench_drake.camera import Camera, benchmark_camera
 from kinebench_drake.grounding.crop import Crop
 from kinebench_drake.grounding.evaluation.clip import TruthClip, find_clips
 from kinebench_drake.grounding.evaluation.depth_map import measure_depth
-from kinebench_drake.grounding.evaluation.visibility import true_masks, visible_share
 from kinebench_drake.grounding.view import Frames, GripperView
 from kinebench_drake.models.panda.cad import GripperCad
 from kinebench_drake.models.panda.robot import RobotPart
@@ -30,8 +29,8 @@ def small(clip: TruthClip) -> TruthClip:
 
 
 def test_a_gripper_in_the_picture_shows_all_of_it(small: TruthClip, cad: GripperCad) -> None:
-    masks = true_masks(small, cad)
-    share = visible_share(small, masks, cad)
+    masks = small.masks(cad)
+    share = small.visible_share(masks, cad)
     assert share[0] > 0.97
     wide = replace(small.camera, width=768)  # the picture goes on to the right
     surface = cad.cast(small.X_CH[1], wide.rays().reshape(-1, 3), float(small.finger_width_m[1]) / 2)
@@ -43,13 +42,13 @@ def test_a_gripper_in_the_picture_shows_all_of_it(small: TruthClip, cad: Gripper
 
 
 def test_a_stored_mask_goes_before_the_outline(small: TruthClip, cad: GripperCad) -> None:
-    outline = true_masks(small, cad)
+    outline = small.masks(cad)
     stored = outline.copy()
     stored[0, :, :192] = False
     half = replace(small, mask=stored)
-    assert true_masks(half, cad) is stored
+    assert half.masks(cad) is stored
     expected = stored[0].sum() / outline[0].sum()
-    assert visible_share(half, stored, cad)[0] == pytest.approx(expected, abs=0.05)
+    assert half.visible_share(stored, cad)[0] == pytest.approx(expected, abs=0.05)
 
 
 class TooFar:
@@ -77,5 +76,5 @@ def test_a_depth_error_is_mapped_as_it_is(folder: Path) -> None:
         mean = errormap.mean()
         assert np.isfinite(mean).any()
         np.testing.assert_allclose(mean[np.isfinite(mean)], 0.02, atol=1e-5)
-    seen = np.isfinite(errors.example.error)
-    np.testing.assert_allclose(errors.example.error[seen], 0.02, atol=1e-5)
+    on_gripper = np.isfinite(errors.example.error)
+    np.testing.assert_allclose(errors.example.error[on_gripper], 0.02, atol=1e-5)

@@ -1,4 +1,4 @@
-"""Clips shown in other sizes: the truth stays the truth, seen by the camera that was found."""
+"""Reframed clips: the ground truth stays valid for the camera of the estimated framing."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -10,7 +10,7 @@ import pytest
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.geometry import make_pose
 from kinebench_drake.grounding.evaluation.clip import TruthClip
-from kinebench_drake.grounding.evaluation.reframed import Reframing, reframe, reframings
+from kinebench_drake.grounding.evaluation.reframing import Reframing, reframe, reframings
 
 POINT_C = np.array([0.05, 0.03, 0.7])
 
@@ -44,14 +44,14 @@ def frames():
 
 
 @pytest.mark.parametrize("reframing", reframings(), ids=lambda r: r.label)
-def test_the_camera_that_is_found_sees_what_the_frames_show(clip, frames, reframing):
+def test_the_estimated_camera_fits_the_frames(clip, frames, reframing):
     mask = np.zeros(frames.shape[:3], bool)
     mask[:, :, 150:250] = True
     other = reframe(reframing, clip, frames, mask)
     assert other.frames.shape[1:3] == (other.clip.camera.height, other.clip.camera.width)
     bright = (other.frames[0].min(axis=-1) > 245).nonzero()
-    seen = np.array([bright[1].mean(), bright[0].mean()]) + 0.5
-    assert np.abs(seen - other.clip.camera.project(POINT_C)).max() < 1.5
+    centre = np.array([bright[1].mean(), bright[0].mean()]) + 0.5
+    assert np.abs(centre - other.clip.camera.project(POINT_C)).max() < 1.5
     expected = {"crop": reframing.size[1] / reframing.size[0]}.get(reframing.way, 1.0)
     assert other.shown == pytest.approx(expected, abs=0.01)
 
