@@ -15,7 +15,7 @@ from benchmarks.motion import Arm, Motion, accelerations
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array, make_pose, rotation_angle, rotation_exp, rotation_log
 from kinebench_drake.kinematics.continuation import minimum_jerk
-from kinebench_drake.kinematics.newton import REACHED_M, newton
+from kinebench_drake.kinematics.newton import REACHED_M, solve_newton
 from kinebench_drake.suites.clock import CONTROL_PERIOD_S
 from kinebench_drake.suites.episode import compose
 from kinebench_drake.suites.experts.grasp import DOWN, grasp_rotation
@@ -115,7 +115,7 @@ def follow(arm: Arm, poses: Array, q: Array) -> Array | None:
     """Postures (N, 7) [rad] through poses (N, 4, 4) that lie close together, from `q` (7,); None at a dead end."""
     path = np.empty((len(poses), 7))
     for i, X_BG in enumerate(poses):
-        q, error = newton(arm.plant, X_BG, q, iterations=20)
+        q, error = solve_newton(arm.plant, X_BG, q, iterations=20)
         if error > REACHED_M:
             return None
         path[i] = q

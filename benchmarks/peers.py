@@ -16,7 +16,7 @@ import numpy as np
 from kinebench_drake.geometry import Array, invert, pose_difference, rotation_log
 from kinebench_drake.kinematics.analytic import analytic_ik
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.kinematics.track import follow
+from kinebench_drake.kinematics.track import follow_poses
 from kinebench_drake.models.robot import N_JOINTS
 
 POSITION_M, ROTATION_RAD = 1e-4, 1e-3
@@ -80,7 +80,7 @@ def frame_by_frame(step: Callable[[Array, Array], Array]) -> Solve:
 
 
 def _ours(plant: ArmPlant) -> Solve:
-    return lambda problems: [follow(plant, p.t_s, p.X_BG, p.q[0]).q for p in problems]
+    return lambda problems: [follow_poses(plant, p.t_s, p.X_BG, p.q[0]).q for p in problems]
 
 
 def _ours_held(plant: ArmPlant) -> Solve:

@@ -14,8 +14,7 @@ from kinebench_drake.geometry import Array
 from kinebench_drake.io.atomic import write_atomically
 from kinebench_drake.io.jsonl import dump
 from kinebench_drake.io.npz import pack_arrays
-from kinebench_drake.metrics.violation import ViolationKind
-from kinebench_drake.types import Json
+from kinebench_drake.types import Json, ViolationKind
 
 TRUTH = "truth.jsonl"
 """Name of the file beside the trajectories that tells what each of them is."""

@@ -16,9 +16,9 @@ from scipy.interpolate import CubicSpline, PchipInterpolator
 from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.geometry import Array, interpolate_pose, pose_difference
 from kinebench_drake.kinematics.collision import CollisionModel
-from kinebench_drake.kinematics.continuation import eased, foreseeing, stepwise
-from kinebench_drake.kinematics.ik import postures_of
-from kinebench_drake.kinematics.path import is_sound, smoothest_path
+from kinebench_drake.kinematics.continuation import blend_from_start, plan_continuation, solve_stepwise
+from kinebench_drake.kinematics.ik import posture_solver
+from kinebench_drake.kinematics.path import is_sound, search_path
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.segments import segments
 from kinebench_drake.suites.clock import CONTROL_PERIOD_S
@@ -153,13 +153,13 @@ class CommandPlanner:
     def _path(self, t_s: Array, X_BG: Array, q_start: Array) -> tuple[Array, NDArray[np.bool_]]:
         """Postures (T, 7) [rad] from the start on, and frames (T,) whose pose no posture reaches."""
         plant = self.plant
-        for q in (stepwise(plant, X_BG, q_start)[0], foreseeing(plant, t_s, X_BG, q_start)):
+        for q in (solve_stepwise(plant, X_BG, q_start)[0], plan_continuation(plant, t_s, X_BG, q_start)):
             if is_sound(plant, t_s, q):
                 return q, np.zeros(len(q), dtype=bool)
-        q = smoothest_path(plant, postures_of(plant), t_s, X_BG, q_start)
+        q = search_path(plant, posture_solver(plant), t_s, X_BG, q_start)
         unreached: NDArray[np.bool_] = ~np.isfinite(q[:, 0])
         if not unreached.all():
-            q = eased(plant, t_s, X_BG, _filled(t_s, q, ~unreached), q_start)
+            q = blend_from_start(plant, t_s, X_BG, _filled(t_s, q, ~unreached), q_start)
         q[0] = q_start
         return _filled(t_s, q, np.isfinite(q[:, 0])), unreached
 

@@ -1,9 +1,9 @@
-"""All joint angles of the Panda that reach a pose, in closed form, with the last joint's angle as the free parameter.
+"""Closed-form inverse kinematics of the Panda, with the angle of joint 7 as the free parameter.
 
-The arm has seven joints for six coordinates; once joint 7 is chosen, at most 2 x 2 x 2 postures remain: the elbow's
-bend (joint 4), the wrist's side (joint 6) and the shoulder's flip (joint 2). Derivation after Y. He and S. Liu,
+The arm has seven joints for six coordinates; for a chosen angle of joint 7 at most 2 x 2 x 2 postures remain: elbow
+bend (joint 4), wrist side (joint 6) and shoulder flip (joint 2). Derivation after Y. He and S. Liu,
 "Analytical Inverse Kinematics for Franka Emika Panda - a Geometrical Solver for 7-DOF Manipulators with Unconventional
-Design", ICCMA 2021; written here for whole arrays of poses and joint-7 angles at once. Joint limits play no part here.
+Design", ICCMA 2021; here for arrays of poses and joint-7 angles. Joint limits are ignored.
 """
 
 import numpy as np
@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from kinebench_drake.geometry import Array
 
 N_BRANCHES = 8
-"""Postures a joint-7 angle leaves at most."""
+"""Greatest number of postures for a joint-7 angle."""
 
 # Lengths of the URDF [m]: base to shoulder, shoulder to elbow, elbow to wrist, the elbow's offset, wrist to flange
 # axis, link 7 to flange.
@@ -21,7 +21,7 @@ _UPPER, _LOWER = float(np.hypot(_D3, _A4)), float(np.hypot(_D5, _A4))
 # Angle at the elbow joint from the shoulder (at q4 = 0) to the wrist.
 _ELBOW = float(np.arctan2(_D5, -_A4) - np.arctan2(-_D3, -_A4))
 _REACH = _UPPER + _LOWER
-# The chain in modified Denavit-Hartenberg parameters (a, d, alpha), as its maker documents it.
+# The chain in modified Denavit-Hartenberg parameters (a, d, alpha), as documented by Franka.
 _CHAIN = (
     (0.0, _D1, 0.0),
     (0.0, 0.0, -np.pi / 2),
@@ -34,7 +34,7 @@ _CHAIN = (
 
 
 def flange_pose(q: ArrayLike) -> Array:
-    """Pose X_BF (..., 4, 4) [m] of the flange (panda_link8) at joint angles `q` (..., 7) [rad]."""
+    """Return the pose X_BF (..., 4, 4) [m] of the flange (panda_link8) at joint angles `q` (..., 7) [rad]."""
     q = np.asarray(q, dtype=np.float64)
     X = np.broadcast_to(np.eye(4), (*q.shape[:-1], 4, 4))
     for j, (a, d, alpha) in enumerate(_CHAIN):
@@ -50,14 +50,14 @@ def flange_pose(q: ArrayLike) -> Array:
 
 
 def reach_window(X_BF: ArrayLike) -> tuple[Array, Array, Array]:
-    """Joint-7 angles at which flange poses (..., 4, 4) are not too far for the arm, joint limits ignored.
+    """Return the joint-7 angles at which flange poses (..., 4, 4) are within reach of the stretched arm.
 
-    Joint 7 carries the wrist round a circle of radius 0.088 m; the window is where that circle lies within the
-    stretched arm's sphere about the shoulder.
+    As joint 7 turns, the wrist moves on a circle of radius 0.088 m; the window is the part of that circle within the
+    sphere about the shoulder that the stretched arm reaches.
 
     Returns:
-        Its centre (...) [rad]; its half width (...) [rad], pi where all angles do, 0 where none does; and by how much
-        (...) [m] the wrist is out of reach at the centre, 0 within reach.
+        Centre (...) of the window [rad]; its half width (...) [rad], pi if all angles are in it, 0 if none is; distance
+        (...) [m] by which the wrist is out of reach at the centre, 0 within reach.
     """
     X_BF = np.asarray(X_BF, dtype=np.float64)
     p = X_BF[..., :3, 3] - _D_FLANGE * X_BF[..., :3, 2] - np.array([0.0, 0.0, _D1])
@@ -69,15 +69,15 @@ def reach_window(X_BF: ArrayLike) -> tuple[Array, Array, Array]:
 
 
 def analytic_ik(X_BF: ArrayLike, q7: ArrayLike) -> Array:
-    """Joint angles (..., 8, 7) [rad] that bring the flange to `X_BF` for joint-7 angles `q7`, limits ignored.
+    """Return the joint angles (..., 8, 7) [rad] that bring the flange to `X_BF` for joint-7 angles `q7`.
 
     The branch index is 4 * elbow + 2 * wrist + shoulder; a branch is a continuous function of the pose and q7 away
-    from singularities. Rows are NaN where there is no solution. Angles lie in [-pi, pi), save joint 4 in
-    (-3 pi/2, pi/2] and joint 6 in [-pi/2, 3 pi/2), the turns that hold their limits, and joint 7, which is as given.
+    from singularities. Rows are NaN where there is no solution. Angles lie in [-pi, pi), except joint 4 in
+    (-3 pi/2, pi/2] and joint 6 in [-pi/2, 3 pi/2), the ranges that contain their limits, and joint 7, which is `q7`.
 
     Args:
         X_BF: poses (..., 4, 4) of panda_link8 in panda_link0 [m].
-        q7: joint-7 angles (...) [rad]; the two shapes are broadcast.
+        q7: joint-7 angles (...) [rad]; broadcast with the poses.
     """
     X_BF, q7 = np.asarray(X_BF, dtype=np.float64), np.asarray(q7, dtype=np.float64)
     shape = np.broadcast_shapes(X_BF.shape[:-2], q7.shape)
@@ -131,7 +131,7 @@ def analytic_ik(X_BF: ArrayLike, q7: ArrayLike) -> Array:
 
 
 def _wrist(X_BF: Array, q7: Array) -> tuple[Array, Array, Array, Array]:
-    """Axes x6, y6, z6 of link 6 and its origin, the wrist, as seen from the shoulder, each (..., 3)."""
+    """Return the axes x6, y6, z6 of link 6 and the vector from the shoulder to its origin (wrist), each (..., 3)."""
     c, s = np.cos(q7)[..., None], np.sin(q7)[..., None]
     x7, y7, z7 = X_BF[..., :3, 0], X_BF[..., :3, 1], X_BF[..., :3, 2]
     x6, z6 = c * x7 - s * y7, s * x7 + c * y7
@@ -144,7 +144,7 @@ def _dot(a: Array, b: Array) -> Array:
 
 
 def _cross(a: Array, b: Array) -> Array:
-    """Cross product of (..., 3), several times faster here than NumPy's general one."""
+    """Return cross products of (..., 3), several times faster here than by NumPy's general function."""
     c = np.empty(np.broadcast_shapes(a.shape, b.shape))
     c[..., 0] = a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1]
     c[..., 1] = a[..., 2] * b[..., 0] - a[..., 0] * b[..., 2]

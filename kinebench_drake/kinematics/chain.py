@@ -1,6 +1,6 @@
-"""Link poses and Jacobians of many postures at once, in NumPy, with the geometry read off Drake's plant.
+"""Link poses and Jacobians of many postures at once, in NumPy, with the geometry of a Drake plant.
 
-Drake answers one posture a call; where hundreds are wanted, the calls cost more than the arithmetic.
+Drake computes one posture per call; for hundreds of postures the calls cost more than the arithmetic.
 """
 
 from collections.abc import Callable
@@ -20,17 +20,17 @@ Positions = Callable[[ArrayLike, ArrayLike | None], Array]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Joint:
-    """One moving joint, its axis as it lies in B at the zero posture."""
+    """One moving joint, its axis in B at the zero posture."""
 
     name: str
     position: int
-    """Index into the plant's positions."""
+    """Index in the plant's positions."""
     parent: int
-    """Stage of the link that carries the joint."""
+    """Stage of the parent link."""
     axis: Array
     """(3,) unit vector."""
     point: Array
-    """(3,) a point on the axis [m]."""
+    """(3,) point on the axis [m]."""
     prismatic: bool
 
     @staticmethod
@@ -49,13 +49,13 @@ class _Joint:
 
     @property
     def generator(self) -> Array:
-        """(3, 3) what the axis' cross product is, 0 for a joint that does not turn."""
+        """(3, 3) cross product matrix of the axis; 0 for a prismatic joint."""
         x, y, z = np.zeros(3) if self.prismatic else self.axis
         return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
 class LinkChain:
-    """The plant's joints as a product of exponentials.
+    """Product of exponentials of the plant's joints.
 
     Each link's pose is X_BL(q) = exp(S_1 q_1) ... exp(S_k q_k) X_BL(0), over the joints between base and link, with
     every joint's axis as it lies in B at the zero posture. Source: R. W. Brockett, "Robotic manipulators and the
@@ -81,7 +81,7 @@ class LinkChain:
         self._tcp_link = robot.tcp_link
         self._joints: list[_Joint] = []
         self.stage = {drake.world_body().name(): 0}
-        """Number of the motion that carries each link, 0 for those that never move."""
+        """Index of the motion of each link, by name; 0 for links that never move."""
         self.home: dict[str, Array] = home
         """Poses (4, 4) of the links in B at the zero posture [m]."""
 
@@ -115,10 +115,10 @@ class LinkChain:
         self._arm = [next(i for i, joint in enumerate(self._joints) if joint.name == n) for n in robot.joints]
 
     def motions(self, q: ArrayLike, finger_width_m: ArrayLike | None = None) -> Array:
-        """Motions (N, stages, 4, 4) from the zero posture to postures `q` (N, 7) [rad], by stage; stage 0 stands still.
+        """Return motions (N, stages, 4, 4) from the zero posture to postures `q` (N, 7) [rad]; stage 0 is at rest.
 
-        A link's pose is `motions[:, stage[link]] @ home[link]`. The fingers are `finger_width_m` (N,) [m] apart, by
-        default and where it is NaN as the plant has them.
+        The pose of a link is `motions[:, stage[link]] @ home[link]`. Finger gap `finger_width_m` (N,) [m]; the plant's
+        default where None or NaN.
         """
         positions = self._positions(q, finger_width_m)
         M = np.zeros((len(positions), len(self._joints) + 1, 4, 4))
@@ -129,7 +129,7 @@ class LinkChain:
         return M
 
     def _steps(self, positions: Array) -> Array:
-        """Motions (N, J, 4, 4) of each joint alone by `positions` (N, J) [rad or m]: Rodrigues' formula, or a shift."""
+        """Return the motion (N, J, 4, 4) of each joint by `positions` (N, J) [rad or m] (Rodrigues' formula)."""
         s, c = np.sin(positions)[..., None, None], np.cos(positions)[..., None, None]
         R = np.eye(3) + s * self._K + (1.0 - c) * (self._K @ self._K)
         return make_pose(R, self._point - (R @ self._point[..., None])[..., 0] + positions[..., None] * self._shift)
@@ -144,11 +144,11 @@ class LinkChain:
         return M
 
     def poses(self, q: ArrayLike, link: str, finger_width_m: ArrayLike | None = None) -> Array:
-        """Poses (N, 4, 4) of `link` in B [m] at postures `q` (N, 7) [rad]."""
+        """Return the poses (N, 4, 4) of `link` in B [m] at postures `q` (N, 7) [rad]."""
         return np.asarray(self.motions(q, finger_width_m)[:, self.stage[link]] @ self.home[link])
 
     def axes(self, motions: Array) -> tuple[Array, Array]:
-        """Unit axes (N, 7, 3) of the arm's joints in B and a point (N, 7, 3) [m] on each, from `motions`."""
+        """Return the unit axes (N, 7, 3) of the arm's joints in B and a point (N, 7, 3) [m] on each, from `motions`."""
         parents = [self._joints[i].parent for i in self._arm]
         M = motions[:, parents]
         axis, point = self._axis[self._arm], self._point[self._arm]
@@ -158,11 +158,11 @@ class LinkChain:
         )
 
     def carries(self, link: str) -> Array:
-        """(7,) 1 for each arm joint between base and `link`, else 0."""
+        """Return (7,): 1 for each arm joint between base and `link`, else 0."""
         return np.asarray(self._upstream[self.stage[link]], dtype=np.float64)
 
     def jacobians(self, q: ArrayLike) -> Array:
-        """Geometric Jacobians (N, 6, 7) of the TCP in B at `q` (N, 7) [rad], as `ArmPlant.jacobian` has them."""
+        """Return the geometric Jacobians (N, 6, 7) of the TCP in B at `q` (N, 7) [rad], rows as `ArmPlant.jacobian`."""
         M = self.motions(q)
         tcp = self._tcp_link
         p = (M[:, self.stage[tcp]] @ self.home[tcp])[:, None, :3, 3]

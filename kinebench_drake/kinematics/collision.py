@@ -1,10 +1,9 @@
-"""How far the arm is from itself and from the table, and which way it should move to get farther.
+"""Distances of the arm from itself and from the table, and their gradients.
 
-Every link is the convex hull of its collision mesh (or the primitive that stands in its place), as Drake's proximity
-engine has it; ManiSkill simulates the Panda with the same hulls. Hulls fill the links' hollows: a penetration means
-contact in simulation, while the real arm may have up to about 2 cm left there. Pairs of links that the robot's SRDF
-allows are never looked at. The table is the plane z = const of B; the links that are fixed to the base stand on it and
-are exempt.
+Every link is the convex hull of its collision mesh (or the primitive in its place), as in Drake's proximity engine;
+ManiSkill simulates the Panda with the same hulls. Hulls fill the concavities of the links: a penetration means contact
+in simulation, while the real arm may have up to about 2 cm of clearance there. Pairs of links that the robot's SRDF
+excludes are ignored. The table is the plane z = const of B; links fixed to the base stand on it and are exempt.
 """
 
 from dataclasses import dataclass
@@ -22,12 +21,12 @@ from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.models.robot import N_JOINTS
 
 TABLE = "table"
-"""Name of the table where links are named."""
+"""Name of the table in pairs of links."""
 
-_REACH_M = 0.2  # self distances are searched this far first; the Panda is never farther from itself
-# Drake's iteration for the distance of two hulls stops early now and then, with points that are not the nearest:
-# too far by 8 mm at worst in a million random postures of the Panda, never on the wrong side of 0. So each distance is
-# held against the width of the slab that parts the two solids, and computed anew where the two disagree.
+_REACH_M = 0.2  # first search radius of self distances; the Panda is never farther from itself
+# Drake's iteration for the distance of two hulls sometimes stops early, with points that are not the nearest: too far
+# by 8 mm at worst in a million random postures of the Panda, never with the wrong sign. So each distance is compared
+# with the width of the slab that separates the two solids, and computed again where the two differ.
 _CERTAIN_M = 1e-6
 _DOUBT_M = 0.02
 _UP = np.array([0.0, 0.0, 1.0])
@@ -40,12 +39,12 @@ class Clearance:
     distance_m: Array
     """(N,) signed distance [m], negative: depth of penetration; NaN where q is NaN or nothing can collide."""
     pair: tuple[tuple[str, str] | None, ...]
-    """(N,) the two links that are nearest to each other, base first, or a link and "table"; None with NaN."""
+    """(N,) the two nearest links, base first, or a link and "table"; None where the distance is NaN."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Proximity:
-    """Two parts near each other at one posture."""
+    """Two solids near each other at one posture."""
 
     link_a: str
     link_b: str
@@ -53,34 +52,34 @@ class Proximity:
     distance_m: float
     """Signed distance [m], negative: depth of penetration."""
     gradient: Array
-    """(7,) derivative of the distance by the joint angles [m/rad]."""
+    """(7,) derivative of the distance with respect to the joint angles [m/rad]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Solid:
-    """A convex body fixed to a link: points, each swollen by the same (possibly flat or empty) ellipsoid."""
+    """Convex body fixed to a link: convex hull of points, each enlarged by the same (possibly degenerate) ellipsoid."""
 
     link: str
     stage: int
-    """Motion of `LinkChain` that carries it."""
+    """Motion of `LinkChain` that moves it."""
     points: Array
     """(V, 3) in B at the zero posture [m]."""
     axes: Array | None
-    """(3, 3) the ellipsoid's semi-axes as columns, in B at the zero posture [m]; None: a polytope."""
+    """(3, 3) semi-axes of the ellipsoid as columns, in B at the zero posture [m]; None for a polytope."""
 
     def least(self, n: Array) -> Array:
-        """Least n . x (N,) over the solid's points x at the zero posture, for directions `n` (N, 3)."""
+        """Return the least n . x (N,) over the points x of the solid at the zero posture, for directions `n` (N, 3)."""
         least = np.asarray((n @ self.points.T).min(axis=-1))
         return least if self.axes is None else least - np.linalg.norm(n @ self.axes, axis=-1)
 
     def ball(self) -> tuple[Array, float]:
-        """Centre (3,) and radius [m] of a ball around the solid at the zero posture."""
+        """Return centre (3,) and radius [m] of a ball around the solid at the zero posture."""
         center = 0.5 * (self.points.min(axis=0) + self.points.max(axis=0))
         radius = float(np.linalg.norm(self.points - center, axis=-1).max())
         return center, radius if self.axes is None else radius + float(np.linalg.norm(self.axes, ord=2))
 
     def lowest(self, n: Array) -> Array:
-        """Point x (3,) of the solid at the zero posture with the least n . x."""
+        """Return the point x (3,) of the solid at the zero posture with the least n . x."""
         point = self.points[np.argmin(self.points @ n)]
         if self.axes is not None and (norm := np.linalg.norm(n @ self.axes)) > 0.0:
             point = point - self.axes @ (n @ self.axes) / norm
@@ -89,26 +88,26 @@ class _Solid:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Near:
-    """A pair that Drake found near at one posture."""
+    """Distance of one pair of solids at one posture, by Drake."""
 
     frame: int
     distance: float
     n: Array
-    """(3,) unit vector from B's nearest point to A's, in the robot's base; the other way in penetration."""
+    """(3,) unit vector from the nearest point of solid B to that of A, in the robot base; reversed in penetration."""
 
 
 class CollisionModel:
-    """Distances of a plant's postures from themselves and from the table. Uses the plant's context."""
+    """Distances of an arm from itself and from the table. Uses the context of the plant."""
 
     def __init__(self, plant: ArmPlant, *, table_height_m: float = 0.0) -> None:
-        """Read the solids off the plant.
+        """Read the solids of the plant.
 
         Args:
             plant: the robot.
             table_height_m: z of the table in B [m].
 
         Raises:
-            InputError: a collision geometry is of a kind that has no lowest point.
+            InputError: a collision geometry is of an unsupported kind.
             UsageError: the table's height is not finite.
         """
         if not np.isfinite(table_height_m):
@@ -129,30 +128,30 @@ class CollisionModel:
         self._radii = np.array([radius for _, radius in balls])
 
     def self_distance(self, q: ArrayLike, finger_width_m: ArrayLike | None = None) -> Clearance:
-        """Least distance between two links that must not touch, at postures `q` (N, 7) [rad].
+        """Return the least distance between two links that must not touch, at postures `q` (N, 7) [rad].
 
-        By Drake's SceneGraph; exact to 1e-6 m for polytopes, far postures included. The fingers are `finger_width_m`
-        (N,) [m] apart; None or NaN: as the plant has them.
+        By Drake's SceneGraph; exact to 1e-6 m for polytopes, at any distance. Finger gap `finger_width_m` (N,) [m];
+        the plant's default where None or NaN.
 
         Raises:
             UsageError: `q` is not (N, 7), or `finger_width_m` not (N,).
         """
         q, width = _arguments(q, finger_width_m)
-        known = np.flatnonzero(np.isfinite(q).all(axis=-1))
+        rows = np.flatnonzero(np.isfinite(q).all(axis=-1))
         near: dict[tuple[Any, Any], list[_Near]] = {}
-        for i, row in enumerate(known):
+        for i, row in enumerate(rows):
             query = self._plant.query(q[row], None if np.isnan(width[row]) else float(width[row]))
-            found = query.ComputeSignedDistancePairwiseClosestPoints(_REACH_M)
-            if not found:
-                found = query.ComputeSignedDistancePairwiseClosestPoints(np.inf)
-            farthest = min((pair.distance for pair in found), default=0.0) + _DOUBT_M
-            for pair in found:
+            results = query.ComputeSignedDistancePairwiseClosestPoints(_REACH_M)
+            if not results:
+                results = query.ComputeSignedDistancePairwiseClosestPoints(np.inf)
+            farthest = min((pair.distance for pair in results), default=0.0) + _DOUBT_M
+            for pair in results:
                 if pair.distance <= farthest:
                     entry = _Near(frame=i, distance=pair.distance, n=pair.nhat_BA_W)
                     near.setdefault((pair.id_A, pair.id_B), []).append(entry)
-        least = np.full(len(known), np.inf)
+        least = np.full(len(rows), np.inf)
         pairs: list[tuple[str, str] | None] = [None] * len(q)
-        M = self._chain.motions(q[known], width[known])
+        M = self._chain.motions(q[rows], width[rows])
         for (id_A, id_B), entries in near.items():
             A, B = self._solids[id_A], self._solids[id_B]
             frames = np.array([entry.frame for entry in entries])
@@ -165,40 +164,40 @@ class CollisionModel:
             for frame, value in zip(frames, distance, strict=True):
                 if value < least[frame]:
                     least[frame] = value
-                    pairs[known[frame]] = _names(A, B)
+                    pairs[rows[frame]] = _link_names(A, B)
         distance = np.full(len(q), np.nan)
-        distance[known] = np.where(np.isfinite(least), least, np.nan)
+        distance[rows] = np.where(np.isfinite(least), least, np.nan)
         return Clearance(distance_m=distance, pair=tuple(pairs))
 
     def table_distance(self, q: ArrayLike, finger_width_m: ArrayLike | None = None) -> Clearance:
-        """Height of the lowest point of any moving link over the table, at postures `q` (N, 7) [rad].
+        """Return the height of the lowest point of all moving links above the table, at postures `q` (N, 7) [rad].
 
-        The signed distance of a convex body from a half space is that of its lowest point. The fingers are
-        `finger_width_m` (N,) [m] apart; None or NaN: as the plant has them.
+        The signed distance of a convex body from a half space is that of its lowest point. Finger gap
+        `finger_width_m` (N,) [m]; the plant's default where None or NaN.
 
         Raises:
             UsageError: `q` is not (N, 7), or `finger_width_m` not (N,).
         """
         q, width = _arguments(q, finger_width_m)
-        known = np.isfinite(q).all(axis=-1)
+        finite = np.isfinite(q).all(axis=-1)
         distance = np.full(len(q), np.nan)
         pairs: list[tuple[str, str] | None] = [None] * len(q)
-        if known.any() and self._movable:
-            z = self._chain.motions(q[known], width[known])[:, :, 2]  # (N, stages, 4): R's third row and p's
+        if finite.any() and self._movable:
+            z = self._chain.motions(q[finite], width[finite])[:, :, 2]  # (N, stages, 4): third rows of R and p
             heights = np.stack([s.least(z[:, s.stage, :3]) + z[:, s.stage, 3] for s in self._movable])
-            distance[known] = heights.min(axis=0) - self.table_height_m
-            for i, lowest in zip(np.flatnonzero(known), heights.argmin(axis=0), strict=True):
+            distance[finite] = heights.min(axis=0) - self.table_height_m
+            for i, lowest in zip(np.flatnonzero(finite), heights.argmin(axis=0), strict=True):
                 pairs[i] = (self._movable[lowest].link, TABLE)
         return Clearance(distance_m=distance, pair=tuple(pairs))
 
     def near_pairs(self, q: ArrayLike, within_m: float, finger_width_m: float | None = None) -> list[Proximity]:
-        """All pairs of solids nearer than `within_m` [m] at posture `q` (7,) [rad], with gradients, nearest first.
+        """Return the pairs of solids nearer than `within_m` [m] at posture `q` (7,) [rad] and gradients, nearest first.
 
-        A link made of several solids appears once for each that is near. The gradient is n . (J_A(a) - J_B(b)) with a
-        and b the nearest points, J their translational Jacobians and n the direction from b to a (from a to b in
+        A link made of several solids appears once per near solid. The gradient is n . (J_A(a) - J_B(b)) with a and b
+        the nearest points, J their translational Jacobians and n the direction from b to a (from a to b in
         penetration): the derivative wherever the nearest points are unique. Where they are not (parallel faces) it is
-        the derivative of one of the candidates; it is 0 where Drake knows no direction. The fingers are
-        `finger_width_m` [m] apart; None or NaN: as the plant has them.
+        the derivative for one of the candidates; it is 0 where Drake returns no direction. Finger gap
+        `finger_width_m` [m]; the plant's default where None or NaN.
 
         Raises:
             UsageError: `q` is not (7,).
@@ -208,7 +207,7 @@ class CollisionModel:
         M = self._chain.current(self._plant.context)
         axis, point = (array[0] for array in self._chain.axes(M[None]))
         moment = _cross(point.T, axis.T).T
-        found = []
+        near = []
         for pair in query.ComputeSignedDistancePairwiseClosestPoints(within_m):
             A, B = self._solids[pair.id_A], self._solids[pair.id_B]
             distance, n = pair.distance, np.asarray(pair.nhat_BA_W)
@@ -221,8 +220,8 @@ class CollisionModel:
                 distance = float(np.linalg.norm(a - b))
                 n = (a - b) / distance
             gradient = self._rate(A.link, a, n, axis, moment) - self._rate(B.link, b, n, axis, moment)
-            link_a, link_b = _names(A, B)
-            found.append(Proximity(link_a=link_a, link_b=link_b, distance_m=distance, gradient=gradient))
+            link_a, link_b = _link_names(A, B)
+            near.append(Proximity(link_a=link_a, link_b=link_b, distance_m=distance, gradient=gradient))
         z = M[self._stages, 2]  # (solids, 4)
         height = np.sum(z[:, :3] * self._centers, axis=-1) + z[:, 3] - self._radii - self.table_height_m
         for i in np.flatnonzero(height <= within_m):
@@ -232,11 +231,11 @@ class CollisionModel:
             if distance <= within_m:
                 low = M[solid.stage, :3, :3] @ low + M[solid.stage, :3, 3]
                 gradient = self._rate(solid.link, low, _UP, axis, moment)
-                found.append(Proximity(link_a=solid.link, link_b=TABLE, distance_m=distance, gradient=gradient))
-        return sorted(found, key=lambda proximity: proximity.distance_m)
+                near.append(Proximity(link_a=solid.link, link_b=TABLE, distance_m=distance, gradient=gradient))
+        return sorted(near, key=lambda proximity: proximity.distance_m)
 
     def _rate(self, link: str, p: Array, n: Array, axis: Array, moment: Array) -> Array:
-        """Speed (7,) along `n` of the link's material point `p` per joint rate [m/rad].
+        """Return the speed (7,) along `n` of the point `p` fixed to a link per joint rate [m/rad].
 
         n . (axis x (p - point)) = axis . (p x n) + n . moment, with moment = point x axis.
         """
@@ -244,17 +243,17 @@ class CollisionModel:
 
 
 def _cross(a: Array, b: Array) -> Array:
-    """Cross product of vectors (3, ...): for a handful of them NumPy's own takes ten times as long."""
+    """Return cross products of vectors (3, ...), ten times faster than by NumPy's function for a few of them."""
     return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 
-def _names(A: _Solid, B: _Solid) -> tuple[str, str]:
+def _link_names(A: _Solid, B: _Solid) -> tuple[str, str]:
     first, second = sorted((A, B), key=lambda solid: (solid.stage, solid.link))
     return first.link, second.link
 
 
 def _gap(A: _Solid, B: _Solid, M: Array, n: Array) -> Array:
-    """Width (N,) [m] of the empty slab between A and B across `n` (N, 3), by motions `M` (N, stages, 4, 4).
+    """Return the width (N,) [m] of the empty slab between A and B along `n` (N, 3), by motions `M` (N, stages, 4, 4).
 
     It is at most the distance between them, and equal to it where `n` is the direction between the nearest points.
     """
@@ -265,10 +264,10 @@ def _gap(A: _Solid, B: _Solid, M: Array, n: Array) -> Array:
 
 
 def _nearest(A: _Solid, B: _Solid, M: Array) -> tuple[Array, Array]:
-    """Nearest points (3,) of two polytopes that are apart, in B, by motions `M` (stages, 4, 4).
+    """Return the nearest points (3,) of two separate polytopes, in B, by motions `M` (stages, 4, 4).
 
-    Both are convex combinations of vertices; the weights are the non-negative least-squares solution of a - b = 0 with
-    the two sums of weights held at 1 by a heavy weight (C. L. Lawson and R. J. Hanson, "Solving Least Squares
+    Both are convex combinations of vertices; the weights are the non-negative least-squares solution of a - b = 0, with
+    both sums of weights constrained to 1 by a heavy weight (C. L. Lawson and R. J. Hanson, "Solving Least Squares
     Problems", 1974, ch. 22 and 23).
     """
     points_A, points_B = (transform_points(M[solid.stage], solid.points) for solid in (A, B))
@@ -292,7 +291,7 @@ def _arguments(q: ArrayLike, finger_width_m: ArrayLike | None) -> tuple[Array, A
 
 
 def _solid(inspector: Any, geometry: Any, link: str, chain: LinkChain) -> _Solid:
-    """The geometry's shape as points and an ellipsoid, in B at the zero posture."""
+    """Return a collision geometry as points and an ellipsoid, in B at the zero posture."""
     shape = inspector.GetShape(geometry)
     points, axes = _shape(shape, inspector.GetConvexHull(geometry))
     X = chain.home[link] @ inspector.GetPoseInFrame(geometry).GetAsMatrix4()
@@ -305,7 +304,7 @@ def _solid(inspector: Any, geometry: Any, link: str, chain: LinkChain) -> _Solid
 
 
 def _shape(shape: Any, hull: Any) -> tuple[Array, Array | None]:
-    """Points (V, 3) [m] and the semi-axes (3, 3) [m] of the ellipsoid around each, in the shape's own frame."""
+    """Return points (V, 3) [m] and the semi-axes (3, 3) [m] of the ellipsoid around each, in the frame of the shape."""
     origin = np.zeros((1, 3))
     match shape:
         case Box():

@@ -1,19 +1,30 @@
-"""Joint paths that begin at the posture in which the robot stands, as those do that it is to execute."""
+"""Joint paths along a track of poses that continue from a known posture, such as the one in which the robot stands."""
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 
 from kinebench_drake.geometry import Array
-from kinebench_drake.kinematics.ik import IkSolution, postures_of, solve_pose
-from kinebench_drake.kinematics.path import continued_path
+from kinebench_drake.kinematics.ik import IkSolution, posture_solver, solve_pose
+from kinebench_drake.kinematics.newton import solve_newton_path
+from kinebench_drake.kinematics.path import find_cheapest_path, is_sound, limit_excess, select_anchors
 from kinebench_drake.kinematics.plant import ArmPlant
+from kinebench_drake.kinematics.postures import PostureSolver
+from kinebench_drake.kinematics.relaxation import relax
 from kinebench_drake.types import IkStatus
 
+ANCHORS_S = (0.8, 0.4)
+"""Least time between poses of the search: on the branch of the start, then on all branches [s]."""
 ELBOW_S = 2.0
-"""Time in which the elbow is turned from where it is to where a path found by search has it."""
+"""Time over which the elbow moves from its start to where the path found by the search has it [s]."""
+
+_GRID_STEP_RAD = 0.3  # spacing of the redundancy's angles
+_GRID_SAMPLES = 24  # angles of the redundancy over a full turn
+_SMOOTHING_PASSES = 2  # of the kernel (1, 2, 1) / 4 over the postures of the anchors
 
 
 def minimum_jerk(s: Array) -> Array:
-    """Fraction of the way (...) at fraction `s` (...) of the time, 0 before and 1 after.
+    """Return the fraction of the way (...) at fraction `s` (...) of the time, 0 before and 1 after.
 
     The minimum-jerk profile of Flash and Hogan (1985, eq. 3): 10 s^3 - 15 s^4 + 6 s^5.
     """
@@ -21,10 +32,12 @@ def minimum_jerk(s: Array) -> Array:
     return s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
 
 
-def stepwise(plant: ArmPlant, X_BG: Array, q_start: Array) -> tuple[Array, IkSolution | None]:
-    """Joint path (N, 7) [rad] that solves one pose (N, 4, 4) after the other, each near the one before.
+def solve_stepwise(plant: ArmPlant, X_BG: Array, q_start: Array) -> tuple[Array, IkSolution | None]:
+    """Solve the poses (N, 4, 4) one after the other, each near the posture before.
 
-    It ends at the first pose that is not reached, whose solution is returned with it; the rest is NaN.
+    Returns:
+        The joint path (N, 7) [rad] up to the first pose that is not reached, NaN from there on, and the solution of
+        that pose; None if all poses are reached.
     """
     q, seed = np.full((len(X_BG), 7), np.nan), q_start
     for i, X in enumerate(X_BG):
@@ -35,15 +48,58 @@ def stepwise(plant: ArmPlant, X_BG: Array, q_start: Array) -> tuple[Array, IkSol
     return q, None
 
 
-def foreseeing(plant: ArmPlant, t_s: Array, X_BG: Array, q_start: Array) -> Array:
-    """Joint path (N, 7) [rad] at times `t_s` (N,) [s] that turns the elbow in time for what comes; NaN where none is.
+def plan_continuation(plant: ArmPlant, t_s: Array, X_BG: Array, q_start: Array) -> Array:
+    """Plan a joint path (N, 7) [rad] at times `t_s` (N,) [s] that moves the elbow ahead of later poses; NaN if none.
 
-    The search may begin at another turn of the elbow than the start's, at t = 0: the difference is faded out.
+    The path of `continue_path` may begin with another elbow angle than the start's; the difference at t = 0 is faded
+    out by `blend_from_start`.
     """
-    return eased(plant, t_s, X_BG, continued_path(plant, postures_of(plant), t_s, X_BG, q_start), q_start)
+    return blend_from_start(plant, t_s, X_BG, continue_path(plant, posture_solver(plant), t_s, X_BG, q_start), q_start)
 
 
-def eased(plant: ArmPlant, t_s: Array, X_BG: Array, q: Array, q_start: Array) -> Array:
-    """The path `q` (N, 7) [rad] entered from the posture `q_start` (7,) of t = 0, the elbow turned while it goes on."""
+def blend_from_start(plant: ArmPlant, t_s: Array, X_BG: Array, q: Array, q_start: Array) -> Array:
+    """Return the path `q` (N, 7) [rad] changed to begin at `q_start` (7,), the elbow moving to the path in ELBOW_S."""
     fade = 1.0 - minimum_jerk(t_s / ELBOW_S)
-    return postures_of(plant).nearest(X_BG, q + fade[:, None] * (q_start - q[0]))
+    return posture_solver(plant).nearest(X_BG, q + fade[:, None] * (q_start - q[0]))
+
+
+def continue_path(plant: ArmPlant, solver: PostureSolver, t_s: Array, X_BG: Array, q_start: Array) -> Array:
+    """Search a path (T, 7) [rad] that continues from a posture near the first pose: faster than `search_path`.
+
+    Dynamic programming chooses a posture for few frames (anchors), first among those of the start's branch, then among
+    all. The joint angles between are interpolated by a cubic spline, projected onto the poses and, if needed, relaxed.
+    All NaN if the result passes a limit or has a step that is too fast: then `search_path` may find a path.
+    Arguments as for `search_path`.
+    """
+    chosen = select_anchors(t_s, ANCHORS_S[0])
+    path = _interpolate_layers(plant, solver, t_s, X_BG, chosen, solver.along_branch(X_BG[chosen], q_start), q_start)
+    if not is_sound(plant, t_s, path):
+        chosen = select_anchors(t_s, ANCHORS_S[1])
+        layers = solver.all(X_BG[chosen], _GRID_SAMPLES)
+        layers[0] = solver.nearest(X_BG[:1], q_start[None])
+        path = _interpolate_layers(plant, solver, t_s, X_BG, chosen, layers, q_start)
+        if np.isfinite(path).all() and not is_sound(plant, t_s, path):
+            path = relax(plant, solver, t_s, X_BG, path)
+    return path if is_sound(plant, t_s, path) else np.full((len(t_s), 7), np.nan)
+
+
+def _interpolate_layers(
+    plant: ArmPlant,
+    solver: PostureSolver,
+    t_s: Array,
+    X_BG: Array,
+    chosen: NDArray[np.intp],
+    layers: list[Array],
+    q_start: Array,
+) -> Array:
+    """Return the path (T, 7) through the cheapest of `layers`, the postures of frames `chosen`; NaN if one has none."""
+    layers = [layer[limit_excess(plant, layer).max(axis=-1, initial=0.0) <= 0.0] for layer in layers]
+    path = find_cheapest_path(plant, t_s[chosen], layers, q_start, _GRID_STEP_RAD)
+    if len(chosen) < 2 or not np.isfinite(path).all():
+        return np.full((len(t_s), 7), np.nan)
+    for _ in range(_SMOOTHING_PASSES):  # removes the steps of the grid
+        path[1:-1] = 0.25 * path[:-2] + 0.5 * path[1:-1] + 0.25 * path[2:]
+    guess = CubicSpline(t_s[chosen], path)(t_s)
+    path = solver.nearest(X_BG, guess)
+    # Where the redundancy's angle leaves the branch, Newton steps may still follow the poses.
+    return path if is_sound(plant, t_s, path) else solve_newton_path(plant, X_BG, guess)

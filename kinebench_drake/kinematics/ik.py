@@ -1,4 +1,4 @@
-"""Inverse kinematics of one pose and of a whole track, with a verdict on why a pose cannot be reached."""
+"""Inverse kinematics of one pose, with the reason why a pose cannot be reached."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -8,21 +8,21 @@ from numpy.typing import ArrayLike
 
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array, make_pose, orthonormalize, pose_difference
-from kinebench_drake.kinematics.newton import newton, snopt
-from kinebench_drake.kinematics.path import excess
+from kinebench_drake.kinematics.newton import solve_newton, solve_snopt
+from kinebench_drake.kinematics.path import limit_excess
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.kinematics.postures import Postures, find_postures
+from kinebench_drake.kinematics.postures import PostureSolver, create_posture_solver
 from kinebench_drake.types import IkStatus
 
 POSITION_TOLERANCE_M = 1e-6
-"""Greatest distance [m] from the wanted TCP of a pose that counts as reached."""
+"""Greatest position error of a reached pose [m]."""
 ROTATION_TOLERANCE_RAD = 1e-6
-"""Greatest angle [rad] from the wanted TCP of a pose that counts as reached."""
+"""Greatest rotation error of a reached pose [rad]."""
 
-_SWEEP = 128  # angles of the redundancy tried before a pose is given up (of the Panda: every 2.8 degrees)
-_ROUNDS = 5  # times the sweep is halved where postures lie far apart
-_REFINED_RAD = np.linspace(-0.05, 0.05, 41)  # finer angles about the least bad of them
-_STARTS = 8  # postures tried as starts before a pose is given up
+_SWEEP = 128  # angles of the redundancy (of the Panda: every 2.8 degrees)
+_ROUNDS = 5  # halvings of the sweep where postures are far apart
+_REFINED_RAD = np.linspace(-0.05, 0.05, 41)  # offsets of the finer sweep about the posture of least excess
+_STARTS = 8  # starts of the numeric search
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -30,42 +30,42 @@ class IkSolution:
     """Outcome of inverse kinematics for one pose."""
 
     q: Array
-    """(7,) joint angles within limits [rad]: they reach the pose if the status is ok, else come nearest to it."""
+    """(7,) joint angles within limits [rad]: a solution if the status is ok, else the posture of least pose error."""
     status: IkStatus
-    """OK, JOINT_LIMIT (reached only with a joint past its limit) or UNREACHABLE (not even so)."""
+    """OK, JOINT_LIMIT (reached only with a joint past its limit) or UNREACHABLE (not even then)."""
     position_error_m: float
-    """Distance left between the wanted and the reached TCP [m]."""
+    """Position error of the TCP [m]."""
     rotation_error_rad: float
-    """Angle left between the wanted and the reached TCP [rad]."""
+    """Rotation error of the TCP [rad]."""
 
 
 @lru_cache(maxsize=4)
-def postures_of(plant: ArmPlant) -> Postures:
-    """How the postures of a plant are found: decided once a plant."""
-    return find_postures(plant)
+def posture_solver(plant: ArmPlant) -> PostureSolver:
+    """Return the posture solver of a plant, created on first use."""
+    return create_posture_solver(plant)
 
 
-def least_excess(plant: ArmPlant, X_BG: Array) -> Array | None:
-    """Posture (7,) [rad] that reaches `X_BG` (4, 4) with its worst joint least past its limit; None if none is known.
+def find_least_excess(plant: ArmPlant, X_BG: Array) -> Array | None:
+    """Find the posture (7,) [rad] that reaches `X_BG` (4, 4) with the least limit excess; None if no posture does.
 
-    All branches on _SWEEP angles of the redundancy, then on finer ones about the least bad of them.
+    All branches on _SWEEP angles of the redundancy, then a finer sweep about the best of them.
     """
-    postures = postures_of(plant)
-    q = postures.all(X_BG[None], _SWEEP, _ROUNDS)[0]
+    solver = posture_solver(plant)
+    q = solver.all(X_BG[None], _SWEEP, _ROUNDS)[0]
     if len(q) == 0:
         return None
-    coarse = q[np.argmin(excess(plant, q).max(axis=-1))]
-    fine = np.vstack([coarse[None], postures.around(X_BG[None], coarse[None], _REFINED_RAD)[0]])
-    return np.asarray(fine[np.argmin(excess(plant, fine).max(axis=-1))])
+    coarse = q[np.argmin(limit_excess(plant, q).max(axis=-1))]
+    fine = np.vstack([coarse[None], solver.around(X_BG[None], coarse[None], _REFINED_RAD)[0]])
+    return np.asarray(fine[np.argmin(limit_excess(plant, fine).max(axis=-1))])
 
 
 def solve_pose(plant: ArmPlant, X_BG: ArrayLike, q_seed: ArrayLike) -> IkSolution:
-    """Joint angles that bring the TCP to a pose, near `q_seed` where there is a choice.
+    """Solve joint angles that bring the TCP to a pose, near `q_seed` where several do.
 
-    Newton steps from the seed do it as a rule (some 0.15 ms). If not, all postures that reach the pose are listed
-    (of the Panda in closed form, joint 7 swept over its turn): the one within limits nearest to the seed is taken. If
-    none is within limits, Newton steps start from those least past their limits, then SNOPT, before the pose is given
-    up; the verdict is JOINT_LIMIT if the pose is reached without limits, else UNREACHABLE.
+    Newton steps from the seed converge in most cases (some 0.15 ms). If not, all postures that reach the pose are
+    computed (for the Panda in closed form, joint 7 swept over a turn) and the one within limits nearest to the seed is
+    used. If none is within limits, Newton steps start from those of least limit excess, then SNOPT; if these fail too,
+    the status is JOINT_LIMIT if the pose is reached without limits, else UNREACHABLE.
 
     Args:
         plant: the robot.
@@ -79,7 +79,7 @@ def solve_pose(plant: ArmPlant, X_BG: ArrayLike, q_seed: ArrayLike) -> IkSolutio
     if X_BG.shape != (4, 4) or not np.isfinite(X_BG).all():
         raise InputError(f"X_BG must be a finite 4x4 pose, found shape {X_BG.shape} with values {X_BG.ravel()[:4]}...")
     X_BG = make_pose(orthonormalize(X_BG[:3, :3]), X_BG[:3, 3])
-    near, near_error = newton(plant, X_BG, q_seed, iterations=20)
+    near, near_error = solve_newton(plant, X_BG, q_seed, iterations=20)
     solution = _solution(plant, X_BG, near)
     if solution.status is IkStatus.OK:
         return solution
@@ -98,38 +98,38 @@ def _solution(plant: ArmPlant, X_BG: Array, q: Array, failure: IkStatus = IkStat
 
 
 def _solve_anywhere(plant: ArmPlant, X_BG: Array, q_seed: Array, near: Array, near_error: float) -> IkSolution:
-    postures = postures_of(plant)
-    if postures.out_of_reach_m(X_BG[None])[0] > 0.0:
-        q, error = newton(plant, X_BG, plant.robot.rest_q)
+    solver = posture_solver(plant)
+    if solver.out_of_reach_m(X_BG[None])[0] > 0.0:
+        q, error = solve_newton(plant, X_BG, plant.robot.rest_q)
         return _solution(plant, X_BG, q if error < near_error else near)
-    candidates = postures.all(X_BG[None], _SWEEP, _ROUNDS)[0]
-    worst = excess(plant, candidates).max(axis=-1, initial=0.0)
+    candidates = solver.all(X_BG[None], _SWEEP, _ROUNDS)[0]
+    worst = limit_excess(plant, candidates).max(axis=-1, initial=0.0)
     inside = candidates[worst <= 0.0]
     if len(inside):
         nearest = inside[np.argmin(np.sum((inside - q_seed) ** 2, axis=-1))]
-        return _solution(plant, X_BG, newton(plant, X_BG, nearest)[0])
+        return _solution(plant, X_BG, solve_newton(plant, X_BG, nearest)[0])
     if len(candidates):
         starts = [*candidates[np.argsort(worst)[: 2 * _STARTS : 2]]]
         failure = IkStatus.JOINT_LIMIT
     else:
         starts = _spread(plant)
-        free = [newton(plant, X_BG, start, bounded=False)[0] for start in starts]
+        free = [solve_newton(plant, X_BG, start, bounded=False)[0] for start in starts]
         reached = any(_solution(plant, X_BG, q).status is IkStatus.OK for q in free)
         failure = IkStatus.JOINT_LIMIT if reached else IkStatus.UNREACHABLE
         starts = [*starts, *free] if reached else starts
     best, error = near, near_error
     for start in starts:
-        q, e = newton(plant, X_BG, start)
+        q, e = solve_newton(plant, X_BG, start)
         if e < error:
             best, error = q, e
     solution = _solution(plant, X_BG, best, failure)
     if solution.status is IkStatus.OK or failure is IkStatus.UNREACHABLE:
         return solution
-    q, e = newton(plant, X_BG, snopt(plant, X_BG, best))
+    q, e = solve_newton(plant, X_BG, solve_snopt(plant, X_BG, best))
     return _solution(plant, X_BG, q, failure) if e < error else solution
 
 
 def _spread(plant: ArmPlant) -> list[Array]:
-    """A few fixed postures all over the joint ranges, the rest posture first."""
+    """Return a fixed random sample of postures within limits, the rest posture first."""
     rng = np.random.default_rng(0)
     return [plant.robot.rest_q, *rng.uniform(plant.lower, plant.upper, size=(_STARTS - 1, 7))]

@@ -1,62 +1,51 @@
-"""Why no trajectory follows a course within a tube: the requirement that gives way first."""
+"""Why no trajectory stays within a tube about a track: the requirement that is violated most."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import Enum
 
 import numpy as np
 
-from kinebench_drake.kinematics.newton import newton
-from kinebench_drake.kinematics.path import excess
+from kinebench_drake.geometry import Array
+from kinebench_drake.kinematics.newton import solve_newton
+from kinebench_drake.kinematics.path import limit_excess
+from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.spline import SplineBasis
-from kinebench_drake.kinematics.trajectory import Contact, Course, JointTrajectory
+from kinebench_drake.kinematics.trajectory import Contact, JointTrajectory, TubeProblem
 from kinebench_drake.kinematics.tube import TubeSolution
+from kinebench_drake.types import ViolationKind
 
-_STATIC = 10  # worst frames whose posture is looked at for itself
-_LEAST_EXCESS = 1e-3  # of a limit, from which on it counts as broken
-
-
-class TubeFailure(Enum):
-    """Which requirement no trajectory within the tube meets."""
-
-    UNREACHABLE = "unreachable"
-    JOINT_LIMIT = "joint_limit"
-    VELOCITY = "velocity"
-    ACCELERATION = "acceleration"
-    JERK = "jerk"
-    SELF_COLLISION = "self_collision"
-    TABLE_COLLISION = "table_collision"
-    TORQUE = "torque"
-
+_WORST_FRAMES = 10  # frames of the greatest errors whose poses are solved one by one
+_LEAST_EXCESS = 1e-3  # of a limit, above which it counts as broken
 
 _UNITS = {
-    TubeFailure.UNREACHABLE: "m",
-    TubeFailure.JOINT_LIMIT: "rad",
-    TubeFailure.VELOCITY: "rad/s",
-    TubeFailure.ACCELERATION: "rad/s^2",
-    TubeFailure.JERK: "rad/s^3",
-    TubeFailure.SELF_COLLISION: "m",
-    TubeFailure.TABLE_COLLISION: "m",
-    TubeFailure.TORQUE: "N m",
+    ViolationKind.UNREACHABLE: "m",
+    ViolationKind.JOINT_LIMIT: "rad",
+    ViolationKind.VELOCITY: "rad/s",
+    ViolationKind.ACCELERATION: "rad/s^2",
+    ViolationKind.JERK: "rad/s^3",
+    ViolationKind.SELF_COLLISION: "m",
+    ViolationKind.TABLE_COLLISION: "m",
+    ViolationKind.TORQUE: "N m",
 }
-_RATES = (TubeFailure.VELOCITY, TubeFailure.ACCELERATION, TubeFailure.JERK)
+_RATES = (ViolationKind.VELOCITY, ViolationKind.ACCELERATION, ViolationKind.JERK)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TubeViolation:
-    """The requirement that is broken, where it is broken most."""
+    """Requirement that no trajectory within the tube meets, where it is violated most."""
 
-    kind: TubeFailure
+    kind: ViolationKind
     frame: int
-    """The frame nearest to it: a row of the arrays given."""
+    """Nearest frame, as a row of the input arrays."""
     joint: str | None
-    """Name of the joint; None if no single joint is at fault."""
+    """Name of the joint; None if it concerns no single joint."""
     value: float
-    """What it comes to there: error [m], angle [rad], speed [rad/s] and so on, distance [m], torque [N m]."""
+    """Value there: error [m], angle [rad], speed [rad/s] and so on, distance [m], torque [N m]."""
     limit: float
-    """What it may be, in the same unit."""
+    """Limit of the value, in the same unit."""
 
     def __str__(self) -> str:
-        """One line for people."""
+        """Format as one line."""
         joint, unit = f" of {self.joint}" if self.joint else "", _UNITS[self.kind]
         return (
             f"{self.kind.value.replace('_', ' ')}{joint} near frame {self.frame}: {self.value:.4g} {unit}, "
@@ -64,122 +53,118 @@ class TubeViolation:
         )
 
 
-def broken_posture(course: Course, tube_limit_m: float, margin: float = 1.0) -> TubeViolation | None:
-    """The worst frame whose pose the arm cannot take, near its posture, even if it had all the time; None if all can.
+def find_pose_violation(problem: TubeProblem, tube_limit_m: float, margin: float = 1.0) -> TubeViolation | None:
+    """Find the worst frame whose pose the arm cannot take near its posture, whatever the time; None if there is none.
 
-    Judged by the root of both squared errors, rotation by its arm: up to sqrt(2) times what a tube counts.
+    The error is the root of both squared errors, rotation by its arm: up to sqrt(2) times the radius of a tube.
 
     Args:
-        course: the track.
-        tube_limit_m: greatest error allowed [m].
-        margin: only what is worse than this many times the limit is told.
+        problem: the track.
+        tube_limit_m: greatest allowed error [m].
+        margin: factor of the limit above which an error is reported.
     """
-    told_m = margin * tube_limit_m
-    plant = course.plant
-    error = np.linalg.norm(course.errors(np.clip(course.q, plant.lower, plant.upper)), axis=-1)
-    for i in np.argsort(-error, kind="stable")[:_STATIC]:
-        if error[i] <= told_m:
+    least_m = margin * tube_limit_m
+    plant = problem.plant
+    error = np.linalg.norm(problem.errors(np.clip(problem.q, plant.lower, plant.upper)), axis=-1)
+    for i in np.argsort(-error, kind="stable")[:_WORST_FRAMES]:
+        if error[i] <= least_m:
             return None
-        _, least = newton(plant, course.X_BG[i], course.q[i])
-        if least <= told_m:
+        _, bounded = solve_newton(plant, problem.X_BG[i], problem.q[i])
+        if bounded <= least_m:
             continue
-        q, free = newton(plant, course.X_BG[i], course.q[i], bounded=False)
-        past = excess(plant, q)
+        q, free = solve_newton(plant, problem.X_BG[i], problem.q[i], bounded=False)
+        past = limit_excess(plant, q)
         j = int(np.argmax(past))
-        frame = int(course.frames[i])
-        if free > told_m or past[j] <= 0.0:
-            kind, limit = TubeFailure.UNREACHABLE, tube_limit_m
-            return TubeViolation(kind=kind, frame=frame, joint=None, value=least, limit=limit)
-        return TubeViolation(
-            kind=TubeFailure.JOINT_LIMIT,
-            frame=frame,
-            joint=plant.robot.joints[j],
-            value=float(q[j]),
-            limit=float(plant.upper[j] if q[j] > plant.upper[j] else plant.lower[j]),
-        )
+        frame = int(problem.frames[i])
+        if free > least_m or past[j] <= 0.0:
+            kind, limit = ViolationKind.UNREACHABLE, tube_limit_m
+            return TubeViolation(kind=kind, frame=frame, joint=None, value=bounded, limit=limit)
+        return _joint_limit_violation(plant, frame, j, float(q[j]))
     return None
 
 
-def broken_start(course: Course) -> TubeViolation | None:
-    """The angle farthest past its limit in the joint path to start from; None if all are within."""
-    plant = course.plant
-    past = np.maximum(plant.lower - course.q, course.q - plant.upper)
+def find_start_violation(problem: TubeProblem) -> TubeViolation | None:
+    """Find the joint angle of the initial path that is farthest past its limit; None if all are within limits."""
+    plant = problem.plant
+    past = np.maximum(plant.lower - problem.q, problem.q - plant.upper)
     i, j = np.unravel_index(np.argmax(past), past.shape)
     if past[i, j] <= 0.0:
         return None
-    value = float(course.q[i, j])
+    return _joint_limit_violation(plant, int(problem.frames[i]), int(j), float(problem.q[i, j]))
+
+
+def _joint_limit_violation(plant: ArmPlant, frame: int, joint: int, value: float) -> TubeViolation:
     return TubeViolation(
-        kind=TubeFailure.JOINT_LIMIT,
-        frame=int(course.frames[i]),
-        joint=plant.robot.joints[j],
+        kind=ViolationKind.JOINT_LIMIT,
+        frame=frame,
+        joint=plant.robot.joints[joint],
         value=value,
-        limit=float(plant.upper[j] if value > plant.upper[j] else plant.lower[j]),
+        limit=float(plant.upper[joint] if value > plant.upper[joint] else plant.lower[joint]),
     )
 
 
-def broken_rate(course: Course, basis: SplineBasis, solution: TubeSolution | None) -> TubeViolation | None:
-    """The rate that an elastic solution exceeds most, relative to its limit; None if it exceeds none.
+def find_elastic_violation(
+    problem: TubeProblem, basis: SplineBasis, solution: TubeSolution | None
+) -> TubeViolation | None:
+    """Find the rate that an elastic solution exceeds most, relative to its limit; None if it exceeds none.
 
     Args:
-        course: the track.
-        basis: the solution's spline.
-        solution: of `solve_tube` with `elastic`.
+        problem: the track.
+        basis: spline of the solution.
+        solution: result of `solve_tube` with `elastic`.
     """
-    return None if solution is None else _worst(course, basis, solution.excess, _LEAST_EXCESS, above=1.0)
+    return None if solution is None else _find_worst_rate(problem, basis, solution.excess, _LEAST_EXCESS, offset=1.0)
 
 
-def steepest_rate(trajectory: JointTrajectory) -> TubeViolation | None:
-    """The rate that a trajectory exceeds most, relative to its limit; None if it exceeds none."""
-    return _worst(trajectory.course, trajectory.basis, trajectory.usage, 1.0 + _LEAST_EXCESS, above=0.0)
+def find_rate_violation(trajectory: JointTrajectory) -> TubeViolation | None:
+    """Find the rate that a trajectory exceeds most, relative to its limit; None if it exceeds none."""
+    return _find_worst_rate(trajectory.problem, trajectory.basis, trajectory.usage, 1.0 + _LEAST_EXCESS, offset=0.0)
 
 
-def _worst(
-    course: Course,
-    basis: SplineBasis,
-    ratios: tuple[np.ndarray | None, np.ndarray | None, np.ndarray | None],
-    least: float,
-    above: float,
+def _find_worst_rate(
+    problem: TubeProblem, basis: SplineBasis, ratios: Sequence[Array | None], least: float, offset: float
 ) -> TubeViolation | None:
+    """Find the greatest of the ratios (n - k, 7) above `least`; the rate is `offset` plus the ratio times the limit."""
     worst = None
-    for k, (kind, ratio, limit) in enumerate(zip(_RATES, ratios, course.limits.rates, strict=True)):
+    for k, (kind, ratio, limit) in enumerate(zip(_RATES, ratios, problem.limits.rates, strict=True)):
         if ratio is None or limit is None or ratio.max(initial=0.0) <= least:
             continue
         i, j = np.unravel_index(np.argmax(ratio), ratio.shape)
         least = float(ratio[i, j])
         worst = TubeViolation(
             kind=kind,
-            frame=course.nearest(float(basis.centres(k + 1)[i])),
-            joint=course.plant.robot.joints[j],
-            value=float(limit[j] * (above + least)),
+            frame=problem.nearest_frame(float(basis.centres(k + 1)[i])),
+            joint=problem.plant.robot.joints[j],
+            value=float(limit[j] * (offset + least)),
             limit=float(limit[j]),
         )
     return worst
 
 
-def broken_distance(course: Course, contact: Contact | None) -> TubeViolation | None:
-    """A contact as a violation; None if its distance is kept."""
-    if contact is None or not contact.broken:
+def find_contact_violation(problem: TubeProblem, contact: Contact | None) -> TubeViolation | None:
+    """Return a contact as a violation; None if its distance is kept."""
+    if contact is None or not contact.violated:
         return None
     return TubeViolation(
-        kind=TubeFailure.TABLE_COLLISION if contact.table else TubeFailure.SELF_COLLISION,
-        frame=course.nearest(contact.t_s),
+        kind=ViolationKind.TABLE_COLLISION if contact.table else ViolationKind.SELF_COLLISION,
+        frame=problem.nearest_frame(contact.t_s),
         joint=None,
         value=contact.distance_m,
         limit=contact.least_m,
     )
 
 
-def broken_torque(trajectory: JointTrajectory) -> TubeViolation | None:
-    """The torque farthest beyond its limit; None if all are kept."""
-    course = trajectory.course
-    ratio = np.abs(trajectory.torque / course.plant.effort_limits)
+def find_torque_violation(trajectory: JointTrajectory) -> TubeViolation | None:
+    """Find the torque farthest beyond its limit; None if all are within limits."""
+    problem = trajectory.problem
+    ratio = np.abs(trajectory.torque / problem.plant.effort_limits)
     k, j = np.unravel_index(np.argmax(ratio), ratio.shape)
     if ratio[k, j] <= 1.0:
         return None
     return TubeViolation(
-        kind=TubeFailure.TORQUE,
-        frame=course.nearest(float(trajectory.samples_s[k])),
-        joint=course.plant.robot.joints[j],
+        kind=ViolationKind.TORQUE,
+        frame=problem.nearest_frame(float(trajectory.samples_s[k])),
+        joint=problem.plant.robot.joints[j],
         value=float(trajectory.torque[k, j]),
-        limit=float(course.plant.effort_limits[j]),
+        limit=float(problem.plant.effort_limits[j]),
     )

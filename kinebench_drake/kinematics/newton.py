@@ -1,4 +1,4 @@
-"""Local inverse kinematics: from a starting posture to the nearest one that reaches a pose, within joint limits."""
+"""Local inverse kinematics: from a starting posture to a near one that reaches a pose, within joint limits."""
 
 from typing import Any
 
@@ -12,17 +12,17 @@ from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.models.robot import N_JOINTS
 
 ROTATION_ARM_M = 0.1
-"""Metres that a radian counts for when both errors cannot vanish: 10 mm weigh as much as 5.7 degrees."""
+"""Length that weighs rotation error against position error [m/rad]: 10 mm weigh as much as 5.7 degrees."""
 
 REACHED_M = 1e-10
-"""Weighted error [m] below which the pose counts as reached and no further step is worth its time."""
+"""Weighted error [m] below which the pose counts as reached and the iteration ends."""
 
-_PATH_STEPS, _PATH_STEP_RAD, _PATH_DAMPING = 6, 0.5, 1e-6  # of Newton steps for a whole path
-_STALLED = 1e-4  # relative gain below which a fit that cannot reach the pose has found its best
+_PATH_STEPS, _PATH_STEP_RAD, _PATH_DAMPING = 6, 0.5, 1e-6  # Newton steps for a whole path
+_STALLED = 1e-4  # relative gain below which a step counts as slow; three slow steps end the iteration
 
 
 def _error(X_BG: Array, X_now: Array) -> Array:
-    """Twist (6,) [rad; m] from `X_now` to `X_BG`, expressed in B."""
+    """Return the twist (6,) [rad; m] from `X_now` to `X_BG`, expressed in B."""
     R = X_BG[:3, :3] @ X_now[:3, :3].T
     twice_sin = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
     cos = 0.5 * (R[0, 0] + R[1, 1] + R[2, 2] - 1.0)
@@ -31,15 +31,15 @@ def _error(X_BG: Array, X_now: Array) -> Array:
     if cos > -0.9:
         sin = 0.5 * float(np.sqrt(twice_sin @ twice_sin))
         e[:3] = twice_sin * (0.5 if sin < 1e-9 else 0.5 * np.arctan2(sin, cos) / sin)
-    else:  # near half a turn the axis drowns in rounding here
+    else:  # near half a turn the formula above loses the axis to rounding
         e[:3] = rotation_log(R)
     return e
 
 
 def _step(J: Array, e: Array, damping: float, below: Array, above: Array) -> Array:
-    """Least damped change (7,) of the joints that removes `e`, joints stopping at `below` and `above` (7,).
+    """Return the least damped change (7,) of the joints that removes `e`, within the bounds `below`, `above` (7,).
 
-    A joint that would pass its bound is put there and the rest of the error is left to the others.
+    A joint that would pass its bound is set to it; the other joints correct the remaining error.
     """
     dq = np.zeros(N_JOINTS)
     free = np.ones(N_JOINTS, dtype=bool)
@@ -59,21 +59,21 @@ def _step(J: Array, e: Array, damping: float, below: Array, above: Array) -> Arr
     return dq
 
 
-def newton(
+def solve_newton(
     plant: ArmPlant, X_BG: Array, q: Array, *, bounded: bool = True, iterations: int = 40
 ) -> tuple[Array, float]:
-    """Damped Newton (Levenberg-Marquardt) steps on Drake's Jacobian from posture `q`, with an active set of limits.
+    """Solve a pose by damped Newton (Levenberg-Marquardt) steps on Drake's Jacobian, with an active set of limits.
 
-    Minimises |dp|^2 + (ROTATION_ARM_M |dtheta|)^2. Of the joint changes that do the same, each step takes the least
-    (the damped pseudo-inverse: Y. Nakamura and H. Hanafusa, "Inverse Kinematic Solutions With Singularity Robustness
-    for Robot Manipulator Control", J. Dyn. Syst. Meas. Control 108, 1986), so that the result stays near the start.
+    Minimises |dp|^2 + (ROTATION_ARM_M |dtheta|)^2. Each step is the joint change of least norm (damped pseudo-inverse:
+    Y. Nakamura and H. Hanafusa, "Inverse Kinematic Solutions With Singularity Robustness for Robot Manipulator
+    Control", J. Dyn. Syst. Meas. Control 108, 1986), so that the result stays near the start.
 
     Args:
         plant: the robot.
         X_BG: wanted pose (4, 4) of panda_hand_tcp in panda_link0 [m].
         q: starting posture (7,) [rad]; clipped to the limits when `bounded`.
-        bounded: whether joint limits hold.
-        iterations: the most Jacobians to compute.
+        bounded: True to keep joint limits.
+        iterations: greatest number of Jacobians to compute.
 
     Returns:
         The best posture (7,) [rad] and its weighted error [m].
@@ -106,41 +106,41 @@ def newton(
     return q, float(np.sqrt(cost))
 
 
-def newton_path(plant: ArmPlant, X_BG: Array, q: Array) -> Array:
-    """Postures (n, 7) [rad] of poses `X_BG` (n, 4, 4) near those of a path `q` (n, 7); NaN where that is NaN.
+def solve_newton_path(plant: ArmPlant, X_BG: Array, q: Array) -> Array:
+    """Solve poses `X_BG` (n, 4, 4) from the postures of a path `q` (n, 7) [rad]; NaN rows stay NaN.
 
-    Newton steps of least joint motion, all frames at once, joint limits ignored. Where they do not arrive, what they
-    lead to is returned.
+    Newton steps of least joint motion for all frames at once, joint limits ignored. Frames that do not converge keep
+    the posture of the last step.
     """
     q = q.copy()
-    known = np.flatnonzero(np.isfinite(q).all(axis=-1))
-    for _ in range(_PATH_STEPS if len(known) else 0):
-        error = twists(plant.chain.poses(q[known], plant.robot.tcp_link), X_BG[known])
+    rows = np.flatnonzero(np.isfinite(q).all(axis=-1))
+    for _ in range(_PATH_STEPS if len(rows) else 0):
+        error = pose_twists(plant.chain.poses(q[rows], plant.robot.tcp_link), X_BG[rows])
         if np.abs(error).max() < REACHED_M:
             break
-        step = (least_motion(plant, q[known]) @ error[..., None])[..., 0]
-        q[known] += np.clip(step, -_PATH_STEP_RAD, _PATH_STEP_RAD)
+        step = (damped_pseudoinverses(plant, q[rows]) @ error[..., None])[..., 0]
+        q[rows] += np.clip(step, -_PATH_STEP_RAD, _PATH_STEP_RAD)
     return q
 
 
-def least_motion(plant: ArmPlant, q: Array) -> Array:
-    """Damped pseudo-inverses (n, 7, 6) of the Jacobians at postures (n, 7): least joint motions for twists."""
+def damped_pseudoinverses(plant: ArmPlant, q: Array) -> Array:
+    """Return damped pseudo-inverses (n, 7, 6) of the Jacobians at postures (n, 7)."""
     J = plant.chain.jacobians(q)
     J_T = np.swapaxes(J, -1, -2)
     return np.asarray(J_T @ np.linalg.inv(J @ J_T + _PATH_DAMPING * np.eye(6)))
 
 
-def twists(X_from: Array, X_to: Array) -> Array:
-    """Twists (n, 6) [rad; m] from poses to poses (n, 4, 4), expressed in B, angular part first."""
+def pose_twists(X_from: Array, X_to: Array) -> Array:
+    """Return the twists (n, 6) [rad; m] from poses to poses (n, 4, 4), expressed in B, angular part first."""
     turn = rotation_log(X_to[:, :3, :3] @ np.swapaxes(X_from[:, :3, :3], -1, -2))
     return np.concatenate([turn, X_to[:, :3, 3] - X_from[:, :3, 3]], axis=-1)
 
 
-def snopt(plant: ArmPlant, X_BG: Array, q: Array) -> Array:
-    """Posture (7,) [rad] within limits from Drake's InverseKinematics with SNOPT, started at `q`; not verified.
+def solve_snopt(plant: ArmPlant, X_BG: Array, q: Array) -> Array:
+    """Return a posture (7,) [rad] within limits from Drake's InverseKinematics with SNOPT, started at `q`.
 
-    Slower than `newton` by ten times, but its path through the joint space is another: worth asking before a pose is
-    given up.
+    The result is not verified. Ten times slower than `solve_newton`, but it takes another path through the joint space
+    and may converge where that does not.
     """
     ik: Any = InverseKinematics(plant.drake, plant.context)
     tcp, base = plant.tcp_frame, plant.base_frame
@@ -150,11 +150,11 @@ def snopt(plant: ArmPlant, X_BG: Array, q: Array) -> Array:
     ik.AddOrientationConstraint(base, rotation(X_BG[:3, :3]), tcp, rotation(), 1e-7)
     program, variables = ik.prog(), ik.q()
     start = plant.positions(np.clip(q, plant.lower, plant.upper)[None])[0]
-    held = np.delete(np.arange(len(start)), plant.arm)
-    program.AddBoundingBoxConstraint(start[held], start[held], variables[held])
+    fixed = np.delete(np.arange(len(start)), plant.arm)
+    program.AddBoundingBoxConstraint(start[fixed], start[fixed], variables[fixed])
     program.SetInitialGuess(variables, start)
     options = SolverOptions()
     options.SetOption(SnoptSolver.id(), "Major iterations limit", 100)
     result = SnoptSolver().Solve(program, program.GetInitialGuess(variables), options)
-    q_found: Array = np.asarray(result.GetSolution(variables), dtype=np.float64)[plant.arm]
-    return np.asarray(np.clip(q_found, plant.lower, plant.upper))
+    q_solved: Array = np.asarray(result.GetSolution(variables), dtype=np.float64)[plant.arm]
+    return np.asarray(np.clip(q_solved, plant.lower, plant.upper))

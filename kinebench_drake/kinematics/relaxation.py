@@ -1,4 +1,4 @@
-"""A joint path polished: the same poses, asking less of the joints, by moving each posture along its null direction."""
+"""Relaxation of a joint path: lower joint rates for the same poses, by moving each posture along its null direction."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -6,14 +6,14 @@ from scipy.linalg import solveh_banded
 
 from kinebench_drake.geometry import Array
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.kinematics.postures import Postures
+from kinebench_drake.kinematics.postures import PostureSolver
 
 ALLOWANCE = 4.0
-"""Standard errors of noise that speeds and accelerations may be over their limits."""
+"""Standard deviations of the noise by which limits of speed and acceleration are widened."""
 FROM_REST = 1e-3
 """Weight of the squared distance from the rest posture [1/rad^2]."""
 
-_NEAR_LIMIT_RAD = 0.005  # the polish keeps this far from limits where it can
+_NEAR_LIMIT_RAD = 0.005  # margin to the joint limits where possible
 _LIMIT_WEIGHT = 1e4
 _STEPS, _PEAK_STEPS = 8, 40
 _PEAK_WEIGHT, _PEAK_AT_MOST = 10.0, 3.0  # weight of a ratio's eighth power beside its square, up to this ratio
@@ -22,9 +22,9 @@ _FALLBACK_ACCELERATION = 5.0  # acceleration limit / speed limit [1/s] of arms t
 
 
 def peak_ratio(plant: ArmPlant, t_s: Array, q: Array, noise_rad: float = 0.0) -> float:
-    """Greatest speed or acceleration over its limit along a path (T, 7) [rad] at times (T,) [s]; 0 for one posture.
+    """Return the greatest speed or acceleration / limit of a path (T, 7) [rad] at times (T,) [s]; 0 for one posture.
 
-    Limits are widened for the noise, as in `relax`.
+    Limits are widened by the noise, as in `relax`.
     """
     if len(q) < 2:
         return 0.0
@@ -34,30 +34,29 @@ def peak_ratio(plant: ArmPlant, t_s: Array, q: Array, noise_rad: float = 0.0) ->
 
 def relax(
     plant: ArmPlant,
-    postures: Postures,
+    solver: PostureSolver,
     t_s: Array,
     X_BG: Array,
     q: Array,
     noise_rad: float = 0.0,
-    held: NDArray[np.bool_] | None = None,
+    fixed: NDArray[np.bool_] | None = None,
 ) -> Array:
-    """Path (T, 7) [rad] through the same poses that asks less of the joints than the path `q` (T, 7) does.
+    """Return a path (T, 7) [rad] through the same poses with lower joint rates than the path `q` (T, 7).
 
-    Gauss-Newton (Levenberg-Marquardt) on one number a frame, the way along its null direction, with a banded system
-    (J. Nocedal and S. Wright, Numerical Optimization, 2006, ch. 10). It minimises the sum of squares of joint speed
-    and acceleration over their limits; where one of them still is over its limit, steps are weighed anew so that the
-    sum approaches the largest (iteratively reweighted least squares). A weak pull to the rest posture settles what
-    that leaves open. Limits are kept by a stiff penalty; postures
-    that start past a limit are brought within if their null motion can.
+    Gauss-Newton (Levenberg-Marquardt) on one variable per frame, the step along its null direction, with a banded
+    system (J. Nocedal and S. Wright, Numerical Optimization, 2006, ch. 10). It minimises the sum of squares of joint
+    speed and acceleration over their limits; where one of them still exceeds its limit, iteratively reweighted least
+    squares reduce the largest. A weak pull to the rest posture makes the solution unique. Joint limits are kept by a
+    stiff penalty; postures that start past a limit are brought within it if their null motion allows.
 
     Args:
         plant: the robot.
-        postures: how its postures are found.
+        solver: solver for its postures.
         t_s: (T,) times [s], increasing.
         X_BG: (T, 4, 4) poses of the TCP in the base [m].
         q: (T, 7) postures that reach them [rad], all finite.
-        noise_rad: standard deviation of the noise in the joints [rad], for which limits are widened.
-        held: (T,) frames that keep their posture; None holds none.
+        noise_rad: standard deviation of the noise in the joints [rad], by which limits are widened.
+        fixed: (T,) frames that keep their posture; None if none does.
     """
     if len(q) < 2:
         return q
@@ -70,13 +69,13 @@ def relax(
             if problem.peak(residual) <= 1.0:
                 break
             weights = problem.reweighted(residual)
-        n = postures.direction(X_BG, q)
-        if held is not None:
-            n[held] = 0.0
+        n = solver.direction(X_BG, q)
+        if fixed is not None:
+            n[fixed] = 0.0
         cost = problem.cost(residual, weights, q)
         for _ in range(3):
             delta = problem.step(n, residual, weights, q, damping)
-            q_new = postures.nearest(X_BG, q + n * delta[:, None])
+            q_new = solver.nearest(X_BG, q + n * delta[:, None])
             strayed = ~(np.abs(q_new - q).max(axis=-1) < 2 * _LARGEST_STEP_RAD)
             q_new[strayed] = q[strayed]
             residual_new = problem.residuals(q_new)
@@ -114,7 +113,7 @@ class _Smoothing:
             self._stencils.append([*(stencil / (accelerations + noise * np.linalg.norm(stencil, axis=0)))])  # (T-2, 7)
 
     def residuals(self, q: Array) -> list[Array]:
-        """Speeds (T-1, 7) and accelerations (T-2, 7) over their limits."""
+        """Return speeds (T-1, 7) and accelerations (T-2, 7) over their limits."""
         return [
             np.asarray(sum(c * q[k : len(q) - len(stencil) + 1 + k] for k, c in enumerate(stencil)))
             for stencil in self._stencils
@@ -122,26 +121,26 @@ class _Smoothing:
 
     @staticmethod
     def peak(residual: list[Array]) -> float:
-        """Largest ratio of all."""
+        """Return the largest ratio."""
         return max(float(np.abs(r).max()) for r in residual)
 
     @staticmethod
     def reweighted(residual: list[Array]) -> list[Array]:
-        """Weights (as the residuals) that draw down what is over its limit and leave the rest about as it is."""
+        """Return weights, in the shapes of the residuals, that grow steeply where a ratio exceeds 1."""
         return [1.0 + _PEAK_WEIGHT * np.minimum(np.abs(r), _PEAK_AT_MOST) ** 6 for r in residual]
 
     def _past(self, q: Array) -> Array:
         return np.asarray(np.maximum(q - self._upper, 0.0) - np.maximum(self._lower - q, 0.0))
 
     def cost(self, residual: list[Array], weights: list[Array], q: Array) -> float:
-        """Weighted sum of squares, limits included."""
+        """Return the weighted sum of squares, including the limit penalty."""
         return sum(
             (float(np.sum(w * r * r)) for w, r in zip(weights, residual, strict=True)),
             start=_LIMIT_WEIGHT * float(np.sum(self._past(q) ** 2)) + FROM_REST * float(np.sum((q - self._rest) ** 2)),
         )
 
     def step(self, n: Array, residual: list[Array], weights: list[Array], q: Array, damping: float) -> Array:
-        """Ways (T,) along the null directions `n` (T, 7) of one damped Gauss-Newton step [rad]."""
+        """Return the steps (T,) [rad] along the null directions `n` (T, 7) of one damped Gauss-Newton iteration."""
         T = len(q)
         bands = np.zeros((3, T))  # lower form: bands[k, i] couples frames i and i + k
         gradient = np.zeros(T)
@@ -153,9 +152,9 @@ class _Smoothing:
                 for other in range(k, size):
                     bands[other - k, k : T - size + 1 + k] += np.sum(w * row * rows[other], axis=-1)
         past = self._past(q)
-        held = _LIMIT_WEIGHT * (past != 0.0)
-        bands[0] += np.sum((held + FROM_REST) * n * n, axis=-1)
-        gradient += np.sum((held * past + FROM_REST * (q - self._rest)) * n, axis=-1)
+        stiffness = _LIMIT_WEIGHT * (past != 0.0)
+        bands[0] += np.sum((stiffness + FROM_REST) * n * n, axis=-1)
+        gradient += np.sum((stiffness * past + FROM_REST * (q - self._rest)) * n, axis=-1)
         bands[0] += damping * (bands[0] + 1e-6) + 1e-9
         delta = solveh_banded(bands[: min(3, T)], -gradient, lower=True, check_finite=False)
         return np.asarray(np.clip(delta, -_LARGEST_STEP_RAD, _LARGEST_STEP_RAD))

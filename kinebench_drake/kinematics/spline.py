@@ -1,4 +1,4 @@
-"""Cubic B-splines through time, as sparse matrices on their control points.
+"""Cubic B-splines in time, as sparse matrices on their control points.
 
 A B-spline lies within the hull of its control points, and so do its derivatives, which are B-splines themselves:
 bounds on the control points of a derivative hold at all times. For order 4 (cubic) they are hardly stricter than bounds
@@ -25,23 +25,23 @@ _SHORTEST, _LONGEST = 0.25, 2.0  # spans allowed, times the median of the frames
 
 
 class SplineBasis:
-    """Clamped cubic B-splines on given break points."""
+    """Clamped cubic B-splines on a sequence of break points."""
 
     def __init__(self, breaks_s: Array) -> None:
-        """Take the break points (K,) [s], increasing, the first 0."""
+        """Set the break points (K,) [s], increasing, the first 0."""
         self.breaks_s = breaks_s
         """(K,) ends of the polynomial pieces [s]."""
         self.knots = np.concatenate([np.repeat(breaks_s[0], _DEGREE), breaks_s, np.repeat(breaks_s[-1], _DEGREE)])
-        """(n + 4,) knots [s], the first and last four times."""
+        """(n + 4,) knots [s], the first and last repeated four times."""
         self.size = len(self.knots) - ORDER
-        """n, the number of control points."""
+        """Number n of control points."""
 
     @classmethod
     def through(cls, t_s: Array) -> "SplineBasis":
-        """A basis with a break at every frame `t_s` (T,) [s], none much closer and none much farther than the median.
+        """Return a basis with a break at every frame `t_s` (T,) [s], their spacing bounded relative to the median.
 
         Breaks less than a quarter of the median spacing apart are merged; gaps of more than twice the median get
-        breaks of their own, so that the motion through them is free.
+        additional breaks, so that the motion through them is free.
         """
         spacing = float(np.median(np.diff(t_s)))
         kept = [float(t_s[0])]
@@ -53,18 +53,18 @@ class SplineBasis:
             kept[-1:] = [float(t_s[-1])] if len(kept) > 1 else [kept[0], float(t_s[-1])]
         return cls(np.array(kept))
 
-    def refined(self) -> "SplineBasis":
-        """The basis with every span halved; it holds all curves of this one."""
+    def refine(self) -> "SplineBasis":
+        """Return the basis with every span halved; its curves include all curves of this one."""
         middle = 0.5 * (self.breaks_s[1:] + self.breaks_s[:-1])
         return SplineBasis(np.sort(np.concatenate([self.breaks_s, middle])))
 
     def values(self, t_s: Array) -> Any:
-        """Sparse matrix (N, n) that takes control points to the curve at times `t_s` (N,) [s] within the breaks."""
+        """Return the sparse matrix (N, n) from control points to the curve at times `t_s` (N,) [s]."""
         return BSpline.design_matrix(np.clip(t_s, self.knots[0], self.knots[-1]), self.knots, _DEGREE)
 
     @cached_property
     def derivatives(self) -> tuple[Any, Any, Any, Any]:
-        """Sparse matrices (n - k, n) that take control points to those of the k-th derivative, k = 0..3.
+        """Sparse matrices (n - k, n) from control points to those of the k-th derivative, k = 0..3.
 
         De Boor, chapter X, equation (12): c'_i = (c_{i+1} - c_i) * degree / (knot_{i+degree+1} - knot_{i+1}).
         """
@@ -78,7 +78,7 @@ class SplineBasis:
         return matrices[0], matrices[1], matrices[2], matrices[3]
 
     def centres(self, derivative: int) -> Array:
-        """Times (n - k,) [s] where the control points of the k-th derivative have their say (Greville abscissae)."""
+        """Return the Greville abscissae (n - k,) [s] of the control points of the k-th derivative."""
         degree = _DEGREE - derivative
         first = derivative + 1
         if degree == 0:
@@ -87,13 +87,13 @@ class SplineBasis:
         return np.asarray(np.mean(windows, axis=0))
 
     def fit(self, t_s: Array, q: Array, stiffness: float = 1e-8) -> Array:
-        """Control points (n, D) of the curve nearest to `q` (T, D) at `t_s` (T,), the least accelerated one of these.
+        """Fit control points (n, D) to values `q` (T, D) at `t_s` (T,): least squares, then least acceleration.
 
         Args:
             t_s: (T,) times [s].
             q: (T, D) values.
-            stiffness: weight of the squared accelerations, each times its span squared, against the squared residuals;
-                small enough to leave the residuals alone, it settles what they leave open.
+            stiffness: weight of the squared accelerations, each times its span squared, relative to the squared
+                residuals; small enough not to change the residuals, it makes the solution unique.
         """
         B = self.values(t_s)
         span = float(np.median(np.diff(self.breaks_s)))
@@ -101,5 +101,5 @@ class SplineBasis:
         return np.asarray(splu((B.T @ B + stiffness * (D.T @ D)).tocsc()).solve(B.T @ q))
 
     def evaluate(self, control: Array, t_s: Array, derivative: int = 0) -> Array:
-        """Values (N, D) of a derivative of the curve with control points `control` (n, D) at `t_s` (N,) [s]."""
+        """Return a derivative (N, D) of the curve with control points `control` (n, D) at `t_s` (N,) [s]."""
         return np.asarray(BSpline(self.knots, control, _DEGREE)(t_s, derivative))

@@ -1,4 +1,4 @@
-"""A joint trajectory beside the track that it is to follow, and what Drake finds along it."""
+"""A joint trajectory of a tube problem, verified in Drake: pose errors, limits, torques and distances along it."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -14,93 +14,93 @@ from kinebench_drake.kinematics.spline import SplineBasis
 from kinebench_drake.kinematics.tube import LimitSet, Obstacle, PoseLinearisation
 
 SAMPLES = 8
-"""Samples a span of the spline in which a trajectory is verified."""
+"""Samples per span of the spline at which a trajectory is verified."""
 NEAR_M = 0.02
-"""Distances up to this far above the least are sampled in full, and watched when a trajectory is moved [m]."""
+"""Margin above the least distance within which distances are computed at every sample and linearised [m]."""
 KEPT = 1.0 + 1e-6
-"""Ratio up to which a limit counts as kept."""
+"""Greatest ratio to a limit that counts as within it."""
 
-_WATCHED = 4  # pairs a sample, the nearest, that are watched
-_MARGIN_M = 5e-4  # aimed at beyond the least distance
+_LINEARISED_PAIRS = 4  # nearest pairs per sample whose distances are linearised
+_MARGIN_M = 5e-4  # added to the least distance in linearised bounds
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrajectoryCheck:
-    """A trajectory and what Drake finds along it, `SAMPLES` times a span of the spline."""
+    """A trajectory and its verification in Drake, at `SAMPLES` samples per span of the spline."""
 
     knots_s: Array
-    """(n + 4,) knots of its cubic B-spline, on the clock of the track [s]."""
+    """(n + 4,) knots of the cubic B-spline, on the clock of the track [s]."""
     control: Array
     """(n, 7) control points [rad]."""
     position_error_max_m: float
-    """Greatest distance of the TCP from the track at a frame [m]."""
+    """Greatest position error of the TCP at a frame [m]."""
     rotation_error_max_rad: float
-    """Greatest angle from the track at a frame [rad]."""
+    """Greatest rotation error at a frame [rad]."""
     joint_limit_margin_min: float
     """Least distance from a joint limit / half the joint's range."""
     velocity_ratio_max: float
     """Greatest speed / limit."""
     acceleration_ratio_max: float | None
-    """Greatest acceleration / limit; None where no limit is published."""
+    """Greatest acceleration / limit; None if no limit is published."""
     jerk_ratio_max: float | None
-    """Greatest jerk / limit; None where no limit is published."""
+    """Greatest jerk / limit; None if no limit is published."""
     torque_ratio_max: float
-    """Greatest torque / limit, nothing in the hand."""
+    """Greatest torque / limit, without payload."""
     self_distance_min_m: float | None
     """Least distance between two links [m]; None without a collision model."""
     table_distance_min_m: float | None
-    """Least height over the table [m], negative: into it; None without a collision model."""
+    """Least height above the table [m], negative below its surface; None without a collision model."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Contact:
-    """Where a trajectory comes nearest to itself or to the table."""
+    """Least distance of a trajectory from itself or from the table."""
 
     table: bool
-    """The table, else another link."""
+    """True for the table, False for two links."""
     distance_m: float
     """Signed distance [m]."""
     least_m: float
-    """What it must be at least [m]."""
+    """Least allowed distance [m]."""
     t_s: float
-    """When, on the spline's clock [s]."""
+    """Time on the clock of the spline [s]."""
 
     @property
-    def broken(self) -> bool:
-        """Whether the distance is too small."""
+    def violated(self) -> bool:
+        """True if the distance is below the least allowed one."""
         return self.distance_m < self.least_m
 
 
 @dataclass(frozen=True, kw_only=True)
-class Course:
-    """The track to follow, its clock set to 0 at the first frame."""
+class TubeProblem:
+    """Track of poses with its initial joint path; the clock is 0 at the first frame."""
 
     plant: ArmPlant
     collision: CollisionModel | None
-    """None leaves collisions out."""
+    """Collision model; None ignores collisions."""
     frames: NDArray[np.intp]
-    """(T,) numbers of the frames in the track as it was given."""
+    """(T,) numbers of the frames in the original track."""
     t_s: Array
-    """(T,) [s], the first 0."""
+    """(T,) times [s], the first 0."""
     origin_s: float
-    """The first frame's time in the track as it was given [s]."""
+    """Time of the first frame in the original track [s]."""
     X_BG: Array
-    """(T, 4, 4) poses wanted of the TCP [m]."""
+    """(T, 4, 4) poses of the TCP in the base [m]."""
     q: Array
-    """(T, 7) joint path to start from [rad]."""
+    """(T, 7) initial joint path [rad]."""
     finger_width_m: Array | None
-    """(T,) gap between the fingers [m]; None: as the plant has it."""
+    """(T,) gap between the finger pads [m]; None for the plant's default."""
     table_tolerance_m: float
-    """How far into the table the gripper may be [m]."""
+    """Allowed penetration of the table [m]."""
 
     @cached_property
     def limits(self) -> LimitSet:
-        """The plant's limits of joints and their rates."""
+        """Limits of the plant."""
         rates = (self.plant.velocity_limits, self.plant.acceleration_limits, self.plant.jerk_limits)
         return LimitSet(lower=self.plant.lower, upper=self.plant.upper, rates=rates)
 
     def errors(self, q: Array) -> Array:
-        """What `q` (T, 7) leaves to the poses (T, 6) [m]: rotation by its arm, position, expressed in B."""
+        """Return the pose errors (T, 6) [m] of `q` (T, 7) [rad]: rotation by its arm, position, expressed in B."""
         return self._errors(np.array([self.plant.forward(row) for row in q]))
 
     def _errors(self, X_now: Array) -> Array:
@@ -110,68 +110,68 @@ class Course:
         e[:, 3:] = self.X_BG[:, :3, 3] - X_now[:, :3, 3]
         return e
 
-    def linearised(self, q: Array) -> PoseLinearisation:
-        """The poses about the joint path `q` (T, 7) [rad]."""
+    def linearise(self, q: Array) -> PoseLinearisation:
+        """Linearise the poses about the joint path `q` (T, 7) [rad]."""
         both = [self.plant.forward_and_jacobian(row) for row in q]
         J = np.array([J for _, J in both])
         J[:, :3] *= ROTATION_ARM_M
         return PoseLinearisation(t_s=self.t_s, q=q, J=J, e=self._errors(np.array([X for X, _ in both])))
 
-    def nearest(self, t_s: float) -> int:
-        """Number of the frame nearest to a time on the spline's clock."""
+    def nearest_frame(self, t_s: float) -> int:
+        """Return the number of the frame nearest to a time on the clock of the spline [s]."""
         return int(self.frames[np.argmin(np.abs(self.t_s - t_s))])
 
     def widths(self, t_s: Array) -> Array | None:
-        """Finger gaps (N,) [m] at times (N,), between the frames in proportion."""
+        """Return finger gaps (N,) [m] at times (N,) [s], interpolated linearly."""
         if self.finger_width_m is None:
             return None
-        known = np.isfinite(self.finger_width_m)
-        return np.interp(t_s, self.t_s[known], self.finger_width_m[known]) if known.any() else None
+        finite = np.isfinite(self.finger_width_m)
+        return np.interp(t_s, self.t_s[finite], self.finger_width_m[finite]) if finite.any() else None
 
 
 class JointTrajectory:
-    """A cubic B-spline in joint space and, computed once when asked for, how it follows its course."""
+    """Cubic B-spline in joint space with cached quantities along it."""
 
-    def __init__(self, course: Course, basis: SplineBasis, control: Array) -> None:
-        """Take the control points (n, 7) [rad]."""
-        self.course, self.basis, self.control = course, basis, control
+    def __init__(self, problem: TubeProblem, basis: SplineBasis, control: Array) -> None:
+        """Set the control points (n, 7) [rad]."""
+        self.problem, self.basis, self.control = problem, basis, control
 
     @cached_property
     def q(self) -> Array:
         """(T, 7) joint angles at the frames [rad]."""
-        return np.asarray(self.basis.values(self.course.t_s) @ self.control)
+        return np.asarray(self.basis.values(self.problem.t_s) @ self.control)
 
     @cached_property
     def deviations(self) -> tuple[float, float]:
-        """Greatest distance [m] and angle [rad] from the track at a frame."""
-        e = np.linalg.norm(self.course.errors(self.q).reshape(-1, 2, 3), axis=-1).max(axis=0)
+        """Greatest position error [m] and rotation error [rad] at a frame."""
+        e = np.linalg.norm(self.problem.errors(self.q).reshape(-1, 2, 3), axis=-1).max(axis=0)
         return float(e[1]), float(e[0] / ROTATION_ARM_M)
 
     @property
     def radius_m(self) -> float:
-        """Radius of the tube that it needs [m]."""
+        """Radius of the smallest tube that contains the trajectory [m]."""
         position, rotation = self.deviations
         return max(position, rotation * ROTATION_ARM_M)
 
     @cached_property
     def usage(self) -> tuple[Array | None, Array | None, Array | None]:
-        """|Control points| (n - k, 7) of speed, acceleration and jerk over their limits; None where there is none."""
+        """|Control points| (n - k, 7) of speed, acceleration and jerk over their limits; None without a limit."""
         ratios = [
             None if limit is None else np.abs(D @ self.control) / limit
-            for D, limit in zip(self.basis.derivatives[1:], self.course.limits.rates, strict=True)
+            for D, limit in zip(self.basis.derivatives[1:], self.problem.limits.rates, strict=True)
         ]
         return ratios[0], ratios[1], ratios[2]
 
     @property
     def keeps_limits(self) -> bool:
-        """Whether joints, speeds, accelerations and jerks are within their limits at all times."""
-        limits = self.course.limits
+        """True if joint angles, speeds, accelerations and jerks are within their limits at all times."""
+        limits = self.problem.limits
         inside = bool((self.control >= limits.lower).all() and (self.control <= limits.upper).all())
         return inside and all(ratio is None or ratio.max() <= KEPT for ratio in self.usage)
 
     @cached_property
     def samples_s(self) -> Array:
-        """(N,) times of the samples on the spline's clock [s]: `SAMPLES` a span, breaks included."""
+        """(N,) times of the samples on the clock of the spline [s]: `SAMPLES` per span, breaks included."""
         spans = len(self.basis.breaks_s) - 1
         return np.interp(np.arange(SAMPLES * spans + 1) / SAMPLES, np.arange(spans + 1), self.basis.breaks_s)
 
@@ -184,37 +184,37 @@ class JointTrajectory:
     @cached_property
     def torque(self) -> Array:
         """Joint torques (N, 7) [N m] at the samples."""
-        return np.array([self.course.plant.torque(*rows) for rows in zip(*self.motion, strict=True)])
+        return np.array([self.problem.plant.torque(*rows) for rows in zip(*self.motion, strict=True)])
 
     @cached_property
     def _distances(self) -> tuple[Array, Array]:
-        """Distances (N,) of the arm from itself, NaN where not looked at, and from the table [m], at the samples.
+        """Distances (N,) of the arm from itself, NaN where not computed, and from the table [m], at the samples.
 
-        The table is looked at in every sample; the arm itself, which costs more, twice a span, and in every sample
-        of those spans that come within `NEAR_M` of the least distance.
+        The distance from the table is computed at every sample; that from itself, which costs more, twice per span, and
+        at every sample of those spans that come within `NEAR_M` of the least distance.
         """
-        collision = self.course.collision
+        collision = self.problem.collision
         t, q = self.samples_s, self.motion[0]
         own, table = np.full(len(t), np.nan), np.full(len(t), np.nan)
         if collision is None:
             return own, table
-        widths = self.course.widths(t)
+        widths = self.problem.widths(t)
 
-        def look(samples: NDArray[np.intp]) -> None:
+        def compute(samples: NDArray[np.intp]) -> None:
             own[samples] = collision.self_distance(q[samples], None if widths is None else widths[samples]).distance_m
 
         half = np.arange(0, len(t), SAMPLES // 2)
-        look(half)
+        compute(half)
         if np.isfinite(own[half]).any():
             near = own[half] <= np.nanmin(own) + NEAR_M
             within = np.repeat(near[:-1] | near[1:], SAMPLES // 2)
-            look(np.flatnonzero(within & np.isnan(own[:-1])))
+            compute(np.flatnonzero(within & np.isnan(own[:-1])))
         return own, collision.table_distance(q, widths).distance_m
 
     @cached_property
     def contacts(self) -> tuple[Contact, ...]:
-        """The least distance of the arm from itself and that from the table; none without a collision model."""
-        both = zip(self._distances, (False, True), (0.0, -self.course.table_tolerance_m), strict=True)
+        """Least distances of the arm from itself and from the table; empty without a collision model."""
+        both = zip(self._distances, (False, True), (0.0, -self.problem.table_tolerance_m), strict=True)
         return tuple(
             Contact(
                 table=table, distance_m=float(np.nanmin(d)), least_m=least, t_s=float(self.samples_s[np.nanargmin(d)])
@@ -225,26 +225,26 @@ class JointTrajectory:
 
     @property
     def worst_contact(self) -> Contact | None:
-        """The contact whose distance falls short most, or exceeds least, what it must be."""
+        """Contact with the least margin to its allowed distance."""
         return min(self.contacts, key=lambda contact: contact.distance_m - contact.least_m, default=None)
 
     def obstacles(self) -> list[Obstacle]:
-        """The distances below `NEAR_M`, linearised, twice a span and where they are least: of each the few least."""
-        collision = self.course.collision
+        """Linearise distances below `NEAR_M`, twice per span and at local minima: the few least at each sample."""
+        collision = self.problem.collision
         if collision is None:
             return []
-        found = []
-        widths = self.course.widths(self.samples_s)
-        watched = {*range(0, len(self.samples_s), SAMPLES // 2)}
+        obstacles = []
+        widths = self.problem.widths(self.samples_s)
+        chosen = {*range(0, len(self.samples_s), SAMPLES // 2)}
         for distance in self._distances:
             d = np.nan_to_num(distance, nan=np.inf)
-            watched |= {*np.flatnonzero((d[1:-1] < NEAR_M) & (d[1:-1] <= d[:-2]) & (d[1:-1] <= d[2:])) + 1}
-        for k in sorted(watched):
+            chosen |= {*np.flatnonzero((d[1:-1] < NEAR_M) & (d[1:-1] <= d[:-2]) & (d[1:-1] <= d[2:])) + 1}
+        for k in sorted(chosen):
             q = self.motion[0][k]
             near_pairs = collision.near_pairs(q, NEAR_M, None if widths is None else float(widths[k]))
-            for near in near_pairs[:_WATCHED]:
-                least = -self.course.table_tolerance_m if near.link_b == TABLE else 0.0
-                found.append(
+            for near in near_pairs[:_LINEARISED_PAIRS]:
+                least = -self.problem.table_tolerance_m if near.link_b == TABLE else 0.0
+                obstacles.append(
                     Obstacle(
                         t_s=float(self.samples_s[k]),
                         offset_m=near.distance_m - float(near.gradient @ q),
@@ -252,16 +252,16 @@ class JointTrajectory:
                         least_m=least + _MARGIN_M,
                     )
                 )
-        return found
+        return obstacles
 
     def check(self) -> TrajectoryCheck:
-        """Everything found along it."""
-        plant, (q, v, a) = self.course.plant, self.motion
+        """Return the verification of the trajectory."""
+        plant, (q, v, a) = self.problem.plant, self.motion
         margin = np.minimum(q - plant.lower, plant.upper - q) / (0.5 * (plant.upper - plant.lower))
         distance = {contact.table: contact.distance_m for contact in self.contacts}
         jerk = self.usage[2]  # constant in every span
         return TrajectoryCheck(
-            knots_s=self.basis.knots + self.course.origin_s,
+            knots_s=self.basis.knots + self.problem.origin_s,
             control=self.control,
             position_error_max_m=self.deviations[0],
             rotation_error_max_rad=self.deviations[1],

@@ -1,4 +1,4 @@
-"""Is there a smooth joint trajectory along a track? The smallest tube about the track that holds one, and a witness."""
+"""Trajectory optimisation: the smallest tube about a track that contains a feasible joint trajectory."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -9,62 +9,62 @@ from kinebench_drake.geometry import Array, orthonormalize
 from kinebench_drake.kinematics.collision import CollisionModel
 from kinebench_drake.kinematics.infeasibility import (
     TubeViolation,
-    broken_distance,
-    broken_posture,
-    broken_rate,
-    broken_start,
-    broken_torque,
-    steepest_rate,
+    find_contact_violation,
+    find_elastic_violation,
+    find_pose_violation,
+    find_rate_violation,
+    find_start_violation,
+    find_torque_violation,
 )
-from kinebench_drake.kinematics.newton import newton
+from kinebench_drake.kinematics.newton import solve_newton
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.spline import SplineBasis
-from kinebench_drake.kinematics.trajectory import Course, JointTrajectory, TrajectoryCheck
+from kinebench_drake.kinematics.trajectory import JointTrajectory, TrajectoryCheck, TubeProblem
 from kinebench_drake.kinematics.tube import Obstacle, TubeSolution, proximity_cost_m, solve_tube
 
 SMALLEST_M = 1e-4
-"""Radius that needs no smaller one [m]."""
+"""Radius below which the search does not continue [m]."""
 LARGEST_M = 0.1
-"""Radius beyond which a trajectory is no longer along the track [m]."""
+"""Greatest radius of a tube about the track [m]."""
 RATIO = 1.25
-"""The smallest radius is known to this ratio, as far as programs linearised beside it can tell."""
+"""Ratio between upper and lower bound of the radius at which the search ends."""
 LONGEST = 1000
-"""Frames of a track that are looked at: of a longer one only every second, third, ... frame and the last."""
+"""Greatest number of frames; of a longer track only every second, third, ... frame and the last are used."""
 
-_PROXIMITY = 0.5  # see solve_tube: the first weight; raised where a step went wrong
+_PROXIMITY = 0.5  # initial weight of `solve_tube`; raised after a step that widened the tube
 _ELASTIC_PROXIMITY = 0.01
-_HELD, _HELD_BEYOND = 0.1, 0.02  # of the radius (within the tube's limit, beyond): while staying near the last path
-# costs more, another program may do better
-_TIGHTER, _LOOSER = 4.0, 0.25  # changes of that weight after a step that went wrong and one that went well
-# Programs at most that leave the radius free, and after them those with the radius given:
-_FULL, _REFINED_EFFORT, _ROUND_EFFORT = (5, 3), (3, 1), (2, 1)  # at first, on the finer spline, a round
-_AIM = 0.99  # of a given radius, to leave room for the poses' curvature
-_ROUNDS, _FEWER_ROUNDS = 4, 2  # of pushing a trajectory out of collisions; where the track is refused anyway
-_TIGHTENINGS = 2  # attempts to save torque by accelerating less
-_SURELY = 1.5  # times the tube's limit: a posture that far off is at fault, whatever else is (see broken_posture)
-_TORQUE_AIM = 0.95  # of the torque's limit, then
-_REFINED = 200  # tracks up to so many frames are tried on a spline twice as fine before they are given up
-_HOPELESS = 2.0  # times the tube's limit: what is known infeasible beyond is not tried again
+_CONFINED, _CONFINED_BEYOND = 0.1, 0.02  # proximity cost / radius (within the tube's limit, beyond it) above which
+# another program, linearised about the new path, may find a smaller tube
+_TIGHTER, _LOOSER = 4.0, 0.25  # factors of the proximity weight after a step that failed and one that succeeded
+# Greatest numbers of programs with free radius, then with fixed radius:
+_FULL, _REFINED_EFFORT, _ROUND_EFFORT = (5, 3), (3, 1), (2, 1)  # first search, on the finer spline, per round
+_AIM = 0.99  # share of a fixed radius used by the program; the rest covers the curvature of the poses
+_ROUNDS, _FEWER_ROUNDS = 4, 2  # of collision avoidance; the latter if the tube is infeasible anyway
+_TIGHTENINGS = 2  # attempts to reduce torque by lower accelerations
+_CERTAIN = 1.5  # factor of the tube's limit above which the error of a posture is the cause, whatever else is
+_TORQUE_AIM = 0.95  # share of the torque limit aimed at by the reduction
+_REFINED = 200  # greatest number of frames of a track that is tried on a spline twice as fine
+_HOPELESS = 2.0  # factor of the tube's limit: if that radius is infeasible, the finer spline is not tried
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TubeResult:
-    """The smallest tube about a track in which the robot can move, or why there is none."""
+    """Smallest tube about a track in which the robot can move, or the reason why there is none."""
 
     radius_m: float | None
-    """Smallest radius found feasible [m], `SMALLEST_M` at least; None if none up to `LARGEST_M` is, with a reason."""
+    """Smallest feasible radius found [m], at least `SMALLEST_M`; None if none up to `LARGEST_M` is, with a reason."""
     infeasible_radius_m: float | None
-    """Greatest radius found infeasible (to first order, near the trajectory found) [m]; None if none was."""
+    """Greatest radius found infeasible (to first order, near the trajectory) [m]; None if there was none."""
     feasible: bool | None
-    """Whether `radius_m` is at most the tube's limit; None where there is nothing to judge, with a reason."""
+    """True if `radius_m` is at most the tube's limit; None if the track cannot be judged, with a reason."""
     certificate: TrajectoryCheck | None
-    """The trajectory that proves `radius_m`."""
+    """Trajectory that proves `radius_m`."""
     violation: TubeViolation | None
-    """What forbids a tube of the limit's radius; None if feasible, or if no single cause was found."""
+    """Requirement that makes a tube of the limit's radius infeasible; None if feasible, or without a single cause."""
     reason: str | None
-    """Why there is no radius, or why it is beyond the limit; None if feasible."""
+    """Why there is no radius, or why it exceeds the limit; None if feasible."""
     programs: int
-    """Convex programs solved."""
+    """Number of convex programs solved."""
 
 
 def optimize_in_tube(
@@ -78,31 +78,31 @@ def optimize_in_tube(
     table_tolerance_m: float = 0.002,
     finger_width_m: Array | None = None,
 ) -> TubeResult:
-    """The smallest radius r of a tube about a track in which a smooth trajectory keeps every limit.
+    """Find the smallest radius r of a tube about a track that contains a smooth trajectory within every limit.
 
-    In the tube is what lies, at every frame, within r of the position and within r / `ROTATION_ARM_M` of the rotation.
-    The trajectory is a cubic B-spline in time with a break at every frame (`SplineBasis.through`), of the track's own
-    duration, its boundary speeds free. Joint positions, speeds, accelerations and jerks are kept at all times, by
-    bounds on control points; collisions and torques are kept wherever it is sampled.
+    A trajectory is in the tube if, at every frame, its position error is at most r and its rotation error at most
+    r / `ROTATION_ARM_M`. It is a cubic B-spline in time with a break at every frame (`SplineBasis.through`), of the
+    duration of the track, with free boundary speeds. Limits of position, speed, acceleration and jerk hold at all
+    times, by bounds on control points; collisions and torques are checked at samples.
 
-    First the spline through `q` itself is checked; if it keeps everything, no program is solved. Else the program of
-    `solve_tube` is linearised about `q`, then about its own result, until its least radius (which, to first order, no
-    trajectory near by undercuts) and the radius that the trajectory really needs are within `RATIO` of each other;
-    where they do not meet, or the tube's limit lies between them, the radius is bisected. A trajectory that collides
-    is pushed out by linearised distances; one that asks for too much torque is made to accelerate less. Where the
-    limit is exceeded, the search goes on longer, and on tracks of up to 200 frames also on a spline twice as fine. All
-    this is local: a path far off in the joint space (another elbow) is not looked for, so that a radius is an upper
-    bound with a witness, and "infeasible" holds near `q`.
+    First the spline through `q` is checked; if it meets all requirements, no program is solved. Else the program of
+    `solve_tube` is linearised about `q`, then about its own result, until its least radius (to first order a lower
+    bound for nearby trajectories) and the radius that the trajectory needs are within `RATIO` of each other; where
+    they do not meet, or the tube's limit lies between them, the radius is bisected. A trajectory that collides is
+    moved by linearised distances; one of too much torque gets lower acceleration limits. Where the limit is exceeded,
+    the search takes more programs, and on tracks of up to 200 frames also a spline twice as fine. The search is local:
+    a distant path in joint space (another elbow angle) is not tried, so that a radius is an upper bound with a
+    certificate, and "infeasible" holds near `q`.
 
     Args:
         plant: the robot.
-        collision: distances; None leaves collisions out.
-        t_s: (T,) times [s], increasing; frames left out of the track are simply absent.
+        collision: collision model; None ignores collisions.
+        t_s: (T,) times [s], increasing; they may have gaps.
         X_BG: (T, 4, 4) poses of the TCP in the base [m].
-        q: (T, 7) joint path [rad] to start from, such as inverse kinematics finds.
+        q: (T, 7) initial joint path [rad], such as that of inverse kinematics.
         tube_limit_m: greatest radius that counts as feasible [m].
-        table_tolerance_m: how far into the table the gripper may be [m].
-        finger_width_m: (T,) gap between the fingers [m]; None: as the plant has it.
+        table_tolerance_m: allowed penetration of the table [m].
+        finger_width_m: (T,) gap between the finger pads [m]; None for the plant's default.
     """
     usable = np.isfinite(q).all(axis=-1) & np.isfinite(X_BG).all(axis=(-2, -1)) & np.isfinite(t_s)
     frames = np.flatnonzero(usable)
@@ -114,7 +114,7 @@ def optimize_in_tube(
     frames = np.unique(np.append(frames[::stride], frames[-1]))
     X = X_BG[frames].copy()
     X[:, :3, :3] = orthonormalize(X[:, :3, :3])
-    course = Course(
+    problem = TubeProblem(
         plant=plant,
         collision=collision,
         frames=frames,
@@ -125,7 +125,7 @@ def optimize_in_tube(
         finger_width_m=None if finger_width_m is None else finger_width_m[frames],
         table_tolerance_m=table_tolerance_m,
     )
-    return _Search(course, tube_limit_m).run()
+    return _TubeSearch(problem, tube_limit_m).run()
 
 
 def _undecided(reason: str) -> TubeResult:
@@ -140,32 +140,32 @@ def _undecided(reason: str) -> TubeResult:
     )
 
 
-class _Search:
-    """Everything known of one track while its tube is looked for."""
+class _TubeSearch:
+    """State of the search for the smallest tube of one track."""
 
-    def __init__(self, course: Course, tube_limit_m: float) -> None:
-        self.course, self.tube_limit_m = course, tube_limit_m
-        self.limits = course.limits
+    def __init__(self, problem: TubeProblem, tube_limit_m: float) -> None:
+        self.problem, self.tube_limit_m = problem, tube_limit_m
+        self.limits = problem.limits
         self.programs = 0
         self.infeasible_m: float | None = None
 
     def run(self) -> TubeResult:
-        """First the limits alone, then collisions, then torque: the first that forbids the tube is the cause."""
+        """Apply the limits, then collisions, then torques; the first requirement that fails is the cause."""
         fit, best = self._smallest()
         cause = None if best.radius_m <= self.tube_limit_m else self._broken_limit(fit)
         if best.radius_m > LARGEST_M:
             return self._result(None, cause)
-        contact = broken_distance(self.course, best.worst_contact)
-        clear = self._clear(best, _ROUNDS if cause is None else _FEWER_ROUNDS)
+        contact = find_contact_violation(self.problem, best.worst_contact)
+        clear = self._avoid_collisions(best, _ROUNDS if cause is None else _FEWER_ROUNDS)
         if clear is None or clear.radius_m > self.tube_limit_m:
             cause = cause or contact
         if clear is None or clear.radius_m > LARGEST_M:
             return self._result(None, cause)
-        torque = broken_torque(clear)
-        light = self._light(clear)
-        if light is None or light.radius_m > self.tube_limit_m:
+        torque = find_torque_violation(clear)
+        reduced = self._reduce_torque(clear)
+        if reduced is None or reduced.radius_m > self.tube_limit_m:
             cause = cause or torque
-        return self._result(light, cause)
+        return self._result(reduced, cause)
 
     def _result(self, best: JointTrajectory | None, cause: TubeViolation | None) -> TubeResult:
         feasible = best is not None and best.radius_m <= self.tube_limit_m
@@ -185,38 +185,38 @@ class _Search:
         )
 
     def _smallest(self) -> tuple[JointTrajectory, JointTrajectory]:
-        """The spline through the joint path, and the trajectory of the smallest tube, collisions and torque aside."""
-        course = self.course
-        basis = SplineBasis.through(course.t_s)
-        fit = JointTrajectory(course, basis, basis.fit(course.t_s, course.q))
+        """Return the spline through the joint path and that of the smallest tube, contact and torque ignored."""
+        problem = self.problem
+        basis = SplineBasis.through(problem.t_s)
+        fit = JointTrajectory(problem, basis, basis.fit(problem.t_s, problem.q))
         if fit.radius_m <= SMALLEST_M and fit.keeps_limits:
             return fit, fit
         best = self._shrink(basis, self._start, (), _FULL)
-        if best is None:  # the program is beyond the solver's precision; standing still is always allowed
-            middle = np.clip(course.q[len(course.q) // 2], course.limits.lower, course.limits.upper)
-            return fit, JointTrajectory(course, basis, np.tile(middle, (basis.size, 1)))
+        if best is None:  # the program exceeds the precision of the solver; a rest is always within limits
+            middle = np.clip(problem.q[len(problem.q) // 2], problem.limits.lower, problem.limits.upper)
+            return fit, JointTrajectory(problem, basis, np.tile(middle, (basis.size, 1)))
         hopeless = self.infeasible_m is not None and self.infeasible_m > _HOPELESS * self.tube_limit_m
-        if best.radius_m <= self.tube_limit_m or len(course.t_s) > _REFINED or hopeless:
+        if best.radius_m <= self.tube_limit_m or len(problem.t_s) > _REFINED or hopeless:
             return fit, best
-        finer = self._shrink(basis.refined(), best.q, (), _REFINED_EFFORT)
+        finer = self._shrink(basis.refine(), best.q, (), _REFINED_EFFORT)
         return fit, best if finer is None or finer.radius_m > best.radius_m else finer
 
     @cached_property
     def _start(self) -> Array:
-        """The joint path (T, 7) [rad]; from where it first passes a limit on, one within that follows the poses."""
-        q, limits = self.course.q, self.limits
+        """Joint path (T, 7) [rad]; from the first frame past a limit on, poses are solved again within limits."""
+        q, limits = self.problem.q, self.limits
         outside = np.flatnonzero(((q < limits.lower) | (q > limits.upper)).any(axis=-1))
         if len(outside) == 0:
             return q
         q = np.clip(q, limits.lower, limits.upper)
         for i in range(int(outside[0]), len(q)):
-            q[i], _ = newton(self.course.plant, self.course.X_BG[i], q[max(i - 1, 0)])
+            q[i], _ = solve_newton(self.problem.plant, self.problem.X_BG[i], q[max(i - 1, 0)])
         return q
 
     def _shrink(
         self, basis: SplineBasis, q: Array, obstacles: tuple[Obstacle, ...], effort: tuple[int, int]
     ) -> JointTrajectory | None:
-        """The smallest tube near the joint path `q` (T, 7): programs that leave the radius free, then bisection."""
+        """Find the smallest tube near the joint path `q` (T, 7): programs with free radius, then bisection."""
         best: JointTrajectory | None = None
         proximity, looser, low = _PROXIMITY, _LOOSER, SMALLEST_M
         for _ in range(effort[0]):
@@ -224,16 +224,16 @@ class _Search:
             if solution is None:
                 break
             low = max(solution.radius_m, SMALLEST_M)
-            found = JointTrajectory(self.course, basis, solution.control)
-            cost = proximity_cost_m(found.q, q, proximity)
-            if best is not None and found.radius_m >= best.radius_m:
+            candidate = JointTrajectory(self.problem, basis, solution.control)
+            cost = proximity_cost_m(candidate.q, q, proximity)
+            if best is not None and candidate.radius_m >= best.radius_m:
                 proximity, looser = _TIGHTER * proximity, 1.0
             else:
-                best = found
-                proximity *= looser if found.radius_m <= RATIO * low else 1.0
-            held = cost > low * (_HELD if best.radius_m <= self.tube_limit_m else _HELD_BEYOND)
+                best = candidate
+                proximity *= looser if candidate.radius_m <= RATIO * low else 1.0
+            confined = cost > low * (_CONFINED if best.radius_m <= self.tube_limit_m else _CONFINED_BEYOND)
             q = best.q
-            if (best.radius_m <= RATIO * low and not held) or low > LARGEST_M:
+            if (best.radius_m <= RATIO * low and not confined) or low > LARGEST_M:
                 break
         if best is None:
             return None
@@ -243,9 +243,9 @@ class _Search:
                 break
             middle = self.tube_limit_m if in_doubt else float(np.sqrt(low * best.radius_m))
             solution = self._solve(basis, best.q, _AIM * middle, proximity, obstacles)
-            found = JointTrajectory(self.course, basis, solution.control) if solution else best
-            if found.radius_m <= middle:
-                best = found
+            candidate = JointTrajectory(self.problem, basis, solution.control) if solution else best
+            if candidate.radius_m <= middle:
+                best = candidate
             else:
                 low = middle
         self.infeasible_m = low if SMALLEST_M < low < best.radius_m else None
@@ -264,7 +264,7 @@ class _Search:
         self.programs += 1
         return solve_tube(
             basis,
-            self.course.linearised(q),
+            self.problem.linearise(q),
             self.limits,
             radius_m=radius_m,
             proximity=proximity,
@@ -272,12 +272,12 @@ class _Search:
             elastic=elastic,
         )
 
-    def _clear(self, trajectory: JointTrajectory, rounds: int) -> JointTrajectory | None:
-        """The trajectory pushed out of collisions; None where that fails."""
+    def _avoid_collisions(self, trajectory: JointTrajectory, rounds: int) -> JointTrajectory | None:
+        """Return the trajectory moved out of collisions; None if that fails."""
         obstacles: list[Obstacle] = []
         for _ in range(rounds):
             contact = trajectory.worst_contact
-            if contact is None or not contact.broken:
+            if contact is None or not contact.violated:
                 return trajectory
             obstacles += trajectory.obstacles()
             moved = self._shrink(trajectory.basis, trajectory.q, tuple(obstacles), _ROUND_EFFORT)
@@ -285,13 +285,13 @@ class _Search:
                 return None
             trajectory = moved
         contact = trajectory.worst_contact
-        return None if contact is not None and contact.broken else trajectory
+        return None if contact is not None and contact.violated else trajectory
 
-    def _light(self, trajectory: JointTrajectory) -> JointTrajectory | None:
-        """The trajectory with its torques within limits, accelerating less if need be; None where that fails."""
-        plant = self.course.plant
+    def _reduce_torque(self, trajectory: JointTrajectory) -> JointTrajectory | None:
+        """Return the trajectory with torques within limits, by lower accelerations if needed; None if that fails."""
+        plant = self.problem.plant
         for _ in range(_TIGHTENINGS):
-            violation = broken_torque(trajectory)
+            violation = find_torque_violation(trajectory)
             velocity, acceleration, jerk = self.limits.rates
             if violation is None:
                 return trajectory
@@ -302,7 +302,7 @@ class _Search:
             weight = float(np.abs(still / plant.effort_limits).max())
             if weight >= _TORQUE_AIM:
                 return None
-            # Torque beyond the weight is taken as proportional to acceleration.
+            # Torque beyond that of gravity is taken as proportional to acceleration.
             used = float(np.abs(a / acceleration).max())
             factor = used * (_TORQUE_AIM - weight) / (abs(violation.value) / violation.limit - weight)
             self.limits = replace(self.limits, rates=(velocity, factor * acceleration, jerk))
@@ -310,25 +310,25 @@ class _Search:
             slower = self._shrink(trajectory.basis, trajectory.q, obstacles, _ROUND_EFFORT)
             if slower is None or slower.radius_m > LARGEST_M:
                 return None
-            if slower.worst_contact is not None and slower.worst_contact.broken:
+            if slower.worst_contact is not None and slower.worst_contact.violated:
                 return None
             trajectory = slower
-        return None if broken_torque(trajectory) else trajectory
+        return None if find_torque_violation(trajectory) else trajectory
 
     def _broken_limit(self, fit: JointTrajectory) -> TubeViolation | None:
-        """Which limit forbids the tube.
+        """Find the limit that makes the tube infeasible.
 
-        A posture's, if a pose is out of reach by far; else the rate that is exceeded where the least excess makes the
-        tube wide enough; else, as no excess does, what is wrong with the joint path to start from or with its poses.
+        A pose that is far out of reach; else the rate exceeded by the elastic program; else a joint or rate limit of
+        the initial path, or one of its poses.
         """
-        course, limit = self.course, self.tube_limit_m
-        violation = broken_posture(course, limit, _SURELY)
+        problem, limit = self.problem, self.tube_limit_m
+        violation = find_pose_violation(problem, limit, _CERTAIN)
         if violation is not None:
             return violation
         solution = self._solve(fit.basis, self._start, limit, _ELASTIC_PROXIMITY, (), elastic=True)
         return (
-            broken_rate(course, fit.basis, solution)
-            or broken_start(course)
-            or steepest_rate(fit)
-            or broken_posture(course, limit)
+            find_elastic_violation(problem, fit.basis, solution)
+            or find_start_violation(problem)
+            or find_rate_violation(fit)
+            or find_pose_violation(problem, limit)
         )

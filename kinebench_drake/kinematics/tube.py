@@ -1,8 +1,8 @@
-"""One convex program: a joint trajectory within a tube of poses, its limits kept, poses and distances linearised.
+"""Convex program for a joint trajectory within a tube of poses and within all limits; poses and distances linearised.
 
-Drake's KinematicTrajectoryOptimization supplies the program, its B-spline and the variables. With the duration fixed,
+Drake's KinematicTrajectoryOptimization provides the program, its B-spline and the variables. With fixed duration,
 bounds on all derivatives are linear in the control points; a tube of radius r about a pose, linearised in the joint
-angles, is a second-order cone. So the least radius is itself the answer of a convex program, which Clarabel solves
+angles, is a second-order cone. So the least radius is the optimum of a convex program, which Clarabel solves
 (P. Goulart and Y. Chen, "Clarabel: An interior-point solver for conic programs with quadratic objectives", 2024).
 """
 
@@ -23,68 +23,68 @@ from kinebench_drake.kinematics.spline import ORDER, SplineBasis
 from kinebench_drake.models.robot import N_JOINTS
 
 INSIDE = 1.0 - 1e-6
-"""Share of each limit that the program may use: the solver's own tolerance stays within the rest."""
+"""Share of each limit that the program may use; the rest covers the tolerance of the solver."""
 
-_MM = 1000.0  # radii and slacks are in millimetres within the program: costs of the order of one
-_FRAMES = 49.0  # frames of a usual clip: costs over frames are per so many
-_STEP_RAD = 0.1  # a change of all joints by this costs as much as `proximity` millimetres of radius
-_SMOOTHNESS = 1e-3  # cost [mm] of accelerations at their limits all the time
-_ACCELERATION = 10.0  # stands for acceleration limits in the cost where none are published [rad/s^2]
-_EXCESS = 10.0  # cost of a limit broken once by its own size
-_STRETCH = 100.0  # cost of a millimetre by which the tube is widened where only limits are to give way
+_MM = 1000.0  # radii and slacks are in millimetres within the program, so that costs are of the order of one
+_FRAMES = 49.0  # frames of a typical clip, to which costs summed over frames are normalised
+_STEP_RAD = 0.1  # change of all joints that costs as much as `proximity` millimetres of radius
+_SMOOTHNESS = 1e-3  # cost [mm] of accelerations at their limits throughout
+_ACCELERATION = 10.0  # acceleration limit in the cost where none is published [rad/s^2]
+_EXCESS = 10.0  # cost of one control point that exceeds a limit by the limit itself
+_STRETCH = 100.0  # cost of a millimetre by which the tube of an elastic program is widened
 _PENETRATION = 20.0  # cost of a millimetre of penetration, in millimetres of radius
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LimitSet:
-    """What the arm may do; each (7,)."""
+    """Limits of the arm, (7,) each."""
 
     lower: Array
-    """[rad]."""
+    """Lower joint limits [rad]."""
     upper: Array
-    """[rad]."""
+    """Upper joint limits [rad]."""
     rates: tuple[Array | None, Array | None, Array | None]
-    """Greatest speeds [rad/s], accelerations [rad/s^2] and jerks [rad/s^3]; None where there is no limit."""
+    """Limits of speed [rad/s], acceleration [rad/s^2] and jerk [rad/s^3]; None where there is none."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PoseLinearisation:
-    """Poses near a joint path: moving the joints by dq leaves the error e - J dq."""
+    """Pose errors linearised about a joint path: moving the joints by dq leaves the error e - J dq."""
 
     t_s: Array
-    """(T,) times of the frames on the spline [s]."""
+    """(T,) times of the frames on the clock of the spline [s]."""
     q: Array
     """(T, 7) joint path [rad]."""
     J: Array
     """(T, 6, 7) Jacobians, the rows of rotation multiplied by their arm [m/rad]."""
     e: Array
-    """(T, 6) what is left to the wanted poses, rotation (by its arm) and position [m]."""
+    """(T, 6) errors of the poses, rotation (by its arm) and position [m]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Obstacle:
-    """A distance that shall not shrink below a least one."""
+    """Linearised lower bound of a distance."""
 
     t_s: float
-    """When [s]."""
+    """Time [s]."""
     offset_m: float
-    """Distance at zero joint angles, as the linearisation has it [m]."""
+    """Distance of the linearisation at zero joint angles [m]."""
     gradient: Array
-    """(7,) [m/rad]."""
+    """(7,) gradient of the distance [m/rad]."""
     least_m: float
-    """What it shall be at least [m]."""
+    """Lower bound [m]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TubeSolution:
-    """A joint trajectory and what it cost."""
+    """Solution of the program."""
 
     control: Array
     """(n, 7) control points [rad]."""
     radius_m: float
     """Radius of the linearised tube [m]."""
     excess: tuple[Array, Array, Array]
-    """By how much (n - k, 7) the control points of the k-th derivative exceed their limits, over the limit."""
+    """Excess (n - k, 7) / limit of the control points of the k-th derivative, k = 1..3."""
 
 
 def solve_tube(
@@ -97,18 +97,18 @@ def solve_tube(
     obstacles: Sequence[Obstacle] = (),
     elastic: bool = False,
 ) -> TubeSolution | None:
-    """The trajectory that stays in the tube at the frames and keeps all limits at all times; None if there is none.
+    """Solve the trajectory that is in the tube at the frames and within limits at all times; None if there is none.
 
     Args:
         basis: the spline.
-        poses: the track's poses, linearised about a joint path.
-        limits: joint limits, kept on the control points (stricter than on the curve by a hair: `spline`).
-        radius_m: the tube's radius [m]; None asks for the least one.
-        proximity: weight that holds the trajectory near the path that the linearisation is about: the radius may
-            grow by so many millimetres to save a common change of all joints by 0.1 rad.
-        obstacles: distances to keep; breaking one costs 20 times its depth in radius.
-        elastic: whether derivatives may exceed their limits, at a price: the least sum of relative excesses is found
-            (the tube gives way too, but only where no excess would help).
+        poses: poses of the track, linearised about a joint path.
+        limits: limits, applied to the control points (slightly stricter than on the curve, see `spline`).
+        radius_m: radius of the tube [m]; None minimises it.
+        proximity: weight of the distance from the path of the linearisation: millimetres of radius that outweigh a
+            common change of all joints by 0.1 rad.
+        obstacles: distances to keep; violating one costs 20 times its depth in radius.
+        elastic: True to let derivatives exceed their limits: the sum of relative excesses is minimised (the tube is
+            widened too, but only where no excess helps).
     """
     n, frames = basis.size, len(poses.t_s)
     still: Any = np.zeros((N_JOINTS, n))
@@ -172,17 +172,17 @@ def solve_tube(
         Q = 2.0 * _SMOOTHNESS / _FRAMES * np.kron(np.outer(values, values), np.diag(np.ones(N_JOINTS) / scale**2))
         prog.AddQuadraticCost(Q, np.zeros(len(near)), near, is_convex=True)
     if obstacles:
-        _keep_clear(prog, basis, x, obstacles)
+        _add_obstacles(prog, basis, x, obstacles)
 
     with silent_drake():
         result = ClarabelSolver().Solve(prog, None, None)
     if not result.is_success():
         return None
     excess: list[Array] = []
-    found = np.maximum(result.GetSolution(slack), 0.0) if slack is not None else np.zeros(A.shape[0])
+    excesses = np.maximum(result.GetSolution(slack), 0.0) if slack is not None else np.zeros(A.shape[0])
     at = 0
     for size in sizes:
-        excess.append(np.asarray(found[at : at + size * N_JOINTS]).reshape(size, N_JOINTS))
+        excess.append(np.asarray(excesses[at : at + size * N_JOINTS]).reshape(size, N_JOINTS))
         at += size * N_JOINTS
     control = np.clip(result.GetSolution(x), lower, upper).reshape(n, N_JOINTS)
     return TubeSolution(
@@ -191,12 +191,12 @@ def solve_tube(
 
 
 def proximity_cost_m(q: Array, q_near: Array, proximity: float) -> float:
-    """Radius [m] that `solve_tube` would give up to keep a joint path `q` (T, 7) [rad] nearer to `q_near` (T, 7)."""
+    """Return the proximity cost [m of radius] of a joint path `q` (T, 7) [rad] about `q_near` (T, 7)."""
     return proximity / _MM * float(np.sum((q - q_near) ** 2)) / (_STEP_RAD**2 * _FRAMES)
 
 
 def _row(matrix: Any, i: int) -> tuple[int, Array]:
-    """First column and values of the i-th row of a sparse banded matrix, zeros within the band filled in."""
+    """Return first column and values of row i of a sparse banded matrix, with the zeros within the band."""
     span = slice(matrix.indptr[i], matrix.indptr[i + 1])
     columns = matrix.indices[span]
     first = int(columns.min())
@@ -205,8 +205,8 @@ def _row(matrix: Any, i: int) -> tuple[int, Array]:
     return first, values
 
 
-def _keep_clear(prog: Any, basis: SplineBasis, x: Any, obstacles: Sequence[Obstacle]) -> None:
-    """Add the linearised distances, each with a slack of its own."""
+def _add_obstacles(prog: Any, basis: SplineBasis, x: Any, obstacles: Sequence[Obstacle]) -> None:
+    """Add the linearised distances to the program, each with its own slack."""
     count = len(obstacles)
     B = basis.values(np.array([o.t_s for o in obstacles])).tocoo()
     gradients = np.array([o.gradient for o in obstacles])

@@ -22,8 +22,8 @@ from kinebench_drake.metrics.noise import (
     joint_noise,
     rotation_steps,
 )
-from kinebench_drake.metrics.violation import Violation, ViolationKind
 from kinebench_drake.segments import complete, segments
+from kinebench_drake.types import Violation, ViolationKind
 
 JUMP_M = 0.06
 """Least jump of the TCP's position [m] ..."""

@@ -10,7 +10,7 @@ from kinebench_drake.kinematics.collision import CollisionModel
 from kinebench_drake.kinematics.ik import POSITION_TOLERANCE_M, ROTATION_TOLERANCE_RAD
 from kinebench_drake.kinematics.manipulability import manipulability_of
 from kinebench_drake.kinematics.newton import ROTATION_ARM_M
-from kinebench_drake.kinematics.path import excess
+from kinebench_drake.kinematics.path import limit_excess
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.timing import time_scale
 from kinebench_drake.kinematics.track import branch_jumps, solve_track
@@ -42,8 +42,7 @@ from kinebench_drake.metrics.result import (
     track_curves,
 )
 from kinebench_drake.metrics.smoothness import track_smoothness
-from kinebench_drake.metrics.violation import Violation, ViolationKind
-from kinebench_drake.types import GripperTrack, IkStatus, JointTrack
+from kinebench_drake.types import GripperTrack, IkStatus, JointTrack, Violation, ViolationKind
 
 MIN_TRACKED_FRAMES = 5
 """Fewest tracked frames of a feasible track."""
@@ -123,7 +122,7 @@ class TrackJudge:
         )
         error = np.where(valid, 0.0, np.nan)
         sigma = _joint_noise(t_s, q)
-        past = np.asarray((excess(self._plant, q) > limit_tolerance(sigma)).any(axis=-1))
+        past = np.asarray((limit_excess(self._plant, q) > limit_tolerance(sigma)).any(axis=-1))
         status = [
             IkStatus.NOT_TRACKED if not v else IkStatus.JOINT_LIMIT if p else IkStatus.OK
             for v, p in zip(valid, past, strict=True)

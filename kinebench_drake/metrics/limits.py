@@ -20,8 +20,8 @@ from kinebench_drake.geometry import Array
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.metrics.derivatives import Derivative, differentiate, smooth_path
 from kinebench_drake.metrics.noise import FREEDOM_A_FRAME
-from kinebench_drake.metrics.violation import Violation, ViolationKind
 from kinebench_drake.segments import complete, segments
+from kinebench_drake.types import Violation, ViolationKind
 
 FALSE_ALARM = 0.01
 """Chance, at most, that white noise alone makes a track break a limit."""

@@ -7,15 +7,14 @@ from numpy.typing import NDArray
 
 from kinebench_drake.geometry import Array
 from kinebench_drake.kinematics.collision import Clearance, CollisionModel
-from kinebench_drake.kinematics.ik import POSITION_TOLERANCE_M, least_excess
+from kinebench_drake.kinematics.ik import POSITION_TOLERANCE_M, find_least_excess
 from kinebench_drake.kinematics.newton import ROTATION_ARM_M
-from kinebench_drake.kinematics.path import excess
+from kinebench_drake.kinematics.path import limit_excess
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.track import CONTACT_TOLERANCE_M
 from kinebench_drake.metrics.noise import TrackNoise
-from kinebench_drake.metrics.violation import Violation, ViolationKind
 from kinebench_drake.segments import segments
-from kinebench_drake.types import GripperTrack, IkStatus, JointTrack
+from kinebench_drake.types import GripperTrack, IkStatus, JointTrack, Violation, ViolationKind
 
 NOISE_SIGMAS = 3.0
 """Standard deviations of the track's noise that a pose may be beyond what the robot can do."""
@@ -58,7 +57,7 @@ def past_limits(plant: ArmPlant, track: GripperTrack, joints: JointTrack, noise:
     failed = _has(joints, IkStatus.JOINT_LIMIT) & (_left(joints) > limit)
     q = np.full_like(joints.q, np.nan)
     for i in np.flatnonzero(failed):
-        posture = least_excess(plant, track.X_BG[i])
+        posture = find_least_excess(plant, track.X_BG[i])
         if posture is not None:
             q[i] = posture
     named = yield from _past(plant, q, np.full(q.shape[1], _LIMIT_TOLERANCE_RAD))
@@ -107,7 +106,7 @@ def collisions(
 
 def _past(plant: ArmPlant, q: Array, tolerance: Array) -> Generator[Violation, None, NDArray[np.bool_]]:
     """Violations of the rows of `q` (T, 7) past limits by more than `tolerance` (7,); returns their frames (T,)."""
-    past = np.nan_to_num(excess(plant, q))
+    past = np.nan_to_num(limit_excess(plant, q))
     named = np.zeros(len(q), dtype=bool)
     for j, name in enumerate(plant.robot.joints):
         for run in segments(past[:, j] > tolerance[j]):

@@ -15,8 +15,7 @@ from kinebench_drake.kinematics.trajopt import TubeResult
 from kinebench_drake.metrics.limits import LimitCheck, LimitChecks
 from kinebench_drake.metrics.noise import TrackNoise
 from kinebench_drake.metrics.smoothness import Smoothness
-from kinebench_drake.metrics.violation import Violation, ViolationKind
-from kinebench_drake.types import GripperTrack, JointTrack, Json
+from kinebench_drake.types import GripperTrack, JointTrack, Json, Violation, ViolationKind
 
 Value = float | bool | None
 

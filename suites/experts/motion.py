@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array, make_pose, rotation_angle, rotation_exp, rotation_log
 from kinebench_drake.kinematics.collision import CollisionModel
-from kinebench_drake.kinematics.continuation import foreseeing, minimum_jerk, stepwise
+from kinebench_drake.kinematics.continuation import minimum_jerk, plan_continuation, solve_stepwise
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.suites.clock import CONTROL_PERIOD_S
 from kinebench_drake.suites.experts.clearance import SceneGeometry
@@ -164,7 +164,7 @@ def plan(
         _check_rates(plant, q_start, q)
     except InputError as error:
         t_s = np.asarray(CONTROL_PERIOD_S * np.arange(1, len(X_BG) + 1), dtype=np.float64)
-        q = foreseeing(plant, t_s, X_BG, q_start)
+        q = plan_continuation(plant, t_s, X_BG, q_start)
         if not np.isfinite(q).all():
             raise error
         _check_rates(plant, q_start, q)
@@ -174,7 +174,7 @@ def plan(
 
 def _stepwise(plant: ArmPlant, q_start: Array, X_BG: Array) -> Array:
     """Solve the inverse kinematics step by step; raise InputError at the first pose that is not reached."""
-    q, missed = stepwise(plant, X_BG, q_start)
+    q, missed = solve_stepwise(plant, X_BG, q_start)
     if missed is not None:
         i = int(np.argmax(~np.isfinite(q[:, 0])))
         raise InputError(

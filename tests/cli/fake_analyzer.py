@@ -16,8 +16,16 @@ import numpy as np
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import make_pose
 from kinebench_drake.metrics.result import KinematicResult
-from kinebench_drake.metrics.violation import Violation, ViolationKind
-from kinebench_drake.types import Anomaly, AnomalyKind, GripperTrack, IkStatus, InitialStateUse, JointTrack
+from kinebench_drake.types import (
+    Anomaly,
+    AnomalyKind,
+    GripperTrack,
+    IkStatus,
+    InitialStateUse,
+    JointTrack,
+    Violation,
+    ViolationKind,
+)
 
 LOG = "FAKE_ANALYZER_LOG"
 """Environment variable: file to which every call of `ground` adds a line."""

@@ -3,9 +3,9 @@ import pytest
 
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array, make_pose, pose_difference
-from kinebench_drake.kinematics.ik import least_excess, postures_of, solve_pose
-from kinebench_drake.kinematics.newton import newton, snopt
-from kinebench_drake.kinematics.path import excess
+from kinebench_drake.kinematics.ik import find_least_excess, posture_solver, solve_pose
+from kinebench_drake.kinematics.newton import solve_newton, solve_snopt
+from kinebench_drake.kinematics.path import limit_excess
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.models.panda.robot import rest_q
 from kinebench_drake.types import IkStatus
@@ -54,7 +54,7 @@ def test_rotations_that_are_slightly_off_are_made_orthonormal(plant: ArmPlant) -
 def test_a_pose_far_away_is_unreachable_and_approached(plant: ArmPlant) -> None:
     solution = solve_pose(plant, FAR_POSE, rest_q())
     assert solution.status is IkStatus.UNREACHABLE
-    assert excess(plant, solution.q).max() == 0.0
+    assert limit_excess(plant, solution.q).max() == 0.0
     assert 0.8 < solution.position_error_m < 1.3  # the arm is 0.855 m long from its shoulder, and the hand
     start = float(pose_difference(plant.forward(rest_q()), FAR_POSE)[0])
     assert solution.position_error_m < start
@@ -63,21 +63,21 @@ def test_a_pose_far_away_is_unreachable_and_approached(plant: ArmPlant) -> None:
 @pytest.mark.parametrize("name", PAST_LIMIT)
 def test_a_pose_only_reached_past_a_limit_is_told_from_one_out_of_reach(plant: ArmPlant, name: str) -> None:
     X_BG = plant.forward(PAST_LIMIT[name])
-    dense = postures_of(plant).all(X_BG[None], 5000)[0]
-    assert excess(plant, dense).max(axis=-1).min() > 0.1
+    dense = posture_solver(plant).all(X_BG[None], 5000)[0]
+    assert limit_excess(plant, dense).max(axis=-1).min() > 0.1
     solution = solve_pose(plant, X_BG, rest_q())
     assert solution.status is IkStatus.JOINT_LIMIT
-    assert excess(plant, solution.q).max() == 0.0
+    assert limit_excess(plant, solution.q).max() == 0.0
     assert solution.position_error_m > 1e-4
-    posture = least_excess(plant, X_BG)
+    posture = find_least_excess(plant, X_BG)
     assert posture is not None
     assert max(pose_difference(plant.forward(posture), X_BG)) < 1e-9
-    assert excess(plant, posture).max() <= excess(plant, np.array(PAST_LIMIT[name])).max()
+    assert limit_excess(plant, posture).max() <= limit_excess(plant, np.array(PAST_LIMIT[name])).max()
 
 
 def test_a_window_between_the_samples_of_the_sweep_is_found(plant: ArmPlant) -> None:
     X_BG = plant.forward([0.6, -2.1, -0.8, -0.5, -0.2, 1.3, -0.9])
-    assert excess(plant, postures_of(plant).all(X_BG[None], 128)[0]).max(axis=-1).min() > 0.02
+    assert limit_excess(plant, posture_solver(plant).all(X_BG[None], 128)[0]).max(axis=-1).min() > 0.02
     assert solve_pose(plant, X_BG, rest_q()).status is IkStatus.OK
 
 
@@ -91,19 +91,19 @@ def test_a_joint_at_its_limit_is_no_obstacle(plant: ArmPlant, joint: int) -> Non
 def test_newton_without_limits_goes_past_them_and_with_limits_does_not(plant: ArmPlant) -> None:
     q = np.array(PAST_LIMIT["panda_joint2"])
     X_BG, start = plant.forward(q), np.clip(q, plant.lower, plant.upper)
-    free, free_error = newton(plant, X_BG, start, bounded=False, iterations=100)
-    held, held_error = newton(plant, X_BG, start, iterations=100)
+    free, free_error = solve_newton(plant, X_BG, start, bounded=False, iterations=100)
+    held, held_error = solve_newton(plant, X_BG, start, iterations=100)
     assert free_error < 1e-9
-    assert excess(plant, free).max() > 0.1
+    assert limit_excess(plant, free).max() > 0.1
     assert held_error > 1e-3
-    assert excess(plant, held).max() == 0.0
+    assert limit_excess(plant, held).max() == 0.0
 
 
 def test_newton_finishes_what_snopt_begins(plant: ArmPlant) -> None:
     X_BG = plant.forward(rest_q() + 0.2)
-    q = snopt(plant, X_BG, rest_q())
+    q = solve_snopt(plant, X_BG, rest_q())
     assert max(pose_difference(plant.forward(q), X_BG)) < 2e-3
-    assert newton(plant, X_BG, q)[1] < 1e-9
+    assert solve_newton(plant, X_BG, q)[1] < 1e-9
 
 
 @pytest.mark.parametrize("bad", [np.full((4, 4), np.nan), np.eye(3)])

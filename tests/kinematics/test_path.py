@@ -3,10 +3,10 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from kinebench_drake.geometry import Array, pose_difference
-from kinebench_drake.kinematics.ik import postures_of
-from kinebench_drake.kinematics.path import anchors, cheapest, excess, smoothest_path, speed_ratios
+from kinebench_drake.kinematics.ik import posture_solver
+from kinebench_drake.kinematics.path import find_cheapest_path, limit_excess, search_path, select_anchors, speed_ratios
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.kinematics.postures import Numeric
+from kinebench_drake.kinematics.postures import NumericSolver
 from kinebench_drake.models.panda.robot import rest_q
 
 
@@ -25,7 +25,7 @@ def test_the_cheapest_path_is_that_of_all_paths(plant: ArmPlant) -> None:
     rng = np.random.default_rng(0)
     t_s = np.array([0.0, 0.3, 0.5])
     layers = [rest_q() + rng.normal(0.0, 0.1, size=(k, 7)) for k in (4, 5, 3)]
-    path = cheapest(plant, t_s, layers, rest_q(), spacing=0.1)
+    path = find_cheapest_path(plant, t_s, layers, rest_q(), spacing=0.1)
 
     def cost(a: int, b: int, c: int) -> float:
         q = np.array([layers[0][a], layers[1][b], layers[2][c]])
@@ -39,7 +39,7 @@ def test_the_cheapest_path_is_that_of_all_paths(plant: ArmPlant) -> None:
 
 def test_layers_without_a_posture_are_bridged(plant: ArmPlant) -> None:
     layers = [rest_q()[None], np.zeros((0, 7)), rest_q()[None] + 0.1]
-    path = cheapest(plant, np.arange(3.0), layers, rest_q(), spacing=0.1)
+    path = find_cheapest_path(plant, np.arange(3.0), layers, rest_q(), spacing=0.1)
     assert np.isnan(path[1]).all()
     np.testing.assert_array_equal(path[[0, 2]], [rest_q(), rest_q() + 0.1])
 
@@ -51,7 +51,7 @@ def test_the_redundancy_is_used_to_stay_below_the_speed_limit(plant: ArmPlant) -
     X_BG = _poses(plant, q)
     t_s = 0.95 * 0.2 / 2.61 * np.arange(15)
     assert speed_ratios(plant, t_s, q).max() > 1.0
-    path = smoothest_path(plant, postures_of(plant), t_s, X_BG, q[0])
+    path = search_path(plant, posture_solver(plant), t_s, X_BG, q[0])
     assert speed_ratios(plant, t_s, path).max() <= 1.0
     assert max(d.max() for d in pose_difference(_poses(plant, path), X_BG)) < 1e-9
 
@@ -59,22 +59,22 @@ def test_the_redundancy_is_used_to_stay_below_the_speed_limit(plant: ArmPlant) -
 @pytest.mark.parametrize("period", [0.02, 0.2, 1.0])
 def test_anchors_keep_their_distance_and_both_ends(period: float) -> None:
     t_s = period * np.arange(40)
-    chosen = anchors(t_s, 0.15)
+    chosen = select_anchors(t_s, 0.15)
     assert chosen[0] == 0
     assert chosen[-1] == 39
     assert (np.diff(t_s[chosen[:-1]]) >= 0.15 - 1e-9).all()
-    assert list(anchors(t_s[:1], 0.15)) == [0]
+    assert list(select_anchors(t_s[:1], 0.15)) == [0]
 
 
 def test_the_numeric_way_agrees_with_the_closed_form(plant: ArmPlant) -> None:
     """What serves arms without a closed form, tried on the Panda, whose postures are known."""
     q = _path(12, seed=2)
     X_BG, t_s = _poses(plant, q), 0.2 * np.arange(12)
-    numeric, closed = Numeric(plant), postures_of(plant)
+    numeric, closed = NumericSolver(plant), posture_solver(plant)
     cross = np.einsum("ti,ti->t", numeric.direction(X_BG, q), closed.direction(X_BG, q))
     np.testing.assert_allclose(np.abs(cross), 1.0, atol=1e-6)
     np.testing.assert_allclose(numeric.nearest(X_BG, q), q, atol=1e-6)
-    path = smoothest_path(plant, numeric, t_s, X_BG, q[0])
+    path = search_path(plant, numeric, t_s, X_BG, q[0])
     assert max(d.max() for d in pose_difference(_poses(plant, path), X_BG)) < 1e-6
-    assert excess(plant, path).max() == 0.0
+    assert limit_excess(plant, path).max() == 0.0
     assert speed_ratios(plant, t_s, path).max() < 1.0

@@ -53,7 +53,7 @@ def test_fit_passes_through_every_frame_with_least_acceleration() -> None:
 
 def test_refined_basis_holds_the_same_curve(basis: SplineBasis) -> None:
     control = np.random.default_rng(3).normal(size=(basis.size, 2))
-    finer = basis.refined()
+    finer = basis.refine()
     assert len(finer.breaks_s) == 2 * len(basis.breaks_s) - 1
     t = np.linspace(0.0, 0.9, 100)
     curve = basis.evaluate(control, t)

@@ -5,10 +5,10 @@ from scipy.interpolate import CubicSpline
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array, make_pose, pose_difference, rotation_exp
 from kinebench_drake.kinematics.collision import CollisionModel
-from kinebench_drake.kinematics.ik import postures_of
-from kinebench_drake.kinematics.path import excess, speed_ratios
+from kinebench_drake.kinematics.ik import posture_solver
+from kinebench_drake.kinematics.path import limit_excess, speed_ratios
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.kinematics.track import branch_jumps, follow, solve_track
+from kinebench_drake.kinematics.track import branch_jumps, follow_poses, solve_track
 from kinebench_drake.models.panda.robot import rest_q
 from kinebench_drake.types import GripperTrack, IkStatus
 
@@ -46,7 +46,7 @@ def test_a_track_is_followed_exactly_and_continuously(plant: ArmPlant) -> None:
         assert joints.ok.all()
         assert joints.position_error_m.max() <= 1e-6
         assert joints.rotation_error_rad.max() <= 1e-6
-        assert excess(plant, joints.q).max() == 0.0
+        assert limit_excess(plant, joints.q).max() == 0.0
         for q, X_BG in zip(joints.q, track.X_BG, strict=True):
             assert max(pose_difference(plant.forward(q), X_BG)) <= 1e-6
         assert speed_ratios(plant, joints.t_s, joints.q).max() < 1.0
@@ -90,7 +90,7 @@ def _joint_paths(plant: ArmPlant, count: int, seed: int, share: float) -> list[t
     while len(found) < count:
         knots = rng.uniform(plant.lower, plant.upper, size=(4, 7))
         q = CubicSpline(np.linspace(0, 1, 4), knots)(np.linspace(0, 1, 49))
-        if excess(plant, q).max() == 0.0:
+        if limit_excess(plant, q).max() == 0.0:
             speed = (np.abs(np.diff(q, axis=0)) / plant.velocity_limits).max()
             acceleration = (np.abs(np.diff(q, 2, axis=0)) / plant.acceleration_limits).max()
             found.append((q, max(speed / share, float(np.sqrt(acceleration / share)))))
@@ -113,7 +113,7 @@ def test_a_way_within_limits_is_found_where_there_is_one(plant: ArmPlant) -> Non
 def test_a_warm_start_goes_on_from_its_posture(plant: ArmPlant) -> None:
     for q, period in _joint_paths(plant, 5, seed=3, share=0.3):
         X_BG = np.array([plant.forward(row) for row in q])
-        joints = follow(plant, period * np.arange(len(q)), X_BG, q[0])
+        joints = follow_poses(plant, period * np.arange(len(q)), X_BG, q[0])
         assert joints.ok.all()
         assert speed_ratios(plant, joints.t_s, joints.q).max() <= 1.0
 
@@ -122,7 +122,7 @@ def test_a_jump_between_branches_is_told_from_motion(plant: ArmPlant) -> None:
     q, _ = _joint_paths(plant, 1, seed=5, share=0.3)[0]
     X_BG = np.array([plant.forward(row) for row in q])
     assert len(branch_jumps(plant, X_BG, q)) == 0
-    other = postures_of(plant).all(X_BG[20:21], 64)[0]
+    other = posture_solver(plant).all(X_BG[20:21], 64)[0]
     q[20:] = other[np.argmax(np.abs(other - q[20]).max(axis=-1))]
     X_BG[20:] = X_BG[20]
     assert list(branch_jumps(plant, X_BG, q)) == [20]
@@ -136,7 +136,7 @@ def test_the_arm_is_bent_around_what_it_would_run_into(plant: ArmPlant) -> None:
     plain = solve_track(plant, track)
     low = CollisionModel(plant).table_distance(plain.q).distance_m.min()
     highest = max(
-        CollisionModel(plant).table_distance(layer).distance_m.max() for layer in postures_of(plant).all(X_BG, 64)
+        CollisionModel(plant).table_distance(layer).distance_m.max() for layer in posture_solver(plant).all(X_BG, 64)
     )
     assert highest > low + 0.02
     model = CollisionModel(plant, table_height_m=low + 0.01)

@@ -4,15 +4,15 @@ import pytest
 from kinebench_drake.kinematics.collision import CollisionModel
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.spline import SplineBasis
-from kinebench_drake.kinematics.trajectory import Course, JointTrajectory
+from kinebench_drake.kinematics.trajectory import JointTrajectory, TubeProblem
 from kinebench_drake.models.panda.robot import rest_q
 
 T_S = np.linspace(0.0, 3.0, 25)
 
 
-def _course(plant: ArmPlant, widths: np.ndarray | None = None) -> Course:
+def _problem(plant: ArmPlant, widths: np.ndarray | None = None) -> TubeProblem:
     q = rest_q() + np.sin(2.0 * T_S)[:, None] * np.array([0.5, 0.3, 0.2, 0.2, -0.4, 0.3, 0.8])
-    return Course(
+    return TubeProblem(
         plant=plant,
         collision=CollisionModel(plant),
         frames=np.arange(10, 35),
@@ -26,52 +26,52 @@ def _course(plant: ArmPlant, widths: np.ndarray | None = None) -> Course:
 
 
 @pytest.fixture
-def course(plant: ArmPlant) -> Course:
-    return _course(plant)
+def problem(plant: ArmPlant) -> TubeProblem:
+    return _problem(plant)
 
 
-def _through(course: Course) -> JointTrajectory:
-    basis = SplineBasis.through(course.t_s)
-    return JointTrajectory(course, basis, basis.fit(course.t_s, course.q))
+def _through(problem: TubeProblem) -> JointTrajectory:
+    basis = SplineBasis.through(problem.t_s)
+    return JointTrajectory(problem, basis, basis.fit(problem.t_s, problem.q))
 
 
-def test_linearised_errors_are_the_first_order_change(course: Course) -> None:
+def test_linearised_errors_are_the_first_order_change(problem: TubeProblem) -> None:
     rng = np.random.default_rng(0)
-    q = course.q + rng.normal(0.0, 0.02, course.q.shape)
+    q = problem.q + rng.normal(0.0, 0.02, problem.q.shape)
     dq = rng.normal(0.0, 1e-5, q.shape)
-    poses = course.linearised(q)
+    poses = problem.linearise(q)
     predicted = poses.e - np.einsum("tij,tj->ti", poses.J, dq)
     # Exact to first order where nothing is left over, else but for the curvature of rotations.
-    np.testing.assert_allclose(course.errors(q + dq), predicted, atol=5e-7)
-    near = course.linearised(course.q)
-    np.testing.assert_allclose(course.errors(course.q + dq), -np.einsum("tij,tj->ti", near.J, dq), atol=2e-9)
-    np.testing.assert_allclose(course.errors(course.q), 0.0, atol=1e-12)
+    np.testing.assert_allclose(problem.errors(q + dq), predicted, atol=5e-7)
+    near = problem.linearise(problem.q)
+    np.testing.assert_allclose(problem.errors(problem.q + dq), -np.einsum("tij,tj->ti", near.J, dq), atol=2e-9)
+    np.testing.assert_allclose(problem.errors(problem.q), 0.0, atol=1e-12)
 
 
-def test_least_distances_are_those_of_every_sample(course: Course) -> None:
-    trajectory = _through(course)
-    assert course.collision is not None
+def test_least_distances_are_those_of_every_sample(problem: TubeProblem) -> None:
+    trajectory = _through(problem)
+    assert problem.collision is not None
     q = trajectory.motion[0]
     expected = {
-        False: course.collision.self_distance(q).distance_m.min(),
-        True: course.collision.table_distance(q).distance_m.min(),
+        False: problem.collision.self_distance(q).distance_m.min(),
+        True: problem.collision.table_distance(q).distance_m.min(),
     }
     found = {contact.table: contact for contact in trajectory.contacts}
     assert {table: contact.distance_m for table, contact in found.items()} == pytest.approx(expected)
     for contact in found.values():
         k = int(np.argmin(np.abs(trajectory.samples_s - contact.t_s)))
-        distance = course.collision.table_distance if contact.table else course.collision.self_distance
+        distance = problem.collision.table_distance if contact.table else problem.collision.self_distance
         assert distance(q[k : k + 1]).distance_m[0] == pytest.approx(contact.distance_m)
 
 
-def test_obstacles_predict_the_distances_of_a_moved_trajectory(course: Course) -> None:
-    trajectory = _through(course)
+def test_obstacles_predict_the_distances_of_a_moved_trajectory(problem: TubeProblem) -> None:
+    trajectory = _through(problem)
     lowering = np.array([0.0, 0.01, 0.0, 0.0, 0.0, 0.0, 0.0])
     lowered = trajectory
     while min(contact.distance_m for contact in lowered.contacts) > 0.005:
-        lowered = JointTrajectory(course, lowered.basis, lowered.control + lowering)
+        lowered = JointTrajectory(problem, lowered.basis, lowered.control + lowering)
     shift = 1e-4 * np.random.default_rng(1).normal(size=7)
-    moved = JointTrajectory(course, lowered.basis, lowered.control + shift)
+    moved = JointTrajectory(problem, lowered.basis, lowered.control + shift)
     obstacles = lowered.obstacles()
     assert obstacles
     assert moved.worst_contact is not None
@@ -81,37 +81,37 @@ def test_obstacles_predict_the_distances_of_a_moved_trajectory(course: Course) -
         key=lambda o: o.offset_m + o.gradient @ moved.basis.evaluate(moved.control, np.array([o.t_s]))[0] - o.least_m,
     )
     q = moved.basis.evaluate(moved.control, np.array([nearest.t_s]))[0]
-    assert course.collision is not None
-    actual = course.collision.near_pairs(q, 0.02)[0].distance_m
+    assert problem.collision is not None
+    actual = problem.collision.near_pairs(q, 0.02)[0].distance_m
     assert nearest.offset_m + nearest.gradient @ q == pytest.approx(actual, abs=1e-7)
 
 
-def test_usage_bounds_the_motion(course: Course) -> None:
-    trajectory = _through(course)
+def test_usage_bounds_the_motion(problem: TubeProblem) -> None:
+    trajectory = _through(problem)
     speed, acceleration, _ = trajectory.usage
     assert speed is not None
     assert acceleration is not None
-    assert course.plant.acceleration_limits is not None
+    assert problem.plant.acceleration_limits is not None
     _, v, a = trajectory.motion
-    assert np.abs(v / course.plant.velocity_limits).max() <= speed.max()
-    assert np.abs(a / course.plant.acceleration_limits).max() == pytest.approx(acceleration.max(), rel=1e-9)
-    assert speed.max() <= 1.05 * np.abs(v / course.plant.velocity_limits).max()
+    assert np.abs(v / problem.plant.velocity_limits).max() <= speed.max()
+    assert np.abs(a / problem.plant.acceleration_limits).max() == pytest.approx(acceleration.max(), rel=1e-9)
+    assert speed.max() <= 1.05 * np.abs(v / problem.plant.velocity_limits).max()
     assert trajectory.keeps_limits
-    fast = JointTrajectory(course, trajectory.basis, 10.0 * (trajectory.control - rest_q()) + rest_q())
+    fast = JointTrajectory(problem, trajectory.basis, 10.0 * (trajectory.control - rest_q()) + rest_q())
     assert not fast.keeps_limits
 
 
-def test_frames_are_named_as_they_were_given(course: Course) -> None:
-    assert course.nearest(0.0) == 10
-    assert course.nearest(3.0) == 34
-    assert course.nearest(0.13) == 11
+def test_frames_are_named_as_they_were_given(problem: TubeProblem) -> None:
+    assert problem.nearest_frame(0.0) == 10
+    assert problem.nearest_frame(3.0) == 34
+    assert problem.nearest_frame(0.13) == 11
 
 
 def test_finger_widths_between_frames_and_where_unknown(plant: ArmPlant) -> None:
     widths = np.linspace(0.0, 0.08, 25)
     widths[3:6] = np.nan
-    np.testing.assert_allclose(_course(plant, widths).widths(np.array([0.0, 0.5, 3.0])), [0.0, 0.08 / 6, 0.08])
-    assert _course(plant, np.full(25, np.nan)).widths(T_S) is None
-    assert _course(plant).widths(T_S) is None
-    closed, wide = (_through(_course(plant, np.full(25, w))).contacts for w in (0.0, 0.08))
+    np.testing.assert_allclose(_problem(plant, widths).widths(np.array([0.0, 0.5, 3.0])), [0.0, 0.08 / 6, 0.08])
+    assert _problem(plant, np.full(25, np.nan)).widths(T_S) is None
+    assert _problem(plant).widths(T_S) is None
+    closed, wide = (_through(_problem(plant, np.full(25, w))).contacts for w in (0.0, 0.08))
     assert [c.distance_m for c in closed] != [c.distance_m for c in wide]

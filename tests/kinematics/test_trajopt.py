@@ -6,12 +6,12 @@ from scipy.interpolate import BSpline
 
 from kinebench_drake.geometry import pose_difference, rotation_exp
 from kinebench_drake.kinematics.collision import CollisionModel
-from kinebench_drake.kinematics.infeasibility import TubeFailure
-from kinebench_drake.kinematics.newton import newton
+from kinebench_drake.kinematics.newton import solve_newton
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.trajectory import TrajectoryCheck
 from kinebench_drake.kinematics.trajopt import LARGEST_M, RATIO, SMALLEST_M, TubeResult, optimize_in_tube
 from kinebench_drake.models.panda.robot import rest_q
+from kinebench_drake.types import ViolationKind
 
 
 @pytest.fixture(scope="module")
@@ -26,7 +26,7 @@ def _poses(plant: ArmPlant, q: np.ndarray) -> np.ndarray:
 def _follow(plant: ArmPlant, X_BG: np.ndarray, q: np.ndarray) -> np.ndarray:
     path = []
     for X in X_BG:
-        q, _ = newton(plant, X, q)
+        q, _ = solve_newton(plant, X, q)
         path.append(q)
     return np.array(path)
 
@@ -106,7 +106,7 @@ def test_zigzag_that_no_arm_follows_needs_half_its_width(plant: ArmPlant) -> Non
     assert result.radius_m == pytest.approx(0.003, rel=0.05)
     assert result.feasible is False
     assert result.violation is not None
-    assert result.violation.kind in (TubeFailure.ACCELERATION, TubeFailure.JERK)
+    assert result.violation.kind in (ViolationKind.ACCELERATION, ViolationKind.JERK)
 
 
 def test_radius_grows_with_the_pace_and_is_the_smallest(plant: ArmPlant) -> None:
@@ -134,7 +134,7 @@ def test_teleport_is_placed_at_its_frame(plant: ArmPlant) -> None:
     result = optimize_in_tube(plant, None, t, X, _follow(plant, X, q[0]))
     assert result.feasible is False
     assert result.violation is not None
-    assert result.violation.kind in (TubeFailure.VELOCITY, TubeFailure.ACCELERATION)
+    assert result.violation.kind in (ViolationKind.VELOCITY, ViolationKind.ACCELERATION)
     assert 28 <= result.violation.frame <= 31
     assert result.violation.value > result.violation.limit
     assert result.violation.joint in plant.robot.joints
@@ -148,7 +148,7 @@ def test_pose_out_of_reach_is_unreachable(plant: ArmPlant) -> None:
     result = optimize_in_tube(plant, None, t, X, _follow(plant, X, q[0]))
     assert result.feasible is False
     assert result.violation is not None
-    assert (result.violation.kind, result.violation.frame) == (TubeFailure.UNREACHABLE, 20)
+    assert (result.violation.kind, result.violation.frame) == (ViolationKind.UNREACHABLE, 20)
     assert result.violation.joint is None
     assert result.violation.limit == 0.005  # the tube's, though only what is far beyond it counts for sure
     assert str(result.violation).endswith(f"near frame 20: {result.violation.value:.4g} m, limit 0.005 m")
@@ -162,7 +162,7 @@ def test_given_angles_past_a_limit_name_the_joint(plant: ArmPlant) -> None:
     result = optimize_in_tube(plant, None, t, _poses(plant, q), q)
     assert result.feasible is False
     assert result.violation is not None
-    assert (result.violation.kind, result.violation.joint) == (TubeFailure.JOINT_LIMIT, "panda_joint4")
+    assert (result.violation.kind, result.violation.joint) == (ViolationKind.JOINT_LIMIT, "panda_joint4")
     assert result.violation.value > result.violation.limit == pytest.approx(-0.0698)
     assert str(result.violation).endswith(" rad, limit -0.0698 rad")
 
@@ -175,7 +175,7 @@ def test_track_into_the_table_needs_a_tube_of_the_depth(plant: ArmPlant, collisi
     depth = -collision.table_distance(path).distance_m.min()
     result = optimize_in_tube(plant, collision, t, X, path, table_tolerance_m=0.002)
     assert result.violation is not None
-    assert result.violation.kind is TubeFailure.TABLE_COLLISION
+    assert result.violation.kind is ViolationKind.TABLE_COLLISION
     assert result.violation.value == pytest.approx(-depth, abs=1e-3)
     assert result.radius_m is not None
     # Tilting the hand within the tube saves a little.
@@ -206,7 +206,7 @@ def test_path_through_the_arm_itself_is_pushed_out_or_refused(
     assert (certificate.self_distance_min_m or -1.0) >= 0.0
     assert nowhere.self_distance(path).distance_m.min() > -2e-4
     if result.violation is not None:
-        assert result.violation.kind is TubeFailure.SELF_COLLISION
+        assert result.violation.kind is ViolationKind.SELF_COLLISION
         assert result.violation.frame in (14, 15)
     assert result.feasible is (result.violation is None)
     assert optimize_in_tube(plant, None, t, X, q).radius_m == SMALLEST_M
@@ -220,7 +220,7 @@ def test_arm_too_weak_for_its_weight_is_refused_for_torque(plant: ArmPlant, monk
     result = optimize_in_tube(plant, None, t, X, q)
     assert (result.radius_m, result.feasible) == (None, False)
     assert result.violation is not None
-    assert (result.violation.kind, result.violation.joint) == (TubeFailure.TORQUE, "panda_joint2")
+    assert (result.violation.kind, result.violation.joint) == (ViolationKind.TORQUE, "panda_joint2")
 
 
 def test_torque_is_saved_by_accelerating_less(plant: ArmPlant, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -325,7 +325,7 @@ def test_arm_without_published_limits_is_held_to_the_others(plant: ArmPlant, mon
     fast = optimize_in_tube(plant, None, t / 20.0, X, q)
     assert fast.feasible is False
     assert fast.violation is not None
-    assert fast.violation.kind is TubeFailure.VELOCITY
+    assert fast.violation.kind is ViolationKind.VELOCITY
 
 
 def test_given_angles_past_a_limit_are_replaced_where_the_pose_allows(plant: ArmPlant) -> None:

@@ -11,9 +11,8 @@ from kinebench_drake.kinematics.manipulability import manipulability
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.metrics.judge import TrackJudge
 from kinebench_drake.metrics.result import KinematicResult
-from kinebench_drake.metrics.violation import Violation, ViolationKind
 from kinebench_drake.models.panda.robot import rest_q
-from kinebench_drake.types import GripperTrack, IkStatus
+from kinebench_drake.types import GripperTrack, IkStatus, Violation, ViolationKind
 
 KINDS = [
     *("unreachable", "joint_limit", "self_collision", "table_collision"),

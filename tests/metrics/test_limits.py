@@ -7,8 +7,8 @@ from scipy.stats import norm
 from kinebench_drake.geometry import Array
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.metrics.limits import FALSE_ALARM, LimitChecks, Slowdown, allowance, check_limits, torque_slowdown
-from kinebench_drake.metrics.violation import ViolationKind
 from kinebench_drake.models.panda.robot import panda
+from kinebench_drake.types import ViolationKind
 
 EXACT = np.zeros(7)
 MOTIONS = [ViolationKind.VELOCITY, ViolationKind.ACCELERATION, ViolationKind.JERK]
