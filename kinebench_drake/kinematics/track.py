@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array, make_pose, orthonormalize, pose_difference
 from kinebench_drake.kinematics.collision import CollisionModel
+from kinebench_drake.kinematics.continuation import continue_path
 from kinebench_drake.kinematics.ik import POSITION_TOLERANCE_M, ROTATION_TOLERANCE_RAD, posture_solver, solve_pose
 from kinebench_drake.kinematics.newton import damped_pseudoinverses, pose_twists, solve_newton_path
-from kinebench_drake.kinematics.path import SAMPLES, continue_path, grid_postures, is_sound, limit_excess, search_path
+from kinebench_drake.kinematics.path import SAMPLES, grid_postures, is_sound, limit_excess, search_path
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.types import GripperTrack, IkStatus, JointTrack
 
