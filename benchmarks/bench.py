@@ -22,8 +22,8 @@ from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.track import solve_track
 from kinebench_drake.metrics.judge import TrackJudge
 from kinebench_drake.metrics.limits import check_limits
-from kinebench_drake.metrics.noise import carried_noise, track_noise
-from kinebench_drake.metrics.smoothness import track_smoothness
+from kinebench_drake.metrics.noise import estimate_track_noise, propagate_noise
+from kinebench_drake.metrics.smoothness import measure_smoothness
 from kinebench_drake.results.provenance import host
 from kinebench_drake.types import GripperTrack, Json
 
@@ -227,10 +227,10 @@ def measure_throughput(tracks: Sequence[GripperTrack]) -> dict[str, float]:
             J = plant.chain.jacobians(joints.q)
             manipulability_of(plant, J, joints.q)
         with timed("limits"):
-            noise = track_noise(track.t_s, track.X_BG, track.tracked)
-            check_limits(plant, track.t_s, joints.q, carried_noise(J, noise))
+            noise = estimate_track_noise(track.t_s, track.X_BG, track.tracked)
+            check_limits(plant, track.t_s, joints.q, propagate_noise(J, noise))
         with timed("smoothness"):
-            track_smoothness(track)
+            measure_smoothness(track)
     return parts
 
 

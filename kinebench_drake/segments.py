@@ -1,4 +1,4 @@
-"""Segments: runs of consecutive frames."""
+"""Segments of consecutive frames."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -7,11 +7,11 @@ from kinebench_drake.geometry import Array
 
 
 def segments(mask: NDArray[np.bool_]) -> list[slice]:
-    """Stretches of consecutive true values of `mask` (T,)."""
+    """Return the runs of consecutive true values of `mask` (T,)."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
     return [slice(int(start), int(end)) for start, end in zip(edges[::2], edges[1::2], strict=True)]
 
 
-def complete(rows: Array) -> NDArray[np.bool_]:
-    """Which of `rows` (T, N) are known: without NaN."""
+def finite_rows(rows: Array) -> NDArray[np.bool_]:
+    """Return (T,): True where a row of `rows` (T, N) is finite."""
     return np.asarray(np.isfinite(rows).all(axis=-1), dtype=bool)

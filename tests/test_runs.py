@@ -1,6 +1,6 @@
 import numpy as np
 
-from kinebench_drake.segments import complete, segments
+from kinebench_drake.segments import finite_rows, segments
 
 
 def test_runs_are_the_stretches_of_true() -> None:
@@ -13,4 +13,4 @@ def test_runs_are_the_stretches_of_true() -> None:
 def test_a_row_with_one_gap_is_not_complete() -> None:
     rows = np.zeros((3, 7))
     rows[1, 4] = np.nan
-    assert complete(rows).tolist() == [True, False, True]
+    assert finite_rows(rows).tolist() == [True, False, True]

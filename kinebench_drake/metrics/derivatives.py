@@ -1,13 +1,13 @@
-"""Derivatives of a noisy path that never overstate, each with its standard error; and the path itself, smoothed.
+"""Lower-bound derivatives of a noisy path with their standard errors, and smoothing of the path.
 
 The k-th derivative is k! times the leading coefficient of the polynomial of degree k fitted to a window of samples by
 least squares: k!/||r|| times the projection on r/||r||, r being t^k less its fit by lower powers (the discrete
 Legendre polynomials of Gram; A. Savitzky and M. J. E. Golay, Anal. Chem. 36, 1964, tabulate them for even times).
-Such a functional annihilates polynomials of lower degree and its weights change sign k times, so by Peano's theorem
+This functional annihilates polynomials of lower degree and its weights change sign k times, so by Peano's theorem
 (P. J. Davis, Interpolation and Approximation, 1963, chapter 3) it is a mean of the k-th derivative over the window
-with weights that are nowhere negative and sum to 1. Two things follow. Its magnitude is never above the greatest
-magnitude of the k-th derivative within the window: it may convict a path of breaking a limit, not acquit it. And white
-noise sigma on the samples puts k! sigma/||r|| on it: the window is as long as that takes.
+with weights that are nowhere negative and sum to 1. Hence its magnitude never exceeds the greatest magnitude of the
+k-th derivative within the window: it can prove that a path breaks a limit, not that it keeps it. White noise sigma of
+the samples gives it the standard error k! sigma/||r||, which determines the length of the window.
 """
 
 from dataclasses import dataclass
@@ -18,23 +18,23 @@ from numpy.typing import NDArray
 from scipy.linalg import solveh_banded
 
 from kinebench_drake.geometry import Array
-from kinebench_drake.segments import complete, segments
+from kinebench_drake.segments import finite_rows, segments
 
 NOISE_SHARE = 0.1
-"""The window grows until the standard error is this share of the limit ..."""
+"""Standard error / limit at which a window is long enough."""
 LONGEST_S = {1: 1.0, 2: 1.5, 3: 0.5}
-"""... or the window this long [s], by order of the derivative.
+"""Greatest length of a window [s], by order of the derivative.
 
-No joint of the Panda could keep to a limit for much longer: its range is used up after 1.4 to 2.7 s at its limit of
-speed, 1.2 to 1.9 s at that of acceleration (braking, then starting back: 8 range = a w^2), 0.3 to 0.4 s at that of jerk
-(96 range = j w^3). So a longer window could hardly convict.
+No joint of the Panda can stay at a limit for much longer: it crosses its range in 1.4 to 2.7 s at its speed limit, in
+1.2 to 1.9 s at its acceleration limit (braking, then reversing: 8 range = a w^2), in 0.3 to 0.4 s at its jerk limit
+(96 range = j w^3). So a longer window could hardly show a violation.
 """
 NEGLIGIBLE_RAD = 1e-4
-"""Noise below this is not smoothed [rad]."""
+"""Noise below which a path is not smoothed [rad]."""
 LOWEST_HZ = 0.25
-"""`smooth_path` keeps what is slower than this, however noisy the path [Hz]."""
+"""Lowest cut-off frequency of `smooth_path`, however noisy the path [Hz]."""
 
-_ROUGHNESS = 3  # order of the differences that smooth_path keeps small
+_ROUGHNESS = 3  # order of the differences that smooth_path minimises
 _BISECTIONS = 10
 
 
@@ -45,38 +45,38 @@ class Derivative:
     order: int
     """1 velocity, 2 acceleration, 3 jerk."""
     value: Array
-    """(T, 7) weighted mean of the derivative over each frame's window [rad/s^order]; NaN where there is none."""
+    """(T, 7) weighted mean of the derivative over the window of each frame [rad/s^order]; NaN where there is none."""
     standard_error: Array
-    """(T, 7) standard deviation of `value` by the samples' noise [rad/s^order]; NaN if that is unknown."""
+    """(T, 7) standard deviation of `value` due to the noise of the samples [rad/s^order]; NaN if unknown."""
     window: int
-    """Samples in a window."""
+    """Number of samples in a window."""
     window_s: float
-    """From the first to the last sample of a window [s]."""
+    """Time from the first to the last sample of a window [s]."""
     bandwidth_hz: float
-    """Up to here at least 1/sqrt(2) of a sinusoid's derivative is seen (-3 dB); at most half the frame rate."""
+    """Frequency at which the derivative of a sinusoid is attenuated by 3 dB [Hz]; at most half the frame rate."""
 
 
 def differentiate(t_s: Array, q: Array, sigma: Array, order: int, limits: Array) -> Derivative:
-    """The derivative of a joint path, over the shortest window that makes the noise small beside the limits.
+    """Differentiate a joint path over the shortest window that makes the noise small relative to the limits.
 
-    One window, in samples, serves the whole track: the smallest at which the standard error, for every joint's median
-    noise, is NOISE_SHARE of its limit, at most LONGEST_S long, at least order + 1 samples. A frame's window is centred
-    on it (for an even number it reaches one sample further back); at the ends of the track it is the nearest whole one.
-    Frames that are not known are left out and windows reach over them: what is found stays a mean of the derivative.
+    The whole track has one window size in samples: the smallest at which the standard error, for the median noise of
+    every joint, is NOISE_SHARE of its limit, at most LONGEST_S long, at least order + 1 samples. The window of a frame
+    is centred on it (for an even size it extends one sample further back); at the ends of the track it is the nearest
+    complete one. Frames with NaN are left out and windows span them: the result remains a mean of the derivative.
 
     Args:
-        t_s: (T,) times [s], increasing; even times are faster.
+        t_s: (T,) times [s], increasing; evenly spaced times are faster.
         q: (T, 7) joint angles [rad], NaN where unknown.
         sigma: (7,) or (T, 7) standard deviations of the noise of `q` [rad]; NaN where unknown.
         order: 1, 2 or 3.
-        limits: (7,) greatest magnitudes of the derivative allowed [rad/s^order].
+        limits: (7,) limits of the derivative [rad/s^order].
     """
-    known = complete(q)
+    finite = finite_rows(q)
     variance = np.broadcast_to(np.asarray(sigma, dtype=np.float64) ** 2, q.shape)
     period = float(np.median(np.diff(t_s))) if len(t_s) > 1 else 1.0
-    size = _window(period, _noise_ratio(variance[known], limits), order)
+    size = _window(period, _noise_ratio(variance[finite], limits), order)
     value, error = np.full(q.shape, np.nan), np.full(q.shape, np.nan)
-    frames = np.flatnonzero(known)
+    frames = np.flatnonzero(finite)
     size = max(min(size, len(frames)), order + 1)
     if len(frames) >= size:
         weights = _weights(_windows(t_s[frames], size), order)  # (N or 1, size)
@@ -94,23 +94,23 @@ def differentiate(t_s: Array, q: Array, sigma: Array, order: int, limits: Array)
 
 
 def smooth_path(t_s: Array, q: Array, sigma: Array) -> Array:
-    """The path (T, 7) [rad] with its noise smoothed away, as far as that can be told from the motion; NaN where `q` is.
+    """Return the path (T, 7) [rad] smoothed as far as its noise explains; NaN where `q` is.
 
-    In each run of known frames, of all paths whose residuals are no more than the noise explains, the one with the
+    In each run of finite frames, of all paths whose residuals are no more than the noise explains, the one with the
     least third differences: a smoothing spline in discrete time (E. T. Whittaker, Proc. Edinburgh Math. Soc. 41, 1923;
-    C. H. Reinsch, Numer. Math. 10, 1967, who chooses the weight by the residuals, too; P. H. C. Eilers, Anal. Chem. 75,
-    2003). What the noise explains is counted less the degrees of freedom that the smooth path itself takes up. All
-    joints share one weight. Noise below NEGLIGIBLE_RAD, or unknown, is left alone. Any number of columns will do, and
-    any unit, if `sigma` shares it.
+    C. H. Reinsch, Numer. Math. 10, 1967, who also chooses the weight by the residuals; P. H. C. Eilers, Anal. Chem. 75,
+    2003). The degrees of freedom of the smooth path are subtracted from what the noise explains. All joints share one
+    weight. Paths whose noise is below NEGLIGIBLE_RAD, or unknown, are returned unchanged. `q` may have any number of
+    columns and any unit, if `sigma` has the same.
 
     Args:
         t_s: (T,) times [s], increasing.
         q: (T, 7) samples, NaN where unknown.
-        sigma: (7,) or (T, 7) standard deviations of their noise.
+        sigma: (7,) or (T, 7) standard deviations of the noise.
     """
     variance = np.maximum(np.broadcast_to(np.asarray(sigma, dtype=np.float64), q.shape), 0.1 * NEGLIGIBLE_RAD) ** 2
     smoothed = q.copy()
-    for run in segments(complete(q)):
+    for run in segments(finite_rows(q)):
         noisy = float(np.median(variance[run].mean(axis=-1))) > NEGLIGIBLE_RAD**2
         if noisy and run.stop - run.start > _ROUGHNESS + 1:
             smoothed[run] = _smooth_run(t_s[run], q[run], variance[run])
@@ -120,7 +120,7 @@ def smooth_path(t_s: Array, q: Array, sigma: Array) -> Array:
 def _smooth_run(t_s: Array, q: Array, variance: Array) -> Array:
     """Minimise sum (q - s)^2 / w + weight * sum (D s)^2, D the third differences, w the noise relative to its median.
 
-    In the form s = q - w D^T u, (I / weight + D w D^T) u = D q, which keeps parabolas to rounding.
+    Solved as s = q - w D^T u, (I / weight + D w D^T) u = D q, which preserves parabolas to rounding.
     """
     n = len(t_s)
     w = (variance / np.median(variance, axis=0)).mean(axis=-1)
@@ -133,7 +133,7 @@ def _smooth_run(t_s: Array, q: Array, variance: Array) -> Array:
     for k in range(min(_ROUGHNESS + 1, len(D))):  # the lower diagonals of D w D^T
         shared = w[k + np.arange(len(D) - k)[:, None] + np.arange(_ROUGHNESS + 1 - k)]
         DwD[k, : len(D) - k] = np.sum(D[: len(D) - k, k:] * D[k:, : _ROUGHNESS + 1 - k] * shared, axis=-1)
-    stiffness = (2.0 - 2.0 * np.cos(np.pi * np.arange(n) / n)) ** _ROUGHNESS  # eigenvalues of D^T D, nearly
+    stiffness = (2.0 - 2.0 * np.cos(np.pi * np.arange(n) / n)) ** _ROUGHNESS  # approximate eigenvalues of D^T D
     best, low, high = q, -4.0, max(-4.0, -2.0 * _ROUGHNESS * np.log10(2.0 * np.pi * LOWEST_HZ * period))
     for _ in range(_BISECTIONS):
         middle = 0.5 * (low + high)
@@ -153,14 +153,14 @@ def _smooth_run(t_s: Array, q: Array, variance: Array) -> Array:
 
 
 def _orthogonal(t: Array, degree: int) -> tuple[Array, Array]:
-    """Orthonormal polynomials (N, n, degree + 1), and the norm (N,) of t^degree less its fit by lower powers."""
+    """Return orthonormal polynomials (N, n, degree + 1) and the norm (N,) of t^degree less its fit by lower powers."""
     x = t - t.mean(axis=-1, keepdims=True)
     scale = np.abs(x).max(axis=-1, keepdims=True)
     x = x / scale
     basis = np.empty((*t.shape, degree + 1))
     for k in range(degree + 1):
         r = x**k
-        for _ in range(2):  # twice is enough for orthogonality to rounding
+        for _ in range(2):  # two passes give orthogonality to rounding
             for lower in range(k):
                 e = basis[..., lower]
                 r = r - np.sum(e * r, axis=-1, keepdims=True) * e
@@ -170,13 +170,13 @@ def _orthogonal(t: Array, degree: int) -> tuple[Array, Array]:
 
 
 def _weights(t: Array, order: int) -> Array:
-    """Weights (N, n) [1/s^order] of the samples of each window `t` (N, n) [s] in its derivative."""
+    """Return the weights (N, n) [1/s^order] of the samples of windows `t` (N, n) [s] in the derivative."""
     basis, norm = _orthogonal(t, order)
     return np.asarray(factorial(order) * basis[..., order] / norm[:, None])
 
 
 def _windows(t_s: Array, n: int) -> Array:
-    """Times (N, n) of all windows of `n` samples, or (1, n) if the times are even."""
+    """Return the times (N, n) of all windows of `n` samples, or (1, n) if the times are evenly spaced."""
     dt = np.diff(t_s)
     if np.ptp(dt) <= 1e-6 * dt.mean():
         return np.asarray(np.arange(n)[None] * float(dt.mean()))
@@ -184,7 +184,7 @@ def _windows(t_s: Array, n: int) -> Array:
 
 
 def _apply(weights: Array, samples: Array) -> Array:
-    """Weighted sums (T - n + 1, 7) of the windows of `samples` (T, 7), by `weights` (T - n + 1 or 1, n)."""
+    """Return weighted sums (T - n + 1, 7) over the windows of `samples` (T, 7), by `weights` (T - n + 1 or 1, n)."""
     windows = np.lib.stride_tricks.sliding_window_view(samples, weights.shape[1], axis=0)  # (N, 7, n)
     if len(weights) == 1:
         return np.asarray(windows @ weights[0])
@@ -192,20 +192,20 @@ def _apply(weights: Array, samples: Array) -> Array:
 
 
 def _noise_ratio(variance: Array, limits: Array) -> float:
-    """Greatest, over the joints, of the median noise / limit; 0 if unknown."""
+    """Return the greatest median noise / limit over the joints; 0 if unknown."""
     ratio = np.sqrt(np.median(variance, axis=0)) / limits if len(variance) else np.zeros(1)
     return float(np.nan_to_num(ratio).max())
 
 
 def _window(period: float, ratio: float, order: int) -> int:
-    """Samples of the shortest window at which noise of `ratio` x limit [s^order] is NOISE_SHARE of the limit."""
+    """Return the size of the shortest window at which noise of `ratio` x limit [s^order] is below NOISE_SHARE."""
     sizes = np.arange(order + 1, max(order + 1, int(LONGEST_S[order] / period + 1e-9) + 1) + 1)
     enough = ratio * noise_gain(period, sizes, order) <= NOISE_SHARE
     return int(sizes[np.argmax(enough)] if enough.any() else sizes[-1])
 
 
 def noise_gain(period: float, sizes: Array | NDArray[np.intp], order: int) -> Array:
-    """Standard error [1/s^order] of the derivative over windows of `sizes` even samples, for noise of unit deviation.
+    """Return the standard error [1/s^order] of the derivative over `sizes` evenly spaced samples of unit noise.
 
     k!/||r||, with the norm of Gram's polynomials ||r||^2 = h^2k (k!)^4/((2k)! (2k+1)!) n (n^2 - 1) ... (n^2 - k^2).
     """
@@ -220,6 +220,6 @@ def _bandwidth(period: float, size: int, order: int) -> float:
     weights = _weights(np.asarray(np.arange(size)[None] * period), order)[0]
     frequency = np.linspace(0.0, 0.5 / period, 129)[1:]
     time = (np.arange(size) - 0.5 * (size - 1)) * period
-    seen = np.abs(np.exp(2j * np.pi * frequency[:, None] * time) @ weights) / (2 * np.pi * frequency) ** order
-    below = np.flatnonzero(seen < np.sqrt(0.5))
+    gain = np.abs(np.exp(2j * np.pi * frequency[:, None] * time) @ weights) / (2 * np.pi * frequency) ** order
+    below = np.flatnonzero(gain < np.sqrt(0.5))
     return float(frequency[below[0]] if len(below) else 0.5 / period)

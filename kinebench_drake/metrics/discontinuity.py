@@ -16,13 +16,13 @@ from scipy.special import fdtri
 
 from kinebench_drake.geometry import Array
 from kinebench_drake.metrics.noise import (
-    FREEDOM_A_FRAME,
-    JOINT_FREEDOM_A_FRAME,
+    FREEDOM_PER_FRAME,
+    JOINT_FREEDOM_PER_FRAME,
     TrackNoise,
-    joint_noise,
+    estimate_joint_noise,
     rotation_steps,
 )
-from kinebench_drake.segments import complete, segments
+from kinebench_drake.segments import finite_rows, segments
 from kinebench_drake.types import Violation, ViolationKind
 
 JUMP_M = 0.06
@@ -85,14 +85,14 @@ def find_discontinuities(
     for run in pieces:
         n = run.stop - run.start
         t, step = t_s[run], np.diff(X_BG[run, :3, 3], axis=0)
-        noise_norm = _noise_norm(noise.position_m, 3, n, FREEDOM_A_FRAME)
+        noise_norm = _noise_norm(noise.position_m, 3, n, FREEDOM_PER_FRAME)
         for jump in _jumps(t, step, _floor(t, JUMP_M, ACCELERATION_M_S2), noise_norm):
             moved.update(range(run.start + jump.start, run.start + jump.end))
             found.append(_violation(jump, run, None))
     for run in pieces:
         n = run.stop - run.start
         t, step = t_s[run], rotation_steps(X_BG[run, :3, :3])
-        noise_norm = _noise_norm(noise.rotation_rad, 3, n, FREEDOM_A_FRAME)
+        noise_norm = _noise_norm(noise.rotation_rad, 3, n, FREEDOM_PER_FRAME)
         for jump in _jumps(t, step, _floor(t, JUMP_RAD, ACCELERATION_RAD_S2), noise_norm):
             if moved.isdisjoint(range(run.start + jump.start, run.start + jump.end)):
                 found.append(_violation(jump, run, None))
@@ -102,14 +102,14 @@ def find_discontinuities(
 
 
 def _joint_jumps(t_s: Array, q: Array, joints: tuple[str, ...]) -> list[Violation]:
-    sigma = joint_noise(t_s, q)
+    sigma = estimate_joint_noise(t_s, q)
     found = []
-    for run in segments(complete(q)):
+    for run in segments(finite_rows(q)):
         t, n = t_s[run], run.stop - run.start
         floor = _floor(t, JUMP_RAD, JOINT_ACCELERATION_RAD_S2)
         for j, name in enumerate(joints):
             step = np.diff(q[run, j : j + 1], axis=0)
-            noise_norm = _noise_norm(sigma[j], 1, n, JOINT_FREEDOM_A_FRAME, groups=q.shape[1])
+            noise_norm = _noise_norm(sigma[j], 1, n, JOINT_FREEDOM_PER_FRAME, groups=q.shape[1])
             found += [_violation(jump, run, name) for jump in _jumps(t, step, floor, noise_norm)]
     return found
 

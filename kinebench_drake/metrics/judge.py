@@ -19,20 +19,20 @@ from kinebench_drake.metrics.derivatives import smooth_path
 from kinebench_drake.metrics.discontinuity import find_discontinuities
 from kinebench_drake.metrics.limits import LimitChecks, check_limits
 from kinebench_drake.metrics.noise import (
-    JOINT_FREEDOM_A_FRAME,
+    JOINT_FREEDOM_PER_FRAME,
     TrackNoise,
-    carried_noise,
-    joint_noise,
+    estimate_joint_noise,
+    estimate_track_noise,
+    propagate_noise,
     smooth_poses,
-    track_noise,
 )
 from kinebench_drake.metrics.reach import (
-    collisions,
     contact_tolerance,
-    given_past_limits,
+    find_collisions,
+    find_joint_limit_violations,
+    find_limit_violations,
+    find_unreachable,
     limit_tolerance,
-    past_limits,
-    unreachable,
 )
 from kinebench_drake.metrics.result import (
     KinematicResult,
@@ -41,7 +41,7 @@ from kinebench_drake.metrics.result import (
     path_details,
     track_curves,
 )
-from kinebench_drake.metrics.smoothness import track_smoothness
+from kinebench_drake.metrics.smoothness import measure_smoothness
 from kinebench_drake.types import GripperTrack, IkStatus, JointTrack, Violation, ViolationKind
 
 MIN_TRACKED_FRAMES = 5
@@ -148,23 +148,23 @@ class TrackJudge:
         q = np.where(reached[:, None], joints.q, np.nan)
         J = np.full((len(q), 6, q.shape[1]), np.nan)
         J[reached] = plant.chain.jacobians(joints.q[reached])
-        sigma = carried_noise(J, noise) if joint_sigma is None else joint_sigma
+        sigma = propagate_noise(J, noise) if joint_sigma is None else joint_sigma
         q_smooth = smooth_path(t_s, q, sigma)
         own = self._collision.self_distance(q, track.finger_width_m)
         table = self._collision.table_distance(q, track.finger_width_m)
         if joint_sigma is None:
             checks = check_limits(plant, t_s, q, sigma)
-            limits = past_limits(plant, track, joints, noise)
+            limits = find_limit_violations(plant, track, joints, noise)
             jumps = find_discontinuities(t_s, track.X_BG, track.tracked, noise)
         else:
-            checks = check_limits(plant, t_s, q, sigma, freedom_a_frame=JOINT_FREEDOM_A_FRAME)
-            limits = given_past_limits(plant, q, joint_sigma)
+            checks = check_limits(plant, t_s, q, sigma, freedom_per_frame=JOINT_FREEDOM_PER_FRAME)
+            limits = find_joint_limit_violations(plant, q, joint_sigma)
             jumps = find_discontinuities(t_s, track.X_BG, track.tracked, noise, q, plant.robot.joints)
         violations = sorted(
             (
-                *unreachable(joints, noise),
+                *find_unreachable(joints, noise),
                 *limits,
-                *collisions(self._collision, track, own, table, q_smooth, noise),
+                *find_collisions(self._collision, track, own, table, q_smooth, noise),
                 *checks.violations,
                 *jumps,
             ),
@@ -189,7 +189,7 @@ class TrackJudge:
             manipulability=manipulability_of(plant, J, q),
             self_clearance=own,
             table_clearance=table,
-            smoothness=track_smoothness(track, None if assumed else noise),
+            smoothness=measure_smoothness(track, None if assumed else noise),
             checks=checks,
             timing=timing,
             tube=tube,
@@ -217,7 +217,7 @@ class TrackJudge:
 
 def _noise(track: GripperTrack) -> tuple[TrackNoise, bool]:
     """Return the track's noise, 0 where it exceeds MOST_NOISE, and whether it was assumed."""
-    noise = track_noise(track.t_s, track.X_BG, track.tracked)
+    noise = estimate_track_noise(track.t_s, track.X_BG, track.tracked)
     if not np.isfinite([noise.position_m, noise.rotation_rad]).all():
         return replace(ASSUMED_NOISE, offset_m=track.offset_m, offset_rad=track.offset_rad), True
     position = noise.position_m if noise.position_m <= MOST_NOISE.position_m else 0.0
@@ -229,7 +229,7 @@ def _noise(track: GripperTrack) -> tuple[TrackNoise, bool]:
 
 def _joint_noise(t_s: Array, q: Array) -> Array:
     """Return the noise (7,) of joint angles [rad]: 0 where it exceeds MOST_JOINT_NOISE_RAD, that value if unknown."""
-    sigma = joint_noise(t_s, q)
+    sigma = estimate_joint_noise(t_s, q)
     granted = np.where(sigma <= MOST_JOINT_NOISE_RAD, sigma, 0.0)
     return np.where(np.isfinite(sigma), granted, MOST_JOINT_NOISE_RAD)
 

@@ -1,11 +1,11 @@
-"""Velocity, acceleration, jerk and torque of a joint path against the robot's limits, with room for its noise.
+"""Check of velocity, acceleration, jerk and torque of a noisy joint path against the limits of the robot.
 
-A limit is called broken where |value| - z * standard error > limit. The values are those of `derivatives`: means over
-a window, so never above the true peak (torque is computed from such means, and so to that approximation only). At
-video rates they lie far below it for jerk (a track at 5 Hz resolves a fraction of a percent of the Panda's jerk
-limits): jerk may convict, never acquit, and each check reports its bandwidth. The factor z makes FALSE_ALARM the
-chance that noise alone condemns a track that stays at its limits everywhere: Bonferroni over all looks (frames x
-joints x kinds, both signs), and Student's distribution because the noise is itself measured.
+A limit counts as broken where |value| - z * standard error > limit. The values are those of `derivatives`: means over
+a window, hence never above the true peak (torque is computed from such means, so approximately). At video rates they
+lie far below it for jerk (a track at 5 Hz resolves a fraction of a percent of the Panda's jerk limits): the jerk check
+can show a violation, not its absence, and each check reports its bandwidth. The factor z makes FALSE_ALARM the
+probability that noise alone gives a violation for a track at its limits throughout: Bonferroni correction over all
+tests (frames x joints x kinds, both signs), with Student's distribution because the noise is estimated.
 """
 
 from collections.abc import Iterator, Mapping
@@ -19,12 +19,12 @@ from scipy.special import stdtrit
 from kinebench_drake.geometry import Array
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.metrics.derivatives import Derivative, differentiate, smooth_path
-from kinebench_drake.metrics.noise import FREEDOM_A_FRAME
-from kinebench_drake.segments import complete, segments
+from kinebench_drake.metrics.noise import FREEDOM_PER_FRAME
+from kinebench_drake.segments import finite_rows, segments
 from kinebench_drake.types import Violation, ViolationKind
 
 FALSE_ALARM = 0.01
-"""Chance, at most, that white noise alone makes a track break a limit."""
+"""Greatest probability that white noise alone makes a track break a limit."""
 
 _ORDERS = {ViolationKind.VELOCITY: 1, ViolationKind.ACCELERATION: 2, ViolationKind.JERK: 3}
 _KINDS = (*_ORDERS, ViolationKind.TORQUE)
@@ -32,88 +32,88 @@ _KINDS = (*_ORDERS, ViolationKind.TORQUE)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LimitCheck:
-    """One kind of limit along a track. Units are the kind's: rad/s, rad/s^2, rad/s^3 or N m."""
+    """Check of one kind of limit along a track, in the unit of the kind: rad/s, rad/s^2, rad/s^3 or N m."""
 
     kind: ViolationKind
     ratio_max: float
-    """Greatest |value| / limit of all joints, where the noise leaves it to be seen."""
+    """Greatest |value| / limit of all joints, over the values that the noise does not hide."""
     joint: str
-    """The joint that has it ..."""
+    """Joint of the greatest ratio."""
     frame: int
-    """... the frame ..."""
+    """Frame of the greatest ratio."""
     t_worst_s: float
-    """... and its time [s]."""
+    """Time of that frame [s]."""
     margins: Array
-    """(7,) limit - greatest |value| of each joint; NaN where the noise hides it throughout."""
+    """(7,) limit - greatest |value| of each joint; NaN where the noise hides all values."""
     ratios: Array
-    """(7,) greatest |value| / limit of each joint; NaN likewise."""
+    """(7,) greatest |value| / limit of each joint; NaN where the noise hides all values."""
     value: Array
     """(T, 7) point estimates; NaN where there is none."""
     window_s: float
-    """Length of the windows that the derivatives are means over [s]."""
+    """Length of the windows of the derivatives [s]."""
     bandwidth_hz: float
-    """Up to here motion is seen (-3 dB)."""
+    """Bandwidth of the derivatives (-3 dB) [Hz]."""
     noise_ratio: float
-    """Standard error / limit: median over frames, of the joint where that is greatest; NaN if unknown."""
+    """Median standard error / limit over the frames, of the joint where it is greatest; NaN if unknown."""
     slowdown: Array
-    """(T, 7) least k for which the track played k times slower keeps the limit, by the point estimate, but no more than
-    1 where the noise explains what is above; NaN if unknown."""
+    """(T, 7) least k for which the track played k times slower keeps the limit, by the point estimate, but at most 1
+    where the noise explains the excess; NaN if unknown."""
     violations: tuple[Violation, ...]
-    """Runs of frames in which a joint breaks the limit; value is the worst |value|."""
+    """Runs of frames in which a joint breaks the limit; `value` is the greatest |value|."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Slowdown:
-    """The least k for which the track played k times slower keeps every limit."""
+    """Least k for which the track played k times slower keeps every limit."""
 
     factor: float
-    """k; above 1 exactly if a limit is broken, inf if gravity alone breaks one."""
+    """k; above 1 if and only if a limit is broken, inf if gravity alone breaks one."""
     kind: ViolationKind
-    """The limit that decides it ..."""
+    """Limit that determines k."""
     joint: str
-    """... the joint ..."""
+    """Joint of that limit."""
     frame: int
-    """... and the frame."""
+    """Frame of that limit."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LimitChecks:
-    """All limits along a track."""
+    """Checks of all limits along a track."""
 
     checks: Mapping[ViolationKind, LimitCheck]
-    """What could be checked."""
+    """Checks by kind."""
     reasons: Mapping[ViolationKind, str]
-    """Why the other kinds could not."""
+    """Why the other kinds were not checked."""
     slowdown: Slowdown | None
-    """None if the noise is unknown or no derivative could be taken."""
+    """Slow-down; None if the noise is unknown or no derivative could be computed."""
     z: float
-    """Standard errors that a value is allowed above its limit."""
+    """Standard errors by which a value may exceed its limit."""
 
     @property
     def violations(self) -> tuple[Violation, ...]:
-        """All limits broken."""
+        """Violations of all kinds."""
         return tuple(violation for check in self.checks.values() for violation in check.violations)
 
 
 def check_limits(
-    plant: ArmPlant, t_s: Array, q: Array, sigma: Array, freedom_a_frame: float = FREEDOM_A_FRAME
+    plant: ArmPlant, t_s: Array, q: Array, sigma: Array, freedom_per_frame: float = FREEDOM_PER_FRAME
 ) -> LimitChecks:
-    """Check a joint path against all limits that the robot has.
+    """Check a joint path against all limits of the robot.
 
-    Torques are those of inverse dynamics, with nothing in the hand, at the smoothed path and its derivatives; their
-    noise is that of the accelerations through the mass matrix (what noise in posture and speed does to gravity and
-    Coriolis forces is small beside it).
+    Torques are those of inverse dynamics without payload, at the smoothed path and its derivatives; their noise is that
+    of the accelerations through the mass matrix (the effect of noise in posture and speed on gravity and Coriolis
+    forces is small in comparison).
 
     Args:
         plant: the robot.
         t_s: (T,) times [s], increasing.
         q: (T, 7) joint angles [rad], NaN where unknown.
-        sigma: (7,) or (T, 7) standard deviations of the noise of `q` [rad]; NaN if unknown, and then nothing convicts.
-        freedom_a_frame: degrees of freedom of `sigma` for each known frame; JOINT_FREEDOM_A_FRAME for `joint_noise`.
+        sigma: (7,) or (T, 7) standard deviations of the noise of `q` [rad]; NaN if unknown: then no limit is broken.
+        freedom_per_frame: degrees of freedom of `sigma` per frame; JOINT_FREEDOM_PER_FRAME for `estimate_joint_noise`.
     """
-    known = complete(q)
-    frames = int(known.sum())
-    z = allowance(frames * q.shape[1] * len(_KINDS), freedom_a_frame * frames)
+    finite = finite_rows(q)
+    frames = int(finite.sum())
+    z = noise_allowance(frames * q.shape[1] * len(_KINDS), freedom_per_frame * frames)
     limits = {
         ViolationKind.VELOCITY: plant.velocity_limits,
         ViolationKind.ACCELERATION: plant.acceleration_limits,
@@ -153,26 +153,26 @@ def check_limits(
     )
 
 
-def allowance(looks: int, freedom: float) -> float:
-    """Quantile of Student's t with `freedom` degrees that `looks` two-sided looks exceed with FALSE_ALARM at most."""
-    return float(-stdtrit(max(freedom, 1.0), FALSE_ALARM / (2.0 * max(looks, 1))))
+def noise_allowance(tests: int, freedom: float) -> float:
+    """Return the quantile of Student's t that `tests` two-sided tests exceed with probability FALSE_ALARM at most."""
+    return float(-stdtrit(max(freedom, 1.0), FALSE_ALARM / (2.0 * max(tests, 1))))
 
 
-def torque_slowdown(gravity: Array, rest: Array, error: Array, limits: Array) -> Array:
-    """Least k (..., 7) for which |gravity + (rest -+ error) / k^2| stays within `limits`; inf if gravity does not.
+def torque_slowdown(gravity: Array, moving: Array, error: Array, limits: Array) -> Array:
+    """Return the least k (..., 7) with |gravity + (moving -+ error) / k^2| within `limits`; inf if gravity is not.
 
-    Played k times slower, accelerations and products of speeds shrink by k^2, and so does what their noise puts on
-    them; the torque that carries the arm's weight stays. Solved for 1/k^2 on either side, the larger k counts.
+    Played k times slower, accelerations, products of speeds and the effect of their noise shrink by k^2; the torque
+    against gravity stays. Solved for 1/k^2 at either limit; the larger k counts.
 
     Args:
-        gravity: (..., 7) torques that hold the arm still [N m].
-        rest: (..., 7) what the motion adds at its own pace [N m].
-        error: (..., 7) room left for its noise [N m].
-        limits: (7,) [N m].
+        gravity: (..., 7) torques of the arm at rest [N m].
+        moving: (..., 7) torques added by the motion in its own timing [N m].
+        error: (..., 7) allowance for its noise [N m].
+        limits: (7,) torque limits [N m].
     """
     with np.errstate(divide="ignore", invalid="ignore"):
-        up = np.maximum(rest - error, 0.0) / (limits - gravity)
-        down = np.maximum(-rest - error, 0.0) / (limits + gravity)
+        up = np.maximum(moving - error, 0.0) / (limits - gravity)
+        down = np.maximum(-moving - error, 0.0) / (limits + gravity)
     k = np.sqrt(np.maximum(np.maximum(up, down), 0.0))
     return np.asarray(np.where(np.abs(gravity) > limits, np.inf, k))
 
@@ -182,7 +182,7 @@ def _check_torque(
 ) -> LimitCheck:
     torque, gravity, error = np.full((3, *q.shape), np.nan)
     at_rest = np.zeros(q.shape[1])
-    for i in np.flatnonzero(complete(acceleration.value)):
+    for i in np.flatnonzero(finite_rows(acceleration.value)):
         torque[i] = plant.torque(q[i], velocity.value[i], acceleration.value[i])
         gravity[i] = plant.torque(q[i], at_rest, at_rest)
         error[i] = np.sqrt(plant.mass_matrix(q[i]) ** 2 @ acceleration.standard_error[i] ** 2)
@@ -205,16 +205,16 @@ def _check(
     derivative: Derivative,
     z: float,
 ) -> LimitCheck:
-    """One check; `k` are the slow-downs (T, 7) that the limit asks for at least, after the noise, and by the value."""
+    """Return one check; `k` are the least slow-downs (T, 7) after subtracting the noise and by the value itself."""
     magnitude, (least, own) = np.abs(value), k
     broken = np.asarray(least > 1.0)
-    seen = np.isfinite(value) & (~(z * error > limits) | broken)  # the rest may be all noise: it tells nothing
-    ratio = np.where(seen, magnitude / limits, -1.0)
+    significant = np.isfinite(value) & (~(z * error > limits) | broken)  # other values may be noise alone
+    ratio = np.where(significant, magnitude / limits, -1.0)
     frame, joint = np.unravel_index(int(np.argmax(ratio)), ratio.shape)
-    ratios = np.where(seen.any(axis=0), ratio.max(axis=0), np.nan)
+    ratios = np.where(significant.any(axis=0), ratio.max(axis=0), np.nan)
     return LimitCheck(
         kind=kind,
-        ratio_max=float(ratio[frame, joint]) if seen.any() else np.nan,
+        ratio_max=float(ratio[frame, joint]) if significant.any() else np.nan,
         joint=plant.robot.joints[joint],
         frame=int(frame),
         t_worst_s=float(t_s[frame]),
@@ -223,8 +223,8 @@ def _check(
         value=value,
         window_s=derivative.window_s,
         bandwidth_hz=derivative.bandwidth_hz,
-        noise_ratio=float((np.median(error[complete(value)], axis=0) / limits).max()),
-        slowdown=np.where(seen, np.maximum(least, np.minimum(own, 1.0)), np.where(least > 0.0, least, np.nan)),
+        noise_ratio=float((np.median(error[finite_rows(value)], axis=0) / limits).max()),
+        slowdown=np.where(significant, np.maximum(least, np.minimum(own, 1.0)), np.where(least > 0.0, least, np.nan)),
         violations=tuple(_violations(plant, kind, magnitude, limits, broken)),
     )
 
@@ -245,7 +245,7 @@ def _violations(
 
 
 def _slowdown(plant: ArmPlant, checks: Mapping[ViolationKind, LimitCheck]) -> Slowdown | None:
-    found = [
+    candidates = [
         Slowdown(
             factor=float(check.slowdown[frame, joint]), kind=kind, joint=plant.robot.joints[joint], frame=int(frame)
         )
@@ -253,4 +253,4 @@ def _slowdown(plant: ArmPlant, checks: Mapping[ViolationKind, LimitCheck]) -> Sl
         if np.isfinite(check.slowdown).any() or np.isinf(check.slowdown).any()
         for frame, joint in [np.unravel_index(int(np.nanargmax(check.slowdown)), check.slowdown.shape)]
     ]
-    return max(found, key=lambda slowdown: slowdown.factor, default=None)
+    return max(candidates, key=lambda slowdown: slowdown.factor, default=None)

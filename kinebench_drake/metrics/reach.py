@@ -1,4 +1,4 @@
-"""Where a track asks for poses that the robot cannot take: out of reach, past a joint limit, into itself, the table."""
+"""Violations of single frames: poses out of reach, joints past their limits, self-collision and table collision."""
 
 from collections.abc import Generator, Iterator
 
@@ -17,60 +17,62 @@ from kinebench_drake.segments import segments
 from kinebench_drake.types import GripperTrack, IkStatus, JointTrack, Violation, ViolationKind
 
 NOISE_SIGMAS = 3.0
-"""Standard deviations of the track's noise that a pose may be beyond what the robot can do."""
+"""Standard deviations of the noise by which a pose may exceed what the robot can do."""
 
 _LIMIT_TOLERANCE_RAD = 1e-6
 
 
 def contact_tolerance(noise: TrackNoise) -> float:
-    """Depth [m] up to which touching is no collision.
+    """Return the penetration depth [m] up to which a contact is no collision.
 
-    max(2 mm, three standard deviations of the position noise, how far the poses may be off).
+    The greatest of 2 mm, three standard deviations of the position noise and the position offset.
     """
     return max(CONTACT_TOLERANCE_M, NOISE_SIGMAS * noise.position_m, noise.offset_m)
 
 
 def limit_tolerance(sigma: Array) -> Array:
-    """How far (7,) [rad] given joint angles with noise `sigma` (7,) [rad] may be past a limit."""
+    """Return by how much (7,) [rad] recorded joint angles with noise `sigma` (7,) [rad] may exceed a limit."""
     return np.maximum(_LIMIT_TOLERANCE_RAD, NOISE_SIGMAS * sigma)
 
 
-def unreachable(joints: JointTrack, noise: TrackNoise) -> Iterator[Violation]:
-    """Runs of frames whose pose is out of reach by more than the noise explains.
+def find_unreachable(joints: JointTrack, noise: TrackNoise) -> Iterator[Violation]:
+    """Find runs of frames whose pose is out of reach by more than the noise explains.
 
-    `value` is the worst distance left [m], a radian counting for ROTATION_ARM_M as in the search that found it.
+    `value` is the greatest pose error [m], with rotations weighted by ROTATION_ARM_M as in inverse kinematics.
     """
-    left = _left(joints)
+    error = _pose_error(joints)
     limit = _noise_limit(noise)
-    missed = _has(joints, IkStatus.UNREACHABLE) & (left > limit)
+    missed = _has(joints, IkStatus.UNREACHABLE) & (error > limit)
     for run in segments(missed):
-        yield _violation(ViolationKind.UNREACHABLE, run, None, float(left[run].max()), limit)
+        yield _violation(ViolationKind.UNREACHABLE, run, None, float(error[run].max()), limit)
 
 
-def past_limits(plant: ArmPlant, track: GripperTrack, joints: JointTrack, noise: TrackNoise) -> Iterator[Violation]:
-    """Runs of frames whose pose takes a joint past its limit: by the angle of the least bad posture that reaches it.
+def find_limit_violations(
+    plant: ArmPlant, track: GripperTrack, joints: JointTrack, noise: TrackNoise
+) -> Iterator[Violation]:
+    """Find runs of frames whose pose needs a joint past its limit, by the angle in the posture of least excess.
 
-    For frames that no posture within limits comes near enough to for the noise to explain. Where no posture is known
-    that reaches the pose either, no joint is named and `value` is the distance left [m].
+    For frames whose pose error within limits is more than the noise explains. Where no posture is known that reaches
+    the pose past limits, `joint` is None and `value` is the pose error [m].
     """
     limit = _noise_limit(noise)
-    failed = _has(joints, IkStatus.JOINT_LIMIT) & (_left(joints) > limit)
+    failed = _has(joints, IkStatus.JOINT_LIMIT) & (_pose_error(joints) > limit)
     q = np.full_like(joints.q, np.nan)
     for i in np.flatnonzero(failed):
         posture = find_least_excess(plant, track.X_BG[i])
         if posture is not None:
             q[i] = posture
     named = yield from _past(plant, q, np.full(q.shape[1], _LIMIT_TOLERANCE_RAD))
-    for run in segments(failed & ~named):  # past a limit between the sweep's samples: no posture to name a joint by
-        yield _violation(ViolationKind.JOINT_LIMIT, run, None, float(_left(joints)[run].max()), limit)
+    for run in segments(failed & ~named):  # past a limit between the samples of the sweep: the joint is unknown
+        yield _violation(ViolationKind.JOINT_LIMIT, run, None, float(_pose_error(joints)[run].max()), limit)
 
 
-def given_past_limits(plant: ArmPlant, q: Array, sigma: Array) -> Iterator[Violation]:
-    """Runs of frames in which given joint angles `q` (T, 7) are past a limit by more than their noise (7,) [rad]."""
+def find_joint_limit_violations(plant: ArmPlant, q: Array, sigma: Array) -> Iterator[Violation]:
+    """Find runs of frames in which joint angles `q` (T, 7) [rad] exceed a limit by more than their noise `sigma` (7,)."""
     yield from _past(plant, q, limit_tolerance(sigma))
 
 
-def collisions(
+def find_collisions(
     model: CollisionModel,
     track: GripperTrack,
     own: Clearance,
@@ -78,17 +80,17 @@ def collisions(
     q_smooth: Array,
     noise: TrackNoise,
 ) -> Iterator[Violation]:
-    """Runs of frames in which the arm is in itself or in the table, as it is and with its noise smoothed away.
+    """Find runs of frames in which the arm penetrates itself or the table, both as recorded and smoothed.
 
-    `value` is the least distance [m], negative in penetration; `limit` what it may be at least.
+    `value` is the least distance [m], negative in penetration; `limit` the least allowed distance.
 
     Args:
-        model: distances.
-        track: for the gap between the fingers.
+        model: collision model.
+        track: track, for the gap between the fingers.
         own: (T,) distances of the arm from itself along the joint path.
-        table: (T,) those from the table.
-        q_smooth: (T, 7) the joint path, smoothed [rad].
-        noise: of the track.
+        table: (T,) distances of the arm from the table.
+        q_smooth: (T, 7) smoothed joint path [rad].
+        noise: noise of the track.
     """
     limit = -contact_tolerance(noise)
     for kind, clearance, distance in (
@@ -96,7 +98,7 @@ def collisions(
         (ViolationKind.TABLE_COLLISION, table, model.table_distance),
     ):
         deep = np.nan_to_num(clearance.distance_m) < limit
-        if deep.any():  # few tracks: the smoothed path is looked at only where the path itself collides
+        if deep.any():  # the smoothed path is checked only where the path itself collides, which is rare
             smooth = np.full(len(deep), np.nan)
             smooth[deep] = distance(q_smooth[deep], track.finger_width_m[deep]).distance_m
             deep &= smooth < -max(CONTACT_TOLERANCE_M, noise.offset_m)
@@ -105,7 +107,7 @@ def collisions(
 
 
 def _past(plant: ArmPlant, q: Array, tolerance: Array) -> Generator[Violation, None, NDArray[np.bool_]]:
-    """Violations of the rows of `q` (T, 7) past limits by more than `tolerance` (7,); returns their frames (T,)."""
+    """Yield violations of rows of `q` (T, 7) past limits by more than `tolerance` (7,); return their frames (T,)."""
     past = np.nan_to_num(limit_excess(plant, q))
     named = np.zeros(len(q), dtype=bool)
     for j, name in enumerate(plant.robot.joints):
@@ -121,8 +123,8 @@ def _has(joints: JointTrack, status: IkStatus) -> NDArray[np.bool_]:
     return np.array([s is status for s in joints.status], dtype=bool)
 
 
-def _left(joints: JointTrack) -> Array:
-    """What is left to each pose (T,) [m], a radian counting for ROTATION_ARM_M."""
+def _pose_error(joints: JointTrack) -> Array:
+    """Return the weighted pose error (T,) [m] of each frame, rotations weighted by ROTATION_ARM_M."""
     return np.hypot(joints.position_error_m, ROTATION_ARM_M * joints.rotation_error_rad)
 
 

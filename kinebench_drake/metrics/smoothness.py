@@ -20,7 +20,7 @@ from scipy.ndimage import convolve1d
 
 from kinebench_drake.geometry import Array, rotation_angle
 from kinebench_drake.metrics.derivatives import smooth_path
-from kinebench_drake.metrics.noise import TrackNoise, rotation_steps, track_noise
+from kinebench_drake.metrics.noise import TrackNoise, estimate_track_noise, rotation_steps
 from kinebench_drake.segments import segments
 from kinebench_drake.types import GripperTrack
 
@@ -203,7 +203,7 @@ METRICS = ("sparc", "sparc_rotation", "ldlj", "sparc_filtered", "sparc_rotation_
 """Names of the metrics."""
 
 
-def track_smoothness(track: GripperTrack, noise: TrackNoise | None = None, seed: int = 0) -> Smoothness:
+def measure_smoothness(track: GripperTrack, noise: TrackNoise | None = None, seed: int = 0) -> Smoothness:
     """Smoothness of the longest run of consecutive tracked frames of `track`: gaps are neither bridged nor guessed.
 
     Speeds are those between neighbouring frames. If the frames are unevenly spaced in time, the speed is read off at
@@ -225,7 +225,7 @@ def track_smoothness(track: GripperTrack, noise: TrackNoise | None = None, seed:
     if n < MIN_FRAMES:
         short = f"the longest run of tracked frames has {n}, {MIN_FRAMES} are needed"
         return _smoothness(dict.fromkeys(METRICS, (None, None, short)))
-    noise = noise or track_noise(track.t_s, track.X_BG, track.tracked)
+    noise = noise or estimate_track_noise(track.t_s, track.X_BG, track.tracked)
     p, R = X[:, :3, 3], X[:, :3, :3]
     # Turns from frame to frame, added up, make a path whose steps are the rotation's.
     turned = np.concatenate([np.zeros((1, 3)), np.cumsum(rotation_steps(R), axis=0)])
@@ -251,12 +251,12 @@ def track_smoothness(track: GripperTrack, noise: TrackNoise | None = None, seed:
     return _smoothness(found)
 
 
-_Judged = tuple[float | None, Floor | None, str]
+_Measurement = tuple[float | None, Floor | None, str]
 
 
 def _judge(
     names: tuple[str, ...], t_s: Array, p: Array, sigma: float, rng: np.random.Generator, still: str | None
-) -> dict[str, _Judged]:
+) -> dict[str, _Measurement]:
     """Value, floor and reason of each metric of a path `p` (N, 3) whose noise is `sigma` an axis."""
     if still is not None:
         return dict.fromkeys(names, (None, None, still))
@@ -265,7 +265,7 @@ def _judge(
         smooth = smooth_path(t_s, p, np.full(3, sigma))
         paths = np.concatenate([paths, smooth[:, None] + sigma * rng.standard_normal((len(p), DRAWS, 3))], axis=1)
     rate, speeds = _rate(t_s), _speeds(t_s, paths)
-    found: dict[str, _Judged] = {}
+    found: dict[str, _Measurement] = {}
     for name in names:
         if name == "ldlj":
             values = _jerks(speeds, rate)
@@ -288,7 +288,7 @@ def _judge(
     return found
 
 
-def _smoothness(found: Mapping[str, _Judged]) -> Smoothness:
+def _smoothness(found: Mapping[str, _Measurement]) -> Smoothness:
     return Smoothness(
         **{name: found[name][0] for name in METRICS},
         floors=MappingProxyType({name: floor for name in METRICS if (floor := found[name][1]) is not None}),

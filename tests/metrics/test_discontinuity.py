@@ -4,7 +4,7 @@ import pytest
 from kinebench_drake.geometry import Array, make_pose, rotation_exp
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.metrics.discontinuity import JUMP_M, JUMP_RAD, find_discontinuities
-from kinebench_drake.metrics.noise import TrackNoise, track_noise
+from kinebench_drake.metrics.noise import TrackNoise, estimate_track_noise
 from kinebench_drake.suites.experts.motion import minimum_jerk
 from kinebench_drake.types import Violation, ViolationKind
 from tests.metrics.motions import reach_and_place, with_noise
@@ -15,7 +15,7 @@ NAMES = tuple(f"panda_joint{i}" for i in range(1, 8))
 
 def _find(t_s: Array, X: Array, noise: TrackNoise | None = None) -> tuple[Violation, ...]:
     tracked = np.isfinite(X[:, 0, 0])
-    return find_discontinuities(t_s, X, tracked, noise or track_noise(t_s, X, tracked))
+    return find_discontinuities(t_s, X, tracked, noise or estimate_track_noise(t_s, X, tracked))
 
 
 def _line(t_s: Array, p: Array) -> tuple[Array, Array]:

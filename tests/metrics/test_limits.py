@@ -6,7 +6,14 @@ from scipy.stats import norm
 
 from kinebench_drake.geometry import Array
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.metrics.limits import FALSE_ALARM, LimitChecks, Slowdown, allowance, check_limits, torque_slowdown
+from kinebench_drake.metrics.limits import (
+    FALSE_ALARM,
+    LimitChecks,
+    Slowdown,
+    check_limits,
+    noise_allowance,
+    torque_slowdown,
+)
 from kinebench_drake.models.panda.robot import panda
 from kinebench_drake.types import ViolationKind
 
@@ -195,11 +202,11 @@ def test_noise_at_the_limit_is_rarely_called_a_break(plant: ArmPlant) -> None:
 
 
 def test_the_allowance_is_a_quantile_over_all_looks() -> None:
-    assert allowance(1, 1e9) == pytest.approx(norm.isf(FALSE_ALARM / 2), rel=1e-6)
-    assert allowance(1372, 1e9) == pytest.approx(norm.isf(FALSE_ALARM / 2 / 1372), rel=1e-6)
-    assert allowance(1372, 30.0) > allowance(1372, 1e9)
+    assert noise_allowance(1, 1e9) == pytest.approx(norm.isf(FALSE_ALARM / 2), rel=1e-6)
+    assert noise_allowance(1372, 1e9) == pytest.approx(norm.isf(FALSE_ALARM / 2 / 1372), rel=1e-6)
+    assert noise_allowance(1372, 30.0) > noise_allowance(1372, 1e9)
     looks = np.abs(np.random.default_rng(0).normal(size=(4000, 1372))).max(axis=-1)
-    assert np.mean(looks > allowance(1372, 1e9)) < 1.5 * FALSE_ALARM
+    assert np.mean(looks > noise_allowance(1372, 1e9)) < 1.5 * FALSE_ALARM
 
 
 def test_noise_that_hides_a_limit_says_so(plant: ArmPlant) -> None:

@@ -7,16 +7,16 @@ from kinebench_drake.geometry import Array, make_pose, rotation_exp
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.metrics.noise import (
     TrackNoise,
-    carried_noise,
-    joint_noise,
+    estimate_joint_noise,
+    estimate_track_noise,
+    propagate_noise,
     rotation_steps,
-    track_noise,
 )
 from tests.metrics.motions import reach_and_place, with_noise
 
 
 def _measure(t_s: Array, X: Array) -> TrackNoise:
-    return track_noise(t_s, X, np.isfinite(X[:, 0, 0]))
+    return estimate_track_noise(t_s, X, np.isfinite(X[:, 0, 0]))
 
 
 @pytest.mark.parametrize(("position_m", "rotation_rad"), [(0.003, 0.02), (1e-5, 0.1)])
@@ -79,9 +79,9 @@ def test_frames_that_are_not_tracked_do_not_count() -> None:
     X = with_noise(X, 1e-3, 1e-2, np.random.default_rng(0))
     tracked = np.ones(len(t_s), dtype=bool)
     tracked[50:60] = False
-    clean = track_noise(t_s, X, tracked)
+    clean = estimate_track_noise(t_s, X, tracked)
     X[50:60, :3, 3] += np.random.default_rng(1).normal(scale=0.2, size=(10, 3))
-    assert track_noise(t_s, X, tracked) == clean
+    assert estimate_track_noise(t_s, X, tracked) == clean
 
 
 @pytest.mark.parametrize("frames", [0, 1, 4])
@@ -89,15 +89,15 @@ def test_too_short_a_track_is_not_called_clean(frames: int) -> None:
     noise = _measure(0.2 * np.arange(frames), np.tile(np.eye(4), (frames, 1, 1)))
     assert np.isnan(noise.position_m)
     assert np.isnan(noise.rotation_rad)
-    assert np.isnan(joint_noise(0.2 * np.arange(frames), np.zeros((frames, 7)))).all()
+    assert np.isnan(estimate_joint_noise(0.2 * np.arange(frames), np.zeros((frames, 7)))).all()
 
 
 def test_joints_are_told_apart() -> None:
     sigma = 1e-3 * np.arange(1, 8)
     t_s = 0.05 * np.arange(3000)
     q = np.sin(0.3 * t_s)[:, None] + sigma * np.random.default_rng(0).normal(size=(3000, 7))
-    np.testing.assert_allclose(joint_noise(t_s, q), sigma, rtol=0.08)
-    np.testing.assert_allclose(joint_noise(t_s + 0.01 * np.sin(np.arange(3000)), q), sigma, rtol=0.08)
+    np.testing.assert_allclose(estimate_joint_noise(t_s, q), sigma, rtol=0.08)
+    np.testing.assert_allclose(estimate_joint_noise(t_s + 0.01 * np.sin(np.arange(3000)), q), sigma, rtol=0.08)
 
 
 def test_white_noise_has_the_variance_that_the_estimate_divides_by() -> None:
@@ -118,8 +118,8 @@ def test_noise_is_carried_to_the_joints_as_measured(plant: ArmPlant) -> None:
     noise = TrackNoise(position_m=0.002, rotation_rad=0.01)
     error = np.random.default_rng(0).normal(size=(20_000, 6)) * np.repeat([0.01, 0.002], 3)
     scatter = (error @ np.linalg.pinv(J).T).std(axis=0)
-    np.testing.assert_allclose(carried_noise(J[None], noise)[0], scatter, rtol=0.03)
-    assert np.isnan(carried_noise(np.full((2, 6, 7), np.nan), noise)).all()
+    np.testing.assert_allclose(propagate_noise(J[None], noise)[0], scatter, rtol=0.03)
+    assert np.isnan(propagate_noise(np.full((2, 6, 7), np.nan), noise)).all()
 
 
 def test_a_pose_in_another_frame_is_as_noisy() -> None:

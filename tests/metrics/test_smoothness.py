@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from kinebench_drake.geometry import Array, make_pose, rotation_exp
-from kinebench_drake.metrics.noise import TrackNoise, track_noise
-from kinebench_drake.metrics.smoothness import METRICS, filtered_sparc, ldlj, sparc, track_smoothness
+from kinebench_drake.metrics.noise import TrackNoise, estimate_track_noise
+from kinebench_drake.metrics.smoothness import METRICS, filtered_sparc, ldlj, measure_smoothness, sparc
 from kinebench_drake.types import GripperTrack
 from tests.metrics.motions import gripper, reach_and_place, with_noise
 
@@ -127,15 +127,15 @@ def test_what_does_not_move_has_no_smoothness(speed: Array) -> None:
 
 
 def test_a_track_is_judged_by_its_two_speeds() -> None:
-    result = track_smoothness(_track())
+    result = measure_smoothness(_track())
     assert result.sparc == pytest.approx(-1.40, abs=0.02)
     assert result.sparc_rotation == pytest.approx(-1.40, abs=0.02)
-    fine = track_smoothness(_track(1000, 0.005))
+    fine = measure_smoothness(_track(1000, 0.005))
     assert fine.ldlj == pytest.approx(-np.log(720.0 / 1.875**2), abs=0.02)
 
 
 def test_translation_and_rotation_are_told_apart() -> None:
-    slides, turns = track_smoothness(_track(size_rad=0.0)), track_smoothness(_track(size_m=0.0))
+    slides, turns = measure_smoothness(_track(size_rad=0.0)), measure_smoothness(_track(size_m=0.0))
     assert slides.sparc is not None
     assert slides.sparc_rotation is None
     assert turns.sparc is None
@@ -147,7 +147,7 @@ def test_tracking_noise_of_a_still_gripper_is_not_judged() -> None:
     track = _track(size_m=0.0, size_rad=0.0)
     X = track.X_BG.copy()
     X[:, :3, 3] += np.random.default_rng(0).normal(scale=5e-4, size=(50, 3))
-    still = track_smoothness(replace(track, X_BG=X))
+    still = measure_smoothness(replace(track, X_BG=X))
     assert (still.sparc, still.sparc_rotation, still.ldlj) == (None, None, None)
 
 
@@ -163,14 +163,14 @@ def test_the_longest_tracked_run_is_judged_and_nothing_else() -> None:
         confidence=whole.confidence[rest],
         finger_width_m=whole.finger_width_m[rest],
     )
-    ours, expected = track_smoothness(gap), track_smoothness(cut)
+    ours, expected = measure_smoothness(gap), measure_smoothness(cut)
     assert ours.sparc == pytest.approx(expected.sparc, rel=1e-6)
     assert ours.ldlj == pytest.approx(expected.ldlj, rel=1e-6)
 
 
 @pytest.mark.parametrize("lost", [slice(0, 50), slice(5, 46)])
 def test_too_few_tracked_frames_give_none(lost: slice) -> None:
-    result = track_smoothness(_with_gap(_track(), lost))
+    result = measure_smoothness(_with_gap(_track(), lost))
     assert (result.sparc, result.sparc_rotation, result.ldlj) == (None, None, None)
 
 
@@ -180,7 +180,7 @@ def test_uneven_times_change_little() -> None:
     s = np.clip((track.t_s + jitter) / track.t_s[-1], 0, 1)
     s = 10 * s**3 - 15 * s**4 + 6 * s**5
     X = make_pose(np.tile(np.eye(3), (80, 1, 1)), 0.3 * s[:, None] * [1.0, 0.0, 0.0])
-    uneven = track_smoothness(replace(track, t_s=track.t_s + jitter, X_BG=X))
+    uneven = measure_smoothness(replace(track, t_s=track.t_s + jitter, X_BG=X))
     assert uneven.sparc == pytest.approx(-1.40, abs=0.03)
 
 
@@ -196,7 +196,7 @@ def test_filtered_sparc_bears_noise_at_high_frame_rates() -> None:
     """Noise that changes the plain SPARC beyond recognition leaves the filtered one nearly as it was."""
     t_s, X = reach_and_place(1.0 / 30.0)
     noisy = with_noise(X, 0.002, 0.0, np.random.default_rng(0))
-    clean, rough = track_smoothness(gripper(t_s, X)), track_smoothness(gripper(t_s, noisy))
+    clean, rough = measure_smoothness(gripper(t_s, X)), measure_smoothness(gripper(t_s, noisy))
     assert clean.sparc is not None
     assert clean.sparc_filtered is not None
     assert rough.sparc is not None
@@ -217,7 +217,7 @@ def test_filtered_sparc_tells_stops_from_one_move() -> None:
 def test_filtered_sparc_needs_the_frames() -> None:
     t_s, X = reach_and_place(0.3)
     assert filtered_sparc(t_s, X[:, :3, 3]) is None
-    result = track_smoothness(gripper(t_s, X))
+    result = measure_smoothness(gripper(t_s, X))
     assert result.sparc_filtered is None
     assert "3.33 frames a second" in result.reasons["sparc_filtered"]
     assert result.sparc is not None
@@ -231,7 +231,7 @@ def test_a_smooth_motion_with_noise_lies_on_its_noise_floor(millimetres: float) 
     inside = dict.fromkeys(("sparc", "sparc_rotation", "ldlj"), 0)
     for _ in range(20):
         track = gripper(t_s, with_noise(X, 1e-3 * millimetres, np.deg2rad(0.5 * millimetres), rng))
-        metrics = track_smoothness(track).metrics
+        metrics = measure_smoothness(track).metrics
         for name in inside:
             value, low, high = (metrics[f"{name}{part}"] for part in ("", "_floor_low", "_floor_high"))
             assert value is not None
@@ -246,7 +246,7 @@ def test_quick_moves_at_few_frames_lie_near_their_noise_floor() -> None:
     t_s, X = reach_and_place(0.2)
     rng = np.random.default_rng(0)
     for _ in range(10):
-        result = track_smoothness(gripper(t_s, with_noise(X, 0.003, np.deg2rad(1.5), rng)))
+        result = measure_smoothness(gripper(t_s, with_noise(X, 0.003, np.deg2rad(1.5), rng)))
         for name in METRICS:
             assert getattr(result, name) == pytest.approx(result.floors[name].median, abs=0.7)
 
@@ -254,11 +254,11 @@ def test_quick_moves_at_few_frames_lie_near_their_noise_floor() -> None:
 def test_a_rough_motion_lies_below_its_noise_floor() -> None:
     t_s, X = reach_and_place(0.02)
     X[:, 0, 3] += 0.004 * np.sin(2 * np.pi * 3.0 * t_s)
-    result = track_smoothness(gripper(t_s, X), TrackNoise(position_m=2e-4, rotation_rad=1e-3))
+    result = measure_smoothness(gripper(t_s, X), TrackNoise(position_m=2e-4, rotation_rad=1e-3))
     assert result.ldlj is not None
     floor = result.floors["ldlj"]
     assert floor.low <= floor.median <= floor.high
-    calm = track_smoothness(gripper(*reach_and_place(0.02)), TrackNoise(position_m=2e-4, rotation_rad=1e-3))
+    calm = measure_smoothness(gripper(*reach_and_place(0.02)), TrackNoise(position_m=2e-4, rotation_rad=1e-3))
     assert result.sparc is not None
     assert result.sparc < calm.floors["sparc"].low
 
@@ -267,7 +267,7 @@ def test_the_floor_falls_with_the_noise_and_is_narrow_without() -> None:
     t_s, X = reach_and_place(0.05)
     floors = []
     for size in (0.0, 1e-3, 4e-3):
-        result = track_smoothness(gripper(t_s, X), TrackNoise(position_m=size, rotation_rad=size))
+        result = measure_smoothness(gripper(t_s, X), TrackNoise(position_m=size, rotation_rad=size))
         floors.append(result.floors["ldlj"])
         if size == 0.0:
             assert result.ldlj == pytest.approx(floors[0].median, abs=1e-9)
@@ -278,19 +278,19 @@ def test_the_floor_falls_with_the_noise_and_is_narrow_without() -> None:
 def test_the_same_track_gives_the_same_floor() -> None:
     t_s, X = reach_and_place(0.2)
     track = gripper(t_s, with_noise(X, 0.003, 0.02, np.random.default_rng(0)))
-    first = track_smoothness(track)
-    assert first == track_smoothness(track, track_noise(track.t_s, track.X_BG, track.tracked))
-    assert first.floors["sparc"] != track_smoothness(track, seed=1).floors["sparc"]
+    first = measure_smoothness(track)
+    assert first == measure_smoothness(track, estimate_track_noise(track.t_s, track.X_BG, track.tracked))
+    assert first.floors["sparc"] != measure_smoothness(track, seed=1).floors["sparc"]
 
 
 def test_numbers_have_flat_names_and_what_is_missing_a_reason() -> None:
-    result = track_smoothness(_track(size_rad=0.0))
+    result = measure_smoothness(_track(size_rad=0.0))
     names = {f"{name}{part}" for name in METRICS for part in ("", "_floor_low", "_floor_median", "_floor_high")}
     assert set(result.metrics) == names
     assert set(result.reasons) == {"sparc_rotation", "sparc_rotation_filtered"}
     assert "0.05 rad" in result.reasons["sparc_rotation"]
-    short = track_smoothness(_with_gap(_track(), slice(5, 50)))
+    short = measure_smoothness(_with_gap(_track(), slice(5, 50)))
     assert set(short.reasons) == set(METRICS)
     assert set(short.metrics.values()) == {None}
     assert "has 5, 8 are needed" in short.reasons["sparc"]
-    assert track_smoothness(_track()).reasons == {}
+    assert measure_smoothness(_track()).reasons == {}
