@@ -68,7 +68,7 @@ def find_limit_violations(
 
 
 def find_joint_limit_violations(plant: ArmPlant, q: Array, sigma: Array) -> Iterator[Violation]:
-    """Find runs of frames in which joint angles `q` (T, 7) [rad] exceed a limit by more than their noise `sigma` (7,)."""
+    """Find runs of frames in which angles `q` (T, 7) [rad] exceed a limit by more than their noise `sigma` (7,)."""
     yield from _past(plant, q, limit_tolerance(sigma))
 
 
