@@ -11,7 +11,6 @@ from kinebench_drake.geometry import interpolate_pose, invert, transform_points
 from kinebench_drake.grounding.crop import CLOSE_SIZE, GRIPPER_CENTRE_H, Crop
 from kinebench_drake.grounding.frame_pose import FramePose
 from kinebench_drake.grounding.override_estimator import OverrideEstimator, calibrate_depth
-from kinebench_drake.grounding.propagation import propagate
 from kinebench_drake.grounding.registration.arm_fit import ArmFitter
 from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.grounding.registration.fit import UNSEEN_FINGER_M, finger_or_default, fit, refit
@@ -26,6 +25,8 @@ CLOSE_MARGIN = 1.3
 _RECENTRE = 0.2  # offset of the gripper from the crop's centre, over half the crop, beyond which a new crop is taken
 _RESCALE = 1.25  # likewise the factor between its size in the crop and the desired one
 _MAX_GAP = 12  # frames over which the crop of a lost gripper is interpolated
+_SOURCE_OVERLAP, _GOOD_OVERLAP = 0.6, 0.8  # overlap from which a pose is propagated, and from which it is not replaced
+_OVERLAP_GAIN = 0.03  # least improvement of the overlap by a propagated pose
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -138,7 +139,7 @@ class CadTracker:
         finger_m = finger_or_default(best.finger_m)
         if priors.has_exact_depth and prior is None:
             refined = self._icp.refine(view, invert(view.crop.X_CV) @ X_CH, finger_m)
-            X_CH = X_CH if refined is None else view.crop.X_CV @ refined.X_VH
+            X_CH = X_CH if refined is None else view.crop.X_CV @ refined
         return FramePose(
             X_CH=X_CH,
             finger_m=best.finger_m,
@@ -182,3 +183,47 @@ class CadTracker:
                 continue
             crops[i] = Crop.of_gripper(X_CH, 1.5 * CLOSE_MARGIN, CLOSE_SIZE)
         return crops
+
+
+def propagate(
+    poses: dict[int, FramePose], wide: dict[int, GripperView], arm_fitter: ArmFitter, silhouette: SilhouetteMatcher
+) -> None:
+    """Refit doubtful poses from the frame before, then from the one after; keep a refit that matches better.
+
+    Seen edge-on, a gripper's CAD coordinates can all be wrong by the same 30 mm and 25 degrees and still be consistent
+    with each other; only silhouette and arm contradict them. Started from the posture of a neighbouring frame, the fit
+    of silhouette and arm converges to the right pose.
+
+    Args:
+        poses: pose by frame number; doubtful ones are replaced.
+        wide: view of the whole image by frame number.
+        arm_fitter: fitter of the arm.
+        silhouette: comparison of the rendered with the segmented gripper.
+    """
+    for step in (1, -1):
+        for i in sorted(poses)[::step]:
+            near = poses.get(i - step)
+            if near is not None and _is_doubtful(poses[i]) and _arm_agrees(near) and near.overlap >= _SOURCE_OVERLAP:
+                poses[i] = _refit_from(poses[i], near, wide[i], arm_fitter, silhouette)
+
+
+def _refit_from(
+    pose: FramePose, near: FramePose, wide: GripperView, arm_fitter: ArmFitter, silhouette: SilhouetteMatcher
+) -> FramePose:
+    arm = None if near.arm is None else arm_fitter.fit_from_neighbour(near.arm, pose.hand, pose.view, wide, silhouette)
+    if arm is None or not arm.agrees:
+        return pose
+    overlap = silhouette.overlap(pose.view, arm.X_CH, finger_or_default(arm.finger_m))
+    if overlap < max(_SOURCE_OVERLAP, pose.overlap + _OVERLAP_GAIN):
+        return pose
+    return replace(
+        pose, X_CH=arm.X_CH, finger_m=arm.finger_m, finger_sigma_m=arm.finger_sigma_m, arm=arm, overlap=overlap
+    )
+
+
+def _is_doubtful(pose: FramePose) -> bool:
+    return not pose.from_prior and not (_arm_agrees(pose) and pose.overlap >= _GOOD_OVERLAP)
+
+
+def _arm_agrees(pose: FramePose) -> bool:
+    return pose.arm is not None and pose.arm.agrees

@@ -1,6 +1,6 @@
 """Result of an anomaly detector, and operations on per-frame series that detectors share."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,8 +32,8 @@ class Detection:
             size: (T,) severity of each frame; that of an anomaly is the largest.
         """
         anomalies = tuple(
-            Anomaly(kind=kind, frame_start=a, frame_end=b, severity=float(size[a : b + 1].max()))
-            for a, b in detection_segments(score >= 1.0)
+            Anomaly(kind=kind, frame_start=run.start, frame_end=run.stop - 1, severity=float(size[run].max()))
+            for run in segments(score >= 1.0)
         )
         return cls(kind=kind, score=score, anomalies=anomalies)
 
@@ -41,10 +41,6 @@ class Detection:
     def peak(self) -> float:
         """Largest score of a frame."""
         return float(self.score.max(initial=0.0))
-
-    def within(self, start: int, end: int) -> float:
-        """Return the largest score of the frames from `start` to `end`, inclusive."""
-        return float(self.score[start : end + 1].max(initial=0.0))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -73,11 +69,6 @@ class AnomalyDetections:
     def scores(self) -> dict[AnomalyKind, float]:
         """Score of the video by kind: the largest of its frames, 1 at the threshold."""
         return {kind: detection.peak for kind, detection in self.by_kind.items()}
-
-
-def detection_segments(flags: ArrayLike) -> Iterator[tuple[int, int]]:
-    """Yield the first and last index of each run of true values."""
-    yield from ((run.start, run.stop - 1) for run in segments(np.asarray(flags, dtype=bool)))
 
 
 def sustained(values: ArrayLike, frames: int) -> Array:

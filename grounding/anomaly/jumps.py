@@ -7,8 +7,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from kinebench_drake.geometry import Array
-from kinebench_drake.grounding.anomaly.detection import Detection, detection_segments, is_finite
+from kinebench_drake.grounding.anomaly.detection import Detection, is_finite
 from kinebench_drake.grounding.view import Frames
+from kinebench_drake.segments import segments
 from kinebench_drake.types import Anomaly, AnomalyKind
 
 TELEPORT_M, TELEPORT_CONTRAST = 0.04, 4.0
@@ -128,7 +129,8 @@ def find_freezes(p: ArrayLike, fair: NDArray[np.bool_], still: NDArray[np.bool_]
     quiet = still & ~(step > _STILL_M)
     score = np.zeros(len(p))
     anomalies = []
-    for start, end in detection_segments(quiet):
+    for run in segments(quiet):
+        start, end = run.start, run.stop - 1
         if start < 2 or end + 1 >= len(p) or not fair[[start - 2, start - 1, end, end + 1]].all():
             continue
         before, jump = step[start - 1], step[end + 1]

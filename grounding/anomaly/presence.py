@@ -8,10 +8,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, transform_points
-from kinebench_drake.grounding.anomaly.detection import Detection, detection_segments, is_finite, sustained
+from kinebench_drake.grounding.anomaly.detection import Detection, is_finite, sustained
 from kinebench_drake.grounding.view import GripperView
 from kinebench_drake.models.panda.cad import part_meshes
 from kinebench_drake.models.panda.robot import OPENING_SIGN
+from kinebench_drake.segments import segments
 from kinebench_drake.types import Anomaly, AnomalyKind
 
 VANISH_FRAMES = 3
@@ -45,8 +46,13 @@ def find_vanishing(
     )
     score = 2.0 * sustained(absence * _expected(p_C, fair & is_finite(p_C), camera), VANISH_FRAMES)
     anomalies = tuple(
-        Anomaly(kind=AnomalyKind.VANISH, frame_start=start, frame_end=end, severity=float(end - start + 1))
-        for start, end in detection_segments(score > 1.0)
+        Anomaly(
+            kind=AnomalyKind.VANISH,
+            frame_start=run.start,
+            frame_end=run.stop - 1,
+            severity=float(run.stop - run.start),
+        )
+        for run in segments(score > 1.0)
     )
     return Detection(kind=AnomalyKind.VANISH, score=score, anomalies=anomalies)
 

@@ -1,12 +1,14 @@
 """Detectors of a deformed gripper and of one that changes its size."""
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import ArrayLike
 
 from kinebench_drake.geometry import Array, invert, transform_points
-from kinebench_drake.grounding.anomaly.detection import Detection, detection_segments, finite_median
+from kinebench_drake.grounding.anomaly.detection import Detection, finite_median
 from kinebench_drake.grounding.view import GripperView
-from kinebench_drake.types import Anomaly, AnomalyKind
+from kinebench_drake.types import AnomalyKind
 
 MISFIT = 0.02
 """Least relative misfit of the shape of a deformation ..."""
@@ -91,9 +93,6 @@ def find_scale_drift(scale: ArrayLike) -> Detection:
     scale = np.asarray(scale, dtype=np.float64)
     median = finite_median(np.log(scale, where=scale > 0, out=np.full(len(scale), np.nan)), SCALE_WINDOW)
     size = np.abs(np.nan_to_num(median, nan=0.0))
-    score = size / OFF
-    anomalies = tuple(
-        Anomaly(kind=AnomalyKind.SCALE, frame_start=a, frame_end=b, severity=float(np.expm1(size[a : b + 1].max())))
-        for a, b in detection_segments(score >= 1.0)
-    )
-    return Detection(kind=AnomalyKind.SCALE, score=score, anomalies=anomalies)
+    detection = Detection.from_score(AnomalyKind.SCALE, size / OFF, size)
+    anomalies = tuple(replace(a, severity=float(np.expm1(a.severity))) for a in detection.anomalies)
+    return replace(detection, anomalies=anomalies)

@@ -138,11 +138,6 @@ class Framing:
             return frames
         return np.ascontiguousarray(frames[:, rows, columns])
 
-    def with_map(self, scale: Array, offset: Array) -> "Framing":
-        """Return the framing with other scales (2,) and offsets (2,) [px]."""
-        (scale_x, scale_y), (offset_x, offset_y) = scale.tolist(), offset.tolist()
-        return replace(self, scale_x=scale_x, scale_y=scale_y, offset_x=offset_x, offset_y=offset_y)
-
     def to_json(self) -> dict[str, str | float | list[str] | None]:
         """Serialize the framing for results."""
         numbers = {

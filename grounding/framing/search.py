@@ -120,7 +120,9 @@ def _with_inverse_map(inverse: Array, framing: Framing, level: _PyramidLevel) ->
     """Return the framing whose inverse map is `inverse` (2, 2)."""
     frame_px, image_px = _level_scales(framing, level)
     scale = image_px / (inverse[:, 0] * frame_px)
-    return framing.with_map(scale, -inverse[:, 1] * scale / image_px)
+    offset = -inverse[:, 1] * scale / image_px
+    (scale_x, scale_y), (offset_x, offset_y) = scale.tolist(), offset.tolist()
+    return replace(framing, scale_x=scale_x, scale_y=scale_y, offset_x=offset_x, offset_y=offset_y)
 
 
 def _warp(image: Grey, inverse: Array, shape: tuple[int, ...]) -> tuple[Grey, NDArray[np.bool_]]:

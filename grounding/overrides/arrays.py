@@ -9,28 +9,25 @@ from numpy.typing import NDArray
 
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array
-from kinebench_drake.io import npz
 from kinebench_drake.io.images import frame_files, open_image
+from kinebench_drake.io.npz import Archive, open_npz, read_npy
 
 _HALF_MM = 0.5  # stored depth is truncated
 _MAX_SHARE = 0.9  # of all pixels; a gripper that fills the image cannot be tracked anyway
 
 
 @contextmanager
-def open_archive(path: Path) -> Iterator[npz.Archive]:
-    """Open an npz file; pickled objects are never loaded.
-
-    Raises:
-        InputError: the file is damaged or has another format.
-    """
+def errors_naming(source: Path | str) -> Iterator[None]:
+    """Prefix the messages of input errors with a source: an option, or the name of a file or folder."""
+    if isinstance(source, Path):
+        source = f"{source.name}/" if source.is_dir() else source.name
     try:
-        with npz.open_npz(path) as archive:
-            yield archive
+        yield
     except InputError as error:
-        raise InputError(f"{path.name}: {str(error).removeprefix(f'{path.name}: ')}") from None
+        raise error if str(error).startswith(source) else InputError(f"{source}: {error}") from None
 
 
-def pick(archive: npz.Archive, names: Sequence[str], path: Path) -> tuple[str, NDArray[np.generic]]:
+def pick(archive: Archive, names: Sequence[str]) -> tuple[str, NDArray[np.generic]]:
     """Return name and value of the first of the named arrays that exists.
 
     Raises:
@@ -41,26 +38,16 @@ def pick(archive: npz.Archive, names: Sequence[str], path: Path) -> tuple[str, N
             return name, archive[name]
     content = ", ".join(archive.files[:12]) or "nothing"
     raise InputError(
-        f"{path.name}: holds {content}; expected {' or '.join(names)} (the truth of demonstrations has depth and masks "
-        "if they were made with --with-depth)"
+        f"holds {content}; expected {' or '.join(names)} (the truth of demonstrations has depth and masks if they were "
+        "made with --with-depth)"
     )
 
 
-def read_npy(path: Path) -> NDArray[np.generic]:
-    """Read the array of an npy file.
-
-    Raises:
-        InputError: the file is damaged or has another format.
-    """
-    try:
-        return npz.read_npy(path)
-    except InputError as error:
-        raise InputError(f"{path.name}: {error}") from None
-
-
-def png_files(folder: Path) -> list[Path]:
-    """Return the png files of a folder in natural order: 2.png before 10.png."""
-    return [file for file in frame_files(folder) if file.suffix.lower() == ".png"]
+def array_files(entry: Path) -> list[Path]:
+    """Return the files of a video's masks or depth; those of a folder in natural order: 2.png before 10.png."""
+    if entry.is_dir():
+        return [file for file in frame_files(entry) if file.suffix.lower() == ".png"]
+    return [entry]
 
 
 def read_pngs(folder: Path) -> NDArray[np.generic]:
@@ -69,9 +56,9 @@ def read_pngs(folder: Path) -> NDArray[np.generic]:
     Raises:
         InputError: there is none, one is damaged, or they differ in size or type.
     """
-    files = png_files(folder)
+    files = array_files(folder)
     if not files:
-        raise InputError(f"{folder.name}/: holds no png files, expected one for every frame")
+        raise InputError("holds no png files, expected one for every frame")
     images: list[NDArray[np.generic]] = []
     for file in files:
         with open_image(file) as opened:
@@ -85,12 +72,12 @@ def read_pngs(folder: Path) -> NDArray[np.generic]:
     return np.stack(images)
 
 
-def is_demo_truth(archive: npz.Archive) -> bool:
+def is_demo_truth(archive: Archive) -> bool:
     """Return whether an archive is the ground truth of a demonstration with depth and mask."""
     return {"camera_from_hand", "depth_mm", "mask"} <= set(archive.files)
 
 
-def true_depth(archive: npz.Archive) -> Array:
+def true_depth(archive: Archive) -> Array:
     """Return the depth (T, H, W) of a demonstration along the camera's axis [m]; 0 where there is no surface."""
     depth_mm = archive["depth_mm"]
     if depth_mm.dtype.kind not in "iuf":
@@ -98,17 +85,12 @@ def true_depth(archive: npz.Archive) -> Array:
     return np.asarray(np.where(depth_mm > 0, depth_mm + _HALF_MM, 0.0) / 1000.0)
 
 
-def true_mask(archive: npz.Archive) -> NDArray[np.bool_]:
+def true_mask(archive: Archive) -> NDArray[np.bool_]:
     """Return the gripper mask (T, H, W) of a demonstration; it is packed along the width, whose size is the depth's."""
     shape, packed = archive.shape("depth_mm"), archive["mask"]
     if packed.dtype != np.uint8 or len(shape) != 3 or packed.shape != (*shape[:2], -(-shape[2] // 8)):
         raise InputError(f"the mask is {packed.dtype} of shape {packed.shape}, which does not fit the depth's {shape}")
     return np.unpackbits(packed, axis=-1, count=shape[2]).astype(bool)
-
-
-def mask_files(entry: Path) -> list[Path]:
-    """Return the files that `read_masks` reads."""
-    return png_files(entry) if entry.is_dir() else [entry]
 
 
 def read_masks(entry: Path) -> NDArray[np.bool_]:
@@ -121,29 +103,30 @@ def read_masks(entry: Path) -> NDArray[np.bool_]:
     Raises:
         InputError: it cannot be read, or its values are no masks of a gripper.
     """
-    if entry.is_dir():
-        masks = read_pngs(entry).astype(bool)
-        if masks.ndim == 4:
-            colours = masks.shape[3] - (masks.shape[3] in (2, 4))
-            masks = np.asarray(masks[..., :colours].any(axis=3))
-    elif entry.suffix == ".npy":
-        masks = _as_mask(read_npy(entry), entry)
-    else:
-        with open_archive(entry) as archive:
-            truth = is_demo_truth(archive)
-            masks = true_mask(archive) if truth else _as_mask(pick(archive, ("mask", "masks"), entry)[1], entry)
-    if masks.size and masks.mean() > _MAX_SHARE:
-        raise InputError(
-            f"{entry.name}: the masks cover {masks.mean():.0%} of the images; expected 0 where the gripper is not "
-            "(images of the video itself, or inverted masks?)"
-        )
-    return masks
+    with errors_naming(entry):
+        if entry.is_dir():
+            masks = read_pngs(entry).astype(bool)
+            if masks.ndim == 4:
+                colours = masks.shape[3] - (masks.shape[3] in (2, 4))
+                masks = np.asarray(masks[..., :colours].any(axis=3))
+        elif entry.suffix == ".npy":
+            masks = _as_mask(read_npy(entry))
+        else:
+            with open_npz(entry) as archive:
+                truth = is_demo_truth(archive)
+                masks = true_mask(archive) if truth else _as_mask(pick(archive, ("mask", "masks"))[1])
+        if masks.size and masks.mean() > _MAX_SHARE:
+            raise InputError(
+                f"the masks cover {masks.mean():.0%} of the images; expected 0 where the gripper is not (images of the "
+                "video itself, or inverted masks?)"
+            )
+        return masks
 
 
-def _as_mask(array: NDArray[np.generic], entry: Path) -> NDArray[np.bool_]:
+def _as_mask(array: NDArray[np.generic]) -> NDArray[np.bool_]:
     if array.dtype.kind not in "biuf" or (array.dtype.kind == "f" and not np.isin(array, (0, 1)).all()):
         raise InputError(
-            f"{entry.name}: the masks are {array.dtype} with values besides 0 and 1; expected truth values or whole "
-            "numbers, 0 where the gripper is not"
+            f"the masks are {array.dtype} with values besides 0 and 1; expected truth values or whole numbers, 0 where "
+            "the gripper is not"
         )
     return array.astype(bool)

@@ -13,24 +13,18 @@ from kinebench_drake.camera import Camera
 from kinebench_drake.errors import InputError, SetupError, UsageError
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.overrides.arrays import (
+    errors_naming,
     is_demo_truth,
-    open_archive,
     pick,
-    png_files,
-    read_npy,
     read_pngs,
     true_depth,
 )
+from kinebench_drake.io.npz import open_npz, read_npy
 from kinebench_drake.plugin import is_class_name, load_class
 from kinebench_drake.types import ExternalDepth
 
 _NEAR_M, _FAR_M = 0.02, 50.0  # range of the median depth of a scene with a robot
 _MOGE = "moge:"
-
-
-def depth_files(entry: Path) -> list[Path]:
-    """Return the files that `read_depth` reads."""
-    return png_files(entry) if entry.is_dir() else [entry]
 
 
 def read_depth(entry: Path, *, exact: bool = False) -> ExternalDepth:
@@ -44,40 +38,41 @@ def read_depth(entry: Path, *, exact: bool = False) -> ExternalDepth:
     Raises:
         InputError: it cannot be read, or is no depth in metres.
     """
-    if entry.is_dir():
-        images = read_pngs(entry)
-        if images.ndim != 3 or images.dtype.itemsize < 2:
-            raise InputError(f"{entry.name}/: the images have 8 bits or colours, expected 16-bit grey in millimetres")
-        return ExternalDepth(depth_m=_metres(images, "depth_mm", entry), exact=exact)
-    if entry.suffix == ".npy":
-        return ExternalDepth(depth_m=_metres(read_npy(entry), "depth", entry), exact=exact)
-    with open_archive(entry) as archive:
-        if is_demo_truth(archive):
-            return ExternalDepth(depth_m=true_depth(archive), exact=True)
-        name, array = pick(archive, ("depth_m", "depth_mm", "depth"), entry)
-        return ExternalDepth(depth_m=_metres(array, name, entry), exact=exact)
+    with errors_naming(entry):
+        if entry.is_dir():
+            images = read_pngs(entry)
+            if images.ndim != 3 or images.dtype.itemsize < 2:
+                raise InputError("the images have 8 bits or colours, expected 16-bit grey in millimetres")
+            return ExternalDepth(depth_m=_metres(images, "depth_mm"), exact=exact)
+        if entry.suffix == ".npy":
+            return ExternalDepth(depth_m=_metres(read_npy(entry), "depth"), exact=exact)
+        with open_npz(entry) as archive:
+            if is_demo_truth(archive):
+                return ExternalDepth(depth_m=true_depth(archive), exact=True)
+            name, array = pick(archive, ("depth_m", "depth_mm", "depth"))
+            return ExternalDepth(depth_m=_metres(array, name), exact=exact)
 
 
-def _checked_depth(depth_m: Array, source: str) -> Array:
-    """Return depth (T, H, W) [m] with 0 where it is unknown; `source` names it in messages.
+def _metres(array: NDArray[np.generic], name: str) -> Array:
+    if array.dtype.kind not in "iuf":
+        raise InputError(f"the depth is {array.dtype}, expected numbers")
+    whole_mm = name == "depth_mm" or (name == "depth" and array.dtype.kind in "iu")
+    return _checked_depth(array.astype(np.float64) / (1000.0 if whole_mm else 1.0))
+
+
+def _checked_depth(depth_m: Array) -> Array:
+    """Return depth (T, H, W) [m] with 0 where it is unknown.
 
     Raises:
         InputError: all of it is unknown, or it cannot be in metres.
     """
     valid = np.isfinite(depth_m) & (depth_m > 0)
     if not valid.any():
-        raise InputError(f"{source}: no depth is known in any frame; expected metres, positive before the camera")
+        raise InputError("no depth is known in any frame; expected metres, positive before the camera")
     median = float(np.median(depth_m[valid]))
     if not _NEAR_M <= median <= _FAR_M:
-        raise InputError(f"{source}: the median depth is {median:.4g} m; expected metres (another unit?)")
+        raise InputError(f"the median depth is {median:.4g} m; expected metres (another unit?)")
     return np.where(valid, depth_m, 0.0)
-
-
-def _metres(array: NDArray[np.generic], name: str, entry: Path) -> Array:
-    if array.dtype.kind not in "iuf":
-        raise InputError(f"{entry.name}: the depth is {array.dtype}, expected numbers")
-    whole_mm = name == "depth_mm" or (name == "depth" and array.dtype.kind in "iu")
-    return _checked_depth(array.astype(np.float64) / (1000.0 if whole_mm else 1.0), entry.name)
 
 
 class DepthSource(Protocol):
@@ -190,7 +185,8 @@ def estimate_depth(spec: str, frames: NDArray[np.uint8], camera: Camera, *, exac
         SetupError: it cannot be created.
     """
     depth_m: Array = np.asarray(load_depth_source(spec).depth(frames, camera), dtype=np.float64)
-    return ExternalDepth(depth_m=_checked_depth(depth_m, f"--depth {depth_source_name(spec)}"), exact=exact)
+    with errors_naming(f"--depth {depth_source_name(spec)}"):
+        return ExternalDepth(depth_m=_checked_depth(depth_m), exact=exact)
 
 
 def _class_of(spec: str) -> type:

@@ -1,8 +1,7 @@
 """Overrides of grounding stages: where masks, depth and poses of other programs are read from."""
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -10,10 +9,9 @@ from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import InputError, UsageError
-from kinebench_drake.grounding.overrides.arrays import mask_files, read_masks
+from kinebench_drake.grounding.overrides.arrays import array_files, errors_naming, read_masks
 from kinebench_drake.grounding.overrides.depth import (
     check_depth_source,
-    depth_files,
     depth_source_files,
     depth_source_name,
     estimate_depth,
@@ -21,7 +19,7 @@ from kinebench_drake.grounding.overrides.depth import (
     read_depth,
 )
 from kinebench_drake.grounding.overrides.poses import pose_files, read_poses
-from kinebench_drake.types import InitialState, Priors
+from kinebench_drake.types import NO_PRIORS, InitialState, Priors
 
 TRUTH, TRACKS = "truth", "tracks"
 """Subfolder of a demonstration folder, and of the output folder of another run."""
@@ -104,9 +102,9 @@ class Overrides:
         files: list[Path] = []
         try:
             if self.masks is not None:
-                files += mask_files(find_entry(self.masks, video))
+                files += array_files(find_entry(self.masks, video))
             if self._depth_folder is not None:
-                files += depth_files(find_entry(self._depth_folder, video))
+                files += array_files(find_entry(self._depth_folder, video))
             if self.poses is not None:
                 files += pose_files(self.poses, find_entry(self.poses, video, (TRUTH, TRACKS)))
         except InputError:
@@ -128,25 +126,19 @@ class Overrides:
             InputError: a source has nothing for the video, does not fit it or is broken; the message names the option.
             SetupError: the plug-in cannot be created.
         """
-        mask, depth, poses = None, None, None
+        priors, mask, depth = NO_PRIORS, None, None
         if self.masks is not None:
-            with _naming("--masks"):
+            with errors_naming("--masks"):
                 mask = read_masks(find_entry(self.masks, video))
         if self._depth_folder is not None:
-            with _naming("--depth"):
+            with errors_naming("--depth"):
                 depth = read_depth(find_entry(self._depth_folder, video), exact=self.depth_exact)
         if self.poses is not None:
-            with _naming("--poses"):
-                poses = read_poses(self.poses, find_entry(self.poses, video, (TRUTH, TRACKS)), len(frames))
+            with errors_naming("--poses"):
+                priors = read_poses(self.poses, find_entry(self.poses, video, (TRUTH, TRACKS)), len(frames))
         if self._plug_in is not None:
             depth = estimate_depth(self._plug_in, frames, camera, exact=self.depth_exact)
-        priors = Priors(
-            initial_state=first,
-            mask=mask,
-            depth=depth,
-            X_CH=poses.X_CH if poses else None,
-            finger_width_m=poses.finger_width_m if poses else None,
-        )
+        priors = replace(priors, initial_state=first, mask=mask, depth=depth)
         priors.check_shapes(*frames.shape[:3])
         return priors
 
@@ -157,12 +149,3 @@ class Overrides:
     @property
     def _plug_in(self) -> str | None:
         return self.depth if self._depth_folder is None else None
-
-
-@contextmanager
-def _naming(option: str) -> Iterator[None]:
-    """Prefix the messages of input errors with the option."""
-    try:
-        yield
-    except InputError as error:
-        raise InputError(f"{option}: {error}") from None

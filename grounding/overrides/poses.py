@@ -2,7 +2,6 @@
 
 import io
 import re
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -10,24 +9,16 @@ from numpy.typing import NDArray
 
 from kinebench_drake.errors import InputError, cause
 from kinebench_drake.geometry import Array, checked_pose
-from kinebench_drake.grounding.overrides.arrays import open_archive, pick, read_npy
+from kinebench_drake.grounding.overrides.arrays import errors_naming, pick
 from kinebench_drake.io.files import read_text
+from kinebench_drake.io.npz import open_npz, read_npy
+from kinebench_drake.types import Priors
 
 MESH_NAME = "mesh_from_hand.txt"
 """File with the pose (4, 4) of panda_hand in the frame of the tracked mesh."""
 _FOUNDATION_POSE = "ob_in_cam"
 _FAR_M = 10.0
 _MAX_WIDTH_M, _TOLERANCE_M = 0.08, 0.01  # of the gripper width
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PoseOverrides:
-    """Poses and gripper widths of a video from another tracker."""
-
-    X_CH: Array
-    """(T, 4, 4) poses of panda_hand in the camera frame [m]; NaN where there is none."""
-    finger_width_m: Array | None = None
-    """(T,) gripper width, the gap between the pads [m]; NaN where unknown."""
 
 
 def pose_files(folder: Path, entry: Path) -> list[Path]:
@@ -37,8 +28,8 @@ def pose_files(folder: Path, entry: Path) -> list[Path]:
     return [*own, *([mesh] if mesh.is_file() else [])]
 
 
-def read_poses(folder: Path, entry: Path, frames: int) -> PoseOverrides:
-    """Read poses of panda_hand in the camera frame (OpenCV axes, metres).
+def read_poses(folder: Path, entry: Path, frames: int) -> Priors:
+    """Read poses of panda_hand in the camera frame (OpenCV axes, metres) and gripper widths, as priors.
 
     Args:
         folder: folder of all videos' poses; if it has a `mesh_from_hand.txt`, the poses are those of that mesh.
@@ -50,45 +41,46 @@ def read_poses(folder: Path, entry: Path, frames: int) -> PoseOverrides:
         InputError: it cannot be read, or its values are no poses.
     """
     width: Array | None = None
-    if entry.is_dir():
-        X_CM = _read_texts(entry, frames)
-    elif entry.suffix == ".npy":
-        X_CM = _numbers(read_npy(entry), entry)
-    else:
-        with open_archive(entry) as archive:
-            X_CM = _numbers(pick(archive, ("camera_from_hand",), entry)[1], entry)
-            if "finger_width_m" in archive.files:
-                width = _checked_width(_numbers(archive["finger_width_m"], entry), entry)
-            if "tracked" in archive.files and archive["tracked"].shape == X_CM.shape[:1]:
-                X_CM[~archive["tracked"].astype(bool)] = np.nan
-    if X_CM.ndim != 3 or X_CM.shape[1:] != (4, 4):
-        raise InputError(f"{entry.name}: the poses have shape {X_CM.shape}, expected (T, 4, 4)")
-    X_CH = _checked(X_CM, entry)
+    with errors_naming(entry):
+        if entry.is_dir():
+            X_CM = _read_texts(entry, frames)
+        elif entry.suffix == ".npy":
+            X_CM = _numbers(read_npy(entry))
+        else:
+            with open_npz(entry) as archive:
+                X_CM = _numbers(pick(archive, ("camera_from_hand",))[1])
+                if "finger_width_m" in archive.files:
+                    width = _checked_width(_numbers(archive["finger_width_m"]))
+                if "tracked" in archive.files and archive["tracked"].shape == X_CM.shape[:1]:
+                    X_CM[~archive["tracked"].astype(bool)] = np.nan
+        if X_CM.ndim != 3 or X_CM.shape[1:] != (4, 4):
+            raise InputError(f"the poses have shape {X_CM.shape}, expected (T, 4, 4)")
+        X_CH = _checked(X_CM)
     mesh = folder / MESH_NAME
     if mesh.is_file():
         X_CH = X_CH @ _rigid(_read_text(mesh), mesh.name)
-    return PoseOverrides(X_CH=X_CH, finger_width_m=width)
+    return Priors(X_CH=X_CH, finger_width_m=width)
 
 
-def _checked(X: Array, entry: Path) -> Array:
+def _checked(X: Array) -> Array:
     """Return the finite poses, made exactly rigid, and NaN elsewhere."""
     rigid = np.full_like(X, np.nan)
     for number in np.flatnonzero(np.isfinite(X).all(axis=(1, 2))):
-        rigid[number] = _rigid(X[number], f"{entry.name}: the pose of frame {number}")
+        rigid[number] = _rigid(X[number], f"the pose of frame {number}")
     p = rigid[np.isfinite(rigid).all(axis=(1, 2)), :3, 3]
     if len(p) and np.median(np.linalg.norm(p, axis=1)) > _FAR_M:
-        raise InputError(f"{entry.name}: positions lie more than {_FAR_M:g} m away; expected metres (millimetres?)")
+        raise InputError(f"positions lie more than {_FAR_M:g} m away; expected metres (millimetres?)")
     if len(p) and (p[:, 2] < 0).all():
-        raise InputError(f"{entry.name}: all poses lie behind the camera; expected OpenCV axes, z forward")
+        raise InputError("all poses lie behind the camera; expected OpenCV axes, z forward")
     return rigid
 
 
-def _checked_width(width_m: Array, entry: Path) -> Array:
+def _checked_width(width_m: Array) -> Array:
     finite = width_m[np.isfinite(width_m)]
     if len(finite) and not -_TOLERANCE_M <= finite.min() <= finite.max() <= _MAX_WIDTH_M + _TOLERANCE_M:
         raise InputError(
-            f"{entry.name}: finger_width_m goes from {finite.min():.4g} to {finite.max():.4g}, expected metres from "
-            f"0 to {_MAX_WIDTH_M:g} between the pads"
+            f"finger_width_m goes from {finite.min():.4g} to {finite.max():.4g}, expected metres from 0 to "
+            f"{_MAX_WIDTH_M:g} between the pads"
         )
     return np.clip(np.where(np.isfinite(width_m), width_m, np.nan), 0.0, _MAX_WIDTH_M)
 
@@ -100,9 +92,9 @@ def _rigid(X: Array, name: str) -> Array:
         raise InputError(f"{name} {error}") from None
 
 
-def _numbers(array: NDArray[np.generic], entry: Path) -> Array:
+def _numbers(array: NDArray[np.generic]) -> Array:
     if array.dtype.kind not in "iuf":
-        raise InputError(f"{entry.name}: holds {array.dtype}, expected numbers")
+        raise InputError(f"holds {array.dtype}, expected numbers")
     return array.astype(np.float64)
 
 
@@ -125,15 +117,15 @@ def _read_texts(folder: Path, frames: int) -> Array:
     """
     files = _numbered(folder)
     if not files:
-        raise InputError(f"{folder.name}/: holds no text files with numbered names, expected one for every frame")
+        raise InputError("holds no text files with numbered names, expected one for every frame")
     numbers = [number for number, _ in files]
     first, last = numbers[0], numbers[-1]
     if len(set(numbers)) < len(numbers):
-        raise InputError(f"{folder.name}/: two text files bear the same number, expected one for every frame")
+        raise InputError("two text files bear the same number, expected one for every frame")
     start = first if len(files) == frames == last - first + 1 else int(first > 0 and last == frames)
     if last - start >= frames:
         raise InputError(
-            f"{folder.name}/: text files are numbered {first} to {last}, expected 0 to {frames - 1} or 1 to {frames} "
+            f"text files are numbered {first} to {last}, expected 0 to {frames - 1} or 1 to {frames} "
             f"for the {frames} frames of the video"
         )
     X = np.full((frames, 4, 4), np.nan)

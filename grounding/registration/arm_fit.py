@@ -210,9 +210,8 @@ class ArmFitter:
         best: list[tuple[float, Array | None]] = []
         scored = _subsample(links)
         for postures in (q, flipped):
-            over = OVER_LIMIT_RAD
-            inside = ((postures >= self._model.lower - over) & (postures <= self._model.upper + over)).all(axis=1)
-            candidates = postures[inside]
+            lower, upper = self._model.lower - OVER_LIMIT_RAD, self._model.upper + OVER_LIMIT_RAD
+            candidates = postures[((postures >= lower) & (postures <= upper)).all(axis=1)]
             if not len(candidates):
                 best.append((_COST_CAP, None))
                 continue

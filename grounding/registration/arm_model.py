@@ -90,8 +90,7 @@ class ArmHandModel:
 
     def updated(self, step: Array) -> Self:
         """Return the arm after a change (8,) of its parameters, within the joint limits."""
-        over = OVER_LIMIT_RAD
-        q = np.clip(self.q + step[:7], self.model.lower - over, self.model.upper + over)
+        q = np.clip(self.q + step[:7], self.model.lower - OVER_LIMIT_RAD, self.model.upper + OVER_LIMIT_RAD)
         return replace(self, q=q, finger_m=clip_finger(self.finger_m + step[7]))
 
     def hand(self) -> tuple[Array, Array]:

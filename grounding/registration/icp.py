@@ -5,7 +5,6 @@ that points never match the far side. The largest distance of matched points shr
 ICP after Chen and Medioni (1992), robust kernels after Babin et al. (ICRA 2019) as in Open3D.
 """
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,8 +14,7 @@ from kinebench_drake.geometry import Array, invert, transform_points
 from kinebench_drake.grounding.view import GripperView
 from kinebench_drake.models.panda.cad import GripperCad
 
-GATES_M = (0.03, 0.015, 0.008, 0.004)
-"""Largest distance between matched points in each pass [m]."""
+_GATES_M = (0.03, 0.015, 0.008, 0.004)  # largest distance between matched points in each pass
 _MIN_POINTS = 30
 _MAX_ITERATIONS = 12
 _EDGE_JUMP = 0.03  # relative depth step to an adjacent cell that marks a depth edge
@@ -35,31 +33,19 @@ def gripper_cloud(view: GripperView) -> Array:
     return np.asarray(view.rays()[keep] * depth[keep][:, None])
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Registration:
-    """Pose refined by ICP."""
-
-    X_VH: Array
-    """(4, 4) pose of panda_hand in the crop's camera V [m]."""
-    fitness: float
-    """Fraction of the observed points within the last gate of the visible surface."""
-    rmse_m: float
-    """Root mean square distance of those points [m]."""
-
-
 class IcpRefiner:
     """Open3D ICP against the visible surface of the gripper."""
 
-    def __init__(self, cad: GripperCad, gates_m: tuple[float, ...] = GATES_M) -> None:
+    def __init__(self, cad: GripperCad) -> None:
         native.prepare_open3d()
         import open3d
 
-        self._cad, self._gates = cad, gates_m
+        self._cad = cad
         self._geometry: Any = open3d.geometry
         self._vector = open3d.utility.Vector3dVector
         self._icp: Any = open3d.pipelines.registration
 
-    def refine(self, view: GripperView, X_VH: Array, finger_m: float) -> Registration | None:
+    def refine(self, view: GripperView, X_VH: Array, finger_m: float) -> Array | None:
         """Refine `X_VH` (4, 4) on the view's cloud, fingers at travel `finger_m`; None if too few points match."""
         cloud_V = gripper_cloud(view)
         if len(cloud_V) < _MIN_POINTS:
@@ -67,8 +53,7 @@ class IcpRefiner:
         rays = view.rays().reshape(-1, 3)
         source, target = self._geometry.PointCloud(), self._geometry.PointCloud()
         source.points = self._vector(cloud_V)
-        fitness, rmse = 0.0, float("nan")
-        for gate in self._gates:
+        for gate in _GATES_M:
             surface = self._cad.cast(X_VH, rays, finger_m)
             hit = surface.part > 0
             if hit.sum() < _MIN_POINTS:
@@ -81,5 +66,4 @@ class IcpRefiner:
             if len(result.correspondence_set) < _MIN_POINTS:
                 return None
             X_VH = invert(result.transformation)
-            fitness, rmse = float(result.fitness), float(result.inlier_rmse)
-        return Registration(X_VH=X_VH, fitness=fitness, rmse_m=rmse)
+        return X_VH

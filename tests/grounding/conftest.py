@@ -1,10 +1,12 @@
-"""Views of the gripper made from the CAD model alone: what a perfect network would say."""
+"""Views of the gripper rendered from the CAD model: estimates of a perfect network."""
 
 import numpy as np
 import pytest
 
 from kinebench_drake.geometry import Array, invert, make_pose, rotation_exp, transform_points
 from kinebench_drake.grounding.crop import Crop
+from kinebench_drake.grounding.frame_pose import FramePose
+from kinebench_drake.grounding.registration.fit import fit
 from kinebench_drake.grounding.view import GripperView
 from kinebench_drake.models.panda.cad import GripperCad
 from kinebench_drake.models.panda.robot import RobotPart
@@ -53,4 +55,20 @@ def perfect_view(
         depth_factor_sigma=0.012,
         coordinates_P=p_H + rng.normal(0, noise_m, p_H.shape),
         coordinates_sigma_m=np.full(part.shape, max(noise_m, 1e-3)),
+    )
+
+
+def fitted_pose(view: GripperView) -> FramePose:
+    """The pose of a frame whose hand is fitted to `view`, without an arm."""
+    hand = fit(view)
+    assert hand is not None
+    return FramePose(
+        X_CH=hand.X_CH,
+        finger_m=0.02,
+        finger_sigma_m=1e-3,
+        hand=hand,
+        hand_without_silhouette=hand,
+        arm=None,
+        view=view,
+        overlap=0.95,
     )

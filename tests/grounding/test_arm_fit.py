@@ -80,7 +80,9 @@ def views(model: ArmModel, q: Array, seed: int) -> tuple[Array, GripperView, Gri
     return X_CH, close, wide
 
 
-def test_the_arm_tells_how_far_away_the_hand_is(scene: tuple[Array, GripperView, GripperView], model: ArmModel) -> None:
+def test_the_arm_determines_the_distance_of_the_hand(
+    scene: tuple[Array, GripperView, GripperView], model: ArmModel
+) -> None:
     X_CH, close, wide = scene
     hand = fit(close)
     assert hand is not None
@@ -141,7 +143,7 @@ def test_too_little_of_an_arm_is_no_arm(scene: tuple[Array, GripperView, Gripper
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_misread_hand_is_found_from_the_frame_before(model: ArmModel, seed: int) -> None:
-    """Seen from its narrow side, all CAD coordinates turned by 30 degrees: outline and arm tell otherwise."""
+    """Seen from its narrow side, all CAD coordinates rotated by 30 degrees, unlike silhouette and arm."""
     X_CH, close, wide = views(model, posture(seed) + np.pi / 2 * np.eye(7)[6], seed)
     silhouette = SilhouetteMatcher(GripperCad())
     hand = fit(close)

@@ -36,7 +36,7 @@ def test_a_calibrated_confidence_is_reliable_and_a_boastful_one_is_not() -> None
     assert sum(n for _, _, n in reliability(p, good)) == len(good)
 
 
-def test_frames_without_neighbours_are_told_apart_and_say_nothing_of_distance() -> None:
+def test_frames_without_neighbours_have_their_own_feature_and_no_distance() -> None:
     confidence, distance, angle = (
         np.array([0.5, 0.5, 1.0]),
         np.array([0.01, np.nan, 0.1]),

@@ -3,29 +3,17 @@ import numpy as np
 from kinebench_drake.geometry import Array, pose_difference
 from kinebench_drake.grounding.flips import X_HALF_TURN, flip_evidence, resolve_flips
 from kinebench_drake.grounding.frame_pose import FramePose
-from kinebench_drake.grounding.registration.fit import Fit, fit
 from kinebench_drake.models.panda.cad import GripperCad
-from tests.grounding.conftest import hand_pose, perfect_view
+from tests.grounding.conftest import fitted_pose, hand_pose, perfect_view
 
 
 def frame_pose(cad: GripperCad, X_CH: Array, *, turned: bool, noise_m: float = 0.002) -> FramePose:
-    """What the tracker hands on when the network reads the gripper right, or turned with little confidence."""
+    """The measurement of a frame whose CAD coordinates are right, or flipped with a large sigma."""
     view = perfect_view(cad, X_CH, noise_m=noise_m)
     if turned:
         view.coordinates_P[..., :2] *= -1.0
         view.coordinates_sigma_m[:] = 0.05
-    found = fit(view)
-    assert isinstance(found, Fit)
-    return FramePose(
-        X_CH=found.X_CH,
-        finger_m=0.02,
-        finger_sigma_m=1e-3,
-        hand=found,
-        hand_without_silhouette=found,
-        arm=None,
-        view=view,
-        overlap=1.0,
-    )
+    return fitted_pose(view)
 
 
 def test_a_right_reading_has_evidence_for_it(cad: GripperCad) -> None:

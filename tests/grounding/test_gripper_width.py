@@ -19,8 +19,8 @@ def test_what_is_known_is_not_touched() -> None:
 def test_a_hidden_stretch_keeps_what_was_seen_before_and_after() -> None:
     wild, sigma = WIDTH.copy(), np.full(30, 1e-3)
     wild[20:24], sigma[20:24] = 0.06, 0.012  # fingers behind each other
-    told = smooth_gripper_width(wild, sigma)
-    assert not (told > 0.015).any(where=np.arange(30) >= 15)
+    smoothed = smooth_gripper_width(wild, sigma)
+    assert not (smoothed > 0.015).any(where=np.arange(30) >= 15)
     wild[20:24] = np.nan
     assert smooth_gripper_width(wild, sigma)[20:24].max() < 0.005
 
@@ -29,9 +29,9 @@ def test_fingers_open_at_once_and_not_little_by_little() -> None:
     width, sigma = np.where(np.arange(30) < 18, 0.04, 0.08), np.full(30, 1e-3)
     sigma[10:18] = 0.006  # half hidden while they hold, and read too wide by and by
     width = width + np.where(sigma > 1e-3, np.linspace(0.0, 0.008, 30), 0.0)
-    told = smooth_gripper_width(width, sigma)
-    assert (np.abs(told[:17] - 0.04) < 0.004).all()
-    assert (np.abs(told[19:] - 0.08) < 0.002).all()
+    smoothed = smooth_gripper_width(width, sigma)
+    assert (np.abs(smoothed[:17] - 0.04) < 0.004).all()
+    assert (np.abs(smoothed[19:] - 0.08) < 0.002).all()
 
 
 def test_moving_fingers_go_on_where_they_are_hidden() -> None:
@@ -44,6 +44,6 @@ def test_what_nobody_tells_is_unknown() -> None:
     width, sigma = np.full(30, np.nan), np.full(30, np.nan)
     assert np.isnan(smooth_gripper_width(width, sigma)).all()
     width[:3], sigma[:3] = 0.03, 1e-3
-    told = np.isfinite(smooth_gripper_width(width, sigma))
-    assert told[:4].all()
-    assert not told[15:].any()
+    smoothed = np.isfinite(smooth_gripper_width(width, sigma))
+    assert smoothed[:4].all()
+    assert not smoothed[15:].any()

@@ -1,4 +1,4 @@
-"""The outline of a mask, on masks rendered from the CAD model."""
+"""Fits to the silhouette of the gripper, on masks rendered from the CAD model."""
 
 import numpy as np
 import pytest
@@ -22,8 +22,8 @@ def silhouette() -> SilhouetteMatcher:
     return SilhouetteMatcher(GripperCad())
 
 
-def seen(X: Array) -> GripperView:
-    """A view that shows the outline of a gripper at `X` (4, 4) and nothing else."""
+def mask_view(X: Array) -> GripperView:
+    """A view with the mask of a gripper at `X` (4, 4), without depth and CAD coordinates."""
     crop = Crop.of_gripper(X_CH, 1.3, CLOSE_SIZE)
     n = CLOSE_SIZE // 2
     part = GripperCad().cast(invert(crop.X_CV) @ X, crop.rays(2).reshape(-1, 3), FINGER_M).part.reshape(n, n)
@@ -48,11 +48,11 @@ def moved(turn: list[float], shift: list[float]) -> Array:
 @pytest.mark.parametrize(
     ("turn", "shift"), [([0.0, 0.0, 0.12], [0.006, 0.0, 0.0]), ([0.1, 0.0, 0.1], [0.0, 0.012, -0.012])]
 )
-def test_an_outline_alone_leads_back_to_the_pose(
+def test_a_silhouette_alone_leads_back_to_the_pose(
     silhouette: SilhouetteMatcher, turn: list[float], shift: list[float]
 ) -> None:
-    """Across the line of sight, that is: along it an outline says little."""
-    view = seen(X_CH)
+    """Across the line of sight: the distance is poorly determined."""
+    view = mask_view(X_CH)
     hand = HandModel(X_CH=moved(turn, shift), finger_m=FINGER_M, finger_free=False)
     before = silhouette.overlap(view, hand.X_CH, FINGER_M)
     for _ in range(4):
@@ -71,7 +71,7 @@ def test_an_outline_alone_leads_back_to_the_pose(
 
 
 def test_a_pose_that_fits_is_left_where_it_is(silhouette: SilhouetteMatcher) -> None:
-    view = seen(X_CH)
+    view = mask_view(X_CH)
     rim = silhouette.match(view, X_CH, FINGER_M)
     assert rim is not None
     p_C, _ = HandModel(X_CH=X_CH, finger_m=FINGER_M, finger_free=False).predict(rim)
@@ -80,9 +80,9 @@ def test_a_pose_that_fits_is_left_where_it_is(silhouette: SilhouetteMatcher) -> 
 
 
 @pytest.mark.parametrize("side", [0, 1])
-def test_the_edge_of_the_picture_is_no_outline(silhouette: SilhouetteMatcher, side: int) -> None:
+def test_the_image_border_is_no_silhouette(silhouette: SilhouetteMatcher, side: int) -> None:
     """A gripper that is half out of the picture: its pose stays, and what is in the picture is covered."""
-    view = seen(X_CH)
+    view = mask_view(X_CH)
     middle = int(np.mean(np.nonzero(view.part)[side]))
     np.moveaxis(view.in_image, side, 0)[middle:] = False
     view.part[~view.in_image] = 0
@@ -94,17 +94,17 @@ def test_the_edge_of_the_picture_is_no_outline(silhouette: SilhouetteMatcher, si
     assert silhouette.overlap(view, X_CH, FINGER_M) == 1.0
 
 
-def test_what_an_outline_does_not_say_has_no_weight(silhouette: SilhouetteMatcher) -> None:
+def test_unconstrained_directions_have_no_weight(silhouette: SilhouetteMatcher) -> None:
     """Along itself and along the line of sight: points moved there cost nothing."""
-    rim = silhouette.match(seen(X_CH), X_CH, FINGER_M)
+    rim = silhouette.match(mask_view(X_CH), X_CH, FINGER_M)
     assert rim is not None
     assert np.isinf(rim.sigma_m[:, 1]).all()
     assert np.isinf(rim.range_sigma).all()
     assert np.isfinite(rim.sigma_m[:, 0]).all()
 
 
-def test_where_the_arm_begins_there_is_no_outline(silhouette: SilhouetteMatcher) -> None:
-    view = seen(X_CH)
+def test_the_border_to_the_arm_is_no_silhouette(silhouette: SilhouetteMatcher) -> None:
+    view = mask_view(X_CH)
     rim = silhouette.match(view, X_CH, FINGER_M)
     rows = np.flatnonzero((view.part > 0).any(axis=1))
     view.part[: rows[0] + len(rows) // 2][view.part[: rows[0] + len(rows) // 2] == 0] = RobotPart.LINK7
@@ -114,15 +114,15 @@ def test_where_the_arm_begins_there_is_no_outline(silhouette: SilhouetteMatcher)
     assert 0 < len(less) < 0.8 * len(rim)
 
 
-def test_nothing_seen_is_no_outline(silhouette: SilhouetteMatcher) -> None:
-    view = seen(X_CH)
+def test_an_empty_mask_has_no_silhouette(silhouette: SilhouetteMatcher) -> None:
+    view = mask_view(X_CH)
     view.part[:] = 0
     assert silhouette.match(view, X_CH, FINGER_M) is None
     assert silhouette.overlap(view, X_CH, FINGER_M) == 0.0
 
 
-def test_outline_and_cells_go_together(silhouette: SilhouetteMatcher) -> None:
-    view = seen(X_CH)
+def test_silhouette_and_cells_can_be_joined(silhouette: SilhouetteMatcher) -> None:
+    view = mask_view(X_CH)
     rim = silhouette.match(view, X_CH, FINGER_M)
     assert rim is not None
     cells = gripper_cells(view)

@@ -1,9 +1,19 @@
+"""Smoothing of poses, and which poses it starts from."""
+
+from dataclasses import replace
+
 import numpy as np
+import pytest
 
 from kinebench_drake.geometry import Array, make_pose, pose_difference, rotation_exp
-from kinebench_drake.grounding.smoothing import smooth_track
+from kinebench_drake.grounding.frame_pose import FramePose
+from kinebench_drake.grounding.smoothing import RawTrack, smooth_track
+from kinebench_drake.models.panda.cad import GripperCad
+from kinebench_drake.types import Anomaly, AnomalyKind
+from tests.grounding.conftest import fitted_pose, hand_pose, perfect_view
 
 FRAMES = 40
+N_RAW = 12
 EQUAL = np.zeros((FRAMES, 6, 6))
 
 
@@ -48,18 +58,18 @@ def test_jumps_are_kept_and_gaps_stay_open() -> None:
     assert np.nanmax(pose_difference(X, Z)[0]) < 2e-3
 
 
-def test_neighbours_alone_tell_a_wild_frame_from_a_good_one() -> None:
+def test_a_prediction_by_neighbours_separates_outliers() -> None:
     X = motion()
     Y = noisy(X, 0.001)
     Y[20, :3, 3] += 0.08
-    told = smooth_track(Y, EQUAL, np.ones(len(X)), leave_out=True)
-    distance = pose_difference(Y, told)[0]
+    predicted = smooth_track(Y, EQUAL, np.ones(len(X)), leave_out=True)
+    distance = pose_difference(Y, predicted)[0]
     assert distance[20] > 0.06
     assert np.nanmedian(distance) < 0.005
     assert np.isnan(smooth_track(X[:4], EQUAL[:4], np.ones(4), leave_out=True)).all()
 
 
-def test_what_a_frame_knows_well_is_listened_to() -> None:
+def test_precise_directions_of_a_frame_have_more_weight() -> None:
     X = motion()
     rng = np.random.default_rng(0)
     far = np.where(rng.random(FRAMES) < 0.5, 0.012, 0.0005)  # some frames see badly how far away the hand is
@@ -67,6 +77,59 @@ def test_what_a_frame_knows_well_is_listened_to() -> None:
     Y[:, 2, 3] += far * rng.normal(size=FRAMES)
     covariance = np.zeros((FRAMES, 6, 6))
     covariance[:, 5, 5] = far**2
-    told, untold = (smooth_track(Y, c, np.ones(FRAMES)) for c in (covariance, EQUAL))
-    error = [np.sqrt((pose_difference(X, Z)[0] ** 2).mean()) for Z in (told, untold)]
+    weighted, unweighted = (smooth_track(Y, c, np.ones(FRAMES)) for c in (covariance, EQUAL))
+    error = [np.sqrt((pose_difference(X, Z)[0] ** 2).mean()) for Z in (weighted, unweighted)]
     assert error[0] < 0.6 * error[1]
+
+
+@pytest.fixture(scope="module")
+def pose(cad: GripperCad) -> FramePose:
+    return fitted_pose(perfect_view(cad, hand_pose(1)))
+
+
+def made(pose: FramePose, confidence: np.ndarray, anomalies: tuple[Anomaly, ...] = (), **known: np.ndarray) -> RawTrack:
+    return RawTrack.from_poses(
+        [None if c == 0.0 else pose for c in confidence],
+        confidence,
+        anomalies,
+        known.get("lost", np.zeros(N_RAW, dtype=bool)),
+        known.get("X_prior", np.full((N_RAW, 4, 4), np.nan)),
+    )
+
+
+def test_what_is_no_gripper_is_left_out(pose: FramePose) -> None:
+    confidence = np.full(N_RAW, 0.9)
+    confidence[[0, 1]] = 0.0, 0.01
+    gone = Anomaly(kind=AnomalyKind.VANISH, frame_start=4, frame_end=6, severity=3.0)
+    lost = np.arange(N_RAW) == 9
+    assert np.flatnonzero(made(pose, confidence, (gone,), lost=lost).has_pose).tolist() == [2, 3, 7, 8, 10, 11]
+
+
+def test_nothing_is_smoothed_across_a_jump(pose: FramePose) -> None:
+    jump = Anomaly(kind=AnomalyKind.TELEPORT, frame_start=6, frame_end=6, severity=0.1)
+    raw = made(pose, np.full(N_RAW, 0.9), (jump,))
+    X_AH = raw.X_AH.copy()
+    X_AH[6:, 0, 3] += 0.1
+    smooth = replace(raw, X_AH=X_AH).smooth(np.ones(N_RAW, dtype=bool), raw.confidence)
+    np.testing.assert_allclose(smooth, X_AH, atol=1e-9)
+
+
+def test_given_poses_are_certain_and_stay(pose: FramePose) -> None:
+    X_prior = np.full((N_RAW, 4, 4), np.nan)
+    X_prior[3] = pose.X_CH
+    X_prior[3, :3, 3] += 0.05
+    confidence = np.full(N_RAW, 0.9)
+    confidence[3] = 0.0
+    raw = made(pose, confidence, X_prior=X_prior)
+    assert raw.from_prior.nonzero()[0].tolist() == [3]
+    assert raw.confidence[3] == 1.0
+    np.testing.assert_array_equal(raw.smooth(raw.has_pose, raw.confidence)[3], X_prior[3])
+
+
+def test_a_frame_that_its_neighbours_deny_shows_it(pose: FramePose) -> None:
+    raw = made(pose, np.full(N_RAW, 0.9))
+    X_AH = raw.X_AH.copy()
+    X_AH[6, :3, 3] += 0.1
+    distance = replace(raw, X_AH=X_AH).features()[:, 1]
+    assert distance.argmax() == 6
+    assert distance[6] == pytest.approx(np.log(np.sqrt(3) * 0.1 / 0.01), abs=0.1)

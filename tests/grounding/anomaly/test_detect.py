@@ -38,7 +38,7 @@ def test_a_clean_video_has_none_and_a_score_of_every_kind(clean):
     assert max(found.scores.values()) < 1.0
 
 
-def test_anomalies_are_told_exactly_where_scores_reach_one(clean):
+def test_anomalies_are_reported_exactly_where_scores_reach_one(clean):
     p = clean.p_C.copy()
     p[30:] += [0.0, 0.1, 0.0]
     other = clean.other.copy()
@@ -46,8 +46,8 @@ def test_anomalies_are_told_exactly_where_scores_reach_one(clean):
     found = find_anomalies(replace(clean, p_C=p, other=other))
     assert [a.kind for a in found.anomalies] == [AnomalyKind.DUPLICATE, AnomalyKind.TELEPORT]
     assert {kind for kind, score in found.scores.items() if score >= 1.0} == {a.kind for a in found.anomalies}
-    assert found.by_kind[AnomalyKind.TELEPORT].within(29, 31) >= 1.0
-    assert found.by_kind[AnomalyKind.TELEPORT].within(0, 25) < 1.0
+    assert found.by_kind[AnomalyKind.TELEPORT].score[29:32].max() >= 1.0
+    assert found.by_kind[AnomalyKind.TELEPORT].score[:26].max() < 1.0
 
 
 def test_the_jump_at_the_end_of_a_freeze_is_part_of_it(clean):

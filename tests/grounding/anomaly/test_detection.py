@@ -1,14 +1,17 @@
 import numpy as np
 
-from kinebench_drake.grounding.anomaly.detection import detection_segments, finite_median, sustained
+from kinebench_drake.grounding.anomaly.detection import Detection, finite_median, sustained
+from kinebench_drake.types import AnomalyKind
 
 
-def test_runs_cover_what_is_true():
-    flags = np.array([1, 1, 0, 1, 0, 0, 1], dtype=bool)
-    assert list(detection_segments(flags)) == [(0, 1), (3, 3), (6, 6)]
+def test_an_anomaly_is_a_run_of_scores_of_one_or_more_and_as_severe_as_its_worst_frame():
+    score = np.array([1.0, 1.2, 0.9, 2.0, 0.0, 0.0, 1.0])
+    detection = Detection.from_score(AnomalyKind.SCALE, score, 10 * score)
+    runs = [(a.frame_start, a.frame_end, a.severity) for a in detection.anomalies]
+    assert runs == [(0, 1, 12.0), (3, 3, 20.0), (6, 6, 10.0)]
 
 
-def test_held_levels_short_peaks_and_keeps_long_ones():
+def test_short_peaks_are_levelled_and_long_ones_kept():
     values = np.array([0, 5, 5, 0, 2, 3, 4, 3, 0, np.nan, 9], dtype=float)
     assert sustained(values, 3).tolist() == [0, 0, 0, 0, 2, 3, 3, 3, 0, 0, 0]
     assert sustained([1.0, 2.0], 3).tolist() == [0, 0]

@@ -1,7 +1,14 @@
 import numpy as np
 import pytest
 
-from kinebench_drake.grounding.anomaly.jumps import find_teleports, jump_lengths
+from kinebench_drake.grounding.anomaly.jumps import (
+    MAX_WIDTH_M,
+    find_finger_faults,
+    find_freezes,
+    find_teleports,
+    jump_lengths,
+    still_frames,
+)
 
 
 def test_a_smooth_noisy_path_has_no_jump(reach, seen):
@@ -63,3 +70,78 @@ def test_a_jump_to_a_doubtful_frame_is_none(reach, seen):
     assert find_teleports(p, seen, seen).peak > 1.0
     doubtful = seen & (np.arange(len(seen)) != 20)
     assert find_teleports(p, seen, doubtful).peak < 1.0
+
+
+@pytest.mark.parametrize("length", [5, 8])
+def test_a_freeze_begins_in_motion_and_ends_with_a_jump(reach, seen, t_s, length):
+    p = reach(noise_m=0.001)
+    p[20 : 20 + length] = p[19]
+    still = np.zeros(49, dtype=bool)
+    still[20 : 20 + length] = True
+    (found,) = find_freezes(p, seen, still, t_s).anomalies
+    assert (found.frame_start, found.frame_end, found.severity) == (20, 19 + length, length)
+
+
+def test_a_dwell_is_no_freeze(seen, t_s):
+    s = np.concatenate([np.sin(np.linspace(0, np.pi / 2, 20)), np.ones(10), np.cos(np.linspace(0, np.pi / 2, 19))])
+    p = np.stack([0.3 * s, 0 * s, 0 * s + 0.6], axis=1)
+    still = np.zeros(49, dtype=bool)
+    still[20:30] = True
+    assert find_freezes(p, seen, still, t_s).peak < 1.0
+
+
+def test_a_pause_of_a_moving_picture_is_no_freeze(reach, seen, t_s):
+    assert find_freezes(reach(), seen, np.zeros(49, dtype=bool), t_s).peak == 0.0
+
+
+def test_repeated_pictures_are_still_and_moving_ones_are_not():
+    rng = np.random.default_rng(0)
+    frames = np.zeros((6, 96, 96, 3), np.uint8)
+    for i, x in enumerate((10, 16, 22, 22, 22, 28)):
+        frames[i, 30:60, x : x + 30] = 200
+    noisy = np.clip(frames + rng.normal(0, 2, frames.shape), 0, 255).astype(np.uint8)
+    assert still_frames(noisy).tolist() == [False, False, False, True, True, False]
+
+
+def grasp(seed, noise_m=0.003):
+    """Fingers that close as fast as they can at frame 15 and open at frame 35."""
+    frames = np.arange(49.0)
+    width = np.interp(frames, [15, 18.5, 35, 38.5], [0.075, 0.01, 0.01, 0.075])
+    return np.clip(width + np.random.default_rng(seed).normal(0, noise_m, 49), 0.0, MAX_WIDTH_M)
+
+
+def test_fingers_as_fast_as_the_makers_limit_are_plausible(t_s):
+    for seed in range(60):
+        assert find_finger_faults(grasp(seed), t_s).peak < 1.0
+
+
+@pytest.mark.parametrize("size_m", [0.05, 0.06])
+def test_a_jump_of_the_fingers_is_named_where_it_is(t_s, size_m):
+    for seed in range(20):
+        width = grasp(seed)
+        width[26:30] += size_m
+        found = find_finger_faults(width, t_s).anomalies
+        assert [abs(a.frame_start - f) <= 1 for a, f in zip(found, (26, 30), strict=True)] == [True, True]
+
+
+def test_a_flutter_is_named_and_one_wild_frame_is_not(t_s):
+    width = grasp(1)
+    width[22:30] += 0.02 + 0.02 * (-1.0) ** np.arange(8)
+    (found,) = find_finger_faults(width, t_s).anomalies
+    assert abs(found.frame_start - 22) <= 1
+    assert abs(found.frame_end - 29) <= 1
+    wild = grasp(1)
+    wild[25] += 0.05
+    assert find_finger_faults(wild, t_s).anomalies == ()
+
+
+def test_a_gap_wider_than_the_gripper_is_impossible(t_s):
+    assert find_finger_faults(np.full(49, 0.12), t_s).anomalies
+    assert not find_finger_faults(np.full(49, 0.08), t_s).anomalies
+
+
+def test_unknown_gaps_say_nothing(t_s):
+    width = grasp(0)
+    width[::2] = np.nan
+    assert find_finger_faults(width, t_s).peak < 1.0
+    assert find_finger_faults(np.full(49, np.nan), t_s).peak == 0.0

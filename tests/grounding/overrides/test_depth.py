@@ -17,7 +17,7 @@ MM = np.rint(DEPTH_M * 1000).astype(np.uint16)
 def test_depth_comes_back_in_metres(tmp_path: Path) -> None:
     np.savez(tmp_path / "metres.npz", depth_m=DEPTH_M.astype(np.float32))
     np.savez(tmp_path / "millimetres.npz", depth_mm=MM)
-    np.savez(tmp_path / "told_by_type.npz", depth=MM)
+    np.savez(tmp_path / "type.npz", depth=MM)
     np.save(tmp_path / "metres.npy", np.where(DEPTH_M > 0, DEPTH_M, np.nan))
     np.save(tmp_path / "signed.npy", np.where(DEPTH_M > 0, DEPTH_M, -1.0))
     np.save(tmp_path / "millimetres.npy", MM)
@@ -28,9 +28,9 @@ def test_depth_comes_back_in_metres(tmp_path: Path) -> None:
     assert len(entries) == 7
     for entry in entries:
         for exact in (False, True):
-            given = read_depth(entry, exact=exact)
-            np.testing.assert_allclose(given.depth_m, DEPTH_M, atol=1e-6, err_msg=entry.name)
-            assert given.exact is exact
+            depth = read_depth(entry, exact=exact)
+            np.testing.assert_allclose(depth.depth_m, DEPTH_M, atol=1e-6, err_msg=entry.name)
+            assert depth.exact is exact
 
 
 def test_the_truth_of_a_demonstration_is_exact_and_not_cut(tmp_path: Path) -> None:
@@ -38,25 +38,25 @@ def test_the_truth_of_a_demonstration_is_exact_and_not_cut(tmp_path: Path) -> No
     cut = np.floor(true_m * 1000 + 1e-9).astype(np.uint16)
     mask = np.packbits(DEPTH_M > 0.5, axis=-1)
     np.savez(tmp_path / "v.npz", depth_mm=cut, mask=mask, camera_from_hand=np.zeros((4, 4, 4)))
-    given = read_depth(tmp_path / "v.npz")
-    assert given.exact
-    np.testing.assert_allclose(given.depth_m, true_m, atol=1e-9)
+    depth = read_depth(tmp_path / "v.npz")
+    assert depth.exact
+    np.testing.assert_allclose(depth.depth_m, true_m, atol=1e-9)
 
 
-def test_what_is_no_depth_is_told(tmp_path: Path) -> None:
+def test_what_is_no_depth_is_refused(tmp_path: Path) -> None:
     np.save(tmp_path / "unit.npy", DEPTH_M * 1000)
     np.save(tmp_path / "nothing.npy", np.full((2, 4, 4), np.inf))
     np.save(tmp_path / "truth_values.npy", DEPTH_M > 0)
     np.savez(tmp_path / "other.npz", disparity=DEPTH_M)
     (tmp_path / "dark").mkdir()
     Image.fromarray(np.zeros((4, 4), np.uint8)).save(tmp_path / "dark" / "0.png")
-    told = {
+    expected = {
         "unit.npy": "another unit",
         "nothing.npy": "no depth is known",
         "truth_values.npy": "bool",
         "other.npz": "holds disparity; expected depth_m or",
         "dark": "16-bit",
     }
-    for name, message in told.items():
+    for name, message in expected.items():
         with pytest.raises(InputError, match=message):
             read_depth(tmp_path / name)

@@ -1,4 +1,4 @@
-"""Depth of other programs: what they are told, what is taken from them, and what is said when they are not there."""
+"""Depth of other programs: input, output, and errors when they are missing."""
 
 import sys
 from collections.abc import Callable, Iterator
@@ -68,15 +68,15 @@ def camera() -> Camera:
 
 
 def test_a_class_of_the_working_directory_gives_depth(here: Path, camera: Camera) -> None:
-    given = estimate_depth("a_depth_of_mine:Red", FRAMES, camera)
-    np.testing.assert_allclose(given.depth_m, 0.5 + FRAMES[..., 0] / 255, atol=1e-6)
-    assert not given.exact
+    depth = estimate_depth("a_depth_of_mine:Red", FRAMES, camera)
+    np.testing.assert_allclose(depth.depth_m, 0.5 + FRAMES[..., 0] / 255, atol=1e-6)
+    assert not depth.exact
     assert depth_source_files("a_depth_of_mine:Red") == [here / "a_depth_of_mine.py"]
 
 
 @pytest.mark.usefixtures("here")
 @pytest.mark.parametrize(
-    ("spec", "told"),
+    ("spec", "message"),
     [
         ("no_such_module:Depth", "no module 'no_such_module'.*working directory"),
         ("a_depth_of_mine:Blue", "has no Blue"),
@@ -86,13 +86,13 @@ def test_a_class_of_the_working_directory_gives_depth(here: Path, camera: Camera
         ("nowhere", "module:Class"),
     ],
 )
-def test_what_is_not_there_is_told_before_any_work(spec: str, told: str) -> None:
-    with pytest.raises(UsageError, match=told):
+def test_missing_plug_ins_are_refused_before_any_work(spec: str, message: str) -> None:
+    with pytest.raises(UsageError, match=message):
         check_depth_source(spec)
 
 
 @pytest.mark.usefixtures("here")
-def test_what_goes_wrong_in_a_class_is_told(camera: Camera) -> None:
+def test_errors_of_a_class_are_reported(camera: Camera) -> None:
     with pytest.raises(SetupError, match=r"NeedsArguments.*device"):
         estimate_depth("a_depth_of_mine:NeedsArguments", FRAMES, camera)
     with pytest.raises(InputError, match="another unit"):
@@ -134,17 +134,17 @@ def moge(monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
     return install
 
 
-def test_moge_is_told_the_field_of_view(moge: Callable[[], None], tmp_path: Path, camera: Camera) -> None:
+def test_moge_is_given_the_field_of_view(moge: Callable[[], None], tmp_path: Path, camera: Camera) -> None:
     checkpoint = tmp_path / "model.pt"
     checkpoint.touch()
     spec = f"moge:{checkpoint}"
     with pytest.raises(UsageError, match="not installed; pip install"):
         check_depth_source(spec)
     moge()
-    given = estimate_depth(spec, FRAMES, camera)
+    depth = estimate_depth(spec, FRAMES, camera)
     red = FRAMES[..., 0] / 255
-    np.testing.assert_allclose(given.depth_m, np.where(red > 0.2, red, 0.0), atol=1e-6)
-    assert not given.exact
+    np.testing.assert_allclose(depth.depth_m, np.where(red > 0.2, red, 0.0), atol=1e-6)
+    assert not depth.exact
     model = load_depth_source(spec)._model  # type: ignore[attr-defined]
     assert model.checkpoint == str(checkpoint)
     assert [a.image.shape for a in model.asked] == [(3, 48, 64)] * 3

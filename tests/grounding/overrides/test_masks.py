@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from kinebench_drake.errors import InputError
-from kinebench_drake.grounding.overrides.arrays import mask_files, read_masks
+from kinebench_drake.grounding.overrides.arrays import array_files, read_masks
 
 Masks = NDArray[np.bool_]
 MASKS: Masks = np.random.default_rng(0).random((11, 6, 10)) < 0.4
@@ -52,10 +52,10 @@ def truth(path: Path) -> Path:
 def test_masks_come_back_as_written(tmp_path: Path, write: Callable[[Path], Path]) -> None:
     entry = write(tmp_path)
     np.testing.assert_array_equal(read_masks(entry), MASKS)
-    assert len(mask_files(entry)) == (11 if entry.is_dir() else 1)
+    assert len(array_files(entry)) == (11 if entry.is_dir() else 1)
 
 
-def test_what_is_no_mask_is_told(tmp_path: Path) -> None:
+def test_what_is_no_mask_is_refused(tmp_path: Path) -> None:
     np.save(tmp_path / "soft.npy", np.full((2, 4, 4), 0.3))
     np.savez(tmp_path / "other.npz", frames=MASKS)
     np.save(tmp_path / "turned_round.npy", np.ones((2, 40, 40)) - np.eye(40))
@@ -63,7 +63,7 @@ def test_what_is_no_mask_is_told(tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
     uneven = pngs(tmp_path / "uneven", np.zeros((2, 4, 4), np.uint8))
     Image.fromarray(np.zeros((5, 4), np.uint8)).save(uneven / "mask_2.png")
-    told = {
+    expected = {
         "soft.npy": "besides 0 and 1",
         "turned_round.npy": "inverted masks",
         "other.npz": "holds frames; expected mask or masks",
@@ -71,6 +71,6 @@ def test_what_is_no_mask_is_told(tmp_path: Path) -> None:
         "empty": "holds no png",
         "uneven": r"mask_2\.png.*first image",
     }
-    for name, message in told.items():
+    for name, message in expected.items():
         with pytest.raises(InputError, match=message):
             read_masks(tmp_path / name)

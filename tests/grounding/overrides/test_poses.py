@@ -33,13 +33,13 @@ def without(*frames: int) -> Array:
 def test_arrays_come_back_as_written(tmp_path: Path) -> None:
     np.save(tmp_path / "v.npy", without(3))
     np.savez(tmp_path / "v.npz", camera_from_hand=X_CH, finger_width_m=np.full(T, 0.03))
-    given = read_poses(tmp_path, tmp_path / "v.npy", T)
-    np.testing.assert_allclose(given.X_CH, without(3), atol=1e-12)
-    assert given.finger_width_m is None
-    given = read_poses(tmp_path, tmp_path / "v.npz", T)
-    np.testing.assert_allclose(given.X_CH, X_CH, atol=1e-12)
-    assert given.finger_width_m is not None
-    assert (given.finger_width_m == 0.03).all()
+    poses = read_poses(tmp_path, tmp_path / "v.npy", T)
+    np.testing.assert_allclose(poses.X_CH, without(3), atol=1e-12)
+    assert poses.finger_width_m is None
+    poses = read_poses(tmp_path, tmp_path / "v.npz", T)
+    np.testing.assert_allclose(poses.X_CH, X_CH, atol=1e-12)
+    assert poses.finger_width_m is not None
+    assert (poses.finger_width_m == 0.03).all()
 
 
 def test_of_a_track_the_tracked_frames_are_taken(tmp_path: Path) -> None:
@@ -77,7 +77,7 @@ def test_text_files_belong_to_the_frames_of_their_numbers(
 
 
 @pytest.mark.parametrize("numbers", [range(3, T + 3 + 1), [0, T], [], [10**17, 10**17 + 33]])
-def test_text_files_of_another_video_are_told(tmp_path: Path, numbers: Iterable[int]) -> None:
+def test_text_files_of_another_video_are_refused(tmp_path: Path, numbers: Iterable[int]) -> None:
     folder = tmp_path / "v"
     folder.mkdir()
     for number in numbers:
@@ -95,7 +95,7 @@ def test_poses_of_a_mesh_become_those_of_the_hand(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("X", "told"),
+    ("X", "message"),
     [
         (X_CH[:, :3], "shape"),
         (np.where(np.eye(4) > 0, 2.0, 0.0)[None], "pose of frame 0 is not a rigid pose"),
@@ -103,19 +103,19 @@ def test_poses_of_a_mesh_become_those_of_the_hand(tmp_path: Path) -> None:
         (make_pose(X_CH[:, :3, :3], -X_CH[:, :3, 3]), "behind the camera"),
     ],
 )
-def test_what_is_no_pose_is_told(tmp_path: Path, X: Array, told: str) -> None:
+def test_what_is_no_pose_is_refused(tmp_path: Path, X: Array, message: str) -> None:
     np.save(tmp_path / "v.npy", X)
-    with pytest.raises(InputError, match=told):
+    with pytest.raises(InputError, match=message):
         read_poses(tmp_path, tmp_path / "v.npy", T)
 
 
 def test_finger_widths_are_metres(tmp_path: Path) -> None:
     width = np.linspace(-0.001, 0.081, T)
     np.savez(tmp_path / "v.npz", camera_from_hand=X_CH, finger_width_m=np.where(np.arange(T) == 3, np.nan, width))
-    given = read_poses(tmp_path, tmp_path / "v.npz", T).finger_width_m
-    assert given is not None
-    assert np.isnan(given[3])
-    assert (np.nanmin(given), np.nanmax(given)) == (0.0, 0.08)
+    poses = read_poses(tmp_path, tmp_path / "v.npz", T).finger_width_m
+    assert poses is not None
+    assert np.isnan(poses[3])
+    assert (np.nanmin(poses), np.nanmax(poses)) == (0.0, 0.08)
     np.savez(tmp_path / "v.npz", camera_from_hand=X_CH, finger_width_m=1000 * width)
     with pytest.raises(InputError, match="between the pads"):
         read_poses(tmp_path, tmp_path / "v.npz", T)

@@ -1,7 +1,13 @@
+"""A vanished gripper, and a second one on views rendered from the CAD model."""
+
+from dataclasses import replace
+
 import numpy as np
 
 from kinebench_drake.camera import benchmark_camera
-from kinebench_drake.grounding.anomaly.presence import find_vanishing
+from kinebench_drake.grounding.anomaly.presence import find_duplicates, find_vanishing, second_gripper
+from kinebench_drake.grounding.crop import Crop
+from tests.grounding.conftest import hand_pose, perfect_view
 
 CAMERA = benchmark_camera()
 
@@ -45,3 +51,25 @@ def test_a_phantom_of_a_few_cells_is_no_gripper(reach):
     confidence[20:24] = 0.05
     (found,) = find_vanishing(reach(), confidence, explained, confidence >= 0.1, CAMERA).anomalies
     assert (found.frame_start, found.frame_end) == (20, 23)
+
+
+def test_a_second_gripper_counts_and_the_first_does_not(cad):
+    for seed in range(3):
+        X_CH = hand_pose(seed)
+        first = perfect_view(cad, X_CH, 0.03, crop=Crop.of_frame(CAMERA))
+        beside = X_CH.copy()
+        beside[0, 3] -= np.sign(X_CH[0, 3]) * 0.25
+        second = perfect_view(cad, beside, 0.03, crop=Crop.of_frame(CAMERA))
+        both = replace(first, part=np.where(first.part > 0, first.part, second.part))
+        assert second_gripper(first, X_CH, CAMERA) == 0.0
+        assert second_gripper(both, X_CH, CAMERA) > 0.3
+        assert second_gripper(replace(first, part=np.zeros_like(first.part)), X_CH, CAMERA) == 0.0
+
+
+def test_a_second_gripper_must_stay_to_be_named():
+    other = np.zeros(49)
+    other[5:7] = 0.9
+    assert find_duplicates(other).anomalies == ()
+    other[20:30] = 0.5
+    (found,) = find_duplicates(other).anomalies
+    assert (found.frame_start, found.frame_end, found.severity) == (20, 29, 0.5)
