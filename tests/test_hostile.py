@@ -7,7 +7,7 @@ import threading
 import numpy as np
 import pytest
 
-from kinebench_drake.datasets.manifest import inside
+from kinebench_drake.datasets.folders import join_relative
 from kinebench_drake.datasets.videos.find import find_samples
 from kinebench_drake.errors import InputError, UsageError, one_line
 from kinebench_drake.io.camerafile import load_camera
@@ -33,7 +33,7 @@ def test_a_manifest_leads_nowhere_else(tmp_path, name):
     (folder / "out.mp4").symlink_to(tmp_path / "b.mp4")
     (folder / "up").symlink_to(tmp_path)
     with pytest.raises(InputError, match=r"relative path|leads out|cannot be followed"):
-        inside(folder, name, "video")
+        join_relative(folder, name, "video", links_out=False)
     (folder / "manifest.jsonl").write_text(json.dumps({"video": name}) + "\n")
     (sample,) = find_samples(folder / "manifest.jsonl").samples
     assert sample.problem is not None

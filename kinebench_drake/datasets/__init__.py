@@ -1,1 +1,1 @@
-"""Input data sets: videos, trajectories and their metadata."""
+"""Input data sets: formats of videos and trajectories, and their metadata."""

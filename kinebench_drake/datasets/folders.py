@@ -1,57 +1,86 @@
-"""Input folders, kept apart from the output folders of runs."""
+"""Input folders: walking them, paths named in them, and their separation from output folders."""
 
 import os
+from collections import Counter
 from collections.abc import Collection, Iterator, Sequence
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
-from kinebench_drake.errors import UsageError
+from kinebench_drake.errors import InputError, UsageError
+from kinebench_drake.io.files import require_accessible
 from kinebench_drake.results.store import ARTIFACTS, RESULTS, RUN, SAMPLES
 
 
 def is_output(files: Collection[str]) -> bool:
-    """Whether a folder that holds these files is a run's: one that has ended, was stopped or is on."""
+    """Return whether a folder with these files is the output folder of a run, finished or not."""
     return SAMPLES in files and (RESULTS in files or RUN in files)
 
 
 def require_apart(out: Path, *inputs: Path) -> None:
-    """Check that a run into `out` leaves its own inputs alone: it removes and writes files in the folders it fills.
+    """Check that a run into `out` does not touch its inputs: it removes and writes files in the folders that it fills.
 
     Raises:
-        UsageError: one of them is `out`, or is or lies in a folder that the run fills.
+        UsageError: an input is `out`, or is or lies in a folder that the run fills.
     """
     home = out.resolve()
-    for named in inputs:
-        real = named.resolve()
+    for path in inputs:
+        real = path.resolve()
         if real == home:
-            raise UsageError(f"--out is the input folder itself ({named}); name another folder")
-        filled = next((part for part in ARTIFACTS if real.is_relative_to(home / part)), None)
-        if filled is not None:
-            raise UsageError(f"--out {out}: {named} is read, but the run fills {out / filled}; name another folder")
+            raise UsageError(f"--out is the input folder itself ({path}); name another folder")
+        folder = next((kind for kind in ARTIFACTS if real.is_relative_to(home / kind)), None)
+        if folder is not None:
+            raise UsageError(f"--out {out}: {path} is read, but the run fills {out / folder}; name another folder")
 
 
 def walk(top: Path, skipped: Sequence[Path] = ()) -> Iterator[tuple[Path, list[str], list[str]]]:
-    """Every folder from `top` down once, in a fixed order, links followed.
+    """Yield every folder from `top` down once, in a fixed order, following links.
 
-    Hidden entries, `skipped` folders and the output folders of runs are passed over, but `top` never is.
+    Hidden entries, `skipped` folders and output folders of runs are ignored, except `top` itself.
 
     Yields:
-        A folder, the names of the folders in it, which may be cleared to go no deeper, and those of its files.
+        A folder, the names of its subfolders, which may be cleared to go no deeper, and the names of its files.
 
     Raises:
-        UsageError: a folder cannot be read; what it holds would be absent from the results without a word.
+        UsageError: a folder cannot be read; its content would silently be absent from the results.
     """
-    passed = {p.resolve() for p in skipped} - {top.resolve()}
-    seen: set[Path] = set()
-    for root, folders, files in os.walk(top, onerror=_refuse, followlinks=True):
+    ignored = {p.resolve() for p in skipped} - {top.resolve()}
+    visited: set[Path] = set()
+    for root, folders, files in os.walk(top, onerror=_raise_unreadable, followlinks=True):
         here = Path(root)
         real = here.resolve()
-        if real in seen or real in passed or (here != top and is_output(files)):
+        if real in visited or real in ignored or (here != top and is_output(files)):
             folders.clear()
             continue
-        seen.add(real)
+        visited.add(real)
         folders[:] = sorted(f for f in folders if not f.startswith("."))
         yield here, folders, sorted(f for f in files if not f.startswith("."))
 
 
-def _refuse(error: OSError) -> None:
+def _raise_unreadable(error: OSError) -> None:
     raise UsageError(f"{error.filename}: cannot be read ({error.strerror}); make it readable, or move it elsewhere")
+
+
+def list_suffixes(folder: Path) -> str:
+    """Return the most frequent suffixes of the files in a folder as text for a message."""
+    counts = Counter(p.suffix.lower() or "no suffix" for p in folder.iterdir() if p.is_file())
+    return ", ".join(f"{n} x {suffix}" for suffix, n in counts.most_common(4)) or "nothing"
+
+
+def join_relative(folder: Path, relative: str, what: str, *, links_out: bool = True) -> Path:
+    """Return the path of `relative`, which a file in `folder` names.
+
+    Args:
+        folder: folder that the path must not leave.
+        relative: the relative path.
+        what: its name in messages.
+        links_out: accept links that lead out of the folder; the cache of the Hugging Face Hub consists of them.
+
+    Raises:
+        InputError: it is absolute, climbs out by `..`, cannot be accessed, or is a link out that is not accepted.
+    """
+    pure = PurePosixPath(relative)
+    if pure.is_absolute() or ".." in pure.parts or "\0" in relative:
+        raise InputError(f"{what} {relative!r} must be a relative path inside the folder of its file")
+    path = require_accessible(folder / pure, f"{what} {relative!r}")
+    if not links_out and not path.resolve().is_relative_to(folder.resolve()):
+        raise InputError(f"{what} {relative!r} is a link that leads out of the folder of its file")
+    return path

@@ -1,4 +1,4 @@
-"""Sample ids: unique, safe as file names, reproducible for the same samples in the same order."""
+"""Sample ids: unique, safe as file names, the same for the same samples in the same order."""
 
 import re
 from collections import Counter
@@ -9,35 +9,35 @@ _ID_BYTES = 120
 
 
 def unique_ids(wanted: Sequence[tuple[str, tuple[str, ...]]]) -> list[str]:
-    """An id of its own for every sample.
+    """Return a unique id for every sample.
 
     Args:
-        wanted: the id each sample would like, and the folders that it may take along.
+        wanted: preferred id of each sample, and the folders that may be prepended to it.
 
     Returns:
-        Samples that want the same id take their folders along; what is still equal, upper and lower case not told
-        apart, is numbered.
+        Ids of samples with the same preferred id contain their folders; ids that are still equal, ignoring case, are
+        numbered.
     """
-    shared = Counter(safe(id).casefold() for id, _ in wanted)
-    named = [
-        safe("-".join((*folders, id))) if shared[safe(id).casefold()] > 1 and folders else safe(id)
+    counts = Counter(safe(id).casefold() for id, _ in wanted)
+    candidates = [
+        safe("-".join((*folders, id))) if counts[safe(id).casefold()] > 1 and folders else safe(id)
         for id, folders in wanted
     ]
-    counts, taken = Counter[str](), {id.casefold() for id in named}
+    repeats, used = Counter[str](), {id.casefold() for id in candidates}
     unique = []
-    for id in named:
-        counts[id.casefold()] += 1
-        number, final = counts[id.casefold()], id
-        while number > 1 and final.casefold() in taken:
+    for id in candidates:
+        repeats[id.casefold()] += 1
+        number, final = repeats[id.casefold()], id
+        while number > 1 and final.casefold() in used:
             final = f"{id}-{number}"
             number += 1
-        taken.add(final.casefold())
+        used.add(final.casefold())
         unique.append(final)
     return unique
 
 
 def safe(text: str) -> str:
-    """`text` as a file name on any system: no separators, controls or reserved signs, not hidden, not too long."""
+    """Return `text` as a file name for any system: no separators or reserved characters, not hidden, not long."""
     name = text.encode(errors="replace").decode()
     name = re.sub(r'[\x00-\x1f\x7f/\\:*?"<>|]', "_", name).rstrip(". ")
     name = f"_{name}" if name.startswith(".") or not name else name
@@ -45,7 +45,7 @@ def safe(text: str) -> str:
 
 
 def shorten(text: str) -> str:
-    """`text`, or its beginning and a digest of all of it where it is long."""
+    """Return `text`, or if it is long its beginning and a digest of all of it."""
     data = text.encode(errors="replace")
     if len(data) <= _ID_BYTES:
         return text

@@ -1,1 +1,1 @@
-"""Trajectories from files: what formats hold, and the checks that stand between a file and a verdict."""
+"""Trajectories in files: formats, conversion and validation."""

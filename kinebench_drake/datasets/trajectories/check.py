@@ -1,4 +1,4 @@
-"""From what a file holds to a trajectory that can be judged, or to one line that says why not."""
+"""Validation of a raw trajectory: a trajectory that can be judged, or a one-line reason why it cannot."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,59 +9,59 @@ from kinebench_drake.errors import InputError, UnmeasurableError
 from kinebench_drake.geometry import Array
 
 MAX_FRAMES = 100_000
-"""Longest trajectory that is taken; over an hour at 25 Hz."""
+"""Greatest number of frames; over an hour at 25 Hz."""
 MIN_FRAMES = 2
 """A path needs two postures."""
 
-_JOINT_SHAPES = ((N_JOINTS,), (N_JOINTS + 1,), (N_JOINTS + 2,))  # the arm, and fingers behind it
-_MANY_RAD = 10.0  # no joint of an arm turns this far; in degrees all but the smallest movements do
+_JOINT_SHAPES = ((N_JOINTS,), (N_JOINTS + 1,), (N_JOINTS + 2,))  # the arm, followed by fingers
+_MANY_RAD = 10.0  # larger angles are taken for degrees
 _MOST_DEGREES = 720.0
-_TURN_RAD = 2.0 * np.pi  # few joints turn farther: told, not refused
-_SLOW_STEP_S = 5.0  # robots are recorded faster: told, not refused
+_TURN_RAD = 2.0 * np.pi  # larger angles give a warning
+_SLOW_STEP_S = 5.0  # larger steps give a warning: robots are recorded faster
 _WIDTH_M = 0.08  # gap between the Panda's pads when open
-_WIDTH_SLACK_M = 0.01  # what sensors and simulators overshoot
-_LATE_S = 1e6  # clocks that count from 1970 would lose digits in what follows
+_WIDTH_SLACK_M = 0.01  # overshoot of sensors and simulators
+_LATE_S = 1e6  # later times, such as seconds since 1970, would lose precision
 
 
-def check(recording: RawTrajectory, rate_hz: float | None = None) -> Trajectory:
-    """Hold a recording against everything that a verdict relies upon.
+def check(raw: RawTrajectory, rate_hz: float | None = None) -> Trajectory:
+    """Check shapes, times, rotations, units and values of a trajectory, and convert it.
 
     Args:
-        recording: what the file holds.
-        rate_hz: frames per second [Hz], over the recording's times.
+        raw: content of the file.
+        rate_hz: frames per second, overriding the times of the file [Hz].
 
     Raises:
         InputError: shapes, times, rotations, units or values are wrong; the message names the frame and the fix.
         UnmeasurableError: there are fewer than two frames, or fewer than two are tracked.
     """
-    warnings = list(recording.warnings)
-    name = "base_from_tcp" if recording.q is None else "q"
-    given = recording.X_BG if recording.q is None else recording.q
-    if given is None:
+    warnings = list(raw.warnings)
+    name = "base_from_tcp" if raw.q is None else "q"
+    array = raw.X_BG if raw.q is None else raw.q
+    if array is None:
         raise InputError("holds neither poses nor joint angles")
-    values = numbers(name, given)
+    values = require_numbers(name, array)
     if values.shape[:1] == (0,):
         raise UnmeasurableError(f"holds no frame, a path needs at least {MIN_FRAMES}")
-    if values.shape[1:] not in (((4, 4),) if recording.q is None else _JOINT_SHAPES):
-        expected = "(T, 4, 4)" if recording.q is None else f"(T, {N_JOINTS}) in radians"
-        turned = ", transposed?" if recording.q is not None and values.shape[:1] == (N_JOINTS,) else ""
+    if values.shape[1:] not in (((4, 4),) if raw.q is None else _JOINT_SHAPES):
+        expected = "(T, 4, 4)" if raw.q is None else f"(T, {N_JOINTS}) in radians"
+        turned = ", transposed?" if raw.q is not None and values.shape[:1] == (N_JOINTS,) else ""
         raise InputError(f"{name} has shape {values.shape}, expected {expected}{turned}")
     n = len(values)
     if n > MAX_FRAMES:
-        raise InputError(f"has {n} frames, at most {MAX_FRAMES} are taken: cut it into parts")
-    tracked = _tracked(recording.tracked, n)
-    t_s = _times(recording.t_s, n, rate_hz, warnings)
+        raise InputError(f"has {n} frames, at most {MAX_FRAMES} are accepted: cut it into parts")
+    tracked = _tracked(raw.tracked, n)
+    t_s = _times(raw.t_s, n, rate_hz, warnings)
     if n < MIN_FRAMES:
         raise UnmeasurableError(f"has {n} frame, a path needs at least {MIN_FRAMES}")
-    width = None if recording.finger_width_m is None else numbers("finger_width_m", recording.finger_width_m)
+    width = None if raw.finger_width_m is None else require_numbers("finger_width_m", raw.finger_width_m)
     q: Array | None = None
     X_BG: Array | None = None
-    if recording.q is not None:
+    if raw.q is not None:
         q, fingers = _joints(values, tracked, warnings)
         width = fingers if width is None else width
     else:
-        X_BG, mended = rigid_poses(values, tracked)
-        warnings += mended
+        X_BG, repairs = rigid_poses(values, tracked)
+        warnings += repairs
     if tracked.sum() < MIN_FRAMES:
         raise UnmeasurableError(f"{int(tracked.sum())} of {n} frames are tracked, a path needs {MIN_FRAMES}")
     return Trajectory(
@@ -70,13 +70,13 @@ def check(recording: RawTrajectory, rate_hz: float | None = None) -> Trajectory:
         q=q,
         tracked=tracked,
         finger_width_m=_widths(width, n, warnings),
-        columns=recording.columns,
+        columns=raw.columns,
         warnings=tuple(warnings),
     )
 
 
-def numbers(name: str, array: NDArray[np.generic]) -> Array:
-    """The array in double precision.
+def require_numbers(name: str, array: NDArray[np.generic]) -> Array:
+    """Return the array in double precision.
 
     Raises:
         InputError: it does not hold real numbers.
@@ -86,20 +86,20 @@ def numbers(name: str, array: NDArray[np.generic]) -> Array:
     return np.asarray(array, dtype=np.float64)
 
 
-def _tracked(given: NDArray[np.generic] | None, n: int) -> NDArray[np.bool_]:
-    if given is None:
+def _tracked(array: NDArray[np.generic] | None, n: int) -> NDArray[np.bool_]:
+    if array is None:
         return np.ones(n, dtype=bool)
-    if given.shape != (n,) or given.dtype.kind not in "biu":
-        raise InputError(f"tracked has shape {given.shape} and type {given.dtype}, expected ({n},) of truth values")
-    return given.astype(bool)
+    if array.shape != (n,) or array.dtype.kind not in "biu":
+        raise InputError(f"tracked has shape {array.shape} and type {array.dtype}, expected ({n},) of booleans")
+    return array.astype(bool)
 
 
-def _times(given: NDArray[np.generic] | None, n: int, rate_hz: float | None, warnings: list[str]) -> Array:
+def _times(array: NDArray[np.generic] | None, n: int, rate_hz: float | None, warnings: list[str]) -> Array:
     if rate_hz is not None:
         return np.arange(n, dtype=np.float64) / rate_hz
-    if given is None:
+    if array is None:
         raise InputError("holds no times t_s; add them, or give --rate HZ")
-    t_s = numbers("t_s", given)
+    t_s = require_numbers("t_s", array)
     if t_s.shape != (n,):
         raise InputError(f"t_s has shape {t_s.shape}, but there are {n} frames")
     broken = ~np.isfinite(t_s)
@@ -107,11 +107,11 @@ def _times(given: NDArray[np.generic] | None, n: int, rate_hz: float | None, war
         raise InputError(f"the time of frame {int(np.argmax(broken))} is {t_s[broken][0]}, expected finite seconds")
     with np.errstate(over="ignore"):
         steps = np.diff(t_s)
-    for bad, told in ((steps < 0.0, "is before"), (steps == 0.0, "is the same as")):
+    for bad, relation in ((steps < 0.0, "is before"), (steps == 0.0, "is the same as")):
         if bad.any():
             k = int(np.argmax(bad))
             raise InputError(
-                f"the time of frame {k + 1} ({t_s[k + 1]:.6g} s) {told} that of frame {k} ({t_s[k]:.6g} s)"
+                f"the time of frame {k + 1} ({t_s[k + 1]:.6g} s) {relation} that of frame {k} ({t_s[k]:.6g} s)"
                 f"{_more(bad)}: times must increase; sort the frames, or give --rate HZ"
             )
     bad = (steps < MIN_STEP_S * (1.0 - 1e-6)) | (steps > MAX_STEP_S)
@@ -123,71 +123,71 @@ def _times(given: NDArray[np.generic] | None, n: int, rate_hz: float | None, war
         )
     if len(steps) and np.median(steps) > _SLOW_STEP_S:
         warnings.append(
-            f"frames are {np.median(steps):.4g} s apart (median): are the times in milliseconds? They were taken as "
-            "seconds; --rate HZ overrides them"
+            f"frames are {np.median(steps):.4g} s apart (median): are the times in milliseconds? They are interpreted "
+            "as seconds; --rate HZ overrides them"
         )
     if abs(t_s[0]) > _LATE_S:
         warnings.append(f"times begin at {t_s[0]:.0f} s; they were shifted to begin at 0")
         t_s = t_s - t_s[0]
-    return _unrounded(t_s, given.dtype)
+    return _undo_rounding(t_s, array.dtype)
 
 
-def _unrounded(t_s: Array, dtype: np.dtype[np.generic]) -> Array:
-    """Even times where single precision has rounded them: otherwise its steps would look like changes of speed."""
+def _undo_rounding(t_s: Array, dtype: np.dtype[np.generic]) -> Array:
+    """Return uniform times if single precision has rounded them: the steps would look like changes of speed."""
     even = np.linspace(t_s[0], t_s[-1], len(t_s))
     rounding = np.spacing(np.float32(np.abs(t_s).max()))
     return even if dtype == np.float32 and np.abs(t_s - even).max() <= rounding else t_s
 
 
 def _joints(values: Array, tracked: NDArray[np.bool_], warnings: list[str]) -> tuple[Array, Array | None]:
-    """Arm angles (T, 7) and, where both fingers stand behind them, the gap (T,) [m]."""
+    """Return the arm angles (T, 7) and the finger gap (T,) [m] if two finger joints follow them."""
     columns = values.shape[1]
     q = np.where(tracked[:, None], values[:, :N_JOINTS], np.nan)
     fingers: Array | None = None
     if columns > N_JOINTS:
-        warnings.append(f"q has {columns} columns: the first {N_JOINTS} were taken as the arm's joints")
-    if columns == N_JOINTS + 2:  # the Panda's two finger joints, each half of the gap
+        warnings.append(f"q has {columns} columns: the first {N_JOINTS} are used as the arm's joints")
+    if columns == N_JOINTS + 2:  # the two finger joints of the Panda, each half of the gap
         fingers = values[:, N_JOINTS:].sum(axis=1)
     broken = tracked & ~np.isfinite(q).all(axis=1)
     if broken.any():
         k = int(np.argmax(broken))
-        found = "NaN" if np.isnan(q[k]).any() else "infinity"
+        value = "NaN" if np.isnan(q[k]).any() else "infinity"
         raise InputError(
-            f"the joint angles of frame {k} hold {found}{_more(broken)}, expected finite radians; "
-            "frames that are unknown are marked in an array tracked"
+            f"the joint angles of frame {k} hold {value}{_more(broken)}, expected finite radians; "
+            "unknown frames are marked in an array tracked"
         )
     if tracked.any():
         largest = np.nanmax(np.abs(q), axis=0)
         j = int(np.argmax(largest))
         if largest[j] > _MANY_RAD:
             k = int(np.nanargmax(np.abs(q[:, j])))
-            told = f"joint {j + 1} is at {q[k, j]:.4g} rad in frame {k}, more than {_MANY_RAD:g}"
+            message = f"joint {j + 1} is at {q[k, j]:.4g} rad in frame {k}, more than {_MANY_RAD:g}"
             if largest[j] <= _MOST_DEGREES:
                 raise InputError(
-                    f"{told}: the angles look like degrees, convert them to radians (multiply by pi / 180)"
+                    f"{message}: the angles look like degrees, convert them to radians (multiply by pi / 180)"
                 )
-            raise InputError(f"{told}: these are no joint angles in radians")
+            raise InputError(f"{message}: these are no joint angles in radians")
         if largest[j] > _TURN_RAD:
             warnings.append(
                 f"joint {j + 1} goes up to {largest[j]:.4g} rad, more than a full turn: are the angles in degrees? "
-                "They were taken as radians"
+                "They are interpreted as radians"
             )
     return q, fingers
 
 
-def _widths(given: Array | None, n: int, warnings: list[str]) -> Array:
-    if given is None:
+def _widths(width: Array | None, n: int, warnings: list[str]) -> Array:
+    if width is None:
         return np.full(n, np.nan)
-    if given.shape != (n,):
-        raise InputError(f"finger_width_m has shape {given.shape}, but there are {n} frames")
-    known = given[np.isfinite(given)]
-    if len(known) and (known.min() < -_WIDTH_SLACK_M or known.max() > _WIDTH_M + _WIDTH_SLACK_M):
+    if width.shape != (n,):
+        raise InputError(f"finger_width_m has shape {width.shape}, but there are {n} frames")
+    finite = width[np.isfinite(width)]
+    if len(finite) and (finite.min() < -_WIDTH_SLACK_M or finite.max() > _WIDTH_M + _WIDTH_SLACK_M):
         warnings.append(
-            f"finger widths from {known.min():.4g} to {known.max():.4g} are not metres from 0 to {_WIDTH_M}: they were "
-            "left out"
+            f"finger widths from {finite.min():.4g} to {finite.max():.4g} are not metres from 0 to {_WIDTH_M}: they "
+            "are ignored"
         )
         return np.full(n, np.nan)
-    return np.clip(np.where(np.isfinite(given), given, np.nan), 0.0, _WIDTH_M)
+    return np.clip(np.where(np.isfinite(width), width, np.nan), 0.0, _WIDTH_M)
 
 
 def _more(bad: NDArray[np.bool_]) -> str:

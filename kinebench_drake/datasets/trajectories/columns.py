@@ -1,4 +1,4 @@
-"""Which column of a LeRobot dataset holds the arm's joint angles or the gripper's pose, by the names it gives."""
+"""Choice of the column of a LeRobot dataset with joint angles or gripper poses, by the names of its elements."""
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -10,7 +10,7 @@ from kinebench_drake.errors import InputError
 
 
 class ColumnLayout(Enum):
-    """What the numbers taken from a column are."""
+    """Meaning of the elements of a column."""
 
     JOINTS = "joint angles"
     QUATERNION = "x y z, quaternion w x y z"
@@ -21,19 +21,19 @@ class ColumnLayout(Enum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Columns:
-    """What to take from a dataset's files."""
+    """Elements of a column to read."""
 
     column: str
     """Name of the column."""
     layout: ColumnLayout
     indices: tuple[int, ...]
-    """Elements of the column, in the layout's order."""
+    """Indices of the elements, in the order of the layout."""
     fingers: tuple[int, ...] = ()
-    """Elements of the column that are finger joints [m], each half of the gap."""
+    """Indices of finger joints [m], each half of the gap."""
     width: int | None = None
-    """Element of the column that is the gap between the pads [m]."""
-    told: str
-    """All of it in words."""
+    """Index of the gap between the finger pads [m]."""
+    description: str
+    """Text for results."""
     warnings: tuple[str, ...] = ()
 
 
@@ -55,63 +55,63 @@ _INDEX_COLUMNS = ("timestamp", "frame_index", "episode_index", "index", "task_in
 
 
 def find_columns(features: Mapping[str, object], choice: TrajectoryOptions) -> Columns:
-    """The column to take: what `choice` names, else joint angles, else poses, of what was observed (not commanded).
+    """Return the column that `choice` names, else joint angles, else poses; observations, not commands.
 
     Args:
-        features: `features` of the dataset's meta/info.json.
-        choice: what the user says.
+        features: `features` of meta/info.json.
+        choice: options of the user.
 
     Raises:
-        InputError: no column fits, or the named one does not; the message names the columns found.
+        InputError: no column fits, or the named one does not; the message lists the columns.
     """
     columns = {name: size for name, feature in features.items() if (size := _size(feature)) is not None}
-    named = choice.joints or choice.poses
-    if named is not None:
-        if named not in columns:
-            raise InputError(f"has no column {named!r} of numbers; found {_listed(features, columns)}")
-        return _by_hand(named, columns[named], _names(features[named]), joints=choice.joints is not None)
+    name = choice.joints or choice.poses
+    if name is not None:
+        if name not in columns:
+            raise InputError(f"has no column {name!r} of numbers; found {_list_columns(features, columns)}")
+        return _match_named(name, columns[name], _names(features[name]), joints=choice.joints is not None)
     observed = [n for n in columns if not {"action", "actions"} & set(_words(n)) and not _OTHER_WORDS & set(_words(n))]
     observed.sort(key=lambda name: name != "observation.state")
-    for find in (_joints, _pose):
+    for find in (_match_joints, _match_pose):
         for name in observed:
-            found = find(name, columns[name], _names(features[name]))
-            if found is not None:
-                return found
+            match = find(name, columns[name], _names(features[name]))
+            if match is not None:
+                return match
     raise InputError(
-        f"no column is known to hold seven joint angles or a pose; found {_listed(features, columns)}; name one by "
-        "--joints COLUMN (7 to 9 numbers, radians) or --poses COLUMN (x y z qw qx qy qz, or a 4x4 matrix by rows)"
+        f"no column is known to hold seven joint angles or a pose; found {_list_columns(features, columns)}; name one "
+        "by --joints COLUMN (7 to 9 numbers, radians) or --poses COLUMN (x y z qw qx qy qz, or a 4x4 matrix by rows)"
     )
 
 
-def _by_hand(name: str, size: int, names: Sequence[str] | None, *, joints: bool) -> Columns:
+def _match_named(name: str, size: int, names: Sequence[str] | None, *, joints: bool) -> Columns:
     if joints:
-        found = _joints(name, size, names)
-        if found is None and size in range(N_JOINTS, N_JOINTS + 3):
+        match = _match_joints(name, size, names)
+        if match is None and size in range(N_JOINTS, N_JOINTS + 3):
             return _numbered(name, range(N_JOINTS), names)
     else:
-        found = _pose(name, size, names)
-        if found is None and size == 7:
-            told = f"{name}[0:7]: {ColumnLayout.QUATERNION.value}"
-            note = f"{name} names no elements that tell a pose: x y z qw qx qy qz was assumed"
+        match = _match_pose(name, size, names)
+        if match is None and size == 7:
+            text = f"{name}[0:7]: {ColumnLayout.QUATERNION.value}"
+            note = f"{name} does not name its elements: x y z qw qx qy qz is assumed"
             return Columns(
-                column=name, layout=ColumnLayout.QUATERNION, indices=tuple(range(7)), told=told, warnings=(note,)
+                column=name, layout=ColumnLayout.QUATERNION, indices=tuple(range(7)), description=text, warnings=(note,)
             )
-        if found is None and size == 16:
-            told = f"{name}[0:16]: {ColumnLayout.MATRIX.value}"
-            return Columns(column=name, layout=ColumnLayout.MATRIX, indices=tuple(range(16)), told=told)
-    if found is None:
-        held = ", ".join(names) if names else f"{size} unnamed numbers"
+        if match is None and size == 16:
+            text = f"{name}[0:16]: {ColumnLayout.MATRIX.value}"
+            return Columns(column=name, layout=ColumnLayout.MATRIX, indices=tuple(range(16)), description=text)
+    if match is None:
+        content = ", ".join(names) if names else f"{size} unnamed numbers"
         wanted = "7 to 9 joint angles" if joints else "x y z with a quaternion, roll pitch yaw or a rotation vector"
-        raise InputError(f"column {name!r} holds {held}, expected {wanted}")
-    return found
+        raise InputError(f"column {name!r} holds {content}, expected {wanted}")
+    return match
 
 
-def _joints(name: str, size: int, names: Sequence[str] | None) -> Columns | None:
-    """Seven joint angles: seven consecutively numbered elements of one arm, or all of a column that is named so."""
+def _match_joints(name: str, size: int, names: Sequence[str] | None) -> Columns | None:
+    """Match seven joint angles: consecutively numbered elements of one arm, or a column with such a name."""
     if names is None:
         words = set(_words(name.rsplit(".", 1)[-1]))
-        sure = "qpos" in words or (words & _JOINT_WORDS and words & _POSITION_WORDS)
-        return _numbered(name, range(N_JOINTS), None) if sure and size in range(N_JOINTS, N_JOINTS + 3) else None
+        certain = "qpos" in words or (words & _JOINT_WORDS and words & _POSITION_WORDS)
+        return _numbered(name, range(N_JOINTS), None) if certain and size in range(N_JOINTS, N_JOINTS + 3) else None
     arms: dict[str, dict[int, int]] = {}
     for k, element in enumerate(names):
         match = _NUMBERED.fullmatch(element.lower())
@@ -124,7 +124,7 @@ def _joints(name: str, size: int, names: Sequence[str] | None) -> Columns | None
 
 
 def _numbered(name: str, indices: Sequence[int], names: Sequence[str] | None) -> Columns:
-    told = f"{name}[{names[indices[0]]} .. {names[indices[-1]]}]" if names else f"{name}[0:{N_JOINTS}]"
+    elements = f"{name}[{names[indices[0]]} .. {names[indices[-1]]}]" if names else f"{name}[0:{N_JOINTS}]"
     fingers, width = _gripper(names)
     return Columns(
         column=name,
@@ -132,40 +132,44 @@ def _numbered(name: str, indices: Sequence[int], names: Sequence[str] | None) ->
         indices=tuple(indices),
         fingers=fingers,
         width=width,
-        told=f"{told}: {ColumnLayout.JOINTS.value}",
+        description=f"{elements}: {ColumnLayout.JOINTS.value}",
     )
 
 
-def _pose(name: str, size: int, names: Sequence[str] | None) -> Columns | None:
-    """A pose, whose elements' names leave no doubt about the kind of rotation."""
+def _match_pose(name: str, size: int, names: Sequence[str] | None) -> Columns | None:
+    """Match a pose whose names determine the kind of rotation."""
     if names is None:
         words = set(_words(name))
-        told = f"{name}[0:16]: {ColumnLayout.MATRIX.value}"
-        sure = size == 16 and "pose" in words
-        return Columns(column=name, layout=ColumnLayout.MATRIX, indices=tuple(range(16)), told=told) if sure else None
+        text = f"{name}[0:16]: {ColumnLayout.MATRIX.value}"
+        certain = size == 16 and "pose" in words
+        return (
+            Columns(column=name, layout=ColumnLayout.MATRIX, indices=tuple(range(16)), description=text)
+            if certain
+            else None
+        )
     roles: dict[str, list[int]] = {}
     for k, element in enumerate(names):
         roles.setdefault(_role(element.lower()), []).append(k)
     for layout, rotation in (
         (ColumnLayout.QUATERNION, ("qw", "qx", "qy", "qz")),
-        (ColumnLayout.QUATERNION, ("rw", "rx", "ry", "rz")),  # without rw they may be a rotation vector, or angles
+        (ColumnLayout.QUATERNION, ("rw", "rx", "ry", "rz")),  # without rw it may be a rotation vector, or angles
         (ColumnLayout.ROLL_PITCH_YAW, ("roll", "pitch", "yaw")),
         (ColumnLayout.ROTATION_VECTOR, ("v0", "v1", "v2")),
         (ColumnLayout.ROTATION_VECTOR, ("v1", "v2", "v3")),
     ):
         if layout is ColumnLayout.ROTATION_VECTOR and {"v0", "v3"} <= roles.keys():
-            continue  # four numbers are no rotation vector
+            continue  # a rotation vector has three numbers
         wanted = ("x", "y", "z", *rotation)
         if all(len(roles.get(role, ())) == 1 for role in wanted):
             indices = tuple(roles[role][0] for role in wanted)
             fingers, width = _gripper(names)
-            told = f"{name}[{', '.join(names[k] for k in indices)}]: {layout.value}"
-            return Columns(column=name, layout=layout, indices=indices, fingers=fingers, width=width, told=told)
+            text = f"{name}[{', '.join(names[k] for k in indices)}]: {layout.value}"
+            return Columns(column=name, layout=layout, indices=indices, fingers=fingers, width=width, description=text)
     return None
 
 
 def _role(element: str) -> str:
-    """What an element of a pose is, by its name; "" where it tells nothing."""
+    """Return the role of an element of a pose by its name; "" if it is unclear."""
     words = [w for w in _words(element) if w not in ("m", "rad")]
     if not words or _OTHER_WORDS & set(words):
         return ""
@@ -182,7 +186,7 @@ def _role(element: str) -> str:
 
 
 def _gripper(names: Sequence[str] | None) -> tuple[tuple[int, ...], int | None]:
-    """Elements that are finger joints, and the one that is the gap, where their names leave no doubt of the unit."""
+    """Return the indices of finger joints and of the gap, if their names determine the unit."""
     lower = [name.lower() for name in names or ()]
     fingers = tuple(k for k, name in enumerate(lower) if _FINGER.fullmatch(name))
     widths = [k for k, name in enumerate(lower) if _WIDTH.fullmatch(name)]
@@ -194,7 +198,7 @@ def _words(name: str) -> list[str]:
 
 
 def _size(feature: object) -> int | None:
-    """Numbers that a row of a column holds; None of what is no flat row of numbers."""
+    """Return the length of the rows of a column; None if they are no flat lists of numbers."""
     if not isinstance(feature, Mapping) or feature.get("dtype") in _NO_NUMBERS:
         return None
     shape = feature.get("shape")
@@ -203,9 +207,8 @@ def _size(feature: object) -> int | None:
 
 
 def _names(feature: object) -> Sequence[str] | None:
-    """Names of a column's elements, one each; None where there are none."""
-    given = feature.get("names") if isinstance(feature, Mapping) else None
-    names = list(_flat(given))
+    """Return the names of the elements of a column; None if they are missing."""
+    names = list(_flat(feature.get("names") if isinstance(feature, Mapping) else None))
     return names if names and len(names) == _size(feature) and all(isinstance(n, str) for n in names) else None
 
 
@@ -217,10 +220,10 @@ def _flat(names: object) -> Iterator[str]:
         yield from names
 
 
-def _listed(features: Mapping[str, object], columns: Mapping[str, int]) -> str:
-    told = []
+def _list_columns(features: Mapping[str, object], columns: Mapping[str, int]) -> str:
+    texts = []
     for name, size in columns.items():
         if name not in _INDEX_COLUMNS:
             names = _names(features[name])
-            told.append(f"{name} ({', '.join(names[:9]) + (', ...' if size > 9 else '') if names else size})")
-    return "; ".join(told[:8]) or "no column of numbers"
+            texts.append(f"{name} ({', '.join(names[:9]) + (', ...' if size > 9 else '') if names else size})")
+    return "; ".join(texts[:8]) or "no column of numbers"

@@ -1,11 +1,12 @@
-"""ManiSkill's recorded trajectories: an .h5 file of many, and a .json file beside it that describes them.
+"""Trajectories recorded by ManiSkill: an .h5 file of many, and a .json file beside it with their metadata.
 
-The layout is that of mani_skill 3's `RecordEpisode` wrapper: groups `traj_K` with `obs` and `env_states`, an
-articulation's state being its root's pose (7), velocities (6), then joint positions, then joint velocities.
+The layout is that of mani_skill 3's `RecordEpisode` wrapper: groups `traj_K` with `obs` and `env_states`;
+the state of an articulation is the pose (7) and velocity (6) of its root, joint positions, joint velocities.
 """
 
 import re
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
@@ -29,36 +30,36 @@ from kinebench_drake.io.jsonl import as_object, read_object
 SUFFIXES = frozenset({".h5", ".hdf5"})
 
 DEFAULT_RATE_HZ = 20.0
-"""ManiSkill's own control frequency, where the description tells none [Hz]."""
+"""Default control frequency of ManiSkill [Hz]."""
 
 _QPOS = "obs/agent/qpos"
 _ARTICULATIONS = "env_states/articulations"
 _MAX_BYTES = 2**28
-_ROOT = 13  # numbers of an articulation's root before its joints
+_ROOT = 13  # elements of an articulation's state before its joints
 _TRAJECTORY = re.compile(r"traj_\d{1,9}", re.ASCII)
 _ROBOT = re.compile(r"panda|franka|fr3", re.IGNORECASE)
 
 
 def list_maniskill(path: Path, video: str) -> list[TrajectorySample]:
-    """The trajectories of a file, in the order of their numbers, none of them read.
+    """List the trajectories of a file in the order of their numbers, without reading them.
 
     Args:
         path: the .h5 file.
-        video: the file as results name it.
+        video: name of the file in results.
     """
-    bare = TrajectorySample(id=path.stem, path=path, video=video, format=TrajectoryFormat.MANISKILL)
+    unread = TrajectorySample(id=path.stem, path=path, video=video, format=TrajectoryFormat.MANISKILL)
     try:
         with open_hdf5(path) as file:
             names = [name for name in map(str, file) if _TRAJECTORY.fullmatch(name)]
-            held = ", ".join(map(str, list(file)[:8]))
+            content = ", ".join(map(str, list(file)[:8]))
     except DAMAGED as error:
-        return [_replaced(bare, problem=cause(error))]
+        return [replace(unread, problem=cause(error))]
     if not names:
-        return [_replaced(bare, problem=f"holds no trajectory traj_0, traj_1, ... but {held or 'nothing'}")]
-    about, note = _description(path.with_suffix(".json"))
+        return [replace(unread, problem=f"holds no trajectory traj_0, traj_1, ... but {content or 'nothing'}")]
+    about, note = _read_metadata(path.with_suffix(".json"))
     info, episodes = as_object(about.get("env_info")), about.get("episodes")
-    told = episodes if isinstance(episodes, list) else []
-    by_id = {e["episode_id"]: e for e in map(as_object, told) if isinstance(e.get("episode_id"), int)}
+    entries = map(as_object, episodes if isinstance(episodes, list) else [])
+    by_id = {entry["episode_id"]: entry for entry in entries if isinstance(entry.get("episode_id"), int)}
     samples = []
     for name in sorted(names, key=lambda n: int(n.removeprefix("traj_"))):
         episode = as_object(by_id.get(int(name.removeprefix("traj_"))))
@@ -80,17 +81,13 @@ def list_maniskill(path: Path, video: str) -> list[TrajectorySample]:
     return samples
 
 
-def _replaced(sample: TrajectorySample, *, problem: str) -> TrajectorySample:
-    return TrajectorySample(id=sample.id, path=sample.path, video=sample.video, format=sample.format, problem=problem)
-
-
 def read_maniskill(path: Path, group: str, rate_hz: float | None, choice: TrajectoryOptions) -> RawTrajectory:
     """Read the robot's joints of one trajectory: obs/agent/qpos, else its articulation's state.
 
     Args:
         path: the .h5 file.
         group: the trajectory's group, such as "traj_3".
-        rate_hz: control steps per second [Hz]; None where the description tells none.
+        rate_hz: control frequency [Hz]; None if the metadata lack it.
         choice: `joints` names the data set below the group.
 
     Raises:
@@ -98,7 +95,7 @@ def read_maniskill(path: Path, group: str, rate_hz: float | None, choice: Trajec
     """
     if choice.poses is not None:
         raise InputError(
-            "poses of a ManiSkill file are in its world frame, not in the robot's: only its joint angles are taken "
+            "poses of a ManiSkill file are in its world frame, not in the robot's: only its joint angles are read "
             "(--joints names their data set)"
         )
     try:
@@ -106,14 +103,14 @@ def read_maniskill(path: Path, group: str, rate_hz: float | None, choice: Trajec
             trajectory = file[group]
             if not isinstance(trajectory, h5py.Group):
                 raise InputError(f"{group} is a data set, expected a group of them")
-            name = choice.joints or _found(trajectory)
+            name = choice.joints or _find_joints(trajectory)
             data = trajectory.get(name)
             if not isinstance(data, h5py.Dataset):
-                raise InputError(f"{group} holds no data set {name!r}, but {_listed(trajectory)}")
+                raise InputError(f"{group} holds no data set {name!r}, but {_list_data_sets(trajectory)}")
             if data.dtype.kind not in "iuf":
                 raise InputError(f"{group}/{name} holds {data.dtype}, expected real numbers")
             if data.shape and data.shape[0] > MAX_FRAMES:
-                raise InputError(f"has {data.shape[0]} frames, at most {MAX_FRAMES} are taken: cut it into parts")
+                raise InputError(f"has {data.shape[0]} frames, at most {MAX_FRAMES} are accepted: cut it into parts")
             values = read_all(data, _MAX_BYTES)
     except DAMAGED as error:
         raise InputError(f"{group} cannot be read ({cause(error)})") from None
@@ -125,18 +122,18 @@ def read_maniskill(path: Path, group: str, rate_hz: float | None, choice: Trajec
     fingers = values[:, N_JOINTS:].sum(axis=1) if values.shape[1] == N_JOINTS + 2 else None
     values = values if fingers is None else values[:, :N_JOINTS]
     assumed = rate_hz is None and choice.rate_hz is None
-    told = f"no control_freq is told: ManiSkill's default of {DEFAULT_RATE_HZ:g} Hz was taken; --rate HZ overrides it"
+    warning = f"control_freq is missing: ManiSkill's default of {DEFAULT_RATE_HZ:g} Hz is used; --rate HZ overrides it"
     return RawTrajectory(
         t_s=np.arange(len(values)) / (rate_hz or DEFAULT_RATE_HZ),
         q=values,
         finger_width_m=fingers,
         columns=f"{columns}[:, {first}:{first + values.shape[1]}]",
-        warnings=(told,) if assumed else (),
+        warnings=(warning,) if assumed else (),
     )
 
 
-def _found(trajectory: h5py.Group) -> str:
-    """Name of the data set that holds the robot's joints.
+def _find_joints(trajectory: h5py.Group) -> str:
+    """Return the name of the data set that holds the robot's joints.
 
     Raises:
         InputError: there is none, or more than one.
@@ -151,26 +148,26 @@ def _found(trajectory: h5py.Group) -> str:
     if robots:
         raise InputError(f"holds {len(robots)} robots: --joints {_ARTICULATIONS}/{robots[0]} names one of them")
     raise InputError(
-        f"holds {_listed(trajectory)}, expected {_QPOS} or {_ARTICULATIONS}/panda...; record it with observations or "
-        "states, or name the data set by --joints"
+        f"holds {_list_data_sets(trajectory)}, expected {_QPOS} or {_ARTICULATIONS}/panda...; record it with "
+        "observations or states, or name the data set by --joints"
     )
 
 
 def _joints_of_state(state: NDArray[np.generic], name: str) -> NDArray[np.generic]:
-    """Joint positions (T, n) in an articulation's states (T, 13 + 2 n)."""
+    """Return the joint positions (T, n) from the states of an articulation (T, 13 + 2 n)."""
     if state.ndim != 2 or state.shape[1] <= _ROOT or (state.shape[1] - _ROOT) % 2:
         raise InputError(f"{name} has shape {state.shape}, expected (T, {_ROOT} + 2 x joints)")
     return state[:, _ROOT : _ROOT + (state.shape[1] - _ROOT) // 2]
 
 
-def _listed(trajectory: h5py.Group) -> str:
+def _list_data_sets(trajectory: h5py.Group) -> str:
     names: list[str] = []
     trajectory.visititems(lambda name, item: names.append(str(name)) if isinstance(item, h5py.Dataset) else None)
     return ", ".join(names[:10]) + (", ..." if len(names) > 10 else "") if names else "nothing"
 
 
-def _description(path: Path) -> tuple[Mapping[str, object], str | None]:
-    """The description beside a file, and what is wrong with it."""
+def _read_metadata(path: Path) -> tuple[Mapping[str, object], str | None]:
+    """Read the metadata beside a file; return them and a warning if they are missing or damaged."""
     try:
         return read_object(path), None
     except FileNotFoundError:
@@ -180,7 +177,7 @@ def _description(path: Path) -> tuple[Mapping[str, object], str | None]:
 
 
 def _rate(about: Mapping[str, object]) -> float | None:
-    """Control steps per second that a description tells [Hz]."""
+    """Return the control frequency by the metadata [Hz]."""
     info = as_object(about.get("env_info"))
     arguments = as_object(info.get("env_kwargs"))
     for place in (info, arguments, as_object(arguments.get("sim_config")), as_object(arguments.get("sim_cfg"))):

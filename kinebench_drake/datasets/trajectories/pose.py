@@ -1,4 +1,4 @@
-"""Poses out of the numbers of a file: what is nearly rigid is made so, what is not is refused with its frame."""
+"""Poses from the numbers of a file: nearly rigid poses are repaired, others are refused with their frame."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,24 +8,28 @@ from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array, make_pose, orthonormalize
 
 REPAIRABLE = 1e-3
-"""Greatest deviation of R^T R from the identity, or of a quaternion's norm from 1, that is mended."""
+"""Greatest deviation of R^T R from the identity, or of a quaternion's norm from 1, that is repaired."""
 FAR_M = 10.0
-"""No coordinate of the gripper is farther from the robot's base [m]: beyond it the unit is not metres."""
+"""Greatest coordinate of the gripper in the robot base frame [m]: larger values are not in metres."""
 
-_ROUNDING = 1e-5  # deviations that single precision explains are mended without a word
+_ROUNDING = 1e-5  # deviations within single precision are repaired without a warning
 _LAST_ROW = (0.0, 0.0, 0.0, 1.0)
 
 
-@np.errstate(over="ignore", invalid="ignore")  # numbers that overflow are refused
-def rigid_poses(X: Array, known: NDArray[np.bool_]) -> tuple[Array, tuple[str, ...]]:
-    """Rigid poses (T, 4, 4) from matrices that should be, and what was mended; frames that are not `known` are NaN.
+@np.errstate(over="ignore", invalid="ignore")  # values that overflow are refused below
+def rigid_poses(X: Array, valid: NDArray[np.bool_]) -> tuple[Array, tuple[str, ...]]:
+    """Return rigid poses (T, 4, 4), NaN for frames that are not valid, and messages about repairs.
+
+    Args:
+        X: (T, 4, 4) matrices that should be poses.
+        valid: (T,) True for valid frames.
 
     Raises:
         InputError: a frame holds no finite number, no homogeneous matrix, a left-handed or a distorted frame, or a
             position that cannot be in metres.
     """
-    frames = np.flatnonzero(known)
-    matrices = X[known]
+    frames = np.flatnonzero(valid)
+    matrices = X[valid]
     _require_finite(matrices.reshape(len(frames), 16), frames, "the pose")
     off = np.abs(matrices[:, 3] - _LAST_ROW).max(axis=-1, initial=0.0)
     if (off > REPAIRABLE).any():
@@ -46,19 +50,19 @@ def rigid_poses(X: Array, known: NDArray[np.bool_]) -> tuple[Array, tuple[str, .
             )
         raise InputError(
             f"the rotation of frame {frames[k]} is not orthonormal: R^T R is off the identity by {deviation[k]:.2g}, "
-            f"at most {REPAIRABLE:g} is mended"
+            f"at most {REPAIRABLE:g} is repaired"
         )
     _require_metres(matrices[:, :3, 3], frames)
     poses = np.full((len(X), 4, 4), np.nan)
-    poses[known] = make_pose(orthonormalize(R), matrices[:, :3, 3])
-    mended = int((deviation > _ROUNDING).sum())
-    told = f"{mended} rotations, off by up to {deviation.max(initial=0.0):.1e}, were made orthonormal"
-    return poses, ((told,) if mended else ())
+    poses[valid] = make_pose(orthonormalize(R), matrices[:, :3, 3])
+    repaired = int((deviation > _ROUNDING).sum())
+    message = f"{repaired} rotations, off by up to {deviation.max(initial=0.0):.1e}, were made orthonormal"
+    return poses, ((message,) if repaired else ())
 
 
 @np.errstate(over="ignore", invalid="ignore")
 def from_quaternions(p: Array, quaternion: Array) -> tuple[Array, tuple[str, ...]]:
-    """Poses (T, 4, 4) from positions (T, 3) [m] and quaternions wxyz (T, 4), and what was mended.
+    """Return poses (T, 4, 4) from positions (T, 3) [m] and quaternions wxyz (T, 4), and messages about repairs.
 
     Raises:
         InputError: a quaternion holds no finite number, or its norm is not 1.
@@ -71,21 +75,21 @@ def from_quaternions(p: Array, quaternion: Array) -> tuple[Array, tuple[str, ...
         k = int(np.argmax(wrong))
         raise InputError(
             f"the quaternion of frame {frames[k]} has norm {np.linalg.norm(quaternion[k]):.4g}, expected 1; at most "
-            f"{REPAIRABLE:g} is mended"
+            f"{REPAIRABLE:g} is repaired"
         )
-    mended = int((deviation > _ROUNDING).sum())
-    told = f"{mended} quaternions, off by up to {deviation.max(initial=0.0):.1e}, were given the norm 1"
+    repaired = int((deviation > _ROUNDING).sum())
+    message = f"{repaired} quaternions, off by up to {deviation.max(initial=0.0):.1e}, were normalized"
     R = Rotation.from_quat(quaternion, scalar_first=True).as_matrix()
-    return make_pose(R, p), ((told,) if mended else ())
+    return make_pose(R, p), ((message,) if repaired else ())
 
 
 def from_vectors(p: Array, rotation: Array, *, angles: bool) -> Array:
-    """Poses (T, 4, 4) from positions (T, 3) [m] and three numbers a rotation (T, 3) [rad].
+    """Return poses (T, 4, 4) from positions (T, 3) [m] and three numbers per rotation (T, 3) [rad].
 
     Args:
         p: positions.
         rotation: rotation vectors, or roll, pitch and yaw.
-        angles: whether `rotation` is roll, pitch and yaw about the fixed axes x, y and z, in this order.
+        angles: True if `rotation` is roll, pitch and yaw about the fixed axes x, y and z, in this order.
 
     Raises:
         InputError: a number is not finite, or the angles cannot be radians.
@@ -108,9 +112,9 @@ def _require_finite(rows: Array, frames: NDArray[np.intp], what: str) -> None:
     broken = ~np.isfinite(rows).all(axis=-1)
     if broken.any():
         k = int(np.argmax(broken))
-        found = "NaN" if np.isnan(rows[k]).any() else "infinity"
+        value = "NaN" if np.isnan(rows[k]).any() else "infinity"
         more = f" and {int(broken.sum()) - 1} more frames" if broken.sum() > 1 else ""
-        raise InputError(f"{what} of frame {frames[k]}{more} holds {found}, expected finite numbers")
+        raise InputError(f"{what} of frame {frames[k]}{more} holds {value}, expected finite numbers")
 
 
 def _require_metres(p: Array, frames: NDArray[np.intp]) -> None:

@@ -1,14 +1,12 @@
-"""From what the user named (a file, a dataset, a folder, an output folder) to the list of trajectories in it."""
+"""Search for trajectories in files, datasets, folders and output folders, and reading of one of them."""
 
-from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
-from kinebench_drake.datasets import lerobot
-from kinebench_drake.datasets.folders import require_apart, walk
+from kinebench_drake.datasets.folders import list_suffixes, require_apart, walk
 from kinebench_drake.datasets.ids import unique_ids
-from kinebench_drake.datasets.lerobot import is_lerobot
+from kinebench_drake.datasets.lerobot import is_lerobot, list_lerobot_trajectories, read_lerobot
 from kinebench_drake.datasets.trajectories import maniskill
 from kinebench_drake.datasets.trajectories.check import check
 from kinebench_drake.datasets.trajectories.tables import CSV_SUFFIXES, NPZ_SUFFIXES, read_archive, read_table
@@ -40,15 +38,15 @@ def find_trajectories(
     None of them is read.
 
     Args:
-        source: what the user named.
-        choice: what the user says about the data.
-        out: a folder whose content is never taken for input (the run's own output).
-        model: who made the trajectories, for those that name no one.
-        task: name of the task, for trajectories that name none.
+        source: path named by the user.
+        choice: options of the user.
+        out: output folder of the run, whose content is never used as input.
+        model: name of the model, for trajectories without one.
+        task: name of the task, for trajectories without one.
 
     Raises:
-        UsageError: there is nothing to read, a dataset has no fitting column, or a run into `out` would harm what it
-            reads.
+        UsageError: there is nothing to read, a dataset has no suitable column, or a run into `out` would change its
+            inputs.
     """
     if not source.exists():
         raise UsageError(f"{source}: there is no such file or folder")
@@ -57,22 +55,20 @@ def find_trajectories(
     if not source.is_dir():
         if source.suffix.lower() not in _SUFFIXES:
             raise UsageError(f"{source}: found a {source.suffix or 'nameless'} file, expected {EXPECTED}")
-        samples = _from_file(source, source.name)
+        samples = _list_file(source, source.name)
     elif is_lerobot(source):
         try:
-            samples = lerobot.list_lerobot_trajectories(source, source.resolve().name, choice)
+            samples = list_lerobot_trajectories(source, source.resolve().name, choice)
         except InputError as error:
             raise UsageError(f"{source}: {error}") from None
     elif (source / SAMPLES).is_file():
-        samples = _from_output(source)
+        samples = _list_output(source)
     elif source.resolve().name == "tracks" and (source.resolve().parent / SAMPLES).is_file():
-        samples = _from_output(source.resolve().parent)
+        samples = _list_output(source.resolve().parent)
     else:
-        samples = list(_from_folder(source, choice, out))
+        samples = list(_list_folder(source, choice, out))
     if not samples:
-        held = Counter(p.suffix.lower() or "no suffix" for p in source.iterdir() if p.is_file())
-        found = ", ".join(f"{n} x {suffix}" for suffix, n in held.most_common(4)) or "nothing"
-        raise UsageError(f"{source}: holds no trajectory (found {found}), expected {EXPECTED}")
+        raise UsageError(f"{source}: holds no trajectory (found {list_suffixes(source)}), expected {EXPECTED}")
     ids = unique_ids([(s.id, Path(s.video).parent.parts) for s in samples])
     return tuple(
         replace(s, id=id, model=s.model or model, task=s.task or task) for s, id in zip(samples, ids, strict=True)
@@ -80,10 +76,10 @@ def find_trajectories(
 
 
 def read_trajectory(sample: TrajectorySample, choice: TrajectoryOptions) -> Trajectory:
-    """Read one trajectory and check it.
+    """Read and check one trajectory.
 
     Raises:
-        InputError: it cannot be read, or is not sound; one line says why.
+        InputError: it cannot be read, or is invalid.
         UnmeasurableError: it is too short.
     """
     if sample.problem is not None:
@@ -91,17 +87,17 @@ def read_trajectory(sample: TrajectorySample, choice: TrajectoryOptions) -> Traj
     if not sample.path.is_file():
         raise InputError(f"{sample.path.name}: there is no such file")
     if sample.format is TrajectoryFormat.NPZ:
-        recording = read_archive(sample.path, choice)
+        raw = read_archive(sample.path, choice)
     elif sample.format is TrajectoryFormat.CSV:
-        recording = read_table(sample.path, choice)
+        raw = read_table(sample.path, choice)
     elif sample.format is TrajectoryFormat.MANISKILL:
-        recording = maniskill.read_maniskill(sample.path, str(sample.part), sample.rate_hz, choice)
+        raw = maniskill.read_maniskill(sample.path, str(sample.part), sample.rate_hz, choice)
     else:
-        recording = lerobot.read_lerobot(sample.path, int(str(sample.part)), sample.about[0], choice)
-    return check(replace(recording, warnings=(*sample.warnings, *recording.warnings)), choice.rate_hz)
+        raw = read_lerobot(sample.path, int(str(sample.part)), sample.about[0], choice)
+    return check(replace(raw, warnings=(*sample.warnings, *raw.warnings)), choice.rate_hz)
 
 
-def _from_file(path: Path, video: str) -> list[TrajectorySample]:
+def _list_file(path: Path, video: str) -> list[TrajectorySample]:
     suffix = path.suffix.lower()
     if suffix in maniskill.SUFFIXES:
         return maniskill.list_maniskill(path, video)
@@ -109,8 +105,8 @@ def _from_file(path: Path, video: str) -> list[TrajectorySample]:
     return [TrajectorySample(id=path.stem, path=path, video=video, format=format)]
 
 
-def _from_output(folder: Path) -> list[TrajectorySample]:
-    """The tracks of an output folder, with the labels of their rows."""
+def _list_output(folder: Path) -> list[TrajectorySample]:
+    """List the tracks of an output folder, with the labels of their rows."""
     try:
         rows = read_rows(folder)
     except InputError as error:
@@ -134,21 +130,21 @@ def _from_output(folder: Path) -> list[TrajectorySample]:
     return samples
 
 
-def _from_folder(folder: Path, choice: TrajectoryOptions, out: Path | None) -> Iterator[TrajectorySample]:
-    """Trajectory files and datasets at any depth, sorted."""
+def _list_folder(folder: Path, choice: TrajectoryOptions, out: Path | None) -> Iterator[TrajectorySample]:
+    """List trajectory files and datasets at any depth, sorted."""
     for here, folders, files in walk(folder, [] if out is None else [out]):
         if is_lerobot(here):
             folders.clear()
-            yield from _dataset(here, here.relative_to(folder).as_posix(), choice)
+            yield from _list_dataset(here, here.relative_to(folder).as_posix(), choice)
             continue
         for name in (f for f in files if Path(f).suffix.lower() in _SUFFIXES):
-            yield from _from_file(here / name, (here / name).relative_to(folder).as_posix())
+            yield from _list_file(here / name, (here / name).relative_to(folder).as_posix())
 
 
-def _dataset(folder: Path, name: str, choice: TrajectoryOptions) -> list[TrajectorySample]:
-    """Episodes of a dataset; a dataset that cannot be used is one trajectory with a problem."""
+def _list_dataset(folder: Path, name: str, choice: TrajectoryOptions) -> list[TrajectorySample]:
+    """List the episodes of a dataset; one that cannot be used becomes a sample with a problem."""
     try:
-        return lerobot.list_lerobot_trajectories(folder, name, choice)
+        return list_lerobot_trajectories(folder, name, choice)
     except InputError as error:
         return [
             TrajectorySample(

@@ -20,19 +20,19 @@ _POSES, _JOINTS = "base_from_tcp", "q"
 
 
 def read_archive(path: Path, choice: TrajectoryOptions) -> RawTrajectory:
-    """Read `t_s` and `base_from_tcp` or `q`, and where they are there `tracked` and `finger_width_m`.
+    """Read `t_s` and `base_from_tcp` or `q`, and `tracked` and `finger_width_m` if present.
 
-    Joint angles go before poses, as they leave no choice of posture; not so in the tracks of an output folder (told by
-    their array `ik_ok`), whose angles were found from the poses.
+    Joint angles take precedence over poses, as they determine the posture; except in the tracks of an output folder
+    (recognized by their array `ik_ok`), whose angles were computed from the poses.
 
     Raises:
         InputError: the file is damaged, lacks an array, or holds pickled objects.
     """
     with open_npz(path, at_most(_MAX_BYTES)) as archive:
-        return _recording(archive, choice)
+        return _read_arrays(archive, choice)
 
 
-def _recording(archive: Archive, choice: TrajectoryOptions) -> RawTrajectory:
+def _read_arrays(archive: Archive, choice: TrajectoryOptions) -> RawTrajectory:
     names = archive.files
 
     def optional(name: str) -> NDArray[np.generic] | None:
@@ -40,31 +40,31 @@ def _recording(archive: Archive, choice: TrajectoryOptions) -> RawTrajectory:
 
     warnings = []
     if choice.joints is not None or choice.poses is not None:
-        taken = str(choice.joints or choice.poses)
-        if taken not in names:
-            raise InputError(f"holds no array {taken!r}, but {_listed(names)}")
+        name = str(choice.joints or choice.poses)
+        if name not in names:
+            raise InputError(f"holds no array {name!r}, but {_list_arrays(names)}")
         is_joints = choice.joints is not None
     else:
         order = (_POSES, _JOINTS) if "ik_ok" in names else (_JOINTS, _POSES)
-        found = [name for name in order if name in names]
-        if not found:
-            raise InputError(f"holds {_listed(names)}, expected t_s and {_POSES} (T,4,4) or {_JOINTS} (T,7)")
-        taken, is_joints = found[0], found[0] == _JOINTS
-        if len(found) > 1 and "ik_ok" not in names:
-            warnings.append(f"holds {_JOINTS} and {_POSES}: {_JOINTS} was taken (--poses {_POSES} takes the poses)")
-    values = archive[taken]
+        candidates = [name for name in order if name in names]
+        if not candidates:
+            raise InputError(f"holds {_list_arrays(names)}, expected t_s and {_POSES} (T,4,4) or {_JOINTS} (T,7)")
+        name, is_joints = candidates[0], candidates[0] == _JOINTS
+        if len(candidates) > 1 and "ik_ok" not in names:
+            warnings.append(f"holds {_JOINTS} and {_POSES}: {_JOINTS} was read (--poses {_POSES} reads the poses)")
+    values = archive[name]
     return RawTrajectory(
         t_s=optional("t_s"),
         X_BG=None if is_joints else values,
         q=values if is_joints else None,
         tracked=optional("tracked"),
         finger_width_m=optional("finger_width_m"),
-        columns=taken,
+        columns=name,
         warnings=tuple(warnings),
     )
 
 
-def _listed(names: list[str]) -> str:
+def _list_arrays(names: list[str]) -> str:
     return f"the arrays {', '.join(names[:12])}" if names else "no array"
 
 
@@ -79,27 +79,27 @@ _EXPECTED = f"{TIME} and {','.join(POSE)} or {JOINTS[0]}..{JOINTS[-1]}"
 def read_table(path: Path, choice: TrajectoryOptions) -> RawTrajectory:
     """Read `t_s` with x_m, y_m, z_m, qw, qx, qy, qz or with q1_rad .. q7_rad; columns in any order.
 
-    Where both are there the joint angles are taken, or what `choice` names (any name will do: it tells which of the
-    two). Columns that nobody reads are a warning.
+    If both are present the joint angles are read, or the kind that `choice` names (by any name). Unknown columns give
+    a warning.
 
     Raises:
-        InputError: the file is no such table; the message names the line.
+        InputError: the file is not such a table; the message names the line.
     """
     if not path.stat().st_size:
         raise InputError("the file is empty (0 bytes)")
     header, rows = _rows(path)
-    double = sorted({name for name in header if header.count(name) > 1})
-    if double:
-        raise InputError(f"the header names {', '.join(double)} more than once")
+    repeated = sorted({name for name in header if header.count(name) > 1})
+    if repeated:
+        raise InputError(f"the header names {', '.join(repeated)} more than once")
     complete = [group for group in (JOINTS, POSE) if set(group) <= set(header)]
     wanted = JOINTS if choice.joints else POSE if choice.poses else complete[0] if complete else None
     if wanted is None or wanted not in complete:
-        began = wanted or next((g for g in (JOINTS, POSE) if set(g) & set(header)), ())
-        lacking = f", lacks {', '.join(n for n in began if n not in header)}" if began else ""
+        partial = wanted or next((g for g in (JOINTS, POSE) if set(g) & set(header)), ())
+        lacking = f", lacks {', '.join(n for n in partial if n not in header)}" if partial else ""
         raise InputError(f"the header has {', '.join(header[:12]) or 'no name'}{lacking}; expected {_EXPECTED}")
     warnings = []
     if len(complete) > 1:
-        warnings.append(f"holds joint angles and poses: {wanted[0]}..{wanted[-1]} were taken")
+        warnings.append(f"holds joint angles and poses: {wanted[0]}..{wanted[-1]} were read")
     unread = [name for name in header if name not in (*JOINTS, *POSE, TIME, WIDTH)]
     if unread:
         warnings.append(f"columns {', '.join(unread[:12])} are not read")
@@ -110,8 +110,8 @@ def read_table(path: Path, choice: TrajectoryOptions) -> RawTrajectory:
     values = columns(*wanted)
     X_BG: Array | None = None
     if wanted is POSE:
-        X_BG, mended = from_quaternions(values[:, :3], values[:, 3:])
-        warnings += mended
+        X_BG, repairs = from_quaternions(values[:, :3], values[:, 3:])
+        warnings += repairs
     return RawTrajectory(
         t_s=columns(TIME)[:, 0] if TIME in header else None,
         X_BG=X_BG,
@@ -123,7 +123,7 @@ def read_table(path: Path, choice: TrajectoryOptions) -> RawTrajectory:
 
 
 def _rows(path: Path) -> tuple[list[str], Array]:
-    """The header's names and the numbers (T, columns) below it."""
+    """Return the names of the header and the numbers (T, columns)."""
     rows: list[list[float]] = []
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
@@ -137,7 +137,7 @@ def _rows(path: Path) -> tuple[list[str], Array]:
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise InputError(f"cannot be read as a comma-separated text ({cause(error)})") from None
     if len(header) == 1 and (";" in header[0] or "\t" in header[0]):
-        raise InputError("the header's names are not separated by commas, expected a comma-separated table")
+        raise InputError("the names of the header are not separated by commas, expected a comma-separated table")
     return header, np.reshape(np.array(rows, dtype=np.float64), (len(rows), len(header)))
 
 
@@ -151,5 +151,5 @@ def _numbers(fields: list[str], header: list[str], line: int) -> list[float]:
         except ValueError:
             if name in (TIME, WIDTH, *POSE, *JOINTS) and (text.strip() or name != WIDTH):
                 raise InputError(f"line {line}: {name} is {text.strip()!r:.40}, expected a number") from None
-            numbers.append(np.nan)  # a column that nobody reads, or an unknown width
+            numbers.append(np.nan)  # an unknown column, or a missing width
     return numbers

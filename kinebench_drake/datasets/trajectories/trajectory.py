@@ -18,20 +18,20 @@ MIN_STEP_S, MAX_STEP_S = 1e-4, 1e3
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrajectoryOptions:
-    """What the user says about the data of a file, over what is found there."""
+    """Options of the user that override the content of a file."""
 
     rate_hz: float | None = None
-    """Frames per second, over the file's times [Hz]."""
+    """Frames per second, overriding the times of the file [Hz]."""
     joints: str | None = None
     """Name of the array, data set or column that holds the joint angles."""
     poses: str | None = None
     """Name of the array or column that holds the poses of the TCP."""
 
     def __post_init__(self) -> None:
-        """Check the choice.
+        """Check the options.
 
         Raises:
-            UsageError: the rate is no rate, or joints and poses are both named.
+            UsageError: the rate is out of range, or joints and poses are both named.
         """
         if self.rate_hz is not None and not 1.0 / MAX_STEP_S <= self.rate_hz <= 1.0 / MIN_STEP_S:
             raise UsageError(
@@ -44,48 +44,48 @@ class TrajectoryOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RawTrajectory:
-    """What a file holds, of any shape and value; `check` makes a `Trajectory` of it or says why not."""
+    """Unchecked content of a file, which `check` converts to a `Trajectory`."""
 
     t_s: NDArray[np.generic] | None
-    """(T,) times [s]; None where the file has none."""
+    """(T,) times [s]; None if the file has none."""
     X_BG: NDArray[np.generic] | None = None
-    """(T, 4, 4) poses of the TCP in the robot base frame [m]; None where `q` is given."""
+    """(T, 4, 4) poses of the TCP in the robot base frame [m]; None if there is `q`."""
     q: NDArray[np.generic] | None = None
-    """(T, 7) joint angles [rad], (T, 8) or (T, 9) with the fingers behind them; None where `X_BG` is given."""
+    """(T, 7) joint angles [rad], (T, 8) or (T, 9) with finger joints after them; None if there is `X_BG`."""
     tracked: NDArray[np.generic] | None = None
-    """(T,) whether the frame is known; None for all."""
+    """(T,) True for valid frames; None for all."""
     finger_width_m: NDArray[np.generic] | None = None
-    """(T,) gap between the finger pads [m]; None where unknown."""
+    """(T,) gap between the finger pads [m]; None if unknown."""
     columns: str
-    """What was taken from the file, in its own names."""
+    """Names of the arrays or columns that were read."""
     warnings: tuple[str, ...] = ()
-    """What the user should know about it."""
+    """Warnings for the user."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Trajectory:
-    """A gripper's or an arm's way through time, sound enough to be judged. Either `X_BG` or `q` is given."""
+    """Validated trajectory of a gripper or an arm: either `X_BG` or `q` is set."""
 
     t_s: Array
     """(T,) times [s], increasing."""
     X_BG: Array | None
     """(T, 4, 4) rigid poses of the TCP in the robot base frame [m]; NaN where not tracked."""
     q: Array | None
-    """(T, 7) joint angles [rad], to be judged as they are; NaN where not tracked."""
+    """(T, 7) joint angles [rad], judged unchanged; NaN where not tracked."""
     tracked: NDArray[np.bool_]
-    """(T,) frames that are known."""
+    """(T,) True for valid frames."""
     finger_width_m: Array
     """(T,) gap between the finger pads, 0..0.08 [m]; NaN where unknown."""
     columns: str
-    """What was taken from the file, in its own names."""
+    """Names of the arrays or columns that were read."""
     warnings: tuple[str, ...]
-    """What was found amiss and mended, or left out."""
+    """Repairs and omissions."""
 
     def __post_init__(self) -> None:
         """Check shapes against the number of frames.
 
         Raises:
-            InputError: a shape is wrong, or not exactly one of `X_BG` and `q` is given.
+            InputError: a shape is wrong, or not exactly one of `X_BG` and `q` is set.
         """
         n = len(self.t_s)
         shapes = {"t_s": (n,), "X_BG": (n, 4, 4), "q": (n, N_JOINTS), "tracked": (n,), "finger_width_m": (n,)}
@@ -98,7 +98,7 @@ class Trajectory:
 
 
 class TrajectoryFormat(Enum):
-    """What a trajectory is stored as."""
+    """File format of a trajectory."""
 
     NPZ = "npz"
     CSV = "csv"
@@ -108,28 +108,28 @@ class TrajectoryFormat(Enum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrajectorySample:
-    """One trajectory and what its file says about it."""
+    """One trajectory and its metadata."""
 
     id: str
-    """Unique, safe as a file name, contains the file's stem or the dataset's name."""
+    """Unique, safe as a file name; contains the stem of the file or the name of the dataset."""
     path: Path
-    """The file that holds it; other trajectories may be in it too."""
+    """File that holds it, possibly with other trajectories."""
     video: str
-    """The trajectory as results name it: its file relative to what was named, and its part behind a #."""
+    """Name of the trajectory in results: its file relative to the named path, with `#` before its part."""
     format: TrajectoryFormat
     part: str | None = None
-    """Which one of the file's trajectories: the group of a ManiSkill file, the episode's number of a dataset."""
+    """Part of the file: group of a ManiSkill file, number of the episode of a dataset."""
     about: tuple[Path, ...] = ()
-    """Further files that its reading depends on."""
+    """Further files on which its content depends."""
     rate_hz: float | None = None
-    """Frames per second that the file's description tells [Hz]; None where the file has times."""
+    """Frames per second by the metadata of the file [Hz]; None if the file has times."""
     task: str | None = None
     model: str | None = None
     seed: int | None = None
     prompt: str | None = None
     success: bool | None = None
-    """Whether the task's goal was reached, by the file's own account."""
+    """True if the task succeeded according to the file."""
     warnings: tuple[str, ...] = ()
-    """What the user should know about it."""
+    """Warnings for the user."""
     problem: str | None = None
-    """Why it cannot be read at all; None when it can be tried."""
+    """Reason why it cannot be read; None if it can be tried."""

@@ -1,1 +1,1 @@
-"""Video samples from files, folders, manifests and dataset formats: one module a format, their registry in `find`."""
+"""Videos in files, folders, manifests and datasets: one module per format, registered in `find`."""

@@ -1,32 +1,30 @@
-"""The registry of video formats: from a path to its samples."""
+"""Search for videos: from a path to its samples, by the format of the file or folder."""
 
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from kinebench_drake.datasets import lerobot, manifest
-from kinebench_drake.datasets.folders import require_apart, walk
+from kinebench_drake.datasets.folders import list_suffixes, require_apart, walk
 from kinebench_drake.datasets.ids import unique_ids
 from kinebench_drake.datasets.videos import ewmbench, hdf5_videos, videofolder, worldarena
-from kinebench_drake.datasets.videos.folder import FolderLayout, is_frame_folder, list_folder
-from kinebench_drake.datasets.videos.sample import VideoSample, VideoSamples
-from kinebench_drake.datasets.videos.search import CameraLookup, Search, plain
+from kinebench_drake.datasets.videos.sample import VideoSample, VideoSamples, default_camera
+from kinebench_drake.datasets.videos.search import CameraLookup, Search
 from kinebench_drake.errors import InputError, UsageError
-from kinebench_drake.io.files import VIDEO_SUFFIXES
+from kinebench_drake.io.files import IMAGE_SUFFIXES, VIDEO_SUFFIXES
 from kinebench_drake.io.hdf5 import HDF5_SUFFIXES
 from kinebench_drake.io.reader import ARRAY_SUFFIXES
 from kinebench_drake.io.video import VideoPart
 
 
-def list_film(path: Path, search: Search) -> list[VideoSample]:
-    """A film."""
-    return [plain(path, search)]
+def list_container(path: Path, search: Search) -> list[VideoSample]:
+    """List a video file."""
+    return [search.sample(path)]
 
 
 def list_array(path: Path, search: Search) -> list[VideoSample]:
-    """An npy file, or an array of an npz file: the one that the camera's key names, else the one that is read."""
-    sample = plain(path, search)
+    """List an npy file, or an array of an npz file: the one that the camera key names, else the default one."""
+    sample = search.sample(path)
     if path.suffix.lower() != ".npz" or search.camera_key is None:
         return [sample]
     return [replace(sample, part=VideoPart(key=search.camera_key), camera_key=search.camera_key)]
@@ -35,20 +33,31 @@ def list_array(path: Path, search: Search) -> list[VideoSample]:
 FILES: Mapping[str, Callable[[Path, Search], Sequence[VideoSample]]] = {
     ".jsonl": manifest.list_manifest,
     **dict.fromkeys(HDF5_SUFFIXES, hdf5_videos.list_hdf5),
-    **dict.fromkeys(VIDEO_SUFFIXES, list_film),
+    **dict.fromkeys(VIDEO_SUFFIXES, list_container),
     **dict.fromkeys(ARRAY_SUFFIXES, list_array),
 }
-"""What lists the videos of a file that was named, by its suffix in lower case."""
+"""Functions that list the videos of a named file, by its suffix in lower case."""
 
 NAMES = dict.fromkeys(videofolder.NAMES, videofolder.list_metadata)
-"""The same by whole names, which go before suffixes."""
+"""The same by the whole name of the file, which takes precedence over the suffix."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FolderLayout:
+    """Format of a dataset that is a folder."""
+
+    matches: Callable[[Path], bool]
+    """Returns whether a folder has the format."""
+    list: Callable[[Path, Search], list[VideoSample]]
+    """Lists the videos of such a folder; raises InputError if it cannot be used."""
+
 
 LAYOUTS = (
-    FolderLayout(claims=lerobot.is_lerobot, list=lerobot.list_lerobot_videos),
-    FolderLayout(claims=ewmbench.is_ewmbench, list=ewmbench.list_ewmbench),
-    FolderLayout(claims=worldarena.is_worldarena, list=worldarena.list_worldarena),
+    FolderLayout(matches=lerobot.is_lerobot, list=lerobot.list_lerobot_videos),
+    FolderLayout(matches=ewmbench.is_ewmbench, list=ewmbench.list_ewmbench),
+    FolderLayout(matches=worldarena.is_worldarena, list=worldarena.list_worldarena),
 )
-"""Folders that are more than videos in a tree; the first that claims a folder has it."""
+"""Formats of folders; the first that matches is used."""
 
 
 def find_samples(
@@ -63,72 +72,121 @@ def find_samples(
     """List the videos of a file, a frame folder, a dataset, a folder of these or a manifest.
 
     Args:
-        source: what the user named.
-        out: a folder whose content is never taken for input (the run's own output).
-        model: name of the world model, for samples that name none.
-        task: name of the task, for samples that name none.
-        others: folders that are read beside the videos (masks, depth, poses), whose pictures are no videos.
-        camera_key: the camera to take of datasets that have several.
+        source: path named by the user.
+        out: output folder of the run, whose content is never used as input.
+        model: name of the world model, for samples without one.
+        task: name of the task, for samples without one.
+        others: folders of masks, depth or poses, whose images are no videos.
+        camera_key: camera to use in datasets with several cameras.
 
     Raises:
-        UsageError: there is nothing to read, it is not said which camera to take, a `camera.json` is unusable, or a
-            run into `out` would harm what it reads.
+        UsageError: there is nothing to read, the choice of the camera is ambiguous, a `camera.json` is unusable, or a
+            run into `out` would change its inputs.
     """
     if not source.exists():
         raise UsageError(f"{source}: there is no such file or folder")
     if out is not None:
         require_apart(out, source, *others)
     top = source if source.is_dir() else source.parent
-    search = Search(top=top, cameras=CameraLookup(_beside(source)), camera_key=camera_key)
+    search = Search(top=top, cameras=CameraLookup(_camera_folder(source)), camera_key=camera_key)
     try:
-        found = _list(source, search, [p for p in (out, *others) if p is not None])
+        samples = _list(source, search, [p for p in (out, *others) if p is not None])
     except InputError as error:
         raise UsageError(f"{source}: {error}") from None
-    if camera_key is not None and not any(sample.camera_key or sample.problem for sample in found):
+    if camera_key is not None and not any(sample.camera_key or sample.problem for sample in samples):
         raise UsageError(
             f"--camera-key {camera_key}: {source} has nothing to choose from; it is for LeRobot datasets, HDF5 and npz "
             "files with several cameras"
         )
-    samples = [replace(s, model=s.model or model, task=s.task or task) for s in found]
-    return VideoSamples(samples=_with_unique_ids(samples), warnings=tuple(search.warnings))
+    ids = unique_ids([(s.id, _folders(s)) for s in samples])
+    named = (replace(s, id=id, model=s.model or model, task=s.task or task) for s, id in zip(samples, ids, strict=True))
+    return VideoSamples(samples=tuple(named), warnings=tuple(search.warnings))
 
 
-def _beside(source: Path) -> Path:
-    """The folder that a video lies in, be it a file or a folder of frames; a folder of videos itself."""
+def list_folder(folder: Path, search: Search, skipped: Sequence[Path]) -> list[VideoSample]:
+    """List the video files, frame folders and datasets below a folder, sorted.
+
+    A dataset that cannot be used becomes one sample with a problem, unless it is `folder` itself.
+
+    Raises:
+        InputError: `folder` is a dataset that cannot be used.
+        UsageError: a camera.json is unusable.
+    """
+    samples: list[VideoSample] = []
+    metadata: list[Path] = []
+    for here, folders, files in walk(folder, skipped):
+        layout = next((layout for layout in LAYOUTS if layout.matches(here)), None)
+        if layout is not None:
+            folders.clear()
+            samples += _list_dataset(here, search, layout)
+            continue
+        videos = [f for f in files if Path(f).suffix.lower() in VIDEO_SUFFIXES]
+        if videos:
+            samples += [search.sample(here / f) for f in videos]
+        elif _is_frame_folder(files):
+            samples.append(search.sample(here))
+        metadata += [here / name for name in videofolder.NAMES if name in files]
+    if (folder / manifest.NAME).is_file():
+        search.warnings.append(
+            f"{folder / manifest.NAME} is not read, as the folder was named; name the file itself to use it"
+        )
+    return videofolder.add_labels(samples, metadata, search)
+
+
+def _list_dataset(folder: Path, search: Search, layout: FolderLayout) -> list[VideoSample]:
+    try:
+        return layout.list(folder, search)
+    except InputError as error:
+        if folder == search.top:
+            raise
+        camera, source = default_camera()
+        return [
+            VideoSample(
+                id=folder.name,
+                path=folder,
+                video=search.name(folder),
+                camera=camera,
+                camera_source=source,
+                problem=str(error),
+            )
+        ]
+
+
+def _camera_folder(source: Path) -> Path:
+    """Return the top folder whose camera file applies: the parent of a video file or frame folder, else the folder."""
     if not source.is_dir():
         return source.parent
     _, folders, files = next(walk(source))
-    return source.parent if not folders and is_frame_folder(files) else source
+    return source.parent if not folders and _is_frame_folder(files) else source
+
+
+def _is_frame_folder(files: Sequence[str]) -> bool:
+    """Return whether a folder of these files is one video: it holds images, and no video files."""
+    suffixes = {Path(f).suffix.lower() for f in files}
+    return bool(suffixes & IMAGE_SUFFIXES) and not suffixes & VIDEO_SUFFIXES
 
 
 def _list(source: Path, search: Search, skipped: Sequence[Path]) -> Sequence[VideoSample]:
     if source.is_dir():
-        samples = list_folder(source, search, skipped, LAYOUTS)
+        samples = list_folder(source, search, skipped)
         if not samples:
-            held = Counter(p.suffix.lower() or "no suffix" for p in source.iterdir() if p.is_file())
-            told = ", ".join(f"{n} x {suffix}" for suffix, n in held.most_common(4)) or "nothing"
-            raise InputError(f"holds no video (found {told}), expected {_expected()}")
+            raise InputError(f"holds no video (found {list_suffixes(source)}), expected {_expected()}")
         return samples
-    reader = NAMES.get(source.name) or FILES.get(source.suffix.lower())
-    if reader is None:
+    list_file = NAMES.get(source.name) or FILES.get(source.suffix.lower())
+    if list_file is None:
         raise InputError(f"found a {source.suffix or 'nameless'} file, expected {_expected()}")
-    return reader(source, search)
+    return list_file(source, search)
 
 
 def _expected() -> str:
-    films = ", ".join(sorted(s[1:] for s in VIDEO_SUFFIXES))
+    suffixes = ", ".join(sorted(s[1:] for s in VIDEO_SUFFIXES))
     return (
-        f"a video ({films}), a folder of videos or frame folders, a npy/npz or HDF5 file, a LeRobot dataset or a "
+        f"a video ({suffixes}), a folder of videos or frame folders, a npy/npz or HDF5 file, a LeRobot dataset or a "
         f"{manifest.NAME}"
     )
 
 
-def _with_unique_ids(samples: Sequence[VideoSample]) -> tuple[VideoSample, ...]:
-    """Give every sample an id of its own; of those that share a stem, the ones named by it take folders along."""
-    ids = unique_ids([(s.id, _folders(s)) for s in samples])
-    return tuple(replace(sample, id=id) for sample, id in zip(samples, ids, strict=True))
-
-
 def _folders(sample: VideoSample) -> tuple[str, ...]:
+    """Return the folders that may be prepended to the id of a sample named by its file."""
     video = Path(sample.video)
     return video.parent.parts if sample.problem is None and sample.id in (video.stem, video.name) else ()

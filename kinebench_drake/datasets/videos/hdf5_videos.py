@@ -1,14 +1,15 @@
-"""HDF5 files of videos: of one episode (ALOHA, RoboTwin) or of many (robomimic's demo_K, ManiSkill's traj_K).
+"""Videos in HDF5 files: of one episode (ALOHA, RoboTwin) or of many (demo_K of robomimic, traj_K of ManiSkill).
 
-ManiSkill's description beside its file tells task, seeds and the control frequency at which its frames were taken.
+The JSON file beside a ManiSkill file gives task, seeds and the control frequency, which is the frame rate.
 """
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 from kinebench_drake.datasets.trajectories.maniskill import DEFAULT_RATE_HZ, list_maniskill
 from kinebench_drake.datasets.trajectories.trajectory import TrajectorySample
-from kinebench_drake.datasets.videos.sample import VideoSample, camera_of
+from kinebench_drake.datasets.videos.sample import VideoSample
 from kinebench_drake.datasets.videos.search import Search
 from kinebench_drake.io.hdf5 import list_hdf5_videos
 from kinebench_drake.io.video import VideoPart
@@ -17,42 +18,40 @@ _EPISODE = re.compile(r"(?P<episode>(?:data/)?(?:demo|traj|episode)_\d+)/(?P<cam
 
 
 def list_hdf5(path: Path, search: Search) -> list[VideoSample]:
-    """Every episode of a file, one camera of each.
+    """List the episodes of a file, one camera of each.
 
     Raises:
-        InputError: the file is damaged, holds no video, or it is not said which of its cameras to take.
+        InputError: the file is damaged, holds no video, or the choice of the camera is ambiguous.
     """
     episodes: dict[str, dict[str, str]] = {}
     for name in list_hdf5_videos(path):
         match = _EPISODE.fullmatch(name)
-        episode, key = (match["episode"], match["camera"]) if match else ("", name)
-        episodes.setdefault(episode, {})[key] = name
-    key = search.choose(list(dict.fromkeys(key for found in episodes.values() for key in found)), path.name)
-    told = _told(path, list(episodes))
-    camera, source = camera_of(search.cameras.of(path.parent))
+        episode, camera = (match["episode"], match["camera"]) if match else ("", name)
+        episodes.setdefault(episode, {})[camera] = name
+    key = search.choose_camera(list(dict.fromkeys(key for videos in episodes.values() for key in videos)), path.name)
+    metadata = _maniskill_metadata(path, list(episodes))
+    sample = search.part_sample(path)
     samples = []
-    for episode, found in episodes.items():
-        about, part = told.get(episode), episode.rpartition("/")[2]
+    for episode, videos in episodes.items():
+        about, part = metadata.get(episode), episode.rpartition("/")[2]
         samples.append(
-            VideoSample(
+            replace(
+                sample,
                 id=f"{path.stem}-{part}" if part else path.stem,
-                path=path,
-                part=VideoPart(key=found.get(key, key)),
+                part=VideoPart(key=videos.get(key, key)),
                 video=f"{path.name}#{part or key}",
-                camera=camera,
-                camera_source=source,
                 camera_key=key,
                 task=about.task if about else None,
                 seed=about.seed if about else None,
                 dataset_period_s=1.0 / (about.rate_hz or DEFAULT_RATE_HZ) if about else None,
-                problem=None if key in found else f"{episode} has no video {key}, but {', '.join(found)}",
+                problem=None if key in videos else f"{episode} has no video {key}, but {', '.join(videos)}",
             )
         )
     return samples
 
 
-def _told(path: Path, episodes: list[str]) -> dict[str, TrajectorySample]:
-    """What ManiSkill's description tells of each of its trajectories."""
+def _maniskill_metadata(path: Path, episodes: list[str]) -> dict[str, TrajectorySample]:
+    """Return the metadata of ManiSkill's trajectories by their group; empty for other files."""
     if not any(episode.startswith("traj_") for episode in episodes):
         return {}
     return {str(sample.part): sample for sample in list_maniskill(path, path.name) if sample.problem is None}

@@ -10,10 +10,10 @@ from kinebench_drake.types import InitialState
 
 
 class CameraSource(Enum):
-    """Where a sample's camera comes from, in order of precedence."""
+    """Source of a sample's camera, in order of precedence."""
 
     GIVEN = "given"
-    """By a caller from Python."""
+    """Argument of a function of the Python interface."""
     MANIFEST = "manifest"
     FOLDER = "folder"
     BENCHMARK = "benchmark"
@@ -21,52 +21,52 @@ class CameraSource(Enum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VideoSample:
-    """One video to work on and what its owner says about it."""
+    """One video and its metadata."""
 
     id: str
-    """Unique, safe as a file name, contains the video's stem, or its dataset's name and its own in it."""
+    """Unique, safe as a file name; contains the stem of the file, or the name of the dataset and of its part."""
     path: Path
-    """The file or frame folder that holds the video."""
+    """File or frame folder that holds the video."""
     part: VideoPart = WHOLE
-    """Which part of the file it is."""
+    """Part of the file."""
     video: str
-    """The video as results name it: relative to the named folder or manifest, a part of a file behind a #."""
+    """Name of the video in results: relative to the named folder or manifest, with `#` before a part of a file."""
     camera: Camera
-    """The camera before it is scaled to the video's size."""
+    """Camera before scaling to the size of the video."""
     camera_source: CameraSource
     camera_key: str | None = None
-    """Name of the camera in its dataset; None where a file is one video."""
+    """Name of the camera in its dataset; None for a file with one video."""
     task: str | None = None
     model: str | None = None
     seed: int | None = None
     prompt: str | None = None
     fps: float | None = None
-    """Frames per second that the manifest tells, over what the file says [1/s]; None leaves it to the file."""
+    """Frames per second by the manifest, overriding the file [1/s]; None for the value of the file."""
     frame_period_s: float | None = None
-    """Task time between two frames [s] given by the manifest; None leaves it to the command line or the file."""
+    """Task time between two frames by the manifest [s]; None for that of the command line or the file."""
     dataset_period_s: float | None = None
-    """Task time between two frames [s] by the dataset's description, over what the film says."""
+    """Task time between two frames by the metadata of the dataset, overriding the file [s]."""
     initial_state: InitialState | None = None
-    """The robot in the first frame as the manifest tells it; None where it does not."""
+    """State of the robot in the first frame by the manifest; None if unknown."""
     first_frame: Path | None = None
-    """The picture that the video's maker was given to begin with; None where there is none."""
+    """Conditioning image of the video model; None if there is none."""
     problem: str | None = None
-    """Why the sample cannot be read at all (a broken manifest line); None when it can be tried."""
+    """Reason why the sample cannot be read (a broken manifest line); None if it can be tried."""
 
     @property
     def is_part(self) -> bool:
-        """Whether its file holds other videos, too."""
+        """True if the file also holds other videos."""
         return self.part != WHOLE
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VideoSamples:
-    """All samples found, in a fixed order, and what the user should know about them."""
+    """All samples of an input in a fixed order, with warnings for the user."""
 
     samples: tuple[VideoSample, ...]
     warnings: tuple[str, ...] = ()
 
 
-def camera_of(found: Camera | None) -> tuple[Camera, CameraSource]:
-    """A folder's camera, else the benchmark's, and which it is."""
-    return (benchmark_camera(), CameraSource.BENCHMARK) if found is None else (found, CameraSource.FOLDER)
+def default_camera() -> tuple[Camera, CameraSource]:
+    """Return the camera of samples that have none of their own, and its source."""
+    return benchmark_camera(), CameraSource.BENCHMARK

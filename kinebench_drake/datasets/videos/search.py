@@ -1,82 +1,86 @@
-"""Search options and camera lookup shared by all video formats."""
+"""Search for videos: options, camera lookup and sample construction shared by all formats."""
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from pathlib import Path, PurePosixPath
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 from kinebench_drake.camera import Camera
-from kinebench_drake.datasets.videos.sample import VideoSample, camera_of
+from kinebench_drake.datasets.videos.sample import CameraSource, VideoSample, default_camera
 from kinebench_drake.errors import InputError
 from kinebench_drake.io.camerafile import load_camera
-from kinebench_drake.io.files import IMAGE_SUFFIXES, require_accessible
+from kinebench_drake.io.files import IMAGE_SUFFIXES
 
 CAMERA_NAME = "camera.json"
 
 
 class CameraLookup:
-    """The `camera.json` that holds for a folder: its own or the nearest above, up to the named folder."""
+    """Cameras of folders: the `camera.json` of a folder or of the nearest one above, up to the named folder."""
 
     def __init__(self, top: Path) -> None:
-        """Look no higher than `top`.
+        """Start with the folder above which no file is used.
 
         Raises:
-            UsageError: the file there is unusable, which is told at once, even if no sample needs it.
+            UsageError: its file is unusable, which is reported even if no sample needs it.
         """
         self._top = top
-        self._known: dict[Path, Camera | None] = {}
-        self.of(top)
+        self._cameras: dict[Path, Camera | None] = {}
+        self._find(top)
 
-    def of(self, folder: Path) -> Camera | None:
-        """The camera of what lies in `folder`.
+    def of(self, folder: Path) -> tuple[Camera, CameraSource]:
+        """Return the camera of the videos in a folder, the benchmark's if there is no file, and its source.
 
         Raises:
             UsageError: its file is unusable.
         """
-        if folder not in self._known:
-            file = folder / CAMERA_NAME
-            if file.exists():
-                self._known[folder] = load_camera(file, str(file))
-            else:
-                within = folder != self._top and folder.is_relative_to(self._top)
-                self._known[folder] = self.of(folder.parent) if within else None
-        return self._known[folder]
+        camera = self._find(folder)
+        return default_camera() if camera is None else (camera, CameraSource.FOLDER)
 
-    def settle(self, folder: Path, file: Path) -> None:
-        """Let a `file` elsewhere, if there is one, hold for `folder` and below, unless that has one of its own.
+    def assign(self, folder: Path, file: Path) -> None:
+        """Use a `file` elsewhere, if it exists, for `folder` and below, unless that has its own.
 
         Raises:
-            UsageError: it is unusable.
+            UsageError: the file is unusable.
         """
         if file.is_file() and not (folder / CAMERA_NAME).exists():
-            self._known[folder] = load_camera(file, str(file))
+            self._cameras[folder] = load_camera(file, str(file))
+
+    def _find(self, folder: Path) -> Camera | None:
+        if folder not in self._cameras:
+            file = folder / CAMERA_NAME
+            if file.exists():
+                self._cameras[folder] = load_camera(file, str(file))
+            else:
+                within = folder != self._top and folder.is_relative_to(self._top)
+                self._cameras[folder] = self._find(folder.parent) if within else None
+        return self._cameras[folder]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Search:
-    """Where a search began, and what it may choose."""
+    """Options and warnings of one search."""
 
     top: Path
-    """The folder that was named, or that holds the file that was named."""
+    """Named folder, or folder of the named file."""
     cameras: CameraLookup
     camera_key: str | None
-    """The camera to take where a dataset has several, by name or part of it."""
+    """Camera to use in datasets with several cameras: its name or a part of it."""
     warnings: list[str] = field(default_factory=list)
-    """What the user should know; formats add to it."""
+    """Warnings for the user, appended by the formats."""
 
     def name(self, path: Path) -> str:
-        """A path as results name it."""
+        """Return a path as named in results."""
         return self.top.resolve().name if path == self.top else path.relative_to(self.top).as_posix()
 
-    def choose(self, keys: Sequence[str], where: str) -> str:
-        """The camera of a dataset: the one named, else the only one.
+    def choose_camera(self, keys: Sequence[str], where: str) -> str:
+        """Return the name of the camera to use in a dataset: the one asked for, else the only one.
 
         Args:
-            keys: cameras there are.
-            where: the dataset, for the message.
+            keys: names of the cameras in the dataset.
+            where: the dataset, for messages.
 
         Raises:
-            InputError: none is named and there are several, or the name fits none or several.
+            InputError: several cameras and none is asked for, or the name matches none or several.
         """
         if not keys:
             raise InputError(f"{where} holds no video")
@@ -85,45 +89,36 @@ class Search:
             if len(keys) == 1:
                 return keys[0]
             raise InputError(f"{where} has {len(keys)} cameras ({', '.join(keys)}): choose one with --camera-key NAME")
-        found = [key for key in keys if key == wanted] or [key for key in keys if wanted in _parts(key)]
-        if len(found) != 1:
-            told = f"fits {', '.join(found)}" if found else "is none of its cameras"
-            raise InputError(f"--camera-key {wanted} {told}; {where} has {', '.join(keys)}")
-        return found[0]
+        parts = {key: key.replace(".", "/").split("/") for key in keys}
+        matches = [key for key in keys if key == wanted] or [key for key in keys if wanted in parts[key]]
+        if len(matches) != 1:
+            fit = f"fits {', '.join(matches)}" if matches else "is none of its cameras"
+            raise InputError(f"--camera-key {wanted} {fit}; {where} has {', '.join(keys)}")
+        return matches[0]
+
+    def part_sample(self, path: Path) -> VideoSample:
+        """Return a sample of a file or frame folder without metadata, with the camera of its folder.
+
+        Raises:
+            UsageError: the camera file is unusable.
+        """
+        is_folder = path.is_dir()
+        camera, source = self.cameras.of(path if is_folder else path.parent)
+        id = path.resolve().name if is_folder else path.stem
+        return VideoSample(id=id, path=path, video=self.name(path), camera=camera, camera_source=source)
+
+    def sample(self, path: Path) -> VideoSample:
+        """Return a sample of a video without metadata, with the camera of its folder and the image beside it.
+
+        Raises:
+            UsageError: the camera file is unusable.
+        """
+        return replace(self.part_sample(path), first_frame=image_beside(path))
 
 
-def below(folder: Path, relative: str) -> Path:
-    """A path that a dataset names. Links are followed wherever they lead: the Hub's cache consists of them.
-
-    Raises:
-        InputError: it is absolute, climbs out of the folder or cannot be followed.
-    """
-    pure = PurePosixPath(relative)
-    if pure.is_absolute() or ".." in pure.parts or "\0" in relative:
-        raise InputError(f"{relative!r} must be a relative path inside the dataset's folder")
-    return require_accessible(folder / pure, repr(relative))
-
-
-def plain(path: Path, search: Search) -> VideoSample:
-    """A sample about which nothing is known but its file."""
-    camera, source = camera_of(search.cameras.of(path if path.is_dir() else path.parent))
-    return VideoSample(
-        id=path.resolve().name if path.is_dir() else path.stem,
-        path=path,
-        video=search.name(path),
-        camera=camera,
-        camera_source=source,
-        first_frame=picture_beside(path),
-    )
-
-
-def picture_beside(path: Path) -> Path | None:
-    """The picture called like a video: what `suite export` wrote and a model was given; None if there is none."""
+def image_beside(path: Path) -> Path | None:
+    """Return the image with the name of a video, the conditioning image by `suite export`; None if there is none."""
     if path.is_dir():
         return None
-    beside = (path.with_suffix(suffix) for suffix in sorted(IMAGE_SUFFIXES, reverse=True))
-    return next((picture for picture in beside if os.path.isfile(picture)), None)  # a longer suffix may be too long
-
-
-def _parts(key: str) -> list[str]:
-    return key.replace(".", "/").split("/")
+    candidates = (path.with_suffix(suffix) for suffix in sorted(IMAGE_SUFFIXES, reverse=True))
+    return next((image for image in candidates if os.path.isfile(image)), None)  # false for a name that is too long

@@ -1,8 +1,8 @@
 """Labels of videos in Hugging Face's VideoFolder layout: `metadata.csv`, `metadata.jsonl` or `metadata.parquet`.
 
-A row belongs to the film that its column `file_name` (or `video_file_name`) names, relative to the file
-(https://huggingface.co/docs/datasets/video_dataset). What a film shows is in a column text, prompt, caption or
-instruction. `suite demos` writes such a file; its further columns are read under the names that they have in manifests.
+A row belongs to the video that its column `file_name` (or `video_file_name`) names, relative to the file
+(https://huggingface.co/docs/datasets/video_dataset). The prompt is in a column text, prompt, caption or instruction.
+`suite demos` writes such a file; its further columns have the names of the keys in manifests.
 """
 
 import csv
@@ -15,9 +15,10 @@ from pathlib import Path
 import pyarrow
 import pyarrow.parquet as parquet
 
+from kinebench_drake.datasets.folders import join_relative
 from kinebench_drake.datasets.manifest import MAX_PERIOD_S, MIN_PERIOD_S
 from kinebench_drake.datasets.videos.sample import VideoSample
-from kinebench_drake.datasets.videos.search import Search, below, plain
+from kinebench_drake.datasets.videos.search import Search
 from kinebench_drake.errors import InputError, cause
 from kinebench_drake.io.files import VIDEO_SUFFIXES, read_bytes
 from kinebench_drake.io.jsonl import as_object, parse_json
@@ -29,51 +30,53 @@ _PROMPTS = ("text", "prompt", "caption", "instruction")
 
 
 def list_metadata(path: Path, search: Search) -> list[VideoSample]:
-    """The films that a metadata file names.
+    """List the videos that a metadata file names.
 
     Raises:
-        InputError: it cannot be read, or names no film.
+        InputError: it cannot be read, or names no video.
     """
-    samples = with_labels([], [path], search)
+    samples = add_labels([], [path], search)
     if not samples:
         raise InputError(f"names no video; expected a column file_name with {', '.join(sorted(VIDEO_SUFFIXES))} files")
     return samples
 
 
-def with_labels(samples: Sequence[VideoSample], files: Sequence[Path], search: Search) -> list[VideoSample]:
-    """The samples with what metadata files tell of them, and one with a problem for every film that is not there.
+def add_labels(samples: Sequence[VideoSample], files: Sequence[Path], search: Search) -> list[VideoSample]:
+    """Return the samples with the labels of metadata files, and a sample with a problem for every missing video.
 
-    The file nearest to a film goes before those above it.
+    Args:
+        samples: videos in the folders.
+        files: metadata files, from the top folder down: the file nearest to a video takes precedence.
+        search: the search.
     """
-    told: dict[Path, tuple[Row, Path]] = {}
+    labels: dict[Path, tuple[Row, Path]] = {}
     added: dict[Path, VideoSample] = {}
     problems: list[VideoSample] = []
-    found = {sample.path for sample in samples}
-    for file in files:  # from the top down
-        passed = 0
-        for row in _rows(file, search):
+    listed = {sample.path for sample in samples}
+    for file in files:
+        unnamed = 0
+        for row in _read_rows(file, search):
             name = next((row[key] for key in _FILES if isinstance(row.get(key), str)), None)
             if not isinstance(name, str) or Path(name).suffix.lower() not in VIDEO_SUFFIXES:
-                passed += 1
+                unnamed += 1
                 continue
             try:
-                path = below(file.parent, name)
+                path = join_relative(file.parent, name, "file_name")
             except InputError as error:
-                problems.append(replace(plain(file, search), id=Path(name).stem, video=name, problem=str(error)))
+                problems.append(replace(search.sample(file), id=Path(name).stem, video=name, problem=str(error)))
                 continue
-            told[path] = row, file
-            if path not in found:
-                sample = plain(path, search)
+            labels[path] = row, file
+            if path not in listed:
                 problem = None if path.is_file() else f"{name}: there is no such file ({file.name} names it)"
-                added[path] = replace(sample, problem=problem)
-        if passed:
-            search.warnings.append(f"{search.name(file)}: {passed} of its rows name no video ({', '.join(_FILES)})")
-    labelled = [_labelled(s, *told[s.path]) if s.path in told else s for s in (*samples, *added.values())]
+                added[path] = replace(search.sample(path), problem=problem)
+        if unnamed:
+            search.warnings.append(f"{search.name(file)}: {unnamed} of its rows name no video ({', '.join(_FILES)})")
+    labelled = [_add_label(s, *labels[s.path]) if s.path in labels else s for s in (*samples, *added.values())]
     return [*labelled, *problems]
 
 
-def _labelled(sample: VideoSample, row: Row, file: Path) -> VideoSample:
-    """What a row tells, as far as it is of the right type: such files may hold columns of any meaning."""
+def _add_label(sample: VideoSample, row: Row, file: Path) -> VideoSample:
+    """Return the sample with the values of a row that have the right type: columns may have any meaning."""
     seed = _number(row.get("seed"), -math.inf, math.inf)
     return replace(
         sample,
@@ -82,7 +85,7 @@ def _labelled(sample: VideoSample, row: Row, file: Path) -> VideoSample:
         seed=None if seed is None or seed != int(seed) else int(seed),
         prompt=next((text for key in _PROMPTS if (text := _text(row.get(key)))), None),
         dataset_period_s=_number(row.get("frame_period_s"), MIN_PERIOD_S, MAX_PERIOD_S),
-        first_frame=_picture(row.get("first_frame"), file.parent) or sample.first_frame,
+        first_frame=_image(row.get("first_frame"), file.parent) or sample.first_frame,
     )
 
 
@@ -91,7 +94,7 @@ def _text(value: object) -> str | None:
 
 
 def _number(value: object, least: float, most: float) -> float | None:
-    """A number, in csv files written as text."""
+    """Return a number in a range, also one written as text as in csv files; None for other values."""
     if isinstance(value, bool) or not isinstance(value, int | float | str):
         return None
     try:
@@ -101,18 +104,18 @@ def _number(value: object, least: float, most: float) -> float | None:
     return number if math.isfinite(number) and least <= number <= most else None
 
 
-def _picture(name: object, folder: Path) -> Path | None:
+def _image(name: object, folder: Path) -> Path | None:
     if not isinstance(name, str):
         return None
     try:
-        path = below(folder, name)
+        path = join_relative(folder, name, "first_frame")
     except InputError:
         return None
     return path if path.is_file() else None
 
 
-def _rows(file: Path, search: Search) -> list[Row]:
-    """The rows of a metadata file; none, and a warning, where it cannot be read."""
+def _read_rows(file: Path, search: Search) -> list[Row]:
+    """Return the rows of a metadata file; none, with a warning, if it cannot be read."""
     try:
         return list(_READERS[file.suffix](read_bytes(file)))
     except (OSError, ValueError, TypeError, MemoryError, csv.Error, pyarrow.ArrowException) as error:
@@ -136,4 +139,4 @@ def _parquet(data: bytes) -> Iterator[Row]:
 
 _READERS: Mapping[str, Callable[[bytes], Iterator[Row]]] = {".csv": _csv, ".jsonl": _jsonl, ".parquet": _parquet}
 NAMES = tuple(f"metadata{suffix}" for suffix in _READERS)
-"""What such files are called."""
+"""Names of metadata files."""

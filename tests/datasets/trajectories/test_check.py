@@ -200,4 +200,4 @@ def test_finger_widths(t_s, q):
     for wrong in (40.0, -0.5):
         found = width(wrong)
         assert np.isnan(found.finger_width_m).all()
-        assert "left out" in found.warnings[0]
+        assert "ignored" in found.warnings[0]

@@ -170,7 +170,7 @@ def test_columns_named_by_hand(dataset, q, X_BG, quaternion):
     np.testing.assert_allclose(found.q, q, atol=1e-6)
     _, (found,) = read_all(root, poses="action")
     assert max(d.max() for d in pose_difference(found.X_BG, X_BG)) < 1e-5
-    assert "x y z qw qx qy qz was assumed" in found.warnings[0]
+    assert "x y z qw qx qy qz is assumed" in found.warnings[0]
     with pytest.raises(UsageError, match=r"no column 'nope' of numbers; found observation\.state"):
         find_trajectories(root, TrajectoryOptions(joints="nope"))
     with pytest.raises(UsageError, match="expected x y z with"):
@@ -204,7 +204,7 @@ def test_broken_datasets(dataset, q, tmp_path):
         with pytest.raises(InputError, match=r"rows of different lengths|holds 0 numbers"):
             read_all(ragged)
     less = dataset({0: {"observation.state": q[:, :5]}}, STATE, folder="less")
-    with pytest.raises(InputError, match="holds 5 numbers, the dataset's description tells more"):
+    with pytest.raises(InputError, match=r"holds 5 numbers, less than meta/info\.json says"):
         read_all(less)
 
 

@@ -67,7 +67,7 @@ def test_an_unknown_frequency_is_told_unless_a_rate_is_given(maniskill, q):
     path = maniskill({"traj_0": {"obs/agent/qpos": q}}, about())
     _, (found,) = read_all(path)
     np.testing.assert_allclose(found.t_s, np.arange(12) / 20.0)
-    assert any("default of 20 Hz was taken; --rate HZ" in w for w in found.warnings)
+    assert any("default of 20 Hz is used; --rate HZ" in w for w in found.warnings)
     _, (found,) = read_all(path, rate_hz=10.0)
     np.testing.assert_allclose(found.t_s, np.arange(12) / 10.0)
     assert found.warnings == ()

@@ -38,7 +38,7 @@ def test_joint_angles_survive_the_file_and_further_columns_are_told(csv_file, t_
 def test_both_kinds_of_columns(csv_file, poses, q):
     path = csv_file(["t_s", *POSE, *JOINTS], np.hstack([poses, q]))
     assert read(path).q is not None
-    assert "were taken" in read(path).warnings[0]
+    assert "were read" in read(path).warnings[0]
     assert read(path, poses="any").X_BG is not None
 
 

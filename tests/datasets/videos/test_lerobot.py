@@ -120,7 +120,7 @@ def test_time_stamps_that_are_no_numbers_are_errors_of_their_episodes(lerobot):
     parquet.write_table(pyarrow.Table.from_pylist(rows), file)
     first, second, third = find_samples(root).samples
     assert (first.problem, third.problem) == (None, None)
-    assert "tells no chunk, file and time stamps" in second.problem
+    assert "has no chunk, file and time stamps" in second.problem
 
 
 def test_pictures_in_parquet_are_videos_too(tmp_path):
