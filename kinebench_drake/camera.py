@@ -1,4 +1,4 @@
-"""The pinhole camera: intrinsics in pixels and its pose on the robot's base."""
+"""Pinhole camera: intrinsics in pixels and pose in the robot base frame."""
 
 from dataclasses import dataclass, replace
 
@@ -10,12 +10,12 @@ from kinebench_drake.geometry import Array, checked_pose, invert, make_pose, ort
 
 _KEYS = ("width", "height", "fx", "fy", "cx", "cy", "base_from_camera")
 _BENCHMARK_PX = 384
-_HUGE = 1e9  # no camera's number; NaN and infinity fail the comparison as well
+_HUGE = 1e9  # bound of all numbers of a camera; NaN and infinity fail the comparison too
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Camera:
-    """A pinhole camera without distortion; OpenCV axes (x right, y down, z forward), pixel centres at half-integers."""
+    """Pinhole camera without distortion; OpenCV axes (x right, y down, z forward), pixel centres at half-integers."""
 
     width: int
     """Image width [px]."""
@@ -55,16 +55,16 @@ class Camera:
 
     @property
     def unit_px(self) -> float:
-        """What is one pixel in the benchmark's pictures, in which limits in pixels are told [px]."""
+        """Length of one pixel of a benchmark image in this image [px]; limits in pixels refer to benchmark images."""
         return self.width / _BENCHMARK_PX
 
     def project(self, p_C: ArrayLike) -> Array:
-        """Pixel coordinates (..., 2) [px] of points (..., 3) in the camera frame [m]; z must be positive."""
+        """Project points (..., 3) in the camera frame [m], z positive, to pixel coordinates (..., 2) [px]."""
         p_C = np.asarray(p_C, dtype=np.float64)
         return np.asarray(p_C[..., :2] / p_C[..., 2:] * [self.fx, self.fy] + [self.cx, self.cy])
 
     def rays(self) -> Array:
-        """Directions (height, width, 3) through the pixel centres with z = 1: `depth * rays` is the cloud."""
+        """Return directions (height, width, 3) through the pixel centres, z = 1: `depth * rays` is a point cloud."""
         u = (np.arange(self.width) + 0.5 - self.cx) / self.fx
         v = (np.arange(self.height) + 0.5 - self.cy) / self.fy
         grid = np.ones((self.height, self.width, 3))
@@ -72,10 +72,10 @@ class Camera:
         return grid
 
     def resized(self, width: int, height: int) -> "Camera":
-        """The same camera for images scaled to `width` x `height`.
+        """Return the camera for images scaled to `width` x `height`.
 
         Raises:
-            UsageError: the aspect ratio differs by more than 1 % (a crop or a letter-box, which scaling cannot undo).
+            UsageError: the aspect ratio differs by more than 1 % (a crop or letter-box, which is no scaling).
         """
         sx, sy = width / self.width, height / self.height
         if abs(sx / sy - 1.0) > 0.01:
@@ -88,7 +88,7 @@ class Camera:
         )
 
     def to_json(self) -> dict[str, int | float | list[list[float]]]:
-        """The object that `camera.json` holds."""
+        """Serialize into the object of `camera.json`."""
         return {
             "width": self.width,
             "height": self.height,
@@ -101,10 +101,10 @@ class Camera:
 
     @classmethod
     def from_json(cls, data: object, source: str) -> "Camera":
-        """Camera from a parsed `camera.json` object; `source` names it in messages.
+        """Parse the object of `camera.json`; `source` names it in messages.
 
         Raises:
-            UsageError: a key is missing, unknown or of the wrong type, or the values are no camera.
+            UsageError: a key is missing, unknown or of the wrong type, or the values are invalid.
         """
         if not isinstance(data, dict):
             raise UsageError(f"{source}: expected an object with {', '.join(_KEYS)}, found {type(data).__name__}")
@@ -135,7 +135,7 @@ class Camera:
 
 
 def benchmark_camera() -> Camera:
-    """The benchmark's camera: 384x384, field of view 60 degrees, robot base at (-0.615, 0, 0) in ManiSkill."""
+    """Return the benchmark camera: 384x384, field of view 60 degrees, robot base at (-0.615, 0, 0) in ManiSkill."""
     R_WC = np.array([[0.0, 0.529999, -0.847998], [1.0, 0.0, 0.0], [0.0, -0.847998, -0.529999]])
     X_WC = make_pose(orthonormalize(R_WC), [0.4, 0.0, 0.45])
     X_WB = make_pose(np.eye(3), [-0.615, 0.0, 0.0])

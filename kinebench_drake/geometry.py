@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 
 def make_pose(R: ArrayLike, p: ArrayLike) -> Array:
-    """Pose (..., 4, 4) from rotation matrices `R` (..., 3, 3) and positions `p` (..., 3) [m]."""
+    """Return poses (..., 4, 4) from rotation matrices `R` (..., 3, 3) and positions `p` (..., 3) [m]."""
     R, p = np.asarray(R, dtype=np.float64), np.asarray(p, dtype=np.float64)
     X = np.zeros((*np.broadcast_shapes(R.shape[:-2], p.shape[:-1]), 4, 4))
     X[..., :3, :3] = R
@@ -24,17 +24,17 @@ def make_pose(R: ArrayLike, p: ArrayLike) -> Array:
 
 
 def invert(X: ArrayLike) -> Array:
-    """Inverse of rigid poses (..., 4, 4), without a general matrix inversion."""
+    """Invert rigid poses (..., 4, 4) in closed form."""
     X = np.asarray(X, dtype=np.float64)
     R_T = np.swapaxes(X[..., :3, :3], -1, -2)
     return make_pose(R_T, -(R_T @ X[..., :3, 3:])[..., 0])
 
 
 def checked_pose(X: ArrayLike) -> Array:
-    """A pose (4, 4) that came as numbers from outside, its rotation made exact.
+    """Check an input pose (4, 4) and return it with an exactly orthonormal rotation.
 
     Raises:
-        InputError: it is not finite, or not rigid.
+        InputError: the pose is not finite, or not rigid.
     """
     X = np.asarray(X, dtype=np.float64)
     if X.shape != (4, 4) or not np.isfinite(X).all():
@@ -50,34 +50,34 @@ def checked_pose(X: ArrayLike) -> Array:
 
 
 def transform_points(X: ArrayLike, points: ArrayLike) -> Array:
-    """Points (..., N, 3) [m] carried through poses `X` (..., 4, 4)."""
+    """Transform points (..., N, 3) [m] by poses `X` (..., 4, 4)."""
     X, points = np.asarray(X, dtype=np.float64), np.asarray(points, dtype=np.float64)
     return np.asarray(points @ np.swapaxes(X[..., :3, :3], -1, -2) + X[..., None, :3, 3])
 
 
 def rotation_angle(R: ArrayLike) -> Array:
-    """Angle [rad] in [0, pi] of rotation matrices (..., 3, 3), accurate near 0 and near pi."""
+    """Return the angle [rad] in [0, pi] of rotation matrices (..., 3, 3), accurate near 0 and near pi."""
     R = np.asarray(R, dtype=np.float64)
     skew = np.stack([R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], axis=-1)
     return np.asarray(np.arctan2(np.linalg.norm(skew, axis=-1), np.trace(R, axis1=-2, axis2=-1) - 1.0))
 
 
 def pose_difference(X_1: ArrayLike, X_2: ArrayLike) -> tuple[Array, Array]:
-    """Distance [m] of the origins and angle [rad] between the axes of two poses (..., 4, 4)."""
+    """Return the distance [m] of the origins and the rotation angle [rad] between poses (..., 4, 4)."""
     X_1, X_2 = np.asarray(X_1, dtype=np.float64), np.asarray(X_2, dtype=np.float64)
     distance = np.linalg.norm(X_1[..., :3, 3] - X_2[..., :3, 3], axis=-1)
     return distance, rotation_angle(np.swapaxes(X_1[..., :3, :3], -1, -2) @ X_2[..., :3, :3])
 
 
 def orthonormalize(R: ArrayLike) -> Array:
-    """Nearest rotation matrices (Frobenius norm) to `R` (..., 3, 3), by the SVD (orthogonal Procrustes)."""
+    """Return the rotation matrices nearest to `R` (..., 3, 3) in Frobenius norm, by SVD (orthogonal Procrustes)."""
     U, _, V_T = np.linalg.svd(np.asarray(R, dtype=np.float64))
     U[..., :, 2] *= np.sign(np.linalg.det(U @ V_T))[..., None]
     return np.asarray(U @ V_T)
 
 
 def rotation_exp(w: ArrayLike) -> Array:
-    """Rotation matrices (..., 3, 3) of rotation vectors `w` (..., 3) [rad]."""
+    """Return the rotation matrices (..., 3, 3) of rotation vectors `w` (..., 3) [rad]."""
     w = np.asarray(w, dtype=np.float64)
     R = Rotation.from_rotvec(w.reshape(-1, 3)).as_matrix()
     return np.asarray(R.reshape(*w.shape[:-1], 3, 3))
@@ -90,27 +90,27 @@ def rotation_z(angle_rad: float) -> Array:
 
 
 def rotation_log(R: ArrayLike) -> Array:
-    """Rotation vectors (..., 3) [rad] of rotation matrices (..., 3, 3)."""
+    """Return the rotation vectors (..., 3) [rad] of rotation matrices (..., 3, 3)."""
     R = np.asarray(R, dtype=np.float64)
     return np.asarray(Rotation.from_matrix(R.reshape(-1, 3, 3)).as_rotvec().reshape(*R.shape[:-2], 3))
 
 
 def from_quaternion(quaternion: ArrayLike, p: ArrayLike) -> Array:
-    """Pose (..., 4, 4) from quaternions wxyz (..., 4), normalised here, and positions (..., 3) [m]."""
+    """Return poses (..., 4, 4) from quaternions wxyz (..., 4), normalised here, and positions (..., 3) [m]."""
     quaternion = np.asarray(quaternion, dtype=np.float64)
     R = Rotation.from_quat(quaternion.reshape(-1, 4), scalar_first=True).as_matrix()
     return make_pose(R.reshape(*quaternion.shape[:-1], 3, 3), p)
 
 
 def to_quaternion(R: ArrayLike) -> Array:
-    """Quaternions wxyz (..., 4) with w >= 0 of rotation matrices (..., 3, 3)."""
+    """Return the quaternions wxyz (..., 4) with w >= 0 of rotation matrices (..., 3, 3)."""
     R = np.asarray(R, dtype=np.float64)
     quaternion = Rotation.from_matrix(R.reshape(-1, 3, 3)).as_quat(canonical=True, scalar_first=True)
     return np.asarray(quaternion.reshape(*R.shape[:-2], 4))
 
 
 def interpolate_pose(X_1: ArrayLike, X_2: ArrayLike, s: float) -> Array:
-    """Pose (4, 4) at fraction `s` from `X_1` (s = 0) to `X_2` (s = 1): straight line and shortest rotation."""
+    """Return the pose (4, 4) at fraction `s` from `X_1` (s = 0) to `X_2` (s = 1): straight line, shortest rotation."""
     X_1, X_2 = np.asarray(X_1, dtype=np.float64), np.asarray(X_2, dtype=np.float64)
     step = rotation_log(X_1[:3, :3].T @ X_2[:3, :3])
     return make_pose(X_1[:3, :3] @ rotation_exp(s * step), (1.0 - s) * X_1[:3, 3] + s * X_2[:3, 3])

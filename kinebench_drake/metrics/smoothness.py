@@ -1,11 +1,10 @@
-"""Smoothness of a motion from its speed profile: spectral arc length (SPARC) and log dimensionless jerk (LDLJ).
+"""Smoothness of a motion by its speed profile: spectral arc length (SPARC) and log dimensionless jerk (LDLJ).
 
-Both are negative, do not change with the size of the motion, and are nearer to 0 the smoother it is. A gripper that
-does not move has no smoothness: None, never 0. Both follow the reference implementation of their authors
-(github.com/siva82kb/smoothness) to the digits it documents. Noise makes any motion look rough, the more so the higher
-the frame rate; two things tell that apart. The filtered SPARC looks at the slow part of a motion alone, the same at any
-frame rate. And each metric comes with its noise floor: what it would be for this motion, smoothed, if nothing but the
-track's own noise were added.
+Both are negative, independent of the size of the motion, and nearer to 0 for a smoother motion. A gripper at rest has
+no smoothness: None, never 0. Both follow the reference implementation of their authors (github.com/siva82kb/smoothness)
+to the digits it documents. Noise makes any motion rougher, more so at higher frame rates. To separate the two, the
+filtered SPARC uses only the low frequencies of a motion, equal at any frame rate, and each metric has a noise floor:
+its value for the smoothed motion plus the measured noise of the track.
 """
 
 from collections.abc import Mapping
@@ -29,35 +28,35 @@ PAD_LEVEL = 4
 CUTOFF_HZ = 10.0
 """Highest frequency of the spectral arc."""
 AMPLITUDE_THRESHOLD = 0.05
-"""The arc ends at the last bin that reaches this fraction of the spectrum's maximum."""
+"""Fraction of the spectrum's maximum that the last bin of the arc reaches."""
 
 MIN_FRAMES = 8
-"""Fewest consecutive tracked frames that can be judged."""
+"""Least number of consecutive tracked frames."""
 STILL_M = 0.005
-"""A gripper that stays within this distance of its first position does not move [m]."""
+"""Distance from its first position within which a gripper counts as at rest [m]."""
 STILL_RAD = 0.05
-"""A gripper that stays within this angle of its first orientation does not turn [rad]."""
+"""Angle from its first orientation within which a gripper counts as at rest [rad]."""
 
 FILTER_HZ = 1.0
-"""The filtered SPARC sees a motion through a Gaussian filter without delay, at -3 dB here ..."""
+"""-3 dB frequency of the zero-phase Gaussian filter of the filtered SPARC [Hz]."""
 FILTERED_CUTOFF_HZ = 2.0
-"""... and its arc ends here, whatever the amplitude: video must have at least twice as many frames a second."""
+"""End of the arc of the filtered SPARC, without amplitude threshold [Hz]; the frame rate must be at least twice it."""
 
 DRAWS = 64
-"""Noisy copies of the smoothed motion that a noise floor is made from."""
+"""Noisy copies of the smoothed motion that determine a noise floor."""
 
-_GRID_HZ = 10.0  # the filtered speed is sampled this often at least
+_GRID_HZ = 10.0  # least sampling rate of the filtered speed
 
 
 def sparc(speed: ArrayLike, sampling_hz: float) -> float | None:
-    """Spectral arc length of a speed profile `speed` (N,) sampled at `sampling_hz`; None for a profile of zeros.
+    """Compute the spectral arc length of a speed profile `speed` (N,) sampled at `sampling_hz`; None for zeros.
 
     SPARC = - integral over 0..f_c of sqrt((1 / f_c)^2 + (dV/df)^2) df with V the magnitude of the speed's spectrum
     over its maximum and f_c the last frequency, at most CUTOFF_HZ, at which V reaches AMPLITUDE_THRESHOLD. Source:
     S. Balasubramanian, A. Melendez-Calderon, A. Roby-Brami, E. Burdet, "On the analysis of movement smoothness",
-    J. NeuroEngineering Rehabil. 12:112, 2015, eq. (8), and the reference implementation. Other than that, frequencies
-    above sampling_hz / 2 are left out: they mirror those below, and the reference counts them when sampling_hz is
-    less than twice CUTOFF_HZ, which doubles the arc of a smooth motion at 10 Hz.
+    J. NeuroEngineering Rehabil. 12:112, 2015, eq. (8), and the reference implementation. Unlike there, frequencies
+    above sampling_hz / 2 are left out: they mirror those below, and the reference counts them if sampling_hz is less
+    than twice CUTOFF_HZ, which doubles the arc of a smooth motion at 10 Hz.
     """
     speed = np.asarray(speed, dtype=np.float64)
     if len(speed) < 2 or not np.isfinite(speed).all() or not np.any(speed):
@@ -67,7 +66,7 @@ def sparc(speed: ArrayLike, sampling_hz: float) -> float | None:
 
 
 def _arcs(speed: Array, sampling_hz: float, cutoff_hz: float, threshold: float) -> Array:
-    """SPARC (M,) of speed profiles (M, N), none of them all zero; NaN where no arc is left. Threshold 0 keeps all."""
+    """Return SPARC (M,) of speed profiles (M, N), none of them all zero; NaN without an arc. Threshold 0 keeps all."""
     bins = int(2 ** (np.ceil(np.log2(speed.shape[-1])) + PAD_LEVEL))
     frequency = np.arange(bins // 2 + 1) * (sampling_hz / bins)
     kept = int(np.count_nonzero(frequency <= min(cutoff_hz, sampling_hz / 2.0)))
@@ -89,13 +88,13 @@ def _arcs(speed: Array, sampling_hz: float, cutoff_hz: float, threshold: float) 
 
 
 def ldlj(speed: ArrayLike, sampling_hz: float) -> float | None:
-    """Log dimensionless jerk of a speed profile `speed` (N,) sampled at `sampling_hz`; None if it has no jerk.
+    """Compute the log dimensionless jerk of a speed profile `speed` (N,) sampled at `sampling_hz`; None without jerk.
 
     LDLJ = -ln((D^3 / v_peak^2) integral (d2v/dt2)^2 dt), D = N / sampling_hz the duration and v the speed, its second
     derivative taken by differences. Sources: S. Balasubramanian, A. Melendez-Calderon, E. Burdet, "A robust and
     sensitive metric for quantifying movement smoothness", IEEE Trans. Biomed. Eng. 59(8), 2012, and the 2015 paper
-    that `sparc` cites. Three derivatives of the position amplify tracking noise: compare it between tracks of equal
-    frame rate only.
+    that `sparc` cites. The third derivative of the position amplifies tracking noise: values are comparable only
+    between tracks of equal frame rate.
     """
     speed = np.asarray(speed, dtype=np.float64)
     if len(speed) < 3 or not np.isfinite(speed).all() or not np.any(speed):
@@ -105,7 +104,7 @@ def ldlj(speed: ArrayLike, sampling_hz: float) -> float | None:
 
 
 def _jerks(speed: Array, sampling_hz: float) -> Array:
-    """LDLJ (M,) of speed profiles (M, N), none of them all zero; infinite where there is no jerk."""
+    """Return LDLJ (M,) of speed profiles (M, N), none of them all zero; infinite without jerk."""
     duration = speed.shape[-1] / sampling_hz
     jerk = np.diff(speed, 2, axis=-1) * sampling_hz**2
     with np.errstate(divide="ignore"):
@@ -114,11 +113,11 @@ def _jerks(speed: Array, sampling_hz: float) -> Array:
 
 
 def filtered_sparc(t_s: ArrayLike, p: ArrayLike) -> float | None:
-    """SPARC of a path `p` (N, 3) at times `t_s` (N,) [s] through one fixed filter, comparable between frame rates.
+    """Compute SPARC of a path `p` (N, 3) at `t_s` (N,) [s] through a fixed filter, comparable between frame rates.
 
-    The path is interpolated by a natural cubic spline; its velocity is smoothed by the Gaussian filter that passes
-    1/sqrt(2) at FILTER_HZ, at rest before and after; the arc of the resulting speed runs to FILTERED_CUTOFF_HZ with no
-    threshold of amplitude. None below 2 FILTERED_CUTOFF_HZ frames a second, and for a path that stays where it is.
+    The path is interpolated by a natural cubic spline; its velocity, zero before and after, is smoothed by the Gaussian
+    filter with gain 1/sqrt(2) at FILTER_HZ; the arc of the resulting speed extends to FILTERED_CUTOFF_HZ, without
+    amplitude threshold. None below 2 FILTERED_CUTOFF_HZ frames per second, and for a path without motion.
     """
     t_s, p = np.asarray(t_s, dtype=np.float64), np.asarray(p, dtype=np.float64)
     if len(t_s) < 3 or _rate(t_s) < 2.0 * FILTERED_CUTOFF_HZ or not np.any(np.diff(p, axis=0)):
@@ -131,7 +130,7 @@ def _rate(t_s: Array) -> float:
 
 
 def _filtered_arcs(t_s: Array, p: Array) -> Array:
-    """Filtered SPARC (M,) of paths `p` (N, M, 3)."""
+    """Return the filtered SPARC (M,) of paths `p` (N, M, 3)."""
     rate = _rate(t_s)
     fine_hz = rate * max(1.0, np.ceil(_GRID_HZ / rate - 1e-9))
     width = fine_hz * np.sqrt(np.log(2.0)) / (2.0 * np.pi * FILTER_HZ)
@@ -139,7 +138,7 @@ def _filtered_arcs(t_s: Array, p: Array) -> Array:
     times = t_s[0] + (np.arange(round(float(t_s[-1] - t_s[0]) * fine_hz)) + 0.5) / fine_hz
     kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / width) ** 2)
     velocity = CubicSpline(t_s, p.reshape(len(t_s), -1), bc_type="natural")(times, 1)
-    every = max(1, int(fine_hz / _GRID_HZ))  # what the filter leaves needs no finer grid
+    every = max(1, int(fine_hz / _GRID_HZ))  # the filtered velocity needs no finer grid
     padded = np.pad(velocity, ((reach, reach), (0, 0)))
     smooth = convolve1d(padded, kernel / kernel.sum(), axis=0, mode="constant")[::every]
     speed = np.linalg.norm(smooth.reshape(len(smooth), -1, 3), axis=-1).T
@@ -147,7 +146,7 @@ def _filtered_arcs(t_s: Array, p: Array) -> Array:
 
 
 def _speeds(t_s: Array, p: Array) -> Array:
-    """Speeds (M, N - 1) of paths `p` (N, M, 3) at even times."""
+    """Return the speeds (M, N - 1) of paths `p` (N, M, 3) at evenly spaced times."""
     dt = np.diff(t_s)
     speed = np.linalg.norm(np.diff(p, axis=0), axis=-1).T / dt
     period = 1.0 / _rate(t_s)
@@ -159,7 +158,7 @@ def _speeds(t_s: Array, p: Array) -> Array:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Floor:
-    """What a metric is for the smoothed motion with the track's measured noise: percentiles over DRAWS noisy copies."""
+    """Noise floor of a metric: percentiles over DRAWS copies of the smoothed motion with the track's noise."""
 
     low: float
     """5th percentile."""
@@ -171,7 +170,7 @@ class Floor:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Smoothness:
-    """Smoothness of a gripper track; None where there is too little to judge."""
+    """Smoothness of a gripper track; None where it cannot be measured."""
 
     sparc: float | None
     """SPARC of the TCP's translation speed."""
@@ -180,17 +179,17 @@ class Smoothness:
     ldlj: float | None
     """LDLJ of the TCP's translation speed."""
     sparc_filtered: float | None
-    """SPARC of the TCP's translation through the fixed filter."""
+    """Filtered SPARC of the TCP's translation."""
     sparc_rotation_filtered: float | None
-    """SPARC of the TCP's rotation through the fixed filter."""
+    """Filtered SPARC of the TCP's rotation."""
     floors: Mapping[str, Floor]
-    """Noise floors by metric, of those metrics that have one."""
+    """Noise floors by metric."""
     reasons: Mapping[str, str]
-    """Why a metric is None, or else its floor, by metric."""
+    """Why a metric, or its noise floor, is missing, by metric."""
 
     @property
     def metrics(self) -> dict[str, float | None]:
-        """All numbers by name; those of the floor of `sparc` are `sparc_floor_low`, `_median`, `_high`, and so on."""
+        """All values by name; the noise floor of `sparc` is `sparc_floor_low`, `_median`, `_high`, and so on."""
         values = {name: getattr(self, name) for name in METRICS}
         for name in METRICS:
             floor = self.floors.get(name)
@@ -204,20 +203,20 @@ METRICS = ("sparc", "sparc_rotation", "ldlj", "sparc_filtered", "sparc_rotation_
 
 
 def measure_smoothness(track: GripperTrack, noise: TrackNoise | None = None, seed: int = 0) -> Smoothness:
-    """Smoothness of the longest run of consecutive tracked frames of `track`: gaps are neither bridged nor guessed.
+    """Measure the smoothness of the longest run of consecutive tracked frames of `track`; gaps are not interpolated.
 
-    Speeds are those between neighbouring frames. If the frames are unevenly spaced in time, the speed is read off at
-    even times by linear interpolation. A run of fewer than MIN_FRAMES frames gives None, and so does a gripper that
-    stays within STILL_M (translation) or STILL_RAD (rotation): what would be judged there is the tracking noise.
+    Speeds are those between neighbouring frames, interpolated linearly to evenly spaced times if the frames are not. A
+    run of fewer than MIN_FRAMES frames gives None, and so does a gripper that stays within STILL_M (translation) or
+    STILL_RAD (rotation), whose speed profile is mainly noise.
 
-    Noise floors start from the motion as `smooth_path` finds it, which is a little smoother than the true one where
-    there are few frames a move: at six frames a move and 3 mm of noise, the floor of SPARC came out 0.1 to 0.4 nearer
-    to 0 than the true motion's (measured; at 24 frames a move the same to 0.1).
+    Noise floors are based on the motion as smoothed by `smooth_path`, which is slightly smoother than the true one for
+    few frames per move: at six frames per move and 3 mm of noise, the floor of SPARC is 0.1 to 0.4 nearer to 0 than
+    that of the true motion (measured; at 24 frames per move equal to 0.1).
 
     Args:
-        track: the gripper's path.
-        noise: its noise; None measures it (`noise.track_noise`).
-        seed: of the draws for the noise floor: the same track gives the same floor.
+        track: gripper track.
+        noise: noise of the track; estimated if None (`noise.estimate_track_noise`).
+        seed: seed of the draws for the noise floor.
     """
     run = max(segments(track.tracked), key=lambda run: run.stop - run.start, default=slice(0, 0))
     X, t_s = track.X_BG[run], track.t_s[run]
@@ -227,11 +226,11 @@ def measure_smoothness(track: GripperTrack, noise: TrackNoise | None = None, see
         return _smoothness(dict.fromkeys(METRICS, (None, None, short)))
     noise = noise or estimate_track_noise(track.t_s, track.X_BG, track.tracked)
     p, R = X[:, :3, 3], X[:, :3, :3]
-    # Turns from frame to frame, added up, make a path whose steps are the rotation's.
+    # The cumulative sum of the rotation vectors between frames is a path whose steps are those of the rotation.
     turned = np.concatenate([np.zeros((1, 3)), np.cumsum(rotation_steps(R), axis=0)])
     rng = np.random.default_rng(seed)
-    found = {
-        **_judge(
+    results = {
+        **_measure(
             ("sparc", "ldlj", "sparc_filtered"),
             t_s,
             p,
@@ -239,7 +238,7 @@ def measure_smoothness(track: GripperTrack, noise: TrackNoise | None = None, see
             rng,
             None if np.linalg.norm(p - p[0], axis=-1).max() > STILL_M else f"the gripper stays within {STILL_M} m",
         ),
-        **_judge(
+        **_measure(
             ("sparc_rotation", "sparc_rotation_filtered"),
             t_s,
             turned,
@@ -248,16 +247,16 @@ def measure_smoothness(track: GripperTrack, noise: TrackNoise | None = None, see
             None if rotation_angle(R[0].T @ R).max() > STILL_RAD else f"the gripper stays within {STILL_RAD} rad",
         ),
     }
-    return _smoothness(found)
+    return _smoothness(results)
 
 
 _Measurement = tuple[float | None, Floor | None, str]
 
 
-def _judge(
+def _measure(
     names: tuple[str, ...], t_s: Array, p: Array, sigma: float, rng: np.random.Generator, still: str | None
 ) -> dict[str, _Measurement]:
-    """Value, floor and reason of each metric of a path `p` (N, 3) whose noise is `sigma` an axis."""
+    """Measure value, floor and reason of each metric of a path `p` (N, 3) with noise `sigma` per axis."""
     if still is not None:
         return dict.fromkeys(names, (None, None, still))
     paths = p[:, None]
@@ -265,7 +264,7 @@ def _judge(
         smooth = smooth_path(t_s, p, np.full(3, sigma))
         paths = np.concatenate([paths, smooth[:, None] + sigma * rng.standard_normal((len(p), DRAWS, 3))], axis=1)
     rate, speeds = _rate(t_s), _speeds(t_s, paths)
-    found: dict[str, _Measurement] = {}
+    results: dict[str, _Measurement] = {}
     for name in names:
         if name == "ldlj":
             values = _jerks(speeds, rate)
@@ -275,7 +274,7 @@ def _judge(
             values = _filtered_arcs(t_s, paths)
         else:
             needed = 2.0 * FILTERED_CUTOFF_HZ
-            found[name] = (None, None, f"{rate:.3g} frames a second are too few; the filter needs {needed:g}")
+            results[name] = (None, None, f"{rate:.3g} frames a second are too few; the filter needs {needed:g}")
             continue
         value = float(values[0]) if np.isfinite(values[0]) else None
         drawn = values[1:][np.isfinite(values[1:])]
@@ -284,13 +283,13 @@ def _judge(
             low, median, high = (float(v) for v in np.percentile(drawn, (5.0, 50.0, 95.0)))
             floor = Floor(low=low, median=median, high=high)
         reason = "the noise is not known" if floor is None else ""
-        found[name] = (value, floor, reason if value is not None else "the speed has no spectrum to measure")
-    return found
+        results[name] = (value, floor, reason if value is not None else "the speed has no spectrum to measure")
+    return results
 
 
-def _smoothness(found: Mapping[str, _Measurement]) -> Smoothness:
+def _smoothness(results: Mapping[str, _Measurement]) -> Smoothness:
     return Smoothness(
-        **{name: found[name][0] for name in METRICS},
-        floors=MappingProxyType({name: floor for name in METRICS if (floor := found[name][1]) is not None}),
-        reasons=MappingProxyType({name: reason for name in METRICS if (reason := found[name][2])}),
+        **{name: results[name][0] for name in METRICS},
+        floors=MappingProxyType({name: floor for name in METRICS if (floor := results[name][1]) is not None}),
+        reasons=MappingProxyType({name: reason for name in METRICS if (reason := results[name][2])}),
     )
