@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kinebench_drake.geometry import Array
-from kinebench_drake.suites.assets.mesh import box_collider, box_visual
-from kinebench_drake.suites.assets.model import AssetKind, AssetModel, Material, RigidBody, SurfaceFinish
+from kinebench_drake.suites.assets.mesh import BodyParts, box_collider
+from kinebench_drake.suites.assets.model import AssetKind, AssetModel, Material, SurfaceFinish
 from kinebench_drake.suites.assets.texture import Texture, blend, srgb, tileable_noise
 
 COLORS = {"red": (0.65, 0.03, 0.03), "green": (0.04, 0.42, 0.06), "blue": (0.03, 0.09, 0.6)}
@@ -59,15 +59,11 @@ def _cube(name: str, asset_id: str, index: int, rng: np.random.Generator) -> Ass
     surface = SurfaceFinish(
         roughness=float(rng.uniform(0.35, 0.9)), texture=_FINISHES[index % len(_FINISHES)](light, 0.6 * light, rng)
     )
-    body = RigidBody(
-        name="cube",
-        visuals=(box_visual([edge] * 3, np.zeros(3), surface, bevel_m=0.0015, uv_per_m=1.0 / edge),),
-        colliders=(box_collider([edge] * 3, np.zeros(3)),),
-        material=Material(density=float(rng.uniform(350.0, 700.0)), static_friction=0.9, dynamic_friction=0.8),
-    )
-    return AssetModel(
-        kind=f"cube/{name}", asset_id=asset_id, words=f"{name} cube", bodies=(body,), size={"edge_m": edge}
-    )
+    parts = BodyParts(uv_per_m=1.0 / edge)
+    parts.box([edge] * 3, np.zeros(3), surface, bevel_m=0.0015)
+    material = Material(density=float(rng.uniform(350.0, 700.0)), static_friction=0.9, dynamic_friction=0.8)
+    body, words = parts.body("cube", material), f"{name} cube"
+    return AssetModel(kind=f"cube/{name}", asset_id=asset_id, words=words, bodies=(body,), size={"edge_m": edge})
 
 
 def _peg_surface(color: ArrayLike, grained: bool, rng: np.random.Generator) -> SurfaceFinish:
@@ -87,16 +83,11 @@ def _peg(asset_id: str, index: int, rng: np.random.Generator) -> AssetModel:
     ]
     if banded:
         pieces.append((band, 0.0, _peg_surface(_PEG_BAND, grained, rng)))
-    body = RigidBody(
-        name="peg",
-        visuals=tuple(
-            box_visual([piece, width, width], [x, 0.0, 0.0], surface, bevel_m=0.0015, uv_per_m=1.0 / width)
-            for piece, x, surface in pieces
-        ),
-        colliders=(box_collider([length, width, width], np.zeros(3)),),
-        material=Material(density=float(rng.uniform(800.0, 1000.0)), static_friction=0.3, dynamic_friction=0.3),
-    )
-    size = {"length_m": length, "width_m": width}
+    parts = BodyParts(uv_per_m=1.0 / width, colliders=[box_collider([length, width, width], np.zeros(3))])
+    for piece, x, surface in pieces:
+        parts.box([piece, width, width], [x, 0.0, 0.0], surface, bevel_m=0.0015, solid=False)
+    material = Material(density=float(rng.uniform(800.0, 1000.0)), static_friction=0.3, dynamic_friction=0.3)
+    body, size = parts.body("peg", material), {"length_m": length, "width_m": width}
     return AssetModel(kind="peg", asset_id=asset_id, words="red and blue peg", bodies=(body,), size=size)
 
 

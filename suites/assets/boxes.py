@@ -18,7 +18,6 @@ from kinebench_drake.suites.assets.model import (
     Material,
     RigidBody,
     SurfaceFinish,
-    Visual,
     lid_hinge,
     site_at,
 )
@@ -149,8 +148,7 @@ def _base(width: float, depth: float, height: float, wall: float, design: _BoxDe
     knuckle = cylinder_mesh(0.0035, 0.2 * width, sections=16)
     R_YZ = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
     for side in (-1.0, 1.0):
-        X = make_pose(R_YZ, [-x - 0.001, side * 0.28 * width, height])
-        parts.visuals.append(Visual(mesh=knuckle, surface=design.trim, X_BodyV=X))
+        parts.visual(knuckle, design.trim, make_pose(R_YZ, [-x - 0.001, side * 0.28 * width, height]))
     return parts.body("base", Material(density=design.density))
 
 

@@ -7,20 +7,17 @@ drawer's frame coincides with it when shut; the joint position is the opening.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from kinebench_drake.geometry import Array, make_pose
+from kinebench_drake.geometry import make_pose
 from kinebench_drake.suites.assets.mesh import BodyParts, box_collider, cylinder_mesh, lathe, sweep
 from kinebench_drake.suites.assets.model import (
     AssetKind,
     AssetModel,
-    Collider,
     ColliderKind,
     Joint,
     JointKind,
     Material,
     SurfaceFinish,
-    Visual,
     site_at,
 )
 from kinebench_drake.suites.assets.texture import brushed, mix, rgb, wood
@@ -46,6 +43,8 @@ _BACK_M = 0.006  # thickness of the cabinet's back
 _SEAM_M = 0.001  # between the shut drawer's front and the cabinet
 _ENGAGED_M = 0.044  # least length of the tray that stays in the cabinet
 _WOOD_PER_M = 3.3
+_R_OUTWARD = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])  # rotates z to x
+_R_SIDEWAYS = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # rotates x to y
 _WOOD_KINDS = ("oak", "pine", "walnut", "beech", "maple", "cherry", "teak", "ash", "mahogany")
 _PAINTS = {
     "white": (0.75, 0.74, 0.70),
@@ -142,8 +141,7 @@ def _carcass(
         return parts
     for sx, sy in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
         center = [sx * (x - 0.016), sy * (y - 0.014), m.foot / 2.0]
-        X = make_pose(np.eye(3), center)
-        parts.visuals.append(Visual(mesh=cylinder_mesh(0.009, m.foot), surface=fitting, X_BodyV=X))
+        parts.visual(cylinder_mesh(0.009, m.foot), fitting, make_pose(np.eye(3), center))
         parts.colliders.append(box_collider([0.016, 0.016, m.foot], center))
     return parts
 
@@ -160,13 +158,6 @@ def _tray(m: _Dimensions, front: SurfaceFinish, inside: SurfaceFinish) -> BodyPa
     wide = m.width / 2.0 - 0.001
     parts.panel([face, -wide, m.front_bottom], [face + m.front, wide, m.front_top], front, bevel_m=0.002)
     return parts
-
-
-def _pose_along(axis: ArrayLike, position: ArrayLike) -> Array:
-    """Return a pose (4, 4) whose z points along the unit vector `axis` (3,)."""
-    z = np.asarray(axis, dtype=np.float64)
-    x = np.cross([0.0, 1.0, 0.0] if abs(z[1]) < 0.5 else [0.0, 0.0, 1.0], z)
-    return make_pose(np.stack([x, np.cross(z, x), z], axis=1), position)
 
 
 def _add_handle(
@@ -189,9 +180,9 @@ def _add_handle(
             [0.9 * r, 0.87 * length], [0.5 * r, 0.97 * length], [0.0, length],
         ]  # fmt: skip
         mesh = lathe(profile, sections=28, crease_rad=0.9)
-        parts.visuals.append(Visual(mesh=mesh, surface=fitting, X_BodyV=_pose_along([1, 0, 0], [out, 0.0, z])))
+        parts.visual(mesh, fitting, make_pose(_R_OUTWARD, [out, 0.0, z]))
         X = make_pose(np.eye(3), [out + length / 2.0, 0.0, z])
-        parts.colliders.append(Collider(kind=ColliderKind.CYLINDER, size=(0.9 * r, length / 2.0), X_BodyC=X))
+        parts.collider(ColliderKind.CYLINDER, (0.9 * r, length / 2.0), X)
         return out
     half, reach, r, bend = 0.024 + 0.014 * size, 0.020, 0.0036, 0.008
     turn = np.linspace(0.0, np.pi / 2.0, 6)
@@ -199,15 +190,11 @@ def _add_handle(
     side = np.concatenate([[[0.0, half]], arc])
     points = np.concatenate([side, side[::-1] * [1.0, -1.0]])
     bow = np.column_stack([out + points[:, 0], points[:, 1], np.full(len(points), z)])
-    parts.visuals.append(Visual(mesh=sweep(bow, np.full(len(bow), r), sections=14), surface=fitting))
-    X = make_pose(_pose_along([0, 0, 1], [0, 0, 0])[:3, :3] @ _QUARTER, [out + reach, 0.0, z])
-    parts.colliders.append(Collider(kind=ColliderKind.CAPSULE, size=(r, half - bend), X_BodyC=X))
+    parts.visual(sweep(bow, np.full(len(bow), r), sections=14), fitting)
+    parts.collider(ColliderKind.CAPSULE, (r, half - bend), make_pose(_R_SIDEWAYS, [out + reach, 0.0, z]))
     for y in (-half, half):
         parts.colliders.append(box_collider([reach, 2.0 * r, 2.0 * r], [out + reach / 2.0, y, z]))
     return out
-
-
-_QUARTER = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # rotates x to y
 
 
 def _surfaces(finish: str, rng: np.random.Generator) -> tuple[str, SurfaceFinish, SurfaceFinish, SurfaceFinish]:

@@ -4,23 +4,13 @@ The origin is the centre of the underside.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from itertools import pairwise
+from itertools import pairwise, product
 
 import numpy as np
 
 from kinebench_drake.geometry import Array, make_pose, rotation_exp
-from kinebench_drake.suites.assets.mesh import box_collider, box_visual, lathe, sweep
-from kinebench_drake.suites.assets.model import (
-    AssetKind,
-    AssetModel,
-    Collider,
-    ColliderKind,
-    Material,
-    RigidBody,
-    SurfaceFinish,
-    Visual,
-)
+from kinebench_drake.suites.assets.mesh import BodyParts, box_collider, lathe, sweep
+from kinebench_drake.suites.assets.model import AssetKind, AssetModel, ColliderKind, Material, SurfaceFinish, Visual
 from kinebench_drake.suites.assets.texture import fill, grains, shade, speckle, wood, woven
 
 COMPARTMENTS = 3
@@ -30,19 +20,8 @@ _SECTORS = 16
 _WOODS = ("oak", "beech", "walnut", "pine")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Container:
-    """Parts and dimensions of a container."""
-
-    words: str
-    visuals: tuple[Visual, ...]
-    colliders: tuple[Collider, ...]
-    size: dict[str, float]
-    mass_kg: float
-
-
-def _shell(inner: Array, thick_m: float) -> tuple[Collider, ...]:
-    """Return box colliders outside the inner profile (N, 2) of radius and height, one per sector, and across the floor.
+def _add_shell(parts: BodyParts, inner: Array, thick_m: float) -> None:
+    """Add box colliders outside the inner profile (N, 2) of radius and height, one per sector, and across the floor.
 
     Boxes, because PhysX occasionally reports contacts with thin convex hulls that are far away. The flats of the
     polygon are as far inside the circle as its corners are outside.
@@ -50,12 +29,11 @@ def _shell(inner: Array, thick_m: float) -> tuple[Collider, ...]:
     half = np.pi / _SECTORS
     apothem = 2.0 * np.cos(half) / (1.0 + np.cos(half))
     floor, depth = apothem * inner[0, 0], 0.5 * inner[0, 1]
-    boxes = []
     for k in range(_SECTORS):
         R = rotation_exp([0.0, 0.0, 2.0 * half * k])
         if k < _SECTORS // 2:
             size = (float(floor), float(floor * np.tan(half)), float(depth))
-            boxes.append(Collider(kind=ColliderKind.BOX, size=size, X_BodyC=make_pose(R, [0.0, 0.0, depth])))
+            parts.collider(ColliderKind.BOX, size, make_pose(R, [0.0, 0.0, depth]))
         for low, high in pairwise(inner):
             run = (high - low) * [apothem, 1.0]
             length = float(np.linalg.norm(run))
@@ -65,13 +43,28 @@ def _shell(inner: Array, thick_m: float) -> tuple[Collider, ...]:
             center = np.array([middle[0], 0.0, middle[1]]) + 0.5 * thick_m * across
             size = (0.5 * length, float(apothem * high[0] * np.tan(half)), 0.5 * thick_m)
             turn = R @ np.stack([along, [0.0, 1.0, 0.0], np.cross(along, [0.0, 1.0, 0.0])], axis=1)
-            boxes.append(Collider(kind=ColliderKind.BOX, size=size, X_BodyC=make_pose(turn, R @ center)))
-    return tuple(boxes)
+            parts.collider(ColliderKind.BOX, size, make_pose(turn, R @ center))
+
+
+def _asset(
+    kind: str, asset_id: str, words: str, parts: BodyParts, size: dict[str, float], mass_kg: float
+) -> AssetModel:
+    """Return a container of box colliders, with the density that gives it its mass."""
+    volume = sum(8.0 * float(np.prod(collider.size)) for collider in parts.colliders)
+    material = Material(density=mass_kg / volume, static_friction=0.9, dynamic_friction=0.8, restitution=0.02)
+    return AssetModel(kind=kind, asset_id=asset_id, words=words, bodies=(parts.body("container", material),), size=size)
 
 
 def _round(
-    words: str, inner: Array, thick_m: float, surface: SurfaceFinish, mass_kg: float, *, extra: tuple[Visual, ...] = ()
-) -> _Container:
+    asset_id: str,
+    words: str,
+    inner: Array,
+    thick_m: float,
+    surface: SurfaceFinish,
+    mass_kg: float,
+    *,
+    extra: tuple[Visual, ...] = (),
+) -> AssetModel:
     """Return a round vessel from its inner profile (N, 2), from the floor's edge to the rim."""
     along = np.gradient(inner, axis=0)
     along /= np.linalg.norm(along, axis=1, keepdims=True)
@@ -84,21 +77,19 @@ def _round(
     foot = np.array([[0.0, 0.0005], [outer[0, 0] - 0.003, 0.0005], [outer[0, 0], 0.0]])
     profile = np.concatenate([foot, outer[1:-1], lip, inner[-2::-1], [[0.0, inner[0, 1]]]])
     coarse = [0, *range(2, len(inner) - 1, 2), len(inner) - 1]
-    radius = float(rim[0] + thick_m)
-    return _Container(
-        words=words,
-        visuals=(Visual(mesh=lathe(profile, sections=56, uv_per_m=6.0), surface=surface), *extra),
-        colliders=_shell(inner[coarse], thick_m),
-        size={
-            "inner_x_m": 2.0 * float(rim[0]),
-            "inner_y_m": 2.0 * float(rim[0]),
-            "round": 1.0,
-            "reach_m": radius,
-            "floor_m": float(inner[0, 1]),
-            "rim_m": float(rim[1] + 0.5 * thick_m),
-        },
-        mass_kg=mass_kg,
-    )
+    parts = BodyParts()
+    parts.visual(lathe(profile, sections=56, uv_per_m=6.0), surface)
+    parts.visuals += extra
+    _add_shell(parts, inner[coarse], thick_m)
+    size = {
+        "inner_x_m": 2.0 * float(rim[0]),
+        "inner_y_m": 2.0 * float(rim[0]),
+        "round": 1.0,
+        "reach_m": float(rim[0] + thick_m),
+        "floor_m": float(inner[0, 1]),
+        "rim_m": float(rim[1] + 0.5 * thick_m),
+    }
+    return _asset("container", asset_id, words, parts, size, mass_kg)
 
 
 def _glazed(rng: np.random.Generator) -> SurfaceFinish:
@@ -111,25 +102,25 @@ def _glazed(rng: np.random.Generator) -> SurfaceFinish:
     return SurfaceFinish(texture=image, roughness=float(rng.uniform(0.2, 0.45)), specular=0.5)
 
 
-def _bowl(rng: np.random.Generator, index: int) -> _Container:
+def _bowl(asset_id: str, index: int, rng: np.random.Generator) -> AssetModel:
     rim, floor = float(rng.uniform(0.080, 0.088)), float(rng.uniform(0.045, 0.054))
     height, thick = float(rng.uniform(0.042, 0.050)), float(rng.uniform(0.004, 0.006))
     s = np.linspace(0.0, 1.0, 9)
     inner = np.column_stack([floor + (rim - floor) * np.sin(0.5 * np.pi * s), thick + (height - thick) * s**1.6])
     wooden = index % 3 == 2
     surface = SurfaceFinish(texture=wood(rng, str(rng.choice(_WOODS))), roughness=0.5) if wooden else _glazed(rng)
-    return _round("wooden bowl" if wooden else "bowl", inner, thick, surface, 0.55)
+    return _round(asset_id, "wooden bowl" if wooden else "bowl", inner, thick, surface, 0.55)
 
 
-def _plate(rng: np.random.Generator, index: int) -> _Container:
+def _plate(asset_id: str, index: int, rng: np.random.Generator) -> AssetModel:
     rim, floor = float(rng.uniform(0.086, 0.094)), float(rng.uniform(0.068, 0.074))
     height, thick = float(rng.uniform(0.026, 0.030)), 0.004
     s = np.linspace(0.0, 1.0, 7)
     inner = np.column_stack([floor + (rim - floor) * s, thick + (height - thick) * s**0.8])
-    return _round("deep plate", inner, thick, _glazed(rng), 0.6)
+    return _round(asset_id, "deep plate", inner, thick, _glazed(rng), 0.6)
 
 
-def _basket(rng: np.random.Generator, index: int) -> _Container:
+def _basket(asset_id: str, index: int, rng: np.random.Generator) -> AssetModel:
     rim, floor = float(rng.uniform(0.080, 0.088)), float(rng.uniform(0.068, 0.074))
     height, thick = float(rng.uniform(0.042, 0.050)), 0.006
     s = np.linspace(0.0, 1.0, 7)
@@ -146,10 +137,10 @@ def _basket(rng: np.random.Generator, index: int) -> _Container:
         uv_per_m=12.0,
     )
     dark = SurfaceFinish(texture=woven(rng, 0.8 * straw, 0.6 * straw, threads=12), roughness=0.9)
-    return _round("basket", inner, thick, surface, 0.5, extra=(Visual(mesh=braid, surface=dark),))
+    return _round(asset_id, "basket", inner, thick, surface, 0.5, extra=(Visual(mesh=braid, surface=dark),))
 
 
-def _tray(rng: np.random.Generator, index: int) -> _Container:
+def _tray(asset_id: str, index: int, rng: np.random.Generator) -> AssetModel:
     x, y = float(rng.uniform(0.145, 0.160)), float(rng.uniform(0.155, 0.170))
     height, thick, floor = float(rng.uniform(0.030, 0.040)), float(rng.uniform(0.007, 0.010)), 0.006
     grain = wood(rng, str(rng.choice(_WOODS)))
@@ -159,26 +150,13 @@ def _tray(rng: np.random.Generator, index: int) -> _Container:
         grain = shade(fill(color, 256), grain.mean(axis=-1) / grain.mean())
     side = SurfaceFinish(texture=grain, roughness=0.55)
     inside = SurfaceFinish(texture=shade(grain, np.full(grain.shape[:2], 0.86)), roughness=0.7)
-    parts = _walls(x, y, height, thick)
-    visuals = [box_visual([x, y, floor], [0.0, 0.0, floor / 2.0], inside, bevel_m=0.0)]
-    visuals += [box_visual(size, center, side, bevel_m=0.0016) for size, center in parts]
-    return _Container(
-        words="tray",
-        visuals=tuple(visuals),
-        colliders=(
-            box_collider([x, y, floor], [0.0, 0.0, floor / 2.0]),
-            *(box_collider(size, center) for size, center in parts),
-        ),
-        size={
-            "inner_x_m": x,
-            "inner_y_m": y,
-            "round": 0.0,
-            "reach_m": float(np.hypot(x / 2.0 + thick, y / 2.0 + thick)),
-            "floor_m": floor,
-            "rim_m": height,
-        },
-        mass_kg=0.6,
-    )
+    parts = BodyParts()
+    parts.box([x, y, floor], [0.0, 0.0, floor / 2.0], inside, bevel_m=0.0)
+    for extents, center in _walls(x, y, height, thick):
+        parts.box(extents, center, side, bevel_m=0.0016)
+    reach = float(np.hypot(x / 2.0 + thick, y / 2.0 + thick))
+    size = {"inner_x_m": x, "inner_y_m": y, "round": 0.0, "reach_m": reach, "floor_m": floor, "rim_m": height}
+    return _asset("container", asset_id, "tray", parts, size, 0.6)
 
 
 def _walls(x: float, y: float, height: float, thick: float) -> list[tuple[list[float], list[float]]]:
@@ -190,32 +168,11 @@ def _walls(x: float, y: float, height: float, thick: float) -> list[tuple[list[f
     return walls
 
 
-_STYLES: tuple[Callable[[np.random.Generator, int], _Container], ...] = (_bowl, _basket, _tray, _plate)
-
-
-def _model(kind: str, asset_id: str, container: _Container) -> AssetModel:
-    """Return the asset, with the density that gives the container its mass."""
-    volume = sum(8.0 * float(np.prod(collider.size)) for collider in container.colliders)
-    return AssetModel(
-        kind=kind,
-        asset_id=asset_id,
-        words=container.words,
-        bodies=(
-            RigidBody(
-                name="container",
-                visuals=container.visuals,
-                colliders=container.colliders,
-                material=Material(
-                    density=container.mass_kg / volume, static_friction=0.9, dynamic_friction=0.8, restitution=0.02
-                ),
-            ),
-        ),
-        size=container.size,
-    )
+_STYLES = (_bowl, _basket, _tray, _plate)
 
 
 def _container(asset_id: str, index: int, rng: np.random.Generator) -> AssetModel:
-    return _model("container", asset_id, _STYLES[index % len(_STYLES)](rng, index // len(_STYLES)))
+    return _STYLES[index % len(_STYLES)](asset_id, index // len(_STYLES), rng)
 
 
 def _crate(asset_id: str, index: int, rng: np.random.Generator) -> AssetModel:
@@ -227,53 +184,34 @@ def _crate(asset_id: str, index: int, rng: np.random.Generator) -> AssetModel:
     grain = wood(rng, kind)
     side = SurfaceFinish(texture=shade(grain, np.full(grain.shape[:2], rng.uniform(0.85, 1.1))), roughness=0.75)
     dark = SurfaceFinish(texture=shade(grain, np.full(grain.shape[:2], 0.75)), roughness=0.85)
-    visuals, colliders = [], [box_collider([deep, wide, floor], [0.0, 0.0, floor / 2.0])]
+    parts = BodyParts(colliders=[box_collider([deep, wide, floor], [0.0, 0.0, floor / 2.0])])
     for k in range(COMPARTMENTS):  # floor boards, with a gap under each divider
         y = (k - 0.5 * (COMPARTMENTS - 1)) * (cell + divider)
-        visuals.append(box_visual([deep, cell, floor], [0.0, y, floor / 2.0], dark))
+        parts.box([deep, cell, floor], [0.0, y, floor / 2.0], dark, solid=False)
     for k in range(COMPARTMENTS - 1):
         y = (k + 1 - 0.5 * COMPARTMENTS) * (cell + divider)
-        visuals.append(box_visual([deep, divider, low], [0.0, y, low / 2.0], side))
-        colliders.append(box_collider([deep, divider, low], [0.0, y, low / 2.0]))
+        parts.box([deep, divider, low], [0.0, y, low / 2.0], side)
     slatted = index % 2 == 0
-    for size, center in _walls(deep, wide, height, thick):
-        colliders.append(box_collider(size, center))
-        slats = [(0.0, 0.46), (0.54, 1.0)] if slatted else [(0.0, 1.0)]
-        for bottom, top in slats:
-            visuals.append(
-                box_visual(
-                    [size[0], size[1], (top - bottom) * height],
-                    [center[0], center[1], 0.5 * (bottom + top) * height],
-                    side,
-                )
-            )
+    for (x, y, _), center in _walls(deep, wide, height, thick):
+        parts.colliders.append(box_collider([x, y, height], center))
+        for bottom, top in [(0.0, 0.46), (0.54, 1.0)] if slatted else [(0.0, 1.0)]:
+            middle = [center[0], center[1], 0.5 * (bottom + top) * height]
+            parts.box([x, y, (top - bottom) * height], middle, side, solid=False)
     if slatted:  # corner posts hold the slats
-        for sx in (-1.0, 1.0):
-            for sy in (-1.0, 1.0):
-                visuals.append(
-                    box_visual(
-                        [0.6 * thick, 0.6 * thick, 0.96 * height],
-                        [sx * (deep + thick) / 2.0, sy * (wide + thick) / 2.0, 0.48 * height],
-                        dark,
-                    )
-                )
-    crate = _Container(
-        words="crate",
-        visuals=tuple(visuals),
-        colliders=tuple(colliders),
-        size={
-            "inner_x_m": deep,
-            "inner_y_m": wide,
-            "outer_x_m": deep + 2.0 * thick,
-            "outer_y_m": wide + 2.0 * thick,
-            "cell_m": cell,
-            "pitch_m": cell + divider,
-            "floor_m": floor,
-            "rim_m": height,
-        },
-        mass_kg=1.2,
-    )
-    return _model("crate", asset_id, crate)
+        for sx, sy in product((-1.0, 1.0), repeat=2):
+            center = [sx * (deep + thick) / 2.0, sy * (wide + thick) / 2.0, 0.48 * height]
+            parts.box([0.6 * thick, 0.6 * thick, 0.96 * height], center, dark, solid=False)
+    size = {
+        "inner_x_m": deep,
+        "inner_y_m": wide,
+        "outer_x_m": deep + 2.0 * thick,
+        "outer_y_m": wide + 2.0 * thick,
+        "cell_m": cell,
+        "pitch_m": cell + divider,
+        "floor_m": floor,
+        "rim_m": height,
+    }
+    return _asset("crate", asset_id, "crate", parts, size, 1.2)
 
 
 def compartment_center(size: Callable[[str], float], number: int) -> Array:

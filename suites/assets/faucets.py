@@ -12,17 +12,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kinebench_drake.geometry import Array, make_pose, rotation_z
-from kinebench_drake.suites.assets.mesh import BodyParts, box_collider, box_visual, frustum, lathe, sweep, unit_ring
+from kinebench_drake.suites.assets.mesh import BodyParts, frustum, lathe, sweep, unit_ring
 from kinebench_drake.suites.assets.model import (
     AssetKind,
     AssetModel,
-    Collider,
     ColliderKind,
     Joint,
     JointKind,
     Material,
     SurfaceFinish,
-    Visual,
     site_at,
 )
 from kinebench_drake.suites.assets.texture import rgb
@@ -42,7 +40,7 @@ class _FaucetParts(BodyParts):
     def revolve(self, profile: ArrayLike, surface: SurfaceFinish) -> None:
         """Add a closed solid of revolution about z; each segment of its profile (N, 2) is a collider."""
         rz = np.asarray(profile, dtype=np.float64)
-        self.visuals.append(Visual(mesh=lathe(rz, sections=36), surface=surface))
+        self.visual(lathe(rz, sections=36), surface)
         for low, high in pairwise(rz):
             if high[1] - low[1] > 1e-4:
                 ends = [(max(r, 5e-4), z) for r, z in (low, high)]
@@ -52,26 +50,24 @@ class _FaucetParts(BodyParts):
         """Add a round tube along a smooth curve (N, 3), with radii interpolated from evenly spaced ones."""
         p, knots = np.asarray(points, dtype=np.float64), np.atleast_1d(radii)
         r = np.interp(np.linspace(0.0, 1.0, len(p)), np.linspace(0.0, 1.0, len(knots)), knots)
-        self.visuals.append(Visual(mesh=sweep(p, r, sections=20), surface=surface))
+        self.visual(sweep(p, r, sections=20), surface)
         chain = np.unique(np.append(np.arange(0, len(p), max(1, len(p) // 8)), len(p) - 1))
         for i, j in pairwise(chain):
             across = _rotation_to((p[j] - p[i]) / np.linalg.norm(p[j] - p[i]))[:, 1:]
             points = np.concatenate([p[k] + r[k] * unit_ring(_SECTIONS) @ across.T for k in (i, j)])
-            self.colliders.append(Collider(kind=ColliderKind.HULL, points=points))
+            self.hull(points)
 
-    def box(self, size: Sequence[float], at: ArrayLike, surface: SurfaceFinish, *, yaw_rad: float = 0.0) -> None:
-        """Add a bevelled box by its extents and centre, rotated about z."""
-        R, bevel = rotation_z(yaw_rad), min(0.0025, 0.2 * min(size))
-        self.visuals.append(box_visual(size, at, surface, R=R, bevel_m=bevel, uv_per_m=1.0))
-        self.colliders.append(box_collider(size, at, R=R))
+    def block(self, size: Sequence[float], center: ArrayLike, surface: SurfaceFinish, *, yaw_rad: float = 0.0) -> None:
+        """Add a box with a bevel that suits its extents, rotated about z."""
+        self.box(size, center, surface, R=rotation_z(yaw_rad), bevel_m=min(0.0025, 0.2 * min(size)))
 
     def ball(self, radius_m: float, at: ArrayLike, surface: SurfaceFinish) -> None:
         """Add a sphere by its centre."""
         angle = np.linspace(-np.pi / 2.0, np.pi / 2.0, 13)
         mesh = lathe(radius_m * np.column_stack([np.cos(angle), np.sin(angle)]), sections=24)
         X = make_pose(np.eye(3), at)
-        self.visuals.append(Visual(mesh=mesh, surface=surface, X_BodyV=X))
-        self.colliders.append(Collider(kind=ColliderKind.SPHERE, size=(radius_m,), X_BodyC=X))
+        self.visual(mesh, surface, X)
+        self.collider(ColliderKind.SPHERE, (radius_m,), X)
 
 
 def _rotation_to(x: Array) -> Array:
@@ -130,7 +126,7 @@ def _mixer(d: _FaucetDesign, base: _FaucetParts, handle: _FaucetParts) -> float:
     handle.revolve(
         [[0.0, -0.0115], [r, -0.0115], [r, 0.004], [0.85 * r, 0.010], [0.5 * r, 0.0135], [0.0, 0.0145]], d.metal
     )
-    handle.box([d.lever, 0.016, 0.010], [0.5 * d.lever, 0.0, 0.0], d.metal)
+    handle.block([d.lever, 0.016, 0.010], [0.5 * d.lever, 0.0, 0.0], d.metal)
     return 0.008
 
 
@@ -156,7 +152,7 @@ def _cross(d: _FaucetDesign, base: _FaucetParts, handle: _FaucetParts) -> float:
 def _gooseneck(d: _FaucetDesign, base: _FaucetParts, handle: _FaucetParts) -> float:
     """Make a kitchen faucet: a plate with a high bent neck at one end and the lever's post at the other."""
     gap, h = float(d.rng.uniform(0.10, 0.12)), d.height
-    base.box([gap + 0.06, 0.052, 0.012], [-0.5 * gap, 0.0, 0.006], d.metal)
+    base.block([gap + 0.06, 0.052, 0.012], [-0.5 * gap, 0.0, 0.006], d.metal)
     base.revolve([[0.0, 0.012], [0.020, 0.012], [0.017, 0.02], [0.016, h - 0.012], [0.0, h - 0.012]], d.metal)
     high, reach = float(d.rng.uniform(0.165, 0.19)), float(d.rng.uniform(0.08, 0.10))
     away = np.sign(d.spout) * (np.pi - 0.7)
@@ -176,13 +172,13 @@ def _modern(d: _FaucetDesign, base: _FaucetParts, handle: _FaucetParts) -> float
     """Make a square faucet: a pillar, a straight spout, a long flat lever."""
     a, h = float(d.rng.uniform(0.036, 0.044)), d.height
     square = round(d.spout / (np.pi / 2.0)) * np.pi / 2.0
-    base.box([a + 0.016, a + 0.016, 0.006], [0.0, 0.0, 0.003], d.metal)
-    base.box([a, a, h - 0.012], [0.0, 0.0, 0.5 * (h - 0.012)], d.metal)
+    base.block([a + 0.016, a + 0.016, 0.006], [0.0, 0.0, 0.003], d.metal)
+    base.block([a, a, h - 0.012], [0.0, 0.0, 0.5 * (h - 0.012)], d.metal)
     reach, z = float(d.rng.uniform(0.09, 0.12)), 0.58 * h
-    base.box([reach, 0.026, 0.016], _at(square, [[0.5 * reach + 0.01, z]])[0], d.metal, yaw_rad=square)
-    base.box([0.016, 0.016, 0.006], _at(square, [[reach, z - 0.010]])[0], d.accent, yaw_rad=square)
-    handle.box([a, a, 0.018], [0.0, 0.0, -0.002], d.metal)
-    handle.box([d.lever, 0.018, 0.009], [0.5 * d.lever, 0.0, 0.0], d.metal)
+    base.block([reach, 0.026, 0.016], _at(square, [[0.5 * reach + 0.01, z]])[0], d.metal, yaw_rad=square)
+    base.block([0.016, 0.016, 0.006], _at(square, [[reach, z - 0.010]])[0], d.accent, yaw_rad=square)
+    handle.block([a, a, 0.018], [0.0, 0.0, -0.002], d.metal)
+    handle.block([d.lever, 0.018, 0.009], [0.5 * d.lever, 0.0, 0.0], d.metal)
     return 0.009
 
 
@@ -192,8 +188,8 @@ def _garden(d: _FaucetDesign, base: _FaucetParts, handle: _FaucetParts) -> float
     z = h - 0.052
     wood = np.array([0.34, 0.2, 0.09]) * d.rng.uniform(0.7, 1.3)
     plank = SurfaceFinish(color=rgb(wood), roughness=0.8)
-    base.box([0.018, 0.10, z + 0.03], [-back, 0.0, 0.5 * (z + 0.03)], plank)
-    base.box([0.075, 0.10, 0.012], [-back + 0.028, 0.0, 0.006], plank)
+    base.block([0.018, 0.10, z + 0.03], [-back, 0.0, 0.5 * (z + 0.03)], plank)
+    base.block([0.075, 0.10, 0.012], [-back + 0.028, 0.0, 0.006], plank)
     base.tube([[-back, 0.0, z], [0.0, 0.0, z]], 0.0115, d.metal)
     base.tube([[-back, 0.0, z], [-back + 0.014, 0.0, z]], 0.022, d.metal)
     base.revolve(
@@ -261,7 +257,7 @@ def _faucet(asset_id: str, index: int, rng: np.random.Generator) -> AssetModel:
         accent=SurfaceFinish(color=_ACCENTS[rng.integers(len(_ACCENTS))], roughness=0.35, specular=0.5),
         rng=rng,
     )
-    base, handle = _FaucetParts(), _FaucetParts()
+    base, handle = _FaucetParts(uv_per_m=1.0), _FaucetParts(uv_per_m=1.0)
     half_width, travel = make(design, base, handle), float(rng.uniform(*RANGE_RAD))
     axis = [0.0, 0.0, design.height]
     joint = Joint(

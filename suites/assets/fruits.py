@@ -14,15 +14,12 @@ from numpy.typing import ArrayLike
 from scipy.interpolate import PchipInterpolator
 
 from kinebench_drake.geometry import Array, rotation_exp
-from kinebench_drake.suites.assets.mesh import lathe, smooth_mesh, sweep, unit_ring
+from kinebench_drake.suites.assets.mesh import BodyParts, lathe, smooth_mesh, sparse_hull, sweep
 from kinebench_drake.suites.assets.model import (
     AssetKind,
     AssetModel,
-    Collider,
-    ColliderKind,
     Material,
     Mesh,
-    RigidBody,
     SurfaceFinish,
     Visual,
 )
@@ -34,7 +31,7 @@ FLAT_M = 0.0009
 """Depth by which a fruit's underside is flattened, as by its weight."""
 PRESSED_M = 0.0007
 """Depth by which long fruits are flattened on each side, so that they do not turn between the fingers."""
-_SECTIONS, _DIRECTIONS, _OUTLINE_POINTS = 36, 40, 8
+_SECTIONS = 36  # of surfaces of revolution
 _BROWN, _GREEN = (0.11, 0.06, 0.025), (0.07, 0.2, 0.03)
 
 
@@ -224,25 +221,6 @@ def _lying(skin: Mesh) -> Array:
     return np.asarray(rotation_exp([0.0, tilts[int(np.argmin(heights))], 0.0]))
 
 
-def _hull_of(points: Array, directions: Array) -> Array:
-    """Return few points (N, 3) whose hull approximates that of `points`, including the outlines of its flat sides."""
-    ring = unit_ring(_OUTLINE_POINTS)
-    chosen = [points[np.argmax(points @ directions.T, axis=0)]]
-    for axis, sign in ((2, -1.0), (1, -1.0), (1, 1.0)):
-        reach = sign * points[:, axis]
-        side = points[reach > reach.max() - 1e-6]
-        chosen.append(side[np.argmax(np.delete(side, axis, axis=1) @ ring.T, axis=0)])
-    return np.unique(np.concatenate(chosen), axis=0)
-
-
-def _directions(count: int) -> Array:
-    """Return evenly spread unit vectors (count, 3) on a golden-angle spiral."""
-    z = 1.0 - (2.0 * np.arange(count) + 1.0) / count
-    angle = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(count)
-    level = np.sqrt(1.0 - z**2)
-    return np.column_stack([level * np.cos(angle), level * np.sin(angle), z])
-
-
 def _rotate(mesh: Mesh, R: Array) -> Mesh:
     """Return a mesh rotated by `R` (3, 3)."""
     return replace(mesh, vertices=mesh.vertices @ R.T, normals=mesh.normals @ R.T)
@@ -269,30 +247,26 @@ def _fruit(name: str, asset_id: str, index: int, rng: np.random.Generator) -> As
     half = 0.5 * _thickness(skin) - (PRESSED_M if shape.R_BodyShape is not None else 0.0)
     solids = [np.maximum(points @ R.T, [-1.0, -1.0, floor]) for points in shape.solids]
     solids = solids or [np.clip(skin.vertices, [-1.0, -half, floor], [1.0, half, 1.0])]
-    directions = _directions(_DIRECTIONS if len(solids) == 1 else 30)
     surface = SurfaceFinish(texture=SKINS[name](rng, index), roughness=shape.roughness)
-    body = RigidBody(
-        name=name,
-        visuals=(
-            Visual(mesh=skin, surface=surface),
-            *(replace(part, mesh=_rotate(part.mesh, R)) for part in shape.parts),
-        ),
-        colliders=tuple(Collider(kind=ColliderKind.HULL, points=_hull_of(points, directions)) for points in solids),
-        material=Material(
-            density=shape.density * float(rng.uniform(0.9, 1.1)),
-            static_friction=1.0,
-            dynamic_friction=0.9,
-            restitution=0.02,
-            linear_damping=0.1,
-            angular_damping=12.0,
-        ),
+    parts = BodyParts()
+    parts.visual(skin, surface)
+    parts.visuals += [replace(part, mesh=_rotate(part.mesh, R)) for part in shape.parts]
+    for points in solids:
+        parts.hull(sparse_hull(points, directions=40 if len(solids) == 1 else 30))
+    material = Material(
+        density=shape.density * float(rng.uniform(0.9, 1.1)),
+        static_friction=1.0,
+        dynamic_friction=0.9,
+        restitution=0.02,
+        linear_damping=0.1,
+        angular_damping=12.0,
     )
     extent = np.ptp(skin.vertices, axis=0)
     return AssetModel(
         kind=f"fruit/{name}",
         asset_id=asset_id,
         words=name,
-        bodies=(body,),
+        bodies=(parts.body(name, material),),
         size={
             "rest_m": -floor,
             "height_m": float(extent[2]),

@@ -4,25 +4,15 @@ The laptop's x axis points from the hinge to the user, y along the hinge, z up f
 the hinge's axis and x towards its free edge; at joint position 0 it is shut.
 """
 
+from itertools import product
+
 import numpy as np
 import trimesh
 from numpy.typing import ArrayLike, NDArray
 
 from kinebench_drake.geometry import Array, make_pose
-from kinebench_drake.suites.assets.mesh import box_visual, cylinder_mesh, flat_mesh, smooth_mesh
-from kinebench_drake.suites.assets.model import (
-    AssetKind,
-    AssetModel,
-    Collider,
-    ColliderKind,
-    Material,
-    Mesh,
-    RigidBody,
-    SurfaceFinish,
-    Visual,
-    lid_hinge,
-    site_at,
-)
+from kinebench_drake.suites.assets.mesh import BodyParts, cylinder_mesh, flat_mesh, smooth_mesh
+from kinebench_drake.suites.assets.model import AssetKind, AssetModel, Material, Mesh, SurfaceFinish, lid_hinge, site_at
 from kinebench_drake.suites.assets.texture import blend, rgb, tileable_noise
 
 WIDTH_M, DEPTH_M = (0.20, 0.25), (0.135, 0.16)
@@ -65,11 +55,14 @@ def _rounded(low: ArrayLike, high: ArrayLike, z_m: float, radius_m: float, secti
     return np.column_stack([xy, np.full(len(xy), z_m)])
 
 
-def _hull(points: Array) -> Mesh:
-    """Return the convex hull of points (N, 3) with smooth normals."""
+def _slab(points: Array, surface: SurfaceFinish) -> BodyParts:
+    """Return the convex hull of points (N, 3) with smooth normals, as visual and collider."""
     hull = trimesh.convex.convex_hull(points)
     vertices = np.asarray(hull.vertices, dtype=np.float64)
-    return smooth_mesh(vertices, np.asarray(hull.faces), vertices[:, :2], crease_rad=0.5)
+    parts = BodyParts(uv_per_m=1.0)
+    parts.visual(smooth_mesh(vertices, np.asarray(hull.faces), vertices[:, :2], crease_rad=0.5), surface)
+    parts.hull(points)
+    return parts
 
 
 def _sheet(low: ArrayLike, high: ArrayLike, z_m: float, *, up: bool = True) -> Mesh:
@@ -147,10 +140,8 @@ def _logo(shape: str, radius_m: float) -> Mesh:
     return flat_mesh(np.concatenate([rim, inner]), faces)
 
 
-def _base(
-    rng: np.random.Generator, size: dict[str, float], case: SurfaceFinish, *, dark_keys: bool
-) -> tuple[tuple[Visual, ...], Array]:
-    """Return the visuals of the base and the points of its convex collider."""
+def _base(rng: np.random.Generator, size: dict[str, float], case: SurfaceFinish, *, dark_keys: bool) -> BodyParts:
+    """Make the base."""
     w, d, feet, top = size["width_m"], size["depth_m"], size["feet_m"], size["top_m"]
     radius, undercut = float(rng.uniform(0.006, 0.012)), 0.75 * (top - feet)
     low, high = np.array([-d / 2.0, -w / 2.0]), np.array([d / 2.0, w / 2.0])
@@ -169,37 +160,25 @@ def _base(
     pad = float(rng.uniform(0.13, 0.19)) * w
     pad_color = rgb(np.array(case.color) * 0.72 + (0.03 if max(case.color) < 0.1 else 0.0))
     dark = SurfaceFinish(color=(0.01, 0.01, 0.011), roughness=0.8)
-    visuals = [
-        Visual(mesh=_hull(points), surface=case),
-        Visual(
-            mesh=_sheet(keys_low, keys_high, top + 0.5 * _SKIN_M), surface=SurfaceFinish(texture=image, roughness=0.8)
-        ),
-        Visual(
-            mesh=_sheet([back + keys_depth + 0.006, -pad], [d / 2.0 - 0.007, pad], top + 0.5 * _SKIN_M),
-            surface=SurfaceFinish(color=pad_color, roughness=0.35, specular=0.5),
-        ),
-    ]
-    X_hinge = make_pose([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]], np.zeros(3))
+    parts, decal_z = _slab(points, case), top + 0.5 * _SKIN_M
+    parts.visual(_sheet(keys_low, keys_high, decal_z), SurfaceFinish(texture=image, roughness=0.8))
+    pad_sheet = _sheet([back + keys_depth + 0.006, -pad], [d / 2.0 - 0.007, pad], decal_z)
+    parts.visual(pad_sheet, SurfaceFinish(color=pad_color, roughness=0.35, specular=0.5))
+    R_YZ = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
     for y in (-0.32 * w, 0.32 * w):
-        X = X_hinge.copy()
-        X[:3, 3] = [size["hinge_x_m"], y, size["hinge_z_m"]]
-        visuals.append(Visual(mesh=cylinder_mesh(HINGE_ABOVE_BASE_M, 0.16 * w), surface=dark, X_BodyV=X))
-    for x in (-0.36 * d, 0.26 * d):
-        for y in (-0.38 * w, 0.38 * w):
-            visuals.append(
-                box_visual([0.012, 0.02, feet + 0.0004], [x, y, 0.5 * feet], dark, bevel_m=0.0, uv_per_m=1.0)
-            )
+        X = make_pose(R_YZ, [size["hinge_x_m"], y, size["hinge_z_m"]])
+        parts.visual(cylinder_mesh(HINGE_ABOVE_BASE_M, 0.16 * w), dark, X)
+    for x, y in product((-0.36 * d, 0.26 * d), (-0.38 * w, 0.38 * w)):
+        parts.box([0.012, 0.02, feet + 0.0004], [x, y, 0.5 * feet], dark, bevel_m=0.0, solid=False)
     for side in (-1.0, 1.0):  # sockets; the side walls taper by 6 mm over their height
         for i in range(int(rng.integers(1, 4))):
             center = [-0.3 * d + 0.02 * i, side * (w / 2.0 - 0.0022), top - 0.0052]
-            visuals.append(box_visual([0.010, 0.0040, 0.0036], center, dark, bevel_m=0.0, uv_per_m=1.0))
-    return tuple(visuals), points
+            parts.box([0.010, 0.0040, 0.0036], center, dark, bevel_m=0.0, solid=False)
+    return parts
 
 
-def _lid(
-    rng: np.random.Generator, index: int, size: dict[str, float], case: SurfaceFinish
-) -> tuple[tuple[Visual, ...], Array]:
-    """Return the visuals of the lid in its own frame and the points of its convex collider."""
+def _lid(rng: np.random.Generator, index: int, size: dict[str, float], case: SurfaceFinish) -> BodyParts:
+    """Make the lid in its own frame."""
     w, near, far = size["width_m"], 0.004, size["reach_m"]
     inner, outer, radius = size["inside_m"], size["outside_m"], float(rng.uniform(0.006, 0.012))
     low, high = np.array([near, -w / 2.0]), np.array([far, w / 2.0])
@@ -216,28 +195,14 @@ def _lid(
     screen_low, screen_high = low + np.array([0.004 + 1.4 * border, 0.004 + border]), high - 0.004 - border
     logo = rgb(np.array(case.color) * 0.4 if max(case.color) > 0.3 else np.array([0.75, 0.75, 0.75]))
     X_logo = make_pose(np.eye(3), [0.5 * (near + far), 0.0, outer + 0.5 * _SKIN_M])
-    visuals = (
-        Visual(mesh=_hull(points), surface=case),
-        Visual(
-            mesh=_sheet(frame_low, frame_high, inner - 0.3 * _SKIN_M, up=False),
-            surface=SurfaceFinish(color=(0.008, 0.008, 0.009), roughness=0.3, specular=0.5),
-        ),
-        Visual(
-            mesh=_sheet(screen_low, screen_high, inner - _SKIN_M, up=False),
-            surface=SurfaceFinish(texture=_desktop(rng, index), roughness=0.35, specular=0.4),
-        ),
-        Visual(
-            mesh=_logo(LOGOS[index % len(LOGOS)], float(rng.uniform(0.009, 0.015))),
-            surface=SurfaceFinish(color=logo, roughness=0.25, metallic=0.4),
-            X_BodyV=X_logo,
-        ),
-    )
-    return visuals, points
-
-
-def _solid(points: Array) -> tuple[Collider, ...]:
-    """Return the convex hull of points (N, 3) as the only collider."""
-    return (Collider(kind=ColliderKind.HULL, points=points),)
+    parts = _slab(points, case)
+    frame = SurfaceFinish(color=(0.008, 0.008, 0.009), roughness=0.3, specular=0.5)
+    parts.visual(_sheet(frame_low, frame_high, inner - 0.3 * _SKIN_M, up=False), frame)
+    screen = SurfaceFinish(texture=_desktop(rng, index), roughness=0.35, specular=0.4)
+    parts.visual(_sheet(screen_low, screen_high, inner - _SKIN_M, up=False), screen)
+    mesh = _logo(LOGOS[index % len(LOGOS)], float(rng.uniform(0.009, 0.015)))
+    parts.visual(mesh, SurfaceFinish(color=logo, roughness=0.25, metallic=0.4), X_logo)
+    return parts
 
 
 def _laptop(asset_id: str, index: int, rng: np.random.Generator) -> AssetModel:
@@ -262,8 +227,8 @@ def _laptop(asset_id: str, index: int, rng: np.random.Generator) -> AssetModel:
     size["inside_m"] = GAP_M - HINGE_ABOVE_BASE_M
     size["outside_m"] = size["inside_m"] + thickness
     size["reach_m"] = size["depth_m"] / 2.0 + size["lip_m"] - size["hinge_x_m"]
-    base_visuals, base_points = _base(rng, size, case, dark_keys=name != "white" and index % 3 != 1)
-    lid_visuals, lid_points = _lid(rng, index, size, case)
+    base = _base(rng, size, case, dark_keys=name != "white" and index % 3 != 1)
+    lid = _lid(rng, index, size, case)
     p_hinge = [size["hinge_x_m"], 0.0, size["hinge_z_m"]]
     friction, damping = float(rng.uniform(0.02, 0.06)), float(rng.uniform(0.06, 0.14))
     joint = lid_hinge(p_hinge, GREATEST_RAD, friction=friction, damping=damping)
@@ -274,15 +239,9 @@ def _laptop(asset_id: str, index: int, rng: np.random.Generator) -> AssetModel:
         kind="laptop",
         asset_id=asset_id,
         words=f"{name} laptop",
-        bodies=(
-            RigidBody(name="base", visuals=base_visuals, colliders=_solid(base_points), material=material),
-            RigidBody(name="lid", visuals=lid_visuals, colliders=_solid(lid_points), material=material, joint=joint),
-        ),
+        bodies=(base.body("base", material), lid.body("lid", material, joint)),
         size=size,
-        sites={
-            "hinge": site_at("base", p_hinge),
-            "edge": site_at("lid", [size["reach_m"], 0.0, size["inside_m"]]),
-        },
+        sites={"hinge": site_at("base", p_hinge), "edge": site_at("lid", [size["reach_m"], 0.0, size["inside_m"]])},
     )
 
 

@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 
 from kinebench_drake.geometry import Array, make_pose
-from kinebench_drake.suites.assets.mesh import BodyParts, box_collider, box_visual, frustum, lathe
+from kinebench_drake.suites.assets.mesh import BodyParts, frustum, lathe
 from kinebench_drake.suites.assets.model import (
     AssetKind,
     AssetModel,
@@ -117,8 +117,9 @@ def _block(h: float, r: float, rng: np.random.Generator) -> BodyParts:
     side = np.sqrt(2.0) * r
     size, center = [side, side, h], [0.0, 0.0, h / 2.0]
     surface = SurfaceFinish(color=_color(rng), roughness=float(rng.uniform(0.5, 0.9)))
-    visual = box_visual(size, center, surface, bevel_m=0.002, uv_per_m=1.0)
-    return BodyParts(visuals=[visual], colliders=[box_collider(size, center)])
+    parts = BodyParts(uv_per_m=1.0)
+    parts.box(size, center, surface, bevel_m=0.002)
+    return parts
 
 
 _SHAPES: tuple[tuple[str, Callable[[float, float, np.random.Generator], BodyParts], float], ...] = (

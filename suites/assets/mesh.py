@@ -154,7 +154,25 @@ def frustum(low: Sequence[float], high: Sequence[float], *, sections: int) -> Co
     return Collider(kind=ColliderKind.HULL, points=np.concatenate(rings))
 
 
-_IDENTITY = np.eye(3)
+def sparse_hull(points: Array, directions: int) -> Array:
+    """Return few points (N, 3) whose hull approximates that of `points`, including the outlines of its flat sides.
+
+    The extreme points along `directions` unit vectors on a golden-angle spiral, and along 8 directions within the flat
+    sides at the lowest z and at both ends of y.
+    """
+    z = 1.0 - (2.0 * np.arange(directions) + 1.0) / directions
+    angle = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(directions)
+    level = np.sqrt(1.0 - z**2)
+    spiral = np.column_stack([level * np.cos(angle), level * np.sin(angle), z])
+    extreme = [points[np.argmax(points @ spiral.T, axis=0)]]
+    for axis, sign in ((2, -1.0), (1, -1.0), (1, 1.0)):
+        reach = sign * points[:, axis]
+        side = points[reach > reach.max() - 1e-6]
+        extreme.append(side[np.argmax(np.delete(side, axis, axis=1) @ unit_ring(8).T, axis=0)])
+    return np.unique(np.concatenate(extreme), axis=0)
+
+
+_IDENTITY, _X_IDENTITY = np.eye(3), np.eye(4)
 
 
 def box_collider(size: ArrayLike, center: ArrayLike, *, R: ArrayLike = _IDENTITY) -> Collider:
@@ -190,22 +208,41 @@ class BodyParts:
     visuals: list[Visual] = field(default_factory=list)
     colliders: list[Collider] = field(default_factory=list)
 
+    def visual(self, mesh: Mesh, surface: SurfaceFinish, X: Array = _X_IDENTITY) -> None:
+        """Add a mesh at a pose (4, 4)."""
+        self.visuals.append(Visual(mesh=mesh, surface=surface, X_BodyV=X))
+
+    def collider(self, kind: ColliderKind, size: tuple[float, ...], X: Array) -> None:
+        """Add a collider other than a hull at a pose (4, 4)."""
+        self.colliders.append(Collider(kind=kind, size=size, X_BodyC=X))
+
+    def hull(self, points: Array) -> None:
+        """Add the convex hull of points (N, 3) as a collider."""
+        self.colliders.append(Collider(kind=ColliderKind.HULL, points=points))
+
+    def box(
+        self,
+        size: ArrayLike,
+        center: ArrayLike,
+        surface: SurfaceFinish,
+        *,
+        R: ArrayLike = _IDENTITY,
+        bevel_m: float = 0.001,
+        solid: bool = True,
+    ) -> None:
+        """Add a box of extents `size` (3,) centred at `center` (3,) [m]; without a collider if not `solid`."""
+        self.visuals.append(box_visual(size, center, surface, R=R, bevel_m=bevel_m, uv_per_m=self.uv_per_m))
+        if solid:
+            self.colliders.append(box_collider(size, center, R=R))
+
     def panel(
         self, low: ArrayLike, high: ArrayLike, surface: SurfaceFinish, *, bevel_m: float = 0.001, solid: bool = True
     ) -> None:
         """Add the box between two corners (3,) [m]; without a collider if not `solid`."""
         low, high = np.asarray(low, dtype=np.float64), np.asarray(high, dtype=np.float64)
-        size, center = high - low, 0.5 * (low + high)
-        self.visuals.append(box_visual(size, center, surface, bevel_m=bevel_m, uv_per_m=self.uv_per_m))
-        if solid:
-            self.colliders.append(box_collider(size, center))
+        self.box(high - low, 0.5 * (low + high), surface, bevel_m=bevel_m, solid=solid)
 
     def body(self, name: str, material: Material, joint: Joint | None = None) -> RigidBody:
         """Return all parts as one body."""
-        return RigidBody(
-            name=name,
-            visuals=tuple(self.visuals),
-            colliders=tuple(self.colliders),
-            material=material,
-            joint=joint,
-        )
+        visuals, colliders = tuple(self.visuals), tuple(self.colliders)
+        return RigidBody(name=name, visuals=visuals, colliders=colliders, material=material, joint=joint)
