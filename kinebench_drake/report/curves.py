@@ -6,19 +6,8 @@ import numpy as np
 from markupsafe import Markup, escape
 
 from kinebench_drake.geometry import Array
+from kinebench_drake.report import plot
 from kinebench_drake.report.limits import JointLimits, joint_limits, limit_ratios
-from kinebench_drake.report.plot import (
-    WIDTH,
-    Curve,
-    FrameSpan,
-    draw_line,
-    draw_plot,
-    draw_tick,
-    finite_pieces,
-    merge_spans,
-    round_ticks,
-    wrap_svg,
-)
 from kinebench_drake.report.timeline import draw_timeline, fault_lanes
 from kinebench_drake.results.row import SampleRow
 from kinebench_drake.results.trackfile import TrackFile
@@ -37,7 +26,7 @@ _TITLES = {
 }
 _MIN_ERROR_M, _MIN_ERROR_RAD = 1e-5, 1e-4
 """Errors of inverse kinematics below which no plot is drawn."""
-Bands = Mapping[str, Sequence[FrameSpan]]
+Bands = Mapping[str, Sequence[plot.FrameSpan]]
 
 
 def draw_curves(row: SampleRow, file: TrackFile) -> list[Markup]:
@@ -45,7 +34,7 @@ def draw_curves(row: SampleRow, file: TrackFile) -> list[Markup]:
     t_s = file.track.t_s
     lanes = fault_lanes(row, file)
     bands = {
-        css: merge_spans((span for lane in lanes if lane.css == css for span in lane.spans), 1)
+        css: plot.merge_spans((span for lane in lanes if lane.css == css for span in lane.spans), 1)
         for css in ("violation", "anomaly")
     }
     faults = [draw_timeline(lanes, len(t_s), t_s)] if lanes else []
@@ -60,9 +49,9 @@ def _joint_plots(row: SampleRow, file: TrackFile, bands: Bands) -> Iterator[Mark
         yield ranges
     for name, ratio in limit_ratios(file, limits).items():
         if np.isfinite(ratio).any():
-            curves = [Curve(label=label, values=ratio[:, j], css=f"c{j}") for j, label in enumerate(labels)]
+            curves = [plot.Curve(label=label, values=ratio[:, j], css=f"c{j}") for j, label in enumerate(labels)]
             high = max(1.1, 1.05 * float(np.nanmax(ratio)))
-            yield draw_plot(_TITLES[name], t_s, curves, bands, limits=(0.0, high), lines=(1.0,))
+            yield plot.draw_plot(_TITLES[name], t_s, curves, bands, limits=(0.0, high), lines=(1.0,))
 
 
 def _short_names(joints: Sequence[str]) -> list[str]:
@@ -82,32 +71,32 @@ def _path_plots(file: TrackFile, bands: Bands) -> Iterator[Markup]:
     ):
         available = [(label, file.curves[name]) for label, name in parts if name in file.curves]
         curves = [
-            Curve(label=label, values=scale * values, css=f"c{k}")
+            plot.Curve(label=label, values=scale * values, css=f"c{k}")
             for k, (label, values) in enumerate(available)
             if np.isfinite(values).any()
         ]
         if curves:
-            yield draw_plot(title, file.track.t_s, curves, bands, lines=(0.0,))
+            yield plot.draw_plot(title, file.track.t_s, curves, bands, lines=(0.0,))
     for title, name, scale, least in (
         ("IK position error [mm]", "ik_position_error_m", 1e3, _MIN_ERROR_M),
         ("IK rotation error [°]", "ik_rotation_error_rad", 180.0 / np.pi, _MIN_ERROR_RAD),
     ):
         error = file.curves.get(name)
         if error is not None and (np.nan_to_num(error) > least).any():
-            curve = Curve(label="error", values=scale * error, css="c0")
-            yield draw_plot(title, file.track.t_s, [curve], bands, lines=(0.0,))
+            curve = plot.Curve(label="error", values=scale * error, css="c0")
+            yield plot.draw_plot(title, file.track.t_s, [curve], bands, lines=(0.0,))
 
 
 def _gripper_plots(file: TrackFile, bands: Bands) -> Iterator[Markup]:
     track = file.track
-    axes = [Curve(label=a, values=track.X_BG[:, k, 3], css=f"c{k}") for k, a in enumerate("xyz")]
-    yield draw_plot("TCP position in the base frame [m]", track.t_s, axes, bands)
+    axes = [plot.Curve(label=a, values=track.X_BG[:, k, 3], css=f"c{k}") for k, a in enumerate("xyz")]
+    yield plot.draw_plot("TCP position in the base frame [m]", track.t_s, axes, bands)
     if (track.confidence[track.tracked] < 1.0).any() or not track.tracked.all():
-        confidence = Curve(label="confidence", values=track.confidence, css="c0")
-        yield draw_plot("Confidence of the pose", track.t_s, [confidence], bands, limits=(0.0, 1.0))
+        confidence = plot.Curve(label="confidence", values=track.confidence, css="c0")
+        yield plot.draw_plot("Confidence of the pose", track.t_s, [confidence], bands, limits=(0.0, 1.0))
     if np.isfinite(track.finger_width_m).any():
-        gap = Curve(label="gap", values=track.finger_width_m * 1000.0, css="c0")
-        yield draw_plot("Gap between the finger pads [mm]", track.t_s, [gap], bands, limits=(0.0, 85.0))
+        gap = plot.Curve(label="gap", values=track.finger_width_m * 1000.0, css="c0")
+        yield plot.draw_plot("Gap between the finger pads [mm]", track.t_s, [gap], bands, limits=(0.0, 85.0))
 
 
 def draw_joint_ranges(t_s: Array, q: Array, limits: JointLimits, names: Sequence[str]) -> Markup | None:
@@ -128,24 +117,24 @@ def draw_joint_ranges(t_s: Array, q: Array, limits: JointLimits, names: Sequence
     place = (q - 0.5 * (lower + upper)) / (0.5 * (upper - lower))
     height = _LANE * len(names) + _BOTTOM
     span = float(t_s[-1] - t_s[0]) or 1.0
-    x = _LEFT + (t_s - t_s[0]) / span * (WIDTH - _LEFT - _RIGHT)
+    x = _LEFT + (t_s - t_s[0]) / span * (plot.WIDTH - _LEFT - _RIGHT)
     parts = [
-        draw_tick(_LEFT + (time - float(t_s[0])) / span * (WIDTH - _LEFT - _RIGHT), height, f"{time:.4g}")
-        for time in round_ticks(float(t_s[0]), float(t_s[-1]))
+        plot.draw_tick(_LEFT + (time - float(t_s[0])) / span * (plot.WIDTH - _LEFT - _RIGHT), height, f"{time:.4g}")
+        for time in plot.round_ticks(float(t_s[0]), float(t_s[-1]))
     ]
     for j, name in enumerate(names):
         top = 1.0 + j * _LANE
         low, high = (float(end[j]) * 180.0 / np.pi for end in limits.position)
         tooltip = escape(f"{limits.joints[j]}: {low:.1f}° to {high:.1f}°")
         parts.append(
-            f'<rect class="rail" x="{_LEFT:.0f}" y="{top:.1f}" width="{WIDTH - _LEFT - _RIGHT:.0f}" '
+            f'<rect class="rail" x="{_LEFT:.0f}" y="{top:.1f}" width="{plot.WIDTH - _LEFT - _RIGHT:.0f}" '
             f'height="{_TALL:.0f}"><title>{tooltip}</title></rect>'
             f'<text class="tick" x="{_LEFT - 6:.0f}" y="{top + 14.5:.1f}">{escape(name)}</text>'
         )
         parts += _draw_lane(x, t_s, place[:, j], top)
     key = '<span class="lamp near">near a limit</span><span class="lamp violation">beyond it</span>'
     caption = f"Joint angles within their limits; right: minimum margin{key}"
-    return wrap_svg(parts, height, "Joint angles within their limits", caption, css="ranges")
+    return plot.wrap_svg(parts, height, "Joint angles within their limits", caption, css="ranges")
 
 
 def _draw_lane(x: Array, t_s: Array, place: Array, top: float) -> Iterator[str]:
@@ -165,8 +154,8 @@ def _draw_lane(x: Array, t_s: Array, place: Array, top: float) -> Iterator[str]:
                 f'height="{_TALL:.0f}"><title>{text}</title></rect>'
             )
     middle, scale = top + 0.5 * _TALL, 0.5 * _TALL
-    for piece in finite_pieces(x, np.clip(place, -_BEYOND, _BEYOND)):
-        yield draw_line([(at, middle - value * scale) for at, value in piece], "c0")
+    for piece in plot.finite_pieces(x, np.clip(place, -_BEYOND, _BEYOND)):
+        yield plot.draw_line([(at, middle - value * scale) for at, value in piece], "c0")
     least = float(margin[finite].min())
     css = " past" if least < 0.0 else " near" if least < NEAR else ""
-    yield f'<text class="tick margin{css}" x="{WIDTH - _RIGHT + 6:.0f}" y="{top + 14.5:.1f}">{least:.2f}</text>'
+    yield f'<text class="tick margin{css}" x="{plot.WIDTH - _RIGHT + 6:.0f}" y="{top + 14.5:.1f}">{least:.2f}</text>'

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from kinebench_drake.geometry import Array
+from kinebench_drake.models.robot import N_JOINTS
 from kinebench_drake.results.row import SampleRow
 from kinebench_drake.results.trackfile import TrackFile
 from kinebench_drake.types import Json
 
-N_JOINTS = 7
 RATES = ("velocity", "acceleration", "jerk", "torque")
 """Limits on magnitudes per joint, also the names of their curves."""
 _DEGREES, _MILLIMETRES = (180.0 / np.pi, "°"), (1000.0, "mm")

@@ -113,7 +113,7 @@ def test_another_robot_must_be_named(program, out):
     assert "arm.urdf" in err
     code, _, err = program(out, "reach_01", "--robot", panda_urdf())
     assert code == 2
-    assert f"was judged by arm.urdf, but --robot names {panda_urdf().name}" in err
+    assert f"was judged with arm.urdf, but --robot names {panda_urdf().name}" in err
     code, _, err = program(out, "reach_01", "--robot", out / "nowhere" / "arm.urdf")
     assert code == 2
     assert "arm.urdf: there is no such file" in err

@@ -158,9 +158,9 @@ def compare(episodes: Sequence[EpisodeResult], seed: int = 0) -> list[PairCompar
     for first, second in combinations(models, 2):
         keys = [key for key in own[first] if key in own[second]]
         pairs = [(own[first][key], own[second][key]) for key in keys]
-        for part in sorted({a.part for a, _ in pairs}):
-            shared = [pair for pair in pairs if pair[0].part == part]
-            tasks = [_compare_pairs(task, some, seed) for task, some in sorted(_by_task(shared).items())]
+        for _, shared in sorted(group_by(pairs, lambda pair: pair[0].part).items()):
+            by_task = group_by(shared, lambda pair: pair[0].task)
+            tasks = [_compare_pairs(task, by_task[task], seed) for task in sorted(by_task)]
             comparisons += [_compare_pairs(ALL_TASKS, shared, seed), *_adjust(tasks)]
     if not comparisons:
         raise UsageError(
@@ -175,7 +175,7 @@ def _compare_pairs(task: str, pairs: Sequence[Pair], seed: int) -> PairCompariso
     measured = [(a, b) for a, b in outcomes if a is not None and b is not None]
     differences = {
         name: [a.progress - b.progress for a, b in own if a.progress is not None and b.progress is not None]
-        for name, own in _by_task(pairs).items()
+        for name, own in group_by(pairs, lambda pair: pair[0].task).items()
     }
     first, second = pairs[0]
     return PairComparison(
@@ -188,13 +188,6 @@ def _compare_pairs(task: str, pairs: Sequence[Pair], seed: int) -> PairCompariso
         counted=PairedOutcomes.of([a is True for a, _ in outcomes], [b is True for _, b in outcomes]),
         progress=balanced_mean(differences, seed=seed),
     )
-
-
-def _by_task(pairs: Sequence[Pair]) -> dict[str, list[Pair]]:
-    groups: dict[str, list[Pair]] = {}
-    for pair in pairs:
-        groups.setdefault(pair[0].task, []).append(pair)
-    return groups
 
 
 def _adjust(tasks: Sequence[PairComparison]) -> list[PairComparison]:

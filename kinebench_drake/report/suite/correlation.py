@@ -12,7 +12,7 @@ from kinebench_drake.io.figure import FAINT, new_figure, plain
 from kinebench_drake.report.figures import COLOURS, ReportFigure, add_legend, style
 from kinebench_drake.report.suite.episode import EpisodeResult, SuitePart, group_by
 from kinebench_drake.report.suite.folders import model_of
-from kinebench_drake.report.table import Column, Table, Value
+from kinebench_drake.report.table import Column, Table
 from kinebench_drake.results.aggregate import Estimate
 from kinebench_drake.stats import percentile_interval, resampled_counts
 
@@ -40,12 +40,9 @@ class CorrelationPoint:
 class Correlation:
     """Spearman's rank correlation of some points."""
 
-    rho: float | None
-    """None with fewer than three points, or if one of the two variables is constant."""
-    low: float | None
-    """Lower end of the 95 % interval; None if there are too few tasks."""
-    high: float | None
-    points: int
+    rho: Estimate
+    """Over the points; no mean with fewer than three points, or if one of the two variables is constant, and no
+    interval if there are too few tasks."""
     tasks: int
 
 
@@ -71,12 +68,12 @@ class SparcStudy:
         x, y = x[:, some], y[:, some]
         points, tasks = x.shape
         rho = float(_rho(x, y, np.ones((1, tasks)))[0]) if points >= MIN_POINTS else np.nan
-        if not np.isfinite(rho):
-            return Correlation(rho=None, low=None, high=None, points=points, tasks=tasks)
-        if tasks < _MIN_TASKS:
-            return Correlation(rho=rho, low=None, high=None, points=points, tasks=tasks)
-        low, high = percentile_interval(_rho(x, y, resampled_counts(tasks, np.random.default_rng(seed))))
-        return Correlation(rho=rho, low=low, high=high, points=points, tasks=tasks)
+        defined = bool(np.isfinite(rho))
+        low, high = None, None
+        if defined and tasks >= _MIN_TASKS:
+            low, high = percentile_interval(_rho(x, y, resampled_counts(tasks, np.random.default_rng(seed))))
+        mean = rho if defined else None
+        return Correlation(rho=Estimate(mean=mean, low=low, high=high, n=points, total=points), tasks=tasks)
 
 
 def study_sparc(episodes: Sequence[EpisodeResult]) -> SparcStudy:
@@ -159,10 +156,6 @@ def tabulate_correlation(study: SparcStudy, seed: int = 0) -> Table:
     lines = [(p.title, study.correlate(p, seed)) for p in parts]
     if len(parts) > 1:
         lines.append(("All", study.correlate(None, seed)))
-
-    def rho(c: Correlation) -> Value:
-        return Estimate(mean=c.rho, low=c.low, high=c.high, n=c.points, total=c.points)
-
     return Table(
         name="sparc_correlation",
         title="SPARC and success",
@@ -176,7 +169,7 @@ def tabulate_correlation(study: SparcStudy, seed: int = 0) -> Table:
             Column(key="points", label="Models"),
             Column(key="tasks", label="Tasks"),
         ),
-        rows=tuple((title, rho(c), c.points, c.tasks) for title, c in lines),
+        rows=tuple((title, c.rho, c.rho.n, c.tasks) for title, c in lines),
     )
 
 
@@ -209,7 +202,10 @@ def draw_correlation(episodes: Sequence[EpisodeResult], study: SparcStudy, seed:
     right.axhline(0.0, color=FAINT, linewidth=1.0)
     for point in study.points:
         right.scatter(point.sparc, point.success, **marks(labels[point.model], point.part), s=42)
-    title = _format_rho(study.correlate(None, seed)) if study.points else "needs two models on a task"
+    rho = study.correlate(None, seed).rho
+    title = "rho needs three models" if study.points else "needs two models on a task"
+    if rho.mean is not None:
+        title = f"Spearman's rho {rho.mean:.2f}" + ("" if rho.low is None else f" [{rho.low:.2f}, {rho.high:.2f}]")
     right.set_title(title, fontsize=9)
     for ax in (left, right):
         ax.tick_params(labelsize=8)
@@ -228,9 +224,3 @@ def draw_correlation(episodes: Sequence[EpisodeResult], study: SparcStudy, seed:
         "points with its 95 % bootstrap interval over tasks.",
         figure=figure,
     )
-
-
-def _format_rho(c: Correlation) -> str:
-    if c.rho is None:
-        return "rho needs three models"
-    return f"Spearman's rho {c.rho:.2f}" + ("" if c.low is None else f" [{c.low:.2f}, {c.high:.2f}]")

@@ -17,6 +17,7 @@ from kinebench_drake.types import Json
 
 COST = "manipulability_cost_mean"
 """Metric that is scaled over all episodes of a report."""
+Item = TypeVar("Item")
 Key = TypeVar("Key", bound=Hashable)
 
 
@@ -120,11 +121,11 @@ class EpisodeResult:
         return float(value)
 
 
-def group_by(episodes: Iterable[EpisodeResult], key: Callable[[EpisodeResult], Key]) -> dict[Key, list[EpisodeResult]]:
-    """Group episodes by a key, in the order of the keys' first occurrence."""
-    groups: dict[Key, list[EpisodeResult]] = {}
-    for episode in episodes:
-        groups.setdefault(key(episode), []).append(episode)
+def group_by(items: Iterable[Item], key: Callable[[Item], Key]) -> dict[Key, list[Item]]:
+    """Group items, such as episodes, by a key, in the order of the keys' first occurrence."""
+    groups: dict[Key, list[Item]] = {}
+    for item in items:
+        groups.setdefault(key(item), []).append(item)
     return groups
 
 

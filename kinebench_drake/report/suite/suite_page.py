@@ -9,26 +9,10 @@ from kinebench_drake.io.atomic import write_atomically
 from kinebench_drake.report.figures import ReportFigure, write_figure
 from kinebench_drake.report.page import template_environment
 from kinebench_drake.report.sample import relative_link
+from kinebench_drake.report.suite import correlation, kinematics, scaling, success
 from kinebench_drake.report.suite.comparison import ModelComparison, draw_differences
-from kinebench_drake.report.suite.correlation import MIN_POINTS, draw_correlation, study_sparc, tabulate_correlation
 from kinebench_drake.report.suite.episode import EpisodeResult, group_by, tabulate_episodes
 from kinebench_drake.report.suite.folders import RunFolder, pool_episodes, read_folders
-from kinebench_drake.report.suite.kinematics import draw_manipulability, scale_costs, tabulate_kinematics
-from kinebench_drake.report.suite.scaling import (
-    SUITE,
-    draw_scaling,
-    study_scaling,
-    tabulate_scaling,
-    task_difficulties,
-    untagged,
-)
-from kinebench_drake.report.suite.success import (
-    draw_success,
-    draw_verdicts,
-    tabulate_suites,
-    tabulate_summary,
-    tabulate_tasks,
-)
 from kinebench_drake.report.table import Table, sort_key, table_csv, table_latex
 from kinebench_drake.results.store import REPORT, SAMPLES, artifact_path
 
@@ -67,16 +51,17 @@ def write_suite_report(paths: Sequence[Path], out: Path, seed: int = 0) -> Path:
     """
     _check_out(out)
     folders = read_folders(paths)
-    episodes = scale_costs(pool_episodes(folders))
+    episodes = kinematics.scale_costs(pool_episodes(folders))
     parts: list[Part] = [
-        tabulate_suites(episodes, seed),
-        tabulate_summary(episodes, seed),
-        *draw_success(episodes),
-        tabulate_tasks(episodes, seed),
-        draw_verdicts(episodes),
-        tabulate_kinematics(episodes, seed),
+        success.tabulate_suites(episodes, seed),
+        success.tabulate_summary(episodes, seed),
+        *success.draw_success(episodes),
+        success.tabulate_tasks(episodes, seed),
+        success.draw_verdicts(episodes),
+        kinematics.tabulate_kinematics(episodes, seed),
         *_sparc_parts(episodes, seed),
-        draw_manipulability(episodes) or MissingPart(title="Manipulability", needs="two episodes with a measured cost"),
+        kinematics.draw_manipulability(episodes)
+        or MissingPart(title="Manipulability", needs="two episodes with a measured cost"),
         *_scaling_parts(folders, episodes, seed),
     ]
     return _write_page("Suite report", folders, episodes, out, parts)
@@ -98,32 +83,32 @@ def write_comparison(comparison: ModelComparison, out: Path) -> Path:
 
 
 def _sparc_parts(episodes: Sequence[EpisodeResult], seed: int) -> list[Part]:
-    study = study_sparc(episodes)
-    figure = draw_correlation(episodes, study, seed) or MissingPart(
+    study = correlation.study_sparc(episodes)
+    figure = correlation.draw_correlation(episodes, study, seed) or MissingPart(
         title="SPARC and success", needs="episodes with SPARC and an outcome"
     )
-    if any(study.correlate(part).rho is not None for part in (None, *(p.part for p in study.points))):
-        return [figure, tabulate_correlation(study, seed)]
-    needs = f"{MIN_POINTS} models or runs that did the same tasks and differ in SPARC and in success"
+    if any(study.correlate(part).rho.mean is not None for part in (None, *(p.part for p in study.points))):
+        return [figure, correlation.tabulate_correlation(study, seed)]
+    needs = f"{correlation.MIN_POINTS} models or runs that did the same tasks and differ in SPARC and in success"
     return [figure, MissingPart(title="Rank correlation of SPARC and success", needs=needs)]
 
 
 def _scaling_parts(folders: Sequence[RunFolder], episodes: Sequence[EpisodeResult], seed: int) -> list[Part]:
     tagged = "runs on suite 3 with --tag data=N and --tag steps=N, such as data=25 and steps=7500"
     parts: list[Part] = []
-    bare = untagged(folders)
+    bare = scaling.untagged(folders)
     if bare:
         names = ", ".join(path.resolve().name for path in bare)
         parts.append(MissingPart(title=f"{names} in the scaling table", needs=f"both tags: {tagged}"))
-    if len(bare) == sum(f.part.suite == SUITE for f in folders):
+    if len(bare) == sum(f.part.suite == scaling.SUITE for f in folders):
         return [*parts, MissingPart(title="Scaling", needs=tagged)]
-    studies = study_scaling(folders, episodes, task_difficulties(), seed)
-    parts.append(tabulate_scaling(studies))
+    studies = scaling.study_scaling(folders, episodes, scaling.task_difficulties(), seed)
+    parts.append(scaling.tabulate_scaling(studies))
     for number, study in enumerate(studies, 1):
         name = "scaling_curves" if len(studies) == 1 else f"scaling_{number}_curves"
         needs = "two trainings that differ in data alone or in steps alone"
         missing = MissingPart(title=f"Scaling curves of {study.model}", needs=needs)
-        parts.append(draw_scaling(study, name) or missing)
+        parts.append(scaling.draw_scaling(study, name) or missing)
     return parts
 
 
