@@ -20,10 +20,10 @@ _COMMANDS = {
     "audit": ("audit", "Check trajectories against the robot's kinematics, without video."),
     "calibrate": ("calibrate", "Estimate a static camera from a video of the robot."),
     "suite": ("suite", "Task suites: closed-loop runs, demonstrations, exports, reports."),
-    "report": ("report", "Write the html report of output folders again."),
-    "compare": ("report", "Compare output folders."),
-    "merge": ("merge", "Merge output folders of shards."),
-    "view": ("view", "Show one sample in 3D."),
+    "report": ("folders", "Write the html report of output folders again."),
+    "compare": ("folders", "Compare output folders."),
+    "merge": ("folders", "Merge output folders of shards."),
+    "view": ("folders", "Show one sample in 3D."),
     "perception": ("perception", "Train and evaluate the perception networks."),
 }
 """Command name to (module in `kinebench_drake.cli`, short help); the command is the module's object of that name."""

@@ -1,0 +1,164 @@
+"""Commands on output folders: `report`, `compare`, `merge`, `view`."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from kinebench_drake.cli.run import ProgressView, run
+from kinebench_drake.errors import InputError, UsageError
+from kinebench_drake.results.row import SampleRow
+from kinebench_drake.results.store import SAMPLES, artifact_path, read_rows
+
+if TYPE_CHECKING:
+    from kinebench_drake.kinematics.plant import ArmPlant
+
+folders_argument = click.argument("folders", metavar="DIR...", nargs=-1, required=True, type=click.Path(path_type=Path))
+
+
+@click.command(epilog="\b\nExamples:\n  kinebench-drake report results/\n  kinebench-drake report results/ --figures")
+@folders_argument
+@click.option("--figures", is_flag=True, help="Also write figures (png, svg) and tables (csv) to DIR/figures/.")
+def report(folders: tuple[Path, ...], figures: bool) -> None:
+    """Write report.html in each output folder DIR again, from its rows and tracks."""
+    from kinebench_drake.report.page import write_report
+
+    for folder in folders:
+        _check_output(folder)
+        try:
+            click.echo(write_report(folder))
+            if figures:
+                from kinebench_drake.report.figures import write_figures
+
+                click.echo(write_figures(folder))
+        except InputError as error:
+            raise UsageError(str(error)) from None
+
+
+@click.command(
+    epilog="\b\nExamples:\n"
+    "  kinebench-drake compare runs/wan/ runs/cogvideox/\n"
+    "  kinebench-drake compare runs/*/ --out comparison/"
+)
+@folders_argument
+@click.option(
+    "--out", type=click.Path(path_type=Path, file_okay=False),
+    help="Also write report.html, figure and table (csv, LaTeX) to this folder.",
+)  # fmt: skip
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the bootstrap intervals.")
+def compare(folders: tuple[Path, ...], out: Path | None, seed: int) -> None:
+    """Compare models of suite runs DIR, two by two, on the episodes that both did.
+
+    Success with Newcombe's 95 % interval and McNemar's exact test, progress with a bootstrap interval; for all tasks
+    together, then for each task.
+    """
+    from kinebench_drake.report.suite.comparison import comparison_lines, read_comparison
+    from kinebench_drake.report.suite.suite_page import write_comparison
+
+    comparison = read_comparison(folders, seed)
+    page = None if out is None else write_comparison(comparison, out)
+    for line in comparison_lines(comparison.table):
+        click.echo(line)
+    if page is not None:
+        click.echo(page)
+
+
+class MergeView(ProgressView):
+    """Progress of a merge: samples are counted, not printed."""
+
+    def finish(self, row: SampleRow, wall_s: float) -> None:
+        """Count the sample."""
+        self._count()
+
+
+@click.command(
+    epilog="\b\nExamples:\n"
+    "  kinebench-drake merge part1/ part2/ part3/ part4/ --out results/\n"
+    "  kinebench-drake merge parts/* --out results/"
+)
+@folders_argument
+@click.option(
+    "--out", type=click.Path(path_type=Path), required=True,
+    help="Output folder; created if absent, extended if it holds an earlier merge of the run.",
+)  # fmt: skip
+@click.pass_context
+def merge(ctx: click.Context, /, folders: tuple[Path, ...], out: Path) -> None:
+    """Merge the output folders DIR of a run's shards (--shard I/N) into one, as if a single run had made them.
+
+    Rows, tracks, videos and other files are copied, DIR is not changed; aggregates and report are computed from all
+    rows. Shards must agree in all settings but --shard, --jobs, --engine and --limit. To complete a merged folder, run
+    the original command without --shard and with the merged folder as --out: it processes the samples still absent.
+    """
+    from kinebench_drake.evaluation.merge import merge_folders
+
+    ctx.exit(run(lambda observer: merge_folders(folders, out, observer), out, MergeView("samples")))
+
+
+@click.command(epilog="\b\nExample:\n  kinebench-drake view results/ episode_0003 --open")
+@click.argument("out", metavar="OUT", type=click.Path(path_type=Path))
+@click.argument("id", metavar="ID")
+@click.option(
+    "--robot",
+    "urdf",
+    type=click.Path(path_type=Path),
+    help="URDF of the robot, for a run judged with another robot than the Panda.",
+    metavar="URDF",
+)
+@click.option("--open/--no-open", "opened", default=False, help="Open it in the browser.")
+def view(out: Path, id: str, urdf: Path | None, opened: bool) -> None:
+    """Write a 3D replay of sample ID of the output folder OUT and print its path.
+
+    The replay, OUT/replays/ID.html, opens in any browser. It shows the motion of the arm, coloured by the limits that
+    it violates.
+    """
+    from difflib import get_close_matches
+
+    _check_output(out)
+    try:
+        rows = read_rows(out)
+        if id not in rows:
+            near = get_close_matches(id, rows, n=3, cutoff=0.5) or sorted(rows)[:3]
+            hint = f"such as {', '.join(near)}" if near else "it is empty"
+            raise UsageError(f"{out}: holds no sample {id!r} ({len(rows)} samples, {hint})")
+        row = rows[id]
+        if not artifact_path(out, "tracks", id).is_file():
+            raise UsageError(f"{id}: has no track to show ({row.reason or f'tracks/{id}.npz is absent'})")
+        from kinebench_drake.report.replay import write_replays
+
+        paths = write_replays(out, [id], _plant(out, urdf))
+    except InputError as error:
+        raise UsageError(str(error)) from None
+    if not paths:
+        raise UsageError(f"{id}: no frame is tracked, there is nothing to show")
+    click.echo(paths[0])
+    if opened and click.launch(paths[0].resolve().as_uri()) != 0:
+        click.echo("no browser could be started; open the file yourself", err=True)
+
+
+def _check_output(folder: Path) -> None:
+    """Check that a folder is the output folder of a run.
+
+    Raises:
+        UsageError: it is not.
+    """
+    if not (folder / SAMPLES).is_file():
+        raise UsageError(f"{folder}: holds no {SAMPLES}, expected the output folder of a run")
+
+
+def _plant(out: Path, urdf: Path | None) -> "ArmPlant":
+    """Load the robot that a run was judged with."""
+    from kinebench_drake.report.page import read_results
+
+    config = read_results(out).get("config")
+    robot, tcp_frame = (config.get(key) if isinstance(config, Mapping) else None for key in ("robot", "tcp_frame"))
+    if robot is None and urdf is not None:
+        raise UsageError(f"{out}: was judged with the Panda, leave out --robot")
+    if robot is not None and urdf is None:
+        raise UsageError(f"{out}: was judged with {robot}, name that file with --robot")
+    if urdf is not None and urdf.name != robot:
+        raise UsageError(f"{out}: was judged with {robot}, but --robot names {urdf.name}")
+    from kinebench_drake.kinematics.plant import ArmPlant
+    from kinebench_drake.models.arm import choose_robot
+
+    return ArmPlant(choose_robot(urdf, None if tcp_frame is None else str(tcp_frame)))
