@@ -112,10 +112,10 @@ def test_what_is_no_pose_is_refused(tmp_path: Path, X: Array, message: str) -> N
 def test_finger_widths_are_metres(tmp_path: Path) -> None:
     width = np.linspace(-0.001, 0.081, T)
     np.savez(tmp_path / "v.npz", camera_from_hand=X_CH, finger_width_m=np.where(np.arange(T) == 3, np.nan, width))
-    poses = read_poses(tmp_path, tmp_path / "v.npz", T).finger_width_m
-    assert poses is not None
-    assert np.isnan(poses[3])
-    assert (np.nanmin(poses), np.nanmax(poses)) == (0.0, 0.08)
+    clipped = read_poses(tmp_path, tmp_path / "v.npz", T).finger_width_m
+    assert clipped is not None
+    assert np.isnan(clipped[3])
+    assert (np.nanmin(clipped), np.nanmax(clipped)) == (0.0, 0.08)
     np.savez(tmp_path / "v.npz", camera_from_hand=X_CH, finger_width_m=1000 * width)
     with pytest.raises(InputError, match="between the pads"):
         read_poses(tmp_path, tmp_path / "v.npz", T)
