@@ -65,7 +65,7 @@ def track_features(confidence: ArrayLike, distance_m: ArrayLike, angle_rad: Arra
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Logistic:
+class LogisticRegression:
     """Logistic regression."""
 
     intercept: float
@@ -81,9 +81,9 @@ class Logistic:
 class Confidence:
     """Calibrated confidence of frames."""
 
-    frame: Logistic
+    frame: LogisticRegression
     """Regression on FRAME_FEATURES."""
-    track: Logistic
+    track: LogisticRegression
     """Regression on TRACK_FEATURES."""
 
     @classmethod
@@ -109,8 +109,8 @@ class Confidence:
         path.write_text(json.dumps(data, indent=1) + "\n")
 
 
-def _read(data: dict[str, object], features: tuple[str, ...]) -> Logistic:
+def _read(data: dict[str, object], features: tuple[str, ...]) -> LogisticRegression:
     weights = np.array(data["weights"], dtype=np.float64)
     if data["features"] != list(features) or weights.shape != (len(features),):
         raise ValueError(f"has {weights.size} weights for the features {data['features']}")
-    return Logistic(intercept=float(str(data["intercept"])), weights=weights)
+    return LogisticRegression(intercept=float(str(data["intercept"])), weights=weights)

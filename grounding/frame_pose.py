@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.registration.arm_fit import ArmFit
-from kinebench_drake.grounding.registration.fit import Fit
+from kinebench_drake.grounding.registration.fit import HandFit
 from kinebench_drake.grounding.view import GripperView
 
 
@@ -18,9 +18,9 @@ class FramePose:
     """Travel of each finger [m]; NaN if no finger was visible."""
     finger_sigma_m: float
     """Standard deviation of the travel [m]."""
-    hand: Fit
+    hand: HandFit
     """Fit of the hand alone, without the arm."""
-    hand_without_silhouette: Fit
+    hand_without_silhouette: HandFit
     """Fit to the cells alone: the silhouette would bias it where the gripper is deformed."""
     arm: ArmFit | None
     """Fit of the arm; None if too little of it is visible."""

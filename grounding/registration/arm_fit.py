@@ -13,7 +13,7 @@ from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, invert, pose_difference
 from kinebench_drake.grounding.registration.arm_model import OVER_LIMIT_RAD, ArmHandModel, ArmModel
 from kinebench_drake.grounding.registration.correspondences import Correspondences
-from kinebench_drake.grounding.registration.fit import Fit, HandModel, finger_or_default, gripper_cells
+from kinebench_drake.grounding.registration.fit import HandFit, HandModel, finger_or_default, gripper_cells
 from kinebench_drake.grounding.registration.silhouette import SilhouetteMatcher
 from kinebench_drake.grounding.registration.solver import Solution, solve
 from kinebench_drake.grounding.view import GripperView
@@ -67,7 +67,7 @@ class ArmFitter:
         self._tolerance_px = _MAX_CONSISTENCY_PX * camera.unit_px
 
     def fit(
-        self, hand: Fit, close: GripperView, wide: GripperView, rim: Correspondences | None = None
+        self, hand: HandFit, close: GripperView, wide: GripperView, rim: Correspondences | None = None
     ) -> ArmFit | None:
         """Fit the arm behind a hand; None if too little of the arm is visible.
 
@@ -105,7 +105,7 @@ class ArmFitter:
         return self._arm_fit(solution, links, hand, scale=scale, evidence=evidence, agrees=bool(agrees))
 
     def fit_from_neighbour(
-        self, near: ArmFit, hand: Fit, close: GripperView, wide: GripperView, silhouette: SilhouetteMatcher
+        self, near: ArmFit, hand: HandFit, close: GripperView, wide: GripperView, silhouette: SilhouetteMatcher
     ) -> ArmFit | None:
         """Fit the arm from the posture in a neighbouring frame, where the hand's CAD coordinates are wrong.
 
@@ -145,7 +145,7 @@ class ArmFitter:
             [Correspondences.of_view(v, np.isin(v.part, ARM), _MAX_CELLS, _INDEPENDENT) for v in (close, wide)]
         )
 
-    def _start(self, q: Array, finger_m: float, hand: Fit) -> ArmHandModel:
+    def _start(self, q: Array, finger_m: float, hand: HandFit) -> ArmHandModel:
         return ArmHandModel(
             model=self._model,
             X_CB=self._X_CB,
@@ -159,7 +159,7 @@ class ArmFitter:
         self,
         solution: Solution[ArmHandModel],
         links: Correspondences,
-        hand: Fit,
+        hand: HandFit,
         *,
         scale: float,
         evidence: float,
@@ -182,7 +182,9 @@ class ArmFitter:
         )
 
     @staticmethod
-    def _scale(solution: Solution[ArmHandModel], cells: Correspondences, depth_factor_sigma: float, hand: Fit) -> float:
+    def _scale(
+        solution: Solution[ArmHandModel], cells: Correspondences, depth_factor_sigma: float, hand: HandFit
+    ) -> float:
         """Return the hand's distance according to the links over its distance according to its apparent size."""
         arm = solution.model
         of_hand = np.isin(cells.part, GRIPPER)
@@ -197,7 +199,7 @@ class ArmFitter:
         by_links_m = np.linalg.norm(links_solution.model.hand()[0][:3, 3])
         return float(by_links_m / np.linalg.norm(size_solution.model.X_CH[:3, 3]))
 
-    def _initial_posture(self, hand: Fit, links: Correspondences) -> tuple[Array, float] | None:
+    def _initial_posture(self, hand: HandFit, links: Correspondences) -> tuple[Array, float] | None:
         """Return the inverse kinematics solution (7,) that matches the links best, and the evidence against a flip.
 
         The flipped hand, rotated by 180 degrees about its axis, has the same postures except for the last joint.

@@ -80,7 +80,7 @@ def finger_information(free: bool) -> float:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Fit:
+class HandFit:
     """Pose of the hand fitted to one view."""
 
     X_CH: Array
@@ -137,11 +137,11 @@ def _closed_form(cells: Correspondences, finger_m: float | None) -> HandModel:
     return HandModel(X_CH=X_CH, finger_m=finger, finger_free=bool(finger_m is None and fingers_visible))
 
 
-def _fit_of(solution: Solution[HandModel], cells: Correspondences, points: int, *, finger_known: bool) -> Fit:
+def _fit_of(solution: Solution[HandModel], cells: Correspondences, points: int, *, finger_known: bool) -> HandFit:
     hand, n = solution.model, len(cells)
     robust, r = solution.robust[:n], solution.residual[:n]
     covariance = np.linalg.inv(solution.information + 1e-6 * np.eye(7))
-    return Fit(
+    return HandFit(
         X_CH=hand.X_CH,
         finger_m=hand.finger_m if hand.finger_free or finger_known else float("nan"),
         finger_free=hand.finger_free,
@@ -154,7 +154,7 @@ def _fit_of(solution: Solution[HandModel], cells: Correspondences, points: int, 
     )
 
 
-def fit(view: GripperView, *, X_CH: Array | None = None, finger_m: float | None = None) -> Fit | None:
+def fit(view: GripperView, *, X_CH: Array | None = None, finger_m: float | None = None) -> HandFit | None:
     """Fit the gripper to one view; None if fewer than `MIN_CELLS` cells show it.
 
     Args:
@@ -174,7 +174,7 @@ def fit(view: GripperView, *, X_CH: Array | None = None, finger_m: float | None 
     return _fit_of(solution, cells, int(view.gripper.sum()), finger_known=finger_m is not None)
 
 
-def refit(hand: Fit, view: GripperView, rim: Correspondences) -> Fit:
+def refit(hand: HandFit, view: GripperView, rim: Correspondences) -> HandFit:
     """Repeat a fit with the silhouette; return `hand` unchanged if that diverges.
 
     Args:

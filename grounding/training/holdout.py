@@ -11,7 +11,7 @@ from scipy.special import expit
 
 from kinebench_drake.geometry import Array, pose_difference
 from kinebench_drake.grounding.anomaly.detect import find_anomalies
-from kinebench_drake.grounding.confidence import GOOD_M, GOOD_RAD, Logistic, frame_features
+from kinebench_drake.grounding.confidence import GOOD_M, GOOD_RAD, LogisticRegression, frame_features
 from kinebench_drake.grounding.evaluation.clip import TruthClip, TruthClipFile
 from kinebench_drake.grounding.pipeline import GroundingPipeline
 from kinebench_drake.grounding.smoothing import RawTrack
@@ -102,7 +102,7 @@ def measure(tracker: CadTracker, shards: Shards, seed: int = 0) -> Holdout:
     return Holdout(found=tuple(found), visible=visible, missed=missed)
 
 
-def fit_logistic(features: Array, good: NDArray[np.bool_]) -> Logistic:
+def fit_logistic(features: Array, good: NDArray[np.bool_]) -> LogisticRegression:
     """Logistic regression of `good` (N,) on `features` (N, n), with a small ridge penalty."""
     A = np.column_stack([np.ones(len(good)), features])
     y = good.astype(np.float64)
@@ -113,7 +113,7 @@ def fit_logistic(features: Array, good: NDArray[np.bool_]) -> Logistic:
         return float(value), A.T @ (expit(score) - y) + _PENALTY * np.array([0.0, *w[1:]])
 
     w = minimize(loss, np.zeros(A.shape[1]), method="BFGS", jac=True).x
-    return Logistic(intercept=float(w[0]), weights=np.asarray(w[1:]))
+    return LogisticRegression(intercept=float(w[0]), weights=np.asarray(w[1:]))
 
 
 def reliability(probability: Array, good: NDArray[np.bool_], bins: int = 5) -> Iterator[tuple[float, float, int]]:

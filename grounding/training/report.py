@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.geometry import Array
-from kinebench_drake.grounding.confidence import TRACK_FEATURES, Confidence, Logistic
+from kinebench_drake.grounding.confidence import TRACK_FEATURES, Confidence, LogisticRegression
 from kinebench_drake.grounding.estimator import NetworkEstimator
 from kinebench_drake.grounding.evaluation.clip import find_clips
 from kinebench_drake.grounding.evaluation.summary import OFF_M
@@ -72,7 +72,7 @@ def calibration_lines(order: ConfidenceCalibration) -> Iterator[str]:
     if order.videos is None:
         track = Confidence.load().track
     else:
-        before = Confidence(frame=frame, track=Logistic(intercept=0.0, weights=np.zeros(len(TRACK_FEATURES))))
+        before = Confidence(frame=frame, track=LogisticRegression(intercept=0.0, weights=np.zeros(len(TRACK_FEATURES))))
         pipeline, clips, parts = GroundingPipeline(tracker, before), find_clips(order.videos), []
         for number, clip in enumerate(clips):
             parts.append(measure_footage(pipeline, clip, number))
@@ -90,7 +90,7 @@ def calibration_lines(order: ConfidenceCalibration) -> Iterator[str]:
 
 def _fitted(
     name: str, group: NDArray[np.int64], features: Array, good: NDArray[np.bool_]
-) -> tuple[Logistic, list[str]]:
+) -> tuple[LogisticRegression, list[str]]:
     """A regression fitted to all frames, and what one fitted to the even groups says of the odd ones."""
     odd = group % 2 == 1
     probability = fit_logistic(features[~odd], good[~odd]).probability(features[odd])

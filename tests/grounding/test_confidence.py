@@ -9,7 +9,13 @@ from scipy.special import expit
 
 from kinebench_drake.errors import SetupError
 from kinebench_drake.geometry import Array
-from kinebench_drake.grounding.confidence import FRAME_FEATURES, TRACK_FEATURES, Confidence, Logistic, track_features
+from kinebench_drake.grounding.confidence import (
+    FRAME_FEATURES,
+    TRACK_FEATURES,
+    Confidence,
+    LogisticRegression,
+    track_features,
+)
 from kinebench_drake.grounding.training.holdout import fit_logistic, reliability
 
 LAW = [-1.0, -0.5, 0.8, 0.0, 0.3, -0.2, 0.5, -0.7]
@@ -51,8 +57,8 @@ def test_frames_without_neighbours_have_their_own_feature_and_no_distance() -> N
 
 def test_save_and_load(tmp_path: Path) -> None:
     path = tmp_path / "confidence.json"
-    frame = Logistic(intercept=0.5, weights=np.arange(float(len(FRAME_FEATURES))))
-    track = Logistic(intercept=-1.5, weights=np.arange(float(len(TRACK_FEATURES))))
+    frame = LogisticRegression(intercept=0.5, weights=np.arange(float(len(FRAME_FEATURES))))
+    track = LogisticRegression(intercept=-1.5, weights=np.arange(float(len(TRACK_FEATURES))))
     Confidence(frame=frame, track=track).save(path)
     loaded = Confidence.load(path)
     for step, before in ((loaded.frame, frame), (loaded.track, track)):
