@@ -24,19 +24,19 @@ class KinebenchError(Exception):
 
 
 class UsageError(KinebenchError):
-    """The command line or a function's arguments cannot be used (exit status 2)."""
+    """Unusable command line or arguments (exit status 2)."""
 
 
 class InputError(KinebenchError):
-    """One sample's input is broken: a row with status `error`."""
+    """Broken input of one sample: a row with status `error`."""
 
 
 class UnmeasurableError(KinebenchError):
-    """One sample's input is sound but cannot be measured: a row with status `unmeasurable`."""
+    """Valid input of one sample that cannot be measured: a row with status `unmeasurable`."""
 
 
 class SetupError(KinebenchError):
-    """Something is missing on this machine (driver, library, weights, disk space)."""
+    """Missing resource on this machine (driver, library, weights, disk space)."""
 
 
 def cause(error: Exception) -> str:

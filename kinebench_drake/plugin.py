@@ -29,7 +29,7 @@ def load_class(spec: str, *, option: str, method: str, arguments: str) -> type:
     """
     module_name, _, name = spec.partition(":")
     if os.getcwd() not in sys.path and "" not in sys.path:
-        sys.path.append(os.getcwd())  # stays: the class may import its neighbours later
+        sys.path.append(os.getcwd())  # not removed: the class may import modules beside it later
     try:
         loaded = getattr(importlib.import_module(module_name), name)
     except ModuleNotFoundError as error:
@@ -39,7 +39,7 @@ def load_class(spec: str, *, option: str, method: str, arguments: str) -> type:
         ) from None
     except AttributeError:
         raise UsageError(f"{option} {spec}: the module {module_name} has no {name}") from None
-    except Exception as error:  # another program's code, which may raise anything
+    except Exception as error:  # code of the user, which may raise anything
         raise UsageError(f"{option} {spec}: cannot be imported ({type(error).__name__}: {error})") from error
     if not isinstance(loaded, type) or not callable(getattr(loaded, method, None)):
         raise UsageError(f"{option} {spec}: expected a class with a method {method}({arguments})")
