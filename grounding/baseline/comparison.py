@@ -1,4 +1,4 @@
-"""The baseline beside the grounding: errors of both on the same videos, with intervals over videos."""
+"""Comparison of baseline and grounding: errors on the same videos, with intervals over videos."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -9,27 +9,27 @@ import numpy as np
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array, pose_difference
-from kinebench_drake.grounding.baseline.dataset import Demonstration
-from kinebench_drake.grounding.baseline.predictor import Baseline
+from kinebench_drake.grounding.baseline.network import Baseline
+from kinebench_drake.grounding.baseline.windows import Demonstration
 from kinebench_drake.grounding.pipeline import GroundingPipeline
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.stats import percentile_interval, resampled_indices
 
 _RESAMPLES = 1000
-_TOLD = (50, 95)  # percentiles
+_PERCENTILES = (50, 95)
 
 
 class Extractor(Enum):
-    """Whose errors."""
+    """Methods whose errors are compared."""
 
     BASELINE = "baseline"
     BASELINE_WHERE_TRACKED = "baseline where tracked"
-    """The baseline in the frames that the grounding calls tracked."""
+    """The baseline in the frames that the grounding tracks."""
     GROUNDING = "grounding"
 
 
 class Quantity(Enum):
-    """What is measured, with the unit it is told in."""
+    """Error quantities with their unit."""
 
     POSITION = "position [mm]"
     ROTATION = "rotation [degrees]"
@@ -38,7 +38,7 @@ class Quantity(Enum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PoseErrors:
-    """Errors of a method in one video; NaN where it says nothing."""
+    """Errors of a method in one video; NaN where it has no pose."""
 
     position_m: Array
     """(T,) of panda_hand_tcp in the base frame [m]."""
@@ -47,8 +47,8 @@ class PoseErrors:
     finger_m: Array
     """(T,) of the gap between the finger pads [m]."""
 
-    def told(self, quantity: Quantity) -> Array:
-        """(T,) errors in the quantity's unit."""
+    def in_unit(self, quantity: Quantity) -> Array:
+        """Return the errors (T,) in the unit of the quantity."""
         if quantity is Quantity.ROTATION:
             return np.asarray(np.rad2deg(self.rotation_rad))
         return 1e3 * (self.position_m if quantity is Quantity.POSITION else self.finger_m)
@@ -56,20 +56,20 @@ class PoseErrors:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ClipComparison:
-    """One video."""
+    """Errors of all methods in one video."""
 
     id: str
     task: str
     trained: bool
-    """Whether the baseline was trained on the task."""
+    """True if the baseline was trained on the task."""
     tracked_fraction: float
-    """Share of frames that the grounding calls tracked."""
+    """Share of frames that the grounding tracks."""
     errors: Mapping[Extractor, PoseErrors]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ErrorFigure:
-    """A percentile over the frames of a group of videos, with its interval over videos."""
+    """Percentile over the frames of a group of videos, with its 95 % interval over videos."""
 
     value: float
     low: float
@@ -78,13 +78,13 @@ class ErrorFigure:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ComparisonGroup:
-    """A task, or all tasks of a kind, in numbers."""
+    """Errors on a task, or on all trained or all unseen tasks."""
 
     name: str
     trained: bool
     videos: int
     pooled: bool
-    """Whether it stands for several tasks."""
+    """True for several tasks together."""
     tracked_fraction: float
     medians: Mapping[tuple[Extractor, Quantity], ErrorFigure]
     p95s: Mapping[tuple[Extractor, Quantity], ErrorFigure]
@@ -92,7 +92,7 @@ class ComparisonGroup:
 
 
 def errors(truth: Demonstration, X_BG: Array, finger_width_m: Array) -> PoseErrors:
-    """Errors of a track: poses (T, 4, 4) and gaps (T,) [m]."""
+    """Return the errors of a track with poses (T, 4, 4) and gaps (T,) [m]."""
     position, rotation = pose_difference(truth.X_BG, X_BG)
     return PoseErrors(
         position_m=position, rotation_rad=rotation, finger_m=np.abs(finger_width_m - truth.finger_width_m)
@@ -100,21 +100,21 @@ def errors(truth: Demonstration, X_BG: Array, finger_width_m: Array) -> PoseErro
 
 
 def compare(clip: Demonstration, camera: Camera, baseline: Baseline, pipeline: GroundingPipeline) -> ClipComparison:
-    """Run both on one video.
+    """Run baseline and grounding on one video.
 
     Raises:
-        InputError: the video cannot be read, or has another number of frames than its truth.
+        InputError: the video cannot be read, or differs from its ground truth in the number of frames.
     """
     frames = read_video(clip.path).frames
     if len(frames) != len(clip.t_s):
         raise InputError(f"{clip.path.name}: has {len(frames)} frames, its truth has {len(clip.t_s)}")
-    said, track = baseline.predict(frames), pipeline.ground(frames, camera, clip.t_s).track
-    always = errors(clip, said.X_BG, said.finger_width_m)
-    unknown = np.where(track.tracked, 0.0, np.nan)
+    prediction, track = baseline.predict(frames), pipeline.ground(frames, camera, clip.t_s).track
+    always = errors(clip, prediction.X_BG, prediction.finger_width_m)
+    untracked = np.where(track.tracked, 0.0, np.nan)
     where_tracked = PoseErrors(
-        position_m=always.position_m + unknown,
-        rotation_rad=always.rotation_rad + unknown,
-        finger_m=always.finger_m + unknown,
+        position_m=always.position_m + untracked,
+        rotation_rad=always.rotation_rad + untracked,
+        finger_m=always.finger_m + untracked,
     )
     return ClipComparison(
         id=clip.id,
@@ -130,19 +130,20 @@ def compare(clip: Demonstration, camera: Camera, baseline: Baseline, pipeline: G
 
 
 def percentiles(videos: Sequence[Array], rng: np.random.Generator) -> tuple[ErrorFigure, ErrorFigure]:
-    """Median and 95th percentile over all frames of `videos` (T,) each, NaN left out, with bootstrap intervals.
+    """Return median and 95th percentile over all frames of `videos` (T,) each, without NaN, with bootstrap intervals.
 
-    Whole videos are drawn anew, for frames of one video resemble each other (Efron and Tibshirani 1993, chapter 8).
+    The bootstrap draws whole videos: errors of frames of one video are correlated (Efron and Tibshirani 1993, chapter
+    8).
     """
-    known = [v[np.isfinite(v)] for v in videos]
-    known = [v for v in known if len(v)]
+    finite = [v[np.isfinite(v)] for v in videos]
+    finite = [v for v in finite if len(v)]
     low = high = values = np.full(2, np.nan)
-    if known:
-        values = np.percentile(np.concatenate(known), _TOLD)
-    if len(known) > 1:
+    if finite:
+        values = np.percentile(np.concatenate(finite), _PERCENTILES)
+    if len(finite) > 1:
         draws = [
-            np.percentile(np.concatenate([known[i] for i in drawn]), _TOLD)
-            for part in resampled_indices(len(known), rng, _RESAMPLES)
+            np.percentile(np.concatenate([finite[i] for i in drawn]), _PERCENTILES)
+            for part in resampled_indices(len(finite), rng, _RESAMPLES)
             for drawn in part
         ]
         low, high = np.transpose([percentile_interval(column) for column in np.transpose(draws)])
@@ -152,11 +153,11 @@ def percentiles(videos: Sequence[Array], rng: np.random.Generator) -> tuple[Erro
     return median, p95
 
 
-def group(name: str, clips: Sequence[ClipComparison], *, pooled: bool, seed: int = 0) -> ComparisonGroup:
-    """Put a group of videos into numbers; the same videos and seed give the same numbers."""
+def compare_group(name: str, clips: Sequence[ClipComparison], *, pooled: bool, seed: int = 0) -> ComparisonGroup:
+    """Return the errors of a group of videos; the same videos and seed give the same numbers."""
     rng = np.random.default_rng(seed)
-    told = {(m, q): [clip.errors[m].told(q) for clip in clips] for m in Extractor for q in Quantity}
-    figures = {key: percentiles(videos, rng) for key, videos in told.items()}
+    values = {(m, q): [clip.errors[m].in_unit(q) for clip in clips] for m in Extractor for q in Quantity}
+    figures = {key: percentiles(videos, rng) for key, videos in values.items()}
     return ComparisonGroup(
         name=name,
         trained=clips[0].trained,
@@ -169,10 +170,10 @@ def group(name: str, clips: Sequence[ClipComparison], *, pooled: bool, seed: int
 
 
 def groups(clips: Sequence[ClipComparison]) -> Iterator[ComparisonGroup]:
-    """Each task, then all tasks together, first of those trained and then of those unseen."""
+    """Yield each task, then all tasks together: first of the trained tasks, then of the unseen ones."""
     for trained, name in ((True, "trained tasks"), (False, "unseen tasks")):
         members = [clip for clip in clips if clip.trained is trained]
         for task in sorted({clip.task for clip in members}):
-            yield group(task, [clip for clip in members if clip.task == task], pooled=False)
+            yield compare_group(task, [clip for clip in members if clip.task == task], pooled=False)
         if members:
-            yield group(name, members, pooled=True)
+            yield compare_group(name, members, pooled=True)

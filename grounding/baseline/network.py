@@ -1,31 +1,39 @@
-"""The network of the baseline: whole frames in, pose of the TCP and gap between the fingers out.
+"""Network of the baseline: whole frames in, pose of the TCP and gap between the fingers out.
 
-Published inverse-dynamics networks put pooled features of a pretrained encoder, of one frame or of two, through a few
-dense layers (UniPi, Du et al., NeurIPS 2023; WoW's ResNet and DINO variants, Chi et al. 2025). This one is given more
-to stand for what such networks can do at their best: the encoder learns, too, features of three strides are joined
-as in a feature pyramid (Lin et al., CVPR 2017), attention pooling keeps where things are (a spatial softmax with
-features; Levine et al., JMLR 2016), and the frame before and the one after are seen. Rotations are six numbers (Zhou
-et al., CVPR 2019).
+Published inverse-dynamics networks pass pooled features of a pretrained encoder, of one frame or of two, through a few
+dense layers (UniPi, Du et al., NeurIPS 2023; WoW's ResNet and DINO variants, Chi et al. 2025). This one is stronger, to
+stand for the best that such networks can do: the encoder is trained as well, features of three strides are joined as in
+a feature pyramid (Lin et al., CVPR 2017), attention pooling keeps positions (a spatial softmax with features; Levine et
+al., JMLR 2016), and the previous and the next frame are inputs. Rotations are six numbers (Zhou et al., CVPR 2019).
 
-It knows one camera, that of its training, as all of its kind: the pose on the robot's base is learned with it.
+Like all networks of its kind it works for a single camera, that of its training: the pose relative to the robot's base
+is learned with it.
 """
 
+import json
 from dataclasses import dataclass
+from pathlib import Path
 
+import cv2
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
 
+from kinebench_drake.camera import Camera
+from kinebench_drake.errors import SetupError, UsageError
+from kinebench_drake.geometry import Array, make_pose
+from kinebench_drake.grounding.training.loop import pick_device
+from kinebench_drake.grounding.view import Frames
 from kinebench_drake.models.perception.network import GripperNetwork
 
 
-def to_six(R: Tensor) -> Tensor:
-    """Six numbers (..., 6) of rotation matrices `R` (..., 3, 3): first column, second column."""
-    return R[..., :, :2].transpose(-1, -2).flatten(-2)
-
-
 def from_six(six: Tensor) -> Tensor:
-    """Rotation matrices (..., 3, 3) of any six numbers (..., 6), by Gram-Schmidt (their equation 15)."""
+    """Return the rotation matrices (..., 3, 3) whose first two columns are six numbers (..., 6), orthonormalized.
+
+    Gram-Schmidt, equation 15 of Zhou et al. (CVPR 2019); any six numbers give a rotation.
+    """
     x = functional.normalize(six[..., :3], dim=-1)
     y = six[..., 3:]
     y = functional.normalize(y - (x * y).sum(dim=-1, keepdim=True) * x, dim=-1)
@@ -33,26 +41,28 @@ def from_six(six: Tensor) -> Tensor:
 
 
 CONTEXT = 1
-"""Frames before and after that are seen with each."""
+"""Number of previous and of next frames that are inputs for each frame."""
 POSITION_CENTRE_M = (0.5, 0.0, 0.2)
-"""A place in front of the robot [m], in the base frame: where outputs are zero ..."""
+"""Position in the base frame at which the outputs are zero [m]: in front of the robot."""
 POSITION_SCALE_M = 0.1
-"""... and the network's unit of position [m]."""
+"""Unit of position of the network [m]."""
 FINGER_SCALE_M = 0.04
-"""The network's unit of the gap between the fingers [m]; its zero is half open."""
+"""Unit of the gap between the fingers of the network [m]; its zero is half open."""
 
 _CHANNELS = (40, 112, 320)  # of the encoder at strides 8, 16, 32
 _PYRAMID = (64, 128)  # of the pyramid at strides 8, 16
 _HEADS = 16
 _WIDTH = 256
 _DROPOUT = 0.1
-_DOWN = (1.0, 0.0, 0.0, 0.0, -1.0, 0.0)  # the six numbers of a gripper that points straight down
+_DOWN = (1.0, 0.0, 0.0, 0.0, -1.0, 0.0)  # six numbers of a gripper that points straight down
 _FROZEN = ("_conv_stem", "_bn0", "_blocks.0", "_blocks.1", "_blocks.2")
+_BATCH = 16
+_TRAIN = "train it with `kinebench-drake perception baseline train`"
 
 
 @dataclass(frozen=True, slots=True)
 class PoseOutput:
-    """What the network says of T frames of B windows."""
+    """Output for T frames of B windows."""
 
     position: Tensor
     """(B, T, 3) panda_hand_tcp in the base frame [m]."""
@@ -67,7 +77,7 @@ def _join(cin: int, cout: int) -> nn.Sequential:
 
 
 class _AttentionPool(nn.Module):
-    """Per head a softmax over the map, and the mean of features and place under it."""
+    """Attention pooling: per head, the mean of features and position under a softmax over the map."""
 
     def __init__(self, channels: int) -> None:
         super().__init__()
@@ -75,21 +85,21 @@ class _AttentionPool(nn.Module):
         self.size = _HEADS * (channels + 2)
 
     def forward(self, x: Tensor) -> Tensor:
-        """Vectors (N, size) of maps (N, C, h, w)."""
+        """Return vectors (N, size) of maps (N, C, h, w)."""
         n, _, h, w = x.shape
         weight = self.attention(x).float().flatten(2).softmax(dim=-1)
         v, u = torch.meshgrid(
             torch.linspace(-1, 1, h, device=x.device), torch.linspace(-1, 1, w, device=x.device), indexing="ij"
         )
-        place = torch.stack([u, v]).flatten(1).expand(n, 2, h * w)
-        values = torch.cat([x.float().flatten(2), place], dim=1)
+        position = torch.stack([u, v]).flatten(1).expand(n, 2, h * w)
+        values = torch.cat([x.float().flatten(2), position], dim=1)
         return torch.einsum("nkp,ncp->nkc", weight, values).flatten(1)
 
 
 class PoseNetwork(nn.Module):
-    """Windows of frames (B, T + 2, 3, S, S) in 0..1, S a multiple of 32, to a `PoseOutput` of the T inner frames.
+    """Network from windows of frames (B, T + 2, 3, S, S) in 0..1, S a multiple of 32, to poses of the T inner frames.
 
-    The encoder's first layers, edges and textures that ImageNet has taught it, stay as they are.
+    The first layers of the encoder, which respond to edges and textures, stay frozen at their ImageNet weights.
     """
 
     def __init__(self) -> None:
@@ -102,7 +112,7 @@ class PoseNetwork(nn.Module):
         self.embedding = nn.Sequential(nn.Linear(self.pool.size + _CHANNELS[2], _WIDTH), nn.GELU())
         self.time = nn.Conv1d(_WIDTH, _WIDTH, 2 * CONTEXT + 1)
         last = nn.Linear(_WIDTH, 3 + 6 + 1)
-        with torch.no_grad():  # starts near a gripper that points down in the middle of things
+        with torch.no_grad():  # the initial output is a gripper that points down at the centre
             last.weight.mul_(0.1)
             last.bias.copy_(torch.tensor([0.0, 0.0, 0.0, *_DOWN, 0.0]))
         self.head = nn.Sequential(nn.Dropout(_DROPOUT), nn.Linear(_WIDTH, _WIDTH), nn.GELU(), last)
@@ -110,7 +120,7 @@ class PoseNetwork(nn.Module):
             parameter.requires_grad_(not name.startswith(_FROZEN))
 
     def train(self, mode: bool = True) -> "PoseNetwork":
-        """Switch to training; the statistics of the layers that do not learn stay as they are."""
+        """Switch to training mode; frozen layers keep their batch normalisation statistics."""
         super().train(mode)
         for name, module in self.encoder.named_modules():
             if name.startswith(_FROZEN):
@@ -118,7 +128,7 @@ class PoseNetwork(nn.Module):
         return self
 
     def embed(self, images: Tensor) -> Tensor:
-        """Vectors (N, D) of frames (N, 3, S, S)."""
+        """Return embeddings (N, D) of frames (N, 3, S, S)."""
         images = images.contiguous(memory_format=torch.channels_last)
         features = self.encoder(images * 2.0 - 1.0)
         f_8, f_16, f_32 = features[-3], features[-2], features[-1]
@@ -130,7 +140,7 @@ class PoseNetwork(nn.Module):
         return embedded
 
     def fuse(self, embedded: Tensor) -> PoseOutput:
-        """Poses of the T inner frames of embedded windows (B, T + 2, D)."""
+        """Return the poses of the T inner frames of embedded windows (B, T + 2, D)."""
         mixed = self.time(embedded.transpose(1, 2)).transpose(1, 2)
         x = embedded[:, CONTEXT:-CONTEXT] + functional.gelu(mixed)
         y = self.head(x).float()
@@ -142,12 +152,90 @@ class PoseNetwork(nn.Module):
         )
 
     def forward(self, windows: Tensor) -> PoseOutput:
-        """Run the network."""
+        """Return the poses of the inner frames of windows."""
         b, t = windows.shape[:2]
         return self.fuse(self.embed(windows.flatten(0, 1)).view(b, t, _WIDTH))
 
     def load_imagenet_encoder(self) -> None:
-        """Start the encoder from ImageNet weights, see `GripperNetwork.load_imagenet_encoder`."""
+        """Load ImageNet weights into the encoder, as `GripperNetwork.load_imagenet_encoder` does."""
         donor = GripperNetwork()
         donor.load_imagenet_encoder()
         self.encoder.load_state_dict(donor.encoder.state_dict())
+
+
+def resize_frames(frames: Frames, size: int) -> NDArray[np.uint8]:
+    """Return frames (T, size, size, 3) from any (T, H, W, 3), by area averaging if smaller."""
+    if frames.shape[1:3] == (size, size):
+        return frames
+    smaller = frames.shape[1] >= size and frames.shape[2] >= size
+    how = cv2.INTER_AREA if smaller else cv2.INTER_LINEAR
+    return np.stack([np.asarray(cv2.resize(f, (size, size), interpolation=how), dtype=np.uint8) for f in frames])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BaselineTrack:
+    """Output of the baseline for a video; unlike the grounding it has a pose in every frame."""
+
+    X_BG: Array
+    """(T, 4, 4) pose of panda_hand_tcp in the base frame [m]."""
+    finger_width_m: Array
+    """(T,) gap between the finger pads [m]."""
+
+
+class Baseline:
+    """Trained network with the camera and the tasks of its training."""
+
+    def __init__(self, network: PoseNetwork, size: int, tasks: tuple[str, ...], camera: Camera) -> None:
+        """Wrap a `network` for frames of `size` px, trained on videos of `tasks` by `camera`."""
+        self._device = pick_device()
+        self._network = network.to(self._device).eval()
+        self._size, self.tasks, self._camera = size, tasks, camera
+
+    @classmethod
+    def load(cls, path: Path) -> "Baseline":
+        """Read weights that `kinebench-drake perception baseline train` wrote.
+
+        Raises:
+            SetupError: the file is missing or holds something else.
+        """
+        from safetensors import SafetensorError, safe_open
+
+        if not path.is_file():
+            raise SetupError(f"{path.name}: no such weights; {_TRAIN}")
+        network = PoseNetwork()
+        try:
+            with safe_open(path, framework="pt") as file:
+                about = file.metadata() or {}
+                state = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - it is no mapping
+            network.load_state_dict({k: v.float() if v.dtype.is_floating_point else v for k, v in state.items()})
+            camera = Camera.from_json(json.loads(about["camera"]), "camera")
+            return cls(network, int(about["size"]), tuple(json.loads(about["tasks"])), camera)
+        except (SafetensorError, RuntimeError, KeyError, ValueError, TypeError, UsageError) as error:
+            first = str(error).splitlines()[0]
+            raise SetupError(f"{path.name}: not weights of the baseline ({first}); {_TRAIN}") from None
+
+    def require_camera(self, camera: Camera) -> None:
+        """Check that the camera is the one of the training: the network works for no other.
+
+        Raises:
+            UsageError: field of view or pose differs; the image size may differ.
+        """
+        same = camera.resized(self._camera.width, self._camera.height)
+        if not (
+            np.allclose(same.K, self._camera.K, rtol=1e-3) and np.allclose(same.X_BC, self._camera.X_BC, atol=1e-3)
+        ):
+            raise UsageError("the baseline was trained for another camera; train it on demonstrations of this one")
+
+    @torch.inference_mode()
+    def predict(self, frames: Frames) -> BaselineTrack:
+        """Return poses and gaps of all `frames` (T, H, W, 3)."""
+        images = torch.from_numpy(resize_frames(frames, self._size)).permute(0, 3, 1, 2)
+        embedded = torch.cat(
+            [self._network.embed(part.to(self._device) / 255.0) for part in torch.split(images, _BATCH)]
+        )
+        before, after = embedded[:1].expand(CONTEXT, -1), embedded[-1:].expand(CONTEXT, -1)
+        output = self._network.fuse(torch.cat([before, embedded, after])[None])
+        rotation, position = (x[0].cpu().double().numpy() for x in (output.rotation, output.position))
+        return BaselineTrack(
+            X_BG=make_pose(rotation, position), finger_width_m=output.finger_width[0].cpu().double().numpy()
+        )

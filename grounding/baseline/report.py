@@ -1,4 +1,4 @@
-"""The comparison as lines of text and as an object for a file."""
+"""Report of the comparison of baseline and grounding: table, JSON and figure."""
 
 import json
 from collections.abc import Iterator, Sequence
@@ -15,37 +15,37 @@ from kinebench_drake.grounding.baseline.comparison import (
     compare,
     groups,
 )
-from kinebench_drake.grounding.baseline.dataset import load_demonstrations
-from kinebench_drake.grounding.baseline.predictor import Baseline
+from kinebench_drake.grounding.baseline.network import Baseline
+from kinebench_drake.grounding.baseline.windows import load_demonstrations
 from kinebench_drake.grounding.pipeline import GroundingPipeline
 from kinebench_drake.io.atomic import atomic_path, write_atomically
 
 _NAME, _CELL = 24, 22
 
 
-def _told(figure: ErrorFigure) -> str:
+def _format(figure: ErrorFigure) -> str:
     interval = f" [{figure.low:.3g}, {figure.high:.3g}]" if figure.low == figure.low else ""
     return f"{figure.value:.3g}{interval}"
 
 
-def table(found: Sequence[ComparisonGroup]) -> Iterator[str]:
-    """Two lines a task, three where tasks are pooled: medians and 95th percentiles with their intervals."""
+def table(compared: Sequence[ComparisonGroup]) -> Iterator[str]:
+    """Yield the lines of the table: medians and 95th percentiles with their intervals, for each method."""
     columns = [f"{q.value} {share}" for q in Quantity for share in ("median", "95 %")]
     yield " ".join([f"{'':{_NAME}}", f"{'videos':>6}", f"{'tracked':>8}", *(f"{c:>{_CELL + 3}}" for c in columns)])
-    for g in found:
+    for g in compared:
         for method in Extractor:
             if method is Extractor.BASELINE_WHERE_TRACKED and not g.pooled:
                 continue
             tracked = "" if method is Extractor.BASELINE else f"{100 * g.tracked_fraction:.1f} %"
-            cells = [_told(values[method, q]) for q in Quantity for values in (g.medians, g.p95s)]
+            cells = [_format(values[method, q]) for q in Quantity for values in (g.medians, g.p95s)]
             if method is Extractor.BASELINE:
                 yield g.name
             start = [f"  {method.value:{_NAME - 2}}", f"{g.videos:>6}", f"{tracked:>8}"]
             yield " ".join([*start, *(f"{c:>{_CELL + 3}}" for c in cells)])
 
 
-def as_json(found: Sequence[ComparisonGroup]) -> list[dict[str, object]]:
-    """The same, for programs."""
+def as_json(compared: Sequence[ComparisonGroup]) -> list[dict[str, object]]:
+    """Return the table as a JSON array."""
     return [
         {
             "group": g.name,
@@ -61,24 +61,24 @@ def as_json(found: Sequence[ComparisonGroup]) -> list[dict[str, object]]:
                 for m in Extractor
             },
         }
-        for g in found
+        for g in compared
     ]
 
 
 def comparison_lines(
     folders: Sequence[Path], weights: Path, grounding_weights: Path | None, limit: int | None, out: Path
 ) -> Iterator[str]:
-    """Run both on the videos of `folders`, a line each, then tell of all; writes a table, its numbers and a figure.
+    """Run both methods on the videos of `folders`, yield a line per video and the table, and write the report.
 
     Args:
-        folders: of demonstrations.
-        weights: the baseline's.
-        grounding_weights: the grounding's; None for those shipped.
-        limit: measure the first so many videos of each task of each folder only.
+        folders: folders of demonstrations.
+        weights: weights of the baseline.
+        grounding_weights: weights of the grounding; None for those shipped.
+        limit: number of videos of each task of each folder; all if None.
         out: folder for baseline.txt, baseline.json, baseline.png.
 
     Raises:
-        UsageError: a folder cannot be used, or another camera took its videos.
+        UsageError: a folder cannot be used, or its camera is not the one of the training.
         SetupError: weights are missing.
     """
     from kinebench_drake.grounding.confidence import Confidence
@@ -91,26 +91,24 @@ def comparison_lines(
         baseline.require_camera(source.camera)
     estimator = NetworkEstimator(load_network(grounding_weights or WEIGHTS))
     pipeline = GroundingPipeline(CadTracker(estimator), Confidence.load())
-    compared: list[ClipComparison] = []
+    clips: list[ClipComparison] = []
     for source in sources:
         for task in source.tasks:
             for clip in [c for c in source.clips if c.task == task][:limit]:
-                compared.append(compare(clip, source.camera, baseline, pipeline))
-                yield _line(compared[-1])
-    found = list(groups(compared))
-    lines = list(table(found))
+                clips.append(compare(clip, source.camera, baseline, pipeline))
+                yield _line(clips[-1])
+    compared = list(groups(clips))
+    lines = list(table(compared))
     yield from lines
     write_atomically(out / "baseline.txt", ("\n".join(lines) + "\n").encode())
-    write_atomically(out / "baseline.json", (json.dumps(as_json(found), indent=1) + "\n").encode())
-    draw(found, out / "baseline.png")
+    write_atomically(out / "baseline.json", (json.dumps(as_json(compared), indent=1) + "\n").encode())
+    draw(compared, out / "baseline.png")
 
 
 def _line(clip: ClipComparison) -> str:
-    import numpy as np
-
     medians = [
-        f"{method.value} {np.nanmedian(clip.errors[method].told(Quantity.POSITION)):.1f} mm "
-        f"{np.nanmedian(clip.errors[method].told(Quantity.ROTATION)):.1f} degrees"
+        f"{method.value} {np.nanmedian(clip.errors[method].in_unit(Quantity.POSITION)):.1f} mm "
+        f"{np.nanmedian(clip.errors[method].in_unit(Quantity.ROTATION)):.1f} degrees"
         for method in (Extractor.BASELINE, Extractor.GROUNDING)
         if np.isfinite(clip.errors[method].position_m).any()
     ]
@@ -123,22 +121,22 @@ _STYLE = {
 }
 
 
-def draw(found: Sequence[ComparisonGroup], path: Path) -> None:
-    """Write a png: medians with their intervals, whiskers to the 95th percentile, tasks side by side.
+def draw(compared: Sequence[ComparisonGroup], path: Path) -> None:
+    """Plot medians with their intervals and 95th percentiles, for all tasks, to a png.
 
     Raises:
         SetupError: writing failed.
     """
     from matplotlib.figure import Figure as Canvas
 
-    canvas = Canvas(figsize=(2.5 + 0.62 * len(found), 9.5), layout="constrained")
+    canvas = Canvas(figsize=(2.5 + 0.62 * len(compared), 9.5), layout="constrained")
     panels = canvas.subplots(len(Quantity), 1, sharex=True)
-    x = np.arange(len(found))
+    x = np.arange(len(compared))
     for panel, quantity in zip(panels, Quantity, strict=True):
         for method, (label, colour, marker, shift) in _STYLE.items():
-            medians = [g.medians[method, quantity] for g in found]
+            medians = [g.medians[method, quantity] for g in compared]
             value = np.array([f.value for f in medians])
-            top = np.array([g.p95s[method, quantity].value for g in found])
+            top = np.array([g.p95s[method, quantity].value for g in compared])
             panel.vlines(x + shift, value, top, color=colour, lw=1.2, alpha=0.6)
             panel.plot(x + shift, top, "_", color=colour, ms=7, alpha=0.6)
             low = np.array([f.low for f in medians])
@@ -150,21 +148,21 @@ def draw(found: Sequence[ComparisonGroup], path: Path) -> None:
         panel.set_ylabel(f"error of {quantity.value}")
         panel.grid(axis="y", which="both", color="0.9", lw=0.6)
         panel.set_axisbelow(True)
-        for i, g in enumerate(found):
+        for i, g in enumerate(compared):
             if not g.trained:
                 panel.axvspan(i - 0.5, i + 0.5, color="#f6ead2", lw=0, zorder=-2)
             if g.pooled:
                 panel.axvspan(i - 0.5, i + 0.5, color="0.5", alpha=0.12, lw=0, zorder=-1)
-    panels[0].set_xlim(-0.5, len(found) - 0.5)
+    panels[0].set_xlim(-0.5, len(compared) - 0.5)
     panels[0].legend(loc="upper left", ncols=2, frameon=False)
     panels[0].set_title(
         "Markers: median over frames, thick bars: its 95 % interval over videos, thin bars: to the 95th percentile.\n"
-        "Amber: tasks that the baseline was not trained on; grey: tasks together.",
+        "Amber: tasks that the baseline was not trained on; grey: several tasks together.",
         fontsize=9,
         loc="left",
     )
-    panels[-1].set_xticks(x, [g.name for g in found], rotation=40, ha="right")
-    for tick, g in zip(panels[-1].get_xticklabels(), found, strict=True):
+    panels[-1].set_xticks(x, [g.name for g in compared], rotation=40, ha="right")
+    for tick, g in zip(panels[-1].get_xticklabels(), compared, strict=True):
         tick.set_fontweight("bold" if g.pooled else "normal")
     with atomic_path(path) as part:
         canvas.savefig(part, dpi=120, format="png")

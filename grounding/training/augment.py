@@ -1,4 +1,4 @@
-"""What video models, codecs and cameras do to pixels, from colour shifts to compression, and occluders."""
+"""Image augmentation: artifacts of video models, codecs and cameras, and occluders."""
 
 import cv2
 import numpy as np
@@ -37,13 +37,13 @@ def _blur(image: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.fl
 
 
 def _contrast(image: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.float32]:
-    """Less contrast about the mean, as of haze or an overexposed picture."""
+    """Reduce the contrast, as haze or overexposure does."""
     mean = np.float32(image.mean() + rng.uniform(-30, 30))
     return np.asarray(mean + (image - mean) * np.float32(rng.uniform(0.2, 0.9)))
 
 
 def _warp(image: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.float32]:
-    """A smooth non-rigid warp of a pixel or so, finer than the labels can tell."""
+    """Warp smoothly and non-rigidly by about a pixel, less than the resolution of the labels."""
     size = image.shape[0]
     cells = int(rng.integers(3, 8))
     field = rng.normal(0, rng.uniform(0.2, 0.8), (cells, cells, 2)).astype(np.float32)
@@ -54,7 +54,7 @@ def _warp(image: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.fl
 
 
 def _ghost(image: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.float32]:
-    """The picture blended with a displaced copy of itself, as of two frames in one."""
+    """Blend the image with a displaced copy of itself, like two frames in one."""
     shift = np.array([[1, 0, rng.normal(0, 4)], [0, 1, rng.normal(0, 4)]], dtype=np.float32)
     copy = np.asarray(cv2.warpAffine(image, shift, image.shape[1::-1], borderMode=cv2.BORDER_REPLICATE))
     part = np.float32(rng.uniform(0.05, 0.4))
@@ -62,18 +62,18 @@ def _ghost(image: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.f
 
 
 def _smear(image: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.float32]:
-    """Fine detail replaced by soft patches with sharp edges, as a latent decoder leaves it."""
+    """Replace fine detail by smooth patches with sharp edges, as a latent decoder does."""
     soft = cv2.bilateralFilter(image, 0, float(rng.uniform(10, 40)), float(rng.uniform(1.0, 2.5)))
     sharpened = soft + np.float32(rng.uniform(0.0, 0.8)) * (soft - cv2.GaussianBlur(soft, (0, 0), 1.5))
     return np.asarray(sharpened, dtype=np.float32)
 
 
 _CHANGES = {_colour: 0.8, _contrast: 0.2, _warp: 0.2, _ghost: 0.15, _smear: 0.12, _blur: 0.45}
-"""What happens to pictures, in this order, and to which share of them."""
+"""Augmentations in their order, and the share of images they apply to."""
 
 
 def degrade(image: Image, rng: np.random.Generator) -> Image:
-    """A degraded copy of an image (S, S, 3)."""
+    """Return a degraded copy of an image (S, S, 3)."""
     x = image.astype(np.float32)
     for change, share in _CHANGES.items():
         if rng.random() < share:
@@ -89,13 +89,13 @@ def degrade(image: Image, rng: np.random.Generator) -> Image:
 
 
 def occlude(image: Image, part: NDArray[np.uint8], scenery: Image, rng: np.random.Generator) -> None:
-    """Put one to three random shapes before an image and mark them background.
+    """Draw one to three random occluders on an image and label them background.
 
     Args:
-        image: (S, S, 3), painted over.
-        part: (s, s) values of `Part`, likewise; most shapes lie near what these show.
-        scenery: (H, W, 3) another picture, pieces of which some of the shapes show.
-        rng: draws shapes, places and fillings.
+        image: (S, S, 3), changed in place.
+        part: (s, s) values of `RobotPart`, changed in place; most occluders lie near the robot.
+        scenery: (H, W, 3) another image, whose pieces fill some of the occluders.
+        rng: source of shapes, places and fillings.
     """
     size, scale = image.shape[0], image.shape[0] // part.shape[0]
     v, u = np.nonzero(part)
@@ -117,7 +117,7 @@ def occlude(image: Image, part: NDArray[np.uint8], scenery: Image, rng: np.rando
 
 
 def _filling(size: int, scenery: Image, rng: np.random.Generator) -> Image:
-    """What a shape (S, S, 3) shows: a piece of a picture, one colour with noise, or two colours in blots."""
+    """Return the texture (S, S, 3) of an occluder: a piece of an image, a noisy colour, or two colours in blots."""
     kind = rng.integers(3)
     if kind == 0:
         side = int(rng.uniform(0.15, 0.5) * min(scenery.shape[:2]))

@@ -1,4 +1,4 @@
-"""Held-out rendered frames: what the network gets right in single frames, and the calibration of the confidence."""
+"""Errors on held-out frames and videos, from which the confidence is calibrated."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
@@ -17,7 +17,7 @@ from kinebench_drake.grounding.pipeline import GroundingPipeline
 from kinebench_drake.grounding.smoothing import RawTrack
 from kinebench_drake.grounding.tracker import CadTracker
 from kinebench_drake.grounding.training.augment import degrade, occlude
-from kinebench_drake.grounding.training.dataset import Shards, frame_camera
+from kinebench_drake.grounding.training.crops import Shards, frame_camera
 from kinebench_drake.grounding.view import Frames
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.models.perception.frame import DEPTH_UNIT_M
@@ -30,42 +30,42 @@ _PENALTY = 1.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FrameErrors:
-    """One held-out frame on which a gripper was found."""
+    """Errors of one held-out frame in which a gripper was detected."""
 
     scene: int
-    """Number of the scene, or the demonstration, that the frame shows."""
+    """Number of the scene or the demonstration."""
     features: Array
-    """(8,) what the confidence rests on."""
+    """(8,) features of the confidence."""
     position_m: float
     """Position error of panda_hand [m]; inf where there is no gripper."""
     rotation_rad: float
     """Rotation error [rad]; inf where there is no gripper."""
     mask_iou: float
-    """Intersection over union of estimated and true gripper cells in the close view; NaN where there is none."""
+    """Intersection over union of estimated and true gripper cells in the close crop; NaN if there is no gripper."""
     depth_error: float
-    """Median relative depth error over cells that both call gripper; NaN where there are none."""
+    """Median relative depth error over cells that are gripper in estimate and truth; NaN if there are none."""
 
     @property
     def good(self) -> bool:
-        """Whether the pose is as right as the confidence asks for."""
+        """True if the pose is as accurate as the confidence states."""
         return self.position_m <= GOOD_M and self.rotation_rad <= GOOD_RAD
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Holdout:
-    """The outcome over all held-out frames."""
+    """Errors of all held-out frames."""
 
-    found: tuple[FrameErrors, ...]
+    errors: tuple[FrameErrors, ...]
     visible: int
     """Frames that show at least 150 px of the gripper."""
     missed: int
-    """Of those, frames in which it was not found."""
+    """Those of them in which it was not detected."""
 
 
-def measure(tracker: CadTracker, shards: Shards, seed: int = 0) -> Holdout:
-    """Find the gripper in every held-out frame by itself, every other frame degraded as in training."""
+def measure_frames(tracker: CadTracker, shards: Shards, seed: int = 0) -> Holdout:
+    """Detect the gripper in every held-out frame separately; every other frame is degraded as in training."""
     rng = np.random.default_rng([seed, HOLDOUT_SEED])
-    found: list[FrameErrors] = []
+    errors: list[FrameErrors] = []
     visible = missed = 0
     for i in range(len(shards)):
         frame = shards[i]
@@ -89,7 +89,7 @@ def measure(tracker: CadTracker, shards: Shards, seed: int = 0) -> Holdout:
             iou = float(both.sum() / max(1, (true | view.gripper).sum()))
             if both.any():
                 depth_error = float(np.median(np.abs(view.depth_m[both] / z[both] - 1.0)))
-        found.append(
+        errors.append(
             FrameErrors(
                 scene=shards.number(i),
                 features=frame_features(pose),
@@ -99,11 +99,11 @@ def measure(tracker: CadTracker, shards: Shards, seed: int = 0) -> Holdout:
                 depth_error=depth_error,
             )
         )
-    return Holdout(found=tuple(found), visible=visible, missed=missed)
+    return Holdout(errors=tuple(errors), visible=visible, missed=missed)
 
 
 def fit_logistic(features: Array, good: NDArray[np.bool_]) -> LogisticRegression:
-    """Logistic regression of `good` (N,) on `features` (N, n), with a small ridge penalty."""
+    """Fit a logistic regression of `good` (N,) on `features` (N, n), with a small ridge penalty."""
     A = np.column_stack([np.ones(len(good)), features])
     y = good.astype(np.float64)
 
@@ -116,63 +116,63 @@ def fit_logistic(features: Array, good: NDArray[np.bool_]) -> LogisticRegression
     return LogisticRegression(intercept=float(w[0]), weights=np.asarray(w[1:]))
 
 
-def reliability(probability: Array, good: NDArray[np.bool_], bins: int = 5) -> Iterator[tuple[float, float, int]]:
-    """Mean probability, share of good frames and number of frames in equally filled bins: equal when calibrated."""
+def calibration_bins(probability: Array, good: NDArray[np.bool_], bins: int = 5) -> Iterator[tuple[float, float, int]]:
+    """Yield mean probability, share of good frames and number of frames of equally filled bins."""
     for part in np.array_split(np.argsort(probability), bins):
         if len(part):
             yield float(probability[part].mean()), float(good[part].mean()), len(part)
 
 
-_NEAR_PX = 40.0  # things stand so near to the gripper's path
+_NEAR_PX = 40.0  # distance of occluders to the path of the gripper
 
 
-class Degradations(Enum):
-    """What is done to a video."""
+class VideoDegradation(Enum):
+    """VideoDegradation of held-out videos."""
 
     NONE = "none"
     DEGRADED = "degraded"
-    """As training pictures are, all frames alike."""
+    """Degraded like training images, with the same draw for all frames."""
     OCCLUDED = "occluded"
-    """Things that stand still before the gripper's path."""
+    """Static occluders on the path of the gripper."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class HeldOutVideo:
-    """N frames in which a gripper was found."""
+class PosedFrames:
+    """N frames of held-out videos in which a gripper was detected."""
 
     clip: NDArray[np.int64]
     """(N,) number of the video."""
     features: Array
-    """(N, 4) what the confidence of a frame among others rests on."""
+    """(N, 4) features of the confidence within a track."""
     position_m: Array
-    """(N,) error of the smoothed position [m]; inf where there is no gripper."""
+    """(N,) position error of the smoothed track [m]; inf where there is no gripper."""
     good: NDArray[np.bool_]
-    """(N,) whether the smoothed pose is within 10 mm and 5 degrees."""
+    """(N,) True if the smoothed pose is within 10 mm and 5 degrees."""
 
     @staticmethod
-    def join(several: "Sequence[HeldOutVideo]") -> "HeldOutVideo":
-        """The frames of several videos."""
-        return HeldOutVideo(
-            **{f.name: np.concatenate([getattr(s, f.name) for s in several]) for f in fields(HeldOutVideo)}
+    def join(videos: "Sequence[PosedFrames]") -> "PosedFrames":
+        """Concatenate the frames of several videos."""
+        return PosedFrames(
+            **{f.name: np.concatenate([getattr(v, f.name) for v in videos]) for f in fields(PosedFrames)}
         )
 
 
-def measure_footage(pipeline: GroundingPipeline, file: TruthClipFile, number: int, seed: int = 0) -> HeldOutVideo:
-    """Track the gripper through a clip, number `number` of several, under every trouble."""
+def measure_video(pipeline: GroundingPipeline, file: TruthClipFile, number: int, seed: int = 0) -> PosedFrames:
+    """Track the gripper in a clip under every degradation; `number` identifies the clip among others."""
     clip, frames = file.load(), read_video(file.video).frames
     nothing = np.full((len(frames), 4, 4), np.nan)
     features, position, good = [], [], []
-    for trouble in Degradations:
-        worse = spoil(frames, clip, trouble, [seed, number])
-        observed = pipeline.observe(worse, clip.camera, clip.t_s)
-        poses, seen = observed.poses, observed.evidence
-        anomalies = find_anomalies(seen).anomalies
-        raw = RawTrack.from_poses(poses, seen.confidence, anomalies, seen.motion.lost, nothing)
+    for degradation in VideoDegradation:
+        video = degrade_video(frames, clip, degradation, [seed, number])
+        observation = pipeline.observe(video, clip.camera, clip.t_s)
+        poses, evidence = observation.poses, observation.evidence
+        anomalies = find_anomalies(evidence).anomalies
+        raw = RawTrack.from_poses(poses, evidence.confidence, anomalies, evidence.motion.lost, nothing)
         distance, angle = pose_difference(clip.X_CH, raw.smooth(raw.has_pose, raw.confidence))
         features.append(raw.features()[raw.has_pose])
         position.append(np.where(np.isfinite(distance), distance, np.inf)[raw.has_pose])
         good.append(((distance <= GOOD_M) & (angle <= GOOD_RAD))[raw.has_pose])
-    return HeldOutVideo(
+    return PosedFrames(
         clip=np.full(sum(map(len, good)), number),
         features=np.concatenate(features),
         position_m=np.concatenate(position),
@@ -180,18 +180,18 @@ def measure_footage(pipeline: GroundingPipeline, file: TruthClipFile, number: in
     )
 
 
-def spoil(frames: Frames, clip: TruthClip, trouble: Degradations, seed: Sequence[int]) -> Frames:
-    """The frames (T, S, S, 3) of a clip made worse; the same `seed` gives the same frames."""
-    if trouble is Degradations.NONE:
+def degrade_video(frames: Frames, clip: TruthClip, degradation: VideoDegradation, seed: Sequence[int]) -> Frames:
+    """Return the degraded frames (T, S, S, 3) of a clip; the same `seed` gives the same frames."""
+    if degradation is VideoDegradation.NONE:
         return frames
-    if trouble is Degradations.DEGRADED:
+    if degradation is VideoDegradation.DEGRADED:
         return np.stack([degrade(frame, np.random.default_rng(seed)) for frame in frames])
     rng = np.random.default_rng(seed)
     shown = np.flatnonzero(np.isfinite(clip.X_CH).all(axis=(1, 2)))
     places = clip.camera.resized(frames.shape[2], frames.shape[1]).project(clip.X_CH[rng.choice(shown, 3), :3, 3])
     y, x = np.mgrid[0 : frames.shape[1], 0 : frames.shape[2]]
     near = np.min([np.hypot(x - p[0], y - p[1]) for p in places], axis=0) <= _NEAR_PX
-    worse, draw = frames.copy(), int(rng.integers(2**32))
-    for image in worse:
+    occluded, draw = frames.copy(), int(rng.integers(2**32))
+    for image in occluded:
         occlude(image, near.astype(np.uint8), frames[0], np.random.default_rng(draw))
-    return worse
+    return occluded

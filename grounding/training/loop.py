@@ -1,7 +1,7 @@
-"""The loop that every network is trained by: AdamW, warm-up and cosine, averaged weights, checkpoints to go on from.
+"""Training loop of all networks: AdamW, warm-up and cosine decay, weight averaging, checkpoints.
 
-A run that was interrupted and goes on from its last checkpoint ends with the weights of one that was not: batches are
-asked for by the number of their step, and random numbers of a step (dropout) depend on that number alone.
+An interrupted run that resumes from its last checkpoint ends with the same weights as an uninterrupted one: batches are
+requested by the number of their step, and the random numbers of a step (dropout) depend on that number alone.
 """
 
 import copy
@@ -25,77 +25,77 @@ Output = TypeVar("Output")
 Batch = dict[str, Tensor]
 
 REPORT_EVERY = 50
-"""Steps between two lines that tell of the losses."""
+"""Steps between two reports of the losses."""
 _WEIGHT_DECAY = 0.02
-_TENSOR = "tensor of the file"  # key in a checkpoint's JSON
+_TENSOR = "tensor of the file"  # key in the JSON of a checkpoint
 _GRADIENT_CLIP = 5.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Schedule:
-    """How long and how fast a network learns."""
+    """Length and learning rate of a training."""
 
     steps: int
     learning_rate: float
-    """Largest rate of AdamW, reached after the warm-up."""
+    """Maximum learning rate of AdamW, reached after the warm-up."""
     batch_size: int
-    """Examples a step."""
+    """Examples per step."""
     seed: int = 0
-    """Of the examples, and of the random numbers inside the network."""
+    """Seed of the examples and of the random numbers inside the network."""
     warm_up_steps: int = 200
     average_decay: float = 0.998
-    """How much of the averaged weights a step keeps."""
+    """Decay per step of the moving average of the weights."""
     checkpoint_every: int = 250
     fixed_from: float = 1.0
-    """Part of the steps after which batch normalisation keeps its statistics."""
+    """Part of the steps after which batch normalisation is frozen."""
 
     def rate(self, step: int) -> float:
-        """Linear warm-up, then a cosine to zero (Loshchilov and Hutter, ICLR 2017), as a factor of the rate."""
+        """Return the learning rate / its maximum: linear warm-up, then cosine (Loshchilov and Hutter, ICLR 2017)."""
         if step < self.warm_up_steps:
             return (step + 1) / self.warm_up_steps
         progress = (step - self.warm_up_steps) / max(1, self.steps - self.warm_up_steps)
         return 0.5 * (1.0 + math.cos(math.pi * min(1.0, progress)))
 
     def identity(self) -> dict[str, object]:
-        """What a checkpoint must have in common with the run that goes on from it."""
+        """Return the settings that a checkpoint must share with the run that resumes from it."""
         return {name: getattr(self, name) for name in ("seed", "steps", "batch_size", "learning_rate")}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Terms:
-    """The losses of a batch."""
+class LossTerms:
+    """Losses of a batch."""
 
     total: Tensor
-    """() what is minimised."""
-    shown: Mapping[str, Tensor]
-    """Parts of it, or measures in units that people know, to be told; each ()."""
+    """() loss to minimise."""
+    reported: Mapping[str, Tensor]
+    """Terms of the loss, or errors in common units, for the report; each ()."""
 
 
 def pick_device() -> torch.device:
-    """The GPU when there is one, else the CPU."""
+    """Return the GPU if there is one, else the CPU."""
     return torch.device("cuda" if torch.cuda.is_available() else "cpu")
 
 
 def supports_bfloat16(device: torch.device) -> bool:
-    """Whether bfloat16 is fast there: always on a GPU, on a CPU only with AVX-512 BF16 instructions."""
+    """Return whether bfloat16 is fast: always on a GPU, on a CPU only with AVX-512 BF16 instructions."""
     return device.type == "cuda" or bool(torch.cpu._is_avx512_bf16_supported())
 
 
 def update_average(average: nn.Module, network: nn.Module, step: int, decay: float) -> None:
-    """Exponential moving average of weights and statistics (Polyak averaging), quicker at the start."""
+    """Update the exponential moving average of weights and statistics (Polyak averaging), faster at the start."""
     decay = min(decay, (step + 1) / (step + 20))
-    for kept, new in zip(average.state_dict().values(), network.state_dict().values(), strict=True):
-        if kept.dtype.is_floating_point:
-            kept.lerp_(new.to(kept.dtype), 1 - decay)
+    for mean, new in zip(average.state_dict().values(), network.state_dict().values(), strict=True):
+        if mean.dtype.is_floating_point:
+            mean.lerp_(new.to(mean.dtype), 1 - decay)
         else:
-            kept.copy_(new)
+            mean.copy_(new)
 
 
 def fix_statistics(network: nn.Module) -> None:
-    """Let batch normalisation use its running statistics, as it will when the network is used.
+    """Freeze batch normalisation: use the running statistics, as in inference.
 
-    Where batches are of several sorts, their statistics differ; running ones are those of all. A network that has only
-    met the former errs with the latter.
+    Batches of different kinds differ in their statistics, and a network trained only with those of each batch errs with
+    the running ones, which are those of all batches.
     """
     for module in network.modules():
         if isinstance(module, nn.BatchNorm2d):
@@ -103,7 +103,7 @@ def fix_statistics(network: nn.Module) -> None:
 
 
 def save_weights(network: nn.Module, path: Path, about: Mapping[str, str] | None = None) -> None:
-    """Write a network's weights in half precision as safetensors, with what is to be known `about` them.
+    """Write the weights of a network in half precision as safetensors, with the metadata `about`.
 
     Raises:
         SetupError: writing failed.
@@ -118,22 +118,22 @@ def optimise(
     *,
     batches: Callable[[int], Iterable[Batch]],
     forward: Callable[[nn.Module, Batch], Output],
-    losses: Callable[[Output, Batch], Terms],
+    losses: Callable[[Output, Batch], LossTerms],
     schedule: Schedule,
     identity: Mapping[str, object],
     folder: Path,
     report: Callable[[str], None],
 ) -> nn.Module:
-    """Train `network` on its device, or go on from the checkpoint in `folder`; returns the averaged network.
+    """Train `network` on its device, or resume from the checkpoint in `folder`; return the averaged network.
 
     Args:
-        network: with the weights to start from, on the device to train on. Parameters that need no gradient stay.
-        batches: the batches of the steps from a given one on; at least as many as there are steps left.
-        forward: what the network says of a batch; runs in bfloat16 where that is fast.
-        losses: the losses of what it said; runs in single precision.
-        schedule: how long and how fast.
-        identity: what a checkpoint must have in common with the run that goes on from it.
-        folder: where `checkpoint.safetensors` lies.
+        network: network with its initial weights, on the device to train on. Parameters without gradient stay.
+        batches: returns the batches from a step on, at least as many as there are steps left.
+        forward: returns the output of the network for a batch; runs in bfloat16 where that is fast.
+        losses: returns the losses of an output; runs in single precision.
+        schedule: length and learning rate.
+        identity: settings that a checkpoint must share with the run that resumes from it.
+        folder: folder of `checkpoint.safetensors`.
         report: called with a line of text every `REPORT_EVERY` steps.
 
     Raises:
@@ -142,16 +142,16 @@ def optimise(
     """
     device = next(network.parameters()).device
     average = copy.deepcopy(network).requires_grad_(False)
-    learning = [p for p in network.parameters() if p.requires_grad]
+    trainable = [p for p in network.parameters() if p.requires_grad]
     groups = [
-        {"params": [p for p in learning if p.ndim > 1], "weight_decay": _WEIGHT_DECAY},
-        {"params": [p for p in learning if p.ndim <= 1], "weight_decay": 0.0},
+        {"params": [p for p in trainable if p.ndim > 1], "weight_decay": _WEIGHT_DECAY},
+        {"params": [p for p in trainable if p.ndim <= 1], "weight_decay": 0.0},
     ]
     optimizer = torch.optim.AdamW(groups, lr=schedule.learning_rate)
     scheduler = torch.optim.lr_scheduler.LambdaLR(optimizer, lambda step: schedule.rate(step))
-    kept = {"network": network, "average": average, "optimizer": optimizer, "scheduler": scheduler}
+    state = {"network": network, "average": average, "optimizer": optimizer, "scheduler": scheduler}
     checkpoint = folder / "checkpoint.safetensors"
-    start = _resume(checkpoint, kept, dict(identity))
+    start = _resume(checkpoint, state, dict(identity))
     if start:
         report(f"going on from step {start}")
     network.train()
@@ -166,37 +166,37 @@ def optimise(
         terms = losses(output, batch)
         optimizer.zero_grad(set_to_none=True)
         terms.total.backward()  # type: ignore[no-untyped-call]
-        nn.utils.clip_grad_norm_(learning, _GRADIENT_CLIP)
+        nn.utils.clip_grad_norm_(trainable, _GRADIENT_CLIP)
         optimizer.step()
         scheduler.step()
         with torch.no_grad():
             update_average(average, network, step, schedule.average_decay)
-        for name, value in terms.shown.items():
+        for name, value in terms.reported.items():
             sums[name] = sums.get(name, 0.0) + float(value.detach())
         if (step + 1) % REPORT_EVERY == 0:
-            told = " ".join(f"{name} {value / REPORT_EVERY:.4g}" for name, value in sums.items())
+            means = " ".join(f"{name} {value / REPORT_EVERY:.4g}" for name, value in sums.items())
             pace = (time.monotonic() - began) / (step + 1 - start)
-            report(f"step {step + 1}/{schedule.steps} {told} {pace:.2f} s/step")
+            report(f"step {step + 1}/{schedule.steps} {means} {pace:.2f} s/step")
             sums.clear()
         if (step + 1) % schedule.checkpoint_every == 0 or step + 1 == schedule.steps:
-            _save(checkpoint, kept, dict(identity), step + 1)
+            _save(checkpoint, state, dict(identity), step + 1)
     return average
 
 
-def _save(path: Path, kept: Mapping[str, Any], identity: dict[str, object], steps: int) -> None:
-    """Write a checkpoint: tensors as such, all else as JSON beside them; nothing is pickled.
+def _save(path: Path, state: Mapping[str, Any], identity: dict[str, object], steps: int) -> None:
+    """Write a checkpoint: tensors as safetensors, everything else as JSON in the metadata; nothing is pickled.
 
     Raises:
         SetupError: writing failed.
     """
     tensors: dict[str, Tensor] = {}
-    plain = {name: _without_tensors(thing.state_dict(), name, tensors) for name, thing in kept.items()}
-    with atomic_path(path) as part:
-        save_file(tensors, part, {"state": json.dumps({**plain, "step": steps, "config": identity})})
+    plain = {name: _without_tensors(part.state_dict(), name, tensors) for name, part in state.items()}
+    with atomic_path(path) as file:
+        save_file(tensors, file, {"state": json.dumps({**plain, "step": steps, "config": identity})})
 
 
 def _without_tensors(value: Any, name: str, tensors: dict[str, Tensor]) -> Any:
-    """A state with each tensor replaced by the name under which it is put among `tensors`."""
+    """Return a state with each tensor replaced by its key in `tensors`, to which it is added."""
     if isinstance(value, Tensor):
         tensors[name] = value.detach().contiguous()
         return {_TENSOR: name}
@@ -208,7 +208,7 @@ def _without_tensors(value: Any, name: str, tensors: dict[str, Tensor]) -> Any:
 
 
 def _with_tensors(value: Any, tensors: Mapping[str, Tensor]) -> Any:
-    """What `_without_tensors` was given; keys that are numbers (of parameters) are such again."""
+    """Invert `_without_tensors`; keys that are numbers (of parameters) become integers again."""
     if isinstance(value, Mapping):
         if _TENSOR in value:
             return tensors[value[_TENSOR]]
@@ -216,25 +216,25 @@ def _with_tensors(value: Any, tensors: Mapping[str, Tensor]) -> Any:
     return [_with_tensors(inner, tensors) for inner in value] if isinstance(value, list) else value
 
 
-def _resume(path: Path, kept: Mapping[str, Any], identity: dict[str, object]) -> int:
-    """Load a checkpoint into what is `kept`, if there is one; returns the number of steps made.
+def _resume(path: Path, state: Mapping[str, Any], identity: dict[str, object]) -> int:
+    """Load a checkpoint into `state`, if there is one; return its number of steps.
 
     Raises:
-        UsageError: it is damaged, or of another training.
+        UsageError: it is damaged, or belongs to another training.
     """
     if not path.is_file():
         return 0
     try:
         with safe_open(path, framework="pt") as file:
-            state = json.loads(file.metadata()["state"])
+            saved = json.loads(file.metadata()["state"])
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - no mapping
     except (SafetensorError, ValueError, KeyError, TypeError, OSError) as error:
         raise UsageError(f"{path.name}: is no checkpoint ({error}); remove it to begin anew") from None
-    if state["config"] != json.loads(json.dumps(identity)):
+    if saved["config"] != json.loads(json.dumps(identity)):
         raise UsageError(
-            f"{path.parent.name}: holds a training with {state.get('config')}, asked for was {identity}; "
+            f"{path.parent.name}: holds a training with {saved.get('config')}, asked for was {identity}; "
             "name another folder, or remove this one"
         )
-    for name, thing in kept.items():
-        thing.load_state_dict(_with_tensors(state[name], tensors))
-    return int(state["step"])
+    for name, part in state.items():
+        part.load_state_dict(_with_tensors(saved[name], tensors))
+    return int(saved["step"])

@@ -1,4 +1,4 @@
-"""Rendering of training frames, by several processes."""
+"""Rendering of training frames in several processes."""
 
 import multiprocessing
 import os
@@ -14,22 +14,22 @@ from kinebench_drake.models.perception.frame import is_complete, save_shard, sha
 
 FRAMES_PER_SCENE = 20
 HANDLESS_EVERY = 16
-"""One scene in so many shows an arm whose gripper has vanished."""
+"""Interval of the scenes that show an arm without its gripper."""
 
 _REPORT_EVERY = 20
-_STREAM = 0x4B42  # keeps these random streams apart from others with the same seed
+_STREAM = 0x4B42  # separates these random streams from others with the same seed
 
 
 def render_shards(folder: Path, seeds: Iterable[int]) -> Iterator[int]:
-    """Render one scene's frames for each seed into `folder`, skipping complete ones; yields each seed when done.
+    """Render the frames of one scene per seed into `folder`, skipping complete scenes; yield each finished seed.
 
     The same seed gives the same scene.
     """
     for seed in seeds:
         shard = shard_folder(folder, seed)
         if not is_complete(shard):
-            # The name keeps the last scene alive until the next is built: SAPIEN compiles its shaders anew, for
-            # seconds, whenever no scene is left.
+            # The variable keeps the last scene alive until the next is built: SAPIEN compiles its shaders again, for
+            # seconds, whenever no scene exists.
             scene = TrainingScene(
                 np.random.default_rng([seed, _STREAM]), handless=seed % HANDLESS_EVERY == HANDLESS_EVERY - 1
             )
@@ -44,10 +44,10 @@ def _work(folder: Path, seeds: list[int], done: "multiprocessing.Queue[int | Non
 
 
 def render(folder: Path, seeds: Iterable[int], jobs: int, report: Callable[[str], None]) -> None:
-    """Render the scenes of `seeds` that `folder` lacks, in `jobs` processes; `report` hears of the progress.
+    """Render the scenes of `seeds` that `folder` lacks, in `jobs` processes; call `report` with lines on the progress.
 
     Raises:
-        SetupError: a rendering process died, most often for want of a Vulkan driver.
+        SetupError: a rendering process died, most often because there is no Vulkan driver.
     """
     missing = [s for s in seeds if not is_complete(shard_folder(folder, s))]
     if not missing:
@@ -56,7 +56,7 @@ def render(folder: Path, seeds: Iterable[int], jobs: int, report: Callable[[str]
     folder.mkdir(parents=True, exist_ok=True)
     context = multiprocessing.get_context("spawn")
     done: multiprocessing.Queue[int | None] = context.Queue()
-    os.environ.setdefault("LP_NUM_THREADS", "1")  # lavapipe: one thread a process, processes side by side
+    os.environ.setdefault("LP_NUM_THREADS", "1")  # lavapipe: one thread per process
     workers = [
         context.Process(target=_work, args=(folder, missing[k::jobs], done), daemon=True)
         for k in range(min(jobs, len(missing)))
@@ -70,8 +70,8 @@ def render(folder: Path, seeds: Iterable[int], jobs: int, report: Callable[[str]
         except queue.Empty as error:
             if any(w.exitcode not in (None, 0) for w in workers):
                 raise SetupError(
-                    f"rendering stopped after {finished} of {len(missing)} scenes; `kinebench-drake doctor` tells why, "
-                    "with --fix it mends the Vulkan driver"
+                    f"rendering stopped after {finished} of {len(missing)} scenes; `kinebench-drake doctor` shows why, "
+                    "and repairs the Vulkan driver with --fix"
                 ) from error
             continue
         if seed is None:

@@ -1,4 +1,4 @@
-"""Random scenes by SAPIEN: a Panda in random poses among random tables, walls, objects, lights and cameras."""
+"""Random SAPIEN scenes: a Panda in random poses with random tables, walls, objects, lights and cameras."""
 
 from typing import Any
 
@@ -16,7 +16,7 @@ _SIZE = 256
 
 
 def _noise(rng: np.random.Generator, octaves: int) -> NDArray[np.float32]:
-    """Value noise (256, 256) in 0..1: random grids of doubling resolution and halving weight, summed."""
+    """Return value noise (256, 256) in 0..1: a sum of random grids with doubling resolution and halving weight."""
     total = np.zeros((_SIZE, _SIZE), np.float32)
     for octave in range(octaves):
         cells = 2 ** (octave + 2)
@@ -27,7 +27,7 @@ def _noise(rng: np.random.Generator, octaves: int) -> NDArray[np.float32]:
 
 
 def random_texture(rng: np.random.Generator) -> NDArray[np.uint8]:
-    """One random texture (256, 256, 4) uint8 RGBA; the same generator state gives the same bytes."""
+    """Return a random texture (256, 256, 4) RGBA; the same generator state gives the same bytes."""
     y, x = np.mgrid[0:_SIZE, 0:_SIZE].astype(np.float32) / _SIZE
     pattern = rng.integers(5)
     noise = _noise(rng, int(rng.integers(2, 7)))
@@ -44,7 +44,7 @@ def random_texture(rng: np.random.Generator) -> NDArray[np.uint8]:
         blend = 0.6 * noise + 0.4 * (0.5 + 0.25 * (np.sin(x * 400) + np.sin(y * 400)))
     blend = np.clip(blend * rng.uniform(0.4, 1.0) + 0.1 * _noise(rng, 5), 0, 1)[..., None]
     first, second = rng.uniform(0, 255, 3), rng.uniform(0, 255, 3)
-    if rng.random() < 0.5:  # tables and walls are more often of related than of clashing colours
+    if rng.random() < 0.5:  # similar colours are more frequent on real tables and walls
         second = np.clip(first + rng.normal(0, 40, 3), 0, 255)
     colour = first * blend + second * (1 - blend)
     return np.dstack([colour, np.full((_SIZE, _SIZE), 255.0)]).astype(np.uint8)
@@ -58,10 +58,10 @@ _OPENCV_FROM_SAPIEN = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0
 
 
 class TrainingScene:
-    """A table, walls, loose objects, lights and a Panda; `frame` puts all of them somewhere new and renders."""
+    """Table, walls, loose objects, lights and a Panda; `frame` draws new poses for all of them and renders."""
 
     def __init__(self, rng: np.random.Generator, *, handless: bool = False) -> None:
-        """Build everything from `rng`; a `handless` scene leaves hand and fingers undrawn, as videos do at times."""
+        """Build the scene from `rng`; a `handless` scene hides hand and fingers, as some generated videos do."""
         native.prepare_vulkan()
         import sapien
 
@@ -80,7 +80,7 @@ class TrainingScene:
         self._add_room()
         self._add_lights()
         self._objects = [self._random_object() for _ in range(10)]
-        self._held = self._random_object(held=True)
+        self._payload = self._random_object(payload=True)
         self._add_robot(handless)
         self._component: Any = None
 
@@ -103,7 +103,7 @@ class TrainingScene:
         return builder.build_kinematic(name="room")
 
     def _add_room(self) -> None:
-        """Table top at z = 0 of the base frame, floor and perhaps walls."""
+        """Add the table top at z = 0 of the base frame, the floor and sometimes walls."""
         rng = self._rng
         if rng.random() < 0.3:
             builder = self._scene.create_actor_builder()
@@ -128,18 +128,18 @@ class TrainingScene:
             direction = rng.normal(size=3)
             direction[2] = -abs(direction[2]) - 0.3
             colour = (rng.uniform(0.3, 1.4) * rng.uniform(0.75, 1.0, 3)).tolist()
-            shadow = number == 0 and not self._minimal  # the renderer allows one light with shadows
+            shadow = number == 0 and not self._minimal  # the renderer supports one light with shadows
             self._scene.add_directional_light(direction.tolist(), colour, shadow=shadow, shadow_scale=2.0)
         if rng.random() < 0.4:
             position = [*rng.uniform(-0.5, 1.2, 2), rng.uniform(0.6, 1.5)]
             self._scene.add_point_light(position, (rng.uniform(0.3, 1.5, 3)).tolist())
 
-    def _random_object(self, held: bool = False) -> tuple[Any, float]:
-        """A primitive or slab with its half thickness across the fingers [m]."""
+    def _random_object(self, payload: bool = False) -> tuple[Any, float]:
+        """Return a random primitive and its half thickness [m]; a `payload` fits between the fingers."""
         rng = self._rng
         builder = self._scene.create_actor_builder()
         material = self._material()
-        half = rng.uniform(0.008, 0.036) if held else rng.uniform(0.01, 0.06)
+        half = rng.uniform(0.008, 0.036) if payload else rng.uniform(0.01, 0.06)
         kind = rng.integers(4)
         if kind == 0:
             builder.add_sphere_visual(radius=half, material=material)
@@ -154,7 +154,7 @@ class TrainingScene:
         return builder.build_kinematic(name="object"), float(half)
 
     def _add_robot(self, handless: bool) -> None:
-        """The plain Panda or, in three scenes of ten, the one with a wrist camera; its paint slightly changed."""
+        """Load the Panda, in three of ten scenes the one with a wrist camera; sometimes change its colours slightly."""
         rng = self._rng
         urdf = "panda_v3.urdf" if rng.random() < 0.3 else "panda_v2.urdf"
         loader = self._scene.create_urdf_loader()
@@ -188,7 +188,7 @@ class TrainingScene:
         return component
 
     def _place_robot(self, camera: Camera, finger: float) -> Array:
-        """Joint angles by rejection: above the table, in view, mostly pointing down. Returns X_CH."""
+        """Sample joint angles by rejection: above the table, in view, mostly pointing down; return X_CH."""
         rng = self._rng
         X_CB = invert(camera.X_BC)
         rest = np.array([0.0, 0.4, 0.0, -2.0, 0.0, 2.4, 0.785])
@@ -225,26 +225,26 @@ class TrainingScene:
                 position = np.array([0, 0, -5.0])
             elif rng.random() < 0.7:
                 position = np.array([*rng.uniform([0.2, -0.5], [0.8, 0.5]), half])
-            else:  # near the gripper, so that it hides parts of it now and then
+            else:  # near the gripper, sometimes hiding parts of it
                 position = X_BH[:3, 3] + 0.08 * X_BH[:3, 2] + rng.normal(0, 0.1, 3)
                 position[2] = max(position[2], half)
                 if np.linalg.norm(position - X_BH[:3, 3] - 0.06 * X_BH[:3, 2]) < 0.09 + half:
                     position = np.array([0, 0, -5.0])
             quaternion = rng.normal(size=4)
             actor.set_pose(self._sapien.Pose(position, quaternion / np.linalg.norm(quaternion)))
-        held, _ = self._held
+        payload, _ = self._payload
         if holds:
             X_BO = X_BH @ make_pose(np.eye(3), [0, 0, 0.1034 + rng.uniform(-0.02, 0.04)])
-            held.set_pose(self._sapien.Pose(X_BO))
+            payload.set_pose(self._sapien.Pose(X_BO))
         else:
-            held.set_pose(self._sapien.Pose([0, 0, -5]))
+            payload.set_pose(self._sapien.Pose([0, 0, -5]))
 
     def frame(self) -> RenderedFrame:
-        """Move everything, render once."""
+        """Draw new poses and render a frame."""
         camera = varied_camera(self._rng, IMAGE_SIZE)
         holds = bool(self._rng.random() < 0.35)
         finger = (
-            self._held[1]
+            self._payload[1]
             if holds
             else float(self._rng.choice([self._rng.uniform(0, 0.04), 0.04, 0.0], p=[0.7, 0.2, 0.1]))
         )

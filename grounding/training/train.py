@@ -1,4 +1,4 @@
-"""Training of the gripper network on rendered shards."""
+"""Training of the gripper network on rendered frames."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
@@ -9,37 +9,37 @@ from torch import Tensor, nn
 from torch.nn import functional
 from torch.utils.data import DataLoader
 
-from kinebench_drake.grounding.training.dataset import Crops, Shards, Steps
-from kinebench_drake.grounding.training.loop import Batch, Schedule, Terms, optimise, pick_device, save_weights
+from kinebench_drake.grounding.training.crops import Crops, Shards, Steps
+from kinebench_drake.grounding.training.loop import Batch, LossTerms, Schedule, optimise, pick_device, save_weights
 from kinebench_drake.models.panda.robot import ARM, RobotPart
 from kinebench_drake.models.perception.network import DenseOutput, GripperNetwork
 from kinebench_drake.models.perception.weights import load_network
 
-_PIXEL_WEIGHTS = (1.0, 1.0, 5.0, 5.0, *[1.0] * len(ARM))  # by Part
-_ARM_WEIGHT = 0.4  # of the arm's coordinates and depth beside the gripper's
+_PIXEL_WEIGHTS = (1.0, 1.0, 5.0, 5.0, *[1.0] * len(ARM))  # by RobotPart
+_ARM_WEIGHT = 0.4  # weight of the arm's coordinates and depth / weight of the gripper's
 _FIXED_FROM = 0.3
-"""Of all steps: from there on batch normalisation keeps its statistics, as those of close and wide crops differ."""
+"""Part of the steps after which batch normalisation is frozen, as the statistics of close and wide crops differ."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrainingConfig:
-    """What a training run depends on; recorded in the model card."""
+    """Inputs and settings of a training run."""
 
     data: tuple[Path, ...]
     """Folders of rendered shards."""
     out: Path
     """Folder for checkpoints and the final weights."""
     start: Path | None = None
-    """Weights to start from, whose statistics of batch normalisation stay; if None, only the encoder's, of ImageNet."""
+    """Initial weights, whose batch normalisation stays frozen; if None, an ImageNet encoder."""
     schedule: Schedule
-    """Its examples are crops."""
+    """Schedule; its examples are crops."""
     workers: int = 1
-    """Processes that make batches."""
+    """Processes that prepare batches."""
 
 
 @dataclass(frozen=True, slots=True)
 class Losses:
-    """The three terms, each a mean (scalar tensors)."""
+    """Terms of the loss, each a mean ()."""
 
     part: Tensor
     coordinates: Tensor
@@ -47,15 +47,16 @@ class Losses:
 
     @property
     def total(self) -> Tensor:
-        """Their weighted sum: Laplace likelihoods are in nats, the cross-entropy is small and so weighs more."""
+        """Weighted sum; the cross-entropy has a larger weight, as it is small compared to the likelihoods in nats."""
         return 3.0 * self.part + self.coordinates + self.depth
 
 
 def losses(output: DenseOutput, batch: dict[str, Tensor]) -> Losses:
-    """Cross-entropy of the parts; Laplace negative log-likelihood of coordinates and depth on the robot's pixels.
+    """Return the cross-entropy of the parts and the Laplace likelihoods of coordinates and depth on robot pixels.
 
-    The Laplace likelihood with a predicted scale follows Kendall and Gal (NeurIPS 2017), with L1 in place of L2. The
-    fingers are a fiftieth of the pixels but tell opening and reading, so their pixels weigh more in every term.
+    The negative log-likelihood with a predicted scale follows Kendall and Gal (NeurIPS 2017), with L1 in place of L2.
+    The fingers are a fiftieth of the pixels but determine the opening and resolve the half-turn ambiguity, so their
+    pixels have a larger weight in every term.
     """
     part = batch["part"]
     weight = torch.tensor(_PIXEL_WEIGHTS, device=part.device)
@@ -82,18 +83,22 @@ def _forward(network: nn.Module, batch: Batch) -> DenseOutput:
     return output
 
 
-def _terms(output: DenseOutput, batch: Batch) -> Terms:
-    found = losses(output, batch)
-    return Terms(total=found.total, shown={"part": found.part, "coordinates": found.coordinates, "depth": found.depth})
+def _terms(output: DenseOutput, batch: Batch) -> LossTerms:
+    terms = losses(output, batch)
+    return LossTerms(
+        total=terms.total, reported={"part": terms.part, "coordinates": terms.coordinates, "depth": terms.depth}
+    )
 
 
 def train(config: TrainingConfig, report: Callable[[str], None]) -> Path:
-    """Train, or go on from the last checkpoint in `config.out`; returns the path of the weights.
+    """Train, or resume from the last checkpoint in `config.out`; return the path of the weights.
 
-    `report` is called with lines of text on the way.
+    Args:
+        config: inputs and settings.
+        report: called with lines of text on the progress.
 
     Raises:
-        UsageError: `config.data` holds no shards, or `config.out` another training.
+        UsageError: `config.data` holds no frames, or `config.out` holds another training.
     """
     schedule = replace(config.schedule, fixed_from=_FIXED_FROM if config.start is None else 0.0)
     torch.manual_seed(schedule.seed)

@@ -1,4 +1,4 @@
-"""`kinebench-drake perception`."""
+"""`kinebench-drake perception`: training, calibration and evaluation of the perception networks."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -16,7 +16,7 @@ _DATA = click.option(
 _JOBS = click.option("--jobs", type=click.IntRange(1), default=2, show_default=True, help="Rendering processes.")
 _WEIGHTS = click.option(
     "--weights", type=click.Path(path_type=Path, dir_okay=False), default=None,
-    help="Weights to measure (safetensors); default: those shipped.",
+    help="Network weights (safetensors).  [default: those shipped]",
 )  # fmt: skip
 
 
@@ -29,7 +29,7 @@ def _demos(purpose: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
 
 @click.group(epilog="\b\nExample:\n  kinebench-drake perception evaluate samples/")
 def perception() -> None:
-    """Train and measure the perception networks."""
+    """Train, calibrate and evaluate the perception networks."""
 
 
 @perception.command(
@@ -40,22 +40,20 @@ def perception() -> None:
 @_DATA
 @click.option(
     "--out", type=click.Path(path_type=Path, file_okay=False), default=Path("data/training"), show_default=True,
-    help="Folder for checkpoints and weights; an interrupted run goes on from there.",
+    help="Folder for checkpoints and weights; an interrupted run resumes from it.",
 )  # fmt: skip
-@click.option(
-    "--scenes", type=click.IntRange(1), default=600, show_default=True, help="Scenes of 20 frames to train on."
-)
+@click.option("--scenes", type=click.IntRange(1), default=600, show_default=True, help="Number of scenes of 20 frames.")
 @click.option("--steps", type=click.IntRange(1), default=4000, show_default=True, help="Training steps.")
-@click.option("--batch-size", type=click.IntRange(2), default=32, show_default=True, help="Crops a step.")
+@click.option("--batch-size", type=click.IntRange(2), default=32, show_default=True, help="Crops per step.")
 @click.option(
     "--learning-rate", type=click.FloatRange(0.0, min_open=True), default=1.2e-3, show_default=True,
-    help="Largest rate of AdamW, reached after the warm-up.",
+    help="Maximum learning rate of AdamW, reached after the warm-up.",
 )  # fmt: skip
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of crops and weights.")
 @_demos("to train on")
 @click.option(
     "--start", type=click.Path(path_type=Path, dir_okay=False, exists=True),
-    help="Weights to start from (safetensors).  [default: an encoder trained on ImageNet]",
+    help="Initial weights (safetensors).  [default: an encoder trained on ImageNet]",
 )  # fmt: skip
 @_JOBS
 def train(
@@ -70,7 +68,7 @@ def train(
     start: Path | None,
     jobs: int,
 ) -> None:
-    """Render frames and train the gripper network on them, on the GPU when there is one."""
+    """Render frames and train the gripper network on them, on the GPU if there is one."""
     from kinebench_drake.grounding.training.loop import Schedule
     from kinebench_drake.grounding.training.render import render
     from kinebench_drake.grounding.training.train import TrainingConfig
@@ -93,16 +91,16 @@ def train(
     "--data", type=click.Path(path_type=Path, file_okay=False), default=Path("data/held-out"), show_default=True,
     help="Folder of held-out frames; missing ones are rendered into it.",
 )  # fmt: skip
-@_demos("to measure")
+@_demos("to evaluate")
 @click.option(
     "--videos", type=click.Path(path_type=Path, file_okay=False, exists=True),
-    help="Folder of `suite demos` videos that fit the confidence of frames among others.  [default: it stays]",
+    help="Folder of `suite demos` videos to fit the confidence within a track.  [default: keep the shipped one]",
 )  # fmt: skip
 @_WEIGHTS
-@click.option("--scenes", type=click.IntRange(2), default=40, show_default=True, help="Held-out scenes of 20 frames.")
 @click.option(
-    "--out", type=click.Path(path_type=Path, dir_okay=False), default=None, help="Write the calibration here."
+    "--scenes", type=click.IntRange(2), default=40, show_default=True, help="Number of held-out scenes of 20 frames."
 )
+@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), default=None, help="File for the calibration.")
 @_JOBS
 def calibrate(
     data: Path,
@@ -113,16 +111,16 @@ def calibrate(
     out: Path | None,
     jobs: int,
 ) -> None:
-    """Measure single frames of unseen scenes and demonstrations, then videos, and fit the confidence to them.
+    """Fit the confidence to errors on frames of unseen scenes and demonstrations, and on videos.
 
-    Half of the frames fit the confidence, the other half say how well it is calibrated.
+    The printed reliability is that of a fit to half of the data, measured on the other half.
     """
-    from kinebench_drake.grounding.training.report import ConfidenceCalibration, calibration_lines
+    from kinebench_drake.grounding.training.calibration import ConfidenceCalibration, calibrate_confidence
 
-    order = ConfidenceCalibration(
+    config = ConfidenceCalibration(
         scenes=data, count=scenes, demos=demos, videos=videos, weights=weights, out=out, jobs=jobs
     )
-    for line in calibration_lines(order):
+    for line in calibrate_confidence(config):
         click.echo(line)
 
 

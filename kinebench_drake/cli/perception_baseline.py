@@ -8,9 +8,9 @@ import click
 
 @click.group(epilog="\b\nExample:\n  kinebench-drake perception baseline train --data demos/ --out baseline/")
 def baseline() -> None:
-    """Train and measure the yardstick: a network that maps pixels straight to poses.
+    """Train and measure the baseline: a network that maps pixels directly to poses.
 
-    It stands for the inverse-dynamics networks of other benchmarks; nothing in this program takes its tracks from it.
+    It represents the inverse-dynamics networks of other benchmarks, for comparison only: nothing else here uses it.
     """
 
 
@@ -25,15 +25,17 @@ def baseline() -> None:
 )  # fmt: skip
 @click.option(
     "--out", type=click.Path(path_type=Path, file_okay=False), required=True,
-    help="Folder for decoded frames, checkpoints and weights; an interrupted run goes on from there.",
+    help="Folder for decoded frames, checkpoints and weights; an interrupted run resumes from it.",
 )  # fmt: skip
 @click.option("--steps", type=click.IntRange(1), default=2400, show_default=True, help="Training steps.")
-@click.option("--batch-size", type=click.IntRange(2), default=8, show_default=True, help="Windows of 5 frames a step.")
+@click.option(
+    "--batch-size", type=click.IntRange(2), default=8, show_default=True, help="Windows of 5 frames per step."
+)
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of windows and weights.")
 def train(data: Path, out: Path, steps: int, batch_size: int, seed: int) -> None:
     """Train the baseline on demonstrations of one camera, on the GPU when there is one."""
-    from kinebench_drake.grounding.baseline.train import SCHEDULE, BaselineConfig
-    from kinebench_drake.grounding.baseline.train import train as run
+    from kinebench_drake.grounding.baseline.fitting import SCHEDULE, BaselineConfig
+    from kinebench_drake.grounding.baseline.fitting import train as run
 
     schedule = replace(SCHEDULE, steps=steps, batch_size=batch_size, seed=seed)
     weights = run(BaselineConfig(data=data, out=out, schedule=schedule), click.echo)
@@ -51,13 +53,13 @@ def train(data: Path, out: Path, steps: int, batch_size: int, seed: int) -> None
     type=click.Path(path_type=Path, exists=True, file_okay=False),
 )  # fmt: skip
 @click.option(
-    "--weights", type=click.Path(path_type=Path, dir_okay=False), required=True, help="The baseline's weights.",
+    "--weights", type=click.Path(path_type=Path, dir_okay=False), required=True, help="Weights of the baseline.",
 )  # fmt: skip
 @click.option(
     "--grounding-weights", type=click.Path(path_type=Path, dir_okay=False), default=None,
-    help="The grounding's weights.  [default: those shipped]",
+    help="Weights of the grounding.  [default: those shipped]",
 )  # fmt: skip
-@click.option("--limit", type=click.IntRange(1), default=None, help="Measure the first so many videos of each task.")
+@click.option("--limit", type=click.IntRange(1), default=None, help="Number of videos of each task.")
 @click.option(
     "--out", type=click.Path(path_type=Path, file_okay=False), default=Path("baseline-comparison"), show_default=True,
     help="Folder for the table (txt, json) and the figure (png).",
@@ -65,11 +67,11 @@ def train(data: Path, out: Path, steps: int, batch_size: int, seed: int) -> None
 def evaluate(
     folders: tuple[Path, ...], weights: Path, grounding_weights: Path | None, limit: int | None, out: Path
 ) -> None:
-    """Hold the baseline and the grounding against the truth of the same videos.
+    """Measure the errors of baseline and grounding against ground truth on the same videos.
 
-    A FOLDER is what `suite demos --format mp4` writes. Tasks that the baseline was trained on and unseen ones are told
-    apart. Errors are those of panda_hand_tcp in the base frame: of all frames for the baseline, of tracked ones for the
-    grounding; intervals are of 95 %, by drawing whole videos anew.
+    A FOLDER is the output of `suite demos --format mp4`. Tasks that the baseline was trained on and unseen tasks are
+    listed separately. Errors are those of panda_hand_tcp in the base frame: in all frames for the baseline, in tracked
+    frames for the grounding, with 95 % bootstrap intervals over videos.
     """
     from kinebench_drake.grounding.baseline.report import comparison_lines
 

@@ -16,7 +16,7 @@ from kinebench_drake.grounding.confidence import (
     LogisticRegression,
     track_features,
 )
-from kinebench_drake.grounding.training.holdout import fit_logistic, reliability
+from kinebench_drake.grounding.training.holdout import calibration_bins, fit_logistic
 
 LAW = [-1.0, -0.5, 0.8, 0.0, 0.3, -0.2, 0.5, -0.7]
 
@@ -37,9 +37,9 @@ def test_calibration_finds_the_law_that_made_the_frames() -> None:
 def test_a_calibrated_confidence_is_reliable_and_a_boastful_one_is_not() -> None:
     features, good = drawn_frames(4000, 0.0)
     p = fit_logistic(features, good).probability(features)
-    assert max(abs(mean - share) for mean, share, _ in reliability(p, good)) < 0.05
-    assert max(abs(mean - share) for mean, share, _ in reliability(np.sqrt(p), good)) > 0.1
-    assert sum(n for _, _, n in reliability(p, good)) == len(good)
+    assert max(abs(mean - share) for mean, share, _ in calibration_bins(p, good)) < 0.05
+    assert max(abs(mean - share) for mean, share, _ in calibration_bins(np.sqrt(p), good)) > 0.1
+    assert sum(n for _, _, n in calibration_bins(p, good)) == len(good)
 
 
 def test_frames_without_neighbours_have_their_own_feature_and_no_distance() -> None:

@@ -1,4 +1,4 @@
-"""Laws of the baseline, on a made-up folder of demonstrations: a bright square whose place tells the pose."""
+"""Laws of the baseline, on synthetic demonstrations: a bright square whose position encodes the pose."""
 
 import json
 from collections.abc import Callable
@@ -22,17 +22,9 @@ from kinebench_drake.grounding.baseline.comparison import (
     groups,
     percentiles,
 )
-from kinebench_drake.grounding.baseline.dataset import (
-    LABELLED,
-    Demonstrations,
-    Windows,
-    decode,
-    load_demonstrations,
-    resized,
-)
-from kinebench_drake.grounding.baseline.network import CONTEXT, PoseOutput, from_six, to_six
-from kinebench_drake.grounding.baseline.predictor import Baseline
-from kinebench_drake.grounding.baseline.train import BaselineConfig, losses, train
+from kinebench_drake.grounding.baseline.fitting import BaselineConfig, losses, train
+from kinebench_drake.grounding.baseline.network import CONTEXT, Baseline, PoseOutput, from_six, resize_frames
+from kinebench_drake.grounding.baseline.windows import LABELLED, Demonstrations, Windows, decode, load_demonstrations
 from kinebench_drake.grounding.training.loop import Schedule
 from kinebench_drake.io.camerafile import save_camera
 
@@ -88,7 +80,7 @@ def config(folder: Path, out: Path, steps: int = 4) -> BaselineConfig:
 
 def test_six_numbers_tell_a_rotation() -> None:
     R = torch.from_numpy(rotations(200))
-    torch.testing.assert_close(from_six(to_six(R)), R)
+    torch.testing.assert_close(from_six(R[..., :, :2].mT.flatten(-2)), R)
     six = torch.from_numpy(np.random.default_rng(1).normal(size=(200, 6)))
     any_R = from_six(six)
     torch.testing.assert_close(any_R @ any_R.mT, torch.eye(3, dtype=six.dtype).expand(200, 3, 3))
@@ -101,13 +93,13 @@ def truth_and(angle: float, shift_m: float, gap_m: float) -> dict[str, float]:
     R = torch.from_numpy(rotations(4)).float().view(2, 2, 3, 3)
     batch = {"position": torch.rand(2, 2, 3), "rotation": R, "finger_width": torch.rand(2, 2) * 0.08}
     turn = torch.from_numpy(rotation_exp([0.0, angle, 0.0])).float()
-    said = PoseOutput(
+    output = PoseOutput(
         position=batch["position"] + torch.tensor([0.0, shift_m, 0.0]),
         rotation=R @ turn,
         finger_width=batch["finger_width"] + gap_m,
     )
-    terms = losses(said, batch)
-    return {"total": float(terms.total), **{name: float(value) for name, value in terms.shown.items()}}
+    terms = losses(output, batch)
+    return {"total": float(terms.total), **{name: float(value) for name, value in terms.reported.items()}}
 
 
 def test_the_loss_is_zero_at_the_truth_and_tells_errors_in_their_units() -> None:
@@ -164,10 +156,10 @@ def test_tasks_are_equally_frequent(windows: Callable[[int], Windows], frames: l
 
 
 def test_an_interrupted_training_goes_on_to_the_same_weights(folder: Path, tmp_path: Path) -> None:
-    from kinebench_drake.grounding.baseline import train as training
+    from kinebench_drake.grounding.baseline import fitting
 
     whole = load_file(train(config(folder, tmp_path / "whole"), lambda _: None))
-    calls, right = [], training.losses
+    calls, right = [], fitting.losses
 
     def cut_at_step_3(output: PoseOutput, batch: dict[str, Tensor]) -> object:
         calls.append(output)
@@ -176,12 +168,12 @@ def test_an_interrupted_training_goes_on_to_the_same_weights(folder: Path, tmp_p
         return right(output, batch)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(training, "losses", cut_at_step_3)
+        patch.setattr(fitting, "losses", cut_at_step_3)
         with pytest.raises(KeyboardInterrupt):
             train(config(folder, tmp_path / "cut"), lambda _: None)
-    said: list[str] = []
-    resumed = load_file(train(config(folder, tmp_path / "cut"), said.append))
-    assert "going on from step 2" in said
+    messages: list[str] = []
+    resumed = load_file(train(config(folder, tmp_path / "cut"), messages.append))
+    assert "going on from step 2" in messages
     assert whole.keys() == resumed.keys()
     for key, value in whole.items():
         torch.testing.assert_close(resumed[key], value, atol=2e-4, rtol=2e-3, msg=key)
@@ -193,13 +185,13 @@ def test_a_trained_baseline_says_a_rigid_pose_of_every_frame(folder: Path, tmp_p
     baseline = Baseline.load(train(config(folder, tmp_path, steps=1), lambda _: None))
     assert baseline.tasks == ("Often-v1", "Rare-v1")
     frames = np.random.default_rng(0).integers(0, 255, (5, 80, 80, 3), dtype=np.uint8)
-    said = baseline.predict(frames)
-    R = said.X_BG[:, :3, :3]
+    track = baseline.predict(frames)
+    R = track.X_BG[:, :3, :3]
     np.testing.assert_allclose(R @ R.transpose(0, 2, 1), np.tile(np.eye(3), (5, 1, 1)), atol=1e-5)
-    assert said.finger_width_m.shape == (5,)
+    assert track.finger_width_m.shape == (5,)
     alone = baseline.predict(frames[1:4])
-    np.testing.assert_allclose(alone.X_BG[1], said.X_BG[2], atol=1e-5)  # a frame and its two neighbours, no more
-    assert np.abs(alone.X_BG[0] - said.X_BG[1]).max() > 1e-6
+    np.testing.assert_allclose(alone.X_BG[1], track.X_BG[2], atol=1e-5)  # a frame and its two neighbours, no more
+    assert np.abs(alone.X_BG[0] - track.X_BG[1]).max() > 1e-6
 
 
 def test_another_camera_and_other_weights_are_refused(folder: Path, tmp_path: Path) -> None:
@@ -221,6 +213,7 @@ def test_folders_without_truth_are_refused(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"no manifest\.jsonl"):
         load_demonstrations(tmp_path)
     (tmp_path / "manifest.jsonl").write_text('{"video": "a.mp4", "task": "T"}\n')
+    save_camera(benchmark_camera(), tmp_path / "camera.json")
     with pytest.raises(UsageError, match=r"truth/a\.npz is missing"):
         load_demonstrations(tmp_path)
 
@@ -228,7 +221,7 @@ def test_folders_without_truth_are_refused(tmp_path: Path) -> None:
 def test_resizing_keeps_what_a_picture_shows() -> None:
     y, x = np.mgrid[:384, :384]
     picture = np.stack([x / 2, y / 2, 0 * x], axis=-1).astype(np.uint8)[None]
-    direct, over = resized(picture, 224), resized(resized(picture, 256), 224)
+    direct, over = resize_frames(picture, 224), resize_frames(resize_frames(picture, 256), 224)
     assert np.abs(direct.astype(int) - over).max() <= 1
 
 

@@ -2,7 +2,7 @@ from pathlib import Path
 
 import pytest
 
-from kinebench_drake.grounding.training.dataset import Shards
+from kinebench_drake.grounding.training.crops import Shards
 
 
 @pytest.fixture(scope="session")

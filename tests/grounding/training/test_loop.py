@@ -6,7 +6,7 @@ import torch
 from torch import nn
 
 from kinebench_drake.errors import UsageError
-from kinebench_drake.grounding.training.loop import Batch, Schedule, Terms, optimise
+from kinebench_drake.grounding.training.loop import Batch, LossTerms, Schedule, optimise
 
 STEPS = 8
 
@@ -24,7 +24,7 @@ def test_batch_normalisation_keeps_its_statistics_from_a_part_of_the_steps_on(
         network,
         batches=noise,
         forward=lambda model, batch: model(batch["image"]),
-        losses=lambda output, batch: Terms(total=output.float().square().mean(), shown={}),
+        losses=lambda output, batch: LossTerms(total=output.float().square().mean(), reported={}),
         schedule=Schedule(steps=STEPS, learning_rate=1e-3, batch_size=1, fixed_from=fixed_from),
         identity={},
         folder=tmp_path,
@@ -47,7 +47,7 @@ def test_a_training_goes_on_from_its_checkpoint_as_if_it_had_not_stopped(tmp_pat
             network,
             batches=batches,
             forward=lambda model, batch: model(batch["image"]),
-            losses=lambda output, batch: Terms(total=output.float().square().mean(), shown={}),
+            losses=lambda output, batch: LossTerms(total=output.float().square().mean(), reported={}),
             schedule=Schedule(steps=STEPS, learning_rate=1e-2, batch_size=2, warm_up_steps=2, checkpoint_every=3),
             identity={"name": "x", "tasks": ("a", "b")},
             folder=folder,

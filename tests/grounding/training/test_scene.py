@@ -3,7 +3,7 @@ import pytest
 
 from kinebench_drake.geometry import invert, transform_points
 from kinebench_drake.grounding.crop import CLOSE_SIZE, WIDE_SIZE, Crop
-from kinebench_drake.grounding.training.dataset import WIDE_EVERY, Crops, Shards, Steps, frame_camera, label
+from kinebench_drake.grounding.training.crops import WIDE_EVERY, Crops, Shards, Steps, frame_camera, label
 from kinebench_drake.grounding.training.render import FRAMES_PER_SCENE
 from kinebench_drake.grounding.training.scene import TrainingScene
 from kinebench_drake.models.panda.cad import GripperCad, link_meshes

@@ -8,7 +8,7 @@ from safetensors.torch import load_file
 
 from kinebench_drake.errors import SetupError, UsageError
 from kinebench_drake.grounding.training import loop
-from kinebench_drake.grounding.training.dataset import Shards
+from kinebench_drake.grounding.training.crops import Shards
 from kinebench_drake.grounding.training.loop import Schedule
 from kinebench_drake.grounding.training.train import TrainingConfig, losses, train
 from kinebench_drake.models.panda.robot import RobotPart
@@ -40,9 +40,9 @@ def test_an_interrupted_training_goes_on_to_the_same_weights(
         patch.setattr(loop, "update_average", cut_at_step_3)
         with pytest.raises(KeyboardInterrupt):
             train(config(shards, tmp_path / "cut"), lambda _: None)
-    said: list[str] = []
-    resumed = load_file(train(config(shards, tmp_path / "cut"), said.append))
-    assert said == ["going on from step 2"]
+    messages: list[str] = []
+    resumed = load_file(train(config(shards, tmp_path / "cut"), messages.append))
+    assert messages == ["going on from step 2"]
     assert whole.keys() == resumed.keys()
     for key, value in whole.items():
         torch.testing.assert_close(resumed[key], value, atol=2e-4, rtol=2e-3, msg=key)

@@ -1,4 +1,4 @@
-"""Training crops drawn from rendered shards: views, labels, degradation."""
+"""Random training crops of rendered frames, with labels and degradation."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -20,37 +20,37 @@ from kinebench_drake.models.perception.frame import DEPTH_UNIT_M, RenderedFrame
 from kinebench_drake.models.perception.network import COORDINATE_SCALE_M, DEPTH_CENTRE, STRIDE
 
 WIDE_EVERY = 4
-"""One step in so many sees the whole frame, the others the gripper from near."""
+"""Interval of the steps on wide crops, which show whole frames; the others use close crops of the gripper."""
 _MIN_GRIPPER_PX = 60
-_DOUBLED = 0.12  # share of wide views with a second gripper
-_OCCLUDED = 0.4  # share of views with things before them
+_DOUBLED = 0.12  # share of wide crops with a second gripper
+_OCCLUDED = 0.4  # share of crops with occluders
 _NARROW = 0.4  # share of draws that take the narrower of two grippers
 
 
 @dataclass(frozen=True, slots=True)
 class TrainingSample:
-    """One training crop of S pixels; h = w = S / STRIDE."""
+    """Training crop of S x S pixels with labels; h = w = S / STRIDE."""
 
     image: NDArray[np.uint8]
-    """(S, S, 3)."""
+    """(S, S, 3) RGB."""
     part: NDArray[np.uint8]
-    """(h, w)."""
+    """(h, w) values of `RobotPart`."""
     coordinates: NDArray[np.float32]
-    """(h, w, 3) network units."""
+    """(h, w, 3) CAD coordinates in network units."""
     log_depth: NDArray[np.float32]
-    """(h, w) network units."""
+    """(h, w) log depth in network units."""
 
 
 def frame_camera(frame: RenderedFrame) -> Camera:
-    """The camera of a frame."""
+    """Return the camera of a frame."""
     height, width = frame.part.shape
     K = frame.K
     X_BC = invert(frame.X_CL[0])
     return Camera(width=width, height=height, fx=K[0, 0], fy=K[1, 1], cx=K[0, 2], cy=K[1, 2], X_BC=X_BC)
 
 
-def close_view(frame: RenderedFrame, rng: np.random.Generator) -> Crop:
-    """A view near the gripper, mostly as tracking has it, sometimes less close."""
+def close_crop(frame: RenderedFrame, rng: np.random.Generator) -> Crop:
+    """Return a random crop around the gripper, mostly as close as in tracking, sometimes wider."""
     centre = transform_points(frame.X_CH, GRIPPER_CENTRE_H[None])[0]
     distance = float(np.linalg.norm(centre))
     low, high = (0.95, 1.7) if rng.random() < 0.8 else (1.7, 4.0)
@@ -60,8 +60,8 @@ def close_view(frame: RenderedFrame, rng: np.random.Generator) -> Crop:
     return Crop.towards(centre + shift, half_tangent, CLOSE_SIZE, roll=float(rng.normal(0, np.deg2rad(12))))
 
 
-def wide_view(frame: RenderedFrame, rng: np.random.Generator) -> Crop:
-    """A view of about the whole frame, as detection has it."""
+def wide_crop(frame: RenderedFrame, rng: np.random.Generator) -> Crop:
+    """Return a random crop of about the whole frame, as in detection."""
     camera = frame_camera(frame)
     half_tangent = max(camera.width / camera.fx, camera.height / camera.fy) / 2 * rng.uniform(0.7, 1.3)
     direction = np.array([*(rng.normal(0, 0.12, 2) * half_tangent), 1.0])
@@ -69,7 +69,7 @@ def wide_view(frame: RenderedFrame, rng: np.random.Generator) -> Crop:
 
 
 def label(frame: RenderedFrame, crop: Crop) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.float32]]:
-    """Part, CAD coordinates in the part's frame, log depth of `frame` on the output grid of `crop`; network's units."""
+    """Return part, CAD coordinates in the frame of the part, and log depth on the output grid, in network units."""
     camera = frame_camera(frame)
     part = np.asarray(crop.warp(frame.part, camera, STRIDE, nearest=True), dtype=np.uint8)
     depth_C = np.asarray(crop.warp(frame.depth, camera, STRIDE, nearest=True), dtype=np.float64) * DEPTH_UNIT_M
@@ -83,7 +83,7 @@ def label(frame: RenderedFrame, crop: Crop) -> tuple[NDArray[np.uint8], NDArray[
 
 
 def _part_poses(frame: RenderedFrame) -> Array:
-    """(PARTS, 4, 4) frame of each part's CAD coordinates in the camera frame, by value of `Part`."""
+    """Return the poses (PARTS, 4, 4) of the frames of CAD coordinates in the camera frame, by `RobotPart`."""
     X_CP = np.tile(np.eye(4), (len(RobotPart), 1, 1))
     for part in GRIPPER:
         X_CP[part] = frame.X_CH @ make_pose(np.eye(3), [0.0, OPENING_SIGN[part] * frame.finger_m, 0.0])
@@ -92,13 +92,13 @@ def _part_poses(frame: RenderedFrame) -> Array:
 
 
 class Shards:
-    """The frames of data folders, mapped into memory."""
+    """Rendered frames of data folders, memory-mapped."""
 
     def __init__(self, folders: Sequence[Path]) -> None:
-        """Open every complete shard below `folders`.
+        """Open all complete shards below `folders`.
 
         Raises:
-            UsageError: one of them holds none.
+            UsageError: a folder holds none.
         """
         self.folders = tuple(folders)
         self._arrays: list[dict[str, NDArray[np.generic]]] = []
@@ -115,15 +115,15 @@ class Shards:
                 self._arrays.append(arrays)
 
     def __len__(self) -> int:
-        """Number of frames."""
+        """Return the number of frames."""
         return len(self._index)
 
     def number(self, index: int) -> int:
-        """Number of the shard that holds frame `index`."""
+        """Return the number of the shard that holds frame `index`."""
         return self._index[index][0]
 
     def __getitem__(self, index: int) -> RenderedFrame:
-        """Frame `index`."""
+        """Return frame `index`."""
         shard, i = self._index[index]
         a = self._arrays[shard]
         return RenderedFrame(
@@ -138,7 +138,7 @@ class Shards:
 
 
 def _double(image: NDArray[np.uint8], labels: Sequence[NDArray[np.generic]], rng: np.random.Generator) -> None:
-    """Draw the gripper of `image` (S, S, 3) and its `labels` (h, w, ...), parts first, a second time elsewhere."""
+    """Copy the gripper in `image` (S, S, 3) and in `labels` (h, w, ...), parts first, to another place."""
     part = labels[0]
     n, scale = len(part), len(image) // len(part)
     v, u = np.nonzero(np.isin(part, GRIPPER))
@@ -155,21 +155,21 @@ def _double(image: NDArray[np.uint8], labels: Sequence[NDArray[np.generic]], rng
 
 
 class Crops(Dataset[dict[str, Tensor]]):
-    """Item (step, slot) is a random degraded crop, the same for the same seed and item whatever the order of reading.
+    """Random degraded crops by item (step, slot): the same seed and item give the same crop, in any order of access.
 
-    All crops of a step are of one kind: one step in `WIDE_EVERY` sees whole frames, the others the gripper from near.
+    All crops of a step have one size: every `WIDE_EVERY`-th step uses wide crops, the others close ones.
     """
 
     def __init__(self, shards: Shards, seed: int) -> None:
         self._shards, self._seed = shards, seed
 
     def sample(self, step: int, slot: int) -> TrainingSample:
-        """A crop before conversion to tensors."""
+        """Return a crop as arrays."""
         rng = np.random.default_rng([self._seed, step, slot])
         wide = is_wide(step)
         for _ in range(20):
             frame = self._draw(rng)
-            crop = (wide_view if wide else close_view)(frame, rng)
+            crop = (wide_crop if wide else close_crop)(frame, rng)
             part, coordinates, log_depth = label(frame, crop)
             if np.isin(part, GRIPPER).sum() >= _MIN_GRIPPER_PX / STRIDE**2 or rng.random() < 0.1:
                 break
@@ -181,12 +181,12 @@ class Crops(Dataset[dict[str, Tensor]]):
         return TrainingSample(degrade(image, rng), part, coordinates, log_depth)
 
     def _draw(self, rng: np.random.Generator) -> RenderedFrame:
-        """A random frame, those that show the gripper from its narrow side more often: they are harder."""
+        """Return a random frame; narrow views of the gripper, which are harder, are more frequent."""
         frames = [self._shards[int(rng.integers(len(self._shards)))] for _ in range(1 + (rng.random() < _NARROW))]
         return max(frames, key=_narrowness)
 
     def __getitem__(self, item: tuple[int, int]) -> dict[str, Tensor]:
-        """A crop as tensors: image (3, S, S) uint8, part (h, w), coordinates (3, h, w), log_depth (h, w)."""
+        """Return a crop as tensors: image (3, S, S) uint8, part (h, w), coordinates (3, h, w), log_depth (h, w)."""
         s = self.sample(*item)
         return {
             "image": torch.from_numpy(s.image).permute(2, 0, 1),
@@ -197,24 +197,24 @@ class Crops(Dataset[dict[str, Tensor]]):
 
 
 def _narrowness(frame: RenderedFrame) -> float:
-    """Cosine between the fingers' axis and the line of sight, 0..1."""
+    """Return the cosine of the angle between the fingers' axis and the line of sight, 0..1."""
     p = frame.X_CH[:3, 3]
     return float(np.nan_to_num(abs(frame.X_CH[:3, 1] @ p) / np.linalg.norm(p)))
 
 
 def is_wide(step: int) -> bool:
-    """Whether a step sees whole frames."""
+    """Return whether a step uses wide crops."""
     return step % WIDE_EVERY == WIDE_EVERY - 1
 
 
 class Steps(Sampler[list[tuple[int, int]]]):
-    """Items of `Crops` by training step; wide crops are larger, so that a step has fewer of them."""
+    """Batches of items of `Crops`, one per training step; a batch of wide crops is smaller, as these are larger."""
 
     def __init__(self, steps: range, batch_size: int) -> None:
         self._steps, self._batch_size = steps, batch_size
 
     def __iter__(self) -> Iterator[list[tuple[int, int]]]:
-        """A batch of items for each step."""
+        """Yield the items of each step."""
         fewer = max(2, self._batch_size * CLOSE_SIZE**2 // WIDE_SIZE**2)
         for step in self._steps:
             yield [(step, slot) for slot in range(fewer if is_wide(step) else self._batch_size)]

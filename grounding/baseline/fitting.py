@@ -1,4 +1,4 @@
-"""Training of the baseline on demonstrations."""
+"""Fit of the baseline to demonstrations."""
 
 import json
 from collections.abc import Callable, Iterable
@@ -9,44 +9,44 @@ import torch
 from torch import Tensor
 from torch.utils.data import DataLoader, Subset
 
-from kinebench_drake.grounding.baseline.dataset import Windows, decode, load_demonstrations
 from kinebench_drake.grounding.baseline.network import FINGER_SCALE_M, POSITION_SCALE_M, PoseNetwork, PoseOutput
-from kinebench_drake.grounding.training.loop import Schedule, Terms, optimise, pick_device, save_weights
+from kinebench_drake.grounding.baseline.windows import Windows, decode, load_demonstrations
+from kinebench_drake.grounding.training.loop import LossTerms, Schedule, optimise, pick_device, save_weights
 
 WEIGHTS = "baseline.safetensors"
-"""Name of the weights in the folder of a training."""
+"""Name of the weights file in the output folder."""
 SCHEDULE = Schedule(steps=2400, learning_rate=1e-3, batch_size=8, checkpoint_every=200)
-"""What the comparison in the README was trained with, on 400 clips of ten tasks."""
+"""Schedule of the comparison in the README, on 400 clips of ten tasks."""
 _ROTATION_WEIGHT = 2.0  # 1 cm weighs as much as 3 degrees ...
 _FINGER_WEIGHT = 0.5  # ... or 8 mm of the gap
-_ROUND_M, _ROUND_RAD = 1e-3, 5e-3  # where the losses turn from quadratic to linear
+_ROUND_M, _ROUND_RAD = 1e-3, 5e-3  # where the losses change from quadratic to linear
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BaselineConfig:
-    """What a training depends on."""
+    """Inputs and settings of a training."""
 
     data: Path
     """Folder of demonstrations."""
     out: Path
     """Folder for decoded frames, checkpoints and the weights."""
     schedule: Schedule = SCHEDULE
-    """Its examples are windows of frames."""
+    """Schedule; its examples are windows of frames."""
     size: int = 224
-    """Width and height of what the network sees [px]."""
+    """Width and height of the frames [px]."""
     workers: int = 1
-    """Processes that make batches."""
+    """Processes that prepare batches."""
 
 
 def _rounded(square: Tensor, radius: float) -> Tensor:
-    """The root of `square`, rounded off near zero so that its slope stays finite there (Charbonnier's loss)."""
+    """Return the root of `square`, smoothed near zero so that its gradient is finite (Charbonnier loss)."""
     return torch.sqrt(square + radius**2) - radius
 
 
-def losses(output: PoseOutput, batch: dict[str, Tensor]) -> Terms:
-    """Distances of position, rotation and gap, so that single bad frames do not rule; zero at the truth.
+def losses(output: PoseOutput, batch: dict[str, Tensor]) -> LossTerms:
+    """Return distances of position, rotation and gap: linear, so that single bad frames do not dominate.
 
-    The rotation's is the chordal distance over root 2, for small angles the angle itself [rad] (Hartley et al., IJCV
+    The distance of rotations is the chordal distance / sqrt(2), for small angles the angle [rad] (Hartley et al., IJCV
     2013, section 4.2).
     """
     position = _rounded((output.position - batch["position"]).square().sum(dim=-1), _ROUND_M)
@@ -54,9 +54,9 @@ def losses(output: PoseOutput, batch: dict[str, Tensor]) -> Terms:
     rotation = _rounded(chord, _ROUND_RAD)
     finger = _rounded((output.finger_width - batch["finger_width"]).square(), _ROUND_M)
     total = position.mean() / POSITION_SCALE_M + _ROTATION_WEIGHT * rotation.mean()
-    return Terms(
+    return LossTerms(
         total=total + _FINGER_WEIGHT * finger.mean() / FINGER_SCALE_M,
-        shown={
+        reported={
             "position_mm": 1e3 * position.mean(),
             "rotation_deg": torch.rad2deg(rotation.mean()),
             "finger_mm": 1e3 * finger.mean(),
@@ -65,9 +65,11 @@ def losses(output: PoseOutput, batch: dict[str, Tensor]) -> Terms:
 
 
 def train(config: BaselineConfig, report: Callable[[str], None]) -> Path:
-    """Train, or go on from the last checkpoint in `config.out`; returns the path of the weights.
+    """Train, or resume from the last checkpoint in `config.out`; return the path of the weights.
 
-    `report` is called with lines of text on the way.
+    Args:
+        config: inputs and settings.
+        report: called with lines of text on the progress.
 
     Raises:
         UsageError: the data cannot be used, or `config.out` holds a training with other settings.
