@@ -91,8 +91,8 @@ def bench(out: Path | None, json_out: Path | None, repeats: int, tracks: int, au
     # Before NumPy is loaded: afterwards its libraries do not listen.
     os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"))
     from benchmarks.bench import run_bench
+    from benchmarks.markdown import keep_sections
     from benchmarks.page import document
-    from kinebench_drake.io.markdown import keep_sections
 
     try:
         result = run_bench(repeats=repeats, tracks=tracks, audits=audits, note=lambda text: click.echo(text, err=True))

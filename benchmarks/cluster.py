@@ -12,9 +12,9 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+from benchmarks.markdown import table
 from benchmarks.watched import children, command_line, watch
 from kinebench_drake.errors import KinebenchError, SetupError
-from kinebench_drake.io.markdown import table
 from kinebench_drake.results.store import REPORT, RESULTS, SAMPLES, TIMINGS
 from kinebench_drake.types import Json
 

@@ -9,8 +9,8 @@ from typing import Any
 
 import click
 
+from benchmarks.markdown import replace_section
 from kinebench_drake.errors import KinebenchError
-from kinebench_drake.io.markdown import replace_section
 
 EXAMPLES = Path("examples/videos")
 

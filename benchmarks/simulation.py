@@ -15,12 +15,12 @@ from typing import Any
 import click
 import numpy as np
 
+from benchmarks.markdown import replace_section, table
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.environment.native import prepare_vulkan
 from kinebench_drake.errors import KinebenchError
 from kinebench_drake.geometry import Array
 from kinebench_drake.io.container import write_video
-from kinebench_drake.io.markdown import replace_section, table
 from kinebench_drake.suites.clip import film
 from kinebench_drake.suites.clock import CLIP_FRAMES
 from kinebench_drake.suites.episode import compose

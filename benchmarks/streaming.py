@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.markdown import table
 from benchmarks.watched import Memory, watch
 from kinebench_drake.errors import UsageError
 from kinebench_drake.geometry import Array
 from kinebench_drake.io.container import write_video
-from kinebench_drake.io.markdown import table
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.results.provenance import host
 from kinebench_drake.results.store import REPORT, SAMPLES

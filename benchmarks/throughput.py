@@ -14,11 +14,11 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.feasible import BENCHMARK_FRAMES
+from benchmarks.markdown import table
 from benchmarks.tracks import Recipe, Set, make
 from benchmarks.watched import Memory, watch
 from kinebench_drake.errors import UsageError
 from kinebench_drake.geometry import Array
-from kinebench_drake.io.markdown import table
 from kinebench_drake.results.provenance import host
 from kinebench_drake.results.store import TIMINGS
 

@@ -40,6 +40,9 @@ def _rigid(rows: list[list[float]]) -> list[list[float]]:
     return rows
 
 
+_LABELS = {"task", "model", "seed", "prompt", "fps", "frame_period_s"}
+"""Keys that a sample takes over unchanged."""
+
 _Number = Annotated[float, Field(allow_inf_nan=False)]
 _Row = Annotated[list[_Number], Field(min_length=4, max_length=4)]
 _Pose = Annotated[list[_Row], Field(min_length=4, max_length=4), AfterValidator(_rigid)]
@@ -197,15 +200,10 @@ def _sample(line: ManifestLine, folder: Path, search: Search) -> VideoSample:
         video=line.video,
         camera=chosen,
         camera_source=source,
-        task=entry.task if entry else None,
-        model=entry.model if entry else None,
-        seed=entry.seed if entry else None,
-        prompt=entry.prompt if entry else None,
-        fps=entry.fps if entry else None,
-        frame_period_s=entry.frame_period_s if entry else None,
         initial_state=_initial_state(entry) if entry else None,
         first_frame=first_frame,
         problem=problem,
+        **(entry.model_dump(include=_LABELS) if entry else {}),
     )
 
 

@@ -26,7 +26,7 @@ NOT_MEASURING = (
     *("results/*.py", "evaluation/resume.py", "evaluation/runner.py", "evaluation/suite.py"),
     *("evaluation/thumbnail.py", "io/atomic.py", "grounding/overlay.py"),
     # In the folders of measuring code, but not used by it.
-    *("io/figure.py", "io/markdown.py", "evaluation/merge.py", "closed_loop/tolerance.py", "suites/contact_sheet.py"),
+    *("io/figure.py", "evaluation/merge.py", "closed_loop/tolerance.py", "suites/contact_sheet.py"),
     *("suites/demos.py", "suites/expert_check.py", "suites/order.py", "suites/selection.py", "suites/stills.py"),
 )
 """Exceptions from `MEASURING`."""

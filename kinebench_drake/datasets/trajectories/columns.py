@@ -84,26 +84,20 @@ def find_columns(features: Mapping[str, object], choice: TrajectoryOptions) -> C
 
 
 def _match_named(name: str, size: int, names: Sequence[str] | None, *, joints: bool) -> Columns:
-    if joints:
-        match = _match_joints(name, size, names)
-        if match is None and size in range(N_JOINTS, N_JOINTS + 3):
-            return _numbered(name, range(N_JOINTS), names)
-    else:
-        match = _match_pose(name, size, names)
-        if match is None and size == 7:
-            text = f"{name}[0:7]: {ColumnLayout.QUATERNION.value}"
-            note = f"{name} does not name its elements: x y z qw qx qy qz is assumed"
-            return Columns(
-                column=name, layout=ColumnLayout.QUATERNION, indices=tuple(range(7)), description=text, warnings=(note,)
-            )
-        if match is None and size == 16:
-            text = f"{name}[0:16]: {ColumnLayout.MATRIX.value}"
-            return Columns(column=name, layout=ColumnLayout.MATRIX, indices=tuple(range(16)), description=text)
-    if match is None:
-        content = ", ".join(names) if names else f"{size} unnamed numbers"
-        wanted = "7 to 9 joint angles" if joints else "x y z with a quaternion, roll pitch yaw or a rotation vector"
-        raise InputError(f"column {name!r} holds {content}, expected {wanted}")
-    return match
+    """Match the column that the user names, which may have any names of its elements."""
+    match = _match_joints(name, size, names) if joints else _match_pose(name, size, names)
+    if match is not None:
+        return match
+    if joints and size in range(N_JOINTS, N_JOINTS + 3):
+        return _joint_columns(name, range(N_JOINTS), names)
+    if not joints and size == 7:
+        assumption = f"{name} does not name its elements: x y z qw qx qy qz is assumed"
+        return _columns(name, ColumnLayout.QUATERNION, range(7), "0:7", warnings=(assumption,))
+    if not joints and size == 16:
+        return _columns(name, ColumnLayout.MATRIX, range(16), "0:16")
+    content = ", ".join(names) if names else f"{size} unnamed numbers"
+    wanted = "7 to 9 joint angles" if joints else "x y z with a quaternion, roll pitch yaw or a rotation vector"
+    raise InputError(f"column {name!r} holds {content}, expected {wanted}")
 
 
 def _match_joints(name: str, size: int, names: Sequence[str] | None) -> Columns | None:
@@ -111,7 +105,9 @@ def _match_joints(name: str, size: int, names: Sequence[str] | None) -> Columns 
     if names is None:
         words = set(_words(name.rsplit(".", 1)[-1]))
         certain = "qpos" in words or (words & _JOINT_WORDS and words & _POSITION_WORDS)
-        return _numbered(name, range(N_JOINTS), None) if certain and size in range(N_JOINTS, N_JOINTS + 3) else None
+        return (
+            _joint_columns(name, range(N_JOINTS), None) if certain and size in range(N_JOINTS, N_JOINTS + 3) else None
+        )
     arms: dict[str, dict[int, int]] = {}
     for k, element in enumerate(names):
         match = _NUMBERED.fullmatch(element.lower())
@@ -120,33 +116,39 @@ def _match_joints(name: str, size: int, names: Sequence[str] | None) -> Columns 
     whole = [arm for arm in arms.values() if len(arm) == N_JOINTS and max(arm) - min(arm) == N_JOINTS - 1]
     if len(whole) != 1:
         return None
-    return _numbered(name, [whole[0][number] for number in sorted(whole[0])], names)
+    return _joint_columns(name, [whole[0][number] for number in sorted(whole[0])], names)
 
 
-def _numbered(name: str, indices: Sequence[int], names: Sequence[str] | None) -> Columns:
-    elements = f"{name}[{names[indices[0]]} .. {names[indices[-1]]}]" if names else f"{name}[0:{N_JOINTS}]"
+def _joint_columns(name: str, indices: Sequence[int], names: Sequence[str] | None) -> Columns:
+    elements = f"{names[indices[0]]} .. {names[indices[-1]]}" if names else f"0:{N_JOINTS}"
+    return _columns(name, ColumnLayout.JOINTS, indices, elements, names)
+
+
+def _columns(
+    name: str,
+    layout: ColumnLayout,
+    indices: Sequence[int],
+    elements: str,
+    names: Sequence[str] | None = None,
+    warnings: tuple[str, ...] = (),
+) -> Columns:
     fingers, width = _gripper(names)
     return Columns(
         column=name,
-        layout=ColumnLayout.JOINTS,
+        layout=layout,
         indices=tuple(indices),
         fingers=fingers,
         width=width,
-        description=f"{elements}: {ColumnLayout.JOINTS.value}",
+        description=f"{name}[{elements}]: {layout.value}",
+        warnings=warnings,
     )
 
 
 def _match_pose(name: str, size: int, names: Sequence[str] | None) -> Columns | None:
     """Match a pose whose names determine the kind of rotation."""
     if names is None:
-        words = set(_words(name))
-        text = f"{name}[0:16]: {ColumnLayout.MATRIX.value}"
-        certain = size == 16 and "pose" in words
-        return (
-            Columns(column=name, layout=ColumnLayout.MATRIX, indices=tuple(range(16)), description=text)
-            if certain
-            else None
-        )
+        certain = size == 16 and "pose" in _words(name)
+        return _columns(name, ColumnLayout.MATRIX, range(16), "0:16") if certain else None
     roles: dict[str, list[int]] = {}
     for k, element in enumerate(names):
         roles.setdefault(_role(element.lower()), []).append(k)
@@ -162,9 +164,7 @@ def _match_pose(name: str, size: int, names: Sequence[str] | None) -> Columns | 
         wanted = ("x", "y", "z", *rotation)
         if all(len(roles.get(role, ())) == 1 for role in wanted):
             indices = tuple(roles[role][0] for role in wanted)
-            fingers, width = _gripper(names)
-            text = f"{name}[{', '.join(names[k] for k in indices)}]: {layout.value}"
-            return Columns(column=name, layout=layout, indices=indices, fingers=fingers, width=width, description=text)
+            return _columns(name, layout, indices, ", ".join(names[k] for k in indices), names)
     return None
 
 

@@ -1,4 +1,4 @@
-from kinebench_drake.io.markdown import keep_sections, replace_section, table
+from benchmarks.markdown import keep_sections, replace_section, table
 
 PAGE = "# Page\n\nTop.\n\n## A\n\nold a\n\n### deeper\n\nmore\n\n## B\n\nold b\n"
 
