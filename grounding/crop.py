@@ -64,11 +64,11 @@ class Crop:
         return cls.towards(centre, margin * GRIPPER_RADIUS_M / float(np.linalg.norm(centre)), size)
 
     @classmethod
-    def of_frame(cls, camera: Camera, size: int = WIDE_SIZE) -> "Crop":
+    def of_frame(cls, camera: Camera) -> "Crop":
         """Return the crop that holds the whole image of `camera`."""
         half = np.array([camera.width / 2, camera.height / 2])
         direction = np.array([(half[0] - camera.cx) / camera.fx, (half[1] - camera.cy) / camera.fy, 1.0])
-        return cls.towards(direction, float(max(half / [camera.fx, camera.fy])), size)
+        return cls.towards(direction, float(max(half / [camera.fx, camera.fy])), WIDE_SIZE)
 
     def homography(self, camera: Camera, stride: int = 1) -> Array:
         """Return the (3, 3) homography from cells of the crop to pixels of `camera`, centres at half-integers."""

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.ndimage import grey_opening
 
 from kinebench_drake.errors import InputError
@@ -94,9 +94,3 @@ def finite_median(values: ArrayLike, window: int) -> Array:
         if len(near) > half:
             smoothed[i] = np.median(near)
     return smoothed
-
-
-def is_finite(values: ArrayLike) -> NDArray[np.bool_]:
-    """Return for each frame (T,) whether its values, of shape (T,) or (T, n), are all finite."""
-    finite = np.isfinite(np.asarray(values, dtype=np.float64))
-    return np.asarray(finite if finite.ndim == 1 else finite.all(axis=1))

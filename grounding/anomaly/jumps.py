@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from kinebench_drake.geometry import Array
-from kinebench_drake.grounding.anomaly.detection import Detection, is_finite
+from kinebench_drake.grounding.anomaly.detection import Detection
 from kinebench_drake.grounding.view import Frames
-from kinebench_drake.segments import segments
+from kinebench_drake.segments import finite_rows, segments
 from kinebench_drake.types import Anomaly, AnomalyKind
 
 TELEPORT_M, TELEPORT_CONTRAST = 0.04, 4.0
@@ -52,7 +52,7 @@ def jump_lengths(p: ArrayLike, fair: NDArray[np.bool_]) -> Array:
         fair: (T,) frames whose position counts.
     """
     p = np.asarray(p, dtype=np.float64)
-    index = np.flatnonzero(fair & np.isfinite(p).all(axis=1))
+    index = np.flatnonzero(fair & finite_rows(p))
     lengths = np.zeros(len(p))
     if len(index) < 4:
         return lengths
@@ -80,7 +80,7 @@ def find_teleports(p: ArrayLike, fair: NDArray[np.bool_], good: NDArray[np.bool_
         good: (T,) frames that a jump may start from or lead to: others are too likely wrong.
     """
     lengths = jump_lengths(p, fair)
-    index = np.flatnonzero(fair & is_finite(p))
+    index = np.flatnonzero(fair & finite_rows(np.asarray(p, dtype=np.float64)))
     doubtful = ~(good[index[1:]] & good[index[:-1]])
     lengths[index[1:][doubtful]] = 0.0
     score = np.zeros(len(lengths))
@@ -175,7 +175,7 @@ def find_finger_faults(width_m: ArrayLike, t_s: ArrayLike) -> Detection:
         t_s: (T,) task time [s].
     """
     width_m, t_s = np.asarray(width_m, dtype=np.float64), np.asarray(t_s, dtype=np.float64)
-    index = np.flatnonzero(is_finite(width_m))
+    index = np.flatnonzero(np.isfinite(width_m))
     width, times = width_m[index], t_s[index]
     outside = np.maximum(np.maximum(-width, width - MAX_WIDTH_M), 0.0)
     size, score = np.zeros(len(width_m)), np.zeros(len(width_m))

@@ -8,11 +8,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, transform_points
-from kinebench_drake.grounding.anomaly.detection import Detection, is_finite, sustained
+from kinebench_drake.grounding.anomaly.detection import Detection, sustained
 from kinebench_drake.grounding.view import GripperView
 from kinebench_drake.models.panda.cad import part_meshes
 from kinebench_drake.models.panda.robot import OPENING_SIGN
-from kinebench_drake.segments import segments
+from kinebench_drake.segments import finite_rows, segments
 from kinebench_drake.types import Anomaly, AnomalyKind
 
 VANISH_FRAMES = 3
@@ -44,7 +44,7 @@ def find_vanishing(
     absence = np.maximum(
         ABSENT_CONFIDENCE / (ABSENT_CONFIDENCE + confidence), ABSENT_CELLS / (ABSENT_CELLS + explained)
     )
-    score = 2.0 * sustained(absence * _expected(p_C, fair & is_finite(p_C), camera), VANISH_FRAMES)
+    score = 2.0 * sustained(absence * _expected(p_C, fair & finite_rows(p_C), camera), VANISH_FRAMES)
     anomalies = tuple(
         Anomaly(
             kind=AnomalyKind.VANISH,

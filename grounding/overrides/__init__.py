@@ -1,1 +1,1 @@
-"""Stages of the grounding done elsewhere: masks, depth and poses from files or from another program's class."""
+"""Overrides of grounding stages: masks, depth and poses from files or from a plug-in class."""
