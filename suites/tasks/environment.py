@@ -190,7 +190,9 @@ class KineBenchEnv(BaseEnv):  # type: ignore[misc]
         self._fresh = False
         with torch.device(self.device):
             rows = [int(i) for i in env_idx]
-            q = np.stack([self._start_q(i) for i in rows])
+            q = np.stack(
+                [start_q(self.task.card.id, self.episodes[i].seed, self.layouts[i].finger_width_m) for i in rows]
+            )
             self.agent.reset(q.astype(np.float32))
             self.agent.robot.set_pose(sapien.Pose(X_WB[:3, 3]))
             for name, entity in self.objects.items():
@@ -222,10 +224,6 @@ class KineBenchEnv(BaseEnv):  # type: ignore[misc]
                 if placement.model.asset_id != self.layouts[i].placements[name].model.asset_id:
                     raise InputError(f"{name} has another asset: that needs options={{'reconfigure': True}}")
             self.episodes[i], self.layouts[i] = new, layout
-
-    def _start_q(self, index: int) -> Array:
-        episode, layout = self.episodes[index], self.layouts[index]
-        return start_q(episode.task, episode.seed, layout.finger_width_m)
 
     def _poses(self, placements: Sequence[Placement]) -> Pose:
         """Return the poses of placements in the ManiSkill world."""

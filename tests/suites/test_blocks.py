@@ -1,4 +1,4 @@
-"""Blocks and obstacles: what they are, when a stack, a pull and a standing peg count, and that the experts succeed."""
+"""Blocks and obstacles: geometry, conditions of the tasks, and success of the experts."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -15,6 +15,7 @@ from kinebench_drake.suites.rollout import rollout
 from kinebench_drake.suites.simulator import Simulator, TaskOutcome
 from kinebench_drake.suites.tasks.state import MOVED_M
 from kinebench_drake.suites.tasks.task import TaskVariant
+from tests.suites.bodies import visual_points
 
 X_WB = np.array([-0.615, 0.0, 0.0])
 SCENES = [
@@ -53,9 +54,7 @@ def test_targets_are_flat_and_obstacles_stand_on_their_foot() -> None:
         assert 0.0 <= z.min() < z.max() < 0.001
     for asset_id in asset_ids("obstacle/upright"):
         obstacle = model(asset_id)
-        p = np.concatenate(
-            [v.mesh.vertices @ v.X_BodyV[:3, :3].T + v.X_BodyV[:3, 3] for v in obstacle.bodies[0].visuals]
-        )
+        p = visual_points(obstacle.bodies[0])
         assert p[:, 2].min() == pytest.approx(0.0, abs=1e-6)
         assert p[:, 2].max() == pytest.approx(obstacle.size["height_m"], abs=0.001)
         assert np.hypot(p[:, 0], p[:, 1]).max() <= obstacle.size["radius_m"] + 0.001

@@ -1,4 +1,4 @@
-"""Boxes with hinged lids: what they are, how their lids behave, and what counts as open and shut."""
+"""Boxes with hinged lids: geometry, behaviour of the lids, and conditions for open and shut."""
 
 from dataclasses import replace
 
@@ -10,26 +10,21 @@ from kinebench_drake.geometry import make_pose, rotation_exp, transform_points
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.suites.assets.boxes import FLUSH, OPEN_RAD, OVERHANG_M, RIMMED, with_tight_hinge
 from kinebench_drake.suites.assets.library import asset_ids, model
-from kinebench_drake.suites.assets.model import AssetModel, RigidBody
+from kinebench_drake.suites.assets.model import AssetModel
 from kinebench_drake.suites.episode import compose
 from kinebench_drake.suites.experts.registry import find_expert
 from kinebench_drake.suites.rollout import rollout
 from kinebench_drake.suites.simulator import Simulator
 from kinebench_drake.suites.tasks.registry import find_task
 from kinebench_drake.suites.tasks.state import ARM, State
+from tests.suites.bodies import initial_state, solid_points
 
 TASKS = ("CloseBox-v1", "OpenBoxEasy-v1", "OpenBoxEasy-v2", "OpenBoxHard-v1", "OpenBoxHard-v2")
 BOXES = [*asset_ids(RIMMED), *asset_ids(FLUSH)]
 
 
-def _corners(body: RigidBody) -> np.ndarray:
-    """Corners (N, 3) of a body's colliders in its frame."""
-    signs = np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).reshape(3, -1).T
-    return np.concatenate([transform_points(c.X_BodyC, signs * c.size) for c in body.colliders])
-
-
 def _lid_pose(box: AssetModel, angle: float) -> np.ndarray:
-    """Pose (4, 4) of the lid in the base."""
+    """Return the pose (4, 4) of the lid in the base."""
     joint = box.bodies[1].joint
     assert joint is not None
     turn = make_pose(rotation_exp([angle, 0.0, 0.0]), np.zeros(3))
@@ -40,8 +35,8 @@ def _lid_pose(box: AssetModel, angle: float) -> np.ndarray:
 def test_lid_lies_on_the_walls_and_never_enters_the_box(asset_id: str) -> None:
     box = model(asset_id)
     base, lid = box.bodies
-    low, high = _corners(base).min(axis=0), _corners(base).max(axis=0)
-    shut = transform_points(_lid_pose(box, 0.0), _corners(lid))
+    low, high = solid_points(base).min(axis=0), solid_points(base).max(axis=0)
+    shut = transform_points(_lid_pose(box, 0.0), solid_points(lid))
     assert shut[:, 2].min() == pytest.approx(high[2])
     assert high[2] == pytest.approx(box.size["height_m"])
     overhang = shut[:, 0].max() - high[0]
@@ -49,7 +44,7 @@ def test_lid_lies_on_the_walls_and_never_enters_the_box(asset_id: str) -> None:
     assert overhang == 0.0 or OVERHANG_M[0] <= overhang <= OVERHANG_M[1]
     assert OPEN_RAD[0] <= box.size["open_rad"] <= OPEN_RAD[1]
     for angle in np.linspace(0.0, box.size["open_rad"], 7):
-        lid_points = transform_points(_lid_pose(box, float(angle)), _corners(lid))
+        lid_points = transform_points(_lid_pose(box, float(angle)), solid_points(lid))
         inside = (lid_points[:, 0] > low[0] + 1e-9) & (lid_points[:, 2] < high[2] - 1e-9)
         assert not inside.any()
 
@@ -57,7 +52,7 @@ def test_lid_lies_on_the_walls_and_never_enters_the_box(asset_id: str) -> None:
 def test_flush_lid_clears_the_table_when_the_box_lies() -> None:
     for asset_id in asset_ids(FLUSH):
         base, lid = model(asset_id).bodies
-        assert np.abs(_corners(lid)[:, 1]).max() < np.abs(_corners(base)[:, 1]).max()
+        assert np.abs(solid_points(lid)[:, 1]).max() < np.abs(solid_points(base)[:, 1]).max()
 
 
 def test_tight_hinge_differs_in_nothing_but_damping() -> None:
@@ -70,22 +65,17 @@ def test_tight_hinge_differs_in_nothing_but_damping() -> None:
 
 
 def _state(task: str, angles: list[float], p_HG: list[list[float]], speed: float = 0.0, arm: float = 0.0) -> State:
-    """Scenes of seed 3 with these lid angles and TCP positions in the hinge's frame."""
-    placement = compose(task, 3).layout().placements["box"]
-    box, X_BM, n = placement.model, placement.X_BM, len(angles)
-    X_BG = np.tile(np.eye(4), (n, 1, 1))
-    X_BG[:, :3, 3] = transform_points(X_BM @ box.sites["hinge"].X_BodyS, np.array(p_HG))
-    poses = {"box": torch.tensor(np.tile(X_BM, (n, 1, 1)), dtype=torch.float32)}
-    return State(
-        X_BG=torch.tensor(X_BG, dtype=torch.float32),
-        finger_width_m=torch.zeros(n),
-        poses=poses,
-        starts=poses,
+    """Return scenes of seed 3 with these lid angles and TCP positions in the hinge's frame."""
+    state, n = initial_state([compose(task, 3)] * len(angles)), len(angles)
+    X_BG = state.X_BG.clone()
+    X_BG[:, :3, 3] = (
+        state.site("box", "hinge") @ torch.tensor([[*p, 1.0] for p in p_HG], dtype=torch.float32)[..., None]
+    )[:, :3, 0]
+    return replace(
+        state,
+        X_BG=X_BG,
         joints={"box": torch.tensor(angles, dtype=torch.float32)},
-        joint_starts={"box": torch.full((n,), placement.joint)},
         speeds={"box": torch.full((n,), speed), ARM: torch.full((n,), arm)},
-        models={"box": [box] * n},
-        grasps=lambda name: torch.zeros(n, dtype=torch.bool),
     )
 
 
@@ -119,7 +109,7 @@ def test_lids_have_far_to_go_and_boxes_stand_on_the_table(task: str) -> None:
     for seed in range(8):
         placement = compose(task, seed).layout().placements["box"]
         box = placement.model
-        lowest = transform_points(placement.X_BM, _corners(box.bodies[0]))[:, 2].min()
+        lowest = transform_points(placement.X_BM, solid_points(box.bodies[0]))[:, 2].min()
         assert lowest == pytest.approx(0.0, abs=1e-9)
         goal = 0.0 if task == "CloseBox-v1" else box.size["open_rad"]
         assert abs(goal - placement.joint) > 0.5 * box.size["open_rad"]

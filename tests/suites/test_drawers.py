@@ -1,3 +1,5 @@
+"""Drawers: geometry, behaviour of the joint, conditions and experts."""
+
 from collections.abc import Iterator
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""The environments: their names, that seeds decide everything, and what they tell."""
+"""Environments: names, reproducibility by seed, observations and rewards."""
 
 import hashlib
 import subprocess

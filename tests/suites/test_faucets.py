@@ -1,3 +1,5 @@
+"""Faucets: geometry, behaviour of the joint, conditions and experts."""
+
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -16,16 +18,12 @@ from kinebench_drake.suites.simulator import Simulator
 from kinebench_drake.suites.start import START_Q
 from kinebench_drake.suites.tasks.faucets import CLOSED_FRACTION, OPEN_FRACTION, TASKS
 from kinebench_drake.suites.tasks.task import Scene
+from tests.suites.bodies import visual_points
 
 IDS = asset_ids("faucet")
 NAMES = [task.card.id for task in TASKS]
 HUB_M = 0.03
-"""Within this distance of the axis things may be as high as the lever."""
-
-
-def points(body: RigidBody) -> np.ndarray:
-    """All vertices (N, 3) that are seen of a body, in its frame."""
-    return np.concatenate([v.mesh.vertices @ v.X_BodyV[:3, :3].T + v.X_BodyV[:3, 3] for v in body.visuals])
+"""Distance from the axis within which the body may be as high as the lever."""
 
 
 @pytest.mark.parametrize("asset_id", IDS)
@@ -38,25 +36,25 @@ def test_sizes_are_in_bounds_and_the_finger_has_room_to_sweep(asset_id: str) -> 
     }.items():
         assert low <= faucet.size[name] <= high
     base, handle = faucet.bodies
-    p = points(base)
+    p = visual_points(base)
     radius, direction = np.hypot(p[:, 0], p[:, 1]), np.arctan2(p[:, 1], p[:, 0])
     sector = 0.5 * faucet.size["range_rad"] + 0.4
     swept = (radius > HUB_M) & (radius < faucet.size["lever_m"] + 0.03) & (np.abs(direction) < sector)
     assert p[swept, 2].max(initial=0.0) < faucet.size["height_m"] - 0.02
     assert p[:, 2].min() > -1e-6
-    lever = points(handle)
+    lever = visual_points(handle)
     assert lever[:, 0].max() == pytest.approx(faucet.size["lever_m"], abs=0.002)
     assert np.abs(lever[:, 2]).max() < 0.016
 
 
 @pytest.mark.parametrize("asset_id", IDS)
 def test_the_handle_turns_free_of_the_body(asset_id: str) -> None:
-    """Nothing of the body is where the arms of the handle come along."""
+    """The arms of the handle pass above the body."""
     base, handle = model(asset_id).bodies
     assert handle.joint is not None
-    arms = points(handle)
+    arms = visual_points(handle)
     arms = arms[np.hypot(arms[:, 0], arms[:, 1]) > HUB_M]
-    p = points(base)
+    p = visual_points(base)
     near = (np.hypot(p[:, 0], p[:, 1]) > HUB_M) & (np.hypot(p[:, 0], p[:, 1]) < arms[:, 0].max())
     assert p[near, 2].max(initial=0.0) < handle.joint.X_ParentJ[2, 3] + arms[:, 2].min()
 
@@ -98,7 +96,7 @@ def simulator(request: pytest.FixtureRequest) -> Iterator[Simulator]:
 @pytest.mark.sapien
 @pytest.mark.parametrize("simulator", NAMES[1:], indirect=True)
 def test_a_handle_that_is_let_go_stops_and_stays(simulator: Simulator) -> None:
-    """Of all shapes: turning at 1 rad/s with nothing to push, it comes to rest at once and stays."""
+    """For all shapes: released at 1 rad/s, the handle comes to rest at once and stays."""
     task = simulator.task.card.id
     for shape in range(6):
         seed = next(s for s in range(200) if int(compose(task, s).assets["faucet"][-2:]) % 6 == shape)

@@ -1,6 +1,7 @@
-"""Fruits, what they are put into, and the tasks with them."""
+"""Fruits, containers, and the tasks with them."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +11,6 @@ from kinebench_drake.geometry import Array, make_pose
 from kinebench_drake.suites.assets.containers import COMPARTMENTS, compartment_center
 from kinebench_drake.suites.assets.fruits import FRUITS
 from kinebench_drake.suites.assets.library import asset_ids, model
-from kinebench_drake.suites.assets.model import Collider, ColliderKind
 from kinebench_drake.suites.episode import Episode, compose
 from kinebench_drake.suites.experts.registry import find_expert
 from kinebench_drake.suites.rollout import rollout
@@ -19,36 +19,18 @@ from kinebench_drake.suites.tasks.fruits import GAP_M, ORDER, OTHERS
 from kinebench_drake.suites.tasks.registry import find_task
 from kinebench_drake.suites.tasks.state import State
 from kinebench_drake.suites.tasks.task import TaskVariant
+from tests.suites.bodies import collider_points, initial_state, solid_points
 
 GRIP_M = (0.030, 0.062)
-"""What the gripper holds easily."""
-
-
-def corners(collider: Collider) -> Array:
-    if collider.kind is ColliderKind.HULL:
-        return np.asarray(collider.points)
-    signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=np.float64)
-    return (signs * collider.size) @ collider.X_BodyC[:3, :3].T + collider.X_BodyC[:3, 3]
+"""Range of thickness that the gripper holds easily."""
 
 
 def state_of(episodes: list[Episode], moved: Mapping[str, list[Array]], grasped: str = "") -> State:
-    """The scenes as they begin, but for things that were moved; all at rest."""
-    layouts = [episode.layout() for episode in episodes]
-    names = list(layouts[0].placements)
-    starts = {
-        name: torch.tensor(np.stack([x.placements[name].X_BM for x in layouts]), dtype=torch.float32) for name in names
-    }
-    n = len(episodes)
-    return State(
-        X_BG=torch.eye(4).repeat(n, 1, 1),
-        finger_width_m=torch.full((n,), 0.08),
-        poses=starts | {name: torch.tensor(np.stack(X), dtype=torch.float32) for name, X in moved.items()},
-        starts=starts,
-        joints={},
-        joint_starts={},
-        speeds={name: torch.zeros(n) for name in names},
-        models={name: [x.placements[name].model for x in layouts] for name in names},
-        grasps=lambda name: torch.full((n,), name == grasped),
+    """Return the initial state of episodes with some objects at other poses."""
+    state = initial_state(episodes)
+    poses = {name: torch.tensor(np.stack(X), dtype=torch.float32) for name, X in moved.items()}
+    return replace(
+        state, poses={**state.poses, **poses}, grasps=lambda name: torch.full((len(episodes),), name == grasped)
     )
 
 
@@ -58,7 +40,7 @@ def test_every_fruit_lies_on_a_flat_side_and_fits_the_gripper() -> None:
             asset = model(asset_id)
             assert GRIP_M[0] < asset.size["grip_m"] < GRIP_M[1], asset_id
             assert asset.size["height_m"] < 0.058, asset_id  # lower than the palm of a hand that holds its neighbour
-            points = np.concatenate([corners(c) for c in asset.bodies[0].colliders])
+            points = solid_points(asset.bodies[0])
             vertices = asset.bodies[0].visuals[0].mesh.vertices
             for low in (points[:, 2].min(), vertices[:, 2].min()):
                 assert low == pytest.approx(-asset.size["rest_m"], abs=1e-6)
@@ -70,12 +52,13 @@ def test_every_fruit_lies_on_a_flat_side_and_fits_the_gripper() -> None:
 def test_every_container_holds_a_fruit_and_stands_on_the_table() -> None:
     for asset_id in (*asset_ids("container"), *asset_ids("crate")):
         asset = model(asset_id)
-        points = np.concatenate([corners(c) for c in asset.bodies[0].colliders])
+        points = solid_points(asset.bodies[0])
         assert points[:, 2].min() == pytest.approx(0.0, abs=1e-6), asset_id
         assert points[:, 2].max() == pytest.approx(asset.size["rim_m"], abs=0.004), asset_id
         assert min(asset.size["inner_x_m"], asset.size["inner_y_m"]) > 0.14, asset_id
         assert 0.02 < asset.size["rim_m"] < 0.06, asset_id
-        low, high = (np.stack([f(corners(c), axis=0) for c in asset.bodies[0].colliders]) for f in (np.min, np.max))
+        solids = [collider_points(c) for c in asset.bodies[0].colliders]
+        low, high = (np.stack([f(p, axis=0) for p in solids]) for f in (np.min, np.max))
         over = ((low[:, :2] < -0.02) & (high[:, :2] > 0.02)).all(axis=1)
         assert high[over, 2].max() == pytest.approx(asset.size["floor_m"], abs=1e-6), asset_id
 

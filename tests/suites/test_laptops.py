@@ -1,4 +1,4 @@
-"""Laptops and what is done with them."""
+"""Laptops and the tasks with them."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -11,7 +11,7 @@ from kinebench_drake.geometry import Array, make_pose
 from kinebench_drake.suites.assets import laptops as assets
 from kinebench_drake.suites.assets.laptops import GREATEST_RAD
 from kinebench_drake.suites.assets.library import asset_ids, model
-from kinebench_drake.suites.assets.model import AssetModel, RigidBody
+from kinebench_drake.suites.assets.model import AssetModel
 from kinebench_drake.suites.episode import compose
 from kinebench_drake.suites.experts.registry import find_expert
 from kinebench_drake.suites.rollout import rollout
@@ -19,30 +19,25 @@ from kinebench_drake.suites.simulator import Simulator
 from kinebench_drake.suites.tasks.laptops import OPEN_RAD, SHUT_RAD, TASKS
 from kinebench_drake.suites.tasks.registry import find_task
 from kinebench_drake.suites.tasks.state import ARM, State
+from tests.suites.bodies import initial_state, solid_points
 
 TASK_IDS = [task.card.id for task in TASKS]
 
 
-def _points(body: RigidBody) -> Array:
-    points = body.colliders[0].points
-    assert points is not None
-    return points
-
-
 def _lid_at(laptop: AssetModel, angle_rad: float) -> Array:
-    """The lid's collider points in the base."""
+    """Return the lid's collider points in the base."""
     joint = laptop.bodies[1].joint
     assert joint is not None
     c, s = np.cos(angle_rad), np.sin(angle_rad)
     turn = make_pose([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]], np.zeros(3))
     X = joint.X_ParentJ @ turn @ np.linalg.inv(joint.X_BodyJ)
-    return np.asarray(_points(laptop.bodies[1]) @ X[:3, :3].T + X[:3, 3])
+    return np.asarray(solid_points(laptop.bodies[1]) @ X[:3, :3].T + X[:3, 3])
 
 
 @pytest.mark.parametrize("asset_id", asset_ids("laptop"))
 def test_sizes_are_within_bounds(asset_id: str) -> None:
     laptop = model(asset_id)
-    base, lid = _points(laptop.bodies[0]), _lid_at(laptop, 0.0)
+    base, lid = solid_points(laptop.bodies[0]), _lid_at(laptop, 0.0)
     for (low, high), extent in ((assets.DEPTH_M, np.ptp(base[:, 0])), (assets.WIDTH_M, np.ptp(base[:, 1]))):
         assert low - 1e-9 <= extent <= high + 1e-9
     assert base[:, 2].min() > 0.0
@@ -67,22 +62,16 @@ def test_instances_differ() -> None:
 
 
 def _states(task: str, angles: tuple[float, float], clear_m: float) -> State:
-    """Two scenes with lids at rest at two angles, the gripper above the lid's axis."""
-    laptops = [compose(task, seed).layout().placements["laptop"] for seed in range(2)]
-    X_base = torch.tensor(np.stack([p.X_BM for p in laptops]), dtype=torch.float32)
-    X_lid = X_base @ torch.tensor(np.stack([p.model.sites["hinge"].X_BodyS for p in laptops]), dtype=torch.float32)
+    """Return two scenes with lids at rest at two angles, the gripper above the lid's axis."""
+    state = initial_state([compose(task, seed) for seed in range(2)])
+    X_lid = state.site("laptop", "hinge")
     X_BG = X_lid.clone()
-    X_BG[:, 2, 3] += torch.tensor([p.model.size["outside_m"] for p in laptops]) + clear_m
-    return State(
+    X_BG[:, 2, 3] += state.size("laptop", "outside_m") + clear_m
+    return replace(
+        state,
         X_BG=X_BG,
-        finger_width_m=torch.zeros(2),
-        poses={"laptop": X_base, "laptop/lid": X_lid},
-        starts={"laptop": X_base, "laptop/lid": X_lid},
+        poses={**state.poses, "laptop/lid": X_lid},
         joints={"laptop": torch.tensor(angles, dtype=torch.float32)},
-        joint_starts={"laptop": torch.tensor([p.joint for p in laptops])},
-        speeds={"laptop": torch.zeros(2), ARM: torch.zeros(2)},
-        models={"laptop": [p.model for p in laptops]},
-        grasps=lambda _: torch.zeros(2, dtype=torch.bool),
     )
 
 

@@ -1,4 +1,4 @@
-"""Textures and looks: seamless, the same every time, neither burnt out nor dark."""
+"""Textures and looks: seamless, reproducible, neither over- nor underexposed."""
 
 from collections.abc import Callable
 from itertools import combinations

@@ -1,4 +1,4 @@
-"""What every task must keep to, whatever it is about."""
+"""Laws of all tasks and assets."""
 
 from collections.abc import Iterator
 
@@ -11,6 +11,7 @@ from kinebench_drake.suites.experts.registry import EXPERTS
 from kinebench_drake.suites.simulator import Simulator
 from kinebench_drake.suites.tasks.registry import TASKS
 from kinebench_drake.suites.tasks.task import TaskVariant
+from tests.suites.bodies import solid_points, visual_points
 from tests.suites.scenes import EACH_SCENE
 
 BENCHMARK = [
@@ -37,9 +38,9 @@ BENCHMARK = [
 ]
 SEEDS = (21, 22)
 HOLD_STEPS = 60
-"""Three seconds."""
+"""Number of control steps: three seconds."""
 DRIFT_M, DRIFT_SHARE = 0.004, 0.01
-"""What may move by itself: a thing as it settles, and a joint, as a share of its range."""
+"""Tolerated motion at rest: of an object as it settles, and of a joint as a fraction of its range."""
 
 
 def test_the_benchmark_is_complete() -> None:
@@ -71,32 +72,14 @@ def test_every_kind_has_many_different_instances(kind: str) -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_solids_are_where_they_are_seen(kind: str) -> None:
-    """Bounding boxes of what collides and what is vertices agree within a centimetre."""
+    """Bounding boxes of visuals and colliders agree within 12 mm."""
     for asset_id in asset_ids(kind)[::6]:
         for body in model(asset_id).bodies:
             if not body.colliders:
                 continue
-            vertices = np.concatenate([v.mesh.vertices @ v.X_BodyV[:3, :3].T + v.X_BodyV[:3, 3] for v in body.visuals])
-            solid = np.concatenate([_corners(c) for c in body.colliders])
-            assert np.abs(vertices.min(axis=0) - solid.min(axis=0)).max() < 0.012, f"{asset_id} {body.name}"
-            assert np.abs(vertices.max(axis=0) - solid.max(axis=0)).max() < 0.012, f"{asset_id} {body.name}"
-
-
-def _corners(collider) -> np.ndarray:
-    from kinebench_drake.suites.assets.model import ColliderKind
-
-    if collider.kind is ColliderKind.HULL:
-        points = np.asarray(collider.points)
-    else:
-        if collider.kind is ColliderKind.BOX:
-            half = np.array(collider.size)
-        elif collider.kind is ColliderKind.SPHERE:
-            half = np.full(3, collider.size[0])
-        else:
-            radius, length = collider.size
-            half = np.array([length + (radius if collider.kind is ColliderKind.CAPSULE else 0.0), radius, radius])
-        points = half * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
-    return points @ collider.X_BodyC[:3, :3].T + collider.X_BodyC[:3, 3]
+            visual, solid = visual_points(body), solid_points(body)
+            assert np.abs(visual.min(axis=0) - solid.min(axis=0)).max() < 0.012, f"{asset_id} {body.name}"
+            assert np.abs(visual.max(axis=0) - solid.max(axis=0)).max() < 0.012, f"{asset_id} {body.name}"
 
 
 @pytest.fixture(scope="module", params=EACH_SCENE)
@@ -130,7 +113,7 @@ def test_nothing_moves_by_itself_and_nothing_is_done_at_first(simulator: tuple[S
 
 @pytest.mark.sapien
 def test_verdicts_of_a_batch_are_those_of_its_scenes(simulator: tuple[Simulator, TaskVariant]) -> None:
-    """Conditions and progress of two scenes at once, as ManiSkill's GPU simulation asks for them."""
+    """Conditions and progress of a batch of two scenes, as in ManiSkill's GPU simulation."""
     import torch
 
     from kinebench_drake.suites.tasks.state import State
