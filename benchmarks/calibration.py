@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from kinebench_drake.calibration.calibrate import seek, usual_focal_px
+from kinebench_drake.calibration.calibrate import default_focal_px, solve_with_reestimate
 from kinebench_drake.calibration.correspondences import NetworkViewEstimator, ViewEstimator
 from kinebench_drake.calibration.fit import with_focal
 from kinebench_drake.calibration.result import CalibrationMethod, CameraCalibration, describe
@@ -29,15 +29,15 @@ class Condition:
     """What is known in a measurement."""
 
     method: CalibrationMethod
-    zoom_free: bool
+    focal_free: bool
 
     @property
     def label(self) -> str:
         """What stands in tables."""
-        return f"{self.method.value}, focal length {'estimated' if self.zoom_free else 'given'}"
+        return f"{self.method.value}, focal length {'estimated' if self.focal_free else 'given'}"
 
 
-CONDITIONS = tuple(Condition(method=m, zoom_free=z) for m in CalibrationMethod for z in (False, True))
+CONDITIONS = tuple(Condition(method=m, focal_free=z) for m in CalibrationMethod for z in (False, True))
 """Everything that is measured."""
 
 
@@ -78,7 +78,7 @@ def measure(
     frames: int,
     part: float = 1.0,
     conditions: Sequence[Condition] = CONDITIONS,
-    eye: ViewEstimator | None = None,
+    estimator: ViewEstimator | None = None,
 ) -> Iterator[Trial]:
     """Find the cameras of a demonstration folder's videos again.
 
@@ -88,7 +88,7 @@ def measure(
         frames: frames of each video to use.
         part: how much of each picture's width and height is shown, in the middle: less is a longer lens.
         conditions: what is to be known.
-        eye: what looks; the tracker's networks if None.
+        estimator: view estimator; the tracker's networks if None.
 
     Yields:
         Trials, those of a video one after the other.
@@ -98,23 +98,23 @@ def measure(
     """
     model = ArmModel()
     clips = choose(find_clips(folder), limit)
-    eye = eye or NetworkViewEstimator.create()
+    estimator = estimator or NetworkViewEstimator.create()
     for clip in clips:
         film = read_video(clip.video).frames
         rows = np.unique(np.linspace(0, len(film) - 1, min(frames, len(film))).round().astype(int))
         truth = _states(clip, rows, model)
         shown, camera = _middle(film[rows], clip.camera, part)
-        usual = with_focal(camera, usual_focal_px(camera.width))
-        given = eye.look(shown, camera)
-        looks = {False: given, True: given if np.isclose(usual.fx, camera.fx) else eye.look(shown, usual)}
+        usual = with_focal(camera, default_focal_px(camera.width))
+        given = estimator.estimate(shown, camera)
+        views = {False: given, True: given if np.isclose(usual.fx, camera.fx) else estimator.estimate(shown, usual)}
         off = make_pose(rotation_exp([0.0, 0.0, _OFF_RAD]), np.zeros(3)) @ camera.X_BC
         for condition in conditions:
             states = _known(truth, condition.method)
             moving = condition.method is CalibrationMethod.MOTION
-            free = condition.zoom_free
+            free = condition.focal_free
             guess = replace(usual if free else camera, X_BC=off if moving else camera.X_BC)
             try:
-                solved = seek(eye, shown, looks[free], states, guess, model, zoom_free=free)
+                solved = solve_with_reestimate(estimator, shown, views[free], states, guess, model, focal_free=free)
             except UnmeasurableError:
                 yield Trial(
                     clip=clip.id, condition=condition, distance_m=np.nan, angle_rad=np.nan, focal=np.nan, found=None
@@ -162,12 +162,12 @@ def table(trials: Sequence[Trial]) -> list[str]:
             continue
         mm = _pair([1e3 * t.distance_m for t in done], 1)
         deg = _pair([float(np.rad2deg(t.angle_rad)) for t in done], 2)
-        focal = _pair([100 * abs(t.focal) for t in done], 2) + " %" if condition.zoom_free else "given"
+        focal = _pair([100 * abs(t.focal) for t in done], 2) + " %" if condition.focal_free else "given"
         sigma = (
             f"{1e3 * np.median([c.position_sigma_m for c in claimed]):.1f} mm, "
             f"{np.rad2deg(np.median([c.rotation_sigma_rad for c in claimed])):.2f} degrees"
         )
-        if condition.zoom_free:
+        if condition.focal_free:
             sigma += f", {100 * np.median([c.focal_sigma for c in claimed]):.2f} %"
         lines.append(f"| {condition.label} | {len(done)} of {len(own)} | {mm} mm | {deg} degrees | {focal} | {sigma} |")
     return lines

@@ -19,7 +19,7 @@ from kinebench_drake.models.perception.network import (
     DenseOutput,
     GripperNetwork,
 )
-from kinebench_drake.models.perception.weights import folded
+from kinebench_drake.models.perception.weights import fold_batch_normalisation
 
 _BATCH, _BATCH_ON_GPU = 8, 64
 DEPTH_FACTOR_SIGMA = 0.012
@@ -33,7 +33,7 @@ class NetworkEstimator:
     def __init__(self, network: GripperNetwork, device: str | None = None) -> None:
         """Move `network` to `device` (default: the GPU if there is one)."""
         self._device = torch.device(device or ("cuda" if torch.cuda.is_available() else "cpu"))
-        self._network = folded(network).to(self._device).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self._network = fold_batch_normalisation(network).to(self._device).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
     @torch.inference_mode()
     def _run(self, images: list[NDArray[np.generic]]) -> DenseOutput:

@@ -1,1 +1,1 @@
-"""The robot model and the perception networks."""
+"""Robot models and perception networks."""

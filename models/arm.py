@@ -1,4 +1,4 @@
-"""Any seven-joint arm, from its URDF and the name of its tool's link."""
+"""Loading of any seven-joint arm from its URDF and the name of its tool link."""
 
 import math
 import xml.etree.ElementTree as ElementTree
@@ -26,39 +26,39 @@ _KNOWN = (*_TURNING, "prismatic", "fixed")
 
 
 def choose_robot(urdf: Path | None, tcp_link: str | None) -> Robot:
-    """The arm that the user named, or the Panda.
+    """Load the arm of a URDF, or the Panda.
 
     Args:
-        urdf: its URDF; None for mani_skill's Panda.
-        tcp_link: the URDF's link whose poses count; None with the Panda.
+        urdf: URDF of the arm; None for mani_skill's Panda.
+        tcp_link: link of the URDF whose frame is G; None for the Panda.
 
     Raises:
         InputError: the URDF or its SRDF cannot be used.
         SetupError: the Panda's files are missing, or the cache folder cannot be written.
-        UsageError: it has no such link.
+        UsageError: the URDF has no such link.
     """
     return panda() if urdf is None else load_robot(urdf, tcp_link or "")
 
 
 def load_robot(urdf: Path, tcp_link: str) -> Robot:
-    """The arm between a URDF's root link and `tcp_link`.
+    """Load the arm between the root link of a URDF and `tcp_link`.
 
-    Seven joints must turn between the two (`continuous` ones are given the limits -pi and pi), each with limits of
-    position and speed. Sliding joints elsewhere are fingers, opened by half of the gap between the pads each, as far as
-    their limits let them; other joints elsewhere are held at 0, or at their limit nearest to it. Pairs of links whose
-    contact is not looked for come from an SRDF of the same name beside the URDF; without one they are those that
-    `Robot.allowed_pairs` states. Effort limits are the URDF's; it holds none of acceleration and jerk.
+    There must be seven revolute or continuous joints between the two (continuous ones get the limits -pi and pi), each
+    with limits of position and speed. Prismatic joints elsewhere are fingers, each opened by half the gap between the
+    pads within its limits; other joints elsewhere are fixed at 0, or at their limit nearest to it. Pairs of links
+    excluded from contact checks are read from an SRDF of the same name beside the URDF; without one they are those of
+    `Robot.allowed_pairs`. Effort limits are those of the URDF, which has none of acceleration and jerk.
 
-    The rest posture is the Panda's if the joints bear its names and their limits allow it, else the middle of their
+    The rest posture is the Panda's if the joints have its names and their limits contain it, else the middle of the
     limits.
 
     Args:
-        urdf: the file.
+        urdf: URDF file.
         tcp_link: name of the link whose frame is G.
 
     Raises:
         UsageError: there is no such file, or no such link in it.
-        InputError: the file is no URDF, its chain is not one of seven turning joints with limits, or one of its
+        InputError: the file is no URDF, its chain does not have seven revolute joints with limits, or one of its
             collision meshes cannot be read.
         SetupError: the cache folder cannot be written.
     """
@@ -75,11 +75,11 @@ def load_robot(urdf: Path, tcp_link: str) -> Robot:
         if joint.get("type") not in _TURNING:
             raise InputError(
                 f"{urdf.name}: joint {joint.get('name')} between {tree.root} and {tcp_link} is {joint.get('type')}, "
-                "expected joints that turn (revolute or continuous)"
+                "expected revolute or continuous joints"
             )
     if len(moving) != N_JOINTS:
         raise InputError(
-            f"{urdf.name}: {len(moving)} turning joints between {tree.root} and {tcp_link} "
+            f"{urdf.name}: {len(moving)} revolute joints between {tree.root} and {tcp_link} "
             f"({', '.join(names) or 'none'}), expected {N_JOINTS}"
         )
     lower, upper = np.array([_limits(urdf.name, joint) for joint in moving]).T
@@ -138,14 +138,14 @@ class _Tree:
             raise InputError(f"{file}: the joints of {', '.join(loop)} form a loop, expected a tree")
 
     def chain(self, link: str) -> Iterator[ElementTree.Element]:
-        """Joints from the root to `link`."""
+        """Yield the joints from the root to `link`."""
         if link != self.root:
             joint = self.inboard[link]
             yield from self.chain(_end(joint, "parent"))
             yield joint
 
     def body(self, link: str) -> str:
-        """The link itself or the nearest before it that has a shape; the root if none has."""
+        """Return the link itself or its nearest ancestor with a visual; the root if none has one."""
         while link != self.root and self.elements[link].find("visual") is None:
             link = _end(self.inboard[link], "parent")
         return link
@@ -157,7 +157,7 @@ def _end(joint: ElementTree.Element, tag: str) -> str:
 
 
 def _limits(file: str, joint: ElementTree.Element) -> tuple[float, float]:
-    """Lower and upper limit [rad] of a turning joint that Drake will see."""
+    """Return lower and upper limit [rad] of a revolute or continuous joint."""
     name = joint.get("name")
     limit = joint.find("limit")
     limit = ElementTree.Element("limit") if limit is None else limit
@@ -183,9 +183,9 @@ def _rest(names: tuple[str, ...], lower: Array, upper: Array) -> Array:
 def _remarks(
     source: ElementTree.Element, converted: ElementTree.Element, moving: list[ElementTree.Element], srdf: Path
 ) -> Iterator[str]:
-    endless = [str(joint.get("name")) for joint in moving if joint.get("type") == "continuous"]
-    if endless:
-        yield f"joints that turn without end are held to -pi..pi: {', '.join(endless)}"
+    continuous = [str(joint.get("name")) for joint in moving if joint.get("type") == "continuous"]
+    if continuous:
+        yield f"continuous joints are limited to -pi..pi: {', '.join(continuous)}"
     left = {str(link.get("name")): len(link.findall("visual")) for link in converted.findall("link")}
     lost = [
         name for link in source.findall("link") if len(link.findall("visual")) > left[name := str(link.get("name"))]
@@ -193,4 +193,4 @@ def _remarks(
     if lost:
         yield f"visual meshes that cannot be read are not drawn: those of {', '.join(lost)}"
     if not srdf.is_file():
-        yield f"no {srdf.name} beside the URDF: links that touch in the middle of the joints' limits may always touch"
+        yield f"no {srdf.name} beside the URDF: links in contact at mid-range of all joints are not checked"

@@ -1,4 +1,4 @@
-"""A seven-joint arm as the rest of the program knows it: where its files lie, what its parts are called, its limits."""
+"""Description of a seven-joint arm: files, names of links and joints, limits."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -7,43 +7,43 @@ from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array
 
 N_JOINTS = 7
-"""Moving joints between base and tool of every arm that can be judged."""
+"""Number of moving joints between base and tool of every supported arm."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Robot:
-    """Names, files and limits; those of positions and speeds are the URDF's and left to Drake."""
+    """Names, files and limits of an arm; Drake reads the limits of position and speed from the URDF."""
 
     name: str
     urdf: Path
-    """A URDF that Drake can load: meshes are .obj."""
+    """URDF that Drake can load, with .obj meshes."""
     base_link: str
     """Frame B."""
     tcp_link: str
     """Frame G."""
     hand_link: str
-    """Frame H, the link the gripper's body belongs to."""
+    """Frame H, the link of the gripper's body."""
     joints: tuple[str, ...]
-    """The seven moving joints from base to tool, base first."""
+    """Seven moving joints from base to tool, base first."""
     finger_joints: tuple[str, ...]
-    """Joints beyond them, such as the fingers'; each opens by half of the gap between the pads."""
+    """Prismatic joints of the gripper; each opens by half the gap between the pads."""
     links: tuple[str, ...]
-    """Links of interest, base first."""
+    """Links whose poses are reported, base first."""
     rest_q: Array
-    """(7,) posture [rad] to start from where there is a choice."""
+    """(7,) rest posture [rad], the default start of searches."""
     effort_limits: Array
-    """(7,) greatest joint torques [N m]."""
+    """(7,) joint torque limits [N m]."""
     acceleration_limits: Array | None
-    """(7,) greatest joint accelerations [rad/s^2]; None where unpublished."""
+    """(7,) joint acceleration limits [rad/s^2]; None if not published."""
     jerk_limits: Array | None
-    """(7,) greatest joint jerks [rad/s^3]; None where unpublished."""
+    """(7,) joint jerk limits [rad/s^3]; None if not published."""
     allowed_pairs: frozenset[frozenset[str]] | None
-    """Pairs of links whose contact is not looked for, as the robot's SRDF has them.
+    """Pairs of links excluded from contact checks, as in the robot's SRDF.
 
-    Links that a joint connects are never looked at, nor are links without an arm joint between them, such as two
-    fingers. None: nor are those that touch with every joint in the middle of its range."""
+    Links connected by a joint, or without an arm joint between them, such as two fingers, are always excluded. None:
+    also those in contact with every joint in the middle of its range."""
     remarks: tuple[str, ...] = ()
-    """What was assumed or left out when the robot was read, a line each, for the user to see."""
+    """Assumptions and omissions when the robot was read, one line each, for the user."""
 
     def __post_init__(self) -> None:
         """Check the number of joints."""

@@ -1,4 +1,4 @@
-"""URDF files made fit for Drake: meshes converted, once, into the user's cache folder."""
+"""Conversion of URDF files for Drake: meshes are converted once into the user's cache folder."""
 
 import hashlib
 import math
@@ -15,18 +15,18 @@ import numpy as np
 from kinebench_drake.errors import InputError, SetupError, cause
 from kinebench_drake.geometry import Array
 
-_CONVERSION = "4"  # raise it when the conversion changes, so that caches of an older version are not used
+_CONVERSION = "4"  # version of the conversion; increment it with every change to invalidate caches
 _VISUAL_MATERIAL, _VISUAL_COLOR = "plain_white", "0.9 0.92 0.93 1"
 
 
 def cache_folder() -> Path:
-    """Where converted models are kept: $XDG_CACHE_HOME/kinebench_drake, else ~/.cache/kinebench_drake."""
+    """Return the folder of converted models: $XDG_CACHE_HOME/kinebench_drake, else ~/.cache/kinebench_drake."""
     base = os.environ.get("XDG_CACHE_HOME")
     return (Path(base) if base else Path.home() / ".cache") / "kinebench_drake"
 
 
 def read_urdf(source: Path) -> ElementTree.Element:
-    """The URDF's root element.
+    """Read the root element of a URDF.
 
     Raises:
         InputError: the file cannot be read, or is no URDF.
@@ -43,19 +43,19 @@ def read_urdf(source: Path) -> ElementTree.Element:
 
 
 def convert_urdf(source: Path, name: str) -> Path:
-    """Path of a URDF that Drake can load, converted on first use (seconds) and then taken from the cache.
+    """Return the path of a URDF that Drake can load, converted on first use (seconds) and cached.
 
-    Collision meshes become their convex hulls (.obj), visual meshes one-colour .obj files with the source's triangles;
-    visual meshes that cannot be read are left out. `mimic` and `safety_controller` elements and joint friction are
-    dropped: Drake has no use for them in a continuous-time plant. Joints that turn without end (`continuous`) may turn
-    from -pi to pi. Everything else is the source's.
+    Collision meshes become their convex hulls (.obj), visual meshes one-colour .obj files with the original triangles;
+    unreadable visual meshes are left out. `mimic` and `safety_controller` elements and joint friction are dropped:
+    Drake does not use them in a continuous-time plant. `continuous` joints get the limits -pi and pi. The rest is
+    unchanged.
 
     Args:
-        source: the URDF; its meshes are looked for as `find_mesh` does.
-        name: first part of the cache folder's name and name of the converted file.
+        source: URDF file; its meshes are found by `find_mesh`.
+        name: prefix of the cache folder and name of the converted file.
 
     Raises:
-        InputError: the URDF or a collision mesh it names cannot be read.
+        InputError: the URDF or one of its collision meshes cannot be read.
         SetupError: the cache folder cannot be written.
     """
     root = read_urdf(source)
@@ -68,7 +68,7 @@ def convert_urdf(source: Path, name: str) -> Path:
                 continue
             meshes[uri] = path = find_mesh(source, uri)
             if path is None and element.tag == "collision":
-                raise InputError(f"{source.name}: its collision mesh {uri} is nowhere to be found")
+                raise InputError(f"{source.name}: its collision mesh {uri} does not exist")
             try:
                 digest.update(uri.encode() + (path.read_bytes() if path else b""))
             except OSError as error:
@@ -86,9 +86,9 @@ def convert_urdf(source: Path, name: str) -> Path:
 
 
 def find_mesh(urdf: Path, uri: str) -> Path | None:
-    """The file that a URDF calls `uri`; None if there is none.
+    """Return the mesh file of a `uri` in a URDF; None if there is none.
 
-    Plain paths and file:// URIs are relative to the URDF's folder, or absolute. package://NAME/PATH is looked for as
+    Plain paths and file:// URIs are relative to the URDF's folder, or absolute. package://NAME/PATH is resolved as
     NAME/PATH, then as PATH, in the URDF's folder and then in each folder above it.
     """
     parts = urlsplit(uri)
@@ -102,14 +102,14 @@ def find_mesh(urdf: Path, uri: str) -> Path | None:
 
 
 def srdf_path(urdf: Path) -> Path:
-    """Where the SRDF of a URDF is looked for: beside it, under the same name."""
+    """Return the path of the SRDF of a URDF: beside it, with the same name."""
     return urdf.with_suffix(".srdf")
 
 
 def robot_files(urdf: Path) -> list[Path]:
-    """All files that a robot is read from and that are there: the URDF, its SRDF, its meshes.
+    """List the existing files of a robot: URDF, SRDF, meshes.
 
-    Of a URDF that cannot be read no meshes are known.
+    For an unreadable URDF no meshes are listed.
     """
     try:
         uris = sorted({str(mesh.get("filename")) for mesh in read_urdf(urdf).iter("mesh")})
@@ -120,16 +120,16 @@ def robot_files(urdf: Path) -> list[Path]:
 
 
 def read_effort_limits(urdf: Path, joints: Sequence[str]) -> Array:
-    """Greatest torques [N m] of some joints, as the URDF has them; infinite where it names none.
+    """Read the torque limits [N m] of joints from a URDF; infinite where it has none.
 
-    Drake's parser keeps them for joints with a transmission only, which ManiSkill's robots lack.
+    Drake's parser reads them only for joints with a transmission, which ManiSkill's robots lack.
 
     Raises:
         InputError: the file is no URDF, or a limit is not a positive number.
     """
     limits = {str(joint.get("name")): joint.find("limit") for joint in read_urdf(urdf).findall("joint")}
-    found = [limits.get(name) for name in joints]
-    efforts = [math.inf if limit is None else read_number(limit, "effort", math.inf) for limit in found]
+    elements = [limits.get(name) for name in joints]
+    efforts = [math.inf if limit is None else read_number(limit, "effort", math.inf) for limit in elements]
     for name, effort in zip(joints, efforts, strict=True):
         if not effort > 0.0:
             raise InputError(f"{urdf.name}: joint {name} has the effort limit {effort:g}, expected a positive torque")
@@ -137,7 +137,7 @@ def read_effort_limits(urdf: Path, joints: Sequence[str]) -> Array:
 
 
 def read_number(element: ElementTree.Element, attribute: str, default: float) -> float:
-    """A number of an element; `default` where it is absent, NaN where it is none."""
+    """Read a numeric attribute of an element; `default` where it is absent, NaN where it is no number."""
     try:
         return float(element.get(attribute, default))
     except ValueError:
@@ -145,7 +145,7 @@ def read_number(element: ElementTree.Element, attribute: str, default: float) ->
 
 
 def read_allowed_pairs(srdf: Path) -> frozenset[frozenset[str]]:
-    """Pairs of links for which an SRDF disables the search for contacts.
+    """Read the pairs of links for which an SRDF disables contact checks.
 
     Raises:
         InputError: the file cannot be read.
@@ -160,7 +160,7 @@ def read_allowed_pairs(srdf: Path) -> frozenset[frozenset[str]]:
 
 
 def _convert(source: str, root: ElementTree.Element, meshes: dict[str, Path | None], folder: Path, name: str) -> None:
-    """Write URDF and meshes to a folder beside `folder`, then move it there in one step: a race has no loser."""
+    """Write URDF and meshes to a folder beside `folder`, then rename it: concurrent conversions are safe."""
     folder.parent.mkdir(parents=True, exist_ok=True)
     work = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
     try:
@@ -169,7 +169,7 @@ def _convert(source: str, root: ElementTree.Element, meshes: dict[str, Path | No
                 for child in parent.findall(tag):
                     parent.remove(child)
         for joint in root.findall("joint"):
-            _end_turns(joint)
+            _limit_continuous(joint)
             for dynamics in joint.findall("dynamics"):
                 dynamics.attrib.pop("friction", None)
         targets = _targets(meshes)
@@ -181,14 +181,14 @@ def _convert(source: str, root: ElementTree.Element, meshes: dict[str, Path | No
         try:
             os.replace(work, folder)
         except OSError:
-            if not (folder / name).is_file():  # else another process was first, with the same bytes
+            if not (folder / name).is_file():  # else another process wrote the same bytes first
                 raise
     finally:
         shutil.rmtree(work, ignore_errors=True)
 
 
 def _targets(meshes: dict[str, Path | None]) -> dict[str, str]:
-    """A file name for each mesh that was found, by URI: its own, numbered where two folders hold the same name."""
+    """Return a file name for each existing mesh, by URI; equal names of different folders are numbered."""
     targets: dict[str, str] = {}
     for uri, path in meshes.items():
         if path is not None:
@@ -197,7 +197,7 @@ def _targets(meshes: dict[str, Path | None]) -> dict[str, str]:
     return targets
 
 
-def _end_turns(joint: ElementTree.Element) -> None:
+def _limit_continuous(joint: ElementTree.Element) -> None:
     if joint.get("type") == "continuous":
         joint.set("type", "revolute")
         limit = joint.find("limit")
@@ -209,7 +209,7 @@ def _end_turns(joint: ElementTree.Element) -> None:
 def _convert_element(
     source: str, element: ElementTree.Element, meshes: dict[str, Path | None], targets: dict[str, str], work: Path
 ) -> bool:
-    """Convert the meshes of one collision or visual; False if it is a visual that cannot be read."""
+    """Convert the meshes of one collision or visual element; return False for an unreadable visual."""
     hull = element.tag == "collision"
     if not hull and element.find("material") is None:
         material = ElementTree.SubElement(element, "material", name=_VISUAL_MATERIAL)
@@ -224,7 +224,7 @@ def _convert_element(
         if not (work / target).exists():
             try:
                 text = _mesh(origin, hull=hull)
-            # trimesh reads dozens of formats with as many libraries, and passes on whatever they raise
+            # trimesh reads dozens of formats through other libraries and passes on any of their exceptions
             except Exception as error:
                 if not hull:
                     return False
@@ -234,8 +234,8 @@ def _convert_element(
 
 
 def _mesh(source: Path, *, hull: bool) -> str:
-    """A mesh file's surface, or its convex hull, as the text of an .obj file."""
-    import trimesh  # half a second that only the first run ever needs
+    """Return the surface of a mesh file, or its convex hull, as the text of an .obj file."""
+    import trimesh  # takes half a second, needed for the first run only
 
     mesh = trimesh.load(source, force="mesh")
     if len(mesh.faces) == 0:

@@ -21,7 +21,7 @@ from kinebench_drake.errors import SetupError, UsageError
 from kinebench_drake.geometry import Array, from_quaternion, invert
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.models.panda.robot import FINGER_LINKS, HAND_LINK, LINK_OF, RobotPart
-from kinebench_drake.models.perception.frame import RENDERED_DEPTH_BIAS_M, RenderedFrame, part_map
+from kinebench_drake.models.perception.frame import RENDERED_DEPTH_BIAS_M, RenderedFrame, label_parts
 from kinebench_drake.suites.episode import Episode
 from kinebench_drake.suites.tasks.registry import find_task
 from kinebench_drake.suites.tasks.task import Scene, TaskVariant
@@ -307,4 +307,4 @@ class Simulator:
         X_BL = {name: self.link_pose(name) for name in part_of}
         finger_m = float(self.snapshot().fingers_m.mean())
         depth_m = depth_mm / 1000.0 + RENDERED_DEPTH_BIAS_M
-        return RenderedFrame.of_picture(rgb, depth_m, part_map(labels, ids), self.camera, X_BL, finger_m)
+        return RenderedFrame.from_image(rgb, depth_m, label_parts(labels, ids), self.camera, X_BL, finger_m)

@@ -10,7 +10,7 @@ from kinebench_drake.camera import Camera
 from kinebench_drake.environment import native
 from kinebench_drake.geometry import Array, invert, make_pose, orthonormalize
 from kinebench_drake.models.panda.robot import GRIPPER, LINK_OF, RobotPart, source_urdf
-from kinebench_drake.models.perception.frame import RENDERED_DEPTH_BIAS_M, RenderedFrame, part_map, varied_camera
+from kinebench_drake.models.perception.frame import RENDERED_DEPTH_BIAS_M, RenderedFrame, label_parts, varied_camera
 
 _SIZE = 256
 
@@ -264,4 +264,4 @@ class TrainingScene:
             rgb = (np.clip(component.get_picture("Color")[..., :3], 0, 1) * 255).astype(np.uint8)
             depth_m, ids = -component.get_picture("Position")[..., 2], component.get_picture("Segmentation")[..., 1]
         X_BL = {n: link.entity_pose.to_transformation_matrix().astype(np.float64) for n, link in self._links.items()}
-        return RenderedFrame.of_picture(rgb, depth_m, part_map(ids, self._part_of_id), camera, X_BL, finger)
+        return RenderedFrame.from_image(rgb, depth_m, label_parts(ids, self._part_of_id), camera, X_BL, finger)

@@ -1,1 +1,1 @@
-"""Where the camera stands and what lens it has, from the robot that it sees."""
+"""Camera calibration from videos of the robot."""

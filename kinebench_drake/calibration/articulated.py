@@ -1,9 +1,9 @@
-"""Lens and postures found together, from a robot that moves while nobody knows its joint angles.
+"""Joint estimation of lens and postures, from a moving robot of unknown joint angles.
 
-The links' lengths are known and the base stands still, so the arm is its own target: what is unknown is where the
-camera is, its focal length, and seven angles and an opening a frame (a bundle adjustment; Triggs et al., "Bundle
-adjustment, a modern synthesis", 1999). Turned about the axis of joint 1 the camera would see the same arm in other
-postures: the base link alone tells that turn.
+The link lengths are known and the base is fixed, so the arm is the calibration target. Unknown are the camera pose, the
+focal length, and seven angles and a finger opening per frame (bundle adjustment; Triggs et al., "Bundle adjustment, a
+modern synthesis", 1999). A rotation of the camera about the axis of joint 1 is equivalent to other postures: only the
+base link determines it.
 """
 
 from dataclasses import dataclass
@@ -12,25 +12,25 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from kinebench_drake.calibration.correspondences import CalibrationCorrespondences, points
-from kinebench_drake.calibration.fit import CAUCHY, UNKNOWNS, Lens, LensFit, left_jacobian, robust_loss, sigma_px
+from kinebench_drake.calibration.correspondences import CalibrationCorrespondences, locate_points
+from kinebench_drake.calibration.fit import CAUCHY, UNKNOWNS, Lens, LensFit, cauchy_loss, left_jacobian, sigma_px
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.models.panda.cad import MAX_FINGER_M
 from kinebench_drake.models.robot import N_JOINTS
 
 _A_FRAME = N_JOINTS + 1
-_SIGMA_RAD = np.array([10.0, *[0.7] * 6])  # of a first posture; of joint 1 nothing is known but by the base link
-_KNOWN_SIGMA_RAD, _OPENING_SIGMA_M = 1e-3, 0.02
+_SIGMA_RAD = np.array([10.0, *[0.7] * 6])  # prior of an initial posture; that of joint 1 is uninformative
+_FIXED_SIGMA_RAD, _OPENING_SIGMA_M = 1e-3, 0.02
 _OVER_LIMIT_RAD = 0.1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ArticulatedFit:
-    """A lens fitted together with postures."""
+    """Lens fitted jointly with postures."""
 
     fit: LensFit
-    """The lens; its information is what remains when the postures are as uncertain as they are."""
+    """Fitted lens; its information is marginal, with the postures eliminated."""
     q: Array
     """(T, 7) joint angles [rad]."""
     finger_m: Array
@@ -44,26 +44,26 @@ def refine_articulated(
     finger_m: Array,
     model: ArmModel,
     *,
-    known: NDArray[np.bool_],
-    zoom_free: bool,
+    fixed: NDArray[np.bool_],
+    focal_free: bool,
     rounds: int = 2,
 ) -> ArticulatedFit:
-    """Robust least squares on the reprojection, openings free in every frame, postures in those not `known`.
+    """Refine lens, openings and free postures by robust least squares on the reprojection.
 
     Args:
-        cells: what is seen of T frames.
-        start: where to begin.
-        q: (T, 7) postures to begin with [rad].
-        finger_m: (T,) openings to begin with [m].
+        cells: cells of T frames.
+        start: initial lens.
+        q: (T, 7) initial postures [rad].
+        finger_m: (T,) initial openings of each finger [m].
         model: link poses of the arm.
-        known: (T,) frames whose postures stay.
-        zoom_free: whether the focal length is looked for.
-        rounds: how often the sigmas [px] are taken anew.
+        fixed: (T,) frames whose postures are fixed.
+        focal_free: True to estimate the focal length.
+        rounds: number of rounds, each with newly computed sigmas [px].
     """
-    free = UNKNOWNS if zoom_free else UNKNOWNS - 1
+    free = UNKNOWNS if focal_free else UNKNOWNS - 1
     frames = len(q)
     rows = free + _A_FRAME * np.arange(frames)[:, None] + np.arange(_A_FRAME)
-    posture_sigma = np.where(known[:, None], _KNOWN_SIGMA_RAD, _SIGMA_RAD)
+    posture_sigma = np.where(fixed[:, None], _FIXED_SIGMA_RAD, _SIGMA_RAD)
     scale = np.concatenate([posture_sigma, np.full((frames, 1), _OPENING_SIGMA_M)], axis=1).ravel()
     prior = np.zeros((len(scale), free + len(scale)))
     prior[:, free:] = np.diag(1.0 / scale)
@@ -76,11 +76,11 @@ def refine_articulated(
 
     def parts(x: Array) -> tuple[Lens, Array, Array]:
         own = x[free:].reshape(frames, _A_FRAME)
-        return lens.moved(np.concatenate([x[:free], np.zeros(UNKNOWNS - free)])), own[:, :N_JOINTS], own[:, N_JOINTS]
+        return lens.displace(np.concatenate([x[:free], np.zeros(UNKNOWNS - free)])), own[:, :N_JOINTS], own[:, N_JOINTS]
 
     def errors(x: Array) -> Array:
         here, angles, opening = parts(x)
-        uv, _ = here.project(points(cells, model.poses(angles), opening))
+        uv, _ = here.project(locate_points(cells, model.poses(angles), opening))
         return np.concatenate([((uv - cells.uv_px) / sigma).ravel(), (x[free:] - first) / scale])
 
     def slopes(x: Array) -> Array:
@@ -94,7 +94,9 @@ def refine_articulated(
 
     solution = None
     for _ in range(rounds):
-        sigma = sigma_px(cells, lens, points(cells, model.poses(_angles(state)), state[N_JOINTS::_A_FRAME]))[:, None]
+        sigma = sigma_px(cells, lens, locate_points(cells, model.poses(_angles(state)), state[N_JOINTS::_A_FRAME]))[
+            :, None
+        ]
         solution = least_squares(
             errors,
             np.concatenate([np.zeros(free), state]),
@@ -103,14 +105,14 @@ def refine_articulated(
                 np.concatenate([np.full(free, -np.inf), lower]),
                 np.concatenate([np.full(free, np.inf), upper]),
             ),
-            loss=lambda z: robust_loss(weight, z),
+            loss=lambda z: cauchy_loss(weight, z),
             f_scale=CAUCHY,
             x_scale="jac",
             max_nfev=40,
         )
         lens, state = parts(solution.x)[0], solution.x[free:]
     at = np.concatenate([np.zeros(free), state])
-    return _described(
+    return _summarise(
         cells, lens, errors(at), slopes(at), weight, _angles(state), state[N_JOINTS::_A_FRAME], free, sigma
     )
 
@@ -122,19 +124,19 @@ def _angles(state: Array) -> Array:
 def _derivatives(
     cells: CalibrationCorrespondences, lens: Lens, q: Array, finger_m: Array, model: ArmModel
 ) -> tuple[Array, Array]:
-    """Of the cells' pixels: by the lens (N, 2, 7), and by angles and opening of their frames (N, 2, 8)."""
-    p_B = points(cells, model.poses(q), finger_m)
+    """Return the derivatives of the cells' pixels by the lens (N, 2, 7) and by angles and opening (N, 2, 8)."""
+    p_B = locate_points(cells, model.poses(q), finger_m)
     by_lens, by_C = lens.derivatives(p_B)
     by_B = by_C @ lens.X_CB[:3, :3]
-    placed = [model.poses_and_axes(posture) for posture in q]
-    axis, point = (np.stack([p[k] for p in placed])[cells.frame] for k in (1, 2))
+    to_camera = [model.poses_and_axes(posture) for posture in q]
+    axis, point = (np.stack([p[k] for p in to_camera])[cells.frame] for k in (1, 2))
     turning = np.cross(axis, p_B[:, None] - point) * model.moves[cells.part][..., None]
-    y_B = np.stack([p[0] for p in placed])[cells.frame, cells.part, :3, 1]
+    y_B = np.stack([p[0] for p in to_camera])[cells.frame, cells.part, :3, 1]
     moving = np.concatenate([turning, (cells.opening_sign[:, None] * y_B)[:, None]], axis=1)
     return by_lens, np.asarray(by_B @ np.swapaxes(moving, 1, 2))
 
 
-def _described(
+def _summarise(
     cells: CalibrationCorrespondences, lens: Lens, error: Array, J: Array, weight: Array, q: Array, finger_m: Array,
     free: int, sigma: Array,
 ) -> ArticulatedFit:  # fmt: skip

@@ -1,4 +1,4 @@
-"""A pinhole that can be moved and zoomed: what a calibration looks for."""
+"""Robust fit of a lens: camera pose and focal length from correspondences of known points."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -13,38 +13,38 @@ from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, invert, make_pose, rotation_exp, transform_points
 
 UNKNOWNS = 7
-"""Rotation about the camera's axes [rad], shift [m] and the logarithm of the focal length."""
+"""Number of unknowns: rotation about the camera axes [rad], translation [m] and logarithm of the focal length."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Lens:
-    """A camera by the pose of the robot's base in it."""
+    """Camera parameterised by the pose of the robot base in its frame."""
 
     camera: Camera
-    """Intrinsics; its pose is not read."""
+    """Intrinsics; its pose is ignored."""
     X_CB: Array
     """(4, 4) pose of the base in the camera frame [m]."""
 
-    def moved(self, step: Array) -> "Lens":
-        """The lens after a change (7,): the base turned about the axes of C and shifted, then the zoom."""
+    def displace(self, step: Array) -> "Lens":
+        """Return the lens after a step (7,): rotation of the base about the axes of C, translation, log zoom."""
         X_CB = make_pose(rotation_exp(step[:3]) @ self.X_CB[:3, :3], self.X_CB[:3, 3] + step[3:6])
         zoom = float(np.exp(step[6]))
         camera = replace(self.camera, fx=self.camera.fx * zoom, fy=self.camera.fy * zoom)
         return Lens(camera=camera, X_CB=X_CB)
 
-    def placed(self) -> Camera:
-        """The camera with its pose."""
+    def to_camera(self) -> Camera:
+        """Return the camera with its pose."""
         return replace(self.camera, X_BC=invert(self.X_CB))
 
     def project(self, p_B: Array) -> tuple[Array, Array]:
-        """Pixels (N, 2) and depths (N,) [m] of points (N, 3) of B; behind the camera they are where they would be."""
+        """Project points (N, 3) in B to pixels (N, 2) and depths (N,) [m], points behind the camera included."""
         p_C = transform_points(self.X_CB, p_B)
         z = np.where(np.abs(p_C[:, 2]) < 1e-3, 1e-3, p_C[:, 2])
         f, c = [self.camera.fx, self.camera.fy], [self.camera.cx, self.camera.cy]
         return np.asarray(p_C[:, :2] / z[:, None] * f + c), z
 
     def derivatives(self, p_B: Array) -> tuple[Array, Array]:
-        """Of the pixels of points (N, 3): by the unknowns (N, 2, 7), and by the point's place in C (N, 2, 3)."""
+        """Return the derivatives of the pixels of points (N, 3) by the unknowns (N, 2, 7) and by p_C (N, 2, 3)."""
         offset = p_B @ self.X_CB[:3, :3].T
         x, y, z = (offset + self.X_CB[:3, 3]).T
         fx, fy = self.camera.fx, self.camera.fy
@@ -64,9 +64,9 @@ class Lens:
 
 
 CAUCHY = 2.0
-"""Residual, in standard deviations, that counts half."""
+"""Residual, in standard deviations, at which Cauchy's weight is one half."""
 PIXEL_SIGMA = 0.5
-"""Standard deviation that no cell of a picture 384 px wide is better than [px]: the views' own raster."""
+"""Least standard deviation of a cell in an image 384 px wide [px]: the raster of the views."""
 _CONSENSUS_PX, _CONSENSUS_ROUNDS, _CONSENSUS_CELLS = 8.0, 200, 600
 _INLIER_SIGMAS = 4.0
 _LEAST_DEPTH_M = 0.05
@@ -74,75 +74,75 @@ _LEAST_DEPTH_M = 0.05
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LensFit:
-    """A fitted lens."""
+    """Fitted lens."""
 
     lens: Lens
     cost: float
     """Weighted mean of Cauchy's loss."""
     residual_px: Array
-    """(N, 2) reprojection less the picture [px]."""
+    """(N, 2) reprojection minus observation [px]."""
     sigma_px: Array
-    """(N,) its standard deviation, beforehand [px]."""
+    """(N,) prior standard deviation of the residual [px]."""
     information: Array
-    """(7, 7) inverse covariance of the lens' unknowns, parts that stand still counted once; of a fixed zoom, 0."""
+    """(7, 7) inverse covariance of the unknowns, parts at rest counted once; 0 for a fixed focal length."""
 
     @property
     def residual(self) -> Array:
-        """(N, 2) reprojection less the picture, in standard deviations."""
+        """(N, 2) reprojection minus observation, in standard deviations."""
         return np.asarray(self.residual_px / self.sigma_px[:, None])
 
     @property
     def inlier(self) -> NDArray[np.bool_]:
-        """(N,) cells that go with the lens."""
+        """(N,) cells consistent with the lens."""
         return np.asarray(np.linalg.norm(self.residual, axis=1) <= _INLIER_SIGMAS)
 
 
 def sigma_px(cells: CalibrationCorrespondences, lens: Lens, p_B: Array) -> Array:
-    """(N,) standard deviation of the reprojection of cells that show the points `p_B` (N, 3) [px]."""
+    """Return the standard deviation (N,) [px] of the reprojection of cells that show the points `p_B` (N, 3) [m]."""
     _, z = lens.project(p_B)
     floor = PIXEL_SIGMA * lens.camera.unit_px
     return np.hypot(floor, lens.camera.fx * cells.sigma_m / np.maximum(np.abs(z), _LEAST_DEPTH_M))
 
 
-def consensus(cells: CalibrationCorrespondences, p_B: Array, cameras: Sequence[Camera]) -> list[Lens]:
-    """First lenses for some intrinsics, those first that more cells agree with; none where nothing agrees.
+def find_consensus(cells: CalibrationCorrespondences, p_B: Array, cameras: Sequence[Camera]) -> list[Lens]:
+    """Estimate initial lenses by RANSAC for several intrinsics, by decreasing number of inliers.
 
     Args:
-        cells: what is seen.
-        p_B: (N, 3) its points [m].
-        cameras: intrinsics to try.
+        cells: observed cells.
+        p_B: (N, 3) points of the cells [m].
+        cameras: intrinsics.
     """
     some = np.linspace(0, len(cells) - 1, min(len(cells), _CONSENSUS_CELLS)).astype(int)
     object_points, image_points = p_B[some], cells.uv_px[some]
-    found = []
+    ranked = []
     for camera in cameras:
-        ok, turn, shift, agreeing = cv2.solvePnPRansac(
+        ok, rotation, translation, inliers = cv2.solvePnPRansac(
             object_points, image_points, camera.K, None,
             iterationsCount=_CONSENSUS_ROUNDS, flags=cv2.SOLVEPNP_SQPNP,
             reprojectionError=_CONSENSUS_PX * camera.unit_px,
         )  # fmt: skip
-        if ok and agreeing is not None and np.isfinite(turn).all() and np.isfinite(shift).all():
-            X_CB = make_pose(rotation_exp(turn.ravel()), shift.ravel())
-            found.append((len(agreeing), Lens(camera=camera, X_CB=X_CB)))
-    return [lens for _, lens in sorted(found, key=lambda pair: -pair[0])]
+        if ok and inliers is not None and np.isfinite(rotation).all() and np.isfinite(translation).all():
+            X_CB = make_pose(rotation_exp(rotation.ravel()), translation.ravel())
+            ranked.append((len(inliers), Lens(camera=camera, X_CB=X_CB)))
+    return [lens for _, lens in sorted(ranked, key=lambda pair: -pair[0])]
 
 
-def robust_loss(weight: Array, square: Array) -> Array:
-    """Cauchy's loss of weighted squares as scipy wants it (3, N): value and two derivatives."""
+def cauchy_loss(weight: Array, square: Array) -> Array:
+    """Return Cauchy's loss of weighted squares in scipy's form (3, N): value and two derivatives."""
     return np.stack([weight * np.log1p(square), weight / (1.0 + square), -weight / (1.0 + square) ** 2])
 
 
-def refine(cells: CalibrationCorrespondences, p_B: Array, start: Lens, *, zoom_free: bool, rounds: int = 2) -> LensFit:
-    """Robust least squares on the reprojection from `start` on.
+def refine(cells: CalibrationCorrespondences, p_B: Array, start: Lens, *, focal_free: bool, rounds: int = 2) -> LensFit:
+    """Refine a lens by robust least squares on the reprojection.
 
     Args:
-        cells: what is seen.
-        p_B: (N, 3) its points [m].
-        start: where to begin.
-        zoom_free: whether the focal length is looked for.
-        rounds: how often the sigmas [px] are taken anew.
+        cells: observed cells.
+        p_B: (N, 3) points of the cells [m].
+        start: initial lens.
+        focal_free: True to estimate the focal length.
+        rounds: number of rounds, each with newly computed sigmas [px].
     """
-    free = UNKNOWNS if zoom_free else UNKNOWNS - 1
+    free = UNKNOWNS if focal_free else UNKNOWNS - 1
     lens = start
     weight = np.repeat(cells.weight, 2)
     for _ in range(rounds):
@@ -150,7 +150,7 @@ def refine(cells: CalibrationCorrespondences, p_B: Array, start: Lens, *, zoom_f
         origin = lens
 
         def at(x: Array, origin: Lens = origin) -> Lens:
-            return origin.moved(np.concatenate([x, np.zeros(UNKNOWNS - free)]))
+            return origin.displace(np.concatenate([x, np.zeros(UNKNOWNS - free)]))
 
         def errors(x: Array, sigma: Array = sigma) -> Array:
             return np.asarray(((at(x).project(p_B)[0] - cells.uv_px) / sigma).ravel())
@@ -165,17 +165,17 @@ def refine(cells: CalibrationCorrespondences, p_B: Array, start: Lens, *, zoom_f
             errors,
             np.zeros(free),
             jac=slopes,
-            loss=lambda z: robust_loss(weight, z),
+            loss=lambda z: cauchy_loss(weight, z),
             f_scale=CAUCHY,
             x_scale="jac",
             max_nfev=60,
         )
         lens = at(solution.x)
-    return _described(cells, p_B, lens, free)
+    return _summarise(cells, p_B, lens, free)
 
 
 def left_jacobian(w: Array) -> Array:
-    """How the turn about the axes of C grows with the rotation vector (3,): the left Jacobian of SO(3)."""
+    """Return the left Jacobian (3, 3) of SO(3) at a rotation vector (3,)."""
     angle = float(np.linalg.norm(w))
     x, y, z = w
     K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
@@ -184,7 +184,7 @@ def left_jacobian(w: Array) -> Array:
     return np.asarray(np.eye(3) + (1 - np.cos(angle)) / angle**2 * K + (angle - np.sin(angle)) / angle**3 * (K @ K))
 
 
-def _described(cells: CalibrationCorrespondences, p_B: Array, lens: Lens, free: int) -> LensFit:
+def _summarise(cells: CalibrationCorrespondences, p_B: Array, lens: Lens, free: int) -> LensFit:
     sigma = sigma_px(cells, lens, p_B)[:, None]
     uv, _ = lens.project(p_B)
     residual_px = uv - cells.uv_px
@@ -199,5 +199,5 @@ def _described(cells: CalibrationCorrespondences, p_B: Array, lens: Lens, free: 
 
 
 def with_focal(camera: Camera, fx: float) -> Camera:
-    """The camera with another focal length along x [px], the pixels' shape as it was."""
+    """Return the camera with another focal length along x [px] and the same pixel aspect ratio."""
     return replace(camera, fx=fx, fy=camera.fy * fx / camera.fx)

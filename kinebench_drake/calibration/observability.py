@@ -1,4 +1,4 @@
-"""What of a camera a video determines, and the reasons why not."""
+"""Observability of a calibration: errors and warnings about quantities that the video does not determine."""
 
 import numpy as np
 
@@ -6,34 +6,34 @@ from kinebench_drake.calibration.result import CalibrationMethod, CameraCalibrat
 from kinebench_drake.errors import UnmeasurableError
 
 FOCAL_LIMIT, FOCAL_WARNING = 0.05, 0.02
-"""Standard deviation of the focal length over itself from which it is refused, and from which it is told."""
+"""Relative standard deviation of the focal length that is an error, and that gives a warning."""
 POSITION_LIMIT_M, POSITION_WARNING_M = 0.05, 0.02
-"""The same of the camera's place [m]."""
+"""Standard deviation of the camera position that is an error, and that gives a warning [m]."""
 ROTATION_LIMIT_RAD, ROTATION_WARNING_RAD = np.deg2rad(3.0), np.deg2rad(1.5)
-"""The same of its axes [rad]."""
+"""Standard deviation of the camera rotation that is an error, and that gives a warning [rad]."""
 MISFIT_LIMIT_PX, MISFIT_WARNING_PX = 6.0, 2.5
-"""Median reprojection error of the gripper's cells, in a picture 384 px wide, likewise [px]."""
+"""Median reprojection error of the gripper, in an image 384 px wide, that is an error, or gives a warning [px]."""
 MIN_MOTION_M = 0.10
-"""A hand whose places lie no farther apart than this shows the robot in one posture."""
+"""Distance between hand positions below which the video counts as showing one posture [m]."""
 MIN_DEPTH_RATIO = 1.25
-"""Farthest over nearest part of the robot below which perspective hardly tells the focal length."""
+"""Ratio of farthest to nearest depth of the robot below which perspective hardly determines the focal length."""
 _MIN_INLIERS = 0.5
 
 
 def require_determined(calibration: CameraCalibration) -> None:
-    """Refuse what is not determined, or contradicts itself.
+    """Check that the camera is determined and consistent with the postures.
 
     Raises:
-        UnmeasurableError: the postures do not go with the picture, or the camera is not determined; the message says
-            which quantity is not, and why.
+        UnmeasurableError: the postures contradict the images, or the camera is not determined; the message names the
+            quantity and the reason.
     """
     unit = calibration.camera.unit_px
     misfit = calibration.part_px["gripper"]
     if misfit > MISFIT_LIMIT_PX * unit or calibration.inlier_share < _MIN_INLIERS:
         raise UnmeasurableError(
-            f"{calibration.source} does not go with the picture: the gripper is {misfit:.1f} px off (median, at most "
-            f"{MISFIT_LIMIT_PX * unit:.1f}), {calibration.inlier_share:.0%} of the cells agree; are the angles of this "
-            "video, at the frames' times, in radians? Is the lens free of distortion?"
+            f"{calibration.source} contradicts the images: the gripper is {misfit:.1f} px off (median, at most "
+            f"{MISFIT_LIMIT_PX * unit:.1f}), {calibration.inlier_share:.0%} of the cells agree; do the angles belong "
+            "to this video and the times of its frames, in radians? Is the lens free of distortion?"
         )
     if calibration.focal_sigma > FOCAL_LIMIT:
         raise UnmeasurableError(
@@ -42,47 +42,47 @@ def require_determined(calibration: CameraCalibration) -> None:
             "moves towards the camera"
         )
     if calibration.position_sigma_m > POSITION_LIMIT_M or calibration.rotation_sigma_rad > ROTATION_LIMIT_RAD:
-        told = (
+        sigmas = (
             f"{1e3 * calibration.position_sigma_m:.0f} mm and {np.rad2deg(calibration.rotation_sigma_rad):.1f} degrees "
             f"standard deviation, at most {1e3 * POSITION_LIMIT_M:.0f} mm and {np.rad2deg(ROTATION_LIMIT_RAD):.0f}"
         )
         if calibration.method is CalibrationMethod.MOTION:
             raise UnmeasurableError(
-                f"base_from_camera is not determined without joint angles ({told}): turned about the axis of joint 1 "
+                f"base_from_camera is not determined without joint angles ({sigmas}): turned about the axis of joint 1 "
                 f"the camera would see the same arm, and the base link's {calibration.part_cells['base']} cells do not "
                 f"tell that turn well enough; what is determined: {_without_turn(calibration)}; give --joints FILE, or "
                 "the posture of one frame (--joints q1,...,q7)"
             )
-        raise UnmeasurableError(f"base_from_camera is not determined ({told}): {_why(calibration)}")
+        raise UnmeasurableError(f"base_from_camera is not determined ({sigmas}): {_why(calibration)}")
 
 
 def warnings_of(calibration: CameraCalibration) -> tuple[str, ...]:
-    """What the user should know, a line each."""
-    found = []
+    """Return warnings for the user, one line each."""
+    warnings = []
     unit = calibration.camera.unit_px
     misfit = calibration.part_px["gripper"]
     if misfit > MISFIT_WARNING_PX * unit:
-        found.append(
+        warnings.append(
             f"the gripper is {misfit:.1f} px off (median): the joint angles may be late or early, the joints badly "
             "calibrated, or the lens distorted"
         )
     if calibration.focal_sigma > FOCAL_WARNING:
-        found.append(f"the focal length is uncertain by {calibration.focal_sigma:.1%}: {_why(calibration)}")
+        warnings.append(f"the focal length is uncertain by {calibration.focal_sigma:.1%}: {_why(calibration)}")
     if calibration.position_sigma_m > POSITION_WARNING_M or calibration.rotation_sigma_rad > ROTATION_WARNING_RAD:
-        found.append(
+        warnings.append(
             f"base_from_camera is uncertain by {1e3 * calibration.position_sigma_m:.0f} mm and "
             f"{np.rad2deg(calibration.rotation_sigma_rad):.1f} degrees: {_why(calibration)}"
         )
     if calibration.method is not CalibrationMethod.POSTURE and calibration.motion_m < MIN_MOTION_M:
-        found.append(
+        warnings.append(
             f"the hand moves by {1e3 * calibration.motion_m:.0f} mm only, less than {1e3 * MIN_MOTION_M:.0f}: errors "
             "that all frames have in common are not averaged out"
         )
-    return tuple(found)
+    return tuple(warnings)
 
 
 def _without_turn(calibration: CameraCalibration) -> str:
-    """What a turn of the camera about the axis of joint 1 leaves as it is."""
+    """Describe the quantities that a rotation of the camera about the axis of joint 1 does not change."""
     camera = calibration.camera
     x, y, z = camera.X_BC[:3, 3]
     down = np.rad2deg(np.arcsin(np.clip(-camera.X_BC[2, 2], -1.0, 1.0)))
@@ -91,7 +91,7 @@ def _without_turn(calibration: CameraCalibration) -> str:
 
 
 def _why(calibration: CameraCalibration) -> str:
-    """What is missing in the video."""
+    """Explain what the video lacks."""
     near, far = calibration.depth_m
     reasons = []
     if len(calibration.frames) == 1:
@@ -99,7 +99,7 @@ def _why(calibration: CameraCalibration) -> str:
     elif calibration.motion_m < MIN_MOTION_M:
         reasons.append(f"the hand moves by {1e3 * calibration.motion_m:.0f} mm only")
     if far < MIN_DEPTH_RATIO * near:
-        reasons.append(f"all that is seen of the robot is {near:.2f} to {far:.2f} m away, nearly the same depth")
+        reasons.append(f"the visible parts of the robot are {near:.2f} to {far:.2f} m away, at nearly the same depth")
     if not reasons:
-        reasons.append(f"{sum(calibration.part_cells.values())} cells of the robot are seen, few of them surely")
+        reasons.append(f"{sum(calibration.part_cells.values())} cells show the robot, few of them with low uncertainty")
     return ", ".join(reasons)

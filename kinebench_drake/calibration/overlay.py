@@ -1,4 +1,4 @@
-"""The CAD robot drawn over a frame with the camera that was found: what people look at to believe a calibration."""
+"""Overlay of the CAD robot on a frame with a calibrated camera, for visual inspection of the calibration."""
 
 from pathlib import Path
 from typing import Any
@@ -22,12 +22,12 @@ _COLOURS = {"gripper": (0, 190, 200), "arm": (70, 110, 255), "base": (255, 140, 
 _LEAST_SIDE_PX = 640
 
 
-def part_map(camera: Camera, X_BP: Array, finger_m: float) -> NDArray[np.uint8]:
-    """What each pixel (H, W) shows of the CAD robot, as values of `Part`.
+def render_part_map(camera: Camera, X_BP: Array, finger_m: float) -> NDArray[np.uint8]:
+    """Render the CAD robot as values of `RobotPart` (H, W).
 
     Args:
-        camera: with its pose.
-        X_BP: (PARTS, 4, 4) frames of the parts' CAD coordinates in B [m]; parts of which it is NaN are left out.
+        camera: camera with its pose.
+        X_BP: (PARTS, 4, 4) frames of the parts' CAD coordinates in B [m]; parts with NaN are left out.
         finger_m: opening of each finger [m].
 
     Raises:
@@ -38,7 +38,7 @@ def part_map(camera: Camera, X_BP: Array, finger_m: float) -> NDArray[np.uint8]:
 
     core: Any = open3d.core
     scene = open3d.t.geometry.RaycastingScene(nthreads=1)
-    labels = {}
+    part_of_mesh = {}
     X_CB = invert(camera.X_BC)
     for part, mesh in {**part_meshes(), **link_meshes()}.items():
         if not np.isfinite(X_BP[part]).all():
@@ -48,23 +48,23 @@ def part_map(camera: Camera, X_BP: Array, finger_m: float) -> NDArray[np.uint8]:
         number = scene.add_triangles(
             core.Tensor(vertices.astype(np.float32)), core.Tensor(np.asarray(mesh.faces, np.uint32))
         )
-        labels[int(number)] = part
+        part_of_mesh[int(number)] = part
     rays = np.zeros((camera.height, camera.width, 6), np.float32)
     rays[..., 3:] = camera.rays()
     hit = scene.cast_rays(core.Tensor(rays), nthreads=1)["geometry_ids"].numpy()
-    found = np.zeros(hit.shape, np.uint8)
-    for number, part in labels.items():
-        found[hit == number] = part
-    return found
+    labels = np.zeros(hit.shape, np.uint8)
+    for number, part in part_of_mesh.items():
+        labels[hit == number] = part
+    return labels
 
 
 def draw_robot(frame: Image, camera: Camera, X_BP: Array, finger_m: float) -> Image:
-    """A copy of `frame` (H, W, 3), enlarged if small, with the CAD robot tinted and outlined and the base's axes.
+    """Return a copy of `frame` (H, W, 3), enlarged if small, with the CAD robot tinted and outlined.
 
     Args:
-        frame: the picture.
-        camera: with its pose.
-        X_BP: (PARTS, 4, 4) frames of the parts' CAD coordinates in B [m]; parts of which it is NaN are left out.
+        frame: image.
+        camera: camera with its pose.
+        X_BP: (PARTS, 4, 4) frames of the parts' CAD coordinates in B [m]; parts with NaN are left out.
         finger_m: opening of each finger [m].
 
     Raises:
@@ -73,7 +73,7 @@ def draw_robot(frame: Image, camera: Camera, X_BP: Array, finger_m: float) -> Im
     times = max(1, -(-_LEAST_SIDE_PX // min(camera.width, camera.height)))
     camera = camera.resized(times * camera.width, times * camera.height)
     image = np.asarray(cv2.resize(frame, (camera.width, camera.height), interpolation=cv2.INTER_CUBIC), np.uint8)
-    labels = part_map(camera, X_BP, finger_m)
+    labels = render_part_map(camera, X_BP, finger_m)
     for name, parts in (("base", (RobotPart.LINK0,)), ("arm", ARM[1:]), ("gripper", GRIPPER)):
         colour = np.array(_COLOURS[name])
         shown = np.isin(labels, parts)
@@ -84,8 +84,8 @@ def draw_robot(frame: Image, camera: Camera, X_BP: Array, finger_m: float) -> Im
     return image
 
 
-def save(image: Image, path: Path) -> None:
-    """Write a picture as png, whole or not at all.
+def save_image(image: Image, path: Path) -> None:
+    """Write an image as png, atomically.
 
     Raises:
         SetupError: writing failed.

@@ -14,12 +14,12 @@ from kinebench_drake.models.panda.robot import ARM, GRIPPER
 from kinebench_drake.types import Json
 
 MIN_CELLS = 60
-"""Fewer cells of the robot, over all frames, make no calibration."""
+"""Least number of cells of the robot over all frames."""
 _GROUPS = {"gripper": GRIPPER, "arm": ARM[1:], "base": ARM[:1]}
 
 
 class CalibrationMethod(Enum):
-    """What the robot's postures were known from."""
+    """Source of the robot's postures."""
 
     JOINTS = "joint angles of the frames"
     POSES = "poses of the gripper in the frames"
@@ -29,43 +29,43 @@ class CalibrationMethod(Enum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraCalibration:
-    """A camera found from the robot it sees."""
+    """Calibrated camera with its uncertainty."""
 
     camera: Camera
     method: CalibrationMethod
     source: str
-    """What the postures were taken from."""
+    """Source of the postures."""
     frames: NDArray[np.intp]
     """(T,) numbers of the frames used."""
     focal_free: bool
-    """Whether the focal length was found here."""
+    """True if the focal length was estimated."""
     position_sigma_m: float
-    """Standard deviation of the camera's place, by the Jacobian: the length of its three axes' [m]."""
+    """Standard deviation of the camera position, from the Jacobian: root of the sum over three axes [m]."""
     rotation_sigma_rad: float
-    """The same of its axes [rad]."""
+    """Standard deviation of the camera rotation [rad]."""
     focal_sigma: float
-    """Standard deviation of the focal length over itself; 0 where it was given."""
+    """Relative standard deviation of the focal length; 0 if it was fixed."""
     residual_px: float
-    """Root mean square of the reprojection [px], each cell counting as much as it is sure."""
+    """Root mean square of the reprojection error, weighted by the certainty of each cell [px]."""
     part_px: dict[str, float]
     """Median reprojection error [px] of the cells of gripper, arm and base."""
     part_cells: dict[str, int]
-    """How many cells show these."""
+    """Number of cells of gripper, arm and base."""
     inlier_share: float
     """Share of the cells within four standard deviations."""
     spread_m: Array
-    """(K,) from the camera to the ones that single frames tell by themselves [m]."""
+    """(K,) distances between the camera and those estimated from single frames [m]."""
     spread_rad: Array
-    """(K,) angles between them [rad]."""
+    """(K,) angles between the camera and those estimated from single frames [rad]."""
     depth_m: tuple[float, float]
-    """Nearest and farthest parts of the robot that are seen, 5th and 95th percentile [m]."""
+    """Depths of the nearest and farthest visible parts of the robot, 5th and 95th percentile [m]."""
     motion_m: float
-    """How far the hand's places in the frames lie apart at most [m]."""
+    """Greatest distance between hand positions in the frames [m]."""
     warnings: tuple[str, ...] = ()
-    """What the user should know."""
+    """Warnings for the user."""
 
     def to_json(self) -> dict[str, Json]:
-        """All figures; the camera is what `camera.json` holds."""
+        """Serialize all results; the camera as in `camera.json`."""
 
         def quantiles(values: Array, unit: float) -> Json:
             if not len(values):
@@ -106,17 +106,17 @@ def describe(
     hands_B: Array,
     focal_free: bool,
 ) -> CameraCalibration:
-    """The calibration that a fit comes to.
+    """Compute the calibration of a fit.
 
     Args:
-        fit: the fitted lens.
-        cells: what it was fitted to.
+        fit: fitted lens.
+        cells: cells of the fit.
         p_B: (N, 3) points of the cells [m].
-        method: how it was done.
-        source: what the postures were taken from.
+        method: source of the postures.
+        source: description of the source.
         frames: (T,) numbers of the frames used.
-        hands_B: (T, 3) places of the hand [m].
-        focal_free: whether the focal length was looked for.
+        hands_B: (T, 3) positions of the hand [m].
+        focal_free: True if the focal length was estimated.
     """
     position, rotation, focal = _sigmas(fit, UNKNOWNS if focal_free else UNKNOWNS - 1)
     error = np.linalg.norm(fit.residual_px, axis=1)
@@ -127,7 +127,7 @@ def describe(
     near, far = np.quantile(z[fit.inlier], [0.05, 0.95]) if fit.inlier.any() else (np.nan, np.nan)
     apart = np.linalg.norm(hands_B[:, None] - hands_B[None], axis=-1)
     return CameraCalibration(
-        camera=fit.lens.placed(),
+        camera=fit.lens.to_camera(),
         method=method,
         source=source,
         frames=frames,
@@ -152,12 +152,12 @@ def with_warnings(calibration: CameraCalibration, warnings: tuple[str, ...]) -> 
 
 
 def _sigmas(fit: LensFit, free: int) -> tuple[float, float, float]:
-    """Standard deviations of the camera's place [m], of its axes [rad] and of the focal length over itself."""
+    """Return standard deviations of camera position [m] and rotation [rad], and of the focal length (relative)."""
     H = fit.information[:free, :free]
     scale = np.sqrt(np.maximum(np.diag(H), 1e-12))
     covariance = np.linalg.pinv(H / np.outer(scale, scale) + 1e-9 * np.eye(free)) / np.outer(scale, scale)
     x, y, z = fit.lens.X_CB[:3, 3]
-    by_turn = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])  # the camera's place is -R^T t
+    by_turn = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])  # the camera position is -R^T t
     J = np.concatenate([by_turn, np.eye(3)], axis=1)
     position = float(np.trace(J @ covariance[:6, :6] @ J.T)) ** 0.5
     focal = float(covariance[6, 6]) ** 0.5 if free == UNKNOWNS else 0.0
@@ -165,25 +165,25 @@ def _sigmas(fit: LensFit, free: int) -> tuple[float, float, float]:
 
 
 def _spread(fit: LensFit, cells: CalibrationCorrespondences, p_B: Array) -> tuple[Array, Array]:
-    """How far the cameras of single frames are from that of all of them [m, rad]; the focal length is held."""
-    X_BC = fit.lens.placed().X_BC
-    found = []
+    """Return distances [m] and angles [rad] between the camera and those of single frames, at fixed focal length."""
+    X_BC = fit.lens.to_camera().X_BC
+    deviations = []
     for frame in np.unique(cells.frame):
         own = cells.frame == frame
         if own.sum() >= MIN_CELLS and len(np.unique(cells.part[own])) > 1:
-            alone = refine(cells.take(own), p_B[own], fit.lens, zoom_free=False, rounds=1)
-            found.append(pose_difference(alone.lens.placed().X_BC, X_BC))
-    distance, angle = np.array(found, dtype=np.float64).reshape(-1, 2).T
+            alone = refine(cells.take(own), p_B[own], fit.lens, focal_free=False, rounds=1)
+            deviations.append(pose_difference(alone.lens.to_camera().X_BC, X_BC))
+    distance, angle = np.array(deviations, dtype=np.float64).reshape(-1, 2).T
     return distance, angle
 
 
-def lines(calibration: CameraCalibration) -> list[str]:
-    """What a user reads of it."""
+def format_lines(calibration: CameraCalibration) -> list[str]:
+    """Format the calibration as lines of text."""
     c, camera = calibration, calibration.camera
     place = ", ".join(f"{1e3 * x:.0f}" for x in camera.X_BC[:3, 3])
     fov = np.rad2deg(2 * np.arctan(camera.width / 2 / camera.fx))
     sure = f" +- {100 * c.focal_sigma:.1f} %" if c.focal_free else ", given"
-    told = [
+    report = [
         f"from: {c.source}; {len(c.frames)} frames, {sum(c.part_cells.values())} cells of the robot "
         f"(gripper {c.part_cells['gripper']}, arm {c.part_cells['arm']}, base {c.part_cells['base']})",
         f"camera in the base frame: {place} mm, +- {1e3 * c.position_sigma_m:.0f} mm, "
@@ -193,12 +193,12 @@ def lines(calibration: CameraCalibration) -> list[str]:
         + ", ".join(f"{name} {px:.1f}" for name, px in c.part_px.items() if np.isfinite(px)),
     ]
     if len(c.spread_m) > 1:
-        told.append(
+        report.append(
             f"single frames: {1e3 * np.median(c.spread_m):.0f} mm and {np.rad2deg(np.median(c.spread_rad)):.2f} "
             f"degrees from it (median of {len(c.spread_m)}), 95 %: {1e3 * np.quantile(c.spread_m, 0.95):.0f} mm, "
             f"{np.rad2deg(np.quantile(c.spread_rad, 0.95)):.2f} degrees"
         )
-    told.append(
-        f"the robot is seen {c.depth_m[0]:.2f} to {c.depth_m[1]:.2f} m away, the hand moves {1e3 * c.motion_m:.0f} mm"
+    report.append(
+        f"depth of the robot: {c.depth_m[0]:.2f} to {c.depth_m[1]:.2f} m; the hand moves {1e3 * c.motion_m:.0f} mm"
     )
-    return [*told, *(f"warning: {warning}" for warning in c.warnings)]
+    return [*report, *(f"warning: {warning}" for warning in c.warnings)]

@@ -1,4 +1,4 @@
-"""What is known of the robot in the frames of a video: postures from a file, or one posture in one frame."""
+"""Known states of the robot in the frames of a video: postures from a file, or one posture in one frame."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,63 +18,62 @@ POSTURES = {
     "home": np.pi * np.array([0.0, -1 / 4, 0.0, -3 / 4, 0.0, 1 / 2, 1 / 4]),
     "rest": rest_q(),
 }
-"""Postures that have a name (7,) [rad]: the one in which Franka's own programs start (libfranka, franka_ros), and
-ManiSkill's."""
+"""Named postures (7,) [rad]: the start posture of Franka's programs (libfranka, franka_ros), and that of ManiSkill."""
 _MAX_RAD = 4.0
-_LATE_S = 0.1  # frames may be so much earlier or later than the first and last of the joint angles
-_MAX_GAP_S = 0.5  # joint angles farther apart in time than this are not joined up
+_LATE_S = 0.1  # greatest time by which frames may lie outside the joint angles
+_MAX_GAP_S = 0.5  # greatest time between joint angles that are interpolated
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RobotStates:
-    """The robot in T frames; NaN where it is not known."""
+    """States of the robot in T frames; NaN where unknown."""
 
     q: Array
     """(T, 7) joint angles [rad]."""
     X_BH: Array
-    """(T, 4, 4) pose of panda_hand in B [m]; known where `q` is, and where the pose of the TCP was given."""
+    """(T, 4, 4) pose of panda_hand in B [m]; finite where `q` or the pose of the TCP is known."""
     finger_m: Array
     """(T,) opening of each finger [m]."""
     source: str
-    """What they were taken from."""
+    """Source of the states."""
 
     @property
-    def known(self) -> NDArray[np.bool_]:
-        """(T,) frames of which at least the hand's pose is known."""
+    def has_hand(self) -> NDArray[np.bool_]:
+        """(T,) frames of known hand pose."""
         return np.asarray(np.isfinite(self.X_BH).all(axis=(1, 2)))
 
     @property
-    def postured(self) -> NDArray[np.bool_]:
-        """(T,) frames of which the joint angles are known."""
+    def has_posture(self) -> NDArray[np.bool_]:
+        """(T,) frames of known joint angles."""
         return np.asarray(np.isfinite(self.q).all(axis=1))
 
     def take(self, frames: NDArray[np.intp]) -> "RobotStates":
-        """The states of some frames."""
+        """Select frames."""
         return replace(self, q=self.q[frames], X_BH=self.X_BH[frames], finger_m=self.finger_m[frames])
 
     def part_poses(self, model: ArmModel) -> Array:
-        """(T, PARTS, 4, 4) frames of the parts' CAD coordinates in B [m]; NaN where not known."""
-        known = self.postured
-        X = model.poses(np.where(known[:, None], self.q, 0.0))
-        X[~known] = np.nan
+        """Return the frames (T, PARTS, 4, 4) of the parts' CAD coordinates in B [m]; NaN where unknown."""
+        finite = self.has_posture
+        X = model.poses(np.where(finite[:, None], self.q, 0.0))
+        X[~finite] = np.nan
         X[:, RobotPart.LINK0] = np.eye(4)
-        X[:, list(GRIPPER)] = np.where(known[:, None, None, None], X[:, list(GRIPPER)], self.X_BH[:, None])
+        X[:, list(GRIPPER)] = np.where(finite[:, None, None, None], X[:, list(GRIPPER)], self.X_BH[:, None])
         return np.asarray(X)
 
 
-def posture_states(text: str, frame: int, frames: int, model: ArmModel) -> RobotStates:
-    """One known posture in one frame.
+def make_posture_states(text: str, frame: int, frames: int, model: ArmModel) -> RobotStates:
+    """Return states with one posture in one frame.
 
     Args:
         text: a name of `POSTURES`, or seven joint angles [rad] separated by commas.
         frame: number of the frame.
-        frames: how many frames the video has.
+        frames: number of frames of the video.
         model: link poses of the arm.
 
     Raises:
-        UsageError: it is neither, or there is no such frame.
+        UsageError: the text is neither, or there is no such frame.
     """
-    q = posture(text)
+    q = parse_posture(text)
     if q is None:
         raise UsageError(
             f"--joints {text}: there is no such file; expected a file of joint angles, {N_JOINTS} angles in radians "
@@ -87,11 +86,11 @@ def posture_states(text: str, frame: int, frames: int, model: ArmModel) -> Robot
     return _of_joints(angles, np.full(frames, np.nan), f"posture {text} in frame {frame}", model)
 
 
-def posture(text: str) -> Array | None:
-    """The posture (7,) [rad] that a text names or lists; None where it does neither.
+def parse_posture(text: str) -> Array | None:
+    """Parse a posture (7,) [rad] by name or as a list of angles; None if the text is neither.
 
     Raises:
-        UsageError: it lists numbers that are no posture.
+        UsageError: the text lists numbers that are no posture.
     """
     if text in POSTURES:
         return POSTURES[text]
@@ -108,22 +107,23 @@ def posture(text: str) -> Array | None:
     return q
 
 
-def file_states(path: Path, episode: str | None, column: str | None, t_s: Array, model: ArmModel) -> RobotStates:
-    """The robot in each frame by a file of joint angles, or of poses of the TCP.
+def read_states(path: Path, episode: str | None, column: str | None, t_s: Array, model: ArmModel) -> RobotStates:
+    """Read the states of the robot in each frame from a file of joint angles or TCP poses.
 
-    A file with as many rows as the video has frames tells of each frame in turn; of another file the states are taken
-    at the frames' times, both clocks beginning at 0.
+    The rows of a file with as many rows as frames are the states of the frames; other files are interpolated at the
+    times of the frames, both clocks starting at 0.
 
     Args:
-        path: what `audit` takes: npz, csv, ManiSkill h5, or a LeRobot dataset.
-        episode: which of several it is.
-        column: name of the array or column that holds the joint angles, where it is not found by itself.
-        t_s: (T,) times of the video's frames [s]; NaN where unknown.
+        path: a file as for `audit`: npz, csv, ManiSkill h5, or a LeRobot dataset.
+        episode: name of the episode, if there are several.
+        column: name of the array or column of joint angles, if ambiguous.
+        t_s: (T,) times of the frames of the video [s]; NaN where unknown.
         model: link poses of the arm.
 
     Raises:
-        UsageError: there is no such file or episode, or several and none is named, or the frames' times are needed.
-        InputError: it is not sound, or does not go with the video.
+        UsageError: there is no such file or episode, or several and none is named, or the times of the frames are
+            needed.
+        InputError: the file is invalid, or inconsistent with the video.
     """
     sample = _episode(find_trajectories(path, TrajectoryOptions(joints=column)), path, episode)
     by_rows = _read(sample, TrajectoryOptions(joints=column, rate_hz=1.0))
@@ -143,7 +143,7 @@ def file_states(path: Path, episode: str | None, column: str | None, t_s: Array,
 
 
 def unknown_states(frames: int) -> RobotStates:
-    """Nothing is known of the robot."""
+    """Return states that are unknown in all frames."""
     nothing = np.full((frames, N_JOINTS), np.nan)
     return RobotStates(
         q=nothing, X_BH=np.full((frames, 4, 4), np.nan), finger_m=np.full(frames, np.nan), source="nothing"
@@ -151,9 +151,9 @@ def unknown_states(frames: int) -> RobotStates:
 
 
 def _of_joints(q: Array, finger_m: Array, source: str, model: ArmModel) -> RobotStates:
-    known = np.asarray(np.isfinite(q).all(axis=1))
-    X_BH = model.poses(np.where(known[:, None], q, 0.0))[:, RobotPart.HAND]
-    X_BH[~known] = np.nan
+    finite = np.asarray(np.isfinite(q).all(axis=1))
+    X_BH = model.poses(np.where(finite[:, None], q, 0.0))[:, RobotPart.HAND]
+    X_BH[~finite] = np.nan
     return RobotStates(q=q, X_BH=X_BH, finger_m=finger_m, source=source)
 
 
@@ -171,31 +171,31 @@ def _episode(samples: tuple[TrajectorySample, ...], path: Path, episode: str | N
     else:
         chosen = list(samples)
     if len(chosen) != 1:
-        told = f"no episode {episode}" if not chosen else f"{len(chosen)} episodes"
+        content = f"no episode {episode}" if not chosen else f"{len(chosen)} episodes"
         few = ", ".join(names[:8]) + (", ..." if len(names) > 8 else "")
-        raise UsageError(f"--joints {path}: holds {told}; name the video's own with --episode, one of {few}")
+        raise UsageError(f"--joints {path}: contains {content}; name that of the video with --episode, one of {few}")
     return chosen[0]
 
 
 def _at(trajectory: Trajectory, t_s: Array, name: str) -> Trajectory:
-    """A trajectory at the frames' times [s]; frames amid a gap, or beside an unknown row, are unknown.
+    """Interpolate a trajectory at the times of the frames [s]; NaN within gaps and next to unknown rows.
 
     Raises:
-        InputError: the video goes on before or after it.
+        InputError: the video extends beyond the trajectory.
     """
     own = trajectory.t_s - trajectory.t_s[0]
     if t_s[-1] > own[-1] + _LATE_S:
         raise InputError(
             f"--joints {name}: {len(own)} rows over {own[-1]:.2f} s, but the video has {len(t_s)} frames over "
-            f"{t_s[-1]:.2f} s; expected a row a frame, or times t_s that cover the video (--frame-period SECONDS tells "
-            "the video's own)"
+            f"{t_s[-1]:.2f} s; expected one row per frame, or times t_s that cover the video (--frame-period SECONDS "
+            "sets those of the video)"
         )
     after = np.clip(np.searchsorted(own, t_s), 1, len(own) - 1)
     step = own[after] - own[after - 1]
     s = np.clip((t_s - own[after - 1]) / step, 0.0, 1.0)
     near = step <= _MAX_GAP_S
 
-    def joined(values: Array) -> Array:
+    def interpolate(values: Array) -> Array:
         mixed = (1.0 - s)[:, None] * values[after - 1] + s[:, None] * values[after]
         return np.where(near[:, None], mixed, np.nan)
 
@@ -212,8 +212,8 @@ def _at(trajectory: Trajectory, t_s: Array, name: str) -> Trajectory:
     return replace(
         trajectory,
         t_s=t_s,
-        q=None if q is None else joined(q),
+        q=None if q is None else interpolate(q),
         X_BG=X_BG,
         tracked=near & trajectory.tracked[after - 1] & trajectory.tracked[after],
-        finger_width_m=joined(trajectory.finger_width_m[:, None])[:, 0],
+        finger_width_m=interpolate(trajectory.finger_width_m[:, None])[:, 0],
     )

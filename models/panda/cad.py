@@ -1,6 +1,6 @@
-"""The gripper's CAD surface: hand and fingers as the URDF's visual meshes, rendered by ray casting.
+"""CAD surface of the gripper: hand and fingers as the URDF's visual meshes, rendered by ray casting.
 
-Everything is in the frame of panda_hand, metres. The left finger opens towards +y, the right one towards -y.
+All coordinates are in the frame of panda_hand, in metres. The left finger opens towards +y, the right one towards -y.
 """
 
 from dataclasses import dataclass
@@ -16,9 +16,9 @@ from kinebench_drake.geometry import Array, invert
 from kinebench_drake.models.panda.robot import ARM, GRIPPER, LINK_OF, OPENING_SIGN, RobotPart, source_urdf
 
 FINGER_ORIGIN_H = np.array([0.0, 0.0, 0.0584])
-"""Where the fingers' frames lie when closed (panda_finger_joint1/2)."""
+"""(3,) origin of the finger frames when closed (panda_finger_joint1/2) [m]."""
 MAX_FINGER_M = 0.04
-"""Upper limit of each finger joint [m]; the gap between the pads is twice the joint's value."""
+"""Upper limit of each finger joint [m]; the gap between the pads is twice the joint position."""
 
 
 def _visual(name: str) -> trimesh.Trimesh:
@@ -29,20 +29,20 @@ def _visual(name: str) -> trimesh.Trimesh:
 
 @cache
 def link_meshes() -> dict[RobotPart, trimesh.Trimesh]:
-    """The meshes of the arm's links, each in its link's frame.
+    """Load the meshes of the arm's links, each in the frame of its link.
 
     Raises:
-        SetupError: mani_skill, whose assets these are, is not installed.
+        SetupError: mani_skill, which contains the meshes, is not installed.
     """
     return {part: _visual(f"{LINK_OF[part].removeprefix('panda_')}.glb") for part in ARM}
 
 
 @cache
 def part_meshes() -> dict[RobotPart, trimesh.Trimesh]:
-    """The meshes of hand, left and right finger (closed), in the hand's frame.
+    """Load the meshes of hand, left and right finger (closed), in the frame of the hand.
 
     Raises:
-        SetupError: mani_skill, whose assets these are, is not installed.
+        SetupError: mani_skill, which contains the meshes, is not installed.
     """
     hand, finger = _visual("hand.glb"), _visual("finger.glb")
     left, right = finger.copy(), finger.copy()
@@ -54,18 +54,18 @@ def part_meshes() -> dict[RobotPart, trimesh.Trimesh]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CadSurface:
-    """What a set of N rays meets."""
+    """First hits of N rays."""
 
     distance: Array
-    """(N,) ray parameter of the first hit; inf where the gripper is missed."""
+    """(N,) ray parameter of the first hit; inf without a hit."""
     part: NDArray[np.uint8]
-    """(N,) values of `Part`, BACKGROUND where missed."""
+    """(N,) values of `RobotPart`, BACKGROUND without a hit."""
     normal_H: Array
-    """(N, 3) unit normal of the surface met, 0 where missed."""
+    """(N, 3) unit normal of the surface, 0 without a hit."""
 
 
 class GripperCad:
-    """Ray casting against the gripper at any opening (Open3D's RaycastingScene, one a part)."""
+    """Ray casting against the gripper at any opening (one RaycastingScene of Open3D per part)."""
 
     def __init__(self) -> None:
         """Build the scenes.
@@ -87,9 +87,9 @@ class GripperCad:
             self._scenes[part] = scene
 
     def cast(self, X_VH: ArrayLike, rays_V: ArrayLike, finger_m: float) -> CadSurface:
-        """First hits of `rays_V` (N, 3), which start at the origin of V, with the gripper at pose `X_VH` (4, 4).
+        """Cast rays `rays_V` (N, 3) from the origin of V against the gripper at pose `X_VH` (4, 4).
 
-        `distance` is in units of each ray's length: for rays with z = 1 it is the depth along V's z [m].
+        `distance` is in units of the ray length: for rays with z = 1 it is the depth along the z axis of V [m].
         """
         X_HV = invert(X_VH)
         directions = np.asarray(rays_V, dtype=np.float64) @ X_HV[:3, :3].T

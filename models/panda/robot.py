@@ -1,7 +1,7 @@
-"""The Franka Panda for Drake: the URDF of the installed mani_skill package, and the maker's limits.
+"""Franka Panda for Drake: the URDF of the installed mani_skill package and Franka's limits.
 
-ManiSkill's `panda_v2.urdf` is the robot that the tasks are executed with; its collision meshes are .stl and its visual
-meshes .glb, which Drake's collision engine does not take: they are converted (`models.urdf`).
+ManiSkill executes the tasks with `panda_v2.urdf`; its collision meshes are .stl and its visual meshes .glb, which
+Drake's collision engine does not support: they are converted (`models.urdf`).
 """
 
 import importlib.util
@@ -25,39 +25,39 @@ TCP_LINK = "panda_hand_tcp"
 ARM_LINKS = tuple(f"panda_link{i}" for i in range(9))
 FINGER_LINKS = ("panda_leftfinger", "panda_rightfinger")
 LINKS = (*ARM_LINKS, HAND_LINK, TCP_LINK, *FINGER_LINKS)
-"""Links of the arm and the hand, base first."""
+"""Links of arm and hand, base first."""
 
 ARM_JOINTS = tuple(f"panda_joint{i}" for i in range(1, 8))
 FINGER_JOINTS = ("panda_finger_joint1", "panda_finger_joint2")
-"""Prismatic, 0..0.04 m each; the gap between the pads is twice one of them."""
+"""Prismatic joints, 0..0.04 m each; the gap between the pads is twice the position of one."""
 
 HAND_TO_TCP_M = 0.1034
 """Distance of panda_hand_tcp from panda_hand along z [m]."""
 
 ACCELERATION_LIMITS = (15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0)
-"""Greatest joint accelerations [rad/s^2]: Franka Control Interface documentation, "Robot and interface specifications"
+"""Joint acceleration limits [rad/s^2]: Franka Control Interface documentation, "Robot and interface specifications"
 (Panda), as in libfranka's rate_limiting.h."""
 JERK_LIMITS = (7500.0, 3750.0, 5000.0, 6250.0, 7500.0, 10000.0, 10000.0)
-"""Greatest joint jerks [rad/s^3], from the same source."""
+"""Joint jerk limits [rad/s^3], from the same source."""
 
 _URDF = Path("assets/robots/panda/panda_v2.urdf")
 
 
 def hand_from_tcp() -> Array:
-    """Pose X_HG (4, 4) of panda_hand_tcp in panda_hand [m]."""
+    """Return the pose X_HG (4, 4) of panda_hand_tcp in panda_hand [m]."""
     return make_pose(np.eye(3), [0.0, 0.0, HAND_TO_TCP_M])
 
 
 def rest_q() -> Array:
-    """ManiSkill's rest posture (7,) [rad]: the arm in front of its base, the gripper pointing down."""
+    """Return ManiSkill's rest posture (7,) [rad]: arm in front of the base, gripper pointing down."""
     return np.pi * np.array([0.0, 1 / 8, 0.0, -5 / 8, 0.0, 3 / 4, 1 / 4])
 
 
 def source_urdf() -> Path:
-    """The URDF in the installed mani_skill package, found without importing it (that would load torch and sapien).
+    """Return the URDF of the installed mani_skill package, without importing it (which loads torch and sapien).
 
     Raises:
-        SetupError: mani_skill is not installed, or its Panda is not where it was.
+        SetupError: mani_skill is not installed, or does not contain the Panda.
     """
     spec = importlib.util.find_spec("mani_skill")
     if spec is None or not spec.submodule_search_locations:
@@ -66,13 +66,13 @@ def source_urdf() -> Path:
         )
     path = Path(spec.submodule_search_locations[0]) / _URDF
     if not path.is_file():
-        raise SetupError(f"mani_skill holds no {_URDF}; expected mani-skill 3.0.x, reinstall it")
+        raise SetupError(f"mani_skill contains no {_URDF}; expected mani-skill 3.0.x, reinstall it")
     return path
 
 
 @cache
 def panda_urdf() -> Path:
-    """Path of the Panda's URDF with meshes that Drake can load, converted on first use.
+    """Return the path of the Panda's URDF with meshes that Drake can load, converted on first use.
 
     Raises:
         SetupError: mani_skill is missing or damaged, or the cache folder cannot be written.
@@ -84,7 +84,7 @@ def panda_urdf() -> Path:
 
 
 def panda() -> Robot:
-    """The Panda with its own gripper, as ManiSkill has it.
+    """Return the Panda with its gripper, as in ManiSkill.
 
     Raises:
         SetupError: mani_skill is missing or damaged, or the cache folder cannot be written.
@@ -107,7 +107,7 @@ def panda() -> Robot:
 
 
 class RobotPart(IntEnum):
-    """What a pixel shows: hand and fingers are the gripper, the links from the base on the arm."""
+    """Part of the robot that a pixel shows; hand and fingers form the gripper."""
 
     BACKGROUND = 0
     HAND = 1
@@ -124,13 +124,13 @@ class RobotPart(IntEnum):
 
 
 GRIPPER = (RobotPart.HAND, RobotPart.LEFT_FINGER, RobotPart.RIGHT_FINGER)
-"""The parts that move with the hand."""
+"""Parts of the gripper."""
 
 ARM = tuple(part for part in RobotPart if part >= RobotPart.LINK0)
-"""The parts of the arm, base first; the eighth link has no body."""
+"""Parts of the arm, base first; the eighth link has no body."""
 
 LINK_OF = dict(zip((*GRIPPER, *ARM), (HAND_LINK, *FINGER_LINKS, *ARM_LINKS[:-1]), strict=True))
-"""Name in the URDF of each part."""
+"""Link name in the URDF of each part."""
 
 OPENING_SIGN = {RobotPart.HAND: 0.0, RobotPart.LEFT_FINGER: 1.0, RobotPart.RIGHT_FINGER: -1.0}
-"""Direction along the hand's y axis in which a part moves as the gripper opens."""
+"""Direction along the y axis of the hand in which a part moves as the gripper opens."""

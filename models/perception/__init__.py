@@ -1,1 +1,1 @@
-"""The perception network and its weights."""
+"""Perception network, its weights and training frames."""

@@ -1,9 +1,9 @@
-"""A rendered training frame, and the folders of them.
+"""Rendered training frames and their storage in shards.
 
-A data set is a folder of shards, each a scene's worth of frames stored as plain `.npy` files that training maps into
-memory: `rgb` (N, S, S, 3) uint8, `depth` (N, S, S) uint16 [0.1 mm] of the robot's pixels (0 elsewhere), `part`
-(N, S, S) uint8 (`Part`), and `truth.npz` with `K` (N, 3, 3), `camera_from_hand` (N, 4, 4), `camera_from_links`
-(N, 8, 4, 4), `finger_m` (N,).
+A data set is a folder of shards, one per scene, each of plain `.npy` files that training maps into memory: `rgb`
+(N, S, S, 3) uint8, `depth` (N, S, S) uint16 [0.1 mm] of robot pixels (0 elsewhere), `part` (N, S, S) uint8
+(`RobotPart`), and `truth.npz` with `K` (N, 3, 3), `camera_from_hand` (N, 4, 4), `camera_from_links` (N, 8, 4, 4),
+`finger_m` (N,).
 """
 
 from collections.abc import Mapping, Sequence
@@ -21,21 +21,21 @@ from kinebench_drake.models.panda.robot import ARM, GRIPPER, HAND_LINK, LINK_OF,
 DEPTH_UNIT_M = 1e-4
 """Unit of stored depth [m]."""
 RENDERED_DEPTH_BIAS_M = 0.0005
-"""What SAPIEN's depth in whole millimetres lacks on average, being cut towards zero [m]."""
+"""Mean truncation error of SAPIEN's depth in whole millimetres [m]."""
 FILES = ("rgb.npy", "depth.npy", "part.npy", "truth.npz")
 """Files of a shard."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RenderedFrame:
-    """One rendered frame with its truth."""
+    """Rendered frame with ground truth."""
 
     rgb: NDArray[np.uint8]
-    """(S, S, 3)."""
+    """(S, S, 3) image."""
     depth: NDArray[np.uint16]
-    """(S, S) depth of the robot's pixels along the camera's z [0.1 mm], 0 elsewhere."""
+    """(S, S) depth of robot pixels along the camera's z axis [0.1 mm], 0 elsewhere."""
     part: NDArray[np.uint8]
-    """(S, S) values of `Part`."""
+    """(S, S) values of `RobotPart`."""
     K: Array
     """(3, 3) intrinsics [px]."""
     X_CH: Array
@@ -47,11 +47,11 @@ class RenderedFrame:
 
     @property
     def gripper(self) -> NDArray[np.bool_]:
-        """(S, S) pixels that show hand or fingers."""
+        """(S, S) pixels of hand and fingers."""
         return np.isin(self.part, GRIPPER)
 
     @classmethod
-    def of_picture(
+    def from_image(
         cls,
         rgb: NDArray[np.uint8],
         depth_m: NDArray[np.floating[Any]],
@@ -60,7 +60,7 @@ class RenderedFrame:
         X_BL: Mapping[str, Array],
         finger_m: float,
     ) -> "RenderedFrame":
-        """The frame of a picture whose links are at `X_BL` (poses (4, 4) by name in the robot's base frame)."""
+        """Return the frame of an image, with links at poses `X_BL` ((4, 4) by name, in the robot base frame) [m]."""
         X_CB = invert(camera.X_BC)
         return cls(
             rgb=rgb,
@@ -73,8 +73,8 @@ class RenderedFrame:
         )
 
 
-def part_map(ids: NDArray[np.integer[Any]], part_of_id: Mapping[int, RobotPart]) -> NDArray[np.uint8]:
-    """Values of `Part` (S, S) from a renderer's segmentation ids (S, S)."""
+def label_parts(ids: NDArray[np.integer[Any]], part_of_id: Mapping[int, RobotPart]) -> NDArray[np.uint8]:
+    """Return values of `RobotPart` (S, S) for the segmentation ids (S, S) of a renderer."""
     part = np.zeros(ids.shape, np.uint8)
     for entity, value in part_of_id.items():
         part[ids == entity] = value
@@ -82,17 +82,17 @@ def part_map(ids: NDArray[np.integer[Any]], part_of_id: Mapping[int, RobotPart])
 
 
 def shard_folder(folder: Path, seed: int) -> Path:
-    """Where the scene of a seed is stored."""
+    """Return the folder of the shard of a seed."""
     return folder / f"{seed:06d}"
 
 
 def is_complete(shard: Path) -> bool:
-    """Whether a shard was written to its end."""
+    """Return whether a shard is complete."""
     return (shard / "truth.npz").is_file()
 
 
 def save_shard(frames: Sequence[RenderedFrame], shard: Path) -> None:
-    """Write a scene's frames; the truth last, as it marks the shard complete."""
+    """Write the frames of a scene; `truth.npz` last, which marks the shard as complete."""
     shard.mkdir(parents=True, exist_ok=True)
     for name in ("rgb", "depth", "part"):
         np.save(shard / f"{name}.npy", np.stack([getattr(f, name) for f in frames]))
@@ -107,13 +107,13 @@ def save_shard(frames: Sequence[RenderedFrame], shard: Path) -> None:
 
 _SHIFT_M, _TURN_RAD = 0.06, np.deg2rad(6.0)
 _FOV_RAD = np.deg2rad((45.0, 75.0))
-_VARIED_FOV = 0.6  # share of cameras whose field of view is another than the benchmark's
+_VARIED_FOV = 0.6  # share of cameras with a random field of view
 
 
 def varied_camera(rng: np.random.Generator, size: int) -> Camera:
-    """The benchmark camera moved by up to 6 cm and 6 degrees along and about each axis, field of view 45 to 75 degrees.
+    """Return the benchmark camera moved by up to 6 cm and 6 degrees per axis, field of view 45 to 75 degrees.
 
-    Its pictures are `size` pixels wide and high.
+    Its images are `size` pixels wide and high.
     """
     benchmark = benchmark_camera()
     shift = make_pose(rotation_exp(rng.uniform(-_TURN_RAD, _TURN_RAD, 3)), rng.uniform(-_SHIFT_M, _SHIFT_M, 3))

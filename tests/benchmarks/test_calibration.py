@@ -17,26 +17,26 @@ T = 5
 
 
 @pytest.fixture
-def eye():
+def estimator():
     return PerfectEye(benchmark_camera(), postures(T), ArmModel())
 
 
 @pytest.fixture
-def folder(tmp_path, eye):
+def folder(tmp_path, estimator):
     frames = np.zeros((T, 384, 384, 3), np.uint8)
     frames[:, 0, 0, 0] = np.arange(T)
     np.save(tmp_path / "a.npy", frames)
     (tmp_path / "manifest.jsonl").write_text(json.dumps({"video": "a.npy", "task": "PullCube-v1"}) + "\n")
-    save_camera(eye.camera, tmp_path / "camera.json")
+    save_camera(estimator.camera, tmp_path / "camera.json")
     (tmp_path / "truth").mkdir()
-    X_CH = invert(eye.camera.X_BC) @ eye.model.poses(eye.q)[:, RobotPart.HAND]
-    np.savez(tmp_path / "truth" / "a.npz", q=eye.q, finger_width_m=np.full(T, 0.02), camera_from_hand=X_CH)
+    X_CH = invert(estimator.camera.X_BC) @ estimator.model.poses(estimator.q)[:, RobotPart.HAND]
+    np.savez(tmp_path / "truth" / "a.npz", q=estimator.q, finger_width_m=np.full(T, 0.02), camera_from_hand=X_CH)
     return tmp_path
 
 
-def test_a_perfect_picture_is_measured_without_an_error(folder, eye):
-    conditions = [c for c in CONDITIONS if not c.zoom_free]
-    trials = list(measure(folder, limit=None, frames=T, conditions=conditions, eye=eye))
+def test_a_perfect_picture_is_measured_without_an_error(folder, estimator):
+    conditions = [c for c in CONDITIONS if not c.focal_free]
+    trials = list(measure(folder, limit=None, frames=T, conditions=conditions, estimator=estimator))
     assert [t.condition for t in trials] == conditions
     for trial in trials:
         told = trial.condition.method in (CalibrationMethod.JOINTS, CalibrationMethod.POSES)
@@ -44,8 +44,8 @@ def test_a_perfect_picture_is_measured_without_an_error(folder, eye):
     assert len(table(trials)) == 2 + len(conditions)
 
 
-def test_a_folder_without_joint_angles_is_refused(folder, eye):
+def test_a_folder_without_joint_angles_is_refused(folder, estimator):
     np.savez(folder / "truth" / "a.npz", finger_width_m=np.zeros(T))
-    condition = Condition(method=CalibrationMethod.JOINTS, zoom_free=False)
+    condition = Condition(method=CalibrationMethod.JOINTS, focal_free=False)
     with pytest.raises(UsageError, match="holds no joint angles"):
-        next(measure(folder, limit=None, frames=T, conditions=[condition], eye=eye))
+        next(measure(folder, limit=None, frames=T, conditions=[condition], estimator=estimator))

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kinebench_drake.calibration.correspondences import CalibrationCorrespondences, LensView, points
+from kinebench_drake.calibration.correspondences import CalibrationCorrespondences, LensView, locate_points
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, invert, transform_points
 from kinebench_drake.grounding.registration.arm_model import ArmModel
@@ -51,7 +51,7 @@ def seen_from(
         weight=np.full(n, 8.0 / cells),
         repeats=np.ones(n),
     )
-    p_B = points(sightings, model.poses(q), np.full(len(q), finger_m))
+    p_B = locate_points(sightings, model.poses(q), np.full(len(q), finger_m))
     uv = camera.project(transform_points(invert(camera.X_BC), p_B))
     sightings.uv_px[:] = uv + rng.normal(0.0, noise_px, uv.shape) if noise_px else uv
     return sightings
@@ -66,7 +66,7 @@ class PerfectEye:
     model: ArmModel
     noise_px: float = 0.0
 
-    def look(self, frames, camera):
+    def estimate(self, frames, camera):
         cells = seen_from(self.camera, self.q[frames[:, 0, 0, 0]], self.model, noise_px=self.noise_px)
         T = len(frames)
         return LensView(

@@ -7,7 +7,7 @@ from kinebench_drake import cli
 from kinebench_drake.calibration.calibrate import CalibrationConfig, calibrate
 from kinebench_drake.calibration.correspondences import NetworkViewEstimator
 from kinebench_drake.calibration.fit import with_focal
-from kinebench_drake.calibration.overlay import part_map
+from kinebench_drake.calibration.overlay import render_part_map
 from kinebench_drake.calibration.result import CalibrationMethod
 from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.geometry import invert, pose_difference, transform_points
@@ -19,7 +19,7 @@ T = 6
 
 
 @pytest.fixture
-def eye(camera, model):
+def estimator(camera, model):
     return PerfectEye(with_focal(camera, 400.0), postures(T), model, noise_px=0.3)
 
 
@@ -34,8 +34,8 @@ def video(tmp_path):
 
 
 @pytest.fixture
-def program(monkeypatch, capsys, eye):
-    monkeypatch.setattr(NetworkViewEstimator, "create", lambda: eye)
+def program(monkeypatch, capsys, estimator):
+    monkeypatch.setattr(NetworkViewEstimator, "create", lambda: estimator)
 
     def run(*arguments):
         with pytest.raises(SystemExit) as ended:
@@ -46,13 +46,13 @@ def program(monkeypatch, capsys, eye):
     return run
 
 
-def test_the_command_writes_a_camera_that_score_takes(program, video, eye, tmp_path):
+def test_the_command_writes_a_camera_that_score_takes(program, video, estimator, tmp_path):
     out, figure = tmp_path / "camera.json", tmp_path / "check.png"
     joints = tmp_path / "joints.npz"
     code, told, err = program("calibrate", video, "--joints", joints, "--out", out, "--figure", figure, "--json")
     assert (code, err) == (0, "")
     camera, figures = load_camera(out), json.loads(told)
-    assert float(pose_difference(camera.X_BC, eye.camera.X_BC)[0]) < 0.02
+    assert float(pose_difference(camera.X_BC, estimator.camera.X_BC)[0]) < 0.02
     assert camera.fx == pytest.approx(400.0, rel=0.03)
     assert figures["camera"] == json.loads(out.read_text())
     assert figures["frames"] == list(range(T))
@@ -92,7 +92,7 @@ def test_a_video_that_is_not_there_is_one_line(program, tmp_path):
     assert "none.mp4: there is no such file" in err
 
 
-def test_a_moving_camera_is_refused(video, eye, tmp_path):
+def test_a_moving_camera_is_refused(video, estimator, tmp_path):
     frames = np.load(video)
     background = np.kron(np.random.default_rng(0).integers(0, 255, (24, 24)), np.ones((16, 16))).astype(np.uint8)
     for i, frame in enumerate(frames):
@@ -100,18 +100,21 @@ def test_a_moving_camera_is_refused(video, eye, tmp_path):
         frame[0, 0, 0] = i
     np.save(video, frames)
     with pytest.raises(UnmeasurableError, match="the camera moves"):
-        calibrate(CalibrationConfig(video=video, joints=str(tmp_path / "joints.npz")), eye)
+        calibrate(CalibrationConfig(video=video, joints=str(tmp_path / "joints.npz")), estimator)
 
 
-def test_without_joint_angles_the_motion_alone_is_used(video, eye):
-    assert calibrate(CalibrationConfig(video=video, focal_px=400.0), eye).calibration.method is CalibrationMethod.MOTION
+def test_without_joint_angles_the_motion_alone_is_used(video, estimator):
+    assert (
+        calibrate(CalibrationConfig(video=video, focal_px=400.0), estimator).calibration.method
+        is CalibrationMethod.MOTION
+    )
 
 
 def test_the_drawn_robot_is_where_the_camera_has_it(camera, model):
     X_BP = model.poses(postures(1))[0]
-    labels = part_map(camera, X_BP, 0.01)
+    labels = render_part_map(camera, X_BP, 0.01)
     inside = transform_points(invert(camera.X_BC) @ X_BP[RobotPart.HAND], np.array([[0.0, 0.0, 0.03]]))
     u, v = camera.project(inside)[0].astype(int)
     assert labels[v, u] in (RobotPart.HAND, RobotPart.LINK7, RobotPart.LINK6)
     X_BP[RobotPart.HAND] = np.nan
-    assert RobotPart.HAND not in part_map(camera, X_BP, 0.01)
+    assert RobotPart.HAND not in render_part_map(camera, X_BP, 0.01)

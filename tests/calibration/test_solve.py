@@ -23,7 +23,7 @@ def look_of(cells, q):
     return LensView(cells=cells, finger_m=np.full(len(q), 0.01), q=q, robot=np.zeros((2, 2), dtype=bool))
 
 
-def described(solved, *, zoom_free=True, method=CalibrationMethod.JOINTS):
+def described(solved, *, focal_free=True, method=CalibrationMethod.JOINTS):
     return describe(
         solved.fit,
         solved.cells,
@@ -32,17 +32,19 @@ def described(solved, *, zoom_free=True, method=CalibrationMethod.JOINTS):
         source="joints.csv",
         frames=solved.rows,
         hands_B=solved.X_BP[:, RobotPart.HAND, :3, 3],
-        focal_free=zoom_free,
+        focal_free=focal_free,
     )
 
 
 def calibrated(
-    camera, model, *, q=None, told=None, noise_px=0.5, guess=None, zoom_free=True, parts=SEEN
+    camera, model, *, q=None, told=None, noise_px=0.5, guess=None, focal_free=True, parts=SEEN
 ) -> CameraCalibration:
     q = postures(6) if q is None else q
     cells = seen_from(camera, q, model, noise_px=noise_px, parts=parts)
     states = states_of(q if told is None else told, model)
-    return described(solve(look_of(cells, q), states, guess or camera, model, zoom_free=zoom_free), zoom_free=zoom_free)
+    return described(
+        solve(look_of(cells, q), states, guess or camera, model, focal_free=focal_free), focal_free=focal_free
+    )
 
 
 def off(camera, found):
@@ -59,7 +61,7 @@ def test_an_exact_picture_gives_the_camera_and_its_lens(camera, model, fov_deg):
 
 
 def test_a_known_lens_is_kept(camera, model):
-    found = calibrated(camera, model, zoom_free=False)
+    found = calibrated(camera, model, focal_free=False)
     assert (found.camera.fx, found.focal_sigma) == (camera.fx, 0.0)
     assert off(camera, found.camera)[0] < 0.01
 
@@ -92,27 +94,27 @@ def test_a_robot_far_away_leaves_the_focal_length_open_and_says_why(camera, mode
 
 def test_a_gripper_read_upside_down_in_a_frame_is_read_again(camera, model):
     q = postures(5)
-    wrong = seen_from(camera, q, model).turned(np.arange(5) == 2)
-    found = described(solve(look_of(wrong, q), states_of(q, model), camera, model, zoom_free=True))
+    wrong = seen_from(camera, q, model).flip(np.arange(5) == 2)
+    found = described(solve(look_of(wrong, q), states_of(q, model), camera, model, focal_free=True))
     assert max(off(camera, found.camera)) < 1e-5
 
 
 def test_joint_angles_of_another_motion_are_refused(camera, model):
-    with pytest.raises(UnmeasurableError, match=r"does not go with the picture|goes with joints.csv"):
+    with pytest.raises(UnmeasurableError, match=r"contradicts the images|agree with joints.csv"):
         require_determined(calibrated(camera, model, told=postures(6, seed=5, reach=0.6)))
 
 
 def test_poses_of_the_gripper_do_without_the_arm(camera, model):
     q = postures(6)
     states = replace(states_of(q, model), q=np.full((6, 7), np.nan))
-    solved = solve(look_of(seen_from(camera, q, model), q), states, camera, model, zoom_free=True)
+    solved = solve(look_of(seen_from(camera, q, model), q), states, camera, model, focal_free=True)
     assert set(np.unique(solved.cells.part)) == {
         RobotPart.HAND,
         RobotPart.LEFT_FINGER,
         RobotPart.RIGHT_FINGER,
         RobotPart.LINK0,
     }
-    assert max(off(camera, solved.fit.lens.placed())) < 1e-5
+    assert max(off(camera, solved.fit.lens.to_camera())) < 1e-5
 
 
 def moving(camera, model, *, parts=SEEN, known=()):
@@ -126,10 +128,10 @@ def moving(camera, model, *, parts=SEEN, known=()):
         q=np.where(told, q, np.nan),
         X_BH=np.where(told[..., None], model.poses(q)[:, RobotPart.HAND], np.nan),
     )
-    look = look_of(seen_from(camera, q, model, parts=parts), q + 0.02)
-    solved = solve(look, states, guess, model, zoom_free=False)
+    estimate = look_of(seen_from(camera, q, model, parts=parts), q + 0.02)
+    solved = solve(estimate, states, guess, model, focal_free=False)
     return described(
-        solved, zoom_free=False, method=CalibrationMethod.MOTION if not known else CalibrationMethod.POSTURE
+        solved, focal_free=False, method=CalibrationMethod.MOTION if not known else CalibrationMethod.POSTURE
     )
 
 
@@ -152,7 +154,7 @@ def test_one_posture_in_a_motion_tells_that_turn_as_well(camera, model):
 
 def test_derivatives_are_those_of_the_projection(camera, model):
     from kinebench_drake.calibration.articulated import _derivatives
-    from kinebench_drake.calibration.correspondences import points
+    from kinebench_drake.calibration.correspondences import locate_points
     from kinebench_drake.calibration.fit import Lens
 
     q, finger_m = postures(2), np.array([0.01, 0.02])
@@ -160,7 +162,7 @@ def test_derivatives_are_those_of_the_projection(camera, model):
     lens = Lens(camera=camera, X_CB=invert(camera.X_BC))
 
     def pixels(step, dq, dw):
-        return lens.moved(step).project(points(cells, model.poses(q + dq), finger_m + dw))[0]
+        return lens.displace(step).project(locate_points(cells, model.poses(q + dq), finger_m + dw))[0]
 
     by_lens, by_state = _derivatives(cells, lens, q, finger_m, model)
     h = 1e-6

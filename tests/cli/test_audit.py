@@ -193,7 +193,7 @@ def test_what_was_assumed_of_the_robot_is_told_once_and_kept(run, tmp_path, writ
     count = Count()
     run(count, urdf=write_arm(types={3: "continuous"}), tcp_frame="tool")
     told = [text.removeprefix("small.urdf: ") for text in count.warnings if text.startswith("small.urdf: ")]
-    assert any("held to -pi..pi: j3" in text for text in told)
+    assert any("limited to -pi..pi: j3" in text for text in told)
     assert any("no small.srdf beside the URDF" in text for text in told)
     assert json.loads((tmp_path / "out" / "results.json").read_text())["config"]["robot_remarks"] == told
     run()

@@ -195,9 +195,9 @@ def test_visuals_that_cannot_be_read_are_remarked(write_arm: Write) -> None:
     ("arm", "tcp", "error", "message"),
     [
         ({}, "hand", UsageError, "no link 'hand'; it has l0, l1, "),
-        ({"joints": 6}, "tool", InputError, "6 turning joints between l0 and tool .*j6.*, expected 7"),
-        ({"joints": 8}, "tool", InputError, "8 turning joints"),
-        ({}, "l0", InputError, "0 turning joints between l0 and l0 .none."),
+        ({"joints": 6}, "tool", InputError, "6 revolute joints between l0 and tool .*j6.*, expected 7"),
+        ({"joints": 8}, "tool", InputError, "8 revolute joints"),
+        ({}, "l0", InputError, "0 revolute joints between l0 and l0 .none."),
         ({"types": {2: "prismatic"}}, "tool", InputError, "joint j2 between l0 and tool is prismatic"),
         ({"types": {2: "floating"}}, "tool", InputError, "joint j2 is floating, expected revolute"),
         ({"limits": {4: ""}}, "tool", InputError, "joint j4 has no positive velocity limit"),
