@@ -15,6 +15,13 @@ if TYPE_CHECKING:
     from kinebench_drake.kinematics.plant import ArmPlant
 
 folders_argument = click.argument("folders", metavar="DIR...", nargs=-1, required=True, type=click.Path(path_type=Path))
+comparison_out_option = click.option(
+    "--out", type=click.Path(path_type=Path, file_okay=False),
+    help="Also write report.html, figure and table (csv, LaTeX) to this folder.",
+)  # fmt: skip
+bootstrap_seed_option = click.option(
+    "--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the bootstrap intervals."
+)
 
 
 @click.command(epilog="\b\nExamples:\n  kinebench-drake report results/\n  kinebench-drake report results/ --figures")
@@ -42,11 +49,8 @@ def report(folders: tuple[Path, ...], figures: bool) -> None:
     "  kinebench-drake compare runs/*/ --out comparison/"
 )
 @folders_argument
-@click.option(
-    "--out", type=click.Path(path_type=Path, file_okay=False),
-    help="Also write report.html, figure and table (csv, LaTeX) to this folder.",
-)  # fmt: skip
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the bootstrap intervals.")
+@comparison_out_option
+@bootstrap_seed_option
 def compare(folders: tuple[Path, ...], out: Path | None, seed: int) -> None:
     """Compare models of suite runs DIR, two by two, on the episodes that both did.
 
@@ -58,7 +62,7 @@ def compare(folders: tuple[Path, ...], out: Path | None, seed: int) -> None:
 
     comparison = read_comparison(folders, seed)
     page = None if out is None else write_comparison(comparison, out)
-    for line in comparison_lines(comparison.table):
+    for line in comparison_lines(comparison.pairs):
         click.echo(line)
     if page is not None:
         click.echo(page)

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import click
 
+from kinebench_drake.cli.folders import bootstrap_seed_option, comparison_out_option, folders_argument
 from kinebench_drake.cli.options import (
     SPLITS,
     SUITES,
@@ -24,12 +25,9 @@ from kinebench_drake.suites.selection import chosen_tasks
     "  kinebench-drake suite run --suite 0 --world-model oracle --pixels-only --episodes 20 --out pixels/ --jobs 2\n"
     "  kinebench-drake suite ceiling pixels/ --out ceiling/ --jobs 2",
 )
-@click.argument("folders", metavar="DIR...", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option(
-    "--out", type=click.Path(path_type=Path, file_okay=False),
-    help="Also write report.html, figure and table (csv, LaTeX) to this folder.",
-)  # fmt: skip
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the bootstrap intervals.")
+@folders_argument
+@comparison_out_option
+@bootstrap_seed_option
 @jobs_option
 def ceiling(folders: tuple[Path, ...], out: Path | None, seed: int, jobs: int) -> None:
     """Execute the expert's own true track in the episodes of suite runs DIR, and compare each model with it.
@@ -47,7 +45,7 @@ def ceiling(folders: tuple[Path, ...], out: Path | None, seed: int, jobs: int) -
     with ProgressView() as view, terminate_as_interrupt():
         comparison = read_ceiling(folders, lambda episodes: run_attempts(executor, episodes, (), view), seed)
     page = None if out is None else write_comparison(comparison, out)
-    for line in (*comparison_lines(comparison.table), "", *ceiling_lines(comparison.pairs)):
+    for line in (*comparison_lines(comparison.pairs), "", *ceiling_lines(comparison.pairs)):
         click.echo(line)
     if page is not None:
         click.echo(page)
@@ -59,9 +57,9 @@ def ceiling(folders: tuple[Path, ...], out: Path | None, seed: int, jobs: int) -
     "  kinebench-drake suite report runs/wan-suite0/ runs/wan-suite2/ --out report/\n"
     "  kinebench-drake suite report scaling/*/ --out report/",
 )
-@click.argument("folders", metavar="DIR...", nargs=-1, required=True, type=click.Path(path_type=Path))
+@folders_argument
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), required=True, help="Folder to write to.")
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the bootstrap intervals.")
+@bootstrap_seed_option
 def report(folders: tuple[Path, ...], out: Path, seed: int) -> None:
     """Report on output folders DIR of `suite run`: report.html, figures (png, svg), tables (csv, LaTeX).
 

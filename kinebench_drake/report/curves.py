@@ -102,7 +102,7 @@ def _gripper_plots(file: TrackFile, bands: Bands) -> Iterator[Markup]:
 def draw_joint_ranges(t_s: Array, q: Array, limits: JointLimits, names: Sequence[str]) -> Markup | None:
     """Draw joint angles within their ranges as a `<figure>`; None if the limits or all angles are unknown.
 
-    A joint's line runs between the edges of its lane, its lower and upper limit; on the right stands its minimum
+    A joint's line runs between the edges of its lane, its lower and upper limit; the number on the right is its minimum
     margin: distance to the limit over half the range, negative outside.
 
     Args:

@@ -121,8 +121,10 @@ class ReplayScene:
         for run in segments(self._posed):
             kept = _thin(run.start, run.stop)
             color = np.array([_linear(COLORS[self._states[k]]) for k in kept])
-            tube = _tube(self._X_BG[kept, :3, 3], 0.004)
-            self._paint(f"/wanted/{run.start}", *tube, np.repeat(color, _SIDES, axis=0))
+            vertices, faces = _tube(self._X_BG[kept, :3, 3], 0.004)
+            colors = np.repeat(color, _SIDES, axis=0)
+            arrays = (np.asfortranarray(array.T) for array in (vertices, faces, colors))
+            self._meshcat.SetTriangleColorMesh(f"/wanted/{run.start}", *arrays)
         broken = [k for k in frames if self._states[k] is FrameState.BROKEN]
         broken = broken[:: -(-len(broken) // _MAX_BEADS) or 1]
         if broken:
@@ -219,11 +221,6 @@ class ReplayScene:
             np.asfortranarray(np.asarray(vertices, dtype=np.float64).T),
             np.asfortranarray(np.asarray(faces, dtype=np.int32).T),
             Rgba(*color, opacity),
-        )
-
-    def _paint(self, path: str, vertices: Array, faces: NDArray[np.int32], colors: Array) -> None:
-        self._meshcat.SetTriangleColorMesh(
-            path, np.asfortranarray(vertices.T), np.asfortranarray(faces.T), np.asfortranarray(colors.T)
         )
 
     def _tick(self, t: float) -> int:

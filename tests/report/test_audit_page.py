@@ -16,7 +16,7 @@ from tests.report.pages import EVIL, Page, row
 
 @pytest.fixture
 def audit(tmp_path):
-    """An output folder of an audit: no pictures, limits in the rows, one replay."""
+    """An output folder of an audit: no images, limits in the rows, one replay."""
     n = 30
     X = make_pose(np.broadcast_to(np.eye(3), (n, 3, 3)), np.linspace(0, 1, 3 * n).reshape(n, 3))
     track = GripperTrack(
@@ -75,7 +75,7 @@ def section(text, id):
     return next(part for part in text.split('<tbody class="sample"')[1:] if f">{id}</button>" in part)
 
 
-def test_an_audit_has_no_column_of_pictures(audit):
+def test_an_audit_has_no_column_of_images(audit):
     text = write_report(audit).read_text()
     assert "trajectory audit" in text
     assert 'class="none"' not in text

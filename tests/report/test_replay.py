@@ -36,7 +36,7 @@ def build(plant):
 
 @pytest.fixture
 def joints(plant):
-    """A swing of two joints, of which frame 5 is not known and frame 8 does not get where it is wanted."""
+    """A swing of two joints; frame 5 has no joint angles and frame 8 misses the wanted pose."""
     t_s = np.arange(N) * 0.2
     q = plant.robot.rest_q + np.outer(np.sin(t_s), [0.3, 0.0, 0.0, 0.2, 0.0, 0.0, 0.0])
     q[5] = np.nan
@@ -84,7 +84,7 @@ def row(id="a", **changes):
 
 
 def commands(html):
-    """What the page tells its viewer, decoded."""
+    """Commands of the page to its viewer, decoded."""
     return [base64.b64decode(c) for c in re.findall(r'fetch\("data:application/octet-binary;base64,([^"]+)"', html)]
 
 

@@ -58,10 +58,9 @@ class PairComparison:
 class ModelComparison:
     """Comparison of all pairs of models of some runs."""
 
-    folders: tuple[RunFolder, ...]
-    episodes: tuple[EpisodeResult, ...]
-    pairs: tuple[PairComparison, ...]
-    table: Table
+    folders: Sequence[RunFolder]
+    episodes: Sequence[EpisodeResult]
+    pairs: Sequence[PairComparison]
 
 
 def read_comparison(paths: Sequence[Path], seed: int = 0) -> ModelComparison:
@@ -72,7 +71,7 @@ def read_comparison(paths: Sequence[Path], seed: int = 0) -> ModelComparison:
     """
     folders = read_folders(paths)
     episodes = pool_episodes(folders)
-    return _pack(folders, episodes, compare(episodes, seed))
+    return ModelComparison(folders=folders, episodes=episodes, pairs=compare(episodes, seed))
 
 
 def read_ceiling(
@@ -99,7 +98,7 @@ def read_ceiling(
     once = {e.key: e for e in episodes}
     direct = [_direct_result(e, attempts[compositions[key].id]) for key, e in once.items()]
     pairs = [c for c in compare([*episodes, *direct], seed) if c.second == DIRECT]
-    return _pack(folders, [*episodes, *direct], pairs)
+    return ModelComparison(folders=folders, episodes=[*episodes, *direct], pairs=pairs)
 
 
 def _compose(result: EpisodeResult) -> "Episode":
@@ -131,14 +130,6 @@ def _direct_result(result: EpisodeResult, attempt: "ToleranceAttempt") -> Episod
         extra={**labels, "success": attempt.success, "progress": attempt.progress, "cause": cause},
     )
     return EpisodeResult(part=result.part, model=DIRECT, folder=None, row=row)
-
-
-def _pack(
-    folders: Sequence[RunFolder], episodes: Sequence[EpisodeResult], pairs: Sequence[PairComparison]
-) -> ModelComparison:
-    return ModelComparison(
-        folders=tuple(folders), episodes=tuple(episodes), pairs=tuple(pairs), table=tabulate_comparison(pairs)
-    )
 
 
 def compare(episodes: Sequence[EpisodeResult], seed: int = 0) -> list[PairComparison]:
@@ -257,8 +248,9 @@ def _row(c: PairComparison) -> tuple[Value, ...]:
     )
 
 
-def comparison_lines(table: Table) -> Iterator[str]:
+def comparison_lines(pairs: Sequence[PairComparison]) -> Iterator[str]:
     """Format the main columns of a comparison for a terminal, one block per pair of models and part."""
+    table = tabulate_comparison(pairs)
     printed = [k for k, column in enumerate(table.columns) if column.key in _PRINTED]
     columns = tuple(table.columns[k] for k in printed)
     for (part, first, second), rows in groupby(table.rows, key=lambda row: row[:3]):

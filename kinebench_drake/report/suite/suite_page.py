@@ -10,7 +10,7 @@ from kinebench_drake.report.figures import ReportFigure, write_figure
 from kinebench_drake.report.page import template_environment
 from kinebench_drake.report.sample import relative_link
 from kinebench_drake.report.suite import correlation, kinematics, scaling, success
-from kinebench_drake.report.suite.comparison import ModelComparison, draw_differences
+from kinebench_drake.report.suite.comparison import ModelComparison, draw_differences, tabulate_comparison
 from kinebench_drake.report.suite.episode import EpisodeResult, group_by, tabulate_episodes
 from kinebench_drake.report.suite.folders import RunFolder, pool_episodes, read_folders
 from kinebench_drake.report.table import Table, sort_key, table_csv, table_latex
@@ -78,8 +78,8 @@ def write_comparison(comparison: ModelComparison, out: Path) -> Path:
     figure = draw_differences(comparison.pairs) or MissingPart(
         title="Differences of success", needs="episodes measured for two models"
     )
-    parts: list[Part] = [comparison.table, figure]
-    return _write_page("Comparison of models", comparison.folders, comparison.episodes, out, parts)
+    table = tabulate_comparison(comparison.pairs)
+    return _write_page("Comparison of models", comparison.folders, comparison.episodes, out, [table, figure])
 
 
 def _sparc_parts(episodes: Sequence[EpisodeResult], seed: int) -> list[Part]:

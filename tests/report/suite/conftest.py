@@ -6,7 +6,7 @@ from tests.report.suite.synthetic import EVIL, failed, outcome, write_run
 
 @pytest.fixture
 def runs(tmp_path):
-    """Three models of known worth on two parts, and a small scaling study."""
+    """Runs of three models with fixed success on two parts, and of a small scaling study."""
     root = tmp_path / "runs"
 
     def mixed(hits, n, sparc, cost):

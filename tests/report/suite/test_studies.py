@@ -64,7 +64,7 @@ def test_intervals_hold_the_true_balance_as_often_as_they_say():
     assert 0.89 <= covered / 200 <= 0.98
 
 
-def test_shards_are_one_run_and_tags_or_settings_tell_runs_apart(tmp_path):
+def test_shards_are_pooled_and_tags_or_settings_distinguish_runs(tmp_path):
     one = write_run(tmp_path / "s1", {"T": [True] * 2})
     two = write_run(tmp_path / "s2", {"T": [False] * 2}, first_seed=2)
     assert list_models(episodes_of(one, two)) == ["wan"]
@@ -81,10 +81,10 @@ def test_shards_are_one_run_and_tags_or_settings_tell_runs_apart(tmp_path):
     assert len({*list_models(episodes_of(one, two))}) == 2
     assert max(map(len, list_models(episodes_of(one, two)))) < 70
     other = write_run(tmp_path / "u", {"T": [True]}, suite=2, split="unseen", tags={"data": "25"})
-    assert list_models(episodes_of(one, other)) == ["wan"]  # two parts need nothing to be told apart
+    assert list_models(episodes_of(one, other)) == ["wan"]  # two parts need no distinction
 
 
-def test_the_same_episodes_twice_are_told_apart_by_their_folders(tmp_path):
+def test_the_same_episodes_twice_are_distinguished_by_their_folders(tmp_path):
     one, two = (write_run(tmp_path / name, {"T": [True]}) for name in ("first", "again"))
     assert list_models(episodes_of(one, two)) == ["wan [again]", "wan [first]"]
 
@@ -156,7 +156,7 @@ def test_rank_correlation_is_spearman_s(tmp_path):
     assert study.correlate() == result
 
 
-def test_hard_tasks_do_not_stand_for_bad_models(tmp_path):
+def test_hard_tasks_do_not_count_as_bad_models(tmp_path):
     sparc = [[-3.0, -1.0], [-2.5, -0.5], [-2.0, 0.0]]
     rho = study_sparc(grid(tmp_path, sparc, [[8, 1], [9, 2], [10, 3]])).correlate().rho
     assert (rho.mean, rho.low, rho.high) == (pytest.approx(1.0), pytest.approx(1.0), pytest.approx(1.0))

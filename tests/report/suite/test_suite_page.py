@@ -1,4 +1,4 @@
-"""The reports as files: whole, safe against their content, the same again; and what is refused."""
+"""Reports of suite runs as files: complete, escaped, repeatable; and refused inputs."""
 
 import csv
 import io
