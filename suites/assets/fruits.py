@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from scipy.interpolate import PchipInterpolator
 
 from kinebench_drake.geometry import Array, rotation_exp
-from kinebench_drake.suites.assets.mesh import BodyParts, lathe, smooth_mesh, sparse_hull, sweep
+from kinebench_drake.suites.assets.mesh import BodyParts, arc_length, lathe, smooth_mesh, sparse_hull, sweep
 from kinebench_drake.suites.assets.model import (
     AssetKind,
     AssetModel,
@@ -66,7 +66,7 @@ def _globe(profile: Array, bend: Callable[[Array, Array], Array] | None = None) 
 def _profile(knots: ArrayLike, count: int = 26) -> Array:
     """Return a smooth profile (count, 2) through radii and heights (K, 2)."""
     p = np.asarray(knots, dtype=np.float64)
-    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(p, axis=0), axis=1))])
+    along = arc_length(p)
     s = np.linspace(0.0, along[-1], count)
     return np.column_stack([PchipInterpolator(along, p[:, i])(s) for i in range(2)])
 
@@ -89,13 +89,8 @@ def _leaf(length_m: float, width_m: float, bow_m: float) -> tuple[Array, Array]:
     rise = 4.0 * bow_m * s * (1.0 - s)
     edge = [np.column_stack([length_m * s, sign * wide, rise + 0.15 * wide]) for sign in (-1.0, 1.0)]
     vertices = np.concatenate([edge[0], np.column_stack([length_m * s, 0.0 * s, rise]), edge[1]])
-    faces = [
-        f
-        for row in (0, 9)
-        for i in range(8)
-        for f in ([row + i, row + i + 1, row + i + 10], [row + i, row + i + 10, row + i + 9])
-    ]
-    upper = np.array(faces)
+    faces = [([k, k + 1, k + 10], [k, k + 10, k + 9]) for row in (0, 9) for k in range(row, row + 8)]
+    upper = np.array(faces).reshape(-1, 3)
     return vertices, np.concatenate([upper, upper[:, ::-1]])
 
 

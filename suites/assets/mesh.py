@@ -45,6 +45,11 @@ def cylinder_mesh(radius_m: float, length_m: float, *, sections: int = 32, uv_pe
     return lathe([[0.0, -h], [radius_m, -h], [radius_m, h], [0.0, h]], sections=sections, uv_per_m=uv_per_m)
 
 
+def arc_length(points: Array) -> Array:
+    """Return the length (N,) along a polyline (N, D) up to each of its points."""
+    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+
+
 def lathe(profile: ArrayLike, *, sections: int = 32, uv_per_m: float = 1.0, crease_rad: float = 0.6) -> Mesh:
     """Return the surface of revolution about z of a profile (N, 2) of radius and height [m], from bottom to top.
 
@@ -54,7 +59,7 @@ def lathe(profile: ArrayLike, *, sections: int = 32, uv_per_m: float = 1.0, crea
     angle = np.linspace(0.0, 2.0 * np.pi, sections + 1)
     ring = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     vertices = np.concatenate([np.column_stack([r * ring, np.full(len(ring), z)]) for r, z in rz])
-    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(rz, axis=0), axis=1))])
+    along = arc_length(rz)
     around = angle * max(float(rz[:, 0].max()), 1e-6)
     uv = uv_per_m * np.concatenate([np.column_stack([around, np.full(len(around), s)]) for s in along])
     columns = sections + 1
@@ -125,7 +130,7 @@ def sweep(centers: ArrayLike, radii: ArrayLike, *, sections: int = 16, uv_per_m:
         side /= np.linalg.norm(side)
         up = np.cross(tangent[i], side)
         rings.append(p[i] + r[i] * (np.cos(angle)[:, None] * side + np.sin(angle)[:, None] * up))
-    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(p, axis=0), axis=1))])
+    along = arc_length(p)
     vertices, columns = np.concatenate([*rings, np.repeat(p[[0, -1]], sections + 1, axis=0)]), sections + 1
     uv = np.concatenate(
         [np.column_stack([angle * r.max(), np.full(columns, s)]) for s in [*along, along[0], along[-1]]]

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from kinebench_drake.geometry import Array
 
+_SMALL, _LARGE = 256, 512  # rows and columns of textures
 Texture = NDArray[np.uint8]
 """(H, W, 3) sRGB."""
 WOODS: dict[str, tuple[tuple[int, int, int], tuple[int, int, int]]] = {
@@ -147,71 +148,72 @@ def wood(rng: np.random.Generator, kind: str = "oak", *, size: int = 256) -> Tex
     return shade(image, 1.0 - 0.9 * np.clip(-fibre - 0.28, 0.0, 0.2))
 
 
-def planks(rng: np.random.Generator, kind: str = "oak", *, boards: int = 4, size: int = 512) -> Texture:
+def planks(rng: np.random.Generator, kind: str = "oak", *, boards: int = 4) -> Texture:
     """Return wooden boards with seams, grain along rows; about 0.15 m per board."""
-    grain = wood(rng, kind, size=size)
-    cell, edge = _cells(size, boards, 1, rng.uniform(0.0, 1.0, boards))
+    grain = wood(rng, kind, size=_LARGE)
+    cell, edge = _cells(_LARGE, boards, 1, rng.uniform(0.0, 1.0, boards))
     image = np.empty_like(grain)
     for board in range(boards):
-        rows = slice(board * size // boards, (board + 1) * size // boards)
-        image[rows] = np.roll(grain, rng.integers(0, size, 2), (0, 1))[rows]
+        rows = slice(board * _LARGE // boards, (board + 1) * _LARGE // boards)
+        image[rows] = np.roll(grain, rng.integers(0, _LARGE, 2), (0, 1))[rows]
     tone = rng.normal(1.0, 0.06, boards)[cell]
     return shade(image, tone * (1.0 - 0.45 * np.clip(1.6 - edge, 0.0, 1.0)))
 
 
-def parquet(rng: np.random.Generator, kind: str = "oak", *, cells: int = 4, size: int = 512) -> Texture:
+def parquet(rng: np.random.Generator, kind: str = "oak") -> Texture:
     """Return wooden squares with alternating grain direction; about 0.15 m per square."""
-    grain = wood(rng, kind, size=size)
-    cell, edge = _cells(size, cells, cells)
+    grain = wood(rng, kind, size=_LARGE)
+    cells = 4
+    cell, edge = _cells(_LARGE, cells, cells)
     across = (cell // cells + cell % cells) % 2 == 1
-    _, slat = _cells(size, 4 * cells, cells)
+    _, slat = _cells(_LARGE, 4 * cells, cells)
     slat = np.where(across, slat.T, slat)
     image = np.where(across[..., None], grain.swapaxes(0, 1), grain)
     seams = 0.4 * np.clip(1.5 - edge, 0.0, 1.0) + 0.15 * np.clip(1.2 - slat, 0.0, 1.0)
     return shade(image, rng.normal(1.0, 0.05, cells * cells)[cell] * (1.0 - seams))
 
 
-def marble(rng: np.random.Generator, ground: ArrayLike, vein: ArrayLike, *, size: int = 512) -> Texture:
+def marble(rng: np.random.Generator, ground: ArrayLike, vein: ArrayLike) -> Texture:
     """Return marble with veins in one colour on another; about 0.7 m."""
-    field = tileable_noise(rng, size, slope=1.7)
-    fine = tileable_noise(rng, size, slope=1.5)
+    field = tileable_noise(rng, _LARGE, slope=1.7)
+    fine = tileable_noise(rng, _LARGE, slope=1.5)
     veins = np.exp(-np.abs(field - 0.5) / 0.012) + 0.5 * np.exp(-np.abs(fine - 0.42) / 0.008)
     clouds = 0.5 * np.clip(field - 0.35, 0.0, 1.0)
     return blend(ground, vein, np.clip(0.75 * veins * (0.25 + 1.4 * fine * field) + clouds, 0.0, 0.9))
 
 
-def granite(rng: np.random.Generator, kind: str = "grey", *, size: int = 256) -> Texture:
+def granite(rng: np.random.Generator, kind: str = "grey") -> Texture:
     """Return granite of one of `STONES`; about 0.25 m."""
-    crystals, fine = _patches(rng, size, size // 6), _patches(rng, size, size // 3)
+    crystals, fine = _patches(rng, _SMALL, _SMALL // 6), _patches(rng, _SMALL, _SMALL // 3)
     return gradient(STONES[kind], 0.72 * np.digitize(crystals, [0.22, 0.75]) / 2.0 + 0.28 * fine)
 
 
-def concrete(rng: np.random.Generator, color: ArrayLike = (158, 156, 152), *, size: int = 512) -> Texture:
+def concrete(rng: np.random.Generator, color: ArrayLike = (158, 156, 152)) -> Texture:
     """Return cast concrete or stucco: cloudy, with fine grain and a few pores; about 1 m."""
-    clouds, fine = tileable_noise(rng, size, slope=1.4) - 0.5, grains(rng, size, size / 4.0) - 0.5
-    pores = np.clip(grains(rng, size, size / 14.0) - 0.93, 0.0, 0.07)
-    return shade(fill(color, size), 1.0 + 0.35 * clouds + 0.14 * fine - 5.0 * pores)
+    clouds, fine = tileable_noise(rng, _LARGE, slope=1.4) - 0.5, grains(rng, _LARGE, _LARGE / 4.0) - 0.5
+    pores = np.clip(grains(rng, _LARGE, _LARGE / 14.0) - 0.93, 0.0, 0.07)
+    return shade(fill(color, _LARGE), 1.0 + 0.35 * clouds + 0.14 * fine - 5.0 * pores)
 
 
-def plaster(rng: np.random.Generator, color: ArrayLike = (222, 216, 204), *, size: int = 256) -> Texture:
+def plaster(rng: np.random.Generator, color: ArrayLike = (222, 216, 204)) -> Texture:
     """Return a wall painted with a roller; about 0.5 m."""
-    height = grains(rng, size, size / 8.0) + 0.5 * grains(rng, size, size / 20.0)
-    return shade(fill(color, size), _relief(height, 0.07) + 0.06 * (tileable_noise(rng, size) - 0.5))
+    height = grains(rng, _SMALL, _SMALL / 8.0) + 0.5 * grains(rng, _SMALL, _SMALL / 20.0)
+    return shade(fill(color, _SMALL), _relief(height, 0.07) + 0.06 * (tileable_noise(rng, _SMALL) - 0.5))
 
 
 def speckle(
-    rng: np.random.Generator, ground: ArrayLike, specks: Sequence[ArrayLike], *, cycles: float = 40.0, size: int = 256
+    rng: np.random.Generator, ground: ArrayLike, specks: Sequence[ArrayLike], *, cycles: float = 40.0
 ) -> Texture:
     """Return specks of several colours on a ground, as in terrazzo or linoleum; `cycles` of them across."""
-    image = fill(ground, size)
+    image = fill(ground, _SMALL)
     for speck in specks:
-        image = mix(image, speck, (grains(rng, size, cycles) - 0.72) / 0.03)
-    return shade(image, 1.0 + 0.1 * (tileable_noise(rng, size, slope=0.8) - 0.5))
+        image = mix(image, speck, (grains(rng, _SMALL, cycles) - 0.72) / 0.03)
+    return shade(image, 1.0 + 0.1 * (tileable_noise(rng, _SMALL, slope=0.8) - 0.5))
 
 
-def woven(rng: np.random.Generator, warp: ArrayLike, weft: ArrayLike, *, threads: int = 64, size: int = 256) -> Texture:
+def woven(rng: np.random.Generator, warp: ArrayLike, weft: ArrayLike, *, threads: int = 64) -> Texture:
     """Return cloth with warp threads along columns and weft along rows, of colours (3,) or (threads, 3)."""
-    at = (np.arange(size) + 0.5) * threads / size
+    at = (np.arange(_SMALL) + 0.5) * threads / _SMALL
     number = np.minimum(at.astype(np.intp), threads - 1)
     round_ = 0.8 + 0.2 * np.sin(np.pi * (at - number))
     tones = rng.normal(1.0, 0.035, (2, threads))
@@ -219,77 +221,71 @@ def woven(rng: np.random.Generator, warp: ArrayLike, weft: ArrayLike, *, threads
     along, across = (c[number] * (t[number] * round_)[:, None] for c, t in zip(colors, tones, strict=True))
     over = (number[:, None] + number[None, :]) % 2 == 0
     image = np.where(over[..., None], along[None, :], across[:, None])
-    return shade(image, 1.0 + 0.16 * (tileable_noise(rng, size, slope=1.0) - 0.5))
+    return shade(image, 1.0 + 0.16 * (tileable_noise(rng, _SMALL, slope=1.0) - 0.5))
 
 
-def checks(
-    rng: np.random.Generator, first: ArrayLike, second: ArrayLike, *, count: int = 8, size: int = 256
-) -> Texture:
-    """Return gingham: cloth with `count` (even) stripes of two colours in both directions."""
-    threads = 8 * count
+def checks(rng: np.random.Generator, first: ArrayLike, second: ArrayLike) -> Texture:
+    """Return gingham: cloth with eight stripes of two colours in both directions."""
+    threads = 64
     own = np.where((np.arange(threads) // 8 % 2 == 0)[:, None], np.asarray(first), np.asarray(second))
-    return woven(rng, own, own, threads=threads, size=size)
+    return woven(rng, own, own, threads=threads)
 
 
-def tartan(rng: np.random.Generator, colors: Sequence[ArrayLike], *, threads: int = 96, size: int = 256) -> Texture:
+def tartan(rng: np.random.Generator, colors: Sequence[ArrayLike]) -> Texture:
     """Return cloth with the same irregular stripes in both directions; the first colour is the ground."""
+    threads = 96
     own = np.array(np.broadcast_to(np.asarray(colors[0], dtype=np.float64), (threads, 3)))
     for color in colors[1:]:
         start, width = int(rng.integers(0, threads)), int(rng.integers(2, threads // 5))
         for begin in (start, start + 2 * width):
             own[np.arange(begin, begin + width) % threads] = np.asarray(color)
-    return woven(rng, own, own, threads=threads, size=size)
+    return woven(rng, own, own, threads=threads)
 
 
-def stripes(rng: np.random.Generator, colors: Sequence[ArrayLike], *, count: int = 8, size: int = 256) -> Texture:
+def stripes(rng: np.random.Generator, colors: Sequence[ArrayLike], *, count: int = 8) -> Texture:
     """Return `count` stripes of equal width along rows in alternating colours (`count`: a multiple of their number)."""
-    number = (np.arange(size) * count // size) % len(colors)
-    image = np.broadcast_to(np.asarray(colors, dtype=np.float64)[number][:, None, :], (size, size, 3))
-    return shade(image, 1.0 + 0.12 * (tileable_noise(rng, size, slope=0.9) - 0.5))
+    number = (np.arange(_SMALL) * count // _SMALL) % len(colors)
+    image = np.broadcast_to(np.asarray(colors, dtype=np.float64)[number][:, None, :], (_SMALL, _SMALL, 3))
+    return shade(image, 1.0 + 0.12 * (tileable_noise(rng, _SMALL, slope=0.9) - 0.5))
 
 
-def carpet(rng: np.random.Generator, color: ArrayLike, *, size: int = 256) -> Texture:
+def carpet(rng: np.random.Generator, color: ArrayLike) -> Texture:
     """Return a short-pile carpet; about 0.5 m."""
-    tufts, clouds = grains(rng, size, size / 4.0) - 0.5, tileable_noise(rng, size, slope=1.2) - 0.5
-    return shade(fill(color, size), 1.0 + 0.8 * tufts + 0.2 * clouds)
+    tufts, clouds = grains(rng, _SMALL, _SMALL / 4.0) - 0.5, tileable_noise(rng, _SMALL, slope=1.2) - 0.5
+    return shade(fill(color, _SMALL), 1.0 + 0.8 * tufts + 0.2 * clouds)
 
 
-def leather(rng: np.random.Generator, color: ArrayLike, *, size: int = 256) -> Texture:
+def leather(rng: np.random.Generator, color: ArrayLike) -> Texture:
     """Return grained leather; about 0.15 m."""
-    height = np.minimum(np.abs(grains(rng, size, size / 16.0) - 0.5), 0.1) * 6.0
-    return shade(fill(color, size), _relief(height, 0.3) * (0.85 + 0.25 * height))
+    height = np.minimum(np.abs(grains(rng, _SMALL, _SMALL / 16.0) - 0.5), 0.1) * 6.0
+    return shade(fill(color, _SMALL), _relief(height, 0.3) * (0.85 + 0.25 * height))
 
 
-def cardboard(rng: np.random.Generator, *, size: int = 256) -> Texture:
+def cardboard(rng: np.random.Generator) -> Texture:
     """Return corrugated board with faint flutes along rows; about 0.2 m."""
     color = np.array([186, 148, 106]) * rng.uniform(0.85, 1.1)
-    flutes = 0.025 * np.sin(2.0 * np.pi * 26.0 * np.arange(size) / size)[:, None]
-    fibres = tileable_noise(rng, size, slope=0.5, stretch=3.0) - 0.5
-    specks = np.clip(grains(rng, size, size / 4.0) - 0.85, 0.0, 0.15)
-    clouds = tileable_noise(rng, size) - 0.5
-    return shade(fill(color, size), 1.0 + flutes + 0.12 * fibres + 0.1 * clouds - 1.2 * specks)
+    flutes = 0.025 * np.sin(2.0 * np.pi * 26.0 * np.arange(_SMALL) / _SMALL)[:, None]
+    fibres = tileable_noise(rng, _SMALL, slope=0.5, stretch=3.0) - 0.5
+    specks = np.clip(grains(rng, _SMALL, _SMALL / 4.0) - 0.85, 0.0, 0.15)
+    clouds = tileable_noise(rng, _SMALL) - 0.5
+    return shade(fill(color, _SMALL), 1.0 + flutes + 0.12 * fibres + 0.1 * clouds - 1.2 * specks)
 
 
-def brushed(rng: np.random.Generator, color: ArrayLike = (176, 178, 182), *, size: int = 256) -> Texture:
+def brushed(rng: np.random.Generator, color: ArrayLike = (176, 178, 182)) -> Texture:
     """Return metal brushed along rows; use it with metallic 0.3 to 0.8 and roughness 0.3 to 0.5."""
-    return shade(fill(color, size), 1.0 + 0.3 * (tileable_noise(rng, size, slope=0.3, stretch=40.0) - 0.5))
+    return shade(fill(color, _SMALL), 1.0 + 0.3 * (tileable_noise(rng, _SMALL, slope=0.3, stretch=40.0) - 0.5))
 
 
 def bricks(
-    rng: np.random.Generator,
-    brick: ArrayLike = (148, 92, 74),
-    mortar: ArrayLike = (178, 170, 158),
-    *,
-    rows: int = 8,
-    size: int = 512,
+    rng: np.random.Generator, brick: ArrayLike = (148, 92, 74), mortar: ArrayLike = (178, 170, 158), *, rows: int = 8
 ) -> Texture:
     """Return bricks in a running bond with `rows` (even) courses; about 0.08 m per course, mortar included."""
     columns = max(rows // 3, 1)
-    cell, edge = _cells(size, rows, columns, np.where(np.arange(rows) % 2, 0.5, 0.0))
-    rough = tileable_noise(rng, size, slope=1.0) - 0.5
-    stone = shade(fill(brick, size), rng.normal(1.0, 0.11, rows * columns)[cell] + 0.35 * rough)
-    joint = np.clip((size / 190.0 + 3.0 * rough - edge) / 1.5, 0.0, 1.0)
-    return mix(stone, shade(fill(mortar, size), 1.0 + 0.3 * rough), joint)
+    cell, edge = _cells(_LARGE, rows, columns, np.where(np.arange(rows) % 2, 0.5, 0.0))
+    rough = tileable_noise(rng, _LARGE, slope=1.0) - 0.5
+    stone = shade(fill(brick, _LARGE), rng.normal(1.0, 0.11, rows * columns)[cell] + 0.35 * rough)
+    joint = np.clip((_LARGE / 190.0 + 3.0 * rough - edge) / 1.5, 0.0, 1.0)
+    return mix(stone, shade(fill(mortar, _LARGE), 1.0 + 0.3 * rough), joint)
 
 
 def tiles(
@@ -297,24 +293,21 @@ def tiles(
     color: ArrayLike,
     joint: ArrayLike = (150, 148, 144),
     *,
-    count: int = 4,
     other: ArrayLike | None = None,
-    size: int = 512,
 ) -> Texture:
-    """Return square tiles of one colour, or two alternating ones, with joints; `count` of them per row."""
-    cell, edge = _cells(size, count, count)
+    """Return square tiles of one colour, or two alternating ones, with joints; four per row."""
+    count = 4
+    cell, edge = _cells(_LARGE, count, count)
     odd = ((cell // count + cell) % 2).astype(np.float64)
-    image = mix(fill(color, size), color if other is None else other, odd)
-    tone = rng.normal(1.0, 0.025, count * count)[cell] + 0.1 * (tileable_noise(rng, size) - 0.5)
+    image = mix(fill(color, _LARGE), color if other is None else other, odd)
+    tone = rng.normal(1.0, 0.025, count * count)[cell] + 0.1 * (tileable_noise(rng, _LARGE) - 0.5)
     lip = 1.0 - 0.1 * np.clip(4.0 - edge, 0.0, 1.0)
-    return mix(shade(image, tone * lip), joint, np.clip(size / 256.0 + 0.5 - edge, 0.0, 1.0))
+    return mix(shade(image, tone * lip), joint, np.clip(_LARGE / 256.0 + 0.5 - edge, 0.0, 1.0))
 
 
-def wallpaper(
-    rng: np.random.Generator, ground: ArrayLike, figure: ArrayLike, motif: str = "dots", *, size: int = 256
-) -> Texture:
+def wallpaper(rng: np.random.Generator, ground: ArrayLike, figure: ArrayLike, motif: str = "dots") -> Texture:
     """Return wallpaper with a motif of "dots", "diamonds", "waves", "leaves" or "stripes"; about 0.4 m."""
-    turn = 2.0 * np.pi * (np.arange(size) + 0.5) / size
+    turn = 2.0 * np.pi * (np.arange(_SMALL) + 0.5) / _SMALL
     u, v = turn[None, :], turn[:, None]
     count = 4
     value = {
@@ -324,5 +317,5 @@ def wallpaper(
         "leaves": np.cos(count * u + 0.8 * np.sin(2 * count * v)) + 0.6 * np.cos(2 * count * v - count * u) - 0.75,
         "stripes": np.cos(2 * count * u) + 0.0 * v,
     }[motif]
-    image = mix(fill(ground, size), figure, 0.5 + 6.0 * value)
-    return shade(image, 1.0 + 0.08 * (tileable_noise(rng, size, slope=0.7) - 0.5))
+    image = mix(fill(ground, _SMALL), figure, 0.5 + 6.0 * value)
+    return shade(image, 1.0 + 0.08 * (tileable_noise(rng, _SMALL, slope=0.7) - 0.5))

@@ -1,4 +1,4 @@
-"""Boards: what is visual of them is where they are touched."""
+"""Boxes: visual and collider coincide."""
 
 import numpy as np
 import pytest
