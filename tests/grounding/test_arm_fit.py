@@ -1,4 +1,4 @@
-"""The arm behind the gripper, on views made from the CAD models of all its parts."""
+"""Fits of the arm, on views rendered from the CAD models of all its parts."""
 
 from dataclasses import replace
 
@@ -27,13 +27,13 @@ def model() -> ArmModel:
 
 
 def posture(seed: int) -> Array:
-    """The gripper in the middle of the picture, pointing down."""
+    """A posture with the gripper in the middle of the image, pointing down."""
     rng = np.random.default_rng(seed)
     return np.array([0.0, 0.1, 0.0, -2.2, 0.0, 2.3, np.pi / 4]) + rng.normal(0, 0.12, 7)
 
 
 def view(model: ArmModel, q: Array, crop: Crop, *, noise_m: float, depth_factor: float, seed: int) -> GripperView:
-    """What a network with errors of `noise_m` would say; depth off by a common factor."""
+    """Dense estimates with coordinate noise `noise_m` and depth off by a common factor."""
     rng = np.random.default_rng(seed)
     X_VP = invert(crop.X_CV) @ invert(CAMERA.X_BC) @ model.poses(q[None])[0]
     n = crop.size // 2
@@ -61,7 +61,7 @@ def view(model: ArmModel, q: Array, crop: Crop, *, noise_m: float, depth_factor:
 
 
 def hand_alone(close: GripperView, crop: Crop) -> GripperView:
-    """A view without its arm, as if another crop had shown it."""
+    """A view without the arm, attributed to another crop."""
     part = np.where(close.part >= RobotPart.LINK0, 0, close.part).astype(np.uint8)
     return replace(close, crop=crop, part=part)
 
@@ -116,7 +116,7 @@ def test_a_hand_that_is_elsewhere_than_its_arm_disagrees(
 def test_a_hand_that_is_drawn_too_large_shows_in_the_scale(
     scene: tuple[Array, GripperView, GripperView], model: ArmModel
 ) -> None:
-    """A hand 8 % too large looks as if it were 8 % nearer than the arm has it."""
+    """A hand 8 % too large appears 8 % nearer than the arm implies."""
     X_CH, close, wide = scene
     fitter = ArmFitter(CAMERA, model)
     hand = fit(close)

@@ -1,4 +1,4 @@
-"""Confidences that say how often they are right."""
+"""Calibration of the confidence."""
 
 from pathlib import Path
 
@@ -22,19 +22,19 @@ LAW = [-1.0, -0.5, 0.8, 0.0, 0.3, -0.2, 0.5, -0.7]
 
 
 def drawn_frames(n: int, intercept: float) -> tuple[Array, NDArray[np.bool_]]:
-    """Features of frames, and which are good by a known logistic law."""
+    """Features of frames, and labels drawn by a logistic law."""
     rng = np.random.default_rng(0)
     x = rng.normal(size=(n, len(LAW)))
     return x, rng.random(n) < expit(intercept + x @ np.array(LAW))
 
 
 def test_calibration_finds_the_law_that_made_the_frames() -> None:
-    found = fit_logistic(*drawn_frames(6000, 0.7))
-    assert found.intercept == pytest.approx(0.7, abs=0.15)
-    np.testing.assert_allclose(found.weights, LAW, atol=0.15)
+    result = fit_logistic(*drawn_frames(6000, 0.7))
+    assert result.intercept == pytest.approx(0.7, abs=0.15)
+    np.testing.assert_allclose(result.weights, LAW, atol=0.15)
 
 
-def test_a_calibrated_confidence_is_reliable_and_a_boastful_one_is_not() -> None:
+def test_a_calibrated_confidence_is_reliable_and_an_overconfident_one_is_not() -> None:
     features, good = drawn_frames(4000, 0.0)
     p = fit_logistic(features, good).probability(features)
     assert max(abs(mean - share) for mean, share, _ in calibration_bins(p, good)) < 0.05

@@ -15,7 +15,7 @@ def test_a_point_of_the_crop_lies_on_the_same_ray_of_the_frame() -> None:
     np.testing.assert_allclose(mapped[:2] / mapped[2], camera.project(crop.R_CV @ p_V), atol=1e-9)
 
 
-def test_warping_moves_a_spot_where_the_homography_says() -> None:
+def test_warping_agrees_with_the_homography() -> None:
     camera = benchmark_camera()
     crop = Crop.towards([0.1, 0.1, 1.0], 0.25, 128)
     pixel = camera.project(crop.R_CV @ [0.02, 0.01, 0.5])
@@ -23,11 +23,11 @@ def test_warping_moves_a_spot_where_the_homography_says() -> None:
     frame = np.exp(-((u - pixel[0]) ** 2 + (v - pixel[1]) ** 2) / 18).astype(np.float32)
     warped = crop.warp(frame, camera).astype(float)
     v, u = np.mgrid[0:128, 0:128] + 0.5
-    found = np.array([(u * warped).sum(), (v * warped).sum()]) / warped.sum()
-    np.testing.assert_allclose(found, np.array([0.04, 0.02]) * crop.focal + 64, atol=0.3)
+    result = np.array([(u * warped).sum(), (v * warped).sum()]) / warped.sum()
+    np.testing.assert_allclose(result, np.array([0.04, 0.02]) * crop.focal + 64, atol=0.3)
 
 
-def test_a_view_of_the_gripper_looks_at_its_middle() -> None:
+def test_a_crop_of_the_gripper_is_centred_on_it() -> None:
     X_CH = make_pose(np.eye(3), [0.1, -0.2, 0.6])
     crop = Crop.of_gripper(X_CH, 1.3, 128)
     centre = transform_points(X_CH, GRIPPER_CENTRE_H[None])[0] @ crop.R_CV
@@ -41,7 +41,7 @@ def test_a_view_without_roll_keeps_upright_upright() -> None:
 
 
 @pytest.mark.parametrize(("width", "height"), [(384, 384), (832, 480), (480, 832)])
-def test_the_whole_frame_fits_into_its_view(width: int, height: int) -> None:
+def test_the_whole_image_fits_into_its_crop(width: int, height: int) -> None:
     from dataclasses import replace
 
     camera = replace(benchmark_camera(), width=width, height=height, cx=width / 2 + 7, cy=height / 2)
@@ -52,7 +52,7 @@ def test_the_whole_frame_fits_into_its_view(width: int, height: int) -> None:
         assert ((p[:2] / p[2] > -4) & (p[:2] / p[2] < crop.size + 4)).all()
 
 
-def test_labels_go_back_to_where_they_came_from() -> None:
+def test_labels_return_to_their_pixels() -> None:
     camera = benchmark_camera()
     crop = Crop.of_frame(camera)
     frame = np.zeros((384, 384), np.uint8)

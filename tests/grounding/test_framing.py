@@ -1,4 +1,4 @@
-"""How a video shows a picture: found again however it was made, and undone by another camera."""
+"""Framing of a video: detected for all usual framings, and undone by a changed camera."""
 
 from dataclasses import replace
 
@@ -24,7 +24,7 @@ CAMERA = benchmark_camera()
 
 
 def scene(seed):
-    """Coloured shapes on a table, smooth as pictures are."""
+    """Blurred coloured shapes."""
     rng = np.random.default_rng(seed)
     image = np.full((384, 384, 3), rng.integers(60, 180, 3), np.uint8)
     for _ in range(25):
@@ -33,11 +33,11 @@ def scene(seed):
     return cv2.GaussianBlur(image, (0, 0), 1.0)
 
 
-PICTURE = scene(0)
+IMAGE = scene(0)
 
 
-def shown(framing, picture=PICTURE, frames=3):
-    """Frames in which a picture is shown so, with something that moves, noise and other brightness."""
+def shown(framing, picture=IMAGE, frames=3):
+    """Frames that show the image in this framing, with a moving object, noise and changed brightness."""
     (sx, _, ox), (_, sy, oy) = framing.map
     M = np.array([[sx, 0.0, ox + 0.5 * sx - 0.5], [0.0, sy, oy + 0.5 * sy - 0.5]])
     inside = cv2.warpAffine(np.ones_like(picture), M, (framing.width, framing.height), flags=cv2.INTER_NEAREST)
@@ -69,19 +69,19 @@ def test_a_framing_moves_the_points_that_its_camera_sees(size, framing):
 
 
 @pytest.mark.parametrize(("size", "framing"), [f for f in all_framings() if f[0] != (480, 832)])
-def test_the_first_frame_tells_how_a_video_was_made(size, framing):
-    found = find_framing(shown(framing), CAMERA, PICTURE)
-    np.testing.assert_allclose(found.map, framing.map)  # exactly: it is a usual one
-    assert found.changes == framing.changes
-    assert (found.source, found.correlation > 0.9) == (FramingSource.FIRST_FRAME, True)
+def test_the_framing_is_found_by_the_first_frame(size, framing):
+    result = find_framing(shown(framing), CAMERA, IMAGE)
+    np.testing.assert_allclose(result.map, framing.map)  # exactly: it is a usual one
+    assert result.changes == framing.changes
+    assert (result.source, result.correlation > 0.9) == (FramingSource.FIRST_FRAME, True)
 
 
 @pytest.mark.parametrize("framing", [framing for _, framing in all_framings()])
-def test_unframed_a_video_shows_the_picture_again(framing):
+def test_undoing_the_framing_restores_the_image(framing):
     frames = framing.crop(shown(framing, frames=1))
     restored = undo_framing(framing, frames)[0]
     inside = undo_framing(framing, np.ones(frames.shape[:3], bool))[0]
-    picture = cv2.resize(PICTURE, restored.shape[1::-1], interpolation=cv2.INTER_AREA)
+    picture = cv2.resize(IMAGE, restored.shape[1::-1], interpolation=cv2.INTER_AREA)
     assert (inside.mean() < 0.98) == (FramingChange.CROP in framing.changes)
     inside = cv2.erode(inside.astype(np.uint8), np.ones((5, 5))) > 0
     inside[:, restored.shape[1] // 2 - 40 : restored.shape[1] // 2 + 60] = False  # something moves there
@@ -94,12 +94,12 @@ def test_an_unusual_crop_is_found_to_a_fraction_of_a_pixel():
     framing = replace(
         Framing.filling((384, 384), (720, 480)), scale_x=2.3, scale_y=2.3, offset_x=-61.0, offset_y=-230.0
     )
-    found = find_framing(shown(framing), CAMERA, PICTURE)
-    assert found.changes == (FramingChange.CROP,)
-    assert np.abs(found.corners - framing.corners).max() < 0.6
+    result = find_framing(shown(framing), CAMERA, IMAGE)
+    assert result.changes == (FramingChange.CROP,)
+    assert np.abs(result.corners - framing.corners).max() < 0.6
 
 
-def test_another_picture_is_no_witness():
+def test_another_image_does_not_determine_the_framing():
     video = shown(Framing.filling((384, 384), (512, 512)))
     assert find_framing(video, CAMERA, scene(9)).source is FramingSource.SIZE
     wide = shown(placements((384, 384), (720, 480))[-1])
@@ -109,16 +109,16 @@ def test_another_picture_is_no_witness():
 
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("size", [(384, 384), (1, 1), (9, 9)])
-def test_a_picture_of_one_colour_tells_nothing(size):
+def test_an_image_of_one_colour_does_not_determine_the_framing(size):
     video = shown(Framing.filling((384, 384), (512, 512)))
     assert find_framing(video, CAMERA, np.full((*size, 3), 90, np.uint8)).source is FramingSource.SIZE
 
 
 @pytest.mark.parametrize("framing", letterboxes((384, 384), (832, 480)))
-def test_bars_tell_themselves(framing):
-    found = find_framing(shown(framing), CAMERA, None)
-    assert (found.changes, found.source) == ((FramingChange.LETTERBOX,), FramingSource.BARS)
-    np.testing.assert_allclose(found.map, framing.map)
+def test_bars_are_found_without_an_image(framing):
+    result = find_framing(shown(framing), CAMERA, None)
+    assert (result.changes, result.source) == ((FramingChange.LETTERBOX,), FramingSource.BARS)
+    np.testing.assert_allclose(result.map, framing.map)
 
 
 def test_dark_sides_that_are_no_bars_are_refused():
@@ -133,14 +133,14 @@ def test_dark_sides_that_are_no_bars_are_refused():
 def test_a_camera_of_the_videos_own_size_is_the_videos():
     framing = placements((384, 384), (832, 480))[-1]
     own = framing.camera(CAMERA)
-    assert find_framing(shown(framing), own, PICTURE).camera(own).to_json() == own.to_json()
+    assert find_framing(shown(framing), own, IMAGE).camera(own).to_json() == own.to_json()
 
 
-def test_what_is_given_for_a_video_is_cut_like_it():
+def test_priors_are_cropped_like_their_video():
     framing = letterboxes((384, 384), (832, 480))[0]
     rows, columns = framing.window
     mask = np.zeros((2, 480, 832), bool)
     mask[:, rows, columns] = True
-    known = Priors(mask=mask, depth=ExternalDepth(depth_m=mask.astype(float))).crop(rows, columns)
-    assert known.mask.all()
-    assert known.depth.depth_m.shape == (2, 480, 480)
+    priors = Priors(mask=mask, depth=ExternalDepth(depth_m=mask.astype(float))).crop(rows, columns)
+    assert priors.mask.all()
+    assert priors.depth.depth_m.shape == (2, 480, 480)

@@ -1,4 +1,4 @@
-"""Finger gaps along a video."""
+"""Smoothing of the gripper width."""
 
 import numpy as np
 
@@ -7,16 +7,16 @@ from kinebench_drake.grounding.gripper_width import smooth_gripper_width
 WIDTH = np.where(np.arange(30) < 15, 0.08, 0.0)
 
 
-def test_what_is_seen_well_stays() -> None:
+def test_precise_widths_stay() -> None:
     np.testing.assert_allclose(smooth_gripper_width(WIDTH, np.full(30, 1e-3)), WIDTH, atol=2e-3)
 
 
-def test_what_is_known_is_not_touched() -> None:
+def test_widths_from_priors_stay_exactly() -> None:
     width = np.linspace(0.0, 0.08, 30) ** 2 / 0.08
     assert smooth_gripper_width(width, np.zeros(30)).tolist() == width.tolist()
 
 
-def test_a_hidden_stretch_keeps_what_was_seen_before_and_after() -> None:
+def test_hidden_frames_take_the_width_before_and_after() -> None:
     wild, sigma = WIDTH.copy(), np.full(30, 1e-3)
     wild[20:24], sigma[20:24] = 0.06, 0.012  # fingers behind each other
     smoothed = smooth_gripper_width(wild, sigma)
@@ -40,7 +40,7 @@ def test_moving_fingers_go_on_where_they_are_hidden() -> None:
     assert np.abs(smooth_gripper_width(width, sigma)[8:11] - (0.08 - 0.006 * np.arange(8, 11))).max() < 0.004
 
 
-def test_what_nobody_tells_is_unknown() -> None:
+def test_widths_far_from_a_measurement_are_unknown() -> None:
     width, sigma = np.full(30, np.nan), np.full(30, np.nan)
     assert np.isnan(smooth_gripper_width(width, sigma)).all()
     width[:3], sigma[:3] = 0.03, 1e-3

@@ -1,4 +1,4 @@
-"""The shipped networks on rendered videos with known poses: the bars that users are promised."""
+"""The shipped networks on rendered videos with known poses: the documented accuracy."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -52,7 +52,7 @@ def clip() -> TruthClip:
     return next(c.load() for c in find_clips(EXAMPLES) if not c.faults)
 
 
-def test_clean_videos_are_tracked_to_the_bar(results: list[ClipErrors]) -> None:
+def test_clean_videos_are_tracked_accurately(results: list[ClipErrors]) -> None:
     clean = [e for e in results if not e.planted]
     assert len(clean) == 4
     figures = summarize(clean)
@@ -78,7 +78,7 @@ def test_a_vanished_gripper_is_not_tracked(results: list[ClipErrors]) -> None:
     assert not vanish.tracked[~vanish.visible].any()
 
 
-def test_pictures_without_a_robot_give_no_track(pipeline: GroundingPipeline) -> None:
+def test_images_without_a_robot_give_no_track(pipeline: GroundingPipeline) -> None:
     rng = np.random.default_rng(0)
     coarse = rng.integers(0, 255, (8, 12, 12, 3), dtype=np.uint8)
     frames = np.repeat(np.repeat(coarse, 32, axis=1), 32, axis=2)
@@ -88,7 +88,7 @@ def test_pictures_without_a_robot_give_no_track(pipeline: GroundingPipeline) -> 
     assert grounding.anomalies == ()
 
 
-def test_a_known_first_frame_is_used_where_the_picture_does_not_contradict_it(
+def test_the_initial_state_is_used_unless_the_first_frame_contradicts_it(
     pipeline: GroundingPipeline, clip: TruthClip
 ) -> None:
     frames, t_s = read_video(clip.path).frames[:6], clip.t_s[:6]
@@ -106,14 +106,14 @@ def test_a_known_first_frame_is_used_where_the_picture_does_not_contradict_it(
     np.testing.assert_array_equal(refused.track.X_CH, pipeline.ground(frames, clip.camera, t_s).track.X_CH)
 
 
-def test_given_poses_are_taken_as_they_are(pipeline: GroundingPipeline, clip: TruthClip) -> None:
+def test_poses_from_priors_are_used_unchanged(pipeline: GroundingPipeline, clip: TruthClip) -> None:
     X_CH = clip.X_CH[:6].copy()
     X_CH[3] = np.nan
     grounding = pipeline.ground(read_video(clip.path).frames[:6], clip.camera, clip.t_s[:6], Priors(X_CH=X_CH))
-    known = [0, 1, 2, 4, 5]
-    assert grounding.from_prior.nonzero()[0].tolist() == known
-    np.testing.assert_allclose(grounding.track.X_CH[known], X_CH[known], atol=1e-9)
-    assert (grounding.track.confidence[known] == 1.0).all()
+    frames = [0, 1, 2, 4, 5]
+    assert grounding.from_prior.nonzero()[0].tolist() == frames
+    np.testing.assert_allclose(grounding.track.X_CH[frames], X_CH[frames], atol=1e-9)
+    assert (grounding.track.confidence[frames] == 1.0).all()
     assert np.linalg.norm(grounding.track.X_CH[3, :3, 3] - clip.X_CH[3, :3, 3]) < 0.01
 
 

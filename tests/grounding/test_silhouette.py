@@ -81,7 +81,7 @@ def test_a_pose_that_fits_is_left_where_it_is(silhouette: SilhouetteMatcher) -> 
 
 @pytest.mark.parametrize("side", [0, 1])
 def test_the_image_border_is_no_silhouette(silhouette: SilhouetteMatcher, side: int) -> None:
-    """A gripper that is half out of the picture: its pose stays, and what is in the picture is covered."""
+    """A gripper half outside the image: its pose stays, and its visible part is covered."""
     view = mask_view(X_CH)
     middle = int(np.mean(np.nonzero(view.part)[side]))
     np.moveaxis(view.in_image, side, 0)[middle:] = False

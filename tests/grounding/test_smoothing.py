@@ -97,7 +97,7 @@ def made(pose: FramePose, confidence: np.ndarray, anomalies: tuple[Anomaly, ...]
     )
 
 
-def test_what_is_no_gripper_is_left_out(pose: FramePose) -> None:
+def test_false_detections_are_left_out(pose: FramePose) -> None:
     confidence = np.full(N_RAW, 0.9)
     confidence[[0, 1]] = 0.0, 0.01
     gone = Anomaly(kind=AnomalyKind.VANISH, frame_start=4, frame_end=6, severity=3.0)
@@ -114,7 +114,7 @@ def test_nothing_is_smoothed_across_a_jump(pose: FramePose) -> None:
     np.testing.assert_allclose(smooth, X_AH, atol=1e-9)
 
 
-def test_given_poses_are_certain_and_stay(pose: FramePose) -> None:
+def test_poses_from_priors_are_certain_and_stay(pose: FramePose) -> None:
     X_prior = np.full((N_RAW, 4, 4), np.nan)
     X_prior[3] = pose.X_CH
     X_prior[3, :3, 3] += 0.05
@@ -126,7 +126,7 @@ def test_given_poses_are_certain_and_stay(pose: FramePose) -> None:
     np.testing.assert_array_equal(raw.smooth(raw.has_pose, raw.confidence)[3], X_prior[3])
 
 
-def test_a_frame_that_its_neighbours_deny_shows_it(pose: FramePose) -> None:
+def test_the_features_show_a_frame_that_deviates_from_its_neighbours(pose: FramePose) -> None:
     raw = made(pose, np.full(N_RAW, 0.9))
     X_AH = raw.X_AH.copy()
     X_AH[6, :3, 3] += 0.1

@@ -1,4 +1,4 @@
-"""Made-up tracks: a smooth reach with the noise of estimated poses, one wild frame in twenty."""
+"""Synthetic tracks: a smooth reach with the noise of estimated poses, one outlier in twenty frames."""
 
 from collections.abc import Callable
 
@@ -30,5 +30,5 @@ def t_s() -> Array:
 
 
 @pytest.fixture
-def seen() -> np.ndarray:
+def visible() -> np.ndarray:
     return np.ones(N, dtype=bool)

@@ -13,7 +13,7 @@ ROBOT[55:145, 35:125] = True
 
 
 def scene(turn, robot_px):
-    """A textured background seen by a turned camera, with a textured box, the robot, moved by `robot_px`."""
+    """A textured background visible by a turned camera, with a textured box, the robot, moved by `robot_px`."""
     rng = np.random.default_rng(0)
     texture = cv2.resize(rng.integers(0, 255, (40, 40, 3), dtype=np.uint8), (260, 260), interpolation=cv2.INTER_CUBIC)
     shift = np.array([[1.0, 0.0, -34.0], [0.0, 1.0, -34.0], [0.0, 0.0, 1.0]])
@@ -24,12 +24,12 @@ def scene(turn, robot_px):
     return image
 
 
-def filmed(turns, robot_px=0) -> NDArray[np.uint8]:
+def recorded(turns, robot_px=0) -> NDArray[np.uint8]:
     return np.stack([scene(turn, robot_px * i) for i, turn in enumerate(turns)])
 
 
 def test_a_fixed_camera_does_not_move_whatever_the_robot_does():
-    motion = measure_camera_motion(filmed(np.zeros((8, 3)), robot_px=4), ROBOT, CAMERA)
+    motion = measure_camera_motion(recorded(np.zeros((8, 3)), robot_px=4), ROBOT, CAMERA)
     assert motion.largest_px < 0.1
     assert not motion.moves
     assert (np.eye(4) == motion.X_AC).all()
@@ -39,7 +39,7 @@ def test_a_fixed_camera_does_not_move_whatever_the_robot_does():
 @pytest.mark.parametrize("step_px", [0.3, 0.7])
 def test_a_turning_camera_is_measured_named_and_compensated(step_px):
     turns = np.arange(6)[:, None] * [0.0, step_px / CAMERA.fx, 0.0]
-    frames = filmed(turns)
+    frames = recorded(turns)
     motion = measure_camera_motion(frames, ROBOT, CAMERA)
     assert motion.largest_px == pytest.approx(5 * step_px, rel=0.15, abs=0.1)
     assert rotation_angle(motion.R_AC[5].T @ rotation_exp(turns[5])) < 0.15 / CAMERA.fx
@@ -52,11 +52,11 @@ def test_a_turning_camera_is_measured_named_and_compensated(step_px):
 
 def test_a_camera_that_moves_far_loses_the_base():
     turns = np.arange(6)[:, None] * [0.0, 1.6 / CAMERA.fx, 0.0]
-    motion = measure_camera_motion(filmed(turns), ROBOT, CAMERA)
+    motion = measure_camera_motion(recorded(turns), ROBOT, CAMERA)
     assert motion.lost.tolist() == [False] * 3 + [True] * 3  # 8 px of a picture twice as wide
 
 
-def test_a_background_without_features_tells_nothing():
+def test_motion_is_unknown_without_features():
     motion = measure_camera_motion(np.full((4, 192, 192, 3), 90, np.uint8), ROBOT, CAMERA)
     assert motion.largest_px is None
     assert find_camera_motion(motion).peak == 0.0

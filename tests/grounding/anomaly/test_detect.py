@@ -32,10 +32,10 @@ def clean(reach, t_s):
 
 
 def test_a_clean_video_has_none_and_a_score_of_every_kind(clean):
-    found = find_anomalies(clean)
-    assert found.anomalies == ()
-    assert set(found.scores) == set(AnomalyKind)
-    assert max(found.scores.values()) < 1.0
+    result = find_anomalies(clean)
+    assert result.anomalies == ()
+    assert set(result.scores) == set(AnomalyKind)
+    assert max(result.scores.values()) < 1.0
 
 
 def test_anomalies_are_reported_exactly_where_scores_reach_one(clean):
@@ -43,19 +43,19 @@ def test_anomalies_are_reported_exactly_where_scores_reach_one(clean):
     p[30:] += [0.0, 0.1, 0.0]
     other = clean.other.copy()
     other[10:20] = 0.5
-    found = find_anomalies(replace(clean, p_C=p, other=other))
-    assert [a.kind for a in found.anomalies] == [AnomalyKind.DUPLICATE, AnomalyKind.TELEPORT]
-    assert {kind for kind, score in found.scores.items() if score >= 1.0} == {a.kind for a in found.anomalies}
-    assert found.by_kind[AnomalyKind.TELEPORT].score[29:32].max() >= 1.0
-    assert found.by_kind[AnomalyKind.TELEPORT].score[:26].max() < 1.0
+    result = find_anomalies(replace(clean, p_C=p, other=other))
+    assert [a.kind for a in result.anomalies] == [AnomalyKind.DUPLICATE, AnomalyKind.TELEPORT]
+    assert {kind for kind, score in result.scores.items() if score >= 1.0} == {a.kind for a in result.anomalies}
+    assert result.by_kind[AnomalyKind.TELEPORT].score[29:32].max() >= 1.0
+    assert result.by_kind[AnomalyKind.TELEPORT].score[:26].max() < 1.0
 
 
 def test_the_jump_at_the_end_of_a_freeze_is_part_of_it(clean):
     p, still = clean.p_C.copy(), clean.still.copy()
     p[20:28], still[20:28] = p[19], True
-    found = find_anomalies(replace(clean, p_C=p, still=still))
-    assert [a.kind for a in found.anomalies] == [AnomalyKind.FREEZE]
-    assert found.scores[AnomalyKind.TELEPORT] < 1.0
+    result = find_anomalies(replace(clean, p_C=p, still=still))
+    assert [a.kind for a in result.anomalies] == [AnomalyKind.FREEZE]
+    assert result.scores[AnomalyKind.TELEPORT] < 1.0
 
 
 def test_nothing_seen_is_nothing_found(clean):

@@ -17,7 +17,7 @@ def test_short_peaks_are_levelled_and_long_ones_kept():
     assert sustained([1.0, 2.0], 3).tolist() == [0, 0]
 
 
-def test_the_median_passes_over_what_is_unknown():
+def test_the_median_ignores_unknown_values():
     values = np.array([1, np.nan, 1, 9, 1, np.nan, np.nan, np.nan, 1])
     smoothed = finite_median(values, 3)
     assert smoothed[[3, 4]].tolist() == [1, 5]

@@ -11,36 +11,36 @@ from kinebench_drake.grounding.anomaly.jumps import (
 )
 
 
-def test_a_smooth_noisy_path_has_no_jump(reach, seen):
+def test_a_smooth_noisy_path_has_no_jump(reach, visible):
     for seed in range(60):
-        assert find_teleports(reach(seed), seen, seen).peak < 1.0
+        assert find_teleports(reach(seed), visible, visible).peak < 1.0
 
 
 @pytest.mark.parametrize("size_m", [0.05, 0.15])
-def test_a_jump_is_named_at_its_frame_with_its_length(reach, seen, size_m):
+def test_a_jump_is_named_at_its_frame_with_its_length(reach, visible, size_m):
     lengths = []
     for seed in range(20):
         frame = (3, 20, 45)[seed % 3]
         p = reach(seed, noise_m=0.003, wild=0.0)
         p[frame:] += [0.0, size_m, 0.0]
-        (found,) = find_teleports(p, seen, seen).anomalies
-        assert found.frame_start == found.frame_end
-        assert abs(found.frame_start - frame) <= 1
-        lengths.append(found.severity)
+        (result,) = find_teleports(p, visible, visible).anomalies
+        assert result.frame_start == result.frame_end
+        assert abs(result.frame_start - frame) <= 1
+        lengths.append(result.severity)
     assert np.median(lengths) == pytest.approx(size_m, abs=0.008)
 
 
-def test_a_jump_there_and_back_is_two(reach, seen):
+def test_a_jump_there_and_back_is_two(reach, visible):
     p = reach()
     p[20:30] += [0.0, 0.15, 0.0]
-    assert [a.frame_start for a in find_teleports(p, seen, seen).anomalies] == [20, 30]
+    assert [a.frame_start for a in find_teleports(p, visible, visible).anomalies] == [20, 30]
 
 
-def test_one_wild_frame_is_no_jump(reach, seen):
+def test_one_wild_frame_is_no_jump(reach, visible):
     for frame in (5, 24, 40):
         p = reach(noise_m=0.002)
         p[frame] += [0.0, 0.2, 0.0]
-        assert find_teleports(p, seen, seen).anomalies == ()
+        assert find_teleports(p, visible, visible).anomalies == ()
 
 
 def test_even_motion_is_no_jump():
@@ -48,53 +48,53 @@ def test_even_motion_is_no_jump():
     assert jump_lengths(p, np.ones(20, dtype=bool)).max() < 1e-12
 
 
-def test_the_score_grows_with_the_jump(reach, seen):
+def test_the_score_grows_with_the_jump(reach, visible):
     def peak(size_m):
         p = reach(3)
         p[25:] += [size_m, 0.0, 0.0]
-        return find_teleports(p, seen, seen).peak
+        return find_teleports(p, visible, visible).peak
 
     peaks = [peak(size) for size in (0.0, 0.02, 0.05, 0.1)]
     assert peaks == sorted(peaks)
 
 
-def test_nothing_known_is_no_jump(seen):
-    assert find_teleports(np.full((49, 3), np.nan), seen, seen).peak == 0.0
-    assert find_teleports(np.zeros((1, 3)), seen[:1], seen[:1]).peak == 0.0
+def test_unknown_positions_are_no_jump(visible):
+    assert find_teleports(np.full((49, 3), np.nan), visible, visible).peak == 0.0
+    assert find_teleports(np.zeros((1, 3)), visible[:1], visible[:1]).peak == 0.0
 
 
-def test_a_jump_to_a_doubtful_frame_is_none(reach, seen):
+def test_a_jump_to_a_doubtful_frame_is_none(reach, visible):
     p = reach(3)
     p[20] += [0.0, 0.12, 0.0]
     p[21:] += [0.0, 0.06, 0.0]
-    assert find_teleports(p, seen, seen).peak > 1.0
-    doubtful = seen & (np.arange(len(seen)) != 20)
-    assert find_teleports(p, seen, doubtful).peak < 1.0
+    assert find_teleports(p, visible, visible).peak > 1.0
+    doubtful = visible & (np.arange(len(visible)) != 20)
+    assert find_teleports(p, visible, doubtful).peak < 1.0
 
 
 @pytest.mark.parametrize("length", [5, 8])
-def test_a_freeze_begins_in_motion_and_ends_with_a_jump(reach, seen, t_s, length):
+def test_a_freeze_begins_in_motion_and_ends_with_a_jump(reach, visible, t_s, length):
     p = reach(noise_m=0.001)
     p[20 : 20 + length] = p[19]
     still = np.zeros(49, dtype=bool)
     still[20 : 20 + length] = True
-    (found,) = find_freezes(p, seen, still, t_s).anomalies
-    assert (found.frame_start, found.frame_end, found.severity) == (20, 19 + length, length)
+    (result,) = find_freezes(p, visible, still, t_s).anomalies
+    assert (result.frame_start, result.frame_end, result.severity) == (20, 19 + length, length)
 
 
-def test_a_dwell_is_no_freeze(seen, t_s):
+def test_a_dwell_is_no_freeze(visible, t_s):
     s = np.concatenate([np.sin(np.linspace(0, np.pi / 2, 20)), np.ones(10), np.cos(np.linspace(0, np.pi / 2, 19))])
     p = np.stack([0.3 * s, 0 * s, 0 * s + 0.6], axis=1)
     still = np.zeros(49, dtype=bool)
     still[20:30] = True
-    assert find_freezes(p, seen, still, t_s).peak < 1.0
+    assert find_freezes(p, visible, still, t_s).peak < 1.0
 
 
-def test_a_pause_of_a_moving_picture_is_no_freeze(reach, seen, t_s):
-    assert find_freezes(reach(), seen, np.zeros(49, dtype=bool), t_s).peak == 0.0
+def test_motion_without_still_frames_is_no_freeze(reach, visible, t_s):
+    assert find_freezes(reach(), visible, np.zeros(49, dtype=bool), t_s).peak == 0.0
 
 
-def test_repeated_pictures_are_still_and_moving_ones_are_not():
+def test_repeated_images_are_still_and_moving_ones_are_not():
     rng = np.random.default_rng(0)
     frames = np.zeros((6, 96, 96, 3), np.uint8)
     for i, x in enumerate((10, 16, 22, 22, 22, 28)):
@@ -120,16 +120,16 @@ def test_a_jump_of_the_fingers_is_named_where_it_is(t_s, size_m):
     for seed in range(20):
         width = grasp(seed)
         width[26:30] += size_m
-        found = find_finger_faults(width, t_s).anomalies
-        assert [abs(a.frame_start - f) <= 1 for a, f in zip(found, (26, 30), strict=True)] == [True, True]
+        result = find_finger_faults(width, t_s).anomalies
+        assert [abs(a.frame_start - f) <= 1 for a, f in zip(result, (26, 30), strict=True)] == [True, True]
 
 
 def test_a_flutter_is_named_and_one_wild_frame_is_not(t_s):
     width = grasp(1)
     width[22:30] += 0.02 + 0.02 * (-1.0) ** np.arange(8)
-    (found,) = find_finger_faults(width, t_s).anomalies
-    assert abs(found.frame_start - 22) <= 1
-    assert abs(found.frame_end - 29) <= 1
+    (result,) = find_finger_faults(width, t_s).anomalies
+    assert abs(result.frame_start - 22) <= 1
+    assert abs(result.frame_end - 29) <= 1
     wild = grasp(1)
     wild[25] += 0.05
     assert find_finger_faults(wild, t_s).anomalies == ()
@@ -140,7 +140,7 @@ def test_a_gap_wider_than_the_gripper_is_impossible(t_s):
     assert not find_finger_faults(np.full(49, 0.08), t_s).anomalies
 
 
-def test_unknown_gaps_say_nothing(t_s):
+def test_unknown_widths_are_no_anomaly(t_s):
     width = grasp(0)
     width[::2] = np.nan
     assert find_finger_faults(width, t_s).peak < 1.0

@@ -14,8 +14,8 @@ CAMERA = benchmark_camera()
 
 def spans(p, confidence):
     explained = np.full(len(p), 400.0)  # phantoms apart, as many cells whatever the confidence
-    found = find_vanishing(p, confidence, explained, confidence >= 0.1, CAMERA).anomalies
-    return [(a.frame_start, a.frame_end) for a in found]
+    result = find_vanishing(p, confidence, explained, confidence >= 0.1, CAMERA).anomalies
+    return [(a.frame_start, a.frame_end) for a in result]
 
 
 def gone(start, end):
@@ -36,7 +36,7 @@ def test_a_passing_occlusion_is_none(reach):
     assert spans(reach(), gone(0, 0)) == []
 
 
-def test_one_that_leaves_the_picture_or_was_never_there_has_not(reach):
+def test_a_gripper_that_leaves_the_image_or_never_appeared_has_not_vanished(reach):
     leaving = np.tile([0.0, 0.0, 0.7], (49, 1))
     leaving[:12, 0] = np.linspace(0.2, 0.42, 12)  # the picture ends at x = 0.404 there
     assert spans(leaving, gone(12, 22)) == []
@@ -49,8 +49,8 @@ def test_a_phantom_of_a_few_cells_is_no_gripper(reach):
     explained[20:24] = 15.0
     confidence = np.full(49, 0.8)
     confidence[20:24] = 0.05
-    (found,) = find_vanishing(reach(), confidence, explained, confidence >= 0.1, CAMERA).anomalies
-    assert (found.frame_start, found.frame_end) == (20, 23)
+    (result,) = find_vanishing(reach(), confidence, explained, confidence >= 0.1, CAMERA).anomalies
+    assert (result.frame_start, result.frame_end) == (20, 23)
 
 
 def test_a_second_gripper_counts_and_the_first_does_not(cad):
@@ -66,10 +66,10 @@ def test_a_second_gripper_counts_and_the_first_does_not(cad):
         assert second_gripper(replace(first, part=np.zeros_like(first.part)), X_CH, CAMERA) == 0.0
 
 
-def test_a_second_gripper_must_stay_to_be_named():
+def test_a_second_gripper_must_stay_to_be_detected():
     other = np.zeros(49)
     other[5:7] = 0.9
     assert find_duplicates(other).anomalies == ()
     other[20:30] = 0.5
-    (found,) = find_duplicates(other).anomalies
-    assert (found.frame_start, found.frame_end, found.severity) == (20, 29, 0.5)
+    (result,) = find_duplicates(other).anomalies
+    assert (result.frame_start, result.frame_end, result.severity) == (20, 29, 0.5)

@@ -26,39 +26,39 @@ def test_noise_is_no_deformation_but_a_stretch_is(cad):
         assert misfit_of(view) < 0.03 < 0.06 < misfit_of(stretched)
 
 
-def test_a_gripper_that_is_hardly_seen_says_nothing_of_its_shape(cad):
+def test_the_shape_of_a_mostly_hidden_gripper_is_unknown(cad):
     X_CH = hand_pose(0)
     view = perfect_view(cad, X_CH, 0.03, noise_m=NOISE_M)
     hidden = replace(view, part=np.where(np.arange(64) < 54, 0, view.part).astype(np.uint8))
     assert np.isnan(shape_misfit(hidden, X_CH, 0.03))
 
 
-def test_a_lasting_misfit_is_named_and_a_passing_one_is_not():
+def test_a_lasting_misfit_is_detected_and_a_short_one_is_not():
     misfit, residual = np.full(49, 0.01), np.full(49, 0.5)
     misfit[12], residual[12] = 0.3, 2.0
     misfit[30:42], residual[30:42] = 0.15, 1.0
-    (found,) = find_deformations(misfit, residual).anomalies
-    assert (found.frame_start, found.frame_end, found.severity) == (30, 41, 0.15)
+    (result,) = find_deformations(misfit, residual).anomalies
+    assert (result.frame_start, result.frame_end, result.severity) == (30, 41, 0.15)
 
 
-def test_a_misfit_that_the_cells_do_not_disagree_by_is_none():
-    """As where the gripper is seen from its narrow side; and cells that disagree by nothing in common are noise."""
+def test_a_misfit_without_a_residual_is_no_deformation():
+    """As when the gripper is visible edge-on; and residuals without a common misfit are noise."""
     n = np.ones(49)
     assert find_deformations(0.2 * n, 0.55 * n).anomalies == ()
     assert find_deformations(0.01 * n, np.r_[0.5 * n[:30], 1.5 * n[30:]]).anomalies == ()
 
 
 def test_a_gripper_deformed_from_first_to_last_frame_is_found():
-    (found,) = find_deformations(np.full(49, 0.04), np.full(49, 1.0)).anomalies
-    assert (found.frame_start, found.frame_end) == (0, 48)
+    (result,) = find_deformations(np.full(49, 0.04), np.full(49, 1.0)).anomalies
+    assert (result.frame_start, result.frame_end) == (0, 48)
 
 
 @pytest.mark.parametrize("size", [0.05, -0.05, 0.15])
-def test_a_wrong_size_is_named_whether_at_once_or_growing(size):
+def test_a_wrong_size_is_detected_whether_constant_or_growing(size):
     noise = np.random.default_rng(0).normal(0, 0.02, 49)
     assert find_scale_drift(1.0 + noise).anomalies == ()
     for drift in (np.full(49, size), np.linspace(0.0, size, 49)):
-        found = find_scale_drift(1.0 + drift + noise / 3)
-        assert found.peak >= 1.0
-        assert found.anomalies[-1].frame_end == 48
+        result = find_scale_drift(1.0 + drift + noise / 3)
+        assert result.peak >= 1.0
+        assert result.anomalies[-1].frame_end == 48
     assert find_scale_drift(np.full(49, np.nan)).peak == 0.0

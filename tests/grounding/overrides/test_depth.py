@@ -1,4 +1,4 @@
-"""Depth comes back in metres, whatever the format; exact only where it is known to be."""
+"""Depth is read in metres from every format; exact only if declared or the truth of a demonstration."""
 
 from pathlib import Path
 

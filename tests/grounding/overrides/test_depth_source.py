@@ -100,7 +100,7 @@ def test_errors_of_a_class_are_reported(camera: Camera) -> None:
 
 
 class FakeMoge:
-    """Says that depth is the red of a picture, in metres, and that dark pixels are sky."""
+    """Stand-in for MoGe: depth is the red channel in metres; dark pixels are sky."""
 
     def __init__(self, checkpoint: str) -> None:
         self.checkpoint, self.device, self.asked = checkpoint, "", list[SimpleNamespace]()

@@ -1,4 +1,4 @@
-"""Masks come back as they were written, whatever the format; what is no mask is refused."""
+"""Masks are read unchanged from every format; other arrays are refused."""
 
 from collections.abc import Callable
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""What belongs to a video is found by its id before its stem, and never is the video itself where there is truth."""
+"""Entries of a video are result by its id before its stem, and truth before the video itself."""
 
 from pathlib import Path
 
@@ -15,8 +15,8 @@ def test_the_better_name_and_the_safer_place_go_first(tmp_path: Path) -> None:
         (tmp_path / name).touch()
     for name in order:
         file = tmp_path / name
-        found = find_entry(tmp_path, ("id", "stem"))
-        assert found == (file.parent if file.suffix == ".png" else file)
+        result = find_entry(tmp_path, ("id", "stem"))
+        assert result == (file.parent if file.suffix == ".png" else file)
         file.unlink()
         if file.suffix == ".png":
             file.parent.rmdir()

@@ -1,4 +1,4 @@
-"""Poses come back as they were written; frames without one are NaN."""
+"""Poses are read unchanged; frames without one are NaN."""
 
 from collections.abc import Iterable
 from pathlib import Path
