@@ -9,7 +9,7 @@
 # Vulkan driver although there is an NVIDIA driver.
 set -euo pipefail
 
-mesa_minimum=24.3 # the first Mesa whose software driver has what SAPIEN asks for
+mesa_minimum=24.3 # the first Mesa whose software driver has the features that SAPIEN needs
 
 say() { printf '==> %s\n' "$*"; }
 stop() {

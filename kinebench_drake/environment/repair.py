@@ -37,8 +37,8 @@ class Repair:
     """Makes the changes; raises SetupError."""
 
 
-def needed(checks: Sequence[doctor.Check]) -> list[Repair]:
-    """Return the repairs that failed checks need, and the one that `pip check` would ask for."""
+def find_repairs(checks: Sequence[doctor.Check]) -> list[Repair]:
+    """Return the repairs for failed checks, and the one that `pip check` would require."""
     failed = {check.name for check in checks if not check.ok}
     repairs = []
     if failed.intersection(doctor.NATIVE_CHECKS):
@@ -69,7 +69,7 @@ def repair_environment(checks: Sequence[doctor.Check], say: Say, *, dry_run: boo
     Raises:
         SetupError: this Python belongs to no environment, or to one that is not writable; nothing was changed.
     """
-    repairs = needed(checks)
+    repairs = find_repairs(checks)
     if repairs:
         _require_environment()
     changed = False

@@ -50,7 +50,7 @@ class MergedSample:
 
 
 def merge_folders(folders: Sequence[Path], out: Path, observer: RunObserver | None = None) -> RunSummary:
-    """Merge the output folders of shards of one run into `out`: rows, artifacts and timings; compute results anew.
+    """Merge the output folders of shards of one run into `out`: rows, artifacts and timings; compute new aggregates.
 
     The folders are only read. `out` may hold an earlier merge of the same run, which is extended. If two folders hold
     the same sample, a result takes precedence over an error, as in a resumed run. Of a run that was stopped the

@@ -72,7 +72,7 @@ def _stored_metadata(store: ResultStore) -> RunMetadata | None:
     try:
         stored = read_metadata(store.out) if store.rows else None
     except InputError as error:
-        raise UsageError(f"--out {error}; --overwrite starts anew") from None
+        raise UsageError(f"--out {error}; --overwrite removes the earlier results") from None
     return None if stored is None else stored.run
 
 

@@ -91,7 +91,7 @@ def read_lines(path: Path, parse: Callable[[object], Row]) -> list[Row]:
     """
     lines = path.read_bytes().split(b"\n") if path.is_file() else [b""]
     rows = []
-    for number, line in enumerate(lines[:-1], 1):  # what follows the last line feed is torn
+    for number, line in enumerate(lines[:-1], 1):  # text after the last line feed is an unfinished line
         try:
             rows.append(parse(parse_json(line)))
         except (ValueError, InputError) as error:
@@ -120,7 +120,7 @@ def append_line(path: Path, row: Mapping[str, Any]) -> None:
 
 
 def drop_torn_line(path: Path) -> None:
-    """Cut off what follows the last line feed, so that lines can be appended.
+    """Remove an unfinished last line, so that lines can be appended.
 
     Raises:
         SetupError: writing failed.

@@ -32,7 +32,7 @@ def read_rows(out: Path) -> dict[str, SampleRow]:
     try:
         return {row.id: row for row in read_lines(out / SAMPLES, SampleRow.from_json)}
     except InputError as error:
-        raise InputError(f"{error}; --overwrite starts anew") from None
+        raise InputError(f"{error}; --overwrite removes the earlier results") from None
 
 
 class ResultStore:
