@@ -1,1 +1,1 @@
-"""Procedural things to handle and places to do it in: shapes, surfaces, physics, all from seeds, nothing downloaded."""
+"""Procedural assets and looks: meshes, textures and physics generated from seeds, without downloads."""

@@ -264,5 +264,5 @@ def _cabinet(asset_id: str, index: int, rng: np.random.Generator) -> AssetModel:
 
 
 KINDS = (AssetKind(name="cabinet", make=_cabinet),)
-"""Cabinets: sites are the upper edge over the drawer, the insides where to pull and outside where to push its front,
-and the centre of the tray's floor."""
+"""Cabinets; sites: `edge` (upper edge over the drawer), `pull` and `push` (top of the drawer's front, inner and outer
+side), `tray` (centre of the tray's floor)."""

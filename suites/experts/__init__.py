@@ -1,1 +1,1 @@
-"""Scripted experts: waypoints from the scene's true state, planned with Drake, no learning."""
+"""Scripted experts: waypoints from the ground-truth state, planned with Drake; nothing is learned."""

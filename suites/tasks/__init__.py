@@ -1,1 +1,1 @@
-"""The benchmark's tasks: what stands where, when it is done, and the ManiSkill environment that runs them."""
+"""Tasks: scene layouts, success conditions and progress, and the ManiSkill environment that runs them."""
