@@ -124,7 +124,7 @@ def causes(episodes: int, seed: int, limit: int | None, jobs: int) -> None:
 
     suite = load_suite(0)
     split = suite.split_name("test")
-    draws = [draw for task in suite.tasks_of(split) for draw in suite.draws(split, task, episodes, offset=seed)]
+    draws = [draw for task in suite.tasks_of(split) for draw in suite.specs(split, task, episodes, offset=seed)]
     todo = cases(draws)[:limit]
     try:
         with click.progressbar(run_cases(create_executor(ExecutorKind.LOCAL, jobs), todo), length=len(todo)) as done:

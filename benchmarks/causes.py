@@ -156,7 +156,7 @@ class _Worker:
 
     def __call__(self, case: Case) -> Finding:
         episode = case.draw.episode()
-        stage = self._hand.stage(episode.task, episode.variant)
+        stage = self._hand.get(episode.task, episode.variant)
         rng = generator("causes", episode.id, case.planted.name)
         length = float(rng.uniform(*LOST_SHARE))
         self._analyzer.share = (

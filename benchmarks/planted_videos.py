@@ -23,14 +23,13 @@ import click
 from kinebench_drake.errors import InputError, KinebenchError, UsageError
 from kinebench_drake.io.camerafile import save_camera
 from kinebench_drake.io.container import write_video
-from kinebench_drake.suites.clip import film
 from kinebench_drake.suites.clock import CLIP_FRAMES, FRAME_PERIOD_S
 from kinebench_drake.suites.experts.registry import find_expert
 from kinebench_drake.suites.faults.fault import FaultGrade, PlantedFault, choose
 from kinebench_drake.suites.faults.fault_simulator import FaultSimulator
 from kinebench_drake.suites.faults.plant import plant
 from kinebench_drake.suites.faults.recording import Recording
-from kinebench_drake.suites.rollout import Rollout, rollout
+from kinebench_drake.suites.rollout import Rollout, render_video, run_expert
 from kinebench_drake.suites.simulator import ROBOTS
 from kinebench_drake.suites.split import Pool
 from kinebench_drake.suites.suite import EpisodeSpec, load_suite
@@ -112,14 +111,14 @@ def make(order: PlantingOrder) -> Made:
     draw, samples, problems = order.draw, [], []
     with FaultSimulator(draw.task, robot=order.robot, variant=draw.variant) as stage:
         try:
-            performance = rollout(stage, find_expert(draw.task), draw.episode())
+            performance = run_expert(stage, find_expert(draw.task), draw.episode())
         except InputError as error:
             return Made(samples=(), problems=(f"{draw.task} seed {draw.seed}: {error}",))
         performance = replace(performance, snapshots=performance.snapshots[: CLIP_FRAMES + 1])
-        take = Recording(stage=stage, performance=performance, clip=film(stage, performance.snapshots))
+        recording = Recording(simulator=stage, rollout=performance, video=render_video(stage, performance.snapshots))
         for grade in order.grades:
             try:
-                clip, fault = plant(take, grade)
+                clip, fault = plant(recording, grade)
             except InputError as error:
                 problems.append(f"{draw.task} seed {draw.seed} {grade.label}: {error}")
                 continue
@@ -217,7 +216,7 @@ def choose_draws(
             for seed in parse_seeds(seeds)
         ]
     found = load_suite(suite)
-    return [draw for task in found.tasks_of(split, names) for draw in found.draws(split, task, episodes, offset=first)]
+    return [draw for task in found.tasks_of(split, names) for draw in found.specs(split, task, episodes, offset=first)]
 
 
 @click.command(

@@ -21,11 +21,10 @@ from kinebench_drake.environment.native import prepare_vulkan
 from kinebench_drake.errors import KinebenchError
 from kinebench_drake.geometry import Array
 from kinebench_drake.io.container import write_video
-from kinebench_drake.suites.clip import film
 from kinebench_drake.suites.clock import CLIP_FRAMES
 from kinebench_drake.suites.episode import compose
 from kinebench_drake.suites.experts.registry import find_expert
-from kinebench_drake.suites.rollout import rollout
+from kinebench_drake.suites.rollout import render_video, run_expert
 from kinebench_drake.suites.simulator import Simulator
 from kinebench_drake.suites.tasks.registry import TASKS
 
@@ -67,15 +66,15 @@ def time_task(task: str, out: Path) -> Timing:
     episode = compose(task, 0)
     with Simulator(task) as stage:
         stage.reset(episode)
-        stage.picture()
+        stage.render()
         rest = stage.snapshot()
         reset_ms = _median_ms(lambda: stage.reset(episode), 3)
-        stage.picture()
+        stage.render()
         step_ms = _median_ms(lambda: stage.step(rest.q, float(rest.fingers_m.sum())), ROUNDS * STEPS)
-        picture_ms = _median_ms(stage.picture, ROUNDS * PICTURES)
+        picture_ms = _median_ms(stage.render, ROUNDS * PICTURES)
         start = time.perf_counter()
-        performance = rollout(stage, find_expert(task), compose(task, 1))
-        clip = film(stage, performance.snapshots[: CLIP_FRAMES + 1])
+        performance = run_expert(stage, find_expert(task), compose(task, 1))
+        clip = render_video(stage, performance.snapshots[: CLIP_FRAMES + 1])
         write_video(out / f"{task}.mp4", clip.rgb, FPS)
         demo_s = time.perf_counter() - start
     return Timing(task=task, step_ms=step_ms, picture_ms=picture_ms, reset_ms=reset_ms, demo_s=demo_s)
@@ -110,7 +109,7 @@ class _Stock:
     def step(self) -> None:
         self._env.step(self._action)
 
-    def picture(self) -> None:
+    def render(self) -> None:
         self._env.scene.update_render(update_sensors=True, update_human_render_cameras=False)
         self._camera.capture()
         self._camera.get_obs(rgb=True, depth=True, position=False, segmentation=True)
@@ -130,11 +129,11 @@ def against_stock() -> tuple[Array, Array]:
         def step() -> None:
             stage.step(rest.q, 0.08)
 
-        stage.picture()
-        stock.picture()
+        stage.render()
+        stock.render()
         for _ in range(ROUNDS):
             steps.append(_median_ms(step, STEPS) / _median_ms(stock.step, STEPS))
-            pictures.append(_median_ms(stage.picture, PICTURES) / _median_ms(stock.picture, PICTURES))
+            pictures.append(_median_ms(stage.render, PICTURES) / _median_ms(stock.render, PICTURES))
     stock.close()
     return np.array(steps), np.array(pictures)
 

@@ -1,4 +1,4 @@
-"""Contact sheets: what the tasks and the looks are like, at a glance, in one picture."""
+"""Contact sheets: an overview image of tasks or looks."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -13,55 +13,55 @@ from kinebench_drake.executors.base import Executor, WorkerCrash
 from kinebench_drake.suites.assets.look import look_ids
 from kinebench_drake.suites.episode import Episode, compose
 from kinebench_drake.suites.experts.registry import find_expert
-from kinebench_drake.suites.rollout import rollout
+from kinebench_drake.suites.rollout import run_expert
 from kinebench_drake.suites.simulator import Simulator
 from kinebench_drake.suites.simulator_cache import SimulatorCache
 from kinebench_drake.suites.tasks.registry import find_task
 
 LOOKS_TASK = "StackCube-v1"
-"""Task in whose scene looks are shown."""
-PICTURE_PX, GAP_PX, MARGIN_PX = 236, 4, 20
-"""Edge of a picture on the sheet, gap between two of the same shot, margin around each shot."""
+"""Task whose scene shows the looks."""
+IMAGE_PX, GAP_PX, MARGIN_PX = 236, 4, 20
+"""Width of an image on the sheet, gap between images of a panel, margin around panels."""
 TITLE_PX, TEXT_PX = 19, 14
-"""Size of the letters."""
+"""Font sizes."""
 _PAPER, _INK, _GREY, _RED = (255, 255, 255), (24, 26, 30), (92, 96, 104), (190, 30, 30)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Shot:
-    """Pictures of one scene."""
+class Panel:
+    """Images of one scene with their text."""
 
     title: str
-    """Set in large letters."""
+    """Heading."""
     text: str
-    """Set in small letters below."""
-    pictures: tuple[NDArray[np.uint8], ...] = ()
-    """(H, W, 3) each; shown side by side."""
+    """Text below the heading."""
+    images: tuple[NDArray[np.uint8], ...] = ()
+    """(H, W, 3) each; side by side."""
     failed: bool = False
-    """Whether the text tells what went wrong."""
+    """True if the text is the reason of a failure."""
 
 
-def task_shots(engine: Executor, tasks: Sequence[str], seed: int) -> list[Shot]:
-    """First and last frame of each task, done by its expert, in the order of the tasks.
+def task_panels(executor: Executor, tasks: Sequence[str], seed: int) -> list[Panel]:
+    """Run the expert of each task and return its first and last frames, in the order of the tasks.
 
     Args:
-        engine: does the tasks side by side.
+        executor: executor of the tasks.
         tasks: plain task ids.
         seed: seed of every task's scene.
 
     Raises:
         UsageError: there is no such task.
-        SetupError: nothing can be rendered.
+        SetupError: rendering is not possible.
     """
-    return _shots(engine, [compose(task, seed) for task in tasks], performs=True)
+    return _render_panels(executor, [compose(task, seed) for task in tasks], with_expert=True)
 
 
-def look_shots(engine: Executor, sort: str, seed: int) -> list[Shot]:
-    """The first frame of one scene with each look of a sort ("table", "background" or "light") in turn.
+def look_panels(executor: Executor, sort: str, seed: int) -> list[Panel]:
+    """Return the first frame of one scene with each look of a sort ("table", "background" or "light").
 
     Raises:
         UsageError: there is no such sort.
-        SetupError: nothing can be rendered.
+        SetupError: rendering is not possible.
     """
     scene = compose(LOOKS_TASK, seed)
     looks = {"table": scene.table, "background": scene.background, "light": scene.light}
@@ -69,11 +69,11 @@ def look_shots(engine: Executor, sort: str, seed: int) -> list[Shot]:
     for look in look_ids(sort):
         now = looks | {sort: look}
         episodes.append(replace(scene, id=look, table=now["table"], background=now["background"], light=now["light"]))
-    return _shots(engine, episodes, performs=False)
+    return _render_panels(executor, episodes, with_expert=False)
 
 
 def task_table(tasks: Sequence[str]) -> str:
-    """What the cards of the tasks say and the prompts of their episodes of seed 0, as a Markdown table."""
+    """Return the cards of tasks and the prompts of their episodes of seed 0 as a Markdown table."""
     rows = [
         ("task", "difficulty", "joints", "contacts", "clips", "variants", "prompt (seed 0)"),
         ("---",) * 7,
@@ -87,33 +87,33 @@ def task_table(tasks: Sequence[str]) -> str:
     return "\n".join(f"| {' | '.join(row)} |" for row in rows)
 
 
-def contact_sheet(shots: Sequence[Shot], *, columns: int) -> Image.Image:
-    """All shots on one page, `columns` a row, each with its pictures, title and text."""
+def contact_sheet(panels: Sequence[Panel], *, columns: int) -> Image.Image:
+    """Draw panels on one page, `columns` per row, each with its images, title and text."""
     title_font, text_font = ImageFont.load_default(TITLE_PX), ImageFont.load_default(TEXT_PX)
-    across = max((len(shot.pictures) for shot in shots), default=1)
-    width = across * (PICTURE_PX + GAP_PX) - GAP_PX
-    texts = [_wrapped(shot.text, text_font, width) for shot in shots]
+    across = max((len(panel.images) for panel in panels), default=1)
+    width = across * (IMAGE_PX + GAP_PX) - GAP_PX
+    texts = [_wrap(panel.text, text_font, width) for panel in panels]
     line_px = round(1.35 * TEXT_PX)
-    height = PICTURE_PX + round(1.7 * TITLE_PX) + line_px * max(map(len, texts), default=0)
-    rows = -(-len(shots) // columns)
+    height = IMAGE_PX + round(1.7 * TITLE_PX) + line_px * max(map(len, texts), default=0)
+    rows = -(-len(panels) // columns)
     pitch_x, pitch_y = width + MARGIN_PX, height + MARGIN_PX
     page = Image.new("RGB", (columns * pitch_x + MARGIN_PX, rows * pitch_y + MARGIN_PX), _PAPER)
     draw = ImageDraw.Draw(page)
-    for i, (shot, text) in enumerate(zip(shots, texts, strict=True)):
+    for i, (panel, text) in enumerate(zip(panels, texts, strict=True)):
         x, y = MARGIN_PX + i % columns * pitch_x, MARGIN_PX + i // columns * pitch_y
-        for j, picture in enumerate(shot.pictures):
-            small = Image.fromarray(picture).resize((PICTURE_PX, PICTURE_PX), Image.Resampling.LANCZOS)
-            page.paste(small, (x + j * (PICTURE_PX + GAP_PX), y))
-        y += PICTURE_PX + round(0.3 * TITLE_PX)
-        draw.text((x, y), shot.title, font=title_font, fill=_INK)
+        for j, image in enumerate(panel.images):
+            small = Image.fromarray(image).resize((IMAGE_PX, IMAGE_PX), Image.Resampling.LANCZOS)
+            page.paste(small, (x + j * (IMAGE_PX + GAP_PX), y))
+        y += IMAGE_PX + round(0.3 * TITLE_PX)
+        draw.text((x, y), panel.title, font=title_font, fill=_INK)
         for j, line in enumerate(text):
             draw.text(
-                (x, y + round(1.4 * TITLE_PX) + j * line_px), line, font=text_font, fill=_RED if shot.failed else _GREY
+                (x, y + round(1.4 * TITLE_PX) + j * line_px), line, font=text_font, fill=_RED if panel.failed else _GREY
             )
     return page
 
 
-def _wrapped(text: str, font: ImageFont.ImageFont | ImageFont.FreeTypeFont, width: int) -> list[str]:
+def _wrap(text: str, font: ImageFont.ImageFont | ImageFont.FreeTypeFont, width: int) -> list[str]:
     lines = [""]
     for word in text.split():
         longer = f"{lines[-1]} {word}".strip()
@@ -124,53 +124,47 @@ def _wrapped(text: str, font: ImageFont.ImageFont | ImageFont.FreeTypeFont, widt
     return lines
 
 
-def _shots(engine: Executor, episodes: Sequence[Episode], *, performs: bool) -> list[Shot]:
-    shots = {}
-    for done in engine.run(_MakeShots(performs), episodes):
+def _render_panels(executor: Executor, episodes: Sequence[Episode], *, with_expert: bool) -> list[Panel]:
+    panels = {}
+    for done in executor.run(_PanelWorker(with_expert), episodes):
         if isinstance(done, WorkerCrash):
-            shots[done.item.id] = Shot(title=_title(done.item, performs=performs), text=done.reason, failed=True)
+            panels[done.item.id] = Panel(title=_title(done.item, with_expert), text=done.reason, failed=True)
         else:
-            shots[done.item.id] = done.result
-    return [shots[episode.id] for episode in episodes]
+            panels[done.item.id] = done.result
+    return [panels[episode.id] for episode in episodes]
 
 
-def _title(episode: Episode, *, performs: bool) -> str:
-    return episode.task if performs else episode.id
+def _title(episode: Episode, with_expert: bool) -> str:
+    return episode.task if with_expert else episode.id
 
 
 @dataclass(frozen=True, slots=True)
-class _MakeShots:
-    """Makes a photographer in each process."""
+class _PanelWorker:
+    """Creates, in each process, the function that renders a panel."""
 
-    performs: bool
+    with_expert: bool
 
-    def __call__(self) -> Callable[[Episode], Shot]:
-        return _Photographer(self.performs)
+    def __call__(self) -> Callable[[Episode], Panel]:
+        simulators = SimulatorCache(Simulator, benchmark_camera().width)
+        return lambda episode: _render_panel(simulators.get(episode.task, episode.variant), episode, self.with_expert)
 
 
-class _Photographer:
-    """Takes shots."""
-
-    def __init__(self, performs: bool) -> None:
-        self._performs = performs
-        self._hand = SimulatorCache(Simulator, benchmark_camera().width)
-
-    def __call__(self, episode: Episode) -> Shot:
-        stage = self._hand.stage(episode.task, episode.variant)
-        title, text, failed = _title(episode, performs=self._performs), episode.prompt, False
-        if not self._performs:
-            stage.reset(episode)
-            return Shot(title=title, text="", pictures=(stage.picture().rgb,))
-        try:
-            performance = rollout(stage, find_expert(episode.task), episode)
-            snapshots = [performance.snapshots[0], performance.snapshots[-1]]
-            if not performance.outcome.success:
-                text, failed = performance.outcome.reason, True
-        except InputError as error:
-            stage.reset(episode)
-            snapshots, text, failed = [stage.snapshot()], str(error), True
-        pictures = []
-        for snapshot in snapshots:
-            stage.show(snapshot)
-            pictures.append(stage.picture().rgb)
-        return Shot(title=title, text=text, pictures=tuple(pictures), failed=failed)
+def _render_panel(simulator: Simulator, episode: Episode, with_expert: bool) -> Panel:
+    title = _title(episode, with_expert)
+    if not with_expert:
+        simulator.reset(episode)
+        return Panel(title=title, text="", images=(simulator.render().rgb,))
+    text, failed = episode.prompt, False
+    try:
+        rollout = run_expert(simulator, find_expert(episode.task), episode)
+        snapshots = [rollout.snapshots[0], rollout.snapshots[-1]]
+        if not rollout.outcome.success:
+            text, failed = rollout.outcome.reason, True
+    except InputError as error:
+        simulator.reset(episode)
+        snapshots, text, failed = [simulator.snapshot()], str(error), True
+    images = []
+    for snapshot in snapshots:
+        simulator.set_snapshot(snapshot)
+        images.append(simulator.render().rgb)
+    return Panel(title=title, text=text, images=tuple(images), failed=failed)

@@ -1,8 +1,8 @@
-"""Expert demonstrations with ground truth: as many successful ones of each task as asked for, whatever stops the run.
+"""Expert demonstrations with ground truth: a number of successful ones of each task, resumable at any point.
 
-A demonstration counts from the moment its line stands in `demos.jsonl`, after its files are there whole. A seed with
-which the expert fails is told there, too, and the next one takes its place; so the demonstrations of a task are those
-of its first successful seeds, and a larger set begins with a smaller one.
+A demonstration counts as soon as its line is in `demos.jsonl`, which is written after its files. A seed with which the
+expert fails is recorded there as well and replaced by the next one; so the demonstrations of a task are those of its
+first successful seeds, and a larger set begins with a smaller one.
 """
 
 import fcntl
@@ -17,85 +17,88 @@ from pathlib import Path
 from typing import Any
 
 from numpy.typing import ArrayLike
+from typing_extensions import override
 
 from kinebench_drake.errors import InputError, SetupError, UsageError
 from kinebench_drake.executors.base import Executor, WorkerCrash
 from kinebench_drake.executors.progress import Observer
 from kinebench_drake.io.atomic import disk_errors, make_folder
 from kinebench_drake.io.jsonl import append_line, read_lines, write_json, write_lines
-from kinebench_drake.suites.clip import film
+from kinebench_drake.suites.demo_config import DemoConfig
 from kinebench_drake.suites.episode import Episode
 from kinebench_drake.suites.experts.registry import find_expert
 from kinebench_drake.suites.export import episode_facts
-from kinebench_drake.suites.formats.demo import CLIP_STEPS, PARTS, Content, Demo, FormatKind, Record, Shots
+from kinebench_drake.suites.formats.demo import CLIP_STEPS, PARTS, Content, Demo, FormatKind, Record, RenderOptions
 from kinebench_drake.suites.formats.format import DemoFormat, find_format
-from kinebench_drake.suites.order import DemoOrder
-from kinebench_drake.suites.rollout import Rollout, rollout
+from kinebench_drake.suites.formats.stills import render_stills
+from kinebench_drake.suites.rollout import Rollout, render_video, run_expert
 from kinebench_drake.suites.seeding import generator
 from kinebench_drake.suites.simulator import Simulator
-from kinebench_drake.suites.simulator_cache import SimulatorCache, failure
-from kinebench_drake.suites.stills import take_stills
+from kinebench_drake.suites.simulator_cache import SimulatorCache, failure_reason
 from kinebench_drake.suites.suite import EpisodeSpec
 
 RECORDS, SUMMARY = "demos.jsonl", "demos.json"
-PATIENCE = 10
-"""A task is given up after twice as many tries as demonstrations are wanted, and so many more."""
+EXTRA_TRIES = 10
+"""A task is given up after twice the number of demonstrations plus this number of tries."""
+
+Records = Mapping[tuple[str, int], Record]
+"""Attempts by task and seed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Delivery:
-    """What came of an order."""
+class DemoSummary:
+    """Result of making demonstrations."""
 
     demonstrations: int
-    """Successful ones, those from before included."""
+    """Successful attempts, including those of earlier runs."""
     failures: int
     """Seeds with which the expert failed."""
     short: dict[str, int]
-    """How many demonstrations are missing of each task that was given up."""
+    """Number of missing demonstrations of each task that was given up."""
 
 
-class _RecordingStage(Simulator):
-    """A stage that remembers ManiSkill's state and the verdict after each step."""
+class _RecordingSimulator(Simulator):
+    """Simulator that records ManiSkill's state and the success after each step."""
 
+    @override
     def reset(self, episode: Episode) -> None:
-        """See `Stage.reset`."""
         super().reset(episode)
         self.states = [self.simulation_state()]
         self.successes: list[bool] = []
 
+    @override
     def step(self, q: ArrayLike, finger_width_m: float) -> None:
-        """See `Stage.step`."""
         super().step(q, finger_width_m)
         self.states.append(self.simulation_state())
         self.successes.append(self.outcome().success)
 
 
 @dataclass(frozen=True, slots=True)
-class _Experts:
-    """Makes, in each process, what makes demonstrations."""
+class _DemoWorker:
+    """Creates, in each process, the function that makes a demonstration."""
 
     kind: FormatKind
-    shots: Shots
+    options: RenderOptions
     out: Path
 
     def __call__(self) -> Callable[[EpisodeSpec], Record]:
         form = find_format(self.kind)
-        content = form.content
-        make = _RecordingStage if Content.STATES in content else Simulator
-        hand = SimulatorCache(make, self.shots.size, renders=bool(content & (Content.FILM | Content.STILLS)))
+        make = _RecordingSimulator if Content.STATES in form.content else Simulator
+        renders = bool(form.content & (Content.VIDEO | Content.STILLS))
+        simulators = SimulatorCache(make, self.options.size, renders=renders)
 
-        def demonstrate(draw: EpisodeSpec) -> Record:
-            episode, stage = draw.episode(), hand.stage(draw.task, draw.variant)
+        def demonstrate(spec: EpisodeSpec) -> Record:
+            episode, simulator = spec.episode(), simulators.get(spec.task, spec.variant)
             success, progress, reason, clips = False, 0.0, "", 0
             try:
-                performance = rollout(stage, find_expert(draw.task), episode, every=self.shots.every)
-                outcome, clips = performance.outcome, len(performance.controls) // CLIP_STEPS
+                rollout = run_expert(simulator, find_expert(spec.task), episode, every=self.options.every)
+                outcome, clips = rollout.outcome, len(rollout.controls) // CLIP_STEPS
                 success, progress = outcome.success and clips > 0, outcome.progress
                 reason = "" if success else outcome.reason or "done before anything moved"
             except Exception as error:
-                reason = failure(error)
+                reason = failure_reason(error)
             if success:
-                form.write_part(self.out, _demo(stage, performance, self.shots, form.content))
+                form.write_part(self.out, _demo(simulator, rollout, self.options, form.content))
             return Record(
                 id=episode.id,
                 task=episode.task,
@@ -111,58 +114,57 @@ class _Experts:
         return demonstrate
 
 
-def _demo(stage: Simulator, performance: Rollout, shots: Shots, content: Content) -> Demo:
+def _demo(simulator: Simulator, rollout: Rollout, options: RenderOptions, content: Content) -> Demo:
     from kinebench_drake.suites.tasks.environment import X_WB
 
-    recording = stage if isinstance(stage, _RecordingStage) else None
+    recorder = simulator if isinstance(simulator, _RecordingSimulator) else None
+    rng = generator("stills", rollout.episode.id)
     return Demo(
-        performance=performance,
-        shots=shots,
-        film=film(stage, performance.snapshots) if Content.FILM in content else None,
-        stills=take_stills(stage, performance, generator("stills", performance.episode.id))
-        if Content.STILLS in content
-        else (),
+        rollout=rollout,
+        options=options,
+        video=render_video(simulator, rollout.snapshots) if Content.VIDEO in content else None,
+        stills=render_stills(simulator, rollout, rng) if Content.STILLS in content else (),
         X_WB=X_WB,
-        states=recording.states if recording else (),
-        successes=tuple(recording.successes) if recording else (),
+        states=recorder.states if recorder else (),
+        successes=tuple(recorder.successes) if recorder else (),
     )
 
 
-def make_demos(order: DemoOrder, engine: Executor, observer: Observer, *, overwrite: bool = False) -> Delivery:
-    """Make demonstrations, or go on making them where a run before was stopped.
+def make_demos(config: DemoConfig, executor: Executor, observer: Observer, *, overwrite: bool = False) -> DemoSummary:
+    """Make demonstrations, continuing an earlier run in the same folder.
 
     Raises:
-        UsageError: the folder holds demonstrations that are no part of this order.
+        UsageError: the folder holds demonstrations of another configuration.
         SetupError: writing or rendering failed, or a worker died.
     """
-    with _claimed(order.out):
+    with _lock(config.out):
         if overwrite:
-            _start_anew(order.out)
-        records = _records(order)
-        before = _begun(order, records)
-        if not _joined(order, before):
-            form = find_format(order.kind)
-            records = {key: r for key, r in records.items() if _whole(form, order.out, r)}
+            _delete_earlier_run(config.out)
+        records = _read_records(config)
+        before = _read_summary(config, records)
+        if not _is_complete(config, before):
+            form = find_format(config.kind)
+            records = {key: r for key, r in records.items() if _has_files(form, config.out, r)}
             replaced = before.get("files", before.get("replaces", []))
-            write_json(order.out / SUMMARY, {**order.request(), "replaces": replaced})
-            write_lines(order.out / RECORDS, [asdict(record) for record in records.values()])
-            _produce(order, records, engine, observer)
-            _finish(order, form, records)
-        tried = _tried(order, records)
-        made = Counter(record.task for record in tried if record.success)
-        return Delivery(
+            write_json(config.out / SUMMARY, {**config.request(), "replaces": replaced})
+            write_lines(config.out / RECORDS, [asdict(record) for record in records.values()])
+            _run_attempts(config, records, executor, observer)
+            _finish(config, form, records)
+        counted = _counted(config, records)
+        made = Counter(record.task for record in counted if record.success)
+        return DemoSummary(
             demonstrations=made.total(),
-            failures=len(tried) - made.total(),
-            short={task: order.wanted() - made[task] for task in order.tasks if made[task] < order.wanted()},
+            failures=len(counted) - made.total(),
+            short={task: config.wanted - made[task] for task in config.tasks if made[task] < config.wanted},
         )
 
 
 @contextmanager
-def _claimed(out: Path) -> Iterator[None]:
-    """The folder for one program at a time.
+def _lock(out: Path) -> Iterator[None]:
+    """Create the folder and lock it for this process.
 
     Raises:
-        UsageError: it cannot be made, or another program has it.
+        UsageError: it cannot be created, or another process has locked it.
     """
     make_folder(out)
     try:
@@ -178,25 +180,25 @@ def _claimed(out: Path) -> Iterator[None]:
         os.close(lock)
 
 
-def _start_anew(out: Path) -> None:
-    """Delete what an earlier run's summary and records name; damaged ones name nothing.
+def _delete_earlier_run(out: Path) -> None:
+    """Delete the files that an earlier run's summary and records name; damaged ones name none.
 
     Raises:
-        SetupError: something cannot be deleted.
+        SetupError: a file cannot be deleted.
     """
     paths = [out / SUMMARY, out / RECORDS]
     with suppress(OSError, ValueError, KeyError, TypeError, AttributeError, InputError):
         before = json.loads((out / SUMMARY).read_text())
         form = find_format(FormatKind(before["format"]))
         paths += [out / name for name in before.get("files", before.get("replaces", []))]
-        paths += form.lists(out, before["tasks"])
+        paths += form.index_files(out, before["tasks"])
         records = read_lines(out / RECORDS, Record.from_json)
         paths += [path for record in records if record.success for path in form.part_files(out, record)]
     _delete(out, paths)
 
 
 def _delete(out: Path, paths: Sequence[Path]) -> None:
-    """Delete files of a folder and the folders below it that this empties."""
+    """Delete files below a folder and the subfolders that become empty."""
     top = out.resolve()
     for path in paths:
         if top not in path.resolve().parents:
@@ -204,17 +206,17 @@ def _delete(out: Path, paths: Sequence[Path]) -> None:
         with disk_errors(path.name):
             path.unlink(missing_ok=True)
         for folder in path.parents[: len(path.parents) - len(out.parents) - 1]:
-            with suppress(OSError):  # others are in it
+            with suppress(OSError):  # not empty
                 folder.rmdir()
 
 
-def _begun(order: DemoOrder, records: Mapping[tuple[str, int], Record]) -> dict[str, Any]:
-    """The summary of an earlier run in the folder, whose demonstrations must be a part of this order.
+def _read_summary(config: DemoConfig, records: Records) -> dict[str, Any]:
+    """Read the summary of an earlier run in the folder; empty if there is none.
 
     Raises:
-        UsageError: it is neither.
+        UsageError: it is damaged, or its demonstrations are not a subset of this configuration.
     """
-    path = order.out / SUMMARY
+    path = config.out / SUMMARY
     if not path.is_file():
         return {}
     try:
@@ -224,91 +226,91 @@ def _begun(order: DemoOrder, records: Mapping[tuple[str, int], Record]) -> dict[
     if not isinstance(before, dict):
         raise UsageError(f"{path}: is damaged; --overwrite starts anew")
     fix = "name another --out, or --overwrite to start anew"
-    for name, value in order.settings().items():
+    for name, value in config.settings().items():
         if before.get(name) != value:
-            raise UsageError(f"{order.out} holds demonstrations with {name} {before.get(name)}, not {value}: {fix}")
-    for task, held in Counter(record.task for record in records.values() if record.success).items():
-        wanted = order.wanted() if task in order.tasks else 0
-        if held > wanted:
+            raise UsageError(f"{config.out} holds demonstrations with {name} {before.get(name)}, not {value}: {fix}")
+    for task, count in Counter(record.task for record in records.values() if record.success).items():
+        wanted = config.wanted if task in config.tasks else 0
+        if count > wanted:
             raise UsageError(
-                f"{order.out} holds {held} demonstrations of {task}; asked for are {wanted}, which may only be more: "
+                f"{config.out} holds {count} demonstrations of {task}; asked for are {wanted}, which may only be more: "
                 f"{fix}"
             )
     return before
 
 
-def _records(order: DemoOrder) -> dict[tuple[str, int], Record]:
-    """Attempts told by the folder, by task and seed."""
+def _read_records(config: DemoConfig) -> dict[tuple[str, int], Record]:
+    """Read the attempts of an earlier run."""
     try:
-        records = read_lines(order.out / RECORDS, Record.from_json)
+        records = read_lines(config.out / RECORDS, Record.from_json)
     except (OSError, InputError):
-        raise UsageError(f"{order.out / RECORDS}: is damaged; --overwrite starts anew") from None
+        raise UsageError(f"{config.out / RECORDS}: is damaged; --overwrite starts anew") from None
     return {(record.task, record.seed): record for record in records}
 
 
-def _joined(order: DemoOrder, before: dict[str, Any]) -> bool:
-    """Whether all of this order is there already, its parts joined and gone."""
+def _is_complete(config: DemoConfig, before: dict[str, Any]) -> bool:
+    """Return whether an earlier run with the same configuration is complete and its parts are joined."""
     files: list[str] = before.get("files", [])
-    same = all(before.get(name) == value for name, value in order.request().items())
-    return same and bool(files) and all((order.out / name).is_file() for name in files)
+    same = all(before.get(name) == value for name, value in config.request().items())
+    return same and bool(files) and all((config.out / name).is_file() for name in files)
 
 
-def _whole(form: DemoFormat, out: Path, record: Record) -> bool:
+def _has_files(form: DemoFormat, out: Path, record: Record) -> bool:
     return not record.success or all(path.is_file() for path in form.part_files(out, record))
 
 
-def _tries(
-    order: DemoOrder, records: Mapping[tuple[str, int], Record], task: str
-) -> tuple[list[Record], list[EpisodeSpec]]:
-    """Attempts that count, in the order of seeds up to the last one needed, and those to be made next."""
-    wanted, good = order.wanted(), 0
-    tried: list[Record] = []
+def _plan_task(config: DemoConfig, records: Records, task: str) -> tuple[list[Record], list[EpisodeSpec]]:
+    """Return the attempts that count, in order of seeds up to the last one needed, and those to be made next."""
+    successes = 0
+    counted: list[Record] = []
     todo: list[EpisodeSpec] = []
-    for draw in order.draws(task, 2 * wanted + PATIENCE if wanted else 0):
-        if good + len(todo) == wanted:
+    for spec in config.specs(task, 2 * config.wanted + EXTRA_TRIES if config.wanted else 0):
+        if successes + len(todo) == config.wanted:
             break
-        record = records.get((task, draw.seed))
+        record = records.get((task, spec.seed))
         if record is None:
-            todo.append(draw)
+            todo.append(spec)
         else:
-            tried.append(record)
-            good += record.success
-    return tried, todo
+            counted.append(record)
+            successes += record.success
+    return counted, todo
 
 
-def _tried(order: DemoOrder, records: Mapping[tuple[str, int], Record]) -> list[Record]:
-    return [record for task in order.tasks for record in _tries(order, records, task)[0]]
+def _counted(config: DemoConfig, records: Records) -> list[Record]:
+    return [record for task in config.tasks for record in _plan_task(config, records, task)[0]]
 
 
-def _produce(order: DemoOrder, records: dict[tuple[str, int], Record], engine: Executor, observer: Observer) -> None:
-    """Make attempts until each task has its demonstrations, or too many have failed."""
-    kept = sum(record.success for record in _tried(order, records))
-    observer.start(order.wanted() * len(order.tasks), kept)
-    while todo := [draw for task in order.tasks for draw in _tries(order, records, task)[1]]:
-        died = []
-        for done in engine.run(_Experts(order.kind, order.shots, order.out), todo):
+def _run_attempts(
+    config: DemoConfig, records: dict[tuple[str, int], Record], executor: Executor, observer: Observer
+) -> None:
+    """Make attempts until each task has its demonstrations or is given up."""
+    completed = sum(record.success for record in _counted(config, records))
+    observer.start(config.wanted * len(config.tasks), completed)
+    while todo := [spec for task in config.tasks for spec in _plan_task(config, records, task)[1]]:
+        crashes = []
+        for done in executor.run(_DemoWorker(config.kind, config.options, config.out), todo):
             if isinstance(done, WorkerCrash):
-                died.append(f"{done.item.task} seed {done.item.seed}: {done.reason}")
+                crashes.append(f"{done.item.task} seed {done.item.seed}: {done.reason}")
                 continue
             record = done.result
-            append_line(order.out / RECORDS, asdict(record))
+            append_line(config.out / RECORDS, asdict(record))
             records[record.task, record.seed] = record
             observer.advance(f"{record.id}: {record.reason}" if record.reason else record.id, ok=record.success)
-        if died:
-            raise SetupError(f"{died[0]}; run the same command again, what is finished is kept")
+        if crashes:
+            raise SetupError(f"{crashes[0]}; run the same command again, what is finished is kept")
 
 
-def _finish(order: DemoOrder, form: DemoFormat, records: Mapping[tuple[str, int], Record]) -> None:
-    """Write what speaks of all demonstrations; only then parts that were joined may go."""
-    tried = _tried(order, records)
-    made = [record for record in tried if record.success]
+def _finish(config: DemoConfig, form: DemoFormat, records: Records) -> None:
+    """Write the files that concern all demonstrations; joined parts are deleted last."""
+    counted = _counted(config, records)
+    made = [record for record in counted if record.success]
     if made:
-        files = form.finish(order.out, made, order.shots, order.settings())
-        write_lines(order.out / RECORDS, [asdict(record) for record in tried])
-        counted = {(record.task, record.seed) for record in tried}
-        spare = [record for key, record in records.items() if record.success and key not in counted]
-        _delete(order.out, [path for record in spare for path in form.part_files(order.out, record)])
-        counts = {"demonstrations": len(made), "failures": len(tried) - len(made)}
-        names = [file.relative_to(order.out).as_posix() for file in files]
-        write_json(order.out / SUMMARY, {**order.request(), **counts, "files": names})
-        shutil.rmtree(order.out / PARTS, ignore_errors=True)
+        files = form.finish(config.out, made, config.options, config.settings())
+        write_lines(config.out / RECORDS, [asdict(record) for record in counted])
+        keys = {(record.task, record.seed) for record in counted}
+        surplus = [record for key, record in records.items() if record.success and key not in keys]
+        _delete(config.out, [path for record in surplus for path in form.part_files(config.out, record)])
+        counts = {"demonstrations": len(made), "failures": len(counted) - len(made)}
+        names = [file.relative_to(config.out).as_posix() for file in files]
+        write_json(config.out / SUMMARY, {**config.request(), **counts, "files": names})
+        shutil.rmtree(config.out / PARTS, ignore_errors=True)

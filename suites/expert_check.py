@@ -1,4 +1,4 @@
-"""How often a policy does a task: the expert, one that does nothing, one that moves at random."""
+"""Success rates of scripted policies: the expert, a still robot, random motion."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -12,17 +12,17 @@ from kinebench_drake.stats import wilson
 from kinebench_drake.suites.clock import CLIP_FRAMES, STEPS_PER_FRAME
 from kinebench_drake.suites.episode import Episode
 from kinebench_drake.suites.experts.registry import find_expert
-from kinebench_drake.suites.rollout import rollout
+from kinebench_drake.suites.rollout import run_expert
 from kinebench_drake.suites.seeding import generator
 from kinebench_drake.suites.simulator import Simulator, TaskOutcome
-from kinebench_drake.suites.simulator_cache import SimulatorCache, failure
+from kinebench_drake.suites.simulator_cache import SimulatorCache, failure_reason
 
 RANDOM_STEP_RAD = 0.1
-"""The random policy moves each joint by up to this much a control step."""
+"""Largest step of each joint of the random policy per control step."""
 
 
 class Policy(Enum):
-    """Who moves the robot."""
+    """Scripted policies."""
 
     EXPERT = "expert"
     STILL = "still"
@@ -31,36 +31,37 @@ class Policy(Enum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExpertTrial:
-    """One episode and how it ended."""
+    """Outcome of a policy in one episode."""
 
     episode: Episode
     policy: Policy
     success: bool
     progress: float
-    """0..1."""
+    """Progress, 0..1."""
     reason: str
-    """Which conditions failed, or why the expert found no way; empty with success."""
+    """Failed conditions, or why the expert found no path; empty on success."""
     frames: int
-    """Frames that passed, the first included."""
+    """Number of frames, including the first."""
 
 
 class _TrialWorker:
-    """Runs trials."""
+    """Runs trials in one process."""
 
     def __init__(self, policy: Policy) -> None:
         self._policy = policy
-        self._hand = SimulatorCache(Simulator, benchmark_camera().width, renders=False)
+        self._simulators = SimulatorCache(Simulator, benchmark_camera().width, renders=False)
 
     def __call__(self, episode: Episode) -> ExpertTrial:
-        stage, frames = self._hand.stage(episode.task, episode.variant), 1
+        simulator, frames = self._simulators.get(episode.task, episode.variant), 1
         try:
             if self._policy is Policy.EXPERT:
-                performance = rollout(stage, find_expert(episode.task), episode)
-                outcome, frames = performance.outcome, len(performance.snapshots)
+                rollout = run_expert(simulator, find_expert(episode.task), episode)
+                outcome, frames = rollout.outcome, len(rollout.snapshots)
             else:
-                outcome, frames = _blind(stage, episode, self._policy)
+                outcome, frames = _run_open_loop(simulator, episode, self._policy)
         except Exception as error:
-            return self._trial(episode, TaskOutcome(success=False, progress=0.0, conditions={}), frames, failure(error))
+            failed = TaskOutcome(success=False, progress=0.0, conditions={})
+            return self._trial(episode, failed, frames, failure_reason(error))
         return self._trial(episode, outcome, frames, outcome.reason)
 
     def _trial(self, episode: Episode, outcome: TaskOutcome, frames: int, reason: str) -> ExpertTrial:
@@ -74,28 +75,28 @@ class _TrialWorker:
         )
 
 
-def _blind(stage: Simulator, episode: Episode, policy: Policy) -> tuple[TaskOutcome, int]:
-    """What comes of a policy that does not look, after as many steps as the expert may take; frames that passed."""
-    stage.reset(episode)
-    start = stage.snapshot()
+def _run_open_loop(simulator: Simulator, episode: Episode, policy: Policy) -> tuple[TaskOutcome, int]:
+    """Run a policy without feedback for at most the steps of the expert; return outcome and number of frames."""
+    simulator.reset(episode)
+    start = simulator.snapshot()
     q, width = start.q.copy(), float(start.fingers_m.sum())
     rng = generator("random policy", episode.task, episode.seed)
     frames = 1
-    for _ in range(stage.task.card.clips * CLIP_FRAMES):
+    for _ in range(simulator.task.card.clips * CLIP_FRAMES):
         for _ in range(STEPS_PER_FRAME):
             if policy is Policy.RANDOM:
-                q = np.clip(q + rng.uniform(-RANDOM_STEP_RAD, RANDOM_STEP_RAD, 7), *stage.joint_limits)
+                q = np.clip(q + rng.uniform(-RANDOM_STEP_RAD, RANDOM_STEP_RAD, 7), *simulator.joint_limits)
                 width = float(rng.uniform(-0.02, 0.08))
-            stage.step(q, width)
+            simulator.step(q, width)
         frames += 1
-        if (outcome := stage.outcome()).success:
+        if (outcome := simulator.outcome()).success:
             return outcome, frames
     return outcome, frames
 
 
-def run_trials(engine: Executor, episodes: Sequence[Episode], policy: Policy) -> Iterator[ExpertTrial]:
-    """Try every episode once; yields in any order. A worker that dies makes a failed trial."""
-    for done in engine.run(_MakeTrials(policy), list(episodes)):
+def run_trials(executor: Executor, episodes: Sequence[Episode], policy: Policy) -> Iterator[ExpertTrial]:
+    """Run every episode once and yield the trials in any order; a worker crash is a failed trial."""
+    for done in executor.run(_MakeTrials(policy), list(episodes)):
         if isinstance(done, WorkerCrash):
             yield ExpertTrial(
                 episode=done.item, policy=policy, success=False, progress=0.0, reason=done.reason, frames=0
@@ -106,7 +107,7 @@ def run_trials(engine: Executor, episodes: Sequence[Episode], policy: Policy) ->
 
 @dataclass(frozen=True, slots=True)
 class _MakeTrials:
-    """Makes a worker in each process."""
+    """Creates a worker in each process."""
 
     policy: Policy
 
@@ -115,7 +116,7 @@ class _MakeTrials:
 
 
 def task_lines(trials: Sequence[ExpertTrial]) -> list[str]:
-    """What came of the trials of one task, to print: the rate, and for the expert each failure."""
+    """Return lines to print for the trials of one task: success rate, and each failure of the expert."""
     good, progress = sum(t.success for t in trials), sum(t.progress for t in trials) / len(trials)
     low, high = wilson(good, len(trials))
     rate = f"{good:4}/{len(trials)}  {low:6.1%} to {high:6.1%}"

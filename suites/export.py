@@ -1,4 +1,4 @@
-"""What a world model is asked with: first frames, prompts and the camera of a suite's episodes."""
+"""Export of a suite's episodes for world models: first frames, prompts and camera."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -27,14 +27,14 @@ from kinebench_drake.suites.tasks.task import TaskCard, TaskVariant
 
 MANIFEST, EPISODES, CAMERA, SUMMARY = "manifest.jsonl", "episodes.jsonl", "camera.json", "suite.json"
 FPS = 17
-"""What benchmark videos play at; the task time between two frames is `FRAME_PERIOD_S`."""
+"""Playback rate of benchmark videos; the task time between two frames is `FRAME_PERIOD_S`."""
 FRAMES = CLIP_FRAMES + 1
 """Frames of a benchmark video."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Export:
-    """What to write."""
+class ExportConfig:
+    """Episodes to export."""
 
     suite: Suite
     split: str
@@ -46,81 +46,81 @@ class Export:
     seed: int
     """Number of the first of the split's seeds."""
     variant: TaskVariant
-    """Version of the scenes."""
+    """Variant of the scenes."""
     size: int
     """Width and height of the first frames [px]."""
     out: Path
-    """Folder to write to."""
+    """Output folder."""
 
-    def draws(self) -> list[EpisodeSpec]:
-        """The episodes, task by task."""
+    def specs(self) -> list[EpisodeSpec]:
+        """Return the episodes, task by task."""
         return [
-            draw
+            spec
             for task in self.tasks
-            for draw in self.suite.draws(self.split, task, self.episodes, offset=self.seed, variant=self.variant)
+            for spec in self.suite.specs(self.split, task, self.episodes, offset=self.seed, variant=self.variant)
         ]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Photo:
-    """What a first frame shows."""
+class _FirstFrame:
+    """Episode and robot state of a first frame."""
 
     episode: Episode
-    first: dict[str, Any]
-    """The robot in it, for the manifest."""
+    state: dict[str, Any]
+    """Robot state, as manifest keys."""
 
 
 @dataclass(frozen=True, slots=True)
-class _Photographer:
-    """Makes, in each process, what takes first frames."""
+class _FrameWorker:
+    """Creates, in each process, the function that renders a first frame."""
 
     size: int
     out: Path
 
-    def __call__(self) -> Callable[[EpisodeSpec], _Photo]:
-        hand = SimulatorCache(Simulator, self.size)
+    def __call__(self) -> Callable[[EpisodeSpec], _FirstFrame]:
+        simulators = SimulatorCache(Simulator, self.size)
 
-        def photograph(draw: EpisodeSpec) -> _Photo:
-            episode = draw.episode()
-            stage = hand.stage(draw.task, draw.variant)
-            stage.reset(episode)
-            rgb = stage.picture().rgb
+        def render(spec: EpisodeSpec) -> _FirstFrame:
+            episode = spec.episode()
+            simulator = simulators.get(spec.task, spec.variant)
+            simulator.reset(episode)
+            rgb = simulator.render().rgb
             with atomic_path(self.out / f"{episode.id}.png") as part:
                 Image.fromarray(rgb).save(part, format="png")
-            width_m = float(stage.snapshot().fingers_m.sum())
-            return _Photo(episode=episode, first=first_facts(stage.link_pose(TCP_LINK), width_m))
+            width_m = float(simulator.snapshot().fingers_m.sum())
+            return _FirstFrame(episode=episode, state=first_facts(simulator.link_pose(TCP_LINK), width_m))
 
-        return photograph
+        return render
 
 
-def export_suite(export: Export, engine: Executor, observer: Observer) -> int:
-    """Write first frames, manifest, camera and all that is known of the episodes; returns their number.
+def export_suite(config: ExportConfig, executor: Executor, observer: Observer) -> int:
+    """Write first frames, manifest, camera and descriptions of the episodes; return their number.
 
-    The same arguments give the same bytes, whatever the engine.
+    The same arguments give the same bytes with any executor.
 
     Raises:
-        UsageError: the split has not as many seeds, or the folder cannot be made.
+        UsageError: the split has fewer seeds, or the folder cannot be created.
         SetupError: writing or rendering failed, or a worker died.
     """
-    draws = export.draws()
-    make_folder(export.out)
-    observer.start(len(draws), 0)
-    made: dict[EpisodeSpec, _Photo] = {}
-    for done in engine.run(_Photographer(export.size, export.out), draws):
+    specs = config.specs()
+    make_folder(config.out)
+    observer.start(len(specs), 0)
+    frames: dict[EpisodeSpec, _FirstFrame] = {}
+    for done in executor.run(_FrameWorker(config.size, config.out), specs):
         if isinstance(done, WorkerCrash):
             raise SetupError(f"{done.item.task} seed {done.item.seed}: {done.reason}; run the same command again")
-        made[done.item] = done.result
+        frames[done.item] = done.result
         observer.advance(done.result.episode.id)
-    photos = [made[draw] for draw in draws]
-    save_camera(benchmark_camera().resized(export.size, export.size), export.out / CAMERA)
-    write_lines(export.out / MANIFEST, [_manifest_row(photo, export) for photo in photos])
-    write_lines(export.out / EPISODES, [_episode_row(photo.episode, export) for photo in photos])
-    write_json(export.out / SUMMARY, _summary(export, len(photos)))
-    return len(photos)
+    ordered = [frames[spec] for spec in specs]
+    save_camera(benchmark_camera().resized(config.size, config.size), config.out / CAMERA)
+    write_lines(config.out / MANIFEST, [_manifest_row(frame, config) for frame in ordered])
+    write_lines(config.out / EPISODES, [_episode_row(frame.episode, config) for frame in ordered])
+    write_json(config.out / SUMMARY, _summary(config, len(ordered)))
+    return len(ordered)
 
 
-def _manifest_row(photo: _Photo, export: Export) -> dict[str, Any]:
-    episode = photo.episode
+def _manifest_row(frame: _FirstFrame, config: ExportConfig) -> dict[str, Any]:
+    episode = frame.episode
     return {
         "video": f"{episode.id}.mp4",
         "id": episode.id,
@@ -131,24 +131,24 @@ def _manifest_row(photo: _Photo, export: Export) -> dict[str, Any]:
         "frames": FRAMES,
         "fps": FPS,
         "frame_period_s": FRAME_PERIOD_S,
-        "suite": export.suite.number,
-        "split": export.split,
-        **photo.first,
+        "suite": config.suite.number,
+        "split": config.split,
+        **frame.state,
     }
 
 
-def _episode_row(episode: Episode, export: Export) -> dict[str, Any]:
+def _episode_row(episode: Episode, config: ExportConfig) -> dict[str, Any]:
     return {
         "id": episode.id,
-        "suite": export.suite.number,
-        "split": export.split,
+        "suite": config.suite.number,
+        "split": config.split,
         **episode_facts(episode),
         **card_facts(TASKS[episode.task].card),
     }
 
 
 def episode_facts(episode: Episode) -> dict[str, Any]:
-    """What is known of an episode, as JSON."""
+    """Return the description of an episode as JSON."""
     return {
         "task": episode.task,
         "seed": episode.seed,
@@ -163,29 +163,29 @@ def episode_facts(episode: Episode) -> dict[str, Any]:
 
 
 def card_facts(card: TaskCard) -> dict[str, Any]:
-    """What is known of a task, as JSON, without its id."""
+    """Return the description of a task as JSON, without its id."""
     facts = {name: getattr(card, name) for name in TaskCard.__dataclass_fields__ if name not in ("id", "variants")}
     facts["horizon"] = card.horizon
     return {name: value.value if isinstance(value, Enum) else value for name, value in facts.items()}
 
 
-def _summary(export: Export, count: int) -> dict[str, Any]:
-    suite, split = export.suite, export.suite.splits[export.split]
+def _summary(config: ExportConfig, count: int) -> dict[str, Any]:
+    suite, split = config.suite, config.suite.splits[config.split]
     return {
         "suite": suite.number,
         "suite_version": VERSION,
         "title": suite.title,
         "about": suite.about,
-        "split": export.split,
+        "split": config.split,
         "split_about": split.about,
         "pool": split.pool.value,
-        "variant": export.variant.value,
-        "tasks": list(export.tasks),
-        "episodes_per_task": export.episodes,
-        "first_seed": split.seeds[0] + export.seed,
+        "variant": config.variant.value,
+        "tasks": list(config.tasks),
+        "episodes_per_task": config.episodes,
+        "first_seed": split.seeds[0] + config.seed,
         "episodes": count,
-        "width": export.size,
-        "height": export.size,
+        "width": config.size,
+        "height": config.size,
         "frames": FRAMES,
         "fps": FPS,
         "frame_period_s": FRAME_PERIOD_S,

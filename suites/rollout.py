@@ -1,12 +1,18 @@
-"""The expert's performance of an episode: physics alone, to be filmed later, more than once if need be."""
+"""Rollouts of experts in the simulator, and their rendering, which is separate from the physics."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from kinebench_drake.geometry import Array
+from kinebench_drake.camera import Camera
+from kinebench_drake.geometry import Array, invert
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.suites.clock import CLIP_FRAMES, STEPS_PER_FRAME
+from kinebench_drake.models.panda.robot import HAND_LINK, TCP_LINK
+from kinebench_drake.suites.clock import CLIP_FRAMES, FRAME_PERIOD_S, STEPS_PER_FRAME
 from kinebench_drake.suites.episode import Episode
 from kinebench_drake.suites.experts.motion import plan
 from kinebench_drake.suites.experts.registry import Expert
@@ -15,72 +21,141 @@ from kinebench_drake.suites.simulator import Simulator, Snapshot, TaskOutcome
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rollout:
-    """One episode as it happened in the simulation."""
+    """Rollout of one episode."""
 
     episode: Episode
-    """What was to be done."""
     snapshots: tuple[Snapshot, ...]
-    """The T moments to film, evenly spaced: `FRAME_PERIOD_S` apart unless asked for otherwise."""
+    """(T,) states at constant intervals, `FRAME_PERIOD_S` by default."""
     controls: Array
     """(N, 8) commands at 20 Hz: seven joint angles [rad] and the gap between the finger pads [m]."""
     outcome: TaskOutcome
-    """How it ended."""
+    """Outcome of the last state."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RolloutSegment:
-    """One clip's worth of a performance."""
+    """Rollout of one clip."""
 
     snapshots: tuple[Snapshot, ...]
-    """The moments to film, without the one it began with."""
+    """States without the initial one."""
     controls: Array
-    """(N, 8) commands, as in `Performance`."""
+    """(N, 8) commands, as in `Rollout`."""
 
 
-def rollout_clip(stage: Simulator, expert: Expert, *, every: int = STEPS_PER_FRAME) -> RolloutSegment | None:
-    """Let the expert go on with its task from the present state, for one clip; None if there is nothing left to do.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RolloutVideo:
+    """Rendered rollout with ground truth."""
+
+    camera: Camera
+    """Camera of the images."""
+    rgb: NDArray[np.uint8]
+    """(T, H, W, 3) frames."""
+    t_s: Array
+    """(T,) task time [s]."""
+    q: Array
+    """(T, 7) arm joint angles [rad]; NaN where the gripper is not drawn, as in the poses."""
+    finger_width_m: Array
+    """(T,) gap between the finger pads [m]."""
+    X_CH: Array
+    """(T, 4, 4) panda_hand in the camera frame [m]."""
+    X_BG: Array
+    """(T, 4, 4) panda_hand_tcp in the robot base frame [m]."""
+    depth_mm: NDArray[np.uint16]
+    """(T, H, W) distance along the camera's z, truncated to millimetres; 0 for no surface."""
+    mask: NDArray[np.bool_]
+    """(T, H, W) pixels of the gripper (hand and fingers)."""
+    robot: NDArray[np.bool_]
+    """(T, H, W) pixels of the robot, including the gripper."""
+
+    def save_truth(self, path: Path, *, with_images: bool) -> None:
+        """Write the ground truth as npz, reproducible to the byte; `with_images` adds depth and packed masks.
+
+        Masks are packed along the width: `np.unpackbits(mask, axis=-1, count=width)`.
+        """
+        arrays: dict[str, Any] = {
+            "t_s": self.t_s,
+            "base_from_tcp": self.X_BG,
+            "camera_from_hand": self.X_CH,
+            "q": self.q,
+            "finger_width_m": self.finger_width_m,
+        }
+        if with_images:
+            arrays |= {"depth_mm": self.depth_mm, "mask": np.packbits(self.mask, axis=-1)}
+        np.savez_compressed(path, **arrays)
+
+
+def run_expert_clip(simulator: Simulator, expert: Expert, *, every: int = STEPS_PER_FRAME) -> RolloutSegment | None:
+    """Let the expert continue its task from the current state for one clip; None if nothing is left to do.
 
     Raises:
         InputError: the expert finds no path in this scene.
     """
-    scene, now = stage.scene(), stage.snapshot()
+    scene, now = simulator.scene(), simulator.snapshot()
     waypoints = expert(scene)
     if not waypoints:
         return None
     motion = plan(ArmPlant(), now.q, float(now.fingers_m.sum()), waypoints, STEPS_PER_FRAME * CLIP_FRAMES, scene)
     snapshots = []
     for i, (q, finger_width_m) in enumerate(zip(motion.q, motion.finger_width_m, strict=True), 1):
-        stage.step(q, finger_width_m)
+        simulator.step(q, finger_width_m)
         if i % every == 0:
-            snapshots.append(stage.snapshot())
+            snapshots.append(simulator.snapshot())
     return RolloutSegment(snapshots=tuple(snapshots), controls=np.column_stack([motion.q, motion.finger_width_m]))
 
 
-def rollout(stage: Simulator, expert: Expert, episode: Episode, *, every: int = STEPS_PER_FRAME) -> Rollout:
-    """Let the expert do its task, clip by clip; nothing is rendered. It ends at success or after the task's clips.
+def run_expert(simulator: Simulator, expert: Expert, episode: Episode, *, every: int = STEPS_PER_FRAME) -> Rollout:
+    """Let the expert do its task, clip by clip, until success or for the task's number of clips.
 
     Args:
-        stage: where to do it; it is reset.
-        expert: who does it.
-        episode: what is to be done.
+        simulator: simulator of the task; it is reset.
+        expert: expert of the task.
+        episode: the episode.
         every: control steps between two snapshots.
 
     Raises:
         InputError: the expert finds no path in this scene.
     """
-    stage.reset(episode)
-    snapshots, controls = [stage.snapshot()], [np.zeros((0, 8))]
-    for _ in range(stage.task.card.clips):
-        clip = rollout_clip(stage, expert, every=every)
-        if clip is None:
+    simulator.reset(episode)
+    snapshots, controls = [simulator.snapshot()], [np.zeros((0, 8))]
+    for _ in range(simulator.task.card.clips):
+        segment = run_expert_clip(simulator, expert, every=every)
+        if segment is None:
             break
-        snapshots += clip.snapshots
-        controls.append(clip.controls)
-        if stage.outcome().success:
+        snapshots += segment.snapshots
+        controls.append(segment.controls)
+        if simulator.outcome().success:
             break
     return Rollout(
         episode=episode,
         snapshots=tuple(snapshots),
         controls=np.concatenate(controls),
-        outcome=stage.outcome(),
+        outcome=simulator.outcome(),
+    )
+
+
+def render_video(simulator: Simulator, snapshots: Sequence[Snapshot], *, first_frame: int = 0) -> RolloutVideo:
+    """Render snapshots with the simulator's camera.
+
+    Args:
+        simulator: simulator, reset to the scene of the snapshots.
+        snapshots: states, one per frame.
+        first_frame: index of the first of them in the whole video, which determines `t_s`.
+    """
+    images, X_BH, X_BG = [], [], []
+    for snapshot in snapshots:
+        simulator.set_snapshot(snapshot)
+        images.append(simulator.render())
+        X_BH.append(simulator.link_pose(HAND_LINK))
+        X_BG.append(simulator.link_pose(TCP_LINK))
+    return RolloutVideo(
+        camera=simulator.camera,
+        rgb=np.stack([image.rgb for image in images]),
+        t_s=FRAME_PERIOD_S * np.arange(first_frame, first_frame + len(snapshots), dtype=np.float64),
+        q=np.stack([s.q for s in snapshots]),
+        finger_width_m=np.array([s.fingers_m.sum() for s in snapshots]),
+        X_CH=invert(simulator.camera.X_BC) @ np.stack(X_BH),
+        X_BG=np.stack(X_BG),
+        depth_mm=np.stack([image.depth_mm for image in images]),
+        mask=np.stack([image.mask for image in images]),
+        robot=np.stack([image.robot for image in images]),
     )

@@ -1,11 +1,11 @@
-"""Which tasks a user means who names some, or none."""
+"""Selection of tasks by name and variant."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from kinebench_drake.errors import UsageError
 
-if TYPE_CHECKING:  # heavy: helps and usage errors should not wait for it
+if TYPE_CHECKING:  # slow to import: help texts and usage errors do not need it
     from kinebench_drake.suites.suite import Suite
     from kinebench_drake.suites.tasks.task import TaskVariant
 
@@ -13,10 +13,10 @@ _PREFIX = "KineBench/"
 
 
 def task_names(names: str | Sequence[str] | None) -> list[str] | None:
-    """Plain ids of tasks named by a user, each once, with or without ManiSkill's namespace; None if none were.
+    """Parse task names into plain ids without duplicates; None if there are none.
 
     Args:
-        names: a list, or comma-separated.
+        names: list, or comma-separated; with or without ManiSkill's namespace.
     """
     if names is None:
         return None
@@ -25,10 +25,10 @@ def task_names(names: str | Sequence[str] | None) -> list[str] | None:
 
 
 def with_variant(tasks: Sequence[str], variant: "TaskVariant", *, named: bool) -> list[str]:
-    """Those of some tasks that have a variant; all of them have to if the user named them.
+    """Return the tasks that have a variant; tasks that the user named must have it.
 
     Raises:
-        UsageError: a named one has not, or none has.
+        UsageError: a named task does not have it, or no task has.
     """
     from kinebench_drake.suites.tasks.registry import TASKS
 
@@ -44,9 +44,9 @@ def with_variant(tasks: Sequence[str], variant: "TaskVariant", *, named: bool) -
 def chosen_tasks(
     suite: "Suite", split: str, names: str | Sequence[str] | None, variant: "TaskVariant"
 ) -> tuple[str, ...]:
-    """Tasks of a split that are named, or all that have the variant.
+    """Return the named tasks of a split, or all that have the variant.
 
     Raises:
-        UsageError: the split has no such tasks, or they have no such variant.
+        UsageError: the split does not have the tasks, or they do not have the variant.
     """
     return tuple(with_variant(suite.tasks_of(split, task_names(names)), variant, named=names is not None))

@@ -1,6 +1,6 @@
-"""The scene of an episode in ManiSkill: physics, pictures, the task's verdict.
+"""ManiSkill scene of an episode: physics, rendering, task outcome.
 
-The module loads sapien and mani_skill only when a `Stage` is made.
+sapien and mani_skill are loaded when a `Simulator` is created.
 """
 
 import re
@@ -27,23 +27,23 @@ from kinebench_drake.suites.tasks.registry import find_task
 from kinebench_drake.suites.tasks.task import Scene, TaskVariant
 
 GRIPPER_LINKS = (HAND_LINK, *FINGER_LINKS, *(f"{finger}_pad" for finger in FINGER_LINKS))
-"""What counts as the gripper in masks; some of ManiSkill's Pandas have no pad links."""
+"""Links of the gripper in masks; some of ManiSkill's Pandas have no pad links."""
 ROBOTS = ("panda", "panda_wristcam")
-"""Robots of ManiSkill that the experts know."""
+"""Robots of ManiSkill that the experts support."""
 
 _FINGER_RANGE_M = (-0.01, 0.04)  # of one finger joint's target, for actions -1 and 1 (ManiSkill's Panda)
 
 
 @contextmanager
-def _named_causes() -> Iterator[None]:
-    """Tell what to do about a missing library or driver; other errors pass."""
+def _setup_errors() -> Iterator[None]:
+    """Turn errors of a missing library or driver into SetupError with the remedy; others propagate."""
     try:
         yield
     except ImportError as error:
         raise SetupError(
-            f"ManiSkill cannot be loaded ({error}); `kinebench-drake doctor --fix` mends what is missing, or tells how"
+            f"ManiSkill cannot be loaded ({error}); `kinebench-drake doctor --fix` repairs what is missing, or says how"
         ) from error
-    except RuntimeError as error:  # SAPIEN's, with Vulkan's own name for what is wrong
+    except RuntimeError as error:  # of SAPIEN, with the Vulkan error name
         reason = str(error).split("\n")[0]
         if not re.search(r"\bvk::|vulkan|render", reason, re.IGNORECASE):
             raise
@@ -54,62 +54,62 @@ def _named_causes() -> Iterator[None]:
 
 
 class Control(Enum):
-    """What the robot is told at each control step."""
+    """Command of the robot at each control step."""
 
     JOINTS = "pd_joint_pos"
     """Joint angles."""
     POSE = "pd_ee_pose"
-    """A pose of the TCP; ManiSkill's inverse kinematics takes one step towards it from the present posture."""
+    """Pose of the TCP; ManiSkill's inverse kinematics takes one step towards it from the current posture."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Snapshot:
-    """Where everything is at one moment."""
+    """State of robot and objects."""
 
     q: Array
     """(7,) arm joint angles [rad]."""
     fingers_m: Array
     """(2,) finger joints [m]."""
     objects: dict[str, Array]
-    """Position and quaternion wxyz (7,) of each thing in the ManiSkill world [m]."""
+    """Position and quaternion wxyz (7,) of each object in the ManiSkill world [m]."""
     joints: dict[str, float]
-    """Joint position of each articulated thing [rad or m]."""
+    """Joint position of each articulated object [rad or m]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraImage:
-    """What the camera sees at one moment."""
+    """Rendered image with depth and masks."""
 
     rgb: NDArray[np.uint8]
     """(H, W, 3)."""
     depth_mm: NDArray[np.uint16]
-    """(H, W) distance along the camera's z in whole millimetres, towards zero; 0 where nothing is."""
+    """(H, W) distance along the camera's z, truncated to millimetres; 0 for no surface."""
     mask: NDArray[np.bool_]
     """(H, W) pixels of the gripper (hand and fingers)."""
     robot: NDArray[np.bool_]
-    """(H, W) pixels of the robot, the gripper among them."""
+    """(H, W) pixels of the robot, including the gripper."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TaskOutcome:
-    """A task's verdict on one moment."""
+    """Outcome of a task in one state."""
 
     success: bool
-    """Whether all conditions hold."""
+    """True if all conditions hold."""
     progress: float
-    """How far things have come, 0..1."""
+    """Progress towards the goal, 0..1."""
     conditions: dict[str, bool]
     """The task's named sub-conditions."""
 
     @property
     def reason(self) -> str:
-        """Which conditions fail, such as "not on_top, released"; empty with success."""
+        """Failed conditions, such as "not on_top, released"; empty on success."""
         failed = ", ".join(name for name, holds in self.conditions.items() if not holds)
         return "" if self.success else f"not {failed}"
 
 
 class Simulator:
-    """A task with one Panda and one camera, on the CPU's physics."""
+    """Task with one Panda and one camera, simulated on the CPU."""
 
     def __init__(
         self,
@@ -121,34 +121,34 @@ class Simulator:
         renders: bool = True,
         control: Control = Control.JOINTS,
     ) -> None:
-        """Build the scene (a third of a second, the first time in a process some seconds).
+        """Build the scene (0.3 s; some seconds the first time in a process).
 
         Args:
             task: plain task id.
             robot: one of `ROBOTS`.
-            camera: where to film from; the benchmark's camera if not given.
+            camera: camera; None: the benchmark camera.
             variant: version of the task's scene.
-            renders: whether pictures can be taken; physics alone needs no Vulkan.
-            control: what the robot is told.
+            renders: whether images can be rendered; physics alone needs no Vulkan.
+            control: type of the commands.
 
         Raises:
             UsageError: there is no such task or variant.
             SetupError: sapien, mani_skill or a Vulkan driver is missing or cannot be loaded.
         """
         backend = prepare_vulkan() if renders else "none"
-        with _named_causes():
+        with _setup_errors():
             import sapien
 
             from kinebench_drake.suites.tasks.environment import CAMERA, X_WB, KineBenchEnv
 
         plant = ArmPlant()
         self.joint_limits = (plant.lower, plant.upper)
-        """Least and greatest joint angles, each (7,) [rad]."""
+        """Lower and upper joint limits, each (7,) [rad]."""
         self.camera = benchmark_camera() if camera is None else camera
         self.task = find_task(task, variant)
         self._pose_class = sapien.Pose
         self._camera_name, self._X_BW = CAMERA, invert(X_WB)
-        with _named_causes():
+        with _setup_errors():
             self._env: Any = KineBenchEnv(
                 task=task,
                 obs_mode="none",
@@ -170,7 +170,7 @@ class Simulator:
         self.close()
 
     def close(self) -> None:
-        """Free the scene."""
+        """Release the scene."""
         self._env.close()
 
     def reset(self, episode: Episode) -> None:
@@ -178,12 +178,12 @@ class Simulator:
         self._env.reset(seed=episode.seed, options={"episodes": [episode], "reconfigure": True})
 
     def scene(self) -> Scene:
-        """What stands where now."""
+        """Return the current placement of robot and objects."""
         scene: Scene = self._env.scene_of()
         return scene
 
     def link_pose(self, link: str) -> Array:
-        """Pose (4, 4) of one of the robot's links in its base frame [m]."""
+        """Return the pose (4, 4) of a robot link in the base frame [m]."""
         raw = np.asarray(self._env.agent.robot.links_map[link].pose.raw_pose[0], dtype=np.float64)
         return self._X_BW @ from_quaternion(raw[3:], raw[:3])
 
@@ -194,21 +194,21 @@ class Simulator:
 
     @staticmethod
     def action(q: ArrayLike, finger_width_m: float) -> NDArray[np.float32]:
-        """ManiSkill's action (8,) that sets the arm's servos to `q` (7,) [rad] and the fingers' to a gap [m]."""
+        """Return ManiSkill's action (8,) for joint targets `q` (7,) [rad] and a gap between the finger pads [m]."""
         return np.append(np.asarray(q), Simulator._finger_action(finger_width_m)).astype(np.float32)
 
     def step(self, q: ArrayLike, finger_width_m: float) -> None:
-        """One control step with the arm's servos set to `q` (7,) [rad] and the fingers' to a gap [m]."""
+        """Simulate one control step with joint targets `q` (7,) [rad] and a gap between the finger pads [m]."""
         self._env.step(self.action(q, finger_width_m))
 
     def step_pose(self, X_BG: ArrayLike, finger_width_m: float) -> None:
-        """One control step towards a pose (4, 4) of panda_hand_tcp in B [m], of a stage under `Control.POSE`."""
+        """Simulate one control step towards a pose (4, 4) of panda_hand_tcp in B [m], under `Control.POSE`."""
         X = np.asarray(X_BG, dtype=np.float64)
-        angles = Rotation.from_matrix(X[:3, :3]).as_euler("XYZ")  # as ManiSkill's controller reads them
+        angles = Rotation.from_matrix(X[:3, :3]).as_euler("XYZ")  # convention of ManiSkill's controller
         self._env.step(np.concatenate([X[:3, 3], angles, [self._finger_action(finger_width_m)]]).astype(np.float32))
 
     def simulation_state(self) -> dict[str, dict[str, NDArray[np.float32]]]:
-        """ManiSkill's own state: of each actor pose and velocities (13,), of each articulation its joints' as well."""
+        """Return ManiSkill's state: pose and velocities (13,) of actors, with joint states for articulations."""
         kinds: dict[str, Any] = self._env.get_state_dict()
         return {
             kind: {name: value[0].cpu().numpy() for name, value in kinds.get(kind, {}).items()}
@@ -216,7 +216,7 @@ class Simulator:
         }
 
     def restore(self, state: Mapping[str, Mapping[str, NDArray[np.float32]]]) -> None:
-        """Go on from the `simulation_state` of another stage with the same episode."""
+        """Set the `simulation_state` of another simulator of the same episode."""
         import torch
 
         self._env.set_state_dict(
@@ -225,13 +225,13 @@ class Simulator:
         )  # fmt: skip
 
     def outcome(self) -> TaskOutcome:
-        """The task's verdict on the present state."""
-        verdict = {name: value[0].item() for name, value in self._env.evaluate().items()}
-        success, progress = bool(verdict.pop("success")), float(verdict.pop("progress"))
-        return TaskOutcome(success=success, progress=progress, conditions={n: bool(v) for n, v in verdict.items()})
+        """Evaluate the task in the current state."""
+        values = {name: value[0].item() for name, value in self._env.evaluate().items()}
+        success, progress = bool(values.pop("success")), float(values.pop("progress"))
+        return TaskOutcome(success=success, progress=progress, conditions={n: bool(v) for n, v in values.items()})
 
     def snapshot(self) -> Snapshot:
-        """The present state."""
+        """Return the current state of robot and objects."""
         qpos = np.asarray(self._env.agent.robot.get_qpos()[0], dtype=np.float64)
         things = self._env.objects
         return Snapshot(
@@ -241,8 +241,8 @@ class Simulator:
             joints={name: float(x.qpos[0, 0]) for name, x in things.items() if hasattr(x, "qpos")},
         )
 
-    def show(self, snapshot: Snapshot) -> None:
-        """Put everything where the snapshot has it, without simulating."""
+    def set_snapshot(self, snapshot: Snapshot) -> None:
+        """Set the state of robot and objects, without simulating."""
         self._env.agent.robot.set_qpos(np.concatenate([snapshot.q, snapshot.fingers_m])[None].astype(np.float32))
         for name, raw in snapshot.objects.items():
             thing = self._env.objects[name]
@@ -250,8 +250,8 @@ class Simulator:
             if name in snapshot.joints:
                 thing.set_qpos(np.array([[snapshot.joints[name]]], dtype=np.float32))
 
-    def draw(self, links: Collection[str], *, visible: bool) -> None:
-        """Draw some of the robot's links, or do not."""
+    def set_visible(self, links: Collection[str], *, visible: bool) -> None:
+        """Show or hide robot links."""
         import sapien
 
         for name, link in self._env.agent.robot.links_map.items():
@@ -260,15 +260,15 @@ class Simulator:
                 if body is not None:
                     body.visibility = float(visible)
 
-    def look_from(self, camera: Camera) -> None:
-        """Take pictures from elsewhere; their size stays.
+    def set_camera(self, camera: Camera) -> None:
+        """Change camera pose and intrinsics.
 
         Raises:
-            UsageError: the camera has pictures of another size.
+            UsageError: the image size differs.
         """
         if (camera.width, camera.height) != (self.camera.width, self.camera.height):
             raise UsageError(
-                f"the stage takes pictures of {self.camera.width} x {self.camera.height}, not of {camera.width} x "
+                f"the simulator renders images of {self.camera.width} x {self.camera.height}, not of {camera.width} x "
                 f"{camera.height}"
             )
         from kinebench_drake.suites.tasks.environment import place_camera
@@ -277,7 +277,7 @@ class Simulator:
         self.camera = camera
 
     def _capture(self) -> tuple[NDArray[np.uint8], NDArray[np.uint16], NDArray[np.integer[Any]]]:
-        """Colour (H, W, 3), depth (H, W) [mm] and segmentation ids (H, W) of the present state."""
+        """Render colour (H, W, 3), depth (H, W) [mm] and segmentation ids (H, W)."""
         self._env.scene.update_render(update_sensors=True, update_human_render_cameras=False)
         sensor = self._env._sensors[self._camera_name]
         sensor.capture()
@@ -288,8 +288,8 @@ class Simulator:
     def _link_ids(self) -> dict[str, int]:
         return {name: int(link.per_scene_id[0]) for name, link in self._env.agent.robot.links_map.items()}
 
-    def picture(self) -> CameraImage:
-        """The present state as the camera sees it."""
+    def render(self) -> CameraImage:
+        """Render the current state."""
         rgb, depth_mm, labels = self._capture()
         ids = self._link_ids()
         return CameraImage(
@@ -299,8 +299,8 @@ class Simulator:
             robot=np.isin(labels, list(ids.values())),
         )
 
-    def still(self) -> RenderedFrame:
-        """The present state as a training frame: a picture in which each pixel knows what it shows."""
+    def training_frame(self) -> RenderedFrame:
+        """Render the current state with part labels and coordinates of each pixel."""
         rgb, depth_mm, labels = self._capture()
         part_of = {name: part for part, name in LINK_OF.items()}
         ids = {i: part_of.get(name, RobotPart.BACKGROUND) for name, i in self._link_ids().items()}

@@ -1,4 +1,4 @@
-"""How the robot stands in an episode's first frame, known without building the scene (no simulator, no PyTorch)."""
+"""Robot state in the first frame of an episode, without building the scene (no simulator, no PyTorch)."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -11,10 +11,10 @@ from kinebench_drake.geometry import Array
 from kinebench_drake.suites.seeding import generator
 
 START_Q = np.array([0.0, -0.272, 0.0, -2.542, 0.0, 2.27, np.pi / 4])
-"""Arm at the start [rad]: the gripper points down from (0.43, 0, 0.27) m in B, above and behind the things, so that the
-first frame shows them. (In ManiSkill's own tabletop tasks it waits in front of them.)"""
+"""Initial joint angles [rad]: the gripper points down from (0.43, 0, 0.27) m in B, above and behind the objects, so
+that the first frame shows them. (In ManiSkill's own tabletop tasks it is in front of them.)"""
 START_NOISE_RAD = 0.02
-"""Standard deviation of the start's noise in each joint."""
+"""Standard deviation of the noise of each initial joint angle."""
 
 _OPEN_M, _SHUT_M = 0.08, 0.0
 START_WIDTH_M: Mapping[str, float] = {
@@ -39,20 +39,19 @@ START_WIDTH_M: Mapping[str, float] = {
     "StoreCube-v2": _OPEN_M,
     "StoreFruitsBox-v1": _OPEN_M,
 }
-"""Gap between the finger pads at the start of each of the benchmark's tasks. It stands here and not with the tasks,
-which load PyTorch."""
+"""Initial gap between the finger pads of each task; not in the task modules, as these load PyTorch."""
 
 
 def start_q(task_id: str, seed: int, finger_width_m: float | None = None) -> NDArray[np.float64]:
-    """Joint positions (9,) in an episode's first frame: seven of the arm [rad], two of the fingers [m].
+    """Return the joint positions (9,) in an episode's first frame: seven of the arm [rad], two of the fingers [m].
 
     Args:
         task_id: plain id.
-        seed: seed of the scene; the same with every pool and variant.
-        finger_width_m: gap between the finger pads [m]; that of the benchmark's task if not given.
+        seed: seed of the scene, independent of pool and variant.
+        finger_width_m: gap between the finger pads [m]; None: that of the benchmark task.
 
     Raises:
-        UsageError: the benchmark has no such task, and no gap is given.
+        UsageError: there is no such benchmark task, and no gap is given.
     """
     if finger_width_m is None:
         if task_id not in START_WIDTH_M:
@@ -66,7 +65,7 @@ _DECIMALS = 9
 
 
 def first_facts(X_BG: Array, finger_width_m: float) -> dict[str, Any]:
-    """Keys of a manifest's line.
+    """Return the manifest keys of the initial robot state.
 
     Args:
         X_BG: pose (4, 4) of panda_hand_tcp in the robot base frame [m].

@@ -1,4 +1,4 @@
-"""The suites as data: which tasks, which seeds, which half of assets and looks; and the episodes that follow."""
+"""Suites: tasks, seeds and pools of their splits, and the episodes that result from them."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -20,21 +20,21 @@ _STRICT = ConfigDict(extra="forbid")
 NUMBERS = (0, 1, 2, 3)
 """Numbers of the suites."""
 VERSION = "1"
-"""Of all suites together: another one whenever an episode of the same id is no longer the same."""
+"""Version of all suites, changed whenever an episode of the same id changes."""
 
 
 class Relation(Enum):
-    """What an unseen task has to do with trained ones."""
+    """Relation of an unseen task to trained ones."""
 
     RECOMBINATION = "recombination"
-    """Trained parts put together anew, elsewhere or the other way round."""
+    """New combination, place or direction of trained parts."""
     HARDER = "harder"
-    """A trained task that asks for more."""
+    """More demanding version of a trained task."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EpisodeSpec:
-    """What determines one episode."""
+    """Values that determine an episode."""
 
     task: str
     """Plain task id."""
@@ -43,7 +43,7 @@ class EpisodeSpec:
     pool: Pool
     """Assets and looks to draw from."""
     variant: TaskVariant
-    """Version of the scene."""
+    """Variant of the scene."""
 
     @property
     def id(self) -> str:
@@ -51,49 +51,49 @@ class EpisodeSpec:
         return episode_id(self.task, self.seed, self.pool, self.variant)
 
     def episode(self) -> Episode:
-        """The episode itself."""
+        """Compose the episode."""
         return compose(self.task, self.seed, pool=self.pool, variant=self.variant)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Split:
-    """A part of a suite's episodes."""
+    """Subset of a suite's episodes."""
 
     __pydantic_config__: ClassVar[ConfigDict] = _STRICT
     tasks: str
-    """Name of the suite's list of tasks that it is about."""
+    """Name of the suite's list of tasks."""
     pool: Pool
     """Assets and looks to draw from."""
     seeds: tuple[int, int]
-    """First seed of each task, and the first that is not the split's any more."""
+    """First seed of each task, and the end (exclusive)."""
     about: str
-    """What it is for."""
+    """Purpose."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Transfer:
-    """Why an unseen task tells of transfer."""
+    """Reason why an unseen task measures transfer."""
 
     __pydantic_config__: ClassVar[ConfigDict] = _STRICT
     task: str
     """The unseen task."""
     relation: Relation
-    """What it has to do with trained ones."""
+    """Relation to the trained tasks."""
     of: tuple[str, ...]
-    """These trained tasks."""
+    """The trained tasks."""
     reason: str
-    """What must be understood to do it."""
+    """Knowledge that the task requires."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class LeftOut:
-    """Why a task is not part of a suite."""
+class ExcludedTask:
+    """Reason why a task is not part of a suite."""
 
     __pydantic_config__: ClassVar[ConfigDict] = _STRICT
     task: str
-    """The task."""
+    """Plain task id."""
     reason: str
-    """Why it is neither trained nor judged."""
+    """Reason why it is neither trained nor evaluated."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -112,41 +112,41 @@ class SuiteStudy:
 
     __pydantic_config__: ClassVar[ConfigDict] = _STRICT
     demonstrations: tuple[int, ...]
-    """Demonstrations of each task; the smaller sets are the beginnings of the larger ones."""
+    """Demonstrations of each task; smaller sets are prefixes of larger ones."""
     steps: tuple[int, ...]
     """Optimisation steps."""
 
     def trainings(self) -> list[TrainingPlan]:
-        """All runs, the cheapest data first."""
+        """Return all runs, ordered by the amount of data."""
         return [TrainingPlan(demonstrations=n, steps=steps) for n, steps in product(self.demonstrations, self.steps)]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Suite:
-    """One of the suites."""
+    """Suite of tasks and splits."""
 
     __pydantic_config__: ClassVar[ConfigDict] = _STRICT
     number: int
-    """Its number."""
+    """Number of the suite."""
     title: str
-    """Its name."""
+    """Name."""
     about: str
-    """What it asks."""
+    """Question that the suite answers."""
     evaluated: str
-    """Name of the split that models are judged on."""
+    """Name of the split for evaluation."""
     tasks: Mapping[str, tuple[str, ...]]
     """Lists of plain task ids by name."""
     splits: Mapping[str, Split]
     """Splits by name."""
     transfers: tuple[Transfer, ...] = ()
-    """Why its unseen tasks tell of transfer."""
-    left_out: tuple[LeftOut, ...] = ()
-    """Tasks that are no part of it."""
+    """Relations of its unseen tasks to trained ones."""
+    left_out: tuple[ExcludedTask, ...] = ()
+    """Tasks that are not part of it."""
     study: SuiteStudy | None = None
-    """TrainingPlan runs it asks for."""
+    """Training runs of its study."""
 
     def split_name(self, name: str | None) -> str:
-        """Name of a split; that which is judged if none is given, or if "test" is and no split is called so.
+        """Return the name of a split; that for evaluation for None, or for "test" if no split has this name.
 
         Raises:
             UsageError: there is no such split.
@@ -158,7 +158,7 @@ class Suite:
         return name
 
     def tasks_of(self, split: str, chosen: Sequence[str] | None = None) -> tuple[str, ...]:
-        """Tasks of a split, or those chosen from them, in the suite's order.
+        """Return the tasks of a split, or the chosen ones, in the suite's order.
 
         Raises:
             UsageError: there is no such split, or a chosen task is not in it.
@@ -172,13 +172,13 @@ class Suite:
                 raise UsageError(f"{task} is not in suite {self.number}'s split {name}, which has {', '.join(own)}")
         return own if chosen is None else tuple(task for task in own if task in chosen)
 
-    def draws(
+    def specs(
         self, split: str, task: str, count: int, *, offset: int = 0, variant: TaskVariant = TaskVariant.PLAIN
     ) -> list[EpisodeSpec]:
-        """The first `count` episodes of a task from the split's seed number `offset` on, none of them made yet.
+        """Return specs of `count` episodes of a task, from the split's seed number `offset` on.
 
         Raises:
-            UsageError: the split has not as many seeds.
+            UsageError: the split has fewer seeds.
         """
         part = self.splits[self.split_name(split)]
         first, end = part.seeds
@@ -199,24 +199,24 @@ class Suite:
         offset: int = 0,
         variant: TaskVariant = TaskVariant.PLAIN,
     ) -> list[Episode]:
-        """`count` episodes of each of a split's tasks: a larger count begins with the episodes of a smaller one.
+        """Return `count` episodes of each task of a split; a larger count begins with the episodes of a smaller one.
 
         Raises:
-            UsageError: split, tasks or seeds are not the suite's, or a task has no such variant.
+            UsageError: split, tasks or seeds are not in the suite, or a task does not have the variant.
         """
         return [
-            draw.episode()
+            spec.episode()
             for task in self.tasks_of(split, tasks)
-            for draw in self.draws(split, task, count, offset=offset, variant=variant)
+            for spec in self.specs(split, task, count, offset=offset, variant=variant)
         ]
 
 
 @lru_cache
 def load_suite(number: int) -> Suite:
-    """The suite of a number.
+    """Load a suite.
 
     Raises:
-        UsageError: there is none.
+        UsageError: there is no such suite.
     """
     if number not in NUMBERS:
         raise UsageError(f"no suite {number}; there are {', '.join(map(str, NUMBERS))}")

@@ -47,7 +47,7 @@ suite.add_command(report)
     "list",
     epilog="\b\nExamples:\n  kinebench-drake suite list --json\n  kinebench-drake suite list --suites",
 )
-@click.option("--json", "as_json", is_flag=True, help="All that is known, as JSON.")
+@click.option("--json", "as_json", is_flag=True, help="Full descriptions as JSON.")
 @click.option("--suites", is_flag=True, help="List the suites and their splits instead.")
 @click.option("--markdown", is_flag=True, help="The tasks as a table.")
 def list_tasks(as_json: bool, suites: bool, markdown: bool) -> None:
@@ -77,8 +77,8 @@ def _list_suites(as_json: bool) -> None:
         click.echo(f"{suite.number}  {suite.title}: {suite.about}")
         for name, split in suite.splits.items():
             judged = ", judged on" if name == suite.evaluated else ""
-            told = f"{len(suite.tasks_of(name))} tasks, assets and looks: {split.pool.value}{judged}"
-            click.echo(f"   {name:7}{told}. {split.about}")
+            facts = f"{len(suite.tasks_of(name))} tasks, assets and looks: {split.pool.value}{judged}"
+            click.echo(f"   {name:7}{facts}. {split.about}")
 
 
 def _echo_json(facts: list[dict[str, Any]]) -> None:
@@ -91,29 +91,30 @@ def _echo_json(facts: list[dict[str, Any]]) -> None:
 @_SEED
 @click.option(
     "--policy", type=click.Choice(["expert", "still", "random"]), default="expert", show_default=True,
-    help="Who moves the robot.",
+    help="Policy that moves the robot.",
 )  # fmt: skip
 @variant_option
 @click.option("--pool", type=click.Choice(["all", "seen", "unseen"]), default="all", show_default=True)
-@click.option("--json", "json_out", type=click.Path(path_type=Path, dir_okay=False), help="Write the trials here, too.")
+@click.option("--json", "json_out", type=click.Path(path_type=Path, dir_okay=False), help="Write the trials as JSON.")
 @jobs_option
 def check(
     tasks: str | None, episodes: int, seed: int, policy: str, variant: str, pool: str, json_out: Path | None, jobs: int
 ) -> None:
-    """Let a policy try tasks, and print success rates with 95 % intervals and the reasons of failures."""
+    """Run a scripted policy on tasks; print success rates with 95 % intervals and the reasons of failures."""
     from kinebench_drake.executors.base import ExecutorKind, create_executor
     from kinebench_drake.suites.episode import compose
     from kinebench_drake.suites.expert_check import ExpertTrial, Policy, run_trials, task_lines
     from kinebench_drake.suites.split import Pool
     from kinebench_drake.suites.tasks.task import TaskVariant
 
-    version = TaskVariant(variant)
+    task_variant = TaskVariant(variant)
     if json_out is not None:
         check_parent("--json", json_out)
-    chosen = with_variant(_tasks(tasks), version, named=tasks is not None)
-    order = [compose(t, s, pool=Pool(pool), variant=version) for t in chosen for s in range(seed, seed + episodes)]
+    chosen = with_variant(_tasks(tasks), task_variant, named=tasks is not None)
+    seeds = range(seed, seed + episodes)
+    todo = [compose(task, s, pool=Pool(pool), variant=task_variant) for task in chosen for s in seeds]
     trials: dict[str, list[ExpertTrial]] = {task: [] for task in sorted(chosen)}
-    for trial in run_trials(create_executor(ExecutorKind.LOCAL, jobs), order, Policy(policy)):
+    for trial in run_trials(create_executor(ExecutorKind.LOCAL, jobs), todo, Policy(policy)):
         own = trials[trial.episode.task]
         own.append(trial)
         if len(own) == episodes:
@@ -130,22 +131,22 @@ def check(
 
 
 @suite.command(epilog="\b\nExample:\n  kinebench-drake suite sheet --out tasks.jpg --seed 3 --jobs 2")
-@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), required=True, help="Picture, PNG or JPEG.")
+@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), required=True, help="Image file, PNG or JPEG.")
 @tasks_option
 @click.option("--looks", type=click.Choice(["table", "background", "light"]), help="Show all looks of a sort instead.")
 @_SEED
 @jobs_option
 def sheet(out: Path, tasks: str | None, looks: str | None, seed: int, jobs: int) -> None:
-    """Draw a contact sheet: how each task begins and how its expert ends it, or all tables, backgrounds or lights."""
+    """Draw a contact sheet: first and last frame of each task's expert, or all tables, backgrounds or lights."""
     from kinebench_drake.errors import UsageError
     from kinebench_drake.executors.base import ExecutorKind, create_executor
-    from kinebench_drake.suites.contact_sheet import contact_sheet, look_shots, task_shots
+    from kinebench_drake.suites.contact_sheet import contact_sheet, look_panels, task_panels
 
     if out.suffix.lower() not in (".png", ".jpg", ".jpeg"):
         raise UsageError(f"--out {out} should end in .png or .jpg")
     check_parent("--out", out)
-    engine = create_executor(ExecutorKind.LOCAL, jobs)
-    shots = task_shots(engine, _tasks(tasks), seed) if looks is None else look_shots(engine, looks, seed)
+    executor = create_executor(ExecutorKind.LOCAL, jobs)
+    panels = task_panels(executor, _tasks(tasks), seed) if looks is None else look_panels(executor, looks, seed)
     with atomic_path(out) as part:
-        contact_sheet(shots, columns=4 if looks is None else 6).save(part)
-    click.echo(f"{out}: {len(shots)} shots, {sum(shot.failed for shot in shots)} failed")
+        contact_sheet(panels, columns=4 if looks is None else 6).save(part)
+    click.echo(f"{out}: {len(panels)} panels, {sum(panel.failed for panel in panels)} failed")

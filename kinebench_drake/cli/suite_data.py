@@ -22,7 +22,7 @@ from kinebench_drake.results.metadata import Shard
 from kinebench_drake.suites.selection import chosen_tasks
 
 if TYPE_CHECKING:
-    from kinebench_drake.suites.formats.demo import FormatKind, Shots
+    from kinebench_drake.suites.formats.demo import FormatKind, RenderOptions
 
 _SEED = click.option(
     "--seed", type=click.IntRange(0), default=0, show_default=True, help="Number of the first of the split's seeds."
@@ -42,7 +42,7 @@ _OUT = click.option("--out", type=click.Path(path_type=Path), required=True, hel
 @episodes_option
 @_SEED
 @variant_option
-@click.option("--size", type=SIZES, default=384, show_default=True, help="Width and height of the pictures.")
+@click.option("--size", type=SIZES, default=384, show_default=True, help="Width and height of the images.")
 @_OUT
 @jobs_option
 def export(
@@ -56,32 +56,32 @@ def export(
     out: Path,
     jobs: int,
 ) -> None:
-    """Write what a world model is asked with: first frames, prompts, camera.
+    """Write the inputs of world models: first frames, prompts, camera.
 
-    ID.png is an episode's first frame. manifest.jsonl names it with the prompt and the video that is expected beside
-    it, ID.mp4: with these there, `kinebench-drake score OUT/manifest.jsonl` judges them. episodes.jsonl holds all else
-    that is known of the episodes. The same arguments give the same bytes.
+    ID.png is an episode's first frame. manifest.jsonl lists it with the prompt and the video expected beside it,
+    ID.mp4: once these exist, `kinebench-drake score OUT/manifest.jsonl` judges them. episodes.jsonl holds the full
+    description of the episodes. The same arguments give the same bytes.
     """
     from kinebench_drake.executors.base import ExecutorKind, create_executor
-    from kinebench_drake.suites.export import Export, export_suite
+    from kinebench_drake.suites.export import ExportConfig, export_suite
     from kinebench_drake.suites.suite import load_suite
     from kinebench_drake.suites.tasks.task import TaskVariant
 
-    suite, version = load_suite(number), TaskVariant(variant)
-    order = Export(
+    suite, task_variant = load_suite(number), TaskVariant(variant)
+    config = ExportConfig(
         suite=suite,
         split=suite.split_name(split),
-        tasks=chosen_tasks(suite, split, tasks, version),
+        tasks=chosen_tasks(suite, split, tasks, task_variant),
         episodes=episodes,
         seed=seed,
-        variant=version,
+        variant=task_variant,
         size=size,
         out=out,
     )
     with ProgressView() as view, terminate_as_interrupt():
-        count = export_suite(order, create_executor(ExecutorKind.LOCAL, jobs), view)
-    of = _counted(len(order.tasks), "task")
-    click.echo(f"{_counted(count, 'episode')} of {of} (suite {number}, {order.split})")
+        count = export_suite(config, create_executor(ExecutorKind.LOCAL, jobs), view)
+    of = _counted(len(config.tasks), "task")
+    click.echo(f"{_counted(count, 'episode')} of {of} (suite {number}, {config.split})")
     click.echo(out / "manifest.jsonl")
 
 
@@ -104,12 +104,12 @@ def _counted(number: int, what: str) -> str:
 @variant_option
 @click.option(
     "--format", "kind", type=click.Choice(["mp4", "lerobot-v3", "maniskill-h5", "frames"]), default="mp4",
-    show_default=True, help="mp4: a video a clip, with captions; frames: labelled stills to train perception with.",
+    show_default=True, help="mp4: a video per clip, with captions; frames: labelled frames to train perception with.",
 )  # fmt: skip
 @click.option("--size", type=SIZES, help="Width and height of the videos.  [default: 384]", metavar="PX")
 @click.option(
     "--fps", type=click.FloatRange(0.1, 1000), metavar="FPS",
-    help="Frames per second an mp4 plays at; a LeRobot dataset keeps the task's time.  [default: 17]",
+    help="Playback rate of an mp4 [frames/s]; a LeRobot dataset keeps the task's time.  [default: 17]",
 )  # fmt: skip
 @click.option(
     "--frames", type=int, metavar="F",
@@ -141,78 +141,78 @@ def demos(
     shard: str | None,
     overwrite: bool,
 ) -> None:
-    """Write demonstrations of the scripted experts, with ground truth, to train world models and policies with.
+    """Write demonstrations of the scripted experts, with ground truth, to train world models and policies.
 
-    As many successful demonstrations of each task as asked for: a seed with which the expert fails is told in
-    demos.jsonl and replaced by the next one. A larger K begins with the demonstrations of a smaller one, in the same
-    folder too. The same command again goes on where a run was stopped.
+    K successful demonstrations of each task: a seed with which the expert fails is recorded in demos.jsonl and replaced
+    by the next one. A larger K begins with the demonstrations of a smaller one, in the same folder too. The same
+    command resumes a run that was stopped.
     """
     from kinebench_drake.executors.base import ExecutorKind, create_executor
+    from kinebench_drake.suites.demo_config import DemoConfig
     from kinebench_drake.suites.demos import make_demos
     from kinebench_drake.suites.formats.demo import FormatKind
-    from kinebench_drake.suites.order import DemoOrder
     from kinebench_drake.suites.suite import load_suite
     from kinebench_drake.suites.tasks.task import TaskVariant
 
-    suite, version, form = load_suite(number), TaskVariant(variant), FormatKind(kind)
-    order = DemoOrder(
+    suite, task_variant, form = load_suite(number), TaskVariant(variant), FormatKind(kind)
+    config = DemoConfig(
         suite=suite,
         split=suite.split_name(split),
-        tasks=chosen_tasks(suite, split, tasks, version),
+        tasks=chosen_tasks(suite, split, tasks, task_variant),
         episodes=episodes,
         seed=seed,
-        variant=version,
-        shots=_shots(form, size, fps, frames, crf, with_depth),
+        variant=task_variant,
+        options=_render_options(form, size, fps, frames, crf, with_depth),
         kind=form,
         out=out,
         shard=None if shard is None else Shard.parse(shard),
     )
     with ProgressView("demonstrations") as view, terminate_as_interrupt():
-        delivery = make_demos(order, create_executor(ExecutorKind.LOCAL, jobs), view, overwrite=overwrite)
-    failed = f"; the expert failed with {_counted(delivery.failures, 'other seed')}" if delivery.failures else ""
-    made = _counted(delivery.demonstrations, "demonstration")
-    click.echo(f"{made} of {_counted(len(order.tasks), 'task')}{failed}")
+        result = make_demos(config, create_executor(ExecutorKind.LOCAL, jobs), view, overwrite=overwrite)
+    failed = f"; the expert failed with {_counted(result.failures, 'other seed')}" if result.failures else ""
+    made = _counted(result.demonstrations, "demonstration")
+    click.echo(f"{made} of {_counted(len(config.tasks), 'task')}{failed}")
     click.echo(out)
-    for task, count in delivery.short.items():
+    for task, count in result.short.items():
         click.echo(f"{task}: given up with {count} demonstrations missing; demos.jsonl has the reasons", err=True)
-    ctx.exit(1 if delivery.short else 0)
+    ctx.exit(1 if result.short else 0)
 
 
-def _shots(
+def _render_options(
     kind: "FormatKind", size: int | None, fps: float | None, frames: int | None, crf: int | None, with_depth: bool
-) -> "Shots":
-    """How to film, from what was said and what was not.
+) -> "RenderOptions":
+    """Build the options of rendering; None takes the default.
 
     Raises:
-        UsageError: the format has no use for what was said.
+        UsageError: an option does not apply to the format.
     """
-    from kinebench_drake.suites.formats.demo import FormatKind, Shots
+    from kinebench_drake.suites.formats.demo import FormatKind, RenderOptions
 
-    said = {name: x for name, x in (("size", size), ("fps", fps), ("frames", frames), ("crf", crf)) if x is not None}
-    if kind is FormatKind.MANISKILL and said:
-        named = ", ".join(f"--{name}" for name in said)
-        raise UsageError(f"{named}: --format {kind.value} holds no video, but every control step at 20 Hz")
-    if kind is FormatKind.FRAMES and set(said) - {"size"}:
-        named = ", ".join(f"--{name}" for name in said if name != "size")
-        raise UsageError(f"{named}: --format {kind.value} holds no video, but stills")
+    values = {name: x for name, x in (("size", size), ("fps", fps), ("frames", frames), ("crf", crf)) if x is not None}
+    if kind is FormatKind.MANISKILL and values:
+        names = ", ".join(f"--{name}" for name in values)
+        raise UsageError(f"{names}: --format {kind.value} holds no video, but every control step at 20 Hz")
+    if kind is FormatKind.FRAMES and set(values) - {"size"}:
+        names = ", ".join(f"--{name}" for name in values if name != "size")
+        raise UsageError(f"{names}: --format {kind.value} holds no video, but stills")
     if with_depth and kind is not FormatKind.MP4:
         raise UsageError(f"--with-depth: the truth of --format {kind.value} holds none; take mp4")
     if size is not None and size % 2:
         raise UsageError(f"--size is {size}, expected an even number of pixels")
-    plain = Shots()
-    shots = Shots(
-        size=size or plain.size,
-        frames=plain.frames if frames is None else frames,
-        fps=fps or plain.fps,
-        crf=plain.crf if crf is None else crf,
+    default = RenderOptions()
+    options = RenderOptions(
+        size=size or default.size,
+        frames=default.frames if frames is None else frames,
+        fps=fps or default.fps,
+        crf=default.crf if crf is None else crf,
         with_depth=with_depth,
     )
     if kind is FormatKind.LEROBOT:
-        rate = 1.0 / shots.frame_period_s
+        rate = 1.0 / options.frame_period_s
         if fps is not None or rate != round(rate):
             raise UsageError(
-                f"a LeRobot dataset keeps the task's time in whole frames per second: --frames {shots.frames} is "
+                f"a LeRobot dataset keeps the task's time in whole frames per second: --frames {options.frames} is "
                 f"{rate:g} a second; leave out --fps, and take --frames 49 (5 a second), 97 (10) or 193 (20)"
             )
-        shots = replace(shots, fps=rate)
-    return shots
+        options = replace(options, fps=rate)
+    return options

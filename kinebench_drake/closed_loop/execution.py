@@ -1,4 +1,4 @@
-"""Commands carried out on a stage, frame by frame."""
+"""Commands carried out on a simulator, frame by frame."""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -33,24 +33,24 @@ class Execution:
         return self.outcomes[-1]
 
 
-def execute(stage: Simulator, commands: Commands, control: Control) -> Execution:
+def execute(simulator: Simulator, commands: Commands, control: Control) -> Execution:
     """Carry out commands from the present state on, until the task succeeds or they end.
 
     Args:
-        stage: where; it must be under `control`.
+        simulator: where; it must be under `control`.
         commands: what to do.
         control: whether the robot is told joint angles or poses.
     """
-    snapshots, outcomes, X_BG = [stage.snapshot()], list[TaskOutcome](), [stage.link_pose(TCP_LINK)]
+    snapshots, outcomes, X_BG = [simulator.snapshot()], list[TaskOutcome](), [simulator.link_pose(TCP_LINK)]
     for start, end in pairwise(commands.frame_steps):
         for i in range(start, end):
             if control is Control.JOINTS:
-                stage.step(commands.q[i], float(commands.finger_width_m[i]))
+                simulator.step(commands.q[i], float(commands.finger_width_m[i]))
             else:
-                stage.step_pose(commands.X_BG[i], float(commands.finger_width_m[i]))
-        snapshots.append(stage.snapshot())
-        outcomes.append(stage.outcome())
-        X_BG.append(stage.link_pose(TCP_LINK))
+                simulator.step_pose(commands.X_BG[i], float(commands.finger_width_m[i]))
+        snapshots.append(simulator.snapshot())
+        outcomes.append(simulator.outcome())
+        X_BG.append(simulator.link_pose(TCP_LINK))
         if outcomes[-1].success:
             break
     return Execution(snapshots=tuple(snapshots), outcomes=tuple(outcomes), X_BG=np.stack(X_BG))

@@ -9,7 +9,7 @@ from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array, pose_difference
-from kinebench_drake.suites.clip import RolloutVideo
+from kinebench_drake.suites.rollout import RolloutVideo
 
 _RANGE = 255
 
@@ -39,7 +39,7 @@ def measure_gap(
         imagined: (T, H, W, 3) frames; of another size than the executed ones they are scaled.
         imagined_robot: (T, H, W) their pixels that show the robot.
         imagined_X_BG: (T, 4, 4) panda_hand_tcp as read from them [m]; NaN where unknown.
-        executed: the film of the execution, of T frames or less.
+        executed: the video of the execution, of T frames or less.
 
     Raises:
         InputError: the execution has more frames than what was imagined.

@@ -108,17 +108,17 @@ Ground = Callable[[NDArray[np.uint8], Camera, Array, Priors], GroundingResult]
 
 
 class ClosedLoop:
-    """Runs episodes with one model on one stage."""
+    """Runs episodes with one model on one simulator."""
 
     def __init__(self, ground: Ground, commander: CommandPlanner, model: WorldModel, options: LoopOptions) -> None:
         """Compose."""
         self._ground, self._commander, self._model, self._options = ground, commander, model, options
 
-    def run(self, stage: Simulator, episode: Episode, videos: Path) -> EpisodeRun:
+    def run(self, simulator: Simulator, episode: Episode, videos: Path) -> EpisodeRun:
         """Run an episode until it succeeds, the rounds are used up, or nothing can be executed.
 
         Args:
-            stage: where; it is reset.
+            simulator: where; it is reset.
             episode: what is to be done.
             videos: path of what the model imagines, to which "_r0" and so on are added.
 
@@ -129,21 +129,21 @@ class ClosedLoop:
         """
         if not isinstance(self._model, OfflineModel):  # whose own folder this may be
             _forget(videos)
-        stage.reset(episode)
-        return EpisodeRun(rounds=tuple(self._rounds(stage, episode, videos)), outcome=stage.outcome())
+        simulator.reset(episode)
+        return EpisodeRun(rounds=tuple(self._rounds(simulator, episode, videos)), outcome=simulator.outcome())
 
-    def _rounds(self, stage: Simulator, episode: Episode, videos: Path) -> Iterator[Round]:
+    def _rounds(self, simulator: Simulator, episode: Episode, videos: Path) -> Iterator[Round]:
         gripping = False
         for number in range(1 if isinstance(self._model, OfflineModel) else self._options.rounds):
-            done = self._round(stage, episode, number, videos.with_name(f"{videos.name}_r{number}"), gripping)
+            done = self._round(simulator, episode, number, videos.with_name(f"{videos.name}_r{number}"), gripping)
             yield done
             if done.execution is None or done.execution.outcome.success:
                 return
             gripping = done.commands is not None and done.commands.gripping
 
-    def _round(self, stage: Simulator, episode: Episode, number: int, out: Path, gripping: bool) -> Round:
-        options, now = self._options, stage.snapshot()
-        first_frame = stage.picture().rgb
+    def _round(self, simulator: Simulator, episode: Episode, number: int, out: Path, gripping: bool) -> Round:
+        options, now = self._options, simulator.snapshot()
+        first_frame = simulator.render().rgb
         request = Request(
             episode=episode.id,
             task=episode.task,
@@ -156,7 +156,7 @@ class ClosedLoop:
             fps=FPS,
         )
         if isinstance(self._model, PrivilegedModel):
-            self._model.set_state(episode, stage.simulation_state())
+            self._model.set_state(episode, simulator.simulation_state())
         video = _kept(self._model.generate(request, out), out)
         frames = read_video(video).frames
         if len(frames) < 2:
@@ -168,11 +168,11 @@ class ClosedLoop:
         if isinstance(self._model, SupportsTrueTrack) and (truth := self._model.true_track()) is not None:
             known = Priors(X_CH=truth.X_CH, finger_width_m=truth.finger_width_m)
         try:
-            framing = find_framing(frames, stage.camera, first_frame)
+            framing = find_framing(frames, simulator.camera, first_frame)
         except UnmeasurableError as error:
             raise InputError(f"{video.name}: {error}") from None
         shown = framing.crop(frames)
-        grounded = self._ground(shown, framing.camera(stage.camera), t_s, known)
+        grounded = self._ground(shown, framing.camera(simulator.camera), t_s, known)
         commands, refusal, execution = None, None, None
         try:
             start = RobotState(q=now.q, finger_width_m=width, gripping=gripping)
@@ -180,7 +180,7 @@ class ClosedLoop:
         except UnmeasurableError as error:
             refusal = str(error)
         else:
-            execution = execute(stage, commands, options.control)
+            execution = execute(simulator, commands, options.control)
         return Round(
             video=video,
             frames=undo_framing(framing, shown),

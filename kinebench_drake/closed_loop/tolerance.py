@@ -24,10 +24,10 @@ from kinebench_drake.stats import wilson
 from kinebench_drake.suites.clock import CLIP_FRAMES, FRAME_PERIOD_S
 from kinebench_drake.suites.episode import Episode
 from kinebench_drake.suites.experts.registry import find_expert
-from kinebench_drake.suites.rollout import Rollout, rollout
+from kinebench_drake.suites.rollout import Rollout, run_expert
 from kinebench_drake.suites.seeding import generator
 from kinebench_drake.suites.simulator import Control, Simulator
-from kinebench_drake.suites.simulator_cache import SimulatorCache, failure
+from kinebench_drake.suites.simulator_cache import SimulatorCache, failure_reason
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -115,45 +115,47 @@ class _AttemptWorker:
 
     def __init__(self, errors: Sequence[PoseError]) -> None:
         self._grades = grades(errors)
-        self._hand = SimulatorCache(Simulator, benchmark_camera().width, renders=False)
+        self._simulators = SimulatorCache(Simulator, benchmark_camera().width, renders=False)
         self._commander = CommandPlanner(ArmPlant())
 
     def __call__(self, episode: Episode) -> list[ToleranceAttempt]:
-        stage = self._hand.stage(episode.task, episode.variant)
+        simulator = self._simulators.get(episode.task, episode.variant)
         try:
-            performance = rollout(stage, find_expert(episode.task), episode)
+            rollout = run_expert(simulator, find_expert(episode.task), episode)
         except Exception as error:
-            return [_attempt(episode, grade, failure(error)) for grade in self._grades]
-        return [self._attempt(stage, performance, grade) for grade in self._grades]
+            return [_attempt(episode, grade, failure_reason(error)) for grade in self._grades]
+        return [self._attempt(simulator, rollout, grade) for grade in self._grades]
 
-    def _attempt(self, stage: Simulator, performance: Rollout, grade: ErrorGrade) -> ToleranceAttempt:
-        episode, plant = performance.episode, self._commander.plant
+    def _attempt(self, simulator: Simulator, rollout: Rollout, grade: ErrorGrade) -> ToleranceAttempt:
+        episode, plant = rollout.episode, self._commander.plant
         rng = generator("tolerance", episode.id, "" if grade.error is None else grade.error.value)
-        X_BG = np.stack([plant.forward(s.q) for s in performance.snapshots])
-        width = np.array([s.fingers_m.sum() for s in performance.snapshots])
+        X_BG = np.stack([plant.forward(s.q) for s in rollout.snapshots])
+        width = np.array([s.fingers_m.sum() for s in rollout.snapshots])
         X_BG, width = worsened(X_BG, width, grade, rng)
-        stage.reset(episode)
-        now = stage.snapshot()
+        simulator.reset(episode)
+        now = simulator.snapshot()
         posed = RobotState(q=now.q, finger_width_m=float(now.fingers_m.sum()), gripping=False)
         try:
             for start in range(0, len(X_BG) - 1, CLIP_FRAMES):
                 clip = slice(start, start + CLIP_FRAMES + 1)
-                posed, done = self._clip(stage, X_BG[clip], width[clip], posed)
+                posed, done = self._clip(simulator, X_BG[clip], width[clip], posed)
                 if done:
                     break
         except UnmeasurableError as error:
             return _attempt(episode, grade, str(error))
-        outcome = stage.outcome()
+        outcome = simulator.outcome()
         return ToleranceAttempt(
             episode=episode, grade=grade, success=outcome.success, progress=outcome.progress, reason=outcome.reason
         )
 
-    def _clip(self, stage: Simulator, X_BG: Array, finger_width_m: Array, start: RobotState) -> tuple[RobotState, bool]:
+    def _clip(
+        self, simulator: Simulator, X_BG: Array, finger_width_m: Array, start: RobotState
+    ) -> tuple[RobotState, bool]:
         """Execute one clip: how the robot stands then, and whether the task has succeeded."""
         seen = np.ones(len(X_BG), dtype=bool)
         t_s = FRAME_PERIOD_S * np.arange(len(X_BG), dtype=np.float64)
         commands = self._commander.commands(X_BG, finger_width_m, seen, t_s, start)
-        execution = execute(stage, commands, Control.JOINTS)
+        execution = execute(simulator, commands, Control.JOINTS)
         end = execution.snapshots[-1]
         posed = RobotState(q=end.q, finger_width_m=float(end.fingers_m.sum()), gripping=commands.gripping)
         return posed, execution.outcome.success

@@ -25,8 +25,8 @@ from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.results.provenance import weights_hash
 from kinebench_drake.results.store import artifact_path
 from kinebench_drake.results.trackfile import write_track
-from kinebench_drake.suites.clip import RolloutVideo, film
 from kinebench_drake.suites.export import FPS
+from kinebench_drake.suites.rollout import RolloutVideo, render_video
 from kinebench_drake.suites.simulator import Simulator
 from kinebench_drake.suites.simulator_cache import SimulatorCache
 from kinebench_drake.suites.suite import EpisodeSpec
@@ -100,11 +100,11 @@ class EpisodeEvaluator(Evaluator[EpisodeSample, EpisodeResources]):
     def evaluate(self, sample: EpisodeSample, resources: EpisodeResources) -> Evaluation:
         """Run the episode, judge its clips, attribute a failure, write its files."""
         episode = sample.spec.episode()
-        simulator = resources.simulators.stage(episode.task, episode.variant)
+        simulator = resources.simulators.get(episode.task, episode.variant)
         videos = self.out / "videos"
         videos.mkdir(exist_ok=True)
         run = resources.loop.run(simulator, episode, videos / sample.id)
-        executed = [None if r.execution is None else film(simulator, r.execution.snapshots) for r in run.rounds]
+        executed = [None if r.execution is None else render_video(simulator, r.execution.snapshots) for r in run.rounds]
         tracks = [r.grounded.track for r in run.rounds]
         results = [resources.analyzer.judge(track) for track in tracks]
         track, kinematics = join_tracks(tracks), combine(tracks, results)

@@ -147,7 +147,7 @@ def run_suite(config: SuiteConfig, observer: RunObserver | None = None) -> RunSu
         samples = [
             EpisodeSample(spec=spec, model=config.model or name)
             for task in config.tasks
-            for spec in config.suite.draws(
+            for spec in config.suite.specs(
                 config.split, task, config.episodes, offset=config.seed, variant=config.variant
             )
         ]

@@ -27,7 +27,7 @@ NOT_MEASURING = (
     *("evaluation/thumbnail.py", "io/atomic.py", "grounding/overlay.py"),
     # In the folders of measuring code, but not used by it.
     *("io/figure.py", "evaluation/merge.py", "closed_loop/tolerance.py", "suites/contact_sheet.py"),
-    *("suites/demos.py", "suites/expert_check.py", "suites/order.py", "suites/selection.py", "suites/stills.py"),
+    *("suites/demos.py", "suites/expert_check.py", "suites/demo_config.py", "suites/selection.py"),
 )
 """Exceptions from `MEASURING`."""
 

@@ -1,4 +1,4 @@
-"""Kinds and sizes of the faults that can be planted."""
+"""Kinds, forms and sizes of faults."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,25 +9,25 @@ from kinebench_drake.types import AnomalyKind
 
 
 class FaultForm(Enum):
-    """How a fault goes on in time, where a kind has several."""
+    """Course of a fault in time, for kinds with several."""
 
     CONSTANT = "constant"
-    """All along."""
+    """Constant over the clip."""
     GROWING = "growing"
-    """From nothing in the first frame to its size in the last."""
+    """Linear from 0 in the first frame to the full size in the last."""
     SHAKE = "shake"
-    """To and fro, turning the camera."""
+    """Random rotation of the camera."""
     DRIFT = "drift"
-    """Away and away, moving the camera sideways."""
+    """Linear sideways motion of the camera."""
     FLUTTER = "flutter"
-    """To and fro with each frame."""
+    """Alternating with each frame."""
     JUMP = "jump"
-    """At once."""
+    """Step."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlantedFault:
-    """What was done to a clip."""
+    """Fault planted into a clip."""
 
     kind: AnomalyKind
     """Kind of the fault."""
@@ -39,26 +39,26 @@ class PlantedFault:
     """Frames without gripper (vanish) or frozen (freeze), metres apart (duplicate_gripper), jumped (teleport) or opened
     (finger_opening), relative stretch (deformation) or size (scale_drift), pixels (camera_motion)."""
     form: FaultForm | None = None
-    """How it goes on in time, if its kind has several ways."""
+    """Course in time, for kinds with several."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FaultGrades:
-    """The sizes in which a kind of fault is planted."""
+    """Graded sizes of a kind of fault."""
 
     sizes: tuple[float, ...]
-    """From what hardly shows to what nobody overlooks, in the unit of `PlantedFault.size`."""
+    """Sizes from barely visible to obvious, in the unit of `PlantedFault.size`."""
     gate: float
-    """The least size that has to be found."""
+    """Smallest size that a detector must find."""
     unit: str
     """Unit of `label`."""
     factor: float
-    """Sizes times this are in that unit."""
+    """Factor from sizes to that unit."""
     forms: tuple[FaultForm | None, ...] = (None,)
-    """Ways in which it goes on in time."""
+    """Courses in time."""
 
     def label(self, size: float) -> str:
-        """A size in words, fit for a file's name."""
+        """Return a size with its unit, safe in a file name."""
         return f"{size * self.factor:g}{self.unit}"
 
 
@@ -78,13 +78,13 @@ GRADES: dict[AnomalyKind, FaultGrades] = {
         sizes=(0.01, 0.02, 0.04, 0.06), gate=0.04, unit="mm", factor=1000, forms=(FaultForm.FLUTTER, FaultForm.JUMP)
     ),
 }
-"""What is planted of each kind. The gripper is about 0.2 m wide; its fingers open by up to 0.08 m, and by up to 0.02 m
+"""Grades of each kind. The gripper is about 0.2 m wide; its fingers open by up to 0.08 m, and by up to 0.02 m
 between two frames of the benchmark."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FaultGrade:
-    """One kind of fault in one size."""
+    """Kind, size and form of a fault."""
 
     kind: AnomalyKind
     size: float
@@ -93,20 +93,21 @@ class FaultGrade:
 
     @property
     def label(self) -> str:
-        """Its name, fit for a file's, such as "camera_motion_shake_2px"."""
+        """Name, safe in a file name, such as "camera_motion_shake_2px"."""
         form = "" if self.form is None else f"_{self.form.value}"
         return f"{self.kind.value}{form}_{GRADES[self.kind].label(self.size)}"
 
 
 def choose(kinds: Sequence[AnomalyKind], sizes: str) -> tuple[FaultGrade, ...]:
-    """Faults of some kinds in all sizes ("all"), in those that have to be found ("gated"), or in sizes given.
+    """Return the grades of kinds of faults.
 
     Args:
-        kinds: of what kinds.
-        sizes: "all", "gated" or numbers with commas between, in the unit of `PlantedFault.size`.
+        kinds: kinds of faults.
+        sizes: "all", "gated" (those that a detector must find), or comma-separated numbers in the unit of
+            `PlantedFault.size`.
 
     Raises:
-        UsageError: sizes are none of these, or given for several kinds at once.
+        UsageError: sizes are invalid, or numbers are combined with several kinds.
     """
     if sizes not in ("all", "gated") and len(kinds) != 1:
         raise UsageError(f"sizes {sizes!r}: numbers are of one kind's unit; name one kind, or say all or gated")

@@ -1,7 +1,6 @@
-"""A stage that can cheat: it draws the gripper warped or a second one, hides links, or moves its camera.
+"""Simulator that renders faults: a warped or second gripper, hidden links, a moved camera.
 
-Everything is rendered: a drawn gripper is made of the robot's own meshes and materials, is lit, casts shadows, and
-hides what is behind it.
+The additional gripper consists of the robot's own meshes and materials, is lit, casts shadows and occludes.
 """
 
 from collections.abc import Callable, Collection
@@ -9,6 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from typing_extensions import override
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, invert, to_quaternion, transform_points
@@ -16,36 +16,36 @@ from kinebench_drake.models.panda.robot import HAND_LINK
 from kinebench_drake.suites.simulator import GRIPPER_LINKS, CameraImage, Simulator
 
 Warp = Callable[[Array], Array]
-"""Where points (N, 3) of the gripper go, in the frame of panda_hand [m]."""
-_NUDGE_M = 1e-4  # step of the finite differences that turn normals
+"""Maps points (N, 3) of the gripper to warped ones, in the frame of panda_hand [m]."""
+_STEP_M = 1e-4  # of the finite differences for normals
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RenderFault:
-    """A gripper to draw."""
+    """Additional gripper to render."""
 
     warp: Warp
-    """Its shape."""
+    """Change of shape."""
     X_HP: Array
-    """(4, 4) where it is drawn, as seen from the robot's hand [m]."""
+    """(4, 4) pose in the frame of panda_hand [m]."""
     replaces: bool
-    """Whether the robot's own gripper is not drawn."""
+    """True if it replaces the robot's gripper, which is hidden."""
 
 
 class FaultSimulator(Simulator):
-    """See the module."""
+    """Simulator with faults in its images; the physics is unchanged."""
 
-    _costume: RenderFault | None = None
+    _fault: RenderFault | None = None
 
     def __enter__(self) -> "FaultSimulator":
         return self
 
-    def wear(self, costume: RenderFault) -> None:
-        """Draw this in the pictures from now on."""
-        self._costume = costume
+    def set_fault(self, fault: RenderFault) -> None:
+        """Render an additional gripper in all further images."""
+        self._fault = fault
 
-    def aim(self, camera: Camera) -> None:
-        """Film from elsewhere, with the same lens."""
+    def set_camera_pose(self, camera: Camera) -> None:
+        """Move the camera; its intrinsics stay."""
         from kinebench_drake.suites.tasks.environment import X_WB, sapien_from_opencv
 
         X_WS = sapien_from_opencv(X_WB @ camera.X_BC)
@@ -53,38 +53,39 @@ class FaultSimulator(Simulator):
         rendering.set_local_pose(self._pose_class(X_WS[:3, 3], to_quaternion(X_WS[:3, :3])))
         self.camera = camera
 
-    def be_honest(self, camera: Camera) -> None:
-        """Draw everything as it is, from `camera`."""
-        self._costume = None
-        self.draw(GRIPPER_LINKS, visible=True)
-        self.aim(camera)
+    def clear_faults(self, camera: Camera) -> None:
+        """Render without faults, from `camera`."""
+        self._fault = None
+        self.set_visible(GRIPPER_LINKS, visible=True)
+        self.set_camera_pose(camera)
 
-    def picture(self) -> CameraImage:
-        """See `Stage.picture`; the mask is that of the gripper that stands for the robot's own."""
-        costume = self._costume
-        if costume is None:
-            return super().picture()
+    @override
+    def render(self) -> CameraImage:
+        """Render the current state; the mask is that of the replacing gripper, if there is one."""
+        fault = self._fault
+        if fault is None:
+            return super().render()
         scene = self._env.scene.sub_scenes[0]
-        puppet = self._puppet(costume.warp, GRIPPER_LINKS)
-        X_WP = invert(self._X_BW) @ self.link_pose(HAND_LINK) @ costume.X_HP
-        puppet.set_pose(self._pose_class(X_WP[:3, 3], to_quaternion(X_WP[:3, :3])))
-        scene.add_entity(puppet)
-        self.draw(GRIPPER_LINKS, visible=not costume.replaces)
+        gripper = self._warped_entity(fault.warp, GRIPPER_LINKS)
+        X_WP = invert(self._X_BW) @ self.link_pose(HAND_LINK) @ fault.X_HP
+        gripper.set_pose(self._pose_class(X_WP[:3, 3], to_quaternion(X_WP[:3, :3])))
+        scene.add_entity(gripper)
+        self.set_visible(GRIPPER_LINKS, visible=not fault.replaces)
         try:
-            picture = super().picture()
-            if costume.replaces:
+            image = super().render()
+            if fault.replaces:
                 labels = self._env._sensors[self._camera_name].get_obs(
                     rgb=False, depth=False, position=False, segmentation=True
                 )["segmentation"]
-                mask = labels[0, ..., 0].cpu().numpy() == puppet.per_scene_id
-                picture = replace(picture, mask=mask, robot=picture.robot | mask)
+                mask = labels[0, ..., 0].cpu().numpy() == gripper.per_scene_id
+                image = replace(image, mask=mask, robot=image.robot | mask)
         finally:
-            scene.remove_entity(puppet)
-            self.draw(GRIPPER_LINKS, visible=True)
-        return picture
+            scene.remove_entity(gripper)
+            self.set_visible(GRIPPER_LINKS, visible=True)
+        return image
 
-    def _puppet(self, warp: Warp, links: Collection[str]) -> Any:
-        """An entity of the warped meshes of some links as they stand now, in the frame of panda_hand."""
+    def _warped_entity(self, warp: Warp, links: Collection[str]) -> Any:
+        """Return an entity with the warped meshes of links in their current pose, in the frame of panda_hand."""
         import sapien
 
         body = sapien.render.RenderBodyComponent()
@@ -97,7 +98,7 @@ class FaultSimulator(Simulator):
                 X_HS = X_HB @ self.link_pose(name) @ np.asarray(shape.local_pose.to_transformation_matrix(), float)
                 for part in shape.parts:
                     p_H = transform_points(X_HS, part.get_vertices() * shape.scale)
-                    normal_H = _turned(warp, p_H, part.get_vertex_normal() @ X_HS[:3, :3].T)
+                    normal_H = _warp_normals(warp, p_H, part.get_vertex_normal() @ X_HS[:3, :3].T)
                     body.attach(
                         sapien.render.RenderShapeTriangleMesh(
                             warp(p_H).astype(np.float32),
@@ -107,14 +108,14 @@ class FaultSimulator(Simulator):
                             part.material,
                         )
                     )
-        puppet = sapien.Entity()
-        puppet.add_component(body)
-        return puppet
+        entity = sapien.Entity()
+        entity.add_component(body)
+        return entity
 
 
-def _turned(warp: Warp, p: Array, normal: Array) -> Array:
-    """Unit normals (N, 3) of the warped surface: they go with the inverse transpose of the warp's Jacobian."""
-    columns = [(warp(p + step) - warp(p - step)) / (2 * _NUDGE_M) for step in _NUDGE_M * np.eye(3)]
+def _warp_normals(warp: Warp, p: Array, normal: Array) -> Array:
+    """Return unit normals (N, 3) of the warped surface, by the inverse transpose of the warp's Jacobian."""
+    columns = [(warp(p + step) - warp(p - step)) / (2 * _STEP_M) for step in _STEP_M * np.eye(3)]
     J = np.stack(columns, axis=-1)
-    turned = np.linalg.solve(np.swapaxes(J, 1, 2), normal[..., None])[..., 0]
-    return np.asarray(turned / np.maximum(np.linalg.norm(turned, axis=1, keepdims=True), 1e-12))
+    warped = np.linalg.solve(np.swapaxes(J, 1, 2), normal[..., None])[..., 0]
+    return np.asarray(warped / np.maximum(np.linalg.norm(warped, axis=1, keepdims=True), 1e-12))

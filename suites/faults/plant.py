@@ -1,7 +1,6 @@
-"""Planting a fault of any kind."""
+"""Planting of a fault of any kind."""
 
 from kinebench_drake.errors import InputError
-from kinebench_drake.suites.clip import RolloutVideo
 from kinebench_drake.suites.faults.appearance import plant_deformation, plant_duplicate, plant_scale
 from kinebench_drake.suites.faults.fault import FaultForm, FaultGrade, PlantedFault
 from kinebench_drake.suites.faults.motion import (
@@ -12,34 +11,35 @@ from kinebench_drake.suites.faults.motion import (
     plant_vanish,
 )
 from kinebench_drake.suites.faults.recording import Recording
+from kinebench_drake.suites.rollout import RolloutVideo
 from kinebench_drake.suites.seeding import generator
 from kinebench_drake.types import AnomalyKind
 
 
-def plant(take: Recording, grade: FaultGrade) -> tuple[RolloutVideo, PlantedFault]:
-    """The clip with a fault, the same one each time, and what it is.
+def plant(recording: Recording, grade: FaultGrade) -> tuple[RolloutVideo, PlantedFault]:
+    """Return the video with a fault and the fault, deterministic in episode and kind.
 
     Raises:
-        InputError: this clip has no place for it.
+        InputError: the clip has no place for the fault.
     """
-    rng = generator("fault", take.performance.episode.id, grade.kind.value)
+    rng = generator("fault", recording.rollout.episode.id, grade.kind.value)
     match grade.kind:
         case AnomalyKind.VANISH:
-            return plant_vanish(take, _frames(grade))
+            return plant_vanish(recording, _frames(grade))
         case AnomalyKind.DUPLICATE:
-            return plant_duplicate(take, grade.size, rng)
+            return plant_duplicate(recording, grade.size, rng)
         case AnomalyKind.TELEPORT:
-            return plant_teleport(take, grade.size)
+            return plant_teleport(recording, grade.size)
         case AnomalyKind.FREEZE:
-            return plant_freeze(take, _frames(grade))
+            return plant_freeze(recording, _frames(grade))
         case AnomalyKind.DEFORMATION:
-            return plant_deformation(take, grade.size, rng)
+            return plant_deformation(recording, grade.size, rng)
         case AnomalyKind.SCALE:
-            return plant_scale(take, grade.size, grade.form or FaultForm.CONSTANT, rng)
+            return plant_scale(recording, grade.size, grade.form or FaultForm.CONSTANT, rng)
         case AnomalyKind.CAMERA:
-            return plant_camera_motion(take, grade.size, grade.form or FaultForm.SHAKE, rng)
+            return plant_camera_motion(recording, grade.size, grade.form or FaultForm.SHAKE, rng)
         case AnomalyKind.FINGERS:
-            return plant_fingers(take, grade.size, grade.form or FaultForm.JUMP)
+            return plant_fingers(recording, grade.size, grade.form or FaultForm.JUMP)
 
 
 def _frames(grade: FaultGrade) -> int:

@@ -1,4 +1,4 @@
-"""One demonstration, and what every format takes from it."""
+"""Demonstration in memory, as all formats write it."""
 
 import math
 from collections.abc import Sequence
@@ -13,21 +13,20 @@ from kinebench_drake.camera import Camera, benchmark_camera
 from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.geometry import Array, from_quaternion, invert
 from kinebench_drake.models.perception.frame import RenderedFrame
-from kinebench_drake.suites.clip import RolloutVideo
 from kinebench_drake.suites.clock import CLIP_FRAMES, CONTROL_PERIOD_S, STEPS_PER_FRAME
-from kinebench_drake.suites.rollout import Rollout
+from kinebench_drake.suites.rollout import Rollout, RolloutVideo
 from kinebench_drake.suites.simulator import Snapshot
 
 PARTS = ".parts"
-"""Folder of what formats that join their parts keep until they do."""
+"""Folder of the parts of formats that join them at the end."""
 CLIP_STEPS = STEPS_PER_FRAME * CLIP_FRAMES
 """Control steps of a clip."""
 FRAME_CHOICES = tuple(n + 1 for n in range(1, CLIP_STEPS + 1) if CLIP_STEPS % n == 0)
-"""Frames that a clip can have: every so many control steps one, the first and the last included."""
+"""Possible numbers of frames of a clip: constant numbers of control steps apart, first and last included."""
 
 
 class FormatKind(Enum):
-    """The formats a command line can name."""
+    """Formats that `--format` can name."""
 
     MP4 = "mp4"
     LEROBOT = "lerobot-v3"
@@ -36,36 +35,36 @@ class FormatKind(Enum):
 
 
 class Content(Flag):
-    """What a format holds of a demonstration beside numbers."""
+    """Content of a format beside numbers."""
 
-    FILM = auto()
-    """All its frames."""
+    VIDEO = auto()
+    """Video of all frames."""
     STILLS = auto()
-    """Some moments, each pixel labelled."""
+    """Labelled frames of some states."""
     STATES = auto()
-    """ManiSkill's states."""
+    """ManiSkill states."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Shots:
-    """How demonstrations are filmed."""
+class RenderOptions:
+    """Options of rendering demonstrations."""
 
     size: int = 384
     """Width and height [px]."""
     frames: int = CLIP_FRAMES + 1
     """Frames of a clip, of `FRAME_CHOICES`."""
     fps: float = 17.0
-    """Frames per second that a video plays at."""
+    """Playback rate of a video [frames/s]."""
     crf: int = 16
     """x264's quality."""
     with_depth: bool = False
-    """Whether the truth of a film holds depth and masks."""
+    """Store depth and masks with the ground truth."""
 
     def __post_init__(self) -> None:
         """Check the numbers of frames.
 
         Raises:
-            UsageError: a clip's control steps cannot be divided so, or a video cannot play so.
+            UsageError: the number of frames does not divide a clip's control steps, or the rate is invalid.
         """
         if not (math.isfinite(self.fps) and self.fps > 0):
             raise UsageError(f"--fps is {self.fps}, expected a positive number")
@@ -87,27 +86,27 @@ class Shots:
 
     @property
     def camera(self) -> Camera:
-        """The benchmark's camera in this size."""
+        """Benchmark camera at this size."""
         return benchmark_camera().resized(self.size, self.size)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Record:
-    """One attempt at a demonstration, as `demos.jsonl` tells it."""
+    """Attempt at a demonstration: a line of `demos.jsonl`."""
 
     id: str
-    """The episode's id."""
+    """Id of the episode."""
     task: str
     seed: int
     prompt: str
     success: bool
-    """Whether the expert did the task: only then it is a demonstration."""
+    """True if the expert succeeded, which makes the attempt a demonstration."""
     reason: str
-    """Why it is none; empty if it is one."""
+    """Reason of a failure; empty on success."""
     progress: float
     """0..1."""
     clips: int
-    """Clips of 192 control steps that it took."""
+    """Number of clips of 192 control steps."""
     facts: dict[str, Any]
     """Variant, assets, looks and camera."""
 
@@ -116,7 +115,7 @@ class Record:
         """Parse a line of `demos.jsonl`.
 
         Raises:
-            InputError: it is no record.
+            InputError: it is not a record.
         """
         try:
             return cls(**cast(dict[str, Any], data))
@@ -126,62 +125,57 @@ class Record:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Demo:
-    """A successful performance, filmed where the format has pictures."""
+    """Successful rollout, rendered as its format requires."""
 
-    performance: Rollout
-    shots: Shots
-    film: RolloutVideo | None
-    """All its frames, those between two clips once."""
+    rollout: Rollout
+    options: RenderOptions
+    video: RolloutVideo | None
+    """All frames; those between two clips once."""
     X_WB: Array
-    """(4, 4) the robot's base in the ManiSkill world, in which snapshots are."""
+    """(4, 4) robot base in the ManiSkill world, the frame of snapshots."""
     stills: Sequence[RenderedFrame] = ()
-    """Labelled stills, for formats that hold them."""
+    """Labelled frames, for formats with `Content.STILLS`."""
     states: Sequence[dict[str, dict[str, NDArray[np.float32]]]] = ()
-    """ManiSkill's state at the start and after each control step, for formats that keep it."""
+    """ManiSkill's state at the start and after each control step, for formats with `Content.STATES`."""
     successes: tuple[bool, ...] = ()
-    """The task's verdict after each control step, with the states."""
+    """Success after each control step, with the states."""
 
     @property
     def id(self) -> str:
-        """The episode's id."""
-        return self.performance.episode.id
+        """Id of the episode."""
+        return self.rollout.episode.id
 
     @property
     def clips(self) -> int:
-        """Clips it took."""
-        return len(self.performance.controls) // CLIP_STEPS
+        """Number of clips."""
+        return len(self.rollout.controls) // CLIP_STEPS
 
     def clip(self, k: int) -> "Demo":
-        """One of its clips as a demonstration of its own, its last frame being the next one's first."""
-        n, steps = self.shots.frames - 1, CLIP_STEPS
+        """Return a clip as a demonstration of its own; its last frame is the first of the next clip."""
+        n, steps = self.options.frames - 1, CLIP_STEPS
         frames, controls = slice(k * n, (k + 1) * n + 1), slice(k * steps, (k + 1) * steps)
-        p, film = self.performance, self.film
-        return replace(
-            self,
-            performance=replace(p, snapshots=p.snapshots[frames], controls=p.controls[controls]),
-            film=None
-            if film is None
-            else replace(
-                film,
-                **{name: getattr(film, name)[frames] for name in RolloutVideo.__dataclass_fields__ if name != "camera"},
-            ),
-        )
+        rollout, video = self.rollout, self.video
+        if video is not None:
+            names = [name for name in RolloutVideo.__dataclass_fields__ if name != "camera"]
+            video = replace(video, **{name: getattr(video, name)[frames] for name in names})
+        rollout = replace(rollout, snapshots=rollout.snapshots[frames], controls=rollout.controls[controls])
+        return replace(self, rollout=rollout, video=video)
 
     def truth(self) -> dict[str, Any]:
-        """All that is known of its frames, by name: see docs/suites.md."""
-        snapshots, controls, film = self.performance.snapshots, self.performance.controls, self.film
+        """Return the ground truth arrays of its frames, by name (docs/suites.md)."""
+        snapshots, controls, video = self.rollout.snapshots, self.rollout.controls, self.video
         arrays: dict[str, Any] = {
-            "t_s": self.shots.frame_period_s * np.arange(len(snapshots)),
+            "t_s": self.options.frame_period_s * np.arange(len(snapshots)),
             "q": np.stack([s.q for s in snapshots]),
             "finger_width_m": np.array([s.fingers_m.sum() for s in snapshots]),
             "control_t_s": CONTROL_PERIOD_S * np.arange(len(controls)),
             "control_q": controls[:, :7],
             "control_finger_width_m": controls[:, 7],
         }
-        if film is not None:
-            arrays |= {"base_from_tcp": film.X_BG, "camera_from_hand": film.X_CH}
-            if self.shots.with_depth:
-                arrays |= {"depth_mm": film.depth_mm, "mask": np.packbits(film.mask, axis=-1)}
+        if video is not None:
+            arrays |= {"base_from_tcp": video.X_BG, "camera_from_hand": video.X_CH}
+            if self.options.with_depth:
+                arrays |= {"depth_mm": video.depth_mm, "mask": np.packbits(video.mask, axis=-1)}
         names = list(snapshots[0].objects)
         arrays["objects"] = np.array(names)
         arrays["base_from_object"] = np.stack([[self._in_base(s, name) for name in names] for s in snapshots])

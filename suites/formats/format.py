@@ -1,45 +1,45 @@
-"""What a format does: a part for each demonstration as it comes, and the whole when all are there."""
+"""Format of demonstrations in a folder: one part per demonstration, joined or indexed at the end."""
 
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
-from kinebench_drake.io.atomic import disk_errors
-from kinebench_drake.models.perception.frame import FILES, save_shard
-from kinebench_drake.suites.formats.demo import Content, Demo, FormatKind, Record, Shots
+from kinebench_drake.suites.formats.demo import Content, Demo, FormatKind, Record, RenderOptions
 
 
 class DemoFormat(Protocol):
-    """A format of demonstrations in a folder."""
+    """Writer of demonstrations in one format."""
 
     content: Content
-    """What it holds."""
+    """Required content of demonstrations."""
 
     def part_files(self, folder: Path, record: Record) -> list[Path]:
-        """Files that a demonstration's part consists of."""
+        """Return the files of a demonstration's part."""
 
     def write_part(self, folder: Path, demo: Demo) -> None:
         """Write a demonstration's part, each file whole or not at all."""
 
-    def finish(self, folder: Path, records: Sequence[Record], shots: Shots, about: dict[str, Any]) -> list[Path]:
-        """Write what speaks of all demonstrations, given in order; the parts stay.
+    def finish(
+        self, folder: Path, records: Sequence[Record], options: RenderOptions, about: dict[str, Any]
+    ) -> list[Path]:
+        """Write the files that concern all demonstrations; the parts are kept.
 
         Args:
-            folder: where.
-            records: the demonstrations.
-            shots: how they were filmed.
+            folder: output folder.
+            records: the demonstrations, in order.
+            options: options of rendering.
             about: suite, split, pool and variant.
 
         Returns:
-            The files that parts were joined into; none where parts stay as they are.
+            The files into which parts were joined; none for formats that keep their parts.
         """
 
-    def lists(self, folder: Path, tasks: Sequence[str]) -> list[Path]:
-        """Files that `finish` writes beside those it returns."""
+    def index_files(self, folder: Path, tasks: Sequence[str]) -> list[Path]:
+        """Return the files that `finish` writes beside those it returns."""
 
 
 def find_format(kind: FormatKind) -> DemoFormat:
-    """The format of a name."""
+    """Return the writer of a format."""
     match kind:
         case FormatKind.MP4:
             from kinebench_drake.suites.formats.videofolder import VideoFolder
@@ -54,27 +54,6 @@ def find_format(kind: FormatKind) -> DemoFormat:
 
             return ManiSkill()
         case FormatKind.FRAMES:
-            return Frames()
+            from kinebench_drake.suites.formats.stills import StillFrames
 
-
-class Frames:
-    """See the module."""
-
-    content = Content.STILLS
-
-    def part_files(self, folder: Path, record: Record) -> list[Path]:
-        """The files of a shard."""
-        return [folder / record.id / name for name in FILES]
-
-    def write_part(self, folder: Path, demo: Demo) -> None:
-        """Write a shard."""
-        with disk_errors(demo.id):
-            save_shard(demo.stills, folder / demo.id)
-
-    def finish(self, folder: Path, records: Sequence[Record], shots: Shots, about: dict[str, Any]) -> list[Path]:
-        """Shards stay as they are."""
-        return []
-
-    def lists(self, folder: Path, tasks: Sequence[str]) -> list[Path]:
-        """None."""
-        return []
+            return StillFrames()

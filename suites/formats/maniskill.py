@@ -1,6 +1,7 @@
-"""ManiSkill's recorded trajectories: TASK.h5 with a group a demonstration, TASK.json that describes them.
+"""ManiSkill trajectories: TASK.h5 with a group per demonstration, TASK.json with their description.
 
-What mani_skill's `RecordEpisode` writes with `obs_mode="none"`: actions, env_states, terminated, truncated, success.
+The layout is that of mani_skill's `RecordEpisode` with `obs_mode="none"`: actions, env_states, terminated, truncated,
+success.
 """
 
 from collections.abc import Sequence
@@ -14,7 +15,7 @@ from kinebench_drake.io.atomic import atomic_path
 from kinebench_drake.io.jsonl import write_json
 from kinebench_drake.io.npz import write_arrays
 from kinebench_drake.suites.clock import CONTROL_PERIOD_S
-from kinebench_drake.suites.formats.demo import CLIP_STEPS, PARTS, Content, Demo, Record, Shots
+from kinebench_drake.suites.formats.demo import CLIP_STEPS, PARTS, Content, Demo, Record, RenderOptions
 from kinebench_drake.suites.simulator import Simulator
 from kinebench_drake.suites.tasks.registry import TASKS
 
@@ -23,17 +24,17 @@ _STATES = "env_states"
 
 
 class ManiSkill:
-    """See the module."""
+    """Format of ManiSkill trajectories."""
 
     content = Content.STATES
 
     def part_files(self, folder: Path, record: Record) -> list[Path]:
-        """Arrays of a demonstration."""
+        """Return the file of the demonstration's arrays."""
         return [_part(folder, record.id)]
 
     def write_part(self, folder: Path, demo: Demo) -> None:
         """Write the arrays of a demonstration, named as in its group."""
-        controls, episode = demo.performance.controls, demo.performance.episode
+        controls, episode = demo.rollout.controls, demo.rollout.episode
         success = np.array(demo.successes, dtype=bool)
         truncated = np.zeros(len(controls), dtype=bool)
         truncated[-1] = len(controls) == CLIP_STEPS * TASKS[episode.task].card.clips
@@ -43,13 +44,15 @@ class ManiSkill:
             "truncated": truncated,
             "success": success,
         }
-        for kind, things in demo.states[0].items():
-            for name in things:
+        for kind, objects in demo.states[0].items():
+            for name in objects:
                 arrays[f"{_STATES}/{kind}/{name}"] = np.stack([state[kind][name] for state in demo.states])
         write_arrays(_part(folder, demo.id), arrays)
 
-    def finish(self, folder: Path, records: Sequence[Record], shots: Shots, about: dict[str, Any]) -> list[Path]:
-        """Join the parts, a file a task."""
+    def finish(
+        self, folder: Path, records: Sequence[Record], options: RenderOptions, about: dict[str, Any]
+    ) -> list[Path]:
+        """Join the parts into one file per task."""
         files = []
         for task in dict.fromkeys(record.task for record in records):
             own = [record for record in records if record.task == task]
@@ -64,8 +67,8 @@ class ManiSkill:
             write_json(folder / f"{task}.json", _description(task, own, lengths, about))
         return files
 
-    def lists(self, folder: Path, tasks: Sequence[str]) -> list[Path]:
-        """What describes the trajectories of each task."""
+    def index_files(self, folder: Path, tasks: Sequence[str]) -> list[Path]:
+        """Return the descriptions of the tasks."""
         return [folder / f"{task}.json" for task in tasks]
 
 
@@ -74,7 +77,7 @@ def _part(folder: Path, id: str) -> Path:
 
 
 def _description(task: str, records: Sequence[Record], lengths: Sequence[int], about: dict[str, Any]) -> dict[str, Any]:
-    """What lies beside a file: how to make the environment, and how each trajectory began."""
+    """Return the description of a file: arguments of the environment, seed and length of each trajectory."""
     from kinebench_drake.suites.tasks.environment import environment_id
 
     return {

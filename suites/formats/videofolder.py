@@ -1,9 +1,9 @@
-"""Videos beside a `metadata.jsonl`, as Hugging Face's VideoFolder reads them: one a clip, with its caption.
+"""Videos with a `metadata.jsonl`, readable by Hugging Face's VideoFolder: one per clip, with its caption.
 
-ID.mp4, truth/ID.npz     one a clip
-metadata.jsonl           file_name, text (the caption) and what the clip shows
+ID.mp4, truth/ID.npz     one per clip
+metadata.jsonl           file_name, text (the caption) and content of the clip
 manifest.jsonl           the same clips for `kinebench-drake score`
-camera.json              the camera of all of them
+camera.json              the camera of all clips
 """
 
 from collections.abc import Sequence
@@ -18,50 +18,52 @@ from kinebench_drake.io.camerafile import save_camera
 from kinebench_drake.io.container import write_video
 from kinebench_drake.io.jsonl import write_lines
 from kinebench_drake.io.npz import write_arrays
-from kinebench_drake.suites.formats.demo import Content, Demo, Record, Shots
+from kinebench_drake.suites.formats.demo import Content, Demo, Record, RenderOptions
 from kinebench_drake.suites.start import first_facts
 from kinebench_drake.suites.tasks.registry import TASKS
 
 
 def _names(task: str, id: str, clips: int) -> list[str]:
-    """Names of a demonstration's clips; numbered where its task may take more than one."""
+    """Return the names of a demonstration's clips; numbered if its task may take more than one."""
     return [id] if TASKS[task].card.clips == 1 else [f"{id}_c{k}" for k in range(clips)]
 
 
-def _first(truth: Path) -> dict[str, Any]:
+def _initial_state(truth: Path) -> dict[str, Any]:
     with np.load(truth) as arrays:
         return first_facts(arrays["base_from_tcp"][0], float(arrays["finger_width_m"][0]))
 
 
 class VideoFolder:
-    """See the module."""
+    """Format of a video folder."""
 
-    content = Content.FILM
+    content = Content.VIDEO
 
     def part_files(self, folder: Path, record: Record) -> list[Path]:
-        """Video and truth of each clip."""
+        """Return video and ground truth of each clip."""
         names = _names(record.task, record.id, record.clips)
         return [path for name in names for path in (folder / f"{name}.mp4", folder / "truth" / f"{name}.npz")]
 
     def write_part(self, folder: Path, demo: Demo) -> None:
-        """Write each clip's video and truth."""
-        for k, name in enumerate(_names(demo.performance.episode.task, demo.id, demo.clips)):
+        """Write video and ground truth of each clip."""
+        for k, name in enumerate(_names(demo.rollout.episode.task, demo.id, demo.clips)):
             clip = demo.clip(k)
-            if clip.film is None:
-                raise SetupError("a video folder needs films")
+            if clip.video is None:
+                raise SetupError("a video folder needs videos")
             write_arrays(folder / "truth" / f"{name}.npz", clip.truth())
             with disk_errors(f"{name}.mp4"):
-                write_video(folder / f"{name}.mp4", clip.film.rgb, demo.shots.fps, crf=demo.shots.crf)
+                write_video(folder / f"{name}.mp4", clip.video.rgb, demo.options.fps, crf=demo.options.crf)
 
-    def finish(self, folder: Path, records: Sequence[Record], shots: Shots, about: dict[str, Any]) -> list[Path]:
+    def finish(
+        self, folder: Path, records: Sequence[Record], options: RenderOptions, about: dict[str, Any]
+    ) -> list[Path]:
         """Write metadata, manifest and camera."""
-        save_camera(shots.camera, folder / "camera.json")
+        save_camera(options.camera, folder / "camera.json")
         metadata, manifest = [], []
         for record in records:
             for k, name in enumerate(_names(record.task, record.id, record.clips)):
                 common = {"task": record.task, "seed": record.seed}
-                filmed = {"frames": shots.frames, "fps": shots.fps, "frame_period_s": shots.frame_period_s}
-                where = {"suite": about["suite"], "split": about["split"]}
+                timing = {"frames": options.frames, "fps": options.fps, "frame_period_s": options.frame_period_s}
+                source = {"suite": about["suite"], "split": about["split"]}
                 metadata.append(
                     {
                         "file_name": f"{name}.mp4",
@@ -70,20 +72,20 @@ class VideoFolder:
                         "episode": record.id,
                         "clip": k,
                         "clips": record.clips,
-                        **filmed,
+                        **timing,
                         "truth": f"truth/{name}.npz",
-                        **where,
+                        **source,
                         "variant": record.facts["variant"],
                     }
                 )
                 manifest.append(
-                    {"video": f"{name}.mp4", "id": name, **common, "prompt": record.prompt, **filmed, **where}
-                    | _first(folder / "truth" / f"{name}.npz")
+                    {"video": f"{name}.mp4", "id": name, **common, "prompt": record.prompt, **timing, **source}
+                    | _initial_state(folder / "truth" / f"{name}.npz")
                 )
         write_lines(folder / "metadata.jsonl", metadata)
         write_lines(folder / "manifest.jsonl", manifest)
         return []
 
-    def lists(self, folder: Path, tasks: Sequence[str]) -> list[Path]:
-        """Metadata, manifest and camera."""
+    def index_files(self, folder: Path, tasks: Sequence[str]) -> list[Path]:
+        """Return metadata, manifest and camera."""
         return [folder / name for name in ("metadata.jsonl", "manifest.jsonl", "camera.json")]

@@ -12,7 +12,6 @@ from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import rotation_exp
 from kinebench_drake.io.atomic import disk_errors
 from kinebench_drake.io.container import write_video
-from kinebench_drake.suites.clip import film
 from kinebench_drake.suites.clock import CLIP_FRAMES
 from kinebench_drake.suites.episode import Episode
 from kinebench_drake.suites.experts.motion import Waypoint
@@ -21,7 +20,7 @@ from kinebench_drake.suites.faults.fault import FaultGrade
 from kinebench_drake.suites.faults.fault_simulator import FaultSimulator
 from kinebench_drake.suites.faults.plant import plant
 from kinebench_drake.suites.faults.recording import Recording
-from kinebench_drake.suites.rollout import Rollout, rollout_clip
+from kinebench_drake.suites.rollout import Rollout, render_video, run_expert_clip
 from kinebench_drake.suites.simulator_cache import SimulatorCache
 from kinebench_drake.suites.tasks.task import Scene
 from kinebench_drake.suites.worldmodels.worldmodel import Request, SimulatorState, TrueTrack, WorldModelError
@@ -88,18 +87,18 @@ class OracleRenderer:
         self, episode: Episode, state: SimulatorState, expert: Expert, request: Request, fault: FaultGrade | None
     ) -> NDArray[np.uint8]:
         self._simulators = self._simulators or SimulatorCache(FaultSimulator, request.first_frame.shape[0])
-        simulator = self._simulators.stage(episode.task, episode.variant)
+        simulator = self._simulators.get(episode.task, episode.variant)
         simulator.reset(episode)
         simulator.restore(state)
         before = simulator.snapshot()
-        segment = rollout_clip(simulator, expert)
+        segment = run_expert_clip(simulator, expert)
         rest = (before,) * CLIP_FRAMES if segment is None else segment.snapshots  # None: the expert has finished
         snapshots = (before, *rest)[: request.num_frames]
         outcome = simulator.outcome()
-        video = film(simulator, snapshots)
+        video = render_video(simulator, snapshots)
         if fault is not None and segment is not None:
             rollout = Rollout(episode=episode, snapshots=snapshots, controls=segment.controls, outcome=outcome)
-            video, _ = plant(Recording(stage=simulator, performance=rollout, clip=video), fault)
+            video, _ = plant(Recording(simulator=simulator, rollout=rollout, video=video), fault)
         self.true_track = TrueTrack(X_CH=video.X_CH, finger_width_m=video.finger_width_m)
         return video.rgb
 

@@ -7,8 +7,8 @@ import pytest
 from kinebench_drake import cli
 from kinebench_drake.suites import demos as making
 from kinebench_drake.suites import export as exporting
-from kinebench_drake.suites.demos import Delivery
-from kinebench_drake.suites.formats.demo import FormatKind, Shots
+from kinebench_drake.suites.demos import DemoSummary
+from kinebench_drake.suites.formats.demo import FormatKind, RenderOptions
 from kinebench_drake.suites.suite import load_suite
 from kinebench_drake.suites.tasks.registry import TASKS
 
@@ -34,7 +34,7 @@ def orders(monkeypatch):
 
     def make(order, engine, observer, *, overwrite=False):
         taken.append(order)
-        return Delivery(demonstrations=3, failures=1, short={"StackCube-v1": 2} if order.episodes == 5 else {})
+        return DemoSummary(demonstrations=3, failures=1, short={"StackCube-v1": 2} if order.episodes == 5 else {})
 
     def export(order, engine, observer):
         taken.append(order)
@@ -77,8 +77,8 @@ def test_a_suite_is_exported_as_it_is_judged(suite, orders, tmp_path):
 def test_demonstrations_are_for_training_unless_asked_for_otherwise(suite, orders, tmp_path):
     assert suite("demos", "--task", "StackCube-v1", "--episodes", 3, "--out", tmp_path)[0] == 0
     assert (orders[-1].suite.number, orders[-1].split, orders[-1].kind) == (0, "train", FormatKind.MP4)
-    assert orders[-1].shots == Shots(size=384, frames=49, fps=17.0)
-    assert orders[-1].draws("StackCube-v1", 1)[0].seed >= 1_000_000
+    assert orders[-1].options == RenderOptions(size=384, frames=49, fps=17.0)
+    assert orders[-1].specs("StackCube-v1", 1)[0].seed >= 1_000_000
 
 
 def test_variants_are_those_of_the_tasks_that_have_them(suite, orders, tmp_path):
@@ -100,7 +100,7 @@ def test_missing_demonstrations_end_with_status_1(suite, orders, tmp_path):
 def test_a_lerobot_dataset_keeps_the_time_of_the_task(suite, orders, tmp_path):
     for frames, fps in ((49, 5.0), (97, 10.0), (193, 20.0)):
         suite("demos", "--format", "lerobot-v3", "--frames", frames, "--out", tmp_path)
-        assert orders[-1].shots.fps == fps
+        assert orders[-1].options.fps == fps
 
 
 @pytest.mark.parametrize(

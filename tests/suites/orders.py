@@ -3,8 +3,8 @@
 from pathlib import Path
 
 from kinebench_drake.executors.progress import NullObserver
-from kinebench_drake.suites.formats.demo import FormatKind, Shots
-from kinebench_drake.suites.order import DemoOrder
+from kinebench_drake.suites.demo_config import DemoConfig
+from kinebench_drake.suites.formats.demo import FormatKind, RenderOptions
 from kinebench_drake.suites.suite import load_suite
 from kinebench_drake.suites.tasks.task import TaskVariant
 
@@ -27,15 +27,15 @@ class Recorder(NullObserver):
         self.lines.append(line)
 
 
-def an_order(out: Path, kind: FormatKind, episodes: int, shots: Shots | None = None) -> DemoOrder:
-    return DemoOrder(
+def an_order(out: Path, kind: FormatKind, episodes: int, options: RenderOptions | None = None) -> DemoConfig:
+    return DemoConfig(
         suite=load_suite(0),
         split="train",
         tasks=(TASK,),
         episodes=episodes,
         seed=0,
         variant=TaskVariant.PLAIN,
-        shots=shots or Shots(size=96),
+        options=options or RenderOptions(size=96),
         kind=kind,
         out=out,
     )

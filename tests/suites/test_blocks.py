@@ -11,7 +11,7 @@ from kinebench_drake.suites.assets import blocks, marks
 from kinebench_drake.suites.assets.library import asset_ids, model
 from kinebench_drake.suites.episode import compose
 from kinebench_drake.suites.experts.registry import find_expert
-from kinebench_drake.suites.rollout import rollout
+from kinebench_drake.suites.rollout import run_expert
 from kinebench_drake.suites.simulator import Simulator, TaskOutcome
 from kinebench_drake.suites.tasks.state import MOVED_M
 from kinebench_drake.suites.tasks.task import TaskVariant
@@ -186,4 +186,4 @@ def test_a_standing_peg_keeps_standing(simulator: tuple[Simulator, TaskVariant])
 def test_experts_succeed(simulator: tuple[Simulator, TaskVariant], seed: int) -> None:
     own, variant = simulator
     task = own.task.card.id
-    assert rollout(own, find_expert(task), compose(task, seed, variant=variant)).outcome.success
+    assert run_expert(own, find_expert(task), compose(task, seed, variant=variant)).outcome.success

@@ -13,7 +13,7 @@ from kinebench_drake.suites.assets.library import asset_ids, model
 from kinebench_drake.suites.assets.model import AssetModel
 from kinebench_drake.suites.episode import compose
 from kinebench_drake.suites.experts.registry import find_expert
-from kinebench_drake.suites.rollout import rollout
+from kinebench_drake.suites.rollout import run_expert
 from kinebench_drake.suites.simulator import Simulator
 from kinebench_drake.suites.tasks.registry import find_task
 from kinebench_drake.suites.tasks.state import ARM, State
@@ -124,7 +124,7 @@ def test_expert_succeeds_and_a_lid_left_alone_stays(task: str) -> None:
         for _ in range(40):
             simulator.step(q, 0.0)
         assert simulator.scene().joints["box"] == pytest.approx(before, abs=0.005)
-        outcome = rollout(simulator, find_expert(task), compose(task, 5)).outcome
+        outcome = run_expert(simulator, find_expert(task), compose(task, 5)).outcome
         assert outcome.success, outcome
 
 

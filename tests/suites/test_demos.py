@@ -12,9 +12,9 @@ from kinebench_drake.errors import SetupError, UsageError
 from kinebench_drake.executors.base import ItemResult, WorkerCrash
 from kinebench_drake.results.metadata import Shard
 from kinebench_drake.suites import demos
-from kinebench_drake.suites.demos import Delivery, make_demos
-from kinebench_drake.suites.formats.demo import Content, FormatKind, Record, Shots
-from kinebench_drake.suites.order import DemoOrder
+from kinebench_drake.suites.demo_config import DemoConfig
+from kinebench_drake.suites.demos import DemoSummary, make_demos
+from kinebench_drake.suites.formats.demo import Content, FormatKind, Record, RenderOptions
 from kinebench_drake.suites.simulator_cache import SimulatorCache
 from kinebench_drake.suites.suite import EpisodeSpec
 from tests.suites.orders import FIRST, TASK, Recorder, an_order
@@ -23,16 +23,18 @@ from tests.suites.orders import FIRST, TASK, Recorder, an_order
 class FakeFormat:
     """A format whose parts are empty files."""
 
-    content = Content.FILM
+    content = Content.VIDEO
 
     def part_files(self, folder: Path, record: Record) -> list[Path]:
         return [folder / f"{record.id}.mp4"]
 
-    def finish(self, folder: Path, records: Sequence[Record], shots: Shots, about: dict[str, Any]) -> list[Path]:
+    def finish(
+        self, folder: Path, records: Sequence[Record], options: RenderOptions, about: dict[str, Any]
+    ) -> list[Path]:
         (folder / "all.txt").write_text("".join(f"{record.seed - FIRST} " for record in records))
         return []
 
-    def lists(self, folder: Path, tasks: Sequence[str]) -> list[Path]:
+    def index_files(self, folder: Path, tasks: Sequence[str]) -> list[Path]:
         return [folder / "all.txt"]
 
 
@@ -63,13 +65,15 @@ class FakeEngine:
 
 
 @pytest.fixture
-def deliver(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., tuple[Delivery, FakeEngine, list[int]]]:
+def deliver(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Callable[..., tuple[DemoSummary, FakeEngine, list[int]]]:
     """Carries out an order with the fakes; returns what came of it, the engine and the seeds delivered."""
     monkeypatch.setattr(demos, "find_format", lambda kind: FakeFormat())
 
     def call(
         episodes: int, failing: set[int] | None = None, until: int | None = None, **changes: Any
-    ) -> tuple[Delivery, FakeEngine, list[int]]:
+    ) -> tuple[DemoSummary, FakeEngine, list[int]]:
         overwrite = changes.pop("overwrite", False)
         order = replace(an_order(tmp_path, FormatKind.MP4, episodes), **changes)
         engine = FakeEngine(order.out, failing or set(), until=until)
@@ -82,7 +86,7 @@ def deliver(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., tu
 def test_failed_seeds_are_told_and_replaced_by_the_next(deliver: Any, tmp_path: Path) -> None:
     delivery, engine, seeds = deliver(4, failing={1, 4})
     assert seeds == [0, 2, 3, 5]
-    assert delivery == Delivery(demonstrations=4, failures=2, short={})
+    assert delivery == DemoSummary(demonstrations=4, failures=2, short={})
     assert sorted(engine.tried) == [0, 1, 2, 3, 4, 5]
     rows = [json.loads(line) for line in (tmp_path / "demos.jsonl").read_text().splitlines()]
     assert [(row["seed"] - FIRST, row["success"]) for row in rows] == [
@@ -119,31 +123,33 @@ def test_a_task_is_given_up_when_its_expert_hardly_succeeds(deliver: Any) -> Non
     delivery, _, seeds = deliver(5, failing=set(range(3, 100)))
     assert seeds == [0, 1, 2]
     assert delivery.short == {TASK: 2}
-    assert delivery.failures == 2 * 5 + demos.PATIENCE - 3
+    assert delivery.failures == 2 * 5 + demos.EXTRA_TRIES - 3
 
 
-def broken_worker(out: Path, monkeypatch: pytest.MonkeyPatch, error: Exception) -> tuple[DemoOrder, Callable[..., Any]]:
+def broken_worker(
+    out: Path, monkeypatch: pytest.MonkeyPatch, error: Exception
+) -> tuple[DemoConfig, Callable[..., Any]]:
     """What would make demonstrations, were it not for an error."""
 
     def fail(*args: object, **kwargs: object) -> None:
         raise error
 
-    monkeypatch.setattr(demos, "perform", fail)
-    monkeypatch.setattr(SimulatorCache, "stage", lambda self, task, variant: None)
+    monkeypatch.setattr(demos, "run_expert", fail)
+    monkeypatch.setattr(SimulatorCache, "get", lambda self, task, variant: None)
     order = an_order(out, FormatKind.MANISKILL, 1)
-    return order, demos._Experts(order.kind, order.shots, order.out)()
+    return order, demos._DemoWorker(order.kind, order.options, order.out)()
 
 
 def test_an_error_of_a_seed_is_a_failed_attempt(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     order, work = broken_worker(tmp_path, monkeypatch, ZeroDivisionError("by zero"))
-    record = work(order.draws(TASK, 1)[0])
+    record = work(order.specs(TASK, 1)[0])
     assert (record.success, record.reason) == (False, "unexpected ZeroDivisionError: by zero")
 
 
 def test_an_error_of_the_machine_stops_the_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     order, work = broken_worker(tmp_path, monkeypatch, SetupError("no driver"))
     with pytest.raises(SetupError, match="no driver"):
-        work(order.draws(TASK, 1)[0])
+        work(order.specs(TASK, 1)[0])
 
 
 def test_shards_share_the_work(deliver: Any, tmp_path: Path) -> None:
@@ -156,7 +162,7 @@ def test_shards_share_the_work(deliver: Any, tmp_path: Path) -> None:
 def test_a_folder_takes_only_more_of_the_same(deliver: Any) -> None:
     deliver(3)
     with pytest.raises(UsageError, match="size 96, not 128"):
-        deliver(3, shots=Shots(size=128))
+        deliver(3, options=RenderOptions(size=128))
     with pytest.raises(UsageError, match="may only be more"):
         deliver(2)
     assert deliver(2, overwrite=True)[2] == [0, 1]
@@ -174,7 +180,7 @@ def test_what_is_held_counts_and_not_what_was_asked_for(deliver: Any, tmp_path: 
 
 def test_all_seeds_of_a_split_can_be_asked_for(tmp_path: Path) -> None:
     order = replace(an_order(tmp_path, FormatKind.MP4, 2), seed=999_998)
-    assert [draw.seed for draw in order.draws(TASK, 14)] == [1_999_998, 1_999_999]
+    assert [draw.seed for draw in order.specs(TASK, 14)] == [1_999_998, 1_999_999]
 
 
 def test_starting_anew_deletes_what_was_made_and_nothing_else(deliver: Any, tmp_path: Path) -> None:
@@ -194,7 +200,7 @@ def test_starting_anew_deletes_what_was_made_and_nothing_else(deliver: Any, tmp_
 @pytest.mark.parametrize("damage", [b"\xff\xfe\n", b"1\n"])
 def test_damaged_records_are_told(deliver: Any, tmp_path: Path, damage: bytes) -> None:
     deliver(1)
-    (tmp_path / "demos.jsonl").write_bytes(damage)
+    (tmp_path / "demos.jsonl").write_bytes(damage + b"{}\n")  # an invalid last line counts as torn
     with pytest.raises(UsageError, match="is damaged"):
         deliver(1)
     assert deliver(1, overwrite=True)[2] == [0]

@@ -13,7 +13,7 @@ from kinebench_drake.suites.assets.library import asset_ids, model
 from kinebench_drake.suites.assets.model import ColliderKind, RigidBody
 from kinebench_drake.suites.episode import compose
 from kinebench_drake.suites.experts.registry import find_expert
-from kinebench_drake.suites.rollout import rollout
+from kinebench_drake.suites.rollout import run_expert
 from kinebench_drake.suites.simulator import Simulator
 from kinebench_drake.suites.tasks.drawers import SHUT_M, TASKS
 
@@ -112,7 +112,7 @@ def test_the_conditions_hold_at_the_goal_only(simulator: Simulator) -> None:
 @pytest.mark.parametrize("seed", [2, pytest.param(3, marks=pytest.mark.exhaustive)])
 def test_the_expert_does_it(simulator: Simulator, seed: int) -> None:
     name = simulator.task.card.id
-    performance = rollout(simulator, find_expert(name), compose(name, seed))
+    performance = run_expert(simulator, find_expert(name), compose(name, seed))
     assert performance.outcome.success, performance.outcome
     lifted = simulator.scene().X_BG[2, 3] - simulator.scene().size("cabinet", "height_m")
     assert lifted > 0.03  # the gripper is free again

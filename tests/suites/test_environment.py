@@ -12,7 +12,7 @@ from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.geometry import pose_difference
 from kinebench_drake.suites.episode import compose
 from kinebench_drake.suites.experts.registry import find_expert
-from kinebench_drake.suites.rollout import rollout
+from kinebench_drake.suites.rollout import run_expert
 from kinebench_drake.suites.simulator import Simulator
 from kinebench_drake.suites.split import Pool
 from kinebench_drake.suites.tasks.registry import TASKS
@@ -73,11 +73,11 @@ def test_a_seed_gives_the_same_first_frame_whatever_came_before(simulator: Simul
 @pytest.mark.sapien
 def test_a_seed_gives_the_same_motion_whatever_came_before(simulator: Simulator) -> None:
     def run() -> np.ndarray:
-        performance = rollout(simulator, find_expert(TASK), compose(TASK, 2))
+        performance = run_expert(simulator, find_expert(TASK), compose(TASK, 2))
         return np.stack([np.concatenate([s.q, *s.objects.values()]) for s in performance.snapshots])
 
     first = run()
-    rollout(simulator, find_expert(TASK), compose(TASK, 3))
+    run_expert(simulator, find_expert(TASK), compose(TASK, 3))
     assert np.array_equal(run(), first)
 
 

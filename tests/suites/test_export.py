@@ -14,7 +14,7 @@ from kinebench_drake.executors.base import ExecutorKind, create_executor
 from kinebench_drake.io.atomic import write_atomically
 from kinebench_drake.io.camerafile import load_camera, save_camera
 from kinebench_drake.suites.episode import compose
-from kinebench_drake.suites.export import Export, export_suite
+from kinebench_drake.suites.export import ExportConfig, export_suite
 from kinebench_drake.suites.simulator import Simulator
 from kinebench_drake.suites.suite import load_suite
 from kinebench_drake.suites.tasks.task import TaskVariant
@@ -24,7 +24,7 @@ TASKS = ("PullCube-v1", "StackCube-v1")
 
 
 def export(out: Path, tasks: tuple[str, ...], count: int) -> Path:
-    order = Export(
+    order = ExportConfig(
         suite=load_suite(0),
         split="test",
         tasks=tasks,
@@ -50,7 +50,7 @@ def exported(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_first_frames_are_what_a_reset_shows(exported: Path) -> None:
     with Simulator("StackCube-v1", camera=benchmark_camera().resized(96, 96)) as stage:
         stage.reset(compose("StackCube-v1", 1))
-        rgb = stage.picture().rgb
+        rgb = stage.render().rgb
         X_BG = stage.scene().X_BG
     assert np.array_equal(np.asarray(Image.open(exported / "StackCube-v1_s0001.png")), rgb)
     samples = {sample.id: sample for sample in find_samples(exported / "manifest.jsonl").samples}

@@ -13,7 +13,7 @@ from kinebench_drake.suites.assets.model import AssetModel, RigidBody
 from kinebench_drake.suites.episode import compose
 from kinebench_drake.suites.experts.clearance import SceneGeometry
 from kinebench_drake.suites.experts.registry import find_expert
-from kinebench_drake.suites.rollout import rollout
+from kinebench_drake.suites.rollout import run_expert
 from kinebench_drake.suites.simulator import Simulator
 from kinebench_drake.suites.start import START_Q
 from kinebench_drake.suites.tasks.faucets import CLOSED_FRACTION, OPEN_FRACTION, TASKS
@@ -132,4 +132,4 @@ def test_conditions_follow_the_handle(simulator: Simulator) -> None:
 @pytest.mark.parametrize("seed", [31, pytest.param(32, marks=pytest.mark.exhaustive)])
 def test_experts_succeed(simulator: Simulator, seed: int) -> None:
     task = simulator.task.card.id
-    assert rollout(simulator, find_expert(task), compose(task, seed)).outcome.success
+    assert run_expert(simulator, find_expert(task), compose(task, seed)).outcome.success

@@ -13,7 +13,7 @@ from kinebench_drake.suites.assets.fruits import FRUITS
 from kinebench_drake.suites.assets.library import asset_ids, model
 from kinebench_drake.suites.episode import Episode, compose
 from kinebench_drake.suites.experts.registry import find_expert
-from kinebench_drake.suites.rollout import rollout
+from kinebench_drake.suites.rollout import run_expert
 from kinebench_drake.suites.simulator import Simulator
 from kinebench_drake.suites.tasks.fruits import GAP_M, ORDER, OTHERS
 from kinebench_drake.suites.tasks.registry import find_task
@@ -161,5 +161,5 @@ def test_untouched_things_stay_where_they_are(task: str) -> None:
 )
 def test_experts_succeed(task: str, seed: int, variant: TaskVariant) -> None:
     with Simulator(task, renders=False, variant=variant) as simulator:
-        performance = rollout(simulator, find_expert(task), compose(task, seed, variant=variant))
+        performance = run_expert(simulator, find_expert(task), compose(task, seed, variant=variant))
     assert performance.outcome.success, performance.outcome.conditions

@@ -14,7 +14,7 @@ from kinebench_drake.suites.assets.library import asset_ids, model
 from kinebench_drake.suites.assets.model import AssetModel
 from kinebench_drake.suites.episode import compose
 from kinebench_drake.suites.experts.registry import find_expert
-from kinebench_drake.suites.rollout import rollout
+from kinebench_drake.suites.rollout import run_expert
 from kinebench_drake.suites.simulator import Simulator
 from kinebench_drake.suites.tasks.laptops import OPEN_RAD, SHUT_RAD, TASKS
 from kinebench_drake.suites.tasks.registry import find_task
@@ -134,7 +134,7 @@ def test_pushed_lid_stops_soon(ajar: Simulator) -> None:
 @pytest.mark.parametrize("seed", [11, pytest.param(12, marks=pytest.mark.exhaustive)])
 def test_expert_succeeds(task_id: str, seed: int) -> None:
     with Simulator(task_id, renders=False) as simulator:
-        performance = rollout(simulator, find_expert(task_id), compose(task_id, seed))
+        performance = run_expert(simulator, find_expert(task_id), compose(task_id, seed))
     assert performance.outcome.success, performance.outcome
     lids = np.array([snapshot.joints["laptop"] for snapshot in performance.snapshots])
     sign = 1.0 if "Open" in task_id else -1.0

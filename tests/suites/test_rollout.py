@@ -7,11 +7,10 @@ from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.errors import UsageError
 from kinebench_drake.geometry import invert, pose_difference, transform_points
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.suites.clip import RolloutVideo, film
 from kinebench_drake.suites.clock import FRAME_PERIOD_S
 from kinebench_drake.suites.episode import compose
 from kinebench_drake.suites.experts.registry import find_expert
-from kinebench_drake.suites.rollout import Rollout, rollout
+from kinebench_drake.suites.rollout import Rollout, RolloutVideo, render_video, run_expert
 from kinebench_drake.suites.simulator import Simulator, TaskOutcome
 from kinebench_drake.suites.tasks.registry import TASKS
 from tests.suites.scenes import EACH_TASK
@@ -55,7 +54,7 @@ def test_expert_succeeds_with_a_wrist_camera() -> None:
 def assert_expert_succeeds(task: str, robot: str, *, seed: int) -> None:
     plant = ArmPlant()
     with Simulator(task, robot=robot, renders=robot != "panda") as stage:
-        performance = rollout(stage, find_expert(task), compose(task, seed))
+        performance = run_expert(stage, find_expert(task), compose(task, seed))
     assert performance.outcome.success, f"{task} seed {seed} failed: {performance.outcome}"
     q = np.stack([snapshot.q for snapshot in performance.snapshots])
     assert len(q) in [48 * clips + 1 for clips in range(1, TASKS[task].card.clips + 1)]
@@ -96,13 +95,13 @@ def test_truth_agrees_with_drake(filmed: Filmed) -> None:
 @pytest.mark.sapien
 def test_filming_changes_nothing(filmed: Filmed) -> None:
     stage, performance, clip = filmed
-    again = film(stage, performance.snapshots[30:33], first_frame=30)
+    again = render_video(stage, performance.snapshots[30:33], first_frame=30)
     assert np.array_equal(again.rgb, clip.rgb[30:33])
     assert np.array_equal(again.depth_mm, clip.depth_mm[30:33])
     assert np.array_equal(again.t_s, clip.t_s[30:33])
     with Simulator("StackCube-v1", camera=clip.camera) as other:
-        assert rollout(other, find_expert("StackCube-v1"), performance.episode).outcome.success
-        picture = other.picture()  # straight from the simulation, no snapshot between
+        assert run_expert(other, find_expert("StackCube-v1"), performance.episode).outcome.success
+        picture = other.render()  # straight from the simulation, no snapshot between
     assert np.array_equal(picture.rgb, clip.rgb[-1])
     assert np.array_equal(picture.mask, clip.mask[-1])
     assert (picture.robot & picture.mask).sum() == picture.mask.sum() < picture.robot.sum()

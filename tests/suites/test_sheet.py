@@ -1,4 +1,4 @@
-"""Contact sheets: what stands where on the page, and whether the shots are what they say."""
+"""Contact sheets: what stands where on the page, and whether the panels are what they say."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -10,32 +10,32 @@ from PIL import Image
 
 from kinebench_drake.cli import cli
 from kinebench_drake.executors.base import ExecutorKind, ItemResult, WorkerCrash, create_executor
-from kinebench_drake.suites.contact_sheet import GAP_PX, MARGIN_PX, PICTURE_PX, Shot, contact_sheet, task_shots
+from kinebench_drake.suites.contact_sheet import GAP_PX, IMAGE_PX, MARGIN_PX, Panel, contact_sheet, task_panels
 from kinebench_drake.suites.episode import Episode
 
 
-def _shot(level: int) -> Shot:
+def _shot(level: int) -> Panel:
     pictures = tuple(np.full((8, 8, 3), level + i, dtype=np.uint8) for i in range(2))
-    return Shot(title="Task-v1", text="The robot arm does what it is told to do, word by word, " * 3, pictures=pictures)
+    return Panel(title="Task-v1", text="The robot arm does what it is told to do, word by word, " * 3, images=pictures)
 
 
 def test_every_picture_is_on_the_page_in_its_order() -> None:
     page = np.asarray(contact_sheet([_shot(10 * i) for i in range(1, 6)], columns=2))
-    pitch_x = 2 * PICTURE_PX + GAP_PX + MARGIN_PX
+    pitch_x = 2 * IMAGE_PX + GAP_PX + MARGIN_PX
     assert page.shape[1] == 2 * pitch_x + MARGIN_PX
     pitch_y = (page.shape[0] - MARGIN_PX) // 3
-    half = PICTURE_PX // 2
+    half = IMAGE_PX // 2
     for i in range(5):
         x, y = MARGIN_PX + i % 2 * pitch_x + half, MARGIN_PX + i // 2 * pitch_y + half
         assert (page[y, x] == 10 * (i + 1)).all()
-        assert (page[y, x + PICTURE_PX + GAP_PX] == 10 * (i + 1) + 1).all()
+        assert (page[y, x + IMAGE_PX + GAP_PX] == 10 * (i + 1) + 1).all()
     assert (page[-MARGIN_PX:] == 255).all()
     assert (page[:, -MARGIN_PX:] == 255).all()
 
 
 def test_a_failure_is_red() -> None:
     def redness(failed: bool) -> int:
-        page = np.asarray(contact_sheet([Shot(title="Task-v1", text="not above", failed=failed)], columns=1)).astype(
+        page = np.asarray(contact_sheet([Panel(title="Task-v1", text="not above", failed=failed)], columns=1)).astype(
             int
         )
         return int((page[..., 0] - page[..., 1] > 100).sum())
@@ -49,40 +49,40 @@ class _Backwards:
 
     def run(
         self, make_worker: object, items: Sequence[Episode]
-    ) -> Iterator[ItemResult[Episode, Shot] | WorkerCrash[Episode]]:
+    ) -> Iterator[ItemResult[Episode, Panel] | WorkerCrash[Episode]]:
         for item in reversed(items):
             if item.task == "PullCube-v1":
                 yield WorkerCrash(item=item, reason="the worker was killed")
             else:
-                yield ItemResult(item=item, result=Shot(title=item.task, text=item.prompt))
+                yield ItemResult(item=item, result=Panel(title=item.task, text=item.prompt))
 
 
-def test_shots_come_in_the_order_asked_for() -> None:
+def test_panels_come_in_the_order_asked_for() -> None:
     tasks = ["StackCube-v1", "PullCube-v1", "CloseBox-v1"]
-    shots = task_shots(_Backwards(), tasks, 0)
-    assert [shot.title for shot in shots] == tasks
-    assert [shot.failed for shot in shots] == [False, True, False]
-    assert "killed" in shots[1].text
+    panels = task_panels(_Backwards(), tasks, 0)
+    assert [panel.title for panel in panels] == tasks
+    assert [panel.failed for panel in panels] == [False, True, False]
+    assert "killed" in panels[1].text
 
 
 @pytest.mark.sapien
 def test_a_shot_is_the_first_and_last_frame() -> None:
-    [shot] = task_shots(create_executor(ExecutorKind.LOCAL, 1), ["StackCube-v1"], 0)
-    assert not shot.failed
-    first, last = shot.pictures
+    [panel] = task_panels(create_executor(ExecutorKind.LOCAL, 1), ["StackCube-v1"], 0)
+    assert not panel.failed
+    first, last = panel.images
     assert first.shape == last.shape == (384, 384, 3)
     assert (first != last).any(axis=-1).mean() > 0.05
 
 
 def test_command_writes_a_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
-        "kinebench_drake.suites.contact_sheet.task_shots", lambda engine, tasks, seed: [_shot(9)] * len(tasks)
+        "kinebench_drake.suites.contact_sheet.task_panels", lambda executor, tasks, seed: [_shot(9)] * len(tasks)
     )
     out = tmp_path / "sheet.jpg"
     done = CliRunner().invoke(cli, ["suite", "sheet", "--tasks", "StackCube-v1,PullCube-v1", "--out", str(out)])
     assert done.exit_code == 0, done.output
-    assert "2 shots, 0 failed" in done.output
-    assert Image.open(out).width > 2 * PICTURE_PX
+    assert "2 panels, 0 failed" in done.output
+    assert Image.open(out).width > 2 * IMAGE_PX
 
 
 def test_command_wants_a_picture_file() -> None:

@@ -3,7 +3,7 @@
 import pytest
 
 from kinebench_drake.errors import SetupError
-from kinebench_drake.suites.simulator import _named_causes
+from kinebench_drake.suites.simulator import _setup_errors
 
 
 @pytest.mark.parametrize(
@@ -15,13 +15,13 @@ from kinebench_drake.suites.simulator import _named_causes
     ],
 )
 def test_a_missing_driver_or_library_names_its_cure(error: Exception) -> None:
-    with pytest.raises(SetupError, match="doctor --fix") as caught, _named_causes():
+    with pytest.raises(SetupError, match="doctor --fix") as caught, _setup_errors():
         raise error
     assert str(error) in str(caught.value)
 
 
 @pytest.mark.parametrize("error", [RuntimeError("a joint is out of range"), ValueError("no vk:: at all")])
 def test_other_errors_pass(error: Exception) -> None:
-    with pytest.raises(type(error)) as caught, _named_causes():
+    with pytest.raises(type(error)) as caught, _setup_errors():
         raise error
     assert caught.value is error

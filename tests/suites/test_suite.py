@@ -110,6 +110,6 @@ def test_what_a_suite_does_not_have_is_told() -> None:
     with pytest.raises(UsageError, match="no task 'Stack'"):
         suite.tasks_of("unseen", ["Stack"])
     with pytest.raises(UsageError, match="1000000 seeds"):
-        suite.draws("unseen", "OpenBoxEasy-v2", 2, offset=999_999)
+        suite.specs("unseen", "OpenBoxEasy-v2", 2, offset=999_999)
     with pytest.raises(UsageError, match="0, 1, 2, 3"):
         load_suite(4)

@@ -8,24 +8,24 @@ import pytest
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import pose_difference, transform_points
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.suites.clip import RolloutVideo
 from kinebench_drake.suites.clock import FRAME_PERIOD_S
 from kinebench_drake.suites.faults.fault import FaultForm, FaultGrade, PlantedFault
 from kinebench_drake.suites.faults.fault_simulator import RenderFault
 from kinebench_drake.suites.faults.motion import FREEZE_SPEED_M_S, plant_freeze, plant_teleport, plant_vanish
 from kinebench_drake.suites.faults.plant import plant
 from kinebench_drake.suites.faults.recording import Recording
+from kinebench_drake.suites.rollout import RolloutVideo
 from kinebench_drake.types import AnomalyKind
 
 pytestmark = pytest.mark.sapien
 
 
 def planted(
-    take: Recording, kind: AnomalyKind, size: float, form: FaultForm | None = None
+    recording: Recording, kind: AnomalyKind, size: float, form: FaultForm | None = None
 ) -> tuple[RolloutVideo, PlantedFault]:
-    clip, fault = plant(take, FaultGrade(kind=kind, size=size, form=form))
+    clip, fault = plant(recording, FaultGrade(kind=kind, size=size, form=form))
     assert (fault.kind, fault.size, fault.form) == (kind, size, form)
-    assert_only_altered(take.clip, clip, fault)
+    assert_only_altered(recording.video, clip, fault)
     return clip, fault
 
 
@@ -44,41 +44,43 @@ def span(fault: PlantedFault) -> slice:
     return slice(fault.frame_start, fault.frame_end + 1)
 
 
-def test_vanish(take: Recording) -> None:
-    faulty, fault = planted(take, AnomalyKind.VANISH, 5)
+def test_vanish(recording: Recording) -> None:
+    faulty, fault = planted(recording, AnomalyKind.VANISH, 5)
     assert fault.frame_end - fault.frame_start + 1 == 5
     assert not faulty.mask[span(fault)].any()
     assert np.isnan(faulty.X_BG[span(fault)]).all()
-    take.stage.show(take.performance.snapshots[fault.frame_start])
-    assert np.array_equal(take.stage.picture().rgb, take.clip.rgb[fault.frame_start])  # the links are drawn again
+    recording.simulator.set_snapshot(recording.rollout.snapshots[fault.frame_start])
+    assert np.array_equal(
+        recording.simulator.render().rgb, recording.video.rgb[fault.frame_start]
+    )  # the links are drawn again
 
 
-def test_freeze(take: Recording) -> None:
-    faulty, fault = planted(take, AnomalyKind.FREEZE, 8)
+def test_freeze(recording: Recording) -> None:
+    faulty, fault = planted(recording, AnomalyKind.FREEZE, 8)
     assert fault.frame_end - fault.frame_start + 1 == 8
-    assert (faulty.rgb[span(fault)] == take.clip.rgb[fault.frame_start - 1]).all()
-    p = take.clip.X_BG[fault.frame_start - 1 : fault.frame_end + 2, :3, 3]
+    assert (faulty.rgb[span(fault)] == recording.video.rgb[fault.frame_start - 1]).all()
+    p = recording.video.X_BG[fault.frame_start - 1 : fault.frame_end + 2, :3, 3]
     assert np.linalg.norm(p[-1] - p[0]) / (9 * FRAME_PERIOD_S) >= FREEZE_SPEED_M_S
-    assert np.array_equal(faulty.X_BG[fault.frame_end], take.clip.X_BG[fault.frame_start - 1])
+    assert np.array_equal(faulty.X_BG[fault.frame_end], recording.video.X_BG[fault.frame_start - 1])
 
 
-def test_freeze_of_a_resting_gripper_is_refused(take: Recording) -> None:
-    still = replace(take.clip, X_BG=np.repeat(take.clip.X_BG[:1], len(take), axis=0))
+def test_freeze_of_a_resting_gripper_is_refused(recording: Recording) -> None:
+    still = replace(recording.video, X_BG=np.repeat(recording.video.X_BG[:1], len(recording), axis=0))
     with pytest.raises(InputError, match="would not show"):
-        plant_freeze(replace(take, clip=still), 5)
+        plant_freeze(replace(recording, video=still), 5)
 
 
-def test_fault_out_of_view_is_refused(take: Recording) -> None:
+def test_fault_out_of_view_is_refused(recording: Recording) -> None:
     with pytest.raises(InputError, match="take another seed"):
-        plant_vanish(replace(take, clip=replace(take.clip, mask=np.zeros_like(take.clip.mask))), 5)
+        plant_vanish(replace(recording, video=replace(recording.video, mask=np.zeros_like(recording.video.mask))), 5)
 
 
 @pytest.mark.parametrize("distance_m", [0.05, 0.15])
-def test_teleport(take: Recording, distance_m: float) -> None:
-    faulty, fault = plant_teleport(take, distance_m)
-    assert fault.frame_end == len(take) - 1
-    assert_only_altered(take.clip, faulty, fault)
-    moved = faulty.X_BG[fault.frame_start :, :3, 3] - take.clip.X_BG[fault.frame_start :, :3, 3]
+def test_teleport(recording: Recording, distance_m: float) -> None:
+    faulty, fault = plant_teleport(recording, distance_m)
+    assert fault.frame_end == len(recording) - 1
+    assert_only_altered(recording.video, faulty, fault)
+    moved = faulty.X_BG[fault.frame_start :, :3, 3] - recording.video.X_BG[fault.frame_start :, :3, 3]
     assert np.allclose(np.linalg.norm(moved, axis=1), distance_m, atol=1e-5)
     assert np.allclose(moved, moved[0], atol=1e-5)
     plant_ = ArmPlant()
@@ -88,56 +90,56 @@ def test_teleport(take: Recording, distance_m: float) -> None:
     v, u = np.nonzero(faulty.mask[i])
     middle = np.array([u.mean() + 0.5, v.mean() + 0.5])
     p_H = np.array([[0.0, 0.0, 0.03]])  # near the middle of what is seen of the gripper
-    there, here = (c.camera.project(transform_points(c.X_CH[i], p_H))[0] for c in (faulty, take.clip))
+    there, here = (c.camera.project(transform_points(c.X_CH[i], p_H))[0] for c in (faulty, recording.video))
     assert np.linalg.norm(middle - there) < min(6.0, np.linalg.norm(middle - here))
 
 
-def test_a_gripper_drawn_in_its_own_shape_is_the_robots_own(take: Recording) -> None:
+def test_a_gripper_drawn_in_its_own_shape_is_the_robots_own(recording: Recording) -> None:
     costume = RenderFault(warp=lambda p: p, X_HP=np.eye(4), replaces=True)
-    part = take.film_again([12], lambda _: take.stage.wear(costume))
-    assert np.array_equal(part.rgb[0], take.clip.rgb[12])
-    assert np.array_equal(part.mask[0], take.clip.mask[12])
+    part = recording.render_again([12], lambda _: recording.simulator.set_fault(costume))
+    assert np.array_equal(part.rgb[0], recording.video.rgb[12])
+    assert np.array_equal(part.mask[0], recording.video.mask[12])
 
 
-def test_a_duplicate_leaves_the_gripper_where_it_is(take: Recording) -> None:
-    faulty, fault = planted(take, AnomalyKind.DUPLICATE, 0.25)
-    changed = (faulty.rgb != take.clip.rgb)[span(fault)].any(axis=3)
-    assert (changed.sum(axis=(1, 2)) > 0.5 * take.clip.mask[span(fault)].sum(axis=(1, 2))).all()
-    assert np.allclose(faulty.X_CH, take.clip.X_CH, atol=1e-6)
+def test_a_duplicate_leaves_the_gripper_where_it_is(recording: Recording) -> None:
+    faulty, fault = planted(recording, AnomalyKind.DUPLICATE, 0.25)
+    changed = (faulty.rgb != recording.video.rgb)[span(fault)].any(axis=3)
+    assert (changed.sum(axis=(1, 2)) > 0.5 * recording.video.mask[span(fault)].sum(axis=(1, 2))).all()
+    assert np.allclose(faulty.X_CH, recording.video.X_CH, atol=1e-6)
 
 
-def test_a_deformed_gripper_keeps_its_pose(take: Recording) -> None:
-    faulty, fault = planted(take, AnomalyKind.DEFORMATION, 0.2)
-    assert (faulty.mask != take.clip.mask)[span(fault)].any(axis=(1, 2)).all()
-    assert np.allclose(faulty.X_CH, take.clip.X_CH, atol=1e-6)
+def test_a_deformed_gripper_keeps_its_pose(recording: Recording) -> None:
+    faulty, fault = planted(recording, AnomalyKind.DEFORMATION, 0.2)
+    assert (faulty.mask != recording.video.mask)[span(fault)].any(axis=(1, 2)).all()
+    assert np.allclose(faulty.X_CH, recording.video.X_CH, atol=1e-6)
 
 
-def test_a_gripper_drawn_too_large_or_small_covers_as_much_more_or_less(take: Recording) -> None:
-    faulty, _ = planted(take, AnomalyKind.SCALE, 0.15, FaultForm.CONSTANT)
-    area = faulty.mask.sum() / take.clip.mask.sum()
+def test_a_gripper_drawn_too_large_or_small_covers_as_much_more_or_less(recording: Recording) -> None:
+    faulty, _ = planted(recording, AnomalyKind.SCALE, 0.15, FaultForm.CONSTANT)
+    area = faulty.mask.sum() / recording.video.mask.sum()
     assert 0.15 < abs(np.log(area)) < 0.35  # twice the scale, less what leaves the picture
-    growing, _ = planted(take, AnomalyKind.SCALE, 0.15, FaultForm.GROWING)
+    growing, _ = planted(recording, AnomalyKind.SCALE, 0.15, FaultForm.GROWING)
     assert np.array_equal(growing.rgb[-1], faulty.rgb[-1])
 
 
 @pytest.mark.parametrize("form", [FaultForm.SHAKE, FaultForm.DRIFT])
-def test_a_moving_camera_shows_the_gripper_elsewhere_though_it_stays(take: Recording, form: FaultForm) -> None:
-    faulty, _ = planted(take, AnomalyKind.CAMERA, 4, form)
-    assert np.allclose(faulty.X_BG, take.clip.X_BG, atol=1e-6)
-    here, there = (take.clip.camera.project(c.X_CH[:, :3, 3]) for c in (take.clip, faulty))
+def test_a_moving_camera_shows_the_gripper_elsewhere_though_it_stays(recording: Recording, form: FaultForm) -> None:
+    faulty, _ = planted(recording, AnomalyKind.CAMERA, 4, form)
+    assert np.allclose(faulty.X_BG, recording.video.X_BG, atol=1e-6)
+    here, there = (recording.video.camera.project(c.X_CH[:, :3, 3]) for c in (recording.video, faulty))
     moved = np.linalg.norm(there - here, axis=1).max()
     assert 0.6 * 4 < moved < 1.8 * 4
-    assert take.stage.camera is take.clip.camera
+    assert recording.simulator.camera is recording.video.camera
 
 
-def test_fingers_flutter_and_jump(take: Recording) -> None:
-    flutter, fault = planted(take, AnomalyKind.FINGERS, 0.04, FaultForm.FLUTTER)
+def test_fingers_flutter_and_jump(recording: Recording) -> None:
+    flutter, fault = planted(recording, AnomalyKind.FINGERS, 0.04, FaultForm.FLUTTER)
     step = np.diff(flutter.finger_width_m[span(fault)])
     assert (step[1:] * step[:-1] < 0).all()
-    jump, fault = planted(take, AnomalyKind.FINGERS, 0.04, FaultForm.JUMP)
+    jump, fault = planted(recording, AnomalyKind.FINGERS, 0.04, FaultForm.JUMP)
     i = fault.frame_start
     assert abs(jump.finger_width_m[i] - jump.finger_width_m[i - 1]) == pytest.approx(0.04, abs=0.003)
     for clip in (flutter, jump):
         assert clip.finger_width_m.min() >= 0.0
         assert clip.finger_width_m.max() <= 0.0801
-        assert pose_difference(clip.X_CH, take.clip.X_CH)[0].max() < 1e-5
+        assert pose_difference(clip.X_CH, recording.video.X_CH)[0].max() < 1e-5

@@ -1,8 +1,7 @@
 import pytest
 
-from kinebench_drake.suites.clip import RolloutVideo
-from kinebench_drake.suites.formats.demo import Demo, Shots
-from kinebench_drake.suites.rollout import Rollout
+from kinebench_drake.suites.formats.demo import Demo, RenderOptions
+from kinebench_drake.suites.rollout import Rollout, RolloutVideo
 from kinebench_drake.suites.simulator import Simulator
 
 
@@ -12,4 +11,4 @@ def demo(filmed: tuple[Simulator, Rollout, RolloutVideo]) -> Demo:
     from kinebench_drake.suites.tasks.environment import X_WB
 
     _, performance, clip = filmed
-    return Demo(performance=performance, shots=Shots(size=96), film=clip, X_WB=X_WB)
+    return Demo(rollout=performance, options=RenderOptions(size=96), video=clip, X_WB=X_WB)

@@ -21,21 +21,21 @@ from tests.suites.formats.records import record_of
 
 @pytest.mark.sapien
 def test_a_lerobot_dataset_holds_what_was_performed(demo: Demo, tmp_path: Path) -> None:
-    demo = replace(demo, shots=replace(demo.shots, fps=5.0))
-    other = replace(demo.performance, episode=replace(demo.performance.episode, id="other"))
-    form, both = LeRobot(), [demo, replace(demo, performance=other)]
+    demo = replace(demo, options=replace(demo.options, fps=5.0))
+    other = replace(demo.rollout, episode=replace(demo.rollout.episode, id="other"))
+    form, both = LeRobot(), [demo, replace(demo, rollout=other)]
     for one in both:
         form.write_part(tmp_path, one)
-    files = form.finish(tmp_path, [record_of(one) for one in both], demo.shots, {})
+    files = form.finish(tmp_path, [record_of(one) for one in both], demo.options, {})
     assert all(path.is_file() for path in files)
     info = json.loads((tmp_path / "meta" / "info.json").read_text())
     assert (info["total_episodes"], info["total_frames"], info["fps"]) == (2, 98, 5)
     samples = list_lerobot_trajectories(tmp_path, "demos", TrajectoryOptions())
-    assert [sample.prompt for sample in samples] == [demo.performance.episode.prompt] * 2
+    assert [sample.prompt for sample in samples] == [demo.rollout.episode.prompt] * 2
     for k, sample in enumerate(samples):
         track = check(read_lerobot(sample.path, k, tmp_path / "meta" / "info.json", TrajectoryOptions()))
         assert track.q is not None
-        assert np.allclose(track.q, [s.q for s in demo.performance.snapshots], atol=1e-6)
+        assert np.allclose(track.q, [s.q for s in demo.rollout.snapshots], atol=1e-6)
         assert np.allclose(track.t_s, 0.2 * np.arange(49))
         assert track.finger_width_m.max() == pytest.approx(0.08, abs=2e-3)
     episodes = pq.read_table(tmp_path / "meta" / "episodes" / "chunk-000" / "file-000.parquet").to_pylist()
@@ -47,8 +47,8 @@ def test_a_lerobot_dataset_holds_what_was_performed(demo: Demo, tmp_path: Path) 
     assert np.allclose(times, np.arange(98) / 5.0)
     assert np.array_equal(pictures[:49], pictures[49:])
     films = find_samples(tmp_path).samples
-    assert [film.prompt for film in films] == [demo.performance.episode.prompt] * 2
-    assert films[0].camera.to_json() == demo.shots.camera.to_json()
+    assert [film.prompt for film in films] == [demo.rollout.episode.prompt] * 2
+    assert films[0].camera.to_json() == demo.options.camera.to_json()
     for k, film in enumerate(films):
         assert film.dataset_period_s == pytest.approx(0.2)
         assert np.array_equal(read_video(film.path, film.part).frames, pictures[49 * k : 49 * (k + 1)])

@@ -18,7 +18,7 @@ def test_a_video_folder_names_each_clip_with_its_caption(demo: Demo, tmp_path: P
     form, record = VideoFolder(), record_of(demo)
     form.write_part(tmp_path, demo)
     assert all(path.is_file() for path in form.part_files(tmp_path, record))
-    form.finish(tmp_path, [record], demo.shots, {"suite": 0, "split": "train"})
+    form.finish(tmp_path, [record], demo.options, {"suite": 0, "split": "train"})
     [row] = [json.loads(line) for line in (tmp_path / "metadata.jsonl").read_text().splitlines()]
     assert (tmp_path / row["file_name"]).is_file()
     assert row["text"] == record.prompt
@@ -34,15 +34,15 @@ def test_a_video_folder_names_each_clip_with_its_caption(demo: Demo, tmp_path: P
     assert sample.initial_state.finger_width_m == pytest.approx(0.08, abs=1e-6)
     [labelled] = find_samples(tmp_path).samples  # without the manifest, by the metadata
     assert (labelled.prompt, labelled.task, labelled.dataset_period_s) == (record.prompt, record.task, 0.2)
-    assert load_camera(tmp_path / "camera.json").to_json() == demo.shots.camera.to_json()
+    assert load_camera(tmp_path / "camera.json").to_json() == demo.options.camera.to_json()
 
 
 @pytest.mark.sapien
 def test_each_clip_is_told_with_the_frame_it_begins_with(demo: Demo, tmp_path: Path) -> None:
     long, form = doubled(demo), VideoFolder()
     form.write_part(tmp_path, long)
-    form.finish(tmp_path, [record_of(long)], long.shots, {"suite": 0, "split": "train"})
-    film = long.film
+    form.finish(tmp_path, [record_of(long)], long.options, {"suite": 0, "split": "train"})
+    film = long.video
     assert film is not None
     for k, sample in enumerate(find_samples(tmp_path / "manifest.jsonl").samples):
         assert sample.initial_state is not None

@@ -1,4 +1,4 @@
-"""An order of demonstrations: which ones, and how they are filmed and written."""
+"""Configuration of a set of demonstrations."""
 
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -6,15 +6,15 @@ from typing import Any
 
 import kinebench_drake
 from kinebench_drake.results.metadata import Shard
-from kinebench_drake.suites.formats.demo import Content, FormatKind, Shots
+from kinebench_drake.suites.formats.demo import Content, FormatKind, RenderOptions
 from kinebench_drake.suites.formats.format import find_format
 from kinebench_drake.suites.suite import EpisodeSpec, Suite
 from kinebench_drake.suites.tasks.task import TaskVariant
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class DemoOrder:
-    """Which demonstrations to make."""
+class DemoConfig:
+    """Demonstrations to make."""
 
     suite: Suite
     split: str
@@ -26,38 +26,40 @@ class DemoOrder:
     seed: int
     """Number of the first of the split's seeds."""
     variant: TaskVariant
-    """Version of the scenes."""
-    shots: Shots
+    """Variant of the scenes."""
+    options: RenderOptions
     kind: FormatKind
     out: Path
-    """Folder to write to."""
+    """Output folder."""
     shard: Shard | None = None
-    """The part of the seeds to use; all of them if None."""
+    """Share of the seeds to use; None: all."""
 
     def __post_init__(self) -> None:
         """Check the number of demonstrations.
 
         Raises:
-            UsageError: the split has not as many seeds.
+            UsageError: the split has fewer seeds.
         """
-        for task in self.tasks[:1]:  # all have the same
-            self.suite.draws(self.split, task, self.episodes, offset=self.seed, variant=self.variant)
+        for task in self.tasks[:1]:  # all tasks have the same seeds
+            self.suite.specs(self.split, task, self.episodes, offset=self.seed, variant=self.variant)
 
+    @property
     def wanted(self) -> int:
-        """Demonstrations of each task that are this part's."""
+        """Demonstrations of each task in this shard."""
         return self.episodes if self.shard is None else len(self.shard.take(range(self.episodes)))
 
-    def draws(self, task: str, tries: int) -> list[EpisodeSpec]:
-        """The first `tries` episodes of a task that are this part's; fewer where the split ends."""
+    def specs(self, task: str, tries: int) -> list[EpisodeSpec]:
+        """Return the first `tries` episodes of a task in this shard; fewer at the end of the split."""
         first, end = self.suite.splits[self.split].seeds
-        parts = 1 if self.shard is None else self.shard.count
-        count = min(tries * parts, end - first - self.seed)
-        all_draws = self.suite.draws(self.split, task, count, offset=self.seed, variant=self.variant)
-        return all_draws if self.shard is None else self.shard.take(all_draws)
+        shards = 1 if self.shard is None else self.shard.count
+        count = min(tries * shards, end - first - self.seed)
+        specs = self.suite.specs(self.split, task, count, offset=self.seed, variant=self.variant)
+        return specs if self.shard is None else self.shard.take(specs)
 
     def settings(self) -> dict[str, Any]:
-        """What all demonstrations of a folder have in common, as JSON."""
+        """Return the settings that all demonstrations of a folder share, as JSON."""
         split, content = self.suite.splits[self.split], find_format(self.kind).content
+        video = {"frame_period_s": self.options.frame_period_s, **asdict(self.options)}
         return {
             "version": kinebench_drake.__version__,
             "format": self.kind.value,
@@ -67,10 +69,10 @@ class DemoOrder:
             "variant": self.variant.value,
             "first_seed": split.seeds[0] + self.seed,
             "shard": None if self.shard is None else str(self.shard),
-            **({"frame_period_s": self.shots.frame_period_s, **asdict(self.shots)} if Content.FILM in content else {}),
-            **({"size": self.shots.size} if Content.STILLS in content else {}),
+            **(video if Content.VIDEO in content else {}),
+            **({"size": self.options.size} if Content.STILLS in content else {}),
         }
 
     def request(self) -> dict[str, Any]:
-        """All of the order, as JSON."""
+        """Return the whole configuration as JSON."""
         return {**self.settings(), "tasks": list(self.tasks), "episodes_per_task": self.episodes}
