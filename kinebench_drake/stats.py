@@ -17,6 +17,15 @@ RESAMPLES = 2000
 _AT_ONCE = 2_000_000  # numbers drawn at a time: all at once would take 1 GB for 20,000 samples
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class IntervalEstimate:
+    """Figure with the ends of its 95 % interval; NaN where there is none."""
+
+    value: float
+    low: float
+    high: float
+
+
 def wilson(hits: int, n: int, confidence: float = CONFIDENCE) -> tuple[float, float]:
     """Return the ends of the score interval of the share hits / n (Wilson, JASA 22, 1927); (0, 1) for n = 0."""
     if n == 0:

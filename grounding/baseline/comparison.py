@@ -13,7 +13,7 @@ from kinebench_drake.grounding.baseline.network import Baseline
 from kinebench_drake.grounding.baseline.windows import Demonstration
 from kinebench_drake.grounding.pipeline import GroundingPipeline
 from kinebench_drake.io.reader import read_video
-from kinebench_drake.stats import percentile_interval, resampled_indices
+from kinebench_drake.stats import IntervalEstimate, percentile_interval, resampled_indices
 
 _RESAMPLES = 1000
 _PERCENTILES = (50, 95)
@@ -68,15 +68,6 @@ class ClipComparison:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ErrorFigure:
-    """Percentile over the frames of a group of videos, with its 95 % interval over videos."""
-
-    value: float
-    low: float
-    high: float
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class ComparisonGroup:
     """Errors on a task, or on all trained or all unseen tasks."""
 
@@ -86,8 +77,8 @@ class ComparisonGroup:
     pooled: bool
     """True for several tasks together."""
     tracked_fraction: float
-    medians: Mapping[tuple[Extractor, Quantity], ErrorFigure]
-    p95s: Mapping[tuple[Extractor, Quantity], ErrorFigure]
+    medians: Mapping[tuple[Extractor, Quantity], IntervalEstimate]
+    p95s: Mapping[tuple[Extractor, Quantity], IntervalEstimate]
     """95th percentiles."""
 
 
@@ -129,7 +120,7 @@ def compare(clip: Demonstration, camera: Camera, baseline: Baseline, pipeline: G
     )
 
 
-def percentiles(videos: Sequence[Array], rng: np.random.Generator) -> tuple[ErrorFigure, ErrorFigure]:
+def percentiles(videos: Sequence[Array], rng: np.random.Generator) -> tuple[IntervalEstimate, IntervalEstimate]:
     """Return median and 95th percentile over all frames of `videos` (T,) each, without NaN, with bootstrap intervals.
 
     The bootstrap draws whole videos: errors of frames of one video are correlated (Efron and Tibshirani 1993, chapter
@@ -148,7 +139,7 @@ def percentiles(videos: Sequence[Array], rng: np.random.Generator) -> tuple[Erro
         ]
         low, high = np.transpose([percentile_interval(column) for column in np.transpose(draws)])
     median, p95 = (
-        ErrorFigure(value=float(v), low=float(a), high=float(b)) for v, a, b in zip(values, low, high, strict=True)
+        IntervalEstimate(value=float(v), low=float(a), high=float(b)) for v, a, b in zip(values, low, high, strict=True)
     )
     return median, p95
 

@@ -9,7 +9,6 @@ import numpy as np
 from kinebench_drake.grounding.baseline.comparison import (
     ClipComparison,
     ComparisonGroup,
-    ErrorFigure,
     Extractor,
     Quantity,
     compare,
@@ -19,11 +18,12 @@ from kinebench_drake.grounding.baseline.network import Baseline
 from kinebench_drake.grounding.baseline.windows import load_demonstrations
 from kinebench_drake.grounding.pipeline import GroundingPipeline
 from kinebench_drake.io.atomic import atomic_path, write_atomically
+from kinebench_drake.stats import IntervalEstimate
 
 _NAME, _CELL = 24, 22
 
 
-def _format(figure: ErrorFigure) -> str:
+def _format(figure: IntervalEstimate) -> str:
     interval = f" [{figure.low:.3g}, {figure.high:.3g}]" if figure.low == figure.low else ""
     return f"{figure.value:.3g}{interval}"
 

@@ -11,7 +11,7 @@ from scipy.stats import norm, rankdata
 
 from kinebench_drake.grounding.evaluation.anomalies import ClipAnomalies
 from kinebench_drake.io.figure import FAINT, POSITION, ROTATION, new_figure
-from kinebench_drake.stats import wilson
+from kinebench_drake.stats import IntervalEstimate, wilson
 from kinebench_drake.types import AnomalyKind
 
 if TYPE_CHECKING:
@@ -64,16 +64,7 @@ class Share:
         return wilson(self.hits, self.n)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Area:
-    """Area under the ROC curve with its 95 % interval."""
-
-    value: float
-    low: float
-    high: float
-
-
-def area(faulty: ArrayLike, clean: ArrayLike) -> Area:
+def area(faulty: ArrayLike, clean: ArrayLike) -> IntervalEstimate:
     """Return the area under the ROC curve: P(score of a faulty video > score of a clean one) + P(equal) / 2.
 
     This is the Mann-Whitney statistic (1947). The interval is Newcombe's method 5 (Statistics in Medicine 25, 2006,
@@ -84,7 +75,7 @@ def area(faulty: ArrayLike, clean: ArrayLike) -> Area:
     faulty, clean = np.asarray(faulty, dtype=np.float64), np.asarray(clean, dtype=np.float64)
     m, n = len(faulty), len(clean)
     if not m or not n:
-        return Area(value=float("nan"), low=0.0, high=1.0)
+        return IntervalEstimate(value=float("nan"), low=0.0, high=1.0)
     ranks = rankdata(np.concatenate([faulty, clean]))
     value = float((ranks[:m].sum() - m * (m + 1) / 2) / (m * n))
     z, more = float(norm.ppf(0.975)), (m + n) / 2 - 1
@@ -94,7 +85,7 @@ def area(faulty: ArrayLike, clean: ArrayLike) -> Area:
 
     low = 0.0 if value == 0.0 else float(brentq(lambda t: value - t - error(t), 0.0, value - 1e-12 * (value == 1.0)))
     high = 1.0 if value == 1.0 else float(brentq(lambda t: t - value - error(t), value + 1e-12 * (value == 0.0), 1.0))
-    return Area(value=value, low=low, high=high)
+    return IntervalEstimate(value=value, low=low, high=high)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -110,7 +101,7 @@ class AnomalyRow:
     """Clips in which it is detected in the right frames."""
     named: Share
     """Clips in which it is detected in any frame."""
-    area: Area
+    area: IntervalEstimate
 
     @property
     def gated(self) -> bool:

@@ -9,11 +9,12 @@ from numpy.typing import NDArray
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.evaluation.clip import TruthClipFile
 from kinebench_drake.grounding.evaluation.perturbation.catalogue import PerturbationKind, ladder, perturb
-from kinebench_drake.grounding.evaluation.summary import PercentileInterval, Reliability, Results, reliability
+from kinebench_drake.grounding.evaluation.summary import Reliability, Results, reliability
 from kinebench_drake.grounding.evaluation.tables import by_task
 from kinebench_drake.io.figure import FAINT, POSITION, ROTATION, new_figure
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.models.panda.cad import GripperCad
+from kinebench_drake.stats import IntervalEstimate
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -98,7 +99,7 @@ def _boxes(ax: Any, groups: Sequence[Array], labels: Sequence[str], colours: Seq
 
 def draw_comparison(
     results: Mapping[str, Results],
-    figures: Mapping[str, Mapping[str, PercentileInterval]],
+    figures: Mapping[str, Mapping[str, IntervalEstimate]],
     groups: Mapping[str, str],
     title: str,
 ) -> "Figure":

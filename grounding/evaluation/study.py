@@ -13,7 +13,7 @@ from kinebench_drake.grounding.evaluation.errors import ClipErrors
 from kinebench_drake.grounding.evaluation.perturbation.catalogue import PerturbationKind, ladder
 from kinebench_drake.grounding.evaluation.reframing import reframings
 from kinebench_drake.grounding.evaluation.store import MeasurementStore
-from kinebench_drake.grounding.evaluation.summary import PercentileInterval, Results
+from kinebench_drake.grounding.evaluation.summary import Results
 from kinebench_drake.grounding.evaluation.tables import compared, comparison_table, intervals_json
 from kinebench_drake.grounding.evaluation.trial import (
     GroundingTrial,
@@ -23,6 +23,7 @@ from kinebench_drake.grounding.evaluation.trial import (
 )
 from kinebench_drake.grounding.evaluation.variants import VARIANTS, Degradation, plug_in
 from kinebench_drake.grounding.overrides.depth import depth_source_name
+from kinebench_drake.stats import IntervalEstimate
 
 CLEAN = TrialCondition(name="as it is")
 _DEGRADATIONS = {
@@ -145,7 +146,7 @@ class StudyOutcome:
     study: GroundingStudy
     results: dict[str, list[ClipErrors]]
     """Errors of all clips by condition name."""
-    figures: dict[str, dict[str, PercentileInterval]]
+    figures: dict[str, dict[str, IntervalEstimate]]
     """Figures by condition name, see `compared`."""
 
     def lines(self) -> Iterator[str]:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.confidence import GOOD_M, GOOD_RAD
 from kinebench_drake.grounding.evaluation.errors import LASTING_FRAMES, ClipErrors
-from kinebench_drake.stats import percentile_interval, resampled_indices, wilson
+from kinebench_drake.stats import IntervalEstimate, percentile_interval, resampled_indices, wilson
 from kinebench_drake.types import Anomaly, AnomalyKind
 
 OFF_M = 0.03
@@ -147,15 +147,6 @@ def reliability_curve(confidence: Array, good: NDArray[np.bool_]) -> Reliability
     return Reliability(bins=tuple(bins), error=error)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PercentileInterval:
-    """Figure with its 95 % interval."""
-
-    value: float
-    low: float
-    high: float
-
-
 def _pooled(results: Results, values: Callable[[ClipErrors], Array]) -> Array:
     """Return the finite values of all frames of all clips."""
     pooled = np.concatenate([values(e) for e in results]) if results else np.empty(0)
@@ -233,7 +224,7 @@ MORE: Mapping[str, Statistic] = {
 
 def intervals(
     results: Results, statistics: Mapping[str, Statistic] = ACCURACY, seed: int = 0
-) -> dict[str, PercentileInterval]:
+) -> dict[str, IntervalEstimate]:
     """Return each statistic with its interval; the same clips and seed give the same numbers.
 
     The interval is NaN for fewer than two clips.
@@ -244,7 +235,7 @@ def intervals(
     table = {}
     for name, statistic in statistics.items():
         low, high = percentile_interval([statistic(sample) for sample in samples], (2.5, 97.5))
-        table[name] = PercentileInterval(value=statistic(results), low=low, high=high)
+        table[name] = IntervalEstimate(value=statistic(results), low=low, high=high)
     return table
 
 

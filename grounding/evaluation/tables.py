@@ -9,7 +9,6 @@ from kinebench_drake.grounding.evaluation.errors import ClipErrors
 from kinebench_drake.grounding.evaluation.summary import (
     ACCURACY,
     MORE,
-    PercentileInterval,
     Reliability,
     Results,
     intervals,
@@ -17,6 +16,7 @@ from kinebench_drake.grounding.evaluation.summary import (
     reliability,
     summarize,
 )
+from kinebench_drake.stats import IntervalEstimate
 from kinebench_drake.types import Anomaly
 
 COMPARED = {
@@ -107,15 +107,13 @@ def reliability_lines(curve: Reliability) -> Iterator[str]:
     yield from table(["confidence", "frames", "mean", "within 10 mm, 5 deg", "95 %"], rows)
 
 
-def compared(results: Mapping[str, Results], seed: int) -> dict[str, dict[str, PercentileInterval]]:
+def compared(results: Mapping[str, Results], seed: int) -> dict[str, dict[str, IntervalEstimate]]:
     """Return the figures of each condition that `comparison_table` shows."""
     chosen = {name: ACCURACY[name] for name in COMPARED}
     return {name: intervals(group, chosen, seed) for name, group in results.items()}
 
 
-def comparison_table(
-    figures: Mapping[str, Mapping[str, PercentileInterval]], marks: Sequence[str] = ()
-) -> Iterator[str]:
+def comparison_table(figures: Mapping[str, Mapping[str, IntervalEstimate]], marks: Sequence[str] = ()) -> Iterator[str]:
     """Yield one line per condition, figures with their intervals.
 
     Args:
@@ -129,7 +127,7 @@ def comparison_table(
     yield from table(["", *COMPARED.values()], rows)
 
 
-def _with_interval(name: str, figure: PercentileInterval) -> str:
+def _with_interval(name: str, figure: IntervalEstimate) -> str:
     value = _number(name, figure.value)
     if not np.isfinite([figure.low, figure.high]).all():
         return value
@@ -155,7 +153,7 @@ def evaluation_json(results: Results, seed: int) -> dict[str, Any]:
     }
 
 
-def intervals_json(figures: Mapping[str, PercentileInterval]) -> dict[str, Any]:
+def intervals_json(figures: Mapping[str, IntervalEstimate]) -> dict[str, Any]:
     """Return figures with their intervals as a JSON object."""
     return {name: plain({"value": i.value, "low": i.low, "high": i.high}) for name, i in figures.items()}
 
