@@ -1,1 +1,1 @@
-"""The yardstick: an inverse-dynamics network that maps pixels to poses, as benchmarks before this one do."""
+"""Baseline: an inverse-dynamics network that maps pixels directly to poses, as in earlier benchmarks."""

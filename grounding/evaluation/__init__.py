@@ -1,1 +1,1 @@
-"""Measuring the grounding against ground truth."""
+"""Evaluation of the grounding against ground truth."""

@@ -1,1 +1,1 @@
-"""Training and measuring of the perception networks."""
+"""Training and calibration of the perception networks."""

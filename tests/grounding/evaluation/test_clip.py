@@ -1,4 +1,4 @@
-"""What a picture shows of the gripper, and where its depth is wrong; by the CAD model, without rendering."""
+"""Visible share of the gripper and maps of depth errors, by the CAD model without rendering."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
@@ -52,7 +52,7 @@ def test_a_stored_mask_goes_before_the_outline(small: TruthClip, cad: GripperCad
 
 
 class TooFar:
-    """Sees a flat hand 2 % too far."""
+    """Estimator of a flat hand 2 % too far."""
 
     def estimate(self, frames: Frames, camera: Camera, crops: Mapping[int, Crop]) -> Iterator[tuple[int, GripperView]]:
         for number, crop in crops.items():

@@ -1,14 +1,17 @@
-"""True values and worse ones in place of estimates; an estimator that knows nothing of the video stands in."""
+"""Ground truth, degraded depth and external depth in place of estimates; the estimator is a fake."""
 
 from collections.abc import Iterator, Mapping
+from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from kinebench_drake.camera import Camera
-from kinebench_drake.errors import InputError
+from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.grounding.crop import Crop
-from kinebench_drake.grounding.evaluation.variants import Degradation, DegradedEstimator
+from kinebench_drake.grounding.evaluation.clip import TruthClip
+from kinebench_drake.grounding.evaluation.variants import Degradation, DegradedEstimator, plug_in
 from kinebench_drake.grounding.override_estimator import OverrideEstimator
 from kinebench_drake.grounding.view import Frames, GripperView
 from kinebench_drake.models.panda.robot import RobotPart
@@ -16,7 +19,7 @@ from kinebench_drake.types import ExternalDepth, Priors
 
 
 class Flat:
-    """Sees a hand one metre away everywhere."""
+    """Estimator of a hand one metre away everywhere."""
 
     def estimate(self, frames: Frames, camera: Camera, crops: Mapping[int, Crop]) -> Iterator[tuple[int, GripperView]]:
         return ((number, self.view(crop)) for number, crop in crops.items())
@@ -45,10 +48,10 @@ def crop() -> Crop:
 def test_true_values_follow_their_frames(square: tuple[np.ndarray, np.ndarray], camera: Camera, crop: Crop) -> None:
     frames, masks = square
     depth = np.broadcast_to(0.5 + 0.01 * np.arange(len(frames))[:, None, None], masks.shape)
-    given = OverrideEstimator(
+    estimator = OverrideEstimator(
         Flat(), Priors(mask=masks, depth=ExternalDepth(depth_m=np.where(masks, depth, 0.0), exact=True))
     )
-    views = dict(given.estimate(frames, camera, dict.fromkeys([7, 2, 11], crop)))
+    views = dict(estimator.estimate(frames, camera, dict.fromkeys([7, 2, 11], crop)))
     assert views.keys() == {7, 2, 11}
     for number, view in views.items():
         assert 0 < view.gripper.sum() < view.part.size
@@ -105,3 +108,31 @@ def test_a_smooth_error_is_smooth_in_picture_and_time(square: tuple[np.ndarray, 
     error = np.array([views[i].depth_m - 1.0 for i in range(len(frames))])
     for axis in (0, 1, 2):
         assert np.diff(error, axis=axis).std() < 0.6 * error.std()
+
+
+CLASS = """
+class Ramp:
+    def depth(self, frames, camera):
+        return 0.5 + frames[..., 1] / 100 + 0 * camera.rays()[..., 0]
+"""
+
+
+def test_the_pipeline_gets_the_depth_of_a_class(
+    clip: TruthClip, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "a_ramp_of_mine.py").write_text(CLASS)
+    monkeypatch.syspath_prepend(tmp_path)
+    calls = list[Priors]()
+    shipped = SimpleNamespace(ground=lambda frames, camera, t_s, priors: calls.append(priors))
+    frames = np.random.default_rng(0).integers(0, 255, (5, 192, 192, 3), dtype=np.uint8)  # other than the camera
+    plug_in("a_ramp_of_mine:Ramp")(SimpleNamespace(shipped=shipped), clip, frames)  # type: ignore[arg-type]
+    (priors,) = calls
+    assert priors.depth is not None
+    assert not priors.depth.exact
+    np.testing.assert_allclose(priors.depth.depth_m, 0.5 + frames[..., 1] / 100)
+    assert (priors.mask, priors.X_CH, priors.initial_state) == (None, None, None)
+
+
+def test_an_estimator_that_is_not_there_is_told_before_anything_is_measured() -> None:
+    with pytest.raises(UsageError, match="no module"):
+        plug_in("no_such_module:Depth")
