@@ -17,7 +17,7 @@ from benchmarks.motion import Arm, Motion, accelerations
 from benchmarks.moves import cartesian
 from benchmarks.peers import OURS, PEERS, Peer, Problem, Solve, kept_up, reached
 from kinebench_drake.geometry import Array
-from kinebench_drake.kinematics.manipulability import manipulability_of
+from kinebench_drake.kinematics.manipulability import compute_manipulability
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.track import solve_track
 from kinebench_drake.metrics.judge import TrackJudge
@@ -225,7 +225,7 @@ def measure_throughput(tracks: Sequence[GripperTrack]) -> dict[str, float]:
             joints = solve_track(plant, track)
         with timed("manipulability"):
             J = plant.chain.jacobians(joints.q)
-            manipulability_of(plant, J, joints.q)
+            compute_manipulability(plant, joints.q, J)
         with timed("limits"):
             noise = estimate_track_noise(track.t_s, track.X_BG, track.tracked)
             check_limits(plant, track.t_s, joints.q, propagate_noise(J, noise))

@@ -121,13 +121,10 @@ def measure(
                 )
                 continue
             found = describe(
-                solved.fit,
-                solved.cells,
-                solved.p_B,
+                solved,
                 method=condition.method,
                 source=states.source,
                 frames=rows[solved.rows],
-                hands_B=solved.X_BP[:, RobotPart.HAND, :3, 3],
                 focal_free=free,
             )
             distance, angle = pose_difference(found.camera.X_BC, camera.X_BC)

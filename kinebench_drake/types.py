@@ -126,6 +126,11 @@ class Violation:
     limit: float
     """Greatest allowed value, or the least for a lower joint limit or a distance; in the unit of the value."""
 
+    @classmethod
+    def of_run(cls, kind: ViolationKind, run: slice, joint: str | None, value: float, limit: float) -> "Violation":
+        """Return the violation over a run of frames (`segments.segments`)."""
+        return cls(kind=kind, frame_start=run.start, frame_end=run.stop - 1, joint=joint, value=value, limit=limit)
+
     def to_json(self) -> dict[str, Json]:
         """Serialize into an entry of `violations` of samples.jsonl."""
         return {

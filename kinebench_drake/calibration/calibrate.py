@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from kinebench_drake.calibration.correspondences import LensView, NetworkViewEstimator, ViewEstimator
 from kinebench_drake.calibration.fit import Lens, with_focal
 from kinebench_drake.calibration.observability import require_determined, warnings_of
-from kinebench_drake.calibration.result import CalibrationMethod, CameraCalibration, describe, with_warnings
+from kinebench_drake.calibration.result import CalibrationMethod, CameraCalibration, describe
 from kinebench_drake.calibration.solve import MIN_MOVING_FRAMES, LensSolution, solve_lens, solve_lens_and_postures
 from kinebench_drake.calibration.states import (
     RobotStates,
@@ -27,7 +27,6 @@ from kinebench_drake.grounding.view import Frames
 from kinebench_drake.io.camerafile import load_camera
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.io.video import Video
-from kinebench_drake.models.panda.robot import RobotPart
 
 FOV_DEG = (35.0, 45.0, 55.0, 65.0, 75.0, 90.0)
 """Horizontal fields of view at which the search for the focal length starts [degrees]."""
@@ -121,19 +120,16 @@ def calibrate(config: CalibrationConfig, estimator: ViewEstimator | None = None)
     states = states.take(chosen)
     solved = solve_with_reestimate(estimator, frames, view, states, guess, model, focal_free=focal_free)
     calibration = describe(
-        solved.fit,
-        solved.cells,
-        solved.p_B,
+        solved,
         method=_method(states),
         source=states.source,
         frames=chosen[solved.rows],
-        hands_B=solved.X_BP[:, RobotPart.HAND, :3, 3],
         focal_free=focal_free,
     )
     require_determined(calibration)
     middle = len(solved.rows) // 2
     return CalibrationOutcome(
-        calibration=with_warnings(calibration, (*shift, *warnings_of(calibration))),
+        calibration=replace(calibration, warnings=(*shift, *warnings_of(calibration))),
         frame=frames[solved.rows[middle]],
         X_BP=solved.X_BP[middle],
         finger_m=float(solved.finger_m[middle]),

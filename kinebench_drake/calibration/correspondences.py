@@ -18,6 +18,8 @@ from kinebench_drake.grounding.view import Frames, GripperView
 from kinebench_drake.models.panda.robot import ARM, GRIPPER, RobotPart
 from kinebench_drake.models.robot import N_JOINTS
 
+MIN_CELLS = 60
+"""Least number of cells of the robot over all frames of a calibration."""
 PART_CELLS = 60
 """Greatest number of cells of one part in one view."""
 INDEPENDENT = 8.0

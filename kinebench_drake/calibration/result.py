@@ -1,20 +1,19 @@
 """The result of a camera calibration, its uncertainty and its description."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
 from numpy.typing import NDArray
 
-from kinebench_drake.calibration.correspondences import CalibrationCorrespondences
+from kinebench_drake.calibration.correspondences import MIN_CELLS, CalibrationCorrespondences
 from kinebench_drake.calibration.fit import UNKNOWNS, LensFit, refine
+from kinebench_drake.calibration.solve import LensSolution
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, pose_difference
-from kinebench_drake.models.panda.robot import ARM, GRIPPER
+from kinebench_drake.models.panda.robot import ARM, GRIPPER, RobotPart
 from kinebench_drake.types import Json
 
-MIN_CELLS = 60
-"""Least number of cells of the robot over all frames."""
 _GROUPS = {"gripper": GRIPPER, "arm": ARM[1:], "base": ARM[:1]}
 
 
@@ -96,28 +95,19 @@ class CameraCalibration:
 
 
 def describe(
-    fit: LensFit,
-    cells: CalibrationCorrespondences,
-    p_B: Array,
-    *,
-    method: CalibrationMethod,
-    source: str,
-    frames: NDArray[np.intp],
-    hands_B: Array,
-    focal_free: bool,
+    solution: LensSolution, *, method: CalibrationMethod, source: str, frames: NDArray[np.intp], focal_free: bool
 ) -> CameraCalibration:
-    """Compute the calibration of a fit.
+    """Compute the calibration of a solution.
 
     Args:
-        fit: fitted lens.
-        cells: cells of the fit.
-        p_B: (N, 3) points of the cells [m].
+        solution: fitted lens with its data.
         method: source of the postures.
         source: description of the source.
         frames: (T,) numbers of the frames used.
-        hands_B: (T, 3) positions of the hand [m].
         focal_free: True if the focal length was estimated.
     """
+    fit, cells, p_B = solution.fit, solution.cells, solution.p_B
+    hands_B = solution.X_BP[:, RobotPart.HAND, :3, 3]
     position, rotation, focal = _sigmas(fit, UNKNOWNS if focal_free else UNKNOWNS - 1)
     error = np.linalg.norm(fit.residual_px, axis=1)
     sure = cells.weight / fit.sigma_px**2
@@ -144,11 +134,6 @@ def describe(
         depth_m=(float(near), float(far)),
         motion_m=float(np.nanmax(apart)) if len(hands_B) else 0.0,
     )
-
-
-def with_warnings(calibration: CameraCalibration, warnings: tuple[str, ...]) -> CameraCalibration:
-    """The calibration with more to know."""
-    return replace(calibration, warnings=(*calibration.warnings, *warnings))
 
 
 def _sigmas(fit: LensFit, free: int) -> tuple[float, float, float]:

@@ -7,9 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.calibration.articulated import refine_articulated
-from kinebench_drake.calibration.correspondences import CalibrationCorrespondences, LensView, locate_points
+from kinebench_drake.calibration.correspondences import MIN_CELLS, CalibrationCorrespondences, LensView, locate_points
 from kinebench_drake.calibration.fit import CAUCHY, Lens, LensFit, find_consensus, refine
-from kinebench_drake.calibration.result import MIN_CELLS
 from kinebench_drake.calibration.states import RobotStates
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import UnmeasurableError

@@ -92,28 +92,21 @@ class Manipulability:
     """(T,) condition number of the angular rows."""
 
 
-def manipulability(plant: ArmPlant, q: ArrayLike) -> Manipulability:
+def compute_manipulability(plant: ArmPlant, q: ArrayLike, J: ArrayLike | None = None) -> Manipulability:
     """Compute the manipulability at each row of `q` (T, 7) [rad].
-
-    Raises:
-        UsageError: `q` is not (T, 7).
-    """
-    q = np.asarray(q, dtype=np.float64)
-    if q.ndim != 2 or q.shape[1] != N_JOINTS:
-        raise UsageError(f"q has shape {q.shape}, expected (T, {N_JOINTS})")
-    return manipulability_of(plant, plant.chain.jacobians(q), q)
-
-
-def manipulability_of(plant: ArmPlant, J: ArrayLike, q: ArrayLike) -> Manipulability:
-    """Compute the manipulability from the Jacobians `J` (T, 6, 7) (`LinkChain.jacobians`) of `q` (T, 7) [rad].
 
     `limited`: scaling the columns of a square J by the limit weights multiplies w by their product. The product is
     used here too, although a redundant arm with one joint at its limit may still move the TCP in every direction.
 
+    Args:
+        plant: the robot.
+        q: (T, 7) joint angles [rad]; NaN where unknown.
+        J: (T, 6, 7) Jacobians of `q` (`LinkChain.jacobians`), computed if None.
+
     Raises:
         UsageError: the shapes do not fit.
     """
-    J, q = np.asarray(J, dtype=np.float64), np.asarray(q, dtype=np.float64)
+    J, q = np.asarray(plant.chain.jacobians(q) if J is None else J, dtype=np.float64), np.asarray(q, dtype=np.float64)
     if q.ndim != 2 or q.shape[1] != N_JOINTS or J.shape != (len(q), 6, N_JOINTS):
         raise UsageError(f"J has shape {J.shape} and q {q.shape}, expected (T, 6, {N_JOINTS}) and (T, {N_JOINTS})")
     finite = np.isfinite(q).all(axis=-1) & np.isfinite(J).all(axis=(1, 2))

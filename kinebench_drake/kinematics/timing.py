@@ -1,6 +1,6 @@
 """Time-optimal parameterization of a joint path: Toppra under the limits of speed, acceleration and torque."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any
 
@@ -57,21 +57,21 @@ class ActiveLimit:
 class TimeScale:
     """Fastest feasible duration of a joint path, and the limits that bound it."""
 
-    value: float | None
+    value: float | None = None
     """Fastest feasible duration / own duration; None where there is none, with a reason."""
-    reason: str | None
+    reason: str | None = None
     """Why there is no value; None where there is one."""
-    constraint: TimingConstraint | None
+    constraint: TimingConstraint | None = None
     """Kind of the limit that is active longest or, without a value, violated; None if there is none."""
-    joint: str | None
+    joint: str | None = None
     """Joint of that limit."""
-    frame: int | None
+    frame: int | None = None
     """Row of the input arrays where that limit slows the path most (least speed-up while active) or is violated."""
-    active: tuple[ActiveLimit, ...]
+    active: tuple[ActiveLimit, ...] = ()
     """All limits that are active at some time, the longest first; several may be active at once."""
-    own_s: Array
+    own_s: Array = field(default_factory=lambda: np.empty(0))
     """(G,) times of the grid points in the own timing [s], from `t_s[0]` on; empty without a value."""
-    fastest_s: Array
+    fastest_s: Array = field(default_factory=lambda: np.empty(0))
     """(G,) their times in the fastest motion [s], from 0 on; empty without a value."""
 
 
@@ -96,11 +96,11 @@ def time_scale(plant: ArmPlant, t_s: Array, q: Array) -> TimeScale:
     frames = np.flatnonzero(np.isfinite(q).all(axis=-1) & np.isfinite(t_s))
     t, rows = t_s[frames], q[frames]
     if len(frames) < 2:
-        return _no_value("fewer than two frames with joint angles: there is no path")
+        return TimeScale(reason="fewer than two frames with joint angles: there is no path")
     if not (np.diff(t) > 0.0).all():
-        return _no_value("the times do not increase from frame to frame")
+        return TimeScale(reason="the times do not increase from frame to frame")
     if (np.ptp(rows, axis=0) < STILL_RAD).all():
-        return _no_value("the joints do not move: a rest has no fastest duration")
+        return TimeScale(reason="the joints do not move: a rest has no fastest duration")
     motion = _Motion(plant, t, rows, frames)
     end = _broken_end(motion)
     if end is not None and end.constraint is TimingConstraint.VELOCITY:  # infeasible without running Toppra
@@ -113,24 +113,8 @@ def time_scale(plant: ArmPlant, t_s: Array, q: Array) -> TimeScale:
             if profile is not None:
                 break
     except RuntimeError as error:  # raised by Drake's checks of its input
-        return _no_value(f"Toppra rejected the path: {str(error).splitlines()[0]}")
+        return TimeScale(reason=f"Toppra rejected the path: {str(error).splitlines()[0]}")
     return _explain(motion) if profile is None else _describe(motion, *profile)
-
-
-def _no_value(
-    reason: str, constraint: TimingConstraint | None = None, joint: str | None = None, frame: int | None = None
-) -> TimeScale:
-    empty = np.empty(0)
-    return TimeScale(
-        value=None,
-        reason=reason,
-        constraint=constraint,
-        joint=joint,
-        frame=frame,
-        active=(),
-        own_s=empty,
-        fastest_s=empty,
-    )
 
 
 class _Motion:
@@ -280,14 +264,16 @@ def _explain(motion: _Motion) -> TimeScale:
     heaviest, j = np.unravel_index(np.argmax(np.abs(weight)), weight.shape)
     if abs(weight[heaviest, j]) > 1.0:
         text = f"{joints[j]} cannot hold the arm's weight ({abs(weight[heaviest, j]):.2f} x its torque limit)"
-        return _no_value(text, TimingConstraint.TORQUE, joints[j], motion.frame(int(heaviest)))
+        return TimeScale(
+            reason=text, constraint=TimingConstraint.TORQUE, joint=joints[j], frame=motion.frame(int(heaviest))
+        )
     end = _broken_end(motion)
     if end is not None:
         return end
     own = np.abs([motion.ratios(k, 1.0, 0.0) for k in range(last + 1)])
     broken = np.flatnonzero(own.max(axis=(1, 2)) > 1.0)
     if len(broken) == 0:
-        return _no_value("Toppra found no solution, though the path's own timing keeps the limits on the grid")
+        return TimeScale(reason="Toppra found no solution, though the path's own timing keeps the limits on the grid")
     # If a motion that ends at rest is feasible, the speed of the last frame cannot be reached.
     starts = motion.fastest(1.0, 0.0, _STRETCHES[:2]) is not None
     k = int(broken[-1] if starts else broken[0])
@@ -297,7 +283,7 @@ def _explain(motion: _Motion) -> TimeScale:
         f"the speed of the {'last' if starts else 'first'} frame cannot be "
         f"{'reached' if starts else 'braked'} in time: {joints[j]} is beyond its {kind.value} limit near it"
     )
-    return _no_value(text, kind, joints[j], motion.frame(k))
+    return TimeScale(reason=text, constraint=kind, joint=joints[j], frame=motion.frame(k))
 
 
 def _broken_end(motion: _Motion) -> TimeScale | None:
@@ -308,7 +294,7 @@ def _broken_end(motion: _Motion) -> TimeScale | None:
         if ratio[c, j] > 1.0:
             kind, joint = tuple(TimingConstraint)[c], motion.plant.robot.joints[j]
             text = f"at its speed in the {end} frame {joint} is beyond its {kind.value} limit ({ratio[c, j]:.2f} x)"
-            return _no_value(text, kind, joint, motion.frame(index))
+            return TimeScale(reason=text, constraint=kind, joint=joint, frame=motion.frame(index))
     return None
 
 

@@ -51,19 +51,19 @@ _HOPELESS = 2.0  # factor of the tube's limit: if that radius is infeasible, the
 class TubeResult:
     """Smallest tube about a track in which the robot can move, or the reason why there is none."""
 
-    radius_m: float | None
+    radius_m: float | None = None
     """Smallest feasible radius found [m], at least `SMALLEST_M`; None if none up to `LARGEST_M` is, with a reason."""
-    infeasible_radius_m: float | None
+    infeasible_radius_m: float | None = None
     """Greatest radius found infeasible (to first order, near the trajectory) [m]; None if there was none."""
-    feasible: bool | None
+    feasible: bool | None = None
     """True if `radius_m` is at most the tube's limit; None if the track cannot be judged, with a reason."""
-    certificate: TrajectoryCheck | None
+    certificate: TrajectoryCheck | None = None
     """Trajectory that proves `radius_m`."""
-    violation: TubeViolation | None
+    violation: TubeViolation | None = None
     """Requirement that makes a tube of the limit's radius infeasible; None if feasible, or without a single cause."""
-    reason: str | None
+    reason: str | None = None
     """Why there is no radius, or why it exceeds the limit; None if feasible."""
-    programs: int
+    programs: int = 0
     """Number of convex programs solved."""
 
 
@@ -107,9 +107,9 @@ def optimize_in_tube(
     usable = np.isfinite(q).all(axis=-1) & np.isfinite(X_BG).all(axis=(-2, -1)) & np.isfinite(t_s)
     frames = np.flatnonzero(usable)
     if len(frames) < 2:
-        return _undecided("fewer than two frames with a pose and joint angles: there is no motion")
+        return TubeResult(reason="fewer than two frames with a pose and joint angles: there is no motion")
     if not (np.diff(t_s[frames]) > 0.0).all():
-        return _undecided("the times do not increase from frame to frame")
+        return TubeResult(reason="the times do not increase from frame to frame")
     stride = -(-len(frames) // LONGEST)
     frames = np.unique(np.append(frames[::stride], frames[-1]))
     X = X_BG[frames].copy()
@@ -126,18 +126,6 @@ def optimize_in_tube(
         table_tolerance_m=table_tolerance_m,
     )
     return _TubeSearch(problem, tube_limit_m).run()
-
-
-def _undecided(reason: str) -> TubeResult:
-    return TubeResult(
-        radius_m=None,
-        infeasible_radius_m=None,
-        feasible=None,
-        certificate=None,
-        violation=None,
-        reason=reason,
-        programs=0,
-    )
 
 
 class _TubeSearch:

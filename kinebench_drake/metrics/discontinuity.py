@@ -115,14 +115,8 @@ def _joint_jumps(t_s: Array, q: Array, joints: tuple[str, ...]) -> list[Violatio
 
 
 def _violation(jump: _Jump, run: slice, joint: str | None) -> Violation:
-    return Violation(
-        kind=ViolationKind.DISCONTINUITY,
-        frame_start=run.start + jump.start,
-        frame_end=run.start + jump.end,
-        joint=joint,
-        value=jump.size,
-        limit=jump.threshold,
-    )
+    frames = slice(run.start + jump.start, run.start + jump.end + 1)
+    return Violation.of_run(ViolationKind.DISCONTINUITY, frames, joint, jump.size, jump.threshold)
 
 
 def _floor(t_s: Array, floor: float, acceleration: float) -> Array:

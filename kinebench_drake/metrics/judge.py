@@ -8,7 +8,7 @@ from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array
 from kinebench_drake.kinematics.collision import CollisionModel
 from kinebench_drake.kinematics.ik import POSITION_TOLERANCE_M, ROTATION_TOLERANCE_RAD
-from kinebench_drake.kinematics.manipulability import manipulability_of
+from kinebench_drake.kinematics.manipulability import compute_manipulability
 from kinebench_drake.kinematics.newton import ROTATION_ARM_M
 from kinebench_drake.kinematics.path import limit_excess
 from kinebench_drake.kinematics.plant import ArmPlant
@@ -186,7 +186,7 @@ class TrackJudge:
         branches = np.flatnonzero(reached)
         path = PathMeasurements(
             reached=reached,
-            manipulability=manipulability_of(plant, J, q),
+            manipulability=compute_manipulability(plant, q, J),
             self_clearance=own,
             table_clearance=table,
             smoothness=measure_smoothness(track, None if assumed else noise),

@@ -234,14 +234,7 @@ def _violations(
 ) -> Iterator[Violation]:
     for j, name in enumerate(plant.robot.joints):
         for run in segments(broken[:, j]):
-            yield Violation(
-                kind=kind,
-                frame_start=run.start,
-                frame_end=run.stop - 1,
-                joint=name,
-                value=float(magnitude[run, j].max()),
-                limit=float(limits[j]),
-            )
+            yield Violation.of_run(kind, run, name, float(magnitude[run, j].max()), float(limits[j]))
 
 
 def _slowdown(plant: ArmPlant, checks: Mapping[ViolationKind, LimitCheck]) -> Slowdown | None:

@@ -44,7 +44,7 @@ def find_unreachable(joints: JointTrack, noise: TrackNoise) -> Iterator[Violatio
     limit = _noise_limit(noise)
     missed = _has(joints, IkStatus.UNREACHABLE) & (error > limit)
     for run in segments(missed):
-        yield _violation(ViolationKind.UNREACHABLE, run, None, float(error[run].max()), limit)
+        yield Violation.of_run(ViolationKind.UNREACHABLE, run, None, float(error[run].max()), limit)
 
 
 def find_limit_violations(
@@ -64,7 +64,7 @@ def find_limit_violations(
             q[i] = posture
     named = yield from _past(plant, q, np.full(q.shape[1], _LIMIT_TOLERANCE_RAD))
     for run in segments(failed & ~named):  # past a limit between the samples of the sweep: the joint is unknown
-        yield _violation(ViolationKind.JOINT_LIMIT, run, None, float(_pose_error(joints)[run].max()), limit)
+        yield Violation.of_run(ViolationKind.JOINT_LIMIT, run, None, float(_pose_error(joints)[run].max()), limit)
 
 
 def find_joint_limit_violations(plant: ArmPlant, q: Array, sigma: Array) -> Iterator[Violation]:
@@ -103,7 +103,7 @@ def find_collisions(
             smooth[deep] = distance(q_smooth[deep], track.finger_width_m[deep]).distance_m
             deep &= smooth < -max(CONTACT_TOLERANCE_M, noise.offset_m)
         for run in segments(deep):
-            yield _violation(kind, run, None, float(clearance.distance_m[run].min()), limit)
+            yield Violation.of_run(kind, run, None, float(clearance.distance_m[run].min()), limit)
 
 
 def _past(plant: ArmPlant, q: Array, tolerance: Array) -> Generator[Violation, None, NDArray[np.bool_]]:
@@ -115,7 +115,7 @@ def _past(plant: ArmPlant, q: Array, tolerance: Array) -> Generator[Violation, N
             named[run] = True
             worst = float(q[run, j][np.argmax(past[run, j])])
             limit = float(plant.upper[j] if worst > plant.upper[j] else plant.lower[j])
-            yield _violation(ViolationKind.JOINT_LIMIT, run, name, worst, limit)
+            yield Violation.of_run(ViolationKind.JOINT_LIMIT, run, name, worst, limit)
     return named
 
 
@@ -132,7 +132,3 @@ def _noise_limit(noise: TrackNoise) -> float:
     sigma = float(np.hypot(noise.position_m, ROTATION_ARM_M * noise.rotation_rad))
     offset = float(np.hypot(noise.offset_m, ROTATION_ARM_M * noise.offset_rad))
     return max(POSITION_TOLERANCE_M, NOISE_SIGMAS * sigma, offset)
-
-
-def _violation(kind: ViolationKind, run: slice, joint: str | None, value: float, limit: float) -> Violation:
-    return Violation(kind=kind, frame_start=run.start, frame_end=run.stop - 1, joint=joint, value=value, limit=limit)

@@ -25,13 +25,10 @@ def look_of(cells, q):
 
 def described(solved, *, focal_free=True, method=CalibrationMethod.JOINTS):
     return describe(
-        solved.fit,
-        solved.cells,
-        solved.p_B,
+        solved,
         method=method,
         source="joints.csv",
         frames=solved.rows,
-        hands_B=solved.X_BP[:, RobotPart.HAND, :3, 3],
         focal_free=focal_free,
     )
 

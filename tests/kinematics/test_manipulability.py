@@ -4,11 +4,10 @@ import pytest
 from kinebench_drake.errors import UsageError
 from kinebench_drake.kinematics.manipulability import (
     characteristic_length,
+    compute_manipulability,
     condition_number,
     cost,
     limit_weight,
-    manipulability,
-    manipulability_of,
     time_integral,
     yoshikawa,
 )
@@ -19,7 +18,7 @@ from kinebench_drake.models.panda.robot import rest_q
 def test_w_is_the_product_of_the_singular_values(plant: ArmPlant) -> None:
     rng = np.random.default_rng(0)
     q = rng.uniform(plant.lower, plant.upper, size=(20, 7))
-    result = manipulability(plant, q)
+    result = compute_manipulability(plant, q)
     J = np.array([plant.jacobian(row) for row in q])
     np.testing.assert_allclose(result.full, np.prod(np.linalg.svd(J, compute_uv=False), axis=-1), rtol=1e-6, atol=1e-9)
     linear = np.prod(np.linalg.svd(J[:, 3:], compute_uv=False), axis=-1)
@@ -32,7 +31,7 @@ def test_w_is_the_product_of_the_singular_values(plant: ArmPlant) -> None:
 def test_w_is_the_root_of_the_grams_determinant(plant: ArmPlant) -> None:
     q = np.random.default_rng(4).uniform(plant.lower, plant.upper, size=(20, 7))
     J = plant.chain.jacobians(q)
-    result = manipulability(plant, q)
+    result = compute_manipulability(plant, q)
     for w, rows in ((result.full, J), (result.translation, J[:, 3:]), (result.rotation, J[:, :3])):
         np.testing.assert_allclose(w**2, np.linalg.det(rows @ np.swapaxes(rows, -1, -2)), rtol=1e-7)
 
@@ -49,7 +48,7 @@ def test_condition_number_is_that_of_the_ellipsoid(plant: ArmPlant) -> None:
     assert condition_number(np.diag([1.0, 4.0, 2.0])) == 4.0
     assert np.isinf(condition_number([[1.0, 1.0], [0.0, 0.0]]))
     q = np.random.default_rng(5).uniform(plant.lower, plant.upper, size=(10, 7))
-    result, J = manipulability(plant, q), plant.chain.jacobians(q)
+    result, J = compute_manipulability(plant, q), plant.chain.jacobians(q)
     np.testing.assert_allclose(result.condition_translation, np.linalg.cond(J[:, 3:]))
     np.testing.assert_allclose(result.condition_rotation, np.linalg.cond(J[:, :3]))
     J[:, 3:] /= characteristic_length(plant)
@@ -86,7 +85,7 @@ def test_limit_weight_falls_from_one_mid_way_to_nothing_at_and_past_the_limits()
 def test_w_falls_at_a_limit_only_with_the_weights(plant: ArmPlant) -> None:
     q = np.tile(rest_q(), (4, 1))
     q[:, 6] = [0.0, plant.upper[6] - 1e-3, plant.upper[6], plant.upper[6] + 0.1]
-    result = manipulability(plant, q)
+    result = compute_manipulability(plant, q)
     np.testing.assert_allclose(result.full, result.full[0], rtol=1e-9)
     assert result.limited[0] > 100 * result.limited[1] > 0
     np.testing.assert_array_equal(result.limited[2:], 0.0)
@@ -96,12 +95,12 @@ def test_w_falls_at_a_limit_only_with_the_weights(plant: ArmPlant) -> None:
 
 def test_given_jacobians_give_the_same(plant: ArmPlant) -> None:
     q = np.random.default_rng(6).uniform(plant.lower, plant.upper, size=(5, 7))
-    given = manipulability_of(plant, [plant.jacobian(row) for row in q], q)
-    computed = manipulability(plant, q)
+    given = compute_manipulability(plant, q, [plant.jacobian(row) for row in q])
+    computed = compute_manipulability(plant, q)
     for name in ("full", "translation", "rotation", "limited", "cost", "condition"):
         np.testing.assert_allclose(getattr(given, name), getattr(computed, name), rtol=1e-6)
     with pytest.raises(UsageError, match="expected"):
-        manipulability_of(plant, np.zeros((4, 6, 7)), q)
+        compute_manipulability(plant, q, np.zeros((4, 6, 7)))
 
 
 def test_integral_of_a_straight_line_bridges_gaps() -> None:
@@ -128,7 +127,7 @@ def test_w_vanishes_where_the_arm_is_stretched_in_its_plane(plant: ArmPlant) -> 
     assert plant.lower[3] < in_line < plant.upper[3]
     singular = np.array([0.3, 0.5, 0.0, in_line, 0.0, 1.7, 0.4])
     bent = np.array([0.3, 0.5, 0.0, in_line - 1.0, 0.0, 1.7, 0.4])
-    w_singular, w_bent = manipulability(plant, np.array([singular, bent])).full
+    w_singular, w_bent = compute_manipulability(plant, np.array([singular, bent])).full
     assert w_singular < 1e-6
     assert w_bent > 0.02
 
@@ -136,7 +135,7 @@ def test_w_vanishes_where_the_arm_is_stretched_in_its_plane(plant: ArmPlant) -> 
 def test_turning_the_base_changes_nothing(plant: ArmPlant) -> None:
     turned = np.tile(rest_q(), (3, 1))
     turned[:, 0] = [-1.0, 0.0, 2.0]
-    result = manipulability(plant, turned)
+    result = compute_manipulability(plant, turned)
     for values in (result.full, result.translation, result.rotation, result.cost, result.condition):
         np.testing.assert_allclose(values, values[0], rtol=1e-9)
 
@@ -148,12 +147,12 @@ def test_cost_is_the_inverse_and_bounded() -> None:
 def test_unknown_frames_stay_unknown(plant: ArmPlant) -> None:
     q = np.tile(rest_q(), (3, 1))
     q[1, 4] = np.nan
-    result = manipulability(plant, q)
+    result = compute_manipulability(plant, q)
     for values in (result.full, result.translation, result.rotation, result.limited, result.cost, result.condition):
         np.testing.assert_array_equal(np.isnan(values), [False, True, False])
-    assert len(manipulability(plant, np.empty((0, 7))).full) == 0
+    assert len(compute_manipulability(plant, np.empty((0, 7))).full) == 0
 
 
 def test_wrong_shape_is_refused(plant: ArmPlant) -> None:
     with pytest.raises(UsageError, match="expected"):
-        manipulability(plant, rest_q())
+        compute_manipulability(plant, rest_q())

@@ -7,7 +7,7 @@ import pytest
 from kinebench_drake.errors import InputError
 from kinebench_drake.evaluation.evaluator import KINEMATIC_METRICS
 from kinebench_drake.geometry import Array, make_pose, rotation_exp
-from kinebench_drake.kinematics.manipulability import manipulability
+from kinebench_drake.kinematics.manipulability import compute_manipulability
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.metrics.judge import TrackJudge
 from kinebench_drake.metrics.result import KinematicResult
@@ -72,7 +72,7 @@ def test_a_gentle_track_is_feasible_and_has_every_metric(plant: ArmPlant, judge:
     assert result.violations == ()
     assert set(KINEMATIC_METRICS) <= set(metrics)
     assert result.joints.ok.all()
-    w = manipulability(plant, q)
+    w = compute_manipulability(plant, q)
     assert metrics["manipulability_mean"] == pytest.approx(w.full.mean())
     assert metrics["manipulability_min"] == pytest.approx(w.full.min())
     assert metrics["manipulability_cost_mean"] == pytest.approx(w.cost.mean())
