@@ -83,7 +83,7 @@ def test_every_kind_of_trajectory_becomes_a_row(run, tmp_path):
     assert told.extra["duration_s"] == pytest.approx((N - 1) / 20)
     assert rows["poses"].extra["judged"] == "poses"
     assert rows["good"].details == {"given": "q"}
-    assert "q was taken" in rows["good"].extra["warnings"][0]
+    assert "q was read" in rows["good"].extra["warnings"][0]
     results = json.loads((tmp_path / "out" / "results.json").read_text())
     assert (results["kind"], results["samples_found"]) == ("audit", 8)
     assert results["aggregates"]["metrics"]["success"]["mean"] == 0.5

@@ -10,18 +10,18 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from kinebench_drake.suites.worldmodels.service import Limits
 
 from kinebench_drake.datasets.trajectories.source import find_trajectories, read_trajectory
 from kinebench_drake.datasets.trajectories.trajectory import TrajectoryOptions
 from kinebench_drake.datasets.videos.find import find_samples
 from kinebench_drake.errors import KinebenchError
 from kinebench_drake.io.reader import read_video
-from kinebench_drake.report.suite import read_comparison
+from kinebench_drake.report.suite.comparison import read_comparison
 from kinebench_drake.results.metadata import read_metadata
 from kinebench_drake.results.store import ResultStore
 from kinebench_drake.results.trackfile import read_track
 from kinebench_drake.suites.worldmodels.http import HttpModel
+from kinebench_drake.suites.worldmodels.remote import Limits
 from kinebench_drake.suites.worldmodels.spec import parse
 from kinebench_drake.suites.worldmodels.worldmodel import Request
 from tests.reliability.damage import PICKLE_MARK, Tree, damage
