@@ -24,14 +24,12 @@ soak: setup
 	$(PYTEST) --hypothesis-profile soak tests/reliability tests/test_properties.py
 	for round in $$(seq 20); do $(PYTEST) tests/cli -k "kill or interrupt" || exit 1; done
 
-# Inverse kinematics beside that of other packages (installed first), audits, simulation, whole runs of the program, and
+# Inverse kinematics compared with other packages (installed first), audits, simulation, whole runs of the program, and
 # memory over 2,000 samples: about an hour on two cores.
 bench: setup
 	-$(BIN)/python -m pip --disable-pip-version-check install --quiet -c setup/constraints.txt -e '.[bench]'
-	$(BIN)/python -m benchmarks bench --out docs/benchmarks.md
-	$(BIN)/python -m benchmarks.simulation --out docs/benchmarks.md
-	$(BIN)/python -m benchmarks throughput --out docs/benchmarks.md
-	$(BIN)/python -m benchmarks streaming --out docs/benchmarks.md
+	for command in ik audit simulation throughput streaming; do \
+		$(BIN)/python -m benchmarks $$command --out docs/benchmarks.md || exit 1; done
 
 check: setup
 	$(BIN)/ruff format --check .

@@ -1,138 +1,187 @@
-"""`python -m benchmarks`: trajectories with known truth, and an audit's results held against it."""
+"""`python -m benchmarks`: validation studies and benchmarks."""
 
 import math
 import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import click
 
-from benchmarks.scale import COMMANDS
-from kinebench_drake.errors import KinebenchError
+from benchmarks.markdown import replace_section
+from kinebench_drake.errors import KinebenchError, UsageError
+from kinebench_drake.io.atomic import write_atomically
 from kinebench_drake.io.jsonl import dump, finite
+from kinebench_drake.types import AnomalyKind
+
+EXAMPLES = Path("examples/videos")
+KINDS = tuple(kind.value for kind in AnomalyKind)
+
+_FOLDER = click.Path(path_type=Path, file_okay=False)
+_FILE = click.Path(path_type=Path, dir_okay=False)
+_EXISTING_FOLDER = click.Path(path_type=Path, file_okay=False, exists=True)
+_COUNT = click.IntRange(min=1)
+
+_out = click.option(
+    "--out", type=click.Path(path_type=Path, dir_okay=False, exists=True), help="Markdown page to write a section into."
+)
+_work = click.option("--work", type=_FOLDER, help="Empty folder for input and results, which are kept.")
+_jobs = click.option("--jobs", type=_COUNT, default=1, show_default=True, help="Worker processes.")
+_log = partial(click.echo, err=True)
+
+
+@contextmanager
+def _errors() -> Iterator[None]:
+    """Turn errors of the package into errors of the command line."""
+    try:
+        yield
+    except UsageError as error:
+        raise click.UsageError(str(error)) from None
+    except KinebenchError as error:
+        raise click.ClickException(str(error)) from None
+
+
+def _write_section(out: Path | None, text: str) -> None:
+    """Print a section and write it into a page."""
+    click.echo(text)
+    if out is not None:
+        out.write_text(replace_section(out.read_text(), text))
+
+
+@contextmanager
+def _work_folder(work: Path | None) -> Iterator[Path]:
+    if work is not None:
+        work.mkdir(parents=True, exist_ok=True)
+        yield work
+    else:
+        with TemporaryDirectory() as folder:
+            yield Path(folder)
+
+
+def _measure_in(work: Path | None, out: Path | None, measure: Callable[[Path], str]) -> None:
+    """Measure in a folder, then print and write the section."""
+    with _errors(), _work_folder(work) as folder:
+        text = measure(folder)
+    _write_section(out, text)
+
+
+def _one_thread() -> None:
+    """Let numeric libraries use one thread; to be called before NumPy is loaded."""
+    os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"))
 
 
 @click.group(
     epilog="\b\nExample:\n"
-    "  python -m benchmarks make --out tracks --kind infeasible --count 1000 --seed 0 --jobs 2\n"
+    "  python -m benchmarks trajectories make --out tracks --kind infeasible --count 1000 --jobs 2\n"
     "  kinebench-drake audit tracks --out results\n"
-    "  python -m benchmarks check results tracks",
+    "  python -m benchmarks trajectories check results tracks",
 )
 def main() -> None:
-    """Trajectories whose truth is known by proof."""
+    """Validation studies and benchmarks; each command has an example."""
 
 
-@main.command(
-    epilog="\b\nExample:\n  python -m benchmarks make --out tracks --kind feasible --count 1000",
-)
-@click.option("--out", type=click.Path(path_type=Path, file_okay=False), required=True, help="Folder; made if absent.")
-@click.option(
-    "--kind",
-    type=click.Choice(["feasible", "infeasible", "perturbed", "noisy"]),
-    required=True,
-    help="What to draw: motions the arm can make (also with noise), planted faults, or anything at all.",
-)
-@click.option("--count", type=click.IntRange(min=1), default=1000, show_default=True, metavar="N")
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
-@click.option(
-    "--noise-mm",
-    type=click.FloatRange(min=0.0),
-    default=0.0,
-    help="Noise of `noisy`: standard deviation along each axis [mm]; half as many degrees about each.",
-)
-@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True, help="Worker processes.")
-def make(out: Path, kind: str, count: int, seed: int, noise_mm: float, jobs: int) -> None:
-    """Draw trajectories and write them as npz files, with truth.jsonl beside them."""
-    from benchmarks.tracks import Recipe, Set
-    from benchmarks.tracks import make as make_set
+@main.command(epilog="\b\nExample:\n  python -m benchmarks ik --out docs/benchmarks.md")
+@_out
+@click.option("--repeats", type=_COUNT, default=9, show_default=True, help="Turns of each solver.")
+def ik(out: Path | None, repeats: int) -> None:
+    """Compare inverse kinematics with that of other packages.
 
-    if noise_mm and kind != "noisy":
-        raise click.UsageError(f"--noise-mm goes with --kind noisy, found --kind {kind}")
-    recipe = Recipe(set=Set(kind), seed=seed, noise_m=1e-3 * noise_mm, noise_rad=math.radians(0.5 * noise_mm))
-    try:
-        with click.progressbar(make_set(recipe, count, out, jobs=jobs), length=count, label=kind) as truths:
-            for _ in truths:
-                pass
-    except KinebenchError as error:
-        raise click.ClickException(str(error)) from None
-    click.echo(out)
-
-
-@main.command(
-    epilog="\b\nExample:\n  python -m benchmarks check results tracks",
-)
-@click.argument("results", type=click.Path(path_type=Path, exists=True))
-@click.argument("tracks", type=click.Path(path_type=Path, exists=True, file_okay=False))
-@click.option("--json", "as_json", is_flag=True, help="As JSON.")
-def check(results: Path, tracks: Path, as_json: bool) -> None:
-    """Compare an audit's output folder RESULTS with the truth in the folder TRACKS."""
-    from benchmarks.check import compare, read_rows, table
-    from benchmarks.sample import TRUTH, read_truth
-
-    try:
-        verdicts = compare(read_rows(results), read_truth(tracks / TRUTH))
-    except KinebenchError as error:
-        raise click.ClickException(str(error)) from None
-    click.echo(dump([v.to_json() for v in verdicts], indent=2) if as_json else table(verdicts))
-
-
-@main.command(
-    epilog="\b\nExample:\n  python -m benchmarks bench --out docs/benchmarks.md",
-)
-@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="Markdown file.  [default: on screen]")
-@click.option("--json", "json_out", type=click.Path(path_type=Path, dir_okay=False), help="All numbers, as JSON.")
-@click.option("--repeats", type=click.IntRange(min=1), default=9, show_default=True, help="Turns of each solver.")
-@click.option("--tracks", type=click.IntRange(min=1), default=1000, show_default=True, help="Tracks of the throughput.")
-@click.option("--audits", type=click.IntRange(min=1), default=200, show_default=True, help="Tracks audited whole.")
-def bench(out: Path | None, json_out: Path | None, repeats: int, tracks: int, audits: int) -> None:
-    """Measure the audit's speed, and its inverse kinematics beside that of other packages.
-
-    Those that are not installed are left out and said to be: pip install 'kinebench-drake[bench]' brings them.
+    Packages that are not installed are listed as such: pip install 'kinebench-drake[bench]' installs them.
     """
-    # Before NumPy is loaded: afterwards its libraries do not listen.
-    os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"))
-    from benchmarks.bench import run_bench
-    from benchmarks.markdown import keep_sections
-    from benchmarks.page import document
+    _one_thread()
+    from benchmarks.ik import compare_ik, section
 
-    try:
-        result = run_bench(repeats=repeats, tracks=tracks, audits=audits, note=lambda text: click.echo(text, err=True))
-    except KinebenchError as error:
-        raise click.ClickException(str(error)) from None
-    if json_out is not None:
-        json_out.write_text(dump(result.to_json(), indent=2))
-    if out is None:
-        click.echo(document(result))
-    else:
-        out.write_text(keep_sections(document(result), out.read_text() if out.is_file() else ""))
-        click.echo(out)
+    with _errors():
+        text = section(compare_ik(repeats=repeats, log=_log))
+    _write_section(out, text)
 
 
-@main.command(
-    epilog="\b\nExample:\n  python -m benchmarks causes --episodes 5 --jobs 2",
-)
-@click.option("--episodes", type=click.IntRange(min=1), default=5, show_default=True, help="Of each task.", metavar="K")
+@main.command(epilog="\b\nExample:\n  python -m benchmarks audit --out docs/benchmarks.md")
+@_out
+@click.option("--tracks", type=_COUNT, default=1000, show_default=True, help="Tracks without optimisation.")
+@click.option("--audits", type=_COUNT, default=200, show_default=True, help="Whole audits.")
+def audit(out: Path | None, tracks: int, audits: int) -> None:
+    """Measure the speed of the audit in one process."""
+    _one_thread()
+    from benchmarks.audit import measure, section
+
+    with _errors():
+        text = section(measure(tracks=tracks, audits=audits, log=_log))
+    _write_section(out, text)
+
+
+@main.command(epilog="\b\nExample:\n  python -m benchmarks throughput --out docs/benchmarks.md")
+@_out
+@_work
 @click.option(
-    "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Number of the first of the seeds."
-)
-@click.option("--limit", type=click.IntRange(min=1), help="Run the first N cases only.", metavar="N")
-@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True, help="Worker processes.")
-def causes(episodes: int, seed: int, limit: int | None, jobs: int) -> None:
-    """Run episodes in closed loop with one planted cause of failure each, and see whether the verdict names it."""
-    from benchmarks.causes import cases, finding_lines, run_cases
-    from kinebench_drake.executors.base import ExecutorKind, create_executor
-    from kinebench_drake.suites.suite import load_suite
+    "--video", type=click.Path(path_type=Path, dir_okay=False, exists=True),
+    default=EXAMPLES / "StackCube-v1_s0010_unseen.mp4", show_default=True, help="Video whose copies are scored.",
+)  # fmt: skip
+@click.option("--count", type=click.IntRange(3), default=12, show_default=True, help="Copies of the video.")
+@click.option("--tracks", type=click.IntRange(3), default=200, show_default=True, help="Trajectories audited.")
+@click.option("--turns", type=_COUNT, default=3, show_default=True, help="Runs of each setting.")
+def throughput(out: Path | None, work: Path | None, video: Path, count: int, tracks: int, turns: int) -> None:
+    """Measure runs of score and audit with one and two processes, and on the GPU if there is one."""
+    import torch
 
-    suite = load_suite(0)
-    split = suite.split_name("test")
-    draws = [draw for task in suite.tasks_of(split) for draw in suite.specs(split, task, episodes, offset=seed)]
-    todo = cases(draws)[:limit]
-    try:
-        with click.progressbar(run_cases(create_executor(ExecutorKind.LOCAL, jobs), todo), length=len(todo)) as done:
-            findings = sorted(done, key=lambda f: (f.case.draw.id, f.case.planted.name))
-    except KinebenchError as error:
-        raise click.ClickException(str(error)) from None
-    for line in finding_lines(findings):
-        click.echo(line)
+    from benchmarks.throughput import measure, section
+
+    def run(folder: Path) -> str:
+        gpu = torch.cuda.is_available()
+        costs = measure(video, folder, videos=count, tracks=tracks, turns=turns, gpu=gpu, log=_log)
+        return section(costs, videos=count, tracks=tracks)
+
+    _measure_in(work, out, run)
+
+
+@main.command(epilog="\b\nExample:\n  python -m benchmarks streaming --out docs/benchmarks.md")
+@_out
+@_work
+@click.option("--videos", type=_EXISTING_FOLDER, default=EXAMPLES, show_default=True, help="Folder of mp4 files.")
+@click.option("--samples", type=click.IntRange(80), default=2000, show_default=True, help="Videos scored.")
+@click.option("--frames", type=click.IntRange(2), default=4, show_default=True, help="Frames of each video.")
+@click.option("--jobs", type=_COUNT, default=2, show_default=True, help="Worker processes.")
+def streaming(out: Path | None, work: Path | None, videos: Path, samples: int, frames: int, jobs: int) -> None:
+    """Score very many short videos; measure memory, the report and a second run."""
+    from benchmarks.streaming import measure, section
+
+    options = {"samples": samples, "frames": frames, "jobs": jobs}
+    _measure_in(work, out, lambda folder: section(measure(videos, folder, log=_log, **options)))
+
+
+@main.command(epilog="\b\nExample:\n  python -m benchmarks cluster --out docs/cluster.md")
+@_out
+@_work
+@click.option(
+    "--videos", type=click.Path(path_type=Path, exists=True), default=EXAMPLES / "manifest.jsonl", show_default=True,
+    help="Videos scored.",
+)  # fmt: skip
+@click.option(
+    "--tasks", default="PullCube-v1,OpenDrawer-v1", show_default=True, help="Tasks of the suite run.", metavar="A,B"
+)
+@click.option("--episodes", type=_COUNT, default=2, show_default=True, help="Episodes of each task.", metavar="K")
+def cluster(out: Path | None, work: Path | None, videos: Path, tasks: str, episodes: int) -> None:
+    """Score and run a suite on a Ray cluster of two local nodes, kill a worker, and compare with local runs."""
+    from benchmarks.cluster import SUITE, compare_runs, section
+
+    suite = ["suite", "run", *SUITE, "--tasks", tasks, "--episodes", str(episodes)]
+    commands = [["score", str(videos), "--overlay"], suite]
+    _measure_in(work, out, lambda folder: section(compare_runs(commands, folder, _log)))
+
+
+@main.command(epilog="\b\nExample:\n  python -m benchmarks simulation --out docs/benchmarks.md")
+@_out
+@click.option("--tasks", help="Tasks, comma-separated.  [default: all]", metavar="A,B")
+def simulation(out: Path | None, tasks: str | None) -> None:
+    """Measure the speed of environments, rendering and demonstrations."""
+    from benchmarks.simulation import measure
+    from kinebench_drake.suites.tasks.registry import TASKS
+
+    with _errors():
+        text = measure(list(TASKS) if tasks is None else tasks.split(","))
+    _write_section(out, text)
 
 
 @main.command(
@@ -140,44 +189,197 @@ def causes(episodes: int, seed: int, limit: int | None, jobs: int) -> None:
     "  kinebench-drake suite demos --suite 2 --split unseen --episodes 5 --out heldout\n"
     "  python -m benchmarks calibration heldout --limit 20",
 )
-@click.argument("folder", type=click.Path(path_type=Path, exists=True, file_okay=False))
-@click.option("--limit", type=click.IntRange(min=1), help="So many videos only, tasks in turn.", metavar="N")
-@click.option("--frames", type=click.IntRange(min=4), default=12, show_default=True, help="Of each video.", metavar="N")
+@click.argument("folder", type=_EXISTING_FOLDER)
+@click.option("--limit", type=_COUNT, help="Maximum number of videos, tasks in turn.", metavar="N")
+@click.option(
+    "--frames", type=click.IntRange(min=4), default=12, show_default=True, help="Frames a video.", metavar="N"
+)
 @click.option(
     "--part",
     type=click.FloatRange(min=0.3, max=1.0),
     default=1.0,
     show_default=True,
-    help="Show the middle of each picture only, so much of its sides: a longer lens than the usual one.",
+    help="Keep the middle of each image only, this share of its sides: a longer focal length.",
 )
-@click.option("--quick", is_flag=True, help="With joint angles of all frames only.")
-@click.option("--json", "json_out", type=click.Path(path_type=Path, dir_okay=False), help="All numbers, as JSON.")
+@click.option("--quick", is_flag=True, help="Only with the joint angles of all frames.")
+@click.option("--json", "json_out", type=_FILE, help="All figures, as JSON.")
 def calibration(folder: Path, limit: int | None, frames: int, part: float, quick: bool, json_out: Path | None) -> None:
-    """Find the cameras of rendered videos again, by all that may be known of the robot."""
-    from benchmarks.calibration import CONDITIONS, measure, table
+    """Calibrate the cameras of rendered videos with all kinds of prior information about the robot."""
+    from benchmarks.calibration import CONDITIONS, measure, trial_table
     from kinebench_drake.calibration.result import CalibrationMethod
-    from kinebench_drake.io.atomic import write_atomically
 
-    chosen = [c for c in CONDITIONS if c.method is CalibrationMethod.JOINTS] if quick else CONDITIONS
+    conditions = [c for c in CONDITIONS if c.method is CalibrationMethod.JOINTS] if quick else CONDITIONS
     trials = []
-    try:
-        for trial in measure(folder, limit=limit, frames=frames, part=part, conditions=chosen):
+    with _errors():
+        for trial in measure(folder, limit=limit, frames=frames, part=part, conditions=conditions):
             trials.append(trial)
-            if trial.condition == chosen[-1]:
-                click.echo(trial.clip, err=True)
+            if trial.condition == conditions[-1]:
+                _log(trial.clip)
         if json_out is not None:
             write_atomically(json_out, dump(finite([trial.to_json() for trial in trials]), indent=1).encode())
-    except KinebenchError as error:
-        raise click.ClickException(str(error)) from None
-    for line in table(trials):
+    for line in trial_table(trials):
         click.echo(line)
 
 
-@main.command(
-    epilog="\b\nExample:\n  python -m benchmarks equivalence results-before results-after",
+@main.command(epilog="\b\nExample:\n  python -m benchmarks causes --episodes 5 --jobs 2")
+@click.option("--episodes", type=_COUNT, default=5, show_default=True, help="Episodes of each task.", metavar="K")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="First seed.")
+@click.option("--limit", type=_COUNT, help="Run the first N cases only.", metavar="N")
+@_jobs
+def causes(episodes: int, seed: int, limit: int | None, jobs: int) -> None:
+    """Run episodes in closed loop with one planted cause of failure each, and compare with the verdicts."""
+    from benchmarks.causes import cause_cases, cause_table, run_cases
+    from kinebench_drake.executors.base import ExecutorKind, create_executor
+    from kinebench_drake.suites.suite import load_suite
+
+    suite = load_suite(0)
+    split = suite.split_name("test")
+    specs = [spec for task in suite.tasks_of(split) for spec in suite.specs(split, task, episodes, offset=seed)]
+    cases = cause_cases(specs)[:limit]
+    with (
+        _errors(),
+        click.progressbar(run_cases(create_executor(ExecutorKind.LOCAL, jobs), cases), length=len(cases)) as results,
+    ):
+        ordered = sorted(results, key=lambda r: (r.case.spec.id, r.case.planted.name))
+    for line in cause_table(ordered):
+        click.echo(line)
+
+
+@main.group()
+def trajectories() -> None:
+    """Trajectories with ground truth by proof, and audits compared with it."""
+
+
+@trajectories.command(
+    epilog="\b\nExample:\n  python -m benchmarks trajectories make --out tracks --kind feasible --count 1000",
 )
-@click.argument("before", type=click.Path(path_type=Path, exists=True, file_okay=False))
-@click.argument("after", type=click.Path(path_type=Path, exists=True, file_okay=False))
+@click.option("--out", type=_FOLDER, required=True, help="Folder; created if absent.")
+@click.option(
+    "--kind",
+    type=click.Choice(["feasible", "infeasible", "perturbed", "noisy"]),
+    required=True,
+    help="Feasible motions (also with noise), planted faults, or random disturbances.",
+)
+@click.option("--count", type=_COUNT, default=1000, show_default=True, metavar="N")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
+@click.option(
+    "--noise-mm",
+    type=click.FloatRange(min=0.0),
+    default=0.0,
+    help="Noise of `noisy`: standard deviation along each axis [mm]; half as many degrees about each.",
+)
+@_jobs
+def make(out: Path, kind: str, count: int, seed: int, noise_mm: float, jobs: int) -> None:
+    """Draw trajectories and write them as npz files, with truth.jsonl."""
+    from benchmarks.trajectory_sets import Recipe, TrajectorySet, write_set
+
+    if noise_mm and kind != "noisy":
+        raise click.UsageError(f"--noise-mm goes with --kind noisy, found --kind {kind}")
+    noise_rad = math.radians(0.5 * noise_mm)
+    recipe = Recipe(set=TrajectorySet(kind), seed=seed, noise_m=1e-3 * noise_mm, noise_rad=noise_rad)
+    with _errors(), click.progressbar(write_set(recipe, count, out, jobs=jobs), length=count, label=kind) as truths:
+        for _ in truths:
+            pass
+    click.echo(out)
+
+
+@trajectories.command(epilog="\b\nExample:\n  python -m benchmarks trajectories check results tracks")
+@click.argument("results", type=click.Path(path_type=Path, exists=True))
+@click.argument("tracks", type=_EXISTING_FOLDER)
+@click.option("--json", "as_json", is_flag=True, help="As JSON.")
+def check(results: Path, tracks: Path, as_json: bool) -> None:
+    """Compare an audit's output folder RESULTS with the ground truth in the folder TRACKS."""
+    from benchmarks.check import compare, read_rows, summary_table
+    from benchmarks.trajectory import TRUTH, read_truths
+
+    with _errors():
+        summaries = compare(read_rows(results), read_truths(tracks / TRUTH))
+    click.echo(dump([s.to_json() for s in summaries], indent=2) if as_json else summary_table(summaries))
+
+
+@main.command(
+    name="planted-videos",
+    epilog="\b\nExamples:\n"
+    "  python -m benchmarks planted-videos --out faults --suite 2 --split unseen --episodes 1 --sizes gated\n"
+    "  python -m benchmarks planted-videos --out jumps --tasks StackCube-v1 --seeds 0:5 --kinds teleport "
+    "--sizes 0.03,0.05",
+)
+@click.option("--out", type=_FOLDER, required=True, help="Folder to write to.")
+@click.option("--tasks", metavar="A,B", help="Tasks, comma-separated.  [default: all]")
+@click.option("--seeds", default="0:1", show_default=True, help="Seeds: 7, 0:5 (end excluded), 0:5,9.")
+@click.option("--suite", type=click.IntRange(0, 3), metavar="N", help="Use a suite's episodes instead of --seeds.")
+@click.option("--split", default="test", show_default=True, help="Split of the suite.")
+@click.option("--episodes", type=_COUNT, default=1, show_default=True, help="Episodes of each task.")
+@click.option("--seed", "first", type=click.IntRange(0), default=0, show_default=True, help="First seed of the split.")
+@click.option("--robot", type=click.Choice(["panda", "panda_wristcam"]), default="panda", show_default=True)
+@click.option("--with-depth", is_flag=True, help="Keep depth and gripper masks in truth/ (some MB a video).")
+@click.option("--kinds", default=",".join(KINDS), show_default=True, help="Kinds of faults.")
+@click.option(
+    "--sizes", default="all", show_default=True, help="all, gated (must be detected), or numbers for one kind."
+)
+@click.option(
+    "--each", type=_COUNT, metavar="N", help="Each fault N times, on the episodes in turn.  [default: on all]"
+)
+@click.option("--crf", type=click.IntRange(0, 51), default=16, show_default=True, help="H.264 quality, 0 is lossless.")
+@_jobs
+def planted_videos(
+    out: Path,
+    tasks: str | None,
+    seeds: str,
+    suite: int | None,
+    split: str,
+    episodes: int,
+    first: int,
+    robot: str,
+    with_depth: bool,
+    kinds: str,
+    sizes: str,
+    each: int | None,
+    crf: int,
+    jobs: int,
+) -> None:
+    """Render videos of the Panda, each with one planted fault, and their ground truth."""
+    from benchmarks.planted_videos import (
+        PlantedVideo,
+        PlantingOrder,
+        choose_episodes,
+        make_videos,
+        parse_kinds,
+        write_index,
+    )
+    from kinebench_drake.suites.faults.fault import choose
+
+    with _errors():
+        grades = choose(parse_kinds(kinds), sizes)
+        specs = choose_episodes(tasks, seeds, suite, split, episodes, first)
+    orders = [
+        PlantingOrder(
+            spec=spec,
+            robot=robot,
+            grades=grades if each is None else tuple(dict.fromkeys((grades * each)[i :: len(specs)])),
+            with_depth=with_depth,
+            crf=crf,
+            out=out,
+        )
+        for i, spec in enumerate(specs)
+    ]
+    (out / "truth").mkdir(parents=True, exist_ok=True)
+    videos: list[PlantedVideo] = []
+    with _errors():
+        for result in make_videos([order for order in orders if order.grades], jobs):
+            videos += result.videos
+            for problem in result.problems:
+                _log(problem)
+            for video in result.videos:
+                click.echo(video.id)
+    if not videos:
+        raise click.ClickException("no video was made; the reasons are printed above")
+    write_index(out, videos)
+
+
+@main.command(epilog="\b\nExample:\n  python -m benchmarks equivalence results-before results-after")
+@click.argument("before", type=_EXISTING_FOLDER)
+@click.argument("after", type=_EXISTING_FOLDER)
 def equivalence(before: Path, after: Path) -> None:
     """Compare two output folders of score, audit, ground or suite run; exit 1 if results differ.
 
@@ -199,8 +401,19 @@ def equivalence(before: Path, after: Path) -> None:
         raise SystemExit(1)
 
 
-for command in COMMANDS:
-    main.add_command(command)
+@main.command(epilog="\b\nExample:\n  python -m benchmarks structure --revision v0.1.0 --revision HEAD")
+@click.option(
+    "--revision", "revisions", multiple=True, default=("HEAD",), show_default=True, help="Revision; repeatable.",
+    metavar="REV",
+)  # fmt: skip
+def structure(revisions: tuple[str, ...]) -> None:
+    """Count files, lines and names of the sources at revisions, as a Markdown table."""
+    from benchmarks.structure import count_revision, structure_table
+
+    repository = Path(__file__).parent.parent
+    with _errors():
+        counts = [(revision, count_revision(repository, revision)) for revision in revisions]
+    click.echo(structure_table(counts))
 
 
 if __name__ == "__main__":

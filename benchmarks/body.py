@@ -1,7 +1,8 @@
-"""Where the arm's links are and how low they come, for whole arrays of postures at once.
+"""Link poses and lowest points of the arm for whole arrays of postures.
 
 Forward kinematics here is a product of exponentials (R. W. Brockett, "Robotic manipulators and the product of
-exponentials formula", 1984), read off the plant's posture zero: the proofs do not lean on the code that they test.
+exponentials formula", 1984) with the axes of the plant's zero posture, so that proofs do not depend on the code that
+they test.
 """
 
 from collections.abc import Sequence
@@ -18,7 +19,7 @@ from kinebench_drake.geometry import Array, make_pose, rotation_exp
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.models.robot import N_JOINTS
 
-_OPEN_M = 0.04  # a gap that every gripper of the kind can have
+_OPEN_M = 0.04  # a gap within the range of every such gripper
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -28,7 +29,7 @@ class _Solid:
     joint: int
     """Number of arm joints between the base and the link."""
     side: float
-    """How far the link moves along the hand's y for each metre of the gap between the pads: 1/2, -1/2 or 0."""
+    """Displacement of the link along the hand's y axis / gap between the pads: 1/2, -1/2 or 0."""
     X_BS: Array
     """(4, 4) pose in the base at posture zero with closed fingers [m]."""
     vertices: Array
@@ -38,10 +39,10 @@ class _Solid:
 
 
 class Body:
-    """The arm's joints and its collision geometry, copied out of a plant."""
+    """The arm's joint axes and collision geometry, copied from a plant."""
 
     def __init__(self, plant: ArmPlant) -> None:
-        """Copy from `plant`; its context is left at posture zero, fingers closed."""
+        """Copy from `plant`, whose context is left at posture zero with closed fingers."""
         drake = plant.drake
         plant.set_posture(np.zeros(N_JOINTS), 0.0)
         joints = [drake.GetJointByName(name) for name in plant.robot.joints]
@@ -71,11 +72,11 @@ class Body:
             if body.name() not in ("world", plant.robot.base_link)
             for geometry in drake.GetCollisionGeometriesForBody(body)
         )
-        """Everything that may touch something, the base link left out."""
+        """Collision geometries of all links but the base link."""
         plant.set_posture(np.zeros(N_JOINTS))
 
     def links(self, q: Array) -> Array:
-        """Displacements (N, 8, 4, 4) from posture zero to `q` (N, 7) [rad] of what hangs behind 0..7 joints."""
+        """Return displacements (N, 8, 4, 4) from posture zero to `q` (N, 7) [rad] of the links behind 0..7 joints."""
         X = np.broadcast_to(np.eye(4), (len(q), 4, 4))
         out = [X]
         for j in range(N_JOINTS):
@@ -84,19 +85,19 @@ class Body:
         return np.stack(out, axis=1)
 
     def forward(self, q: Array) -> Array:
-        """TCP poses X_BG (N, 4, 4) [m] of postures `q` (N, 7) [rad]."""
+        """Return TCP poses X_BG (N, 4, 4) [m] of postures `q` (N, 7) [rad]."""
         return np.asarray(self.links(q)[:, -1] @ self.X_BG)
 
     def lowest(self, q: Array, finger_width_m: Array) -> Array:
-        """Height (N,) [m] in B of the arm's lowest point at postures `q` (N, 7) [rad], fingers (N,) [m] apart."""
+        """Return the height (N,) [m] in B of the arm's lowest point at postures `q` (N, 7) [rad] and gaps (N,) [m]."""
         moved = self.links(q)
         return self._lowest(self.solids, moved, finger_width_m)
 
     def lowest_of_gripper(self, X_BG: Array, finger_width_m: Array) -> Array:
-        """Height (N,) [m] in B of the gripper's lowest point (hand and fingers) at TCP poses (N, 4, 4)."""
+        """Return the height (N,) [m] in B of the lowest point of hand and fingers at TCP poses (N, 4, 4)."""
         moved = np.broadcast_to((X_BG @ np.linalg.inv(self.X_BG))[:, None], (len(X_BG), N_JOINTS + 1, 4, 4))
         gripper = [s for s in self.solids if s.joint == N_JOINTS]
-        return self._lowest(gripper[1:], moved, finger_width_m)  # the first is link 7's
+        return self._lowest(gripper[1:], moved, finger_width_m)  # the first belongs to link 7
 
     def _lowest(self, solids: Sequence[_Solid], moved: Array, width: Array) -> Array:
         height = np.full(len(moved), np.inf)
@@ -118,7 +119,7 @@ def _pose(frame: Any, context: Any) -> Array:
 
 
 def _depth(drake: Any, body: Any, depth: dict[str, int]) -> int:
-    """How many arm joints lie between the base and a body that is welded or slides behind them."""
+    """Return the number of arm joints between the base and a body."""
     inbound = {j.child_body().name(): j for j in (drake.get_joint(i) for i in drake.GetJointIndices())}
     while body.name() not in depth:
         body = inbound[body.name()].parent_body()
@@ -126,7 +127,7 @@ def _depth(drake: Any, body: Any, depth: dict[str, int]) -> int:
 
 
 def _about(axis: Array, point: Array, angle: Array) -> Array:
-    """Rotations (N, 4, 4) about a line in space by `angle` (N,) [rad]."""
+    """Return rotations (N, 4, 4) about a line in space by `angle` (N,) [rad]."""
     R = rotation_exp(angle[:, None] * axis)
     return make_pose(R, point - R @ point)
 
@@ -137,4 +138,4 @@ def _vertices(shape: Any) -> Array:
     if isinstance(shape, Mesh | Convex):
         hull = shape.GetConvexHull()
         return np.array([hull.vertex(i) for i in range(hull.num_vertices())])
-    raise InputError(f"no corners are known for a {type(shape).__name__}; expected boxes and meshes")
+    raise InputError(f"collision geometry {type(shape).__name__} is not supported; expected boxes and meshes")

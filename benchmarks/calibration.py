@@ -1,4 +1,4 @@
-"""How well the camera of rendered videos is found again: `python -m benchmarks calibration`."""
+"""Accuracy of the camera calibration on rendered videos with known cameras."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.markdown import table
 from kinebench_drake.calibration.calibrate import default_focal_px, solve_with_reestimate
 from kinebench_drake.calibration.correspondences import NetworkViewEstimator, ViewEstimator
 from kinebench_drake.calibration.fit import with_focal
@@ -21,46 +22,47 @@ from kinebench_drake.io.reader import read_video
 from kinebench_drake.models.panda.robot import RobotPart
 from kinebench_drake.types import Json
 
-_OFF_RAD = 0.15  # about the axis of joint 1: where nothing tells the camera's turn, the true one is no start
+_START_OFFSET_RAD = 0.15  # about the axis of joint 1, which MOTION cannot observe: it may not start from the truth
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Condition:
-    """What is known in a measurement."""
+class CalibrationCondition:
+    """Prior information of a calibration."""
 
     method: CalibrationMethod
     focal_free: bool
 
     @property
     def label(self) -> str:
-        """What stands in tables."""
+        """Label in tables."""
         return f"{self.method.value}, focal length {'estimated' if self.focal_free else 'given'}"
 
 
-CONDITIONS = tuple(Condition(method=m, focal_free=z) for m in CalibrationMethod for z in (False, True))
-"""Everything that is measured."""
+CONDITIONS = tuple(CalibrationCondition(method=m, focal_free=z) for m in CalibrationMethod for z in (False, True))
+"""All conditions that are measured."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Trial:
+class CalibrationTrial:
     """One video under one condition."""
 
     clip: str
-    condition: Condition
+    condition: CalibrationCondition
     distance_m: float
-    """Between the camera found and the true one [m]; NaN where none was found."""
+    """Distance of estimated and true camera [m]; NaN if the calibration failed."""
     angle_rad: float
-    """Between their axes [rad]."""
+    """Angle between them [rad]."""
     focal: float
-    """Focal length found over the true one, less 1."""
-    found: CameraCalibration | None
-    """With the standard deviations it claims."""
+    """Estimated / true focal length - 1."""
+    calibration: CameraCalibration | None
+    """Estimate with its standard deviations."""
 
     def to_json(self) -> dict[str, Json]:
-        """All figures."""
+        """Return all figures."""
         claimed = None
-        if self.found is not None:
-            claimed = (self.found.position_sigma_m, self.found.rotation_sigma_rad, self.found.focal_sigma)
+        if self.calibration is not None:
+            c = self.calibration
+            claimed = (c.position_sigma_m, c.rotation_sigma_rad, c.focal_sigma)
         return {
             "clip": self.clip,
             "condition": self.condition.label,
@@ -77,21 +79,21 @@ def measure(
     limit: int | None,
     frames: int,
     part: float = 1.0,
-    conditions: Sequence[Condition] = CONDITIONS,
+    conditions: Sequence[CalibrationCondition] = CONDITIONS,
     estimator: ViewEstimator | None = None,
-) -> Iterator[Trial]:
-    """Find the cameras of a demonstration folder's videos again.
+) -> Iterator[CalibrationTrial]:
+    """Calibrate the cameras of a demonstration folder's videos.
 
     Args:
-        folder: what `suite demos` writes: videos, camera.json, manifest.jsonl and truth/.
-        limit: so many videos only, tasks in turn.
+        folder: output of `suite demos`: videos, camera.json, manifest.jsonl and truth/.
+        limit: maximum number of videos, tasks in turn.
         frames: frames of each video to use.
-        part: how much of each picture's width and height is shown, in the middle: less is a longer lens.
-        conditions: what is to be known.
+        part: share of each image's width and height to keep, in the middle: less is a longer focal length.
+        conditions: prior information.
         estimator: view estimator; the tracker's networks if None.
 
     Yields:
-        Trials, those of a video one after the other.
+        Trials, video by video.
 
     Raises:
         UsageError: the folder holds no such videos, or their truth no joint angles.
@@ -100,62 +102,62 @@ def measure(
     clips = choose(find_clips(folder), limit)
     estimator = estimator or NetworkViewEstimator.create()
     for clip in clips:
-        film = read_video(clip.video).frames
-        rows = np.unique(np.linspace(0, len(film) - 1, min(frames, len(film))).round().astype(int))
+        video = read_video(clip.video).frames
+        rows = np.unique(np.linspace(0, len(video) - 1, min(frames, len(video))).round().astype(int))
         truth = _states(clip, rows, model)
-        shown, camera = _middle(film[rows], clip.camera, part)
+        images, camera = _crop_middle(video[rows], clip.camera, part)
         usual = with_focal(camera, default_focal_px(camera.width))
-        given = estimator.estimate(shown, camera)
-        views = {False: given, True: given if np.isclose(usual.fx, camera.fx) else estimator.estimate(shown, usual)}
-        off = make_pose(rotation_exp([0.0, 0.0, _OFF_RAD]), np.zeros(3)) @ camera.X_BC
+        own = estimator.estimate(images, camera)
+        views = {False: own, True: own if np.isclose(usual.fx, camera.fx) else estimator.estimate(images, usual)}
+        off = make_pose(rotation_exp([0.0, 0.0, _START_OFFSET_RAD]), np.zeros(3)) @ camera.X_BC
         for condition in conditions:
-            states = _known(truth, condition.method)
+            states = _prior_states(truth, condition.method)
             moving = condition.method is CalibrationMethod.MOTION
             free = condition.focal_free
             guess = replace(usual if free else camera, X_BC=off if moving else camera.X_BC)
             try:
-                solved = solve_with_reestimate(estimator, shown, views[free], states, guess, model, focal_free=free)
+                solved = solve_with_reestimate(estimator, images, views[free], states, guess, model, focal_free=free)
             except UnmeasurableError:
-                yield Trial(
-                    clip=clip.id, condition=condition, distance_m=np.nan, angle_rad=np.nan, focal=np.nan, found=None
+                nan = float("nan")
+                yield CalibrationTrial(
+                    clip=clip.id, condition=condition, distance_m=nan, angle_rad=nan, focal=nan, calibration=None
                 )
                 continue
-            found = describe(
+            calibration = describe(
                 solved,
                 method=condition.method,
                 source=states.source,
                 frames=rows[solved.rows],
                 focal_free=free,
             )
-            distance, angle = pose_difference(found.camera.X_BC, camera.X_BC)
-            yield Trial(
+            distance, angle = pose_difference(calibration.camera.X_BC, camera.X_BC)
+            yield CalibrationTrial(
                 clip=clip.id,
                 condition=condition,
                 distance_m=float(distance),
                 angle_rad=float(angle),
-                focal=found.camera.fx / camera.fx - 1.0,
-                found=found,
+                focal=calibration.camera.fx / camera.fx - 1.0,
+                calibration=calibration,
             )
 
 
-def _middle(frames: Frames, camera: Camera, part: float) -> tuple[Frames, Camera]:
-    """The middle of the frames (T, H, W, 3), and its camera."""
+def _crop_middle(frames: Frames, camera: Camera, part: float) -> tuple[Frames, Camera]:
+    """Return the middle of the frames (T, H, W, 3) and its camera."""
     left, top = (round(side * (1.0 - part) / 2) for side in (camera.width, camera.height))
     width, height = camera.width - 2 * left, camera.height - 2 * top
     cut = np.ascontiguousarray(frames[:, top : top + height, left : left + width])
     return cut, replace(camera, width=width, height=height, cx=camera.cx - left, cy=camera.cy - top)
 
 
-def table(trials: Sequence[Trial]) -> list[str]:
-    """A line for each condition: errors, and what part of them the claimed standard deviations explain."""
-    lines = ["| known | videos | position, median / 95 % | rotation | focal length | claimed sigma, median |"]
-    lines.append("| --- | --- | --- | --- | --- | --- |")
+def trial_table(trials: Sequence[CalibrationTrial]) -> list[str]:
+    """Return the lines of a Markdown table of errors and claimed standard deviations by condition."""
+    rows = []
     for condition in dict.fromkeys(trial.condition for trial in trials):
         own = [t for t in trials if t.condition == condition]
-        done = [t for t in own if t.found is not None]
-        claimed = [t.found for t in done if t.found is not None]
+        done = [t for t in own if t.calibration is not None]
+        claimed = [t.calibration for t in done if t.calibration is not None]
         if not done:
-            lines.append(f"| {condition.label} | 0 of {len(own)} | | | | |")
+            rows.append([condition.label, f"0 of {len(own)}", *[""] * 4])
             continue
         mm = _pair([1e3 * t.distance_m for t in done], 1)
         deg = _pair([float(np.rad2deg(t.angle_rad)) for t in done], 2)
@@ -166,8 +168,9 @@ def table(trials: Sequence[Trial]) -> list[str]:
         )
         if condition.focal_free:
             sigma += f", {100 * np.median([c.focal_sigma for c in claimed]):.2f} %"
-        lines.append(f"| {condition.label} | {len(done)} of {len(own)} | {mm} mm | {deg} degrees | {focal} | {sigma} |")
-    return lines
+        rows.append([condition.label, f"{len(done)} of {len(own)}", f"{mm} mm", f"{deg} degrees", focal, sigma])
+    head = ("known", "videos", "position, median / 95 %", "rotation", "focal length", "claimed sigma, median")
+    return table(head, rows)
 
 
 def _pair(values: Sequence[float], digits: int) -> str:
@@ -183,8 +186,8 @@ def _states(clip: TruthClipFile, rows: Array, model: ArmModel) -> RobotStates:
     return RobotStates(q=q, X_BH=model.poses(q)[:, RobotPart.HAND], finger_m=width / 2, source="the truth")
 
 
-def _known(truth: RobotStates, method: CalibrationMethod) -> RobotStates:
-    """What of the truth is told."""
+def _prior_states(truth: RobotStates, method: CalibrationMethod) -> RobotStates:
+    """Return the part of the true states that a method uses."""
     nothing = unknown_states(len(truth.q))
     if method is CalibrationMethod.JOINTS:
         return truth

@@ -1,12 +1,12 @@
-"""Episodes with one planted cause of failure, and whether the verdict names it.
+"""Episodes with one planted cause of failure, to validate the attribution.
 
-Each cause is planted where it acts: in the video (the oracle with a fault), in the reading (poses taken away), in the
-robot (servos off by an angle, fingers that stay as they are), or in the plan (the expert stops half-way). Only episodes
-that fail have a verdict; where the task succeeds in spite of the cause there is nothing to explain.
+Each cause is planted where it acts: in the video (the oracle with a fault), in the grounding (poses removed), in the
+robot (a servo with an offset, or fingers that do not move), or in the plan (the expert stops half-way). Only episodes
+that fail have a verdict; those that succeed in spite of the cause are not counted.
 """
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from functools import partial
@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from typing_extensions import override
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.closed_loop.attribution import FailureVerdict, find_cause
@@ -45,16 +46,16 @@ FAULTS = (
     FaultGrade(kind=AnomalyKind.VANISH, size=10, form=None),
     FaultGrade(kind=AnomalyKind.FREEZE, size=8, form=None),
 )
-"""Faults of the video, in turn: those that move the gripper's path, so that episodes fail by them."""
+"""Faults of the video, in turn: those that change the gripper's path, so that episodes fail by them."""
 LOST_SHARE = (0.3, 0.7)
-"""Part of the frames, in a row, that the reader loses."""
-SLACK_RAD = 0.2
-"""How far the first joint's servo is off."""
+"""Range of the share of consecutive frames that the grounding loses."""
+SERVO_OFFSET_RAD = 0.2
+"""Offset of the first joint's servo [rad]."""
 _SIZE_PX = 384
 
 
-class Planted(Enum):
-    """Where the cause is, and the verdict that should name it."""
+class PlantedCause(Enum):
+    """Place of the cause, with the verdict that should name it."""
 
     READING = FailureVerdict.GROUNDING
     VIDEO = FailureVerdict.GENERATION
@@ -63,38 +64,38 @@ class Planted(Enum):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Case:
+class CauseCase:
     """One episode with one cause."""
 
-    draw: EpisodeSpec
-    planted: Planted
+    spec: EpisodeSpec
+    planted: PlantedCause
     number: int
-    """Which of its kind it is; decides the details."""
+    """Number of the episode; selects the variant of the cause."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Finding:
-    """What came of a case."""
+class CauseResult:
+    """Verdict on a case."""
 
-    case: Case
+    case: CauseCase
     verdict: FailureVerdict | None
-    """None where the episode succeeded all the same."""
+    """None if the episode succeeded or could not be run."""
     text: str
-    """The cause in words, or why there was no episode."""
+    """Explanation of the verdict, or why there is none."""
 
 
-class _ForgetfulAnalyzer(Analyzer):
-    """An analyzer that loses the gripper for a while."""
+class _LossyAnalyzer(Analyzer):
+    """An analyzer that loses the gripper in consecutive frames."""
 
-    share: tuple[float, float] | None = None
-    """First frame and number of frames that are lost, as parts of the clip."""
+    lost: tuple[float, float] | None = None
+    """First lost frame and number of lost frames, as shares of the clip."""
 
-    def ground(self, frames: NDArray[np.uint8], camera: Camera, t_s: Array, known: Priors) -> GroundingResult:
-        """Track the gripper, then lose it."""
-        grounding = super().ground(frames, camera, t_s, known)
-        if self.share is None:
+    def ground(self, frames: NDArray[np.uint8], camera: Camera, t_s: Array, priors: Priors) -> GroundingResult:
+        """Track the gripper, then remove the lost frames."""
+        grounding = super().ground(frames, camera, t_s, priors)
+        if self.lost is None:
             return grounding
-        start, length = (round(part * len(frames)) for part in self.share)
+        start, length = (round(part * len(frames)) for part in self.lost)
         return replace(grounding, track=_without(grounding.track, slice(start, start + length)))
 
 
@@ -105,35 +106,35 @@ def _without(track: GripperTrack, lost: slice) -> GripperTrack:
     return replace(track, X_CH=X_CH, X_BG=X_BG, finger_width_m=width, tracked=tracked, confidence=confidence)
 
 
-class _SlackStage(Simulator):
-    """A stage whose robot does something else than it is told."""
+class _FaultyRobot(Simulator):
+    """A simulator whose robot does not execute the commands exactly."""
 
-    slack_rad = 0.0
-    stuck = False
+    servo_offset_rad = 0.0
+    fingers_stuck = False
 
+    @override
     def step(self, q: ArrayLike, finger_width_m: float) -> None:
-        """See `Stage.step`."""
-        off = np.asarray(q, dtype=np.float64) + self.slack_rad * (np.arange(7) == 0)
-        width = float(self.snapshot().fingers_m.sum()) if self.stuck else finger_width_m
+        off = np.asarray(q, dtype=np.float64) + self.servo_offset_rad * (np.arange(7) == 0)
+        width = float(self.snapshot().fingers_m.sum()) if self.fingers_stuck else finger_width_m
         super().step(np.clip(off, *self.joint_limits), width)
 
 
-class _HalfWay:
-    """Imagines the first half of what the expert would do, and no more."""
+class _HalfWayModel:
+    """A world model that renders the first half of the expert's plan."""
 
     name = "half-way"
 
     def __init__(self) -> None:
-        self._private = OracleRenderer()
+        self._renderer = OracleRenderer()
 
     def set_state(self, episode: Episode, state: SimulatorState) -> None:
-        self._private.set_state(episode, state)
+        self._renderer.set_state(episode, state)
 
     def generate(self, request: Request, out: Path) -> Path:
-        return self._private.write_clip(partial(_first_half, find_expert(request.task)), request, out)
+        return self._renderer.write_clip(partial(_first_half, find_expert(request.task)), request, out)
 
     def close(self) -> None:
-        self._private.close()
+        self._renderer.close()
 
 
 def _first_half(expert: Expert, scene: Scene) -> Sequence[Waypoint]:
@@ -146,78 +147,69 @@ class _Worker:
     """Runs cases."""
 
     def __init__(self) -> None:
-        plant = ArmPlant()
-        self._analyzer = _ForgetfulAnalyzer(RobotOptions())
-        self._hand = SimulatorCache(_SlackStage, _SIZE_PX)
-        commander, options = CommandPlanner(plant), LoopOptions(rounds=1, pixels_only=True)
-        make: Any = partial(ClosedLoop, self._analyzer.ground, commander)
-        self._plain, self._half = make(OracleModel(), options), make(_HalfWay(), options)
+        self._analyzer = _LossyAnalyzer(RobotOptions())
+        self._simulators = SimulatorCache(_FaultyRobot, _SIZE_PX)
+        options = LoopOptions(rounds=1, pixels_only=True)
+        make: Any = partial(ClosedLoop, self._analyzer.ground, CommandPlanner(ArmPlant()))
+        self._plain, self._half = make(OracleModel(), options), make(_HalfWayModel(), options)
         self._faulty = [make(OracleModel(fault=fault), options) for fault in FAULTS]
 
-    def __call__(self, case: Case) -> Finding:
-        episode = case.draw.episode()
-        stage = self._hand.get(episode.task, episode.variant)
+    def __call__(self, case: CauseCase) -> CauseResult:
+        episode = case.spec.episode()
+        simulator = self._simulators.get(episode.task, episode.variant)
         rng = generator("causes", episode.id, case.planted.name)
         length = float(rng.uniform(*LOST_SHARE))
-        self._analyzer.share = (
-            (float(rng.uniform(0.05, 1.0 - length)), length) if case.planted is Planted.READING else None
+        self._analyzer.lost = (
+            (float(rng.uniform(0.05, 1.0 - length)), length) if case.planted is PlantedCause.READING else None
         )
-        stage.slack_rad = SLACK_RAD if case.planted is Planted.ROBOT and case.number % 2 == 0 else 0.0
-        stage.stuck = case.planted is Planted.ROBOT and case.number % 2 == 1
-        loop = {Planted.VIDEO: self._faulty[case.number % len(FAULTS)], Planted.PLAN: self._half}.get(
+        robot = case.planted is PlantedCause.ROBOT
+        simulator.servo_offset_rad = SERVO_OFFSET_RAD if robot and case.number % 2 == 0 else 0.0
+        simulator.fingers_stuck = robot and case.number % 2 == 1
+        loop = {PlantedCause.VIDEO: self._faulty[case.number % len(FAULTS)], PlantedCause.PLAN: self._half}.get(
             case.planted, self._plain
         )
         with TemporaryDirectory() as folder:
             try:
-                run = loop.run(stage, episode, Path(folder) / episode.id)
-            except InputError as error:  # the expert finds no path, the clip has no place for the fault
-                return Finding(case=case, verdict=None, text=str(error))
+                run = loop.run(simulator, episode, Path(folder) / episode.id)
+            except InputError as error:  # the expert has no path, the clip no place for the fault
+                return CauseResult(case=case, verdict=None, text=str(error))
         cause = find_cause(run, [self._analyzer.judge(r.grounded.track) for r in run.rounds])
-        return Finding(
+        return CauseResult(
             case=case,
             verdict=None if cause is None else cause.verdict,
-            text="succeeded all the same" if cause is None else cause.text,
+            text="succeeded in spite of the cause" if cause is None else cause.text,
         )
 
 
-@dataclass(frozen=True, slots=True)
-class _Make:
-    """Makes a worker in each process."""
-
-    def __call__(self) -> Callable[[Case], Finding]:
-        return _Worker()
+def cause_cases(specs: Sequence[EpisodeSpec]) -> list[CauseCase]:
+    """Return each cause on each episode."""
+    return [CauseCase(spec=spec, planted=planted, number=i) for i, spec in enumerate(specs) for planted in PlantedCause]
 
 
-def cases(draws: Sequence[EpisodeSpec]) -> list[Case]:
-    """Each cause on each of some episodes."""
-    return [Case(draw=draw, planted=planted, number=i) for i, draw in enumerate(draws) for planted in Planted]
-
-
-def run_cases(engine: Executor, todo: Sequence[Case]) -> Iterator[Finding]:
+def run_cases(executor: Executor, cases: Sequence[CauseCase]) -> Iterator[CauseResult]:
     """Run cases, in any order.
 
     Raises:
         KinebenchError: a worker died.
     """
-    for done in engine.run(_Make(), list(todo)):
+    for done in executor.run(_Worker, list(cases)):
         if isinstance(done, WorkerCrash):
-            raise KinebenchError(f"{done.item.draw.id}: {done.reason}")
+            raise KinebenchError(f"{done.item.spec.id}: {done.reason}")
         yield done.result
 
 
-def finding_lines(findings: Sequence[Finding]) -> Iterator[str]:
-    """Verdicts beside the planted causes, to print."""
-    failed = [f for f in findings if f.verdict is not None]
+def cause_table(results: Sequence[CauseResult]) -> Iterator[str]:
+    """Yield the lines of a table of verdicts by planted cause, then the wrong verdicts."""
+    failed = [r for r in results if r.verdict is not None]
     yield f"{'planted in':12}{'failed':>8}{'right':>8}   verdicts"
-    for planted in Planted:
-        own = [f for f in failed if f.case.planted is planted]
-        told = Counter(f.verdict.value for f in own if f.verdict)
-        right = sum(f.verdict is planted.value for f in own)
-        named = ", ".join(f"{name} {n}" for name, n in told.most_common())
-        yield f"{planted.name.lower():12}{len(own):8}{right:8}   {named}"
-    right = sum(f.verdict is f.case.planted.value for f in failed)
+    for planted in PlantedCause:
+        own = [r for r in failed if r.case.planted is planted]
+        verdicts = Counter(r.verdict.value for r in own if r.verdict)
+        right = sum(r.verdict is planted.value for r in own)
+        names = ", ".join(f"{name} {n}" for name, n in verdicts.most_common())
+        yield f"{planted.name.lower():12}{len(own):8}{right:8}   {names}"
+    right = sum(r.verdict is r.case.planted.value for r in failed)
     yield f"{'all':12}{len(failed):8}{right:8}   {right / max(len(failed), 1):.1%}"
-    for f in failed:
-        if f.verdict is not f.case.planted.value:
-            said = "" if f.verdict is None else f.verdict.value
-            yield f"  {f.case.draw.id}, planted in {f.case.planted.name.lower()}: {said}, {f.text}"
+    for r in failed:
+        if r.verdict is not None and r.verdict is not r.case.planted.value:
+            yield f"  {r.case.spec.id}, planted in {r.case.planted.name.lower()}: {r.verdict.value}, {r.text}"

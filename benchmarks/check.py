@@ -1,45 +1,45 @@
-"""An audit's rows held against the truth: false alarms, faults found, reasons named, rows that explain nothing."""
+"""Comparison of an audit's rows with the ground truth: false alarms, detections, right reasons, missing reasons."""
 
-import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
-from benchmarks.sample import Kind, Truth
+from benchmarks.markdown import table
+from benchmarks.trajectory import TrajectoryKind, TrajectoryTruth
 from kinebench_drake.errors import InputError, cause
+from kinebench_drake.io.jsonl import parse_json
 from kinebench_drake.results.aggregate import Estimate, estimate
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.types import Json
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Count:
-    """How often something was so, and where."""
+class ShareCount:
+    """A share with its interval and the exceptions."""
 
     share: Estimate
-    """Share with its interval (Wilson, 95 %)."""
+    """Share with its 95 % Wilson interval."""
     hits: int
     """Numerator of the share."""
     ids: tuple[str, ...]
-    """The trajectories to look at: false alarms, misses, wrong reasons."""
+    """Trajectories to inspect: false alarms, misses, wrong reasons."""
 
     def to_json(self) -> dict[str, Json]:
-        """As an object."""
+        """Return the object as printed."""
         return {"hits": self.hits, **self.share.to_json(), "ids": list(self.ids)}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Verdict:
-    """One kind of trajectories in numbers."""
+class KindSummary:
+    """Results of all trajectories of one kind."""
 
-    kind: Kind
+    kind: TrajectoryKind
     total: int
-    """Trajectories of the kind."""
-    judged_infeasible: Count
-    """Rows that say infeasible: false alarms where the truth is feasible, detections where it is not. The ids are
-    those that are wrong."""
-    reason_named: Count | None
-    """Rows that say infeasible and name a right reason, of all of a planted kind; the ids are those that do not."""
+    """Number of trajectories."""
+    judged_infeasible: ShareCount
+    """Rows with `feasible` false: false alarms if the truth is feasible, detections if not; ids of the wrong rows."""
+    reason_named: ShareCount | None
+    """Rows with `feasible` false that name a right reason, of all with a planted fault; ids of the other rows."""
     undecided: tuple[str, ...]
     """Rows whose `feasible` is null."""
     missing: tuple[str, ...]
@@ -47,10 +47,10 @@ class Verdict:
     errors: tuple[str, ...]
     """Rows with status error."""
     unexplained: tuple[str, ...]
-    """Rows with status error, or without a reason where one is due: not ok, or a null metric."""
+    """Rows with status error, and rows without a reason for a status that is not ok or for a null metric."""
 
     def to_json(self) -> dict[str, Json]:
-        """As an object."""
+        """Return the object as printed."""
         return {
             "kind": self.kind.value,
             "total": self.total,
@@ -64,35 +64,35 @@ class Verdict:
 
 
 def read_rows(path: Path) -> list[SampleRow]:
-    """Rows of a samples.jsonl, or of the output folder that holds it.
+    """Read the rows of a samples.jsonl, or of the output folder that holds it.
 
     Raises:
         InputError: it is absent or damaged.
     """
     file = path / "samples.jsonl" if path.is_dir() else path
     try:
-        return [SampleRow.from_json(json.loads(line)) for line in file.read_text().splitlines()]
+        return [SampleRow.from_json(parse_json(line)) for line in file.read_bytes().splitlines()]
     except (OSError, ValueError) as error:
         raise InputError(f"{file.name}: cannot be read ({cause(error)})") from None
 
 
-def compare(rows: Iterable[SampleRow], truths: Mapping[str, Truth]) -> tuple[Verdict, ...]:
-    """One verdict for each kind that `truths` (by id) holds; rows are matched by id, or by their file's name."""
-    found: dict[str, SampleRow] = {}
+def compare(rows: Iterable[SampleRow], truths: Mapping[str, TrajectoryTruth]) -> tuple[KindSummary, ...]:
+    """Summarize each kind in `truths` (by id); rows are matched by id, or by the name of their file."""
+    by_id: dict[str, SampleRow] = {}
     for row in rows:
-        found.setdefault(row.id if row.id in truths else PurePosixPath(row.video).stem, row)
-    kinds = {kind: [t for t in truths.values() if t.kind is kind] for kind in Kind}
-    return tuple(_verdict(kind, group, found) for kind, group in kinds.items() if group)
+        by_id.setdefault(row.id if row.id in truths else PurePosixPath(row.video).stem, row)
+    kinds = {kind: [t for t in truths.values() if t.kind is kind] for kind in TrajectoryKind}
+    return tuple(_summary(kind, group, by_id) for kind, group in kinds.items() if group)
 
 
-def _verdict(kind: Kind, truths: Sequence[Truth], found: Mapping[str, SampleRow]) -> Verdict:
-    pairs = [(truth, found[truth.id]) for truth in truths if truth.id in found]
+def _summary(kind: TrajectoryKind, truths: Sequence[TrajectoryTruth], rows: Mapping[str, SampleRow]) -> KindSummary:
+    pairs = [(truth, rows[truth.id]) for truth in truths if truth.id in rows]
     ok = [(truth, row) for truth, row in pairs if row.status is Status.OK]
     wrong = [
         truth.id for truth, row in pairs if truth.feasible is not None and (row.feasible is False) is truth.feasible
     ]
     named = [row.feasible is False and _names(row, truth) for truth, row in pairs]
-    return Verdict(
+    return KindSummary(
         kind=kind,
         total=len(truths),
         judged_infeasible=_count([row.feasible is False for _, row in pairs], len(truths), wrong),
@@ -100,13 +100,13 @@ def _verdict(kind: Kind, truths: Sequence[Truth], found: Mapping[str, SampleRow]
         if truths[0].reasons
         else None,
         undecided=tuple(truth.id for truth, row in ok if row.feasible is None),
-        missing=tuple(truth.id for truth in truths if truth.id not in found),
+        missing=tuple(truth.id for truth in truths if truth.id not in rows),
         errors=tuple(truth.id for truth, row in pairs if row.status is Status.ERROR),
         unexplained=tuple(truth.id for truth, row in pairs if _unexplained(row)),
     )
 
 
-def _names(row: SampleRow, truth: Truth) -> bool:
+def _names(row: SampleRow, truth: TrajectoryTruth) -> bool:
     return bool({reason.value for reason in truth.reasons} & {str(v.get("kind")) for v in row.violations})
 
 
@@ -116,49 +116,45 @@ def _unexplained(row: SampleRow) -> bool:
     return row.status is Status.ERROR or not row.reason
 
 
-def _count(values: Sequence[bool], total: int, ids: Sequence[str]) -> Count:
-    return Count(share=estimate(values, total=total), hits=sum(values), ids=tuple(ids))
+def _count(values: Sequence[bool], total: int, ids: Sequence[str]) -> ShareCount:
+    return ShareCount(share=estimate(values, total=total), hits=sum(values), ids=tuple(ids))
 
 
-def table(verdicts: Sequence[Verdict]) -> str:
-    """The verdicts as Markdown, with the trajectories to look at below."""
-    lines = [
-        "| kind | trajectories | judged infeasible | right reason named | undecided | missing | errors | unexplained |",
-        "| --- | --- | --- | --- | --- | --- | --- | --- |",
-    ]
-    notes = []
-    for v in verdicts:
-        named = "" if v.reason_named is None else _percent(v.reason_named)
-        counts = " | ".join(str(len(ids)) for ids in (v.undecided, v.missing, v.errors, v.unexplained))
-        lines.append(f"| {v.kind.value} | {v.total} | {_percent(v.judged_infeasible)} | {named} | {counts} |")
-        alarm = "false alarms" if v.kind in (Kind.FEASIBLE, Kind.NOISY) else "not found"
-        wrong = () if v.reason_named is None else v.reason_named.ids
-        found_but = tuple(i for i in wrong if i not in v.judged_infeasible.ids)
+def summary_table(summaries: Sequence[KindSummary]) -> str:
+    """Return the summaries as a Markdown table, with the trajectories to inspect below."""
+    head = ("kind", "trajectories", "judged infeasible", "right reason named")
+    rows, notes = [], []
+    for s in summaries:
+        named = "" if s.reason_named is None else _percent(s.reason_named)
+        counts = [str(len(ids)) for ids in (s.undecided, s.missing, s.errors, s.unexplained)]
+        rows.append([s.kind.value, str(s.total), _percent(s.judged_infeasible), named, *counts])
+        feasible = s.kind in (TrajectoryKind.FEASIBLE, TrajectoryKind.NOISY)
+        wrong_reason = () if s.reason_named is None else s.reason_named.ids
         for name, ids in (
-            (alarm, v.judged_infeasible.ids),
-            ("found for another reason", found_but),
-            ("undecided", v.undecided),
-            ("missing", v.missing),
-            ("errors", v.errors),
-            ("unexplained", v.unexplained),
+            ("false alarms" if feasible else "not detected", s.judged_infeasible.ids),
+            ("another reason named", tuple(i for i in wrong_reason if i not in s.judged_infeasible.ids)),
+            ("undecided", s.undecided),
+            ("missing", s.missing),
+            ("errors", s.errors),
+            ("unexplained", s.unexplained),
         ):
             if ids:
-                notes.append(f"{v.kind.value}, {name}: {' '.join(ids)}")
-    planted = [v for v in verdicts if v.reason_named is not None]
+                notes.append(f"{s.kind.value}, {name}: {' '.join(ids)}")
+    planted = [s for s in summaries if s.reason_named is not None]
     if len(planted) > 1:
-        found = _together([v.judged_infeasible for v in planted])
-        named = _together([v.reason_named for v in planted if v.reason_named is not None])
-        empty = " | ".join([""] * 4)
-        lines.append(f"| all planted | {sum(v.total for v in planted)} | {found} | {named} | {empty} |")
+        detected = _pooled([s.judged_infeasible for s in planted])
+        named = _pooled([s.reason_named for s in planted if s.reason_named is not None])
+        rows.append(["all planted", str(sum(s.total for s in planted)), detected, named, *[""] * 4])
+    lines = table((*head, "undecided", "missing", "errors", "unexplained"), rows)
     return "\n".join([*lines, *(["", *notes] if notes else [])])
 
 
-def _together(counts: Sequence[Count]) -> str:
+def _pooled(counts: Sequence[ShareCount]) -> str:
     values = [hit for c in counts for hit in [True] * c.hits + [False] * (c.share.n - c.hits)]
     return _percent(_count(values, sum(c.share.total for c in counts), ()))
 
 
-def _percent(count: Count) -> str:
+def _percent(count: ShareCount) -> str:
     s = count.share
     if s.mean is None or s.low is None or s.high is None:
         return ""

@@ -26,13 +26,6 @@ def replace_section(document: str, section: str) -> str:
     return _join([top, *others])
 
 
-def keep_sections(document: str, earlier: str) -> str:
-    """Append to a page those sections of its earlier version that it does not have itself."""
-    parts = _split(document)
-    own = {_heading(part) for part in parts[1:]}
-    return _join([*parts, *(part for part in _split(earlier)[1:] if _heading(part) not in own)])
-
-
 def _split(document: str) -> list[str]:
     """Split a page into the text before the first section and the sections."""
     top, *others = f"\n{document}".split(_MARK)

@@ -1,4 +1,4 @@
-"""Joint motions as smooth splines, and the proof that the arm can make one."""
+"""Joint motions as smooth splines, and the proof that the arm can execute one."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -11,16 +11,16 @@ from kinebench_drake.geometry import Array
 from kinebench_drake.kinematics.plant import ArmPlant
 
 PROOF_HZ = 500.0
-"""Instants a second at which a motion is held against every limit."""
+"""Rate at which a motion is compared with every limit [Hz]."""
 CLEARANCE_M = 0.001
-"""Least distance between links that may not touch."""
+"""Least distance between links that may not touch [m]."""
 
-_FAR_M = 0.05  # distances beyond are not told apart
+_FAR_M = 0.05  # greater distances are not computed
 _DEGREE = 5  # a continuous fourth derivative: acceleration and jerk are exact, not differences
 
 
 class Arm:
-    """The robot, twice: Drake's plant, and the copy of its geometry that takes whole arrays."""
+    """The robot as Drake's plant, and a vectorised copy of its geometry."""
 
     def __init__(self) -> None:
         """Load the Panda."""
@@ -30,12 +30,12 @@ class Arm:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Motion:
-    """A joint path over time, at rest at both ends if it came from `through`."""
+    """A joint path over time; at rest at both ends if it was made by `through`."""
 
     spline: BSpline
-    """From time [s] to the (7,) joint angles [rad], four times differentiable."""
+    """Joint angles (7,) [rad] over time [s], four times differentiable."""
     duration_s: float
-    """It runs from 0 to here."""
+    """End of the motion, which begins at 0 [s]."""
     t_width_s: Array
     """(K,) times of the finger widths [s]."""
     finger_width_m: Array
@@ -43,28 +43,28 @@ class Motion:
 
     @classmethod
     def through(cls, t_s: Array, q: Array, finger_width_m: Array) -> "Motion":
-        """The motion through postures `q` (K, 7) [rad] at times `t_s` (K,) [s] from 0, from rest to rest."""
+        """Fit the motion through postures `q` (K, 7) [rad] at times `t_s` (K,) [s] from 0, from rest to rest."""
         rest = [(1, np.zeros(7)), (2, np.zeros(7))]
         spline = make_interp_spline(t_s, q, k=_DEGREE, bc_type=(rest, rest))
         return cls(spline=spline, duration_s=float(t_s[-1]), t_width_s=t_s, finger_width_m=finger_width_m)
 
     def q(self, t_s: Array, derivative: int = 0) -> Array:
-        """Joint angles (N, 7) [rad], or a derivative of them, at times (N,) [s]."""
+        """Return joint angles (N, 7) [rad], or a derivative of them, at times (N,) [s]."""
         return np.asarray(self.spline(t_s, nu=derivative))
 
     def width(self, t_s: Array) -> Array:
-        """Gap between the pads (N,) [m] at times (N,) [s]."""
+        """Return the gap between the pads (N,) [m] at times (N,) [s]."""
         return np.asarray(np.interp(t_s, self.t_width_s, self.finger_width_m))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Proof:
-    """A motion held against every limit, `PROOF_HZ` times a second."""
+    """Comparison of a motion with every limit, at `PROOF_HZ`."""
 
     position_margin_rad: float
     """Least distance to a joint limit [rad]; negative outside."""
     velocity: float
-    """Greatest joint speed / its limit; likewise the next three."""
+    """Greatest joint speed / its limit; the next three likewise."""
     acceleration: float
     jerk: float
     torque: float
@@ -75,7 +75,7 @@ class Proof:
 
     @property
     def holds(self) -> bool:
-        """Whether the arm can do it."""
+        """True if the arm can execute the motion."""
         return (
             self.position_margin_rad >= 0.0
             and all(ratio <= 1.0 for ratio in (self.velocity, self.acceleration, self.jerk, self.torque))
@@ -85,9 +85,9 @@ class Proof:
 
 
 def prove(arm: Arm, motion: Motion, start_s: float, end_s: float) -> Proof:
-    """Hold a motion between two times against position, speed, acceleration, jerk, torque, itself and the table.
+    """Compare a motion between two times with the limits of position, speed, acceleration, jerk, torque and distance.
 
-    The derivatives are the spline's own. The dear tests are left out (NaN) once a cheap one has failed.
+    The derivatives are the spline's own. The expensive checks are omitted (NaN) if a cheap one fails.
     """
     t_s = np.linspace(start_s, end_s, max(2, round((end_s - start_s) * PROOF_HZ) + 1))
     plant, body = arm.plant, arm.body
@@ -96,7 +96,7 @@ def prove(arm: Arm, motion: Motion, start_s: float, end_s: float) -> Proof:
     margin = float(np.minimum(q - plant.lower, plant.upper - q).min())
     ratios = [
         float((np.abs(x) / limit).max())
-        for x, limit in ((v, plant.velocity_limits), (a, accelerations(arm)), (j, jerks(arm)))
+        for x, limit in ((v, plant.velocity_limits), (a, acceleration_limits(arm)), (j, jerk_limits(arm)))
     ]
     height = float(body.lowest(q, width).min())
     torque = distance = np.nan
@@ -115,18 +115,18 @@ def prove(arm: Arm, motion: Motion, start_s: float, end_s: float) -> Proof:
     )
 
 
-def accelerations(arm: Arm) -> Array:
-    """Greatest joint accelerations (7,) [rad/s^2]."""
+def acceleration_limits(arm: Arm) -> Array:
+    """Return the greatest joint accelerations (7,) [rad/s^2]."""
     return np.asarray(arm.plant.acceleration_limits, dtype=np.float64)
 
 
-def jerks(arm: Arm) -> Array:
-    """Greatest joint jerks (7,) [rad/s^3]."""
+def jerk_limits(arm: Arm) -> Array:
+    """Return the greatest joint jerks (7,) [rad/s^3]."""
     return np.asarray(arm.plant.jerk_limits, dtype=np.float64)
 
 
 def self_distance(arm: Arm, q: Array, finger_width_m: Array) -> Array:
-    """Least distance (N,) [m] between links that may not touch at postures (N, 7) [rad], at most 0.05."""
+    """Return the least distance (N,) [m] between links that may not touch at postures (N, 7) [rad], at most 0.05."""
     return np.array(
         [
             min((pair.distance for pair in _pairs(arm, *state)), default=_FAR_M)

@@ -1,8 +1,8 @@
-"""Motions of the kind that experts make, and others that the arm can make all the same.
+"""Random motions like those of experts, and random joint paths.
 
-Straight moves between gripper poses (minimum jerk or a trapezoid of speed with smooth flanks), some flowing into each
-other, rests while the fingers move; followed by inverse kinematics and made a spline in joint space. What a motion is
-meant to do is drawn here; whether the arm can do it, `motion.prove` tells.
+Straight moves between gripper poses (minimum jerk or a trapezoidal speed profile with smooth flanks), some blended,
+with rests while the fingers move; followed by inverse kinematics and fitted by a spline in joint space. `motion.prove`
+decides whether the arm can execute them.
 """
 
 from collections.abc import Sequence
@@ -11,7 +11,7 @@ from enum import Enum
 
 import numpy as np
 
-from benchmarks.motion import Arm, Motion, accelerations
+from benchmarks.motion import Arm, Motion, acceleration_limits
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array, make_pose, rotation_angle, rotation_exp, rotation_log
 from kinebench_drake.kinematics.continuation import minimum_jerk
@@ -23,24 +23,24 @@ from kinebench_drake.suites.experts.motion import plan
 from kinebench_drake.suites.experts.registry import EXPERTS
 
 KNOT_S = 0.04
-"""Time between the postures that a spline joins [s]."""
+"""Time between the knots of a spline [s]."""
 TABLE_X_M, TABLE_Y_M, CEILING_M = (0.3, 0.75), (-0.35, 0.35), 0.5
-"""Where the gripper works."""
+"""Workspace of the gripper."""
 TOUCH_M = 1e-4
-"""Height of the fingertips above a table they touch: rounding must not push them in."""
+"""Height of fingertips that touch the table, against rounding [m]."""
 SHORTEST_S = 0.5
-"""Least time of a move."""
+"""Least duration of a move [s]."""
 JOINT_SPEED_SHARE, JOINT_ACCELERATION_SHARE = 0.9, 0.8
-"""The most of the limits that motions drawn in joint space ask for."""
+"""Greatest shares of the limits that random joint paths use."""
 
 
 class Family(Enum):
-    """How a feasible motion was drawn."""
+    """Way of drawing a motion."""
 
     CARTESIAN = "cartesian"
     """Pick, place, push, pull, turn, open: straight or curved moves of the gripper."""
     SHIPPED = "shipped"
-    """The plans of the shipped experts in random scenes."""
+    """Plans of the shipped experts in random scenes."""
     JOINT = "joint"
     """Smooth random joint paths up to high speeds and accelerations."""
 
@@ -50,18 +50,18 @@ class Move:
     """One move of the gripper."""
 
     X_BG: Array
-    """(4, 4) pose of the TCP at its end [m]."""
+    """(4, 4) pose of the TCP at the end [m]."""
     finger_width_m: float
-    """Gap between the pads at its end [m]."""
-    flows: bool = False
-    """Whether the next move begins before this one ends."""
+    """Gap between the pads at the end [m]."""
+    blends: bool = False
+    """True if the next move begins before this one ends."""
 
 
 def trapezoid(s: Array, flank: float) -> Array:
-    """Fraction of the way at fraction `s` of the time: steady speed, with cubic flanks of `flank` at both ends."""
+    """Return the share of the path at share `s` of the time: constant speed, cubic flanks of `flank` at both ends."""
     s = np.clip(s, 0.0, 1.0)
 
-    def risen(u: Array) -> Array:  # integral of 3 u^2 - 2 u^3, and of 1 beyond
+    def risen(u: Array) -> Array:  # integral of 3 u^2 - 2 u^3, beyond of 1
         c = np.clip(u, 0.0, 1.0)
         return np.asarray(c**3 - 0.5 * c**4 + np.maximum(u - 1.0, 0.0))
 
@@ -69,7 +69,7 @@ def trapezoid(s: Array, flank: float) -> Array:
 
 
 def cartesian(rng: np.random.Generator, arm: Arm, at_least_s: float) -> Motion | None:
-    """An expert's motion of at least `at_least_s` [s]; None if the arm cannot follow it."""
+    """Draw an expert-like motion of at least `at_least_s` [s]; None if the arm cannot follow it."""
     plant = arm.plant
     q = np.clip(
         plant.robot.rest_q + rng.normal(0.0, [0.15, 0.05, 0.15, 0.05, 0.1, 0.05, 0.15]), plant.lower, plant.upper
@@ -88,12 +88,12 @@ def cartesian(rng: np.random.Generator, arm: Arm, at_least_s: float) -> Motion |
                 abs(move.finger_width_m - last.finger_width_m) / 0.15,
                 SHORTEST_S,
             ) * rng.uniform(0.9, 1.3)
-            if last.flows and lengths:
+            if last.blends and lengths:
                 starts[-1] -= 0.45 * min(lengths[-1], length)
             lengths.append(length)
             moves.append(move)
             end_s = starts[-1] + length
-            rest = 0.0 if move.flows else float(rng.choice([0.0, rng.uniform(0.1, 0.6)]))
+            rest = 0.0 if move.blends else float(rng.choice([0.0, rng.uniform(0.1, 0.6)]))
             starts.append(end_s + rest)
         end_s = starts[-1]
     duration = max(end_s + 0.2, at_least_s)
@@ -112,7 +112,7 @@ def cartesian(rng: np.random.Generator, arm: Arm, at_least_s: float) -> Motion |
 
 
 def follow(arm: Arm, poses: Array, q: Array) -> Array | None:
-    """Postures (N, 7) [rad] through poses (N, 4, 4) that lie close together, from `q` (7,); None at a dead end."""
+    """Return postures (N, 7) [rad] of poses (N, 4, 4) that lie close together, from `q` (7,); None if one fails."""
     path = np.empty((len(poses), 7))
     for i, X_BG in enumerate(poses):
         q, error = solve_newton(arm.plant, X_BG, q, iterations=20)
@@ -127,7 +127,7 @@ def _task(rng: np.random.Generator, arm: Arm) -> Sequence[Move]:
 
 
 def _tilted(rng: np.random.Generator) -> Array:
-    """A rotation (3, 3) that looks down, turned about the vertical, in half of the cases tilted up to 40 degrees."""
+    """Draw a rotation (3, 3) of a downward gripper with random yaw, in half of the cases tilted up to 40 degrees."""
     yaw = rng.uniform(-0.6, 0.6) + (np.pi / 2 if rng.random() < 0.25 else 0.0)
     R = grasp_rotation(DOWN, (np.sin(yaw), -np.cos(yaw), 0.0))
     if rng.random() < 0.5:
@@ -137,14 +137,14 @@ def _tilted(rng: np.random.Generator) -> Array:
 
 
 def _place(rng: np.random.Generator, arm: Arm, R: Array, width: float, height_m: float) -> Array:
-    """A pose over the table whose lowest point is `height_m` above it."""
+    """Draw a gripper pose whose lowest point is `height_m` above the table."""
     X = make_pose(R, [rng.uniform(*TABLE_X_M), rng.uniform(*TABLE_Y_M), 0.0])
     X[2, 3] = height_m - float(arm.body.lowest_of_gripper(X[None], np.array([width]))[0])
     return X
 
 
 def _height(rng: np.random.Generator) -> float:
-    """On the table or a little above."""
+    """Draw a height on the table or slightly above [m]."""
     return TOUCH_M if rng.random() < 0.4 else float(rng.uniform(0.001, 0.08))
 
 
@@ -155,25 +155,25 @@ def _up(X: Array, height_m: float) -> Array:
 
 
 def _pick_and_place(rng: np.random.Generator, arm: Arm) -> list[Move]:
-    held = float(rng.uniform(0.02, 0.06))
+    width = float(rng.uniform(0.02, 0.06))
     grasp = _place(rng, arm, _tilted(rng), 0.08, _height(rng))
     goal = _place(rng, arm, _tilted(rng) if rng.random() < 0.5 else grasp[:3, :3], 0.08, _height(rng))
     over = rng.uniform(0.06, 0.2, size=3)
-    flows = bool(rng.random() < 0.6)
+    blends = bool(rng.random() < 0.6)
     return [
-        Move(X_BG=_up(grasp, over[0]), finger_width_m=0.08, flows=flows and grasp[2, 3] + over[0] < CEILING_M),
+        Move(X_BG=_up(grasp, over[0]), finger_width_m=0.08, blends=blends and grasp[2, 3] + over[0] < CEILING_M),
         Move(X_BG=grasp, finger_width_m=0.08),
-        Move(X_BG=grasp, finger_width_m=held),
-        Move(X_BG=_up(grasp, over[1]), finger_width_m=held),
-        Move(X_BG=_up(goal, over[2]), finger_width_m=held),
-        Move(X_BG=goal, finger_width_m=held),
+        Move(X_BG=grasp, finger_width_m=width),
+        Move(X_BG=_up(grasp, over[1]), finger_width_m=width),
+        Move(X_BG=_up(goal, over[2]), finger_width_m=width),
+        Move(X_BG=goal, finger_width_m=width),
         Move(X_BG=goal, finger_width_m=0.08),
         Move(X_BG=_up(goal, over[1]), finger_width_m=0.08),
     ]
 
 
 def _push(rng: np.random.Generator, arm: Arm) -> list[Move]:
-    """Closed fingers drag or push something along a straight line."""
+    """Push along a straight line with closed fingers."""
     start = _place(rng, arm, _tilted(rng), 0.0, _height(rng))
     end = start.copy()
     heading, way = rng.uniform(-np.pi, np.pi), rng.uniform(0.05, 0.3)
@@ -192,7 +192,7 @@ def _push(rng: np.random.Generator, arm: Arm) -> list[Move]:
 
 
 def _drawer(rng: np.random.Generator, arm: Arm) -> list[Move]:
-    """The gripper looks forward or aslant, grips or hooks something at half height, pulls or pushes it."""
+    """Pull or push a handle with the gripper pointing forwards or obliquely downwards."""
     slope, yaw = np.deg2rad(rng.uniform(0.0, 50.0)), rng.uniform(-0.5, 0.5)
     approach = np.array([np.cos(yaw) * np.cos(slope), np.sin(yaw) * np.cos(slope), -np.sin(slope)])
     closing = np.array([-np.sin(yaw), np.cos(yaw), 0.0]) * rng.choice([-1.0, 1.0])
@@ -214,7 +214,7 @@ def _drawer(rng: np.random.Generator, arm: Arm) -> list[Move]:
 
 
 def _lid(rng: np.random.Generator, arm: Arm) -> list[Move]:
-    """The gripper carries a lid's edge (or a faucet's handle) along an arc, in short chords that flow together."""
+    """Move the edge of a lid or a handle along an arc, in short blended chords."""
     X = _place(rng, arm, _tilted(rng), 0.02, float(rng.uniform(0.05, 0.2)))
     vertical = rng.random() < 0.5
     axis = np.array([0.0, 0.0, 1.0]) if vertical else np.array([0.0, 1.0, 0.0])
@@ -225,7 +225,7 @@ def _lid(rng: np.random.Generator, arm: Arm) -> list[Move]:
     for part in np.linspace(0.0, 1.0, 6)[1:]:
         R = rotation_exp(part * angle * axis)
         arc = make_pose(R @ X[:3, :3] if turned else X[:3, :3], X[:3, 3] + lever - R @ lever)
-        moves.append(Move(X_BG=arc, finger_width_m=0.02, flows=part < 1.0))
+        moves.append(Move(X_BG=arc, finger_width_m=0.02, blends=part < 1.0))
     return [*moves, Move(X_BG=_up(moves[-1].X_BG, 0.08), finger_width_m=0.04)]
 
 
@@ -236,7 +236,7 @@ _JOINT_KNOTS = 40
 
 
 def shipped(rng: np.random.Generator, arm: Arm, at_least_s: float) -> Motion | None:
-    """The plan of one of the shipped experts for a random scene of its task; None if it has none there."""
+    """Plan one of the shipped experts' motions in a random scene of its task; None if it fails."""
     task = list(EXPERTS)[rng.integers(len(EXPERTS))]
     plant = arm.plant
     q = plant.robot.rest_q + rng.normal(0.0, 0.02, size=7)
@@ -252,7 +252,7 @@ def shipped(rng: np.random.Generator, arm: Arm, at_least_s: float) -> Motion | N
 
 
 def joint_space(rng: np.random.Generator, arm: Arm, at_least_s: float) -> Motion | None:
-    """A smooth random joint path that uses up to nine tenths of the speeds and eight of the accelerations."""
+    """Draw a smooth joint path with up to 90 % of the speed and 80 % of the acceleration limits."""
     plant = arm.plant
     share = rng.uniform(0.3, 1.0)
     middle = rng.uniform(0.8 * plant.lower + 0.2 * plant.upper, 0.2 * plant.lower + 0.8 * plant.upper)
@@ -262,7 +262,7 @@ def joint_space(rng: np.random.Generator, arm: Arm, at_least_s: float) -> Motion
     unit = Motion.through(np.arange(_JOINT_KNOTS, dtype=np.float64), knots, widths)
     fine = np.linspace(0.0, unit.duration_s, 50 * _JOINT_KNOTS)
     speed = np.abs(unit.q(fine, 1)) / plant.velocity_limits
-    bend = np.abs(unit.q(fine, 2)) / accelerations(arm)
+    bend = np.abs(unit.q(fine, 2)) / acceleration_limits(arm)
     spacing = max(
         float(speed.max()) / (JOINT_SPEED_SHARE * share),
         float(np.sqrt(bend.max() / (JOINT_ACCELERATION_SHARE * share))),

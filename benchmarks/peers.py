@@ -1,7 +1,8 @@
-"""Inverse kinematics of other packages, each used as its documentation recommends, on one and the same problem.
+"""Inverse kinematics of other packages, each used as its documentation recommends, on the same problems.
 
 A problem is a smooth track of poses and a posture that reaches the first of them; every solver goes from frame to
-frame, starting from its own posture of the frame before, until the pose is reached to `POSITION_M` and `ROTATION_RAD`.
+frame, starting from its own posture of the previous frame, until the pose is reached to `POSITION_M` and
+`ROTATION_RAD`.
 """
 
 import xml.etree.ElementTree as ElementTree
@@ -13,6 +14,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from benchmarks.motion import Motion
 from kinebench_drake.geometry import Array, invert, pose_difference, rotation_log
 from kinebench_drake.kinematics.analytic import analytic_ik
 from kinebench_drake.kinematics.plant import ArmPlant
@@ -20,42 +22,48 @@ from kinebench_drake.kinematics.track import follow_poses
 from kinebench_drake.models.robot import N_JOINTS
 
 POSITION_M, ROTATION_RAD = 1e-4, 1e-3
-"""How near a pose must be reached."""
+"""Tolerances of a reached pose."""
 
-_STEPS = 50  # the most Newton-like steps a solver may take for one pose
+_STEPS = 50  # maximum number of Newton-like steps of a solver for one pose
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Problem:
-    """A smooth track, and where to start."""
+class IkProblem:
+    """A smooth track and the posture to start from."""
 
     t_s: Array
     """(T,) times [s]."""
     X_BG: Array
     """(T, 4, 4) poses of the TCP in the base [m]."""
     q: Array
-    """(T, 7) postures that the track was made from [rad]: the first is the start. Solvers see no other."""
+    """(T, 7) postures that the track was made from [rad]: solvers start from the first and use no other."""
 
 
-Solve: TypeAlias = Callable[[Sequence[Problem]], list[Array]]
-"""From problems to their postures, (T, 7) [rad] each; NaN or anything else where a solver finds none."""
+Solve: TypeAlias = Callable[[Sequence[IkProblem]], list[Array]]
+"""Function from problems to their postures, (T, 7) [rad] each; NaN or anything else where there is no solution."""
+
+
+def problem_of(plant: ArmPlant, motion: Motion, t_s: Array) -> IkProblem:
+    """Return the problem of the poses of a motion at times (T,) [s]."""
+    q = motion.q(t_s)
+    return IkProblem(t_s=t_s - t_s[0], X_BG=np.array([plant.forward(row) for row in q]), q=q)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Peer:
-    """One way to solve a problem."""
+    """One way to solve problems."""
 
     name: str
     how: str
-    """How it is used, in a few words."""
+    """How it is used, in a few words, for the table."""
     package: str | None
-    """The package it comes from beyond those that are always there; None for none."""
+    """Distribution that it needs; None for none but our own."""
     make: Callable[[ArmPlant], Solve]
-    """Load what it needs, outside of the time that is measured; raises ImportError where the package is missing."""
+    """Loads the package, outside of the time that is measured; raises ImportError if it is missing."""
 
     @property
     def label(self) -> str:
-        """Its name with the version."""
+        """Name and version."""
         try:
             name, comma, variant = self.name.partition(",")
             return f"{name} {version(self.package)}{comma}{variant}" if self.package else self.name
@@ -64,9 +72,9 @@ class Peer:
 
 
 def frame_by_frame(step: Callable[[Array, Array], Array]) -> Solve:
-    """Solve each pose from the posture of the one before; `step` takes a pose (4, 4) and a posture (7,)."""
+    """Return a solver that solves each pose from the previous posture; `step` takes pose (4, 4) and posture (7,)."""
 
-    def solve(problems: Sequence[Problem]) -> list[Array]:
+    def solve(problems: Sequence[IkProblem]) -> list[Array]:
         paths = []
         for problem in problems:
             q, path = problem.q[0], []
@@ -83,11 +91,11 @@ def _ours(plant: ArmPlant) -> Solve:
     return lambda problems: [follow_poses(plant, p.t_s, p.X_BG, p.q[0]).q for p in problems]
 
 
-def _ours_held(plant: ArmPlant) -> Solve:
-    """The closed form and no more: joint 7 keeps its angle, the branch is the one the start lies on."""
+def _ours_fixed_q7(plant: ArmPlant) -> Solve:
+    """Return the closed form alone: joint 7 keeps its angle, the branch is that of the start posture."""
     X_GF = _flange_in_tool(plant)
 
-    def path(problem: Problem) -> Array:
+    def path(problem: IkProblem) -> Array:
         start = problem.q[0]
         branches = analytic_ik(problem.X_BG @ X_GF, start[-1])
         return branches[:, np.nanargmin(np.abs(branches[0] - start).max(axis=-1))]
@@ -96,16 +104,16 @@ def _ours_held(plant: ArmPlant) -> Solve:
 
 
 def _drake(plant: ArmPlant, *, near: bool) -> Solve:
-    """`near`: with the cost of leaving the posture before, as in Drake's own course."""
+    """`near`: with a quadratic cost on the distance from the previous posture, as in Drake's own course."""
     from pydrake.math import RotationMatrix
     from pydrake.multibody.inverse_kinematics import InverseKinematics
     from pydrake.solvers import SnoptSolver, SolverOptions
 
     rotation: Any = RotationMatrix
-    half = np.full(3, 0.5 * POSITION_M / np.sqrt(3.0))  # it stops at the edge of what it may, and a little past it
+    half = np.full(3, 0.5 * POSITION_M / np.sqrt(3.0))  # it stops at the edge of the constraint, or slightly past it
     fingers = plant.drake.GetPositions(plant.context)[N_JOINTS:]
     solver, options = SnoptSolver(), SolverOptions()
-    # The constraint on rotation is in the angle's cosine: with the default of 1e-6 a milliradian drowns.
+    # The rotation constraint is on the angle's cosine: the default of 1e-6 is coarser than a milliradian.
     options.SetOption(SnoptSolver.id(), "Major feasibility tolerance", 1e-9)
 
     def step(X_BG: Array, q: Array) -> Array:
@@ -117,8 +125,8 @@ def _drake(plant: ArmPlant, *, near: bool) -> Solve:
         guess: Any = np.concatenate([q, fingers])
         if near:
             ik.prog().AddQuadraticErrorCost(np.eye(len(guess)), guess, ik.q())
-        found: Any = solver.Solve(ik.prog(), guess, options)
-        return np.asarray(found.GetSolution(ik.q()), dtype=np.float64)[:N_JOINTS]
+        result: Any = solver.Solve(ik.prog(), guess, options)
+        return np.asarray(result.GetSolution(ik.q()), dtype=np.float64)[:N_JOINTS]
 
     return frame_by_frame(step)
 
@@ -187,23 +195,23 @@ def _mink(plant: ArmPlant, *, limited: bool) -> Solve:
 
 
 def _pytorch_kinematics(plant: ArmPlant) -> Solve:
-    """All poses in one batch, each from the posture at the start of its track: a batch knows no frame before."""
+    """Solve all poses in one batch, each from the posture at the start of its track: a batch has no previous frame."""
     return _batched(plant, lambda p: np.repeat(p.q[:1], len(p.q), axis=0))
 
 
-def _pytorch_kinematics_told(plant: ArmPlant) -> Solve:
-    """The same, each pose told the posture of the frame before that its track was made from."""
+def _pytorch_kinematics_warm_start(plant: ArmPlant) -> Solve:
+    """Solve the same batch, each pose from the true posture of the previous frame."""
     return _batched(plant, lambda p: np.vstack([p.q[:1], p.q[:-1]]))
 
 
-def _batched(plant: ArmPlant, start: Callable[[Problem], Array]) -> Solve:
+def _batched(plant: ArmPlant, start: Callable[[IkProblem], Array]) -> Solve:
     import pytorch_kinematics
     import torch
 
     chain = pytorch_kinematics.build_serial_chain_from_urdf(_bare_urdf(plant), plant.robot.tcp_link)
     chain = chain.to(dtype=torch.float64)
 
-    def solve(problems: Sequence[Problem]) -> list[Array]:
+    def solve(problems: Sequence[IkProblem]) -> list[Array]:
         X = torch.from_numpy(np.concatenate([p.X_BG for p in problems]))
         ik = pytorch_kinematics.PseudoInverseIK(
             chain,
@@ -222,29 +230,29 @@ def _batched(plant: ArmPlant, start: Callable[[Problem], Array]) -> Solve:
     return solve
 
 
-def _frankik(plant: ArmPlant, *, held: bool, sweep: bool) -> Solve:
-    """`held`: joint 7 as in the frame before; `sweep`: 60 angles of it, if held only where that finds nothing."""
+def _frankik(plant: ArmPlant, *, fixed: bool, sweep: bool) -> Solve:
+    """`fixed`: joint 7 as in the previous frame; `sweep`: 60 angles of it, or if `fixed` where that has no solution."""
     from frankik import FrankaKinematics, RobotType
 
     solver = FrankaKinematics(RobotType.PANDA)
     X_GF = _flange_in_tool(plant)  # its own constant for the hand is rounded to three digits
 
     def step(X_BG: Array, q: Array) -> Array:
-        found = solver.inverse(X_BG @ X_GF, q0=q, q7=q[6]) if held else None
-        found = solver.inverse(X_BG @ X_GF, q0=q) if found is None and sweep else found
-        return q if found is None else np.asarray(found)
+        solution = solver.inverse(X_BG @ X_GF, q0=q, q7=q[6]) if fixed else None
+        solution = solver.inverse(X_BG @ X_GF, q0=q) if solution is None and sweep else solution
+        return q if solution is None else np.asarray(solution)
 
     return frame_by_frame(step)
 
 
 def _flange_in_tool(plant: ArmPlant) -> Array:
-    """Pose X_GF (4, 4) [m] of the Panda's flange, of which the closed forms know, in the TCP."""
+    """Return the pose X_GF (4, 4) [m] of the Panda's flange, the frame of the closed forms, in the TCP frame."""
     q = plant.robot.rest_q
     return np.asarray(invert(plant.forward(q)) @ plant.link_poses(q)["panda_link8"])
 
 
 def _bare_urdf(plant: ArmPlant) -> str:
-    """The robot without shapes and dynamics, its fingers fixed: seven joints and nothing else to compute."""
+    """Return the URDF without shapes and dynamics and with fixed fingers: seven joints and nothing else to compute."""
     root = ElementTree.parse(plant.robot.urdf).getroot()
     for link in root.findall("link"):
         for kind in ("visual", "collision"):
@@ -259,30 +267,30 @@ def _bare_urdf(plant: ArmPlant) -> str:
 
 
 OURS = "kinebench-drake"
-OURS_HELD = "kinebench-drake, held"
+FIXED_Q7 = "kinebench-drake, fixed joint 7"
 PLAIN_DRAKE = "Drake InverseKinematics"
-OWN_PARTS = "Newton on Drake's Jacobian"
-TOLD = "pytorch_kinematics, told"
-"""Not in the running: it starts from postures that nobody has who only has the poses."""
-FRANKIK_HELD = "frankik, held, no sweep"
-"""Not in the running either, as it finds nothing where joint 7 should move: to be compared with ours held likewise."""
+NEWTON = "Newton on Drake's Jacobian"
+WARM_START = "pytorch_kinematics, warm start"
+"""Not ranked: it starts from the true postures, which are not available when only the poses are."""
+FRANKIK_FIXED_Q7 = "frankik, fixed joint 7, no sweep"
+"""Not ranked, as it has no solution where joint 7 has to move: to be compared with ours with fixed joint 7."""
 
 PEERS = (
     Peer(name=OURS, how="`kinematics.ik.follow`, a track at a time, to 1e-6 m and 1e-6 rad", package=None, make=_ours),
     Peer(
-        name=OURS_HELD,
+        name=FIXED_Q7,
         how="closed form, `kinematics.analytic.analytic_ik`, a track at a time, joint 7 as at the start, no sweep",
         package=None,
-        make=_ours_held,
+        make=_ours_fixed_q7,
     ),
     Peer(name=PLAIN_DRAKE, how="one program a pose, SNOPT", package="drake", make=partial(_drake, near=False)),
     Peer(
         name=f"{PLAIN_DRAKE}, near",
-        how="the same with the quadratic cost of leaving the posture before",
+        how="the same with a quadratic cost on the distance from the previous posture",
         package="drake",
         make=partial(_drake, near=True),
     ),
-    Peer(name=OWN_PARTS, how="a plain loop in Python, pseudo-inverse steps", package="drake", make=_newton),
+    Peer(name=NEWTON, how="a plain loop in Python, pseudo-inverse steps", package="drake", make=_newton),
     Peer(name="pin-pink", how="FrameTask, daqp, its own limits", package="pin-pink", make=partial(_pink, limited=True)),
     Peer(name="pin-pink, free", how="the same without limits", package="pin-pink", make=partial(_pink, limited=False)),
     Peer(name="mink", how="FrameTask, daqp, its own limits", package="mink", make=partial(_mink, limited=True)),
@@ -294,34 +302,34 @@ PEERS = (
         make=_pytorch_kinematics,
     ),
     Peer(
-        name=TOLD,
-        how="the same, each pose told the true posture of the frame before",
+        name=WARM_START,
+        how="the same, each pose from the true posture of the previous frame",
         package="pytorch-kinematics",
-        make=_pytorch_kinematics_told,
+        make=_pytorch_kinematics_warm_start,
     ),
     Peer(
         name="frankik",
-        how="closed form, its sweep of joint 7, the solution nearest",
+        how="closed form, its sweep of joint 7, the nearest solution",
         package="frankik",
-        make=partial(_frankik, held=False, sweep=True),
+        make=partial(_frankik, fixed=False, sweep=True),
     ),
     Peer(
-        name="frankik, held",
-        how="closed form, joint 7 as in the frame before, the sweep where that finds nothing",
+        name="frankik, fixed joint 7",
+        how="closed form, joint 7 as in the previous frame, the sweep where that has no solution",
         package="frankik",
-        make=partial(_frankik, held=True, sweep=True),
+        make=partial(_frankik, fixed=True, sweep=True),
     ),
     Peer(
-        name=FRANKIK_HELD,
+        name=FRANKIK_FIXED_Q7,
         how="closed form, joint 7 as at the start, no sweep",
         package="frankik",
-        make=partial(_frankik, held=True, sweep=False),
+        make=partial(_frankik, fixed=True, sweep=False),
     ),
 )
 
 
-def reached(plant: ArmPlant, problems: Sequence[Problem], paths: Sequence[Array]) -> float:
-    """Share of poses that Drake's forward kinematics finds reached, joints within their limits; NaN are none."""
+def reached_share(plant: ArmPlant, problems: Sequence[IkProblem], paths: Sequence[Array]) -> float:
+    """Return the share of poses reached, by Drake's forward kinematics, with joints within limits; NaN are not."""
     good = []
     for problem, path in zip(problems, paths, strict=True):
         at = np.array([plant.forward(q) for q in np.nan_to_num(path)])
@@ -331,11 +339,8 @@ def reached(plant: ArmPlant, problems: Sequence[Problem], paths: Sequence[Array]
     return float(np.concatenate(good).mean())
 
 
-def kept_up(plant: ArmPlant, problems: Sequence[Problem], paths: Sequence[Array]) -> float:
-    """Share of tracks whose postures follow each other within the limits of joint speed, as those they were made from.
-
-    A path that does not is one of poses: it jumps between postures, and nobody can drive it.
-    """
+def within_speed_share(plant: ArmPlant, problems: Sequence[IkProblem], paths: Sequence[Array]) -> float:
+    """Return the share of tracks whose joint path keeps the speed limits, as the paths do that they were made from."""
     good = [
         (np.abs(np.diff(path, axis=0)) <= plant.velocity_limits * np.diff(problem.t_s)[:, None]).all()
         for problem, path in zip(problems, paths, strict=True)

@@ -1,7 +1,7 @@
-"""Trajectories that no arm can make: one known fault planted into a feasible one, and the proof that it is one.
+"""Infeasible trajectories: one fault planted into a feasible one, with the proof that no joint path executes it.
 
-Each planter draws a place and a size, changes the frames smoothly (or at once, for a teleport), and gives None where
-the proof does not hold: the caller draws again. Nothing smaller than what the proof shows is kept.
+Each planter draws place and size, changes the frames smoothly (or at once, for a teleport), and returns None where the
+proof does not hold; the caller then draws again.
 """
 
 from collections.abc import Callable, Mapping
@@ -11,65 +11,65 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.feasible import Feasible
-from benchmarks.motion import Arm, accelerations, self_distance
-from benchmarks.sample import Kind, Trajectory
+from benchmarks.feasible import FeasibleMotion
+from benchmarks.motion import Arm, acceleration_limits, self_distance
 from benchmarks.sweep import REACH_M, least_bend, least_excess, least_step, reachable, wrist_distance
+from benchmarks.trajectory import Trajectory, TrajectoryKind
 from kinebench_drake.geometry import Array, pose_difference, rotation_exp
 from kinebench_drake.kinematics.continuation import minimum_jerk
 from kinebench_drake.types import Json
 
 REACH_EXCESS_M = (0.005, 0.3)
-"""How far the wrist is beyond the sphere that it can reach."""
+"""Distance of the wrist beyond the sphere that it can reach [m]."""
 SPEED_RATIO = (1.15, 5.0)
 """Least joint speed of any joint path / its limit, in the worst step."""
 DEPTH_M = (0.005, 0.06)
-"""How deep the gripper's lowest point is in the table."""
+"""Depth of the gripper's lowest point in the table [m]."""
 JUMP_M, JUMP_DEG = (0.1, 0.4), (30.0, 120.0)
-"""What a teleport jumps, in position, rotation or both."""
+"""Jump of a teleport in position, rotation or both."""
 JUMP_STEP, JUMP_BEND = 1.1, 1.3
 """Least joint speed or acceleration of any joint path / its limit across a jump, by the sweeps."""
 LIMIT_EXCESS_RAD = (0.01, 0.3)
-"""How far a given joint angle is past its limit."""
+"""Excess of a joint angle over its limit [rad]."""
 POSE_EXCESS_RAD = 0.02
-"""Least excess of the worst joint over all postures of a pose that only limits forbid."""
+"""Least excess of the worst joint, over all postures of a pose that is reachable without limits [rad]."""
 OVERLAP_M = 0.005
-"""Least depth of links inside each other."""
+"""Least penetration depth of two links [m]."""
 
-_ONE_SPEED_M_S, _ONE_TURN_RAD_S, _ONE_JOINT_SHARE = 0.2, 0.8, 0.5  # mean speeds of an excursion, where there is time
+_ONE_SPEED_M_S, _ONE_TURN_RAD_S, _ONE_JOINT_SHARE = 0.2, 0.8, 0.5  # mean speeds of an excursion, if there is time
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Planted:
+class PlantedTrajectory:
     """A trajectory with its fault."""
 
     trajectory: Trajectory
     parameters: Mapping[str, Json]
-    """Size, place, and the figures of the proof."""
+    """Size and place of the fault, figures of the proof."""
 
 
 def _size(rng: np.random.Generator, low: float, high: float) -> float:
-    """Small sizes as often as large ones: even on a logarithmic scale."""
+    """Draw a size, uniform on a logarithmic scale."""
     return float(np.exp(rng.uniform(np.log(low), np.log(high))))
 
 
 def _excursion(rng: np.random.Generator, frames: int, centre: int, rise_s: float, period_s: float) -> Array:
-    """Weights (T,) 0..1 of going out and back, 1 at `centre`, at rest there for a while in half of the cases."""
+    """Return weights (T,) 0..1 of an excursion, 1 at `centre`, in half of the cases constant there for some frames."""
     rise = float(np.clip(np.ceil(rise_s / period_s), 3, max(3, frames // 2)))
-    hold = float(rng.choice([0, int(rng.integers(1, 6))]))
-    return minimum_jerk(1.0 - np.maximum(np.abs(np.arange(frames) - centre) - hold, 0.0) / rise)
+    rest = float(rng.choice([0, int(rng.integers(1, 6))]))
+    return minimum_jerk(1.0 - np.maximum(np.abs(np.arange(frames) - centre) - rest, 0.0) / rise)
 
 
 def _moved(X_BG: Array, weight: Array, shift: Array, turn: Array) -> Array:
-    """Poses (T, 4, 4) shifted by `weight` (T,) times `shift` (3,) [m] in B and turned by `turn` (3,) [rad] in G."""
+    """Return poses (T, 4, 4) moved by `weight` (T,) times `shift` (3,) [m] in B and `turn` (3,) [rad] in G."""
     X = X_BG.copy()
     X[:, :3, 3] += weight[:, None] * shift
     X[:, :3, :3] = X[:, :3, :3] @ rotation_exp(weight[:, None] * turn)
     return X
 
 
-def plant_reach(rng: np.random.Generator, arm: Arm, base: Feasible) -> Planted | None:
-    """The gripper drifts out of reach and back: shoulder and wrist would have to be farther apart than they can."""
+def plant_reach(rng: np.random.Generator, arm: Arm, base: FeasibleMotion) -> PlantedTrajectory | None:
+    """Move the gripper out of reach and back: farther from the shoulder than the stretched arm reaches."""
     good = base.trajectory(arm)
     centre, wanted = int(rng.integers(len(good.t_s))), _size(rng, *REACH_EXCESS_M)
     X = good.X_BG[centre]
@@ -88,14 +88,14 @@ def plant_reach(rng: np.random.Generator, arm: Arm, base: Feasible) -> Planted |
     if not beyond.max() >= 0.99 * REACH_EXCESS_M[0]:
         return None
     frames = np.flatnonzero(beyond > 0.0)
-    return Planted(
+    return PlantedTrajectory(
         trajectory=replace(good, X_BG=moved, q=None),
         parameters={"excess_m": float(beyond.max()), **_range(frames)},
     )
 
 
-def plant_fast(rng: np.random.Generator, arm: Arm, base: Feasible) -> Planted | None:
-    """All of it in less time, or a stretch of it, with rests elsewhere so that the whole takes as long as before."""
+def plant_fast(rng: np.random.Generator, arm: Arm, base: FeasibleMotion) -> PlantedTrajectory | None:
+    """Speed up the whole, or a part with rests elsewhere so that the duration is unchanged."""
     wanted = _size(rng, *SPEED_RATIO)
     when = base.start_s + base.t_s
     burst = bool(rng.random() < 0.5)
@@ -122,12 +122,12 @@ def plant_fast(rng: np.random.Generator, arm: Arm, base: Feasible) -> Planted | 
     proof, at = 0.0, 0
     for i in np.argsort(-steps_ratio)[:3]:
         if steps_ratio[i] > proof:
-            found = least_step(arm, trajectory.X_BG[i], trajectory.X_BG[i + 1], period)
-            proof, at = (found, int(i)) if found > proof else (proof, at)
+            ratio_i = least_step(arm, trajectory.X_BG[i], trajectory.X_BG[i + 1], period)
+            proof, at = (ratio_i, int(i)) if ratio_i > proof else (proof, at)
     if proof < SPEED_RATIO[0]:
         return None
     fast = np.flatnonzero(steps_ratio > 1.0)
-    return Planted(
+    return PlantedTrajectory(
         trajectory=replace(trajectory, q=None),
         parameters={
             "how": "burst" if burst else "compressed",
@@ -140,15 +140,15 @@ def plant_fast(rng: np.random.Generator, arm: Arm, base: Feasible) -> Planted | 
     )
 
 
-def _burst(base: Feasible, when: Array, centre: int, factor: float, steps: int) -> Array | None:
-    """Times (T,) of the motion [s]: `steps` steps around a frame `factor` times faster, the frames after it waiting."""
+def _burst(base: FeasibleMotion, when: Array, centre: int, factor: float, steps: int) -> Array | None:
+    """Return times (T,) of the motion [s]: `steps` steps around a frame `factor` times faster, later frames at rest."""
     rate = np.ones(len(when) - 1)
     first = max(0, centre - steps // 2)
     last = min(len(rate), first + steps)
-    extra = (factor - 1.0) * (last - first)  # frames' worth of motion that the burst takes in advance
+    extra = (factor - 1.0) * (last - first)  # frames of motion that the burst anticipates
     rate[first:last] = factor
     rest = np.concatenate([np.arange(last, len(rate)), np.arange(0, first)[::-1]])
-    for i in rest:  # paid back by waiting after the burst, then before
+    for i in rest:  # compensated by rests after the burst, then before
         rate[i] = max(0.0, 1.0 - extra)
         extra = max(0.0, extra - 1.0)
     if extra > 0.0:
@@ -156,8 +156,8 @@ def _burst(base: Feasible, when: Array, centre: int, factor: float, steps: int) 
     return np.asarray(when[0] + base.period_s * np.concatenate([[0.0], np.cumsum(rate)]))
 
 
-def plant_table(rng: np.random.Generator, arm: Arm, base: Feasible) -> Planted | None:
-    """The gripper dips through the table and comes up again."""
+def plant_table(rng: np.random.Generator, arm: Arm, base: FeasibleMotion) -> PlantedTrajectory | None:
+    """Move the gripper into the table and back."""
     good = base.trajectory(arm)
     low = arm.body.lowest_of_gripper(good.X_BG, good.finger_width_m)
     near = np.flatnonzero(low < 0.2)
@@ -171,14 +171,14 @@ def plant_table(rng: np.random.Generator, arm: Arm, base: Feasible) -> Planted |
     inside = np.flatnonzero(height < 0.0)
     if not 0.99 * DEPTH_M[0] <= -height.min() <= 1.01 * DEPTH_M[1] or not reachable(arm, moved[inside]):
         return None
-    return Planted(
+    return PlantedTrajectory(
         trajectory=replace(good, X_BG=moved, q=None),
         parameters={"depth_m": -float(height.min()), **_range(inside)},
     )
 
 
-def plant_teleport(rng: np.random.Generator, arm: Arm, base: Feasible) -> Planted | None:
-    """Between two frames the gripper is elsewhere: for good, for some frames, or at another moment of its motion."""
+def plant_teleport(rng: np.random.Generator, arm: Arm, base: FeasibleMotion) -> PlantedTrajectory | None:
+    """Let the gripper jump between two frames: for good, for some frames, or to another time of its motion."""
     good = base.trajectory(arm)
     n = len(good.t_s)
     how = str(rng.choice(["shift", "blink", "skip"]))
@@ -214,7 +214,7 @@ def plant_teleport(rng: np.random.Generator, arm: Arm, base: Feasible) -> Plante
             return None
     if not reachable(arm, X, samples=128):
         return None
-    return Planted(
+    return PlantedTrajectory(
         trajectory=replace(trajectory, q=None),
         parameters={
             "how": how,
@@ -228,8 +228,8 @@ def plant_teleport(rng: np.random.Generator, arm: Arm, base: Feasible) -> Plante
     )
 
 
-def plant_limit_q(rng: np.random.Generator, arm: Arm, base: Feasible) -> Planted | None:
-    """A given joint angle swings past its limit and back."""
+def plant_limit_q(rng: np.random.Generator, arm: Arm, base: FeasibleMotion) -> PlantedTrajectory | None:
+    """Move one joint angle past its limit and back."""
     good = base.trajectory(arm)
     if good.q is None:
         return None
@@ -246,7 +246,7 @@ def plant_limit_q(rng: np.random.Generator, arm: Arm, base: Feasible) -> Planted
     beyond = np.maximum(plant.lower - q, q - plant.upper).max(axis=-1)
     if beyond.max() < 0.99 * LIMIT_EXCESS_RAD[0]:
         return None
-    return Planted(
+    return PlantedTrajectory(
         trajectory=replace(good, q=q),
         parameters={
             "joint": plant.robot.joints[which % 7],
@@ -256,8 +256,8 @@ def plant_limit_q(rng: np.random.Generator, arm: Arm, base: Feasible) -> Planted
     )
 
 
-def plant_self_q(rng: np.random.Generator, arm: Arm, base: Feasible) -> Planted | None:
-    """The given joints fold the arm into itself and back, within their limits and above the table."""
+def plant_self_q(rng: np.random.Generator, arm: Arm, base: FeasibleMotion) -> PlantedTrajectory | None:
+    """Move the joint angles to a self collision and back, within limits and above the table."""
     good = base.trajectory(arm)
     if good.q is None:
         return None
@@ -273,24 +273,24 @@ def plant_self_q(rng: np.random.Generator, arm: Arm, base: Feasible) -> Planted 
         q = _swung(rng, arm, base, good.q, centre, posture - good.q[centre])
         distance = self_distance(arm, q, good.finger_width_m)
         if distance.min() <= -OVERLAP_M:
-            return Planted(
+            return PlantedTrajectory(
                 trajectory=replace(good, q=q),
                 parameters={"depth_m": -float(distance.min()), **_range(np.flatnonzero(distance < 0.0))},
             )
     return None
 
 
-def _swung(rng: np.random.Generator, arm: Arm, base: Feasible, q: Array, centre: int, change: Array) -> Array:
-    """Postures (T, 7) that go to `q[centre] + change` and back, slowly where there is time."""
+def _swung(rng: np.random.Generator, arm: Arm, base: FeasibleMotion, q: Array, centre: int, change: Array) -> Array:
+    """Return postures (T, 7) that go to `q[centre] + change` and back, slowly if there is time."""
     speed = np.abs(change) / (_ONE_JOINT_SHARE * arm.plant.velocity_limits)
-    bend = np.sqrt(6.0 * np.abs(change) / (_ONE_JOINT_SHARE * accelerations(arm)))
+    bend = np.sqrt(6.0 * np.abs(change) / (_ONE_JOINT_SHARE * acceleration_limits(arm)))
     weight = _excursion(rng, base.frames, centre, float(max(speed.max() * 1.9, bend.max())), base.period_s)
     target = q[centre] + change
     return np.asarray(q + weight[:, None] * (target - q))
 
 
-def plant_limit_pose(rng: np.random.Generator, arm: Arm, base: Feasible) -> Planted | None:
-    """The gripper goes to a pose that the arm would reach, were it not for its joint limits, and back."""
+def plant_limit_pose(rng: np.random.Generator, arm: Arm, base: FeasibleMotion) -> PlantedTrajectory | None:
+    """Move the gripper to a pose that only the joint limits make unreachable, and back."""
     good = base.trajectory(arm)
     centre = int(rng.integers(base.frames))
     X = good.X_BG[centre]
@@ -303,14 +303,16 @@ def plant_limit_pose(rng: np.random.Generator, arm: Arm, base: Feasible) -> Plan
         coarse = least_excess(arm, target[0], 128)
         if coarse is None or coarse < POSE_EXCESS_RAD:
             continue
-        found = least_excess(arm, target[0])
-        if found is None or found < POSE_EXCESS_RAD:
+        excess = least_excess(arm, target[0])
+        if excess is None or excess < POSE_EXCESS_RAD:
             continue
         rise_s = max(float(np.linalg.norm(shift)) / _ONE_SPEED_M_S, float(np.linalg.norm(turn)) / _ONE_TURN_RAD_S)
         weight = _excursion(rng, base.frames, centre, rise_s, base.period_s)
         moved = _moved(good.X_BG, weight, shift, turn)
         moved[centre] = target[0]
-        return Planted(trajectory=replace(good, X_BG=moved, q=None), parameters={"excess_rad": found, "frame": centre})
+        return PlantedTrajectory(
+            trajectory=replace(good, X_BG=moved, q=None), parameters={"excess_rad": excess, "frame": centre}
+        )
     return None
 
 
@@ -318,17 +320,17 @@ def _range(frames: NDArray[np.intp]) -> dict[str, Json]:
     return {"frame_start": int(frames[0]), "frame_end": int(frames[-1])}
 
 
-Planter = Callable[[np.random.Generator, Arm, Feasible], Planted | None]
+Planter = Callable[[np.random.Generator, Arm, FeasibleMotion], PlantedTrajectory | None]
 
-PLANTERS: Mapping[Kind, Planter] = MappingProxyType(
+PLANTERS: Mapping[TrajectoryKind, Planter] = MappingProxyType(
     {
-        Kind.REACH: plant_reach,
-        Kind.FAST: plant_fast,
-        Kind.TABLE: plant_table,
-        Kind.TELEPORT: plant_teleport,
-        Kind.LIMIT_Q: plant_limit_q,
-        Kind.SELF_Q: plant_self_q,
-        Kind.LIMIT_POSE: plant_limit_pose,
+        TrajectoryKind.REACH: plant_reach,
+        TrajectoryKind.FAST: plant_fast,
+        TrajectoryKind.TABLE: plant_table,
+        TrajectoryKind.TELEPORT: plant_teleport,
+        TrajectoryKind.LIMIT_Q: plant_limit_q,
+        TrajectoryKind.SELF_Q: plant_self_q,
+        TrajectoryKind.LIMIT_POSE: plant_limit_pose,
     }
 )
-"""How each kind of fault is planted."""
+"""Planter of each kind of fault."""

@@ -1,7 +1,7 @@
-"""How fast environments, pictures and demonstrations are: `python -m benchmarks.simulation --help`.
+"""Speed of environments, rendering and demonstrations.
 
-ManiSkill's own StackCube-v1 is measured in the same run with the same camera, control mode and simulation rates, turn
-about, so that ratios hold whatever else the machine does.
+ManiSkill's own StackCube-v1 is measured in the same run with the same camera, control mode and simulation rates, in
+turn, so that ratios are independent of other load.
 """
 
 import os
@@ -12,13 +12,11 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-import click
 import numpy as np
 
-from benchmarks.markdown import replace_section, table
+from benchmarks.markdown import table
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.environment.native import prepare_vulkan
-from kinebench_drake.errors import KinebenchError
 from kinebench_drake.geometry import Array
 from kinebench_drake.io.container import write_video
 from kinebench_drake.suites.clock import CLIP_FRAMES
@@ -26,62 +24,61 @@ from kinebench_drake.suites.episode import compose
 from kinebench_drake.suites.experts.registry import find_expert
 from kinebench_drake.suites.rollout import render_video, run_expert
 from kinebench_drake.suites.simulator import Simulator
-from kinebench_drake.suites.tasks.registry import TASKS
 
 HEADING = "## Simulation"
-"""Heading of the section that is written into the document."""
-STEPS, PICTURES, ROUNDS = 40, 8, 5
-"""Control steps and pictures timed in a round, and rounds."""
+"""Heading of the section of the document."""
+STEPS, IMAGES, ROUNDS = 40, 8, 5
+"""Control steps and images timed in a round, and rounds."""
 STOCK = "StackCube-v1"
-"""Task that ManiSkill has, too."""
+"""Task that ManiSkill also has."""
 FPS = 17
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Timing:
+class TaskTiming:
     """Wall times of one task."""
 
     task: str
     step_ms: float
     """Median control step, state only, `evaluate` included."""
-    picture_ms: float
-    """Median picture of 384x384: colour, depth and segmentation."""
+    image_ms: float
+    """Median image of 384x384: colour, depth and segmentation."""
     reset_ms: float
-    """A reset, scene rebuilt."""
+    """Median reset with a rebuilt scene."""
     demo_s: float
-    """One clip of 49 frames: composed, planned, performed, filmed and encoded."""
+    """One clip of 49 frames: composed, planned, executed, rendered and encoded [s]."""
 
 
 def _median_ms(action: Callable[[], object], times: int) -> float:
-    taken = []
+    seconds = []
     for _ in range(times):
         start = time.perf_counter()
         action()
-        taken.append(time.perf_counter() - start)
-    return 1000.0 * float(np.median(taken))
+        seconds.append(time.perf_counter() - start)
+    return 1000.0 * float(np.median(seconds))
 
 
-def time_task(task: str, out: Path) -> Timing:
-    """Time one task, scene made and shaders compiled before."""
+def time_task(task: str, out: Path) -> TaskTiming:
+    """Time one task after its scene is built and its shaders are compiled."""
     episode = compose(task, 0)
-    with Simulator(task) as stage:
-        stage.reset(episode)
-        stage.render()
-        rest = stage.snapshot()
-        reset_ms = _median_ms(lambda: stage.reset(episode), 3)
-        stage.render()
-        step_ms = _median_ms(lambda: stage.step(rest.q, float(rest.fingers_m.sum())), ROUNDS * STEPS)
-        picture_ms = _median_ms(stage.render, ROUNDS * PICTURES)
+    with Simulator(task) as simulator:
+        simulator.reset(episode)
+        simulator.render()
+        rest = simulator.snapshot()
+        reset_ms = _median_ms(lambda: simulator.reset(episode), 3)
+        simulator.render()
+        step_ms = _median_ms(lambda: simulator.step(rest.q, float(rest.fingers_m.sum())), ROUNDS * STEPS)
+        image_ms = _median_ms(simulator.render, ROUNDS * IMAGES)
         start = time.perf_counter()
-        performance = run_expert(stage, find_expert(task), compose(task, 1))
-        clip = render_video(stage, performance.snapshots[: CLIP_FRAMES + 1])
-        write_video(out / f"{task}.mp4", clip.rgb, FPS)
+        rollout = run_expert(simulator, find_expert(task), compose(task, 1))
+        video = render_video(simulator, rollout.snapshots[: CLIP_FRAMES + 1])
+        write_video(out / f"{task}.mp4", video.rgb, FPS)
         demo_s = time.perf_counter() - start
-    return Timing(task=task, step_ms=step_ms, picture_ms=picture_ms, reset_ms=reset_ms, demo_s=demo_s)
+    return TaskTiming(task=task, step_ms=step_ms, image_ms=image_ms, reset_ms=reset_ms, demo_s=demo_s)
 
 
-class _Stock:
-    """ManiSkill's own task, set up as ours is."""
+class _StockTask:
+    """ManiSkill's own task with our camera, control mode and rates."""
 
     def __init__(self) -> None:
         backend = prepare_vulkan()
@@ -118,69 +115,52 @@ class _Stock:
         self._env.close()
 
 
-def against_stock() -> tuple[Array, Array]:
-    """Times ours / ManiSkill's own (ROUNDS,) of a control step and of a picture, in turn in one process."""
-    stock = _Stock()
-    steps, pictures = [], []
-    with Simulator(STOCK) as stage:
-        stage.reset(compose(STOCK, 0))
-        rest = stage.snapshot()
+def compare_with_stock() -> tuple[Array, Array]:
+    """Return times ours / ManiSkill's own (ROUNDS,) of a control step and of an image, in turn in one process."""
+    stock = _StockTask()
+    steps, images = [], []
+    with Simulator(STOCK) as simulator:
+        simulator.reset(compose(STOCK, 0))
+        rest = simulator.snapshot()
 
         def step() -> None:
-            stage.step(rest.q, 0.08)
+            simulator.step(rest.q, 0.08)
 
-        stage.render()
+        simulator.render()
         stock.render()
         for _ in range(ROUNDS):
             steps.append(_median_ms(step, STEPS) / _median_ms(stock.step, STEPS))
-            pictures.append(_median_ms(stage.render, PICTURES) / _median_ms(stock.render, PICTURES))
+            images.append(_median_ms(simulator.render, IMAGES) / _median_ms(stock.render, IMAGES))
     stock.close()
-    return np.array(steps), np.array(pictures)
+    return np.array(steps), np.array(images)
 
 
-def section(timings: Sequence[Timing], steps: Array, pictures: Array) -> str:
-    """The document's section."""
-    rows = [
-        (t.task, f"{t.step_ms:.1f}", f"{t.picture_ms:.0f}", f"{t.reset_ms:.0f}", f"{t.demo_s:.1f}") for t in timings
-    ]
-    worst = [max(getattr(t, name) for t in timings) for name in ("step_ms", "picture_ms", "demo_s")]
+def section(timings: Sequence[TaskTiming], steps: Array, images: Array) -> str:
+    """Return the section of the document."""
+    rows = [(t.task, f"{t.step_ms:.1f}", f"{t.image_ms:.0f}", f"{t.reset_ms:.0f}", f"{t.demo_s:.1f}") for t in timings]
+    worst = [max(getattr(t, name) for t in timings) for name in ("step_ms", "image_ms", "demo_s")]
     return "\n".join(
         [
             HEADING,
             "",
-            f"Written by `python -m benchmarks.simulation` on {os.cpu_count()} cores, rendering on the "
-            f"{prepare_vulkan()}; wall times. Step: one control step of 0.05 s with the task's verdict, no picture. "
-            "Picture: 384x384, colour, depth and segmentation. Reset: with the scene rebuilt. Demonstration: a clip of "
-            "49 frames planned, performed, filmed and encoded as mp4.",
+            f"Written by `python -m benchmarks simulation` on {os.cpu_count()} cores, rendering on the "
+            f"{prepare_vulkan()}; wall times. Step: one control step of 0.05 s with the task's verdict, no image. "
+            "Image: 384x384, colour, depth and segmentation. Reset: with the scene rebuilt. Demonstration: a clip of "
+            "49 frames planned, executed, rendered and encoded as mp4.",
             "",
-            *table(("task", "step, ms", "picture, ms", "reset, ms", "demonstration, s"), rows),
+            *table(("task", "step, ms", "image, ms", "reset, ms", "demonstration, s"), rows),
             "",
-            f"The slowest: {worst[0]:.1f} ms a step, {worst[1]:.0f} ms a picture, {worst[2]:.1f} s a demonstration. "
-            f"Beside ManiSkill's own {STOCK}, in turn in one process: a step takes {np.median(steps):.2f} times as "
-            f"long ({steps.min():.2f} to {steps.max():.2f}), a picture {np.median(pictures):.2f} times "
-            f"({pictures.min():.2f} to {pictures.max():.2f}).",
+            f"The slowest: {worst[0]:.1f} ms a step, {worst[1]:.0f} ms an image, {worst[2]:.1f} s a demonstration. "
+            f"Compared with ManiSkill's own {STOCK}, in turn in one process: a step takes "
+            f"{np.median(steps):.2f} times as long ({steps.min():.2f} to {steps.max():.2f}), an image "
+            f"{np.median(images):.2f} times ({images.min():.2f} to {images.max():.2f}).",
             "",
         ]
     )
 
 
-@click.command(
-    epilog="\b\nExample:\n  python -m benchmarks.simulation --out docs/benchmarks.md",
-)
-@click.option("--out", type=click.Path(path_type=Path, dir_okay=False, exists=True), help="Document to write into.")
-@click.option("--tasks", default=",".join(TASKS), help="Tasks, comma-separated.  [default: all]", metavar="A,B")
-def main(out: Path | None, tasks: str) -> None:
-    """Time environments, pictures and demonstrations."""
-    try:
-        with TemporaryDirectory() as folder:
-            timings = [time_task(task, Path(folder)) for task in tasks.split(",")]
-        text = section(timings, *against_stock())
-    except KinebenchError as error:
-        raise click.ClickException(str(error)) from None
-    click.echo(text)
-    if out is not None:
-        out.write_text(replace_section(out.read_text(), text))
-
-
-if __name__ == "__main__":
-    main()
+def measure(tasks: Sequence[str]) -> str:
+    """Time tasks and return the section of the document."""
+    with TemporaryDirectory() as folder:
+        timings = [time_task(task, Path(folder)) for task in tasks]
+    return section(timings, *compare_with_stock())

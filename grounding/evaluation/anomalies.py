@@ -181,7 +181,7 @@ def _read_faults(folder: Path) -> dict[str, PlantedCase]:
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         raise UsageError(
             f"{folder.name}: has no usable truth/faults.json; make such a folder with "
-            "`python -m benchmarks.planted_videos`"
+            "`python -m benchmarks planted-videos`"
         ) from None
 
 

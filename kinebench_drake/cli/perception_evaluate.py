@@ -140,7 +140,7 @@ Example:
 def evaluate(options: MeasureOptions, pipeline: str, true_depth: bool) -> None:
     """Measure the errors of gripper tracks against ground truth.
 
-    FOLDER is the output of `suite demos` or `python -m benchmarks.planted_videos`: videos, camera.json,
+    FOLDER is the output of `suite demos` or `python -m benchmarks planted-videos`: videos, camera.json,
     manifest.jsonl and truth/.
     """
     from kinebench_drake.grounding.evaluation import tables
@@ -303,7 +303,7 @@ area under the curve   probability that a faulty video has a higher score than a
 \b
 Example:
   kinebench-drake suite demos --suite 2 --split unseen --episodes 5 --out clean
-  python -m benchmarks.planted_videos --suite 2 --split unseen --out faulty
+  python -m benchmarks planted-videos --suite 2 --split unseen --out faulty
   kinebench-drake perception anomalies clean faulty --json anomalies.json --figure anomalies.png"""
 )
 @click.argument("clean", type=_FOLDER)
@@ -323,7 +323,7 @@ def anomalies(
 ) -> None:  # fmt: skip
     """Measure the detection rate of planted anomalies and the rate of false alarms.
 
-    CLEAN is the output of `suite demos`, FAULTY that of `python -m benchmarks.planted_videos`.
+    CLEAN is the output of `suite demos`, FAULTY that of `python -m benchmarks planted-videos`.
     """
     from kinebench_drake.cli.run import ProgressView
     from kinebench_drake.executors.base import ExecutorKind, create_executor

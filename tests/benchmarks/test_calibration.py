@@ -3,7 +3,7 @@ import json
 import numpy as np
 import pytest
 
-from benchmarks.calibration import CONDITIONS, Condition, measure, table
+from benchmarks.calibration import CONDITIONS, CalibrationCondition, measure, trial_table
 from kinebench_drake.calibration.result import CalibrationMethod
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.errors import UsageError
@@ -41,11 +41,11 @@ def test_a_perfect_picture_is_measured_without_an_error(folder, estimator):
     for trial in trials:
         told = trial.condition.method in (CalibrationMethod.JOINTS, CalibrationMethod.POSES)
         assert trial.distance_m < (1e-5 if told else 5e-3)
-    assert len(table(trials)) == 2 + len(conditions)
+    assert len(trial_table(trials)) == 2 + len(conditions)
 
 
 def test_a_folder_without_joint_angles_is_refused(folder, estimator):
     np.savez(folder / "truth" / "a.npz", finger_width_m=np.zeros(T))
-    condition = Condition(method=CalibrationMethod.JOINTS, focal_free=False)
+    condition = CalibrationCondition(method=CalibrationMethod.JOINTS, focal_free=False)
     with pytest.raises(UsageError, match="holds no joint angles"):
         next(measure(folder, limit=None, frames=T, conditions=[condition], estimator=estimator))

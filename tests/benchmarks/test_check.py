@@ -1,14 +1,14 @@
 import pytest
 
-from benchmarks.check import compare, read_rows, table
-from benchmarks.sample import REASONS, Kind, Truth
+from benchmarks.check import compare, read_rows, summary_table
+from benchmarks.trajectory import REASONS, TrajectoryKind, TrajectoryTruth
 from kinebench_drake.errors import InputError
 from kinebench_drake.io.jsonl import dump
 from kinebench_drake.results.row import SampleRow, Status
 
 
 def truth(kind, n):
-    return Truth(id=f"{kind.value}-{n}", kind=kind, family="cartesian", reasons=REASONS.get(kind, ()))
+    return TrajectoryTruth(id=f"{kind.value}-{n}", kind=kind, family="cartesian", reasons=REASONS.get(kind, ()))
 
 
 def row(name, feasible, kinds=(), **changes):
@@ -28,8 +28,8 @@ def row(name, feasible, kinds=(), **changes):
 
 @pytest.fixture
 def verdicts():
-    truths = [truth(Kind.FEASIBLE, n) for n in range(4)] + [truth(Kind.FAST, n) for n in range(4)]
-    truths += [truth(Kind.PERTURBED, n) for n in range(3)]
+    truths = [truth(TrajectoryKind.FEASIBLE, n) for n in range(4)] + [truth(TrajectoryKind.FAST, n) for n in range(4)]
+    truths += [truth(TrajectoryKind.PERTURBED, n) for n in range(3)]
     rows = [
         row("feasible-0", True, metrics={"sparc": None}, null_reasons={"sparc": "nearly still"}),
         row("feasible-1", False, ["jerk"]),
@@ -46,7 +46,7 @@ def verdicts():
 
 
 def test_false_alarms(verdicts):
-    v = verdicts[Kind.FEASIBLE]
+    v = verdicts[TrajectoryKind.FEASIBLE]
     assert v.judged_infeasible.hits == 1
     assert v.judged_infeasible.share.n == 3
     assert v.judged_infeasible.ids == ("feasible-1",)
@@ -57,7 +57,7 @@ def test_false_alarms(verdicts):
 
 
 def test_detections_and_reasons(verdicts):
-    v = verdicts[Kind.FAST]
+    v = verdicts[TrajectoryKind.FAST]
     assert v.judged_infeasible.hits == 3
     assert v.judged_infeasible.ids == ("fast-2",)
     assert v.reason_named.hits == 2
@@ -71,26 +71,26 @@ def test_detections_and_reasons(verdicts):
 
 
 def test_rows_that_explain_nothing(verdicts):
-    v = verdicts[Kind.PERTURBED]
+    v = verdicts[TrajectoryKind.PERTURBED]
     assert v.errors == ("perturbed-1",)
     assert v.unexplained == ("perturbed-1", "perturbed-2")
     assert v.judged_infeasible.ids == ()
 
 
 def test_the_table_names_what_to_look_at(verdicts):
-    text = table(list(verdicts.values()))
+    text = summary_table(list(verdicts.values()))
     assert "| fast | 4 | 3/4 = 75.0 %" in text
-    assert "fast, not found: fast-2" in text
+    assert "fast, not detected: fast-2" in text
     assert "fast, found for another reason: fast-1" in text
     assert "feasible, false alarms: feasible-1" in text
     assert "all planted" not in text  # there is one kind of them
 
 
 def test_planted_kinds_are_also_told_together():
-    truths = [truth(Kind.FAST, n) for n in range(2)] + [truth(Kind.REACH, n) for n in range(3)]
+    truths = [truth(TrajectoryKind.FAST, n) for n in range(2)] + [truth(TrajectoryKind.REACH, n) for n in range(3)]
     rows = [row("fast-0", False, ["velocity"]), row("fast-1", False, ["jerk"])]
     rows += [row(f"reach-{n}", n != 2, ["unreachable"] if n == 2 else []) for n in range(3)]
-    text = table(compare(rows, {t.id: t for t in truths}))
+    text = summary_table(compare(rows, {t.id: t for t in truths}))
     assert "| all planted | 5 | 3/5 = 60.0 %" in text
     assert "2/5 = 40.0 %" in text
 

@@ -6,8 +6,8 @@ import subprocess
 import sys
 import time
 
-from benchmarks.cluster import Trial, _Killer, differences, section
-from benchmarks.watched import children, command_line
+from benchmarks.cluster import ClusterTrial, WorkerKiller, section
+from benchmarks.process import children, command_line
 
 STAND_IN = """
 import subprocess, sys
@@ -18,24 +18,17 @@ sys.stdin.read()
 """
 
 
-def test_differences_are_named_by_their_place():
-    one = {"config": {"engine": "local", "jobs": 1, "seed": 0}, "rows": [1, 2], "gone": None}
-    other = {"config": {"engine": "ray", "jobs": 2, "seed": 0}, "rows": [1, 3], "more": 1}
-    assert list(differences(one, other)) == ["config.engine", "config.jobs", "more", "rows"]
-    assert list(differences(one, one)) == []
-
-
 def test_the_section_names_what_is_not_the_same():
     def told(unlike=()):
-        trial = Trial(
+        trial = ClusterTrial(
             command=("score", "a b"),
             samples=7,
             killed_node=2,
             killed_after=3,
             workers=(1, 1),
             files=15,
-            unlike=unlike,
-            told_apart=("config.engine",),
+            different_files=unlike,
+            different_values=("config.engine",),
         )
         return section([trial])
 
@@ -54,7 +47,7 @@ def test_a_busy_worker_is_killed_once_when_half_is_done():
         started = [children(node.pid) for node in nodes]
         while not all(command_line(pid).startswith("ray::") for pids in started for pid in pids):
             time.sleep(0.01)  # they take their names a moment after they are started
-        killer = _Killer(raylets=[node.pid for node in nodes], after=2)
+        killer = WorkerKiller(raylets=[node.pid for node in nodes], after=2)
         killer(1)
         assert killer.node is None
         killer(2)

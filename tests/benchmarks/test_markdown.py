@@ -1,4 +1,4 @@
-from benchmarks.markdown import keep_sections, replace_section, table
+from benchmarks.markdown import replace_section, table
 
 PAGE = "# Page\n\nTop.\n\n## A\n\nold a\n\n### deeper\n\nmore\n\n## B\n\nold b\n"
 
@@ -13,13 +13,6 @@ def test_a_new_section_stands_last_and_again_changes_nothing():
     assert once == PAGE + "\n## A and more\n\nc\n"
     assert replace_section(once, "## A and more\n\nc\n") == once
     assert replace_section("", "## A\n\na\n") == "## A\n\na\n"
-
-
-def test_a_page_written_anew_keeps_what_others_wrote():
-    assert keep_sections("# New\n\n## B\n\nnew b\n", PAGE) == (
-        "# New\n\n## B\n\nnew b\n\n## A\n\nold a\n\n### deeper\n\nmore\n"
-    )
-    assert keep_sections(PAGE, "") == PAGE
 
 
 def test_tables():

@@ -1,8 +1,7 @@
 import numpy as np
 import pytest
 
-from benchmarks.postures import all_postures
-from benchmarks.sweep import REACH_M, least_bend, least_excess, least_step, postures, wrist_distance
+from benchmarks.sweep import REACH_M, all_postures, least_bend, least_excess, least_step, postures, wrist_distance
 from kinebench_drake.geometry import make_pose
 
 

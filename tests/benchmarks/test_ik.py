@@ -3,26 +3,26 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.bench import (
-    IK_SETS,
-    Bench,
-    Comparison,
-    Timing,
-    TrackSet,
-    compare_ik,
-    measure_audits,
-    measure_throughput,
-    problem,
-    run_bench,
-    smooth_motions,
-    track_of,
+from benchmarks.audit import AuditTiming, time_audits, time_parts, track_of
+from benchmarks.audit import measure as measure_audit
+from benchmarks.audit import section as audit_section
+from benchmarks.feasible import TrackSet, smooth_motions
+from benchmarks.ik import IK_SETS, IkComparison, SolverTiming, compare_ik, compare_solvers, section
+from benchmarks.peers import (
+    FIXED_Q7,
+    FRANKIK_FIXED_Q7,
+    NEWTON,
+    OURS,
+    PEERS,
+    PLAIN_DRAKE,
+    Peer,
+    problem_of,
+    reached_share,
+    within_speed_share,
 )
-from benchmarks.page import document
-from benchmarks.peers import FRANKIK_HELD, OURS, OURS_HELD, OWN_PARTS, PEERS, PLAIN_DRAKE, Peer, kept_up, reached
-from kinebench_drake.results.provenance import host
 
 EPISODES, LONG = IK_SETS
-ALWAYS = [peer for peer in PEERS if peer.name in (OURS, OURS_HELD, OWN_PARTS, PLAIN_DRAKE)]
+ALWAYS = [peer for peer in PEERS if peer.name in (OURS, FIXED_Q7, NEWTON, PLAIN_DRAKE)]
 
 
 @pytest.fixture(scope="module")
@@ -36,53 +36,53 @@ def missing(plant):
 
 def test_our_and_drakes_solvers_reach_every_pose_and_missing_ones_are_said_to_be(arm, motion):
     absent = Peer(name="absent", how="not at all", package="absent-package", make=missing)
-    timings = {t.name: t for t in compare_ik([problem(arm, *motion)], [*ALWAYS, absent], repeats=2)}
-    assert timings["absent"].us_a_pose is None
-    for name in (OURS, OWN_PARTS, PLAIN_DRAKE):
+    timings = {t.name: t for t in compare_solvers([problem_of(arm.plant, *motion)], [*ALWAYS, absent], repeats=2)}
+    assert timings["absent"].us_per_pose is None
+    for name in (OURS, NEWTON, PLAIN_DRAKE):
         assert timings[name].reached == 1.0
-        assert timings[name].us_a_pose.shape == (2,)
-        assert (timings[name].us_a_pose > 0.0).all()
+        assert timings[name].us_per_pose.shape == (2,)
+        assert (timings[name].us_per_pose > 0.0).all()
 
 
 @pytest.mark.parametrize("peer", [p for p in PEERS if p not in ALWAYS], ids=lambda p: p.name)
 def test_other_packages_do_the_same_task(arm, motion, peer):
     if peer.package is not None:
         pytest.importorskip(peer.package.removeprefix("pin-").replace("-", "_"))
-    (timing,) = compare_ik([problem(arm, *motion)], [peer], repeats=1)
+    (timing,) = compare_solvers([problem_of(arm.plant, *motion)], [peer], repeats=1)
     assert timing.reached > 0.8  # used rightly: a wrong frame or unit would reach none
 
 
 def test_verification_sees_a_wrong_posture_and_one_past_its_limits(arm, motion):
-    p = problem(arm, *motion)
-    assert reached(arm.plant, [p], [p.q]) == 1.0
+    p = problem_of(arm.plant, *motion)
+    assert reached_share(arm.plant, [p], [p.q]) == 1.0
     off = p.q.copy()
     off[:10, 0] += 1e-3
-    assert reached(arm.plant, [p], [off]) == pytest.approx(1.0 - 10 / len(off))
-    assert reached(arm.plant, [p], [p.q + 2.0 * np.pi]) == 0.0
+    assert reached_share(arm.plant, [p], [off]) == pytest.approx(1.0 - 10 / len(off))
+    assert reached_share(arm.plant, [p], [p.q + 2.0 * np.pi]) == 0.0
     off[:20] = np.nan
-    assert reached(arm.plant, [p], [off]) == pytest.approx(1.0 - 20 / len(off))
-    assert kept_up(arm.plant, [p], [off]) == 0.0
-    assert kept_up(arm.plant, [p], [p.q]) == 1.0
+    assert reached_share(arm.plant, [p], [off]) == pytest.approx(1.0 - 20 / len(off))
+    assert within_speed_share(arm.plant, [p], [off]) == 0.0
+    assert within_speed_share(arm.plant, [p], [p.q]) == 1.0
     jump = p.q.copy()
     jump[20:, 3] += 0.5
-    assert kept_up(arm.plant, [p, p], [jump, p.q]) == 0.5
+    assert within_speed_share(arm.plant, [p, p], [jump, p.q]) == 0.5
 
 
 def test_tracks_are_benchmark_episodes_the_arm_can_make(arm, motion):
     track = track_of(arm, *motion)
     assert len(track.t_s) == 49
     np.testing.assert_allclose(np.diff(track.t_s), 0.2)
-    assert set(measure_throughput([track])) == {"inverse kinematics", "manipulability", "limits", "smoothness"}
-    seconds, feasible = measure_audits([track])
+    assert set(time_parts([track])) == {"inverse kinematics", "manipulability", "limits", "smoothness"}
+    seconds, feasible = time_audits([track])
     assert seconds.shape == (1,)
     assert feasible == 1
 
 
 def test_held_is_the_closed_form_at_the_starts_joint_7_and_nothing_out_of_reach(arm, motion):
-    p = problem(arm, *motion)
+    p = problem_of(arm.plant, *motion)
     far = p.X_BG.copy()
     far[-3:, 0, 3] += 2.0
-    (held,) = [peer for peer in PEERS if peer.name == OURS_HELD]
+    (held,) = [peer for peer in PEERS if peer.name == FIXED_Q7]
     (path,) = held.make(arm.plant)([replace(p, X_BG=far)])
     assert (path[:-3, 6] == p.q[0, 6]).all()
     np.testing.assert_allclose(path[0], p.q[0], atol=1e-9)
@@ -96,47 +96,43 @@ def test_long_tracks_take_as_long_and_one_run_compares_on_every_set(arm):
     np.testing.assert_allclose(np.diff(t_s), 0.02)
     sets = (TrackSet(tracks=2, frames=5, period_s=0.2), TrackSet(tracks=1, frames=40, period_s=0.02))
     ours = [peer for peer in ALWAYS if peer.name == OURS]
-    bench = run_bench(ik_sets=sets, repeats=1, tracks=1, audits=1, peers=ours)
-    assert [c.tracks for c in bench.comparisons] == list(sets)
-    assert [t.reached for c in bench.comparisons for t in c.timings] == [1.0, 1.0]
-    assert [c["frames"] for c in bench.to_json()["inverse_kinematics"]] == [5, 40]
+    comparisons = compare_ik(sets=sets, repeats=1, peers=ours)
+    assert [c.tracks for c in comparisons] == list(sets)
+    assert [t.reached for c in comparisons for t in c.timings] == [1.0, 1.0]
+    assert measure_audit(tracks=1, audits=1).audit_s.shape == (1,)
 
 
 def timing(name, us, kept=1.0):
-    return Timing(
-        name=name, label=name, how="so", us_a_pose=None if us is None else np.array(us), reached=1.0, kept_up=kept
-    )
+    us_per_pose = None if us is None else np.array(us)
+    return SolverTiming(name=name, label=name, how="so", us_per_pose=us_per_pose, reached=1.0, within_speed=kept)
 
 
 def test_the_page_tells_ratios_turn_by_turn():
     timings = (
         timing(OURS, [10.0, 20.0, 10.0]),
-        timing(OURS_HELD, [5.0, 5.0, 5.0], kept=0.9),
+        timing(FIXED_Q7, [5.0, 5.0, 5.0], kept=0.9),
         timing(PLAIN_DRAKE, [300.0, 600.0, 200.0]),
         timing("slow", [100.0, 200.0, 100.0]),
         timing("quick", [40.0, 60.0, 30.0]),
         timing("jumpy", [20.0, 40.0, 20.0], kept=0.3),
-        timing(FRANKIK_HELD, [22.0, 44.0, 22.0], kept=0.3),
+        timing(FRANKIK_FIXED_Q7, [22.0, 44.0, 22.0], kept=0.3),
         timing("gone", None),
     )
     alone = (timing(OURS, [1.0, 2.0]), timing("jumpy", [0.25, 0.5], kept=0.3))
-    bench = Bench(
-        comparisons=(Comparison(tracks=EPISODES, timings=timings), Comparison(tracks=LONG, timings=alone)),
-        throughput_s=12.34,
-        throughput_parts_s={"inverse kinematics": 12.34},
-        tracks=1000,
-        audit_s=np.array([0.1, 0.2, 0.3]),
-        judged_feasible=3,
-        host=host(),
-    )
-    text = document(bench)
+    text = section([IkComparison(tracks=EPISODES, timings=timings), IkComparison(tracks=LONG, timings=alone)])
     assert "| quick | so | 40.0 (30.0 to 60.0) | 3.0 (3.0 to 4.0) | 100.0 % | 100 % |" in text
-    assert "ours is 30.0 times as fast as plain Drake InverseKinematics; 3.0 times as fast as quick, " in text
+    assert "Ours is 30.0 times as fast as plain Drake InverseKinematics; 3.0 times as fast as quick, " in text
     assert "2.0 times as fast as jumpy, the fastest of those that do not" in text
     assert "no sweep, 4.4 times as fast as frankik (poses reached: 100.0 % and 100.0 %)." in text
     assert f"### {EPISODES.tracks} tracks of 49 frames at 0.2 s" in text
     assert "### 4 tracks of 490 frames at 0.02 s" in text
-    assert "So ours is 0.25 times as fast as jumpy, the fastest of those that do not." in text
-    assert "| gone | so | not installed | | | |" in text
+    assert "Ours is 0.25 times as fast as jumpy, the fastest of those that do not." in text
+    assert "| gone | so | not installed |  |  |  |" in text
+
+
+def test_the_audit_section_gives_median_and_maximum():
+    seconds = np.array([0.1, 0.2, 0.3])
+    text = audit_section(AuditTiming(tracks=1000, parts_s={"inverse kinematics": 12.34}, audit_s=seconds, feasible=3))
     assert "12.3 s" in text
     assert "median 0.200 s" in text
+    assert "maximum 0.300 s; 3 feasible" in text

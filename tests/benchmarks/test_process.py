@@ -7,7 +7,7 @@ import sys
 import numpy as np
 import pytest
 
-from benchmarks.watched import Memory, children, held, watch
+from benchmarks.process import ProcessMemory, children, read_memory, run_program
 from kinebench_drake.errors import KinebenchError
 
 
@@ -22,18 +22,20 @@ def test_a_process_and_its_workers_are_weighed_and_helpers_are_not():
         for _ in range(3):
             parent.stdout.readline()
         assert len(children(parent.pid)) == 2
-        now = held(parent.pid, "VmRSS")
+        now = read_memory(parent.pid, "VmRSS")
         assert 200.0 < now.main_mb < 260.0
         (worker,) = now.workers_mb
         assert 60.0 < worker < 120.0
     finally:
         parent.communicate(b"")
-    assert held(parent.pid, "VmRSS") is None
+    assert read_memory(parent.pid, "VmRSS") is None
 
 
 def test_the_larger_of_two_readings():
-    one = Memory(main_mb=1.0, workers_mb=(5.0,))
-    assert one.joined(Memory(main_mb=2.0, workers_mb=(4.0, 3.0))) == Memory(main_mb=2.0, workers_mb=(5.0, 3.0))
+    one = ProcessMemory(main_mb=1.0, workers_mb=(5.0,))
+    assert one.maximum(ProcessMemory(main_mb=2.0, workers_mb=(4.0, 3.0))) == ProcessMemory(
+        main_mb=2.0, workers_mb=(5.0, 3.0)
+    )
 
 
 @pytest.mark.slow
@@ -42,10 +44,10 @@ def test_samples_are_counted_as_they_end(tmp_path):
     for k in range(4):
         q = np.linspace(0.0, 0.1 * k, 9)[:, None] + [0.0, -0.4, 0.0, -2.0, 0.0, 1.6, 0.8]
         np.savez(tmp_path / "tracks" / f"{k}.npz", t_s=0.2 * np.arange(9), q=q)
-    seen = []
+    counts = []
     arguments = ["audit", str(tmp_path / "tracks"), "--out", str(tmp_path / "out"), "--jobs", "2"]
-    run = watch(arguments, reads=lambda finished: finished == 3, finished=seen.append)
-    assert seen == [1, 2, 3, 4]
+    run = run_program(arguments, reads_memory=lambda finished: finished == 3, on_finished=counts.append)
+    assert counts == [1, 2, 3, 4]
     assert sorted(run.finished_s) == list(run.finished_s)
     assert 0.0 < run.finished_s[0] <= run.finished_s[-1] < run.wall_s
     assert list(run.memory) == [3]
@@ -57,5 +59,5 @@ def test_samples_are_counted_as_they_end(tmp_path):
 def test_a_failure_is_told_in_the_programs_own_words(tmp_path):
     before = children(os.getpid())
     with pytest.raises(KinebenchError, match=r"status 2: .*nowhere"):
-        watch(["score", str(tmp_path / "nowhere"), "--out", str(tmp_path / "out")])
+        run_program(["score", str(tmp_path / "nowhere"), "--out", str(tmp_path / "out")])
     assert children(os.getpid()) == before

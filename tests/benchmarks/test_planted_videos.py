@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from benchmarks.planted_videos import choose_draws, main, parse_seeds
+from benchmarks.__main__ import main
+from benchmarks.planted_videos import choose_episodes, parse_seeds
 from kinebench_drake.errors import UsageError
 from kinebench_drake.io.camerafile import load_camera
 from kinebench_drake.io.container import write_video
@@ -23,17 +24,17 @@ def test_parse_seeds() -> None:
 
 
 def test_draws_of_a_split_are_the_suites_own() -> None:
-    draws = choose_draws("StackCube-v1,PullCube-v1", "0", 2, "unseen", 2, 3)
+    draws = choose_episodes("StackCube-v1,PullCube-v1", "0", 2, "unseen", 2, 3)
     assert {d.pool for d in draws} == {Pool.UNSEEN}
     assert sorted((d.task, d.seed) for d in draws) == [(t, s) for t in ("PullCube-v1", "StackCube-v1") for s in (3, 4)]
-    assert {d.pool for d in choose_draws(None, "0", None, "test", 1, 0)} == {Pool.ALL}
+    assert {d.pool for d in choose_episodes(None, "0", None, "test", 1, 0)} == {Pool.ALL}
 
 
 @pytest.mark.parametrize(
     "arguments", [["--tasks", "Nothing-v1"], ["--seeds", "x"], ["--kinds", "melt"], ["--suite", "2", "--split", "x"]]
 )
 def test_usage_errors(tmp_path: Path, arguments: list[str]) -> None:
-    assert CliRunner().invoke(main, ["--out", str(tmp_path / "out"), *arguments]).exit_code == 2
+    assert CliRunner().invoke(main, ["planted-videos", "--out", str(tmp_path / "out"), *arguments]).exit_code == 2
     assert not (tmp_path / "out").exists()
 
 
@@ -49,7 +50,7 @@ def test_video_bytes_repeat(tmp_path: Path) -> None:
 def test_same_arguments_same_bytes(tmp_path: Path) -> None:
     def made(name: str) -> dict[str, bytes]:
         out = tmp_path / name
-        arguments = ["--out", str(out), "--tasks", "PullCube-v1", "--seeds", "3"]
+        arguments = ["planted-videos", "--out", str(out), "--tasks", "PullCube-v1", "--seeds", "3"]
         result = CliRunner().invoke(main, [*arguments, "--with-depth", "--kinds", "freeze", "--sizes", "5"])
         assert result.exit_code == 0, result.output
         return {str(p.relative_to(out)): p.read_bytes() for p in sorted(out.rglob("*")) if p.is_file()}

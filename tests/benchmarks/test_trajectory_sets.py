@@ -13,14 +13,14 @@ from benchmarks.planted import (
     REACH_EXCESS_M,
     SPEED_RATIO,
 )
-from benchmarks.sample import REASONS, TRUTH, Kind, read_truth
 from benchmarks.sweep import REACH_M, least_excess, least_step, wrist_distance
-from benchmarks.tracks import Recipe, Set, draw, make
+from benchmarks.trajectory import REASONS, TRUTH, TrajectoryKind, read_truths
+from benchmarks.trajectory_sets import Recipe, TrajectorySet, draw, write_set
 
 
 @pytest.fixture(scope="module")
 def planted(arm):
-    recipe = Recipe(set=Set.INFEASIBLE, seed=4)
+    recipe = Recipe(set=TrajectorySet.INFEASIBLE, seed=4)
     pairs = [draw(recipe, i, arm) for i in range(7)]
     return {truth.kind: (trajectory, truth) for trajectory, truth in pairs}
 
@@ -33,36 +33,36 @@ def test_every_kind_is_planted_in_turn(planted):
 
 
 def test_out_of_reach(planted):
-    trajectory, _ = planted[Kind.REACH]
+    trajectory, _ = planted[TrajectoryKind.REACH]
     assert wrist_distance(trajectory.X_BG).max() - REACH_M >= 0.99 * REACH_EXCESS_M[0]
 
 
 def test_too_fast(arm, planted):
-    trajectory, truth = planted[Kind.FAST]
+    trajectory, truth = planted[TrajectoryKind.FAST]
     i, period = truth.parameters["step"], truth.parameters["period_s"]
     assert trajectory.t_s[i + 1] - trajectory.t_s[i] == pytest.approx(period)
     assert least_step(arm, *trajectory.X_BG[i : i + 2], period) >= SPEED_RATIO[0]
 
 
 def test_into_the_table(arm, planted):
-    trajectory, _ = planted[Kind.TABLE]
+    trajectory, _ = planted[TrajectoryKind.TABLE]
     assert arm.body.lowest_of_gripper(trajectory.X_BG, trajectory.finger_width_m).min() <= -0.99 * DEPTH_M[0]
 
 
 def test_elsewhere_at_once(planted):
-    _, truth = planted[Kind.TELEPORT]
+    _, truth = planted[TrajectoryKind.TELEPORT]
     p = truth.parameters
     assert p["step_ratio"] >= JUMP_STEP or p["bend_ratio"] >= JUMP_BEND
 
 
 def test_past_a_limit(arm, planted):
-    trajectory, _ = planted[Kind.LIMIT_Q]
+    trajectory, _ = planted[TrajectoryKind.LIMIT_Q]
     past = np.maximum(arm.plant.lower - trajectory.q, trajectory.q - arm.plant.upper).max()
     assert past >= 0.99 * LIMIT_EXCESS_RAD[0]
 
 
 def test_into_itself(arm, planted):
-    trajectory, truth = planted[Kind.SELF_Q]
+    trajectory, truth = planted[TrajectoryKind.SELF_Q]
     frames = range(truth.parameters["frame_start"], truth.parameters["frame_end"] + 1)
     depths = [
         -pair.distance
@@ -76,14 +76,14 @@ def test_into_itself(arm, planted):
 
 
 def test_a_pose_only_limits_forbid(arm, planted):
-    trajectory, truth = planted[Kind.LIMIT_POSE]
+    trajectory, truth = planted[TrajectoryKind.LIMIT_POSE]
     finer = least_excess(arm, trajectory.X_BG[truth.parameters["frame"]], 3 * 4096)
     assert 0.5 * POSE_EXCESS_RAD < finer <= truth.parameters["excess_rad"] + 1e-9
 
 
 def test_noise_has_the_size_asked_for_and_the_same_trajectory_under_it(arm):
-    noisy, truth = draw(Recipe(set=Set.NOISY, seed=4, noise_m=3e-3, noise_rad=0.02), 0, arm)
-    clean, _ = draw(Recipe(set=Set.FEASIBLE, seed=4), 0, arm)
+    noisy, truth = draw(Recipe(set=TrajectorySet.NOISY, seed=4, noise_m=3e-3, noise_rad=0.02), 0, arm)
+    clean, _ = draw(Recipe(set=TrajectorySet.FEASIBLE, seed=4), 0, arm)
     assert truth.feasible is True
     off = noisy.X_BG[:, :3, 3] - clean.X_BG[:, :3, 3]
     assert off.std() == pytest.approx(3e-3, rel=0.3)
@@ -92,7 +92,7 @@ def test_noise_has_the_size_asked_for_and_the_same_trajectory_under_it(arm):
 
 def test_disturbed_trajectories_can_be_written(arm):
     for i in range(40):
-        trajectory, truth = draw(Recipe(set=Set.PERTURBED, seed=4), i, arm)
+        trajectory, truth = draw(Recipe(set=TrajectorySet.PERTURBED, seed=4), i, arm)
         assert truth.feasible is None
         with np.load(io.BytesIO(trajectory.to_bytes()), allow_pickle=False) as arrays:
             assert (np.diff(arrays["t_s"]) > 0.0).all()
@@ -101,11 +101,11 @@ def test_disturbed_trajectories_can_be_written(arm):
 
 
 def test_the_same_seed_gives_the_same_bytes(tmp_path):
-    recipe = Recipe(set=Set.INFEASIBLE, seed=5)
-    first = list(make(recipe, 3, tmp_path / "a"))
-    list(make(recipe, 2, tmp_path / "b"))
+    recipe = Recipe(set=TrajectorySet.INFEASIBLE, seed=5)
+    first = list(write_set(recipe, 3, tmp_path / "a"))
+    list(write_set(recipe, 2, tmp_path / "b"))
     for path in (tmp_path / "b").glob("*.npz"):
         assert path.read_bytes() == (tmp_path / "a" / path.name).read_bytes()
-    list(make(Recipe(set=Set.INFEASIBLE, seed=6), 1, tmp_path / "c"))
+    list(write_set(Recipe(set=TrajectorySet.INFEASIBLE, seed=6), 1, tmp_path / "c"))
     assert (tmp_path / "c" / "reach-00000.npz").read_bytes() != (tmp_path / "a" / "reach-00000.npz").read_bytes()
-    assert read_truth(tmp_path / "a" / TRUTH) == {truth.id: truth for truth in first}
+    assert read_truths(tmp_path / "a" / TRUTH) == {truth.id: truth for truth in first}

@@ -1,6 +1,5 @@
-"""A trajectory as `audit` reads it, and what is known about it."""
+"""A trajectory as `audit` reads it, and its ground truth."""
 
-import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
@@ -11,17 +10,16 @@ from numpy.typing import NDArray
 
 from kinebench_drake.errors import InputError, cause
 from kinebench_drake.geometry import Array
-from kinebench_drake.io.atomic import write_atomically
-from kinebench_drake.io.jsonl import dump
+from kinebench_drake.io.jsonl import parse_json, write_lines
 from kinebench_drake.io.npz import pack_arrays
 from kinebench_drake.types import Json, ViolationKind
 
 TRUTH = "truth.jsonl"
-"""Name of the file beside the trajectories that tells what each of them is."""
+"""Name of the file with the ground truth, beside the trajectories."""
 
 
-class Kind(Enum):
-    """What is known about a trajectory."""
+class TrajectoryKind(Enum):
+    """Ground truth about a trajectory: feasible, or the planted fault."""
 
     FEASIBLE = "feasible"
     REACH = "reach"
@@ -35,21 +33,21 @@ class Kind(Enum):
     NOISY = "noisy"
 
 
-REASONS: Mapping[Kind, tuple[ViolationKind, ...]] = {
-    Kind.REACH: (ViolationKind.UNREACHABLE,),
-    Kind.FAST: (ViolationKind.VELOCITY,),
-    Kind.TABLE: (ViolationKind.TABLE_COLLISION,),
-    Kind.TELEPORT: (ViolationKind.DISCONTINUITY,),
-    Kind.LIMIT_Q: (ViolationKind.JOINT_LIMIT,),
-    Kind.SELF_Q: (ViolationKind.SELF_COLLISION,),
-    Kind.LIMIT_POSE: (ViolationKind.JOINT_LIMIT,),
+REASONS: Mapping[TrajectoryKind, tuple[ViolationKind, ...]] = {
+    TrajectoryKind.REACH: (ViolationKind.UNREACHABLE,),
+    TrajectoryKind.FAST: (ViolationKind.VELOCITY,),
+    TrajectoryKind.TABLE: (ViolationKind.TABLE_COLLISION,),
+    TrajectoryKind.TELEPORT: (ViolationKind.DISCONTINUITY,),
+    TrajectoryKind.LIMIT_Q: (ViolationKind.JOINT_LIMIT,),
+    TrajectoryKind.SELF_Q: (ViolationKind.SELF_COLLISION,),
+    TrajectoryKind.LIMIT_POSE: (ViolationKind.JOINT_LIMIT,),
 }
-"""Violations of which one must be named, for each planted kind."""
+"""Violations of which an audit must name one, for each planted fault."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Trajectory:
-    """What one file holds."""
+    """Content of one trajectory file."""
 
     t_s: Array
     """(T,) times [s]."""
@@ -58,12 +56,12 @@ class Trajectory:
     finger_width_m: Array
     """(T,) gap between the finger pads [m]."""
     q: Array | None = None
-    """(T, 7) joint angles [rad] of a trajectory that is given in joints; its poses are then not written."""
+    """(T, 7) joint angles [rad]; if present they are written instead of the poses."""
     tracked: NDArray[np.bool_] | None = None
-    """(T,) frames that are known, of a trajectory written as grounding writes its tracks; None: all."""
+    """(T,) tracked frames of a trajectory that is written as grounding writes its tracks; None: all frames."""
 
     def to_bytes(self) -> bytes:
-        """The npz file, the same bytes for the same numbers."""
+        """Return the npz file; equal numbers give equal bytes."""
         arrays: dict[str, NDArray[np.generic]] = {"t_s": self.t_s, "finger_width_m": self.finger_width_m}
         if self.q is not None:
             arrays["q"] = self.q
@@ -82,28 +80,28 @@ class Trajectory:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Truth:
-    """What is known about one trajectory."""
+class TrajectoryTruth:
+    """Ground truth of one trajectory."""
 
     id: str
     """Name of the file without its suffix."""
-    kind: Kind
+    kind: TrajectoryKind
     family: str
-    """How it was drawn, or the motion it was planted into."""
+    """How the motion was drawn."""
     reasons: tuple[ViolationKind, ...] = ()
-    """Violations of which one must be named; none for a feasible trajectory."""
+    """Violations of which an audit must name one; empty for a feasible trajectory."""
     parameters: Mapping[str, Json] = field(default_factory=dict)
-    """Sizes, places, and the figures of the proof."""
+    """Sizes and places of the fault, and figures of the proof."""
 
     @property
     def feasible(self) -> bool | None:
-        """Whether the arm can do it; None where nobody knows."""
-        if self.kind in (Kind.FEASIBLE, Kind.NOISY):
+        """True if the arm can execute it; None if unknown."""
+        if self.kind in (TrajectoryKind.FEASIBLE, TrajectoryKind.NOISY):
             return True
-        return None if self.kind is Kind.PERTURBED else False
+        return None if self.kind is TrajectoryKind.PERTURBED else False
 
     def to_json(self) -> dict[str, Json]:
-        """The object as written."""
+        """Return the object as written."""
         return {
             "id": self.id,
             "kind": self.kind.value,
@@ -114,19 +112,21 @@ class Truth:
         }
 
     @classmethod
-    def from_json(cls, data: Mapping[str, Json]) -> "Truth":
-        """What `to_json` wrote.
+    def from_json(cls, data: object) -> "TrajectoryTruth":
+        """Read what `to_json` returns.
 
         Raises:
             InputError: a key is absent or its value unknown.
         """
         try:
+            if not isinstance(data, dict):
+                raise ValueError("it is no object")
             reasons, parameters = data["reasons"], data["parameters"]
             if not isinstance(reasons, list) or not isinstance(parameters, dict):
                 raise ValueError("reasons is a list, parameters an object")
             return cls(
                 id=str(data["id"]),
-                kind=Kind(data["kind"]),
+                kind=TrajectoryKind(data["kind"]),
                 family=str(data["family"]),
                 reasons=tuple(ViolationKind(reason) for reason in reasons),
                 parameters=parameters,
@@ -135,20 +135,19 @@ class Truth:
             raise InputError(f"not a line of {TRUTH} ({error})") from None
 
 
-def write_truth(path: Path, truths: Iterable[Truth]) -> None:
-    """Write one line a trajectory, by id."""
-    lines = [dump(truth.to_json()) for truth in sorted(truths, key=lambda truth: truth.id)]
-    write_atomically(path, "".join(lines).encode())
+def write_truths(path: Path, truths: Iterable[TrajectoryTruth]) -> None:
+    """Write one line a trajectory, sorted by id."""
+    write_lines(path, [truth.to_json() for truth in sorted(truths, key=lambda truth: truth.id)])
 
 
-def read_truth(path: Path) -> dict[str, Truth]:
-    """Truths by id.
+def read_truths(path: Path) -> dict[str, TrajectoryTruth]:
+    """Read ground truths by id.
 
     Raises:
         InputError: the file is absent or damaged.
     """
     try:
-        truths = [Truth.from_json(json.loads(line)) for line in path.read_text().splitlines()]
+        truths = [TrajectoryTruth.from_json(parse_json(line)) for line in path.read_bytes().splitlines()]
     except (OSError, ValueError) as error:
         raise InputError(f"{path.name}: cannot be read ({cause(error)})") from None
     return {truth.id: truth for truth in truths}

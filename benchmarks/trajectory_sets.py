@@ -1,0 +1,163 @@
+"""Sets of trajectories with ground truth: drawing one by its number, and writing a whole set.
+
+Every trajectory has its own random generator, seeded by the set's seed, its kind and its number: the same arguments
+give the same bytes, whatever the number of jobs, and a larger set begins with the smaller one.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from enum import Enum
+from functools import lru_cache, partial
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.feasible import FeasibleMotion, draw_feasible
+from benchmarks.motion import Arm
+from benchmarks.moves import Family
+from benchmarks.perturbed import add_noise, perturb
+from benchmarks.planted import PLANTERS
+from benchmarks.trajectory import REASONS, TRUTH, Trajectory, TrajectoryKind, TrajectoryTruth, write_truths
+from kinebench_drake.errors import KinebenchError
+from kinebench_drake.executors.base import WorkerCrash
+from kinebench_drake.executors.local import LocalExecutor
+from kinebench_drake.io.atomic import write_atomically
+from kinebench_drake.types import Json
+
+_BASES = 200  # feasible trajectories that the perturbed ones are made from
+_PLANT_TRIES = 8  # attempts to plant a fault into one feasible trajectory
+
+
+class TrajectorySet(Enum):
+    """Purpose of a set."""
+
+    FEASIBLE = "feasible"
+    """None may be judged infeasible."""
+    INFEASIBLE = "infeasible"
+    """All kinds of planted faults in turn: each must be detected, with the right reason."""
+    PERTURBED = "perturbed"
+    """Random disturbances: an audit may not fail."""
+    NOISY = "noisy"
+    """The feasible set as poses with measurement noise: none may be judged infeasible."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Recipe:
+    """Parameters of a set; picklable."""
+
+    set: TrajectorySet
+    seed: int
+    noise_m: float = 0.0
+    """Standard deviation of the position along each axis, of a noisy set [m]."""
+    noise_rad: float = 0.0
+    """Standard deviation of the rotation about each axis, of a noisy set [rad]."""
+
+
+def draw(recipe: Recipe, index: int, arm: Arm) -> tuple[Trajectory, TrajectoryTruth]:
+    """Draw trajectory number `index` of a set, with its ground truth."""
+    if recipe.set is TrajectorySet.PERTURBED:
+        return _perturbed(recipe, index, arm)
+    if recipe.set is TrajectorySet.INFEASIBLE:
+        return _planted(recipe, index, arm)
+    rng = _generator(recipe.seed, TrajectorySet.FEASIBLE, index)  # noise is added to the same trajectories
+    base = draw_feasible(rng, arm)
+    trajectory = base.trajectory(arm)
+    parameters = _proof(base)
+    if recipe.set is TrajectorySet.NOISY:
+        noise = _generator(recipe.seed, TrajectorySet.NOISY, index)
+        trajectory = add_noise(noise, trajectory, recipe.noise_m, recipe.noise_rad)
+        parameters |= {"noise_m": recipe.noise_m, "noise_rad": recipe.noise_rad}
+        kind = TrajectoryKind.NOISY
+    else:
+        kind = TrajectoryKind.FEASIBLE
+        if base.family is not Family.JOINT or rng.random() < 0.5:  # half of the joint paths are written as joint angles
+            trajectory = replace(trajectory, q=None)
+    truth = TrajectoryTruth(id=f"{kind.value}-{index:05d}", kind=kind, family=base.family.value, parameters=parameters)
+    return trajectory, truth
+
+
+def _generator(seed: int, set: TrajectorySet, index: int, attempt: int = 0) -> np.random.Generator:
+    return np.random.default_rng([seed, list(TrajectorySet).index(set), index, attempt])
+
+
+def _proof(base: FeasibleMotion) -> dict[str, Json]:
+    figures: dict[str, Json] = {"frames": base.frames, "period_s": base.period_s, "cut": base.cut}
+    if base.proof is not None:
+        figures |= {
+            "position_margin_rad": base.proof.position_margin_rad,
+            "velocity_ratio": base.proof.velocity,
+            "acceleration_ratio": base.proof.acceleration,
+            "jerk_ratio": base.proof.jerk,
+            "torque_ratio": base.proof.torque,
+            "self_distance_m": base.proof.self_distance_m,
+            "table_distance_m": base.proof.table_distance_m,
+        }
+    return figures
+
+
+def _planted(recipe: Recipe, index: int, arm: Arm) -> tuple[Trajectory, TrajectoryTruth]:
+    kind = list(PLANTERS)[index % len(PLANTERS)]
+    attempt = 0
+    while True:
+        rng = _generator(recipe.seed, TrajectorySet.INFEASIBLE, index, attempt)
+        base = draw_feasible(rng, arm)
+        for _ in range(_PLANT_TRIES):
+            planted = PLANTERS[kind](rng, arm, base)
+            if planted is not None:
+                parameters = {"frames": base.frames, "period_s": base.period_s, **planted.parameters}
+                truth = TrajectoryTruth(
+                    id=f"{kind.value}-{index:05d}",
+                    kind=kind,
+                    family=base.family.value,
+                    reasons=REASONS[kind],
+                    parameters=parameters,
+                )
+                return planted.trajectory, truth
+        attempt += 1
+
+
+def _perturbed(recipe: Recipe, index: int, arm: Arm) -> tuple[Trajectory, TrajectoryTruth]:
+    rng = _generator(recipe.seed, TrajectorySet.PERTURBED, index)
+    family, good = _base(recipe.seed, index % _BASES, arm)
+    trajectory, names = perturb(rng, arm, good)
+    truth = TrajectoryTruth(
+        id=f"perturbed-{index:05d}",
+        kind=TrajectoryKind.PERTURBED,
+        family=family.value,
+        parameters={"disturbances": names, "frames": len(trajectory.t_s)},
+    )
+    return trajectory, truth
+
+
+@lru_cache(maxsize=_BASES)
+def _base(seed: int, index: int, arm: Arm) -> tuple[Family, Trajectory]:
+    base = draw_feasible(_generator(seed, TrajectorySet.FEASIBLE, index), arm, proven=False)
+    return base.family, base.trajectory(arm)
+
+
+class _Writer:
+    """Draws and writes one trajectory after the other."""
+
+    def __init__(self, recipe: Recipe, out: Path) -> None:
+        self._recipe, self._out, self._arm = recipe, out, Arm()
+
+    def __call__(self, index: int) -> TrajectoryTruth:
+        trajectory, truth = draw(self._recipe, index, self._arm)
+        write_atomically(self._out / f"{truth.id}.npz", trajectory.to_bytes())
+        return truth
+
+
+def write_set(recipe: Recipe, count: int, out: Path, *, jobs: int = 1) -> Iterator[TrajectoryTruth]:
+    """Write `count` trajectories into a folder, then truth.jsonl; yields each truth when its file is written.
+
+    Raises:
+        KinebenchError: writing failed, or a worker died.
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    truths: list[TrajectoryTruth] = []
+    for outcome in LocalExecutor(jobs=jobs).run(partial(_Writer, recipe, out), range(count)):
+        if isinstance(outcome, WorkerCrash):
+            raise KinebenchError(f"trajectory {outcome.item} of the {recipe.set.value} set could not be drawn")
+        truths.append(outcome.result)
+        yield outcome.result
+    write_truths(out / TRUTH, truths)
