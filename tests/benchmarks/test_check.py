@@ -81,7 +81,7 @@ def test_the_table_names_what_to_look_at(verdicts):
     text = summary_table(list(verdicts.values()))
     assert "| fast | 4 | 3/4 = 75.0 %" in text
     assert "fast, not detected: fast-2" in text
-    assert "fast, found for another reason: fast-1" in text
+    assert "fast, another reason named: fast-1" in text
     assert "feasible, false alarms: feasible-1" in text
     assert "all planted" not in text  # there is one kind of them
 
