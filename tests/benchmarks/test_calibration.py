@@ -11,14 +11,14 @@ from kinebench_drake.geometry import invert
 from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.io.camerafile import save_camera
 from kinebench_drake.models.panda.robot import RobotPart
-from tests.calibration.robot import PerfectEye, postures
+from tests.calibration.robot import PerfectEstimator, postures
 
 T = 5
 
 
 @pytest.fixture
 def estimator():
-    return PerfectEye(benchmark_camera(), postures(T), ArmModel())
+    return PerfectEstimator(benchmark_camera(), postures(T), ArmModel())
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""A robot seen by a perfect network: points of its parts where a known camera shows them."""
+"""Synthetic views of a robot: points of its parts projected by a known camera."""
 
 from dataclasses import dataclass
 
@@ -10,7 +10,7 @@ from kinebench_drake.geometry import Array, invert, transform_points
 from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.models.panda.robot import OPENING_SIGN, RobotPart, rest_q
 
-SEEN = (
+VISIBLE = (
     RobotPart.HAND,
     RobotPart.LEFT_FINGER,
     RobotPart.RIGHT_FINGER,
@@ -27,21 +27,21 @@ def postures(frames: int, *, reach: float = 0.25, seed: int = 0) -> Array:
     return rest_q() + np.random.default_rng(seed).uniform(-reach, reach, (frames, 7))
 
 
-def seen_from(
+def project_robot(
     camera: Camera,
     q: Array,
     model: ArmModel,
     *,
-    parts: tuple[RobotPart, ...] = SEEN,
+    parts: tuple[RobotPart, ...] = VISIBLE,
     finger_m: float = 0.01,
     noise_px: float = 0.0,
     cells: int = 12,
 ) -> CalibrationCorrespondences:
-    """What `camera` shows of the robot at postures `q` (T, 7), `cells` points of each part in each frame."""
+    """Project the robot by `camera` at postures `q` (T, 7), `cells` points of each part in each frame."""
     rng = np.random.default_rng(1)
     n = len(q) * len(parts) * cells
     part = np.tile(np.repeat(np.array(parts, np.uint8), cells), len(q))
-    sightings = CalibrationCorrespondences(
+    observed = CalibrationCorrespondences(
         frame=np.repeat(np.arange(len(q)), len(parts) * cells),
         uv_px=np.zeros((n, 2)),
         part=part,
@@ -51,15 +51,15 @@ def seen_from(
         weight=np.full(n, 8.0 / cells),
         repeats=np.ones(n),
     )
-    p_B = locate_points(sightings, model.poses(q), np.full(len(q), finger_m))
+    p_B = locate_points(observed, model.poses(q), np.full(len(q), finger_m))
     uv = camera.project(transform_points(invert(camera.X_BC), p_B))
-    sightings.uv_px[:] = uv + rng.normal(0.0, noise_px, uv.shape) if noise_px else uv
-    return sightings
+    observed.uv_px[:] = uv + rng.normal(0.0, noise_px, uv.shape) if noise_px else uv
+    return observed
 
 
 @dataclass
-class PerfectEye:
-    """Sees the robot where a camera shows it, whatever camera it is told."""
+class PerfectEstimator:
+    """View estimator that returns the projection by a fixed camera, whatever camera it gets."""
 
     camera: Camera
     q: Array
@@ -67,7 +67,7 @@ class PerfectEye:
     noise_px: float = 0.0
 
     def estimate(self, frames, camera):
-        cells = seen_from(self.camera, self.q[frames[:, 0, 0, 0]], self.model, noise_px=self.noise_px)
+        cells = project_robot(self.camera, self.q[frames[:, 0, 0, 0]], self.model, noise_px=self.noise_px)
         T = len(frames)
         return LensView(
             cells=cells,

@@ -13,14 +13,14 @@ from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.geometry import invert, pose_difference, transform_points
 from kinebench_drake.io.camerafile import load_camera
 from kinebench_drake.models.panda.robot import RobotPart
-from tests.calibration.robot import PerfectEye, postures
+from tests.calibration.robot import PerfectEstimator, postures
 
 T = 6
 
 
 @pytest.fixture
 def estimator(camera, model):
-    return PerfectEye(with_focal(camera, 400.0), postures(T), model, noise_px=0.3)
+    return PerfectEstimator(with_focal(camera, 400.0), postures(T), model, noise_px=0.3)
 
 
 @pytest.fixture
@@ -40,8 +40,8 @@ def program(monkeypatch, capsys, estimator):
     def run(*arguments):
         with pytest.raises(SystemExit) as ended:
             cli.main([str(a) for a in arguments])
-        told = capsys.readouterr()
-        return ended.value.code, told.out, told.err
+        stated = capsys.readouterr()
+        return ended.value.code, stated.out, stated.err
 
     return run
 
@@ -49,9 +49,9 @@ def program(monkeypatch, capsys, estimator):
 def test_the_command_writes_a_camera_that_score_takes(program, video, estimator, tmp_path):
     out, figure = tmp_path / "camera.json", tmp_path / "check.png"
     joints = tmp_path / "joints.npz"
-    code, told, err = program("calibrate", video, "--joints", joints, "--out", out, "--figure", figure, "--json")
+    code, stated, err = program("calibrate", video, "--joints", joints, "--out", out, "--figure", figure, "--json")
     assert (code, err) == (0, "")
-    camera, figures = load_camera(out), json.loads(told)
+    camera, figures = load_camera(out), json.loads(stated)
     assert float(pose_difference(camera.X_BC, estimator.camera.X_BC)[0]) < 0.02
     assert camera.fx == pytest.approx(400.0, rel=0.03)
     assert figures["camera"] == json.loads(out.read_text())
@@ -61,12 +61,12 @@ def test_the_command_writes_a_camera_that_score_takes(program, video, estimator,
 
 def test_a_given_focal_length_is_kept(program, video, tmp_path):
     out = tmp_path / "camera.json"
-    code, told, _ = program(
+    code, stated, _ = program(
         "calibrate", video, "--joints", tmp_path / "joints.npz", "--focal", 400, "--out", out, "--frames", 4
     )
     assert code == 0
-    assert "400.0 px, given" in told
-    assert "4 frames" in told
+    assert "400.0 px, given" in stated
+    assert "4 frames" in stated
     assert load_camera(out).fx == 400.0
 
 

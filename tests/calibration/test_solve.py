@@ -12,14 +12,14 @@ from kinebench_drake.calibration.states import RobotStates, unknown_states
 from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.geometry import invert, make_pose, pose_difference, rotation_exp
 from kinebench_drake.models.panda.robot import RobotPart
-from tests.calibration.robot import SEEN, postures, seen_from
+from tests.calibration.robot import VISIBLE, postures, project_robot
 
 
 def states_of(q, model):
     return RobotStates(q=q, X_BH=model.poses(q)[:, RobotPart.HAND], finger_m=np.full(len(q), 0.01), source="joints.csv")
 
 
-def look_of(cells, q):
+def view_of(cells, q):
     return LensView(cells=cells, finger_m=np.full(len(q), 0.01), q=q, robot=np.zeros((2, 2), dtype=bool))
 
 
@@ -34,13 +34,13 @@ def described(solved, *, focal_free=True, method=CalibrationMethod.JOINTS):
 
 
 def calibrated(
-    camera, model, *, q=None, told=None, noise_px=0.5, guess=None, focal_free=True, parts=SEEN
+    camera, model, *, q=None, stated=None, noise_px=0.5, guess=None, focal_free=True, parts=VISIBLE
 ) -> CameraCalibration:
     q = postures(6) if q is None else q
-    cells = seen_from(camera, q, model, noise_px=noise_px, parts=parts)
-    states = states_of(q if told is None else told, model)
+    cells = project_robot(camera, q, model, noise_px=noise_px, parts=parts)
+    states = states_of(q if stated is None else stated, model)
     return described(
-        solve(look_of(cells, q), states, guess or camera, model, focal_free=focal_free), focal_free=focal_free
+        solve(view_of(cells, q), states, guess or camera, model, focal_free=focal_free), focal_free=focal_free
     )
 
 
@@ -91,20 +91,20 @@ def test_a_robot_far_away_leaves_the_focal_length_open_and_says_why(camera, mode
 
 def test_a_gripper_read_upside_down_in_a_frame_is_read_again(camera, model):
     q = postures(5)
-    wrong = seen_from(camera, q, model).flip(np.arange(5) == 2)
-    found = described(solve(look_of(wrong, q), states_of(q, model), camera, model, focal_free=True))
+    wrong = project_robot(camera, q, model).flip(np.arange(5) == 2)
+    found = described(solve(view_of(wrong, q), states_of(q, model), camera, model, focal_free=True))
     assert max(off(camera, found.camera)) < 1e-5
 
 
 def test_joint_angles_of_another_motion_are_refused(camera, model):
     with pytest.raises(UnmeasurableError, match=r"contradicts the images|agree with joints.csv"):
-        require_determined(calibrated(camera, model, told=postures(6, seed=5, reach=0.6)))
+        require_determined(calibrated(camera, model, stated=postures(6, seed=5, reach=0.6)))
 
 
 def test_poses_of_the_gripper_do_without_the_arm(camera, model):
     q = postures(6)
     states = replace(states_of(q, model), q=np.full((6, 7), np.nan))
-    solved = solve(look_of(seen_from(camera, q, model), q), states, camera, model, focal_free=True)
+    solved = solve(view_of(project_robot(camera, q, model), q), states, camera, model, focal_free=True)
     assert set(np.unique(solved.cells.part)) == {
         RobotPart.HAND,
         RobotPart.LEFT_FINGER,
@@ -114,18 +114,18 @@ def test_poses_of_the_gripper_do_without_the_arm(camera, model):
     assert max(off(camera, solved.fit.lens.to_camera())) < 1e-5
 
 
-def moving(camera, model, *, parts=SEEN, known=()):
+def moving(camera, model, *, parts=VISIBLE, known=()):
     """A motion of which nothing, or some postures are known, looked at with a camera that stands elsewhere."""
     q = postures(6)
     guess = replace(camera, X_BC=make_pose(rotation_exp([0.0, 0.0, 0.08]), [0.02, 0.0, -0.02]) @ camera.X_BC)
     nothing = unknown_states(6)
-    told = np.isin(np.arange(6), known)[:, None]
+    stated = np.isin(np.arange(6), known)[:, None]
     states = replace(
         nothing,
-        q=np.where(told, q, np.nan),
-        X_BH=np.where(told[..., None], model.poses(q)[:, RobotPart.HAND], np.nan),
+        q=np.where(stated, q, np.nan),
+        X_BH=np.where(stated[..., None], model.poses(q)[:, RobotPart.HAND], np.nan),
     )
-    estimate = look_of(seen_from(camera, q, model, parts=parts), q + 0.02)
+    estimate = view_of(project_robot(camera, q, model, parts=parts), q + 0.02)
     solved = solve(estimate, states, guess, model, focal_free=False)
     return described(
         solved, focal_free=False, method=CalibrationMethod.MOTION if not known else CalibrationMethod.POSTURE
@@ -138,14 +138,14 @@ def test_without_joint_angles_the_base_tells_where_the_camera_is(camera, model):
 
 
 def test_without_the_base_the_turn_about_joint_1_is_refused_and_the_rest_told(camera, model):
-    found = moving(camera, model, parts=tuple(part for part in SEEN if part is not RobotPart.LINK0))
+    found = moving(camera, model, parts=tuple(part for part in VISIBLE if part is not RobotPart.LINK0))
     with pytest.raises(UnmeasurableError, match=r"axis of joint 1.*0 cells.*height 4[45]\d mm.*3[12] degrees down"):
         require_determined(found)
     assert found.camera.X_BC[2, 3] == pytest.approx(camera.X_BC[2, 3], abs=2e-3)
 
 
 def test_one_posture_in_a_motion_tells_that_turn_as_well(camera, model):
-    found = moving(camera, model, parts=tuple(part for part in SEEN if part is not RobotPart.LINK0), known=(0,))
+    found = moving(camera, model, parts=tuple(part for part in VISIBLE if part is not RobotPart.LINK0), known=(0,))
     assert off(camera, found.camera)[0] < 2e-3
 
 
@@ -155,7 +155,7 @@ def test_derivatives_are_those_of_the_projection(camera, model):
     from kinebench_drake.calibration.fit import Lens
 
     q, finger_m = postures(2), np.array([0.01, 0.02])
-    cells = seen_from(camera, q, model, cells=2)
+    cells = project_robot(camera, q, model, cells=2)
     lens = Lens(camera=camera, X_CB=invert(camera.X_BC))
 
     def pixels(step, dq, dw):
