@@ -173,7 +173,7 @@ class _Worker:
                 run = loop.run(simulator, episode, Path(folder) / episode.id)
             except InputError as error:  # the expert has no path, the clip no place for the fault
                 return CauseResult(case=case, verdict=None, text=str(error))
-        cause = find_cause(run, [self._analyzer.judge(r.grounded.track) for r in run.rounds])
+        cause = find_cause(run, [self._analyzer.judge(r.grounding.track) for r in run.rounds])
         return CauseResult(
             case=case,
             verdict=None if cause is None else cause.verdict,

@@ -1,4 +1,4 @@
-"""One episode, completely described: from it the same scene and first frame can be made anywhere."""
+"""Complete description of an episode, from which its scene and first frame are reproducible."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -13,7 +13,7 @@ from kinebench_drake.suites.tasks.task import SceneLayout, TaskVariant
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Episode:
-    """Task, seed and everything drawn from them."""
+    """Task, seed and all values drawn from them."""
 
     id: str
     """Safe as a file name, such as "StackCube-v1_s0003"."""
@@ -22,7 +22,7 @@ class Episode:
     seed: int
     """Seed of the scene."""
     variant: TaskVariant
-    """Version of the scene."""
+    """Variant of the scene."""
     assets: Mapping[str, str]
     """Asset id of each of the task's slots."""
     table: str
@@ -34,18 +34,18 @@ class Episode:
     camera: str
     """Name of the camera; there is one, "benchmark"."""
     prompt: str
-    """The task in words."""
+    """Task instruction."""
 
     def models(self) -> dict[str, AssetModel]:
-        """The asset of each slot."""
+        """Return the asset of each slot."""
         return {slot: model(asset_id) for slot, asset_id in self.assets.items()}
 
     def layout(self) -> SceneLayout:
-        """The scene to begin with."""
+        """Return the initial layout of the scene."""
         return _layout(self.task, self.seed, self.variant, self.models())
 
     def reseeded(self, seed: int) -> "Episode":
-        """The same assets and looks, everything else drawn from another seed."""
+        """Return the episode with the same assets and looks and another seed for the rest."""
         if seed == self.seed:
             return self
         drawn_for = self.id.rpartition("_as")[2].removeprefix(f"{self.task}_s")
@@ -62,21 +62,21 @@ def _layout(task: str, seed: int, variant: TaskVariant, models: Mapping[str, Ass
 
 
 def episode_id(task: str, seed: int, pool: Pool, variant: TaskVariant) -> str:
-    """Id of an episode, such as "StackCube-v1_s0003_unseen"."""
+    """Return the id of an episode, such as "StackCube-v1_s0003_unseen"."""
     suffix = "".join(f"_{v}" for v in (pool.value, variant.value) if v not in (Pool.ALL.value, TaskVariant.PLAIN.value))
     return f"{task}_s{seed:04d}{suffix}"
 
 
 def compose(task: str, seed: int, *, pool: Pool = Pool.ALL, variant: TaskVariant = TaskVariant.PLAIN) -> Episode:
-    """The episode of a task and seed with assets and looks from a pool.
+    """Compose the episode of a task and seed with assets and looks from a pool.
 
     Raises:
-        UsageError: there is no such task, or it has no such variant.
+        UsageError: there is no such task, or it does not have the variant.
     """
-    found = find_task(task, variant)
+    definition = find_task(task, variant)
     rng = generator("episode", task, seed, pool.value)
     looks = {sort: str(rng.choice(pool_looks(sort, pool))) for sort in ("table", "background", "light")}
-    assets = {slot: str(rng.choice(pool_assets(kind, pool))) for slot, kind in found.slots_of(variant).items()}
+    assets = {slot: str(rng.choice(pool_assets(kind, pool))) for slot, kind in definition.slots_of(variant).items()}
     return Episode(
         id=episode_id(task, seed, pool, variant),
         task=task,

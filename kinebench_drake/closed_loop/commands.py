@@ -1,8 +1,7 @@
-"""From the track of a gripper, as seen or as it truly was, to what the robot is told at each control step.
+"""Robot commands at each control step from a gripper track.
 
-A video shows where the gripper was, not what its servos were told. Two things are made up for: the servos follow about
-`LEAD_S` late, so each moment's pose is commanded that much earlier; and fingers that hold something are seen as far
-apart as the thing is wide, so once they have closed they are told to close a little more.
+A track gives poses, not servo targets. Two effects are compensated: servos lag by about `LEAD_S`, so poses are
+commanded earlier; and the gap of fingers that hold an object is its width, so closed fingers get a smaller target.
 """
 
 from dataclasses import dataclass
@@ -24,40 +23,39 @@ from kinebench_drake.segments import segments
 from kinebench_drake.suites.clock import CONTROL_PERIOD_S
 
 LEAD_S = 0.1
-"""How far the servos of ManiSkill's Panda lag behind their targets: damping over stiffness, 100 / 1000."""
+"""Lag of the servos of ManiSkill's Panda: damping over stiffness, 100 / 1000."""
 SQUEEZE_M = 0.008
-"""How much narrower than seen the gap of fingers that hold something is commanded: 4 N a finger at their stiffness."""
+"""Reduction of the gap commanded to fingers that hold an object: 4 N per finger at their stiffness."""
 GRIP_M, RELEASE_M = 0.006, 0.010
-"""Fingers hold from where their gap has shrunk by the one until it has grown again by the other: what is held is read
-now wider and now narrower, and fingers that do open soon have opened further."""
+"""Decrease of the gap at which fingers grip, and increase at which they release: hysteresis against noise."""
 LEVER_M = 0.1
-"""Turning by an angle counts as moving by the angle times this."""
+"""Lever that converts angles into distances."""
 SELF_DEPTH_M = 0.005
-"""How deep the arm's hulls may be in each other; hulls fill hollows, so that a little is no contact yet."""
+"""Allowed penetration of the arm's convex hulls, which are larger than the links."""
 TABLE_DEPTH_M = 0.015
-"""How deep below the table's top a link may be told to go: pressing on the table is no danger."""
+"""Allowed penetration of the table: pressing on it is harmless."""
 SPEED_SLACK_RAD = 1e-3
-"""Speed limits that cut less than this off a step are not told."""
+"""Reductions of a step by speed limits below this are not reported."""
 
 
 class RejectionReason(Enum):
-    """Why a command is not what the video asks for."""
+    """Reason why commands differ from the track."""
 
     NOT_TRACKED = "not_tracked"
-    """No pose is known; the gripper is moved from the last known one to the next."""
+    """No pose; interpolated between the poses before and after."""
     UNREACHABLE = "unreachable"
-    """No posture within joint limits reaches the pose; the joints are interpolated."""
+    """No posture within joint limits reaches the pose; joints are interpolated."""
     SELF_COLLISION = "self_collision"
-    """The arm would be in itself; the last allowed posture is held."""
+    """Self-collision; the last allowed posture is held."""
     TABLE_COLLISION = "table_collision"
-    """A link would be in the table; the last allowed posture is held."""
+    """Collision with the table; the last allowed posture is held."""
     SPEED = "velocity"
-    """A joint would be too fast; it follows at its limit."""
+    """A joint would exceed its speed limit, at which it follows."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rejection:
-    """Frames whose poses were not commanded as they are."""
+    """Frames whose poses were not commanded as tracked."""
 
     reason: RejectionReason
     frame_start: int
@@ -68,44 +66,44 @@ class Rejection:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RobotState:
-    """How the robot stands when a clip begins, and whether it holds something."""
+    """State of the robot at the start of a clip."""
 
     q: Array
     """(7,) joint angles [rad]."""
     finger_width_m: float
     """Gap between the finger pads [m]."""
     gripping: bool
-    """Whether the fingers have closed and not opened since."""
+    """True if the fingers have closed on an object and not opened since."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Commands:
-    """What the robot is told."""
+    """Commands of a clip."""
 
     q: Array
     """(N, 7) targets of the arm's servos [rad]."""
     X_BG: Array
     """(N, 4, 4) the same as poses of panda_hand_tcp in the base frame [m]."""
     finger_width_m: Array
-    """(N,) targets of the gap between the finger pads [m]; negative presses."""
+    """(N,) targets of the gap between the finger pads [m]; negative values press."""
     frame_steps: NDArray[np.intp]
-    """(T,) control steps that are done at each frame: 0 at the first, N at the last."""
+    """(T,) number of control steps before each frame: 0 at the first, N at the last."""
     gripping: bool
-    """Whether the fingers hold something at the end."""
-    refused: tuple[Rejection, ...]
-    """What was not commanded as asked, by kind and frame."""
+    """True if the fingers hold an object at the end."""
+    rejections: tuple[Rejection, ...]
+    """Frames that were not commanded as tracked, by reason."""
 
 
 class CommandPlanner:
-    """Turns tracks into commands for one robot."""
+    """Converts tracks into commands of one robot."""
 
     def __init__(self, plant: ArmPlant) -> None:
-        """Prepare for a robot."""
+        """Create a planner with the collision model of the robot."""
         self.plant = plant
-        """The robot."""
+        """Kinematics of the robot."""
         self._collisions = CollisionModel(plant)
 
-    def commands(
+    def plan(
         self,
         X_BG: Array,
         finger_width_m: Array,
@@ -113,45 +111,46 @@ class CommandPlanner:
         t_s: Array,
         start: RobotState,
     ) -> Commands:
-        """What to tell the robot so that its gripper does what a track shows.
+        """Plan commands with which the gripper follows a track.
 
         Args:
             X_BG: (T, 4, 4) poses of panda_hand_tcp in the base frame [m].
             finger_width_m: (T,) gap between the finger pads [m]; NaN where unknown.
-            tracked: (T,) which poses can be relied upon; the others are not looked at.
+            tracked: (T,) frames with a valid pose; the others are ignored.
             t_s: (T,) task time of each frame [s], increasing.
-            start: how the robot stands at the first frame; where it is goes before what is seen of it.
+            start: state of the robot at the first frame, used in place of the track's first pose.
 
         Raises:
-            UnmeasurableError: the track has less than two frames, or none tracked after the first.
+            UnmeasurableError: the track has fewer than two frames, or none tracked after the first.
         """
         frames = len(X_BG)
         if frames < 2 or not tracked[1:].any():
             raise UnmeasurableError(f"{int(tracked.sum())} of {frames} frames are tracked: there is nothing to execute")
         t_s = t_s - t_s[0]
-        refused = [*_told(RejectionReason.NOT_TRACKED, ~tracked & (np.arange(frames) > 0))]
-        poses = _bridged(np.concatenate([self.plant.forward(start.q)[None], X_BG[1:]]), tracked)
-        width, gripping = _finger_targets(finger_width_m, poses, start)
-        q, unreached = self._path(t_s, poses, start.q)
-        refused += _told(RejectionReason.UNREACHABLE, unreached)
-        q, own, table = self._allowed(q, width)
-        refused += [*_told(RejectionReason.SELF_COLLISION, own), *_told(RejectionReason.TABLE_COLLISION, table)]
+        rejections = [*_rejections(RejectionReason.NOT_TRACKED, ~tracked & (np.arange(frames) > 0))]
+        poses = _bridge(np.concatenate([self.plant.forward(start.q)[None], X_BG[1:]]), tracked)
+        width, gripping = _plan_fingers(finger_width_m, poses, start)
+        q, unreached = self._solve_path(t_s, poses, start.q)
+        rejections += _rejections(RejectionReason.UNREACHABLE, unreached)
+        q, own, table = self._avoid_collisions(q, width)
+        rejections += _rejections(RejectionReason.SELF_COLLISION, own)
+        rejections += _rejections(RejectionReason.TABLE_COLLISION, table)
         frame_steps = np.rint(t_s / CONTROL_PERIOD_S).astype(np.intp)
-        asked_s = np.minimum(CONTROL_PERIOD_S * np.arange(1, frame_steps[-1] + 1) + LEAD_S, t_s[-1])
-        targets, slowed = self._within_speed(CubicSpline(t_s, q, bc_type="clamped")(asked_s), start.q)
+        lead_s = np.minimum(CONTROL_PERIOD_S * np.arange(1, frame_steps[-1] + 1) + LEAD_S, t_s[-1])
+        targets, slowed = self._limit_speed(CubicSpline(t_s, q, bc_type="clamped")(lead_s), start.q)
         too_fast = np.zeros(frames, dtype=bool)
         too_fast[np.searchsorted(frame_steps, np.flatnonzero(slowed) + 1)] = True
         return Commands(
             q=targets,
             X_BG=np.stack([self.plant.forward(row) for row in targets]),
-            finger_width_m=np.interp(asked_s, t_s, width),
+            finger_width_m=np.interp(lead_s, t_s, width),
             frame_steps=frame_steps,
             gripping=gripping,
-            refused=(*refused, *_told(RejectionReason.SPEED, too_fast)),
+            rejections=(*rejections, *_rejections(RejectionReason.SPEED, too_fast)),
         )
 
-    def _path(self, t_s: Array, X_BG: Array, q_start: Array) -> tuple[Array, NDArray[np.bool_]]:
-        """Postures (T, 7) [rad] from the start on, and frames (T,) whose pose no posture reaches."""
+    def _solve_path(self, t_s: Array, X_BG: Array, q_start: Array) -> tuple[Array, NDArray[np.bool_]]:
+        """Return postures (T, 7) [rad] from the start on, and a mask (T,) of unreachable poses."""
         plant = self.plant
         for q in (solve_stepwise(plant, X_BG, q_start)[0], plan_continuation(plant, t_s, X_BG, q_start)):
             if is_sound(plant, t_s, q):
@@ -159,14 +158,14 @@ class CommandPlanner:
         q = search_path(plant, posture_solver(plant), t_s, X_BG, q_start)
         unreached: NDArray[np.bool_] = ~np.isfinite(q[:, 0])
         if not unreached.all():
-            q = blend_from_start(plant, t_s, X_BG, _filled(t_s, q, ~unreached), q_start)
+            q = blend_from_start(plant, t_s, X_BG, _interpolate(t_s, q, ~unreached), q_start)
         q[0] = q_start
-        return _filled(t_s, q, np.isfinite(q[:, 0])), unreached
+        return _interpolate(t_s, q, np.isfinite(q[:, 0])), unreached
 
-    def _allowed(self, q: Array, finger_width_m: Array) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
-        """The path (T, 7) that holds still where it would collide, and where it would with itself and the table (T,).
+    def _avoid_collisions(self, q: Array, finger_width_m: Array) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
+        """Hold the path (T, 7) where it collides; return it with masks (T,) of self-collisions and table collisions.
 
-        The first posture is where the robot is, whatever it touches.
+        The first posture is that of the robot and never changed.
         """
         gaps = np.clip(finger_width_m, 0.0, self.plant.finger_width_m)
         own = self._collisions.self_distance(q, gaps).distance_m < -SELF_DEPTH_M
@@ -175,8 +174,8 @@ class CommandPlanner:
         last = np.maximum.accumulate(np.where(own | table, 0, np.arange(len(q))))
         return q[last], own, table & ~own
 
-    def _within_speed(self, q: Array, q_start: Array) -> tuple[Array, NDArray[np.bool_]]:
-        """Targets (N, 7) that no joint is too slow for, and the steps (N,) at which one would have been."""
+    def _limit_speed(self, q: Array, q_start: Array) -> tuple[Array, NDArray[np.bool_]]:
+        """Return targets (N, 7) within speed and joint limits, and a mask (N,) of steps that a speed limit reduced."""
         most = self.plant.velocity_limits * CONTROL_PERIOD_S
         targets, slowed, now = np.empty_like(q), np.zeros(len(q), dtype=bool), q_start
         for i, wanted in enumerate(np.clip(q, self.plant.lower, self.plant.upper)):
@@ -186,29 +185,29 @@ class CommandPlanner:
         return targets, slowed
 
 
-def _bridged(X_BG: Array, tracked: NDArray[np.bool_]) -> Array:
-    """The poses (T, 4, 4) with those that are not known put between those that are; the first one is known."""
-    known = np.flatnonzero(np.append(True, tracked[1:]))
+def _bridge(X_BG: Array, tracked: NDArray[np.bool_]) -> Array:
+    """Interpolate untracked poses of (T, 4, 4); the first one counts as tracked."""
+    valid = np.flatnonzero(np.append(True, tracked[1:]))
     bridged = X_BG.copy()
     for i in np.flatnonzero(~np.append(True, tracked[1:])):
-        k = int(np.searchsorted(known, i))
-        before, after = known[k - 1], known[min(k, len(known) - 1)]
+        k = int(np.searchsorted(valid, i))
+        before, after = valid[k - 1], valid[min(k, len(valid) - 1)]
         share = (i - before) / (after - before) if after > before else 0.0
         bridged[i] = interpolate_pose(X_BG[before], X_BG[after], float(share))
     return bridged
 
 
-def _filled(t_s: Array, q: Array, known: NDArray[np.bool_]) -> Array:
-    """The path (T, 7) with all but the frames `known` (T,) put between these, or held where they end."""
-    if known.sum() == 1:
-        return np.repeat(q[known], len(q), axis=0)
-    within = np.clip(t_s, t_s[known][0], t_s[known][-1])
-    return np.asarray(PchipInterpolator(t_s[known], q[known])(within))
+def _interpolate(t_s: Array, q: Array, valid: NDArray[np.bool_]) -> Array:
+    """Interpolate the path (T, 7) between its `valid` (T,) frames; it is constant outside of them."""
+    if valid.sum() == 1:
+        return np.repeat(q[valid], len(q), axis=0)
+    within = np.clip(t_s, t_s[valid][0], t_s[valid][-1])
+    return np.asarray(PchipInterpolator(t_s[valid], q[valid])(within))
 
 
-def _finger_targets(finger_width_m: Array, X_BG: Array, start: RobotState) -> tuple[Array, bool]:
-    """Gap (T,) [m] to command in each frame, and whether the fingers hold something at the end."""
-    width = _whole_width(np.concatenate([[start.finger_width_m], finger_width_m[1:]]), X_BG)
+def _plan_fingers(finger_width_m: Array, X_BG: Array, start: RobotState) -> tuple[Array, bool]:
+    """Return the gap (T,) [m] to command in each frame, and whether the fingers hold an object at the end."""
+    width = _interpolate_width(np.concatenate([[start.finger_width_m], finger_width_m[1:]]), X_BG)
     gripping, extreme = start.gripping, width[0]
     targets = np.empty_like(width)
     for i, gap in enumerate(width):
@@ -219,22 +218,22 @@ def _finger_targets(finger_width_m: Array, X_BG: Array, start: RobotState) -> tu
     return targets, gripping
 
 
-def _whole_width(width: Array, X_BG: Array) -> Array:
-    """Gaps (T,) [m], the first of which is known, with those that are not (NaN) put between those that are.
+def _interpolate_width(width: Array, X_BG: Array) -> Array:
+    """Interpolate unknown gaps (NaN) of (T,) [m], the first of which is known.
 
-    Where the fingers have opened or closed meanwhile, they did when the hand moved least: it waits for them.
+    If the fingers opened or closed in between, they are assumed to do so when the hand moved least.
     """
-    known = np.flatnonzero(np.isfinite(width))
-    whole = np.interp(np.arange(len(width)), known, width[known])
+    valid = np.flatnonzero(np.isfinite(width))
+    whole = np.interp(np.arange(len(width)), valid, width[valid])
     distance, angle = pose_difference(X_BG[:-1], X_BG[1:])
     pace = np.convolve(np.pad(distance + LEVER_M * angle, 1, mode="edge"), np.full(3, 1.0 / 3.0), mode="valid")
-    for before, after in pairwise(known):
+    for before, after in pairwise(valid):
         if after > before + 1 and abs(width[after] - width[before]) > GRIP_M:
             wait = before + int(np.argmin(pace[before:after]))
             whole[before : wait + 1], whole[wait + 1 : after] = width[before], width[after]
     return whole
 
 
-def _told(reason: RejectionReason, frames: NDArray[np.bool_]) -> list[Rejection]:
-    """Stretches of consecutive frames (T,)."""
+def _rejections(reason: RejectionReason, frames: NDArray[np.bool_]) -> list[Rejection]:
+    """Return the rejections of the stretches of a mask (T,)."""
     return [Rejection(reason=reason, frame_start=run.start, frame_end=run.stop - 1) for run in segments(frames)]

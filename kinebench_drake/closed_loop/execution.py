@@ -1,4 +1,4 @@
-"""Commands carried out on a simulator, frame by frame."""
+"""Execution of commands in the simulator, frame by frame."""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -13,12 +13,12 @@ from kinebench_drake.suites.simulator import Control, Simulator, Snapshot, TaskO
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Execution:
-    """What came of commands."""
+    """Executed part of a clip."""
 
     snapshots: tuple[Snapshot, ...]
-    """The state at each frame, the one before the first command included; none after success."""
+    """States at the frames, beginning with the one before the first command and ending at success."""
     outcomes: tuple[TaskOutcome, ...]
-    """The task's verdict at each frame but the first."""
+    """Outcomes of the task at each frame but the first."""
     X_BG: Array
     """(T, 4, 4) panda_hand_tcp in the base frame at each snapshot [m]."""
 
@@ -29,17 +29,17 @@ class Execution:
 
     @property
     def outcome(self) -> TaskOutcome:
-        """The verdict at the end."""
+        """Outcome at the end."""
         return self.outcomes[-1]
 
 
 def execute(simulator: Simulator, commands: Commands, control: Control) -> Execution:
-    """Carry out commands from the present state on, until the task succeeds or they end.
+    """Execute commands from the current state on, until the task succeeds or they end.
 
     Args:
-        simulator: where; it must be under `control`.
-        commands: what to do.
-        control: whether the robot is told joint angles or poses.
+        simulator: simulator with this control.
+        commands: the commands.
+        control: send joint angles or poses.
     """
     snapshots, outcomes, X_BG = [simulator.snapshot()], list[TaskOutcome](), [simulator.link_pose(TCP_LINK)]
     for start, end in pairwise(commands.frame_steps):

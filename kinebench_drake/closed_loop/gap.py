@@ -1,4 +1,4 @@
-"""What was imagined beside what was executed, frame by frame."""
+"""Difference between a generated clip and its execution, frame by frame."""
 
 from dataclasses import dataclass
 
@@ -16,14 +16,14 @@ _RANGE = 255
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Gap:
-    """How far two films of one clip are apart."""
+    """Difference between the generated and the executed video of a clip."""
 
     robot_iou: Array
-    """(T,) intersection over union of the robot's pixels; NaN where neither film shows it."""
+    """(T,) intersection over union of the robot's pixels; NaN where neither shows it."""
     distance_m: Array
-    """(T,) between the two grippers' TCPs [m]; NaN where one is not known."""
+    """(T,) distance of the two TCPs [m]; NaN where one is unknown."""
     angle_rad: Array
-    """(T,) between their orientations [rad]."""
+    """(T,) angle between their orientations [rad]."""
     psnr_db: Array
     """(T,) peak signal-to-noise ratio; infinite where the frames are equal."""
     ssim: Array
@@ -31,32 +31,32 @@ class Gap:
 
 
 def measure_gap(
-    imagined: NDArray[np.uint8], imagined_robot: NDArray[np.bool_], imagined_X_BG: Array, executed: RolloutVideo
+    generated: NDArray[np.uint8], generated_robot: NDArray[np.bool_], generated_X_BG: Array, executed: RolloutVideo
 ) -> Gap:
-    """Hold the frames of an imagined clip against those of its execution, as far as that went.
+    """Compare a generated clip with its execution, which may be shorter.
 
     Args:
-        imagined: (T, H, W, 3) frames; of another size than the executed ones they are scaled.
-        imagined_robot: (T, H, W) their pixels that show the robot.
-        imagined_X_BG: (T, 4, 4) panda_hand_tcp as read from them [m]; NaN where unknown.
-        executed: the video of the execution, of T frames or less.
+        generated: (T, H, W, 3) frames, scaled to the size of the executed ones.
+        generated_robot: (T, H, W) pixels of the robot in them.
+        generated_X_BG: (T, 4, 4) panda_hand_tcp as grounded [m]; NaN where unknown.
+        executed: video of the execution, of at most T frames.
 
     Raises:
-        InputError: the execution has more frames than what was imagined.
+        InputError: the execution has more frames than the clip.
     """
     frames = len(executed.rgb)
-    if frames > len(imagined):
-        raise InputError(f"{frames} frames were executed of {len(imagined)} imagined ones")
+    if frames > len(generated):
+        raise InputError(f"{frames} frames were executed of {len(generated)} generated ones")
     size = executed.rgb.shape[2], executed.rgb.shape[1]
     iou, psnr, ssim = (np.empty(frames) for _ in range(3))
     for i in range(frames):
-        picture = cv2.resize(imagined[i], size, interpolation=cv2.INTER_AREA)
-        robot = cv2.resize(imagined_robot[i].astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
+        image = cv2.resize(generated[i], size, interpolation=cv2.INTER_AREA)
+        robot = cv2.resize(generated_robot[i].astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
         union = int((robot | executed.robot[i]).sum())
         iou[i] = (robot & executed.robot[i]).sum() / union if union else np.nan
         with np.errstate(divide="ignore"):
-            psnr[i] = peak_signal_noise_ratio(executed.rgb[i], picture, data_range=_RANGE)
-        grey = [cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) for image in (executed.rgb[i], picture)]
+            psnr[i] = peak_signal_noise_ratio(executed.rgb[i], image, data_range=_RANGE)
+        grey = [cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY) for rgb in (executed.rgb[i], image)]
         ssim[i] = structural_similarity(*grey, data_range=_RANGE)
-    distance, angle = pose_difference(imagined_X_BG[:frames], executed.X_BG)
+    distance, angle = pose_difference(generated_X_BG[:frames], executed.X_BG)
     return Gap(robot_iou=iou, distance_m=distance, angle_rad=angle, psnr_db=psnr, ssim=ssim)

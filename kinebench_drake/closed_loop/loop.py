@@ -1,8 +1,8 @@
-"""One episode in closed loop: a model imagines, the grounding reads, the robot executes, and so on, round by round."""
+"""Closed loop of one episode: generate a clip, ground it, execute it, repeat from the last executed frame."""
 
 import glob
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -43,29 +43,29 @@ from kinebench_drake.types import GripperTrack, InitialState, Priors
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LoopOptions:
-    """How episodes are run."""
+    """Options of the closed loop."""
 
     rounds: int = 3
-    """Most clips of an episode."""
+    """Largest number of clips of an episode."""
     control: Control = Control.JOINTS
-    """What the robot is told."""
+    """Type of the commands."""
     action_repeat: int | None = None
-    """Control steps a frame; None: as long as the frames last."""
+    """Control steps per frame; None: by the duration of frames."""
     frame_period_s: float = FRAME_PERIOD_S
     """Task time between two frames [s]."""
     pixels_only: bool = False
-    """Whether the first frame's pose, which the robot knows of itself, is left aside."""
+    """Do not use the robot's joint state as a prior for the first frame."""
     num_frames: int = CLIP_FRAMES + 1
-    """Frames asked of the model, the first one included."""
+    """Requested number of frames, including the first one."""
     negative_prompt: str = ""
     seed: int = 0
-    """Of the model's randomness."""
+    """Seed of the model's randomness."""
 
     def __post_init__(self) -> None:
-        """Check the numbers.
+        """Check the options.
 
         Raises:
-            UsageError: one of them makes no sense.
+            UsageError: one of them is out of range.
         """
         for option, count in (("--rounds", self.rounds), ("--action-repeat", self.action_repeat)):
             if count is not None and count < 1:
@@ -79,28 +79,30 @@ class LoopOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Round:
-    """One clip: imagined, read, executed."""
+    """One clip: generated, grounded, executed."""
 
     video: Path
-    """What the model imagined."""
+    """Generated video."""
     frames: NDArray[np.uint8]
-    """(T, H, W, 3) the same as frames in the shape of the camera's picture, whatever the model made of it."""
+    """(T, H, W, 3) its frames with the aspect ratio of the camera."""
     robot: NDArray[np.bool_]
-    """(T, H, W) their pixels that show the robot."""
-    grounded: GroundingResult
+    """(T, H, W) pixels of the robot in them."""
+    grounding: GroundingResult
     commands: Commands | None
-    """None where the track holds nothing to execute; `refusal` says why."""
-    refusal: str | None
+    """None if the track has nothing to execute."""
+    rejection: str | None
+    """Reason why there are no commands."""
     execution: Execution | None
+    """None without commands."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EpisodeRun:
-    """How an episode went."""
+    """Rounds and outcome of an episode."""
 
     rounds: tuple[Round, ...]
     outcome: TaskOutcome
-    """The task's verdict at the end."""
+    """Outcome of the task in the final state."""
 
 
 Ground = Callable[[NDArray[np.uint8], Camera, Array, Priors], GroundingResult]
@@ -108,43 +110,57 @@ Ground = Callable[[NDArray[np.uint8], Camera, Array, Priors], GroundingResult]
 
 
 class ClosedLoop:
-    """Runs episodes with one model on one simulator."""
+    """Runs episodes with one world model."""
 
-    def __init__(self, ground: Ground, commander: CommandPlanner, model: WorldModel, options: LoopOptions) -> None:
-        """Compose."""
-        self._ground, self._commander, self._model, self._options = ground, commander, model, options
+    def __init__(self, ground: Ground, planner: CommandPlanner, model: WorldModel, options: LoopOptions) -> None:
+        self._ground, self._planner, self._model, self._options = ground, planner, model, options
 
     def run(self, simulator: Simulator, episode: Episode, videos: Path) -> EpisodeRun:
         """Run an episode until it succeeds, the rounds are used up, or nothing can be executed.
 
         Args:
-            simulator: where; it is reset.
-            episode: what is to be done.
-            videos: path of what the model imagines, to which "_r0" and so on are added.
+            simulator: simulator of the task; it is reset.
+            episode: the episode.
+            videos: path of the generated videos, to which "_r0" and so on are appended.
 
         Raises:
             WorldModelError: the model gave no video.
             InputError: its video cannot be read.
             SetupError: something is missing on this machine.
         """
-        if not isinstance(self._model, OfflineModel):  # whose own folder this may be
-            _forget(videos)
+        offline = isinstance(self._model, OfflineModel)
+        if not offline:  # the folder of an offline model may be this one
+            _remove_earlier_clips(videos)
         simulator.reset(episode)
-        return EpisodeRun(rounds=tuple(self._rounds(simulator, episode, videos)), outcome=simulator.outcome())
-
-    def _rounds(self, simulator: Simulator, episode: Episode, videos: Path) -> Iterator[Round]:
+        rounds: list[Round] = []
         gripping = False
-        for number in range(1 if isinstance(self._model, OfflineModel) else self._options.rounds):
-            done = self._round(simulator, episode, number, videos.with_name(f"{videos.name}_r{number}"), gripping)
-            yield done
-            if done.execution is None or done.execution.outcome.success:
-                return
-            gripping = done.commands is not None and done.commands.gripping
+        for number in range(1 if offline else self._options.rounds):
+            now, first_frame = simulator.snapshot(), simulator.render().rgb
+            state = RobotState(q=now.q, finger_width_m=float(now.fingers_m.sum()), gripping=gripping)
+            request = self._request(episode, number, first_frame)
+            video = self._generate(request, simulator, episode, videos.with_name(f"{videos.name}_r{number}"))
+            frames, robot, grounding = self._ground_video(video, first_frame, simulator.camera, state)
+            commands, rejection = self._plan(grounding.track, state)
+            execution = None if commands is None else execute(simulator, commands, self._options.control)
+            rounds.append(
+                Round(
+                    video=video,
+                    frames=frames,
+                    robot=robot,
+                    grounding=grounding,
+                    commands=commands,
+                    rejection=rejection,
+                    execution=execution,
+                )
+            )
+            if commands is None or execution is None or execution.outcome.success:
+                break
+            gripping = commands.gripping
+        return EpisodeRun(rounds=tuple(rounds), outcome=simulator.outcome())
 
-    def _round(self, simulator: Simulator, episode: Episode, number: int, out: Path, gripping: bool) -> Round:
-        options, now = self._options, simulator.snapshot()
-        first_frame = simulator.render().rgb
-        request = Request(
+    def _request(self, episode: Episode, number: int, first_frame: NDArray[np.uint8]) -> Request:
+        options = self._options
+        return Request(
             episode=episode.id,
             task=episode.task,
             round=number,
@@ -155,63 +171,67 @@ class ClosedLoop:
             num_frames=options.num_frames,
             fps=FPS,
         )
+
+    def _generate(self, request: Request, simulator: Simulator, episode: Episode, out: Path) -> Path:
+        """Ask the model for a video and return its path beside `out`."""
         if isinstance(self._model, PrivilegedModel):
             self._model.set_state(episode, simulator.simulation_state())
-        video = _kept(self._model.generate(request, out), out)
+        return _place_beside(self._model.generate(request, out), out)
+
+    def _ground_video(
+        self, video: Path, first_frame: NDArray[np.uint8], camera: Camera, state: RobotState
+    ) -> tuple[NDArray[np.uint8], NDArray[np.bool_], GroundingResult]:
+        """Return frames and robot masks with the aspect ratio of the camera, and the grounding of a video.
+
+        Raises:
+            InputError: the video is too short, or its framing cannot be determined.
+        """
         frames = read_video(video).frames
         if len(frames) < 2:
-            raise InputError(f"{video.name}: has {len(frames)} frames, expected {options.num_frames}")
-        t_s = options.frame_period_s * np.arange(len(frames), dtype=np.float64)
-        width = float(now.fingers_m.sum())
-        first = InitialState(X_BG=self._commander.plant.forward(now.q), finger_width_m=width)
-        known = Priors() if options.pixels_only else Priors(initial_state=first)
-        if isinstance(self._model, SupportsTrueTrack) and (truth := self._model.true_track()) is not None:
-            known = Priors(X_CH=truth.X_CH, finger_width_m=truth.finger_width_m)
+            raise InputError(f"{video.name}: has {len(frames)} frames, expected {self._options.num_frames}")
+        t_s = self._options.frame_period_s * np.arange(len(frames), dtype=np.float64)
         try:
-            framing = find_framing(frames, simulator.camera, first_frame)
+            framing = find_framing(frames, camera, first_frame)
         except UnmeasurableError as error:
             raise InputError(f"{video.name}: {error}") from None
-        shown = framing.crop(frames)
-        grounded = self._ground(shown, framing.camera(simulator.camera), t_s, known)
-        commands, refusal, execution = None, None, None
-        try:
-            start = RobotState(q=now.q, finger_width_m=width, gripping=gripping)
-            commands = self._commands(grounded.track, start)
-        except UnmeasurableError as error:
-            refusal = str(error)
-        else:
-            execution = execute(simulator, commands, options.control)
-        return Round(
-            video=video,
-            frames=undo_framing(framing, shown),
-            robot=undo_framing(framing, grounded.robot),
-            grounded=grounded,
-            commands=commands,
-            refusal=refusal,
-            execution=execution,
-        )
+        cropped = framing.crop(frames)
+        grounding = self._ground(cropped, framing.camera(camera), t_s, self._priors(state))
+        return undo_framing(framing, cropped), undo_framing(framing, grounding.robot), grounding
 
-    def _commands(self, track: GripperTrack, start: RobotState) -> Commands:
+    def _priors(self, state: RobotState) -> Priors:
+        """Return the true track if the model discloses it, else the robot's state in the first frame."""
+        if isinstance(self._model, SupportsTrueTrack) and (truth := self._model.true_track()) is not None:
+            return Priors(X_CH=truth.X_CH, finger_width_m=truth.finger_width_m)
+        if self._options.pixels_only:
+            return Priors()
+        X_BG = self._planner.plant.forward(state.q)
+        return Priors(initial_state=InitialState(X_BG=X_BG, finger_width_m=state.finger_width_m))
+
+    def _plan(self, track: GripperTrack, state: RobotState) -> tuple[Commands | None, str | None]:
+        """Return the commands of a track, or the reason why there are none."""
         repeat = self._options.action_repeat
         t_s: Array = track.t_s
         if repeat is not None:
             t_s = CONTROL_PERIOD_S * repeat * np.arange(len(t_s), dtype=np.float64)
-        return self._commander.commands(track.X_BG, track.finger_width_m, track.tracked, t_s, start)
+        try:
+            return self._planner.plan(track.X_BG, track.finger_width_m, track.tracked, t_s, state), None
+        except UnmeasurableError as error:
+            return None, str(error)
 
 
-def _forget(videos: Path) -> None:
-    """Remove what was imagined for an episode when it was run before: that may have taken more rounds.
+def _remove_earlier_clips(videos: Path) -> None:
+    """Remove the clips of an earlier run of the episode, which may have had more rounds.
 
     Raises:
-        SetupError: it cannot be removed.
+        SetupError: they cannot be removed.
     """
     with disk_errors(videos.parent.name):
         for clip in videos.parent.glob(f"{glob.escape(videos.name)}_r[0-9]*"):
             remove(clip)
 
 
-def _kept(video: Path, out: Path) -> Path:
-    """The video, or folder of frames, beside `out`: a copy where it lies elsewhere, in the place of earlier ones.
+def _place_beside(video: Path, out: Path) -> Path:
+    """Return the path of a video, or folder of frames, beside `out`; copy it from another folder, replacing others.
 
     Raises:
         SetupError: it cannot be copied.

@@ -1,6 +1,6 @@
-"""How much error a task forgives: the expert's true track, made worse by known amounts, and executed.
+"""Tolerance of tasks to track errors: success of the expert's true track with planted errors of graded size.
 
-So an error of the grounding can be read as success that it may have cost, task by task.
+It relates an error of the grounding to the success that it costs, task by task.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -34,18 +34,18 @@ if TYPE_CHECKING:
 
 
 RAD_PER_M = np.deg2rad(5.0) / 0.015
-"""Rotation errors go with position errors: 5 degrees with 15 mm."""
+"""Ratio of rotation errors to position errors: 5 degrees with 15 mm."""
 
 
 class PoseError(Enum):
-    """What is wrong with a track."""
+    """Errors of a track."""
 
     BIAS = "bias"
-    """Every pose is off by the same, in a direction drawn for each episode [m]."""
+    """Constant displacement of all poses, in a random direction for each episode [m]."""
     JITTER = "jitter"
-    """Every pose is off by its own: the root mean square of the distance [m]."""
+    """Independent displacement of each pose, by its root mean square [m]."""
     FINGERS = "finger_delay"
-    """The fingers do what they do so many frames later, or earlier if negative."""
+    """Delay of the fingers [frames]; negative: they are early."""
 
 
 GRADES: dict[PoseError, tuple[float, ...]] = {
@@ -53,12 +53,12 @@ GRADES: dict[PoseError, tuple[float, ...]] = {
     PoseError.JITTER: (0.005, 0.01, 0.015, 0.02, 0.025, 0.03),
     PoseError.FINGERS: (-8.0, -4.0, -2.0, 2.0, 4.0, 8.0),
 }
-"""Sizes tried of each, beside none."""
+"""Sizes of each error, beside the exact track."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ErrorGrade:
-    """One error of one size; without a kind the track as it is."""
+    """Error of one size; None: the exact track."""
 
     error: PoseError | None
     size: float
@@ -66,34 +66,34 @@ class ErrorGrade:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ToleranceAttempt:
-    """One execution of one track."""
+    """Execution of a track."""
 
     episode: Episode
     grade: ErrorGrade
     success: bool
     progress: float
-    """0..1."""
+    """Progress, 0..1."""
     reason: str
-    """Which conditions failed, or why there was nothing to execute; empty with success."""
+    """Failed conditions, or why there was nothing to execute; empty on success."""
 
 
 def grades(errors: Sequence[PoseError]) -> list[ErrorGrade]:
-    """None, then each error in each of its sizes."""
+    """Return the exact track, then each error in each of its sizes."""
     return [ErrorGrade(error=None, size=0.0), *(ErrorGrade(error=e, size=size) for e in errors for size in GRADES[e])]
 
 
-def worsened(X_BG: Array, finger_width_m: Array, grade: ErrorGrade, rng: np.random.Generator) -> tuple[Array, Array]:
-    """A track's poses (T, 4, 4) [m] and gaps (T,) [m] with an error planted.
+def plant_error(X_BG: Array, finger_width_m: Array, grade: ErrorGrade, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Return poses (T, 4, 4) [m] and gaps (T,) [m] of a track with an error.
 
     Rotation vectors are drawn like displacements, times `RAD_PER_M`.
     """
     match grade.error:
         case PoseError.BIAS:
-            p, w = (grade.size * _direction(rng) for _ in range(2))
-            return _moved(X_BG, p, RAD_PER_M * w), finger_width_m
+            p, w = (grade.size * _draw_direction(rng) for _ in range(2))
+            return _displace(X_BG, p, RAD_PER_M * w), finger_width_m
         case PoseError.JITTER:
             p, w = rng.normal(0.0, grade.size / np.sqrt(3.0), (2, len(X_BG), 3))
-            return _moved(X_BG, p, RAD_PER_M * w), finger_width_m
+            return _displace(X_BG, p, RAD_PER_M * w), finger_width_m
         case PoseError.FINGERS:
             frames = np.clip(np.arange(len(X_BG)) - int(grade.size), 0, len(X_BG) - 1)
             return X_BG, finger_width_m[frames]
@@ -101,22 +101,22 @@ def worsened(X_BG: Array, finger_width_m: Array, grade: ErrorGrade, rng: np.rand
             return X_BG, finger_width_m
 
 
-def _direction(rng: np.random.Generator) -> Array:
+def _draw_direction(rng: np.random.Generator) -> Array:
     v = rng.normal(size=3)
     return np.asarray(v / np.linalg.norm(v))
 
 
-def _moved(X_BG: Array, p: Array, w: Array) -> Array:
+def _displace(X_BG: Array, p: Array, w: Array) -> Array:
     return make_pose(X_BG[:, :3, :3] @ rotation_exp(w), X_BG[:, :3, 3] + p)
 
 
 class _AttemptWorker:
-    """Performs an episode once and executes its track with each error."""
+    """Runs the expert once per episode and executes its track with each error."""
 
     def __init__(self, errors: Sequence[PoseError]) -> None:
         self._grades = grades(errors)
         self._simulators = SimulatorCache(Simulator, benchmark_camera().width, renders=False)
-        self._commander = CommandPlanner(ArmPlant())
+        self._planner = CommandPlanner(ArmPlant())
 
     def __call__(self, episode: Episode) -> list[ToleranceAttempt]:
         simulator = self._simulators.get(episode.task, episode.variant)
@@ -127,18 +127,18 @@ class _AttemptWorker:
         return [self._attempt(simulator, rollout, grade) for grade in self._grades]
 
     def _attempt(self, simulator: Simulator, rollout: Rollout, grade: ErrorGrade) -> ToleranceAttempt:
-        episode, plant = rollout.episode, self._commander.plant
+        episode, plant = rollout.episode, self._planner.plant
         rng = generator("tolerance", episode.id, "" if grade.error is None else grade.error.value)
         X_BG = np.stack([plant.forward(s.q) for s in rollout.snapshots])
         width = np.array([s.fingers_m.sum() for s in rollout.snapshots])
-        X_BG, width = worsened(X_BG, width, grade, rng)
+        X_BG, width = plant_error(X_BG, width, grade, rng)
         simulator.reset(episode)
         now = simulator.snapshot()
-        posed = RobotState(q=now.q, finger_width_m=float(now.fingers_m.sum()), gripping=False)
+        state = RobotState(q=now.q, finger_width_m=float(now.fingers_m.sum()), gripping=False)
         try:
             for start in range(0, len(X_BG) - 1, CLIP_FRAMES):
                 clip = slice(start, start + CLIP_FRAMES + 1)
-                posed, done = self._clip(simulator, X_BG[clip], width[clip], posed)
+                state, done = self._clip(simulator, X_BG[clip], width[clip], state)
                 if done:
                     break
         except UnmeasurableError as error:
@@ -151,14 +151,14 @@ class _AttemptWorker:
     def _clip(
         self, simulator: Simulator, X_BG: Array, finger_width_m: Array, start: RobotState
     ) -> tuple[RobotState, bool]:
-        """Execute one clip: how the robot stands then, and whether the task has succeeded."""
-        seen = np.ones(len(X_BG), dtype=bool)
+        """Execute one clip; return the final state of the robot and whether the task succeeded."""
+        tracked = np.ones(len(X_BG), dtype=bool)
         t_s = FRAME_PERIOD_S * np.arange(len(X_BG), dtype=np.float64)
-        commands = self._commander.commands(X_BG, finger_width_m, seen, t_s, start)
+        commands = self._planner.plan(X_BG, finger_width_m, tracked, t_s, start)
         execution = execute(simulator, commands, Control.JOINTS)
         end = execution.snapshots[-1]
-        posed = RobotState(q=end.q, finger_width_m=float(end.fingers_m.sum()), gripping=commands.gripping)
-        return posed, execution.outcome.success
+        state = RobotState(q=end.q, finger_width_m=float(end.fingers_m.sum()), gripping=commands.gripping)
+        return state, execution.outcome.success
 
 
 def _attempt(episode: Episode, grade: ErrorGrade, reason: str) -> ToleranceAttempt:
@@ -167,7 +167,7 @@ def _attempt(episode: Episode, grade: ErrorGrade, reason: str) -> ToleranceAttem
 
 @dataclass(frozen=True, slots=True)
 class _MakeAttempts:
-    """Makes a worker in each process."""
+    """Creates a worker in each process."""
 
     errors: tuple[PoseError, ...]
 
@@ -176,7 +176,7 @@ class _MakeAttempts:
 
 
 def run_attempts(
-    engine: Executor, episodes: Sequence[Episode], errors: Sequence[PoseError], observer: Observer
+    executor: Executor, episodes: Sequence[Episode], errors: Sequence[PoseError], observer: Observer
 ) -> list[ToleranceAttempt]:
     """Execute the exact and the worsened tracks of episodes; return all attempts, ordered by episode id.
 
@@ -185,7 +185,7 @@ def run_attempts(
     """
     observer.start(len(episodes), 0)
     attempts: list[ToleranceAttempt] = []
-    for done in engine.run(_MakeAttempts(tuple(errors)), list(episodes)):
+    for done in executor.run(_MakeAttempts(tuple(errors)), list(episodes)):
         if isinstance(done, WorkerCrash):
             raise KinebenchError(f"{done.item.id}: {done.reason}")
         exact = done.result[0]
@@ -198,12 +198,12 @@ _UNITS = {PoseError.BIAS: (1000.0, "mm"), PoseError.JITTER: (1000.0, "mm"), Pose
 
 
 def tasks_of(attempts: Sequence[ToleranceAttempt]) -> list[str]:
-    """Tasks, in their order."""
+    """Return the tasks, in order."""
     return list(dict.fromkeys(a.episode.task for a in attempts))
 
 
 def grades_of(attempts: Sequence[ToleranceAttempt], error: PoseError) -> list[ErrorGrade]:
-    """Sizes of an error that were tried, in rising order, without error among them; none if it was not."""
+    """Return the executed sizes of an error in increasing order, including 0; none if the error was not executed."""
     exact = ErrorGrade(error=None, size=0.0)
     tried = [ErrorGrade(error=error, size=size) for size in GRADES[error]]
     tried = [grade for grade in tried if any(a.grade == grade for a in attempts)]
@@ -211,19 +211,19 @@ def grades_of(attempts: Sequence[ToleranceAttempt], error: PoseError) -> list[Er
 
 
 def rate(attempts: Sequence[ToleranceAttempt], grade: ErrorGrade, task: str | None = None) -> tuple[int, int]:
-    """Successes and attempts of a grade, of one task or of all."""
+    """Count successes and attempts of a grade, of one task or of all."""
     chosen = [a for a in attempts if a.grade == grade and task in (None, a.episode.task)]
     return sum(a.success for a in chosen), len(chosen)
 
 
 def label(error: PoseError, grade: ErrorGrade) -> str:
-    """A size in its unit, such as "15 mm"."""
+    """Return a size with its unit, such as "15 mm"."""
     factor, unit = _UNITS[error]
     return f"{grade.size * factor:g} {unit}"
 
 
 def table_lines(attempts: Sequence[ToleranceAttempt]) -> Iterator[str]:
-    """The tables to print, one for each error."""
+    """Yield the lines of tables to print, one table per error."""
     for error in PoseError:
         tried = grades_of(attempts, error)
         if not tried:
@@ -239,7 +239,7 @@ def table_lines(attempts: Sequence[ToleranceAttempt]) -> Iterator[str]:
 
 
 def table_json(attempts: Sequence[ToleranceAttempt]) -> dict[str, Any]:
-    """Every attempt, as JSON."""
+    """Return every attempt as JSON."""
     return {
         "attempts": [
             {
@@ -265,7 +265,7 @@ _STYLES = {
 
 
 def draw_tolerance(attempts: Sequence[ToleranceAttempt]) -> "Figure":
-    """All tasks together, then each; millimetres of bias and jitter below, frames of delay above."""
+    """Draw success against error for all tasks and each task: bias and jitter [mm] below, delay [frames] above."""
     panels: list[str | None] = [None, *tasks_of(attempts)]
     rows = ceil(len(panels) / _COLUMNS)
     figure, axes = new_figure(2.7 * _COLUMNS, 2.2 * rows, rows, _COLUMNS, sharey=True)

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from kinebench_drake.closed_loop.attribution import cause_json, find_cause
+from kinebench_drake.closed_loop.attribution import find_cause
 from kinebench_drake.closed_loop.commands import CommandPlanner
 from kinebench_drake.closed_loop.gap import measure_gap
 from kinebench_drake.closed_loop.loop import ClosedLoop, EpisodeRun, LoopOptions
@@ -105,7 +105,7 @@ class EpisodeEvaluator(Evaluator[EpisodeSample, EpisodeResources]):
         videos.mkdir(exist_ok=True)
         run = resources.loop.run(simulator, episode, videos / sample.id)
         executed = [None if r.execution is None else render_video(simulator, r.execution.snapshots) for r in run.rounds]
-        tracks = [r.grounded.track for r in run.rounds]
+        tracks = [r.grounding.track for r in run.rounds]
         results = [resources.analyzer.judge(track) for track in tracks]
         track, kinematics = join_tracks(tracks), combine(tracks, results)
         write_track(artifact_path(self.out, "tracks", sample.id), track, kinematics.joints, kinematics.curves)
@@ -125,7 +125,7 @@ class EpisodeEvaluator(Evaluator[EpisodeSample, EpisodeResources]):
                 "progress": run.outcome.progress,
                 "rounds": len(run.rounds),
                 "verdict": None if cause is None else cause.verdict.value,
-                "cause": None if cause is None else cause_json(cause),
+                "cause": None if cause is None else cause.to_json(),
                 "missed": [name for name, satisfied in run.outcome.conditions.items() if not satisfied],
                 "refused": _rejections(run),
                 "prompt": episode.prompt,
@@ -175,7 +175,7 @@ def _rollout_frames(
             for frame in done.frames:
                 yield np.concatenate([_captioned(frame, text), blank, blank], axis=1)
             continue
-        track = done.grounded.track.at(np.arange(len(execution.rgb)))
+        track = done.grounding.track.at(np.arange(len(execution.rgb)))
         overlays = analyzer.overlay(execution.rgb, execution.camera, track)
         for frame, image, overlay in zip(done.frames, execution.rgb, overlays, strict=False):
             yield np.concatenate([_captioned(frame, text), _captioned(image, "executed"), overlay], axis=1)
@@ -197,7 +197,7 @@ def _captioned(frame: NDArray[np.uint8], text: str) -> NDArray[np.uint8]:
 def _gap_metrics(run: EpisodeRun, executed: Sequence[RolloutVideo | None]) -> dict[str, Json]:
     """Return the gap between generated and executed frames: means over all executed frames but each clip's first."""
     gaps = [
-        measure_gap(r.frames, r.robot, r.grounded.track.X_BG, video)
+        measure_gap(r.frames, r.robot, r.grounding.track.X_BG, video)
         for r, video in zip(run.rounds, executed, strict=True)
         if video is not None
     ]
@@ -218,7 +218,7 @@ def _gap_metrics(run: EpisodeRun, executed: Sequence[RolloutVideo | None]) -> di
 
 def _visual_metrics(run: EpisodeRun, track: GripperTrack) -> dict[str, Json]:
     """Return the visual metrics over all clips, frames counted through all of them."""
-    groundings = [r.grounded for r in run.rounds]
+    groundings = [r.grounding for r in run.rounds]
     motions = [g.camera_motion_px for g in groundings if g.camera_motion_px is not None]
     distances = [g.arm_consistency_px for g in groundings if g.arm_consistency_px is not None]
     return {
@@ -237,9 +237,9 @@ def _rejections(run: EpisodeRun) -> list[Json]:
     """Return what was not commanded as generated, round by round."""
     rejections = list[Json]()
     for number, done in enumerate(run.rounds):
-        if done.refusal is not None:
-            rejections.append({"round": number, "reason": "nothing_to_execute", "text": done.refusal})
-        for rejected in done.commands.refused if done.commands else ():
+        if done.rejection is not None:
+            rejections.append({"round": number, "reason": "nothing_to_execute", "text": done.rejection})
+        for rejected in done.commands.rejections if done.commands else ():
             frames: dict[str, Json] = {"frame_start": rejected.frame_start, "frame_end": rejected.frame_end}
             rejections.append({"round": number, "reason": rejected.reason.value, **frames})
     return rejections

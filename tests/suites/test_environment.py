@@ -29,7 +29,7 @@ def simulator() -> Iterator[Simulator]:
 
 
 def picture_hash(simulator: Simulator) -> str:
-    p = simulator.picture()
+    p = simulator.render()
     return hashlib.sha256(p.rgb.tobytes() + p.depth_mm.tobytes() + p.mask.tobytes()).hexdigest()
 
 
@@ -63,7 +63,7 @@ def test_a_seed_gives_the_same_first_frame_whatever_came_before(simulator: Simul
         "from kinebench_drake.suites.simulator import Simulator\n"
         f"with Simulator({TASK!r}) as simulator:\n"
         f"    simulator.reset(compose({TASK!r}, 5))\n"
-        "    p = simulator.picture()\n"
+        "    p = simulator.render()\n"
         "    print(hashlib.sha256(p.rgb.tobytes() + p.depth_mm.tobytes() + p.mask.tobytes()).hexdigest())\n"
     )
     other = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

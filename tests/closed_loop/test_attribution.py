@@ -18,18 +18,18 @@ def clip() -> ClipEvidence:
     return ClipEvidence(
         tracked=np.ones(FRAMES, dtype=bool),
         anomalies=(),
-        X_BG_imagined=X,
+        X_BG_generated=X,
         X_BG_executed=X.copy(),
-        finger_width_imagined_m=gap,
+        finger_width_generated_m=gap,
         finger_width_executed_m=gap.copy(),
     )
 
 
 def lost(start: int, end: int) -> ClipEvidence:
     fine = clip()
-    tracked, X = fine.tracked.copy(), fine.X_BG_imagined.copy()
+    tracked, X = fine.tracked.copy(), fine.X_BG_generated.copy()
     tracked[start : end + 1], X[start : end + 1] = False, np.nan
-    return replace(fine, tracked=tracked, X_BG_imagined=X)
+    return replace(fine, tracked=tracked, X_BG_generated=X)
 
 
 def vanished(of: ClipEvidence, start: int, end: int) -> ClipEvidence:
@@ -64,7 +64,7 @@ def test_frames_that_were_not_read_come_first() -> None:
 def test_fingers_that_move_unseen_were_not_read(after_m: float, verdict: FailureVerdict) -> None:
     gap = np.full(FRAMES, 0.04)
     gap[12:20], gap[20:] = np.nan, after_m
-    cause = attribute([replace(clip(), finger_width_imagined_m=gap, finger_width_executed_m=gap)], "")
+    cause = attribute([replace(clip(), finger_width_generated_m=gap, finger_width_executed_m=gap)], "")
     assert cause.verdict is verdict
     assert cause.frame_start == (None if verdict is FailureVerdict.TASK else 12)
 
@@ -72,10 +72,11 @@ def test_fingers_that_move_unseen_were_not_read(after_m: float, verdict: Failure
 def test_hidden_fingers_explain_only_what_nothing_else_does() -> None:
     gap = np.where(np.arange(FRAMES) < 12, 0.04, np.nan)
     assert (
-        attribute([replace(astray(0.1, 0.0, 0.0), finger_width_imagined_m=gap)], "").verdict is FailureVerdict.EXECUTION
+        attribute([replace(astray(0.1, 0.0, 0.0), finger_width_generated_m=gap)], "").verdict
+        is FailureVerdict.EXECUTION
     )
     assert (
-        attribute([replace(vanished(clip(), 3, 8), finger_width_imagined_m=gap)], "").verdict
+        attribute([replace(vanished(clip(), 3, 8), finger_width_generated_m=gap)], "").verdict
         is FailureVerdict.GENERATION
     )
 
