@@ -233,7 +233,7 @@ class Evaluator(ABC, Generic[SampleT, ResourcesT]):
             violations=tuple(v.to_json() for v in kinematics.violations) if kinematics else (),
             metrics=metrics,
             null_reasons=_null_reasons(metrics, kinematics),
-            details=kinematics.details if kinematics else {},
+            details=dict(kinematics.details) if kinematics else {},
             extra={**evaluation.extra, **self.labels(sample)},
         )
 

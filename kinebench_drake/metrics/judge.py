@@ -1,6 +1,7 @@
 """The kinematic verdict on a track: inverse kinematics, limit checks and optimisations combined."""
 
 from dataclasses import replace
+from types import MappingProxyType
 
 import numpy as np
 
@@ -208,10 +209,10 @@ class TrackJudge:
             joints=joints,
             feasible=False if violations else (True if undecided is None else None),
             violations=tuple(violations),
-            metrics=metrics,
-            reasons=reasons,
-            details=path_details(plant, q, path),
-            curves=track_curves(plant, joints, path),
+            metrics=MappingProxyType(metrics),
+            reasons=MappingProxyType(reasons),
+            details=MappingProxyType(path_details(plant, q, path)),
+            curves=MappingProxyType(track_curves(plant, joints, path)),
         )
 
 
