@@ -49,7 +49,7 @@ def test_every_file_of_the_package_is_inside(wheel: zipfile.ZipFile) -> None:
     """Modules, weights, calibrations, the suites' data, templates, native.sh and py.typed."""
     inside = {name for name in wheel.namelist() if not name.split("/")[0].endswith(".dist-info")}
     assert sorted(inside) == sorted(sources())
-    for name in ("py.typed", "native.sh", "models/perception/gripper.safetensors", "report/page.html.j2"):
+    for name in ("py.typed", "environment/native.sh", "models/perception/gripper.safetensors", "report/page.html.j2"):
         assert f"{PACKAGE}/{name}" in inside
 
 

@@ -1,4 +1,4 @@
-"""Videos with ground truth, as `kinebench-drake suite demos` and `benchmarks.planted_videos` write them."""
+"""Videos with ground truth, as `kinebench-drake suite demos` and `python -m benchmarks planted-videos` write them."""
 
 import json
 from collections.abc import Sequence

@@ -127,5 +127,5 @@ def test_cases_are_so_many_of_each_fault(tmp_path):
     with pytest.raises(UsageError, match="no fault of A1"):
         find_cases(clean, clean, None)
     (faulty / "truth" / "faults.json").unlink()
-    with pytest.raises(UsageError, match=r"benchmarks\.planted_videos"):
+    with pytest.raises(UsageError, match=r"benchmarks planted-videos"):
         find_cases(clean, faulty, None)
