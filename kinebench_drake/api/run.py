@@ -1,18 +1,18 @@
 """Runs over many samples into an output folder: `score_videos` and `run_suite`."""
 
-from collections.abc import Mapping, Sequence
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from os import PathLike
 from pathlib import Path
-from typing import Any, TypedDict, Unpack
+from typing import Any, TypeAlias, TypedDict, Unpack
 
-from kinebench_drake.api.arguments import PathName, Warner
 from kinebench_drake.errors import member_of
 from kinebench_drake.evaluation import score
-from kinebench_drake.evaluation.runner import RunObserver, RunSummary
+from kinebench_drake.evaluation.runner import NullRunObserver, RunObserver, RunSummary
 from kinebench_drake.executors.base import ExecutorKind
 from kinebench_drake.results.metadata import Shard
 
-_PATHS = ("masks", "poses")
-_DEFAULTS: Mapping[str, Any] = {"replays": 3}
+PathName: TypeAlias = str | PathLike[str]
 
 
 class RunOptions(TypedDict, total=False):
@@ -160,22 +160,27 @@ def run_suite(
     return suites.run_suite(config, observer or Warner())
 
 
+class Warner(NullRunObserver):
+    """An observer that turns warnings into Python warnings."""
+
+    def warn(self, message: str) -> None:
+        """Warn the caller of the interface function."""
+        warnings.warn(message, stacklevel=4)
+
+
 def _parsed(options: Mapping[str, Any]) -> dict[str, Any]:
     """Convert options from what callers pass to what the configurations take.
 
     Raises:
         UsageError: a value is invalid.
     """
-    parsed = {**_DEFAULTS, **{name: value for name, value in options.items() if value is not None}}
-    for name in _PATHS:
-        if name in parsed:
-            parsed[name] = Path(parsed[name])
-    if "depth" in parsed:
-        parsed["depth"] = str(parsed["depth"])
-    if "shard" in parsed:
-        parsed["shard"] = Shard.parse(parsed["shard"])
-    if "engine" in parsed:
-        parsed["engine"] = member_of(ExecutorKind, parsed["engine"], "--engine")
-    if "tags" in parsed:
-        parsed["tags"] = dict(parsed["tags"])
-    return parsed
+    parsers: dict[str, Callable[[Any], Any]] = {
+        "masks": Path,
+        "poses": Path,
+        "depth": str,
+        "shard": Shard.parse,
+        "engine": lambda engine: member_of(ExecutorKind, engine, "--engine"),
+        "tags": dict,
+    }
+    stated = {name: value for name, value in options.items() if value is not None}
+    return {"replays": 3, **stated, **{name: parsers[name](value) for name, value in stated.items() if name in parsers}}

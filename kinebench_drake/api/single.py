@@ -1,5 +1,6 @@
 """Single samples without an output folder: `ground_video` and `audit_trajectory`."""
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from difflib import get_close_matches
@@ -11,11 +12,11 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from kinebench_drake.api.arguments import PathName, path_of, refuse_with, warn
+from kinebench_drake.api.run import PathName
 from kinebench_drake.camera import Camera, benchmark_camera
 from kinebench_drake.datasets.trajectories.check import check
 from kinebench_drake.datasets.trajectories.source import find_trajectories, read_trajectory
-from kinebench_drake.datasets.trajectories.trajectory import RawTrajectory, Trajectory, TrajectoryOptions
+from kinebench_drake.datasets.trajectories.trajectory import RawTrajectory, TrajectoryOptions
 from kinebench_drake.datasets.videos.find import find_samples
 from kinebench_drake.datasets.videos.sample import CameraSource, VideoSample
 from kinebench_drake.errors import InputError, UsageError
@@ -42,91 +43,13 @@ if TYPE_CHECKING:  # torch, Open3D and Drake take seconds to load
     from kinebench_drake.grounding.pipeline import GroundingResult
     from kinebench_drake.metrics.result import KinematicResult
 
+make_analyzer: AnalyzerFactory = Analyzer
 AnySample = TypeVar("AnySample", bound=SampleInfo)
 
 
-def single_video(
-    source: Path, *, id: str | None, camera_key: str | None, pixels_only: bool, overrides: Overrides
-) -> tuple[Video, VideoSample, Sequence[str]]:
-    """Read one video of a file, dataset or manifest; return it with its sample and warnings.
-
-    Raises:
-        UsageError: there is none, or several and no id.
-        InputError: it cannot be read.
-    """
-    inputs = find_samples(source, others=overrides.folders, camera_key=camera_key)
-    sample = _one(inputs.samples, source, id)
-    if sample.problem is not None:
-        raise InputError(sample.problem)
-    sample = replace(sample, initial_state=None) if pixels_only else with_initial_states([sample])[0]
-    return read_video(sample.path, sample.part), sample, inputs.warnings
-
-
-def video_of(frames: NDArray[np.uint8], id: str | None) -> tuple[Video, VideoSample]:
-    """Return a video of frames (T, H, W, 3) RGB and its sample, with the benchmark camera.
-
-    Raises:
-        InputError: the array is not a video.
-    """
-    name = id or "video"
-    sample = VideoSample(
-        id=name, path=Path(name), video=name, camera=benchmark_camera(), camera_source=CameraSource.BENCHMARK
-    )
-    return Video(frames=np.asarray(frames), fps=None, stamps_s=None), sample
-
-
-def single_trajectory(source: Path, choice: TrajectoryOptions, *, id: str | None) -> Trajectory:
-    """Read one trajectory of a file, dataset or folder.
-
-    Raises:
-        UsageError: there is none, or several and no id.
-        InputError: it cannot be read, or is not sound.
-        UnmeasurableError: it is too short.
-    """
-    return read_trajectory(_one(find_trajectories(source, choice), source, id), choice)
-
-
-def trajectory_of(
-    values: NDArray[np.generic],
-    *,
-    t_s: ArrayLike | None,
-    rate_hz: float | None,
-    tracked: ArrayLike | None,
-    finger_width_m: ArrayLike | None,
-) -> Trajectory:
-    """Return a trajectory of joint angles (T, 7) [rad] or poses (T, 4, 4) [m], checked as files are.
-
-    Raises:
-        InputError: the arrays are not sound.
-        UnmeasurableError: they are too short.
-    """
-    if values.ndim not in (2, 3):
-        raise InputError(
-            f"the trajectory has shape {values.shape}, expected joint angles (T, 7) in radians or poses (T, 4, 4)"
-        )
-    joints = values.ndim == 2
-    recording = RawTrajectory(
-        t_s=None if t_s is None else np.asarray(t_s),
-        X_BG=None if joints else values,
-        q=values if joints else None,
-        tracked=None if tracked is None else np.asarray(tracked),
-        finger_width_m=None if finger_width_m is None else np.asarray(finger_width_m),
-        columns="q" if joints else "base_from_tcp",
-    )
-    return check(recording, rate_hz)
-
-
-def analyzer_for(options: RobotOptions) -> Analyzer:
-    """Return the analyzer of a robot, cached between calls unless the URDF is the user's own.
-
-    Raises:
-        SetupError: a library, a driver or the weights are missing.
-        UsageError: the robot cannot be used.
-    """
+def _analyzer_for(options: RobotOptions) -> Analyzer:
+    """Return the analyzer of a robot, cached between calls unless the URDF is the user's own."""
     return _cached_analyzer(options) if options.urdf is None else load_analyzer(make_analyzer, options)
-
-
-make_analyzer: AnalyzerFactory = Analyzer
 
 
 @lru_cache(maxsize=4)
@@ -144,6 +67,23 @@ def _one(samples: Sequence[AnySample], source: Path, id: str | None) -> AnySampl
         raise UsageError(f"{source}: holds {len(ids)} samples, expected one; name one by id, such as id={ids[0]!r}")
     near = get_close_matches(id, ids, n=3, cutoff=0.5) or ids[:3]
     raise UsageError(f"{source}: holds no sample {id!r} ({len(ids)} samples, such as {', '.join(near)})")
+
+
+def _refuse_with(what: str, **arguments: object) -> None:
+    """Check that arguments which do not apply to a kind of input are absent.
+
+    Raises:
+        UsageError: one is present.
+    """
+    present = [name for name, value in arguments.items() if value is not None]
+    if present:
+        raise UsageError(f"{', '.join(present)}: has no effect with {what}, leave it out")
+
+
+def _warn(*messages: str) -> None:
+    """Warn the caller of the interface function that calls this."""
+    for message in messages:
+        warnings.warn(message, stacklevel=3)
 
 
 def ground_video(
@@ -194,19 +134,26 @@ def ground_video(
     """
     check_period(frame_period_s)
     overrides = Overrides(
-        masks=path_of(masks),
+        masks=None if masks is None else Path(masks),
         depth=None if depth is None else str(depth),
-        poses=path_of(poses),
+        poses=None if poses is None else Path(poses),
         depth_exact=depth_exact,
     )
     if isinstance(video, str | PathLike):
-        decoded, sample, warnings = single_video(
-            Path(video), id=id, camera_key=camera_key, pixels_only=pixels_only, overrides=overrides
-        )
-        warn(*warnings)
+        inputs = find_samples(Path(video), others=overrides.folders, camera_key=camera_key)
+        sample = _one(inputs.samples, Path(video), id)
+        if sample.problem is not None:
+            raise InputError(sample.problem)
+        sample = replace(sample, initial_state=None) if pixels_only else with_initial_states([sample])[0]
+        decoded = read_video(sample.path, sample.part)
+        _warn(*inputs.warnings)
     else:
-        refuse_with("frames", camera_key=camera_key)
-        decoded, sample = video_of(video, id)
+        _refuse_with("frames", camera_key=camera_key)
+        name = id or "video"
+        sample = VideoSample(
+            id=name, path=Path(name), video=name, camera=benchmark_camera(), camera_source=CameraSource.BENCHMARK
+        )
+        decoded = Video(frames=np.asarray(video), fps=None, stamps_s=None)
     if camera is not None:
         chosen = camera if isinstance(camera, Camera) else load_camera(Path(camera))
         sample = replace(sample, camera=chosen, camera_source=CameraSource.GIVEN)
@@ -215,8 +162,8 @@ def ground_video(
     with one_thread():
         prepared = prepare_video(decoded, sample, frame_period_s, overrides)
         if prepared.period_source is PeriodSource.BENCHMARK:
-            warn(f"the video has no frame rate: {BENCHMARK_PERIOD_S} s between frames was taken; give frame_period_s")
-        return ground_prepared(prepared, analyzer_for(RobotOptions()))
+            _warn(f"the video has no frame rate: {BENCHMARK_PERIOD_S} s between frames was taken; give frame_period_s")
+        return ground_prepared(prepared, _analyzer_for(RobotOptions()))
 
 
 def audit_trajectory(
@@ -266,25 +213,39 @@ def audit_trajectory(
         result = audit_trajectory(q, t_s=t_s)
         print(result.feasible, result.violations, result.metrics["manipulability_min"])
     """
-    options = RobotOptions(table_height_m=table_height_m, urdf=path_of(urdf), tcp_frame=tcp_frame)
+    options = RobotOptions(
+        table_height_m=table_height_m, urdf=None if urdf is None else Path(urdf), tcp_frame=tcp_frame
+    )
     if options.urdf is not None:
-        warn(*audit.robot_remarks(options.urdf, tcp_frame))
-    choice = TrajectoryOptions(rate_hz=rate_hz, joints=joints, poses=poses)
+        _warn(*audit.robot_remarks(options.urdf, tcp_frame))
+    reading = TrajectoryOptions(rate_hz=rate_hz, joints=joints, poses=poses)
     if isinstance(trajectory, GripperTrack):
-        refuse_with(
+        _refuse_with(
             "a track", t_s=t_s, rate_hz=rate_hz, tracked=tracked, finger_width_m=finger_width_m,
             id=id, joints=joints, poses=poses,
         )  # fmt: skip
         with one_thread():
-            return analyzer_for(options).judge(trajectory)
+            return _analyzer_for(options).judge(trajectory)
     if isinstance(trajectory, str | PathLike):
-        refuse_with("a file", t_s=t_s, tracked=tracked, finger_width_m=finger_width_m)
-        checked = single_trajectory(Path(trajectory), choice, id=id)
+        _refuse_with("a file", t_s=t_s, tracked=tracked, finger_width_m=finger_width_m)
+        path = Path(trajectory)
+        checked = read_trajectory(_one(find_trajectories(path, reading), path, id), reading)
     else:
-        refuse_with("an array", id=id, joints=joints, poses=poses)
-        checked = trajectory_of(
-            np.asarray(trajectory), t_s=t_s, rate_hz=rate_hz, tracked=tracked, finger_width_m=finger_width_m
+        _refuse_with("an array", id=id, joints=joints, poses=poses)
+        values = np.asarray(trajectory)
+        if values.ndim not in (2, 3):
+            raise InputError(
+                f"the trajectory has shape {values.shape}, expected joint angles (T, 7) in radians or poses (T, 4, 4)"
+            )
+        recording = RawTrajectory(
+            t_s=None if t_s is None else np.asarray(t_s),
+            X_BG=values if values.ndim == 3 else None,
+            q=values if values.ndim == 2 else None,
+            tracked=None if tracked is None else np.asarray(tracked),
+            finger_width_m=None if finger_width_m is None else np.asarray(finger_width_m),
+            columns="q" if values.ndim == 2 else "base_from_tcp",
         )
-    warn(*checked.warnings)
+        checked = check(recording, rate_hz)
+    _warn(*checked.warnings)
     with one_thread():
-        return judge_trajectory(analyzer_for(options), checked)
+        return judge_trajectory(_analyzer_for(options), checked)

@@ -3,7 +3,7 @@
 import re
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import click
 
@@ -11,15 +11,18 @@ from kinebench_drake.errors import UsageError
 from kinebench_drake.executors.base import ExecutorKind
 from kinebench_drake.results.metadata import Shard
 
-Function = TypeVar("Function", bound=Callable[..., Any])
+Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 
 
-def _shard(ctx: click.Context, param: click.Parameter, value: str | None) -> Shard | None:
-    return None if value is None else Shard.parse(value)
+def _combine(*options: Decorator) -> Decorator:
+    """Return a decorator that adds several options, shown in this order."""
 
+    def add(function: Callable[..., Any]) -> Callable[..., Any]:
+        for option in reversed(options):
+            function = option(function)
+        return function
 
-def _engine(ctx: click.Context, param: click.Parameter, value: str) -> ExecutorKind:
-    return ExecutorKind(value)
+    return add
 
 
 def _tags(ctx: click.Context, param: click.Parameter, values: tuple[str, ...]) -> dict[str, str]:
@@ -36,23 +39,26 @@ def _tags(ctx: click.Context, param: click.Parameter, values: tuple[str, ...]) -
 
 _COUNT = click.IntRange(min=1)
 
-_RUN = (
+run_options = _combine(
     click.option("--out", type=click.Path(path_type=Path), required=True, help="Output folder; created if absent."),
     click.option("--limit", type=_COUNT, help="Evaluate only the first N samples.", metavar="N"),
     click.option("--jobs", type=_COUNT, default=1, show_default=True, help="Worker processes.", metavar="N"),
-    click.option("--shard", callback=_shard, help="Evaluate only part I of N, for several machines.", metavar="I/N"),
+    click.option(
+        "--shard",
+        callback=lambda ctx, param, value: None if value is None else Shard.parse(value),
+        help="Evaluate only part I of N, for several machines.",
+        metavar="I/N",
+    ),
     click.option(
         "--engine",
         type=click.Choice([kind.value for kind in ExecutorKind]),
-        callback=_engine,
+        callback=lambda ctx, param, value: ExecutorKind(value),
         default=ExecutorKind.LOCAL.value,
         show_default=True,
         help="Where workers run: processes of this machine, or a Ray cluster.",
     ),
     click.option(
-        "--address",
-        help="Ray cluster.  [default: RAY_ADDRESS, or that of this machine]",
-        metavar="HOST:PORT",
+        "--address", help="Ray cluster.  [default: RAY_ADDRESS, or that of this machine]", metavar="HOST:PORT"
     ),
     click.option(
         "--overwrite/--resume",
@@ -73,10 +79,14 @@ _RUN = (
     ),
     click.option("--tag", "tags", multiple=True, callback=_tags, help="Label kept in results.", metavar="KEY=VALUE"),
 )
+"""Options of `score`, `ground`, `audit` and `suite run`."""
 
-_TASK = click.option("--task", help="Task of the samples, where the input does not name it.", metavar="NAME")
+sample_options = _combine(
+    run_options, click.option("--task", help="Task of the samples, where the input does not name it.", metavar="NAME")
+)
+"""Options of `score`, `ground` and `audit`."""
 
-_VIDEO = (
+video_options = _combine(
     click.option(
         "--frame-period",
         "frame_period_s",
@@ -96,10 +106,7 @@ _VIDEO = (
         help="Ignore the initial state in the manifest (pose of the first frame, or task and seed of an episode).",
     ),
     click.option(
-        "--masks",
-        type=click.Path(path_type=Path),
-        help="Gripper masks that replace the network's.",
-        metavar="DIR",
+        "--masks", type=click.Path(path_type=Path), help="Gripper masks that replace the network's.", metavar="DIR"
     ),
     click.option(
         "--depth",
@@ -118,19 +125,7 @@ _VIDEO = (
         metavar="DIR",
     ),
 )
-
-
-_JUDGING = (
-    click.option(
-        "--table-height",
-        "table_height_m",
-        type=float,
-        default=0.0,
-        show_default=True,
-        help="Height of the table top in the robot base frame.",
-        metavar="METRES",
-    ),
-)
+"""Options of commands that read videos."""
 
 replays_option = click.option(
     "--replays",
@@ -142,31 +137,19 @@ replays_option = click.option(
 )
 
 
-def sample_options(function: Function) -> Function:
-    """Add the options of `score`, `ground` and `audit`."""
-    return run_options(_TASK(function))
-
-
-def run_options(function: Function) -> Function:
-    """Add the options of `score`, `ground`, `audit` and `suite run`."""
-    for option in reversed(_RUN):
-        function = option(function)
-    return function
-
-
-def judging_options(function: Function) -> Function:
-    """Add the options of commands that judge kinematics."""
-    for option in reversed(_JUDGING):
-        function = option(function)
-    return replays_option(function)
-
-
-def video_options(function: Function) -> Function:
-    """Add the options of commands that read videos."""
-    for option in reversed(_VIDEO):
-        function = option(function)
-    return function
-
+judging_options = _combine(
+    replays_option,
+    click.option(
+        "--table-height",
+        "table_height_m",
+        type=float,
+        default=0.0,
+        show_default=True,
+        help="Height of the table top in the robot base frame.",
+        metavar="METRES",
+    ),
+)
+"""Options of commands that judge kinematics."""
 
 tasks_option = click.option("--tasks", "--task", "tasks", metavar="A,B", help="Tasks, comma-separated.  [default: all]")
 episodes_option = click.option(

@@ -62,7 +62,7 @@ def ground(ctx: click.Context, /, **options: Any) -> None:
     ID.npy or a folder ID/ for every video (docs/grounding.md), or is a demonstration folder with its truth.
     """
     from kinebench_drake.cli.run import run
-    from kinebench_drake.evaluation.evaluator import RunKind
+    from kinebench_drake.evaluation.config import RunKind
     from kinebench_drake.evaluation.score import ScoreConfig, score_videos
 
     config = ScoreConfig(kind=RunKind.GROUND, **options)

@@ -11,8 +11,9 @@ from kinebench_drake.datasets.trajectories.source import find_trajectories, read
 from kinebench_drake.datasets.trajectories.trajectory import Trajectory, TrajectoryOptions, TrajectorySample
 from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.evaluation.analyzer import Analyzer, RobotOptions, load_analyzer
-from kinebench_drake.evaluation.evaluator import KINEMATIC_METRICS, Evaluation, Evaluator, RunKind
-from kinebench_drake.evaluation.runner import NullRunObserver, RunConfig, RunObserver, RunSummary, run_samples
+from kinebench_drake.evaluation.config import RunConfig, RunKind
+from kinebench_drake.evaluation.evaluator import KINEMATIC_METRICS, Evaluation, Evaluator
+from kinebench_drake.evaluation.runner import NullRunObserver, RunObserver, RunSummary, run_samples
 from kinebench_drake.models.arm import choose_robot
 from kinebench_drake.results.row import SampleRow
 from kinebench_drake.results.store import artifact_path
@@ -95,21 +96,15 @@ def audit_trajectories(config: AuditConfig, observer: RunObserver | None = None)
         SetupError: something is missing on this machine, or the disk is full. Finished samples are kept.
     """
     observer = observer or NullRunObserver()
-    options = config.trajectory_options()
-    samples = find_trajectories(config.source, options, out=config.out, model=config.model, task=config.task)
+    samples = find_trajectories(
+        config.source, config.trajectory_options(), out=config.out, model=config.model, task=config.task
+    )
     if config.urdf is not None:
         remarks = robot_remarks(config.urdf, config.tcp_frame)
         for remark in remarks:
             observer.warn(f"{config.urdf.name}: {remark}")
         config = replace(config, robot_remarks=remarks)
-    evaluator = TrajectoryEvaluator(
-        kind=config.kind,
-        out=config.out,
-        robot=config.robot_options(),
-        make_analyzer=config.make_analyzer,
-        options=options,
-    )
-    summary = run_samples(config, samples, evaluator, observer)
+    summary = run_samples(samples, TrajectoryEvaluator(config=config), observer)
     warnings = _warnings(summary.rows)
     for text, ids in list(warnings.items())[:_MOST_WARNINGS]:
         observer.warn(f"{ids[0]}: {text}" + (f" (and {len(ids) - 1} more)" if ids[1:] else ""))
@@ -134,18 +129,17 @@ def robot_remarks(urdf: Path, tcp_frame: str | None) -> tuple[str, ...]:
 class TrajectoryEvaluator(Evaluator[TrajectorySample, Analyzer]):
     """Evaluation of the trajectories of one run."""
 
-    options: TrajectoryOptions
-    """Options of reading trajectories."""
+    config: AuditConfig
 
     def setup(self) -> Analyzer:
         """Load the robot."""
-        return load_analyzer(self.make_analyzer, self.robot)
+        return load_analyzer(self.config.make_analyzer, self.config.robot_options())
 
     def evaluate(self, sample: TrajectorySample, analyzer: Analyzer) -> Evaluation:
         """Read, judge, write."""
-        trajectory = read_trajectory(sample, self.options)
+        trajectory = read_trajectory(sample, self.config.trajectory_options())
         result = judge_trajectory(analyzer, trajectory)
-        write_track(artifact_path(self.out, "tracks", sample.id), result.track, result.joints, result.curves)
+        write_track(artifact_path(self.config.out, "tracks", sample.id), result.track, result.joints, result.curves)
         return Evaluation(
             kinematics=result,
             extra={
@@ -172,7 +166,7 @@ class TrajectoryEvaluator(Evaluator[TrajectorySample, Analyzer]):
     def cache_key(self, sample: TrajectorySample) -> Mapping[str, Json]:
         """Return reading options and labels."""
         return {
-            "choice": [self.options.rate_hz, self.options.joints, self.options.poses],
+            "choice": [self.config.rate_hz, self.config.joints, self.config.poses],
             "labels": [sample.seed, sample.prompt, sample.success, sample.rate_hz, sample.warnings, sample.problem],
             "part": [sample.format.value, sample.part],
         }

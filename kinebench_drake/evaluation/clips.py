@@ -11,7 +11,7 @@ import numpy as np
 
 from kinebench_drake.geometry import Array
 from kinebench_drake.metrics.result import KinematicResult, Value
-from kinebench_drake.types import GripperTrack, IkStatus, JointTrack, Json
+from kinebench_drake.types import GripperTrack, JointTrack, Json
 
 _GREATEST = frozenset(
     {
@@ -40,14 +40,11 @@ def join_tracks(tracks: Sequence[GripperTrack]) -> GripperTrack:
     """
     ends = np.cumsum([0.0, *(track.t_s[-1] - track.t_s[0] for track in tracks)])
     parts = [track.at(np.arange(k > 0, len(track.t_s))) for k, track in enumerate(tracks)]
+    arrays = ("X_CH", "X_BG", "tracked", "confidence", "finger_width_m")
     return replace(
         tracks[0],
         t_s=np.concatenate([end + p.t_s - t.t_s[0] for end, p, t in zip(ends, parts, tracks, strict=False)]),
-        X_CH=np.concatenate([p.X_CH for p in parts]),
-        X_BG=np.concatenate([p.X_BG for p in parts]),
-        tracked=np.concatenate([p.tracked for p in parts]),
-        confidence=np.concatenate([p.confidence for p in parts]),
-        finger_width_m=np.concatenate([p.finger_width_m for p in parts]),
+        **{name: np.concatenate([getattr(p, name) for p in parts]) for name in arrays},
     )
 
 
@@ -104,14 +101,9 @@ def _combine_metric(name: str, values: Sequence[Value], durations: Sequence[floa
 
 
 def _join_joints(t_s: Array, clips: Sequence[JointTrack]) -> JointTrack:
-    def joined(name: str) -> Array:
-        return np.concatenate([getattr(clip, name)[k > 0 :] for k, clip in enumerate(clips)])
-
-    status: list[IkStatus] = [s for k, clip in enumerate(clips) for s in clip.status[k > 0 :]]
+    arrays = ("q", "position_error_m", "rotation_error_rad")
     return JointTrack(
         t_s=t_s,
-        q=joined("q"),
-        status=tuple(status),
-        position_error_m=joined("position_error_m"),
-        rotation_error_rad=joined("rotation_error_rad"),
+        status=tuple(s for k, clip in enumerate(clips) for s in clip.status[k > 0 :]),
+        **{name: np.concatenate([getattr(c, name)[k > 0 :] for k, c in enumerate(clips)]) for name in arrays},
     )

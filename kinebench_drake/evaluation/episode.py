@@ -36,8 +36,14 @@ from kinebench_drake.types import GripperTrack, Json
 
 SIZE_PX = 384
 """Width and height of conditioning images."""
-GAP_METRICS = ("gap_robot_iou", "gap_gripper_m", "gap_gripper_rad", "gap_psnr_db", "gap_ssim")
-"""Further metrics of every row of an episode; null where nothing was executed."""
+GAP_METRICS = {
+    "gap_robot_iou": "robot_iou",
+    "gap_gripper_m": "distance_m",
+    "gap_gripper_rad": "angle_rad",
+    "gap_psnr_db": "psnr_db",
+    "gap_ssim": "ssim",
+}
+"""Further metrics of an episode, null where nothing was executed, and the fields of the gap that they average."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -92,7 +98,7 @@ class EpisodeEvaluator(Evaluator[EpisodeSample, EpisodeResources]):
 
     def setup(self) -> EpisodeResources:
         """Load robot, world model and simulator cache."""
-        analyzer = load_analyzer(self.make_analyzer, self.robot)
+        analyzer = load_analyzer(self.config.make_analyzer, self.config.robot_options())
         loop = ClosedLoop(analyzer.ground, CommandPlanner(ArmPlant()), self.world_model.get(), self.loop)
         simulators = SimulatorCache(partial(Simulator, control=self.loop.control), SIZE_PX)
         return EpisodeResources(analyzer, simulators, self.world_model, loop)
@@ -101,17 +107,17 @@ class EpisodeEvaluator(Evaluator[EpisodeSample, EpisodeResources]):
         """Run the episode, judge its clips, attribute a failure, write its files."""
         episode = sample.spec.episode()
         simulator = resources.simulators.get(episode.task, episode.variant)
-        videos = self.out / "videos"
+        videos = self.config.out / "videos"
         videos.mkdir(exist_ok=True)
         run = resources.loop.run(simulator, episode, videos / sample.id)
         executed = [None if r.execution is None else render_video(simulator, r.execution.snapshots) for r in run.rounds]
         tracks = [r.grounding.track for r in run.rounds]
         results = [resources.analyzer.judge(track) for track in tracks]
         track, kinematics = join_tracks(tracks), combine(tracks, results)
-        write_track(artifact_path(self.out, "tracks", sample.id), track, kinematics.joints, kinematics.curves)
-        write_atomically(artifact_path(self.out, "thumbnails", sample.id), _thumbnail(run, executed))
+        write_track(artifact_path(self.config.out, "tracks", sample.id), track, kinematics.joints, kinematics.curves)
+        write_atomically(artifact_path(self.config.out, "thumbnails", sample.id), _thumbnail(run, executed))
         if self.rollouts:
-            path = artifact_path(self.out, "rollouts", sample.id)
+            path = artifact_path(self.config.out, "rollouts", sample.id)
             with disk_errors(f"rollouts/{path.name}"):
                 write_video(path, _rollout_frames(run, executed, resources.analyzer), FPS, crf=20)
         cause = find_cause(run, results)
@@ -207,13 +213,7 @@ def _gap_metrics(run: EpisodeRun, executed: Sequence[RolloutVideo | None]) -> di
         values = values[np.isfinite(values)]
         return float(values.mean()) if len(values) else None
 
-    return {
-        "gap_robot_iou": mean("robot_iou"),
-        "gap_gripper_m": mean("distance_m"),
-        "gap_gripper_rad": mean("angle_rad"),
-        "gap_psnr_db": mean("psnr_db"),
-        "gap_ssim": mean("ssim"),
-    }
+    return {metric: mean(name) for metric, name in GAP_METRICS.items()}
 
 
 def _visual_metrics(run: EpisodeRun, track: GripperTrack) -> dict[str, Json]:

@@ -6,13 +6,12 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from enum import Enum
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
 
 from kinebench_drake.errors import KinebenchError, SetupError, UnmeasurableError, one_line
-from kinebench_drake.evaluation.analyzer import Analyzer, AnalyzerFactory, RobotOptions
+from kinebench_drake.evaluation.config import RunConfig
 from kinebench_drake.executors.base import SupportsClose
 from kinebench_drake.io.files import open_file
 from kinebench_drake.io.jsonl import dump, finite
@@ -37,25 +36,6 @@ KINEMATIC_METRICS = (
 
 MIN_TRACKED = 2
 """Fewest frames with a pose: a path needs two."""
-
-
-class RunKind(Enum):
-    """What a run does with its samples."""
-
-    SCORE = "score"
-    GROUND = "ground"
-    AUDIT = "audit"
-    SUITE = "suite"
-
-    @property
-    def noun(self) -> str:
-        """Plural noun for the samples of the run."""
-        return {RunKind.AUDIT: "trajectories", RunKind.SUITE: "episodes"}.get(self, "videos")
-
-    @property
-    def judges(self) -> bool:
-        """True if the run judges kinematics."""
-        return self is not RunKind.GROUND
 
 
 class SampleInfo(Protocol):
@@ -105,11 +85,7 @@ class Evaluation:
 class Evaluator(ABC, Generic[SampleT, ResourcesT]):
     """Evaluation of the samples of one run; picklable. `start_worker` creates the callable of a worker process."""
 
-    kind: RunKind
-    out: Path
-    robot: RobotOptions
-    make_analyzer: AnalyzerFactory = Analyzer
-    """Creates the analyzer of a worker process."""
+    config: RunConfig
     code: str = field(default_factory=code_hash)
     """SHA-256 of the sources when the run began, shared by all workers."""
 
@@ -156,26 +132,26 @@ class Evaluator(ABC, Generic[SampleT, ResourcesT]):
 
     def content_hash(self, sample: SampleT) -> str:
         """Return the SHA-256 of all that determines a sample's row: input bytes, labels, options, code and robot."""
+        make, robot = self.config.make_analyzer, self.config.robot_options()
         key: dict[str, Json] = {
             "schema": SCHEMA_VERSION,
-            "kind": self.kind.value,
-            "analyzer": f"{self.make_analyzer.__module__}:{self.make_analyzer.__qualname__}",
+            "kind": self.config.kind.value,
+            "analyzer": f"{make.__module__}:{make.__qualname__}",
             "code": self.code,
-            "table_height_m": self.robot.table_height_m,
-            "tcp_frame": self.robot.tcp_frame,
+            "table_height_m": robot.table_height_m,
+            "tcp_frame": robot.tcp_frame,
             "sample": [sample.id, sample.video, sample.task, sample.model],
             **self.cache_key(sample),
         }
         digest = hashlib.sha256(dump(finite(key)).encode())  # labels of a broken sample may be NaN
-        urdf = self.robot.urdf
-        for file in (*self.input_files(sample), *(robot_files(urdf) if urdf else ())):
+        for file in (*self.input_files(sample), *(robot_files(robot.urdf) if robot.urdf else ())):
             digest.update(file.name.encode(errors="surrogateescape") + b"\0" + _digest(file))
         return digest.hexdigest()
 
     def is_current(self, sample: SampleT, row: SampleRow) -> bool:
         """Return whether the stored row is still valid: same content hash, all artifacts present."""
         artifacts = self.artifacts if row.status is Status.OK else ()
-        present = all(artifact_path(self.out, name, row.id).is_file() for name in artifacts)
+        present = all(artifact_path(self.config.out, name, row.id).is_file() for name in artifacts)
         return present and row.content_hash == self.content_hash(sample)
 
     def start_worker(self) -> "SampleWorker[SampleT, ResourcesT]":

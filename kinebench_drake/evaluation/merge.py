@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from kinebench_drake.errors import InputError, UsageError
-from kinebench_drake.evaluation.evaluator import SCHEMA_VERSION, RunKind
+from kinebench_drake.evaluation.config import RunKind
+from kinebench_drake.evaluation.evaluator import SCHEMA_VERSION
 from kinebench_drake.evaluation.runner import NullRunObserver, RunObserver, RunSummary, close_run, summarize
 from kinebench_drake.io.atomic import atomic_path, write_atomically
 from kinebench_drake.io.jsonl import dump

@@ -33,8 +33,9 @@ def resume(
         warn: receives a message about dropped rows.
 
     Raises:
-        UsageError: finished rows would be lost that this run does not evaluate again.
+        UsageError: finished rows would be lost that this run does not evaluate again, or the metadata are damaged.
     """
+    noun = evaluator.config.kind.noun
     ids, selected_ids = {sample.id for sample in samples}, {sample.id for sample in selected}
     current = {s.id for s in samples if s.id in store.rows and evaluator.is_current(s, store.rows[s.id])}
     # The cause of an error may be gone: errors are evaluated again.
@@ -43,17 +44,20 @@ def resume(
     lost = sorted(finished - current)
     unlisted = sorted(store.rows.keys() - ids)
     outdated = sorted((finished - current) & (ids - selected_ids))
-    before = _stored_metadata(store)
-    if before is not None and lost and (difference := _subject_difference(before, metadata)):
+    try:
+        stored = read_metadata(store.out) if store.rows else None
+    except InputError as error:
+        raise UsageError(f"--out {error}; --overwrite removes the earlier results") from None
+    if stored is not None and lost and (difference := _subject_difference(stored.run, metadata)):
         raise _loss(store, lost, difference)
     # A file may have been removed from a folder; a suite always has all its episodes, so these were deselected.
     if unlisted and (len(unlisted) == len(store.rows) or "source" not in metadata.config):
-        raise _loss(store, unlisted, f"not among the {len(samples)} {evaluator.kind.noun} named now")
+        raise _loss(store, unlisted, f"not among the {len(samples)} {noun} named now")
     if outdated:
         raise _loss(store, outdated, "of other input, options or code, and not among those to be done now")
     if unlisted:
         warn(
-            f"{len(unlisted)} earlier results are dropped: they are not among the {len(samples)} {evaluator.kind.noun} "
+            f"{len(unlisted)} earlier results are dropped: they are not among the {len(samples)} {noun} "
             f"named now (such as {unlisted[0]!r})"
         )
     if waiting or unlisted:
@@ -61,19 +65,6 @@ def resume(
     kept = current - {s.id for s in waiting}
     store.keep_rows(lambda row: row.id in kept)
     return waiting
-
-
-def _stored_metadata(store: ResultStore) -> RunMetadata | None:
-    """Return the metadata of the stored rows; None where there are none.
-
-    Raises:
-        UsageError: the metadata are damaged.
-    """
-    try:
-        stored = read_metadata(store.out) if store.rows else None
-    except InputError as error:
-        raise UsageError(f"--out {error}; --overwrite removes the earlier results") from None
-    return None if stored is None else stored.run
 
 
 def _subject_difference(before: RunMetadata, now: RunMetadata) -> str:

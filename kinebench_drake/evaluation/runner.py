@@ -5,99 +5,26 @@ import platform
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, closing, nullcontext
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Protocol
 
-from kinebench_drake.errors import SetupError, UsageError
-from kinebench_drake.evaluation.analyzer import Analyzer, AnalyzerFactory, RobotOptions
-from kinebench_drake.evaluation.evaluator import SCHEMA_VERSION, Evaluator, ResourcesT, RunKind, SampleT
+from kinebench_drake.errors import SetupError
+from kinebench_drake.evaluation.config import RunConfig, RunKind
+from kinebench_drake.evaluation.evaluator import SCHEMA_VERSION, Evaluator, ResourcesT, SampleT
 from kinebench_drake.evaluation.resume import resume
-from kinebench_drake.executors.base import Executor, ExecutorKind, SupportsDrain, WorkerCrash, create_executor
+from kinebench_drake.executors.base import Executor, SupportsDrain, WorkerCrash, create_executor
 from kinebench_drake.executors.interrupt import graceful_interrupt
 from kinebench_drake.executors.progress import NullObserver, Observer
 from kinebench_drake.io.atomic import disk_errors
 from kinebench_drake.report.sample import worst_samples
 from kinebench_drake.results.aggregate import Estimate, aggregate, estimate, normalize_run, split_rows
-from kinebench_drake.results.metadata import RunMetadata, Shard
+from kinebench_drake.results.metadata import RunMetadata
 from kinebench_drake.results.provenance import code_hash, host, versions, weights_hash
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.results.store import REPORT, RUN, ResultStore, artifact_path
 from kinebench_drake.types import Json
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RunConfig:
-    """Options common to all runs."""
-
-    out: Path
-    """Output folder, created if absent."""
-    kind: RunKind
-    limit: int | None = None
-    """Evaluate only the first so many samples."""
-    shard: Shard | None = None
-    """Evaluate only this part of the samples."""
-    jobs: int = 1
-    """Worker processes."""
-    engine: ExecutorKind = ExecutorKind.LOCAL
-    address: str | None = None
-    """Address of the Ray cluster."""
-    overwrite: bool = False
-    """Discard the content of `out` instead of resuming."""
-    seed: int = 0
-    """Seed of the bootstrap."""
-    model: str | None = None
-    """Model of samples whose input names none."""
-    tags: Mapping[str, str] = field(default_factory=dict)
-    """Labels kept in the results."""
-    make_analyzer: AnalyzerFactory = Analyzer
-    """Creates the analyzer of a worker process; picklable."""
-    table_height_m: float = 0.0
-    """Height of the table top in the robot base frame [m]."""
-    replays: int | None = None
-    """Number of 3D replays of the worst samples; None keeps those that `view` wrote and writes none."""
-
-    def __post_init__(self) -> None:
-        """Check the options.
-
-        Raises:
-            UsageError: one of them is invalid.
-        """
-        if self.limit is not None and self.limit < 1:
-            raise UsageError(f"--limit is {self.limit}, expected 1 or more")
-        if self.seed < 0:
-            raise UsageError(f"--seed is {self.seed}, expected 0 or more")
-        if self.replays is not None and self.replays < 0:
-            raise UsageError(f"--replays is {self.replays}, expected 0 or more")
-        self.robot_options()
-
-    @property
-    def suite_version(self) -> str | None:
-        """Version of the suites; None for runs without episodes."""
-        return None
-
-    def robot_options(self) -> RobotOptions:
-        """Return robot and table.
-
-        Raises:
-            UsageError: they are invalid.
-        """
-        return RobotOptions(table_height_m=self.table_height_m)
-
-    def to_json(self) -> dict[str, Json]:
-        """Serialize into `config` of results.json; paths by their last name only."""
-        return {
-            "kind": self.kind.value,
-            "limit": self.limit,
-            "shard": str(self.shard) if self.shard else None,
-            "jobs": self.jobs,
-            "engine": self.engine.value,
-            "seed": self.seed,
-            "model": self.model,
-            "table_height_m": self.table_height_m,
-            "replays": self.replays,
-        }
 
 
 class RunObserver(Observer, Protocol):
@@ -132,7 +59,7 @@ class RunSummary:
 
 
 def run_samples(
-    config: RunConfig, samples: Sequence[SampleT], evaluator: Evaluator[SampleT, ResourcesT], observer: RunObserver
+    samples: Sequence[SampleT], evaluator: Evaluator[SampleT, ResourcesT], observer: RunObserver
 ) -> RunSummary:
     """Evaluate every sample and fill the output folder.
 
@@ -144,6 +71,7 @@ def run_samples(
         KeyboardInterrupt: the run was interrupted; at the first interrupt running samples are finished, if the executor
             can.
     """
+    config = evaluator.config
     executor = create_executor(config.engine, config.jobs, config.address)
     chosen = list(samples[: config.limit])
     chosen = config.shard.take(chosen) if config.shard else chosen
@@ -186,10 +114,9 @@ def _start_worker(evaluator: Evaluator[SampleT, ResourcesT]) -> Callable[[Sample
     Raises:
         SetupError: the process does not see the output folder, or something is missing.
     """
-    if not evaluator.out.is_dir() or RUN not in os.listdir(evaluator.out):  # a listing is fresh also over a network
-        raise SetupError(
-            f"{platform.node()} does not see the run in {evaluator.out}: put --out in a folder that all nodes share"
-        )
+    out = evaluator.config.out
+    if not out.is_dir() or RUN not in os.listdir(out):  # a listing is fresh also over a network
+        raise SetupError(f"{platform.node()} does not see the run in {out}: put --out in a folder that all nodes share")
     return evaluator.start_worker()
 
 
@@ -200,7 +127,12 @@ def close_run(store: ResultStore, kind: RunKind, seed: int) -> RunSummary:
         SetupError: writing failed.
     """
     rows = store.sorted_rows()
-    report = _report(store.out) if kind.judges else None
+    report = None
+    if kind.judges:
+        from kinebench_drake.report.page import write_report
+
+        with disk_errors(REPORT):
+            report = write_report(store.out)
     measured = [r for r in rows if r.status is Status.OK]
     feasible = estimate([r.feasible for r in measured], total=len(rows), seed=seed)
     goals = [r.extra.get("success") for r in measured] if kind is RunKind.SUITE else []
@@ -259,10 +191,3 @@ def _replay(config: RunConfig, ids: Sequence[str], observer: RunObserver) -> Non
         write_replays(config.out, ids, ArmPlant(choose_robot(options.urdf, options.tcp_frame)))
     except SetupError as error:
         observer.warn(f"no 3D replays were written: {error}")
-
-
-def _report(out: Path) -> Path:
-    from kinebench_drake.report.page import write_report
-
-    with disk_errors(REPORT):
-        return write_report(out)

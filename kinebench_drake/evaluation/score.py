@@ -19,8 +19,9 @@ from kinebench_drake.datasets.videos.find import find_samples
 from kinebench_drake.datasets.videos.sample import VideoSample
 from kinebench_drake.errors import InputError, UnmeasurableError, UsageError
 from kinebench_drake.evaluation.analyzer import Analyzer, load_analyzer
-from kinebench_drake.evaluation.evaluator import KINEMATIC_METRICS, MIN_TRACKED, Evaluation, Evaluator, RunKind
-from kinebench_drake.evaluation.runner import NullRunObserver, RunConfig, RunObserver, RunSummary, run_samples
+from kinebench_drake.evaluation.config import RunConfig, RunKind
+from kinebench_drake.evaluation.evaluator import KINEMATIC_METRICS, MIN_TRACKED, Evaluation, Evaluator
+from kinebench_drake.evaluation.runner import NullRunObserver, RunObserver, RunSummary, run_samples
 from kinebench_drake.evaluation.thumbnail import encode_strip, worst_frame
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.overrides.overrides import Overrides
@@ -33,12 +34,11 @@ from kinebench_drake.results.provenance import weights_hash
 from kinebench_drake.results.store import artifact_path
 from kinebench_drake.results.trackfile import write_track
 from kinebench_drake.suites.start import START_WIDTH_M, start_q
-from kinebench_drake.types import GripperTrack, InitialState, InitialStateUse, Json, Priors
+from kinebench_drake.types import InitialState, InitialStateUse, Json, Priors
 
 if TYPE_CHECKING:  # OpenCV, torch, Open3D and Drake take seconds to load
     from kinebench_drake.grounding.framing.framing import Framing
     from kinebench_drake.grounding.pipeline import GroundingResult
-    from kinebench_drake.metrics.result import KinematicResult
 
 BENCHMARK_PERIOD_S = 0.2
 """Task time between two frames of a benchmark video (4 control steps at 20 Hz) [s]."""
@@ -141,16 +141,7 @@ def score_videos(config: ScoreConfig, observer: RunObserver | None = None) -> Ru
         samples = [replace(sample, initial_state=None) for sample in inputs.samples]
     else:
         samples = with_initial_states(inputs.samples)
-    evaluator = VideoEvaluator(
-        kind=config.kind,
-        out=config.out,
-        robot=config.robot_options(),
-        make_analyzer=config.make_analyzer,
-        frame_period_s=config.frame_period_s,
-        overlay=config.overlay,
-        overrides=overrides,
-    )
-    summary = run_samples(config, samples, evaluator, observer)
+    summary = run_samples(samples, VideoEvaluator(config=config, overrides=overrides), observer)
     contradicted = sum(row.extra.get("first_frame") == InitialStateUse.CONTRADICTED.value for row in summary.rows)
     if contradicted:
         observer.warn(
@@ -170,27 +161,33 @@ def score_videos(config: ScoreConfig, observer: RunObserver | None = None) -> Ru
 class VideoEvaluator(Evaluator[VideoSample, Analyzer]):
     """Evaluation of the videos of one run."""
 
-    frame_period_s: float | None
-    """Task time between two frames, from the command line [s]."""
-    overlay: bool
-    """Write overlays/ID.mp4."""
+    config: ScoreConfig
     overrides: Overrides
     """Stages of the grounding that are replaced."""
 
     def setup(self) -> Analyzer:
         """Load the robot."""
-        return load_analyzer(self.make_analyzer, self.robot)
+        return load_analyzer(self.config.make_analyzer, self.config.robot_options())
 
     def evaluate(self, sample: VideoSample, analyzer: Analyzer) -> Evaluation:
         """Read, prepare, ground, judge, write."""
         if sample.problem is not None:
             raise InputError(sample.problem)
         video = read_video(sample.path, sample.part)
-        prepared = prepare_video(video, sample, self.frame_period_s, self.overrides)
+        prepared = prepare_video(video, sample, self.config.frame_period_s, self.overrides)
         grounding = ground_prepared(prepared, analyzer)
         track = grounding.track
-        kinematics = analyzer.judge(track) if self.kind.judges else None
-        self._write_files(sample, prepared, video.fps, track, kinematics, analyzer)
+        kinematics = analyzer.judge(track) if self.config.kind.judges else None
+        if self.config.overlay:
+            path = artifact_path(self.config.out, "overlays", sample.id)
+            rate = float(np.clip(video.fps or 1.0 / prepared.period_s, 1.0, 60.0))
+            with disk_errors(f"overlays/{path.name}"):
+                write_video(path, analyzer.overlay(prepared.frames, prepared.camera, track), rate)
+        shown = np.unique([0, worst_frame(track, kinematics)])
+        images = list(analyzer.overlay(prepared.frames[shown], prepared.camera, track.at(shown)))
+        write_atomically(artifact_path(self.config.out, "thumbnails", sample.id), encode_strip(images))
+        joints, curves = (kinematics.joints, kinematics.curves) if kinematics else (None, {})
+        write_track(artifact_path(self.config.out, "tracks", sample.id), track, joints, curves)
         return Evaluation(
             kinematics=kinematics,
             metrics={
@@ -211,41 +208,15 @@ class VideoEvaluator(Evaluator[VideoSample, Analyzer]):
             },
         )
 
-    def _write_files(
-        self,
-        sample: VideoSample,
-        prepared: "PreparedVideo",
-        fps: float | None,
-        track: GripperTrack,
-        kinematics: "KinematicResult | None",
-        analyzer: Analyzer,
-    ) -> None:
-        """Write the sample's files atomically; the row that declares them complete follows.
-
-        Raises:
-            SetupError: writing failed.
-        """
-        frames, camera = prepared.frames, prepared.camera
-        if self.overlay:
-            path = artifact_path(self.out, "overlays", sample.id)
-            rate = float(np.clip(fps or 1.0 / prepared.period_s, 1.0, 60.0))
-            with disk_errors(f"overlays/{path.name}"):
-                write_video(path, analyzer.overlay(frames, camera, track), rate)
-        shown = np.unique([0, worst_frame(track, kinematics)])
-        images = list(analyzer.overlay(frames[shown], camera, track.at(shown)))
-        write_atomically(artifact_path(self.out, "thumbnails", sample.id), encode_strip(images))
-        joints, curves = (kinematics.joints, kinematics.curves) if kinematics else (None, {})
-        write_track(artifact_path(self.out, "tracks", sample.id), track, joints, curves)
-
     @property
     def metric_names(self) -> tuple[str, ...]:
         """Visual metrics, and kinematic ones where tracks are judged."""
-        return (*VISUAL_METRICS, *(KINEMATIC_METRICS if self.kind.judges else ()))
+        return (*VISUAL_METRICS, *(KINEMATIC_METRICS if self.config.kind.judges else ()))
 
     @property
     def artifacts(self) -> tuple[str, ...]:
         """Tracks, and overlays where they are written."""
-        return ("tracks", *(["overlays"] if self.overlay else []))
+        return ("tracks", *(["overlays"] if self.config.overlay else []))
 
     def cache_key(self, sample: VideoSample) -> Mapping[str, Json]:
         """Return weights, camera, clock, overrides and labels."""
@@ -254,7 +225,7 @@ class VideoEvaluator(Evaluator[VideoSample, Analyzer]):
             "weights": weights_hash(),
             "camera": sample.camera.to_json(),
             "camera_source": sample.camera_source.value,
-            "option_period_s": self.frame_period_s,
+            "option_period_s": self.config.frame_period_s,
             "given": self._replaced(sample),
             "first": None if initial is None else [*initial.X_BG.ravel().tolist(), str(initial.finger_width_m)],
             "depth_exact": self.overrides.depth_exact,
@@ -397,20 +368,18 @@ def override_names(sample: VideoSample) -> tuple[str, ...]:
 
 def _times(sample: VideoSample, video: Video, option_s: float | None) -> tuple[Array, float, PeriodSource]:
     """Return the task time of each frame [s], the period between two [s], and its source."""
-    if sample.frame_period_s is not None:
-        period_s, source = sample.frame_period_s, PeriodSource.MANIFEST
-    elif option_s is not None:
-        period_s, source = option_s, PeriodSource.OPTION
-    elif sample.fps is not None:
-        period_s, source = 1.0 / sample.fps, PeriodSource.MANIFEST_FPS
-    elif sample.dataset_period_s is not None:
-        period_s, source = sample.dataset_period_s, PeriodSource.DATASET
-    elif video.stamps_s is not None:
-        return video.stamps_s, float(np.median(np.diff(video.stamps_s))), PeriodSource.TIME_STAMPS
-    elif video.fps is not None:
-        period_s, source = 1.0 / video.fps, PeriodSource.FPS
-    else:
-        period_s, source = BENCHMARK_PERIOD_S, PeriodSource.BENCHMARK
+    periods = {
+        PeriodSource.MANIFEST: sample.frame_period_s,
+        PeriodSource.OPTION: option_s,
+        PeriodSource.MANIFEST_FPS: None if sample.fps is None else 1.0 / sample.fps,
+        PeriodSource.DATASET: sample.dataset_period_s,
+        PeriodSource.TIME_STAMPS: None if video.stamps_s is None else float(np.median(np.diff(video.stamps_s))),
+        PeriodSource.FPS: None if video.fps is None else 1.0 / video.fps,
+        PeriodSource.BENCHMARK: BENCHMARK_PERIOD_S,
+    }
+    period_s, source = next((period, source) for source, period in periods.items() if period is not None)
+    if video.stamps_s is not None and source is PeriodSource.TIME_STAMPS:
+        return video.stamps_s, period_s, source
     return np.arange(len(video.frames), dtype=np.float64) * period_s, period_s, source
 
 

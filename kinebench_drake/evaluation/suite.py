@@ -8,9 +8,9 @@ from typing import Any
 
 from kinebench_drake.closed_loop.loop import LoopOptions
 from kinebench_drake.errors import UsageError, member_of
+from kinebench_drake.evaluation.config import RunConfig, RunKind
 from kinebench_drake.evaluation.episode import EpisodeEvaluator, EpisodeSample
-from kinebench_drake.evaluation.evaluator import RunKind
-from kinebench_drake.evaluation.runner import NullRunObserver, RunConfig, RunObserver, RunSummary, run_samples
+from kinebench_drake.evaluation.runner import NullRunObserver, RunObserver, RunSummary, run_samples
 from kinebench_drake.executors.base import ExecutorKind
 from kinebench_drake.suites.selection import chosen_tasks
 from kinebench_drake.suites.simulator import Control
@@ -135,10 +135,7 @@ def run_suite(config: SuiteConfig, observer: RunObserver | None = None) -> RunSu
         if not offline and (config.jobs > 1 or config.engine is not ExecutorKind.LOCAL):
             world_model.close()  # workers load their own, and may need the memory
         evaluator = EpisodeEvaluator(
-            kind=config.kind,
-            out=config.out,
-            robot=config.robot_options(),
-            make_analyzer=config.make_analyzer,
+            config=replace(config, model_name=name),
             world_model=world_model,
             offline=offline,
             loop=config.loop,
@@ -151,4 +148,4 @@ def run_suite(config: SuiteConfig, observer: RunObserver | None = None) -> RunSu
                 config.split, task, config.episodes, offset=config.seed, variant=config.variant
             )
         ]
-        return run_samples(replace(config, model_name=name), samples, evaluator, observer)
+        return run_samples(samples, evaluator, observer)

@@ -1,6 +1,5 @@
 import os
 import sys
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -63,10 +62,10 @@ def config(tmp_path):
 @pytest.fixture
 def program(capfd, monkeypatch):
     """Runs the program in this process with the fake analyzer; returns exit status, standard output and error."""
-    for job, name in ((score, "ScoreConfig"), (audit, "AuditConfig")):
-        make = getattr(job, name)
-        assert make.__dataclass_fields__["make_analyzer"].default is Analyzer
-        monkeypatch.setattr(job, name, partial(make, make_analyzer=FakeAnalyzer))
+    for config in (score.ScoreConfig, audit.AuditConfig):
+        defaults = config.__init__.__kwdefaults__
+        assert defaults["make_analyzer"] is Analyzer
+        monkeypatch.setitem(defaults, "make_analyzer", FakeAnalyzer)
 
     monkeypatch.setattr(run, "_replay", lambda *_: None)  # needs Drake and seconds
 

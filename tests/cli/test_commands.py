@@ -147,8 +147,7 @@ signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background
 from fake_analyzer import FakeAnalyzer
 from kinebench_drake import cli
 from kinebench_drake.evaluation import score
-make = score.ScoreConfig
-score.ScoreConfig = lambda **options: make(make_analyzer=FakeAnalyzer, **options)
+score.ScoreConfig.__init__.__kwdefaults__["make_analyzer"] = FakeAnalyzer
 if __name__ == "__main__":
     cli.main(sys.argv[1:])
 """

@@ -19,7 +19,8 @@ from PIL import Image
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.errors import SetupError, UsageError
 from kinebench_drake.evaluation import score
-from kinebench_drake.evaluation.evaluator import KINEMATIC_METRICS, RunKind
+from kinebench_drake.evaluation.config import RunKind
+from kinebench_drake.evaluation.evaluator import KINEMATIC_METRICS
 from kinebench_drake.evaluation.runner import NullRunObserver
 from kinebench_drake.evaluation.score import VISUAL_METRICS, score_videos
 from kinebench_drake.executors.base import ExecutorKind

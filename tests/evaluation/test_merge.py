@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from kinebench_drake.errors import InputError, UsageError
-from kinebench_drake.evaluation.evaluator import RunKind
+from kinebench_drake.evaluation.config import RunKind
 from kinebench_drake.evaluation.merge import _copy, merge_folders
 from kinebench_drake.evaluation.runner import NullRunObserver, close_run, summarize
 from kinebench_drake.geometry import make_pose
