@@ -1,6 +1,5 @@
 """Commands on output folders: `report`, `compare`, `merge`, `view`."""
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -8,6 +7,7 @@ import click
 
 from kinebench_drake.cli.run import ProgressView, run
 from kinebench_drake.errors import InputError, UsageError
+from kinebench_drake.io.jsonl import as_object
 from kinebench_drake.results.row import SampleRow
 from kinebench_drake.results.store import SAMPLES, artifact_path, read_rows
 
@@ -154,8 +154,8 @@ def _plant(out: Path, urdf: Path | None) -> "ArmPlant":
     """Load the robot that a run was judged with."""
     from kinebench_drake.report.page import read_results
 
-    config = read_results(out).get("config")
-    robot, tcp_frame = (config.get(key) if isinstance(config, Mapping) else None for key in ("robot", "tcp_frame"))
+    config = as_object(read_results(out).get("config"))
+    robot, tcp_frame = config.get("robot"), config.get("tcp_frame")
     if robot is None and urdf is not None:
         raise UsageError(f"{out}: was judged with the Panda, leave out --robot")
     if robot is not None and urdf is None:

@@ -6,6 +6,7 @@ The step between the two is not a motion of any clip and is not judged.
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -40,11 +41,12 @@ def join_tracks(tracks: Sequence[GripperTrack]) -> GripperTrack:
     """
     ends = np.cumsum([0.0, *(track.t_s[-1] - track.t_s[0] for track in tracks)])
     parts = [track.at(np.arange(k > 0, len(track.t_s))) for k, track in enumerate(tracks)]
-    arrays = ("X_CH", "X_BG", "tracked", "confidence", "finger_width_m")
+    names = ("X_CH", "X_BG", "tracked", "confidence", "finger_width_m")
+    arrays: dict[str, Any] = {name: np.concatenate([getattr(p, name) for p in parts]) for name in names}
     return replace(
         tracks[0],
         t_s=np.concatenate([end + p.t_s - t.t_s[0] for end, p, t in zip(ends, parts, tracks, strict=False)]),
-        **{name: np.concatenate([getattr(p, name) for p in parts]) for name in arrays},
+        **arrays,
     )
 
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kinebench_drake.geometry import Array
+from kinebench_drake.io.jsonl import as_object
 from kinebench_drake.report.limits import find_checks, to_number
 from kinebench_drake.results.row import SampleRow
 from kinebench_drake.types import Json
@@ -104,7 +105,7 @@ def summarize_checks(row: SampleRow, t_s: Array | None) -> list[DetailLine]:
 
 
 def _noise(row: SampleRow) -> str | None:
-    noise = _section(row, "noise")
+    noise = as_object(row.details.get("noise"))
     values = {k: v for k in ("position_m", "rotation_rad") if isinstance(v := noise.get(k), int | float)}
     # Values below a micrometre or a microradian are rounding errors.
     text = ", ".join(line.text for line in list_details({k: 0.0 if v < 1e-6 else v for k, v in values.items()}))
@@ -114,14 +115,12 @@ def _noise(row: SampleRow) -> str | None:
 
 
 def _slowdown(row: SampleRow, t_s: Array | None) -> str | None:
-    factor, limit = to_number(row.metrics.get("slowdown_min")), _format_limit(_section(row, "slowdown"), t_s)
-    if factor is None:
-        return None
-    return f"{'none, ' if factor <= 1.0 else ''}{factor:.3g}{limit and f', for {limit}'}"
+    factor, limit = to_number(row.metrics.get("slowdown_min")), _format_limit(row.details.get("slowdown"), t_s)
+    return None if factor is None else f"{'none, ' if factor <= 1.0 else ''}{factor:.3g}{limit and f', for {limit}'}"
 
 
 def _fastest(row: SampleRow, t_s: Array | None) -> str | None:
-    scale, limit = to_number(row.metrics.get("time_scale")), _format_limit(_section(row, "time_scale"), t_s)
+    scale, limit = to_number(row.metrics.get("time_scale")), _format_limit(row.details.get("time_scale"), t_s)
     return None if scale is None else f"{scale:.3g} of its own duration{limit and f', limited by {limit}'}"
 
 
@@ -129,7 +128,7 @@ def _trajectory(row: SampleRow, t_s: Array | None) -> str | None:
     feasible, radius = row.metrics.get("trajopt_feasible"), to_number(row.metrics.get("trajopt_position_tube_m"))
     if not isinstance(feasible, bool):
         return None
-    section = _section(row, "trajopt")
+    section = as_object(row.details.get("trajopt"))
     tube, obstacle = to_number(section.get("tube_limit_m")), section.get("against")
     bound = "" if tube is None else f" (allowed: {tube * 1000.0:.3g} mm)"
     text = f"within {radius * 1000.0:.3g} mm of the track{bound}" if radius is not None else f"none{bound}"
@@ -140,17 +139,12 @@ def _trajectory(row: SampleRow, t_s: Array | None) -> str | None:
     return f"{text}; prevented by {_format_limit({**obstacle, 'limit': obstacle.get('kind')}, t_s)}{numbers}"
 
 
-def _format_limit(section: Mapping[str, Json], t_s: Array | None) -> str:
-    """Format the limit, joint and time that a section names; empty if it names no limit."""
-    limit, joint, frame = section.get("limit"), section.get("joint"), section.get("frame")
+def _format_limit(details: Json, t_s: Array | None) -> str:
+    """Format the limit, joint and time in the details of a check; empty if they name no limit."""
+    limit, joint, frame = (as_object(details).get(key) for key in ("limit", "joint", "frame"))
     if limit is None:
         return ""
     when = ""
     if isinstance(frame, int):
         when = f" at {t_s[frame]:.2f} s" if t_s is not None and 0 <= frame < len(t_s) else f" in frame {frame}"
     return f"{str(limit).replace('_', ' ')}{'' if joint is None else f' of {joint}'}{when}"
-
-
-def _section(row: SampleRow, name: str) -> Mapping[str, Json]:
-    section = row.details.get(name)
-    return section if isinstance(section, Mapping) else {}

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kinebench_drake.geometry import Array
+from kinebench_drake.io.jsonl import as_object
 from kinebench_drake.models.robot import N_JOINTS
 from kinebench_drake.results.row import SampleRow
 from kinebench_drake.results.trackfile import TrackFile
@@ -69,17 +70,15 @@ class LimitPeak:
     """Value / limit, above 1 past the limit; None if undefined."""
 
 
-def to_number(value: Json) -> float | None:
+def to_number(value: object) -> float | None:
     """Convert a JSON number to a float; None for anything else, truth values included."""
     return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None
 
 
 def joint_limits(row: SampleRow) -> JointLimits:
     """Read the limits in a row's `details`."""
-    limits = row.details.get("limits")
-    limits = limits if isinstance(limits, Mapping) else {}
-    position = limits.get("position")
-    lower, upper = (_seven(position.get(end)) if isinstance(position, Mapping) else None for end in ("lower", "upper"))
+    limits = as_object(row.details.get("limits"))
+    lower, upper = (_seven(as_object(limits.get("position")).get(end)) for end in ("lower", "upper"))
     names = limits.get("joints", row.details.get("joints"))
     if not isinstance(names, Sequence) or isinstance(names, str) or len(names) != N_JOINTS:
         names = [f"joint {k + 1}" for k in range(N_JOINTS)]
@@ -91,9 +90,9 @@ def joint_limits(row: SampleRow) -> JointLimits:
     )
 
 
-def _seven(value: Json) -> Array | None:
+def _seven(value: object) -> Array | None:
     """Convert seven numbers to an array, null to infinity; None for anything else."""
-    if not isinstance(value, Sequence) or isinstance(value, str) or len(value) != N_JOINTS:
+    if not isinstance(value, Sequence) or len(value) != N_JOINTS:
         return None
     if not all(v is None or isinstance(v, int | float) for v in value):
         return None

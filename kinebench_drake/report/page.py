@@ -9,7 +9,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from kinebench_drake.errors import InputError, cause
 from kinebench_drake.io.atomic import write_atomically
-from kinebench_drake.io.jsonl import intern_text, read_json
+from kinebench_drake.io.jsonl import as_object, intern_text, read_json
 from kinebench_drake.report.limits import to_number
 from kinebench_drake.report.metric import BY_NAME, METRICS, Metric, MetricLayout, layout_of
 from kinebench_drake.report.plot import Histogram, count_values, draw_histogram
@@ -17,6 +17,7 @@ from kinebench_drake.report.sample import (
     GOOD_VERDICTS,
     VERDICTS,
     badness,
+    explain,
     goodness,
     has_thumbnail,
     numeric_value,
@@ -24,6 +25,7 @@ from kinebench_drake.report.sample import (
     view_sample,
 )
 from kinebench_drake.report.table import format_interval, format_value
+from kinebench_drake.report.timeline import anomalies_of
 from kinebench_drake.results.aggregate import Aggregate, aggregate, split_rows
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.results.store import REPORT, RESULTS, read_rows
@@ -80,7 +82,8 @@ def build_page(out: Path) -> str:
     ]
     views = {sample.row.id: sample for sample in samples}
     templates = template_environment()
-    templates.filters["label"] = VERDICTS.__getitem__
+    templates.filters |= {"label": VERDICTS.__getitem__, "verdict": verdict_of, "explanation": explain}
+    templates.filters["anomalies"] = anomalies_of
     return templates.get_template("page.html.j2").render(
         title=_title(results),
         results=results,
@@ -102,7 +105,8 @@ def build_page(out: Path) -> str:
         drawn=min(DRAWN, len(samples)),
         left_out=max(len(samples) - DRAWN, 0),
         normalization=_read_normalization(results),
-        counts={v: n for v in VERDICTS if (n := sum(sample.verdict == v for sample in samples))},
+        counts={v: n for v in VERDICTS if (n := sum(verdict_of(row) == v for row in rows))},
+        numeric_value=numeric_value,
         Status=Status,
     )
 
@@ -137,8 +141,7 @@ def read_results(out: Path) -> Mapping[str, Json]:
 
 def bootstrap_seed(results: Mapping[str, Json]) -> int:
     """Return the seed of the resampling of a run's intervals."""
-    seeds = results.get("seeds")
-    seed = seeds.get("bootstrap", 0) if isinstance(seeds, Mapping) else 0
+    seed = as_object(results.get("seeds")).get("bootstrap", 0)
     return seed if isinstance(seed, int) else 0
 
 
@@ -177,8 +180,7 @@ def _choose_gallery(out: Path, rows: Sequence[SampleRow]) -> tuple[list[SampleRo
 
 def _title(results: Mapping[str, Json]) -> str:
     """Return the input of a run, or its model and suite."""
-    config = results.get("config")
-    config = config if isinstance(config, Mapping) else {}
+    config = as_object(results.get("config"))
     if "suite" in config:
         return f"{config.get('world_model')}, suite {config['suite']} ({config.get('split')})"
     return str(config.get("source") or "Report")
@@ -196,11 +198,9 @@ def _is_measured(total: Aggregate, name: str) -> bool:
 
 def _read_normalization(results: Mapping[str, Json]) -> list[tuple[str, list[float]]]:
     """Read the metrics normalized within the run: name, 10th and 90th percentile, mean on that scale, samples."""
-    normalization = results.get("normalization")
     lines = []
-    for name, entry in normalization.items() if isinstance(normalization, Mapping) else ():
-        if isinstance(entry, Mapping):
-            numbers = [to_number(entry.get(key)) for key in ("low", "high", "mean", "n")]
-            if None not in numbers:
-                lines.append((name, cast(list[float], numbers)))
+    for name, entry in as_object(results.get("normalization")).items():
+        numbers = [to_number(as_object(entry).get(key)) for key in ("low", "high", "mean", "n")]
+        if None not in numbers:
+            lines.append((name, cast(list[float], numbers)))
     return lines

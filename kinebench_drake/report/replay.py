@@ -16,6 +16,7 @@ from kinebench_drake.environment import native
 from kinebench_drake.errors import SetupError, UnmeasurableError, UsageError, cause
 from kinebench_drake.geometry import Array
 from kinebench_drake.io.atomic import disk_errors, write_atomically
+from kinebench_drake.io.jsonl import as_object
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.report.limits import to_number
 from kinebench_drake.report.page import read_results, template_environment
@@ -51,8 +52,7 @@ def write_replays(out: Path, ids: Sequence[str], plant: ArmPlant | None = None) 
         UsageError: the folder holds no such sample.
     """
     rows = read_rows(out)
-    config = read_results(out).get("config")
-    height = to_number(config.get("table_height_m")) if isinstance(config, Mapping) else None
+    height = to_number(as_object(read_results(out).get("config")).get("table_height_m"))
     written = []
     meshes: Sequence[LinkMesh] = ()
     for id in ids:

@@ -174,7 +174,8 @@ class ReplayScene:
             self._move(animation, path, times, X_GB @ poses)
             self._tint(animation, path, [colors[state] for state in self._states])
         if self.has_arm:
-            self._switch(animation, "/gripper", self._apart)
+            for tick, apart in self._changes([bool(a) for a in self._apart]):
+                animation.SetProperty(tick, "/gripper", "visible", apart)
         self._meshcat.SetAnimation(animation)
 
     def _times(self) -> Array:
@@ -243,10 +244,6 @@ class ReplayScene:
     def _tint(self, animation: Any, path: str, colors: Sequence[Color]) -> None:
         for tick, color in self._changes(colors):
             animation.SetProperty(tick, f"{path}/<object>", "material.color", _linear(color))
-
-    def _switch(self, animation: Any, path: str, shown: NDArray[np.bool_]) -> None:
-        for tick, value in self._changes([bool(s) for s in shown]):
-            animation.SetProperty(tick, path, "visible", value)
 
 
 def _interpolate(times: Array, t_s: Array, X: Array) -> Array:

@@ -2,7 +2,7 @@
 
 import base64
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -11,6 +11,7 @@ from urllib.parse import quote
 import numpy as np
 from markupsafe import Markup
 
+from kinebench_drake.io.jsonl import as_object
 from kinebench_drake.report.curves import draw_curves
 from kinebench_drake.report.details import (
     CheckResolution,
@@ -24,7 +25,6 @@ from kinebench_drake.report.timeline import anomalies_of, draw_strip, fault_lane
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.results.store import artifact_path
 from kinebench_drake.results.trackfile import read_track
-from kinebench_drake.types import Json
 
 _FAILURES = {cause: f"failed: {cause}" for cause in ("grounding", "generation", "execution", "task")}
 VERDICTS = {
@@ -44,11 +44,6 @@ class SampleView:
     """One sample as the page shows it."""
 
     row: SampleRow
-    verdict: str
-    """A key of VERDICTS."""
-    explanation: str
-    """Reason of a missing result, or cause of a failure; may be empty."""
-    anomalies: Sequence[Mapping[str, Json]]
     thumbnail: str | None
     """Image as a data URI; None if there is none, or if it is not on the page."""
     strip: Markup | None
@@ -71,10 +66,6 @@ class SampleView:
     viewable: bool
     """True if there is a track for `kinebench-drake view`."""
 
-    def value(self, name: str) -> float | None:
-        """Return a metric, or a further key of the row, as a number; None if it is none."""
-        return numeric_value(self.row, name)
-
 
 def numeric_value(row: SampleRow, name: str) -> float | None:
     """Return a metric, or a further key of the row, as a number; None if it is none."""
@@ -94,8 +85,7 @@ def verdict_of(row: SampleRow) -> str:
 
 def explain(row: SampleRow) -> str:
     """Return the reason of a missing result, or the cause of a failure; empty if there is none."""
-    cause = row.extra.get("cause")
-    return row.reason or (str(cause.get("text") or "") if isinstance(cause, Mapping) else "")
+    return row.reason or str(as_object(row.extra.get("cause")).get("text") or "")
 
 
 def badness(row: SampleRow) -> tuple[float | str, ...]:
@@ -163,9 +153,6 @@ def view_sample(out: Path, row: SampleRow, *, drawn: bool, pictured: bool = True
     lanes = fault_lanes(row, file)
     return SampleView(
         row=row,
-        verdict=verdict_of(row),
-        explanation=explain(row),
-        anomalies=anomalies_of(row),
         thumbnail=uri,
         strip=draw_strip(lanes, frame_count(row, file, lanes)) if lanes else None,
         peaks=[*violations[:_MAX_VIOLATIONS], *(peak for peak in peaks if not peak.broken)],

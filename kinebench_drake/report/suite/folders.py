@@ -8,6 +8,7 @@ from itertools import combinations
 from pathlib import Path
 
 from kinebench_drake.errors import InputError, UsageError
+from kinebench_drake.io.jsonl import as_object
 from kinebench_drake.report.page import read_results
 from kinebench_drake.report.suite.episode import EpisodeResult, SuitePart
 from kinebench_drake.results.row import SampleRow
@@ -35,10 +36,8 @@ class RunFolder:
     """Tags of `suite run --tag`."""
     settings: Mapping[str, str]
     """Those of _SETTINGS that are set, as text."""
-    schema_version: Json
-    """Version of the file format."""
-    suite_version: Json
-    """Version of the suites."""
+    versions: Mapping[str, Json]
+    """Versions of file format and suites: `schema_version` and `suite_version`."""
 
     @property
     def name(self) -> str:
@@ -78,8 +77,8 @@ def read_folders(paths: Sequence[Path]) -> list[RunFolder]:
     folders = [read_folder(path) for path in paths]
     first = folders[0]
     for folder in folders[1:]:
-        for name in ("schema_version", "suite_version"):
-            one, other = getattr(first, name), getattr(folder, name)
+        for name, one in first.versions.items():
+            other = folder.versions[name]
             if one != other:
                 raise UsageError(
                     f"{first.path} has {name} {one} and {folder.path} {other}: their numbers cannot be compared; "
@@ -106,8 +105,7 @@ def read_folder(path: Path) -> RunFolder:
         raise UsageError(f"{path}: is of a run of kind {results.get('kind')!r}, expected {_KIND!r}")
     if not rows:
         raise UsageError(f"{path}: holds no episode")
-    config, tags, planned = results.get("config"), results.get("tags"), results.get("samples_found")
-    config = config if isinstance(config, Mapping) else {}
+    config, planned = as_object(results.get("config")), results.get("samples_found")
     suite, split, variant = config.get("suite"), config.get("split"), config.get("variant", "plain")
     if not isinstance(suite, int) or not isinstance(split, str) or not isinstance(variant, str):
         raise UsageError(f"{path / RESULTS}: config names no suite, split and variant, expected those of a suite run")
@@ -116,14 +114,13 @@ def read_folder(path: Path) -> RunFolder:
         part=SuitePart(suite=suite, split=split, variant=variant),
         rows=tuple(rows[id] for id in sorted(rows)),
         planned=planned if isinstance(planned, int) else None,
-        tags={key: str(value) for key, value in tags.items()} if isinstance(tags, Mapping) else {},
+        tags={key: str(value) for key, value in as_object(results.get("tags")).items()},
         settings={name: _format_setting(config[name]) for name in _SETTINGS if config.get(name) not in (None, "")},
-        schema_version=results.get("schema_version"),
-        suite_version=results.get("suite_version"),
+        versions={name: results.get(name) for name in ("schema_version", "suite_version")},
     )
 
 
-def _format_setting(value: Json) -> str:
+def _format_setting(value: object) -> str:
     """Format a setting for a label; a long text is cut and followed by its hash."""
     if isinstance(value, str) and len(value) > _MAX_LETTERS:
         return f"{value[:_MAX_LETTERS]}… {hashlib.sha256(value.encode()).hexdigest()[:6]}"

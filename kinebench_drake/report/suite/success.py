@@ -61,14 +61,8 @@ class Tally:
     """Share of successes among all, unmeasured ones counted as failures."""
     success: Estimate
     """Success, mean over tasks with a bootstrap interval."""
-    progress: Estimate
-    """Progress 0..1, mean over tasks."""
-    rounds: Estimate
-    """Clips requested, mean over tasks."""
-    sparc: Estimate
-    """SPARC, mean over tasks."""
-    cost: Estimate
-    """Scaled manipulability cost 0..1, mean over tasks."""
+    means: tuple[Estimate, ...]
+    """Means over tasks of progress 0..1, clips requested, SPARC and scaled manipulability cost 0..1."""
     verdicts: Mapping[str, int]
     """Measured failures by verdict, NO_VERDICT included."""
 
@@ -89,10 +83,12 @@ def tally(episodes: Sequence[EpisodeResult], seed: int = 0) -> Tally:
         pooled=estimate(measured, total=len(episodes)),
         counted=estimate([o is True for o in outcomes], total=len(episodes)),
         success=mean_over_tasks(episodes, lambda e: e.hit, seed),
-        progress=mean_over_tasks(episodes, lambda e: e.progress, seed),
-        rounds=mean_over_tasks(episodes, lambda e: e.rounds, seed),
-        sparc=mean_over_tasks(episodes, lambda e: e.metric("sparc"), seed),
-        cost=mean_over_tasks(episodes, lambda e: e.cost_scaled, seed),
+        means=(
+            mean_over_tasks(episodes, lambda e: e.progress, seed),
+            mean_over_tasks(episodes, lambda e: e.rounds, seed),
+            mean_over_tasks(episodes, lambda e: e.metric("sparc"), seed),
+            mean_over_tasks(episodes, lambda e: e.cost_scaled, seed),
+        ),
         verdicts={**verdicts, NO_VERDICT: sum(failures.values())},
     )
 
@@ -120,8 +116,7 @@ _TALLY = (
 
 
 def _tally_cells(t: Tally) -> list[Value]:
-    means = [t.progress, t.rounds, t.sparc, t.cost]
-    return [*means, t.measured, t.episodes, t.unmeasurable, t.errors, t.counted, *t.verdicts.values()]
+    return [*t.means, t.measured, t.episodes, t.unmeasurable, t.errors, t.counted, *t.verdicts.values()]
 
 
 def tabulate_suites(episodes: Sequence[EpisodeResult], seed: int = 0) -> Table:
