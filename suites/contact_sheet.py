@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -126,7 +127,7 @@ def _wrap(text: str, font: ImageFont.ImageFont | ImageFont.FreeTypeFont, width: 
 
 def _render_panels(executor: Executor, episodes: Sequence[Episode], *, with_expert: bool) -> list[Panel]:
     panels = {}
-    for done in executor.run(_PanelWorker(with_expert), episodes):
+    for done in executor.run(partial(_make_worker, with_expert), episodes):
         if isinstance(done, WorkerCrash):
             panels[done.item.id] = Panel(title=_title(done.item, with_expert), text=done.reason, failed=True)
         else:
@@ -138,15 +139,10 @@ def _title(episode: Episode, with_expert: bool) -> str:
     return episode.task if with_expert else episode.id
 
 
-@dataclass(frozen=True, slots=True)
-class _PanelWorker:
-    """Creates, in each process, the function that renders a panel."""
-
-    with_expert: bool
-
-    def __call__(self) -> Callable[[Episode], Panel]:
-        simulators = SimulatorCache(Simulator, benchmark_camera().width)
-        return lambda episode: _render_panel(simulators.get(episode.task, episode.variant), episode, self.with_expert)
+def _make_worker(with_expert: bool) -> Callable[[Episode], Panel]:
+    """Create, in each process, the function that renders a panel."""
+    simulators = SimulatorCache(Simulator, benchmark_camera().width)
+    return lambda episode: _render_panel(simulators.get(episode.task, episode.variant), episode, with_expert)
 
 
 def _render_panel(simulator: Simulator, episode: Episode, with_expert: bool) -> Panel:

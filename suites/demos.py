@@ -13,6 +13,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -73,45 +74,38 @@ class _RecordingSimulator(Simulator):
         self.successes.append(self.outcome().success)
 
 
-@dataclass(frozen=True, slots=True)
-class _DemoWorker:
-    """Creates, in each process, the function that makes a demonstration."""
+def _make_worker(kind: FormatKind, options: RenderOptions, out: Path) -> Callable[[EpisodeSpec], Record]:
+    """Create, in each process, the function that makes a demonstration."""
+    form = find_format(kind)
+    make = _RecordingSimulator if Content.STATES in form.content else Simulator
+    renders = bool(form.content & (Content.VIDEO | Content.STILLS))
+    simulators = SimulatorCache(make, options.size, renders=renders)
 
-    kind: FormatKind
-    options: RenderOptions
-    out: Path
+    def demonstrate(spec: EpisodeSpec) -> Record:
+        episode, simulator = spec.episode(), simulators.get(spec.task, spec.variant)
+        success, progress, reason, clips = False, 0.0, "", 0
+        try:
+            rollout = run_expert(simulator, find_expert(spec.task), episode, every=options.every)
+            outcome, clips = rollout.outcome, len(rollout.controls) // CLIP_STEPS
+            success, progress = outcome.success and clips > 0, outcome.progress
+            reason = "" if success else outcome.reason or "done before anything moved"
+        except Exception as error:
+            reason = failure_reason(error)
+        if success:
+            form.write_part(out, _demo(simulator, rollout, options, form.content))
+        return Record(
+            id=episode.id,
+            task=episode.task,
+            seed=episode.seed,
+            prompt=episode.prompt,
+            success=success,
+            reason=reason,
+            progress=progress,
+            clips=clips,
+            facts={name: fact for name, fact in episode_facts(episode).items() if name not in Record.__slots__},
+        )
 
-    def __call__(self) -> Callable[[EpisodeSpec], Record]:
-        form = find_format(self.kind)
-        make = _RecordingSimulator if Content.STATES in form.content else Simulator
-        renders = bool(form.content & (Content.VIDEO | Content.STILLS))
-        simulators = SimulatorCache(make, self.options.size, renders=renders)
-
-        def demonstrate(spec: EpisodeSpec) -> Record:
-            episode, simulator = spec.episode(), simulators.get(spec.task, spec.variant)
-            success, progress, reason, clips = False, 0.0, "", 0
-            try:
-                rollout = run_expert(simulator, find_expert(spec.task), episode, every=self.options.every)
-                outcome, clips = rollout.outcome, len(rollout.controls) // CLIP_STEPS
-                success, progress = outcome.success and clips > 0, outcome.progress
-                reason = "" if success else outcome.reason or "done before anything moved"
-            except Exception as error:
-                reason = failure_reason(error)
-            if success:
-                form.write_part(self.out, _demo(simulator, rollout, self.options, form.content))
-            return Record(
-                id=episode.id,
-                task=episode.task,
-                seed=episode.seed,
-                prompt=episode.prompt,
-                success=success,
-                reason=reason,
-                progress=progress,
-                clips=clips,
-                facts={name: fact for name, fact in episode_facts(episode).items() if name not in Record.__slots__},
-            )
-
-        return demonstrate
+    return demonstrate
 
 
 def _demo(simulator: Simulator, rollout: Rollout, options: RenderOptions, content: Content) -> Demo:
@@ -288,7 +282,7 @@ def _run_attempts(
     observer.start(config.wanted * len(config.tasks), completed)
     while todo := [spec for task in config.tasks for spec in _plan_task(config, records, task)[1]]:
         crashes = []
-        for done in executor.run(_DemoWorker(config.kind, config.options, config.out), todo):
+        for done in executor.run(partial(_make_worker, config.kind, config.options, config.out), todo):
             if isinstance(done, WorkerCrash):
                 crashes.append(f"{done.item.task} seed {done.item.seed}: {done.reason}")
                 continue

@@ -1,8 +1,9 @@
 """Success rates of scripted policies: the expert, a still robot, random motion."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import Enum
+from functools import partial
 
 import numpy as np
 
@@ -96,23 +97,13 @@ def _run_open_loop(simulator: Simulator, episode: Episode, policy: Policy) -> tu
 
 def run_trials(executor: Executor, episodes: Sequence[Episode], policy: Policy) -> Iterator[ExpertTrial]:
     """Run every episode once and yield the trials in any order; a worker crash is a failed trial."""
-    for done in executor.run(_MakeTrials(policy), list(episodes)):
+    for done in executor.run(partial(_TrialWorker, policy), list(episodes)):
         if isinstance(done, WorkerCrash):
             yield ExpertTrial(
                 episode=done.item, policy=policy, success=False, progress=0.0, reason=done.reason, frames=0
             )
         else:
             yield done.result
-
-
-@dataclass(frozen=True, slots=True)
-class _MakeTrials:
-    """Creates a worker in each process."""
-
-    policy: Policy
-
-    def __call__(self) -> Callable[[Episode], ExpertTrial]:
-        return _TrialWorker(self.policy)
 
 
 def task_lines(trials: Sequence[ExpertTrial]) -> list[str]:

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -70,27 +71,21 @@ class _FirstFrame:
     """Robot state, as manifest keys."""
 
 
-@dataclass(frozen=True, slots=True)
-class _FrameWorker:
-    """Creates, in each process, the function that renders a first frame."""
+def _make_worker(size: int, out: Path) -> Callable[[EpisodeSpec], _FirstFrame]:
+    """Create, in each process, the function that renders a first frame."""
+    simulators = SimulatorCache(Simulator, size)
 
-    size: int
-    out: Path
+    def render(spec: EpisodeSpec) -> _FirstFrame:
+        episode = spec.episode()
+        simulator = simulators.get(spec.task, spec.variant)
+        simulator.reset(episode)
+        rgb = simulator.render().rgb
+        with atomic_path(out / f"{episode.id}.png") as part:
+            Image.fromarray(rgb).save(part, format="png")
+        width_m = float(simulator.snapshot().fingers_m.sum())
+        return _FirstFrame(episode=episode, state=first_facts(simulator.link_pose(TCP_LINK), width_m))
 
-    def __call__(self) -> Callable[[EpisodeSpec], _FirstFrame]:
-        simulators = SimulatorCache(Simulator, self.size)
-
-        def render(spec: EpisodeSpec) -> _FirstFrame:
-            episode = spec.episode()
-            simulator = simulators.get(spec.task, spec.variant)
-            simulator.reset(episode)
-            rgb = simulator.render().rgb
-            with atomic_path(self.out / f"{episode.id}.png") as part:
-                Image.fromarray(rgb).save(part, format="png")
-            width_m = float(simulator.snapshot().fingers_m.sum())
-            return _FirstFrame(episode=episode, state=first_facts(simulator.link_pose(TCP_LINK), width_m))
-
-        return render
+    return render
 
 
 def export_suite(config: ExportConfig, executor: Executor, observer: Observer) -> int:
@@ -106,7 +101,7 @@ def export_suite(config: ExportConfig, executor: Executor, observer: Observer) -
     make_folder(config.out)
     observer.start(len(specs), 0)
     frames: dict[EpisodeSpec, _FirstFrame] = {}
-    for done in executor.run(_FrameWorker(config.size, config.out), specs):
+    for done in executor.run(partial(_make_worker, config.size, config.out), specs):
         if isinstance(done, WorkerCrash):
             raise SetupError(f"{done.item.task} seed {done.item.seed}: {done.reason}; run the same command again")
         frames[done.item] = done.result

@@ -32,7 +32,7 @@ from kinebench_drake.suites.selection import chosen_tasks
 def ceiling(folders: tuple[Path, ...], out: Path | None, seed: int, jobs: int) -> None:
     """Execute the expert's own true track in the episodes of suite runs DIR, and compare each model with it.
 
-    No model succeeds more often, except by chance: the difference was lost between the imagined and the executed
+    No model succeeds more often, except by chance: the difference was lost between the generated and the executed
     motion. For a run of the oracle that is the cost of grounding; for other models their videos add to it.
     """
     from kinebench_drake.cli.run import ProgressView, terminate_as_interrupt
@@ -74,7 +74,7 @@ _ERRORS = ("bias", "jitter", "finger_delay")
 
 
 @click.command(
-    short_help="Measure how much error in a track each task forgives.",
+    short_help="Measure the success of tasks under track errors.",
     epilog="\b\nExamples:\n"
     "  kinebench-drake suite tolerance --suite 0 --episodes 10 --out tolerance.json --figure tolerance.png --jobs 2\n"
     "  kinebench-drake suite tolerance --suite 0 --tasks StackCube-v1 --errors bias --out stack.json",
@@ -86,8 +86,10 @@ _ERRORS = ("bias", "jitter", "finger_delay")
 @click.option(
     "--seed", type=click.IntRange(0), default=0, show_default=True, help="Number of the first of the split's seeds."
 )
-@click.option("--errors", default=",".join(_ERRORS), show_default=True, help="Which ones to plant.")
-@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), required=True, help="Figures, as JSON.")
+@click.option("--errors", default=",".join(_ERRORS), show_default=True, help="Errors to plant, comma-separated.")
+@click.option(
+    "--out", type=click.Path(path_type=Path, dir_okay=False), required=True, help="Output file of all attempts, JSON."
+)
 @click.option("--figure", type=click.Path(path_type=Path, dir_okay=False), help="Draw the curves (png, svg, pdf).")
 @jobs_option
 def tolerance(
@@ -101,11 +103,11 @@ def tolerance(
     figure: Path | None,
     jobs: int,
 ) -> None:
-    """Execute the expert's own true track, exact and with errors of graded size: success against error, task by task.
+    """Execute the expert's true track, exact and with errors of graded size: success against error, task by task.
 
-    The exact track's success is what a perfect video with perfect grounding would reach. Poses are off by a constant
-    displacement (bias) or by one of their own each frame (jitter), rotations in proportion (5 degrees with 15 mm), or
-    the fingers move so many frames late (finger_delay).
+    The exact track has the success of a perfect video with perfect grounding. Poses have a constant displacement (bias)
+    or independent ones per frame (jitter), with proportional rotations (5 degrees with 15 mm), or the fingers are
+    delayed by some frames (finger_delay).
     """
     from kinebench_drake.cli.run import ProgressView, terminate_as_interrupt
     from kinebench_drake.closed_loop.tolerance import PoseError, run_attempts, table_json, table_lines
@@ -122,10 +124,10 @@ def tolerance(
             check_parent(option, path)
     suite = load_suite(number)
     chosen = chosen_tasks(suite, split, tasks, TaskVariant.PLAIN)
-    order = suite.episodes(suite.split_name(split), episodes, tasks=chosen, offset=seed)
+    todo = suite.episodes(suite.split_name(split), episodes, tasks=chosen, offset=seed)
     with ProgressView() as view, terminate_as_interrupt():
         chosen_errors = [PoseError(name) for name in names]
-        attempts = run_attempts(create_executor(ExecutorKind.LOCAL, jobs), order, chosen_errors, view)
+        attempts = run_attempts(create_executor(ExecutorKind.LOCAL, jobs), todo, chosen_errors, view)
     write_atomically(out, (json.dumps(table_json(attempts), indent=1) + "\n").encode())
     for line in table_lines(attempts):
         click.echo(line)

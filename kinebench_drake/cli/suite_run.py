@@ -32,29 +32,31 @@ from kinebench_drake.suites.clock import FRAME_PERIOD_S, MAX_FRAME_PERIOD_S, MIN
 @variant_option
 @click.option(
     "--world-model", required=True, metavar="SPEC",
-    help="Who imagines: folder:DIR, http://..., command:..., dashscope:, minimax:, diffusers:..., oracle, still, "
+    help="World model: folder:DIR, http://..., command:..., dashscope:, minimax:, diffusers:..., oracle, still, "
     "random, module:Class (docs/worldmodels.md).",
 )  # fmt: skip
-@click.option("--rounds", type=click.IntRange(1), default=3, show_default=True, help="Most clips an episode.")
+@click.option(
+    "--rounds", type=click.IntRange(1), default=3, show_default=True, help="Largest number of clips per episode."
+)
 @click.option(
     "--control", type=click.Choice(["pd_joint_pos", "pd_ee_pose"]), default="pd_joint_pos", show_default=True,
-    help="What the robot is told: joint angles from Drake, or poses.",
+    help="Commands of the robot: joint angles from Drake, or poses.",
 )  # fmt: skip
 @click.option(
     "--action-repeat", type=click.IntRange(1), metavar="N",
-    help="Control steps (at 20 Hz) a frame.  [default: as long as the frames last]",
+    help="Control steps (at 20 Hz) per frame.  [default: by the duration of frames]",
 )  # fmt: skip
 @click.option(
     "--frame-period", "frame_period_s", type=click.FloatRange(MIN_FRAME_PERIOD_S, MAX_FRAME_PERIOD_S),
     default=FRAME_PERIOD_S, show_default=True,
     help="Task time between two frames.", metavar="SECONDS",
 )  # fmt: skip
-@click.option("--pixels-only", is_flag=True, help="Leave aside that the robot knows where it stands in first frames.")
+@click.option("--pixels-only", is_flag=True, help="Do not use the robot's own pose as a prior for first frames.")
 @click.option(
     "--rollouts/--no-rollouts", default=True, show_default=True,
-    help="Write what was imagined and executed side by side.",
+    help="Write videos of the generated and executed motion side by side.",
 )  # fmt: skip
-@click.option("--negative-prompt", default="", help="What shall not be seen.")
+@click.option("--negative-prompt", default="", help="Content to avoid.")
 @replays_option
 @run_options
 @click.pass_context

@@ -3,9 +3,10 @@
 It relates an error of the grounding to the success that it costs, task by task.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import Enum
+from functools import partial
 from math import ceil
 from typing import TYPE_CHECKING, Any
 
@@ -165,16 +166,6 @@ def _attempt(episode: Episode, grade: ErrorGrade, reason: str) -> ToleranceAttem
     return ToleranceAttempt(episode=episode, grade=grade, success=False, progress=0.0, reason=reason)
 
 
-@dataclass(frozen=True, slots=True)
-class _MakeAttempts:
-    """Creates a worker in each process."""
-
-    errors: tuple[PoseError, ...]
-
-    def __call__(self) -> Callable[[Episode], list[ToleranceAttempt]]:
-        return _AttemptWorker(self.errors)
-
-
 def run_attempts(
     executor: Executor, episodes: Sequence[Episode], errors: Sequence[PoseError], observer: Observer
 ) -> list[ToleranceAttempt]:
@@ -185,7 +176,7 @@ def run_attempts(
     """
     observer.start(len(episodes), 0)
     attempts: list[ToleranceAttempt] = []
-    for done in executor.run(_MakeAttempts(tuple(errors)), list(episodes)):
+    for done in executor.run(partial(_AttemptWorker, tuple(errors)), list(episodes)):
         if isinstance(done, WorkerCrash):
             raise KinebenchError(f"{done.item.id}: {done.reason}")
         exact = done.result[0]

@@ -70,7 +70,7 @@ class RenderOptions:
             raise UsageError(f"--fps is {self.fps}, expected a positive number")
         if self.frames not in FRAME_CHOICES:
             raise UsageError(
-                f"--frames is {self.frames}: a clip's {CLIP_STEPS} control steps can be filmed in "
+                f"--frames is {self.frames}: a clip's {CLIP_STEPS} control steps can be rendered as "
                 f"{', '.join(map(str, FRAME_CHOICES))} frames (49: every fourth step)"
             )
 
