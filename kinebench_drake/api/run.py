@@ -123,12 +123,7 @@ def score_videos(
 
 
 def run_suite(
-    suite: int,
-    *,
-    world_model: str,
-    out: PathName,
-    observer: RunObserver | None = None,
-    **options: Unpack[SuiteOptions],
+    suite: int, *, world_model: str, out: PathName, observer: RunObserver | None = None, **options: Unpack[SuiteOptions]
 ) -> RunSummary:
     """Run a world model on a suite in closed loop, as `kinebench-drake suite run` does.
 

@@ -36,11 +36,7 @@ from kinebench_drake.cli.options import judging_options, sample_options
     metavar="URDF",
 )
 @click.option("--tcp-frame", help="TCP frame of the URDF.  [default: panda_hand_tcp]", metavar="NAME")
-@click.option(
-    "--joints",
-    help="Array (npz), data set (h5) or column (LeRobot) of the joint angles.",
-    metavar="COLUMN",
-)
+@click.option("--joints", help="Array (npz), data set (h5) or column (LeRobot) of the joint angles.", metavar="COLUMN")
 @click.option("--poses", help="Array (npz) or column (LeRobot) of the TCP poses.", metavar="COLUMN")
 @click.pass_context
 def audit(ctx: click.Context, /, **options: Any) -> None:

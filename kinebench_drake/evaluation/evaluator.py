@@ -83,7 +83,7 @@ class Evaluation:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Evaluator(ABC, Generic[SampleT, ResourcesT]):
-    """Evaluation of the samples of one run; picklable. `start_worker` creates the callable of a worker process."""
+    """Evaluation of the samples of one run; picklable, for worker processes."""
 
     config: RunConfig
     code: str = field(default_factory=code_hash)
@@ -153,15 +153,6 @@ class Evaluator(ABC, Generic[SampleT, ResourcesT]):
         artifacts = self.artifacts if row.status is Status.OK else ()
         present = all(artifact_path(self.config.out, name, row.id).is_file() for name in artifacts)
         return present and row.content_hash == self.content_hash(sample)
-
-    def start_worker(self) -> "SampleWorker[SampleT, ResourcesT]":
-        """Load the resources and return the callable that evaluates samples with them.
-
-        Raises:
-            SetupError: a library, a driver or the weights are missing.
-            UsageError: an option cannot be used.
-        """
-        return SampleWorker(self, self.setup())
 
     def failed_row(self, sample: SampleT, status: Status, reason: str) -> SampleRow:
         """Return the row of a sample without results: every metric is null."""

@@ -136,13 +136,11 @@ def _find_clips(path: Path, rows: Mapping[str, SampleRow]) -> dict[str, list[Pat
 def _check_paths(folders: Sequence[Path], out: Path) -> None:
     if not folders:
         raise UsageError("no folder named, expected the output folders of shards")
-    checked: set[Path] = set()
-    for folder in folders:
+    for k, folder in enumerate(folders):
         if out.resolve().is_relative_to(folder.resolve()):
             raise UsageError(f"--out {out}: is or lies in {folder}, which is to be merged and only read; name another")
-        if folder.resolve() in checked:
+        if folder.resolve() in {other.resolve() for other in folders[:k]}:
             raise UsageError(f"{folder}: named twice")
-        checked.add(folder.resolve())
 
 
 def _read_earlier_merge(out: Path) -> ShardFolder | None:

@@ -12,7 +12,7 @@ from typing import Protocol
 
 from kinebench_drake.errors import SetupError
 from kinebench_drake.evaluation.config import RunConfig, RunKind
-from kinebench_drake.evaluation.evaluator import SCHEMA_VERSION, Evaluator, ResourcesT, SampleT
+from kinebench_drake.evaluation.evaluator import SCHEMA_VERSION, Evaluator, ResourcesT, SampleT, SampleWorker
 from kinebench_drake.evaluation.resume import resume
 from kinebench_drake.executors.base import Executor, SupportsDrain, WorkerCrash, create_executor
 from kinebench_drake.executors.interrupt import graceful_interrupt
@@ -117,7 +117,7 @@ def _start_worker(evaluator: Evaluator[SampleT, ResourcesT]) -> Callable[[Sample
     out = evaluator.config.out
     if not out.is_dir() or RUN not in os.listdir(out):  # a listing is fresh also over a network
         raise SetupError(f"{platform.node()} does not see the run in {out}: put --out in a folder that all nodes share")
-    return evaluator.start_worker()
+    return SampleWorker(evaluator, evaluator.setup())
 
 
 def close_run(store: ResultStore, kind: RunKind, seed: int) -> RunSummary:

@@ -31,12 +31,7 @@ _CONFIGURATION = (
     ("manipulability_min", "Manipulability, min", "{:.4f}", "volume of the 6x7 Jacobian at its worst frame"),
     ("manipulability_integral", "Manipulability, integral", "{:.4f}", "over task time"),
     ("manipulability_cost_mean", "Manipulability cost", "{:.2f}", "1 / (translational volume); lower is better"),
-    (
-        "manipulability_translation_mean",
-        "Manipulability, translation",
-        "{:.4f}",
-        "of the translational Jacobian",
-    ),
+    ("manipulability_translation_mean", "Manipulability, translation", "{:.4f}", "of the translational Jacobian"),
     ("manipulability_rotation_mean", "Manipulability, rotation", "{:.4f}", "of the rotational Jacobian"),
     ("manipulability_limited_mean", "Manipulability within limits, mean", "{:.4f}", "weighted by joint limits"),
     ("manipulability_limited_min", "Manipulability within limits, min", "{:.4f}", "weighted by joint limits"),

@@ -8,7 +8,6 @@ from typing import TypeVar
 import numpy as np
 
 from kinebench_drake.io.jsonl import dump, finite
-from kinebench_drake.report.sample import explain
 from kinebench_drake.report.table import Column, Table, Value
 from kinebench_drake.results.aggregate import Estimate
 from kinebench_drake.results.row import SampleRow, Status
@@ -84,11 +83,6 @@ class EpisodeResult:
         if self.success is not None:
             return "success" if self.success else "failure"
         return "unknown" if self.row.status is Status.OK else str(self.row.status.value)
-
-    @property
-    def explanation(self) -> str:
-        """Cause of a failure, or reason of a missing outcome; may be empty."""
-        return explain(self.row)
 
     @property
     def hit(self) -> float | None:

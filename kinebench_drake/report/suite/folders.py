@@ -69,11 +69,9 @@ def read_folders(paths: Sequence[Path]) -> list[RunFolder]:
     """
     if not paths:
         raise UsageError("no folder named, expected the output folders of `kinebench-drake suite run`")
-    unique: set[Path] = set()
-    for path in paths:
-        if path.resolve() in unique:
+    for k, path in enumerate(paths):
+        if path.resolve() in {other.resolve() for other in paths[:k]}:
             raise UsageError(f"{path}: named twice; its episodes would count twice")
-        unique.add(path.resolve())
     folders = [read_folder(path) for path in paths]
     first = folders[0]
     for folder in folders[1:]:

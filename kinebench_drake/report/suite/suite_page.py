@@ -8,7 +8,7 @@ from kinebench_drake.errors import UsageError
 from kinebench_drake.io.atomic import write_atomically
 from kinebench_drake.report.figures import ReportFigure, write_figure
 from kinebench_drake.report.page import template_environment
-from kinebench_drake.report.sample import relative_link
+from kinebench_drake.report.sample import explain, relative_link
 from kinebench_drake.report.suite import correlation, kinematics, scaling, success
 from kinebench_drake.report.suite.comparison import ModelComparison, draw_differences, tabulate_comparison
 from kinebench_drake.report.suite.episode import EpisodeResult, group_by, tabulate_episodes
@@ -64,7 +64,7 @@ def write_suite_report(paths: Sequence[Path], out: Path, seed: int = 0) -> Path:
         or MissingPart(title="Manipulability", needs="two episodes with a measured cost"),
         *_scaling_parts(folders, episodes, seed),
     ]
-    return _write_page("Suite report", folders, episodes, out, parts)
+    return write_page("Suite report", folders, episodes, out, parts)
 
 
 def write_comparison(comparison: ModelComparison, out: Path) -> Path:
@@ -79,7 +79,7 @@ def write_comparison(comparison: ModelComparison, out: Path) -> Path:
         title="Differences of success", needs="episodes measured for two models"
     )
     table = tabulate_comparison(comparison.pairs)
-    return _write_page("Comparison of models", comparison.folders, comparison.episodes, out, [table, figure])
+    return write_page("Comparison of models", comparison.folders, comparison.episodes, out, [table, figure])
 
 
 def _sparc_parts(episodes: Sequence[EpisodeResult], seed: int) -> list[Part]:
@@ -119,34 +119,25 @@ def _check_out(out: Path) -> None:
         )
 
 
-def _write_page(
+def write_page(
     title: str, folders: Sequence[RunFolder], episodes: Sequence[EpisodeResult], out: Path, parts: Sequence[Part]
 ) -> Path:
-    """Write all tables and figures as files, and the page with them."""
-    for table in (tabulate_episodes(episodes), *(part for part in parts if isinstance(part, Table))):
-        write_atomically(out / f"{table.name}.csv", table_csv(table).encode())
-        if table.latex:
-            write_atomically(out / f"{table.name}.tex", table_latex(table).encode())
-    page = out / REPORT
-    write_atomically(page, build_suite_page(title, folders, episodes, out, parts).encode())
-    return page
-
-
-def build_suite_page(
-    title: str, folders: Sequence[RunFolder], episodes: Sequence[EpisodeResult], out: Path, parts: Sequence[Part]
-) -> str:
-    """Build the page's html, writing its figures as files; the same input gives the same bytes.
+    """Write a page, and its tables and figures as files; the same input gives the same bytes.
 
     Args:
         title: heading.
         folders: the runs it is about.
         episodes: the episodes to list.
-        out: folder of the page and of the figures' files.
+        out: folder of the page and of the files.
         parts: tables and figures in their order.
     """
+    for table in (tabulate_episodes(episodes), *(part for part in parts if isinstance(part, Table))):
+        write_atomically(out / f"{table.name}.csv", table_csv(table).encode())
+        if table.latex:
+            write_atomically(out / f"{table.name}.tex", table_latex(table).encode())
     templates = template_environment()
-    templates.filters["key"] = sort_key
-    return templates.get_template("suite_page.html.j2").render(
+    templates.filters |= {"key": sort_key, "explanation": explain}
+    page = templates.get_template("suite_page.html.j2").render(
         title=title,
         folders=folders,
         episodes=len(episodes),
@@ -160,6 +151,8 @@ def build_suite_page(
         left_out=max(len(episodes) - LISTED, 0),
         first=_SHOWN,
     )
+    write_atomically(out / REPORT, page.encode())
+    return out / REPORT
 
 
 def _links(episode: EpisodeResult, out: Path) -> list[tuple[str, str]]:

@@ -11,7 +11,7 @@ from kinebench_drake.errors import UsageError
 from kinebench_drake.report.suite import suite_page
 from kinebench_drake.report.suite.comparison import read_comparison
 from kinebench_drake.report.suite.folders import pool_episodes, read_folders
-from kinebench_drake.report.suite.suite_page import build_suite_page, write_comparison, write_suite_report
+from kinebench_drake.report.suite.suite_page import write_comparison, write_page, write_suite_report
 from kinebench_drake.report.table import Column, Table, escape_latex, table_csv, table_latex, table_lines
 from kinebench_drake.results.aggregate import Estimate
 from tests.report.pages import Page
@@ -104,7 +104,7 @@ def test_the_report_of_suite_runs(runs, tmp_path):
 def test_a_long_list_holds_all_models_failures_first(runs, tmp_path, monkeypatch):
     monkeypatch.setattr(suite_page, "LISTED", 100)
     folders = read_folders(runs)
-    text = build_suite_page("t", folders, pool_episodes(folders), tmp_path, parts=())
+    text = write_page("t", folders, pool_episodes(folders), tmp_path, parts=()).read_text()
     outcomes = re.findall(r'<td class="o-(\w+)"', text)
     assert len(outcomes) == 100
     assert outcomes == sorted(outcomes, key=lambda o: o == "success")
