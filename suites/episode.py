@@ -3,10 +3,11 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-from kinebench_drake.suites.assets.library import model
+from kinebench_drake.suites.assets.library import asset_ids, model
+from kinebench_drake.suites.assets.look import SORTS, look_ids
 from kinebench_drake.suites.assets.model import AssetModel
 from kinebench_drake.suites.seeding import generator
-from kinebench_drake.suites.split import Pool, pool_assets, pool_looks
+from kinebench_drake.suites.split import Pool, pool_ids
 from kinebench_drake.suites.tasks.registry import find_task
 from kinebench_drake.suites.tasks.task import SceneLayout, TaskVariant
 
@@ -75,8 +76,10 @@ def compose(task: str, seed: int, *, pool: Pool = Pool.ALL, variant: TaskVariant
     """
     definition = find_task(task, variant)
     rng = generator("episode", task, seed, pool.value)
-    looks = {sort: str(rng.choice(pool_looks(sort, pool))) for sort in ("table", "background", "light")}
-    assets = {slot: str(rng.choice(pool_assets(kind, pool))) for slot, kind in definition.slots_of(variant).items()}
+    looks = {sort: str(rng.choice(pool_ids(look_ids(sort), pool))) for sort in SORTS}
+    assets = {
+        slot: str(rng.choice(pool_ids(asset_ids(kind), pool))) for slot, kind in definition.slots_of(variant).items()
+    }
     return Episode(
         id=episode_id(task, seed, pool, variant),
         task=task,

@@ -2,8 +2,6 @@
 
 from enum import Enum
 
-from kinebench_drake.suites.assets.library import asset_ids
-from kinebench_drake.suites.assets.look import look_ids
 from kinebench_drake.suites.seeding import share
 
 
@@ -15,20 +13,10 @@ class Pool(Enum):
     UNSEEN = "unseen"
 
 
-def _half(ids: tuple[str, ...], pool: Pool) -> tuple[str, ...]:
+def pool_ids(ids: tuple[str, ...], pool: Pool) -> tuple[str, ...]:
     """Return the ids of a pool: the half with the lower hashes is seen, so that both halves are equally large."""
     if pool is Pool.ALL:
         return ids
     ranked = sorted(ids, key=lambda name: share("split", name))
     training = set(ranked[: len(ranked) // 2])
     return tuple(name for name in ids if (name in training) == (pool is Pool.SEEN))
-
-
-def pool_assets(kind: str, pool: Pool) -> tuple[str, ...]:
-    """Return the asset ids of a kind in a pool."""
-    return _half(asset_ids(kind), pool)
-
-
-def pool_looks(sort: str, pool: Pool) -> tuple[str, ...]:
-    """Return the ids of a sort of looks in a pool."""
-    return _half(look_ids(sort), pool)

@@ -16,29 +16,15 @@ that the first frame shows them. (In ManiSkill's own tabletop tasks it is in fro
 START_NOISE_RAD = 0.02
 """Standard deviation of the noise of each initial joint angle."""
 
-_OPEN_M, _SHUT_M = 0.08, 0.0
-START_WIDTH_M: Mapping[str, float] = {
-    "CloseBox-v1": _SHUT_M,
-    "CloseDrawer-v1": _OPEN_M,
-    "CloseFaucet-v1": _SHUT_M,
-    "CloseLaptopEasy-v1": _SHUT_M,
-    "CloseLaptopHard-v1": _SHUT_M,
-    "LiftPegUpright-v1": _OPEN_M,
-    "OpenBoxEasy-v1": _SHUT_M,
-    "OpenBoxEasy-v2": _SHUT_M,
-    "OpenBoxHard-v1": _SHUT_M,
-    "OpenBoxHard-v2": _SHUT_M,
-    "OpenDrawer-v1": _OPEN_M,
-    "OpenFaucet-v1": _SHUT_M,
-    "OpenLaptopEasy-v1": _OPEN_M,
-    "OpenLaptopHard-v1": _OPEN_M,
-    "PickFruits-v1": _OPEN_M,
-    "PullCube-v1": _SHUT_M,
-    "StackCube-v1": _OPEN_M,
-    "StoreCube-v1": _OPEN_M,
-    "StoreCube-v2": _OPEN_M,
-    "StoreFruitsBox-v1": _OPEN_M,
-}
+_OPEN = (
+    "CloseDrawer-v1", "LiftPegUpright-v1", "OpenDrawer-v1", "OpenLaptopEasy-v1", "OpenLaptopHard-v1", "PickFruits-v1",
+    "StackCube-v1", "StoreCube-v1", "StoreCube-v2", "StoreFruitsBox-v1",
+)  # fmt: skip
+_SHUT = (
+    "CloseBox-v1", "CloseFaucet-v1", "CloseLaptopEasy-v1", "CloseLaptopHard-v1", "OpenBoxEasy-v1", "OpenBoxEasy-v2",
+    "OpenBoxHard-v1", "OpenBoxHard-v2", "OpenFaucet-v1", "PullCube-v1",
+)  # fmt: skip
+START_WIDTH_M: Mapping[str, float] = {task: 0.08 if task in _OPEN else 0.0 for task in sorted(_OPEN + _SHUT)}
 """Initial gap between the finger pads of each task; not in the task modules, as these load PyTorch."""
 
 

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from enum import Enum
 from functools import lru_cache
 from importlib.resources import files
-from itertools import product
 from typing import ClassVar
 
 from pydantic import ConfigDict, TypeAdapter
@@ -97,16 +96,6 @@ class ExcludedTask:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class TrainingPlan:
-    """One training run of a study."""
-
-    demonstrations: int
-    """Demonstrations of each task."""
-    steps: int
-    """Optimisation steps."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class SuiteStudy:
     """A grid of training runs."""
 
@@ -115,10 +104,6 @@ class SuiteStudy:
     """Demonstrations of each task; smaller sets are prefixes of larger ones."""
     steps: tuple[int, ...]
     """Optimisation steps."""
-
-    def trainings(self) -> list[TrainingPlan]:
-        """Return all runs, ordered by the amount of data."""
-        return [TrainingPlan(demonstrations=n, steps=steps) for n, steps in product(self.demonstrations, self.steps)]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -221,14 +221,7 @@ def _rotate(mesh: Mesh, R: Array) -> Mesh:
     return replace(mesh, vertices=mesh.vertices @ R.T, normals=mesh.normals @ R.T)
 
 
-_SHAPES: dict[str, Callable[[np.random.Generator, int], _FruitShape]] = {
-    "apple": _apple,
-    "banana": _banana,
-    "orange": _orange,
-    "peach": _peach,
-    "pear": _pear,
-    "strawberry": _strawberry,
-}
+_SHAPES = dict(zip(FRUITS, (_apple, _banana, _orange, _peach, _pear, _strawberry), strict=True))
 
 
 def _fruit(name: str, asset_id: str, index: int, rng: np.random.Generator) -> AssetModel:

@@ -1,7 +1,5 @@
 """Textures of fruit skins: rows from the lower end to the upper one, columns once around."""
 
-from collections.abc import Callable
-
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -127,12 +125,5 @@ def strawberry(rng: np.random.Generator, index: int) -> Texture:
     return mix(shade(skin, 1.0 - 0.25 * dent), (228, 196, 92), seed)
 
 
-SKINS: dict[str, Callable[[np.random.Generator, int], Texture]] = {
-    "apple": apple,
-    "banana": banana,
-    "orange": orange,
-    "peach": peach,
-    "pear": pear,
-    "strawberry": strawberry,
-}
+SKINS = {skin.__name__: skin for skin in (apple, banana, orange, peach, pear, strawberry)}
 """Texture of each fruit from a random generator and the instance's number."""

@@ -115,10 +115,12 @@ class SceneGeometry:
         """Register the static colliders; return the geometry that the gripper may touch and that it must not."""
         free: list[Any] = []
         avoided: list[Any] = []
-        for name, collider, X in _static_colliders(scene):
-            shape, X_CS = _shape(collider)
-            own = self._register(None, shape, X @ collider.X_BodyC @ X_CS, name)
-            (avoided if name in scene.avoided else free).append(own)
+        for name, model in scene.models.items():
+            if name in scene.fixed or name in scene.avoided or model.articulated:
+                for collider in model.bodies[0].colliders:
+                    shape, X_CS = _shape(collider)
+                    own = self._register(None, shape, scene.poses[name] @ collider.X_BodyC @ X_CS, name)
+                    (avoided if name in scene.avoided else free).append(own)
         return free, avoided
 
     def penetrations(self, q: Array, finger_width_m: Array) -> Iterator[Penetration]:
@@ -136,11 +138,3 @@ class SceneGeometry:
                 names = self._names[pair.id_A], self._names[pair.id_B]
                 link, name = names if names[0] in self._frames else names[::-1]
                 yield Penetration(step=step, link=link, object_name=name, depth_m=float(pair.depth))
-
-
-def _static_colliders(scene: Scene) -> Iterator[tuple[str, Collider, Array]]:
-    """Yield the object name, the collider and the body's pose (4, 4) in B of everything that does not move."""
-    for name, model in scene.models.items():
-        if name in scene.fixed or name in scene.avoided or model.articulated:
-            for collider in model.bodies[0].colliders:
-                yield name, collider, scene.poses[name]

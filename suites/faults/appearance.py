@@ -48,8 +48,7 @@ def plant_duplicate(
         own = recording.video.mask[frames.start : frames.stop]
         changed = (np.abs(part.rgb.astype(np.int16) - recording.video.rgb[frames.start : frames.stop]) > 8).any(axis=-1)
         if part.mask.mean() >= LEAST_VISIBLE / 2 and (changed & ~own).sum() >= _LEAST_SHOWN * own.sum():
-            fault = PlantedFault(kind=AnomalyKind.DUPLICATE, frame_start=start, frame_end=frames.stop - 1, size=apart_m)
-            return recording.splice(part, start), fault
+            return recording.plant(part, start, AnomalyKind.DUPLICATE, apart_m)
     raise InputError(f"there is no room for a second gripper {apart_m} m from the first; take another seed")
 
 
@@ -82,10 +81,7 @@ def plant_deformation(
         range(start, start + DEFORMED_FRAMES),
         lambda _: recording.simulator.set_fault(RenderFault(warp=warp, X_HP=np.eye(4), replaces=True)),
     )
-    fault = PlantedFault(
-        kind=AnomalyKind.DEFORMATION, frame_start=start, frame_end=start + DEFORMED_FRAMES - 1, size=strength
-    )
-    return recording.splice(part, start), fault
+    return recording.plant(part, start, AnomalyKind.DEFORMATION, strength)
 
 
 def deformation(strength: float, rng: np.random.Generator) -> Warp:
@@ -125,5 +121,4 @@ def plant_scale(
 
     start = int(share[0] == 0.0)
     part = recording.render_again(range(start, n), scale_gripper)
-    fault = PlantedFault(kind=AnomalyKind.SCALE, frame_start=start, frame_end=n - 1, size=size, form=form)
-    return recording.splice(part, start), fault
+    return recording.plant(part, start, AnomalyKind.SCALE, size, form)

@@ -37,9 +37,6 @@ class FaultSimulator(Simulator):
 
     _fault: RenderFault | None = None
 
-    def __enter__(self) -> "FaultSimulator":
-        return self
-
     def set_fault(self, fault: RenderFault) -> None:
         """Render an additional gripper in all further images."""
         self._fault = fault

@@ -39,8 +39,7 @@ def plant_vanish(recording: Recording, frames: int, start: int | None = None) ->
         range(start, start + frames), lambda _: recording.simulator.set_visible(GRIPPER_LINKS, visible=False)
     )
     gone = {name: np.full_like(getattr(part, name), np.nan) for name in ("q", "finger_width_m", "X_CH", "X_BG")}
-    fault = PlantedFault(kind=AnomalyKind.VANISH, frame_start=start, frame_end=start + frames - 1, size=float(frames))
-    return recording.splice(replace(part, **gone), start), fault
+    return recording.plant(replace(part, **gone), start, AnomalyKind.VANISH, float(frames))
 
 
 def plant_freeze(recording: Recording, frames: int, start: int | None = None) -> tuple[RolloutVideo, PlantedFault]:
@@ -62,8 +61,7 @@ def plant_freeze(recording: Recording, frames: int, start: int | None = None) ->
             f"the gripper moves at {speed:.3f} m/s into or on from frames {start} to {start + frames - 1}, a freeze "
             f"there would not show; at least {FREEZE_SPEED_M_S} m/s is needed, take another seed"
         )
-    fault = PlantedFault(kind=AnomalyKind.FREEZE, frame_start=start, frame_end=start + frames - 1, size=float(frames))
-    return recording.splice(recording.repeat(start - 1, frames), start), fault
+    return recording.plant(recording.repeat(start - 1, frames), start, AnomalyKind.FREEZE, float(frames))
 
 
 def _freeze_speed(clip: RolloutVideo, start: int, frames: int) -> float:
@@ -100,10 +98,7 @@ def plant_teleport(
         shifted = [replace(s, q=angles) for s, angles in zip(snapshots[start:], q, strict=True)]
         part = render_video(recording.simulator, shifted, first_frame=start)
         if part.mask[0].mean() >= LEAST_VISIBLE:
-            fault = PlantedFault(
-                kind=AnomalyKind.TELEPORT, frame_start=start, frame_end=len(recording) - 1, size=distance_m
-            )
-            return recording.splice(part, start), fault
+            return recording.plant(part, start, AnomalyKind.TELEPORT, distance_m)
     raise InputError(f"the arm cannot follow its path displaced by {distance_m} m from frame {start} on; take another")
 
 
@@ -153,10 +148,8 @@ def plant_fingers(recording: Recording, size_m: float, form: FaultForm) -> tuple
         width = np.clip(recording.video.finger_width_m[start:] + change, 0.0, MAX_WIDTH_M)
     snapshots = recording.rollout.snapshots[start : start + len(width)]
     altered = [replace(s, fingers_m=np.full(2, w / 2)) for s, w in zip(snapshots, width, strict=True)]
-    fault = PlantedFault(
-        kind=AnomalyKind.FINGERS, frame_start=start, frame_end=start + len(width) - 1, size=size_m, form=form
-    )
-    return recording.splice(render_video(recording.simulator, altered, first_frame=start), start), fault
+    part = render_video(recording.simulator, altered, first_frame=start)
+    return recording.plant(part, start, AnomalyKind.FINGERS, size_m, form)
 
 
 def _jump(recording: Recording, size_m: float) -> tuple[int, float]:
@@ -191,8 +184,7 @@ def plant_camera_motion(
     path = _shake(n, rng) if form is FaultForm.SHAKE else _drift(n, rng)
     cameras = [_shift_camera(recording, size_px * offset, turning=form is FaultForm.SHAKE) for offset in path]
     part = recording.render_again(range(1, n), lambda i: recording.simulator.set_camera_pose(cameras[i]))
-    fault = PlantedFault(kind=AnomalyKind.CAMERA, frame_start=1, frame_end=n - 1, size=size_px, form=form)
-    return recording.splice(part, 1), fault
+    return recording.plant(part, 1, AnomalyKind.CAMERA, size_px, form)
 
 
 def _shake(n: int, rng: np.random.Generator) -> Array:

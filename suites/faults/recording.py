@@ -7,8 +7,10 @@ import numpy as np
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import InputError
+from kinebench_drake.suites.faults.fault import FaultForm, PlantedFault
 from kinebench_drake.suites.faults.fault_simulator import FaultSimulator
 from kinebench_drake.suites.rollout import Rollout, RolloutVideo, render_video
+from kinebench_drake.types import AnomalyKind
 
 LEAST_VISIBLE = 0.01
 """Share of the image that the gripper must cover for a fault to be visible."""
@@ -52,6 +54,14 @@ class Recording:
                 value[start:end] = getattr(part, field.name)
             merged[field.name] = value
         return RolloutVideo(**merged)
+
+    def plant(
+        self, part: RolloutVideo, start: int, kind: AnomalyKind, size: float, form: FaultForm | None = None
+    ) -> tuple[RolloutVideo, PlantedFault]:
+        """Return the video with a faulty part from frame `start` on, and the description of the fault."""
+        end = start + len(part.t_s) - 1
+        fault = PlantedFault(kind=kind, frame_start=start, frame_end=end, size=size, form=form)
+        return self.splice(part, start), fault
 
     def repeat(self, frame: int, count: int) -> RolloutVideo:
         """Return `count` repetitions of a frame, which follow it in time."""

@@ -113,9 +113,7 @@ class CloseBox(Task):
     than `CALM_RAD_S` (`calm`), and the TCP at least `CLEAR_M` away from the lid (`released`).
     """
 
-    card = TaskCard(
-        id="CloseBox-v1", family="boxes", difficulty=Difficulty.EASY, articulated_dof=1, axes="z", contacts=1
-    )
+    card = TaskCard(id="CloseBox-v1", family="boxes", difficulty=Difficulty.EASY, articulated_dof=1, axes="z")
     slots: ClassVar[Mapping[str, str]] = {"box": FLUSH}
 
     def layout(self, models: Mapping[str, AssetModel], rng: np.random.Generator, variant: TaskVariant) -> SceneLayout:

@@ -82,9 +82,7 @@ class OpenDrawer(Task):
     upper edge (`released`).
     """
 
-    card = TaskCard(
-        id="OpenDrawer-v1", family="drawers", difficulty=Difficulty.MEDIUM, articulated_dof=1, axes="y", contacts=1
-    )
+    card = TaskCard(id="OpenDrawer-v1", family="drawers", difficulty=Difficulty.MEDIUM, articulated_dof=1, axes="y")
     slots: ClassVar[Mapping[str, str]] = {"cabinet": "cabinet"}
 
     def layout(self, models: Mapping[str, AssetModel], rng: np.random.Generator, variant: TaskVariant) -> SceneLayout:
@@ -120,9 +118,7 @@ class CloseDrawer(Task):
     than `CALM_RAD_S` (`calm`), and the TCP at least `CLEAR_M` away from the drawer's upper edge (`released`).
     """
 
-    card = TaskCard(
-        id="CloseDrawer-v1", family="drawers", difficulty=Difficulty.EASY, articulated_dof=1, axes="x", contacts=1
-    )
+    card = TaskCard(id="CloseDrawer-v1", family="drawers", difficulty=Difficulty.EASY, articulated_dof=1, axes="x")
     slots: ClassVar[Mapping[str, str]] = {"cabinet": "cabinet"}
 
     def layout(self, models: Mapping[str, AssetModel], rng: np.random.Generator, variant: TaskVariant) -> SceneLayout:

@@ -63,9 +63,7 @@ class OpenFaucet(_TurnFaucet):
     Success: the handle is open by at least `OPEN_FRACTION` (`open`) and slower than `STILL_RAD_S` (`still`).
     """
 
-    card = TaskCard(
-        id="OpenFaucet-v1", family="faucets", difficulty=Difficulty.EASY, articulated_dof=1, axes="z", contacts=1
-    )
+    card = TaskCard(id="OpenFaucet-v1", family="faucets", difficulty=Difficulty.EASY, articulated_dof=1, axes="z")
     prompt = "The robot arm opens the {}: it sweeps the handle counter-clockwise with its closed gripper."
     goal, side = OPEN_FRACTION, -1.0
 
@@ -84,9 +82,7 @@ class CloseFaucet(_TurnFaucet):
     Success: the handle is open by at most `CLOSED_FRACTION` (`closed`) and slower than `STILL_RAD_S` (`still`).
     """
 
-    card = TaskCard(
-        id="CloseFaucet-v1", family="faucets", difficulty=Difficulty.EASY, articulated_dof=1, axes="z", contacts=1
-    )
+    card = TaskCard(id="CloseFaucet-v1", family="faucets", difficulty=Difficulty.EASY, articulated_dof=1, axes="z")
     prompt = "The robot arm closes the {}: it sweeps the handle clockwise with its closed gripper."
     goal, side = CLOSED_FRACTION, 1.0
 

@@ -90,9 +90,7 @@ class OpenLaptopEasy(_OpenLid):
     than `CALM_RAD_S` (`calm`), and the TCP at least `CLEAR_M` away from the lid (`released`).
     """
 
-    card = TaskCard(
-        id="OpenLaptopEasy-v1", family="laptops", difficulty=Difficulty.EASY, articulated_dof=1, axes="x", contacts=1
-    )
+    card = TaskCard(id="OpenLaptopEasy-v1", family="laptops", difficulty=Difficulty.EASY, articulated_dof=1, axes="x")
     prompt = (
         "The robot arm puts a finger under the lid of the {} that stands ajar and pushes it up and back until the "
         "laptop is open."
@@ -128,9 +126,7 @@ class CloseLaptopEasy(_CloseLid):
     than `CALM_RAD_S` (`calm`), and the TCP at least `CLEAR_M` away from the lid (`released`).
     """
 
-    card = TaskCard(
-        id="CloseLaptopEasy-v1", family="laptops", difficulty=Difficulty.EASY, articulated_dof=1, axes="x", contacts=1
-    )
+    card = TaskCard(id="CloseLaptopEasy-v1", family="laptops", difficulty=Difficulty.EASY, articulated_dof=1, axes="x")
     prompt = "The robot arm presses the lid of the half-open {} down until the laptop is shut."
     start_deg = (37.0, 47.0)
     turn_deg = (-15.0, 20.0)

@@ -7,6 +7,7 @@ https://platform.minimax.io/docs/api-reference/video-generation-i2v; codes: .../
 """
 
 from abc import ABC, abstractmethod
+from functools import partial
 from pathlib import Path
 from typing import Any, Generic, Literal, TypeVar
 from urllib.parse import quote
@@ -173,8 +174,9 @@ class MiniMaxModel(CloudModel[MiniMaxOptions]):
             "resolution": self._options.resolution,
             "prompt_optimizer": self._options.prompt_extend,
         }
+        retry_safely = partial(self._check, transient=(_RATE_LIMIT,))  # only what cannot have cost money
         answer = self._client.call(
-            "POST", "/v1/video_generation", deadline, body=body, repeatable=False, check=self._check_submission
+            "POST", "/v1/video_generation", deadline, body=body, repeatable=False, check=retry_safely
         )
         task = answer.get("task_id")
         if not isinstance(task, str | int) or not str(task):
@@ -218,10 +220,6 @@ class MiniMaxModel(CloudModel[MiniMaxOptions]):
             raise self._moderated(_status_message(answer))
         if code:
             raise WorldModelError(message)
-
-    def _check_submission(self, answer: dict[str, Any]) -> None:
-        """Check an answer, but retry only what cannot have cost money."""
-        self._check(answer, (_RATE_LIMIT,))
 
 
 def _status_message(answer: dict[str, Any]) -> str:

@@ -15,10 +15,9 @@ from PIL import Image
 from pydantic import Field
 
 from kinebench_drake.errors import SetupError
-from kinebench_drake.io.atomic import disk_errors
-from kinebench_drake.io.container import write_video
 from kinebench_drake.suites.worldmodels.remote import clean
 from kinebench_drake.suites.worldmodels.spec import Options, Spec
+from kinebench_drake.suites.worldmodels.videofile import encode_answer
 from kinebench_drake.suites.worldmodels.worldmodel import Request, WorldModelError
 
 _WAN = "WanImageToVideoPipeline"
@@ -202,10 +201,7 @@ class DiffusersModel:
                 f"{self.name} at {width}x{height} needs more memory than the GPU has; use offload=model or another size"
             ) from None
         frames = _to_bytes(np.asarray(output.frames[0])[: request.num_frames], request.first_frame)
-        path = out.with_name(f"{out.name}.mp4")
-        with disk_errors(path.name):
-            write_video(path, frames, request.fps)
-        return path
+        return encode_answer(frames, request.fps, out)
 
     def close(self) -> None:
         """Release the pipeline and the memory of the GPU."""

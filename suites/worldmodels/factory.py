@@ -38,18 +38,13 @@ class SpecForm:
     """Creates the world model; raises UsageError or SetupError."""
 
 
-def _make_still(spec: Spec) -> WorldModel:
-    from kinebench_drake.suites.worldmodels.reference import StillModel
+def _make_unscripted(spec: Spec) -> WorldModel:
+    """Create the model of "still" or "random"."""
+    from kinebench_drake.suites.worldmodels.reference import RandomPolicyModel, StillModel
 
     spec.expect_no_argument()
-    return StillModel(**_name_option(spec))
-
-
-def _make_random(spec: Spec) -> WorldModel:
-    from kinebench_drake.suites.worldmodels.reference import RandomPolicyModel
-
-    spec.expect_no_argument()
-    return RandomPolicyModel(**_name_option(spec))
+    name = spec.read(Options).name or spec.kind
+    return StillModel(name) if spec.kind == "still" else RandomPolicyModel(name)
 
 
 def _make_oracle(spec: Spec) -> WorldModel:
@@ -76,11 +71,6 @@ def _make_faulty_oracle(spec: Spec) -> WorldModel:
     return OracleModel(spec.read(Options).name or f"{_FAULTY}{grades[0].label}", grades[0])
 
 
-def _name_option(spec: Spec) -> dict[str, str]:
-    name = spec.read(Options).name
-    return {} if name is None else {"name": name}
-
-
 _HTTP = SpecForm(usage="http://HOST:PORT/PATH", make=HttpModel)
 _FAULTY_FORM = SpecForm(
     usage=f"{_FAULTY}KIND:SIZE (KIND: {' '.join(kind.value for kind in AnomalyKind)})", make=_make_faulty_oracle
@@ -92,10 +82,10 @@ FORMS: Mapping[str, SpecForm] = {
     "dashscope": SpecForm(usage="dashscope:[MODEL]", make=DashScopeModel),
     "minimax": SpecForm(usage="minimax:[MODEL]", make=MiniMaxModel),
     "diffusers": SpecForm(usage="diffusers:PATH_OR_ID", make=DiffusersModel),
-    "still": SpecForm(usage="still", make=_make_still),
+    "still": SpecForm(usage="still", make=_make_unscripted),
     "oracle": SpecForm(usage="oracle", make=_make_oracle),
     **{f"{_FAULTY}{kind.value}": _FAULTY_FORM for kind in AnomalyKind},
-    "random": SpecForm(usage="random", make=_make_random),
+    "random": SpecForm(usage="random", make=_make_unscripted),
 }
 """World models by the kind of their spec."""
 _CLASS_USAGE = "module:Class"

@@ -16,7 +16,6 @@ from pydantic import BaseModel, Field, ValidationError
 
 from kinebench_drake.errors import SetupError
 from kinebench_drake.io.atomic import disk_errors
-from kinebench_drake.io.container import write_video
 from kinebench_drake.suites.worldmodels.client import Deadline, HttpClient
 from kinebench_drake.suites.worldmodels.remote import (
     Limits,
@@ -29,7 +28,7 @@ from kinebench_drake.suites.worldmodels.remote import (
     web_address,
 )
 from kinebench_drake.suites.worldmodels.spec import Spec, TimeoutOptions
-from kinebench_drake.suites.worldmodels.videofile import adopt, arriving
+from kinebench_drake.suites.worldmodels.videofile import adopt, arriving, encode_answer
 from kinebench_drake.suites.worldmodels.worldmodel import Request, WorldModelError
 
 _MOST_PIXELS = 4096 * 4096
@@ -137,10 +136,7 @@ class HttpModel:
         frames = {"frames": [base64_png(frame)]}
         num_frames = min(request.num_frames, capabilities.max_num_frames or request.num_frames)
         images = _decode_frames(self._post(_PREDICT, _body(request, frames, frame, num_frames), deadline))
-        path = out.with_name(f"{out.name}.mp4")
-        with disk_errors(path.name):
-            write_video(path, images, request.fps)
-        return path
+        return encode_answer(images, request.fps, out)
 
     def _generate_video(self, request: Request, out: Path, deadline: Deadline) -> Path:
         """Request a video and store it beside `out`."""

@@ -1,6 +1,5 @@
 """Reference models without a network: the expert (upper bound), a random policy and a still image (lower bounds)."""
 
-from collections.abc import Iterable
 from functools import partial
 from itertools import repeat
 from pathlib import Path
@@ -10,8 +9,6 @@ from numpy.typing import NDArray
 
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import rotation_exp
-from kinebench_drake.io.atomic import disk_errors
-from kinebench_drake.io.container import write_video
 from kinebench_drake.suites.clock import CLIP_FRAMES
 from kinebench_drake.suites.episode import Episode
 from kinebench_drake.suites.experts.motion import Waypoint
@@ -23,6 +20,7 @@ from kinebench_drake.suites.faults.recording import Recording
 from kinebench_drake.suites.rollout import Rollout, render_video, run_expert_clip
 from kinebench_drake.suites.simulator_cache import SimulatorCache
 from kinebench_drake.suites.tasks.task import Scene
+from kinebench_drake.suites.worldmodels.videofile import encode_answer
 from kinebench_drake.suites.worldmodels.worldmodel import Request, SimulatorState, TrueTrack, WorldModelError
 
 MOVES = 4
@@ -46,7 +44,7 @@ class StillModel:
 
     def generate(self, request: Request, out: Path) -> Path:
         """Write the first frame `num_frames` times."""
-        return _write(repeat(request.first_frame, request.num_frames), request, out)
+        return encode_answer(repeat(request.first_frame, request.num_frames), request.fps, out)
 
     def close(self) -> None:
         """Do nothing: there are no resources."""
@@ -75,7 +73,7 @@ class OracleRenderer:
         """
         if self._state is None:
             raise WorldModelError("no simulator state was set")
-        return _write(self._frames(*self._state, expert, request, fault), request, out)
+        return encode_answer(self._frames(*self._state, expert, request, fault), request.fps, out)
 
     def close(self) -> None:
         """Release the simulator."""
@@ -170,10 +168,3 @@ def _draw_waypoints(rng: np.random.Generator, scene: Scene) -> list[Waypoint]:
         X[:3, :3] = X[:3, :3] @ rotation_exp(rng.normal(0.0, TURN_RAD, 3))
         waypoints.append(Waypoint(X_BG=X, finger_width_m=float(rng.choice([0.0, 0.08]))))
     return waypoints
-
-
-def _write(frames: Iterable[NDArray[np.uint8]], request: Request, out: Path) -> Path:
-    path = out.with_name(f"{out.name}.mp4")
-    with disk_errors(path.name):
-        write_video(path, frames, request.fps)
-    return path

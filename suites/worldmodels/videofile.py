@@ -1,26 +1,22 @@
 """Validation of video files from outside: format by the first bytes, a test decode, atomic placement."""
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import av
+import numpy as np
 from av.container import InputContainer
+from numpy.typing import NDArray
 
 from kinebench_drake.errors import cause
 from kinebench_drake.io.atomic import disk_errors, unfinished
+from kinebench_drake.io.container import write_video
 from kinebench_drake.suites.worldmodels.worldmodel import WorldModelError
 
 _HEAD = 64
-_DEMUXERS = {
-    ".mp4": "mov",
-    ".mov": "mov",
-    ".avi": "avi",
-    ".gif": "gif",
-    ".webm": "matroska",
-    ".mkv": "matroska",
-}
+_DEMUXERS = {".mp4": "mov", ".mov": "mov", ".avi": "avi", ".gif": "gif", ".webm": "matroska", ".mkv": "matroska"}
 
 
 def suffix_of(head: bytes) -> str | None:
@@ -90,6 +86,18 @@ def adopt(part: Path, out: Path) -> Path:
         with part.open("rb") as file:
             os.fsync(file.fileno())
         os.replace(part, path)
+    return path
+
+
+def encode_answer(frames: Iterable[NDArray[np.uint8]], fps: float, out: Path) -> Path:
+    """Write frames (H, W, 3) RGB as an mp4 beside `out` and return its path.
+
+    Raises:
+        SetupError: the disk failed.
+    """
+    path = out.with_name(f"{out.name}.mp4")
+    with disk_errors(path.name):
+        write_video(path, frames, fps)
     return path
 
 

@@ -65,7 +65,6 @@ class WorldModel(Protocol):
     @property
     def name(self) -> str:
         """Name in the results, without secrets, host names or absolute paths."""
-        ...
 
     def generate(self, request: Request, out: Path) -> Path:
         """Generate the video of a request.
@@ -81,11 +80,9 @@ class WorldModel(Protocol):
             WorldModelError: there is no video for this request.
             SetupError: no request can succeed (no key, no such checkpoint, a package is missing).
         """
-        ...
 
     def close(self) -> None:
         """Release all resources."""
-        ...
 
 
 @runtime_checkable
@@ -94,7 +91,6 @@ class OfflineModel(Protocol):
 
     def files(self, episode: str, task: str) -> Sequence[Path]:
         """Return the files of the answer for an episode; none where there is no answer."""
-        ...
 
 
 @runtime_checkable
@@ -103,7 +99,6 @@ class PrivilegedModel(Protocol):
 
     def set_state(self, episode: "Episode", state: SimulatorState) -> None:
         """Set the state from which the next clip begins."""
-        ...
 
 
 @runtime_checkable
@@ -112,4 +107,3 @@ class SupportsTrueTrack(Protocol):
 
     def true_track(self) -> TrueTrack | None:
         """Return the track of the clip generated last; None where the model does not disclose it."""
-        ...

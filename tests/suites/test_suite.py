@@ -5,10 +5,10 @@ from collections import Counter
 import pytest
 
 from kinebench_drake.errors import UsageError
-from kinebench_drake.suites.assets.library import KINDS
-from kinebench_drake.suites.assets.look import SORTS
+from kinebench_drake.suites.assets.library import KINDS, asset_ids
+from kinebench_drake.suites.assets.look import SORTS, look_ids
 from kinebench_drake.suites.episode import Episode
-from kinebench_drake.suites.split import Pool, pool_assets, pool_looks
+from kinebench_drake.suites.split import Pool, pool_ids
 from kinebench_drake.suites.suite import NUMBERS, Relation, Suite, load_suite
 from kinebench_drake.suites.tasks.registry import TASKS
 
@@ -65,8 +65,8 @@ def test_suite_1_judges_seven_tasks_with_a_reason_each_that_ten_trained_ones_do_
 
 def test_suite_2_halves_assets_and_looks() -> None:
     for ids in (
-        *({pool: pool_assets(kind, pool) for pool in Pool} for kind in KINDS),
-        *({pool: pool_looks(sort, pool) for pool in Pool} for sort in SORTS),
+        *({pool: pool_ids(asset_ids(kind), pool) for pool in Pool} for kind in KINDS),
+        *({pool: pool_ids(look_ids(sort), pool) for pool in Pool} for sort in SORTS),
     ):
         assert not set(ids[Pool.SEEN]) & set(ids[Pool.UNSEEN])
         assert sorted((*ids[Pool.SEEN], *ids[Pool.UNSEEN])) == sorted(ids[Pool.ALL])
@@ -82,8 +82,8 @@ def test_episodes_of_suite_2_are_made_of_their_half() -> None:
 def test_suite_3_is_a_grid_over_the_episodes_of_suite_0() -> None:
     suite, zero = load_suite(3), load_suite(0)
     assert suite.study is not None
-    trainings = [(t.demonstrations, t.steps) for t in suite.study.trainings()]
-    assert trainings == [(n, steps) for n in (10, 25, 50, 100) for steps in (1500, 4500, 7500, 15000)]
+    assert suite.study.demonstrations == (10, 25, 50, 100)
+    assert suite.study.steps == (1500, 4500, 7500, 15000)
     assert suite.splits == zero.splits
     assert suite.tasks == zero.tasks
 
