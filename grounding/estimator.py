@@ -18,8 +18,8 @@ from kinebench_drake.models.perception.network import (
     STRIDE,
     DenseOutput,
     GripperNetwork,
+    fold_batch_normalisation,
 )
-from kinebench_drake.models.perception.weights import fold_batch_normalisation
 
 _BATCH, _BATCH_ON_GPU = 8, 64
 DEPTH_FACTOR_SIGMA = 0.012

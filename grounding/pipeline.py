@@ -14,13 +14,12 @@ from kinebench_drake.grounding.anomaly.detection import AnomalyDetections
 from kinebench_drake.grounding.confidence import GOOD_M, GOOD_RAD, Confidence, frame_features
 from kinebench_drake.grounding.estimator import NetworkEstimator
 from kinebench_drake.grounding.flips import X_HALF_TURN, resolve_flips
-from kinebench_drake.grounding.frame_pose import FramePose
 from kinebench_drake.grounding.gripper_width import smooth_gripper_width
 from kinebench_drake.grounding.smoothing import RawTrack
-from kinebench_drake.grounding.tracker import CadTracker, PoseTracker
+from kinebench_drake.grounding.tracker import CadTracker, FramePose, PoseTracker
 from kinebench_drake.grounding.view import Frames, GripperView
 from kinebench_drake.models.panda.robot import RobotPart, hand_from_tcp
-from kinebench_drake.models.perception.weights import load_network
+from kinebench_drake.models.perception.network import load_network
 from kinebench_drake.types import NO_PRIORS, Anomaly, GripperTrack, InitialState, InitialStateUse, Priors
 
 TRACKED_CONFIDENCE = 0.3
@@ -38,7 +37,8 @@ class GroundingResult:
     """(T,) frames whose pose was taken from priors."""
     first_frame: InitialStateUse
     """Whether the initial state was used."""
-    anomalies: tuple[Anomaly, ...]
+    detections: AnomalyDetections
+    """Scores and anomalies by kind."""
     camera_motion_px: float | None
     """Largest displacement of the background [px]; None if it has too few features."""
     arm_consistency_px: float | None
@@ -46,8 +46,11 @@ class GroundingResult:
     the video]; None if too little of the arm is visible."""
     robot: NDArray[np.bool_]
     """(T, H, W) pixels that show the robot."""
-    detections: AnomalyDetections | None = None
-    """Scores of the anomaly detectors."""
+
+    @property
+    def anomalies(self) -> tuple[Anomaly, ...]:
+        """Anomalies in the order of their frames."""
+        return self.detections.anomalies
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -126,11 +129,10 @@ class GroundingPipeline:
             track=track,
             from_prior=raw.from_prior,
             first_frame=InitialStateUse.of(initial_state, priors.initial_state),
-            anomalies=detections.anomalies,
+            detections=detections,
             camera_motion_px=motion.largest_px,
             arm_consistency_px=_arm_consistency_px(poses, tracked),
             robot=np.stack([view.to_frame(view.part > RobotPart.BACKGROUND, camera) for view in observation.wide]),
-            detections=detections,
         )
 
     def _contradicts(self, state: InitialState, frames: Frames, camera: Camera) -> bool:

@@ -7,13 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera
-from kinebench_drake.geometry import interpolate_pose, invert, transform_points
+from kinebench_drake.geometry import Array, interpolate_pose, invert, transform_points
 from kinebench_drake.grounding.crop import CLOSE_SIZE, GRIPPER_CENTRE_H, Crop
-from kinebench_drake.grounding.frame_pose import FramePose
 from kinebench_drake.grounding.override_estimator import OverrideEstimator, calibrate_depth
-from kinebench_drake.grounding.registration.arm_fit import ArmFitter
+from kinebench_drake.grounding.registration.arm_fit import ArmFit, ArmFitter
 from kinebench_drake.grounding.registration.arm_model import ArmModel
-from kinebench_drake.grounding.registration.fit import UNSEEN_FINGER_M, finger_or_default, fit, refit
+from kinebench_drake.grounding.registration.fit import UNSEEN_FINGER_M, HandFit, finger_or_default, fit, refit
 from kinebench_drake.grounding.registration.icp import IcpRefiner
 from kinebench_drake.grounding.registration.silhouette import SilhouetteMatcher
 from kinebench_drake.grounding.view import DenseEstimator, Frames, GripperView
@@ -27,6 +26,35 @@ _RESCALE = 1.25  # likewise the factor between its size in the crop and the desi
 _MAX_GAP = 12  # frames over which the crop of a lost gripper is interpolated
 _SOURCE_OVERLAP, _GOOD_OVERLAP = 0.6, 0.8  # overlap from which a pose is propagated, and from which it is not replaced
 _OVERLAP_GAIN = 0.03  # least improvement of the overlap by a propagated pose
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FramePose:
+    """Pose of the gripper in one frame, with the fits that its confidence is computed from."""
+
+    X_CH: Array
+    """(4, 4) pose of panda_hand in the camera frame [m]."""
+    finger_m: float
+    """Travel of each finger [m]; NaN if no finger was visible."""
+    finger_sigma_m: float
+    """Standard deviation of the travel [m]."""
+    hand: HandFit
+    """Fit of the hand alone, without the arm."""
+    hand_without_silhouette: HandFit
+    """Fit to the cells alone: the silhouette would bias it where the gripper is deformed."""
+    arm: ArmFit | None
+    """Fit of the arm; None if too little of it is visible."""
+    view: GripperView
+    """View of the crop around the gripper."""
+    overlap: float
+    """Intersection over union of the segmented and the rendered gripper."""
+    from_prior: bool = False
+    """True if the pose was taken from priors."""
+
+    @property
+    def covariance(self) -> Array:
+        """(6, 6) covariance of rotation about the camera's axes [rad] and position [m], from the cells' sigmas."""
+        return self.arm.covariance if self.arm is not None and self.arm.agrees else self.hand.covariance
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

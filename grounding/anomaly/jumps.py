@@ -10,7 +10,7 @@ from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.anomaly.detection import Detection
 from kinebench_drake.grounding.view import Frames
 from kinebench_drake.segments import finite_rows, segments
-from kinebench_drake.types import Anomaly, AnomalyKind
+from kinebench_drake.types import AnomalyKind
 
 TELEPORT_M, TELEPORT_CONTRAST = 0.04, 4.0
 """Least length of a teleport [m], and least ratio to the median jump length of the path around it."""
@@ -88,12 +88,7 @@ def find_teleports(p: ArrayLike, fair: NDArray[np.bool_], good: NDArray[np.bool_
         around = [k for k in range(max(0, i - _AROUND), min(len(lengths), i + _AROUND + 1)) if abs(k - i) > 2]
         usual = [lengths[k] for k in around if lengths[k] > 0]
         score[i] = lengths[i] / max(TELEPORT_M, TELEPORT_CONTRAST * float(np.median(usual)) if usual else 0.0)
-    score = _suppress_non_maxima(score, lengths)
-    anomalies = tuple(
-        Anomaly(kind=AnomalyKind.TELEPORT, frame_start=int(i), frame_end=int(i), severity=float(lengths[i]))
-        for i in np.flatnonzero(score >= 1.0)
-    )
-    return Detection(kind=AnomalyKind.TELEPORT, score=score, anomalies=anomalies)
+    return Detection.from_score(AnomalyKind.TELEPORT, _suppress_non_maxima(score, lengths), lengths)
 
 
 def _suppress_non_maxima(score: Array, lengths: Array) -> Array:
@@ -126,23 +121,19 @@ def find_freezes(p: ArrayLike, fair: NDArray[np.bool_], still: NDArray[np.bool_]
     """
     p = np.asarray(p, dtype=np.float64)
     step = np.concatenate([[np.nan], np.linalg.norm(np.diff(p, axis=0), axis=1)])
-    quiet = still & ~(step > _STILL_M)
-    score = np.zeros(len(p))
-    anomalies = []
-    for run in segments(quiet):
+    score, size = np.zeros(len(p)), np.zeros(len(p))
+    for run in segments(still & ~(step > _STILL_M)):
         start, end = run.start, run.stop - 1
         if start < 2 or end + 1 >= len(p) or not fair[[start - 2, start - 1, end, end + 1]].all():
             continue
         before, jump = step[start - 1], step[end + 1]
         after = step[end + 2] if end + 2 < len(p) and fair[end + 2] else before
         speed = before / (t_s[start - 1] - t_s[start - 2])
-        frames = end - start + 1
-        score[start : end + 1] = min(
-            frames / FREEZE_FRAMES, speed / FREEZE_SPEED_M_S, jump / (FREEZE_JUMP * max(before, after, _STILL_M))
+        size[run] = run.stop - start
+        score[run] = min(
+            size[start] / FREEZE_FRAMES, speed / FREEZE_SPEED_M_S, jump / (FREEZE_JUMP * max(before, after, _STILL_M))
         )
-        if score[start] >= 1.0:
-            anomalies.append(Anomaly(kind=AnomalyKind.FREEZE, frame_start=start, frame_end=end, severity=float(frames)))
-    return Detection(kind=AnomalyKind.FREEZE, score=score, anomalies=tuple(anomalies))
+    return Detection.from_score(AnomalyKind.FREEZE, score, size)
 
 
 def excess_change(width_m: Array, t_s: Array) -> Array:

@@ -86,7 +86,7 @@ def train(config: BaselineConfig, report: Callable[[str], None]) -> Path:
 
     torch.manual_seed(schedule.seed)
     network = PoseNetwork()
-    network.load_imagenet_encoder()
+    network.encoder.load_imagenet()
     network.to(pick_device()).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     average = optimise(
         network,

@@ -156,12 +156,6 @@ class PoseNetwork(nn.Module):
         b, t = windows.shape[:2]
         return self.fuse(self.embed(windows.flatten(0, 1)).view(b, t, _WIDTH))
 
-    def load_imagenet_encoder(self) -> None:
-        """Load ImageNet weights into the encoder, as `GripperNetwork.load_imagenet_encoder` does."""
-        donor = GripperNetwork()
-        donor.load_imagenet_encoder()
-        self.encoder.load_state_dict(donor.encoder.state_dict())
-
 
 def resize_frames(frames: Frames, size: int) -> NDArray[np.uint8]:
     """Return frames (T, size, size, 3) from any (T, H, W, 3), by area averaging if smaller."""

@@ -84,7 +84,7 @@ def comparison_lines(
     from kinebench_drake.grounding.confidence import Confidence
     from kinebench_drake.grounding.estimator import NetworkEstimator
     from kinebench_drake.grounding.tracker import CadTracker
-    from kinebench_drake.models.perception.weights import WEIGHTS, load_network
+    from kinebench_drake.models.perception.network import WEIGHTS, load_network
 
     baseline, sources = Baseline.load(weights), [load_demonstrations(folder) for folder in folders]
     for source in sources:

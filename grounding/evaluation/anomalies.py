@@ -6,11 +6,11 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from kinebench_drake.errors import InputError, SetupError, UsageError
+from kinebench_drake.errors import SetupError, UsageError
 from kinebench_drake.executors.base import Executor, WorkerCrash
 from kinebench_drake.executors.progress import Observer
 from kinebench_drake.grounding.evaluation.clip import TruthClipFile, choose, find_clips
-from kinebench_drake.grounding.evaluation.errors import anomaly_json, read_anomaly
+from kinebench_drake.grounding.evaluation.errors import read_anomaly
 from kinebench_drake.grounding.evaluation.store import MeasurementStore, fingerprint
 from kinebench_drake.grounding.evaluation.variants import VariantTools
 from kinebench_drake.grounding.pipeline import GroundingPipeline
@@ -78,7 +78,7 @@ class ClipAnomalies:
             "task": self.task,
             "planted": None if self.planted is None else {**asdict(self.planted), "kind": self.planted.kind.value},
             "scores": {kind.value: score for kind, score in self.scores.items()},
-            "found": [anomaly_json(a) for a in self.detected],
+            "found": [a.to_json() for a in self.detected],
         }
 
     @classmethod
@@ -123,14 +123,8 @@ class AnomalyWorkerFactory:
 
 
 def detect(clip: TruthClipFile, planted: PlantedCase | None, pipeline: GroundingPipeline) -> ClipAnomalies:
-    """Ground a clip and return the output of the detectors.
-
-    Raises:
-        InputError: the pipeline returns no scores.
-    """
+    """Ground a clip and return the output of the detectors."""
     detections = pipeline.ground(read_video(clip.video).frames, clip.camera, clip.load().t_s).detections
-    if detections is None:
-        raise InputError(f"{clip.id}: this pipeline returns no scores of anomalies")
     return ClipAnomalies(
         id=clip.id,
         task=clip.task,

@@ -121,8 +121,8 @@ class ClipErrors:
             "confidence": _numbers(self.confidence, 4),
             "visible": self.visible.astype(int).tolist(),
             "share": _numbers(self.share, 3),
-            "found": [anomaly_json(a) for a in self.detected],
-            "planted": [anomaly_json(a) for a in self.planted],
+            "found": [a.to_json() for a in self.detected],
+            "planted": [a.to_json() for a in self.planted],
             "expense": self.expense.to_json(),
         }
 
@@ -174,11 +174,6 @@ def _numbers(values: Array, digits: int) -> list[float | None]:
     return [round(v, digits) if np.isfinite(v) else None for v in values.tolist()]
 
 
-def anomaly_json(anomaly: Anomaly) -> dict[str, Any]:
-    """Return the JSON object of an anomaly."""
-    return {**asdict(anomaly), "kind": anomaly.kind.value, "severity": float(anomaly.severity)}
-
-
 def read_anomaly(data: dict[str, Any]) -> Anomaly:
-    """Read the object that `anomaly_json` returns."""
+    """Read the object that `Anomaly.to_json` returns."""
     return Anomaly(**{**data, "kind": AnomalyKind(data["kind"])})

@@ -18,7 +18,7 @@ from kinebench_drake.grounding.pipeline import GroundingPipeline, GroundingResul
 from kinebench_drake.grounding.tracker import CadTracker
 from kinebench_drake.grounding.view import DenseEstimator, Frames, GripperView
 from kinebench_drake.models.panda.cad import GripperCad
-from kinebench_drake.models.perception.weights import WEIGHTS, load_network
+from kinebench_drake.models.perception.network import WEIGHTS, load_network
 from kinebench_drake.types import ExternalDepth, Priors
 
 _FIELD_CELLS = 12  # nodes of an error field across the image: about a gripper's width apart

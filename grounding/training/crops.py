@@ -1,7 +1,6 @@
 """Random training crops of rendered frames, with labels and degradation."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -25,20 +24,6 @@ _MIN_GRIPPER_PX = 60
 _DOUBLED = 0.12  # share of wide crops with a second gripper
 _OCCLUDED = 0.4  # share of crops with occluders
 _NARROW = 0.4  # share of draws that take the narrower of two grippers
-
-
-@dataclass(frozen=True, slots=True)
-class TrainingSample:
-    """Training crop of S x S pixels with labels; h = w = S / STRIDE."""
-
-    image: NDArray[np.uint8]
-    """(S, S, 3) RGB."""
-    part: NDArray[np.uint8]
-    """(h, w) values of `RobotPart`."""
-    coordinates: NDArray[np.float32]
-    """(h, w, 3) CAD coordinates in network units."""
-    log_depth: NDArray[np.float32]
-    """(h, w) log depth in network units."""
 
 
 def frame_camera(frame: RenderedFrame) -> Camera:
@@ -163,10 +148,14 @@ class Crops(Dataset[dict[str, Tensor]]):
     def __init__(self, shards: Shards, seed: int) -> None:
         self._shards, self._seed = shards, seed
 
-    def sample(self, step: int, slot: int) -> TrainingSample:
-        """Return a crop as arrays."""
-        rng = np.random.default_rng([self._seed, step, slot])
-        wide = is_wide(step)
+    def __getitem__(self, item: tuple[int, int]) -> dict[str, Tensor]:
+        """Return the crop of (step, slot) with its labels, h = w = S / STRIDE.
+
+        `image` (3, S, S) uint8, `part` (h, w) values of `RobotPart`, `coordinates` (3, h, w) CAD coordinates and
+        `log_depth` (h, w) in network units.
+        """
+        rng = np.random.default_rng([self._seed, *item])
+        wide = is_wide(item[0])
         for _ in range(20):
             frame = self._draw(rng)
             crop = (wide_crop if wide else close_crop)(frame, rng)
@@ -178,22 +167,17 @@ class Crops(Dataset[dict[str, Tensor]]):
             _double(image, (part, coordinates, log_depth), rng)
         if rng.random() < _OCCLUDED:
             occlude(image, part, self._draw(rng).rgb, rng)
-        return TrainingSample(degrade(image, rng), part, coordinates, log_depth)
+        return {
+            "image": torch.from_numpy(degrade(image, rng)).permute(2, 0, 1),
+            "part": torch.from_numpy(part).long(),
+            "coordinates": torch.from_numpy(coordinates).permute(2, 0, 1),
+            "log_depth": torch.from_numpy(log_depth),
+        }
 
     def _draw(self, rng: np.random.Generator) -> RenderedFrame:
         """Return a random frame; narrow views of the gripper, which are harder, are more frequent."""
         frames = [self._shards[int(rng.integers(len(self._shards)))] for _ in range(1 + (rng.random() < _NARROW))]
         return max(frames, key=_narrowness)
-
-    def __getitem__(self, item: tuple[int, int]) -> dict[str, Tensor]:
-        """Return a crop as tensors: image (3, S, S) uint8, part (h, w), coordinates (3, h, w), log_depth (h, w)."""
-        s = self.sample(*item)
-        return {
-            "image": torch.from_numpy(s.image).permute(2, 0, 1),
-            "part": torch.from_numpy(s.part).long(),
-            "coordinates": torch.from_numpy(s.coordinates).permute(2, 0, 1),
-            "log_depth": torch.from_numpy(s.log_depth),
-        }
 
 
 def _narrowness(frame: RenderedFrame) -> float:

@@ -10,7 +10,7 @@ import numpy as np
 
 from kinebench_drake.errors import SetupError
 from kinebench_drake.grounding.training.scene import TrainingScene
-from kinebench_drake.models.perception.frame import is_complete, save_shard, shard_folder
+from kinebench_drake.models.perception.frame import FILES, save_shard
 
 FRAMES_PER_SCENE = 20
 HANDLESS_EVERY = 16
@@ -21,20 +21,22 @@ _STREAM = 0x4B42  # separates these random streams from others with the same see
 
 
 def render_shards(folder: Path, seeds: Iterable[int]) -> Iterator[int]:
-    """Render the frames of one scene per seed into `folder`, skipping complete scenes; yield each finished seed.
+    """Render the frames of one scene per seed into `folder`; yield each finished seed.
 
     The same seed gives the same scene.
     """
     for seed in seeds:
-        shard = shard_folder(folder, seed)
-        if not is_complete(shard):
-            # The variable keeps the last scene alive until the next is built: SAPIEN compiles its shaders again, for
-            # seconds, whenever no scene exists.
-            scene = TrainingScene(
-                np.random.default_rng([seed, _STREAM]), handless=seed % HANDLESS_EVERY == HANDLESS_EVERY - 1
-            )
-            save_shard([scene.frame() for _ in range(FRAMES_PER_SCENE)], shard)
+        # The variable keeps the last scene alive until the next is built: SAPIEN compiles its shaders again, for
+        # seconds, whenever no scene exists.
+        scene = TrainingScene(
+            np.random.default_rng([seed, _STREAM]), handless=seed % HANDLESS_EVERY == HANDLESS_EVERY - 1
+        )
+        save_shard([scene.frame() for _ in range(FRAMES_PER_SCENE)], _shard(folder, seed))
         yield seed
+
+
+def _shard(folder: Path, seed: int) -> Path:
+    return folder / f"{seed:06d}"
 
 
 def _work(folder: Path, seeds: list[int], done: "multiprocessing.Queue[int | None]") -> None:
@@ -49,7 +51,7 @@ def render(folder: Path, seeds: Iterable[int], jobs: int, report: Callable[[str]
     Raises:
         SetupError: a rendering process died, most often because there is no Vulkan driver.
     """
-    missing = [s for s in seeds if not is_complete(shard_folder(folder, s))]
+    missing = [s for s in seeds if not (_shard(folder, s) / FILES[-1]).is_file()]
     if not missing:
         return
     report(f"rendering {len(missing)} scenes into {folder}")

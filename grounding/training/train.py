@@ -5,15 +5,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import torch
-from torch import Tensor, nn
+from torch import nn
 from torch.nn import functional
 from torch.utils.data import DataLoader
 
 from kinebench_drake.grounding.training.crops import Crops, Shards, Steps
 from kinebench_drake.grounding.training.loop import Batch, LossTerms, Schedule, optimise, pick_device, save_weights
 from kinebench_drake.models.panda.robot import ARM, RobotPart
-from kinebench_drake.models.perception.network import DenseOutput, GripperNetwork
-from kinebench_drake.models.perception.weights import load_network
+from kinebench_drake.models.perception.network import DenseOutput, GripperNetwork, load_network
 
 _PIXEL_WEIGHTS = (1.0, 1.0, 5.0, 5.0, *[1.0] * len(ARM))  # by RobotPart
 _ARM_WEIGHT = 0.4  # weight of the arm's coordinates and depth / weight of the gripper's
@@ -37,26 +36,13 @@ class TrainingConfig:
     """Processes that prepare batches."""
 
 
-@dataclass(frozen=True, slots=True)
-class Losses:
-    """Terms of the loss, each a mean ()."""
-
-    part: Tensor
-    coordinates: Tensor
-    depth: Tensor
-
-    @property
-    def total(self) -> Tensor:
-        """Weighted sum; the cross-entropy has a larger weight, as it is small compared to the likelihoods in nats."""
-        return 3.0 * self.part + self.coordinates + self.depth
-
-
-def losses(output: DenseOutput, batch: dict[str, Tensor]) -> Losses:
+def losses(output: DenseOutput, batch: Batch) -> LossTerms:
     """Return the cross-entropy of the parts and the Laplace likelihoods of coordinates and depth on robot pixels.
 
     The negative log-likelihood with a predicted scale follows Kendall and Gal (NeurIPS 2017), with L1 in place of L2.
     The fingers are a fiftieth of the pixels but determine the opening and resolve the half-turn ambiguity, so their
-    pixels have a larger weight in every term.
+    pixels have a larger weight in every term. In the total the cross-entropy has a larger weight, as it is small
+    compared to the likelihoods in nats.
     """
     part = batch["part"]
     weight = torch.tensor(_PIXEL_WEIGHTS, device=part.device)
@@ -70,24 +56,18 @@ def losses(output: DenseOutput, batch: dict[str, Tensor]) -> Losses:
     error = (output.log_depth - batch["log_depth"]).abs()
     b = output.depth_log_scale
     depth = ((error * torch.exp(-b) + b)[:, None] * of_kind).sum(dim=(0, 2, 3)) / count
-    return Losses(
-        functional.cross_entropy(output.part_logits, part, weight),
-        of_gripper + _ARM_WEIGHT * of_arm,
-        depth[0] + _ARM_WEIGHT * depth[1],
-    )
+    terms = {
+        "part": functional.cross_entropy(output.part_logits, part, weight),
+        "coordinates": of_gripper + _ARM_WEIGHT * of_arm,
+        "depth": depth[0] + _ARM_WEIGHT * depth[1],
+    }
+    return LossTerms(total=3.0 * terms["part"] + terms["coordinates"] + terms["depth"], reported=terms)
 
 
 def _forward(network: nn.Module, batch: Batch) -> DenseOutput:
     images = (batch["image"].float() / 255.0).contiguous(memory_format=torch.channels_last)
     output: DenseOutput = network(images)
     return output
-
-
-def _terms(output: DenseOutput, batch: Batch) -> LossTerms:
-    terms = losses(output, batch)
-    return LossTerms(
-        total=terms.total, reported={"part": terms.part, "coordinates": terms.coordinates, "depth": terms.depth}
-    )
 
 
 def train(config: TrainingConfig, report: Callable[[str], None]) -> Path:
@@ -104,7 +84,7 @@ def train(config: TrainingConfig, report: Callable[[str], None]) -> Path:
     torch.manual_seed(schedule.seed)
     if config.start is None:
         network = GripperNetwork()
-        network.load_imagenet_encoder()
+        network.encoder.load_imagenet()
     else:
         network = load_network(config.start)
     network.to(pick_device()).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
@@ -118,7 +98,7 @@ def train(config: TrainingConfig, report: Callable[[str], None]) -> Path:
         network,
         batches=batches,
         forward=_forward,
-        losses=_terms,
+        losses=losses,
         schedule=schedule,
         identity=schedule.identity(),
         folder=config.out,

@@ -193,7 +193,7 @@ class NetworkViewEstimator(ViewEstimator):
         """
         from kinebench_drake.grounding.estimator import NetworkEstimator
         from kinebench_drake.grounding.tracker import CadTracker
-        from kinebench_drake.models.perception.weights import load_network
+        from kinebench_drake.models.perception.network import load_network
 
         return cls(CadTracker(NetworkEstimator(load_network())))
 

@@ -81,16 +81,6 @@ def label_parts(ids: NDArray[np.integer[Any]], part_of_id: Mapping[int, RobotPar
     return part
 
 
-def shard_folder(folder: Path, seed: int) -> Path:
-    """Return the folder of the shard of a seed."""
-    return folder / f"{seed:06d}"
-
-
-def is_complete(shard: Path) -> bool:
-    """Return whether a shard is complete."""
-    return (shard / "truth.npz").is_file()
-
-
 def save_shard(frames: Sequence[RenderedFrame], shard: Path) -> None:
     """Write the frames of a scene; `truth.npz` last, which marks the shard as complete."""
     shard.mkdir(parents=True, exist_ok=True)

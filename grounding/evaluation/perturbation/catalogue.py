@@ -20,7 +20,7 @@ from kinebench_drake.grounding.evaluation.perturbation.degrade import (
     fade,
     ghost,
 )
-from kinebench_drake.grounding.evaluation.perturbation.gripper import Masks, PerturbedFrames, deform, occlude
+from kinebench_drake.grounding.evaluation.perturbation.gripper import Masks, deform, occlude
 from kinebench_drake.grounding.view import Frames
 
 
@@ -58,7 +58,7 @@ class Perturbation:
 
 @dataclass(frozen=True, slots=True)
 class _Entry:
-    function: Callable[[Frames, Masks, np.random.Generator, float], PerturbedFrames]
+    function: Callable[[Frames, Masks, np.random.Generator, float], tuple[Frames, Masks]]
     label: str
     strengths: tuple[float, ...]
     required: tuple[float, ...]
@@ -87,5 +87,4 @@ def perturb(perturbation: Perturbation, frames: Frames, masks: Masks, seed: int,
     The pattern depends on clip, kind and seed, not on the strength.
     """
     rng = np.random.default_rng([seed, *perturbation.kind.value.encode(), *id.encode()])
-    result = _ENTRIES[perturbation.kind].function(frames, masks, rng, perturbation.strength)
-    return result.frames, result.masks
+    return _ENTRIES[perturbation.kind].function(frames, masks, rng, perturbation.strength)

@@ -11,7 +11,6 @@ from scipy.fft import dctn, idctn
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.evaluation.perturbation.gripper import (
     Masks,
-    PerturbedFrames,
     centroids,
     to_bytes,
 )
@@ -24,19 +23,19 @@ _TIME, _SIDE = 4, 8  # frames and pixels per latent of the VAEs of Wan and CogVi
 _SHIFTS = ((0, 0), (4, 4))
 
 
-def code_h264(frames: Frames, masks: Masks, rng: np.random.Generator, crf: float) -> PerturbedFrames:
+def code_h264(frames: Frames, masks: Masks, rng: np.random.Generator, crf: float) -> tuple[Frames, Masks]:
     """Encode and decode with x264 at a constant rate factor, 1 to 51; 0 changes nothing."""
     if crf <= 0:
-        return PerturbedFrames(frames=frames, masks=masks)
+        return frames, masks
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "video.mp4"
         write_video(path, frames, _FPS, crf=round(crf))
         coded = read_video(path).frames
     height, width = frames.shape[1:3]
-    return PerturbedFrames(frames=np.ascontiguousarray(coded[:, :height, :width]), masks=masks)
+    return np.ascontiguousarray(coded[:, :height, :width]), masks
 
 
-def code_latent(frames: Frames, masks: Masks, rng: np.random.Generator, ratio: float) -> PerturbedFrames:
+def code_latent(frames: Frames, masks: Masks, rng: np.random.Generator, ratio: float) -> tuple[Frames, Masks]:
     """Compress by `ratio`, as the autoencoder of a video model does; 0 changes nothing.
 
     A substitute that needs no weights: of the 768 cosine transform coefficients of each block of 4 frames x 8 x 8
@@ -46,12 +45,12 @@ def code_latent(frames: Frames, masks: Masks, rng: np.random.Generator, ratio: f
     maps such a block to 16 numbers, a ratio of 48. As there, the first frame has a block of its own.
     """
     if ratio <= 0:
-        return PerturbedFrames(frames=frames, masks=masks)
+        return frames, masks
     keep = max(1, round(_TIME * _SIDE * _SIDE * 3 / ratio))
     lead = -len(frames) % _TIME
     padded = np.concatenate([np.repeat(frames[:1], lead, axis=0), frames])
     out = [_code_group(padded[start : start + _TIME], keep) for start in range(0, len(padded), _TIME)]
-    return PerturbedFrames(frames=np.concatenate(out)[lead:], masks=masks)
+    return np.concatenate(out)[lead:], masks
 
 
 def _code_group(frames: Frames, keep: int) -> Frames:
@@ -82,25 +81,25 @@ def _code_blocks(colour: NDArray[np.float32], keep: int) -> NDArray[np.float32]:
     return np.asarray(back.transpose(2, 0, 3, 1, 4, 5).reshape(colour.shape), dtype=np.float32)
 
 
-def fade(frames: Frames, masks: Masks, rng: np.random.Generator, loss: float) -> PerturbedFrames:
+def fade(frames: Frames, masks: Masks, rng: np.random.Generator, loss: float) -> tuple[Frames, Masks]:
     """Reduce the contrast by `loss` (0..1): every level moves that far towards the mean of the whole video."""
     mean = frames.mean(axis=(0, 1, 2))
-    return PerturbedFrames(frames=to_bytes(frames + loss * (mean - frames)), masks=masks)
+    return to_bytes(frames + loss * (mean - frames)), masks
 
 
-def add_noise(frames: Frames, masks: Masks, rng: np.random.Generator, sigma: float) -> PerturbedFrames:
+def add_noise(frames: Frames, masks: Masks, rng: np.random.Generator, sigma: float) -> tuple[Frames, Masks]:
     """Add Gaussian noise of standard deviation `sigma` [levels of 255], independent by pixel, channel and frame."""
     out = np.empty_like(frames)
     for i, frame in enumerate(frames):
         out[i] = to_bytes(frame + sigma * rng.standard_normal(frame.shape, dtype=np.float32))
-    return PerturbedFrames(frames=out, masks=masks)
+    return out, masks
 
 
 _STILL_PX = 0.5  # motion from the previous to the next frame below which the gripper rests
 _SAMPLES_PX = 8  # samples per pixel of the line
 
 
-def blur_motion(frames: Frames, masks: Masks, rng: np.random.Generator, length_px: float) -> PerturbedFrames:
+def blur_motion(frames: Frames, masks: Masks, rng: np.random.Generator, length_px: float) -> tuple[Frames, Masks]:
     """Blur each image over `length_px` along the motion of the gripper.
 
     For a resting gripper the direction is that of its last motion; random before any motion.
@@ -108,7 +107,7 @@ def blur_motion(frames: Frames, masks: Masks, rng: np.random.Generator, length_p
     out = np.empty_like(frames)
     for i, angle in enumerate(directions(centroids(masks), float(rng.uniform(0, np.pi)))):
         out[i] = cv2.filter2D(frames[i], -1, line_kernel(length_px, angle), borderType=cv2.BORDER_REPLICATE)
-    return PerturbedFrames(frames=out, masks=masks)
+    return out, masks
 
 
 def directions(points: Array, start: float) -> Array:
@@ -137,7 +136,7 @@ def line_kernel(length_px: float, angle: float) -> NDArray[np.float32]:
     return np.asarray(kernel / kernel.sum(), dtype=np.float32)
 
 
-def ghost(frames: Frames, masks: Masks, rng: np.random.Generator, weight: float) -> PerturbedFrames:
+def ghost(frames: Frames, masks: Masks, rng: np.random.Generator, weight: float) -> tuple[Frames, Masks]:
     """Blend each frame with the two previous ones, which together have the weight `weight` (0..1)."""
     past = [frames[np.maximum(np.arange(len(frames)) - lag, 0)].astype(np.float32) for lag in (1, 2)]
-    return PerturbedFrames(frames=to_bytes((1 - weight) * frames + weight * (past[0] + past[1]) / 2), masks=masks)
+    return to_bytes((1 - weight) * frames + weight * (past[0] + past[1]) / 2), masks

@@ -1,7 +1,5 @@
 """Perturbations located at the gripper: deformation and occlusion."""
 
-from dataclasses import dataclass
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -11,15 +9,6 @@ from kinebench_drake.grounding.view import Frames
 
 Masks = NDArray[np.bool_]
 """(T, H, W)."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PerturbedFrames:
-    """Result of a perturbation."""
-
-    frames: Frames
-    masks: Masks
-    """Pixels that still show the gripper."""
 
 
 def centroids(masks: Masks) -> Array:
@@ -59,7 +48,7 @@ _PERIOD = 8  # frames between two random deformation fields
 _MIN_PX = 20
 
 
-def deform(frames: Frames, masks: Masks, rng: np.random.Generator, rms_px: float) -> PerturbedFrames:
+def deform(frames: Frames, masks: Masks, rng: np.random.Generator, rms_px: float) -> tuple[Frames, Masks]:
     """Warp the gripper so that its pixels move by `rms_px`, root mean square over its mask in every frame.
 
     The similarity transform that fits the field best is subtracted, so that the true pose remains the best fit. The
@@ -74,7 +63,7 @@ def deform(frames: Frames, masks: Masks, rng: np.random.Generator, rms_px: float
             v, u = np.mgrid[0 : mask.shape[0], 0 : mask.shape[1]].astype(np.float32)
             x, y = u + shift[..., 0].astype(np.float32), v + shift[..., 1].astype(np.float32)
             out[i] = cv2.remap(frames[i], x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return PerturbedFrames(frames=out, masks=masks)
+    return out, masks
 
 
 def displacement(mask: NDArray[np.bool_], nodes: Array, middle: Array, rms_px: float) -> Array:
@@ -127,7 +116,7 @@ _TEXTURE_PX = 128
 _MIN_OCCLUDER_PX = 20
 
 
-def occlude(frames: Frames, masks: Masks, rng: np.random.Generator, share: float) -> PerturbedFrames:
+def occlude(frames: Frames, masks: Masks, rng: np.random.Generator, share: float) -> tuple[Frames, Masks]:
     """Hide `share` (0..1) of the gripper's visible pixels in every frame behind two textured shapes.
 
     The shapes follow the gripper and drift smoothly; their common size is chosen to hide the requested share.
@@ -156,7 +145,7 @@ def occlude(frames: Frames, masks: Masks, rng: np.random.Generator, share: float
             paint = np.where((nearest == k)[..., None], textures[k][v, u], paint)
         out[i] += opacity * (paint - out[i])
         left[i] &= gauge > size
-    return PerturbedFrames(frames=to_bytes(out), masks=left)
+    return to_bytes(out), left
 
 
 def _gauge(x: Array, y: Array, phases: Array, turn: float) -> Array:

@@ -10,12 +10,13 @@ import pytest
 
 from kinebench_drake.camera import Camera, benchmark_camera
 from kinebench_drake.geometry import Array, make_pose, rotation_exp
+from kinebench_drake.grounding.anomaly.detection import AnomalyDetections, Detection
 from kinebench_drake.grounding.evaluation.clip import TruthClip
 from kinebench_drake.grounding.evaluation.errors import ClipErrors, Expense, compare
 from kinebench_drake.grounding.pipeline import GroundingResult
 from kinebench_drake.io.camerafile import save_camera
 from kinebench_drake.io.container import write_video
-from kinebench_drake.types import Anomaly, GripperTrack, InitialStateUse
+from kinebench_drake.types import Anomaly, AnomalyKind, GripperTrack, InitialStateUse
 
 FRAMES, SIDE = 12, 96
 
@@ -68,7 +69,7 @@ def grounded() -> Callable[..., GroundingResult]:
             track=track,
             from_prior=np.zeros(n, dtype=bool),
             first_frame=InitialStateUse.UNKNOWN,
-            anomalies=(),
+            detections=AnomalyDetections(by_kind={k: Detection(kind=k, score=np.zeros(n)) for k in AnomalyKind}),
             camera_motion_px=None,
             arm_consistency_px=None,
             robot=np.zeros((n, 2, 2), dtype=bool),

@@ -1,4 +1,4 @@
-"""VideoDegradation of held-out videos."""
+"""Degradation of held-out videos."""
 
 from pathlib import Path
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from kinebench_drake.grounding.evaluation.clip import find_clips
-from kinebench_drake.grounding.training.holdout import VideoDegradation, degrade_video
+from kinebench_drake.grounding.training.calibration import VideoDegradation, degrade_video
 from kinebench_drake.io.reader import read_video
 
 CLIP = find_clips(Path(__file__).parents[3] / "examples" / "videos")[0].load()
