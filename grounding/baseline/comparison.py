@@ -9,8 +9,8 @@ import numpy as np
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array, pose_difference
+from kinebench_drake.grounding.baseline.fitting import Demonstration
 from kinebench_drake.grounding.baseline.network import Baseline
-from kinebench_drake.grounding.baseline.windows import Demonstration
 from kinebench_drake.grounding.pipeline import GroundingPipeline
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.stats import IntervalEstimate, percentile_interval, resampled_indices

@@ -14,8 +14,8 @@ from kinebench_drake.grounding.baseline.comparison import (
     compare,
     groups,
 )
+from kinebench_drake.grounding.baseline.fitting import load_demonstrations
 from kinebench_drake.grounding.baseline.network import Baseline
-from kinebench_drake.grounding.baseline.windows import load_demonstrations
 from kinebench_drake.grounding.pipeline import GroundingPipeline
 from kinebench_drake.io.atomic import atomic_path, write_atomically
 from kinebench_drake.stats import IntervalEstimate

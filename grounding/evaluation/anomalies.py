@@ -1,15 +1,14 @@
 """Detection of planted anomalies, clip by clip."""
 
-import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from kinebench_drake.errors import SetupError, UsageError
 from kinebench_drake.executors.base import Executor, WorkerCrash
 from kinebench_drake.executors.progress import Observer
-from kinebench_drake.grounding.evaluation.clip import TruthClipFile, choose, find_clips
+from kinebench_drake.grounding.evaluation.clip import PlantedCase, TruthClipFile, choose, find_clips
 from kinebench_drake.grounding.evaluation.errors import read_anomaly
 from kinebench_drake.grounding.evaluation.store import MeasurementStore, fingerprint
 from kinebench_drake.grounding.evaluation.variants import VariantTools
@@ -28,25 +27,6 @@ _START_FRAMES = {
 """Tolerance of the first frame by kind; a kind that begins too small to be visible may start in any of its frames."""
 _ENDING = (AnomalyKind.VANISH, AnomalyKind.DUPLICATE, AnomalyKind.FREEZE, AnomalyKind.DEFORMATION)
 """Kinds whose last frame must be right as well."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PlantedCase:
-    """Planted anomaly of a clip."""
-
-    kind: AnomalyKind
-    frame_start: int
-    """First affected frame (0-based)."""
-    frame_end: int
-    """Last affected frame, inclusive."""
-    size: float
-    """Size in the unit of the kind."""
-    form: str
-    """Course in time; empty if the kind has a single form."""
-
-
-Case = tuple[TruthClipFile, PlantedCase | None]
-"""Clip with its planted anomaly; None for a clean clip."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -116,26 +96,26 @@ class AnomalyWorkerFactory:
     weights: Path | None
     """Weights in place of those shipped."""
 
-    def __call__(self) -> Callable[[Case], ClipAnomalies]:
+    def __call__(self) -> Callable[[TruthClipFile], ClipAnomalies]:
         """Return the function that runs the detectors on one clip."""
         pipeline = VariantTools.load(self.weights).shipped
-        return lambda case: detect(*case, pipeline)
+        return lambda clip: detect(clip, pipeline)
 
 
-def detect(clip: TruthClipFile, planted: PlantedCase | None, pipeline: GroundingPipeline) -> ClipAnomalies:
+def detect(clip: TruthClipFile, pipeline: GroundingPipeline) -> ClipAnomalies:
     """Ground a clip and return the output of the detectors."""
     detections = pipeline.ground(read_video(clip.video).frames, clip.camera, clip.load().t_s).detections
     return ClipAnomalies(
         id=clip.id,
         task=clip.task,
-        planted=planted,
+        planted=clip.planted,
         scores={kind: round(score, 4) for kind, score in detections.scores.items()},
         detected=detections.anomalies,
     )
 
 
-def find_cases(clean: Path, faulty: Path, limit: int | None) -> list[Case]:
-    """Return the clips of two folders with their planted anomalies.
+def find_cases(clean: Path, faulty: Path, limit: int | None) -> list[TruthClipFile]:
+    """Return clean clips, then clips with planted anomalies.
 
     Args:
         clean: folder of clean videos.
@@ -145,42 +125,22 @@ def find_cases(clean: Path, faulty: Path, limit: int | None) -> list[Case]:
     Raises:
         UsageError: a folder lacks its manifest or ground truth, or a faulty clip its planted anomaly.
     """
-    cases: list[Case] = [(clip, None) for clip in choose(find_clips(clean), limit)]
-    grades: dict[tuple[AnomalyKind, float, str], list[tuple[TruthClipFile, PlantedCase]]] = {}
-    faults = _read_faults(faulty)
+    cases = [replace(clip, planted=None) for clip in choose(find_clips(clean), limit)]
+    grades: dict[tuple[AnomalyKind, float, str], list[TruthClipFile]] = {}
     for clip in find_clips(faulty):
-        if clip.id not in faults:
-            raise UsageError(f"{faulty.name}: truth/faults.json names no fault of {clip.id}")
-        planted = faults[clip.id]
-        grades.setdefault((planted.kind, planted.size, planted.form), []).append((clip, planted))
+        if clip.planted is None:
+            raise UsageError(
+                f"{faulty.name}: truth/faults.json names no fault of {clip.id}; make such a folder with "
+                "`python -m benchmarks planted-videos`"
+            )
+        grades.setdefault((clip.planted.kind, clip.planted.size, clip.planted.form), []).append(clip)
     for members in grades.values():
-        kept = {clip.id for clip in choose([clip for clip, _ in members], limit)}
-        cases += [(clip, planted) for clip, planted in members if clip.id in kept]
+        cases += choose(members, limit)
     return cases
 
 
-def _read_faults(folder: Path) -> dict[str, PlantedCase]:
-    path = folder / "truth" / "faults.json"
-    try:
-        return {
-            name: PlantedCase(
-                kind=AnomalyKind(fault["kind"]),
-                frame_start=int(fault["frame_start"]),
-                frame_end=int(fault["frame_end"]),
-                size=float(fault["size"]),
-                form=str(fault.get("form") or ""),
-            )
-            for name, fault in json.loads(path.read_text()).items()
-        }
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
-        raise UsageError(
-            f"{folder.name}: has no usable truth/faults.json; make such a folder with "
-            "`python -m benchmarks planted-videos`"
-        ) from None
-
-
 def detect_all(
-    cases: Sequence[Case], weights: Path | None, executor: Executor, observer: Observer, keep: Path | None
+    clips: Sequence[TruthClipFile], weights: Path | None, executor: Executor, observer: Observer, keep: Path | None
 ) -> list[ClipAnomalies]:
     """Run the detectors on all clips whose output is not in the file `keep` yet.
 
@@ -190,13 +150,13 @@ def detect_all(
     """
     store = MeasurementStore(keep, ClipAnomalies)
     base = fingerprint(modules=[__name__], files=[weights] if weights else [])
-    keys = {clip.id: f"{base}-{clip.digest()}" for clip, _ in cases}
-    todo = [case for case in cases if keys[case[0].id] not in store]
-    observer.start(len(cases), len(cases) - len(todo))
+    keys = {clip.id: f"{base}-{clip.digest()}" for clip in clips}
+    todo = [clip for clip in clips if keys[clip.id] not in store]
+    observer.start(len(clips), len(clips) - len(todo))
     for outcome in executor.run(AnomalyWorkerFactory(weights), todo):
-        clip, _ = outcome.item
+        clip = outcome.item
         if isinstance(outcome, WorkerCrash):
             raise SetupError(f"{clip.id}: {outcome.reason}; run the same command again, what is finished is kept")
         store.put(keys[clip.id], outcome.result)
         observer.advance(clip.id)
-    return [store[keys[clip.id]] for clip, _ in cases]
+    return [store[keys[clip.id]] for clip in clips]

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera
-from kinebench_drake.errors import InputError, UsageError
+from kinebench_drake.errors import InputError, UsageError, cause
 from kinebench_drake.geometry import Array, invert
 from kinebench_drake.grounding.crop import Crop
 from kinebench_drake.grounding.overrides.arrays import true_depth, true_mask
@@ -109,6 +109,26 @@ def _area_px(rays_C: Array, crop: Crop, camera: Camera) -> float:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class PlantedCase:
+    """Planted anomaly of a clip."""
+
+    kind: AnomalyKind
+    frame_start: int
+    """First affected frame (0-based)."""
+    frame_end: int
+    """Last affected frame, inclusive."""
+    size: float
+    """Size in the unit of the kind."""
+    form: str
+    """Course in time; empty if the kind has a single form."""
+
+    @property
+    def anomaly(self) -> Anomaly:
+        """The same as an anomaly whose severity is the size."""
+        return Anomaly(kind=self.kind, frame_start=self.frame_start, frame_end=self.frame_end, severity=self.size)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class TruthClipFile:
     """Paths of a video and its ground truth: cheap to send to worker processes."""
 
@@ -118,8 +138,8 @@ class TruthClipFile:
     video: Path
     truth: Path
     camera: Camera
-    faults: tuple[Anomaly, ...]
-    """Planted anomalies."""
+    planted: PlantedCase | None
+    """Planted anomaly; None for a clean clip."""
 
     def load(self, *, with_depth: bool = False) -> TruthClip:
         """Read the ground truth; depth maps only if `with_depth`.
@@ -141,7 +161,7 @@ class TruthClipFile:
                     finger_width_m=truth["finger_width_m"],
                     depth_m=true_depth(truth) if with_depth else None,
                     mask=true_mask(truth) if "mask" in truth.files else None,
-                    faults=self.faults,
+                    faults=() if self.planted is None else (self.planted.anomaly,),
                 )
         except InputError as error:
             raise UsageError(f"{self.truth.name}: not a readable truth file ({error})") from None
@@ -158,14 +178,13 @@ def find_clips(folder: Path) -> list[TruthClipFile]:
     """Return the clips listed in the manifest of a folder, in its order.
 
     Raises:
-        UsageError: manifest, camera or ground truth is missing, or no video is listed.
+        UsageError: manifest, camera or ground truth is missing or unusable, or no video is listed.
     """
     manifest = folder / "manifest.jsonl"
     if not manifest.is_file():
         raise UsageError(f"{folder.name}: has no manifest.jsonl; make such a folder with `kinebench-drake suite demos`")
     camera = load_camera(folder / "camera.json")
-    faults_path = folder / "truth" / "faults.json"
-    faults = json.loads(faults_path.read_text()) if faults_path.is_file() else {}
+    faults = _read_faults(folder / "truth" / "faults.json")
     clips = []
     for number, line in enumerate(manifest.read_text().splitlines(), 1):
         try:
@@ -184,7 +203,7 @@ def find_clips(folder: Path) -> list[TruthClipFile]:
                 video=folder / video,
                 truth=truth,
                 camera=camera,
-                faults=tuple(_fault(f) for f in _as_list(faults.get(name))),
+                planted=faults.get(name),
             )
         )
     if not clips:
@@ -203,16 +222,20 @@ def choose(clips: Sequence[TruthClipFile], limit: int | None) -> list[TruthClipF
     return [clips[i] for i in sorted(order[:limit])]
 
 
-def _as_list(value: object) -> list[dict[str, object]]:
-    if value is None:
-        return []
-    return value if isinstance(value, list) else [value]  # type: ignore[list-item]
-
-
-def _fault(data: dict[str, object]) -> Anomaly:
-    return Anomaly(
-        kind=AnomalyKind(data["kind"]),
-        frame_start=int(str(data["frame_start"])),
-        frame_end=int(str(data["frame_end"])),
-        severity=float(str(data["size"])),
-    )
+def _read_faults(path: Path) -> dict[str, PlantedCase]:
+    """Read the planted anomalies by clip; none if there is no such file."""
+    if not path.is_file():
+        return {}
+    try:
+        return {
+            name: PlantedCase(
+                kind=AnomalyKind(fault["kind"]),
+                frame_start=int(fault["frame_start"]),
+                frame_end=int(fault["frame_end"]),
+                size=float(fault["size"]),
+                form=str(fault.get("form") or ""),
+            )
+            for name, fault in json.loads(path.read_text()).items()
+        }
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise UsageError(f"truth/{path.name}: not a readable file of planted anomalies ({cause(error)})") from None

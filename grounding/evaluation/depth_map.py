@@ -157,13 +157,14 @@ def draw_depth(errors: DepthErrors, label: str) -> "Figure":
         ax.grid(False)
     means = [100 * m.mean() for m in (errors.front, errors.side)]
     top = max(float(np.nanpercentile(np.concatenate([m.ravel() for m in means]), 98)), 0.1)
-    for ax, errormap, mean, name in zip(
-        axes[0, :2], (errors.front, errors.side), means, ("front", "side"), strict=True
-    ):
-        _heat(figure, ax, errormap, mean, top)
-        ax.set_title(f"the hand from its {name}", fontsize=10)
+    maps = (errors.front, errors.side)
+    for ax, errormap, mean, name in zip(axes[0, :2], maps, means, ("front", "side"), strict=True):
+        image = _draw_map(ax, errormap, mean, f"the hand from its {name}", cmap="magma_r", vmin=0.0, vmax=top)
+        figure.colorbar(image, ax=ax, label="mean |relative error| [%]", shrink=0.8)
     axes[0, 1].set_ylabel("")
-    _counts(figure, axes[0, 2], errors.front)
+    counts = np.where(errors.front.count > 0, errors.front.count, np.nan)
+    image = _draw_map(axes[0, 2], errors.front, counts, "cells measured", cmap="Greys", norm="log")
+    figure.colorbar(image, ax=axes[0, 2], label="cells", shrink=0.8)
     axes[0, 3].axis("off")
     axes[0, 3].text(
         0.0, 0.9,
@@ -189,27 +190,13 @@ def draw_depth(errors: DepthErrors, label: str) -> "Figure":
     return figure
 
 
-def _heat(figure: "Figure", ax: Any, errormap: ErrorMap, mean: Array, top: float) -> None:
-    image = ax.imshow(mean, origin="lower", extent=_extent(errormap), cmap="magma_r", vmin=0.0, vmax=top)
-    _label(ax, errormap)
-    figure.colorbar(image, ax=ax, label="mean |relative error| [%]", shrink=0.8)
-
-
-def _counts(figure: "Figure", ax: Any, errormap: ErrorMap) -> None:
-    shown = np.where(errormap.count > 0, errormap.count, np.nan)
-    image = ax.imshow(shown, origin="lower", extent=_extent(errormap), cmap="Greys", norm="log")
-    _label(ax, errormap)
-    ax.set_title("cells measured", fontsize=10)
-    figure.colorbar(image, ax=ax, label="cells", shrink=0.8)
-
-
-def _extent(errormap: ErrorMap) -> tuple[float, float, float, float]:
+def _draw_map(ax: Any, errormap: ErrorMap, values: Array, title: str, **style: Any) -> Any:
+    """Draw `values` on the plane of an error map; return the image."""
     (left, right), (bottom, top) = (1e3 * EXTENT_H[a] for a in errormap.axes)
-    return float(left), float(right), float(bottom), float(top)
-
-
-def _label(ax: Any, errormap: ErrorMap) -> None:
+    image = ax.imshow(values, origin="lower", extent=(left, right, bottom, top), **style)
     across, up = (_AXES[a] for a in errormap.axes)
     ax.set(xlabel=f"{across} of panda_hand [mm]", ylabel=f"{up} of panda_hand [mm]")
+    ax.set_title(title, fontsize=10)
     ax.set_aspect("equal")
     ax.invert_yaxis()
+    return image

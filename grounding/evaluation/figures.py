@@ -100,7 +100,7 @@ def _boxes(ax: Any, groups: Sequence[Array], labels: Sequence[str], colours: Seq
 def draw_comparison(
     results: Mapping[str, Results],
     figures: Mapping[str, Mapping[str, IntervalEstimate]],
-    groups: Mapping[str, str],
+    groups: Sequence[str],
     title: str,
 ) -> "Figure":
     """Plot both errors as boxes, and the tracked share, for each condition.
@@ -108,12 +108,12 @@ def draw_comparison(
     Args:
         results: errors of the clips by condition name.
         figures: figures of the same conditions.
-        groups: group of each condition; conditions of one group have one colour.
+        groups: group of each condition, in the same order; conditions of one group have one colour.
         title: title of the figure.
     """
     names = list(results)
-    shades = {group: _COLOURS[i % len(_COLOURS)] for i, group in enumerate(dict.fromkeys(groups.values()))}
-    colours = [shades[groups[name]] for name in names]
+    shades = {group: _COLOURS[i % len(_COLOURS)] for i, group in enumerate(dict.fromkeys(groups))}
+    colours = [shades[group] for group in groups]
     figure, axes = new_figure(max(8.0, 0.42 * len(names) + 3.5), 11.0, 3, 1, sharex=False)
     errors = [pooled_errors(results[name]) for name in names]
     _boxes(axes[0, 0], [e[0] for e in errors], [""] * len(names), colours, _FLOOR_MM)

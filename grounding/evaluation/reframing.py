@@ -33,17 +33,6 @@ class Reframing:
         return f"{self.way} to {self.size[0]}x{self.size[1]}"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ReframedClip:
-    """Clip in another size, with the framing estimated and undone as `score` does it."""
-
-    clip: TruthClip
-    """The clip with the camera of the estimated framing."""
-    frames: Frames
-    shown: Array
-    """(T,) share of the gripper's pixels that are still in the image."""
-
-
 def reframings() -> tuple[Reframing, ...]:
     """Return every size in every way."""
     return tuple(
@@ -51,14 +40,20 @@ def reframings() -> tuple[Reframing, ...]:
     )
 
 
-def reframe(reframing: Reframing, clip: TruthClip, frames: Frames, masks: NDArray[np.bool_]) -> ReframedClip:
-    """Show a square clip in another size, then estimate the framing and undo it.
+def reframe(
+    reframing: Reframing, clip: TruthClip, frames: Frames, masks: NDArray[np.bool_]
+) -> tuple[TruthClip, Frames, Array]:
+    """Show a square clip in another size, then estimate the framing and undo it as `score` does.
 
     Args:
         reframing: output size and way.
         clip: the clip; benchmark clips are square.
         frames: (T, H, W, 3) its frames.
         masks: (T, H, W) gripper pixels.
+
+    Returns:
+        The clip with the camera of the estimated framing, its frames, and the share (T,) of the gripper's pixels that
+        are still in the image.
 
     Raises:
         UnmeasurableError: the framing cannot be estimated.
@@ -72,8 +67,7 @@ def reframe(reframing: Reframing, clip: TruthClip, frames: Frames, masks: NDArra
     ends = (np.array([[0, 0], reframing.size]) - true.map[:, 2]) / np.diag(true.map)  # of the video, in the image
     (left, top), (right, bottom) = np.clip(ends, 0, size).round().astype(int)
     shown = masks[:, top:bottom, left:right].sum(axis=(1, 2)) / np.maximum(masks.sum(axis=(1, 2)), 1)
-    camera = estimate.camera(clip.camera)
-    return ReframedClip(clip=replace(clip, camera=camera), frames=estimate.crop(video), shown=shown)
+    return replace(clip, camera=estimate.camera(clip.camera)), estimate.crop(video), shown
 
 
 def _apply(frame: NDArray[np.uint8], framing: Framing) -> NDArray[np.uint8]:

@@ -39,8 +39,6 @@ class GroundingStudy:
 
     title: str
     conditions: tuple[TrialCondition, ...]
-    groups: dict[str, str]
-    """Group of each condition, by its name."""
     required: tuple[str, ...] = ()
     """Names of the conditions that the grounding is required to tolerate."""
 
@@ -82,29 +80,23 @@ def evaluation(variant: str) -> GroundingStudy:
     if variant not in VARIANTS:
         raise UsageError(f"pipeline {variant!r} is not known; there are {', '.join(VARIANTS)}")
     name = VARIANTS[variant].label
-    return GroundingStudy(title=name, conditions=(TrialCondition(name=name, variant=variant),), groups={name: name})
+    return GroundingStudy(title=name, conditions=(TrialCondition(name=name, variant=variant),))
 
 
 def robustness(kinds: Sequence[PerturbationKind]) -> GroundingStudy:
     """Return the study of unchanged frames and of each kind of perturbation at its strengths."""
     steps = [p for kind in kinds for p in ladder(kind)]
-    conditions = (CLEAN, *(TrialCondition(name=p.label, perturbation=p) for p in steps))
     return GroundingStudy(
         title="Pose errors under perturbations",
-        conditions=conditions,
-        groups={CLEAN.name: "", **{p.label: p.kind.value for p in steps}},
+        conditions=(CLEAN, *(TrialCondition(name=p.label, perturbation=p, group=p.kind.value) for p in steps)),
         required=tuple(p.label for p in steps if p.is_required),
     )
 
 
 def framing() -> GroundingStudy:
     """Return the study of unchanged frames and of the sizes and shapes of video models."""
-    others = reframings()
-    return GroundingStudy(
-        title="Pose errors in other sizes and shapes",
-        conditions=(CLEAN, *(TrialCondition(name=other.label, reframing=other) for other in others)),
-        groups={CLEAN.name: "", **{other.label: other.way for other in others}},
-    )
+    others = (TrialCondition(name=r.label, reframing=r, group=r.way) for r in reframings())
+    return GroundingStudy(title="Pose errors in other sizes and shapes", conditions=(CLEAN, *others))
 
 
 def depth_ablation(plug_ins: Sequence[str]) -> GroundingStudy:
@@ -113,30 +105,25 @@ def depth_ablation(plug_ins: Sequence[str]) -> GroundingStudy:
     Raises:
         UsageError: an estimator is not available.
     """
-    conditions = [TrialCondition(name="true depth", variant="true-depth"), TrialCondition(name="our estimate")]
-    groups = {c.name: c.name for c in conditions}
+    conditions = [
+        TrialCondition(name="true depth", variant="true-depth", group="true depth"),
+        TrialCondition(name="our estimate", group="our estimate"),
+    ]
     for kind, levels in _DEGRADATIONS.items():
         for level in levels:
             name = f"{kind} {max(level.scale, level.field, level.noise):.0%}"
-            conditions.append(TrialCondition(name=name, degradation=level))
-            groups[name] = kind
+            conditions.append(TrialCondition(name=name, degradation=level, group=kind))
     for spec in plug_ins:
         plug_in(spec)
         name = depth_source_name(spec)
-        conditions.append(TrialCondition(name=name, plug_in=spec))
-        groups[name] = name
-    title = "Pose errors with depth of graded quality"
-    return GroundingStudy(title=title, conditions=tuple(conditions), groups=groups)
+        conditions.append(TrialCondition(name=name, plug_in=spec, group=name))
+    return GroundingStudy(title="Pose errors with depth of graded quality", conditions=tuple(conditions))
 
 
 def budget() -> GroundingStudy:
     """Return the study of the error budget: each true value as prior, one at a time and all together."""
-    conditions = tuple(TrialCondition(name=variant.label, variant=name) for name, variant in VARIANTS.items())
-    return GroundingStudy(
-        title="Pose errors with true values put in",
-        conditions=conditions,
-        groups={c.name: c.name for c in conditions},
-    )
+    conditions = tuple(TrialCondition(name=v.label, variant=name, group=v.label) for name, v in VARIANTS.items())
+    return GroundingStudy(title="Pose errors with true values put in", conditions=conditions)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -47,15 +47,6 @@ class VanishLatency:
     """Frames tracked although there is no gripper."""
 
 
-def vanish_latencies(errors: ClipErrors) -> list[VanishLatency]:
-    """Return the latency at each planted vanishing of a clip."""
-    return [
-        latency(errors.tracked, fault.frame_start, fault.frame_end)
-        for fault in errors.planted
-        if fault.kind is AnomalyKind.VANISH
-    ]
-
-
 def latency(tracked: NDArray[np.bool_], start: int, end: int) -> VanishLatency:
     """Return the latency of a track (T,) for a gripper that is absent from frame `start` to `end`, inclusive."""
     absent, after = tracked[start : end + 1], tracked[end + 1 :]
@@ -241,8 +232,8 @@ def intervals(
 
 def summarize(results: Results) -> dict[str, float]:
     """Return all figures of a set of clips, NaN where there is nothing to measure."""
-    latencies = [latency for e in results for latency in vanish_latencies(e)]
     planted = [(e, fault) for e in results for fault in e.planted]
+    latencies = [latency(e.tracked, f.frame_start, f.frame_end) for e, f in planted if f.kind is AnomalyKind.VANISH]
     tracked = [e.tracked_fraction for e in results if e.visible.any()]
     wall = [e.expense.wall_s * CLIP_FRAMES / len(e.tracked) for e in results]
     cpu = [e.expense.cpu_s * CLIP_FRAMES / len(e.tracked) for e in results]

@@ -45,6 +45,8 @@ class TrialCondition:
     """Spec of another depth estimator."""
     reframing: Reframing | None = None
     """Size and shape of the frames."""
+    group: str = ""
+    """Conditions of one group have one colour in figures."""
 
     def identity(self) -> str:
         """Return a text that is equal for equal conditions; a plug-in counts with its files, not with their paths."""
@@ -105,8 +107,8 @@ class TrialWorkerFactory:
             source, condition = loaded[trial.clip.id], trial.condition
             clip, frames, share = source.clip, None, source.share
             if condition.reframing is not None:
-                reframed = reframe(condition.reframing, clip, source.frames, source.masks)
-                clip, frames, share = reframed.clip, reframed.frames, np.asarray(share * reframed.shown)
+                clip, frames, shown = reframe(condition.reframing, clip, source.frames, source.masks)
+                share = np.asarray(share * shown)
             elif condition.perturbation is not None:
                 frames, masks = perturb(condition.perturbation, source.frames, source.masks, self.seed, clip.id)
                 shown = masks.sum(axis=(1, 2)) / np.maximum(source.masks.sum(axis=(1, 2)), 1)

@@ -72,12 +72,9 @@ class MeasureOptions:
         for line in outcome.lines():
             click.echo(line)
         if self.figure:
-            save(draw_comparison(outcome.results, outcome.figures, study.groups, study.title), self.figure)
+            groups = [condition.group for condition in study.conditions]
+            save(draw_comparison(outcome.results, outcome.figures, groups, study.title), self.figure)
         return outcome
-
-    def write_json(self, value: dict[str, Any]) -> None:
-        """Write the figures to the file of --json, if given."""
-        _write_json(self.json_out, value)
 
 
 def _measure_options(command: Callable[..., None]) -> Callable[..., None]:
@@ -99,6 +96,7 @@ def _clips_file(json_out: Path | None) -> Path | None:
 
 
 def _write_json(path: Path | None, value: dict[str, Any]) -> None:
+    """Write the figures to the file of --json, if given."""
     from kinebench_drake.io.jsonl import write_json
 
     if path is not None:
@@ -160,7 +158,7 @@ def evaluate(options: MeasureOptions, pipeline: str, true_depth: bool) -> None:
         click.echo("")
         for line in lines:
             click.echo(line)
-    options.write_json({"pipeline": outcome.study.title, **tables.evaluation_json(results, options.seed)})
+    _write_json(options.json_out, {"pipeline": outcome.study.title, **tables.evaluation_json(results, options.seed)})
     if options.figure:
         from kinebench_drake.grounding.evaluation.figures import draw_evaluation
         from kinebench_drake.io.figure import save
@@ -179,7 +177,7 @@ def budget(options: MeasureOptions) -> None:
     """
     from kinebench_drake.grounding.evaluation import study
 
-    options.write_json(options.compare(study.budget()).to_json())
+    _write_json(options.json_out, options.compare(study.budget()).to_json())
 
 
 @click.command(
@@ -201,7 +199,7 @@ def framing(options: MeasureOptions) -> None:
     """
     from kinebench_drake.grounding.evaluation import study
 
-    options.write_json(options.compare(study.framing()).to_json())
+    _write_json(options.json_out, options.compare(study.framing()).to_json())
 
 
 _KINDS = ("deformation", "occlusion", "contrast", "motion-blur", "noise", "h264", "latent", "ghosting")
@@ -244,7 +242,7 @@ def robustness(options: MeasureOptions, only: str, sheet: Path | None) -> None:
     if sheet:
         first = study.StudyPlan(folder=options.folder).clips()[0]
         save(draw_contact_sheet(first, kinds, options.seed), sheet)
-    options.write_json(options.compare(study.robustness(kinds)).to_json())
+    _write_json(options.json_out, options.compare(study.robustness(kinds)).to_json())
 
 
 @click.command(
@@ -288,7 +286,7 @@ def depth_ablation(options: MeasureOptions, plug_ins: tuple[str, ...], heatmap: 
             f"relative depth error of our estimate on the gripper: median {errors.median:.2%}, 95 % {errors.p95:.2%}; "
             f"common to a frame: median {errors.level_median:.2%}"
         )
-    options.write_json({**outcome.to_json(), "relative_depth_error": figures})
+    _write_json(options.json_out, {**outcome.to_json(), "relative_depth_error": figures})
     if heatmap and errors is not None:
         save(draw_depth(errors, "our estimate"), heatmap)
 

@@ -22,9 +22,17 @@ from kinebench_drake.grounding.baseline.comparison import (
     groups,
     percentiles,
 )
-from kinebench_drake.grounding.baseline.fitting import BaselineConfig, losses, train
+from kinebench_drake.grounding.baseline.fitting import (
+    LABELLED,
+    BaselineConfig,
+    Demonstrations,
+    Windows,
+    decode,
+    load_demonstrations,
+    losses,
+    train,
+)
 from kinebench_drake.grounding.baseline.network import CONTEXT, Baseline, PoseOutput, from_six, resize_frames
-from kinebench_drake.grounding.baseline.windows import LABELLED, Demonstrations, Windows, decode, load_demonstrations
 from kinebench_drake.grounding.training.loop import Schedule
 from kinebench_drake.io.camerafile import save_camera
 

@@ -8,7 +8,7 @@ import pytest
 
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.errors import UsageError
-from kinebench_drake.grounding.evaluation.anomalies import ClipAnomalies, PlantedCase, find_cases, located
+from kinebench_drake.grounding.evaluation.anomalies import ClipAnomalies, find_cases, located
 from kinebench_drake.grounding.evaluation.anomaly_table import (
     GATES,
     UNITS,
@@ -19,6 +19,7 @@ from kinebench_drake.grounding.evaluation.anomaly_table import (
     table_json,
     table_lines,
 )
+from kinebench_drake.grounding.evaluation.clip import PlantedCase
 from kinebench_drake.io.camerafile import save_camera
 from kinebench_drake.suites.faults.fault import GRADES
 from kinebench_drake.types import Anomaly, AnomalyKind
@@ -121,8 +122,8 @@ def test_cases_are_so_many_of_each_fault(tmp_path):
     clean = folder(tmp_path / "clean", {"A1": None, "A2": None, "B1": None})
     faulty = folder(tmp_path / "faulty", {f"A{i}_{s}": {**fault, "size": s} for s in (3.0, 5.0) for i in range(3)})
     cases = find_cases(clean, faulty, 2)
-    assert [c.id for c, planted in cases if planted is None] == ["A1", "B1"]
-    assert [planted.size for _, planted in cases if planted] == [3.0, 3.0, 5.0, 5.0]
+    assert [c.id for c in cases if c.planted is None] == ["A1", "B1"]
+    assert [c.planted.size for c in cases if c.planted] == [3.0, 3.0, 5.0, 5.0]
     assert len(find_cases(clean, faulty, None)) == 9
     with pytest.raises(UsageError, match="no fault of A1"):
         find_cases(clean, clean, None)

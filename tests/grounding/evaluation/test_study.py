@@ -136,7 +136,10 @@ def test_figures_are_drawn(folder: Path, tmp_path: Path, errors: Callable[..., C
         SilentObserver(),
         FakeWorkers(errors),
     )
-    save(draw_comparison(outcome.results, outcome.figures, outcome.study.groups, "title"), tmp_path / "a.png")
+    save(
+        draw_comparison(outcome.results, outcome.figures, [c.group for c in outcome.study.conditions], "title"),
+        tmp_path / "a.png",
+    )
     save(draw_evaluation(outcome.results["as it is"]), tmp_path / "b.png")
     for name in ("a.png", "b.png"):
         assert (tmp_path / name).read_bytes().startswith(b"\x89PNG")
