@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +20,7 @@ from kinebench_drake.grounding.smoothing import RawTrack
 from kinebench_drake.grounding.tracker import CadTracker, FramePose, PoseTracker
 from kinebench_drake.grounding.view import Frames, GripperView
 from kinebench_drake.models.panda.robot import RobotPart, hand_from_tcp
-from kinebench_drake.models.perception.network import load_network
+from kinebench_drake.models.perception.network import WEIGHTS, load_network
 from kinebench_drake.types import NO_PRIORS, Anomaly, GripperTrack, InitialState, InitialStateUse, Priors
 
 TRACKED_CONFIDENCE = 0.3
@@ -73,13 +74,13 @@ class GroundingPipeline:
         self._tracker, self.confidence = tracker, confidence
 
     @classmethod
-    def create(cls, device: str | None = None) -> "GroundingPipeline":
-        """Create the pipeline with the shipped weights.
+    def create(cls, device: str | None = None, weights: Path | None = None) -> "GroundingPipeline":
+        """Create the pipeline, with `weights` in place of those shipped.
 
         Raises:
             SetupError: weights, calibration, meshes or native libraries are missing.
         """
-        return cls(CadTracker(NetworkEstimator(load_network(), device)), Confidence.load())
+        return cls(CadTracker(NetworkEstimator(load_network(weights or WEIGHTS), device)), Confidence.load())
 
     def warm_up(self) -> None:
         """Ground a blank video, since the first use of the network and of the ray caster is slow."""

@@ -169,7 +169,11 @@ def _convert(source: str, root: ElementTree.Element, meshes: dict[str, Path | No
                 for child in parent.findall(tag):
                     parent.remove(child)
         for joint in root.findall("joint"):
-            _limit_continuous(joint)
+            if joint.get("type") == "continuous":
+                joint.set("type", "revolute")
+                limit = joint.find("limit")
+                limit = ElementTree.SubElement(joint, "limit") if limit is None else limit
+                limit.attrib.update(lower=repr(-math.pi), upper=repr(math.pi))
             for dynamics in joint.findall("dynamics"):
                 dynamics.attrib.pop("friction", None)
         targets = _targets(meshes)
@@ -195,15 +199,6 @@ def _targets(meshes: dict[str, Path | None]) -> dict[str, str]:
             name = f"{path.stem}.obj"
             targets[uri] = name if name not in targets.values() else f"{path.stem}_{len(targets)}.obj"
     return targets
-
-
-def _limit_continuous(joint: ElementTree.Element) -> None:
-    if joint.get("type") == "continuous":
-        joint.set("type", "revolute")
-        limit = joint.find("limit")
-        limit = ElementTree.SubElement(joint, "limit") if limit is None else limit
-        limit.set("lower", repr(-math.pi))
-        limit.set("upper", repr(math.pi))
 
 
 def _convert_element(

@@ -32,26 +32,15 @@ class Quantity(Enum):
     """Error quantities with their unit."""
 
     POSITION = "position [mm]"
+    """Of panda_hand_tcp in the base frame."""
     ROTATION = "rotation [degrees]"
+    """Of panda_hand_tcp."""
     FINGER = "finger gap [mm]"
+    """Of the gap between the finger pads."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PoseErrors:
-    """Errors of a method in one video; NaN where it has no pose."""
-
-    position_m: Array
-    """(T,) of panda_hand_tcp in the base frame [m]."""
-    rotation_rad: Array
-    """(T,) of panda_hand_tcp [rad]."""
-    finger_m: Array
-    """(T,) of the gap between the finger pads [m]."""
-
-    def in_unit(self, quantity: Quantity) -> Array:
-        """Return the errors (T,) in the unit of the quantity."""
-        if quantity is Quantity.ROTATION:
-            return np.asarray(np.rad2deg(self.rotation_rad))
-        return 1e3 * (self.position_m if quantity is Quantity.POSITION else self.finger_m)
+PoseErrors = Mapping[Quantity, Array]
+"""Errors (T,) of a method in one video, in the units of `Quantity`; NaN where it has no pose."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -85,9 +74,11 @@ class ComparisonGroup:
 def errors(truth: Demonstration, X_BG: Array, finger_width_m: Array) -> PoseErrors:
     """Return the errors of a track with poses (T, 4, 4) and gaps (T,) [m]."""
     position, rotation = pose_difference(truth.X_BG, X_BG)
-    return PoseErrors(
-        position_m=position, rotation_rad=rotation, finger_m=np.abs(finger_width_m - truth.finger_width_m)
-    )
+    return {
+        Quantity.POSITION: 1e3 * position,
+        Quantity.ROTATION: np.rad2deg(rotation),
+        Quantity.FINGER: 1e3 * np.abs(finger_width_m - truth.finger_width_m),
+    }
 
 
 def compare(clip: Demonstration, camera: Camera, baseline: Baseline, pipeline: GroundingPipeline) -> ClipComparison:
@@ -99,14 +90,7 @@ def compare(clip: Demonstration, camera: Camera, baseline: Baseline, pipeline: G
     frames = read_video(clip.path).frames
     if len(frames) != len(clip.t_s):
         raise InputError(f"{clip.path.name}: has {len(frames)} frames, its truth has {len(clip.t_s)}")
-    prediction, track = baseline.predict(frames), pipeline.ground(frames, camera, clip.t_s).track
-    always = errors(clip, prediction.X_BG, prediction.finger_width_m)
-    untracked = np.where(track.tracked, 0.0, np.nan)
-    where_tracked = PoseErrors(
-        position_m=always.position_m + untracked,
-        rotation_rad=always.rotation_rad + untracked,
-        finger_m=always.finger_m + untracked,
-    )
+    always, track = errors(clip, *baseline.predict(frames)), pipeline.ground(frames, camera, clip.t_s).track
     return ClipComparison(
         id=clip.id,
         task=clip.task,
@@ -114,7 +98,7 @@ def compare(clip: Demonstration, camera: Camera, baseline: Baseline, pipeline: G
         tracked_fraction=float(track.tracked.mean()),
         errors={
             Extractor.BASELINE: always,
-            Extractor.BASELINE_WHERE_TRACKED: where_tracked,
+            Extractor.BASELINE_WHERE_TRACKED: {q: np.where(track.tracked, e, np.nan) for q, e in always.items()},
             Extractor.GROUNDING: errors(clip, track.X_BG, track.finger_width_m),
         },
     )
@@ -147,7 +131,7 @@ def percentiles(videos: Sequence[Array], rng: np.random.Generator) -> tuple[Inte
 def compare_group(name: str, clips: Sequence[ClipComparison], *, pooled: bool, seed: int = 0) -> ComparisonGroup:
     """Return the errors of a group of videos; the same videos and seed give the same numbers."""
     rng = np.random.default_rng(seed)
-    values = {(m, q): [clip.errors[m].in_unit(q) for clip in clips] for m in Extractor for q in Quantity}
+    values = {(m, q): [clip.errors[m][q] for clip in clips] for m in Extractor for q in Quantity}
     figures = {key: percentiles(videos, rng) for key, videos in values.items()}
     return ComparisonGroup(
         name=name,

@@ -166,16 +166,6 @@ def resize_frames(frames: Frames, size: int) -> NDArray[np.uint8]:
     return np.stack([np.asarray(cv2.resize(f, (size, size), interpolation=how), dtype=np.uint8) for f in frames])
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class BaselineTrack:
-    """Output of the baseline for a video; unlike the grounding it has a pose in every frame."""
-
-    X_BG: Array
-    """(T, 4, 4) pose of panda_hand_tcp in the base frame [m]."""
-    finger_width_m: Array
-    """(T,) gap between the finger pads [m]."""
-
-
 class Baseline:
     """Trained network with the camera and the tasks of its training."""
 
@@ -221,8 +211,11 @@ class Baseline:
             raise UsageError("the baseline was trained for another camera; train it on demonstrations of this one")
 
     @torch.inference_mode()
-    def predict(self, frames: Frames) -> BaselineTrack:
-        """Return poses and gaps of all `frames` (T, H, W, 3)."""
+    def predict(self, frames: Frames) -> tuple[Array, Array]:
+        """Return the poses X_BG (T, 4, 4) and the gaps (T,) between the finger pads [m] of all `frames` (T, H, W, 3).
+
+        Unlike the grounding, the baseline has a pose in every frame.
+        """
         images = torch.from_numpy(resize_frames(frames, self._size)).permute(0, 3, 1, 2)
         embedded = torch.cat(
             [self._network.embed(part.to(self._device) / 255.0) for part in torch.split(images, _BATCH)]
@@ -230,6 +223,4 @@ class Baseline:
         before, after = embedded[:1].expand(CONTEXT, -1), embedded[-1:].expand(CONTEXT, -1)
         output = self._network.fuse(torch.cat([before, embedded, after])[None])
         rotation, position = (x[0].cpu().double().numpy() for x in (output.rotation, output.position))
-        return BaselineTrack(
-            X_BG=make_pose(rotation, position), finger_width_m=output.finger_width[0].cpu().double().numpy()
-        )
+        return make_pose(rotation, position), output.finger_width[0].cpu().double().numpy()

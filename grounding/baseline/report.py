@@ -81,16 +81,10 @@ def comparison_lines(
         UsageError: a folder cannot be used, or its camera is not the one of the training.
         SetupError: weights are missing.
     """
-    from kinebench_drake.grounding.confidence import Confidence
-    from kinebench_drake.grounding.estimator import NetworkEstimator
-    from kinebench_drake.grounding.tracker import CadTracker
-    from kinebench_drake.models.perception.network import WEIGHTS, load_network
-
     baseline, sources = Baseline.load(weights), [load_demonstrations(folder) for folder in folders]
     for source in sources:
         baseline.require_camera(source.camera)
-    estimator = NetworkEstimator(load_network(grounding_weights or WEIGHTS))
-    pipeline = GroundingPipeline(CadTracker(estimator), Confidence.load())
+    pipeline = GroundingPipeline.create(weights=grounding_weights)
     clips: list[ClipComparison] = []
     for source in sources:
         for task in source.tasks:
@@ -107,10 +101,10 @@ def comparison_lines(
 
 def _line(clip: ClipComparison) -> str:
     medians = [
-        f"{method.value} {np.nanmedian(clip.errors[method].in_unit(Quantity.POSITION)):.1f} mm "
-        f"{np.nanmedian(clip.errors[method].in_unit(Quantity.ROTATION)):.1f} degrees"
+        f"{method.value} {np.nanmedian(clip.errors[method][Quantity.POSITION]):.1f} mm "
+        f"{np.nanmedian(clip.errors[method][Quantity.ROTATION]):.1f} degrees"
         for method in (Extractor.BASELINE, Extractor.GROUNDING)
-        if np.isfinite(clip.errors[method].position_m).any()
+        if np.isfinite(clip.errors[method][Quantity.POSITION]).any()
     ]
     return f"{clip.id:34s} tracked {clip.tracked_fraction:.3f}  {'  '.join(medians)}"
 

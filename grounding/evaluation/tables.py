@@ -71,10 +71,7 @@ def task_table(results: Results) -> Iterator[str]:
     columns = {
         "videos": "videos",
         "tracked_fraction": "tracked",
-        "position_median_mm": "mm median",
-        "position_p95_mm": "mm p95",
-        "rotation_median_deg": "deg median",
-        "rotation_p95_deg": "deg p95",
+        **{name: heading for name, heading in COMPARED.items() if name.startswith(("position", "rotation"))},
         "finger_width_median_mm": "gap mm",
         "open_or_closed_right": "open/closed",
         "lasting_flips": "flips",

@@ -6,8 +6,15 @@ import numpy as np
 import pytest
 from scipy.ndimage import binary_dilation
 
-from kinebench_drake.grounding.evaluation.perturbation.catalogue import Perturbation, PerturbationKind, ladder, perturb
-from kinebench_drake.grounding.evaluation.perturbation.degrade import code_latent, directions, line_kernel
+from kinebench_drake.grounding.evaluation.perturbation.catalogue import (
+    Perturbation,
+    PerturbationKind,
+    code_latent,
+    directions,
+    ladder,
+    line_kernel,
+    perturb,
+)
 from kinebench_drake.grounding.evaluation.perturbation.gripper import displacement, smooth_noise
 
 Square = tuple[np.ndarray, np.ndarray]
@@ -115,6 +122,6 @@ def test_ghosts_are_of_the_frames_before() -> None:
 def test_a_latent_keeps_what_is_smooth_and_any_number_of_frames() -> None:
     x = np.linspace(60, 180, 40).astype(np.uint8)
     ramp = np.broadcast_to(x[None, None, :, None], (5, 36, 40, 3)).copy()
-    seen = code_latent(ramp, np.ones((5, 36, 40), bool), np.random.default_rng(0), 48.0)
-    assert seen.frames.shape == ramp.shape
-    assert np.abs(seen.frames.astype(int) - ramp).max() <= 3
+    coded, _ = code_latent(ramp, np.ones((5, 36, 40), bool), np.random.default_rng(0), 48.0)
+    assert coded.shape == ramp.shape
+    assert np.abs(coded.astype(int) - ramp).max() <= 3
