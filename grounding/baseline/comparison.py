@@ -66,9 +66,8 @@ class ComparisonGroup:
     pooled: bool
     """True for several tasks together."""
     tracked_fraction: float
-    medians: Mapping[tuple[Extractor, Quantity], IntervalEstimate]
-    p95s: Mapping[tuple[Extractor, Quantity], IntervalEstimate]
-    """95th percentiles."""
+    figures: Mapping[tuple[Extractor, Quantity], tuple[IntervalEstimate, IntervalEstimate]]
+    """Median and 95th percentile of the errors."""
 
 
 def errors(truth: Demonstration, X_BG: Array, finger_width_m: Array) -> PoseErrors:
@@ -132,15 +131,13 @@ def compare_group(name: str, clips: Sequence[ClipComparison], *, pooled: bool, s
     """Return the errors of a group of videos; the same videos and seed give the same numbers."""
     rng = np.random.default_rng(seed)
     values = {(m, q): [clip.errors[m][q] for clip in clips] for m in Extractor for q in Quantity}
-    figures = {key: percentiles(videos, rng) for key, videos in values.items()}
     return ComparisonGroup(
         name=name,
         trained=clips[0].trained,
         videos=len(clips),
         pooled=pooled,
         tracked_fraction=float(np.mean([clip.tracked_fraction for clip in clips])),
-        medians={key: median for key, (median, _) in figures.items()},
-        p95s={key: p95 for key, (_, p95) in figures.items()},
+        figures={key: percentiles(videos, rng) for key, videos in values.items()},
     )
 
 

@@ -37,7 +37,7 @@ def table(compared: Sequence[ComparisonGroup]) -> Iterator[str]:
             if method is Extractor.BASELINE_WHERE_TRACKED and not g.pooled:
                 continue
             tracked = "" if method is Extractor.BASELINE else f"{100 * g.tracked_fraction:.1f} %"
-            cells = [_format(values[method, q]) for q in Quantity for values in (g.medians, g.p95s)]
+            cells = [_format(figure) for q in Quantity for figure in g.figures[method, q]]
             if method is Extractor.BASELINE:
                 yield g.name
             start = [f"  {method.value:{_NAME - 2}}", f"{g.videos:>6}", f"{tracked:>8}"]
@@ -56,7 +56,7 @@ def as_json(compared: Sequence[ComparisonGroup]) -> list[dict[str, object]]:
                 m.value: {
                     f"{q.name.lower()}_{share}": [f.value, f.low, f.high]
                     for q in Quantity
-                    for share, f in (("median", g.medians[m, q]), ("p95", g.p95s[m, q]))
+                    for share, f in zip(("median", "p95"), g.figures[m, q], strict=True)
                 }
                 for m in Extractor
             },
@@ -128,13 +128,11 @@ def draw(compared: Sequence[ComparisonGroup], path: Path) -> None:
     x = np.arange(len(compared))
     for panel, quantity in zip(panels, Quantity, strict=True):
         for method, (label, colour, marker, shift) in _STYLE.items():
-            medians = [g.medians[method, quantity] for g in compared]
-            value = np.array([f.value for f in medians])
-            top = np.array([g.p95s[method, quantity].value for g in compared])
+            figures = [g.figures[method, quantity] for g in compared]
+            value, low, high = np.array([(median.value, median.low, median.high) for median, _ in figures]).T
+            top = np.array([p95.value for _, p95 in figures])
             panel.vlines(x + shift, value, top, color=colour, lw=1.2, alpha=0.6)
             panel.plot(x + shift, top, "_", color=colour, ms=7, alpha=0.6)
-            low = np.array([f.low for f in medians])
-            high = np.array([f.high for f in medians])
             panel.vlines(x + shift, low, high, color=colour, lw=5, alpha=0.35)
             panel.plot(x + shift, value, marker, color=colour, ms=6, label=label)
         panel.set_yscale("log")

@@ -81,7 +81,9 @@ class TruthClip:
                 share[i] = 0.0
                 continue
             crop, hit = _silhouette(X_CH, float(self.finger_width_m[i]), cad, _SHARE_PX)
-            area = _area_px(crop.rays()[hit] @ crop.R_CV.T, crop, self.camera)
+            z = np.maximum((crop.rays()[hit] @ crop.R_CV.T)[:, 2], 0.1)
+            # area [px] on the image plane: each pixel times the determinant of the homography's Jacobian
+            area = float((self.camera.fx * self.camera.fy / crop.focal**2 / z**3).sum())
             share[i] = min(float(masks[i].sum()) / area, 1.0) if area else 0.0
         return share
 
@@ -92,20 +94,6 @@ def _silhouette(X_CH: Array, width_m: float, cad: GripperCad, size: int) -> tupl
     finger_m = width_m / 2 if np.isfinite(width_m) else 0.02
     surface = cad.cast(invert(crop.X_CV) @ X_CH, crop.rays().reshape(-1, 3), finger_m)
     return crop, surface.part.reshape(size, size) > 0
-
-
-def _area_px(rays_C: Array, crop: Crop, camera: Camera) -> float:
-    """Return the area [px] that pixels of a crop cover in the image plane, continued beyond the image.
-
-    Each pixel is scaled by the determinant of the homography's Jacobian.
-
-    Args:
-        rays_C: (n, 3) rays of the pixels, z = 1 in the crop's frame.
-        crop: the crop.
-        camera: camera of the image plane.
-    """
-    z = np.maximum(rays_C[:, 2], 0.1)
-    return float((camera.fx * camera.fy / crop.focal**2 / z**3).sum())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -31,7 +31,6 @@ class VariantTools:
 
     estimator: DenseEstimator
     cad: GripperCad
-    confidence: Confidence
     shipped: GroundingPipeline
     """The shipped pipeline, warmed up."""
 
@@ -43,14 +42,9 @@ class VariantTools:
             SetupError: one of them is missing.
         """
         estimator, cad = NetworkEstimator(load_network(weights or WEIGHTS)), GripperCad()
-        confidence = Confidence.load()
-        pipeline = GroundingPipeline(CadTracker(estimator, cad), confidence)
+        pipeline = GroundingPipeline(CadTracker(estimator, cad), Confidence.load())
         pipeline.warm_up()
-        return cls(estimator=estimator, cad=cad, confidence=confidence, shipped=pipeline)
-
-    def pipeline(self, estimator: DenseEstimator) -> GroundingPipeline:
-        """Return the shipped pipeline with another estimator."""
-        return GroundingPipeline(CadTracker(estimator, self.cad), self.confidence)
+        return cls(estimator=estimator, cad=cad, shipped=pipeline)
 
 
 Ground = Callable[[VariantTools, TruthClip, Frames], GroundingResult]
@@ -150,7 +144,8 @@ def degraded(degradation: Degradation, seed: int) -> Ground:
 
     def ground(tools: VariantTools, clip: TruthClip, frames: Frames) -> GroundingResult:
         rng = np.random.default_rng([seed, *clip.id.encode()])
-        pipeline = tools.pipeline(DegradedEstimator(tools.estimator, len(clip.t_s), degradation, rng))
+        estimator = DegradedEstimator(tools.estimator, len(clip.t_s), degradation, rng)
+        pipeline = GroundingPipeline(CadTracker(estimator, tools.cad), tools.shipped.confidence)
         return pipeline.ground(frames, clip.camera, clip.t_s)
 
     return ground

@@ -9,20 +9,20 @@ import click
 
 from kinebench_drake.cli.perception_evaluate import anomalies, budget, depth_ablation, evaluate, framing, robustness
 
+_FILE = click.Path(path_type=Path, dir_okay=False)
+_FOLDER = click.Path(path_type=Path, file_okay=False)
+_EXISTING_FOLDER = click.Path(path_type=Path, exists=True, file_okay=False)
 _DATA = click.option(
-    "--data", type=click.Path(path_type=Path, file_okay=False), default=Path("data/frames"), show_default=True,
+    "--data", type=_FOLDER, default=Path("data/frames"), show_default=True,
     help="Folder of rendered frames; missing ones are rendered into it.",
 )  # fmt: skip
 _JOBS = click.option("--jobs", type=click.IntRange(1), default=2, show_default=True, help="Rendering processes.")
-_WEIGHTS = click.option(
-    "--weights", type=click.Path(path_type=Path, dir_okay=False), default=None,
-    help="Network weights (safetensors).  [default: those shipped]",
-)  # fmt: skip
+_WEIGHTS = click.option("--weights", type=_FILE, help="Network weights (safetensors).  [default: those shipped]")
 
 
 def _demos(purpose: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     return click.option(
-        "--demos", multiple=True, type=click.Path(path_type=Path, file_okay=False, exists=True),
+        "--demos", multiple=True, type=_EXISTING_FOLDER,
         help=f"Folder of `suite demos --format frames` {purpose} as well; repeatable.",
     )  # fmt: skip
 
@@ -39,7 +39,7 @@ def perception() -> None:
 )
 @_DATA
 @click.option(
-    "--out", type=click.Path(path_type=Path, file_okay=False), default=Path("data/training"), show_default=True,
+    "--out", type=_FOLDER, default=Path("data/training"), show_default=True,
     help="Folder for checkpoints and weights; an interrupted run resumes from it.",
 )  # fmt: skip
 @click.option("--scenes", type=click.IntRange(1), default=600, show_default=True, help="Number of scenes of 20 frames.")
@@ -88,19 +88,19 @@ def train(
     "      --out models/perception/confidence.json"
 )
 @click.option(
-    "--data", type=click.Path(path_type=Path, file_okay=False), default=Path("data/held-out"), show_default=True,
+    "--data", type=_FOLDER, default=Path("data/held-out"), show_default=True,
     help="Folder of held-out frames; missing ones are rendered into it.",
 )  # fmt: skip
 @_demos("to evaluate")
 @click.option(
-    "--videos", type=click.Path(path_type=Path, file_okay=False, exists=True),
+    "--videos", type=_EXISTING_FOLDER,
     help="Folder of `suite demos` videos to fit the confidence within a track.  [default: keep the shipped one]",
 )  # fmt: skip
 @_WEIGHTS
 @click.option(
     "--scenes", type=click.IntRange(2), default=40, show_default=True, help="Number of held-out scenes of 20 frames."
 )
-@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), default=None, help="File for the calibration.")
+@click.option("--out", type=_FILE, help="File for the calibration.")
 @_JOBS
 def calibrate(
     data: Path,
@@ -139,11 +139,11 @@ def baseline() -> None:
     "  kinebench-drake perception baseline train --data demos/ --out baseline/",
 )
 @click.option(
-    "--data", type=click.Path(path_type=Path, exists=True, file_okay=False), required=True,
+    "--data", type=_EXISTING_FOLDER, required=True,
     help="Folder of demonstrations, as `suite demos --format mp4` writes them.",
 )  # fmt: skip
 @click.option(
-    "--out", type=click.Path(path_type=Path, file_okay=False), required=True,
+    "--out", type=_FOLDER, required=True,
     help="Folder for decoded frames, checkpoints and weights; an interrupted run resumes from it.",
 )  # fmt: skip
 @click.option("--steps", type=click.IntRange(1), default=2400, show_default=True, help="Training steps.")
@@ -168,20 +168,12 @@ def train_baseline(data: Path, out: Path, steps: int, batch_size: int, seed: int
     "  kinebench-drake suite demos --suite 1 --split unseen --episodes 5 --out unseen/\n"
     "  kinebench-drake perception baseline evaluate seen/ unseen/ --weights baseline/baseline.safetensors\n",
 )
-@click.argument(
-    "folders", metavar="FOLDER...", nargs=-1, required=True,
-    type=click.Path(path_type=Path, exists=True, file_okay=False),
-)  # fmt: skip
-@click.option(
-    "--weights", type=click.Path(path_type=Path, dir_okay=False), required=True, help="Weights of the baseline.",
-)  # fmt: skip
-@click.option(
-    "--grounding-weights", type=click.Path(path_type=Path, dir_okay=False), default=None,
-    help="Weights of the grounding.  [default: those shipped]",
-)  # fmt: skip
+@click.argument("folders", metavar="FOLDER...", nargs=-1, required=True, type=_EXISTING_FOLDER)
+@click.option("--weights", type=_FILE, required=True, help="Weights of the baseline.")
+@click.option("--grounding-weights", type=_FILE, help="Weights of the grounding.  [default: those shipped]")
 @click.option("--limit", type=click.IntRange(1), default=None, help="Number of videos of each task.")
 @click.option(
-    "--out", type=click.Path(path_type=Path, file_okay=False), default=Path("baseline-comparison"), show_default=True,
+    "--out", type=_FOLDER, default=Path("baseline-comparison"), show_default=True,
     help="Folder for the table (txt, json) and the figure (png).",
 )  # fmt: skip
 def evaluate_baseline(

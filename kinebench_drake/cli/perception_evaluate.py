@@ -14,20 +14,21 @@ if TYPE_CHECKING:
     from kinebench_drake.grounding.evaluation.study import GroundingStudy, StudyOutcome
 
 _FOLDER = click.Path(path_type=Path, exists=True, file_okay=False)
+_FILE = click.Path(path_type=Path, dir_okay=False)
 _WEIGHTS = click.option(
     "--weights", type=click.Path(path_type=Path, dir_okay=False, exists=True), default=None,
     help="Network weights to evaluate (safetensors).  [default: those shipped]",
 )  # fmt: skip
 _JOBS = click.option("--jobs", type=click.IntRange(1), default=1, show_default=True, help="Worker processes.")
 _JSON = click.option(
-    "--json", "json_out", type=click.Path(path_type=Path, dir_okay=False),
+    "--json", "json_out", type=_FILE,
     help="Write the figures to this file; finished measurements are kept in NAME.clips.jsonl beside it.",
 )  # fmt: skip
-_FIGURE = click.option("--figure", type=click.Path(path_type=Path, dir_okay=False), help="Plot the figures (png).")
+_FIGURE = click.option("--figure", type=_FILE, help="Plot the figures (png).")
 _OPTIONS = (
     click.argument("folder", type=_FOLDER),
     _WEIGHTS,
-    click.option("--limit", type=click.IntRange(1), default=None, help="Number of videos, from all tasks in turn."),
+    click.option("--limit", type=click.IntRange(1), help="Number of videos, from all tasks in turn."),
     _JOBS,
     click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of all random draws."),
     _JSON,
@@ -224,9 +225,8 @@ Example:
 @_measure_options
 @click.option("--only", default=",".join(_KINDS), show_default=True, help="Kinds of perturbations, comma-separated.")
 @click.option(
-    "--sheet", type=click.Path(path_type=Path, dir_okay=False),
-    help="Draw a contact sheet: one frame of the first video under each perturbation (png).",
-)  # fmt: skip
+    "--sheet", type=_FILE, help="Draw a contact sheet: one frame of the first video under each perturbation (png)."
+)
 def robustness(options: MeasureOptions, only: str, sheet: Path | None) -> None:
     """Measure the errors of the same videos under perturbations of the frames."""
     from kinebench_drake.grounding.evaluation import study
@@ -261,10 +261,7 @@ Example:
     "--depth", "plug_ins", multiple=True, metavar="moge:CHECKPOINT|module:Class",
     help="Another depth estimator: MoGe-2, or a class of yours; repeatable.",
 )  # fmt: skip
-@click.option(
-    "--heatmap", type=click.Path(path_type=Path, dir_okay=False),
-    help="Plot the depth errors over the gripper, and one example frame (png).",
-)  # fmt: skip
+@click.option("--heatmap", type=_FILE, help="Plot the depth errors over the gripper, and one example frame (png).")
 def depth_ablation(options: MeasureOptions, plug_ins: tuple[str, ...], heatmap: Path | None) -> None:
     """Measure the effect of depth quality: true depth, estimated depth, degraded depth, other depth estimators.
 

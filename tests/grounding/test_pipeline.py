@@ -39,7 +39,7 @@ def pipeline(estimator: NetworkEstimator, cad: GripperCad) -> GroundingPipeline:
 
 @pytest.fixture(scope="session")
 def tools(estimator: NetworkEstimator, cad: GripperCad, pipeline: GroundingPipeline) -> VariantTools:
-    return VariantTools(estimator=estimator, cad=cad, confidence=pipeline.confidence, shipped=pipeline)
+    return VariantTools(estimator=estimator, cad=cad, shipped=pipeline)
 
 
 @pytest.fixture(scope="session")

@@ -247,7 +247,7 @@ def test_groups_pool_frames_and_tell_trained_from_unseen() -> None:
     found = list(groups(clips))
     assert [g.name for g in found] == ["A", "B", "trained tasks", "C", "unseen tasks"]
     assert [g.videos for g in found] == [3, 3, 6, 3, 3]
-    assert found[2].medians[Extractor.BASELINE, Quantity.POSITION].value == pytest.approx(2.0)
+    assert found[2].figures[Extractor.BASELINE, Quantity.POSITION][0].value == pytest.approx(2.0)
 
 
 def test_the_interval_is_over_videos_not_frames() -> None:
