@@ -20,7 +20,7 @@ SHAPING = (
     *("grounding/registration/fit.py", "grounding/registration/solver.py", "grounding/framing/search.py"),
     *("grounding/overrides/depth.py", "grounding/anomaly/detect.py", "grounding/evaluation/errors.py"),
     *("grounding/evaluation/clip.py", "grounding/evaluation/variants.py", "grounding/evaluation/reframing.py"),
-    *("grounding/evaluation/perturbation/gripper.py", "grounding/evaluation/perturbation/degrade.py"),
+    *("grounding/evaluation/perturbation/gripper.py", "grounding/evaluation/perturbation/catalogue.py"),
 )
 PRESENTING = tuple(
     f"grounding/evaluation/{name}.py"
