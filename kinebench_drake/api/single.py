@@ -20,7 +20,6 @@ from kinebench_drake.datasets.trajectories.trajectory import RawTrajectory, Traj
 from kinebench_drake.datasets.videos.find import find_samples
 from kinebench_drake.datasets.videos.sample import CameraSource, VideoSample
 from kinebench_drake.errors import InputError, UsageError
-from kinebench_drake.evaluation import audit
 from kinebench_drake.evaluation.analyzer import Analyzer, AnalyzerFactory, RobotOptions, load_analyzer
 from kinebench_drake.evaluation.audit import judge_trajectory
 from kinebench_drake.evaluation.evaluator import SampleInfo
@@ -217,7 +216,7 @@ def audit_trajectory(
         table_height_m=table_height_m, urdf=None if urdf is None else Path(urdf), tcp_frame=tcp_frame
     )
     if options.urdf is not None:
-        _warn(*audit.robot_remarks(options.urdf, tcp_frame))
+        _warn(*options.load().remarks)
     reading = TrajectoryOptions(rate_hz=rate_hz, joints=joints, poses=poses)
     if isinstance(trajectory, GripperTrack):
         _refuse_with(

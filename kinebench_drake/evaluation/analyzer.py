@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import InputError, SetupError, UsageError
 from kinebench_drake.geometry import Array
+from kinebench_drake.models.arm import choose_robot
+from kinebench_drake.models.robot import Robot
 from kinebench_drake.types import GripperTrack, Priors
 
 if TYPE_CHECKING:  # Drake, torch and Open3D take seconds to load
@@ -49,6 +51,18 @@ class RobotOptions:
         if self.urdf is not None and not self.urdf.is_file():
             raise UsageError(f"--robot {self.urdf}: there is no such file, expected a URDF")
 
+    def load(self) -> Robot:
+        """Load the robot.
+
+        Raises:
+            UsageError: it cannot be used.
+            SetupError: the Panda's files are missing.
+        """
+        try:
+            return choose_robot(self.urdf, self.tcp_frame)
+        except InputError as error:
+            raise UsageError(f"--robot and --tcp-frame: {error}") from None
+
 
 class Analyzer:
     """Grounding with the shipped networks, kinematics in Drake."""
@@ -57,15 +71,13 @@ class Analyzer:
         """Load the robot; networks and gripper meshes are loaded with the first video.
 
         Raises:
-            InputError: the robot cannot be used.
+            UsageError: the robot cannot be used.
             SetupError: the Panda's files are missing.
         """
         from kinebench_drake.kinematics.plant import ArmPlant
         from kinebench_drake.metrics.judge import TrackJudge
-        from kinebench_drake.models.arm import choose_robot
 
-        plant = ArmPlant(choose_robot(options.urdf, options.tcp_frame))
-        self._judge = TrackJudge(plant, table_height_m=options.table_height_m)
+        self._judge = TrackJudge(ArmPlant(options.load()), table_height_m=options.table_height_m)
 
     @cached_property
     def _pipeline(self) -> "GroundingPipeline":

@@ -9,12 +9,10 @@ import numpy as np
 
 from kinebench_drake.datasets.trajectories.source import find_trajectories, read_trajectory
 from kinebench_drake.datasets.trajectories.trajectory import Trajectory, TrajectoryOptions, TrajectorySample
-from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.evaluation.analyzer import Analyzer, RobotOptions, load_analyzer
 from kinebench_drake.evaluation.config import RunConfig, RunKind
 from kinebench_drake.evaluation.evaluator import KINEMATIC_METRICS, Evaluation, Evaluator
 from kinebench_drake.evaluation.runner import NullRunObserver, RunObserver, RunSummary, run_samples
-from kinebench_drake.models.arm import choose_robot
 from kinebench_drake.results.row import SampleRow
 from kinebench_drake.results.store import artifact_path
 from kinebench_drake.results.trackfile import write_track
@@ -100,7 +98,7 @@ def audit_trajectories(config: AuditConfig, observer: RunObserver | None = None)
         config.source, config.trajectory_options(), out=config.out, model=config.model, task=config.task
     )
     if config.urdf is not None:
-        remarks = robot_remarks(config.urdf, config.tcp_frame)
+        remarks = config.robot_options().load().remarks
         for remark in remarks:
             observer.warn(f"{config.urdf.name}: {remark}")
         config = replace(config, robot_remarks=remarks)
@@ -111,18 +109,6 @@ def audit_trajectories(config: AuditConfig, observer: RunObserver | None = None)
     if len(warnings) > _MOST_WARNINGS:
         observer.warn(f"{len(warnings) - _MOST_WARNINGS} more kinds of warnings: see the rows")
     return summary
-
-
-def robot_remarks(urdf: Path, tcp_frame: str | None) -> tuple[str, ...]:
-    """Return the assumptions made when a URDF is read.
-
-    Raises:
-        UsageError: the robot cannot be used.
-    """
-    try:
-        return choose_robot(urdf, tcp_frame).remarks
-    except InputError as error:
-        raise UsageError(f"--robot and --tcp-frame: {error}") from None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

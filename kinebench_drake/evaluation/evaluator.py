@@ -5,7 +5,7 @@ import math
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
@@ -156,17 +156,8 @@ class Evaluator(ABC, Generic[SampleT, ResourcesT]):
 
     def failed_row(self, sample: SampleT, status: Status, reason: str) -> SampleRow:
         """Return the row of a sample without results: every metric is null."""
-        return SampleRow(
-            id=sample.id,
-            video=sample.video,
-            task=sample.task,
-            model=sample.model,
-            status=status,
-            reason=one_line(reason),
-            content_hash=self.content_hash(sample),
-            metrics=dict.fromkeys(self.metric_names),
-            extra=self.labels(sample),
-        )
+        row = self._ok_row(sample, Evaluation(kinematics=None))
+        return replace(row, status=status, reason=one_line(reason), null_reasons={})
 
     def row(self, sample: SampleT, resources: ResourcesT) -> SampleRow:
         """Evaluate a sample; any failure but a SetupError ends here and becomes its row."""

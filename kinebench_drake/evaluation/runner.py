@@ -183,11 +183,9 @@ def summarize(rows: Sequence[SampleRow], metadata: RunMetadata) -> dict[str, Jso
 def _replay(config: RunConfig, ids: Sequence[str], observer: RunObserver) -> None:
     """Write 3D replays; a machine that cannot (no program may open a port) costs the replays, not the report."""
     from kinebench_drake.kinematics.plant import ArmPlant
-    from kinebench_drake.models.arm import choose_robot
     from kinebench_drake.report.replay import write_replays
 
-    options = config.robot_options()
     try:
-        write_replays(config.out, ids, ArmPlant(choose_robot(options.urdf, options.tcp_frame)))
+        write_replays(config.out, ids, ArmPlant(config.robot_options().load()))
     except SetupError as error:
         observer.warn(f"no 3D replays were written: {error}")

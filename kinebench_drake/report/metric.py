@@ -65,11 +65,10 @@ _EPISODE = (
     ("gap_psnr_db", "PSNR [dB]", "{:.1f}", "of imagined against executed frames"),
     ("gap_ssim", "SSIM", "{:.3f}", "of imagined against executed frames"),
 )
-METRICS = tuple(
-    Metric(name=name, label=label, pattern=pattern, meaning=meaning)
+BY_NAME = {
+    name: Metric(name=name, label=label, pattern=pattern, meaning=meaning)
     for name, label, pattern, meaning in (*_TRACK, *_CONFIGURATION, *_MOTION, *_EPISODE)
-)
-BY_NAME = {metric.name: metric for metric in METRICS}
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -11,7 +11,7 @@ from kinebench_drake.errors import InputError, cause
 from kinebench_drake.io.atomic import write_atomically
 from kinebench_drake.io.jsonl import as_object, intern_text, read_json
 from kinebench_drake.report.limits import to_number
-from kinebench_drake.report.metric import BY_NAME, METRICS, Metric, MetricLayout, layout_of
+from kinebench_drake.report.metric import BY_NAME, Metric, MetricLayout, layout_of
 from kinebench_drake.report.plot import Histogram, count_values, draw_histogram
 from kinebench_drake.report.sample import (
     GOOD_VERDICTS,
@@ -90,7 +90,9 @@ def build_page(out: Path) -> str:
         total=total,
         headlines=[(BY_NAME[n], total.estimates[n]) for n in layout.headlines if _is_measured(total, n)],
         metrics=[
-            (m, total.estimates[m.name]) for m in (*METRICS, *_other_metrics(total)) if _is_measured(total, m.name)
+            (m, total.estimates[m.name])
+            for m in (*BY_NAME.values(), *_other_metrics(total))
+            if _is_measured(total, m.name)
         ],
         groups=[(key, groups) for key in ("task", "model") if (groups := group_rows(rows, key, seed))],
         histograms=[draw_histogram(h, VERDICTS) for h in count_metrics(rows, total, layout)],

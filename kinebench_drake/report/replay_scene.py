@@ -35,6 +35,7 @@ _ARM_COLORS = {
 }
 _REACHED_COLOR = (0.13, 0.38, 0.75)
 _AXES = {"x": (0.8, 0.0, 0.0), "y": (0.0, 0.6, 0.0), "z": (0.0, 0.0, 0.8)}
+"""sRGB of the axes of the small frame at the TCP."""
 _TABLE_COLOR = Rgba(0.62, 0.53, 0.42, 0.35)
 _TABLE_SIZE_M = (1.2, 1.4, 0.01)
 _OPACITY = 0.45
@@ -151,7 +152,9 @@ class ReplayScene:
         wanted = _interpolate(times, self._t_s[self._posed], self._X_BG[self._posed])
         width = np.interp(times, self._t_s, self._width)
         self._move(animation, "/tcp", times, wanted)
-        self._draw_axes()
+        for axis, (name, color) in enumerate(_AXES.items()):
+            ends = np.stack([np.zeros(3), 0.06 * np.eye(3)[axis]])
+            self._mesh(f"/tcp/{name}", *_tube(ends, 0.002), color)
         if self.has_arm:
             t_solved, q_solved = self._t_s[self._solved], self._q[self._solved]
             q = np.stack([np.interp(times, t_solved, q_solved[:, j]) for j in range(q_solved.shape[1])], axis=-1)
@@ -209,12 +212,6 @@ class ReplayScene:
         ]
         broken = covered_frames([v for v in self._row.violations if v.get("joint") in joints], len(colors))
         return [COLORS[FrameState.BROKEN] if b else color for color, b in zip(colors, broken, strict=True)]
-
-    def _draw_axes(self) -> None:
-        """Draw a small red, green and blue frame at the TCP."""
-        for axis, (name, color) in enumerate(_AXES.items()):
-            ends = np.stack([np.zeros(3), 0.06 * np.eye(3)[axis]])
-            self._mesh(f"/tcp/{name}", *_tube(ends, 0.002), color)
 
     def _mesh(self, path: str, vertices: ArrayLike, faces: ArrayLike, color: Color, opacity: float = 1.0) -> None:
         self._meshcat.SetTriangleMesh(

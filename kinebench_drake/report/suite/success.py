@@ -270,12 +270,16 @@ def draw_verdicts(episodes: Sequence[EpisodeResult]) -> ReportFigure:
         NO_VERDICT: COLOURS[5],
         _NOT_MEASURED: NEUTRAL,
     }
-    shares = [_shares(tally(own)) for *_, own in runs]
+    counts = [
+        {"success": sum(e.success is True for e in own), **t.verdicts, _NOT_MEASURED: t.unmeasurable + t.errors}
+        for *_, own in runs
+        for t in [tally(own)]
+    ]
     figure, axes = new_figure(7.2, 1.3 + 0.36 * len(runs))
     ax = axes[0, 0]
     left = [0.0] * len(runs)
     for name, colour in colours.items():
-        widths = [share[name] for share in shares]
+        widths = [count[name] / len(own) for count, (*_, own) in zip(counts, runs, strict=True)]
         if any(widths):
             places = [len(runs) - 1 - k for k in range(len(runs))]
             ax.barh(places, widths, left=left, color=colour, height=0.68, label=name, edgecolor="white", linewidth=0.6)
@@ -294,9 +298,3 @@ def draw_verdicts(episodes: Sequence[EpisodeResult]) -> ReportFigure:
         "one; task: none of these, and the goal was not reached); episodes that could not be measured.",
         figure=figure,
     )
-
-
-def _shares(t: Tally) -> dict[str, float]:
-    successes = round((t.pooled.mean or 0.0) * t.measured)
-    counts = {"success": successes, **t.verdicts, _NOT_MEASURED: t.unmeasurable + t.errors}
-    return {name: count / t.episodes for name, count in counts.items()}
