@@ -75,10 +75,7 @@ def look_panels(executor: Executor, sort: str, seed: int) -> list[Panel]:
 
 def task_table(tasks: Sequence[str]) -> str:
     """Return the cards of tasks and the prompts of their episodes of seed 0 as a Markdown table."""
-    rows = [
-        ("task", "difficulty", "joints", "contacts", "clips", "variants", "prompt (seed 0)"),
-        ("---",) * 7,
-    ]
+    rows = [("task", "difficulty", "joints", "contacts", "clips", "variants", "prompt (seed 0)"), ("---",) * 7]
     for task in tasks:
         card = find_task(task).card
         joints = f"{card.articulated_dof} ({card.axes})" if card.articulated_dof else "0"

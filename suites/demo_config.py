@@ -1,36 +1,22 @@
 """Configuration of a set of demonstrations."""
 
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Any
 
 import kinebench_drake
 from kinebench_drake.results.metadata import Shard
+from kinebench_drake.suites.export import DatasetConfig
 from kinebench_drake.suites.formats.demo import Content, FormatKind, RenderOptions
 from kinebench_drake.suites.formats.format import find_format
-from kinebench_drake.suites.suite import EpisodeSpec, Suite
-from kinebench_drake.suites.tasks.task import TaskVariant
+from kinebench_drake.suites.suite import EpisodeSpec
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class DemoConfig:
+class DemoConfig(DatasetConfig):
     """Demonstrations to make."""
 
-    suite: Suite
-    split: str
-    """Name of one of the suite's splits."""
-    tasks: tuple[str, ...]
-    """Plain task ids of the split."""
-    episodes: int
-    """Successful demonstrations of each task."""
-    seed: int
-    """Number of the first of the split's seeds."""
-    variant: TaskVariant
-    """Variant of the scenes."""
     options: RenderOptions
     kind: FormatKind
-    out: Path
-    """Output folder."""
     shard: Shard | None = None
     """Share of the seeds to use; None: all."""
 

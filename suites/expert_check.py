@@ -36,8 +36,8 @@ class ExpertTrial:
 
     episode: Episode
     policy: Policy
-    success: bool
-    progress: float
+    success: bool = False
+    progress: float = 0.0
     """Progress, 0..1."""
     reason: str
     """Failed conditions, or why the expert found no path; empty on success."""
@@ -53,7 +53,7 @@ class _TrialWorker:
         self._simulators = SimulatorCache(Simulator, benchmark_camera().width, renders=False)
 
     def __call__(self, episode: Episode) -> ExpertTrial:
-        simulator, frames = self._simulators.get(episode.task, episode.variant), 1
+        simulator = self._simulators.get(episode.task, episode.variant)
         try:
             if self._policy is Policy.EXPERT:
                 rollout = run_expert(simulator, find_expert(episode.task), episode)
@@ -61,17 +61,13 @@ class _TrialWorker:
             else:
                 outcome, frames = _run_open_loop(simulator, episode, self._policy)
         except Exception as error:
-            failed = TaskOutcome(success=False, progress=0.0, conditions={})
-            return self._trial(episode, failed, frames, failure_reason(error))
-        return self._trial(episode, outcome, frames, outcome.reason)
-
-    def _trial(self, episode: Episode, outcome: TaskOutcome, frames: int, reason: str) -> ExpertTrial:
+            return ExpertTrial(episode=episode, policy=self._policy, reason=failure_reason(error), frames=1)
         return ExpertTrial(
             episode=episode,
             policy=self._policy,
             success=outcome.success,
             progress=outcome.progress,
-            reason=reason,
+            reason=outcome.reason,
             frames=frames,
         )
 
@@ -99,9 +95,7 @@ def run_trials(executor: Executor, episodes: Sequence[Episode], policy: Policy) 
     """Run every episode once and yield the trials in any order; a worker crash is a failed trial."""
     for done in executor.run(partial(_TrialWorker, policy), list(episodes)):
         if isinstance(done, WorkerCrash):
-            yield ExpertTrial(
-                episode=done.item, policy=policy, success=False, progress=0.0, reason=done.reason, frames=0
-            )
+            yield ExpertTrial(episode=done.item, policy=policy, reason=done.reason, frames=0)
         else:
             yield done.result
 

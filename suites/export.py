@@ -34,8 +34,8 @@ FRAMES = CLIP_FRAMES + 1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ExportConfig:
-    """Episodes to export."""
+class DatasetConfig:
+    """Episodes of a suite to write to a folder."""
 
     suite: Suite
     split: str
@@ -43,15 +43,21 @@ class ExportConfig:
     tasks: tuple[str, ...]
     """Plain task ids of the split."""
     episodes: int
-    """Episodes of each task."""
+    """Episodes of each task; of demonstrations, the successful ones."""
     seed: int
     """Number of the first of the split's seeds."""
     variant: TaskVariant
     """Variant of the scenes."""
-    size: int
-    """Width and height of the first frames [px]."""
     out: Path
     """Output folder."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ExportConfig(DatasetConfig):
+    """Episodes whose first frames to export."""
+
+    size: int
+    """Width and height of the first frames [px]."""
 
     def specs(self) -> list[EpisodeSpec]:
         """Return the episodes, task by task."""

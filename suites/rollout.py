@@ -126,10 +126,7 @@ def run_expert(simulator: Simulator, expert: Expert, episode: Episode, *, every:
         if simulator.outcome().success:
             break
     return Rollout(
-        episode=episode,
-        snapshots=tuple(snapshots),
-        controls=np.concatenate(controls),
-        outcome=simulator.outcome(),
+        episode=episode, snapshots=tuple(snapshots), controls=np.concatenate(controls), outcome=simulator.outcome()
     )
 
 

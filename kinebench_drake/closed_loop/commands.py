@@ -104,12 +104,7 @@ class CommandPlanner:
         self._collisions = CollisionModel(plant)
 
     def plan(
-        self,
-        X_BG: Array,
-        finger_width_m: Array,
-        tracked: NDArray[np.bool_],
-        t_s: Array,
-        start: RobotState,
+        self, X_BG: Array, finger_width_m: Array, tracked: NDArray[np.bool_], t_s: Array, start: RobotState
     ) -> Commands:
         """Plan commands with which the gripper follows a track.
 

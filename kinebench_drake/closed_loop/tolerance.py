@@ -71,8 +71,8 @@ class ToleranceAttempt:
 
     episode: Episode
     grade: ErrorGrade
-    success: bool
-    progress: float
+    success: bool = False
+    progress: float = 0.0
     """Progress, 0..1."""
     reason: str
     """Failed conditions, or why there was nothing to execute; empty on success."""
@@ -124,7 +124,8 @@ class _AttemptWorker:
         try:
             rollout = run_expert(simulator, find_expert(episode.task), episode)
         except Exception as error:
-            return [_attempt(episode, grade, failure_reason(error)) for grade in self._grades]
+            reason = failure_reason(error)
+            return [ToleranceAttempt(episode=episode, grade=grade, reason=reason) for grade in self._grades]
         return [self._attempt(simulator, rollout, grade) for grade in self._grades]
 
     def _attempt(self, simulator: Simulator, rollout: Rollout, grade: ErrorGrade) -> ToleranceAttempt:
@@ -143,7 +144,7 @@ class _AttemptWorker:
                 if done:
                     break
         except UnmeasurableError as error:
-            return _attempt(episode, grade, str(error))
+            return ToleranceAttempt(episode=episode, grade=grade, reason=str(error))
         outcome = simulator.outcome()
         return ToleranceAttempt(
             episode=episode, grade=grade, success=outcome.success, progress=outcome.progress, reason=outcome.reason
@@ -160,10 +161,6 @@ class _AttemptWorker:
         end = execution.snapshots[-1]
         state = RobotState(q=end.q, finger_width_m=float(end.fingers_m.sum()), gripping=commands.gripping)
         return state, execution.outcome.success
-
-
-def _attempt(episode: Episode, grade: ErrorGrade, reason: str) -> ToleranceAttempt:
-    return ToleranceAttempt(episode=episode, grade=grade, success=False, progress=0.0, reason=reason)
 
 
 def run_attempts(

@@ -275,12 +275,7 @@ def _faucet(asset_id: str, index: int, rng: np.random.Generator) -> AssetModel:
         asset_id=asset_id,
         words=f"{finish} faucet",
         bodies=(base.body("body", Material()), handle.body("handle", brass, joint)),
-        size={
-            "range_rad": travel,
-            "height_m": design.height,
-            "lever_m": design.lever,
-            "half_width_m": half_width,
-        },
+        size={"range_rad": travel, "height_m": design.height, "lever_m": design.lever, "half_width_m": half_width},
         sites={"lever": site_at("handle", [design.lever, 0.0, 0.0])},
     )
 

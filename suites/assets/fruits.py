@@ -15,14 +15,7 @@ from scipy.interpolate import PchipInterpolator
 
 from kinebench_drake.geometry import Array, rotation_exp
 from kinebench_drake.suites.assets.mesh import BodyParts, arc_length, lathe, smooth_mesh, sparse_hull, sweep
-from kinebench_drake.suites.assets.model import (
-    AssetKind,
-    AssetModel,
-    Material,
-    Mesh,
-    SurfaceFinish,
-    Visual,
-)
+from kinebench_drake.suites.assets.model import AssetKind, AssetModel, Material, Mesh, SurfaceFinish, Visual
 from kinebench_drake.suites.assets.peel import SKINS
 
 FRUITS = ("apple", "banana", "orange", "peach", "pear", "strawberry")

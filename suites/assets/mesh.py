@@ -110,10 +110,7 @@ def smooth_mesh(vertices: ArrayLike, faces: ArrayLike, uv: ArrayLike, *, crease_
         normals[group] = near @ area[owner[group]]
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-15)
     return Mesh(
-        vertices=points[corners],
-        faces=np.arange(len(corners)).reshape(-1, 3),
-        normals=normals,
-        uv=texture[corners],
+        vertices=points[corners], faces=np.arange(len(corners)).reshape(-1, 3), normals=normals, uv=texture[corners]
     )
 
 

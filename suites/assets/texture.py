@@ -289,11 +289,7 @@ def bricks(
 
 
 def tiles(
-    rng: np.random.Generator,
-    color: ArrayLike,
-    joint: ArrayLike = (150, 148, 144),
-    *,
-    other: ArrayLike | None = None,
+    rng: np.random.Generator, color: ArrayLike, joint: ArrayLike = (150, 148, 144), *, other: ArrayLike | None = None
 ) -> Texture:
     """Return square tiles of one colour, or two alternating ones, with joints; four per row."""
     count = 4

@@ -60,11 +60,7 @@ def _yaw(model: AssetModel, rng: np.random.Generator) -> float:
 
 
 def _scatter_apart(
-    rng: np.random.Generator,
-    radii_m: Sequence[float],
-    occupied: Sequence[tuple[Array, float]],
-    low: Array,
-    high: Array,
+    rng: np.random.Generator, radii_m: Sequence[float], occupied: Sequence[tuple[Array, float]], low: Array, high: Array
 ) -> Array:
     """Draw points (K, 2) in a rectangle for objects of given radii, apart from each other and from occupied discs.
 
@@ -186,13 +182,7 @@ class StoreFruitsBox(Task):
     Only the final places count, not the order in time.
     """
 
-    card = TaskCard(
-        id="StoreFruitsBox-v1",
-        family="fruits",
-        difficulty=Difficulty.HARD,
-        contacts=3,
-        clips=3,
-    )
+    card = TaskCard(id="StoreFruitsBox-v1", family="fruits", difficulty=Difficulty.HARD, contacts=3, clips=3)
     slots: ClassVar[Mapping[str, str]] = {
         "apple": "fruit/apple",
         "banana": "fruit/banana",

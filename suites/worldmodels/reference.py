@@ -56,7 +56,7 @@ class OracleRenderer:
     def __init__(self) -> None:
         self._simulators: SimulatorCache[FaultSimulator] | None = None
         self._state: tuple[Episode, SimulatorState] | None = None
-        self.true_track: TrueTrack | None = None
+        self.truth: TrueTrack | None = None
         """Ground truth of the last clip; None before the first."""
 
     def set_state(self, episode: Episode, state: SimulatorState) -> None:
@@ -97,11 +97,11 @@ class OracleRenderer:
         if fault is not None and segment is not None:
             rollout = Rollout(episode=episode, snapshots=snapshots, controls=segment.controls, outcome=outcome)
             video, _ = plant(Recording(simulator=simulator, rollout=rollout, video=video), fault)
-        self.true_track = TrueTrack(X_CH=video.X_CH, finger_width_m=video.finger_width_m)
+        self.truth = TrueTrack(X_CH=video.X_CH, finger_width_m=video.finger_width_m)
         return video.rgb
 
 
-class OracleModel:
+class OracleModel(OracleRenderer):
     """World model that renders what the task's expert does next: a perfect model, unless a fault is planted."""
 
     def __init__(self, name: str = "oracle", fault: FaultGrade | None = None, *, discloses: bool = False) -> None:
@@ -112,16 +112,15 @@ class OracleModel:
             fault: fault to plant into the first clip of each episode.
             discloses: whether it reports the true track of its clips, so that no pose is estimated from pixels.
         """
+        super().__init__()
         self.name = name
         self._fault, self._discloses = fault, discloses
-        self._renderer = OracleRenderer()
-        self.set_state = self._renderer.set_state
 
     def generate(self, request: Request, out: Path) -> Path:
         """Render the expert from the current state."""
         fault = self._fault if request.round == 0 else None
         try:
-            return self._renderer.write_clip(find_expert(request.task), request, out, fault)
+            return self.write_clip(find_expert(request.task), request, out, fault)
         except WorldModelError:
             raise
         except InputError as error:
@@ -129,34 +128,25 @@ class OracleModel:
 
     def true_track(self) -> TrueTrack | None:
         """Return the true track of the last clip, if the model discloses it."""
-        return self._renderer.true_track if self._discloses else None
-
-    def close(self) -> None:
-        """Release the simulator."""
-        self._renderer.close()
+        return self.truth if self._discloses else None
 
 
-class RandomPolicyModel:
+class RandomPolicyModel(OracleRenderer):
     """World model that renders a robot moving through random waypoints."""
 
     def __init__(self, name: str = "random") -> None:
+        super().__init__()
         self.name = name
-        self._renderer = OracleRenderer()
-        self.set_state = self._renderer.set_state
 
     def generate(self, request: Request, out: Path) -> Path:
         """Render random motion from the current state; infeasible or colliding paths are drawn again."""
         rng = np.random.default_rng(request.seed)
         for _ in range(_TRIES):
             try:
-                return self._renderer.write_clip(partial(_draw_waypoints, rng), request, out)
+                return self.write_clip(partial(_draw_waypoints, rng), request, out)
             except InputError as error:
                 reason = str(error)
         raise WorldModelError(f"no random path in {_TRIES} tries: {reason}")
-
-    def close(self) -> None:
-        """Release the simulator."""
-        self._renderer.close()
 
 
 def _draw_waypoints(rng: np.random.Generator, scene: Scene) -> list[Waypoint]:
