@@ -1,7 +1,7 @@
 """Rollouts of experts in the simulator, and their rendering, which is separate from the physics."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -66,6 +66,11 @@ class RolloutVideo:
     """(T, H, W) pixels of the gripper (hand and fingers)."""
     robot: NDArray[np.bool_]
     """(T, H, W) pixels of the robot, including the gripper."""
+
+    def select(self, frames: slice | Sequence[int]) -> "RolloutVideo":
+        """Return the video of these frames."""
+        arrays = (field.name for field in fields(self) if field.name != "camera")
+        return replace(self, **{name: getattr(self, name)[frames] for name in arrays})
 
     def save_truth(self, path: Path, *, with_images: bool) -> None:
         """Write the ground truth as npz, reproducible to the byte; `with_images` adds depth and packed masks.

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -188,7 +188,8 @@ def _render_options(
     """
     from kinebench_drake.suites.formats.demo import FormatKind, RenderOptions
 
-    values = {name: x for name, x in (("size", size), ("fps", fps), ("frames", frames), ("crf", crf)) if x is not None}
+    choices = {"size": size, "fps": fps, "frames": frames, "crf": crf}
+    values: dict[str, Any] = {name: x for name, x in choices.items() if x is not None}
     if kind is FormatKind.MANISKILL and values:
         names = ", ".join(f"--{name}" for name in values)
         raise UsageError(f"{names}: --format {kind.value} holds no video, but every control step at 20 Hz")
@@ -199,14 +200,7 @@ def _render_options(
         raise UsageError(f"--with-depth: the truth of --format {kind.value} holds none; take mp4")
     if size is not None and size % 2:
         raise UsageError(f"--size is {size}, expected an even number of pixels")
-    default = RenderOptions()
-    options = RenderOptions(
-        size=size or default.size,
-        frames=default.frames if frames is None else frames,
-        fps=fps or default.fps,
-        crf=default.crf if crf is None else crf,
-        with_depth=with_depth,
-    )
+    options = RenderOptions(**values, with_depth=with_depth)
     if kind is FormatKind.LEROBOT:
         rate = 1.0 / options.frame_period_s
         if fps is not None or rate != round(rate):

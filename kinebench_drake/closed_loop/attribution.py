@@ -127,19 +127,20 @@ def attribute(clips: Sequence[ClipEvidence], goal: str) -> Cause:
     return Cause(verdict=FailureVerdict.TASK, text=text)
 
 
+def _cause(
+    verdict: FailureVerdict, number: int, run: slice, text: str, value: float | None = None, limit: float | None = None
+) -> Cause:
+    """Return a cause with evidence in the frames `run` of a round."""
+    start, end = run.start, run.stop - 1
+    return Cause(verdict=verdict, round=number, frame_start=start, frame_end=end, value=value, limit=limit, text=text)
+
+
 def _lost_poses(number: int, clip: ClipEvidence) -> Iterator[Cause]:
     lost = ~clip.tracked & ~_faulty(clip)
     longest = max(segments(lost), key=_length, default=None)
     if longest is not None and (_length(longest) >= LOST_FRAMES or lost.mean() > LOST_SHARE):
-        yield Cause(
-            verdict=FailureVerdict.GROUNDING,
-            round=number,
-            frame_start=longest.start,
-            frame_end=longest.stop - 1,
-            value=float(lost.sum()),
-            limit=float(LOST_FRAMES - 1),
-            text=f"no pose in {int(lost.sum())} of {len(lost)} frames, {_length(longest)} of them in a row",
-        )
+        text = f"no pose in {int(lost.sum())} of {len(lost)} frames, {_length(longest)} of them in a row"
+        yield _cause(FailureVerdict.GROUNDING, number, longest, text, float(lost.sum()), float(LOST_FRAMES - 1))
 
 
 def _video_faults(number: int, clip: ClipEvidence) -> Iterator[Cause]:
@@ -148,13 +149,8 @@ def _video_faults(number: int, clip: ClipEvidence) -> Iterator[Cause]:
     faults += [(start, end, f"a motion that no Panda can execute, {kind}") for kind, start, end in clip.violations]
     for start, end, name in sorted(faults):
         if start < frames:
-            yield Cause(
-                verdict=FailureVerdict.GENERATION,
-                round=number,
-                frame_start=start,
-                frame_end=min(end, frames - 1),
-                text=f"the video has {name.replace('_', ' ')}",
-            )
+            text = f"the video has {name.replace('_', ' ')}"
+            yield _cause(FailureVerdict.GENERATION, number, slice(start, min(end + 1, frames)), text)
 
 
 def _deviations(number: int, clip: ClipEvidence) -> Iterator[Cause]:
@@ -168,30 +164,17 @@ def _deviations(number: int, clip: ClipEvidence) -> Iterator[Cause]:
         for run in segments(np.nan_to_num(values) > limit):
             if _length(run) >= ASTRAY_FRAMES:
                 worst = float(values[run].max())
-                yield Cause(
-                    verdict=FailureVerdict.EXECUTION,
-                    round=number,
-                    frame_start=run.start,
-                    frame_end=run.stop - 1,
-                    value=worst,
-                    limit=limit,
-                    text=f"the executed {what} is off by up to {worst * factor:.0f} {unit}",
-                )
+                text = f"the executed {what} is off by up to {worst * factor:.0f} {unit}"
+                yield _cause(FailureVerdict.EXECUTION, number, run, text, worst, limit)
 
 
 def _lost_fingers(number: int, clip: ClipEvidence) -> Iterator[Cause]:
     """Yield fingers that move unseen; tested last, as most unknown gaps do no harm."""
     longest = max(_hidden_moves(clip), key=_length, default=None)
     if longest is not None:
-        yield Cause(
-            verdict=FailureVerdict.GROUNDING,
-            round=number,
-            frame_start=longest.start,
-            frame_end=longest.stop - 1,
-            value=float(_length(longest)),
-            limit=float(LOST_FRAMES - 1),
-            text=f"the gap between the fingers is unknown in {_length(longest)} frames in a row, and may change there",
-        )
+        frames = _length(longest)
+        text = f"the gap between the fingers is unknown in {frames} frames in a row, and may change there"
+        yield _cause(FailureVerdict.GROUNDING, number, longest, text, float(frames), float(LOST_FRAMES - 1))
 
 
 def _hidden_moves(clip: ClipEvidence) -> Iterator[slice]:

@@ -7,8 +7,8 @@ from numpy.typing import ArrayLike
 
 from kinebench_drake.geometry import Array
 from kinebench_drake.suites.assets.mesh import BodyParts, box_collider
-from kinebench_drake.suites.assets.model import AssetKind, AssetModel, Material, SurfaceFinish
-from kinebench_drake.suites.assets.texture import Texture, blend, srgb, tileable_noise
+from kinebench_drake.suites.assets.model import AssetMaker, AssetModel, Material, SurfaceFinish
+from kinebench_drake.suites.assets.texture import Texture, gradient, srgb, tileable_noise
 
 COLORS = {"red": (0.65, 0.03, 0.03), "green": (0.04, 0.42, 0.06), "blue": (0.03, 0.09, 0.6)}
 """Linear RGB of cubes."""
@@ -29,25 +29,25 @@ def _texel_positions() -> tuple[Array, Array]:
 
 
 def _uniform(light: Array, dark: Array, rng: np.random.Generator) -> Texture:
-    return blend(light, dark, np.zeros((_PIXELS, _PIXELS)))
+    return gradient((light, dark), np.zeros((_PIXELS, _PIXELS)))
 
 
 def _rim(light: Array, dark: Array, rng: np.random.Generator) -> Texture:
     """Make a face with a darker rim."""
     x, y = _texel_positions()
-    return blend(light, dark, (np.maximum(np.abs(x), np.abs(y)) > rng.uniform(0.38, 0.44)).astype(np.float64))
+    return gradient((light, dark), (np.maximum(np.abs(x), np.abs(y)) > rng.uniform(0.38, 0.44)).astype(np.float64))
 
 
 def _ring(light: Array, dark: Array, rng: np.random.Generator) -> Texture:
     """Make a face with a darker ring."""
     x, y = _texel_positions()
     radius = rng.uniform(0.26, 0.34)
-    return blend(light, dark, (np.abs(np.hypot(x, y) - radius) < rng.uniform(0.04, 0.07)).astype(np.float64))
+    return gradient((light, dark), (np.abs(np.hypot(x, y) - radius) < rng.uniform(0.04, 0.07)).astype(np.float64))
 
 
 def _grain(light: Array, dark: Array, rng: np.random.Generator) -> Texture:
     """Make a face of painted wood with visible grain."""
-    return blend(dark, light, 0.3 + 0.7 * tileable_noise(rng, _PIXELS, slope=1.0, stretch=8.0))
+    return gradient((dark, light), 0.3 + 0.7 * tileable_noise(rng, _PIXELS, slope=1.0, stretch=8.0))
 
 
 _FINISHES = (_uniform, _rim, _ring, _grain)
@@ -69,7 +69,7 @@ def _cube(name: str, asset_id: str, index: int, rng: np.random.Generator) -> Ass
 def _peg_surface(color: ArrayLike, grained: bool, rng: np.random.Generator) -> SurfaceFinish:
     light = srgb(np.clip(np.array(color) * rng.uniform(0.8, 1.25, size=3), 0.0, 1.0))
     grain = tileable_noise(rng, 64, slope=1.0, stretch=8.0) if grained else np.ones((64, 64))
-    return SurfaceFinish(texture=blend(0.65 * light, light, grain), roughness=float(rng.uniform(0.4, 0.9)))
+    return SurfaceFinish(texture=gradient((0.65 * light, light), grain), roughness=float(rng.uniform(0.4, 0.9)))
 
 
 def _peg(asset_id: str, index: int, rng: np.random.Generator) -> AssetModel:
@@ -91,8 +91,5 @@ def _peg(asset_id: str, index: int, rng: np.random.Generator) -> AssetModel:
     return AssetModel(kind="peg", asset_id=asset_id, words="red and blue peg", bodies=(body,), size=size)
 
 
-KINDS = (
-    *(AssetKind(name=f"cube/{color}", make=partial(_cube, color)) for color in COLORS),
-    AssetKind(name="peg", make=_peg),
-)
+KINDS: dict[str, AssetMaker] = {**{f"cube/{color}": partial(_cube, color) for color in COLORS}, "peg": _peg}
 """Cubes of each colour; pegs along x with the red end at -x, plain or grained, some with a light band in the middle."""

@@ -12,7 +12,6 @@ import numpy as np
 from kinebench_drake.geometry import Array, make_pose
 from kinebench_drake.suites.assets.mesh import BodyParts, cylinder_mesh
 from kinebench_drake.suites.assets.model import (
-    AssetKind,
     AssetModel,
     Joint,
     Material,
@@ -198,5 +197,5 @@ def _box(kind: str, asset_id: str, index: int, rng: np.random.Generator) -> Asse
     )
 
 
-KINDS = tuple(AssetKind(name=name, make=partial(_box, name)) for name in (RIMMED, FLUSH))
+KINDS = {name: partial(_box, name) for name in (RIMMED, FLUSH)}
 """Rimmed and flush boxes."""

@@ -11,7 +11,6 @@ import numpy as np
 from kinebench_drake.geometry import make_pose
 from kinebench_drake.suites.assets.mesh import BodyParts, box_collider, cylinder_mesh, lathe, sweep
 from kinebench_drake.suites.assets.model import (
-    AssetKind,
     AssetModel,
     ColliderKind,
     Joint,
@@ -263,6 +262,6 @@ def _cabinet(asset_id: str, index: int, rng: np.random.Generator) -> AssetModel:
     )
 
 
-KINDS = (AssetKind(name="cabinet", make=_cabinet),)
+KINDS = {"cabinet": _cabinet}
 """Cabinets; sites: `edge` (upper edge over the drawer), `pull` and `push` (top of the drawer's front, inner and outer
 side), `tray` (centre of the tray's floor)."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from kinebench_drake.geometry import Array, make_pose, rotation_exp
 from kinebench_drake.suites.assets.mesh import BodyParts, box_collider, lathe, sweep
-from kinebench_drake.suites.assets.model import AssetKind, AssetModel, ColliderKind, Material, SurfaceFinish, Visual
+from kinebench_drake.suites.assets.model import AssetModel, ColliderKind, Material, SurfaceFinish, Visual
 from kinebench_drake.suites.assets.texture import fill, grains, shade, speckle, wood, woven
 
 COMPARTMENTS = 3
@@ -224,7 +224,7 @@ def compartment_center(size: Callable[[str], float], number: int) -> Array:
     return np.array([0.0, (number - 0.5 * (COMPARTMENTS - 1)) * size("pitch_m"), size("floor_m")])
 
 
-KINDS = (AssetKind(name="container", make=_container), AssetKind(name="crate", make=_crate))
+KINDS = {"container": _container, "crate": _crate}
 """Sizes: `inner_x_m` and `inner_y_m` (width at the rim), `round` (1 if these are diameters), `reach_m` (greatest
 horizontal distance from the origin), `floor_m`, `rim_m` (heights); of a crate `cell_m` (width of a compartment),
 `pitch_m` (distance between compartments) and its outer dimensions."""

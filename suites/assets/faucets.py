@@ -14,7 +14,6 @@ from numpy.typing import ArrayLike
 from kinebench_drake.geometry import Array, make_pose, rotation_z
 from kinebench_drake.suites.assets.mesh import BodyParts, frustum, lathe, sweep, unit_ring
 from kinebench_drake.suites.assets.model import (
-    AssetKind,
     AssetModel,
     ColliderKind,
     Joint,
@@ -280,5 +279,5 @@ def _faucet(asset_id: str, index: int, rng: np.random.Generator) -> AssetModel:
     )
 
 
-KINDS = (AssetKind(name="faucet", make=_faucet),)
+KINDS = {"faucet": _faucet}
 """Faucets of six shapes in five finishes."""

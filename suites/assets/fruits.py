@@ -15,7 +15,7 @@ from scipy.interpolate import PchipInterpolator
 
 from kinebench_drake.geometry import Array, rotation_exp
 from kinebench_drake.suites.assets.mesh import BodyParts, arc_length, lathe, smooth_mesh, sparse_hull, sweep
-from kinebench_drake.suites.assets.model import AssetKind, AssetModel, Material, Mesh, SurfaceFinish, Visual
+from kinebench_drake.suites.assets.model import AssetModel, Material, Mesh, SurfaceFinish, Visual
 from kinebench_drake.suites.assets.peel import SKINS
 
 FRUITS = ("apple", "banana", "orange", "peach", "pear", "strawberry")
@@ -266,7 +266,7 @@ def _thickness(skin: Mesh) -> float:
     return float(np.ptp(skin.vertices[near, 1]))
 
 
-KINDS = tuple(AssetKind(name=f"fruit/{name}", make=partial(_fruit, name)) for name in FRUITS)
+KINDS = {f"fruit/{name}": partial(_fruit, name) for name in FRUITS}
 """Fruits by name; sizes: `rest_m` (height of the origin above the support), `height_m`, `length_m` and `width_m` along
 x and y, `grip_m` (thickness at the origin along y), `oblong` (1 if the fingers must close along y), `reach_m`
 (greatest horizontal distance from the origin)."""

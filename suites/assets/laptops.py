@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from kinebench_drake.geometry import Array, make_pose
 from kinebench_drake.suites.assets.mesh import BodyParts, cylinder_mesh, flat_mesh, smooth_mesh
-from kinebench_drake.suites.assets.model import AssetKind, AssetModel, Material, Mesh, SurfaceFinish, lid_hinge, site_at
-from kinebench_drake.suites.assets.texture import blend, rgb, tileable_noise
+from kinebench_drake.suites.assets.model import AssetModel, Material, Mesh, SurfaceFinish, lid_hinge, site_at
+from kinebench_drake.suites.assets.texture import gradient, rgb, tileable_noise
 
 WIDTH_M, DEPTH_M = (0.20, 0.25), (0.135, 0.16)
 """Least and greatest extents of the base along and across the hinge."""
@@ -108,7 +108,7 @@ def _keyboard(size_m: tuple[float, float], keys: ArrayLike, well: ArrayLike, mar
 def _desktop(rng: np.random.Generator, index: int) -> NDArray[np.uint8]:
     """Draw a screen: a wallpaper with a task bar, icons and one or two windows."""
     height, width = 256, 410
-    wallpaper = blend(rng.uniform(10, 120, 3), rng.uniform(120, 250, 3), tileable_noise(rng, height, slope=2.2))
+    wallpaper = gradient((rng.uniform(10, 120, 3), rng.uniform(120, 250, 3)), tileable_noise(rng, height, slope=2.2))
     image = np.repeat(wallpaper.astype(np.float64), 2, axis=1)[:, :width]
     image[-14:] = 0.25 * image[-14:] + 0.75 * np.array([30.0, 32.0, 38.0])
     for i in range(int(rng.integers(5, 10))):
@@ -245,6 +245,6 @@ def _laptop(asset_id: str, index: int, rng: np.random.Generator) -> AssetModel:
     )
 
 
-KINDS = (AssetKind(name="laptop", make=_laptop),)
+KINDS = {"laptop": _laptop}
 """Laptops; sizes: width and depth, height of the feet and of the base's top, the lid's overhang, position of the hinge
 in the base, and in the lid's frame its reach from the axis and the heights of its inner and outer faces."""

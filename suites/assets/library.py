@@ -4,15 +4,15 @@ from functools import lru_cache
 
 from kinebench_drake.errors import UsageError
 from kinebench_drake.suites.assets import blocks, boxes, cabinets, containers, faucets, fruits, laptops, marks
-from kinebench_drake.suites.assets.model import AssetKind, AssetModel
+from kinebench_drake.suites.assets.model import AssetMaker, AssetModel
 from kinebench_drake.suites.seeding import generator
 
 INSTANCES = 24
 """Number of instances of each kind."""
 
 _FAMILIES = (blocks, boxes, cabinets, containers, faucets, fruits, laptops, marks)
-KINDS: dict[str, AssetKind] = {kind.name: kind for family in _FAMILIES for kind in family.KINDS}
-"""All asset kinds by name."""
+KINDS: dict[str, AssetMaker] = {kind: make for family in _FAMILIES for kind, make in family.KINDS.items()}
+"""Maker of each kind; kinds between which tasks distinguish have their own names, such as "fruit/apple"."""
 
 
 def asset_ids(kind: str) -> tuple[str, ...]:
@@ -37,4 +37,4 @@ def model(asset_id: str) -> AssetModel:
     ids = asset_ids(kind)
     if asset_id not in ids:
         raise UsageError(f"no asset {asset_id!r}; of {kind} there are {ids[0]} to {ids[-1]}")
-    return KINDS[kind].make(asset_id, int(number), generator("asset", asset_id))
+    return KINDS[kind](asset_id, int(number), generator("asset", asset_id))

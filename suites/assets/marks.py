@@ -8,7 +8,6 @@ import numpy as np
 from kinebench_drake.geometry import Array, make_pose
 from kinebench_drake.suites.assets.mesh import BodyParts, frustum, lathe
 from kinebench_drake.suites.assets.model import (
-    AssetKind,
     AssetModel,
     Collider,
     ColliderKind,
@@ -144,5 +143,5 @@ def _obstacle(asset_id: str, index: int, rng: np.random.Generator) -> AssetModel
     )
 
 
-KINDS = (AssetKind(name="mark/target", make=_target), AssetKind(name="obstacle/upright", make=_obstacle))
+KINDS = {"mark/target": _target, "obstacle/upright": _obstacle}
 """Flat targets with the origin on the table; bottles, cans, posts and blocks with the origin at the foot's centre."""

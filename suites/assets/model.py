@@ -209,12 +209,6 @@ class AssetModel:
         return len(self.bodies) > 1
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class AssetKind:
-    """Kind of asset, of which the library has several instances."""
-
-    name: str
-    """Such as "box"; kinds between which tasks distinguish have their own names, such as "fruit/apple"."""
-    make: Callable[[str, int, np.random.Generator], AssetModel]
-    """Makes an instance from its asset id, its number 0.. (for properties assigned in turn, such as a faucet's shape)
-    and its own random generator."""
+AssetMaker = Callable[[str, int, np.random.Generator], AssetModel]
+"""Makes an instance of a kind from its asset id, its number 0.. (for properties assigned in turn, such as a faucet's
+shape) and its own random generator."""

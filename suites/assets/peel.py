@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kinebench_drake.geometry import Array
-from kinebench_drake.suites.assets.texture import Texture, blend, gradient, grains, mix, shade, tileable_noise
+from kinebench_drake.suites.assets.texture import Texture, gradient, grains, mix, shade, tileable_noise
 
 SIZE = 192
 """Number of rows and of columns of a skin."""
@@ -58,7 +58,7 @@ def apple(rng: np.random.Generator, index: int) -> Texture:
     cheek = 0.5 + 0.5 * np.cos(u - rng.uniform(0.0, 2.0 * np.pi))
     cover = (0.95, 0.35, 0.45, 1.0)[index % 4] + 0.55 * (cheek - 0.5) + 1.4 * (streaks - 0.5)
     cover = _ramp(cover, 0.1, 0.85) * _ramp(v, 0.03, 0.2) * (1.0 - 0.8 * _ramp(v, 0.78, 0.93))
-    skin = mix(blend(ground, blush, cover), (96, 110, 40), 0.6 * _ramp(v, 0.9, 0.99) + np.zeros_like(cover))
+    skin = mix(gradient((ground, blush), cover), (96, 110, 40), 0.6 * _ramp(v, 0.9, 0.99) + np.zeros_like(cover))
     return mix(skin, (236, 214, 160), 0.55 * _dots(rng, 130, 0.9))
 
 
@@ -67,7 +67,7 @@ def peach(rng: np.random.Generator, index: int) -> Texture:
     ground = _jitter(rng, (240, 178, 96) if index % 3 else (244, 208, 150))
     blush = _jitter(rng, (206, 70, 58) if index % 2 else (188, 48, 62))
     cheek = np.cos(_around() - rng.uniform(0.0, 2.0 * np.pi)) + 1.5 * (tileable_noise(rng, SIZE, slope=1.6) - 0.5)
-    skin = blend(ground, blush, 0.95 * _ramp(cheek + 0.5 * (_height() - 0.5), -0.7, 0.9))
+    skin = gradient((ground, blush), 0.95 * _ramp(cheek + 0.5 * (_height() - 0.5), -0.7, 0.9))
     return shade(skin, 1.0 + 0.12 * (grains(rng, SIZE, 60.0) - 0.5))
 
 
@@ -88,7 +88,7 @@ def pear(rng: np.random.Generator, index: int) -> Texture:
     ground = _jitter(rng, [(176, 186, 70), (216, 198, 88), (196, 188, 80)][index % 3])
     blush = _jitter(rng, [(136, 164, 58), (196, 168, 62), (184, 84, 50)][index % 3])
     cheek = np.cos(_around() - rng.uniform(0.0, 2.0 * np.pi)) + 1.6 * (tileable_noise(rng, SIZE) - 0.5)
-    skin = blend(ground, blush, 0.8 * _ramp(cheek, -0.3, 0.9))
+    skin = gradient((ground, blush), 0.8 * _ramp(cheek, -0.3, 0.9))
     russet = _ramp(_height() + 0.25 * (tileable_noise(rng, SIZE, slope=1.2) - 0.5), 0.84, 1.0)
     skin = mix(skin, (142, 104, 52), 0.75 * np.maximum(russet, _ramp(1.0 - _height(), 0.95, 0.99)))
     return mix(skin, (126, 94, 44), 0.6 * _dots(rng, 200, 0.8))

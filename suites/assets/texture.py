@@ -61,11 +61,6 @@ def _filter_noise(rng: np.random.Generator, size: int, gain: Array) -> Array:
     return np.asarray(np.clip(0.5 + image / 5.0, 0.0, 1.0))
 
 
-def blend(first: ArrayLike, second: ArrayLike, weight: Array) -> Texture:
-    """Return the image (H, W, 3) between two sRGB colours (3,) 0..255 at the weights (H, W) 0..1."""
-    return gradient((first, second), weight)
-
-
 def gradient(colors: Sequence[ArrayLike], weight: Array) -> Texture:
     """Return the image (H, W, 3) that interpolates evenly spaced sRGB colours at the weights (H, W) 0..1."""
     table = np.asarray(colors, dtype=np.float64)
@@ -144,7 +139,7 @@ def wood(rng: np.random.Generator, kind: str = "oak", *, size: int = 256) -> Tex
     ring = phase - np.floor(phase)
     late = ring**2 * np.clip((1.0 - ring) / 0.12, 0.0, 1.0)
     fibre = tileable_noise(rng, size, slope=0.7, stretch=28.0) - 0.5
-    image = blend(*WOODS[kind], 0.32 + 0.5 * late + 1.1 * fibre + 0.25 * warp)
+    image = gradient(WOODS[kind], 0.32 + 0.5 * late + 1.1 * fibre + 0.25 * warp)
     return shade(image, 1.0 - 0.9 * np.clip(-fibre - 0.28, 0.0, 0.2))
 
 
@@ -179,7 +174,7 @@ def marble(rng: np.random.Generator, ground: ArrayLike, vein: ArrayLike) -> Text
     fine = tileable_noise(rng, _LARGE, slope=1.5)
     veins = np.exp(-np.abs(field - 0.5) / 0.012) + 0.5 * np.exp(-np.abs(fine - 0.42) / 0.008)
     clouds = 0.5 * np.clip(field - 0.35, 0.0, 1.0)
-    return blend(ground, vein, np.clip(0.75 * veins * (0.25 + 1.4 * fine * field) + clouds, 0.0, 0.9))
+    return gradient((ground, vein), np.clip(0.75 * veins * (0.25 + 1.4 * fine * field) + clouds, 0.0, 0.9))
 
 
 def granite(rng: np.random.Generator, kind: str = "grey") -> Texture:

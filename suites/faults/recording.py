@@ -1,7 +1,7 @@
 """Recording of a rollout into which faults are planted, and re-rendering of parts of it."""
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -65,12 +65,8 @@ class Recording:
 
     def repeat(self, frame: int, count: int) -> RolloutVideo:
         """Return `count` repetitions of a frame, which follow it in time."""
-        repeated = {
-            field.name: np.repeat(getattr(self.video, field.name)[frame : frame + 1], count, axis=0)
-            for field in fields(RolloutVideo)
-            if field.name not in _UNCHANGED
-        }
-        return RolloutVideo(camera=self.video.camera, t_s=self.video.t_s[frame + 1 : frame + 1 + count], **repeated)
+        t_s = self.video.t_s[frame + 1 : frame + 1 + count]
+        return replace(self.video.select([frame] * count), t_s=t_s)
 
     def visible_starts(self, frames: int) -> list[int]:
         """Return first frames of all stretches of `frames` frames with the gripper in view, fastest motion first.

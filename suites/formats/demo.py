@@ -156,8 +156,7 @@ class Demo:
         frames, controls = slice(k * n, (k + 1) * n + 1), slice(k * steps, (k + 1) * steps)
         rollout, video = self.rollout, self.video
         if video is not None:
-            names = [name for name in RolloutVideo.__dataclass_fields__ if name != "camera"]
-            video = replace(video, **{name: getattr(video, name)[frames] for name in names})
+            video = video.select(frames)
         rollout = replace(rollout, snapshots=rollout.snapshots[frames], controls=rollout.controls[controls])
         return replace(self, rollout=rollout, video=video)
 
