@@ -83,7 +83,7 @@ def outcome_with(simulator: Simulator, poses: dict[str, Array]) -> TaskOutcome:
     """Return the outcome with objects at poses (4, 4) in B."""
     moved = {name: np.concatenate([X[:3, 3] + X_WB, to_quaternion(X[:3, :3])]) for name, X in poses.items()}
     snapshot = simulator.snapshot()
-    simulator.show(replace(snapshot, objects=snapshot.objects | moved))
+    simulator.set_snapshot(replace(snapshot, objects=snapshot.objects | moved))
     return simulator.outcome()
 
 

@@ -95,7 +95,7 @@ def test_the_conditions_hold_at_the_goal_only(simulator: Simulator) -> None:
     opens = simulator.task.card.id.startswith("Open")
     goal = scene.size("cabinet", "travel_m") if opens else 0.5 * SHUT_M
     moved = replace(start, joints={"cabinet": goal})
-    simulator.show(moved)
+    simulator.set_snapshot(moved)
     if "cube" in start.objects:
         outcome = simulator.outcome()
         assert not outcome.success
@@ -103,7 +103,7 @@ def test_the_conditions_hold_at_the_goal_only(simulator: Simulator) -> None:
         X_BT = simulator.scene().site("cabinet", "tray")
         p = X_BT[:3, 3] + [-0.615, 0.0, scene.size("cube", "edge_m") / 2.0]
         cube = np.concatenate([p, to_quaternion(X_BT[:3, :3])])
-        simulator.show(replace(moved, objects={**start.objects, "cube": cube}))
+        simulator.set_snapshot(replace(moved, objects={**start.objects, "cube": cube}))
     conditions = simulator.outcome().conditions
     assert all(conditions.values())
 

@@ -121,7 +121,7 @@ def test_conditions_follow_the_handle(simulator: Simulator) -> None:
     opens = simulator.task.card.id == "OpenFaucet-v1"
     limit = OPEN_FRACTION if opens else CLOSED_FRACTION
     for part in (0.0, limit - 0.01, limit + 0.01, 1.0):
-        simulator.show(replace(simulator.snapshot(), joints={"faucet": part * travel}))
+        simulator.set_snapshot(replace(simulator.snapshot(), joints={"faucet": part * travel}))
         assert simulator.outcome().success == ((part > limit) == opens)
     simulator._env.objects["faucet"].set_qpos(np.array([[(1.0 if opens else 0.0) * travel]], dtype=np.float32))
     simulator._env.objects["faucet"].set_qvel(np.array([[0.2]], dtype=np.float32))
