@@ -16,7 +16,6 @@ from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.geometry import Array, interpolate_pose, pose_difference
 from kinebench_drake.kinematics.collision import CollisionModel
 from kinebench_drake.kinematics.continuation import blend_from_start, plan_continuation, solve_stepwise
-from kinebench_drake.kinematics.ik import posture_solver
 from kinebench_drake.kinematics.path import is_sound, search_path
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.segments import segments
@@ -150,7 +149,7 @@ class CommandPlanner:
         for q in (solve_stepwise(plant, X_BG, q_start)[0], plan_continuation(plant, t_s, X_BG, q_start)):
             if is_sound(plant, t_s, q):
                 return q, np.zeros(len(q), dtype=bool)
-        q = search_path(plant, posture_solver(plant), t_s, X_BG, q_start)
+        q = search_path(plant, t_s, X_BG, q_start)
         unreached: NDArray[np.bool_] = ~np.isfinite(q[:, 0])
         if not unreached.all():
             q = blend_from_start(plant, t_s, X_BG, _interpolate(t_s, q, ~unreached), q_start)

@@ -3,7 +3,9 @@
 import math
 import re
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from io import BufferedReader
 from pathlib import Path
 
 import numpy as np
@@ -310,7 +312,7 @@ def _read_episodes_v2(path: Path) -> dict[int, Mapping[str, object]]:
             if isinstance(number, int):
                 rows[number] = row
     except (OSError, ValueError):
-        return rows
+        pass
     return rows
 
 
@@ -338,36 +340,32 @@ def _period_s(fps: float | None) -> float | None:
     return None if fps is None or not 1.0 / MAX_PERIOD_S <= fps <= 1.0 / MIN_PERIOD_S else 1.0 / fps
 
 
-def _column_names(path: Path) -> list[str]:
-    """Return the names of the columns of a parquet file.
+@contextmanager
+def _open_parquet(path: Path) -> Iterator[BufferedReader]:
+    """Open a parquet file for reading within the context.
 
     Raises:
         InputError: it is damaged.
     """
     try:
         with open_file(path) as file:
-            return list(parquet.read_schema(file).names)
+            yield file
     except _DAMAGED as error:
-        raise _unreadable(path, error) from None
+        reason = cause(error).replace(str(path), path.name)  # Arrow's messages contain paths of this machine
+        raise InputError(f"{path.name} is not a readable parquet file ({reason})") from None
+
+
+def _column_names(path: Path) -> list[str]:
+    """Return the names of the columns of a parquet file."""
+    with _open_parquet(path) as file:
+        return list(parquet.read_schema(file).names)
 
 
 def _read_table(path: Path, columns: list[str], episode: int | None = None) -> pyarrow.Table:
-    """Read columns of a parquet file, of all rows or of those of one episode, as a table.
-
-    Raises:
-        InputError: it is damaged.
-    """
+    """Read columns of a parquet file, of all rows or of those of one episode, as a table."""
     filters = None if episode is None else [("episode_index", "==", episode)]
-    try:
-        with open_file(path) as file:
-            return parquet.read_table(file, columns=columns, filters=filters)
-    except _DAMAGED as error:
-        raise _unreadable(path, error) from None
-
-
-def _unreadable(path: Path, error: Exception) -> InputError:
-    reason = cause(error).replace(str(path), path.name)  # Arrow's messages contain paths of this machine
-    return InputError(f"{path.name} is not a readable parquet file ({reason})")
+    with _open_parquet(path) as file:
+        return parquet.read_table(file, columns=columns, filters=filters)
 
 
 def _read_episode(path: Path, episode: int, columns: Columns) -> pyarrow.Table:

@@ -83,15 +83,15 @@ class ManifestLine:
 
     number: int
     """Line number from 1."""
-    entry: ManifestEntry | None
+    entry: ManifestEntry | None = None
     """Content of the line; None if it cannot be used."""
-    problem: str | None
+    problem: str | None = None
     """Reason why it cannot be used; None if it can."""
-    video: str
+    video: str = ""
     """Video as named on the line; empty if it names none."""
-    id: str | None
+    id: str | None = None
     """Id as named on the line, if it is a string."""
-    unknown: tuple[str, ...]
+    unknown: tuple[str, ...] = ()
     """Unknown keys."""
 
 
@@ -115,9 +115,10 @@ def _read_line(number: int, text: str) -> ManifestLine:
     try:
         data = parse_json(text)
     except ValueError as error:
-        return _broken(number, f"line {number} is not JSON ({error})")
+        return ManifestLine(number=number, problem=f"line {number} is not JSON ({error})")
     if not isinstance(data, dict):
-        return _broken(number, f"line {number} is a {type(data).__name__}, expected an object with the key video")
+        message = f"line {number} is a {type(data).__name__}, expected an object with the key video"
+        return ManifestLine(number=number, problem=message)
     video, id = (data.get(key) if isinstance(data.get(key), str) else None for key in ("video", "id"))
     unknown = tuple(sorted(set(data) - set(ManifestEntry.model_fields) - UNREAD))
     try:
@@ -125,10 +126,6 @@ def _read_line(number: int, text: str) -> ManifestLine:
     except ValidationError as error:
         entry, problem = None, f"line {number}: {_explain(error)}"
     return ManifestLine(number=number, entry=entry, problem=problem, video=video or "", id=id or None, unknown=unknown)
-
-
-def _broken(number: int, problem: str) -> ManifestLine:
-    return ManifestLine(number=number, entry=None, problem=problem, video="", id=None, unknown=())
 
 
 def _explain(error: ValidationError) -> str:
@@ -218,7 +215,6 @@ def _conditioning_image(entry: ManifestEntry, folder: Path) -> Path | None:
 def _initial_state(entry: ManifestEntry) -> InitialState | None:
     if entry.first_base_from_tcp is None:
         return None
-    X_BG, width = checked_pose(entry.first_base_from_tcp), entry.first_finger_width_m
-    if width is None:
-        return InitialState(X_BG=X_BG)
-    return InitialState(X_BG=X_BG, finger_width_m=float(np.clip(width, 0.0, MAX_WIDTH_M)))
+    width_m = np.nan if entry.first_finger_width_m is None else entry.first_finger_width_m
+    width_m = float(np.clip(width_m, 0.0, MAX_WIDTH_M))
+    return InitialState(X_BG=checked_pose(entry.first_base_from_tcp), finger_width_m=width_m)

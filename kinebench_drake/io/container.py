@@ -2,12 +2,13 @@
 
 import os
 from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from fractions import Fraction
 from pathlib import Path
 
 import av
 import numpy as np
-from av.container import InputContainer
+from av.container import InputContainer, OutputContainer
 from av.video.frame import VideoFrame
 from av.video.stream import VideoStream
 from numpy.typing import NDArray
@@ -127,29 +128,36 @@ def _irregular_stamps(stamps: list[float | None], fps: float | None) -> Array | 
     return None if regular or not (np.diff(times) > 0).all() else times
 
 
+@contextmanager
+def _create_mp4(path: Path) -> Iterator[OutputContainer]:
+    """Open an mp4 file that appears at `path` when the context ends without an error."""
+    part = unfinished(path)
+    try:
+        with av.open(part, "w", format="mp4", container_options={"fflags": "+bitexact"}) as container:
+            yield container
+        os.replace(part, path)
+    finally:
+        part.unlink(missing_ok=True)
+
+
 def join_videos(path: Path, parts: Iterable[Path]) -> None:
     """Concatenate videos of one size, rate and encoding without encoding them again."""
-    part_path = unfinished(path)
-    try:
-        with av.open(part_path, "w", format="mp4", container_options={"fflags": "+bitexact"}) as container:
-            joined: VideoStream | None = None
-            shift = 0
-            for part in parts:
-                with av.open(part) as source:
-                    stream = source.streams.video[0]
-                    if joined is None:
-                        joined = container.add_stream_from_template(stream)
-                    end = 0
-                    for packet in source.demux(stream):
-                        if packet.pts is None or packet.dts is None:  # end marker
-                            continue
-                        end = max(end, packet.pts + (packet.duration or 0))
-                        packet.pts, packet.dts, packet.stream = packet.pts + shift, packet.dts + shift, joined
-                        container.mux(packet)
-                    shift += end
-        os.replace(part_path, path)
-    finally:
-        part_path.unlink(missing_ok=True)
+    with _create_mp4(path) as container:
+        joined: VideoStream | None = None
+        shift = 0
+        for part in parts:
+            with av.open(part) as source:
+                stream = source.streams.video[0]
+                if joined is None:
+                    joined = container.add_stream_from_template(stream)
+                end = 0
+                for packet in source.demux(stream):
+                    if packet.pts is None or packet.dts is None:  # end marker
+                        continue
+                    end = max(end, packet.pts + (packet.duration or 0))
+                    packet.pts, packet.dts, packet.stream = packet.pts + shift, packet.dts + shift, joined
+                    container.mux(packet)
+                shift += end
 
 
 def write_video(
@@ -168,25 +176,20 @@ def write_video(
         crf: quality of x264, 0 (lossless) to 51; 18 is visually close to lossless.
         keyframe_every: greatest distance between keyframes [frames]; None leaves it to x264.
     """
-    part = unfinished(path)
-    try:
-        with av.open(part, "w", format="mp4", container_options={"fflags": "+bitexact"}) as container:
-            stream: VideoStream | None = None
-            for image in frames:
-                if stream is None:
-                    rate = Fraction(fps).limit_denominator(10_000)
-                    options = {"crf": str(crf), "preset": "medium"}
-                    if keyframe_every is not None:
-                        options["g"] = str(keyframe_every)
-                    stream = container.add_stream("libx264", rate=rate, options=options)
-                    stream.height, stream.width = (side + side % 2 for side in image.shape[:2])
-                    stream.pix_fmt = "yuv420p"
-                    stream.thread_count = 1
-                pad = ((0, stream.height - image.shape[0]), (0, stream.width - image.shape[1]), (0, 0))
-                even = np.ascontiguousarray(np.pad(image, pad, mode="edge"))
-                container.mux(stream.encode(VideoFrame.from_ndarray(even, format="rgb24")))
-            if stream is not None:
-                container.mux(stream.encode())
-        os.replace(part, path)
-    finally:
-        part.unlink(missing_ok=True)
+    with _create_mp4(path) as container:
+        stream: VideoStream | None = None
+        for image in frames:
+            if stream is None:
+                rate = Fraction(fps).limit_denominator(10_000)
+                options = {"crf": str(crf), "preset": "medium"}
+                if keyframe_every is not None:
+                    options["g"] = str(keyframe_every)
+                stream = container.add_stream("libx264", rate=rate, options=options)
+                stream.height, stream.width = (side + side % 2 for side in image.shape[:2])
+                stream.pix_fmt = "yuv420p"
+                stream.thread_count = 1
+            pad = ((0, stream.height - image.shape[0]), (0, stream.width - image.shape[1]), (0, 0))
+            even = np.ascontiguousarray(np.pad(image, pad, mode="edge"))
+            container.mux(stream.encode(VideoFrame.from_ndarray(even, format="rgb24")))
+        if stream is not None:
+            container.mux(stream.encode())

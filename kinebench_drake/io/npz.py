@@ -9,7 +9,6 @@ import zipfile
 import zlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
 
@@ -57,7 +56,7 @@ class Archive:
     def shape(self, name: str) -> tuple[int, ...]:
         """Return the shape of an array without loading it."""
         with self._raw.open(self._entries[name]) as file:
-            return _read_header(file, self._entries[name].file_size).shape
+            return _read_header(file, self._entries[name].file_size)[0]
 
     def __getitem__(self, name: str) -> NDArray[Any]:
         """Return an array.
@@ -67,7 +66,7 @@ class Archive:
         """
         entry = self._entries[name]
         with self._raw.open(entry) as file:
-            self._check(_read_header(file, entry.file_size).nbytes)
+            self._check(_read_header(file, entry.file_size)[1])
         with self._raw.open(entry) as file:
             return read_array(file, allow_pickle=False)
 
@@ -111,23 +110,15 @@ def read_npy(path: Path, check: Callable[[int], None] = at_most(MOST_BYTES)) -> 
                 raise InputError("holds several arrays: an npz file is called .npz")
             size = file.seek(0, 2)
             file.seek(0)
-            check(_read_header(file, size).nbytes)
+            check(_read_header(file, size)[1])
             file.seek(0)
             return read_array(file, allow_pickle=False)
     except _DAMAGED as error:
         raise InputError(f"is not a readable npy file ({cause(error)})") from None
 
 
-@dataclass(frozen=True, slots=True)
-class _Header:
-    """Header of an npy file."""
-
-    shape: tuple[int, ...]
-    nbytes: int
-
-
-def _read_header(file: IO[bytes], size: int) -> _Header:
-    """Read the header at the beginning of a file of `size` bytes.
+def _read_header(file: IO[bytes], size: int) -> tuple[tuple[int, ...], int]:
+    """Return the shape of the array at the beginning of a file of `size` bytes, and the bytes that it takes.
 
     Raises:
         InputError: the array is pickled, or larger than the file.
@@ -141,7 +132,7 @@ def _read_header(file: IO[bytes], size: int) -> _Header:
     nbytes = math.prod(shape) * dtype.itemsize
     if min(shape, default=0) < 0 or nbytes > size:
         raise InputError(f"its header announces an array of shape {shape}, which is not there")
-    return _Header(shape=shape, nbytes=nbytes)
+    return shape, nbytes
 
 
 def write_arrays(path: Path, arrays: Mapping[str, Any]) -> None:

@@ -7,6 +7,7 @@ excludes are ignored. The table is the plane z = const of B; links fixed to the 
 """
 
 from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -86,16 +87,6 @@ class _Solid:
         return np.asarray(point)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Near:
-    """Distance of one pair of solids at one posture, by Drake."""
-
-    frame: int
-    distance: float
-    n: Array
-    """(3,) unit vector from the nearest point of solid B to that of A, in the robot base; reversed in penetration."""
-
-
 class CollisionModel:
     """Distances of an arm from itself and from the table. Uses the context of the plant."""
 
@@ -138,7 +129,7 @@ class CollisionModel:
         """
         q, width = _arguments(q, finger_width_m)
         rows = np.flatnonzero(np.isfinite(q).all(axis=-1))
-        near: dict[tuple[Any, Any], list[_Near]] = {}
+        near: dict[tuple[Any, Any], list[tuple[int, Any]]] = {}
         for i, row in enumerate(rows):
             query = self._plant.query(q[row], None if np.isnan(width[row]) else float(width[row]))
             results = query.ComputeSignedDistancePairwiseClosestPoints(_REACH_M)
@@ -147,16 +138,15 @@ class CollisionModel:
             farthest = min((pair.distance for pair in results), default=0.0) + _DOUBT_M
             for pair in results:
                 if pair.distance <= farthest:
-                    entry = _Near(frame=i, distance=pair.distance, n=pair.nhat_BA_W)
-                    near.setdefault((pair.id_A, pair.id_B), []).append(entry)
+                    near.setdefault((pair.id_A, pair.id_B), []).append((i, pair))
         least = np.full(len(rows), np.inf)
         pairs: list[tuple[str, str] | None] = [None] * len(q)
         M = self._chain.motions(q[rows], width[rows])
         for (id_A, id_B), entries in near.items():
             A, B = self._solids[id_A], self._solids[id_B]
-            frames = np.array([entry.frame for entry in entries])
-            distance = np.array([entry.distance for entry in entries])
-            gap = _gap(A, B, M[frames], np.array([entry.n for entry in entries]))
+            frames = np.array([frame for frame, _ in entries])
+            distance = np.array([pair.distance for _, pair in entries])
+            gap = _gap(A, B, M[frames], np.array([pair.nhat_BA_W for _, pair in entries]))
             for k in np.flatnonzero((distance > 0.0) & (gap < distance - _CERTAIN_M)):
                 if A.axes is None and B.axes is None:
                     a, b = _nearest(A, B, M[frames[k]])
@@ -308,7 +298,8 @@ def _shape(shape: Any, hull: Any) -> tuple[Array, Array | None]:
     origin = np.zeros((1, 3))
     match shape:
         case Box():
-            return _corners(shape.size()), None
+            signs = np.array(list(product((-1.0, 1.0), repeat=3)))
+            return 0.5 * signs * shape.size(), None
         case Sphere():
             return origin, shape.radius() * np.eye(3)
         case Ellipsoid():
@@ -321,11 +312,6 @@ def _shape(shape: Any, hull: Any) -> tuple[Array, Array | None]:
             return np.array([hull.vertex(i) for i in range(hull.num_vertices())]), None
     kind = type(shape).__name__
     raise InputError(f"a collision geometry is a {kind}; expected a mesh, box, cylinder, sphere, capsule or ellipsoid")
-
-
-def _corners(size: ArrayLike) -> Array:
-    signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=np.float64)
-    return np.asarray(0.5 * signs * np.asarray(size))
 
 
 def _ends(length: float) -> Array:

@@ -5,11 +5,11 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from kinebench_drake.geometry import Array
-from kinebench_drake.kinematics.ik import IkSolution, posture_solver, solve_pose
+from kinebench_drake.kinematics.ik import IkSolution, solve_pose
 from kinebench_drake.kinematics.newton import solve_newton_path
-from kinebench_drake.kinematics.path import find_cheapest_path, is_sound, limit_excess, select_anchors
+from kinebench_drake.kinematics.path import find_cheapest_path, is_sound, select_anchors, within_limits
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.kinematics.postures import PostureSolver
+from kinebench_drake.kinematics.postures import posture_solver
 from kinebench_drake.kinematics.relaxation import relax
 from kinebench_drake.types import IkStatus
 
@@ -54,7 +54,7 @@ def plan_continuation(plant: ArmPlant, t_s: Array, X_BG: Array, q_start: Array) 
     The path of `continue_path` may begin with another elbow angle than the start's; the difference at t = 0 is faded
     out by `blend_from_start`.
     """
-    return blend_from_start(plant, t_s, X_BG, continue_path(plant, posture_solver(plant), t_s, X_BG, q_start), q_start)
+    return blend_from_start(plant, t_s, X_BG, continue_path(plant, t_s, X_BG, q_start), q_start)
 
 
 def blend_from_start(plant: ArmPlant, t_s: Array, X_BG: Array, q: Array, q_start: Array) -> Array:
@@ -63,7 +63,7 @@ def blend_from_start(plant: ArmPlant, t_s: Array, X_BG: Array, q: Array, q_start
     return posture_solver(plant).nearest(X_BG, q + fade[:, None] * (q_start - q[0]))
 
 
-def continue_path(plant: ArmPlant, solver: PostureSolver, t_s: Array, X_BG: Array, q_start: Array) -> Array:
+def continue_path(plant: ArmPlant, t_s: Array, X_BG: Array, q_start: Array) -> Array:
     """Search a path (T, 7) [rad] that continues from a posture near the first pose: faster than `search_path`.
 
     Dynamic programming chooses a posture for few frames (anchors), first among those of the start's branch, then among
@@ -71,35 +71,28 @@ def continue_path(plant: ArmPlant, solver: PostureSolver, t_s: Array, X_BG: Arra
     All NaN if the result passes a limit or has a step that is too fast: then `search_path` may find a path.
     Arguments as for `search_path`.
     """
-    chosen = select_anchors(t_s, ANCHORS_S[0])
-    path = _interpolate_layers(plant, solver, t_s, X_BG, chosen, solver.along_branch(X_BG[chosen], q_start), q_start)
+    solver, chosen = posture_solver(plant), select_anchors(t_s, ANCHORS_S[0])
+    path = _interpolate_layers(plant, t_s, X_BG, chosen, solver.along_branch(X_BG[chosen], q_start), q_start)
     if not is_sound(plant, t_s, path):
         chosen = select_anchors(t_s, ANCHORS_S[1])
         layers = solver.all(X_BG[chosen], _GRID_SAMPLES)
         layers[0] = solver.nearest(X_BG[:1], q_start[None])
-        path = _interpolate_layers(plant, solver, t_s, X_BG, chosen, layers, q_start)
+        path = _interpolate_layers(plant, t_s, X_BG, chosen, layers, q_start)
         if np.isfinite(path).all() and not is_sound(plant, t_s, path):
-            path = relax(plant, solver, t_s, X_BG, path)
+            path = relax(plant, t_s, X_BG, path)
     return path if is_sound(plant, t_s, path) else np.full((len(t_s), 7), np.nan)
 
 
 def _interpolate_layers(
-    plant: ArmPlant,
-    solver: PostureSolver,
-    t_s: Array,
-    X_BG: Array,
-    chosen: NDArray[np.intp],
-    layers: list[Array],
-    q_start: Array,
+    plant: ArmPlant, t_s: Array, X_BG: Array, chosen: NDArray[np.intp], layers: list[Array], q_start: Array
 ) -> Array:
     """Return the path (T, 7) through the cheapest of `layers`, the postures of frames `chosen`; NaN if one has none."""
-    layers = [layer[limit_excess(plant, layer).max(axis=-1, initial=0.0) <= 0.0] for layer in layers]
-    path = find_cheapest_path(plant, t_s[chosen], layers, q_start, _GRID_STEP_RAD)
+    path = find_cheapest_path(plant, t_s[chosen], within_limits(plant, layers), q_start, _GRID_STEP_RAD)
     if len(chosen) < 2 or not np.isfinite(path).all():
         return np.full((len(t_s), 7), np.nan)
     for _ in range(_SMOOTHING_PASSES):  # removes the steps of the grid
         path[1:-1] = 0.25 * path[:-2] + 0.5 * path[1:-1] + 0.25 * path[2:]
     guess = CubicSpline(t_s[chosen], path)(t_s)
-    path = solver.nearest(X_BG, guess)
+    path = posture_solver(plant).nearest(X_BG, guess)
     # Where the redundancy's angle leaves the branch, Newton steps may still follow the poses.
     return path if is_sound(plant, t_s, path) else solve_newton_path(plant, X_BG, guess)

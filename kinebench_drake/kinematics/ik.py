@@ -1,7 +1,6 @@
 """Inverse kinematics of one pose, with the reason why a pose cannot be reached."""
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,7 +10,7 @@ from kinebench_drake.geometry import Array, make_pose, orthonormalize, pose_diff
 from kinebench_drake.kinematics.newton import solve_newton, solve_snopt
 from kinebench_drake.kinematics.path import limit_excess
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.kinematics.postures import PostureSolver, create_posture_solver
+from kinebench_drake.kinematics.postures import posture_solver, spread_postures
 from kinebench_drake.types import IkStatus
 
 POSITION_TOLERANCE_M = 1e-6
@@ -37,12 +36,6 @@ class IkSolution:
     """Position error of the TCP [m]."""
     rotation_error_rad: float
     """Rotation error of the TCP [rad]."""
-
-
-@lru_cache(maxsize=4)
-def posture_solver(plant: ArmPlant) -> PostureSolver:
-    """Return the posture solver of a plant, created on first use."""
-    return create_posture_solver(plant)
 
 
 def find_least_excess(plant: ArmPlant, X_BG: Array) -> Array | None:
@@ -112,7 +105,7 @@ def _solve_anywhere(plant: ArmPlant, X_BG: Array, q_seed: Array, near: Array, ne
         starts = [*candidates[np.argsort(worst)[: 2 * _STARTS : 2]]]
         failure = IkStatus.JOINT_LIMIT
     else:
-        starts = _spread(plant)
+        starts = [*spread_postures(plant, _STARTS)]
         free = [solve_newton(plant, X_BG, start, bounded=False)[0] for start in starts]
         reached = any(_solution(plant, X_BG, q).status is IkStatus.OK for q in free)
         failure = IkStatus.JOINT_LIMIT if reached else IkStatus.UNREACHABLE
@@ -127,9 +120,3 @@ def _solve_anywhere(plant: ArmPlant, X_BG: Array, q_seed: Array, near: Array, ne
         return solution
     q, e = solve_newton(plant, X_BG, solve_snopt(plant, X_BG, best))
     return _solution(plant, X_BG, q, failure) if e < error else solution
-
-
-def _spread(plant: ArmPlant) -> list[Array]:
-    """Return a fixed random sample of postures within limits, the rest posture first."""
-    rng = np.random.default_rng(0)
-    return [plant.robot.rest_q, *rng.uniform(plant.lower, plant.upper, size=(_STARTS - 1, 7))]

@@ -11,7 +11,6 @@ from kinebench_drake.kinematics.path import limit_excess
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.spline import SplineBasis
 from kinebench_drake.kinematics.trajectory import Contact, JointTrajectory, TubeProblem
-from kinebench_drake.kinematics.tube import TubeSolution
 from kinebench_drake.types import ViolationKind
 
 _WORST_FRAMES = 10  # frames of the greatest errors whose poses are solved one by one
@@ -103,29 +102,18 @@ def _joint_limit_violation(plant: ArmPlant, frame: int, joint: int, value: float
     )
 
 
-def find_elastic_violation(
-    problem: TubeProblem, basis: SplineBasis, solution: TubeSolution | None
+def find_rate_violation(
+    problem: TubeProblem, basis: SplineBasis, ratios: Sequence[Array | None], offset: float = 0.0
 ) -> TubeViolation | None:
-    """Find the rate that an elastic solution exceeds most, relative to its limit; None if it exceeds none.
+    """Find the rate that exceeds its limit most, relative to it; None if none does.
 
     Args:
         problem: the track.
-        basis: spline of the solution.
-        solution: result of `solve_tube` with `elastic`.
+        basis: spline of the trajectory.
+        ratios: (n - k, 7) control points of the k-th derivative / limit, less `offset`, k = 1..3; None without a limit.
+        offset: 1 if the ratios are excesses over the limit.
     """
-    return None if solution is None else _find_worst_rate(problem, basis, solution.excess, _LEAST_EXCESS, offset=1.0)
-
-
-def find_rate_violation(trajectory: JointTrajectory) -> TubeViolation | None:
-    """Find the rate that a trajectory exceeds most, relative to its limit; None if it exceeds none."""
-    return _find_worst_rate(trajectory.problem, trajectory.basis, trajectory.usage, 1.0 + _LEAST_EXCESS, offset=0.0)
-
-
-def _find_worst_rate(
-    problem: TubeProblem, basis: SplineBasis, ratios: Sequence[Array | None], least: float, offset: float
-) -> TubeViolation | None:
-    """Find the greatest of the ratios (n - k, 7) above `least`; the rate is `offset` plus the ratio times the limit."""
-    worst = None
+    worst, least = None, 1.0 - offset + _LEAST_EXCESS
     for k, (kind, ratio, limit) in enumerate(zip(_RATES, ratios, problem.limits.rates, strict=True)):
         if ratio is None or limit is None or ratio.max(initial=0.0) <= least:
             continue

@@ -86,10 +86,6 @@ class Manipulability:
     """(T,) PyRoki's cost of `translation`."""
     condition: Array
     """(T,) condition number of the full Jacobian, its linear rows divided by `characteristic_length`."""
-    condition_translation: Array
-    """(T,) condition number of the linear rows."""
-    condition_rotation: Array
-    """(T,) condition number of the angular rows."""
 
 
 def compute_manipulability(plant: ArmPlant, q: ArrayLike, J: ArrayLike | None = None) -> Manipulability:
@@ -128,8 +124,6 @@ def compute_manipulability(plant: ArmPlant, q: ArrayLike, J: ArrayLike | None = 
         limited=spread(w * limit_weight(q[finite], plant.lower, plant.upper).prod(axis=-1)),
         cost=spread(cost(w_linear)),
         condition=spread(_ratio(full)),
-        condition_translation=spread(_ratio(linear)),
-        condition_rotation=spread(_ratio(rotation)),
     )
 
 

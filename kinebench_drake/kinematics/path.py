@@ -13,7 +13,7 @@ from scipy.interpolate import PchipInterpolator
 
 from kinebench_drake.geometry import Array
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.kinematics.postures import PostureSolver
+from kinebench_drake.kinematics.postures import posture_solver
 from kinebench_drake.kinematics.relaxation import ALLOWANCE, FROM_REST, peak_ratio, relax
 
 SAMPLES, ROUNDS = (36, 72, 240), (0, 5, 5)
@@ -36,15 +36,24 @@ def limit_excess(plant: ArmPlant, q: Array) -> Array:
     return np.asarray(np.maximum(np.maximum(plant.lower - q, q - plant.upper), 0.0))
 
 
+def limit_margin(plant: ArmPlant, q: Array) -> Array:
+    """Return the distance to the nearer limit / half the joint's range (..., 7) of `q` (..., 7) [rad]: 0 at a limit."""
+    return np.asarray(np.minimum(q - plant.lower, plant.upper - q) / (0.5 * (plant.upper - plant.lower)))
+
+
 def speed_ratios(plant: ArmPlant, t_s: Array, q: Array) -> Array:
     """Return joint speeds / limits (n - 1, 7) between consecutive rows of `q` (n, 7) [rad] at times `t_s` (n,) [s]."""
     return np.asarray(np.abs(np.diff(q, axis=0)) / np.diff(t_s)[:, None] / plant.velocity_limits)
 
 
-def grid_postures(plant: ArmPlant, solver: PostureSolver, X_BG: Array, samples: int, rounds: int = 0) -> list[Array]:
+def within_limits(plant: ArmPlant, layers: list[Array], past_rad: float = 0.0) -> list[Array]:
+    """Return the postures (N_t, 7) [rad] of each layer that exceed limits by at most `past_rad`."""
+    return [layer[limit_excess(plant, layer).max(axis=-1, initial=0.0) <= past_rad] for layer in layers]
+
+
+def grid_postures(plant: ArmPlant, X_BG: Array, samples: int, rounds: int = 0) -> list[Array]:
     """Return for each pose (T, 4, 4) the grid postures (N_t, 7) [rad] within limits plus _PAST_LIMIT_RAD."""
-    layers = solver.all(X_BG, samples, rounds)
-    return [layer[limit_excess(plant, layer).max(axis=-1, initial=0.0) <= _PAST_LIMIT_RAD] for layer in layers]
+    return within_limits(plant, posture_solver(plant).all(X_BG, samples, rounds), _PAST_LIMIT_RAD)
 
 
 def select_anchors(t_s: Array, spacing_s: float) -> NDArray[np.intp]:
@@ -58,7 +67,6 @@ def select_anchors(t_s: Array, spacing_s: float) -> NDArray[np.intp]:
 
 def search_path(
     plant: ArmPlant,
-    solver: PostureSolver,
     t_s: Array,
     X_BG: Array,
     q_start: Array,
@@ -69,7 +77,6 @@ def search_path(
 
     Args:
         plant: the robot.
-        solver: solver for its postures.
         t_s: (T,) times [s], increasing.
         X_BG: (T, 4, 4) poses of the TCP in the base [m].
         q_start: (7,) posture [rad] to start near.
@@ -79,15 +86,17 @@ def search_path(
             does not move these frames.
     """
     best, least = np.full((len(t_s), 7), np.nan), (np.inf, np.inf)
+    if len(t_s) == 0:
+        return best
     allowed = allowed or {}
     chosen = np.arange(len(t_s)) if allowed else select_anchors(t_s, ANCHOR_S)
     fixed = np.isin(np.arange(len(t_s)), list(allowed))
     grids = list(zip(SAMPLES, ROUNDS, strict=True))
     for samples, rounds in grids[: _RESTRICTED_GRIDS if allowed else None]:
-        layers = grid_postures(plant, solver, X_BG[chosen], samples, rounds)
+        layers = grid_postures(plant, X_BG[chosen], samples, rounds)
         for i, may in allowed.items():
             layers[i] = layers[i][may(layers[i])]
-        path = _through(plant, solver, t_s, X_BG, chosen, layers, q_start, 2 * np.pi / samples, noise_rad, fixed)
+        path = _through(plant, t_s, X_BG, chosen, layers, q_start, 2 * np.pi / samples, noise_rad, fixed)
         kept = np.flatnonzero(np.isfinite(path[:, 0]))
         outside = limit_excess(plant, path[kept]).max(axis=-1) > 0.0
         peak = peak_ratio(plant, t_s[kept], path[kept], noise_rad)
@@ -110,7 +119,6 @@ def is_sound(plant: ArmPlant, t_s: Array, q: Array, past_rad: float = 0.0) -> bo
 
 def _through(
     plant: ArmPlant,
-    solver: PostureSolver,
     t_s: Array,
     X_BG: Array,
     chosen: NDArray[np.intp],
@@ -127,31 +135,23 @@ def _through(
     if len(kept) == 0:
         return path
     if len(chosen) < len(t_s):
-        path[kept] = relax(plant, solver, t_s[kept], X_BG[kept], path[kept], noise_rad)
-        path = _between(plant, solver, t_s, X_BG, path, kept, noise_rad)
+        path[kept] = relax(plant, t_s[kept], X_BG[kept], path[kept], noise_rad)
+        path = _between(plant, t_s, X_BG, path, kept, noise_rad)
         kept = np.flatnonzero(np.isfinite(path[:, 0]))
-    path[kept] = relax(plant, solver, t_s[kept], X_BG[kept], path[kept], noise_rad, fixed[kept])
+    path[kept] = relax(plant, t_s[kept], X_BG[kept], path[kept], noise_rad, fixed[kept])
     return path
 
 
-def _between(
-    plant: ArmPlant,
-    solver: PostureSolver,
-    t_s: Array,
-    X_BG: Array,
-    path: Array,
-    kept: NDArray[np.intp],
-    noise_rad: float,
-) -> Array:
+def _between(plant: ArmPlant, t_s: Array, X_BG: Array, path: Array, kept: NDArray[np.intp], noise_rad: float) -> Array:
     """Fill in the path (T, 7), finite at the frames `kept`, with the branches nearest to the interpolated postures."""
     within = np.clip(t_s, t_s[kept[0]], t_s[kept[-1]])
     guess = PchipInterpolator(t_s[kept], path[kept])(within) if len(kept) > 1 else np.tile(path[kept], (len(t_s), 1))
+    solver = posture_solver(plant)
     filled = solver.nearest(X_BG, guess)
     filled[kept] = path[kept]
     if is_sound(plant, t_s, filled, past_rad=_PAST_LIMIT_RAD):
         return filled
-    near = solver.around(X_BG, guess, _BETWEEN_RAD)
-    near = [layer[limit_excess(plant, layer).max(axis=-1, initial=0.0) <= _PAST_LIMIT_RAD] for layer in near]
+    near = within_limits(plant, solver.around(X_BG, guess, _BETWEEN_RAD), _PAST_LIMIT_RAD)
     return find_cheapest_path(plant, t_s, near, path[kept[0]], float(_BETWEEN_RAD[-1]), noise_rad)
 
 

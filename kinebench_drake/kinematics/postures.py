@@ -3,6 +3,7 @@
 Closed form for arms with the Panda's chain, Newton steps from many starts for any other arm.
 """
 
+from functools import lru_cache
 from typing import Protocol
 
 import numpy as np
@@ -55,7 +56,8 @@ class PostureSolver(Protocol):
         ...
 
 
-def create_posture_solver(plant: ArmPlant) -> PostureSolver:
+@lru_cache(maxsize=4)
+def posture_solver(plant: ArmPlant) -> PostureSolver:
     """Return the closed-form solver if the arm equals the Panda up to its tool (numerically), else Newton's."""
     rng = np.random.default_rng(0)
     q = rng.uniform(plant.lower, plant.upper, size=(8, 7))
@@ -142,12 +144,11 @@ class NumericSolver(PostureSolver):
 
     def __init__(self, plant: ArmPlant) -> None:
         self._plant = plant
-        rng = np.random.default_rng(0)
-        spread = rng.uniform(plant.lower, plant.upper, size=(_STARTS - 1, 7))
-        self._starts = np.vstack([plant.robot.rest_q, spread])
+        self._starts = spread_postures(plant, _STARTS)
 
+    @override
     def all(self, X_BG: Array, samples: int, rounds: int = 0) -> list[Array]:
-        """PostureSolver that the starts, and those found for the pose before, lead to."""
+        # the starts, and the postures of the pose before
         layers: list[Array] = []
         before = np.zeros((0, 7))
         for X in X_BG:
@@ -185,6 +186,12 @@ class NumericSolver(PostureSolver):
     @override
     def out_of_reach_m(self, X_BG: Array) -> Array:
         return np.zeros(len(X_BG))
+
+
+def spread_postures(plant: ArmPlant, count: int) -> Array:
+    """Return a fixed random sample (count, 7) [rad] of postures within limits, the rest posture first."""
+    spread = np.random.default_rng(0).uniform(plant.lower, plant.upper, size=(count - 1, 7))
+    return np.vstack([plant.robot.rest_q, spread])
 
 
 def _listed(q: Array) -> Array:

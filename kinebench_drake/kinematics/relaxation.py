@@ -6,7 +6,7 @@ from scipy.linalg import solveh_banded
 
 from kinebench_drake.geometry import Array
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.kinematics.postures import PostureSolver
+from kinebench_drake.kinematics.postures import posture_solver
 
 ALLOWANCE = 4.0
 """Standard deviations of the noise by which limits of speed and acceleration are widened."""
@@ -34,7 +34,6 @@ def peak_ratio(plant: ArmPlant, t_s: Array, q: Array, noise_rad: float = 0.0) ->
 
 def relax(
     plant: ArmPlant,
-    solver: PostureSolver,
     t_s: Array,
     X_BG: Array,
     q: Array,
@@ -51,7 +50,6 @@ def relax(
 
     Args:
         plant: the robot.
-        solver: solver for its postures.
         t_s: (T,) times [s], increasing.
         X_BG: (T, 4, 4) poses of the TCP in the base [m].
         q: (T, 7) postures that reach them [rad], all finite.
@@ -60,7 +58,7 @@ def relax(
     """
     if len(q) < 2:
         return q
-    problem = _Smoothing(plant, t_s, noise_rad)
+    problem, solver = _Smoothing(plant, t_s, noise_rad), posture_solver(plant)
     residual = problem.residuals(q)
     weights = [np.ones_like(r) for r in residual]
     damping = 1e-3

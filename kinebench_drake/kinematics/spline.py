@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 from scipy.interpolate import BSpline
-from scipy.sparse import csr_matrix, diags
+from scipy.sparse import diags, identity
 from scipy.sparse.linalg import splu
 
 from kinebench_drake.geometry import Array
@@ -63,19 +63,19 @@ class SplineBasis:
         return BSpline.design_matrix(np.clip(t_s, self.knots[0], self.knots[-1]), self.knots, _DEGREE)
 
     @cached_property
-    def derivatives(self) -> tuple[Any, Any, Any, Any]:
+    def derivatives(self) -> tuple[Any, ...]:
         """Sparse matrices (n - k, n) from control points to those of the k-th derivative, k = 0..3.
 
         De Boor, chapter X, equation (12): c'_i = (c_{i+1} - c_i) * degree / (knot_{i+degree+1} - knot_{i+1}).
         """
-        matrices = [csr_matrix(np.eye(self.size)) if self.size < 64 else diags([1.0], shape=(self.size,) * 2).tocsr()]
+        matrices = [identity(self.size, format="csr")]
         for k in range(1, ORDER):
             degree = ORDER - k
             size = self.size - k
             span = self.knots[k + degree : k + degree + size] - self.knots[k : k + size]
             difference = diags([-degree / span, degree / span], [0, 1], shape=(size, size + 1))
             matrices.append((difference @ matrices[-1]).tocsr())
-        return matrices[0], matrices[1], matrices[2], matrices[3]
+        return tuple(matrices)
 
     def centres(self, derivative: int) -> Array:
         """Return the Greville abscissae (n - k,) [s] of the control points of the k-th derivative."""

@@ -1,6 +1,6 @@
 """Inverse kinematics of a whole track: one joint path for all poses, verified in Drake, free of collisions."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
@@ -11,7 +11,7 @@ from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array, make_pose, orthonormalize, pose_difference
 from kinebench_drake.kinematics.collision import CollisionModel
 from kinebench_drake.kinematics.continuation import continue_path
-from kinebench_drake.kinematics.ik import POSITION_TOLERANCE_M, ROTATION_TOLERANCE_RAD, posture_solver, solve_pose
+from kinebench_drake.kinematics.ik import POSITION_TOLERANCE_M, ROTATION_TOLERANCE_RAD, solve_pose
 from kinebench_drake.kinematics.newton import damped_pseudoinverses, pose_twists, solve_newton_path
 from kinebench_drake.kinematics.path import SAMPLES, grid_postures, is_sound, limit_excess, search_path
 from kinebench_drake.kinematics.plant import ArmPlant
@@ -64,9 +64,9 @@ def solve_track(
         raise InputError(f"frame {bad} is tracked but its pose is not finite")
     X_BG = make_pose(orthonormalize(X_BG[:, :3, :3]), X_BG[:, :3, 3])
     if X_plan is None:
-        path = _search(plant, t_s, X_BG, plant.robot.rest_q, noise_rad)
+        path = search_path(plant, t_s, X_BG, plant.robot.rest_q, noise_rad)
     else:
-        planned = _search(plant, t_s, X_plan[frames], plant.robot.rest_q, noise_rad)
+        planned = search_path(plant, t_s, X_plan[frames], plant.robot.rest_q, noise_rad)
         path = solve_newton_path(plant, X_BG, planned)
     joints = _verified(plant, t_s, X_BG, path, plant.robot.rest_q)
     if collision is not None:
@@ -85,9 +85,9 @@ def follow_poses(plant: ArmPlant, t_s: Array, X_BG: Array, q_start: Array) -> Jo
         X_BG: (T, 4, 4) poses of the TCP in the base [m], rotations orthonormal.
         q_start: (7,) posture [rad] near the first pose.
     """
-    q = continue_path(plant, posture_solver(plant), t_s, X_BG, np.asarray(q_start, dtype=np.float64))
+    q = continue_path(plant, t_s, X_BG, np.asarray(q_start, dtype=np.float64))
     if not is_sound(plant, t_s, q):
-        q = _search(plant, t_s, X_BG, q_start)
+        q = search_path(plant, t_s, X_BG, q_start)
     return _verified(plant, t_s, X_BG, q, q_start)
 
 
@@ -102,19 +102,6 @@ def branch_jumps(plant: ArmPlant, X_BG: Array, q: Array) -> NDArray[np.intp]:
     inverse = damped_pseudoinverses(plant, q)
     explained = 0.5 * (inverse[:-1] + inverse[1:]) @ pose_twists(X_BG[:-1], X_BG[1:])[..., None]
     return np.flatnonzero(np.abs(np.diff(q, axis=0) - explained[..., 0]).max(axis=-1) > JUMP_RAD) + 1
-
-
-def _search(
-    plant: ArmPlant,
-    t_s: Array,
-    X_BG: Array,
-    q_start: Array,
-    noise_rad: float = 0.0,
-    allowed: Mapping[int, Callable[[Array], NDArray[np.bool_]]] | None = None,
-) -> Array:
-    if len(X_BG) == 0:
-        return np.zeros((0, 7))
-    return search_path(plant, posture_solver(plant), t_s, X_BG, q_start, noise_rad, allowed)
 
 
 def _verified(plant: ArmPlant, t_s: Array, X_BG: Array, path: Array, q_start: Array) -> JointTrack:
@@ -155,7 +142,7 @@ def _clear(
 
     def hopeless(frame: int) -> bool:
         """Return whether every posture on a grid of the frame collides."""
-        [q] = grid_postures(plant, posture_solver(plant), X_BG[[frame]], SAMPLES[1])
+        [q] = grid_postures(plant, X_BG[[frame]], SAMPLES[1])
         return bool(clear(frame, q).all())
 
     for _ in range(_DETOURS):
@@ -177,7 +164,7 @@ def _clear(
             continue
         stuck |= lost
         allowed |= {i: partial(clear, i) for i in fresh - lost}
-        path = _search(plant, joints.t_s, X_BG, plant.robot.rest_q, noise_rad, allowed)
+        path = search_path(plant, joints.t_s, X_BG, plant.robot.rest_q, noise_rad, allowed)
         joints = _verified(plant, joints.t_s, X_BG, path, plant.robot.rest_q)
     status = list(joints.status)
     for i in np.flatnonzero(bad):

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from kinebench_drake.geometry import Array, rotation_log
 from kinebench_drake.kinematics.collision import TABLE, CollisionModel
 from kinebench_drake.kinematics.newton import ROTATION_ARM_M
+from kinebench_drake.kinematics.path import limit_margin
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.spline import SplineBasis
 from kinebench_drake.kinematics.tube import LimitSet, Obstacle, PoseLinearisation
@@ -154,13 +155,12 @@ class JointTrajectory:
         return max(position, rotation * ROTATION_ARM_M)
 
     @cached_property
-    def usage(self) -> tuple[Array | None, Array | None, Array | None]:
+    def usage(self) -> tuple[Array | None, ...]:
         """|Control points| (n - k, 7) of speed, acceleration and jerk over their limits; None without a limit."""
-        ratios = [
+        return tuple(
             None if limit is None else np.abs(D @ self.control) / limit
             for D, limit in zip(self.basis.derivatives[1:], self.problem.limits.rates, strict=True)
-        ]
-        return ratios[0], ratios[1], ratios[2]
+        )
 
     @property
     def keeps_limits(self) -> bool:
@@ -257,7 +257,6 @@ class JointTrajectory:
     def check(self) -> TrajectoryCheck:
         """Return the verification of the trajectory."""
         plant, (q, v, a) = self.problem.plant, self.motion
-        margin = np.minimum(q - plant.lower, plant.upper - q) / (0.5 * (plant.upper - plant.lower))
         distance = {contact.table: contact.distance_m for contact in self.contacts}
         jerk = self.usage[2]  # constant in every span
         return TrajectoryCheck(
@@ -265,7 +264,7 @@ class JointTrajectory:
             control=self.control,
             position_error_max_m=self.deviations[0],
             rotation_error_max_rad=self.deviations[1],
-            joint_limit_margin_min=float(margin.min()),
+            joint_limit_margin_min=float(limit_margin(plant, q).min()),
             velocity_ratio_max=float(np.abs(v / plant.velocity_limits).max()),
             acceleration_ratio_max=(
                 None if plant.acceleration_limits is None else float(np.abs(a / plant.acceleration_limits).max())

@@ -10,7 +10,6 @@ from kinebench_drake.kinematics.collision import CollisionModel
 from kinebench_drake.kinematics.infeasibility import (
     TubeViolation,
     find_contact_violation,
-    find_elastic_violation,
     find_pose_violation,
     find_rate_violation,
     find_start_violation,
@@ -250,15 +249,8 @@ class _TubeSearch:
         elastic: bool = False,
     ) -> TubeSolution | None:
         self.programs += 1
-        return solve_tube(
-            basis,
-            self.problem.linearise(q),
-            self.limits,
-            radius_m=radius_m,
-            proximity=proximity,
-            obstacles=obstacles,
-            elastic=elastic,
-        )
+        poses, limits = self.problem.linearise(q), self.limits
+        return solve_tube(basis, poses, limits, radius_m, proximity, obstacles, elastic=elastic)
 
     def _avoid_collisions(self, trajectory: JointTrajectory, rounds: int) -> JointTrajectory | None:
         """Return the trajectory moved out of collisions; None if that fails."""
@@ -315,8 +307,8 @@ class _TubeSearch:
             return violation
         solution = self._solve(fit.basis, self._start, limit, _ELASTIC_PROXIMITY, (), elastic=True)
         return (
-            find_elastic_violation(problem, fit.basis, solution)
+            (solution and find_rate_violation(problem, fit.basis, solution.excess, offset=1.0))
             or find_start_violation(problem)
-            or find_rate_violation(fit)
+            or find_rate_violation(problem, fit.basis, fit.usage)
             or find_pose_violation(problem, limit)
         )

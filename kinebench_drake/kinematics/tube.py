@@ -83,7 +83,7 @@ class TubeSolution:
     """(n, 7) control points [rad]."""
     radius_m: float
     """Radius of the linearised tube [m]."""
-    excess: tuple[Array, Array, Array]
+    excess: tuple[Array, ...]
     """Excess (n - k, 7) / limit of the control points of the k-th derivative, k = 1..3."""
 
 
@@ -91,10 +91,10 @@ def solve_tube(
     basis: SplineBasis,
     poses: PoseLinearisation,
     limits: LimitSet,
-    *,
     radius_m: float | None,
     proximity: float,
     obstacles: Sequence[Obstacle] = (),
+    *,
     elastic: bool = False,
 ) -> TubeSolution | None:
     """Solve the trajectory that is in the tube at the frames and within limits at all times; None if there is none.
@@ -178,16 +178,10 @@ def solve_tube(
         result = ClarabelSolver().Solve(prog, None, None)
     if not result.is_success():
         return None
-    excess: list[Array] = []
-    excesses = np.maximum(result.GetSolution(slack), 0.0) if slack is not None else np.zeros(A.shape[0])
-    at = 0
-    for size in sizes:
-        excess.append(np.asarray(excesses[at : at + size * N_JOINTS]).reshape(size, N_JOINTS))
-        at += size * N_JOINTS
+    excess = np.maximum(result.GetSolution(slack), 0.0) if slack is not None else np.zeros(A.shape[0])
+    parts = np.split(excess.reshape(-1, N_JOINTS), np.cumsum(sizes)[:-1])
     control = np.clip(result.GetSolution(x), lower, upper).reshape(n, N_JOINTS)
-    return TubeSolution(
-        control=control, radius_m=float(result.GetSolution(r)[0]) / _MM, excess=(excess[0], excess[1], excess[2])
-    )
+    return TubeSolution(control=control, radius_m=float(result.GetSolution(r)[0]) / _MM, excess=tuple(parts))
 
 
 def proximity_cost_m(q: Array, q_near: Array, proximity: float) -> float:

@@ -79,23 +79,20 @@ def find_discontinuities(
             branches are due to the solver.
         joints: names of the columns of `q`.
     """
-    pieces = [run for run in segments(tracked) if run.stop - run.start > 2]
     violations: list[Violation] = []
-    moved: set[int] = set()
-    for run in pieces:
+    for run in segments(tracked):
         n = run.stop - run.start
-        t, step = t_s[run], np.diff(X_BG[run, :3, 3], axis=0)
-        noise_norm = _noise_norm(noise.position_m, 3, n, FREEDOM_PER_FRAME)
-        for jump in _jumps(t, step, _floor(t, JUMP_M, ACCELERATION_M_S2), noise_norm):
-            moved.update(range(run.start + jump.start, run.start + jump.end))
-            violations.append(_violation(jump, run, None))
-    for run in pieces:
-        n = run.stop - run.start
-        t, step = t_s[run], rotation_steps(X_BG[run, :3, :3])
-        noise_norm = _noise_norm(noise.rotation_rad, 3, n, FREEDOM_PER_FRAME)
-        for jump in _jumps(t, step, _floor(t, JUMP_RAD, ACCELERATION_RAD_S2), noise_norm):
-            if moved.isdisjoint(range(run.start + jump.start, run.start + jump.end)):
-                violations.append(_violation(jump, run, None))
+        if n <= 2:
+            continue
+        t, moved = t_s[run], set[int]()
+        for step, sigma, floor in (
+            (np.diff(X_BG[run, :3, 3], axis=0), noise.position_m, _floor(t, JUMP_M, ACCELERATION_M_S2)),
+            (rotation_steps(X_BG[run, :3, :3]), noise.rotation_rad, _floor(t, JUMP_RAD, ACCELERATION_RAD_S2)),
+        ):
+            jumps = _jumps(t, step, floor, _noise_norm(sigma, 3, n, FREEDOM_PER_FRAME))
+            alone = [jump for jump in jumps if moved.isdisjoint(range(jump.start, jump.end))]
+            moved.update(frame for jump in alone for frame in range(jump.start, jump.end))
+            violations += [_violation(jump, run, None) for jump in alone]
     if q is not None:
         violations += _joint_jumps(t_s, q, joints)
     return tuple(sorted(violations, key=lambda v: (v.frame_start, v.frame_end, v.joint or "")))

@@ -219,13 +219,12 @@ class TrackJudge:
 def _noise(track: GripperTrack) -> tuple[TrackNoise, bool]:
     """Return the track's noise, 0 where it exceeds MOST_NOISE, and whether it was assumed."""
     noise = estimate_track_noise(track.t_s, track.X_BG, track.tracked)
-    if not np.isfinite([noise.position_m, noise.rotation_rad]).all():
-        return replace(ASSUMED_NOISE, offset_m=track.offset_m, offset_rad=track.offset_rad), True
+    assumed = not np.isfinite([noise.position_m, noise.rotation_rad]).all()
+    noise = ASSUMED_NOISE if assumed else noise
     position = noise.position_m if noise.position_m <= MOST_NOISE.position_m else 0.0
     rotation = noise.rotation_rad if noise.rotation_rad <= MOST_NOISE.rotation_rad else 0.0
-    return replace(
-        noise, position_m=position, rotation_rad=rotation, offset_m=track.offset_m, offset_rad=track.offset_rad
-    ), False
+    offsets = {"offset_m": track.offset_m, "offset_rad": track.offset_rad}
+    return TrackNoise(position_m=position, rotation_rad=rotation, **offsets), assumed
 
 
 def _joint_noise(t_s: Array, q: Array) -> Array:

@@ -8,12 +8,11 @@ probability that noise alone gives a violation for a track at its limits through
 tests (frames x joints x kinds, both signs), with Student's distribution because the noise is estimated.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import stdtrit
 
 from kinebench_drake.geometry import Array
@@ -132,11 +131,11 @@ def check_limits(
             reasons[kind] = f"no {kind.value} limits are published for {plant.robot.name}"
         else:
             error = derivative.standard_error
-            k = [
+            least, own = (
                 np.maximum((np.abs(derivative.value) - room) / limit, 0.0) ** (1.0 / order)
                 for room in (z * error, np.zeros_like(error))
-            ]
-            checks[kind] = _check(plant, kind, t_s, derivative.value, error, limit, (k[0], k[1]), derivative, z)
+            )
+            checks[kind] = _check(plant, kind, t_s, derivative.value, error, limit, least, own, derivative, z)
     acceleration = derivatives[ViolationKind.ACCELERATION]
     if np.isfinite(acceleration.value).any():
         smooth = smooth_path(t_s, q, sigma)
@@ -187,11 +186,9 @@ def _check_torque(
         gravity[i] = plant.torque(q[i], at_rest, at_rest)
         error[i] = np.sqrt(plant.mass_matrix(q[i]) ** 2 @ acceleration.standard_error[i] ** 2)
     moving = torque - gravity
-    k = (
-        torque_slowdown(gravity, moving, z * error, plant.effort_limits),
-        torque_slowdown(gravity, moving, np.zeros_like(error), plant.effort_limits),
-    )
-    return _check(plant, ViolationKind.TORQUE, t_s, torque, error, plant.effort_limits, k, acceleration, z)
+    limits, none = plant.effort_limits, np.zeros_like(error)
+    least, own = (torque_slowdown(gravity, moving, room, limits) for room in (z * error, none))
+    return _check(plant, ViolationKind.TORQUE, t_s, torque, error, limits, least, own, acceleration, z)
 
 
 def _check(
@@ -201,12 +198,13 @@ def _check(
     value: Array,
     error: Array,
     limits: Array,
-    k: tuple[Array, Array],
+    least: Array,
+    own: Array,
     derivative: Derivative,
     z: float,
 ) -> LimitCheck:
-    """Return one check; `k` are the least slow-downs (T, 7) after subtracting the noise and by the value itself."""
-    magnitude, (least, own) = np.abs(value), k
+    """Return one check; `least` and `own` are the slow-downs (T, 7) less the noise, and by the value itself."""
+    magnitude = np.abs(value)
     broken = np.asarray(least > 1.0)
     significant = np.isfinite(value) & (~(z * error > limits) | broken)  # other values may be noise alone
     ratio = np.where(significant, magnitude / limits, -1.0)
@@ -225,16 +223,12 @@ def _check(
         bandwidth_hz=derivative.bandwidth_hz,
         noise_ratio=float((np.median(error[finite_rows(value)], axis=0) / limits).max()),
         slowdown=np.where(significant, np.maximum(least, np.minimum(own, 1.0)), np.where(least > 0.0, least, np.nan)),
-        violations=tuple(_violations(plant, kind, magnitude, limits, broken)),
+        violations=tuple(
+            Violation.of_run(kind, run, name, float(magnitude[run, j].max()), float(limits[j]))
+            for j, name in enumerate(plant.robot.joints)
+            for run in segments(broken[:, j])
+        ),
     )
-
-
-def _violations(
-    plant: ArmPlant, kind: ViolationKind, magnitude: Array, limits: Array, broken: NDArray[np.bool_]
-) -> Iterator[Violation]:
-    for j, name in enumerate(plant.robot.joints):
-        for run in segments(broken[:, j]):
-            yield Violation.of_run(kind, run, name, float(magnitude[run, j].max()), float(limits[j]))
 
 
 def _slowdown(plant: ArmPlant, checks: Mapping[ViolationKind, LimitCheck]) -> Slowdown | None:
@@ -243,7 +237,7 @@ def _slowdown(plant: ArmPlant, checks: Mapping[ViolationKind, LimitCheck]) -> Sl
             factor=float(check.slowdown[frame, joint]), kind=kind, joint=plant.robot.joints[joint], frame=int(frame)
         )
         for kind, check in checks.items()
-        if np.isfinite(check.slowdown).any() or np.isinf(check.slowdown).any()
+        if not np.isnan(check.slowdown).all()
         for frame, joint in [np.unravel_index(int(np.nanargmax(check.slowdown)), check.slowdown.shape)]
     ]
     return max(candidates, key=lambda slowdown: slowdown.factor, default=None)

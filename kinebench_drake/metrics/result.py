@@ -1,7 +1,7 @@
 """The result of judging one track: verdict, violations, metrics, and the measurements behind them as JSON."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,8 +9,10 @@ from numpy.typing import NDArray
 from kinebench_drake.geometry import Array
 from kinebench_drake.kinematics.collision import Clearance
 from kinebench_drake.kinematics.manipulability import Manipulability, time_integral
+from kinebench_drake.kinematics.path import limit_margin
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.timing import TimeScale
+from kinebench_drake.kinematics.trajectory import TrajectoryCheck
 from kinebench_drake.kinematics.trajopt import TubeResult
 from kinebench_drake.metrics.limits import LimitCheck, LimitChecks
 from kinebench_drake.metrics.noise import TrackNoise
@@ -74,11 +76,6 @@ class PathMeasurements:
     """True if the track is too short to measure its noise."""
 
 
-def limit_margin(plant: ArmPlant, q: Array) -> Array:
-    """Return the distance to the nearer limit / half the joint's range (..., 7) of `q` (..., 7) [rad]: 0 at a limit."""
-    return np.asarray(np.minimum(q - plant.lower, plant.upper - q) / (0.5 * (plant.upper - plant.lower)))
-
-
 def kinematic_metrics(
     plant: ArmPlant, track: GripperTrack, joints: JointTrack, path: PathMeasurements
 ) -> tuple[dict[str, Value], dict[str, str]]:
@@ -88,20 +85,20 @@ def kinematic_metrics(
     no_value = "no frame is tracked" if tracked == 0 else "no frame's pose is reached"
     margin = limit_margin(plant, np.where(np.isfinite(w.full)[:, None], joints.q, np.nan))
     metrics: dict[str, Value] = {
-        "manipulability_mean": _mean(w.full),
-        "manipulability_min": _least(w.full),
+        "manipulability_mean": _over_finite(np.mean, w.full),
+        "manipulability_min": _over_finite(np.min, w.full),
         "manipulability_integral": time_integral(track.t_s, w.full),
-        "manipulability_cost_mean": _mean(w.cost),
-        "manipulability_translation_mean": _mean(w.translation),
-        "manipulability_rotation_mean": _mean(w.rotation),
-        "manipulability_limited_mean": _mean(w.limited),
-        "manipulability_limited_min": _least(w.limited),
-        "condition_number_max": _greatest(w.condition),
+        "manipulability_cost_mean": _over_finite(np.mean, w.cost),
+        "manipulability_translation_mean": _over_finite(np.mean, w.translation),
+        "manipulability_rotation_mean": _over_finite(np.mean, w.rotation),
+        "manipulability_limited_mean": _over_finite(np.mean, w.limited),
+        "manipulability_limited_min": _over_finite(np.min, w.limited),
+        "condition_number_max": _over_finite(np.max, w.condition),
         "ik_success_rate": float(joints.ok[track.tracked].mean()) if tracked else None,
-        "ik_position_error_max_m": _greatest(joints.position_error_m[track.tracked]),
-        "joint_limit_margin_min": _least(margin),
-        "self_distance_min_m": _least(path.self_clearance.distance_m),
-        "table_distance_min_m": _least(path.table_clearance.distance_m),
+        "ik_position_error_max_m": _over_finite(np.max, joints.position_error_m[track.tracked]),
+        "joint_limit_margin_min": _over_finite(np.min, margin),
+        "self_distance_min_m": _over_finite(np.min, path.self_clearance.distance_m),
+        "table_distance_min_m": _over_finite(np.min, path.table_clearance.distance_m),
     }
     reasons = {name: no_value for name, value in metrics.items() if value is None}
     for kind in (ViolationKind.VELOCITY, ViolationKind.ACCELERATION, ViolationKind.JERK, ViolationKind.TORQUE):
@@ -187,47 +184,20 @@ def path_details(plant: ArmPlant, q: Array, path: PathMeasurements) -> dict[str,
 
 
 def _check(check: LimitCheck) -> dict[str, Json]:
-    return {
-        "ratio_max": check.ratio_max,
-        "joint": check.joint,
-        "frame": check.frame,
-        "t_worst_s": check.t_worst_s,
-        "ratios": _list(check.ratios),
-        "margins": _list(check.margins),
-        "noise_ratio": check.noise_ratio,
-        "window_s": check.window_s,
-        "bandwidth_hz": check.bandwidth_hz,
-    }
+    names = ("ratio_max", "joint", "frame", "t_worst_s", "ratios", "margins", "noise_ratio", "window_s", "bandwidth_hz")
+    return {name: _list(v) if isinstance(v := getattr(check, name), np.ndarray) else v for name in names}
 
 
 def _tube(tube: TubeResult, limit_m: float) -> dict[str, Json]:
     violation, certificate = tube.violation, tube.certificate
+    against = None if violation is None else {**asdict(violation), "kind": violation.kind.value}
+    names = [f.name for f in fields(TrajectoryCheck) if f.name not in ("knots_s", "control")]
     return {
         "tube_limit_m": limit_m,
         "infeasible_radius_m": tube.infeasible_radius_m,
         "reason": tube.reason,
-        "against": None
-        if violation is None
-        else {
-            "kind": violation.kind.value,
-            "frame": violation.frame,
-            "joint": violation.joint,
-            "value": violation.value,
-            "limit": violation.limit,
-        },
-        "certificate": None
-        if certificate is None
-        else {
-            "position_error_max_m": certificate.position_error_max_m,
-            "rotation_error_max_rad": certificate.rotation_error_max_rad,
-            "joint_limit_margin_min": certificate.joint_limit_margin_min,
-            "velocity_ratio_max": certificate.velocity_ratio_max,
-            "acceleration_ratio_max": certificate.acceleration_ratio_max,
-            "jerk_ratio_max": certificate.jerk_ratio_max,
-            "torque_ratio_max": certificate.torque_ratio_max,
-            "self_distance_min_m": certificate.self_distance_min_m,
-            "table_distance_min_m": certificate.table_distance_min_m,
-        },
+        "against": against,
+        "certificate": None if certificate is None else {name: getattr(certificate, name) for name in names},
     }
 
 
@@ -235,16 +205,6 @@ def _list(values: Array | None) -> list[Json] | None:
     return None if values is None else [float(v) if np.isfinite(v) else None for v in values]
 
 
-def _mean(values: Array) -> float | None:
+def _over_finite(reduce: Callable[[Array], float], values: Array) -> float | None:
     finite = values[np.isfinite(values)]
-    return float(finite.mean()) if finite.size else None
-
-
-def _least(values: Array) -> float | None:
-    finite = values[np.isfinite(values)]
-    return float(finite.min()) if finite.size else None
-
-
-def _greatest(values: Array) -> float | None:
-    finite = values[np.isfinite(values)]
-    return float(finite.max()) if finite.size else None
+    return float(reduce(finite)) if finite.size else None

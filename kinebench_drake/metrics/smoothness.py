@@ -156,50 +156,19 @@ def _speeds(t_s: Array, p: Array) -> Array:
     return np.asarray(speed)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Floor:
-    """Noise floor of a metric: percentiles over DRAWS copies of the smoothed motion with the track's noise."""
-
-    low: float
-    """5th percentile."""
-    median: float
-    """50th percentile."""
-    high: float
-    """95th percentile."""
+METRICS = ("sparc", "sparc_rotation", "ldlj", "sparc_filtered", "sparc_rotation_filtered")
+"""Names of the metrics."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Smoothness:
-    """Smoothness of a gripper track; None where it cannot be measured."""
+    """Smoothness of a gripper track."""
 
-    sparc: float | None
-    """SPARC of the TCP's translation speed."""
-    sparc_rotation: float | None
-    """SPARC of the TCP's rotation speed."""
-    ldlj: float | None
-    """LDLJ of the TCP's translation speed."""
-    sparc_filtered: float | None
-    """Filtered SPARC of the TCP's translation."""
-    sparc_rotation_filtered: float | None
-    """Filtered SPARC of the TCP's rotation."""
-    floors: Mapping[str, Floor]
-    """Noise floors by metric."""
+    metrics: Mapping[str, float | None]
+    """Values by name, None where they cannot be measured. The noise floor of `sparc` is `sparc_floor_low`, `_median`,
+    `_high`, and so on: percentiles 5, 50 and 95 over DRAWS copies of the smoothed motion with the track's noise."""
     reasons: Mapping[str, str]
     """Why a metric, or its noise floor, is missing, by metric."""
-
-    @property
-    def metrics(self) -> dict[str, float | None]:
-        """All values by name; the noise floor of `sparc` is `sparc_floor_low`, `_median`, `_high`, and so on."""
-        values = {name: getattr(self, name) for name in METRICS}
-        for name in METRICS:
-            floor = self.floors.get(name)
-            for part in ("low", "median", "high"):
-                values[f"{name}_floor_{part}"] = None if floor is None else getattr(floor, part)
-        return values
-
-
-METRICS = ("sparc", "sparc_rotation", "ldlj", "sparc_filtered", "sparc_rotation_filtered")
-"""Names of the metrics."""
 
 
 def measure_smoothness(track: GripperTrack, noise: TrackNoise | None = None, seed: int = 0) -> Smoothness:
@@ -223,7 +192,7 @@ def measure_smoothness(track: GripperTrack, noise: TrackNoise | None = None, see
     n = len(t_s)
     if n < MIN_FRAMES:
         short = f"the longest run of tracked frames has {n}, {MIN_FRAMES} are needed"
-        return _smoothness(dict.fromkeys(METRICS, (None, None, short)))
+        return _smoothness(dict.fromkeys(METRICS, (None, _NO_FLOOR, short)))
     noise = noise or estimate_track_noise(track.t_s, track.X_BG, track.tracked)
     p, R = X[:, :3, 3], X[:, :3, :3]
     # The cumulative sum of the rotation vectors between frames is a path whose steps are those of the rotation.
@@ -250,7 +219,9 @@ def measure_smoothness(track: GripperTrack, noise: TrackNoise | None = None, see
     return _smoothness(results)
 
 
-_Measurement = tuple[float | None, Floor | None, str]
+_Floor = tuple[float | None, float | None, float | None]
+_NO_FLOOR: _Floor = (None, None, None)
+_Measurement = tuple[float | None, _Floor, str]
 
 
 def _measure(
@@ -258,7 +229,7 @@ def _measure(
 ) -> dict[str, _Measurement]:
     """Measure value, floor and reason of each metric of a path `p` (N, 3) with noise `sigma` per axis."""
     if still is not None:
-        return dict.fromkeys(names, (None, None, still))
+        return dict.fromkeys(names, (None, _NO_FLOOR, still))
     paths = p[:, None]
     if np.isfinite(sigma):
         smooth = smooth_path(t_s, p, np.full(3, sigma))
@@ -274,22 +245,26 @@ def _measure(
             values = _filtered_arcs(t_s, paths)
         else:
             needed = 2.0 * FILTERED_CUTOFF_HZ
-            results[name] = (None, None, f"{rate:.3g} frames a second are too few; the filter needs {needed:g}")
+            results[name] = (None, _NO_FLOOR, f"{rate:.3g} frames a second are too few; the filter needs {needed:g}")
             continue
         value = float(values[0]) if np.isfinite(values[0]) else None
         drawn = values[1:][np.isfinite(values[1:])]
-        floor = None
+        floor = _NO_FLOOR
         if len(drawn):
             low, median, high = (float(v) for v in np.percentile(drawn, (5.0, 50.0, 95.0)))
-            floor = Floor(low=low, median=median, high=high)
-        reason = "the noise is not known" if floor is None else ""
+            floor = (low, median, high)
+        reason = "" if len(drawn) else "the noise is not known"
         results[name] = (value, floor, reason if value is not None else "the speed has no spectrum to measure")
     return results
 
 
 def _smoothness(results: Mapping[str, _Measurement]) -> Smoothness:
+    floors = {
+        f"{name}_floor_{part}": value
+        for name in METRICS
+        for part, value in zip(("low", "median", "high"), results[name][1], strict=True)
+    }
     return Smoothness(
-        **{name: results[name][0] for name in METRICS},
-        floors=MappingProxyType({name: floor for name in METRICS if (floor := results[name][1]) is not None}),
+        metrics=MappingProxyType({**{name: results[name][0] for name in METRICS}, **floors}),
         reasons=MappingProxyType({name: reason for name in METRICS if (reason := results[name][2])}),
     )

@@ -3,10 +3,11 @@ import pytest
 
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array, make_pose, pose_difference
-from kinebench_drake.kinematics.ik import find_least_excess, posture_solver, solve_pose
+from kinebench_drake.kinematics.ik import find_least_excess, solve_pose
 from kinebench_drake.kinematics.newton import solve_newton, solve_snopt
 from kinebench_drake.kinematics.path import limit_excess
 from kinebench_drake.kinematics.plant import ArmPlant
+from kinebench_drake.kinematics.postures import posture_solver
 from kinebench_drake.models.panda.robot import rest_q
 from kinebench_drake.types import IkStatus
 

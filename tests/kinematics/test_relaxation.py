@@ -2,9 +2,9 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from kinebench_drake.geometry import Array, pose_difference
-from kinebench_drake.kinematics.ik import posture_solver
 from kinebench_drake.kinematics.path import limit_excess, speed_ratios
 from kinebench_drake.kinematics.plant import ArmPlant
+from kinebench_drake.kinematics.postures import posture_solver
 from kinebench_drake.kinematics.relaxation import peak_ratio, relax
 from kinebench_drake.models.panda.robot import rest_q
 
@@ -26,7 +26,7 @@ def test_relaxing_keeps_the_poses_and_asks_less(plant: ArmPlant) -> None:
     wagging = q.copy()
     wagging[:, 6] += 0.15 * (-1.0) ** np.arange(30)
     wagging = posture_solver(plant).nearest(X_BG, wagging)
-    straight = relax(plant, posture_solver(plant), t_s, X_BG, wagging)
+    straight = relax(plant, t_s, X_BG, wagging)
     assert max(d.max() for d in pose_difference(_poses(plant, straight), X_BG)) < 1e-9
     before, after = (np.sum(speed_ratios(plant, t_s, path) ** 2) for path in (wagging, straight))
     assert after < 0.1 * before
@@ -39,7 +39,7 @@ def test_relaxing_brings_a_path_back_within_limits(plant: ArmPlant) -> None:
     X_BG, t_s = _poses(plant, q), 0.2 * np.arange(20)
     past = posture_solver(plant).nearest(X_BG, q + 0.06 * np.eye(7)[6])
     assert limit_excess(plant, past).max() > 0.01
-    assert limit_excess(plant, relax(plant, posture_solver(plant), t_s, X_BG, past)).max() == 0.0
+    assert limit_excess(plant, relax(plant, t_s, X_BG, past)).max() == 0.0
 
 
 def test_the_peak_is_the_greatest_speed_or_acceleration_over_its_limit(plant: ArmPlant) -> None:

@@ -5,9 +5,9 @@ from scipy.interpolate import CubicSpline
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array, make_pose, pose_difference, rotation_exp
 from kinebench_drake.kinematics.collision import CollisionModel
-from kinebench_drake.kinematics.ik import posture_solver
 from kinebench_drake.kinematics.path import limit_excess, speed_ratios
 from kinebench_drake.kinematics.plant import ArmPlant
+from kinebench_drake.kinematics.postures import posture_solver
 from kinebench_drake.kinematics.track import branch_jumps, follow_poses, solve_track
 from kinebench_drake.models.panda.robot import rest_q
 from kinebench_drake.types import GripperTrack, IkStatus

@@ -27,8 +27,6 @@ from kinebench_drake.errors import InputError, cause
 from kinebench_drake.io.hdf5 import DAMAGED, open_hdf5, read_all
 from kinebench_drake.io.jsonl import as_object, read_object
 
-SUFFIXES = frozenset({".h5", ".hdf5"})
-
 DEFAULT_RATE_HZ = 20.0
 """Default control frequency of ManiSkill [Hz]."""
 

@@ -7,8 +7,8 @@ from pathlib import Path
 from kinebench_drake.datasets.folders import list_suffixes, require_apart, walk
 from kinebench_drake.datasets.ids import unique_ids
 from kinebench_drake.datasets.lerobot import is_lerobot, list_lerobot_trajectories, read_lerobot
-from kinebench_drake.datasets.trajectories import maniskill
 from kinebench_drake.datasets.trajectories.check import check
+from kinebench_drake.datasets.trajectories.maniskill import list_maniskill, read_maniskill
 from kinebench_drake.datasets.trajectories.tables import CSV_SUFFIXES, NPZ_SUFFIXES, read_archive, read_table
 from kinebench_drake.datasets.trajectories.trajectory import (
     Trajectory,
@@ -17,12 +17,13 @@ from kinebench_drake.datasets.trajectories.trajectory import (
     TrajectorySample,
 )
 from kinebench_drake.errors import InputError, UsageError
+from kinebench_drake.io.hdf5 import HDF5_SUFFIXES
 from kinebench_drake.results.store import SAMPLES, read_rows
 
 EXPECTED = (
     "a trajectory (npz, csv, ManiSkill h5), a LeRobot dataset, an output folder or its tracks, or a folder of these"
 )
-_SUFFIXES = NPZ_SUFFIXES | CSV_SUFFIXES | maniskill.SUFFIXES
+_SUFFIXES = NPZ_SUFFIXES | CSV_SUFFIXES | HDF5_SUFFIXES
 
 
 def find_trajectories(
@@ -91,7 +92,7 @@ def read_trajectory(sample: TrajectorySample, choice: TrajectoryOptions) -> Traj
     elif sample.format is TrajectoryFormat.CSV:
         raw = read_table(sample.path, choice)
     elif sample.format is TrajectoryFormat.MANISKILL:
-        raw = maniskill.read_maniskill(sample.path, str(sample.part), sample.rate_hz, choice)
+        raw = read_maniskill(sample.path, str(sample.part), sample.rate_hz, choice)
     else:
         raw = read_lerobot(sample.path, int(str(sample.part)), sample.about[0], choice)
     return check(replace(raw, warnings=(*sample.warnings, *raw.warnings)), choice.rate_hz)
@@ -99,8 +100,8 @@ def read_trajectory(sample: TrajectorySample, choice: TrajectoryOptions) -> Traj
 
 def _list_file(path: Path, video: str) -> list[TrajectorySample]:
     suffix = path.suffix.lower()
-    if suffix in maniskill.SUFFIXES:
-        return maniskill.list_maniskill(path, video)
+    if suffix in HDF5_SUFFIXES:
+        return list_maniskill(path, video)
     format = TrajectoryFormat.NPZ if suffix in NPZ_SUFFIXES else TrajectoryFormat.CSV
     return [TrajectorySample(id=path.stem, path=path, video=video, format=format)]
 

@@ -4,14 +4,13 @@ import csv
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinebench_drake.datasets.trajectories.check import MAX_FRAMES
 from kinebench_drake.datasets.trajectories.pose import from_quaternions
 from kinebench_drake.datasets.trajectories.trajectory import RawTrajectory, TrajectoryOptions
 from kinebench_drake.errors import InputError, cause
 from kinebench_drake.geometry import Array
-from kinebench_drake.io.npz import Archive, at_most, open_npz
+from kinebench_drake.io.npz import at_most, open_npz
 
 NPZ_SUFFIXES = frozenset({".npz"})
 
@@ -29,39 +28,26 @@ def read_archive(path: Path, choice: TrajectoryOptions) -> RawTrajectory:
         InputError: the file is damaged, lacks an array, or holds pickled objects.
     """
     with open_npz(path, at_most(_MAX_BYTES)) as archive:
-        return _read_arrays(archive, choice)
-
-
-def _read_arrays(archive: Archive, choice: TrajectoryOptions) -> RawTrajectory:
-    names = archive.files
-
-    def optional(name: str) -> NDArray[np.generic] | None:
-        return archive[name] if name in names else None
-
-    warnings = []
-    if choice.joints is not None or choice.poses is not None:
-        name = str(choice.joints or choice.poses)
-        if name not in names:
-            raise InputError(f"holds no array {name!r}, but {_list_arrays(names)}")
-        is_joints = choice.joints is not None
-    else:
-        order = (_POSES, _JOINTS) if "ik_ok" in names else (_JOINTS, _POSES)
-        candidates = [name for name in order if name in names]
-        if not candidates:
-            raise InputError(f"holds {_list_arrays(names)}, expected t_s and {_POSES} (T,4,4) or {_JOINTS} (T,7)")
-        name, is_joints = candidates[0], candidates[0] == _JOINTS
-        if len(candidates) > 1 and "ik_ok" not in names:
-            warnings.append(f"holds {_JOINTS} and {_POSES}: {_JOINTS} was read (--poses {_POSES} reads the poses)")
-    values = archive[name]
-    return RawTrajectory(
-        t_s=optional("t_s"),
-        X_BG=None if is_joints else values,
-        q=values if is_joints else None,
-        tracked=optional("tracked"),
-        finger_width_m=optional("finger_width_m"),
-        columns=name,
-        warnings=tuple(warnings),
-    )
+        names, warnings = archive.files, list[str]()
+        choices = [name for name in (choice.joints, choice.poses) if name is not None]
+        if choices:
+            [name], is_joints = choices, choice.joints is not None
+            if name not in names:
+                raise InputError(f"holds no array {name!r}, but {_list_arrays(names)}")
+        else:
+            order = (_POSES, _JOINTS) if "ik_ok" in names else (_JOINTS, _POSES)
+            candidates = [name for name in order if name in names]
+            if not candidates:
+                raise InputError(f"holds {_list_arrays(names)}, expected t_s and {_POSES} (T,4,4) or {_JOINTS} (T,7)")
+            name, is_joints = candidates[0], candidates[0] == _JOINTS
+            if len(candidates) > 1 and "ik_ok" not in names:
+                warnings.append(f"holds {_JOINTS} and {_POSES}: {_JOINTS} was read (--poses {_POSES} reads the poses)")
+        return RawTrajectory(
+            **{"q" if is_joints else "X_BG": archive[name]},
+            **{key: archive[key] if key in names else None for key in ("t_s", "tracked", "finger_width_m")},
+            columns=name,
+            warnings=tuple(warnings),
+        )
 
 
 def _list_arrays(names: list[str]) -> str:

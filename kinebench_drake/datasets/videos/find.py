@@ -17,13 +17,8 @@ from kinebench_drake.io.reader import ARRAY_SUFFIXES
 from kinebench_drake.io.video import VideoPart
 
 
-def list_container(path: Path, search: Search) -> list[VideoSample]:
-    """List a video file."""
-    return [search.sample(path)]
-
-
-def list_array(path: Path, search: Search) -> list[VideoSample]:
-    """List an npy file, or an array of an npz file: the one that the camera key names, else the default one."""
+def list_file(path: Path, search: Search) -> list[VideoSample]:
+    """List a video or npy file, or an array of an npz file: the one that the camera key names, else the default one."""
     sample = search.sample(path)
     if path.suffix.lower() != ".npz" or search.camera_key is None:
         return [sample]
@@ -33,8 +28,7 @@ def list_array(path: Path, search: Search) -> list[VideoSample]:
 FILES: Mapping[str, Callable[[Path, Search], Sequence[VideoSample]]] = {
     ".jsonl": manifest.list_manifest,
     **dict.fromkeys(HDF5_SUFFIXES, hdf5_videos.list_hdf5),
-    **dict.fromkeys(VIDEO_SUFFIXES, list_container),
-    **dict.fromkeys(ARRAY_SUFFIXES, list_array),
+    **dict.fromkeys(VIDEO_SUFFIXES | ARRAY_SUFFIXES, list_file),
 }
 """Functions that list the videos of a named file, by its suffix in lower case."""
 
@@ -172,10 +166,10 @@ def _list(source: Path, search: Search, skipped: Sequence[Path]) -> Sequence[Vid
         if not samples:
             raise InputError(f"holds no video (found {list_suffixes(source)}), expected {_expected()}")
         return samples
-    list_file = NAMES.get(source.name) or FILES.get(source.suffix.lower())
-    if list_file is None:
+    lister = NAMES.get(source.name) or FILES.get(source.suffix.lower())
+    if lister is None:
         raise InputError(f"found a {source.suffix or 'nameless'} file, expected {_expected()}")
-    return list_file(source, search)
+    return lister(source, search)
 
 
 def _expected() -> str:
