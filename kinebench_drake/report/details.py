@@ -1,4 +1,4 @@
-"""Details of one sample as lines of text: summaries of the checks, their resolution, and all other entries."""
+"""Details of one sample as lines of text: summaries of the checks, and all other entries."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -7,7 +7,7 @@ import numpy as np
 
 from kinebench_drake.geometry import Array
 from kinebench_drake.io.jsonl import as_object
-from kinebench_drake.report.limits import find_checks, to_number
+from kinebench_drake.report.limits import to_number
 from kinebench_drake.results.row import SampleRow
 from kinebench_drake.types import Json
 
@@ -66,31 +66,6 @@ def _format(value: Json, factor: float, unit: str) -> str:
         more = f" … ({len(value)} in all)" if len(value) > _MAX_ENTRIES else ""
         return f"{', '.join(entries)}{more} {unit}".strip()
     return "–" if value is None else str(value)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CheckResolution:
-    """Resolution and result of the check of one rate limit."""
-
-    kind: str
-    window_s: float | None
-    """Window of the smoothing [s]."""
-    bandwidth_hz: float | None
-    noise_ratio: float | None
-    """Standard error / limit."""
-    ratios: tuple[float | None, ...]
-    """Peak value / limit of each joint; None if below the noise or without a limit."""
-
-
-def check_resolutions(row: SampleRow) -> list[CheckResolution]:
-    """Read windows, bandwidths and joint ratios of the checks in a row's details."""
-    resolutions = []
-    for kind, check in find_checks(row.details).items():
-        ratios = check.get("ratios")
-        numbers = {name: to_number(check.get(name)) for name in ("window_s", "bandwidth_hz", "noise_ratio")}
-        joints = tuple(to_number(r) for r in ratios) if isinstance(ratios, list | tuple) else ()
-        resolutions.append(CheckResolution(kind=kind, ratios=joints, **numbers))
-    return resolutions
 
 
 def summarize_checks(row: SampleRow, t_s: Array | None) -> list[DetailLine]:

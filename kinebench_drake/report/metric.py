@@ -18,14 +18,12 @@ class Metric:
     """Explanation: one clause."""
 
 
-_TRACK = (
+_METRICS = (
     ("tracked_fraction", "Frames tracked", "{:.0%}", "share of frames with a reliable gripper pose"),
     ("camera_motion_px", "Camera motion [px]", "{:.2f}", "motion of the background; about 0 for a fixed camera"),
     ("arm_consistency_px", "Arm consistency [px]", "{:.1f}", "distance of the links from the arm posed by the hand"),
     ("ik_success_rate", "IK success", "{:.0%}", "share of tracked frames reached within joint limits"),
     ("ik_position_error_max_m", "IK position error, max [m]", "{:.2g}", "greatest distance from the wanted pose"),
-)
-_CONFIGURATION = (
     ("joint_limit_margin_min", "Joint margin, min", "{:.3f}", "distance to the limit / half the range; < 0 is outside"),
     ("manipulability_mean", "Manipulability, mean", "{:.4f}", "volume of the 6x7 Jacobian; 0 is singular"),
     ("manipulability_min", "Manipulability, min", "{:.4f}", "volume of the 6x7 Jacobian at its worst frame"),
@@ -37,8 +35,6 @@ _CONFIGURATION = (
     ("manipulability_limited_min", "Manipulability within limits, min", "{:.4f}", "weighted by joint limits"),
     ("condition_number_max", "Condition number, max", "{:.1f}", "of the 6x7 Jacobian; large near a singularity"),
     ("branch_jumps", "Branch jumps", "{:.2f}", "changes of arm configuration that the joint path needs"),
-)
-_MOTION = (
     ("sparc", "SPARC", "{:.2f}", "smoothness of the position; nearer 0 is smoother"),
     ("sparc_rotation", "SPARC, rotation", "{:.2f}", "smoothness of the rotation; nearer 0 is smoother"),
     ("sparc_filtered", "SPARC, filtered", "{:.2f}", "SPARC after one fixed filter, to compare frame rates"),
@@ -54,8 +50,6 @@ _MOTION = (
     ("trajopt_position_tube_m", "Trajectory tube [m]", "{:.4f}", "distance of the feasible trajectory from the track"),
     ("self_distance_min_m", "Self-collision clearance [m]", "{:.3f}", "negative is a collision"),
     ("table_distance_min_m", "Table clearance [m]", "{:.3f}", "negative is a collision"),
-)
-_EPISODE = (
     ("success", "Success", "{:.0%}", "share of episodes that reach the task's goal"),
     ("progress", "Progress", "{:.0%}", "share of the task's steps completed"),
     ("rounds", "Rounds", "{:.2f}", "clips requested from the model per episode"),
@@ -66,8 +60,7 @@ _EPISODE = (
     ("gap_ssim", "SSIM", "{:.3f}", "of imagined against executed frames"),
 )
 BY_NAME = {
-    name: Metric(name=name, label=label, pattern=pattern, meaning=meaning)
-    for name, label, pattern, meaning in (*_TRACK, *_CONFIGURATION, *_MOTION, *_EPISODE)
+    name: Metric(name=name, label=label, pattern=pattern, meaning=meaning) for name, label, pattern, meaning in _METRICS
 }
 
 

@@ -83,7 +83,7 @@ def build_page(out: Path) -> str:
     views = {sample.row.id: sample for sample in samples}
     templates = template_environment()
     templates.filters |= {"label": VERDICTS.__getitem__, "verdict": verdict_of, "explanation": explain}
-    templates.filters["anomalies"] = anomalies_of
+    templates.filters |= {"anomalies": anomalies_of, "scalar": to_number}
     return templates.get_template("page.html.j2").render(
         title=_title(results),
         results=results,

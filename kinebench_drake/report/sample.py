@@ -2,7 +2,7 @@
 
 import base64
 import os
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -13,18 +13,13 @@ from markupsafe import Markup
 
 from kinebench_drake.io.jsonl import as_object
 from kinebench_drake.report.curves import draw_curves
-from kinebench_drake.report.details import (
-    CheckResolution,
-    DetailLine,
-    check_resolutions,
-    list_details,
-    summarize_checks,
-)
-from kinebench_drake.report.limits import LimitPeak, find_peaks
+from kinebench_drake.report.details import DetailLine, list_details, summarize_checks
+from kinebench_drake.report.limits import LimitPeak, find_checks, find_peaks
 from kinebench_drake.report.timeline import anomalies_of, draw_strip, fault_lanes, frame_count
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.results.store import artifact_path
 from kinebench_drake.results.trackfile import read_track
+from kinebench_drake.types import Json
 
 _FAILURES = {cause: f"failed: {cause}" for cause in ("grounding", "generation", "execution", "task")}
 VERDICTS = {
@@ -55,8 +50,8 @@ class SampleView:
     plots: Sequence[Markup]
     summary: Sequence[DetailLine]
     """Results of the checks."""
-    resolutions: Sequence[CheckResolution]
-    """Resolution of the check of each limit."""
+    checks: Mapping[str, Mapping[str, Json]]
+    """Check of each rate limit, see `find_checks`: its window, bandwidth, noise and the ratio of each joint."""
     details: Sequence[DetailLine]
     """All other details of the verdict."""
     replay: str | None
@@ -159,7 +154,7 @@ def view_sample(out: Path, row: SampleRow, *, drawn: bool, pictured: bool = True
         left_out=max(len(violations) - _MAX_VIOLATIONS, 0),
         plots=draw_curves(row, file) if file else [],
         summary=summarize_checks(row, file.track.t_s) if file else [],
-        resolutions=check_resolutions(row) if drawn else [],
+        checks=find_checks(row.details) if drawn else {},
         details=list(_other_details(row)) if drawn else [],
         replay=links.get("replays") if viewable else None,
         videos=[(label, links[part]) for part, label in _VIDEOS.items() if part in links],

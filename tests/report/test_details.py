@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from kinebench_drake.report.details import check_resolutions, list_details, summarize_checks
+from kinebench_drake.report.details import list_details, summarize_checks
 
 
 @pytest.mark.parametrize(
@@ -90,18 +90,3 @@ def test_assumed_noise_is_marked(judged):
 @pytest.mark.parametrize("details", [{}, {"noise": None, "slowdown": None, "trajopt": None}, {"time_scale": {}}])
 def test_missing_checks_are_left_out(judged, details):
     assert summarize_checks(judged(details=details, metrics={"slowdown_min": None}), T_S) == []
-
-
-def test_resolutions_of_each_limit(judged):
-    checks = {
-        "velocity": {"ratio_max": 0.5, "window_s": 0.2, "bandwidth_hz": 2.2, "ratios": [0.5, None], "noise_ratio": 0.1},
-        "jerk": {"ratio_max": None},
-    }
-    (resolution,) = check_resolutions(judged(details={"checks": checks}))
-    assert (resolution.kind, resolution.window_s, resolution.bandwidth_hz, resolution.noise_ratio) == (
-        "velocity",
-        0.2,
-        2.2,
-        0.1,
-    )
-    assert resolution.ratios == (0.5, None)

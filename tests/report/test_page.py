@@ -74,6 +74,22 @@ def test_the_page_stands_alone_and_its_tags_balance(out):
     assert str(out) not in text
 
 
+def test_checks_of_rate_limits_are_listed_with_the_ratio_of_each_joint(tmp_path):
+    checks = {
+        "velocity": {"ratio_max": 1.5, "window_s": 0.2, "bandwidth_hz": 2.2, "ratios": [1.5, None], "noise_ratio": 0.1},
+        "acceleration": {"ratio_max": 0.5},
+        "jerk": {"ratio_max": None},
+    }
+    with ResultStore(tmp_path) as store:
+        store.append(row("a", feasible=True, details={"checks": checks}), 0.1)
+    text = write_report(tmp_path).read_text()
+    numbers = "".join(f'<td class="n">{cell}</td>' for cell in ("0.2 s", "2.2 Hz", "0.1"))
+    dash = '<td class="n">–</td>'
+    assert f'<tr><td>velocity</td>{numbers}<td class="n past">1.5</td>{dash}</tr>' in text
+    assert f"<tr><td>acceleration</td>{3 * dash}</tr>" in text
+    assert "<tr><td>jerk</td>" not in text
+
+
 def test_nothing_from_outside_is_taken_for_html(out):
     text = write_report(out).read_text()
     assert Page(text).scripts == 1
