@@ -2,17 +2,17 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from kinebench_drake.errors import SetupError, UsageError
-from kinebench_drake.executors.base import Executor, WorkerCrash
+from kinebench_drake.errors import UsageError
+from kinebench_drake.executors.base import Executor
 from kinebench_drake.executors.progress import Observer
 from kinebench_drake.grounding.evaluation.clip import PlantedCase, TruthClipFile, choose, find_clips
 from kinebench_drake.grounding.evaluation.errors import read_anomaly
 from kinebench_drake.grounding.evaluation.store import MeasurementStore, fingerprint
 from kinebench_drake.grounding.evaluation.variants import VariantTools
-from kinebench_drake.grounding.pipeline import GroundingPipeline
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.types import Anomaly, AnomalyKind
 
@@ -89,29 +89,21 @@ def located(planted: PlantedCase, detected: Anomaly) -> bool:
     return starts and (ends or planted.kind not in _ENDING)
 
 
-@dataclass(frozen=True, slots=True)
-class AnomalyWorkerFactory:
-    """Creates, in each process, the function that runs the detectors on clips."""
+def make_detector(weights: Path | None) -> Callable[[TruthClipFile], ClipAnomalies]:
+    """Return the function that grounds a clip and runs the detectors; `weights` in place of those shipped."""
+    pipeline = VariantTools.load(weights).shipped
 
-    weights: Path | None
-    """Weights in place of those shipped."""
+    def detect(clip: TruthClipFile) -> ClipAnomalies:
+        detections = pipeline.ground(read_video(clip.video).frames, clip.camera, clip.load().t_s).detections
+        return ClipAnomalies(
+            id=clip.id,
+            task=clip.task,
+            planted=clip.planted,
+            scores={kind: round(score, 4) for kind, score in detections.scores.items()},
+            detected=detections.anomalies,
+        )
 
-    def __call__(self) -> Callable[[TruthClipFile], ClipAnomalies]:
-        """Return the function that runs the detectors on one clip."""
-        pipeline = VariantTools.load(self.weights).shipped
-        return lambda clip: detect(clip, pipeline)
-
-
-def detect(clip: TruthClipFile, pipeline: GroundingPipeline) -> ClipAnomalies:
-    """Ground a clip and return the output of the detectors."""
-    detections = pipeline.ground(read_video(clip.video).frames, clip.camera, clip.load().t_s).detections
-    return ClipAnomalies(
-        id=clip.id,
-        task=clip.task,
-        planted=clip.planted,
-        scores={kind: round(score, 4) for kind, score in detections.scores.items()},
-        detected=detections.anomalies,
-    )
+    return detect
 
 
 def find_cases(clean: Path, faulty: Path, limit: int | None) -> list[TruthClipFile]:
@@ -151,12 +143,5 @@ def detect_all(
     store = MeasurementStore(keep, ClipAnomalies)
     base = fingerprint(modules=[__name__], files=[weights] if weights else [])
     keys = {clip.id: f"{base}-{clip.digest()}" for clip in clips}
-    todo = [clip for clip in clips if keys[clip.id] not in store]
-    observer.start(len(clips), len(clips) - len(todo))
-    for outcome in executor.run(AnomalyWorkerFactory(weights), todo):
-        clip = outcome.item
-        if isinstance(outcome, WorkerCrash):
-            raise SetupError(f"{clip.id}: {outcome.reason}; run the same command again, what is finished is kept")
-        store.put(keys[clip.id], outcome.result)
-        observer.advance(clip.id)
-    return [store[keys[clip.id]] for clip in clips]
+    make_worker = partial(make_detector, weights)
+    return store.complete(clips, lambda c: keys[c.id], executor, make_worker, observer, lambda c: c.id)

@@ -4,14 +4,16 @@ A key identifies the clip, the condition and all that shapes the result: lines o
 ignored.
 """
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from hashlib import blake2b
 from pathlib import Path
 from typing import Any, Generic, Protocol, Self, TypeVar
 
 import kinebench_drake
 from kinebench_drake.environment.sources import reachable_sources
-from kinebench_drake.errors import InputError, UsageError
+from kinebench_drake.errors import InputError, SetupError, UsageError
+from kinebench_drake.executors.base import Executor, MakeWorker, WorkerCrash
+from kinebench_drake.executors.progress import Observer
 from kinebench_drake.io.jsonl import append_line, drop_torn_line, read_lines
 
 
@@ -29,6 +31,7 @@ class JsonRecord(Protocol):
 
 
 Record = TypeVar("Record", bound=JsonRecord)
+Item = TypeVar("Item")
 
 
 def fingerprint(*settings: object, modules: Iterable[str] = (), files: Iterable[Path] = ()) -> str:
@@ -89,6 +92,30 @@ class MeasurementStore(Generic[Record]):
         if self._path is not None:
             self._path.parent.mkdir(parents=True, exist_ok=True)
             append_line(self._path, {"key": key, **row})
+
+    def complete(
+        self,
+        items: Sequence[Item],
+        key: Callable[[Item], str],
+        executor: Executor,
+        make_worker: MakeWorker[Item, Record],
+        observer: Observer,
+        label: Callable[[Item], str],
+    ) -> list[Record]:
+        """Measure the items that are not in the store yet; return the measurements of all, in the order of the items.
+
+        Raises:
+            SetupError: a worker died, or writing failed; finished measurements are stored.
+        """
+        todo = [item for item in items if key(item) not in self]
+        observer.start(len(items), len(items) - len(todo))
+        for outcome in executor.run(make_worker, todo):
+            name = label(outcome.item)
+            if isinstance(outcome, WorkerCrash):
+                raise SetupError(f"{name}: {outcome.reason}; run the same command again, what is finished is kept")
+            self.put(key(outcome.item), outcome.result)
+            observer.advance(name)
+        return [self[key(item)] for item in items]
 
 
 def _row(value: object) -> dict[str, Any]:

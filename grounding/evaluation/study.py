@@ -12,17 +12,12 @@ from kinebench_drake.grounding.evaluation.clip import TruthClipFile, choose, fin
 from kinebench_drake.grounding.evaluation.errors import ClipErrors
 from kinebench_drake.grounding.evaluation.perturbation.catalogue import PerturbationKind, ladder
 from kinebench_drake.grounding.evaluation.reframing import reframings
-from kinebench_drake.grounding.evaluation.store import MeasurementStore
+from kinebench_drake.grounding.evaluation.store import MeasurementStore, fingerprint
 from kinebench_drake.grounding.evaluation.summary import Results
 from kinebench_drake.grounding.evaluation.tables import compared, comparison_table, intervals_json
-from kinebench_drake.grounding.evaluation.trial import (
-    GroundingTrial,
-    TrialCondition,
-    TrialWorkerFactory,
-    run_trials,
-)
-from kinebench_drake.grounding.evaluation.variants import VARIANTS, Degradation, plug_in
-from kinebench_drake.grounding.overrides.depth import depth_source_name
+from kinebench_drake.grounding.evaluation.trial import GroundingTrial, TrialCondition, TrialWorkerFactory
+from kinebench_drake.grounding.evaluation.variants import VARIANTS, Degradation
+from kinebench_drake.grounding.overrides.depth import DepthPlugIn
 from kinebench_drake.stats import IntervalEstimate
 
 CLEAN = TrialCondition(name="as it is")
@@ -114,9 +109,9 @@ def depth_ablation(plug_ins: Sequence[str]) -> GroundingStudy:
             name = f"{kind} {max(level.scale, level.field, level.noise):.0%}"
             conditions.append(TrialCondition(name=name, degradation=level, group=kind))
     for spec in plug_ins:
-        plug_in(spec)
-        name = depth_source_name(spec)
-        conditions.append(TrialCondition(name=name, plug_in=spec, group=name))
+        plug_in = DepthPlugIn(spec)
+        plug_in.check()
+        conditions.append(TrialCondition(name=plug_in.name, plug_in=plug_in, group=plug_in.name))
     return GroundingStudy(title="Pose errors with depth of graded quality", conditions=tuple(conditions))
 
 
@@ -174,6 +169,21 @@ def run_study(
         raise UsageError("there is nothing to compare; name at least one condition")
     trials = [GroundingTrial(clip=clip, condition=condition) for clip in clips for condition in study.conditions]
     factory = TrialWorkerFactory(weights=plan.weights, seed=plan.seed, with_depth=study.needs_depth)
+    weights = [plan.weights] if plan.weights else []
+    base = fingerprint(plan.seed, modules=[TrialWorkerFactory.__module__], files=weights)
+    digests = {clip.id: clip.digest() for clip in clips}
+    conditions = {condition: condition.identity() for condition in study.conditions}
+
+    def key(trial: GroundingTrial) -> str:
+        return f"{base}-{digests[trial.clip.id]}-{trial.clip.id}-{conditions[trial.condition]}"
+
+    def label(trial: GroundingTrial) -> str:
+        return f"{trial.clip.id}  {trial.condition.name}"
+
     store = MeasurementStore(plan.keep, ClipErrors)
-    results = run_trials(trials, factory, executor, store, observer, make_worker)
-    return StudyOutcome(study=study, results=dict(results), figures=compared(results, plan.seed))
+    todo = sorted(trials, key=lambda t: t.clip.id)
+    store.complete(todo, key, executor, make_worker or factory, observer, label)
+    results: dict[str, list[ClipErrors]] = {}
+    for trial in trials:
+        results.setdefault(trial.condition.name, []).append(store[key(trial)])
+    return StudyOutcome(study=study, results=results, figures=compared(results, plan.seed))

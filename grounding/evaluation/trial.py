@@ -1,30 +1,27 @@
-"""Trials: clips under conditions, measured by worker processes and stored."""
+"""Trials: clips under conditions, measured by worker processes."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from kinebench_drake.errors import SetupError
-from kinebench_drake.executors.base import Executor, MakeWorker, WorkerCrash
-from kinebench_drake.executors.progress import Observer
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.evaluation.clip import TruthClip, TruthClipFile
 from kinebench_drake.grounding.evaluation.errors import ClipErrors, compare, measure_expense
 from kinebench_drake.grounding.evaluation.perturbation.catalogue import Perturbation, perturb
 from kinebench_drake.grounding.evaluation.reframing import Reframing, reframe
-from kinebench_drake.grounding.evaluation.store import MeasurementStore, fingerprint
+from kinebench_drake.grounding.evaluation.store import fingerprint
 from kinebench_drake.grounding.evaluation.variants import (
     VARIANTS,
     Degradation,
     Ground,
     VariantTools,
     degraded,
-    plug_in,
+    external,
 )
-from kinebench_drake.grounding.overrides.depth import depth_source_files
+from kinebench_drake.grounding.overrides.depth import DepthPlugIn
 from kinebench_drake.grounding.view import Frames
 from kinebench_drake.io.reader import read_video
 
@@ -41,8 +38,8 @@ class TrialCondition:
     """Perturbation of the frames."""
     degradation: Degradation | None = None
     """Degradation of the estimated depth."""
-    plug_in: str | None = None
-    """Spec of another depth estimator."""
+    plug_in: DepthPlugIn | None = None
+    """Another depth estimator."""
     reframing: Reframing | None = None
     """Size and shape of the frames."""
     group: str = ""
@@ -52,8 +49,7 @@ class TrialCondition:
         """Return a text that is equal for equal conditions; a plug-in counts with its files, not with their paths."""
         if self.plug_in is None:
             return repr(self)
-        files = fingerprint(files=depth_source_files(self.plug_in))
-        return repr(replace(self, plug_in=f"{self.name} {files}"))
+        return repr(replace(self, plug_in=DepthPlugIn(f"{self.name} {fingerprint(files=self.plug_in.files)}")))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -62,11 +58,6 @@ class GroundingTrial:
 
     clip: TruthClipFile
     condition: TrialCondition
-
-    @property
-    def key(self) -> tuple[str, str]:
-        """Clip id and condition name."""
-        return self.clip.id, self.condition.name
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -124,7 +115,7 @@ class TrialWorkerFactory:
 
     def _pipeline(self, condition: TrialCondition) -> Ground:
         if condition.plug_in is not None:
-            return plug_in(condition.plug_in)
+            return external(condition.plug_in)
         if condition.degradation is not None:
             return degraded(condition.degradation, self.seed)
         return VARIANTS[condition.variant].ground
@@ -138,41 +129,3 @@ def evaluate(
         lambda: ground(tools, clip, read_video(clip.path).frames if frames is None else frames)
     )
     return compare(clip, grounding, expense, share)
-
-
-def run_trials(
-    trials: Sequence[GroundingTrial],
-    factory: TrialWorkerFactory,
-    executor: Executor,
-    store: MeasurementStore[ClipErrors],
-    observer: Observer,
-    make_worker: MakeWorker[GroundingTrial, ClipErrors] | None = None,
-) -> Mapping[str, list[ClipErrors]]:
-    """Measure the trials that are not in the store yet.
-
-    Returns:
-        The errors of all trials by condition name, in the order of the trials.
-
-    Raises:
-        SetupError: a worker died; finished trials are stored.
-    """
-    weights = [factory.weights] if factory.weights else []
-    base = fingerprint(factory.seed, modules=[__name__], files=weights)
-    digests = {t.clip.id: t.clip.digest() for t in {t.clip.id: t for t in trials}.values()}
-    conditions = {t.condition: t.condition.identity() for t in trials}
-    keys = {t.key: f"{base}-{digests[t.clip.id]}-{t.clip.id}-{conditions[t.condition]}" for t in trials}
-    todo = [t for t in trials if keys[t.key] not in store]
-    observer.start(len(trials), len(trials) - len(todo))
-    for outcome in executor.run(make_worker or factory, sorted(todo, key=lambda t: t.clip.id)):
-        trial = outcome.item
-        if isinstance(outcome, WorkerCrash):
-            raise SetupError(
-                f"{trial.clip.id}, {trial.condition.name}: {outcome.reason}; run the same command again, what is "
-                "finished is kept"
-            )
-        store.put(keys[trial.key], outcome.result)
-        observer.advance(f"{trial.clip.id}  {trial.condition.name}")
-    results: dict[str, list[ClipErrors]] = {}
-    for trial in trials:
-        results.setdefault(trial.condition.name, []).append(store[keys[trial.key]])
-    return results

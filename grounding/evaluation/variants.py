@@ -13,7 +13,7 @@ from kinebench_drake.grounding.confidence import Confidence
 from kinebench_drake.grounding.crop import Crop
 from kinebench_drake.grounding.estimator import NetworkEstimator
 from kinebench_drake.grounding.evaluation.clip import TruthClip
-from kinebench_drake.grounding.overrides.depth import check_depth_source, estimate_depth
+from kinebench_drake.grounding.overrides.depth import DepthPlugIn
 from kinebench_drake.grounding.pipeline import GroundingPipeline, GroundingResult
 from kinebench_drake.grounding.tracker import CadTracker
 from kinebench_drake.grounding.view import DenseEstimator, Frames, GripperView
@@ -151,17 +151,12 @@ def degraded(degradation: Degradation, seed: int) -> Ground:
     return ground
 
 
-def plug_in(spec: str) -> Ground:
-    """Return the shipped pipeline on the depth of another estimator, `moge:CHECKPOINT` or `module:Class`.
-
-    Raises:
-        UsageError: there is no such estimator.
-    """
-    check_depth_source(spec)
+def external(plug_in: DepthPlugIn) -> Ground:
+    """Return the shipped pipeline on the depth of another estimator."""
 
     def ground(tools: VariantTools, clip: TruthClip, frames: Frames) -> GroundingResult:
         camera = clip.camera.resized(frames.shape[2], frames.shape[1])
-        priors = Priors(depth=estimate_depth(spec, frames, camera))
+        priors = Priors(depth=plug_in.estimate(frames, camera))
         return tools.shipped.ground(frames, clip.camera, clip.t_s[: len(frames)], priors)
 
     return ground

@@ -2,6 +2,7 @@
 
 import importlib.util
 import sys
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Protocol, cast
@@ -112,85 +113,84 @@ class MogeDepth:
         return depth_m
 
 
-def is_depth_source(spec: str) -> bool:
-    """Return whether `spec` has the form `moge:CHECKPOINT` or `module:Class`."""
-    return spec.startswith(_MOGE) or is_class_name(spec)
+@dataclass(frozen=True, slots=True)
+class DepthPlugIn:
+    """Depth estimator of another program by its name on the command line; picklable, unlike the estimator."""
 
+    spec: str
+    """`moge:CHECKPOINT` or `module:Class`."""
 
-def depth_source_name(spec: str) -> str:
-    """Return the spec for results: a checkpoint by its file name only."""
-    return _MOGE + Path(spec.removeprefix(_MOGE)).name if spec.startswith(_MOGE) else spec
+    @property
+    def checkpoint(self) -> Path | None:
+        """Checkpoint of MoGe-2; None for a class."""
+        return Path(self.spec.removeprefix(_MOGE)) if self.spec.startswith(_MOGE) else None
 
+    @property
+    def name(self) -> str:
+        """The spec for results: a checkpoint by its file name only."""
+        return self.spec if self.checkpoint is None else _MOGE + self.checkpoint.name
 
-def check_depth_source(spec: str) -> None:
-    """Check that everything a spec names exists, without loading a network.
+    @property
+    def files(self) -> list[Path]:
+        """Files that shape the depth, as far as known: the checkpoint, or the file of the class's module."""
+        if self.checkpoint is not None:
+            return [self.checkpoint]
+        file = getattr(sys.modules[self._load_class().__module__], "__file__", None)
+        return [Path(file)] if file else []
 
-    Raises:
-        UsageError: checkpoint, package, module or class does not exist; the message says how to fix it.
-    """
-    if spec.startswith(_MOGE):
-        checkpoint = Path(spec.removeprefix(_MOGE))
-        if not checkpoint.is_file():
+    def check(self) -> None:
+        """Check that everything the spec names exists, without loading a network.
+
+        Raises:
+            UsageError: checkpoint, package, module or class does not exist; the message says how to fix it.
+        """
+        if self.checkpoint is None:
+            self._load_class()
+        elif not self.checkpoint.is_file():
             raise UsageError(
-                f"--depth {spec}: there is no file {checkpoint}; expected a MoGe-2 checkpoint, such as model.pt of "
-                "Ruicheng/moge-2-vits-normal on Hugging Face"
+                f"--depth {self.spec}: there is no file {self.checkpoint}; expected a MoGe-2 checkpoint, such as "
+                "model.pt of Ruicheng/moge-2-vits-normal on Hugging Face"
             )
-        if not _is_importable("moge.model.v2"):
+        elif not _is_importable("moge.model.v2"):
             raise UsageError(
-                f"--depth {spec}: MoGe-2 is not installed; pip install git+https://github.com/microsoft/MoGe.git"
+                f"--depth {self.spec}: MoGe-2 is not installed; pip install git+https://github.com/microsoft/MoGe.git"
             )
-    elif is_depth_source(spec):
-        _class_of(spec)
-    else:
-        raise UsageError(f"--depth {spec}: expected moge:CHECKPOINT or module:Class")
 
+    @lru_cache(maxsize=4)  # noqa: B019 - once per process, for few specs
+    def load(self) -> DepthSource:
+        """Create the estimator, once per process.
 
-def depth_source_files(spec: str) -> list[Path]:
-    """Return the files of a plug-in, as far as known: the checkpoint, or the file of the class's module."""
-    if spec.startswith(_MOGE):
-        return [Path(spec.removeprefix(_MOGE))]
-    file = getattr(sys.modules[_class_of(spec).__module__], "__file__", None)
-    return [Path(file)] if file else []
+        Raises:
+            UsageError: it does not exist.
+            SetupError: it cannot be created.
+        """
+        self.check()
+        try:
+            return cast(DepthSource, self._load_class()()) if self.checkpoint is None else MogeDepth(self.checkpoint)
+        except Exception as error:  # another program's code, which may raise anything
+            raise SetupError(f"--depth {self.spec}: cannot be created ({type(error).__name__}: {error})") from error
 
+    def estimate(self, frames: NDArray[np.uint8], camera: Camera, *, exact: bool = False) -> ExternalDepth:
+        """Estimate the depth of a video.
 
-@lru_cache(maxsize=4)
-def load_depth_source(spec: str) -> DepthSource:
-    """Create the estimator `moge:CHECKPOINT` or `module:Class`, once per process.
+        Args:
+            frames: (T, H, W, 3) RGB.
+            camera: camera of the frames, at their size.
+            exact: True if the depth is accurate to a few millimetres.
 
-    Raises:
-        UsageError: it does not exist.
-        SetupError: it cannot be created.
-    """
-    check_depth_source(spec)
-    try:
-        if spec.startswith(_MOGE):
-            return MogeDepth(Path(spec.removeprefix(_MOGE)))
-        return cast(DepthSource, _class_of(spec)())
-    except Exception as error:  # another program's code, which may raise anything
-        raise SetupError(f"--depth {spec}: cannot be created ({type(error).__name__}: {error})") from error
+        Raises:
+            InputError: the output of the plug-in is no depth in metres.
+            UsageError: the plug-in does not exist.
+            SetupError: it cannot be created.
+        """
+        depth_m: Array = np.asarray(self.load().depth(frames, camera), dtype=np.float64)
+        with errors_naming(f"--depth {self.name}"):
+            return ExternalDepth(depth_m=_checked_depth(depth_m), exact=exact)
 
-
-def estimate_depth(spec: str, frames: NDArray[np.uint8], camera: Camera, *, exact: bool = False) -> ExternalDepth:
-    """Estimate the depth of a video by a plug-in.
-
-    Args:
-        spec: `moge:CHECKPOINT` or `module:Class`.
-        frames: (T, H, W, 3) RGB.
-        camera: camera of the frames, at their size.
-        exact: True if the depth is accurate to a few millimetres.
-
-    Raises:
-        InputError: the output of the plug-in is no depth in metres.
-        UsageError: the plug-in does not exist.
-        SetupError: it cannot be created.
-    """
-    depth_m: Array = np.asarray(load_depth_source(spec).depth(frames, camera), dtype=np.float64)
-    with errors_naming(f"--depth {depth_source_name(spec)}"):
-        return ExternalDepth(depth_m=_checked_depth(depth_m), exact=exact)
-
-
-def _class_of(spec: str) -> type:
-    return load_class(spec, option="--depth", method="depth", arguments="frames, camera")
+    def _load_class(self) -> type:
+        if not is_class_name(self.spec):
+            raise UsageError(f"--depth {self.spec}: expected a folder, moge:CHECKPOINT or module:Class")
+        return load_class(self.spec, option="--depth", method="depth", arguments="frames, camera")
 
 
 def _is_importable(module: str) -> bool:

@@ -10,14 +10,7 @@ from numpy.typing import NDArray
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.grounding.overrides.arrays import array_files, errors_naming, read_masks
-from kinebench_drake.grounding.overrides.depth import (
-    check_depth_source,
-    depth_source_files,
-    depth_source_name,
-    estimate_depth,
-    is_depth_source,
-    read_depth,
-)
+from kinebench_drake.grounding.overrides.depth import DepthPlugIn, read_depth
 from kinebench_drake.grounding.overrides.poses import pose_files, read_poses
 from kinebench_drake.types import NO_PRIORS, InitialState, Priors
 
@@ -74,13 +67,8 @@ class Overrides:
         for option, folder in (("--masks", self.masks), ("--poses", self.poses)):
             if folder is not None and not folder.is_dir():
                 raise UsageError(f"{option} {folder}: there is no such folder")
-        if self.depth is None or Path(self.depth).is_dir():
-            return
-        if not is_depth_source(self.depth):
-            raise UsageError(
-                f"--depth {self.depth}: there is no such folder; expected a folder, moge:CHECKPOINT or module:Class"
-            )
-        check_depth_source(self.depth)
+        if self._plug_in is not None:
+            self._plug_in.check()
 
     @property
     def folders(self) -> tuple[Path, ...]:
@@ -94,7 +82,7 @@ class Overrides:
         named = {"masks": self.masks, "depth": self._depth_folder, "poses": self.poses}
         names = {stage: folder.resolve().name for stage, folder in named.items() if folder is not None}
         if self._plug_in is not None:
-            names["depth"] = depth_source_name(self._plug_in)
+            names["depth"] = self._plug_in.name
         return dict(sorted(names.items()))
 
     def files(self, video: Sequence[str]) -> list[Path]:
@@ -109,7 +97,7 @@ class Overrides:
                 files += pose_files(self.poses, find_entry(self.poses, video, (TRUTH, TRACKS)))
         except InputError:
             return files  # the video becomes an error row, which is never reused
-        return [*files, *(depth_source_files(self._plug_in) if self._plug_in is not None else [])]
+        return [*files, *(self._plug_in.files if self._plug_in is not None else [])]
 
     def priors(
         self, video: Sequence[str], frames: NDArray[np.uint8], camera: Camera, first: InitialState | None = None
@@ -137,7 +125,7 @@ class Overrides:
             with errors_naming("--poses"):
                 priors = read_poses(self.poses, find_entry(self.poses, video, (TRUTH, TRACKS)), len(frames))
         if self._plug_in is not None:
-            depth = estimate_depth(self._plug_in, frames, camera, exact=self.depth_exact)
+            depth = self._plug_in.estimate(frames, camera, exact=self.depth_exact)
         priors = replace(priors, initial_state=first, mask=mask, depth=depth)
         priors.check_shapes(*frames.shape[:3])
         return priors
@@ -147,5 +135,5 @@ class Overrides:
         return Path(self.depth) if self.depth is not None and Path(self.depth).is_dir() else None
 
     @property
-    def _plug_in(self) -> str | None:
-        return self.depth if self._depth_folder is None else None
+    def _plug_in(self) -> DepthPlugIn | None:
+        return None if self.depth is None or self._depth_folder is not None else DepthPlugIn(self.depth)

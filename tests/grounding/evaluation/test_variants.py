@@ -11,8 +11,10 @@ from kinebench_drake.camera import Camera
 from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.grounding.crop import Crop
 from kinebench_drake.grounding.evaluation.clip import TruthClip
-from kinebench_drake.grounding.evaluation.variants import Degradation, DegradedEstimator, plug_in
+from kinebench_drake.grounding.evaluation.study import depth_ablation
+from kinebench_drake.grounding.evaluation.variants import Degradation, DegradedEstimator, external
 from kinebench_drake.grounding.override_estimator import OverrideEstimator
+from kinebench_drake.grounding.overrides.depth import DepthPlugIn
 from kinebench_drake.grounding.view import Frames, GripperView
 from kinebench_drake.models.panda.robot import RobotPart
 from kinebench_drake.types import ExternalDepth, Priors
@@ -125,7 +127,7 @@ def test_the_pipeline_gets_the_depth_of_a_class(
     calls = list[Priors]()
     shipped = SimpleNamespace(ground=lambda frames, camera, t_s, priors: calls.append(priors))
     frames = np.random.default_rng(0).integers(0, 255, (5, 192, 192, 3), dtype=np.uint8)  # other than the camera
-    plug_in("a_ramp_of_mine:Ramp")(SimpleNamespace(shipped=shipped), clip, frames)  # type: ignore[arg-type]
+    external(DepthPlugIn("a_ramp_of_mine:Ramp"))(SimpleNamespace(shipped=shipped), clip, frames)  # type: ignore[arg-type]
     (priors,) = calls
     assert priors.depth is not None
     assert not priors.depth.exact
@@ -135,4 +137,4 @@ def test_the_pipeline_gets_the_depth_of_a_class(
 
 def test_an_estimator_that_is_not_there_is_told_before_anything_is_measured() -> None:
     with pytest.raises(UsageError, match="no module"):
-        plug_in("no_such_module:Depth")
+        depth_ablation(["no_such_module:Depth"])

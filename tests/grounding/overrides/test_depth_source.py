@@ -11,13 +11,7 @@ import torch
 
 from kinebench_drake.camera import Camera, benchmark_camera
 from kinebench_drake.errors import InputError, SetupError, UsageError
-from kinebench_drake.grounding.overrides.depth import (
-    check_depth_source,
-    depth_source_files,
-    depth_source_name,
-    estimate_depth,
-    load_depth_source,
-)
+from kinebench_drake.grounding.overrides.depth import DepthPlugIn
 
 FRAMES = np.random.default_rng(0).integers(0, 255, (3, 48, 64, 3), dtype=np.uint8)
 
@@ -46,10 +40,10 @@ class NoMethod:
 
 @pytest.fixture(autouse=True)
 def _loaded_anew() -> Iterator[None]:
-    load_depth_source.cache_clear()
+    DepthPlugIn.load.cache_clear()
     before = list(sys.path)
     yield
-    load_depth_source.cache_clear()
+    DepthPlugIn.load.cache_clear()
     sys.path[:] = before
     sys.modules.pop("a_depth_of_mine", None)
 
@@ -68,10 +62,10 @@ def camera() -> Camera:
 
 
 def test_a_class_of_the_working_directory_gives_depth(here: Path, camera: Camera) -> None:
-    depth = estimate_depth("a_depth_of_mine:Red", FRAMES, camera)
+    depth = DepthPlugIn("a_depth_of_mine:Red").estimate(FRAMES, camera)
     np.testing.assert_allclose(depth.depth_m, 0.5 + FRAMES[..., 0] / 255, atol=1e-6)
     assert not depth.exact
-    assert depth_source_files("a_depth_of_mine:Red") == [here / "a_depth_of_mine.py"]
+    assert DepthPlugIn("a_depth_of_mine:Red").files == [here / "a_depth_of_mine.py"]
 
 
 @pytest.mark.usefixtures("here")
@@ -88,15 +82,15 @@ def test_a_class_of_the_working_directory_gives_depth(here: Path, camera: Camera
 )
 def test_missing_plug_ins_are_refused_before_any_work(spec: str, message: str) -> None:
     with pytest.raises(UsageError, match=message):
-        check_depth_source(spec)
+        DepthPlugIn(spec).check()
 
 
 @pytest.mark.usefixtures("here")
 def test_errors_of_a_class_are_reported(camera: Camera) -> None:
     with pytest.raises(SetupError, match=r"NeedsArguments.*device"):
-        estimate_depth("a_depth_of_mine:NeedsArguments", FRAMES, camera)
+        DepthPlugIn("a_depth_of_mine:NeedsArguments").estimate(FRAMES, camera)
     with pytest.raises(InputError, match="another unit"):
-        estimate_depth("a_depth_of_mine:Disparity", np.zeros_like(FRAMES), camera)
+        DepthPlugIn("a_depth_of_mine:Disparity").estimate(np.zeros_like(FRAMES), camera)
 
 
 class FakeMoge:
@@ -139,15 +133,15 @@ def test_moge_is_given_the_field_of_view(moge: Callable[[], None], tmp_path: Pat
     checkpoint.touch()
     spec = f"moge:{checkpoint}"
     with pytest.raises(UsageError, match="not installed; pip install"):
-        check_depth_source(spec)
+        DepthPlugIn(spec).check()
     moge()
-    depth = estimate_depth(spec, FRAMES, camera)
+    depth = DepthPlugIn(spec).estimate(FRAMES, camera)
     red = FRAMES[..., 0] / 255
     np.testing.assert_allclose(depth.depth_m, np.where(red > 0.2, red, 0.0), atol=1e-6)
     assert not depth.exact
-    model = load_depth_source(spec)._model  # type: ignore[attr-defined]
+    model = DepthPlugIn(spec).load()._model  # type: ignore[attr-defined]
     assert model.checkpoint == str(checkpoint)
     assert [a.image.shape for a in model.asked] == [(3, 48, 64)] * 3
     assert [a.fov_x for a in model.asked] == pytest.approx([np.degrees(2 * np.arctan(0.5))] * 3)
-    assert depth_source_name(spec) == "moge:model.pt"
-    assert depth_source_files(spec) == [checkpoint]
+    assert DepthPlugIn(spec).name == "moge:model.pt"
+    assert DepthPlugIn(spec).files == [checkpoint]
