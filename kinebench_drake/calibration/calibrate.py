@@ -162,15 +162,10 @@ def solve_with_reestimate(
     """
     solved = solve(view, states, guess, model, focal_free=focal_free)
     camera = solved.fit.lens.to_camera()
-    if not _differs(camera, guess):
-        return solved
-    return solve(estimator.estimate(frames, camera), states, camera, model, focal_free=focal_free)
-
-
-def _differs(camera: Camera, guess: Camera) -> bool:
-    """Return whether a camera differs enough from its guess that new views may improve the solution."""
     distance, angle = pose_difference(camera.X_BC, guess.X_BC)
-    return bool(abs(np.log(camera.fx / guess.fx)) > _AGAIN_ZOOM or distance > _AGAIN_M or angle > _AGAIN_RAD)
+    if abs(np.log(camera.fx / guess.fx)) > _AGAIN_ZOOM or distance > _AGAIN_M or angle > _AGAIN_RAD:
+        return solve(estimator.estimate(frames, camera), states, camera, model, focal_free=focal_free)
+    return solved
 
 
 def _states(config: CalibrationConfig, video: Video, model: ArmModel) -> RobotStates:
@@ -198,9 +193,9 @@ def _guess(config: CalibrationConfig, intrinsics: Camera | None, width: int, hei
     return replace(benchmark_camera(), width=width, height=height, fx=focal, fy=focal, cx=width / 2, cy=height / 2)
 
 
-def default_focal_px(width: int) -> float:
-    """Return the initial focal length [px] of an image of this width."""
-    return width / 2 / float(np.tan(np.deg2rad(_USUAL_FOV_DEG) / 2))
+def default_focal_px(width: int, fov_deg: float = _USUAL_FOV_DEG) -> float:
+    """Return an initial focal length [px] of an image of this width, by its horizontal field of view [degrees]."""
+    return width / 2 / float(np.tan(np.deg2rad(fov_deg) / 2))
 
 
 def _chosen(states: RobotStates, most: int) -> NDArray[np.intp]:
@@ -266,7 +261,7 @@ def solve(view: LensView, states: RobotStates, guess: Camera, model: ArmModel, *
         return solve_lens_and_postures(
             view, states, Lens(camera=guess, X_CB=invert(guess.X_BC)), model, focal_free=focal_free
         )
-    focal = [guess.width / 2 / float(np.tan(np.deg2rad(fov) / 2)) for fov in FOV_DEG]
+    focal = [default_focal_px(guess.width, fov) for fov in FOV_DEG]
     cameras = [guess, *(with_focal(guess, fx) for fx in focal)] if focal_free else [guess]
     anchored = len(rows) == 1 and len(states.q) >= MIN_MOVING_FRAMES
     solved = solve_lens(view.of_frames(rows), states.take(rows), cameras, model, focal_free=focal_free and not anchored)

@@ -106,7 +106,8 @@ def find_correspondences(views: Sequence[tuple[int, GripperView]], camera: Camer
     for row, view in views:
         parts = (*GRIPPER, *ARM) if _is_close(view) or row not in close else ARM
         cells += [_part_cells(row, view, part, camera) for part in parts]
-    return _concatenate(cells)
+    columns = {f.name: np.concatenate([getattr(part, f.name) for part in cells]) for f in fields(cells[0])}
+    return CalibrationCorrespondences(**columns)
 
 
 def locate_points(cells: CalibrationCorrespondences, X_BP: Array, finger_m: Array) -> Array:
@@ -142,12 +143,6 @@ def _part_cells(row: int, view: GripperView, part: RobotPart, camera: Camera) ->
         opening_sign=view.opening_sign[v, u],
         weight=np.full(n, min(1.0, INDEPENDENT / max(1, n))),
         repeats=np.ones(n),
-    )
-
-
-def _concatenate(several: Sequence[CalibrationCorrespondences]) -> CalibrationCorrespondences:
-    return CalibrationCorrespondences(
-        **{f.name: np.concatenate([getattr(s, f.name) for s in several]) for f in fields(CalibrationCorrespondences)}
     )
 
 

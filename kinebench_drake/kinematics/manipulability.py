@@ -14,25 +14,6 @@ COST_OFFSET = 1e-6
 """Offset of the manipulability in PyRoki's cost, which is then at most 1e6."""
 
 
-def yoshikawa(J: ArrayLike) -> Array:
-    """Return the manipulability w = sqrt(det(J J^T)) (...,) of Jacobians `J` (..., m, n), m <= n; 0 if singular.
-
-    Computed as the product of the singular values of J; of the choice of coordinates, only the units of the rows of J
-    matter. Source: T. Yoshikawa, "Manipulability of Robotic Mechanisms", Int. J. Robotics Research 4(2), 1985, eq. (6).
-    """
-    return np.asarray(np.prod(_singular_values(J), axis=-1))
-
-
-def condition_number(J: ArrayLike) -> Array:
-    """Return the greatest over the least singular value (...,) of Jacobians `J` (..., m, n), m <= n.
-
-    It is 1 where every direction of motion needs the same joint speed, and infinite at a singular posture; the rows of
-    J must share one unit. Source: J. K. Salisbury and J. J. Craig, "Articulated Hands: Force Control and Kinematic
-    Issues", Int. J. Robotics Research 1(1), 1982.
-    """
-    return _ratio(_singular_values(J))
-
-
 def cost(w_translation: ArrayLike) -> Array:
     """Return PyRoki's manipulability cost 1 / (w + 1e-6) (...,) of translational manipulabilities; lower is better.
 
@@ -72,7 +53,14 @@ def characteristic_length(plant: ArmPlant) -> float:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Manipulability:
-    """Manipulability of the TCP along a joint path, of Jacobians expressed in B; NaN where q is NaN."""
+    """Manipulability of the TCP along a joint path, of Jacobians expressed in B; NaN where q is NaN.
+
+    w = sqrt(det(J J^T)), computed as the product of the singular values of J; of the choice of coordinates, only the
+    units of the rows of J matter. Source: T. Yoshikawa, "Manipulability of Robotic Mechanisms", Int. J. Robotics
+    Research 4(2), 1985, eq. (6). The condition number, greatest over least singular value, is 1 where every direction
+    of motion needs the same joint speed, and infinite at a singular posture. Source: J. K. Salisbury and J. J. Craig,
+    "Articulated Hands: Force Control and Kinematic Issues", Int. J. Robotics Research 1(1), 1982.
+    """
 
     full: Array
     """(T,) w of the full 6x7 Jacobian in radians and metres [m^3 rad^3 / rad^6]."""
@@ -108,8 +96,10 @@ def compute_manipulability(plant: ArmPlant, q: ArrayLike, J: ArrayLike | None = 
     finite = np.isfinite(q).all(axis=-1) & np.isfinite(J).all(axis=(1, 2))
     J_finite = J[finite]
     scale = np.repeat([1.0, 1.0 / characteristic_length(plant)], 3)[:, None]
-    full, rotation, linear = (_singular_values(part) for part in (scale * J_finite, J_finite[:, :3], J_finite[:, 3:]))
+    parts = (scale * J_finite, J_finite[:, :3], J_finite[:, 3:])
+    full, rotation, linear = (np.linalg.svd(part, compute_uv=False) for part in parts)  # greatest first
     w = np.prod(full, axis=-1) / scale[3:].prod()
+    greatest, least = full[:, 0], full[:, -1]
     w_linear = np.prod(linear, axis=-1)
 
     def spread(values: Array) -> Array:
@@ -123,7 +113,7 @@ def compute_manipulability(plant: ArmPlant, q: ArrayLike, J: ArrayLike | None = 
         rotation=spread(np.prod(rotation, axis=-1)),
         limited=spread(w * limit_weight(q[finite], plant.lower, plant.upper).prod(axis=-1)),
         cost=spread(cost(w_linear)),
-        condition=spread(_ratio(full)),
+        condition=spread(np.divide(greatest, least, out=np.full_like(greatest, np.inf), where=least > 0.0)),
     )
 
 
@@ -135,13 +125,3 @@ def time_integral(t_s: ArrayLike, values: ArrayLike) -> float | None:
     t_s, values = np.asarray(t_s, dtype=np.float64), np.asarray(values, dtype=np.float64)
     finite = np.isfinite(values)
     return float(np.trapezoid(values[finite], t_s[finite])) if int(finite.sum()) > 1 else None
-
-
-def _singular_values(J: ArrayLike) -> Array:
-    """Return the singular values (..., m) of `J` (..., m, n), greatest first."""
-    return np.asarray(np.linalg.svd(np.asarray(J, dtype=np.float64), compute_uv=False))
-
-
-def _ratio(singular_values: Array) -> Array:
-    greatest, least = singular_values[..., 0], singular_values[..., -1]
-    return np.divide(greatest, least, out=np.full_like(greatest, np.inf), where=least > 0.0)

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.fft import rfft
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import convolve1d
@@ -48,25 +47,18 @@ DRAWS = 64
 _GRID_HZ = 10.0  # least sampling rate of the filtered speed
 
 
-def sparc(speed: ArrayLike, sampling_hz: float) -> float | None:
-    """Compute the spectral arc length of a speed profile `speed` (N,) sampled at `sampling_hz`; None for zeros.
+def sparc(
+    speed: Array, sampling_hz: float, cutoff_hz: float = CUTOFF_HZ, threshold: float = AMPLITUDE_THRESHOLD
+) -> Array:
+    """Compute the spectral arc length (M,) of speed profiles (M, N), none all zero; NaN for one without an arc.
 
     SPARC = - integral over 0..f_c of sqrt((1 / f_c)^2 + (dV/df)^2) df with V the magnitude of the speed's spectrum
-    over its maximum and f_c the last frequency, at most CUTOFF_HZ, at which V reaches AMPLITUDE_THRESHOLD. Source:
+    over its maximum and f_c the last frequency, at most `cutoff_hz`, at which V reaches `threshold`. Source:
     S. Balasubramanian, A. Melendez-Calderon, A. Roby-Brami, E. Burdet, "On the analysis of movement smoothness",
     J. NeuroEngineering Rehabil. 12:112, 2015, eq. (8), and the reference implementation. Unlike there, frequencies
     above sampling_hz / 2 are left out: they mirror those below, and the reference counts them if sampling_hz is less
     than twice CUTOFF_HZ, which doubles the arc of a smooth motion at 10 Hz.
     """
-    speed = np.asarray(speed, dtype=np.float64)
-    if len(speed) < 2 or not np.isfinite(speed).all() or not np.any(speed):
-        return None
-    value = float(_arcs(speed[None], sampling_hz, CUTOFF_HZ, AMPLITUDE_THRESHOLD)[0])
-    return value if np.isfinite(value) else None
-
-
-def _arcs(speed: Array, sampling_hz: float, cutoff_hz: float, threshold: float) -> Array:
-    """Return SPARC (M,) of speed profiles (M, N), none of them all zero; NaN without an arc. Threshold 0 keeps all."""
     bins = int(2 ** (np.ceil(np.log2(speed.shape[-1])) + PAD_LEVEL))
     frequency = np.arange(bins // 2 + 1) * (sampling_hz / bins)
     kept = int(np.count_nonzero(frequency <= min(cutoff_hz, sampling_hz / 2.0)))
@@ -87,8 +79,8 @@ def _arcs(speed: Array, sampling_hz: float, cutoff_hz: float, threshold: float) 
     return np.where(above.any(axis=-1) & (last > first), -length, np.nan)
 
 
-def ldlj(speed: ArrayLike, sampling_hz: float) -> float | None:
-    """Compute the log dimensionless jerk of a speed profile `speed` (N,) sampled at `sampling_hz`; None without jerk.
+def ldlj(speed: Array, sampling_hz: float) -> Array:
+    """Compute the log dimensionless jerk (M,) of speed profiles (M, N), none all zero; infinite for one without jerk.
 
     LDLJ = -ln((D^3 / v_peak^2) integral (d2v/dt2)^2 dt), D = N / sampling_hz the duration and v the speed, its second
     derivative taken by differences. Sources: S. Balasubramanian, A. Melendez-Calderon, E. Burdet, "A robust and
@@ -96,15 +88,6 @@ def ldlj(speed: ArrayLike, sampling_hz: float) -> float | None:
     that `sparc` cites. The third derivative of the position amplifies tracking noise: values are comparable only
     between tracks of equal frame rate.
     """
-    speed = np.asarray(speed, dtype=np.float64)
-    if len(speed) < 3 or not np.isfinite(speed).all() or not np.any(speed):
-        return None
-    value = float(_jerks(speed[None], sampling_hz)[0])
-    return value if np.isfinite(value) else None
-
-
-def _jerks(speed: Array, sampling_hz: float) -> Array:
-    """Return LDLJ (M,) of speed profiles (M, N), none of them all zero; infinite without jerk."""
     duration = speed.shape[-1] / sampling_hz
     jerk = np.diff(speed, 2, axis=-1) * sampling_hz**2
     with np.errstate(divide="ignore"):
@@ -112,25 +95,13 @@ def _jerks(speed: Array, sampling_hz: float) -> Array:
         return np.asarray(-np.log(value))
 
 
-def filtered_sparc(t_s: ArrayLike, p: ArrayLike) -> float | None:
-    """Compute SPARC of a path `p` (N, 3) at `t_s` (N,) [s] through a fixed filter, comparable between frame rates.
+def filtered_sparc(t_s: Array, p: Array) -> Array:
+    """Compute SPARC (M,) of paths (N, M, 3) at `t_s` (N,) [s] through a fixed filter, comparable between frame rates.
 
     The path is interpolated by a natural cubic spline; its velocity, zero before and after, is smoothed by the Gaussian
     filter with gain 1/sqrt(2) at FILTER_HZ; the arc of the resulting speed extends to FILTERED_CUTOFF_HZ, without
-    amplitude threshold. None below 2 FILTERED_CUTOFF_HZ frames per second, and for a path without motion.
+    amplitude threshold. It needs 2 FILTERED_CUTOFF_HZ frames per second and paths with motion.
     """
-    t_s, p = np.asarray(t_s, dtype=np.float64), np.asarray(p, dtype=np.float64)
-    if len(t_s) < 3 or _rate(t_s) < 2.0 * FILTERED_CUTOFF_HZ or not np.any(np.diff(p, axis=0)):
-        return None
-    return float(_filtered_arcs(t_s, p[:, None])[0])
-
-
-def _rate(t_s: Array) -> float:
-    return (len(t_s) - 1) / float(t_s[-1] - t_s[0])
-
-
-def _filtered_arcs(t_s: Array, p: Array) -> Array:
-    """Return the filtered SPARC (M,) of paths `p` (N, M, 3)."""
     rate = _rate(t_s)
     fine_hz = rate * max(1.0, np.ceil(_GRID_HZ / rate - 1e-9))
     width = fine_hz * np.sqrt(np.log(2.0)) / (2.0 * np.pi * FILTER_HZ)
@@ -142,7 +113,11 @@ def _filtered_arcs(t_s: Array, p: Array) -> Array:
     padded = np.pad(velocity, ((reach, reach), (0, 0)))
     smooth = convolve1d(padded, kernel / kernel.sum(), axis=0, mode="constant")[::every]
     speed = np.linalg.norm(smooth.reshape(len(smooth), -1, 3), axis=-1).T
-    return _arcs(speed, fine_hz / every, FILTERED_CUTOFF_HZ, 0.0)
+    return sparc(speed, fine_hz / every, FILTERED_CUTOFF_HZ, 0.0)
+
+
+def _rate(t_s: Array) -> float:
+    return (len(t_s) - 1) / float(t_s[-1] - t_s[0])
 
 
 def _speeds(t_s: Array, p: Array) -> Array:
@@ -238,11 +213,11 @@ def _measure(
     results: dict[str, _Measurement] = {}
     for name in names:
         if name == "ldlj":
-            values = _jerks(speeds, rate)
+            values = ldlj(speeds, rate)
         elif not name.endswith("_filtered"):
-            values = _arcs(speeds, rate, CUTOFF_HZ, AMPLITUDE_THRESHOLD)
+            values = sparc(speeds, rate)
         elif rate >= 2.0 * FILTERED_CUTOFF_HZ * (1.0 - 1e-9):
-            values = _filtered_arcs(t_s, paths)
+            values = filtered_sparc(t_s, paths)
         else:
             needed = 2.0 * FILTERED_CUTOFF_HZ
             results[name] = (None, _NO_FLOOR, f"{rate:.3g} frames a second are too few; the filter needs {needed:g}")

@@ -13,10 +13,10 @@ from kinebench_drake.io.atomic import write_atomically
 from kinebench_drake.io.npz import Archive, open_npz, pack_arrays
 from kinebench_drake.types import GripperTrack, IkStatus, JointTrack
 
-_OWN = (
-    *("t_s", "camera_from_hand", "base_from_tcp", "tracked", "confidence", "finger_width_m"),
-    *("q", "ik_ok", "status"),
-)
+_TRACK = {"t_s": "t_s", "camera_from_hand": "X_CH", "base_from_tcp": "X_BG"}
+_TRACK |= {name: name for name in ("tracked", "confidence", "finger_width_m")}
+"""Arrays of the gripper track, and the fields of `GripperTrack` that hold them."""
+_OWN = (*_TRACK, "q", "ik_ok", "status")
 """Arrays other than curves."""
 _SEVEN = ("q", "velocity", "acceleration", "jerk", "torque")
 _SINGLE = (
@@ -59,12 +59,8 @@ def write_track(path: Path, track: GripperTrack, joints: JointTrack | None, curv
     """
     n = len(track.t_s)
     arrays: dict[str, NDArray[np.generic]] = {
-        "t_s": track.t_s,
-        "camera_from_hand": track.X_CH,
-        "base_from_tcp": track.X_BG,
+        **{name: getattr(track, field) for name, field in _TRACK.items()},
         "tracked": track.tracked.astype(bool),
-        "confidence": track.confidence,
-        "finger_width_m": track.finger_width_m,
         "q": joints.q if joints else np.full((n, 7), np.nan),
         "ik_ok": joints.ok if joints else np.zeros(n, dtype=bool),
     }
@@ -95,14 +91,8 @@ def read_track(path: Path) -> TrackFile:
             if lacking:
                 raise InputError(f"lacks {', '.join(lacking)}")
             own = {name: _numbers(a, name) for name in _OWN if name != "status"}
-            track = GripperTrack(
-                t_s=own["t_s"],
-                X_CH=own["camera_from_hand"],
-                X_BG=own["base_from_tcp"],
-                tracked=own["tracked"].astype(bool),
-                confidence=own["confidence"],
-                finger_width_m=own["finger_width_m"],
-            )
+            own["tracked"] = own["tracked"].astype(bool)
+            track = GripperTrack(**{field: own[name] for name, field in _TRACK.items()})
             n = len(track.t_s)
             curves = {name: _numbers(a, name) for name in sorted(set(a.files) - set(_OWN))}
             for name, array in {"q": own["q"], "ik_ok": own["ik_ok"], **curves}.items():

@@ -1,7 +1,7 @@
 """Search for videos: from a path to its samples, by the format of the file or folder."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 from kinebench_drake.datasets import lerobot, manifest
@@ -25,7 +25,10 @@ def list_file(path: Path, search: Search) -> list[VideoSample]:
     return [replace(sample, part=VideoPart(key=search.camera_key), camera_key=search.camera_key)]
 
 
-FILES: Mapping[str, Callable[[Path, Search], Sequence[VideoSample]]] = {
+Lister = Callable[[Path, Search], list[VideoSample]]
+"""Function that lists the videos of a file or folder; raises InputError if it cannot be used."""
+
+FILES: Mapping[str, Lister] = {
     ".jsonl": manifest.list_manifest,
     **dict.fromkeys(HDF5_SUFFIXES, hdf5_videos.list_hdf5),
     **dict.fromkeys(VIDEO_SUFFIXES | ARRAY_SUFFIXES, list_file),
@@ -36,22 +39,12 @@ NAMES = dict.fromkeys(videofolder.NAMES, videofolder.list_metadata)
 """The same by the whole name of the file, which takes precedence over the suffix."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FolderLayout:
-    """Format of a dataset that is a folder."""
-
-    matches: Callable[[Path], bool]
-    """Returns whether a folder has the format."""
-    list: Callable[[Path, Search], list[VideoSample]]
-    """Lists the videos of such a folder; raises InputError if it cannot be used."""
-
-
-LAYOUTS = (
-    FolderLayout(matches=lerobot.is_lerobot, list=lerobot.list_lerobot_videos),
-    FolderLayout(matches=ewmbench.is_ewmbench, list=ewmbench.list_ewmbench),
-    FolderLayout(matches=worldarena.is_worldarena, list=worldarena.list_worldarena),
-)
-"""Formats of folders; the first that matches is used."""
+LAYOUTS: Mapping[Callable[[Path], bool], Lister] = {
+    lerobot.is_lerobot: lerobot.list_lerobot_videos,
+    ewmbench.is_ewmbench: ewmbench.list_ewmbench,
+    worldarena.is_worldarena: worldarena.list_worldarena,
+}
+"""Functions that list the videos of a dataset that is a folder, by the test of its format; the first that is true."""
 
 
 def find_samples(
@@ -109,10 +102,10 @@ def list_folder(folder: Path, search: Search, skipped: Sequence[Path]) -> list[V
     samples: list[VideoSample] = []
     metadata: list[Path] = []
     for here, folders, files in walk(folder, skipped):
-        layout = next((layout for layout in LAYOUTS if layout.matches(here)), None)
-        if layout is not None:
+        lister = next((lister for matches, lister in LAYOUTS.items() if matches(here)), None)
+        if lister is not None:
             folders.clear()
-            samples += _list_dataset(here, search, layout)
+            samples += _list_dataset(here, search, lister)
             continue
         videos = [f for f in files if Path(f).suffix.lower() in VIDEO_SUFFIXES]
         if videos:
@@ -127,9 +120,9 @@ def list_folder(folder: Path, search: Search, skipped: Sequence[Path]) -> list[V
     return videofolder.add_labels(samples, metadata, search)
 
 
-def _list_dataset(folder: Path, search: Search, layout: FolderLayout) -> list[VideoSample]:
+def _list_dataset(folder: Path, search: Search, lister: Lister) -> list[VideoSample]:
     try:
-        return layout.list(folder, search)
+        return lister(folder, search)
     except InputError as error:
         if folder == search.top:
             raise
