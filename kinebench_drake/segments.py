@@ -15,3 +15,10 @@ def segments(mask: NDArray[np.bool_]) -> list[slice]:
 def finite_rows(rows: Array) -> NDArray[np.bool_]:
     """Return (T,): True where a row of `rows` (T, N) is finite."""
     return np.asarray(np.isfinite(rows).all(axis=-1), dtype=bool)
+
+
+def spread(values: Array, frames: NDArray[np.bool_] | NDArray[np.intp], count: int) -> Array:
+    """Return an array (count, ...) that holds `values` (N, ...) at `frames`, a mask or N indices, and NaN elsewhere."""
+    out = np.full((count, *np.shape(values)[1:]), np.nan)
+    out[frames] = values
+    return out

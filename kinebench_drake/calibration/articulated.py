@@ -112,9 +112,18 @@ def refine_articulated(
         )
         lens, state = parts(solution.x)[0], solution.x[free:]
     at = np.concatenate([np.zeros(free), state])
-    return _summarise(
-        cells, lens, errors(at), slopes(at), weight, _angles(state), state[N_JOINTS::_A_FRAME], free, sigma
-    )
+    error, J = errors(at), slopes(at)
+    n = 2 * len(cells)
+    W = weight / (1.0 + (error / CAUCHY) ** 2)
+    W[:n] /= np.repeat(cells.repeats, 2)
+    H = J.T @ (J * W[:, None])
+    states = H[free:, free:] + 1e-9 * np.eye(len(H) - free)
+    information = np.zeros((UNKNOWNS, UNKNOWNS))
+    information[:free, :free] = H[:free, :free] - H[:free, free:] @ np.linalg.solve(states, H[free:, :free])
+    residual = error[:n].reshape(-1, 2)
+    cost = float((cells.weight[:, None] * np.log1p((residual / CAUCHY) ** 2)).sum() / (2 * cells.weight.sum()))
+    fit = LensFit(lens=lens, cost=cost, residual_px=residual * sigma, sigma_px=sigma[:, 0], information=information)
+    return ArticulatedFit(fit=fit, q=_angles(state), finger_m=state[N_JOINTS::_A_FRAME])
 
 
 def _angles(state: Array) -> Array:
@@ -134,20 +143,3 @@ def _derivatives(
     y_B = np.stack([p[0] for p in to_camera])[cells.frame, cells.part, :3, 1]
     moving = np.concatenate([turning, (cells.opening_sign[:, None] * y_B)[:, None]], axis=1)
     return by_lens, np.asarray(by_B @ np.swapaxes(moving, 1, 2))
-
-
-def _summarise(
-    cells: CalibrationCorrespondences, lens: Lens, error: Array, J: Array, weight: Array, q: Array, finger_m: Array,
-    free: int, sigma: Array,
-) -> ArticulatedFit:  # fmt: skip
-    n = 2 * len(cells)
-    W = weight / (1.0 + (error / CAUCHY) ** 2)
-    W[:n] /= np.repeat(cells.repeats, 2)
-    H = J.T @ (J * W[:, None])
-    states = H[free:, free:] + 1e-9 * np.eye(len(H) - free)
-    information = np.zeros((UNKNOWNS, UNKNOWNS))
-    information[:free, :free] = H[:free, :free] - H[:free, free:] @ np.linalg.solve(states, H[free:, :free])
-    residual = error[:n].reshape(-1, 2)
-    cost = float((cells.weight[:, None] * np.log1p((residual / CAUCHY) ** 2)).sum() / (2 * cells.weight.sum()))
-    fit = LensFit(lens=lens, cost=cost, residual_px=residual * sigma, sigma_px=sigma[:, 0], information=information)
-    return ArticulatedFit(fit=fit, q=q, finger_m=finger_m)

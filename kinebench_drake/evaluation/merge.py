@@ -223,13 +223,14 @@ def _merge_metadata(runs: Sequence[RunMetadata]) -> RunMetadata:
     limits = [run.config.get("limit") for run in runs]
     numbers = [limit for limit in limits if isinstance(limit, int)]
     first = runs[0]
-    merged = first.with_config(
-        limit=max(numbers) if len(numbers) == len(limits) else None,
-        shard=None,
-        **{name: _common([run.config.get(name) for run in runs]) for name in ("jobs", "engine")},
-    )
     return replace(
-        merged,
+        first,
+        config={
+            **first.config,
+            "limit": max(numbers) if len(numbers) == len(limits) else None,
+            "shard": None,
+            **{name: _common([run.config.get(name) for run in runs]) for name in ("jobs", "engine")},
+        },
         versions={
             name: ", ".join(sorted({str(run.versions.get(name)) for run in runs}))
             if name in _differing_versions(runs)

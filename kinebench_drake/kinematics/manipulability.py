@@ -9,6 +9,7 @@ from kinebench_drake.errors import UsageError
 from kinebench_drake.geometry import Array
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.models.robot import N_JOINTS
+from kinebench_drake.segments import spread
 
 COST_OFFSET = 1e-6
 """Offset of the manipulability in PyRoki's cost, which is then at most 1e6."""
@@ -101,20 +102,15 @@ def compute_manipulability(plant: ArmPlant, q: ArrayLike, J: ArrayLike | None = 
     w = np.prod(full, axis=-1) / scale[3:].prod()
     greatest, least = full[:, 0], full[:, -1]
     w_linear = np.prod(linear, axis=-1)
-
-    def spread(values: Array) -> Array:
-        out = np.full(len(q), np.nan)
-        out[finite] = values
-        return out
-
-    return Manipulability(
-        full=spread(w),
-        translation=spread(w_linear),
-        rotation=spread(np.prod(rotation, axis=-1)),
-        limited=spread(w * limit_weight(q[finite], plant.lower, plant.upper).prod(axis=-1)),
-        cost=spread(cost(w_linear)),
-        condition=spread(np.divide(greatest, least, out=np.full_like(greatest, np.inf), where=least > 0.0)),
-    )
+    values = {
+        "full": w,
+        "translation": w_linear,
+        "rotation": np.prod(rotation, axis=-1),
+        "limited": w * limit_weight(q[finite], plant.lower, plant.upper).prod(axis=-1),
+        "cost": cost(w_linear),
+        "condition": np.divide(greatest, least, out=np.full_like(greatest, np.inf), where=least > 0.0),
+    }
+    return Manipulability(**{name: spread(value, finite, len(q)) for name, value in values.items()})
 
 
 def time_integral(t_s: ArrayLike, values: ArrayLike) -> float | None:

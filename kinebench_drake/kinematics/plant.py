@@ -164,8 +164,7 @@ class ArmPlant:
 
     def forward_and_jacobian(self, q: ArrayLike) -> tuple[Array, Array]:
         """Return `forward(q)` and `jacobian(q)`, setting the context once."""
-        self.set_posture(q)
-        return np.asarray(self.tcp_frame.CalcPoseInWorld(self.context).GetAsMatrix4()), self._jacobian()
+        return self.forward(q), self._jacobian()
 
     def torque(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Array:
         """Return the joint torques (7,) [N m] of a motion without payload, by Drake's inverse dynamics.

@@ -228,7 +228,6 @@ def _describe(motion: _Motion, times: Array, rate: Array) -> TimeScale:
         slowest = motion.frame(int(cells[np.argmin(rate[cells] + rate[cells + 1])]))
     return TimeScale(
         value=float(spent.sum() / (motion.t[-1] - motion.t[0])),
-        reason=None,
         constraint=kinds[c] if slowest is not None else None,
         joint=joints[j] if slowest is not None else None,
         frame=slowest,

@@ -15,6 +15,7 @@ from kinebench_drake.kinematics.ik import POSITION_TOLERANCE_M, ROTATION_TOLERAN
 from kinebench_drake.kinematics.newton import damped_pseudoinverses, pose_twists, solve_newton_path
 from kinebench_drake.kinematics.path import SAMPLES, grid_postures, is_sound, limit_excess, search_path
 from kinebench_drake.kinematics.plant import ArmPlant
+from kinebench_drake.segments import spread
 from kinebench_drake.types import GripperTrack, IkStatus, JointTrack
 
 CONTACT_TOLERANCE_M = 0.002
@@ -175,10 +176,9 @@ def _clear(
 def _with_gaps(joints: JointTrack, track: GripperTrack, frames: NDArray[np.intp]) -> JointTrack:
     """Return the joint track with the untracked frames inserted."""
     n = len(track.t_s)
-    q = np.full((n, 7), np.nan)
-    position, rotation = np.full(n, np.nan), np.full(n, np.nan)
+    results = (joints.q, joints.position_error_m, joints.rotation_error_rad)
+    q, position, rotation = (spread(values, frames, n) for values in results)
     status = [IkStatus.NOT_TRACKED] * n
-    q[frames], position[frames], rotation[frames] = joints.q, joints.position_error_m, joints.rotation_error_rad
     for i, s in zip(frames, joints.status, strict=True):
         status[i] = s
     return JointTrack(t_s=track.t_s, q=q, status=tuple(status), position_error_m=position, rotation_error_rad=rotation)

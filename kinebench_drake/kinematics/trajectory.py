@@ -6,9 +6,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from kinebench_drake.geometry import Array, rotation_log
+from kinebench_drake.geometry import Array
 from kinebench_drake.kinematics.collision import TABLE, CollisionModel
-from kinebench_drake.kinematics.newton import ROTATION_ARM_M
+from kinebench_drake.kinematics.newton import ROTATION_ARM_M, pose_twists
 from kinebench_drake.kinematics.path import limit_margin
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.spline import SplineBasis
@@ -105,10 +105,8 @@ class TubeProblem:
         return self._errors(np.array([self.plant.forward(row) for row in q]))
 
     def _errors(self, X_now: Array) -> Array:
-        e = np.empty((len(X_now), 6))
-        turn = self.X_BG[:, :3, :3] @ np.swapaxes(X_now[:, :3, :3], -1, -2)
-        e[:, :3] = ROTATION_ARM_M * rotation_log(turn)
-        e[:, 3:] = self.X_BG[:, :3, 3] - X_now[:, :3, 3]
+        e = pose_twists(X_now, self.X_BG)
+        e[:, :3] *= ROTATION_ARM_M
         return e
 
     def linearise(self, q: Array) -> PoseLinearisation:

@@ -19,7 +19,7 @@ from kinebench_drake.kinematics.newton import solve_newton
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.spline import SplineBasis
 from kinebench_drake.kinematics.trajectory import JointTrajectory, TrajectoryCheck, TubeProblem
-from kinebench_drake.kinematics.tube import Obstacle, TubeSolution, proximity_cost_m, solve_tube
+from kinebench_drake.kinematics.tube import Obstacle, proximity_cost_m, solve_tube
 
 SMALLEST_M = 1e-4
 """Radius below which the search does not continue [m]."""
@@ -62,8 +62,6 @@ class TubeResult:
     """Requirement that makes a tube of the limit's radius infeasible; None if feasible, or without a single cause."""
     reason: str | None = None
     """Why there is no radius, or why it exceeds the limit; None if feasible."""
-    programs: int = 0
-    """Number of convex programs solved."""
 
 
 def optimize_in_tube(
@@ -133,7 +131,6 @@ class _TubeSearch:
     def __init__(self, problem: TubeProblem, tube_limit_m: float) -> None:
         self.problem, self.tube_limit_m = problem, tube_limit_m
         self.limits = problem.limits
-        self.programs = 0
         self.infeasible_m: float | None = None
 
     def run(self) -> TubeResult:
@@ -168,7 +165,6 @@ class _TubeSearch:
             certificate=None if best is None else best.check(),
             violation=None if feasible else cause,
             reason=None if feasible else f"{size}; {why}",
-            programs=self.programs,
         )
 
     def _smallest(self) -> tuple[JointTrajectory, JointTrajectory]:
@@ -207,7 +203,7 @@ class _TubeSearch:
         best: JointTrajectory | None = None
         proximity, looser, low = _PROXIMITY, _LOOSER, SMALLEST_M
         for _ in range(effort[0]):
-            solution = self._solve(basis, q, None, proximity, obstacles)
+            solution = solve_tube(basis, self.problem.linearise(q), self.limits, None, proximity, obstacles)
             if solution is None:
                 break
             low = max(solution.radius_m, SMALLEST_M)
@@ -229,7 +225,8 @@ class _TubeSearch:
             if low > LARGEST_M or (best.radius_m <= RATIO * low and not in_doubt):
                 break
             middle = self.tube_limit_m if in_doubt else float(np.sqrt(low * best.radius_m))
-            solution = self._solve(basis, best.q, _AIM * middle, proximity, obstacles)
+            poses = self.problem.linearise(best.q)
+            solution = solve_tube(basis, poses, self.limits, _AIM * middle, proximity, obstacles)
             candidate = JointTrajectory(self.problem, basis, solution.control) if solution else best
             if candidate.radius_m <= middle:
                 best = candidate
@@ -237,20 +234,6 @@ class _TubeSearch:
                 low = middle
         self.infeasible_m = low if SMALLEST_M < low < best.radius_m else None
         return best
-
-    def _solve(
-        self,
-        basis: SplineBasis,
-        q: Array,
-        radius_m: float | None,
-        proximity: float,
-        obstacles: tuple[Obstacle, ...],
-        *,
-        elastic: bool = False,
-    ) -> TubeSolution | None:
-        self.programs += 1
-        poses, limits = self.problem.linearise(q), self.limits
-        return solve_tube(basis, poses, limits, radius_m, proximity, obstacles, elastic=elastic)
 
     def _avoid_collisions(self, trajectory: JointTrajectory, rounds: int) -> JointTrajectory | None:
         """Return the trajectory moved out of collisions; None if that fails."""
@@ -305,7 +288,8 @@ class _TubeSearch:
         violation = find_pose_violation(problem, limit, _CERTAIN)
         if violation is not None:
             return violation
-        solution = self._solve(fit.basis, self._start, limit, _ELASTIC_PROXIMITY, (), elastic=True)
+        start = problem.linearise(self._start)
+        solution = solve_tube(fit.basis, start, self.limits, limit, _ELASTIC_PROXIMITY, elastic=True)
         return (
             (solution and find_rate_violation(problem, fit.basis, solution.excess, offset=1.0))
             or find_start_violation(problem)

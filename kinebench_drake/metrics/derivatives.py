@@ -42,8 +42,6 @@ _BISECTIONS = 10
 class Derivative:
     """One derivative of a joint path."""
 
-    order: int
-    """1 velocity, 2 acceleration, 3 jerk."""
     value: Array
     """(T, 7) weighted mean of the derivative over the window of each frame [rad/s^order]; NaN where there is none."""
     standard_error: Array
@@ -75,7 +73,7 @@ def differentiate(t_s: Array, q: Array, sigma: Array, order: int, limits: Array)
     variance = np.broadcast_to(np.asarray(sigma, dtype=np.float64) ** 2, q.shape)
     period = float(np.median(np.diff(t_s))) if len(t_s) > 1 else 1.0
     size = _window(period, _noise_ratio(variance[finite], limits), order)
-    value, error = np.full(q.shape, np.nan), np.full(q.shape, np.nan)
+    value, error = np.full((2, *q.shape), np.nan)
     frames = np.flatnonzero(finite)
     size = max(min(size, len(frames)), order + 1)
     if len(frames) >= size:
@@ -84,7 +82,6 @@ def differentiate(t_s: Array, q: Array, sigma: Array, order: int, limits: Array)
         value[frames] = _apply(weights, q[frames])[first]
         error[frames] = np.sqrt(_apply(weights**2, variance[frames]))[first]
     return Derivative(
-        order=order,
         value=value,
         standard_error=error,
         window=size,

@@ -43,6 +43,7 @@ from kinebench_drake.metrics.result import (
     track_curves,
 )
 from kinebench_drake.metrics.smoothness import measure_smoothness
+from kinebench_drake.segments import spread
 from kinebench_drake.types import GripperTrack, IkStatus, JointTrack, Violation, ViolationKind
 
 MIN_TRACKED_FRAMES = 5
@@ -111,8 +112,7 @@ class TrackJudge:
         if not (np.diff(t_s) > 0.0).all():
             raise InputError("t_s must increase from frame to frame")
         valid = np.asarray(np.isfinite(q).all(axis=-1))
-        X_BG = np.full((len(q), 4, 4), np.nan)
-        X_BG[valid] = np.reshape([self._plant.forward(row) for row in q[valid]], (-1, 4, 4))
+        X_BG = spread(np.reshape([self._plant.forward(row) for row in q[valid]], (-1, 4, 4)), valid, len(q))
         track = GripperTrack(
             t_s=t_s,
             X_CH=np.full_like(X_BG, np.nan),
@@ -147,8 +147,7 @@ class TrackJudge:
         reached = np.isfinite(joints.q).all(axis=-1) & (joints.position_error_m <= POSITION_TOLERANCE_M)
         reached &= joints.rotation_error_rad <= ROTATION_TOLERANCE_RAD
         q = np.where(reached[:, None], joints.q, np.nan)
-        J = np.full((len(q), 6, q.shape[1]), np.nan)
-        J[reached] = plant.chain.jacobians(joints.q[reached])
+        J = spread(plant.chain.jacobians(joints.q[reached]), reached, len(q))
         sigma = propagate_noise(J, noise) if joint_sigma is None else joint_sigma
         q_smooth = smooth_path(t_s, q, sigma)
         own = self._collision.self_distance(q, track.finger_width_m)
@@ -159,7 +158,7 @@ class TrackJudge:
             jumps = find_discontinuities(t_s, track.X_BG, track.tracked, noise)
         else:
             checks = check_limits(plant, t_s, q, sigma, freedom_per_frame=JOINT_FREEDOM_PER_FRAME)
-            limits = find_joint_limit_violations(plant, q, joint_sigma)
+            limits = find_joint_limit_violations(plant, q, limit_tolerance(joint_sigma))
             jumps = find_discontinuities(t_s, track.X_BG, track.tracked, noise, q, plant.robot.joints)
         violations = sorted(
             (

@@ -33,7 +33,6 @@ _KINDS = (*_ORDERS, ViolationKind.TORQUE)
 class LimitCheck:
     """Check of one kind of limit along a track, in the unit of the kind: rad/s, rad/s^2, rad/s^3 or N m."""
 
-    kind: ViolationKind
     ratio_max: float
     """Greatest |value| / limit of all joints, over the values that the noise does not hide."""
     joint: str
@@ -211,7 +210,6 @@ def _check(
     frame, joint = np.unravel_index(int(np.argmax(ratio)), ratio.shape)
     ratios = np.where(significant.any(axis=0), ratio.max(axis=0), np.nan)
     return LimitCheck(
-        kind=kind,
         ratio_max=float(ratio[frame, joint]) if significant.any() else np.nan,
         joint=plant.robot.joints[joint],
         frame=int(frame),

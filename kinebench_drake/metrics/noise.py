@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from kinebench_drake.geometry import Array, from_quaternion, rotation_log, to_quaternion
 from kinebench_drake.metrics.derivatives import smooth_path
-from kinebench_drake.segments import finite_rows, segments
+from kinebench_drake.segments import finite_rows, segments, spread
 from kinebench_drake.types import GripperTrack
 
 ORDERS = (2, 3, 4, 5, 6)
@@ -94,10 +94,8 @@ def propagate_noise(jacobians: Array, noise: TrackNoise) -> Array:
         noise: noise of the pose track.
     """
     finite = np.isfinite(jacobians).all(axis=(-2, -1))
-    sigma = np.full(jacobians.shape[::2], np.nan)
     variance = np.repeat([noise.rotation_rad**2, noise.position_m**2], 3)
-    sigma[finite] = np.sqrt(np.linalg.pinv(jacobians[finite]) ** 2 @ variance)
-    return sigma
+    return spread(np.sqrt(np.linalg.pinv(jacobians[finite]) ** 2 @ variance), finite, len(jacobians))
 
 
 def rotation_steps(R: Array) -> Array:
@@ -149,16 +147,11 @@ def smooth_poses(track: GripperTrack, noise: TrackNoise) -> Array:
     Positions and quaternions are smoothed like joint paths (`derivatives.smooth_path`); a quaternion changes by half
     the angle, so its noise is half that of the rotation.
     """
-    frames = np.flatnonzero(track.tracked)
-    p, quaternion = np.full((len(track.t_s), 3), np.nan), np.full((len(track.t_s), 4), np.nan)
-    p[frames] = track.X_BG[frames, :3, 3]
+    frames, n = np.flatnonzero(track.tracked), len(track.t_s)
     turned = to_quaternion(track.X_BG[frames, :3, :3])
     # q and -q are the same rotation: each gets the sign nearest to the previous one.
     flips = np.sum(turned[1:] * turned[:-1], axis=-1) < 0.0
     turned[1:] *= np.where(np.cumsum(flips) % 2 == 1, -1.0, 1.0)[:, None]
-    quaternion[frames] = turned
-    p = smooth_path(track.t_s, p, np.full(3, noise.position_m))
-    quaternion = smooth_path(track.t_s, quaternion, np.full(4, 0.5 * noise.rotation_rad))
-    X_BG = np.full_like(track.X_BG, np.nan)
-    X_BG[frames] = from_quaternion(quaternion[frames], p[frames])
-    return X_BG
+    p = smooth_path(track.t_s, spread(track.X_BG[frames, :3, 3], frames, n), np.full(3, noise.position_m))
+    quaternion = smooth_path(track.t_s, spread(turned, frames, n), np.full(4, 0.5 * noise.rotation_rad))
+    return spread(from_quaternion(quaternion[frames], p[frames]), frames, n)

@@ -62,14 +62,28 @@ def find_limit_violations(
         posture = find_least_excess(plant, track.X_BG[i])
         if posture is not None:
             q[i] = posture
-    named = yield from _past(plant, q, np.full(q.shape[1], _LIMIT_TOLERANCE_RAD))
+    named = yield from find_joint_limit_violations(plant, q, np.full(q.shape[1], _LIMIT_TOLERANCE_RAD))
     for run in segments(failed & ~named):  # past a limit between the samples of the sweep: the joint is unknown
         yield Violation.of_run(ViolationKind.JOINT_LIMIT, run, None, float(_pose_error(joints)[run].max()), limit)
 
 
-def find_joint_limit_violations(plant: ArmPlant, q: Array, sigma: Array) -> Iterator[Violation]:
-    """Find runs of frames in which angles `q` (T, 7) [rad] exceed a limit by more than their noise `sigma` (7,)."""
-    yield from _past(plant, q, limit_tolerance(sigma))
+def find_joint_limit_violations(
+    plant: ArmPlant, q: Array, tolerance: Array
+) -> Generator[Violation, None, NDArray[np.bool_]]:
+    """Find runs of frames in which angles `q` (T, 7) exceed a limit by more than `tolerance` (7,) [rad].
+
+    Returns:
+        (T,) frames of the violations.
+    """
+    past = np.nan_to_num(limit_excess(plant, q))
+    named = np.zeros(len(q), dtype=bool)
+    for j, name in enumerate(plant.robot.joints):
+        for run in segments(past[:, j] > tolerance[j]):
+            named[run] = True
+            worst = float(q[run, j][np.argmax(past[run, j])])
+            limit = float(plant.upper[j] if worst > plant.upper[j] else plant.lower[j])
+            yield Violation.of_run(ViolationKind.JOINT_LIMIT, run, name, worst, limit)
+    return named
 
 
 def find_collisions(
@@ -104,19 +118,6 @@ def find_collisions(
             deep &= smooth < -max(CONTACT_TOLERANCE_M, noise.offset_m)
         for run in segments(deep):
             yield Violation.of_run(kind, run, None, float(clearance.distance_m[run].min()), limit)
-
-
-def _past(plant: ArmPlant, q: Array, tolerance: Array) -> Generator[Violation, None, NDArray[np.bool_]]:
-    """Yield violations of rows of `q` (T, 7) past limits by more than `tolerance` (7,); return their frames (T,)."""
-    past = np.nan_to_num(limit_excess(plant, q))
-    named = np.zeros(len(q), dtype=bool)
-    for j, name in enumerate(plant.robot.joints):
-        for run in segments(past[:, j] > tolerance[j]):
-            named[run] = True
-            worst = float(q[run, j][np.argmax(past[run, j])])
-            limit = float(plant.upper[j] if worst > plant.upper[j] else plant.lower[j])
-            yield Violation.of_run(ViolationKind.JOINT_LIMIT, run, name, worst, limit)
-    return named
 
 
 def _has(joints: JointTrack, status: IkStatus) -> NDArray[np.bool_]:

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kinebench_drake.errors import UsageError
 from kinebench_drake.geometry import Array
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.stats import bootstrap_mean, wilson
@@ -132,23 +131,18 @@ def _anomaly_kinds(row: SampleRow) -> set[str]:
     return {str(a.get("kind")) for a in anomalies if isinstance(a, Mapping)}
 
 
-def robust_normalize(values: ArrayLike, low: float = PERCENTILES[0], high: float = PERCENTILES[1]) -> Array:
-    """Scale values (N,) to 0 at the `low`-th percentile or below and 1 at the `high`-th percentile or above.
+def robust_normalize(values: ArrayLike) -> Array:
+    """Scale values (N,) to 0 at the lower of PERCENTILES or below and 1 at the upper one or above.
 
     clip((v - p_low) / (p_high - p_low), 0, 1) over the finite values, percentiles by linear interpolation; NaN stays
     NaN. If both percentiles are equal there is no scale: smaller values become 0, greater ones 1 and equal ones 0.5.
     The result compares samples within one run, never across runs.
-
-    Raises:
-        UsageError: the percentiles are not 0 <= low < high <= 100.
     """
-    if not 0.0 <= low < high <= 100.0:
-        raise UsageError(f"percentiles are {low:g} and {high:g}, expected 0 <= low < high <= 100")
     values = np.asarray(values, dtype=np.float64)
     finite = values[np.isfinite(values)]
     if len(finite) == 0:
         return np.full(values.shape, np.nan)
-    bottom, top = np.percentile(finite, [low, high])
+    bottom, top = np.percentile(finite, PERCENTILES)
     if top > bottom:
         scaled = np.clip((values - bottom) / (top - bottom), 0.0, 1.0)
     else:

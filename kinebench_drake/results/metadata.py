@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -134,10 +134,6 @@ class RunMetadata:
             if not isinstance(values[name], kind):
                 raise InputError(f"{name} is {values[name]!r:.60}, expected {kind.__name__}")
         return cls(**values)
-
-    def with_config(self, **changes: Json) -> "RunMetadata":
-        """Return the metadata with changes of the configuration."""
-        return replace(self, config={**self.config, **changes})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

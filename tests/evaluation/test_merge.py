@@ -1,6 +1,7 @@
 """Merging: what the shards of a run left behind, put together, is what one run would have left behind."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -240,7 +241,12 @@ def test_what_cannot_be_merged(tmp_path):
 def test_only_the_worst_have_replays_as_in_one_run(tmp_path):
     facts = header("audit", replays=2)
     parts = [
-        fill(tmp_path / f"p{k}", facts.with_config(shard=f"{k}/2"), map(sample, IDS[k - 1 :: 2]), replays=2)
+        fill(
+            tmp_path / f"p{k}",
+            replace(facts, config={**facts.config, "shard": f"{k}/2"}),
+            map(sample, IDS[k - 1 :: 2]),
+            replays=2,
+        )
         for k in (1, 2)
     ]
     merge_folders(parts, tmp_path / "out")

@@ -5,6 +5,7 @@ import pytest
 from scipy.interpolate import BSpline
 
 from kinebench_drake.geometry import pose_difference, rotation_exp
+from kinebench_drake.kinematics import trajopt
 from kinebench_drake.kinematics.collision import CollisionModel
 from kinebench_drake.kinematics.newton import solve_newton
 from kinebench_drake.kinematics.plant import ArmPlant
@@ -68,10 +69,13 @@ def _verify(
     return certificate, curve(t)
 
 
-def test_clean_track_needs_no_program_and_the_smallest_tube(plant: ArmPlant, collision: CollisionModel) -> None:
+def test_clean_track_needs_no_program_and_the_smallest_tube(
+    plant: ArmPlant, collision: CollisionModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delattr(trajopt, "solve_tube")
     t, X, q = _sway(plant)
     result = optimize_in_tube(plant, collision, t, X, q)
-    assert (result.radius_m, result.feasible, result.programs, result.reason) == (SMALLEST_M, True, 0, None)
+    assert (result.radius_m, result.feasible, result.reason) == (SMALLEST_M, True, None)
     certificate, path = _verify(plant, result, t, X)
     # The certificate's own figures, from denser samples than it took.
     assert certificate.self_distance_min_m == pytest.approx(collision.self_distance(path).distance_m.min(), abs=1e-4)

@@ -162,11 +162,9 @@ def _joints(values: Array, tracked: NDArray[np.bool_], warnings: list[str]) -> t
         if largest[j] > _MANY_RAD:
             k = int(np.nanargmax(np.abs(q[:, j])))
             message = f"joint {j + 1} is at {q[k, j]:.4g} rad in frame {k}, more than {_MANY_RAD:g}"
-            if largest[j] <= _MOST_DEGREES:
-                raise InputError(
-                    f"{message}: the angles look like degrees, convert them to radians (multiply by pi / 180)"
-                )
-            raise InputError(f"{message}: these are no joint angles in radians")
+            degrees = "the angles look like degrees, convert them to radians (multiply by pi / 180)"
+            guess = degrees if largest[j] <= _MOST_DEGREES else "these are no joint angles in radians"
+            raise InputError(f"{message}: {guess}")
         if largest[j] > _TURN_RAD:
             warnings.append(
                 f"joint {j + 1} goes up to {largest[j]:.4g} rad, more than a full turn: are the angles in degrees? "

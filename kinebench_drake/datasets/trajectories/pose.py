@@ -30,7 +30,7 @@ def rigid_poses(X: Array, valid: NDArray[np.bool_]) -> tuple[Array, tuple[str, .
     """
     frames = np.flatnonzero(valid)
     matrices = X[valid]
-    _require_finite(matrices.reshape(len(frames), 16), frames, "the pose")
+    _require_finite(matrices.reshape(len(frames), 16), frames)
     off = np.abs(matrices[:, 3] - _LAST_ROW).max(axis=-1, initial=0.0)
     if (off > REPAIRABLE).any():
         k = int(np.argmax(off > REPAIRABLE))
@@ -43,15 +43,11 @@ def rigid_poses(X: Array, valid: NDArray[np.bool_]) -> tuple[Array, tuple[str, .
     wrong = ~(deviation <= REPAIRABLE) | (np.linalg.det(R) < 0.0)
     if wrong.any():
         k = int(np.argmax(wrong))
+        reason = f"not orthonormal: R^T R is off the identity by {deviation[k]:.2g}, at most {REPAIRABLE:g} is repaired"
         if deviation[k] <= REPAIRABLE:
-            raise InputError(
-                f"the rotation of frame {frames[k]} is left-handed (determinant {np.linalg.det(R[k]):.3f}): one of its "
-                "axes is mirrored, expected a right-handed frame"
-            )
-        raise InputError(
-            f"the rotation of frame {frames[k]} is not orthonormal: R^T R is off the identity by {deviation[k]:.2g}, "
-            f"at most {REPAIRABLE:g} is repaired"
-        )
+            turned = f"(determinant {np.linalg.det(R[k]):.3f}): one of its axes is mirrored"
+            reason = f"left-handed {turned}, expected a right-handed frame"
+        raise InputError(f"the rotation of frame {frames[k]} is {reason}")
     _require_metres(matrices[:, :3, 3], frames)
     poses = np.full((len(X), 4, 4), np.nan)
     poses[valid] = make_pose(orthonormalize(R), matrices[:, :3, 3])
@@ -67,14 +63,13 @@ def from_quaternions(p: Array, quaternion: Array) -> tuple[Array, tuple[str, ...
     Raises:
         InputError: a quaternion holds no finite number, or its norm is not 1.
     """
-    frames = np.arange(len(p))
-    _require_finite(np.concatenate([p, quaternion], axis=1), frames, "the pose")
+    _require_finite(np.concatenate([p, quaternion], axis=1), np.arange(len(p)))
     deviation = np.abs(np.linalg.norm(quaternion, axis=-1) - 1.0)
     wrong = ~(deviation <= REPAIRABLE)
     if wrong.any():
         k = int(np.argmax(wrong))
         raise InputError(
-            f"the quaternion of frame {frames[k]} has norm {np.linalg.norm(quaternion[k]):.4g}, expected 1; at most "
+            f"the quaternion of frame {k} has norm {np.linalg.norm(quaternion[k]):.4g}, expected 1; at most "
             f"{REPAIRABLE:g} is repaired"
         )
     repaired = int((deviation > _ROUNDING).sum())
@@ -94,8 +89,7 @@ def from_vectors(p: Array, rotation: Array, *, angles: bool) -> Array:
     Raises:
         InputError: a number is not finite, or the angles cannot be radians.
     """
-    frames = np.arange(len(p))
-    _require_finite(np.concatenate([p, rotation], axis=1), frames, "the pose")
+    _require_finite(np.concatenate([p, rotation], axis=1), np.arange(len(p)))
     largest = np.abs(rotation).max(axis=-1, initial=0.0)
     limit = 2.0 * np.pi + 1e-3
     if (largest > limit).any():
@@ -108,13 +102,13 @@ def from_vectors(p: Array, rotation: Array, *, angles: bool) -> Array:
     return make_pose(turn.as_matrix(), p)
 
 
-def _require_finite(rows: Array, frames: NDArray[np.intp], what: str) -> None:
+def _require_finite(rows: Array, frames: NDArray[np.intp]) -> None:
     broken = ~np.isfinite(rows).all(axis=-1)
     if broken.any():
         k = int(np.argmax(broken))
         value = "NaN" if np.isnan(rows[k]).any() else "infinity"
         more = f" and {int(broken.sum()) - 1} more frames" if broken.sum() > 1 else ""
-        raise InputError(f"{what} of frame {frames[k]}{more} holds {value}, expected finite numbers")
+        raise InputError(f"the pose of frame {frames[k]}{more} holds {value}, expected finite numbers")
 
 
 def _require_metres(p: Array, frames: NDArray[np.intp]) -> None:

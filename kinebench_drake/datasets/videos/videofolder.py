@@ -8,7 +8,7 @@ A row belongs to the video that its column `file_name` (or `video_file_name`) na
 import csv
 import io
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -123,20 +123,16 @@ def _read_rows(file: Path, search: Search) -> list[Row]:
         return []
 
 
-def _csv(data: bytes) -> Iterator[Row]:
-    yield from csv.DictReader(io.StringIO(data.decode("utf-8-sig"), newline=""))
-
-
 def _jsonl(data: bytes) -> Iterator[Row]:
     for line in data.decode("utf-8-sig").split("\n"):
         if line.strip():
             yield as_object(parse_json(line))
 
 
-def _parquet(data: bytes) -> Iterator[Row]:
-    yield from parquet.read_table(io.BytesIO(data)).to_pylist()
-
-
-_READERS: Mapping[str, Callable[[bytes], Iterator[Row]]] = {".csv": _csv, ".jsonl": _jsonl, ".parquet": _parquet}
+_READERS: Mapping[str, Callable[[bytes], Iterable[Row]]] = {
+    ".csv": lambda data: csv.DictReader(io.StringIO(data.decode("utf-8-sig"), newline="")),
+    ".jsonl": _jsonl,
+    ".parquet": lambda data: parquet.read_table(io.BytesIO(data)).to_pylist(),
+}
 NAMES = tuple(f"metadata{suffix}" for suffix in _READERS)
 """Names of metadata files."""
