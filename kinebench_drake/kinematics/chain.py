@@ -4,7 +4,6 @@ Drake computes one posture per call; for hundreds of postures the calls cost mor
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,42 +15,6 @@ from kinebench_drake.models.robot import N_JOINTS, Robot
 
 Positions = Callable[[ArrayLike, ArrayLike | None], Array]
 """Function from arm postures (N, 7) [rad] and finger widths (N,) [m] to all positions (N, n) of the Drake plant."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Joint:
-    """One moving joint, its axis in B at the zero posture."""
-
-    name: str
-    position: int
-    """Index in the plant's positions."""
-    parent: int
-    """Stage of the parent link."""
-    axis: Array
-    """(3,) unit vector."""
-    point: Array
-    """(3,) point on the axis [m]."""
-    prismatic: bool
-
-    @staticmethod
-    def read(joint: Any, context: Any, parent: int) -> "_Joint":
-        X_BF = np.asarray(joint.frame_on_parent().CalcPoseInWorld(context).GetAsMatrix4())
-        prismatic = joint.type_name() == "prismatic"
-        axis = joint.translation_axis() if prismatic else joint.revolute_axis()
-        return _Joint(
-            name=joint.name(),
-            position=joint.position_start(),
-            parent=parent,
-            axis=X_BF[:3, :3] @ axis,
-            point=X_BF[:3, 3],
-            prismatic=prismatic,
-        )
-
-    @property
-    def generator(self) -> Array:
-        """(3, 3) cross product matrix of the axis; 0 for a prismatic joint."""
-        x, y, z = np.zeros(3) if self.prismatic else self.axis
-        return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
 class LinkChain:
@@ -79,7 +42,8 @@ class LinkChain:
         home = {b.name(): np.asarray(b.EvalPoseInWorld(context).GetAsMatrix4()) for b in bodies}
         self._positions = positions
         self._tcp_link = robot.tcp_link
-        self._joints: list[_Joint] = []
+        moving: list[Any] = []
+        self._parents: list[int] = []
         self.stage = {drake.world_body().name(): 0}
         """Index of the motion of each link, by name; 0 for links that never move."""
         self.home: dict[str, Array] = home
@@ -90,29 +54,30 @@ class LinkChain:
                 joint = inboard[name]
                 stage = visit(joint.parent_body().name())
                 if joint.num_positions():
-                    self._joints.append(_Joint.read(joint, context, stage))
-                    stage = len(self._joints)
+                    self._parents.append(stage)
+                    moving.append(joint)
+                    stage = len(moving)
                 self.stage[name] = stage
             return self.stage[name]
 
         for name in names:
             visit(name)
-        turning = np.array([not joint.prismatic for joint in self._joints])[:, None]
-        self._position = [joint.position for joint in self._joints]
-        self._axis = np.array([joint.axis for joint in self._joints])
+        turning = np.array([joint.type_name() != "prismatic" for joint in moving])[:, None]
+        axes = [j.revolute_axis() if turns else j.translation_axis() for j, turns in zip(moving, turning, strict=True)]
+        X = [joint.frame_on_parent().CalcPoseInWorld(context).GetAsMatrix4() for joint in moving]
+        self._position = [joint.position_start() for joint in moving]
+        self._axis = np.array([X_BF[:3, :3] @ axis for X_BF, axis in zip(X, axes, strict=True)])
         self._shift = np.where(turning, 0.0, self._axis)
-        self._point = np.where(turning, [joint.point for joint in self._joints], 0.0)
-        self._K = np.array([joint.generator for joint in self._joints])
-        first = [next(name for name in names if self.stage[name] == i + 1) for i in range(len(self._joints))]
+        self._point = np.where(turning, [X_BF[:3, 3] for X_BF in X], 0.0)
+        rotary = np.where(turning, self._axis, 0.0)
+        self._K = np.array([[[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]] for x, y, z in rotary])  # their cross products
+        first = [next(name for name in names if self.stage[name] == i + 1) for i in range(len(moving))]
         self._carried = [drake.GetBodyByName(name) for name in first]
         self._to_zero = invert([home[name] for name in first])
-        self._upstream = np.zeros((len(self._joints) + 1, N_JOINTS), dtype=bool)
-        arm = {name: j for j, name in enumerate(robot.joints)}
-        for i, joint in enumerate(self._joints):
-            self._upstream[i + 1] = self._upstream[joint.parent]
-            if joint.name in arm:
-                self._upstream[i + 1, arm[joint.name]] = True
-        self._arm = [next(i for i, joint in enumerate(self._joints) if joint.name == n) for n in robot.joints]
+        self._arm = [[joint.name() for joint in moving].index(name) for name in robot.joints]
+        self._upstream = np.zeros((len(moving) + 1, N_JOINTS), dtype=bool)
+        for i, parent in enumerate(self._parents):
+            self._upstream[i + 1] = self._upstream[parent] | (np.array(self._arm) == i)
 
     def motions(self, q: ArrayLike, finger_width_m: ArrayLike | None = None) -> Array:
         """Return motions (N, stages, 4, 4) from the zero posture to postures `q` (N, 7) [rad]; stage 0 is at rest.
@@ -121,11 +86,11 @@ class LinkChain:
         default where None or NaN.
         """
         positions = self._positions(q, finger_width_m)
-        M = np.zeros((len(positions), len(self._joints) + 1, 4, 4))
+        M = np.zeros((len(positions), len(self._parents) + 1, 4, 4))
         M[:, 0] = np.eye(4)
         steps = self._steps(positions[:, self._position])
-        for i, joint in enumerate(self._joints):
-            M[:, i + 1] = M[:, joint.parent] @ steps[:, i]
+        for i, parent in enumerate(self._parents):
+            M[:, i + 1] = M[:, parent] @ steps[:, i]
         return M
 
     def _steps(self, positions: Array) -> Array:
@@ -136,7 +101,7 @@ class LinkChain:
 
     def current(self, context: Any) -> Array:
         """Return the motions (stages, 4, 4) of the one posture in a context of the Drake plant, computed by Drake."""
-        M = np.empty((len(self._joints) + 1, 4, 4))
+        M = np.empty((len(self._parents) + 1, 4, 4))
         M[0] = np.eye(4)
         for i, body in enumerate(self._carried):
             M[i + 1] = body.EvalPoseInWorld(context).GetAsMatrix4()
@@ -149,8 +114,7 @@ class LinkChain:
 
     def axes(self, motions: Array) -> tuple[Array, Array]:
         """Return the unit axes (N, 7, 3) of the arm's joints in B and a point (N, 7, 3) [m] on each, from `motions`."""
-        parents = [self._joints[i].parent for i in self._arm]
-        M = motions[:, parents]
+        M = motions[:, [self._parents[i] for i in self._arm]]
         axis, point = self._axis[self._arm], self._point[self._arm]
         return (
             np.asarray((M[..., :3, :3] @ axis[..., None])[..., 0]),

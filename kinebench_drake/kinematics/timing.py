@@ -1,6 +1,6 @@
 """Time-optimal parameterization of a joint path: Toppra under the limits of speed, acceleration and torque."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import Enum
 from typing import Any
 
@@ -69,10 +69,6 @@ class TimeScale:
     """Row of the input arrays where that limit slows the path most (least speed-up while active) or is violated."""
     active: tuple[ActiveLimit, ...] = ()
     """All limits that are active at some time, the longest first; several may be active at once."""
-    own_s: Array = field(default_factory=lambda: np.empty(0))
-    """(G,) times of the grid points in the own timing [s], from `t_s[0]` on; empty without a value."""
-    fastest_s: Array = field(default_factory=lambda: np.empty(0))
-    """(G,) their times in the fastest motion [s], from 0 on; empty without a value."""
 
 
 def time_scale(plant: ArmPlant, t_s: Array, q: Array) -> TimeScale:
@@ -123,13 +119,10 @@ class _Motion:
     def __init__(
         self, plant: ArmPlant, t_s: Array, q: Array, frames: NDArray[np.intp], halvings: int = _HALVINGS
     ) -> None:
-        self.plant, self.frames = plant, frames
-        self.origin_s, self.t = float(t_s[0]), t_s - t_s[0]
-        t = self.t
-        spline: Any = CubicSpline(t, q)
-        self.spline = spline
-        self.grid = _grid(t, spline, plant.velocity_limits, halvings)
-        self.q, self.v, self.a = (np.asarray(spline(self.grid, order)) for order in range(3))
+        self.plant, self.frames, self.t = plant, frames, t_s - t_s[0]
+        self.spline: Any = CubicSpline(self.t, q)
+        self.grid = _grid(self.t, self.spline, plant.velocity_limits, halvings)
+        self.q, self.v, self.a = (np.asarray(self.spline(self.grid, order)) for order in range(3))
 
     def fastest(
         self, start: float, end: float, stretches: tuple[float, ...] = _STRETCHES
@@ -234,8 +227,6 @@ def _describe(motion: _Motion, times: Array, rate: Array) -> TimeScale:
         active=tuple(
             ActiveLimit(constraint=kinds[c], joint=joints[j], share=float(share[c, j])) for c, j in order if share[c, j]
         ),
-        own_s=motion.grid + motion.origin_s,
-        fastest_s=times - times[0],
     )
 
 

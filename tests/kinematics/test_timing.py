@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from kinebench_drake.kinematics import timing
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.timing import TimingConstraint, time_scale
 from kinebench_drake.models.panda.robot import rest_q
@@ -51,9 +52,6 @@ def test_scale_is_that_of_the_fastest_profile(plant: ArmPlant) -> None:
     scale = time_scale(plant, t, q)
     assert scale.value is not None
     assert scale.value < 1.0
-    assert scale.fastest_s[-1] == pytest.approx(scale.value * (t[-1] - t[0]))
-    assert (np.diff(scale.fastest_s) > 0.0).all()
-    assert scale.own_s[[0, -1]] == pytest.approx(t[[0, -1]])
     assert scale.frame is not None
     assert 0 <= scale.frame < 60
 
@@ -151,9 +149,9 @@ def test_what_cannot_be_timed_says_why(plant: ArmPlant) -> None:
 
 def test_very_long_tracks_are_bounded(plant: ArmPlant) -> None:
     t = np.arange(4000) * 0.02
-    scale = time_scale(plant, t, rest_q() + 0.3 * np.sin(t)[:, None] * SWING)
-    assert scale.value is not None
-    assert len(scale.own_s) < 2000
+    q = rest_q() + 0.3 * np.sin(t)[:, None] * SWING
+    assert time_scale(plant, t, q).value is not None
+    assert len(timing._Motion(plant, t, q, np.arange(4000)).grid) < 2000
 
 
 @pytest.mark.parametrize("seed", range(6))
