@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,7 +91,7 @@ def read_track(path: Path) -> TrackFile:
             lacking = [name for name in _OWN if name not in (*a.files, "status")]
             if lacking:
                 raise InputError(f"lacks {', '.join(lacking)}")
-            own = {name: _numbers(a, name) for name in _OWN if name != "status"}
+            own: dict[str, Any] = {name: _numbers(a, name) for name in _OWN if name != "status"}
             own["tracked"] = own["tracked"].astype(bool)
             track = GripperTrack(**{field: own[name] for name, field in _TRACK.items()})
             n = len(track.t_s)
