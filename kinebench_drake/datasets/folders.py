@@ -2,17 +2,12 @@
 
 import os
 from collections import Counter
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path, PurePosixPath
 
 from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.io.files import require_accessible
 from kinebench_drake.results.store import ARTIFACTS, RESULTS, RUN, SAMPLES
-
-
-def is_output(files: Collection[str]) -> bool:
-    """Return whether a folder with these files is the output folder of a run, finished or not."""
-    return SAMPLES in files and (RESULTS in files or RUN in files)
 
 
 def require_apart(out: Path, *inputs: Path) -> None:
@@ -47,7 +42,8 @@ def walk(top: Path, skipped: Sequence[Path] = ()) -> Iterator[tuple[Path, list[s
     for root, folders, files in os.walk(top, onerror=_raise_unreadable, followlinks=True):
         here = Path(root)
         real = here.resolve()
-        if real in visited or real in ignored or (here != top and is_output(files)):
+        is_output = SAMPLES in files and (RESULTS in files or RUN in files)
+        if real in visited or real in ignored or (here != top and is_output):
             folders.clear()
             continue
         visited.add(real)

@@ -205,6 +205,8 @@ def list_lerobot_videos(folder: Path, search: Search) -> list[VideoSample]:
     key = search.choose_camera(cameras, "the dataset")
     in_parquet = as_object(dataset.features[key]).get("dtype") == "image"
     search.cameras.assign(folder, folder / "meta" / CAMERA_NAME)
+    fps = dataset.fps
+    period_s = None if fps is None or not 1.0 / MAX_PERIOD_S <= fps <= 1.0 / MIN_PERIOD_S else 1.0 / fps
     samples = []
     for episode in dataset.episodes(key):
         problem, path, part = None, episode.data, VideoPart(key=key, episode=episode.number, frames=episode.length)
@@ -222,7 +224,7 @@ def list_lerobot_videos(folder: Path, search: Search) -> list[VideoSample]:
                 video=f"{sample.video}#{episode.name}",
                 camera_key=key,
                 prompt=episode.tasks,
-                dataset_period_s=_period_s(dataset.fps),
+                dataset_period_s=period_s,
                 problem=problem or _absence(path, folder),
             )
         )
@@ -334,10 +336,6 @@ def _finite(value: object) -> float | None:
 
 def _absence(path: Path, folder: Path) -> str | None:
     return None if path.is_file() else f"{path.relative_to(folder).as_posix()}: there is no such file"
-
-
-def _period_s(fps: float | None) -> float | None:
-    return None if fps is None or not 1.0 / MAX_PERIOD_S <= fps <= 1.0 / MIN_PERIOD_S else 1.0 / fps
 
 
 @contextmanager

@@ -29,7 +29,7 @@ from kinebench_drake.io.atomic import disk_errors, write_atomically
 from kinebench_drake.io.container import write_video
 from kinebench_drake.io.images import frame_files, read_image
 from kinebench_drake.io.reader import read_video
-from kinebench_drake.io.video import Video
+from kinebench_drake.io.video import WHOLE, Video
 from kinebench_drake.results.provenance import weights_hash
 from kinebench_drake.results.store import artifact_path
 from kinebench_drake.results.trackfile import write_track
@@ -360,7 +360,7 @@ def check_period(period_s: float | None) -> None:
 
 def override_names(sample: VideoSample) -> tuple[str, ...]:
     """Return the names that the sample's overrides may have: its id, or the name of the video."""
-    if sample.is_part:
+    if sample.part != WHOLE:
         return (sample.id,)
     stem = sample.path.name if sample.path.is_dir() else sample.path.stem
     return tuple(dict.fromkeys((sample.id, stem)))

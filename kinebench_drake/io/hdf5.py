@@ -101,7 +101,11 @@ def read_hdf5(path: Path, part: VideoPart) -> Video:
             data = file.get(key)
             if not isinstance(data, h5py.Dataset) or not is_own(data):
                 raise InputError(f"{path.name}: holds no data set {key!r} of its own")
-            frames = _decode(path, data) if _is_encoded(data) else _read_frames(path, data)
+            if _is_encoded(data):
+                frames = _decode(path, data)
+            else:
+                check_size(path.name, data.size * data.dtype.itemsize)
+                frames = np.ascontiguousarray(data[()])
     except DAMAGED as error:
         raise InputError(f"{path.name}: {key} cannot be read ({cause(error)})") from None
     try:
@@ -123,11 +127,6 @@ def _is_encoded(data: h5py.Dataset) -> bool:
 
 def _bytes(row: object) -> bytes:
     return row if isinstance(row, bytes) else np.asarray(row).tobytes()
-
-
-def _read_frames(path: Path, data: h5py.Dataset) -> NDArray[np.uint8]:
-    check_size(path.name, data.size * data.dtype.itemsize)
-    return np.ascontiguousarray(data[()])
 
 
 def _decode(path: Path, data: h5py.Dataset) -> NDArray[np.uint8]:

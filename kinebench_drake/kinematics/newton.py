@@ -43,7 +43,7 @@ def _step(J: Array, e: Array, damping: float, below: Array, above: Array) -> Arr
     """
     dq = np.zeros(N_JOINTS)
     free = np.ones(N_JOINTS, dtype=bool)
-    for _ in range(N_JOINTS):
+    while free.any():
         A = J[:, free]
         M = A @ A.T
         M.flat[::7] += damping
@@ -54,8 +54,6 @@ def _step(J: Array, e: Array, damping: float, below: Array, above: Array) -> Arr
         dq[past] = np.clip(dq[past], below[past], above[past])
         e = e - J[:, past] @ dq[past]
         free &= ~past
-        if not free.any():
-            return dq
     return dq
 
 

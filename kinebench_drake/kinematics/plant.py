@@ -153,18 +153,15 @@ class ArmPlant:
         Rows 0-2 are the angular velocity [rad/s], rows 3-5 the velocity of the TCP's origin [m/s], both expressed in
         B (Drake's order of a spatial velocity).
         """
-        self.set_posture(q)
-        return self._jacobian()
-
-    def _jacobian(self) -> Array:
-        J = self.drake.CalcJacobianSpatialVelocity(
-            self.context, JacobianWrtVariable.kV, self.tcp_frame, self._origin, self.base_frame, self.base_frame
-        )
-        return np.asarray(J[:, self.arm_rates])
+        return self.forward_and_jacobian(q)[1]
 
     def forward_and_jacobian(self, q: ArrayLike) -> tuple[Array, Array]:
         """Return `forward(q)` and `jacobian(q)`, setting the context once."""
-        return self.forward(q), self._jacobian()
+        X_BG = self.forward(q)
+        J = self.drake.CalcJacobianSpatialVelocity(
+            self.context, JacobianWrtVariable.kV, self.tcp_frame, self._origin, self.base_frame, self.base_frame
+        )
+        return X_BG, np.asarray(J[:, self.arm_rates])
 
     def torque(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Array:
         """Return the joint torques (7,) [N m] of a motion without payload, by Drake's inverse dynamics.

@@ -72,7 +72,8 @@ def differentiate(t_s: Array, q: Array, sigma: Array, order: int, limits: Array)
     finite = finite_rows(q)
     variance = np.broadcast_to(np.asarray(sigma, dtype=np.float64) ** 2, q.shape)
     period = float(np.median(np.diff(t_s))) if len(t_s) > 1 else 1.0
-    size = _window(period, _noise_ratio(variance[finite], limits), order)
+    noise = np.sqrt(np.median(variance[finite], axis=0)) / limits if finite.any() else np.zeros(1)
+    size = _window(period, float(np.nan_to_num(noise).max()), order)
     value, error = np.full((2, *q.shape), np.nan)
     frames = np.flatnonzero(finite)
     size = max(min(size, len(frames)), order + 1)
@@ -186,12 +187,6 @@ def _apply(weights: Array, samples: Array) -> Array:
     if len(weights) == 1:
         return np.asarray(windows @ weights[0])
     return np.asarray((windows @ weights[:, :, None])[..., 0])
-
-
-def _noise_ratio(variance: Array, limits: Array) -> float:
-    """Return the greatest median noise / limit over the joints; 0 if unknown."""
-    ratio = np.sqrt(np.median(variance, axis=0)) / limits if len(variance) else np.zeros(1)
-    return float(np.nan_to_num(ratio).max())
 
 
 def _window(period: float, ratio: float, order: int) -> int:

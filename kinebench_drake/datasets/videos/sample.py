@@ -53,11 +53,6 @@ class VideoSample:
     problem: str | None = None
     """Reason why the sample cannot be read (a broken manifest line); None if it can be tried."""
 
-    @property
-    def is_part(self) -> bool:
-        """True if the file also holds other videos."""
-        return self.part != WHOLE
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VideoSamples:
