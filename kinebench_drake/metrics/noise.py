@@ -93,7 +93,7 @@ def propagate_noise(jacobians: Array, noise: TrackNoise) -> Array:
         jacobians: (T, 6, 7) of `plant.jacobian`, angular rows first; rows of NaN give NaN.
         noise: noise of the pose track.
     """
-    finite = np.isfinite(jacobians).all(axis=(-2, -1))
+    finite = np.asarray(np.isfinite(jacobians).all(axis=(-2, -1)))
     variance = np.repeat([noise.rotation_rad**2, noise.position_m**2], 3)
     return spread(np.sqrt(np.linalg.pinv(jacobians[finite]) ** 2 @ variance), finite, len(jacobians))
 
