@@ -1,7 +1,6 @@
 """Time-optimal parameterization of a joint path: Toppra under the limits of speed, acceleration and torque."""
 
 from dataclasses import dataclass
-from enum import Enum
 from typing import Any
 
 import numpy as np
@@ -13,6 +12,7 @@ from scipy.interpolate import CubicSpline
 from kinebench_drake.geometry import Array
 from kinebench_drake.kinematics.plant import ArmPlant, silent_drake
 from kinebench_drake.models.robot import N_JOINTS
+from kinebench_drake.types import ViolationKind
 
 STILL_RAD = 1e-4
 """Range of every joint below which a path counts as a rest [rad]."""
@@ -31,22 +31,15 @@ _CAP_RATE = 1e-6  # speed of the last joint outside the arm, such as a finger [m
 # speed-up
 _STRETCHES = (100.0, 10.0, 1000.0, 1.0)  # factors of the path parameter, tried in turn until Toppra finds a solution
 _FALLBACKS = ((1, (100.0, 10.0)), (0, (100.0, 10.0)))  # halvings and stretches then: Toppra may fail on small cells
+_KINDS = (ViolationKind.VELOCITY, ViolationKind.ACCELERATION, ViolationKind.TORQUE)  # limits of the speed of a path
 _UNBOUNDED = 1e9  # limit given to Toppra where there is none
-
-
-class TimingConstraint(Enum):
-    """Kind of limit that bounds the speed of a path."""
-
-    VELOCITY = "velocity"
-    ACCELERATION = "acceleration"
-    TORQUE = "torque"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ActiveLimit:
     """One limit that is active in the fastest motion."""
 
-    constraint: TimingConstraint
+    constraint: ViolationKind
     joint: str
     """Name of the joint, such as panda_joint4."""
     share: float
@@ -61,7 +54,7 @@ class TimeScale:
     """Fastest feasible duration / own duration; None where there is none, with a reason."""
     reason: str | None = None
     """Why there is no value; None where there is one."""
-    constraint: TimingConstraint | None = None
+    constraint: ViolationKind | None = None
     """Kind of the limit that is active longest or, without a value, violated; None if there is none."""
     joint: str | None = None
     """Joint of that limit."""
@@ -99,7 +92,7 @@ def time_scale(plant: ArmPlant, t_s: Array, q: Array) -> TimeScale:
         return TimeScale(reason="the joints do not move: a rest has no fastest duration")
     motion = _Motion(plant, t, rows, frames)
     end = _broken_end(motion)
-    if end is not None and end.constraint is TimingConstraint.VELOCITY:  # infeasible without running Toppra
+    if end is not None and end.constraint is ViolationKind.VELOCITY:  # infeasible without running Toppra
         return end
     try:
         profile = motion.fastest(1.0, 1.0)
@@ -212,7 +205,7 @@ def _describe(motion: _Motion, times: Array, rate: Array) -> TimeScale:
     change = np.diff(rate**2) / (2.0 * np.diff(motion.grid))
     spent = np.diff(times)
     share, active = _usage(motion, rate, change, spent)
-    kinds, joints = tuple(TimingConstraint), motion.plant.robot.joints
+    kinds, joints = _KINDS, motion.plant.robot.joints
     order = [np.unravel_index(i, share.shape) for i in np.argsort(-share, axis=None, kind="stable")]
     c, j = order[0]
     slowest = None
@@ -255,7 +248,7 @@ def _explain(motion: _Motion) -> TimeScale:
     if abs(weight[heaviest, j]) > 1.0:
         text = f"{joints[j]} cannot hold the arm's weight ({abs(weight[heaviest, j]):.2f} x its torque limit)"
         return TimeScale(
-            reason=text, constraint=TimingConstraint.TORQUE, joint=joints[j], frame=motion.frame(int(heaviest))
+            reason=text, constraint=ViolationKind.TORQUE, joint=joints[j], frame=motion.frame(int(heaviest))
         )
     end = _broken_end(motion)
     if end is not None:
@@ -268,7 +261,7 @@ def _explain(motion: _Motion) -> TimeScale:
     starts = motion.fastest(1.0, 0.0, _STRETCHES[:2]) is not None
     k = int(broken[-1] if starts else broken[0])
     c, j = np.unravel_index(np.argmax(own[k]), own[k].shape)
-    kind = tuple(TimingConstraint)[c]
+    kind = _KINDS[c]
     text = (
         f"the speed of the {'last' if starts else 'first'} frame cannot be "
         f"{'reached' if starts else 'braked'} in time: {joints[j]} is beyond its {kind.value} limit near it"
@@ -282,7 +275,7 @@ def _broken_end(motion: _Motion) -> TimeScale | None:
         ratio = _least_ratios(motion, index)
         c, j = np.unravel_index(np.argmax(ratio), ratio.shape)
         if ratio[c, j] > 1.0:
-            kind, joint = tuple(TimingConstraint)[c], motion.plant.robot.joints[j]
+            kind, joint = _KINDS[c], motion.plant.robot.joints[j]
             text = f"at its speed in the {end} frame {joint} is beyond its {kind.value} limit ({ratio[c, j]:.2f} x)"
             return TimeScale(reason=text, constraint=kind, joint=joint, frame=motion.frame(index))
     return None

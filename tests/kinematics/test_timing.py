@@ -3,8 +3,9 @@ import pytest
 
 from kinebench_drake.kinematics import timing
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.kinematics.timing import TimingConstraint, time_scale
+from kinebench_drake.kinematics.timing import time_scale
 from kinebench_drake.models.panda.robot import rest_q
+from kinebench_drake.types import ViolationKind
 
 SWING = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])  # joint 1 turns the whole arm about the vertical: no weight
 
@@ -31,9 +32,9 @@ def test_move_from_rest_to_rest_takes_the_trapezoids_time(plant: ArmPlant, way: 
     assert scale.joint == "panda_joint1"
     shares = {limit.constraint: limit.share for limit in scale.active if limit.joint == "panda_joint1"}
     braking = 2.0 * plant.velocity_limits[0] / 15.0 / expected if way == 1.0 else 1.0
-    assert shares[TimingConstraint.ACCELERATION] == pytest.approx(braking, abs=0.07)
-    assert shares.get(TimingConstraint.VELOCITY, 0.0) == pytest.approx(1.0 - braking, abs=0.07)
-    assert scale.constraint is (TimingConstraint.VELOCITY if way == 1.0 else TimingConstraint.ACCELERATION)
+    assert shares[ViolationKind.ACCELERATION] == pytest.approx(braking, abs=0.07)
+    assert shares.get(ViolationKind.VELOCITY, 0.0) == pytest.approx(1.0 - braking, abs=0.07)
+    assert scale.constraint is (ViolationKind.VELOCITY if way == 1.0 else ViolationKind.ACCELERATION)
 
 
 def test_boundary_speeds_are_kept(plant: ArmPlant) -> None:
@@ -85,7 +86,7 @@ def test_torque_limits_hold(plant: ArmPlant, monkeypatch: pytest.MonkeyPatch) ->
     assert free.value is not None
     assert scale.value is not None
     assert scale.value * 4.0 == pytest.approx(_trapezoid_s(0.8, plant.velocity_limits[0], 3.0), rel=0.01)
-    assert (scale.constraint, scale.joint) == (TimingConstraint.TORQUE, "panda_joint1")
+    assert (scale.constraint, scale.joint) == (ViolationKind.TORQUE, "panda_joint1")
     assert scale.value > 1.5 * free.value
 
 
@@ -95,7 +96,7 @@ def test_speed_beyond_the_limit_at_an_end_is_named(plant: ArmPlant, end: int) ->
     way = 1.5 * t**2 if end else 1.5 * (1.0 - t) ** 2  # 3 rad/s at one end
     scale = time_scale(plant, t, rest_q() + way[:, None] * SWING)
     assert scale.value is None
-    assert (scale.constraint, scale.joint, scale.frame) == (TimingConstraint.VELOCITY, "panda_joint1", end)
+    assert (scale.constraint, scale.joint, scale.frame) == (ViolationKind.VELOCITY, "panda_joint1", end)
     assert "1.38 x" in (scale.reason or "")
 
 
@@ -103,7 +104,7 @@ def test_speed_that_cannot_be_braked_in_time_is_explained(plant: ArmPlant) -> No
     t = np.linspace(0.0, 0.1, 20)  # from 2 rad/s to rest in 0.1 rad: 20 rad/s^2 at least
     scale = time_scale(plant, t, rest_q() + (2.0 * t - 10.0 * t**2)[:, None] * SWING)
     assert scale.value is None
-    assert (scale.constraint, scale.joint) == (TimingConstraint.ACCELERATION, "panda_joint1")
+    assert (scale.constraint, scale.joint) == (ViolationKind.ACCELERATION, "panda_joint1")
 
 
 def test_arm_too_weak_for_its_weight_is_named(plant: ArmPlant, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -113,7 +114,7 @@ def test_arm_too_weak_for_its_weight_is_named(plant: ArmPlant, monkeypatch: pyte
     monkeypatch.setattr(plant, "effort_limits", weak)
     scale = time_scale(plant, t, rest_q() + _rest_to_rest(t / 4.0)[:, None] * SWING)
     assert scale.value is None
-    assert (scale.constraint, scale.joint) == (TimingConstraint.TORQUE, "panda_joint2")
+    assert (scale.constraint, scale.joint) == (ViolationKind.TORQUE, "panda_joint2")
     assert "2.00 x" in (scale.reason or "")
 
 
