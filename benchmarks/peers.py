@@ -17,8 +17,10 @@ import numpy as np
 from benchmarks.motion import Motion
 from kinebench_drake.geometry import Array, invert, pose_difference, rotation_log
 from kinebench_drake.kinematics.analytic import analytic_ik
+from kinebench_drake.kinematics.continuation import continue_path
+from kinebench_drake.kinematics.path import is_sound, search_path
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.kinematics.track import follow_poses
+from kinebench_drake.kinematics.track import verify_path
 from kinebench_drake.models.robot import N_JOINTS
 
 POSITION_M, ROTATION_RAD = 1e-4, 1e-3
@@ -88,7 +90,15 @@ def frame_by_frame(step: Callable[[Array, Array], Array]) -> Solve:
 
 
 def _ours(plant: ArmPlant) -> Solve:
-    return lambda problems: [follow_poses(plant, p.t_s, p.X_BG, p.q[0]).q for p in problems]
+    """Return a solver that continues from the start posture, searches the whole path if that fails, and verifies it."""
+
+    def follow(p: IkProblem) -> Array:
+        q = continue_path(plant, p.t_s, p.X_BG, p.q[0])
+        if not is_sound(plant, p.t_s, q):
+            q = search_path(plant, p.t_s, p.X_BG, p.q[0])
+        return verify_path(plant, p.t_s, p.X_BG, q).q
+
+    return lambda problems: [follow(p) for p in problems]
 
 
 def _ours_fixed_q7(plant: ArmPlant) -> Solve:

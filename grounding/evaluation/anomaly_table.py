@@ -22,28 +22,18 @@ GOALS = {kind: 0.95 for kind in AnomalyKind} | dict.fromkeys(
     (AnomalyKind.VANISH, AnomalyKind.DUPLICATE, AnomalyKind.TELEPORT), 0.99
 )
 """Area under the ROC curve required of each kind, for sizes from its gate on."""
-GATES = {
-    AnomalyKind.VANISH: 3.0,
-    AnomalyKind.DUPLICATE: 0.15,
-    AnomalyKind.TELEPORT: 0.05,
-    AnomalyKind.FREEZE: 5.0,
-    AnomalyKind.DEFORMATION: 0.2,
-    AnomalyKind.SCALE: 0.05,
-    AnomalyKind.CAMERA: 2.0,
-    AnomalyKind.FINGERS: 0.04,
+SIZES = {
+    AnomalyKind.VANISH: (3.0, 1.0, "frames"),
+    AnomalyKind.DUPLICATE: (0.15, 100.0, "cm apart"),
+    AnomalyKind.TELEPORT: (0.05, 100.0, "cm"),
+    AnomalyKind.FREEZE: (5.0, 1.0, "frames"),
+    AnomalyKind.DEFORMATION: (0.2, 100.0, "%"),
+    AnomalyKind.SCALE: (0.05, 100.0, "%"),
+    AnomalyKind.CAMERA: (2.0, 1.0, "px"),
+    AnomalyKind.FINGERS: (0.04, 1000.0, "mm"),
 }
-"""Smallest size of each kind that must be detected; smaller ones are only reported."""
-UNITS = {
-    AnomalyKind.VANISH: ("frames", 1.0),
-    AnomalyKind.DUPLICATE: ("cm apart", 100.0),
-    AnomalyKind.TELEPORT: ("cm", 100.0),
-    AnomalyKind.FREEZE: ("frames", 1.0),
-    AnomalyKind.DEFORMATION: ("%", 100.0),
-    AnomalyKind.SCALE: ("%", 100.0),
-    AnomalyKind.CAMERA: ("px", 1.0),
-    AnomalyKind.FINGERS: ("mm", 1000.0),
-}
-"""Unit of the sizes in tables, and the factor to it."""
+"""Gate of each kind (the smallest size that must be detected; smaller ones are only reported), and the factor to the
+unit of the sizes in tables."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -106,12 +96,12 @@ class AnomalyRow:
     @property
     def gated(self) -> bool:
         """True if it must be detected."""
-        return self.size is None or self.size >= GATES[self.kind] - 1e-9
+        return self.size is None or self.size >= SIZES[self.kind][0] - 1e-9
 
     @property
     def label(self) -> str:
         """Size with its unit."""
-        unit, factor = UNITS[self.kind]
+        _, factor, unit = SIZES[self.kind]
         return "all gated" if self.size is None else f"{self.size * factor:g} {unit}"
 
 
@@ -130,7 +120,7 @@ def rows(findings: Sequence[ClipAnomalies]) -> list[AnomalyRow]:
         for form, size in grades:
             group = [f for f in members if f.planted and (f.planted.form, f.planted.size) == (form, size)]
             table.append(_row(kind, form, size, group, clean))
-        gated = [f for f in members if f.planted and f.planted.size >= GATES[kind] - 1e-9]
+        gated = [f for f in members if f.planted and f.planted.size >= SIZES[kind][0] - 1e-9]
         if gated:
             table.append(_row(kind, "", None, gated, clean))
     return table
@@ -227,11 +217,11 @@ def draw_anomalies(findings: Sequence[ClipAnomalies]) -> "Figure":
 
 
 def _panel(ax: Any, kind: AnomalyKind, table: Sequence[AnomalyRow]) -> None:
-    unit, factor = UNITS[kind]
+    gate, factor, unit = SIZES[kind]
     ax.set_title(kind.value.replace("_", " "))
     ax.set_xlabel(f"size [{unit}]")
     ax.axhline(GOALS[kind], color=FAINT, linewidth=1.0, linestyle=":", zorder=1)
-    ax.axvspan(0, GATES[kind] * factor * 0.93, color="#f1f2f4", zorder=0, label="below the gate")
+    ax.axvspan(0, gate * factor * 0.93, color="#f1f2f4", zorder=0, label="below the gate")
     for form, style in zip(sorted({row.form for row in table}), _STYLES, strict=False):
         group = [row for row in table if row.form == form]
         x = np.array([(row.size or 0.0) * factor for row in group])

@@ -147,9 +147,6 @@ def _views(
         yield image, view, true, invert(clip.X_CH[i]) @ view.crop.X_CV, float(clip.finger_width_m[i]) / 2
 
 
-_AXES = ("x", "y", "z")
-
-
 def draw_depth(errors: DepthErrors, label: str) -> "Figure":
     """Plot the error maps from two sides, and image, true depth, estimated depth and error of one frame."""
     figure, axes = new_figure(15.0, 6.6, 2, 4)
@@ -194,7 +191,7 @@ def _draw_map(ax: Any, errormap: ErrorMap, values: Array, title: str, **style: A
     """Draw `values` on the plane of an error map; return the image."""
     (left, right), (bottom, top) = (1e3 * EXTENT_H[a] for a in errormap.axes)
     image = ax.imshow(values, origin="lower", extent=(left, right, bottom, top), **style)
-    across, up = (_AXES[a] for a in errormap.axes)
+    across, up = ("xyz"[a] for a in errormap.axes)
     ax.set(xlabel=f"{across} of panda_hand [mm]", ylabel=f"{up} of panda_hand [mm]")
     ax.set_title(title, fontsize=10)
     ax.set_aspect("equal")

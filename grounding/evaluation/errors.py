@@ -1,11 +1,7 @@
 """Frame-by-frame errors of the grounding of one clip against its ground truth."""
 
-import resource
-import sys
-import time
-from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,10 +9,8 @@ from numpy.typing import NDArray
 from kinebench_drake.geometry import Array, pose_difference
 from kinebench_drake.grounding.evaluation.clip import TruthClip
 from kinebench_drake.grounding.pipeline import GroundingResult
+from kinebench_drake.segments import segments
 from kinebench_drake.types import Anomaly, AnomalyKind
-
-Value = TypeVar("Value")
-_RSS_UNIT_MB = 2**20 if sys.platform == "darwin" else 2**10  # of ru_maxrss in a megabyte
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -33,17 +27,6 @@ class Expense:
     def to_json(self) -> dict[str, float]:
         """Return the JSON object."""
         return {name: round(value, 3) for name, value in asdict(self).items()}
-
-
-def measure_expense(function: Callable[[], Value]) -> tuple[Value, Expense]:
-    """Return the result of `function` and what the call took."""
-    wall, cpu = time.perf_counter(), time.process_time()
-    value = function()
-    return value, Expense(
-        wall_s=time.perf_counter() - wall,
-        cpu_s=time.process_time() - cpu,
-        peak_mb=resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / _RSS_UNIT_MB,
-    )
 
 
 FLIP_RAD = np.pi / 2
@@ -94,14 +77,8 @@ class ClipErrors:
     @property
     def flips(self) -> list[int]:
         """Lengths of the runs of flipped frames; frames that are not tracked neither end nor lengthen a run."""
-        runs, run = [], 0
-        for angle in self.rotation_rad[np.isfinite(self.rotation_rad)]:
-            if angle > FLIP_RAD:
-                run += 1
-            elif run:
-                runs.append(run)
-                run = 0
-        return [*runs, run] if run else runs
+        flipped = self.rotation_rad[np.isfinite(self.rotation_rad)] > FLIP_RAD
+        return [run.stop - run.start for run in segments(flipped)]
 
     @property
     def longest_flip(self) -> int:

@@ -1,5 +1,8 @@
 """Trials: clips under conditions, measured by worker processes."""
 
+import resource
+import sys
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -9,7 +12,7 @@ from numpy.typing import NDArray
 
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.evaluation.clip import TruthClip, TruthClipFile
-from kinebench_drake.grounding.evaluation.errors import ClipErrors, compare, measure_expense
+from kinebench_drake.grounding.evaluation.errors import ClipErrors, Expense, compare
 from kinebench_drake.grounding.evaluation.perturbation.catalogue import Perturbation, perturb
 from kinebench_drake.grounding.evaluation.reframing import Reframing, reframe
 from kinebench_drake.grounding.evaluation.store import fingerprint
@@ -60,15 +63,9 @@ class GroundingTrial:
     condition: TrialCondition
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _LoadedClip:
-    """Clip that consecutive trials share."""
-
-    clip: TruthClip
-    frames: Frames
-    masks: NDArray[np.bool_]
-    share: Array
-    """(T,) share of the gripper's silhouette that the image shows."""
+_RSS_UNIT_MB = 2**20 if sys.platform == "darwin" else 2**10  # of ru_maxrss in a megabyte
+LoadedClip = tuple[TruthClip, Frames, NDArray[np.bool_], Array]
+"""Clip with its frames, gripper masks, and the share (T,) of the gripper's silhouette that each frame shows."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -89,29 +86,28 @@ class TrialWorkerFactory:
             SetupError: weights, CAD model or native libraries are missing.
         """
         tools = VariantTools.load(self.weights)
-        loaded: dict[str, _LoadedClip] = {}
+        loaded: dict[str, LoadedClip] = {}  # one clip, which consecutive trials share
 
         def measure(trial: GroundingTrial) -> ClipErrors:
             if trial.clip.id not in loaded:
                 loaded.clear()
                 loaded[trial.clip.id] = self._load(trial.clip, tools)
-            source, condition = loaded[trial.clip.id], trial.condition
-            clip, frames, share = source.clip, None, source.share
+            (clip, original, masks, share), condition = loaded[trial.clip.id], trial.condition
+            frames = None
             if condition.reframing is not None:
-                clip, frames, shown = reframe(condition.reframing, clip, source.frames, source.masks)
+                clip, frames, shown = reframe(condition.reframing, clip, original, masks)
                 share = np.asarray(share * shown)
             elif condition.perturbation is not None:
-                frames, masks = perturb(condition.perturbation, source.frames, source.masks, self.seed, clip.id)
-                shown = masks.sum(axis=(1, 2)) / np.maximum(source.masks.sum(axis=(1, 2)), 1)
-                share = np.asarray(share * shown)
+                frames, visible = perturb(condition.perturbation, original, masks, self.seed, clip.id)
+                share = np.asarray(share * (visible.sum(axis=(1, 2)) / np.maximum(masks.sum(axis=(1, 2)), 1)))
             return evaluate(clip, self._pipeline(condition), tools, frames=frames, share=share)
 
         return measure
 
-    def _load(self, file: TruthClipFile, tools: VariantTools) -> _LoadedClip:
+    def _load(self, file: TruthClipFile, tools: VariantTools) -> LoadedClip:
         clip = file.load(with_depth=self.with_depth)
         frames, masks = read_video(clip.path).frames, clip.masks(tools.cad)
-        return _LoadedClip(clip=clip, frames=frames, masks=masks, share=clip.visible_share(masks, tools.cad))
+        return clip, frames, masks, clip.visible_share(masks, tools.cad)
 
     def _pipeline(self, condition: TrialCondition) -> Ground:
         if condition.plug_in is not None:
@@ -125,7 +121,11 @@ def evaluate(
     clip: TruthClip, ground: Ground, tools: VariantTools, *, frames: Frames | None = None, share: Array | None = None
 ) -> ClipErrors:
     """Ground a clip and return its errors; decoding counts as expense unless `frames` are passed."""
-    grounding, expense = measure_expense(
-        lambda: ground(tools, clip, read_video(clip.path).frames if frames is None else frames)
+    wall, cpu = time.perf_counter(), time.process_time()
+    grounding = ground(tools, clip, read_video(clip.path).frames if frames is None else frames)
+    expense = Expense(
+        wall_s=time.perf_counter() - wall,
+        cpu_s=time.process_time() - cpu,
+        peak_mb=resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / _RSS_UNIT_MB,
     )
     return compare(clip, grounding, expense, share)

@@ -170,10 +170,7 @@ def placements(image: tuple[float, float], video: tuple[int, int]) -> list[Frami
 
 def letterboxes(image: tuple[float, float], video: tuple[int, int]) -> list[Framing]:
     """Return the framings with bars, centred or at an edge; none if the image fills the video."""
-    filled = Framing.filling(image, video)
-    if _is_square(filled):
-        return []
-    return [_placed(filled, min(filled.scale_x, filled.scale_y), place) for place in _PLACES]
+    return placements(image, video)[1 : 1 + len(_PLACES)]
 
 
 def deeper_crops(image: tuple[float, float], video: tuple[int, int]) -> list[Framing]:

@@ -16,6 +16,7 @@ from kinebench_drake.types import NO_PRIORS, InitialState, Priors
 
 TRUTH, TRACKS = "truth", "tracks"
 """Subfolder of a demonstration folder, and of the output folder of another run."""
+_POSE_PLACES = (TRUTH, TRACKS)
 
 
 def find_entry(folder: Path, names: Sequence[str], places: Sequence[str] = (TRUTH,)) -> Path:
@@ -71,16 +72,16 @@ class Overrides:
             self._plug_in.check()
 
     @property
-    def folders(self) -> tuple[Path, ...]:
-        """Folders of the overrides: their images are no videos."""
-        named = (self.masks, self._depth_folder, self.poses)
-        return tuple(folder for folder in named if folder is not None)
+    def folders(self) -> dict[str, Path]:
+        """Folders of the overrides by stage: their images are no videos."""
+        depth = Path(self.depth) if self.depth is not None and Path(self.depth).is_dir() else None
+        named = {"masks": self.masks, "depth": depth, "poses": self.poses}
+        return {stage: folder for stage, folder in named.items() if folder is not None}
 
     @property
     def names(self) -> dict[str, str]:
         """Source of each replaced stage, for results: without absolute paths."""
-        named = {"masks": self.masks, "depth": self._depth_folder, "poses": self.poses}
-        names = {stage: folder.resolve().name for stage, folder in named.items() if folder is not None}
+        names = {stage: folder.resolve().name for stage, folder in self.folders.items()}
         if self._plug_in is not None:
             names["depth"] = self._plug_in.name
         return dict(sorted(names.items()))
@@ -89,12 +90,10 @@ class Overrides:
         """Return the files that `priors` reads for a video, in a fixed order; `video` as in `priors`."""
         files: list[Path] = []
         try:
-            if self.masks is not None:
-                files += array_files(find_entry(self.masks, video))
-            if self._depth_folder is not None:
-                files += array_files(find_entry(self._depth_folder, video))
-            if self.poses is not None:
-                files += pose_files(self.poses, find_entry(self.poses, video, (TRUTH, TRACKS)))
+            for stage, folder in self.folders.items():
+                poses = stage == "poses"
+                entry = find_entry(folder, video, _POSE_PLACES if poses else (TRUTH,))
+                files += pose_files(folder, entry) if poses else array_files(entry)
         except InputError:
             return files  # the video becomes an error row, which is never reused
         return [*files, *(self._plug_in.files if self._plug_in is not None else [])]
@@ -118,12 +117,12 @@ class Overrides:
         if self.masks is not None:
             with errors_naming("--masks"):
                 mask = read_masks(find_entry(self.masks, video))
-        if self._depth_folder is not None:
+        if "depth" in self.folders:
             with errors_naming("--depth"):
-                depth = read_depth(find_entry(self._depth_folder, video), exact=self.depth_exact)
+                depth = read_depth(find_entry(self.folders["depth"], video), exact=self.depth_exact)
         if self.poses is not None:
             with errors_naming("--poses"):
-                priors = read_poses(self.poses, find_entry(self.poses, video, (TRUTH, TRACKS)), len(frames))
+                priors = read_poses(self.poses, find_entry(self.poses, video, _POSE_PLACES), len(frames))
         if self._plug_in is not None:
             depth = self._plug_in.estimate(frames, camera, exact=self.depth_exact)
         priors = replace(priors, initial_state=first, mask=mask, depth=depth)
@@ -131,9 +130,5 @@ class Overrides:
         return priors
 
     @property
-    def _depth_folder(self) -> Path | None:
-        return Path(self.depth) if self.depth is not None and Path(self.depth).is_dir() else None
-
-    @property
     def _plug_in(self) -> DepthPlugIn | None:
-        return None if self.depth is None or self._depth_folder is not None else DepthPlugIn(self.depth)
+        return None if self.depth is None or "depth" in self.folders else DepthPlugIn(self.depth)

@@ -139,7 +139,7 @@ def ground_video(
         depth_exact=depth_exact,
     )
     if isinstance(video, str | PathLike):
-        inputs = find_samples(Path(video), others=overrides.folders, camera_key=camera_key)
+        inputs = find_samples(Path(video), others=tuple(overrides.folders.values()), camera_key=camera_key)
         sample = _one(inputs.samples, Path(video), id)
         if sample.problem is not None:
             raise InputError(sample.problem)

@@ -132,7 +132,7 @@ def score_videos(config: ScoreConfig, observer: RunObserver | None = None) -> Ru
         out=config.out,
         model=config.model,
         task=config.task,
-        others=overrides.folders,
+        others=tuple(overrides.folders.values()),
         camera_key=config.camera_key,
     )
     for warning in inputs.warnings:

@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array, make_pose, orthonormalize, pose_difference
 from kinebench_drake.kinematics.collision import CollisionModel
-from kinebench_drake.kinematics.continuation import continue_path
 from kinebench_drake.kinematics.ik import POSITION_TOLERANCE_M, ROTATION_TOLERANCE_RAD, solve_pose
 from kinebench_drake.kinematics.newton import damped_pseudoinverses, pose_twists, solve_newton_path
-from kinebench_drake.kinematics.path import SAMPLES, grid_postures, is_sound, limit_excess, search_path
+from kinebench_drake.kinematics.path import SAMPLES, grid_postures, limit_excess, search_path
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.segments import spread
 from kinebench_drake.types import GripperTrack, IkStatus, JointTrack
@@ -69,27 +68,10 @@ def solve_track(
     else:
         planned = search_path(plant, t_s, X_plan[frames], plant.robot.rest_q, noise_rad)
         path = solve_newton_path(plant, X_BG, planned)
-    joints = _verified(plant, t_s, X_BG, path, plant.robot.rest_q)
+    joints = verify_path(plant, t_s, X_BG, path)
     if collision is not None:
         joints = _clear(plant, collision, X_BG, track.finger_width_m[frames], joints, contact_tolerance_m, noise_rad)
     return _with_gaps(joints, track, frames)
-
-
-def follow_poses(plant: ArmPlant, t_s: Array, X_BG: Array, q_start: Array) -> JointTrack:
-    """Solve the joint path of a smooth track of poses, warm-started from a posture near the first pose.
-
-    `continue_path` is tried first; if it leaves the limits or is too fast, the full search of `solve_track` follows.
-
-    Args:
-        plant: the robot.
-        t_s: (T,) times [s], increasing.
-        X_BG: (T, 4, 4) poses of the TCP in the base [m], rotations orthonormal.
-        q_start: (7,) posture [rad] near the first pose.
-    """
-    q = continue_path(plant, t_s, X_BG, np.asarray(q_start, dtype=np.float64))
-    if not is_sound(plant, t_s, q):
-        q = search_path(plant, t_s, X_BG, q_start)
-    return _verified(plant, t_s, X_BG, q, q_start)
 
 
 def branch_jumps(plant: ArmPlant, X_BG: Array, q: Array) -> NDArray[np.intp]:
@@ -105,10 +87,10 @@ def branch_jumps(plant: ArmPlant, X_BG: Array, q: Array) -> NDArray[np.intp]:
     return np.flatnonzero(np.abs(np.diff(q, axis=0) - explained[..., 0]).max(axis=-1) > JUMP_RAD) + 1
 
 
-def _verified(plant: ArmPlant, t_s: Array, X_BG: Array, path: Array, q_start: Array) -> JointTrack:
+def verify_path(plant: ArmPlant, t_s: Array, X_BG: Array, path: Array) -> JointTrack:
     """Return the path (n, 7) where Drake confirms it; other frames are solved again from the previous frame."""
     finite = np.asarray(np.isfinite(path).all(axis=-1))
-    q = np.where(finite[:, None], path, q_start)
+    q = np.where(finite[:, None], path, plant.robot.rest_q)
     position, rotation = pose_difference(np.reshape([plant.forward(row) for row in q], (-1, 4, 4)), X_BG)
     ok = finite & (limit_excess(plant, q).max(axis=-1, initial=0.0) <= 0.0)
     ok &= (position <= POSITION_TOLERANCE_M) & (rotation <= ROTATION_TOLERANCE_RAD)
@@ -166,7 +148,7 @@ def _clear(
         stuck |= lost
         allowed |= {i: partial(clear, i) for i in fresh - lost}
         path = search_path(plant, joints.t_s, X_BG, plant.robot.rest_q, noise_rad, allowed)
-        joints = _verified(plant, joints.t_s, X_BG, path, plant.robot.rest_q)
+        joints = verify_path(plant, joints.t_s, X_BG, path)
     status = list(joints.status)
     for i in np.flatnonzero(bad):
         status[i] = IkStatus.SELF_COLLISION if own.distance_m[i] < table.distance_m[i] else IkStatus.TABLE_COLLISION

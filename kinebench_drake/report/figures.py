@@ -73,10 +73,13 @@ def draw_interval(ax: Any, value: Estimate, y: float, colour: str, marker: str) 
     ax.plot([value.mean], [y], color=colour, marker=marker, markersize=4)
 
 
-def format_percent(ax: Any, low: float = 0.0) -> None:
-    """Label the horizontal axis, from `low` to 1, in percent."""
+def label_shares(ax: Any, rows: Sequence[str], label: str, low: float = 0.0) -> None:
+    """Name the rows of a chart, from bottom to top, and label its horizontal axis, from `low` to 1, in percent."""
     from matplotlib.ticker import PercentFormatter
 
+    ax.set_yticks(range(len(rows)), [plain(row) for row in rows], fontsize=8)
+    ax.set_ylim(-0.6, len(rows) - 0.4)
+    ax.set_xlabel(label, fontsize=9)
     ax.set_xlim(low - 0.02, 1.02)
     ax.xaxis.set_major_formatter(PercentFormatter(xmax=1.0, decimals=0))
     ax.tick_params(axis="x", labelsize=8)

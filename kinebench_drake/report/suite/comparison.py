@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from kinebench_drake.errors import UsageError
-from kinebench_drake.io.figure import FAINT, new_figure, plain
-from kinebench_drake.report.figures import COLOURS, ReportFigure, draw_interval, format_percent
+from kinebench_drake.io.figure import FAINT, new_figure
+from kinebench_drake.report.figures import COLOURS, ReportFigure, draw_interval, label_shares
 from kinebench_drake.report.suite.episode import EpisodeResult, SuitePart, balanced_mean, group_by, list_models
 from kinebench_drake.report.suite.folders import RunFolder, pool_episodes, read_folders
 from kinebench_drake.report.table import Column, Table, Value, table_lines
@@ -231,21 +231,13 @@ def tabulate_comparison(pairs: Sequence[PairComparison]) -> Table:
 
 
 def _row(c: PairComparison) -> tuple[Value, ...]:
-    p = c.paired
-    return (
-        *(c.part.title, c.first, c.second, c.task),
-        None if p is None else (p.both + p.first_only) / p.n,
-        None if p is None else (p.both + p.second_only) / p.n,
-        _difference(p),
-        None if p is None else p.p_value,
-        c.adjusted_p,
-        None if p is None else p.first_only,
-        None if p is None else p.second_only,
-        c.progress if c.progress.n else None,
-        0 if p is None else p.n,
-        c.shared,
-        _difference(c.counted),
-    )
+    labels, progress = (c.part.title, c.first, c.second, c.task), c.progress if c.progress.n else None
+    p, end = c.paired, (c.shared, _difference(c.counted))
+    if p is None:
+        return *labels, None, None, None, None, c.adjusted_p, None, None, progress, 0, *end
+    rates = ((p.both + p.first_only) / p.n, (p.both + p.second_only) / p.n)
+    counts = (p.first_only, p.second_only)
+    return *labels, *rates, _difference(p), p.p_value, c.adjusted_p, *counts, progress, p.n, *end
 
 
 def comparison_lines(pairs: Sequence[PairComparison]) -> Iterator[str]:
@@ -285,12 +277,9 @@ def draw_differences(pairs: Sequence[PairComparison]) -> ReportFigure | None:
         draw_interval(ax, d, float(k), "#000000" if pooled else COLOURS[0], "D" if pooled else "o")
     ax.axvline(0.0, color=FAINT, linewidth=1.2, zorder=1)
     names = [c.task if c.task != ALL_TASKS else f"{c.first} − {c.second}, {c.part.title}" for c, _ in lines]
-    ax.set_yticks(range(len(lines)), [plain(n) for n in names], fontsize=8)
+    label_shares(ax, names, "difference of success on shared episodes", low=-1.0)
     for text, (c, _) in zip(ax.get_yticklabels(), lines, strict=True):
         text.set_fontweight("bold" if c.task == ALL_TASKS else "normal")
-    ax.set_ylim(-0.6, len(lines) - 0.4)
-    format_percent(ax, low=-1.0)
-    ax.set_xlabel("difference of success on shared episodes", fontsize=9)
     return ReportFigure(
         name="differences",
         title="Differences of success",

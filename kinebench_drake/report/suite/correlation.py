@@ -37,16 +37,6 @@ class CorrelationPoint:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Correlation:
-    """Spearman's rank correlation of some points."""
-
-    rho: Estimate
-    """Over the points; no mean with fewer than three points, or if one of the two variables is constant, and no
-    interval if there are too few tasks."""
-    tasks: int
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class SparcStudy:
     """Points, and the values of the single tasks that they average."""
 
@@ -56,11 +46,12 @@ class SparcStudy:
     success: Array
     """(P, T) standardised success; NaN where not measured."""
 
-    def correlate(self, part: SuitePart | None = None, seed: int = 0) -> Correlation:
-        """Compute Spearman's rho (Am. J. Psychology 15, 1904) over the points of one part, or of all.
+    def correlate(self, part: SuitePart | None = None, seed: int = 0) -> tuple[Estimate, int]:
+        """Compute Spearman's rho (Am. J. Psychology 15, 1904) over the points of one part, or of all; and their tasks.
 
-        The percentile interval is over 2000 draws of tasks with replacement, the same for all points: it covers other
-        tasks of the same kind. Draws in which rho is undefined are skipped.
+        There is no mean with fewer than three points, or if one of the two variables is constant. The percentile
+        interval is over 2000 draws of tasks with replacement, the same for all points: it covers other tasks of the
+        same kind. Draws in which rho is undefined are skipped; there is no interval if there are too few tasks.
         """
         chosen = np.array([part in (None, p.part) for p in self.points], dtype=bool)
         x, y = self.sparc[chosen], self.success[chosen]
@@ -73,7 +64,7 @@ class SparcStudy:
         if defined and tasks >= _MIN_TASKS:
             low, high = percentile_interval(_rho(x, y, resampled_counts(tasks, np.random.default_rng(seed))))
         mean = rho if defined else None
-        return Correlation(rho=Estimate(mean=mean, low=low, high=high, n=points, total=points), tasks=tasks)
+        return Estimate(mean=mean, low=low, high=high, n=points, total=points), tasks
 
 
 def study_sparc(episodes: Sequence[EpisodeResult]) -> SparcStudy:
@@ -153,9 +144,9 @@ def _mean(values: Sequence[float | None]) -> float:
 def tabulate_correlation(study: SparcStudy, seed: int = 0) -> Table:
     """Build the table of Spearman's rho between SPARC and success, of each part and of all."""
     parts = sorted({p.part for p in study.points})
-    lines = [(p.title, study.correlate(p, seed)) for p in parts]
+    lines = [(p.title, *study.correlate(p, seed)) for p in parts]
     if len(parts) > 1:
-        lines.append(("All", study.correlate(None, seed)))
+        lines.append(("All", *study.correlate(None, seed)))
     return Table(
         name="sparc_correlation",
         title="SPARC and success",
@@ -169,7 +160,7 @@ def tabulate_correlation(study: SparcStudy, seed: int = 0) -> Table:
             Column(key="points", label="Models"),
             Column(key="tasks", label="Tasks"),
         ),
-        rows=tuple((title, c.rho, c.rho.n, c.tasks) for title, c in lines),
+        rows=tuple((title, rho, rho.n, tasks) for title, rho, tasks in lines),
     )
 
 
@@ -202,7 +193,7 @@ def draw_correlation(episodes: Sequence[EpisodeResult], study: SparcStudy, seed:
     right.axhline(0.0, color=FAINT, linewidth=1.0)
     for point in study.points:
         right.scatter(point.sparc, point.success, **marks(labels[point.model], point.part), s=42)
-    rho = study.correlate(None, seed).rho
+    rho, _ = study.correlate(None, seed)
     title = "rho needs three models" if study.points else "needs two models on a task"
     if rho.mean is not None:
         title = f"Spearman's rho {rho.mean:.2f}" + ("" if rho.low is None else f" [{rho.low:.2f}, {rho.high:.2f}]")

@@ -16,7 +16,7 @@ from kinebench_drake.report.figures import (
     add_legend,
     assign_numbers,
     draw_interval,
-    format_percent,
+    label_shares,
     style,
 )
 from kinebench_drake.report.suite.episode import (
@@ -231,10 +231,7 @@ def draw_success(episodes: Sequence[EpisodeResult]) -> list[ReportFigure]:
                 for task, some in group_by([e for e in own if e.model == model], lambda e: e.task).items():
                     draw_interval(ax, tally(some).pooled, tasks.index(task) + offset, colour, marker)
                 ax.plot([], [], color=colour, marker=marker, markersize=4, linewidth=1.2, label=plain(model))
-            ax.set_yticks(range(len(tasks)), [plain(n) for n in tasks], fontsize=8)
-            ax.set_ylim(-0.6, len(tasks) - 0.4)
-            format_percent(ax)
-            ax.set_xlabel("success, 95 % Wilson interval", fontsize=9)
+            label_shares(ax, tasks, "success, 95 % Wilson interval")
             add_legend(figure, here)
             caption += ", with 95 % Wilson intervals."
         name, title = f"success_{part.slug}", f"{part.title}: success by task"
@@ -284,11 +281,7 @@ def draw_verdicts(episodes: Sequence[EpisodeResult]) -> ReportFigure:
             places = [len(runs) - 1 - k for k in range(len(runs))]
             ax.barh(places, widths, left=left, color=colour, height=0.68, label=name, edgecolor="white", linewidth=0.6)
             left = [a + b for a, b in zip(left, widths, strict=True)]
-    names = [plain(f"{part.title} · {model}") for part, model, _ in reversed(runs)]
-    ax.set_yticks(range(len(runs)), names, fontsize=8)
-    format_percent(ax)
-    ax.set_xlabel("share of all episodes", fontsize=9)
-    ax.set_ylim(-0.6, len(runs) - 0.4)
+    label_shares(ax, [f"{part.title} · {model}" for part, model, _ in reversed(runs)], "share of all episodes")
     add_legend(figure, list(colours))
     return ReportFigure(
         name="verdicts",

@@ -87,7 +87,7 @@ def _sparc_parts(episodes: Sequence[EpisodeResult], seed: int) -> list[Part]:
     figure = correlation.draw_correlation(episodes, study, seed) or MissingPart(
         title="SPARC and success", needs="episodes with SPARC and an outcome"
     )
-    if any(study.correlate(part).rho.mean is not None for part in (None, *(p.part for p in study.points))):
+    if any(study.correlate(part)[0].mean is not None for part in (None, *(p.part for p in study.points))):
         return [figure, correlation.tabulate_correlation(study, seed)]
     needs = f"{correlation.MIN_POINTS} models or runs that did the same tasks and differ in SPARC and in success"
     return [figure, MissingPart(title="Rank correlation of SPARC and success", needs=needs)]

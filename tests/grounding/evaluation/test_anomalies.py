@@ -10,8 +10,7 @@ from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.errors import UsageError
 from kinebench_drake.grounding.evaluation.anomalies import ClipAnomalies, find_cases, located
 from kinebench_drake.grounding.evaluation.anomaly_table import (
-    GATES,
-    UNITS,
+    SIZES,
     alarms,
     area,
     draw_anomalies,
@@ -39,8 +38,7 @@ PLANTED = PlantedCase(kind=AnomalyKind.TELEPORT, frame_start=20, frame_end=48, s
 
 
 def test_the_gates_are_those_of_what_is_planted():
-    assert {kind: grades.gate for kind, grades in GRADES.items()} == GATES
-    assert {kind: grades.factor for kind, grades in GRADES.items()} == {k: f for k, (_, f) in UNITS.items()}
+    assert {k: (grades.gate, grades.factor) for k, grades in GRADES.items()} == {k: s[:2] for k, s in SIZES.items()}
 
 
 def test_a_fault_is_located_by_kind_and_frames():
