@@ -20,6 +20,7 @@ from kinebench_drake.geometry import Array, transform_points
 from kinebench_drake.kinematics.chain import LinkChain
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.models.robot import N_JOINTS
+from kinebench_drake.segments import spread
 
 TABLE = "table"
 """Name of the table in pairs of links."""
@@ -155,9 +156,8 @@ class CollisionModel:
                 if value < least[frame]:
                     least[frame] = value
                     pairs[rows[frame]] = _link_names(A, B)
-        distance = np.full(len(q), np.nan)
-        distance[rows] = np.where(np.isfinite(least), least, np.nan)
-        return Clearance(distance_m=distance, pair=tuple(pairs))
+        least[np.isinf(least)] = np.nan
+        return Clearance(distance_m=spread(least, rows, len(q)), pair=tuple(pairs))
 
     def table_distance(self, q: ArrayLike, finger_width_m: ArrayLike | None = None) -> Clearance:
         """Return the height of the lowest point of all moving links above the table, at postures `q` (N, 7) [rad].

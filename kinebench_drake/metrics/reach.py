@@ -113,9 +113,8 @@ def find_collisions(
     ):
         deep = np.nan_to_num(clearance.distance_m) < limit
         if deep.any():  # the smoothed path is checked only where the path itself collides, which is rare
-            smooth = np.full(len(deep), np.nan)
-            smooth[deep] = distance(q_smooth[deep], track.finger_width_m[deep]).distance_m
-            deep &= smooth < -max(CONTACT_TOLERANCE_M, noise.offset_m)
+            smooth = distance(q_smooth[deep], track.finger_width_m[deep]).distance_m
+            deep[deep] = smooth < -max(CONTACT_TOLERANCE_M, noise.offset_m)
         for run in segments(deep):
             yield Violation.of_run(kind, run, None, float(clearance.distance_m[run].min()), limit)
 

@@ -6,6 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array, make_pose, orthonormalize
+from kinebench_drake.segments import spread
 
 REPAIRABLE = 1e-3
 """Greatest deviation of R^T R from the identity, or of a quaternion's norm from 1, that is repaired."""
@@ -49,11 +50,10 @@ def rigid_poses(X: Array, valid: NDArray[np.bool_]) -> tuple[Array, tuple[str, .
             reason = f"left-handed {turned}, expected a right-handed frame"
         raise InputError(f"the rotation of frame {frames[k]} is {reason}")
     _require_metres(matrices[:, :3, 3], frames)
-    poses = np.full((len(X), 4, 4), np.nan)
-    poses[valid] = make_pose(orthonormalize(R), matrices[:, :3, 3])
     repaired = int((deviation > _ROUNDING).sum())
     message = f"{repaired} rotations, off by up to {deviation.max(initial=0.0):.1e}, were made orthonormal"
-    return poses, ((message,) if repaired else ())
+    poses = make_pose(orthonormalize(R), matrices[:, :3, 3])
+    return spread(poses, valid, len(X)), ((message,) if repaired else ())
 
 
 @np.errstate(over="ignore", invalid="ignore")

@@ -136,19 +136,12 @@ def _list_folder(folder: Path, choice: TrajectoryOptions, out: Path | None) -> I
     for here, folders, files in walk(folder, [] if out is None else [out]):
         if is_lerobot(here):
             folders.clear()
-            yield from _list_dataset(here, here.relative_to(folder).as_posix(), choice)
+            name = here.relative_to(folder).as_posix()
+            try:
+                yield from list_lerobot_trajectories(here, name, choice)
+            except InputError as error:  # a dataset that cannot be used becomes a sample with a problem
+                format = TrajectoryFormat.LEROBOT
+                yield TrajectorySample(id=here.name, path=here, video=name, format=format, problem=str(error))
             continue
         for name in (f for f in files if Path(f).suffix.lower() in _SUFFIXES):
             yield from _list_file(here / name, (here / name).relative_to(folder).as_posix())
-
-
-def _list_dataset(folder: Path, name: str, choice: TrajectoryOptions) -> list[TrajectorySample]:
-    """List the episodes of a dataset; one that cannot be used becomes a sample with a problem."""
-    try:
-        return list_lerobot_trajectories(folder, name, choice)
-    except InputError as error:
-        return [
-            TrajectorySample(
-                id=folder.name, path=folder, video=name, format=TrajectoryFormat.LEROBOT, problem=str(error)
-            )
-        ]

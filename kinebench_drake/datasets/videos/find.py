@@ -105,7 +105,15 @@ def list_folder(folder: Path, search: Search, skipped: Sequence[Path]) -> list[V
         lister = next((lister for matches, lister in LAYOUTS.items() if matches(here)), None)
         if lister is not None:
             folders.clear()
-            samples += _list_dataset(here, search, lister)
+            try:
+                samples += lister(here, search)
+            except InputError as error:
+                if here == search.top:
+                    raise
+                camera, source = default_camera()
+                name = search.name(here)
+                broken = VideoSample(id=here.name, path=here, video=name, camera=camera, camera_source=source)
+                samples.append(replace(broken, problem=str(error)))
             continue
         videos = [f for f in files if Path(f).suffix.lower() in VIDEO_SUFFIXES]
         if videos:
@@ -118,25 +126,6 @@ def list_folder(folder: Path, search: Search, skipped: Sequence[Path]) -> list[V
             f"{folder / manifest.NAME} is not read, as the folder was named; name the file itself to use it"
         )
     return videofolder.add_labels(samples, metadata, search)
-
-
-def _list_dataset(folder: Path, search: Search, lister: Lister) -> list[VideoSample]:
-    try:
-        return lister(folder, search)
-    except InputError as error:
-        if folder == search.top:
-            raise
-        camera, source = default_camera()
-        return [
-            VideoSample(
-                id=folder.name,
-                path=folder,
-                video=search.name(folder),
-                camera=camera,
-                camera_source=source,
-                problem=str(error),
-            )
-        ]
 
 
 def _camera_folder(source: Path) -> Path:
