@@ -101,10 +101,7 @@ def refine_articulated(
             errors,
             np.concatenate([np.zeros(free), state]),
             jac=slopes,
-            bounds=(
-                np.concatenate([np.full(free, -np.inf), lower]),
-                np.concatenate([np.full(free, np.inf), upper]),
-            ),
+            bounds=(np.concatenate([np.full(free, -np.inf), lower]), np.concatenate([np.full(free, np.inf), upper])),
             loss=lambda z: cauchy_loss(weight, z),
             f_scale=CAUCHY,
             x_scale="jac",

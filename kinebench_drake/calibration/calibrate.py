@@ -120,11 +120,7 @@ def calibrate(config: CalibrationConfig, estimator: ViewEstimator | None = None)
     states = states.take(chosen)
     solved = solve_with_reestimate(estimator, frames, view, states, guess, model, focal_free=focal_free)
     calibration = describe(
-        solved,
-        method=_method(states),
-        source=states.source,
-        frames=chosen[solved.rows],
-        focal_free=focal_free,
+        solved, method=_method(states), source=states.source, frames=chosen[solved.rows], focal_free=focal_free
     )
     require_determined(calibration)
     middle = len(solved.rows) // 2

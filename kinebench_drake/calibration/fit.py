@@ -50,10 +50,7 @@ class Lens:
         fx, fy = self.camera.fx, self.camera.fy
         zero = np.zeros_like(z)
         by_C = np.stack(
-            [
-                np.stack([fx / z, zero, -fx * x / z**2], axis=-1),
-                np.stack([zero, fy / z, -fy * y / z**2], axis=-1),
-            ],
+            [np.stack([fx / z, zero, -fx * x / z**2], axis=-1), np.stack([zero, fy / z, -fy * y / z**2], axis=-1)],
             axis=1,
         )
         J = np.empty((len(z), 2, UNKNOWNS))

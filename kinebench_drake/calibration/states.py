@@ -13,11 +13,9 @@ from kinebench_drake.geometry import Array, interpolate_pose, invert
 from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.models.panda.robot import GRIPPER, RobotPart, hand_from_tcp, rest_q
 from kinebench_drake.models.robot import N_JOINTS
+from kinebench_drake.segments import spread
 
-POSTURES = {
-    "home": np.pi * np.array([0.0, -1 / 4, 0.0, -3 / 4, 0.0, 1 / 2, 1 / 4]),
-    "rest": rest_q(),
-}
+POSTURES = {"home": np.pi * np.array([0.0, -1 / 4, 0.0, -3 / 4, 0.0, 1 / 2, 1 / 4]), "rest": rest_q()}
 """Named postures (7,) [rad]: the start posture of Franka's programs (libfranka, franka_ros), and that of ManiSkill."""
 _MAX_RAD = 4.0
 _LATE_S = 0.1  # greatest time by which frames may lie outside the joint angles
@@ -81,8 +79,7 @@ def make_posture_states(text: str, frame: int, frames: int, model: ArmModel) -> 
         )
     if not 0 <= frame < frames:
         raise UsageError(f"--joints-frame is {frame}, expected 0 to {frames - 1}: the video has {frames} frames")
-    angles = np.full((frames, N_JOINTS), np.nan)
-    angles[frame] = q
+    angles = spread(q[None], np.array([frame]), frames)
     return _of_joints(angles, np.full(frames, np.nan), f"posture {text} in frame {frame}", model)
 
 

@@ -91,11 +91,7 @@ class _ProcessPool(Generic[Item, Result]):
     """Processes that receive one item at a time over a pipe each: when one dies, only its item is lost."""
 
     def __init__(
-        self,
-        make_worker: MakeWorker[Item, Result],
-        items: Sequence[Item],
-        size: int,
-        draining: threading.Event,
+        self, make_worker: MakeWorker[Item, Result], items: Sequence[Item], size: int, draining: threading.Event
     ) -> None:
         self._draining = draining
         self._make_worker = make_worker

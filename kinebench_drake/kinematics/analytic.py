@@ -116,11 +116,8 @@ def analytic_ik(X_BF: ArrayLike, q7: ArrayLike) -> Array:
     x3_z = c4[..., 0] * x4[..., 2] - s4[..., 0] * z5[..., 2]
     z3, y3_z = s4 * x4 + c4 * z5, -z4[..., 2]
     sine = np.hypot(z3[..., 0], z3[..., 1])
-    q1, q2, q3 = (
-        np.arctan2(z3[..., 1], z3[..., 0]),
-        np.arctan2(sine, z3[..., 2]),
-        np.arctan2(y3_z, -x3_z),
-    )
+    q1, q2 = np.arctan2(z3[..., 1], z3[..., 0]), np.arctan2(sine, z3[..., 2])
+    q3 = np.arctan2(y3_z, -x3_z)
     q[..., 0, 0], q[..., 0, 1], q[..., 0, 2] = q1, q2, q3
     q[..., 1, 0], q[..., 1, 1], q[..., 1, 2] = q1 - np.copysign(np.pi, q1), -q2, q3 - np.copysign(np.pi, q3)
     q[..., 3], q[..., 4], q[..., 5] = q4[..., None, None], q5[..., None], q6[..., None]

@@ -82,12 +82,8 @@ def solve_pose(plant: ArmPlant, X_BG: ArrayLike, q_seed: ArrayLike) -> IkSolutio
 def _solution(plant: ArmPlant, X_BG: Array, q: Array, failure: IkStatus = IkStatus.UNREACHABLE) -> IkSolution:
     position, rotation = (float(d) for d in pose_difference(plant.forward(q), X_BG))
     reached = position <= POSITION_TOLERANCE_M and rotation <= ROTATION_TOLERANCE_RAD
-    return IkSolution(
-        q=q,
-        status=IkStatus.OK if reached else failure,
-        position_error_m=position,
-        rotation_error_rad=rotation,
-    )
+    status = IkStatus.OK if reached else failure
+    return IkSolution(q=q, status=status, position_error_m=position, rotation_error_rad=rotation)
 
 
 def _solve_anywhere(plant: ArmPlant, X_BG: Array, q_seed: Array, near: Array, near_error: float) -> IkSolution:

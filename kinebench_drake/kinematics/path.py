@@ -15,6 +15,7 @@ from kinebench_drake.geometry import Array
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.postures import posture_solver
 from kinebench_drake.kinematics.relaxation import ALLOWANCE, FROM_REST, peak_ratio, relax
+from kinebench_drake.segments import spread
 
 SAMPLES, ROUNDS = (36, 72, 240), (0, 5, 5)
 """Samples of the redundancy per pose (of the Panda: joint 7 every 10 degrees) and halvings of intervals whose postures
@@ -129,8 +130,7 @@ def _through(
     fixed: NDArray[np.bool_],
 ) -> Array:
     """Return the relaxed path (T, 7) through `layers` (N of (N_t, 7)), the postures of the frames `chosen` (N,)."""
-    path = np.full((len(t_s), 7), np.nan)
-    path[chosen] = find_cheapest_path(plant, t_s[chosen], layers, q_start, spacing, noise_rad)
+    path = spread(find_cheapest_path(plant, t_s[chosen], layers, q_start, spacing, noise_rad), chosen, len(t_s))
     kept = np.flatnonzero(np.isfinite(path[:, 0]))
     if len(kept) == 0:
         return path
@@ -177,13 +177,13 @@ def find_cheapest_path(
     frames = [i for i, layer in enumerate(layers) if len(layer)]
     if not frames:
         return path
-    outside = [_OUTSIDE * limit_excess(plant, layers[i]).max(axis=-1) for i in frames]
     scaled = [layers[i] / plant.velocity_limits for i in frames]
     noise_s = ALLOWANCE * np.sqrt(2.0) * noise_rad / plant.velocity_limits.min()
     slack = spacing / plant.velocity_limits.min()
+    rest = plant.robot.rest_q
     own = [
-        o + FROM_REST * np.sum((layers[i] - plant.robot.rest_q) ** 2, axis=-1)
-        for i, o in zip(frames, outside, strict=True)
+        _OUTSIDE * limit_excess(plant, q).max(axis=-1) + FROM_REST * np.sum((q - rest) ** 2, axis=-1)
+        for q in (layers[i] for i in frames)
     ]
     cost = _FROM_START * np.sum((layers[frames[0]] - q_start) ** 2, axis=-1) + own[0]
     parents = []

@@ -33,12 +33,7 @@ def peak_ratio(plant: ArmPlant, t_s: Array, q: Array, noise_rad: float = 0.0) ->
 
 
 def relax(
-    plant: ArmPlant,
-    t_s: Array,
-    X_BG: Array,
-    q: Array,
-    noise_rad: float = 0.0,
-    fixed: NDArray[np.bool_] | None = None,
+    plant: ArmPlant, t_s: Array, X_BG: Array, q: Array, noise_rad: float = 0.0, fixed: NDArray[np.bool_] | None = None
 ) -> Array:
     """Return a path (T, 7) [rad] through the same poses with lower joint rates than the path `q` (T, 7).
 

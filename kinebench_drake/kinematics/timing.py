@@ -247,9 +247,8 @@ def _explain(motion: _Motion) -> TimeScale:
     heaviest, j = np.unravel_index(np.argmax(np.abs(weight)), weight.shape)
     if abs(weight[heaviest, j]) > 1.0:
         text = f"{joints[j]} cannot hold the arm's weight ({abs(weight[heaviest, j]):.2f} x its torque limit)"
-        return TimeScale(
-            reason=text, constraint=ViolationKind.TORQUE, joint=joints[j], frame=motion.frame(int(heaviest))
-        )
+        frame = motion.frame(int(heaviest))
+        return TimeScale(reason=text, constraint=ViolationKind.TORQUE, joint=joints[j], frame=frame)
     end = _broken_end(motion)
     if end is not None:
         return end

@@ -144,10 +144,7 @@ def check_limits(
     else:
         reasons[ViolationKind.TORQUE] = "fewer than 3 frames have joint angles"
     return LimitChecks(
-        checks=MappingProxyType(checks),
-        reasons=MappingProxyType(reasons),
-        slowdown=_slowdown(plant, checks),
-        z=z,
+        checks=MappingProxyType(checks), reasons=MappingProxyType(reasons), slowdown=_slowdown(plant, checks), z=z
     )
 
 

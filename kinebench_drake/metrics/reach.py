@@ -87,12 +87,7 @@ def find_joint_limit_violations(
 
 
 def find_collisions(
-    model: CollisionModel,
-    track: GripperTrack,
-    own: Clearance,
-    table: Clearance,
-    q_smooth: Array,
-    noise: TrackNoise,
+    model: CollisionModel, track: GripperTrack, own: Clearance, table: Clearance, q_smooth: Array, noise: TrackNoise
 ) -> Iterator[Violation]:
     """Find runs of frames in which the arm penetrates itself or the table, both as recorded and smoothed.
 
