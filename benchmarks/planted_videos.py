@@ -17,6 +17,9 @@ import multiprocessing
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.io.camerafile import save_camera
@@ -27,7 +30,7 @@ from kinebench_drake.suites.faults.fault import FaultGrade, PlantedFault
 from kinebench_drake.suites.faults.fault_simulator import FaultSimulator
 from kinebench_drake.suites.faults.plant import plant
 from kinebench_drake.suites.faults.recording import Recording
-from kinebench_drake.suites.rollout import Rollout, render_video, run_expert
+from kinebench_drake.suites.rollout import Rollout, RolloutVideo, render_video, run_expert
 from kinebench_drake.suites.split import Pool
 from kinebench_drake.suites.suite import EpisodeSpec, load_suite
 from kinebench_drake.suites.tasks.registry import TASKS, find_task
@@ -121,10 +124,27 @@ def plant_episode(order: PlantingOrder) -> PlantingResult:
                 continue
             planted = _planted_video(rollout, grade, fault)
             write_video(order.out / f"{planted.id}.mp4", faulty.rgb, FPS, crf=order.crf)
-            faulty.save_truth(order.out / "truth" / f"{planted.id}.npz", with_images=order.with_depth)
+            _save_truth(faulty, order.out / "truth" / f"{planted.id}.npz", with_images=order.with_depth)
             videos.append(planted)
         save_camera(simulator.camera, order.out / "camera.json")
     return PlantingResult(videos=tuple(videos), problems=tuple(problems))
+
+
+def _save_truth(video: RolloutVideo, path: Path, *, with_images: bool) -> None:
+    """Write the ground truth as npz, reproducible to the byte; `with_images` adds depth and packed masks.
+
+    Masks are packed along the width: `np.unpackbits(mask, axis=-1, count=width)`.
+    """
+    arrays: dict[str, Any] = {
+        "t_s": video.t_s,
+        "base_from_tcp": video.X_BG,
+        "camera_from_hand": video.X_CH,
+        "q": video.q,
+        "finger_width_m": video.finger_width_m,
+    }
+    if with_images:
+        arrays |= {"depth_mm": video.depth_mm, "mask": np.packbits(video.mask, axis=-1)}
+    np.savez_compressed(path, **arrays)
 
 
 def _planted_video(rollout: Rollout, grade: FaultGrade, fault: PlantedFault) -> PlantedVideo:

@@ -2,8 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,16 +28,6 @@ class Rollout:
     """(N, 8) commands at 20 Hz: seven joint angles [rad] and the gap between the finger pads [m]."""
     outcome: TaskOutcome
     """Outcome of the last state."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RolloutSegment:
-    """Rollout of one clip."""
-
-    snapshots: tuple[Snapshot, ...]
-    """States without the initial one."""
-    controls: Array
-    """(N, 8) commands, as in `Rollout`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -72,25 +60,14 @@ class RolloutVideo:
         arrays = (field.name for field in fields(self) if field.name != "camera")
         return replace(self, **{name: getattr(self, name)[frames] for name in arrays})
 
-    def save_truth(self, path: Path, *, with_images: bool) -> None:
-        """Write the ground truth as npz, reproducible to the byte; `with_images` adds depth and packed masks.
 
-        Masks are packed along the width: `np.unpackbits(mask, axis=-1, count=width)`.
-        """
-        arrays: dict[str, Any] = {
-            "t_s": self.t_s,
-            "base_from_tcp": self.X_BG,
-            "camera_from_hand": self.X_CH,
-            "q": self.q,
-            "finger_width_m": self.finger_width_m,
-        }
-        if with_images:
-            arrays |= {"depth_mm": self.depth_mm, "mask": np.packbits(self.mask, axis=-1)}
-        np.savez_compressed(path, **arrays)
-
-
-def run_expert_clip(simulator: Simulator, expert: Expert, *, every: int = STEPS_PER_FRAME) -> RolloutSegment | None:
+def run_expert_clip(
+    simulator: Simulator, expert: Expert, *, every: int = STEPS_PER_FRAME
+) -> tuple[tuple[Snapshot, ...], Array] | None:
     """Let the expert continue its task from the current state for one clip; None if nothing is left to do.
+
+    Returns:
+        The states without the initial one, and the commands (N, 8) as in `Rollout`.
 
     Raises:
         InputError: the expert finds no path in this scene.
@@ -105,7 +82,7 @@ def run_expert_clip(simulator: Simulator, expert: Expert, *, every: int = STEPS_
         simulator.step(q, finger_width_m)
         if i % every == 0:
             snapshots.append(simulator.snapshot())
-    return RolloutSegment(snapshots=tuple(snapshots), controls=np.column_stack([motion.q, motion.finger_width_m]))
+    return tuple(snapshots), np.column_stack([motion.q, motion.finger_width_m])
 
 
 def run_expert(simulator: Simulator, expert: Expert, episode: Episode, *, every: int = STEPS_PER_FRAME) -> Rollout:
@@ -123,11 +100,11 @@ def run_expert(simulator: Simulator, expert: Expert, episode: Episode, *, every:
     simulator.reset(episode)
     snapshots, controls = [simulator.snapshot()], [np.zeros((0, 8))]
     for _ in range(simulator.task.card.clips):
-        segment = run_expert_clip(simulator, expert, every=every)
-        if segment is None:
+        clip = run_expert_clip(simulator, expert, every=every)
+        if clip is None:
             break
-        snapshots += segment.snapshots
-        controls.append(segment.controls)
+        snapshots += clip[0]
+        controls.append(clip[1])
         if simulator.outcome().success:
             break
     return Rollout(

@@ -163,11 +163,32 @@ variant_option = click.option(
     show_default=True,
     help="Variant of the scenes; without --tasks: of the tasks that have it.",
 )
-split_help = "Split of the suite; test: the split on which models are evaluated."
-SPLITS = click.Choice(["train", "test", "seen", "unseen"])
-SUITES = click.IntRange(0, 3)
+first_seed_option = click.option(
+    "--seed", type=click.IntRange(0), default=0, show_default=True, help="Number of the first of the split's seeds."
+)
 SIZES = click.IntRange(128, 2048)
 """Side lengths of images [px]: below that x264 does not write reproducible bytes."""
+
+
+def suite_options(*, number: int | None = None, split: str = "test") -> Decorator:
+    """Return the options that choose episodes of a suite.
+
+    Args:
+        number: suite by default; None: the user must name one.
+        split: split by default.
+    """
+    return _combine(
+        click.option(
+            "--suite", "number", type=click.IntRange(0, 3), help="Number of the suite.", metavar="N",
+            **({"required": True} if number is None else {"default": number, "show_default": True}),
+        ),
+        click.option(
+            "--split", type=click.Choice(["train", "test", "seen", "unseen"]), default=split, show_default=True,
+            help="Split of the suite; test: the split on which models are evaluated.",
+        ),
+        tasks_option,
+        episodes_option,
+    )  # fmt: skip
 
 
 def check_parent(option: str, path: Path) -> None:

@@ -6,16 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from kinebench_drake.cli.options import (
-    SIZES,
-    SPLITS,
-    SUITES,
-    episodes_option,
-    jobs_option,
-    split_help,
-    tasks_option,
-    variant_option,
-)
+from kinebench_drake.cli.options import SIZES, first_seed_option, jobs_option, suite_options, variant_option
 from kinebench_drake.cli.run import ProgressView, terminate_as_interrupt
 from kinebench_drake.errors import UsageError
 from kinebench_drake.results.metadata import Shard
@@ -24,9 +15,6 @@ from kinebench_drake.suites.selection import chosen_tasks
 if TYPE_CHECKING:
     from kinebench_drake.suites.formats.demo import FormatKind, RenderOptions
 
-_SEED = click.option(
-    "--seed", type=click.IntRange(0), default=0, show_default=True, help="Number of the first of the split's seeds."
-)
 _OUT = click.option("--out", type=click.Path(path_type=Path), required=True, help="Output folder; made if absent.")
 
 
@@ -36,26 +24,13 @@ _OUT = click.option("--out", type=click.Path(path_type=Path), required=True, hel
     "  kinebench-drake suite export --suite 0 --episodes 10 --out suite0/\n"
     "  kinebench-drake suite export --suite 2 --split unseen --tasks StackCube-v1 --episodes 50 --out looks/ --jobs 2",
 )
-@click.option("--suite", "number", type=SUITES, required=True, help="Number of the suite.", metavar="N")
-@click.option("--split", type=SPLITS, default="test", show_default=True, help=split_help)
-@tasks_option
-@episodes_option
-@_SEED
+@suite_options()
+@first_seed_option
 @variant_option
 @click.option("--size", type=SIZES, default=384, show_default=True, help="Width and height of the images.")
 @_OUT
 @jobs_option
-def export(
-    number: int,
-    split: str,
-    tasks: str | None,
-    episodes: int,
-    seed: int,
-    variant: str,
-    size: int,
-    out: Path,
-    jobs: int,
-) -> None:
+def export(size: int, jobs: int, **dataset: Any) -> None:
     """Write the inputs of world models: first frames, prompts, camera.
 
     ID.png is an episode's first frame. manifest.jsonl lists it with the prompt and the video expected beside it,
@@ -64,25 +39,23 @@ def export(
     """
     from kinebench_drake.executors.base import ExecutorKind, create_executor
     from kinebench_drake.suites.export import ExportConfig, export_suite
+
+    config = ExportConfig(**_dataset(**dataset), size=size)
+    with ProgressView() as view, terminate_as_interrupt():
+        count = export_suite(config, create_executor(ExecutorKind.LOCAL, jobs), view)
+    of = _counted(len(config.tasks), "task")
+    click.echo(f"{_counted(count, 'episode')} of {of} (suite {config.suite.number}, {config.split})")
+    click.echo(config.out / "manifest.jsonl")
+
+
+def _dataset(number: int, split: str, tasks: str | None, variant: str, **others: Any) -> dict[str, Any]:
+    """Return the fields of `DatasetConfig` from the options of the command line."""
     from kinebench_drake.suites.suite import load_suite
     from kinebench_drake.suites.tasks.task import TaskVariant
 
     suite, task_variant = load_suite(number), TaskVariant(variant)
-    config = ExportConfig(
-        suite=suite,
-        split=suite.split_name(split),
-        tasks=chosen_tasks(suite, split, tasks, task_variant),
-        episodes=episodes,
-        seed=seed,
-        variant=task_variant,
-        size=size,
-        out=out,
-    )
-    with ProgressView() as view, terminate_as_interrupt():
-        count = export_suite(config, create_executor(ExecutorKind.LOCAL, jobs), view)
-    of = _counted(len(config.tasks), "task")
-    click.echo(f"{_counted(count, 'episode')} of {of} (suite {number}, {config.split})")
-    click.echo(out / "manifest.jsonl")
+    chosen = chosen_tasks(suite, split, tasks, task_variant)
+    return {**others, "suite": suite, "split": suite.split_name(split), "tasks": chosen, "variant": task_variant}
 
 
 def _counted(number: int, what: str) -> str:
@@ -96,11 +69,8 @@ def _counted(number: int, what: str) -> str:
     "  kinebench-drake suite demos --suite 2 --split train --episodes 50 --out train/ --format lerobot-v3 --jobs 2\n"
     "  kinebench-drake suite demos --suite 0 --episodes 100 --out part1/ --format maniskill-h5 --shard 1/4",
 )
-@click.option("--suite", "number", type=SUITES, default=0, show_default=True, help="Number of the suite.", metavar="N")
-@click.option("--split", type=SPLITS, default="train", show_default=True, help=split_help)
-@tasks_option
-@episodes_option
-@_SEED
+@suite_options(number=0, split="train")
+@first_seed_option
 @variant_option
 @click.option(
     "--format", "kind", type=click.Choice(["mp4", "lerobot-v3", "maniskill-h5", "frames"]), default="mp4",
@@ -124,22 +94,17 @@ def _counted(number: int, what: str) -> str:
 @click.pass_context
 def demos(
     ctx: click.Context,
-    number: int,
-    split: str,
-    tasks: str | None,
-    episodes: int,
-    seed: int,
-    variant: str,
+    /,
     kind: str,
     size: int | None,
     fps: float | None,
     frames: int | None,
     crf: int | None,
     with_depth: bool,
-    out: Path,
     jobs: int,
     shard: str | None,
     overwrite: bool,
+    **dataset: Any,
 ) -> None:
     """Write demonstrations of the scripted experts, with ground truth, to train world models and policies.
 
@@ -151,20 +116,12 @@ def demos(
     from kinebench_drake.suites.demo_config import DemoConfig
     from kinebench_drake.suites.demos import make_demos
     from kinebench_drake.suites.formats.demo import FormatKind
-    from kinebench_drake.suites.suite import load_suite
-    from kinebench_drake.suites.tasks.task import TaskVariant
 
-    suite, task_variant, form = load_suite(number), TaskVariant(variant), FormatKind(kind)
+    form = FormatKind(kind)
     config = DemoConfig(
-        suite=suite,
-        split=suite.split_name(split),
-        tasks=chosen_tasks(suite, split, tasks, task_variant),
-        episodes=episodes,
-        seed=seed,
-        variant=task_variant,
+        **_dataset(**dataset),
         options=_render_options(form, size, fps, frames, crf, with_depth),
         kind=form,
-        out=out,
         shard=None if shard is None else Shard.parse(shard),
     )
     with ProgressView("demonstrations") as view, terminate_as_interrupt():
@@ -172,7 +129,7 @@ def demos(
     failed = f"; the expert failed with {_counted(result.failures, 'other seed')}" if result.failures else ""
     made = _counted(result.demonstrations, "demonstration")
     click.echo(f"{made} of {_counted(len(config.tasks), 'task')}{failed}")
-    click.echo(out)
+    click.echo(config.out)
     for task, count in result.short.items():
         click.echo(f"{task}: given up with {count} demonstrations missing; demos.jsonl has the reasons", err=True)
     ctx.exit(1 if result.short else 0)

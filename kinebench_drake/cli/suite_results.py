@@ -6,15 +6,7 @@ from pathlib import Path
 import click
 
 from kinebench_drake.cli.folders import bootstrap_seed_option, comparison_out_option, folders_argument
-from kinebench_drake.cli.options import (
-    SPLITS,
-    SUITES,
-    check_parent,
-    episodes_option,
-    jobs_option,
-    split_help,
-    tasks_option,
-)
+from kinebench_drake.cli.options import check_parent, first_seed_option, jobs_option, suite_options
 from kinebench_drake.io.atomic import write_atomically
 from kinebench_drake.suites.selection import chosen_tasks
 
@@ -79,13 +71,8 @@ _ERRORS = ("bias", "jitter", "finger_delay")
     "  kinebench-drake suite tolerance --suite 0 --episodes 10 --out tolerance.json --figure tolerance.png --jobs 2\n"
     "  kinebench-drake suite tolerance --suite 0 --tasks StackCube-v1 --errors bias --out stack.json",
 )
-@click.option("--suite", "number", type=SUITES, required=True, help="Number of the suite.", metavar="N")
-@click.option("--split", type=SPLITS, default="test", show_default=True, help=split_help)
-@tasks_option
-@episodes_option
-@click.option(
-    "--seed", type=click.IntRange(0), default=0, show_default=True, help="Number of the first of the split's seeds."
-)
+@suite_options()
+@first_seed_option
 @click.option("--errors", default=",".join(_ERRORS), show_default=True, help="Errors to plant, comma-separated.")
 @click.option(
     "--out", type=click.Path(path_type=Path, dir_okay=False), required=True, help="Output file of all attempts, JSON."

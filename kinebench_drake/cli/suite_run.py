@@ -4,16 +4,7 @@ from typing import Any
 
 import click
 
-from kinebench_drake.cli.options import (
-    SPLITS,
-    SUITES,
-    episodes_option,
-    replays_option,
-    run_options,
-    split_help,
-    tasks_option,
-    variant_option,
-)
+from kinebench_drake.cli.options import replays_option, run_options, suite_options, variant_option
 from kinebench_drake.cli.run import run as carry_out
 from kinebench_drake.suites.clock import FRAME_PERIOD_S, MAX_FRAME_PERIOD_S, MIN_FRAME_PERIOD_S
 
@@ -25,10 +16,7 @@ from kinebench_drake.suites.clock import FRAME_PERIOD_S, MAX_FRAME_PERIOD_S, MIN
     "  kinebench-drake suite run --suite 2 --split unseen --world-model http://127.0.0.1:8000 --out looks/\n"
     "  kinebench-drake suite run --suite 1 --world-model folder:videos/ --rounds 1 --out offline/",
 )
-@click.option("--suite", "number", type=SUITES, required=True, help="Number of the suite.", metavar="N")
-@click.option("--split", type=SPLITS, default="test", show_default=True, help=split_help)
-@tasks_option
-@episodes_option
+@suite_options()
 @variant_option
 @click.option(
     "--world-model", required=True, metavar="SPEC",

@@ -205,8 +205,6 @@ def _crate(asset_id: str, index: int, rng: np.random.Generator) -> AssetModel:
         "inner_x_m": deep,
         "inner_y_m": wide,
         "outer_x_m": deep + 2.0 * thick,
-        "outer_y_m": wide + 2.0 * thick,
-        "cell_m": cell,
         "pitch_m": cell + divider,
         "floor_m": floor,
         "rim_m": height,
@@ -226,5 +224,5 @@ def compartment_center(size: Callable[[str], float], number: int) -> Array:
 
 KINDS = {"container": _container, "crate": _crate}
 """Sizes: `inner_x_m` and `inner_y_m` (width at the rim), `round` (1 if these are diameters), `reach_m` (greatest
-horizontal distance from the origin), `floor_m`, `rim_m` (heights); of a crate `cell_m` (width of a compartment),
-`pitch_m` (distance between compartments) and its outer dimensions."""
+horizontal distance from the origin), `floor_m`, `rim_m` (heights); of a crate `pitch_m` (distance between
+compartments) and `outer_x_m`."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import trimesh
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from kinebench_drake.geometry import Array, make_pose
 from kinebench_drake.suites.assets.model import (
@@ -62,16 +62,13 @@ def lathe(profile: ArrayLike, *, sections: int = 32, uv_per_m: float = 1.0, crea
     along = arc_length(rz)
     around = angle * max(float(rz[:, 0].max()), 1e-6)
     uv = uv_per_m * np.concatenate([np.column_stack([around, np.full(len(around), s)]) for s in along])
-    columns = sections + 1
-    faces = []
-    for i in range(len(rz) - 1):
-        for j in range(sections):
-            a, b = i * columns + j, (i + 1) * columns + j
-            if rz[i, 0] > 1e-9:
-                faces.append([a, a + 1, b + 1])
-            if rz[i + 1, 0] > 1e-9:
-                faces.append([a, b + 1, b])
-    return smooth_mesh(vertices, np.array(faces), uv, crease_rad=crease_rad)
+    a = (np.arange(len(rz) - 1)[:, None] * (sections + 1) + np.arange(sections)).ravel()
+    return smooth_mesh(vertices, _band(a, a + sections + 1).reshape(-1, 3), uv, crease_rad=crease_rad)
+
+
+def _band(a: NDArray[np.intp], b: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Return two triangles (..., 6) between the points `a`, `a` + 1 of one ring and `b`, `b` + 1 of the next."""
+    return np.stack([a, a + 1, b + 1, a, b + 1, b], axis=-1)
 
 
 def flat_mesh(vertices: ArrayLike, faces: ArrayLike, *, uv_per_m: float = 1.0) -> Mesh:
@@ -132,15 +129,11 @@ def sweep(centers: ArrayLike, radii: ArrayLike, *, sections: int = 16, uv_per_m:
     uv = np.concatenate(
         [np.column_stack([angle * r.max(), np.full(columns, s)]) for s in [*along, along[0], along[-1]]]
     )
-    faces = []
-    first, last = len(p) * columns, (len(p) + 1) * columns
-    for j in range(sections):
-        for i in range(len(p) - 1):
-            a, b = i * columns + j, (i + 1) * columns + j
-            faces += [[a, a + 1, b + 1], [a, b + 1, b]]
-        end = (len(p) - 1) * columns + j
-        faces += [[j + 1, j, first + j], [end, end + 1, last + j]]
-    return smooth_mesh(vertices, np.array(faces), uv_per_m * uv)
+    j, n = np.arange(sections), len(p)
+    a = np.arange(n - 1) * columns + j[:, None]
+    sides, end = _band(a, a + columns).reshape(sections, -1), (n - 1) * columns + j
+    ends = np.stack([j + 1, j, n * columns + j, end, end + 1, (n + 1) * columns + j], axis=1)
+    return smooth_mesh(vertices, np.concatenate([sides, ends], axis=1).reshape(-1, 3), uv_per_m * uv)
 
 
 def unit_ring(sections: int) -> Array:

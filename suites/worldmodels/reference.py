@@ -89,13 +89,13 @@ class OracleRenderer:
         simulator.reset(episode)
         simulator.restore(state)
         before = simulator.snapshot()
-        segment = run_expert_clip(simulator, expert)
-        rest = (before,) * CLIP_FRAMES if segment is None else segment.snapshots  # None: the expert has finished
+        clip = run_expert_clip(simulator, expert)
+        rest = (before,) * CLIP_FRAMES if clip is None else clip[0]  # None: the expert has finished
         snapshots = (before, *rest)[: request.num_frames]
         outcome = simulator.outcome()
         video = render_video(simulator, snapshots)
-        if fault is not None and segment is not None:
-            rollout = Rollout(episode=episode, snapshots=snapshots, controls=segment.controls, outcome=outcome)
+        if fault is not None and clip is not None:
+            rollout = Rollout(episode=episode, snapshots=snapshots, controls=clip[1], outcome=outcome)
             video, _ = plant(Recording(simulator=simulator, rollout=rollout, video=video), fault)
         self.truth = TrueTrack(X_CH=video.X_CH, finger_width_m=video.finger_width_m)
         return video.rgb
