@@ -6,8 +6,7 @@ from typing import Any
 import kinebench_drake
 from kinebench_drake.results.metadata import Shard
 from kinebench_drake.suites.export import DatasetConfig
-from kinebench_drake.suites.formats.demo import Content, FormatKind, RenderOptions
-from kinebench_drake.suites.formats.format import find_format
+from kinebench_drake.suites.formats.demo import Content, FormatKind, RenderOptions, find_format
 from kinebench_drake.suites.suite import EpisodeSpec
 
 

@@ -29,8 +29,17 @@ from kinebench_drake.suites.demo_config import DemoConfig
 from kinebench_drake.suites.episode import Episode
 from kinebench_drake.suites.experts.registry import find_expert
 from kinebench_drake.suites.export import episode_facts
-from kinebench_drake.suites.formats.demo import CLIP_STEPS, PARTS, Content, Demo, FormatKind, Record, RenderOptions
-from kinebench_drake.suites.formats.format import DemoFormat, find_format
+from kinebench_drake.suites.formats.demo import (
+    CLIP_STEPS,
+    PARTS,
+    Content,
+    Demo,
+    DemoFormat,
+    FormatKind,
+    Record,
+    RenderOptions,
+    find_format,
+)
 from kinebench_drake.suites.formats.stills import render_stills
 from kinebench_drake.suites.rollout import Rollout, render_video, run_expert
 from kinebench_drake.suites.seeding import generator

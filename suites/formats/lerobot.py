@@ -5,6 +5,7 @@ frame period, also in the video.
 """
 
 import json
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -39,6 +40,7 @@ COUNTERS = {"timestamp": "float32", **dict.fromkeys(("frame_index", "episode_ind
 _FILE = "chunk-{chunk_index:03d}/file-{file_index:03d}"
 _DATA, _EPISODES = f"data/{_FILE}.parquet", f"meta/episodes/{_FILE}.parquet"
 _VIDEO = f"videos/{{video_key}}/{_FILE}.mp4"
+_DATA_FILES, _VIDEO_FILES = (_DATA, "data"), (_VIDEO, f"videos/{CAMERA}")  # patterns, and prefixes of keys in meta
 _CHUNK_FILES, _DATA_MB, _VIDEO_MB = 1000, 100, 200
 _KEYFRAME_EVERY = 10  # training reads single frames at random
 _STRIDE_PX = 4  # of the pixels in image statistics, along both axes
@@ -81,15 +83,15 @@ class LeRobot:
         """Join the parts and write the metadata."""
         tasks = list(dict.fromkeys(record.prompt for record in records))
         columns, histograms = _columns(folder, records, options, tasks)
-        data, videos = _write_data(folder, columns), _join_videos(folder, records, columns, options)
-        places = [rows | video for rows, video in zip(data, videos, strict=True)]
+        data = _write_data(folder, columns)
+        places = [a | b for a, b in zip(data, _join_videos(folder, records, columns, options), strict=True)]
         episodes = []
         for k, (record, own, histogram, place) in enumerate(zip(records, columns, histograms, places, strict=True)):
             features = feature_statistics([own], {CAMERA: [histogram]})
             stats = {f"stats/{name}/{kind}": value for name, kinds in features.items() for kind, value in kinds.items()}
-            first = int(own["index"][0])
-            description = {"episode_index": k, "tasks": [record.prompt], "length": len(own["index"])}
-            rows = {"dataset_from_index": first, "dataset_to_index": first + len(own["index"])}
+            first, length = int(own["index"][0]), len(own["index"])
+            description = {"episode_index": k, "tasks": [record.prompt], "length": length}
+            rows = {"dataset_from_index": first, "dataset_to_index": first + length}
             file = {"meta/episodes/chunk_index": 0, "meta/episodes/file_index": 0}
             episodes.append({**description, **rows, **place, **stats, **file})
         _write_table(folder / _EPISODES.format(chunk_index=0, file_index=0), [pa.Table.from_pylist(episodes)])
@@ -97,10 +99,7 @@ class LeRobot:
         write_json(folder / "meta" / "stats.json", feature_statistics(columns, {CAMERA: histograms}))
         write_json(folder / "meta" / "info.json", _info(options, columns, len(tasks)))
         save_camera(options.camera, folder / "meta" / "camera.json")
-        return sorted(
-            {folder / _DATA.format(**_numbers(place, "data")) for place in places}
-            | {folder / _VIDEO.format(video_key=CAMERA, **_numbers(place, f"videos/{CAMERA}")) for place in places}
-        )
+        return sorted({_path(folder, *file, place) for file in (_DATA_FILES, _VIDEO_FILES) for place in places})
 
     def index_files(self, folder: Path, tasks: Sequence[str]) -> list[Path]:
         """Return the files in `meta`."""
@@ -145,9 +144,9 @@ def _write_data(folder: Path, columns: Sequence[Columns]) -> list[dict[str, int]
         for own in columns
     ]
     places = _places("data", [table.nbytes for table in tables], _DATA_MB)
-    for where in {tuple(place.items()): place for place in places}.values():
-        path = folder / _DATA.format(**_numbers(where, "data"))
-        _write_table(path, [table for table, place in zip(tables, places, strict=True) if place == where])
+    paths = [_path(folder, *_DATA_FILES, place) for place in places]
+    for path in dict.fromkeys(paths):
+        _write_table(path, [table for table, own in zip(tables, paths, strict=True) if own == path])
     return places
 
 
@@ -158,18 +157,19 @@ def _join_videos(
     key = f"videos/{CAMERA}"
     videos = [_parts(folder, record.id)[1] for record in records]
     places = _places(key, [video.stat().st_size for video in videos], _VIDEO_MB)
-    lengths: dict[tuple[int, ...], int] = {}
+    joined: dict[Path, list[Path]] = {}
+    lengths: Counter[Path] = Counter()
     parts = []
-    for place, own in zip(places, columns, strict=True):
-        first = lengths.get(tuple(place.values()), 0)
-        last = first + len(own["index"])
-        lengths[tuple(place.values())] = last
+    for place, own, video in zip(places, columns, videos, strict=True):
+        path = _path(folder, *_VIDEO_FILES, place)
+        joined.setdefault(path, []).append(video)
+        first = lengths[path]
+        last = lengths[path] = first + len(own["index"])
         parts.append({**place, f"{key}/from_timestamp": first / options.fps, f"{key}/to_timestamp": last / options.fps})
-    for where in {tuple(place.items()): place for place in places}.values():
-        path = folder / _VIDEO.format(video_key=CAMERA, **_numbers(where, key))
+    for path, own_videos in joined.items():
         with disk_errors(path.name):
             path.parent.mkdir(parents=True, exist_ok=True)
-            join_videos(path, [video for video, place in zip(videos, places, strict=True) if place == where])
+            join_videos(path, own_videos)
     return parts
 
 
@@ -185,8 +185,10 @@ def _places(key: str, sizes: Sequence[int], most_mb: int) -> list[dict[str, int]
     return places
 
 
-def _numbers(place: dict[str, Any], key: str) -> dict[str, int]:
-    return {name: place[f"{key}/{name}"] for name in ("chunk_index", "file_index")}
+def _path(folder: Path, pattern: str, key: str, place: Mapping[str, Any]) -> Path:
+    """Return the file of a place from the pattern of its path and the prefix of its keys."""
+    numbers = {name: place[f"{key}/{name}"] for name in ("chunk_index", "file_index")}
+    return folder / pattern.format(video_key=CAMERA, **numbers)
 
 
 def _write_table(path: Path, tables: Sequence[pa.Table]) -> None:

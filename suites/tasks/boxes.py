@@ -141,7 +141,7 @@ class CloseBox(Task):
 
     def progress(self, state: State) -> Tensor:
         """Return the fraction of the lid's way to `SHUT_RAD`."""
-        return state.joint_progress("box", torch.full_like(state.joints["box"], SHUT_RAD))
+        return state.joint_progress("box", SHUT_RAD)
 
 
 TASKS: tuple[Task, ...] = (

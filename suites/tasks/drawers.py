@@ -1,5 +1,6 @@
 """Tasks with a cabinet with one drawer."""
 
+from abc import abstractmethod
 from collections.abc import Mapping
 from typing import ClassVar
 
@@ -27,20 +28,10 @@ CUBE_YAW_RAD = 0.3
 """Greatest yaw of a cube that is to be dragged, relative to the drawer's direction."""
 
 
-def _shut(state: State) -> Tensor:
-    """Return (N,) bool: True where the drawer is shut."""
-    return state.joints["cabinet"] <= SHUT_M
-
-
 def _rest_conditions(state: State) -> dict[str, Tensor]:
     """Return the conditions common to opening and closing."""
     distance = torch.linalg.norm(state.X_BG[:, :3, 3] - state.site("cabinet", "pull")[:, :3, 3], dim=-1)
     return state.rest_conditions("cabinet", distance, still=STILL_M_S)
-
-
-def _shut_progress(state: State) -> Tensor:
-    """Return the fraction (N,) of the drawer's way to `SHUT_M`."""
-    return state.joint_progress("cabinet", torch.full_like(state.joints["cabinet"], SHUT_M))
 
 
 def _distance_from_tray(state: State, poses: Mapping[str, Tensor], name: str) -> Tensor:
@@ -133,11 +124,11 @@ class CloseDrawer(Task):
 
     @override
     def conditions(self, state: State) -> dict[str, Tensor]:
-        return {"shut": _shut(state), **_rest_conditions(state)}
+        return {"shut": state.joints["cabinet"] <= SHUT_M, **_rest_conditions(state)}
 
-    @override
     def progress(self, state: State) -> Tensor:
-        return _shut_progress(state)
+        """Return the fraction of the drawer's way to `SHUT_M`."""
+        return state.joint_progress("cabinet", SHUT_M)
 
 
 class _StoreCube(Task):
@@ -147,25 +138,19 @@ class _StoreCube(Task):
     prompt: ClassVar[str]
     """Prompt with a placeholder for the cabinet's name."""
 
-    def _layout(
-        self,
-        models: Mapping[str, AssetModel],
-        rng: np.random.Generator,
-        X_BM: Array,
-        p_TopC: tuple[float, float],
-        yaw_rad: float,
-    ) -> SceneLayout:
-        """Return the scene with the cube on the cabinet.
+    @abstractmethod
+    def _draw_poses(self, cabinet: AssetModel, rng: np.random.Generator) -> tuple[Array, tuple[float, float], float]:
+        """Draw the poses of cabinet and cube.
 
-        Args:
-            models: the asset drawn for each slot.
-            rng: draws how far the drawer is open.
-            X_BM: pose (4, 4) of the cabinet.
-            p_TopC: position of the cube's centre on the cabinet: behind the edge over the drawer, and along it [m].
-            yaw_rad: yaw of the cube relative to the cabinet.
+        Returns:
+            The pose (4, 4) of the cabinet; the position of the cube's centre on it, behind the edge over the drawer and
+            along it [m]; the yaw of the cube relative to the cabinet [rad].
         """
+
+    def layout(self, models: Mapping[str, AssetModel], rng: np.random.Generator, variant: TaskVariant) -> SceneLayout:
+        """Place the cabinet with the cube on top."""
         cabinet, cube = models["cabinet"], models["cube"]
-        back, aside = p_TopC
+        X_BM, (back, aside), yaw_rad = self._draw_poses(cabinet, rng)
         p_MC = [cabinet.size["depth_m"] / 2.0 - back, aside, cabinet.size["height_m"] + cube.size["edge_m"] / 2.0]
         opening = rng.uniform(START_FRACTION, 1.0) * cabinet.size["travel_m"]
         return SceneLayout(
@@ -180,7 +165,7 @@ class _StoreCube(Task):
     def conditions(self, state: State) -> dict[str, Tensor]:
         return {
             "inside": _distance_from_tray(state, state.poses, "cube") <= 0.0,
-            "shut": _shut(state),
+            "shut": state.joints["cabinet"] <= SHUT_M,
             "still": (state.speeds["cube"] <= STILL_M_S) & (state.speeds["cabinet"] <= STILL_M_S),
             "released": ~state.grasps("cube"),
         }
@@ -189,7 +174,7 @@ class _StoreCube(Task):
         """Return half the fraction of the cube's way into the tray, then half the fraction of the drawer's way in."""
         before = _distance_from_tray(state, state.starts, "cube").clamp(min=1e-6)
         entered = (1.0 - _distance_from_tray(state, state.poses, "cube") / before).clamp(0.0, 1.0)
-        shut = _shut_progress(state).clamp(0.0, 1.0)
+        shut = state.joint_progress("cabinet", SHUT_M).clamp(0.0, 1.0)
         return 0.5 * entered + 0.5 * torch.where(entered >= 1.0, shut, torch.zeros_like(shut))
 
 
@@ -212,11 +197,10 @@ class StoreCubeDrop(_StoreCube):
         "drawer and pushes the drawer shut."
     )
 
-    def layout(self, models: Mapping[str, AssetModel], rng: np.random.Generator, variant: TaskVariant) -> SceneLayout:
-        """Place a cabinet that opens away from the robot, with the cube on top."""
-        X_BM = _forwards(models["cabinet"], rng)
-        p_TopC = rng.uniform(0.035, 0.075), rng.uniform(-0.04, 0.04)
-        return self._layout(models, rng, X_BM, p_TopC, rng.uniform(-np.pi, np.pi))
+    @override
+    def _draw_poses(self, cabinet: AssetModel, rng: np.random.Generator) -> tuple[Array, tuple[float, float], float]:
+        X_BM = _forwards(cabinet, rng)
+        return X_BM, (rng.uniform(0.035, 0.075), rng.uniform(-0.04, 0.04)), rng.uniform(-np.pi, np.pi)
 
 
 class StoreCubeDrag(_StoreCube):
@@ -239,12 +223,11 @@ class StoreCubeDrag(_StoreCube):
         "closed gripper and pushes the drawer shut."
     )
 
-    def layout(self, models: Mapping[str, AssetModel], rng: np.random.Generator, variant: TaskVariant) -> SceneLayout:
-        """Place a cabinet that opens to the side, with the cube on top."""
+    @override
+    def _draw_poses(self, cabinet: AssetModel, rng: np.random.Generator) -> tuple[Array, tuple[float, float], float]:
         X_BM = _sideways((0.465, 0.51), rng)
         yaw = rng.integers(4) * np.pi / 2.0 + rng.uniform(-CUBE_YAW_RAD, CUBE_YAW_RAD)
-        p_TopC = rng.uniform(0.04, 0.075), rng.uniform(-0.025, 0.025)
-        return self._layout(models, rng, X_BM, p_TopC, yaw)
+        return X_BM, (rng.uniform(0.04, 0.075), rng.uniform(-0.025, 0.025)), yaw
 
 
 TASKS: tuple[Task, ...] = (OpenDrawer(), CloseDrawer(), StoreCubeDrop(), StoreCubeDrag())

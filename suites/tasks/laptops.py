@@ -13,9 +13,9 @@ from kinebench_drake.suites.start import START_WIDTH_M
 from kinebench_drake.suites.tasks.state import State, to_frame
 from kinebench_drake.suites.tasks.task import Difficulty, Placement, SceneLayout, Task, TaskCard, TaskVariant
 
-OPEN_RAD = np.deg2rad(90.0)
+OPEN_RAD = float(np.deg2rad(90.0))
 """Least opening of an open lid."""
-SHUT_RAD = np.deg2rad(4.0)
+SHUT_RAD = float(np.deg2rad(4.0))
 """Greatest opening of a shut lid."""
 
 FORWARD_M = (0.45, 0.52)
@@ -61,7 +61,7 @@ class _MoveLid(Task):
 
     def progress(self, state: State) -> Tensor:
         """Return the fraction of the lid's way to the goal."""
-        return state.joint_progress("laptop", torch.full_like(state.joints["laptop"], self.goal_rad))
+        return state.joint_progress("laptop", self.goal_rad)
 
 
 class _OpenLid(_MoveLid):

@@ -73,11 +73,11 @@ class State:
         offsets = torch.stack([torch.as_tensor(frame.X_BodyS, dtype=torch.float32) for frame in frames])
         return self.poses[body] @ offsets.to(self.X_BG.device)
 
-    def joint_progress(self, name: str, goal: Tensor) -> Tensor:
+    def joint_progress(self, name: str, goal: Tensor | float) -> Tensor:
         """Return the fraction (N,) of the way to the joint position `goal` (N,) covered since the episode began."""
         start = self.joint_starts[name]
         way = goal - start
-        return (self.joints[name] - start) / torch.where(way.abs() < 1e-6, torch.full_like(way, 1e-6), way)
+        return (self.joints[name] - start) / torch.where(way.abs() < 1e-6, 1e-6, way)
 
     def distance_progress(self, name: str, goal: Tensor) -> Tensor:
         """Return the fraction (N,) of the distance from an object to `goal` (N, 3) [m] covered since the start."""

@@ -8,8 +8,7 @@ import pytest
 
 from kinebench_drake.geometry import Array, make_pose, rotation_exp, to_quaternion
 from kinebench_drake.suites.assets import blocks, marks
-from kinebench_drake.suites.assets.library import asset_ids, model
-from kinebench_drake.suites.episode import compose
+from kinebench_drake.suites.episode import asset_ids, compose, model
 from kinebench_drake.suites.experts.registry import find_expert
 from kinebench_drake.suites.rollout import run_expert
 from kinebench_drake.suites.simulator import Simulator, TaskOutcome

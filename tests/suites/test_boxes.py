@@ -9,9 +9,8 @@ import torch
 from kinebench_drake.geometry import make_pose, rotation_exp, transform_points
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.suites.assets.boxes import FLUSH, OPEN_RAD, OVERHANG_M, RIMMED, with_tight_hinge
-from kinebench_drake.suites.assets.library import asset_ids, model
 from kinebench_drake.suites.assets.model import AssetModel
-from kinebench_drake.suites.episode import compose
+from kinebench_drake.suites.episode import asset_ids, compose, model
 from kinebench_drake.suites.experts.registry import find_expert
 from kinebench_drake.suites.rollout import run_expert
 from kinebench_drake.suites.simulator import Simulator

@@ -9,9 +9,8 @@ import pytest
 from kinebench_drake.geometry import Array, to_quaternion
 from kinebench_drake.suites.assets import cabinets
 from kinebench_drake.suites.assets.blocks import EDGE_M
-from kinebench_drake.suites.assets.library import asset_ids, model
 from kinebench_drake.suites.assets.model import ColliderKind, RigidBody
-from kinebench_drake.suites.episode import compose
+from kinebench_drake.suites.episode import asset_ids, compose, model
 from kinebench_drake.suites.experts.registry import find_expert
 from kinebench_drake.suites.rollout import run_expert
 from kinebench_drake.suites.simulator import Simulator

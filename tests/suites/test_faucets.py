@@ -8,9 +8,8 @@ import pytest
 
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.suites.assets import faucets
-from kinebench_drake.suites.assets.library import asset_ids, model
 from kinebench_drake.suites.assets.model import AssetModel, RigidBody
-from kinebench_drake.suites.episode import compose
+from kinebench_drake.suites.episode import asset_ids, compose, model
 from kinebench_drake.suites.experts.clearance import SceneGeometry
 from kinebench_drake.suites.experts.registry import find_expert
 from kinebench_drake.suites.rollout import run_expert

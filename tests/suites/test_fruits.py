@@ -10,8 +10,7 @@ import torch
 from kinebench_drake.geometry import Array, make_pose
 from kinebench_drake.suites.assets.containers import COMPARTMENTS, compartment_center
 from kinebench_drake.suites.assets.fruits import FRUITS
-from kinebench_drake.suites.assets.library import asset_ids, model
-from kinebench_drake.suites.episode import Episode, compose
+from kinebench_drake.suites.episode import Episode, asset_ids, compose, model
 from kinebench_drake.suites.experts.registry import find_expert
 from kinebench_drake.suites.rollout import run_expert
 from kinebench_drake.suites.simulator import Simulator

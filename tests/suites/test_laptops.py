@@ -10,9 +10,8 @@ import torch
 from kinebench_drake.geometry import Array, make_pose
 from kinebench_drake.suites.assets import laptops as assets
 from kinebench_drake.suites.assets.laptops import GREATEST_RAD
-from kinebench_drake.suites.assets.library import asset_ids, model
 from kinebench_drake.suites.assets.model import AssetModel
-from kinebench_drake.suites.episode import compose
+from kinebench_drake.suites.episode import asset_ids, compose, model
 from kinebench_drake.suites.experts.registry import find_expert
 from kinebench_drake.suites.rollout import run_expert
 from kinebench_drake.suites.simulator import Simulator

@@ -5,8 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from kinebench_drake.suites.assets.library import INSTANCES, KINDS, asset_ids, model
-from kinebench_drake.suites.episode import compose
+from kinebench_drake.suites.episode import INSTANCES, KINDS, asset_ids, compose, model
 from kinebench_drake.suites.experts.registry import EXPERTS
 from kinebench_drake.suites.simulator import Simulator
 from kinebench_drake.suites.tasks.registry import TASKS
