@@ -1,6 +1,6 @@
 """Success rates of scripted policies: the expert, a still robot, random motion."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from functools import partial
@@ -45,31 +45,24 @@ class ExpertTrial:
     """Number of frames, including the first."""
 
 
-class _TrialWorker:
-    """Runs trials in one process."""
+def _make_worker(policy: Policy) -> Callable[[Episode], ExpertTrial]:
+    """Create, in each process, the function that runs a trial."""
+    simulators = SimulatorCache(Simulator, benchmark_camera().width, renders=False)
 
-    def __init__(self, policy: Policy) -> None:
-        self._policy = policy
-        self._simulators = SimulatorCache(Simulator, benchmark_camera().width, renders=False)
-
-    def __call__(self, episode: Episode) -> ExpertTrial:
-        simulator = self._simulators.get(episode.task, episode.variant)
+    def run_trial(episode: Episode) -> ExpertTrial:
+        simulator = simulators.get(episode.task, episode.variant)
+        trial = partial(ExpertTrial, episode=episode, policy=policy)
         try:
-            if self._policy is Policy.EXPERT:
+            if policy is Policy.EXPERT:
                 rollout = run_expert(simulator, find_expert(episode.task), episode)
                 outcome, frames = rollout.outcome, len(rollout.snapshots)
             else:
-                outcome, frames = _run_open_loop(simulator, episode, self._policy)
+                outcome, frames = _run_open_loop(simulator, episode, policy)
         except Exception as error:
-            return ExpertTrial(episode=episode, policy=self._policy, reason=failure_reason(error), frames=1)
-        return ExpertTrial(
-            episode=episode,
-            policy=self._policy,
-            success=outcome.success,
-            progress=outcome.progress,
-            reason=outcome.reason,
-            frames=frames,
-        )
+            return trial(reason=failure_reason(error), frames=1)
+        return trial(success=outcome.success, progress=outcome.progress, reason=outcome.reason, frames=frames)
+
+    return run_trial
 
 
 def _run_open_loop(simulator: Simulator, episode: Episode, policy: Policy) -> tuple[TaskOutcome, int]:
@@ -93,7 +86,7 @@ def _run_open_loop(simulator: Simulator, episode: Episode, policy: Policy) -> tu
 
 def run_trials(executor: Executor, episodes: Sequence[Episode], policy: Policy) -> Iterator[ExpertTrial]:
     """Run every episode once and yield the trials in any order; a worker crash is a failed trial."""
-    for done in executor.run(partial(_TrialWorker, policy), list(episodes)):
+    for done in executor.run(partial(_make_worker, policy), list(episodes)):
         if isinstance(done, WorkerCrash):
             yield ExpertTrial(episode=done.item, policy=policy, reason=done.reason, frames=0)
         else:

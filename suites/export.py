@@ -68,13 +68,8 @@ class ExportConfig(DatasetConfig):
         ]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _FirstFrame:
-    """Episode and robot state of a first frame."""
-
-    episode: Episode
-    state: dict[str, Any]
-    """Robot state, as manifest keys."""
+_FirstFrame = tuple[Episode, dict[str, Any]]
+"""Episode and robot state of a first frame, as manifest keys."""
 
 
 def _make_worker(size: int, out: Path) -> Callable[[EpisodeSpec], _FirstFrame]:
@@ -88,8 +83,7 @@ def _make_worker(size: int, out: Path) -> Callable[[EpisodeSpec], _FirstFrame]:
         rgb = simulator.render().rgb
         with atomic_path(out / f"{episode.id}.png") as part:
             Image.fromarray(rgb).save(part, format="png")
-        width_m = float(simulator.snapshot().fingers_m.sum())
-        return _FirstFrame(episode=episode, state=first_facts(simulator.link_pose(TCP_LINK), width_m))
+        return episode, first_facts(simulator.link_pose(TCP_LINK), float(simulator.snapshot().fingers_m.sum()))
 
     return render
 
@@ -111,17 +105,16 @@ def export_suite(config: ExportConfig, executor: Executor, observer: Observer) -
         if isinstance(done, WorkerCrash):
             raise SetupError(f"{done.item.task} seed {done.item.seed}: {done.reason}; run the same command again")
         frames[done.item] = done.result
-        observer.advance(done.result.episode.id)
+        observer.advance(done.result[0].id)
     ordered = [frames[spec] for spec in specs]
     save_camera(benchmark_camera().resized(config.size, config.size), config.out / CAMERA)
-    write_lines(config.out / MANIFEST, [_manifest_row(frame, config) for frame in ordered])
-    write_lines(config.out / EPISODES, [_episode_row(frame.episode, config) for frame in ordered])
+    write_lines(config.out / MANIFEST, [_manifest_row(*frame, config) for frame in ordered])
+    write_lines(config.out / EPISODES, [_episode_row(episode, config) for episode, _ in ordered])
     write_json(config.out / SUMMARY, _summary(config, len(ordered)))
     return len(ordered)
 
 
-def _manifest_row(frame: _FirstFrame, config: ExportConfig) -> dict[str, Any]:
-    episode = frame.episode
+def _manifest_row(episode: Episode, state: dict[str, Any], config: ExportConfig) -> dict[str, Any]:
     return {
         "video": f"{episode.id}.mp4",
         "id": episode.id,
@@ -134,7 +127,7 @@ def _manifest_row(frame: _FirstFrame, config: ExportConfig) -> dict[str, Any]:
         "frame_period_s": FRAME_PERIOD_S,
         "suite": config.suite.number,
         "split": config.split,
-        **frame.state,
+        **state,
     }
 
 

@@ -181,7 +181,11 @@ def plant_camera_motion(
         rng: draws the motion.
     """
     n = len(recording)
-    path = _shake(n, rng) if form is FaultForm.SHAKE else _drift(n, rng)
+    if form is FaultForm.SHAKE:
+        path = _shake(n, rng)
+    else:
+        angle = rng.uniform(0.0, 2 * np.pi)
+        path = np.linspace(0.0, 1.0, n)[:, None] * np.array([np.cos(angle), np.sin(angle)])
     cameras = [_shift_camera(recording, size_px * offset, turning=form is FaultForm.SHAKE) for offset in path]
     part = recording.render_again(range(1, n), lambda i: recording.simulator.set_camera_pose(cameras[i]))
     return recording.plant(part, 1, AnomalyKind.CAMERA, size_px, form)
@@ -195,11 +199,6 @@ def _shake(n: int, rng: np.random.Generator) -> Array:
     path = np.stack([np.convolve(noise[:, axis], kernel, mode="valid") for axis in (0, 1)], axis=1)
     path -= path[0]
     return np.asarray(path / np.linalg.norm(path, axis=1).max())
-
-
-def _drift(n: int, rng: np.random.Generator) -> Array:
-    angle = rng.uniform(0.0, 2 * np.pi)
-    return np.asarray(np.linspace(0.0, 1.0, n)[:, None] * np.array([np.cos(angle), np.sin(angle)]))
 
 
 def _shift_camera(recording: Recording, offset_px: Array, *, turning: bool) -> Camera:

@@ -28,11 +28,6 @@ def _names(task: str, id: str, clips: int) -> list[str]:
     return [id] if TASKS[task].card.clips == 1 else [f"{id}_c{k}" for k in range(clips)]
 
 
-def _initial_state(truth: Path) -> dict[str, Any]:
-    with np.load(truth) as arrays:
-        return first_facts(arrays["base_from_tcp"][0], float(arrays["finger_width_m"][0]))
-
-
 class VideoFolder:
     """Format of a video folder."""
 
@@ -78,10 +73,9 @@ class VideoFolder:
                         "variant": record.facts["variant"],
                     }
                 )
-                manifest.append(
-                    {"video": f"{name}.mp4", "id": name, **common, "prompt": record.prompt, **timing, **source}
-                    | _initial_state(folder / "truth" / f"{name}.npz")
-                )
+                row = {"video": f"{name}.mp4", "id": name, **common, "prompt": record.prompt, **timing, **source}
+                with np.load(folder / "truth" / f"{name}.npz") as truth:
+                    manifest.append(row | first_facts(truth["base_from_tcp"][0], float(truth["finger_width_m"][0])))
         write_lines(folder / "metadata.jsonl", metadata)
         write_lines(folder / "manifest.jsonl", manifest)
         return []

@@ -63,25 +63,14 @@ class _MoveLid(Task):
         """Return the fraction of the lid's way to the goal."""
         return state.joint_progress("laptop", self.goal_rad)
 
-
-class _OpenLid(_MoveLid):
-    goal_rad = OPEN_RAD
-    turn_deg = (15.0, 35.0)
-
     @override
     def conditions(self, state: State) -> dict[str, Tensor]:
-        return {"open": state.joints["laptop"] >= OPEN_RAD, **state.rest_conditions("laptop", _distance_to_lid(state))}
+        angle = state.joints["laptop"]
+        goal = {"open": angle >= OPEN_RAD} if self.goal_rad == OPEN_RAD else {"shut": angle <= SHUT_RAD}
+        return {**goal, **state.rest_conditions("laptop", _distance_to_lid(state))}
 
 
-class _CloseLid(_MoveLid):
-    goal_rad = SHUT_RAD
-
-    @override
-    def conditions(self, state: State) -> dict[str, Tensor]:
-        return {"shut": state.joints["laptop"] <= SHUT_RAD, **state.rest_conditions("laptop", _distance_to_lid(state))}
-
-
-class OpenLaptopEasy(_OpenLid):
+class OpenLaptopEasy(_MoveLid):
     """Push a laptop that is ajar open.
 
     Description: the lid is slightly open; put a finger under its edge and push it up and over until it stands.
@@ -95,10 +84,11 @@ class OpenLaptopEasy(_OpenLid):
         "The robot arm puts a finger under the lid of the {} that stands ajar and pushes it up and back until the "
         "laptop is open."
     )
-    start_deg = (18.0, 32.0)
+    goal_rad = OPEN_RAD
+    start_deg, turn_deg = (18.0, 32.0), (15.0, 35.0)
 
 
-class OpenLaptopHard(_OpenLid):
+class OpenLaptopHard(_MoveLid):
     """Pry a shut laptop's lid up and push it open.
 
     Description: the laptop is shut; pry the lid's edge up with a fingertip, then push it up and over until it stands.
@@ -114,10 +104,11 @@ class OpenLaptopHard(_OpenLid):
         "The robot arm pries up the edge of the shut {}'s lid with a fingertip, then pushes the lid up and back until "
         "the laptop is open."
     )
-    start_deg = (0.0, 0.0)
+    goal_rad = OPEN_RAD
+    start_deg, turn_deg = (0.0, 0.0), (15.0, 35.0)
 
 
-class CloseLaptopEasy(_CloseLid):
+class CloseLaptopEasy(_MoveLid):
     """Press a half-open laptop shut.
 
     Description: the lid is partly open; press it down from above until it lies on the base.
@@ -128,11 +119,11 @@ class CloseLaptopEasy(_CloseLid):
 
     card = TaskCard(id="CloseLaptopEasy-v1", family="laptops", difficulty=Difficulty.EASY, articulated_dof=1, axes="x")
     prompt = "The robot arm presses the lid of the half-open {} down until the laptop is shut."
-    start_deg = (37.0, 47.0)
-    turn_deg = (-15.0, 20.0)
+    goal_rad = SHUT_RAD
+    start_deg, turn_deg = (37.0, 47.0), (-15.0, 20.0)
 
 
-class CloseLaptopHard(_CloseLid):
+class CloseLaptopHard(_MoveLid):
     """Shut a laptop that is wide open.
 
     Description: the lid leans back past the vertical; reach behind it, pull it forward over the vertical, then press it
@@ -149,8 +140,8 @@ class CloseLaptopHard(_CloseLid):
         "The robot arm reaches behind the lid of the wide open {}, pulls it up and forward, then presses it down until "
         "the laptop is shut."
     )
-    start_deg = (110.0, 125.0)
-    turn_deg = (-25.0, 0.0)
+    goal_rad = SHUT_RAD
+    start_deg, turn_deg = (110.0, 125.0), (-25.0, 0.0)
     side_m = (-0.02, 0.02)
 
 
