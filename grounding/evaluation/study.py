@@ -8,7 +8,7 @@ from typing import Any
 from kinebench_drake.errors import UsageError
 from kinebench_drake.executors.base import Executor, MakeWorker
 from kinebench_drake.executors.progress import Observer
-from kinebench_drake.grounding.evaluation.clip import TruthClipFile, choose, find_clips
+from kinebench_drake.grounding.evaluation.clip import choose, find_clips
 from kinebench_drake.grounding.evaluation.errors import ClipErrors
 from kinebench_drake.grounding.evaluation.perturbation.catalogue import PerturbationKind, ladder
 from kinebench_drake.grounding.evaluation.reframing import reframings
@@ -56,14 +56,6 @@ class StudyPlan:
     seed: int = 0
     keep: Path | None = None
     """File of finished measurements."""
-
-    def clips(self) -> list[TruthClipFile]:
-        """Return the videos.
-
-        Raises:
-            UsageError: there are no videos, or their ground truth is missing.
-        """
-        return choose(find_clips(self.folder), self.limit)
 
 
 def evaluation(variant: str) -> GroundingStudy:
@@ -164,7 +156,7 @@ def run_study(
         UsageError: the folder holds no clips with ground truth.
         SetupError: weights or libraries are missing, or a worker died.
     """
-    clips = plan.clips()
+    clips = choose(find_clips(plan.folder), plan.limit)
     if not study.conditions:
         raise UsageError("there is nothing to compare; name at least one condition")
     trials = [GroundingTrial(clip=clip, condition=condition) for clip in clips for condition in study.conditions]

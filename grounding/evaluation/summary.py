@@ -144,25 +144,14 @@ def _pooled(results: Results, values: Callable[[ClipErrors], Array]) -> Array:
     return np.asarray(pooled[np.isfinite(pooled)])
 
 
-def _mm(e: ClipErrors) -> Array:
-    return np.asarray(e.position_m[e.tracked & e.visible] * 1e3)
-
-
-def _degrees(e: ClipErrors) -> Array:
-    return np.asarray(np.rad2deg(e.rotation_rad[e.tracked & e.visible]))
-
-
-def _width_mm(e: ClipErrors) -> Array:
-    return np.asarray(e.finger_m[e.tracked & e.visible] * 1e3)
-
-
 def percentile(values: Array, q: float) -> float:
     """Return a percentile; NaN without values."""
     return float(np.percentile(values, q)) if values.size else float("nan")
 
 
 def _spread(values: Callable[[ClipErrors], Array], q: float) -> Statistic:
-    return lambda results: percentile(_pooled(results, values), q)
+    """Return the percentile of values (T,) over the tracked frames with a gripper."""
+    return lambda results: percentile(_pooled(results, lambda e: values(e)[e.tracked & e.visible]), q)
 
 
 def _mean(values: Callable[[ClipErrors], NDArray[np.bool_]]) -> Statistic:
@@ -192,19 +181,19 @@ def _lasting_flips(results: Results) -> float:
 ACCURACY: Mapping[str, Statistic] = {
     "tracked_fraction": _tracked_fraction,
     "tracked_when_seen": _mean(lambda e: e.tracked[e.share >= VISIBLE_SHARE]),
-    "position_median_mm": _spread(_mm, 50),
-    "position_p95_mm": _spread(_mm, 95),
-    "rotation_median_deg": _spread(_degrees, 50),
-    "rotation_p95_deg": _spread(_degrees, 95),
+    "position_median_mm": _spread(lambda e: e.position_m * 1e3, 50),
+    "position_p95_mm": _spread(lambda e: e.position_m * 1e3, 95),
+    "rotation_median_deg": _spread(lambda e: np.rad2deg(e.rotation_rad), 50),
+    "rotation_p95_deg": _spread(lambda e: np.rad2deg(e.rotation_rad), 95),
     "tracked_frames_off_by_3_cm": _false_tracks,
 }
 """Figures of every comparison."""
 
 MORE: Mapping[str, Statistic] = {
-    "position_max_mm": _spread(_mm, 100),
-    "rotation_max_deg": _spread(_degrees, 100),
-    "finger_width_median_mm": _spread(_width_mm, 50),
-    "finger_width_p95_mm": _spread(_width_mm, 95),
+    "position_max_mm": _spread(lambda e: e.position_m * 1e3, 100),
+    "rotation_max_deg": _spread(lambda e: np.rad2deg(e.rotation_rad), 100),
+    "finger_width_median_mm": _spread(lambda e: e.finger_m * 1e3, 50),
+    "finger_width_p95_mm": _spread(lambda e: e.finger_m * 1e3, 95),
     "finger_width_known": _mean(lambda e: np.isfinite(e.width_m[e.tracked & e.visible])),
     "open_or_closed_right": _mean(lambda e: open_is_correct(e.width_m[e.tracked], e.true_width_m[e.tracked])),
     "lasting_flips": _lasting_flips,

@@ -91,7 +91,10 @@ class TrialWorkerFactory:
         def measure(trial: GroundingTrial) -> ClipErrors:
             if trial.clip.id not in loaded:
                 loaded.clear()
-                loaded[trial.clip.id] = self._load(trial.clip, tools)
+                clip = trial.clip.load(with_depth=self.with_depth)
+                masks = clip.masks(tools.cad)
+                share = clip.visible_share(masks, tools.cad)
+                loaded[trial.clip.id] = clip, read_video(clip.path).frames, masks, share
             (clip, original, masks, share), condition = loaded[trial.clip.id], trial.condition
             frames = None
             if condition.reframing is not None:
@@ -103,11 +106,6 @@ class TrialWorkerFactory:
             return evaluate(clip, self._pipeline(condition), tools, frames=frames, share=share)
 
         return measure
-
-    def _load(self, file: TruthClipFile, tools: VariantTools) -> LoadedClip:
-        clip = file.load(with_depth=self.with_depth)
-        frames, masks = read_video(clip.path).frames, clip.masks(tools.cad)
-        return clip, frames, masks, clip.visible_share(masks, tools.cad)
 
     def _pipeline(self, condition: TrialCondition) -> Ground:
         if condition.plug_in is not None:

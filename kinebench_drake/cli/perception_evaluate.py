@@ -230,6 +230,7 @@ Example:
 def robustness(options: MeasureOptions, only: str, sheet: Path | None) -> None:
     """Measure the errors of the same videos under perturbations of the frames."""
     from kinebench_drake.grounding.evaluation import study
+    from kinebench_drake.grounding.evaluation.clip import find_clips
     from kinebench_drake.grounding.evaluation.figures import draw_contact_sheet
     from kinebench_drake.grounding.evaluation.perturbation.catalogue import PerturbationKind
     from kinebench_drake.io.figure import save
@@ -240,7 +241,7 @@ def robustness(options: MeasureOptions, only: str, sheet: Path | None) -> None:
     except ValueError:
         raise click.BadParameter(f"{only!r}; there are {', '.join(_KINDS)}", param_hint="--only") from None
     if sheet:
-        first = study.StudyPlan(folder=options.folder).clips()[0]
+        first = find_clips(options.folder)[0]
         save(draw_contact_sheet(first, kinds, options.seed), sheet)
     _write_json(options.json_out, options.compare(study.robustness(kinds)).to_json())
 
@@ -268,13 +269,14 @@ def depth_ablation(options: MeasureOptions, plug_ins: tuple[str, ...], heatmap: 
     FOLDER is the output of `suite demos --with-depth`.
     """
     from kinebench_drake.grounding.evaluation import study
+    from kinebench_drake.grounding.evaluation.clip import choose, find_clips
     from kinebench_drake.grounding.evaluation.depth_map import draw_depth, measure_depth
     from kinebench_drake.grounding.evaluation.variants import VariantTools
     from kinebench_drake.io.figure import save
 
     _check_figure(heatmap)
     outcome = options.compare(study.depth_ablation(plug_ins))
-    clips = study.StudyPlan(folder=options.folder, limit=options.limit).clips()
+    clips = choose(find_clips(options.folder), options.limit)
     errors = measure_depth(clips, VariantTools.load(options.weights).estimator)
     figures = {}
     if errors is not None:

@@ -29,6 +29,11 @@ class Column:
     """True if the values are estimates: CSV files then have columns for the interval and the sample count."""
 
 
+def plain_columns(**labels: str) -> tuple[Column, ...]:
+    """Return columns of texts and counts from their labels by key."""
+    return tuple(Column(key=key, label=label) for key, label in labels.items())
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Table:
     """A table with its caption."""

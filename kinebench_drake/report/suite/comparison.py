@@ -11,7 +11,7 @@ from kinebench_drake.io.figure import FAINT, new_figure
 from kinebench_drake.report.figures import COLOURS, ReportFigure, draw_interval, label_shares
 from kinebench_drake.report.suite.episode import EpisodeResult, SuitePart, balanced_mean, group_by, list_models
 from kinebench_drake.report.suite.folders import RunFolder, pool_episodes, read_folders
-from kinebench_drake.report.table import Column, Table, Value, table_lines
+from kinebench_drake.report.table import Column, Table, Value, plain_columns, table_lines
 from kinebench_drake.results.aggregate import Estimate
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.stats import PairedOutcomes
@@ -209,10 +209,7 @@ def tabulate_comparison(pairs: Sequence[PairComparison]) -> Table:
         "over the tasks of two models on one suite. Progress, every task the same, with 95 % bootstrap intervals over "
         "episodes within tasks.",
         columns=(
-            Column(key="part", label="Suite"),
-            Column(key="first", label="First"),
-            Column(key="second", label="Second"),
-            Column(key="task", label="Task"),
+            *plain_columns(part="Suite", first="First", second="Second", task="Task"),
             Column(key="success_first", label="Success, first", pattern="{:.1%}"),
             Column(key="success_second", label="Success, second", pattern="{:.1%}"),
             Column(key="difference", label="Difference", pattern="{:+.1%}", estimated=True),
@@ -221,8 +218,7 @@ def tabulate_comparison(pairs: Sequence[PairComparison]) -> Table:
             Column(key="first_only", label="First only", meaning="episodes in which only the first model succeeds"),
             Column(key="second_only", label="Second only", meaning="episodes in which only the second model succeeds"),
             Column(key="progress_difference", label="Progress", pattern="{:+.1%}", estimated=True),
-            Column(key="measured", label="Measured by both"),
-            Column(key="shared", label="Shared"),
+            *plain_columns(measured="Measured by both", shared="Shared"),
             Column(key="difference_all", label="Difference, unmeasured as failures", pattern="{:+.1%}", estimated=True),
         ),
         rows=tuple(_row(c) for c in pairs),

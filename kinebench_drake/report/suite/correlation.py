@@ -12,7 +12,7 @@ from kinebench_drake.io.figure import FAINT, new_figure, plain
 from kinebench_drake.report.figures import COLOURS, ReportFigure, add_legend, style
 from kinebench_drake.report.suite.episode import EpisodeResult, SuitePart, group_by
 from kinebench_drake.report.suite.folders import model_of
-from kinebench_drake.report.table import Column, Table
+from kinebench_drake.report.table import Column, Table, plain_columns
 from kinebench_drake.results.aggregate import Estimate
 from kinebench_drake.stats import percentile_interval, resampled_counts
 
@@ -157,8 +157,7 @@ def tabulate_correlation(study: SparcStudy, seed: int = 0) -> Table:
             Column(
                 key="rho", label="Spearman's rho", pattern="{:.2f}", estimated=True, meaning="1: smoother is better"
             ),
-            Column(key="points", label="Models"),
-            Column(key="tasks", label="Tasks"),
+            *plain_columns(points="Models", tasks="Tasks"),
         ),
         rows=tuple((title, rho, rho.n, tasks) for title, rho, tasks in lines),
     )

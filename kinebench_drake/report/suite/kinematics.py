@@ -10,7 +10,7 @@ from kinebench_drake.report.figures import COLOURS, ReportFigure, add_legend, as
 from kinebench_drake.report.metric import BY_NAME
 from kinebench_drake.report.suite.episode import COST, EpisodeResult, group_by_run, list_models, mean_over_tasks
 from kinebench_drake.report.suite.success import COST_COLUMN
-from kinebench_drake.report.table import Column, Table
+from kinebench_drake.report.table import Column, Table, plain_columns
 from kinebench_drake.results.aggregate import robust_normalize
 
 _METRICS = (
@@ -48,8 +48,7 @@ def tabulate_kinematics(episodes: Sequence[EpisodeResult], seed: int = 0) -> Tab
         note="Means over tasks of the episodes that have the metric, with 95 % bootstrap intervals over episodes "
         "within tasks; successes and failures alike.",
         columns=(
-            Column(key="part", label="Suite"),
-            Column(key="model", label="Model"),
+            *plain_columns(part="Suite", model="Model"),
             COST_COLUMN,
             *(
                 Column(key=name, label=label, pattern=pattern, meaning=BY_NAME[name].meaning, estimated=True)

@@ -10,7 +10,7 @@ from kinebench_drake.io.figure import new_figure
 from kinebench_drake.report.figures import ReportFigure, style
 from kinebench_drake.report.suite.episode import EpisodeResult, group_by, mean_over_tasks
 from kinebench_drake.report.suite.folders import RunFolder, model_of
-from kinebench_drake.report.table import Column, Table
+from kinebench_drake.report.table import Column, Table, plain_columns
 from kinebench_drake.results.aggregate import Estimate
 
 SUITE = 3
@@ -113,9 +113,7 @@ def tabulate_scaling(studies: Sequence[Scaling]) -> Table:
         title="Success by demonstrations, steps and difficulty of the tasks",
         note="Suite 3: means over the tasks of a difficulty, with 95 % bootstrap intervals over episodes within tasks.",
         columns=(
-            Column(key="model", label="Model"),
-            Column(key="data", label="Demonstrations a task"),
-            Column(key="steps", label="Steps"),
+            *plain_columns(model="Model", data="Demonstrations a task", steps="Steps"),
             *(Column(key=f"success_{v}", label=v.capitalize(), pattern="{:.1%}", estimated=True) for v in levels),
         ),
         rows=tuple(

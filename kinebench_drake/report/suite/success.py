@@ -27,7 +27,7 @@ from kinebench_drake.report.suite.episode import (
     list_models,
     mean_over_tasks,
 )
-from kinebench_drake.report.table import Column, Table, Value
+from kinebench_drake.report.table import Column, Table, Value, plain_columns
 from kinebench_drake.results.aggregate import Estimate, estimate
 from kinebench_drake.results.row import Status
 
@@ -174,9 +174,7 @@ def tabulate_summary(episodes: Sequence[EpisodeResult], seed: int = 0) -> Table:
         "episodes within tasks); pooled success counts every episode the same (95 % Wilson intervals). Episodes that "
         "could not be measured are no failures: the last rate shows what they would make of it if they were.",
         columns=(
-            Column(key="part", label="Suite"),
-            Column(key="model", label="Model"),
-            Column(key="tasks", label="Tasks"),
+            *plain_columns(part="Suite", model="Model", tasks="Tasks"),
             Column(key="success", label="Success", pattern=_PERCENT, estimated=True, meaning="mean over tasks"),
             Column(key="success_pooled", label="Success, pooled", pattern=_PERCENT, estimated=True),
             *_TALLY,
@@ -197,9 +195,7 @@ def tabulate_tasks(episodes: Sequence[EpisodeResult], seed: int = 0) -> Table:
         title="Each task",
         note="Success with 95 % Wilson intervals, the other means with 95 % bootstrap intervals over episodes.",
         columns=(
-            Column(key="part", label="Suite"),
-            Column(key="task", label="Task"),
-            Column(key="model", label="Model"),
+            *plain_columns(part="Suite", task="Task", model="Model"),
             Column(key="success", label="Success", pattern=_PERCENT, estimated=True),
             *_TALLY,
         ),
