@@ -61,7 +61,8 @@ def relax(
         if step >= _STEPS:
             if problem.peak(residual) <= 1.0:
                 break
-            weights = problem.reweighted(residual)
+            # weights grow steeply where a ratio exceeds 1
+            weights = [1.0 + _PEAK_WEIGHT * np.minimum(np.abs(r), _PEAK_AT_MOST) ** 6 for r in residual]
         n = solver.direction(X_BG, q)
         if fixed is not None:
             n[fixed] = 0.0
@@ -116,11 +117,6 @@ class _Smoothing:
     def peak(residual: list[Array]) -> float:
         """Return the largest ratio."""
         return max(float(np.abs(r).max()) for r in residual)
-
-    @staticmethod
-    def reweighted(residual: list[Array]) -> list[Array]:
-        """Return weights, in the shapes of the residuals, that grow steeply where a ratio exceeds 1."""
-        return [1.0 + _PEAK_WEIGHT * np.minimum(np.abs(r), _PEAK_AT_MOST) ** 6 for r in residual]
 
     def _past(self, q: Array) -> Array:
         return np.asarray(np.maximum(q - self._upper, 0.0) - np.maximum(self._lower - q, 0.0))

@@ -151,8 +151,7 @@ def solve_tube(
 
     B = basis.values(poses.t_s)
     for i in range(frames):
-        first, values = _row(B, i)
-        near = x[N_JOINTS * first : N_JOINTS * (first + len(values))]
+        near, values = _row(B, i, x)
         variables = np.concatenate([r, near])
         target = _MM * (poses.J[i] @ poses.q[i] + poses.e[i])
         for part in (slice(0, 3), slice(3, 6)):
@@ -167,8 +166,7 @@ def solve_tube(
     scale = _ACCELERATION if limits.rates[1] is None else limits.rates[1]
     D = basis.derivatives[2]
     for k in range(D.shape[0]):
-        first, values = _row(D, k)
-        near = x[N_JOINTS * first : N_JOINTS * (first + len(values))]
+        near, values = _row(D, k, x)
         Q = 2.0 * _SMOOTHNESS / _FRAMES * np.kron(np.outer(values, values), np.diag(np.ones(N_JOINTS) / scale**2))
         prog.AddQuadraticCost(Q, np.zeros(len(near)), near, is_convex=True)
     if obstacles:
@@ -189,14 +187,14 @@ def proximity_cost_m(q: Array, q_near: Array, proximity: float) -> float:
     return proximity / _MM * float(np.sum((q - q_near) ** 2)) / (_STEP_RAD**2 * _FRAMES)
 
 
-def _row(matrix: Any, i: int) -> tuple[int, Array]:
-    """Return first column and values of row i of a sparse banded matrix, with the zeros within the band."""
+def _row(matrix: Any, i: int, x: Any) -> tuple[Any, Array]:
+    """Return the control points of `x` within the band of row i of a sparse matrix, and the row's values there."""
     span = slice(matrix.indptr[i], matrix.indptr[i + 1])
     columns = matrix.indices[span]
     first = int(columns.min())
     values = np.zeros(int(columns.max()) - first + 1)
     values[columns - first] = matrix.data[span]
-    return first, values
+    return x[N_JOINTS * first : N_JOINTS * (first + len(values))], values
 
 
 def _add_obstacles(prog: Any, basis: SplineBasis, x: Any, obstacles: Sequence[Obstacle]) -> None:
