@@ -174,10 +174,6 @@ def _tracked_fraction(results: Results) -> float:
     return float(np.mean(fractions)) if fractions else float("nan")
 
 
-def _lasting_flips(results: Results) -> float:
-    return float(sum(length >= LASTING_FRAMES for e in results for length in e.flips))
-
-
 ACCURACY: Mapping[str, Statistic] = {
     "tracked_fraction": _tracked_fraction,
     "tracked_when_seen": _mean(lambda e: e.tracked[e.share >= VISIBLE_SHARE]),
@@ -196,7 +192,7 @@ MORE: Mapping[str, Statistic] = {
     "finger_width_p95_mm": _spread(lambda e: e.finger_m * 1e3, 95),
     "finger_width_known": _mean(lambda e: np.isfinite(e.width_m[e.tracked & e.visible])),
     "open_or_closed_right": _mean(lambda e: open_is_correct(e.width_m[e.tracked], e.true_width_m[e.tracked])),
-    "lasting_flips": _lasting_flips,
+    "lasting_flips": lambda results: float(sum(length >= LASTING_FRAMES for e in results for length in e.flips)),
     "calibration_error": lambda results: reliability(results).error,
 }
 """Further figures of a single pipeline."""

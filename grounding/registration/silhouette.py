@@ -61,7 +61,8 @@ class SilhouetteMatcher:
             return None
         distance, target = _signed_distance(rendered), _signed_distance(segmented)
         normal_rendered, normal_segmented = _outward_normal(distance), _outward_normal(target)
-        rim = rendered & (distance > -1.0) & ~_dilated(arm) & ~_dilated(~view.in_image) & ~_border(shape)
+        inner = np.pad(np.ones(np.subtract(shape, 4), bool), 2)
+        rim = rendered & (distance > -1.0) & ~_dilated(arm) & ~_dilated(~view.in_image) & inner
         step = target - distance
         agree = (normal_rendered * normal_segmented).sum(axis=-1) > _MIN_COSINE
         rim &= agree & (np.abs(step) <= gate)
@@ -112,9 +113,3 @@ def _outward_normal(distance: Array) -> Array:
 
 def _dilated(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return np.asarray(cv2.dilate(mask.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0)
-
-
-def _border(shape: tuple[int, ...]) -> NDArray[np.bool_]:
-    border = np.ones(shape, dtype=bool)
-    border[2:-2, 2:-2] = False
-    return border
