@@ -47,17 +47,17 @@ def write_wheel(folder: Path) -> Path:
     stem = f"{NAME.replace('-', '_')}-{VERSION}"
     info = f"{stem}.dist-info"
     files = {f"{info}/METADATA": _METADATA, f"{info}/WHEEL": _WHEEL}
-    record = [f"{name},sha256={_digest(text)},{len(text.encode())}\n" for name, text in files.items()]
+    data = {name: text.encode() for name, text in files.items()}
+    digests = {
+        name: base64.urlsafe_b64encode(hashlib.sha256(d).digest()).rstrip(b"=").decode() for name, d in data.items()
+    }
+    record = [f"{name},sha256={digests[name]},{len(d)}\n" for name, d in data.items()]
     files[f"{info}/RECORD"] = "".join([*record, f"{info}/RECORD,,\n"])
     path = folder / f"{stem}-py3-none-any.whl"
     with zipfile.ZipFile(path, "w") as wheel:
         for name, text in files.items():
             wheel.writestr(zipfile.ZipInfo(name), text)
     return path
-
-
-def _digest(text: str) -> str:
-    return base64.urlsafe_b64encode(hashlib.sha256(text.encode()).digest()).rstrip(b"=").decode()
 
 
 if __name__ == "__main__":

@@ -28,10 +28,6 @@ def _texel_positions() -> tuple[Array, Array]:
     return x, y
 
 
-def _uniform(light: Array, dark: Array, rng: np.random.Generator) -> Texture:
-    return gradient((light, dark), np.zeros((_PIXELS, _PIXELS)))
-
-
 def _rim(light: Array, dark: Array, rng: np.random.Generator) -> Texture:
     """Make a face with a darker rim."""
     x, y = _texel_positions()
@@ -50,7 +46,7 @@ def _grain(light: Array, dark: Array, rng: np.random.Generator) -> Texture:
     return gradient((dark, light), 0.3 + 0.7 * tileable_noise(rng, _PIXELS, slope=1.0, stretch=8.0))
 
 
-_FINISHES = (_uniform, _rim, _ring, _grain)
+_FINISHES = (lambda light, dark, _: gradient((light, dark), np.zeros((_PIXELS, _PIXELS))), _rim, _ring, _grain)
 
 
 def _cube(name: str, asset_id: str, index: int, rng: np.random.Generator) -> AssetModel:

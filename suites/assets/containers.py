@@ -171,10 +171,6 @@ def _walls(x: float, y: float, height: float, thick: float) -> list[tuple[list[f
 _STYLES = (_bowl, _basket, _tray, _plate)
 
 
-def _container(asset_id: str, index: int, rng: np.random.Generator) -> AssetModel:
-    return _STYLES[index % len(_STYLES)](asset_id, index // len(_STYLES), rng)
-
-
 def _crate(asset_id: str, index: int, rng: np.random.Generator) -> AssetModel:
     cell, deep = float(rng.uniform(0.082, 0.086)), float(rng.uniform(0.150, 0.158))
     divider, thick, floor = 0.005, float(rng.uniform(0.007, 0.009)), 0.005
@@ -222,7 +218,10 @@ def compartment_center(size: Callable[[str], float], number: int) -> Array:
     return np.array([0.0, (number - 0.5 * (COMPARTMENTS - 1)) * size("pitch_m"), size("floor_m")])
 
 
-KINDS = {"container": _container, "crate": _crate}
+KINDS = {
+    "container": lambda id, index, rng: _STYLES[index % len(_STYLES)](id, index // len(_STYLES), rng),
+    "crate": _crate,
+}
 """Sizes: `inner_x_m` and `inner_y_m` (width at the rim), `round` (1 if these are diameters), `reach_m` (greatest
 horizontal distance from the origin), `floor_m`, `rim_m` (heights); of a crate `pitch_m` (distance between
 compartments) and `outer_x_m`."""
