@@ -16,7 +16,7 @@ from kinebench_drake.evaluation.evaluator import SCHEMA_VERSION, Evaluator, Reso
 from kinebench_drake.evaluation.resume import resume
 from kinebench_drake.executors.base import Executor, SupportsDrain, WorkerCrash, create_executor
 from kinebench_drake.executors.interrupt import graceful_interrupt
-from kinebench_drake.executors.progress import NullObserver, Observer
+from kinebench_drake.executors.progress import Observer
 from kinebench_drake.io.atomic import disk_errors
 from kinebench_drake.report.sample import worst_samples
 from kinebench_drake.results.aggregate import Estimate, aggregate, estimate, normalize_run, split_rows
@@ -35,11 +35,8 @@ class RunObserver(Observer, Protocol):
         ...
 
 
-class NullRunObserver(NullObserver):
+class NullRunObserver(RunObserver):
     """Run observer that ignores every report; override the methods of interest."""
-
-    def finish(self, row: SampleRow, wall_s: float) -> None:
-        """Ignore the row."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -17,16 +17,3 @@ class Observer(Protocol):
     def advance(self, line: str, *, ok: bool = True) -> None:
         """Report one processed item, described by `line`; `ok`: whether it counts as completed."""
         ...
-
-
-class NullObserver:
-    """Observer that ignores every report."""
-
-    def warn(self, message: str) -> None:
-        """Ignore the warning."""
-
-    def start(self, total: int, completed: int) -> None:
-        """Ignore the counts."""
-
-    def advance(self, line: str, *, ok: bool = True) -> None:
-        """Ignore the item."""

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from kinebench_drake.executors.progress import NullObserver
+from kinebench_drake.executors.progress import Observer
 from kinebench_drake.suites.demo_config import DemoConfig
 from kinebench_drake.suites.formats.demo import FormatKind, RenderOptions
 from kinebench_drake.suites.suite import load_suite
@@ -13,7 +13,7 @@ FIRST = 1_000_000
 """The first seed for training."""
 
 
-class Recorder(NullObserver):
+class Recorder(Observer):
     """Observer that keeps what it receives."""
 
     def __init__(self) -> None:

@@ -10,7 +10,7 @@ from click.testing import CliRunner
 from kinebench_drake.cli import cli
 from kinebench_drake.errors import UsageError
 from kinebench_drake.executors.base import ExecutorKind, create_executor
-from kinebench_drake.executors.progress import NullObserver
+from kinebench_drake.executors.progress import Observer
 from kinebench_drake.grounding.evaluation import study
 from kinebench_drake.grounding.evaluation.clip import choose, find_clips
 from kinebench_drake.grounding.evaluation.errors import ClipErrors
@@ -24,7 +24,7 @@ from kinebench_drake.io.figure import save
 EXECUTOR = create_executor(ExecutorKind.LOCAL, 1)
 
 
-class SilentObserver(NullObserver):
+class SilentObserver(Observer):
     completed = 0
 
     def start(self, total: int, completed: int) -> None:
