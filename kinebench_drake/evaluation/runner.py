@@ -32,7 +32,7 @@ class RunObserver(Observer, Protocol):
 
     def finish(self, row: SampleRow, wall_s: float) -> None:
         """Report a sample whose row is stored, and its processing time [s]."""
-        ...
+        return None
 
 
 class NullRunObserver(RunObserver):
