@@ -1,11 +1,19 @@
-"""Rows and a page parser for the tests of reports."""
+"""Rows, a page parser and a browser for the tests of reports."""
 
+import json
+import re
+import shutil
+import subprocess
 from html.parser import HTMLParser
 
 from kinebench_drake.results.row import SampleRow, Status
 
 EVIL = "<script>alert('x')</script>"
 VOID = {"meta", "img", "input", "br", "circle", "path", "rect", "polyline", "line", "use"}
+BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+WIDTH = 390
+"""Width of a phone [px of CSS]."""
+WATCH = """<script>window.troubles = []; addEventListener("error", e => troubles.push(e.message));</script>"""
 
 
 class Page(HTMLParser):
@@ -42,3 +50,18 @@ def row(id, status=Status.OK, **changes):
             **{"reason": None if status is Status.OK else "because", **changes},
         }
     )
+
+
+def probe(page, script, profile, width=WIDTH):
+    """Open a page with a script added to it; returns the state that the script leaves."""
+    text = page.read_text().replace("<title>", f"{WATCH}<title>", 1).replace("</body>", f"{script}</body>")
+    page.write_text(text)
+    done = subprocess.run(
+        [BROWSER, "--headless", "--no-sandbox", "--disable-gpu", f"--window-size={width},844",
+         "--enable-logging=stderr", f"--user-data-dir={profile}", "--dump-dom", page.as_uri()],
+        capture_output=True, text=True, timeout=120, check=True,
+    )  # fmt: skip
+    assert "CONSOLE" not in done.stderr
+    state = json.loads(re.search(r'data-state="([^"]*)"', done.stdout)[1].replace("&quot;", '"'))
+    assert state["errors"] == []
+    return state

@@ -1,10 +1,5 @@
 """Pages in a browser: no error, nothing that overflows a phone, tables that sort, filter and unfold."""
 
-import json
-import re
-import shutil
-import subprocess
-
 import numpy as np
 import pytest
 
@@ -14,11 +9,8 @@ from kinebench_drake.results.row import Status
 from kinebench_drake.results.store import ResultStore
 from kinebench_drake.results.trackfile import write_track
 from kinebench_drake.types import GripperTrack
-from tests.report.pages import EVIL, row
+from tests.report.pages import BROWSER, EVIL, probe, row
 
-BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-WIDTH = 390
-"""Width of a phone [px of CSS]."""
 # 1 x 1 pixel, white.
 PICTURE = bytes.fromhex(
     "ffd8ffe000104a46494600010100000100010000ffdb004300"
@@ -50,7 +42,6 @@ addEventListener("load", () => {
 });
 </script>
 """
-WATCH = """<script>window.troubles = []; addEventListener("error", e => troubles.push(e.message));</script>"""
 
 
 @pytest.fixture
@@ -76,16 +67,7 @@ def page(tmp_path):
 
 @pytest.mark.skipif(BROWSER is None, reason="no chromium is installed")
 def test_the_page_works_in_a_browser_on_a_phone(page, tmp_path):
-    text = page.read_text().replace("<title>", f"{WATCH}<title>", 1).replace("</body>", f"{PROBE}</body>")
-    page.write_text(text)
-    done = subprocess.run(
-        [BROWSER, "--headless", "--no-sandbox", "--disable-gpu", f"--window-size={WIDTH},844",
-         "--enable-logging=stderr", f"--user-data-dir={tmp_path / 'profile'}", "--dump-dom", page.as_uri()],
-        capture_output=True, text=True, timeout=120, check=True,
-    )  # fmt: skip
-    assert "CONSOLE" not in done.stderr
-    state = json.loads(re.search(r'data-state="([^"]*)"', done.stdout)[1].replace("&quot;", '"'))
-    assert state["errors"] == []
+    state = probe(page, PROBE, tmp_path / "profile")
     assert state["width"] <= 500  # as narrow as the browser's windows get
     assert (state["overflow"], state["wide"]) == (0, 0)
     assert len(state["ids"]) == 100

@@ -14,8 +14,29 @@ from kinebench_drake.report.suite.folders import pool_episodes, read_folders
 from kinebench_drake.report.suite.suite_page import write_comparison, write_page, write_suite_report
 from kinebench_drake.report.table import Column, Table, escape_latex, table_csv, table_latex, table_lines
 from kinebench_drake.results.aggregate import Estimate
-from tests.report.pages import Page
+from tests.report.pages import BROWSER, WIDTH, Page, probe
 from tests.report.suite.synthetic import EVIL, change, outcome, write_run
+
+SIDEWAYS = """
+<script>
+addEventListener("load", () => {
+  const all = query => [...document.querySelectorAll(query)], room = document.documentElement.clientWidth;
+  const boxes = all(".scroll"), wide = boxes.filter(box => box.scrollWidth > box.clientWidth + 1);
+  const faded = () => wide.filter(box => box.matches(".more-right")).length;
+  const state = {errors: window.troubles, boxes: boxes.length, wide: wide.length, fadedAtStart: faded()};
+  state.hints = all(".hint:not([hidden]) + style + .scroll").length;
+  for (const box of wide) { box.scrollLeft = box.scrollWidth; box.dispatchEvent(new Event("scroll")); }
+  state.fadedAtEnd = faded();
+  const table = document.getElementById("table-summary"), model = table.tHead.rows[0].cells[1];
+  const left = model.getBoundingClientRect().left - table.closest(".scroll").getBoundingClientRect().left;
+  state.pinned = left >= 0 && left < 120;
+  state.captions = all("figcaption, .note").filter(part => part.getBoundingClientRect().right > room).length;
+  state.drawings = all("figure svg").filter(drawing => !drawing.closest(".scroll")).length;
+  state.overflow = document.documentElement.scrollWidth - room;
+  document.documentElement.setAttribute("data-state", JSON.stringify(state));
+});
+</script>
+"""
 
 
 @pytest.fixture
@@ -208,3 +229,14 @@ def test_a_refusal_is_one_line(tmp_path, capsys):
         main(["suite", "report", str(tmp_path), "--out", str(tmp_path / "x")])
     assert stop.value.code == 2
     assert capsys.readouterr().err.count("\n") == 1
+
+
+@pytest.mark.skipif(BROWSER is None, reason="no chromium is installed")
+@pytest.mark.parametrize("width", [WIDTH, 1400])
+def test_what_is_wider_than_its_room_says_so_and_scrolls(runs, tmp_path, width):
+    state = probe(write_suite_report(runs, tmp_path / "report"), SIDEWAYS, tmp_path / "profile", width)
+    assert state["wide"] >= (10 if width == WIDTH else 2)
+    assert state["wide"] < state["boxes"]
+    assert (state["hints"], state["fadedAtStart"], state["fadedAtEnd"]) == (state["wide"], state["wide"], 0)
+    assert state["pinned"]
+    assert (state["overflow"], state["captions"], state["drawings"]) == (0, 0, 0)
