@@ -25,7 +25,6 @@ from kinebench_drake.evaluation.audit import judge_trajectory
 from kinebench_drake.evaluation.evaluator import SampleInfo
 from kinebench_drake.evaluation.score import (
     BENCHMARK_PERIOD_S,
-    PeriodSource,
     check_period,
     ground_prepared,
     prepare_video,
@@ -36,6 +35,7 @@ from kinebench_drake.grounding.overrides.overrides import Overrides
 from kinebench_drake.io.camerafile import load_camera
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.io.video import Video
+from kinebench_drake.results.inputs import PeriodSource
 from kinebench_drake.types import GripperTrack, InitialState
 
 if TYPE_CHECKING:  # torch, Open3D and Drake take seconds to load

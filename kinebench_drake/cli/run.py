@@ -15,6 +15,7 @@ from rich.text import Text
 
 from kinebench_drake.errors import one_line
 from kinebench_drake.evaluation.runner import RunObserver, RunSummary
+from kinebench_drake.results.inputs import input_lines
 from kinebench_drake.results.row import SampleRow, Status
 
 _STYLES = {Status.OK: "green", Status.UNMEASURABLE: "yellow", Status.ERROR: "red"}
@@ -121,6 +122,8 @@ def _print_summary(out: Path, summary: RunSummary) -> None:
     ):
         if share is not None and share.mean is not None:
             click.echo(f"{share.mean:.0%} of {share.n} {label} (95% interval {share.low:.0%} to {share.high:.0%})")
+    for line in input_lines(summary.rows):
+        click.echo(line)
     click.echo(summary.report or out / "results.json")
 
 

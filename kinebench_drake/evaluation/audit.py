@@ -13,6 +13,7 @@ from kinebench_drake.evaluation.analyzer import Analyzer, RobotOptions, load_ana
 from kinebench_drake.evaluation.config import RunConfig, RunKind
 from kinebench_drake.evaluation.evaluator import KINEMATIC_METRICS, Evaluation, Evaluator
 from kinebench_drake.evaluation.runner import NullRunObserver, RunObserver, RunSummary, run_samples
+from kinebench_drake.results.inputs import PeriodSource
 from kinebench_drake.results.row import SampleRow
 from kinebench_drake.results.store import artifact_path
 from kinebench_drake.results.trackfile import write_track
@@ -126,6 +127,7 @@ class TrajectoryEvaluator(Evaluator[TrajectorySample, Analyzer]):
         trajectory = read_trajectory(sample, self.config.trajectory_options())
         result = judge_trajectory(analyzer, trajectory)
         write_track(artifact_path(self.config.out, "tracks", sample.id), result.track, result.joints, result.curves)
+        source = PeriodSource.TIME_STAMPS if self.config.rate_hz is None else PeriodSource.RATE
         return Evaluation(
             kinematics=result,
             extra={
@@ -133,6 +135,7 @@ class TrajectoryEvaluator(Evaluator[TrajectorySample, Analyzer]):
                 "frames_tracked": int(trajectory.tracked.sum()),
                 "duration_s": float(trajectory.t_s[-1] - trajectory.t_s[0]),
                 "frame_period_s": float(np.median(np.diff(trajectory.t_s))),
+                "frame_period_source": source.value,
                 "judged": "poses" if trajectory.q is None else "joints",
                 "columns": trajectory.columns,
                 "warnings": list(trajectory.warnings),

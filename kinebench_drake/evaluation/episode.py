@@ -22,9 +22,11 @@ from kinebench_drake.grounding.overlay import draw_caption
 from kinebench_drake.io.atomic import disk_errors, write_atomically
 from kinebench_drake.io.container import write_video
 from kinebench_drake.kinematics.plant import ArmPlant
+from kinebench_drake.results.inputs import PeriodSource
 from kinebench_drake.results.provenance import weights_hash
 from kinebench_drake.results.store import artifact_path
 from kinebench_drake.results.trackfile import write_track
+from kinebench_drake.suites.clock import FRAME_PERIOD_S
 from kinebench_drake.suites.export import FPS
 from kinebench_drake.suites.rollout import RolloutVideo, render_video
 from kinebench_drake.suites.simulator import Simulator
@@ -166,8 +168,17 @@ class EpisodeEvaluator(Evaluator[EpisodeSample, EpisodeResources]):
         return model.files(sample.id, sample.task) if isinstance(model, OfflineModel) else ()
 
     def labels(self, sample: EpisodeSample) -> Mapping[str, Json]:
-        """Return seed, pool and variant."""
-        return {"seed": sample.spec.seed, "pool": sample.spec.pool.value, "variant": sample.spec.variant.value}
+        """Return seed, pool, variant, frame period and camera."""
+        spec, period_s = sample.spec, self.loop.frame_period_s
+        source = PeriodSource.BENCHMARK if period_s == FRAME_PERIOD_S else PeriodSource.OPTION
+        return {
+            "seed": spec.seed,
+            "pool": spec.pool.value,
+            "variant": spec.variant.value,
+            "frame_period_s": period_s,
+            "frame_period_source": source.value,
+            "camera_source": "benchmark",
+        }
 
 
 def _rollout_frames(

@@ -20,6 +20,7 @@ from kinebench_drake.executors.progress import Observer
 from kinebench_drake.io.atomic import disk_errors
 from kinebench_drake.report.sample import worst_samples
 from kinebench_drake.results.aggregate import Estimate, aggregate, estimate, normalize_run, split_rows
+from kinebench_drake.results.inputs import list_inputs
 from kinebench_drake.results.metadata import RunMetadata
 from kinebench_drake.results.provenance import code_hash, host, versions, weights_hash
 from kinebench_drake.results.row import SampleRow, Status
@@ -173,6 +174,7 @@ def summarize(rows: Sequence[SampleRow], metadata: RunMetadata) -> dict[str, Jso
             "per_task": groups("task"),
             "per_model": groups("model"),
             "normalization": normalize_run(rows),
+            "inputs": list_inputs(rows),
         }
     )
 

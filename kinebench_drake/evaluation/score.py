@@ -6,7 +6,6 @@ One module, so that the way of one video can be read from top to bottom.
 import dataclasses
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -30,6 +29,7 @@ from kinebench_drake.io.container import write_video
 from kinebench_drake.io.images import frame_files, read_image
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.io.video import WHOLE, Video
+from kinebench_drake.results.inputs import PeriodSource
 from kinebench_drake.results.provenance import weights_hash
 from kinebench_drake.results.store import artifact_path
 from kinebench_drake.results.trackfile import write_track
@@ -44,18 +44,6 @@ BENCHMARK_PERIOD_S = 0.2
 """Task time between two frames of a benchmark video (4 control steps at 20 Hz) [s]."""
 VISUAL_METRICS = ("tracked_fraction", "camera_motion_px", "arm_consistency_px", "anomalies")
 """Metrics of every row of a video; null where not measurable."""
-
-
-class PeriodSource(Enum):
-    """Source of the task time between two frames, in order of precedence."""
-
-    MANIFEST = "manifest"
-    OPTION = "option"
-    MANIFEST_FPS = "manifest_fps"
-    DATASET = "dataset"
-    TIME_STAMPS = "time_stamps"
-    FPS = "fps"
-    BENCHMARK = "benchmark"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -27,6 +27,7 @@ from kinebench_drake.report.sample import (
 from kinebench_drake.report.table import format_interval, format_value
 from kinebench_drake.report.timeline import anomalies_of
 from kinebench_drake.results.aggregate import Aggregate, aggregate, split_rows
+from kinebench_drake.results.inputs import input_lines
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.results.store import REPORT, RESULTS, read_rows
 from kinebench_drake.types import Json
@@ -87,6 +88,7 @@ def build_page(out: Path) -> str:
     return templates.get_template("page.html.j2").render(
         title=_title(results),
         results=results,
+        inputs=input_lines(rows),
         total=total,
         headlines=[(BY_NAME[n], total.estimates[n]) for n in layout.headlines if _is_measured(total, n)],
         metrics=[

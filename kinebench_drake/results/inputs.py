@@ -1,0 +1,89 @@
+"""Frame period and camera of a run's samples, each with its source."""
+
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from enum import Enum
+
+from kinebench_drake.results.row import SampleRow
+from kinebench_drake.types import Json
+
+
+class PeriodSource(Enum):
+    """Source of the task time between two frames; of a video in order of precedence."""
+
+    MANIFEST = "manifest"
+    OPTION = "option"
+    MANIFEST_FPS = "manifest_fps"
+    DATASET = "dataset"
+    TIME_STAMPS = "time_stamps"
+    FPS = "fps"
+    BENCHMARK = "benchmark"
+    RATE = "rate"
+    """Frame rate that the command line sets for trajectories."""
+
+
+_PERIODS: Mapping[str, str] = {
+    PeriodSource.MANIFEST.value: "from the manifest",
+    PeriodSource.OPTION.value: "from --frame-period",
+    PeriodSource.MANIFEST_FPS.value: "1 / fps of the manifest",
+    PeriodSource.DATASET.value: "from the metadata of the dataset",
+    PeriodSource.TIME_STAMPS.value: "from the times in the file",
+    PeriodSource.FPS.value: "1 / fps of the file",
+    PeriodSource.BENCHMARK.value: "the benchmark's, by default",
+    PeriodSource.RATE.value: "from --rate",
+}
+_CAMERAS: Mapping[str, str] = {
+    "given": "argument of the call",
+    "manifest": "from the manifest",
+    "folder": "from camera.json",
+    "benchmark": "the benchmark's, by default",
+}
+_MOST = 3
+"""Values that a line lists."""
+
+
+def list_inputs(rows: Iterable[SampleRow]) -> dict[str, list[dict[str, Json]]]:
+    """Count the frame periods and cameras of the rows, the most frequent first.
+
+    Returns:
+        `frame_periods`: objects of frame_period_s [s], source and number of samples; `cameras`: of source and number of
+        samples. A row without one of them is not counted there.
+    """
+    periods, cameras = Counter[tuple[float, str]](), Counter[str]()
+    for row in rows:
+        period_s, source = row.extra.get("frame_period_s"), row.extra.get("frame_period_source")
+        if isinstance(period_s, int | float) and isinstance(source, str):
+            periods[float(f"{period_s:.4g}"), source] += 1
+        if isinstance(camera := row.extra.get("camera_source"), str):
+            cameras[camera] += 1
+    return {
+        "frame_periods": [
+            {"frame_period_s": period_s, "source": source, "samples": n}
+            for (period_s, source), n in sorted(periods.items(), key=lambda item: (-item[1], item[0]))
+        ],
+        "cameras": [
+            {"source": source, "samples": n}
+            for source, n in sorted(cameras.items(), key=lambda item: (-item[1], item[0]))
+        ],
+    }
+
+
+def input_lines(rows: Iterable[SampleRow]) -> list[str]:
+    """Describe frame period and camera of the rows with their sources, a line each; none where no row has them."""
+    inputs = list_inputs(rows)
+    periods = [
+        (f"{entry['frame_period_s']:g} s, {_PERIODS.get(str(entry['source']), entry['source'])}", entry["samples"])
+        for entry in inputs["frame_periods"]
+    ]
+    cameras = [
+        (_CAMERAS.get(str(entry["source"]), str(entry["source"])), entry["samples"]) for entry in inputs["cameras"]
+    ]
+    return [f"{name}: {_join(groups)}" for name, groups in (("frame period", periods), ("camera", cameras)) if groups]
+
+
+def _join(groups: Sequence[tuple[str, Json]]) -> str:
+    """Join descriptions, each with its number of samples where there are several."""
+    if len(groups) == 1:
+        return groups[0][0]
+    more = [f"{len(groups) - _MOST} more"] if len(groups) > _MOST else []
+    return "; ".join([*(f"{text} ({n} x)" for text, n in groups[:_MOST]), *more])

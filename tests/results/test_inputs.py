@@ -1,0 +1,46 @@
+"""Frame period and camera of a run, with their sources."""
+
+import pytest
+
+from kinebench_drake.datasets.videos.sample import CameraSource
+from kinebench_drake.results.inputs import PeriodSource, input_lines, list_inputs
+from tests.report.pages import row
+
+
+def rows(*periods, camera="benchmark"):
+    return [
+        row(str(k), extra={"frame_period_s": period_s, "frame_period_source": source, "camera_source": camera})
+        for k, (period_s, source) in enumerate(periods)
+    ]
+
+
+def test_one_value_stands_with_its_source():
+    assert input_lines(rows((0.2, "manifest"), (0.2, "manifest"), camera="folder")) == [
+        "frame period: 0.2 s, from the manifest",
+        "camera: from camera.json",
+    ]
+
+
+def test_several_values_stand_with_their_numbers_of_samples_the_most_frequent_first():
+    many = rows((1 / 17, "fps"), (0.2, "manifest"), (0.2, "manifest"), (0.1, "fps"), (0.5, "fps"), (0.25, "fps"))
+    assert input_lines(many)[0] == (
+        "frame period: 0.2 s, from the manifest (2 x); 0.05882 s, 1 / fps of the file (1 x); "
+        "0.1 s, 1 / fps of the file (1 x); 2 more"
+    )
+    assert list_inputs(many)["frame_periods"][0] == {"frame_period_s": 0.2, "source": "manifest", "samples": 2}
+    assert list_inputs(reversed(many)) == list_inputs(many)
+
+
+def test_rows_without_them_are_not_counted():
+    assert input_lines([row("a"), row("b", extra={"frame_period_s": 0.2})]) == []
+
+
+@pytest.mark.parametrize("source", PeriodSource)
+def test_every_source_of_a_period_is_in_words(source):
+    assert input_lines(rows((0.2, source.value)))[0] != f"frame period: 0.2 s, {source.value}"
+
+
+@pytest.mark.parametrize("source", CameraSource)
+def test_every_source_of_a_camera_is_in_words(source):
+    (line,) = input_lines([row("a", extra={"camera_source": source.value})])
+    assert len(line.split()) > 2
