@@ -85,6 +85,29 @@ def resampled_counts(n: int, rng: np.random.Generator, resamples: int = RESAMPLE
     return rng.multinomial(n, np.full(n, 1.0 / n), size=resamples).astype(np.float64)
 
 
+def paired_mean_difference(first: Array, second: Array, rng: np.random.Generator) -> IntervalEstimate:
+    """Return the mean of first - second (N,) over the same units with its paired bootstrap interval (Efron 1979).
+
+    Units are resampled with both their values. There is no interval for fewer than two units, or where all differences
+    are equal: zero spread within the sample does not mean zero uncertainty.
+
+    Raises:
+        InputError: the arrays differ in length, or are empty.
+    """
+    if len(first) != len(second) or len(first) == 0:
+        raise InputError(f"{len(first)} values cannot be paired with {len(second)}")
+    differences = np.asarray(first, dtype=np.float64) - np.asarray(second, dtype=np.float64)
+    ends = (np.nan, np.nan) if np.ptp(differences) == 0.0 else bootstrap_mean(differences, rng)
+    return IntervalEstimate(value=float(differences.mean()), low=ends[0], high=ends[1])
+
+
+def sign_test(first: int, second: int) -> float:
+    """Return the two-sided p-value of the exact sign test: units in which the first, and the second, is better."""
+    from scipy.stats import binomtest
+
+    return float(binomtest(first, first + second).pvalue) if first + second else 1.0
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PairedOutcomes:
     """Counts of episodes by the outcomes of two groups, such as two models on the same episodes."""
@@ -134,10 +157,7 @@ class PairedOutcomes:
     @property
     def p_value(self) -> float:
         """Two-sided p-value of the exact test of McNemar (Psychometrika 12, 1947) on the discordant pairs."""
-        from scipy.stats import binomtest
-
-        discordant = self.first_only + self.second_only
-        return float(binomtest(self.first_only, discordant).pvalue) if discordant else 1.0
+        return sign_test(self.first_only, self.second_only)
 
     def interval(self) -> tuple[float, float]:
         """Return the 95 % interval of the difference: method 10 of Newcombe (Stat. Med. 17, 1998, pp. 2635-2650).

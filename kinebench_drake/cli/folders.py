@@ -45,24 +45,43 @@ def report(folders: tuple[Path, ...], figures: bool) -> None:
 
 @click.command(
     epilog="\b\nExamples:\n"
-    "  kinebench-drake compare runs/wan/ runs/cogvideox/\n"
+    "  kinebench-drake compare scored/wan/ scored/cogvideox/ --out comparison/\n"
+    "  kinebench-drake compare scored/                        # a run with several models\n"
     "  kinebench-drake compare runs/*/ --out comparison/"
 )
 @folders_argument
 @comparison_out_option
 @bootstrap_seed_option
 def compare(folders: tuple[Path, ...], out: Path | None, seed: int) -> None:
-    """Compare models of suite runs DIR, two by two, on the episodes that both did.
+    """Compare the models of runs DIR of one kind, two by two, on the samples or episodes that both have.
 
-    Success with Newcombe's 95 % interval and McNemar's exact test, progress with a bootstrap interval; for all tasks
-    together, then for each task.
+    Samples of `score` and `audit` are paired by task and seed, else by id or file name: every headline number with its
+    paired difference and 95 % intervals. Episodes of suite runs are paired by suite, task and seed: success with
+    Newcombe's interval and McNemar's exact test, progress with a bootstrap interval, for all tasks together and each.
     """
-    from kinebench_drake.report.suite.comparison import comparison_lines, read_comparison
-    from kinebench_drake.report.suite.suite_page import write_comparison
+    from kinebench_drake.report.run import read_runs
 
-    comparison = read_comparison(folders, seed)
-    page = None if out is None else write_comparison(comparison, out)
-    for line in comparison_lines(comparison.pairs):
+    runs = read_runs(folders)
+    if any(run.kind == "suite" for run in runs):
+        from kinebench_drake.report.suite.comparison import comparison_lines, read_comparison
+        from kinebench_drake.report.suite.suite_page import write_comparison
+
+        episodes = read_comparison(folders, seed)
+        page = None if out is None else write_comparison(episodes, out)
+        lines = comparison_lines(episodes.pairs)
+    else:
+        from kinebench_drake.report.comparison_page import (
+            compare_samples,
+            sample_comparison_lines,
+            write_sample_comparison,
+        )
+
+        comparison = compare_samples(runs, seed)
+        for warning in comparison.warnings:
+            click.echo(f"warning: {warning}", err=True)
+        page = None if out is None else write_sample_comparison(comparison, out)
+        lines = sample_comparison_lines(comparison)
+    for line in lines:
         click.echo(line)
     if page is not None:
         click.echo(page)

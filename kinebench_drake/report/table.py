@@ -27,6 +27,8 @@ class Column:
     """Tooltip of the heading: one clause."""
     estimated: bool = False
     """True if the values are estimates: CSV files then have columns for the interval and the sample count."""
+    signed: bool = False
+    """True if numbers have a sign in any case, as differences do."""
 
 
 def plain_columns(**labels: str) -> tuple[Column, ...]:
@@ -49,13 +51,17 @@ class Table:
     """(row, column) of the cells set in bold."""
     latex: bool = True
     """True if a LaTeX file is written, too."""
+    patterns: tuple[str, ...] = ()
+    """Format of each row's estimates where rows are different quantities; empty: the columns' formats."""
 
     def __post_init__(self) -> None:
-        """Check that every row has as many cells as there are columns.
+        """Check that every row has as many cells as there are columns, and a format if any row has one.
 
         Raises:
             ValueError: it has not.
         """
+        if self.patterns and len(self.patterns) != len(self.rows):
+            raise ValueError(f"table {self.name}: {len(self.patterns)} formats of {len(self.rows)} rows")
         for row in self.rows:
             if len(row) != len(self.columns):
                 raise ValueError(f"table {self.name}: a row of {len(row)} cells under {len(self.columns)} columns")
@@ -64,6 +70,12 @@ class Table:
     def numeric(self) -> list[bool]:
         """True for each column that holds no text."""
         return [not any(isinstance(row[k], str) for row in self.rows) for k in range(len(self.columns))]
+
+    def pattern(self, row: int, column: int) -> str:
+        """Return the format of a cell's number."""
+        head = self.columns[column]
+        pattern = self.patterns[row] if self.patterns and head.estimated else head.pattern
+        return pattern.replace("{:", "{:+", 1) if head.signed else pattern
 
 
 def format_value(value: Value, pattern: str) -> str:
@@ -115,12 +127,12 @@ def table_csv(table: Table) -> str:
 def table_lines(table: Table) -> Iterator[str]:
     """Format a table as text for a terminal, its columns aligned."""
 
-    def cell(value: Value, column: Column) -> str:
-        interval = format_interval(value, column.pattern)
-        return format_value(value, column.pattern) + (f" [{interval}]" if interval else "")
+    def cell(value: Value, pattern: str) -> str:
+        interval = format_interval(value, pattern)
+        return format_value(value, pattern) + (f" [{interval}]" if interval else "")
 
     texts = [[column.label for column in table.columns]]
-    texts += [[cell(v, c) for c, v in zip(table.columns, row, strict=True)] for row in table.rows]
+    texts += [[cell(v, table.pattern(i, k)) for k, v in enumerate(row)] for i, row in enumerate(table.rows)]
     widths = [max(map(len, column)) for column in zip(*texts, strict=True)]
     for text in texts:
         aligned = zip(text, widths, table.numeric, strict=True)
@@ -151,14 +163,14 @@ def escape_latex(text: str) -> str:
 def table_latex(table: Table) -> str:
     """Format a table as a LaTeX `table` environment (package booktabs), intervals in small type after the means."""
 
-    def cell(value: Value, column: Column, bold: bool) -> str:
-        text = escape_latex(format_value(value, column.pattern))
-        interval = format_interval(value, column.pattern)
+    def cell(value: Value, pattern: str, bold: bool) -> str:
+        text = escape_latex(format_value(value, pattern))
+        interval = format_interval(value, pattern)
         text = f"\\textbf{{{text}}}" if bold else text
         return text if interval is None else f"{text} {{\\scriptsize ({escape_latex(interval)})}}"
 
     body = [
-        [cell(v, c, (i, k) in table.bold) for k, (c, v) in enumerate(zip(table.columns, row, strict=True))]
+        [cell(v, table.pattern(i, k), (i, k) in table.bold) for k, v in enumerate(row)]
         for i, row in enumerate(table.rows)
     ]
     return "\n".join(

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from kinebench_drake.errors import UsageError
 from kinebench_drake.io.figure import FAINT, new_figure
 from kinebench_drake.report.figures import COLOURS, ReportFigure, draw_interval, label_shares
+from kinebench_drake.report.number import ALL_TASKS, NumberComparison, compare_numbers, share_difference
 from kinebench_drake.report.suite.episode import EpisodeResult, SuitePart, balanced_mean, group_by, list_models
 from kinebench_drake.report.suite.folders import RunFolder, pool_episodes, read_folders
 from kinebench_drake.report.table import Column, Table, Value, plain_columns, table_lines
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
     from kinebench_drake.closed_loop.tolerance import ToleranceAttempt
     from kinebench_drake.suites.episode import Episode
 
-ALL_TASKS = "all tasks"
 DIRECT = "expert's true track"
 """Label of direct execution in place of a model's name."""
 _MAX_DIFFERENCES = 170
@@ -61,6 +61,8 @@ class ModelComparison:
     folders: Sequence[RunFolder]
     episodes: Sequence[EpisodeResult]
     pairs: Sequence[PairComparison]
+    numbers: Sequence[NumberComparison] = ()
+    """Headline numbers on the shared episodes."""
 
 
 def read_comparison(paths: Sequence[Path], seed: int = 0) -> ModelComparison:
@@ -71,7 +73,12 @@ def read_comparison(paths: Sequence[Path], seed: int = 0) -> ModelComparison:
     """
     folders = read_folders(paths)
     episodes = pool_episodes(folders)
-    return ModelComparison(folders=folders, episodes=episodes, pairs=compare(episodes, seed))
+    numbers = [
+        number
+        for first, second, part, shared in _shared_episodes(episodes)
+        for number in compare_numbers([(a.row, b.row) for a, b in shared], first, second, part.title, seed)
+    ]
+    return ModelComparison(folders=folders, episodes=episodes, pairs=compare(episodes, seed), numbers=numbers)
 
 
 def read_ceiling(
@@ -144,21 +151,26 @@ def compare(episodes: Sequence[EpisodeResult], seed: int = 0) -> list[PairCompar
             f"all episodes are of one model, {', '.join(models)}: there is nothing to compare; name folders of two "
             "models, or runs distinguished with `suite run --tag KEY=VALUE`"
         )
-    own = {model: {e.key: e for e in some} for model, some in group_by(episodes, lambda e: e.model).items()}
     comparisons: list[PairComparison] = []
-    for first, second in combinations(models, 2):
-        keys = [key for key in own[first] if key in own[second]]
-        pairs = [(own[first][key], own[second][key]) for key in keys]
-        for _, shared in sorted(group_by(pairs, lambda pair: pair[0].part).items()):
-            by_task = group_by(shared, lambda pair: pair[0].task)
-            tasks = [_compare_pairs(task, by_task[task], seed) for task in sorted(by_task)]
-            comparisons += [_compare_pairs(ALL_TASKS, shared, seed), *_adjust(tasks)]
+    for _, _, _, shared in _shared_episodes(episodes):
+        by_task = group_by(shared, lambda pair: pair[0].task)
+        tasks = [_compare_pairs(task, by_task[task], seed) for task in sorted(by_task)]
+        comparisons += [_compare_pairs(ALL_TASKS, shared, seed), *_adjust(tasks)]
     if not comparisons:
         raise UsageError(
             f"no two of {', '.join(models)} share an episode (the same suite, split, task, seed, pool and variant): "
             "there is nothing to compare"
         )
     return comparisons
+
+
+def _shared_episodes(episodes: Sequence[EpisodeResult]) -> Iterator[tuple[str, str, SuitePart, list[Pair]]]:
+    """Yield every two models and every part of which they share episodes, with these."""
+    own = {model: {e.key: e for e in some} for model, some in group_by(episodes, lambda e: e.model).items()}
+    for first, second in combinations(own, 2):
+        pairs = [(own[first][key], own[second][key]) for key in own[first] if key in own[second]]
+        for part, shared in sorted(group_by(pairs, lambda pair: pair[0].part).items()):
+            yield first, second, part, shared
 
 
 def _compare_pairs(task: str, pairs: Sequence[Pair], seed: int) -> PairComparison:
@@ -191,14 +203,6 @@ def _adjust(tasks: Sequence[PairComparison]) -> list[PairComparison]:
     return [replace(c, adjusted_p=by_task.get(c.task)) for c in tasks]
 
 
-def _difference(paired: PairedOutcomes | None) -> Estimate | None:
-    """Return the difference of the success rates with Newcombe's interval."""
-    if paired is None:
-        return None
-    low, high = paired.interval()
-    return Estimate(mean=paired.difference, low=low, high=high, n=paired.n, total=paired.n)
-
-
 def tabulate_comparison(pairs: Sequence[PairComparison]) -> Table:
     """Build the table of comparisons, one per row."""
     return Table(
@@ -228,12 +232,12 @@ def tabulate_comparison(pairs: Sequence[PairComparison]) -> Table:
 
 def _row(c: PairComparison) -> tuple[Value, ...]:
     labels, progress = (c.part.title, c.first, c.second, c.task), c.progress if c.progress.n else None
-    p, end = c.paired, (c.shared, _difference(c.counted))
+    p, end = c.paired, (c.shared, share_difference(c.counted))
     if p is None:
         return *labels, None, None, None, None, c.adjusted_p, None, None, progress, 0, *end
     rates = ((p.both + p.first_only) / p.n, (p.both + p.second_only) / p.n)
     counts = (p.first_only, p.second_only)
-    return *labels, *rates, _difference(p), p.p_value, c.adjusted_p, *counts, progress, p.n, *end
+    return *labels, *rates, share_difference(p), p.p_value, c.adjusted_p, *counts, progress, p.n, *end
 
 
 def comparison_lines(pairs: Sequence[PairComparison]) -> Iterator[str]:
@@ -260,7 +264,7 @@ def ceiling_lines(pairs: Sequence[PairComparison]) -> Iterator[str]:
 
 def draw_differences(pairs: Sequence[PairComparison]) -> ReportFigure | None:
     """Draw differences of success on shared episodes with Newcombe's intervals; None if nothing is measured twice."""
-    lines = [(c, d) for c in pairs if (d := _difference(c.paired)) is not None]
+    lines = [(c, share_difference(c.paired)) for c in pairs if c.paired is not None]
     if len(lines) > _MAX_DIFFERENCES:
         lines = [(c, d) for c, d in lines if c.task == ALL_TASKS]
     if not lines:

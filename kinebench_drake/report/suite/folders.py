@@ -7,13 +7,11 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
 
-from kinebench_drake.errors import InputError, UsageError
-from kinebench_drake.io.jsonl import as_object
-from kinebench_drake.report.page import read_results
+from kinebench_drake.errors import UsageError
+from kinebench_drake.report.run import Run, read_runs
 from kinebench_drake.report.suite.episode import EpisodeResult, SuitePart
 from kinebench_drake.results.row import SampleRow
-from kinebench_drake.results.store import RESULTS, SAMPLES, read_rows
-from kinebench_drake.types import Json
+from kinebench_drake.results.store import RESULTS
 
 _KIND = "suite"
 _SETTINGS = ("rounds", "control", "action_repeat", "frame_period_s", "pixels_only", "negative_prompt")
@@ -36,8 +34,6 @@ class RunFolder:
     """Tags of `suite run --tag`."""
     settings: Mapping[str, str]
     """Those of _SETTINGS that are set, as text."""
-    versions: Mapping[str, Json]
-    """Versions of file format and suites: `schema_version` and `suite_version`."""
 
     @property
     def name(self) -> str:
@@ -67,54 +63,26 @@ def read_folders(paths: Sequence[Path]) -> list[RunFolder]:
         UsageError: there is none, one is named twice, is broken, unfinished, empty or of another kind of run, or they
             have different schema or suite versions.
     """
-    if not paths:
-        raise UsageError("no folder named, expected the output folders of `kinebench-drake suite run`")
-    for k, path in enumerate(paths):
-        if path.resolve() in {other.resolve() for other in paths[:k]}:
-            raise UsageError(f"{path}: named twice; its episodes would count twice")
-    folders = [read_folder(path) for path in paths]
-    first = folders[0]
-    for folder in folders[1:]:
-        for name, one in first.versions.items():
-            other = folder.versions[name]
-            if one != other:
-                raise UsageError(
-                    f"{first.path} has {name} {one} and {folder.path} {other}: their numbers cannot be compared; "
-                    "run one of them again with the other's version"
-                )
-    return folders
+    return [_suite_folder(run) for run in read_runs(paths)]
 
 
-def read_folder(path: Path) -> RunFolder:
-    """Read one output folder.
-
-    Raises:
-        UsageError: it is broken, unfinished, empty or of another kind of run.
-    """
-    if not (path / SAMPLES).is_file():
-        raise UsageError(f"{path}: holds no {SAMPLES}, expected the output folder of a suite run")
-    if not (path / RESULTS).is_file():
-        raise UsageError(f"{path}: holds no {RESULTS}; run the same `suite run` again to finish it")
-    try:
-        rows, results = read_rows(path), read_results(path)
-    except InputError as error:
-        raise UsageError(str(error)) from None
-    if results.get("kind") != _KIND:
-        raise UsageError(f"{path}: is of a run of kind {results.get('kind')!r}, expected {_KIND!r}")
-    if not rows:
-        raise UsageError(f"{path}: holds no episode")
-    config, planned = as_object(results.get("config")), results.get("samples_found")
-    suite, split, variant = config.get("suite"), config.get("split"), config.get("variant", "plain")
+def _suite_folder(run: Run) -> RunFolder:
+    if run.kind != _KIND:
+        raise UsageError(f"{run.path}: is of a run of kind {run.kind!r}, expected {_KIND!r}")
+    suite, split, variant = run.config.get("suite"), run.config.get("split"), run.config.get("variant", "plain")
     if not isinstance(suite, int) or not isinstance(split, str) or not isinstance(variant, str):
-        raise UsageError(f"{path / RESULTS}: config names no suite, split and variant, expected those of a suite run")
+        raise UsageError(
+            f"{run.path / RESULTS}: config names no suite, split and variant, expected those of a suite run"
+        )
     return RunFolder(
-        path=path,
+        path=run.path,
         part=SuitePart(suite=suite, split=split, variant=variant),
-        rows=tuple(rows[id] for id in sorted(rows)),
-        planned=planned if isinstance(planned, int) else None,
-        tags={key: str(value) for key, value in as_object(results.get("tags")).items()},
-        settings={name: _format_setting(config[name]) for name in _SETTINGS if config.get(name) not in (None, "")},
-        versions={name: results.get(name) for name in ("schema_version", "suite_version")},
+        rows=run.rows,
+        planned=run.planned,
+        tags=run.tags,
+        settings={
+            name: _format_setting(run.config[name]) for name in _SETTINGS if run.config.get(name) not in (None, "")
+        },
     )
 
 

@@ -1,37 +1,15 @@
 """Reports of suite runs and of comparisons: the html page with its tables and figures, and these as files."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
-from kinebench_drake.errors import UsageError
-from kinebench_drake.io.atomic import write_atomically
-from kinebench_drake.report.figures import ReportFigure, write_figure
-from kinebench_drake.report.page import template_environment
-from kinebench_drake.report.sample import explain, relative_link
+from kinebench_drake.report.number import draw_numbers, tabulate_numbers
+from kinebench_drake.report.parts import MissingPart, Part, choose_listed, list_links, write_parts
+from kinebench_drake.report.run import check_page_folder
 from kinebench_drake.report.suite import correlation, kinematics, scaling, success
 from kinebench_drake.report.suite.comparison import ModelComparison, draw_differences, tabulate_comparison
-from kinebench_drake.report.suite.episode import EpisodeResult, group_by, tabulate_episodes
+from kinebench_drake.report.suite.episode import EpisodeResult, tabulate_episodes
 from kinebench_drake.report.suite.folders import RunFolder, pool_episodes, read_folders
-from kinebench_drake.report.table import Table, sort_key, table_csv, table_latex
-from kinebench_drake.results.store import REPORT, SAMPLES, artifact_path
-
-LISTED = 2000
-"""Episodes on the page: more would make it slow to open."""
-_SHOWN = 200
-"""Episodes in its list until all are requested."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MissingPart:
-    """A table or figure that cannot be made."""
-
-    title: str
-    needs: str
-    """Data that would be needed."""
-
-
-Part = Table | ReportFigure | MissingPart
 
 
 def write_suite_report(paths: Sequence[Path], out: Path, seed: int = 0) -> Path:
@@ -49,7 +27,7 @@ def write_suite_report(paths: Sequence[Path], out: Path, seed: int = 0) -> Path:
         UsageError: the folders cannot be used or pooled, or `out` is one of a run.
         SetupError: writing failed.
     """
-    _check_out(out)
+    check_page_folder(out)
     folders = read_folders(paths)
     episodes = kinematics.scale_costs(pool_episodes(folders))
     parts: list[Part] = [
@@ -74,12 +52,16 @@ def write_comparison(comparison: ModelComparison, out: Path) -> Path:
         UsageError: `out` is the folder of a run.
         SetupError: writing failed.
     """
-    _check_out(out)
-    figure = draw_differences(comparison.pairs) or MissingPart(
-        title="Differences of success", needs="episodes measured for two models"
-    )
-    table = tabulate_comparison(comparison.pairs)
-    return write_page("Comparison of models", comparison.folders, comparison.episodes, out, [table, figure])
+    check_page_folder(out)
+    parts: list[Part] = [
+        tabulate_comparison(comparison.pairs),
+        draw_differences(comparison.pairs)
+        or MissingPart(title="Differences of success", needs="episodes measured for two models"),
+    ]
+    if comparison.numbers:
+        parts.append(tabulate_numbers(comparison.numbers))
+        parts += [figure] if (figure := draw_numbers(comparison.numbers)) else []
+    return write_page("Comparison of models", comparison.folders, comparison.episodes, out, parts)
 
 
 def _sparc_parts(episodes: Sequence[EpisodeResult], seed: int) -> list[Part]:
@@ -112,13 +94,6 @@ def _scaling_parts(folders: Sequence[RunFolder], episodes: Sequence[EpisodeResul
     return parts
 
 
-def _check_out(out: Path) -> None:
-    if (out / SAMPLES).exists():
-        raise UsageError(
-            f"--out {out}: is the output folder of a run, whose own report it would overwrite; name another"
-        )
-
-
 def write_page(
     title: str, folders: Sequence[RunFolder], episodes: Sequence[EpisodeResult], out: Path, parts: Sequence[Part]
 ) -> Path:
@@ -131,59 +106,14 @@ def write_page(
         out: folder of the page and of the files.
         parts: tables and figures in their order.
     """
-    for table in (tabulate_episodes(episodes), *(part for part in parts if isinstance(part, Table))):
-        write_atomically(out / f"{table.name}.csv", table_csv(table).encode())
-        if table.latex:
-            write_atomically(out / f"{table.name}.tex", table_latex(table).encode())
-    templates = template_environment()
-    templates.filters |= {"key": sort_key, "explanation": explain}
-    page = templates.get_template("suite_page.html.j2").render(
-        title=title,
+    listed = choose_listed(episodes, lambda e: (e.part, e.model), lambda e: e.success is True)
+    return write_parts(
+        "suite_page.html.j2",
+        title,
+        out,
+        parts,
+        tabulate_episodes(episodes),
         folders=folders,
         episodes=len(episodes),
-        parts=[
-            (part, write_figure(part, out) if isinstance(part, ReportFigure) else None)
-            for part in parts
-            if not isinstance(part, MissingPart)
-        ],
-        missing=[part for part in parts if isinstance(part, MissingPart)],
-        lines=[(e, _links(e, out)) for e in _choose_listed(episodes)],
-        left_out=max(len(episodes) - LISTED, 0),
-        first=_SHOWN,
+        lines=[(e, list_links(e.folder, e.row, out)) for e in listed],
     )
-    write_atomically(out / REPORT, page.encode())
-    return out / REPORT
-
-
-def _links(episode: EpisodeResult, out: Path) -> list[tuple[str, str]]:
-    """List labels and addresses of an episode's files: rollout, first imagined clip, entry in the run's own report.
-
-    Only for runs in the parent folder of `out` or below it: other links would reveal paths of this machine and break
-    when the report is moved.
-    """
-    if episode.folder is None:
-        return []
-    base, home = episode.folder.resolve(), out.resolve()
-    if not base.is_relative_to(home.parent):
-        return []
-    files = (
-        ("rollout", artifact_path(base, "rollouts", episode.row.id), ""),
-        ("video", base / episode.row.video, ""),
-        ("report", base / REPORT, episode.row.id),
-    )
-    return [
-        (label, relative_link(file, home, anchor))
-        for label, file, anchor in files
-        if file.is_file() and file.resolve().is_relative_to(home.parent)
-    ]
-
-
-def _choose_listed(episodes: Sequence[EpisodeResult]) -> list[EpisodeResult]:
-    """Choose LISTED episodes, those without success first, evenly over models and parts."""
-    turns = {
-        id(e): (e.success is True, turn)
-        for own in group_by(episodes, lambda e: (e.part, e.model, e.success is True)).values()
-        for turn, e in enumerate(own)
-    }
-    chosen = {id(e) for e in sorted(episodes, key=lambda e: turns[id(e)])[:LISTED]}
-    return sorted((e for e in episodes if id(e) in chosen), key=lambda e: e.success is True)

@@ -8,7 +8,7 @@ import pytest
 
 from kinebench_drake.cli import main
 from kinebench_drake.errors import UsageError
-from kinebench_drake.report.suite import suite_page
+from kinebench_drake.report import parts
 from kinebench_drake.report.suite.comparison import read_comparison
 from kinebench_drake.report.suite.folders import pool_episodes, read_folders
 from kinebench_drake.report.suite.suite_page import write_comparison, write_page, write_suite_report
@@ -123,7 +123,7 @@ def test_the_report_of_suite_runs(runs, tmp_path):
 
 
 def test_a_long_list_holds_all_models_failures_first(runs, tmp_path, monkeypatch):
-    monkeypatch.setattr(suite_page, "LISTED", 100)
+    monkeypatch.setattr(parts, "LISTED", 100)
     folders = read_folders(runs)
     text = write_page("t", folders, pool_episodes(folders), tmp_path, parts=()).read_text()
     outcomes = re.findall(r'<td class="o-(\w+)"', text)
@@ -215,7 +215,7 @@ def test_folders_that_cannot_be_reported(tmp_path):
         ([run, same], tmp_path / "x", "--tag"),
         ([unfinished], tmp_path / "x", "again to finish it"),
         ([tmp_path / "none"], tmp_path / "x", "holds no samples.jsonl"),
-        ([write_run(tmp_path / "empty", {})], tmp_path / "x", "holds no episode"),
+        ([write_run(tmp_path / "empty", {})], tmp_path / "x", "holds no sample"),
         ([], tmp_path / "x", "no folder named"),
     ):
         with pytest.raises(UsageError, match=message):

@@ -1,0 +1,278 @@
+"""Headline numbers of two models, compared on the samples that both have: table, figure and text."""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import groupby
+
+import numpy as np
+
+from kinebench_drake.geometry import Array
+from kinebench_drake.io.figure import FAINT, new_figure, plain
+from kinebench_drake.report.figures import COLOURS, ReportFigure, draw_interval
+from kinebench_drake.report.metric import BY_NAME, LOWER_IS_BETTER, Metric
+from kinebench_drake.report.table import Column, Table, Value, table_lines
+from kinebench_drake.results.aggregate import Estimate, estimate
+from kinebench_drake.results.row import SampleRow, Status
+from kinebench_drake.stats import PairedOutcomes, paired_mean_difference, sign_test
+
+ALL_TASKS = "all tasks"
+SHARES = {
+    name: Metric(name=name, label=label, pattern="{:.0%}", meaning=meaning)
+    for name, label, meaning in (
+        ("executable", "Executable", "share of samples that a robot can execute as they are seen"),
+        ("feasible", "Feasible", "share of samples whose motion exceeds no limit"),
+        ("trajopt_feasible", "Trajectory optimised", BY_NAME["trajopt_feasible"].meaning),
+    )
+}
+"""Truth values; a missing one counts as false in the last columns."""
+_MEANS = (
+    *("tracked_fraction", "ik_success_rate", "manipulability_mean", "manipulability_min", "manipulability_cost_mean"),
+    *("joint_limit_margin_min", "sparc", "sparc_rotation", "ldlj", "slowdown_min", "velocity_ratio_max"),
+    *("acceleration_ratio_max", "jerk_ratio_max", "torque_ratio_max", "self_distance_min_m", "table_distance_min_m"),
+)
+NUMBERS = {**SHARES, **{name: BY_NAME[name] for name in _MEANS}}
+"""Numbers that are compared, in the order of the table."""
+_BY_TASK = ("executable", "feasible", "manipulability_mean", "sparc")
+"""Numbers that are compared task by task, too."""
+_PRINTED = (
+    *("number", "better_is", "first_mean", "second_mean", "difference", "complete", "shared", "first_better"),
+    *("second_better", "p"),
+)
+"""Keys of the columns printed to a terminal."""
+_PANELS = 3
+"""Panels beside each other in the figure."""
+_MAX_LINES = 15
+"""Pairs of models up to which the figure is drawn."""
+_MAX_LETTERS = 28
+"""Letters of a model's name that the figure has room for."""
+RowPair = tuple[SampleRow, SampleRow]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NumberComparison:
+    """One number of two models on their shared samples."""
+
+    part: str
+    """What the samples are of, such as a suite; empty if there is one kind only."""
+    task: str
+    """Task, or ALL_TASKS."""
+    metric: Metric
+    first: str
+    second: str
+    shared: int
+    """Samples that both have a row of."""
+    means: tuple[Estimate, Estimate]
+    """Means or shares of both, over the samples complete in both."""
+    difference: Estimate
+    """First minus second, over the samples complete in both."""
+    better: tuple[int, int]
+    """Shared samples in which the first, and in which the second, is better; a missing value is worse than any."""
+    bound: Estimate
+    """First minus second over all shared samples: a missing value counts as the worst of either model."""
+
+    @property
+    def is_clear(self) -> bool:
+        """True if the intervals of the difference and of its bound exclude 0 on the same side."""
+        ends = [(e.low, e.high) for e in (self.difference, self.bound) if e.low is not None and e.high is not None]
+        return len(ends) == 2 and (all(low > 0.0 for low, _ in ends) or all(high < 0.0 for _, high in ends))
+
+    @property
+    def p_value(self) -> float:
+        """Two-sided p-value of the exact sign test of `better`."""
+        return sign_test(*self.better)
+
+
+def value_of(row: SampleRow, name: str) -> float | None:
+    """Return a number of a row, truth values as 0 or 1; None if it was not measured."""
+    value = getattr(row, name) if hasattr(row, name) else row.metrics.get(name, row.extra.get(name))
+    if row.status is not Status.OK or not isinstance(value, bool | int | float) or not math.isfinite(value):
+        return None
+    return float(value)
+
+
+def compare_numbers(
+    pairs: Sequence[RowPair], first: str, second: str, part: str = "", seed: int = 0
+) -> list[NumberComparison]:
+    """Compare every number that is measured in a shared sample: all tasks together, then a few task by task.
+
+    Args:
+        pairs: rows of the first and of the second model of the same samples.
+        first: label of the first model.
+        second: label of the second model.
+        part: what the samples are of.
+        seed: seed of the resampling.
+    """
+    tasks: dict[str, list[RowPair]] = {}
+    for pair in pairs:
+        tasks.setdefault(pair[0].task or pair[1].task or "unnamed", []).append(pair)
+    groups = [(ALL_TASKS, pairs, tuple(NUMBERS))]
+    if len(tasks) > 1:
+        groups += [(task, tasks[task], _BY_TASK) for task in sorted(tasks)]
+    comparisons = []
+    for task, own, names in groups:
+        for name in names:
+            if any(value_of(row, name) is not None for pair in pairs for row in pair):
+                compared = _compare(NUMBERS[name], own, seed)
+                comparisons.append(replace(compared, part=part, task=task, first=first, second=second))
+    return comparisons
+
+
+def _compare(metric: Metric, pairs: Sequence[RowPair], seed: int) -> NumberComparison:
+    """Compare one number; a missing truth value is false, any other missing value worse than all."""
+    share, sign = metric.name in SHARES, -1.0 if metric.name in LOWER_IS_BETTER else 1.0
+    values = np.array([[value_of(row, metric.name) for row in pair] for pair in pairs], dtype=np.float64).reshape(-1, 2)
+    complete = values[np.isfinite(values).all(axis=1)]
+    worst = 0.0 if share else sign * float(np.nanmin(sign * values)) if np.isfinite(values).any() else math.nan
+    filled = np.where(np.isnan(values), worst, values)
+    ranked = filled if share else np.where(np.isnan(values), -np.inf, sign * values)
+    means = [
+        estimate([bool(v) if share else v for v in own], total=len(values), seed=seed) for own in complete.T.tolist()
+    ]
+    return NumberComparison(
+        part="",
+        task="",
+        metric=metric,
+        first="",
+        second="",
+        shared=len(values),
+        means=(means[0], means[1]),
+        difference=_difference(complete, len(values), share, seed),
+        better=(int((ranked[:, 0] > ranked[:, 1]).sum()), int((ranked[:, 0] < ranked[:, 1]).sum())),
+        bound=_difference(filled[np.isfinite(filled).all(axis=1)], len(values), share, seed),
+    )
+
+
+def _difference(values: Array, total: int, share: bool, seed: int) -> Estimate:
+    """Return the mean of first minus second of `values` (N, 2) with its interval."""
+    n = len(values)
+    if n == 0:
+        return Estimate(mean=None, low=None, high=None, n=0, total=total)
+    if share:
+        return share_difference(PairedOutcomes.of(*(values > 0.5).T.tolist()), total)
+    value = paired_mean_difference(values[:, 0], values[:, 1], np.random.default_rng(seed))
+    low, high = (None if math.isnan(end) else end for end in (value.low, value.high))
+    return Estimate(mean=value.value, low=low, high=high, n=n, total=total)
+
+
+def share_difference(paired: PairedOutcomes, total: int | None = None) -> Estimate:
+    """Return the difference of two shares with Newcombe's interval."""
+    low, high = paired.interval()
+    return Estimate(mean=paired.difference, low=low, high=high, n=paired.n, total=paired.n if total is None else total)
+
+
+def tabulate_numbers(comparisons: Sequence[NumberComparison]) -> Table:
+    """Build the table of compared numbers, one per row."""
+    columns = (
+        Column(key="part", label="Suite"),
+        Column(key="first", label="First"),
+        Column(key="second", label="Second"),
+        Column(key="task", label="Task"),
+        Column(key="number", label="Number"),
+        Column(key="better_is", label="Better"),
+        Column(key="first_mean", label="Mean, first", estimated=True),
+        Column(key="second_mean", label="Mean, second", estimated=True),
+        Column(key="difference", label="Difference", estimated=True, signed=True),
+        Column(key="complete", label="Complete", meaning="samples that have the number for both"),
+        Column(key="shared", label="Shared", meaning="samples that both have a row of"),
+        Column(key="first_better", label="First better", meaning="shared samples; a missing value is worse than any"),
+        Column(key="second_better", label="Second better", meaning="shared samples; a missing value is worse than any"),
+        Column(key="p", label="p", pattern="{:.3g}", meaning="exact sign test of the two columns to the left"),
+        Column(
+            key="bound", label="Bound of the difference", estimated=True, signed=True,
+            meaning="over all shared samples, a missing value counted as the worst",
+        ),
+    )  # fmt: skip
+    shown = [k for k, column in enumerate(columns) if column.key != "part" or any(c.part for c in comparisons)]
+    place = next(k for k, j in enumerate(shown) if columns[j].key == "difference")
+    rows = [_row(c) for c in comparisons]
+    return Table(
+        name="numbers",
+        title="Numbers on shared samples",
+        note="Means and difference (first minus second) over the samples that both have complete, with 95 % intervals: "
+        "for shares Wilson and, for their difference, Newcombe's method 10; for means bootstrap over samples, paired "
+        "for their difference. Better: the shared samples in which a model has the better value, where a missing value "
+        "is worse than any and two missing ones are equal; p: exact sign test of these counts, not adjusted for the "
+        "number of rows. Bound: the difference over all shared samples, a missing value counted as the worst that "
+        "either model has, a missing truth value as false. Bold: the intervals of difference and bound exclude 0 on "
+        "the same side.",
+        columns=tuple(columns[k] for k in shown),
+        rows=tuple(tuple(row[k] for k in shown) for row in rows),
+        bold=frozenset((i, place) for i, c in enumerate(comparisons) if c.is_clear),
+        patterns=tuple(c.metric.pattern for c in comparisons),
+    )
+
+
+def _row(c: NumberComparison) -> tuple[Value, ...]:
+    better_is = "lower" if c.metric.name in LOWER_IS_BETTER else "higher"
+    return (
+        *(c.part, c.first, c.second, c.task, c.metric.label, better_is),
+        *(None if e.n == 0 else e for e in (*c.means, c.difference)),
+        *(c.difference.n, c.shared, *c.better, c.p_value),
+        None if c.bound.n == 0 else c.bound,
+    )
+
+
+def number_lines(comparisons: Sequence[NumberComparison]) -> Iterator[str]:
+    """Format the comparison of all tasks together for a terminal, one block per pair of models and part."""
+    table = tabulate_numbers([c for c in comparisons if c.task == ALL_TASKS])
+    keys = [column.key for column in table.columns]
+    heads = [keys.index(key) for key in ("first", "second", "part") if key in keys]
+    printed = [keys.index(key) for key in _PRINTED]
+    lines = [(tuple(row[k] for k in heads), i, tuple(row[k] for k in printed)) for i, row in enumerate(table.rows)]
+    for (first, second, *part), block in groupby(lines, key=lambda line: line[0]):
+        own = list(block)
+        yield ", ".join([f"{first} - {second}", *map(str, part)])
+        yield from table_lines(
+            replace(
+                table,
+                columns=tuple(table.columns[k] for k in printed),
+                rows=tuple(cells for *_, cells in own),
+                patterns=tuple(table.patterns[i] for _, i, _ in own),
+                bold=frozenset(),
+            )
+        )
+        yield ""
+    yield table.note
+
+
+def draw_numbers(comparisons: Sequence[NumberComparison]) -> ReportFigure | None:
+    """Draw the differences of each number, all tasks together, in a panel of its own; None if there is none."""
+    drawn = [c for c in comparisons if c.task == ALL_TASKS and c.difference.mean is not None]
+    names = list(dict.fromkeys(c.metric.name for c in drawn))
+    lines = list(dict.fromkeys((c.first, c.second, c.part) for c in drawn))
+    if not names or len(lines) > _MAX_LINES:
+        return None
+    rows = -(-len(names) // _PANELS)
+    figure, axes = new_figure(9.6, rows * (0.75 + 0.24 * len(lines)) + 0.3, rows, _PANELS, sharey=True)
+    for ax, name in zip(axes.flat, names, strict=False):
+        for c in drawn:
+            if c.metric.name == name:
+                y = float(lines[::-1].index((c.first, c.second, c.part)))
+                draw_interval(ax, c.difference, y, "#000000" if c.is_clear else COLOURS[0], "D" if c.is_clear else "o")
+        ax.axvline(0.0, color=FAINT, linewidth=1.2, zorder=1)
+        side = "← better" if name in LOWER_IS_BETTER else "better →"
+        ax.set_title(f"{NUMBERS[name].label}   {side}", fontsize=8, loc="left")
+        ax.set_ylim(-0.6, len(lines) - 0.4)
+        ax.tick_params(labelsize=7)
+        ax.margins(x=0.15)
+    for ax in axes[:, 0]:
+        ax.set_yticks(range(len(lines)), [plain(_line_label(*line)) for line in lines[::-1]], fontsize=7)
+    for ax in axes.flat[len(names) :]:
+        ax.set_visible(False)
+    return ReportFigure(
+        name="number_differences",
+        title="Differences of the numbers",
+        caption="First minus second model over the samples that both have complete, all tasks together, with 95 % "
+        "intervals; the arrow points to the side on which the first is better. Black diamonds: the intervals of the "
+        "difference and of its bound, with missing values as the worst, exclude 0 on the same side.",
+        figure=figure,
+    )
+
+
+def _line_label(first: str, second: str, part: str) -> str:
+    return f"{_shorten(first)} − {_shorten(second)}" + (f", {part}" if part else "")
+
+
+def _shorten(name: str) -> str:
+    return name if len(name) <= _MAX_LETTERS else f"{name[: _MAX_LETTERS - 1]}…"

@@ -1,0 +1,111 @@
+"""Finished output folders of runs, for pages about several of them."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from kinebench_drake.errors import InputError, UsageError
+from kinebench_drake.io.jsonl import as_object
+from kinebench_drake.report.page import read_results
+from kinebench_drake.results.row import SampleRow
+from kinebench_drake.results.store import RESULTS, SAMPLES, read_rows
+from kinebench_drake.types import Json
+
+_VERSIONS = ("schema_version", "suite_version")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Run:
+    """One finished output folder."""
+
+    path: Path
+    rows: tuple[SampleRow, ...]
+    """Samples, sorted by id."""
+    results: Mapping[str, Json]
+    """Content of `results.json`."""
+
+    @property
+    def name(self) -> str:
+        """Last component of the path."""
+        return self.path.resolve().name
+
+    @property
+    def kind(self) -> str:
+        """Kind of run: score, ground, audit or suite."""
+        return str(self.results.get("kind"))
+
+    @property
+    def config(self) -> Mapping[str, Json]:
+        """Configuration of the run."""
+        return as_object(self.results.get("config"))
+
+    @property
+    def tags(self) -> Mapping[str, str]:
+        """Labels of the user."""
+        return {key: str(value) for key, value in as_object(self.results.get("tags")).items()}
+
+    @property
+    def planned(self) -> int | None:
+        """Samples of the whole run, ignoring shards and limits; None if unknown."""
+        planned = self.results.get("samples_found")
+        return planned if isinstance(planned, int) else None
+
+    @property
+    def versions(self) -> Mapping[str, Json]:
+        """Versions of file format and suites."""
+        return {name: self.results.get(name) for name in _VERSIONS}
+
+
+def read_runs(paths: Sequence[Path]) -> list[Run]:
+    """Read finished output folders.
+
+    Raises:
+        UsageError: there is none, one is named twice, is broken, unfinished or empty, or they have different schema or
+            suite versions.
+    """
+    if not paths:
+        raise UsageError("no folder named, expected output folders of runs")
+    for k, path in enumerate(paths):
+        if path.resolve() in {other.resolve() for other in paths[:k]}:
+            raise UsageError(f"{path}: named twice; its samples would count twice")
+    runs = [read_run(path) for path in paths]
+    for run in runs[1:]:
+        for name in _VERSIONS:
+            one, other = runs[0].versions[name], run.versions[name]
+            if one != other:
+                raise UsageError(
+                    f"{runs[0].path} has {name} {one} and {run.path} {other}: their numbers cannot be compared; "
+                    "run one of them again with the other's version"
+                )
+    return runs
+
+
+def read_run(path: Path) -> Run:
+    """Read one finished output folder.
+
+    Raises:
+        UsageError: it is broken, unfinished or empty.
+    """
+    if not (path / SAMPLES).is_file():
+        raise UsageError(f"{path}: holds no {SAMPLES}, expected the output folder of a run")
+    if not (path / RESULTS).is_file():
+        raise UsageError(f"{path}: holds no {RESULTS}; run the same command again to finish it")
+    try:
+        rows, results = read_rows(path), read_results(path)
+    except InputError as error:
+        raise UsageError(str(error)) from None
+    if not rows:
+        raise UsageError(f"{path}: holds no sample")
+    return Run(path=path, rows=tuple(rows[id] for id in sorted(rows)), results=results)
+
+
+def check_page_folder(out: Path) -> None:
+    """Check that a page about runs may be written to a folder.
+
+    Raises:
+        UsageError: it is the output folder of a run.
+    """
+    if (out / SAMPLES).exists():
+        raise UsageError(
+            f"--out {out}: is the output folder of a run, whose own report it would overwrite; name another"
+        )

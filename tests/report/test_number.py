@@ -1,0 +1,126 @@
+"""Numbers of two models on shared samples: paired, and no gain by missing values."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from kinebench_drake.report.metric import BY_NAME, LOWER_IS_BETTER
+from kinebench_drake.report.number import ALL_TASKS, NUMBERS, compare_numbers, draw_numbers, number_lines
+from kinebench_drake.report.number import tabulate_numbers as tabulate
+from kinebench_drake.report.table import table_csv, table_latex
+from kinebench_drake.results.row import Status
+from tests.report.pages import row
+
+VALUES = st.none() | st.integers(-5, 5).map(float)
+"""Few values, so that ties occur."""
+
+
+def rows(name, values, task="T"):
+    """Rows of samples with one number each."""
+    made = []
+    for k, value in enumerate(values):
+        fields = {name: value} if name in ("executable", "feasible") else {"metrics": {name: value}}
+        if "executable" in fields:
+            fields = {"extra": fields} if not hasattr(row("x"), "executable") else fields
+        made.append(row(f"s{k}", task=task, **fields))
+    return made
+
+
+def compare(name, first, second):
+    if name in ("executable", "feasible", "trajopt_feasible"):
+        first, second = ([None if v is None else v > 0 for v in own] for own in (first, second))
+    found = compare_numbers(list(zip(rows(name, first), rows(name, second), strict=True)), "a", "b")
+    return next((c for c in found if c.metric.name == name and c.task == ALL_TASKS), None)
+
+
+@pytest.mark.parametrize("name", ["executable", "feasible", "sparc", "slowdown_min"])
+@given(values=st.lists(st.tuples(VALUES, VALUES), min_size=1, max_size=12), place=st.integers(0, 11))
+@settings(max_examples=60, deadline=None)
+def test_a_missing_value_never_helps_its_model(name, values, place):
+    first, second = [a for a, _ in values], [b for _, b in values]
+    place %= len(values)
+    before = compare(name, first, second)
+    removed = [None if k == place else v for k, v in enumerate(first)]
+    after = compare(name, removed, second)
+    if after is None or before is None:  # no value at all is left to compare
+        return
+    assert after.better[0] <= before.better[0]
+    assert after.better[1] >= before.better[1]
+    share, sign = name in ("executable", "feasible"), -1 if name in LOWER_IS_BETTER else 1
+    others = [sign * v for v in (*removed, *second) if v is not None]
+    if share or (first[place] is not None and min(others, default=np.inf) <= sign * first[place]):
+        assert sign * after.bound.mean <= sign * before.bound.mean + 1e-12
+
+
+@pytest.mark.parametrize("name", ["feasible", "manipulability_mean", "slowdown_min"])
+@given(values=st.lists(st.tuples(VALUES, VALUES), min_size=1, max_size=10))
+@settings(max_examples=40, deadline=None)
+def test_exchanged_models_have_opposite_differences(name, values):
+    first, second = [a for a, _ in values], [b for _, b in values]
+    one, other = compare(name, first, second), compare(name, second, first)
+    assert (one is None) == (other is None)
+    if one is not None:
+        assert one.better == other.better[::-1]
+        assert one.p_value == other.p_value
+        assert one.difference.n == other.difference.n == sum(a is not None and b is not None for a, b in values)
+        if one.difference.n:
+            assert one.difference.mean == pytest.approx(-other.difference.mean, abs=1e-12)
+        assert one.bound.mean == pytest.approx(-other.bound.mean, abs=1e-12)
+
+
+def test_pairs_decide_where_samples_differ_more_than_models():
+    """Samples of very different difficulty: every pair differs by 0.1, which unpaired intervals would hide."""
+    base = np.arange(20.0)
+    c = compare("manipulability_mean", list(base + 0.1 + 0.001 * (base % 3)), list(base))
+    assert c.difference.low < c.difference.mean < c.difference.high
+    assert c.difference.low > 0.09
+    assert c.means[0].low < c.means[1].high
+    assert c.better == (20, 0)
+    assert c.p_value == pytest.approx(2.0**-19)
+    assert c.is_clear
+
+
+def test_a_gain_that_rests_on_missing_values_is_not_clear():
+    """The first model has no number for its 15 hard samples and looks better on the other 10."""
+    first = [1.0 + 0.01 * k for k in range(10)] + [None] * 15
+    second = [0.5 + 0.02 * k for k in range(10)] + [0.8 + 0.01 * k for k in range(15)]
+    c = compare("manipulability_mean", first, second)
+    assert c.difference.low > 0.0
+    assert (c.difference.n, c.shared, c.better) == (10, 25, (10, 15))
+    assert c.bound.mean < c.difference.mean
+    assert not c.is_clear
+
+
+def test_equal_models_do_not_differ():
+    c = compare("sparc", [-2.0, -3.0, None], [-2.0, -3.0, None])
+    assert (c.difference.mean, c.difference.low, c.better, c.p_value) == (0.0, None, (0, 0), 1.0)
+    assert not c.is_clear
+
+
+def test_samples_that_failed_have_no_number():
+    ok = row("a", feasible=True, metrics={"sparc": -2.0})
+    failed = row("a", Status.ERROR, feasible=True, metrics={"sparc": -1.0})
+    feasible, sparc = (c for c in compare_numbers([(ok, failed)], "a", "b") if c.task == ALL_TASKS)
+    assert (feasible.metric.name, sparc.metric.name) == ("feasible", "sparc")
+    assert feasible.difference.n == sparc.difference.n == 0
+    assert feasible.bound.mean == 1.0
+    assert sparc.better == (1, 0)
+
+
+def test_tables_lead_with_executable_and_hold_every_number():
+    values = {name: -2.0 if "sparc" in name else 0.5 for name in NUMBERS if name in BY_NAME}
+    fields = {"extra": {"executable": True}} if not hasattr(row("x"), "executable") else {"executable": True}
+    one = row("a", task="A", feasible=True, metrics=values | {"trajopt_feasible": True}, **fields)
+    two = row("a", task="B", feasible=False, metrics=values | {"trajopt_feasible": False}, **fields)
+    found = compare_numbers([(one, one), (two, two)], "a", "b")
+    assert [c.metric.name for c in found if c.task == ALL_TASKS] == list(NUMBERS)
+    assert found[0].metric.name == "executable"
+    assert {c.task for c in found} == {ALL_TASKS, "A", "B"}
+    table = tabulate(found)
+    assert len(table_csv(table).splitlines()) == len(found) + 1
+    assert "+0.00" in table_latex(table)
+    text = list(number_lines(found))
+    assert text[0] == "a - b"
+    assert text[2].startswith("Executable")
+    assert len(draw_numbers(found).figure.axes) >= len(NUMBERS)
