@@ -32,6 +32,8 @@ _THEME = {"#000000": "var(--ink)", "#ffffff": "var(--card)", "#e6e8ea": "var(--l
 """Replacements of drawn colours on a page."""
 _PX_PER_POINT = 1.5
 """Size of figures on a page [px of CSS / point]."""
+_MIN_SCALE = 0.7
+"""Share of that size below which a figure scrolls instead of getting smaller."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -118,7 +120,8 @@ def inline_svg(svg: str, name: str, title: str) -> str:
     for drawn, themed in _THEME.items():
         body = body.replace(drawn, themed)
     box = re.search(r'viewBox="0 0 ([\d.]+) [\d.]+"', body)
-    size = f'{box[0]} width="{float(box[1]) * _PX_PER_POINT:.0f}"' if box else ""
+    width = float(box[1]) * _PX_PER_POINT if box else 0.0
+    size = f'{box[0]} width="{width:.0f}" style="min-width: {_MIN_SCALE * width:.0f}px"' if box else ""
     head = f'<svg {size} role="img" aria-label="{escape(title)}">'
     return re.sub(r"<svg[^>]*>", lambda _: head, body, count=1)
 

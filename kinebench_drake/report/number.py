@@ -36,7 +36,7 @@ NUMBERS = {**SHARES, **{name: BY_NAME[name] for name in _MEANS}}
 _BY_TASK = ("executable", "feasible", "manipulability_mean", "sparc")
 """Numbers that are compared task by task, too."""
 _PRINTED = (
-    *("number", "better_is", "first_mean", "second_mean", "difference", "complete", "shared", "first_better"),
+    *("number", "first_mean", "second_mean", "difference", "complete", "shared", "first_better"),
     *("second_better", "p"),
 )
 """Keys of the columns printed to a terminal."""
@@ -169,7 +169,6 @@ def tabulate_numbers(comparisons: Sequence[NumberComparison]) -> Table:
         Column(key="second", label="Second"),
         Column(key="task", label="Task"),
         Column(key="number", label="Number"),
-        Column(key="better_is", label="Better"),
         Column(key="first_mean", label="Mean, first", estimated=True),
         Column(key="second_mean", label="Mean, second", estimated=True),
         Column(key="difference", label="Difference", estimated=True, signed=True),
@@ -182,6 +181,7 @@ def tabulate_numbers(comparisons: Sequence[NumberComparison]) -> Table:
             key="bound", label="Bound of the difference", estimated=True, signed=True,
             meaning="over all shared samples, a missing value counted as the worst",
         ),
+        Column(key="metric", label="Key", meaning="name in samples.jsonl"),
     )  # fmt: skip
     shown = [k for k, column in enumerate(columns) if column.key != "part" or any(c.part for c in comparisons)]
     place = next(k for k, j in enumerate(shown) if columns[j].key == "difference")
@@ -189,13 +189,13 @@ def tabulate_numbers(comparisons: Sequence[NumberComparison]) -> Table:
     return Table(
         name="numbers",
         title="Numbers on shared samples",
-        note="Means and difference (first minus second) over the samples that both have complete, with 95 % intervals: "
-        "for shares Wilson and, for their difference, Newcombe's method 10; for means bootstrap over samples, paired "
-        "for their difference. Better: the shared samples in which a model has the better value, where a missing value "
-        "is worse than any and two missing ones are equal; p: exact sign test of these counts, not adjusted for the "
-        "number of rows. Bound: the difference over all shared samples, a missing value counted as the worst that "
-        "either model has, a missing truth value as false. Bold: the intervals of difference and bound exclude 0 on "
-        "the same side.",
+        note="↑: higher is better, ↓: lower is better. Means and difference (first minus second) over the samples that "
+        "both have complete, with 95 % intervals: for shares Wilson and, for their difference, Newcombe's method 10; "
+        "for means bootstrap over samples, paired for their difference. Better: the shared samples in which a model "
+        "has the better value, where a missing value is worse than any and two missing ones are equal; p: exact sign "
+        "test of these counts, not adjusted for the number of rows. Bound: the difference over all shared samples, a "
+        "missing value counted as the worst that either model has, a missing truth value as false. Bold: the intervals "
+        "of difference and bound exclude 0 on the same side.",
         columns=tuple(columns[k] for k in shown),
         rows=tuple(tuple(row[k] for k in shown) for row in rows),
         bold=frozenset((i, place) for i, c in enumerate(comparisons) if c.is_clear),
@@ -204,12 +204,13 @@ def tabulate_numbers(comparisons: Sequence[NumberComparison]) -> Table:
 
 
 def _row(c: NumberComparison) -> tuple[Value, ...]:
-    better_is = "lower" if c.metric.name in LOWER_IS_BETTER else "higher"
+    arrow = "↓" if c.metric.name in LOWER_IS_BETTER else "↑"
     return (
-        *(c.part, c.first, c.second, c.task, c.metric.label, better_is),
+        *(c.part, c.first, c.second, c.task, f"{c.metric.label} {arrow}"),
         *(None if e.n == 0 else e for e in (*c.means, c.difference)),
         *(c.difference.n, c.shared, *c.better, c.p_value),
         None if c.bound.n == 0 else c.bound,
+        c.metric.name,
     )
 
 
@@ -243,6 +244,8 @@ def draw_numbers(comparisons: Sequence[NumberComparison]) -> ReportFigure | None
     lines = list(dict.fromkeys((c.first, c.second, c.part) for c in drawn))
     if not names or len(lines) > _MAX_LINES:
         return None
+    from matplotlib.ticker import MaxNLocator
+
     rows = -(-len(names) // _PANELS)
     figure, axes = new_figure(9.6, rows * (0.75 + 0.24 * len(lines)) + 0.3, rows, _PANELS, sharey=True)
     for ax, name in zip(axes.flat, names, strict=False):
@@ -251,11 +254,14 @@ def draw_numbers(comparisons: Sequence[NumberComparison]) -> ReportFigure | None
                 y = float(lines[::-1].index((c.first, c.second, c.part)))
                 draw_interval(ax, c.difference, y, "#000000" if c.is_clear else COLOURS[0], "D" if c.is_clear else "o")
         ax.axvline(0.0, color=FAINT, linewidth=1.2, zorder=1)
+        ends = [0.0, *(end for c in drawn if c.metric.name == name for end in _ends(c.difference))]
+        room = 0.15 * (max(ends) - min(ends)) or 1.0
+        ax.set_xlim(min(ends) - room, max(ends) + room)
+        ax.xaxis.set_major_locator(MaxNLocator(nbins=4))
         side = "← better" if name in LOWER_IS_BETTER else "better →"
         ax.set_title(f"{NUMBERS[name].label}   {side}", fontsize=8, loc="left")
         ax.set_ylim(-0.6, len(lines) - 0.4)
         ax.tick_params(labelsize=7)
-        ax.margins(x=0.15)
     for ax in axes[:, 0]:
         ax.set_yticks(range(len(lines)), [plain(_line_label(*line)) for line in lines[::-1]], fontsize=7)
     for ax in axes.flat[len(names) :]:
@@ -264,10 +270,14 @@ def draw_numbers(comparisons: Sequence[NumberComparison]) -> ReportFigure | None
         name="number_differences",
         title="Differences of the numbers",
         caption="First minus second model over the samples that both have complete, all tasks together, with 95 % "
-        "intervals; the arrow points to the side on which the first is better. Black diamonds: the intervals of the "
+        "intervals; the arrow points to the side on which the first is better. Diamonds: the intervals of the "
         "difference and of its bound, with missing values as the worst, exclude 0 on the same side.",
         figure=figure,
     )
+
+
+def _ends(value: Estimate) -> Iterator[float]:
+    yield from (end for end in (value.low, value.mean, value.high) if end is not None)
 
 
 def _line_label(first: str, second: str, part: str) -> str:

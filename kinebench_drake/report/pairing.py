@@ -161,10 +161,10 @@ def list_differences(pairs: Sequence[ModelPair], runs: Sequence[Run]) -> Iterato
         ):
             values = [(a.extra.get(name), b.extra.get(name)) for a, b in pair.pairs]
             if unequal := [(one, two) for one, two in values if None not in (one, two) and one != two]:
-                one, two = unequal[0]
+                one, two = (f"{v:.4g}" if isinstance(v, float) else v for v in unequal[0])
                 yield (
-                    f"{pair.first} - {pair.second}: {label} differ in {len(unequal)} of {len(values)} shared samples "
-                    f"(such as {one} and {two}): {effect}"
+                    f"{label} of {pair.first} and {pair.second} differ in {len(unequal)} of {len(values)} shared "
+                    f"samples (such as {one} and {two}): {effect}"
                 )
     for name in ("code_sha256", "weights_sha256"):
         if len({str(run.results.get(name)) for run in runs}) > 1:

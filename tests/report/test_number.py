@@ -30,8 +30,8 @@ def rows(name, values, task="T"):
 def compare(name, first, second):
     if name in ("executable", "feasible", "trajopt_feasible"):
         first, second = ([None if v is None else v > 0 for v in own] for own in (first, second))
-    found = compare_numbers(list(zip(rows(name, first), rows(name, second), strict=True)), "a", "b")
-    return next((c for c in found if c.metric.name == name and c.task == ALL_TASKS), None)
+    comparisons = compare_numbers(list(zip(rows(name, first), rows(name, second), strict=True)), "a", "b")
+    return next((c for c in comparisons if c.metric.name == name and c.task == ALL_TASKS), None)
 
 
 @pytest.mark.parametrize("name", ["executable", "feasible", "sparc", "slowdown_min"])
@@ -113,14 +113,14 @@ def test_tables_lead_with_executable_and_hold_every_number():
     fields = {"extra": {"executable": True}} if not hasattr(row("x"), "executable") else {"executable": True}
     one = row("a", task="A", feasible=True, metrics=values | {"trajopt_feasible": True}, **fields)
     two = row("a", task="B", feasible=False, metrics=values | {"trajopt_feasible": False}, **fields)
-    found = compare_numbers([(one, one), (two, two)], "a", "b")
-    assert [c.metric.name for c in found if c.task == ALL_TASKS] == list(NUMBERS)
-    assert found[0].metric.name == "executable"
-    assert {c.task for c in found} == {ALL_TASKS, "A", "B"}
-    table = tabulate(found)
-    assert len(table_csv(table).splitlines()) == len(found) + 1
+    comparisons = compare_numbers([(one, one), (two, two)], "a", "b")
+    assert [c.metric.name for c in comparisons if c.task == ALL_TASKS] == list(NUMBERS)
+    assert comparisons[0].metric.name == "executable"
+    assert {c.task for c in comparisons} == {ALL_TASKS, "A", "B"}
+    table = tabulate(comparisons)
+    assert len(table_csv(table).splitlines()) == len(comparisons) + 1
     assert "+0.00" in table_latex(table)
-    text = list(number_lines(found))
+    text = list(number_lines(comparisons))
     assert text[0] == "a - b"
     assert text[2].startswith("Executable")
-    assert len(draw_numbers(found).figure.axes) >= len(NUMBERS)
+    assert len(draw_numbers(comparisons).figure.axes) >= len(NUMBERS)

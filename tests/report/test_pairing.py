@@ -91,7 +91,7 @@ def test_what_else_differs_is_a_warning(tmp_path):
     one = write(tmp_path / "a", {"x": {"frame_period_s": 0.2, "camera_source": "folder"}}, weights_sha256="1")
     two = write(tmp_path / "b", {"x": {"frame_period_s": 0.1, "camera_source": "benchmark"}}, weights_sha256="2")
     first, second, third = compared(one, two).warnings
-    assert "frame periods differ in 1 of 1 shared samples (such as 0.2 and 0.1)" in first
+    assert "frame periods of a and b differ in 1 of 1 shared samples (such as 0.2 and 0.1)" in first
     assert "camera" in second
     assert "weights_sha256" in third
     assert not compared(one, write(tmp_path / "c", {"x": {"frame_period_s": 0.2}}, weights_sha256="1")).warnings
@@ -138,7 +138,7 @@ def test_a_comparison_of_scores_is_printed_and_written(folders, tmp_path, capsys
     assert stop.value.code == 0
     printed = capsys.readouterr().out.splitlines()
     assert printed[0] == f"wan - {EVIL}: 40 shared samples (of 40 and 40), paired by task and seed"
-    assert any(line.startswith("SPARC") and "higher" in line for line in printed)
+    assert any(line.startswith("SPARC ↑") for line in printed)
     text = (out / "report.html").read_text()
     page = Page(text)
     assert page.open == []
@@ -149,7 +149,7 @@ def test_a_comparison_of_scores_is_printed_and_written(folders, tmp_path, capsys
     names = {path.name for path in out.iterdir()}
     assert names >= {"numbers.csv", "numbers.tex", "number_differences.png", "number_differences.svg", "samples.csv"}
     with (out / "numbers.csv").open() as file:
-        sparc = next(row for row in csv.DictReader(file) if row["number"] == "SPARC" and row["task"] == "all tasks")
+        sparc = next(row for row in csv.DictReader(file) if row["metric"] == "sparc" and row["task"] == "all tasks")
     assert float(sparc["difference"]) == pytest.approx(0.5)
     assert (sparc["complete"], sparc["shared"], sparc["first_better"], sparc["second_better"]) == (
         "35",
