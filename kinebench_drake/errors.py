@@ -16,6 +16,11 @@ def one_line(text: str) -> str:
     return line if len(line) <= _MAX_CHARACTERS else f"{line[: _MAX_CHARACTERS - 4]} ..."
 
 
+def count_noun(n: int, noun: str) -> str:
+    """Return a number with its noun, in the plural (-s) unless it is one."""
+    return f"{n} {noun}" if n == 1 else f"{n} {noun}s"
+
+
 class KinebenchError(Exception):
     """Base of all expected errors; the text is shown to the user unchanged."""
 

@@ -1,8 +1,10 @@
 """Running a job from the command line: progress, interrupts, closing lines."""
 
+import re
 import signal
 import sys
-from collections.abc import Callable, Iterator
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
@@ -13,10 +15,13 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.text import Text
 
-from kinebench_drake.errors import one_line
+from kinebench_drake.errors import count_noun, one_line
 from kinebench_drake.evaluation.runner import RunObserver, RunSummary
+from kinebench_drake.report.timeline import anomalies_of
+from kinebench_drake.results.aggregate import estimate
 from kinebench_drake.results.inputs import input_lines
 from kinebench_drake.results.row import SampleRow, Status
+from kinebench_drake.types import Json
 
 _STYLES = {Status.OK: "green", Status.UNMEASURABLE: "yellow", Status.ERROR: "red"}
 
@@ -114,17 +119,62 @@ def _print_summary(out: Path, summary: RunSummary) -> None:
         click.echo("there was nothing to do: this shard holds no sample", err=True)
     elif not summary.counts[Status.OK]:
         click.echo(f"nothing could be measured ({counts}); {out / 'samples.jsonl'} has the reasons", err=True)
-    else:
-        click.echo(counts)
-    for share, label in (
-        (summary.success, "episodes are successful"),
-        (summary.feasible, "judged samples are feasible"),
-    ):
-        if share is not None and share.mean is not None:
-            click.echo(f"{share.mean:.0%} of {share.n} {label} (95% interval {share.low:.0%} to {share.high:.0%})")
-    for line in input_lines(summary.rows):
+    for line in summary_lines(summary.rows) if summary.rows else ():
         click.echo(line)
     click.echo(summary.report or out / "results.json")
+
+
+def summary_lines(rows: Sequence[SampleRow]) -> Iterator[str]:
+    """Describe a run's rows: verdicts, faults, what could not be measured, frame period and camera, a line each."""
+    verdicts = [line for name in ("success", "executable", "feasible") if (line := _share(name, rows))]
+    if verdicts:
+        yield "; ".join(verdicts)
+    faults = [f"anomalies: {_count_samples(map(anomalies_of, rows))}"] if _has_anomalies(rows) else []
+    if any(row.violations for row in rows) or not faults:
+        faults.append(f"violated limits: {_count_samples(row.violations for row in rows)}")
+    yield "; ".join(faults)
+    yield "; ".join(
+        f"{status.value}: {n} of {count_noun(len(rows), 'sample')}{_frequent_reason(rows, status)}"
+        for status in (Status.UNMEASURABLE, Status.ERROR)
+        if (n := sum(row.status is status for row in rows)) or status is Status.UNMEASURABLE
+    )
+    yield from input_lines(rows)
+
+
+def _has_anomalies(rows: Sequence[SampleRow]) -> bool:
+    """Return whether anomalies were looked for: trajectories without a video have none."""
+    return any("anomalies" in row.metrics for row in rows)
+
+
+def _share(name: str, rows: Sequence[SampleRow]) -> str:
+    """Describe the share of a truth value; empty if no row has it."""
+    values = [getattr(row, name, row.extra.get(name)) if row.status is Status.OK else None for row in rows]
+    share = estimate([value for value in values if isinstance(value, bool)], total=len(rows))
+    if share.mean is None or share.low is None or share.high is None:
+        return ""
+    hits, missing = round(share.mean * share.n), share.total - share.n
+    bound = f"; at least {hits / share.total:.0%} of all {share.total}" if missing else ""
+    judged = count_noun(share.n, "judged sample" if missing else "sample")
+    return f"{name}: {hits} of {judged}, {share.mean:.0%} (95% interval {share.low:.0%} to {share.high:.0%}{bound})"
+
+
+def _count_samples(faults: Iterable[Sequence[Mapping[str, Json]]]) -> str:
+    """Count the samples with each kind of fault, the most frequent first."""
+    kinds = Counter(kind for own in faults for kind in {str(fault.get("kind")) for fault in own})
+    ranked = sorted(kinds.items(), key=lambda item: (-item[1], item[0]))
+    return ", ".join(f"{kind} in {count_noun(n, 'sample')}" for kind, n in ranked) or "none"
+
+
+def _frequent_reason(rows: Sequence[SampleRow], status: Status) -> str:
+    """Return the most frequent reason of a status, reasons that differ in numbers alone counted together."""
+    reasons = [row.reason or "no reason stored" for row in rows if row.status is status]
+    if not reasons:
+        return ""
+    kinds = [re.sub(r"[0-9.]+", "#", reason) for reason in reasons]
+    counts = Counter(kinds)
+    [(kind, n)] = counts.most_common(1)
+    reason = one_line(reasons[kinds.index(kind)])
+    return f": {reason}" if len(counts) == 1 else f", most often ({n}): {reason}"
 
 
 @contextmanager

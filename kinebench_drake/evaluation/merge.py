@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from kinebench_drake.errors import InputError, UsageError
+from kinebench_drake.errors import InputError, UsageError, count_noun
 from kinebench_drake.evaluation.config import RunKind
 from kinebench_drake.evaluation.evaluator import SCHEMA_VERSION
 from kinebench_drake.evaluation.runner import NullRunObserver, RunObserver, RunSummary, close_run, summarize
@@ -253,13 +253,14 @@ def _differing_versions(runs: Sequence[RunMetadata]) -> list[str]:
 def _shard_warnings(shard: ShardFolder) -> Iterator[str]:
     if not shard.finished:
         yield (
-            f"{shard.path}: its run has not ended; the {len(shard.rows)} samples finished so far are merged (run the "
-            "same command again, then merge again)"
+            f"{shard.path}: its run has not ended; {count_noun(len(shard.rows), 'sample')} finished so far merged "
+            "(run the same command again, then merge again)"
         )
     samples = (MergedSample(row=row, shard=shard) for row in shard.rows.values() if row.status is Status.OK)
     lost = [sample.row.id for sample in samples if not sample.artifact("tracks").is_file()]
     if lost:
-        yield f"{shard.path}: {len(lost)} samples lack their tracks (such as {lost[0]!r}): was all of it copied?"
+        absent = f"tracks are absent of {count_noun(len(lost), 'sample')} (such as {lost[0]!r})"
+        yield f"{shard.path}: {absent}: was all of it copied?"
 
 
 def _merge_warnings(runs: Sequence[RunMetadata], merged: RunMetadata, samples: int) -> Iterator[str]:

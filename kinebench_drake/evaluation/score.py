@@ -16,7 +16,7 @@ from kinebench_drake.camera import Camera
 from kinebench_drake.datasets.manifest import MAX_PERIOD_S, MIN_PERIOD_S
 from kinebench_drake.datasets.videos.find import find_samples
 from kinebench_drake.datasets.videos.sample import VideoSample
-from kinebench_drake.errors import InputError, UnmeasurableError, UsageError
+from kinebench_drake.errors import InputError, UnmeasurableError, UsageError, count_noun
 from kinebench_drake.evaluation.analyzer import Analyzer, load_analyzer
 from kinebench_drake.evaluation.config import RunConfig, RunKind
 from kinebench_drake.evaluation.evaluator import KINEMATIC_METRICS, MIN_TRACKED, Evaluation, Evaluator
@@ -133,14 +133,14 @@ def score_videos(config: ScoreConfig, observer: RunObserver | None = None) -> Ru
     contradicted = sum(row.extra.get("first_frame") == InitialStateUse.CONTRADICTED.value for row in summary.rows)
     if contradicted:
         observer.warn(
-            f"{contradicted} samples do not begin with the pose of their manifest, or of the episode of their task and "
-            "seed: it was not used"
+            "the first frame contradicts the pose of the manifest, or of the episode of task and seed, in "
+            f"{count_noun(contradicted, 'sample')}: the pose was not used"
         )
     without_clock = sum(row.extra.get("frame_period_source") == PeriodSource.BENCHMARK.value for row in summary.rows)
     if without_clock:
         observer.warn(
-            f"{without_clock} samples have no frame rate: {BENCHMARK_PERIOD_S} s between frames was assumed, as in the "
-            "benchmark; set --frame-period SECONDS if it differs"
+            f"no frame rate in {count_noun(without_clock, 'sample')}: {BENCHMARK_PERIOD_S} s between frames was "
+            "assumed, as in the benchmark; set --frame-period SECONDS if it differs"
         )
     return summary
 

@@ -64,16 +64,6 @@ BY_NAME = {
 }
 
 
-LOWER_IS_BETTER = frozenset(
-    {
-        *("manipulability_cost_mean", "ik_position_error_max_m", "condition_number_max", "branch_jumps"),
-        *("velocity_ratio_max", "acceleration_ratio_max", "jerk_ratio_max", "torque_ratio_max"),
-        *("slowdown_min", "time_scale", "trajopt_position_tube_m", "camera_motion_px", "arm_consistency_px", "rounds"),
-    }
-)
-"""Metrics whose smaller values are better; of all others the greater ones are."""
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MetricLayout:
     """Metrics that the page of a kind of run shows first."""

@@ -10,9 +10,10 @@ import numpy as np
 from kinebench_drake.geometry import Array
 from kinebench_drake.io.figure import FAINT, new_figure, plain
 from kinebench_drake.report.figures import COLOURS, ReportFigure, draw_interval
-from kinebench_drake.report.metric import BY_NAME, LOWER_IS_BETTER, Metric
+from kinebench_drake.report.metric import BY_NAME, Metric
 from kinebench_drake.report.table import Column, Table, Value, table_lines
 from kinebench_drake.results.aggregate import Estimate, estimate
+from kinebench_drake.results.direction import LOWER_IS_BETTER
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.stats import PairedOutcomes, paired_mean_difference, sign_test
 

@@ -7,7 +7,7 @@ from typing import cast
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from kinebench_drake.errors import InputError, cause
+from kinebench_drake.errors import InputError, cause, count_noun
 from kinebench_drake.io.atomic import write_atomically
 from kinebench_drake.io.jsonl import as_object, intern_text, read_json
 from kinebench_drake.report.limits import to_number
@@ -124,7 +124,7 @@ def template_environment() -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    templates.filters.update(number=format_value, interval=format_interval)
+    templates.filters.update(number=format_value, interval=format_interval, counted=count_noun)
     return templates
 
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
 
-from kinebench_drake.errors import UsageError
+from kinebench_drake.errors import UsageError, count_noun
 from kinebench_drake.report.number import RowPair
 from kinebench_drake.report.run import Run
 from kinebench_drake.results.row import SampleRow
@@ -36,8 +36,8 @@ class ModelPair:
     @property
     def title(self) -> str:
         """The models, the shared samples and how they are paired, in one line."""
-        counts = " and ".join(map(str, self.samples))
-        return f"{self.first} - {self.second}: {len(self.pairs)} shared samples (of {counts}), paired by {self.key}"
+        shared, counts = count_noun(len(self.pairs), "shared sample"), " and ".join(map(str, self.samples))
+        return f"{self.first} - {self.second}: {shared} (of {counts}), paired by {self.key}"
 
 
 def _task_and_seed(row: SampleRow) -> Hashable | None:
@@ -163,8 +163,8 @@ def list_differences(pairs: Sequence[ModelPair], runs: Sequence[Run]) -> Iterato
             if unequal := [(one, two) for one, two in values if None not in (one, two) and one != two]:
                 one, two = (f"{v:.4g}" if isinstance(v, float) else v for v in unequal[0])
                 yield (
-                    f"{label} of {pair.first} and {pair.second} differ in {len(unequal)} of {len(values)} shared "
-                    f"samples (such as {one} and {two}): {effect}"
+                    f"{label} of {pair.first} and {pair.second} differ in {len(unequal)} of "
+                    f"{count_noun(len(values), 'shared sample')} (such as {one} and {two}): {effect}"
                 )
     for name in ("code_sha256", "weights_sha256"):
         if len({str(run.results.get(name)) for run in runs}) > 1:

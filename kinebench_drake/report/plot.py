@@ -8,6 +8,7 @@ import numpy as np
 from markupsafe import Markup, escape
 from numpy.typing import NDArray
 
+from kinebench_drake.errors import count_noun
 from kinebench_drake.geometry import Array
 from kinebench_drake.report.metric import Metric
 from kinebench_drake.report.table import format_interval
@@ -285,7 +286,7 @@ def draw_histogram(h: Histogram, names: Mapping[str, str]) -> Markup:
             )
         line = f"M{x(mean.mean):.1f} {_H_TOP - 6:.0f}V{floor:.0f}"
         parts.append(f'<path class="mean" d="{line}"><title>{tooltip}</title></path>')
-    text = f"median {h.metric.pattern.format(h.median)}; {mean.n} of {mean.total} samples"
+    text = f"median {h.metric.pattern.format(h.median)}; {mean.n} of {count_noun(mean.total, 'sample')}"
     if h.outliers:
         text += f", {h.outliers} outliers counted in the outermost bins"
     label = h.metric.label

@@ -261,7 +261,7 @@ def test_nothing_is_grounded(run, tmp_path, monkeypatch):
 def test_audit_tells_what_it_did(program, source, tmp_path):
     code, out, err = program("audit", source, "--out", tmp_path / "out", "--tag", "run=7", "--rate", "20")
     assert code == 0
-    assert "5 ok, 1 unmeasurable, 2 error" in out
+    assert "; error: 2 of 8 samples, most often (1): " in out
     assert str(tmp_path / "out" / "report.html") in out
     assert "warning: good: holds q and base_from_tcp" in err
     results = json.loads((tmp_path / "out" / "results.json").read_text())

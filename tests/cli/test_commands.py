@@ -31,8 +31,8 @@ def test_score_tells_what_it_did(program, film, tmp_path):
         "score", tmp_path / "videos", "--out", tmp_path / "out", "--tag", "run=7", "--tag", "x=a=b"
     )
     assert code == 0
-    assert "2 ok, 1 error" in out
-    assert "50% of 2 judged samples are feasible" in out
+    assert "feasible: 1 of 2 judged samples, 50% (95% interval 9% to 91%; at least 33% of all 3)" in out
+    assert "unmeasurable: 0 of 3 samples; error: 1 of 3 samples: " in out
     assert str(tmp_path / "out" / "report.html") in out
     assert [line.split("]")[0] for line in err.splitlines()] == ["[1/3", "[2/3", "[3/3"]
     assert '"x": "a=b"' in (tmp_path / "out" / "results.json").read_text()

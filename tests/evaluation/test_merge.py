@@ -270,7 +270,7 @@ def test_lost_files_and_unlike_versions_are_told(tmp_path):
     artifact_path(one, "tracks", "c").unlink()
     ear = Ear()
     merge_folders([one, two], tmp_path / "out", ear)
-    assert any("1 samples lack their tracks (such as 'c')" in text for text in ear.warnings)
+    assert any("tracks are absent of 1 sample (such as 'c')" in text for text in ear.warnings)
     assert any("different versions of drake" in text for text in ear.warnings)
     assert json.loads((tmp_path / "out" / "results.json").read_text())["versions"] == {"drake": "1.51, 1.52"}
 

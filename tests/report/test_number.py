@@ -5,10 +5,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from kinebench_drake.report.metric import BY_NAME, LOWER_IS_BETTER
+from kinebench_drake.report.metric import BY_NAME
 from kinebench_drake.report.number import ALL_TASKS, NUMBERS, compare_numbers, draw_numbers, number_lines
 from kinebench_drake.report.number import tabulate_numbers as tabulate
 from kinebench_drake.report.table import table_csv, table_latex
+from kinebench_drake.results.direction import LOWER_IS_BETTER
 from kinebench_drake.results.row import Status
 from tests.report.pages import row
 

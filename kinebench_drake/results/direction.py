@@ -1,0 +1,34 @@
+"""Which of two values of a metric is the better one."""
+
+from collections.abc import Iterable
+
+HIGHER_IS_BETTER = frozenset(
+    {
+        *("feasible", "executable", "success", "progress", "tracked_fraction", "ik_success_rate", "trajopt_feasible"),
+        *("sparc", "sparc_rotation", "ldlj", "sparc_filtered", "sparc_rotation_filtered"),
+        *("manipulability_mean", "manipulability_min", "manipulability_integral", "manipulability_limited_mean"),
+        *("manipulability_limited_min", "manipulability_translation_mean", "manipulability_rotation_mean"),
+        *("joint_limit_margin_min", "self_distance_min_m", "table_distance_min_m"),
+        *("gap_robot_iou", "gap_psnr_db", "gap_ssim"),
+    }
+)
+LOWER_IS_BETTER = frozenset(
+    {
+        *("manipulability_cost_mean", "condition_number_max", "ik_position_error_max_m", "branch_jumps"),
+        *("velocity_ratio_max", "acceleration_ratio_max", "jerk_ratio_max", "torque_ratio_max", "slowdown_min"),
+        *("time_scale", "trajopt_position_tube_m", "camera_motion_px", "arm_consistency_px", "rounds"),
+        *("gap_gripper_m", "gap_gripper_rad"),
+    }
+)
+
+
+def worst_value(name: str, values: Iterable[float]) -> float | None:
+    """Return the worst of the values of a metric; None without values or without a better side."""
+    if name in HIGHER_IS_BETTER:
+        return min(values, default=None)
+    return max(values, default=None) if name in LOWER_IS_BETTER else None
+
+
+def improves(name: str, before: float, after: float) -> bool:
+    """Return whether `after` is better than `before`; never for metrics that are neither good nor bad."""
+    return after != before and worst_value(name, (before, after)) == before

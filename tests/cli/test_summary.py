@@ -1,0 +1,74 @@
+"""The closing lines of a run: verdicts, faults, reasons, frame period, camera."""
+
+import pytest
+
+from kinebench_drake.cli.run import summary_lines
+from kinebench_drake.errors import count_noun
+from kinebench_drake.results.row import Status
+from tests.report.pages import row
+
+CLOCK = {"frame_period_s": 0.2, "frame_period_source": "manifest", "camera_source": "folder"}
+
+
+def lines(*rows):
+    return list(summary_lines(rows))
+
+
+def judged(id, executable, feasible, anomalies=(), violations=(), **fields):
+    """A judged row; `executable` is a field of the row or one of its further keys."""
+    own = {"executable": executable} if hasattr(row("x"), "executable") else {}
+    marks = [{"kind": kind, "frame_start": 1, "frame_end": 2, "severity": 1.0} for kind in anomalies]
+    limits = tuple({"kind": kind, "frame_start": 0, "frame_end": 1} for kind in violations)
+    extra = {**CLOCK, **({} if own else {"executable": executable}), **fields}
+    return row(id, feasible=feasible, metrics={"anomalies": marks}, violations=limits, extra=extra, **own)
+
+
+def lost(id, reason, status=Status.UNMEASURABLE):
+    return row(id, status, reason=reason, metrics={"anomalies": None}, extra={"camera_source": "folder"})
+
+
+def test_five_lines_say_what_came_out():
+    run = (
+        judged("a", True, True),
+        judged("b", False, True, anomalies=("vanish", "vanish", "freeze")),
+        judged("c", False, False, anomalies=("vanish",), violations=("velocity",)),
+        lost("d", "the gripper was found in 0 of 49 frames"),
+        lost("e", "the gripper was found in 1 of 33 frames"),
+        lost("f", "too short"),
+    )
+    verdicts, faults, reasons, period, camera = lines(*run)
+    assert verdicts == (
+        "executable: 1 of 3 judged samples, 33% (95% interval 6% to 79%; at least 17% of all 6); "
+        "feasible: 2 of 3 judged samples, 67% (95% interval 21% to 94%; at least 33% of all 6)"
+    )
+    assert faults == "anomalies: vanish in 2 samples, freeze in 1 sample; violated limits: velocity in 1 sample"
+    assert reasons == "unmeasurable: 3 of 6 samples, most often (2): the gripper was found in 0 of 49 frames"
+    assert period == "frame period: 0.2 s, from the manifest"
+    assert camera == "camera: from camera.json"
+
+
+def test_one_sample_is_singular_and_a_clean_run_says_so():
+    assert lines(judged("a", True, True))[:3] == [
+        "executable: 1 of 1 sample, 100% (95% interval 21% to 100%); feasible: 1 of 1 sample, 100% "
+        "(95% interval 21% to 100%)",
+        "anomalies: none",
+        "unmeasurable: 0 of 1 sample",
+    ]
+
+
+def test_trajectories_have_limits_but_no_anomalies():
+    assert lines(row("a", feasible=True, metrics={"sparc": -2.0}))[1] == "violated limits: none"
+
+
+def test_errors_stand_beside_what_could_not_be_measured():
+    third = lines(judged("a", True, True), lost("b", "no video\nat all \x1b[31m", Status.ERROR))[2]
+    assert third == r"unmeasurable: 0 of 2 samples; error: 1 of 2 samples: no video at all \x1b[31m"
+
+
+def test_an_episode_leads_with_success():
+    assert lines(judged("a", True, True, success=True))[0].startswith("success: 1 of 1 sample, 100%")
+
+
+@pytest.mark.parametrize(("n", "text"), [(0, "0 samples"), (1, "1 sample"), (2, "2 samples")])
+def test_count_noun(n, text):
+    assert count_noun(n, "sample") == text
