@@ -153,7 +153,7 @@ def test_of_a_stopped_run_what_is_finished_is_taken(tmp_path):
     (two / "videos" / "c_r0.mp4").write_text("likewise")
     ear = Ear()
     merge_folders([one, two], tmp_path / "out", ear)
-    assert [text.partition(":")[2][:30] for text in ear.warnings] == [" its run has not ended; the 1 ", ""]
+    assert [text.partition(":")[2][:30] for text in ear.warnings] == [" its run has not ended; 1 samp", ""]
     assert ear.warnings[1] == "2 of 7 samples are absent"
     assert set(read_rows(tmp_path / "out")) == {*IDS[::2], "b"}
     assert not (tmp_path / "out" / "tracks" / "c.npz").exists()
