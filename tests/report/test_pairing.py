@@ -91,7 +91,7 @@ def test_what_else_differs_is_a_warning(tmp_path):
     one = write(tmp_path / "a", {"x": {"frame_period_s": 0.2, "camera_source": "folder"}}, weights_sha256="1")
     two = write(tmp_path / "b", {"x": {"frame_period_s": 0.1, "camera_source": "benchmark"}}, weights_sha256="2")
     first, second, third = compared(one, two).warnings
-    assert "frame periods of a and b differ in 1 of 1 shared samples (such as 0.2 and 0.1)" in first
+    assert "frame periods of a and b differ in 1 of 1 shared sample (such as 0.2 and 0.1)" in first
     assert "camera" in second
     assert "weights_sha256" in third
     assert not compared(one, write(tmp_path / "c", {"x": {"frame_period_s": 0.2}}, weights_sha256="1")).warnings
