@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import cast
 
 from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.io.jsonl import as_object
@@ -37,7 +38,7 @@ class Run:
     @property
     def config(self) -> Mapping[str, Json]:
         """Configuration of the run."""
-        return as_object(self.results.get("config"))
+        return cast(Mapping[str, Json], as_object(self.results.get("config")))
 
     @property
     def tags(self) -> Mapping[str, str]:
