@@ -97,7 +97,7 @@ def paired_mean_difference(first: Array, second: Array, rng: np.random.Generator
     if len(first) != len(second) or len(first) == 0:
         raise InputError(f"{len(first)} values cannot be paired with {len(second)}")
     differences = np.asarray(first, dtype=np.float64) - np.asarray(second, dtype=np.float64)
-    ends = (np.nan, np.nan) if np.ptp(differences) == 0.0 else bootstrap_mean(differences, rng)
+    ends = (np.nan, np.nan) if np.ptp(differences) < 1e-12 else bootstrap_mean(differences, rng)
     return IntervalEstimate(value=float(differences.mean()), low=ends[0], high=ends[1])
 
 

@@ -27,6 +27,14 @@ def new_figure(width: float, height: float, rows: int = 1, columns: int = 1, **o
     return figure, axes
 
 
+def shorten(name: str, letters: int = 48) -> str:
+    """Return a name that a figure has room for, its middle left out: names often differ at their ends."""
+    if len(name) <= letters:
+        return name
+    tail = letters // 2
+    return f"{name[: letters - tail - 1]}…{name[-tail:]}"
+
+
 def plain(text: str) -> str:
     """Escape dollar signs, between which matplotlib would typeset mathematics."""
     return text.replace("$", r"\$")

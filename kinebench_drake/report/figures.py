@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from markupsafe import Markup, escape
 
 from kinebench_drake.io.atomic import atomic_path, write_atomically
-from kinebench_drake.io.figure import new_figure, plain, save
+from kinebench_drake.io.figure import new_figure, plain, save, shorten
 from kinebench_drake.report.metric import layout_of
 from kinebench_drake.report.page import SampleGroup, bootstrap_seed, count_metrics, group_rows, read_results
 from kinebench_drake.report.plot import Histogram
@@ -232,7 +232,7 @@ def _draw_verdicts(groups: Sequence[SampleGroup]) -> "Figure":
         if any(counts):
             ax.barh(range(len(groups)), counts, left=left, color=colour, label=VERDICTS[verdict], height=0.7)
             left = [a + b for a, b in zip(left, counts, strict=True)]
-    ax.set_yticks(range(len(groups)), [_shorten(group.name) for group in groups], fontsize=8)
+    ax.set_yticks(range(len(groups)), [plain(shorten(group.name)) for group in groups], fontsize=8)
     ax.invert_yaxis()
     ax.set_xlabel("samples")
     ax.xaxis.set_major_locator(MaxNLocator(integer=True))
@@ -282,14 +282,9 @@ def _draw_faults(faults: Sequence[Faults]) -> "Figure":
         for css in reversed(_FAULT_COLOURS):
             spans = [(s.start, s.end + 1 - s.start) for lane in lanes if lane.css == css for s in lane.spans]
             ax.broken_barh(spans, (k - 0.35, 0.7), color=_FAULT_COLOURS[css], linewidth=0.0)
-    ax.set_yticks(range(len(faults)), [_shorten(row.id) for row, _, _ in faults], fontsize=7)
+    ax.set_yticks(range(len(faults)), [plain(shorten(row.id)) for row, _, _ in faults], fontsize=7)
     ax.invert_yaxis()
     ax.set_xlabel("frames")
     handles = [Patch(color=colour, label=LEGEND[css]) for css, colour in _FAULT_COLOURS.items()]
     figure.legend(handles=handles, loc="outside upper center", ncols=4, fontsize=8, frameon=False)
     return figure
-
-
-def _shorten(name: str) -> str:
-    """Cut a name to the room that a figure has."""
-    return plain(name if len(name) <= 48 else f"{name[:47]}…")

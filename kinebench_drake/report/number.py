@@ -8,7 +8,7 @@ from itertools import groupby
 import numpy as np
 
 from kinebench_drake.geometry import Array
-from kinebench_drake.io.figure import FAINT, new_figure, plain
+from kinebench_drake.io.figure import FAINT, new_figure, plain, shorten
 from kinebench_drake.report.figures import COLOURS, ReportFigure, draw_interval
 from kinebench_drake.report.metric import BY_NAME, Metric
 from kinebench_drake.report.table import Column, Table, Value, table_lines
@@ -248,7 +248,8 @@ def draw_numbers(comparisons: Sequence[NumberComparison]) -> ReportFigure | None
     from matplotlib.ticker import MaxNLocator
 
     rows = -(-len(names) // _PANELS)
-    figure, axes = new_figure(9.6, rows * (0.75 + 0.24 * len(lines)) + 0.3, rows, _PANELS, sharey=True)
+    width = _PANELS * 2.2 + 0.06 * max(len(_line_label(*line)) for line in lines)
+    figure, axes = new_figure(width, rows * (0.75 + 0.24 * len(lines)) + 0.3, rows, _PANELS, sharey=True)
     for ax, name in zip(axes.flat, names, strict=False):
         for c in drawn:
             if c.metric.name == name:
@@ -282,8 +283,9 @@ def _ends(value: Estimate) -> Iterator[float]:
 
 
 def _line_label(first: str, second: str, part: str) -> str:
-    return f"{_shorten(first)} − {_shorten(second)}" + (f", {part}" if part else "")
+    return pair_label(first, second) + (f", {part}" if part else "")
 
 
-def _shorten(name: str) -> str:
-    return name if len(name) <= _MAX_LETTERS else f"{name[: _MAX_LETTERS - 1]}…"
+def pair_label(first: str, second: str) -> str:
+    """Return the label of two models in a figure."""
+    return f"{shorten(first, _MAX_LETTERS)} − {shorten(second, _MAX_LETTERS)}"

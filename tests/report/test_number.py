@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from kinebench_drake.io.figure import shorten
 from kinebench_drake.report.metric import BY_NAME
 from kinebench_drake.report.number import ALL_TASKS, NUMBERS, compare_numbers, draw_numbers, number_lines
 from kinebench_drake.report.number import tabulate_numbers as tabulate
@@ -125,3 +126,10 @@ def test_tables_lead_with_executable_and_hold_every_number():
     assert text[0] == "a - b"
     assert text[2].startswith("Executable")
     assert len(draw_numbers(comparisons).figure.axes) >= len(NUMBERS)
+
+
+def test_names_differ_where_figures_shorten_them():
+    one, two = (f"command:python /srv/models/a-rather-long-name/serve.py step={k}" for k in (1000, 2000))
+    assert len(shorten(one)) == len(shorten(two)) == 48
+    assert shorten(one) != shorten(two)
+    assert (shorten("wan"), len(shorten(one, 28))) == ("wan", 28)

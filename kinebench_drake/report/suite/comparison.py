@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from kinebench_drake.errors import UsageError
 from kinebench_drake.io.figure import FAINT, new_figure
 from kinebench_drake.report.figures import COLOURS, ReportFigure, draw_interval, label_shares
-from kinebench_drake.report.number import ALL_TASKS, NumberComparison, compare_numbers, share_difference
+from kinebench_drake.report.number import ALL_TASKS, NumberComparison, compare_numbers, pair_label, share_difference
 from kinebench_drake.report.suite.episode import EpisodeResult, SuitePart, balanced_mean, group_by, list_models
 from kinebench_drake.report.suite.folders import RunFolder, pool_episodes, read_folders
 from kinebench_drake.report.table import Column, Table, Value, plain_columns, table_lines
@@ -270,13 +270,13 @@ def draw_differences(pairs: Sequence[PairComparison]) -> ReportFigure | None:
     if not lines:
         return None
     lines.reverse()
-    figure, axes = new_figure(7.2, 1.2 + 0.27 * len(lines))
+    names = [c.task if c.task != ALL_TASKS else f"{pair_label(c.first, c.second)}, {c.part.title}" for c, _ in lines]
+    figure, axes = new_figure(4.4 + 0.075 * max(map(len, names)), 1.2 + 0.27 * len(lines))
     ax = axes[0, 0]
     for k, (c, d) in enumerate(lines):
         pooled = c.task == ALL_TASKS
         draw_interval(ax, d, float(k), "#000000" if pooled else COLOURS[0], "D" if pooled else "o")
     ax.axvline(0.0, color=FAINT, linewidth=1.2, zorder=1)
-    names = [c.task if c.task != ALL_TASKS else f"{c.first} − {c.second}, {c.part.title}" for c, _ in lines]
     label_shares(ax, names, "difference of success on shared episodes", low=-1.0)
     for text, (c, _) in zip(ax.get_yticklabels(), lines, strict=True):
         text.set_fontweight("bold" if c.task == ALL_TASKS else "normal")

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.geometry import Array
-from kinebench_drake.io.figure import FAINT, new_figure, plain
+from kinebench_drake.io.figure import FAINT, new_figure, plain, shorten
 from kinebench_drake.report.figures import COLOURS, ReportFigure, add_legend, style
 from kinebench_drake.report.suite.episode import EpisodeResult, SuitePart, group_by
 from kinebench_drake.report.suite.folders import model_of
@@ -201,7 +201,7 @@ def draw_correlation(episodes: Sequence[EpisodeResult], study: SparcStudy, seed:
         ax.tick_params(labelsize=8)
     for model in dict.fromkeys(m for _, m, *_ in points):
         colour = style(models.index(model))[0]
-        left.plot([], [], linestyle="", marker="o", color=colour, markersize=5, label=plain(model))
+        left.plot([], [], linestyle="", marker="o", color=colour, markersize=5, label=plain(shorten(model)))
     if len(parts) > 1:
         for k, part in enumerate(parts):
             left.plot([], [], linestyle="", marker=style(k)[1], color=FAINT, markersize=5, label=plain(part.title))

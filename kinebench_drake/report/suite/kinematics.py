@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from kinebench_drake.io.figure import new_figure, plain
+from kinebench_drake.io.figure import new_figure, plain, shorten
 from kinebench_drake.report.figures import COLOURS, ReportFigure, add_legend, assign_numbers, style
 from kinebench_drake.report.metric import BY_NAME
 from kinebench_drake.report.suite.episode import COST, EpisodeResult, group_by_run, list_models, mean_over_tasks
@@ -95,7 +95,7 @@ def draw_manipulability(episodes: Sequence[EpisodeResult]) -> ReportFigure | Non
             low, middle, high = np.percentile(costs, [25, 50, 75])
             ax.plot([k, k], [low, high], color=colour, linewidth=3.2, solid_capstyle="butt")
             ax.plot([k], [middle], marker="o", color="white", markeredgecolor=colour, markersize=5)
-        names = [plain(n) for n in here] if crowded else []
+        names = [plain(shorten(n)) for n in here] if crowded else []
         ax.set_xticks(range(len(names)), names, fontsize=8, rotation=90)
         ax.set_xlim(-0.6, len(here) - 0.4)
         ax.set_title(plain(part.title), fontsize=9)
@@ -103,7 +103,9 @@ def draw_manipulability(episodes: Sequence[EpisodeResult]) -> ReportFigure | Non
     axes[0, 0].set_ylabel("manipulability cost, scaled", fontsize=9)
     if not crowded:
         for model in models:
-            axes[0, 0].plot([], [], color=style(models.index(model))[0], linewidth=5.0, alpha=0.6, label=plain(model))
+            axes[0, 0].plot(
+                [], [], color=style(models.index(model))[0], linewidth=5.0, alpha=0.6, label=plain(shorten(model))
+            )
         add_legend(figure, models)
     return ReportFigure(
         name="manipulability",

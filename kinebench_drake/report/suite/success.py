@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from kinebench_drake.io.figure import new_figure, plain
+from kinebench_drake.io.figure import new_figure, plain, shorten
 from kinebench_drake.report.figures import (
     COLOURS,
     GOOD,
@@ -226,7 +226,7 @@ def draw_success(episodes: Sequence[EpisodeResult]) -> list[ReportFigure]:
                 offset = 0.62 * (0.5 - (k + 0.5) / len(here))
                 for task, some in group_by([e for e in own if e.model == model], lambda e: e.task).items():
                     draw_interval(ax, tally(some).pooled, tasks.index(task) + offset, colour, marker)
-                ax.plot([], [], color=colour, marker=marker, markersize=4, linewidth=1.2, label=plain(model))
+                ax.plot([], [], color=colour, marker=marker, markersize=4, linewidth=1.2, label=plain(shorten(model)))
             label_shares(ax, tasks, "success, 95 % Wilson interval")
             add_legend(figure, here)
             caption += ", with 95 % Wilson intervals."
@@ -250,7 +250,7 @@ def _draw_map(episodes: Sequence[EpisodeResult], tasks: Sequence[str], models: S
             colour = "#fefefe" if rate > 0.7 else "#101010"
             ax.text(column, row, f"{100.0 * rate:.0f}", ha="center", va="center", fontsize=7, color=colour)
     ax.set_yticks(range(len(tasks)), [plain(n) for n in tasks], fontsize=8)
-    ax.set_xticks(range(len(models)), [plain(n) for n in models], fontsize=8, rotation=90)
+    ax.set_xticks(range(len(models)), [plain(shorten(n)) for n in models], fontsize=8, rotation=90)
     return figure
 
 
@@ -277,7 +277,7 @@ def draw_verdicts(episodes: Sequence[EpisodeResult]) -> ReportFigure:
             places = [len(runs) - 1 - k for k in range(len(runs))]
             ax.barh(places, widths, left=left, color=colour, height=0.68, label=name, edgecolor="white", linewidth=0.6)
             left = [a + b for a, b in zip(left, widths, strict=True)]
-    label_shares(ax, [f"{part.title} · {model}" for part, model, _ in reversed(runs)], "share of all episodes")
+    label_shares(ax, [f"{part.title} · {shorten(model)}" for part, model, _ in reversed(runs)], "share of all episodes")
     add_legend(figure, list(colours))
     return ReportFigure(
         name="verdicts",

@@ -157,6 +157,16 @@ def test_dollar_signs_in_names_are_no_mathematics(tmp_path, crowd):
     assert write_comparison(read_comparison(runs[:2]), tmp_path / "comparison").is_file()
 
 
+@pytest.mark.filterwarnings("error")
+def test_figures_have_room_for_long_names(tmp_path):
+    """Without room for its labels matplotlib would warn, and cut them."""
+    names = [f"command:python /srv/models/a-rather-long-name/serve.py checkpoint=step_{k:07d}" for k in range(3)]
+    tasks = {"CloseLaptopEasy-v1": [True, False], "StoreFruitsBox-v1": [outcome(True, sparc=-3.0), False]}
+    runs = [write_run(tmp_path / f"{k}", tasks, model=name) for k, name in enumerate(names)]
+    assert write_suite_report(runs, tmp_path / "report").is_file()
+    assert write_comparison(read_comparison(runs), tmp_path / "comparison").is_file()
+
+
 def test_runs_elsewhere_are_not_linked(tmp_path):
     run = write_run(tmp_path / "far" / "one", {"T": [True]})
     (run / "report.html").write_text("page")
