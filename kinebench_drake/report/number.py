@@ -26,7 +26,7 @@ SHARES = {
         ("trajopt_feasible", "Trajectory optimised", BY_NAME["trajopt_feasible"].meaning),
     )
 }
-"""Truth values; a missing one counts as false in the last columns."""
+"""Truth values; a missing one counts as false, of `executable` everywhere, of the others in the bound."""
 _MEANS = (
     *("tracked_fraction", "ik_success_rate", "manipulability_mean", "manipulability_min", "manipulability_cost_mean"),
     *("joint_limit_margin_min", "sparc", "sparc_rotation", "ldlj", "slowdown_min", "velocity_ratio_max"),
@@ -123,13 +123,13 @@ def _compare(metric: Metric, pairs: Sequence[RowPair], seed: int) -> NumberCompa
     """Compare one number; a missing truth value is false, any other missing value worse than all."""
     share, sign = metric.name in SHARES, -1.0 if metric.name in LOWER_IS_BETTER else 1.0
     values = np.array([[value_of(row, metric.name) for row in pair] for pair in pairs], dtype=np.float64).reshape(-1, 2)
+    if metric.name == "executable" and np.isfinite(values).any():
+        values = np.nan_to_num(values)  # a share of all samples, as in aggregates
     complete = values[np.isfinite(values).all(axis=1)]
     worst = 0.0 if share else sign * float(np.nanmin(sign * values)) if np.isfinite(values).any() else math.nan
     filled = np.where(np.isnan(values), worst, values)
     ranked = filled if share else np.where(np.isnan(values), -np.inf, sign * values)
-    means = [
-        estimate([bool(v) if share else v for v in own], total=len(values), seed=seed) for own in complete.T.tolist()
-    ]
+    means = [estimate([bool(v) if share else v for v in own], total=len(own), seed=seed) for own in complete.T.tolist()]
     return NumberComparison(
         part="",
         task="",
