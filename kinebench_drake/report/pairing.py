@@ -158,6 +158,7 @@ def list_differences(pairs: Sequence[ModelPair], runs: Sequence[Run]) -> Iterato
         for name, label, effect in (
             ("frame_period_s", "frame periods", "times, speeds and smoothness are not comparable"),
             ("camera_source", "sources of the camera", "poses may differ for that reason alone"),
+            ("judged", "judged columns", "a pose track is feasible by any posture, joint angles as they are"),
         ):
             values = [(a.extra.get(name), b.extra.get(name)) for a, b in pair.pairs]
             if unequal := [(one, two) for one, two in values if None not in (one, two) and one != two]:
