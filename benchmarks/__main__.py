@@ -21,6 +21,7 @@ KINDS = tuple(kind.value for kind in AnomalyKind)
 
 _FOLDER = click.Path(path_type=Path, file_okay=False)
 _FILE = click.Path(path_type=Path, dir_okay=False)
+_EXISTING_FILE = click.Path(path_type=Path, dir_okay=False, exists=True)
 _EXISTING_FOLDER = click.Path(path_type=Path, file_okay=False, exists=True)
 _COUNT = click.IntRange(min=1)
 
@@ -375,6 +376,35 @@ def planted_videos(
     if not videos:
         raise click.ClickException("no video was made; the reasons are printed above")
     write_index(out, videos)
+
+
+@main.command(
+    epilog="\b\nExamples:\n"
+    "  python -m benchmarks footage ../videos --out before\n"
+    "  python -m benchmarks footage ../videos --out after --weights gripper.safetensors --calibration confidence.json",
+)
+@click.argument("folder", type=_EXISTING_FOLDER)
+@click.option("--out", type=_FOLDER, required=True, help="Folder for footage.json, footage.md, tracks and overlays.")
+@click.option("--videos", metavar="A,B", help="Ids of videos, comma-separated.  [default: all]")
+@click.option("--weights", type=_EXISTING_FILE, help="Network weights (safetensors).  [default: those shipped]")
+@click.option("--calibration", type=_EXISTING_FILE, help="Calibration of the confidence.  [default: that shipped]")
+@click.option("--window", is_flag=True, help="Cut frames to where the reference is: errors without those of detection.")
+def footage(
+    folder: Path, out: Path, videos: str | None, weights: Path | None, calibration: Path | None, window: bool
+) -> None:
+    """Ground the videos of other programs and cameras in FOLDER, and compare with their references.
+
+    FOLDER, or each of its subfolders, has a manifest.jsonl with a camera for each video. References are exact poses
+    (NAME.gt.npz), poses from joint angles (gt/NAME.npz) or edges (gt/NAME.edge.npz), or labels by eye. What is measured
+    is kept in tracks.jsonl: the same command resumes.
+    """
+    _one_thread()
+    from benchmarks.footage_report import measure
+
+    names = None if videos is None else videos.split(",")
+    with _errors():
+        text = measure(folder, out, names, weights=weights, calibration=calibration, window=window, log=_log)
+    click.echo(text)
 
 
 @main.command(epilog="\b\nExample:\n  python -m benchmarks equivalence results-before results-after")

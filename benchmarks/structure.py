@@ -111,6 +111,15 @@ def _git(repository: Path, *arguments: str, stdin: bytes | None = None) -> bytes
         raise UsageError(f"git {arguments[0]}: {lines[0] if lines else f'status {error.returncode}'}") from None
 
 
+def current_revision(repository: Path) -> str:
+    """Return the name of the revision checked out, with -dirty if files differ from it.
+
+    Raises:
+        UsageError: it is no repository.
+    """
+    return _git(repository, "describe", "--always", "--abbrev=12", "--dirty").decode().strip()
+
+
 def _lines(texts: Iterable[str]) -> int:
     return sum(len(text.splitlines()) for text in texts)
 

@@ -1,0 +1,298 @@
+"""Grounding of videos that other programs and cameras made, each with its camera and a reference to compare with.
+
+A folder holds `manifest.jsonl` (a camera and a frame period for each video) and references named after the video:
+
+- `NAME.gt.npz`: exact poses of another simulator (`base_from_hand`, `visible`: pixels that show the gripper);
+- `gt/NAME.npz`: poses of a real arm from its measured joint angles (`camera_from_hand`);
+- `gt/NAME.edge.npz`: poses of an arm fitted to image edges at an exact camera (`camera_from_hand`);
+- else points labelled by eye (`benchmarks.footage_labels`), or nothing.
+"""
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from enum import Enum
+from hashlib import blake2b
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinebench_drake.camera import Camera
+from kinebench_drake.datasets.manifest import NAME, entry_camera, read_manifest
+from kinebench_drake.errors import InputError, UsageError
+from kinebench_drake.geometry import Array, invert, transform_points
+from kinebench_drake.grounding.confidence import CALIBRATION, Confidence
+from kinebench_drake.grounding.crop import GRIPPER_CENTRE_H, GRIPPER_RADIUS_M
+from kinebench_drake.grounding.estimator import NetworkEstimator
+from kinebench_drake.grounding.evaluation.errors import read_anomaly
+from kinebench_drake.grounding.evaluation.store import MeasurementStore, fingerprint
+from kinebench_drake.grounding.overlay import draw_overlay
+from kinebench_drake.grounding.pipeline import GroundingPipeline, Observation
+from kinebench_drake.grounding.tracker import CadTracker
+from kinebench_drake.grounding.view import Frames
+from kinebench_drake.io.container import write_video
+from kinebench_drake.io.npz import open_npz
+from kinebench_drake.io.reader import read_video
+from kinebench_drake.models.perception.network import WEIGHTS, load_network
+from kinebench_drake.types import NO_PRIORS, Anomaly, GripperTrack, Priors
+
+_OVERLAY_FPS = 5.0
+_WINDOW_MARGIN = 2.5  # distance of the window's border from the gripper's centre, over the gripper's radius
+
+
+class ReferenceKind(Enum):
+    """Source of the reference, and thus the figures that can be measured."""
+
+    SIMULATOR = "other simulator, exact poses"
+    JOINTS = "real arm, joint angles"
+    EDGES = "other simulation, edge fit"
+    LABELS = "labelled by eye"
+    NONE = "no reference"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReferenceVideo:
+    """Video with its camera and the reference poses of its frames."""
+
+    id: str
+    video: Path
+    camera: Camera
+    frame_period_s: float
+    """Task time between two frames [s]."""
+    kind: ReferenceKind
+    X_CH: Array | None
+    """(T, 4, 4) reference poses of panda_hand in the camera frame [m]; None where there are none."""
+    finger_width_m: Array | None
+    """(T,) reference gap between the finger pads [m]."""
+    visible_px: Array | None
+    """(T,) pixels that show the gripper; None where not counted."""
+    digest: str
+    """Hash of the video, its camera and its reference."""
+
+
+def find_reference_videos(folder: Path, labelled: Sequence[str] = ()) -> list[ReferenceVideo]:
+    """Return the videos of the manifest in a folder, or of those in its subfolders.
+
+    Args:
+        folder: folder with a manifest.jsonl, or whose subfolders have one.
+        labelled: ids of the videos that are labelled by eye.
+
+    Raises:
+        UsageError: there is no manifest, or a line has no usable video, camera or reference.
+    """
+    manifests = [folder / NAME] if (folder / NAME).is_file() else sorted(folder.glob(f"*/{NAME}"))
+    if not manifests:
+        raise UsageError(f"{folder.name}: neither it nor a subfolder has a {NAME}")
+    videos = []
+    for manifest in manifests:
+        for line in read_manifest(manifest):
+            entry = line.entry
+            camera = entry and entry_camera(entry, manifest.parent)
+            if entry is None or camera is None or entry.frame_period_s is None:
+                problem = line.problem or "expected the keys video, camera and frame_period_s"
+                raise UsageError(f"{manifest.parent.name}/{NAME} line {line.number}: {problem}")
+            videos.append(_read_reference(manifest.parent / entry.video, camera, entry.frame_period_s, labelled))
+    return videos
+
+
+def _read_reference(video: Path, camera: Camera, frame_period_s: float, labelled: Sequence[str]) -> ReferenceVideo:
+    name = video.stem
+    candidates = {
+        ReferenceKind.SIMULATOR: video.with_name(f"{name}.gt.npz"),
+        ReferenceKind.JOINTS: video.parent / "gt" / f"{name}.npz",
+        ReferenceKind.EDGES: video.parent / "gt" / f"{name}.edge.npz",
+    }
+    kind = next((kind for kind, path in candidates.items() if path.is_file()), None)
+    digest = blake2b(video.read_bytes() + repr((camera.to_json(), frame_period_s)).encode(), digest_size=8)
+    X_CH = width = visible = None
+    if kind is not None:
+        digest.update(candidates[kind].read_bytes())
+        try:
+            with open_npz(candidates[kind]) as arrays:
+                exact = kind is ReferenceKind.SIMULATOR
+                X_CH = invert(camera.X_BC) @ arrays["base_from_hand"] if exact else arrays["camera_from_hand"]
+                width = arrays["finger_width_m"]
+                visible = arrays["visible"] if "visible" in arrays.files else None
+        except (InputError, KeyError) as error:
+            raise UsageError(f"{candidates[kind].name}: not a readable reference ({error})") from None
+    return ReferenceVideo(
+        id=name,
+        video=video,
+        camera=camera,
+        frame_period_s=frame_period_s,
+        kind=kind or (ReferenceKind.LABELS if name in labelled else ReferenceKind.NONE),
+        X_CH=X_CH,
+        finger_width_m=width,
+        visible_px=visible,
+        digest=digest.hexdigest(),
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrackRecord:
+    """Output of the grounding for one video."""
+
+    id: str
+    X_CH: Array
+    """(T, 4, 4) pose of panda_hand in the camera frame [m]; NaN where not tracked."""
+    X_CH_frame: Array
+    """(T, 4, 4) pose of each frame by itself, before confidence and smoothing; NaN where no gripper is detected."""
+    tracked: NDArray[np.bool_]
+    confidence: Array
+    """(T,) 0..1."""
+    finger_width_m: Array
+    """(T,) gap between the finger pads [m]; NaN where unknown."""
+    arm_agrees: NDArray[np.bool_]
+    """(T,) frames in which one posture explains hand and links."""
+    anomalies: tuple[Anomaly, ...]
+    cpu_s: float
+    """Processor time [s]."""
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the JSON object, poses rounded to 1e-6 m."""
+        return {
+            "id": self.id,
+            "camera_from_hand": _rows(self.X_CH),
+            "camera_from_hand_of_frame": _rows(self.X_CH_frame),
+            "tracked": self.tracked.astype(int).tolist(),
+            "confidence": self.confidence.round(4).tolist(),
+            "finger_width_m": [round(w, 6) if np.isfinite(w) else None for w in self.finger_width_m.tolist()],
+            "arm_agrees": self.arm_agrees.astype(int).tolist(),
+            "anomalies": [a.to_json() for a in self.anomalies],
+            "cpu_s": round(self.cpu_s, 2),
+        }
+
+    @classmethod
+    def from_json(cls, data: dict[str, Any]) -> "TrackRecord":
+        """Read the object that `to_json` returns."""
+        return cls(
+            id=data["id"],
+            X_CH=_poses(data["camera_from_hand"]),
+            X_CH_frame=_poses(data["camera_from_hand_of_frame"]),
+            tracked=np.array(data["tracked"], dtype=bool),
+            confidence=np.array(data["confidence"], dtype=np.float64),
+            finger_width_m=np.array(data["finger_width_m"], dtype=np.float64),
+            arm_agrees=np.array(data["arm_agrees"], dtype=bool),
+            anomalies=tuple(map(read_anomaly, data["anomalies"])),
+            cpu_s=data["cpu_s"],
+        )
+
+
+def _rows(X: Array) -> list[list[float] | None]:
+    """Return the first three rows of each pose, row-major; None for NaN."""
+    return [x[:3].round(6).ravel().tolist() if np.isfinite(x).all() else None for x in X]
+
+
+def _poses(rows: Sequence[Sequence[float] | None]) -> Array:
+    X = np.full((len(rows), 4, 4), np.nan)
+    for i, row in enumerate(rows):
+        if row is not None:
+            X[i] = np.vstack([np.reshape(row, (3, 4)), [0.0, 0.0, 0.0, 1.0]])
+    return X
+
+
+class ObservedPipeline(GroundingPipeline):
+    """Pipeline that keeps the measurements of single frames of its last video."""
+
+    observation: Observation
+
+    @classmethod
+    def load(cls, weights: Path | None, calibration: Path | None) -> "ObservedPipeline":
+        """Create the pipeline with `weights` and `calibration` in place of those shipped.
+
+        Raises:
+            SetupError: weights, calibration, meshes or native libraries are missing.
+        """
+        tracker = CadTracker(NetworkEstimator(load_network(weights or WEIGHTS)))
+        return cls(tracker, Confidence.load(calibration or CALIBRATION))
+
+    def observe(self, frames: Frames, camera: Camera, t_s: Array, priors: Priors = NO_PRIORS) -> Observation:
+        """Measure each frame, as `GroundingPipeline.observe`."""
+        self.observation = super().observe(frames, camera, t_s, priors)
+        return self.observation
+
+
+def ground_video(
+    pipeline: ObservedPipeline, video: ReferenceVideo, overlay: Path | None, *, window: bool
+) -> TrackRecord:
+    """Ground a video with its camera.
+
+    Args:
+        pipeline: pipeline.
+        video: the video; its reference does not enter, but for `window`.
+        overlay: file for the tracked gripper drawn on the video.
+        window: cut the frames to the square that the gripper moves in by the reference: the difference that a perfect
+            detection would make.
+    """
+    frames, camera = read_video(video.video).frames, video.camera
+    camera = camera.resized(frames.shape[2], frames.shape[1])
+    if window and video.X_CH is not None:
+        frames, camera = cut_window(frames, camera, video.X_CH)
+    start = time.process_time()
+    result = pipeline.ground(frames, camera, np.arange(len(frames)) * video.frame_period_s)
+    cpu_s = time.process_time() - start
+    if overlay is not None:
+        write_overlay(overlay, frames, camera, result.track)
+    poses = pipeline.observation.poses
+    return TrackRecord(
+        id=video.id,
+        X_CH=result.track.X_CH,
+        X_CH_frame=np.stack([np.full((4, 4), np.nan) if p is None else p.X_CH for p in poses]),
+        tracked=result.track.tracked,
+        confidence=result.track.confidence,
+        finger_width_m=result.track.finger_width_m,
+        arm_agrees=np.array([p is not None and p.arm is not None and p.arm.agrees for p in poses]),
+        anomalies=result.anomalies,
+        cpu_s=cpu_s,
+    )
+
+
+def cut_window(frames: Frames, camera: Camera, X_CH: Array) -> tuple[Frames, Camera]:
+    """Return the square window of the frames (T, H, W, 3) that the gripper at `X_CH` (T, 4, 4) moves in, its camera."""
+    centre = transform_points(X_CH, GRIPPER_CENTRE_H[None])[:, 0]
+    pixel = camera.project(centre)
+    reach = (_WINDOW_MARGIN * GRIPPER_RADIUS_M * camera.fx / centre[:, 2])[:, None]
+    low, high = (pixel - reach).min(axis=0), (pixel + reach).max(axis=0)
+    size = min(int(np.ceil((high - low).max())), camera.width, camera.height)
+    left, top = (
+        int(np.clip(round(middle - size / 2), 0, side - size))
+        for middle, side in zip((low + high) / 2, (camera.width, camera.height), strict=True)
+    )
+    cut = np.ascontiguousarray(frames[:, top : top + size, left : left + size])
+    return cut, replace(camera, width=size, height=size, cx=camera.cx - left, cy=camera.cy - top)
+
+
+def write_overlay(path: Path, frames: Frames, camera: Camera, track: GripperTrack) -> None:
+    """Write the tracked gripper drawn on the video, slow enough to look at."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_video(path, draw_overlay(frames, camera, track), _OVERLAY_FPS)
+
+
+def ground_videos(
+    videos: Sequence[ReferenceVideo],
+    out: Path,
+    *,
+    weights: Path | None,
+    calibration: Path | None,
+    window: bool,
+    log: Callable[[str], None],
+) -> list[TrackRecord]:
+    """Ground the videos that `out`/tracks.jsonl does not hold yet, and write their overlays.
+
+    Measurements of other code, weights or options are ignored.
+    """
+    files = [path for path in (weights, calibration) if path is not None]
+    base = fingerprint(window, modules=["kinebench_drake.grounding.pipeline"], files=files)
+    store = MeasurementStore(out / "tracks.jsonl", TrackRecord)
+    pipeline: ObservedPipeline | None = None
+    records = []
+    for video in videos:
+        key = f"{base}-{video.digest}-{video.id}"
+        if key not in store:
+            pipeline = pipeline or ObservedPipeline.load(weights, calibration)
+            store.put(key, ground_video(pipeline, video, out / "overlays" / f"{video.id}.mp4", window=window))
+            log(f"{video.id}: {store[key].cpu_s:.0f} s of processor time")
+        records.append(store[key])
+    return records

@@ -1,0 +1,73 @@
+"""Report of the grounding on videos of other programs and cameras: footage.json and footage.md."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from benchmarks.footage import ReferenceKind, ReferenceVideo, TrackRecord, find_reference_videos, ground_videos
+from benchmarks.footage_errors import PoseErrors, by_video, compare, error_table, figures, reliability_table
+from benchmarks.structure import current_revision
+from kinebench_drake.errors import UsageError
+from kinebench_drake.io.atomic import make_folder, write_atomically
+from kinebench_drake.io.jsonl import dump, finite
+from kinebench_drake.types import Json
+
+_POSES = (ReferenceKind.SIMULATOR, ReferenceKind.JOINTS, ReferenceKind.EDGES)
+
+
+def measure(
+    folder: Path,
+    out: Path,
+    names: Sequence[str] | None,
+    *,
+    weights: Path | None,
+    calibration: Path | None,
+    window: bool,
+    log: Callable[[str], None],
+) -> str:
+    """Ground the videos of a folder, write footage.json and footage.md, and return the Markdown.
+
+    Args:
+        folder: see `find_reference_videos`.
+        out: output folder.
+        names: ids of videos to measure; all if None.
+        weights: weights in place of those shipped.
+        calibration: calibration of the confidence in place of that shipped.
+        window: cut frames to where the reference is; only with reference poses.
+        log: receives a line per video.
+
+    Raises:
+        UsageError: the folder has no such videos.
+    """
+    videos = find_reference_videos(folder)
+    unknown = sorted(set(names or ()) - {video.id for video in videos})
+    if unknown:
+        raise UsageError(f"--videos: no video {', '.join(unknown)}; there are {', '.join(v.id for v in videos)}")
+    videos = [v for v in videos if (v.kind in _POSES or not window) and (names is None or v.id in names)]
+    make_folder(out)
+    tracks = ground_videos(videos, out, weights=weights, calibration=calibration, window=window, log=log)
+    result: dict[str, Json] = {
+        "revision": current_revision(Path(__file__).parent.parent),
+        "weights": "shipped" if weights is None else weights.name,
+        "calibration": "shipped" if calibration is None else calibration.name,
+        "window": window,
+    }
+    lines = [f"Revision {result['revision']}, weights {result['weights']}, calibration {result['calibration']}."]
+    lines += _pose_lines(videos, tracks, result)
+    text = "\n".join(lines) + "\n"
+    write_atomically(out / "footage.json", dump(finite(result), indent=1).encode())
+    write_atomically(out / "footage.md", text.encode())
+    return text
+
+
+def _pose_lines(videos: Sequence[ReferenceVideo], tracks: Sequence[TrackRecord], result: dict[str, Json]) -> list[str]:
+    """Return the section on videos with reference poses, and put its figures into `result`."""
+    errors: dict[ReferenceKind, list[PoseErrors]] = {}
+    for video, track in zip(videos, tracks, strict=True):
+        if video.kind in _POSES:
+            errors.setdefault(video.kind, []).append(compare(video, track))
+    kinds = {kind.value: figures(group) for kind, group in errors.items()}
+    single = {name: f for group in errors.values() for name, f in by_video(group).items()}
+    result["kinds"], result["videos"] = kinds, single
+    if not kinds:
+        return []
+    return ["", *error_table(kinds), "", *error_table(single), "", *reliability_table(kinds)]
