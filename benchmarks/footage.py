@@ -89,7 +89,7 @@ def find_reference_videos(folder: Path, labelled: Sequence[str] = ()) -> list[Re
     for manifest in manifests:
         for line in read_manifest(manifest):
             entry = line.entry
-            camera = entry and entry_camera(entry, manifest.parent)
+            camera = None if entry is None else entry_camera(entry, manifest.parent)
             if entry is None or camera is None or entry.frame_period_s is None:
                 problem = line.problem or "expected the keys video, camera and frame_period_s"
                 raise UsageError(f"{manifest.parent.name}/{NAME} line {line.number}: {problem}")
@@ -231,7 +231,7 @@ def ground_video(
     if window and video.X_CH is not None:
         frames, camera = cut_window(frames, camera, video.X_CH)
     start = time.process_time()
-    result = pipeline.ground(frames, camera, np.arange(len(frames)) * video.frame_period_s)
+    result = pipeline.ground(frames, camera, np.arange(len(frames), dtype=np.float64) * video.frame_period_s)
     cpu_s = time.process_time() - start
     if overlay is not None:
         write_overlay(overlay, frames, camera, result.track)

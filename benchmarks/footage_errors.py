@@ -77,7 +77,7 @@ def compare(video: ReferenceVideo, track: TrackRecord) -> PoseErrors:
         id=video.id,
         visible=visible,
         tracked=track.tracked,
-        detected=np.isfinite(track.X_CH_frame).all(axis=(1, 2)),
+        detected=np.asarray(np.isfinite(track.X_CH_frame).all(axis=(1, 2))),
         arm_agrees=track.arm_agrees,
         confidence=track.confidence,
         hand_m=hand_m,

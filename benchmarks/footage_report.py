@@ -5,6 +5,8 @@ from pathlib import Path
 
 from benchmarks.footage import ReferenceKind, ReferenceVideo, TrackRecord, find_reference_videos, ground_videos
 from benchmarks.footage_errors import PoseErrors, by_video, compare, error_table, figures, reliability_table
+from benchmarks.footage_labels import FootageLabels, compare_labels, label_figures, label_table, read_labels
+from benchmarks.markdown import table
 from benchmarks.structure import current_revision
 from kinebench_drake.errors import UsageError
 from kinebench_drake.io.atomic import make_folder, write_atomically
@@ -38,7 +40,8 @@ def measure(
     Raises:
         UsageError: the folder has no such videos.
     """
-    videos = find_reference_videos(folder)
+    labels = read_labels()
+    videos = find_reference_videos(folder, tuple(labels.videos))
     unknown = sorted(set(names or ()) - {video.id for video in videos})
     if unknown:
         raise UsageError(f"--videos: no video {', '.join(unknown)}; there are {', '.join(v.id for v in videos)}")
@@ -53,6 +56,8 @@ def measure(
     }
     lines = [f"Revision {result['revision']}, weights {result['weights']}, calibration {result['calibration']}."]
     lines += _pose_lines(videos, tracks, result)
+    lines += _label_lines(videos, tracks, labels, result)
+    lines += _anomaly_lines(tracks, labels, result)
     text = "\n".join(lines) + "\n"
     write_atomically(out / "footage.json", dump(finite(result), indent=1).encode())
     write_atomically(out / "footage.md", text.encode())
@@ -71,3 +76,32 @@ def _pose_lines(videos: Sequence[ReferenceVideo], tracks: Sequence[TrackRecord],
     if not kinds:
         return []
     return ["", *error_table(kinds), "", *error_table(single), "", *reliability_table(kinds)]
+
+
+def _label_lines(
+    videos: Sequence[ReferenceVideo], tracks: Sequence[TrackRecord], labels: FootageLabels, result: dict[str, Json]
+) -> list[str]:
+    """Return the section on labelled videos, and put its figures into `result`."""
+    errors = [
+        compare_labels(video, track, labels.videos[video.id])
+        for video, track in zip(videos, tracks, strict=True)
+        if video.kind is ReferenceKind.LABELS
+    ]
+    if not errors:
+        return []
+    groups = {"all": errors, "clean": [e for e in errors if e.id in labels.clean]}
+    groups |= {e.id: [e] for e in errors}
+    figures_by_name = {name: label_figures(group) for name, group in groups.items() if group}
+    result["labels"] = figures_by_name
+    return ["", *label_table(figures_by_name)]
+
+
+def _anomaly_lines(tracks: Sequence[TrackRecord], labels: FootageLabels, result: dict[str, Json]) -> list[str]:
+    """Return the section on anomalies by video, and put them into `result`."""
+    ranges = {t.id: [f"{a.kind.value} {a.frame_start}-{a.frame_end}" for a in t.anomalies] for t in tracks}
+    clean = [t for t in tracks if t.id in labels.clean]
+    false = sum(bool(t.anomalies) for t in clean)
+    result["anomalies"] = {"by_video": ranges, "clean_videos": len(clean), "clean_videos_with_anomalies": false}
+    rows = [[name, "yes" if name in labels.clean else "no", "; ".join(kinds)] for name, kinds in ranges.items()]
+    summary = f"{false} of {len(clean)} clean videos have anomalies."
+    return ["", summary, "", *table(("", "clean", "anomalies, frames"), rows)]

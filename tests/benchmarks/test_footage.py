@@ -1,0 +1,239 @@
+"""Videos of others: references, errors and labels against geometry that is known."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import benchmarks.footage as footage
+from benchmarks.__main__ import main
+from benchmarks.footage import ReferenceKind, TrackRecord, cut_window, find_reference_videos
+from benchmarks.footage_errors import SILENT_M, VISIBLE_PX, compare, error_table, figures
+from benchmarks.footage_labels import (
+    HAND_LENGTH_M,
+    LabelledFrame,
+    compare_labels,
+    hand_lengths_px,
+    label_figures,
+    pair_points,
+    read_labels,
+    reprojection_px,
+)
+from kinebench_drake.camera import benchmark_camera
+from kinebench_drake.errors import UsageError
+from kinebench_drake.geometry import make_pose, rotation_exp
+from kinebench_drake.grounding.flips import X_HALF_TURN
+from kinebench_drake.models.panda.cad import FINGER_ORIGIN_H, part_meshes
+from kinebench_drake.models.panda.robot import RobotPart
+from kinebench_drake.types import Anomaly, AnomalyKind
+
+T = 4
+CAMERA = benchmark_camera()
+R_FRONT = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
+"""Wide face towards the camera, fingers down."""
+
+
+def pose(yaw=0.0, pitch=0.0, z=0.8):
+    return make_pose(rotation_exp([-pitch, 0.0, 0.0]) @ R_FRONT @ rotation_exp([0.0, 0.0, yaw]), [0.05, 0.02, z])
+
+
+def record(X_CH, *, tracked=None, anomalies=()):
+    n = len(X_CH)
+    return TrackRecord(
+        id="a", X_CH=X_CH, X_CH_frame=X_CH, tracked=np.ones(n, bool) if tracked is None else tracked,
+        confidence=np.full(n, 0.9), finger_width_m=np.full(n, 0.04), arm_agrees=np.arange(n) > 0,
+        anomalies=tuple(anomalies), cpu_s=1.5,
+    )  # fmt: skip
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A video of each kind of reference, the same poses in all."""
+    X_CH = np.stack([pose(0.1 * i) for i in range(T)])
+    tmp_path = tmp_path / "set" / "videos"
+    (tmp_path / "gt").mkdir(parents=True)
+    lines = []
+    for name in ("sim", "real", "edge", "none"):
+        np.save(tmp_path / f"{name}.npy", np.zeros((T, 384, 384, 3), np.uint8))
+        lines.append({"video": f"{name}.npy", "frame_period_s": 0.2, "camera": CAMERA.to_json()})
+    width = np.full(T, 0.04)
+    visible = np.array([1000, 1000, VISIBLE_PX, VISIBLE_PX - 1])
+    np.savez(tmp_path / "sim.gt.npz", base_from_hand=CAMERA.X_BC @ X_CH, finger_width_m=width, visible=visible)
+    np.savez(tmp_path / "gt" / "real.npz", camera_from_hand=X_CH, finger_width_m=width)
+    np.savez(tmp_path / "gt" / "edge.edge.npz", camera_from_hand=X_CH, finger_width_m=width)
+    (tmp_path / "manifest.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
+    return tmp_path
+
+
+def test_references_are_the_same_poses_whatever_their_kind(folder):
+    videos = find_reference_videos(folder, ["none"])
+    assert [v.kind for v in videos] == [
+        *(ReferenceKind.SIMULATOR, ReferenceKind.JOINTS, ReferenceKind.EDGES, ReferenceKind.LABELS)
+    ]
+    for video in videos[1:3]:
+        np.testing.assert_allclose(video.X_CH, videos[0].X_CH, atol=1e-12)
+    assert videos[0].digest != videos[1].digest != videos[3].digest
+    assert [v.id for v in find_reference_videos(folder.parent)] == [v.id for v in videos]
+
+
+def test_a_manifest_without_cameras_is_refused(folder):
+    (folder / "manifest.jsonl").write_text('{"video": "sim.npy", "frame_period_s": 0.2}\n')
+    with pytest.raises(UsageError, match="line 1: expected the keys video, camera"):
+        find_reference_videos(folder)
+    with pytest.raises(UsageError, match="has a manifest"):
+        find_reference_videos(folder / "gt")
+
+
+def test_a_track_equal_to_the_reference_has_no_error(folder):
+    video = find_reference_videos(folder)[0]
+    errors = compare(video, record(video.X_CH))
+    f = figures([errors])
+    assert (f["frames"], f["visible_frames"], f["tracked"], f["silent"], f["good"]) == (T, 3, 1.0, 0.0, 1.0)
+    for name in ("hand_mm", "tcp_mm", "rotation_deg", "width_mm"):
+        assert f[f"{name}_p95"] < 1e-4
+    assert f["arm_agrees"] == pytest.approx(2 / 3)
+    assert len(error_table({"a": f})) == 3
+
+
+@pytest.mark.parametrize("share", [0.99, 1.01])
+def test_an_offset_along_the_line_of_sight_is_depth(folder, share):
+    video = find_reference_videos(folder)[0]
+    p = video.X_CH[:, :3, 3]
+    X_CH = video.X_CH.copy()
+    X_CH[:, :3, 3] *= (1 + share * SILENT_M / np.linalg.norm(p, axis=1))[:, None]
+    errors = compare(video, record(X_CH))
+    np.testing.assert_allclose(errors.along_m, share * SILENT_M)
+    np.testing.assert_allclose(errors.across_m, 0.0, atol=1e-6)
+    np.testing.assert_allclose(errors.tcp_m, share * SILENT_M)
+    assert errors.silent.all() == (share > 1)
+
+
+def test_frames_that_are_not_tracked_are_no_errors_but_lower_the_share(folder):
+    video = find_reference_videos(folder)[0]
+    tracked = np.array([True, False, True, False])
+    X_CH = np.where(tracked[:, None, None], video.X_CH, np.nan)
+    vanish = Anomaly(kind=AnomalyKind.VANISH, frame_start=1, frame_end=1, severity=1.0)
+    f = figures([compare(video, record(X_CH, tracked=tracked, anomalies=[vanish]))])
+    assert f["tracked"] == pytest.approx(2 / 3)
+    assert f["hand_mm_p95"] < 1e-4
+    assert f["anomalies"] == {"vanish": 1}
+
+
+def test_records_survive_json():
+    X_CH = np.stack([pose(), np.full((4, 4), np.nan)])
+    before = record(X_CH, tracked=np.array([True, False]))
+    before = replace(before, finger_width_m=np.array([0.04, np.nan]))
+    after = TrackRecord.from_json(json.loads(json.dumps(before.to_json())))
+    for name in ("X_CH", "X_CH_frame", "tracked", "confidence", "finger_width_m", "arm_agrees"):
+        np.testing.assert_allclose(getattr(after, name), getattr(before, name), atol=1e-6)
+
+
+def test_the_window_holds_the_gripper_at_the_same_pixels():
+    X_CH = np.stack([pose(z=0.8), pose(z=0.9)])
+    frames = np.random.default_rng(0).integers(0, 255, (2, 384, 384, 3), np.uint8)
+    cut, camera = cut_window(frames, CAMERA, X_CH)
+    assert cut.shape[1] == cut.shape[2] < 384
+    for X in X_CH:
+        before, after = (np.floor(c.project(X[:3, 3])).astype(int) for c in (CAMERA, camera))
+        np.testing.assert_array_equal(frames[0, before[1], before[0]], cut[0, after[1], after[0]])
+
+
+def test_finished_videos_are_not_grounded_again(folder, monkeypatch, tmp_path):
+    grounded = []
+
+    def ground(pipeline, video, overlay, *, window):
+        grounded.append(video.id)
+        return record(np.stack([pose(0.1 * i) for i in range(T)]))
+
+    monkeypatch.setattr(footage, "ground_video", ground)
+    monkeypatch.setattr(footage.ObservedPipeline, "load", lambda weights, calibration: None)
+    out = tmp_path / "out"
+    for expected in (["sim", "real"], ["sim", "real", "edge", "none"]):
+        names = [] if len(expected) == 4 else ["--videos", "sim,real"]
+        result = CliRunner().invoke(main, ["footage", str(folder), "--out", str(out), *names])
+        assert result.exit_code == 0, result.output
+        assert grounded == expected
+    report = json.loads((out / "footage.json").read_text())
+    assert report["kinds"][ReferenceKind.JOINTS.value]["hand_mm_p95"] < 0.01
+    assert (out / "footage.md").read_text() == result.stdout.removesuffix("\n")
+    assert CliRunner().invoke(main, ["footage", str(folder), "--out", str(out), "--videos", "x"]).exit_code == 2
+
+
+def labelled(X_CH, width_m, frame=0):
+    points = {}
+    for pair, p_C in pair_points(X_CH, width_m).items():
+        px = CAMERA.project(p_C)
+        points[f"{pair}_left"], points[f"{pair}_right"] = px[np.argsort(px[:, 0])]
+    return LabelledFrame(frame=frame, points_px=points, unsure=frozenset())
+
+
+angle = st.floats(-3.1, 3.1)
+
+
+@settings(deadline=None, max_examples=50)
+@given(yaw=angle, pitch=st.floats(-1.0, 1.0), width_m=st.floats(0.0, 0.08), shift=st.floats(0.0, 20.0))
+def test_points_of_a_pose_lie_at_their_labels_also_after_a_half_turn(yaw, pitch, width_m, shift):
+    X_CH = pose(yaw, pitch)
+    frame = labelled(X_CH, width_m)
+    for X in (X_CH, X_CH @ X_HALF_TURN):
+        assert reprojection_px(frame, CAMERA, X, width_m) < 1e-9
+    moved = {name: px + np.array([shift, 0.0]) for name, px in frame.points_px.items()}
+    assert reprojection_px(replace(frame, points_px=moved), CAMERA, X_CH, width_m) <= shift + 1e-9
+
+
+@settings(deadline=None, max_examples=50)
+@given(yaw=st.floats(-1.0, 1.0), pitch=st.floats(-0.8, 0.8), width_m=st.floats(0.0, 0.08))
+def test_the_hands_length_is_that_of_its_distance(yaw, pitch, width_m):
+    X_CH = pose(yaw, pitch, z=1.0)
+    share = hand_lengths_px([labelled(X_CH, width_m)])[0] / (CAMERA.fx * HAND_LENGTH_M / 1.0)
+    assert 0.85 < share < 1.25
+
+
+def test_frames_with_few_points_take_the_length_of_those_in_between():
+    whole = [labelled(pose(z=z), 0.04, frame) for z, frame in ((0.8, 0), (1.0, 10))]
+    bare = LabelledFrame(frame=5, points_px={"tip_left": np.zeros(2)}, unsure=frozenset())
+    lengths = hand_lengths_px([whole[0], bare, whole[1]])
+    assert lengths[1] == pytest.approx((lengths[0] + lengths[2]) / 2)
+
+
+def test_a_fifth_of_the_hand_is_a_silent_error(folder):
+    video = find_reference_videos(folder)[3]
+    frames = [labelled(pose(), 0.04)]
+    for share, silent in ((0.0, 0.0), (0.15, 0.0), (0.4, 1.0)):
+        X_CH = np.stack([pose()] * T)
+        X_CH[:, 0, 3] += share * HAND_LENGTH_M
+        f = label_figures([compare_labels(video, record(X_CH), frames)])
+        assert f["silent"] == silent
+        assert f["error_median"] == pytest.approx(share, rel=0.15)
+    with pytest.raises(UsageError, match="frame 99 is labelled"):
+        compare_labels(video, record(X_CH), [replace(frames[0], frame=99)])
+
+
+def test_labelled_points_lie_on_the_cad():
+    """Within 4 mm of a vertex of the mesh."""
+    meshes = part_meshes()
+    points = pair_points(np.eye(4), 0.0)
+    for pair, part in (("corner", RobotPart.HAND), ("end", RobotPart.HAND), ("tip", RobotPart.LEFT_FINGER)):
+        distance = np.linalg.norm(np.asarray(meshes[part].vertices) - points[pair][0], axis=1).min()
+        assert distance < 0.004, pair
+    assert FINGER_ORIGIN_H[2] < points["tip"][0, 2] <= meshes[RobotPart.LEFT_FINGER].bounds[1, 2] + 1e-4
+
+
+def test_labels_cover_enough_frames():
+    labels = read_labels()
+    frames = [frame for video in labels.videos.values() for frame in video]
+    assert len(frames) >= 80
+    assert len(labels.clean) >= 10
+    assert all(len({frame.frame for frame in video}) == len(video) for video in labels.videos.values())
+
+
+@pytest.mark.parametrize("points", [{}, {"nose": {"px": [1, 2]}}, {"tip_left": {"px": [1]}}])
+def test_unusable_labels_are_refused(tmp_path, points):
+    path = tmp_path / "labels.json"
+    path.write_text(json.dumps({"clean": [], "videos": {"a": [{"frame": 0, "points": points}]}}))
+    with pytest.raises(UsageError, match="not a file of labels"):
+        read_labels(path)
