@@ -15,7 +15,7 @@ from kinebench_drake.report.table import Column, Table, Value, table_lines
 from kinebench_drake.results.aggregate import Estimate, estimate
 from kinebench_drake.results.direction import LOWER_IS_BETTER
 from kinebench_drake.results.row import SampleRow, Status
-from kinebench_drake.stats import PairedOutcomes, paired_mean_difference, sign_test
+from kinebench_drake.stats import CONFIDENCE, PairedOutcomes, paired_mean_difference, sign_test
 
 ALL_TASKS = "all tasks"
 SHARES = {
@@ -74,9 +74,13 @@ class NumberComparison:
 
     @property
     def is_clear(self) -> bool:
-        """True if the intervals of the difference and of its bound exclude 0 on the same side."""
+        """True if the intervals of the difference and of its bound exclude 0 on the same side, and p confirms it.
+
+        Of few samples the bootstrap interval is too narrow; the sign test is exact.
+        """
         ends = [(e.low, e.high) for e in (self.difference, self.bound) if e.low is not None and e.high is not None]
-        return len(ends) == 2 and (all(low > 0.0 for low, _ in ends) or all(high < 0.0 for _, high in ends))
+        outside = len(ends) == 2 and (all(low > 0.0 for low, _ in ends) or all(high < 0.0 for _, high in ends))
+        return outside and self.p_value < 1.0 - CONFIDENCE
 
     @property
     def p_value(self) -> float:
@@ -196,7 +200,7 @@ def tabulate_numbers(comparisons: Sequence[NumberComparison]) -> Table:
         "has the better value, where a missing value is worse than any and two missing ones are equal; p: exact sign "
         "test of these counts, not adjusted for the number of rows. Bound: the difference over all shared samples, a "
         "missing value counted as the worst that either model has, a missing truth value as false. Bold: the intervals "
-        "of difference and bound exclude 0 on the same side.",
+        "of difference and bound exclude 0 on the same side, and p < 0.05.",
         columns=tuple(columns[k] for k in shown),
         rows=tuple(tuple(row[k] for k in shown) for row in rows),
         bold=frozenset((i, place) for i, c in enumerate(comparisons) if c.is_clear),
@@ -273,7 +277,7 @@ def draw_numbers(comparisons: Sequence[NumberComparison]) -> ReportFigure | None
         title="Differences of the numbers",
         caption="First minus second model over the samples that both have complete, all tasks together, with 95 % "
         "intervals; the arrow points to the side on which the first is better. Diamonds: the intervals of the "
-        "difference and of its bound, with missing values as the worst, exclude 0 on the same side.",
+        "difference and of its bound, with missing values as the worst, exclude 0 on the same side, and p < 0.05.",
         figure=figure,
     )
 

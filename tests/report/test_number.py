@@ -94,6 +94,14 @@ def test_a_gain_that_rests_on_missing_values_is_not_clear():
     assert not c.is_clear
 
 
+def test_three_samples_are_never_clear():
+    c = compare("sparc", [-2.0, -2.1, -2.2], [-3.0, -3.2, -3.1])
+    assert c.difference.low > 0.0
+    assert c.bound.low > 0.0
+    assert c.p_value == 0.25
+    assert not c.is_clear
+
+
 def test_equal_models_do_not_differ():
     c = compare("sparc", [-2.0, -3.0, None], [-2.0, -3.0, None])
     assert (c.difference.mean, c.difference.low, c.better, c.p_value) == (0.0, None, (0, 0), 1.0)
