@@ -63,12 +63,13 @@ def compare(folders: tuple[Path, ...], out: Path | None, seed: int) -> None:
 
     runs = read_runs(folders)
     if any(run.kind == "suite" for run in runs):
+        from kinebench_drake.report.number import executable_lines
         from kinebench_drake.report.suite.comparison import comparison_lines, read_comparison
         from kinebench_drake.report.suite.suite_page import write_comparison
 
         episodes = read_comparison(folders, seed)
         page = None if out is None else write_comparison(episodes, out)
-        lines = comparison_lines(episodes.pairs)
+        lines = [*executable_lines(episodes.numbers), *comparison_lines(episodes.pairs)]
     else:
         from kinebench_drake.report.comparison_page import (
             compare_samples,
@@ -80,7 +81,7 @@ def compare(folders: tuple[Path, ...], out: Path | None, seed: int) -> None:
         for warning in comparison.warnings:
             click.echo(f"warning: {warning}", err=True)
         page = None if out is None else write_sample_comparison(comparison, out)
-        lines = sample_comparison_lines(comparison)
+        lines = list(sample_comparison_lines(comparison))
     for line in lines:
         click.echo(line)
     if page is not None:

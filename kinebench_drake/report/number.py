@@ -11,7 +11,7 @@ from kinebench_drake.geometry import Array
 from kinebench_drake.io.figure import FAINT, new_figure, plain, shorten
 from kinebench_drake.report.figures import COLOURS, ReportFigure, draw_interval
 from kinebench_drake.report.metric import BY_NAME, Metric
-from kinebench_drake.report.table import Column, Table, Value, table_lines
+from kinebench_drake.report.table import Column, Table, Value, format_interval, format_value, table_lines
 from kinebench_drake.results.aggregate import Estimate, estimate
 from kinebench_drake.results.direction import LOWER_IS_BETTER
 from kinebench_drake.results.row import SampleRow, Status
@@ -240,6 +240,17 @@ def number_lines(comparisons: Sequence[NumberComparison]) -> Iterator[str]:
         )
         yield ""
     yield table.note
+
+
+def executable_lines(comparisons: Sequence[NumberComparison]) -> Iterator[str]:
+    """Format the shares of executable samples of every two models, all tasks together, a line each."""
+    for c in comparisons:
+        if c.metric.name == "executable" and c.task == ALL_TASKS:
+            first, second = (format_value(mean, c.metric.pattern) for mean in c.means)
+            signed = "{:+.0%}"
+            difference, interval = format_value(c.difference, signed), format_interval(c.difference, signed)
+            names = ", ".join(filter(None, (f"{c.first} - {c.second}", c.part)))
+            yield f"{names}: executable {first} and {second} of {c.shared}, difference {difference} [{interval}]"
 
 
 def draw_numbers(comparisons: Sequence[NumberComparison]) -> ReportFigure | None:

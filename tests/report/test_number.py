@@ -7,7 +7,14 @@ from hypothesis import strategies as st
 
 from kinebench_drake.io.figure import shorten
 from kinebench_drake.report.metric import BY_NAME
-from kinebench_drake.report.number import ALL_TASKS, NUMBERS, compare_numbers, draw_numbers, number_lines
+from kinebench_drake.report.number import (
+    ALL_TASKS,
+    NUMBERS,
+    compare_numbers,
+    draw_numbers,
+    executable_lines,
+    number_lines,
+)
 from kinebench_drake.report.number import tabulate_numbers as tabulate
 from kinebench_drake.report.table import table_csv, table_latex
 from kinebench_drake.results.direction import LOWER_IS_BETTER
@@ -133,6 +140,8 @@ def test_tables_lead_with_executable_and_hold_every_number():
     text = list(number_lines(comparisons))
     assert text[0] == "a - b"
     assert text[2].startswith("Executable")
+    [lead] = executable_lines(comparisons)
+    assert lead == "a - b: executable 100% and 100% of 2, difference +0% [-66% to +66%]"
     assert len(draw_numbers(comparisons).figure.axes) >= len(NUMBERS)
 
 
