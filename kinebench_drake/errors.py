@@ -1,5 +1,7 @@
 """Expected errors. Every message is one line: the value, what was expected, and the fix."""
 
+from collections.abc import Iterable
+from difflib import get_close_matches
 from enum import Enum
 from typing import TypeVar
 
@@ -49,6 +51,12 @@ def cause(error: Exception) -> str:
     if isinstance(error, OSError):
         return error.strerror or "of an unknown kind, or damaged"
     return str(error).split("\n")[0]
+
+
+def suggestion(word: str, choices: Iterable[str]) -> str:
+    """Return " (did you mean X?)" with the choice that is most like an unknown word; empty if none is."""
+    near = get_close_matches(word, list(choices), n=1)
+    return f" (did you mean {near[0]}?)" if near else ""
 
 
 def member_of(kind: type[Member], value: Member | str, option: str) -> Member:

@@ -1,6 +1,6 @@
 """Export of a suite's episodes for world models: first frames, prompts and camera."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from functools import partial
@@ -10,13 +10,15 @@ from typing import Any
 from PIL import Image
 
 from kinebench_drake.camera import benchmark_camera
-from kinebench_drake.errors import SetupError
+from kinebench_drake.errors import InputError, SetupError, UsageError
 from kinebench_drake.executors.base import Executor, WorkerCrash
 from kinebench_drake.executors.progress import Observer
 from kinebench_drake.io.atomic import atomic_path, make_folder
 from kinebench_drake.io.camerafile import save_camera
-from kinebench_drake.io.jsonl import write_json, write_lines
+from kinebench_drake.io.files import read_text
+from kinebench_drake.io.jsonl import as_object, parse_json, read_object, write_json, write_lines
 from kinebench_drake.models.panda.robot import TCP_LINK
+from kinebench_drake.results.store import SAMPLES
 from kinebench_drake.suites.clock import CLIP_FRAMES, FRAME_PERIOD_S
 from kinebench_drake.suites.episode import Episode
 from kinebench_drake.suites.simulator import Simulator
@@ -29,6 +31,8 @@ from kinebench_drake.suites.tasks.task import TaskCard, TaskVariant
 MANIFEST, EPISODES, CAMERA, SUMMARY = "manifest.jsonl", "episodes.jsonl", "camera.json", "suite.json"
 FPS = 17
 """Playback rate of benchmark videos; the task time between two frames is `FRAME_PERIOD_S`."""
+_CHOICE = ("tasks", "episodes_per_task", "first_seed", "episodes")
+"""Keys of the summary that may differ where an export is extended."""
 FRAMES = CLIP_FRAMES + 1
 """Frames of a benchmark video."""
 
@@ -91,14 +95,17 @@ def _make_worker(size: int, out: Path) -> Callable[[EpisodeSpec], _FirstFrame]:
 def export_suite(config: ExportConfig, executor: Executor, observer: Observer) -> int:
     """Write first frames, manifest, camera and descriptions of the episodes; return their number.
 
-    The same arguments give the same bytes with any executor.
+    A folder that holds an export of the same settings is extended, if the new one has all of its episodes. The same
+    arguments give the same bytes with any executor.
 
     Raises:
-        UsageError: the split has fewer seeds, or the folder cannot be created.
+        UsageError: the split has fewer seeds, or the folder cannot be created or holds something else.
         SetupError: writing or rendering failed, or a worker died.
     """
     specs = config.specs()
+    _check_folder(config, specs)
     make_folder(config.out)
+    write_json(config.out / SUMMARY, _summary(config, len(specs)))
     observer.start(len(specs), 0)
     frames: dict[EpisodeSpec, _FirstFrame] = {}
     for done in executor.run(partial(_make_worker, config.size, config.out), specs):
@@ -110,8 +117,37 @@ def export_suite(config: ExportConfig, executor: Executor, observer: Observer) -
     save_camera(benchmark_camera().resized(config.size, config.size), config.out / CAMERA)
     write_lines(config.out / MANIFEST, [_manifest_row(*frame, config) for frame in ordered])
     write_lines(config.out / EPISODES, [_episode_row(episode, config) for episode, _ in ordered])
-    write_json(config.out / SUMMARY, _summary(config, len(ordered)))
     return len(ordered)
+
+
+def _check_folder(config: ExportConfig, specs: Sequence[EpisodeSpec]) -> None:
+    """Check that the folder is new, or holds an export of the same settings whose episodes are among `specs`.
+
+    Raises:
+        UsageError: the folder is in other use, or episodes would be lost.
+    """
+    out, summary = config.out, _summary(config, len(specs))
+    used = [name for name in (SAMPLES, MANIFEST, EPISODES, SUMMARY) if (out / name).exists()]
+    if not used:
+        return
+    try:
+        before = read_object(out / SUMMARY)
+        lines = read_text(out / MANIFEST).splitlines() if (out / MANIFEST).exists() else []
+        ids = [str(as_object(parse_json(line)).get("id")) for line in lines]
+    except (OSError, ValueError, InputError):
+        before, ids = {}, []
+    if SAMPLES in used or "suite_version" not in before:
+        raise UsageError(f"--out {out}: holds {used[0]}, which no export wrote; name another folder")
+    for key, value in summary.items():
+        if key not in _CHOICE and before.get(key) != value:
+            raise UsageError(
+                f"--out {out}: holds an export of {key} {before.get(key)}, this one is of {value}; name another folder"
+            )
+    if lost := sorted(set(ids) - {spec.id for spec in specs}):
+        raise UsageError(
+            f"--out {out}: {len(lost)} of its {len(ids)} episodes (such as {lost[0]}) are not in this export; name "
+            "another folder, or export their tasks and seeds as well"
+        )
 
 
 def _manifest_row(episode: Episode, state: dict[str, Any], config: ExportConfig) -> dict[str, Any]:

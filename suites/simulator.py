@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from kinebench_drake.camera import Camera, benchmark_camera
-from kinebench_drake.environment.native import prepare_vulkan
+from kinebench_drake.environment.native import ignore_vulkan_warning, prepare_vulkan
 from kinebench_drake.errors import SetupError, UsageError
 from kinebench_drake.geometry import Array, from_quaternion, invert
 from kinebench_drake.kinematics.plant import ArmPlant
@@ -134,6 +134,7 @@ class Simulator:
             UsageError: there is no such task or variant.
             SetupError: sapien, mani_skill or a Vulkan driver is missing or cannot be loaded.
         """
+        ignore_vulkan_warning()  # SAPIEN looks for Vulkan when it is imported
         backend = prepare_vulkan() if renders else "none"
         with _setup_errors():
             import sapien

@@ -9,7 +9,7 @@ from typing import ClassVar
 
 from pydantic import ConfigDict, TypeAdapter
 
-from kinebench_drake.errors import UsageError
+from kinebench_drake.errors import UsageError, suggestion
 from kinebench_drake.suites.episode import Episode, compose, episode_id
 from kinebench_drake.suites.split import Pool
 from kinebench_drake.suites.tasks.registry import TASKS
@@ -152,7 +152,7 @@ class Suite:
         own = self.tasks[self.splits[name].tasks]
         for task in chosen or ():
             if task not in TASKS:
-                raise UsageError(f"no task {task!r}; there are {', '.join(TASKS)}")
+                raise UsageError(f"no task {task!r}{suggestion(task, TASKS)}; there are {', '.join(TASKS)}")
             if task not in own:
                 raise UsageError(f"{task} is not in suite {self.number}'s split {name}, which has {', '.join(own)}")
         return own if chosen is None else tuple(task for task in own if task in chosen)

@@ -241,7 +241,8 @@ def find_framing(frames: NDArray[np.uint8], camera: Camera, image: NDArray[np.ui
         )
         raise UnmeasurableError(
             f"camera is {camera.width} x {camera.height}, the video {video[0]} x {video[1]}: the aspect ratios differ, "
-            f"and {problem}; give the video's own camera.json, or its conditioning image (first_frame)"
+            f"and {problem}; give the video's own camera.json, or its conditioning image: save it as ID.png beside "
+            "ID.mp4"
         )
     rows, columns = framing.window
     sides = columns.stop - columns.start, rows.stop - rows.start

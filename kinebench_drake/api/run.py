@@ -1,12 +1,14 @@
 """Runs over many samples into an output folder: `score_videos` and `run_suite`."""
 
+import re
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from os import PathLike
 from pathlib import Path
 from typing import Any, TypeAlias, TypedDict, Unpack
 
-from kinebench_drake.errors import member_of
+from kinebench_drake.errors import KinebenchError, member_of
 from kinebench_drake.evaluation import score
 from kinebench_drake.evaluation.runner import NullRunObserver, RunObserver, RunSummary
 from kinebench_drake.executors.base import ExecutorKind
@@ -92,6 +94,34 @@ class SuiteOptions(RunOptions, total=False):
     """Write videos of generated and executed frames."""
 
 
+_ARGUMENTS = {
+    "frame-period": "frame_period_s",
+    "overwrite": "overwrite=True",
+    "pixels-only": "pixels_only=True",
+    "rate": "rate_hz",
+    "robot": "urdf",
+    "table-height": "table_height_m",
+    "tag": "tags",
+}
+"""Arguments whose names are not those of their options."""
+
+
+def name_arguments(message: str) -> str:
+    """Return a message with arguments of the interface in place of command line options."""
+    return re.sub(r"--([a-z][a-z-]*)", lambda match: _ARGUMENTS.get(match[1], match[1].replace("-", "_")), message)
+
+
+@contextmanager
+def own_arguments() -> Iterator[None]:
+    """Name arguments in place of command line options in the messages of errors."""
+    try:
+        yield
+    except KinebenchError as error:
+        error.args = (name_arguments(str(error)),)
+        raise
+
+
+@own_arguments()
 def score_videos(
     source: PathName, *, out: PathName, observer: RunObserver | None = None, **options: Unpack[ScoreOptions]
 ) -> RunSummary:
@@ -122,6 +152,7 @@ def score_videos(
     return score.score_videos(config, observer or Warner())
 
 
+@own_arguments()
 def run_suite(
     suite: int, *, world_model: str, out: PathName, observer: RunObserver | None = None, **options: Unpack[SuiteOptions]
 ) -> RunSummary:
@@ -160,7 +191,7 @@ class Warner(NullRunObserver):
 
     def warn(self, message: str) -> None:
         """Warn the caller of the interface function."""
-        warnings.warn(message, stacklevel=4)
+        warnings.warn(name_arguments(message), stacklevel=5)
 
 
 def _parsed(options: Mapping[str, Any]) -> dict[str, Any]:

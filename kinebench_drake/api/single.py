@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from kinebench_drake.api.run import PathName
+from kinebench_drake.api.run import PathName, name_arguments, own_arguments
 from kinebench_drake.camera import Camera, benchmark_camera
 from kinebench_drake.datasets.trajectories.check import check
 from kinebench_drake.datasets.trajectories.source import find_trajectories, read_trajectory
@@ -27,6 +27,7 @@ from kinebench_drake.evaluation.score import (
     BENCHMARK_PERIOD_S,
     check_period,
     ground_prepared,
+    period_warnings,
     prepare_video,
     with_initial_states,
 )
@@ -82,9 +83,10 @@ def _refuse_with(what: str, **arguments: object) -> None:
 def _warn(*messages: str) -> None:
     """Warn the caller of the interface function that calls this."""
     for message in messages:
-        warnings.warn(message, stacklevel=3)
+        warnings.warn(name_arguments(message), stacklevel=4)
 
 
+@own_arguments()
 def ground_video(
     video: PathName | NDArray[np.uint8],
     *,
@@ -132,6 +134,7 @@ def ground_video(
         print(track.X_BG[track.tracked, :3, 3])
     """
     check_period(frame_period_s)
+    _warn(*period_warnings([frame_period_s]))
     overrides = Overrides(
         masks=None if masks is None else Path(masks),
         depth=None if depth is None else str(depth),
@@ -165,6 +168,7 @@ def ground_video(
         return ground_prepared(prepared, _analyzer_for(RobotOptions()))
 
 
+@own_arguments()
 def audit_trajectory(
     trajectory: PathName | NDArray[np.generic] | GripperTrack,
     *,

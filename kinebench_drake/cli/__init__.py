@@ -9,7 +9,7 @@ from typing import NoReturn, cast
 import click
 
 import kinebench_drake
-from kinebench_drake.errors import KinebenchError, UsageError
+from kinebench_drake.errors import KinebenchError, UsageError, suggestion
 
 PROGRAM = "kinebench-drake"
 
@@ -42,6 +42,14 @@ class LazyGroup(click.Group):
             return None
         module = importlib.import_module(f"{__name__}.{_COMMANDS[cmd_name][0]}")
         return cast(click.Command, getattr(module, cmd_name))
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Find the command of the arguments; of an unknown one, name the most similar."""
+        if args[0] not in _COMMANDS and not args[0].startswith("-"):
+            ctx.fail(f"no command {args[0]!r}{suggestion(args[0], _COMMANDS)}; there are {', '.join(_COMMANDS)}")
+        return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """List the commands without importing them."""

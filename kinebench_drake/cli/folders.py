@@ -65,9 +65,12 @@ def compare(folders: tuple[Path, ...], out: Path | None, seed: int) -> None:
     if any(run.kind == "suite" for run in runs):
         from kinebench_drake.report.number import executable_lines
         from kinebench_drake.report.suite.comparison import comparison_lines, read_comparison
+        from kinebench_drake.report.suite.folders import spec_warnings
         from kinebench_drake.report.suite.suite_page import write_comparison
 
         episodes = read_comparison(folders, seed)
+        for warning in spec_warnings(episodes.folders):
+            click.echo(f"warning: {warning}", err=True)
         page = None if out is None else write_comparison(episodes, out)
         lines = [*executable_lines(episodes.numbers), *comparison_lines(episodes.pairs)]
     else:

@@ -99,6 +99,11 @@ video_options = _combine(
         help="Camera to use of a LeRobot dataset, HDF5 or npz file that has several, by its name or part of it.",
         metavar="NAME",
     ),
+    click.option(
+        "--dry-run",
+        is_flag=True,
+        help="List samples, frame periods and cameras; measure and write nothing.",
+    ),
     click.option("--overlay/--no-overlay", default=False, help="Write videos with the tracked gripper drawn in."),
     click.option(
         "--pixels-only",

@@ -1,11 +1,14 @@
 """`kinebench-drake score` and `kinebench-drake ground`."""
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from kinebench_drake.cli.options import judging_options, sample_options, video_options
+
+if TYPE_CHECKING:
+    from kinebench_drake.evaluation.score import ScoreConfig
 
 
 @click.command(
@@ -14,6 +17,7 @@ from kinebench_drake.cli.options import judging_options, sample_options, video_o
         "  kinebench-drake score videos/ --out results/\n"
         "  kinebench-drake score videos/manifest.jsonl --out results/ --jobs 4 --tag run=7\n"
         "  kinebench-drake score episode.mp4 --out results/ --frame-period 0.2 --overlay\n"
+        "  kinebench-drake score videos/ --out results/ --dry-run\n"
         "  kinebench-drake score lerobot-dataset/ --out results/ --camera-key observation.images.front\n"
         "  kinebench-drake score heldout/manifest.jsonl --out results/ --masks heldout --depth heldout"
     )
@@ -23,7 +27,7 @@ from kinebench_drake.cli.options import judging_options, sample_options, video_o
 @video_options
 @judging_options
 @click.pass_context
-def score(ctx: click.Context, /, **options: Any) -> None:
+def score(ctx: click.Context, /, dry_run: bool, **options: Any) -> None:
     """Score the videos of PATH: gripper tracks, kinematic metrics, report.
 
     PATH is a video (mp4, mov, avi, gif, webm, mkv), a folder of videos or frame folders, a npy or npz file
@@ -33,11 +37,9 @@ def score(ctx: click.Context, /, **options: Any) -> None:
     --masks, --depth and --poses replace stages of the grounding by results of other tools. Each DIR holds ID.npz,
     ID.npy or a folder ID/ for every video (docs/grounding.md), or is a demonstration folder with its truth.
     """
-    from kinebench_drake.cli.run import run
-    from kinebench_drake.evaluation.score import ScoreConfig, score_videos
+    from kinebench_drake.evaluation.score import ScoreConfig
 
-    config = ScoreConfig(**options)
-    ctx.exit(run(lambda observer: score_videos(config, observer), config.out))
+    ctx.exit(_score(ScoreConfig(**options), dry_run=dry_run))
 
 
 @click.command(
@@ -52,7 +54,7 @@ def score(ctx: click.Context, /, **options: Any) -> None:
 @sample_options
 @video_options
 @click.pass_context
-def ground(ctx: click.Context, /, **options: Any) -> None:
+def ground(ctx: click.Context, /, dry_run: bool, **options: Any) -> None:
     """Extract the gripper track of each video of PATH, without judging it.
 
     PATH is as in `score`. Tracks are written to tracks/ID.npz in the output folder, videos with the tracked gripper
@@ -61,9 +63,30 @@ def ground(ctx: click.Context, /, **options: Any) -> None:
     --masks, --depth and --poses replace stages of the grounding by results of other tools. Each DIR holds ID.npz,
     ID.npy or a folder ID/ for every video (docs/grounding.md), or is a demonstration folder with its truth.
     """
-    from kinebench_drake.cli.run import run
     from kinebench_drake.evaluation.config import RunKind
-    from kinebench_drake.evaluation.score import ScoreConfig, score_videos
+    from kinebench_drake.evaluation.score import ScoreConfig
 
-    config = ScoreConfig(kind=RunKind.GROUND, **options)
-    ctx.exit(run(lambda observer: score_videos(config, observer), config.out))
+    ctx.exit(_score(ScoreConfig(kind=RunKind.GROUND, **options), dry_run=dry_run))
+
+
+def _score(config: "ScoreConfig", *, dry_run: bool) -> int:
+    """Carry out a run, or list what it would read; return the exit status."""
+    from kinebench_drake.cli.run import ProgressView, run
+    from kinebench_drake.evaluation.score import plan_videos, score_videos
+    from kinebench_drake.results.inputs import input_lines
+    from kinebench_drake.results.row import Status
+
+    if not dry_run:
+        return run(lambda observer: score_videos(config, observer), config.out)
+    rows = []
+    for row in plan_videos(config, ProgressView("samples")):
+        rows.append(row)
+        frames, width, height = (row.extra.get(key) for key in ("frames", "width", "height"))
+        size = f"{frames} frames of {width} x {height} px" if row.status is Status.OK else str(row.reason)
+        labels = [f"{key} {value}" for key, value in (("task", row.task), ("model", row.model)) if value is not None]
+        click.echo("; ".join([f"{row.id}: {size}", *input_lines([row]), *labels]))
+    readable = [row for row in rows if row.status is Status.OK]
+    click.echo(f"{len(readable)} of {len(rows)} samples can be read; nothing was measured or written")
+    for line in input_lines(readable):
+        click.echo(line)
+    return 0 if readable else 1

@@ -59,7 +59,8 @@ def report(folders: tuple[Path, ...], out: Path, seed: int) -> None:
     """
     from kinebench_drake.report.suite.suite_page import write_suite_report
 
-    click.echo(write_suite_report(folders, out, seed))
+    page = write_suite_report(folders, out, seed, warn=lambda message: click.echo(f"warning: {message}", err=True))
+    click.echo(page)
 
 
 _ERRORS = ("bias", "jitter", "finger_delay")

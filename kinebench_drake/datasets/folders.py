@@ -9,18 +9,35 @@ from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.io.files import require_accessible
 from kinebench_drake.results.store import ARTIFACTS, RESULTS, RUN, SAMPLES
 
+WRITTEN = (*ARTIFACTS, "figures")
+"""Folders of an output folder that hold no input, unlike the clips of a world model in videos/."""
+
+
+def is_output(folder: Path) -> bool:
+    """Return whether a folder is the output folder of a run, finished or not."""
+    return (folder / SAMPLES).exists() and any((folder / name).exists() for name in (RESULTS, RUN))
+
+
+def run_of(path: Path) -> Path | None:
+    """Return the output folder of the run that wrote `path`, a folder of its artifacts or a file in one; else None."""
+    real = path.resolve()
+    written = (folder for folder in (real, real.parent) if folder.name in WRITTEN and is_output(folder.parent))
+    return next((folder.parent for folder in written), None)
+
 
 def require_apart(out: Path, *inputs: Path) -> None:
     """Check that a run into `out` does not touch its inputs: it removes and writes files in the folders that it fills.
 
     Raises:
-        UsageError: an input is `out`, or is or lies in a folder that the run fills.
+        UsageError: an input is `out`, is a file in it, or is or lies in a folder that the run fills.
     """
     home = out.resolve()
     for path in inputs:
         real = path.resolve()
         if real == home:
             raise UsageError(f"--out is the input folder itself ({path}); name another folder")
+        if real.parent == home and real.is_file():
+            raise UsageError(f"--out is the folder of {path}, whose input would lie among results; name another folder")
         folder = next((kind for kind in ARTIFACTS if real.is_relative_to(home / kind)), None)
         if folder is not None:
             raise UsageError(f"--out {out}: {path} is read, but the run fills {out / folder}; name another folder")
@@ -29,7 +46,8 @@ def require_apart(out: Path, *inputs: Path) -> None:
 def walk(top: Path, skipped: Sequence[Path] = ()) -> Iterator[tuple[Path, list[str], list[str]]]:
     """Yield every folder from `top` down once, in a fixed order, following links.
 
-    Hidden entries, `skipped` folders and output folders of runs are ignored, except `top` itself.
+    Hidden entries, `skipped` folders and output folders of runs are ignored. If `top` is an output folder itself, the
+    folders that the run filled are.
 
     Yields:
         A folder, the names of its subfolders, which may be cleared to go no deeper, and the names of its files.
@@ -42,12 +60,12 @@ def walk(top: Path, skipped: Sequence[Path] = ()) -> Iterator[tuple[Path, list[s
     for root, folders, files in os.walk(top, onerror=_raise_unreadable, followlinks=True):
         here = Path(root)
         real = here.resolve()
-        is_output = SAMPLES in files and (RESULTS in files or RUN in files)
-        if real in visited or real in ignored or (here != top and is_output):
+        output = is_output(here)
+        if real in visited or real in ignored or (here != top and output):
             folders.clear()
             continue
         visited.add(real)
-        folders[:] = sorted(f for f in folders if not f.startswith("."))
+        folders[:] = sorted(f for f in folders if not f.startswith(".") and not (output and f in WRITTEN))
         yield here, folders, sorted(f for f in files if not f.startswith("."))
 
 

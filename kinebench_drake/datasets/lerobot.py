@@ -29,7 +29,7 @@ from kinebench_drake.datasets.videos.sample import VideoSample
 from kinebench_drake.datasets.videos.search import CAMERA_NAME, Search
 from kinebench_drake.errors import InputError, cause
 from kinebench_drake.geometry import Array
-from kinebench_drake.io.files import open_file, read_text
+from kinebench_drake.io.files import absence, open_file, read_text
 from kinebench_drake.io.jsonl import as_object, parse_json, read_object
 from kinebench_drake.io.video import VideoPart
 
@@ -335,7 +335,7 @@ def _finite(value: object) -> float | None:
 
 
 def _absence(path: Path, folder: Path) -> str | None:
-    return None if path.is_file() else f"{path.relative_to(folder).as_posix()}: there is no such file"
+    return None if path.is_file() else f"{path.relative_to(folder).as_posix()}: {absence(path)}"
 
 
 @contextmanager

@@ -79,6 +79,11 @@ def has_nvidia_vulkan() -> bool:
     )
 
 
+def ignore_vulkan_warning() -> None:
+    """Hide SAPIEN's warning that it takes its own Vulkan loader: the unpacked driver works with it."""
+    warnings.filterwarnings("ignore", message="Failed to find system libvulkan")
+
+
 @cache
 def prepare_vulkan() -> str:
     """Select the Vulkan driver and return SAPIEN's render backend, "gpu" or "cpu"; call before importing sapien.
@@ -90,8 +95,7 @@ def prepare_vulkan() -> str:
         SetupError: an unpacked library cannot be loaded.
     """
     _preload("vulkan")
-    # The unpacked driver works with the Vulkan loader that SAPIEN ships, so users need not act on this warning.
-    warnings.filterwarnings("ignore", message="Failed to find system libvulkan")
+    ignore_vulkan_warning()
     drivers = [os.environ[name] for name in _DRIVER_VARIABLES if os.environ.get(name)]
     if drivers:
         return "gpu" if "nvidia" in drivers[0] else "cpu"

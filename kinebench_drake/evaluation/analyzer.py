@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import InputError, SetupError, UsageError
 from kinebench_drake.geometry import Array
+from kinebench_drake.io.files import absence
 from kinebench_drake.models.arm import choose_robot
 from kinebench_drake.models.robot import Robot
 from kinebench_drake.types import GripperTrack, Priors
@@ -49,7 +50,7 @@ class RobotOptions:
         if (self.urdf is None) is not (self.tcp_frame is None):
             raise UsageError("--robot and --tcp-frame go together: the URDF and the name of its TCP frame")
         if self.urdf is not None and not self.urdf.is_file():
-            raise UsageError(f"--robot {self.urdf}: there is no such file, expected a URDF")
+            raise UsageError(f"--robot {self.urdf}: {absence(self.urdf)}, expected a URDF")
 
     def load(self) -> Robot:
         """Load the robot.

@@ -1,15 +1,18 @@
 """Kinds of runs, and the options common to all runs."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path
+from typing import TypeVar
 
 from kinebench_drake.errors import UsageError
 from kinebench_drake.evaluation.analyzer import Analyzer, AnalyzerFactory, RobotOptions
 from kinebench_drake.executors.base import ExecutorKind
 from kinebench_drake.results.metadata import Shard
 from kinebench_drake.types import Json
+
+_Sample = TypeVar("_Sample")
 
 
 class RunKind(Enum):
@@ -85,6 +88,11 @@ class RunConfig:
             UsageError: they are invalid.
         """
         return RobotOptions(table_height_m=self.table_height_m)
+
+    def select(self, samples: Sequence[_Sample]) -> list[_Sample]:
+        """Return the samples of this run: those of its shard, up to the limit."""
+        selected = list(samples[: self.limit])
+        return self.shard.take(selected) if self.shard else selected
 
     def to_json(self) -> dict[str, Json]:
         """Serialize into `config` of results.json; paths by their last name only."""

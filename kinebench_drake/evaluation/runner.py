@@ -71,8 +71,7 @@ def run_samples(
     """
     config = evaluator.config
     executor = create_executor(config.engine, config.jobs, config.address)
-    chosen = list(samples[: config.limit])
-    chosen = config.shard.take(chosen) if config.shard else chosen
+    chosen = config.select(samples)
     metadata = run_metadata(config, samples_found=len(samples))
     with ResultStore(config.out, overwrite=config.overwrite) as store:
         waiting = resume(store, samples, chosen, evaluator, metadata, observer.warn)

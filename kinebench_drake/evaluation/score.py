@@ -4,7 +4,7 @@ One module, so that the way of one video can be read from top to bottom.
 """
 
 import dataclasses
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.datasets.manifest import MAX_PERIOD_S, MIN_PERIOD_S
+from kinebench_drake.datasets.trajectories.trajectory import SLOW_STEP_S
 from kinebench_drake.datasets.videos.find import find_samples
-from kinebench_drake.datasets.videos.sample import VideoSample
+from kinebench_drake.datasets.videos.sample import VideoSample, VideoSamples
 from kinebench_drake.errors import InputError, UnmeasurableError, UsageError, count_noun
 from kinebench_drake.evaluation.analyzer import Analyzer, load_analyzer
 from kinebench_drake.evaluation.config import RunConfig, RunKind
@@ -31,6 +32,7 @@ from kinebench_drake.io.reader import read_video
 from kinebench_drake.io.video import WHOLE, Video
 from kinebench_drake.results.inputs import PeriodSource
 from kinebench_drake.results.provenance import weights_hash
+from kinebench_drake.results.row import SampleRow
 from kinebench_drake.results.store import artifact_path
 from kinebench_drake.results.trackfile import write_track
 from kinebench_drake.suites.start import START_WIDTH_M, start_q
@@ -114,22 +116,14 @@ def score_videos(config: ScoreConfig, observer: RunObserver | None = None) -> Ru
         SetupError: something is missing on this machine, or the disk is full. Finished samples are kept.
     """
     observer = observer or NullRunObserver()
-    overrides = config.overrides()
-    inputs = find_samples(
-        config.source,
-        out=config.out,
-        model=config.model,
-        task=config.task,
-        others=tuple(overrides.folders.values()),
-        camera_key=config.camera_key,
-    )
+    inputs = _find(config)
     for warning in inputs.warnings:
         observer.warn(warning)
     if config.pixels_only:
         samples = [replace(sample, initial_state=None) for sample in inputs.samples]
     else:
         samples = with_initial_states(inputs.samples)
-    summary = run_samples(samples, VideoEvaluator(config=config, overrides=overrides), observer)
+    summary = run_samples(samples, VideoEvaluator(config=config, overrides=config.overrides()), observer)
     contradicted = sum(row.extra.get("first_frame") == InitialStateUse.CONTRADICTED.value for row in summary.rows)
     if contradicted:
         observer.warn(
@@ -143,6 +137,34 @@ def score_videos(config: ScoreConfig, observer: RunObserver | None = None) -> Ru
             "assumed, as in the benchmark; set --frame-period SECONDS if it differs"
         )
     return summary
+
+
+def plan_videos(config: ScoreConfig, observer: RunObserver | None = None) -> Iterator[SampleRow]:
+    """Read the videos of a run and yield a row of each with size, frame period and camera; nothing is written.
+
+    Raises:
+        UsageError: the configuration or the input cannot be used.
+    """
+    observer, inputs = observer or NullRunObserver(), _find(config)
+    for warning in inputs.warnings:
+        observer.warn(warning)
+    reader = _VideoReader(config=config, overrides=config.overrides())
+    analyzer = reader.setup()
+    yield from (reader.row(sample, analyzer) for sample in config.select(inputs.samples))
+
+
+def _find(config: ScoreConfig) -> VideoSamples:
+    """List the videos of a run, with warnings about the input."""
+    inputs = find_samples(
+        config.source,
+        out=config.out,
+        model=config.model,
+        task=config.task,
+        others=tuple(config.overrides().folders.values()),
+        camera_key=config.camera_key,
+    )
+    periods = [config.frame_period_s, *(s.frame_period_s or s.dataset_period_s for s in inputs.samples)]
+    return replace(inputs, warnings=(*inputs.warnings, *period_warnings(periods)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -245,6 +267,30 @@ class VideoEvaluator(Evaluator[VideoSample, Analyzer]):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class _VideoReader(VideoEvaluator):
+    """Evaluation that ends before the grounding."""
+
+    def evaluate(self, sample: VideoSample, analyzer: Analyzer) -> Evaluation:
+        """Read the video, check size and shape, determine its times."""
+        if sample.problem is not None:
+            raise InputError(sample.problem)
+        video = read_video(sample.path, sample.part)
+        video.require_measurable()
+        _framing(sample, video)
+        t_s, period_s, source = _times(sample, video, self.config.frame_period_s)
+        return Evaluation(
+            kinematics=None,
+            extra={
+                "frames": len(t_s),
+                "width": video.width,
+                "height": video.height,
+                "frame_period_s": period_s,
+                "frame_period_source": source.value,
+            },
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class PreparedVideo:
     """Input of the grounding."""
 
@@ -344,6 +390,17 @@ def check_period(period_s: float | None) -> None:
         raise UsageError(
             f"--frame-period is {period_s}, expected seconds from {MIN_PERIOD_S:g} to {MAX_PERIOD_S:g}, such as 0.2"
         )
+
+
+def period_warnings(periods_s: Iterable[float | None]) -> list[str]:
+    """Return a warning about task times between two frames [s] that are longer than any recording's."""
+    long = sorted({period_s for period_s in periods_s if period_s is not None and period_s > SLOW_STEP_S})
+    if not long:
+        return []
+    return [
+        f"a frame period of {long[-1]:g} s means {long[-1]:g} s between two frames: is it in milliseconds (then write "
+        f"{long[-1] / 1000:g}) or in frames per second (then write {1 / long[-1]:.4g})?"
+    ]
 
 
 def override_names(sample: VideoSample) -> tuple[str, ...]:

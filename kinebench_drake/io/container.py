@@ -133,6 +133,7 @@ def _create_mp4(path: Path) -> Iterator[OutputContainer]:
     """Open an mp4 file that appears at `path` when the context ends without an error."""
     part = unfinished(path)
     try:
+        part.parent.mkdir(parents=True, exist_ok=True)
         with av.open(part, "w", format="mp4", container_options={"fflags": "+bitexact"}) as container:
             yield container
         os.replace(part, path)

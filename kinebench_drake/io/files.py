@@ -2,6 +2,7 @@
 
 import errno
 import os
+import re
 import stat
 from contextlib import suppress
 from io import BufferedReader
@@ -33,6 +34,15 @@ def require_accessible(path: Path, what: str) -> Path:
     except (OSError, ValueError) as error:
         raise InputError(f"{what} cannot be followed ({cause(error)})") from None
     return path
+
+
+def absence(path: Path) -> str:
+    """Return why a path that the user named does not exist, for a message after its name."""
+    if re.match(r"\w+:/", str(path)):  # a Path keeps one slash of the two
+        return "URLs are not read: download it first"
+    if path.is_symlink() and not path.exists():
+        return f"is a symlink to {os.readlink(path)}, which does not exist"
+    return "is not a regular file" if path.exists() else "there is no such file or folder"
 
 
 def open_file(path: Path) -> BufferedReader:

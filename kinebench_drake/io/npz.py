@@ -38,7 +38,7 @@ def at_most(limit: int) -> Callable[[int], None]:
 
     def check(size: int) -> None:
         if size > limit:
-            raise InputError(f"an array takes {size / 2**20:.0f} MiB, at most {limit / 2**20:.0f} are accepted")
+            raise InputError(f"unpacks to {size / 2**20:.0f} MiB; the limit is {limit / 2**20:.0f} MiB")
 
     return check
 
@@ -131,8 +131,25 @@ def _read_header(file: IO[bytes], size: int) -> tuple[tuple[int, ...], int]:
         raise InputError("holds pickled Python objects, which are never loaded: save plain arrays")
     nbytes = math.prod(shape) * dtype.itemsize
     if min(shape, default=0) < 0 or nbytes > size:
-        raise InputError(f"its header announces an array of shape {shape}, which is not there")
+        raise InputError(
+            f"its header promises an array of shape {shape}, {nbytes} bytes, the file holds {size} bytes: it is damaged"
+        )
     return shape, nbytes
+
+
+def npy_shape(path: Path) -> tuple[int, ...]:
+    """Return the shape of the array of an npy file without loading it.
+
+    Raises:
+        InputError: it is absent or damaged.
+    """
+    try:
+        with open_file(path) as file:
+            size = file.seek(0, 2)
+            file.seek(0)
+            return _read_header(file, size)[0]
+    except _DAMAGED as error:
+        raise InputError(f"is not a readable npy file ({cause(error)})") from None
 
 
 def write_arrays(path: Path, arrays: Mapping[str, Any]) -> None:

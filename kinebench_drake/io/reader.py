@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from kinebench_drake.errors import InputError, cause
 from kinebench_drake.io.container import read_container
-from kinebench_drake.io.files import VIDEO_SUFFIXES
+from kinebench_drake.io.files import VIDEO_SUFFIXES, absence
 from kinebench_drake.io.hdf5 import HDF5_SUFFIXES, read_hdf5
 from kinebench_drake.io.images import decode_image, read_folder
-from kinebench_drake.io.npz import open_npz, read_npy
+from kinebench_drake.io.npz import npy_shape, open_npz, read_npy
 from kinebench_drake.io.video import WHOLE, Video, VideoPart, check_size, stack_frames
 
 ARRAY_SUFFIXES = frozenset({".npy", ".npz"})
@@ -42,6 +42,19 @@ def read_array(path: Path, part: VideoPart) -> Video:
         return Video(frames=cast(NDArray[np.uint8], np.ascontiguousarray(frames)), fps=None, stamps_s=None)
     except InputError as error:
         raise InputError(f"{path.name}: {error}") from None
+
+
+def is_video_array(path: Path) -> bool:
+    """Return whether an npy or npz file holds an array of the shape (T, H, W, 3), by its header."""
+    try:
+        if path.suffix.lower() == ".npy":
+            shapes = [npy_shape(path)]
+        else:
+            with open_npz(path) as archive:
+                shapes = [archive.shape(name) for name in archive.files]
+    except InputError:
+        return False
+    return any(len(shape) == 4 and shape[3] == 3 for shape in shapes)
 
 
 def _choose_array(names: list[str], key: str | None) -> str:
@@ -107,7 +120,7 @@ def read_video(path: Path, part: VideoPart = WHOLE) -> Video:
     if path.is_dir():
         return read_folder(path)
     if not path.is_file():
-        raise InputError(f"{path.name}: there is no such file")
+        raise InputError(f"{path.name}: {absence(path)}")
     if path.stat().st_size == 0:
         raise InputError(f"{path.name}: the file is empty (0 bytes)")
     return READERS.get(path.suffix.lower(), read_container)(path, part)

@@ -35,8 +35,10 @@ class Video:
             InputError: the frames are not (T, H, W, 3) uint8, or there are none.
         """
         if self.frames.dtype != np.uint8 or self.frames.ndim != 4 or self.frames.shape[3] != 3:
+            channel_first = self.frames.ndim == 4 and self.frames.shape[1] == 3
+            hint = "; looks channel-first: transpose(0, 2, 3, 1)" if channel_first else ""
             raise InputError(
-                f"found {self.frames.dtype} of shape {self.frames.shape}, expected uint8 (T, H, W, 3) in RGB"
+                f"found {self.frames.dtype} of shape {self.frames.shape}, expected uint8 (T, H, W, 3) in RGB{hint}"
             )
         if not self.frames.size:
             raise InputError("holds no frame")

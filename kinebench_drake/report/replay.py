@@ -15,7 +15,7 @@ from pydrake.multibody.tree import BodyIndex
 from kinebench_drake.environment import native
 from kinebench_drake.errors import SetupError, UnmeasurableError, UsageError, cause
 from kinebench_drake.geometry import Array
-from kinebench_drake.io.atomic import disk_errors, write_atomically
+from kinebench_drake.io.atomic import write_atomically
 from kinebench_drake.io.jsonl import as_object
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.report.limits import to_number
@@ -65,8 +65,6 @@ def write_replays(out: Path, ids: Sequence[str], plant: ArmPlant | None = None) 
         plant = plant or ArmPlant()
         meshes = meshes or link_meshes(plant)
         page = build_replay(plant, meshes, rows[id], file, table_height_m=height or 0.0)
-        with disk_errors(f"replays/{path.name}"):
-            path.parent.mkdir(exist_ok=True)
         write_atomically(path, page.encode())
         written.append(path)
     return written

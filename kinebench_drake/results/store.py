@@ -52,8 +52,6 @@ class ResultStore:
         self._lock = -1
         try:
             out.mkdir(parents=True, exist_ok=True)
-            for kind in ARTIFACTS:
-                (out / kind).mkdir(exist_ok=True)
             self._lock = os.open(out, os.O_RDONLY)
             self._lock_folder()
             self._sweep(everything=overwrite)
@@ -145,7 +143,7 @@ class ResultStore:
         write_json(self.out / RESULTS, results)
         with disk_errors(RUN):
             (self.out / RUN).unlink(missing_ok=True)
-        for kind in ARTIFACTS:
+        for kind in (*ARTIFACTS, "videos"):
             folder = self.out / kind
             if folder.is_dir() and not any(folder.iterdir()):
                 folder.rmdir()

@@ -1,6 +1,6 @@
 """Registry of all tasks."""
 
-from kinebench_drake.errors import UsageError
+from kinebench_drake.errors import UsageError, suggestion
 from kinebench_drake.suites.tasks import blocks, boxes, drawers, faucets, fruits, laptops
 from kinebench_drake.suites.tasks.task import Task, TaskVariant
 
@@ -18,7 +18,7 @@ def find_task(task: str, variant: TaskVariant = TaskVariant.PLAIN) -> Task:
         UsageError: the id is unknown, or the task has no such variant.
     """
     if task not in TASKS:
-        raise UsageError(f"no task {task!r}; there are {', '.join(TASKS)}")
+        raise UsageError(f"no task {task!r}{suggestion(task, TASKS)}; there are {', '.join(TASKS)}")
     if variant not in TASKS[task].card.variants:
         raise UsageError(f"{task} has no variant {variant.value!r}")
     return TASKS[task]

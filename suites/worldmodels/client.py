@@ -89,6 +89,9 @@ class Deadline:
 
 
 _REDIRECTS = 5
+_HEAD, _QUOTED = 4096, 80
+"""Bytes of an invalid answer that are read for a message, and characters that it quotes."""
+_PLAIN = {"Accept-Encoding": "identity"}
 _FINAL = (HTTPStatus.NOT_IMPLEMENTED, HTTPStatus.HTTP_VERSION_NOT_SUPPORTED)
 _UNSENT = (httpx.ConnectError, httpx.ConnectTimeout, httpx.PoolTimeout, httpx.ProxyError)
 """Failures before a request was sent."""
@@ -154,13 +157,15 @@ class HttpClient:
 
         def attempt() -> dict[str, Any]:
             timeout = self._timeout(deadline, patient)
-            request_headers = {"Accept": "application/json", **kind, **(headers or {}), **self._authorization(url)}
+            own = {"Accept": "application/json", **_PLAIN, **kind}
+            request_headers = {**own, **(headers or {}), **self._authorization(url)}
             with self._stream(
                 method, url, deadline, repeatable, content=content, headers=request_headers, timeout=timeout
             ) as response:
                 self._accept(response, deadline, repeatable)
                 data = b"".join(self._read(response, most, deadline))
-            answer = self._object(data, response.status_code)
+            answer = self._object(data, response)
+            deadline.left()
             check(answer)
             return answer
 
@@ -177,7 +182,7 @@ class HttpClient:
         def attempt() -> None:
             url = self._download_address(address)
             for _ in range(_REDIRECTS):
-                headers = {"Accept-Encoding": "identity", **self._authorization(url)}
+                headers = {**_PLAIN, **self._authorization(url)}
                 timeout = self._timeout(deadline, False)
                 with self._stream("GET", url, deadline, True, headers=headers, timeout=timeout) as response:
                     if not response.has_redirect_location:
@@ -250,14 +255,15 @@ class HttpClient:
             busy.after_s = retry_after(response.headers.get("Retry-After", ""))
             raise busy
         if status in (HTTPStatus.UNAUTHORIZED, HTTPStatus.FORBIDDEN) and origin(response.url) == origin(self._base):
-            raise SetupError(f"{message}; is the key right, and meant for this address?")
+            missing = "no key was sent; name one with key_env=VARIABLE"
+            raise SetupError(f"{message}; {'is the key right, and meant for this address?' if self._key else missing}")
         raise ServiceError(message, status=status, code=code)
 
     def _error_of(self, response: httpx.Response, deadline: Deadline) -> tuple[str, str]:
         """Return message and error code of an answer that reports an error."""
         try:
             data = b"".join(self._read(response, self.limits.json_bytes, deadline))
-            answer = self._object(data, response.status_code)
+            answer = self._object(data, response)
         except ServiceError:
             return clean(response.reason_phrase), ""
         error = answer.get("error")
@@ -269,6 +275,9 @@ class HttpClient:
 
     def _read(self, response: httpx.Response, most_bytes: int, deadline: Deadline) -> Iterator[bytes]:
         size = int(length) if (length := response.headers.get("Content-Length", "")).isdecimal() else 0
+        if (coding := response.headers.get("Content-Encoding", "identity")) != "identity":
+            # Unpacked, a small answer may be large: its size would be known too late to keep limits and deadline.
+            raise ServiceError(f"{self.service} answered with Content-Encoding {clean(coding)}; send it uncompressed")
         if size <= most_bytes:
             size = 0
             for chunk in response.iter_bytes():
@@ -278,15 +287,24 @@ class HttpClient:
                     break
                 yield chunk
         if size > most_bytes:
-            raise ServiceError(f"{self.service} answered with more than {most_bytes / (1 << 20):g} MiB")
+            encoded = most_bytes == self.limits.encoded_video_bytes
+            most = f"{(self.limits.video_bytes if encoded else most_bytes) / (1 << 20):g} MiB"
+            raise ServiceError(
+                f"{self.service} answered with more than {most}{' of video (base64)' if encoded else ''}"
+            )
 
-    def _object(self, data: bytes, status: int) -> dict[str, Any]:
+    def _object(self, data: bytes, response: httpx.Response) -> dict[str, Any]:
         try:
             answer = json.loads(data)
         except (ValueError, RecursionError):
             answer = None
         if not isinstance(answer, dict):
-            raise ServiceError(f"{self.service} answered with something else than a JSON object", status=status)
+            kind = response.headers.get("Content-Type") or "no content type"
+            text = clean(data[:_HEAD].decode(errors="replace"))[:_QUOTED]  # secrets are masked before the cut
+            raise ServiceError(
+                f"{self.service} answered with {clean(kind)}, expected a JSON object; it begins: {text!r}",
+                status=response.status_code,
+            )
         return answer
 
     def _authorization(self, url: httpx.URL) -> dict[str, str]:

@@ -11,6 +11,7 @@ import tempfile
 import time
 from collections.abc import Mapping
 from contextlib import suppress
+from itertools import pairwise
 from pathlib import Path
 from typing import IO
 
@@ -53,7 +54,7 @@ class CommandModel:
         if shutil.which(self._arguments[0]) is None:
             raise spec.unusable(f"there is no program {self._arguments[0]}, or it is not executable")
         self._timeout_s = options.timeout
-        self.name = options.name or Path(self._arguments[0]).name
+        self.name = options.name or _script_name(self._arguments)
 
     def generate(self, request: Request, out: Path) -> Path:
         """Run the program and store its video beside `out`."""
@@ -99,6 +100,14 @@ class CommandModel:
             if process is not None and process.returncode is None:
                 with defer_interrupts():
                     _terminate(process)
+
+
+def _script_name(arguments: list[str]) -> str:
+    """Return what names a command line best: its script or module, as `python` names many models, else its program."""
+    for before, argument in pairwise(arguments):
+        if before == "-m" or Path(argument).is_file():
+            return Path(argument).name
+    return Path(arguments[0]).name
 
 
 def _terminate(process: subprocess.Popen[bytes]) -> None:

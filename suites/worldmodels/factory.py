@@ -6,7 +6,7 @@ from typing import Any, cast
 
 from pydantic import Field
 
-from kinebench_drake.errors import UsageError
+from kinebench_drake.errors import UsageError, suggestion
 from kinebench_drake.plugin import is_class_name, load_class
 from kinebench_drake.suites.worldmodels.cloud import DashScopeModel, MiniMaxModel
 from kinebench_drake.suites.worldmodels.command import CommandModel
@@ -106,11 +106,15 @@ def create(text: str) -> WorldModel:
         return form.make(spec)
     usages = ", ".join(dict.fromkeys([*(form.usage for form in FORMS.values()), _CLASS_USAGE]))
     if not is_class_name(spec.plain):
-        raise spec.unusable(f"expected one of {usages}, each with options ?key=value&key=value")
+        hint = suggestion(spec.kind, FORMS)
+        raise spec.unusable(
+            f"no world model {spec.kind!r}{hint}; expected one of {usages}, each with options ?key=value&key=value"
+        )
     try:
         return _make_plugin(spec)
     except UsageError as error:
-        raise UsageError(f"{error}; world models are named {usages}") from None
+        hint = suggestion(spec.kind, FORMS)
+        raise UsageError(f"{error}{hint}; world models are named {usages}") from None
 
 
 def _make_plugin(spec: Spec) -> WorldModel:

@@ -52,7 +52,7 @@ class HttpOptions(TimeoutOptions):
         "auto", description="contract of the server; auto: predict if it answers /v1/capabilities"
     )
     key_env: str | None = Field(
-        None, pattern=r"^[A-Za-z_]\w*$", description="environment variable whose value is sent as bearer token"
+        None, pattern=r"^[A-Za-z_]\w*$", description="the environment variable whose value is sent as bearer token"
     )
 
 
@@ -84,7 +84,7 @@ class HttpModel:
         key = key_from(options.key_env) if options.key_env else None
         self._client = HttpClient("the world model", base, key=key, limits=limits)
         self._capabilities: Capabilities | None = None
-        self.name = options.name or "http"
+        self.name = options.name or f"{url.netloc.decode()}{url.path.rstrip('/').removesuffix(_PREDICT)}"
 
     def generate(self, request: Request, out: Path) -> Path:
         """Request a video or frames, by the contract of the server."""
@@ -153,11 +153,13 @@ class HttpModel:
     def _fetch(self, answer: dict[str, Any], part: Path, deadline: Deadline) -> None:
         """Store the video of an answer in a file."""
         kinds = [name for name in _ANSWERS if answer.get(name) is not None]
-        if answer.get("error") and not kinds:
-            raise WorldModelError(f"the world model gave no video: {clean(answer['error'])}")
+        if answer.get("error"):
+            beside = f" (and {', '.join(kinds)} beside the error: answer with exactly one of them)" if kinds else ""
+            raise WorldModelError(f"the world model gave no video: {clean(answer['error'])}{beside}")
         if len(kinds) != 1 or not isinstance(answer[kinds[0]], str):
             raise WorldModelError(
-                f"the world model's answer has no video; expected one of {', '.join(_ANSWERS)}, a string"
+                f"the world model's answer has {' and '.join(kinds) or 'no video'}; expected exactly one of "
+                f"{', '.join(_ANSWERS)}, a string"
             )
         kind, value = kinds[0], answer[kinds[0]]
         if kind == "video_url":
@@ -197,9 +199,10 @@ def _body(request: Request, conditioning: dict[str, Any], frame: NDArray[np.uint
 def _decode_frames(answer: dict[str, Any]) -> list[NDArray[np.uint8]]:
     """Decode the frames (H, W, 3) RGB of an answer."""
     texts = answer.get("frames")
+    if answer.get("error"):
+        raise WorldModelError(f"the world model gave no frames: {clean(answer['error'])}")
     if not isinstance(texts, list) or not texts or not all(isinstance(text, str) for text in texts):
-        reason = f": {clean(answer['error'])}" if answer.get("error") else ""
-        raise WorldModelError(f"the world model's answer has no frames{reason}; expected a list of PNG files in base64")
+        raise WorldModelError("the world model's answer has no frames; expected a list of PNG files in base64")
     frames = [_decode_image(text, number) for number, text in enumerate(texts)]
     if len({frame.shape for frame in frames}) > 1:
         raise WorldModelError("the world model's frames are of different sizes")

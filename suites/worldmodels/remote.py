@@ -1,6 +1,7 @@
 """Values exchanged with remote services: limits, errors, encoded images, keys, addresses."""
 
 import base64
+import binascii
 import io
 import ipaddress
 import os
@@ -89,7 +90,7 @@ def from_base64(text: str) -> bytes:
         ValueError: it is not base64.
     """
     payload = text.partition(",")[2] if text.startswith("data:") else text
-    return base64.b64decode("".join(payload.split()), validate=True)
+    return binascii.a2b_base64("".join(payload.split()), strict_mode=True)
 
 
 _LONGEST = 200

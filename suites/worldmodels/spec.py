@@ -8,7 +8,7 @@ from urllib.parse import unquote, urlsplit
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from kinebench_drake.errors import UsageError
+from kinebench_drake.errors import UsageError, suggestion
 
 OPTION = "--world-model"
 """Command line option of specs."""
@@ -23,7 +23,9 @@ class Options(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    name: str | None = Field(None, pattern=r"^[^\x00-\x1f/\\]{1,80}$", description="name of the model in results")
+    name: str | None = Field(
+        None, pattern=r"^[^\x00-\x1f/\\]{1,80}$", description="1 to 80 characters without / or \\, the name in results"
+    )
 
 
 class TimeoutOptions(Options):
@@ -74,7 +76,10 @@ class Spec:
             first = error.errors(include_url=False, include_context=False)[0]
             key = str(first["loc"][0]) if first["loc"] else ""
             extra = first["type"] == "extra_forbidden"
-            problem = f"{key} is not an option" if extra else f"{key}={first['input']}: {first['msg']}"
+            hint = suggestion(key, model.model_fields)
+            problem = f"{key} is not an option{hint}" if extra else f"{key}={first['input']}: {first['msg']}"
+            if first["type"] == "string_pattern_mismatch":
+                problem = f"{key}={first['input']} must be {model.model_fields[key].description}"
             keys = ", ".join(field.alias or name for name, field in model.model_fields.items())
             raise self.unusable(f"{problem}; options are {keys}") from None
 

@@ -64,7 +64,7 @@ class WorldModel(Protocol):
 
     @property
     def name(self) -> str:
-        """Name in the results, without secrets, host names or absolute paths."""
+        """Name in the results, without secrets or absolute paths."""
 
     def generate(self, request: Request, out: Path) -> Path:
         """Generate the video of a request.

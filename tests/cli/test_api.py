@@ -60,7 +60,7 @@ def test_every_option_is_an_argument_with_the_same_default(names, function, rena
     arguments = dict(inspect.signature(function).parameters)
     keywords = typing.get_args(arguments.pop("options").annotation)[0].__annotations__.keys()
     assert arguments.pop("observer").default is None
-    assert options.keys() == arguments.keys() | keywords
+    assert options.keys() - {"dry_run"} == arguments.keys() | keywords
     first, *others = arguments.values()
     assert first.kind is inspect.Parameter.POSITIONAL_OR_KEYWORD
     assert all(argument.kind is inspect.Parameter.KEYWORD_ONLY for argument in others)
@@ -209,3 +209,25 @@ def test_found_and_judged_one_by_one_the_numbers_are_those_of_a_run(tmp_path):
     judged = audit_trajectory(grounded.track)
     assert judged.feasible is row.feasible
     assert {name: row.metrics[name] for name in judged.metrics} == dict(judged.metrics)
+
+
+def test_errors_and_warnings_name_arguments(tmp_path, film):
+    with pytest.raises(UsageError, match=r"^frame_period_s is -1"):
+        score_videos(film("a.mp4"), out=tmp_path / "out", frame_period_s=-1.0)
+    with pytest.raises(UsageError, match=r"^urdf and tcp_frame go together"):
+        audit_trajectory(np.zeros((4, 7)), t_s=range(4), tcp_frame="tool")
+    with pytest.raises(InputError, match="or give rate_hz HZ"):
+        audit_trajectory(np.zeros((4, 7)))
+    with pytest.raises(UsageError, match=r"^world_model oracel"):
+        run_suite(0, world_model="oracel", out=tmp_path / "out")
+
+
+def test_warnings_point_at_the_caller(tmp_path, film, quick, monkeypatch):
+    film("videos/a.mp4")
+    np.save(tmp_path / "videos" / "b.npy", np.zeros((2, 96, 96, 3), np.uint8))
+    monkeypatch.setitem(score.ScoreConfig.__init__.__kwdefaults__, "make_analyzer", FakeAnalyzer)
+    with pytest.warns(UserWarning, match="videos in npy or npz files ignored") as caught:
+        score_videos(tmp_path / "videos", out=tmp_path / "out", replays=0)
+    with pytest.warns(UserWarning, match="frame period of 200 s") as more:
+        ground_video(tmp_path / "videos" / "a.mp4", frame_period_s=200.0)
+    assert {w.filename for w in (*caught, *more)} == {__file__}

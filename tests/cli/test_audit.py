@@ -300,7 +300,10 @@ def test_a_robot_that_cannot_be_used_stops_the_run_at_once(program, source, tmp_
         (["in", "--out", "out", "--joints", "a", "--poses", "b"], "exclude each other"),
         (["in", "--out", "out", "--robot", "arm.urdf"], "--robot and --tcp-frame go together"),
         (["in", "--out", "out", "--tcp-frame", "tool"], "--robot and --tcp-frame go together"),
-        (["in", "--out", "out", "--robot", "arm.urdf", "--tcp-frame", "tool"], "no such file, expected a URDF"),
+        (
+            ["in", "--out", "out", "--robot", "arm.urdf", "--tcp-frame", "tool"],
+            "folder, expected a URDF",
+        ),
         (["in", "--out", "out", "--table-height", "inf"], "--table-height"),
         (["in", "--out", "out", "--overlay"], "--overlay"),
         (["in", "--out", "out", "--shard", "0/2"], "I from 1 to N"),

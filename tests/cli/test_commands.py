@@ -34,6 +34,7 @@ def test_score_tells_what_it_did(program, film, tmp_path):
     assert "feasible: 1 of 2 judged samples, 50% (95% interval 9% to 91%; at least 33% of all 3)" in out
     assert "unmeasurable: 0 of 3 samples; error: 1 of 3 samples: " in out
     assert str(tmp_path / "out" / "report.html") in out
+    assert "frame period: 0.05882 s, 1 / fps of the file\ncamera: the benchmark's, by default\n" in out
     assert [line.split("]")[0] for line in err.splitlines()] == ["[1/3", "[2/3", "[3/3"]
     assert '"x": "a=b"' in (tmp_path / "out" / "results.json").read_text()
     code, _, err = program("score", tmp_path / "videos", "--out", tmp_path / "out", "--overwrite", "--limit", 1)
@@ -178,3 +179,9 @@ def test_an_interrupt_says_how_to_go_on(program, film, tmp_path, jobs, signal_se
     code, _, err = program(*arguments)
     assert code == 0
     assert f"{kept} of 6 samples are finished already" in err
+
+
+def test_an_unknown_command_is_compared_with_those_that_exist(program):
+    code, _, err = program("scor")
+    assert (code, err.partition(";")[0]) == (2, "kinebench-drake: no command 'scor' (did you mean score?)")
+    assert "no command 'frobnicate'; there are doctor, score" in program("frobnicate")[2]

@@ -1,6 +1,7 @@
 """Whole runs over tiny films with fake analyzer: rows, resume, crashes, full disks."""
 
 import errno
+import html
 import json
 import os
 import random
@@ -28,6 +29,7 @@ from kinebench_drake.io.atomic import disk_errors
 from kinebench_drake.io.camerafile import save_camera
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.results import store
+from kinebench_drake.results.inputs import input_lines, list_inputs
 from kinebench_drake.results.metadata import Shard
 from kinebench_drake.results.row import Status
 from kinebench_drake.results.store import read_rows
@@ -319,8 +321,15 @@ def test_the_task_time_between_frames_and_where_it_comes_from(film, config, tmp_
     for k in range(3):
         Image.fromarray(np.full((96, 96, 3), 90 * (k > 3), dtype=np.uint8)).save(folder / f"{k}.png")
     ear = Ear()
-    score_videos(config(), ear)
+    summary = score_videos(config(), ear)
     rows = read_rows(tmp_path / "out")
+    assert input_lines(summary.rows) == [
+        "frame period: 0.1 s, 1 / fps of the file (1 x); 0.2 s, the benchmark's, by default (1 x)",
+        "camera: the benchmark's, by default",
+    ]
+    for line in input_lines(summary.rows):
+        assert f'<p class="note">{line.capitalize()}</p>' in html.unescape(summary.report.read_text())
+    assert json.loads((tmp_path / "out" / "results.json").read_text())["inputs"] == list_inputs(summary.rows)
     assert frame_period(rows["a"]) == (pytest.approx(0.1), "fps")
     assert frame_period(rows["still"]) == (0.2, "benchmark")
     assert any("--frame-period" in w for w in ear.warnings)
@@ -345,7 +354,9 @@ def test_a_camera_of_another_shape_makes_the_sample_unmeasurable(film, config, t
         (row,) = read_rows(tmp_path / source[0]).values()
         assert row.status is status
         assert row.extra["camera_source"] == "benchmark"
-    assert "aspect ratios differ" in read_rows(tmp_path / "w")["wide"].reason
+    reason = read_rows(tmp_path / "w")["wide"].reason
+    assert "aspect ratios differ" in reason
+    assert reason.endswith("its conditioning image: save it as ID.png beside ID.mp4")
 
 
 def test_a_disk_that_fills_up_stops_the_run_and_keeps_what_is_done(film, config, tmp_path, monkeypatch):
@@ -407,3 +418,59 @@ def test_kill_9_in_mid_run_then_resume_gives_the_same_files(film, config, tmp_pa
     score_videos(config(out=out, jobs=int(jobs)))
     assert len(log.read_text().splitlines()) == 5 - len(done)
     assert content(out) == content(tmp_path / "whole")
+
+
+def test_a_period_in_other_units_is_not_taken_in_silence(film, config, tmp_path):
+    film("videos/a.mp4")
+    ear = Ear()
+    score_videos(config(frame_period_s=200.0), ear)
+    assert "in milliseconds (then write 0.2) or in frames per second (then write 0.005)" in ear.warnings[0]
+    manifest = tmp_path / "videos" / "manifest.jsonl"
+    manifest.write_text(json.dumps({"video": "a.mp4", "frame_period_s": 17}))
+    for period_s, source, warned in ((None, manifest, True), (0.2, tmp_path / "videos", False)):
+        ear = Ear()
+        score_videos(config(source=source, frame_period_s=period_s, out=tmp_path / f"out-{source.name}"), ear)
+        assert any("17 s between two frames" in warning for warning in ear.warnings) is warned
+
+
+def test_a_manifest_in_a_folder_says_what_is_unused(film, config, tmp_path):
+    film("videos/a.mp4")
+    manifest = tmp_path / "videos" / "manifest.jsonl"
+    manifest.write_text(json.dumps({"video": "a.mp4", "task": "t", "model": "m", "frame_period_s": 0.2}))
+    ear = Ear()
+    score_videos(config(), ear)
+    assert ear.warnings == [
+        f"{manifest} ignored: its tasks, models and frame periods are unused (1 / fps is used unless --frame-period is "
+        "given); score the manifest itself to use them"
+    ]
+
+
+def test_the_output_of_a_run_is_no_input_of_the_next(film, config, tmp_path):
+    """Clips inside the output folder are scored, what the first run drew of them is not."""
+    film("out/clips/a.mp4")
+    first = score_videos(config(source=tmp_path / "out" / "clips", overlay=True))
+    assert (tmp_path / "out" / "overlays" / "a.mp4").is_file()
+    second = score_videos(config(source=tmp_path / "out", out=tmp_path / "other"))
+    assert [row.id for row in second.rows] == [row.id for row in first.rows] == ["a"]
+
+
+def test_a_dry_run_lists_and_writes_nothing(film, program, tmp_path):
+    film("videos/a.mp4", fps=10)
+    (tmp_path / "videos" / "b.mp4").write_text("text")
+    film("videos/c.mp4")
+    code, out, _ = program("score", tmp_path / "videos", "--out", tmp_path / "out", "--dry-run", "--limit", 2)
+    a, b, *totals = out.splitlines()
+    period, camera = "frame period: 0.1 s, 1 / fps of the file", "camera: the benchmark's, by default"
+    assert a == f"a: 8 frames of 96 x 96 px; {period}; {camera}"
+    assert b.startswith("b: b.mp4: ")
+    assert totals == ["1 of 2 samples can be read; nothing was measured or written", period, camera]
+    assert code == 0
+    assert not (tmp_path / "out").exists()
+
+
+def test_no_empty_folder_is_left_behind(film, config, tmp_path):
+    film("videos/a.mp4", Act.RAISE)
+    score_videos(config())
+    with pytest.raises(UsageError):
+        score_videos(config(source=film("others/b.mp4").parent, out=tmp_path / "out"))
+    assert [p for p in (tmp_path / "out").iterdir() if p.is_dir()] == []

@@ -62,6 +62,7 @@ def fill(out, facts, rows, *, finished=True, replays=99):
             worst = [row.id for row in sorted(store.rows.values(), key=lambda r: (r.feasible is True, r.id))][:replays]
             for id in worst:
                 artifact_path(out, "replays", id).parent.mkdir(exist_ok=True)
+                (out / "replays").mkdir(exist_ok=True)
                 artifact_path(out, "replays", id).write_text(f"replay {id}")
             close_run(store, RunKind(facts.kind), 3)
     return out
@@ -79,6 +80,7 @@ def _write_files(out, id):
     )
     write_track(artifact_path(out, "tracks", id), track, None, {})
     for part in ("overlays", "rollouts", "thumbnails"):
+        artifact_path(out, part, id).parent.mkdir(exist_ok=True)
         artifact_path(out, part, id).write_text(f"{part} {id}")
     (out / "videos" / f"{id}_r1").mkdir(parents=True)
     (out / "videos" / f"{id}_r0.mp4").write_text(f"video {id}")

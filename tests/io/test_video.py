@@ -8,6 +8,7 @@ from PIL import Image
 from kinebench_drake.errors import InputError, UnmeasurableError
 from kinebench_drake.io import video as module
 from kinebench_drake.io.container import write_video
+from kinebench_drake.io.npz import at_most, open_npz
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.io.video import Video
 
@@ -181,3 +182,22 @@ def test_too_little_to_measure(shape, told):
     video = Video(frames=np.zeros(shape, dtype=np.uint8), fps=17.0, stamps_s=None)
     with pytest.raises(UnmeasurableError, match=told):
         video.require_measurable()
+
+
+def test_frames_with_channels_first_are_named():
+    with pytest.raises(InputError, match=r"looks channel-first: transpose\(0, 2, 3, 1\)"):
+        Video(frames=np.zeros((2, 3, 64, 64), np.uint8), fps=None, stamps_s=None)
+    with pytest.raises(InputError, match=r"\(T, H, W, 3\) in RGB$"):
+        Video(frames=np.zeros((2, 64, 64, 4), np.uint8), fps=None, stamps_s=None)
+
+
+def test_a_header_that_promises_too_much_is_named_with_the_size_of_the_file(tmp_path):
+    np.save(tmp_path / "a.npy", np.zeros((2, 64, 64, 3), np.uint8))
+    whole = (tmp_path / "a.npy").read_bytes()
+    (tmp_path / "a.npy").write_bytes(whole[:1000])
+    with pytest.raises(InputError, match=r"an array of shape \(2, 64, 64, 3\), 24576 bytes, the file holds 1000"):
+        read_video(tmp_path / "a.npy")
+    np.savez_compressed(tmp_path / "big.npz", q=np.zeros(2**18))
+    message = "unpacks to 2 MiB; the limit is 1 MiB"
+    with pytest.raises(InputError, match=message), open_npz(tmp_path / "big.npz", at_most(2**20)) as archive:
+        archive["q"]

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from kinebench_drake.geometry import make_pose
+from kinebench_drake.io.atomic import write_atomically
 from kinebench_drake.report.page import write_report
 from kinebench_drake.results.row import Status
 from kinebench_drake.results.store import ResultStore
@@ -59,7 +60,7 @@ def page(tmp_path):
             task = "good" if k % 65 == 3 else f"Task{k % 9}"
             store.append(row(id, feasible=k > 0, metrics=metrics, violations=(speed,) * (k == 0), task=task), 0.1)
             write_track(tmp_path / "tracks" / f"{id}.npz", track, None, {})
-            (tmp_path / "thumbnails" / f"{id}.jpg").write_bytes(PICTURE)
+            write_atomically(tmp_path / "thumbnails" / f"{id}.jpg", PICTURE)
         store.append(row(EVIL.replace("/", "|"), Status.ERROR, reason=EVIL, task=EVIL, model=EVIL, video=EVIL), 0.1)
         store.finish({"kind": "score", "config": {"source": EVIL}})
     return write_report(tmp_path)

@@ -22,6 +22,7 @@ def page(tmp_path):
                 store.append(row(f"{task}_s{seed}", task=task, feasible=True, extra=extra), 0.1)
         store.append(row("StackCube-v1_s2", status=Status.ERROR, task="StackCube-v1"), 0.1)
         config = {"world_model": "wan", "suite": 2, "split": "unseen"}
+        (tmp_path / "rollouts").mkdir()
         (tmp_path / "rollouts" / "CloseBox-v1_s1.mp4").touch()
         store.finish({"kind": "suite", "config": config, "tags": {}, "seeds": {"bootstrap": 0}})
     return write_report(tmp_path).read_text()

@@ -189,6 +189,7 @@ def test_a_full_disk_leaves_the_rows_as_they_were(tmp_path, monkeypatch):
 def test_a_file_that_cannot_be_dropped_is_one_line(tmp_path, monkeypatch):
     with ResultStore(tmp_path) as store:
         store.append(row("a"), 0.1)
+        (tmp_path / "tracks").mkdir()
         monkeypatch.setattr(results, "artifact_path", lambda out, part, id: out / part)  # a folder cannot be unlinked
         with pytest.raises(SetupError, match="make the folder writable"):
             store.keep_rows(lambda _: False)
@@ -291,3 +292,11 @@ def test_aggregates_count_everything_and_average_only_what_was_measured():
     assert told["violations"] == {"jerk": 1}
     assert told["anomalies"] == {"vanish": 1}
     assert {name: len(group) for name, group in split_rows(rows, "model").items()} == {"m": 2, "n": 1}
+
+
+def test_no_empty_folders(tmp_path):
+    with ResultStore(tmp_path) as store:
+        assert [p.name for p in tmp_path.iterdir()] == ["samples.jsonl"]
+        (tmp_path / "videos").mkdir()  # of a world model that gave none
+        store.finish({})
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["results.json", "samples.jsonl"]

@@ -23,7 +23,7 @@ from tests.suites.orders import Recorder
 TASKS = ("PullCube-v1", "StackCube-v1")
 
 
-def export(out: Path, tasks: tuple[str, ...], count: int) -> Path:
+def export(out: Path, tasks: tuple[str, ...], count: int, size: int = 96) -> Path:
     order = ExportConfig(
         suite=load_suite(0),
         split="test",
@@ -31,7 +31,7 @@ def export(out: Path, tasks: tuple[str, ...], count: int) -> Path:
         episodes=count,
         seed=0,
         variant=TaskVariant.PLAIN,
-        size=96,
+        size=size,
         out=out,
     )
     observer = Recorder()
@@ -91,6 +91,34 @@ def test_every_episode_is_told_completely(exported: Path) -> None:
         assert {"difficulty", "articulated_dof", "contacts", "horizon"} <= row.keys()
     text = "".join(path.read_text() for path in exported.glob("*.json*"))
     assert str(exported.parent) not in text
+
+
+@pytest.mark.sapien
+def test_a_used_folder_is_extended_or_refused(tmp_path: Path) -> None:
+    """More episodes of the same settings are added; nothing that the folder holds is lost or left without a row."""
+    out = export(tmp_path / "out", TASKS[:1], 1)
+    (out / "PullCube-v1_s0000.mp4").touch()
+    content = {path.name: path.read_bytes() for path in out.iterdir()}
+    for tasks, count, size, told in (
+        (TASKS[1:], 1, 96, r"1 of its 1 episodes \(such as PullCube-v1_s0000\) are not in this export"),
+        (TASKS, 1, 128, "holds an export of width 96, this one is of 128"),
+    ):
+        with pytest.raises(UsageError, match=told):
+            export(out, tasks, count, size)
+    assert {path.name: path.read_bytes() for path in out.iterdir()} == content
+    export(out, TASKS, 1)
+    assert [json.loads(line)["id"] for line in (out / "manifest.jsonl").read_text().splitlines()] == [
+        "PullCube-v1_s0000",
+        "StackCube-v1_s0000",
+    ]
+    assert (out / "PullCube-v1_s0000.mp4").is_file()
+
+
+@pytest.mark.parametrize("name", ["manifest.jsonl", "samples.jsonl", "suite.json"])
+def test_a_folder_in_other_use_is_refused(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).write_text("{}\n")
+    with pytest.raises(UsageError, match=f"holds {name}, which no export wrote; name another folder"):
+        export(tmp_path, TASKS, 1)
 
 
 def test_a_file_in_the_way_is_told_in_one_line(tmp_path: Path) -> None:

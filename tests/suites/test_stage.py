@@ -1,5 +1,8 @@
 """What a stage says where the machine cannot render."""
 
+import subprocess
+import sys
+
 import pytest
 
 from kinebench_drake.errors import SetupError
@@ -25,3 +28,10 @@ def test_other_errors_pass(error: Exception) -> None:
     with pytest.raises(type(error)) as caught, _setup_errors():
         raise error
     assert caught.value is error
+
+
+@pytest.mark.sapien
+def test_physics_without_images_shows_no_warning_about_vulkan() -> None:
+    code = "from kinebench_drake.suites.simulator import Simulator; Simulator('PullCube-v1', renders=False).close()"
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert "ulkan" not in run.stderr

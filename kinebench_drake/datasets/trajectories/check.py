@@ -4,7 +4,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.datasets.trajectories.pose import rigid_poses
-from kinebench_drake.datasets.trajectories.trajectory import MAX_STEP_S, MIN_STEP_S, N_JOINTS, RawTrajectory, Trajectory
+from kinebench_drake.datasets.trajectories.trajectory import (
+    MAX_STEP_S,
+    MIN_STEP_S,
+    N_JOINTS,
+    SLOW_STEP_S,
+    RawTrajectory,
+    Trajectory,
+)
 from kinebench_drake.errors import InputError, UnmeasurableError
 from kinebench_drake.geometry import Array
 
@@ -17,7 +24,6 @@ _JOINT_SHAPES = ((N_JOINTS,), (N_JOINTS + 1,), (N_JOINTS + 2,))  # the arm, foll
 _MANY_RAD = 10.0  # larger angles are taken for degrees
 _MOST_DEGREES = 720.0
 _TURN_RAD = 2.0 * np.pi  # larger angles give a warning
-_SLOW_STEP_S = 5.0  # larger steps give a warning: robots are recorded faster
 _WIDTH_M = 0.08  # gap between the Panda's pads when open
 _WIDTH_SLACK_M = 0.01  # overshoot of sensors and simulators
 _LATE_S = 1e6  # later times, such as seconds since 1970, would lose precision
@@ -121,7 +127,7 @@ def _times(array: NDArray[np.generic] | None, n: int, rate_hz: float | None, war
             f"frames {k} and {k + 1} are {steps[k]:.3g} s apart, expected {MIN_STEP_S:g} to {MAX_STEP_S:g} s"
             f"{_more(bad)}: are the times in seconds? --rate HZ overrides them"
         )
-    if len(steps) and np.median(steps) > _SLOW_STEP_S:
+    if len(steps) and np.median(steps) > SLOW_STEP_S:
         warnings.append(
             f"frames are {np.median(steps):.4g} s apart (median): are the times in milliseconds? They are interpreted "
             "as seconds; --rate HZ overrides them"

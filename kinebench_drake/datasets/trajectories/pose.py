@@ -13,6 +13,8 @@ REPAIRABLE = 1e-3
 FAR_M = 10.0
 """Greatest coordinate of the gripper in the robot base frame [m]: larger values are not in metres."""
 
+_UPRIGHT = 0.5
+"""Cosine of the angle to the vertical below which an approach axis counts as pointing up or down (60 degrees)."""
 _ROUNDING = 1e-5  # deviations within single precision are repaired without a warning
 _LAST_ROW = (0.0, 0.0, 0.0, 1.0)
 
@@ -75,7 +77,21 @@ def from_quaternions(p: Array, quaternion: Array) -> tuple[Array, tuple[str, ...
     repaired = int((deviation > _ROUNDING).sum())
     message = f"{repaired} quaternions, off by up to {deviation.max(initial=0.0):.1e}, were normalized"
     R = Rotation.from_quat(quaternion, scalar_first=True).as_matrix()
-    return make_pose(R, p), ((message,) if repaired else ())
+    return make_pose(R, p), (*((message,) if repaired else ()), *_suspect_order(R, quaternion))
+
+
+def _suspect_order(R: Array, quaternion: Array) -> tuple[str, ...]:
+    """Return a message if the gripper points up by the rotations (T, 3, 3), and down by the numbers read as x y z w.
+
+    Grippers over a table point down (z of the TCP against z of the base) nearly always.
+    """
+    swapped = Rotation.from_quat(quaternion).as_matrix()
+    if not (np.median(R[:, 2, 2]) > _UPRIGHT and np.median(swapped[:, 2, 2]) < -_UPRIGHT):
+        return ()
+    return (
+        "the gripper points up, but down if the quaternions are x y z w: they are read as w x y z; reorder them if "
+        "they are not",
+    )
 
 
 def from_vectors(p: Array, rotation: Array, *, angles: bool) -> Array:

@@ -17,6 +17,7 @@ from kinebench_drake.datasets.trajectories.trajectory import (
     TrajectorySample,
 )
 from kinebench_drake.errors import InputError, UsageError
+from kinebench_drake.io.files import absence
 from kinebench_drake.io.hdf5 import HDF5_SUFFIXES
 from kinebench_drake.results.store import SAMPLES, read_rows
 
@@ -50,7 +51,7 @@ def find_trajectories(
             inputs.
     """
     if not source.exists():
-        raise UsageError(f"{source}: there is no such file or folder")
+        raise UsageError(f"{source}: {absence(source)}")
     if out is not None:
         require_apart(out, source)
     if not source.is_dir():
@@ -86,7 +87,7 @@ def read_trajectory(sample: TrajectorySample, choice: TrajectoryOptions) -> Traj
     if sample.problem is not None:
         raise InputError(sample.problem)
     if not sample.path.is_file():
-        raise InputError(f"{sample.path.name}: there is no such file")
+        raise InputError(f"{sample.path.name}: {absence(sample.path)}")
     if sample.format is TrajectoryFormat.NPZ:
         raw = read_archive(sample.path, choice)
     elif sample.format is TrajectoryFormat.CSV:

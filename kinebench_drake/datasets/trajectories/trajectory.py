@@ -12,6 +12,8 @@ from kinebench_drake.geometry import Array
 
 N_JOINTS = 7
 """Joints of the arm."""
+SLOW_STEP_S = 5.0
+"""Longer steps give a warning: robots are recorded faster [s]."""
 MIN_STEP_S, MAX_STEP_S = 1e-4, 1e3
 """Shortest and longest time between two frames [s]."""
 

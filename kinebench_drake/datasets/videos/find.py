@@ -5,15 +5,15 @@ from dataclasses import replace
 from pathlib import Path
 
 from kinebench_drake.datasets import lerobot, manifest
-from kinebench_drake.datasets.folders import list_suffixes, require_apart, walk
+from kinebench_drake.datasets.folders import is_output, list_suffixes, require_apart, run_of, walk
 from kinebench_drake.datasets.ids import unique_ids
 from kinebench_drake.datasets.videos import ewmbench, hdf5_videos, videofolder, worldarena
 from kinebench_drake.datasets.videos.sample import VideoSample, VideoSamples, default_camera
 from kinebench_drake.datasets.videos.search import CameraLookup, Search
 from kinebench_drake.errors import InputError, UsageError
-from kinebench_drake.io.files import IMAGE_SUFFIXES, VIDEO_SUFFIXES
+from kinebench_drake.io.files import IMAGE_SUFFIXES, VIDEO_SUFFIXES, absence
 from kinebench_drake.io.hdf5 import HDF5_SUFFIXES
-from kinebench_drake.io.reader import ARRAY_SUFFIXES
+from kinebench_drake.io.reader import ARRAY_SUFFIXES, is_video_array
 from kinebench_drake.io.video import VideoPart
 
 
@@ -71,7 +71,9 @@ def find_samples(
             run into `out` would change its inputs.
     """
     if not source.exists():
-        raise UsageError(f"{source}: there is no such file or folder")
+        raise UsageError(f"{source}: {absence(source)}")
+    if (run := run_of(source)) is not None:
+        raise UsageError(f"{source}: was written by a run (output folder {run.name}); name the videos that it scored")
     if out is not None:
         require_apart(out, source, *others)
     top = source if source.is_dir() else source.parent
@@ -101,6 +103,7 @@ def list_folder(folder: Path, search: Search, skipped: Sequence[Path]) -> list[V
     """
     samples: list[VideoSample] = []
     metadata: list[Path] = []
+    arrays: list[Path] = []
     for here, folders, files in walk(folder, skipped):
         lister = next((lister for matches, lister in LAYOUTS.items() if matches(here)), None)
         if lister is not None:
@@ -121,9 +124,13 @@ def list_folder(folder: Path, search: Search, skipped: Sequence[Path]) -> list[V
         elif _is_frame_folder(files):
             samples.append(search.sample(here))
         metadata += [here / name for name in videofolder.NAMES if name in files]
+        arrays += [here / f for f in files if Path(f).suffix.lower() in ARRAY_SUFFIXES and is_video_array(here / f)]
     if (folder / manifest.NAME).is_file():
+        search.warnings.append(f"{folder / manifest.NAME} ignored: {manifest.describe_loss(folder / manifest.NAME)}")
+    if arrays:
         search.warnings.append(
-            f"{folder / manifest.NAME} is not read, as the folder was named; name the file itself to use it"
+            f"videos in npy or npz files ignored ({len(arrays)}, such as {search.name(arrays[0])}): in a folder only "
+            f"video files and frame folders count; name the file, or list the files in a {manifest.NAME} and name that"
         )
     return videofolder.add_labels(samples, metadata, search)
 
@@ -145,6 +152,8 @@ def _is_frame_folder(files: Sequence[str]) -> bool:
 def _list(source: Path, search: Search, skipped: Sequence[Path]) -> Sequence[VideoSample]:
     if source.is_dir():
         samples = list_folder(source, search, skipped)
+        if not samples and is_output(source):
+            raise InputError("is the output folder of a run and holds no input; name the videos that it scored")
         if not samples:
             raise InputError(f"holds no video (found {list_suffixes(source)}), expected {_expected()}")
         return samples

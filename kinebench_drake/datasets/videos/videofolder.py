@@ -20,7 +20,7 @@ from kinebench_drake.datasets.manifest import MAX_PERIOD_S, MIN_PERIOD_S
 from kinebench_drake.datasets.videos.sample import VideoSample
 from kinebench_drake.datasets.videos.search import Search
 from kinebench_drake.errors import InputError, cause
-from kinebench_drake.io.files import VIDEO_SUFFIXES, read_bytes
+from kinebench_drake.io.files import VIDEO_SUFFIXES, absence, read_bytes
 from kinebench_drake.io.jsonl import as_object, parse_json
 
 Row = Mapping[str, object]
@@ -67,7 +67,7 @@ def add_labels(samples: Sequence[VideoSample], files: Sequence[Path], search: Se
                 continue
             labels[path] = row, file
             if path not in listed:
-                problem = None if path.is_file() else f"{name}: there is no such file ({file.name} names it)"
+                problem = None if path.is_file() else f"{name}: {absence(path)} ({file.name} names it)"
                 added[path] = replace(search.sample(path), problem=problem)
         if unnamed:
             search.warnings.append(f"{search.name(file)}: {unnamed} of its rows name no video ({', '.join(_FILES)})")

@@ -16,6 +16,8 @@ from kinebench_drake.results.store import RESULTS
 _KIND = "suite"
 _SETTINGS = ("rounds", "control", "action_repeat", "frame_period_s", "pixels_only", "negative_prompt")
 """Settings of a run that change the results of its episodes."""
+_DIGITS = 6
+"""Digits of a hash in a label."""
 _MAX_LETTERS = 24
 """Letters of a setting that a label has room for."""
 
@@ -34,6 +36,8 @@ class RunFolder:
     """Tags of `suite run --tag`."""
     settings: Mapping[str, str]
     """Those of _SETTINGS that are set, as text."""
+    spec: str | None
+    """First digits of the SHA-256 of the world model's spec; None if unknown."""
 
     @property
     def name(self) -> str:
@@ -83,29 +87,35 @@ def _suite_folder(run: Run) -> RunFolder:
         settings={
             name: _format_setting(run.config[name]) for name in _SETTINGS if run.config.get(name) not in (None, "")
         },
+        spec=str(spec)[:_DIGITS] if (spec := run.config.get("world_model_sha256")) else None,
     )
 
 
 def _format_setting(value: object) -> str:
     """Format a setting for a label; a long text is cut and followed by its hash."""
     if isinstance(value, str) and len(value) > _MAX_LETTERS:
-        return f"{value[:_MAX_LETTERS]}… {hashlib.sha256(value.encode()).hexdigest()[:6]}"
+        return f"{value[:_MAX_LETTERS]}… {hashlib.sha256(value.encode()).hexdigest()[:_DIGITS]}"
     return str(value).lower() if isinstance(value, bool) else f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def pool_episodes(folders: Sequence[RunFolder]) -> list[EpisodeResult]:
     """List all episodes of some folders, model by model in the order in which the folders name them.
 
-    Folders of one model on one part are pooled into one run (such as shards) unless tags or settings differ; the
-    differences are appended to the model's name, as in "wan (data=25, steps=7500)". If folders of one label hold the
-    same episodes, their names are appended.
+    Folders of one model on one part are pooled into one run (such as shards) unless tags, settings or the specs of the
+    world models differ; the differences are appended to the model's name, as in "wan (data=25, steps=7500)", of specs
+    where the others are equal. If folders of one label hold the same episodes, their names are appended.
 
     Raises:
         UsageError: two folders of the same name hold the same episode of a model.
     """
-    differing = {model: _differing([f for f in folders if model in f.models]) for f in folders for model in f.models}
+    labels, order = _label_models(folders), list(dict.fromkeys(model for f in folders for model in f.models))
+    conflicts = _conflicting_specs(folders, labels)
+    names = {
+        (k, model): f"{label} (spec={folders[k].spec})" if label in conflicts else label
+        for (k, model), label in labels.items()
+    }
     episodes = [
-        (index, EpisodeResult(part=f.part, model=_label(model, f, differing[model]), folder=f.path, row=row))
+        (index, EpisodeResult(part=f.part, model=names[index, model], folder=f.path, row=row))
         for index, f in enumerate(folders)
         for row in f.rows
         for model in [model_of(row)]
@@ -126,8 +136,35 @@ def pool_episodes(folders: Sequence[RunFolder]) -> list[EpisodeResult]:
     named = [
         replace(e, model=f"{e.model} [{folders[k].name}]") if (e.model, e.part) in clashing else e for k, e in episodes
     ]
-    order = {model: number for number, model in enumerate(differing)}
-    return sorted(named, key=lambda e: (order[model_of(e.row)], _natural(e.model), e.part, e.task, _natural(e.row.id)))
+    return sorted(
+        named, key=lambda e: (order.index(model_of(e.row)), _natural(e.model), e.part, e.task, _natural(e.row.id))
+    )
+
+
+def spec_warnings(folders: Sequence[RunFolder]) -> list[str]:
+    """Return a warning for each name that several world models have on one part of the suites."""
+    conflicts = _conflicting_specs(folders, _label_models(folders))
+    return [
+        f"{label} is the name of {len(of)} world models ({', '.join(f'{spec} in {run}' for spec, run in of.items())}), "
+        "kept apart by their specs; name each with --model NAME or ?name=NAME in its spec"
+        for label, of in conflicts.items()
+    ]
+
+
+def _conflicting_specs(
+    folders: Sequence[RunFolder], labels: Mapping[tuple[int, str], str]
+) -> dict[str, dict[str | None, str]]:
+    """Return the specs of each label that stands for several on one part, each with a folder that has it."""
+    specs: dict[tuple[str, SuitePart], dict[str | None, str]] = {}
+    for (index, _), label in labels.items():
+        specs.setdefault((label, folders[index].part), {}).setdefault(folders[index].spec, folders[index].name)
+    return {label: of for (label, _), of in specs.items() if len(of) > 1}
+
+
+def _label_models(folders: Sequence[RunFolder]) -> dict[tuple[int, str], str]:
+    """Return the label of each model in each folder, by number of the folder and name: with the options that differ."""
+    differing = {model: _differing([f for f in folders if model in f.models]) for f in folders for model in f.models}
+    return {(k, model): _label(model, f, differing[model]) for k, f in enumerate(folders) for model in f.models}
 
 
 def _differing(folders: Sequence[RunFolder]) -> list[str]:

@@ -131,7 +131,7 @@ def tabulate_suites(episodes: Sequence[EpisodeResult], seed: int = 0) -> Table:
         name="suites",
         title="Closed-loop success by suite",
         note="Mean over tasks of the share of successes among measured episodes; 95 % bootstrap intervals over "
-        "episodes within tasks. A dash: not run." + _incomplete(tallies, episodes),
+        "episodes within tasks. A dash: no measured episode." + _incomplete(tallies, episodes),
         columns=(
             Column(key="model", label="Model"),
             *(Column(key=p.slug, label=p.title, pattern=_PERCENT, estimated=True) for p in parts),

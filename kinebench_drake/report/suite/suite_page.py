@@ -1,6 +1,6 @@
 """Reports of suite runs and of comparisons: the html page with its tables and figures, and these as files."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from kinebench_drake.report.number import draw_numbers, tabulate_numbers
@@ -9,16 +9,19 @@ from kinebench_drake.report.run import check_page_folder
 from kinebench_drake.report.suite import correlation, kinematics, scaling, success
 from kinebench_drake.report.suite.comparison import ModelComparison, draw_differences, tabulate_comparison
 from kinebench_drake.report.suite.episode import EpisodeResult, tabulate_episodes
-from kinebench_drake.report.suite.folders import RunFolder, pool_episodes, read_folders
+from kinebench_drake.report.suite.folders import RunFolder, pool_episodes, read_folders, spec_warnings
 
 
-def write_suite_report(paths: Sequence[Path], out: Path, seed: int = 0) -> Path:
+def write_suite_report(
+    paths: Sequence[Path], out: Path, seed: int = 0, warn: Callable[[str], None] = lambda message: None
+) -> Path:
     """Write the report of some suite runs: page, figures and tables. The same folders give the same bytes.
 
     Args:
         paths: output folders of `suite run`.
         out: folder to write to, made if absent.
         seed: seed of the resampling.
+        warn: receives warnings, which are on the page as well.
 
     Returns:
         The html page.
@@ -29,6 +32,8 @@ def write_suite_report(paths: Sequence[Path], out: Path, seed: int = 0) -> Path:
     """
     check_page_folder(out)
     folders = read_folders(paths)
+    for message in spec_warnings(folders):
+        warn(message)
     episodes = kinematics.scale_costs(pool_episodes(folders))
     parts: list[Part] = [
         success.tabulate_suites(episodes, seed),
@@ -114,6 +119,7 @@ def write_page(
         parts,
         tabulate_episodes(episodes),
         folders=folders,
+        warnings=spec_warnings(folders),
         episodes=len(episodes),
         lines=[(e, list_links(e.folder, e.row, out)) for e in listed],
     )

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from kinebench_drake.datasets.trajectories.check import check
 from kinebench_drake.datasets.trajectories.tables import JOINTS, POSE, read_table
@@ -107,3 +108,15 @@ def test_what_is_no_text(tmp_path):
     (tmp_path / "a.csv").write_bytes(b"t_s,x_m\n\xff\xfe\x00\n")
     with pytest.raises(InputError, match="comma-separated"):
         read(tmp_path / "a.csv")
+
+
+@pytest.mark.parametrize(("order", "suspected"), [([0, 1, 2, 3], False), ([1, 2, 3, 0], True)])
+def test_quaternions_in_another_order_are_suspected(csv_file, t_s, order, suspected):
+    """A gripper that points down within 40 degrees, turned about the vertical at random."""
+    rng = np.random.default_rng(1)
+    down = Rotation.from_euler("x", 180, degrees=True)
+    angles = np.hstack([rng.uniform(-90, 90, (len(t_s), 1)), rng.uniform(-28, 28, (len(t_s), 2))])
+    tilt = Rotation.from_euler("zxy", angles, degrees=True)
+    quaternion = (tilt * down).as_quat(scalar_first=True)
+    path = csv_file(["t_s", *POSE], np.column_stack([t_s, np.full((len(t_s), 3), 0.4), quaternion[:, order]]))
+    assert any("x y z w" in warning for warning in read(path).warnings) is suspected

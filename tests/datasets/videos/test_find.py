@@ -1,6 +1,7 @@
 import json
 import os
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -66,7 +67,35 @@ def test_a_run_never_fills_folders_that_it_reads(tmp_path):
     for other, told in ((out, "itself"), (out / "tracks", r"the run fills .*tracks")):
         with pytest.raises(UsageError, match=told):
             find_samples(tmp_path / "in", out=out, others=[other])
-    assert [s.id for s in find_samples(out / "c.mp4", out=out).samples] == ["c"]  # beside a film it may stand
+    with pytest.raises(UsageError, match=r"the folder of .*c\.mp4"):
+        find_samples(out / "c.mp4", out=out)
+
+
+def outputs(folder):
+    """Make a folder the output folder of a run that wrote overlays, thumbnails, figures and the clips of a model."""
+    touch(folder, "samples.jsonl", "results.json", "overlays/a.mp4", "thumbnails/a.jpg", "figures/f.png")
+    touch(folder, "videos/a_r0.mp4")
+
+
+def test_an_output_folder_that_is_named_gives_what_no_run_wrote(tmp_path):
+    outputs(tmp_path)
+    touch(tmp_path, "clips/a.mp4")
+    assert [s.video for s in find_samples(tmp_path).samples] == ["clips/a.mp4", "videos/a_r0.mp4"]
+
+
+@pytest.mark.parametrize("name", ["overlays", "overlays/a.mp4", "thumbnails", "figures"])
+def test_what_a_run_wrote_is_refused_as_input(tmp_path, name):
+    outputs(tmp_path / "run")
+    with pytest.raises(UsageError, match=r"was written by a run \(output folder run\); name the videos"):
+        find_samples(tmp_path / "run" / name)
+    (tmp_path / "run" / "results.json").unlink()
+    assert find_samples(tmp_path / "run" / name).samples
+
+
+def test_an_output_folder_without_input_says_so(tmp_path):
+    touch(tmp_path, "samples.jsonl", "run.json", "overlays/a.mp4")
+    with pytest.raises(UsageError, match="output folder of a run and holds no input"):
+        find_samples(tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -84,8 +113,24 @@ def test_folders_without_video_say_what_they_hold(tmp_path, names, told):
     assert "expected" in str(caught.value)
 
 
+def test_videos_in_arrays_are_not_ignored_in_silence(tmp_path):
+    touch(tmp_path, "a.mp4", "broken.npy")
+    np.save(tmp_path / "b.npy", np.zeros((2, 64, 64, 3), np.uint8))
+    np.savez(tmp_path / "c.npz", frames=np.zeros((2, 64, 64, 3), np.uint8), t_s=np.zeros(2))
+    np.savez(tmp_path / "masks.npz", masks=np.zeros((2, 64, 64), bool))
+    found = find_samples(tmp_path)
+    assert [s.id for s in found.samples] == ["a"]
+    assert len(found.warnings) == 1
+    assert "videos in npy or npz files ignored (2, such as b.npy)" in found.warnings[0]
+
+
 def test_paths_that_cannot_be_input(tmp_path):
     touch(tmp_path, "a.txt")
+    (tmp_path / "link.mp4").symlink_to("gone.mp4")
+    with pytest.raises(UsageError, match=r"link\.mp4: is a symlink to gone\.mp4, which does not exist"):
+        find_samples(tmp_path / "link.mp4")
+    with pytest.raises(UsageError, match="URLs are not read: download it first"):
+        find_samples(Path("https://example.org/a.mp4"))
     with pytest.raises(UsageError, match="no such file"):
         find_samples(tmp_path / "absent")
     with pytest.raises(UsageError, match=r"found a \.txt file, expected a video"):

@@ -27,7 +27,17 @@ def failed(status=Status.ERROR, reason="broken"):
 
 
 def write_run(
-    out, episodes, model="wan", suite=0, split="test", variant="plain", tags=None, first_seed=0, kind="suite", **changes
+    out,
+    episodes,
+    model="wan",
+    suite=0,
+    split="test",
+    variant="plain",
+    tags=None,
+    first_seed=0,
+    kind="suite",
+    spec=None,
+    **changes,
 ):
     """Write the output folder of a suite run: `episodes` holds outcomes (or True and False) by task."""
     out.mkdir(parents=True)
@@ -41,6 +51,7 @@ def write_run(
             row |= {"content_hash": "0", **result, "extra": {**result["extra"], **labels}}
             rows.append(SampleRow(**row))
     config = {"suite": suite, "split": split, "variant": variant, "rounds": 3, "control": "pd_joint_pos"}
+    config |= {} if spec is None else {"world_model_sha256": spec}
     results = {
         **{"schema_version": 1, "suite_version": None, "kind": kind, "tags": tags or {}},
         **{"samples_found": len(rows), "config": config, **changes},

@@ -10,7 +10,7 @@ from kinebench_drake.cli import main
 from kinebench_drake.errors import UsageError
 from kinebench_drake.report import parts
 from kinebench_drake.report.suite.comparison import read_comparison
-from kinebench_drake.report.suite.folders import pool_episodes, read_folders
+from kinebench_drake.report.suite.folders import pool_episodes, read_folders, spec_warnings
 from kinebench_drake.report.suite.suite_page import write_comparison, write_page, write_suite_report
 from kinebench_drake.report.table import Column, Table, escape_latex, table_csv, table_latex, table_lines
 from kinebench_drake.results.aggregate import Estimate
@@ -115,6 +115,7 @@ def test_the_report_of_suite_runs(runs, tmp_path):
         assert {f"{name}.csv", f"{name}.tex"} <= names
     assert {"tasks.csv", "episodes.csv"} <= names
     assert "Not shown" not in text
+    assert "A dash: no measured episode." in text
     light, dark = (set(re.findall(r"(--\w+):", b)) for b in re.findall(r":root \{(.*?)\}", text, re.DOTALL)[:2])
     assert light == dark
     assert {v[4:-1] for v in re.findall(r"var\(--\w+\)", text)} <= light
@@ -250,3 +251,35 @@ def test_what_is_wider_than_its_room_says_so_and_scrolls(runs, tmp_path, width):
     assert (state["hints"], state["fadedAtStart"], state["fadedAtEnd"]) == (state["wide"], state["wide"], 0)
     assert state["pinned"]
     assert (state["overflow"], state["captions"], state["drawings"]) == (0, 0, 0)
+
+
+def test_models_of_one_name_and_different_specs_are_kept_apart(tmp_path, capsys):
+    """In the tables, on the page and on the terminal; equal specs are pooled, as shards."""
+    folders = [
+        write_run(tmp_path / name, {"T": [True] * 2}, model="python", first_seed=2 * k, spec=spec)
+        for k, (name, spec) in enumerate({"a": "a" * 64, "b": "b" * 64, "shard": "a" * 64}.items())
+    ]
+    with pytest.raises(SystemExit):
+        main(["suite", "report", *map(str, folders), "--out", str(tmp_path / "report")])
+    with (tmp_path / "report" / "summary.csv").open() as file:
+        counts = {row["model"]: row["episodes"] for row in csv.DictReader(file)}
+    assert counts == {"python (spec=aaaaaa)": "4", "python (spec=bbbbbb)": "2"}
+    warning = "python is the name of 2 world models (aaaaaa in a, bbbbbb in b), kept apart by their specs; name each"
+    assert f"warning: {warning}" in capsys.readouterr().err
+    assert warning in (tmp_path / "report" / "report.html").read_text()
+    assert "kept apart" not in write_suite_report([folders[0], folders[2]], tmp_path / "shards").read_text()
+    again = write_run(tmp_path / "again", {"T": [False] * 2}, model="python", spec="b" * 64)
+    with pytest.raises(SystemExit):
+        main(["compare", str(folders[0]), str(again)])
+    out, err = capsys.readouterr()
+    assert "python is the name of 2 world models" in err
+    assert "python (spec=aaaaaa)" in out
+
+
+def test_specs_that_tags_tell_apart_need_no_label(tmp_path):
+    folders = [
+        write_run(tmp_path / steps, {"T": [True]}, first_seed=k, spec=steps * 16, tags={"steps": steps})
+        for k, steps in enumerate(("1500", "3000"))
+    ]
+    assert [e.model for e in pool_episodes(read_folders(folders))] == ["wan (steps=1500)", "wan (steps=3000)"]
+    assert spec_warnings(read_folders(folders)) == []

@@ -1,5 +1,6 @@
 """What every service can do to us: laws of the client, against a server that misbehaves."""
 
+import gzip
 import logging
 import re
 import time
@@ -164,9 +165,33 @@ def test_a_silent_service_is_given_up(servant: Servant, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("body", [b"<html>", b"[1]", b"", b"\xff\xfe", b"[" * 3000])
 def test_only_objects_are_answers(client: HttpClient, servant: Servant, body: bytes) -> None:
-    servant.routes["/x"] = [Reply(body)]
-    with pytest.raises(WorldModelError, match="something else than a JSON object"):
+    servant.routes["/x"] = [Reply(body, headers={"Content-Type": "text/html"})]
+    with pytest.raises(WorldModelError, match="answered with text/html, expected a JSON object") as caught:
         get(client)
+    assert len(str(caught.value)) < 200
+
+
+def test_what_an_answer_begins_with_is_quoted(client: HttpClient, servant: Servant, keys: str) -> None:
+    servant.routes["/x"] = [Reply(f"<html> {keys} {'x' * 200}".encode())]
+    with pytest.raises(WorldModelError, match=r"it begins: '<html> \*\*\* x+'$"):
+        get(client)
+
+
+def test_a_compressed_answer_keeps_limits_and_deadline(client: HttpClient, servant: Servant) -> None:
+    """Unpacked, an answer of some kilobytes may be gigabytes."""
+    body = gzip.compress(b'{"a": "' + b"a" * 50_000_000 + b'"}')
+    servant.routes["/x"] = [Reply(body, headers={"Content-Encoding": "gzip"})]
+    start = time.monotonic()
+    with pytest.raises(WorldModelError, match="Content-Encoding gzip; send it uncompressed"):
+        get(client, limit_s=1.0)
+    assert time.monotonic() - start < 0.5
+    assert servant.asked[0].headers["Accept-Encoding"] == "identity"
+
+
+def test_a_refusal_without_a_key_names_the_option(servant: Servant, hurried: Limits) -> None:
+    servant.routes["/x"] = [Reply({"message": "who are you"}, status=401)]
+    with pytest.raises(SetupError, match=r"who are you; no key was sent; name one with key_env=VARIABLE"):
+        get(HttpClient("it", servant.url, limits=hurried))
 
 
 def test_a_torn_answer_is_asked_for_again_unless_it_may_have_cost(client: HttpClient, servant: Servant) -> None:

@@ -132,6 +132,18 @@ def test_commands_that_cannot_be_used(spec: str, message: str) -> None:
         CommandModel(parse(spec))
 
 
+def test_a_program_is_named_by_its_script(tmp_path: Path) -> None:
+    (tmp_path / "wan.py").touch()
+    names = {
+        f"{sys.executable} {tmp_path}/wan.py --steps 3": "wan.py",
+        f"{sys.executable} -u {tmp_path}/wan.py": "wan.py",
+        f"{sys.executable} -m models.wan --out {{out}}": "models.wan",
+        "true {prompt}": "true",
+        "true {prompt}?name=wan": "wan",
+    }
+    assert {text: CommandModel(parse(f"command:{text}")).name for text in names} == names
+
+
 def test_question_marks_of_a_program_are_its_own() -> None:
     assert parse("command:a http://b/?c=d?").rest == "a http://b/?c=d"
     assert parse("command:a what? --b?timeout=3").options == {"timeout": "3"}

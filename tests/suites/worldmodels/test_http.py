@@ -70,10 +70,11 @@ def test_all_three_answers_are_the_same_video(
 @pytest.mark.parametrize(
     ("answer", "message"),
     [
-        ({}, "has no video; expected one of video_path, video_url, video_base64"),
-        ({"video_url": "http://a", "video_base64": "x"}, "has no video"),
-        ({"video_base64": 7}, "has no video"),
+        ({}, "has no video; expected exactly one of video_path, video_url, video_base64"),
+        ({"video_url": "http://a", "video_base64": "x"}, "has video_url and video_base64; expected exactly one"),
+        ({"video_base64": 7}, "has video_base64; expected .* a string"),
         ({"error": "no\nidea"}, "gave no video: no idea"),
+        ({"error": "late", "video_path": "/x"}, r"gave no video: late \(and video_path beside the error"),
         ({"video_base64": "%%%"}, "not base64"),
         ({"video_base64": "AAAA"}, "not a video"),
         ({"video_base64": ""}, "it is empty"),
@@ -81,8 +82,8 @@ def test_all_three_answers_are_the_same_video(
         ({"video_path": "/nonexistent"}, "not the absolute path of a file"),
         ({"video_path": "/etc/hostname"}, "not a video"),
         ({"video_url": "file:///etc/hostname"}, "not http or https"),
-        ([], "something else than a JSON object"),
-        ({"video_base64": "A" * 40_000}, "more than"),
+        ([], r"expected a JSON object; it begins: '\[\]'"),
+        ({"video_base64": "A" * 40_000}, r"more than 0\.019\S+ MiB of video \(base64\)"),
     ],
 )
 def test_answers_without_a_video(ask: Callable[..., Path], answer: Any, message: str, out: Path) -> None:
@@ -218,4 +219,13 @@ def test_a_server_that_is_not_ready_or_talks_nonsense(
         HttpModel(parse(servant.url), hurried).generate(request_, out)
     servant.routes["/v1/capabilities"] = [Reply(status=500)]
     with pytest.raises(WorldModelError, match="HTTP 500"):  # it is not taken for a server of the simple contract
+        HttpModel(parse(servant.url), hurried).generate(request_, out)
+
+
+def test_frames_beside_an_error_are_not_used(
+    predictor: dict[str, Any], servant: Servant, hurried: Limits, request_: Request, out: Path
+) -> None:
+    frames = [base64_png(np.zeros((64, 96, 3), np.uint8))] * 2
+    servant.routes["/v1/predict"] = [Reply({"frames": frames, "error": "out of memory"})]
+    with pytest.raises(WorldModelError, match="gave no frames: out of memory"):
         HttpModel(parse(servant.url), hurried).generate(request_, out)
