@@ -144,6 +144,7 @@ class HttpModel:
         answer = self._post("", _body(request, {"first_frame": data_uri(frame)}, frame, request.num_frames), deadline)
         with arriving(out) as part:
             self._fetch(answer, part, deadline)
+            deadline.left()  # decoding a large answer takes seconds
             return adopt(part, out)
 
     def _post(self, path: str, body: dict[str, Any], deadline: Deadline) -> dict[str, Any]:

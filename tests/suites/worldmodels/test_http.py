@@ -2,6 +2,7 @@
 
 import base64
 import io
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -11,8 +12,9 @@ import pytest
 from PIL import Image
 
 from kinebench_drake.errors import SetupError, UsageError
+from kinebench_drake.suites.worldmodels import http
 from kinebench_drake.suites.worldmodels.http import HttpModel
-from kinebench_drake.suites.worldmodels.remote import Limits, base64_png, png
+from kinebench_drake.suites.worldmodels.remote import Limits, base64_png, from_base64, png
 from kinebench_drake.suites.worldmodels.spec import parse
 from kinebench_drake.suites.worldmodels.worldmodel import Request, WorldModelError
 from tests.films import decoded
@@ -229,3 +231,17 @@ def test_frames_beside_an_error_are_not_used(
     servant.routes["/v1/predict"] = [Reply({"frames": frames, "error": "out of memory"})]
     with pytest.raises(WorldModelError, match="gave no frames: out of memory"):
         HttpModel(parse(servant.url), hurried).generate(request_, out)
+
+
+def test_decoding_counts_towards_the_timeout(
+    servant: Servant, hurried: Limits, request_: Request, film: bytes, monkeypatch: pytest.MonkeyPatch, out: Path
+) -> None:
+    def slow(text: str) -> bytes:
+        time.sleep(1.0)
+        return from_base64(text)
+
+    monkeypatch.setattr(http, "from_base64", slow)
+    servant.routes["/make"] = [Reply({"video_base64": base64_of(film)})]
+    with pytest.raises(WorldModelError, match=r"no video within 1 s"):
+        HttpModel(parse(f"{servant.url}/make?timeout=1"), hurried).generate(request_, out)
+    assert list(out.parent.iterdir()) == []
