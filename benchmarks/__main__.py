@@ -246,6 +246,22 @@ def causes(episodes: int, seed: int, limit: int | None, jobs: int) -> None:
         click.echo(line)
 
 
+@main.command(epilog="\b\nExample:\n  python -m benchmarks loss --count 1000 --jobs 2")
+@click.option("--count", type=_COUNT, default=1000, show_default=True, help="Random tracks.", metavar="N")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
+@_jobs
+def loss(count: int, seed: int, jobs: int) -> None:
+    """Replace frames of random tracks by lost or unreachable ones; exit status 1 if a number improves."""
+    from benchmarks.loss import loss_table, run_trials
+
+    with _errors(), click.progressbar(run_trials(count, seed, jobs), length=count) as trials:
+        ordered = sorted(trials, key=lambda trial: trial.index)
+    for line in loss_table(ordered):
+        click.echo(line)
+    if any(trial.improved for trial in ordered):
+        raise SystemExit(1)
+
+
 @main.group()
 def trajectories() -> None:
     """Trajectories with ground truth by proof, and audits compared with it."""

@@ -13,14 +13,11 @@ from numpy.typing import NDArray
 
 from kinebench_drake.closed_loop.loop import EpisodeRun, Round
 from kinebench_drake.geometry import Array, pose_difference
+from kinebench_drake.metrics.executable import LOST_FRAMES, LOST_SHARE
 from kinebench_drake.metrics.result import KinematicResult
 from kinebench_drake.segments import segments
 from kinebench_drake.types import Anomaly
 
-LOST_FRAMES = 3
-"""Number of consecutive frames without a pose, in a video without fault there, that counts as failed grounding."""
-LOST_SHARE = 0.1
-"""Share of all frames without a pose that counts as failed grounding."""
 ASTRAY_M, ASTRAY_RAD = 0.03, float(np.deg2rad(15.0))
 """Deviation of the executed from the generated gripper that counts as failed execution; servos err by 5 mm at most."""
 FINGERS_M = 0.02

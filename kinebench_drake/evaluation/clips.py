@@ -4,13 +4,14 @@ A later clip begins where the robot was when the clip was requested, which need 
 The step between the two is not a motion of any clip and is not judged.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from kinebench_drake.geometry import Array
+from kinebench_drake.metrics.loss import COST_MAX
 from kinebench_drake.metrics.result import KinematicResult, Value
 from kinebench_drake.types import GripperTrack, JointTrack, Json
 
@@ -27,6 +28,18 @@ _LEAST = frozenset(
     }
 )
 _TOTAL = frozenset({"manipulability_integral", "branch_jumps"})
+_UNREACHED: Mapping[str, float] = {
+    "ik_success_rate": 0.0,
+    "manipulability_cost_mean": COST_MAX,
+    **dict.fromkeys(
+        (
+            *("manipulability_mean", "manipulability_min", "manipulability_integral", "manipulability_limited_mean"),
+            *("manipulability_limited_min", "manipulability_translation_mean", "manipulability_rotation_mean"),
+        ),
+        0.0,
+    ),
+}
+"""Values of a clip in which no frame is reached, if there are other clips."""
 
 
 def clip_starts(tracks: Sequence[GripperTrack]) -> list[int]:
@@ -53,9 +66,9 @@ def join_tracks(tracks: Sequence[GripperTrack]) -> GripperTrack:
 def combine(tracks: Sequence[GripperTrack], results: Sequence[KinematicResult]) -> KinematicResult:
     """Combine the results of consecutive clips into one of the joined track, frames counted through all clips.
 
-    Extremes are those of the worst clip, integrals add up, and means are weighted by the clips' durations. A clip
-    without a value is left out of means; extremes and integrals then have no value. The episode is infeasible if one
-    clip is, and feasible if all are.
+    Extremes are those of the worst clip, integrals add up, and means are weighted by the clips' durations. If a clip
+    has no value, nor has the episode, unless the clip's worst value is known. The episode is infeasible if one clip is,
+    and feasible if all are.
     """
     if len(results) == 1:
         return results[0]
@@ -80,6 +93,15 @@ def combine(tracks: Sequence[GripperTrack], results: Sequence[KinematicResult]) 
         reasons={
             name: f"clip {k}: {why}" for k, r in reversed([*enumerate(results, 1)]) for name, why in r.reasons.items()
         },
+        without_lost={
+            name: value
+            for name in first.metrics
+            if any(name in r.without_lost for r in results)
+            for value in [
+                _combine_metric(name, [r.without_lost.get(name, r.metrics.get(name)) for r in results], durations)
+            ]
+            if value is not None
+        },
         details=details,
         curves={
             name: np.concatenate([r.curves[name][k > 0 :] for k, r in enumerate(results)])
@@ -91,15 +113,16 @@ def combine(tracks: Sequence[GripperTrack], results: Sequence[KinematicResult]) 
 
 def _combine_metric(name: str, values: Sequence[Value], durations: Sequence[float]) -> Value:
     """Combine the values of one metric over all clips."""
-    measured = [(v, d) for v, d in zip(values, durations, strict=True) if v is not None]
-    if name in _GREATEST | _LEAST | _TOTAL:
-        if len(measured) < len(values):
-            return None
-        numbers = [v for v, _ in measured]
-        return max(numbers) if name in _GREATEST else min(numbers) if name in _LEAST else sum(numbers)
-    if not measured:
+    if any(v is False for v in values):
+        return False
+    if any(v is not None for v in values):
+        values = [_UNREACHED.get(name) if v is None else v for v in values]
+    numbers = [v for v in values if v is not None]
+    if len(numbers) < len(values):
         return None
-    return float(np.average([float(v) for v, _ in measured], weights=[d for _, d in measured]))
+    if name in _GREATEST | _LEAST | _TOTAL:
+        return max(numbers) if name in _GREATEST else min(numbers) if name in _LEAST else sum(numbers)
+    return float(np.average(numbers, weights=durations))
 
 
 def _join_joints(t_s: Array, clips: Sequence[JointTrack]) -> JointTrack:

@@ -14,7 +14,7 @@ from kinebench_drake.errors import KinebenchError, SetupError, UnmeasurableError
 from kinebench_drake.evaluation.config import RunConfig
 from kinebench_drake.executors.base import SupportsClose
 from kinebench_drake.io.files import open_file
-from kinebench_drake.io.jsonl import dump, finite
+from kinebench_drake.io.jsonl import as_object, dump, finite
 from kinebench_drake.models.urdf import robot_files
 from kinebench_drake.results.provenance import code_hash
 from kinebench_drake.results.row import SampleRow, Status
@@ -24,7 +24,7 @@ from kinebench_drake.types import Json
 if TYPE_CHECKING:  # loads Drake
     from kinebench_drake.metrics.result import KinematicResult
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 
 KINEMATIC_METRICS = (
     *("sparc", "sparc_rotation", "ldlj", "manipulability_mean", "manipulability_min", "manipulability_integral"),
@@ -179,6 +179,7 @@ class Evaluator(ABC, Generic[SampleT, ResourcesT]):
             **evaluation.metrics,
             **(kinematics.metrics if kinematics else {}),
         }
+        executable, obstacles = _executability(kinematics, evaluation.metrics.get("anomalies"))
         return SampleRow(
             id=sample.id,
             video=evaluation.video or sample.video,
@@ -188,9 +189,12 @@ class Evaluator(ABC, Generic[SampleT, ResourcesT]):
             reason=None,
             content_hash=self.content_hash(sample),
             feasible=kinematics.feasible if kinematics else None,
+            executable=executable,
+            executable_reasons=obstacles,
             violations=tuple(v.to_json() for v in kinematics.violations) if kinematics else (),
             metrics=metrics,
             null_reasons=_null_reasons(metrics, kinematics),
+            without_lost=dict(kinematics.without_lost) if kinematics else {},
             details=dict(kinematics.details) if kinematics else {},
             extra={**evaluation.extra, **self.labels(sample)},
         )
@@ -212,6 +216,17 @@ class SampleWorker(Generic[SampleT, ResourcesT]):
         """Release the resources."""
         if isinstance(self.resources, SupportsClose):
             self.resources.close()
+
+
+def _executability(kinematics: "KinematicResult | None", anomalies: Json) -> tuple[bool | None, tuple[str, ...]]:
+    """Return whether the sample can be executed, and what is against it; `anomalies` is None without a video."""
+    if kinematics is None:
+        return None, ()
+    from kinebench_drake.metrics.executable import find_obstacles, is_executable
+
+    kinds = [str(as_object(a).get("kind")) for a in anomalies] if isinstance(anomalies, list) else None
+    obstacles = find_obstacles(kinematics.feasible, kinematics.track.tracked, kinds)
+    return is_executable(obstacles), tuple(obstacles)
 
 
 def _null_reasons(metrics: Mapping[str, Json], kinematics: "KinematicResult | None") -> dict[str, str]:

@@ -48,6 +48,8 @@ class RunSummary:
     """All rows of the output folder, by id."""
     counts: Mapping[Status, int]
     """Samples of each status in the output folder."""
+    executable: Estimate | None
+    """Share of all samples that are executable; None where none was judged."""
     feasible: Estimate | None
     """Share of the measured samples that are feasible; None where none was judged."""
     success: Estimate | None
@@ -131,12 +133,14 @@ def close_run(store: ResultStore, kind: RunKind, seed: int) -> RunSummary:
         with disk_errors(REPORT):
             report = write_report(store.out)
     measured = [r for r in rows if r.status is Status.OK]
+    executable = estimate([r.executable is True for r in rows], total=len(rows), seed=seed)
     feasible = estimate([r.feasible for r in measured], total=len(rows), seed=seed)
     goals = [r.extra.get("success") for r in measured] if kind is RunKind.SUITE else []
     success = estimate(goals, total=len(rows), seed=seed)
     return RunSummary(
         rows=tuple(rows),
         counts={status: sum(row.status is status for row in rows) for status in Status},
+        executable=executable if kind.judges and rows else None,
         feasible=feasible if feasible.n else None,
         success=success if success.n else None,
         report=report,
@@ -165,7 +169,7 @@ def summarize(rows: Sequence[SampleRow], metadata: RunMetadata) -> dict[str, Jso
     seed = metadata.bootstrap_seed
 
     def groups(key: str) -> dict[str, Json]:
-        return {name: aggregate(group, seed).to_json() for name, group in split_rows(rows, key).items()}
+        return {name: aggregate(group, seed, rows).to_json() for name, group in split_rows(rows, key).items()}
 
     return metadata.to_json(
         {

@@ -9,7 +9,6 @@ from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array
 from kinebench_drake.kinematics.collision import CollisionModel
 from kinebench_drake.kinematics.ik import POSITION_TOLERANCE_M, ROTATION_TOLERANCE_RAD
-from kinebench_drake.kinematics.manipulability import compute_manipulability
 from kinebench_drake.kinematics.newton import ROTATION_ARM_M
 from kinebench_drake.kinematics.path import limit_excess
 from kinebench_drake.kinematics.plant import ArmPlant
@@ -19,6 +18,7 @@ from kinebench_drake.kinematics.trajopt import optimize_in_tube
 from kinebench_drake.metrics.derivatives import smooth_path
 from kinebench_drake.metrics.discontinuity import find_discontinuities
 from kinebench_drake.metrics.limits import LimitChecks, check_limits
+from kinebench_drake.metrics.loss import cover_joints, cover_poses, weigh_manipulability, worst_manipulability
 from kinebench_drake.metrics.noise import (
     JOINT_FREEDOM_PER_FRAME,
     TrackNoise,
@@ -184,12 +184,18 @@ class TrackJudge:
             finger_width_m=np.where(np.isfinite(track.finger_width_m), track.finger_width_m, plant.finger_width_m),
         )
         branches = np.flatnonzero(reached)
+        coverage = cover_poses(plant, track, joints, reached) if joint_sigma is None else cover_joints(plant, q)
+        w = weigh_manipulability(plant, coverage)
+        poses = track.X_BG if joint_sigma is None else None
+        reachable = replace(track, tracked=track.tracked & ~coverage.unreachable)
         path = PathMeasurements(
             reached=reached,
-            manipulability=compute_manipulability(plant, q, J),
+            coverage=coverage,
+            manipulability=w,
+            manipulability_worst=w if coverage.complete else worst_manipulability(plant, coverage, w, poses),
             self_clearance=own,
             table_clearance=table,
-            smoothness=measure_smoothness(track, None if assumed else noise),
+            smoothness=measure_smoothness(reachable, None if assumed else noise),
             checks=checks,
             timing=timing,
             tube=tube,
@@ -199,7 +205,7 @@ class TrackJudge:
             noise=noise,
             noise_assumed=assumed,
         )
-        metrics, reasons = kinematic_metrics(plant, track, joints, path)
+        metrics, reasons, without_lost = kinematic_metrics(plant, track, joints, path)
         undecided = _undecided(track, checks)
         if not violations and undecided is not None:
             reasons["feasible"] = undecided
@@ -210,6 +216,7 @@ class TrackJudge:
             violations=tuple(violations),
             metrics=MappingProxyType(metrics),
             reasons=MappingProxyType(reasons),
+            without_lost=MappingProxyType(without_lost),
             details=MappingProxyType(path_details(plant, q, path)),
             curves=MappingProxyType(track_curves(plant, joints, path)),
         )

@@ -15,6 +15,7 @@ from kinebench_drake.kinematics.timing import TimeScale
 from kinebench_drake.kinematics.trajectory import TrajectoryCheck
 from kinebench_drake.kinematics.trajopt import TubeResult
 from kinebench_drake.metrics.limits import LimitCheck, LimitChecks
+from kinebench_drake.metrics.loss import Coverage
 from kinebench_drake.metrics.noise import TrackNoise
 from kinebench_drake.metrics.smoothness import Smoothness
 from kinebench_drake.types import GripperTrack, JointTrack, Json, Violation, ViolationKind
@@ -38,6 +39,8 @@ class KinematicResult:
     """Metric names of the output format; None where not measurable."""
     reasons: Mapping[str, str] = field(default_factory=dict)
     """Why a metric is None, by its name; why the verdict is open, by "feasible"."""
+    without_lost: Mapping[str, Value] = field(default_factory=dict)
+    """Of a track with lost or unreachable frames: metrics of the other frames alone, by name, where these differ."""
     details: Mapping[str, Json] = field(default_factory=dict)
     """The field `details` of samples.jsonl: noise, limits and checks joint by joint, timing, tube."""
     curves: Mapping[str, Array] = field(default_factory=dict)
@@ -50,8 +53,12 @@ class PathMeasurements:
 
     reached: NDArray[np.bool_]
     """(T,) frames whose pose is reached within tolerance."""
+    coverage: Coverage
+    """Lost and unreachable frames."""
     manipulability: Manipulability
-    """Manipulability of the reached frames."""
+    """Manipulability along the path; NaN in lost and unreachable frames."""
+    manipulability_worst: Manipulability
+    """The least that the manipulability of each frame can be (`loss.worst_manipulability`)."""
     self_clearance: Clearance
     """Distances of the arm from itself."""
     table_clearance: Clearance
@@ -78,24 +85,65 @@ class PathMeasurements:
 
 def kinematic_metrics(
     plant: ArmPlant, track: GripperTrack, joints: JointTrack, path: PathMeasurements
-) -> tuple[dict[str, Value], dict[str, str]]:
-    """Return the metrics by name, and the reasons of those that are None."""
-    w, checks, timing, tube = path.manipulability, path.checks, path.timing, path.tube
-    tracked = int(track.tracked.sum())
-    no_value = "no frame is tracked" if tracked == 0 else "no frame's pose is reached"
-    margin = limit_margin(plant, np.where(np.isfinite(w.full)[:, None], joints.q, np.nan))
-    metrics: dict[str, Value] = {
+) -> tuple[dict[str, Value], dict[str, str], dict[str, Value]]:
+    """Return the metrics by name, the reasons of those that are None, and those without lost and unreachable frames.
+
+    A number of an incomplete track is the worst that it can be whatever happens in its lost and unreachable frames, and
+    None if there is no worst.
+    """
+    metrics, reasons = _path_metrics(plant, track, joints, path)
+    smooth = path.smoothness
+    missing = {
+        name: smooth.reasons.get(name.partition("_floor_")[0], "") or "the track's noise is unknown"
+        for name, value in smooth.metrics.items()
+        if value is None
+    }
+    if path.coverage.complete:
+        return {**smooth.metrics, **metrics}, {**missing, **reasons}, {}
+    worst: dict[str, Value] = dict.fromkeys(metrics)
+    if metrics["manipulability_mean"] is not None:
+        worst |= _manipulability_metrics(track.t_s, path.manipulability_worst)
+    if track.tracked.any():
+        worst["ik_success_rate"] = float(joints.ok.mean())
+    if not path.coverage.lost.any():
+        worst["ik_position_error_max_m"] = _over_finite(np.max, joints.position_error_m)
+        margin = metrics["joint_limit_margin_min"]  # no posture within limits reaches the others: theirs is 0 at most
+        worst["joint_limit_margin_min"] = None if margin is None else min(0.0, margin)
+    if metrics["trajopt_feasible"] is False:  # nor is there a trajectory through more frames
+        worst["trajopt_feasible"] = False
+    reasons = {name: path.coverage.reason for name, value in worst.items() if value is None}
+    alone = {**smooth.without_lost, **metrics}
+    headline = {**smooth.metrics, **worst}
+    without_lost: dict[str, Value] = {name: v for name, v in alone.items() if v is not None and v != headline[name]}
+    return headline, {**missing, **reasons}, without_lost
+
+
+def _manipulability_metrics(t_s: Array, w: Manipulability) -> dict[str, Value]:
+    return {
         "manipulability_mean": _over_finite(np.mean, w.full),
         "manipulability_min": _over_finite(np.min, w.full),
-        "manipulability_integral": time_integral(track.t_s, w.full),
+        "manipulability_integral": time_integral(t_s, w.full),
         "manipulability_cost_mean": _over_finite(np.mean, w.cost),
         "manipulability_translation_mean": _over_finite(np.mean, w.translation),
         "manipulability_rotation_mean": _over_finite(np.mean, w.rotation),
         "manipulability_limited_mean": _over_finite(np.mean, w.limited),
         "manipulability_limited_min": _over_finite(np.min, w.limited),
+    }
+
+
+def _path_metrics(
+    plant: ArmPlant, track: GripperTrack, joints: JointTrack, path: PathMeasurements
+) -> tuple[dict[str, Value], dict[str, str]]:
+    """Return the metrics of the frames that are neither lost nor unreachable, and why some are None."""
+    w, checks, timing, tube = path.manipulability, path.checks, path.timing, path.tube
+    near = track.tracked & ~path.coverage.unreachable
+    no_value = "no frame is tracked" if not track.tracked.any() else "no frame's pose is reached"
+    margin = limit_margin(plant, np.where(path.reached[:, None], joints.q, np.nan))
+    metrics: dict[str, Value] = {
+        **_manipulability_metrics(track.t_s, w),
         "condition_number_max": _over_finite(np.max, w.condition),
-        "ik_success_rate": float(joints.ok[track.tracked].mean()) if tracked else None,
-        "ik_position_error_max_m": _over_finite(np.max, joints.position_error_m[track.tracked]),
+        "ik_success_rate": float(joints.ok[near].mean()) if near.any() else None,
+        "ik_position_error_max_m": _over_finite(np.max, joints.position_error_m[near]),
         "joint_limit_margin_min": _over_finite(np.min, margin),
         "self_distance_min_m": _over_finite(np.min, path.self_clearance.distance_m),
         "table_distance_min_m": _over_finite(np.min, path.table_clearance.distance_m),
@@ -122,17 +170,14 @@ def kinematic_metrics(
     metrics["branch_jumps"] = float(len(path.branch_jumps)) if path.reached.sum() > 1 else None
     if metrics["branch_jumps"] is None:
         reasons["branch_jumps"] = "fewer than two poses are reached"
-    smooth = path.smoothness.metrics
-    for name in (name for name, value in smooth.items() if value is None):
-        reasons[name] = path.smoothness.reasons.get(name.partition("_floor_")[0], "") or "the track's noise is unknown"
-    return {**smooth, **metrics}, reasons
+    return metrics, reasons
 
 
 def track_curves(plant: ArmPlant, joints: JointTrack, path: PathMeasurements) -> dict[str, Array]:
     """Return arrays (T,) or (T, 7) by name, for the track's file."""
     w = path.manipulability
     return {
-        "manipulability": w.full,
+        "manipulability": np.where(path.coverage.unreachable, 0.0, w.full),
         "manipulability_translation": w.translation,
         "manipulability_rotation": w.rotation,
         "manipulability_weighted": w.limited,
@@ -157,6 +202,10 @@ def path_details(plant: ArmPlant, q: Array, path: PathMeasurements) -> dict[str,
             "acceleration": _list(plant.acceleration_limits),
             "jerk": _list(plant.jerk_limits),
             "torque": _list(plant.effort_limits),
+        },
+        "coverage": {
+            "lost": int(path.coverage.lost.sum()),
+            "unreachable": int(path.coverage.unreachable.sum()),
         },
         "noise": {
             "position_m": path.noise.position_m,

@@ -17,6 +17,7 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import convolve1d
 
 from kinebench_drake.geometry import Array, rotation_angle
+from kinebench_drake.metrics.completion import least_arc, least_ldlj
 from kinebench_drake.metrics.derivatives import smooth_path
 from kinebench_drake.metrics.noise import TrackNoise, estimate_track_noise, rotation_steps
 from kinebench_drake.segments import segments
@@ -29,6 +30,8 @@ CUTOFF_HZ = 10.0
 AMPLITUDE_THRESHOLD = 0.05
 """Fraction of the spectrum's maximum that the last bin of the arc reaches."""
 
+MAX_LOST_SHARE = 0.05
+"""Largest share of lost frames at which a motion as a whole has a smoothness."""
 MIN_FRAMES = 8
 """Least number of consecutive tracked frames."""
 STILL_M = 0.005
@@ -59,7 +62,7 @@ def sparc(
     above sampling_hz / 2 are left out: they mirror those below, and the reference counts them if sampling_hz is less
     than twice CUTOFF_HZ, which doubles the arc of a smooth motion at 10 Hz.
     """
-    bins = int(2 ** (np.ceil(np.log2(speed.shape[-1])) + PAD_LEVEL))
+    bins = _bins(speed.shape[-1])
     frequency = np.arange(bins // 2 + 1) * (sampling_hz / bins)
     kept = int(np.count_nonzero(frequency <= min(cutoff_hz, sampling_hz / 2.0)))
     spectrum = rfft(speed, bins)
@@ -77,6 +80,10 @@ def sparc(
         arc = np.sqrt(np.diff(magnitude, axis=-1) ** 2 + df[:, None] ** 2)
         length = np.einsum("mf,mf->m", arc, inside)
     return np.where(above.any(axis=-1) & (last > first), -length, np.nan)
+
+
+def _bins(n: int) -> int:
+    return int(2 ** (np.ceil(np.log2(n)) + PAD_LEVEL))
 
 
 def ldlj(speed: Array, sampling_hz: float) -> Array:
@@ -122,8 +129,13 @@ def _rate(t_s: Array) -> float:
 
 def _speeds(t_s: Array, p: Array) -> Array:
     """Return the speeds (M, N - 1) of paths `p` (N, M, 3) at evenly spaced times."""
+    return _even_speeds(t_s, np.linalg.norm(np.diff(p, axis=0), axis=-1).T)
+
+
+def _even_speeds(t_s: Array, lengths: Array) -> Array:
+    """Return the speeds (M, N - 1) of steps of `lengths` (M, N - 1) between `t_s` (N,), at evenly spaced times."""
     dt = np.diff(t_s)
-    speed = np.linalg.norm(np.diff(p, axis=0), axis=-1).T / dt
+    speed = lengths / dt
     period = 1.0 / _rate(t_s)
     if float(np.abs(dt - period).max()) > 1e-3 * period:
         middle, even = 0.5 * (t_s[:-1] + t_s[1:]), t_s[0] + period * (np.arange(len(dt)) + 0.5)
@@ -144,9 +156,63 @@ class Smoothness:
     `_high`, and so on: percentiles 5, 50 and 95 over DRAWS copies of the smoothed motion with the track's noise."""
     reasons: Mapping[str, str]
     """Why a metric, or its noise floor, is missing, by metric."""
+    without_lost: Mapping[str, float | None]
+    """Values of the longest run of consecutive tracked frames, by name; empty if all frames are tracked."""
 
 
 def measure_smoothness(track: GripperTrack, noise: TrackNoise | None = None, seed: int = 0) -> Smoothness:
+    """Measure the smoothness of a track.
+
+    With lost frames SPARC and LDLJ are the least values over all motions in these frames (`completion`), so that losing
+    frames improves neither; they are None if more than MAX_LOST_SHARE of the frames is lost. The filtered SPARC and the
+    noise floors of a track with lost frames are None.
+
+    Args:
+        track: gripper track; frames that are not tracked are lost.
+        noise: noise of the track; estimated if None (`noise.estimate_track_noise`).
+        seed: seed of the draws for the noise floor.
+    """
+    alone = _measure_longest_run(track, noise, seed)
+    lost, n = int((~track.tracked).sum()), len(track.t_s)
+    if lost == 0:
+        return alone
+    whole = {} if lost > MAX_LOST_SHARE * n else _least_values(track)
+    why = f"{lost} of {n} frames are lost" + (f", more than {MAX_LOST_SHARE:.0%}" if lost > MAX_LOST_SHARE * n else "")
+    return Smoothness(
+        metrics=MappingProxyType({name: whole.get(name) for name in alone.metrics}),
+        reasons=MappingProxyType(dict.fromkeys(METRICS, why)),
+        without_lost=MappingProxyType({name: alone.metrics[name] for name in METRICS}),
+    )
+
+
+def _least_values(track: GripperTrack) -> dict[str, float]:
+    """Return the least SPARC and LDLJ over all motions in the lost frames; none of a gripper at rest."""
+    tracked, t_s = track.tracked, track.t_s
+    rate, stepped = _rate(t_s), tracked[1:] & tracked[:-1]
+    p, R = track.X_BG[:, :3, 3], np.where(tracked[:, None, None], track.X_BG[:, :3, :3], np.eye(3))
+    lengths = np.linalg.norm([np.diff(p, axis=0), rotation_steps(R)], axis=-1)
+    moved, turned = _even_speeds(t_s, np.where(stepped, lengths, np.nan))
+    bins, cutoff_hz = _bins(len(moved)), min(CUTOFF_HZ, rate / 2.0)
+    values = {}
+    if _rests(p[tracked]) is None:
+        values["sparc"] = least_arc(moved, rate, bins, cutoff_hz)
+        values["ldlj"] = least_ldlj(moved, rate)
+    if _keeps_orientation(R[tracked]) is None:
+        values["sparc_rotation"] = least_arc(turned, rate, bins, cutoff_hz)
+    return values
+
+
+def _rests(p: Array) -> str | None:
+    """Return why positions (N, 3) [m] have no smoothness; None if they move."""
+    return None if np.linalg.norm(p - p[0], axis=-1).max() > STILL_M else f"the gripper stays within {STILL_M} m"
+
+
+def _keeps_orientation(R: Array) -> str | None:
+    """Return why rotations (N, 3, 3) have no smoothness; None if they turn."""
+    return None if rotation_angle(R[0].T @ R).max() > STILL_RAD else f"the gripper stays within {STILL_RAD} rad"
+
+
+def _measure_longest_run(track: GripperTrack, noise: TrackNoise | None, seed: int) -> Smoothness:
     """Measure the smoothness of the longest run of consecutive tracked frames of `track`; gaps are not interpolated.
 
     Speeds are those between neighbouring frames, interpolated linearly to evenly spaced times if the frames are not. A
@@ -156,11 +222,6 @@ def measure_smoothness(track: GripperTrack, noise: TrackNoise | None = None, see
     Noise floors are based on the motion as smoothed by `smooth_path`, which is slightly smoother than the true one for
     few frames per move: at six frames per move and 3 mm of noise, the floor of SPARC is 0.1 to 0.4 nearer to 0 than
     that of the true motion (measured; at 24 frames per move equal to 0.1).
-
-    Args:
-        track: gripper track.
-        noise: noise of the track; estimated if None (`noise.estimate_track_noise`).
-        seed: seed of the draws for the noise floor.
     """
     run = max(segments(track.tracked), key=lambda run: run.stop - run.start, default=slice(0, 0))
     X, t_s = track.X_BG[run], track.t_s[run]
@@ -180,7 +241,7 @@ def measure_smoothness(track: GripperTrack, noise: TrackNoise | None = None, see
             p,
             noise.position_m,
             rng,
-            None if np.linalg.norm(p - p[0], axis=-1).max() > STILL_M else f"the gripper stays within {STILL_M} m",
+            _rests(p),
         ),
         **_measure(
             ("sparc_rotation", "sparc_rotation_filtered"),
@@ -188,7 +249,7 @@ def measure_smoothness(track: GripperTrack, noise: TrackNoise | None = None, see
             turned,
             noise.rotation_rad,
             rng,
-            None if rotation_angle(R[0].T @ R).max() > STILL_RAD else f"the gripper stays within {STILL_RAD} rad",
+            _keeps_orientation(R),
         ),
     }
     return _smoothness(results)
@@ -242,4 +303,5 @@ def _smoothness(results: Mapping[str, _Measurement]) -> Smoothness:
     return Smoothness(
         metrics=MappingProxyType({**{name: results[name][0] for name in METRICS}, **floors}),
         reasons=MappingProxyType({name: reason for name in METRICS if (reason := results[name][2])}),
+        without_lost=MappingProxyType({}),
     )

@@ -16,6 +16,7 @@ from kinebench_drake.report.plot import Histogram
 from kinebench_drake.report.sample import VERDICTS, badness, verdict_of
 from kinebench_drake.report.table import format_csv
 from kinebench_drake.report.timeline import LEGEND, FaultLane, anomalies_of, fault_lanes, frame_count
+from kinebench_drake.results.aggregate import VERDICTS as VERDICT_SHARES
 from kinebench_drake.results.aggregate import Estimate, aggregate
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.results.store import artifact_path, read_rows
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
 COLOURS = ("#2f7fc1", "#d06a2a", "#2a9d7f", "#9b62c4", "#b3902f", "#cf5a8e", "#7a8794", "#4f9bd9", "#a65a5a", "#5f8f3e")
 """Colours that can be distinguished on a light and on a dark background."""
 _MARKERS = "os^Dv<>PX*"
-GOOD, NEUTRAL = "#2a9d5f", "#9aa5b1"
+SUCCESS, NEUTRAL = "#2563ab", "#9aa5b1"
 _THEME = {"#000000": "var(--ink)", "#ffffff": "var(--card)", "#e6e8ea": "var(--line)", "#b8bec4": "var(--faint)"}
 """Replacements of drawn colours on a page."""
 _PX_PER_POINT = 1.5
@@ -129,13 +130,19 @@ def inline_svg(svg: str, name: str, title: str) -> str:
 _MAX_TIMELINES = 40
 """Samples with faults in the figure of timelines, the worst first."""
 _VERDICT_COLOURS = {
-    **{"feasible": "#1b7f4b", "success": "#1b7f4b", "infeasible": "#c2361c", "error": "#7a1f10"},
-    **{"grounding": "#a3842b", "generation": "#c2361c", "execution": "#8a4fb5", "task": "#2563ab"},
+    **{
+        "executable": "#1b7f4b",
+        "success": "#2563ab",
+        "feasible": "#2563ab",
+        "infeasible": "#c2361c",
+        "error": "#7a1f10",
+    },
+    **{"grounding": "#a3842b", "generation": "#c2361c", "execution": "#8a4fb5", "task": "#c04a80"},
     **{"unmeasurable": "#9a6700", "unjudged": "#66727f"},
 }
 _FAULT_COLOURS = {"violation": "#c2361c", "anomaly": "#d99200", "lost": "#66727f", "unsure": "#c7a6e0"}
 _COLUMNS = 3
-_ESTIMATE = ("mean", "low", "high", "n", "total")
+_ESTIMATE = ("mean", "low", "high", "n", "total", "bound")
 Faults = tuple[SampleRow, list[FaultLane], int]
 """A row, its faults, and its number of frames."""
 
@@ -210,12 +217,15 @@ def _find_faults(out: Path, row: SampleRow) -> Faults:
 
 
 def _sample_lines(rows: Sequence[SampleRow], names: Sequence[str]) -> tuple[list[str], Iterable[list[object]]]:
-    metrics = [name for name in names if name != "feasible"]
-    heads = ["id", "video", "task", "model", "status", "verdict", "reason", "feasible", "violations", "anomalies"]
+    metrics = [name for name in names if name not in VERDICT_SHARES]
+    labels = ("id", "video", "task", "model", "status", "verdict", "reason", "executable", "feasible")
+    heads = [*labels, "executable_reasons", "violations", "anomalies"]
 
     def line(row: SampleRow) -> list[object]:
         kinds = [sorted({str(mark.get("kind")) for mark in marks}) for marks in (row.violations, anomalies_of(row))]
-        cells = [row.id, row.video, row.task, row.model, row.status.value, verdict_of(row), row.reason, row.feasible]
+        values = {"status": row.status.value, "verdict": verdict_of(row)}
+        cells = [values.get(label) or getattr(row, label) for label in labels]
+        cells.append("; ".join(row.executable_reasons))
         return [*cells, *("; ".join(k) for k in kinds), *(row.metrics.get(n, row.extra.get(n)) for n in metrics)]
 
     return [*heads, *metrics], map(line, rows)

@@ -24,8 +24,9 @@ from kinebench_drake.report.sample import (
     verdict_of,
     view_sample,
 )
-from kinebench_drake.report.table import format_interval, format_value
+from kinebench_drake.report.table import format_bound, format_interval, format_value
 from kinebench_drake.report.timeline import anomalies_of
+from kinebench_drake.results.aggregate import VERDICTS as VERDICT_SHARES
 from kinebench_drake.results.aggregate import Aggregate, aggregate, split_rows
 from kinebench_drake.results.inputs import input_lines
 from kinebench_drake.results.row import SampleRow, Status
@@ -124,7 +125,7 @@ def template_environment() -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    templates.filters.update(number=format_value, interval=format_interval, counted=count_noun)
+    templates.filters.update(number=format_value, interval=format_interval, counted=count_noun, bound=format_bound)
     return templates
 
 
@@ -155,7 +156,7 @@ def group_rows(rows: Sequence[SampleRow], key: str, seed: int = 0) -> list[Sampl
     for name, group in split_rows(rows, key).items():
         verdicts = [verdict_of(row) for row in group]
         counts = {verdict: verdicts.count(verdict) for verdict in VERDICTS if verdict in verdicts}
-        groups.append(SampleGroup(name=name, total=aggregate(group, seed), verdicts=counts))
+        groups.append(SampleGroup(name=name, total=aggregate(group, seed, rows), verdicts=counts))
     return groups
 
 
@@ -192,7 +193,7 @@ def _title(results: Mapping[str, Json]) -> str:
 
 def _other_metrics(total: Aggregate) -> list[Metric]:
     """List metrics without a label, except noise floors, which mean nothing without their track."""
-    names = [name for name in total.estimates if name not in {*BY_NAME, "feasible"} and "_floor_" not in name]
+    names = [name for name in total.estimates if name not in {*BY_NAME, *VERDICT_SHARES} and "_floor_" not in name]
     return [Metric(name=name, label=name, pattern="{:.4g}", meaning="") for name in names]
 
 
@@ -200,11 +201,11 @@ def _is_measured(total: Aggregate, name: str) -> bool:
     return name in total.estimates and total.estimates[name].n > 0
 
 
-def _read_normalization(results: Mapping[str, Json]) -> list[tuple[str, list[float]]]:
-    """Read the metrics normalized within the run: name, 10th and 90th percentile, mean on that scale, samples."""
+def _read_normalization(results: Mapping[str, Json]) -> list[tuple[str, list[float | None]]]:
+    """Read the metrics normalized within the run: name, 10th and 90th percentile, mean, samples, bound."""
     lines = []
     for name, entry in as_object(results.get("normalization")).items():
-        numbers = [to_number(as_object(entry).get(key)) for key in ("low", "high", "mean", "n")]
-        if None not in numbers:
-            lines.append((name, cast(list[float], numbers)))
+        numbers = [to_number(as_object(entry).get(key)) for key in ("low", "high", "mean", "n", "bound")]
+        if None not in numbers[:-1]:
+            lines.append((name, numbers))
     return lines

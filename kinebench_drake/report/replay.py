@@ -127,7 +127,8 @@ def _add_controls(html: str, row: SampleRow, file: TrackFile, has_arm: bool) -> 
     panel = template_environment().get_template("replay.html.j2")
     controls = panel.render(
         id=row.id,
-        verdict={True: "Feasible for the robot", False: "Infeasible for the robot", None: "Not judged"}[row.feasible],
+        verdict={True: "Feasible for the robot", False: "Infeasible for the robot", None: "Not judged"}[row.feasible]
+        + ("" if row.executable is None else ", executable" if row.executable else ", not executable"),
         faults=[(css, *_describe(fault, t_s)) for fault, css in faults],
         colors={state.value: "#" + "".join(f"{round(255 * v):02x}" for v in rgb) for state, rgb in COLORS.items()},
         stretches=[(state, len(list(group))) for state, group in groupby(states)],

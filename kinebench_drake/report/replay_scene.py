@@ -21,7 +21,7 @@ from kinebench_drake.segments import segments
 Color = tuple[float, float, float]
 
 COLORS = {
-    FrameState.OK: (0.11, 0.60, 0.35),
+    FrameState.OK: (0.36, 0.45, 0.57),
     FrameState.DOUBT: (0.93, 0.58, 0.07),
     FrameState.UNTRACKED: (0.60, 0.64, 0.69),
     FrameState.BROKEN: (0.84, 0.16, 0.09),

@@ -24,10 +24,11 @@ from kinebench_drake.types import Json
 _FAILURES = {cause: f"failed: {cause}" for cause in ("grounding", "generation", "execution", "task")}
 VERDICTS = {
     **{"error": "error", "infeasible": "infeasible", **_FAILURES},
-    **{name: name for name in ("unmeasurable", "unjudged", "feasible", "success")},
+    **{"unmeasurable": "unmeasurable", "unjudged": "unjudged", "feasible": "feasible, not executable"},
+    **{"executable": "executable", "success": "success"},
 }
 """Labels of the verdicts, the worst first."""
-GOOD_VERDICTS = ("feasible", "success")
+GOOD_VERDICTS = ("executable", "success")
 _RANK = {verdict: rank for rank, verdict in enumerate(VERDICTS)}
 _MAX_VIOLATIONS = 20
 """Violations that a sample's table lists, the first ones."""
@@ -75,6 +76,8 @@ def verdict_of(row: SampleRow) -> str:
     if "verdict" in row.extra:
         cause = row.extra["verdict"]
         return "success" if row.extra.get("success") is True else cause if cause in _FAILURES else "unjudged"
+    if row.executable:
+        return "executable"
     return "unjudged" if row.feasible is None else "feasible" if row.feasible else "infeasible"
 
 
@@ -172,6 +175,7 @@ def _other_details(row: SampleRow) -> Iterator[DetailLine]:
         if value is not None and median is not None and low is not None and high is not None:
             text = f"{value:.2f}; smoothed track with its noise {median:.2f} ({low:.2f} to {high:.2f})"
             yield DetailLine(depth=0, name=name.replace("_", " "), text=text)
+    yield from list_details({f"{name} without lost frames": value for name, value in row.without_lost.items()})
     yield from list_details(
         {f"no {name}": reason for name, reason in row.null_reasons.items() if "_floor_" not in name}
     )

@@ -9,6 +9,7 @@ from typing import TypeAlias
 from kinebench_drake.results.aggregate import Estimate
 
 Value: TypeAlias = str | int | float | Estimate | None
+_TAILS = ("", "_low", "_high", "_n", "_bound")  # of the columns of an estimate in a CSV file
 DASH = "–"
 """Text of a missing value."""
 
@@ -94,6 +95,13 @@ def format_interval(value: Value, pattern: str) -> str | None:
     return f"{pattern.format(value.low)} to {pattern.format(value.high)}"
 
 
+def format_bound(value: Value, pattern: str) -> str | None:
+    """Format the bound of an estimate that lacks values; None if there is none."""
+    if not isinstance(value, Estimate) or value.bound is None or value.n == value.total:
+        return None
+    return f"{value.n} of {value.total}, bound {pattern.format(value.bound)}"
+
+
 def sort_key(value: Value) -> str:
     """Return the text by which a page sorts a value; empty if it is missing."""
     if isinstance(value, Estimate):
@@ -111,13 +119,13 @@ def format_csv(heads: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
 
 
 def table_csv(table: Table) -> str:
-    """Format a table as CSV; an estimate takes four columns: mean, interval and number of values."""
-    heads = [c.key + tail for c in table.columns for tail in (("", "_low", "_high", "_n") if c.estimated else ("",))]
+    """Format a table as CSV; an estimate takes five columns: mean, interval, number of values, bound."""
+    heads = [c.key + tail for c in table.columns for tail in (_TAILS if c.estimated else ("",))]
 
     def cells(value: Value, column: Column) -> list[object]:
         if isinstance(value, Estimate):
-            return [value.mean, value.low, value.high, value.n] if column.estimated else [None]
-        return [value, None, None, None] if column.estimated else [value]
+            return [value.mean, value.low, value.high, value.n, value.bound] if column.estimated else [None]
+        return [value, None, None, None, None] if column.estimated else [value]
 
     return format_csv(
         heads, ([x for v, c in zip(row, table.columns, strict=True) for x in cells(v, c)] for row in table.rows)

@@ -3,12 +3,13 @@
 import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from kinebench_drake.geometry import Array
+from kinebench_drake.results.direction import worst_value
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.stats import bootstrap_mean, wilson
 from kinebench_drake.types import Json
@@ -17,6 +18,9 @@ NORMALIZED = ("manipulability_cost_mean",)
 """Metrics that results also report on a scale from 0 to 1."""
 PERCENTILES = (10.0, 90.0)
 """Percentiles at the ends of the scale."""
+
+VERDICTS = ("executable", "feasible")
+"""Shares of a group that are no metrics."""
 
 _EXTRA = ("success", "progress", "rounds")
 
@@ -35,10 +39,12 @@ class Estimate:
     """Number of samples with a value."""
     total: int
     """Number of samples in the group, measurable or not."""
+    bound: float | None = None
+    """The mean if every sample without a value had the worst value of the run; None if no value is the worst."""
 
     def to_json(self) -> dict[str, Json]:
         """Return the object in `results.json`."""
-        return {"mean": self.mean, "low": self.low, "high": self.high, "n": self.n, "total": self.total}
+        return asdict(self)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,11 +54,14 @@ class Aggregate:
     status: Mapping[Status, int]
     """Number of samples by status."""
     estimates: Mapping[str, Estimate]
-    """`feasible` and every numerical or boolean metric, over the samples with status ok."""
+    """`executable` over all samples, those without a verdict counted as not executable; `feasible` and every numerical
+    or boolean metric over the samples with status ok."""
     violations: Mapping[str, int]
     """Number of samples with a violation, by kind."""
     anomalies: Mapping[str, int]
     """Number of samples with an anomaly, by kind."""
+    executable_reasons: Mapping[str, int]
+    """Number of samples by what is against executing them."""
 
     @property
     def total(self) -> int:
@@ -63,29 +72,49 @@ class Aggregate:
         """Return the object in `results.json`."""
         return {
             "samples": {"total": self.total, **{s.value: self.status[s] for s in Status}},
-            **{name: estimate.to_json() for name, estimate in self.estimates.items() if name == "feasible"},
-            "metrics": {name: e.to_json() for name, e in self.estimates.items() if name != "feasible"},
+            **{name: self.estimates[name].to_json() for name in VERDICTS},
+            "metrics": {name: e.to_json() for name, e in self.estimates.items() if name not in VERDICTS},
             "violations": dict(self.violations),
             "anomalies": dict(self.anomalies),
+            "executable_reasons": dict(self.executable_reasons),
         }
 
 
-def aggregate(rows: Sequence[SampleRow], seed: int = 0) -> Aggregate:
-    """Compute the statistics of a group of rows; the same rows and seed give the same numbers."""
-    columns: dict[str, list[Json]] = {"feasible": []}
+def aggregate(rows: Sequence[SampleRow], seed: int = 0, run: Sequence[SampleRow] | None = None) -> Aggregate:
+    """Compute the statistics of a group of rows; the same rows and seed give the same numbers.
+
+    Args:
+        rows: the group.
+        seed: seed of the bootstrap intervals.
+        run: all rows of the run, whose worst values bound the means; None if they are the group.
+    """
+    columns = _columns(rows)
+    worst = {name: worst_value(name, _numbers(values)) for name, values in _columns(run or rows).items()}
+    counts = Counter(r.status for r in rows)
+    return Aggregate(
+        status={status: counts[status] for status in Status},
+        estimates={
+            name: estimate(values, total=len(rows), seed=seed, worst=worst.get(name))
+            for name, values in columns.items()
+        },
+        violations=_count_kinds({str(v.get("kind")) for v in row.violations} for row in rows),
+        anomalies=_count_kinds(_anomaly_kinds(row) for row in rows),
+        executable_reasons=_count_kinds({*row.executable_reasons} for row in rows),
+    )
+
+
+def _columns(rows: Sequence[SampleRow]) -> dict[str, list[Json]]:
+    """Return the values of verdicts and metrics by name; a null verdict on execution is no, if any row has one."""
+    verdicts = [row.executable for row in rows]
+    judged = any(verdict is not None for verdict in verdicts)
+    columns: dict[str, list[Json]] = {"executable": [v is True for v in verdicts] if judged else [], "feasible": []}
     for row in (r for r in rows if r.status is Status.OK):
         columns["feasible"].append(row.feasible)
         extra = {name: row.extra[name] for name in _EXTRA if name in row.extra}
         for name, value in {**row.metrics, **extra}.items():
             if value is None or isinstance(value, bool | int | float):
                 columns.setdefault(name, []).append(value)
-    counts = Counter(r.status for r in rows)
-    return Aggregate(
-        status={status: counts[status] for status in Status},
-        estimates={name: estimate(values, total=len(rows), seed=seed) for name, values in columns.items()},
-        violations=_count_kinds({str(v.get("kind")) for v in row.violations} for row in rows),
-        anomalies=_count_kinds(_anomaly_kinds(row) for row in rows),
-    )
+    return columns
 
 
 def split_rows(rows: Iterable[SampleRow], key: str) -> dict[str, list[SampleRow]]:
@@ -98,26 +127,34 @@ def split_rows(rows: Iterable[SampleRow], key: str) -> dict[str, list[SampleRow]
     return dict(sorted(groups.items()))
 
 
-def estimate(values: Sequence[Json], *, total: int, seed: int = 0) -> Estimate:
-    """Compute mean and interval of `values`, ignoring None.
+def estimate(values: Sequence[Json], *, total: int, seed: int = 0, worst: float | None = None) -> Estimate:
+    """Compute mean, interval and bound of `values`, ignoring None.
 
-    Booleans give a share with Wilson's score interval (Wilson 1927); numbers give a mean with the percentile
-    bootstrap interval (Efron 1979). A single number has no interval.
+    Booleans give a share with Wilson's score interval (Wilson 1927); numbers give a mean with the percentile bootstrap
+    interval (Efron 1979). A single number has no interval. In the bound each missing value is `worst`; of booleans
+    false.
     """
-    numbers = [float(v) for v in values if isinstance(v, bool | int | float) and math.isfinite(v)]
+    numbers = _numbers(values)
     n = len(numbers)
     if not n:
-        return Estimate(mean=None, low=None, high=None, n=0, total=total)
+        return Estimate(mean=None, low=None, high=None, n=0, total=total, bound=worst)
     mean = math.fsum(numbers) / n
     low: float | None = None
     high: float | None = None
     if all(isinstance(v, bool) for v in values if v is not None):
+        worst = 0.0
         low, high = wilson(round(sum(numbers)), n)
     elif n > 1 and min(numbers) == max(numbers):
         low = high = mean
     elif n > 1:
         low, high = bootstrap_mean(np.array(numbers), np.random.default_rng(seed))
-    return Estimate(mean=mean, low=low, high=high, n=n, total=total)
+    missing = total - n
+    bound = mean if missing == 0 else None if worst is None else (math.fsum(numbers) + missing * worst) / total
+    return Estimate(mean=mean, low=low, high=high, n=n, total=total, bound=bound)
+
+
+def _numbers(values: Iterable[Json]) -> list[float]:
+    return [float(v) for v in values if isinstance(v, bool | int | float) and math.isfinite(v)]
 
 
 def _count_kinds(samples: Iterable[set[str]]) -> dict[str, int]:
@@ -153,7 +190,8 @@ def robust_normalize(values: ArrayLike) -> Array:
 def normalize_run(rows: Sequence[SampleRow]) -> dict[str, Json]:
     """Normalize the metrics of NORMALIZED: ends of the scale, means of all samples, of each task and of each model.
 
-    Metrics of fewer than two samples are left out, as they span no scale.
+    Metrics of fewer than two samples are left out, as they span no scale. In the bounds samples without a value count
+    as 1, the bad end of the scale.
     """
     result: dict[str, Json] = {}
     for name in NORMALIZED:
@@ -168,6 +206,7 @@ def normalize_run(rows: Sequence[SampleRow]) -> dict[str, Json]:
             "high": float(high),
             "n": len(measured),
             "mean": float(np.mean(list(scaled.values()))),
+            "bound": _bound(rows, scaled),
             **{
                 f"per_{key}": {
                     group: float(np.mean([scaled[row.id] for row in members]))
@@ -175,5 +214,13 @@ def normalize_run(rows: Sequence[SampleRow]) -> dict[str, Json]:
                 }
                 for key in ("task", "model")
             },
+            **{
+                f"bound_per_{key}": {group: _bound(members, scaled) for group, members in split_rows(rows, key).items()}
+                for key in ("task", "model")
+            },
         }
     return result
+
+
+def _bound(rows: Sequence[SampleRow], scaled: Mapping[str, float]) -> float:
+    return float(np.mean([scaled.get(row.id, 1.0) for row in rows]))

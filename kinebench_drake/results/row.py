@@ -35,12 +35,17 @@ class SampleRow:
     content_hash: str
     """SHA-256 of all inputs of the result: a row with the same hash need not be computed again."""
     feasible: bool | None = None
+    executable: bool | None = None
+    executable_reasons: tuple[str, ...] = ()
+    """What is against executing the sample as a whole (`metrics.executable`); empty if it is executable."""
     violations: tuple[Mapping[str, Json], ...] = ()
     """Objects of kind, frame_start, frame_end, joint, value, limit."""
     metrics: Mapping[str, Json] = field(default_factory=dict)
     """Metrics by name: numbers, booleans, lists, or null if not measurable."""
     null_reasons: Mapping[str, str] = field(default_factory=dict)
     """Reason for each null metric, by name; for a sample that is not ok see `reason`."""
+    without_lost: Mapping[str, Json] = field(default_factory=dict)
+    """Of a sample with lost or unreachable frames: metrics of the other frames alone, where these differ."""
     details: Mapping[str, Json] = field(default_factory=dict)
     """Data behind the verdict: noise, limits per joint and others."""
     extra: Mapping[str, Json] = field(default_factory=dict)
@@ -72,8 +77,9 @@ class SampleRow:
         values = {k: v for k, v in data.items() if k in names}
         try:
             values["status"] = Status(values["status"])
-            values["violations"] = tuple(values.get("violations") or ())
-            for name in ("metrics", "null_reasons", "details"):
+            for name in ("violations", "executable_reasons"):
+                values[name] = tuple(values.get(name) or ())
+            for name in ("metrics", "null_reasons", "without_lost", "details"):
                 values[name] = values.get(name) or {}
             row = cls(**values, extra={k: v for k, v in data.items() if k not in names})
         except (KeyError, TypeError, ValueError) as error:
@@ -92,6 +98,6 @@ class SampleRow:
 _TYPES: Mapping[str, type | UnionType] = {
     **dict.fromkeys(("id", "video", "content_hash"), str),
     **dict.fromkeys(("task", "model", "reason"), str | None),
-    **dict.fromkeys(("metrics", "null_reasons", "details"), Mapping),
-    "feasible": bool | None,
+    **dict.fromkeys(("metrics", "null_reasons", "without_lost", "details"), Mapping),
+    **dict.fromkeys(("feasible", "executable"), bool | None),
 }

@@ -32,7 +32,7 @@ class Ear(NullRunObserver):
 def header(kind="suite", **changes):
     config = {"kind": kind, "limit": None, "shard": None, "jobs": 1, "engine": "local", "seed": 3, "rounds": 2}
     config |= {name: changes.pop(name) for name in list(changes) if name in config or name == "replays"}
-    told = {"schema_version": 1, "suite_version": None, "kind": kind, "samples_found": len(IDS), "tags": {"run": "7"}}
+    told = {"schema_version": 2, "suite_version": None, "kind": kind, "samples_found": len(IDS), "tags": {"run": "7"}}
     told |= {"versions": {"drake": "1.51"}, "code_sha256": "c0de", "weights_sha256": "f00d", "host": {"cores": 2}}
     return RunMetadata(**{**told, "config": config, "bootstrap_seed": 3, **changes})
 
@@ -199,7 +199,7 @@ def test_the_same_sample_twice(tmp_path):
         ({"suite_version": 2}, "suite_version is null and 2"),
         ({"tags": {"run": "8"}}, "tags is"),
         ({"samples_found": 9}, "samples_found is 7 and 9"),
-        ({"schema_version": 0}, "schema_version 0, this program writes 1"),
+        ({"schema_version": 0}, "schema_version 0, this program writes 2"),
     ],
 )
 def test_other_runs_are_refused(tmp_path, changes, told):

@@ -51,6 +51,6 @@ def test_videos_are_linked_where_they_exist(page):
 def test_tasks_have_a_column_of_success(page):
     table = page[page.index("<h2>By task</h2>") :]
     heads = re.findall(r"<th(?: [^>]*)?>(?:<button[^>]*>)?([^<]*)", table[: table.index("</thead>")])
-    assert heads[:5] == ["Task", "Measured", "Verdicts", "Success", "Feasible"]
+    assert heads[:6] == ["Task", "Measured", "Verdicts", "Executable", "Success", "Feasible"]
     cells = re.findall(r"<td[^>]*>(?:<button[^>]*>)?([^<]*)", table[table.index("<tbody>") :])
-    assert cells[:4] == ["CloseBox-v1", "2 / 2", "", "50%"]
+    assert cells[:5] == ["CloseBox-v1", "2 / 2", "", "–", "50%"]

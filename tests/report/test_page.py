@@ -206,3 +206,23 @@ def test_priors_are_named_beside_the_video(tmp_path, used, words):
     assert "depth from sensor" in text
     for sentence in ("first-frame prior used", "was not used"):
         assert (sentence in text) == (sentence == words)
+
+
+def test_executable_samples_come_first_and_green_is_theirs(tmp_path):
+    good = {"sparc": -1.5, "anomalies": []}
+    with ResultStore(tmp_path) as store:
+        for r in (
+            row("whole", feasible=True, executable=True, metrics=good),
+            row("gap", feasible=True, executable=False, executable_reasons=("lost",), metrics={"sparc": None}),
+            row("dark", Status.UNMEASURABLE, reason="no robot", metrics={"sparc": None}),
+        ):
+            store.append(r, 0.1)
+        store.finish({"kind": "score", "config": {}, "seeds": {"bootstrap": 0}})
+    text = write_report(tmp_path).read_text()
+    tiles = text[text.index('aria-label="Headline numbers"') :]
+    assert re.findall(r'<span class="name">([^<]*)</span><b[^>]*>([^<]*)</b>', tiles)[0] == ("Executable", "33%")
+    assert "bound -1.50" in tiles  # of SPARC: two samples have none
+    assert '<span class="chip lost">lost frames</span>' in text
+    assert re.findall(r"\.v-(\w+) { --v: var\(--good\)", text) == ["executable"]
+    badges = re.findall(r'<tbody class="sample" data-verdict="(\w+)"', text)
+    assert badges == ["unmeasurable", "feasible", "executable"]

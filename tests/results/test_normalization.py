@@ -38,14 +38,20 @@ def test_a_run_is_put_on_the_scale_of_its_own_samples() -> None:
     rows += [_row("none", None), _row("broken", 1e9, status=Status.ERROR)]
     found = normalize_run(rows)["manipulability_cost_mean"]
     scaled = np.clip((np.arange(101.0) - 10) / 80, 0, 1)
-    assert found == {
-        "low": pytest.approx(10.0),
-        "high": pytest.approx(90.0),
-        "n": 101,
-        "mean": pytest.approx(scaled.mean()),
-        "per_task": {},
-        "per_model": {"a": pytest.approx(scaled[:51].mean()), "b": pytest.approx(scaled[51:].mean())},
-    }
+    assert (
+        found
+        == {
+            "low": pytest.approx(10.0),
+            "high": pytest.approx(90.0),
+            "n": 101,
+            "mean": pytest.approx(scaled.mean()),
+            "bound": pytest.approx((scaled.sum() + 2.0) / 103),  # those without a value are at the bad end
+            "per_task": {},
+            "bound_per_task": {},
+            "per_model": {"a": pytest.approx(scaled[:51].mean()), "b": pytest.approx(scaled[51:].mean())},
+            "bound_per_model": {"a": pytest.approx(scaled[:51].mean()), "b": pytest.approx(scaled[51:].mean())},
+        }
+    )
 
 
 def test_one_sample_spans_no_scale() -> None:

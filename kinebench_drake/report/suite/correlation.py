@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from kinebench_drake.geometry import Array
 from kinebench_drake.io.figure import FAINT, new_figure, plain, shorten
 from kinebench_drake.report.figures import COLOURS, ReportFigure, add_legend, style
-from kinebench_drake.report.suite.episode import EpisodeResult, SuitePart, group_by
+from kinebench_drake.report.suite.episode import EpisodeResult, SuitePart, group_by, worst_metric
 from kinebench_drake.report.suite.folders import model_of
 from kinebench_drake.report.table import Column, Table, plain_columns
 from kinebench_drake.results.aggregate import Estimate
@@ -73,8 +73,9 @@ def study_sparc(episodes: Sequence[EpisodeResult]) -> SparcStudy:
     Success is standardised within each task of each part: z = (s - mean) / sd over the models that did it, with the
     standard deviation over these models (ddof 0); 0 where all are equal. This removes the difficulty of the tasks.
     Tasks of a single model carry no information and are left out, and so are models that did fewer than half as many
-    tasks of a part as another: their means are over different tasks.
+    tasks of a part as another: their means are over different tasks. Episodes without SPARC have the worst of all.
     """
+    worst = worst_metric("sparc", episodes)
     tasks = sorted({(e.part, e.task) for e in episodes})
     names = list(group_by(episodes, lambda e: (e.part, e.model)))
     column = {key: k for k, key in enumerate(tasks)}
@@ -82,7 +83,7 @@ def study_sparc(episodes: Sequence[EpisodeResult]) -> SparcStudy:
     x, s = np.full((len(names), len(tasks)), np.nan), np.full((len(names), len(tasks)), np.nan)
     for (part, model, task), own in group_by(episodes, lambda e: (e.part, e.model, e.task)).items():
         cell = line[part, model], column[part, task]
-        x[cell] = _mean([e.metric("sparc") for e in own])
+        x[cell] = _mean_sparc(own, worst)
         s[cell] = _mean([e.hit for e in own])
     valid = np.isfinite(x) & np.isfinite(s)
     for part in {p for p, _ in names}:
@@ -136,6 +137,12 @@ def _rho(x: Array, y: Array, weights: Array) -> Array:
     return np.where(defined, (a * b).sum(axis=1) / np.where(defined, spread, 1.0), np.nan)
 
 
+def _mean_sparc(episodes: Sequence[EpisodeResult], worst: float | None) -> float:
+    """Return the mean SPARC of some episodes, those without one at `worst`; NaN if none has one."""
+    values = [e.metric("sparc") for e in episodes]
+    return _mean([worst if v is None else v for v in values] if any(v is not None for v in values) else [])
+
+
 def _mean(values: Sequence[float | None]) -> float:
     numbers = [v for v in values if v is not None]
     return float(np.mean(numbers)) if numbers else float("nan")
@@ -151,7 +158,8 @@ def tabulate_correlation(study: SparcStudy, seed: int = 0) -> Table:
         name="sparc_correlation",
         title="SPARC and success",
         note="Spearman's rank correlation between a model's task-balanced mean SPARC and its success standardised "
-        "within tasks; 95 % bootstrap intervals over tasks. Three models at least.",
+        "within tasks; 95 % bootstrap intervals over tasks. Episodes without SPARC count with the worst of all. Three "
+        "models at least.",
         columns=(
             Column(key="part", label="Suite"),
             Column(
@@ -165,13 +173,13 @@ def tabulate_correlation(study: SparcStudy, seed: int = 0) -> Table:
 
 def draw_correlation(episodes: Sequence[EpisodeResult], study: SparcStudy, seed: int = 0) -> ReportFigure | None:
     """Draw SPARC against success, by model and task and, beside it, task-balanced; None without a point."""
-    parts = sorted({e.part for e in episodes})
+    parts, worst = sorted({e.part for e in episodes}), worst_metric("sparc", episodes)
     own_names = {e.model: model_of(e.row) for e in episodes}
     labels = {model: model if len(own_names) <= len(COLOURS) else name for model, name in own_names.items()}
     models = list(dict.fromkeys(labels.values()))
     points = []
     for (part, model, _), own in group_by(episodes, lambda e: (e.part, e.model, e.task)).items():
-        sparc, success = _mean([e.metric("sparc") for e in own]), _mean([e.hit for e in own])
+        sparc, success = _mean_sparc(own, worst), _mean([e.hit for e in own])
         if np.isfinite(sparc) and np.isfinite(success):
             points.append((part, labels[model], sparc, success))
     if not points:

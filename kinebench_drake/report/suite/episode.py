@@ -1,7 +1,7 @@
 """One episode of a suite run as a row of reports, and means over episodes in which every task counts the same."""
 
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
 
@@ -10,6 +10,7 @@ import numpy as np
 from kinebench_drake.io.jsonl import dump, finite
 from kinebench_drake.report.table import Column, Table, Value
 from kinebench_drake.results.aggregate import Estimate
+from kinebench_drake.results.direction import worst_value
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.stats import percentile_interval, resampled_means
 from kinebench_drake.types import Json
@@ -78,6 +79,11 @@ class EpisodeResult:
         return success if isinstance(success, bool) and self.row.status is Status.OK else None
 
     @property
+    def executable(self) -> float:
+        """1 if the imagined videos can be executed as a whole, else 0."""
+        return float(self.row.executable is True)
+
+    @property
     def outcome(self) -> str:
         """The word "success", "failure", "unmeasurable", "error" or "unknown"."""
         if self.success is not None:
@@ -134,7 +140,9 @@ def list_models(episodes: Iterable[EpisodeResult]) -> list[str]:
     return list(group_by(episodes, lambda e: e.model))
 
 
-def balanced_mean(groups: Mapping[str, Sequence[float | None]], *, seed: int = 0) -> Estimate:
+def balanced_mean(
+    groups: Mapping[str, Sequence[float | None]], *, seed: int = 0, worst: float | None = None
+) -> Estimate:
     """Compute the mean over tasks of the mean over each task's episodes, with a percentile bootstrap interval.
 
     m = 1/T sum_t 1/n_t sum_i x_ti over the tasks that have a value. Each of 2000 resamples draws as many episodes as
@@ -144,37 +152,64 @@ def balanced_mean(groups: Mapping[str, Sequence[float | None]], *, seed: int = 0
     Args:
         groups: values of each task's episodes; None if missing. For a single task it is the plain mean.
         seed: seed of the resampling.
+        worst: value that takes the place of missing ones in the bound of the mean; None for no bound.
 
     Returns:
         The mean; without an interval if a task has a single value, or if resampling changes nothing: zero spread
         within the samples does not mean zero uncertainty.
     """
     total = sum(len(values) for values in groups.values())
+    filled = [[worst if v is None else v for v in own] for own in groups.values() if own]
+    complete = all(v is not None for own in filled for v in own)
+    bound = (
+        float(np.mean([np.mean(np.array(own, dtype=np.float64)) for own in filled])) if filled and complete else None
+    )
     values = [np.array([v for v in own if v is not None], dtype=np.float64) for own in groups.values()]
     values = [own for own in values if len(own)]
     if not values:
-        return Estimate(mean=None, low=None, high=None, n=0, total=total)
+        return Estimate(mean=None, low=None, high=None, n=0, total=total, bound=bound)
     n, mean = sum(map(len, values)), float(np.mean([own.mean() for own in values]))
-    pointwise = Estimate(mean=mean, low=None, high=None, n=n, total=total)
+    pointwise = Estimate(mean=mean, low=None, high=None, n=n, total=total, bound=bound)
     if min(map(len, values)) < 2:
         return pointwise
     rng = np.random.default_rng(seed)
     low, high = percentile_interval(np.mean([resampled_means(v, rng) for v in values], axis=0))
-    return pointwise if high - low < 1e-12 else Estimate(mean=mean, low=low, high=high, n=n, total=total)
+    return pointwise if high - low < 1e-12 else replace(pointwise, low=low, high=high)
 
 
 def mean_over_tasks(
-    episodes: Sequence[EpisodeResult], value: Callable[[EpisodeResult], float | None], seed: int = 0
+    episodes: Sequence[EpisodeResult],
+    value: Callable[[EpisodeResult], float | None],
+    seed: int = 0,
+    worst: float | None = None,
 ) -> Estimate:
     """Compute the `balanced_mean` of a value of some episodes."""
     tasks = group_by(episodes, lambda e: e.task)
-    return balanced_mean({task: [value(e) for e in own] for task, own in tasks.items()}, seed=seed)
+    return balanced_mean({task: [value(e) for e in own] for task, own in tasks.items()}, seed=seed, worst=worst)
+
+
+def executable_share(episodes: Sequence[EpisodeResult], seed: int = 0) -> Estimate | None:
+    """Return the share of executable episodes, mean over tasks; None if none has a verdict."""
+    if all(e.row.executable is None for e in episodes):
+        return None
+    return mean_over_tasks(episodes, lambda e: e.executable, seed)
+
+
+def worst_metric(name: str, episodes: Iterable[EpisodeResult]) -> float | None:
+    """Return the worst value of a metric among the episodes of a report; None without one."""
+    return worst_value(name, (v for e in episodes if (v := e.metric(name)) is not None))
+
+
+EXECUTABLE_COLUMN = Column(
+    key="executable", label="Executable", pattern="{:.1%}", estimated=True,
+    meaning="share of all episodes that a robot can execute as a whole; mean over tasks",
+)  # fmt: skip
 
 
 _METRICS = ("sparc", "sparc_rotation", "ldlj", "manipulability_mean", COST, "ik_success_rate", "tracked_fraction")
 _KEYS = (
     *("part", "suite", "split", "variant", "pool", "task", "seed", "model", "folder", "id", "status", "reason"),
-    *("success", "progress", "rounds", "verdict", "manipulability_cost_scaled", *_METRICS),
+    *("executable", "success", "progress", "rounds", "verdict", "manipulability_cost_scaled", *_METRICS),
 )
 
 
@@ -197,6 +232,7 @@ def _row(e: EpisodeResult) -> tuple[Value, ...]:
     return (
         *(e.part.title, e.part.suite, e.part.split, variant, pool, e.task, seed, e.model),
         *(e.folder.resolve().name if e.folder else None, e.row.id, e.row.status.value, e.row.reason),
+        None if e.row.executable is None else int(e.row.executable),
         *(None if e.success is None else int(e.success), e.progress, e.rounds, e.verdict, e.cost_scaled),
         *(e.metric(name) for name in _METRICS),
     )

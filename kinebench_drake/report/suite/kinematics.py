@@ -8,7 +8,16 @@ import numpy as np
 from kinebench_drake.io.figure import new_figure, plain, shorten
 from kinebench_drake.report.figures import COLOURS, ReportFigure, add_legend, assign_numbers, style
 from kinebench_drake.report.metric import BY_NAME
-from kinebench_drake.report.suite.episode import COST, EpisodeResult, group_by_run, list_models, mean_over_tasks
+from kinebench_drake.report.suite.episode import (
+    COST,
+    EXECUTABLE_COLUMN,
+    EpisodeResult,
+    executable_share,
+    group_by_run,
+    list_models,
+    mean_over_tasks,
+    worst_metric,
+)
 from kinebench_drake.report.suite.success import COST_COLUMN
 from kinebench_drake.report.table import Column, Table, plain_columns
 from kinebench_drake.results.aggregate import robust_normalize
@@ -42,13 +51,15 @@ def scale_costs(episodes: Iterable[EpisodeResult]) -> list[EpisodeResult]:
 def tabulate_kinematics(episodes: Sequence[EpisodeResult], seed: int = 0) -> Table:
     """Build the table of task-balanced kinematic metrics of every model on every part."""
     metrics = [m for m in _METRICS if any(e.metric(m[0]) is not None for e in episodes)]
+    worst = {name: worst_metric(name, episodes) for name, *_ in metrics}
     return Table(
         name="kinematics",
         title="Motion of the imagined gripper",
         note="Means over tasks of the episodes that have the metric, with 95 % bootstrap intervals over episodes "
-        "within tasks; successes and failures alike.",
+        "within tasks; successes and failures alike. Bound: the mean if the other episodes had the worst value of all.",
         columns=(
             *plain_columns(part="Suite", model="Model"),
+            EXECUTABLE_COLUMN,
             COST_COLUMN,
             *(
                 Column(key=name, label=label, pattern=pattern, meaning=BY_NAME[name].meaning, estimated=True)
@@ -59,8 +70,12 @@ def tabulate_kinematics(episodes: Sequence[EpisodeResult], seed: int = 0) -> Tab
             (
                 part.title,
                 model,
-                mean_over_tasks(own, lambda e: e.cost_scaled, seed),
-                *(mean_over_tasks(own, lambda e, name=name: e.metric(name), seed) for name, *_ in metrics),  # type: ignore[misc]
+                executable_share(own, seed),
+                mean_over_tasks(own, lambda e: e.cost_scaled, seed, 1.0),
+                *(
+                    mean_over_tasks(own, lambda e, name=name: e.metric(name), seed, worst[name])  # type: ignore[misc]
+                    for name, *_ in metrics
+                ),
             )
             for part, model, own in group_by_run(episodes)
         ),
@@ -69,9 +84,9 @@ def tabulate_kinematics(episodes: Sequence[EpisodeResult], seed: int = 0) -> Tab
 
 def draw_manipulability(episodes: Sequence[EpisodeResult]) -> ReportFigure | None:
     """Draw violins of the scaled manipulability cost by part and model; None if there are no scaled costs."""
-    scaled = [e for e in episodes if e.cost_scaled is not None]
-    if not scaled:
+    if all(e.cost_scaled is None for e in episodes):
         return None
+    scaled = [replace(e, cost_scaled=1.0) if e.cost_scaled is None else e for e in episodes]
     models, parts = list_models(scaled), sorted({e.part for e in scaled})
     crowded = len(models) > len(COLOURS)
     widths = [len(list_models(e for e in scaled if e.part == p)) for p in parts]
@@ -111,7 +126,7 @@ def draw_manipulability(episodes: Sequence[EpisodeResult]) -> ReportFigure | Non
         name="manipulability",
         title="Manipulability cost by suite and model",
         caption="Distribution over episodes of the mean manipulability cost (lower is better), scaled so that 0 is the "
-        "10th and 1 the 90th percentile of all episodes in this report; bars from the first to the third quartile, "
-        "dots at the median.",
+        "10th and 1 the 90th percentile of all episodes in this report, where those without "
+        "a cost are, too; bars from the first to the third quartile, dots at the median.",
         figure=figure,
     )

@@ -10,8 +10,8 @@ import numpy as np
 from kinebench_drake.io.figure import new_figure, plain, shorten
 from kinebench_drake.report.figures import (
     COLOURS,
-    GOOD,
     NEUTRAL,
+    SUCCESS,
     ReportFigure,
     add_legend,
     assign_numbers,
@@ -20,12 +20,15 @@ from kinebench_drake.report.figures import (
     style,
 )
 from kinebench_drake.report.suite.episode import (
+    EXECUTABLE_COLUMN,
     EpisodeResult,
     SuitePart,
+    executable_share,
     group_by,
     group_by_run,
     list_models,
     mean_over_tasks,
+    worst_metric,
 )
 from kinebench_drake.report.table import Column, Table, Value, plain_columns
 from kinebench_drake.results.aggregate import Estimate, estimate
@@ -55,6 +58,8 @@ class Tally:
     """Episodes with status unmeasurable, or without `success`: neither success nor failure."""
     errors: int
     """Episodes with status error."""
+    executable: Estimate | None
+    """Share of executable episodes among all, mean over tasks; None if none has a verdict."""
     pooled: Estimate
     """Share of successes among the measured, with Wilson's interval."""
     counted: Estimate
@@ -67,8 +72,15 @@ class Tally:
     """Measured failures by verdict, NO_VERDICT included."""
 
 
-def tally(episodes: Sequence[EpisodeResult], seed: int = 0) -> Tally:
-    """Count a group of episodes; every task has the same weight in the means."""
+def tally(episodes: Sequence[EpisodeResult], seed: int = 0, among: Sequence[EpisodeResult] | None = None) -> Tally:
+    """Count a group of episodes; every task has the same weight in the means.
+
+    Args:
+        episodes: the group.
+        seed: seed of the resampling.
+        among: all episodes of the report, whose worst values bound the means; None if they are the group.
+    """
+    every = among or episodes
     outcomes = [e.success for e in episodes]
     measured = [o for o in outcomes if o is not None]
     errors = sum(e.row.status is Status.ERROR for e in episodes)
@@ -80,14 +92,15 @@ def tally(episodes: Sequence[EpisodeResult], seed: int = 0) -> Tally:
         measured=len(measured),
         errors=errors,
         unmeasurable=len(episodes) - len(measured) - errors,
+        executable=executable_share(episodes, seed),
         pooled=estimate(measured, total=len(episodes)),
         counted=estimate([o is True for o in outcomes], total=len(episodes)),
-        success=mean_over_tasks(episodes, lambda e: e.hit, seed),
+        success=mean_over_tasks(episodes, lambda e: e.hit, seed, 0.0),
         means=(
-            mean_over_tasks(episodes, lambda e: e.progress, seed),
-            mean_over_tasks(episodes, lambda e: e.rounds, seed),
-            mean_over_tasks(episodes, lambda e: e.metric("sparc"), seed),
-            mean_over_tasks(episodes, lambda e: e.cost_scaled, seed),
+            mean_over_tasks(episodes, lambda e: e.progress, seed, 0.0),
+            mean_over_tasks(episodes, lambda e: e.rounds, seed, max((e.rounds or 0.0 for e in every), default=None)),
+            mean_over_tasks(episodes, lambda e: e.metric("sparc"), seed, worst_metric("sparc", every)),
+            mean_over_tasks(episodes, lambda e: e.cost_scaled, seed, 1.0),
         ),
         verdicts={**verdicts, NO_VERDICT: sum(failures.values())},
     )
@@ -125,19 +138,25 @@ def tabulate_suites(episodes: Sequence[EpisodeResult], seed: int = 0) -> Table:
     The best model of each part is bold; models that did fewer tasks of a part than others are no candidates.
     """
     parts, models = sorted({e.part for e in episodes}), list_models(episodes)
-    tallies = {key: tally(own, seed) for key, own in group_by(episodes, lambda e: (e.model, e.part)).items()}
-    rows = [tuple[Value, ...]([m, *(t.success if (t := tallies.get((m, p))) else None for p in parts)]) for m in models]
+    tallies = {key: tally(own, seed, episodes) for key, own in group_by(episodes, lambda e: (e.model, e.part)).items()}
+    executable = {m: executable_share(own, seed) for m, own in group_by(episodes, lambda e: e.model).items()}
+    rows = [
+        tuple[Value, ...]([m, executable[m], *(t.success if (t := tallies.get((m, p))) else None for p in parts)])
+        for m in models
+    ]
     return Table(
         name="suites",
         title="Closed-loop success by suite",
-        note="Mean over tasks of the share of successes among measured episodes; 95 % bootstrap intervals over "
+        note="Executable: share of all its episodes whose imagined videos a robot can execute as a whole. "
+        "Otherwise mean over tasks of the share of successes among measured episodes; 95 % bootstrap intervals over "
         "episodes within tasks. A dash: no measured episode." + _incomplete(tallies, episodes),
         columns=(
             Column(key="model", label="Model"),
+            EXECUTABLE_COLUMN,
             *(Column(key=p.slug, label=p.title, pattern=_PERCENT, estimated=True) for p in parts),
         ),
         rows=tuple(rows),
-        bold=frozenset(cell for k, part in enumerate(parts) for cell in _best(rows, k + 1, tallies, part)),
+        bold=frozenset(cell for k, part in enumerate(parts) for cell in _best(rows, k + 2, tallies, part)),
     )
 
 
@@ -175,14 +194,15 @@ def tabulate_summary(episodes: Sequence[EpisodeResult], seed: int = 0) -> Table:
         "could not be measured are no failures: the last rate shows what they would make of it if they were.",
         columns=(
             *plain_columns(part="Suite", model="Model", tasks="Tasks"),
+            EXECUTABLE_COLUMN,
             Column(key="success", label="Success", pattern=_PERCENT, estimated=True, meaning="mean over tasks"),
             Column(key="success_pooled", label="Success, pooled", pattern=_PERCENT, estimated=True),
             *_TALLY,
         ),
         rows=tuple(
-            (part.title, model, t.tasks, t.success, t.pooled, *_tally_cells(t))
+            (part.title, model, t.tasks, t.executable, t.success, t.pooled, *_tally_cells(t))
             for part, model, own in group_by_run(episodes)
-            for t in [tally(own, seed)]
+            for t in [tally(own, seed, episodes)]
         ),
     )
 
@@ -196,13 +216,14 @@ def tabulate_tasks(episodes: Sequence[EpisodeResult], seed: int = 0) -> Table:
         note="Success with 95 % Wilson intervals, the other means with 95 % bootstrap intervals over episodes.",
         columns=(
             *plain_columns(part="Suite", task="Task", model="Model"),
+            EXECUTABLE_COLUMN,
             Column(key="success", label="Success", pattern=_PERCENT, estimated=True),
             *_TALLY,
         ),
         rows=tuple(
-            (part.title, task, model, t.pooled, *_tally_cells(t))
+            (part.title, task, model, t.executable, t.pooled, *_tally_cells(t))
             for (part, task, model), own in sorted(groups, key=lambda item: item[0][:2])
-            for t in [tally(own, seed)]
+            for t in [tally(own, seed, episodes)]
         ),
         latex=False,
     )
@@ -258,9 +279,9 @@ def draw_verdicts(episodes: Sequence[EpisodeResult]) -> ReportFigure:
     """Draw the outcomes of all episodes of every model on every part as stacked bars."""
     runs = group_by_run(episodes)
     colours = {
-        "success": GOOD,
-        **dict(zip(VERDICTS, (COLOURS[0], COLOURS[1], COLOURS[4], COLOURS[3]), strict=True)),
-        NO_VERDICT: COLOURS[5],
+        "success": SUCCESS,
+        **dict(zip(VERDICTS, (COLOURS[4], COLOURS[1], COLOURS[3], COLOURS[5]), strict=True)),
+        NO_VERDICT: COLOURS[8],
         _NOT_MEASURED: NEUTRAL,
     }
     counts = [

@@ -101,7 +101,7 @@ def test_digits_that_are_no_numbers_are_letters_of_a_name(tmp_path):
 
 def test_the_best_of_each_suite_stands_out(runs):
     table = tabulate_suites(episodes_of(*runs))
-    assert [c.label for c in table.columns] == ["Model", "Suite 0", "Suite 2 (unseen)", "Suite 3"]
+    assert [c.label for c in table.columns] == ["Model", "Executable", "Suite 0", "Suite 2 (unseen)", "Suite 3"]
     best = {(table.rows[i][0], table.columns[k].label) for i, k in table.bold}
     assert best == {
         ("good", "Suite 0"),

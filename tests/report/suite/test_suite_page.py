@@ -59,9 +59,13 @@ def table():
 def test_csv_holds_the_numbers_in_full(table):
     first, second = csv.DictReader(io.StringIO(table_csv(table)))
     assert first == {
-        **{"who": EVIL, "n": "3", "rate": "0.1234567890123", "rate_low": "0.1", "rate_high": "0.2", "rate_n": "7"}
+        **{"who": EVIL, "n": "3", "rate": "0.1234567890123", "rate_low": "0.1", "rate_high": "0.2", "rate_n": "7"},
+        "rate_bound": "",
     }
-    assert second == {"who": 'a,"b"', **dict.fromkeys(("n", "rate", "rate_low", "rate_high", "rate_n"), "")}
+    assert second == {
+        "who": 'a,"b"',
+        **dict.fromkeys(("n", "rate", "rate_low", "rate_high", "rate_n", "rate_bound"), ""),
+    }
 
 
 def test_latex_is_escaped_and_its_rows_fit(table):

@@ -1,0 +1,44 @@
+"""Whether a robot can execute a whole video, and what is against it."""
+
+from collections.abc import Collection
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinebench_drake.segments import segments
+from kinebench_drake.types import AnomalyKind
+
+LOST_FRAMES = 3
+"""Number of consecutive frames without a pose that no interpolation bridges soundly."""
+LOST_SHARE = 0.1
+"""Share of all frames without a pose above which no gap counts as bridged."""
+INFEASIBLE, UNDECIDED, LOST = "infeasible", "undecided", "lost"
+"""Reasons other than the kinds of anomalies."""
+
+_ROBOTIC = frozenset({AnomalyKind.CAMERA.value})  # anomalies that say nothing about the robot
+
+
+def find_obstacles(feasible: bool | None, tracked: NDArray[np.bool_], anomalies: Collection[str] | None) -> list[str]:
+    """List what is against executing a motion: INFEASIBLE or UNDECIDED, LOST, kinds of anomalies.
+
+    In a video a gap of fewer than LOST_FRAMES frames between tracked ones is bridged by interpolation, if no more than
+    LOST_SHARE of all frames is lost: the verdict compares the motion across it with the limits, too. In a trajectory
+    without a video every lost frame counts.
+
+    Args:
+        feasible: verdict on the motion.
+        tracked: (T,) frames with a pose.
+        anomalies: kinds of the anomalies of the video; None if there is no video.
+    """
+    obstacles = [] if feasible else [INFEASIBLE if feasible is False else UNDECIDED]
+    gaps, n = segments(~tracked), len(tracked)
+    bridged = anomalies is not None and (~tracked).sum() <= LOST_SHARE * n
+    bridged = bridged and all(gap.start > 0 and gap.stop < n and gap.stop - gap.start < LOST_FRAMES for gap in gaps)
+    if gaps and not bridged:
+        obstacles.append(LOST)
+    return obstacles + sorted(set(anomalies or ()) - _ROBOTIC)
+
+
+def is_executable(obstacles: Collection[str]) -> bool | None:
+    """Return whether nothing is against it; None if only the open verdict on the motion is."""
+    return True if not obstacles else None if list(obstacles) == [UNDECIDED] else False

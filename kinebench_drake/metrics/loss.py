@@ -1,0 +1,132 @@
+"""Lost and unreachable frames of a track, and their part in its numbers: no number may improve because of them.
+
+A frame is *lost* without a pose, and *unreachable* if the nearest posture within limits misses its pose by MISS_M or
+more. In a track that has either, what the arm does there is open, and with it which of their postures the other frames
+have. Its manipulability is therefore the least that it can be: 0 in these frames, and elsewhere that of the worst
+posture within limits that reaches the pose, so that no detour of the joint path flatters them.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinebench_drake.geometry import Array
+from kinebench_drake.kinematics.ik import solve_pose
+from kinebench_drake.kinematics.manipulability import Manipulability, compute_manipulability, cost
+from kinebench_drake.kinematics.newton import ROTATION_ARM_M, pose_twists
+from kinebench_drake.kinematics.path import grid_postures
+from kinebench_drake.kinematics.plant import ArmPlant
+from kinebench_drake.segments import finite_rows
+from kinebench_drake.types import GripperTrack, JointTrack
+
+MISS_M = 0.005
+"""Pose error [m], rotations weighted by ROTATION_ARM_M, from which on a frame is unreachable: that of a trajectory that
+still counts as following its track (`judge.TUBE_M`). Up to it the frame's manipulability falls linearly to 0."""
+COST_MAX = 1000.0
+"""Greatest manipulability cost of a frame, that of a lost or unreachable one. PyRoki's own, 1e6 at a singularity, would
+leave nothing of a mean but the share of such frames; the Panda's postures mostly have costs of 5 to 35."""
+
+_SAMPLES = 128  # angles of the redundancy among which the worst posture is searched
+_BETWEEN = 0.99  # allowance for worse postures between them
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Coverage:
+    """How far the frames of a track are known and reached."""
+
+    lost: NDArray[np.bool_]
+    """(T,) frames without a pose."""
+    weight: Array
+    """(T,) factor of the manipulability: 1 where the pose is reached, 1 - error / MISS_M where it is missed by less
+    than MISS_M, else 0."""
+    q: Array
+    """(T, 7) postures [rad] to which the weights belong: within limits, NaN where the weight is 0."""
+
+    @property
+    def unreachable(self) -> NDArray[np.bool_]:
+        """(T,) frames with a pose that no posture within limits comes near."""
+        return np.asarray(~self.lost & (self.weight == 0.0))
+
+    @property
+    def complete(self) -> bool:
+        """True if no frame is lost or unreachable."""
+        return bool((self.weight > 0.0).all())
+
+    @property
+    def reason(self) -> str:
+        """Why numbers of an incomplete track are missing."""
+        n, lost, unreachable = len(self.lost), int(self.lost.sum()), int(self.unreachable.sum())
+        parts = [f"{lost} of {n} frames are lost"] * (lost > 0) + [f"{unreachable} of {n} are out of reach"] * (
+            unreachable > 0
+        )
+        return ", ".join(parts)
+
+
+def cover_poses(plant: ArmPlant, track: GripperTrack, joints: JointTrack, reached: NDArray[np.bool_]) -> Coverage:
+    """Return the coverage of a track of poses.
+
+    The errors of missed poses are those of `solve_pose` from the rest posture: they depend on the pose alone.
+
+    Args:
+        plant: the robot.
+        track: the track; its common error (`offset_m`, `offset_rad`), if greater, replaces MISS_M.
+        joints: joint path.
+        reached: (T,) frames whose pose it reaches.
+    """
+    weight, q = reached.astype(np.float64), np.where(reached[:, None], joints.q, np.nan)
+    limit_m = max(MISS_M, float(np.hypot(track.offset_m, ROTATION_ARM_M * track.offset_rad)))
+    for i in np.flatnonzero(track.tracked & ~reached):
+        nearest = solve_pose(plant, track.X_BG[i], plant.robot.rest_q)
+        error_m = float(np.hypot(nearest.position_error_m, ROTATION_ARM_M * nearest.rotation_error_rad))
+        if error_m < limit_m:
+            weight[i], q[i] = 1.0 - error_m / limit_m, nearest.q
+    return Coverage(lost=~track.tracked, weight=weight, q=q)
+
+
+def cover_joints(plant: ArmPlant, q: Array) -> Coverage:
+    """Return the coverage of recorded joint angles (T, 7) [rad]: the nearest posture has each angle at its limit."""
+    valid = finite_rows(q)
+    within = np.clip(q, plant.lower, plant.upper)
+    weight = np.zeros(len(q))
+    tcp = plant.robot.tcp_link
+    twists = pose_twists(plant.chain.poses(within[valid], tcp), plant.chain.poses(q[valid], tcp))
+    error_m = np.linalg.norm(twists * np.repeat([ROTATION_ARM_M, 1.0], 3), axis=-1)
+    weight[valid] = np.maximum(0.0, 1.0 - error_m / MISS_M)
+    return Coverage(lost=~valid, weight=weight, q=np.where(weight[:, None] > 0.0, within, np.nan))
+
+
+def weigh_manipulability(plant: ArmPlant, coverage: Coverage) -> Manipulability:
+    """Return the manipulability of each frame times its weight; NaN where that is 0."""
+    w = compute_manipulability(plant, coverage.q)
+    return _costed(
+        replace(
+            w, **{name: getattr(w, name) * coverage.weight for name in ("full", "translation", "rotation", "limited")}
+        )
+    )
+
+
+def worst_manipulability(plant: ArmPlant, coverage: Coverage, w: Manipulability, X_BG: Array | None) -> Manipulability:
+    """Return the least manipulability (T,) of the frames of an incomplete track: 0 where lost or unreachable.
+
+    Args:
+        plant: the robot.
+        coverage: coverage of the track.
+        w: manipulability along its joint path (`weigh_manipulability`).
+        X_BG: (T, 4, 4) poses of the TCP [m]; None if the joint angles are recorded, and hence known.
+    """
+    names = ("full", "translation", "rotation", "limited")
+    least = {name: np.nan_to_num(getattr(w, name)) for name in names}
+    frames = np.flatnonzero(coverage.weight == 1.0)
+    if X_BG is not None and len(frames):
+        layers = grid_postures(plant, X_BG[frames], _SAMPLES)  # to just past the limits: those at a limit are covered
+        postures = compute_manipulability(plant, np.concatenate(layers))
+        own = np.repeat(frames, [len(layer) for layer in layers])
+        for name in names:  # of the poses alone, not of the joint path, which other lost frames may change
+            least[name][own] = np.inf
+            np.minimum.at(least[name], own, _BETWEEN * getattr(postures, name))
+    return _costed(replace(w, **least))
+
+
+def _costed(w: Manipulability) -> Manipulability:
+    return replace(w, cost=np.minimum(cost(w.translation), COST_MAX))

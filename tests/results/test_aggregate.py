@@ -1,0 +1,92 @@
+"""Means with their coverage and bounds, and the share of executable samples."""
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from kinebench_drake.results.aggregate import aggregate
+from kinebench_drake.results.direction import HIGHER_IS_BETTER, LOWER_IS_BETTER, improves, worst_value
+from kinebench_drake.results.row import SampleRow, Status
+
+VALUES = st.lists(st.none() | st.floats(-100.0, 100.0), min_size=1, max_size=12)
+
+
+def _row(id: str, executable: bool | None = None, reasons: tuple[str, ...] = (), **changes: object) -> SampleRow:
+    fields = {"status": Status.OK, "reason": None, "task": None, "model": None, "content_hash": "", **changes}
+    return SampleRow(id=id, video=id, executable=executable, executable_reasons=reasons, **fields)
+
+
+def _rows(name: str, values: list[float | None]) -> list[SampleRow]:
+    return [_row(str(k), metrics={name: value}) for k, value in enumerate(values)]
+
+
+@pytest.mark.parametrize(("name", "worst"), [("sparc", min), ("manipulability_cost_mean", max)])
+@given(values=VALUES)
+def test_the_bound_puts_the_worst_value_of_the_run_in_place_of_nulls(name, worst, values) -> None:
+    estimate = aggregate(_rows(name, values)).estimates[name]
+    numbers = [v for v in values if v is not None]
+    assert (estimate.n, estimate.total) == (len(numbers), len(values))
+    if not numbers:
+        assert estimate.bound is None
+        return
+    expected = [worst(numbers) if v is None else v for v in values]
+    assert estimate.bound == pytest.approx(math.fsum(expected) / len(expected))
+    assert estimate.mean is not None
+    assert not improves(name, estimate.mean, estimate.bound) or estimate.bound == pytest.approx(estimate.mean)
+
+
+@given(values=st.lists(st.floats(-100.0, 100.0), min_size=2, max_size=12), data=st.data())
+def test_a_null_in_place_of_a_value_never_improves_the_bound(values: list[float], data: st.DataObject) -> None:
+    """Unless it was the only worst one: the run then has no such value any more."""
+    lost = data.draw(st.integers(0, len(values) - 1))
+    rest = values[:lost] + values[lost + 1 :]
+    if min(rest) > values[lost]:
+        return
+    before, after = (
+        aggregate(_rows("sparc", own)).estimates["sparc"].bound
+        for own in (values, [None if k == lost else v for k, v in enumerate(values)])
+    )
+    assert before is not None
+    assert after is not None
+    assert after <= before + 1e-9
+
+
+def test_a_group_is_bounded_by_the_worst_of_its_run() -> None:
+    run = [*_rows("sparc", [-2.0, None]), _row("other", metrics={"sparc": -5.0})]
+    assert aggregate(run[:2], run=run).estimates["sparc"].bound == pytest.approx(-3.5)
+    assert aggregate(run[1:2], run=run).estimates["sparc"].bound == -5.0
+
+
+def test_samples_without_a_verdict_are_not_executable() -> None:
+    rows = [
+        _row("a", executable=True),
+        _row("b", executable=False, reasons=("lost", "vanish")),
+        _row("c", executable=None, reasons=("undecided",)),
+        _row("d", status=Status.ERROR, reason="broken"),
+    ]
+    total = aggregate(rows)
+    assert total.estimates["executable"].mean == 0.25
+    assert total.estimates["executable"].n == 4
+    assert total.executable_reasons == {"lost": 1, "undecided": 1, "vanish": 1}
+    assert total.to_json()["executable"]["bound"] == 0.25
+    assert "executable" not in total.to_json()["metrics"]
+
+
+def test_runs_without_verdicts_have_no_share() -> None:
+    assert aggregate([_row("a"), _row("b")]).estimates["executable"].n == 0
+
+
+def test_rows_keep_their_verdict_on_execution() -> None:
+    row = _row("a", executable=False, reasons=("lost",), without_lost={"sparc": -2.0})
+    assert SampleRow.from_json(row.to_json()) == row
+    earlier = {k: v for k, v in row.to_json().items() if k not in ("executable", "executable_reasons", "without_lost")}
+    assert SampleRow.from_json(earlier).executable is None
+
+
+def test_no_metric_has_two_better_sides() -> None:
+    assert not HIGHER_IS_BETTER & LOWER_IS_BETTER
+    assert worst_value("sparc", [-3.0, -2.0]) == -3.0
+    assert worst_value("slowdown_min", [0.3, 0.2]) == 0.3
+    assert worst_value("sparc_floor_low", [1.0]) is None
