@@ -18,7 +18,7 @@ from rich.text import Text
 from kinebench_drake.errors import count_noun, one_line
 from kinebench_drake.evaluation.runner import RunObserver, RunSummary
 from kinebench_drake.report.timeline import anomalies_of
-from kinebench_drake.results.aggregate import estimate
+from kinebench_drake.results.aggregate import VERDICTS, estimate
 from kinebench_drake.results.inputs import input_lines
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.types import Json
@@ -148,7 +148,8 @@ def _has_anomalies(rows: Sequence[SampleRow]) -> bool:
 
 def _share(name: str, rows: Sequence[SampleRow]) -> str:
     """Describe the share of a truth value; empty if no row has it."""
-    values = [getattr(row, name, row.extra.get(name)) if row.status is Status.OK else None for row in rows]
+    verdicts = (getattr(row, name) if name in VERDICTS else row.extra.get(name) for row in rows)
+    values = [verdict if row.status is Status.OK else None for row, verdict in zip(rows, verdicts, strict=True)]
     share = estimate([value for value in values if isinstance(value, bool)], total=len(rows))
     if share.mean is None or share.low is None or share.high is None:
         return ""

@@ -15,12 +15,11 @@ def lines(*rows):
 
 
 def judged(id, executable, feasible, anomalies=(), violations=(), **fields):
-    """A judged row; `executable` is a field of the row or one of its further keys."""
-    own = {"executable": executable} if hasattr(row("x"), "executable") else {}
+    """A judged row."""
     marks = [{"kind": kind, "frame_start": 1, "frame_end": 2, "severity": 1.0} for kind in anomalies]
     limits = tuple({"kind": kind, "frame_start": 0, "frame_end": 1} for kind in violations)
-    extra = {**CLOCK, **({} if own else {"executable": executable}), **fields}
-    return row(id, feasible=feasible, metrics={"anomalies": marks}, violations=limits, extra=extra, **own)
+    values = {"executable": executable, "feasible": feasible, "violations": limits}
+    return row(id, metrics={"anomalies": marks}, extra={**CLOCK, **fields}, **values)
 
 
 def lost(id, reason, status=Status.UNMEASURABLE):

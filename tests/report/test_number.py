@@ -30,8 +30,6 @@ def rows(name, values, task="T"):
     made = []
     for k, value in enumerate(values):
         fields = {name: value} if name in ("executable", "feasible") else {"metrics": {name: value}}
-        if "executable" in fields:
-            fields = {"extra": fields} if not hasattr(row("x"), "executable") else fields
         made.append(row(f"s{k}", task=task, **fields))
     return made
 
@@ -127,9 +125,8 @@ def test_samples_that_failed_have_no_number():
 
 def test_tables_lead_with_executable_and_hold_every_number():
     values = {name: -2.0 if "sparc" in name else 0.5 for name in NUMBERS if name in BY_NAME}
-    fields = {"extra": {"executable": True}} if not hasattr(row("x"), "executable") else {"executable": True}
-    one = row("a", task="A", feasible=True, metrics=values | {"trajopt_feasible": True}, **fields)
-    two = row("a", task="B", feasible=False, metrics=values | {"trajopt_feasible": False}, **fields)
+    one = row("a", task="A", feasible=True, metrics=values | {"trajopt_feasible": True}, executable=True)
+    two = row("a", task="B", feasible=False, metrics=values | {"trajopt_feasible": False}, executable=True)
     comparisons = compare_numbers([(one, one), (two, two)], "a", "b")
     assert [c.metric.name for c in comparisons if c.task == ALL_TASKS] == list(NUMBERS)
     assert comparisons[0].metric.name == "executable"
