@@ -42,6 +42,8 @@ class Coverage:
     than MISS_M, else 0."""
     q: Array
     """(T, 7) postures [rad] to which the weights belong: within limits, NaN where the weight is 0."""
+    position_error_m: Array
+    """(T,) distance of the TCP from its pose in the nearest posture within limits [m]; NaN where lost."""
 
     @property
     def unreachable(self) -> NDArray[np.bool_]:
@@ -75,13 +77,15 @@ def cover_poses(plant: ArmPlant, track: GripperTrack, joints: JointTrack, reache
         reached: (T,) frames whose pose it reaches.
     """
     weight, q = reached.astype(np.float64), np.where(reached[:, None], joints.q, np.nan)
+    position_error_m = joints.position_error_m.copy()
     limit_m = max(MISS_M, float(np.hypot(track.offset_m, ROTATION_ARM_M * track.offset_rad)))
     for i in np.flatnonzero(track.tracked & ~reached):
         nearest = solve_pose(plant, track.X_BG[i], plant.robot.rest_q)
+        position_error_m[i] = nearest.position_error_m
         error_m = float(np.hypot(nearest.position_error_m, ROTATION_ARM_M * nearest.rotation_error_rad))
         if error_m < limit_m:
             weight[i], q[i] = 1.0 - error_m / limit_m, nearest.q
-    return Coverage(lost=~track.tracked, weight=weight, q=q)
+    return Coverage(lost=~track.tracked, weight=weight, q=q, position_error_m=position_error_m)
 
 
 def cover_joints(plant: ArmPlant, q: Array) -> Coverage:
@@ -93,7 +97,8 @@ def cover_joints(plant: ArmPlant, q: Array) -> Coverage:
     twists = pose_twists(plant.chain.poses(within[valid], tcp), plant.chain.poses(q[valid], tcp))
     error_m = np.linalg.norm(twists * np.repeat([ROTATION_ARM_M, 1.0], 3), axis=-1)
     weight[valid] = np.maximum(0.0, 1.0 - error_m / MISS_M)
-    return Coverage(lost=~valid, weight=weight, q=np.where(weight[:, None] > 0.0, within, np.nan))
+    q_near = np.where(weight[:, None] > 0.0, within, np.nan)
+    return Coverage(lost=~valid, weight=weight, q=q_near, position_error_m=np.where(valid, 0.0, np.nan))
 
 
 def weigh_manipulability(plant: ArmPlant, coverage: Coverage) -> Manipulability:

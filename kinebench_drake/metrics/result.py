@@ -106,7 +106,7 @@ def kinematic_metrics(
     if track.tracked.any():
         worst["ik_success_rate"] = float(joints.ok.mean())
     if not path.coverage.lost.any():
-        worst["ik_position_error_max_m"] = _over_finite(np.max, joints.position_error_m)
+        worst["ik_position_error_max_m"] = _over_finite(np.max, path.coverage.position_error_m)
         margin = metrics["joint_limit_margin_min"]  # no posture within limits reaches the others: theirs is 0 at most
         worst["joint_limit_margin_min"] = None if margin is None else min(0.0, margin)
     if metrics["trajopt_feasible"] is False:  # nor is there a trajectory through more frames
@@ -143,7 +143,7 @@ def _path_metrics(
         **_manipulability_metrics(track.t_s, w),
         "condition_number_max": _over_finite(np.max, w.condition),
         "ik_success_rate": float(joints.ok[near].mean()) if near.any() else None,
-        "ik_position_error_max_m": _over_finite(np.max, joints.position_error_m[near]),
+        "ik_position_error_max_m": _over_finite(np.max, path.coverage.position_error_m[near]),
         "joint_limit_margin_min": _over_finite(np.min, margin),
         "self_distance_min_m": _over_finite(np.min, path.self_clearance.distance_m),
         "table_distance_min_m": _over_finite(np.min, path.table_clearance.distance_m),
