@@ -1,6 +1,6 @@
-"""Local image-to-video pipelines of Hugging Face diffusers: Wan 2.1 and 2.2, CogVideoX, with LoRA weights.
+"""Local image-to-video pipelines of Hugging Face diffusers: Wan, CogVideoX, LTX-Video, HunyuanVideo, Cosmos, SVD, ...
 
-Pipelines: https://huggingface.co/docs/diffusers/api/pipelines/wan and .../api/pipelines/cogvideox
+One adapter by capability: a pipeline gets those arguments that its call takes.
 """
 
 import importlib.util
@@ -15,132 +15,38 @@ from PIL import Image
 from pydantic import Field
 
 from kinebench_drake.errors import SetupError
-from kinebench_drake.suites.worldmodels.remote import clean
+from kinebench_drake.suites.worldmodels.checkpoint import (
+    FRAME_COUNTS,
+    add_lora,
+    arguments_of,
+    checkpoint_name,
+    load_pipeline,
+)
 from kinebench_drake.suites.worldmodels.spec import Options, Spec
 from kinebench_drake.suites.worldmodels.videofile import encode_answer
 from kinebench_drake.suites.worldmodels.worldmodel import Request, WorldModelError
 
-_WAN = "WanImageToVideoPipeline"
-PIPELINES = (_WAN, "CogVideoXImageToVideoPipeline")
-"""Pipeline classes that a checkpoint may name: Wan 2.1 and 2.2, CogVideoX."""
-_LIBRARIES = ("diffusers", "transformers", None)
-"""Libraries of the parts of a pipeline; None: the part is absent. Code in a checkpoint is never run."""
-_INDEX = "model_index.json"
-_LORA_FILE = "pytorch_lora_weights.safetensors"
-_ADAPTER = "lora"
-
-
-def load_pipeline(
-    source: str,
-    *,
-    dtype: Literal["auto", "bfloat16", "float16", "float32"],
-    device: str | None,
-    offload: Literal["none", "model", "sequential"],
-) -> Any:
-    """Load the pipeline of a checkpoint.
-
-    Args:
-        source: a folder, or an id on Hugging Face's hub.
-        dtype: precision of the weights; auto: bfloat16 on a GPU, else float32.
-        device: device to run on; None: the GPU if there is one, else the CPU.
-        offload: parts kept in main memory while unused.
-
-    Raises:
-        SetupError: diffusers is not installed, or the checkpoint is not supported or cannot be loaded.
-    """
-    try:
-        import diffusers
-        import torch
-        import transformers
-    except ImportError as error:
-        raise SetupError(f"diffusers cannot be imported ({error}); pip install 'kinebench-drake[diffusers]'") from None
-    for library in (diffusers, transformers):
-        library.utils.logging.disable_progress_bar()
-    place = device or ("cuda" if torch.cuda.is_available() else "cpu")
-    automatic = torch.float32 if place == "cpu" else torch.bfloat16
-    precision = automatic if dtype == "auto" else getattr(torch, dtype)
-    try:
-        kind = _kind(diffusers.DiffusionPipeline.load_config(source))
-        # Wan's documentation keeps these two in float32: half precision is visible in the video.
-        exact = {"vae": torch.float32, "image_encoder": torch.float32} if kind == _WAN else {}
-        pipeline = getattr(diffusers, kind).from_pretrained(
-            source, dtype={"default": precision, **exact}, use_safetensors=True
-        )
-        if offload == "model":
-            pipeline.enable_model_cpu_offload(device=place)
-        elif offload == "sequential":
-            pipeline.enable_sequential_cpu_offload(device=place)
-        else:
-            pipeline.to(place)
-    except (OSError, ValueError, ImportError, RuntimeError) as error:
-        raise SetupError(f"the checkpoint {checkpoint_name(source)} cannot be loaded: {clean(error)}") from None
-    pipeline.set_progress_bar_config(disable=True)
-    return pipeline
-
-
-def add_lora(pipeline: Any, lora: str, scale: float) -> None:
-    """Add LoRA weights to a pipeline.
-
-    Args:
-        pipeline: pipeline of `load_pipeline`.
-        lora: a .safetensors file, a folder with the file that diffusers' trainers write, or ORG/NAME[/FILE] on the hub.
-        scale: strength of the weights.
-
-    Raises:
-        SetupError: the weights cannot be loaded.
-    """
-    name, folder, file = checkpoint_name(lora), lora, _LORA_FILE
-    if lora.endswith(".safetensors"):
-        folder, _, file = lora.rpartition("/")
-        folder = folder or "."
-    if Path(folder).is_dir() and not (Path(folder) / file).is_file():
-        raise SetupError(f"the LoRA {name} is not there; expected a .safetensors file or a folder with {_LORA_FILE}")
-    try:
-        pipeline.load_lora_weights(folder, weight_name=file, use_safetensors=True, adapter_name=_ADAPTER)
-        if _ADAPTER not in {adapter for adapters in pipeline.get_list_adapters().values() for adapter in adapters}:
-            raise ValueError("it has no weights for the pipeline")
-        pipeline.set_adapters([_ADAPTER], [scale])
-    except LookupError:
-        raise SetupError(
-            f"the LoRA {checkpoint_name(lora)} cannot be loaded: its weights do not fit the pipeline"
-        ) from None
-    except (OSError, ValueError, ImportError, RuntimeError) as error:
-        raise SetupError(f"the LoRA {checkpoint_name(lora)} cannot be loaded: {clean(error)}") from None
-
-
-def checkpoint_name(source: str) -> str:
-    """Return the name of a checkpoint in messages and results: the last part of a path, or an id of the hub."""
-    parts = source.rstrip("/").split("/")
-    is_path = Path(source).exists() or source.startswith((".", "/", "~")) or len(parts) != 2
-    return parts[-1] if is_path else source
-
-
-def _kind(index: dict[str, Any]) -> str:
-    """Return the name of the pipeline class.
-
-    Raises:
-        ValueError: it is not supported, or a part comes from another library.
-    """
-    kind = index.get("_class_name")
-    if kind not in PIPELINES:
-        raise ValueError(f"its {_INDEX} names {kind}; expected {' or '.join(PIPELINES)}")
-    for name, part in index.items():
-        if isinstance(part, list | tuple) and len(part) == 2 and part[0] not in _LIBRARIES:
-            raise ValueError(f"its {_INDEX} takes {name} from {part[0]}; expected parts of diffusers and transformers")
-    return str(kind)
-
-
 _SIZE = r"^[1-9]\d{1,3}x[1-9]\d{1,3}$"
 _HUB_ID = re.compile(r"\w[\w.-]*/[\w.-]+")
-_WAN_SIDES = 16
-"""The Wan pipeline requires sides that are multiples of this."""
+_SIDE_PX = 16
+"""Most pipelines require sides that are multiples of this."""
+_SIDES_PX = {"SanaImageToVideoPipeline": 32}
+"""Pipelines that require multiples of another length."""
+_DROPPING = "HunyuanVideoImageToVideoPipeline"
+"""Pipeline that drops the frames of the first latent where the image is concatenated to the latents."""
+_SPATIAL = ("vae_scale_factor_spatial", "vae_spatial_compression_ratio", "vae_scale_factor")
+_TEMPORAL = ("vae_scale_factor_temporal", "vae_temporal_compression_ratio")
+"""Attributes with the pixels, and frames, of a latent."""
 
 
 class DiffusersOptions(Options):
     """Options of `diffusers:`."""
 
     size: str | None = Field(None, pattern=_SIZE, description="WIDTHxHEIGHT at which the model works [px]")
-    steps: int = Field(50, ge=1, description="denoising steps")
+    frames: int | None = Field(
+        None, ge=2, description="number of frames at which the model works; the requested one if not given"
+    )
+    steps: int | None = Field(None, ge=1, description="denoising steps; the pipeline's own number if not given")
     guidance: float | None = Field(
         None, ge=0, allow_inf_nan=False, description="guidance scale; the pipeline's own if not given"
     )
@@ -170,6 +76,11 @@ class DiffusersModel:
         self.name = self._options.name or f"{checkpoint_name(self._source)}{lora}"
         self._pipeline: Any = None
 
+    @property
+    def chooses_length(self) -> bool:
+        """True if the number of frames is that of the checkpoint or of the option `frames`, not the requested one."""
+        return self._options.frames is not None or (self._pipeline is not None and _own_frames(self._pipeline) > 0)
+
     def generate(self, request: Request, out: Path) -> Path:
         """Run the pipeline and write its frames as an mp4 beside `out`."""
         import torch
@@ -180,28 +91,18 @@ class DiffusersModel:
             if options.lora:
                 add_lora(pipeline, options.lora, options.lora_scale)
             self._pipeline = pipeline
-        width, height = self._size(request.first_frame)
-        guidance = {} if options.guidance is None else {"guidance_scale": options.guidance}
+        arguments, size = self._arguments(request)
         try:
-            output = self._pipeline(
-                image=Image.fromarray(request.first_frame).resize((width, height), Image.Resampling.LANCZOS),
-                prompt=request.prompt,
-                negative_prompt=request.negative_prompt or None,
-                height=height,
-                width=width,
-                num_frames=self._num_frames(request.num_frames),
-                num_inference_steps=options.steps,
-                # On the CPU, so that a seed gives the same noise on every device.
-                generator=torch.Generator("cpu").manual_seed(request.seed),
-                output_type="np",
-                **guidance,
-            )
+            output = self._pipeline(**arguments)
         except torch.OutOfMemoryError:
             raise SetupError(
-                f"{self.name} at {width}x{height} needs more memory than the GPU has; use offload=model or another size"
+                f"{self.name} at {size[0]}x{size[1]} needs more memory than the GPU has; use offload=model or another "
+                "size"
             ) from None
-        frames = _to_bytes(np.asarray(output.frames[0])[: request.num_frames], request.first_frame)
-        return encode_answer(frames, request.fps, out)
+        frames = np.asarray(output.frames)
+        frames = frames[0] if frames.ndim == 5 else frames  # a batch of one
+        wanted = None if self.chooses_length else request.num_frames
+        return encode_answer(_to_bytes(frames[:wanted], request.first_frame), request.fps, out)
 
     def close(self) -> None:
         """Release the pipeline and the memory of the GPU."""
@@ -211,32 +112,90 @@ class DiffusersModel:
             self._pipeline = None
             torch.cuda.empty_cache()
 
+    def _arguments(self, request: Request) -> tuple[dict[str, Any], tuple[int, int]]:
+        """Return the arguments of the pipeline's call for a request, and the image's width and height [px].
+
+        Raises:
+            SetupError: an option of the spec has no argument in this pipeline.
+        """
+        import torch
+
+        options, pipeline = self._options, self._pipeline
+        accepted = arguments_of(type(pipeline))
+        stated = {"size": ("width", options.size), "guidance": ("guidance_scale", options.guidance)}
+        stated["steps"] = ("num_inference_steps", options.steps)
+        for option, (argument, value) in stated.items():
+            if value is not None and argument not in accepted:
+                raise SetupError(f"{type(pipeline).__name__} takes no {argument}; leave out {option}=")
+        image = Image.fromarray(request.first_frame)
+        if "width" in accepted:
+            image = image.resize(self._size(request.first_frame), Image.Resampling.LANCZOS)
+        frames = options.frames or _own_frames(pipeline) or request.num_frames
+        values = {
+            "image": image,
+            "prompt": request.prompt,
+            "negative_prompt": request.negative_prompt or None,
+            "width": image.width,
+            "height": image.height,
+            **dict.fromkeys(FRAME_COUNTS, _supported_frames(pipeline, frames)),
+            "num_inference_steps": options.steps,
+            "guidance_scale": options.guidance,
+            # On the CPU, so that a seed gives the same noise on every device.
+            "generator": torch.Generator("cpu").manual_seed(request.seed),
+            "output_type": "np",
+        }
+        return {key: v for key, v in values.items() if key in accepted and v is not None}, image.size
+
     def _size(self, frame: NDArray[np.uint8]) -> tuple[int, int]:
         """Return the supported width and height [px] nearest to the requested ones."""
-        pipeline, network = self._pipeline, _network(self._pipeline)
-        scale, patch = pipeline.vae_scale_factor_spatial, network.config.patch_size
-        if getattr(network.config, "use_learned_positional_embeddings", False):
+        pipeline, config = self._pipeline, _network(self._pipeline).config
+        scale = _attribute(pipeline, _SPATIAL, 8)
+        if getattr(config, "use_learned_positional_embeddings", False):
             # Learned position embeddings exist for one size only.
-            return int(network.config.sample_width * scale), int(network.config.sample_height * scale)
+            return int(config.sample_width * scale), int(config.sample_height * scale)
         if self._options.size:
             width, height = (int(side) for side in self._options.size.split("x"))
         else:
             height, width = frame.shape[:2]
-        multiple = scale * patch if isinstance(patch, int) else math.lcm(_WAN_SIDES, scale * patch[1], scale * patch[2])
+        least = _SIDES_PX.get(type(pipeline).__name__, _SIDE_PX)
+        multiple = math.lcm(least, *(scale * cells for cells in _patch(config)))
         return _nearest(width, multiple), _nearest(height, multiple)
-
-    def _num_frames(self, wanted: int) -> int:
-        """Return the supported number of frames: the next one from `wanted`, at most the largest."""
-        network, period = _network(self._pipeline), self._pipeline.vae_scale_factor_temporal
-        frames: int = math.ceil((wanted - 1) / period) * period + 1
-        if getattr(network.config, "use_learned_positional_embeddings", False):
-            return min(frames, int(network.config.sample_frames))
-        return frames
 
 
 def _network(pipeline: Any) -> Any:
     """Return the denoising network; of Wan 2.2's two, either may be absent."""
-    return pipeline.transformer if pipeline.transformer is not None else pipeline.transformer_2
+    networks = (getattr(pipeline, name, None) for name in ("transformer", "transformer_2", "unet"))
+    return next(network for network in networks if network is not None)
+
+
+def _patch(config: Any) -> tuple[int, ...]:
+    """Return the sides, in latents, of the smallest area that the denoising network processes."""
+    patch = getattr(config, "patch_size", None)
+    if patch is None:  # a U-Net halves the sides between its blocks
+        blocks = getattr(config, "block_out_channels", ())
+        return (2 ** max(len(blocks) - 1, 0),)
+    return (patch,) if isinstance(patch, int) else tuple(patch[-2:])
+
+
+def _own_frames(pipeline: Any) -> int:
+    """Return the number of frames that a checkpoint was trained for, where it has only one; else 0."""
+    return int(getattr(getattr(getattr(pipeline, "unet", None), "config", None), "num_frames", 0) or 0)
+
+
+def _supported_frames(pipeline: Any, wanted: int) -> int:
+    """Return the supported number of frames: the next one from `wanted`, at most the largest."""
+    config, period = _network(pipeline).config, _attribute(pipeline, _TEMPORAL, 1)
+    if type(pipeline).__name__ == _DROPPING and getattr(config, "image_condition_type", None) == "latent_concat":
+        wanted += period
+    frames = math.ceil((wanted - 1) / period) * period + 1
+    if getattr(config, "use_learned_positional_embeddings", False):
+        return min(frames, int(config.sample_frames))
+    return frames
+
+
+def _attribute(pipeline: Any, names: tuple[str, ...], default: int) -> int:
+    """Return the first of the attributes that the pipeline has."""
+    return next((int(getattr(pipeline, name)) for name in names if hasattr(pipeline, name)), default)
 
 
 def _nearest(side_px: int, multiple: int) -> int:

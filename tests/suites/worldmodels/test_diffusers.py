@@ -1,15 +1,23 @@
-"""Local pipelines, tiny ones; what Wan and CogVideoX make of numbers they were never trained for does not matter."""
+"""Local pipelines, tiny ones; what they make of numbers they were never trained for does not matter."""
 
+import importlib.util
 import json
 import shutil
+import sys
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
+from importlib.machinery import ModuleSpec
 from pathlib import Path
+from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import pytest
 
 from kinebench_drake.errors import SetupError, UsageError
-from kinebench_drake.suites.worldmodels.diffusers import DiffusersModel, checkpoint_name
+from kinebench_drake.suites.worldmodels import checkpoint as checkpoints
+from kinebench_drake.suites.worldmodels.checkpoint import checkpoint_name
+from kinebench_drake.suites.worldmodels.diffusers import DiffusersModel
 from kinebench_drake.suites.worldmodels.spec import parse
 from kinebench_drake.suites.worldmodels.worldmodel import Request
 from tests.films import decoded
@@ -49,9 +57,117 @@ def test_wan(checkpoint: Path, request_: Request, out: Path) -> None:
     assert difference(make(checkpoint, replace(request_, num_frames=7, seed=1), out), first) > 3
 
 
-@pytest.mark.parametrize("version", ["2.2", "2.2-5B"])
-def test_wan_of_other_kinds(version: str, tmp_path: Path, request_: Request, out: Path) -> None:
-    assert make(tiny.wan(tmp_path / "wan", version=version), request_, out, "&size=40x24").shape == (5, 64, 96, 3)
+def test_wan_of_two_networks(tmp_path: Path, request_: Request, out: Path) -> None:
+    assert make(tiny.wan(tmp_path / "wan", version="2.2"), request_, out, "&size=40x24").shape == (5, 64, 96, 3)
+
+
+@pytest.mark.parametrize(
+    ("save", "names", "loaded"),
+    [
+        (tiny.wan_5b, "WanPipeline", "WanImageToVideoPipeline"),
+        (tiny.skyreels, "SkyReelsV2DiffusionForcingPipeline", "SkyReelsV2DiffusionForcingImageToVideoPipeline"),
+        (tiny.ltx, "LTXPipeline", "LTXImageToVideoPipeline"),
+        (lambda folder: tiny.ltx(folder, version="0.9.5"), "LTXConditionPipeline", "LTXConditionPipeline"),
+        (tiny.hunyuan, "HunyuanVideoImageToVideoPipeline", "HunyuanVideoImageToVideoPipeline"),
+        (
+            lambda folder: tiny.hunyuan(folder, version="33ch"),
+            "HunyuanVideoImageToVideoPipeline",
+            "HunyuanVideoImageToVideoPipeline",
+        ),
+    ],
+)
+def test_published_layouts(
+    save: Callable[[Path], Path], names: str, loaded: str, tmp_path: Path, request_: Request, out: Path
+) -> None:
+    """Whatever class the checkpoint names: it starts from the image, and has as many frames as asked for."""
+    folder = save(tmp_path / "published")
+    assert json.loads((folder / "model_index.json").read_text())["_class_name"] == names
+    model = DiffusersModel(parse(f"diffusers:{folder}?steps=1&device=cpu"))
+    asked = replace(request_, num_frames=7, prompt="stack", negative_prompt="")
+    red = decoded(model.generate(asked, out))[1]
+    assert type(model._pipeline).__name__ == loaded
+    assert red.shape == (7, 64, 96, 3)
+    assert not model.chooses_length
+    blue = decoded(model.generate(replace(asked, first_frame=asked.first_frame[..., ::-1].copy()), out))[1]
+    model.close()
+    assert difference(red, blue) > 0.5, "the image makes no difference"
+
+
+def test_svd_has_no_prompt_and_chooses_the_number_of_frames(tmp_path: Path, request_: Request, out: Path) -> None:
+    """Arguments that its call does not take are refused by the option's name."""
+    folder = tiny.svd(tmp_path / "svd")
+    model = DiffusersModel(parse(f"diffusers:{folder}?steps=1&device=cpu"))
+    assert decoded(model.generate(request_, out))[1].shape == (6, 64, 96, 3)
+    assert model.chooses_length
+    (tmp_path / "lora.safetensors").touch()
+    for option, argument in (("guidance=2", "guidance_scale"), (f"lora={tmp_path}/lora.safetensors", "LoRA weights")):
+        with pytest.raises(SetupError, match=f"StableVideoDiffusionPipeline takes no {argument}; leave out "):
+            make(folder, request_, out.with_name("b"), f"&{option}")
+
+
+def test_frames_of_the_option_are_all_kept(checkpoint: Path, request_: Request, out: Path) -> None:
+    assert make(checkpoint, request_, out, "&frames=12").shape == (13, 64, 96, 3)
+
+
+@pytest.fixture
+def guardrail(monkeypatch: pytest.MonkeyPatch) -> type:
+    """Stand-ins for the two packages of Cosmos: a guardrail that passes everything, and torchvision's resize."""
+    import torch
+    from diffusers.models.transformers import transformer_cosmos
+    from diffusers.pipelines.cosmos import pipeline_cosmos2_video2world
+
+    class Guardrail:
+        def to(self, device: object) -> "Guardrail":
+            return self
+
+        def check_text_safety(self, prompt: str) -> bool:
+            return True
+
+        def check_video_safety(self, video: np.ndarray) -> np.ndarray:
+            return video
+
+    def resize(image: torch.Tensor, size: list[int], interpolation: str) -> torch.Tensor:
+        return torch.nn.functional.interpolate(image, size, mode=interpolation)
+
+    stand_in = SimpleNamespace(
+        functional=SimpleNamespace(resize=resize), InterpolationMode=SimpleNamespace(NEAREST="nearest")
+    )
+    for name in ("torchvision", "cosmos_guardrail"):
+        package = ModuleType(name)
+        package.__spec__ = ModuleSpec(name, None)
+        monkeypatch.setitem(sys.modules, name, package)
+    monkeypatch.setattr(transformer_cosmos, "transforms", stand_in, raising=False)
+    monkeypatch.setattr(pipeline_cosmos2_video2world, "CosmosSafetyChecker", Guardrail)
+    return Guardrail
+
+
+def test_cosmos(guardrail: type, tmp_path: Path, request_: Request, out: Path) -> None:
+    """The guardrail is no part of the checkpoint: the pipeline brings its own."""
+    folder = tiny.cosmos(tmp_path / "cosmos", guardrail())
+    assert make(folder, replace(request_, num_frames=7), out).shape == (7, 64, 96, 3)
+
+
+def test_cosmos_without_its_packages(tmp_path: Path, request_: Request, out: Path) -> None:
+    if any(importlib.util.find_spec(name) for name in ("torchvision", "cosmos_guardrail")):
+        pytest.skip("they are installed")
+    (tmp_path / "c").mkdir()
+    (tmp_path / "c" / "model_index.json").write_text('{"_class_name": "Cosmos2VideoToWorldPipeline"}')
+    with pytest.raises(SetupError, match="needs torchvision and cosmos_guardrail; pip install torchvision cosmos_"):
+        make(tmp_path / "c", request_, out)
+
+
+def test_every_pipeline_with_image_and_frames_is_accepted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The rule is the signature of the call; no list of names has to follow diffusers."""
+    import diffusers
+
+    monkeypatch.setattr(checkpoints, "_COSMOS_PACKAGES", ())
+    accepted = set()
+    for name in (name for name in dir(diffusers) if name.endswith("Pipeline")):
+        with suppress(ValueError):
+            accepted.add(checkpoints._find_class({"_class_name": name, "expand_timesteps": True}).__name__)
+    assert {*checkpoints.IMAGE_TO_VIDEO.values()} <= accepted
+    assert {"StableVideoDiffusionPipeline", "Kandinsky5I2VPipeline", "Cosmos2VideoToWorldPipeline"} <= accepted
+    assert not {"WanAnimatePipeline", "CogVideoXPipeline", "HunyuanVideoPipeline", "FluxPipeline"} & accepted
 
 
 def test_sizes_are_rounded_and_shapes_kept(checkpoint: Path, request_: Request, out: Path) -> None:
@@ -99,11 +215,11 @@ def test_only_safetensors_and_known_code_are_loaded(
 ) -> None:
     index = json.loads((checkpoint / "model_index.json").read_text())
     for change, message in (
-        (
-            {"_class_name": "StableDiffusionPipeline"},
-            "names StableDiffusionPipeline; expected WanImageToVideoPipeline or",
-        ),
+        ({"_class_name": "CogVideoXPipeline"}, "names CogVideoXPipeline, which does not generate frames from an"),
+        ({"_class_name": "NoSuchPipeline"}, "names NoSuchPipeline, which is no pipeline of diffusers"),
+        ({"_class_name": "WanPipeline"}, "generates from text only .WanPipeline without expand_timesteps."),
         ({"_class_name": ["mine", "Pipeline"]}, "names"),
+        ({"vae": ["os", "system"]}, "takes vae from os; expected parts of diffusers and transformers"),
         ({"vae": ["my_vae", "Vae"]}, "takes vae from my_vae; expected parts of diffusers and transformers"),
     ):
         shutil.copytree(checkpoint, tmp_path / "a", dirs_exist_ok=True)
