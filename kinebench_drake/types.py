@@ -252,6 +252,13 @@ class Priors:
         depth = self.depth and replace(self.depth, depth_m=self.depth.depth_m[:, rows, columns])
         return replace(self, mask=None if self.mask is None else self.mask[:, rows, columns], depth=depth)
 
+    def at(self, frames: NDArray[np.intp]) -> "Priors":
+        """Return the priors at a selection of the frames."""
+        arrays = {name: getattr(self, name) for name in ("mask", "X_CH", "finger_width_m")}
+        chosen = {name: None if array is None else array[frames] for name, array in arrays.items()}
+        depth = self.depth and replace(self.depth, depth_m=self.depth.depth_m[frames])
+        return replace(self, **chosen, depth=depth)
+
     def with_first_pose(self, X_CH: Array, frames: int) -> "Priors":
         """Return the priors with pose (4, 4) [m] and gripper width of the initial state as those of frame 0."""
         poses = np.full((frames, 4, 4), np.nan) if self.X_CH is None else self.X_CH.copy()

@@ -47,6 +47,10 @@ class ScoreOptions(RunOptions, total=False):
 
     frame_period_s: float | None
     """Task time between two frames [s], where no manifest states it; None: 1 / fps."""
+    clip_timing: str
+    """ "uniform" or "native"; default native, uniform with `task_duration_s`."""
+    task_duration_s: float | None
+    """Task time that each video shows, whatever its number of frames [s]."""
     camera_key: str | None
     """Camera to use of datasets that have several."""
     pixels_only: bool
@@ -86,6 +90,8 @@ class SuiteOptions(RunOptions, total=False):
     """Control steps (at 20 Hz) a frame; None: as long as the frames last."""
     frame_period_s: float
     """Task time between two frames, 0.01 to 2 [s]; default 0.2."""
+    clip_timing: str
+    """ "uniform" or "native"; default: uniform for models that choose the number of frames."""
     pixels_only: bool
     """Ignore the known pose of the robot in first frames."""
     negative_prompt: str

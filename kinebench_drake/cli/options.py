@@ -10,6 +10,7 @@ import click
 from kinebench_drake.errors import UsageError
 from kinebench_drake.executors.base import ExecutorKind
 from kinebench_drake.results.metadata import Shard
+from kinebench_drake.suites.clock import ClipTiming
 
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 
@@ -86,12 +87,29 @@ sample_options = _combine(
 )
 """Options of `score`, `ground` and `audit`."""
 
+
+def clip_timing_option(meaning: str) -> Decorator:
+    """Return the option for the timing of clips."""
+    return click.option("--clip-timing", type=click.Choice([timing.value for timing in ClipTiming]), help=meaning)
+
+
 video_options = _combine(
     click.option(
         "--frame-period",
         "frame_period_s",
         type=float,
         help="Task time between two frames; benchmark videos: 0.2.  [default: 1 / fps]",
+        metavar="SECONDS",
+    ),
+    clip_timing_option(
+        "Frames of a video: evenly over the task's duration, sampled every frame period, or one frame period apart.  "
+        "[default: native; uniform with --task-duration]"
+    ),
+    click.option(
+        "--task-duration",
+        "task_duration_s",
+        type=float,
+        help="Task time that each video shows, whatever its number of frames.  [default with uniform: 9.6]",
         metavar="SECONDS",
     ),
     click.option(

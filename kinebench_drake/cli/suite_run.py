@@ -4,7 +4,13 @@ from typing import Any
 
 import click
 
-from kinebench_drake.cli.options import replays_option, run_options, suite_options, variant_option
+from kinebench_drake.cli.options import (
+    clip_timing_option,
+    replays_option,
+    run_options,
+    suite_options,
+    variant_option,
+)
 from kinebench_drake.cli.run import run as carry_out
 from kinebench_drake.suites.clock import FRAME_PERIOD_S, MAX_FRAME_PERIOD_S, MIN_FRAME_PERIOD_S
 
@@ -39,6 +45,11 @@ from kinebench_drake.suites.clock import FRAME_PERIOD_S, MAX_FRAME_PERIOD_S, MIN
     default=FRAME_PERIOD_S, show_default=True,
     help="Task time between two frames.", metavar="SECONDS",
 )  # fmt: skip
+@clip_timing_option(
+    "Frames of a clip: evenly over the 48 frame periods that were requested, or one frame period apart.  "
+    "[default: uniform for models that choose the number of frames (folder, services, diffusers with frames=), else "
+    "native]"
+)
 @click.option("--pixels-only", is_flag=True, help="Do not use the robot's own pose as a prior for first frames.")
 @click.option(
     "--rollouts/--no-rollouts", default=True, show_default=True,

@@ -3,7 +3,7 @@
 import glob
 import shutil
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -26,19 +26,22 @@ from kinebench_drake.suites.clock import (
     FRAME_PERIOD_S,
     MAX_FRAME_PERIOD_S,
     MIN_FRAME_PERIOD_S,
+    ClipTiming,
+    sample_uniformly,
 )
 from kinebench_drake.suites.episode import Episode
 from kinebench_drake.suites.export import FPS
 from kinebench_drake.suites.seeding import generator
 from kinebench_drake.suites.simulator import Control, Simulator, TaskOutcome
 from kinebench_drake.suites.worldmodels.worldmodel import (
+    ChoosesLength,
     OfflineModel,
     PrivilegedModel,
     Request,
     SupportsTrueTrack,
     WorldModel,
 )
-from kinebench_drake.types import GripperTrack, InitialState, Priors
+from kinebench_drake.types import GripperTrack, InitialState, Json, Priors
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,6 +56,8 @@ class LoopOptions:
     """Control steps per frame; None: by the duration of frames."""
     frame_period_s: float = FRAME_PERIOD_S
     """Task time between two frames [s]."""
+    clip_timing: ClipTiming | None = None
+    """How frames lie in task time; None: uniform for models that choose the number of frames, else native."""
     pixels_only: bool = False
     """Do not use the robot's joint state as a prior for the first frame."""
     num_frames: int = CLIP_FRAMES + 1
@@ -76,6 +81,18 @@ class LoopOptions:
                 f"{MAX_FRAME_PERIOD_S:g}, such as {FRAME_PERIOD_S:g}"
             )
 
+    def to_json(self) -> dict[str, Json]:
+        """Serialize the options that a run can set into `config` of results.json."""
+        return {
+            "rounds": self.rounds,
+            "control": self.control.value,
+            "action_repeat": self.action_repeat,
+            "frame_period_s": self.frame_period_s,
+            "clip_timing": None if self.clip_timing is None else self.clip_timing.value,
+            "pixels_only": self.pixels_only,
+            "negative_prompt": self.negative_prompt,
+        }
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Round:
@@ -83,16 +100,20 @@ class Round:
 
     video: Path
     """Generated video."""
+    timing: ClipTiming
+    """How its frames lie in task time."""
+    generated_frames: int
+    """Number of its frames."""
     frames: NDArray[np.uint8]
-    """(T, H, W, 3) its frames with the aspect ratio of the camera."""
+    """(T, H, W, 3) those that are used, with the aspect ratio of the camera."""
     robot: NDArray[np.bool_]
     """(T, H, W) pixels of the robot in them."""
     grounding: GroundingResult
-    commands: Commands | None
+    commands: Commands | None = None
     """None if the track has nothing to execute."""
-    rejection: str | None
+    rejection: str | None = None
     """Reason why there are no commands."""
-    execution: Execution | None
+    execution: Execution | None = None
     """None without commands."""
 
 
@@ -139,20 +160,10 @@ class ClosedLoop:
             state = RobotState(q=now.q, finger_width_m=float(now.fingers_m.sum()), gripping=gripping)
             request = self._request(episode, number, first_frame)
             video = self._generate(request, simulator, episode, videos.with_name(f"{videos.name}_r{number}"))
-            frames, robot, grounding = self._ground_video(video, first_frame, simulator.camera, state)
-            commands, rejection = self._plan(grounding.track, state)
+            grounded = self._ground_video(video, first_frame, simulator.camera, state)
+            commands, rejection = self._plan(grounded.grounding.track, state)
             execution = None if commands is None else execute(simulator, commands, self._options.control)
-            rounds.append(
-                Round(
-                    video=video,
-                    frames=frames,
-                    robot=robot,
-                    grounding=grounding,
-                    commands=commands,
-                    rejection=rejection,
-                    execution=execution,
-                )
-            )
+            rounds.append(replace(grounded, commands=commands, rejection=rejection, execution=execution))
             if commands is None or execution is None or execution.outcome.success:
                 break
             gripping = commands.gripping
@@ -178,30 +189,46 @@ class ClosedLoop:
             self._model.set_state(episode, simulator.simulation_state())
         return _place_beside(self._model.generate(request, out), out)
 
-    def _ground_video(
-        self, video: Path, first_frame: NDArray[np.uint8], camera: Camera, state: RobotState
-    ) -> tuple[NDArray[np.uint8], NDArray[np.bool_], GroundingResult]:
-        """Return frames and robot masks with the aspect ratio of the camera, and the grounding of a video.
+    def _times(self, frames: int) -> tuple[ClipTiming, NDArray[np.intp], Array]:
+        """Return the timing of a clip of so many frames, the indices (T,) of those to use, and their times (T,) [s]."""
+        options, model = self._options, self._model
+        own = isinstance(model, ChoosesLength) and model.chooses_length
+        timing = options.clip_timing or (ClipTiming.UNIFORM if own else ClipTiming.NATIVE)
+        period_s = options.frame_period_s
+        if timing is ClipTiming.UNIFORM:
+            return timing, *sample_uniformly(frames, period_s * (options.num_frames - 1), period_s)
+        return timing, np.arange(frames), period_s * np.arange(frames, dtype=np.float64)
+
+    def _ground_video(self, video: Path, first_frame: NDArray[np.uint8], camera: Camera, state: RobotState) -> Round:
+        """Return the round of a video that was grounded, but not executed.
 
         Raises:
             InputError: the video is too short, or its framing cannot be determined.
         """
-        frames = read_video(video).frames
-        if len(frames) < 2:
-            raise InputError(f"{video.name}: has {len(frames)} frames, expected {self._options.num_frames}")
-        t_s = self._options.frame_period_s * np.arange(len(frames), dtype=np.float64)
+        decoded = read_video(video).frames
+        if len(decoded) < 2:
+            raise InputError(f"{video.name}: has {len(decoded)} frames, expected {self._options.num_frames}")
+        timing, chosen, t_s = self._times(len(decoded))
+        frames = decoded[chosen]
         try:
             framing = find_framing(frames, camera, first_frame)
         except UnmeasurableError as error:
             raise InputError(f"{video.name}: {error}") from None
         cropped = framing.crop(frames)
-        grounding = self._ground(cropped, framing.camera(camera), t_s, self._priors(state))
-        return undo_framing(framing, cropped), undo_framing(framing, grounding.robot), grounding
+        grounding = self._ground(cropped, framing.camera(camera), t_s, self._priors(state, chosen))
+        return Round(
+            video=video,
+            timing=timing,
+            generated_frames=len(decoded),
+            frames=undo_framing(framing, cropped),
+            robot=undo_framing(framing, grounding.robot),
+            grounding=grounding,
+        )
 
-    def _priors(self, state: RobotState) -> Priors:
-        """Return the true track if the model discloses it, else the robot's state in the first frame."""
+    def _priors(self, state: RobotState, frames: NDArray[np.intp]) -> Priors:
+        """Return the true track at these frames if the model discloses it, else the robot's state in the first one."""
         if isinstance(self._model, SupportsTrueTrack) and (truth := self._model.true_track()) is not None:
-            return Priors(X_CH=truth.X_CH, finger_width_m=truth.finger_width_m)
+            return Priors(X_CH=truth.X_CH[frames], finger_width_m=truth.finger_width_m[frames])
         if self._options.pixels_only:
             return Priors()
         X_BG = self._planner.plant.forward(state.q)

@@ -1,7 +1,7 @@
 """Evaluation of one episode of a suite: closed loop, kinematics of the clips, gap to the execution, attribution."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -138,6 +138,8 @@ class EpisodeEvaluator(Evaluator[EpisodeSample, EpisodeResources]):
                 "refused": _rejections(run),
                 "prompt": episode.prompt,
                 "videos": clips,
+                "clip_timing": run.rounds[0].timing.value,
+                "clip_frames": [r.generated_frames for r in run.rounds],
                 "frames": len(track.t_s),
             },
         )
@@ -158,7 +160,7 @@ class EpisodeEvaluator(Evaluator[EpisodeSample, EpisodeResources]):
         return {
             "weights": weights_hash(),
             "world_model": self.world_model.identity,
-            "loop": {**asdict(self.loop), "control": self.loop.control.value},
+            "loop": [self.loop.to_json(), self.loop.num_frames, self.loop.seed],
             "episode": [spec.task, spec.seed, spec.pool.value, spec.variant.value],
         }
 

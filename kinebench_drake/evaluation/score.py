@@ -17,7 +17,7 @@ from kinebench_drake.datasets.manifest import MAX_PERIOD_S, MIN_PERIOD_S
 from kinebench_drake.datasets.trajectories.trajectory import SLOW_STEP_S
 from kinebench_drake.datasets.videos.find import find_samples
 from kinebench_drake.datasets.videos.sample import VideoSample, VideoSamples
-from kinebench_drake.errors import InputError, UnmeasurableError, UsageError, count_noun
+from kinebench_drake.errors import InputError, UnmeasurableError, UsageError, count_noun, member_of
 from kinebench_drake.evaluation.analyzer import Analyzer, load_analyzer
 from kinebench_drake.evaluation.config import RunConfig, RunKind
 from kinebench_drake.evaluation.evaluator import KINEMATIC_METRICS, MIN_TRACKED, Evaluation, Evaluator
@@ -35,6 +35,7 @@ from kinebench_drake.results.provenance import weights_hash
 from kinebench_drake.results.row import SampleRow
 from kinebench_drake.results.store import artifact_path
 from kinebench_drake.results.trackfile import write_track
+from kinebench_drake.suites.clock import CLIP_S, ClipTiming, sample_uniformly
 from kinebench_drake.suites.start import START_WIDTH_M, start_q
 from kinebench_drake.types import InitialState, InitialStateUse, Json, Priors
 
@@ -58,7 +59,11 @@ class ScoreConfig(RunConfig):
     """Task of samples whose input names none."""
     kind: RunKind = RunKind.SCORE
     frame_period_s: float | None = None
-    """Task time between two frames [s]."""
+    """Task time between two frames; where a duration is set, between those that are sampled [s]."""
+    clip_timing: str | None = None
+    """Name of a `ClipTiming`; None: uniform with a duration, else native."""
+    task_duration_s: float | None = None
+    """Task time that each video shows [s]; None: that of the benchmark's clips."""
     camera_key: str | None = None
     """Camera to use of datasets that have several."""
     overlay: bool = False
@@ -83,6 +88,27 @@ class ScoreConfig(RunConfig):
         RunConfig.__post_init__(self)
         check_period(self.frame_period_s)
         self.overrides()
+        _ = self.duration_s
+
+    @property
+    def duration_s(self) -> float | None:
+        """Task time over which the frames of a video lie evenly [s]; None: they are one frame period apart.
+
+        Raises:
+            UsageError: an option is invalid, or the two contradict each other.
+        """
+        duration_s = self.task_duration_s
+        timing = None if self.clip_timing is None else member_of(ClipTiming, self.clip_timing, "--clip-timing")
+        if duration_s is not None and timing is ClipTiming.NATIVE:
+            raise UsageError("--task-duration needs --clip-timing uniform, found native; leave one of them out")
+        if timing is ClipTiming.UNIFORM and duration_s is None:
+            return CLIP_S
+        if duration_s is not None and not MIN_PERIOD_S <= duration_s <= MAX_PERIOD_S:
+            raise UsageError(
+                f"--task-duration is {duration_s}, expected seconds from {MIN_PERIOD_S:g} to {MAX_PERIOD_S:g}, such as "
+                f"{CLIP_S:g}"
+            )
+        return duration_s
 
     def overrides(self) -> Overrides:
         """Return the stages of the grounding that are replaced.
@@ -99,6 +125,7 @@ class ScoreConfig(RunConfig):
             "source": self.source.resolve().name,
             "task": self.task,
             "frame_period_s": self.frame_period_s,
+            "task_duration_s": self.duration_s,
             "camera_key": self.camera_key,
             "overlay": self.overlay,
             "pixels_only": self.pixels_only,
@@ -184,13 +211,15 @@ class VideoEvaluator(Evaluator[VideoSample, Analyzer]):
         if sample.problem is not None:
             raise InputError(sample.problem)
         video = read_video(sample.path, sample.part)
-        prepared = prepare_video(video, sample, self.config.frame_period_s, self.overrides)
+        config = self.config
+        prepared = prepare_video(video, sample, config.frame_period_s, self.overrides, duration_s=config.duration_s)
         grounding = ground_prepared(prepared, analyzer)
         track = grounding.track
         kinematics = analyzer.judge(track) if self.config.kind.judges else None
         if self.config.overlay:
             path = artifact_path(self.config.out, "overlays", sample.id)
-            rate = float(np.clip(video.fps or 1.0 / prepared.period_s, 1.0, 60.0))
+            native = len(prepared.frames) == len(video.frames)
+            rate = float(np.clip((native and video.fps) or 1.0 / prepared.period_s, 1.0, 60.0))
             with disk_errors(f"overlays/{path.name}"):
                 write_video(path, analyzer.overlay(prepared.frames, prepared.camera, track), rate)
         shown = np.unique([0, worst_frame(track, kinematics)])
@@ -215,6 +244,8 @@ class VideoEvaluator(Evaluator[VideoSample, Analyzer]):
                 "fps": video.fps,
                 "frame_period_s": prepared.period_s,
                 "frame_period_source": prepared.period_source.value,
+                "clip_timing": prepared.timing.value,
+                "clip_frames": len(video.frames),
             },
         )
 
@@ -236,6 +267,7 @@ class VideoEvaluator(Evaluator[VideoSample, Analyzer]):
             "camera": sample.camera.to_json(),
             "camera_source": sample.camera_source.value,
             "option_period_s": self.config.frame_period_s,
+            "task_duration_s": self.config.duration_s,
             "given": self._replaced(sample),
             "first": None if initial is None else [*initial.X_BG.ravel().tolist(), str(initial.finger_width_m)],
             "depth_exact": self.overrides.depth_exact,
@@ -303,13 +335,22 @@ class PreparedVideo:
     period_s: float
     """Task time between two frames [s]."""
     period_source: PeriodSource
+    timing: ClipTiming
+    """How the frames of the video lie in task time."""
     framing: "Framing"
     """How the camera's image lies in the video."""
     priors: Priors
     """Quantities that replace estimates."""
 
 
-def prepare_video(video: Video, sample: VideoSample, period_s: float | None, overrides: Overrides) -> PreparedVideo:
+def prepare_video(
+    video: Video,
+    sample: VideoSample,
+    period_s: float | None,
+    overrides: Overrides,
+    *,
+    duration_s: float | None = None,
+) -> PreparedVideo:
     """Determine frames, camera, times and priors of a video.
 
     Args:
@@ -317,6 +358,7 @@ def prepare_video(video: Video, sample: VideoSample, period_s: float | None, ove
         sample: labels and camera of the video.
         period_s: task time between two frames from the command line [s].
         overrides: stages of the grounding that are replaced.
+        duration_s: task time over which its frames lie evenly [s]; None: they are one period apart.
 
     Raises:
         InputError: an override is missing, broken or does not fit the video.
@@ -325,15 +367,24 @@ def prepare_video(video: Video, sample: VideoSample, period_s: float | None, ove
     """
     video.require_measurable()
     framing = _framing(sample, video)
-    t_s, period_s, source = _times(sample, video, period_s)
+    chosen = np.arange(len(video.frames))
+    if duration_s is None:
+        t_s, period_s, source = _times(sample, video, period_s)
+    else:
+        chosen, t_s = sample_uniformly(len(chosen), duration_s, period_s or BENCHMARK_PERIOD_S)
+        period_s, source = duration_s / (len(t_s) - 1), PeriodSource.TASK_DURATION
     camera = framing.whole_camera(sample.camera)
     priors = overrides.priors(override_names(sample), video.frames, camera, sample.initial_state)
+    frames = video.frames
+    if len(chosen) < len(frames):
+        frames, priors = frames[chosen], priors.at(chosen)
     return PreparedVideo(
-        frames=framing.crop(video.frames),
+        frames=framing.crop(frames),
         camera=framing.camera(sample.camera),
         t_s=t_s,
         period_s=period_s,
         period_source=source,
+        timing=ClipTiming.NATIVE if duration_s is None else ClipTiming.UNIFORM,
         framing=framing,
         priors=priors.crop(*framing.window),
     )

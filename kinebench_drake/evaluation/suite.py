@@ -12,6 +12,8 @@ from kinebench_drake.evaluation.config import RunConfig, RunKind
 from kinebench_drake.evaluation.episode import EpisodeEvaluator, EpisodeSample
 from kinebench_drake.evaluation.runner import NullRunObserver, RunObserver, RunSummary, run_samples
 from kinebench_drake.executors.base import ExecutorKind
+from kinebench_drake.results.row import SampleRow
+from kinebench_drake.suites.clock import ClipTiming
 from kinebench_drake.suites.selection import chosen_tasks
 from kinebench_drake.suites.simulator import Control
 from kinebench_drake.suites.suite import VERSION, Suite, load_suite
@@ -71,12 +73,7 @@ class SuiteConfig(RunConfig):
             "world_model": self.model_name,
             # The spec itself may hold addresses, paths or keys.
             "world_model_sha256": hashlib.sha256(identity.encode(errors="surrogateescape")).hexdigest(),
-            "rounds": self.loop.rounds,
-            "control": self.loop.control.value,
-            "action_repeat": self.loop.action_repeat,
-            "frame_period_s": self.loop.frame_period_s,
-            "pixels_only": self.loop.pixels_only,
-            "negative_prompt": self.loop.negative_prompt,
+            **self.loop.to_json(),
             "rollouts": self.rollouts,
         }
 
@@ -89,6 +86,7 @@ def suite_config(
     episodes: int = 10,
     variant: str = TaskVariant.PLAIN.value,
     control: str = Control.JOINTS.value,
+    clip_timing: str | None = None,
     **options: Any,
 ) -> SuiteConfig:
     """Build the configuration of a run from the values of command line or Python interface.
@@ -100,6 +98,7 @@ def suite_config(
         episodes: episodes of each task.
         variant: name of a task variant.
         control: name of a controller.
+        clip_timing: name of a timing; None: by the model.
         **options: further fields of `SuiteConfig` and `LoopOptions`.
 
     Raises:
@@ -107,6 +106,7 @@ def suite_config(
     """
     suite = load_suite(number)
     task_variant = member_of(TaskVariant, variant, "--variant")
+    timing = None if clip_timing is None else member_of(ClipTiming, clip_timing, "--clip-timing")
     loop = {f.name: options.pop(f.name) for f in fields(LoopOptions) if f.name in options and f.name != "seed"}
     return SuiteConfig(
         suite=suite,
@@ -114,7 +114,7 @@ def suite_config(
         tasks=chosen_tasks(suite, split, tasks, task_variant),
         episodes=episodes,
         variant=task_variant,
-        loop=LoopOptions(control=member_of(Control, control, "--control"), **loop),
+        loop=LoopOptions(control=member_of(Control, control, "--control"), clip_timing=timing, **loop),
         **options,
     )
 
@@ -148,4 +148,27 @@ def run_suite(config: SuiteConfig, observer: RunObserver | None = None) -> RunSu
                 config.split, task, config.episodes, offset=config.seed, variant=config.variant
             )
         ]
-        return run_samples(samples, evaluator, observer)
+        summary = run_samples(samples, evaluator, observer)
+        _warn_of_lengths(summary.rows, config.loop, observer)
+        return summary
+
+
+def _warn_of_lengths(rows: Sequence[SampleRow], loop: LoopOptions, observer: RunObserver) -> None:
+    """Warn of clips that do not have the requested number of frames, and say how they were used."""
+    period_s, expected = loop.frame_period_s, loop.num_frames
+    clip_s = period_s * (expected - 1)
+    uses = {
+        ClipTiming.UNIFORM: f"each was sampled evenly over {clip_s:g} s (--clip-timing native: {period_s:g} s a frame)",
+        ClipTiming.NATIVE: f"{period_s:g} s a frame were taken (--clip-timing uniform: {clip_s:g} s a clip)",
+    }
+    for timing, use in uses.items():
+        lengths = [row.extra.get("clip_frames") for row in rows if row.extra.get("clip_timing") == timing.value]
+        others = [{*clips} - {expected} for clips in lengths if isinstance(clips, list)]
+        if frames := sorted({n for clips in others for n in clips}):
+            count = sum(bool(clips) for clips in others)
+            observer.warn(f"{count} episodes have clips of {_range(frames)} frames in place of {expected}: {use}")
+
+
+def _range(numbers: Sequence[int]) -> str:
+    """Return the least and the greatest of sorted numbers as text."""
+    return f"{numbers[0]}" if len(numbers) == 1 else f"{numbers[0]} to {numbers[-1]}"

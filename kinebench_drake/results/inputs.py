@@ -20,6 +20,8 @@ class PeriodSource(Enum):
     BENCHMARK = "benchmark"
     RATE = "rate"
     """Frame rate that the command line sets for trajectories."""
+    TASK_DURATION = "task_duration"
+    """Duration of the whole video, which precedes all."""
 
 
 _PERIODS: Mapping[str, str] = {
@@ -31,6 +33,7 @@ _PERIODS: Mapping[str, str] = {
     PeriodSource.FPS.value: "1 / fps of the file",
     PeriodSource.BENCHMARK.value: "the benchmark's, by default",
     PeriodSource.RATE.value: "from --rate",
+    PeriodSource.TASK_DURATION.value: "from --task-duration",
 }
 _CAMERAS: Mapping[str, str] = {
     "given": "argument of the call",

@@ -61,6 +61,8 @@ class CloudModel(ABC, Generic[_Options]):
 
     service: str
     """Name in messages."""
+    chooses_length = True
+    """Services take seconds of video, not frames."""
 
     def __init__(self, spec: Spec, options: _Options, model: str, key: str, limits: Limits | None) -> None:
         if web_address(options.base) is None:

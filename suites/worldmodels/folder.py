@@ -33,6 +33,9 @@ class FolderModel:
         except InputError as error:
             raise spec.unusable(str(error)) from None
 
+    chooses_length = True
+    """The videos are finished."""
+
     def generate(self, request: Request, out: Path) -> Path:
         """Return the video of the episode, which stays in its folder."""
         if request.round:

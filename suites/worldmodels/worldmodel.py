@@ -94,6 +94,15 @@ class OfflineModel(Protocol):
 
 
 @runtime_checkable
+class ChoosesLength(Protocol):
+    """World model whose clips may have another number of frames than requested, by its own choice."""
+
+    @property
+    def chooses_length(self) -> bool:
+        """True if the number of frames of the clip generated last was the model's own choice."""
+
+
+@runtime_checkable
 class PrivilegedModel(Protocol):
     """World model that receives the simulator state before each request."""
 

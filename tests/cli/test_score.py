@@ -58,6 +58,48 @@ def content(out):
     }
 
 
+def test_a_video_of_known_duration_is_sampled_at_the_frame_period(film, config, tmp_path):
+    film("videos/long.mp4", frames=20)
+    film("videos/short.mp4", frames=4)
+    (tmp_path / "depth").mkdir()
+    depth = np.full((20, 96, 96), 1.0)
+    depth[1:, ...] += np.arange(19)[:, None, None]
+    np.save(tmp_path / "depth" / "long.npy", depth)
+    np.save(tmp_path / "depth" / "short.npy", np.ones((4, 96, 96)))
+    score_videos(config(task_duration_s=1.8, depth=str(tmp_path / "depth"), overlay=True))
+    rows = read_rows(tmp_path / "out")
+    for id, clip, frames, period in (("long", 20, 10, 0.2), ("short", 4, 4, 0.6)):
+        told = {name: rows[id].extra[name] for name in ("clip_timing", "clip_frames", "frames", "frame_period_source")}
+        assert told == {
+            "clip_timing": "uniform", "clip_frames": clip, "frames": frames, "frame_period_source": "task_duration",
+        }  # fmt: skip
+        assert rows[id].extra["frame_period_s"] == pytest.approx(period)
+        with np.load(tmp_path / "out" / "tracks" / f"{id}.npz") as track:
+            taken = np.rint(np.linspace(0, clip - 1, frames))
+            np.testing.assert_allclose(track["t_s"], taken * 1.8 / (clip - 1))
+        assert len(read_video(tmp_path / "out" / "overlays" / f"{id}.mp4").frames) == frames
+    stated = json.loads((tmp_path / "out" / "results.json").read_text())["config"]
+    assert stated["task_duration_s"] == 1.8
+    score_videos(config(clip_timing="uniform", frame_period_s=1.2, out=tmp_path / "other"))
+    assert read_rows(tmp_path / "other")["long"].extra["frames"] == 9
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (
+            {"task_duration_s": 3.0, "clip_timing": "native"},
+            "--task-duration needs --clip-timing uniform, found native",
+        ),
+        ({"task_duration_s": float("nan")}, "--task-duration is nan, expected seconds from 0.0001 to 1000"),
+        ({"clip_timing": "even"}, "--clip-timing is 'even', expected 'uniform', 'native'"),
+    ],
+)
+def test_durations_that_cannot_be_used(config, options, told):
+    with pytest.raises(UsageError, match=told):
+        config(**options)
+
+
 def test_every_kind_of_sample_becomes_a_row(film, config, tmp_path):
     film("videos/good.mp4")
     film("videos/bad.mp4", Act.INFEASIBLE)

@@ -2,6 +2,7 @@
 
 import io
 import json
+from collections.abc import Sequence
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 
@@ -12,6 +13,11 @@ import pytest
 from kinebench_drake import cli
 from kinebench_drake.io.container import write_video
 from kinebench_drake.io.reader import read_video
+from kinebench_drake.suites.episode import compose
+from kinebench_drake.suites.experts.registry import find_expert
+from kinebench_drake.suites.rollout import render_video, run_expert
+from kinebench_drake.suites.simulator import Simulator, Snapshot
+from kinebench_drake.suites.split import Pool
 from kinebench_drake.suites.suite import VERSION
 
 pytestmark = [pytest.mark.sapien, pytest.mark.slow]
@@ -106,6 +112,58 @@ def test_a_letter_boxed_video_is_read_and_shown_without_its_bars(oracle: Path, t
     assert (tmp_path / "out" / other["video"]).is_file()
     for name, factor in (("gap_robot_iou", -0.05), ("gap_psnr_db", -3.0)):
         assert other["metrics"][name] > row["metrics"][name] + factor
+
+
+@pytest.fixture(scope="module")
+def long_film(oracle: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the oracle's clip in 150 frames, as a service might return it."""
+    [row] = rows(oracle)
+    episode = compose(row["task"], row["seed"], pool=Pool(row["pool"]))
+    with Simulator(episode.task) as simulator:
+        steps = run_expert(simulator, find_expert(episode.task), episode, every=1).snapshots[: 48 * 4 + 1]
+        video = render_video(simulator, [between(steps, at) for at in np.linspace(0, len(steps) - 1, 150)])
+    folder = tmp_path_factory.mktemp("long")
+    write_video(folder / f"{row['id']}.mp4", video.rgb, 30)
+    return folder
+
+
+def between(steps: Sequence[Snapshot], at: float) -> Snapshot:
+    """The state between two control steps."""
+    one, other = steps[int(at)], steps[min(int(at) + 1, len(steps) - 1)]
+    share = at - int(at)
+
+    def mix(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        return (1 - share) * np.asarray(a) + share * np.asarray(b)
+
+    objects = {name: mix(raw, other.objects[name]) for name, raw in one.objects.items()}
+    for raw in objects.values():
+        raw[3:] /= np.linalg.norm(raw[3:])
+    return Snapshot(
+        q=mix(one.q, other.q),
+        fingers_m=mix(one.fingers_m, other.fingers_m),
+        objects=objects,
+        joints={name: float(mix(value, other.joints[name])) for name, value in one.joints.items()},
+    )
+
+
+def test_a_clip_in_150_frames_is_the_same_motion(oracle: Path, long_film: Path, tmp_path: Path) -> None:
+    """Rendered, grounded and executed: metrics within the noise floor; at one frame period a frame they are not."""
+    code, said = run(tmp_path / "even", "--world-model", f"folder:{long_film}", "--pixels-only")
+    assert code == 0
+    assert "1 episodes have clips of 150 frames in place of 49: each was sampled evenly over 9.6 s" in said
+    [reference], [row] = rows(oracle), rows(tmp_path / "even")
+    assert row["success"] is True
+    assert (row["clip_timing"], row["clip_frames"], row["frames"]) == ("uniform", [150], 49)
+    assert (reference["clip_timing"], reference["clip_frames"]) == ("native", [49])
+    one, other = reference["metrics"], row["metrics"]
+    for name in ("sparc", "ldlj", "sparc_rotation"):
+        assert abs(one[name] - other[name]) < one[f"{name}_floor_high"] - one[f"{name}_floor_low"], name
+    assert other["manipulability_integral"] == pytest.approx(one["manipulability_integral"], rel=0.03)
+    options = ("--clip-timing", "native", "--pixels-only", "--no-rollouts")
+    _, said = run(tmp_path / "slow", "--world-model", f"folder:{long_film}", *options)
+    assert "150 frames in place of 49: 0.2 s a frame were taken" in said
+    [slow] = rows(tmp_path / "slow")
+    assert slow["metrics"]["manipulability_integral"] > 1.5 * one["manipulability_integral"]
 
 
 def test_a_still_video_fails_for_the_task_s_reason(still: Path) -> None:

@@ -1,10 +1,13 @@
-"""Videos of a model, stored beside the other videos of a run."""
+"""Videos of a model: stored beside the other videos of a run, and brought to the task's clock."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
-from kinebench_drake.closed_loop.loop import _place_beside
+from kinebench_drake.closed_loop.loop import ClosedLoop, LoopOptions, _place_beside
+from kinebench_drake.suites.clock import ClipTiming
 
 
 @pytest.fixture
@@ -46,3 +49,26 @@ def test_a_model_s_own_folder_is_left(out: Path) -> None:
     assert _place_beside(within, out) == out
     assert names(within) == ["0.png", "1.png", "2.png"]
     assert names(out) == [*names(within), "work"]
+
+
+@pytest.mark.parametrize(
+    ("model", "option", "timing"),
+    [
+        (SimpleNamespace(), None, ClipTiming.NATIVE),
+        (SimpleNamespace(chooses_length=False), None, ClipTiming.NATIVE),
+        (SimpleNamespace(chooses_length=True), None, ClipTiming.UNIFORM),
+        (SimpleNamespace(chooses_length=True), ClipTiming.NATIVE, ClipTiming.NATIVE),
+        (SimpleNamespace(), ClipTiming.UNIFORM, ClipTiming.UNIFORM),
+    ],
+)
+def test_models_that_choose_the_length_fill_the_clip(
+    model: SimpleNamespace, option: ClipTiming | None, timing: ClipTiming
+) -> None:
+    loop = ClosedLoop(None, None, model, LoopOptions(clip_timing=option))
+    used, chosen, t_s = loop._times(150)
+    assert used is timing
+    assert (len(chosen), t_s[-1]) == ((49, pytest.approx(9.6)) if timing is ClipTiming.UNIFORM else (150, 0.2 * 149))
+    for frames in (2, 25, 49):
+        used, chosen, t_s = loop._times(frames)
+        assert chosen.tolist() == list(range(frames))
+    np.testing.assert_array_equal(t_s, 0.2 * np.arange(49))

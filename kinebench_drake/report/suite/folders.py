@@ -14,7 +14,7 @@ from kinebench_drake.results.row import SampleRow
 from kinebench_drake.results.store import RESULTS
 
 _KIND = "suite"
-_SETTINGS = ("rounds", "control", "action_repeat", "frame_period_s", "pixels_only", "negative_prompt")
+_SETTINGS = ("rounds", "control", "action_repeat", "frame_period_s", "clip_timing", "pixels_only", "negative_prompt")
 """Settings of a run that change the results of its episodes."""
 _DIGITS = 6
 """Digits of a hash in a label."""
