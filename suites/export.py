@@ -1,7 +1,7 @@
 """Export of a suite's episodes for world models: first frames, prompts and camera."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 from functools import partial
 from pathlib import Path
@@ -21,6 +21,7 @@ from kinebench_drake.models.panda.robot import TCP_LINK
 from kinebench_drake.results.store import SAMPLES
 from kinebench_drake.suites.clock import CLIP_FRAMES, FRAME_PERIOD_S
 from kinebench_drake.suites.episode import Episode
+from kinebench_drake.suites.prompts import PromptTemplate
 from kinebench_drake.suites.simulator import Simulator
 from kinebench_drake.suites.simulator_cache import SimulatorCache
 from kinebench_drake.suites.start import first_facts
@@ -62,6 +63,8 @@ class ExportConfig(DatasetConfig):
 
     size: int
     """Width and height of the first frames [px]."""
+    prompts: PromptTemplate = field(default_factory=PromptTemplate)
+    """Template of the prompts."""
 
     def specs(self) -> list[EpisodeSpec]:
         """Return the episodes, task by task."""
@@ -156,7 +159,8 @@ def _manifest_row(episode: Episode, state: dict[str, Any], config: ExportConfig)
         "id": episode.id,
         "task": episode.task,
         "seed": episode.seed,
-        "prompt": episode.prompt,
+        "prompt": config.prompts.prompt(episode),
+        **({"negative_prompt": config.prompts.negative} if config.prompts.negative else {}),
         "first_frame": f"{episode.id}.png",
         "frames": FRAMES,
         "fps": FPS,
@@ -219,4 +223,5 @@ def _summary(config: ExportConfig, count: int) -> dict[str, Any]:
         "frames": FRAMES,
         "fps": FPS,
         "frame_period_s": FRAME_PERIOD_S,
+        **config.prompts.to_json(),
     }

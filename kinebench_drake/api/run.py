@@ -94,8 +94,16 @@ class SuiteOptions(RunOptions, total=False):
     """ "uniform" or "native"; default: uniform for models that choose the number of frames."""
     pixels_only: bool
     """Ignore the known pose of the robot in first frames."""
+    prompt_preset: str
+    """ "visual-lock": prefix and negative prompt for a fixed camera, an unchanged robot and unchanged objects."""
+    prompt_prefix: str
+    """Text before each prompt."""
+    prompt_suffix: str
+    """Text after each prompt."""
+    prompts: PathName | Mapping[str, str]
+    """Text by task in place of the instruction, which "{prompt}" in it stands for; or a JSON file with them."""
     negative_prompt: str
-    """Negative prompt of every request."""
+    """Content to avoid, in every request."""
     rollouts: bool
     """Write videos of generated and executed frames."""
 
@@ -210,6 +218,7 @@ def _parsed(options: Mapping[str, Any]) -> dict[str, Any]:
         "masks": Path,
         "poses": Path,
         "depth": str,
+        "prompts": lambda prompts: dict(prompts) if isinstance(prompts, Mapping) else Path(prompts),
         "shard": Shard.parse,
         "engine": lambda engine: member_of(ExecutorKind, engine, "--engine"),
         "tags": dict,

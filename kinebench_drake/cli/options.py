@@ -189,6 +189,23 @@ variant_option = click.option(
 first_seed_option = click.option(
     "--seed", type=click.IntRange(0), default=0, show_default=True, help="Number of the first of the split's seeds."
 )
+prompt_options = _combine(
+    click.option(
+        "--prompt-preset",
+        type=click.Choice(["visual-lock"]),
+        help="Prefix and negative prompt that ask for a fixed camera and unchanged robot and objects.",
+    ),
+    click.option("--prompt-prefix", metavar="TEXT", help="Text before each prompt; replaces that of the preset."),
+    click.option("--prompt-suffix", metavar="TEXT", help="Text after each prompt."),
+    click.option(
+        "--prompts",
+        type=click.Path(path_type=Path),
+        metavar="FILE",
+        help='JSON object of texts by task in place of the instruction; "{prompt}" in a text stands for it.',
+    ),
+    click.option("--negative-prompt", metavar="TEXT", help="Content to avoid; replaces that of the preset."),
+)
+"""Options of the prompts of world models."""
 SIZES = click.IntRange(128, 2048)
 """Side lengths of images [px]: below that x264 does not write reproducible bytes."""
 

@@ -6,7 +6,14 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from kinebench_drake.cli.options import SIZES, first_seed_option, jobs_option, suite_options, variant_option
+from kinebench_drake.cli.options import (
+    SIZES,
+    first_seed_option,
+    jobs_option,
+    prompt_options,
+    suite_options,
+    variant_option,
+)
 from kinebench_drake.cli.run import ProgressView, terminate_as_interrupt
 from kinebench_drake.errors import UsageError
 from kinebench_drake.results.metadata import Shard
@@ -28,9 +35,10 @@ _OUT = click.option("--out", type=click.Path(path_type=Path), required=True, hel
 @first_seed_option
 @variant_option
 @click.option("--size", type=SIZES, default=384, show_default=True, help="Width and height of the images.")
+@prompt_options
 @_OUT
 @jobs_option
-def export(size: int, jobs: int, **dataset: Any) -> None:
+def export(size: int, jobs: int, **options: Any) -> None:
     """Write the inputs of world models: first frames, prompts, camera.
 
     ID.png is an episode's first frame. manifest.jsonl lists it with the prompt and the video expected beside it,
@@ -39,8 +47,10 @@ def export(size: int, jobs: int, **dataset: Any) -> None:
     """
     from kinebench_drake.executors.base import ExecutorKind, create_executor
     from kinebench_drake.suites.export import ExportConfig, export_suite
+    from kinebench_drake.suites.prompts import PROMPT_OPTIONS, prompt_template
 
-    config = ExportConfig(**_dataset(**dataset), size=size)
+    prompts = prompt_template(**{name: options.pop(name) for name in PROMPT_OPTIONS})
+    config = ExportConfig(**_dataset(**options), size=size, prompts=prompts)
     with ProgressView() as view, terminate_as_interrupt():
         count = export_suite(config, create_executor(ExecutorKind.LOCAL, jobs), view)
     of = _counted(len(config.tasks), "task")

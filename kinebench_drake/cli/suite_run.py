@@ -6,6 +6,12 @@ import click
 
 from kinebench_drake.cli.options import (
     clip_timing_option,
+    prompt_options,
+    replays_option,
+    run_options,
+    suite_options,
+    variant_option,
+)
     replays_option,
     run_options,
     suite_options,
@@ -20,7 +26,8 @@ from kinebench_drake.suites.clock import FRAME_PERIOD_S, MAX_FRAME_PERIOD_S, MIN
     epilog="\b\nExamples:\n"
     "  kinebench-drake suite run --suite 0 --world-model oracle --episodes 5 --out ceiling/ --jobs 2\n"
     "  kinebench-drake suite run --suite 2 --split unseen --world-model http://127.0.0.1:8000 --out looks/\n"
-    "  kinebench-drake suite run --suite 1 --world-model folder:videos/ --rounds 1 --out offline/",
+    "  kinebench-drake suite run --suite 1 --world-model folder:videos/ --rounds 1 --out offline/\n"
+    "  kinebench-drake suite run --suite 0 --world-model diffusers:wan/ --prompt-preset visual-lock --out locked/",
 )
 @suite_options()
 @variant_option
@@ -55,7 +62,7 @@ from kinebench_drake.suites.clock import FRAME_PERIOD_S, MAX_FRAME_PERIOD_S, MIN
     "--rollouts/--no-rollouts", default=True, show_default=True,
     help="Write videos of the generated and executed motion side by side.",
 )  # fmt: skip
-@click.option("--negative-prompt", default="", help="Content to avoid.")
+@prompt_options
 @replays_option
 @run_options
 @click.pass_context

@@ -3,7 +3,7 @@
 import glob
 import shutil
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -31,6 +31,7 @@ from kinebench_drake.suites.clock import (
 )
 from kinebench_drake.suites.episode import Episode
 from kinebench_drake.suites.export import FPS
+from kinebench_drake.suites.prompts import PromptTemplate
 from kinebench_drake.suites.seeding import generator
 from kinebench_drake.suites.simulator import Control, Simulator, TaskOutcome
 from kinebench_drake.suites.worldmodels.worldmodel import (
@@ -62,7 +63,8 @@ class LoopOptions:
     """Do not use the robot's joint state as a prior for the first frame."""
     num_frames: int = CLIP_FRAMES + 1
     """Requested number of frames, including the first one."""
-    negative_prompt: str = ""
+    prompts: PromptTemplate = field(default_factory=PromptTemplate)
+    """Template of the prompts."""
     seed: int = 0
     """Seed of the model's randomness."""
 
@@ -90,7 +92,7 @@ class LoopOptions:
             "frame_period_s": self.frame_period_s,
             "clip_timing": None if self.clip_timing is None else self.clip_timing.value,
             "pixels_only": self.pixels_only,
-            "negative_prompt": self.negative_prompt,
+            **self.prompts.to_json(),
         }
 
 
@@ -175,8 +177,8 @@ class ClosedLoop:
             episode=episode.id,
             task=episode.task,
             round=number,
-            prompt=episode.prompt,
-            negative_prompt=options.negative_prompt,
+            prompt=options.prompts.prompt(episode),
+            negative_prompt=options.prompts.negative,
             seed=int(generator("world model", episode.id, number, options.seed).integers(2**31)),
             first_frame=first_frame,
             num_frames=options.num_frames,

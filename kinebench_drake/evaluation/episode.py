@@ -136,7 +136,7 @@ class EpisodeEvaluator(Evaluator[EpisodeSample, EpisodeResources]):
                 "cause": None if cause is None else cause.to_json(),
                 "missed": [name for name, satisfied in run.outcome.conditions.items() if not satisfied],
                 "refused": _rejections(run),
-                "prompt": episode.prompt,
+                "prompt": self.loop.prompts.prompt(episode),
                 "videos": clips,
                 "clip_timing": run.rounds[0].timing.value,
                 "clip_frames": [r.generated_frames for r in run.rounds],

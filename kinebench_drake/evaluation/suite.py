@@ -14,6 +14,7 @@ from kinebench_drake.evaluation.runner import NullRunObserver, RunObserver, RunS
 from kinebench_drake.executors.base import ExecutorKind
 from kinebench_drake.results.row import SampleRow
 from kinebench_drake.suites.clock import ClipTiming
+from kinebench_drake.suites.prompts import PROMPT_OPTIONS, prompt_template
 from kinebench_drake.suites.selection import chosen_tasks
 from kinebench_drake.suites.simulator import Control
 from kinebench_drake.suites.suite import VERSION, Suite, load_suite
@@ -99,7 +100,7 @@ def suite_config(
         variant: name of a task variant.
         control: name of a controller.
         clip_timing: name of a timing; None: by the model.
-        **options: further fields of `SuiteConfig` and `LoopOptions`.
+        **options: arguments of `prompt_template`, and further fields of `SuiteConfig` and `LoopOptions`.
 
     Raises:
         UsageError: a value is invalid.
@@ -107,6 +108,7 @@ def suite_config(
     suite = load_suite(number)
     task_variant = member_of(TaskVariant, variant, "--variant")
     timing = None if clip_timing is None else member_of(ClipTiming, clip_timing, "--clip-timing")
+    prompts = prompt_template(**{name: options.pop(name) for name in PROMPT_OPTIONS if name in options})
     loop = {f.name: options.pop(f.name) for f in fields(LoopOptions) if f.name in options and f.name != "seed"}
     return SuiteConfig(
         suite=suite,
@@ -114,7 +116,12 @@ def suite_config(
         tasks=chosen_tasks(suite, split, tasks, task_variant),
         episodes=episodes,
         variant=task_variant,
-        loop=LoopOptions(control=member_of(Control, control, "--control"), clip_timing=timing, **loop),
+        loop=LoopOptions(
+            control=member_of(Control, control, "--control"),
+            clip_timing=timing,
+            prompts=prompts,
+            **loop,
+        ),
         **options,
     )
 

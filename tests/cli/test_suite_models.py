@@ -13,6 +13,7 @@ from kinebench_drake.errors import InputError
 from kinebench_drake.evaluation import episode
 from kinebench_drake.evaluation.suite import SuiteConfig, run_suite
 from kinebench_drake.executors.local import LocalExecutor
+from kinebench_drake.suites.prompts import PromptTemplate
 from kinebench_drake.suites.suite import load_suite
 from tests.cli.fake_analyzer import FakeAnalyzer
 
@@ -83,7 +84,7 @@ def test_results_tell_what_differs_between_runs_and_no_address(config: Callable[
     one, other = (config(spec, model_name="wan").to_json() for spec in specs)
     assert [name for name in one if one[name] != other[name]] == ["world_model_sha256"]
     assert "10.0.0" not in f"{one} {other}"
-    named = config(specs[0], model_name="wan", loop=LoopOptions(negative_prompt="blur")).to_json()
+    named = config(specs[0], model_name="wan", loop=LoopOptions(prompts=PromptTemplate(negative="blur"))).to_json()
     assert [name for name in one if one[name] != named[name]] == ["negative_prompt"]
     moved, here, changed = (
         config(f"http://{address}/a?name=wan&{options}", model_name="wan").to_json()

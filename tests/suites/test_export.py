@@ -15,6 +15,7 @@ from kinebench_drake.io.atomic import write_atomically
 from kinebench_drake.io.camerafile import load_camera, save_camera
 from kinebench_drake.suites.episode import compose
 from kinebench_drake.suites.export import ExportConfig, export_suite
+from kinebench_drake.suites.prompts import PromptTemplate
 from kinebench_drake.suites.simulator import Simulator
 from kinebench_drake.suites.suite import load_suite
 from kinebench_drake.suites.tasks.task import TaskVariant
@@ -23,7 +24,9 @@ from tests.suites.orders import Recorder
 TASKS = ("PullCube-v1", "StackCube-v1")
 
 
-def export(out: Path, tasks: tuple[str, ...], count: int, size: int = 96) -> Path:
+def export(
+    out: Path, tasks: tuple[str, ...], count: int, prompts: PromptTemplate | None = None, size: int = 96
+) -> Path:
     order = ExportConfig(
         suite=load_suite(0),
         split="test",
@@ -33,6 +36,7 @@ def export(out: Path, tasks: tuple[str, ...], count: int, size: int = 96) -> Pat
         variant=TaskVariant.PLAIN,
         size=size,
         out=out,
+        prompts=prompts or PromptTemplate(),
     )
     observer = Recorder()
     assert (
@@ -78,6 +82,20 @@ def test_the_manifest_is_one_for_score(exported: Path) -> None:
         assert sample.problem is None
         assert sample.prompt
     assert load_camera(exported / "camera.json").width == 96
+
+
+@pytest.mark.sapien
+def test_prompts_are_those_of_a_run_with_the_same_options(exported: Path, tmp_path: Path) -> None:
+    template = PromptTemplate(prefix="Still camera.", negative="blur")
+    asked = export(tmp_path / "asked", TASKS[1:], 1, template)
+    [sample] = find_samples(asked / "manifest.jsonl").samples
+    assert sample.prompt == template.prompt(compose("StackCube-v1", 0))
+    assert not find_samples(asked / "manifest.jsonl").warnings
+    assert json.loads((asked / "manifest.jsonl").read_text())["negative_prompt"] == "blur"
+    assert json.loads((asked / "suite.json").read_text())["prompt_prefix"] == "Still camera."
+    assert "negative_prompt" not in (exported / "manifest.jsonl").read_text()
+    with pytest.raises(UsageError, match="holds an export of prompt_prefix Still camera., this one is of"):
+        export(asked, TASKS[1:], 1)
 
 
 @pytest.mark.sapien

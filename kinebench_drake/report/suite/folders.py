@@ -8,13 +8,17 @@ from itertools import combinations
 from pathlib import Path
 
 from kinebench_drake.errors import UsageError
+from kinebench_drake.io.jsonl import dump
 from kinebench_drake.report.run import Run, read_runs
 from kinebench_drake.report.suite.episode import EpisodeResult, SuitePart
 from kinebench_drake.results.row import SampleRow
 from kinebench_drake.results.store import RESULTS
 
 _KIND = "suite"
-_SETTINGS = ("rounds", "control", "action_repeat", "frame_period_s", "clip_timing", "pixels_only", "negative_prompt")
+_SETTINGS = (
+    *("rounds", "control", "action_repeat", "frame_period_s", "clip_timing", "pixels_only"),
+    *("prompt_prefix", "prompt_suffix", "prompts", "negative_prompt"),
+)
 """Settings of a run that change the results of its episodes."""
 _DIGITS = 6
 """Digits of a hash in a label."""
@@ -93,6 +97,8 @@ def _suite_folder(run: Run) -> RunFolder:
 
 def _format_setting(value: object) -> str:
     """Format a setting for a label; a long text is cut and followed by its hash."""
+    if isinstance(value, Mapping):
+        value = dump(value).strip()
     if isinstance(value, str) and len(value) > _MAX_LETTERS:
         return f"{value[:_MAX_LETTERS]}… {hashlib.sha256(value.encode()).hexdigest()[:_DIGITS]}"
     return str(value).lower() if isinstance(value, bool) else f"{value:g}" if isinstance(value, float) else str(value)
