@@ -1,6 +1,6 @@
 """Export of a suite's episodes for world models: first frames, prompts and camera."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from functools import partial
@@ -118,7 +118,9 @@ def export_suite(config: ExportConfig, executor: Executor, observer: Observer) -
         observer.advance(done.result[0].id)
     ordered = [frames[spec] for spec in specs]
     save_camera(benchmark_camera().resized(config.size, config.size), config.out / CAMERA)
-    write_lines(config.out / MANIFEST, [_manifest_row(*frame, config) for frame in ordered])
+    subject = {"suite": config.suite.number, "split": config.split}
+    rows = [manifest_row(episode.id, episode, config.prompts, {**subject, **state}) for episode, state in ordered]
+    write_lines(config.out / MANIFEST, rows)
     write_lines(config.out / EPISODES, [_episode_row(episode, config) for episode, _ in ordered])
     return len(ordered)
 
@@ -153,21 +155,27 @@ def _check_folder(config: ExportConfig, specs: Sequence[EpisodeSpec]) -> None:
         )
 
 
-def _manifest_row(episode: Episode, state: dict[str, Any], config: ExportConfig) -> dict[str, Any]:
+def manifest_row(id: str, episode: Episode, prompts: PromptTemplate, facts: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the manifest's row of a video to generate.
+
+    Args:
+        id: name of the video and of its first frame.
+        episode: the episode.
+        prompts: template of the prompts.
+        facts: further keys, such as the state of the robot in the first frame.
+    """
     return {
-        "video": f"{episode.id}.mp4",
-        "id": episode.id,
+        "video": f"{id}.mp4",
+        "id": id,
         "task": episode.task,
         "seed": episode.seed,
-        "prompt": config.prompts.prompt(episode),
-        **({"negative_prompt": config.prompts.negative} if config.prompts.negative else {}),
-        "first_frame": f"{episode.id}.png",
+        "prompt": prompts.prompt(episode),
+        **({"negative_prompt": prompts.negative} if prompts.negative else {}),
+        "first_frame": f"{id}.png",
         "frames": FRAMES,
         "fps": FPS,
         "frame_period_s": FRAME_PERIOD_S,
-        "suite": config.suite.number,
-        "split": config.split,
-        **state,
+        **facts,
     }
 
 

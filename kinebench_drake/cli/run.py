@@ -16,6 +16,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.text import Text
 
 from kinebench_drake.errors import count_noun, one_line
+from kinebench_drake.evaluation.evaluator import REQUESTS
 from kinebench_drake.evaluation.runner import RunObserver, RunSummary
 from kinebench_drake.report.timeline import anomalies_of
 from kinebench_drake.results.aggregate import VERDICTS, estimate
@@ -110,17 +111,22 @@ def run(job: Callable[[RunObserver], RunSummary], out: Path, view: ProgressView 
         click.echo(f"interrupted {progress}; run the same command again, without --overwrite, to go on", err=True)
         return 130
     _print_summary(out, summary)
-    return 0 if summary.counts[Status.OK] else 1
+    return 0 if summary.counts[Status.OK] or summary.pending else 1
 
 
 def _print_summary(out: Path, summary: RunSummary) -> None:
     counts = ", ".join(f"{n} {status.value}" for status, n in summary.counts.items() if n)
     if not any(summary.counts.values()):
         click.echo("there was nothing to do: this shard holds no sample", err=True)
-    elif not summary.counts[Status.OK]:
+    elif not summary.counts[Status.OK] and not summary.pending:
         click.echo(f"nothing could be measured ({counts}); {out / 'samples.jsonl'} has the reasons", err=True)
     for line in summary_lines(summary.rows) if summary.rows else ():
         click.echo(line)
+    if count := len(summary.pending):
+        click.echo(
+            f"{count_noun(count, 'episode')} to go on: generate the videos of {out / REQUESTS / 'manifest.jsonl'}, put "
+            "them to the others and run the same command again (or with fewer --rounds)"
+        )
     click.echo(summary.report or out / "results.json")
 
 

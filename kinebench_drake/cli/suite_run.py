@@ -12,11 +12,6 @@ from kinebench_drake.cli.options import (
     suite_options,
     variant_option,
 )
-    replays_option,
-    run_options,
-    suite_options,
-    variant_option,
-)
 from kinebench_drake.cli.run import run as carry_out
 from kinebench_drake.suites.clock import FRAME_PERIOD_S, MAX_FRAME_PERIOD_S, MIN_FRAME_PERIOD_S
 

@@ -20,6 +20,7 @@ from kinebench_drake.grounding.pipeline import GroundingResult
 from kinebench_drake.io.atomic import disk_errors, remove
 from kinebench_drake.io.files import VIDEO_SUFFIXES
 from kinebench_drake.io.reader import read_video
+from kinebench_drake.models.panda.robot import TCP_LINK
 from kinebench_drake.suites.clock import (
     CLIP_FRAMES,
     CONTROL_PERIOD_S,
@@ -120,12 +121,25 @@ class Round:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class PendingRound:
+    """Next round of an episode, whose video an offline model does not have yet."""
+
+    request: Request
+    X_BG: Array
+    """(4, 4) panda_hand_tcp in the base frame in the first frame [m]."""
+    finger_width_m: float
+    """Gap between the finger pads in it [m]."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class EpisodeRun:
     """Rounds and outcome of an episode."""
 
     rounds: tuple[Round, ...]
     outcome: TaskOutcome
     """Outcome of the task in the final state."""
+    pending: PendingRound | None
+    """None for a complete episode."""
 
 
 Ground = Callable[[NDArray[np.uint8], Camera, Array, Priors], GroundingResult]
@@ -151,16 +165,20 @@ class ClosedLoop:
             InputError: its video cannot be read.
             SetupError: something is missing on this machine.
         """
-        offline = isinstance(self._model, OfflineModel)
-        if not offline:  # the folder of an offline model may be this one
+        model = self._model
+        if not isinstance(model, OfflineModel):  # the folder of an offline model may be this one
             _remove_earlier_clips(videos)
         simulator.reset(episode)
         rounds: list[Round] = []
-        gripping = False
-        for number in range(1 if offline else self._options.rounds):
+        gripping, pending = False, None
+        for number in range(self._options.rounds):
             now, first_frame = simulator.snapshot(), simulator.render().rgb
             state = RobotState(q=now.q, finger_width_m=float(now.fingers_m.sum()), gripping=gripping)
             request = self._request(episode, number, first_frame)
+            if number and isinstance(model, OfflineModel) and not model.files(episode.id, episode.task, number):
+                X_BG = simulator.link_pose(TCP_LINK)
+                pending = PendingRound(request=request, X_BG=X_BG, finger_width_m=state.finger_width_m)
+                break
             video = self._generate(request, simulator, episode, videos.with_name(f"{videos.name}_r{number}"))
             grounded = self._ground_video(video, first_frame, simulator.camera, state)
             commands, rejection = self._plan(grounded.grounding.track, state)
@@ -169,7 +187,7 @@ class ClosedLoop:
             if commands is None or execution is None or execution.outcome.success:
                 break
             gripping = commands.gripping
-        return EpisodeRun(rounds=tuple(rounds), outcome=simulator.outcome())
+        return EpisodeRun(rounds=tuple(rounds), outcome=simulator.outcome(), pending=pending)
 
     def _request(self, episode: Episode, number: int, first_frame: NDArray[np.uint8]) -> Request:
         options = self._options

@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import takewhile
 from pathlib import Path
 
 import cv2
@@ -12,27 +13,32 @@ from numpy.typing import NDArray
 from kinebench_drake.closed_loop.attribution import find_cause
 from kinebench_drake.closed_loop.commands import CommandPlanner
 from kinebench_drake.closed_loop.gap import measure_gap
-from kinebench_drake.closed_loop.loop import ClosedLoop, EpisodeRun, LoopOptions
+from kinebench_drake.closed_loop.loop import ClosedLoop, EpisodeRun, LoopOptions, PendingRound
 from kinebench_drake.evaluation.analyzer import Analyzer, load_analyzer
 from kinebench_drake.evaluation.clips import clip_starts, combine, join_tracks
-from kinebench_drake.evaluation.evaluator import KINEMATIC_METRICS, Evaluation, Evaluator
+from kinebench_drake.evaluation.evaluator import KINEMATIC_METRICS, PENDING, REQUESTS, Evaluation, Evaluator
 from kinebench_drake.evaluation.score import VISUAL_METRICS
 from kinebench_drake.evaluation.thumbnail import encode_strip
 from kinebench_drake.grounding.overlay import draw_caption
-from kinebench_drake.io.atomic import disk_errors, write_atomically
+from kinebench_drake.io.atomic import disk_errors, make_folder, write_atomically
 from kinebench_drake.io.container import write_video
+from kinebench_drake.io.jsonl import as_object
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.results.inputs import PeriodSource
 from kinebench_drake.results.provenance import weights_hash
+from kinebench_drake.results.row import SampleRow
 from kinebench_drake.results.store import artifact_path
 from kinebench_drake.results.trackfile import write_track
 from kinebench_drake.suites.clock import FRAME_PERIOD_S
-from kinebench_drake.suites.export import FPS
+from kinebench_drake.suites.episode import Episode
+from kinebench_drake.suites.export import FPS, manifest_row
 from kinebench_drake.suites.rollout import RolloutVideo, render_video
 from kinebench_drake.suites.simulator import Simulator
 from kinebench_drake.suites.simulator_cache import SimulatorCache
+from kinebench_drake.suites.start import first_facts
 from kinebench_drake.suites.suite import EpisodeSpec
 from kinebench_drake.suites.worldmodels.factory import LazyWorldModel
+from kinebench_drake.suites.worldmodels.remote import png
 from kinebench_drake.suites.worldmodels.worldmodel import OfflineModel
 from kinebench_drake.types import GripperTrack, Json
 
@@ -97,6 +103,8 @@ class EpisodeEvaluator(Evaluator[EpisodeSample, EpisodeResources]):
     loop: LoopOptions
     rollouts: bool
     """Write rollouts/ID.mp4."""
+    subject: Mapping[str, Json]
+    """Suite and split, as keys of a manifest."""
 
     def setup(self) -> EpisodeResources:
         """Load robot, world model and simulator cache."""
@@ -112,6 +120,8 @@ class EpisodeEvaluator(Evaluator[EpisodeSample, EpisodeResources]):
         videos = self.config.out / "videos"
         videos.mkdir(exist_ok=True)
         run = resources.loop.run(simulator, episode, videos / sample.id)
+        if run.pending is not None:
+            return self._ask(sample, episode, run.pending)
         executed = [None if r.execution is None else render_video(simulator, r.execution.snapshots) for r in run.rounds]
         tracks = [r.grounding.track for r in run.rounds]
         results = [resources.analyzer.judge(track) for track in tracks]
@@ -144,6 +154,27 @@ class EpisodeEvaluator(Evaluator[EpisodeSample, EpisodeResources]):
             },
         )
 
+    def _ask(self, sample: EpisodeSample, episode: Episode, pending: PendingRound) -> Evaluation:
+        """Write the first frame of the next round; the row has what a manifest says of it."""
+        number = pending.request.round
+        id = f"{sample.id}_r{number}"
+        path = request_path(self.config.out, id)
+        make_folder(path.parent)
+        write_atomically(path, png(pending.request.first_frame))
+        state = {**self.subject, **first_facts(pending.X_BG, pending.finger_width_m)}
+        return Evaluation(
+            kinematics=None,
+            unmeasurable=f"waits for the video of round {number + 1}: generate {id}.mp4 from {REQUESTS}/{id}.png",
+            extra={PENDING: manifest_row(id, episode, self.loop.prompts, state)},
+        )
+
+    def is_current(self, sample: EpisodeSample, row: SampleRow) -> bool:
+        """Return whether the stored row is still valid; that of a pending round needs its first frame, too."""
+        asked = as_object(row.extra.get(PENDING)).get("id")
+        return Evaluator.is_current(self, sample, row) and (
+            not isinstance(asked, str) or request_path(self.config.out, asked).is_file()
+        )
+
     @property
     def metric_names(self) -> tuple[str, ...]:
         """Visual, gap and kinematic metrics."""
@@ -165,9 +196,12 @@ class EpisodeEvaluator(Evaluator[EpisodeSample, EpisodeResources]):
         }
 
     def input_files(self, sample: EpisodeSample) -> Sequence[Path]:
-        """Return the clips of an offline world model."""
+        """Return the clips of an offline world model, up to the first that is missing."""
         model = self.world_model.get() if self.offline else None
-        return model.files(sample.id, sample.task) if isinstance(model, OfflineModel) else ()
+        if not isinstance(model, OfflineModel):
+            return ()
+        clips = (model.files(sample.id, sample.task, number) for number in range(self.loop.rounds))
+        return [file for files in takewhile(bool, clips) for file in files]
 
     def labels(self, sample: EpisodeSample) -> Mapping[str, Json]:
         """Return seed, pool, variant, frame period and camera."""
@@ -181,6 +215,11 @@ class EpisodeEvaluator(Evaluator[EpisodeSample, EpisodeResources]):
             "frame_period_source": source.value,
             "camera_source": "benchmark",
         }
+
+
+def request_path(out: Path, id: str) -> Path:
+    """Return the path of the first frame of a round that waits for its video."""
+    return out / REQUESTS / f"{id}.png"
 
 
 def _rollout_frames(

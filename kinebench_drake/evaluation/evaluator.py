@@ -26,6 +26,10 @@ if TYPE_CHECKING:  # loads Drake
 
 SCHEMA_VERSION = 2
 
+PENDING = "pending"
+"""Key of a row with the manifest's row of the video that it waits for."""
+REQUESTS = "ask"
+"""Folder with first frames and manifest of such videos."""
 KINEMATIC_METRICS = (
     *("sparc", "sparc_rotation", "ldlj", "manipulability_mean", "manipulability_min", "manipulability_integral"),
     *("manipulability_cost_mean", "ik_success_rate", "ik_position_error_max_m", "joint_limit_margin_min"),
@@ -79,6 +83,8 @@ class Evaluation:
     """Further keys of the row."""
     video: str | None = None
     """Name of the video where it differs from the sample's."""
+    unmeasurable: str | None = None
+    """Reason why the sample cannot be measured, where the row still has further keys."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -162,7 +168,11 @@ class Evaluator(ABC, Generic[SampleT, ResourcesT]):
     def row(self, sample: SampleT, resources: ResourcesT) -> SampleRow:
         """Evaluate a sample; any failure but a SetupError ends here and becomes its row."""
         try:
-            return self._ok_row(sample, self.evaluate(sample, resources))
+            evaluation = self.evaluate(sample, resources)
+            row = self._ok_row(sample, evaluation)
+            if evaluation.unmeasurable is None:
+                return row
+            return replace(row, status=Status.UNMEASURABLE, reason=one_line(evaluation.unmeasurable), null_reasons={})
         except SetupError:
             raise
         except UnmeasurableError as error:

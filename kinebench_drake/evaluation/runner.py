@@ -12,12 +12,13 @@ from typing import Protocol
 
 from kinebench_drake.errors import SetupError
 from kinebench_drake.evaluation.config import RunConfig, RunKind
-from kinebench_drake.evaluation.evaluator import SCHEMA_VERSION, Evaluator, ResourcesT, SampleT, SampleWorker
+from kinebench_drake.evaluation.evaluator import PENDING, SCHEMA_VERSION, Evaluator, ResourcesT, SampleT, SampleWorker
 from kinebench_drake.evaluation.resume import resume
 from kinebench_drake.executors.base import Executor, SupportsDrain, WorkerCrash, create_executor
 from kinebench_drake.executors.interrupt import graceful_interrupt
 from kinebench_drake.executors.progress import Observer
 from kinebench_drake.io.atomic import disk_errors
+from kinebench_drake.io.jsonl import as_object
 from kinebench_drake.report.sample import worst_samples
 from kinebench_drake.results.aggregate import Estimate, aggregate, estimate, normalize_run, split_rows
 from kinebench_drake.results.inputs import list_inputs
@@ -56,6 +57,11 @@ class RunSummary:
     """Share of successful episodes; None for runs without episodes, or where none was measured."""
     report: Path | None
     """The html report; None for kinds that have none."""
+
+    @property
+    def pending(self) -> list[Mapping[str, object]]:
+        """Rows of a manifest of the videos that samples wait for."""
+        return [as_object(row.extra[PENDING]) for row in self.rows if PENDING in row.extra]
 
 
 def run_samples(

@@ -6,14 +6,20 @@ from contextlib import closing
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
+from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.closed_loop.loop import LoopOptions
 from kinebench_drake.errors import UsageError, member_of
 from kinebench_drake.evaluation.config import RunConfig, RunKind
-from kinebench_drake.evaluation.episode import EpisodeEvaluator, EpisodeSample
+from kinebench_drake.evaluation.episode import SIZE_PX, EpisodeEvaluator, EpisodeSample
+from kinebench_drake.evaluation.evaluator import REQUESTS
 from kinebench_drake.evaluation.runner import NullRunObserver, RunObserver, RunSummary, run_samples
 from kinebench_drake.executors.base import ExecutorKind
+from kinebench_drake.io.atomic import disk_errors
+from kinebench_drake.io.camerafile import save_camera
+from kinebench_drake.io.jsonl import write_lines
 from kinebench_drake.results.row import SampleRow
 from kinebench_drake.suites.clock import ClipTiming
+from kinebench_drake.suites.export import CAMERA, MANIFEST
 from kinebench_drake.suites.prompts import PROMPT_OPTIONS, prompt_template
 from kinebench_drake.suites.selection import chosen_tasks
 from kinebench_drake.suites.simulator import Control
@@ -137,8 +143,6 @@ def run_suite(config: SuiteConfig, observer: RunObserver | None = None) -> RunSu
     with closing(LazyWorldModel(config.world_model)) as world_model:
         model = world_model.get()
         name, offline = model.name, isinstance(model, OfflineModel)
-        if offline and config.loop.rounds > 1:
-            observer.warn(f"{name} consists of finished videos: only the first round is run")
         if not offline and (config.jobs > 1 or config.engine is not ExecutorKind.LOCAL):
             world_model.close()  # workers load their own, and may need the memory
         evaluator = EpisodeEvaluator(
@@ -147,6 +151,7 @@ def run_suite(config: SuiteConfig, observer: RunObserver | None = None) -> RunSu
             offline=offline,
             loop=config.loop,
             rollouts=config.rollouts,
+            subject={"suite": config.suite.number, "split": config.split},
         )
         samples = [
             EpisodeSample(spec=spec, model=config.model or name)
@@ -156,8 +161,30 @@ def run_suite(config: SuiteConfig, observer: RunObserver | None = None) -> RunSu
             )
         ]
         summary = run_samples(samples, evaluator, observer)
+        _write_requests(config.out / REQUESTS, summary.pending)
         _warn_of_lengths(summary.rows, config.loop, observer)
         return summary
+
+
+def _write_requests(folder: Path, requests: Sequence[Mapping[str, object]]) -> None:
+    """Write manifest and camera of the rounds that wait for their videos; remove the first frames of others.
+
+    Raises:
+        SetupError: writing failed.
+    """
+    wanted = {str(request["first_frame"]) for request in requests}
+    with disk_errors(folder.name):
+        for image in folder.glob("*_r[0-9]*.png"):
+            if image.name not in wanted:
+                image.unlink()
+        if requests:
+            save_camera(benchmark_camera().resized(SIZE_PX, SIZE_PX), folder / CAMERA)
+            write_lines(folder / MANIFEST, requests)
+        elif folder.is_dir():
+            for name in (CAMERA, MANIFEST):
+                (folder / name).unlink(missing_ok=True)
+            if not any(folder.iterdir()):  # else videos were put beside the first frames
+                folder.rmdir()
 
 
 def _warn_of_lengths(rows: Sequence[SampleRow], loop: LoopOptions, observer: RunObserver) -> None:

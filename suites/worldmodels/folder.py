@@ -18,8 +18,9 @@ _SEED = re.compile(r"[-_](?:seed|s)?[-_]?(\d+)", re.IGNORECASE)
 class FolderModel:
     """World model that looks up videos in a folder, by manifest row or else by file name.
 
-    A row matches an episode by its `id`, else by its `task` and `seed`. A video or folder of frames matches if its stem
-    is the episode's id, else if it is the task and the seed, such as `StackCube-v1_seed3`.
+    A row matches the first round of an episode by its `id`, else by its `task` and `seed`. A video or folder of frames
+    matches if its stem is the episode's id, else if it is the task and the seed, such as `StackCube-v1_seed3`. Later
+    rounds have the episode's id followed by `_r1`, `_r2`, ...; the first one may have `_r0`.
     """
 
     def __init__(self, spec: Spec) -> None:
@@ -37,38 +38,39 @@ class FolderModel:
     """The videos are finished."""
 
     def generate(self, request: Request, out: Path) -> Path:
-        """Return the video of the episode, which stays in its folder."""
-        if request.round:
-            raise WorldModelError(
-                f"a folder of finished videos can answer the first round only, this is round {request.round + 1}: it "
-                "would have to know what was executed; use --rounds 1"
-            )
-        matches = self._find(request.episode, request.task)
+        """Return the video of the episode and round, which stays in its folder."""
+        matches = self._find(request.episode, request.task, request.round)
+        name = _round_id(request.episode, request.round) if request.round else request.episode
         if not matches:
             raise WorldModelError(
-                f"the folder has no video of {request.episode}; expected {request.episode}.mp4 (or mov, avi, gif, "
+                f"the folder has no video of {name}; expected {name}.mp4 (or mov, avi, gif, "
                 f"webm, mkv, a folder of frames), or a row of {_MANIFEST} with its id and video"
             )
         if len(matches) > 1:
             names = ", ".join(path.name for path in matches)
-            raise WorldModelError(f"the folder has several videos of {request.episode} ({names}); leave one")
+            raise WorldModelError(f"the folder has several videos of {name} ({names}); leave one")
         return self._check(matches[0])
 
-    def files(self, episode: str, task: str) -> list[Path]:
-        """Return the files of the episode's video, or of its folder of frames."""
-        matches = self._find(episode, task)
+    def files(self, episode: str, task: str, round: int) -> list[Path]:
+        """Return the files of a round's video, or of its folder of frames."""
+        matches = self._find(episode, task, round)
         return [inner for path in matches for inner in (sorted(path.iterdir()) if path.is_dir() else [path])]
 
     def close(self) -> None:
         """Do nothing: there are no resources."""
 
-    def _find(self, episode: str, task: str) -> list[Path]:
-        return self._by_manifest(episode, task) or self._by_name(episode, task)
+    def _find(self, episode: str, task: str, number: int) -> list[Path]:
+        """Return the videos of a round; task and seed name that of the first one only."""
+        seed = None if number else _seed_of(episode, task)
+        names = [_round_id(episode, number)] if number else [episode, _round_id(episode, 0)]
+        for name in names:
+            if matches := self._by_manifest(name, task, seed) or self._by_name(name, task, seed):
+                return matches
+        return []
 
-    def _by_manifest(self, episode: str, task: str) -> list[Path]:
+    def _by_manifest(self, name: str, task: str, seed: int | None) -> list[Path]:
         """Return existing videos of matching rows; an export has rows without a video."""
-        seed = _seed_of(episode, task)
-        by_id = [row for row in self._rows if row.get("id") == episode]
+        by_id = [row for row in self._rows if row.get("id") == name]
         nameless = [row for row in self._rows if "id" not in row and seed is not None]
         by_seed = [row for row in nameless if (row.get("task"), row.get("seed")) == (task, seed)]
         for rows in (by_id, by_seed):
@@ -77,17 +79,16 @@ class FolderModel:
                 return matches
         return []
 
-    def _by_name(self, episode: str, task: str) -> list[Path]:
-        names = {path: path.stem if _is_video(path) else path.name for path in sorted(self._folder.iterdir())}
-        videos = {path: name for path, name in names.items() if _is_video(path) or _is_frames(path)}
-        if matches := [path for path, name in videos.items() if name == episode]:
+    def _by_name(self, name: str, task: str, seed: int | None) -> list[Path]:
+        stems = {path: path.stem if _is_video(path) else path.name for path in sorted(self._folder.iterdir())}
+        videos = {path: stem for path, stem in stems.items() if _is_video(path) or _is_frames(path)}
+        if matches := [path for path, stem in videos.items() if stem == name]:
             return matches
-        seed = _seed_of(episode, task)
         return [
             path
-            for path, name in videos.items()
-            if name.startswith(task)
-            and (number := _SEED.fullmatch(name.removeprefix(task))) is not None
+            for path, stem in videos.items()
+            if stem.startswith(task)
+            and (number := _SEED.fullmatch(stem.removeprefix(task))) is not None
             and int(number[1]) == seed
         ]
 
@@ -101,6 +102,10 @@ class FolderModel:
         else:
             check_video(real)
         return real
+
+
+def _round_id(episode: str, number: int) -> str:
+    return f"{episode}_r{number}"
 
 
 def _seed_of(episode: str, task: str) -> int | None:

@@ -87,10 +87,10 @@ class WorldModel(Protocol):
 
 @runtime_checkable
 class OfflineModel(Protocol):
-    """World model whose videos exist already: it answers the first round of an episode only."""
+    """World model whose videos are generated outside of the run: an episode goes on as far as they exist."""
 
-    def files(self, episode: str, task: str) -> Sequence[Path]:
-        """Return the files of the answer for an episode; none where there is no answer."""
+    def files(self, episode: str, task: str, round: int) -> Sequence[Path]:
+        """Return the files of the answer for a round of an episode; none where there is no answer yet."""
 
 
 @runtime_checkable

@@ -1,6 +1,7 @@
 """Shards of real runs with fake analyzer, merged by the program and gone on from."""
 
 import os
+import shlex
 import subprocess
 from pathlib import Path
 
@@ -74,3 +75,28 @@ def test_the_slurm_example_calls_the_program_as_it_is(program, tmp_path):
     assert calls[("merge",)] == ["merge", f"{tmp_path}/shards/3", "--out", f"{tmp_path}/merged"]
     assert "videos: there is no such file" in program(*calls[()])[2]
     assert "holds no samples.jsonl" in program(*calls[("merge",)])[2]
+
+
+def test_the_example_of_rounds_submits_jobs_one_after_the_other(program, tmp_path):
+    """Export, then by turns a job of the model and one of the benchmark, which asks for the next videos."""
+    (tmp_path / "bin").mkdir()
+    fake = tmp_path / "bin" / "sbatch"
+    fake.write_text('#!/usr/bin/env bash\nprintf "%s\\0" "$@" >>"$LOG"; echo >>"$LOG"\nwc -l <"$LOG"\n')
+    fake.chmod(0o755)
+    told = {"PATH": f"{tmp_path / 'bin'}:{os.environ['PATH']}", "LOG": str(tmp_path / "log"), "ROUNDS": "2"}
+    told |= {"GENERATE": "generate.sbatch", "VIDEOS": str(tmp_path / "my videos"), "RESULTS": str(tmp_path / "out")}
+    script = EXAMPLES / "cluster" / "rounds.sh"
+    last = subprocess.run(
+        ["bash", script, "--suite", "0", "--episodes", "20"], env=told, capture_output=True, text=True, check=True
+    ).stdout
+    jobs = [line.split("\0")[:-1] for line in (tmp_path / "log").read_text().splitlines()]
+    assert last.split() == ["5"]
+    after = [[word for word in job if word.startswith("--dependency")] for job in jobs]
+    assert after == [[], *([f"--dependency=afterok:{k}"] for k in range(1, 5))]
+    videos = told["VIDEOS"]
+    assert jobs[1][-3:] == ["generate.sbatch", f"{videos}/manifest.jsonl", videos]
+    assert jobs[3][-3:] == ["generate.sbatch", f"{tmp_path}/out/ask/manifest.jsonl", videos]
+    export, *runs = (shlex.split(job[job.index("--wrap") + 1]) for job in (jobs[0], jobs[2], jobs[4]))
+    assert export[:6] == ["kinebench-drake", "suite", "export", "--suite", "0", "--episodes"]
+    assert runs[0] == runs[1]
+    assert f"--world-model folder:{videos}: expected folder:DIR" in program(*runs[0][1:])[2]

@@ -36,7 +36,7 @@ class Model:
 
 
 class Stored(Model):
-    def files(self, episode: str, task: str) -> list[Path]:
+    def files(self, episode: str, task: str, round: int) -> list[Path]:
         did["asked for files"] += 1
         return []
 

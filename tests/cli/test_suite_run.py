@@ -2,6 +2,7 @@
 
 import io
 import json
+import shutil
 from collections.abc import Sequence
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
@@ -9,8 +10,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from PIL import Image
 
 from kinebench_drake import cli
+from kinebench_drake.datasets.videos.find import find_samples
 from kinebench_drake.io.container import write_video
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.suites.episode import compose
@@ -76,6 +79,44 @@ def test_what_is_finished_is_kept_and_made_again_it_is_the_same(oracle: Path, tm
     assert (oracle / "rollouts").stat().st_mtime_ns == stamp
     assert run(tmp_path, "--world-model", "oracle", "--pixels-only")[0] == 0
     assert (tmp_path / "samples.jsonl").read_bytes() == before
+
+
+def test_three_rounds_without_a_server_equal_the_live_ones(tmp_path: Path) -> None:
+    """Each command ends with the first frames of the next round; the last row differs in the model's identity only."""
+    live, offline, videos = tmp_path / "live", tmp_path / "offline", tmp_path / "videos"
+    videos.mkdir()
+    options = ("--clip-timing", "native", "--prompt-suffix", "Slowly.", "--replays", "0")
+    assert run(live, "--world-model", "random", *options)[0] == 0
+    [row] = rows(live)
+    assert (row["success"], row["rounds"]) == (False, 3)
+    for number in range(3):
+        id = row["id"] if number == 0 else f"{row['id']}_r{number}"
+        if number:
+            [asked] = [json.loads(line) for line in (offline / "ask" / "manifest.jsonl").read_text().splitlines()]
+            assert (asked["id"], asked["video"], asked["prompt"]) == (id, f"{id}.mp4", row["prompt"])
+            first = np.asarray(Image.open(offline / "ask" / asked["first_frame"]))
+            shown = read_video(live / row["videos"][number]).frames[0]
+            assert np.abs(first.astype(int) - shown).mean() < 5
+            assert [path.name for path in (offline / "ask").glob("*.png")] == [asked["first_frame"]]
+            [sample] = find_samples(offline / "ask" / "manifest.jsonl").samples
+            assert sample.initial_state is not None
+        shutil.copy(live / row["videos"][number], videos / f"{id}.mp4")
+        code, said = run(offline, "--world-model", f"folder:{videos}?name=random", *options)
+        assert code == 0, said
+        [now] = rows(offline)
+        if number < 2:
+            assert (now["status"], "success" in now) == ("unmeasurable", False)
+            assert f"waits for the video of round {number + 2}: generate {row['id']}_r{number + 1}.mp4" in now["reason"]
+            assert "1 episode waits for the next round" in said
+            assert run(offline, "--world-model", f"folder:{videos}?name=random", *options)[0] == 0
+    assert not (offline / "ask").exists()
+    assert {key for key in row if row[key] != now[key]} == {"content_hash"}
+    for folder in ("tracks", "thumbnails", "rollouts"):
+        for path in (live / folder).iterdir():
+            assert (offline / folder / path.name).read_bytes() == path.read_bytes(), path.name
+    one, other = (json.loads((out / "results.json").read_text()) for out in (live, offline))
+    assert {key for key in one["config"] if one["config"][key] != other["config"][key]} == {"world_model_sha256"}
+    assert one["aggregates"] == other["aggregates"]
 
 
 @pytest.fixture(scope="module")
@@ -159,7 +200,7 @@ def test_a_clip_in_150_frames_is_the_same_motion(oracle: Path, long_film: Path, 
     for name in ("sparc", "ldlj", "sparc_rotation"):
         assert abs(one[name] - other[name]) < one[f"{name}_floor_high"] - one[f"{name}_floor_low"], name
     assert other["manipulability_integral"] == pytest.approx(one["manipulability_integral"], rel=0.03)
-    options = ("--clip-timing", "native", "--pixels-only", "--no-rollouts")
+    options = ("--clip-timing", "native", "--pixels-only", "--no-rollouts", "--rounds", "1")
     _, said = run(tmp_path / "slow", "--world-model", f"folder:{long_film}", *options)
     assert "150 frames in place of 49: 0.2 s a frame were taken" in said
     [slow] = rows(tmp_path / "slow")

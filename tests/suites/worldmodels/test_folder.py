@@ -78,10 +78,27 @@ def test_nothing_outside_the_folder_is_an_answer(videos: Path, request_: Request
         answer(videos, request_)
 
 
-def test_only_the_first_round_is_known(videos: Path, request_: Request, film: bytes) -> None:
-    (videos / f"{request_.episode}.mp4").write_bytes(film)
-    with pytest.raises(WorldModelError, match="first round only, this is round 2"):
+def test_later_rounds_have_names_of_their_own(videos: Path, request_: Request, film: bytes) -> None:
+    """Task and seed stand for the first round: a later one continues from what was executed."""
+    model = FolderModel(parse(f"folder:{videos}"))
+    for name in ("StackCube-v1_seed3.mp4", f"{request_.episode}_r2.gif"):
+        (videos / name).write_bytes(film)
+    assert answer(videos, request_).name == "StackCube-v1_seed3.mp4"
+    with pytest.raises(
+        WorldModelError, match=r"no video of StackCube-v1_s0003_r1; expected StackCube-v1_s0003_r1\.mp4"
+    ):
         answer(videos, replace(request_, round=1))
+    assert answer(videos, replace(request_, round=2)).name == f"{request_.episode}_r2.gif"
+    found = [[path.name for path in model.files(request_.episode, request_.task, round)] for round in range(3)]
+    assert found == [["StackCube-v1_seed3.mp4"], [], [f"{request_.episode}_r2.gif"]]
+
+
+def test_clips_of_a_live_run_are_an_answer(videos: Path, request_: Request, film: bytes) -> None:
+    for round in range(2):
+        (videos / f"{request_.episode}_r{round}.mp4").write_bytes(film)
+        assert answer(videos, replace(request_, round=round)).name == f"{request_.episode}_r{round}.mp4"
+    manifest(videos, {"video": f"{request_.episode}_r0.mp4", "id": f"{request_.episode}_r1"})
+    assert answer(videos, replace(request_, round=1)).name == f"{request_.episode}_r0.mp4"
 
 
 def test_a_damaged_video_is_told(videos: Path, request_: Request) -> None:
