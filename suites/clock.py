@@ -48,4 +48,4 @@ def sample_uniformly(frames: int, duration_s: float, period_s: float) -> tuple[N
     if frames == count:
         return np.arange(frames), np.arange(frames, dtype=np.float64) * period_s
     chosen = np.rint(np.linspace(0, frames - 1, min(count, frames))).astype(np.intp)
-    return chosen, chosen * (duration_s / (frames - 1))
+    return chosen, chosen.astype(np.float64) * (duration_s / (frames - 1))
