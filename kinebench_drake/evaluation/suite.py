@@ -1,9 +1,10 @@
 """`suite run`: a world model on the episodes of a suite in closed loop."""
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
 from typing import Any
 
 from kinebench_drake.camera import benchmark_camera
