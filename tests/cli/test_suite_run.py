@@ -188,7 +188,7 @@ def between(steps: Sequence[Snapshot], at: float) -> Snapshot:
 
 
 def test_a_clip_in_150_frames_is_the_same_motion(oracle: Path, long_film: Path, tmp_path: Path) -> None:
-    """Rendered, grounded and executed: metrics within the noise floor; at one frame period a frame they are not."""
+    """Rendered, grounded and executed: metrics differ by the errors of grounding other frames, and not by the clock."""
     code, said = run(tmp_path / "even", "--world-model", f"folder:{long_film}", "--pixels-only")
     assert code == 0
     assert "1 episodes have clips of 150 frames in place of 49: each was sampled evenly over 9.6 s" in said
@@ -197,9 +197,8 @@ def test_a_clip_in_150_frames_is_the_same_motion(oracle: Path, long_film: Path, 
     assert (row["clip_timing"], row["clip_frames"], row["frames"]) == ("uniform", [150], 49)
     assert (reference["clip_timing"], reference["clip_frames"]) == ("native", [49])
     one, other = reference["metrics"], row["metrics"]
-    for name in ("sparc", "ldlj", "sparc_rotation"):
-        assert abs(one[name] - other[name]) < one[f"{name}_floor_high"] - one[f"{name}_floor_low"], name
-    assert other["manipulability_integral"] == pytest.approx(one["manipulability_integral"], rel=0.03)
+    for name, most in (("sparc", 0.02), ("sparc_filtered", 0.02), ("ldlj", 0.05), ("manipulability_integral", 0.01)):
+        assert other[name] == pytest.approx(one[name], rel=most), name
     options = ("--clip-timing", "native", "--pixels-only", "--no-rollouts", "--rounds", "1")
     _, said = run(tmp_path / "slow", "--world-model", f"folder:{long_film}", *options)
     assert "150 frames in place of 49: 0.2 s a frame were taken" in said
