@@ -124,8 +124,9 @@ def _print_summary(out: Path, summary: RunSummary) -> None:
         click.echo(line)
     if count := len(summary.pending):
         click.echo(
-            f"{count_noun(count, 'episode')} to go on: generate the videos of {out / REQUESTS / 'manifest.jsonl'}, put "
-            "them to the others and run the same command again (or with fewer --rounds)"
+            f"next round of {count_noun(count, 'episode')}: generate the videos of "
+            f"{out / REQUESTS / 'manifest.jsonl'}, put them to the others and run the same command again (or with "
+            "fewer --rounds)"
         )
     click.echo(summary.report or out / "results.json")
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.closed_loop.loop import LoopOptions
-from kinebench_drake.errors import UsageError, member_of
+from kinebench_drake.errors import UsageError, count_noun, member_of
 from kinebench_drake.evaluation.config import RunConfig, RunKind
 from kinebench_drake.evaluation.episode import SIZE_PX, EpisodeEvaluator, EpisodeSample
 from kinebench_drake.evaluation.evaluator import REQUESTS
@@ -201,7 +201,9 @@ def _warn_of_lengths(rows: Sequence[SampleRow], loop: LoopOptions, observer: Run
         others = [{*clips} - {expected} for clips in lengths if isinstance(clips, list)]
         if frames := sorted({n for clips in others for n in clips}):
             count = sum(bool(clips) for clips in others)
-            observer.warn(f"{count} episodes have clips of {_range(frames)} frames in place of {expected}: {use}")
+            observer.warn(
+                f"{count_noun(count, 'episode')} with clips of {_range(frames)} frames in place of {expected}: {use}"
+            )
 
 
 def _range(numbers: Sequence[int]) -> str:

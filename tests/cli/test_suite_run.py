@@ -107,7 +107,7 @@ def test_three_rounds_without_a_server_equal_the_live_ones(tmp_path: Path) -> No
         if number < 2:
             assert (now["status"], "success" in now) == ("unmeasurable", False)
             assert f"waits for the video of round {number + 2}: generate {row['id']}_r{number + 1}.mp4" in now["reason"]
-            assert "1 episode waits for the next round" in said
+            assert "next round of 1 episode: generate the videos of" in said
             assert run(offline, "--world-model", f"folder:{videos}?name=random", *options)[0] == 0
     assert not (offline / "ask").exists()
     assert {key for key in row if row[key] != now[key]} == {"content_hash"}
@@ -191,7 +191,7 @@ def test_a_clip_in_150_frames_is_the_same_motion(oracle: Path, long_film: Path, 
     """Rendered, grounded and executed: metrics differ by the errors of grounding other frames, and not by the clock."""
     code, said = run(tmp_path / "even", "--world-model", f"folder:{long_film}", "--pixels-only")
     assert code == 0
-    assert "1 episodes have clips of 150 frames in place of 49: each was sampled evenly over 9.6 s" in said
+    assert "1 episode with clips of 150 frames in place of 49: each was sampled evenly over 9.6 s" in said
     [reference], [row] = rows(oracle), rows(tmp_path / "even")
     assert row["success"] is True
     assert (row["clip_timing"], row["clip_frames"], row["frames"]) == ("uniform", [150], 49)
