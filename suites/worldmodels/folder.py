@@ -29,6 +29,8 @@ class FolderModel:
         if not spec.rest or not self._folder.is_dir():
             raise spec.unusable("expected folder:DIR with a folder that is there")
         self.name = options.name or self._folder.name or "folder"
+        self._stems: dict[str, list[Path]] = {}
+        self._listed_ns = -1
         try:
             self._rows = _rows(self._folder / _MANIFEST)
         except InputError as error:
@@ -80,17 +82,30 @@ class FolderModel:
         return []
 
     def _by_name(self, name: str, task: str, seed: int | None) -> list[Path]:
-        stems = {path: path.stem if _is_video(path) else path.name for path in sorted(self._folder.iterdir())}
-        videos = {path: stem for path, stem in stems.items() if _is_video(path) or _is_frames(path)}
-        if matches := [path for path, stem in videos.items() if stem == name]:
+        entries = self._entries()
+        if matches := [path for path in entries.get(name, ()) if _is_video(path) or _is_frames(path)]:
             return matches
         return [
             path
-            for path, stem in videos.items()
+            for stem, paths in entries.items()
             if stem.startswith(task)
             and (number := _SEED.fullmatch(stem.removeprefix(task))) is not None
             and int(number[1]) == seed
+            for path in paths
+            if _is_video(path) or _is_frames(path)
         ]
+
+    def _entries(self) -> dict[str, list[Path]]:
+        """Return the videos and folders by their stems, listed again when the folder has changed."""
+        changed_ns = self._folder.stat().st_mtime_ns
+        if changed_ns != self._listed_ns:
+            self._listed_ns, self._stems = changed_ns, {}
+            for path in sorted(self._folder.iterdir()):
+                if path.suffix.lower() in VIDEO_SUFFIXES and not path.is_dir():
+                    self._stems.setdefault(path.stem, []).append(path)
+                elif path.is_dir():
+                    self._stems.setdefault(path.name, []).append(path)
+        return self._stems
 
     def _check(self, path: Path) -> Path:
         real = path.resolve()
