@@ -288,6 +288,6 @@ def draw_histogram(h: Histogram, names: Mapping[str, str]) -> Markup:
         parts.append(f'<path class="mean" d="{line}"><title>{tooltip}</title></path>')
     text = f"median {h.metric.pattern.format(h.median)}; {mean.n} of {count_noun(mean.total, 'sample')}"
     if h.outliers:
-        text += f", {h.outliers} outliers counted in the outermost bins"
+        text += f", {count_noun(h.outliers, 'outlier')} counted in the outermost bins"
     label = h.metric.label
     return wrap_svg(parts, _H_HEIGHT, f"Distribution of {label}", f"<b>{escape(label)}</b> {text}")
