@@ -33,6 +33,7 @@ EXAMPLES = Path(__file__).parents[2] / "examples" / "videos"
 def quick(monkeypatch):
     """Single samples are worked on by the fake analyzer, too."""
     monkeypatch.setattr(single, "make_analyzer", FakeAnalyzer)
+    single._cached_analyzer.cache_clear()  # another test may have loaded the real one
     yield
     single._cached_analyzer.cache_clear()
 
