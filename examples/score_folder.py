@@ -28,13 +28,13 @@ def main(folder: Path, out: Path) -> None:
         verdict = {True: "feasible", False: "infeasible", None: "cannot be told"}[row.feasible]
         why = ", ".join(f"{v['kind']} in frames {v['frame_start']} to {v['frame_end']}" for v in row.violations)
         print(f"{row.id}: {verdict}{f' ({why})' if why else ''}")
+        print(f"  executable as a whole: {'yes' if row.executable else 'no, ' + ', '.join(row.executable_reasons)}")
         print(f"  tracked {row.metrics['tracked_fraction']:.0%}, anomalies: {row.metrics['anomalies'] or 'none'}")
         track = read_track(artifact_path(out, "tracks", row.id)).track
         start, end = track.X_BG[track.tracked][[0, -1], :3, 3]
         print(f"  the gripper goes from {start.round(3)} to {end.round(3)} m in {track.t_s[-1]:.1f} s")
-    share = summary.feasible
-    if share is not None and share.mean is not None:
-        print(f"{share.mean:.0%} of {share.n} judged videos are feasible, of {share.total} in all")
+    if summary.executable is not None and summary.executable.mean is not None:
+        print(f"{summary.executable.mean:.0%} of {summary.executable.total} videos are executable")
     print(f"report: {summary.report}")
 
 
