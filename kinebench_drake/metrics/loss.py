@@ -25,7 +25,7 @@ MISS_M = 0.005
 still counts as following its track (`judge.TUBE_M`). Up to it the frame's manipulability falls linearly to 0."""
 COST_MAX = 1000.0
 """Greatest manipulability cost of a frame, that of a lost or unreachable one. PyRoki's own, 1e6 at a singularity, would
-leave nothing of a mean but the share of such frames; the Panda's postures mostly have costs of 5 to 35."""
+leave nothing of a mean but the share of such frames; on 40 random feasible tracks no frame has more than 32."""
 
 _SAMPLES = 128  # angles of the redundancy among which the worst posture is searched
 _BETWEEN = 0.99  # allowance for worse postures between them
@@ -59,10 +59,8 @@ class Coverage:
     def reason(self) -> str:
         """Why numbers of an incomplete track are missing."""
         n, lost, unreachable = len(self.lost), int(self.lost.sum()), int(self.unreachable.sum())
-        parts = [f"{lost} of {n} frames are lost"] * (lost > 0) + [f"{unreachable} of {n} are out of reach"] * (
-            unreachable > 0
-        )
-        return ", ".join(parts)
+        counts = {"lost": lost, "out of reach": unreachable}
+        return ", ".join(f"{count} of {n} frames are {kind}" for kind, count in counts.items() if count)
 
 
 def cover_poses(plant: ArmPlant, track: GripperTrack, joints: JointTrack, reached: NDArray[np.bool_]) -> Coverage:
