@@ -12,7 +12,7 @@ from kinebench_drake.geometry import Array, make_pose, orthonormalize, pose_diff
 from kinebench_drake.kinematics.collision import CollisionModel
 from kinebench_drake.kinematics.ik import POSITION_TOLERANCE_M, ROTATION_TOLERANCE_RAD, solve_pose
 from kinebench_drake.kinematics.newton import damped_pseudoinverses, pose_twists, solve_newton_path
-from kinebench_drake.kinematics.path import SAMPLES, grid_postures, limit_excess, search_path
+from kinebench_drake.kinematics.path import SAMPLES, grid_postures, limit_excess, search_path, within_limits
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.segments import spread
 from kinebench_drake.types import GripperTrack, IkStatus, JointTrack
@@ -118,10 +118,8 @@ def _clear(
 
     def clear(frame: int, q: Array) -> NDArray[np.bool_]:
         """Return which postures (N,) are free of collisions; all of them if none is."""
-        width = np.full(len(q), widths[frame])
-        free = collision.table_distance(q, width).distance_m >= -tolerance_m
-        free[free] = collision.self_distance(q[free], width[free]).distance_m >= -tolerance_m
-        return np.asarray(free if free.any() else np.ones(len(q), dtype=bool))
+        free = _free(collision, q, widths[frame], tolerance_m)
+        return free if free.any() else np.ones(len(q), dtype=bool)
 
     def hopeless(frame: int) -> bool:
         """Return whether every posture on a grid of the frame collides."""
@@ -153,6 +151,34 @@ def _clear(
     for i in np.flatnonzero(bad):
         status[i] = IkStatus.SELF_COLLISION if own.distance_m[i] < table.distance_m[i] else IkStatus.TABLE_COLLISION
     return replace(joints, status=tuple(status))
+
+
+def _free(collision: CollisionModel, q: Array, finger_width_m: float, tolerance_m: float) -> NDArray[np.bool_]:
+    """Return which postures (N,) of `q` (N, 7) [rad] are free of collisions."""
+    width = np.full(len(q), finger_width_m)
+    free = collision.table_distance(q, width).distance_m >= -tolerance_m
+    free[free] = collision.self_distance(q[free], width[free]).distance_m >= -tolerance_m
+    return np.asarray(free)
+
+
+def find_avoidable(
+    plant: ArmPlant, collision: CollisionModel, track: GripperTrack, joints: JointTrack, tolerance_m: float
+) -> NDArray[np.bool_]:
+    """Return the frames (T,) that collide along the path although another posture of their pose is free.
+
+    Args:
+        plant: the robot.
+        collision: collision model.
+        track: gripper track.
+        joints: its joint path.
+        tolerance_m: penetration depth up to which a contact is no collision [m].
+    """
+    collides = np.array([s in (IkStatus.SELF_COLLISION, IkStatus.TABLE_COLLISION) for s in joints.status], dtype=bool)
+    for i in np.flatnonzero(collides):
+        [q] = within_limits(plant, grid_postures(plant, track.X_BG[[i]], SAMPLES[1]), 0.0)
+        width = track.finger_width_m[i]
+        collides[i] = _free(collision, q, width if np.isfinite(width) else plant.finger_width_m, tolerance_m).any()
+    return collides
 
 
 def _with_gaps(joints: JointTrack, track: GripperTrack, frames: NDArray[np.intp]) -> JointTrack:

@@ -13,7 +13,7 @@ from kinebench_drake.kinematics.newton import ROTATION_ARM_M
 from kinebench_drake.kinematics.path import limit_excess
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.timing import time_scale
-from kinebench_drake.kinematics.track import branch_jumps, solve_track
+from kinebench_drake.kinematics.track import branch_jumps, find_avoidable, solve_track
 from kinebench_drake.kinematics.trajopt import optimize_in_tube
 from kinebench_drake.metrics.derivatives import smooth_path
 from kinebench_drake.metrics.discontinuity import find_discontinuities
@@ -195,6 +195,9 @@ class TrackJudge:
             manipulability_worst=w if coverage.complete else worst_manipulability(plant, coverage, w, poses),
             self_clearance=own,
             table_clearance=table,
+            avoidable=find_avoidable(plant, self._collision, track, joints, contact_tolerance(noise))
+            if joint_sigma is None
+            else np.zeros(len(q), dtype=bool),
             smoothness=measure_smoothness(reachable, None if assumed else noise),
             checks=checks,
             timing=timing,

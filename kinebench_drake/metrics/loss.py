@@ -27,7 +27,7 @@ COST_MAX = 1000.0
 """Greatest manipulability cost of a frame, that of a lost or unreachable one. PyRoki's own, 1e6 at a singularity, would
 leave nothing of a mean but the share of such frames; on 40 random feasible tracks no frame has more than 32."""
 
-_SAMPLES = 128  # angles of the redundancy among which the worst posture is searched
+_SAMPLES, _ROUNDS = 128, 5  # angles of the redundancy among which the worst posture is searched, and their halvings
 _BETWEEN = 0.99  # allowance for worse postures between them
 
 
@@ -122,7 +122,7 @@ def worst_manipulability(plant: ArmPlant, coverage: Coverage, w: Manipulability,
     least = {name: np.nan_to_num(getattr(w, name)) for name in names}
     frames = np.flatnonzero(coverage.weight == 1.0)
     if X_BG is not None and len(frames):
-        layers = grid_postures(plant, X_BG[frames], _SAMPLES)  # to just past the limits: those at a limit are covered
+        layers = grid_postures(plant, X_BG[frames], _SAMPLES, _ROUNDS)  # to just past the limits, to cover those at one
         postures = compute_manipulability(plant, np.concatenate(layers))
         own = np.repeat(frames, [len(layer) for layer in layers])
         for name in names:  # of the poses alone, not of the joint path, which other lost frames may change
