@@ -263,6 +263,30 @@ def loss(count: int, seed: int, jobs: int) -> None:
 
 
 @main.group()
+def validity() -> None:
+    """Numbers of videos with planted faults: which of them respond to which fault, and which predict success."""
+
+
+@validity.command(name="measure", epilog="\b\nExample:\n  python -m benchmarks validity measure --work validity --jobs 2")
+@click.option("--work", type=_FOLDER, required=True, help="Folder of videos and results; an earlier run is resumed.")
+@click.option("--episodes", type=_COUNT, default=40, show_default=True, help="Clean episodes, tasks in turn.")
+@click.option("--sizes", type=click.IntRange(1, 3), default=3, show_default=True, help="Sizes of each kind of fault.")
+@_jobs
+def validity_measure(work: Path, episodes: int, sizes: int, jobs: int) -> None:
+    """Render episodes without and with planted faults, score the videos and execute their tracks.
+
+    An interrupted run continues where it was; more --episodes extend an earlier run.
+    """
+    from benchmarks.validity import measure
+    from kinebench_drake.cli.run import ProgressView
+
+    work.mkdir(parents=True, exist_ok=True)
+    with _errors(), ProgressView("steps") as view:
+        measure(work, episodes, sizes, jobs, view)
+    click.echo(work)
+
+
+@main.group()
 def trajectories() -> None:
     """Trajectories with ground truth by proof, and audits compared with it."""
 

@@ -1,7 +1,7 @@
 """Rendered videos with planted faults and ground truth.
 
-Videos without a fault come from `kinebench-drake suite demos`, in a folder of the same layout. Output folder, the same
-bytes for the same arguments:
+Videos without a fault come from `kinebench-drake suite demos`, in a folder of the same layout, or of the same order.
+Output folder, the same bytes for the same arguments:
 
     ID.mp4              17 fps; ID = the episode's _ kind of fault [_ form] _ size
     camera.json         the camera of all of them
@@ -53,6 +53,8 @@ class PlantingOrder:
     """One of `simulator.ROBOTS`."""
     grades: tuple[FaultGrade, ...]
     """Faults to plant, each in its own video."""
+    with_clean: bool = False
+    """True if the video without a fault is written, too."""
     with_depth: bool
     """True if the truth includes depth and masks."""
     crf: int
@@ -67,6 +69,8 @@ class PlantedVideo:
 
     id: str
     """Name of its files without suffix."""
+    episode: str
+    """Id of the episode."""
     task: str
     """Plain task id."""
     seed: int
@@ -75,8 +79,8 @@ class PlantedVideo:
     """The task in words."""
     success: bool
     """True if the episode without the fault succeeds."""
-    fault: PlantedFault
-    """The fault."""
+    fault: PlantedFault | None
+    """The fault; None for a clean video."""
 
     def manifest_line(self) -> str:
         """Return its line of `manifest.jsonl`."""
@@ -91,6 +95,16 @@ class PlantedVideo:
         }
         return json.dumps(entry) + "\n"
 
+    def to_json(self) -> dict[str, Any]:
+        """Return the JSON object."""
+        names = ("id", "episode", "task", "seed", "prompt", "success")
+        return {**{name: getattr(self, name) for name in names}, "fault": self.fault and self.fault.to_json()}
+
+    @classmethod
+    def from_json(cls, data: dict[str, Any]) -> "PlantedVideo":
+        """Read the object that `to_json` returns."""
+        return cls(**{**data, "fault": data["fault"] and PlantedFault.from_json(data["fault"])})
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlantingResult:
@@ -99,6 +113,15 @@ class PlantingResult:
     videos: tuple[PlantedVideo, ...]
     problems: tuple[str, ...]
     """Why other videos were not made."""
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the JSON object."""
+        return {"videos": [video.to_json() for video in self.videos], "problems": list(self.problems)}
+
+    @classmethod
+    def from_json(cls, data: dict[str, Any]) -> "PlantingResult":
+        """Read the object that `to_json` returns."""
+        return cls(videos=tuple(map(PlantedVideo.from_json, data["videos"])), problems=tuple(data["problems"]))
 
 
 def plant_episode(order: PlantingOrder) -> PlantingResult:
@@ -116,16 +139,15 @@ def plant_episode(order: PlantingOrder) -> PlantingResult:
         rollout = replace(rollout, snapshots=rollout.snapshots[: CLIP_FRAMES + 1])
         video = render_video(simulator, rollout.snapshots)
         recording = Recording(simulator=simulator, rollout=rollout, video=video)
+        if order.with_clean:
+            videos.append(_write(order, rollout, video))
         for grade in order.grades:
             try:
                 faulty, fault = plant(recording, grade)
             except InputError as error:
                 problems.append(f"{spec.task} seed {spec.seed} {grade.label}: {error}")
                 continue
-            planted = _planted_video(rollout, grade, fault)
-            write_video(order.out / f"{planted.id}.mp4", faulty.rgb, FPS, crf=order.crf)
-            _save_truth(faulty, order.out / "truth" / f"{planted.id}.npz", with_images=order.with_depth)
-            videos.append(planted)
+            videos.append(_write(order, rollout, faulty, grade, fault))
         save_camera(simulator.camera, order.out / "camera.json")
     return PlantingResult(videos=tuple(videos), problems=tuple(problems))
 
@@ -147,16 +169,27 @@ def _save_truth(video: RolloutVideo, path: Path, *, with_images: bool) -> None:
     np.savez_compressed(path, **arrays)
 
 
-def _planted_video(rollout: Rollout, grade: FaultGrade, fault: PlantedFault) -> PlantedVideo:
+def _write(
+    order: PlantingOrder,
+    rollout: Rollout,
+    video: RolloutVideo,
+    grade: FaultGrade | None = None,
+    fault: PlantedFault | None = None,
+) -> PlantedVideo:
+    """Write a video and its ground truth; no grade: the clean one."""
     episode = rollout.episode
-    return PlantedVideo(
-        id=f"{episode.id}_{grade.label}",
+    planted = PlantedVideo(
+        id=episode.id if grade is None else f"{episode.id}_{grade.label}",
+        episode=episode.id,
         task=episode.task,
         seed=episode.seed,
         prompt=episode.prompt,
         success=rollout.outcome.success,
         fault=fault,
     )
+    write_video(order.out / f"{planted.id}.mp4", video.rgb, FPS, crf=order.crf)
+    _save_truth(video, order.out / "truth" / f"{planted.id}.npz", with_images=order.with_depth)
+    return planted
 
 
 def make_videos(orders: Sequence[PlantingOrder], jobs: int) -> Iterator[PlantingResult]:
@@ -177,16 +210,7 @@ def write_index(out: Path, videos: Sequence[PlantedVideo]) -> None:
     """Write `manifest.jsonl`, `truth/faults.json` and `truth/outcome.json`, sorted by id."""
     videos = sorted(videos, key=lambda video: video.id)
     (out / "manifest.jsonl").write_text("".join(video.manifest_line() for video in videos))
-    faults = {
-        v.id: {
-            "kind": v.fault.kind.value,
-            "frame_start": v.fault.frame_start,
-            "frame_end": v.fault.frame_end,
-            "size": v.fault.size,
-            "form": None if v.fault.form is None else v.fault.form.value,
-        }
-        for v in videos
-    }
+    faults = {v.id: v.fault.to_json() for v in videos if v.fault is not None}
     (out / "truth" / "faults.json").write_text(json.dumps(faults, indent=1) + "\n")
     outcome = {v.id: {"episode_success": v.success} for v in videos}
     (out / "truth" / "outcome.json").write_text(json.dumps(outcome, indent=1) + "\n")

@@ -3,9 +3,10 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
+from typing import Any
 
 from kinebench_drake.errors import UsageError
-from kinebench_drake.types import AnomalyKind
+from kinebench_drake.types import AnomalyKind, Json
 
 
 class FaultForm(Enum):
@@ -40,6 +41,22 @@ class PlantedFault:
     (finger_opening), relative stretch (deformation) or size (scale_drift), pixels (camera_motion)."""
     form: FaultForm | None = None
     """Course in time, for kinds with several."""
+
+    def to_json(self) -> dict[str, Json]:
+        """Return the JSON object."""
+        return {
+            "kind": self.kind.value,
+            "frame_start": self.frame_start,
+            "frame_end": self.frame_end,
+            "size": self.size,
+            "form": None if self.form is None else self.form.value,
+        }
+
+    @classmethod
+    def from_json(cls, data: dict[str, Any]) -> "PlantedFault":
+        """Read the object that `to_json` returns."""
+        form = data["form"] and FaultForm(data["form"])
+        return cls(**{**data, "kind": AnomalyKind(data["kind"]), "form": form})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,0 +1,245 @@
+"""Videos of the same episodes without and with a planted fault: their numbers, and success in closed loop.
+
+Work folder, all of which an interrupted measurement resumes from:
+
+    videos/             clean and faulty videos with ground truth (`planted_videos`); planted.jsonl: one line an episode
+    score/              output folder of `kinebench-drake score videos/manifest.jsonl`
+    executions.jsonl    success of each video's track in the simulator
+    trials.jsonl        one `ValidityTrial` a line
+    study.json          revision and hash of the weights
+"""
+
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from functools import partial
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+from benchmarks.planted_videos import PlantedVideo, PlantingOrder, PlantingResult, plant_episode, write_index
+from benchmarks.structure import current_revision
+from kinebench_drake.camera import benchmark_camera
+from kinebench_drake.closed_loop.commands import CommandPlanner, RobotState
+from kinebench_drake.closed_loop.execution import execute
+from kinebench_drake.errors import InputError, UnmeasurableError, UsageError
+from kinebench_drake.evaluation.runner import RunObserver
+from kinebench_drake.evaluation.score import ScoreConfig, score_videos
+from kinebench_drake.executors.base import Executor
+from kinebench_drake.executors.local import LocalExecutor
+from kinebench_drake.grounding.evaluation.store import MeasurementStore, fingerprint
+from kinebench_drake.io.jsonl import finite, read_lines, read_object, write_json, write_lines
+from kinebench_drake.kinematics.plant import ArmPlant
+from kinebench_drake.results.provenance import weights_hash
+from kinebench_drake.results.row import SampleRow
+from kinebench_drake.results.store import artifact_path
+from kinebench_drake.results.trackfile import read_track
+from kinebench_drake.suites.faults.fault import GRADES, FaultGrade
+from kinebench_drake.suites.simulator import Control, Simulator
+from kinebench_drake.suites.simulator_cache import SimulatorCache
+from kinebench_drake.suites.suite import EpisodeSpec, load_suite
+from kinebench_drake.suites.tasks.registry import TASKS
+from kinebench_drake.types import AnomalyKind, Json
+
+SUITE, SPLIT = 2, "unseen"
+"""Episodes with the half of the assets and looks that the networks were not trained on."""
+SIZES = 3
+"""Sizes of each kind of fault."""
+_CRF = 16
+_TRIALS, _STUDY = "trials.jsonl", "study.json"
+_TRIES = 20  # episodes of each task that may fail without a fault before the study gives up
+
+
+def study_grades(sizes: int) -> tuple[FaultGrade, ...]:
+    """Return one to SIZES sizes of each kind of fault, in its first form: the greatest, the gated one, the least."""
+    return tuple(
+        FaultGrade(kind=kind, size=size, form=grades.forms[0])
+        for kind, grades in GRADES.items()
+        for size in sorted((max(grades.sizes), grades.gate, min(grades.sizes))[:sizes])
+    )
+
+
+def study_specs() -> Iterator[EpisodeSpec]:
+    """Yield episodes of all tasks in turn; only tasks that one clip solves, as a fault is in one clip."""
+    suite = load_suite(SUITE)
+    tasks = [task for task in suite.tasks_of(SPLIT) if TASKS[task].card.clips == 1]
+    for seed in range(_TRIES):
+        for task in tasks:
+            yield from suite.specs(SPLIT, task, 1, offset=seed)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ValidityTrial:
+    """Numbers of one video, and success of its track in the simulator."""
+
+    id: str
+    episode: str
+    """Id of the episode."""
+    task: str
+    kind: AnomalyKind | None
+    """Kind of the planted fault; None for the clean video."""
+    size: float
+    """Size of the fault, in the unit of `PlantedFault.size`; 0 for the clean video."""
+    success: bool
+    """True if the task succeeds when the video's track is executed."""
+    reason: str
+    """Conditions of the task that are not met, or why nothing was executed."""
+    numbers: dict[str, float | bool | None]
+    """Metrics by name, with `feasible` and `executable`; None if not measurable."""
+    anomalies: tuple[str, ...]
+    """Kinds of anomalies that the detectors report."""
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the JSON object."""
+        return {**asdict(self), "kind": None if self.kind is None else self.kind.value}
+
+    @classmethod
+    def from_json(cls, data: dict[str, Any]) -> "ValidityTrial":
+        """Read the object that `to_json` returns."""
+        kind = None if data["kind"] is None else AnomalyKind(data["kind"])
+        return cls(**{**data, "kind": kind, "anomalies": tuple(data["anomalies"])})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrackExecution:
+    """Outcome of a video's track in the simulator."""
+
+    success: bool
+    reason: str
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the JSON object."""
+        return asdict(self)
+
+    @classmethod
+    def from_json(cls, data: dict[str, Any]) -> "TrackExecution":
+        """Read the object that `to_json` returns."""
+        return cls(**data)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ExecutionItem:
+    """Track to execute."""
+
+    id: str
+    """Id of the video."""
+    spec: EpisodeSpec
+    track: Path
+    """Track file; absent if the video could not be measured."""
+
+
+class ExecutionWorker:
+    """Executes tracks from the initial state of their episodes, without rendering."""
+
+    def __init__(self) -> None:
+        """Load the robot."""
+        self._simulators = SimulatorCache(Simulator, benchmark_camera().width, renders=False)
+        self._planner = CommandPlanner(ArmPlant())
+
+    def __call__(self, item: ExecutionItem) -> TrackExecution:
+        """Execute one track."""
+        try:
+            track = read_track(item.track).track
+        except InputError as error:
+            return TrackExecution(success=False, reason=str(error))
+        simulator = self._simulators.get(item.spec.task, item.spec.variant)
+        simulator.reset(item.spec.episode())
+        now = simulator.snapshot()
+        start = RobotState(q=now.q, finger_width_m=float(now.fingers_m.sum()), gripping=False)
+        try:
+            commands = self._planner.plan(track.X_BG, track.finger_width_m, track.tracked, track.t_s, start)
+        except UnmeasurableError as error:
+            return TrackExecution(success=False, reason=str(error))
+        outcome = execute(simulator, commands, Control.JOINTS).outcome
+        return TrackExecution(success=outcome.success, reason=outcome.reason)
+
+    def close(self) -> None:
+        """Release the simulator."""
+        self._simulators.close()
+
+
+def measure(work: Path, episodes: int, sizes: int, jobs: int, observer: RunObserver) -> None:
+    """Measure the study on `episodes` episodes; a larger number continues a smaller one.
+
+    Raises:
+        UsageError: too few episodes succeed without a fault, or the folder holds something else.
+        SetupError: something is missing on this machine, or a worker died. What is finished is kept.
+    """
+    executor = LocalExecutor(jobs=jobs)
+    videos = _plant(work / "videos", episodes, study_grades(sizes), executor, observer)
+    config = ScoreConfig(source=work / "videos" / "manifest.jsonl", out=work / "score", jobs=jobs)
+    rows = {row.id: row for row in score_videos(config, observer).rows}
+    specs = {spec.id: spec for spec in study_specs()}
+    items = [
+        ExecutionItem(id=v.id, spec=specs[v.episode], track=artifact_path(work / "score", "tracks", v.id))
+        for v in videos
+    ]
+    store = MeasurementStore(work / "executions.jsonl", TrackExecution)
+    code = fingerprint(modules=["kinebench_drake.closed_loop.execution", "kinebench_drake.closed_loop.commands"])
+
+    def key(item: ExecutionItem) -> str:
+        return f"{code}-{item.id}-{rows[item.id].content_hash}"
+
+    executions = store.complete(items, key, executor, ExecutionWorker, observer, lambda item: item.id)
+    trials = [_trial(v, rows[v.id], done) for v, done in zip(videos, executions, strict=True)]
+    write_lines(work / _TRIALS, [trial.to_json() for trial in trials])
+    revision = current_revision(Path(__file__).parent.parent)
+    write_json(work / _STUDY, {"revision": revision, "weights": weights_hash()[:12]})
+
+
+def _plant(
+    folder: Path, episodes: int, grades: tuple[FaultGrade, ...], executor: Executor, observer: RunObserver
+) -> list[PlantedVideo]:
+    """Render the videos of the first episodes that succeed, and write their index."""
+    (folder / "truth").mkdir(parents=True, exist_ok=True)
+    store = MeasurementStore(folder / "planted.jsonl", PlantingResult)
+    labels = ",".join(grade.label for grade in grades)
+    order = partial(
+        PlantingOrder, robot="panda", grades=grades, with_clean=True, with_depth=False, crf=_CRF, out=folder
+    )
+    specs, solved = study_specs(), list[PlantingResult]()
+    while len(solved) < episodes:
+        orders = [order(spec=spec) for spec in islice(specs, episodes - len(solved))]
+        if not orders:
+            raise UsageError(f"only {len(solved)} episodes succeed without a fault, {episodes} are wanted")
+        results = store.complete(
+            orders, lambda o: f"{labels}-{o.spec.id}", executor, _Planter, observer, lambda o: o.spec.id
+        )
+        solved += [result for result in results if any(video.success for video in result.videos)]
+    videos = [video for result in solved for video in result.videos]
+    write_index(folder, videos)
+    return sorted(videos, key=lambda video: video.id)
+
+
+class _Planter:
+    """Worker that plants the faults of an order."""
+
+    def __call__(self, order: PlantingOrder) -> PlantingResult:
+        return plant_episode(order)
+
+
+def _trial(video: PlantedVideo, row: SampleRow, execution: TrackExecution) -> ValidityTrial:
+    listed = row.metrics.get("anomalies")
+    numbers = {name: v for name, v in finite(row.metrics).items() if not isinstance(v, list)}  # type: ignore[union-attr]
+    return ValidityTrial(
+        id=video.id,
+        episode=video.episode,
+        task=video.task,
+        kind=None if video.fault is None else video.fault.kind,
+        size=0.0 if video.fault is None else video.fault.size,
+        success=execution.success,
+        reason=execution.reason,
+        numbers={"executable": row.executable, "feasible": row.feasible, **numbers},  # type: ignore[dict-item]
+        anomalies=tuple(sorted({str(a["kind"]) for a in listed})) if isinstance(listed, list) else (),  # type: ignore
+    )
+
+
+def read_study(work: Path) -> tuple[list[ValidityTrial], dict[str, Json]]:
+    """Read the trials of a work folder, and the revision and weights that they were measured with.
+
+    Raises:
+        UsageError: the folder holds no finished measurement.
+    """
+    if not (work / _STUDY).is_file():
+        raise UsageError(f"{work.name}: holds no finished study; run `python -m benchmarks validity measure` first")
+    trials = read_lines(work / _TRIALS, lambda row: ValidityTrial.from_json(row))  # type: ignore[arg-type]
+    return trials, dict(read_object(work / _STUDY))  # type: ignore[arg-type]
