@@ -267,7 +267,9 @@ def validity() -> None:
     """Numbers of videos with planted faults: which of them respond to which fault, and which predict success."""
 
 
-@validity.command(name="measure", epilog="\b\nExample:\n  python -m benchmarks validity measure --work validity --jobs 2")
+@validity.command(
+    name="measure", epilog="\b\nExample:\n  python -m benchmarks validity measure --work validity --jobs 2"
+)
 @click.option("--work", type=_FOLDER, required=True, help="Folder of videos and results; an earlier run is resumed.")
 @click.option("--episodes", type=_COUNT, default=40, show_default=True, help="Clean episodes, tasks in turn.")
 @click.option("--sizes", type=click.IntRange(1, 3), default=3, show_default=True, help="Sizes of each kind of fault.")
@@ -284,6 +286,22 @@ def validity_measure(work: Path, episodes: int, sizes: int, jobs: int) -> None:
     with _errors(), ProgressView("steps") as view:
         measure(work, episodes, sizes, jobs, view)
     click.echo(work)
+
+
+@validity.command(
+    name="report", epilog="\b\nExample:\n  python -m benchmarks validity report validity --out docs/validity.md"
+)
+@click.argument("work", type=_EXISTING_FOLDER)
+@_out
+def validity_report(work: Path, out: Path | None) -> None:
+    """Print the tables of the study in the folder WORK, and write tables and figures into a page."""
+    from benchmarks.validity import read_study
+    from benchmarks.validity_report import write_report
+
+    with _errors():
+        sections = write_report(*read_study(work), work if out is None else out.parent)
+    for text in sections:
+        _write_section(out, text)
 
 
 @main.group()

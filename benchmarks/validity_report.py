@@ -1,0 +1,303 @@
+"""Tables and figures of the validity study, as sections of docs/validity.md."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from benchmarks.markdown import table
+from benchmarks.validity import SPLIT, SUITE, ValidityTrial
+from benchmarks.validity_response import (
+    NUMBERS,
+    SEPARATION,
+    Grade,
+    Response,
+    Study,
+    SuccessCorrelation,
+    Verdict,
+    correlate,
+)
+from kinebench_drake.io.figure import POSITION, ROTATION, new_figure, save
+from kinebench_drake.stats import IntervalEstimate, wilson
+from kinebench_drake.types import AnomalyKind, Json
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+CURVES = (
+    *("executable", "feasible", "tracked_fraction", "ik_success_rate", "sparc", "sparc_rotation", "ldlj"),
+    *("manipulability_mean", "manipulability_min", "manipulability_cost_mean", "joint_limit_margin_min"),
+    *("slowdown_min", "arm_consistency_px", "camera_motion_px"),
+)
+"""Numbers whose dose-response curves are drawn."""
+FIGURES = ("validity_separation.png", "validity_response.png", "validity_success.png")
+"""Figures beside the page."""
+
+
+def write_report(trials: Sequence[ValidityTrial], source: Mapping[str, Json], folder: Path) -> list[str]:
+    """Draw the figures into a folder and return the sections of the page."""
+    study = Study(trials)
+    correlations = {name: correlate(study, name) for name in NUMBERS}
+    drawings: Sequence[Callable[[], Figure]] = (
+        lambda: draw_separation(study),
+        lambda: draw_responses(study),
+        lambda: draw_success(study, correlations),
+    )
+    for name, draw in zip(FIGURES, drawings, strict=True):
+        save(draw(), folder / name)
+    return [
+        _section("Episodes and faults", _fault_lines(study, source)),
+        _section("Which number responds to which fault", _verdict_lines(study)),
+        _section("Dose and response", _response_lines(study)),
+        _section("Success in closed loop", _success_lines(correlations)),
+    ]
+
+
+def _section(heading: str, lines: Iterator[str]) -> str:
+    return "\n".join([f"## {heading}", "", *lines])
+
+
+def _fault_lines(study: Study, source: Mapping[str, Json]) -> Iterator[str]:
+    tasks = {t.task for t in study.clean.values()}
+    yield (
+        f"{len(study.clean)} episodes of {len(tasks)} tasks (suite {SUITE}, {SPLIT}), {len(study.trials)} videos, at "
+        f"revision {source['revision']} with the weights {source['weights']}. 95 % intervals (Wilson)."
+    )
+    yield ""
+    yield from table(
+        ("fault", "size", "videos", "success in closed loop", "executable", "fault named by the detectors"),
+        _fault_rows(study),
+    )
+
+
+def _fault_rows(study: Study) -> Iterator[list[str]]:
+    clean = list(study.clean.values())
+    yield ["none", "", str(len(clean)), _share(_successes(clean), len(clean)), _executable(clean), ""]
+    for kind in study.kinds:
+        for grade in study.grades(kind):
+            trials = list(study.faulty[grade].values())
+            named = sum(kind.value in t.anomalies for t in trials)
+            cells = [_share(_successes(trials), len(trials)), _executable(trials), _share(named, len(trials))]
+            yield [f"`{kind.value}`", grade.label, str(len(trials)), *cells]
+
+
+def _successes(trials: Sequence[ValidityTrial]) -> int:
+    return sum(t.success for t in trials)
+
+
+def _executable(trials: Sequence[ValidityTrial]) -> str:
+    return _share(sum(t.numbers["executable"] is True for t in trials), len(trials))
+
+
+def _share(hits: int, n: int) -> str:
+    low, high = wilson(hits, n)
+    return f"{hits / n:.0%} ({low:.0%} to {high:.0%})"
+
+
+def _verdict_lines(study: Study) -> Iterator[str]:
+    yield f"![Area under the ROC curve of every number, fault and size]({FIGURES[0]})"
+    yield ""
+    rows = [[f"`{name}`", *(_verdict_cell(study, name, kind) for kind in study.kinds)] for name in NUMBERS]
+    yield from table(("number", *(f"`{kind.value}`" for kind in study.kinds)), rows)
+    yield ""
+    yield (
+        f"**separates** and responds, with the area under the ROC curve at the greatest size; **separates** from "
+        f"{SEPARATION:g} on. -: no response distinct from chance."
+    )
+    yield ""
+    wrong = [(name, kind) for name in NUMBERS for kind in study.kinds if study.verdict(name, kind) is Verdict.IMPROVES]
+    if not wrong:
+        yield "No number improves under any fault by more than chance explains."
+        return
+    yield "Numbers that improve under a fault, and are not for it:"
+    yield ""
+    for name in dict.fromkeys(name for name, _ in wrong):
+        kinds = [kind for other, kind in wrong if other == name]
+        yield f"- `{name}`: not for {', '.join(_improvement(study, name, kind) for kind in kinds)}."
+
+
+def _improvement(study: Study, name: str, kind: AnomalyKind) -> str:
+    cells = [
+        f"{r.better} of {r.episodes} videos at {grade.label}"
+        for grade in study.grades(kind)
+        if study.is_significant(name, grade) and (r := study.responses[name, grade]).better > r.worse
+    ]
+    return f"`{kind.value}` (better in {', '.join(cells)})"
+
+
+def _verdict_cell(study: Study, name: str, kind: AnomalyKind) -> str:
+    verdict = study.verdict(name, kind)
+    area = study.responses[name, study.grades(kind)[-1]].area.value
+    match verdict:
+        case Verdict.SEPARATES:
+            return f"**separates** {area:.2f}"
+        case Verdict.RESPONDS:
+            return f"responds {area:.2f}"
+        case Verdict.IMPROVES:
+            return "**not for it**"
+        case Verdict.SILENT:
+            return "-"
+
+
+def _response_lines(study: Study) -> Iterator[str]:
+    yield f"![Change of the numbers with the size of each fault]({FIGURES[1]})"
+    yield ""
+    yield (
+        "Mean change against the clean video of the same episode where both have the number, with its bootstrap "
+        "interval over episodes (none where all changes are equal); then in how many episodes it gets worse and better "
+        "(null is the worst value), and in how many it becomes null. *: distinct from chance (sign test, 5 % false "
+        "discoveries among all cells)."
+    )
+    for kind in study.kinds:
+        grades = study.grades(kind)
+        yield from ("", f"### {kind.value.replace('_', ' ')}", "")
+        head = ("number", *(grade.label for grade in grades), f"area under ROC, {grades[-1].label}")
+        rows = [
+            [
+                f"`{n}`",
+                *(_change(study, n, g) for g in grades),
+                _estimate(study.responses[n, grades[-1]].area, "{:.2f}"),
+            ]
+            for n in NUMBERS
+        ]
+        yield from table(head, rows)
+
+
+def _change(study: Study, name: str, grade: Grade) -> str:
+    r = study.responses[name, grade]
+    change = "null" if r.change is None else _estimate(r.change, "{:+.2g}")
+    null = f", {r.nulls} null" if r.nulls else ""
+    return f"{change}; {r.worse} worse, {r.better} better{null}{' *' if study.is_significant(name, grade) else ''}"
+
+
+def _estimate(x: IntervalEstimate, pattern: str) -> str:
+    value = pattern.format(x.value)
+    return f"{value} ({pattern.format(x.low)} to {pattern.format(x.high)})" if np.isfinite(x.low) else value
+
+
+def _success_lines(correlations: Mapping[str, SuccessCorrelation]) -> Iterator[str]:
+    yield f"![Success by fault, and rank correlation of each number with success]({FIGURES[2]})"
+    yield ""
+    yield (
+        "Spearman's coefficient of each number with success over all videos, and of the ranks without the differences "
+        "between episodes; positive: better values go with success. Bootstrap intervals over episodes."
+    )
+    yield ""
+    ordered = sorted(correlations.items(), key=lambda item: -np.nan_to_num(item[1].within.value, nan=-2.0))
+    rows = [[f"`{name}`", _estimate(c.pooled, "{:.2f}"), _estimate(c.within, "{:.2f}")] for name, c in ordered]
+    yield from table(("number", "all videos", "within episodes"), rows)
+
+
+def draw_separation(study: Study) -> "Figure":
+    """Draw the area under the ROC curve of every number (rows) at every grade (columns); a frame: improves."""
+    grades = [grade for kind in study.kinds for grade in study.grades(kind)]
+    figure, axes = new_figure(3.2 + 0.5 * len(grades), 1.8 + 0.29 * len(NUMBERS))
+    ax = axes[0, 0]
+    ax.grid(False)
+    area = np.array([[study.responses[name, g].area.value for g in grades] for name in NUMBERS])
+    image = ax.imshow(area, cmap="PuOr_r", vmin=0.0, vmax=1.0, aspect="auto")
+    for i, name in enumerate(NUMBERS):
+        for j, grade in enumerate(grades):
+            response, significant = study.responses[name, grade], study.is_significant(name, grade)
+            dark = abs(area[i, j] - 0.5) > 0.35
+            style = {"color": "white" if dark else "black", "fontweight": "bold" if significant else "normal"}
+            ax.text(j, i, f"{area[i, j]:.2f}", ha="center", va="center", fontsize=7, **style)
+            if significant and response.better > response.worse:
+                frame = {"fill": False, "edgecolor": "#c00000", "linewidth": 2.0}
+                ax.add_patch(_rectangle(j, i, frame))
+    ax.set_yticks(range(len(NUMBERS)), NUMBERS, fontsize=8)
+    ax.set_xticks(range(len(grades)), [grade.label for grade in grades], fontsize=8)
+    start = 0
+    for kind in study.kinds:
+        n = len(study.grades(kind))
+        ax.text(start + (n - 1) / 2, -0.8, kind.value.replace("_", "\n"), ha="center", va="bottom", fontsize=8)
+        if start:
+            ax.axvline(start - 0.5, color="white", linewidth=3)
+        start += n
+    bar = figure.colorbar(image, ax=ax, shrink=0.5, pad=0.02)
+    bar.set_label("area under the ROC curve, faulty against clean videos", fontsize=8)
+    figure.supxlabel(
+        "bold: distinct from chance in pairs with the clean video; red frame: better than the clean video", fontsize=8
+    )
+    return figure
+
+
+def _rectangle(column: int, row: int, style: Mapping[str, object]) -> Any:
+    from matplotlib.patches import Rectangle
+
+    return Rectangle((column - 0.46, row - 0.46), 0.92, 0.92, **style)  # type: ignore[arg-type]
+
+
+def draw_responses(study: Study) -> "Figure":
+    """Draw the mean change of numbers (rows) with the size of each fault (columns), with intervals."""
+    kinds = study.kinds
+    figure, axes = new_figure(1.75 * len(kinds) + 1.2, 1.25 * len(CURVES), len(CURVES), len(kinds), sharey="row")
+    for row, name in zip(axes, CURVES, strict=True):
+        for ax, kind in zip(row, kinds, strict=True):
+            grades = study.grades(kind)
+            responses = [study.responses[name, grade] for grade in grades]
+            color = ROTATION if study.verdict(name, kind) is Verdict.IMPROVES else POSITION
+            _draw_curve(ax, responses, color)
+            ax.set_xticks(range(len(grades) + 1), ["0", *(grade.label for grade in grades)], fontsize=6)
+            ax.set_xlim(-0.3, len(grades) + 0.5)
+            ax.tick_params(axis="y", labelsize=6)
+            if name == CURVES[0]:
+                ax.set_title(kind.value.replace("_", " "), fontsize=8)
+        row[0].set_ylabel(name.replace("_", "\n", 1), fontsize=7)
+    figure.supxlabel(
+        "size of the fault; mean change against the clean video, 95 % interval; N null: episodes in which the number "
+        "becomes null, not in the mean; orange: better than in the clean video",
+        fontsize=8,
+    )
+    return figure
+
+
+def _draw_curve(ax: Any, responses: Sequence[Response], color: str) -> None:
+    x = [0.0]
+    value, low, high = [0.0], [0.0], [0.0]
+    for i, r in enumerate(responses, 1):
+        if r.change is not None:
+            ends = (r.change.low, r.change.high) if np.isfinite(r.change.low) else (r.change.value, r.change.value)
+            x.append(float(i))
+            for side, number in zip((value, low, high), (r.change.value, *ends), strict=True):
+                side.append(number)
+        if r.nulls:
+            ax.annotate(
+                f"{r.nulls} null", (i, 0.97), xycoords=("data", "axes fraction"), ha="center", va="top", fontsize=5.5
+            )
+    ax.axhline(0.0, color="#80868c", linewidth=0.6)
+    ax.fill_between(x, low, high, color=color, alpha=0.2, linewidth=0)
+    ax.plot(x, value, color=color, marker="o", markersize=2.5, linewidth=1.0)
+
+
+def draw_success(study: Study, correlations: Mapping[str, SuccessCorrelation]) -> "Figure":
+    """Draw success by fault and size, and the rank correlation of each number with success, with intervals."""
+    figure, axes = new_figure(13.0, 6.4, 1, 2)
+    left, right = axes[0]
+    labels, x = list[str](), 0
+    for grade, trials in [(None, study.clean), *((g, study.faulty[g]) for k in study.kinds for g in study.grades(k))]:
+        n, hits = len(trials), _successes(list(trials.values()))
+        low, high = wilson(hits, n)
+        color = "#5a9a4a" if grade is None else POSITION
+        left.plot([low, high], [x, x], color=color, linewidth=1.6)
+        left.plot(hits / n, x, marker="o", color=color, markersize=4)
+        labels.append("no fault" if grade is None else f"{grade.kind.value.replace('_', ' ')} {grade.label}")
+        x += 1
+    left.set_yticks(range(x), labels, fontsize=8)
+    left.invert_yaxis()
+    left.set_xlim(0.0, 1.02)
+    left.set_xlabel("success in closed loop, 95 % interval", fontsize=8)
+    ordered = sorted(NUMBERS, key=lambda name: -np.nan_to_num(correlations[name].within.value, nan=-2.0))
+    for i, name in enumerate(ordered):
+        for estimate, shift, color in (
+            (correlations[name].within, -0.15, POSITION),
+            (correlations[name].pooled, 0.15, ROTATION),
+        ):
+            right.plot([estimate.low, estimate.high], [i + shift, i + shift], color=color, linewidth=1.6)
+            right.plot(estimate.value, i + shift, marker="o", color=color, markersize=4)
+    right.axvline(0.0, color="#80868c", linewidth=0.8)
+    right.set_yticks(range(len(ordered)), ordered, fontsize=8)
+    right.invert_yaxis()
+    right.set_xlabel("rank correlation with success: blue within episodes, orange over all videos", fontsize=8)
+    return figure

@@ -1,0 +1,187 @@
+"""Validity study: responses to planted faults with known answers, its report, and a small measurement."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from benchmarks import validity
+from benchmarks.__main__ import main
+from benchmarks.planted_videos import PlantingResult
+from benchmarks.validity import ValidityTrial, study_grades, study_specs
+from benchmarks.validity_report import FIGURES, write_report
+from benchmarks.validity_response import NUMBERS, Grade, Study, Verdict, correlate
+from kinebench_drake.suites.faults.fault import GRADES, FaultGrade, PlantedFault
+from kinebench_drake.suites.split import Pool
+from kinebench_drake.suites.tasks.registry import TASKS
+from kinebench_drake.types import AnomalyKind
+
+EPISODES = 24
+
+
+def trial(episode: int, kind: AnomalyKind | None, size: float, success: bool, **numbers: float | None) -> ValidityTrial:
+    return ValidityTrial(
+        id=f"{episode}_{kind}_{size}",
+        episode=str(episode),
+        task="PullCube-v1",
+        kind=kind,
+        size=size,
+        success=success,
+        reason="",
+        numbers={**dict.fromkeys(NUMBERS, 0.5), **numbers},
+        anomalies=() if kind is None else (kind.value,),
+    )
+
+
+@pytest.fixture(scope="module")
+def trials() -> list[ValidityTrial]:
+    """Vanish: sparc falls with the size, ldlj rises, manipulability_mean becomes null; freeze: no response."""
+    rng = np.random.default_rng(0)
+    result = []
+    for i in range(EPISODES):
+        sparc, noise = rng.normal(-3.0, 0.1), rng.normal(size=3)
+        result.append(trial(i, None, 0.0, True, sparc=sparc, ldlj=-5.0, table_distance_min_m=noise[0]))
+        for size in (1.0, 10.0):
+            numbers = {"sparc": sparc - 0.1 * size, "ldlj": -5.0 + size, "table_distance_min_m": noise[1]}
+            result.append(trial(i, AnomalyKind.VANISH, size, size < 5, **numbers, manipulability_mean=None))
+        result.append(trial(i, AnomalyKind.FREEZE, 5.0, True, sparc=sparc, ldlj=-5.0, table_distance_min_m=noise[2]))
+    return result
+
+
+def test_verdicts(trials: list[ValidityTrial]) -> None:
+    study = Study(trials)
+    assert study.kinds == [AnomalyKind.VANISH, AnomalyKind.FREEZE]
+    verdict = {name: study.verdict(name, AnomalyKind.VANISH) for name in NUMBERS}
+    assert verdict["sparc"] is Verdict.SEPARATES
+    assert verdict["ldlj"] is Verdict.IMPROVES
+    assert verdict["manipulability_mean"] is Verdict.SEPARATES  # a null is the worst value
+    assert verdict["table_distance_min_m"] is verdict["success" if "success" in NUMBERS else "feasible"]
+    assert all(study.verdict(name, AnomalyKind.FREEZE) is Verdict.SILENT for name in NUMBERS)
+
+
+def test_responses(trials: list[ValidityTrial]) -> None:
+    study = Study(trials)
+    least, greatest = study.grades(AnomalyKind.VANISH)
+    assert (least.label, greatest.label) == ("1f", "10f")
+    response = study.responses["sparc", greatest]
+    assert response.change is not None
+    assert response.change.value == pytest.approx(-1.0)
+    assert (response.worse, response.better, response.nulls) == (EPISODES, 0, 0)
+    assert response.area.value == response.area.high == 1.0
+    same = study.responses["sparc", Grade(kind=AnomalyKind.FREEZE, size=5.0)]
+    assert same.area.value == 0.5
+    assert same.p_value == 1.0
+    gone = study.responses["manipulability_mean", least]
+    assert gone.change is None
+    assert gone.nulls == gone.worse == EPISODES
+
+
+def test_area_under_roc_is_antisymmetric(trials: list[ValidityTrial]) -> None:
+    """Exchanging clean and faulty videos reflects the area at 0.5 and exchanges worse and better."""
+    swapped = []
+    for t in trials:
+        if t.kind is AnomalyKind.FREEZE:
+            continue
+        if t.size != 1.0:
+            kind, size = (AnomalyKind.VANISH, 10.0) if t.kind is None else (None, 0.0)
+            swapped.append(trial(int(t.episode), kind, size, t.success, **t.numbers))  # type: ignore[arg-type]
+    grade = Grade(kind=AnomalyKind.VANISH, size=10.0)
+    before, after = Study(trials), Study(swapped)
+    for name in ("sparc", "ldlj", "manipulability_mean", "table_distance_min_m"):
+        a, b = before.responses[name, grade], after.responses[name, grade]
+        assert a.area.value == pytest.approx(1.0 - b.area.value)
+        assert (a.worse, a.better) == (b.better, b.worse)
+
+
+def test_correlation_with_success(trials: list[ValidityTrial]) -> None:
+    """A number that is greater exactly where episodes succeed has correlation 1; a constant one has none."""
+    study = Study([trial_with(t, sparc=float(t.success)) for t in trials])
+    found = correlate(study, "sparc")
+    assert found.pooled.value == pytest.approx(1.0)
+    assert found.within.value == pytest.approx(1.0)
+    assert found.within.low == pytest.approx(1.0)
+    assert np.isnan(correlate(study, "self_distance_min_m").pooled.value)
+    # The sign follows the better side, whatever an episode adds to all of its videos.
+    study = Study([trial_with(t, slowdown_min=int(t.episode) - 0.1 * t.success) for t in trials])
+    lower = correlate(study, "slowdown_min")
+    assert lower.within.value > 0.9 > lower.pooled.value
+
+
+def trial_with(t: ValidityTrial, **numbers: float) -> ValidityTrial:
+    return ValidityTrial.from_json({**t.to_json(), "numbers": {**t.numbers, **numbers}})
+
+
+def test_report(trials: list[ValidityTrial], tmp_path: Path) -> None:
+    sections = write_report(trials, {"revision": "r", "weights": "w"}, tmp_path)
+    assert all((tmp_path / name).stat().st_size > 10_000 for name in FIGURES)
+    faults, verdicts, responses, success = sections
+    assert f"| none |  | {EPISODES} | 100%" in faults
+    assert f"- `ldlj`: not for `vanish` (better in {EPISODES} of {EPISODES} videos at 1f" in verdicts
+    assert "| `sparc` | **separates** 1.00 | - |" in verdicts
+    assert f"`manipulability_mean` | null; {EPISODES} worse, 0 better, {EPISODES} null *" in responses
+    assert success.count("\n| `") == len(NUMBERS)
+
+
+def test_report_command_writes_the_page(trials: list[ValidityTrial], tmp_path: Path) -> None:
+    work, page = tmp_path / "work", tmp_path / "page.md"
+    work.mkdir()
+    page.write_text("# Title\n\nIntroduction.\n\n## Success in closed loop\n\nold\n")
+    missing = CliRunner().invoke(main, ["validity", "report", str(work)])
+    assert missing.exit_code == 2
+    assert "no finished study" in missing.output
+    (work / "trials.jsonl").write_text("".join(json.dumps(t.to_json()) + "\n" for t in trials))
+    (work / "study.json").write_text('{"revision": "r", "weights": "w"}')
+    for _ in range(2):  # the second time replaces the sections
+        result = CliRunner().invoke(main, ["validity", "report", str(work), "--out", str(page)])
+        assert result.exit_code == 0, result.output
+    text = page.read_text()
+    assert text.count("## Success in closed loop") == text.count("## Episodes and faults") == 1
+    assert "old" not in text
+    assert all(name in text for name in FIGURES)
+
+
+def test_grades_and_episodes() -> None:
+    grades = study_grades(3)
+    assert {grade.kind for grade in grades} == set(AnomalyKind)
+    for kind, possible in GRADES.items():
+        sizes = [grade.size for grade in grades if grade.kind is kind]
+        assert sizes == sorted(sizes)
+        assert {possible.gate, max(possible.sizes)} <= set(sizes) <= set(possible.sizes)
+    assert set(study_grades(2)) < set(grades)
+    specs = list(study_specs())
+    assert {spec.pool for spec in specs} == {Pool.UNSEEN}
+    assert len({spec.id for spec in specs}) == len(specs) > 40
+    assert all(TASKS[spec.task].card.clips == 1 for spec in specs)
+
+
+def test_json_round_trip(trials: list[ValidityTrial]) -> None:
+    for t in trials[:4]:
+        assert ValidityTrial.from_json(json.loads(json.dumps(t.to_json()))) == t
+    fault = PlantedFault(kind=AnomalyKind.FREEZE, frame_start=3, frame_end=7, size=5.0)
+    assert PlantedFault.from_json(json.loads(json.dumps(fault.to_json()))) == fault
+
+
+@pytest.mark.sapien
+@pytest.mark.slow
+def test_measure_resumes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    freeze = FaultGrade(kind=AnomalyKind.FREEZE, size=5, form=None)
+    monkeypatch.setattr(validity, "study_grades", lambda sizes: (freeze,))
+    arguments = ["validity", "measure", "--work", str(tmp_path), "--episodes", "1"]
+    first = CliRunner().invoke(main, arguments)
+    assert first.exit_code == 0, first.output
+    rows, _ = validity.read_study(tmp_path)
+    clean, frozen = rows
+    assert clean.kind is None
+    assert clean.success
+    assert clean.numbers["tracked_fraction"] > 0.9  # type: ignore[operator]
+    assert frozen.kind is AnomalyKind.FREEZE
+    assert set(NUMBERS) <= set(frozen.numbers)
+    (line,) = (tmp_path / "videos" / "planted.jsonl").read_text().splitlines()
+    assert len(PlantingResult.from_json(json.loads(line)).videos) == 2
+    monkeypatch.setattr(validity, "plant_episode", None)  # what is finished is not made again
+    monkeypatch.setattr(validity, "execute", None)
+    again = CliRunner().invoke(main, arguments)
+    assert again.exit_code == 0, again.output
+    assert validity.read_study(tmp_path)[0] == rows
