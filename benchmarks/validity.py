@@ -16,6 +16,8 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from benchmarks.planted_videos import PlantedVideo, PlantingOrder, PlantingResult, plant_episode, write_index
 from benchmarks.structure import current_revision
 from kinebench_drake.camera import benchmark_camera
@@ -27,7 +29,7 @@ from kinebench_drake.evaluation.score import ScoreConfig, score_videos
 from kinebench_drake.executors.base import Executor
 from kinebench_drake.executors.local import LocalExecutor
 from kinebench_drake.grounding.evaluation.store import MeasurementStore, fingerprint
-from kinebench_drake.io.jsonl import finite, read_lines, read_object, write_json, write_lines
+from kinebench_drake.io.jsonl import as_object, read_lines, read_object, write_json, write_lines
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.results.provenance import weights_hash
 from kinebench_drake.results.row import SampleRow
@@ -218,8 +220,9 @@ class _Planter:
 
 
 def _trial(video: PlantedVideo, row: SampleRow, execution: TrackExecution) -> ValidityTrial:
-    listed = row.metrics.get("anomalies")
-    numbers = {name: v for name, v in finite(row.metrics).items() if not isinstance(v, list)}  # type: ignore[union-attr]
+    numbers = {"executable": row.executable, "feasible": row.feasible}
+    measured = {name: v for name, v in row.metrics.items() if v is None or isinstance(v, bool | int | float)}
+    anomalies = row.metrics.get("anomalies")
     return ValidityTrial(
         id=video.id,
         episode=video.episode,
@@ -228,8 +231,8 @@ def _trial(video: PlantedVideo, row: SampleRow, execution: TrackExecution) -> Va
         size=0.0 if video.fault is None else video.fault.size,
         success=execution.success,
         reason=execution.reason,
-        numbers={"executable": row.executable, "feasible": row.feasible, **numbers},  # type: ignore[dict-item]
-        anomalies=tuple(sorted({str(a["kind"]) for a in listed})) if isinstance(listed, list) else (),  # type: ignore
+        numbers={**numbers, **{name: v if v is None or np.isfinite(v) else None for name, v in measured.items()}},
+        anomalies=tuple(sorted({str(as_object(a)["kind"]) for a in anomalies})) if isinstance(anomalies, list) else (),
     )
 
 
