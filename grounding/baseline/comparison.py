@@ -68,6 +68,8 @@ class ComparisonGroup:
     tracked_fraction: float
     figures: Mapping[tuple[Extractor, Quantity], tuple[IntervalEstimate, IntervalEstimate]]
     """Median and 95th percentile of the errors."""
+    medians: Mapping[tuple[Extractor, Quantity], Sequence[float]]
+    """Median error of each video; NaN without a pose."""
 
 
 def errors(truth: Demonstration, X_BG: Array, finger_width_m: Array) -> PoseErrors:
@@ -138,7 +140,13 @@ def compare_group(name: str, clips: Sequence[ClipComparison], *, pooled: bool, s
         pooled=pooled,
         tracked_fraction=float(np.mean([clip.tracked_fraction for clip in clips])),
         figures={key: percentiles(videos, rng) for key, videos in values.items()},
+        medians={key: [_median(video) for video in videos] for key, videos in values.items()},
     )
+
+
+def _median(errors: Array) -> float:
+    finite = errors[np.isfinite(errors)]
+    return float(np.median(finite)) if len(finite) else float("nan")
 
 
 def groups(clips: Sequence[ClipComparison]) -> Iterator[ComparisonGroup]:

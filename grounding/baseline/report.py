@@ -60,6 +60,11 @@ def as_json(compared: Sequence[ComparisonGroup]) -> list[dict[str, object]]:
                 }
                 for m in Extractor
             },
+            "video_medians": {
+                m.value: {q.name.lower(): [v if v == v else None for v in g.medians[m, q]] for q in Quantity}
+                for m in Extractor
+            },
+            "pooled": g.pooled,
         }
         for g in compared
     ]

@@ -72,6 +72,12 @@ class ErrorMap:
         """Return the mean of each cell; NaN for fewer than three measurements."""
         return np.where(self.count >= 3, self.total / np.maximum(self.count, 1.0), np.nan)
 
+    def to_json(self) -> dict[str, Any]:
+        """Return the JSON object: axes, bounds [mm] (left, right, bottom, top), mean of each cell or None."""
+        mean = [[round(v, 5) if np.isfinite(v) else None for v in row] for row in self.mean().tolist()]
+        bounds = [round(1e3 * float(end), 3) for a in self.axes for end in EXTENT_H[a]]
+        return {"axes": "".join("xyz"[a] for a in self.axes), "bounds_mm": bounds, "mean": mean}
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DepthErrors:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.evaluation.clip import TruthClipFile
 from kinebench_drake.grounding.evaluation.perturbation.catalogue import PerturbationKind, ladder, perturb
-from kinebench_drake.grounding.evaluation.summary import Reliability, Results, reliability
+from kinebench_drake.grounding.evaluation.summary import Reliability, Results, pooled_errors, reliability
 from kinebench_drake.grounding.evaluation.tables import by_task
 from kinebench_drake.io.figure import FAINT, POSITION, ROTATION, new_figure
 from kinebench_drake.io.reader import read_video
@@ -21,13 +21,6 @@ if TYPE_CHECKING:
 
 _COLOURS = ("#1f6fb2", "#c4622d", "#3a8f5c", "#8a5fb0", "#b5485d", "#6b7a1e", "#3b8ea5", "#946b3d", "#5b6470")
 _FLOOR_MM, _FLOOR_DEG = 0.05, 0.02  # of logarithmic axes
-
-
-def pooled_errors(results: Results) -> tuple[Array, Array]:
-    """Return the position [mm] and rotation errors [degrees] of all tracked frames with a gripper."""
-    position = np.concatenate([e.position_m[e.tracked & e.visible] for e in results]) * 1e3
-    rotation = np.rad2deg(np.concatenate([e.rotation_rad[e.tracked & e.visible] for e in results]))
-    return position, rotation
 
 
 def draw_evaluation(results: Results) -> "Figure":

@@ -14,7 +14,7 @@ from kinebench_drake.grounding.evaluation.perturbation.catalogue import Perturba
 from kinebench_drake.grounding.evaluation.reframing import reframings
 from kinebench_drake.grounding.evaluation.store import MeasurementStore, fingerprint
 from kinebench_drake.grounding.evaluation.summary import Results
-from kinebench_drake.grounding.evaluation.tables import compared, comparison_table, intervals_json
+from kinebench_drake.grounding.evaluation.tables import compared, comparison_table, distribution_json, intervals_json
 from kinebench_drake.grounding.evaluation.trial import GroundingTrial, TrialCondition, TrialWorkerFactory
 from kinebench_drake.grounding.evaluation.variants import VARIANTS, Degradation
 from kinebench_drake.grounding.overrides.depth import DepthPlugIn
@@ -32,6 +32,8 @@ _DEGRADATIONS = {
 class GroundingStudy:
     """Conditions to compare."""
 
+    name: str
+    """Name in files."""
     title: str
     conditions: tuple[TrialCondition, ...]
     required: tuple[str, ...] = ()
@@ -67,13 +69,14 @@ def evaluation(variant: str) -> GroundingStudy:
     if variant not in VARIANTS:
         raise UsageError(f"pipeline {variant!r} is not known; there are {', '.join(VARIANTS)}")
     name = VARIANTS[variant].label
-    return GroundingStudy(title=name, conditions=(TrialCondition(name=name, variant=variant),))
+    return GroundingStudy(name="evaluation", title=name, conditions=(TrialCondition(name=name, variant=variant),))
 
 
 def robustness(kinds: Sequence[PerturbationKind]) -> GroundingStudy:
     """Return the study of unchanged frames and of each kind of perturbation at its strengths."""
     steps = [p for kind in kinds for p in ladder(kind)]
     return GroundingStudy(
+        name="robustness",
         title="Pose errors under perturbations",
         conditions=(CLEAN, *(TrialCondition(name=p.label, perturbation=p, group=p.kind.value) for p in steps)),
         required=tuple(p.label for p in steps if p.is_required),
@@ -83,7 +86,7 @@ def robustness(kinds: Sequence[PerturbationKind]) -> GroundingStudy:
 def framing() -> GroundingStudy:
     """Return the study of unchanged frames and of the sizes and shapes of video models."""
     others = (TrialCondition(name=r.label, reframing=r, group=r.way) for r in reframings())
-    return GroundingStudy(title="Pose errors in other sizes and shapes", conditions=(CLEAN, *others))
+    return GroundingStudy(name="framing", title="Pose errors in other sizes and shapes", conditions=(CLEAN, *others))
 
 
 def depth_ablation(plug_ins: Sequence[str]) -> GroundingStudy:
@@ -104,13 +107,15 @@ def depth_ablation(plug_ins: Sequence[str]) -> GroundingStudy:
         plug_in = DepthPlugIn(spec)
         plug_in.check()
         conditions.append(TrialCondition(name=plug_in.name, plug_in=plug_in, group=plug_in.name))
-    return GroundingStudy(title="Pose errors with depth of graded quality", conditions=tuple(conditions))
+    return GroundingStudy(
+        name="depth-ablation", title="Pose errors with depth of graded quality", conditions=tuple(conditions)
+    )
 
 
 def budget() -> GroundingStudy:
     """Return the study of the error budget: each true value as prior, one at a time and all together."""
     conditions = tuple(TrialCondition(name=v.label, variant=name, group=v.label) for name, v in VARIANTS.items())
-    return GroundingStudy(title="Pose errors with true values put in", conditions=conditions)
+    return GroundingStudy(name="budget", title="Pose errors with true values put in", conditions=conditions)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -136,9 +141,14 @@ class StudyOutcome:
     def to_json(self) -> dict[str, Any]:
         """Return the comparison as a JSON object."""
         return {
+            "study": self.study.name,
             "title": self.study.title,
             "videos": [e.id for e in next(iter(self.results.values()))],
             "conditions": {name: intervals_json(row) for name, row in self.figures.items()},
+            "distributions": {
+                condition.name: {"group": condition.group, **distribution_json(self.results[condition.name])}
+                for condition in self.study.conditions
+            },
             "to_be_borne": list(self.study.required),
         }
 

@@ -13,6 +13,7 @@ from kinebench_drake.grounding.evaluation.summary import (
     Results,
     intervals,
     percentile,
+    pooled_errors,
     reliability,
     summarize,
 )
@@ -28,6 +29,8 @@ COMPARED = {
     "tracked_frames_off_by_3_cm": "off by > 3 cm",
 }
 """Columns of comparisons and their headings; tracked: of the frames that show at least 30 % of the gripper."""
+PERCENTILES = (5, 25, 50, 75, 95)
+"""Percentiles of errors in files."""
 _SHARES = frozenset({"tracked_fraction", "tracked_when_seen", "tracked_frames_off_by_3_cm"})
 
 
@@ -148,6 +151,16 @@ def evaluation_json(results: Results, seed: int) -> dict[str, Any]:
         "reliability": [b.to_json() for b in reliability(results).bins],
         "videos": {e.id: plain(summarize([e])) for e in results},
     }
+
+
+def distribution_json(results: Results) -> dict[str, Any]:
+    """Return percentiles of the errors over the tracked frames with a gripper, and the number of these frames."""
+    position, rotation = pooled_errors(results)
+    quantiles = {
+        name: [float(v) for v in np.percentile(values, PERCENTILES).round(4)] if values.size else None
+        for name, values in (("position_mm", position), ("rotation_deg", rotation))
+    }
+    return {"frames": len(position), "percentiles": list(PERCENTILES), **quantiles}
 
 
 def intervals_json(figures: Mapping[str, IntervalEstimate]) -> dict[str, Any]:

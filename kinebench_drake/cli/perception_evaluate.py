@@ -159,7 +159,10 @@ def evaluate(options: MeasureOptions, pipeline: str, true_depth: bool) -> None:
         click.echo("")
         for line in lines:
             click.echo(line)
-    _write_json(options.json_out, {"pipeline": outcome.study.title, **tables.evaluation_json(results, options.seed)})
+    _write_json(
+        options.json_out,
+        {"study": outcome.study.name, "pipeline": outcome.study.title, **tables.evaluation_json(results, options.seed)},
+    )
     if options.figure:
         from kinebench_drake.grounding.evaluation.figures import draw_evaluation
         from kinebench_drake.io.figure import save
@@ -278,9 +281,10 @@ def depth_ablation(options: MeasureOptions, plug_ins: tuple[str, ...], heatmap: 
     outcome = options.compare(study.depth_ablation(plug_ins))
     clips = choose(find_clips(options.folder), options.limit)
     errors = measure_depth(clips, VariantTools.load(options.weights).estimator)
-    figures = {}
+    figures: dict[str, Any] = {}
     if errors is not None:
         figures = {"median": errors.median, "p95": errors.p95, "common_error_median": errors.level_median}
+        figures["maps"] = {"front": errors.front.to_json(), "side": errors.side.to_json()}
         click.echo(
             f"relative depth error of our estimate on the gripper: median {errors.median:.2%}, 95 % {errors.p95:.2%}; "
             f"common to a frame: median {errors.level_median:.2%}"

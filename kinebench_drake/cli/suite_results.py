@@ -47,19 +47,28 @@ def ceiling(folders: tuple[Path, ...], out: Path | None, seed: int, jobs: int) -
     short_help="Report on suite runs.",
     epilog="\b\nExamples:\n"
     "  kinebench-drake suite report runs/wan-suite0/ runs/wan-suite2/ --out report/\n"
-    "  kinebench-drake suite report scaling/*/ --out report/",
+    "  kinebench-drake suite report scaling/*/ --out report/\n"
+    "  kinebench-drake suite report --paper runs/*/ comparison/ robustness.json depth.json --out paper/",
 )
 @folders_argument
+@click.option(
+    "--paper",
+    is_flag=True,
+    help="Write the paper's tables and figures to index.html, and the missing ones with their commands to missing.md; "
+    "DIR may also be a file of `perception` with --json, or the folder of `perception baseline evaluate`.",
+)
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), required=True, help="Folder to write to.")
 @bootstrap_seed_option
-def report(folders: tuple[Path, ...], out: Path, seed: int) -> None:
+def report(folders: tuple[Path, ...], out: Path, seed: int, paper: bool) -> None:
     """Report on output folders DIR of `suite run`: report.html, figures (png, svg), tables (csv, LaTeX).
 
     Folders of one model on one suite are pooled, such as shards, unless their tags or settings differ.
     """
+    from kinebench_drake.report.suite.paper import write_paper_report
     from kinebench_drake.report.suite.suite_page import write_suite_report
 
-    page = write_suite_report(folders, out, seed, warn=lambda message: click.echo(f"warning: {message}", err=True))
+    write = write_paper_report if paper else write_suite_report
+    page = write(folders, out, seed, warn=lambda message: click.echo(f"warning: {message}", err=True))
     click.echo(page)
 
 

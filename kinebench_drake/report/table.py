@@ -4,6 +4,7 @@ import csv
 import io
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from itertools import accumulate, groupby
 from typing import TypeAlias
 
 from kinebench_drake.results.aggregate import Estimate
@@ -30,6 +31,8 @@ class Column:
     """True if the values are estimates: CSV files then have columns for the interval and the sample count."""
     signed: bool = False
     """True if numbers have a sign in any case, as differences do."""
+    group: str = ""
+    """Heading above neighbouring columns of the same group."""
 
 
 def plain_columns(**labels: str) -> tuple[Column, ...]:
@@ -169,33 +172,51 @@ def escape_latex(text: str) -> str:
 
 
 def table_latex(table: Table) -> str:
-    """Format a table as a LaTeX `table` environment (package booktabs), intervals in small type after the means."""
+    """Format a table as a LaTeX `table` environment (package booktabs).
+
+    Intervals, and where values are missing their number and the bound, follow the means in small type. A table with
+    groups of columns is scaled to the width of the text (package graphicx).
+    """
 
     def cell(value: Value, pattern: str, bold: bool) -> str:
         text = escape_latex(format_value(value, pattern))
-        interval = format_interval(value, pattern)
+        small = [part for part in (format_interval(value, pattern), format_bound(value, pattern)) if part]
         text = f"\\textbf{{{text}}}" if bold else text
-        return text if interval is None else f"{text} {{\\scriptsize ({escape_latex(interval)})}}"
+        return f"{text} {{\\scriptsize ({escape_latex('; '.join(small))})}}" if small else text
 
     body = [
         [cell(v, table.pattern(i, k), (i, k) in table.bold) for k, v in enumerate(row)]
         for i, row in enumerate(table.rows)
     ]
+    groups = _latex_groups(table)
     return "\n".join(
         [
-            "% needs \\usepackage{booktabs}",
+            "% needs \\usepackage{booktabs}" + (r", \usepackage{graphicx}" if groups else ""),
             r"\begin{table}[t]",
             r"  \centering",
             f"  \\caption{{{escape_latex(table.title)}. {escape_latex(table.note)}}}",
             f"  \\label{{tab:{table.name.replace('_', '-')}}}",
+            *([r"  \resizebox{\textwidth}{!}{%"] if groups else []),
             f"  \\begin{{tabular}}{{{''.join('r' if numeric else 'l' for numeric in table.numeric)}}}",
             r"    \toprule",
+            *groups,
             f"    {' & '.join(escape_latex(column.label) for column in table.columns)} \\\\",
             r"    \midrule",
             *(f"    {' & '.join(cells)} \\\\" for cells in body),
             r"    \bottomrule",
-            r"  \end{tabular}",
+            r"  \end{tabular}" + ("}" if groups else ""),
             r"\end{table}",
             "",
         ]
     )
+
+
+def _latex_groups(table: Table) -> list[str]:
+    """Return the lines of the headings of groups of columns; empty without groups."""
+    spans = [(name, len(list(columns))) for name, columns in groupby(table.columns, key=lambda column: column.group)]
+    if not any(name for name, _ in spans):
+        return []
+    cells = [f"\\multicolumn{{{n}}}{{c}}{{{escape_latex(name)}}}" if name else "& " * (n - 1) for name, n in spans]
+    ends = list(accumulate(n for _, n in spans))
+    rules = [f"\\cmidrule(lr){{{end - n + 1}-{end}}}" for (name, n), end in zip(spans, ends, strict=True) if name]
+    return [f"    {' & '.join(cells)} \\\\", f"    {' '.join(rules)}"]

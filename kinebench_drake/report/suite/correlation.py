@@ -1,6 +1,6 @@
-"""Rank correlation of smoothness and success: task-balanced SPARC against success standardised within tasks."""
+"""Rank correlation of a kinematic metric and success: its task-balanced mean, and success standardised within tasks."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,13 +23,47 @@ _MIN_TASKS = 2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Predictor:
+    """Metric that may go along with success."""
+
+    name: str
+    """Stem of the file names."""
+    label: str
+    side: str
+    """Which values are better."""
+    sense: str
+    """Meaning of one of the extremes of rho."""
+    value: Callable[[EpisodeResult], float | None]
+    worst: Callable[[Sequence[EpisodeResult]], float | None]
+    """Worst value among some episodes."""
+
+
+SPARC = Predictor(
+    name="sparc",
+    label="SPARC",
+    side="nearer 0 is smoother",
+    sense="1: smoother is better",
+    value=lambda e: e.metric("sparc"),
+    worst=lambda episodes: worst_metric("sparc", episodes),
+)
+MANIPULABILITY = Predictor(
+    name="manipulability_cost",
+    label="scaled manipulability cost",
+    side="lower is better",
+    sense="-1: a lower cost is better",
+    value=lambda e: e.cost_scaled,
+    worst=lambda episodes: 1.0,
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class CorrelationPoint:
     """One model on one part."""
 
     part: SuitePart
     model: str
-    sparc: float
-    """Mean over tasks of the mean SPARC of their episodes."""
+    metric: float
+    """Mean over tasks of the mean of the metric over their episodes."""
     success: float
     """Mean over tasks of success standardised within tasks [standard deviations]."""
     tasks: int
@@ -37,12 +71,13 @@ class CorrelationPoint:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SparcStudy:
+class CorrelationStudy:
     """Points, and the values of the single tasks that they average."""
 
+    predictor: Predictor
     points: tuple[CorrelationPoint, ...]
-    sparc: Array
-    """(P, T) mean SPARC of each point and task; NaN where not measured."""
+    metric: Array
+    """(P, T) mean of the metric of each point and task; NaN where not measured."""
     success: Array
     """(P, T) standardised success; NaN where not measured."""
 
@@ -54,7 +89,7 @@ class SparcStudy:
         same kind. Draws in which rho is undefined are skipped; there is no interval if there are too few tasks.
         """
         chosen = np.array([part in (None, p.part) for p in self.points], dtype=bool)
-        x, y = self.sparc[chosen], self.success[chosen]
+        x, y = self.metric[chosen], self.success[chosen]
         some = np.isfinite(x).any(axis=0)
         x, y = x[:, some], y[:, some]
         points, tasks = x.shape
@@ -67,15 +102,15 @@ class SparcStudy:
         return Estimate(mean=mean, low=low, high=high, n=points, total=points), tasks
 
 
-def study_sparc(episodes: Sequence[EpisodeResult]) -> SparcStudy:
-    """Compute the points of all models and parts that share tasks with SPARC and success.
+def study_correlation(episodes: Sequence[EpisodeResult], predictor: Predictor = SPARC) -> CorrelationStudy:
+    """Compute the points of all models and parts that share tasks with the metric and success.
 
     Success is standardised within each task of each part: z = (s - mean) / sd over the models that did it, with the
     standard deviation over these models (ddof 0); 0 where all are equal. This removes the difficulty of the tasks.
     Tasks of a single model carry no information and are left out, and so are models that did fewer than half as many
-    tasks of a part as another: their means are over different tasks. Episodes without SPARC have the worst of all.
+    tasks of a part as another: their means are over different tasks. Episodes without the metric have the worst of all.
     """
-    worst = worst_metric("sparc", episodes)
+    worst = predictor.worst(episodes)
     tasks = sorted({(e.part, e.task) for e in episodes})
     names = list(group_by(episodes, lambda e: (e.part, e.model)))
     column = {key: k for k, key in enumerate(tasks)}
@@ -83,7 +118,7 @@ def study_sparc(episodes: Sequence[EpisodeResult]) -> SparcStudy:
     x, s = np.full((len(names), len(tasks)), np.nan), np.full((len(names), len(tasks)), np.nan)
     for (part, model, task), own in group_by(episodes, lambda e: (e.part, e.model, e.task)).items():
         cell = line[part, model], column[part, task]
-        x[cell] = _mean_sparc(own, worst)
+        x[cell] = _mean_metric(own, predictor, worst)
         s[cell] = _mean([e.hit for e in own])
     valid = np.isfinite(x) & np.isfinite(s)
     for part in {p for p, _ in names}:
@@ -97,13 +132,13 @@ def study_sparc(episodes: Sequence[EpisodeResult]) -> SparcStudy:
         CorrelationPoint(
             part=names[k][0],
             model=names[k][1],
-            sparc=float(np.nanmean(x[k])),
+            metric=float(np.nanmean(x[k])),
             success=float(np.nanmean(z[k])),
             tasks=int(valid[k].sum()),
         )
         for k in kept
     ]
-    return SparcStudy(points=tuple(points), sparc=x[kept], success=z[kept])
+    return CorrelationStudy(predictor=predictor, points=tuple(points), metric=x[kept], success=z[kept])
 
 
 def standardise(values: Array) -> Array:
@@ -137,9 +172,9 @@ def _rho(x: Array, y: Array, weights: Array) -> Array:
     return np.where(defined, (a * b).sum(axis=1) / np.where(defined, spread, 1.0), np.nan)
 
 
-def _mean_sparc(episodes: Sequence[EpisodeResult], worst: float | None) -> float:
-    """Return the mean SPARC of some episodes, those without one at `worst`; NaN if none has one."""
-    values = [e.metric("sparc") for e in episodes]
+def _mean_metric(episodes: Sequence[EpisodeResult], predictor: Predictor, worst: float | None) -> float:
+    """Return the mean of a metric over some episodes, those without it at `worst`; NaN if none has it."""
+    values = [predictor.value(e) for e in episodes]
     return _mean([worst if v is None else v for v in values] if any(v is not None for v in values) else [])
 
 
@@ -148,40 +183,45 @@ def _mean(values: Sequence[float | None]) -> float:
     return float(np.mean(numbers)) if numbers else float("nan")
 
 
-def tabulate_correlation(study: SparcStudy, seed: int = 0) -> Table:
-    """Build the table of Spearman's rho between SPARC and success, of each part and of all."""
+def tabulate_correlation(study: CorrelationStudy, seed: int = 0) -> Table:
+    """Build the table of Spearman's rho between a metric and success, of each part and of all."""
+    predictor = study.predictor
     parts = sorted({p.part for p in study.points})
     lines = [(p.title, *study.correlate(p, seed)) for p in parts]
     if len(parts) > 1:
         lines.append(("All", *study.correlate(None, seed)))
     return Table(
-        name="sparc_correlation",
-        title="SPARC and success",
-        note="Spearman's rank correlation between a model's task-balanced mean SPARC and its success standardised "
-        "within tasks; 95 % bootstrap intervals over tasks. Episodes without SPARC count with the worst of all. Three "
-        "models at least.",
+        name=f"{predictor.name}_correlation",
+        title=f"{capitalise(predictor.label)} and success",
+        note=f"Spearman's rank correlation between a model's task-balanced mean {predictor.label} and its success "
+        "standardised within tasks; 95 % bootstrap intervals over tasks. Episodes without the metric count with the "
+        "worst of all. Three models at least.",
         columns=(
             Column(key="part", label="Suite"),
-            Column(
-                key="rho", label="Spearman's rho", pattern="{:.2f}", estimated=True, meaning="1: smoother is better"
-            ),
+            Column(key="rho", label="Spearman's rho", pattern="{:.2f}", estimated=True, meaning=predictor.sense),
             *plain_columns(points="Models", tasks="Tasks"),
         ),
         rows=tuple((title, rho, rho.n, tasks) for title, rho, tasks in lines),
     )
 
 
-def draw_correlation(episodes: Sequence[EpisodeResult], study: SparcStudy, seed: int = 0) -> ReportFigure | None:
-    """Draw SPARC against success, by model and task and, beside it, task-balanced; None without a point."""
-    parts, worst = sorted({e.part for e in episodes}), worst_metric("sparc", episodes)
+def capitalise(text: str) -> str:
+    """Return a text with its first letter in upper case and the others as they are."""
+    return text[:1].upper() + text[1:]
+
+
+def draw_correlation(episodes: Sequence[EpisodeResult], study: CorrelationStudy, seed: int = 0) -> ReportFigure | None:
+    """Draw a metric against success, by model and task and, beside it, task-balanced; None without a point."""
+    predictor = study.predictor
+    parts, worst = sorted({e.part for e in episodes}), predictor.worst(episodes)
     own_names = {e.model: model_of(e.row) for e in episodes}
     labels = {model: model if len(own_names) <= len(COLOURS) else name for model, name in own_names.items()}
     models = list(dict.fromkeys(labels.values()))
     points = []
     for (part, model, _), own in group_by(episodes, lambda e: (e.part, e.model, e.task)).items():
-        sparc, success = _mean_sparc(own, worst), _mean([e.hit for e in own])
-        if np.isfinite(sparc) and np.isfinite(success):
-            points.append((part, labels[model], sparc, success))
+        metric, success = _mean_metric(own, predictor, worst), _mean([e.hit for e in own])
+        if np.isfinite(metric) and np.isfinite(success):
+            points.append((part, labels[model], metric, success))
     if not points:
         return None
 
@@ -190,16 +230,16 @@ def draw_correlation(episodes: Sequence[EpisodeResult], study: SparcStudy, seed:
 
     figure, axes = new_figure(9.2, 4.2, 1, 2)
     left, right = axes[0]
-    for part, model, sparc, success in points:
-        left.scatter(sparc, success, **marks(model, part), s=20, alpha=0.7)
+    for part, model, metric, success in points:
+        left.scatter(metric, success, **marks(model, part), s=20, alpha=0.7)
     left.set_ylim(-0.04, 1.04)
     left.set_ylabel("success of a task", fontsize=9)
-    left.set_xlabel("mean SPARC of a task (nearer 0 is smoother)", fontsize=9)
-    right.set_xlabel("task-balanced mean SPARC", fontsize=9)
+    left.set_xlabel(f"mean {predictor.label} of a task ({predictor.side})", fontsize=9)
+    right.set_xlabel(f"task-balanced mean {predictor.label}", fontsize=9)
     right.set_ylabel("success, standardised within tasks [sd]", fontsize=9)
     right.axhline(0.0, color=FAINT, linewidth=1.0)
     for point in study.points:
-        right.scatter(point.sparc, point.success, **marks(labels[point.model], point.part), s=42)
+        right.scatter(point.metric, point.success, **marks(labels[point.model], point.part), s=42)
     rho, _ = study.correlate(None, seed)
     title = "rho needs three models" if study.points else "needs two models on a task"
     if rho.mean is not None:
@@ -215,8 +255,8 @@ def draw_correlation(episodes: Sequence[EpisodeResult], study: SparcStudy, seed:
             left.plot([], [], linestyle="", marker=style(k)[1], color=FAINT, markersize=5, label=plain(part.title))
     add_legend(figure, models)
     return ReportFigure(
-        name="sparc_success",
-        title="SPARC and success",
+        name=f"{predictor.name}_success",
+        title=f"{capitalise(predictor.label)} and success",
         caption="Left: one point per model and task. Right: one point per model and suite; success is standardised "
         "within tasks, which removes the difficulty of the tasks. Rho: Spearman's rank correlation of the right "
         "points with its 95 % bootstrap interval over tasks.",

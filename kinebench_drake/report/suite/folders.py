@@ -10,9 +10,10 @@ from pathlib import Path
 from kinebench_drake.errors import UsageError
 from kinebench_drake.io.jsonl import dump
 from kinebench_drake.report.run import Run, read_runs
-from kinebench_drake.report.suite.episode import EpisodeResult, SuitePart
+from kinebench_drake.report.suite.episode import EpisodeResult, SuitePart, group_by
 from kinebench_drake.results.row import SampleRow
 from kinebench_drake.results.store import RESULTS
+from kinebench_drake.types import Json
 
 _KIND = "suite"
 _SETTINGS = (
@@ -36,6 +37,8 @@ class RunFolder:
     """Episodes, sorted by id."""
     planned: int | None
     """Episodes of the whole run, ignoring shards and limits; None if unknown."""
+    config: Mapping[str, Json]
+    """Configuration of the run."""
     tags: Mapping[str, str]
     """Tags of `suite run --tag`."""
     settings: Mapping[str, str]
@@ -87,6 +90,7 @@ def _suite_folder(run: Run) -> RunFolder:
         part=SuitePart(suite=suite, split=split, variant=variant),
         rows=run.rows,
         planned=run.planned,
+        config=run.config,
         tags=run.tags,
         settings={
             name: _format_setting(run.config[name]) for name in _SETTINGS if run.config.get(name) not in (None, "")
@@ -155,6 +159,23 @@ def spec_warnings(folders: Sequence[RunFolder]) -> list[str]:
         "kept apart by their specs; name each with --model NAME or ?name=NAME in its spec"
         for label, of in conflicts.items()
     ]
+
+
+def setting_warnings(folders: Sequence[RunFolder], episodes: Sequence[EpisodeResult]) -> list[str]:
+    """Return a warning for each model whose runs on different parts have different settings."""
+    paths = {model: {e.folder for e in own} for model, own in group_by(episodes, lambda e: e.model).items()}
+    warnings = []
+    for model, own in paths.items():
+        runs = [f for f in folders if f.path in own]
+        for name in differing_settings(runs):
+            values = ", ".join(f"{f.settings.get(name, 'unset')} in {f.name}" for f in runs)
+            warnings.append(f"runs of {model} differ in {name} ({values}): its numbers on them are not comparable")
+    return warnings
+
+
+def differing_settings(folders: Sequence[RunFolder]) -> list[str]:
+    """List the settings in which some runs differ."""
+    return [name for name in _SETTINGS if len({f.settings.get(name) for f in folders}) > 1]
 
 
 def _conflicting_specs(

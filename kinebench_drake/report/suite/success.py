@@ -135,7 +135,7 @@ def _tally_cells(t: Tally) -> list[Value]:
 def tabulate_suites(episodes: Sequence[EpisodeResult], seed: int = 0) -> Table:
     """Build the table of task-balanced success of every model (rows) on every part (columns).
 
-    The best model of each part is bold; models that did fewer tasks of a part than others are no candidates.
+    The best models of each part are bold, see `best_models`.
     """
     parts, models = sorted({e.part for e in episodes}), list_models(episodes)
     tallies = {key: tally(own, seed, episodes) for key, own in group_by(episodes, lambda e: (e.model, e.part)).items()}
@@ -149,29 +149,30 @@ def tabulate_suites(episodes: Sequence[EpisodeResult], seed: int = 0) -> Table:
         title="Closed-loop success by suite",
         note="Executable: share of all its episodes whose imagined videos a robot can execute as a whole. "
         "Otherwise mean over tasks of the share of successes among measured episodes; 95 % bootstrap intervals over "
-        "episodes within tasks. A dash: no measured episode." + _incomplete(tallies, episodes),
+        "episodes within tasks. A dash: no measured episode." + incomplete_note(tallies, episodes),
         columns=(
             Column(key="model", label="Model"),
             EXECUTABLE_COLUMN,
             *(Column(key=p.slug, label=p.title, pattern=_PERCENT, estimated=True) for p in parts),
         ),
         rows=tuple(rows),
-        bold=frozenset(cell for k, part in enumerate(parts) for cell in _best(rows, k + 2, tallies, part)),
+        bold=frozenset((models.index(m), k + 2) for k, part in enumerate(parts) for m in best_models(tallies, part)),
     )
 
 
-def _best(
-    rows: Sequence[tuple[Value, ...]], column: int, tallies: Mapping[tuple[str, SuitePart], Tally], part: SuitePart
-) -> list[tuple[int, int]]:
-    """List the cells of the greatest mean among the models that did the most tasks of a part; none if all are equal."""
-    tasks = {model: t.tasks for (model, own), t in tallies.items() if own == part}
-    cells = {i: row[column] for i, row in enumerate(rows) if tasks.get(str(row[0])) == max(tasks.values())}
-    means = {i: v.mean for i, v in cells.items() if isinstance(v, Estimate) and v.mean is not None}
-    best = max(means.values(), default=0.0)
-    return [(i, column) for i, value in means.items() if value == best] if len(set(means.values())) > 1 else []
+def best_models(tallies: Mapping[tuple[str, SuitePart], Tally], part: SuitePart) -> set[str]:
+    """Return the models of the greatest success, unmeasured episodes counted as failures, if not all have the same.
+
+    Only models that did the most tasks of the part are candidates.
+    """
+    own = {model: t for (model, at), t in tallies.items() if at == part and t.success.mean is not None}
+    most = max((t.tasks for t in own.values()), default=0)
+    bounds = {model: t.success.bound for model, t in own.items() if t.tasks == most}
+    best = max((b for b in bounds.values() if b is not None), default=None)
+    return {model for model, b in bounds.items() if b == best} if len({*bounds.values()}) > 1 else set()
 
 
-def _incomplete(tallies: Mapping[tuple[str, SuitePart], Tally], episodes: Sequence[EpisodeResult]) -> str:
+def incomplete_note(tallies: Mapping[tuple[str, SuitePart], Tally], episodes: Sequence[EpisodeResult]) -> str:
     """Name the means over fewer tasks than others of their part, which are not comparable with these."""
     notes = []
     for part, own in sorted(group_by(episodes, lambda e: e.part).items()):

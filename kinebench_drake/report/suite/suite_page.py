@@ -70,7 +70,7 @@ def write_comparison(comparison: ModelComparison, out: Path) -> Path:
 
 
 def _sparc_parts(episodes: Sequence[EpisodeResult], seed: int) -> list[Part]:
-    study = correlation.study_sparc(episodes)
+    study = correlation.study_correlation(episodes)
     figure = correlation.draw_correlation(episodes, study, seed) or MissingPart(
         title="SPARC and success", needs="episodes with SPARC and an outcome"
     )

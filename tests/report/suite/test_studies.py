@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import spearmanr
 
 from kinebench_drake.report.suite.comparison import ALL_TASKS, compare, tabulate_comparison
-from kinebench_drake.report.suite.correlation import standardise, study_sparc
+from kinebench_drake.report.suite.correlation import standardise, study_correlation
 from kinebench_drake.report.suite.episode import balanced_mean, list_models
 from kinebench_drake.report.suite.folders import pool_episodes, read_folders
 from kinebench_drake.report.suite.kinematics import scale_costs
@@ -146,7 +146,7 @@ def grid(tmp_path, sparc, hits):
 def test_rank_correlation_is_spearman_s(tmp_path):
     rng = np.random.default_rng(3)
     sparc, hits = rng.uniform(-4, -1, (5, 6)), rng.integers(0, 11, (5, 6))
-    study = study_sparc(grid(tmp_path, sparc.tolist(), hits.tolist()))
+    study = study_correlation(grid(tmp_path, sparc.tolist(), hits.tolist()))
     z = (hits - hits.mean(axis=0)) / hits.std(axis=0)
     expected = spearmanr(sparc.mean(axis=1), z.mean(axis=1)).statistic
     rho, tasks = study.correlate()
@@ -158,19 +158,19 @@ def test_rank_correlation_is_spearman_s(tmp_path):
 
 def test_hard_tasks_do_not_count_as_bad_models(tmp_path):
     sparc = [[-3.0, -1.0], [-2.5, -0.5], [-2.0, 0.0]]
-    rho, _ = study_sparc(grid(tmp_path, sparc, [[8, 1], [9, 2], [10, 3]])).correlate()
+    rho, _ = study_correlation(grid(tmp_path, sparc, [[8, 1], [9, 2], [10, 3]])).correlate()
     assert (rho.mean, rho.low, rho.high) == (pytest.approx(1.0), pytest.approx(1.0), pytest.approx(1.0))
 
 
 def test_two_points_have_no_correlation(tmp_path):
-    rho, _ = study_sparc(grid(tmp_path, [[-1.0, -2.0], [-3.0, -2.0]], [[1, 2], [3, 4]])).correlate()
+    rho, _ = study_correlation(grid(tmp_path, [[-1.0, -2.0], [-3.0, -2.0]], [[1, 2], [3, 4]])).correlate()
     assert (rho.mean, rho.n) == (None, 2)
 
 
 def test_models_with_few_tasks_are_no_points(tmp_path):
     episodes = grid(tmp_path, [[-3.0] * 3, [-2.0] * 3, [-1.0] * 3], [[1] * 3, [2] * 3, [3] * 3])
     fewer = [e for e in episodes if e.model != "m2" or e.task == "T0"]
-    assert [p.model for p in study_sparc(fewer).points] == ["m0", "m1"]
+    assert [p.model for p in study_correlation(fewer).points] == ["m0", "m1"]
 
 
 def test_scaling_is_by_training_and_difficulty(runs):
