@@ -200,9 +200,9 @@ def draw_trajectories(groups: Sequence[BaselineGroup]) -> ReportFigure | None:
         for shift, (method, colour) in zip((0.16, -0.16), _METHODS.items(), strict=True):
             for k, group in enumerate(tasks):
                 errors = [v for v in group.video_medians[method][quantity] if v is not None]
-                spread = np.linspace(-0.09, 0.09, len(errors)) if len(errors) > 1 else [0.0]
+                spread = np.linspace(-0.09, 0.09, len(errors)) if len(errors) > 1 else np.zeros(len(errors))
                 points = np.maximum(errors, _FLOORS[quantity])
-                ax.plot(k + shift + spread[: len(points)], points, "o", color=colour, markersize=4, alpha=0.7)
+                ax.plot(k + shift + spread, points, "o", color=colour, markersize=4, alpha=0.7)
                 median = max(group.errors[method][f"{quantity}_median"][0], _FLOORS[quantity])
                 if np.isfinite(median):
                     ax.plot([k + shift - 0.13, k + shift + 0.13], [median, median], color=colour, linewidth=2.0)
@@ -288,7 +288,7 @@ def draw_depth_maps(error: DepthError) -> ReportFigure | None:
     top = max(100.0 * float(np.percentile(np.concatenate(finite), 98)), 0.1)
     figure, axes = new_figure(3.9 * len(maps) + 0.6, 3.9, 1, len(maps))
     for ax, (side, values) in zip(axes[0], maps.items(), strict=True):
-        across, up = error.maps[side].axes
+        across, up = error.maps[side].axes[0], error.maps[side].axes[1]
         image = ax.imshow(
             100.0 * values, origin="lower", extent=error.maps[side].bounds_mm, cmap="magma_r", vmin=0, vmax=top
         )

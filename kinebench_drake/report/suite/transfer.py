@@ -78,7 +78,7 @@ def study_drops(
 def _by_task(episodes: Iterable[EpisodeResult]) -> dict[str, dict[object, list[EpisodeResult]]]:
     """Group the samples of episodes by task and seed."""
     tasks = group_by(episodes, lambda e: e.task)
-    return {task: group_by(own, lambda e: str(e.row.extra.get("seed"))) for task, own in tasks.items()}  # type: ignore[misc]
+    return {task: group_by(own, lambda e: str(e.row.extra.get("seed"))) for task, own in tasks.items()}
 
 
 def _rate(samples: Samples, missing: float | None = None) -> float:
