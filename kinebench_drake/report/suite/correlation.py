@@ -86,7 +86,8 @@ class CorrelationStudy:
 
         There is no mean with fewer than three points, or if one of the two variables is constant. The percentile
         interval is over 2000 draws of tasks with replacement, the same for all points: it covers other tasks of the
-        same kind. Draws in which rho is undefined are skipped; there is no interval if there are too few tasks.
+        same kind. Draws in which rho is undefined are skipped; there is no interval if there are too few tasks or all
+        draws have the same rho.
         """
         chosen = np.array([part in (None, p.part) for p in self.points], dtype=bool)
         x, y = self.metric[chosen], self.success[chosen]
@@ -98,6 +99,7 @@ class CorrelationStudy:
         low, high = None, None
         if defined and tasks >= _MIN_TASKS:
             low, high = percentile_interval(_rho(x, y, resampled_counts(tasks, np.random.default_rng(seed))))
+            low, high = (low, high) if high - low > 1e-12 else (None, None)
         mean = rho if defined else None
         return Estimate(mean=mean, low=low, high=high, n=points, total=points), tasks
 

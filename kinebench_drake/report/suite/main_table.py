@@ -44,7 +44,7 @@ def tabulate_main(folders: Sequence[RunFolder], episodes: Sequence[EpisodeResult
     columns = (
         Column(key="suite", label="Suite"),
         *(
-            Column(key=model, label=model, pattern="{:.1%}", estimated=True, group=name)
+            Column(key=model, label=model, pattern="{:.1%}", estimated=True, group=name if all(groups.values()) else "")
             for name, own in groups.items()
             for model in own
         ),
