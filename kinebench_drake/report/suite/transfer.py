@@ -8,7 +8,7 @@ import numpy as np
 from kinebench_drake.geometry import Array
 from kinebench_drake.io.figure import FAINT, new_figure, plain, shorten
 from kinebench_drake.report.figures import ReportFigure, add_legend, assign_numbers, draw_interval, label_shares, style
-from kinebench_drake.report.number import ALL_TASKS, share_difference
+from kinebench_drake.report.number import ALL_TASKS
 from kinebench_drake.report.suite.episode import EpisodeResult, SuitePart, group_by, list_models
 from kinebench_drake.report.table import Column, Table, Value, plain_columns
 from kinebench_drake.results.aggregate import Estimate
@@ -97,7 +97,8 @@ def _paired(suite: int, model: str, task: str, pairs: Sequence[tuple[Samples, Sa
         first, second = complete.T
         if np.isin(complete, (0.0, 1.0)).all():
             outcomes = PairedOutcomes.of(*(complete > 0.5).T.tolist())
-            drop, p = share_difference(outcomes, len(pairs)), outcomes.p_value
+            drop = _estimate(outcomes.difference, *outcomes.interval(), len(complete), len(pairs))
+            p = outcomes.p_value
         else:
             value = paired_mean_difference(first, second, np.random.default_rng(seed))
             drop = _estimate(value.value, value.low, value.high, len(complete), len(pairs))
