@@ -64,6 +64,7 @@ def run_command(
     for key, value in labels.items():
         words += ["--tag", f"{key}={value}"]
     name = "-".join([model, part.slug, *(f"{key}{value}" for key, value in (tags or {}).items())])
+    name += "" if tasks is None else "-tasks"
     folder = re.sub(r"[^\w.+-]+", "-", name)
     return shlex.join(map(str, [*words, "--out", f"runs/{folder}/"]))
 

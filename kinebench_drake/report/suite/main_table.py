@@ -32,6 +32,24 @@ def split_models(folders: Sequence[RunFolder], episodes: Sequence[EpisodeResult]
     return [model for model in list_models(episodes) if model not in study], study
 
 
+def tasks_of(part: SuitePart) -> tuple[str, ...]:
+    """Return the tasks of a split of a suite, of the variant if it is not the plain one."""
+    from kinebench_drake.suites.selection import chosen_tasks
+    from kinebench_drake.suites.suite import load_suite
+    from kinebench_drake.suites.tasks.task import TaskVariant
+
+    return tuple(chosen_tasks(load_suite(part.suite), part.split, None, TaskVariant(part.variant)))
+
+
+def _coverage(part: SuitePart, episodes: Sequence[EpisodeResult]) -> tuple[Value, Value]:
+    """Return the numbers of tasks and of episodes of each model on a part, as text."""
+    if not episodes:
+        return None, None
+    counts = sorted(len({e.key for e in own}) for own in group_by(episodes, lambda e: e.model).values())
+    tasks = f"{len({e.task for e in episodes})} of {len(tasks_of(part))}"
+    return tasks, f"{counts[0]}" if counts[0] == counts[-1] else f"{counts[0]} to {counts[-1]}"
+
+
 def tabulate_main(folders: Sequence[RunFolder], episodes: Sequence[EpisodeResult], seed: int = 0) -> list[Table]:
     """Build the tables of success and of executable shares, suites by models.
 
@@ -43,6 +61,8 @@ def tabulate_main(folders: Sequence[RunFolder], episodes: Sequence[EpisodeResult
     parts = [*ROWS, *sorted({e.part for e in episodes} - {*ROWS})]
     columns = (
         Column(key="suite", label="Suite"),
+        Column(key="tasks", label="Tasks", meaning="tasks run by any model, of those of the suite"),
+        Column(key="episodes", label="Episodes", meaning="least and greatest number of a model"),
         *(
             Column(key=model, label=model, pattern="{:.1%}", estimated=True, group=name if all(groups.values()) else "")
             for name, own in groups.items()
@@ -52,11 +72,14 @@ def tabulate_main(folders: Sequence[RunFolder], episodes: Sequence[EpisodeResult
 
     def rows(value: Callable[[Tally], Value]) -> tuple[tuple[Value, ...], ...]:
         return tuple(
-            (ROWS.get(part, part.title), *(value(t) if (t := tallies.get((m, part))) else None for m in models))
+            (
+                *(ROWS.get(part, part.title), *_coverage(part, [e for e in episodes if e.part == part])),
+                *(value(t) if (t := tallies.get((m, part))) else None for m in models),
+            )
             for part in parts
         )
 
-    best = [(i, 1 + models.index(m)) for i, part in enumerate(parts) for m in best_models(tallies, part)]
+    best = [(i, 3 + models.index(m)) for i, part in enumerate(parts) for m in best_models(tallies, part)]
     return [
         Table(
             name="table1_success",

@@ -20,7 +20,7 @@ from kinebench_drake.report.suite.folders import (
     setting_warnings,
     spec_warnings,
 )
-from kinebench_drake.report.suite.main_table import ROWS, split_models, tabulate_main
+from kinebench_drake.report.suite.main_table import ROWS, split_models, tabulate_main, tasks_of
 
 INDEX, MISSING = "index.html", "missing.md"
 _HELDOUT = "kinebench-drake suite demos --suite 2 --split unseen --episodes 5 --with-depth --out heldout/"
@@ -210,13 +210,23 @@ def _success_parts(data: PaperData) -> list[Part]:
     for part, title in ROWS.items():
         if part.suite == scaling.SUITE:
             continue
-        absent = [m for m in models if not any(e.part == part and e.model == m for e in data.episodes)]
+        done = {m: {e.task for e in data.episodes if e.part == part and e.model == m} for m in models}
+        absent = [m for m, tasks in done.items() if not tasks]
         commands = [data.command(part, model) for model in absent] if models else [data.command(part)]
         if absent or not models:
-            of = ", ".join(absent) or "any model"
-            needs = f"runs of {of}" + (_SPEC_NOTE if any(" SPEC " in f"{c} " for c in commands) else "")
-            parts.append(MissingPart(title=f"Table 1, row {title}", needs=needs, commands=tuple(commands)))
+            needs = f"runs of {', '.join(absent) or 'any model'}"
+            parts.append(_missing_runs(f"Table 1, row {title}", needs, commands))
+        others = {m: [t for t in tasks_of(part) if t not in tasks] for m, tasks in done.items() if tasks}
+        commands = [data.command(part, model, tasks=tasks) for model, tasks in others.items() if tasks]
+        if commands:
+            needs = "the tasks of the suite that a model did not run"
+            parts.append(_missing_runs(f"Table 1, row {title}, other tasks", needs, commands))
     return parts
+
+
+def _missing_runs(title: str, needs: str, commands: Sequence[str]) -> MissingPart:
+    note = _SPEC_NOTE if any(" SPEC " in command for command in commands) else ""
+    return MissingPart(title=title, needs=needs + note, commands=tuple(commands))
 
 
 _SPEC_NOTE = "; SPEC is the model's own, of which results hold a hash only"
