@@ -10,7 +10,7 @@ from kinebench_drake.geometry import Array, pose_difference
 from kinebench_drake.grounding.evaluation.clip import TruthClip
 from kinebench_drake.grounding.pipeline import GroundingResult
 from kinebench_drake.segments import segments
-from kinebench_drake.types import Anomaly, AnomalyKind
+from kinebench_drake.types import Anomaly, AnomalyKind, GripperTrack
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -128,20 +128,41 @@ def compare(clip: TruthClip, grounding: GroundingResult, expense: Expense, share
 
     Frames whose pose was an input are not an achievement of the grounding: they count as frames without a gripper.
     """
-    overridden = grounding.from_prior
-    position, rotation = pose_difference(clip.X_CH, grounding.track.X_CH)
+    return compare_track(clip, grounding.track, expense, share, grounding.from_prior, grounding.anomalies)
+
+
+def compare_track(
+    clip: TruthClip,
+    track: GripperTrack,
+    expense: Expense,
+    share: Array | None = None,
+    from_prior: NDArray[np.bool_] | None = None,
+    anomalies: tuple[Anomaly, ...] = (),
+) -> ClipErrors:
+    """Return the errors of a track of any method.
+
+    Args:
+        clip: ground truth.
+        track: poses and gaps of the clip's frames.
+        expense: time and memory that they took.
+        share: (T,) share of the gripper that each frame shows; None if not measured.
+        from_prior: (T,) frames whose pose was an input; None for none.
+        anomalies: anomalies that the method reports.
+    """
+    overridden = np.zeros(len(track.tracked), dtype=bool) if from_prior is None else from_prior
+    position, rotation = pose_difference(clip.X_CH, track.X_CH)
     return ClipErrors(
         id=clip.id,
         task=clip.task,
         position_m=np.where(overridden, np.nan, position),
         rotation_rad=np.where(overridden, np.nan, rotation),
-        width_m=grounding.track.finger_width_m,
+        width_m=track.finger_width_m,
         true_width_m=clip.finger_width_m,
-        tracked=grounding.track.tracked & ~overridden,
-        confidence=grounding.track.confidence,
+        tracked=track.tracked & ~overridden,
+        confidence=track.confidence,
         visible=np.asarray(np.isfinite(clip.X_CH).all(axis=(1, 2)) & ~overridden),
         share=np.full(len(clip.t_s), np.nan) if share is None else np.where(overridden, np.nan, share),
-        detected=grounding.anomalies,
+        detected=anomalies,
         planted=clip.faults,
         expense=expense,
     )

@@ -1,7 +1,7 @@
 """Studies: sets of conditions to compare, their execution and their outcome."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,8 @@ from kinebench_drake.grounding.overrides.depth import DepthPlugIn
 from kinebench_drake.stats import IntervalEstimate
 
 CLEAN = TrialCondition(name="as it is")
+LEARNED = "learned"
+"""Group of the conditions in which the learned baseline takes the place of the grounding."""
 _DEGRADATIONS = {
     "scale": tuple(Degradation(scale=s) for s in (0.02, 0.05, 0.10)),
     "smooth error": tuple(Degradation(field=s) for s in (0.02, 0.05, 0.10)),
@@ -72,13 +74,22 @@ def evaluation(variant: str) -> GroundingStudy:
     return GroundingStudy(name="evaluation", title=name, conditions=(TrialCondition(name=name, variant=variant),))
 
 
-def robustness(kinds: Sequence[PerturbationKind]) -> GroundingStudy:
-    """Return the study of unchanged frames and of each kind of perturbation at its strengths."""
+def robustness(kinds: Sequence[PerturbationKind], baseline: Path | None = None) -> GroundingStudy:
+    """Return the study of unchanged frames and of each kind of perturbation at its strengths.
+
+    Args:
+        kinds: kinds of perturbations.
+        baseline: weights of the learned baseline, to be measured on the same frames; None for the grounding alone.
+    """
     steps = [p for kind in kinds for p in ladder(kind)]
+    conditions = [CLEAN, *(TrialCondition(name=p.label, perturbation=p, group=p.kind.value) for p in steps)]
+    if baseline is not None:
+        learned = [replace(c, name=f"{c.name}, {LEARNED}", baseline=baseline, group=LEARNED) for c in conditions]
+        conditions = [c for pair in zip(conditions, learned, strict=True) for c in pair]
     return GroundingStudy(
         name="robustness",
         title="Pose errors under perturbations",
-        conditions=(CLEAN, *(TrialCondition(name=p.label, perturbation=p, group=p.kind.value) for p in steps)),
+        conditions=tuple(conditions),
         required=tuple(p.label for p in steps if p.is_required),
     )
 

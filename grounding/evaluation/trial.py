@@ -10,9 +10,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from kinebench_drake.geometry import Array
+from kinebench_drake.geometry import Array, invert
+from kinebench_drake.grounding.baseline.network import Baseline
 from kinebench_drake.grounding.evaluation.clip import TruthClip, TruthClipFile
-from kinebench_drake.grounding.evaluation.errors import ClipErrors, Expense, compare
+from kinebench_drake.grounding.evaluation.errors import ClipErrors, Expense, compare, compare_track
 from kinebench_drake.grounding.evaluation.perturbation.catalogue import Perturbation, perturb
 from kinebench_drake.grounding.evaluation.reframing import Reframing, reframe
 from kinebench_drake.grounding.evaluation.store import fingerprint
@@ -27,6 +28,8 @@ from kinebench_drake.grounding.evaluation.variants import (
 from kinebench_drake.grounding.overrides.depth import DepthPlugIn
 from kinebench_drake.grounding.view import Frames
 from kinebench_drake.io.reader import read_video
+from kinebench_drake.models.panda.robot import hand_from_tcp
+from kinebench_drake.types import GripperTrack
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -45,11 +48,15 @@ class TrialCondition:
     """Another depth estimator."""
     reframing: Reframing | None = None
     """Size and shape of the frames."""
+    baseline: Path | None = None
+    """Weights of the learned baseline, measured in place of the grounding."""
     group: str = ""
     """Conditions of one group have one colour in figures."""
 
     def identity(self) -> str:
-        """Return a text that is equal for equal conditions; a plug-in counts with its files, not with their paths."""
+        """Return a text that is equal for equal conditions; plug-ins and weights count with their files, not paths."""
+        if self.baseline is not None:
+            return repr(replace(self, baseline=Path(fingerprint(files=[self.baseline]))))
         if self.plug_in is None:
             return repr(self)
         return repr(replace(self, plug_in=DepthPlugIn(f"{self.name} {fingerprint(files=self.plug_in.files)}")))
@@ -87,6 +94,7 @@ class TrialWorkerFactory:
         """
         tools = VariantTools.load(self.weights)
         loaded: dict[str, LoadedClip] = {}  # one clip, which consecutive trials share
+        baselines: dict[Path, Baseline] = {}
 
         def measure(trial: GroundingTrial) -> ClipErrors:
             if trial.clip.id not in loaded:
@@ -103,6 +111,10 @@ class TrialWorkerFactory:
             elif condition.perturbation is not None:
                 frames, visible = perturb(condition.perturbation, original, masks, self.seed, clip.id)
                 share = np.asarray(share * (visible.sum(axis=(1, 2)) / np.maximum(masks.sum(axis=(1, 2)), 1)))
+            if (weights := condition.baseline) is not None:
+                if weights not in baselines:
+                    baselines[weights] = Baseline.load(weights)
+                return evaluate_baseline(clip, baselines[weights], original if frames is None else frames, share)
             return evaluate(clip, self._pipeline(condition), tools, frames=frames, share=share)
 
         return measure
@@ -119,11 +131,30 @@ def evaluate(
     clip: TruthClip, ground: Ground, tools: VariantTools, *, frames: Frames | None = None, share: Array | None = None
 ) -> ClipErrors:
     """Ground a clip and return its errors; decoding counts as expense unless `frames` are passed."""
-    wall, cpu = time.perf_counter(), time.process_time()
+    start = time.perf_counter(), time.process_time()
     grounding = ground(tools, clip, read_video(clip.path).frames if frames is None else frames)
-    expense = Expense(
-        wall_s=time.perf_counter() - wall,
-        cpu_s=time.process_time() - cpu,
+    return compare(clip, grounding, _expense_since(*start), share)
+
+
+def evaluate_baseline(clip: TruthClip, baseline: Baseline, frames: Frames, share: Array) -> ClipErrors:
+    """Return the errors of the learned baseline, which has a pose in every frame."""
+    start = time.perf_counter(), time.process_time()
+    X_BG, finger_width_m = baseline.predict(frames)
+    every = np.ones(len(frames), dtype=bool)
+    track = GripperTrack(
+        t_s=clip.t_s,
+        X_CH=invert(clip.camera.X_BC) @ X_BG @ invert(hand_from_tcp()),
+        X_BG=X_BG,
+        tracked=every,
+        confidence=every.astype(np.float64),
+        finger_width_m=finger_width_m,
+    )
+    return compare_track(clip, track, _expense_since(*start), share)
+
+
+def _expense_since(wall_s: float, cpu_s: float) -> Expense:
+    return Expense(
+        wall_s=time.perf_counter() - wall_s,
+        cpu_s=time.process_time() - cpu_s,
         peak_mb=resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / _RSS_UNIT_MB,
     )
-    return compare(clip, grounding, expense, share)

@@ -128,7 +128,7 @@ def calibrate(
 def baseline() -> None:
     """Train and measure the baseline: a network that maps pixels directly to poses.
 
-    It represents the inverse-dynamics networks of other benchmarks, for comparison only: nothing else here uses it.
+    It represents the inverse-dynamics networks of other benchmarks, for comparison only.
     """
 
 

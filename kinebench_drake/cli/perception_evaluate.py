@@ -223,14 +223,18 @@ ghosting     weight of the two previous frames, blended in
 
 \b
 Example:
-  kinebench-drake perception robustness heldout --json robust.json --figure robust.png"""
+  kinebench-drake perception robustness heldout --json robust.json --figure robust.png
+  kinebench-drake perception robustness heldout --baseline baseline/baseline.safetensors --json robust.json"""
 )
 @_measure_options
 @click.option("--only", default=",".join(_KINDS), show_default=True, help="Kinds of perturbations, comma-separated.")
 @click.option(
     "--sheet", type=_FILE, help="Draw a contact sheet: one frame of the first video under each perturbation (png)."
 )
-def robustness(options: MeasureOptions, only: str, sheet: Path | None) -> None:
+@click.option(
+    "--baseline", type=_FILE, help="Weights of the learned baseline, to be measured on the same frames.",
+)  # fmt: skip
+def robustness(options: MeasureOptions, only: str, sheet: Path | None, baseline: Path | None) -> None:
     """Measure the errors of the same videos under perturbations of the frames."""
     from kinebench_drake.grounding.evaluation import study
     from kinebench_drake.grounding.evaluation.clip import find_clips
@@ -243,10 +247,16 @@ def robustness(options: MeasureOptions, only: str, sheet: Path | None) -> None:
         kinds = [PerturbationKind(name.strip()) for name in only.split(",")]
     except ValueError:
         raise click.BadParameter(f"{only!r}; there are {', '.join(_KINDS)}", param_hint="--only") from None
+    if baseline:
+        from kinebench_drake.grounding.baseline.network import Baseline
+
+        network = Baseline.load(baseline)
+        for clip in find_clips(options.folder):
+            network.require_camera(clip.camera)
     if sheet:
         first = find_clips(options.folder)[0]
         save(draw_contact_sheet(first, kinds, options.seed), sheet)
-    _write_json(options.json_out, options.compare(study.robustness(kinds)).to_json())
+    _write_json(options.json_out, options.compare(study.robustness(kinds, baseline)).to_json())
 
 
 @click.command(

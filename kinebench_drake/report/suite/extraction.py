@@ -28,6 +28,8 @@ _FLOORS = {"position": 0.05, "rotation": 0.02}
 _METHODS = {"grounding": COLOURS[0], "baseline": COLOURS[1]}
 _EXTRACTOR = {"grounding": "grounding", "baseline": "learned inverse dynamics"}
 _TRACKED = "tracked_when_seen"
+_LEARNED = "learned"
+"""Group of the conditions in which the learned baseline was measured."""
 
 
 class Interval(BaseModel):
@@ -73,6 +75,11 @@ class Study(BaseModel):
     conditions: dict[str, dict[str, Interval]]
     distributions: dict[str, Distribution]
     relative_depth_error: DepthError = DepthError()
+
+    @property
+    def has_baseline(self) -> bool:
+        """True if the learned baseline was measured, too."""
+        return any(d.group == _LEARNED for d in self.distributions.values())
 
 
 class Evaluation(BaseModel):
@@ -229,7 +236,10 @@ def draw_conditions(study: Study, name: str, title: str, caption: str) -> Report
     """Draw the distribution of both errors, and the share of tracked frames, for each condition of a study."""
     names = [n for n, d in study.distributions.items() if n in study.conditions]
     groups = list(dict.fromkeys(study.distributions[n].group for n in names))
-    colours = [COLOURS[groups.index(study.distributions[n].group) % len(COLOURS)] for n in names]
+    shades = {group: COLOURS[k % len(COLOURS)] for k, group in enumerate(groups)}
+    if study.has_baseline:
+        shades = {group: _METHODS["baseline" if group == _LEARNED else "grounding"] for group in groups}
+    colours = [shades[study.distributions[n].group] for n in names]
     figure, axes = new_figure(max(6.4, 0.4 * len(names) + 2.4), 8.4, 3, 1, sharex=True)
     quantities = (("position", "position_mm", "mm"), ("rotation", "rotation_deg", "degrees"))
     for ax, (quantity, key, unit) in zip(axes[:2, 0], quantities, strict=True):
@@ -257,6 +267,10 @@ def draw_conditions(study: Study, name: str, title: str, caption: str) -> Report
     ax.set_ylabel("tracked", fontsize=9)
     ax.grid(False, axis="x")
     ax.set_xlim(-0.7, len(names) - 0.3)
+    if study.has_baseline:
+        for method, colour in _METHODS.items():
+            axes[0, 0].plot([], [], color=colour, linewidth=6.0, alpha=0.55, label=_EXTRACTOR[method])
+        figure.legend(loc="outside upper center", ncols=2, fontsize=8, frameon=False)
     labels = [plain(shorten(n, 30)) for n in names]
     ax.set_xticks(range(len(names)), labels, fontsize=8, rotation=60, ha="right", rotation_mode="anchor")
     return ReportFigure(

@@ -3,7 +3,9 @@
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import cast
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 
@@ -11,15 +13,19 @@ from kinebench_drake.cli import cli
 from kinebench_drake.errors import UsageError
 from kinebench_drake.executors.base import ExecutorKind, create_executor
 from kinebench_drake.executors.progress import Observer
+from kinebench_drake.geometry import Array
+from kinebench_drake.grounding.baseline.network import Baseline
 from kinebench_drake.grounding.evaluation import study
-from kinebench_drake.grounding.evaluation.clip import choose, find_clips
+from kinebench_drake.grounding.evaluation.clip import TruthClip, choose, find_clips
 from kinebench_drake.grounding.evaluation.errors import ClipErrors
 from kinebench_drake.grounding.evaluation.figures import draw_comparison, draw_evaluation
 from kinebench_drake.grounding.evaluation.perturbation.catalogue import PerturbationKind
 from kinebench_drake.grounding.evaluation.store import MeasurementStore
 from kinebench_drake.grounding.evaluation.tables import evaluation_json, pooled_lines, table, task_table
-from kinebench_drake.grounding.evaluation.trial import GroundingTrial
+from kinebench_drake.grounding.evaluation.trial import GroundingTrial, evaluate_baseline
+from kinebench_drake.grounding.view import Frames
 from kinebench_drake.io.figure import save
+from kinebench_drake.models.panda.robot import hand_from_tcp
 
 EXECUTOR = create_executor(ExecutorKind.LOCAL, 1)
 
@@ -46,6 +52,45 @@ class FakeWorkers:
             return replace(self.errors(0.001 * (1 + (p.strength if p else 0))), id=trial.clip.id, task=trial.clip.task)
 
         return measure
+
+
+class Recall:
+    """A baseline that knows the poses, and is off by a distance [m] along the base's z axis."""
+
+    def __init__(self, clip: TruthClip, offset_m: float) -> None:
+        self.X_BG, self.width_m = clip.camera.X_BC @ clip.X_CH @ hand_from_tcp(), clip.finger_width_m
+        self.X_BG[:, 2, 3] += offset_m
+
+    def predict(self, frames: Frames) -> tuple[Array, Array]:
+        return self.X_BG[: len(frames)], self.width_m[: len(frames)]
+
+
+@pytest.mark.parametrize("offset_m", [0.0, 0.08])
+def test_the_baseline_is_measured_like_the_grounding(clip: TruthClip, offset_m: float) -> None:
+    n = len(clip.t_s)
+    share = np.full(n, 0.5)
+    e = evaluate_baseline(clip, cast(Baseline, Recall(clip, offset_m)), np.zeros((n, 8, 8, 3), np.uint8), share)
+    np.testing.assert_allclose(e.position_m, offset_m, atol=1e-9)
+    np.testing.assert_allclose(e.rotation_rad, 0.0, atol=1e-6)
+    np.testing.assert_allclose(e.finger_m, 0.0)
+    assert e.tracked.all()
+    np.testing.assert_array_equal(e.share, share)
+
+
+def test_each_perturbation_is_measured_with_the_baseline_too(tmp_path: Path) -> None:
+    weights = tmp_path / "baseline.safetensors"
+    weights.write_bytes(b"one")
+    both = study.robustness([PerturbationKind.NOISE], weights)
+    own, learned = both.conditions[::2], both.conditions[1::2]
+    assert own == study.robustness([PerturbationKind.NOISE]).conditions
+    assert [c.perturbation for c in learned] == [c.perturbation for c in own]
+    assert {c.group for c in learned} == {study.LEARNED}
+    before = {c.identity() for c in both.conditions}
+    assert len(before) == len(both.conditions)
+    assert not any(str(tmp_path) in identity for identity in before)
+    weights.write_bytes(b"other")
+    after = {c.identity() for c in both.conditions}
+    assert before & after == {c.identity() for c in own}
 
 
 def test_an_interrupted_study_goes_on(folder: Path, tmp_path: Path, errors: Callable[..., ClipErrors]) -> None:

@@ -91,6 +91,7 @@ def measurements(tmp_path):
     }
     depth["relative_depth_error"] = {"median": 0.012, "p95": 0.05, "maps": maps}
     perturbed = {"as it is": ("", 2.0), "noise 10": ("noise", 3.0), "noise 30": ("noise", 9.0)}
+    perturbed |= {f"{name}, learned": ("learned", 30 * error) for name, (_, error) in perturbed.items()}
     robustness = study_json("robustness", perturbed)
     (tmp_path / "comparison").mkdir()
     files = {
