@@ -112,16 +112,14 @@ def study_correlation(episodes: Sequence[EpisodeResult], predictor: Predictor = 
     Tasks of a single model carry no information and are left out, and so are models that did fewer than half as many
     tasks of a part as another: their means are over different tasks. Episodes without the metric have the worst of all.
     """
-    worst = predictor.worst(episodes)
     tasks = sorted({(e.part, e.task) for e in episodes})
     names = list(group_by(episodes, lambda e: (e.part, e.model)))
     column = {key: k for k, key in enumerate(tasks)}
     line = {key: k for k, key in enumerate(names)}
     x, s = np.full((len(names), len(tasks)), np.nan), np.full((len(names), len(tasks)), np.nan)
-    for (part, model, task), own in group_by(episodes, lambda e: (e.part, e.model, e.task)).items():
+    for (part, model, task), means in _means_by_task(episodes, predictor).items():
         cell = line[part, model], column[part, task]
-        x[cell] = _mean_metric(own, predictor, worst)
-        s[cell] = _mean([e.hit for e in own])
+        x[cell], s[cell] = means
     valid = np.isfinite(x) & np.isfinite(s)
     for part in {p for p, _ in names}:
         rows = np.array([p == part for p, _ in names], dtype=bool)
@@ -174,10 +172,20 @@ def _rho(x: Array, y: Array, weights: Array) -> Array:
     return np.where(defined, (a * b).sum(axis=1) / np.where(defined, spread, 1.0), np.nan)
 
 
-def _mean_metric(episodes: Sequence[EpisodeResult], predictor: Predictor, worst: float | None) -> float:
-    """Return the mean of a metric over some episodes, those without it at `worst`; NaN if none has it."""
-    values = [predictor.value(e) for e in episodes]
-    return _mean([worst if v is None else v for v in values] if any(v is not None for v in values) else [])
+def _means_by_task(
+    episodes: Sequence[EpisodeResult], predictor: Predictor
+) -> dict[tuple[SuitePart, str, str], tuple[float, float]]:
+    """Return the means of a metric and of success for each part, model and task.
+
+    Episodes without the metric have the worst of all; the mean is NaN only if the model never has it.
+    """
+    worst = predictor.worst(episodes)
+    measured = {e.model for e in episodes if predictor.value(e) is not None}
+    means = {}
+    for key, own in group_by(episodes, lambda e: (e.part, e.model, e.task)).items():
+        values = [predictor.value(e) for e in own] if key[1] in measured else []
+        means[key] = _mean([worst if v is None else v for v in values]), _mean([e.hit for e in own])
+    return means
 
 
 def _mean(values: Sequence[float | None]) -> float:
@@ -215,13 +223,12 @@ def capitalise(text: str) -> str:
 def draw_correlation(episodes: Sequence[EpisodeResult], study: CorrelationStudy, seed: int = 0) -> ReportFigure | None:
     """Draw a metric against success, by model and task and, beside it, task-balanced; None without a point."""
     predictor = study.predictor
-    parts, worst = sorted({e.part for e in episodes}), predictor.worst(episodes)
+    parts = sorted({e.part for e in episodes})
     own_names = {e.model: model_of(e.row) for e in episodes}
     labels = {model: model if len(own_names) <= len(COLOURS) else name for model, name in own_names.items()}
     models = list(dict.fromkeys(labels.values()))
     points = []
-    for (part, model, _), own in group_by(episodes, lambda e: (e.part, e.model, e.task)).items():
-        metric, success = _mean_metric(own, predictor, worst), _mean([e.hit for e in own])
+    for (part, model, _), (metric, success) in _means_by_task(episodes, predictor).items():
         if np.isfinite(metric) and np.isfinite(success):
             points.append((part, labels[model], metric, success))
     if not points:

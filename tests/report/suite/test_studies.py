@@ -162,6 +162,17 @@ def test_hard_tasks_do_not_count_as_bad_models(tmp_path):
     assert (rho.mean, rho.low, rho.high) == (pytest.approx(1.0), None, None)  # all draws are equal: no interval
 
 
+def test_a_task_without_the_metric_counts_with_the_worst(tmp_path):
+    """A model does not leave the figure, nor get better, because a metric could not be measured in a whole task."""
+    sparc = [[-3.0, -2.0], [-2.5, -1.5], [-2.0, -1.0]]
+    whole = study_correlation(grid(tmp_path / "whole", sparc, [[1, 2], [3, 4], [5, 6]]))
+    sparc[2][1] = None
+    lost = study_correlation(grid(tmp_path / "lost", sparc, [[1, 2], [3, 4], [5, 6]]))
+    assert [p.model for p in lost.points] == ["m0", "m1", "m2"]
+    assert [p.metric for p in whole.points] == [-2.5, -2.0, -1.5]
+    assert [p.metric for p in lost.points] == [-2.5, -2.0, (-2.0 - 3.0) / 2]
+
+
 def test_two_points_have_no_correlation(tmp_path):
     rho, _ = study_correlation(grid(tmp_path, [[-1.0, -2.0], [-3.0, -2.0]], [[1, 2], [3, 4]])).correlate()
     assert (rho.mean, rho.n) == (None, 2)
