@@ -17,9 +17,10 @@ from benchmarks.validity_response import (
     SuccessCorrelation,
     Verdict,
     correlate,
+    unit_of,
 )
 from kinebench_drake.io.figure import POSITION, ROTATION, new_figure, save
-from kinebench_drake.stats import IntervalEstimate, wilson
+from kinebench_drake.stats import IntervalEstimate, sign_test, wilson
 from kinebench_drake.types import AnomalyKind, Json
 
 if TYPE_CHECKING:
@@ -31,6 +32,7 @@ CURVES = (
     *("slowdown_min", "arm_consistency_px", "camera_motion_px"),
 )
 """Numbers whose dose-response curves are drawn."""
+_LEAST_RANGE = 1e-9  # of an axis
 FIGURES = ("validity_separation.png", "validity_response.png", "validity_success.png")
 """Figures beside the page."""
 
@@ -62,7 +64,9 @@ def _fault_lines(study: Study, source: Mapping[str, Json]) -> Iterator[str]:
     tasks = {t.task for t in study.clean.values()}
     yield (
         f"{len(study.clean)} episodes of {len(tasks)} tasks (suite {SUITE}, {SPLIT}), {len(study.trials)} videos, at "
-        f"revision {source['revision']} with the weights {source['weights']}. 95 % intervals (Wilson)."
+        f"revision {source['revision']} with the weights {source['weights']}. 95 % intervals (Wilson). A number that "
+        f"gets worse in every episode has p = {sign_test(len(study.clean), 0):.2g} in the sign test, before the "
+        "correction for the number of tests: what needs more to be distinct from chance needs more episodes."
     )
     yield ""
     yield from table(
@@ -119,11 +123,11 @@ def _verdict_lines(study: Study) -> Iterator[str]:
 
 def _improvement(study: Study, name: str, kind: AnomalyKind) -> str:
     cells = [
-        f"{r.better} of {r.episodes} videos at {grade.label}"
+        f"{r.better} of {r.episodes} videos at {grade.label}{'' if r.change is None else f', by {r.change.value:+.2g}'}"
         for grade in study.grades(kind)
         if study.is_significant(name, grade) and (r := study.responses[name, grade]).better > r.worse
     ]
-    return f"`{kind.value}` (better in {', '.join(cells)})"
+    return f"`{kind.value}` (better in {'; '.join(cells)})"
 
 
 def _verdict_cell(study: Study, name: str, kind: AnomalyKind) -> str:
@@ -152,7 +156,7 @@ def _response_lines(study: Study) -> Iterator[str]:
     for kind in study.kinds:
         grades = study.grades(kind)
         yield from ("", f"### {kind.value.replace('_', ' ')}", "")
-        head = ("number", *(grade.label for grade in grades), f"area under ROC, {grades[-1].label}")
+        head = ("number", *(grade.label for grade in grades), f"area under the ROC curve, {grades[-1].label}")
         rows = [
             [
                 f"`{n}`",
@@ -207,11 +211,11 @@ def draw_separation(study: Study) -> "Figure":
                 frame = {"fill": False, "edgecolor": "#c00000", "linewidth": 2.0}
                 ax.add_patch(_rectangle(j, i, frame))
     ax.set_yticks(range(len(NUMBERS)), NUMBERS, fontsize=8)
-    ax.set_xticks(range(len(grades)), [grade.label for grade in grades], fontsize=8)
+    ax.set_xticks(range(len(grades)), [grade.number for grade in grades], fontsize=8)
     start = 0
     for kind in study.kinds:
         n = len(study.grades(kind))
-        ax.text(start + (n - 1) / 2, -0.8, kind.value.replace("_", "\n"), ha="center", va="bottom", fontsize=8)
+        ax.text(start + (n - 1) / 2, -0.7, _column(kind), ha="center", va="bottom", fontsize=8)
         if start:
             ax.axvline(start - 0.5, color="white", linewidth=3)
         start += n
@@ -221,6 +225,10 @@ def draw_separation(study: Study) -> "Figure":
         "bold: distinct from chance in pairs with the clean video; red frame: better than the clean video", fontsize=8
     )
     return figure
+
+
+def _column(kind: AnomalyKind) -> str:
+    return f"{kind.value.replace('_', ' ')}\n[{unit_of(kind)}]"
 
 
 def _rectangle(column: int, row: int, style: Mapping[str, object]) -> Any:
@@ -239,11 +247,13 @@ def draw_responses(study: Study) -> "Figure":
             responses = [study.responses[name, grade] for grade in grades]
             color = ROTATION if study.verdict(name, kind) is Verdict.IMPROVES else POSITION
             _draw_curve(ax, responses, color)
-            ax.set_xticks(range(len(grades) + 1), ["0", *(grade.label for grade in grades)], fontsize=6)
+            ax.set_xticks(range(len(grades) + 1), ["0", *(grade.number for grade in grades)], fontsize=6)
             ax.set_xlim(-0.3, len(grades) + 0.5)
             ax.tick_params(axis="y", labelsize=6)
             if name == CURVES[0]:
-                ax.set_title(kind.value.replace("_", " "), fontsize=8)
+                ax.set_title(_column(kind), fontsize=8)
+        if np.ptp(row[0].get_ylim()) < _LEAST_RANGE:  # no change at all
+            row[0].set_ylim(-0.05, 0.05)
         row[0].set_ylabel(name.replace("_", "\n", 1), fontsize=7)
     figure.supxlabel(
         "size of the fault; mean change against the clean video, 95 % interval; N null: episodes in which the number "

@@ -20,7 +20,6 @@ from kinebench_drake.stats import (
     paired_mean_difference,
     percentile_interval,
     resampled_counts,
-    resampled_indices,
     sign_test,
 )
 from kinebench_drake.suites.faults.fault import GRADES
@@ -55,9 +54,21 @@ class Grade:
     size: float
 
     @property
+    def number(self) -> str:
+        """Size in the unit of `unit_of`."""
+        return f"{self.size * GRADES[self.kind].factor:g}"
+
+    @property
     def label(self) -> str:
         """Size with its unit."""
-        return GRADES[self.kind].label(self.size)
+        unit = unit_of(self.kind)
+        return f"{self.number} {unit.removesuffix('s') if self.number == '1' else unit}"
+
+
+def unit_of(kind: AnomalyKind) -> str:
+    """Return the unit in which sizes of a kind are shown."""
+    unit = GRADES[kind].unit
+    return {"f": "frames", "pc": "%"}.get(unit, unit)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -182,44 +193,32 @@ class SuccessCorrelation:
 
 
 def correlate(study: Study, name: str, seed: int = 0) -> SuccessCorrelation:
-    """Return the rank correlation of a number with success; intervals resample episodes.
+    """Return the rank correlation of a number with success; nulls rank last.
 
-    Nulls rank last.
+    Intervals resample episodes with all their videos, which keep their ranks among all videos.
     """
-    episodes = sorted(study.clean)
-    place = {episode: i for i, episode in enumerate(episodes)}
+    place = {episode: i for i, episode in enumerate(sorted(study.clean))}
     trials = [t for t in study.trials if t.episode in place]
     group = np.array([place[t.episode] for t in trials])
-    quality = -badness(name, [t.numbers.get(name) for t in trials])
-    success = np.array([float(t.success) for t in trials])
-    members = [np.flatnonzero(group == i) for i in range(len(episodes))]
-    rng = np.random.default_rng(seed)
-    pooled, within = list[float](), list[float]()
-    for drawn in np.concatenate(list(resampled_indices(len(episodes), rng, _RESAMPLES))):
-        chosen = np.concatenate([members[i] for i in drawn])
-        again = np.repeat(np.arange(len(drawn)), [len(members[i]) for i in drawn])
-        pooled.append(_spearman(quality[chosen], success[chosen]))
-        within.append(_spearman(quality[chosen], success[chosen], again))
+    quality = rankdata(-badness(name, [t.numbers.get(name) for t in trials]))
+    success = rankdata([t.success for t in trials])
+    counts = resampled_counts(len(place), np.random.default_rng(seed))
+    size = np.bincount(group)
+    ranks = [r - (np.bincount(group, weights=r) / size)[group] for r in (quality, success)]
     return SuccessCorrelation(
-        pooled=_with_interval(_spearman(quality, success), pooled),
-        within=_with_interval(_spearman(quality, success, group), within),
+        pooled=_correlation(quality, success, group, counts), within=_correlation(ranks[0], ranks[1], group, counts)
     )
 
 
-_RESAMPLES = 1000
+def _correlation(x: Array, y: Array, group: NDArray[np.intp], counts: Array) -> IntervalEstimate:
+    """Return Pearson's coefficient of (N,) values with its interval over resamples of their groups (R, G)."""
+    x, y = x - x.mean(), y - y.mean()
+    sums = np.stack([np.bincount(group, weights=w) for w in (np.ones(len(x)), x, y, x * x, y * y, x * y)], axis=1)
+    n, sx, sy, sxx, syy, sxy = (np.vstack([np.ones(counts.shape[1]), counts]) @ sums).T
+    spread = (sxx - sx**2 / n) * (syy - sy**2 / n)
+    value = np.divide(sxy - sx * sy / n, np.sqrt(spread), out=np.full(len(n), np.nan), where=spread > _LEAST_SPREAD)
+    low, high = percentile_interval(value[1:])
+    return IntervalEstimate(value=float(value[0]), low=low, high=high)
 
 
-def _with_interval(value: float, draws: Sequence[float]) -> IntervalEstimate:
-    low, high = percentile_interval(draws)
-    return IntervalEstimate(value=value, low=low, high=high)
-
-
-def _spearman(x: Array, y: Array, group: NDArray[np.intp] | None = None) -> float:
-    """Return Spearman's coefficient of (N,) values; with groups (N,), of ranks minus their mean over the group."""
-    a, b = rankdata(x), rankdata(y)
-    if group is None:
-        group = np.zeros(len(a), dtype=np.intp)
-    size = np.bincount(group)
-    a, b = (r - (np.bincount(group, weights=r) / np.maximum(size, 1))[group] for r in (a, b))
-    spread = float(np.sqrt((a**2).sum() * (b**2).sum()))
-    return float((a * b).sum()) / spread if spread > 1e-9 else float("nan")
+_LEAST_SPREAD = 1e-9  # of constant values
