@@ -68,7 +68,8 @@ class MeasurementStore(Generic[Record]):
             return
         try:
             for row in read_lines(path, _row):
-                self._records[row.pop("key")] = record.from_json(row)
+                key = row.pop("key")
+                self._records[key] = record.from_json(row)
         except (InputError, KeyError, ValueError, TypeError, AttributeError):
             raise UsageError(f"{path.name}: holds no measurements of this version; remove it to start anew") from None
         drop_torn_line(path)
