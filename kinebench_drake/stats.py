@@ -1,6 +1,7 @@
 """Statistics: intervals of shares and means, resampling, and paired comparisons."""
 
-from collections.abc import Iterator, Sequence
+import math
+from collections.abc import Hashable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -85,6 +86,48 @@ def resampled_counts(n: int, rng: np.random.Generator, resamples: int = RESAMPLE
     return rng.multinomial(n, np.full(n, 1.0 / n), size=resamples).astype(np.float64)
 
 
+def group_means(values: Sequence[float], groups: Sequence[Hashable]) -> Array:
+    """Return the mean of the values of each group, such as the samples of an episode, in order of first occurrence."""
+    members: dict[Hashable, list[float]] = {}
+    for value, group in zip(values, groups, strict=True):
+        members.setdefault(group, []).append(value)
+    return np.array([math.fsum(own) / len(own) for own in members.values()])
+
+
+def share_interval(shares: Array, rng: np.random.Generator) -> tuple[float, float]:
+    """Return the ends of the interval of the mean success of episodes, with one or several samples each.
+
+    Episodes whose samples all agree are single outcomes: Wilson's interval. Otherwise episodes are resampled with all
+    their samples (cluster bootstrap; Davison and Hinkley, Bootstrap Methods and their Application, 1997, section 3.8).
+    If all shares are equal it is Wilson's for as many samples as there are episodes: no correlation within episodes
+    leaves fewer.
+
+    Args:
+        shares: (N,) share of successes among the samples of each episode, 0..1.
+        rng: generator of the resampling.
+    """
+    n, hits = len(shares), math.fsum(shares)
+    if np.isin(shares, (0.0, 1.0)).all():
+        return wilson(round(hits), n)
+    if np.ptp(shares) < 1e-12:
+        return wilson(math.floor(hits), n)[0], wilson(math.ceil(hits), n)[1]
+    return bootstrap_mean(shares, rng)
+
+
+def pass_at_k(hits: int, n: int, k: int) -> float:
+    """Return the unbiased estimate of the probability that one of k samples succeeds, from `hits` among n samples.
+
+    1 - C(n - c, k) / C(n, k): Chen et al., Evaluating Large Language Models Trained on Code, 2021, arXiv:2107.03374,
+    equation 1.
+
+    Raises:
+        InputError: there are fewer than k samples, or more hits than samples.
+    """
+    if not (1 <= k <= n and 0 <= hits <= n):
+        raise InputError(f"pass@{k} of {hits} successes among {n} samples, expected 1 <= k <= samples")
+    return 1.0 - math.comb(n - hits, k) / math.comb(n, k)
+
+
 def paired_mean_difference(first: Array, second: Array, rng: np.random.Generator) -> IntervalEstimate:
     """Return the mean of first - second (N,) over the same units with its paired bootstrap interval (Efron 1979).
 
@@ -133,6 +176,32 @@ def sign_test(first: int, second: int) -> float:
     from scipy.stats import binomtest
 
     return float(binomtest(first, first + second).pvalue) if first + second else 1.0
+
+
+_RESOLUTION = 2520
+"""Steps of a share in `sign_flip_test`: exact for up to 10 samples."""
+
+
+def sign_flip_test(differences: Array) -> float:
+    """Return the two-sided p-value of the exact randomization test of paired differences (N,), each in -1..1.
+
+    If the two groups are alike, the sign of each difference is random: the distribution of the sum over all 2^N signs,
+    by convolution (Fisher, The Design of Experiments, 1935, section 21). For single outcomes it is McNemar's exact
+    test. Differences are rounded to multiples of 1 / 2520.
+    """
+    steps = np.rint(_RESOLUTION * np.asarray(differences, dtype=np.float64)).astype(np.int64)
+    steps = steps[steps != 0]
+    if not len(steps):
+        return 1.0
+    steps //= np.gcd.reduce(steps)
+    probability = np.ones(1)  # of the sums -total, -total + 1, ..., total
+    for step in np.abs(steps).tolist():
+        wider = np.zeros(len(probability) + 2 * step)
+        wider[: len(probability)] += 0.5 * probability
+        wider[2 * step :] += 0.5 * probability
+        probability = wider
+    middle, observed = len(probability) // 2, abs(int(steps.sum()))
+    return min(1.0, float(probability[: middle - observed + 1].sum() + probability[middle + observed :].sum()))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -207,3 +276,68 @@ class PairedOutcomes:
         determinant = a * d - b * c
         corrected = max(determinant - self.n / 2.0, 0.0) if determinant > 0 else float(determinant)
         return float(corrected / np.sqrt(product))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PairedShares:
+    """Success of two groups, such as two models, in the same episodes, with one or several samples each."""
+
+    first: Array
+    """(N,) share of successes among the samples of each episode, of the first group, 0..1."""
+    second: Array
+    """(N,) of the second group."""
+    samples: int = 1
+    """Most samples of an episode."""
+    seed: int = 0
+    """Seed of the resampling."""
+
+    def __post_init__(self) -> None:
+        """Check the shares.
+
+        Raises:
+            InputError: they differ in number, or there are none.
+        """
+        if len(self.first) != len(self.second) or len(self.first) == 0:
+            raise InputError(f"{len(self.first)} and {len(self.second)} episodes: there is nothing to compare")
+
+    @property
+    def n(self) -> int:
+        """Number of episodes."""
+        return len(self.first)
+
+    @property
+    def rates(self) -> tuple[float, float]:
+        """Mean success of the first and of the second group."""
+        return math.fsum(self.first) / self.n, math.fsum(self.second) / self.n
+
+    @property
+    def difference(self) -> float:
+        """Difference of the rates, first minus second."""
+        return math.fsum(self.first - self.second) / self.n
+
+    @property
+    def better(self) -> tuple[int, int]:
+        """Episodes in which the first, and in which the second, succeeds more often."""
+        return int((self.first > self.second).sum()), int((self.first < self.second).sum())
+
+    @property
+    def p_value(self) -> float:
+        """Two-sided p-value: McNemar's exact test of single outcomes, else `sign_flip_test`."""
+        return self._outcomes.p_value if self._outcomes else sign_flip_test(self.first - self.second)
+
+    def interval(self) -> tuple[float, float]:
+        """Return the 95 % interval of the difference.
+
+        Newcombe's of single outcomes, else the paired bootstrap over episodes; (-1, 1) if all differences are equal.
+        """
+        if self._outcomes:
+            return self._outcomes.interval()
+        value = paired_mean_difference(self.first, self.second, np.random.default_rng(self.seed))
+        return (-1.0, 1.0) if math.isnan(value.low) else (value.low, value.high)
+
+    @property
+    def _outcomes(self) -> PairedOutcomes | None:
+        """The outcomes if each share is 0 or 1, as those of single samples are."""
+        if not np.isin((self.first, self.second), (0.0, 1.0)).all():
+            return None
+        return PairedOutcomes.of((self.first > 0.5).tolist(), (self.second > 0.5).tolist())

@@ -1,15 +1,24 @@
 """Intervals, resampling and paired comparison: reference values, symmetry, coverage."""
 
+from itertools import combinations, product
+
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from kinebench_drake.errors import InputError
 from kinebench_drake.stats import (
     PairedOutcomes,
+    PairedShares,
+    group_means,
+    pass_at_k,
     percentile_interval,
     resampled_counts,
     resampled_indices,
     resampled_means,
+    share_interval,
+    sign_flip_test,
     wilson,
 )
 
@@ -97,3 +106,69 @@ def test_percentile_intervals_leave_out_what_is_not_finite():
     assert percentile_interval(draws) == pytest.approx((2.5, 97.5))
     assert percentile_interval([*draws, np.nan, np.inf]) == percentile_interval(draws)
     assert np.isnan(percentile_interval([np.nan])).all()
+
+
+@given(outcomes=st.lists(st.booleans(), min_size=1, max_size=8), data=st.data())
+def test_pass_at_k_is_the_share_of_subsets_with_a_success(outcomes, data):
+    k = data.draw(st.integers(1, len(outcomes)))
+    subsets = list(combinations(outcomes, k))
+    expected = sum(any(own) for own in subsets) / len(subsets)
+    assert pass_at_k(sum(outcomes), len(outcomes), k) == pytest.approx(expected)
+
+
+def test_pass_at_k_is_unbiased():
+    """The mean over runs of 5 samples of pass@3 is the probability that one of 3 succeeds."""
+    hits = np.random.default_rng(0).binomial(5, 0.3, 20_000)
+    assert np.mean([pass_at_k(int(c), 5, 3) for c in hits]) == pytest.approx(1 - 0.7**3, abs=0.01)
+    for hits, n, k in ((1, 2, 3), (1, 2, 0), (3, 2, 1)):
+        with pytest.raises(InputError, match="expected 1 <= k"):
+            pass_at_k(hits, n, k)
+
+
+@given(st.lists(st.integers(-4, 4), min_size=1, max_size=9))
+def test_the_randomization_test_counts_all_signs(steps):
+    sums = np.abs(np.array(list(product((1, -1), repeat=len(steps)))) @ steps)
+    expected = np.mean(sums >= abs(sum(steps)))
+    assert sign_flip_test(np.array(steps) / 4) == pytest.approx(expected)
+
+
+@given(st.lists(st.tuples(st.booleans(), st.booleans()), min_size=1, max_size=30))
+def test_shares_of_single_samples_are_paired_outcomes(pairs):
+    a, b = np.array(pairs, dtype=float).T
+    shares = PairedShares(first=a, second=b)
+    outcomes = PairedOutcomes.of(*(a > 0.5, b > 0.5))
+    assert (shares.difference, shares.p_value, shares.interval()) == (
+        outcomes.difference,
+        outcomes.p_value,
+        outcomes.interval(),
+    )
+    assert sign_flip_test(a - b) == pytest.approx(outcomes.p_value)
+    assert shares.better == (outcomes.first_only, outcomes.second_only)
+
+
+def test_samples_that_agree_are_one_outcome():
+    """Copies of samples narrow no interval; Wilson's of single samples is kept."""
+    rng = np.random.default_rng(0)
+    assert share_interval(np.array([1.0, 0.0, 1.0, 1.0]), rng) == wilson(3, 4)
+    assert share_interval(np.full(6, 0.5), rng) == wilson(3, 6)
+    assert share_interval(np.full(5, 0.5), rng) == (wilson(2, 5)[0], wilson(3, 5)[1])
+    assert share_interval(np.empty(0), rng) == (0.0, 1.0)
+
+
+def test_intervals_over_episodes_hold_the_mean_success_as_often_as_they_say():
+    """40 episodes of 4 samples whose rates differ: an interval of 160 independent samples would hold it too rarely."""
+    rng = np.random.default_rng(3)
+    held, naive = 0, 0
+    for trial in range(400):
+        rates = rng.choice([0.1, 0.9], size=40)
+        hits = rng.binomial(4, rates)
+        low, high = share_interval(hits / 4, np.random.default_rng(trial))
+        held += low <= 0.5 <= high
+        low, high = wilson(int(hits.sum()), 160)
+        naive += low <= 0.5 <= high
+    assert 0.91 <= held / 400 <= 0.98
+    assert naive / 400 < 0.85
+
+
+def test_means_of_groups_keep_their_order():
+    assert group_means([1.0, 2.0, 3.0, 5.0], ["b", "a", "b", "c"]).tolist() == [2.0, 2.0, 5.0]

@@ -80,6 +80,8 @@ class SuiteOptions(RunOptions, total=False):
     """Plain task ids, in a list or comma-separated; None: all of the split."""
     episodes: int
     """Episodes of each task; default 10."""
+    samples: int
+    """Samples of each episode, with another seed of the world model each; default 1."""
     variant: str
     """ "plain" or "obstacles"."""
     rounds: int

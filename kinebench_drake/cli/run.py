@@ -19,7 +19,7 @@ from kinebench_drake.errors import count_noun, one_line
 from kinebench_drake.evaluation.evaluator import REQUESTS
 from kinebench_drake.evaluation.runner import RunObserver, RunSummary
 from kinebench_drake.report.timeline import anomalies_of
-from kinebench_drake.results.aggregate import VERDICTS, estimate
+from kinebench_drake.results.aggregate import VERDICTS, estimate, estimate_passes
 from kinebench_drake.results.inputs import input_lines
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.types import Json
@@ -136,6 +136,13 @@ def summary_lines(rows: Sequence[SampleRow]) -> Iterator[str]:
     verdicts = [line for name in ("success", "executable", "feasible") if (line := _share(name, rows))]
     if verdicts:
         yield "; ".join(verdicts)
+    if passes := estimate_passes(rows):
+        yield "; ".join(
+            f"pass@{k}: {share.mean:.0%} of {count_noun(share.n, 'episode')} (95% interval {share.low:.0%} to "
+            f"{share.high:.0%})"
+            for k, share in passes.items()
+            if share.mean is not None
+        )
     faults = [f"anomalies: {_count_samples(map(anomalies_of, rows))}"] if _has_anomalies(rows) else []
     if any(row.violations for row in rows) or not faults:
         faults.append(f"violated limits: {_count_samples(row.violations for row in rows)}")
@@ -157,13 +164,14 @@ def _share(name: str, rows: Sequence[SampleRow]) -> str:
     """Describe the share of a truth value; empty if no row has it."""
     verdicts = (getattr(row, name) if name in VERDICTS else row.extra.get(name) for row in rows)
     values = [verdict if row.status is Status.OK else None for row, verdict in zip(rows, verdicts, strict=True)]
-    share = estimate([value for value in values if isinstance(value, bool)], total=len(rows))
+    judged = [(value, row.episode) for value, row in zip(values, rows, strict=True) if isinstance(value, bool)]
+    share = estimate([v for v, _ in judged], total=len(rows), episodes=[episode for _, episode in judged])
     if share.mean is None or share.low is None or share.high is None:
         return ""
-    hits, missing = round(share.mean * share.n), share.total - share.n
+    hits, missing = sum(value for value, _ in judged), share.total - share.n
     bound = f"; at least {hits / share.total:.0%} of all {share.total}" if missing else ""
-    judged = count_noun(share.n, "judged sample" if missing else "sample")
-    return f"{name}: {hits} of {judged}, {share.mean:.0%} (95% interval {share.low:.0%} to {share.high:.0%}{bound})"
+    counted = count_noun(share.n, "judged sample" if missing else "sample")
+    return f"{name}: {hits} of {counted}, {share.mean:.0%} (95% interval {share.low:.0%} to {share.high:.0%}{bound})"
 
 
 def _count_samples(faults: Iterable[Sequence[Mapping[str, Json]]]) -> str:

@@ -11,7 +11,7 @@ import click
 from kinebench_drake.cli.options import check_parent, episodes_option, jobs_option, tasks_option, variant_option
 from kinebench_drake.cli.suite_data import demos, export
 from kinebench_drake.cli.suite_results import ceiling, report, tolerance
-from kinebench_drake.cli.suite_run import run
+from kinebench_drake.cli.suite_run import plan, run
 from kinebench_drake.io.atomic import atomic_path, write_atomically
 from kinebench_drake.suites.selection import task_names, with_variant
 
@@ -38,6 +38,7 @@ def suite() -> None:
 suite.add_command(export)
 suite.add_command(demos)
 suite.add_command(run)
+suite.add_command(plan)
 suite.add_command(tolerance)
 suite.add_command(ceiling)
 suite.add_command(report)

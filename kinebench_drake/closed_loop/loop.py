@@ -152,13 +152,14 @@ class ClosedLoop:
     def __init__(self, ground: Ground, planner: CommandPlanner, model: WorldModel, options: LoopOptions) -> None:
         self._ground, self._planner, self._model, self._options = ground, planner, model, options
 
-    def run(self, simulator: Simulator, episode: Episode, videos: Path) -> EpisodeRun:
+    def run(self, simulator: Simulator, episode: Episode, videos: Path, sample: int = 0) -> EpisodeRun:
         """Run an episode until it succeeds, the rounds are used up, or nothing can be executed.
 
         Args:
             simulator: simulator of the task; it is reset.
             episode: the episode.
-            videos: path of the generated videos, to which "_r0" and so on are appended.
+            videos: path of the generated videos, to which "_r0" and so on are appended; its name is that of the sample.
+            sample: number of the sample of the episode; each has its own seeds.
 
         Raises:
             WorldModelError: the model gave no video.
@@ -174,8 +175,8 @@ class ClosedLoop:
         for number in range(self._options.rounds):
             now, first_frame = simulator.snapshot(), simulator.render().rgb
             state = RobotState(q=now.q, finger_width_m=float(now.fingers_m.sum()), gripping=gripping)
-            request = self._request(episode, number, first_frame)
-            if number and isinstance(model, OfflineModel) and not model.files(episode.id, episode.task, number):
+            request = self._request(episode, videos.name, sample, number, first_frame)
+            if number and isinstance(model, OfflineModel) and not model.files(videos.name, episode.task, number):
                 X_BG = simulator.link_pose(TCP_LINK)
                 pending = PendingRound(request=request, X_BG=X_BG, finger_width_m=state.finger_width_m)
                 break
@@ -189,15 +190,18 @@ class ClosedLoop:
             gripping = commands.gripping
         return EpisodeRun(rounds=tuple(rounds), outcome=simulator.outcome(), pending=pending)
 
-    def _request(self, episode: Episode, number: int, first_frame: NDArray[np.uint8]) -> Request:
+    def _request(
+        self, episode: Episode, name: str, sample: int, number: int, first_frame: NDArray[np.uint8]
+    ) -> Request:
         options = self._options
+        words = ("world model", episode.id, number, options.seed, *([sample] if sample else []))
         return Request(
-            episode=episode.id,
+            episode=name,
             task=episode.task,
             round=number,
             prompt=options.prompts.prompt(episode),
             negative_prompt=options.prompts.negative,
-            seed=int(generator("world model", episode.id, number, options.seed).integers(2**31)),
+            seed=int(generator(*words).integers(2**31)),
             first_frame=first_frame,
             num_frames=options.num_frames,
             fps=FPS,

@@ -26,7 +26,7 @@ from kinebench_drake.io.jsonl import as_object
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.results.inputs import PeriodSource
 from kinebench_drake.results.provenance import weights_hash
-from kinebench_drake.results.row import SampleRow
+from kinebench_drake.results.row import SampleRow, sample_suffix
 from kinebench_drake.results.store import artifact_path
 from kinebench_drake.results.trackfile import write_track
 from kinebench_drake.suites.clock import FRAME_PERIOD_S
@@ -56,16 +56,18 @@ GAP_METRICS = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EpisodeSample:
-    """One episode to run with one world model."""
+    """One episode to run with one world model, once or several times."""
 
     spec: EpisodeSpec
+    index: int = 0
+    """Number of the sample among those of the episode."""
     model: str
     """Name of the world model."""
 
     @property
     def id(self) -> str:
-        """Id of the episode."""
-        return self.spec.id
+        """Id of the episode, of a further sample followed by its number, such as "StackCube-v1_s0003_k1"."""
+        return f"{self.spec.id}{sample_suffix(self.index)}"
 
     @property
     def video(self) -> str:
@@ -119,7 +121,7 @@ class EpisodeEvaluator(Evaluator[EpisodeSample, EpisodeResources]):
         simulator = resources.simulators.get(episode.task, episode.variant)
         videos = self.config.out / "videos"
         videos.mkdir(exist_ok=True)
-        run = resources.loop.run(simulator, episode, videos / sample.id)
+        run = resources.loop.run(simulator, episode, videos / sample.id, sample.index)
         if run.pending is not None:
             return self._ask(sample, episode, run.pending)
         executed = [None if r.execution is None else render_video(simulator, r.execution.snapshots) for r in run.rounds]
@@ -204,11 +206,12 @@ class EpisodeEvaluator(Evaluator[EpisodeSample, EpisodeResources]):
         return [file for files in takewhile(bool, clips) for file in files]
 
     def labels(self, sample: EpisodeSample) -> Mapping[str, Json]:
-        """Return seed, pool, variant, frame period and camera."""
+        """Return seed, number of the sample, pool, variant, frame period and camera."""
         spec, period_s = sample.spec, self.loop.frame_period_s
         source = PeriodSource.BENCHMARK if period_s == FRAME_PERIOD_S else PeriodSource.OPTION
         return {
             "seed": spec.seed,
+            "sample_index": sample.index,
             "pool": spec.pool.value,
             "variant": spec.variant.value,
             "frame_period_s": period_s,

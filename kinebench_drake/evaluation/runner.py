@@ -139,10 +139,14 @@ def close_run(store: ResultStore, kind: RunKind, seed: int) -> RunSummary:
         with disk_errors(REPORT):
             report = write_report(store.out)
     measured = [r for r in rows if r.status is Status.OK]
-    executable = estimate([r.executable is True for r in rows], total=len(rows), seed=seed)
-    feasible = estimate([r.feasible for r in measured], total=len(rows), seed=seed)
-    goals = [r.extra.get("success") for r in measured] if kind is RunKind.SUITE else []
-    success = estimate(goals, total=len(rows), seed=seed)
+    runs = [r.episode for r in rows]
+    executable = estimate([r.executable is True for r in rows], total=len(rows), seed=seed, episodes=runs)
+    feasible = estimate(
+        [r.feasible for r in measured], total=len(rows), seed=seed, episodes=[r.episode for r in measured]
+    )
+    judged = measured if kind is RunKind.SUITE else []
+    goals, episodes = [r.extra.get("success") for r in judged], [r.episode for r in judged]
+    success = estimate(goals, total=len(rows), seed=seed, episodes=episodes)
     return RunSummary(
         rows=tuple(rows),
         counts={status: sum(row.status is status for row in rows) for status in Status},

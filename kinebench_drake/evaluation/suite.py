@@ -44,6 +44,8 @@ class SuiteConfig(RunConfig):
     """Plain task ids of the split."""
     episodes: int
     """Episodes of each task."""
+    samples: int = 1
+    """Samples of each episode: closed loops from the same scene, with another seed of the world model."""
     variant: TaskVariant = TaskVariant.PLAIN
     world_model: str
     """Spec of the world model (docs/worldmodels.md)."""
@@ -62,6 +64,8 @@ class SuiteConfig(RunConfig):
         RunConfig.__post_init__(self)
         if self.episodes < 1:
             raise UsageError(f"--episodes is {self.episodes}, expected 1 or more")
+        if self.samples < 1:
+            raise UsageError(f"--samples is {self.samples}, expected 1 or more")
 
     @property
     def suite_version(self) -> str:
@@ -77,6 +81,7 @@ class SuiteConfig(RunConfig):
             "split": self.split,
             "tasks": list(self.tasks),
             "episodes_per_task": self.episodes,
+            "samples_per_episode": self.samples,
             "variant": self.variant.value,
             "world_model": self.model_name,
             # The spec itself may hold addresses, paths or keys.
@@ -155,11 +160,12 @@ def run_suite(config: SuiteConfig, observer: RunObserver | None = None) -> RunSu
             subject={"suite": config.suite.number, "split": config.split},
         )
         samples = [
-            EpisodeSample(spec=spec, model=config.model or name)
+            EpisodeSample(spec=spec, index=index, model=config.model or name)
             for task in config.tasks
             for spec in config.suite.specs(
                 config.split, task, config.episodes, offset=config.seed, variant=config.variant
             )
+            for index in range(config.samples)
         ]
         summary = run_samples(samples, evaluator, observer)
         _write_requests(config.out / REQUESTS, summary.pending)

@@ -47,7 +47,11 @@ def compare_samples(runs: Sequence[Run], seed: int = 0) -> SampleComparison:
             )
     samples = label_samples(runs)
     pairs = pair_models(samples)
-    numbers = [c for pair in pairs for c in compare_numbers(pair.pairs, pair.first, pair.second, seed=seed)]
+    numbers = [
+        c
+        for pair in pairs
+        for c in compare_numbers([((a,), (b,)) for a, b in pair.pairs], pair.first, pair.second, seed=seed)
+    ]
     return SampleComparison(
         runs=runs, samples=samples, pairs=pairs, numbers=numbers, warnings=list(list_differences(pairs, runs))
     )

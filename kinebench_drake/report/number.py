@@ -15,7 +15,7 @@ from kinebench_drake.report.table import Column, Table, Value, format_interval, 
 from kinebench_drake.results.aggregate import VERDICTS, Estimate, estimate
 from kinebench_drake.results.direction import LOWER_IS_BETTER
 from kinebench_drake.results.row import SampleRow, Status
-from kinebench_drake.stats import CONFIDENCE, PairedOutcomes, paired_mean_difference, sign_test
+from kinebench_drake.stats import CONFIDENCE, PairedShares, paired_mean_difference, share_interval, sign_test
 
 ALL_TASKS = "all tasks"
 SHARES = {
@@ -48,6 +48,8 @@ _MAX_LINES = 15
 _MAX_LETTERS = 28
 """Letters of a model's name that the figure has room for."""
 RowPair = tuple[SampleRow, SampleRow]
+RowsPair = tuple[Sequence[SampleRow], Sequence[SampleRow]]
+"""Rows of the same episode by two models, one or several samples each."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -97,43 +99,47 @@ def value_of(row: SampleRow, name: str) -> float | None:
 
 
 def compare_numbers(
-    pairs: Sequence[RowPair], first: str, second: str, part: str = "", seed: int = 0
+    pairs: Sequence[RowsPair], first: str, second: str, part: str = "", seed: int = 0
 ) -> list[NumberComparison]:
     """Compare every number that is measured in a shared sample: all tasks together, then a few task by task.
 
     Args:
-        pairs: rows of the first and of the second model of the same samples.
+        pairs: rows of the first and of the second model of the same samples; several rows of an episode are averaged.
         first: label of the first model.
         second: label of the second model.
         part: what the samples are of.
         seed: seed of the resampling.
     """
-    tasks: dict[str, list[RowPair]] = {}
+    tasks: dict[str, list[RowsPair]] = {}
     for pair in pairs:
-        tasks.setdefault(pair[0].task or pair[1].task or "unnamed", []).append(pair)
+        tasks.setdefault(pair[0][0].task or pair[1][0].task or "unnamed", []).append(pair)
     groups = [(ALL_TASKS, pairs, tuple(NUMBERS))]
     if len(tasks) > 1:
         groups += [(task, tasks[task], _BY_TASK) for task in sorted(tasks)]
     comparisons = []
     for task, own, names in groups:
         for name in names:
-            if any(value_of(row, name) is not None for pair in pairs for row in pair):
+            if any(value_of(row, name) is not None for pair in pairs for rows in pair for row in rows):
                 compared = _compare(NUMBERS[name], own, seed)
                 comparisons.append(replace(compared, part=part, task=task, first=first, second=second))
     return comparisons
 
 
-def _compare(metric: Metric, pairs: Sequence[RowPair], seed: int) -> NumberComparison:
-    """Compare one number; a missing truth value is false, any other missing value worse than all."""
+def _compare(metric: Metric, pairs: Sequence[RowsPair], seed: int) -> NumberComparison:
+    """Compare one number; a missing truth value is false, any other missing value worse than all.
+
+    An episode has the mean of its samples, and is complete if all of them have a value.
+    """
     share, sign = metric.name in SHARES, -1.0 if metric.name in LOWER_IS_BETTER else 1.0
-    values = np.array([[value_of(row, metric.name) for row in pair] for pair in pairs], dtype=np.float64).reshape(-1, 2)
-    if metric.name == "executable" and np.isfinite(values).any():
-        values = np.nan_to_num(values)  # a share of all samples, as in aggregates
+    samples = [[[value_of(row, metric.name) for row in rows] for rows in pair] for pair in pairs]
+    measured = [v for pair in samples for rows in pair for v in rows if v is not None]
+    worst = 0.0 if share else sign * min(sign * v for v in measured) if measured else math.nan
+    filled = _average(samples, worst)
+    # `executable` is a share of all samples, as in aggregates.
+    values = filled if metric.name == "executable" and measured else _average(samples, math.nan)
     complete = values[np.isfinite(values).all(axis=1)]
-    worst = 0.0 if share else sign * float(np.nanmin(sign * values)) if np.isfinite(values).any() else math.nan
-    filled = np.where(np.isnan(values), worst, values)
     ranked = filled if share else np.where(np.isnan(values), -np.inf, sign * values)
-    means = [estimate([bool(v) if share else v for v in own], total=len(own), seed=seed) for own in complete.T.tolist()]
+    means = [_mean(own, share, seed) for own in complete.T.tolist()]
     return NumberComparison(
         part="",
         task="",
@@ -148,20 +154,36 @@ def _compare(metric: Metric, pairs: Sequence[RowPair], seed: int) -> NumberCompa
     )
 
 
+def _average(samples: Sequence[Sequence[Sequence[float | None]]], missing: float) -> Array:
+    """Return the mean (N, 2) of the samples of each episode by two models, with a value in place of missing ones."""
+    means = [[float(np.mean([missing if v is None else v for v in own])) for own in pair] for pair in samples]
+    return np.array(means, dtype=np.float64).reshape(-1, 2)
+
+
+def _mean(values: Sequence[float], share: bool, seed: int) -> Estimate:
+    """Return the mean of values of episodes, or the share of truth values, with its interval."""
+    n = len(values)
+    if not share or not n:
+        return estimate(values, total=n, seed=seed)
+    low, high = share_interval(np.array(values), np.random.default_rng(seed))
+    mean = math.fsum(values) / n
+    return Estimate(mean=mean, low=low, high=high, n=n, total=n, bound=mean)
+
+
 def _difference(values: Array, total: int, share: bool, seed: int) -> Estimate:
     """Return the mean of first minus second of `values` (N, 2) with its interval."""
     n = len(values)
     if n == 0:
         return Estimate(mean=None, low=None, high=None, n=0, total=total)
     if share:
-        return share_difference(PairedOutcomes.of(*(values > 0.5).T.tolist()), total)
+        return share_difference(PairedShares(first=values[:, 0], second=values[:, 1], seed=seed), total)
     value = paired_mean_difference(values[:, 0], values[:, 1], np.random.default_rng(seed))
     low, high = (None if math.isnan(end) else end for end in (value.low, value.high))
     return Estimate(mean=value.value, low=low, high=high, n=n, total=total)
 
 
-def share_difference(paired: PairedOutcomes, total: int | None = None) -> Estimate:
-    """Return the difference of two shares with Newcombe's interval."""
+def share_difference(paired: PairedShares, total: int | None = None) -> Estimate:
+    """Return the difference of two shares with its interval."""
     low, high = paired.interval()
     return Estimate(mean=paired.difference, low=low, high=high, n=paired.n, total=paired.n if total is None else total)
 
@@ -200,7 +222,8 @@ def tabulate_numbers(comparisons: Sequence[NumberComparison]) -> Table:
         "has the better value, where a missing value is worse than any and two missing ones are equal; p: exact sign "
         "test of these counts, not adjusted for the number of rows. Bound: the difference over all shared samples, a "
         "missing value counted as the worst that either model has, a missing truth value as false. Bold: the intervals "
-        "of difference and bound exclude 0 on the same side, and p < 0.05.",
+        "of difference and bound exclude 0 on the same side, and p < 0.05. Of an episode with several samples the "
+        "values are means over them, with bootstrap intervals over episodes.",
         columns=tuple(columns[k] for k in shown),
         rows=tuple(tuple(row[k] for k in shown) for row in rows),
         bold=frozenset((i, place) for i, c in enumerate(comparisons) if c.is_clear),

@@ -2,7 +2,7 @@
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from kinebench_drake.geometry import Array
 from kinebench_drake.results.direction import worst_value
 from kinebench_drake.results.row import SampleRow, Status
-from kinebench_drake.stats import bootstrap_mean, wilson
+from kinebench_drake.stats import bootstrap_mean, group_means, pass_at_k, share_interval
 from kinebench_drake.types import Json
 
 NORMALIZED = ("manipulability_cost_mean",)
@@ -88,14 +88,16 @@ def aggregate(rows: Sequence[SampleRow], seed: int = 0, run: Sequence[SampleRow]
         seed: seed of the bootstrap intervals.
         run: all rows of the run, whose worst values bound the means; None if they are the group.
     """
-    columns = _columns(rows)
-    worst = {name: worst_value(name, _numbers(values)) for name, values in _columns(run or rows).items()}
+    worst = {name: worst_value(name, _numbers(values)) for name, (values, _) in _columns(run or rows).items()}
     counts = Counter(r.status for r in rows)
     return Aggregate(
         status={status: counts[status] for status in Status},
         estimates={
-            name: estimate(values, total=len(rows), seed=seed, worst=worst.get(name))
-            for name, values in columns.items()
+            **{
+                name: estimate(values, total=len(rows), seed=seed, worst=worst.get(name), episodes=episodes)
+                for name, (values, episodes) in _columns(rows).items()
+            },
+            **{f"pass_at_{k}": share for k, share in estimate_passes(rows, seed).items()},
         },
         violations=_count_kinds({str(v.get("kind")) for v in row.violations} for row in rows),
         anomalies=_count_kinds(_anomaly_kinds(row) for row in rows),
@@ -103,18 +105,59 @@ def aggregate(rows: Sequence[SampleRow], seed: int = 0, run: Sequence[SampleRow]
     )
 
 
-def _columns(rows: Sequence[SampleRow]) -> dict[str, list[Json]]:
-    """Return the values of verdicts and metrics by name; a null verdict on execution is no, if any row has one."""
-    verdicts = [row.executable for row in rows]
-    judged = any(verdict is not None for verdict in verdicts)
-    columns: dict[str, list[Json]] = {"executable": [v is True for v in verdicts] if judged else [], "feasible": []}
+def _columns(rows: Sequence[SampleRow]) -> dict[str, tuple[list[Json], list[Hashable]]]:
+    """Return the values of verdicts and metrics by name, and their episodes.
+
+    A null verdict on execution is no, if any row has one.
+    """
+    columns: dict[str, tuple[list[Json], list[Hashable]]] = {"executable": ([], []), "feasible": ([], [])}
+
+    def add(name: str, value: Json, row: SampleRow) -> None:
+        values, episodes = columns.setdefault(name, ([], []))
+        values.append(value)
+        episodes.append(row.episode)
+
+    judged = any(row.executable is not None for row in rows)
+    for row in rows if judged else ():
+        add("executable", row.executable is True, row)
     for row in (r for r in rows if r.status is Status.OK):
-        columns["feasible"].append(row.feasible)
+        add("feasible", row.feasible, row)
         extra = {name: row.extra[name] for name in _EXTRA if name in row.extra}
         for name, value in {**row.metrics, **extra}.items():
             if value is None or isinstance(value, bool | int | float):
-                columns.setdefault(name, []).append(value)
+                add(name, value, row)
     return columns
+
+
+def estimate_passes(rows: Sequence[SampleRow], seed: int = 0) -> dict[int, Estimate]:
+    """Estimate pass@k, the probability that one of k samples of an episode succeeds, for k = 1, 2, 4, ... and all.
+
+    Means over the episodes with k measured samples (`stats.pass_at_k`) with intervals over episodes. In the bound
+    samples that were not measured are failures. Empty if every episode has one sample.
+    """
+    episodes: dict[str, list[Json]] = {}
+    for row in rows:
+        success = row.extra.get("success") if row.status is Status.OK else None
+        episodes.setdefault(row.episode, []).append(success)
+    most = max(map(len, episodes.values()), default=0)
+    if most < 2:
+        return {}
+    hits = {episode: sum(outcome is True for outcome in own) for episode, own in episodes.items()}
+    measured = {episode: sum(isinstance(outcome, bool) for outcome in own) for episode, own in episodes.items()}
+    passes = {}
+    for k in sorted({2**i for i in range(most.bit_length()) if 2**i <= most} | {most}):
+        shares = np.array([pass_at_k(hits[e], n, k) for e, n in measured.items() if n >= k])
+        all_shares = [pass_at_k(hits[e], len(own), k) for e, own in episodes.items() if len(own) >= k]
+        low, high = share_interval(shares, np.random.default_rng(seed))
+        passes[k] = Estimate(
+            mean=float(shares.mean()) if len(shares) else None,
+            low=low if len(shares) else None,
+            high=high if len(shares) else None,
+            n=len(shares),
+            total=len(episodes),
+            bound=math.fsum(all_shares) / len(all_shares),
+        )
+    return passes
 
 
 def split_rows(rows: Iterable[SampleRow], key: str) -> dict[str, list[SampleRow]]:
@@ -127,27 +170,46 @@ def split_rows(rows: Iterable[SampleRow], key: str) -> dict[str, list[SampleRow]
     return dict(sorted(groups.items()))
 
 
-def estimate(values: Sequence[Json], *, total: int, seed: int = 0, worst: float | None = None) -> Estimate:
+def estimate(
+    values: Sequence[Json],
+    *,
+    total: int,
+    seed: int = 0,
+    worst: float | None = None,
+    episodes: Sequence[Hashable] | None = None,
+) -> Estimate:
     """Compute mean, interval and bound of `values`, ignoring None.
 
     Booleans give a share with Wilson's score interval (Wilson 1927); numbers give a mean with the percentile bootstrap
     interval (Efron 1979). A single number has no interval. In the bound each missing value is `worst`; of booleans
-    false.
+    false. If an episode has several samples, each episode counts the same, with the mean of its values, and intervals
+    are those over episodes (`share_interval`).
+
+    Args:
+        values: value of each sample.
+        total: number of samples in the group, measurable or not.
+        seed: seed of the bootstrap intervals.
+        worst: value of missing ones in the bound.
+        episodes: episode of each sample; None: each its own.
     """
     numbers = _numbers(values)
     n = len(numbers)
     if not n:
         return Estimate(mean=None, low=None, high=None, n=0, total=total, bound=worst)
-    mean = math.fsum(numbers) / n
+    units = numbers
+    if episodes is not None and len(set(episodes)) < len(episodes):
+        measured = [episode for value, episode in zip(values, episodes, strict=True) if _numbers([value])]
+        units = group_means(numbers, measured).tolist()
+    mean = math.fsum(units) / len(units)
     low: float | None = None
     high: float | None = None
     if all(isinstance(v, bool) for v in values if v is not None):
         worst = 0.0
-        low, high = wilson(round(sum(numbers)), n)
-    elif n > 1 and min(numbers) == max(numbers):
+        low, high = share_interval(np.array(units), np.random.default_rng(seed))
+    elif len(units) > 1 and min(units) == max(units):
         low = high = mean
-    elif n > 1:
-        low, high = bootstrap_mean(np.array(numbers), np.random.default_rng(seed))
+    elif len(units) > 1:
+        low, high = bootstrap_mean(np.array(units), np.random.default_rng(seed))
     missing = total - n
     bound = mean if missing == 0 else None if worst is None else (math.fsum(numbers) + missing * worst) / total
     return Estimate(mean=mean, low=low, high=high, n=n, total=total, bound=bound)

@@ -53,6 +53,17 @@ class SampleRow:
     camera_source, seed, prompt. Trajectories: frames, frames_tracked, duration_s, frame_period_s, judged,
     columns, warnings, format, seed, prompt, success. Suite runs: success, progress, rounds, verdict."""
 
+    @property
+    def sample_index(self) -> int:
+        """Number of the sample among those of its episode, from 0."""
+        index = self.extra.get("sample_index")
+        return index if isinstance(index, int) else 0
+
+    @property
+    def episode(self) -> str:
+        """Id of the episode, which is that of its first sample."""
+        return self.id.removesuffix(sample_suffix(self.sample_index))
+
     def slim(self) -> "SampleRow":
         """Return the row with interned, valid text: half as large as one received from a worker process."""
         return replace(self, **{f.name: intern_text(getattr(self, f.name)) for f in fields(self)})
@@ -93,6 +104,11 @@ class SampleRow:
         if not all(isinstance(v, Mapping) and isinstance(v.get("kind"), str) for v in row.violations):
             raise InputError("not a row of samples.jsonl (a violation has no kind)")
         return row
+
+
+def sample_suffix(index: int) -> str:
+    """Return what follows the id of an episode in that of one of its samples; the first sample has the same id."""
+    return f"_k{index}" if index else ""
 
 
 _TYPES: Mapping[str, type | UnionType] = {

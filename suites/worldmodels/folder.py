@@ -12,6 +12,7 @@ from kinebench_drake.suites.worldmodels.videofile import check_video
 from kinebench_drake.suites.worldmodels.worldmodel import Request, WorldModelError
 
 _MANIFEST = "manifest.jsonl"
+_SAMPLE = re.compile(r"_k\d+")
 _SEED = re.compile(r"[-_](?:seed|s)?[-_]?(\d+)", re.IGNORECASE)
 
 
@@ -20,7 +21,8 @@ class FolderModel:
 
     A row matches the first round of an episode by its `id`, else by its `task` and `seed`. A video or folder of frames
     matches if its stem is the episode's id, else if it is the task and the seed, such as `StackCube-v1_seed3`. Later
-    rounds have the episode's id followed by `_r1`, `_r2`, ...; the first one may have `_r0`.
+    rounds have the episode's id followed by `_r1`, `_r2`, ...; the first one may have `_r0`. Further samples of an
+    episode are found by their ids, `ID_k1`, `ID_k2`, ..., alone.
     """
 
     def __init__(self, spec: Spec) -> None:
@@ -124,9 +126,9 @@ def _round_id(episode: str, number: int) -> str:
 
 
 def _seed_of(episode: str, task: str) -> int | None:
-    """Return the seed in an episode's id, which begins with the task, `_s` and the seed."""
-    match = re.match(rf"{re.escape(task)}_s(\d+)", episode)
-    return int(match[1]) if match else None
+    """Return the seed in an episode's id, which begins with the task, `_s` and the seed; None of a further sample."""
+    match = re.match(rf"{re.escape(task)}_s(\d+)(?P<rest>.*)", episode)
+    return int(match[1]) if match and not _SAMPLE.search(match["rest"]) else None
 
 
 def _is_video(path: Path) -> bool:

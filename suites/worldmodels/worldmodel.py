@@ -27,7 +27,7 @@ class Request:
     """Request for one clip."""
 
     episode: str
-    """Id of the episode, safe as a file name, such as "StackCube-v1_s0003"."""
+    """Id of the episode, safe as a file name, such as "StackCube-v1_s0003"; of further samples "..._k1", "..._k2"."""
     task: str
     """Plain task id."""
     round: int
@@ -37,7 +37,7 @@ class Request:
     negative_prompt: str
     """Content to avoid; may be empty."""
     seed: int
-    """Seed of the model's randomness; the same for the same episode, round and run."""
+    """Seed of the model's randomness; the same for the same episode, sample, round and run."""
     first_frame: NDArray[np.uint8]
     """(H, W, 3) RGB: current camera image."""
     num_frames: int

@@ -1,20 +1,31 @@
 """World models in runs of a suite: how many are made, what is freed, what the results tell of them."""
 
+import hashlib
+import json
 import sys
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 
+import numpy as np
 import pytest
 
 from kinebench_drake.closed_loop.loop import LoopOptions
-from kinebench_drake.errors import InputError
+from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.evaluation import episode
+from kinebench_drake.evaluation.episode import EpisodeEvaluator, EpisodeSample
+from kinebench_drake.evaluation.evaluator import Evaluation
+from kinebench_drake.evaluation.merge import merge_folders
 from kinebench_drake.evaluation.suite import SuiteConfig, run_suite
 from kinebench_drake.executors.local import LocalExecutor
+from kinebench_drake.report.suite.folders import pool_episodes, read_folders
+from kinebench_drake.results.metadata import Shard
+from kinebench_drake.results.store import artifact_path, read_rows
+from kinebench_drake.results.trackfile import write_track
 from kinebench_drake.suites.prompts import PromptTemplate
 from kinebench_drake.suites.suite import load_suite
+from kinebench_drake.types import GripperTrack
 from tests.cli.fake_analyzer import FakeAnalyzer
 
 did: Counter[str] = Counter()
@@ -124,3 +135,60 @@ def test_workers_are_closed(tmp_path: Path, jobs: int) -> None:
     outcomes = list(LocalExecutor(jobs=jobs).run(Hire(tmp_path / "ledger"), range(3)))
     assert sorted(outcome.result for outcome in outcomes) == [0, 1, 2]
     assert (tmp_path / "ledger").read_text() == "closed\n" * jobs
+
+
+@pytest.fixture
+def luck(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Episodes without a simulator, whose outcome depends on the id of the sample."""
+
+    def evaluate(self: EpisodeEvaluator, sample: EpisodeSample, resources: object) -> Evaluation:
+        did[sample.id] += 1
+        success = hashlib.sha256(sample.id.encode()).digest()[0] % 2 == 0
+        write_track(artifact_path(self.config.out, "tracks", sample.id), *made_track())
+        return Evaluation(kinematics=None, extra={"success": success, "progress": float(success), "rounds": 1})
+
+    monkeypatch.setattr(EpisodeEvaluator, "evaluate", evaluate)
+    monkeypatch.setattr(EpisodeEvaluator, "artifacts", ("tracks",))
+
+
+def made_track() -> tuple[GripperTrack, None, dict[str, object]]:
+    pose = np.tile(np.eye(4), (2, 1, 1))
+    yes = np.ones(2, dtype=bool)
+    track = GripperTrack(
+        t_s=np.arange(2.0), X_CH=pose, X_BG=pose, tracked=yes, confidence=np.ones(2), finger_width_m=np.zeros(2)
+    )
+    return track, None, {}
+
+
+def test_further_samples_extend_a_run_and_shards_join(config: Callable[..., SuiteConfig], tmp_path: Path, luck) -> None:
+    """Four samples after one, or two shards merged, are the run of four samples, byte by byte."""
+
+    def run(name: str, samples: int, **options: object) -> Path:
+        run_suite(config("my_models:Model", out=tmp_path / name, episodes=3, samples=samples, replays=None, **options))
+        return tmp_path / name
+
+    once = run("whole", 1)
+    before = {row.id: row for row in read_rows(once).values()}
+    assert [row.sample_index for row in before.values()] == [0] * 3
+    did.clear()
+    whole = run("whole", 4)
+    assert sum(n for id, n in did.items() if id.startswith("PullCube")) == 9
+    rows = read_rows(whole)
+    assert {id: rows[id] for id in before} == before
+    assert list(rows)[:5] == ["PullCube-v1_s0000", *(f"PullCube-v1_s0000_k{k}" for k in (1, 2, 3)), "PullCube-v1_s0001"]
+    parts = [run(f"part{k}", 4, shard=Shard(index=k, count=2)) for k in (1, 2)]
+    merge_folders(parts, tmp_path / "merged")
+    fresh = run("fresh", 4)
+    for name in ("samples.jsonl", "results.json"):
+        assert (whole / name).read_bytes() == (fresh / name).read_bytes() == (tmp_path / "merged" / name).read_bytes()
+    metrics = json.loads((whole / "results.json").read_text())["aggregates"]["metrics"]
+    assert metrics["pass_at_1"]["mean"] == pytest.approx(metrics["success"]["mean"])
+    assert (metrics["pass_at_4"]["n"], metrics["pass_at_4"]["total"], metrics["success"]["n"]) == (3, 3, 12)
+    assert pool_episodes(read_folders(parts))[0].model == "mine"  # shards of an episode's samples are one run
+    with pytest.raises(UsageError, match="9 of its 12 results would be lost"):
+        run("whole", 1)
+
+
+def test_the_number_of_samples_is_checked(config: Callable[..., SuiteConfig]) -> None:
+    with pytest.raises(UsageError, match="--samples is 0, expected 1 or more"):
+        config("my_models:Model", samples=0)

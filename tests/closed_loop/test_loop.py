@@ -8,6 +8,8 @@ import pytest
 
 from kinebench_drake.closed_loop.loop import ClosedLoop, LoopOptions, _place_beside
 from kinebench_drake.suites.clock import ClipTiming
+from kinebench_drake.suites.episode import compose
+from kinebench_drake.suites.seeding import generator
 
 
 @pytest.fixture
@@ -72,3 +74,12 @@ def test_models_that_choose_the_length_fill_the_clip(
         used, chosen, t_s = loop._times(frames)
         assert chosen.tolist() == list(range(frames))
     np.testing.assert_array_equal(t_s, 0.2 * np.arange(49))
+
+
+def test_samples_have_seeds_of_their_own() -> None:
+    loop = ClosedLoop(None, None, SimpleNamespace(), LoopOptions())
+    episode = compose("PullCube-v1", 0)
+    frame = np.zeros((4, 4, 3), np.uint8)
+    seeds = [[loop._request(episode, "id", k, number, frame).seed for number in range(3)] for k in range(4)]
+    assert len({seed for own in seeds for seed in own}) == 12
+    assert seeds[0][0] == int(generator("world model", episode.id, 0, 0).integers(2**31))

@@ -37,7 +37,9 @@ def rows(name, values, task="T"):
 def compare(name, first, second):
     if name in ("executable", "feasible", "trajopt_feasible"):
         first, second = ([None if v is None else v > 0 for v in own] for own in (first, second))
-    comparisons = compare_numbers(list(zip(rows(name, first), rows(name, second), strict=True)), "a", "b")
+    comparisons = compare_numbers(
+        [((a,), (b,)) for a, b in zip(rows(name, first), rows(name, second), strict=True)], "a", "b"
+    )
     return next((c for c in comparisons if c.metric.name == name and c.task == ALL_TASKS), None)
 
 
@@ -116,7 +118,7 @@ def test_equal_models_do_not_differ():
 def test_samples_that_failed_have_no_number():
     ok = row("a", feasible=True, metrics={"sparc": -2.0})
     failed = row("a", Status.ERROR, feasible=True, metrics={"sparc": -1.0})
-    feasible, sparc = (c for c in compare_numbers([(ok, failed)], "a", "b") if c.task == ALL_TASKS)
+    feasible, sparc = (c for c in compare_numbers([((ok,), (failed,))], "a", "b") if c.task == ALL_TASKS)
     assert (feasible.metric.name, sparc.metric.name) == ("feasible", "sparc")
     assert feasible.difference.n == sparc.difference.n == 0
     assert feasible.bound.mean == 1.0
@@ -127,7 +129,7 @@ def test_tables_lead_with_executable_and_hold_every_number():
     values = {name: -2.0 if "sparc" in name else 0.5 for name in NUMBERS if name in BY_NAME}
     one = row("a", task="A", feasible=True, metrics=values | {"trajopt_feasible": True}, executable=True)
     two = row("a", task="B", feasible=False, metrics=values | {"trajopt_feasible": False}, executable=True)
-    comparisons = compare_numbers([(one, one), (two, two)], "a", "b")
+    comparisons = compare_numbers([((one,), (one,)), ((two,), (two,))], "a", "b")
     assert [c.metric.name for c in comparisons if c.task == ALL_TASKS] == list(NUMBERS)
     assert comparisons[0].metric.name == "executable"
     assert {c.task for c in comparisons} == {ALL_TASKS, "A", "B"}

@@ -2,13 +2,15 @@
 
 import math
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from kinebench_drake.results.aggregate import aggregate
+from kinebench_drake.results.aggregate import aggregate, estimate_passes
 from kinebench_drake.results.direction import HIGHER_IS_BETTER, LOWER_IS_BETTER, improves, worst_value
-from kinebench_drake.results.row import SampleRow, Status
+from kinebench_drake.results.row import SampleRow, Status, sample_suffix
+from kinebench_drake.stats import bootstrap_mean, wilson
 
 VALUES = st.lists(st.none() | st.floats(-100.0, 100.0), min_size=1, max_size=12)
 
@@ -90,3 +92,48 @@ def test_no_metric_has_two_better_sides() -> None:
     assert worst_value("sparc", [-3.0, -2.0]) == -3.0
     assert worst_value("slowdown_min", [0.3, 0.2]) == 0.3
     assert worst_value("sparc_floor_low", [1.0]) is None
+
+
+def _samples(*episodes: list[bool | None]) -> list[SampleRow]:
+    """Rows of episodes with several samples; None: not measured."""
+    return [
+        _row(
+            f"e{number}{sample_suffix(index)}",
+            status=Status.ERROR if success is None else Status.OK,
+            metrics={"sparc": float(number)},
+            extra={"sample_index": index, "success": success},
+        )
+        for number, own in enumerate(episodes)
+        for index, success in enumerate(own)
+    ]
+
+
+def test_samples_of_an_episode_are_no_episodes() -> None:
+    rows = _samples([True, True, True], [False, True, False], [False] * 3, [True] * 3)
+    assert [row.episode for row in rows[:4]] == ["e0", "e0", "e0", "e1"]
+    estimates = aggregate(rows).estimates
+    success = estimates["success"]
+    assert (success.n, success.total) == (12, 12)
+    assert success.mean == pytest.approx(7 / 12)
+    low, high = wilson(7, 12)
+    assert (success.low, success.high) != (low, high)
+    assert success.high - success.low > high - low
+    assert estimates["sparc"].mean == 1.5
+    assert (estimates["sparc"].low, estimates["sparc"].high) == bootstrap_mean(np.arange(4.0), np.random.default_rng(0))
+    passes = {name: e.mean for name, e in estimates.items() if name.startswith("pass_at_")}
+    assert passes == {"pass_at_1": pytest.approx(7 / 12), "pass_at_2": pytest.approx(2 / 3), "pass_at_3": 0.75}
+
+
+def test_single_samples_are_estimated_as_before() -> None:
+    estimates = aggregate(_samples([True], [False], [True])).estimates
+    assert not any(name.startswith("pass") for name in estimates)
+    assert (estimates["success"].low, estimates["success"].high) == wilson(2, 3)
+
+
+def test_an_unmeasured_sample_never_improves_the_bound_of_pass_at_k() -> None:
+    whole = estimate_passes(_samples([True, False], [False, False], [True, True]))
+    lost = estimate_passes(_samples([True, None], [False, None], [None, True]))
+    for k, share in whole.items():
+        assert lost[k].bound <= share.bound
+    assert (lost[1].n, lost[2].n, lost[2].mean) == (3, 0, None)
+    assert lost[1].mean == pytest.approx(2 / 3)

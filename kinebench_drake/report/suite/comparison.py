@@ -3,10 +3,14 @@
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, groupby
+from math import fsum, nan
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from kinebench_drake.errors import UsageError
+from kinebench_drake.geometry import Array
 from kinebench_drake.io.figure import FAINT, new_figure
 from kinebench_drake.report.figures import COLOURS, ReportFigure, draw_interval, label_shares
 from kinebench_drake.report.number import ALL_TASKS, NumberComparison, compare_numbers, pair_label, share_difference
@@ -14,8 +18,9 @@ from kinebench_drake.report.suite.episode import EpisodeResult, SuitePart, balan
 from kinebench_drake.report.suite.folders import RunFolder, pool_episodes, read_folders
 from kinebench_drake.report.table import Column, Table, Value, plain_columns, table_lines
 from kinebench_drake.results.aggregate import Estimate
+from kinebench_drake.results.power import POWER, least_difference
 from kinebench_drake.results.row import SampleRow, Status
-from kinebench_drake.stats import PairedOutcomes
+from kinebench_drake.stats import PairedShares
 
 if TYPE_CHECKING:
     from kinebench_drake.closed_loop.tolerance import ToleranceAttempt
@@ -27,10 +32,11 @@ _MAX_DIFFERENCES = 170
 """Differences up to which single tasks are drawn."""
 _PRINTED = (
     *("task", "success_first", "success_second", "difference", "p", "p_adjusted", "progress_difference"),
-    *("measured", "shared"),
+    *("measured", "shared", "least_difference"),
 )
 """Keys of the columns printed to a terminal."""
-Pair = tuple[EpisodeResult, EpisodeResult]
+Pair = tuple[Sequence[EpisodeResult], Sequence[EpisodeResult]]
+"""Samples of the same episode by two models."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,10 +50,10 @@ class PairComparison:
     second: str
     shared: int
     """Episodes that both have a row of."""
-    paired: PairedOutcomes | None
-    """Outcomes of those measured for both; None if there is none."""
-    counted: PairedOutcomes
-    """Outcomes of all shared episodes, unmeasured ones counted as failures."""
+    paired: PairedShares | None
+    """Success in those measured for both; None if there is none."""
+    counted: PairedShares
+    """Success in all shared episodes, unmeasured samples counted as failures."""
     progress: Estimate
     """Mean over tasks of the differences of progress, first minus second."""
     adjusted_p: float | None = None
@@ -76,7 +82,9 @@ def read_comparison(paths: Sequence[Path], seed: int = 0) -> ModelComparison:
     numbers = [
         number
         for first, second, part, shared in _shared_episodes(episodes)
-        for number in compare_numbers([(a.row, b.row) for a, b in shared], first, second, part.title, seed)
+        for number in compare_numbers(
+            [(tuple(e.row for e in a), tuple(e.row for e in b)) for a, b in shared], first, second, part.title, seed
+        )
     ]
     return ModelComparison(folders=folders, episodes=episodes, pairs=compare(episodes, seed), numbers=numbers)
 
@@ -102,7 +110,7 @@ def read_ceiling(
     compositions = {e.key: _compose(e) for e in episodes}
     unique = {episode.id: episode for episode in compositions.values()}
     attempts = {attempt.episode.id: attempt for attempt in execute(list(unique.values()))}
-    once = {e.key: e for e in episodes}
+    once = {key: own[0] for key, own in group_by(episodes, lambda e: e.key).items()}
     direct = [_direct_result(e, attempts[compositions[key].id]) for key, e in once.items()]
     pairs = [c for c in compare([*episodes, *direct], seed) if c.second == DIRECT]
     return ModelComparison(folders=folders, episodes=[*episodes, *direct], pairs=pairs)
@@ -127,7 +135,7 @@ def _direct_result(result: EpisodeResult, attempt: "ToleranceAttempt") -> Episod
     labels = {name: result.row.extra[name] for name in ("seed", "pool", "variant")}
     cause = None if attempt.success else {"verdict": None, "text": attempt.reason}
     row = SampleRow(
-        id=result.row.id,
+        id=result.row.episode,
         video="",
         task=result.task,
         model=DIRECT,
@@ -153,7 +161,7 @@ def compare(episodes: Sequence[EpisodeResult], seed: int = 0) -> list[PairCompar
         )
     comparisons: list[PairComparison] = []
     for _, _, _, shared in _shared_episodes(episodes):
-        by_task = group_by(shared, lambda pair: pair[0].task)
+        by_task = group_by(shared, lambda pair: pair[0][0].task)
         tasks = [_compare_pairs(task, by_task[task], seed) for task in sorted(by_task)]
         comparisons += [_compare_pairs(ALL_TASKS, shared, seed), *_adjust(tasks)]
     if not comparisons:
@@ -166,31 +174,47 @@ def compare(episodes: Sequence[EpisodeResult], seed: int = 0) -> list[PairCompar
 
 def _shared_episodes(episodes: Sequence[EpisodeResult]) -> Iterator[tuple[str, str, SuitePart, list[Pair]]]:
     """Yield every two models and every part of which they share episodes, with these."""
-    own = {model: {e.key: e for e in some} for model, some in group_by(episodes, lambda e: e.model).items()}
+    models = group_by(episodes, lambda e: e.model).items()
+    own = {model: group_by(some, lambda e: e.key) for model, some in models}
     for first, second in combinations(own, 2):
         pairs = [(own[first][key], own[second][key]) for key in own[first] if key in own[second]]
-        for part, shared in sorted(group_by(pairs, lambda pair: pair[0].part).items()):
+        for part, shared in sorted(group_by(pairs, lambda pair: pair[0][0].part).items()):
             yield first, second, part, shared
 
 
 def _compare_pairs(task: str, pairs: Sequence[Pair], seed: int) -> PairComparison:
-    outcomes = [(a.success, b.success) for a, b in pairs]
-    measured = [(a, b) for a, b in outcomes if a is not None and b is not None]
-    differences = {
-        name: [a.progress - b.progress for a, b in own if a.progress is not None and b.progress is not None]
-        for name, own in group_by(pairs, lambda pair: pair[0].task).items()
-    }
-    first, second = pairs[0]
+    samples = max(len(own) for pair in pairs for own in pair)
+
+    def pair_shares(values: Array) -> PairedShares:
+        return PairedShares(first=values[:, 0], second=values[:, 1], samples=samples, seed=seed)
+
+    shares = _means(pairs, lambda e: e.hit)
+    measured = np.isfinite(shares).all(axis=1)
+    progress = np.subtract(*_means(pairs, lambda e: e.progress).T)
+    differences = group_by(zip(pairs, progress.tolist(), strict=True), lambda item: item[0][0][0].task)
+    (first, *_), (second, *_) = pairs[0]
     return PairComparison(
         part=first.part,
         task=task,
         first=first.model,
         second=second.model,
         shared=len(pairs),
-        paired=PairedOutcomes.of([a for a, _ in measured], [b for _, b in measured]) if measured else None,
-        counted=PairedOutcomes.of([a is True for a, _ in outcomes], [b is True for _, b in outcomes]),
-        progress=balanced_mean(differences, seed=seed),
+        paired=pair_shares(shares[measured]) if measured.any() else None,
+        counted=pair_shares(_means(pairs, lambda e: e.hit or 0.0)),
+        progress=balanced_mean(
+            {name: [value for _, value in own if np.isfinite(value)] for name, own in differences.items()}, seed=seed
+        ),
     )
+
+
+def _means(pairs: Sequence[Pair], value: Callable[[EpisodeResult], float | None]) -> Array:
+    """Return the mean value (N, 2) of each episode's samples by either model; NaN where none has a value."""
+
+    def mean(samples: Sequence[EpisodeResult]) -> float:
+        values = [v for e in samples if (v := value(e)) is not None]
+        return fsum(values) / len(values) if values else nan
+
+    return np.array([[mean(samples) for samples in pair] for pair in pairs], dtype=np.float64)
 
 
 def _adjust(tasks: Sequence[PairComparison]) -> list[PairComparison]:
@@ -210,8 +234,10 @@ def tabulate_comparison(pairs: Sequence[PairComparison]) -> Table:
         title="Paired comparison on shared episodes",
         note="Differences are the first model's less the second's, over the episodes that both have measured. Success "
         "with 95 % intervals by Newcombe's method 10; p: McNemar's exact test; adjusted p: by Benjamini and Hochberg "
-        "over the tasks of two models on one suite. Progress, every task the same, with 95 % bootstrap intervals over "
-        "episodes within tasks.",
+        "over the tasks of two models on one suite. Of several samples an episode: paired bootstrap over episodes, and "
+        "exact randomization of the signs of the episodes' differences. Progress, every task the same, with 95 % "
+        "bootstrap intervals over episodes within tasks. Least detectable: the true difference for which p < 0.05 has "
+        f"a probability of {POWER:.0%} in as many episodes with differences of this variance.",
         columns=(
             *plain_columns(part="Suite", first="First", second="Second", task="Task"),
             Column(key="success_first", label="Success, first", pattern="{:.1%}"),
@@ -219,11 +245,25 @@ def tabulate_comparison(pairs: Sequence[PairComparison]) -> Table:
             Column(key="difference", label="Difference", pattern="{:+.1%}", estimated=True),
             Column(key="p", label="p", pattern="{:.3g}"),
             Column(key="p_adjusted", label="Adjusted p", pattern="{:.3g}"),
-            Column(key="first_only", label="First only", meaning="episodes in which only the first model succeeds"),
-            Column(key="second_only", label="Second only", meaning="episodes in which only the second model succeeds"),
+            Column(
+                key="first_only",
+                label="First only",
+                meaning="episodes in which only the first model succeeds, or more often",
+            ),
+            Column(
+                key="second_only",
+                label="Second only",
+                meaning="episodes in which only the second model succeeds, or more often",
+            ),
             Column(key="progress_difference", label="Progress", pattern="{:+.1%}", estimated=True),
             *plain_columns(measured="Measured by both", shared="Shared"),
             Column(key="difference_all", label="Difference, unmeasured as failures", pattern="{:+.1%}", estimated=True),
+            Column(
+                key="least_difference",
+                label="Least detectable",
+                pattern="{:.1%}",
+                meaning=f"true difference that these episodes show with a probability of {POWER:.0%}",
+            ),
         ),
         rows=tuple(_row(c) for c in pairs),
         bold=frozenset((i, 6) for i, c in enumerate(pairs) if c.task == ALL_TASKS),
@@ -234,10 +274,9 @@ def _row(c: PairComparison) -> tuple[Value, ...]:
     labels, progress = (c.part.title, c.first, c.second, c.task), c.progress if c.progress.n else None
     p, end = c.paired, (c.shared, share_difference(c.counted))
     if p is None:
-        return *labels, None, None, None, None, c.adjusted_p, None, None, progress, 0, *end
-    rates = ((p.both + p.first_only) / p.n, (p.both + p.second_only) / p.n)
-    counts = (p.first_only, p.second_only)
-    return *labels, *rates, share_difference(p), p.p_value, c.adjusted_p, *counts, progress, p.n, *end
+        return *labels, None, None, None, None, c.adjusted_p, None, None, progress, 0, *end, None
+    tests = (share_difference(p), p.p_value, c.adjusted_p)
+    return *labels, *p.rates, *tests, *p.better, progress, p.n, *end, least_difference(p)
 
 
 def comparison_lines(pairs: Sequence[PairComparison]) -> Iterator[str]:
@@ -257,9 +296,10 @@ def ceiling_lines(pairs: Sequence[PairComparison]) -> Iterator[str]:
     """Format each model's share of the successes of direct execution, all tasks together."""
     for c in pairs:
         if c.task == ALL_TASKS and c.paired is not None:
-            own, ceiling = c.paired.both + c.paired.first_only, c.paired.both + c.paired.second_only
+            own, ceiling = (c.paired.n * rate for rate in c.paired.rates)
             share = f", {own / ceiling:.1%} of it" if ceiling else ""
-            yield f"{c.first}, {c.part.title}: success in {own} of {c.paired.n}, direct execution in {ceiling}{share}"
+            done = f"success in {own:g} of {c.paired.n}, direct execution in {ceiling:g}"
+            yield f"{c.first}, {c.part.title}: {done}{share}"
 
 
 def draw_differences(pairs: Sequence[PairComparison]) -> ReportFigure | None:

@@ -12,7 +12,7 @@ from kinebench_drake.report.table import Column, Table, Value
 from kinebench_drake.results.aggregate import Estimate
 from kinebench_drake.results.direction import worst_value
 from kinebench_drake.results.row import SampleRow, Status
-from kinebench_drake.stats import percentile_interval, resampled_means
+from kinebench_drake.stats import group_means, percentile_interval, resampled_means
 from kinebench_drake.types import Json
 
 COST = "manipulability_cost_mean"
@@ -183,9 +183,31 @@ def mean_over_tasks(
     seed: int = 0,
     worst: float | None = None,
 ) -> Estimate:
-    """Compute the `balanced_mean` of a value of some episodes."""
+    """Compute the `balanced_mean` of a value of some episodes, of which each counts the same."""
     tasks = group_by(episodes, lambda e: e.task)
-    return balanced_mean({task: [value(e) for e in own] for task, own in tasks.items()}, seed=seed, worst=worst)
+    samples = {task: [value(e) for e in own] for task, own in tasks.items()}
+    if not has_samples(episodes):
+        return balanced_mean(samples, seed=seed, worst=worst)
+    # Each episode counts the same, with the mean of its samples; episodes are resampled, not samples.
+    filled = {task: [worst if v is None else v for v in own] for task, own in samples.items()}
+    bound = balanced_mean({task: _episode_means(own, filled[task]) for task, own in tasks.items()})
+    mean = balanced_mean({task: _episode_means(own, samples[task]) for task, own in tasks.items()}, seed=seed)
+    n = sum(v is not None for own in samples.values() for v in own)
+    missing = any(v is None for own in filled.values() for v in own)
+    return replace(mean, n=n, total=len(episodes), bound=None if missing else bound.mean)
+
+
+def has_samples(episodes: Sequence[EpisodeResult]) -> bool:
+    """Return whether an episode has several samples."""
+    return any(e.row.sample_index for e in episodes)
+
+
+def _episode_means(episodes: Sequence[EpisodeResult], values: Sequence[float | None]) -> list[float | None]:
+    """Return the mean value of each episode's samples, leaving out those without a value."""
+    present = [
+        (value, (e.model, e.row.episode)) for value, e in zip(values, episodes, strict=True) if value is not None
+    ]
+    return list(group_means([value for value, _ in present], [key for _, key in present]))
 
 
 def executable_share(episodes: Sequence[EpisodeResult], seed: int = 0) -> Estimate | None:
@@ -209,6 +231,7 @@ EXECUTABLE_COLUMN = Column(
 _METRICS = ("sparc", "sparc_rotation", "ldlj", "manipulability_mean", COST, "ik_success_rate", "tracked_fraction")
 _KEYS = (
     *("part", "suite", "split", "variant", "pool", "task", "seed", "model", "folder", "id", "status", "reason"),
+    "sample_index",
     *("executable", "success", "progress", "rounds", "verdict", "manipulability_cost_scaled", *_METRICS),
 )
 
@@ -232,6 +255,7 @@ def _row(e: EpisodeResult) -> tuple[Value, ...]:
     return (
         *(e.part.title, e.part.suite, e.part.split, variant, pool, e.task, seed, e.model),
         *(e.folder.resolve().name if e.folder else None, e.row.id, e.row.status.value, e.row.reason),
+        e.row.sample_index,
         None if e.row.executable is None else int(e.row.executable),
         *(None if e.success is None else int(e.success), e.progress, e.rounds, e.verdict, e.cost_scaled),
         *(e.metric(name) for name in _METRICS),

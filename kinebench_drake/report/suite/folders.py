@@ -132,7 +132,7 @@ def pool_episodes(folders: Sequence[RunFolder]) -> list[EpisodeResult]:
     ]
     keys: dict[tuple[str, SuitePart, int], set[object]] = {}
     for index, episode in episodes:
-        keys.setdefault((episode.model, episode.part, index), set()).add(episode.key)
+        keys.setdefault((episode.model, episode.part, index), set()).add((episode.key, episode.row.sample_index))
     clashing: set[tuple[str, SuitePart]] = set()
     for (one, these), (other, those) in combinations(keys.items(), 2):
         if one[:2] == other[:2] and these & those:

@@ -1,7 +1,7 @@
 """Success of models on suites: counts of episodes, tables and figures."""
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -26,12 +26,13 @@ from kinebench_drake.report.suite.episode import (
     executable_share,
     group_by,
     group_by_run,
+    has_samples,
     list_models,
     mean_over_tasks,
     worst_metric,
 )
 from kinebench_drake.report.table import Column, Table, Value, plain_columns
-from kinebench_drake.results.aggregate import Estimate, estimate
+from kinebench_drake.results.aggregate import Estimate, estimate, estimate_passes
 from kinebench_drake.results.row import Status
 
 VERDICTS = ("grounding", "generation", "execution", "task")
@@ -61,7 +62,7 @@ class Tally:
     executable: Estimate | None
     """Share of executable episodes among all, mean over tasks; None if none has a verdict."""
     pooled: Estimate
-    """Share of successes among the measured, with Wilson's interval."""
+    """Share of successes among the measured, with Wilson's interval; of several samples, mean over episodes."""
     counted: Estimate
     """Share of successes among all, unmeasured ones counted as failures."""
     success: Estimate
@@ -70,6 +71,8 @@ class Tally:
     """Means over tasks of progress 0..1, clips requested, SPARC and scaled manipulability cost 0..1."""
     verdicts: Mapping[str, int]
     """Measured failures by verdict, NO_VERDICT included."""
+    passes: Mapping[int, Estimate]
+    """pass@k by k, pooled over tasks; empty with one sample an episode."""
 
 
 def tally(episodes: Sequence[EpisodeResult], seed: int = 0, among: Sequence[EpisodeResult] | None = None) -> Tally:
@@ -83,6 +86,7 @@ def tally(episodes: Sequence[EpisodeResult], seed: int = 0, among: Sequence[Epis
     every = among or episodes
     outcomes = [e.success for e in episodes]
     measured = [o for o in outcomes if o is not None]
+    runs = [(e.part, e.model, e.row.episode) for e in episodes]
     errors = sum(e.row.status is Status.ERROR for e in episodes)
     failures = Counter(e.verdict or NO_VERDICT for e in episodes if e.success is False)
     verdicts = {name: failures.pop(name, 0) for name in VERDICTS}
@@ -93,8 +97,8 @@ def tally(episodes: Sequence[EpisodeResult], seed: int = 0, among: Sequence[Epis
         errors=errors,
         unmeasurable=len(episodes) - len(measured) - errors,
         executable=executable_share(episodes, seed),
-        pooled=estimate(measured, total=len(episodes)),
-        counted=estimate([o is True for o in outcomes], total=len(episodes)),
+        pooled=estimate(outcomes, total=len(episodes), seed=seed, episodes=runs),
+        counted=estimate([o is True for o in outcomes], total=len(episodes), seed=seed, episodes=runs),
         success=mean_over_tasks(episodes, lambda e: e.hit, seed, 0.0),
         means=(
             mean_over_tasks(episodes, lambda e: e.progress, seed, 0.0),
@@ -103,6 +107,7 @@ def tally(episodes: Sequence[EpisodeResult], seed: int = 0, among: Sequence[Epis
             mean_over_tasks(episodes, lambda e: e.cost_scaled, seed, 1.0),
         ),
         verdicts={**verdicts, NO_VERDICT: sum(failures.values())},
+        passes=estimate_passes([e.row for e in episodes], seed) if has_samples(episodes) else {},
     )
 
 
@@ -128,6 +133,26 @@ _TALLY = (
 )  # fmt: skip
 
 
+def _pass_columns(episodes: Sequence[EpisodeResult]) -> tuple[list[Column], Callable[[Tally], list[Value]]]:
+    """Return the column of pass@k for the most samples of an episode, and its cell; none of single samples."""
+    most = 1 + max((e.row.sample_index for e in episodes), default=0)
+    if most == 1:
+        return [], lambda t: []
+    meaning = f"share of episodes in which one of {most} samples succeeds; every episode counts the same"
+    column = Column(key=f"pass_at_{most}", label=f"pass@{most}", pattern=_PERCENT, estimated=True, meaning=meaning)
+    return [column], lambda t: [t.passes.get(most)]
+
+
+def _sample_note(episodes: Sequence[EpisodeResult]) -> str:
+    """Return how several samples of an episode enter a table; empty of single samples."""
+    if not has_samples(episodes):
+        return ""
+    return (
+        " Of episodes with several samples the counts are of samples. In means and shares each episode counts the "
+        "same; intervals are over episodes (of shares Wilson's where all samples of each episode agree)."
+    )
+
+
 def _tally_cells(t: Tally) -> list[Value]:
     return [*t.means, t.measured, t.episodes, t.unmeasurable, t.errors, t.counted, *t.verdicts.values()]
 
@@ -149,7 +174,9 @@ def tabulate_suites(episodes: Sequence[EpisodeResult], seed: int = 0) -> Table:
         title="Closed-loop success by suite",
         note="Executable: share of all its episodes whose imagined videos a robot can execute as a whole. "
         "Otherwise mean over tasks of the share of successes among measured episodes; 95 % bootstrap intervals over "
-        "episodes within tasks. A dash: no measured episode." + incomplete_note(tallies, episodes),
+        "episodes within tasks. A dash: no measured episode."
+        + incomplete_note(tallies, episodes)
+        + _sample_note(episodes),
         columns=(
             Column(key="model", label="Model"),
             EXECUTABLE_COLUMN,
@@ -187,21 +214,24 @@ def incomplete_note(tallies: Mapping[tuple[str, SuitePart], Tally], episodes: Se
 
 def tabulate_summary(episodes: Sequence[EpisodeResult], seed: int = 0) -> Table:
     """Build the table of all counts, a row per part and model."""
+    columns, cells = _pass_columns(episodes)
     return Table(
         name="summary",
         title="Each suite and model in numbers",
         note="Every task counts the same in success, progress, rounds, SPARC and cost (95 % bootstrap intervals over "
         "episodes within tasks); pooled success counts every episode the same (95 % Wilson intervals). Episodes that "
-        "could not be measured are no failures: the last rate shows what they would make of it if they were.",
+        "could not be measured are no failures: the last rate shows what they would make of it if they were."
+        + _sample_note(episodes),
         columns=(
             *plain_columns(part="Suite", model="Model", tasks="Tasks"),
             EXECUTABLE_COLUMN,
             Column(key="success", label="Success", pattern=_PERCENT, estimated=True, meaning="mean over tasks"),
             Column(key="success_pooled", label="Success, pooled", pattern=_PERCENT, estimated=True),
+            *columns,
             *_TALLY,
         ),
         rows=tuple(
-            (part.title, model, t.tasks, t.executable, t.success, t.pooled, *_tally_cells(t))
+            (part.title, model, t.tasks, t.executable, t.success, t.pooled, *cells(t), *_tally_cells(t))
             for part, model, own in group_by_run(episodes)
             for t in [tally(own, seed, episodes)]
         ),
@@ -211,18 +241,21 @@ def tabulate_summary(episodes: Sequence[EpisodeResult], seed: int = 0) -> Table:
 def tabulate_tasks(episodes: Sequence[EpisodeResult], seed: int = 0) -> Table:
     """Build the table of all counts, a row per part, task and model."""
     groups = group_by(episodes, lambda e: (e.part, e.task, e.model)).items()
+    columns, cells = _pass_columns(episodes)
     return Table(
         name="tasks",
         title="Each task",
-        note="Success with 95 % Wilson intervals, the other means with 95 % bootstrap intervals over episodes.",
+        note="Success with 95 % Wilson intervals, the other means with 95 % bootstrap intervals over episodes."
+        + _sample_note(episodes),
         columns=(
             *plain_columns(part="Suite", task="Task", model="Model"),
             EXECUTABLE_COLUMN,
             Column(key="success", label="Success", pattern=_PERCENT, estimated=True),
+            *columns,
             *_TALLY,
         ),
         rows=tuple(
-            (part.title, task, model, t.executable, t.pooled, *_tally_cells(t))
+            (part.title, task, model, t.executable, t.pooled, *cells(t), *_tally_cells(t))
             for (part, task, model), own in sorted(groups, key=lambda item: item[0][:2])
             for t in [tally(own, seed, episodes)]
         ),
@@ -233,6 +266,7 @@ def tabulate_tasks(episodes: Sequence[EpisodeResult], seed: int = 0) -> Table:
 def draw_success(episodes: Sequence[EpisodeResult]) -> list[ReportFigure]:
     """Draw success by task and model, one figure per part."""
     models, figures = list_models(episodes), []
+    interval = ("95 % Wilson interval", "95 % interval over episodes")[has_samples(episodes)]
     for part, own in sorted(group_by(episodes, lambda e: e.part).items()):
         tasks, here = sorted({e.task for e in own}, reverse=True), [m for m in models if any(e.model == m for e in own)]
         caption = "Share of successes among measured episodes"
@@ -249,9 +283,9 @@ def draw_success(episodes: Sequence[EpisodeResult]) -> list[ReportFigure]:
                 for task, some in group_by([e for e in own if e.model == model], lambda e: e.task).items():
                     draw_interval(ax, tally(some).pooled, tasks.index(task) + offset, colour, marker)
                 ax.plot([], [], color=colour, marker=marker, markersize=4, linewidth=1.2, label=plain(shorten(model)))
-            label_shares(ax, tasks, "success, 95 % Wilson interval")
+            label_shares(ax, tasks, f"success, {interval}")
             add_legend(figure, here)
-            caption += ", with 95 % Wilson intervals."
+            caption += f", with {interval.replace('interval', 'intervals')}."
         name, title = f"success_{part.slug}", f"{part.title}: success by task"
         figures.append(ReportFigure(name=name, title=title, caption=caption, figure=figure))
     return figures

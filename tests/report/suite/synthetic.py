@@ -3,7 +3,7 @@
 import json
 
 from kinebench_drake.io.jsonl import dump
-from kinebench_drake.results.row import SampleRow, Status
+from kinebench_drake.results.row import SampleRow, Status, sample_suffix
 from kinebench_drake.results.store import RESULTS, SAMPLES
 
 EVIL = "<script>alert('x')</script> & 50% _of_ $x$"
@@ -39,14 +39,22 @@ def write_run(
     spec=None,
     **changes,
 ):
-    """Write the output folder of a suite run: `episodes` holds outcomes (or True and False) by task."""
+    """Write the output folder of a suite run.
+
+    `episodes` holds outcomes (or True and False) by task, or lists of those of several samples.
+    """
     out.mkdir(parents=True)
     rows = []
     for task, outcomes in episodes.items():
-        for seed, result in enumerate(outcomes, first_seed):
+        samples = [
+            (seed, index, result)
+            for seed, own in enumerate(outcomes, first_seed)
+            for index, result in enumerate(own if isinstance(own, list) else [own])
+        ]
+        for seed, index, result in samples:
             result = outcome(result) if isinstance(result, bool) else result
-            id = f"{task.replace('/', '_')}_s{seed:04d}"
-            labels = {"seed": seed, "pool": "all", "variant": variant}
+            id = f"{task.replace('/', '_')}_s{seed:04d}{sample_suffix(index)}"
+            labels = {"seed": seed, "sample_index": index, "pool": "all", "variant": variant}
             row = {"id": id, "video": f"videos/{id}_r0.mp4", "task": task, "model": model, "reason": None}
             row |= {"content_hash": "0", **result, "extra": {**result["extra"], **labels}}
             rows.append(SampleRow(**row))

@@ -40,7 +40,7 @@ def test_each_model_is_compared_with_direct_execution_alone(tmp_path):
     assert sorted(executed) == sorted(f"{task}_s{seed:04d}" for task in TASKS for seed in range(3))
     assert {(c.first, c.second) for c in comparison.pairs} == {("wan", DIRECT), ("cog", DIRECT)}
     [wan] = [c for c in comparison.pairs if c.first == "wan" and c.task == ALL_TASKS]
-    assert (wan.paired.both, wan.paired.first_only, wan.paired.second_only, wan.paired.neither) == (3, 0, 2, 1)
+    assert (wan.paired.n, wan.paired.rates, wan.paired.better) == (6, (0.5, 5 / 6), (0, 2))
     lines = list(ceiling_lines(comparison.pairs))
     assert "wan, Suite 0: success in 3 of 6, direct execution in 5, 60.0% of it" in lines
 

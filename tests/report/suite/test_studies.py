@@ -17,7 +17,7 @@ from kinebench_drake.report.suite.scaling import (
     task_difficulties,
     untagged,
 )
-from kinebench_drake.report.suite.success import tabulate_suites, tally
+from kinebench_drake.report.suite.success import tabulate_suites, tabulate_summary, tabulate_tasks, tally
 from kinebench_drake.results.row import Status
 from kinebench_drake.stats import PairedOutcomes
 from tests.report.suite.synthetic import change, failed, outcome, write_run
@@ -211,8 +211,10 @@ def test_pairs_are_the_shared_episodes(tmp_path):
     whole, *tasks = compare(episodes_of(*paths))
     assert (whole.task, [c.task for c in tasks]) == (ALL_TASKS, ["T", "U"])
     assert (whole.shared, tasks[0].shared) == (10, 5)  # the sixth is the first model's alone
-    assert tasks[0].paired == PairedOutcomes(both=1, first_only=2, second_only=0, neither=1)
-    assert tasks[0].counted == PairedOutcomes(both=1, first_only=2, second_only=1, neither=1)
+    assert (tasks[0].paired.first.tolist(), tasks[0].paired.second.tolist()) == ([1, 1, 1, 0], [1, 0, 0, 0])
+    assert (tasks[0].counted.n, tasks[0].counted.better) == (5, (2, 1))
+    outcomes = PairedOutcomes(both=1, first_only=2, second_only=0, neither=1)
+    assert (tasks[0].paired.p_value, tasks[0].paired.interval()) == (outcomes.p_value, outcomes.interval())
     assert whole.progress.mean == pytest.approx(0.5)
     assert [c.adjusted_p for c in (whole, *tasks)] == [None, 0.5, 0.5]
     row = tabulate_comparison([tasks[0]]).rows[0]
@@ -227,3 +229,33 @@ def test_seeds_of_other_parts_are_no_pairs(runs):
         ("Suite 0", "good", "fair"),
         ("Suite 2 (unseen)", "good", "fair"),
     ]
+
+
+def test_samples_of_an_episode_are_compared_together(tmp_path):
+    """An episode counts once, with the mean of its samples; a model may have fewer of them."""
+    a = write_run(tmp_path / "a", {"T": [[True, True], [True, False], [False, failed()]]}, model="one")
+    b = write_run(tmp_path / "b", {"T": [[False], [False], [False]]}, model="two")
+    [whole, task] = compare(episodes_of(a, b))
+    assert (whole.shared, task.paired.n, task.paired.samples) == (3, 3, 2)
+    assert task.paired.first.tolist() == [1.0, 0.5, 0.0]
+    assert task.counted.rates == (0.5, 0.0)
+    assert task.paired.p_value == 0.5
+    low, high = task.paired.interval()
+    assert low <= task.paired.difference == 0.5 <= high
+
+
+def test_tables_of_several_samples_show_pass_at_k(tmp_path):
+    runs = [[True, False, False], [False] * 3, [True, True, False]]
+    episodes = episodes_of(write_run(tmp_path / "a", {"T": runs}, model="one"))
+    t = tally(episodes)
+    assert t.success.mean == t.pooled.mean == pytest.approx(1 / 3)
+    assert {k: round(share.mean, 3) for k, share in t.passes.items()} == {1: 0.333, 2: 0.556, 3: 0.667}
+    assert (t.measured, t.passes[3].n) == (9, 3)
+    for tabulate in (tabulate_summary, tabulate_tasks):
+        table = tabulate(episodes)
+        place = [column.key for column in table.columns].index("pass_at_3")
+        assert table.rows[0][place].mean == pytest.approx(2 / 3)
+        assert "intervals are over episodes" in table.note
+    single = tabulate_summary(episodes_of(write_run(tmp_path / "b", {"T": [True, False]})))
+    assert not any(column.key.startswith("pass") for column in single.columns)
+    assert "several samples" not in single.note

@@ -93,6 +93,20 @@ def test_later_rounds_have_names_of_their_own(videos: Path, request_: Request, f
     assert found == [["StackCube-v1_seed3.mp4"], [], [f"{request_.episode}_r2.gif"]]
 
 
+def test_further_samples_have_names_of_their_own(videos: Path, request_: Request, film: bytes) -> None:
+    """Task and seed stand for the first sample."""
+    model = FolderModel(parse(f"folder:{videos}"))
+    for name in ("StackCube-v1_seed3.mp4", f"{request_.episode}_k2.mp4", f"{request_.episode}_k2_r1.mp4"):
+        (videos / name).write_bytes(film)
+    with pytest.raises(WorldModelError, match=r"expected StackCube-v1_s0003_k1\.mp4"):
+        answer(videos, replace(request_, episode=f"{request_.episode}_k1"))
+    second = replace(request_, episode=f"{request_.episode}_k2")
+    assert answer(videos, second).name == f"{request_.episode}_k2.mp4"
+    assert answer(videos, replace(second, round=1)).name == f"{request_.episode}_k2_r1.mp4"
+    assert [path.name for path in model.files(request_.episode, request_.task, 0)] == ["StackCube-v1_seed3.mp4"]
+    assert model.files(f"{request_.episode}_k1", request_.task, 0) == []
+
+
 def test_clips_of_a_live_run_are_an_answer(videos: Path, request_: Request, film: bytes) -> None:
     for round in range(2):
         (videos / f"{request_.episode}_r{round}.mp4").write_bytes(film)
