@@ -5,6 +5,7 @@ import json
 import pytest
 
 from kinebench_drake import cli
+from kinebench_drake.results.power import PowerDesign
 from kinebench_drake.suites import demos as making
 from kinebench_drake.suites import export as exporting
 from kinebench_drake.suites.demos import DemoSummary
@@ -158,3 +159,15 @@ def test_the_namespace_is_that_of_the_environments():
     from kinebench_drake.suites.tasks.environment import environment_id
 
     assert task_names(",".join(environment_id(task) for task in TASKS)) == list(TASKS)
+
+
+def test_a_plan_has_a_line_for_each_number_of_samples(suite):
+    code, out, _ = suite("plan", "--difference", "10", "--samples", "1,4", "--correlation", "0.3")
+    assert code == 0
+    episodes = [[int(cell) for cell in line.split()] for line in out.splitlines()[2:]]
+    assert [line[0] for line in episodes] == [1, 4]
+    for samples, paired, paired_clips, unpaired, unpaired_clips in episodes:
+        design = PowerDesign(success=0.5, difference=0.1, samples=samples, correlation=0.3)
+        assert (paired, unpaired) == (design.paired_episodes(), design.unpaired_episodes())
+        assert (paired_clips, unpaired_clips) == (samples * paired, samples * unpaired)
+    assert suite("plan", "--difference", "60")[0] == suite("plan", "--difference", "9", "--samples", "0,1")[0] == 2
