@@ -15,6 +15,7 @@ from kinebench_drake.suites.episode import Episode
 from kinebench_drake.suites.experts.motion import plan
 from kinebench_drake.suites.experts.registry import Expert
 from kinebench_drake.suites.simulator import Simulator, Snapshot, TaskOutcome
+from kinebench_drake.suites.worldmodels.worldmodel import SimulatorState
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -83,6 +84,24 @@ def run_expert_clip(
         if i % every == 0:
             snapshots.append(simulator.snapshot())
     return tuple(snapshots), np.column_stack([motion.q, motion.finger_width_m])
+
+
+def continue_expert(
+    simulator: Simulator, episode: Episode, state: SimulatorState, expert: Expert
+) -> tuple[tuple[Snapshot, ...], Array | None]:
+    """Let the expert continue an episode from a state for one clip; it waits if nothing is left to do.
+
+    Returns:
+        The states at every frame, with the initial one, and the commands as in `Rollout`; None if it waits.
+
+    Raises:
+        InputError: the expert finds no path in this scene.
+    """
+    simulator.reset(episode)
+    simulator.restore(state)
+    before = simulator.snapshot()
+    clip = run_expert_clip(simulator, expert)
+    return ((before,) * (CLIP_FRAMES + 1), None) if clip is None else ((before, *clip[0]), clip[1])
 
 
 def run_expert(simulator: Simulator, expert: Expert, episode: Episode, *, every: int = STEPS_PER_FRAME) -> Rollout:

@@ -94,6 +94,8 @@ class SuiteOptions(RunOptions, total=False):
     """Task time between two frames, 0.01 to 2 [s]; default 0.2."""
     clip_timing: str
     """ "uniform" or "native"; default: uniform for models that choose the number of frames."""
+    condition: str
+    """ "none" or "actions": state the expert's track in requests, and measure how far videos follow it."""
     pixels_only: bool
     """Ignore the known pose of the robot in first frames."""
     prompt_preset: str

@@ -23,7 +23,8 @@ from kinebench_drake.suites.clock import FRAME_PERIOD_S, MAX_FRAME_PERIOD_S, MIN
     "  kinebench-drake suite run --suite 2 --split unseen --world-model http://127.0.0.1:8000 --out looks/\n"
     "  kinebench-drake suite run --suite 1 --world-model folder:videos/ --rounds 1 --out offline/\n"
     "  kinebench-drake suite run --suite 0 --world-model diffusers:wan/ --prompt-preset visual-lock --out locked/\n"
-    "  kinebench-drake suite run --suite 0 --world-model http://127.0.0.1:8000 --samples 4 --out four/",
+    "  kinebench-drake suite run --suite 0 --world-model http://127.0.0.1:8000 --samples 4 --out four/\n"
+    "  kinebench-drake suite run --suite 0 --world-model http://127.0.0.1:8000 --condition actions --out obeys/",
 )
 @suite_options()
 @variant_option
@@ -57,6 +58,10 @@ from kinebench_drake.suites.clock import FRAME_PERIOD_S, MAX_FRAME_PERIOD_S, MIN
     "[default: uniform for models that choose the number of frames (folder, services, diffusers with frames=), else "
     "native]"
 )
+@click.option(
+    "--condition", type=click.Choice(["none", "actions"]), default="none", show_default=True,
+    help="State the expert's track in requests, for action-conditioned models, and measure how far videos follow it.",
+)  # fmt: skip
 @click.option("--pixels-only", is_flag=True, help="Do not use the robot's own pose as a prior for first frames.")
 @click.option(
     "--rollouts/--no-rollouts", default=True, show_default=True,

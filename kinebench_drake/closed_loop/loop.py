@@ -4,12 +4,14 @@ import glob
 import shutil
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from enum import Enum
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera
+from kinebench_drake.closed_loop.actions import ActionSource
 from kinebench_drake.closed_loop.commands import CommandPlanner, Commands, RobotState
 from kinebench_drake.closed_loop.execution import Execution, execute
 from kinebench_drake.errors import InputError, UnmeasurableError, UsageError
@@ -36,6 +38,7 @@ from kinebench_drake.suites.prompts import PromptTemplate
 from kinebench_drake.suites.seeding import generator
 from kinebench_drake.suites.simulator import Control, Simulator, TaskOutcome
 from kinebench_drake.suites.worldmodels.worldmodel import (
+    ActionTrack,
     ChoosesLength,
     OfflineModel,
     PrivilegedModel,
@@ -44,6 +47,15 @@ from kinebench_drake.suites.worldmodels.worldmodel import (
     WorldModel,
 )
 from kinebench_drake.types import GripperTrack, InitialState, Json, Priors
+
+
+class Condition(Enum):
+    """What a request states of the motion that the clip should show."""
+
+    NONE = "none"
+    """The prompt alone."""
+    ACTIONS = "actions"
+    """The expert's track, too."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,6 +78,8 @@ class LoopOptions:
     """Requested number of frames, including the first one."""
     prompts: PromptTemplate = field(default_factory=PromptTemplate)
     """Template of the prompts."""
+    condition: Condition = Condition.NONE
+    """Motion that requests state."""
     seed: int = 0
     """Seed of the model's randomness."""
 
@@ -93,6 +107,7 @@ class LoopOptions:
             "frame_period_s": self.frame_period_s,
             "clip_timing": None if self.clip_timing is None else self.clip_timing.value,
             "pixels_only": self.pixels_only,
+            "condition": None if self.condition is Condition.NONE else self.condition.value,
             **self.prompts.to_json(),
         }
 
@@ -112,6 +127,8 @@ class Round:
     robot: NDArray[np.bool_]
     """(T, H, W) pixels of the robot in them."""
     grounding: GroundingResult
+    actions: ActionTrack | None = None
+    """Motion that was requested."""
     commands: Commands | None = None
     """None if the track has nothing to execute."""
     rejection: str | None = None
@@ -149,8 +166,17 @@ Ground = Callable[[NDArray[np.uint8], Camera, Array, Priors], GroundingResult]
 class ClosedLoop:
     """Runs episodes with one world model."""
 
-    def __init__(self, ground: Ground, planner: CommandPlanner, model: WorldModel, options: LoopOptions) -> None:
+    def __init__(
+        self,
+        ground: Ground,
+        planner: CommandPlanner,
+        model: WorldModel,
+        options: LoopOptions,
+        actions: ActionSource | None = None,
+    ) -> None:
+        """Create the loop; without a source of actions requests state none."""
         self._ground, self._planner, self._model, self._options = ground, planner, model, options
+        self._actions = actions
 
     def run(self, simulator: Simulator, episode: Episode, videos: Path, sample: int = 0) -> EpisodeRun:
         """Run an episode until it succeeds, the rounds are used up, or nothing can be executed.
@@ -176,7 +202,13 @@ class ClosedLoop:
             now, first_frame = simulator.snapshot(), simulator.render().rgb
             state = RobotState(q=now.q, finger_width_m=float(now.fingers_m.sum()), gripping=gripping)
             request = self._request(episode, videos.name, sample, number, first_frame)
-            if number and isinstance(model, OfflineModel) and not model.files(videos.name, episode.task, number):
+            if self._actions is not None:
+                track = self._actions.track(
+                    episode, simulator.simulation_state(), self._options.num_frames, self._options.frame_period_s
+                )
+                request = replace(request, actions=track)
+            asks = number > 0 or request.actions is not None  # `suite export` writes first frames without actions
+            if asks and isinstance(model, OfflineModel) and not model.files(videos.name, episode.task, number):
                 X_BG = simulator.link_pose(TCP_LINK)
                 pending = PendingRound(request=request, X_BG=X_BG, finger_width_m=state.finger_width_m)
                 break
@@ -184,7 +216,8 @@ class ClosedLoop:
             grounded = self._ground_video(video, first_frame, simulator.camera, state)
             commands, rejection = self._plan(grounded.grounding.track, state)
             execution = None if commands is None else execute(simulator, commands, self._options.control)
-            rounds.append(replace(grounded, commands=commands, rejection=rejection, execution=execution))
+            done = replace(grounded, commands=commands, rejection=rejection, execution=execution)
+            rounds.append(replace(done, actions=request.actions))
             if commands is None or execution is None or execution.outcome.success:
                 break
             gripping = commands.gripping

@@ -23,7 +23,7 @@ from kinebench_drake.types import InitialState
 
 NAME = "manifest.jsonl"
 
-UNREAD = frozenset({"frames", "suite", "split", "negative_prompt"})
+UNREAD = frozenset({"frames", "suite", "split", "negative_prompt", "actions"})
 """Keys that `suite export` and `suite demos` write for world models: ignored without a warning."""
 
 MIN_PERIOD_S, MAX_PERIOD_S = 1e-4, 1e3

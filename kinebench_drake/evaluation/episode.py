@@ -10,10 +10,17 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from kinebench_drake.closed_loop.actions import (
+    ACTION_METRICS,
+    ActionSource,
+    action_curves,
+    measure_following,
+    summarize_following,
+)
 from kinebench_drake.closed_loop.attribution import find_cause
 from kinebench_drake.closed_loop.commands import CommandPlanner
 from kinebench_drake.closed_loop.gap import measure_gap
-from kinebench_drake.closed_loop.loop import ClosedLoop, EpisodeRun, LoopOptions, PendingRound
+from kinebench_drake.closed_loop.loop import ClosedLoop, Condition, EpisodeRun, LoopOptions, PendingRound
 from kinebench_drake.evaluation.analyzer import Analyzer, load_analyzer
 from kinebench_drake.evaluation.clips import clip_starts, combine, join_tracks
 from kinebench_drake.evaluation.evaluator import KINEMATIC_METRICS, PENDING, REQUESTS, Evaluation, Evaluator
@@ -22,7 +29,7 @@ from kinebench_drake.evaluation.thumbnail import encode_strip
 from kinebench_drake.grounding.overlay import draw_caption
 from kinebench_drake.io.atomic import disk_errors, make_folder, write_atomically
 from kinebench_drake.io.container import write_video
-from kinebench_drake.io.jsonl import as_object
+from kinebench_drake.io.jsonl import as_object, write_json
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.results.inputs import PeriodSource
 from kinebench_drake.results.provenance import weights_hash
@@ -88,10 +95,13 @@ class EpisodeResources:
     simulators: SimulatorCache[Simulator]
     model: LazyWorldModel
     loop: ClosedLoop
+    actions: ActionSource | None = None
 
     def close(self) -> None:
         """Release simulators and world model."""
         self.simulators.close()
+        if self.actions is not None:
+            self.actions.close()
         self.model.close()
 
 
@@ -111,9 +121,10 @@ class EpisodeEvaluator(Evaluator[EpisodeSample, EpisodeResources]):
     def setup(self) -> EpisodeResources:
         """Load robot, world model and simulator cache."""
         analyzer = load_analyzer(self.config.make_analyzer, self.config.robot_options())
-        loop = ClosedLoop(analyzer.ground, CommandPlanner(ArmPlant()), self.world_model.get(), self.loop)
+        actions = ActionSource(ArmPlant(), SIZE_PX) if self.loop.condition is Condition.ACTIONS else None
+        loop = ClosedLoop(analyzer.ground, CommandPlanner(ArmPlant()), self.world_model.get(), self.loop, actions)
         simulators = SimulatorCache(partial(Simulator, control=self.loop.control), SIZE_PX)
-        return EpisodeResources(analyzer, simulators, self.world_model, loop)
+        return EpisodeResources(analyzer, simulators, self.world_model, loop, actions)
 
     def evaluate(self, sample: EpisodeSample, resources: EpisodeResources) -> Evaluation:
         """Run the episode, judge its clips, attribute a failure, write its files."""
@@ -128,7 +139,8 @@ class EpisodeEvaluator(Evaluator[EpisodeSample, EpisodeResources]):
         tracks = [r.grounding.track for r in run.rounds]
         results = [resources.analyzer.judge(track) for track in tracks]
         track, kinematics = join_tracks(tracks), combine(tracks, results)
-        write_track(artifact_path(self.config.out, "tracks", sample.id), track, kinematics.joints, kinematics.curves)
+        curves = {**kinematics.curves, **action_curves(tracks, [r.actions for r in run.rounds])}
+        write_track(artifact_path(self.config.out, "tracks", sample.id), track, kinematics.joints, curves)
         write_atomically(artifact_path(self.config.out, "thumbnails", sample.id), _thumbnail(run, executed))
         if self.rollouts:
             path = artifact_path(self.config.out, "rollouts", sample.id)
@@ -139,7 +151,7 @@ class EpisodeEvaluator(Evaluator[EpisodeSample, EpisodeResources]):
         return Evaluation(
             kinematics=kinematics,
             video=clips[0],
-            metrics={**_visual_metrics(run, track), **_gap_metrics(run, executed)},
+            metrics={**_visual_metrics(run, track), **_gap_metrics(run, executed), **self._action_metrics(sample, run)},
             extra={
                 "success": run.outcome.success,
                 "progress": run.outcome.progress,
@@ -156,14 +168,26 @@ class EpisodeEvaluator(Evaluator[EpisodeSample, EpisodeResources]):
             },
         )
 
+    def _action_metrics(self, sample: EpisodeSample, run: EpisodeRun) -> Mapping[str, Json]:
+        """Return how far the clips follow the actions; empty without actions."""
+        clips = [
+            measure_following(done.grounding.track, done.actions, sample.id, number)
+            for number, done in enumerate(run.rounds)
+            if done.actions is not None
+        ]
+        return dict(summarize_following(clips, self.loop.frame_period_s)) if clips else {}
+
     def _ask(self, sample: EpisodeSample, episode: Episode, pending: PendingRound) -> Evaluation:
         """Write the first frame of the next round; the row has what a manifest says of it."""
         number = pending.request.round
         id = f"{sample.id}_r{number}"
         path = request_path(self.config.out, id)
         make_folder(path.parent)
-        write_atomically(path, png(pending.request.first_frame))
         state = {**self.subject, **first_facts(pending.X_BG, pending.finger_width_m)}
+        if (actions := pending.request.actions) is not None:
+            write_json(path.with_suffix(".json"), actions.to_json())
+            state["actions"] = f"{id}.json"
+        write_atomically(path, png(pending.request.first_frame))
         return Evaluation(
             kinematics=None,
             unmeasurable=f"waits for the video of round {number + 1}: generate {id}.mp4 from {REQUESTS}/{id}.png",
@@ -179,8 +203,9 @@ class EpisodeEvaluator(Evaluator[EpisodeSample, EpisodeResources]):
 
     @property
     def metric_names(self) -> tuple[str, ...]:
-        """Visual, gap and kinematic metrics."""
-        return (*VISUAL_METRICS, *GAP_METRICS, *KINEMATIC_METRICS)
+        """Visual, gap, action and kinematic metrics."""
+        actions = ACTION_METRICS if self.loop.condition is Condition.ACTIONS else ()
+        return (*VISUAL_METRICS, *GAP_METRICS, *actions, *KINEMATIC_METRICS)
 
     @property
     def artifacts(self) -> tuple[str, ...]:

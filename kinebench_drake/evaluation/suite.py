@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from kinebench_drake.camera import benchmark_camera
-from kinebench_drake.closed_loop.loop import LoopOptions
+from kinebench_drake.closed_loop.loop import Condition, LoopOptions
 from kinebench_drake.errors import UsageError, count_noun, member_of
 from kinebench_drake.evaluation.config import RunConfig, RunKind
 from kinebench_drake.evaluation.episode import SIZE_PX, EpisodeEvaluator, EpisodeSample
@@ -100,6 +100,7 @@ def suite_config(
     variant: str = TaskVariant.PLAIN.value,
     control: str = Control.JOINTS.value,
     clip_timing: str | None = None,
+    condition: str = Condition.NONE.value,
     **options: Any,
 ) -> SuiteConfig:
     """Build the configuration of a run from the values of command line or Python interface.
@@ -112,6 +113,7 @@ def suite_config(
         variant: name of a task variant.
         control: name of a controller.
         clip_timing: name of a timing; None: by the model.
+        condition: name of a `Condition`.
         **options: arguments of `prompt_template`, and further fields of `SuiteConfig` and `LoopOptions`.
 
     Raises:
@@ -131,6 +133,7 @@ def suite_config(
         loop=LoopOptions(
             control=member_of(Control, control, "--control"),
             clip_timing=timing,
+            condition=member_of(Condition, condition, "--condition"),
             prompts=prompts,
             **loop,
         ),
@@ -179,11 +182,11 @@ def _write_requests(folder: Path, requests: Sequence[Mapping[str, object]]) -> N
     Raises:
         SetupError: writing failed.
     """
-    wanted = {str(request["first_frame"]) for request in requests}
+    wanted = {str(request.get(key)) for request in requests for key in ("first_frame", "actions")}
     with disk_errors(folder.name):
-        for image in folder.glob("*_r[0-9]*.png"):
-            if image.name not in wanted:
-                image.unlink()
+        for file in (*folder.glob("*_r[0-9]*.png"), *folder.glob("*_r[0-9]*.json")):
+            if file.name not in wanted:
+                file.unlink()
         if requests:
             save_camera(benchmark_camera().resized(SIZE_PX, SIZE_PX), folder / CAMERA)
             write_lines(folder / MANIFEST, requests)

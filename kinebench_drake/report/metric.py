@@ -58,6 +58,14 @@ _METRICS = (
     ("gap_gripper_rad", "Gripper angle [rad]", "{:.3f}", "between the imagined and the executed gripper"),
     ("gap_psnr_db", "PSNR [dB]", "{:.1f}", "of imagined against executed frames"),
     ("gap_ssim", "SSIM", "{:.3f}", "of imagined against executed frames"),
+    ("action_error_m", "Action error [m]", "{:.4f}", "distance of the imagined from the commanded gripper, median"),
+    ("action_error_rad", "Action error [rad]", "{:.3f}", "angle to the commanded gripper, median"),
+    ("action_error_finger_m", "Action error, fingers [m]", "{:.4f}", "of the gap between the fingers, median"),
+    ("action_shuffled_m", "Shuffled actions [m]", "{:.4f}", "distance from the commanded frames in random order"),
+    ("action_shuffled_rad", "Shuffled actions [rad]", "{:.3f}", "angle to the commanded frames in random order"),
+    ("action_shuffled_finger_m", "Shuffled actions, fingers [m]", "{:.4f}", "gap in the commanded frames, shuffled"),
+    ("action_following", "Action following", "{:.2f}", "1 - error / shuffled error; 1 obeys, 0 does not"),
+    ("action_lag_s", "Action delay [s]", "{:.2f}", "delay with the least action error"),
 )
 BY_NAME = {
     name: Metric(name=name, label=label, pattern=pattern, meaning=meaning) for name, label, pattern, meaning in _METRICS

@@ -9,7 +9,7 @@ HIGHER_IS_BETTER = frozenset(
         *("manipulability_mean", "manipulability_min", "manipulability_integral", "manipulability_limited_mean"),
         *("manipulability_limited_min", "manipulability_translation_mean", "manipulability_rotation_mean"),
         *("joint_limit_margin_min", "self_distance_min_m", "table_distance_min_m"),
-        *("gap_robot_iou", "gap_psnr_db", "gap_ssim"),
+        *("gap_robot_iou", "gap_psnr_db", "gap_ssim", "action_following"),
     }
 )
 LOWER_IS_BETTER = frozenset(
@@ -18,6 +18,7 @@ LOWER_IS_BETTER = frozenset(
         *("velocity_ratio_max", "acceleration_ratio_max", "jerk_ratio_max", "torque_ratio_max", "slowdown_min"),
         *("time_scale", "trajopt_position_tube_m", "camera_motion_px", "arm_consistency_px", "rounds"),
         *("gap_gripper_m", "gap_gripper_rad"),
+        *("action_error_m", "action_error_rad", "action_error_finger_m", "action_lag_s"),
     }
 )
 

@@ -64,7 +64,8 @@ class CommandModel:
             first_frame, video, log = folder / "first_frame.png", folder / "video.mp4", folder / "log"
             first_frame.write_bytes(png(request.first_frame))
             fields = _request_fields(request, first_frame, video)
-            (folder / "request.json").write_text(json.dumps(fields), encoding="utf-8")
+            actions = {} if request.actions is None else {"actions": request.actions.to_json()}
+            (folder / "request.json").write_text(json.dumps({**fields, **actions}), encoding="utf-8")
             arguments = [_PLACEHOLDER.sub(lambda m: str(fields[m[1]]), argument) for argument in self._arguments]
             with (folder / "request.json").open("rb") as request_file, log.open("wb") as log_file:
                 status = self._run(arguments, request_file, log_file)

@@ -6,7 +6,7 @@ from typing import Any, cast
 
 from pydantic import Field
 
-from kinebench_drake.errors import UsageError, suggestion
+from kinebench_drake.errors import UsageError, count_noun, suggestion
 from kinebench_drake.plugin import is_class_name, load_class
 from kinebench_drake.suites.worldmodels.cloud import DashScopeModel, MiniMaxModel
 from kinebench_drake.suites.worldmodels.command import CommandModel
@@ -26,6 +26,7 @@ class OracleOptions(Options):
     true_track: bool = Field(
         False, alias="told", description="report the true track of each clip, so that no pose is read from pixels"
     )
+    delay: int = Field(0, ge=0, le=48, description="frames by which the motion comes late")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,8 +53,9 @@ def _make_oracle(spec: Spec) -> WorldModel:
 
     spec.expect_no_argument()
     options = spec.read(OracleOptions)
-    name = options.name or ("oracle, true track" if options.true_track else "oracle")
-    return OracleModel(name, discloses=options.true_track)
+    late = f", {count_noun(options.delay, 'frame')} late" if options.delay else ""
+    name = options.name or ("oracle, true track" if options.true_track else "oracle") + late
+    return OracleModel(name, discloses=options.true_track, delay=options.delay)
 
 
 def _make_faulty_oracle(spec: Spec) -> WorldModel:

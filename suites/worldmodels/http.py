@@ -194,6 +194,7 @@ def _body(request: Request, conditioning: dict[str, Any], frame: NDArray[np.uint
         "num_frames": num_frames,
         "size": [width, height],
         "fps": request.fps,
+        **({} if request.actions is None else {"actions": request.actions.to_json()}),
     }
 
 

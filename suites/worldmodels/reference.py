@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import rotation_exp
-from kinebench_drake.suites.clock import CLIP_FRAMES
 from kinebench_drake.suites.episode import Episode
 from kinebench_drake.suites.experts.motion import Waypoint
 from kinebench_drake.suites.experts.registry import Expert, find_expert
@@ -17,7 +16,7 @@ from kinebench_drake.suites.faults.fault import FaultGrade
 from kinebench_drake.suites.faults.fault_simulator import FaultSimulator
 from kinebench_drake.suites.faults.plant import plant
 from kinebench_drake.suites.faults.recording import Recording
-from kinebench_drake.suites.rollout import Rollout, render_video, run_expert_clip
+from kinebench_drake.suites.rollout import Rollout, continue_expert, render_video
 from kinebench_drake.suites.simulator_cache import SimulatorCache
 from kinebench_drake.suites.tasks.task import Scene
 from kinebench_drake.suites.worldmodels.videofile import encode_answer
@@ -53,7 +52,9 @@ class StillModel:
 class OracleRenderer:
     """Simulator of its own in which an expert continues from a given state and is rendered."""
 
-    def __init__(self) -> None:
+    def __init__(self, delay: int = 0) -> None:
+        """Create the renderer; its clips show the first frame for `delay` further frames before the motion."""
+        self._delay = delay
         self._simulators: SimulatorCache[FaultSimulator] | None = None
         self._state: tuple[Episode, SimulatorState] | None = None
         self.truth: TrueTrack | None = None
@@ -86,17 +87,14 @@ class OracleRenderer:
     ) -> NDArray[np.uint8]:
         self._simulators = self._simulators or SimulatorCache(FaultSimulator, request.first_frame.shape[0])
         simulator = self._simulators.get(episode.task, episode.variant)
-        simulator.reset(episode)
-        simulator.restore(state)
-        before = simulator.snapshot()
-        clip = run_expert_clip(simulator, expert)
-        rest = (before,) * CLIP_FRAMES if clip is None else clip[0]  # None: the expert has finished
-        snapshots = (before, *rest)[: request.num_frames]
+        snapshots, controls = continue_expert(simulator, episode, state, expert)
+        snapshots = snapshots[: request.num_frames]
         outcome = simulator.outcome()
         video = render_video(simulator, snapshots)
-        if fault is not None and clip is not None:
-            rollout = Rollout(episode=episode, snapshots=snapshots, controls=clip[1], outcome=outcome)
+        if fault is not None and controls is not None:
+            rollout = Rollout(episode=episode, snapshots=snapshots, controls=controls, outcome=outcome)
             video, _ = plant(Recording(simulator=simulator, rollout=rollout, video=video), fault)
+        video = video.select([max(k - self._delay, 0) for k in range(len(snapshots))])
         self.truth = TrueTrack(X_CH=video.X_CH, finger_width_m=video.finger_width_m)
         return video.rgb
 
@@ -104,15 +102,18 @@ class OracleRenderer:
 class OracleModel(OracleRenderer):
     """World model that renders what the task's expert does next: a perfect model, unless a fault is planted."""
 
-    def __init__(self, name: str = "oracle", fault: FaultGrade | None = None, *, discloses: bool = False) -> None:
+    def __init__(
+        self, name: str = "oracle", fault: FaultGrade | None = None, *, discloses: bool = False, delay: int = 0
+    ) -> None:
         """Create the model.
 
         Args:
             name: name in the results.
             fault: fault to plant into the first clip of each episode.
             discloses: whether it reports the true track of its clips, so that no pose is estimated from pixels.
+            delay: frames by which the motion comes late.
         """
-        super().__init__()
+        super().__init__(delay)
         self.name = name
         self._fault, self._discloses = fault, discloses
 

@@ -10,16 +10,38 @@ from numpy.typing import NDArray
 
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array
+from kinebench_drake.types import Json
 
 if TYPE_CHECKING:  # naming a world model should not load the assets
     from kinebench_drake.suites.episode import Episode
 
 SimulatorState: TypeAlias = Mapping[str, Mapping[str, NDArray[np.float32]]]
 """ManiSkill's state: kind (actors, articulations) and name to values."""
+_DECIMALS = 9
+"""Digits of actions in requests."""
 
 
 class WorldModelError(InputError):
     """No video for one request; another request may succeed. The message is what the model or service reported."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ActionTrack:
+    """Commanded motion of the robot in a clip: the states that it should show, one per frame."""
+
+    t_s: Array
+    """(T,) task time since the first frame [s]."""
+    X_BG: Array
+    """(T, 4, 4) panda_hand_tcp in the robot base frame [m]."""
+    finger_width_m: Array
+    """(T,) gap between the finger pads [m]."""
+    q: Array
+    """(T, 7) joint angles of the arm [rad]."""
+
+    def to_json(self) -> dict[str, Json]:
+        """Serialize with the names of track files."""
+        arrays = {"t_s": self.t_s, "base_from_tcp": self.X_BG, "finger_width_m": self.finger_width_m, "q": self.q}
+        return {name: (array.round(_DECIMALS) + 0.0).tolist() for name, array in arrays.items()}  # no -0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,6 +66,8 @@ class Request:
     """Requested number of frames, including the first one."""
     fps: float
     """Playback rate of the video [frames/s]."""
+    actions: ActionTrack | None = None
+    """Motion that the clip should show, for action-conditioned models; None without `--condition actions`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -18,7 +18,7 @@ from kinebench_drake.types import Json
 _KIND = "suite"
 _SETTINGS = (
     *("rounds", "control", "action_repeat", "frame_period_s", "clip_timing", "pixels_only"),
-    *("prompt_prefix", "prompt_suffix", "prompts", "negative_prompt"),
+    *("prompt_prefix", "prompt_suffix", "prompts", "negative_prompt", "condition"),
 )
 """Settings of a run that change the results of its episodes."""
 _DIGITS = 6

@@ -20,7 +20,7 @@ from kinebench_drake.report.suite.episode import (
 )
 from kinebench_drake.report.suite.success import COST_COLUMN
 from kinebench_drake.report.table import Column, Table, plain_columns
-from kinebench_drake.results.aggregate import robust_normalize
+from kinebench_drake.results.aggregate import Estimate, robust_normalize
 
 _METRICS = (
     ("sparc", "SPARC", "{:.2f}"),
@@ -78,6 +78,56 @@ def tabulate_kinematics(episodes: Sequence[EpisodeResult], seed: int = 0) -> Tab
                 ),
             )
             for part, model, own in group_by_run(episodes)
+        ),
+    )
+
+
+_FOLLOWING = (
+    ("action_error_m", "Error [mm]", 1e3, "{:.1f}"),
+    ("action_shuffled_m", "Shuffled [mm]", 1e3, "{:.1f}"),
+    ("action_error_rad", "Error [degrees]", 180.0 / np.pi, "{:.1f}"),
+    ("action_shuffled_rad", "Shuffled [degrees]", 180.0 / np.pi, "{:.1f}"),
+    ("action_error_finger_m", "Error, fingers [mm]", 1e3, "{:.1f}"),
+    ("action_shuffled_finger_m", "Shuffled, fingers [mm]", 1e3, "{:.1f}"),
+    ("action_following", "Following", 1.0, "{:.2f}"),
+    ("action_lag_s", "Delay [s]", 1.0, "{:.2f}"),
+)
+"""Metrics of action following: label, factor to its unit, format."""
+
+
+def tabulate_following(episodes: Sequence[EpisodeResult], seed: int = 0) -> Table | None:
+    """Build the table of how far videos follow the commanded actions; None if no run stated actions."""
+    conditioned = [e for e in episodes if "action_error_m" in e.row.metrics]
+    if not conditioned:
+        return None
+
+    def mean(own: Sequence[EpisodeResult], name: str, factor: float) -> Estimate:
+        worst = worst_metric(name, conditioned)
+        return mean_over_tasks(
+            own,
+            lambda e: None if (value := e.metric(name)) is None else factor * value,
+            seed,
+            None if worst is None else factor * worst,
+        )
+
+    return Table(
+        name="following",
+        title="Following of actions",
+        note="Differences between the imagined and the commanded gripper: an episode's median over frames, a lost "
+        "frame worse than any other; means over tasks with 95 % bootstrap intervals over episodes within tasks. "
+        "Shuffled: against the commanded frames in random order. Following: 1 - error / shuffled error of the "
+        "position, 1 for a video that obeys, 0 for one that does not depend on the actions. Delay: that with the least "
+        "error, if following exceeds 0.5.",
+        columns=(
+            *plain_columns(part="Suite", model="Model", episodes="Episodes"),
+            *(
+                Column(key=name, label=label, pattern=pattern, meaning=BY_NAME[name].meaning, estimated=True)
+                for name, label, _, pattern in _FOLLOWING
+            ),
+        ),
+        rows=tuple(
+            (part.title, model, len(own), *(mean(own, name, factor) for name, _, factor, _ in _FOLLOWING))
+            for part, model, own in group_by_run(conditioned)
         ),
     )
 

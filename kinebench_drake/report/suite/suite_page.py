@@ -42,6 +42,7 @@ def write_suite_report(
         success.tabulate_tasks(episodes, seed),
         success.draw_verdicts(episodes),
         kinematics.tabulate_kinematics(episodes, seed),
+        *([following] if (following := kinematics.tabulate_following(episodes, seed)) else []),
         *_sparc_parts(episodes, seed),
         kinematics.draw_manipulability(episodes)
         or MissingPart(title="Manipulability", needs="two episodes with a measured cost"),
