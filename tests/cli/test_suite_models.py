@@ -6,12 +6,14 @@ import sys
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import pytest
 
-from kinebench_drake.closed_loop.loop import LoopOptions
+from kinebench_drake.camera import benchmark_camera
+from kinebench_drake.closed_loop.actions import ACTION_METRICS, ActionSource
+from kinebench_drake.closed_loop.loop import Condition, LoopOptions
 from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.evaluation import episode
 from kinebench_drake.evaluation.episode import EpisodeEvaluator, EpisodeSample
@@ -24,7 +26,9 @@ from kinebench_drake.results.metadata import Shard
 from kinebench_drake.results.store import artifact_path, read_rows
 from kinebench_drake.results.trackfile import write_track
 from kinebench_drake.suites.prompts import PromptTemplate
+from kinebench_drake.suites.simulator import Snapshot, TaskOutcome
 from kinebench_drake.suites.suite import load_suite
+from kinebench_drake.suites.worldmodels.worldmodel import ActionTrack
 from kinebench_drake.types import GripperTrack
 from tests.cli.fake_analyzer import FakeAnalyzer
 
@@ -192,3 +196,51 @@ def test_further_samples_extend_a_run_and_shards_join(config: Callable[..., Suit
 def test_the_number_of_samples_is_checked(config: Callable[..., SuiteConfig]) -> None:
     with pytest.raises(UsageError, match="--samples is 0, expected 1 or more"):
         config("my_models:Model", samples=0)
+
+
+class Scene(Stage):
+    """A stage in which the robot waits."""
+
+    camera = benchmark_camera()
+
+    def reset(self, episode: object) -> None:
+        return None
+
+    def snapshot(self) -> Snapshot:
+        return Snapshot(q=np.zeros(7), fingers_m=np.full(2, 0.04), objects={}, joints={})
+
+    def render(self) -> SimpleNamespace:
+        return SimpleNamespace(rgb=np.zeros((384, 384, 3), np.uint8))
+
+    def simulation_state(self) -> dict[str, object]:
+        return {}
+
+    def link_pose(self, link: str) -> np.ndarray:
+        return np.eye(4)
+
+    def outcome(self) -> TaskOutcome:
+        return TaskOutcome(success=False, progress=0.0, conditions={})
+
+
+def test_an_offline_model_gets_the_actions_of_the_first_round(
+    config: Callable[..., SuiteConfig], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    commanded = ActionTrack(
+        t_s=np.arange(2.0), X_BG=np.tile(np.eye(4), (2, 1, 1)), finger_width_m=np.zeros(2), q=np.zeros((2, 7))
+    )
+    monkeypatch.setattr(episode, "Simulator", Scene)
+    monkeypatch.setattr(ActionSource, "track", lambda *_: commanded)
+    run = config("my_models:Stored", episodes=1, loop=LoopOptions(condition=Condition.ACTIONS))
+    summary = run_suite(run)
+    [row] = summary.rows
+    assert (
+        row.reason
+        == "waits for the video of round 1: generate PullCube-v1_s0000_r0.mp4 from ask/PullCube-v1_s0000_r0.png"
+    )
+    [asked] = summary.pending
+    assert asked["actions"] == "PullCube-v1_s0000_r0.json"
+    assert json.loads((run.out / "ask" / asked["actions"]).read_text()) == commanded.to_json()
+    assert (run.out / "ask" / asked["first_frame"]).is_file()
+    assert run.to_json()["condition"] == "actions"
+    assert config("my_models:Stored").to_json()["condition"] is None
+    assert set(ACTION_METRICS) <= set(row.metrics)

@@ -1,15 +1,22 @@
 """How far a clip follows the commanded actions: obeying, late, still and shortened clips, lost frames."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from kinebench_drake.closed_loop.actions import action_curves, measure_following, summarize_following
-from kinebench_drake.geometry import make_pose, rotation_z
-from kinebench_drake.suites.worldmodels.worldmodel import ActionTrack
+from kinebench_drake.camera import benchmark_camera
+from kinebench_drake.closed_loop.actions import ActionSource, action_curves, measure_following, summarize_following
+from kinebench_drake.geometry import make_pose, pose_difference, rotation_z
+from kinebench_drake.kinematics.plant import ArmPlant
+from kinebench_drake.models.panda.robot import HAND_LINK, TCP_LINK
+from kinebench_drake.suites.episode import compose
+from kinebench_drake.suites.simulator import Simulator
+from kinebench_drake.suites.worldmodels.reference import OracleModel
+from kinebench_drake.suites.worldmodels.worldmodel import ActionTrack, Request
 from kinebench_drake.types import GripperTrack
 
 PERIOD_S = 0.2
@@ -122,3 +129,31 @@ def test_actions_are_json() -> None:
     told = actions().to_json()
     assert list(told) == ["t_s", "base_from_tcp", "finger_width_m", "q"]
     np.testing.assert_allclose(told["base_from_tcp"], actions().X_BG, atol=1e-8)
+
+
+@pytest.mark.sapien
+def test_the_oracle_does_what_is_commanded(tmp_path: Path) -> None:
+    """The actions are what the oracle shows, and what the late oracle shows two frames later."""
+    episode = compose("PullCube-v1", 0)
+    with Simulator(episode.task, camera=benchmark_camera().resized(128, 128)) as simulator:
+        simulator.reset(episode)
+        state, first = simulator.simulation_state(), simulator.render().rgb
+        X_GH = np.linalg.inv(simulator.link_pose(TCP_LINK)) @ simulator.link_pose(HAND_LINK)
+    request = Request(
+        episode=episode.id, task=episode.task, round=0, prompt="", negative_prompt="", seed=0, first_frame=first,
+        num_frames=49, fps=17,
+    )  # fmt: skip
+    source = ActionSource(ArmPlant(), 128)
+    asked = source.track(episode, state, 49, 0.2)
+    source.close()
+    assert np.ptp(asked.X_BG[:, :3, 3], axis=0).max() > 0.05
+    for delay in (0, 2):
+        model = OracleModel(delay=delay)
+        model.set_state(episode, state)
+        model.generate(request, tmp_path / "clip")
+        shown = benchmark_camera().X_BC @ model.truth.X_CH[delay:]
+        model.close()
+        distance, angle = pose_difference(asked.X_BG[: 49 - delay] @ X_GH, shown)
+        assert distance.max() < 1e-4
+        assert angle.max() < 1e-3
+        np.testing.assert_allclose(model.truth.finger_width_m[delay:], asked.finger_width_m[: 49 - delay], atol=1e-5)

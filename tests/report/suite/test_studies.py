@@ -8,7 +8,7 @@ from kinebench_drake.report.suite.comparison import ALL_TASKS, compare, tabulate
 from kinebench_drake.report.suite.correlation import standardise, study_correlation
 from kinebench_drake.report.suite.episode import balanced_mean, list_models
 from kinebench_drake.report.suite.folders import pool_episodes, read_folders
-from kinebench_drake.report.suite.kinematics import scale_costs
+from kinebench_drake.report.suite.kinematics import scale_costs, tabulate_following
 from kinebench_drake.report.suite.scaling import (
     ALL_LEVELS,
     TrainingBudget,
@@ -259,3 +259,18 @@ def test_tables_of_several_samples_show_pass_at_k(tmp_path):
     single = tabulate_summary(episodes_of(write_run(tmp_path / "b", {"T": [True, False]})))
     assert not any(column.key.startswith("pass") for column in single.columns)
     assert "several samples" not in single.note
+
+
+def test_following_is_tabulated_where_actions_were_requested(tmp_path):
+    def obeying(error):
+        metrics = {"action_error_m": error, "action_shuffled_m": 0.1, "action_following": 1 - error / 0.1}
+        return outcome(True, metrics=metrics)
+
+    a = write_run(tmp_path / "a", {"T": [obeying(0.002), obeying(0.004), failed()]}, model="one")
+    b = write_run(tmp_path / "b", {"T": [True]}, model="two")
+    table = tabulate_following(episodes_of(a, b))
+    assert [row[1] for row in table.rows] == ["one"]
+    error, shuffled = table.rows[0][3:5]
+    assert (error.mean, error.n) == (pytest.approx(3.0), 2)  # millimetres
+    assert shuffled.mean == pytest.approx(100.0)
+    assert tabulate_following(episodes_of(b)) is None

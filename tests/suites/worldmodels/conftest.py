@@ -8,7 +8,7 @@ from PIL import Image
 
 from kinebench_drake.io.container import write_video
 from kinebench_drake.suites.worldmodels.remote import Limits
-from kinebench_drake.suites.worldmodels.worldmodel import Request
+from kinebench_drake.suites.worldmodels.worldmodel import ActionTrack, Request
 from tests.suites.worldmodels.servant import Servant
 
 KEY = "sk-very-secret-0123456789"
@@ -29,6 +29,13 @@ def request_() -> Request:
         num_frames=5,
         fps=17.0,
     )
+
+
+@pytest.fixture
+def actions() -> ActionTrack:
+    """Actions of a robot that waits."""
+    X_BG = np.tile(np.eye(4), (5, 1, 1))
+    return ActionTrack(t_s=0.2 * np.arange(5), X_BG=X_BG, finger_width_m=np.full(5, 0.08), q=np.ones((5, 7)))
 
 
 @pytest.fixture(scope="session")

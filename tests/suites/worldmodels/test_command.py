@@ -4,6 +4,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from PIL import Image
 from kinebench_drake.errors import UsageError
 from kinebench_drake.suites.worldmodels.command import CommandModel
 from kinebench_drake.suites.worldmodels.spec import parse
-from kinebench_drake.suites.worldmodels.worldmodel import Request, WorldModelError
+from kinebench_drake.suites.worldmodels.worldmodel import ActionTrack, Request, WorldModelError
 
 
 def run(program: str, request: Request, out: Path, *, arguments: str = "", options: str = "?timeout=60") -> Path:
@@ -50,6 +51,20 @@ def test_what_a_program_is_told(request_: Request, out: Path, film: bytes, tmp_p
     assert told["prompt"] == request_.prompt  # a single argument, whatever a shell would make of it
     assert (told["episode"], told["round"], told["num_frames"], told["fps"]) == ("StackCube-v1_s0003", 0, 5, 17.0)
     assert np.array_equal(np.asarray(Image.open(tmp_path / "frame.png")), request_.first_frame)
+
+
+def test_a_program_gets_the_actions(
+    request_: Request, actions: ActionTrack, out: Path, film: bytes, tmp_path: Path
+) -> None:
+    (tmp_path / "it").write_bytes(film)
+    program = (
+        'import json, shutil, sys; told = json.load(sys.stdin); shutil.copy(sys.argv[1], told["out"]); '
+        'json.dump(told.get("actions"), open(sys.argv[1] + ".told", "w"))'
+    )
+    for given in (actions, None):
+        run(program, replace(request_, actions=given), out, arguments=f"{tmp_path}/it")
+        told = json.loads((tmp_path / "it.told").read_text())
+        assert told == (None if given is None else given.to_json())
 
 
 @pytest.mark.parametrize(

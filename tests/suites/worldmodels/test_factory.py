@@ -38,6 +38,7 @@ def test_still_shows_the_first_frame_and_nothing_else(request_: Request, out: Pa
         ("minimax:MiniMax-Hailuo-2.3", "MiniMax-Hailuo-2.3"),
         ("oracle", "oracle"),
         ("oracle?told=true", "oracle, true track"),
+        ("oracle?delay=2", "oracle, 2 frames late"),
         ("oracle+teleport:0.15", "oracle+teleport_15cm"),
         ("random?name=walk", "walk"),
     ],

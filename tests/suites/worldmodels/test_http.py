@@ -4,6 +4,7 @@ import base64
 import io
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from kinebench_drake.suites.worldmodels import http
 from kinebench_drake.suites.worldmodels.http import HttpModel
 from kinebench_drake.suites.worldmodels.remote import Limits, base64_png, from_base64, png
 from kinebench_drake.suites.worldmodels.spec import parse
-from kinebench_drake.suites.worldmodels.worldmodel import Request, WorldModelError
+from kinebench_drake.suites.worldmodels.worldmodel import ActionTrack, Request, WorldModelError
 from tests.films import decoded
 from tests.suites.worldmodels.servant import Asked, Reply, Servant
 
@@ -53,6 +54,15 @@ def test_simple(ask: Callable[..., Path], servant: Servant, film: bytes, request
         "size": [96, 64],
         "fps": 17.0,
     }
+
+
+def test_a_server_gets_the_actions(
+    servant: Servant, hurried: Limits, keys: str, request_: Request, actions: ActionTrack, out: Path, film: bytes
+) -> None:
+    servant.routes["/make"] = [Reply({"video_base64": base64_of(film)})]
+    HttpModel(parse(f"{servant.url}/make?timeout=20"), hurried).generate(replace(request_, actions=actions), out)
+    (asked,) = servant.at("/make")
+    assert asked.body["actions"] == actions.to_json()
 
 
 def test_all_three_answers_are_the_same_video(
