@@ -116,7 +116,7 @@ def _episodes(difference: float, null: float, variance: float, samples: int, pow
     """
     from scipy.stats import norm
 
-    z_a, z_b = norm.ppf(0.5 + 0.5 * CONFIDENCE), norm.ppf(power)
+    z_a, z_b = float(norm.ppf(0.5 + 0.5 * CONFIDENCE)), float(norm.ppf(power))
     n = (z_a * math.sqrt(null) + z_b * math.sqrt(max(variance, 0.0))) ** 2 / difference**2
     return math.ceil(0.25 * n * (1.0 + math.sqrt(1.0 + 4.0 / (n * difference * samples))) ** 2 - 1e-9)
 
