@@ -227,14 +227,14 @@ class ClosedLoop:
         self, episode: Episode, name: str, sample: int, number: int, first_frame: NDArray[np.uint8]
     ) -> Request:
         options = self._options
-        words = ("world model", episode.id, number, options.seed, *([sample] if sample else []))
+        further = [sample] if sample else []
         return Request(
             episode=name,
             task=episode.task,
             round=number,
             prompt=options.prompts.prompt(episode),
             negative_prompt=options.prompts.negative,
-            seed=int(generator(*words).integers(2**31)),
+            seed=int(generator("world model", episode.id, number, options.seed, *further).integers(2**31)),
             first_frame=first_frame,
             num_frames=options.num_frames,
             fps=FPS,

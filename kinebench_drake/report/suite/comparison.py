@@ -177,7 +177,7 @@ def _shared_episodes(episodes: Sequence[EpisodeResult]) -> Iterator[tuple[str, s
     models = group_by(episodes, lambda e: e.model).items()
     own = {model: group_by(some, lambda e: e.key) for model, some in models}
     for first, second in combinations(own, 2):
-        pairs = [(own[first][key], own[second][key]) for key in own[first] if key in own[second]]
+        pairs: list[Pair] = [(own[first][key], own[second][key]) for key in own[first] if key in own[second]]
         for part, shared in sorted(group_by(pairs, lambda pair: pair[0][0].part).items()):
             yield first, second, part, shared
 
