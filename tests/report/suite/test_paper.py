@@ -9,17 +9,11 @@ import pytest
 from kinebench_drake.cli import cli, main
 from kinebench_drake.errors import UsageError
 from kinebench_drake.report.number import ALL_TASKS
-from kinebench_drake.report.suite.extraction import read_measurements
 from kinebench_drake.report.suite.folders import pool_episodes, read_folders
 from kinebench_drake.report.suite.main_table import ROWS, tabulate_main
-from kinebench_drake.report.suite.paper import (
-    INDEX,
-    MISSING,
-    make_sections,
-    missing_text,
-    read_paper_data,
-    write_paper_report,
-)
+from kinebench_drake.report.suite.measurement import read_measurements
+from kinebench_drake.report.suite.paper import INDEX, MISSING, missing_text, read_paper_data, write_paper_report
+from kinebench_drake.report.suite.paper_section import make_sections
 from kinebench_drake.report.suite.transfer import study_drops, tabulate_drops
 from kinebench_drake.report.table import table_latex
 from kinebench_drake.results.row import Status
