@@ -12,6 +12,7 @@ from kinebench_drake.report.suite.folders import RunFolder
 _SPEC = "SPEC"
 """Placeholder of a world model's spec, of which results keep a hash only."""
 _OPTIONS = {
+    "samples_per_episode": ("--samples", 1),
     "rounds": ("--rounds", 3),
     "control": ("--control", "pd_joint_pos"),
     "action_repeat": ("--action-repeat", None),
@@ -20,6 +21,7 @@ _OPTIONS = {
     "prompt_prefix": ("--prompt-prefix", ""),
     "prompt_suffix": ("--prompt-suffix", ""),
     "negative_prompt": ("--negative-prompt", ""),
+    "condition": ("--condition", None),
 }
 """Options of `suite run` and their defaults, by key of the configuration."""
 

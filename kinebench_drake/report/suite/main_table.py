@@ -10,7 +10,7 @@ from kinebench_drake.report.suite.episode import (
 )
 from kinebench_drake.report.suite.folders import RunFolder
 from kinebench_drake.report.suite.scaling import budget_of
-from kinebench_drake.report.suite.success import Tally, best_models, incomplete_note, tally
+from kinebench_drake.report.suite.success import Tally, best_models, incomplete_note, sample_note, tally
 from kinebench_drake.report.table import Column, Table, Value
 
 ROWS: Mapping[SuitePart, str] = {
@@ -87,7 +87,7 @@ def tabulate_main(folders: Sequence[RunFolder], episodes: Sequence[EpisodeResult
             note="Mean over tasks of the share of successes among measured episodes, with 95 % bootstrap intervals "
             "over episodes within tasks. Where episodes were not measured: how many were, and the bound, which counts "
             "the others as failures. Bold: the greatest bound of a suite, among the models that did the most of its "
-            "tasks. A dash: not evaluated." + incomplete_note(tallies, episodes),
+            "tasks. A dash: not evaluated." + incomplete_note(tallies, episodes) + sample_note(episodes),
             columns=columns,
             rows=rows(lambda t: t.success),
             bold=frozenset(best),

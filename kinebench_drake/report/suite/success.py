@@ -143,7 +143,7 @@ def _pass_columns(episodes: Sequence[EpisodeResult]) -> tuple[list[Column], Call
     return [column], lambda t: [t.passes.get(most)]
 
 
-def _sample_note(episodes: Sequence[EpisodeResult]) -> str:
+def sample_note(episodes: Sequence[EpisodeResult]) -> str:
     """Return how several samples of an episode enter a table; empty of single samples."""
     if not has_samples(episodes):
         return ""
@@ -176,7 +176,7 @@ def tabulate_suites(episodes: Sequence[EpisodeResult], seed: int = 0) -> Table:
         "Otherwise mean over tasks of the share of successes among measured episodes; 95 % bootstrap intervals over "
         "episodes within tasks. A dash: no measured episode."
         + incomplete_note(tallies, episodes)
-        + _sample_note(episodes),
+        + sample_note(episodes),
         columns=(
             Column(key="model", label="Model"),
             EXECUTABLE_COLUMN,
@@ -221,7 +221,7 @@ def tabulate_summary(episodes: Sequence[EpisodeResult], seed: int = 0) -> Table:
         note="Every task counts the same in success, progress, rounds, SPARC and cost (95 % bootstrap intervals over "
         "episodes within tasks); pooled success counts every episode the same (95 % Wilson intervals). Episodes that "
         "could not be measured are no failures: the last rate shows what they would make of it if they were."
-        + _sample_note(episodes),
+        + sample_note(episodes),
         columns=(
             *plain_columns(part="Suite", model="Model", tasks="Tasks"),
             EXECUTABLE_COLUMN,
@@ -246,7 +246,7 @@ def tabulate_tasks(episodes: Sequence[EpisodeResult], seed: int = 0) -> Table:
         name="tasks",
         title="Each task",
         note="Success with 95 % Wilson intervals, the other means with 95 % bootstrap intervals over episodes."
-        + _sample_note(episodes),
+        + sample_note(episodes),
         columns=(
             *plain_columns(part="Suite", task="Task", model="Model"),
             EXECUTABLE_COLUMN,

@@ -8,11 +8,11 @@ import numpy as np
 from kinebench_drake.geometry import Array
 from kinebench_drake.io.figure import FAINT, new_figure, plain, shorten
 from kinebench_drake.report.figures import ReportFigure, add_legend, assign_numbers, draw_interval, label_shares, style
-from kinebench_drake.report.number import ALL_TASKS
+from kinebench_drake.report.number import ALL_TASKS, share_difference
 from kinebench_drake.report.suite.episode import EpisodeResult, SuitePart, group_by, list_models
 from kinebench_drake.report.table import Column, Table, Value, plain_columns
 from kinebench_drake.results.aggregate import Estimate
-from kinebench_drake.stats import PairedOutcomes, independent_mean_difference, paired_mean_difference, sign_test
+from kinebench_drake.stats import PairedShares, independent_mean_difference
 
 SEEN, UNSEEN = "seen", "unseen"
 """Splits that are compared."""
@@ -38,7 +38,7 @@ class SeenUnseenDrop:
     """Seen minus unseen over the episodes that are measured, of paired ones both. Bound: over all episodes, if each
     seen one without an outcome had succeeded and each unseen one had failed."""
     p: float | None
-    """Two-sided p-value: of paired episodes, exact test of McNemar, or sign test over episodes of several samples."""
+    """Two-sided p-value of paired episodes, see `PairedShares`; None of others."""
     adjusted_p: float | None = None
     """p of a task, adjusted as Benjamini and Hochberg (1995) over the tasks of the model on the suite."""
 
@@ -94,15 +94,9 @@ def _paired(suite: int, model: str, task: str, pairs: Sequence[tuple[Samples, Sa
     bound = float(np.mean([_rate(one, 1.0) - _rate(other, 0.0) for one, other in pairs]))
     drop, p = Estimate(mean=None, low=None, high=None, n=0, total=len(pairs)), None
     if len(complete):
-        first, second = complete.T
-        if np.isin(complete, (0.0, 1.0)).all():
-            outcomes = PairedOutcomes.of(*(complete > 0.5).T.tolist())
-            drop = _estimate(outcomes.difference, *outcomes.interval(), len(complete), len(pairs))
-            p = outcomes.p_value
-        else:
-            value = paired_mean_difference(first, second, np.random.default_rng(seed))
-            drop = _estimate(value.value, value.low, value.high, len(complete), len(pairs))
-            p = sign_test(int((first > second).sum()), int((first < second).sum()))
+        samples = max(len(own) for pair in pairs for own in pair)
+        shares = PairedShares(first=complete[:, 0], second=complete[:, 1], samples=samples, seed=seed)
+        drop, p = share_difference(shares, len(pairs)), shares.p_value
     return SeenUnseenDrop(
         suite=suite,
         model=model,
@@ -170,10 +164,11 @@ def tabulate_drops(drops: Sequence[SeenUnseenDrop]) -> Table:
         title="Drop of success from seen to unseen, task by task",
         note="Seen minus unseen: positive is a loss. Suite 2 pairs the episodes of one task and seed, the same layout "
         "with other assets and looks: over the pairs measured on both sides, 95 % intervals by Newcombe's method 10, p "
-        "of McNemar's exact test (of several samples an episode: bootstrap over episodes, sign test), adjusted p by "
-        "Benjamini and Hochberg over the tasks of a model. Suite 1 compares an unseen task with the trained tasks it "
-        "derives from; these episodes are not paired, with Newcombe's interval of independent shares. All tasks: every "
-        "pair counts the same. Below a drop over incomplete data: the greatest drop that the other episodes allow.",
+        "of McNemar's exact test (of several samples an episode: paired bootstrap over episodes, randomization of the "
+        "signs of the differences), adjusted p by Benjamini and Hochberg over the tasks of a model. Suite 1 compares "
+        "an unseen task with the trained tasks it derives from; these episodes are not paired, with Newcombe's "
+        "interval of independent shares. All tasks: every pair counts the same. Below a drop over incomplete data: the "
+        "greatest drop that the other episodes allow.",
         columns=(
             *plain_columns(suite="Suite", model="Model", task="Unseen task", seen_tasks="Seen task"),
             Column(key="success_seen", label="Success, seen", pattern="{:.1%}"),

@@ -237,24 +237,24 @@ def test_a_missing_outcome_never_lessens_the_bound_of_a_drop(tmp_path):
 
 
 def test_several_samples_of_an_episode_are_one_pair(tmp_path):
-    """Twice the same sample of each episode says no more than once; samples that differ give shares."""
-
-    def sampled(split, values):
-        rows = [v for value in values for v in value]
-        run = write_run(tmp_path / split, {"T": rows}, suite=2, split=split)
-        lines = [json.loads(line) for line in (run / "samples.jsonl").read_text().splitlines()]
-        for k, line in enumerate(lines):
-            line |= {"id": f"e{k // 2}_k{k % 2}", "seed": k // 2}
-        (run / "samples.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
-        return run
-
-    twice = [[True, True]] * 5 + [[False, False]] * 3
+    """In drops and in Table 1: as often as its samples succeed, and no more sure for having several equal ones."""
     mixed = [[True, False]] * 4 + [[False, False]] * 4
-    every, task = study_drops(episodes_of(sampled("seen", twice), sampled("unseen", mixed)), {})
+    runs = {
+        (split, k): write_run(tmp_path / f"{split}{k}", {"T": own}, suite=2, split=split)
+        for split, outcomes in (("seen", [True] * 5 + [False] * 3), ("unseen", [False] * 8))
+        for k, own in ((1, outcomes), (2, [[value] * 2 for value in outcomes]))
+    }
+    once, twice = (study_drops(episodes_of(runs["seen", k], runs["unseen", k]), {}) for k in (1, 2))
+    assert once == twice
+    other = write_run(tmp_path / "mixed", {"T": mixed}, suite=2, split="unseen")
+    every, task = study_drops(episodes_of(runs["seen", 2], other), {})
     assert (task.drop.n, task.drop.total) == (8, 8)
     assert task.drop.mean == pytest.approx(5 / 8 - 2 / 8)
     assert task.drop.low < task.drop.mean < task.drop.high
     assert every.drop == task.drop
+    folders = read_folders([runs["seen", 2]])
+    (row,) = (r for r in tabulate_main(folders, pool_episodes(folders))[0].rows if r[0] == "Suite 2 (seen)")
+    assert (row[2], row[3].mean, row[3].total) == ("8", 5 / 8, 16)
 
 
 def test_tasks_that_were_not_trained_are_compared_with_those_they_derive_from(tmp_path):
@@ -292,6 +292,7 @@ def test_what_is_missing_has_commands_that_exist(tmp_path, monkeypatch):
     run = write_run(tmp_path / "one", {"PullCube-v1": [True, False]}, suite=2, split="seen", model="my model")
     bare = write_run(tmp_path / "bare", {"PullCube-v1": [True]}, suite=3)
     config = {"suite": 2, "split": "seen", "rounds": 1, "control": "pd_ee_pose", "pixels_only": True}
+    config |= {"samples_per_episode": 4, "condition": "actions"}
     change(run, config={**config, "tasks": ["PullCube-v1"], "episodes_per_task": 2, "negative_prompt": "a 'b'"})
     for inputs in ([run], [run, bare]):
         commands = commands_of(make_sections(read_paper_data(inputs)))
@@ -304,7 +305,15 @@ def test_what_is_missing_has_commands_that_exist(tmp_path, monkeypatch):
                 group = group.get_command(click.Context(group), arguments.pop(0))
             group.make_context(group.name, arguments)
     other = next(c for c in commands if "suite run --suite 2" in c and "--split unseen" in c)
-    for option in ("--tasks PullCube-v1", "--episodes 2", "--rounds 1", "--control pd_ee_pose", "--pixels-only"):
+    for option in (
+        "--tasks PullCube-v1",
+        "--episodes 2",
+        "--rounds 1",
+        "--control pd_ee_pose",
+        "--pixels-only",
+        "--samples 4",
+        "--condition actions",
+    ):
         assert option in other
     assert "--model 'my model'" in other
     assert """--negative-prompt 'a '"'"'b'"'"''""" in other
