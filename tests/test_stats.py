@@ -12,6 +12,7 @@ from kinebench_drake.stats import (
     PairedOutcomes,
     PairedShares,
     group_means,
+    independent_mean_difference,
     pass_at_k,
     percentile_interval,
     resampled_counts,
@@ -172,3 +173,26 @@ def test_intervals_over_episodes_hold_the_mean_success_as_often_as_they_say():
 
 def test_means_of_groups_keep_their_order():
     assert group_means([1.0, 2.0, 3.0, 5.0], ["b", "a", "b", "c"]).tolist() == [2.0, 2.0, 5.0]
+
+
+def test_independent_shares_have_newcombe_s_interval():
+    """Published example: 56 of 70 and 48 of 80 (Newcombe, Stat. Med. 17, 1998, pp. 873-890, table II, method 10)."""
+    first, second = np.repeat([1.0, 0.0], (56, 14)), np.repeat([1.0, 0.0], (48, 32))
+    value = independent_mean_difference(first, second, np.random.default_rng(0))
+    assert value.value == pytest.approx(0.2)
+    assert (value.low, value.high) == pytest.approx((0.0524, 0.3339), abs=5e-5)
+    swapped = independent_mean_difference(second, first, np.random.default_rng(0))
+    assert (swapped.low, swapped.high) == pytest.approx((-value.high, -value.low))
+
+
+def test_independent_means_are_resampled_apart():
+    rng, covered = np.random.default_rng(0), 0
+    for _ in range(200):
+        value = independent_mean_difference(rng.normal(1.0, 1.0, 20), rng.normal(0.0, 2.0, 30), rng)
+        covered += value.low <= 1.0 <= value.high
+    assert 0.89 <= covered / 200 <= 0.98
+    equal = independent_mean_difference(np.full(3, 0.5), np.full(4, 0.25), rng)
+    assert equal.value == 0.25
+    assert np.isnan([equal.low, equal.high]).all()
+    with pytest.raises(InputError, match="without units"):
+        independent_mean_difference(np.ones(1), np.array([]), rng)
