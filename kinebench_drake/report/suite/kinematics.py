@@ -126,7 +126,12 @@ def tabulate_following(episodes: Sequence[EpisodeResult], seed: int = 0) -> Tabl
             ),
         ),
         rows=tuple(
-            (part.title, model, len(own), *(mean(own, name, factor) for name, _, factor, _ in _FOLLOWING))
+            (
+                part.title,
+                model,
+                len({e.row.episode for e in own}),
+                *(mean(own, name, factor) for name, _, factor, _ in _FOLLOWING),
+            )
             for part, model, own in group_by_run(conditioned)
         ),
     )

@@ -8,7 +8,7 @@ from kinebench_drake.report.parts import MissingPart, Part, choose_listed, list_
 from kinebench_drake.report.run import check_page_folder
 from kinebench_drake.report.suite import correlation, kinematics, scaling, success
 from kinebench_drake.report.suite.comparison import ModelComparison, draw_differences, tabulate_comparison
-from kinebench_drake.report.suite.episode import EpisodeResult, tabulate_episodes
+from kinebench_drake.report.suite.episode import EpisodeResult, has_samples, tabulate_episodes
 from kinebench_drake.report.suite.folders import RunFolder, pool_episodes, read_folders, spec_warnings
 
 
@@ -122,5 +122,6 @@ def write_page(
         folders=folders,
         warnings=spec_warnings(folders),
         episodes=len(episodes),
+        noun="sample" if has_samples(episodes) else "episode",
         lines=[(e, list_links(e.folder, e.row, out)) for e in listed],
     )

@@ -18,6 +18,7 @@ from kinebench_drake.report.suite.scaling import (
     untagged,
 )
 from kinebench_drake.report.suite.success import tabulate_suites, tabulate_summary, tabulate_tasks, tally
+from kinebench_drake.report.suite.suite_page import write_suite_report
 from kinebench_drake.results.row import Status
 from kinebench_drake.stats import PairedOutcomes
 from tests.report.suite.synthetic import change, failed, outcome, write_run
@@ -251,6 +252,8 @@ def test_tables_of_several_samples_show_pass_at_k(tmp_path):
     assert t.success.mean == t.pooled.mean == pytest.approx(1 / 3)
     assert {k: round(share.mean, 3) for k, share in t.passes.items()} == {1: 0.333, 2: 0.556, 3: 0.667}
     assert (t.measured, t.passes[3].n) == (9, 3)
+    page = write_suite_report([tmp_path / "a"], tmp_path / "report").read_text()
+    assert "9 samples of 1 run" in page
     for tabulate in (tabulate_summary, tabulate_tasks):
         table = tabulate(episodes)
         place = [column.key for column in table.columns].index("pass_at_3")
