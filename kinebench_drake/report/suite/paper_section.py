@@ -98,16 +98,18 @@ def _extraction_parts(data: PaperData) -> list[Part]:
         of = "" if robustness is None else ", of the learned baseline"
         needs = "robustness.json among the arguments"
         parts.append(MissingPart(title=title + of, needs=needs, commands=_ROBUSTNESS_COMMANDS))
-    table, lacking = extraction.tabulate_extraction(measurements), list[str]()
+    table, lacking = extraction.tabulate_extraction(measurements), dict[str, Sequence[str]]()
     parts += [] if table is None else [table]
-    lacking += [] if depth is not None else _DEPTH_COMMANDS
-    lacking += [] if any(g.pooled and not g.trained for g in measurements.baseline) else _BASELINE_COMMANDS
+    if depth is None:
+        lacking["depth.json"] = _DEPTH_COMMANDS
+    if not any(g.pooled and not g.trained for g in measurements.baseline):
+        lacking["comparison/"] = _BASELINE_COMMANDS
     if lacking:
-        title = "Extraction with true depth, estimated depth and learned inverse dynamics" + (
-            ", other rows" if table else ""
-        )
-        needs = "depth.json and comparison/ among the arguments"
-        parts.append(MissingPart(title=title, needs=needs, commands=tuple(lacking)))
+        rest = ", other rows" if table else ""
+        title = f"Extraction with true depth, estimated depth and learned inverse dynamics{rest}"
+        needs = f"{' and '.join(lacking)} among the arguments"
+        commands = tuple(command for own in lacking.values() for command in own)
+        parts.append(MissingPart(title=title, needs=needs, commands=commands))
     maps = None if depth is None else extraction.draw_depth_maps(depth.relative_depth_error)
     if depth is not None:
         title = "Figure 5a: pose errors by quality of the depth"

@@ -334,6 +334,9 @@ def test_measurements_alone_make_their_figures(measurements):
     assert {"extraction", "figure4a_trajectories", "figure5b_depth_error"} <= {*names_of(sections)}
     assert "table1_success" not in names_of(sections)
     assert "Table 1, row Suite 0" in missing_text(sections)
+    assert "Extraction" not in missing_text(sections)
+    partly = missing_text(make_sections(read_paper_data(measurements[1:])))
+    assert "inverse dynamics, other rows: needs comparison/ among the arguments" in partly
     (table,) = (part for _, parts in sections for part in parts if getattr(part, "name", None) == "extraction")
     assert [row[0] for row in table.rows] == [
         *("grounding, true depth", "grounding, estimated depth"),
