@@ -96,7 +96,7 @@ def _extraction_parts(data: PaperData) -> list[Part]:
         parts.append(extraction.draw_conditions(robustness, "figure4b_perturbations", title, caption))
     if robustness is None or not robustness.has_baseline:
         of = "" if robustness is None else ", of the learned baseline"
-        needs = "robustness.json among the arguments"
+        needs = "robustness.json, measured with --baseline, among the arguments"
         parts.append(MissingPart(title=title + of, needs=needs, commands=_ROBUSTNESS_COMMANDS))
     table, lacking = extraction.tabulate_extraction(measurements), dict[str, Sequence[str]]()
     parts += [] if table is None else [table]
