@@ -83,16 +83,16 @@ def tabulate_kinematics(episodes: Sequence[EpisodeResult], seed: int = 0) -> Tab
 
 
 _FOLLOWING = (
-    ("action_error_m", "Error [mm]", 1e3, "{:.1f}"),
-    ("action_shuffled_m", "Shuffled [mm]", 1e3, "{:.1f}"),
-    ("action_error_rad", "Error [degrees]", 180.0 / np.pi, "{:.1f}"),
-    ("action_shuffled_rad", "Shuffled [degrees]", 180.0 / np.pi, "{:.1f}"),
-    ("action_error_finger_m", "Error, fingers [mm]", 1e3, "{:.1f}"),
-    ("action_shuffled_finger_m", "Shuffled, fingers [mm]", 1e3, "{:.1f}"),
-    ("action_following", "Following", 1.0, "{:.2f}"),
-    ("action_lag_s", "Delay [s]", 1.0, "{:.2f}"),
+    ("action_error_m", "action_error_mm", "Error [mm]", 1e3, "{:.1f}"),
+    ("action_shuffled_m", "action_shuffled_mm", "Shuffled [mm]", 1e3, "{:.1f}"),
+    ("action_error_rad", "action_error_deg", "Error [degrees]", 180.0 / np.pi, "{:.1f}"),
+    ("action_shuffled_rad", "action_shuffled_deg", "Shuffled [degrees]", 180.0 / np.pi, "{:.1f}"),
+    ("action_error_finger_m", "action_error_finger_mm", "Error, fingers [mm]", 1e3, "{:.1f}"),
+    ("action_shuffled_finger_m", "action_shuffled_finger_mm", "Shuffled, fingers [mm]", 1e3, "{:.1f}"),
+    ("action_following", "action_following", "Following", 1.0, "{:.2f}"),
+    ("action_lag_s", "action_lag_s", "Delay [s]", 1.0, "{:.2f}"),
 )
-"""Metrics of action following: label, factor to its unit, format."""
+"""Metrics of action following: key and label in the table, factor to its unit, format."""
 
 
 def tabulate_following(episodes: Sequence[EpisodeResult], seed: int = 0) -> Table | None:
@@ -121,8 +121,8 @@ def tabulate_following(episodes: Sequence[EpisodeResult], seed: int = 0) -> Tabl
         columns=(
             *plain_columns(part="Suite", model="Model", episodes="Episodes"),
             *(
-                Column(key=name, label=label, pattern=pattern, meaning=BY_NAME[name].meaning, estimated=True)
-                for name, label, _, pattern in _FOLLOWING
+                Column(key=key, label=label, pattern=pattern, meaning=BY_NAME[name].meaning, estimated=True)
+                for name, key, label, _, pattern in _FOLLOWING
             ),
         ),
         rows=tuple(
@@ -130,7 +130,7 @@ def tabulate_following(episodes: Sequence[EpisodeResult], seed: int = 0) -> Tabl
                 part.title,
                 model,
                 len({e.row.episode for e in own}),
-                *(mean(own, name, factor) for name, _, factor, _ in _FOLLOWING),
+                *(mean(own, name, factor) for name, _, _, factor, _ in _FOLLOWING),
             )
             for part, model, own in group_by_run(conditioned)
         ),

@@ -273,6 +273,7 @@ def test_following_is_tabulated_where_actions_were_requested(tmp_path):
     b = write_run(tmp_path / "b", {"T": [True]}, model="two")
     table = tabulate_following(episodes_of(a, b))
     assert [row[1] for row in table.rows] == ["one"]
+    assert [column.key for column in table.columns[3:5]] == ["action_error_mm", "action_shuffled_mm"]
     error, shuffled = table.rows[0][3:5]
     assert (error.mean, error.n) == (pytest.approx(3.0), 2)  # millimetres
     assert shuffled.mean == pytest.approx(100.0)
