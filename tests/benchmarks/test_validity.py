@@ -11,9 +11,10 @@ from scipy.stats import spearmanr
 from benchmarks import validity
 from benchmarks.__main__ import main
 from benchmarks.planted_videos import PlantingResult
-from benchmarks.validity import ValidityTrial, study_grades, study_specs
+from benchmarks.validity import TrackExecution, ValidityTrial, study_grades, study_specs
 from benchmarks.validity_report import FIGURES, write_report
 from benchmarks.validity_response import NUMBERS, Grade, Study, Verdict, correlate
+from kinebench_drake.grounding.evaluation.store import MeasurementStore
 from kinebench_drake.suites.faults.fault import GRADES, FaultGrade, PlantedFault
 from kinebench_drake.suites.split import Pool
 from kinebench_drake.suites.tasks.registry import TASKS
@@ -167,6 +168,12 @@ def test_json_round_trip(trials: list[ValidityTrial]) -> None:
         assert ValidityTrial.from_json(json.loads(json.dumps(t.to_json()))) == t
     fault = PlantedFault(kind=AnomalyKind.FREEZE, frame_start=3, frame_end=7, size=5.0)
     assert PlantedFault.from_json(json.loads(json.dumps(fault.to_json()))) == fault
+
+
+def test_executions_are_read_back(tmp_path: Path) -> None:
+    done = TrackExecution(success=True, reason="")
+    MeasurementStore(tmp_path / "executions.jsonl", TrackExecution).put("key", done)
+    assert MeasurementStore(tmp_path / "executions.jsonl", TrackExecution)["key"] == done
 
 
 @pytest.mark.sapien
