@@ -9,6 +9,7 @@ import numpy as np
 from benchmarks.markdown import table
 from benchmarks.validity import SPLIT, SUITE, ValidityTrial
 from benchmarks.validity_response import (
+    FALSE_DISCOVERIES,
     NUMBERS,
     SEPARATION,
     Grade,
@@ -102,6 +103,12 @@ def _share(hits: int, n: int) -> str:
 def _verdict_lines(study: Study) -> Iterator[str]:
     yield f"![Area under the ROC curve of every number, fault and size]({FIGURES[0]})"
     yield ""
+    if (p := sign_test(len(study.clean), 0)) > FALSE_DISCOVERIES:
+        yield (
+            f"Preliminary, without verdicts: {len(study.clean)} episodes cannot show that a response is distinct from "
+            f"chance (p = {p:.2g} at best)."
+        )
+        return
     rows = [[f"`{name}`", *(_verdict_cell(study, name, kind) for kind in study.kinds)] for name in NUMBERS]
     yield from table(("number", *(f"`{kind.value}`" for kind in study.kinds)), rows)
     yield ""

@@ -29,6 +29,8 @@ NUMBERS = ("executable", "feasible", *(name for name in VISUAL_METRICS if name !
 """Numbers that the study is about."""
 SEPARATION = 0.8
 """Least area under the ROC curve of a number that separates faulty videos from clean ones."""
+DECIMALS = 6
+"""Decimals to which values are compared: 1e-6 m is the tolerance of inverse kinematics."""
 FALSE_DISCOVERIES = 0.05
 """Expected share of chance results among all responses (Benjamini and Hochberg 1995)."""
 
@@ -165,9 +167,12 @@ class Study:
 
 
 def badness(name: str, values: Sequence[float | bool | None]) -> Array:
-    """Return values (N,) of a number such that greater is worse; infinite for null."""
+    """Return values (N,) of a number such that greater is worse; infinite for null.
+
+    They are rounded to DECIMALS: residuals of inverse kinematics below its tolerance are equal.
+    """
     sign = -1.0 if name in HIGHER_IS_BETTER else 1.0
-    return np.array([np.inf if v is None else sign * float(v) for v in values])
+    return np.array([np.inf if v is None else sign * round(float(v), DECIMALS) for v in values])
 
 
 def _area(clean: Array, faulty: Array, rng: np.random.Generator) -> IntervalEstimate:

@@ -131,6 +131,14 @@ def test_report(trials: list[ValidityTrial], tmp_path: Path) -> None:
     assert success.count("\n| `") == len(NUMBERS)
 
 
+def test_few_episodes_have_no_verdicts(trials: list[ValidityTrial], tmp_path: Path) -> None:
+    few = [t for t in trials if int(t.episode) < 3]
+    verdicts = write_report(few, {"revision": "r", "weights": "w"}, tmp_path)[1]
+    assert "3 episodes cannot show" in verdicts
+    assert "| `sparc`" not in verdicts
+    assert "No number improves" not in verdicts
+
+
 def test_report_command_writes_the_page(trials: list[ValidityTrial], tmp_path: Path) -> None:
     work, page = tmp_path / "work", tmp_path / "page.md"
     work.mkdir()
