@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, interpolate_pose, invert, transform_points
 from kinebench_drake.grounding.crop import CLOSE_SIZE, GRIPPER_CENTRE_H, Crop
+from kinebench_drake.grounding.localization import find_region
 from kinebench_drake.grounding.override_estimator import OverrideEstimator, calibrate_depth
 from kinebench_drake.grounding.registration.arm_fit import ArmFit, ArmFitter
 from kinebench_drake.grounding.registration.arm_model import ArmModel
@@ -105,10 +106,13 @@ class CadTracker:
         priors.check_shapes(*frames.shape[:3])
         priors = self._calibrate(frames, camera, priors)
         estimator = OverrideEstimator(self._estimator, priors)
+        whole = dict.fromkeys(range(len(frames)), Crop.of_frame(camera))
+        wide = dict(estimator.estimate(frames, camera, whole))
+        region = find_region(estimator, frames, camera, wide)
+        if region is not None:
+            wide = dict(estimator.estimate(frames, camera, dict.fromkeys(whole, region)))
         crops: dict[int, Crop] = {}
-        wide: dict[int, GripperView] = {}
-        for i, view in estimator.estimate(frames, camera, dict.fromkeys(range(len(frames)), Crop.of_frame(camera))):
-            wide[i] = view
+        for i, view in wide.items():
             X_CH = priors.pose(i)
             detection = None if X_CH is not None else fit(view)
             if detection is not None:

@@ -4,12 +4,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from kinebench_drake.grounding.training.texture import random_photograph, random_texture
+
 Image = NDArray[np.uint8]
 
 
 def _colour(image: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.float32]:
-    gain = rng.uniform(0.55, 1.5) * rng.uniform(0.85, 1.15, 3)
-    offset = rng.uniform(-25, 25) + rng.uniform(-10, 10, 3)
+    gain = rng.uniform(0.7, 1.4) * rng.uniform(0.85, 1.15, 3)
+    offset = rng.uniform(-20, 20) + rng.uniform(-8, 8, 3)
     image = image * gain.astype(np.float32) + offset.astype(np.float32)
     if rng.random() < 0.3:
         image = 255.0 * np.clip(image / 255.0, 0, 1) ** np.float32(rng.uniform(0.6, 1.7))
@@ -31,7 +33,7 @@ def _blur(image: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.fl
         start, end = (centre - step).round().astype(int), (centre + step).round().astype(int)
         cv2.line(kernel, tuple(start.tolist()), tuple(end.tolist()), 1.0)
         return np.asarray(cv2.filter2D(image, -1, kernel / kernel.sum()))
-    size, factor = image.shape[0], rng.uniform(1.2, 2.5)
+    size, factor = image.shape[0], np.exp(rng.uniform(np.log(1.2), np.log(4.0)))
     small = cv2.resize(image, (int(size / factor),) * 2, interpolation=cv2.INTER_AREA)
     return np.asarray(cv2.resize(small, (size, size), interpolation=cv2.INTER_LINEAR))
 
@@ -86,6 +88,18 @@ def degrade(image: Image, rng: np.random.Generator) -> Image:
         encoded = cv2.imencode(".jpg", out, [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
         out = np.asarray(cv2.imdecode(encoded, cv2.IMREAD_COLOR), dtype=np.uint8)
     return out
+
+
+def replace_background(image: Image, robot: NDArray[np.generic], rng: np.random.Generator) -> Image:
+    """Return an image (S, S, 3) whose robot, at opacity `robot` (S, S) in 0..1, stands before another background."""
+    size = image.shape[0]
+    if rng.random() < 0.7:
+        background = random_photograph(rng, size)
+    else:
+        texture = np.ascontiguousarray(random_texture(rng)[..., :3])
+        background = np.asarray(cv2.resize(texture, (size, size), interpolation=cv2.INTER_LINEAR), np.uint8)
+    opacity = cv2.GaussianBlur(robot.astype(np.float32), (0, 0), float(rng.uniform(0.4, 1.0)))[..., None]
+    return np.asarray(image * opacity + background * (1 - opacity), dtype=np.uint8)
 
 
 def occlude(image: Image, part: NDArray[np.uint8], scenery: Image, rng: np.random.Generator) -> None:

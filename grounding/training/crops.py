@@ -13,16 +13,20 @@ from kinebench_drake.camera import Camera
 from kinebench_drake.errors import UsageError
 from kinebench_drake.geometry import Array, invert, make_pose, transform_points
 from kinebench_drake.grounding.crop import CLOSE_SIZE, GRIPPER_CENTRE_H, GRIPPER_RADIUS_M, WIDE_SIZE, Crop
-from kinebench_drake.grounding.training.augment import degrade, occlude
+from kinebench_drake.grounding.training.augment import degrade, occlude, replace_background
 from kinebench_drake.models.panda.robot import ARM, GRIPPER, OPENING_SIGN, RobotPart
 from kinebench_drake.models.perception.frame import DEPTH_UNIT_M, RenderedFrame
 from kinebench_drake.models.perception.network import COORDINATE_SCALE_M, DEPTH_CENTRE, STRIDE
 
-WIDE_EVERY = 4
-"""Interval of the steps on wide crops, which show whole frames; the others use close crops of the gripper."""
+WIDE_EVERY = 3
+"""Interval of the steps on wide crops, which show frames or arms; the others use close crops of the gripper."""
 _MIN_GRIPPER_PX = 60
 _DOUBLED = 0.12  # share of wide crops with a second gripper
 _OCCLUDED = 0.4  # share of crops with occluders
+_OTHER_BACKGROUND = 0.2  # share of crops whose background is replaced
+_ELSEWHERE = 0.1  # share of wide crops of any part of the frame
+_WIDE_GRIPPER_PX = (13.0, 115.0)  # diameter of the gripper's bounding sphere in wide crops
+_LARGEST_WIDE = 1.3  # size of the largest wide crop over that of the frame
 _NARROW = 0.4  # share of draws that take the narrower of two grippers
 
 
@@ -46,11 +50,20 @@ def close_crop(frame: RenderedFrame, rng: np.random.Generator) -> Crop:
 
 
 def wide_crop(frame: RenderedFrame, rng: np.random.Generator) -> Crop:
-    """Return a random crop of about the whole frame, as in detection."""
+    """Return a random crop that shows the gripper small, anywhere in it, as in detection and around the arm."""
     camera = frame_camera(frame)
-    half_tangent = max(camera.width / camera.fx, camera.height / camera.fy) / 2 * rng.uniform(0.7, 1.3)
-    direction = np.array([*(rng.normal(0, 0.12, 2) * half_tangent), 1.0])
-    return Crop.towards(direction, half_tangent, WIDE_SIZE, roll=float(rng.normal(0, np.deg2rad(4))))
+    gripper_C = transform_points(frame.X_CH, GRIPPER_CENTRE_H[None])[0]
+    apparent = GRIPPER_RADIUS_M / float(np.linalg.norm(gripper_C))
+    half_tangent = apparent * WIDE_SIZE / np.exp(rng.uniform(*np.log(_WIDE_GRIPPER_PX)))
+    half_tangent = min(half_tangent, _LARGEST_WIDE * camera.width / 2 / camera.fx)
+    half_px = half_tangent * camera.fx
+    centre_px = camera.project(gripper_C) + rng.uniform(-0.85, 0.85, 2) * half_px
+    if gripper_C[2] <= 0 or rng.random() < _ELSEWHERE:
+        centre_px = rng.uniform(0, camera.width, 2)
+    margin = min(0.8 * half_px, camera.width / 2)
+    u, v = np.clip(centre_px, margin, camera.width - margin)
+    direction = [(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, 1.0]
+    return Crop.towards(direction, half_tangent, WIDE_SIZE, roll=float(rng.normal(0, np.deg2rad(8))))
 
 
 def label(frame: RenderedFrame, crop: Crop) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.float32]]:
@@ -163,6 +176,9 @@ class Crops(Dataset[dict[str, Tensor]]):
             if np.isin(part, GRIPPER).sum() >= _MIN_GRIPPER_PX / STRIDE**2 or rng.random() < 0.1:
                 break
         image = np.array(crop.warp(frame.rgb, frame_camera(frame)), dtype=np.uint8)
+        if rng.random() < _OTHER_BACKGROUND:
+            robot = crop.warp((frame.part > 0).astype(np.float32), frame_camera(frame))
+            image = replace_background(image, robot, rng)
         if wide and rng.random() < _DOUBLED:
             _double(image, (part, coordinates, log_depth), rng)
         if rng.random() < _OCCLUDED:

@@ -29,7 +29,7 @@ class TrainingConfig:
     out: Path
     """Folder for checkpoints and the final weights."""
     start: Path | None = None
-    """Initial weights, whose batch normalisation stays frozen; if None, an ImageNet encoder."""
+    """Initial weights; if None, an ImageNet encoder."""
     schedule: Schedule
     """Schedule; its examples are crops."""
     workers: int = 1
@@ -80,7 +80,7 @@ def train(config: TrainingConfig, report: Callable[[str], None]) -> Path:
     Raises:
         UsageError: `config.data` holds no frames, or `config.out` holds another training.
     """
-    schedule = replace(config.schedule, fixed_from=_FIXED_FROM if config.start is None else 0.0)
+    schedule = replace(config.schedule, fixed_from=_FIXED_FROM)
     torch.manual_seed(schedule.seed)
     if config.start is None:
         network = GripperNetwork()
