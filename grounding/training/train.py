@@ -15,7 +15,7 @@ from kinebench_drake.models.panda.robot import ARM, RobotPart
 from kinebench_drake.models.perception.network import DenseOutput, GripperNetwork, load_network
 
 _PIXEL_WEIGHTS = (1.0, 1.0, 5.0, 5.0, *[1.0] * len(ARM))  # by RobotPart
-_ARM_WEIGHT = 0.4  # weight of the arm's coordinates and depth / weight of the gripper's
+_ARM_WEIGHT = 0.6  # weight of the arm's coordinates and depth / weight of the gripper's
 _FIXED_FROM = 0.3
 """Part of the steps after which batch normalisation is frozen, as the statistics of close and wide crops differ."""
 

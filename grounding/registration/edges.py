@@ -1,0 +1,263 @@
+"""Edges of the robot's CAD model matched to edges of the image.
+
+Outlines and creases of hand and links are projected at a posture; each visible point searches the image across the
+projected edge for the strongest gradient nearby, and the distance to it is a residual across the edge (Harris and
+Stennett, "RAPID", BMVC 1990; Drummond and Cipolla, PAMI 2002). It needs no network, so it also works on looks that the
+network was not trained on, from a posture that is right within a few pixels.
+"""
+
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from kinebench_drake.camera import Camera
+from kinebench_drake.environment import native
+from kinebench_drake.geometry import Array, invert
+from kinebench_drake.grounding.registration.correspondences import Correspondences
+from kinebench_drake.models.panda.cad import link_meshes, part_meshes
+from kinebench_drake.models.panda.robot import OPENING_SIGN, RobotPart
+
+_CREASE_RAD = 0.6  # angle between faces from which their common edge is a crease
+_SPACING_PX = 2.0  # distance of the points along an edge
+_MAX_POINTS = 700
+_BEHIND_M = 0.01  # a point farther than this behind the surface is hidden
+_BULGE_M = 0.03  # greatest difference of depth between a contour and the surface beside it
+_JUMP_M = 0.015  # least jump of the depth at a contour
+_BESIDE_PX = 1.5  # distance from the edge at which the jump is measured
+_LARGEST_PX = 640  # images larger than this are reduced
+_SMOOTHING_PX = 1.0
+_SIGMA_PX = 0.7
+_INDEPENDENT = 120.0  # independent measurements that the edges of an image count as at most
+_LEAST_GRADIENT = 6.0  # of an image in 0..255, per pixel
+_STEP_PX = 0.5
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EdgeMesh:
+    """Edges between two faces of a part."""
+
+    ends: Array
+    """(E, 2, 3) end points in the frame of the part [m]."""
+    faces: NDArray[np.int64]
+    """(E, 2) adjacent faces."""
+    crease: NDArray[np.bool_]
+    """(E,) edges where the surface bends sharply."""
+    normals: Array
+    """(F, 3) unit normals of the faces."""
+    centres: Array
+    """(F, 3) a point on each face [m]."""
+
+    def contour(self, eye: Array) -> Array:
+        """Return the edges (M, 2, 3) that an eye at `eye` (3,) in the frame of the part can see as lines."""
+        front = ((eye - self.centres) * self.normals).sum(axis=1) > 0
+        first, second = front[self.faces[:, 0]], front[self.faces[:, 1]]
+        return np.asarray(self.ends[(first != second) | (self.crease & (first | second))])
+
+
+@cache
+def _edge_meshes() -> dict[RobotPart, EdgeMesh]:
+    return {
+        part: EdgeMesh(
+            ends=np.asarray(mesh.vertices, dtype=np.float64)[mesh.face_adjacency_edges],
+            faces=np.asarray(mesh.face_adjacency),
+            crease=np.asarray(mesh.face_adjacency_angles > _CREASE_RAD),
+            normals=np.asarray(mesh.face_normals, dtype=np.float64),
+            centres=np.asarray(mesh.triangles_center, dtype=np.float64),
+        )
+        for part, mesh in {**part_meshes(), **link_meshes()}.items()
+    }
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EdgePoints:
+    """Visible points on the edges of the robot in an image."""
+
+    part: NDArray[np.uint8]
+    """(N,) values of `RobotPart`."""
+    p_P: Array
+    """(N, 3) points in the frame of the part, fingers closed [m]."""
+    p_C: Array
+    """(N, 3) points in the camera frame [m]."""
+    pixel: Array
+    """(N, 2) their places in the image [px]."""
+    normal: Array
+    """(N, 2) unit vectors across the edge in the image."""
+
+
+class GradientImage:
+    """Gradients of an image, reduced to at most `_LARGEST_PX` pixels."""
+
+    def __init__(self, image: NDArray[np.uint8], camera: Camera) -> None:
+        """Compute the gradients of `image` (H, W, 3), taken by `camera`."""
+        scale = min(1.0, _LARGEST_PX / max(camera.width, camera.height))
+        if scale < 1.0:
+            width, height = round(camera.width * scale), round(camera.height * scale)
+            image = np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), dtype=np.uint8)
+            camera = camera.resized(width, height)
+        self.camera = camera
+        smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), _SMOOTHING_PX)
+        dx, dy = (np.asarray(cv2.Sobel(smooth, cv2.CV_32F, *order, ksize=3, scale=0.125)) for order in ((1, 0), (0, 1)))
+        strongest = (dx**2 + dy**2).argmax(axis=2)[..., None]
+        self._dx = np.take_along_axis(dx, strongest, axis=2)[..., 0]
+        self._dy = np.take_along_axis(dy, strongest, axis=2)[..., 0]
+
+    def across(self, points: EdgePoints, reach_px: float) -> tuple[Array, Array]:
+        """Return offsets (K,) across the edges [px] and the gradients (N, K) along their normals at these offsets."""
+        offset = np.arange(-reach_px, reach_px + _STEP_PX / 2, _STEP_PX)
+        place = points.pixel[:, None] + offset[:, None] * points.normal[:, None] - 0.5
+        u, v = place[..., 0].astype(np.float32), place[..., 1].astype(np.float32)
+        dx, dy = (cv2.remap(d, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT) for d in (self._dx, self._dy))
+        return offset, np.abs(dx * points.normal[:, None, 0] + dy * points.normal[:, None, 1]).astype(np.float64)
+
+
+class EdgeMatcher:
+    """Projection of the robot's edges and their search in images."""
+
+    def __init__(self) -> None:
+        """Build the ray-casting scenes.
+
+        Raises:
+            SetupError: Open3D's native libraries or mani_skill's meshes are missing.
+        """
+        native.prepare_open3d()
+        import open3d
+
+        core: Any = open3d.core
+        self._tensor = core.Tensor
+        self._scenes: dict[RobotPart, Any] = {}
+        for part, mesh in {**part_meshes(), **link_meshes()}.items():
+            scene = open3d.t.geometry.RaycastingScene(nthreads=1)
+            scene.add_triangles(
+                self._tensor(np.asarray(mesh.vertices, np.float32)), self._tensor(np.asarray(mesh.faces, np.uint32))
+            )
+            self._scenes[part] = scene
+
+    def project(self, X_CP: Array, finger_m: float, camera: Camera, parts: tuple[RobotPart, ...]) -> EdgePoints | None:
+        """Return the visible edge points of `parts`; None if there are none.
+
+        Args:
+            X_CP: (PARTS, 4, 4) poses of the parts in the camera frame, fingers closed [m].
+            finger_m: travel of each finger [m].
+            camera: camera of the image.
+            parts: parts whose edges count; all parts hide them.
+        """
+        ends_C, ends_P, part = [], [], []
+        for p in parts:
+            X_PC = invert(self._opened(X_CP, p, finger_m))
+            ends = _edge_meshes()[p].contour(X_PC[:3, 3])
+            X = invert(X_PC)
+            ends_P.append(ends - [0.0, 0.0, 0.0])
+            ends_C.append(ends @ X[:3, :3].T + X[:3, 3])
+            part.append(np.full(len(ends), p, np.uint8))
+        a, a_P, of = np.concatenate(ends_C), np.concatenate(ends_P), np.concatenate(part)
+        ahead = (a[..., 2] > 0.05).all(axis=1)
+        a, a_P, of = a[ahead], a_P[ahead], of[ahead]
+        pixel = camera.project(a.reshape(-1, 3)).reshape(-1, 2, 2)
+        size = np.array([camera.width, camera.height])
+        inside = ((pixel > 0) & (pixel < size)).all(axis=(1, 2))
+        a, a_P, of, pixel = a[inside], a_P[inside], of[inside], pixel[inside]
+        length = np.linalg.norm(pixel[:, 1] - pixel[:, 0], axis=1)
+        total = float(length.sum())
+        if total < _SPACING_PX:
+            return None
+        # Points evenly spaced along all edges laid end to end.
+        ends_at = np.cumsum(length)
+        at = np.arange(0.5 * _SPACING_PX, total, max(_SPACING_PX, total / (4 * _MAX_POINTS)))
+        edge = np.searchsorted(ends_at, at).clip(max=len(length) - 1)
+        t = (1.0 - (ends_at[edge] - at) / np.maximum(length[edge], 1e-9)).clip(0, 1)[:, None]
+        p_C = a[edge, 0] + t * (a[edge, 1] - a[edge, 0])
+        along = (pixel[edge, 1] - pixel[edge, 0]) / np.maximum(length[edge], 1e-9)[:, None]
+        normal = np.column_stack([-along[:, 1], along[:, 0]])
+        contour = self._contour(X_CP, finger_m, p_C, normal, camera)
+        edge, t, p_C, normal = edge[contour], t[contour], p_C[contour], normal[contour]
+        if len(edge) > _MAX_POINTS:
+            subset = np.linspace(0, len(edge) - 1, _MAX_POINTS).astype(int)
+            edge, t, p_C, normal = edge[subset], t[subset], p_C[subset], normal[subset]
+        if not len(edge):
+            return None
+        return EdgePoints(
+            part=of[edge],
+            p_P=a_P[edge, 0] + t * (a_P[edge, 1] - a_P[edge, 0]),
+            p_C=p_C,
+            pixel=camera.project(p_C),
+            normal=normal,
+        )
+
+    @staticmethod
+    def _opened(X_CP: Array, part: RobotPart, finger_m: float) -> Array:
+        X = X_CP[part].copy()
+        X[:3, 3] += OPENING_SIGN.get(part, 0.0) * finger_m * X[:3, 1]
+        return np.asarray(X)
+
+    def _contour(self, X_CP: Array, finger_m: float, p_C: Array, normal: Array, camera: Camera) -> NDArray[np.bool_]:
+        """Return which points (N, 3) are visible and have something farther, or nothing, on one side in the image."""
+        depth = p_C[:, 2]
+        beside = _BESIDE_PX * normal / [camera.fx, camera.fy]
+        directions = p_C / depth[:, None]
+        sides = [directions + np.column_stack([sign * beside, np.zeros(len(depth))]) for sign in (-1.0, 1.0)]
+        at, *around = (self._depth(X_CP, finger_m, d) for d in (directions, *sides))
+        surface, beyond = np.minimum(*around), np.maximum(*around)
+        visible = (at > depth - _BEHIND_M) & (np.abs(surface - depth) < _BULGE_M)
+        return np.asarray(visible & (beyond > np.maximum(surface, depth) + _JUMP_M))
+
+    def _depth(self, X_CP: Array, finger_m: float, directions: Array) -> Array:
+        """Return the depth (N,) of the robot along rays (N, 3) with z = 1 [m]; inf where they miss it."""
+        nearest = np.full(len(directions), np.inf)
+        rays = np.empty((len(directions), 6), np.float32)
+        for part, scene in self._scenes.items():
+            X_PC = invert(self._opened(X_CP, part, finger_m))
+            rays[:, :3], rays[:, 3:] = X_PC[:3, 3], directions @ X_PC[:3, :3].T
+            nearest = np.minimum(nearest, scene.cast_rays(self._tensor(rays), nthreads=1)["t_hit"].numpy())
+        return nearest
+
+    def match(
+        self, image: GradientImage, X_CP: Array, finger_m: float, reach_px: float, parts: tuple[RobotPart, ...]
+    ) -> Correspondences | None:
+        """Return correspondences of the visible edges of `parts` with the image; None if there are too few.
+
+        Args:
+            image: gradients of the image.
+            X_CP: (PARTS, 4, 4) poses of the parts in the camera frame, fingers closed [m].
+            finger_m: travel of each finger [m].
+            reach_px: farthest edge in the image [px].
+            parts: parts whose edges count.
+        """
+        points = self.project(X_CP, finger_m, image.camera, parts)
+        if points is None:
+            return None
+        offset, gradient = image.across(points, reach_px)
+        # The strongest edge wins unless another is much nearer.
+        value = gradient * np.exp(-0.5 * (offset / (0.6 * reach_px)) ** 2)
+        best = value[:, 1:-1].argmax(axis=1) + 1
+        rows = np.arange(len(best))
+        before, peak, after = gradient[rows, best - 1], gradient[rows, best], gradient[rows, best + 1]
+        curvature = before - 2 * peak + after
+        shift = np.where(curvature < 0, 0.5 * (before - after) / np.minimum(curvature, -1e-9), 0.0).clip(-1, 1)
+        strong = peak > _LEAST_GRADIENT
+        if strong.sum() < 20:
+            return None
+        move = offset[best] + _STEP_PX * shift
+        camera = image.camera
+        place = (points.pixel + move[:, None] * points.normal)[strong]
+        ray = np.column_stack([(place - [camera.cx, camera.cy]) / [camera.fx, camera.fy], np.ones(len(place))])
+        z = ray / np.linalg.norm(ray, axis=1, keepdims=True)
+        x = np.column_stack([points.normal[strong], np.zeros(len(place))])
+        x -= (x * z).sum(axis=1, keepdims=True) * z
+        x /= np.linalg.norm(x, axis=1, keepdims=True)
+        n = len(place)
+        unconstrained = np.full(n, np.inf)
+        part = points.part[strong]
+        return Correspondences(
+            R_LC=np.stack([x, np.cross(z, x), z], axis=1),
+            range_m=np.ones(n),
+            range_sigma=unconstrained,
+            p_P=points.p_P[strong],
+            sigma_m=np.column_stack([_SIGMA_PX / camera.fx * points.p_C[strong, 2], unconstrained]),
+            part=part,
+            opening_sign=np.array([OPENING_SIGN.get(RobotPart(p), 0.0) for p in part]),
+            weight=np.full(n, min(1.0, _INDEPENDENT / n)),
+        )
