@@ -13,6 +13,7 @@ from kinebench_drake.grounding.localization import find_region
 from kinebench_drake.grounding.override_estimator import OverrideEstimator, calibrate_depth
 from kinebench_drake.grounding.registration.arm_fit import ArmFit, ArmFitter
 from kinebench_drake.grounding.registration.arm_model import ArmModel
+from kinebench_drake.grounding.registration.edges import EdgeMatcher, GradientImage
 from kinebench_drake.grounding.registration.fit import UNSEEN_FINGER_M, HandFit, finger_or_default, fit, refit
 from kinebench_drake.grounding.registration.icp import IcpRefiner
 from kinebench_drake.grounding.registration.silhouette import SilhouetteMatcher
@@ -95,7 +96,7 @@ class CadTracker:
         self._cad = cad or GripperCad()
         self._icp = IcpRefiner(self._cad)
         self._silhouette = SilhouetteMatcher(self._cad)
-        self._arm = ArmModel()
+        self._arm, self._edges = ArmModel(), EdgeMatcher()
 
     def track(self, frames: Frames, camera: Camera, priors: Priors = NO_PRIORS) -> Tracking:
         """Measure the gripper in each of `frames` (T, H, W, 3).
@@ -119,7 +120,7 @@ class CadTracker:
                 X_CH = detection.X_CH
             if X_CH is not None:
                 crops[i] = Crop.of_gripper(X_CH, CLOSE_MARGIN, CLOSE_SIZE)
-        arm = ArmFitter(camera, self._arm)
+        arm = ArmFitter(camera, self._arm, self._edges)
         poses: dict[int, FramePose] = {}
 
         def measure(crops: dict[int, Crop]) -> None:
@@ -134,6 +135,7 @@ class CadTracker:
         measure(self._proposed_crops(len(frames), poses))
         if not priors.has_exact_depth:
             propagate(poses, wide, arm, self._silhouette)
+            refine_doubtful(poses, wide, frames, camera, arm, self._silhouette)
         return Tracking(
             poses=tuple(poses.get(i) for i in range(len(frames))),
             wide=tuple(wide[i] for i in range(len(frames))),
@@ -237,6 +239,48 @@ def propagate(
             near = poses.get(i - step)
             if near is not None and _is_doubtful(poses[i]) and _arm_agrees(near) and near.overlap >= _SOURCE_OVERLAP:
                 poses[i] = _refit_from(poses[i], near, wide[i], arm_fitter, silhouette)
+
+
+def refine_doubtful(
+    poses: dict[int, FramePose],
+    wide: dict[int, GripperView],
+    frames: Frames,
+    camera: Camera,
+    arm_fitter: ArmFitter,
+    silhouette: SilhouetteMatcher,
+) -> None:
+    """Refine poses whose arm and hand disagree by the edges of the image; keep what edges and silhouette confirm.
+
+    Args:
+        poses: pose by frame number; doubtful ones are replaced.
+        wide: view that shows the arm by frame number.
+        frames: (T, H, W, 3) RGB.
+        camera: camera of the frames.
+        arm_fitter: fitter of the arm.
+        silhouette: comparison of the rendered with the segmented gripper.
+    """
+    doubtful = {i for i in poses if _is_doubtful(poses[i])}
+    for step in (1, -1):
+        for i in sorted(doubtful)[::step]:
+            pose, near = poses[i], poses.get(i - step)
+            image = GradientImage(frames[i], camera)
+            starts = [p.arm for p in (pose, near) if p is not None and p.arm is not None]
+            for start in starts:
+                arm = arm_fitter.refine(start, pose.hand, pose.view, wide[i], image)
+                if arm is None or not arm.agrees:
+                    continue
+                overlap = silhouette.overlap(pose.view, arm.X_CH, finger_or_default(arm.finger_m))
+                known = pose.arm.edge_share if pose.arm is not None and _arm_agrees(pose) else 0.0
+                if overlap >= _SOURCE_OVERLAP and arm.edge_share > (known if np.isfinite(known) else 0.0):
+                    pose = replace(
+                        pose,
+                        X_CH=arm.X_CH,
+                        finger_m=arm.finger_m,
+                        finger_sigma_m=arm.finger_sigma_m,
+                        arm=arm,
+                        overlap=overlap,
+                    )
+            poses[i] = pose
 
 
 def _refit_from(

@@ -34,6 +34,9 @@ _SIGMA_PX = 0.7
 _INDEPENDENT = 120.0  # independent measurements that the edges of an image count as at most
 _LEAST_GRADIENT = 6.0  # of an image in 0..255, per pixel
 _STEP_PX = 0.5
+_SEARCH_PX, _ON_CONTOUR_PX = 8.0, 1.5  # where the agreement looks for the strongest edge, and where it must lie
+ROBOT = tuple(part for part in RobotPart if part is not RobotPart.BACKGROUND)
+"""Hand, fingers and links."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -213,6 +216,23 @@ class EdgeMatcher:
             rays[:, :3], rays[:, 3:] = X_PC[:3, 3], directions @ X_PC[:3, :3].T
             nearest = np.minimum(nearest, scene.cast_rays(self._tensor(rays), nthreads=1)["t_hit"].numpy())
         return nearest
+
+    def agreement(self, image: GradientImage, X_CP: Array, finger_m: float) -> float:
+        """Return the share of visible contour points whose strongest image edge lies on the contour; 0 without any.
+
+        Args:
+            image: gradients of the image.
+            X_CP: (PARTS, 4, 4) poses of the parts in the camera frame, fingers closed [m].
+            finger_m: travel of each finger [m].
+        """
+        points = self.project(X_CP, finger_m, image.camera, ROBOT)
+        if points is None:
+            return 0.0
+        offset, gradient = image.across(points, _SEARCH_PX)
+        rows = np.arange(len(gradient))
+        best = gradient.argmax(axis=1)
+        on_contour = (np.abs(offset[best]) <= _ON_CONTOUR_PX) & (gradient[rows, best] > _LEAST_GRADIENT)
+        return float(on_contour.mean())
 
     def match(
         self, image: GradientImage, X_CP: Array, finger_m: float, reach_px: float, parts: tuple[RobotPart, ...]
