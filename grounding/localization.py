@@ -6,7 +6,9 @@ quarter of the image are tried, and the region is enlarged around the cells that
 """
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,6 +17,7 @@ from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.crop import GRIPPER_RADIUS_M, WIDE_SIZE, Crop
 from kinebench_drake.grounding.registration.fit import fit
 from kinebench_drake.grounding.view import DenseEstimator, Frames, GripperView
+from kinebench_drake.models.panda.robot import RobotPart
 
 _KEY_FRAMES = 5
 _SMALL_PX = 32.0  # diameter of a gripper in the crop of the whole image below which the region is enlarged
@@ -23,6 +26,7 @@ _LEAST_TILE_PX = 96.0  # smaller tiles show nothing that larger ones do not
 _MIN_CELLS = 40  # robot cells that a tile must show to count
 _MARGIN = 1.25  # size of the region over that of the box around the robot
 _LEAST_SHARE = 0.2  # least size of the region over that of the image
+_WRIST, _WRIST_BONUS = (RobotPart.LINK6, RobotPart.LINK7), 4.0
 _WHOLE_SHARE = 0.8  # size from which the whole image is taken
 
 
@@ -52,9 +56,24 @@ def find_region(
     return _region(np.array(corners), camera) if corners else None
 
 
+def likeliest_gripper(view: GripperView) -> GripperView:
+    """Return the view without the gripper cells outside the likeliest connected component of them.
+
+    The largest wins; a component that touches the last two links, where a gripper sits, counts several times.
+    """
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(view.gripper.astype(np.uint8), connectivity=8)
+    if count <= 2:
+        return view
+    wrist = cv2.dilate(np.isin(view.part, _WRIST).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+    touching = np.bincount(labels[wrist & view.gripper], minlength=count) > 0
+    size = stats[:, cv2.CC_STAT_AREA] * np.where(touching, _WRIST_BONUS, 1.0)
+    size[0] = 0.0
+    return replace(view, part=np.where(view.gripper & (labels != size.argmax()), RobotPart.BACKGROUND, view.part))
+
+
 def _gripper_px(view: GripperView) -> float:
     """Return the diameter of the gripper's bounding sphere in a crop [px], from a fit; 0 without a gripper."""
-    hand = fit(view)
+    hand = fit(likeliest_gripper(view))
     if hand is None:
         return 0.0
     return 2 * GRIPPER_RADIUS_M / float(np.linalg.norm(hand.X_CH[:3, 3])) * view.crop.focal

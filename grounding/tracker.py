@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, interpolate_pose, invert, transform_points
 from kinebench_drake.grounding.crop import CLOSE_SIZE, GRIPPER_CENTRE_H, Crop
-from kinebench_drake.grounding.localization import find_region
+from kinebench_drake.grounding.localization import find_region, likeliest_gripper
 from kinebench_drake.grounding.override_estimator import OverrideEstimator, calibrate_depth
 from kinebench_drake.grounding.registration.arm_fit import ArmFit, ArmFitter
 from kinebench_drake.grounding.registration.arm_model import ArmModel
@@ -115,7 +115,7 @@ class CadTracker:
         crops: dict[int, Crop] = {}
         for i, view in wide.items():
             X_CH = priors.pose(i)
-            detection = None if X_CH is not None else fit(view)
+            detection = None if X_CH is not None else fit(likeliest_gripper(view))
             if detection is not None:
                 X_CH = detection.X_CH
             if X_CH is not None:

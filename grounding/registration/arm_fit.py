@@ -164,7 +164,11 @@ class ArmFitter:
             if edges is None:
                 return None
             solution = solve(
-                arm, Correspondences.join([cells, edges]) if reach_px > 6 else edges, close.depth_factor_sigma, log_depth_factor, iterations=4
+                arm,
+                Correspondences.join([cells, edges]) if reach_px > 6 else edges,
+                close.depth_factor_sigma,
+                log_depth_factor,
+                iterations=4,
             )
             if solution is None:
                 return None
