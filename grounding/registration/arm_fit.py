@@ -13,12 +13,13 @@ from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, invert, pose_difference
 from kinebench_drake.grounding.registration.arm_model import OVER_LIMIT_RAD, ArmHandModel, ArmModel
 from kinebench_drake.grounding.registration.correspondences import Correspondences
-from kinebench_drake.grounding.registration.edges import ROBOT, EdgeMatcher, GradientImage
+from kinebench_drake.grounding.registration.edges import EdgeMatcher, GradientImage
 from kinebench_drake.grounding.registration.fit import HandFit, HandModel, finger_or_default, gripper_cells
 from kinebench_drake.grounding.registration.silhouette import SilhouetteMatcher
 from kinebench_drake.grounding.registration.solver import Solution, solve
 from kinebench_drake.grounding.view import GripperView
 from kinebench_drake.kinematics.analytic import analytic_ik
+from kinebench_drake.models.panda.cad import open_fingers
 from kinebench_drake.models.panda.robot import ARM, GRIPPER
 
 _LAST_ANGLES = np.linspace(-np.pi, np.pi, 32, endpoint=False)
@@ -160,7 +161,7 @@ class ArmFitter:
         arm, log_depth_factor = self._start(start.q, start.finger_m, hand), float(np.log(hand.depth_factor))
         solution = None
         for reach_px in _EDGE_REACHES_PX:
-            edges = self._edges.match(image, self._poses(arm), arm.finger_m, reach_px, ROBOT)
+            edges = self._edges.match(image, self._poses(arm), reach_px)
             if edges is None:
                 return None
             solution = solve(
@@ -175,13 +176,13 @@ class ArmFitter:
             arm, log_depth_factor = solution.model, solution.log_depth_factor
         if solution is None:
             return None
-        share = self._edges.agreement(image, self._poses(arm), arm.finger_m)
+        share = self._edges.agreement(image, self._poses(arm))
         fitted = self._arm_fit(solution, cells, hand, scale=float("nan"), evidence=start.evidence, agrees=True)
         return replace(fitted, agrees=share >= _MIN_EDGE_SHARE, edge_share=share)
 
     def _poses(self, arm: ArmHandModel) -> Array:
         """Return the poses (PARTS, 4, 4) of the parts in the camera frame [m]."""
-        return np.asarray(self._X_CB @ self._model.poses(arm.q[None])[0])
+        return open_fingers(self._X_CB @ self._model.poses(arm.q[None])[0], arm.finger_m)
 
     @staticmethod
     def _link_cells(close: GripperView, wide: GripperView) -> Correspondences:

@@ -8,18 +8,17 @@ network was not trained on, from a posture that is right within a few pixels.
 
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
 
 import cv2
 import numpy as np
+import trimesh
 from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera
-from kinebench_drake.environment import native
 from kinebench_drake.geometry import Array, invert
 from kinebench_drake.grounding.registration.correspondences import Correspondences
-from kinebench_drake.models.panda.cad import link_meshes, part_meshes
-from kinebench_drake.models.panda.robot import OPENING_SIGN, RobotPart
+from kinebench_drake.models.panda.cad import PartCaster, link_meshes, part_meshes
+from kinebench_drake.models.panda.robot import GRIPPER, OPENING_SIGN, RobotPart
 
 _CREASE_RAD = 0.6  # angle between faces from which their common edge is a crease
 _SPACING_PX = 2.0  # distance of the points along an edge
@@ -34,7 +33,9 @@ _SIGMA_PX = 0.7
 _INDEPENDENT = 120.0  # independent measurements that the edges of an image count as at most
 _LEAST_GRADIENT = 6.0  # of an image in 0..255, per pixel
 _STEP_PX = 0.5
+_MIN_POINTS = 20
 _SEARCH_PX, _ON_CONTOUR_PX = 8.0, 1.5  # where the agreement looks for the strongest edge, and where it must lie
+_WRIST = (*GRIPPER, RobotPart.LINK5, RobotPart.LINK6, RobotPart.LINK7)
 ROBOT = tuple(part for part in RobotPart if part is not RobotPart.BACKGROUND)
 """Hand, fingers and links."""
 
@@ -61,6 +62,10 @@ class EdgeMesh:
         return np.asarray(self.ends[(first != second) | (self.crease & (first | second))])
 
 
+def _meshes() -> dict[RobotPart, trimesh.Trimesh]:
+    return {**part_meshes(), **link_meshes()}
+
+
 @cache
 def _edge_meshes() -> dict[RobotPart, EdgeMesh]:
     return {
@@ -71,7 +76,7 @@ def _edge_meshes() -> dict[RobotPart, EdgeMesh]:
             normals=np.asarray(mesh.face_normals, dtype=np.float64),
             centres=np.asarray(mesh.triangles_center, dtype=np.float64),
         )
-        for part, mesh in {**part_meshes(), **link_meshes()}.items()
+        for part, mesh in _meshes().items()
     }
 
 
@@ -126,35 +131,22 @@ class EdgeMatcher:
         Raises:
             SetupError: Open3D's native libraries or mani_skill's meshes are missing.
         """
-        native.prepare_open3d()
-        import open3d
+        self._caster = PartCaster(_meshes())
 
-        core: Any = open3d.core
-        self._tensor = core.Tensor
-        self._scenes: dict[RobotPart, Any] = {}
-        for part, mesh in {**part_meshes(), **link_meshes()}.items():
-            scene = open3d.t.geometry.RaycastingScene(nthreads=1)
-            scene.add_triangles(
-                self._tensor(np.asarray(mesh.vertices, np.float32)), self._tensor(np.asarray(mesh.faces, np.uint32))
-            )
-            self._scenes[part] = scene
-
-    def project(self, X_CP: Array, finger_m: float, camera: Camera, parts: tuple[RobotPart, ...]) -> EdgePoints | None:
-        """Return the visible edge points of `parts`; None if there are none.
+    def project(self, X_CP: Array, camera: Camera, parts: tuple[RobotPart, ...] = ROBOT) -> EdgePoints | None:
+        """Return the visible contour points of `parts`; None if there are none.
 
         Args:
-            X_CP: (PARTS, 4, 4) poses of the parts in the camera frame, fingers closed [m].
-            finger_m: travel of each finger [m].
+            X_CP: (PARTS, 4, 4) poses of the parts in the camera frame [m].
             camera: camera of the image.
-            parts: parts whose edges count; all parts hide them.
+            parts: parts whose contours count; all parts hide them.
         """
         ends_C, ends_P, part = [], [], []
         for p in parts:
-            X_PC = invert(self._opened(X_CP, p, finger_m))
+            X_PC = invert(X_CP[p])
             ends = _edge_meshes()[p].contour(X_PC[:3, 3])
-            X = invert(X_PC)
-            ends_P.append(ends - [0.0, 0.0, 0.0])
-            ends_C.append(ends @ X[:3, :3].T + X[:3, 3])
+            ends_P.append(ends)
+            ends_C.append(ends @ X_CP[p, :3, :3].T + X_CP[p, :3, 3])
             part.append(np.full(len(ends), p, np.uint8))
         a, a_P, of = np.concatenate(ends_C), np.concatenate(ends_P), np.concatenate(part)
         ahead = (a[..., 2] > 0.05).all(axis=1)
@@ -175,7 +167,7 @@ class EdgeMatcher:
         p_C = a[edge, 0] + t * (a[edge, 1] - a[edge, 0])
         along = (pixel[edge, 1] - pixel[edge, 0]) / np.maximum(length[edge], 1e-9)[:, None]
         normal = np.column_stack([-along[:, 1], along[:, 0]])
-        contour = self._contour(X_CP, finger_m, p_C, normal, camera)
+        contour = self._contour(X_CP, p_C, normal, camera)
         edge, t, p_C, normal = edge[contour], t[contour], p_C[contour], normal[contour]
         if len(edge) > _MAX_POINTS:
             subset = np.linspace(0, len(edge) - 1, _MAX_POINTS).astype(int)
@@ -190,42 +182,25 @@ class EdgeMatcher:
             normal=normal,
         )
 
-    @staticmethod
-    def _opened(X_CP: Array, part: RobotPart, finger_m: float) -> Array:
-        X = X_CP[part].copy()
-        X[:3, 3] += OPENING_SIGN.get(part, 0.0) * finger_m * X[:3, 1]
-        return np.asarray(X)
-
-    def _contour(self, X_CP: Array, finger_m: float, p_C: Array, normal: Array, camera: Camera) -> NDArray[np.bool_]:
+    def _contour(self, X_CP: Array, p_C: Array, normal: Array, camera: Camera) -> NDArray[np.bool_]:
         """Return which points (N, 3) are visible and have something farther, or nothing, on one side in the image."""
-        depth = p_C[:, 2]
-        beside = _BESIDE_PX * normal / [camera.fx, camera.fy]
+        n, depth = len(p_C), p_C[:, 2]
+        beside = np.column_stack([_BESIDE_PX * normal / [camera.fx, camera.fy], np.zeros(n)])
         directions = p_C / depth[:, None]
-        sides = [directions + np.column_stack([sign * beside, np.zeros(len(depth))]) for sign in (-1.0, 1.0)]
-        at, *around = (self._depth(X_CP, finger_m, d) for d in (directions, *sides))
+        rays = np.concatenate([directions, directions - beside, directions + beside])
+        at, *around = self._caster.cast(X_CP, rays).distance.reshape(3, n)
         surface, beyond = np.minimum(*around), np.maximum(*around)
         visible = (at > depth - _BEHIND_M) & (np.abs(surface - depth) < _BULGE_M)
         return np.asarray(visible & (beyond > np.maximum(surface, depth) + _JUMP_M))
 
-    def _depth(self, X_CP: Array, finger_m: float, directions: Array) -> Array:
-        """Return the depth (N,) of the robot along rays (N, 3) with z = 1 [m]; inf where they miss it."""
-        nearest = np.full(len(directions), np.inf)
-        rays = np.empty((len(directions), 6), np.float32)
-        for part, scene in self._scenes.items():
-            X_PC = invert(self._opened(X_CP, part, finger_m))
-            rays[:, :3], rays[:, 3:] = X_PC[:3, 3], directions @ X_PC[:3, :3].T
-            nearest = np.minimum(nearest, scene.cast_rays(self._tensor(rays), nthreads=1)["t_hit"].numpy())
-        return nearest
-
-    def agreement(self, image: GradientImage, X_CP: Array, finger_m: float) -> float:
-        """Return the share of visible contour points whose strongest image edge lies on the contour; 0 without any.
+    def agreement(self, image: GradientImage, X_CP: Array) -> float:
+        """Return the share of the contour of gripper and wrist that lies on the strongest image edge nearby.
 
         Args:
             image: gradients of the image.
-            X_CP: (PARTS, 4, 4) poses of the parts in the camera frame, fingers closed [m].
-            finger_m: travel of each finger [m].
+            X_CP: (PARTS, 4, 4) poses of the parts in the camera frame [m].
         """
-        points = self.project(X_CP, finger_m, image.camera, ROBOT)
+        points = self.project(X_CP, image.camera, _WRIST)
         if points is None:
             return 0.0
         offset, gradient = image.across(points, _SEARCH_PX)
@@ -235,18 +210,17 @@ class EdgeMatcher:
         return float(on_contour.mean())
 
     def match(
-        self, image: GradientImage, X_CP: Array, finger_m: float, reach_px: float, parts: tuple[RobotPart, ...]
+        self, image: GradientImage, X_CP: Array, reach_px: float, parts: tuple[RobotPart, ...] = ROBOT
     ) -> Correspondences | None:
-        """Return correspondences of the visible edges of `parts` with the image; None if there are too few.
+        """Return correspondences of the visible contours of `parts` with the image; None if there are too few.
 
         Args:
             image: gradients of the image.
-            X_CP: (PARTS, 4, 4) poses of the parts in the camera frame, fingers closed [m].
-            finger_m: travel of each finger [m].
+            X_CP: (PARTS, 4, 4) poses of the parts in the camera frame [m].
             reach_px: farthest edge in the image [px].
-            parts: parts whose edges count.
+            parts: parts whose contours count.
         """
-        points = self.project(X_CP, finger_m, image.camera, parts)
+        points = self.project(X_CP, image.camera, parts)
         if points is None:
             return None
         offset, gradient = image.across(points, reach_px)
@@ -258,7 +232,7 @@ class EdgeMatcher:
         curvature = before - 2 * peak + after
         shift = np.where(curvature < 0, 0.5 * (before - after) / np.minimum(curvature, -1e-9), 0.0).clip(-1, 1)
         strong = peak > _LEAST_GRADIENT
-        if strong.sum() < 20:
+        if strong.sum() < _MIN_POINTS:
             return None
         move = offset[best] + _STEP_PX * shift
         camera = image.camera

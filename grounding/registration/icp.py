@@ -59,7 +59,7 @@ class IcpRefiner:
             if hit.sum() < _MIN_POINTS:
                 return None
             target.points = self._vector(transform_points(invert(X_VH), rays[hit] * surface.distance[hit, None]))
-            target.normals = self._vector(surface.normal_H[hit])
+            target.normals = self._vector(surface.normal[hit] @ X_VH[:3, :3])
             estimation = self._icp.TransformationEstimationPointToPlane(self._icp.TukeyLoss(k=gate))
             criteria = self._icp.ICPConvergenceCriteria(1e-5, 1e-5, _MAX_ITERATIONS)
             result = self._icp.registration_icp(source, target, gate, invert(X_VH), estimation, criteria)

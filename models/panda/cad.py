@@ -3,6 +3,7 @@
 All coordinates are in the frame of panda_hand, in metres. The left finger opens towards +y, the right one towards -y.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -60,12 +61,58 @@ class CadSurface:
     """(N,) ray parameter of the first hit; inf without a hit."""
     part: NDArray[np.uint8]
     """(N,) values of `RobotPart`, BACKGROUND without a hit."""
-    normal_H: Array
-    """(N, 3) unit normal of the surface, 0 without a hit."""
+    normal: Array
+    """(N, 3) unit normal of the surface in the frame of the rays, towards their origin; 0 without a hit."""
+
+
+class PartCaster:
+    """Ray casting against parts at any poses (one RaycastingScene of Open3D per part)."""
+
+    def __init__(self, meshes: Mapping[RobotPart, trimesh.Trimesh]) -> None:
+        """Build the scenes.
+
+        Raises:
+            SetupError: Open3D's native libraries are missing.
+        """
+        native.prepare_open3d()
+        import open3d
+
+        core: Any = open3d.core
+        self._scenes: dict[RobotPart, Any] = {}
+        self._tensor = core.Tensor
+        for part, mesh in meshes.items():
+            scene = open3d.t.geometry.RaycastingScene(nthreads=1)
+            vertices = np.asarray(mesh.vertices, np.float32)
+            faces = np.asarray(mesh.faces, np.uint32)
+            scene.add_triangles(self._tensor(vertices), self._tensor(faces))
+            self._scenes[part] = scene
+
+    def cast(self, X_VP: Array, rays_V: ArrayLike) -> CadSurface:
+        """Cast rays `rays_V` (N, 3) from the origin of V against the parts at poses `X_VP` (PARTS, 4, 4).
+
+        `distance` is in units of the ray length: for rays with z = 1 it is the depth along the z axis of V [m].
+        """
+        rays_V = np.asarray(rays_V, dtype=np.float64)
+        n = len(rays_V)
+        distance = np.full(n, np.inf)
+        parts, normal = np.zeros(n, np.uint8), np.zeros((n, 3))
+        rays = np.empty((n, 6), np.float32)
+        for part, scene in self._scenes.items():
+            X_PV = invert(X_VP[part])
+            rays[:, :3], rays[:, 3:] = X_PV[:3, 3], rays_V @ X_PV[:3, :3].T
+            hits = scene.cast_rays(self._tensor(rays), nthreads=1)
+            t = hits["t_hit"].numpy()
+            nearer = t < distance
+            distance[nearer], parts[nearer] = t[nearer], part
+            normal[nearer] = hits["primitive_normals"].numpy()[nearer] @ X_PV[:3, :3]
+        norm = np.linalg.norm(normal, axis=1, keepdims=True)
+        normal = np.divide(normal, norm, out=normal, where=norm > 0)
+        normal[(normal * rays_V).sum(axis=1) > 0] *= -1.0
+        return CadSurface(distance=distance, part=parts, normal=normal)
 
 
 class GripperCad:
-    """Ray casting against the gripper at any opening (one RaycastingScene of Open3D per part)."""
+    """Ray casting against the gripper at any opening."""
 
     def __init__(self) -> None:
         """Build the scenes.
@@ -73,39 +120,17 @@ class GripperCad:
         Raises:
             SetupError: Open3D's native libraries or mani_skill's meshes are missing.
         """
-        native.prepare_open3d()
-        import open3d
-
-        self._scenes: dict[RobotPart, Any] = {}
-        core: Any = open3d.core
-        self._tensor = core.Tensor
-        for part, mesh in part_meshes().items():
-            scene = open3d.t.geometry.RaycastingScene(nthreads=1)
-            vertices = np.asarray(mesh.vertices, np.float32)
-            faces = np.asarray(mesh.faces, np.uint32)
-            scene.add_triangles(self._tensor(vertices), self._tensor(faces))
-            self._scenes[part] = scene
+        self._caster = PartCaster(part_meshes())
 
     def cast(self, X_VH: ArrayLike, rays_V: ArrayLike, finger_m: float) -> CadSurface:
-        """Cast rays `rays_V` (N, 3) from the origin of V against the gripper at pose `X_VH` (4, 4).
+        """Cast rays `rays_V` (N, 3) from the origin of V against the gripper at pose `X_VH` (4, 4)."""
+        X_VP = np.tile(np.asarray(X_VH, dtype=np.float64), (len(RobotPart), 1, 1))
+        return self._caster.cast(open_fingers(X_VP, finger_m), rays_V)
 
-        `distance` is in units of the ray length: for rays with z = 1 it is the depth along the z axis of V [m].
-        """
-        X_HV = invert(X_VH)
-        directions = np.asarray(rays_V, dtype=np.float64) @ X_HV[:3, :3].T
-        n = len(directions)
-        distance = np.full(n, np.inf)
-        parts, normal = np.zeros(n, np.uint8), np.zeros((n, 3))
-        rays = np.empty((n, 6), np.float32)
-        rays[:, 3:] = directions
-        for part, scene in self._scenes.items():
-            rays[:, :3] = X_HV[:3, 3] - [0.0, OPENING_SIGN[part] * finger_m, 0.0]
-            hits = scene.cast_rays(self._tensor(rays), nthreads=1)
-            t = hits["t_hit"].numpy()
-            nearer = t < distance
-            distance[nearer], parts[nearer] = t[nearer], part
-            normal[nearer] = hits["primitive_normals"].numpy()[nearer]
-        norm = np.linalg.norm(normal, axis=1, keepdims=True)
-        normal = np.divide(normal, norm, out=normal, where=norm > 0)
-        normal[(normal * directions).sum(axis=1) > 0] *= -1.0  # towards the viewer
-        return CadSurface(distance=distance, part=parts, normal_H=normal)
+
+def open_fingers(X_VP: Array, finger_m: float) -> Array:
+    """Return the poses (PARTS, 4, 4) of parts with the fingers moved apart by `finger_m` each [m]."""
+    opened = X_VP.copy()
+    for part in GRIPPER:
+        opened[part, :3, 3] += OPENING_SIGN[part] * finger_m * X_VP[part, :3, 1]
+    return opened

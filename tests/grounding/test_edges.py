@@ -1,0 +1,100 @@
+"""Contours of the robot matched to images, on images drawn by ray casting."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from kinebench_drake.camera import Camera, benchmark_camera
+from kinebench_drake.geometry import Array, invert, pose_difference
+from kinebench_drake.grounding.registration.arm_model import ArmHandModel, ArmModel
+from kinebench_drake.grounding.registration.edges import EdgeMatcher, GradientImage
+from kinebench_drake.grounding.registration.solver import solve
+from kinebench_drake.models.panda.cad import PartCaster, link_meshes, open_fingers, part_meshes
+
+CAMERA = benchmark_camera().resized(320, 320)
+FINGER_M = 0.03
+POSTURES = [[0.0, 0.1, 0.0, -2.2, 0.0, 2.3, 0.8], [0.5, 0.3, -0.3, -1.9, 0.2, 2.2, 0.2]]
+
+
+@pytest.fixture(scope="module")
+def matcher() -> EdgeMatcher:
+    return EdgeMatcher()
+
+
+@pytest.fixture(scope="module")
+def model() -> ArmModel:
+    return ArmModel()
+
+
+def part_poses(model: ArmModel, q: Array, camera: Camera = CAMERA) -> Array:
+    return open_fingers(invert(camera.X_BC) @ model.poses(np.asarray(q)[None])[0], FINGER_M)
+
+
+def draw(X_CP: Array, seed: int) -> NDArray[np.uint8]:
+    """A shaded robot before a plain background, with noise."""
+    rng = np.random.default_rng(seed)
+    rays = CAMERA.rays().reshape(-1, 3)
+    hit = PartCaster({**part_meshes(), **link_meshes()}).cast(X_CP, rays)
+    shade = 120.0 + 120.0 * np.abs(hit.normal @ [0.3, -0.8, -0.5])
+    grey = np.where(hit.part > 0, shade, 50.0) + rng.normal(0, 4.0, len(rays))
+    return np.repeat(np.clip(grey, 0, 255).astype(np.uint8).reshape(CAMERA.height, CAMERA.width, 1), 3, axis=2)
+
+
+@pytest.mark.parametrize("posture", POSTURES)
+def test_contours_pull_a_wrong_posture_to_the_true_one(
+    matcher: EdgeMatcher, model: ArmModel, posture: list[float]
+) -> None:
+    q = np.array(posture)
+    image = GradientImage(draw(part_poses(model, q), 0), CAMERA)
+    arm = ArmHandModel(model=model, X_CB=invert(CAMERA.X_BC), q=q, q_start=q, finger_m=FINGER_M, finger_free=False)
+    X_true = arm.hand()[0]
+    start = q + 0.01 * np.array([1, -1, 1, 1, -1, 1, -1])
+    arm = replace(arm, q=start, q_start=start)
+    before = pose_difference(arm.hand()[0], X_true)
+    for reach in (10.0, 6.0, 4.0, 3.0):
+        edges = matcher.match(image, part_poses(model, arm.q), reach)
+        assert edges is not None
+        solution = solve(arm, edges, 0.1, iterations=4)
+        assert solution is not None
+        arm = solution.model
+    after = pose_difference(arm.hand()[0], X_true)
+    assert before[0] > 0.008
+    assert after[0] < 0.004
+    assert after[1] < np.deg2rad(2.5)
+
+
+@pytest.mark.parametrize("posture", POSTURES)
+def test_the_true_posture_agrees_with_the_image_more_than_a_wrong_one(
+    matcher: EdgeMatcher, model: ArmModel, posture: list[float]
+) -> None:
+    q = np.array(posture)
+    image = GradientImage(draw(part_poses(model, q), 1), CAMERA)
+    right = matcher.agreement(image, part_poses(model, q))
+    assert right > 0.55
+    for seed in range(4):
+        wrong = q + np.random.default_rng(seed).normal(0, 0.1, 7)
+        assert matcher.agreement(image, part_poses(model, wrong)) < right - 0.2
+
+
+def test_contour_points_lie_on_the_border_of_the_drawn_robot(matcher: EdgeMatcher, model: ArmModel) -> None:
+    """Along its normal, at least one side of every point shows something else than the part it belongs to."""
+    X_CP = part_poses(model, np.array(POSTURES[0]))
+    points = matcher.project(X_CP, CAMERA)
+    assert points is not None
+    assert len(points.part) > 100
+    np.testing.assert_allclose(CAMERA.project(points.p_C), points.pixel, atol=1e-6)
+    caster = PartCaster({**part_meshes(), **link_meshes()})
+    depths = []
+    for sign in (-2.0, 2.0):
+        pixel = points.pixel + sign * points.normal
+        rays = np.column_stack([(pixel - [CAMERA.cx, CAMERA.cy]) / [CAMERA.fx, CAMERA.fy], np.ones(len(pixel))])
+        depths.append(caster.cast(X_CP, rays).distance)
+    with np.errstate(invalid="ignore"):
+        assert (np.abs(depths[0] - depths[1]) > 0.01).mean() > 0.9
+
+
+def test_an_image_without_edges_gives_no_correspondences(matcher: EdgeMatcher, model: ArmModel) -> None:
+    blank = np.full((CAMERA.height, CAMERA.width, 3), 90, np.uint8)
+    assert matcher.match(GradientImage(blank, CAMERA), part_poses(model, np.array(POSTURES[0])), 6.0) is None
