@@ -8,8 +8,17 @@ from kinebench_drake.camera import Camera
 from kinebench_drake.environment import native
 from kinebench_drake.geometry import Array, invert, make_pose, orthonormalize, transform_points
 from kinebench_drake.grounding.crop import GRIPPER_CENTRE_H
-from kinebench_drake.grounding.training.clutter import FAR_AWAY, Clutter
-from kinebench_drake.grounding.training.texture import random_photograph, random_texture
+from kinebench_drake.grounding.training.clutter import Clutter
+from kinebench_drake.grounding.training.layout import (
+    FAR_AWAY,
+    random_finger,
+    random_grasp,
+    random_paint,
+    random_places,
+    random_room,
+    random_sizes,
+)
+from kinebench_drake.grounding.training.posture import PostureSampler
 from kinebench_drake.grounding.training.viewpoint import ViewBounds, random_camera
 from kinebench_drake.models.panda.robot import GRIPPER, LINK_OF, RobotPart, source_urdf
 from kinebench_drake.models.perception.frame import RENDERED_DEPTH_BIAS_M, RenderedFrame, label_parts, varied_camera
@@ -17,13 +26,10 @@ from kinebench_drake.models.perception.frame import RENDERED_DEPTH_BIAS_M, Rende
 IMAGE_SIZE = 384
 """Width and height of frames [px]."""
 
-_TABLE_HALF = (0.9, 1.2, 0.02)
 _OPENCV_FROM_SAPIEN = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 _MINIMAL = 0.5  # share of scenes with the fast shader, without shadows and reflections
 _NEAR_BENCHMARK = 0.2  # share of frames from near the benchmark camera
 _FAR_M = 15.0
-_REST = np.array([0.0, 0.4, 0.0, -2.0, 0.0, 2.4, 0.785])
-_SPREAD_RAD = np.array([0.6, 0.5, 0.4, 0.5, 0.5, 0.5, 1.2])
 
 
 class TrainingScene:
@@ -46,12 +52,12 @@ class TrainingScene:
             sapien.render.set_picture_format("Color", "r32g32b32a32sfloat")
             sapien.render.set_picture_format("Position", "r32g32b32a32sfloat")
         self._scene = sapien.Scene()
-        self._clutter = Clutter(sapien, self._scene, rng, self._material)
+        self._clutter = Clutter(sapien, self._scene, rng)
         self._table_z = 0.0 if rng.random() < 0.6 else float(rng.uniform(-0.35, 0.0))
         self._bounds = self._add_room()
         self._add_lights()
-        sizes = [float(rng.uniform(0.05, 0.15) if rng.random() < 0.12 else rng.uniform(0.01, 0.05)) for _ in range(12)]
-        self._objects = [(self._clutter.object(half), half) for half in sizes]
+        self._halves = random_sizes(rng)
+        self._objects = [self._clutter.object(half) for half in self._halves]
         half = float(rng.uniform(0.008, 0.036))
         self._payload = self._clutter.object(half), half
         if rng.random() < 0.2:
@@ -60,60 +66,17 @@ class TrainingScene:
         self._attachments = [] if handless else self._clutter.attachments()
         self._component: Any = None
 
-    def _material(self) -> Any:
-        rng, render = self._rng, self._sapien.render
-        material = render.RenderMaterial()
-        kind = rng.random()
-        if kind < 0.45:
-            material.set_base_color_texture(render.RenderTexture2D(random_texture(rng), "R8G8B8A8Unorm", srgb=True))
-        elif kind < 0.6:
-            photograph = random_photograph(rng, 256)
-            pixels = np.dstack([photograph, np.full(photograph.shape[:2], 255, np.uint8)])
-            material.set_base_color_texture(render.RenderTexture2D(pixels, "R8G8B8A8Unorm", srgb=True))
-        elif kind < 0.75:  # white, grey and black things are frequent where robots work, and look like one
-            material.set_base_color([*np.clip(rng.uniform(0, 1) + rng.normal(0, 0.02, 3), 0, 1), 1.0])
-        else:
-            material.set_base_color([*rng.uniform(0, 1, 3), 1.0])
-        material.set_roughness(float(rng.uniform(0.1, 1.0)))
-        material.set_metallic(float(rng.choice([0.0, 0.0, 0.0, 0.7])))
-        material.set_specular(float(rng.uniform(0, 0.8)))
-        return material
-
     def _add_room(self) -> ViewBounds:
-        """Add table top, floor, pedestal and sometimes walls; return where cameras may stand."""
-        rng, z = self._rng, self._table_z
-        lower, upper = np.array([-3.0, -3.0, z + 0.03]), np.full(3, 3.0)
-        if z == 0.0 and rng.random() < 0.25:
+        """Add table, floor, pedestal and walls; return where cameras may stand."""
+        stock_table = self._table_z == 0.0 and self._rng.random() < 0.25
+        if stock_table:
             builder = self._scene.create_actor_builder()
             pose = self._sapien.Pose([0.615 - 0.12, 0, -0.9196429], [np.sqrt(0.5), 0, 0, np.sqrt(0.5)])
             mesh = source_urdf().parents[3] / "utils/scene_builder/table/assets/table.glb"
             builder.add_visual_from_file(str(mesh), scale=[1.75] * 3, pose=self._sapien.Pose())
             builder.set_initial_pose(pose)
             builder.build_kinematic(name="room")
-        else:
-            length, width, thickness = (
-                _TABLE_HALF[0] * rng.uniform(0.5, 1.0),
-                _TABLE_HALF[1] * rng.uniform(0.5, 1.0),
-                0.02,
-            )
-            behind = float(rng.uniform(-0.5, 0.1)) if z == 0.0 else float(rng.uniform(0.1, 0.3))
-            self._clutter.box((length, width, thickness), (behind + length, float(rng.normal(0, 0.2)), z - thickness))
-        if z < 0.0 or rng.random() < 0.2:  # a pedestal or a mounting plate
-            height = max(-z, 0.02) / 2
-            half = rng.uniform(0.1, 0.22, 2)
-            self._clutter.box((half[0], half[1], height), (float(rng.normal(-0.05, 0.03)), 0.0, -height))
-        self._clutter.box((4, 4, 0.01), (0, 0, min(-0.4, -0.93 + rng.uniform(-0.1, 0.4))))
-        if rng.random() < 0.5:
-            lower[0] = rng.uniform(-2.5, -0.5)
-            self._clutter.box((0.02, 4, 3), (float(lower[0]) - 0.1, 0, 1))
-        if rng.random() < 0.4:
-            side, distance = float(rng.choice([-1, 1])), float(rng.uniform(0.8, 2.5))
-            self._clutter.box((3, 0.02, 3), (0, side * (distance + 0.1), 1))
-            lower[1], upper[1] = (-distance, 3.0) if side < 0 else (-3.0, distance)
-        if rng.random() < 0.3:
-            upper[0] = rng.uniform(1.4, 2.8)
-            self._clutter.box((0.02, 4, 3), (float(upper[0]) + 0.1, 0, 1))
-        return ViewBounds(tuple(lower), tuple(upper))
+        return random_room(self._rng, self._table_z, self._clutter.box, table=not stock_table)
 
     def _add_lights(self) -> None:
         rng = self._rng
@@ -136,7 +99,7 @@ class TrainingScene:
         loader.fix_root_link = True
         self._robot = loader.load(str(source_urdf().with_name(urdf)))
         self._links = {link.name: link for link in self._robot.get_links()}
-        paint = self._draw_paint()
+        paint = random_paint(rng)
         part_of = {name: part for part, name in LINK_OF.items()}
         self._part_of_id = {}
         for name, link in self._links.items():
@@ -149,73 +112,26 @@ class TrainingScene:
                 body.visibility = 0.0
             for shape in body.render_shapes:
                 for piece in getattr(shape, "parts", []):
-                    paint(piece.material)
+                    surface = paint(np.array(piece.material.base_color[:3]))
+                    if surface is not None:
+                        self._clutter.apply(surface, piece.material)
         limits = self._robot.get_qlimits()
-        self._lower, self._upper = limits[:7, 0], limits[:7, 1]
+        self._postures = PostureSampler(
+            lower=limits[:7, 0], upper=limits[:7, 1], link_poses=self._link_poses, table_z=self._table_z
+        )
 
-    def _draw_paint(self) -> Any:
-        """Return a function that changes a material of the robot: kept, tinted, white to grey, coloured or textured."""
-        rng = self._rng
-        kind, tint, grey = rng.random(), rng.uniform(0.7, 1.1, 3), rng.uniform(0.25, 1.0)
-        gloss = rng.uniform([0.1, 0.0], [1.0, 0.8])
-
-        def paint(material: Any) -> None:
-            colour = np.array(material.base_color[:3])
-            if kind < 0.3:
-                return
-            if kind < 0.55:
-                colour = colour * tint
-            elif kind < 0.85:  # dark pieces stay darker than light ones in two thirds of these scenes
-                shade = grey * (0.35 + 0.65 * colour.mean() if kind < 0.75 else 1.0)
-                colour = shade * rng.uniform(0.93, 1.0, 3) + rng.normal(0, 0.03)
-            elif kind < 0.95:
-                colour = rng.uniform(0, 1, 3)
-            else:
-                texture = self._sapien.render.RenderTexture2D(random_texture(rng), "R8G8B8A8Unorm", srgb=True)
-                material.set_base_color_texture(texture)
-            material.set_base_color([*np.clip(colour, 0, 1), 1.0])
-            material.set_roughness(float(gloss[0]))
-            material.set_specular(float(gloss[1]))
-
-        return paint
-
-    def _place_robot(self, finger: float) -> Array:
-        """Sample joint angles by rejection: above the table, mostly pointing down; return X_BH."""
-        rng = self._rng
-        for _ in range(20000):
-            q = _REST + rng.normal(0, _SPREAD_RAD) if rng.random() < 0.8 else rng.uniform(self._lower, self._upper)
-            if (q < self._lower).any() or (q > self._upper).any():
-                continue
-            self._robot.set_qpos(np.array([*q, finger, finger], dtype=np.float32))
-            X_BH = self._pose("panda_hand")
-            tip_z = X_BH[2, 3] + 0.11 * X_BH[2, 2] - self._table_z
-            low = min(float(self._links[n].entity_pose.p[2]) for n in ("panda_link5", "panda_link6", "panda_link7"))
-            if tip_z < 0.0 or X_BH[2, 3] < self._table_z + 0.03 or low < self._table_z + 0.05 or tip_z > 0.85:
-                continue
-            if rng.random() > np.exp(2.0 * (-X_BH[2, 2] - 1.0)) or (X_BH[0, 3] < 0.2 and rng.random() < 0.8):
-                continue
-            return X_BH
-        raise RuntimeError("no robot pose above the table after 20,000 draws; the joint limits exclude it")
-
-    def _pose(self, link: str) -> Array:
-        return np.asarray(self._links[link].entity_pose.to_transformation_matrix(), dtype=np.float64)
+    def _link_poses(self, q: Array, finger: float = 0.0) -> dict[str, Array]:
+        """Return the poses (4, 4) of the links in the base frame by name, with the robot moved there."""
+        self._robot.set_qpos(np.array([*q, finger, finger], dtype=np.float32))
+        return {
+            name: link.entity_pose.to_transformation_matrix().astype(np.float64) for name, link in self._links.items()
+        }
 
     def _place_objects(self, X_BH: Array, holds: bool) -> None:
         rng = self._rng
-        middle = X_BH[:3, 3] + 0.06 * X_BH[:3, 2]
-        for actor, half in self._objects:
-            position = FAR_AWAY
-            kind = rng.random()
-            if kind < 0.45:
-                position = np.array([*rng.uniform([0.15, -0.6], [0.9, 0.6]), self._table_z + half])
-            elif kind < 0.65:  # near the gripper, sometimes hiding parts of it
-                position = middle + rng.normal(0, 0.12, 3)
-                position[2] = max(position[2], self._table_z + half)
-            if np.linalg.norm(position - middle) < 0.09 + half:
-                position = FAR_AWAY
-            quaternion = rng.normal(size=4)
-            actor.set_pose(self._sapien.Pose(position, quaternion / np.linalg.norm(quaternion)))
-        X_BO = X_BH @ make_pose(np.eye(3), [0, 0, 0.1034 + rng.uniform(-0.02, 0.04)])
+        for actor, X_BO in zip(self._objects, random_places(rng, self._halves, X_BH, self._table_z), strict=True):
+            actor.set_pose(self._sapien.Pose(X_BO))
+        X_BO = X_BH @ random_grasp(rng)
         self._payload[0].set_pose(self._sapien.Pose(X_BO if holds else make_pose(np.eye(3), FAR_AWAY)))
         self._clutter.place(self._attachments, self._links)
 
@@ -228,7 +144,7 @@ class TrainingScene:
                 if (pixel > -40).all() and (pixel < IMAGE_SIZE + 40).all():
                     return camera
         links = np.stack([link.entity_pose.p for link in self._links.values()]).astype(np.float64)
-        return random_camera(self._rng, centre_B, links, self._bounds, IMAGE_SIZE)
+        return random_camera(self._rng, centre_B, links, self._bounds, (IMAGE_SIZE, IMAGE_SIZE))
 
     def _aim(self, camera: Camera) -> Any:
         """Return SAPIEN's camera, made like `camera`."""
@@ -243,12 +159,9 @@ class TrainingScene:
     def frame(self) -> RenderedFrame:
         """Draw new poses and render a frame."""
         holds = bool(self._rng.random() < 0.35)
-        finger = (
-            self._payload[1]
-            if holds
-            else float(self._rng.choice([self._rng.uniform(0, 0.04), 0.04, 0.0], p=[0.7, 0.2, 0.1]))
-        )
-        X_BH = self._place_robot(finger)
+        finger = self._payload[1] if holds else random_finger(self._rng)
+        X_BL = self._link_poses(self._postures.draw(self._rng), finger)
+        X_BH = X_BL["panda_hand"].copy()
         X_BH[:3, :3] = orthonormalize(X_BH[:3, :3])
         self._place_objects(X_BH, holds)
         camera = self._draw_camera(X_BH)
@@ -263,5 +176,4 @@ class TrainingScene:
         else:
             rgb = (np.clip(component.get_picture("Color")[..., :3], 0, 1) * 255).astype(np.uint8)
             depth_m, ids = -component.get_picture("Position")[..., 2], component.get_picture("Segmentation")[..., 1]
-        X_BL = {name: self._pose(name) for name in self._links}
         return RenderedFrame.from_image(rgb, depth_m, label_parts(ids, self._part_of_id), camera, X_BL, finger)

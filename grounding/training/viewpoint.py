@@ -12,6 +12,7 @@ _DISTANCE_M = (0.4, 2.5)
 _FOV_RAD = np.deg2rad((20.0, 100.0))
 _GRIPPER_PX = (26.0, 300.0)
 """Diameter of the gripper's bounding sphere in the image [px], where distance and field of view permit it."""
+_LARGEST_GRIPPER = 0.8  # greatest diameter of it over the smaller side of the image
 _ELEVATION_RAD = np.deg2rad((-12.0, 85.0))
 _BEHIND = 0.35  # share of directions drawn from all around; the others lie in front of and beside the robot
 _FRONT_RAD = np.deg2rad(120.0)
@@ -34,27 +35,28 @@ class ViewBounds:
 
 
 def random_camera(
-    rng: np.random.Generator, centre_B: Array, obstacles_B: Array, bounds: ViewBounds, size: int
+    rng: np.random.Generator, centre_B: Array, obstacles_B: Array, bounds: ViewBounds, size: tuple[int, int]
 ) -> Camera:
-    """Return a camera that sees the gripper's centre `centre_B` (3,) in the base frame, in images `size` px wide.
+    """Return a camera that sees the gripper's centre `centre_B` (3,) in the base frame, in images of `size` [px].
 
     Distance, direction, roll, field of view, place of the gripper in the image and principal point are drawn
     independently; directions with the camera outside of `bounds` or within 0.2 m of `obstacles_B` (N, 3) are redrawn.
     """
     position = _draw_position(rng, centre_B, obstacles_B, bounds)
     distance = float(np.linalg.norm(position - centre_B))
-    focal_range = size / 2 / np.tan(_FOV_RAD[::-1] / 2)
-    wanted = np.array(_GRIPPER_PX) * distance / (2 * GRIPPER_RADIUS_M)
+    sides = np.array(size, dtype=np.float64)
+    focal_range = sides.max() / 2 / np.tan(_FOV_RAD[::-1] / 2)
+    wanted = np.minimum(_GRIPPER_PX, _LARGEST_GRIPPER * sides.min()) * distance / (2 * GRIPPER_RADIUS_M)
     low, high = np.clip(wanted, *focal_range)
     focal = float(np.exp(rng.uniform(np.log(low), np.log(high))))
-    centre_px = np.full(2, size / 2)
+    centre_px = sides / 2
     if rng.random() < _OFF_CENTRE:
-        centre_px += rng.uniform(-_OFF_CENTRE_SHARE, _OFF_CENTRE_SHARE, 2) * size
+        centre_px = centre_px + rng.uniform(-_OFF_CENTRE_SHARE, _OFF_CENTRE_SHARE, 2) * sides
     reach = 0.55 if rng.random() < _CUT_OFF else 0.4
-    pixel = size / 2 + rng.uniform(-reach, reach, 2) * size
+    pixel = sides / 2 + rng.uniform(-reach, reach, 2) * sides
     return Camera(
-        width=size,
-        height=size,
+        width=size[0],
+        height=size[1],
         fx=focal,
         fy=focal,
         cx=float(centre_px[0]),

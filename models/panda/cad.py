@@ -6,6 +6,7 @@ All coordinates are in the frame of panda_hand, in metres. The left finger opens
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,8 +23,14 @@ MAX_FINGER_M = 0.04
 """Upper limit of each finger joint [m]; the gap between the pads is twice the joint position."""
 
 
-def _visual(name: str) -> trimesh.Trimesh:
-    mesh = trimesh.load(source_urdf().parent / "franka_description" / "meshes" / "visual" / name, force="mesh")
+def visual_file(part: RobotPart) -> Path:
+    """Return the file of a part's visual mesh, in the frame of its link; the right finger is the left one turned."""
+    name = "finger" if part in (RobotPart.LEFT_FINGER, RobotPart.RIGHT_FINGER) else LINK_OF[part].removeprefix("panda_")
+    return source_urdf().parent / "franka_description" / "meshes" / "visual" / f"{name}.glb"
+
+
+def _visual(part: RobotPart) -> trimesh.Trimesh:
+    mesh = trimesh.load(visual_file(part), force="mesh")
     mesh.merge_vertices(merge_tex=True, merge_norm=True)
     return mesh
 
@@ -35,7 +42,7 @@ def link_meshes() -> dict[RobotPart, trimesh.Trimesh]:
     Raises:
         SetupError: mani_skill, which contains the meshes, is not installed.
     """
-    return {part: _visual(f"{LINK_OF[part].removeprefix('panda_')}.glb") for part in ARM}
+    return {part: _visual(part) for part in ARM}
 
 
 @cache
@@ -45,7 +52,7 @@ def part_meshes() -> dict[RobotPart, trimesh.Trimesh]:
     Raises:
         SetupError: mani_skill, which contains the meshes, is not installed.
     """
-    hand, finger = _visual("hand.glb"), _visual("finger.glb")
+    hand, finger = _visual(RobotPart.HAND), _visual(RobotPart.LEFT_FINGER)
     left, right = finger.copy(), finger.copy()
     right.apply_transform(trimesh.transformations.rotation_matrix(np.pi, [0, 0, 1]))
     for mesh in (left, right):
