@@ -1,12 +1,13 @@
-"""Random scenes in Drake's VTK renderer: another renderer than that of training, for measurements on unfamiliar images."""
+"""Random scenes in Drake's VTK renderer, another one than that of training: measurements on unfamiliar images."""
 
 import base64
 import json
 import struct
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -139,6 +140,7 @@ class VtkScene:
         self._graph.AddRenderer(_RENDERER, MakeRenderEngineVtk(self._draw_look()))
         self._source = self._graph.RegisterSource("scene")
         self._frames: dict[str, Any] = {}
+        self._numbers = count()
         self._size = SIZES[int(rng.integers(len(SIZES)))]
         table_z = 0.0 if rng.random() < 0.6 else float(rng.uniform(-0.35, 0.0))
         with tempfile.TemporaryDirectory() as folder:
@@ -176,10 +178,12 @@ class VtkScene:
             lights.append(
                 LightParameter(type="point", intensity=float(rng.uniform(0.3, 1.5)), frame="world", position=position)
             )
-        if rng.random() < 0.5 or len(lights) == 1:  # a lamp at the camera, in place of ambient light
-            lights.append(LightParameter(type="directional", intensity=float(rng.uniform(0.3, 1.2)), frame="camera"))
+        # A lamp at the camera, in place of ambient light; strong where there is no other.
+        intensity = float(rng.uniform(0.2, 1.0) if rng.random() < 0.7 else rng.uniform(1.2, 2.5))
+        lights = lights if intensity < 1.2 else []
+        lights.append(LightParameter(type="directional", intensity=intensity, frame="camera"))
         return RenderEngineVtkParams(
-            default_clear_color=rng.uniform(0, 1, 3),
+            default_clear_color=np.clip(rng.uniform(0.1, 0.9) + rng.normal(0, 0.1, 3), 0, 1),
             lights=lights,
             cast_shadows=bool(rng.random() < _SHADOWS),
             shadow_map_size=1024,
@@ -189,7 +193,7 @@ class VtkScene:
         properties = PerceptionProperties()
         properties.AddProperty("label", "id", RenderLabel(label))
         if surface is not None and surface.texture is not None:
-            path = self._folder / f"{len(list(self._folder.iterdir()))}.png"
+            path = self._folder / f"{next(self._numbers)}.png"
             cv2.imwrite(str(path), surface.texture[..., 2::-1])
             properties.AddProperty("phong", "diffuse_map", str(path))
         if surface is not None:
@@ -209,7 +213,7 @@ class VtkScene:
         instance = GeometryInstance(
             RigidTransform(np.array(position)),
             Box(*(2 * h for h in half)),
-            f"room{self._graph.NumAnchoredGeometries()}",
+            f"room{next(self._numbers)}",
         )
         instance.set_perception_properties(self._properties(random_surface(self._rng), _SCENERY))
         self._graph.RegisterAnchoredGeometry(self._source, instance)
@@ -240,8 +244,7 @@ class VtkScene:
 
     def _render(self, camera: Camera) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.uint8]]:
         """Return image (H, W, 3), depth (H, W) [m] and parts (H, W)."""
-        # Drake counts pixels from the centre of the first, Camera from its corner.
-        info = CameraInfo(camera.width, camera.height, camera.fx, camera.fy, camera.cx - 0.5, camera.cy - 0.5)
+        info = CameraInfo(camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)
         core = RenderCameraCore(_RENDERER, info, ClippingRange(0.01, _FAR_M), RigidTransform())
         query = self._graph.get_query_output_port().Eval(self._context)
         pose = self._graph.world_frame_id(), RigidTransform(camera.X_BC)
@@ -318,6 +321,6 @@ def _link_poses(q: Array, finger_m: float) -> dict[str, Array]:
     X_BL = _arm().link_poses(q)
     for part, sign in OPENING_SIGN.items():
         if part is not RobotPart.HAND:
-            X_HF = make_pose(np.eye(3), FINGER_ORIGIN_H + [0.0, sign * finger_m, 0.0])
+            X_HF = make_pose(np.eye(3), FINGER_ORIGIN_H + np.array([0.0, sign * finger_m, 0.0]))
             X_BL[LINK_OF[part]] = X_BL[HAND_LINK] @ X_HF
     return X_BL
