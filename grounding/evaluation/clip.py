@@ -1,4 +1,8 @@
-"""Videos with ground truth, as `kinebench-drake suite demos` and `python -m benchmarks planted-videos` write them."""
+"""Videos with ground truth, as `kinebench-drake suite demos` and `python -m benchmarks planted-videos` write them.
+
+Videos of `kinebench-drake perception render` have a camera each in the manifest, and NAME.gt.npz beside the video in
+place of truth/NAME.npz.
+"""
 
 import json
 from collections.abc import Sequence
@@ -171,7 +175,6 @@ def find_clips(folder: Path) -> list[TruthClipFile]:
     manifest = folder / "manifest.jsonl"
     if not manifest.is_file():
         raise UsageError(f"{folder.name}: has no manifest.jsonl; make such a folder with `kinebench-drake suite demos`")
-    camera = load_camera(folder / "camera.json")
     faults = _read_faults(folder / "truth" / "faults.json")
     clips = []
     for number, line in enumerate(manifest.read_text().splitlines(), 1):
@@ -182,8 +185,13 @@ def find_clips(folder: Path) -> list[TruthClipFile]:
             raise UsageError(f"{manifest.name} line {number}: expected a JSON object with the key video") from None
         name = Path(video).stem
         truth = folder / "truth" / f"{name}.npz"
+        if isinstance(entry.get("camera"), dict):
+            camera = Camera.from_json(entry["camera"], f"{manifest.name} line {number}")
+            truth = truth if truth.is_file() else folder / f"{name}.gt.npz"
+        else:
+            camera = load_camera(folder / "camera.json")
         if not truth.is_file():
-            raise UsageError(f"{folder.name}: truth/{truth.name} is missing, so errors cannot be measured")
+            raise UsageError(f"{folder.name}: {truth.relative_to(folder)} is missing, so errors cannot be measured")
         clips.append(
             TruthClipFile(
                 id=name,

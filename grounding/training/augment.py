@@ -33,9 +33,10 @@ def _blur(image: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.fl
         start, end = (centre - step).round().astype(int), (centre + step).round().astype(int)
         cv2.line(kernel, tuple(start.tolist()), tuple(end.tolist()), 1.0)
         return np.asarray(cv2.filter2D(image, -1, kernel / kernel.sum()))
-    size, factor = image.shape[0], np.exp(rng.uniform(np.log(1.2), np.log(4.0)))
-    small = cv2.resize(image, (int(size / factor),) * 2, interpolation=cv2.INTER_AREA)
-    return np.asarray(cv2.resize(small, (size, size), interpolation=cv2.INTER_LINEAR))
+    height, width = image.shape[:2]
+    factor = np.exp(rng.uniform(np.log(1.2), np.log(4.0)))
+    small = cv2.resize(image, (int(width / factor), int(height / factor)), interpolation=cv2.INTER_AREA)
+    return np.asarray(cv2.resize(small, (width, height), interpolation=cv2.INTER_LINEAR))
 
 
 def _contrast(image: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.float32]:
@@ -46,11 +47,11 @@ def _contrast(image: NDArray[np.float32], rng: np.random.Generator) -> NDArray[n
 
 def _warp(image: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.float32]:
     """Warp smoothly and non-rigidly by about a pixel, less than the resolution of the labels."""
-    size = image.shape[0]
+    height, width = image.shape[:2]
     cells = int(rng.integers(3, 8))
     field = rng.normal(0, rng.uniform(0.2, 0.8), (cells, cells, 2)).astype(np.float32)
-    flow = np.asarray(cv2.resize(field, (size, size), interpolation=cv2.INTER_CUBIC))
-    x, y = np.meshgrid(np.arange(size, dtype=np.float32), np.arange(size, dtype=np.float32))
+    flow = np.asarray(cv2.resize(field, (width, height), interpolation=cv2.INTER_CUBIC))
+    x, y = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
     x, y = x + flow[..., 0], y + flow[..., 1]
     return np.asarray(cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
 
@@ -75,7 +76,7 @@ _CHANGES = {_colour: 0.8, _contrast: 0.2, _warp: 0.2, _ghost: 0.15, _smear: 0.12
 
 
 def degrade(image: Image, rng: np.random.Generator) -> Image:
-    """Return a degraded copy of an image (S, S, 3)."""
+    """Return a degraded copy of an image (H, W, 3)."""
     x = image.astype(np.float32)
     for change, share in _CHANGES.items():
         if rng.random() < share:
@@ -106,16 +107,17 @@ def occlude(image: Image, part: NDArray[np.uint8], scenery: Image, rng: np.rando
     """Draw one to three random occluders on an image and label them background.
 
     Args:
-        image: (S, S, 3), changed in place.
-        part: (s, s) values of `RobotPart`, changed in place; most occluders lie near the robot.
+        image: (H, W, 3), changed in place.
+        part: (h, w) values of `RobotPart`, changed in place; most occluders lie near the robot.
         scenery: (H, W, 3) another image, whose pieces fill some of the occluders.
         rng: source of shapes, places and fillings.
     """
-    size, scale = image.shape[0], image.shape[0] // part.shape[0]
+    sides, scale = np.array(image.shape[1::-1]), image.shape[0] // part.shape[0]
+    size = int(sides.max())
     v, u = np.nonzero(part)
     for _ in range(rng.integers(1, 4)):
         shape = np.zeros(image.shape[:2], np.uint8)
-        place = rng.uniform(0, size, 2)
+        place = rng.uniform(0, sides)
         if len(v) and rng.random() < 0.6:
             k = int(rng.integers(len(v)))
             place = scale * np.array([u[k], v[k]], dtype=np.float64) + rng.normal(0, 0.05 * size, 2)
@@ -126,7 +128,7 @@ def occlude(image: Image, part: NDArray[np.uint8], scenery: Image, rng: np.rando
         else:
             corners = cv2.boxPoints((centre, (2 * axes[0], 2 * axes[1]), float(rng.uniform(0, 180))))
             cv2.fillPoly(shape, [corners.astype(np.int32)], 1)
-        image[shape > 0] = _filling(size, scenery, rng)[shape > 0]
+        image[shape > 0] = _filling(size, scenery, rng)[: sides[1], : sides[0]][shape > 0]
         part[shape[scale // 2 :: scale, scale // 2 :: scale] > 0] = 0
 
 

@@ -45,6 +45,8 @@ _NEAR_PX = 40.0  # distance of occluders to the path of the gripper
 class FrameErrors:
     """Errors of one held-out frame in which a gripper was detected."""
 
+    kind: str
+    """Name of the folder that holds it."""
     scene: int
     """Number of the scene or the demonstration."""
     features: Array
@@ -104,6 +106,7 @@ def measure_frames(tracker: CadTracker, shards: Shards, seed: int = 0) -> Holdou
                 depth_error = float(np.median(np.abs(view.depth_m[both] / z[both] - 1.0)))
         errors.append(
             FrameErrors(
+                kind=shards.folder(i),
                 scene=shards.number(i),
                 features=frame_features(pose),
                 position_m=position,
@@ -152,6 +155,8 @@ class PosedFrames:
 
     clip: NDArray[np.int64]
     """(N,) number of the video."""
+    kind: NDArray[np.str_]
+    """(N,) name of the folder that holds the video."""
     features: Array
     """(N, 4) features of the confidence within a track."""
     position_m: Array
@@ -182,8 +187,10 @@ def measure_video(pipeline: GroundingPipeline, file: TruthClipFile, number: int,
         features.append(raw.features()[raw.has_pose])
         position.append(np.where(np.isfinite(distance), distance, np.inf)[raw.has_pose])
         good.append(((distance <= GOOD_M) & (angle <= GOOD_RAD))[raw.has_pose])
+    n = sum(map(len, good))
     return PosedFrames(
-        clip=np.full(sum(map(len, good)), number),
+        clip=np.full(n, number),
+        kind=np.full(n, file.video.parent.name),
         features=np.concatenate(features),
         position_m=np.concatenate(position),
         good=np.concatenate(good),
@@ -216,9 +223,9 @@ class ConfidenceCalibration:
     count: int
     """Number of scenes of 20 frames each."""
     demos: tuple[Path, ...]
-    """Folders of rendered frames of held-out demonstrations."""
-    videos: Path | None
-    """Folder of held-out videos with ground truth; None keeps the shipped confidence within a track."""
+    """Folders of rendered frames of held-out demonstrations and of other renderers."""
+    videos: tuple[Path, ...]
+    """Folders of held-out videos with ground truth; without any the shipped confidence within a track is kept."""
     weights: Path | None
     """Weights in place of those shipped."""
     out: Path | None
@@ -247,20 +254,22 @@ def calibrate_confidence(config: ConfidenceCalibration) -> Iterator[str]:
     yield f"rotation error    {_spread(rotation)} degrees (median, 90 %, 95 %)"
     scene = np.array([f.scene for f in holdout.errors])
     features = np.stack([f.features for f in holdout.errors])
-    frame, lines = _fit("single frames", scene, features, np.array([f.good for f in holdout.errors]))
+    kind = np.array([f.kind for f in holdout.errors])
+    frame, lines = _fit("single frames", kind, scene, features, np.array([f.good for f in holdout.errors]))
     yield from lines
-    if config.videos is None:
+    if not config.videos:
         track = Confidence.load().track
     else:
         initial = Confidence(
             frame=frame, track=LogisticRegression(intercept=0.0, weights=np.zeros(len(TRACK_FEATURES)))
         )
-        pipeline, clips, parts = GroundingPipeline(tracker, initial), find_clips(config.videos), []
+        pipeline, parts = GroundingPipeline(tracker, initial), list[PosedFrames]()
+        clips = [clip for folder in config.videos for clip in find_clips(folder)]
         for number, clip in enumerate(clips):
             parts.append(measure_video(pipeline, clip, number))
             yield f"[{number + 1}/{len(clips)}] {clip.id}"
         videos = PosedFrames.join(parts)
-        track, lines = _fit("videos", videos.clip, videos.features, videos.good)
+        track, lines = _fit("videos", videos.kind, videos.clip, videos.features, videos.good)
         yield from lines
         tracked = track.probability(videos.features) >= TRACKED_CONFIDENCE
         off = float((videos.position_m[tracked] > OFF_M).mean())
@@ -271,15 +280,17 @@ def calibrate_confidence(config: ConfidenceCalibration) -> Iterator[str]:
 
 
 def _fit(
-    name: str, group: NDArray[np.int64], features: Array, good: NDArray[np.bool_]
+    name: str, kind: NDArray[np.str_], group: NDArray[np.int64], features: Array, good: NDArray[np.bool_]
 ) -> tuple[LogisticRegression, list[str]]:
-    """Fit a regression to all frames; report the reliability on odd groups of one fitted to even groups."""
+    """Fit a regression to all frames; report the reliability on odd groups of one fitted to even groups, by kind."""
     odd = group % 2 == 1
-    probability = fit_logistic(features[~odd], good[~odd]).probability(features[odd])
-    lines = [
-        f"confidence {mean:.2f} of {name}: within 10 mm and 5 degrees in {share:.2f} of {n} frames"
-        for mean, share, n in calibration_bins(probability, good[odd])
-    ]
+    half, lines = fit_logistic(features[~odd], good[~odd]), []
+    for value in np.unique(kind):
+        tested = odd & (kind == value)
+        lines += [
+            f"confidence {mean:.2f} of {name} in {value}: within 10 mm and 5 degrees in {share:.2f} of {n} frames"
+            for mean, share, n in calibration_bins(half.probability(features[tested]), good[tested])
+        ]
     return fit_logistic(features, good), lines
 
 

@@ -23,7 +23,7 @@ _WEIGHTS = click.option("--weights", type=_FILE, help="Network weights (safetens
 def _demos(purpose: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     return click.option(
         "--demos", multiple=True, type=_EXISTING_FOLDER,
-        help=f"Folder of `suite demos --format frames` {purpose} as well; repeatable.",
+        help=f"Folder of `suite demos --format frames` or `perception render` {purpose} as well; repeatable.",
     )  # fmt: skip
 
 
@@ -84,7 +84,9 @@ def train(
     epilog="\b\nExample:\n"
     "  kinebench-drake suite demos --suite 2 --split seen --episodes 2 --format frames --out data/held-out-demos\n"
     "  kinebench-drake suite demos --suite 2 --split seen --episodes 3 --out data/held-out-videos\n"
-    "  kinebench-drake perception calibrate --demos data/held-out-demos --videos data/held-out-videos \\\n"
+    "  kinebench-drake perception render data/vtk\n"
+    "  kinebench-drake perception calibrate --demos data/held-out-demos --demos data/vtk/vtk-scenes \\\n"
+    "      --videos data/held-out-videos --videos data/vtk/vtk-videos \\\n"
     "      --out models/perception/confidence.json"
 )
 @click.option(
@@ -93,8 +95,9 @@ def train(
 )  # fmt: skip
 @_demos("to evaluate")
 @click.option(
-    "--videos", type=_EXISTING_FOLDER,
-    help="Folder of `suite demos` videos to fit the confidence within a track.  [default: keep the shipped one]",
+    "--videos", multiple=True, type=_EXISTING_FOLDER,
+    help="Folder of `suite demos` or `perception render` videos to fit the confidence within a track; repeatable.  "
+    "[default: keep the shipped one]",
 )  # fmt: skip
 @_WEIGHTS
 @click.option(
@@ -105,7 +108,7 @@ def train(
 def calibrate(
     data: Path,
     demos: tuple[Path, ...],
-    videos: Path | None,
+    videos: tuple[Path, ...],
     weights: Path | None,
     scenes: int,
     out: Path | None,
@@ -113,7 +116,7 @@ def calibrate(
 ) -> None:
     """Fit the confidence to errors on frames of unseen scenes and demonstrations, and on videos.
 
-    The printed reliability is that of a fit to half of the data, measured on the other half.
+    The printed reliability is that of a fit to half of the data, measured on the other half, for each folder.
     """
     from kinebench_drake.grounding.training.calibration import ConfidenceCalibration, calibrate_confidence
 
@@ -122,6 +125,25 @@ def calibrate(
     )
     for line in calibrate_confidence(config):
         click.echo(line)
+
+
+@perception.command(epilog="\b\nExample:\n  kinebench-drake perception render data/vtk --scenes 40 --videos 20")
+@click.argument("out", type=_FOLDER)
+@click.option("--scenes", type=click.IntRange(0), default=20, show_default=True, help="Number of scenes of 20 frames.")
+@click.option("--videos", type=click.IntRange(0), default=10, show_default=True, help="Number of videos.")
+@_JOBS
+def render(out: Path, scenes: int, videos: int, jobs: int) -> None:
+    """Render labelled frames and videos with Drake's VTK renderer, on which the networks are not trained.
+
+    OUT/vtk-scenes and OUT/vtk-videos are written; what they hold already is kept. Cameras stand anywhere around the
+    arm, and images have several sizes and shapes.
+    """
+    from kinebench_drake.grounding.training.render import Renderer
+    from kinebench_drake.grounding.training.render import render as run
+    from kinebench_drake.grounding.training.video import render_videos
+
+    run(out / "vtk-scenes", range(scenes), jobs, click.echo, Renderer.VTK)
+    render_videos(out / "vtk-videos", range(videos), click.echo)
 
 
 @perception.group(epilog="\b\nExample:\n  kinebench-drake perception baseline train --data demos/ --out baseline/")
