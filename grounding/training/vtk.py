@@ -238,9 +238,11 @@ class VtkScene:
     def _draw_objects(self, X_BH: Array) -> list[Array]:
         return list(random_places(self._rng, self._halves, X_BH, self._postures.table_z))
 
-    def _draw_camera(self, X_BL: Mapping[str, Array]) -> Camera:
+    def _draw_camera(self, X_BL: Mapping[str, Array], motion: Sequence[Mapping[str, Array]]) -> Camera:
+        """Return a camera that sees the gripper at link poses `X_BL`, clear of the links in all of `motion`."""
         centre_B = transform_points(X_BL[HAND_LINK], GRIPPER_CENTRE_H[None])[0]
-        return random_camera(self._rng, centre_B, np.stack([X[:3, 3] for X in X_BL.values()]), self._bounds, self._size)
+        links_B = np.concatenate([[X[:3, 3] for X in poses.values()] for poses in motion])
+        return random_camera(self._rng, centre_B, links_B, self._bounds, self._size)
 
     def _render(self, camera: Camera) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.uint8]]:
         """Return image (H, W, 3), depth (H, W) [m] and parts (H, W)."""
@@ -262,7 +264,7 @@ class VtkScene:
         X_BL = _link_poses(self._postures.draw(rng), finger)
         payload = X_BL[HAND_LINK] @ random_grasp(rng) if holds else make_pose(np.eye(3), FAR_AWAY)
         self._move(X_BL, self._draw_objects(X_BL[HAND_LINK]), payload)
-        camera = self._draw_camera(X_BL)
+        camera = self._draw_camera(X_BL, [X_BL])
         rgb, depth_m, part = self._render(camera)
         return RenderedFrame.from_image(rgb, depth_m, part, camera, X_BL, finger)
 
@@ -298,7 +300,7 @@ class VtkScene:
         centre_B = X_BH[:, :3, 3] + X_BH[:, :3, :3] @ GRIPPER_CENTRE_H
         best, most = None, -1.0
         for _ in range(_VIEWS):
-            camera = self._draw_camera(X_BL[int(self._rng.integers(len(X_BL)))])
+            camera = self._draw_camera(X_BL[int(self._rng.integers(len(X_BL)))], X_BL)
             shown = _share_shown(camera, centre_B)
             if shown > most:
                 best, most = camera, shown
