@@ -277,12 +277,12 @@ class VtkScene:
         X_BH = np.stack([X[HAND_LINK] for X in X_BL])
         camera = self._draw_static_camera(X_BL, X_BH)
         objects = self._draw_objects(X_BH[len(X_BH) // 2])
-        held, X_HP = np.flatnonzero(motion.holds), random_grasp(rng)
+        grasp, X_HP = np.flatnonzero(motion.holds), random_grasp(rng)
         frames, visible = [], []
         for t, X in enumerate(X_BL):
             # The thing lies where it is grasped before, and where it is released afterwards.
             hidden = make_pose(np.eye(3), FAR_AWAY)
-            self._move(X, objects, X_BH[np.clip(t, held[0], held[-1])] @ X_HP if len(held) else hidden)
+            self._move(X, objects, X_BH[np.clip(t, grasp[0], grasp[-1])] @ X_HP if len(grasp) else hidden)
             rgb, _, part = self._render(camera)
             frames.append(rgb)
             visible.append(np.isin(part, GRIPPER).sum())
