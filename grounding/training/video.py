@@ -2,10 +2,12 @@
 
 from collections.abc import Callable, Iterable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from kinebench_drake.geometry import Array, invert
+from kinebench_drake.geometry import invert
 from kinebench_drake.grounding.training.vtk import RenderedVideo, VtkScene
 from kinebench_drake.io.container import write_video
 from kinebench_drake.io.jsonl import append_line, as_object, drop_torn_line, read_lines
@@ -39,7 +41,7 @@ def render_videos(folder: Path, seeds: Iterable[int], report: Callable[[str], No
             report(f"rendered {name}.mp4: {len(video.frames)} frames of {camera['width']}x{camera['height']}")
 
 
-def _truth(video: RenderedVideo) -> dict[str, Array]:
+def _truth(video: RenderedVideo) -> dict[str, NDArray[Any]]:
     return {
         "t_s": np.arange(len(video.frames)) * video.frame_period_s,
         "base_from_hand": video.X_BH,
