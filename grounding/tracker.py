@@ -270,16 +270,9 @@ def refine_doubtful(
                 if arm is None or not arm.agrees:
                     continue
                 overlap = silhouette.overlap(pose.view, arm.X_CH, finger_or_default(arm.finger_m))
-                known = pose.arm.edge_share if pose.arm is not None and _arm_agrees(pose) else 0.0
-                if overlap >= _SOURCE_OVERLAP and arm.edge_share > (known if np.isfinite(known) else 0.0):
-                    pose = replace(
-                        pose,
-                        X_CH=arm.X_CH,
-                        finger_m=arm.finger_m,
-                        finger_sigma_m=arm.finger_sigma_m,
-                        arm=arm,
-                        overlap=overlap,
-                    )
+                best = np.nan_to_num(pose.arm.edge_share) if pose.arm is not None and pose.arm.agrees else 0.0
+                if overlap >= _SOURCE_OVERLAP and arm.edge_share > best:
+                    pose = _with_arm(pose, arm, overlap)
             poses[i] = pose
 
 
@@ -292,6 +285,10 @@ def _refit_from(
     overlap = silhouette.overlap(pose.view, arm.X_CH, finger_or_default(arm.finger_m))
     if overlap < max(_SOURCE_OVERLAP, pose.overlap + _OVERLAP_GAIN):
         return pose
+    return _with_arm(pose, arm, overlap)
+
+
+def _with_arm(pose: FramePose, arm: ArmFit, overlap: float) -> FramePose:
     return replace(
         pose, X_CH=arm.X_CH, finger_m=arm.finger_m, finger_sigma_m=arm.finger_sigma_m, arm=arm, overlap=overlap
     )
