@@ -14,7 +14,7 @@ from scipy.special import expit, logit
 
 from kinebench_drake.errors import SetupError
 from kinebench_drake.geometry import Array
-from kinebench_drake.grounding.tracker import FramePose
+from kinebench_drake.grounding.pose import FramePose
 
 GOOD_M, GOOD_RAD = 0.010, float(np.deg2rad(5.0))
 """Error bounds [m, rad] whose probability the confidence is."""

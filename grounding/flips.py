@@ -11,7 +11,7 @@ from itertools import pairwise
 import numpy as np
 
 from kinebench_drake.geometry import Array, invert, make_pose, rotation_angle, rotation_exp, transform_points
-from kinebench_drake.grounding.tracker import FramePose
+from kinebench_drake.grounding.pose import FramePose
 
 X_HALF_TURN = make_pose(rotation_exp([0.0, 0.0, np.pi]), np.zeros(3))
 """Pose (4, 4) of the flipped hand in the hand frame: 180 degrees about z."""

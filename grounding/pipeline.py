@@ -16,8 +16,9 @@ from kinebench_drake.grounding.confidence import GOOD_M, GOOD_RAD, Confidence, f
 from kinebench_drake.grounding.estimator import NetworkEstimator
 from kinebench_drake.grounding.flips import X_HALF_TURN, resolve_flips
 from kinebench_drake.grounding.gripper_width import smooth_gripper_width
+from kinebench_drake.grounding.pose import FramePose
 from kinebench_drake.grounding.smoothing import RawTrack
-from kinebench_drake.grounding.tracker import CadTracker, FramePose, PoseTracker
+from kinebench_drake.grounding.tracker import CadTracker, PoseTracker
 from kinebench_drake.grounding.view import Frames, GripperView
 from kinebench_drake.models.panda.robot import RobotPart, hand_from_tcp
 from kinebench_drake.models.perception.network import WEIGHTS, load_network

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from kinebench_drake.geometry import Array, make_pose, pose_difference, rotation_exp, rotation_log
 from kinebench_drake.grounding.confidence import track_features
-from kinebench_drake.grounding.tracker import FramePose
+from kinebench_drake.grounding.pose import FramePose
 from kinebench_drake.types import Anomaly, AnomalyKind
 
 HALF_WINDOW = 3

@@ -7,14 +7,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera
-from kinebench_drake.geometry import Array, interpolate_pose, invert, transform_points
+from kinebench_drake.geometry import interpolate_pose, invert, transform_points
 from kinebench_drake.grounding.crop import CLOSE_SIZE, GRIPPER_CENTRE_H, Crop
 from kinebench_drake.grounding.localization import find_region, likeliest_gripper
 from kinebench_drake.grounding.override_estimator import OverrideEstimator, calibrate_depth
-from kinebench_drake.grounding.registration.arm_fit import ArmFit, ArmFitter
+from kinebench_drake.grounding.pose import FramePose
+from kinebench_drake.grounding.refinement import EdgeRefinement, propagate
+from kinebench_drake.grounding.registration.arm_fit import ArmFitter
 from kinebench_drake.grounding.registration.arm_model import ArmModel
-from kinebench_drake.grounding.registration.edges import EdgeMatcher, GradientImage
-from kinebench_drake.grounding.registration.fit import UNSEEN_FINGER_M, HandFit, finger_or_default, fit, refit
+from kinebench_drake.grounding.registration.edges import EdgeMatcher
+from kinebench_drake.grounding.registration.fit import UNSEEN_FINGER_M, finger_or_default, fit, refit
 from kinebench_drake.grounding.registration.icp import IcpRefiner
 from kinebench_drake.grounding.registration.silhouette import SilhouetteMatcher
 from kinebench_drake.grounding.view import DenseEstimator, Frames, GripperView
@@ -26,37 +28,6 @@ CLOSE_MARGIN = 1.3
 _RECENTRE = 0.2  # offset of the gripper from the crop's centre, over half the crop, beyond which a new crop is taken
 _RESCALE = 1.25  # likewise the factor between its size in the crop and the desired one
 _MAX_GAP = 12  # frames over which the crop of a lost gripper is interpolated
-_SOURCE_OVERLAP, _GOOD_OVERLAP = 0.6, 0.8  # overlap from which a pose is propagated, and from which it is not replaced
-_OVERLAP_GAIN = 0.03  # least improvement of the overlap by a propagated pose
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FramePose:
-    """Pose of the gripper in one frame, with the fits that its confidence is computed from."""
-
-    X_CH: Array
-    """(4, 4) pose of panda_hand in the camera frame [m]."""
-    finger_m: float
-    """Travel of each finger [m]; NaN if no finger was visible."""
-    finger_sigma_m: float
-    """Standard deviation of the travel [m]."""
-    hand: HandFit
-    """Fit of the hand alone, without the arm."""
-    hand_without_silhouette: HandFit
-    """Fit to the cells alone: the silhouette would bias it where the gripper is deformed."""
-    arm: ArmFit | None
-    """Fit of the arm; None if too little of it is visible."""
-    view: GripperView
-    """View of the crop around the gripper."""
-    overlap: float
-    """Intersection over union of the segmented and the rendered gripper."""
-    from_prior: bool = False
-    """True if the pose was taken from priors."""
-
-    @property
-    def covariance(self) -> Array:
-        """(6, 6) covariance of rotation about the camera's axes [rad] and position [m], from the cells' sigmas."""
-        return self.arm.covariance if self.arm is not None and self.arm.agrees else self.hand.covariance
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -135,7 +106,12 @@ class CadTracker:
         measure(self._proposed_crops(len(frames), poses))
         if not priors.has_exact_depth:
             propagate(poses, wide, arm, self._silhouette)
-            refine_doubtful(poses, wide, frames, camera, arm, self._silhouette)
+            refinement = EdgeRefinement(poses, wide, frames, camera, arm, self._silhouette)
+            refinement.run()
+            if not refinement.is_familiar:  # the network may have taken something else for the gripper
+                again = self._proposed_crops(len(frames), refinement.confirmed)
+                measure(again)
+                refinement.fit(again)
         return Tracking(
             poses=tuple(poses.get(i) for i in range(len(frames))),
             wide=tuple(wide[i] for i in range(len(frames))),
@@ -217,86 +193,3 @@ class CadTracker:
                 continue
             crops[i] = Crop.of_gripper(X_CH, 1.5 * CLOSE_MARGIN, CLOSE_SIZE)
         return crops
-
-
-def propagate(
-    poses: dict[int, FramePose], wide: dict[int, GripperView], arm_fitter: ArmFitter, silhouette: SilhouetteMatcher
-) -> None:
-    """Refit doubtful poses from the frame before, then from the one after; keep a refit that matches better.
-
-    Seen edge-on, a gripper's CAD coordinates can all be wrong by the same 30 mm and 25 degrees and still be consistent
-    with each other; only silhouette and arm contradict them. Started from the posture of a neighbouring frame, the fit
-    of silhouette and arm converges to the right pose.
-
-    Args:
-        poses: pose by frame number; doubtful ones are replaced.
-        wide: view of the whole image by frame number.
-        arm_fitter: fitter of the arm.
-        silhouette: comparison of the rendered with the segmented gripper.
-    """
-    for step in (1, -1):
-        for i in sorted(poses)[::step]:
-            near = poses.get(i - step)
-            if near is not None and _is_doubtful(poses[i]) and _arm_agrees(near) and near.overlap >= _SOURCE_OVERLAP:
-                poses[i] = _refit_from(poses[i], near, wide[i], arm_fitter, silhouette)
-
-
-def refine_doubtful(
-    poses: dict[int, FramePose],
-    wide: dict[int, GripperView],
-    frames: Frames,
-    camera: Camera,
-    arm_fitter: ArmFitter,
-    silhouette: SilhouetteMatcher,
-) -> None:
-    """Refine poses whose arm and hand disagree by the edges of the image; keep what edges and silhouette confirm.
-
-    Args:
-        poses: pose by frame number; doubtful ones are replaced.
-        wide: view that shows the arm by frame number.
-        frames: (T, H, W, 3) RGB.
-        camera: camera of the frames.
-        arm_fitter: fitter of the arm.
-        silhouette: comparison of the rendered with the segmented gripper.
-    """
-    doubtful = {i for i in poses if _is_doubtful(poses[i])}
-    for step in (1, -1):
-        for i in sorted(doubtful)[::step]:
-            pose, near = poses[i], poses.get(i - step)
-            image = GradientImage(frames[i], camera)
-            starts = [p.arm for p in (pose, near) if p is not None and p.arm is not None]
-            for start in starts:
-                arm = arm_fitter.refine(start, pose.hand, pose.view, wide[i], image)
-                if arm is None or not arm.agrees:
-                    continue
-                overlap = silhouette.overlap(pose.view, arm.X_CH, finger_or_default(arm.finger_m))
-                best = np.nan_to_num(pose.arm.edge_share) if pose.arm is not None and pose.arm.agrees else 0.0
-                if overlap >= _SOURCE_OVERLAP and arm.edge_share > best:
-                    pose = _with_arm(pose, arm, overlap)
-            poses[i] = pose
-
-
-def _refit_from(
-    pose: FramePose, near: FramePose, wide: GripperView, arm_fitter: ArmFitter, silhouette: SilhouetteMatcher
-) -> FramePose:
-    arm = None if near.arm is None else arm_fitter.fit_from_neighbour(near.arm, pose.hand, pose.view, wide, silhouette)
-    if arm is None or not arm.agrees:
-        return pose
-    overlap = silhouette.overlap(pose.view, arm.X_CH, finger_or_default(arm.finger_m))
-    if overlap < max(_SOURCE_OVERLAP, pose.overlap + _OVERLAP_GAIN):
-        return pose
-    return _with_arm(pose, arm, overlap)
-
-
-def _with_arm(pose: FramePose, arm: ArmFit, overlap: float) -> FramePose:
-    return replace(
-        pose, X_CH=arm.X_CH, finger_m=arm.finger_m, finger_sigma_m=arm.finger_sigma_m, arm=arm, overlap=overlap
-    )
-
-
-def _is_doubtful(pose: FramePose) -> bool:
-    return not pose.from_prior and not (_arm_agrees(pose) and pose.overlap >= _GOOD_OVERLAP)
-
-
-def _arm_agrees(pose: FramePose) -> bool:
-    return pose.arm is not None and pose.arm.agrees

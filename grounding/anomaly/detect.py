@@ -16,7 +16,7 @@ from kinebench_drake.grounding.anomaly.presence import find_duplicates, find_van
 from kinebench_drake.grounding.anomaly.shape import find_deformations, find_scale_drift, shape_misfit
 from kinebench_drake.grounding.crop import GRIPPER_CENTRE_H
 from kinebench_drake.grounding.gripper_width import SHARP_M
-from kinebench_drake.grounding.tracker import FramePose
+from kinebench_drake.grounding.pose import FramePose
 from kinebench_drake.grounding.view import Frames, GripperView
 
 FAIR_CONFIDENCE = 0.1

@@ -13,7 +13,7 @@ from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, invert, pose_difference
 from kinebench_drake.grounding.registration.arm_model import OVER_LIMIT_RAD, ArmHandModel, ArmModel
 from kinebench_drake.grounding.registration.correspondences import Correspondences
-from kinebench_drake.grounding.registration.edges import EdgeMatcher, GradientImage
+from kinebench_drake.grounding.registration.edges import RIGID, ROBOT, EdgeMatcher, GradientImage
 from kinebench_drake.grounding.registration.fit import HandFit, HandModel, finger_or_default, gripper_cells
 from kinebench_drake.grounding.registration.silhouette import SilhouetteMatcher
 from kinebench_drake.grounding.registration.solver import Solution, solve
@@ -33,8 +33,10 @@ _MAX_ACROSS_M, _MAX_ALONG_M, _MAX_ANGLE_RAD = 0.025, 0.08, np.deg2rad(20.0)  # f
 _NO_RANGE_SIGMA = 1e3  # relative standard deviation of an ignored range
 _LINKS_ONLY_WEIGHT = 0.03  # weight of the hand's cells where the links alone determine its distance
 _NEIGHBOUR_GATES = (8.0, 5.0, 3.0)  # farthest silhouette pairs in successive passes [cells]
-_EDGE_REACHES_PX = (10.0, 6.0, 4.0, 3.0)  # farthest image edges in successive passes
-_MIN_EDGE_SHARE = 0.4  # of a posture that the edges confirm
+_EDGE_REACHES_PX = (10.0, 6.0, 4.0, 3.0, 2.0)  # farthest image edges in successive passes
+_CELLS_REACH_PX = 6.0  # from which on the cells count in a pass, too
+_RIM_SIGMA_CELLS, _RIM_SIGMA_PX = 0.7, 0.7  # of the segmented rim of the hand
+_MIN_AGREEMENT = 0.4  # of a posture that the edges confirm
 _MAX_GROWTH, _MAX_GROWTH_SIGMAS = 1.4, 0.3  # largest increase of the hand's residual by the arm
 
 
@@ -60,8 +62,8 @@ class ArmFit:
     """Log-likelihood ratio of the hand's pose against the 180-degree flip, from the links."""
     covariance: Array
     """(6, 6) covariance of the hand's rotation about the camera's axes [rad] and position [m]."""
-    edge_share: float = float("nan")
-    """Share of the robot's contour that lies on edges of the image; NaN if not measured."""
+    edge_agreement: float = float("nan")
+    """Share of the contour of hand and wrist that lies on edges of the image; NaN if not measured."""
 
 
 class ArmFitter:
@@ -69,7 +71,7 @@ class ArmFitter:
 
     def __init__(self, camera: Camera, model: ArmModel, edges: EdgeMatcher) -> None:
         self._model, self._X_CB, self._edges = model, invert(camera.X_BC), edges
-        self._focal_px = camera.fx
+        self._camera, self._focal_px = camera, camera.fx
         self._tolerance_px = _MAX_CONSISTENCY_PX * camera.unit_px
 
     def fit(
@@ -146,9 +148,17 @@ class ArmFitter:
         return self._arm_fit(solution, links, hand, scale=float("nan"), evidence=evidence, agrees=True)
 
     def refine(
-        self, start: "ArmFit", hand: HandFit, close: GripperView, wide: GripperView, image: GradientImage
-    ) -> "ArmFit | None":
-        """Fit the arm to the edges of the image and to the cells, from the posture of `start`; None if that diverges.
+        self,
+        start: ArmFit,
+        hand: HandFit,
+        close: GripperView,
+        wide: GripperView,
+        image: GradientImage,
+    ) -> ArmFit | None:
+        """Fit the arm to the edges of the image, from the posture of `start`; None if that diverges.
+
+        The first pass also counts the cells. The fingers only count in it: grippers have fingers of many forms. Near
+        the hand, whose bevels look like outlines, the edge nearest to its segmented rim is taken.
 
         Args:
             start: arm of this frame or of a neighbouring one.
@@ -159,26 +169,30 @@ class ArmFitter:
         """
         cells = Correspondences.join([gripper_cells(close), self._link_cells(close, wide)])
         arm, log_depth_factor = self._start(start.q, start.finger_m, hand), float(np.log(hand.depth_factor))
+        cell_px = close.stride * self._focal_px / close.crop.focal
+        image = image.with_hand(close.to_frame(close.gripper, self._camera), _RIM_SIGMA_CELLS * cell_px + _RIM_SIGMA_PX)
         solution = None
         for reach_px in _EDGE_REACHES_PX:
-            edges = self._edges.match(image, self._poses(arm), reach_px)
+            with_cells = reach_px > _CELLS_REACH_PX
+            edges = self._edges.match(image, self._poses(arm), reach_px, ROBOT if with_cells else RIGID)
             if edges is None:
                 return None
+            joined = [edges, cells] if with_cells else [edges]
             solution = solve(
-                arm,
-                Correspondences.join([cells, edges]) if reach_px > 6 else edges,
-                close.depth_factor_sigma,
-                log_depth_factor,
-                iterations=4,
+                arm, Correspondences.join(joined), close.depth_factor_sigma, log_depth_factor, iterations=4
             )
             if solution is None:
                 return None
             arm, log_depth_factor = solution.model, solution.log_depth_factor
         if solution is None:
             return None
-        share = self._edges.agreement(image, self._poses(arm))
+        agreement = self._edges.agreement(image, self._poses(arm))
         fitted = self._arm_fit(solution, cells, hand, scale=float("nan"), evidence=start.evidence, agrees=True)
-        return replace(fitted, agrees=share >= _MIN_EDGE_SHARE, edge_share=share)
+        return replace(fitted, agrees=agreement >= _MIN_AGREEMENT, edge_agreement=agreement)
+
+    def edge_agreement(self, arm: ArmFit, image: GradientImage) -> float:
+        """Return the share of the contour of hand and wrist at a posture that lies on edges of the image."""
+        return self._edges.agreement(image, open_fingers(self._X_CB @ self._model.poses(arm.q[None])[0], 0.0))
 
     def _poses(self, arm: ArmHandModel) -> Array:
         """Return the poses (PARTS, 4, 4) of the parts in the camera frame [m]."""

@@ -6,6 +6,7 @@ Stennett, "RAPID", BMVC 1990; Drummond and Cipolla, PAMI 2002). It needs no netw
 network was not trained on, from a posture that is right within a few pixels.
 """
 
+from copy import copy
 from dataclasses import dataclass
 from functools import cache
 
@@ -18,7 +19,7 @@ from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, invert
 from kinebench_drake.grounding.registration.correspondences import Correspondences
 from kinebench_drake.models.panda.cad import PartCaster, link_meshes, part_meshes
-from kinebench_drake.models.panda.robot import GRIPPER, OPENING_SIGN, RobotPart
+from kinebench_drake.models.panda.robot import OPENING_SIGN, RobotPart
 
 _CREASE_RAD = 0.6  # angle between faces from which their common edge is a crease
 _SPACING_PX = 2.0  # distance of the points along an edge
@@ -28,16 +29,20 @@ _BULGE_M = 0.03  # greatest difference of depth between a contour and the surfac
 _JUMP_M = 0.015  # least jump of the depth at a contour
 _BESIDE_PX = 1.5  # distance from the edge at which the jump is measured
 _LARGEST_PX = 640  # images larger than this are reduced
-_SMOOTHING_PX = 1.0
+_SMOOTHING_PX = 0.8
 _SIGMA_PX = 0.7
 _INDEPENDENT = 120.0  # independent measurements that the edges of an image count as at most
 _LEAST_GRADIENT = 6.0  # of an image in 0..255, per pixel
 _STEP_PX = 0.5
+_BAND_PX, _OUTER_SHARE = 4.0, 0.45  # how far outside and how strong an outline is next to a stronger edge
+_OFF_RIM = 0.1  # weight of edges of the hand far from its segmented rim
 _MIN_POINTS = 20
-_SEARCH_PX, _ON_CONTOUR_PX = 8.0, 1.5  # where the agreement looks for the strongest edge, and where it must lie
-_WRIST = (*GRIPPER, RobotPart.LINK5, RobotPart.LINK6, RobotPart.LINK7)
+_SEARCH_PX, _ON_CONTOUR_PX = 8.0, 1.0  # where the agreement looks for the strongest edge, and how near it must lie
+_WRIST = (RobotPart.HAND, RobotPart.LINK5, RobotPart.LINK6, RobotPart.LINK7)
 ROBOT = tuple(part for part in RobotPart if part is not RobotPart.BACKGROUND)
 """Hand, fingers and links."""
+RIGID = tuple(part for part in ROBOT if not OPENING_SIGN.get(part))
+"""Hand and links: fingers are often exchanged for others."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,12 +57,12 @@ class EdgeMesh:
     """(E,) edges where the surface bends sharply."""
     normals: Array
     """(F, 3) unit normals of the faces."""
-    centres: Array
-    """(F, 3) a point on each face [m]."""
+    offsets: Array
+    """(F,) distances of the faces' planes from the origin, along their normals [m]."""
 
     def contour(self, eye: Array) -> Array:
         """Return the edges (M, 2, 3) that an eye at `eye` (3,) in the frame of the part can see as lines."""
-        front = ((eye - self.centres) * self.normals).sum(axis=1) > 0
+        front = self.normals @ eye > self.offsets
         first, second = front[self.faces[:, 0]], front[self.faces[:, 1]]
         return np.asarray(self.ends[(first != second) | (self.crease & (first | second))])
 
@@ -74,7 +79,7 @@ def _edge_meshes() -> dict[RobotPart, EdgeMesh]:
             faces=np.asarray(mesh.face_adjacency),
             crease=np.asarray(mesh.face_adjacency_angles > _CREASE_RAD),
             normals=np.asarray(mesh.face_normals, dtype=np.float64),
-            centres=np.asarray(mesh.triangles_center, dtype=np.float64),
+            offsets=np.asarray((mesh.face_normals * mesh.triangles_center).sum(axis=1)),
         )
         for part, mesh in _meshes().items()
     }
@@ -93,7 +98,7 @@ class EdgePoints:
     pixel: Array
     """(N, 2) their places in the image [px]."""
     normal: Array
-    """(N, 2) unit vectors across the edge in the image."""
+    """(N, 2) unit vectors across the edge in the image, away from the surface."""
 
 
 class GradientImage:
@@ -112,14 +117,55 @@ class GradientImage:
         strongest = (dx**2 + dy**2).argmax(axis=2)[..., None]
         self._dx = np.take_along_axis(dx, strongest, axis=2)[..., 0]
         self._dy = np.take_along_axis(dy, strongest, axis=2)[..., 0]
+        self._near_rim: NDArray[np.float32] | None = None
 
-    def across(self, points: EdgePoints, reach_px: float) -> tuple[Array, Array]:
-        """Return offsets (K,) across the edges [px] and the gradients (N, K) along their normals at these offsets."""
+    def with_hand(self, gripper: NDArray[np.bool_], sigma_px: float) -> "GradientImage":
+        """Return the image with the segmented gripper, whose rim decides between several edges near the hand.
+
+        Args:
+            gripper: (H, W) pixels of the frame that show the gripper.
+            sigma_px: standard deviation of the segmented rim [px of the frame].
+        """
+        image = copy(self)
+        size = (self.camera.width, self.camera.height)
+        mask = np.asarray(cv2.resize(gripper.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST))
+        inside, outside = (cv2.distanceTransform(m, cv2.DIST_L2, 5) for m in (mask, 1 - mask))
+        sigma = sigma_px * size[0] / gripper.shape[1]
+        image._near_rim = np.exp(-0.5 * ((inside + outside) / sigma) ** 2).astype(np.float32) if mask.any() else None
+        return image
+
+    def find_edges(self, points: EdgePoints, reach_px: float) -> tuple[Array, Array]:
+        """Return offsets (N,) along the normals of `points` to the image's edges [px], and their gradients (N,).
+
+        The strongest edge within `reach_px` wins unless another is much nearer. Surfaces darken or shine towards their
+        outlines, so the strongest edge often lies a little inside: an outline is the outermost edge next to it.
+        """
         offset = np.arange(-reach_px, reach_px + _STEP_PX / 2, _STEP_PX)
         place = points.pixel[:, None] + offset[:, None] * points.normal[:, None] - 0.5
         u, v = place[..., 0].astype(np.float32), place[..., 1].astype(np.float32)
-        dx, dy = (cv2.remap(d, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT) for d in (self._dx, self._dy))
-        return offset, np.abs(dx * points.normal[:, None, 0] + dy * points.normal[:, None, 1]).astype(np.float64)
+        dx, dy = (self._sample(d, u, v) for d in (self._dx, self._dy))
+        gradient = np.abs(dx * points.normal[:, None, 0] + dy * points.normal[:, None, 1]).astype(np.float64)
+        likely = gradient * np.exp(-0.5 * (offset / (0.6 * reach_px)) ** 2)
+        if self._near_rim is not None:
+            hand = points.part == RobotPart.HAND
+            likely[hand] *= _OFF_RIM + self._sample(self._near_rim, u, v)[hand]
+        rows = np.arange(len(gradient))
+        best = likely[:, 1:-1].argmax(axis=1) + 1
+        is_peak = np.zeros(gradient.shape, bool)
+        inner = gradient[:, 1:-1]
+        is_peak[:, 1:-1] = (inner >= gradient[:, :-2]) & (inner > gradient[:, 2:])
+        ahead = offset - offset[best][:, None]
+        outer = is_peak & (ahead > 0) & (ahead <= _BAND_PX) & (gradient >= _OUTER_SHARE * gradient[rows, best][:, None])
+        last = outer.shape[1] - 1 - outer[:, ::-1].argmax(axis=1)
+        best = np.where(outer.any(axis=1), last, best)
+        before, peak, after = gradient[rows, best - 1], gradient[rows, best], gradient[rows, best + 1]
+        curvature = before - 2 * peak + after
+        shift = np.where(curvature < 0, 0.5 * (before - after) / np.minimum(curvature, -1e-9), 0.0).clip(-1, 1)
+        return np.asarray(offset[best] + _STEP_PX * shift), np.asarray(peak)
+
+    @staticmethod
+    def _sample(values: NDArray[np.float32], u: NDArray[np.float32], v: NDArray[np.float32]) -> NDArray[np.float32]:
+        return np.asarray(cv2.remap(values, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT), np.float32)
 
 
 class EdgeMatcher:
@@ -167,8 +213,9 @@ class EdgeMatcher:
         p_C = a[edge, 0] + t * (a[edge, 1] - a[edge, 0])
         along = (pixel[edge, 1] - pixel[edge, 0]) / np.maximum(length[edge], 1e-9)[:, None]
         normal = np.column_stack([-along[:, 1], along[:, 0]])
-        contour = self._contour(X_CP, p_C, normal, camera)
-        edge, t, p_C, normal = edge[contour], t[contour], p_C[contour], normal[contour]
+        side = self._outer_side(X_CP, p_C, normal, camera)
+        contour = side != 0
+        edge, t, p_C, normal = edge[contour], t[contour], p_C[contour], (side[:, None] * normal)[contour]
         if len(edge) > _MAX_POINTS:
             subset = np.linspace(0, len(edge) - 1, _MAX_POINTS).astype(int)
             edge, t, p_C, normal = edge[subset], t[subset], p_C[subset], normal[subset]
@@ -182,19 +229,29 @@ class EdgeMatcher:
             normal=normal,
         )
 
-    def _contour(self, X_CP: Array, p_C: Array, normal: Array, camera: Camera) -> NDArray[np.bool_]:
-        """Return which points (N, 3) are visible and have something farther, or nothing, on one side in the image."""
-        n, depth = len(p_C), p_C[:, 2]
-        beside = np.column_stack([_BESIDE_PX * normal / [camera.fx, camera.fy], np.zeros(n)])
-        directions = p_C / depth[:, None]
-        rays = np.concatenate([directions, directions - beside, directions + beside])
-        at, *around = self._caster.cast(X_CP, rays).distance.reshape(3, n)
-        surface, beyond = np.minimum(*around), np.maximum(*around)
-        visible = (at > depth - _BEHIND_M) & (np.abs(surface - depth) < _BULGE_M)
-        return np.asarray(visible & (beyond > np.maximum(surface, depth) + _JUMP_M))
+    def _outer_side(self, X_CP: Array, p_C: Array, normal: Array, camera: Camera) -> Array:
+        """Return on which side (N,) of visible contour points the image shows something farther, or nothing.
+
+        1 in the direction of `normal` (N, 2), -1 against it, 0 at points (N, 3) that are hidden or on both sides of
+        which is the same surface.
+        """
+        side = np.zeros(len(p_C))
+        directions = p_C / p_C[:, 2:]
+        visible = np.flatnonzero(self._caster.cast(X_CP, directions).distance > p_C[:, 2] - _BEHIND_M)
+        if not len(visible):
+            return side
+        depth, directions = p_C[visible, 2], directions[visible]
+        beside = np.column_stack([_BESIDE_PX * normal[visible] / [camera.fx, camera.fy], np.zeros(len(visible))])
+        against, along = self._caster.cast(
+            X_CP, np.concatenate([directions - beside, directions + beside])
+        ).distance.reshape(2, -1)
+        surface, beyond = np.minimum(against, along), np.maximum(against, along)
+        is_contour = (np.abs(surface - depth) < _BULGE_M) & (beyond > np.maximum(surface, depth) + _JUMP_M)
+        side[visible] = np.where(is_contour, np.where(along > against, 1.0, -1.0), 0.0)
+        return side
 
     def agreement(self, image: GradientImage, X_CP: Array) -> float:
-        """Return the share of the contour of gripper and wrist that lies on the strongest image edge nearby.
+        """Return the share of the contour of hand and wrist that lies on the strongest image edge nearby.
 
         Args:
             image: gradients of the image.
@@ -203,11 +260,8 @@ class EdgeMatcher:
         points = self.project(X_CP, image.camera, _WRIST)
         if points is None:
             return 0.0
-        offset, gradient = image.across(points, _SEARCH_PX)
-        rows = np.arange(len(gradient))
-        best = gradient.argmax(axis=1)
-        on_contour = (np.abs(offset[best]) <= _ON_CONTOUR_PX) & (gradient[rows, best] > _LEAST_GRADIENT)
-        return float(on_contour.mean())
+        offset, strength = image.find_edges(points, _SEARCH_PX)
+        return float((np.exp(-0.5 * (offset / _ON_CONTOUR_PX) ** 2) * (strength > _LEAST_GRADIENT)).mean())
 
     def match(
         self, image: GradientImage, X_CP: Array, reach_px: float, parts: tuple[RobotPart, ...] = ROBOT
@@ -223,18 +277,10 @@ class EdgeMatcher:
         points = self.project(X_CP, image.camera, parts)
         if points is None:
             return None
-        offset, gradient = image.across(points, reach_px)
-        # The strongest edge wins unless another is much nearer.
-        value = gradient * np.exp(-0.5 * (offset / (0.6 * reach_px)) ** 2)
-        best = value[:, 1:-1].argmax(axis=1) + 1
-        rows = np.arange(len(best))
-        before, peak, after = gradient[rows, best - 1], gradient[rows, best], gradient[rows, best + 1]
-        curvature = before - 2 * peak + after
-        shift = np.where(curvature < 0, 0.5 * (before - after) / np.minimum(curvature, -1e-9), 0.0).clip(-1, 1)
-        strong = peak > _LEAST_GRADIENT
+        move, strength = image.find_edges(points, reach_px)
+        strong = strength > _LEAST_GRADIENT
         if strong.sum() < _MIN_POINTS:
             return None
-        move = offset[best] + _STEP_PX * shift
         camera = image.camera
         place = (points.pixel + move[:, None] * points.normal)[strong]
         ray = np.column_stack([(place - [camera.cx, camera.cy]) / [camera.fx, camera.fy], np.ones(len(place))])

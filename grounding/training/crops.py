@@ -18,11 +18,12 @@ from kinebench_drake.models.panda.robot import ARM, GRIPPER, OPENING_SIGN, Robot
 from kinebench_drake.models.perception.frame import DEPTH_UNIT_M, RenderedFrame
 from kinebench_drake.models.perception.network import COORDINATE_SCALE_M, DEPTH_CENTRE, STRIDE
 
-WIDE_EVERY = 3
-"""Interval of the steps on wide crops, which show frames or arms; the others use close crops of the gripper."""
+CLOSE_EVERY = 4
+"""Interval of the steps on close crops of the gripper; the others use wide ones, which show frames or arms."""
 _MIN_GRIPPER_PX = 60
 _DOUBLED = 0.12  # share of wide crops with a second gripper
 _OCCLUDED = 0.4  # share of crops with occluders
+_CLEAN = 0.3  # share of crops that are not degraded
 _OTHER_BACKGROUND = 0.2  # share of crops whose background is replaced
 _ELSEWHERE = 0.1  # share of wide crops of any part of the frame
 _WIDE_GRIPPER_PX = (13.0, 115.0)  # diameter of the gripper's bounding sphere in wide crops
@@ -161,7 +162,7 @@ def _double(image: NDArray[np.uint8], labels: Sequence[NDArray[np.generic]], rng
 class Crops(Dataset[dict[str, Tensor]]):
     """Random degraded crops by item (step, slot): the same seed and item give the same crop, in any order of access.
 
-    All crops of a step have one size: every `WIDE_EVERY`-th step uses wide crops, the others close ones.
+    All crops of a step have one size: every `CLOSE_EVERY`-th step uses close crops, the others wide ones.
     """
 
     def __init__(self, shards: Shards, seed: int) -> None:
@@ -189,8 +190,10 @@ class Crops(Dataset[dict[str, Tensor]]):
             _double(image, (part, coordinates, log_depth), rng)
         if rng.random() < _OCCLUDED:
             occlude(image, part, self._draw(rng).rgb, rng)
+        if rng.random() >= _CLEAN:
+            image = degrade(image, rng)
         return {
-            "image": torch.from_numpy(degrade(image, rng)).permute(2, 0, 1),
+            "image": torch.from_numpy(image).permute(2, 0, 1),
             "part": torch.from_numpy(part).long(),
             "coordinates": torch.from_numpy(coordinates).permute(2, 0, 1),
             "log_depth": torch.from_numpy(log_depth),
@@ -210,7 +213,7 @@ def _narrowness(frame: RenderedFrame) -> float:
 
 def is_wide(step: int) -> bool:
     """Return whether a step uses wide crops."""
-    return step % WIDE_EVERY == WIDE_EVERY - 1
+    return step % CLOSE_EVERY != 0
 
 
 class Steps(Sampler[list[tuple[int, int]]]):

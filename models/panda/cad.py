@@ -86,6 +86,7 @@ class PartCaster:
 
         core: Any = open3d.core
         self._scenes: dict[RobotPart, Any] = {}
+        self._bounds: dict[RobotPart, tuple[Array, float]] = {}
         self._tensor = core.Tensor
         for part, mesh in meshes.items():
             scene = open3d.t.geometry.RaycastingScene(nthreads=1)
@@ -93,6 +94,8 @@ class PartCaster:
             faces = np.asarray(mesh.faces, np.uint32)
             scene.add_triangles(self._tensor(vertices), self._tensor(faces))
             self._scenes[part] = scene
+            centre = mesh.bounding_box.centroid
+            self._bounds[part] = centre, float(np.linalg.norm(mesh.vertices - centre, axis=1).max())
 
     def cast(self, X_VP: Array, rays_V: ArrayLike) -> CadSurface:
         """Cast rays `rays_V` (N, 3) from the origin of V against the parts at poses `X_VP` (PARTS, 4, 4).
@@ -103,19 +106,30 @@ class PartCaster:
         n = len(rays_V)
         distance = np.full(n, np.inf)
         parts, normal = np.zeros(n, np.uint8), np.zeros((n, 3))
-        rays = np.empty((n, 6), np.float32)
+        square = np.einsum("ni,ni->n", rays_V, rays_V)
         for part, scene in self._scenes.items():
+            towards = self._towards(part, X_VP[part], rays_V, square)
             X_PV = invert(X_VP[part])
-            rays[:, :3], rays[:, 3:] = X_PV[:3, 3], rays_V @ X_PV[:3, :3].T
+            rays = np.empty((len(towards), 6), np.float32)
+            rays[:, :3], rays[:, 3:] = X_PV[:3, 3], rays_V[towards] @ X_PV[:3, :3].T
             hits = scene.cast_rays(self._tensor(rays), nthreads=1)
             t = hits["t_hit"].numpy()
-            nearer = t < distance
-            distance[nearer], parts[nearer] = t[nearer], part
-            normal[nearer] = hits["primitive_normals"].numpy()[nearer] @ X_PV[:3, :3]
+            nearer = t < distance[towards]
+            index = towards[nearer]
+            distance[index], parts[index] = t[nearer], part
+            normal[index] = hits["primitive_normals"].numpy()[nearer] @ X_PV[:3, :3]
         norm = np.linalg.norm(normal, axis=1, keepdims=True)
         normal = np.divide(normal, norm, out=normal, where=norm > 0)
         normal[(normal * rays_V).sum(axis=1) > 0] *= -1.0
         return CadSurface(distance=distance, part=parts, normal=normal)
+
+    def _towards(self, part: RobotPart, X_VP: Array, rays_V: Array, square: Array) -> NDArray[np.intp]:
+        """Return the indices of rays (N, 3), of squared lengths `square` (N,), that meet a part's bounding sphere."""
+        centre, radius = self._bounds[part]
+        centre_V = X_VP[:3, :3] @ centre + X_VP[:3, 3]
+        along = rays_V @ centre_V
+        away = float(centre_V @ centre_V) - radius**2
+        return np.flatnonzero((away <= 0) | ((along > 0) & (along**2 >= away * square)))
 
 
 class GripperCad:

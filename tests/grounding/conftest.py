@@ -5,8 +5,8 @@ import pytest
 
 from kinebench_drake.geometry import Array, invert, make_pose, rotation_exp, transform_points
 from kinebench_drake.grounding.crop import Crop
+from kinebench_drake.grounding.pose import FramePose
 from kinebench_drake.grounding.registration.fit import fit
-from kinebench_drake.grounding.tracker import FramePose
 from kinebench_drake.grounding.view import GripperView
 from kinebench_drake.models.panda.cad import GripperCad
 from kinebench_drake.models.panda.robot import RobotPart

@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 from kinebench_drake.camera import Camera, benchmark_camera
 from kinebench_drake.geometry import Array, invert, pose_difference
 from kinebench_drake.grounding.registration.arm_model import ArmHandModel, ArmModel
-from kinebench_drake.grounding.registration.edges import EdgeMatcher, GradientImage
+from kinebench_drake.grounding.registration.edges import EdgeMatcher, EdgePoints, GradientImage
 from kinebench_drake.grounding.registration.solver import solve
 from kinebench_drake.models.panda.cad import PartCaster, link_meshes, open_fingers, part_meshes
+from kinebench_drake.models.panda.robot import RobotPart
 
 CAMERA = benchmark_camera().resized(320, 320)
 FINGER_M = 0.03
@@ -79,7 +80,7 @@ def test_the_true_posture_agrees_with_the_image_more_than_a_wrong_one(
 
 
 def test_contour_points_lie_on_the_border_of_the_drawn_robot(matcher: EdgeMatcher, model: ArmModel) -> None:
-    """Along its normal, at least one side of every point shows something else than the part it belongs to."""
+    """Along its normal every point has the surface behind it, and something farther ahead."""
     X_CP = part_poses(model, np.array(POSTURES[0]))
     points = matcher.project(X_CP, CAMERA)
     assert points is not None
@@ -91,8 +92,48 @@ def test_contour_points_lie_on_the_border_of_the_drawn_robot(matcher: EdgeMatche
         pixel = points.pixel + sign * points.normal
         rays = np.column_stack([(pixel - [CAMERA.cx, CAMERA.cy]) / [CAMERA.fx, CAMERA.fy], np.ones(len(pixel))])
         depths.append(caster.cast(X_CP, rays).distance)
-    with np.errstate(invalid="ignore"):
-        assert (np.abs(depths[0] - depths[1]) > 0.01).mean() > 0.9
+    assert (depths[1] > depths[0] + 0.01).mean() > 0.9
+
+
+def vertical_edge(x: float, count: int = 30, part: RobotPart = RobotPart.HAND) -> EdgePoints:
+    """Points of an outline at column `x`, whose outer side is the right one."""
+    pixel = np.column_stack([np.full(count, x), np.linspace(60.0, 260.0, count)])
+    return EdgePoints(
+        part=np.full(count, part, np.uint8),
+        p_P=np.zeros((count, 3)),
+        p_C=np.zeros((count, 3)),
+        pixel=pixel,
+        normal=np.tile([1.0, 0.0], (count, 1)),
+    )
+
+
+def stripes(borders: list[int], greys: list[int]) -> NDArray[np.uint8]:
+    """Vertical stripes of `greys`, each from its border on."""
+    row = np.full(CAMERA.width, greys[0], np.uint8)
+    for border, grey in zip(borders, greys[1:], strict=True):
+        row[border:] = grey
+    return np.tile(row[None, :, None], (CAMERA.height, 1, 3))
+
+
+def test_an_outline_is_the_outermost_edge_of_a_surface_that_darkens_towards_it() -> None:
+    image = GradientImage(stripes([150, 153], [220, 60, 150]), CAMERA)
+    for start in (149.0, 152.0, 154.0):
+        offset, _ = image.find_edges(vertical_edge(start), 6.0)
+        np.testing.assert_allclose(start + offset, 153.0, atol=0.5)
+    weak = GradientImage(stripes([150, 152], [220, 60, 75]), CAMERA)
+    offset, _ = weak.find_edges(vertical_edge(151.0), 6.0)
+    np.testing.assert_allclose(151.0 + offset, 150.0, atol=0.5)
+
+
+def test_the_segmented_rim_decides_between_edges_of_the_hand() -> None:
+    image = GradientImage(stripes([150, 158], [220, 100, 190]), CAMERA)
+    gripper = np.zeros((CAMERA.height, CAMERA.width), bool)
+    gripper[:, 80:157] = True
+    with_hand = image.with_hand(gripper, 2.0)
+    start = 153.0
+    for part, edge in ((RobotPart.HAND, 158.0), (RobotPart.LINK7, 150.0)):
+        offset, _ = with_hand.find_edges(vertical_edge(start, part=part), 8.0)
+        np.testing.assert_allclose(start + offset, edge, atol=0.5)
 
 
 def test_an_image_without_edges_gives_no_correspondences(matcher: EdgeMatcher, model: ArmModel) -> None:

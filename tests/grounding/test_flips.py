@@ -2,7 +2,7 @@ import numpy as np
 
 from kinebench_drake.geometry import Array, pose_difference
 from kinebench_drake.grounding.flips import X_HALF_TURN, flip_evidence, resolve_flips
-from kinebench_drake.grounding.tracker import FramePose
+from kinebench_drake.grounding.pose import FramePose
 from kinebench_drake.models.panda.cad import GripperCad
 from tests.grounding.conftest import fitted_pose, hand_pose, perfect_view
 

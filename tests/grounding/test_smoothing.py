@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from kinebench_drake.geometry import Array, make_pose, pose_difference, rotation_exp
+from kinebench_drake.grounding.pose import FramePose
 from kinebench_drake.grounding.smoothing import RawTrack, smooth_track
-from kinebench_drake.grounding.tracker import FramePose
 from kinebench_drake.models.panda.cad import GripperCad
 from kinebench_drake.types import Anomaly, AnomalyKind
 from tests.grounding.conftest import fitted_pose, hand_pose, perfect_view

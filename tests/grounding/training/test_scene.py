@@ -3,7 +3,7 @@ import pytest
 
 from kinebench_drake.geometry import invert, transform_points
 from kinebench_drake.grounding.crop import CLOSE_SIZE, WIDE_SIZE, Crop
-from kinebench_drake.grounding.training.crops import WIDE_EVERY, Crops, Shards, Steps, frame_camera, label
+from kinebench_drake.grounding.training.crops import CLOSE_EVERY, Crops, Shards, Steps, frame_camera, label
 from kinebench_drake.grounding.training.render import FRAMES_PER_SCENE
 from kinebench_drake.grounding.training.scene import TrainingScene
 from kinebench_drake.models.panda.cad import GripperCad, link_meshes
@@ -62,11 +62,11 @@ def test_crops_depend_on_seed_and_index_alone(shards: Shards) -> None:
 
 
 def test_all_crops_of_a_step_are_of_one_size(shards: Shards) -> None:
-    crops, batches = Crops(shards, 0), list(Steps(range(2 * WIDE_EVERY), 9))
+    crops, batches = Crops(shards, 0), list(Steps(range(2 * CLOSE_EVERY), 9))
     sizes = [{crops[item]["image"].shape for item in batch} for batch in batches]
     close, wide = {(3, CLOSE_SIZE, CLOSE_SIZE)}, {(3, WIDE_SIZE, WIDE_SIZE)}
-    assert sizes == [*[close] * (WIDE_EVERY - 1), wide] * 2
-    assert [len(batch) for batch in batches] == [*[9] * (WIDE_EVERY - 1), 4] * 2
+    assert sizes == [close, *[wide] * (CLOSE_EVERY - 1)] * 2
+    assert [len(batch) for batch in batches] == [9, *[4] * (CLOSE_EVERY - 1)] * 2
     item = crops[0, 0]
     assert item["part"].shape == item["log_depth"].shape == item["coordinates"].shape[1:] == (64, 64)
 

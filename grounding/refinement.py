@@ -1,0 +1,150 @@
+"""Refinement of poses along a video: refits from neighbouring frames, and fits to the edges of the images."""
+
+from collections.abc import Iterable
+from functools import cached_property
+
+import numpy as np
+
+from kinebench_drake.camera import Camera
+from kinebench_drake.grounding.pose import FramePose
+from kinebench_drake.grounding.registration.arm_fit import ArmFit, ArmFitter
+from kinebench_drake.grounding.registration.edges import GradientImage
+from kinebench_drake.grounding.registration.fit import finger_or_default
+from kinebench_drake.grounding.registration.silhouette import SilhouetteMatcher
+from kinebench_drake.grounding.view import Frames, GripperView
+
+_SOURCE_OVERLAP, _GOOD_OVERLAP = 0.6, 0.8  # overlap from which a pose is propagated, and from which it is not replaced
+_OVERLAP_GAIN = 0.03  # least improvement of the overlap by a propagated pose
+_SAMPLES = 7  # frames in which the edges are compared with the network's poses
+_FAMILIAR_AGREEMENT = 0.42  # median over these from which the edges confirm the network's poses
+_BEST_QUANTILE, _BEST_SHARE = 0.75, 0.9  # frames that agree nearly as well as the best ones are not tried again
+
+
+def propagate(
+    poses: dict[int, FramePose], wide: dict[int, GripperView], arm_fitter: ArmFitter, silhouette: SilhouetteMatcher
+) -> None:
+    """Refit doubtful poses from the frame before, then from the one after; keep a refit that matches better.
+
+    Seen edge-on, a gripper's CAD coordinates can all be wrong by the same 30 mm and 25 degrees and still be consistent
+    with each other; only silhouette and arm contradict them. Started from the posture of a neighbouring frame, the fit
+    of silhouette and arm converges to the right pose.
+
+    Args:
+        poses: pose by frame number; doubtful ones are replaced.
+        wide: view of the whole image by frame number.
+        arm_fitter: fitter of the arm.
+        silhouette: comparison of the rendered with the segmented gripper.
+    """
+    for step in (1, -1):
+        for i in sorted(poses)[::step]:
+            near = poses.get(i - step)
+            if near is not None and _is_doubtful(poses[i]) and near.arm_agrees and near.overlap >= _SOURCE_OVERLAP:
+                poses[i] = _refit_from(poses[i], near, wide[i], arm_fitter, silhouette)
+
+
+def _refit_from(
+    pose: FramePose, near: FramePose, wide: GripperView, arm_fitter: ArmFitter, silhouette: SilhouetteMatcher
+) -> FramePose:
+    arm = None if near.arm is None else arm_fitter.fit_from_neighbour(near.arm, pose.hand, pose.view, wide, silhouette)
+    if arm is None or not arm.agrees:
+        return pose
+    overlap = silhouette.overlap(pose.view, arm.X_CH, finger_or_default(arm.finger_m))
+    if overlap < max(_SOURCE_OVERLAP, pose.overlap + _OVERLAP_GAIN):
+        return pose
+    return pose.with_arm(arm, overlap)
+
+
+def _is_doubtful(pose: FramePose) -> bool:
+    return not pose.from_prior and not (pose.arm_agrees and pose.overlap >= _GOOD_OVERLAP)
+
+
+def _agreement(pose: FramePose) -> float:
+    """Return the share of the contour on edges of the image at a pose that was fitted to them; 0 at others."""
+    return float(np.nan_to_num(pose.arm.edge_agreement)) if pose.arm is not None and pose.arm.agrees else 0.0
+
+
+class EdgeRefinement:
+    """Refinement of the poses of a video by the edges of its images.
+
+    Where the edges contradict the network's poses, its look or viewpoint is unfamiliar to the network, whose depth is
+    then off by several percent although hand and arm agree: all frames are fitted to the edges. In familiar videos
+    only doubtful frames are. Each fit starts from the posture of the frame itself, then from those of its neighbours.
+    """
+
+    def __init__(
+        self,
+        poses: dict[int, FramePose],
+        wide: dict[int, GripperView],
+        frames: Frames,
+        camera: Camera,
+        arm_fitter: ArmFitter,
+        silhouette: SilhouetteMatcher,
+    ) -> None:
+        """Refine `poses`.
+
+        Args:
+            poses: pose by frame number, which are replaced.
+            wide: view that shows the arm by frame number.
+            frames: (T, H, W, 3) RGB.
+            camera: camera of the frames.
+            arm_fitter: fitter of the arm.
+            silhouette: comparison of the rendered with the segmented gripper.
+        """
+        self._poses, self._wide, self._frames, self._camera = poses, wide, frames, camera
+        self._fitter, self._silhouette = arm_fitter, silhouette
+        self._images: dict[int, GradientImage] = {}
+
+    @cached_property
+    def agreement(self) -> float:
+        """Median share of the contour at the network's poses that lies on edges of the image; NaN without poses."""
+        numbers = [i for i, pose in self._poses.items() if pose.arm_agrees and not pose.from_prior]
+        if not numbers:
+            return float("nan")
+        sample = np.unique(np.linspace(0, len(numbers) - 1, _SAMPLES).round().astype(int))
+        arms = {numbers[k]: self._poses[numbers[k]].arm for k in sample}
+        return float(np.median([self._fitter.edge_agreement(arm, self._image(i)) for i, arm in arms.items() if arm]))
+
+    @property
+    def is_familiar(self) -> bool:
+        """True if the edges confirm the network's poses."""
+        return self.agreement >= _FAMILIAR_AGREEMENT
+
+    def run(self) -> None:
+        """Replace the poses: all of an unfamiliar video, else the doubtful ones."""
+        familiar = self.is_familiar
+        self.fit([i for i, p in self._poses.items() if _is_doubtful(p) or not (familiar or p.from_prior)])
+
+    def fit(self, numbers: Iterable[int]) -> None:
+        """Fit frames to the edges, from their own postures, then from those of the frames before and after."""
+        ordered = sorted(set(numbers) & set(self._poses))
+        for i in ordered:
+            self._try(i, self._poses[i].arm)
+        for step in (1, -1):
+            agreements = [_agreement(pose) for pose in self._poses.values()]
+            enough = _BEST_SHARE * float(np.quantile(agreements, _BEST_QUANTILE)) if agreements else 0.0
+            for i in ordered[::step]:
+                near = self._poses.get(i - step)
+                if near is not None and _agreement(self._poses[i]) < enough:
+                    self._try(i, near.arm)
+
+    @property
+    def confirmed(self) -> dict[int, FramePose]:
+        """Poses that the edges confirm, by frame number."""
+        return {i: pose for i, pose in self._poses.items() if _agreement(pose) > 0.0}
+
+    def _try(self, number: int, start: ArmFit | None) -> None:
+        """Fit a frame from the posture of `start`; keep the fit if the edges agree with it better."""
+        pose = self._poses[number]
+        if start is None:
+            return
+        arm = self._fitter.refine(start, pose.hand, pose.view, self._wide[number], self._image(number))
+        if arm is None or not arm.agrees or arm.edge_agreement <= _agreement(pose):
+            return
+        overlap = self._silhouette.overlap(pose.view, arm.X_CH, finger_or_default(arm.finger_m))
+        if overlap >= _SOURCE_OVERLAP:
+            self._poses[number] = pose.with_arm(arm, overlap)
+
+    def _image(self, number: int) -> GradientImage:
+        if number not in self._images:
+            self._images[number] = GradientImage(self._frames[number], self._camera)
+        return self._images[number]
