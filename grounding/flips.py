@@ -16,6 +16,7 @@ from kinebench_drake.grounding.pose import FramePose
 X_HALF_TURN = make_pose(rotation_exp([0.0, 0.0, np.pi]), np.zeros(3))
 """Pose (4, 4) of the flipped hand in the hand frame: 180 degrees about z."""
 _EVIDENCE_CAP = 6.0  # label errors of one view are correlated: no frame outweighs several others
+_CAP_WITH_EDGES = 2.0  # where poses had to be fitted to edges, the CAD coordinates are less sure
 _ROTATION_SIGMA_RAD = np.deg2rad(20.0)  # usual rotation between frames
 _ROTATION_CAP = 40.0  # cost of a jump: half a turn in one frame is no motion of an arm
 
@@ -32,8 +33,11 @@ def flip_evidence(pose: FramePose) -> float:
     estimated_H = view.coordinates_P[cells]
     as_fitted = np.abs(p_H - estimated_H).sum(axis=1) / scale
     flipped = np.abs(p_H * [-1.0, -1.0, 1.0] - estimated_H).sum(axis=1) / scale
-    of_hand = float(np.clip((flipped - as_fitted).mean(), -_EVIDENCE_CAP, _EVIDENCE_CAP))
-    return of_hand + (pose.arm.evidence if pose.arm is not None else 0.0)
+    of_hand = float((flipped - as_fitted).mean())
+    if pose.arm is None:
+        return float(np.clip(of_hand, -_EVIDENCE_CAP, _EVIDENCE_CAP))
+    cap = _EVIDENCE_CAP if np.isnan(pose.arm.edge_agreement) else _CAP_WITH_EDGES
+    return float(np.clip(of_hand, -cap, cap)) + pose.arm.evidence
 
 
 def _rotation_cost(X_1: Array, X_2: Array) -> float:

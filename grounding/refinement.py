@@ -15,6 +15,8 @@ from kinebench_drake.grounding.view import Frames, GripperView
 
 _SOURCE_OVERLAP, _GOOD_OVERLAP = 0.6, 0.8  # overlap from which a pose is propagated, and from which it is not replaced
 _OVERLAP_GAIN = 0.03  # least improvement of the overlap by a propagated pose
+_MIN_COVERAGE = 0.6  # least share of a refined gripper that shows the robot: edge-on, a hand may be taken for a link
+_SEARCHED_FRAMES = 8  # frames of a video in which the gripper's distance is searched
 _SAMPLES = 7  # frames in which the edges are compared with the network's poses
 _FAMILIAR_AGREEMENT = 0.42  # median over these from which the edges confirm the network's poses
 _BEST_QUANTILE, _BEST_SHARE = 0.75, 0.9  # frames that agree nearly as well as the best ones are not tried again
@@ -102,7 +104,7 @@ class EdgeRefinement:
             return float("nan")
         sample = np.unique(np.linspace(0, len(numbers) - 1, _SAMPLES).round().astype(int))
         arms = {numbers[k]: self._poses[numbers[k]].arm for k in sample}
-        return float(np.median([self._fitter.edge_agreement(arm, self._image(i)) for i, arm in arms.items() if arm]))
+        return float(np.median([self._fitter.edge_agreement(arm.q, self._image(i)) for i, arm in arms.items() if arm]))
 
     @property
     def is_familiar(self) -> bool:
@@ -112,37 +114,54 @@ class EdgeRefinement:
     def run(self) -> None:
         """Replace the poses: all of an unfamiliar video, else the doubtful ones."""
         familiar = self.is_familiar
-        self.fit([i for i, p in self._poses.items() if _is_doubtful(p) or not (familiar or p.from_prior)])
+        self.fit([i for i, pose in self._poses.items() if _is_doubtful(pose) or not familiar])
+        if not familiar:
+            self._search()
 
     def fit(self, numbers: Iterable[int]) -> None:
         """Fit frames to the edges, from their own postures, then from those of the frames before and after."""
-        ordered = sorted(set(numbers) & set(self._poses))
+        ordered = sorted(i for i in numbers if i in self._poses and not self._poses[i].from_prior)
         for i in ordered:
-            self._try(i, self._poses[i].arm)
+            arm = self._poses[i].arm
+            if arm is not None:
+                self._keep_better(i, self._refine(i, arm))
         for step in (1, -1):
             agreements = [_agreement(pose) for pose in self._poses.values()]
             enough = _BEST_SHARE * float(np.quantile(agreements, _BEST_QUANTILE)) if agreements else 0.0
             for i in ordered[::step]:
                 near = self._poses.get(i - step)
-                if near is not None and _agreement(self._poses[i]) < enough:
-                    self._try(i, near.arm)
+                if near is not None and near.arm is not None and _agreement(self._poses[i]) < enough:
+                    self._keep_better(i, self._refine(i, near.arm))
+
+    def _search(self) -> None:
+        """Search the distance of the gripper in some of the frames that the edges do not confirm, then fit all others.
+
+        Frames whose silhouette matches come first: their direction is right.
+        """
+        rest = {i: pose for i, pose in self._poses.items() if i not in self.confirmed and not pose.from_prior}
+        for i in sorted(rest, key=lambda i: -rest[i].overlap)[:_SEARCHED_FRAMES]:
+            pose = rest[i]
+            self._keep_better(i, self._fitter.search(pose.hand, pose.view, self._wide[i], self._image(i)))
+        if any(i in self.confirmed for i in rest):
+            self.fit(i for i in rest if i not in self.confirmed)
 
     @property
     def confirmed(self) -> dict[int, FramePose]:
         """Poses that the edges confirm, by frame number."""
         return {i: pose for i, pose in self._poses.items() if _agreement(pose) > 0.0}
 
-    def _try(self, number: int, start: ArmFit | None) -> None:
-        """Fit a frame from the posture of `start`; keep the fit if the edges agree with it better."""
+    def _refine(self, number: int, start: ArmFit) -> ArmFit | None:
         pose = self._poses[number]
-        if start is None:
-            return
-        arm = self._fitter.refine(start, pose.hand, pose.view, self._wide[number], self._image(number))
+        return self._fitter.refine(start.q, pose.hand, pose.view, self._wide[number], self._image(number))
+
+    def _keep_better(self, number: int, arm: ArmFit | None) -> None:
+        """Replace the pose of a frame by a fit that the edges agree with better."""
+        pose = self._poses[number]
         if arm is None or not arm.agrees or arm.edge_agreement <= _agreement(pose):
             return
-        overlap = self._silhouette.overlap(pose.view, arm.X_CH, finger_or_default(arm.finger_m))
-        if overlap >= _SOURCE_OVERLAP:
-            self._poses[number] = pose.with_arm(arm, overlap)
+        hand = pose.view, arm.X_CH, finger_or_default(arm.finger_m)
+        if self._silhouette.coverage(*hand) >= _MIN_COVERAGE:
+            self._poses[number] = pose.with_arm(arm, self._silhouette.overlap(*hand))
 
     def _image(self, number: int) -> GradientImage:
         if number not in self._images:

@@ -13,7 +13,7 @@ from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, invert, pose_difference
 from kinebench_drake.grounding.registration.arm_model import OVER_LIMIT_RAD, ArmHandModel, ArmModel
 from kinebench_drake.grounding.registration.correspondences import Correspondences
-from kinebench_drake.grounding.registration.edges import RIGID, ROBOT, EdgeMatcher, GradientImage
+from kinebench_drake.grounding.registration.edges import FLANGE, RIGID, ROBOT, EdgeMatcher, GradientImage
 from kinebench_drake.grounding.registration.fit import HandFit, HandModel, finger_or_default, gripper_cells
 from kinebench_drake.grounding.registration.silhouette import SilhouetteMatcher
 from kinebench_drake.grounding.registration.solver import Solution, solve
@@ -36,6 +36,9 @@ _NEIGHBOUR_GATES = (8.0, 5.0, 3.0)  # farthest silhouette pairs in successive pa
 _EDGE_REACHES_PX = (10.0, 6.0, 4.0, 3.0, 2.0)  # farthest image edges in successive passes
 _CELLS_REACH_PX = 6.0  # from which on the cells count in a pass, too
 _RIM_SIGMA_CELLS, _RIM_SIGMA_PX = 0.7, 0.7  # of the segmented rim of the hand
+_DISTANCE_FACTORS = np.exp(np.arange(-0.24, 0.25, 0.03))  # distances of a search over that of the hand
+_SEARCHED = 6  # distances at which a search looks at the edges
+_EDGE_NATS = 25.0  # log-likelihood ratio per difference of edge agreement of hand and flange
 _MIN_AGREEMENT = 0.4  # of a posture that the edges confirm
 _MAX_GROWTH, _MAX_GROWTH_SIGMAS = 1.4, 0.3  # largest increase of the hand's residual by the arm
 
@@ -71,7 +74,7 @@ class ArmFitter:
 
     def __init__(self, camera: Camera, model: ArmModel, edges: EdgeMatcher) -> None:
         self._model, self._X_CB, self._edges = model, invert(camera.X_BC), edges
-        self._camera, self._focal_px = camera, camera.fx
+        self._camera = camera
         self._tolerance_px = _MAX_CONSISTENCY_PX * camera.unit_px
 
     def fit(
@@ -89,7 +92,7 @@ class ArmFitter:
         initial = self._initial_posture(hand, links) if len(links) >= _MIN_CELLS else None
         if initial is None:
             return None
-        q, evidence = initial
+        q, cost, flipped_cost = initial
         gripper = gripper_cells(close)
         cells = Correspondences.join([gripper, links])
         start = self._start(q, hand.finger_m, hand)
@@ -110,6 +113,7 @@ class ArmFitter:
             and growth <= _MAX_GROWTH * hand.residual + _MAX_GROWTH_SIGMAS
         )
         scale = self._scale(solution, cells, close.depth_factor_sigma, hand)
+        evidence = _evidence(cost, flipped_cost)
         return self._arm_fit(solution, links, hand, scale=scale, evidence=evidence, agrees=bool(agrees))
 
     def fit_from_neighbour(
@@ -143,56 +147,86 @@ class ArmFitter:
             arm, log_depth_factor = solution.model, solution.log_depth_factor
         if solution is None:
             return None
-        flipped = arm.q + np.pi * (np.arange(7) == 6) * (1.0 if arm.q[6] < 0 else -1.0)
-        evidence = _evidence(*self._costs(np.stack([arm.q, flipped]), _subsample(links)))
+        evidence = _evidence(*self._costs(np.stack([arm.q, _half_turn(arm).q]), _subsample(links)))
         return self._arm_fit(solution, links, hand, scale=float("nan"), evidence=evidence, agrees=True)
 
+    def search(self, hand: HandFit, close: GripperView, wide: GripperView, image: GradientImage) -> ArmFit | None:
+        """Fit the arm to edges from the distance of the hand at which links and edges agree best with its direction.
+
+        Args:
+            hand: fit of the hand alone, whose distance is wrong.
+            close: view of the gripper's crop.
+            wide: view that shows the arm.
+            image: gradients of the frame.
+        """
+        links = self._link_cells(close, wide)
+        if len(links) < _MIN_CELLS:
+            return None
+        candidates = []
+        for factor in _DISTANCE_FACTORS:
+            X_CH = hand.X_CH.copy()
+            X_CH[:3, 3] *= factor
+            initial = self._initial_posture(replace(hand, X_CH=X_CH), links)
+            if initial is not None:
+                candidates.append((initial[1], initial[0]))
+        likeliest = sorted(candidates, key=lambda candidate: candidate[0])[:_SEARCHED]
+        if not likeliest:
+            return None
+        q = max((q for _, q in likeliest), key=lambda q: self.edge_agreement(q, image))
+        return self.refine(q, hand, close, wide, image)
+
     def refine(
-        self,
-        start: ArmFit,
-        hand: HandFit,
-        close: GripperView,
-        wide: GripperView,
-        image: GradientImage,
+        self, q: Array, hand: HandFit, close: GripperView, wide: GripperView, image: GradientImage
     ) -> ArmFit | None:
-        """Fit the arm to the edges of the image, from the posture of `start`; None if that diverges.
+        """Fit the arm to the edges of the image, from a posture; None if that diverges.
 
         The first pass also counts the cells. The fingers only count in it: grippers have fingers of many forms. Near
         the hand, whose bevels look like outlines, the edge nearest to its segmented rim is taken.
 
         Args:
-            start: arm of this frame or of a neighbouring one.
+            q: (7,) initial joint angles [rad], of this frame or of a neighbouring one.
             hand: fit of the hand alone.
             close: view of the gripper's crop.
             wide: view that shows the arm.
             image: gradients of the frame.
         """
         cells = Correspondences.join([gripper_cells(close), self._link_cells(close, wide)])
-        arm, log_depth_factor = self._start(start.q, start.finger_m, hand), float(np.log(hand.depth_factor))
-        cell_px = close.stride * self._focal_px / close.crop.focal
+        cell_px = close.stride * self._camera.fx / close.crop.focal
         image = image.with_hand(close.to_frame(close.gripper, self._camera), _RIM_SIGMA_CELLS * cell_px + _RIM_SIGMA_PX)
-        solution = None
-        for reach_px in _EDGE_REACHES_PX:
-            with_cells = reach_px > _CELLS_REACH_PX
-            edges = self._edges.match(image, self._poses(arm), reach_px, ROBOT if with_cells else RIGID)
-            if edges is None:
-                return None
-            joined = [edges, cells] if with_cells else [edges]
-            solution = solve(
-                arm, Correspondences.join(joined), close.depth_factor_sigma, log_depth_factor, iterations=4
-            )
-            if solution is None:
-                return None
-            arm, log_depth_factor = solution.model, solution.log_depth_factor
+
+        def fit(arm: ArmHandModel, reaches_px: tuple[float, ...]) -> Solution[ArmHandModel] | None:
+            log_depth_factor, solution = float(np.log(hand.depth_factor)), None
+            for reach_px in reaches_px:
+                with_cells = reach_px > _CELLS_REACH_PX
+                edges = self._edges.match(image, self._poses(arm), reach_px, ROBOT if with_cells else RIGID)
+                if edges is None:
+                    return None
+                joined = Correspondences.join([cells, edges]) if with_cells else edges
+                solution = solve(arm, joined, close.depth_factor_sigma, log_depth_factor, iterations=4)
+                if solution is None:
+                    return None
+                arm, log_depth_factor = solution.model, solution.log_depth_factor
+            return solution
+
+        solution = fit(self._start(q, hand.finger_m, hand), _EDGE_REACHES_PX)
         if solution is None:
             return None
-        agreement = self._edges.agreement(image, self._poses(arm))
-        fitted = self._arm_fit(solution, cells, hand, scale=float("nan"), evidence=start.evidence, agrees=True)
+        evidence = self._edge_evidence(solution.model, image)
+        flipped = fit(_half_turn(solution.model), _EDGE_REACHES_PX[-2:]) if evidence < 0 else None
+        if flipped is not None and (other := self._edge_evidence(flipped.model, image)) > 0:
+            solution, evidence = flipped, other
+        agreement = self._edges.agreement(image, self._poses(solution.model))
+        fitted = self._arm_fit(solution, cells, hand, scale=float("nan"), evidence=evidence, agrees=True)
         return replace(fitted, agrees=agreement >= _MIN_AGREEMENT, edge_agreement=agreement)
 
-    def edge_agreement(self, arm: ArmFit, image: GradientImage) -> float:
-        """Return the share of the contour of hand and wrist at a posture that lies on edges of the image."""
-        return self._edges.agreement(image, open_fingers(self._X_CB @ self._model.poses(arm.q[None])[0], 0.0))
+    def _edge_evidence(self, arm: ArmHandModel, image: GradientImage) -> float:
+        """Return the log-likelihood ratio of a posture against half a turn of the last joint, from the edges."""
+        as_fitted, flipped = (self._edges.agreement(image, self._poses(a), FLANGE) for a in (arm, _half_turn(arm)))
+        return float(np.clip(_EDGE_NATS * (as_fitted - flipped), -_EVIDENCE_CAP, _EVIDENCE_CAP))
+
+    def edge_agreement(self, q: Array, image: GradientImage) -> float:
+        """Return the share of the contour of hand and wrist at a posture (7,) that lies on edges of the image."""
+        return self._edges.agreement(image, self._X_CB @ self._model.poses(q[None])[0])
 
     def _poses(self, arm: ArmHandModel) -> Array:
         """Return the poses (PARTS, 4, 4) of the parts in the camera frame [m]."""
@@ -258,8 +292,8 @@ class ArmFitter:
         by_links_m = np.linalg.norm(links_solution.model.hand()[0][:3, 3])
         return float(by_links_m / np.linalg.norm(size_solution.model.X_CH[:3, 3]))
 
-    def _initial_posture(self, hand: HandFit, links: Correspondences) -> tuple[Array, float] | None:
-        """Return the inverse kinematics solution (7,) that matches the links best, and the evidence against a flip.
+    def _initial_posture(self, hand: HandFit, links: Correspondences) -> tuple[Array, float, float] | None:
+        """Return the inverse kinematics solution (7,) that matches the links best, its cost and that of the flip.
 
         The flipped hand, rotated by 180 degrees about its axis, has the same postures except for the last joint.
         """
@@ -281,7 +315,7 @@ class ArmFitter:
         (cost, posture), (flipped_cost, _) = best
         if posture is None:
             return None
-        return posture, _evidence(cost, flipped_cost)
+        return posture, cost, flipped_cost
 
     def _costs(self, q: Array, cells: Correspondences) -> Array:
         """Return the mean capped squared residual (M,) of the cells for postures `q` (M, 7)."""
@@ -294,7 +328,13 @@ class ArmFitter:
     def _consistency_px(self, arm: ArmHandModel, links: Correspondences) -> float:
         p_C, _ = arm.predict(links)
         p_L = np.einsum("nij,nj->ni", links.R_LC, p_C)
-        return float(self._focal_px * np.median(np.linalg.norm(p_L[:, :2], axis=1) / p_L[:, 2]))
+        return float(self._camera.fx * np.median(np.linalg.norm(p_L[:, :2], axis=1) / p_L[:, 2]))
+
+
+def _half_turn(arm: ArmHandModel) -> ArmHandModel:
+    """Return the arm with its last joint turned by 180 degrees."""
+    q = arm.q + np.pi * (np.arange(7) == 6) * (1.0 if arm.q[6] < 0 else -1.0)
+    return replace(arm, q=q, q_start=q)
 
 
 def _subsample(links: Correspondences) -> Correspondences:

@@ -38,11 +38,13 @@ _BAND_PX, _OUTER_SHARE = 4.0, 0.45  # how far outside and how strong an outline 
 _OFF_RIM = 0.1  # weight of edges of the hand far from its segmented rim
 _MIN_POINTS = 20
 _SEARCH_PX, _ON_CONTOUR_PX = 8.0, 1.0  # where the agreement looks for the strongest edge, and how near it must lie
-_WRIST = (RobotPart.HAND, RobotPart.LINK5, RobotPart.LINK6, RobotPart.LINK7)
 ROBOT = tuple(part for part in RobotPart if part is not RobotPart.BACKGROUND)
 """Hand, fingers and links."""
 RIGID = tuple(part for part in ROBOT if not OPENING_SIGN.get(part))
 """Hand and links: fingers are often exchanged for others."""
+WRIST = (RobotPart.HAND, RobotPart.LINK5, RobotPart.LINK6, RobotPart.LINK7)
+FLANGE = (RobotPart.HAND, RobotPart.LINK7)
+"""Parts that look different after half a turn of the last joint."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -250,14 +252,15 @@ class EdgeMatcher:
         side[visible] = np.where(is_contour, np.where(along > against, 1.0, -1.0), 0.0)
         return side
 
-    def agreement(self, image: GradientImage, X_CP: Array) -> float:
-        """Return the share of the contour of hand and wrist that lies on the strongest image edge nearby.
+    def agreement(self, image: GradientImage, X_CP: Array, parts: tuple[RobotPart, ...] = WRIST) -> float:
+        """Return the share of the contour of `parts` that lies on the strongest image edge nearby.
 
         Args:
             image: gradients of the image.
             X_CP: (PARTS, 4, 4) poses of the parts in the camera frame [m].
+            parts: parts whose contours count.
         """
-        points = self.project(X_CP, image.camera, _WRIST)
+        points = self.project(X_CP, image.camera, parts)
         if points is None:
             return 0.0
         offset, strength = image.find_edges(points, _SEARCH_PX)

@@ -39,6 +39,11 @@ class SilhouetteMatcher:
         union = (rendered & ~np.isin(view.part, ARM)) | segmented
         return float((rendered & segmented).sum() / max(1, union.sum()))
 
+    def coverage(self, view: GripperView, X_CH: Array, finger_m: float) -> float:
+        """Return the share of the rendered gripper that is segmented as any part of the robot."""
+        rendered = (self._render(view, X_CH, finger_m).part.reshape(view.part.shape) > 0) & view.in_image
+        return float((rendered & (view.part > 0)).sum() / max(1, rendered.sum()))
+
     def match(
         self, view: GripperView, X_CH: Array, finger_m: float, gate: float = GATE_CELLS
     ) -> Correspondences | None:

@@ -1,0 +1,118 @@
+"""Which poses of a video are fitted to the edges of its images, from which postures, and which fits are kept."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from kinebench_drake.camera import benchmark_camera
+from kinebench_drake.geometry import Array
+from kinebench_drake.grounding.pose import FramePose
+from kinebench_drake.grounding.refinement import EdgeRefinement
+from kinebench_drake.grounding.registration.arm_fit import ArmFit
+from kinebench_drake.models.panda.cad import GripperCad
+from tests.grounding.conftest import fitted_pose, hand_pose, perfect_view
+
+CAMERA = benchmark_camera().resized(64, 64)
+FRAMES = 12
+WRONG, RIGHT = 1.0, 0.0
+"""First joint angle of a wrong posture, which the edges contradict, and of the right one."""
+
+
+def arm_fit(angle: float, agreement: float = float("nan"), *, agrees: bool = True) -> ArmFit:
+    return ArmFit(
+        q=np.full(7, angle),
+        X_CH=np.eye(4),
+        finger_m=0.02,
+        finger_sigma_m=0.001,
+        agrees=agrees,
+        consistency_px=1.0,
+        scale=1.0,
+        evidence=1.0,
+        covariance=np.eye(6),
+        edge_agreement=agreement,
+    )
+
+
+class Fitter:
+    """Stands for `ArmFitter`: a fit goes to the right posture from within `reach` of it, else stays where it is."""
+
+    def __init__(self, reach: float = 0.5, network_agreement: float = 0.2) -> None:
+        self.reach, self.network_agreement = reach, network_agreement
+        self.refined = self.searched = 0
+
+    def edge_agreement(self, q: Array, image: object) -> float:
+        return self.network_agreement
+
+    def refine(self, q: Array, *views: object) -> ArmFit | None:
+        self.refined += 1
+        return arm_fit(RIGHT, 0.7) if abs(q[0] - RIGHT) < self.reach else arm_fit(q[0], 0.2, agrees=False)
+
+    def search(self, *views: object) -> ArmFit | None:
+        self.searched += 1
+        return arm_fit(RIGHT, 0.6)
+
+
+class Silhouette:
+    """Stands for `SilhouetteMatcher`."""
+
+    def __init__(self, coverage: float = 1.0) -> None:
+        self.covered = coverage
+
+    def coverage(self, *hand: object) -> float:
+        return self.covered
+
+    def overlap(self, *hand: object) -> float:
+        return 0.9
+
+
+def refinement(poses: dict[int, FramePose], fitter: Fitter, coverage: float = 1.0) -> EdgeRefinement:
+    frames = np.zeros((FRAMES, 64, 64, 3), np.uint8)
+    wide = {i: pose.view for i, pose in poses.items()}
+    return EdgeRefinement(poses, wide, frames, CAMERA, fitter, Silhouette(coverage))  # type: ignore[arg-type]
+
+
+@pytest.fixture
+def poses(cad: GripperCad) -> dict[int, FramePose]:
+    """Wrong poses, but for frame 5, whose posture is nearly right."""
+    sure = replace(fitted_pose(perfect_view(cad, hand_pose(1))), overlap=0.9)
+    return {i: replace(sure, arm=arm_fit(0.1 if i == 5 else WRONG)) for i in range(FRAMES)}
+
+
+def test_a_right_pose_spreads_to_all_frames_of_an_unfamiliar_video(poses: dict[int, FramePose]) -> None:
+    unfamiliar = refinement(poses, Fitter())
+    unfamiliar.run()
+    assert not unfamiliar.is_familiar
+    assert set(unfamiliar.confirmed) == set(range(FRAMES))
+    assert all(pose.arm is not None and pose.arm.q[0] == RIGHT for pose in poses.values())
+
+
+def test_where_no_posture_leads_to_the_right_one_the_distance_is_searched(poses: dict[int, FramePose]) -> None:
+    fitter = Fitter(reach=0.05)
+    unfamiliar = refinement(poses, fitter)
+    unfamiliar.run()
+    assert fitter.searched > 0
+    assert set(unfamiliar.confirmed) == set(range(FRAMES))
+
+
+def test_only_doubtful_frames_of_a_familiar_video_are_fitted(poses: dict[int, FramePose]) -> None:
+    poses[3] = replace(poses[3], overlap=0.5)
+    before, fitter = dict(poses), Fitter(reach=2.0, network_agreement=0.6)
+    familiar = refinement(poses, fitter)
+    familiar.run()
+    assert familiar.is_familiar
+    assert {i for i in poses if poses[i] is not before[i]} == {3}
+    assert fitter.searched == 0
+
+
+def test_poses_from_priors_are_kept(poses: dict[int, FramePose]) -> None:
+    priors = {i: replace(pose, from_prior=True) for i, pose in poses.items()}
+    before = dict(priors)
+    refinement(priors, Fitter(reach=2.0)).run()
+    assert all(priors[i] is before[i] for i in before)
+
+
+def test_a_fit_to_edges_where_the_image_shows_no_robot_is_dropped(poses: dict[int, FramePose]) -> None:
+    before = dict(poses)
+    refinement(poses, Fitter(reach=2.0), coverage=0.3).run()
+    assert all(poses[i] is before[i] for i in before)
