@@ -1,11 +1,13 @@
 """Refinement of poses along a video: refits from neighbouring frames, and fits to the edges of the images."""
 
 from collections.abc import Iterable
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
 
 from kinebench_drake.camera import Camera
+from kinebench_drake.geometry import pose_difference
 from kinebench_drake.grounding.pose import FramePose
 from kinebench_drake.grounding.registration.arm_fit import ArmFit, ArmFitter
 from kinebench_drake.grounding.registration.edges import GradientImage
@@ -18,7 +20,8 @@ _OVERLAP_GAIN = 0.03  # least improvement of the overlap by a propagated pose
 _MIN_COVERAGE = 0.6  # least share of a refined gripper that shows the robot: edge-on, a hand may be taken for a link
 _SEARCHED_FRAMES = 8  # frames of a video in which the gripper's distance is searched
 _SAMPLES = 7  # frames in which the edges are compared with the network's poses
-_FAMILIAR_AGREEMENT = 0.42  # median over these from which the edges confirm the network's poses
+_CONTRADICTION, _CONFIRMATION = 0.35, 0.6  # median agreement below and from which edges decide without a fit
+_SMALL_M = 0.005  # median change by fits to the edges up to which they confirm the network's poses, too
 _BEST_QUANTILE, _BEST_SHARE = 0.75, 0.9  # frames that agree nearly as well as the best ones are not tried again
 
 
@@ -97,26 +100,31 @@ class EdgeRefinement:
         self._images: dict[int, GradientImage] = {}
 
     @cached_property
-    def agreement(self) -> float:
-        """Median share of the contour at the network's poses that lies on edges of the image; NaN without poses."""
-        numbers = [i for i, pose in self._poses.items() if pose.arm_agrees and not pose.from_prior]
-        if not numbers:
-            return float("nan")
-        sample = np.unique(np.linspace(0, len(numbers) - 1, _SAMPLES).round().astype(int))
-        arms = {numbers[k]: self._poses[numbers[k]].arm for k in sample}
-        return float(np.median([self._fitter.edge_agreement(arm.q, self._image(i)) for i, arm in arms.items() if arm]))
-
-    @property
     def is_familiar(self) -> bool:
-        """True if the edges confirm the network's poses."""
-        return self.agreement >= _FAMILIAR_AGREEMENT
+        """True if the edges confirm the network's poses: they agree, or fits to them in some frames change little."""
+        numbers = [i for i, pose in sorted(self._poses.items()) if pose.arm_agrees and not pose.from_prior]
+        if not numbers:
+            return all(pose.from_prior for pose in self._poses.values())
+        sample = [numbers[k] for k in np.unique(np.linspace(0, len(numbers) - 1, _SAMPLES).round().astype(int))]
+        arms = {i: arm for i in sample if (arm := self._poses[i].arm) is not None}
+        agreement = float(np.median([self._fitter.edge_agreement(arm.q, self._image(i)) for i, arm in arms.items()]))
+        if not _CONTRADICTION <= agreement < _CONFIRMATION:
+            return agreement >= _CONFIRMATION
+        fits = [(self._refine(i, arm), arm) for i, arm in arms.items()]
+        distance = [np.inf if fit is None else pose_difference(fit.X_CH, arm.X_CH)[0] for fit, arm in fits]
+        return bool(np.median(distance) <= _SMALL_M)
 
     def run(self) -> None:
         """Replace the poses: all of an unfamiliar video, else the doubtful ones."""
-        familiar = self.is_familiar
-        self.fit([i for i, pose in self._poses.items() if _is_doubtful(pose) or not familiar])
-        if not familiar:
+        self.fit([i for i, pose in self._poses.items() if _is_doubtful(pose) or not self.is_familiar])
+        if not self.is_familiar:
             self._search()
+
+    def reject(self) -> None:
+        """Mark the poses of an unfamiliar video that the edges do not confirm: hand and arm do not agree in them."""
+        for i, pose in self._poses.items():
+            if i not in self.confirmed and pose.arm is not None and not pose.from_prior:
+                self._poses[i] = replace(pose, arm=replace(pose.arm, agrees=False))
 
     def fit(self, numbers: Iterable[int]) -> None:
         """Fit frames to the edges, from their own postures, then from those of the frames before and after."""

@@ -115,6 +115,8 @@ class CadTracker:
                 again = self._proposed_crops(len(frames), confirmed, _NEXT_FRAMES)
                 measure(again)
                 refinement.fit(again)
+            if not refinement.is_familiar:
+                refinement.reject()
         return Tracking(
             poses=tuple(poses.get(i) for i in range(len(frames))),
             wide=tuple(wide[i] for i in range(len(frames))),

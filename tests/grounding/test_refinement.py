@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from kinebench_drake.camera import benchmark_camera
-from kinebench_drake.geometry import Array
+from kinebench_drake.geometry import Array, make_pose
 from kinebench_drake.grounding.pose import FramePose
 from kinebench_drake.grounding.refinement import EdgeRefinement
 from kinebench_drake.grounding.registration.arm_fit import ArmFit
@@ -116,3 +116,21 @@ def test_a_fit_to_edges_where_the_image_shows_no_robot_is_dropped(poses: dict[in
     before = dict(poses)
     refinement(poses, Fitter(reach=2.0), coverage=0.3).run()
     assert all(poses[i] is before[i] for i in before)
+
+
+def test_fits_that_change_little_show_a_familiar_video(poses: dict[int, FramePose]) -> None:
+    near = {i: replace(pose, arm=arm_fit(0.1)) for i, pose in poses.items()}
+    assert refinement(near, Fitter(network_agreement=0.45)).is_familiar
+    assert not refinement(near, Fitter(network_agreement=0.3)).is_familiar
+    far = {
+        i: replace(pose, arm=replace(arm_fit(0.1), X_CH=make_pose(np.eye(3), [0.02, 0, 0])))
+        for i, pose in poses.items()
+    }
+    assert not refinement(far, Fitter(network_agreement=0.45)).is_familiar
+
+
+def test_poses_that_the_edges_do_not_confirm_are_rejected(poses: dict[int, FramePose]) -> None:
+    unfamiliar = refinement(poses, Fitter(), coverage=0.3)
+    unfamiliar.run()
+    unfamiliar.reject()
+    assert not any(pose.arm_agrees for pose in poses.values())
