@@ -111,7 +111,7 @@ class EdgeRefinement:
         if not _CONTRADICTION <= agreement < _CONFIRMATION:
             return agreement >= _CONFIRMATION
         fits = [(self._refine(i, arm), arm) for i, arm in arms.items()]
-        distance = [np.inf if fit is None else pose_difference(fit.X_CH, arm.X_CH)[0] for fit, arm in fits]
+        distance = [np.inf if fit is None else float(pose_difference(fit.X_CH, arm.X_CH)[0]) for fit, arm in fits]
         return bool(np.median(distance) <= _SMALL_M)
 
     def run(self) -> None:

@@ -11,6 +11,7 @@ from kinebench_drake.geometry import Array, invert, make_pose, pose_difference, 
 from kinebench_drake.grounding.crop import CLOSE_SIZE, Crop
 from kinebench_drake.grounding.registration.arm_fit import ArmFitter
 from kinebench_drake.grounding.registration.arm_model import ArmModel
+from kinebench_drake.grounding.registration.edges import EdgeMatcher
 from kinebench_drake.grounding.registration.fit import fit
 from kinebench_drake.grounding.registration.silhouette import SilhouetteMatcher
 from kinebench_drake.grounding.view import GripperView
@@ -86,7 +87,7 @@ def test_the_arm_determines_the_distance_of_the_hand(
     X_CH, close, wide = scene
     hand = fit(close)
     assert hand is not None
-    arm = ArmFitter(CAMERA, model).fit(hand, close, wide)
+    arm = ArmFitter(CAMERA, model, EdgeMatcher()).fit(hand, close, wide)
     assert arm is not None
     assert arm.agrees
     assert arm.consistency_px < 3.0
@@ -109,7 +110,7 @@ def test_a_hand_that_is_elsewhere_than_its_arm_disagrees(
     away = hand_alone(close, moved)
     elsewhere = fit(away)
     assert elsewhere is not None
-    arm = ArmFitter(CAMERA, model).fit(elsewhere, away, wide)
+    arm = ArmFitter(CAMERA, model, EdgeMatcher()).fit(elsewhere, away, wide)
     assert arm is None or not arm.agrees
 
 
@@ -118,7 +119,7 @@ def test_a_hand_that_is_drawn_too_large_shows_in_the_scale(
 ) -> None:
     """A hand 8 % too large appears 8 % nearer than the arm implies."""
     X_CH, close, wide = scene
-    fitter = ArmFitter(CAMERA, model)
+    fitter = ArmFitter(CAMERA, model, EdgeMatcher())
     hand = fit(close)
     assert hand is not None
     usual = fitter.fit(hand, close, wide)
@@ -137,8 +138,10 @@ def test_too_little_of_an_arm_is_no_arm(scene: tuple[Array, GripperView, Gripper
     _, close, wide = scene
     hand = fit(close)
     assert hand is not None
-    bare = (replace(v, part=np.where(v.part >= RobotPart.LINK0, 0, v.part).astype(np.uint8)) for v in (close, wide))
-    assert ArmFitter(CAMERA, model).fit(hand, *bare) is None
+    close, wide = (
+        replace(v, part=np.where(v.part >= RobotPart.LINK0, 0, v.part).astype(np.uint8)) for v in (close, wide)
+    )
+    assert ArmFitter(CAMERA, model, EdgeMatcher()).fit(hand, close, wide) is None
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -148,7 +151,7 @@ def test_a_misread_hand_is_found_from_the_frame_before(model: ArmModel, seed: in
     silhouette = SilhouetteMatcher(GripperCad())
     hand = fit(close)
     assert hand is not None
-    fitter = ArmFitter(CAMERA, model)
+    fitter = ArmFitter(CAMERA, model, EdgeMatcher())
     right = fitter.fit(hand, close, wide)
     assert right is not None
     turned = close.coordinates_P @ make_pose(rotation_exp([0.0, 0.0, np.deg2rad(30.0)]), np.zeros(3))[:3, :3].T

@@ -13,7 +13,7 @@ BOUNDS = ViewBounds((-2.0, -2.0, 0.03), (2.5, 2.5, 2.5))
 
 @pytest.mark.parametrize("seed", range(40))
 def test_a_camera_sees_the_gripper_from_a_free_place(seed: int) -> None:
-    camera = random_camera(np.random.default_rng(seed), CENTRE_B, LINKS_B, BOUNDS, 384)
+    camera = random_camera(np.random.default_rng(seed), CENTRE_B, LINKS_B, BOUNDS, (384, 384))
     (target,) = transform_points(invert(camera.X_BC), CENTRE_B[None])
     pixel = camera.project(target)
     assert target[2] > 0
@@ -29,7 +29,7 @@ def test_a_camera_sees_the_gripper_from_a_free_place(seed: int) -> None:
 
 def test_cameras_come_from_all_sides_and_most_stand_upright() -> None:
     rng = np.random.default_rng(0)
-    cameras = [random_camera(rng, CENTRE_B, LINKS_B, BOUNDS, 384) for _ in range(300)]
+    cameras = [random_camera(rng, CENTRE_B, LINKS_B, BOUNDS, (384, 384)) for _ in range(300)]
     offset = np.array([c.X_BC[:3, 3] - CENTRE_B for c in cameras])
     azimuth = np.rad2deg(np.arctan2(offset[:, 1], offset[:, 0]))
     assert (np.histogram(azimuth, bins=8, range=(-180, 180))[0] > 5).all()
@@ -39,4 +39,4 @@ def test_cameras_come_from_all_sides_and_most_stand_upright() -> None:
 
 def test_bounds_without_room_are_refused() -> None:
     with pytest.raises(RuntimeError, match="no free camera position"):
-        random_camera(np.random.default_rng(0), CENTRE_B, LINKS_B, ViewBounds((5, 5, 5), (6, 6, 6)), 384)
+        random_camera(np.random.default_rng(0), CENTRE_B, LINKS_B, ViewBounds((5, 5, 5), (6, 6, 6)), (384, 384))
