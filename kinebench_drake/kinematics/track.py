@@ -161,24 +161,24 @@ def _free(collision: CollisionModel, q: Array, finger_width_m: float, tolerance_
     return np.asarray(free)
 
 
-def find_avoidable(
-    plant: ArmPlant, collision: CollisionModel, track: GripperTrack, joints: JointTrack, tolerance_m: float
+def find_free(
+    plant: ArmPlant, collision: CollisionModel, track: GripperTrack, frames: NDArray[np.bool_], tolerance_m: float
 ) -> NDArray[np.bool_]:
-    """Return the frames (T,) that collide along the path although another posture of their pose is free.
+    """Return which frames (T,) have a posture within limits and free of collisions, on a grid fixed by their pose.
 
     Args:
         plant: the robot.
         collision: collision model.
         track: gripper track.
-        joints: its joint path.
+        frames: (T,) tracked frames to look at; the others give False.
         tolerance_m: penetration depth up to which a contact is no collision [m].
     """
-    collides = np.array([s in (IkStatus.SELF_COLLISION, IkStatus.TABLE_COLLISION) for s in joints.status], dtype=bool)
-    for i in np.flatnonzero(collides):
-        [q] = within_limits(plant, grid_postures(plant, track.X_BG[[i]], SAMPLES[1]), 0.0)
+    free = np.zeros(len(frames), dtype=bool)
+    for i in np.flatnonzero(frames):
+        [q] = within_limits(plant, grid_postures(plant, track.X_BG[[i]], SAMPLES[1]))
         width = track.finger_width_m[i]
-        collides[i] = _free(collision, q, width if np.isfinite(width) else plant.finger_width_m, tolerance_m).any()
-    return collides
+        free[i] = _free(collision, q, width if np.isfinite(width) else plant.finger_width_m, tolerance_m).any()
+    return free
 
 
 def _with_gaps(joints: JointTrack, track: GripperTrack, frames: NDArray[np.intp]) -> JointTrack:

@@ -13,7 +13,7 @@ from kinebench_drake.kinematics.newton import ROTATION_ARM_M
 from kinebench_drake.kinematics.path import limit_excess
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.kinematics.timing import time_scale
-from kinebench_drake.kinematics.track import branch_jumps, find_avoidable, solve_track
+from kinebench_drake.kinematics.track import branch_jumps, find_free, solve_track
 from kinebench_drake.kinematics.trajopt import optimize_in_tube
 from kinebench_drake.metrics.derivatives import smooth_path
 from kinebench_drake.metrics.discontinuity import find_discontinuities
@@ -187,6 +187,12 @@ class TrackJudge:
         coverage = cover_poses(plant, track, joints, reached) if joint_sigma is None else cover_joints(plant, q)
         w = weigh_manipulability(plant, coverage)
         poses = track.X_BG if joint_sigma is None else None
+        if joint_sigma is None:
+            # Where the track is incomplete, the path, which other lost frames may change, must not decide.
+            asked = track.tracked & ~(joints.ok & coverage.complete)
+            free = find_free(plant, self._collision, track, asked, contact_tolerance(noise))
+        else:
+            free = joints.ok
         reachable = replace(track, tracked=track.tracked & ~coverage.unreachable)
         path = PathMeasurements(
             reached=reached,
@@ -195,9 +201,7 @@ class TrackJudge:
             manipulability_worst=w if coverage.complete else worst_manipulability(plant, coverage, w, poses),
             self_clearance=own,
             table_clearance=table,
-            avoidable=find_avoidable(plant, self._collision, track, joints, contact_tolerance(noise))
-            if joint_sigma is None
-            else np.zeros(len(q), dtype=bool),
+            free=free,
             smoothness=measure_smoothness(reachable, None if assumed else noise),
             checks=checks,
             timing=timing,

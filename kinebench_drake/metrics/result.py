@@ -63,8 +63,9 @@ class PathMeasurements:
     """Distances of the arm from itself."""
     table_clearance: Clearance
     """Distances of the arm from the table."""
-    avoidable: NDArray[np.bool_]
-    """(T,) frames that collide although another posture of their pose is free."""
+    free: NDArray[np.bool_]
+    """(T,) frames with a posture that is free of collisions whatever the path (`track.find_free`); of a complete track
+    only those where the path itself fails, of recorded joint angles those that are free."""
     smoothness: Smoothness
     """Smoothness of the gripper's track."""
     checks: LimitChecks
@@ -106,7 +107,7 @@ def kinematic_metrics(
     if metrics["manipulability_mean"] is not None:
         worst |= _manipulability_metrics(track.t_s, path.manipulability_worst)
     if track.tracked.any():
-        worst["ik_success_rate"] = float((joints.ok | path.avoidable).mean())
+        worst["ik_success_rate"] = float(path.free.mean())
     if not path.coverage.lost.any():
         worst["ik_position_error_max_m"] = _over_finite(np.max, path.coverage.position_error_m)
         margin = metrics["joint_limit_margin_min"]  # no posture within limits reaches the others: theirs is 0 at most
@@ -144,7 +145,7 @@ def _path_metrics(
     metrics: dict[str, Value] = {
         **_manipulability_metrics(track.t_s, w),
         "condition_number_max": _over_finite(np.max, w.condition),
-        "ik_success_rate": float((joints.ok | path.avoidable)[near].mean()) if near.any() else None,
+        "ik_success_rate": float((joints.ok | path.free)[near].mean()) if near.any() else None,
         "ik_position_error_max_m": _over_finite(np.max, path.coverage.position_error_m[near]),
         "joint_limit_margin_min": _over_finite(np.min, margin),
         "self_distance_min_m": _over_finite(np.min, path.self_clearance.distance_m),
