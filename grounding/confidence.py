@@ -21,11 +21,12 @@ GOOD_M, GOOD_RAD = 0.010, float(np.deg2rad(5.0))
 CALIBRATION = Path(__file__).parents[1] / "models" / "perception" / "confidence.json"
 FRAME_FEATURES = (
     *("log_sigma", "log_residual", "log_cells", "overlap", "log_level"),
-    *("log_position_sigma", "arm_agrees", "log_arm_consistency"),
+    *("log_position_sigma", "arm_agrees", "log_arm_consistency", "icp_fitness", "log_icp_rmse"),
 )
 """Features of a single frame: the network's own uncertainty, the residual of its coordinates against one rigid pose,
 the visible cells, the overlap with the rendered gripper, the disagreement of depth and apparent size, the standard
-deviation of the position, whether the arm is consistent with the hand, and how closely."""
+deviation of the position, whether the arm is consistent with the hand, and how closely, and how well the depth matches
+the CAD surface."""
 TRACK_FEATURES = ("frame_logit", "log_distance", "log_angle", "alone")
 """Features of a frame in its track: the log-odds of the frame alone, its deviation from the pose predicted by its
 neighbours, and whether there are too few of them for a prediction."""
@@ -33,7 +34,8 @@ _CERTAIN = 1e-3  # least distance of a single frame's confidence from 0 and 1
 
 
 def frame_features(pose: FramePose) -> Array:
-    """Return the features (8,) of a single frame, each of order one."""
+    """Return the features (10,) of a single frame, each of order one."""
+    icp = None if pose.icp is None else pose.icp.registration
     arm = pose.arm if pose.arm is not None and pose.arm.agrees else None
     return np.array(
         [
@@ -45,6 +47,8 @@ def frame_features(pose: FramePose) -> Array:
             np.log(max(float(np.trace(pose.covariance[3:, 3:])) ** 0.5, 1e-4) / 0.005),
             float(arm is not None),
             np.log(max(arm.consistency_px, 0.1) / 2.5) if arm is not None else 0.0,
+            10.0 * (icp.fitness - 0.9) if icp is not None else -5.0,
+            np.log(max(icp.rmse_m, 1e-4) / 0.002) if icp is not None else 0.0,
         ]
     )
 
@@ -110,7 +114,11 @@ class Confidence:
 
 
 def _read(data: dict[str, object], features: tuple[str, ...]) -> LogisticRegression:
-    weights = np.array(data["weights"], dtype=np.float64)
-    if data["features"] != list(features) or weights.shape != (len(features),):
-        raise ValueError(f"has {weights.size} weights for the features {data['features']}")
-    return LogisticRegression(intercept=float(str(data["intercept"])), weights=weights)
+    """Read a regression; features that its calibration did not have yet count nothing."""
+    names, weights = data["features"], np.array(data["weights"], dtype=np.float64)
+    if not isinstance(names, list) or names != [f for f in features if f in names] or weights.shape != (len(names),):
+        raise ValueError(f"has {weights.size} weights for the features {names}")
+    of_feature = dict(zip(names, weights.tolist(), strict=True))
+    return LogisticRegression(
+        intercept=float(str(data["intercept"])), weights=np.array([of_feature.get(name, 0.0) for name in features])
+    )

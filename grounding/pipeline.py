@@ -1,7 +1,7 @@
 """Grounding of one video: estimation of the gripper track and of anomalies from frames."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -48,6 +48,8 @@ class GroundingResult:
     the video]; None if too little of the arm is visible."""
     robot: NDArray[np.bool_]
     """(T, H, W) pixels that show the robot."""
+    curves: Mapping[str, Array] = field(default_factory=dict)
+    """Curves (T,) of the track file: share of matched points, their distance [m] and weight of ICP; NaN without it."""
 
     @property
     def anomalies(self) -> tuple[Anomaly, ...]:
@@ -135,6 +137,7 @@ class GroundingPipeline:
             camera_motion_px=motion.largest_px,
             arm_consistency_px=_arm_consistency_px(poses, tracked),
             robot=np.stack([view.to_frame(view.part > RobotPart.BACKGROUND, camera) for view in observation.wide]),
+            curves=_icp_curves(poses),
         )
 
     def _contradicts(self, state: InitialState, frames: Frames, camera: Camera) -> bool:
@@ -187,6 +190,12 @@ def _initial_hand_pose(state: InitialState, camera: Camera) -> Array:
 def _arm_consistency_px(poses: Sequence[FramePose | None], tracked: NDArray[np.bool_]) -> float | None:
     distances = [p.arm.consistency_px for p, ok in zip(poses, tracked, strict=True) if ok and p and p.arm is not None]
     return float(np.median(distances)) if distances else None
+
+
+def _icp_curves(poses: Sequence[FramePose | None]) -> dict[str, Array]:
+    fused = [None if p is None else p.icp for p in poses]
+    rows = [(np.nan,) * 3 if f is None else (f.registration.fitness, f.registration.rmse_m, f.weight) for f in fused]
+    return dict(zip(("icp_fitness", "icp_rmse_m", "icp_weight"), np.array(rows).T, strict=True))
 
 
 def _gripper_width(poses: Sequence[FramePose | None], tracked: NDArray[np.bool_], priors: Priors) -> Array:

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.registration.arm_fit import ArmFit
 from kinebench_drake.grounding.registration.fit import HandFit
+from kinebench_drake.grounding.registration.icp import FusedPose
 from kinebench_drake.grounding.view import GripperView
 
 
@@ -30,10 +31,14 @@ class FramePose:
     """Intersection over union of the segmented and the rendered gripper."""
     from_prior: bool = False
     """True if the pose was taken from priors."""
+    icp: FusedPose | None = None
+    """Combination of the fit with the registration of the depth; None before it, or if too few points match."""
 
     @property
     def covariance(self) -> Array:
-        """(6, 6) covariance of rotation about the camera's axes [rad] and position [m], from the cells' sigmas."""
+        """(6, 6) covariance of rotation about the camera's axes [rad] and position [m], from cells and ICP."""
+        if self.icp is not None:
+            return self.icp.covariance
         return self.arm.covariance if self.arm is not None and self.arm.agrees else self.hand.covariance
 
     @property
@@ -44,5 +49,11 @@ class FramePose:
     def with_arm(self, arm: ArmFit, overlap: float) -> "FramePose":
         """Return the pose with another fit of the arm in place of its own, and its overlap."""
         return replace(
-            self, X_CH=arm.X_CH, finger_m=arm.finger_m, finger_sigma_m=arm.finger_sigma_m, arm=arm, overlap=overlap
+            self,
+            X_CH=arm.X_CH,
+            finger_m=arm.finger_m,
+            finger_sigma_m=arm.finger_sigma_m,
+            arm=arm,
+            overlap=overlap,
+            icp=None,
         )

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera
-from kinebench_drake.geometry import interpolate_pose, invert, transform_points
+from kinebench_drake.geometry import interpolate_pose, transform_points
 from kinebench_drake.grounding.crop import CLOSE_SIZE, GRIPPER_CENTRE_H, Crop
 from kinebench_drake.grounding.localization import find_region, likeliest_gripper
 from kinebench_drake.grounding.override_estimator import OverrideEstimator, calibrate_depth
@@ -56,7 +56,7 @@ class PoseTracker(Protocol):
 
 
 class CadTracker:
-    """Detection in the whole image, fit of the hand in its crop, fit of hand and arm, ICP if the depth is exact.
+    """Detection in the whole image, fit of the hand in its crop, fit of hand and arm, ICP.
 
     Every frame is measured independently, so errors do not accumulate; neighbours only propose crops for frames in
     which the gripper was not detected, and initial postures for doubtful ones.
@@ -117,6 +117,7 @@ class CadTracker:
                 refinement.fit(again)
             if not refinement.is_familiar:
                 refinement.reject()
+        poses = {i: self._register(pose) for i, pose in poses.items()}
         return Tracking(
             poses=tuple(poses.get(i) for i in range(len(frames))),
             wide=tuple(wide[i] for i in range(len(frames))),
@@ -150,22 +151,25 @@ class CadTracker:
             hand = refit(hand, view, rim)
         arm = arm_fitter.fit(hand, view, wide, rim)
         best = arm if arm is not None and arm.agrees and prior is None else hand
-        X_CH = best.X_CH
-        finger_m = finger_or_default(best.finger_m)
-        if priors.has_exact_depth and prior is None:
-            refined = self._icp.refine(view, invert(view.crop.X_CV) @ X_CH, finger_m)
-            X_CH = X_CH if refined is None else view.crop.X_CV @ refined
         return FramePose(
-            X_CH=X_CH,
+            X_CH=best.X_CH,
             finger_m=best.finger_m,
             finger_sigma_m=best.finger_sigma_m,
             hand=hand,
             hand_without_silhouette=without_silhouette,
             arm=arm,
             view=view,
-            overlap=self._silhouette.overlap(view, X_CH, finger_m),
+            overlap=self._silhouette.overlap(view, best.X_CH, finger_or_default(best.finger_m)),
             from_prior=prior is not None,
         )
+
+    def _register(self, pose: FramePose) -> FramePose:
+        """Return the pose combined with its registration by ICP."""
+        finger_m = finger_or_default(pose.finger_m)
+        icp = None if pose.from_prior else self._icp.refine(pose.view, pose.X_CH, pose.covariance, finger_m)
+        if icp is None or icp.weight == 0.0:
+            return replace(pose, icp=icp)
+        return replace(pose, X_CH=icp.X_CH, icp=icp, overlap=self._silhouette.overlap(pose.view, icp.X_CH, finger_m))
 
     @staticmethod
     def _corrected_crops(poses: dict[int, FramePose]) -> dict[int, Crop]:

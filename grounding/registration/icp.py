@@ -1,27 +1,90 @@
-"""Refinement of a pose by robust point-to-plane ICP (Open3D) against the visible CAD surface.
+"""Registration of the estimated depth to the CAD surface by robust point-to-plane ICP (Open3D), and its precision.
 
-The CAD model is rendered at the current pose, and the observed cloud is registered to that visible surface alone, so
-that points never match the far side. The largest distance of matched points shrinks from pass to pass. Point-to-plane
-ICP after Chen and Medioni (1992), robust kernels after Babin et al. (ICRA 2019) as in Open3D.
+The depth of the gripper's cells, freed of the factor that all of them have in common, is registered to the surface
+that is visible at the current pose, so that points never match the far side. Point-to-plane ICP after Chen and Medioni
+(1992), robust kernels after Babin et al. (ICRA 2019) as in Open3D.
+
+The covariance follows from the residuals. Errors of an estimated depth are smooth over the gripper: averaging over
+cells does not reduce them. So their variance is that of means over a dozen blocks of cells, corrected for what the
+registration absorbs, and all blocks together count as two measurements. The rounding of an exact depth averages out
+within the blocks.
+
+Errors as smooth as a tilt leave no residual, yet turn the pose. So the covariance is inflated until registration and
+fit are consistent (chi-square test).
+
+The pose is combined with the fit by covariance intersection (Julier and Uhlmann, ACC 1997), which is consistent for any
+correlation of the two: both rest on the same depth, and CAD coordinates err where the depth errs. The less precise of
+two estimates then counts little or nothing.
 """
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import eigh
 
 from kinebench_drake.environment import native
-from kinebench_drake.geometry import Array, invert, transform_points
+from kinebench_drake.geometry import (
+    Array,
+    invert,
+    make_pose,
+    rotation_angle,
+    rotation_exp,
+    rotation_log,
+    transform_points,
+)
 from kinebench_drake.grounding.view import GripperView
 from kinebench_drake.models.panda.cad import GripperCad
 
-_GATES_M = (0.03, 0.015, 0.008, 0.004)  # largest distance between matched points in each pass
+_MAX_CELLS = 500  # cells of the gripper that are registered
+_PRECISE_WEIGHT = 0.3  # weight from which on all cells are
 _MIN_POINTS = 30
-_MAX_ITERATIONS = 12
+_PASSES, _MAX_ITERATIONS = 3, 8
+_CONVERGED_M, _LEVER_M = 3e-4, 0.05  # least change that another pass follows; metres of a radian
+_GATE_M = (2.5e-3, 0.03)  # least and largest distance between matched points
+_GATE_SIGMAS = 3.0  # this distance in robust standard deviations of the residuals
 _EDGE_JUMP = 0.03  # relative depth step to an adjacent cell that marks a depth edge
+_BLOCKS, _INDEPENDENT = 12, 2.0  # number of blocks, and of independent measurements that they count as
+_DEGREES_OF_FREEDOM, _MIN_BLOCKS = 6, 7
+_LEAST_VARIANCE_M2 = 1e-10
+_REGULARIZATION = np.diag([1e-6] * 3 + [1e-4] * 3)  # information of unobservable directions, relative to a point's
+_FIT_VARIANCE_RATIO = 3.5  # mean squared error of fits over their covariance, on held-out videos
+_FIT_FLOOR = np.diag([1e-8] * 3 + [1e-10] * 3)  # least covariance of a fit [rad^2, m^2]: an arm may be stretched out
+_LARGEST_SQUARE = 12.6  # 95 % quantile of chi-square with six degrees of freedom
+_INFLATIONS = np.geomspace(1.0, 1e8, 161)
+_WEIGHTS = np.linspace(0.0, 1.0, 101)
 
 
-def gripper_cloud(view: GripperView) -> Array:
-    """Return the points (N, 3) of the gripper cells in V [m], without cells on depth edges."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class IcpRegistration:
+    """Pose of the hand by ICP."""
+
+    X_CH: Array
+    """(4, 4) pose of panda_hand in the camera frame [m]."""
+    fitness: float
+    """Share of the points that are matched with the CAD surface, 0..1."""
+    rmse_m: float
+    """Root mean square distance of the matched points from the surface [m]."""
+    covariance: Array
+    """(6, 6) covariance of rotation about the camera's axes [rad] and position [m]."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FusedPose:
+    """Combination of a fit with the registration."""
+
+    registration: IcpRegistration
+    weight: float
+    """Share of the registration, 0..1."""
+    X_CH: Array
+    """(4, 4) combined pose of panda_hand in the camera frame [m]."""
+    covariance: Array
+    """(6, 6) its covariance, on the scale of the fit's."""
+
+
+def surface_cells(view: GripperView) -> NDArray[np.bool_]:
+    """Return the cells (h, w) of the gripper that are not on depth edges."""
     depth = np.where(view.gripper, view.depth_m, np.nan)
     jump = np.zeros(depth.shape, dtype=bool)
     for axis in (0, 1):
@@ -29,8 +92,7 @@ def gripper_cloud(view: GripperView) -> Array:
         before = [(0, 1) if a == axis else (0, 0) for a in (0, 1)]
         after = [(1, 0) if a == axis else (0, 0) for a in (0, 1)]
         jump |= np.pad(step, before) | np.pad(step, after)
-    keep = view.gripper & ~jump & np.isfinite(depth)
-    return np.asarray(view.rays()[keep] * depth[keep][:, None])
+    return np.asarray(view.gripper & ~jump & np.isfinite(depth))
 
 
 class IcpRefiner:
@@ -45,25 +107,152 @@ class IcpRefiner:
         self._vector = open3d.utility.Vector3dVector
         self._icp: Any = open3d.pipelines.registration
 
-    def refine(self, view: GripperView, X_VH: Array, finger_m: float) -> Array | None:
-        """Refine `X_VH` (4, 4) on the view's cloud, fingers at travel `finger_m`; None if too few points match."""
-        cloud_V = gripper_cloud(view)
-        if len(cloud_V) < _MIN_POINTS:
+    def refine(self, view: GripperView, X_CH: Array, covariance: Array, finger_m: float) -> FusedPose | None:
+        """Combine a fit with the registration that starts from it; None if too few points match.
+
+        If the registration counts, its last pass is repeated with all cells.
+
+        Args:
+            view: dense estimates.
+            X_CH: (4, 4) fitted pose of panda_hand in the camera frame [m].
+            covariance: (6, 6) its covariance: rotation about the camera's axes [rad], position [m].
+            finger_m: travel of each finger [m].
+        """
+        registration = self.register(view, X_CH, covariance, finger_m)
+        if registration is None:
             return None
-        rays = view.rays().reshape(-1, 3)
-        source, target = self._geometry.PointCloud(), self._geometry.PointCloud()
-        source.points = self._vector(cloud_V)
-        for gate in _GATES_M:
+        fused = fuse(X_CH, covariance, registration)
+        if fused.weight >= _PRECISE_WEIGHT:
+            finer = self.register(view, registration.X_CH, registration.covariance, finger_m, view.part.size)
+            fused = fused if finer is None else fuse(X_CH, covariance, finer)
+        return fused
+
+    def register(
+        self, view: GripperView, X_CH: Array, covariance: Array, finger_m: float, cells: int = _MAX_CELLS
+    ) -> IcpRegistration | None:
+        """Register at most `cells` cells of a view to the CAD surface; None if too few match. Arguments as `refine`."""
+        surface_only = surface_cells(view)
+        row = np.arange(len(surface_only)) % max(1, -(-int(surface_only.sum()) // cells)) == 0
+        v, u = np.nonzero(surface_only & row[:, None])
+        rays = view.rays()[v, u]
+        X_VH, points = invert(view.crop.X_CV) @ X_CH, rays * view.depth_m[v, u][:, None]
+        source, gate = self._geometry.PointCloud(), _GATE_M[1]
+        for number in range(_PASSES):
             surface = self._cad.cast(X_VH, rays, finger_m)
             hit = surface.part > 0
             if hit.sum() < _MIN_POINTS:
                 return None
-            target.points = self._vector(transform_points(invert(X_VH), rays[hit] * surface.distance[hit, None]))
-            target.normals = self._vector(surface.normal[hit] @ X_VH[:3, :3])
-            estimation = self._icp.TransformationEstimationPointToPlane(self._icp.TukeyLoss(k=gate))
-            criteria = self._icp.ICPConvergenceCriteria(1e-5, 1e-5, _MAX_ITERATIONS)
-            result = self._icp.registration_icp(source, target, gate, invert(X_VH), estimation, criteria)
-            if len(result.correspondence_set) < _MIN_POINTS:
+            on_surface, normal = rays[hit] * surface.distance[hit, None], surface.normal[hit]
+            if number == 0:
+                ratio = surface.distance[hit] / view.depth_m[v, u][hit]
+                points *= np.exp(_log_depth_factor(ratio, view.depth_factor_sigma, X_CH[:3, 3], covariance))
+                source.points = self._vector(points)
+                gate = _gate(((points[hit] - on_surface) * normal).sum(axis=1), gate)
+            target_H, normal_H = transform_points(invert(X_VH), on_surface), normal @ X_VH[:3, :3]
+            result = self._match(source, target_H, normal_H, gate, X_VH)
+            i, j = np.asarray(result.correspondence_set).reshape(-1, 2).T
+            if len(i) < _MIN_POINTS:
                 return None
-            X_VH = invert(result.transformation)
-        return X_VH
+            previous, X_VH = X_VH, invert(result.transformation)
+            offset, normal = target_H[j] @ X_VH[:3, :3].T, normal_H[j] @ X_VH[:3, :3].T
+            residual = ((points[i] - X_VH[:3, 3] - offset) * normal).sum(axis=1)
+            if _change_m(previous, X_VH) < _CONVERGED_M:
+                break
+            gate = _gate(residual, gate)
+        width = max(1, round((int(surface_only.sum()) / _BLOCKS) ** 0.5))
+        block = v[i] // width * view.part.shape[1] + u[i] // width
+        R_CV, p = view.crop.R_CV, points[i] @ view.crop.R_CV.T
+        return IcpRegistration(
+            X_CH=view.crop.X_CV @ X_VH,
+            fitness=len(i) / len(points),
+            rmse_m=float(np.sqrt(np.mean(residual**2))),
+            covariance=_covariance(offset @ R_CV.T, normal @ R_CV.T, p, residual, block, view.depth_factor_sigma),
+        )
+
+    def _match(self, source: Any, target_H: Array, normal_H: Array, gate_m: float, X_VH: Array) -> Any:
+        """Return Open3D's registration of `source` in V to a surface in H, from the pose `X_VH` on."""
+        target = self._geometry.PointCloud()
+        target.points, target.normals = self._vector(target_H), self._vector(normal_H)
+        estimation = self._icp.TransformationEstimationPointToPlane(self._icp.TukeyLoss(k=gate_m))
+        criteria = self._icp.ICPConvergenceCriteria(1e-4, 1e-4, _MAX_ITERATIONS)
+        return self._icp.registration_icp(source, target, gate_m, invert(X_VH), estimation, criteria)
+
+
+def _gate(residual: Array, largest_m: float) -> float:
+    """Return the distance up to which points match, from the spread of the residuals (N,) [m]."""
+    spread = 1.4826 * float(np.median(np.abs(residual - np.median(residual))))
+    return float(np.clip(_GATE_SIGMAS * spread, _GATE_M[0], largest_m))
+
+
+def _change_m(X_1: Array, X_2: Array) -> float:
+    """Return the change of a pose, with rotations as displacements of points `_LEVER_M` away [m]."""
+    angle = float(rotation_angle(X_1[:3, :3].T @ X_2[:3, :3]))
+    return float(np.linalg.norm(X_1[:3, 3] - X_2[:3, 3])) + _LEVER_M * angle
+
+
+def _log_depth_factor(ratio: Array, prior_sigma: float, position: Array, covariance: Array) -> float:
+    """Return the logarithm of true over estimated depth that the fit implies, shrunk towards 0 by its prior.
+
+    Args:
+        ratio: (N,) depth of the surface at the fitted pose over the estimated one.
+        prior_sigma: relative standard deviation of the error that all depths have in common.
+        position: (3,) of the fitted hand in the camera frame [m].
+        covariance: (6, 6) covariance of the fit.
+    """
+    variance = float(position @ covariance[3:, 3:] @ position) / float(position @ position) ** 2
+    return float(np.log(np.median(ratio))) * prior_sigma**2 / (prior_sigma**2 + variance)
+
+
+def _covariance(
+    offset: Array, normal: Array, points: Array, residual: Array, block: NDArray[np.intp], depth_factor_sigma: float
+) -> Array:
+    """Return the covariance (6, 6) of a registration, rotation first.
+
+    Args:
+        offset: (N, 3) matched points of the surface from the origin of the hand, along the camera's axes [m].
+        normal: (N, 3) normals there.
+        points: (N, 3) their points in the camera frame [m].
+        residual: (N,) distances from the surface [m].
+        block: (N,) number of the block that each point is in.
+        depth_factor_sigma: relative standard deviation of the error that all depths have in common.
+    """
+    _, number, count = np.unique(block, return_inverse=True, return_counts=True)
+    if len(count) < _MIN_BLOCKS:
+        return np.eye(6)
+    mean = np.bincount(number, residual) / count
+    left = 1.0 - _DEGREES_OF_FREEDOM / len(count)  # share of the variance that the registration leaves
+    variance = float((count * mean**2).sum() / count.sum()) / left / _INDEPENDENT + _LEAST_VARIANCE_M2
+    J = np.hstack([np.cross(offset, normal), normal])
+    inverse = np.linalg.inv(J.T @ J / len(J) + _REGULARIZATION)
+    by_factor = inverse @ (J.T @ (points * normal).sum(axis=1)) / len(J) * depth_factor_sigma
+    return np.asarray(variance * inverse + np.outer(by_factor, by_factor))
+
+
+def fuse(X_CH: Array, covariance: Array, registration: IcpRegistration) -> FusedPose:
+    """Combine a fitted pose with a registration by covariance intersection: the greatest determinant of information.
+
+    Args:
+        X_CH: (4, 4) fitted pose of panda_hand in the camera frame [m].
+        covariance: (6, 6) its covariance, too small by the factor `_FIT_VARIANCE_RATIO`.
+        registration: pose by ICP, whose covariance is inflated where it contradicts the fit.
+    """
+    rotation = rotation_log(registration.X_CH[:3, :3] @ X_CH[:3, :3].T)
+    difference = np.concatenate([rotation, registration.X_CH[:3, 3] - X_CH[:3, 3]])
+    of_registration = registration.covariance / _FIT_VARIANCE_RATIO
+    not_singular = covariance + _FIT_FLOOR
+    ratio, axes = eigh(of_registration, not_singular)
+    square = (axes.T @ difference) ** 2 / _FIT_VARIANCE_RATIO
+    consistent = (square / (1.0 + _INFLATIONS[:, None] * ratio)).sum(axis=1) <= _LARGEST_SQUARE
+    of_registration = of_registration * _INFLATIONS[consistent.argmax() if consistent.any() else -1]
+    of_fit, of_icp = np.linalg.inv(not_singular), np.linalg.inv(of_registration)
+    ratio = eigh(of_icp, of_fit, eigvals_only=True)
+    log_determinant = np.log(1.0 - _WEIGHTS[:, None] * (1.0 - ratio)).sum(axis=1)
+    weight = float(_WEIGHTS[log_determinant.argmax()])
+    fused = np.linalg.inv((1.0 - weight) * of_fit + weight * of_icp)
+    step = weight * fused @ of_icp @ difference
+    return FusedPose(
+        registration=registration,
+        weight=weight,
+        X_CH=make_pose(rotation_exp(step[:3]) @ X_CH[:3, :3], X_CH[:3, 3] + step[3:]) if weight else X_CH,
+        covariance=np.asarray(fused, dtype=np.float64) if weight else covariance,
+    )

@@ -63,6 +63,12 @@ def join_tracks(tracks: Sequence[GripperTrack]) -> GripperTrack:
     )
 
 
+def join_curves(clips: Sequence[Mapping[str, Array]]) -> dict[str, Array]:
+    """Join the curves that all clips have, like `join_tracks`."""
+    names = [name for name in clips[0] if all(name in clip for clip in clips)]
+    return {name: np.concatenate([clip[name][k > 0 :] for k, clip in enumerate(clips)]) for name in names}
+
+
 def combine(tracks: Sequence[GripperTrack], results: Sequence[KinematicResult]) -> KinematicResult:
     """Combine the results of consecutive clips into one of the joined track, frames counted through all clips.
 
@@ -103,11 +109,7 @@ def combine(tracks: Sequence[GripperTrack], results: Sequence[KinematicResult]) 
             if value is not None
         },
         details=details,
-        curves={
-            name: np.concatenate([r.curves[name][k > 0 :] for k, r in enumerate(results)])
-            for name in first.curves
-            if all(name in r.curves for r in results)
-        },
+        curves=join_curves([r.curves for r in results]),
     )
 
 

@@ -22,7 +22,7 @@ from kinebench_drake.closed_loop.commands import CommandPlanner
 from kinebench_drake.closed_loop.gap import measure_gap
 from kinebench_drake.closed_loop.loop import ClosedLoop, Condition, EpisodeRun, LoopOptions, PendingRound
 from kinebench_drake.evaluation.analyzer import Analyzer, load_analyzer
-from kinebench_drake.evaluation.clips import clip_starts, combine, join_tracks
+from kinebench_drake.evaluation.clips import clip_starts, combine, join_curves, join_tracks
 from kinebench_drake.evaluation.evaluator import KINEMATIC_METRICS, PENDING, REQUESTS, Evaluation, Evaluator
 from kinebench_drake.evaluation.score import VISUAL_METRICS
 from kinebench_drake.evaluation.thumbnail import encode_strip
@@ -139,7 +139,11 @@ class EpisodeEvaluator(Evaluator[EpisodeSample, EpisodeResources]):
         tracks = [r.grounding.track for r in run.rounds]
         results = [resources.analyzer.judge(track) for track in tracks]
         track, kinematics = join_tracks(tracks), combine(tracks, results)
-        curves = {**kinematics.curves, **action_curves(tracks, [r.actions for r in run.rounds])}
+        curves = {
+            **kinematics.curves,
+            **join_curves([r.grounding.curves for r in run.rounds]),
+            **action_curves(tracks, [r.actions for r in run.rounds]),
+        }
         write_track(artifact_path(self.config.out, "tracks", sample.id), track, kinematics.joints, curves)
         write_atomically(artifact_path(self.config.out, "thumbnails", sample.id), _thumbnail(run, executed))
         if self.rollouts:

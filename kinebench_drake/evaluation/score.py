@@ -226,7 +226,7 @@ class VideoEvaluator(Evaluator[VideoSample, Analyzer]):
         images = list(analyzer.overlay(prepared.frames[shown], prepared.camera, track.at(shown)))
         write_atomically(artifact_path(self.config.out, "thumbnails", sample.id), encode_strip(images))
         joints, curves = (kinematics.joints, kinematics.curves) if kinematics else (None, {})
-        write_track(artifact_path(self.config.out, "tracks", sample.id), track, joints, curves)
+        write_track(artifact_path(self.config.out, "tracks", sample.id), track, joints, {**curves, **grounding.curves})
         return Evaluation(
             kinematics=kinematics,
             metrics={

@@ -1,5 +1,6 @@
 """Calibration of the confidence."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -74,3 +75,18 @@ def test_what_is_no_calibration_is_refused(tmp_path: Path, text: str) -> None:
         Confidence.load(path)
     with pytest.raises(SetupError, match="no usable calibration"):
         Confidence.load(tmp_path / "absent.json")
+
+
+def test_features_that_a_calibration_did_not_have_count_nothing(tmp_path: Path) -> None:
+    path = tmp_path / "confidence.json"
+    frame = LogisticRegression(intercept=0.5, weights=np.ones(len(FRAME_FEATURES)))
+    track = LogisticRegression(intercept=0.0, weights=np.ones(len(TRACK_FEATURES)))
+    Confidence(frame=frame, track=track).save(path)
+    data = json.loads(path.read_text())
+    data["frame"] |= {"features": list(FRAME_FEATURES[:-2]), "weights": [1.0] * (len(FRAME_FEATURES) - 2)}
+    path.write_text(json.dumps(data))
+    np.testing.assert_array_equal(Confidence.load(path).frame.weights[-2:], 0.0)
+    data["frame"]["features"][0] = "another"
+    path.write_text(json.dumps(data))
+    with pytest.raises(SetupError):
+        Confidence.load(path)
