@@ -152,6 +152,27 @@ def streaming(out: Path | None, work: Path | None, videos: Path, samples: int, f
     _measure_in(work, out, lambda folder: section(measure(videos, folder, log=_log, **options)))
 
 
+@main.command(epilog="\b\nExample:\n  python -m benchmarks scale --rows 100000 --out docs/benchmarks.md")
+@_out
+@_work
+@click.option("--videos", type=_EXISTING_FOLDER, default=EXAMPLES, show_default=True, help="Folder of mp4 files.")
+@click.option("--template", type=_EXISTING_FOLDER, help="Output folder of `score` of them.  [default: made first]")
+@click.option("--rows", type=click.IntRange(10), default=100_000, show_default=True, help="Samples.")
+@click.option("--jobs", type=_COUNT, default=2, show_default=True, help="Worker processes.")
+def scale(out: Path | None, work: Path | None, videos: Path, template: Path | None, rows: int, jobs: int) -> None:
+    """Measure time and memory of a run of very many samples whose measurements are replaced."""
+    from benchmarks.process import run_program
+    from benchmarks.scale import measure, section
+
+    def run(folder: Path) -> str:
+        model = template or folder / "template"
+        if template is None:
+            run_program(["score", str(videos), "--out", str(model), "--replays", "0", "--frame-period", "0.2"])
+        return section(measure(videos, model, folder, rows=rows, jobs=jobs, log=_log))
+
+    _measure_in(work, out, run)
+
+
 @main.command(epilog="\b\nExample:\n  python -m benchmarks cluster --out docs/cluster.md")
 @_out
 @_work

@@ -15,6 +15,11 @@ CONFIDENCE = 0.95
 PERCENTILES = (50.0 * (1.0 - CONFIDENCE), 50.0 * (1.0 + CONFIDENCE))
 """Percentiles of a bootstrap distribution at the ends of its interval."""
 RESAMPLES = 2000
+MANY = 1000
+"""Values up to which a mean is resampled value by value."""
+_EXTREME = (
+    30  # values drawn one by one of more: no other one differs from the mean by more than 0.18 sqrt(N) deviations
+)
 _AT_ONCE = 2_000_000  # numbers drawn at a time: all at once would take 1 GB for 20,000 samples
 
 
@@ -38,8 +43,14 @@ def wilson(hits: int, n: int, confidence: float = CONFIDENCE) -> tuple[float, fl
 
 
 def bootstrap_mean(values: Array, rng: np.random.Generator, resamples: int = RESAMPLES) -> tuple[float, float]:
-    """Return the ends of the percentile bootstrap interval of the mean of `values` (N,), N > 1 (Efron 1979)."""
+    """Return the ends of the percentile bootstrap interval of the mean of `values` (N,), N > 1 (Efron 1979).
+
+    Of more than MANY values only the extreme ones are resampled one by one (`_means_of_many`).
+    """
     from scipy.stats import bootstrap
+
+    if len(values) > MANY:
+        return percentile_interval(_means_of_many(values, rng, resamples))
 
     result = bootstrap(
         (values,),
@@ -51,6 +62,21 @@ def bootstrap_mean(values: Array, rng: np.random.Generator, resamples: int = RES
         rng=rng,
     )
     return float(result.confidence_interval.low), float(result.confidence_interval.high)
+
+
+def _means_of_many(values: Array, rng: np.random.Generator, resamples: int) -> Array:
+    """Draw means (resamples,) of resamples of many values (N,), in a time that does not grow with their number.
+
+    The values farthest from the mean are drawn one by one; the sum of the others, of which no single one matters, has
+    its normal limit (Bickel and Freedman, Ann. Statist. 9, 1981, theorem 2.1).
+    """
+    n = len(values)
+    order = np.argsort(np.abs(values - values.mean()), kind="stable")
+    middle, extreme = values[order[:-_EXTREME]], values[order[-_EXTREME:]]
+    counts = rng.multinomial(n, [*[1.0 / n] * _EXTREME, 1.0 - _EXTREME / n], size=resamples)
+    of_middle = counts[:, -1]
+    sums = of_middle * middle.mean() + np.sqrt(of_middle) * middle.std() * rng.standard_normal(resamples)
+    return np.asarray((counts[:, :-1] @ extreme + sums) / n)
 
 
 def percentile_interval(draws: ArrayLike, percentiles: tuple[float, float] = PERCENTILES) -> tuple[float, float]:

@@ -11,6 +11,7 @@ from kinebench_drake.errors import InputError
 from kinebench_drake.stats import (
     PairedOutcomes,
     PairedShares,
+    bootstrap_mean,
     group_means,
     independent_mean_difference,
     pass_at_k,
@@ -196,3 +197,19 @@ def test_independent_means_are_resampled_apart():
     assert np.isnan([equal.low, equal.high]).all()
     with pytest.raises(InputError, match="without units"):
         independent_mean_difference(np.ones(1), np.array([]), rng)
+
+
+@pytest.mark.parametrize("name", ["normal", "lognormal", "one outlier", "heavy tails", "two values"])
+def test_the_bootstrap_of_many_values_agrees_with_that_of_all_values_one_by_one(name):
+    rng = np.random.default_rng(3)
+    values = {
+        "normal": rng.normal(2.0, 1.0, 4000),
+        "lognormal": rng.lognormal(0.0, 2.0, 4000),
+        "one outlier": np.append(rng.normal(0.0, 1.0, 3999), 1e4),
+        "heavy tails": rng.standard_t(1.5, 4000),
+        "two values": rng.choice([0.5, 1.0], 4000, p=[0.999, 0.001]),
+    }[name]
+    expected = percentile_interval(resampled_means(values, np.random.default_rng(0)))
+    found = bootstrap_mean(values, np.random.default_rng(0))
+    error = values.std() / np.sqrt(len(values))
+    assert np.abs(np.subtract(found, expected)).max() < 0.2 * error

@@ -15,7 +15,8 @@ from kinebench_drake.io.jsonl import dump
 from kinebench_drake.report.sample import worst_samples
 from kinebench_drake.results.metadata import RunMetadata, read_metadata
 from kinebench_drake.results.row import SampleRow, Status
-from kinebench_drake.results.store import ARTIFACTS, SAMPLES, TIMINGS, ResultStore, artifact_path, read_rows
+from kinebench_drake.results.rowfile import RowLine
+from kinebench_drake.results.store import ARTIFACTS, SAMPLES, TIMINGS, ResultStore, artifact_path, read_stored_rows
 from kinebench_drake.types import Json
 
 _BLOCK = 2**20
@@ -34,6 +35,8 @@ class ShardFolder:
     finished: bool
     """True if the run has ended."""
     rows: Mapping[str, SampleRow]
+    lines: Mapping[str, RowLine]
+    """Place of each row in the file."""
     clips: Mapping[str, Sequence[Path]]
     """Video files and frame folders in `videos/` by the id of their episode."""
 
@@ -44,6 +47,11 @@ class MergedSample:
 
     row: SampleRow
     shard: ShardFolder
+
+    @property
+    def line(self) -> RowLine:
+        """Place of the row in the file of the shard."""
+        return self.shard.lines[self.row.id]
 
     def artifact(self, kind: str) -> Path:
         """Return the path of an artifact in the folder of the shard."""
@@ -88,7 +96,7 @@ def merge_folders(folders: Sequence[Path], out: Path, observer: RunObserver | No
             observer.finish(sample.row, 0.0)
         store.keep_artifacts("replays", replays)
         write_atomically(out / TIMINGS, _merge_timings(shards, samples).encode())
-        store.rows = {id: sample.row for id, sample in samples.items()}
+        store.replace_rows({id: s.row for id, s in samples.items()}, {id: s.line for id, s in samples.items()})
         store.finish(summarize(store.sorted_rows(), run))
         return close_run(store, RunKind(run.kind), run.bootstrap_seed)
 
@@ -102,7 +110,7 @@ def _read_shard(path: Path) -> ShardFolder:
     if not (path / SAMPLES).is_file():
         raise UsageError(f"{path}: holds no {SAMPLES}, expected the output folder of a run")
     try:
-        metadata, rows = read_metadata(path), read_rows(path)
+        metadata, (rows, lines) = read_metadata(path), read_stored_rows(path)
         clips = _find_clips(path, rows)
     except (InputError, OSError) as error:
         raise UsageError(str(error)) from None
@@ -120,7 +128,7 @@ def _read_shard(path: Path) -> ShardFolder:
     kinds = [kind.value for kind in RunKind]
     if run.kind not in kinds:
         raise UsageError(f"{path}: is of a run of kind {run.kind!r}, expected one of {', '.join(kinds)}")
-    return ShardFolder(path=path, run=run, finished=metadata.finished, rows=rows, clips=clips)
+    return ShardFolder(path=path, run=run, finished=metadata.finished, rows=rows, lines=lines, clips=clips)
 
 
 def _find_clips(path: Path, rows: Mapping[str, SampleRow]) -> dict[str, list[Path]]:
@@ -202,10 +210,10 @@ def _select_samples(shards: Sequence[ShardFolder]) -> dict[str, MergedSample]:
     samples: dict[str, MergedSample] = {}
     for shard in shards:
         for id, row in shard.rows.items():
-            before = samples.get(id)
+            before, sample = samples.get(id), MergedSample(row=row, shard=shard)
             if before is None or _supersedes(row, before.row):
-                samples[id] = MergedSample(row=row, shard=shard)
-            elif not _supersedes(before.row, row) and dump(before.row.to_json()) != dump(row.to_json()):
+                samples[id] = sample
+            elif not _supersedes(before.row, row) and _differ(before, sample):
                 raise UsageError(
                     f"{before.shard.path} and {shard.path} hold different results of {id!r}: leave out the folder that "
                     "is out of date"
@@ -216,6 +224,10 @@ def _select_samples(shards: Sequence[ShardFolder]) -> dict[str, MergedSample]:
 def _supersedes(row: SampleRow, other: SampleRow) -> bool:
     """Return whether `row` is a result of the same sample for which `other` is an error."""
     return row.content_hash == other.content_hash and row.status is not Status.ERROR and other.status is Status.ERROR
+
+
+def _differ(one: MergedSample, other: MergedSample) -> bool:
+    return one.line.read() != other.line.read() and dump(one.row.to_json()) != dump(other.row.to_json())
 
 
 def _merge_metadata(runs: Sequence[RunMetadata]) -> RunMetadata:

@@ -20,7 +20,7 @@ from kinebench_drake.executors.progress import Observer
 from kinebench_drake.io.atomic import disk_errors
 from kinebench_drake.io.jsonl import as_object
 from kinebench_drake.report.sample import worst_samples
-from kinebench_drake.results.aggregate import Estimate, aggregate, estimate, normalize_run, split_rows
+from kinebench_drake.results.aggregate import Estimate, aggregate, estimate, normalize_run, split_rows, worst_values
 from kinebench_drake.results.inputs import list_inputs
 from kinebench_drake.results.metadata import RunMetadata
 from kinebench_drake.results.provenance import code_hash, host, versions, weights_hash
@@ -137,7 +137,7 @@ def close_run(store: ResultStore, kind: RunKind, seed: int) -> RunSummary:
         from kinebench_drake.report.page import write_report
 
         with disk_errors(REPORT):
-            report = write_report(store.out)
+            report = write_report(store.out, rows)
     measured = [r for r in rows if r.status is Status.OK]
     runs = [r.episode for r in rows]
     executable = estimate([r.executable is True for r in rows], total=len(rows), seed=seed, episodes=runs)
@@ -176,14 +176,14 @@ def run_metadata(config: RunConfig, samples_found: int) -> RunMetadata:
 
 def summarize(rows: Sequence[SampleRow], metadata: RunMetadata) -> dict[str, Json]:
     """Return the content of `results.json`."""
-    seed = metadata.bootstrap_seed
+    seed, worst = metadata.bootstrap_seed, worst_values(rows)
 
     def groups(key: str) -> dict[str, Json]:
-        return {name: aggregate(group, seed, rows).to_json() for name, group in split_rows(rows, key).items()}
+        return {name: aggregate(group, seed, worst).to_json() for name, group in split_rows(rows, key).items()}
 
     return metadata.to_json(
         {
-            "aggregates": aggregate(rows, seed).to_json(),
+            "aggregates": aggregate(rows, seed, worst).to_json(),
             "per_task": groups("task"),
             "per_model": groups("model"),
             "normalization": normalize_run(rows),

@@ -4,12 +4,12 @@ import json
 import math
 import os
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, BinaryIO, TypeVar
 
 from kinebench_drake.errors import InputError, cause
-from kinebench_drake.io.atomic import disk_errors, write_atomically
+from kinebench_drake.io.atomic import atomic_path, disk_errors, write_atomically
 from kinebench_drake.io.files import read_bytes
 from kinebench_drake.types import Json
 
@@ -76,7 +76,17 @@ def write_json(path: Path, value: Mapping[str, Any]) -> None:
 
 def write_lines(path: Path, rows: Iterable[Mapping[str, Any]]) -> None:
     """Write one JSON object a line."""
-    write_atomically(path, "".join(map(dump, rows)).encode())
+    write_raw_lines(path, (dump(row).encode() for row in rows))
+
+
+def write_raw_lines(path: Path, lines: Iterable[bytes]) -> None:
+    """Write lines that end with a line feed.
+
+    Raises:
+        SetupError: writing failed.
+    """
+    with atomic_path(path) as part, part.open("wb") as file:
+        file.writelines(lines)
 
 
 def read_lines(path: Path, parse: Callable[[object], Row]) -> list[Row]:
@@ -89,25 +99,52 @@ def read_lines(path: Path, parse: Callable[[object], Row]) -> list[Row]:
     Raises:
         InputError: a line other than the last is invalid.
     """
-    lines = path.read_bytes().split(b"\n") if path.is_file() else [b""]
-    rows = []
-    for number, line in enumerate(lines[:-1], 1):  # text after the last line feed is an unfinished line
-        try:
-            rows.append(parse(parse_json(line)))
-        except (ValueError, InputError) as error:
-            if number == len(lines) - 1:
+    return list(parse_lines(path, lambda value, start, size: parse(value)))
+
+
+def parse_lines(path: Path, parse: Callable[[object, int, int], Row]) -> Iterator[Row]:
+    """Yield the converted JSON value of each line as `read_lines` does, one at a time.
+
+    Args:
+        path: the file.
+        parse: converts the JSON value of a line, given its offset and size in bytes.
+
+    Raises:
+        InputError: a line other than the last is invalid.
+    """
+    if not path.is_file():
+        return
+    with path.open("rb") as file:
+        start = 0
+        for number, line in enumerate(file, 1):
+            if not line.endswith(b"\n"):  # text after the last line feed is an unfinished line
                 break
-            raise InputError(f"{path}: line {number} is broken ({error})") from None
-    return rows
+            try:
+                row = parse(parse_json(line), start, len(line))
+            except (ValueError, InputError) as error:
+                if _is_last(file):
+                    break
+                raise InputError(f"{path}: line {number} is broken ({error})") from None
+            yield row
+            start += len(line)
 
 
-def append_line(path: Path, row: Mapping[str, Any]) -> None:
+def _is_last(file: BinaryIO) -> bool:
+    """Return whether no further line feed follows."""
+    return b"\n" not in file.read()
+
+
+def append_line(path: Path, row: Mapping[str, Any]) -> tuple[int, int]:
     """Append one JSON object as a line: on disk when this returns, and not at all if it fails.
+
+    Returns:
+        Offset and size of the line [bytes].
 
     Raises:
         SetupError: writing failed; the file is unchanged.
     """
     data = dump(row).encode()
+    size = len(data)
     with disk_errors(path.name), path.open("ab", buffering=0) as file:
         before = file.seek(0, os.SEEK_END)
         try:
@@ -117,6 +154,7 @@ def append_line(path: Path, row: Mapping[str, Any]) -> None:
         except OSError:
             file.truncate(before)
             raise
+    return before, size
 
 
 def drop_torn_line(path: Path) -> None:

@@ -1,6 +1,7 @@
 """`report.html`: the self-contained page of one output folder."""
 
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
@@ -11,6 +12,7 @@ from kinebench_drake.errors import InputError, cause, count_noun
 from kinebench_drake.io.atomic import write_atomically
 from kinebench_drake.io.jsonl import as_object, intern_text, read_json
 from kinebench_drake.report.limits import to_number
+from kinebench_drake.report.listing import fault_chips, pack_listing
 from kinebench_drake.report.metric import BY_NAME, Metric, MetricLayout, layout_of
 from kinebench_drake.report.plot import Histogram, count_values, draw_histogram
 from kinebench_drake.report.sample import (
@@ -27,7 +29,7 @@ from kinebench_drake.report.sample import (
 from kinebench_drake.report.table import format_bound, format_interval, format_value
 from kinebench_drake.report.timeline import anomalies_of
 from kinebench_drake.results.aggregate import VERDICTS as VERDICT_SHARES
-from kinebench_drake.results.aggregate import Aggregate, aggregate, split_rows
+from kinebench_drake.results.aggregate import Aggregate, aggregate, split_rows, worst_values
 from kinebench_drake.results.inputs import input_lines
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.results.store import REPORT, RESULTS, read_rows
@@ -35,6 +37,8 @@ from kinebench_drake.types import Json
 
 DRAWN = 100
 """Samples, the worst first, whose curves and details are on the page: all would make it slow to open."""
+_LISTED = 500
+"""Samples, the worst first, that the page holds in full; the others as compact data that its script unfolds."""
 _PICTURED = 40
 """Samples, the worst first, whose images are on the page."""
 _SHOWN = 100
@@ -53,25 +57,33 @@ class SampleGroup:
     """Samples of each verdict that occurs, the worst verdict first."""
 
 
-def write_report(out: Path) -> Path:
+def write_report(out: Path, rows: Iterable[SampleRow] | None = None) -> Path:
     """Write `report.html` from the rows and files of an output folder; the same folder gives the same bytes.
+
+    Args:
+        out: the folder.
+        rows: its rows; None: they are read.
 
     Raises:
         InputError: the folder's files are broken.
         SetupError: writing failed.
     """
     path = out / REPORT
-    write_atomically(path, build_page(out).encode())
+    write_atomically(path, build_page(out, rows).encode())
     return path
 
 
-def build_page(out: Path) -> str:
+def build_page(out: Path, rows: Iterable[SampleRow] | None = None) -> str:
     """Build the html of an output folder's report.
+
+    Args:
+        out: the folder.
+        rows: its rows; None: they are read.
 
     Raises:
         InputError: the folder's files are broken.
     """
-    rows = sorted(read_rows(out).values(), key=badness)
+    rows = sorted(read_rows(out).values() if rows is None else rows, key=badness)
     results = read_results(out)
     seed = bootstrap_seed(results)
     total = aggregate(rows, seed)
@@ -81,10 +93,19 @@ def build_page(out: Path) -> str:
     samples = [
         view_sample(out, row, drawn=k < DRAWN or row.id in large, pictured=k < _PICTURED or row.id in large)
         for k, row in enumerate(rows)
+        if k < _LISTED or row.id in large
     ]
     views = {sample.row.id: sample for sample in samples}
+    columns = [BY_NAME[n] for n in layout.columns if _is_measured(total, n)]
+    listed = [row for row in rows if row.id not in views]
+    verdicts = Counter(map(verdict_of, rows))
     templates = template_environment()
-    templates.filters |= {"label": VERDICTS.__getitem__, "verdict": verdict_of, "explanation": explain}
+    templates.filters |= {
+        "chips": fault_chips,
+        "label": VERDICTS.__getitem__,
+        "verdict": verdict_of,
+        "explanation": explain,
+    }
     templates.filters |= {"anomalies": anomalies_of, "scalar": to_number}
     return templates.get_template("page.html.j2").render(
         title=_title(results),
@@ -102,15 +123,17 @@ def build_page(out: Path) -> str:
         gallery=[
             (title, [views[row.id] for row in chosen]) for title, chosen in (("Worst", worst), ("Best", best)) if chosen
         ],
-        columns=[BY_NAME[n] for n in layout.columns if _is_measured(total, n)],
+        columns=columns,
         shares=[BY_NAME[n] for n in layout.shares if _is_measured(total, n)],
         samples=samples,
+        pictured=any(sample.thumbnail for sample in samples),
+        listing=pack_listing(out, listed, columns) if listed else None,
         large=large,
         first=_SHOWN,
         drawn=min(DRAWN, len(samples)),
-        left_out=max(len(samples) - DRAWN, 0),
+        left_out=max(len(rows) - DRAWN, 0),
         normalization=_read_normalization(results),
-        counts={v: n for v in VERDICTS if (n := sum(verdict_of(row) == v for row in rows))},
+        counts={v: verdicts[v] for v in VERDICTS if v in verdicts},
         numeric_value=numeric_value,
         Status=Status,
     )
@@ -152,11 +175,11 @@ def bootstrap_seed(results: Mapping[str, Json]) -> int:
 
 def group_rows(rows: Sequence[SampleRow], key: str, seed: int = 0) -> list[SampleGroup]:
     """Group rows by `task` or `model`, sorted by name; rows without one are left out."""
-    groups = []
+    groups, worst = [], worst_values(rows)
     for name, group in split_rows(rows, key).items():
-        verdicts = [verdict_of(row) for row in group]
-        counts = {verdict: verdicts.count(verdict) for verdict in VERDICTS if verdict in verdicts}
-        groups.append(SampleGroup(name=name, total=aggregate(group, seed, rows), verdicts=counts))
+        verdicts = Counter(map(verdict_of, group))
+        counts = {verdict: verdicts[verdict] for verdict in VERDICTS if verdict in verdicts}
+        groups.append(SampleGroup(name=name, total=aggregate(group, seed, worst), verdicts=counts))
     return groups
 
 

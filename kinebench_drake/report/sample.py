@@ -32,7 +32,7 @@ GOOD_VERDICTS = ("executable", "success")
 _RANK = {verdict: rank for rank, verdict in enumerate(VERDICTS)}
 _MAX_VIOLATIONS = 20
 """Violations that a sample's table lists, the first ones."""
-_VIDEOS = {"rollouts": "Imagined and executed, side by side", "overlays": "Video with the gripper's pose drawn on it"}
+VIDEOS = {"rollouts": "Imagined and executed, side by side", "overlays": "Video with the gripper's pose drawn on it"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -143,7 +143,7 @@ def view_sample(out: Path, row: SampleRow, *, drawn: bool, pictured: bool = True
     file = read_track(track) if viewable and drawn else None
     links = {
         part: relative_link(path, out)
-        for part in ("replays", *_VIDEOS)
+        for part in ("replays", *VIDEOS)
         if (path := artifact_path(out, part, row.id)).is_file()
     }
     peaks = find_peaks(row, file)
@@ -160,7 +160,7 @@ def view_sample(out: Path, row: SampleRow, *, drawn: bool, pictured: bool = True
         checks=find_checks(row.details) if drawn else {},
         details=list(_other_details(row)) if drawn else [],
         replay=links.get("replays") if viewable else None,
-        videos=[(label, links[part]) for part, label in _VIDEOS.items() if part in links],
+        videos=[(label, links[part]) for part, label in VIDEOS.items() if part in links],
         viewable=viewable,
     )
 

@@ -80,15 +80,20 @@ class Aggregate:
         }
 
 
-def aggregate(rows: Sequence[SampleRow], seed: int = 0, run: Sequence[SampleRow] | None = None) -> Aggregate:
+def worst_values(rows: Sequence[SampleRow]) -> dict[str, float | None]:
+    """Return the worst value of each verdict and metric among all rows of a run; None where no value is the worst."""
+    return {name: worst_value(name, _numbers(values)) for name, (values, _) in _columns(rows).items()}
+
+
+def aggregate(rows: Sequence[SampleRow], seed: int = 0, worst: Mapping[str, float | None] | None = None) -> Aggregate:
     """Compute the statistics of a group of rows; the same rows and seed give the same numbers.
 
     Args:
         rows: the group.
         seed: seed of the bootstrap intervals.
-        run: all rows of the run, whose worst values bound the means; None if they are the group.
+        worst: worst values of the run, which bound the means; None if the group is the whole run.
     """
-    worst = {name: worst_value(name, _numbers(values)) for name, (values, _) in _columns(run or rows).items()}
+    worst = worst_values(rows) if worst is None else worst
     counts = Counter(r.status for r in rows)
     return Aggregate(
         status={status: counts[status] for status in Status},
@@ -112,20 +117,21 @@ def _columns(rows: Sequence[SampleRow]) -> dict[str, tuple[list[Json], list[Hash
     """
     columns: dict[str, tuple[list[Json], list[Hashable]]] = {"executable": ([], []), "feasible": ([], [])}
 
-    def add(name: str, value: Json, row: SampleRow) -> None:
+    def add(name: str, value: Json, episode: str) -> None:
         values, episodes = columns.setdefault(name, ([], []))
         values.append(value)
-        episodes.append(row.episode)
+        episodes.append(episode)
 
     judged = any(row.executable is not None for row in rows)
     for row in rows if judged else ():
-        add("executable", row.executable is True, row)
+        add("executable", row.executable is True, row.episode)
     for row in (r for r in rows if r.status is Status.OK):
-        add("feasible", row.feasible, row)
+        episode = row.episode
+        add("feasible", row.feasible, episode)
         extra = {name: row.extra[name] for name in _EXTRA if name in row.extra}
         for name, value in {**row.metrics, **extra}.items():
             if value is None or isinstance(value, bool | int | float):
-                add(name, value, row)
+                add(name, value, episode)
     return columns
 
 

@@ -1,7 +1,7 @@
 """One line of `samples.jsonl`: the result of one sample."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields
 from enum import Enum
 from pathlib import Path
 from types import UnionType
@@ -9,6 +9,7 @@ from typing import Any, cast
 
 from kinebench_drake.errors import InputError
 from kinebench_drake.io.jsonl import finite, intern_text
+from kinebench_drake.results.rowfile import PackedObject, RowLine, StoredObject
 from kinebench_drake.types import Json
 
 
@@ -64,36 +65,39 @@ class SampleRow:
         """Id of the episode, which is that of its first sample."""
         return self.id.removesuffix(sample_suffix(self.sample_index))
 
-    def slim(self) -> "SampleRow":
-        """Return the row with interned, valid text: half as large as one received from a worker process."""
-        return replace(self, **{f.name: intern_text(getattr(self, f.name)) for f in fields(self)})
-
     def to_json(self) -> dict[str, Json]:
-        """Return the JSON object, in a fixed order of keys, without NaN or infinity."""
+        """Return the JSON object, in a fixed order of keys, without NaN, infinity or invalid text."""
         values = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "extra"}
         values["status"] = self.status.value
-        return cast(dict[str, Json], finite({**values, **self.extra}))
+        return cast(dict[str, Json], intern_text(finite({**values, **self.extra})))
 
     @classmethod
-    def from_json(cls, data: object) -> "SampleRow":
+    def from_json(cls, data: object, line: RowLine | None = None) -> "SampleRow":
         """Convert a parsed line; unknown keys go to `extra`.
+
+        Args:
+            data: JSON value.
+            line: its place in a file, from which the row reads on demand what takes most memory; None: it keeps all.
 
         Raises:
             InputError: the object is not a row.
         """
         if not isinstance(data, dict):
             raise InputError(f"expected an object, found {type(data).__name__}")
-        data = cast(dict[str, Any], intern_text(data))
-        names = {f.name for f in fields(cls)} - {"extra"}
-        values = {k: v for k, v in data.items() if k in names}
+        data = cast(dict[str, Any], data)
+        values: dict[str, Any] = {name: intern_text(data[name]) for name in _LABELS if name in data}
         try:
             values["status"] = Status(values["status"])
-            for name in ("violations", "executable_reasons"):
-                values[name] = tuple(values.get(name) or ())
-            for name in ("metrics", "null_reasons", "without_lost", "details"):
-                values[name] = values.get(name) or {}
-            row = cls(**values, extra={k: v for k, v in data.items() if k not in names})
-        except (KeyError, TypeError, ValueError) as error:
+            values["executable_reasons"] = tuple(values.get("executable_reasons") or ())
+            values["violations"] = tuple(map(PackedObject, data.get("violations") or ()))
+            values["metrics"] = PackedObject(data.get("metrics") or {})
+            for name in _STORED:
+                stored = data.get(name) or {}
+                is_object = isinstance(stored, dict)
+                values[name] = StoredObject(line, name) if line and stored and is_object else intern_text(stored)
+            extra = PackedObject({k: v for k, v in data.items() if k not in _NAMES})
+            row = cls(**values, extra=extra)
+        except (AttributeError, KeyError, TypeError, ValueError) as error:
             raise InputError(f"not a row of samples.jsonl ({error})") from None
         for name, kind in _TYPES.items():
             if not isinstance(getattr(row, name), kind):
@@ -111,6 +115,10 @@ def sample_suffix(index: int) -> str:
     return f"_k{index}" if index else ""
 
 
+_STORED = ("null_reasons", "without_lost", "details")
+"""Fields that are read from the file on demand."""
+_NAMES = frozenset(f.name for f in fields(SampleRow)) - {"extra"}
+_LABELS = _NAMES - {"violations", "metrics", *_STORED}
 _TYPES: Mapping[str, type | UnionType] = {
     **dict.fromkeys(("id", "video", "content_hash"), str),
     **dict.fromkeys(("task", "model", "reason"), str | None),

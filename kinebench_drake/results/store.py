@@ -3,12 +3,14 @@
 import fcntl
 import os
 from collections.abc import Callable, Collection, Mapping
+from itertools import accumulate
 from pathlib import Path
 
 from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.io.atomic import disk_errors, remove
-from kinebench_drake.io.jsonl import append_line, dump, read_lines, write_json, write_lines
+from kinebench_drake.io.jsonl import append_line, dump, parse_lines, write_json, write_raw_lines
 from kinebench_drake.results.row import SampleRow
+from kinebench_drake.results.rowfile import RowFile, RowLine
 from kinebench_drake.types import Json
 
 SAMPLES, TIMINGS, RESULTS, REPORT = "samples.jsonl", "timings.jsonl", "results.json", "report.html"
@@ -29,10 +31,32 @@ def read_rows(out: Path) -> dict[str, SampleRow]:
     Raises:
         InputError: a line other than the last is not a row.
     """
+    return read_stored_rows(out)[0]
+
+
+def read_stored_rows(out: Path) -> tuple[dict[str, SampleRow], dict[str, RowLine]]:
+    """Read the rows as `read_rows` does, with the place of each in the file.
+
+    Raises:
+        InputError: a line other than the last is not a row.
+    """
+    path = out / SAMPLES
+    rows: dict[str, SampleRow] = {}
+    lines: dict[str, RowLine] = {}
+    if not path.is_file():
+        return rows, lines
+    file = RowFile(path)
+
+    def parse(data: object, start: int, size: int) -> tuple[SampleRow, RowLine]:
+        line = RowLine(file, start, size)
+        return SampleRow.from_json(data, line), line
+
     try:
-        return {row.id: row for row in read_lines(out / SAMPLES, SampleRow.from_json)}
+        for row, line in parse_lines(path, parse):
+            rows[row.id], lines[row.id] = row, line
     except InputError as error:
         raise InputError(f"{error}; --overwrite removes the earlier results") from None
+    return rows, lines
 
 
 class ResultStore:
@@ -60,7 +84,9 @@ class ResultStore:
                     raise InputError(f"--out {out}: {name} is no file; --overwrite removes it, or name another folder")
             with (out / SAMPLES).open("ab"):
                 pass
-            self.rows = read_rows(out)
+            self.rows, self._lines = read_stored_rows(out)
+            line = next(iter(self._lines.values()), None)
+            self._file = line.file if line else RowFile(out / SAMPLES)
         except OSError as error:
             self.close()
             raise UsageError(f"--out {out}: cannot be written ({error.strerror or error})") from None
@@ -91,7 +117,7 @@ class ResultStore:
             SetupError: writing failed.
         """
         for id in [id for id, row in self.rows.items() if not wanted(row)]:
-            del self.rows[id]
+            del self.rows[id], self._lines[id]
             for kind in ARTIFACTS:
                 with disk_errors(f"{kind}/"):
                     artifact_path(self.out, kind, id).unlink(missing_ok=True)
@@ -125,9 +151,9 @@ class ResultStore:
         Raises:
             SetupError: writing failed; the file is unchanged.
         """
-        row = row.slim()
-        append_line(self.out / SAMPLES, row.to_json())
-        self.rows[row.id] = row
+        data = row.to_json()
+        line = RowLine(self._file, *append_line(self.out / SAMPLES, data))
+        self.rows[row.id], self._lines[row.id] = SampleRow.from_json(data, line), line
         with disk_errors(TIMINGS), (self.out / TIMINGS).open("a") as file:  # may be lost in a power cut
             file.write(dump({"id": row.id, "wall_s": round(wall_s, 4)}))
 
@@ -148,8 +174,26 @@ class ResultStore:
             if folder.is_dir() and not any(folder.iterdir()):
                 folder.rmdir()
 
+    def replace_rows(self, rows: Mapping[str, SampleRow], lines: Mapping[str, RowLine]) -> None:
+        """Replace all rows by rows of other files; `finish` writes them.
+
+        Args:
+            rows: rows by id.
+            lines: the place of each.
+        """
+        self.rows, self._lines = dict(rows), dict(lines)
+
     def _rewrite(self) -> None:
-        write_lines(self.out / SAMPLES, (row.to_json() for row in self.sorted_rows()))
+        """Write the lines of all rows, sorted by id, where the file holds anything else."""
+        lines = [self._lines[id] for id in sorted(self.rows)]
+        ends = [0, *accumulate(line.size for line in lines)]
+        current = all(line.file is self._file and line.start == end for line, end in zip(lines, ends, strict=False))
+        if current and ends[-1] == self._file.size:
+            return
+        write_raw_lines(self.out / SAMPLES, (line.read() for line in lines))
+        self._file = RowFile(self.out / SAMPLES)
+        for line, start in zip(lines, ends, strict=False):
+            line.file, line.start = self._file, start
 
     def _lock_folder(self) -> None:
         try:

@@ -58,7 +58,8 @@ def probe(page, script, profile, width=WIDTH):
     page.write_text(text)
     done = subprocess.run(
         [BROWSER, "--headless", "--no-sandbox", "--disable-gpu", f"--window-size={width},844",
-         "--enable-logging=stderr", f"--user-data-dir={profile}", "--dump-dom", page.as_uri()],
+         "--enable-logging=stderr",
+         "--virtual-time-budget=5000", f"--user-data-dir={profile}", "--dump-dom", page.as_uri()],
         capture_output=True, text=True, timeout=120, check=True,
     )  # fmt: skip
     assert "CONSOLE" not in done.stderr

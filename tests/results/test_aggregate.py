@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from kinebench_drake.results.aggregate import aggregate, estimate_passes
+from kinebench_drake.results.aggregate import aggregate, estimate_passes, worst_values
 from kinebench_drake.results.direction import HIGHER_IS_BETTER, LOWER_IS_BETTER, improves, worst_value
 from kinebench_drake.results.row import SampleRow, Status, sample_suffix
 from kinebench_drake.stats import bootstrap_mean, wilson
@@ -57,8 +57,8 @@ def test_a_null_in_place_of_a_value_never_improves_the_bound(values: list[float]
 
 def test_a_group_is_bounded_by_the_worst_of_its_run() -> None:
     run = [*_rows("sparc", [-2.0, None]), _row("other", metrics={"sparc": -5.0})]
-    assert aggregate(run[:2], run=run).estimates["sparc"].bound == pytest.approx(-3.5)
-    assert aggregate(run[1:2], run=run).estimates["sparc"].bound == -5.0
+    assert aggregate(run[:2], worst=worst_values(run)).estimates["sparc"].bound == pytest.approx(-3.5)
+    assert aggregate(run[1:2], worst=worst_values(run)).estimates["sparc"].bound == -5.0
 
 
 def test_samples_without_a_verdict_are_not_executable() -> None:

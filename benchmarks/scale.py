@@ -1,0 +1,284 @@
+"""A run of very many samples without its measurements: time and memory of everything else, stage by stage.
+
+Inputs, hashes, storage, aggregates, merge and report are the program's; only reading, grounding and judging a video are
+replaced by a row and a track of a template run, its numbers scaled at random.
+"""
+
+import json
+import multiprocessing
+import os
+import re
+import shutil
+import subprocess
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from multiprocessing.connection import Connection
+from pathlib import Path
+from threading import Timer
+from typing import Any
+
+import numpy as np
+
+from benchmarks.markdown import table
+from benchmarks.process import read_memory
+from kinebench_drake.datasets.videos.find import find_samples
+from kinebench_drake.datasets.videos.sample import VideoSample
+from kinebench_drake.errors import KinebenchError, UsageError
+from kinebench_drake.evaluation.config import RunKind
+from kinebench_drake.evaluation.merge import merge_folders
+from kinebench_drake.evaluation.runner import NullRunObserver, run_samples
+from kinebench_drake.evaluation.score import ScoreConfig, VideoEvaluator
+from kinebench_drake.report.page import write_report
+from kinebench_drake.results.metadata import Shard
+from kinebench_drake.results.provenance import host
+from kinebench_drake.results.row import SampleRow, Status
+from kinebench_drake.results.store import REPORT, SAMPLES, artifact_path, read_rows
+
+HEADING = "## A hundred thousand samples"
+"""Heading of the section of the document."""
+BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+_TASKS, _MODELS = 20, 4
+_LINKS = 60_000  # of a file; file systems allow about 65,000
+_FAILURES = {29: (Status.ERROR, "the file holds no frame that can be decoded ({k} bytes)")}
+_FAILURES |= {17: (Status.UNMEASURABLE, "the gripper was found in {k} of 49 frames, a path needs 2")}
+"""One sample of so many has the status and reason; `k` varies."""
+_BROWSER_LIMIT_S = 300
+_PROBE = """<script>
+addEventListener("load", () => setTimeout(async () => {
+  await window.loaded;
+  const filter = document.getElementById("filter"), state = {};
+  const timed = (name, action) => {
+    const start = performance.now();
+    action();
+    document.body.offsetHeight;
+    state[name] = performance.now() - start;
+  };
+  const type = text => { filter.value = text; filter.dispatchEvent(new Event("input")); };
+  document.body.offsetHeight;
+  state.open_ms = performance.now();
+  timed("filter_ms", () => type("task-07 discontinuity"));
+  timed("again_ms", () => type("model-2"));
+  timed("sort_ms", () => document.querySelectorAll("#samples thead button")[3].click());
+  timed("clear_ms", () => type(""));
+  console.log("STATE" + JSON.stringify(state) + "END");
+}, 0));
+</script></body>"""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StageCost:
+    """Cost of one stage, in a process of its own."""
+
+    stage: str
+    wall_s: float
+    cpu_s: float
+    """Processor time of the main process [s]."""
+    memory_mb: float
+    """Peak resident memory of the main process, libraries included [MB]."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ScaleResult:
+    """Measurements of one run."""
+
+    rows: int
+    stages: Sequence[StageCost]
+    samples_mb: float
+    """Size of samples.jsonl [MB]."""
+    report_mb: float
+    """Size of report.html [MB]."""
+    browser_ms: Mapping[str, float]
+    """Times in a headless browser: open, filter, sort [ms]; empty without a browser."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StubEvaluator(VideoEvaluator):
+    """Evaluation that takes rows and files from a finished run in place of measuring videos."""
+
+    template: Path
+    """Output folder with at least one sample of status ok."""
+
+    def setup(self) -> Any:
+        """Read the rows of the template."""
+        return [row for row in read_rows(self.template).values() if row.status is Status.OK]
+
+    def row(self, sample: VideoSample, resources: Any) -> SampleRow:
+        """Return a row of the template under the sample's id, its numbers scaled; link its files."""
+        rng = np.random.default_rng(list(sample.id.encode()))
+        k = int(rng.integers(2**31))
+        for every, (status, reason) in _FAILURES.items():
+            if k % every == 0:
+                return _label(self.failed_row(sample, status, reason.format(k=k % 997)), k)
+        model = resources[k % len(resources)]
+        scale = float(rng.normal(1.0, 0.1))
+        for kind in ("tracks", "thumbnails"):
+            source, target = (
+                artifact_path(self.template, kind, model.id),
+                artifact_path(self.config.out, kind, sample.id),
+            )
+            if source.is_file():
+                target.parent.mkdir(exist_ok=True)
+                target.unlink(missing_ok=True)
+                _link(source, target)
+        metrics = {n: v * scale if isinstance(v, float) else v for n, v in model.metrics.items()}
+        row = replace(model, id=sample.id, video=sample.video, metrics=metrics, content_hash=self.content_hash(sample))
+        return _label(row, k)
+
+
+def _label(row: SampleRow, k: int) -> SampleRow:
+    return replace(row, task=f"Task-{k % _TASKS:02d}", model=f"model-{k // _TASKS % _MODELS}")
+
+
+def _link(source: Path, target: Path) -> None:
+    """Link a file, or copy it where it has too many links."""
+    if source.stat().st_nlink < _LINKS:
+        os.link(source, target)
+    else:
+        shutil.copyfile(source, target)
+
+
+def measure(
+    videos: Path, template: Path, work: Path, *, rows: int, jobs: int, log: Callable[[str], None]
+) -> ScaleResult:
+    """Measure every stage of a run.
+
+    Args:
+        videos: folder of mp4 files that are linked under many names.
+        template: output folder of `score`.
+        work: folder for input and results; must hold neither yet.
+        rows: number of samples.
+        jobs: worker processes.
+        log: receives a line for each stage.
+
+    Raises:
+        UsageError: there is no video, or no sample in the template.
+        KinebenchError: a stage failed.
+    """
+    source, out = work / "videos", work / "results"
+    _link_videos(videos, source, rows)
+    shards = [work / f"shard-{k}" for k in (1, 2)]
+    plan: list[tuple[str, Callable[..., None], tuple[Any, ...]]] = [
+        ("score", _score, (source, template, out, jobs, None)),
+        ("the same command again", _score, (source, template, out, jobs, None)),
+        ("report", write_report, (out,)),
+        *(
+            (f"score, shard {k} of 2", _score, (source, template, shard, jobs, Shard(index=k, count=2)))
+            for k, shard in enumerate(shards, 1)
+        ),
+        ("merge of the shards", _merge, (shards, work / "merged")),
+    ]
+    stages = []
+    for name, action, arguments in plan:
+        stages.append(_run_stage(name, action, arguments))
+        log(f"{name}: {stages[-1].wall_s:.1f} s, {stages[-1].cpu_s:.1f} s of processor, {stages[-1].memory_mb:.0f} MB")
+    return ScaleResult(
+        rows=rows,
+        stages=stages,
+        samples_mb=(out / SAMPLES).stat().st_size / 2**20,
+        report_mb=(out / REPORT).stat().st_size / 2**20,
+        browser_ms=time_in_browser(out / REPORT, work) if BROWSER else {},
+    )
+
+
+def _link_videos(videos: Path, out: Path, count: int) -> None:
+    pieces = sorted(videos.glob("*.mp4"))
+    if not pieces:
+        raise UsageError(f"{videos}: holds no mp4")
+    out.mkdir(parents=True)
+    copies = [shutil.copyfile(piece, out.parent / f".{piece.name}") for piece in pieces]
+    for k in range(count):
+        copy = Path(copies[k % len(copies)])
+        _link(copy, out / f"{copy.stem[1:]}-{k:06d}.mp4")
+
+
+def _score(source: Path, template: Path, out: Path, jobs: int, shard: Shard | None) -> None:
+    config = ScoreConfig(kind=RunKind.SCORE, source=source, out=out, jobs=jobs, shard=shard, frame_period_s=0.2)
+    evaluator = StubEvaluator(config=config, overrides=config.overrides(), template=template)
+    run_samples(find_samples(source, out=out).samples, evaluator, NullRunObserver())
+
+
+def _merge(shards: Sequence[Path], out: Path) -> None:
+    merge_folders(shards, out)
+
+
+def _run_stage(name: str, action: Callable[..., None], arguments: tuple[Any, ...]) -> StageCost:
+    """Run a stage in a new process.
+
+    Raises:
+        KinebenchError: it failed.
+    """
+    context = multiprocessing.get_context("spawn")
+    ours, theirs = context.Pipe()
+    start = time.monotonic()
+    process = context.Process(target=_stage, args=(theirs, action, arguments))
+    process.start()
+    theirs.close()
+    try:
+        cpu_s, memory_mb = ours.recv()
+    except EOFError:
+        process.join()
+        raise KinebenchError(f"{name}: ended with status {process.exitcode}") from None
+    process.join()
+    return StageCost(stage=name, wall_s=time.monotonic() - start, cpu_s=cpu_s, memory_mb=memory_mb)
+
+
+def _stage(pipe: Connection, action: Callable[..., None], arguments: tuple[Any, ...]) -> None:
+    action(*arguments)
+    memory = read_memory(os.getpid(), "VmHWM")
+    pipe.send((time.process_time(), memory.main_mb if memory else float("nan")))
+
+
+def time_in_browser(page: Path, work: Path) -> dict[str, float]:
+    """Open a page in a headless browser; filter and sort its samples. Returns times [ms] and counts.
+
+    Raises:
+        KinebenchError: the page fails.
+    """
+    probe = work / "probe.html"
+    probe.write_text(page.read_text().replace("</body>", _PROBE))
+    options = ["--headless", "--no-sandbox", "--disable-gpu", "--window-size=1300,900", "--enable-logging=stderr"]
+    options += ["--remote-debugging-port=0", f"--user-data-dir={work / 'browser'}"]  # keeps it open
+    process = subprocess.Popen([str(BROWSER), *options, probe.as_uri()], stderr=subprocess.PIPE, text=True)
+    timer = Timer(_BROWSER_LIMIT_S, process.terminate)
+    timer.start()
+    try:
+        for line in process.stderr or ():
+            if state := re.search(r"STATE({.*})END", line):
+                return {name: float(value) for name, value in json.loads(state[1]).items()}
+    finally:
+        timer.cancel()
+        process.terminate()
+        process.wait()
+    raise KinebenchError(f"{page} did not open in the browser within {_BROWSER_LIMIT_S} s")
+
+
+def section(result: ScaleResult) -> str:
+    """Return the section of the document."""
+    machine = host()
+    browser = result.browser_ms
+    opened = (
+        f" In a headless browser it opens in {browser['open_ms'] / 1e3:.1f} s; filtering takes "
+        f"{max(browser['filter_ms'], browser['again_ms'], browser['clear_ms']) / 1e3:.2f} s at most, sorting "
+        f"{browser['sort_ms'] / 1e3:.2f} s."
+        if browser
+        else ""
+    )
+    return "\n".join(
+        [
+            HEADING,
+            "",
+            f"Written by `python -m benchmarks scale` on {machine['cpu']} ({machine['cores']} cores): a run of "
+            f"{result.rows} samples in which only reading, grounding and judging the videos is replaced, by rows and "
+            "tracks of the example videos with scaled numbers. Each stage in a process of its own: wall time, "
+            "processor time and peak resident memory of the main process, libraries included.",
+            "",
+            *table(
+                ("stage", "wall time, s", "processor time, s", "memory, MB"),
+                [[s.stage, f"{s.wall_s:.0f}", f"{s.cpu_s:.0f}", f"{s.memory_mb:.0f}"] for s in result.stages],
+            ),
+            "",
+            f"`samples.jsonl`: {result.samples_mb:.0f} MB. `report.html`: {result.report_mb:.1f} MB.{opened}",
+            "",
+        ]
+    )
