@@ -149,7 +149,11 @@ class Evaluator(ABC, Generic[SampleT, ResourcesT]):
             "sample": [sample.id, sample.video, sample.task, sample.model],
             **self.cache_key(sample),
         }
-        digest = hashlib.sha256(dump(finite(key)).encode())  # labels of a broken sample may be NaN
+        try:
+            text = dump(key)
+        except ValueError:  # labels of a broken sample may be NaN
+            text = dump(finite(key))
+        digest = hashlib.sha256(text.encode())
         for file in (*self.input_files(sample), *(robot_files(robot.urdf) if robot.urdf else ())):
             digest.update(file.name.encode(errors="surrogateescape") + b"\0" + _digest(file))
         return digest.hexdigest()

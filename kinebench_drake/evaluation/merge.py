@@ -13,6 +13,7 @@ from kinebench_drake.evaluation.runner import NullRunObserver, RunObserver, RunS
 from kinebench_drake.io.atomic import atomic_path, write_atomically
 from kinebench_drake.io.jsonl import dump
 from kinebench_drake.report.sample import worst_samples
+from kinebench_drake.results.aggregate import RunStatistics
 from kinebench_drake.results.metadata import RunMetadata, read_metadata
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.results.rowfile import RowLine
@@ -97,8 +98,9 @@ def merge_folders(folders: Sequence[Path], out: Path, observer: RunObserver | No
         store.keep_artifacts("replays", replays)
         write_atomically(out / TIMINGS, _merge_timings(shards, samples).encode())
         store.replace_rows({id: s.row for id, s in samples.items()}, {id: s.line for id, s in samples.items()})
-        store.finish(summarize(store.sorted_rows(), run))
-        return close_run(store, RunKind(run.kind), run.bootstrap_seed)
+        statistics = RunStatistics.of(store.rows.values(), run.bootstrap_seed)
+        store.finish(summarize(store.sorted_rows(), run, statistics))
+        return close_run(store, RunKind(run.kind), run.bootstrap_seed, statistics)
 
 
 def _read_shard(path: Path) -> ShardFolder:

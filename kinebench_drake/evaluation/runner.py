@@ -20,7 +20,7 @@ from kinebench_drake.executors.progress import Observer
 from kinebench_drake.io.atomic import disk_errors
 from kinebench_drake.io.jsonl import as_object
 from kinebench_drake.report.sample import worst_samples
-from kinebench_drake.results.aggregate import Estimate, aggregate, estimate, normalize_run, split_rows, worst_values
+from kinebench_drake.results.aggregate import Estimate, RunStatistics, estimate, normalize_run
 from kinebench_drake.results.inputs import list_inputs
 from kinebench_drake.results.metadata import RunMetadata
 from kinebench_drake.results.provenance import code_hash, host, versions, weights_hash
@@ -100,10 +100,11 @@ def run_samples(
             worst = worst_samples(store.rows.values(), partial(artifact_path, store.out, "tracks"), config.replays or 0)
             if config.replays is not None:
                 store.keep_artifacts("replays", worst)
-            store.finish(summarize(store.sorted_rows(), metadata))
+            statistics = RunStatistics.of(store.rows.values(), config.seed)
+            store.finish(summarize(store.sorted_rows(), metadata, statistics))
             if worst:
                 _replay(config, worst, observer)
-            return close_run(store, config.kind, config.seed)
+            return close_run(store, config.kind, config.seed, statistics)
 
 
 def _graceful(executor: Executor, observer: RunObserver) -> AbstractContextManager[threading.Event]:
@@ -125,8 +126,14 @@ def _start_worker(evaluator: Evaluator[SampleT, ResourcesT]) -> Callable[[Sample
     return SampleWorker(evaluator, evaluator.setup())
 
 
-def close_run(store: ResultStore, kind: RunKind, seed: int) -> RunSummary:
+def close_run(store: ResultStore, kind: RunKind, seed: int, statistics: RunStatistics) -> RunSummary:
     """Write the report of a finished output folder and return its summary.
+
+    Args:
+        store: the folder.
+        kind: kind of the run.
+        seed: seed of the bootstrap intervals.
+        statistics: statistics of its rows with this seed.
 
     Raises:
         SetupError: writing failed.
@@ -137,7 +144,7 @@ def close_run(store: ResultStore, kind: RunKind, seed: int) -> RunSummary:
         from kinebench_drake.report.page import write_report
 
         with disk_errors(REPORT):
-            report = write_report(store.out, rows)
+            report = write_report(store.out, rows, statistics)
     measured = [r for r in rows if r.status is Status.OK]
     runs = [r.episode for r in rows]
     executable = estimate([r.executable is True for r in rows], total=len(rows), seed=seed, episodes=runs)
@@ -174,18 +181,12 @@ def run_metadata(config: RunConfig, samples_found: int) -> RunMetadata:
     )
 
 
-def summarize(rows: Sequence[SampleRow], metadata: RunMetadata) -> dict[str, Json]:
+def summarize(rows: Sequence[SampleRow], metadata: RunMetadata, statistics: RunStatistics) -> dict[str, Json]:
     """Return the content of `results.json`."""
-    seed, worst = metadata.bootstrap_seed, worst_values(rows)
-
-    def groups(key: str) -> dict[str, Json]:
-        return {name: aggregate(group, seed, worst).to_json() for name, group in split_rows(rows, key).items()}
-
     return metadata.to_json(
         {
-            "aggregates": aggregate(rows, seed, worst).to_json(),
-            "per_task": groups("task"),
-            "per_model": groups("model"),
+            "aggregates": statistics.total.to_json(),
+            **{f"per_{key}": {n: a.to_json() for n, a in own.items()} for key, own in statistics.groups.items()},
             "normalization": normalize_run(rows),
             "inputs": list_inputs(rows),
         }

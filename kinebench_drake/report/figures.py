@@ -17,7 +17,7 @@ from kinebench_drake.report.sample import VERDICTS, badness, verdict_of
 from kinebench_drake.report.table import format_csv
 from kinebench_drake.report.timeline import LEGEND, FaultLane, anomalies_of, fault_lanes, frame_count
 from kinebench_drake.results.aggregate import VERDICTS as VERDICT_SHARES
-from kinebench_drake.results.aggregate import Estimate, aggregate
+from kinebench_drake.results.aggregate import Estimate, RunStatistics
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.results.store import artifact_path, read_rows
 from kinebench_drake.results.trackfile import read_track
@@ -158,8 +158,8 @@ def write_figures(out: Path) -> Path:
         SetupError: writing failed.
     """
     rows, results = sorted(read_rows(out).values(), key=badness), read_results(out)
-    seed = bootstrap_seed(results)
-    folder, total = out / "figures", aggregate(rows, seed)
+    statistics = RunStatistics.of(rows, bootstrap_seed(results))
+    folder, total = out / "figures", statistics.total
     histograms = count_metrics(rows, total, layout_of(results))
     faults = [_find_faults(out, row) for row in rows]
 
@@ -189,7 +189,7 @@ def write_figures(out: Path) -> Path:
         ),
     )
     for key in ("task", "model"):
-        groups = group_rows(rows, key, seed)
+        groups = group_rows(rows, key, statistics)
         if groups:
             lines = (
                 (g.name, g.total.total, g.total.status[Status.OK], name, *_estimate_cells(estimate))

@@ -29,7 +29,7 @@ from kinebench_drake.report.sample import (
 from kinebench_drake.report.table import format_bound, format_interval, format_value
 from kinebench_drake.report.timeline import anomalies_of
 from kinebench_drake.results.aggregate import VERDICTS as VERDICT_SHARES
-from kinebench_drake.results.aggregate import Aggregate, aggregate, split_rows, worst_values
+from kinebench_drake.results.aggregate import Aggregate, RunStatistics, split_rows
 from kinebench_drake.results.inputs import input_lines
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.results.store import REPORT, RESULTS, read_rows
@@ -57,36 +57,38 @@ class SampleGroup:
     """Samples of each verdict that occurs, the worst verdict first."""
 
 
-def write_report(out: Path, rows: Iterable[SampleRow] | None = None) -> Path:
+def write_report(out: Path, rows: Iterable[SampleRow] | None = None, statistics: RunStatistics | None = None) -> Path:
     """Write `report.html` from the rows and files of an output folder; the same folder gives the same bytes.
 
     Args:
         out: the folder.
         rows: its rows; None: they are read.
+        statistics: their statistics; None: they are computed.
 
     Raises:
         InputError: the folder's files are broken.
         SetupError: writing failed.
     """
     path = out / REPORT
-    write_atomically(path, build_page(out, rows).encode())
+    write_atomically(path, build_page(out, rows, statistics).encode())
     return path
 
 
-def build_page(out: Path, rows: Iterable[SampleRow] | None = None) -> str:
+def build_page(out: Path, rows: Iterable[SampleRow] | None = None, statistics: RunStatistics | None = None) -> str:
     """Build the html of an output folder's report.
 
     Args:
         out: the folder.
         rows: its rows; None: they are read.
+        statistics: their statistics; None: they are computed.
 
     Raises:
         InputError: the folder's files are broken.
     """
     rows = sorted(read_rows(out).values() if rows is None else rows, key=badness)
     results = read_results(out)
-    seed = bootstrap_seed(results)
-    total = aggregate(rows, seed)
+    statistics = statistics or RunStatistics.of(rows, bootstrap_seed(results))
+    total = statistics.total
     layout = layout_of(results)
     worst, best = _choose_gallery(out, rows)
     large = {row.id for row in (*worst, *best)}
@@ -118,7 +120,7 @@ def build_page(out: Path, rows: Iterable[SampleRow] | None = None) -> str:
             for m in (*BY_NAME.values(), *_other_metrics(total))
             if _is_measured(total, m.name)
         ],
-        groups=[(key, groups) for key in ("task", "model") if (groups := group_rows(rows, key, seed))],
+        groups=[(key, groups) for key in ("task", "model") if (groups := group_rows(rows, key, statistics))],
         histograms=[draw_histogram(h, VERDICTS) for h in count_metrics(rows, total, layout)],
         gallery=[
             (title, [views[row.id] for row in chosen]) for title, chosen in (("Worst", worst), ("Best", best)) if chosen
@@ -173,13 +175,13 @@ def bootstrap_seed(results: Mapping[str, Json]) -> int:
     return seed if isinstance(seed, int) else 0
 
 
-def group_rows(rows: Sequence[SampleRow], key: str, seed: int = 0) -> list[SampleGroup]:
+def group_rows(rows: Sequence[SampleRow], key: str, statistics: RunStatistics) -> list[SampleGroup]:
     """Group rows by `task` or `model`, sorted by name; rows without one are left out."""
-    groups, worst = [], worst_values(rows)
+    groups = []
     for name, group in split_rows(rows, key).items():
         verdicts = Counter(map(verdict_of, group))
         counts = {verdict: verdicts[verdict] for verdict in VERDICTS if verdict in verdicts}
-        groups.append(SampleGroup(name=name, total=aggregate(group, seed, worst), verdicts=counts))
+        groups.append(SampleGroup(name=name, total=statistics.groups[key][name], verdicts=counts))
     return groups
 
 

@@ -110,6 +110,29 @@ def aggregate(rows: Sequence[SampleRow], seed: int = 0, worst: Mapping[str, floa
     )
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunStatistics:
+    """Statistics of a run, whatever the order of its rows."""
+
+    total: Aggregate
+    """All samples."""
+    groups: Mapping[str, Mapping[str, Aggregate]]
+    """Samples of each task under "task", of each model under "model"."""
+
+    @classmethod
+    def of(cls, rows: Iterable[SampleRow], seed: int = 0) -> "RunStatistics":
+        """Compute the statistics; `seed` is that of the bootstrap intervals."""
+        ordered = sorted(rows, key=lambda row: row.id)
+        worst = worst_values(ordered)
+        return cls(
+            total=aggregate(ordered, seed, worst),
+            groups={
+                key: {name: aggregate(group, seed, worst) for name, group in split_rows(ordered, key).items()}
+                for key in ("task", "model")
+            },
+        )
+
+
 def _columns(rows: Sequence[SampleRow]) -> dict[str, tuple[list[Json], list[Hashable]]]:
     """Return the values of verdicts and metrics by name, and their episodes.
 

@@ -12,6 +12,7 @@ from kinebench_drake.evaluation.config import RunKind
 from kinebench_drake.evaluation.merge import _copy, merge_folders
 from kinebench_drake.evaluation.runner import NullRunObserver, close_run, summarize
 from kinebench_drake.geometry import make_pose
+from kinebench_drake.results.aggregate import RunStatistics
 from kinebench_drake.results.metadata import RunMetadata, read_metadata
 from kinebench_drake.results.row import SampleRow, Status
 from kinebench_drake.results.store import ResultStore, artifact_path, read_rows
@@ -58,13 +59,14 @@ def fill(out, facts, rows, *, finished=True, replays=99):
                 _write_files(out, row.id)
             store.append(row, 1.5)
         if finished:
-            store.finish(summarize(store.sorted_rows(), facts))
+            statistics = RunStatistics.of(store.rows.values(), facts.bootstrap_seed)
+            store.finish(summarize(store.sorted_rows(), facts, statistics))
             worst = [row.id for row in sorted(store.rows.values(), key=lambda r: (r.feasible is True, r.id))][:replays]
             for id in worst:
                 artifact_path(out, "replays", id).parent.mkdir(exist_ok=True)
                 (out / "replays").mkdir(exist_ok=True)
                 artifact_path(out, "replays", id).write_text(f"replay {id}")
-            close_run(store, RunKind(facts.kind), 3)
+            close_run(store, RunKind(facts.kind), 3, statistics)
     return out
 
 

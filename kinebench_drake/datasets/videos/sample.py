@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from enum import Enum
+from functools import cache
 from pathlib import Path
 
 from kinebench_drake.camera import Camera, benchmark_camera
@@ -62,6 +63,7 @@ class VideoSamples:
     warnings: tuple[str, ...] = ()
 
 
+@cache
 def default_camera() -> tuple[Camera, CameraSource]:
     """Return the camera of samples that have none of their own, and its source."""
     return benchmark_camera(), CameraSource.BENCHMARK
