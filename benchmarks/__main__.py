@@ -1,76 +1,30 @@
 """`python -m benchmarks`: validation studies and benchmarks."""
 
 import math
-import os
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from functools import partial
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import click
 
-from benchmarks.markdown import replace_section
-from kinebench_drake.errors import KinebenchError, UsageError
+from benchmarks import speed
+from benchmarks.options import (
+    COUNT,
+    EXISTING_FILE,
+    EXISTING_FOLDER,
+    FILE,
+    FOLDER,
+    errors,
+    jobs_option,
+    log,
+    one_thread,
+    out_option,
+    write_section,
+)
+from kinebench_drake.errors import KinebenchError
 from kinebench_drake.io.atomic import write_atomically
 from kinebench_drake.io.jsonl import dump, finite
 from kinebench_drake.types import AnomalyKind
 
-EXAMPLES = Path("examples/videos")
 KINDS = tuple(kind.value for kind in AnomalyKind)
-
-_FOLDER = click.Path(path_type=Path, file_okay=False)
-_FILE = click.Path(path_type=Path, dir_okay=False)
-_EXISTING_FILE = click.Path(path_type=Path, dir_okay=False, exists=True)
-_EXISTING_FOLDER = click.Path(path_type=Path, file_okay=False, exists=True)
-_COUNT = click.IntRange(min=1)
-
-_out = click.option(
-    "--out", type=click.Path(path_type=Path, dir_okay=False, exists=True), help="Markdown page to write a section into."
-)
-_work = click.option("--work", type=_FOLDER, help="Empty folder for input and results, which are kept.")
-_jobs = click.option("--jobs", type=_COUNT, default=1, show_default=True, help="Worker processes.")
-_log = partial(click.echo, err=True)
-
-
-@contextmanager
-def _errors() -> Iterator[None]:
-    """Turn errors of the package into errors of the command line."""
-    try:
-        yield
-    except UsageError as error:
-        raise click.UsageError(str(error)) from None
-    except KinebenchError as error:
-        raise click.ClickException(str(error)) from None
-
-
-def _write_section(out: Path | None, text: str) -> None:
-    """Print a section and write it into a page."""
-    click.echo(text)
-    if out is not None:
-        out.write_text(replace_section(out.read_text(), text))
-
-
-@contextmanager
-def _work_folder(work: Path | None) -> Iterator[Path]:
-    if work is not None:
-        work.mkdir(parents=True, exist_ok=True)
-        yield work
-    else:
-        with TemporaryDirectory() as folder:
-            yield Path(folder)
-
-
-def _measure_in(work: Path | None, out: Path | None, measure: Callable[[Path], str]) -> None:
-    """Measure in a folder, then print and write the section."""
-    with _errors(), _work_folder(work) as folder:
-        text = measure(folder)
-    _write_section(out, text)
-
-
-def _one_thread() -> None:
-    """Let numeric libraries use one thread; to be called before NumPy is loaded."""
-    os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"))
 
 
 @click.group(
@@ -83,127 +37,8 @@ def main() -> None:
     """Validation studies and benchmarks; each command has an example."""
 
 
-@main.command(epilog="\b\nExample:\n  python -m benchmarks ik --out docs/benchmarks.md")
-@_out
-@click.option("--repeats", type=_COUNT, default=9, show_default=True, help="Turns of each solver.")
-def ik(out: Path | None, repeats: int) -> None:
-    """Compare inverse kinematics with that of other packages.
-
-    Packages that are not installed are listed as such: pip install 'kinebench-drake[bench]' installs them.
-    """
-    _one_thread()
-    from benchmarks.ik import compare_ik, section
-
-    with _errors():
-        text = section(compare_ik(repeats=repeats, log=_log))
-    _write_section(out, text)
-
-
-@main.command(epilog="\b\nExample:\n  python -m benchmarks audit --out docs/benchmarks.md")
-@_out
-@click.option("--tracks", type=_COUNT, default=1000, show_default=True, help="Tracks without optimisation.")
-@click.option("--audits", type=_COUNT, default=200, show_default=True, help="Whole audits.")
-def audit(out: Path | None, tracks: int, audits: int) -> None:
-    """Measure the speed of the audit in one process."""
-    _one_thread()
-    from benchmarks.audit import measure, section
-
-    with _errors():
-        text = section(measure(tracks=tracks, audits=audits, log=_log))
-    _write_section(out, text)
-
-
-@main.command(epilog="\b\nExample:\n  python -m benchmarks throughput --out docs/benchmarks.md")
-@_out
-@_work
-@click.option(
-    "--video", type=click.Path(path_type=Path, dir_okay=False, exists=True),
-    default=EXAMPLES / "StackCube-v1_s0010_unseen.mp4", show_default=True, help="Video whose copies are scored.",
-)  # fmt: skip
-@click.option("--count", type=click.IntRange(3), default=12, show_default=True, help="Copies of the video.")
-@click.option("--tracks", type=click.IntRange(3), default=200, show_default=True, help="Trajectories audited.")
-@click.option("--turns", type=_COUNT, default=3, show_default=True, help="Runs of each setting.")
-def throughput(out: Path | None, work: Path | None, video: Path, count: int, tracks: int, turns: int) -> None:
-    """Measure runs of score and audit with one and two processes, and on the GPU if there is one."""
-    import torch
-
-    from benchmarks.throughput import measure, section
-
-    def run(folder: Path) -> str:
-        gpu = torch.cuda.is_available()
-        costs = measure(video, folder, videos=count, tracks=tracks, turns=turns, gpu=gpu, log=_log)
-        return section(costs, videos=count, tracks=tracks)
-
-    _measure_in(work, out, run)
-
-
-@main.command(epilog="\b\nExample:\n  python -m benchmarks streaming --out docs/benchmarks.md")
-@_out
-@_work
-@click.option("--videos", type=_EXISTING_FOLDER, default=EXAMPLES, show_default=True, help="Folder of mp4 files.")
-@click.option("--samples", type=click.IntRange(80), default=2000, show_default=True, help="Videos scored.")
-@click.option("--frames", type=click.IntRange(2), default=4, show_default=True, help="Frames of each video.")
-@click.option("--jobs", type=_COUNT, default=2, show_default=True, help="Worker processes.")
-def streaming(out: Path | None, work: Path | None, videos: Path, samples: int, frames: int, jobs: int) -> None:
-    """Score very many short videos; measure memory, the report and a second run."""
-    from benchmarks.streaming import measure, section
-
-    options = {"samples": samples, "frames": frames, "jobs": jobs}
-    _measure_in(work, out, lambda folder: section(measure(videos, folder, log=_log, **options)))
-
-
-@main.command(epilog="\b\nExample:\n  python -m benchmarks scale --rows 100000 --out docs/benchmarks.md")
-@_out
-@_work
-@click.option("--videos", type=_EXISTING_FOLDER, default=EXAMPLES, show_default=True, help="Folder of mp4 files.")
-@click.option("--template", type=_EXISTING_FOLDER, help="Output folder of `score` of them.  [default: made first]")
-@click.option("--rows", type=click.IntRange(10), default=100_000, show_default=True, help="Samples.")
-@click.option("--jobs", type=_COUNT, default=2, show_default=True, help="Worker processes.")
-def scale(out: Path | None, work: Path | None, videos: Path, template: Path | None, rows: int, jobs: int) -> None:
-    """Measure time and memory of a run of very many samples whose measurements are replaced."""
-    from benchmarks.process import run_program
-    from benchmarks.scale import measure, section
-
-    def run(folder: Path) -> str:
-        model = template or folder / "template"
-        if template is None:
-            run_program(["score", str(videos), "--out", str(model), "--replays", "0", "--frame-period", "0.2"])
-        return section(measure(videos, model, folder, rows=rows, jobs=jobs, log=_log))
-
-    _measure_in(work, out, run)
-
-
-@main.command(epilog="\b\nExample:\n  python -m benchmarks cluster --out docs/cluster.md")
-@_out
-@_work
-@click.option(
-    "--videos", type=click.Path(path_type=Path, exists=True), default=EXAMPLES / "manifest.jsonl", show_default=True,
-    help="Videos scored.",
-)  # fmt: skip
-@click.option(
-    "--tasks", default="PullCube-v1,OpenDrawer-v1", show_default=True, help="Tasks of the suite run.", metavar="A,B"
-)
-@click.option("--episodes", type=_COUNT, default=2, show_default=True, help="Episodes of each task.", metavar="K")
-def cluster(out: Path | None, work: Path | None, videos: Path, tasks: str, episodes: int) -> None:
-    """Score and run a suite on a Ray cluster of two local nodes, kill a worker, and compare with local runs."""
-    from benchmarks.cluster import SUITE, compare_runs, section
-
-    suite = ["suite", "run", *SUITE, "--tasks", tasks, "--episodes", str(episodes)]
-    commands = [["score", str(videos), "--overlay"], suite]
-    _measure_in(work, out, lambda folder: section(compare_runs(commands, folder, _log)))
-
-
-@main.command(epilog="\b\nExample:\n  python -m benchmarks simulation --out docs/benchmarks.md")
-@_out
-@click.option("--tasks", help="Tasks, comma-separated.  [default: all]", metavar="A,B")
-def simulation(out: Path | None, tasks: str | None) -> None:
-    """Measure the speed of environments, rendering and demonstrations."""
-    from benchmarks.simulation import measure
-    from kinebench_drake.suites.tasks.registry import TASKS
-
-    with _errors():
-        text = measure(list(TASKS) if tasks is None else tasks.split(","))
-    _write_section(out, text)
+for command in speed.COMMANDS:
+    main.add_command(command)
 
 
 @main.command(
@@ -211,8 +46,8 @@ def simulation(out: Path | None, tasks: str | None) -> None:
     "  kinebench-drake suite demos --suite 2 --split unseen --episodes 5 --out heldout\n"
     "  python -m benchmarks calibration heldout --limit 20",
 )
-@click.argument("folder", type=_EXISTING_FOLDER)
-@click.option("--limit", type=_COUNT, help="Maximum number of videos, tasks in turn.", metavar="N")
+@click.argument("folder", type=EXISTING_FOLDER)
+@click.option("--limit", type=COUNT, help="Maximum number of videos, tasks in turn.", metavar="N")
 @click.option(
     "--frames", type=click.IntRange(min=4), default=12, show_default=True, help="Frames a video.", metavar="N"
 )
@@ -224,7 +59,7 @@ def simulation(out: Path | None, tasks: str | None) -> None:
     help="Keep the middle of each image only, this share of its sides: a longer focal length.",
 )
 @click.option("--quick", is_flag=True, help="Only with the joint angles of all frames.")
-@click.option("--json", "json_out", type=_FILE, help="All figures, as JSON.")
+@click.option("--json", "json_out", type=FILE, help="All figures, as JSON.")
 def calibration(folder: Path, limit: int | None, frames: int, part: float, quick: bool, json_out: Path | None) -> None:
     """Calibrate the cameras of rendered videos with all kinds of prior information about the robot."""
     from benchmarks.calibration import CONDITIONS, measure, trial_table
@@ -232,11 +67,11 @@ def calibration(folder: Path, limit: int | None, frames: int, part: float, quick
 
     conditions = [c for c in CONDITIONS if c.method is CalibrationMethod.JOINTS] if quick else CONDITIONS
     trials = []
-    with _errors():
+    with errors():
         for trial in measure(folder, limit=limit, frames=frames, part=part, conditions=conditions):
             trials.append(trial)
             if trial.condition == conditions[-1]:
-                _log(trial.clip)
+                log(trial.clip)
         if json_out is not None:
             write_atomically(json_out, dump(finite([trial.to_json() for trial in trials]), indent=1).encode())
     for line in trial_table(trials):
@@ -244,10 +79,10 @@ def calibration(folder: Path, limit: int | None, frames: int, part: float, quick
 
 
 @main.command(epilog="\b\nExample:\n  python -m benchmarks causes --episodes 5 --jobs 2")
-@click.option("--episodes", type=_COUNT, default=5, show_default=True, help="Episodes of each task.", metavar="K")
+@click.option("--episodes", type=COUNT, default=5, show_default=True, help="Episodes of each task.", metavar="K")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="First seed.")
-@click.option("--limit", type=_COUNT, help="Run the first N cases only.", metavar="N")
-@_jobs
+@click.option("--limit", type=COUNT, help="Run the first N cases only.", metavar="N")
+@jobs_option
 def causes(episodes: int, seed: int, limit: int | None, jobs: int) -> None:
     """Run episodes in closed loop with one planted cause of failure each, and compare with the verdicts."""
     from benchmarks.causes import cause_cases, cause_table, run_cases
@@ -259,7 +94,7 @@ def causes(episodes: int, seed: int, limit: int | None, jobs: int) -> None:
     specs = [spec for task in suite.tasks_of(split) for spec in suite.specs(split, task, episodes, offset=seed)]
     cases = cause_cases(specs)[:limit]
     with (
-        _errors(),
+        errors(),
         click.progressbar(run_cases(create_executor(ExecutorKind.LOCAL, jobs), cases), length=len(cases)) as results,
     ):
         ordered = sorted(results, key=lambda r: (r.case.spec.id, r.case.planted.name))
@@ -268,14 +103,14 @@ def causes(episodes: int, seed: int, limit: int | None, jobs: int) -> None:
 
 
 @main.command(epilog="\b\nExample:\n  python -m benchmarks loss --count 1000 --jobs 2")
-@click.option("--count", type=_COUNT, default=1000, show_default=True, help="Random tracks.", metavar="N")
+@click.option("--count", type=COUNT, default=1000, show_default=True, help="Random tracks.", metavar="N")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
-@_jobs
+@jobs_option
 def loss(count: int, seed: int, jobs: int) -> None:
     """Replace frames of random tracks by lost or unreachable ones; exit status 1 if a number improves."""
     from benchmarks.loss import loss_table, run_trials
 
-    with _errors(), click.progressbar(run_trials(count, seed, jobs), length=count) as trials:
+    with errors(), click.progressbar(run_trials(count, seed, jobs), length=count) as trials:
         ordered = sorted(trials, key=lambda trial: trial.index)
     for line in loss_table(ordered):
         click.echo(line)
@@ -291,10 +126,10 @@ def validity() -> None:
 @validity.command(
     name="measure", epilog="\b\nExample:\n  python -m benchmarks validity measure --work validity --jobs 2"
 )
-@click.option("--work", type=_FOLDER, required=True, help="Folder of videos and results; an earlier run is resumed.")
-@click.option("--episodes", type=_COUNT, default=40, show_default=True, help="Clean episodes, tasks in turn.")
+@click.option("--work", type=FOLDER, required=True, help="Folder of videos and results; an earlier run is resumed.")
+@click.option("--episodes", type=COUNT, default=40, show_default=True, help="Clean episodes, tasks in turn.")
 @click.option("--sizes", type=click.IntRange(1, 3), default=3, show_default=True, help="Sizes of each kind of fault.")
-@_jobs
+@jobs_option
 def validity_measure(work: Path, episodes: int, sizes: int, jobs: int) -> None:
     """Render episodes without and with planted faults, score the videos and execute their tracks.
 
@@ -304,7 +139,7 @@ def validity_measure(work: Path, episodes: int, sizes: int, jobs: int) -> None:
     from kinebench_drake.cli.run import ProgressView
 
     work.mkdir(parents=True, exist_ok=True)
-    with _errors(), ProgressView("steps") as view:
+    with errors(), ProgressView("steps") as view:
         measure(work, episodes, sizes, jobs, view)
     click.echo(work)
 
@@ -312,17 +147,17 @@ def validity_measure(work: Path, episodes: int, sizes: int, jobs: int) -> None:
 @validity.command(
     name="report", epilog="\b\nExample:\n  python -m benchmarks validity report validity --out docs/validity.md"
 )
-@click.argument("work", type=_EXISTING_FOLDER)
-@_out
+@click.argument("work", type=EXISTING_FOLDER)
+@out_option
 def validity_report(work: Path, out: Path | None) -> None:
     """Print the tables of the study in the folder WORK, and write tables and figures into a page."""
     from benchmarks.validity import read_study
     from benchmarks.validity_report import write_report
 
-    with _errors():
+    with errors():
         sections = write_report(*read_study(work), work if out is None else out.parent)
     for text in sections:
-        _write_section(out, text)
+        write_section(out, text)
 
 
 @main.group()
@@ -333,14 +168,14 @@ def trajectories() -> None:
 @trajectories.command(
     epilog="\b\nExample:\n  python -m benchmarks trajectories make --out tracks --kind feasible --count 1000",
 )
-@click.option("--out", type=_FOLDER, required=True, help="Folder; created if absent.")
+@click.option("--out", type=FOLDER, required=True, help="Folder; created if absent.")
 @click.option(
     "--kind",
     type=click.Choice(["feasible", "infeasible", "perturbed", "noisy"]),
     required=True,
     help="Feasible motions (also with noise), planted faults, or random disturbances.",
 )
-@click.option("--count", type=_COUNT, default=1000, show_default=True, metavar="N")
+@click.option("--count", type=COUNT, default=1000, show_default=True, metavar="N")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
 @click.option(
     "--noise-mm",
@@ -348,7 +183,7 @@ def trajectories() -> None:
     default=0.0,
     help="Noise of `noisy`: standard deviation along each axis [mm]; half as many degrees about each.",
 )
-@_jobs
+@jobs_option
 def make(out: Path, kind: str, count: int, seed: int, noise_mm: float, jobs: int) -> None:
     """Draw trajectories and write them as npz files, with truth.jsonl."""
     from benchmarks.trajectory_sets import Recipe, TrajectorySet, write_set
@@ -357,7 +192,7 @@ def make(out: Path, kind: str, count: int, seed: int, noise_mm: float, jobs: int
         raise click.UsageError(f"--noise-mm goes with --kind noisy, found --kind {kind}")
     noise_rad = math.radians(0.5 * noise_mm)
     recipe = Recipe(set=TrajectorySet(kind), seed=seed, noise_m=1e-3 * noise_mm, noise_rad=noise_rad)
-    with _errors(), click.progressbar(write_set(recipe, count, out, jobs=jobs), length=count, label=kind) as truths:
+    with errors(), click.progressbar(write_set(recipe, count, out, jobs=jobs), length=count, label=kind) as truths:
         for _ in truths:
             pass
     click.echo(out)
@@ -365,14 +200,14 @@ def make(out: Path, kind: str, count: int, seed: int, noise_mm: float, jobs: int
 
 @trajectories.command(epilog="\b\nExample:\n  python -m benchmarks trajectories check results tracks")
 @click.argument("results", type=click.Path(path_type=Path, exists=True))
-@click.argument("tracks", type=_EXISTING_FOLDER)
+@click.argument("tracks", type=EXISTING_FOLDER)
 @click.option("--json", "as_json", is_flag=True, help="As JSON.")
 def check(results: Path, tracks: Path, as_json: bool) -> None:
     """Compare an audit's output folder RESULTS with the ground truth in the folder TRACKS."""
     from benchmarks.check import compare, read_rows, summary_table
     from benchmarks.trajectory import TRUTH, read_truths
 
-    with _errors():
+    with errors():
         summaries = compare(read_rows(results), read_truths(tracks / TRUTH))
     click.echo(dump([s.to_json() for s in summaries], indent=2) if as_json else summary_table(summaries))
 
@@ -384,12 +219,12 @@ def check(results: Path, tracks: Path, as_json: bool) -> None:
     "  python -m benchmarks planted-videos --out jumps --tasks StackCube-v1 --seeds 0:5 --kinds teleport "
     "--sizes 0.03,0.05",
 )
-@click.option("--out", type=_FOLDER, required=True, help="Folder to write to.")
+@click.option("--out", type=FOLDER, required=True, help="Folder to write to.")
 @click.option("--tasks", metavar="A,B", help="Tasks, comma-separated.  [default: all]")
 @click.option("--seeds", default="0:1", show_default=True, help="Seeds: 7, 0:5 (end excluded), 0:5,9.")
 @click.option("--suite", type=click.IntRange(0, 3), metavar="N", help="Use a suite's episodes instead of --seeds.")
 @click.option("--split", default="test", show_default=True, help="Split of the suite.")
-@click.option("--episodes", type=_COUNT, default=1, show_default=True, help="Episodes of each task.")
+@click.option("--episodes", type=COUNT, default=1, show_default=True, help="Episodes of each task.")
 @click.option("--seed", "first", type=click.IntRange(0), default=0, show_default=True, help="First seed of the split.")
 @click.option("--robot", type=click.Choice(["panda", "panda_wristcam"]), default="panda", show_default=True)
 @click.option("--with-depth", is_flag=True, help="Keep depth and gripper masks in truth/ (some MB a video).")
@@ -397,11 +232,9 @@ def check(results: Path, tracks: Path, as_json: bool) -> None:
 @click.option(
     "--sizes", default="all", show_default=True, help="all, gated (must be detected), or numbers for one kind."
 )
-@click.option(
-    "--each", type=_COUNT, metavar="N", help="Each fault N times, on the episodes in turn.  [default: on all]"
-)
+@click.option("--each", type=COUNT, metavar="N", help="Each fault N times, on the episodes in turn.  [default: on all]")
 @click.option("--crf", type=click.IntRange(0, 51), default=16, show_default=True, help="H.264 quality, 0 is lossless.")
-@_jobs
+@jobs_option
 def planted_videos(
     out: Path,
     tasks: str | None,
@@ -429,7 +262,7 @@ def planted_videos(
     )
     from kinebench_drake.suites.faults.fault import choose
 
-    with _errors():
+    with errors():
         grades = choose(parse_kinds(kinds), sizes)
         specs = choose_episodes(tasks, seeds, suite, split, episodes, first)
     orders = [
@@ -445,11 +278,11 @@ def planted_videos(
     ]
     (out / "truth").mkdir(parents=True, exist_ok=True)
     videos: list[PlantedVideo] = []
-    with _errors():
+    with errors():
         for result in make_videos([order for order in orders if order.grades], jobs):
             videos += result.videos
             for problem in result.problems:
-                _log(problem)
+                log(problem)
             for video in result.videos:
                 click.echo(video.id)
     if not videos:
@@ -462,11 +295,11 @@ def planted_videos(
     "  python -m benchmarks footage ../videos --out before\n"
     "  python -m benchmarks footage ../videos --out after --weights gripper.safetensors --calibration confidence.json",
 )
-@click.argument("folder", type=_EXISTING_FOLDER)
-@click.option("--out", type=_FOLDER, required=True, help="Folder for footage.json, footage.md, tracks and overlays.")
+@click.argument("folder", type=EXISTING_FOLDER)
+@click.option("--out", type=FOLDER, required=True, help="Folder for footage.json, footage.md, tracks and overlays.")
 @click.option("--videos", metavar="A,B", help="Ids of videos, comma-separated.  [default: all]")
-@click.option("--weights", type=_EXISTING_FILE, help="Network weights (safetensors).  [default: those shipped]")
-@click.option("--calibration", type=_EXISTING_FILE, help="Calibration of the confidence.  [default: that shipped]")
+@click.option("--weights", type=EXISTING_FILE, help="Network weights (safetensors).  [default: those shipped]")
+@click.option("--calibration", type=EXISTING_FILE, help="Calibration of the confidence.  [default: that shipped]")
 @click.option("--window", is_flag=True, help="Cut frames to where the reference is: errors without those of detection.")
 def footage(
     folder: Path, out: Path, videos: str | None, weights: Path | None, calibration: Path | None, window: bool
@@ -477,18 +310,18 @@ def footage(
     (NAME.gt.npz), poses from joint angles (gt/NAME.npz) or edges (gt/NAME.edge.npz), or labels by eye. What is measured
     is kept in tracks.jsonl: the same command resumes.
     """
-    _one_thread()
+    one_thread()
     from benchmarks.footage_report import measure
 
     names = None if videos is None else videos.split(",")
-    with _errors():
-        text = measure(folder, out, names, weights=weights, calibration=calibration, window=window, log=_log)
+    with errors():
+        text = measure(folder, out, names, weights=weights, calibration=calibration, window=window, log=log)
     click.echo(text)
 
 
 @main.command(epilog="\b\nExample:\n  python -m benchmarks equivalence results-before results-after")
-@click.argument("before", type=_EXISTING_FOLDER)
-@click.argument("after", type=_EXISTING_FOLDER)
+@click.argument("before", type=EXISTING_FOLDER)
+@click.argument("after", type=EXISTING_FOLDER)
 def equivalence(before: Path, after: Path) -> None:
     """Compare two output folders of score, audit, ground or suite run; exit 1 if results differ.
 
@@ -520,7 +353,7 @@ def structure(revisions: tuple[str, ...]) -> None:
     from benchmarks.structure import count_revision, structure_table
 
     repository = Path(__file__).parent.parent
-    with _errors():
+    with errors():
         counts = [(revision, count_revision(repository, revision)) for revision in revisions]
     click.echo(structure_table(counts))
 

@@ -132,6 +132,20 @@ def compare_ik(
     return comparisons
 
 
+def figures(comparisons: Sequence[IkComparison]) -> dict[str, float]:
+    """Return the time of ours, and its ratio to those of the others in the same turns."""
+    costs = {}
+    for comparison in comparisons:
+        frames = f"{comparison.tracks.frames} frames"
+        for timing in comparison.timings:
+            ratio = comparison.ratio(OURS, timing.name)
+            if timing.us_per_pose is not None and timing.name == OURS:
+                costs[f"{frames}, us a pose"] = float(np.median(timing.us_per_pose))
+            elif ratio is not None:
+                costs[f"{frames}, ours / {timing.label}"] = float(np.median(ratio))
+    return costs
+
+
 def section(comparisons: Sequence[IkComparison]) -> str:
     """Return the section of the document."""
     machine = host()

@@ -253,6 +253,16 @@ def time_in_browser(page: Path, work: Path) -> dict[str, float]:
     raise KinebenchError(f"{page} did not open in the browser within {_BROWSER_LIMIT_S} s")
 
 
+def figures(result: ScaleResult) -> dict[str, float]:
+    """Return processor time and memory of each stage, the size of the report and its times in the browser."""
+    return {
+        **{f"{stage.stage}, s of processor": stage.cpu_s for stage in result.stages},
+        **{f"{stage.stage}, MB": stage.memory_mb for stage in result.stages},
+        "report.html, MB": result.report_mb,
+        **{f"browser: {name}": value for name, value in result.browser_ms.items()},
+    }
+
+
 def section(result: ScaleResult) -> str:
     """Return the section of the document."""
     machine = host()

@@ -159,8 +159,14 @@ def section(timings: Sequence[TaskTiming], steps: Array, images: Array) -> str:
     )
 
 
-def measure(tasks: Sequence[str]) -> str:
-    """Time tasks and return the section of the document."""
+def measure(tasks: Sequence[str]) -> tuple[list[TaskTiming], Array, Array]:
+    """Time tasks; with the ratios of steps and of images to those of ManiSkill's own task."""
     with TemporaryDirectory() as folder:
         timings = [time_task(task, Path(folder)) for task in tasks]
-    return section(timings, *compare_with_stock())
+    return timings, *compare_with_stock()
+
+
+def figures(timings: Sequence[TaskTiming]) -> dict[str, float]:
+    """Return the medians over the tasks."""
+    units = {"step, ms": "step_ms", "image, ms": "image_ms", "reset, ms": "reset_ms", "demonstration, s": "demo_s"}
+    return {name: float(np.median([getattr(timing, key) for timing in timings])) for name, key in units.items()}

@@ -127,6 +127,17 @@ def worker_count(run: ProcessRun) -> int:
     return max(len(memory.workers_mb) for memory in run.memory.values())
 
 
+def figures(result: StreamingResult) -> dict[str, float]:
+    """Return growth and peak of the main process, size and times of report and second run."""
+    return {
+        "main process, MB per 1,000 samples": growth(result.run, SETTLED * result.samples)[0],
+        "peak of the main process, MB": result.run.peak.main_mb,
+        "report.html, MB": result.report_mb,
+        "report, s": result.report_s,
+        "second run, s": result.again_s,
+    }
+
+
 def section(result: StreamingResult) -> str:
     """Return the section of the document."""
     machine = host()

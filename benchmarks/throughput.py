@@ -143,6 +143,16 @@ def _run(setting: Setting, source: Path, out: Path) -> RunCost:
     return RunCost.from_times(run.finished_s, wall_s, setting.processes, run.peak)
 
 
+def figures(costs: RunCosts) -> dict[str, float]:
+    """Return the medians of each setting."""
+    units = {"start-up, s": "start_up_s", "first sample, s": "first_s", "s a sample": "sample_s"}
+    return {
+        f"{setting}: {name}": float(np.median([getattr(run, key) for run in runs]))
+        for setting, runs in costs.items()
+        for name, key in units.items()
+    }
+
+
 def section(costs: RunCosts, *, videos: int, tracks: int) -> str:
     """Return the section of the document."""
     machine = host()

@@ -166,7 +166,9 @@ def write_figures(out: Path) -> Path:
     def write_csv(name: str, heads: Sequence[str], lines: Iterable[Sequence[object]]) -> None:
         write_atomically(folder / f"{name}.csv", format_csv(heads, lines).encode())
 
-    write_csv("samples", *_sample_lines(rows, list(total.estimates)))
+    heads, lines = _sample_lines(rows, list(total.estimates))
+    write_csv("samples", heads, lines)
+    _write_parquet(folder / "samples.parquet", heads, lines)
     write_csv("metrics", ("metric", *_ESTIMATE), ([n, *_estimate_cells(e)] for n, e in total.estimates.items()))
     write_csv(
         "faults",
@@ -216,7 +218,7 @@ def _find_faults(out: Path, row: SampleRow) -> Faults:
     return row, lanes, frame_count(row, file, lanes)
 
 
-def _sample_lines(rows: Sequence[SampleRow], names: Sequence[str]) -> tuple[list[str], Iterable[list[object]]]:
+def _sample_lines(rows: Sequence[SampleRow], names: Sequence[str]) -> tuple[list[str], list[list[object]]]:
     metrics = [name for name in names if name not in VERDICT_SHARES]
     labels = ("id", "video", "task", "model", "status", "verdict", "reason", "executable", "feasible")
     heads = [*labels, "executable_reasons", "violations", "anomalies"]
@@ -228,7 +230,25 @@ def _sample_lines(rows: Sequence[SampleRow], names: Sequence[str]) -> tuple[list
         cells.append("; ".join(row.executable_reasons))
         return [*cells, *("; ".join(k) for k in kinds), *(row.metrics.get(n, row.extra.get(n)) for n in metrics)]
 
-    return [*heads, *metrics], map(line, rows)
+    return [*heads, *metrics], [line(row) for row in rows]
+
+
+def _write_parquet(path: Path, heads: Sequence[str], lines: Sequence[Sequence[object]]) -> None:
+    """Write a table as parquet: columns of texts, of truth values, or of numbers."""
+    import pyarrow
+    from pyarrow import parquet
+
+    def column(values: Sequence[object]) -> Any:
+        if any(isinstance(value, str) for value in values):
+            return pyarrow.array([None if value is None else str(value) for value in values], pyarrow.string())
+        if all(value is None or isinstance(value, bool) for value in values):
+            return pyarrow.array(values, pyarrow.bool_())
+        numbers = [float(value) if isinstance(value, bool | int | float) else None for value in values]
+        return pyarrow.array(numbers, pyarrow.float64())
+
+    table = pyarrow.table({head: column([line[k] for line in lines]) for k, head in enumerate(heads)})
+    with atomic_path(path) as part:
+        parquet.write_table(table, part)
 
 
 def _draw_verdicts(groups: Sequence[SampleGroup]) -> "Figure":

@@ -115,8 +115,8 @@ class PackedObject(Mapping[str, Json]):
 def _pack_value(value: Json) -> Json:
     if isinstance(value, Mapping | list):
         text = dump(value)
-        return _shared(text) if len(text) <= _SHORT else intern_text(value)
-    return intern_text(value)
+        return _shared(text) if len(text) <= _SHORT else cast(Json, intern_text(value))
+    return cast(Json, intern_text(value))
 
 
 @lru_cache(maxsize=4096)

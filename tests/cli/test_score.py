@@ -413,7 +413,7 @@ def test_a_disk_that_fills_up_stops_the_run_and_keeps_what_is_done(film, config,
                 with disk_errors(path.name):
                     raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
             written.append(row)
-        append(path, row)
+        return append(path, row)
 
     monkeypatch.setattr(store, "append_line", full)
     with pytest.raises(SetupError, match="No space left"):

@@ -5,6 +5,7 @@ import re
 
 import numpy as np
 import pytest
+from pyarrow import parquet
 
 from kinebench_drake.report.curves import draw_joint_ranges
 from kinebench_drake.report.limits import joint_limits
@@ -132,3 +133,7 @@ def test_csv_of_the_figures_holds_every_sample(tmp_path):
         assert first[f"{name}.png"].startswith(b"\x89PNG")
         assert b"<svg" in first[f"{name}.svg"]
     assert {path.name: path.read_bytes() for path in write_figures(tmp_path).iterdir()} == first
+    columns = parquet.read_table(folder / "samples.parquet").to_pydict()
+    assert columns["sparc"] == [float(line["sparc"]) for line in tables["samples.csv"]]
+    assert columns["id"] == [line["id"] for line in tables["samples.csv"]]
+    assert {type(value) for value in columns["feasible"]} <= {bool, type(None)}

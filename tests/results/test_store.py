@@ -300,3 +300,57 @@ def test_no_empty_folders(tmp_path):
         (tmp_path / "videos").mkdir()  # of a world model that gave none
         store.finish({})
     assert sorted(p.name for p in tmp_path.iterdir()) == ["results.json", "samples.jsonl"]
+
+
+def _long(id):
+    details = {"limits": {"joints": [f"joint {k}" for k in range(300)]}, "of": id}
+    metrics = {f"metric_{k}": 0.1 * k for k in range(40)}
+    return row(id, details=details, metrics=metrics, null_reasons={"sparc": f"none of {id}"}, extra={"seed": 7})
+
+
+def test_stored_rows_take_a_fraction_of_their_file(tmp_path):
+    """Details stay in the file until they are asked for."""
+    ids = [f"{k:03d}" for k in range(300)]
+    with ResultStore(tmp_path) as store:
+        for id in ids:
+            store.append(_long(id), 0.1)
+    read_rows(tmp_path)
+    tracemalloc.start()
+    rows = read_rows(tmp_path)
+    kept = tracemalloc.get_traced_memory()[0]
+    tracemalloc.stop()
+    assert kept < 0.6 * (tmp_path / results.SAMPLES).stat().st_size
+    assert kept < 3000 * len(rows)
+    assert [rows[id].details["of"] for id in ids] == ids
+    assert rows["007"] == _long("007")
+
+
+def test_rows_stay_readable_while_their_file_is_sorted_and_replaced(tmp_path):
+    with ResultStore(tmp_path) as store:
+        for id in "cab":
+            store.append(_long(id), 0.1)
+        before, read = dict(store.rows), read_rows(tmp_path)
+        store.finish({})
+        store.append(_long("aa"), 0.1)
+        (tmp_path / results.SAMPLES).rename(tmp_path / "elsewhere")
+        for rows in (before, read, store.rows):
+            assert {id: r.details["of"] for id, r in rows.items()} == {id: id for id in rows}
+            assert {id: dict(r.null_reasons) for id, r in rows.items()} == {
+                id: {"sparc": f"none of {id}"} for id in rows
+            }
+        assert pickle.loads(pickle.dumps(store.rows["c"])) == _long("c")
+
+
+def test_a_file_of_sorted_rows_is_not_written_again(tmp_path):
+    with ResultStore(tmp_path) as store:
+        for id in "ba":
+            store.append(_long(id), 0.1)
+        store.finish({})
+    before = (tmp_path / results.SAMPLES).stat().st_ino
+    with ResultStore(tmp_path) as store:
+        store.keep_rows(lambda _: True)
+        store.finish({})
+    assert (tmp_path / results.SAMPLES).stat().st_ino == before
+    with ResultStore(tmp_path) as store:
+        store.keep_rows(lambda row: row.id == "b")
+    assert list(read_rows(tmp_path)) == ["b"]

@@ -1,0 +1,119 @@
+"""Results of benchmarks as files: figures, machine and revision; comparison with the results before; their pages."""
+
+import hashlib
+import subprocess
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from benchmarks.markdown import replace_section, table
+from kinebench_drake.errors import InputError
+from kinebench_drake.io.atomic import write_atomically
+from kinebench_drake.io.jsonl import read_json, write_json
+from kinebench_drake.results.provenance import host
+
+ROOT = Path(__file__).parents[1]
+RESULTS = Path("benchmarks/results")
+"""Folder of the result files."""
+PAGES = {
+    **dict.fromkeys(("ik", "audit", "simulation", "throughput", "streaming", "scale"), Path("docs/benchmarks.md")),
+    "cluster": Path("docs/cluster.md"),
+}
+"""Page with the section of each benchmark, in the order in which they are measured."""
+SLOWER = 1.1
+"""Ratio to the result before from which a figure is listed as worse."""
+_FOLDERS = ("kinebench_drake", "grounding", "models", "suites", "benchmarks")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BenchmarkRecord:
+    """Result of one benchmark."""
+
+    name: str
+    """Command: `python -m benchmarks NAME`."""
+    figures: Mapping[str, float]
+    """Costs by name with unit: of all of them less is better."""
+    section: str
+    """Section of the page."""
+    machine: Mapping[str, Any]
+    revision: str
+    """Commit that was checked out."""
+    sources_sha256: str
+    """Hash of all sources, committed or not."""
+
+    @classmethod
+    def of(cls, name: str, figures: Mapping[str, float], section: str) -> "BenchmarkRecord":
+        """Return the record of a result just measured here."""
+        return cls(
+            name=name,
+            figures=figures,
+            section=section,
+            machine=host(),
+            revision=revision(),
+            sources_sha256=sources_hash(),
+        )
+
+    @classmethod
+    def read(cls, name: str, folder: Path = RESULTS) -> "BenchmarkRecord | None":
+        """Read a record; None if there is none.
+
+        Raises:
+            InputError: the file is damaged.
+        """
+        path = folder / f"{name}.json"
+        try:
+            return cls(**read_json(path))  # type: ignore[arg-type]
+        except FileNotFoundError:
+            return None
+        except (OSError, TypeError, ValueError) as error:
+            raise InputError(f"{path}: is no result of a benchmark ({error})") from None
+
+    def write(self, folder: Path = RESULTS) -> Path:
+        """Write `NAME.json`."""
+        path = folder / f"{self.name}.json"
+        write_json(path, asdict(self))
+        return path
+
+
+def compare_records(before: BenchmarkRecord, now: BenchmarkRecord) -> Iterator[str]:
+    """Describe what became worse since an earlier record, and by how much; ratios above 1 are worse."""
+    if before.machine != now.machine:
+        yield f"not compared with the result of {before.revision}, which is of another machine"
+        return
+    shared = [name for name in now.figures if before.figures.get(name, 0.0) > 0.0]
+    ratios = {name: now.figures[name] / before.figures[name] for name in shared}
+    worse = sorted((name for name in ratios if ratios[name] >= SLOWER), key=lambda name: -ratios[name])
+    yield f"{len(worse)} of {len(shared)} figures are worse than at {before.revision} by {SLOWER - 1.0:.0%} or more"
+    if worse:
+        rows = [[n, f"{before.figures[n]:.4g}", f"{now.figures[n]:.4g}", f"{ratios[n]:.2f}"] for n in worse]
+        yield from table(("figure", "before", "now", "ratio"), rows)
+
+
+def write_pages(folder: Path = RESULTS) -> Iterator[str]:
+    """Write the section of each record into its page; yields a line for each benchmark."""
+    for name, page in PAGES.items():
+        record = BenchmarkRecord.read(name, folder)
+        if record is None:
+            yield f"{name}: no result"
+            continue
+        write_atomically(page, replace_section(page.read_text(), record.section).encode())
+        state = "these sources" if record.sources_sha256 == sources_hash() else "other sources"
+        yield f"{name}: {page}, measured at {record.revision} with {state}"
+
+
+def revision() -> str:
+    """Return the short hash of the commit that is checked out; "unknown" outside a repository."""
+    done = subprocess.run(["git", "rev-parse", "--short", "HEAD"], cwd=ROOT, capture_output=True, text=True)
+    return done.stdout.strip() or "unknown"
+
+
+@cache
+def sources_hash() -> str:
+    """Return the SHA-256 of all Python sources of the package and of the benchmarks."""
+    digest = hashlib.sha256()
+    for folder in _FOLDERS:
+        for path in sorted((ROOT / folder).rglob("*.py")):
+            digest.update(path.relative_to(ROOT).as_posix().encode() + b"\0" + path.read_bytes())
+    return digest.hexdigest()

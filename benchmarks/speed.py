@@ -1,0 +1,182 @@
+"""Commands that measure speed and memory; each writes its result to a file and compares it with the one before."""
+
+import subprocess
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+
+import click
+
+from benchmarks.options import (
+    COUNT,
+    EXAMPLES,
+    EXISTING_FOLDER,
+    FOLDER,
+    errors,
+    log,
+    one_thread,
+    work_folder,
+    work_option,
+)
+from benchmarks.record import PAGES, RESULTS, BenchmarkRecord, compare_records, sources_hash, write_pages
+
+results_option = click.option(
+    "--results", type=FOLDER, default=RESULTS, show_default=True, help="Folder of the result files."
+)
+
+
+def _record(name: str, results: Path, figures: Mapping[str, float], section: str) -> None:
+    """Print a section, write the result, and print what became worse since the result before."""
+    click.echo(section)
+    before, now = BenchmarkRecord.read(name, results), BenchmarkRecord.of(name, figures, section)
+    log(now.write(results))
+    for line in compare_records(before, now) if before else ():
+        log(line)
+
+
+@click.command(epilog="\b\nExample:\n  python -m benchmarks ik")
+@results_option
+@click.option("--repeats", type=COUNT, default=9, show_default=True, help="Turns of each solver.")
+def ik(results: Path, repeats: int) -> None:
+    """Compare inverse kinematics with that of other packages.
+
+    Packages that are not installed are listed as such: pip install 'kinebench-drake[bench]' installs them.
+    """
+    one_thread()
+    from benchmarks.ik import compare_ik, figures, section
+
+    with errors():
+        result = compare_ik(repeats=repeats, log=log)
+    _record("ik", results, figures(result), section(result))
+
+
+@click.command(epilog="\b\nExample:\n  python -m benchmarks audit")
+@results_option
+@click.option("--tracks", type=COUNT, default=1000, show_default=True, help="Tracks without optimisation.")
+@click.option("--audits", type=COUNT, default=200, show_default=True, help="Whole audits.")
+def audit(results: Path, tracks: int, audits: int) -> None:
+    """Measure the speed of the audit in one process."""
+    one_thread()
+    from benchmarks.audit import figures, measure, section
+
+    with errors():
+        result = measure(tracks=tracks, audits=audits, log=log)
+    _record("audit", results, figures(result), section(result))
+
+
+@click.command(epilog="\b\nExample:\n  python -m benchmarks throughput")
+@results_option
+@work_option
+@click.option(
+    "--video", type=click.Path(path_type=Path, dir_okay=False, exists=True),
+    default=EXAMPLES / "StackCube-v1_s0010_unseen.mp4", show_default=True, help="Video whose copies are scored.",
+)  # fmt: skip
+@click.option("--count", type=click.IntRange(3), default=12, show_default=True, help="Copies of the video.")
+@click.option("--tracks", type=click.IntRange(3), default=200, show_default=True, help="Trajectories audited.")
+@click.option("--turns", type=COUNT, default=3, show_default=True, help="Runs of each setting.")
+def throughput(results: Path, work: Path | None, video: Path, count: int, tracks: int, turns: int) -> None:
+    """Measure runs of score and audit with one and two processes, and on the GPU if there is one."""
+    import torch
+
+    from benchmarks.throughput import figures, measure, section
+
+    gpu = torch.cuda.is_available()
+    with errors(), work_folder(work) as folder:
+        costs = measure(video, folder, videos=count, tracks=tracks, turns=turns, gpu=gpu, log=log)
+    _record("throughput", results, figures(costs), section(costs, videos=count, tracks=tracks))
+
+
+@click.command(epilog="\b\nExample:\n  python -m benchmarks streaming")
+@results_option
+@work_option
+@click.option("--videos", type=EXISTING_FOLDER, default=EXAMPLES, show_default=True, help="Folder of mp4 files.")
+@click.option("--samples", type=click.IntRange(80), default=2000, show_default=True, help="Videos scored.")
+@click.option("--frames", type=click.IntRange(2), default=4, show_default=True, help="Frames of each video.")
+@click.option("--jobs", type=COUNT, default=2, show_default=True, help="Worker processes.")
+def streaming(results: Path, work: Path | None, videos: Path, samples: int, frames: int, jobs: int) -> None:
+    """Score very many short videos; measure memory, the report and a second run."""
+    from benchmarks.streaming import figures, measure, section
+
+    with errors(), work_folder(work) as folder:
+        result = measure(videos, folder, samples=samples, frames=frames, jobs=jobs, log=log)
+    _record("streaming", results, figures(result), section(result))
+
+
+@click.command(epilog="\b\nExample:\n  python -m benchmarks scale --rows 100000")
+@results_option
+@work_option
+@click.option("--videos", type=EXISTING_FOLDER, default=EXAMPLES, show_default=True, help="Folder of mp4 files.")
+@click.option("--template", type=EXISTING_FOLDER, help="Output folder of `score` of them.  [default: made first]")
+@click.option("--rows", type=click.IntRange(10), default=100_000, show_default=True, help="Samples.")
+@click.option("--jobs", type=COUNT, default=2, show_default=True, help="Worker processes.")
+def scale(results: Path, work: Path | None, videos: Path, template: Path | None, rows: int, jobs: int) -> None:
+    """Measure time and memory of a run of very many samples whose measurements are replaced."""
+    from benchmarks.process import run_program
+    from benchmarks.scale import figures, measure, section
+
+    with errors(), work_folder(work) as folder:
+        model = template or folder / "template"
+        if template is None:
+            run_program(["score", str(videos), "--out", str(model), "--replays", "0", "--frame-period", "0.2"])
+        result = measure(videos, model, folder, rows=rows, jobs=jobs, log=log)
+    _record("scale", results, figures(result), section(result))
+
+
+@click.command(epilog="\b\nExample:\n  python -m benchmarks cluster")
+@results_option
+@work_option
+@click.option(
+    "--videos", type=click.Path(path_type=Path, exists=True), default=EXAMPLES / "manifest.jsonl", show_default=True,
+    help="Videos scored.",
+)  # fmt: skip
+@click.option(
+    "--tasks", default="PullCube-v1,OpenDrawer-v1", show_default=True, help="Tasks of the suite run.", metavar="A,B"
+)
+@click.option("--episodes", type=COUNT, default=2, show_default=True, help="Episodes of each task.", metavar="K")
+def cluster(results: Path, work: Path | None, videos: Path, tasks: str, episodes: int) -> None:
+    """Score and run a suite on a Ray cluster of two local nodes, kill a worker, and compare with local runs."""
+    from benchmarks.cluster import SUITE, compare_runs, section
+
+    suite = ["suite", "run", *SUITE, "--tasks", tasks, "--episodes", str(episodes)]
+    commands = [["score", str(videos), "--overlay"], suite]
+    with errors(), work_folder(work) as folder:
+        text = section(compare_runs(commands, folder, log))
+    _record("cluster", results, {}, text)
+
+
+@click.command(epilog="\b\nExample:\n  python -m benchmarks simulation")
+@results_option
+@click.option("--tasks", help="Tasks, comma-separated.  [default: all]", metavar="A,B")
+def simulation(results: Path, tasks: str | None) -> None:
+    """Measure the speed of environments, rendering and demonstrations."""
+    from benchmarks.simulation import figures, measure, section
+    from kinebench_drake.suites.tasks.registry import TASKS
+
+    with errors():
+        timings, steps, images = measure(list(TASKS) if tasks is None else tasks.split(","))
+    _record("simulation", results, figures(timings), section(timings, steps, images))
+
+
+@click.command(
+    epilog="\b\nExamples:\n  python -m benchmarks figures\n  python -m benchmarks figures --measure",
+)
+@results_option
+@click.option("--measure", is_flag=True, help="Measure first what was measured with other sources; hours.")
+def figures(results: Path, measure: bool) -> None:
+    """Write the tables of the pages from the result files.
+
+    With --measure benchmarks run one after the other. Their results are kept: after an interruption the same command
+    goes on with the next one.
+    """
+    with errors():
+        for name in PAGES if measure else ():
+            record = BenchmarkRecord.read(name, results)
+            if record is None or record.sources_sha256 != sources_hash():
+                command = [sys.executable, "-m", "benchmarks", name, "--results", str(results)]
+                if subprocess.run(command).returncode:
+                    log(f"{name} failed")
+        for line in write_pages(results):
+            click.echo(line)
+
+
+COMMANDS = (ik, audit, throughput, streaming, scale, cluster, simulation, figures)

@@ -1,0 +1,48 @@
+from dataclasses import replace
+
+import pytest
+from click.testing import CliRunner
+
+from benchmarks import record
+from benchmarks.__main__ import main
+from benchmarks.record import PAGES, BenchmarkRecord, compare_records, write_pages
+from kinebench_drake.errors import InputError
+
+
+@pytest.fixture
+def result():
+    return BenchmarkRecord.of("ik", {"a, ms": 2.0, "b, ms": 3.0, "c, ms": 1.0}, "## Speed\n\n2 ms\n")
+
+
+def test_results_survive_the_file(result, tmp_path):
+    assert BenchmarkRecord.read("ik", tmp_path) is None
+    path = result.write(tmp_path)
+    assert BenchmarkRecord.read("ik", tmp_path) == result
+    path.write_text('{"name": "ik"}')
+    with pytest.raises(InputError, match=r"ik\.json: is no result"):
+        BenchmarkRecord.read("ik", tmp_path)
+
+
+def test_only_what_became_worse_is_listed(result):
+    now = replace(result, figures={"a, ms": 3.0, "b, ms": 1.0, "c, ms": 1.05, "d, ms": 9.0})
+    first, *lines = compare_records(result, now)
+    assert first.startswith("1 of 3 figures")
+    assert lines[2:] == ["| a, ms | 2 | 3 | 1.50 |"]
+    other = replace(now, machine={"cpu": "another"})
+    assert [line.split(" ")[0] for line in compare_records(result, other)] == ["not"]
+
+
+def test_pages_have_the_sections_of_the_results(result, tmp_path, monkeypatch):
+    page = tmp_path / "page.md"
+    page.write_text("# Page\n\n## Speed\n\nold\n\n## Other\n\nkept\n")
+    monkeypatch.setattr(record, "PAGES", dict.fromkeys(PAGES, page))
+    result.write(tmp_path)
+    lines = list(write_pages(tmp_path))
+    assert page.read_text() == "# Page\n\n## Speed\n\n2 ms\n\n## Other\n\nkept\n"
+    assert lines[0].endswith("with these sources")
+    assert lines[1:] == [f"{name}: no result" for name in list(PAGES)[1:]]
+
+
+def test_every_benchmark_of_the_pages_is_a_command():
+    for name in PAGES:
+        assert CliRunner().invoke(main, [name, "--help"]).exit_code == 0
