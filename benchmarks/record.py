@@ -19,7 +19,7 @@ RESULTS = Path("benchmarks/results")
 """Folder of the result files."""
 PAGES = {
     **dict.fromkeys(("ik", "audit", "simulation", "throughput", "streaming", "scale"), Path("docs/benchmarks.md")),
-    "cluster": Path("docs/cluster.md"),
+    **dict.fromkeys(("cluster", "driver"), Path("docs/cluster.md")),
 }
 """Page with the section of each benchmark, in the order in which they are measured."""
 SLOWER = 1.1

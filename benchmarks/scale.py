@@ -12,7 +12,9 @@ import shutil
 import subprocess
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from itertools import cycle
 from multiprocessing.connection import Connection
 from pathlib import Path
 from threading import Timer
@@ -33,7 +35,7 @@ from kinebench_drake.report.page import write_report
 from kinebench_drake.results.metadata import Shard
 from kinebench_drake.results.provenance import host
 from kinebench_drake.results.row import SampleRow, Status
-from kinebench_drake.results.store import REPORT, SAMPLES, artifact_path, read_rows
+from kinebench_drake.results.store import REPORT, RESULTS, SAMPLES, artifact_path, read_rows
 
 HEADING = "## A hundred thousand samples"
 """Heading of the section of the document."""
@@ -158,20 +160,19 @@ def measure(
     source, out = work / "videos", work / "results"
     _link_videos(videos, source, rows)
     shards = [work / f"shard-{k}" for k in (1, 2)]
-    plan: list[tuple[str, Callable[..., None], tuple[Any, ...]]] = [
-        ("score", _score, (source, template, out, jobs, None)),
-        ("the same command again", _score, (source, template, out, jobs, None)),
-        ("report", write_report, (out,)),
-        *(
-            (f"score, shard {k} of 2", _score, (source, template, shard, jobs, Shard(index=k, count=2)))
-            for k, shard in enumerate(shards, 1)
-        ),
-        ("merge of the shards", _merge, (shards, work / "merged")),
-    ]
-    stages = []
-    for name, action, arguments in plan:
+    stages: list[StageCost] = []
+
+    def run(name: str, action: Callable[..., None], *arguments: Any) -> None:
         stages.append(_run_stage(name, action, arguments))
         log(f"{name}: {stages[-1].wall_s:.1f} s, {stages[-1].cpu_s:.1f} s of processor, {stages[-1].memory_mb:.0f} MB")
+
+    run("score", _score, source, template, out, jobs, None)
+    run("the same command again", _score, source, template, out, jobs, None)
+    run("report", _report, out)
+    _split(out, shards)
+    for k, shard in enumerate(shards, 1):
+        run(f"shard {k} of 2, finished", _score, source, template, shard, 1, Shard(index=k, count=2))
+    run("merge of the shards", _merge, shards, work / "merged")
     return ScaleResult(
         rows=rows,
         stages=stages,
@@ -196,6 +197,26 @@ def _score(source: Path, template: Path, out: Path, jobs: int, shard: Shard | No
     config = ScoreConfig(kind=RunKind.SCORE, source=source, out=out, jobs=jobs, shard=shard, frame_period_s=0.2)
     evaluator = StubEvaluator(config=config, overrides=config.overrides(), template=template)
     run_samples(find_samples(source, out=out).samples, evaluator, NullRunObserver())
+
+
+def _split(out: Path, shards: Sequence[Path]) -> None:
+    """Fill the folders of shards from the folder of the whole run, sample by sample in turn."""
+    for shard in shards:
+        for kind in ("tracks", "thumbnails"):
+            (shard / kind).mkdir(parents=True)
+        shutil.copyfile(out / RESULTS, shard / RESULTS)
+    with ExitStack() as stack, (out / SAMPLES).open("rb") as lines:
+        files = [stack.enter_context((shard / SAMPLES).open("wb")) for shard in shards]
+        for line, shard, file in zip(lines, cycle(shards), cycle(files), strict=False):
+            file.write(line)
+            for kind in ("tracks", "thumbnails"):
+                path = artifact_path(out, kind, json.loads(line)["id"])
+                if path.is_file():
+                    _link(path, shard / kind / path.name)
+
+
+def _report(out: Path) -> None:
+    write_report(out)
 
 
 def _merge(shards: Sequence[Path], out: Path) -> None:

@@ -24,6 +24,10 @@ results_option = click.option(
     "--results", type=FOLDER, default=RESULTS, show_default=True, help="Folder of the result files."
 )
 
+template_option = click.option(
+    "--template", type=EXISTING_FOLDER, help="Output folder of `score` whose rows are returned.  [default: made first]"
+)
+
 
 def _record(name: str, results: Path, figures: Mapping[str, float], section: str) -> None:
     """Print a section, write the result, and print what became worse since the result before."""
@@ -32,6 +36,14 @@ def _record(name: str, results: Path, figures: Mapping[str, float], section: str
     log(now.write(results))
     for line in compare_records(before, now) if before else ():
         log(line)
+
+
+def _score(videos: Path, out: Path) -> Path:
+    """Score a folder of videos; returns the output folder."""
+    from benchmarks.process import run_program
+
+    run_program(["score", str(videos), "--out", str(out), "--replays", "0", "--frame-period", "0.2"])
+    return out
 
 
 @click.command(epilog="\b\nExample:\n  python -m benchmarks ik")
@@ -106,18 +118,15 @@ def streaming(results: Path, work: Path | None, videos: Path, samples: int, fram
 @results_option
 @work_option
 @click.option("--videos", type=EXISTING_FOLDER, default=EXAMPLES, show_default=True, help="Folder of mp4 files.")
-@click.option("--template", type=EXISTING_FOLDER, help="Output folder of `score` of them.  [default: made first]")
+@template_option
 @click.option("--rows", type=click.IntRange(10), default=100_000, show_default=True, help="Samples.")
 @click.option("--jobs", type=COUNT, default=2, show_default=True, help="Worker processes.")
 def scale(results: Path, work: Path | None, videos: Path, template: Path | None, rows: int, jobs: int) -> None:
     """Measure time and memory of a run of very many samples whose measurements are replaced."""
-    from benchmarks.process import run_program
     from benchmarks.scale import figures, measure, section
 
     with errors(), work_folder(work) as folder:
-        model = template or folder / "template"
-        if template is None:
-            run_program(["score", str(videos), "--out", str(model), "--replays", "0", "--frame-period", "0.2"])
+        model = template or _score(videos, folder / "template")
         result = measure(videos, model, folder, rows=rows, jobs=jobs, log=log)
     _record("scale", results, figures(result), section(result))
 
@@ -142,6 +151,28 @@ def cluster(results: Path, work: Path | None, videos: Path, tasks: str, episodes
     with errors(), work_folder(work) as folder:
         text = section(compare_runs(commands, folder, log))
     _record("cluster", results, {}, text)
+
+
+@click.command(epilog="\b\nExample:\n  python -m benchmarks driver --sample-s 3")
+@results_option
+@work_option
+@template_option
+@click.option("--samples", type=click.IntRange(min=200), default=3000, show_default=True, help="Samples measured.")
+@click.option(
+    "--sample-s", type=click.FloatRange(min=0.01), default=1.5, show_default=True,
+    help="Time of a simulated sample in a worker [s].",
+)  # fmt: skip
+def driver(results: Path, work: Path | None, template: Path | None, samples: int, sample_s: float) -> None:
+    """Measure what a sample costs the process that starts a run on Ray; simulate runs with many workers.
+
+    The samples measured only wait and return rows of the template.
+    """
+    from benchmarks.driver import figures, measure, section
+
+    with errors(), work_folder(work) as folder:
+        rows = template or _score(EXAMPLES, folder / "template")
+        driver_s, runs = measure(rows, folder, samples=samples, sample_s=sample_s, log=log)
+    _record("driver", results, figures(driver_s), section(driver_s, runs, sample_s))
 
 
 @click.command(epilog="\b\nExample:\n  python -m benchmarks simulation")
@@ -179,4 +210,4 @@ def figures(results: Path, measure: bool) -> None:
             click.echo(line)
 
 
-COMMANDS = (ik, audit, throughput, streaming, scale, cluster, simulation, figures)
+COMMANDS = (ik, audit, throughput, streaming, scale, cluster, driver, simulation, figures)

@@ -47,7 +47,7 @@ class RayExecutor:
         """
         if items:
             with _connected(self.address):
-                yield from _ActorPool(make_worker, items, min(self.jobs, len(items))).outcomes()
+                yield from ActorPool(make_worker, items, min(self.jobs, len(items))).outcomes()
 
 
 def gpu_share(gpus: int, workers: int) -> float:
@@ -124,7 +124,7 @@ class _QueuedItem(Generic[Item]):
 
 
 @dataclass(slots=True)
-class _WorkerActor(Generic[Item]):
+class WorkerActor(Generic[Item]):
     """One actor, the item that it is processing and the reference to its answer."""
 
     actor: Any
@@ -133,7 +133,7 @@ class _WorkerActor(Generic[Item]):
     """None while the actor loads its models."""
 
 
-class _ActorPool(Generic[Item, Result]):
+class ActorPool(Generic[Item, Result]):
     """Actors that receive one item at a time: one that is lost loses only its item and is replaced."""
 
     def __init__(self, make_worker: MakeWorker[Item, Result], items: Sequence[Item], size: int) -> None:
@@ -145,10 +145,11 @@ class _ActorPool(Generic[Item, Result]):
         self._make_worker = ray.put(make_worker)
         self._queue = deque(_QueuedItem(item) for item in items)
         self._size = size
-        self._workers: list[_WorkerActor[Item]] = []
+        self._workers: list[WorkerActor[Item]] = []
         self._failed_starts = 0
 
     def outcomes(self) -> Outcomes[Item, Result]:
+        """Yield the outcome of each item as soon as it is available, in any order."""
         try:
             while busy := len(self._queue) + sum(worker.queued is not None for worker in self._workers):
                 while len(self._workers) < min(self._size, busy):
@@ -162,15 +163,19 @@ class _ActorPool(Generic[Item, Result]):
             for worker in list(self._workers):
                 self._dismiss(worker)
 
-    def _start(self) -> _WorkerActor[Item]:
+    def _start(self) -> WorkerActor[Item]:
         actor = self._actor_class.remote()
-        return _WorkerActor(actor=actor, answer=actor.equip.remote(os.getcwd(), code_hash(), self._make_worker))
+        return WorkerActor(actor=actor, answer=self._equip(actor))
 
-    def _dismiss(self, worker: _WorkerActor[Item]) -> None:
+    def _equip(self, actor: Any) -> Any:
+        """Let an actor load its models; returns the reference to its answer."""
+        return actor.equip.remote(os.getcwd(), code_hash(), self._make_worker)
+
+    def _dismiss(self, worker: WorkerActor[Item]) -> None:
         self._workers.remove(worker)
         self._ray.kill(worker.actor)
 
-    def _feed(self, worker: _WorkerActor[Item]) -> None:
+    def _feed(self, worker: WorkerActor[Item]) -> None:
         """Send the next item to a worker, or end the worker if there is none."""
         if not self._queue:
             self._dismiss(worker)
@@ -179,7 +184,7 @@ class _ActorPool(Generic[Item, Result]):
         worker.queued.tries += 1
         worker.answer = worker.actor.work.remote(worker.queued.item)
 
-    def _receive(self, worker: _WorkerActor[Item]) -> ItemResult[Item, Result] | WorkerCrash[Item] | None:
+    def _receive(self, worker: WorkerActor[Item]) -> ItemResult[Item, Result] | WorkerCrash[Item] | None:
         queued = worker.queued
         try:
             answer = self._ray.get(worker.answer)

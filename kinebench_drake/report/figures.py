@@ -193,12 +193,12 @@ def write_figures(out: Path) -> Path:
     for key in ("task", "model"):
         groups = group_rows(rows, key, statistics)
         if groups:
-            lines = (
+            grouped = (
                 (g.name, g.total.total, g.total.status[Status.OK], name, *_estimate_cells(estimate))
                 for g in groups
                 for name, estimate in g.total.estimates.items()
             )
-            write_csv(f"{key}s", (key, "samples", "measured", "metric", *_ESTIMATE), lines)
+            write_csv(f"{key}s", (key, "samples", "measured", "metric", *_ESTIMATE), grouped)
             _save(_draw_verdicts(groups), folder / f"verdicts_by_{key}")
     if histograms:
         _save(_draw_distributions(histograms), folder / "distributions")
