@@ -40,7 +40,7 @@ from kinebench_drake.suites.simulator import Control, Simulator
 from kinebench_drake.suites.simulator_cache import SimulatorCache
 from kinebench_drake.suites.suite import EpisodeSpec, load_suite
 from kinebench_drake.suites.tasks.registry import TASKS
-from kinebench_drake.types import AnomalyKind, Json
+from kinebench_drake.types import AnomalyKind, GripperTrack, Json
 
 SUITE, SPLIT = 2, "unseen"
 """Episodes with the half of the assets and looks that the networks were not trained on."""
@@ -143,8 +143,12 @@ class ExecutionWorker:
             track = read_track(item.track).track
         except InputError as error:
             return TrackExecution(success=False, reason=str(error))
-        simulator = self._simulators.get(item.spec.task, item.spec.variant)
-        simulator.reset(item.spec.episode())
+        return self.execute(item.spec, track)
+
+    def execute(self, spec: EpisodeSpec, track: GripperTrack) -> TrackExecution:
+        """Execute a track of an episode."""
+        simulator = self._simulators.get(spec.task, spec.variant)
+        simulator.reset(spec.episode())
         now = simulator.snapshot()
         start = RobotState(q=now.q, finger_width_m=float(now.fingers_m.sum()), gripping=False)
         try:

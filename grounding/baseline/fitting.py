@@ -263,6 +263,7 @@ def train(config: BaselineConfig, report: Callable[[str], None]) -> Path:
         "tasks": json.dumps(demonstrations.tasks),
         "size": str(config.size),
         "camera": json.dumps(demonstrations.camera.to_json()),
+        "training": f"{len(clips)} demonstrations of {len(demonstrations.tasks)} tasks, {schedule.steps} steps",
     }
     save_weights(average, config.out / WEIGHTS, about)
     return config.out / WEIGHTS

@@ -169,11 +169,13 @@ def resize_frames(frames: Frames, size: int) -> NDArray[np.uint8]:
 class Baseline:
     """Trained network with the camera and the tasks of its training."""
 
-    def __init__(self, network: PoseNetwork, size: int, tasks: tuple[str, ...], camera: Camera) -> None:
-        """Wrap a `network` for frames of `size` px, trained on videos of `tasks` by `camera`."""
+    def __init__(
+        self, network: PoseNetwork, size: int, tasks: tuple[str, ...], camera: Camera, training: str = "unknown"
+    ) -> None:
+        """Wrap a `network` for frames of `size` px, trained on videos of `tasks` by `camera`; `training` says how."""
         self._device = pick_device()
         self._network = network.to(self._device).eval()
-        self._size, self.tasks, self._camera = size, tasks, camera
+        self._size, self.tasks, self._camera, self.training = size, tasks, camera, training
 
     @classmethod
     def load(cls, path: Path) -> "Baseline":
@@ -193,7 +195,8 @@ class Baseline:
                 state = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - it is no mapping
             network.load_state_dict({k: v.float() if v.dtype.is_floating_point else v for k, v in state.items()})
             camera = Camera.from_json(json.loads(about["camera"]), "camera")
-            return cls(network, int(about["size"]), tuple(json.loads(about["tasks"])), camera)
+            tasks = tuple(json.loads(about["tasks"]))
+            return cls(network, int(about["size"]), tasks, camera, about.get("training", "unknown"))
         except (SafetensorError, RuntimeError, KeyError, ValueError, TypeError, UsageError) as error:
             first = str(error).splitlines()[0]
             raise SetupError(f"{path.name}: not weights of the baseline ({first}); {_TRAIN}") from None

@@ -74,6 +74,8 @@ class IcpRegistration:
 class FusedPose:
     """Combination of a fit with the registration."""
 
+    X_fit: Array
+    """(4, 4) fitted pose of panda_hand in the camera frame [m]."""
     registration: IcpRegistration
     weight: float
     """Share of the registration, 0..1."""
@@ -251,6 +253,7 @@ def fuse(X_CH: Array, covariance: Array, registration: IcpRegistration) -> Fused
     fused = np.linalg.inv((1.0 - weight) * of_fit + weight * of_icp)
     step = weight * fused @ of_icp @ difference
     return FusedPose(
+        X_fit=X_CH,
         registration=registration,
         weight=weight,
         X_CH=make_pose(rotation_exp(step[:3]) @ X_CH[:3, :3], X_CH[:3, 3] + step[3:]) if weight else X_CH,

@@ -1,0 +1,325 @@
+"""Causal attribution: the same videos executed through the truth, the grounding and the inverse-dynamics baseline.
+
+All is taken from the work folder of `validity`: videos of the oracle without and with planted faults, their ground
+truth, the tracks of the grounding and the success of these. An extractor changes the verdict of an episode if its track
+succeeds where the true one fails, or fails where that succeeds: the failure is then not the video's.
+
+    extractions.jsonl    success of the true track and of the baseline's, one video a line
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from enum import Enum
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.markdown import table
+from benchmarks.validity import ExecutionWorker, TrackExecution, ValidityTrial, read_study, study_specs
+from kinebench_drake.errors import InputError, UsageError
+from kinebench_drake.evaluation.runner import RunObserver
+from kinebench_drake.executors.local import LocalExecutor
+from kinebench_drake.geometry import Array
+from kinebench_drake.grounding.baseline.fitting import SCHEDULE, BaselineConfig, train
+from kinebench_drake.grounding.baseline.network import Baseline
+from kinebench_drake.grounding.evaluation.store import MeasurementStore, fingerprint
+from kinebench_drake.io.figure import POSITION, ROTATION, new_figure
+from kinebench_drake.io.npz import open_npz
+from kinebench_drake.io.reader import read_video
+from kinebench_drake.stats import IntervalEstimate, percentile_interval, resampled_indices, wilson
+from kinebench_drake.suites.demo_config import DemoConfig
+from kinebench_drake.suites.demos import make_demos
+from kinebench_drake.suites.formats.demo import FormatKind, RenderOptions
+from kinebench_drake.suites.suite import EpisodeSpec, load_suite
+from kinebench_drake.suites.tasks.task import TaskVariant
+from kinebench_drake.types import AnomalyKind, GripperTrack
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+FIGURE = "extractors.png"
+"""Figure beside the page."""
+_TRAINING_SUITE, _RENDERED_PX = 1, 256
+_RESAMPLES = 2000
+_EXTRACTIONS = "extractions.jsonl"
+
+
+class Extractor(Enum):
+    """Source of the track that is executed."""
+
+    TRUTH = "truth"
+    GROUNDING = "grounding"
+    BASELINE = "baseline"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ExtractionItem:
+    """Video to execute through one extractor."""
+
+    id: str
+    """Id of the video."""
+    spec: EpisodeSpec
+    video: Path
+    truth: Path
+    extractor: Extractor
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Extraction:
+    """Success of one video through all extractors."""
+
+    id: str
+    episode: str
+    """Id of the episode."""
+    kind: AnomalyKind | None
+    """Kind of the planted fault; None for the clean video."""
+    trained: bool
+    """True if the baseline was trained on the task."""
+    success: dict[Extractor, bool]
+
+    def changes(self, extractor: Extractor) -> bool:
+        """Return whether an extractor changes the verdict."""
+        return self.success[extractor] is not self.success[Extractor.TRUTH]
+
+
+class _Worker:
+    """Executes the true track of a video, or the baseline's, from the initial state of its episode."""
+
+    def __init__(self, weights: Path) -> None:
+        self._weights, self._executor = weights, ExecutionWorker()
+        self._baseline: Baseline | None = None
+
+    def __call__(self, item: ExtractionItem) -> TrackExecution:
+        try:
+            with open_npz(item.truth) as truth:
+                t_s, X_BG, finger_width_m = truth["t_s"], truth["base_from_tcp"], truth["finger_width_m"]
+            if item.extractor is Extractor.BASELINE:
+                if self._baseline is None:
+                    self._baseline = Baseline.load(self._weights)
+                X_BG, finger_width_m = self._baseline.predict(read_video(item.video).frames)
+        except InputError as error:
+            return TrackExecution(success=False, reason=str(error))
+        return self._executor.execute(item.spec, _track(t_s, X_BG, finger_width_m))
+
+    def close(self) -> None:
+        """Release the simulator."""
+        self._executor.close()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _WorkerFactory:
+    weights: Path
+
+    def __call__(self) -> _Worker:
+        return _Worker(self.weights)
+
+
+def _track(t_s: Array, X_BG: Array, finger_width_m: Array) -> GripperTrack:
+    """Return the track of poses (T, 4, 4) that are certain where they are finite."""
+    tracked: NDArray[np.bool_] = np.asarray(np.isfinite(X_BG).all(axis=(1, 2)))
+    return GripperTrack(
+        t_s=t_s,
+        X_CH=np.full_like(X_BG, np.nan),
+        X_BG=X_BG,
+        tracked=tracked,
+        confidence=np.asarray(tracked, dtype=np.float64),
+        finger_width_m=finger_width_m,
+    )
+
+
+def measure(work: Path, weights: Path, jobs: int, observer: RunObserver) -> list[Extraction]:
+    """Execute the videos of a validity study through truth and baseline; an interrupted measurement resumes.
+
+    Args:
+        work: work folder of `validity measure`.
+        weights: weights of the baseline.
+        jobs: worker processes.
+        observer: progress.
+
+    Raises:
+        UsageError: the folder holds no finished study.
+        SetupError: something is missing on this machine, or a worker died. What is finished is kept.
+    """
+    trials, _ = read_study(work)
+    specs, tasks = {spec.id: spec for spec in study_specs()}, Baseline.load(weights).tasks
+    items = [
+        ExtractionItem(
+            id=trial.id,
+            spec=specs[trial.episode],
+            video=work / "videos" / f"{trial.id}.mp4",
+            truth=work / "videos" / "truth" / f"{trial.id}.npz",
+            extractor=extractor,
+        )
+        for trial in trials
+        for extractor in (Extractor.TRUTH, Extractor.BASELINE)
+    ]
+    modules = ["kinebench_drake.closed_loop.execution", "kinebench_drake.closed_loop.commands"]
+    code = {
+        Extractor.TRUTH: fingerprint(modules=modules),
+        Extractor.BASELINE: fingerprint(
+            modules=[*modules, "kinebench_drake.grounding.baseline.network"], files=[weights]
+        ),
+    }
+    store = MeasurementStore(work / _EXTRACTIONS, TrackExecution)
+    done = store.complete(
+        items,
+        lambda item: f"{code[item.extractor]}-{fingerprint(files=[item.video, item.truth])}-{item.id}",
+        LocalExecutor(jobs=jobs),
+        _WorkerFactory(weights=weights),
+        observer,
+        lambda item: f"{item.id}  {item.extractor.value}",
+    )
+    success = {(item.id, item.extractor): outcome.success for item, outcome in zip(items, done, strict=True)}
+    return [_extraction(trial, success, tasks) for trial in trials]
+
+
+def _extraction(trial: ValidityTrial, success: dict[tuple[str, Extractor], bool], tasks: Sequence[str]) -> Extraction:
+    others = {e: success[trial.id, e] for e in (Extractor.TRUTH, Extractor.BASELINE)}
+    return Extraction(
+        id=trial.id,
+        episode=trial.episode,
+        kind=trial.kind,
+        trained=trial.task in tasks,
+        success={**others, Extractor.GROUNDING: trial.success},
+    )
+
+
+def _groups(extractions: Sequence[Extraction]) -> Iterator[tuple[str, list[Extraction]]]:
+    """Yield all videos, those of tasks that the baseline knows and of others, and those of each kind of fault."""
+    yield "all videos", list(extractions)
+    for trained, name in ((True, "tasks of the baseline's training"), (False, "other tasks")):
+        yield name, [e for e in extractions if e.trained is trained]
+    yield "no fault", [e for e in extractions if e.kind is None]
+    for kind in AnomalyKind:
+        yield f"`{kind.value}`", [e for e in extractions if e.kind is kind]
+
+
+def changed(extractions: Sequence[Extraction], extractor: Extractor) -> IntervalEstimate:
+    """Return the share of videos whose verdict an extractor changes, with its interval over episodes."""
+    return _over_episodes(extractions, np.array([e.changes(extractor) for e in extractions], dtype=np.float64))
+
+
+def difference(extractions: Sequence[Extraction]) -> IntervalEstimate:
+    """Return the share of verdicts that the baseline changes less that of the grounding, on the same videos."""
+    return _over_episodes(
+        extractions,
+        np.array([float(e.changes(Extractor.BASELINE)) - e.changes(Extractor.GROUNDING) for e in extractions]),
+    )
+
+
+def _over_episodes(extractions: Sequence[Extraction], values: Array, seed: int = 0) -> IntervalEstimate:
+    """Return the mean of values (N,) with its bootstrap interval over episodes: videos of one show the same motion.
+
+    If all values are 0 or all are 1, the interval is Wilson's for as many episodes.
+    """
+    names = sorted({e.episode for e in extractions})
+    mean = float(values.mean())
+    if np.ptp(values) == 0.0 and mean in (0.0, 1.0):
+        low, high = wilson(round(mean * len(names)), len(names))
+        return IntervalEstimate(value=mean, low=low, high=high)
+    members = [np.flatnonzero([e.episode == name for e in extractions]) for name in names]
+    draws = [
+        float(values[np.concatenate([members[i] for i in drawn])].mean())
+        for part in resampled_indices(len(names), np.random.default_rng(seed), _RESAMPLES)
+        for drawn in part
+    ]
+    low, high = percentile_interval(draws)
+    return IntervalEstimate(value=mean, low=low, high=high)
+
+
+def section(extractions: Sequence[Extraction], about: str) -> list[str]:
+    """Return the lines of the section of docs/validity.md; `about` describes the baseline."""
+    head = ["videos", "number", *(f"success through the {e.value}" for e in Extractor)]
+    head += [f"verdict changed by the {e.value}" for e in (Extractor.GROUNDING, Extractor.BASELINE)]
+    head += ["lost / gained by the grounding", "lost / gained by the baseline", "difference"]
+    rows = [[name, *_cells(members)] for name, members in _groups(extractions) if members]
+    episodes = len({e.episode for e in extractions})
+    return [
+        "## Verdicts by extractor",
+        "",
+        f"Written by `python -m benchmarks extractors`: {len(extractions)} videos of {episodes} episodes, each "
+        "executed through its true track, through the grounding's and through that of the inverse-dynamics baseline "
+        f"({about}). Changed: the track succeeds where the true one fails (gained), or fails where that one succeeds "
+        "(lost). Difference: share changed by the baseline less share changed by the grounding, in the same videos. "
+        "95 % bootstrap intervals over episodes.",
+        "",
+        f"![Verdicts that an extractor changes]({FIGURE})",
+        "",
+        *table(head, rows),
+    ]
+
+
+def _cells(members: Sequence[Extraction]) -> Iterator[str]:
+    yield str(len(members))
+    for extractor in Extractor:
+        yield f"{np.mean([e.success[extractor] for e in members]):.0%}"
+    measured = (Extractor.GROUNDING, Extractor.BASELINE)
+    for extractor in measured:
+        share = changed(members, extractor)
+        yield f"{share.value:.0%} ({share.low:.0%} to {share.high:.0%})"
+    for extractor in measured:
+        gained = sum(e.changes(extractor) and e.success[extractor] for e in members)
+        yield f"{sum(e.changes(extractor) for e in members) - gained} / {gained}"
+    less = difference(members)
+    yield "0%" if less.value == 0.0 else f"{less.value:+.0%} ({less.low:+.0%} to {less.high:+.0%})"
+
+
+def draw(extractions: Sequence[Extraction]) -> "Figure":
+    """Draw the share of changed verdicts by group of videos, with intervals."""
+    groups = [(name, members) for name, members in _groups(extractions) if members]
+    figure, axes = new_figure(7.5, 0.45 * len(groups) + 1.2)
+    ax = axes[0][0]
+    styles = ((Extractor.GROUNDING, -0.15, POSITION), (Extractor.BASELINE, 0.15, ROTATION))
+    for extractor, shift, color in styles:
+        for row, (_, members) in enumerate(groups):
+            share = changed(members, extractor)
+            label = extractor.value if row == 0 else None
+            ax.plot([share.low, share.high], [row + shift] * 2, color=color, linewidth=1.8)
+            ax.plot(share.value, row + shift, marker="o", color=color, markersize=5, linestyle="none", label=label)
+    ax.set_yticks(range(len(groups)), [f"{name.strip('`').replace('_', ' ')} ({len(m)})" for name, m in groups])
+    ax.invert_yaxis()
+    ax.set_xlim(-0.02, 1.02)
+    ax.set_xlabel("share of videos whose verdict the extractor changes, 95 % interval")
+    ax.legend(loc="lower right")
+    return figure
+
+
+def train_baseline(
+    out: Path, episodes: int, steps: int, size: int, jobs: int, observer: RunObserver, report: Callable[[str], None]
+) -> Path:
+    """Make demonstrations of the training tasks of suite 1 and train the baseline on them; return its weights.
+
+    Both resume from `out`.
+
+    Args:
+        out: folder of demonstrations, decoded frames, checkpoints and weights.
+        episodes: demonstrations of each task.
+        steps: training steps.
+        size: width and height of the frames [px].
+        jobs: processes that make demonstrations.
+        observer: progress of the demonstrations.
+        report: called with lines of text on the training.
+
+    Raises:
+        UsageError: the folder holds something else, or the expert fails with too many seeds.
+        SetupError: something is missing on this machine, or a worker died.
+    """
+    suite = load_suite(_TRAINING_SUITE)
+    config = DemoConfig(
+        suite=suite,
+        split="train",
+        tasks=tuple(suite.tasks_of("train")),
+        episodes=episodes,
+        seed=0,
+        variant=TaskVariant.PLAIN,
+        out=out / "demonstrations",
+        options=RenderOptions(size=_RENDERED_PX),
+        kind=FormatKind.MP4,
+    )
+    short = make_demos(config, LocalExecutor(jobs=jobs), observer).short
+    if short:
+        raise UsageError(f"demonstrations are missing: {short}; {config.out.name}/demos.jsonl has the reasons")
+    schedule = replace(SCHEDULE, steps=steps)
+    return train(BaselineConfig(data=config.out, out=out, schedule=schedule, size=size), report)

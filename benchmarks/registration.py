@@ -1,0 +1,218 @@
+"""Contribution of ICP to the pose of single frames, with depth from exact to estimated.
+
+Each video is measured with the network's depth, with true depth, with true depth that has a share of the network's
+errors, and with true depth that has smooth errors. In each frame the errors of the fit, of the registration and of
+their combination are compared.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.markdown import table
+from kinebench_drake.camera import Camera
+from kinebench_drake.errors import UsageError
+from kinebench_drake.executors.base import Executor
+from kinebench_drake.executors.progress import Observer
+from kinebench_drake.geometry import Array, pose_difference
+from kinebench_drake.grounding.crop import Crop
+from kinebench_drake.grounding.estimator import NetworkEstimator
+from kinebench_drake.grounding.evaluation.clip import TruthClip, TruthClipFile, choose, find_clips
+from kinebench_drake.grounding.evaluation.store import MeasurementStore, fingerprint
+from kinebench_drake.grounding.evaluation.variants import Degradation, DegradedEstimator
+from kinebench_drake.grounding.override_estimator import replace_depth
+from kinebench_drake.grounding.pose import FramePose
+from kinebench_drake.grounding.tracker import CadTracker
+from kinebench_drake.grounding.view import DenseEstimator, Frames, GripperView
+from kinebench_drake.io.reader import read_video
+from kinebench_drake.models.panda.cad import GripperCad
+from kinebench_drake.models.perception.network import WEIGHTS, load_network
+from kinebench_drake.stats import percentile_interval, resampled_indices
+from kinebench_drake.types import NO_PRIORS, ExternalDepth, Priors
+
+_FLIP_RAD = np.pi / 2
+_RESAMPLES = 1000
+_POSES = ("fit", "ICP", "combined")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DepthKind:
+    """Depth that videos are measured with."""
+
+    name: str
+    network_share: float = 0.0
+    """Share of the network's errors, 1 for its own depth."""
+    degradation: Degradation | None = None
+    """Further errors."""
+    exact: bool = False
+    """True if the depth is stated to be exact."""
+
+
+KINDS = (
+    DepthKind(name="network", network_share=1.0),
+    DepthKind(name="half of its error", network_share=0.5),
+    DepthKind(name="a fifth of its error", network_share=0.2),
+    DepthKind(name="smooth error of 1 %", degradation=Degradation(field=0.01)),
+    DepthKind(name="smooth error of 0.3 %", degradation=Degradation(field=0.003)),
+    DepthKind(name="exact", exact=True),
+)
+
+
+class _BlendedEstimator:
+    """Network whose depth errors are scaled; where the truth is unknown, its depth remains."""
+
+    def __init__(self, base: DenseEstimator, depth: ExternalDepth, share: float) -> None:
+        self._base, self._depth, self._share = base, depth, share
+
+    def estimate(self, frames: Frames, camera: Camera, crops: Mapping[int, Crop]) -> Iterator[tuple[int, GripperView]]:
+        for number, view in self._base.estimate(frames, camera, crops):
+            true_m = replace_depth(view, self._depth, number, camera).depth_m
+            yield number, replace(view, depth_m=true_m * (view.depth_m / true_m) ** self._share)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RegistrationTrial:
+    """One video with one kind of depth."""
+
+    clip: TruthClipFile
+    kind: DepthKind
+    seed: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RegistrationErrors:
+    """Errors in the frames of one video in which ICP converged and no pose is flipped."""
+
+    position_m: dict[str, list[float]]
+    """Position errors of fit, ICP and combination [m]."""
+    rotation_rad: dict[str, list[float]]
+    """Rotation errors [rad]."""
+    weight: list[float]
+    """Weight of the registration."""
+    fitness: list[float]
+    """Share of matched cells."""
+    rmse_m: list[float]
+    """Root mean square distance of matched cells from the surface [m]."""
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the JSON object."""
+        return {name: getattr(self, name) for name in self.__slots__}
+
+    @classmethod
+    def from_json(cls, data: dict[str, Any]) -> "RegistrationErrors":
+        """Read the object that `to_json` returns."""
+        return cls(**data)
+
+
+class _Worker:
+    """Measures trials."""
+
+    def __init__(self) -> None:
+        self._estimator, self._cad = NetworkEstimator(load_network(WEIGHTS)), GripperCad()
+
+    def __call__(self, trial: RegistrationTrial) -> RegistrationErrors:
+        clip = trial.clip.load(with_depth=True)
+        if clip.depth_m is None:
+            raise UsageError(f"{clip.id}: its truth holds no depth; make the videos with --with-depth")
+        kind, depth = trial.kind, ExternalDepth(depth_m=clip.depth_m, exact=True)
+        estimator: DenseEstimator = self._estimator
+        if kind.network_share < 1.0 and not kind.exact:
+            estimator = _BlendedEstimator(estimator, depth, kind.network_share)
+        if kind.degradation is not None:
+            rng = np.random.default_rng([trial.seed, *clip.id.encode()])
+            estimator = DegradedEstimator(estimator, len(clip.t_s), kind.degradation, rng)
+        priors = Priors(depth=depth) if kind.exact else NO_PRIORS
+        tracking = CadTracker(estimator, self._cad).track(read_video(clip.path).frames, clip.camera, priors)
+        return _errors(clip, tracking.poses)
+
+
+def _errors(clip: TruthClip, poses: Sequence[FramePose | None]) -> RegistrationErrors:
+    rows = []
+    for X_true, pose in zip(clip.X_CH, poses, strict=True):
+        if pose is None or pose.icp is None or not np.isfinite(X_true).all():
+            continue
+        difference = pose_difference(X_true, np.stack([pose.icp.X_fit, pose.icp.registration.X_CH, pose.X_CH]))
+        if difference[1][0] < _FLIP_RAD:
+            rows.append((*difference, pose.icp))
+    return RegistrationErrors(
+        position_m={name: [round(float(p[k]), 7) for p, _, _ in rows] for k, name in enumerate(_POSES)},
+        rotation_rad={name: [round(float(r[k]), 6) for _, r, _ in rows] for k, name in enumerate(_POSES)},
+        weight=[icp.weight for *_, icp in rows],
+        fitness=[round(icp.registration.fitness, 4) for *_, icp in rows],
+        rmse_m=[round(icp.registration.rmse_m, 7) for *_, icp in rows],
+    )
+
+
+def measure(
+    folder: Path, keep: Path, limit: int | None, seed: int, executor: Executor, observer: Observer
+) -> dict[str, list[RegistrationErrors]]:
+    """Return the errors of all videos by kind of depth; an interrupted measurement resumes from the file `keep`.
+
+    Raises:
+        UsageError: the folder holds no videos with true depth.
+        SetupError: weights are missing, or a worker died.
+    """
+    clips = choose(find_clips(folder), limit)
+    trials = [RegistrationTrial(clip=clip, kind=kind, seed=seed) for clip in clips for kind in KINDS]
+    code = fingerprint(seed, modules=["kinebench_drake.grounding.tracker"])
+    digests = {clip.id: clip.digest() for clip in clips}
+    store = MeasurementStore(keep, RegistrationErrors)
+    done = store.complete(
+        trials,
+        lambda t: f"{code}-{digests[t.clip.id]}-{t.kind}",
+        executor,
+        _Worker,
+        observer,
+        lambda t: f"{t.clip.id}  {t.kind.name}",
+    )
+    return {kind.name: [e for t, e in zip(trials, done, strict=True) if t.kind == kind] for kind in KINDS}
+
+
+def section(results: Mapping[str, Sequence[RegistrationErrors]], seed: int = 0) -> list[str]:
+    """Return the lines of the section of docs/grounding.md: medians by kind of depth, with intervals over videos."""
+    videos = len(next(iter(results.values())))
+    head = ["depth", "frames", "weight", "fitness", "distance, mm"]
+    head += [f"{name}, mm / degrees" for name in _POSES] + ["combined less fit, mm / degrees"]
+    rows = [[name, *_cells(errors, np.random.default_rng(seed))] for name, errors in results.items()]
+    return [
+        "## What ICP contributes",
+        "",
+        f"Written by `python -m benchmarks icp`: {videos} held-out videos, errors of single frames before smoothing. "
+        "The depth is the network's, the true one with a share of the network's error or with a smooth error, or "
+        "exact; the rule is the same. Weight, fitness, distance of the matched cells from the surface, and errors are "
+        "medians; the last column is the mean difference in the same frames, with its 95 % bootstrap interval over "
+        "videos.",
+        "",
+        *table(head, rows),
+    ]
+
+
+def _cells(errors: Sequence[RegistrationErrors], rng: np.random.Generator) -> Iterator[str]:
+    def median(get: Callable[[RegistrationErrors], Sequence[float]]) -> float:
+        return float(np.median(np.concatenate([get(e) for e in errors])))
+
+    yield str(sum(len(e.weight) for e in errors))
+    yield f"{median(lambda e: e.weight):.2f}"
+    yield f"{median(lambda e: e.fitness):.2f}"
+    yield f"{1e3 * median(lambda e: e.rmse_m):.2f}"
+    for name in _POSES:
+        position = float(np.median(np.concatenate([e.position_m[name] for e in errors])))
+        rotation = float(np.median(np.concatenate([e.rotation_rad[name] for e in errors])))
+        yield f"{1e3 * position:.2f} / {np.rad2deg(rotation):.2f}"
+    mm = _difference([e.position_m for e in errors], 1e3, rng)
+    yield f"{mm} / {_difference([e.rotation_rad for e in errors], float(np.rad2deg(1.0)), rng)}"
+
+
+def _difference(videos: Sequence[Mapping[str, Sequence[float]]], unit: float, rng: np.random.Generator) -> str:
+    """Return the mean of combined less fit with its interval over videos."""
+    gains: list[Array] = [unit * (np.array(v["combined"]) - np.array(v["fit"])) for v in videos if len(v["fit"])]
+    drawn = [
+        float(np.mean(np.concatenate([gains[i] for i in draw])))
+        for part in resampled_indices(len(gains), rng, _RESAMPLES)
+        for draw in part
+    ]
+    low, high = percentile_interval(np.array(drawn))
+    return f"{np.mean(np.concatenate(gains)):+.2f} ({low:+.2f} to {high:+.2f})"

@@ -1,0 +1,56 @@
+"""Contribution of ICP: the table of known errors, and depth with a share of the network's errors."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks.registration import RegistrationErrors, _BlendedEstimator, section
+from kinebench_drake.camera import Camera, benchmark_camera
+from kinebench_drake.grounding.crop import Crop
+from kinebench_drake.grounding.view import Frames, GripperView
+from kinebench_drake.models.panda.cad import GripperCad
+from kinebench_drake.types import ExternalDepth
+from tests.grounding.conftest import hand_pose, perfect_view
+
+
+def errors(gain_m: float) -> RegistrationErrors:
+    fit = [0.002, 0.003, 0.004]
+    return RegistrationErrors(
+        position_m={"fit": fit, "ICP": [0.01] * 3, "combined": [x - gain_m for x in fit]},
+        rotation_rad={name: [0.02] * 3 for name in ("fit", "ICP", "combined")},
+        weight=[0.0, 0.5, 1.0],
+        fitness=[0.9] * 3,
+        rmse_m=[0.001] * 3,
+    )
+
+
+def test_the_section_states_medians_and_the_difference_in_the_same_frames() -> None:
+    lines = section({"network": [errors(0.0), errors(0.0)], "exact": [errors(0.001), errors(0.002)]})
+    network, exact = lines[-2:]
+    assert network.startswith("| network | 6 | 0.50 | 0.90 | 1.00 | 3.00 / 1.15 | 10.00 / 1.15 | 3.00 / 1.15 | +0.00")
+    assert "| -1.50 (-2.00 to -1.00) / +0.00" in exact
+    assert "2 held-out videos" in "\n".join(lines)
+
+
+class _OneView:
+    def __init__(self, view: GripperView) -> None:
+        self._view = view
+
+    def estimate(self, frames: Frames, camera: Camera, crops: Mapping[int, Crop]) -> Iterator[tuple[int, GripperView]]:
+        yield 0, self._view
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
+def test_a_share_of_the_networks_errors_remains(share: float) -> None:
+    camera = benchmark_camera()
+    view = perfect_view(GripperCad(), hand_pose(0))
+    true_C = np.full((1, camera.height, camera.width), 0.6)
+    axis = (view.rays() @ view.crop.R_CV.T)[..., 2]
+    view = replace(view, depth_m=1.04 * 0.6 / axis)
+    blended = _BlendedEstimator(_OneView(view), ExternalDepth(depth_m=true_C, exact=True), share)
+    ((_, result),) = blended.estimate(np.zeros((1, camera.height, camera.width, 3), np.uint8), camera, {0: view.crop})
+    inside = view.crop.in_image(camera, view.stride)
+    inside[[0, -1]] = inside[:, [0, -1]] = False
+    np.testing.assert_allclose((result.depth_m * axis / 0.6)[inside], 1.04**share, rtol=1e-5)
