@@ -119,21 +119,21 @@ def loss(count: int, seed: int, jobs: int) -> None:
 
 
 @main.command(epilog="\b\nExample:\n  python -m benchmarks icp heldout --keep icp.jsonl --out docs/grounding.md")
-@click.argument("videos", type=_EXISTING_FOLDER)
-@click.option("--keep", type=_FILE, required=True, help="File of finished measurements; an earlier run is resumed.")
-@click.option("--limit", type=_COUNT, help="Number of videos, tasks in turn.")
+@click.argument("videos", type=EXISTING_FOLDER)
+@click.option("--keep", type=FILE, required=True, help="File of finished measurements; an earlier run is resumed.")
+@click.option("--limit", type=COUNT, help="Number of videos, tasks in turn.")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
-@_jobs
-@_out
+@jobs_option
+@out_option
 def icp(videos: Path, keep: Path, limit: int | None, seed: int, jobs: int, out: Path | None) -> None:
     """Measure the contribution of ICP to the poses of VIDEOS, a folder of `suite demos --with-depth`."""
     from benchmarks.registration import measure, section
     from kinebench_drake.cli.run import ProgressView
     from kinebench_drake.executors.local import LocalExecutor
 
-    with _errors(), ProgressView("steps") as view:
+    with errors(), ProgressView("steps") as view:
         results = measure(videos, keep, limit, seed, LocalExecutor(jobs=jobs), view)
-    _write_section(out, "\n".join(section(results)))
+    write_section(out, "\n".join(section(results)))
 
 
 @main.group()
@@ -184,10 +184,10 @@ def validity_report(work: Path, out: Path | None) -> None:
     "  python -m benchmarks baseline --out baseline --jobs 2\n"
     "  python -m benchmarks extractors validity --baseline baseline/baseline.safetensors --out docs/validity.md"
 )
-@click.argument("work", type=_EXISTING_FOLDER)
-@click.option("--baseline", "weights", type=_EXISTING_FILE, required=True, help="Weights of the baseline.")
-@_jobs
-@_out
+@click.argument("work", type=EXISTING_FOLDER)
+@click.option("--baseline", "weights", type=EXISTING_FILE, required=True, help="Weights of the baseline.")
+@jobs_option
+@out_option
 def extractors(work: Path, weights: Path, jobs: int, out: Path | None) -> None:
     """Execute the videos of a validity study through truth, grounding and baseline, and count changed verdicts.
 
@@ -198,19 +198,19 @@ def extractors(work: Path, weights: Path, jobs: int, out: Path | None) -> None:
     from kinebench_drake.grounding.baseline.network import Baseline
     from kinebench_drake.io.figure import save
 
-    with _errors(), ProgressView("executions") as view:
+    with errors(), ProgressView("executions") as view:
         done = measure(work, weights, jobs, view)
         save(draw(done), (work if out is None else out.parent) / FIGURE)
         text = "\n".join(section(done, Baseline.load(weights).training))
-    _write_section(out, text)
+    write_section(out, text)
 
 
 @main.command(epilog="\b\nExample:\n  python -m benchmarks baseline --out baseline --jobs 2")
-@click.option("--out", type=_FOLDER, required=True, help="Folder of demonstrations, checkpoints and weights.")
-@click.option("--episodes", type=_COUNT, default=100, show_default=True, help="Demonstrations of each training task.")
-@click.option("--steps", type=_COUNT, default=6000, show_default=True, help="Training steps.")
-@click.option("--size", type=_COUNT, default=224, show_default=True, help="Width of the frames, a multiple of 32 [px].")
-@_jobs
+@click.option("--out", type=FOLDER, required=True, help="Folder of demonstrations, checkpoints and weights.")
+@click.option("--episodes", type=COUNT, default=100, show_default=True, help="Demonstrations of each training task.")
+@click.option("--steps", type=COUNT, default=6000, show_default=True, help="Training steps.")
+@click.option("--size", type=COUNT, default=224, show_default=True, help="Width of the frames, a multiple of 32 [px].")
+@jobs_option
 def baseline(out: Path, episodes: int, steps: int, size: int, jobs: int) -> None:
     """Train the inverse-dynamics baseline as published: on 100 demonstrations of each training task of suite 1.
 
@@ -219,7 +219,7 @@ def baseline(out: Path, episodes: int, steps: int, size: int, jobs: int) -> None
     from benchmarks.extractors import train_baseline
     from kinebench_drake.cli.run import ProgressView
 
-    with _errors(), ProgressView("demonstrations") as view:
+    with errors(), ProgressView("demonstrations") as view:
         weights = train_baseline(out, episodes, steps, size, jobs, view, click.echo)
     click.echo(weights)
 
