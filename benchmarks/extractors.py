@@ -212,13 +212,15 @@ def difference(extractions: Sequence[Extraction]) -> IntervalEstimate:
 def _over_episodes(extractions: Sequence[Extraction], values: Array, seed: int = 0) -> IntervalEstimate:
     """Return the mean of values (N,) with its bootstrap interval over episodes: videos of one show the same motion.
 
-    If all values are 0 or all are 1, the interval is Wilson's for as many episodes.
+    If all values are 0 or all are 1, the interval is Wilson's for as many episodes; else a single episode has none.
     """
     names = sorted({e.episode for e in extractions})
     mean = float(values.mean())
     if np.ptp(values) == 0.0 and mean in (0.0, 1.0):
         low, high = wilson(round(mean * len(names)), len(names))
         return IntervalEstimate(value=mean, low=low, high=high)
+    if len(names) == 1:
+        return IntervalEstimate(value=mean, low=float("nan"), high=float("nan"))
     members = [np.flatnonzero([e.episode == name for e in extractions]) for name in names]
     draws = [
         float(values[np.concatenate([members[i] for i in drawn])].mean())
@@ -282,7 +284,7 @@ def draw(extractions: Sequence[Extraction]) -> "Figure":
     ax.invert_yaxis()
     ax.set_xlim(-0.02, 1.02)
     ax.set_xlabel("share of videos whose verdict the extractor changes, 95 % interval")
-    ax.legend(loc="lower right")
+    ax.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, frameon=False)
     return figure
 
 

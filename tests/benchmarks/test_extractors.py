@@ -55,6 +55,13 @@ def test_a_share_of_none_has_an_interval(extractions: list[Extraction]) -> None:
     assert 0.1 < estimate.high < 0.4
 
 
+def test_a_single_episode_has_no_bootstrap_interval() -> None:
+    mixed = [extraction(0, True, True, True), extraction(0, True, False, True, AnomalyKind.FREEZE)]
+    estimate = changed(mixed, Extractor.GROUNDING)
+    assert estimate.value == 0.5
+    assert np.isnan([estimate.low, estimate.high]).all()
+
+
 def test_the_section_has_a_row_for_each_group(extractions: list[Extraction], tmp_path: Path) -> None:
     text = "\n".join(section(extractions, "1,000 demonstrations"))
     assert "| all videos | 20 | 50% | 45% | 25% | 5% (" in text
