@@ -1,7 +1,7 @@
 """Statistics: intervals of shares and means, resampling, and paired comparisons."""
 
 import math
-from collections.abc import Hashable, Iterator, Sequence
+from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -195,6 +195,14 @@ def independent_mean_difference(first: Array, second: Array, rng: np.random.Gene
         draws = resampled_means(a, rng) - resampled_means(b, rng)
         low, high = percentile_interval(draws) if np.ptp(draws) > 1e-12 else (np.nan, np.nan)
     return IntervalEstimate(value=value, low=low, high=high)
+
+
+def adjust_p_values(p_values: Mapping[str, float]) -> dict[str, float]:
+    """Return p-values by name, adjusted for their number as Benjamini and Hochberg (J. R. Statist. Soc. B 57, 1995)."""
+    from scipy.stats import false_discovery_control
+
+    adjusted = false_discovery_control(list(p_values.values())) if p_values else []
+    return {name: float(p) for name, p in zip(p_values, adjusted, strict=True)}
 
 
 def sign_test(first: int, second: int) -> float:

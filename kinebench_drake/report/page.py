@@ -187,12 +187,12 @@ def group_rows(rows: Sequence[SampleRow], key: str, statistics: RunStatistics) -
 
 def count_metrics(rows: Sequence[SampleRow], total: Aggregate, layout: MetricLayout) -> list[Histogram]:
     """Count the values of the metrics that a page shows first, where they differ."""
-    histograms = []
+    histograms, verdicts = [], [verdict_of(row) for row in rows]
     for name in dict.fromkeys((*layout.headlines, *layout.columns)):
         if _is_measured(total, name):
             values = [
-                (verdict_of(row), numeric_value(row, name) if row.status is Status.OK else None)
-                for row in rows
+                (verdict, numeric_value(row, name) if row.status is Status.OK else None)
+                for row, verdict in zip(rows, verdicts, strict=True)
                 if not isinstance(row.metrics.get(name, row.extra.get(name)), bool)
             ]
             histograms.append(count_values(BY_NAME[name], values, total.estimates[name]))

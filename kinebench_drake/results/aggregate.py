@@ -82,7 +82,8 @@ class Aggregate:
 
 def worst_values(rows: Sequence[SampleRow]) -> dict[str, float | None]:
     """Return the worst value of each verdict and metric among all rows of a run; None where no value is the worst."""
-    return {name: worst_value(name, _numbers(values)) for name, (values, _) in _columns(rows).items()}
+    columns = {name: _to_array(values) for name, (values, _) in _columns(rows).items()}
+    return {name: worst_value(name, column[np.isfinite(column)].tolist()) for name, column in columns.items()}
 
 
 def aggregate(rows: Sequence[SampleRow], seed: int = 0, worst: Mapping[str, float | None] | None = None) -> Aggregate:
@@ -221,13 +222,15 @@ def estimate(
         worst: value of missing ones in the bound.
         episodes: episode of each sample; None: each its own.
     """
-    numbers = _numbers(values)
+    column = _to_array(values)
+    finite = np.isfinite(column)
+    numbers = column[finite].tolist()
     n = len(numbers)
     if not n:
         return Estimate(mean=None, low=None, high=None, n=0, total=total, bound=worst)
     units = numbers
     if episodes is not None and len(set(episodes)) < len(episodes):
-        measured = [episode for value, episode in zip(values, episodes, strict=True) if _numbers([value])]
+        measured = [episode for episode, is_finite in zip(episodes, finite.tolist(), strict=True) if is_finite]
         units = group_means(numbers, measured).tolist()
     mean = math.fsum(units) / len(units)
     low: float | None = None
@@ -244,8 +247,11 @@ def estimate(
     return Estimate(mean=mean, low=low, high=high, n=n, total=total, bound=bound)
 
 
-def _numbers(values: Iterable[Json]) -> list[float]:
-    return [float(v) for v in values if isinstance(v, bool | int | float) and math.isfinite(v)]
+def _to_array(values: Sequence[Json]) -> Array:
+    """Return numbers and truth values (N,) as numbers; NaN for anything else."""
+    if {*map(type, values)} <= {float, int, bool, type(None)}:
+        return np.array(values, dtype=np.float64)  # None becomes NaN
+    return np.array([v if isinstance(v, bool | int | float) else np.nan for v in values], dtype=np.float64)
 
 
 def _count_kinds(samples: Iterable[set[str]]) -> dict[str, int]:

@@ -20,7 +20,7 @@ from kinebench_drake.report.table import Column, Table, Value, plain_columns, ta
 from kinebench_drake.results.aggregate import Estimate
 from kinebench_drake.results.power import POWER, least_difference
 from kinebench_drake.results.row import SampleRow, Status
-from kinebench_drake.stats import PairedShares
+from kinebench_drake.stats import PairedShares, adjust_p_values
 
 if TYPE_CHECKING:
     from kinebench_drake.closed_loop.tolerance import ToleranceAttempt
@@ -218,12 +218,8 @@ def _means(pairs: Sequence[Pair], value: Callable[[EpisodeResult], float | None]
 
 
 def _adjust(tasks: Sequence[PairComparison]) -> list[PairComparison]:
-    """Adjust the p-values of tasks as Benjamini and Hochberg (J. R. Statist. Soc. B 57, 1995)."""
-    from scipy.stats import false_discovery_control
-
-    p_values = {c.task: c.paired.p_value for c in tasks if c.paired is not None}
-    adjusted = false_discovery_control(list(p_values.values())) if p_values else []
-    by_task = {task: float(p) for task, p in zip(p_values, adjusted, strict=True)}
+    """Adjust the p-values of tasks for their number."""
+    by_task = adjust_p_values({c.task: c.paired.p_value for c in tasks if c.paired is not None})
     return [replace(c, adjusted_p=by_task.get(c.task)) for c in tasks]
 
 

@@ -12,7 +12,7 @@ from kinebench_drake.report.number import ALL_TASKS, share_difference
 from kinebench_drake.report.suite.episode import EpisodeResult, SuitePart, group_by, list_models
 from kinebench_drake.report.table import Column, Table, Value, plain_columns
 from kinebench_drake.results.aggregate import Estimate
-from kinebench_drake.stats import PairedShares, independent_mean_difference
+from kinebench_drake.stats import PairedShares, adjust_p_values, independent_mean_difference
 
 SEEN, UNSEEN = "seen", "unseen"
 """Splits that are compared."""
@@ -149,11 +149,7 @@ def _mean(values: Array) -> Estimate:
 
 
 def _adjust(drops: Sequence[SeenUnseenDrop]) -> list[SeenUnseenDrop]:
-    from scipy.stats import false_discovery_control
-
-    values = {d.task: d.p for d in drops if d.p is not None}
-    adjusted = false_discovery_control(list(values.values())) if values else []
-    by_task = {task: float(p) for task, p in zip(values, adjusted, strict=True)}
+    by_task = adjust_p_values({d.task: d.p for d in drops if d.p is not None})
     return [replace(d, adjusted_p=by_task.get(d.task)) for d in drops]
 
 
