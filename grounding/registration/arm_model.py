@@ -43,9 +43,14 @@ class ArmModel:
 
     def poses_and_axes(self, q: Array) -> tuple[Array, Array, Array]:
         """Return poses (PARTS, 4, 4), joint axes (7, 3) and a point (7, 3) on each axis in B, at one posture (7,)."""
-        M = self._chain.motions(q[None])
+        X, axis, point = self.poses_and_axes_of(q[None])
+        return X[0], axis[0], point[0]
+
+    def poses_and_axes_of(self, q: Array) -> tuple[Array, Array, Array]:
+        """Return the same of postures `q` (M, 7), each with a leading dimension M."""
+        M = self._chain.motions(q)
         axis, point = self._chain.axes(M)
-        return np.asarray(M[0, self._stage] @ self._home), axis[0], point[0]
+        return np.asarray(M[:, self._stage] @ self._home), axis, point
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

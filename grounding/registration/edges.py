@@ -30,9 +30,11 @@ _JUMP_M = 0.015  # least jump of the depth at a contour
 _BESIDE_PX = 1.5  # distance from the edge at which the jump is measured
 _LARGEST_PX = 640  # images larger than this are reduced
 _SMOOTHING_PX = 0.8
-_SIGMA_PX = 0.7
+SIGMA_PX = 0.7
+"""Standard deviation of an image edge across itself [px]."""
 _INDEPENDENT = 120.0  # independent measurements that the edges of an image count as at most
-_LEAST_GRADIENT = 6.0  # of an image in 0..255, per pixel
+LEAST_GRADIENT = 6.0
+"""Least gradient of an edge, of an image in 0..255 [1/px]."""
 _STEP_PX = 0.5
 _BAND_PX, _OUTER_SHARE = 4.0, 0.45  # how far outside and how strong an outline is next to a stronger edge
 _OFF_RIM = 0.1  # weight of edges of the hand far from its segmented rim
@@ -263,8 +265,13 @@ class EdgeMatcher:
         points = self.project(X_CP, image.camera, parts)
         if points is None:
             return 0.0
+        return float(self.edge_shares(image, points).mean())
+
+    @staticmethod
+    def edge_shares(image: GradientImage, points: EdgePoints) -> Array:
+        """Return how surely (N,) contour points lie on the strongest image edge nearby, 0..1."""
         offset, strength = image.find_edges(points, _SEARCH_PX)
-        return float((np.exp(-0.5 * (offset / _ON_CONTOUR_PX) ** 2) * (strength > _LEAST_GRADIENT)).mean())
+        return np.asarray(np.exp(-0.5 * (offset / _ON_CONTOUR_PX) ** 2) * (strength > LEAST_GRADIENT))
 
     def match(
         self, image: GradientImage, X_CP: Array, reach_px: float, parts: tuple[RobotPart, ...] = ROBOT
@@ -281,7 +288,7 @@ class EdgeMatcher:
         if points is None:
             return None
         move, strength = image.find_edges(points, reach_px)
-        strong = strength > _LEAST_GRADIENT
+        strong = strength > LEAST_GRADIENT
         if strong.sum() < _MIN_POINTS:
             return None
         camera = image.camera
@@ -299,7 +306,7 @@ class EdgeMatcher:
             range_m=np.ones(n),
             range_sigma=unconstrained,
             p_P=points.p_P[strong],
-            sigma_m=np.column_stack([_SIGMA_PX / camera.fx * points.p_C[strong, 2], unconstrained]),
+            sigma_m=np.column_stack([SIGMA_PX / camera.fx * points.p_C[strong, 2], unconstrained]),
             part=part,
             opening_sign=np.array([OPENING_SIGN.get(RobotPart(p), 0.0) for p in part]),
             weight=np.full(n, min(1.0, _INDEPENDENT / n)),

@@ -22,10 +22,12 @@ from kinebench_drake.datasets.videos.sample import CameraSource, VideoSample
 from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.evaluation.analyzer import Analyzer, AnalyzerFactory, RobotOptions, load_analyzer
 from kinebench_drake.evaluation.audit import judge_trajectory
+from kinebench_drake.evaluation.camera import AUTO
 from kinebench_drake.evaluation.evaluator import SampleInfo
 from kinebench_drake.evaluation.score import (
     BENCHMARK_PERIOD_S,
     check_period,
+    choose_video_camera,
     ground_prepared,
     period_warnings,
     prepare_video,
@@ -163,10 +165,15 @@ def ground_video(
     if first is not None:
         sample = replace(sample, initial_state=first)
     with one_thread():
-        prepared = prepare_video(decoded, sample, frame_period_s, overrides)
+        analyzer = _analyzer_for(RobotOptions())
+        choice = choose_video_camera(decoded, sample, AUTO, overrides, analyzer)
+        if choice.reason is not None:
+            _warn(choice.reason)
+        prepared = prepare_video(decoded, choice.sample, frame_period_s, overrides)
         if prepared.period_source is PeriodSource.BENCHMARK:
             _warn(f"the video has no frame rate: {BENCHMARK_PERIOD_S} s between frames was taken; give frame_period_s")
-        return ground_prepared(prepared, _analyzer_for(RobotOptions()))
+        grounding = ground_prepared(prepared, analyzer)
+        return replace(grounding, track=choice.without_base(grounding.track))
 
 
 @own_arguments()

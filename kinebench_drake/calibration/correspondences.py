@@ -45,6 +45,8 @@ class CalibrationCorrespondences:
     """(N,) standard deviation of each coordinate of the point [m]."""
     opening_sign: Array
     """(N,) direction of the cell along the hand's y axis as the gripper opens: 1 or -1 for fingers, else 0."""
+    depth_per_px: Array
+    """(N,) estimated depth over the focal length of the assumed camera [m/px]: it scales with the true one."""
     weight: Array
     """(N,) weight in independent measurements within its frame."""
     repeats: Array
@@ -134,13 +136,15 @@ def _part_cells(row: int, view: GripperView, part: RobotPart, camera: Camera) ->
         chosen = np.linspace(0, len(v) - 1, PART_CELLS).astype(int)
         v, u = v[chosen], u[chosen]
     n = len(v)
+    rays = view.rays()[v, u] @ view.crop.R_CV.T
     return CalibrationCorrespondences(
         frame=np.full(n, row, dtype=np.intp),
-        uv_px=camera.project(view.rays()[v, u] @ view.crop.R_CV.T),
+        uv_px=camera.project(rays),
         part=view.part[v, u],
         p_P=view.coordinates_P[v, u],
         sigma_m=view.coordinates_sigma_m[v, u] * (LINK_SIGMAS if part in ARM else 1.0),
         opening_sign=view.opening_sign[v, u],
+        depth_per_px=rays[:, 2] * view.depth_m[v, u] / camera.fx,
         weight=np.full(n, min(1.0, INDEPENDENT / max(1, n))),
         repeats=np.ones(n),
     )

@@ -118,6 +118,14 @@ video_options = _combine(
         metavar="NAME",
     ),
     click.option(
+        "--camera",
+        default="auto",
+        show_default=True,
+        help="Camera of videos that name none: auto takes the benchmark camera where the arm agrees with it and "
+        "estimates it from the arm elsewhere, benchmark insists on the former; a camera.json is that of all videos.",
+        metavar="auto|benchmark|FILE",
+    ),
+    click.option(
         "--dry-run",
         is_flag=True,
         help="List samples, frame periods and cameras; measure and write nothing.",

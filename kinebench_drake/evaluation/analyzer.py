@@ -18,6 +18,7 @@ from kinebench_drake.models.robot import Robot
 from kinebench_drake.types import GripperTrack, Priors
 
 if TYPE_CHECKING:  # Drake, torch and Open3D take seconds to load
+    from kinebench_drake.calibration.estimate import CameraEstimate, CameraEstimator
     from kinebench_drake.grounding.pipeline import GroundingPipeline, GroundingResult
     from kinebench_drake.metrics.result import KinematicResult
 
@@ -94,6 +95,29 @@ class Analyzer:
             SetupError: weights or libraries are missing.
         """
         return self._pipeline.ground(frames, camera, t_s, priors)
+
+    @cached_property
+    def _cameras(self) -> "CameraEstimator":
+        from kinebench_drake.calibration.estimate import CameraEstimator
+
+        return CameraEstimator.create()
+
+    def camera_agreement(self, frames: NDArray[np.uint8], camera: Camera) -> float | None:
+        """Return the share of the arm's contours on image edges with this camera; None if no arm is seen.
+
+        Raises:
+            SetupError: weights or libraries are missing.
+        """
+        return self._cameras.measure_agreement(frames, camera)
+
+    def estimate_camera(self, frames: NDArray[np.uint8]) -> "CameraEstimate":
+        """Estimate the camera of frames (T, H, W, 3).
+
+        Raises:
+            UnmeasurableError: hand and arm are seen in too few frames.
+            SetupError: weights or libraries are missing.
+        """
+        return self._cameras.estimate(frames)
 
     def judge(self, track: GripperTrack) -> "KinematicResult":
         """Judge a track of poses: infeasible only if no joint path follows it."""

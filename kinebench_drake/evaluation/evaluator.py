@@ -83,6 +83,8 @@ class Evaluation:
     """Further keys of the row."""
     video: str | None = None
     """Name of the video where it differs from the sample's."""
+    reasons: Mapping[str, str] = field(default_factory=dict)
+    """Why metrics are null where kinematics is not judged, by name; that of all others by ""."""
     unmeasurable: str | None = None
     """Reason why the sample cannot be measured, where the row still has further keys."""
 
@@ -207,10 +209,10 @@ class Evaluator(ABC, Generic[SampleT, ResourcesT]):
             executable_reasons=obstacles,
             violations=tuple(v.to_json() for v in kinematics.violations) if kinematics else (),
             metrics=metrics,
-            null_reasons=_null_reasons(metrics, kinematics),
+            null_reasons=_null_reasons(metrics, kinematics, evaluation.reasons),
             without_lost=dict(kinematics.without_lost) if kinematics else {},
             details=dict(kinematics.details) if kinematics else {},
-            extra={**evaluation.extra, **self.labels(sample)},
+            extra={**evaluation.extra, **{k: v for k, v in self.labels(sample).items() if k not in evaluation.extra}},
         )
 
 
@@ -243,15 +245,19 @@ def _executability(kinematics: "KinematicResult | None", anomalies: Json) -> tup
     return is_executable(obstacles), tuple(obstacles)
 
 
-def _null_reasons(metrics: Mapping[str, Json], kinematics: "KinematicResult | None") -> dict[str, str]:
-    """Return why each null metric is null, in the metrics' order."""
-    stated = kinematics.reasons if kinematics else {}
+def _null_reasons(
+    metrics: Mapping[str, Json], kinematics: "KinematicResult | None", others: Mapping[str, str]
+) -> dict[str, str]:
+    """Return why each null metric is null, in the metrics' order; `others` where kinematics is not judged."""
+    stated = kinematics.reasons if kinematics else others
     reasons = {}
     for name, value in metrics.items():
         if value is None:
-            reasons[name] = stated.get(name) or "cannot be measured on this sample"
+            reasons[name] = stated.get(name) or stated.get("") or "cannot be measured on this sample"
         elif isinstance(value, float) and not math.isfinite(value):
             reasons[name] = stated.get(name) or f"came out as {value}"
+    if "feasible" in others and kinematics is None:
+        reasons["feasible"] = others["feasible"]
     if kinematics and kinematics.feasible is None:
         reasons["feasible"] = stated.get("feasible", "cannot be measured on this sample")
     return reasons

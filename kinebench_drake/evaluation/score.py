@@ -19,6 +19,16 @@ from kinebench_drake.datasets.videos.find import find_samples
 from kinebench_drake.datasets.videos.sample import VideoSample, VideoSamples
 from kinebench_drake.errors import InputError, UnmeasurableError, UsageError, count_noun, member_of
 from kinebench_drake.evaluation.analyzer import Analyzer, load_analyzer
+from kinebench_drake.evaluation.camera import (
+    AUTO,
+    BENCHMARK,
+    CameraChoice,
+    camera_frame_metrics,
+    camera_warnings,
+    choose_camera,
+    is_assumed,
+    with_camera_option,
+)
 from kinebench_drake.evaluation.config import RunConfig, RunKind
 from kinebench_drake.evaluation.evaluator import KINEMATIC_METRICS, MIN_TRACKED, Evaluation, Evaluator
 from kinebench_drake.evaluation.runner import NullRunObserver, RunObserver, RunSummary, run_samples
@@ -74,6 +84,8 @@ class ScoreConfig(RunConfig):
     """Folder of depth maps, `moge:CHECKPOINT` or `module:Class` that replaces the network's depth."""
     poses: Path | None = None
     """Folder of poses that replace the tracker's."""
+    camera: str = AUTO
+    """`auto`, `benchmark`, or the path of a camera.json for all videos."""
     pixels_only: bool = False
     """Ignore the initial state of the manifest."""
     depth_exact: bool = False
@@ -127,6 +139,7 @@ class ScoreConfig(RunConfig):
             "frame_period_s": self.frame_period_s,
             "task_duration_s": self.duration_s,
             "camera_key": self.camera_key,
+            "camera": self.camera if self.camera in (AUTO, BENCHMARK) else Path(self.camera).name,
             "overlay": self.overlay,
             "pixels_only": self.pixels_only,
             **dict.fromkeys(("masks", "depth", "poses")),
@@ -157,6 +170,8 @@ def score_videos(config: ScoreConfig, observer: RunObserver | None = None) -> Ru
             "the first frame contradicts the pose of the manifest, or of the episode of task and seed, in "
             f"{count_noun(contradicted, 'sample')}: the pose was not used"
         )
+    for warning in camera_warnings(summary.rows):
+        observer.warn(warning)
     without_clock = sum(row.extra.get("frame_period_source") == PeriodSource.BENCHMARK.value for row in summary.rows)
     if without_clock:
         observer.warn(
@@ -191,7 +206,8 @@ def _find(config: ScoreConfig) -> VideoSamples:
         camera_key=config.camera_key,
     )
     periods = [config.frame_period_s, *(s.frame_period_s or s.dataset_period_s for s in inputs.samples)]
-    return replace(inputs, warnings=(*inputs.warnings, *period_warnings(periods)))
+    samples = tuple(with_camera_option(inputs.samples, config.camera))
+    return replace(inputs, samples=samples, warnings=(*inputs.warnings, *period_warnings(periods)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -212,10 +228,17 @@ class VideoEvaluator(Evaluator[VideoSample, Analyzer]):
             raise InputError(sample.problem)
         video = read_video(sample.path, sample.part)
         config = self.config
-        prepared = prepare_video(video, sample, config.frame_period_s, self.overrides, duration_s=config.duration_s)
+        choice = choose_video_camera(video, sample, config.camera, self.overrides, analyzer)
+        prepared = prepare_video(
+            video, choice.sample, config.frame_period_s, self.overrides, duration_s=config.duration_s
+        )
         grounding = ground_prepared(prepared, analyzer)
-        track = grounding.track
-        kinematics = analyzer.judge(track) if self.config.kind.judges else None
+        track = choice.without_base(grounding.track)
+        kinematics = analyzer.judge(track) if self.config.kind.judges and choice.reason is None else None
+        smoothness: Mapping[str, Json] = {}
+        reasons: Mapping[str, str] = {}
+        if self.config.kind.judges and choice.reason is not None:
+            smoothness, reasons = camera_frame_metrics(track, choice.reason)
         if self.config.overlay:
             path = artifact_path(self.config.out, "overlays", sample.id)
             native = len(prepared.frames) == len(video.frames)
@@ -234,7 +257,9 @@ class VideoEvaluator(Evaluator[VideoSample, Analyzer]):
                 "camera_motion_px": grounding.camera_motion_px,
                 "arm_consistency_px": grounding.arm_consistency_px,
                 "anomalies": [anomaly.to_json() for anomaly in grounding.anomalies],
+                **smoothness,
             },
+            reasons=reasons,
             extra={
                 "first_frame": grounding.first_frame.value,
                 "frames": len(track.t_s),
@@ -246,6 +271,7 @@ class VideoEvaluator(Evaluator[VideoSample, Analyzer]):
                 "frame_period_source": prepared.period_source.value,
                 "clip_timing": prepared.timing.value,
                 "clip_frames": len(video.frames),
+                **choice.to_json(),
             },
         )
 
@@ -271,6 +297,7 @@ class VideoEvaluator(Evaluator[VideoSample, Analyzer]):
             "given": self._replaced(sample),
             "first": None if initial is None else [*initial.X_BG.ravel().tolist(), str(initial.finger_width_m)],
             "depth_exact": self.overrides.depth_exact,
+            **({"camera_option": AUTO} if is_assumed(sample, self.config.camera) else {}),
             "labels": [sample.seed, sample.prompt, sample.fps, sample.frame_period_s, sample.problem],
             "part": [*dataclasses.astuple(sample.part), sample.camera_key, sample.dataset_period_s],
         }
@@ -308,7 +335,8 @@ class _VideoReader(VideoEvaluator):
             raise InputError(sample.problem)
         video = read_video(sample.path, sample.part)
         video.require_measurable()
-        _framing(sample, video)
+        if not is_assumed(sample, self.config.camera):
+            _framing(sample, video)
         t_s, period_s, source = _times(sample, video, self.config.frame_period_s)
         return Evaluation(
             kinematics=None,
@@ -320,6 +348,31 @@ class _VideoReader(VideoEvaluator):
                 "frame_period_source": source.value,
             },
         )
+
+
+def choose_video_camera(
+    video: Video, sample: VideoSample, option: str, overrides: Overrides, analyzer: Analyzer
+) -> CameraChoice:
+    """Choose the camera of a video: that of the input, or as `--camera` says.
+
+    Args:
+        video: as decoded.
+        sample: labels and camera of the video.
+        option: value of `--camera`.
+        overrides: stages of the grounding that are replaced; poses need no camera to be found.
+        analyzer: checks and estimates cameras.
+
+    Raises:
+        UnmeasurableError: the video is too small or too short.
+    """
+    video.require_measurable()
+    if not is_assumed(sample, option) or overrides.poses is not None:
+        return CameraChoice(sample=sample)
+    try:
+        framing = _framing(sample, video)
+    except UnmeasurableError:
+        return choose_camera(sample, video.frames, None, analyzer)
+    return choose_camera(sample, video.frames, (framing.crop(video.frames), framing.camera(sample.camera)), analyzer)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -40,6 +40,8 @@ _CAMERAS: Mapping[str, str] = {
     "manifest": "from the manifest",
     "folder": "from camera.json",
     "benchmark": "the benchmark's, by default",
+    "option": "from --camera",
+    "estimated": "estimated from the arm",
 }
 _MOST = 3
 """Values that a line lists."""

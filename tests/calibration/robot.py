@@ -47,12 +47,15 @@ def project_robot(
         part=part,
         p_P=rng.uniform(-0.06, 0.06, (n, 3)),
         sigma_m=np.full(n, 0.003),
+        depth_per_px=np.full(n, np.nan),
         opening_sign=np.array([OPENING_SIGN.get(RobotPart(p), 0.0) for p in part]),
         weight=np.full(n, 8.0 / cells),
         repeats=np.ones(n),
     )
     p_B = locate_points(observed, model.poses(q), np.full(len(q), finger_m))
-    uv = camera.project(transform_points(invert(camera.X_BC), p_B))
+    p_C = transform_points(invert(camera.X_BC), p_B)
+    uv = camera.project(p_C)
+    observed.depth_per_px[:] = p_C[:, 2] / camera.fx
     observed.uv_px[:] = uv + rng.normal(0.0, noise_px, uv.shape) if noise_px else uv
     return observed
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from kinebench_drake.errors import InputError
+from kinebench_drake.errors import InputError, UnmeasurableError
 from kinebench_drake.geometry import make_pose
 from kinebench_drake.metrics.result import KinematicResult
 from kinebench_drake.types import (
@@ -103,6 +103,12 @@ class FakeAnalyzer:
             finger_width_m=np.where(tracked, width, np.nan),
         )
         return FakeGrounding(track, anomalies, 0.12)
+
+    def camera_agreement(self, frames, camera):
+        return 0.7
+
+    def estimate_camera(self, frames):
+        raise UnmeasurableError("no camera can be estimated: a gripper is seen in 0 of the frames searched")
 
     def judge(self, track):
         n = len(track.t_s)

@@ -392,7 +392,7 @@ def test_a_camera_of_another_shape_makes_the_sample_unmeasurable(film, config, t
     film("videos/a.mp4")
     np.save(tmp_path / "videos" / "wide.npy", images)
     for source, status in (("wide.npy", Status.UNMEASURABLE), ("a.mp4", Status.OK)):
-        score_videos(config(source=tmp_path / "videos" / source, out=tmp_path / source[0]))
+        score_videos(config(source=tmp_path / "videos" / source, out=tmp_path / source[0], camera="benchmark"))
         (row,) = read_rows(tmp_path / source[0]).values()
         assert row.status is status
         assert row.extra["camera_source"] == "benchmark"

@@ -18,6 +18,10 @@ class CameraSource(Enum):
     MANIFEST = "manifest"
     FOLDER = "folder"
     BENCHMARK = "benchmark"
+    OPTION = "option"
+    """File of the command line, which precedes all."""
+    ESTIMATED = "estimated"
+    """Estimated from the arm."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

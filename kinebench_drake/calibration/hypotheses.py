@@ -1,0 +1,213 @@
+"""Initial cameras and postures of frames whose camera, focal length and joint angles are all unknown.
+
+For a focal length, perspective-n-point gives the hand's pose in the camera of one frame. From the hand the arm is
+followed link by link towards the base: each joint's angle decides where the next link appears (beam search). The
+camera of each frame's best chain is then tried in the other frames: closed-form inverse kinematics of their hands gives
+their postures, and the cells of their links say how well the camera explains them.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from kinebench_drake.calibration.correspondences import CalibrationCorrespondences
+from kinebench_drake.calibration.fit import Lens, with_focal
+from kinebench_drake.camera import Camera
+from kinebench_drake.geometry import Array, invert, make_pose, rotation_exp
+from kinebench_drake.grounding.registration.arm_model import OVER_LIMIT_RAD, ArmModel
+from kinebench_drake.kinematics.analytic import analytic_ik
+from kinebench_drake.models.panda.robot import ARM, GRIPPER, RobotPart
+from kinebench_drake.models.robot import N_JOINTS
+
+_ANGLES, _COARSE_ANGLES = 36, 9  # angles of a joint whose next link is visible, and of another
+_BEAM = 100
+_CELLS = 8  # cells of a link that are compared
+_LEAST_CELLS = 10
+_CAP = 16.0  # of a cell's squared error in standard deviations
+_SLACK_M, _SLACK_PX = 0.02, 2.0  # standard deviation that the start of the chain adds, and of the cells
+_LINK_FACTOR = 0.4  # of the cells' standard deviations: a wrong chain is farther off than they are
+_DEPTH_SIGMA = 0.04
+_ROLL_SIGMA_RAD = np.deg2rad(12.0)
+_USUAL_Q = np.array([0.0, 0.3, 0.0, -2.0, 0.0, 2.3, 0.8])
+_USUAL_SIGMA = np.array([1.2, 0.7, 0.6, 0.7, 0.7, 0.7, 1.3])
+_PRIOR_WEIGHT = 0.05
+_CONSENSUS_PX = 6.0
+_TIE = 1e-3  # difference of costs that says nothing
+_LAST_ANGLES = np.linspace(-np.pi, np.pi, 32, endpoint=False)
+_HALF_TURN = make_pose(np.diag([-1.0, -1.0, 1.0]), np.zeros(3))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Hypothesis:
+    """Camera and postures of all frames."""
+
+    lens: Lens
+    q: Array
+    """(T, 7) joint angles [rad]; NaN in frames that it does not explain."""
+    flipped: NDArray[np.bool_]
+    """(T,) frames whose gripper is turned by 180 degrees against its cells."""
+    cost: float
+    """Mean capped squared error of the links' cells over all frames."""
+
+
+class ChainSearch:
+    """Search for cameras that explain the cells of several frames."""
+
+    def __init__(self, cells: CalibrationCorrespondences, finger_m: Array, model: ArmModel) -> None:
+        """Sort the cells by frame and part.
+
+        Args:
+            cells: cells of T frames.
+            finger_m: (T,) opening of each finger [m].
+            model: link poses of the arm.
+        """
+        self._model, self._finger_m, self._frames = model, finger_m, len(finger_m)
+        self._cells = [cells.take(cells.frame == t) for t in range(self._frames)]
+        zero = model.poses(np.zeros((1, N_JOINTS)))[0]
+        self._X_H7 = invert(zero[RobotPart.HAND]) @ zero[RobotPart.LINK7]
+        self._grids = [self._relative(joint, _ANGLES) for joint in range(N_JOINTS)]
+        self._coarse = [self._relative(joint, _COARSE_ANGLES) for joint in range(N_JOINTS)]
+
+    def _relative(self, joint: int, count: int) -> tuple[Array, Array]:
+        """Return angles (G,) of a joint [rad] and poses (G, 4, 4) of the link before it in the link after it."""
+        angle = np.linspace(self._model.lower[joint], self._model.upper[joint], count)
+        q = np.zeros((count, N_JOINTS))
+        q[:, joint] = angle
+        X = self._model.poses(q)
+        return angle, invert(X[:, ARM[joint + 1]]) @ X[:, ARM[joint]]
+
+    def hand(self, frame: int, camera: Camera) -> Array | None:
+        """Return the pose X_CH (4, 4) of the hand by perspective-n-point; None if it fails."""
+        cells = self._cells[frame]
+        used = np.isin(cells.part, GRIPPER)
+        p_H = cells.p_P + cells.opening_sign[:, None] * [0.0, self._finger_m[frame], 0.0]
+        if used.sum() < _LEAST_CELLS:
+            return None
+        ok, rotation, translation, inliers = cv2.solvePnPRansac(
+            p_H[used], cells.uv_px[used], camera.K, None, iterationsCount=100, flags=cv2.SOLVEPNP_SQPNP,
+            reprojectionError=_CONSENSUS_PX * camera.unit_px,
+        )  # fmt: skip
+        if not ok or inliers is None or not np.isfinite(rotation).all() or not 0.05 < translation[2, 0] < 20.0:
+            return None
+        return make_pose(rotation_exp(rotation.ravel()), translation.ravel())
+
+    def hands(self, camera: Camera) -> list[Array | None]:
+        """Return the poses X_CH (4, 4) of the hand in all frames by perspective-n-point."""
+        return [self.hand(t, camera) for t in range(self._frames)]
+
+    def _errors(self, X_CP: Array, cells: CalibrationCorrespondences, camera: Camera) -> Array:
+        """Return the capped squared errors (M, n) of cells of one part at poses `X_CP` (M, 4, 4)."""
+        p = cells.p_P @ np.swapaxes(X_CP[:, :3, :3], -1, -2) + X_CP[:, None, :3, 3]
+        z = np.maximum(p[..., 2], 0.05)
+        du = p[..., 0] / z * camera.fx + (camera.cx - cells.uv_px[:, 0])
+        dv = p[..., 1] / z * camera.fy + (camera.cy - cells.uv_px[:, 1])
+        spread_m = np.hypot(_SLACK_M, cells.sigma_m * _LINK_FACTOR)
+        sigma = _SLACK_PX * camera.unit_px + camera.fx / z * spread_m
+        log_sigma = _DEPTH_SIGMA + spread_m / z
+        square = (du**2 + dv**2) / sigma**2 + (np.log(z / (cells.depth_per_px * camera.fx)) / log_sigma) ** 2
+        return np.asarray(np.where(p[..., 2] > 0.05, np.minimum(square, _CAP), _CAP))
+
+    def _prior(self, X_CB: Array, q: Array) -> Array:
+        """Return the cost (M,) of unusual postures and of cameras that are not upright."""
+        roll = np.arctan2(X_CB[:, 0, 2], -X_CB[:, 1, 2])
+        tilt = np.minimum((roll * np.hypot(X_CB[:, 0, 2], X_CB[:, 1, 2]) / _ROLL_SIGMA_RAD) ** 2, 9.0)
+        posture = np.minimum(((q - _USUAL_Q) / _USUAL_SIGMA) ** 2, 9.0).sum(axis=1)
+        return np.asarray(_PRIOR_WEIGHT * (tilt + posture))
+
+    def _links(self, frame: int) -> dict[int, CalibrationCorrespondences]:
+        own = {}
+        for part in ARM:
+            cells = self._cells[frame]
+            cells = cells.take(cells.part == part)
+            if len(cells) >= _LEAST_CELLS:
+                own[int(part)] = cells.take(np.linspace(0, len(cells) - 1, min(len(cells), _CELLS)).astype(int))
+        return own
+
+    def follow(self, frame: int, X_CH: Array, camera: Camera) -> tuple[Array, float]:
+        """Return base pose X_CB (4, 4) and mean cost of the best chain of one frame."""
+        links = self._links(frame)
+        X, q, cost = (X_CH @ self._X_H7)[None], np.zeros((1, N_JOINTS)), np.zeros(1)
+        count = 1e-9
+        for joint in range(N_JOINTS - 1, -1, -1):
+            part = int(ARM[joint])
+            cells = links.get(part)
+            angle, step = self._grids[joint] if cells is not None else self._coarse[joint]
+            X_next = (X[:, None] @ step[None]).reshape(-1, 4, 4)
+            q_next = np.repeat(q, len(angle), axis=0)
+            q_next[:, joint] = np.tile(angle, len(q))
+            total = np.repeat(cost, len(angle))
+            if cells is not None:
+                total = total + self._errors(X_next, cells, camera).mean(axis=1)
+                count += 1.0
+            total = total + 0.2 * _PRIOR_WEIGHT * np.minimum(
+                ((q_next[:, joint] - _USUAL_Q[joint]) / _USUAL_SIGMA[joint]) ** 2, 9.0
+            )
+            best = np.argsort(total, kind="stable")[:_BEAM] if cells is not None else _spread(total, 4 * _BEAM)
+            X, q, cost = X_next[best], q_next[best], total[best]
+        cost = cost / count + self._prior(X, q)
+        first = int(cost.argmin())
+        return X[first], float(cost[first])
+
+    def explain(self, lens: Lens, hands: Sequence[Array | None]) -> Hypothesis:
+        """Return the postures of all frames that a camera explains, by inverse kinematics of their hands."""
+        q = np.full((self._frames, N_JOINTS), np.nan)
+        flipped = np.zeros(self._frames, dtype=bool)
+        costs = []
+        for t, X_CH in enumerate(hands):
+            if X_CH is None:
+                continue
+            links = self._links(t)
+            if not links:
+                continue
+            cost = _CAP
+            for flip in (False, True):
+                X = X_CH @ _HALF_TURN if flip else X_CH
+                found = self._posture(invert(lens.X_CB) @ X, links, lens)
+                if found is not None and found[1] < cost - 0.5 * flip:
+                    q[t], cost = found
+                    flipped[t] = flip
+            costs.append(cost)
+        return Hypothesis(lens=lens, q=q, flipped=flipped, cost=float(np.mean(costs)) if costs else _CAP)
+
+    def _posture(
+        self, X_BH: Array, links: dict[int, CalibrationCorrespondences], lens: Lens
+    ) -> tuple[Array, float] | None:
+        q = analytic_ik(X_BH @ self._model.X_HF, _LAST_ANGLES).reshape(-1, N_JOINTS)
+        lower, upper = self._model.lower - OVER_LIMIT_RAD, self._model.upper + OVER_LIMIT_RAD
+        with np.errstate(invalid="ignore"):
+            q = q[((q >= lower) & (q <= upper)).all(axis=1)]
+        if not len(q):
+            return None
+        X_CP = lens.X_CB @ self._model.poses(q)
+        errors = [self._errors(X_CP[:, part], cells, lens.camera).mean(axis=1) for part, cells in links.items()]
+        cost = np.mean(errors, axis=0) + self._prior(np.repeat(lens.X_CB[None], len(q), axis=0), q)
+        best = int(cost.argmin())
+        return q[best], float(cost[best])
+
+    def run(self, camera: Camera, focals: Sequence[float], anchors: int = 6) -> list[Hypothesis]:
+        """Return hypotheses for several focal lengths [px], the best first."""
+        hypotheses = []
+        for focal in focals:
+            lens_camera = with_focal(camera, focal)
+            hands = self.hands(lens_camera)
+            chains = []
+            for t, X_CH in enumerate(hands):
+                if X_CH is not None and len(self._links(t)) >= 2:
+                    X_CB, cost = self.follow(t, X_CH, lens_camera)
+                    chains.append((cost, X_CB))
+            for _, X_CB in sorted(chains, key=lambda chain: chain[0])[:anchors]:
+                hypotheses.append(self.explain(Lens(camera=lens_camera, X_CB=X_CB), hands))
+        return sorted(hypotheses, key=lambda h: h.cost)
+
+
+def _spread(total: Array, most: int) -> NDArray[np.intp]:
+    """Return the indices of the best, ties in the order of their spread over the beam."""
+    if len(total) <= most:
+        return np.arange(len(total))
+    order = np.argsort(total, kind="stable")
+    if np.ptp(total) < _TIE:
+        order = order[np.linspace(0, len(order) - 1, most).astype(int)]
+    return np.asarray(order[:most], dtype=np.intp)

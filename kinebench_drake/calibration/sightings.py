@@ -1,0 +1,94 @@
+"""Sightings of the robot in the frames of a video whose camera is unknown: cells of the networks' views, in pixels.
+
+A crop is a homography of the image, so the pixel of a cell does not depend on the focal length that the crop was laid
+out with; only the crop's shape does, a little.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinebench_drake.calibration.correspondences import CalibrationCorrespondences, find_correspondences
+from kinebench_drake.camera import Camera
+from kinebench_drake.geometry import Array
+from kinebench_drake.grounding.crop import CLOSE_SIZE, Crop
+from kinebench_drake.grounding.localization import find_region, likeliest_gripper
+from kinebench_drake.grounding.registration.fit import finger_or_default, fit
+from kinebench_drake.grounding.tracker import CLOSE_MARGIN
+from kinebench_drake.grounding.view import DenseEstimator, Frames, GripperView
+from kinebench_drake.models.panda.robot import ARM, RobotPart
+
+SEARCHED = 36
+"""Number of frames of which the best seen ones are used."""
+_PART_CELLS = 40  # cells from which a part counts as seen
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sightings:
+    """Robot in T frames of a video."""
+
+    rows: NDArray[np.intp]
+    """(T,) numbers of the frames."""
+    cells: CalibrationCorrespondences
+    """Cells of hand and arm; their frames are rows of `rows`."""
+    finger_m: Array
+    """(T,) opening of each finger [m]; a default where there is none."""
+    robot: NDArray[np.bool_]
+    """(H, W) pixels of the first of these frames that show the robot."""
+
+
+def find_robot(
+    estimator: DenseEstimator, frames: Frames, camera: Camera, most: int, *, searched: int = SEARCHED
+) -> Sightings | None:
+    """Return the cells of the frames that show hand and arm best; None if no frame shows a hand.
+
+    Args:
+        estimator: source of dense estimates.
+        frames: (T, H, W, 3) RGB.
+        camera: assumed camera; only its focal length matters, and little.
+        most: greatest number of frames.
+        searched: number of frames that these are chosen from.
+    """
+    numbers = np.unique(np.linspace(0, len(frames) - 1, min(len(frames), searched)).round().astype(int))
+    whole = dict.fromkeys(numbers.tolist(), Crop.of_frame(camera))
+    wide = dict(estimator.estimate(frames, camera, whole))
+    # The region is sought in the frames searched alone, numbered from 0.
+    region = find_region(estimator, frames[numbers], camera, {k: wide[row] for k, row in enumerate(numbers.tolist())})
+    if region is not None:
+        wide = dict(estimator.estimate(frames, camera, dict.fromkeys(whole, region)))
+    hands = {row: hand for row, view in wide.items() if (hand := fit(likeliest_gripper(view))) is not None}
+    chosen = _best_seen({row: _visibility(wide[row]) for row in hands}, len(frames), most)
+    close: dict[int, GripperView] = {}
+    for _ in range(2):
+        crops = {row: Crop.of_gripper(hands[row].X_CH, CLOSE_MARGIN, CLOSE_SIZE) for row in chosen}
+        for row, view in estimator.estimate(frames, camera, crops):
+            hand = fit(view)
+            if hand is not None:
+                close[row], hands[row] = view, hand
+    if not chosen:
+        return None
+    number = {row: k for k, row in enumerate(chosen)}
+    views = [(number[row], view) for row, view in close.items()] + [(number[row], wide[row]) for row in chosen]
+    return Sightings(
+        rows=np.array(chosen, dtype=np.intp),
+        cells=find_correspondences(views, camera),
+        finger_m=np.array([finger_or_default(hands[row].finger_m) for row in chosen]),
+        robot=wide[chosen[0]].to_frame(wide[chosen[0]].part > RobotPart.BACKGROUND, camera),
+    )
+
+
+def _visibility(view: GripperView) -> float:
+    """Return how much of the robot a view shows: its parts, the gripper twice."""
+    cells = np.bincount(view.part.ravel(), minlength=len(RobotPart))
+    parts = (np.minimum(cells[list(ARM)], _PART_CELLS) / _PART_CELLS).sum()
+    return float(parts + 2 * min(int(view.gripper.sum()), _PART_CELLS) / _PART_CELLS)
+
+
+def _best_seen(visibility: Mapping[int, float], frames: int, most: int) -> list[int]:
+    """Return the frames that show most in each of `most` stretches of a video of so many frames."""
+    bounds = np.linspace(0, frames, most + 1)
+    stretches = [[row for row in visibility if low <= row < high] for low, high in pairwise(bounds)]
+    return [max(rows, key=lambda row: (visibility[row], -row)) for rows in stretches if rows]

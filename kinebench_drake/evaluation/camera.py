@@ -1,0 +1,187 @@
+"""Choice of a video's camera: the input's, the benchmark's where the arm agrees with it, else an estimated one."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinebench_drake.camera import Camera
+from kinebench_drake.datasets.videos.sample import CameraSource, VideoSample
+from kinebench_drake.errors import UnmeasurableError, count_noun
+from kinebench_drake.geometry import Array
+from kinebench_drake.io.camerafile import load_camera
+from kinebench_drake.results.row import SampleRow
+from kinebench_drake.types import GripperTrack, Json
+
+if TYPE_CHECKING:  # loads torch and Open3D
+    from kinebench_drake.calibration.estimate import CameraEstimate
+
+AUTO, BENCHMARK = "auto", "benchmark"
+"""Values of `--camera` besides the path of a camera.json."""
+AGREEMENT = 0.45
+"""Least share of the arm's contours on image edges at which the arm agrees with an assumed camera."""
+ESTIMATE_AGREEMENT = 0.52
+"""Likewise with an estimated camera, which was fitted to them."""
+GRIPPER_SIGMA_M, GRIPPER_SIGMA_RAD = 0.05, float(np.deg2rad(6.0))
+"""Greatest standard deviation of the gripper in the base frame, due to an estimated camera, with which it is judged."""
+
+
+class CameraJudge(Protocol):
+    """Checks and estimates of cameras, as `Analyzer` does."""
+
+    def camera_agreement(self, frames: NDArray[np.uint8], camera: Camera) -> float | None:
+        """Return the share of the arm's contours on image edges with this camera; None if no arm is seen."""
+        ...
+
+    def estimate_camera(self, frames: NDArray[np.uint8]) -> "CameraEstimate":
+        """Estimate the camera of frames (T, H, W, 3).
+
+        Raises:
+            UnmeasurableError: hand and arm are seen in too few frames.
+        """
+        ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CameraChoice:
+    """Camera of a video."""
+
+    sample: VideoSample
+    """The sample with this camera and its source."""
+    agreement: float | None = None
+    """Share of the arm's contours on image edges with the benchmark camera; None if that was not measured."""
+    estimate: "CameraEstimate | None" = None
+    """Estimated camera; None if none was estimated."""
+    reason: str | None = None
+    """Why there is no base frame; None if there is one."""
+
+    def to_json(self) -> dict[str, Json]:
+        """Serialize into keys of the row; none for a camera of the input."""
+        data: dict[str, Json] = {}
+        if self.agreement is not None:
+            data["camera_agreement"] = round(self.agreement, 4)
+        if self.estimate is not None:
+            data["camera_source"] = self.sample.camera_source.value
+            data["camera_estimate"] = self.estimate.to_json()
+        if self.reason is not None:
+            data["base_frame_reason"] = self.reason
+        return data
+
+    def without_base(self, track: GripperTrack) -> GripperTrack:
+        """Return a track without poses in the base frame where there is none."""
+        return track if self.reason is None else replace(track, X_BG=np.full_like(track.X_BG, np.nan))
+
+
+def with_camera_option(samples: Sequence[VideoSample], option: str) -> Sequence[VideoSample]:
+    """Return the samples with the camera of `--camera FILE`, if it names a file.
+
+    Raises:
+        UsageError: the file is no camera.json.
+    """
+    if option in (AUTO, BENCHMARK):
+        return samples
+    camera = load_camera(Path(option))
+    return [replace(sample, camera=camera, camera_source=CameraSource.OPTION) for sample in samples]
+
+
+def is_assumed(sample: VideoSample, option: str) -> bool:
+    """Return whether the camera is an assumption that the arm may contradict."""
+    return option == AUTO and sample.camera_source is CameraSource.BENCHMARK
+
+
+def choose_camera(
+    sample: VideoSample,
+    frames: NDArray[np.uint8],
+    whole: tuple[NDArray[np.uint8], Camera] | None,
+    judge: CameraJudge,
+) -> CameraChoice:
+    """Choose the camera of a video whose input names none.
+
+    Args:
+        sample: the sample, with the benchmark camera.
+        frames: (T, H, W, 3) whole frames.
+        whole: the part of the frames that shows the image of the benchmark camera, and its camera; None if the shapes
+            do not fit.
+        judge: checks and estimates cameras.
+    """
+    agreement = None if whole is None else judge.camera_agreement(*whole)
+    if whole is not None and (agreement is None or agreement >= AGREEMENT):
+        return CameraChoice(sample=sample, agreement=agreement)
+    against = (
+        "the shape of the video is not that of the benchmark camera"
+        if agreement is None
+        else f"the arm contradicts the benchmark camera ({agreement:.0%} of its contours on image edges)"
+    )
+    try:
+        estimate = judge.estimate_camera(frames)
+    except UnmeasurableError as error:
+        reason = f"the base frame is unknown: {against}, and {error}"
+        if whole is not None:
+            return CameraChoice(sample=sample, agreement=agreement, reason=reason)
+        usual = _usual_camera(frames)
+        assumed = replace(sample, camera=usual, camera_source=CameraSource.ESTIMATED)
+        return CameraChoice(sample=assumed, agreement=agreement, reason=reason)
+    chosen = replace(sample, camera=estimate.camera, camera_source=CameraSource.ESTIMATED)
+    doubt = _doubt(estimate)
+    unknown = None if doubt is None else f"the base frame is unknown: {against}, and {doubt}"
+    return CameraChoice(sample=chosen, agreement=agreement, estimate=estimate, reason=unknown)
+
+
+def _usual_camera(frames: NDArray[np.uint8]) -> Camera:
+    from kinebench_drake.calibration.estimate import usual_camera
+
+    return usual_camera(frames.shape[2], frames.shape[1])
+
+
+def _doubt(estimate: "CameraEstimate") -> str | None:
+    """Return why an estimated camera gives no base frame; None if it does."""
+    if estimate.agreement < ESTIMATE_AGREEMENT:
+        return (
+            f"no estimated camera agrees with the arm (best: {estimate.agreement:.0%} of its contours on image edges, "
+            f"at least {ESTIMATE_AGREEMENT:.0%} are needed)"
+        )
+    if estimate.gripper_sigma_m > GRIPPER_SIGMA_M or estimate.gripper_sigma_rad > GRIPPER_SIGMA_RAD:
+        return (
+            "with the estimated camera the gripper's place in it is uncertain by "
+            f"{1e3 * estimate.gripper_sigma_m:.0f} mm and {np.rad2deg(estimate.gripper_sigma_rad):.1f} degrees (one "
+            f"sigma, at most {1e3 * GRIPPER_SIGMA_M:.0f} and {np.rad2deg(GRIPPER_SIGMA_RAD):.0f})"
+        )
+    return None
+
+
+def camera_warnings(rows: Sequence[SampleRow]) -> list[str]:
+    """Return warnings about cameras that the input does not name."""
+    sources = [row.extra.get("camera_source") for row in rows]
+    assumed, estimated = (sources.count(source.value) for source in (CameraSource.BENCHMARK, CameraSource.ESTIMATED))
+    lost = sum("base_frame_reason" in row.extra for row in rows)
+    warnings = []
+    if assumed:
+        checked = sum("camera_agreement" in row.extra for row in rows if row.extra.get("camera_source") == "benchmark")
+        agrees = f"the arm agrees with it in {checked}" if checked else "unchecked"
+        warnings.append(
+            f"no camera is named for {count_noun(assumed, 'sample')}: the benchmark's was assumed ({agrees})"
+        )
+    if estimated:
+        warnings.append(
+            f"no camera is named for {count_noun(estimated, 'sample')}: it was estimated from the arm; a camera.json "
+            "beside the videos, or `calibrate` with joint angles, is more accurate"
+        )
+    if lost:
+        warnings.append(
+            f"no base frame in {count_noun(lost, 'sample')}: reach, limits and verdicts are null there, with the reason"
+        )
+    return warnings
+
+
+def camera_frame_metrics(track: GripperTrack, reason: str) -> tuple[Mapping[str, Json], Mapping[str, str]]:
+    """Return the smoothness of a track in the camera frame, and the reasons of metrics and verdicts that it lacks."""
+    from kinebench_drake.metrics.smoothness import measure_smoothness
+    from kinebench_drake.models.panda.robot import hand_from_tcp
+
+    X_CG: Array = track.X_CH @ hand_from_tcp()
+    smoothness = measure_smoothness(replace(track, X_BG=X_CG))
+    reasons = {name: smoothness.reasons.get(name, reason) for name in smoothness.metrics}
+    return dict(smoothness.metrics), {**reasons, "feasible": reason, "": reason}

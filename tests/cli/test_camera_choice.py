@@ -1,0 +1,129 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from kinebench_drake.calibration.estimate import CameraEstimate, usual_camera
+from kinebench_drake.camera import benchmark_camera
+from kinebench_drake.datasets.videos.sample import CameraSource, VideoSample
+from kinebench_drake.errors import UnmeasurableError
+from kinebench_drake.evaluation.camera import (
+    AGREEMENT,
+    ESTIMATE_AGREEMENT,
+    GRIPPER_SIGMA_M,
+    choose_camera,
+    with_camera_option,
+)
+from kinebench_drake.evaluation.score import score_videos
+from kinebench_drake.io.camerafile import save_camera
+from kinebench_drake.results.row import Status
+from kinebench_drake.results.store import read_rows
+
+FRAMES = np.zeros((4, 96, 160, 3), np.uint8)
+SQUARE = np.zeros((4, 96, 96, 3), np.uint8)
+
+
+def sample(tmp_path):
+    return VideoSample(
+        id="a",
+        path=tmp_path / "a.mp4",
+        video="a.mp4",
+        camera=benchmark_camera(),
+        camera_source=CameraSource.BENCHMARK,
+    )
+
+
+class Judge:
+    """Checks and estimates of a camera that are known in advance."""
+
+    def __init__(self, agreement=None, estimate=None):
+        self.agreement, self.estimate = agreement, estimate
+
+    def camera_agreement(self, frames, camera):
+        return self.agreement
+
+    def estimate_camera(self, frames):
+        if self.estimate is None:
+            raise UnmeasurableError("no camera can be estimated: nothing is seen")
+        return self.estimate
+
+
+def estimate(**changes):
+    fields = {
+        "camera": usual_camera(160, 96),
+        "covariance": 1e-6 * np.eye(9),
+        "gripper_sigma_m": 0.01,
+        "gripper_sigma_rad": 0.01,
+        "agreement": ESTIMATE_AGREEMENT + 0.1,
+        "residual_px": 0.4,
+        "rows": np.arange(4),
+        "scene": None,
+    }
+    return CameraEstimate(**{**fields, **changes})
+
+
+def test_the_benchmark_camera_stays_where_the_arm_agrees_or_is_not_seen(tmp_path):
+    for agreement in (AGREEMENT + 0.01, None):
+        choice = choose_camera(sample(tmp_path), SQUARE, (SQUARE, benchmark_camera()), Judge(agreement))
+        assert choice.sample.camera_source is CameraSource.BENCHMARK
+        assert choice.reason is None
+        assert choice.estimate is None
+
+
+@pytest.mark.parametrize("whole", [None, (SQUARE, benchmark_camera())])
+def test_a_camera_is_estimated_where_shape_or_arm_contradict_the_benchmarks(tmp_path, monkeypatch, whole):
+    monkeypatch.setattr(CameraEstimate, "to_json", lambda self: {"agreement": self.agreement})
+    judge = Judge(AGREEMENT - 0.1, estimate())
+    choice = choose_camera(sample(tmp_path), FRAMES, whole, judge)
+    assert choice.sample.camera_source is CameraSource.ESTIMATED
+    assert choice.sample.camera is judge.estimate.camera
+    assert choice.reason is None
+    assert choice.to_json()["camera_source"] == "estimated"
+
+
+@pytest.mark.parametrize(
+    ("found", "words"),
+    [
+        (None, "nothing is seen"),
+        (estimate(agreement=ESTIMATE_AGREEMENT - 0.01), "no estimated camera agrees"),
+        (estimate(gripper_sigma_m=GRIPPER_SIGMA_M + 0.01), "uncertain by 60 mm"),
+    ],
+)
+def test_there_is_no_base_frame_where_no_camera_agrees_or_is_determined(tmp_path, found, words):
+    choice = choose_camera(sample(tmp_path), FRAMES, None, Judge(None, found))
+    assert words in choice.reason
+    assert choice.sample.camera_source is CameraSource.ESTIMATED
+    assert (choice.sample.camera.width, choice.sample.camera.height) == (160, 96)
+
+
+def test_a_camera_file_of_the_command_line_is_that_of_all_videos(tmp_path):
+    camera = replace(benchmark_camera(), fx=400.0)
+    save_camera(camera, tmp_path / "mine.json")
+    (changed,) = with_camera_option([sample(tmp_path)], str(tmp_path / "mine.json"))
+    assert changed.camera.fx == 400.0
+    assert changed.camera_source is CameraSource.OPTION
+
+
+def test_without_a_base_frame_motion_and_anomalies_are_measured_alone(film, config, tmp_path):
+    (tmp_path / "videos").mkdir()
+    np.save(tmp_path / "videos" / "wide.npy", np.repeat(FRAMES[:1], 12, axis=0))
+    score_videos(config(source=tmp_path / "videos" / "wide.npy"))
+    row = read_rows(tmp_path / "out")["wide"]
+    assert row.status is Status.OK
+    assert row.feasible is None
+    assert "nothing" not in row.null_reasons["feasible"]
+    assert row.null_reasons["feasible"] == row.extra["base_frame_reason"] == row.null_reasons["ik_success_rate"]
+    assert row.metrics["sparc"] is not None
+    assert row.metrics["anomalies"] == []
+    with np.load(tmp_path / "out" / "tracks" / "wide.npz") as track:
+        assert np.isnan(track["base_from_tcp"]).all()
+        assert np.isfinite(track["camera_from_hand"]).all()
+
+
+def test_the_benchmark_camera_can_be_insisted_on(film, config, tmp_path):
+    (tmp_path / "videos").mkdir()
+    np.save(tmp_path / "videos" / "wide.npy", FRAMES)
+    score_videos(config(source=tmp_path / "videos" / "wide.npy", camera="benchmark"))
+    row = read_rows(tmp_path / "out")["wide"]
+    assert row.status is Status.UNMEASURABLE
+    assert "aspect ratios differ" in row.reason
