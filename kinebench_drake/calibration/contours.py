@@ -55,7 +55,7 @@ class ContourImages:
             reach_px: farthest edge in an image of at most 640 px.
         """
         parts = ROBOT if reach_px > _WITH_FINGERS_PX else RIGID
-        found = []
+        observed = []
         for t, (image, X_CP) in enumerate(zip(self._images, self._poses(scene), strict=True)):
             camera = scene.lens.camera.resized(image.camera.width, image.camera.height)
             points = self._matcher.project(X_CP, camera, parts)
@@ -70,7 +70,7 @@ class ContourImages:
             normal = points.normal[strong]
             whitening = np.zeros((n, 2, 2))
             whitening[:, 0] = normal / (SIGMA_PX * zoom)
-            found.append(
+            observed.append(
                 Observations(
                     frame=np.full(n, t, dtype=np.intp),
                     part=points.part[strong],
@@ -81,7 +81,7 @@ class ContourImages:
                     weight=np.full(n, min(1.0, _INDEPENDENT / n)),
                 )
             )
-        return Observations.join(found) if found else None
+        return Observations.join(observed) if observed else None
 
     def agreement(self, scene: Scene) -> Array:
         """Return the share (T,) of the contours of hand and arm that lies on image edges, frame by frame.
@@ -98,5 +98,5 @@ class ContourImages:
         on_edge = self._matcher.edge_shares(image, points)
         count = np.bincount(points.part, minlength=len(RobotPart))
         shares = np.bincount(points.part, weights=on_edge, minlength=len(RobotPart)) / np.maximum(count, 1)
-        seen = count >= _MIN_POINTS
-        return float(on_edge.mean() + shares[seen].mean()) / 2 if seen.any() else float(on_edge.mean())
+        enough = count >= _MIN_POINTS
+        return float(on_edge.mean() + shares[enough].mean()) / 2 if enough.any() else float(on_edge.mean())

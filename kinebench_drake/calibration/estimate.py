@@ -19,9 +19,9 @@ from kinebench_drake.calibration.bundle import (
 )
 from kinebench_drake.calibration.contours import ContourImages
 from kinebench_drake.calibration.correspondences import LINK_SIGMAS, CalibrationCorrespondences, locate_points
+from kinebench_drake.calibration.detections import ArmDetections, find_robot
 from kinebench_drake.calibration.fit import PIXEL_SIGMA, Lens
 from kinebench_drake.calibration.hypotheses import ChainSearch, Hypothesis
-from kinebench_drake.calibration.sightings import Sightings, find_robot
 from kinebench_drake.camera import Camera, benchmark_camera
 from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.geometry import Array, invert, make_pose, pose_difference, rotation_z
@@ -148,7 +148,7 @@ class Candidate:
 
     scene: Scene
     rows: NDArray[np.intp]
-    """(T,) rows of the sightings."""
+    """(T,) rows of the detections."""
     cells: CalibrationCorrespondences
     """Cells in these frames."""
     cost: float
@@ -197,15 +197,15 @@ class CameraEstimator:
             frames: (T, H, W, 3) RGB.
             camera: camera of the frames.
         """
-        sightings = find_robot(self._estimator, frames, camera, _CHECKED, searched=_CHECK_SEARCHED)
-        if sightings is None or len(sightings.rows) < MIN_FRAMES:
+        detections = find_robot(self._estimator, frames, camera, _CHECKED, searched=_CHECK_SEARCHED)
+        if detections is None or len(detections.rows) < MIN_FRAMES:
             return None
         lens = Lens(camera=camera, X_CB=invert(camera.X_BC))
-        search = ChainSearch(sightings.cells, sightings.finger_m, self._model)
-        start = self._start(sightings, search.explain(lens, search.hands(camera)))
+        search = ChainSearch(detections.cells, detections.finger_m, self._model)
+        start = self._start(detections, search.explain(lens, search.hands(camera)))
         if start is None:
             return 0.0
-        images = ContourImages(frames[sightings.rows[start.rows]], camera, self._model, self._matcher)
+        images = ContourImages(frames[detections.rows[start.rows]], camera, self._model, self._matcher)
         prior = LensPrior(lens=lens, log_focal_sigma=0.0, place_free=False)
         scene, _ = self._fit_contours(
             start.scene, start.cells, images, prior, (*_COARSE, *_MIDDLE[1:]), _PASS_SIGMA_RAD
@@ -224,20 +224,20 @@ class CameraEstimator:
             UnmeasurableError: hand and arm are seen in too few frames.
         """
         camera = camera or usual_camera(frames.shape[2], frames.shape[1])
-        sightings = find_robot(self._estimator, frames, camera, _FRAMES)
-        if sightings is None or len(sightings.rows) < MIN_FRAMES:
-            count = 0 if sightings is None else len(sightings.rows)
+        detections = find_robot(self._estimator, frames, camera, _FRAMES)
+        if detections is None or len(detections.rows) < MIN_FRAMES:
+            count = 0 if detections is None else len(detections.rows)
             raise UnmeasurableError(
                 f"no camera can be estimated: a gripper is seen in {count} of the frames searched, at least "
                 f"{MIN_FRAMES} are needed"
             )
-        return self.solve(sightings, frames[sightings.rows], camera, focal_free=focal_free)
+        return self.solve(detections, frames[detections.rows], camera, focal_free=focal_free)
 
-    def solve(self, sightings: Sightings, frames: Frames, camera: Camera, *, focal_free: bool) -> CameraEstimate:
-        """Estimate the camera from sightings of the robot.
+    def solve(self, detections: ArmDetections, frames: Frames, camera: Camera, *, focal_free: bool) -> CameraEstimate:
+        """Estimate the camera from detections of the robot.
 
         Args:
-            sightings: robot in T frames.
+            detections: robot in T frames.
             frames: (T, H, W, 3) these frames.
             camera: initial intrinsics.
             focal_free: True to estimate the focal length.
@@ -249,9 +249,9 @@ class CameraEstimator:
         prior = LensPrior(
             lens=Lens(camera=camera, X_CB=np.eye(4)), log_focal_sigma=_LOG_FOCAL_SIGMA if focal_free else 0.0
         )
-        search = ChainSearch(sightings.cells, sightings.finger_m, self._model)
+        search = ChainSearch(detections.cells, detections.finger_m, self._model)
         focals = [focal_px(camera, fov) for fov in FOV_DEG] if focal_free else [camera.fx]
-        candidates = self._candidates(sightings, search.run(camera, focals), prior)
+        candidates = self._candidates(detections, search.run(camera, focals), prior)
         if not candidates:
             raise UnmeasurableError(
                 f"no camera can be estimated: the arm behind the gripper is seen in fewer than {MIN_FRAMES} frames"
@@ -260,29 +260,31 @@ class CameraEstimator:
             compared = [self._compare(candidate, images, prior, frames_used, passes) for candidate in candidates]
             compared.sort(key=lambda candidate: -candidate.agreement)
             candidates = [
-                self._extend(candidate, sightings, search)
+                self._extend(candidate, detections, search)
                 for candidate in _distinct([(c.scene.lens, c) for c in compared])[:kept]
             ]
-        return self.finish(candidates[0], images, prior, rows=sightings.rows)
+        return self.finish(candidates[0], images, prior, rows=detections.rows)
 
-    def _candidates(self, sightings: Sightings, hypotheses: Sequence[Hypothesis], prior: LensPrior) -> list[Candidate]:
+    def _candidates(
+        self, detections: ArmDetections, hypotheses: Sequence[Hypothesis], prior: LensPrior
+    ) -> list[Candidate]:
         """Return different cameras that explain the cells, as hypothesized and fitted to the cells."""
         starts = _distinct([(h.lens, h) for h in hypotheses])[:_CANDIDATES]
-        raw = [start for h in starts if (start := self._start(sightings, h)) is not None]
+        raw = [start for h in starts if (start := self._start(detections, h)) is not None]
         fits = [self._fit_cells(candidate, prior) for candidate in raw[:_FITTED]]
         fits.sort(key=lambda fit: fit.cost)
         turned = [turn for fit in _distinct([(f.scene.lens, f) for f in fits])[:_TURNED] for turn in self._turn(fit)]
         return _distinct([(c.scene.lens, c) for c in (*turned, *raw)])[:_COMPARED]
 
-    def _start(self, sightings: Sightings, hypothesis: Hypothesis) -> Candidate | None:
+    def _start(self, detections: ArmDetections, hypothesis: Hypothesis) -> Candidate | None:
         """Return a hypothesis as a candidate; None if it explains too few frames."""
         rows = np.flatnonzero(np.isfinite(hypothesis.q).all(axis=1))
         if len(rows) < MIN_FRAMES:
             return None
         return Candidate(
-            scene=Scene(lens=hypothesis.lens, q=hypothesis.q[rows], finger_m=sightings.finger_m[rows]),
+            scene=Scene(lens=hypothesis.lens, q=hypothesis.q[rows], finger_m=detections.finger_m[rows]),
             rows=rows,
-            cells=sightings.cells.flip(hypothesis.flipped).of_frames(rows).thin(_THIN),
+            cells=detections.cells.flip(hypothesis.flipped).of_frames(rows).thin(_THIN),
             cost=hypothesis.cost,
         )
 
@@ -333,17 +335,17 @@ class CameraEstimator:
         scene, _ = self._fit_contours(candidate.scene, candidate.cells, images, prior, passes, _PASS_SIGMA_RAD)
         return replace(candidate, scene=scene, agreement=float(np.median(images.agreement(scene))))
 
-    def _extend(self, candidate: Candidate, sightings: Sightings, search: ChainSearch) -> Candidate:
+    def _extend(self, candidate: Candidate, detections: ArmDetections, search: ChainSearch) -> Candidate:
         """Return a candidate with all frames that its camera explains."""
         scene = candidate.scene
         hypothesis = search.explain(scene.lens, search.hands(scene.lens.camera))
-        q, finger_m = hypothesis.q.copy(), sightings.finger_m.copy()
+        q, finger_m = hypothesis.q.copy(), detections.finger_m.copy()
         q[candidate.rows], finger_m[candidate.rows] = scene.q, scene.finger_m
         rows = np.flatnonzero(np.isfinite(q).all(axis=1))
         return Candidate(
             scene=Scene(lens=scene.lens, q=q[rows], finger_m=finger_m[rows]),
             rows=rows,
-            cells=sightings.cells.flip(hypothesis.flipped).of_frames(rows).thin(_THIN),
+            cells=detections.cells.flip(hypothesis.flipped).of_frames(rows).thin(_THIN),
             cost=candidate.cost,
         )
 
@@ -384,9 +386,9 @@ class CameraEstimator:
 
         Args:
             candidate: camera and postures that are right within some pixels.
-            images: images of the sightings.
+            images: images of the detections.
             prior: prior of the lens.
-            rows: numbers of the frames of the sightings.
+            rows: numbers of the frames of the detections.
             q_sigma: standard deviation of known joint angles [rad]; None if they are unknown.
         """
         sigma = _PASS_SIGMA_RAD if q_sigma is None else q_sigma
@@ -416,9 +418,9 @@ class CameraEstimator:
         count = np.zeros(X_BP.shape[:2])
         np.add.at(count, (edges.frame, edges.part), 1.0)
         weight = np.minimum(1.0, _PART_INDEPENDENT / count[edges.frame, edges.part]) / alike[edges.frame, edges.part]
-        known = POSTURE_SIGMA_RAD if q_sigma is None else q_sigma
+        posture_sigma = POSTURE_SIGMA_RAD if q_sigma is None else q_sigma
         honest = replace(edges, weight=weight / _SIGMA_FACTOR**2)
-        return adjust(honest, scene, prior.with_postures(scene.q, known), self._model, iterations=0)
+        return adjust(honest, scene, prior.with_postures(scene.q, posture_sigma), self._model, iterations=0)
 
 
 def _turned(scene: Scene, angle: float) -> Scene:

@@ -165,9 +165,9 @@ class ChainSearch:
             cost = _CAP
             for flip in (False, True):
                 X = X_CH @ _HALF_TURN if flip else X_CH
-                found = self._posture(invert(lens.X_CB) @ X, links, lens)
-                if found is not None and found[1] < cost - 0.5 * flip:
-                    q[t], cost = found
+                fit = self._posture(invert(lens.X_CB) @ X, links, lens)
+                if fit is not None and fit[1] < cost - 0.5 * flip:
+                    q[t], cost = fit
                     flipped[t] = flip
             costs.append(cost)
         return Hypothesis(lens=lens, q=q, flipped=flipped, cost=float(np.mean(costs)) if costs else _CAP)

@@ -15,7 +15,8 @@ _PACKAGES = ("numpy", "scipy", "drake", "open3d", "torch", "av", "mani_skill", "
 MEASURING = (
     *("camera.py", "geometry.py", "segments.py", "types.py", "io/*.py", "datasets/**/*.py", "models/**/*.py"),
     *("kinematics/*.py", "metrics/*.py", "grounding/*.py", "grounding/anomaly/*.py", "grounding/framing/*.py"),
-    *("grounding/overrides/*.py", "grounding/registration/*.py", "evaluation/*.py", "closed_loop/*.py"),
+    *("grounding/overrides/*.py", "grounding/registration/*.py", "calibration/*.py", "evaluation/*.py"),
+    "closed_loop/*.py",
     *("suites/*.py", "suites/assets/*.py", "suites/experts/*.py", "suites/faults/*.py", "suites/tasks/*.py"),
     "suites/worldmodels/*.py",
 )

@@ -82,15 +82,15 @@ def test_a_camera_is_estimated_where_shape_or_arm_contradict_the_benchmarks(tmp_
 
 
 @pytest.mark.parametrize(
-    ("found", "words"),
+    ("best", "words"),
     [
         (None, "nothing is seen"),
         (estimate(agreement=ESTIMATE_AGREEMENT - 0.01), "no estimated camera agrees"),
         (estimate(gripper_sigma_m=GRIPPER_SIGMA_M + 0.01), "uncertain by 60 mm"),
     ],
 )
-def test_there_is_no_base_frame_where_no_camera_agrees_or_is_determined(tmp_path, found, words):
-    choice = choose_camera(sample(tmp_path), FRAMES, None, Judge(None, found))
+def test_there_is_no_base_frame_where_no_camera_agrees_or_is_determined(tmp_path, best, words):
+    choice = choose_camera(sample(tmp_path), FRAMES, None, Judge(None, best))
     assert words in choice.reason
     assert choice.sample.camera_source is CameraSource.ESTIMATED
     assert (choice.sample.camera.width, choice.sample.camera.height) == (160, 96)

@@ -1,4 +1,4 @@
-"""Sightings of the robot in the frames of a video whose camera is unknown: cells of the networks' views, in pixels.
+"""Detection of the robot in the frames of a video whose camera is unknown: cells of the networks' views, in pixels.
 
 A crop is a homography of the image, so the pixel of a cell does not depend on the focal length that the crop was laid
 out with; only the crop's shape does, a little.
@@ -27,7 +27,7 @@ _PART_CELLS = 40  # cells from which a part counts as seen
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Sightings:
+class ArmDetections:
     """Robot in T frames of a video."""
 
     rows: NDArray[np.intp]
@@ -42,7 +42,7 @@ class Sightings:
 
 def find_robot(
     estimator: DenseEstimator, frames: Frames, camera: Camera, most: int, *, searched: int = SEARCHED
-) -> Sightings | None:
+) -> ArmDetections | None:
     """Return the cells of the frames that show hand and arm best; None if no frame shows a hand.
 
     Args:
@@ -72,7 +72,7 @@ def find_robot(
         return None
     number = {row: k for k, row in enumerate(chosen)}
     views = [(number[row], view) for row, view in close.items()] + [(number[row], wide[row]) for row in chosen]
-    return Sightings(
+    return ArmDetections(
         rows=np.array(chosen, dtype=np.intp),
         cells=find_correspondences(views, camera),
         finger_m=np.array([finger_or_default(hands[row].finger_m) for row in chosen]),
