@@ -15,11 +15,14 @@ from kinebench_drake.calibration.states import RobotStates, unknown_states
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import UnmeasurableError, UsageError, cause
 from kinebench_drake.geometry import Array, make_pose, pose_difference, rotation_exp
+from kinebench_drake.grounding.estimator import NetworkEstimator
 from kinebench_drake.grounding.evaluation.clip import TruthClipFile, choose, find_clips
 from kinebench_drake.grounding.registration.arm_model import ArmModel
+from kinebench_drake.grounding.tracker import CadTracker
 from kinebench_drake.grounding.view import Frames
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.models.panda.robot import RobotPart
+from kinebench_drake.models.perception.network import load_network
 from kinebench_drake.types import Json
 
 _START_OFFSET_RAD = 0.15  # about the axis of joint 1, which MOTION cannot observe: it may not start from the truth
@@ -100,7 +103,7 @@ def measure(
     """
     model = ArmModel()
     clips = choose(find_clips(folder), limit)
-    estimator = estimator or NetworkViewEstimator.create()
+    estimator = estimator or NetworkViewEstimator(CadTracker(NetworkEstimator(load_network())))
     for clip in clips:
         video = read_video(clip.video).frames
         rows = np.unique(np.linspace(0, len(video) - 1, min(frames, len(video))).round().astype(int))

@@ -6,10 +6,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from kinebench_drake.calibration.bundle import Scene
 from kinebench_drake.calibration.correspondences import LensView, NetworkViewEstimator, ViewEstimator
+from kinebench_drake.calibration.detections import DetectedViewEstimator
+from kinebench_drake.calibration.estimate import CameraEstimate, CameraEstimator, Candidate
 from kinebench_drake.calibration.fit import Lens, with_focal
 from kinebench_drake.calibration.observability import require_determined, warnings_of
-from kinebench_drake.calibration.result import CalibrationMethod, CameraCalibration, describe
+from kinebench_drake.calibration.result import CalibrationMethod, CameraCalibration, describe, describe_estimate
 from kinebench_drake.calibration.solve import MIN_MOVING_FRAMES, LensSolution, solve_lens, solve_lens_and_postures
 from kinebench_drake.calibration.states import (
     RobotStates,
@@ -22,17 +25,21 @@ from kinebench_drake.camera import Camera, benchmark_camera
 from kinebench_drake.errors import UnmeasurableError, UsageError
 from kinebench_drake.geometry import Array, invert, pose_difference
 from kinebench_drake.grounding.anomaly.camera_motion import COMPENSABLE_PX, MOVING_PX, measure_camera_motion
+from kinebench_drake.grounding.estimator import NetworkEstimator
 from kinebench_drake.grounding.registration.arm_model import ArmModel
+from kinebench_drake.grounding.tracker import CadTracker
 from kinebench_drake.grounding.view import Frames
 from kinebench_drake.io.camerafile import load_camera
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.io.video import Video
+from kinebench_drake.models.perception.network import load_network
 
 FOV_DEG = (35.0, 45.0, 55.0, 65.0, 75.0, 90.0)
 """Horizontal fields of view at which the search for the focal length starts [degrees]."""
 MAX_MOVING_FRAMES = 12
 """Greatest number of frames without joint angles: each adds eight unknowns."""
 _USUAL_FOV_DEG = 60.0
+_CENTRE_SIGMA = 0.06  # standard deviation of an unknown principal point over the image's width
 _AGAIN_ZOOM, _AGAIN_M, _AGAIN_RAD = 0.03, 0.03, np.deg2rad(3.0)
 
 
@@ -114,22 +121,57 @@ def calibrate(config: CalibrationConfig, estimator: ViewEstimator | None = None)
     focal_free = config.camera is None and config.focal_px is None
     chosen = _chosen(states, config.frames)
     frames = video.frames[chosen]
-    estimator = estimator or NetworkViewEstimator.create()
+    states = states.take(chosen)
+    method = _method(states)
+    cameras = None
+    if estimator is None:
+        dense = NetworkEstimator(load_network())
+        anchored = method is CalibrationMethod.POSTURE
+        estimator = NetworkViewEstimator(CadTracker(dense)) if anchored else DetectedViewEstimator(dense)
+        cameras = CameraEstimator(dense, model)
     view = estimator.estimate(frames, guess)
     shift = _camera_shift(frames, view, guess)
-    states = states.take(chosen)
-    solved = solve_with_reestimate(estimator, frames, view, states, guess, model, focal_free=focal_free)
-    calibration = describe(
-        solved, method=_method(states), source=states.source, frames=chosen[solved.rows], focal_free=focal_free
-    )
+    estimate, X_BP, finger_m = None, np.zeros(0), np.zeros(0)
+    if cameras is not None and method is CalibrationMethod.MOTION:
+        estimate = cameras.estimate(video.frames, None if focal_free else guess, focal_free=focal_free)
+    else:
+        solved = solve_with_reestimate(estimator, frames, view, states, guess, model, focal_free=focal_free)
+        if cameras is not None and method is CalibrationMethod.JOINTS:
+            estimate = _fit_contours(cameras, frames, states, guess, solved, config, focal_free=focal_free)
+            estimate = replace(estimate, rows=chosen[estimate.rows])
+    if estimate is not None:
+        calibration = describe_estimate(estimate, model, method=method, source=states.source, focal_free=focal_free)
+        X_BP, finger_m = model.poses(estimate.scene.q), estimate.scene.finger_m
+    else:
+        calibration = describe(
+            solved, method=method, source=states.source, frames=chosen[solved.rows], focal_free=focal_free
+        )
+        X_BP, finger_m = solved.X_BP, solved.finger_m
     require_determined(calibration)
-    middle = len(solved.rows) // 2
+    middle = len(calibration.frames) // 2
     return CalibrationOutcome(
         calibration=replace(calibration, warnings=(*shift, *warnings_of(calibration))),
-        frame=frames[solved.rows[middle]],
-        X_BP=solved.X_BP[middle],
-        finger_m=float(solved.finger_m[middle]),
+        frame=video.frames[calibration.frames[middle]],
+        X_BP=X_BP[middle],
+        finger_m=float(finger_m[middle]),
     )
+
+
+def _fit_contours(
+    cameras: CameraEstimator,
+    frames: Frames,
+    states: RobotStates,
+    guess: Camera,
+    solved: LensSolution,
+    config: CalibrationConfig,
+    *,
+    focal_free: bool,
+) -> CameraEstimate:
+    """Refine a camera by the contours of the robot; the principal point is free unless a camera file states it."""
+    scene = Scene(lens=solved.fit.lens, q=states.q[solved.rows], finger_m=solved.finger_m)
+    start = Candidate(scene=scene, rows=solved.rows, cells=solved.cells, cost=solved.fit.cost)
+    centre_sigma_px = _CENTRE_SIGMA * guess.width if config.camera is None else 0.0
+    return cameras.refine(frames, guess, start, focal_free=focal_free, centre_sigma_px=centre_sigma_px)
 
 
 def solve_with_reestimate(

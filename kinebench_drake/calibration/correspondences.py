@@ -183,19 +183,6 @@ class NetworkViewEstimator(ViewEstimator):
         """Set the tracker, of which the views are used rather than the poses."""
         self._tracker = tracker
 
-    @classmethod
-    def create(cls) -> "NetworkViewEstimator":
-        """Create the estimator with the shipped weights.
-
-        Raises:
-            SetupError: weights, meshes or native libraries are missing.
-        """
-        from kinebench_drake.grounding.estimator import NetworkEstimator
-        from kinebench_drake.grounding.tracker import CadTracker
-        from kinebench_drake.models.perception.network import load_network
-
-        return cls(CadTracker(NetworkEstimator(load_network())))
-
     @override
     def estimate(self, frames: Frames, camera: Camera) -> LensView:
         tracked = self._tracker.track(frames, camera)

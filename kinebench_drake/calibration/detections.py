@@ -5,21 +5,29 @@ out with; only the crop's shape does, a little.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import override
 
-from kinebench_drake.calibration.correspondences import CalibrationCorrespondences, find_correspondences
+from kinebench_drake.calibration.correspondences import (
+    CalibrationCorrespondences,
+    LensView,
+    ViewEstimator,
+    find_correspondences,
+)
 from kinebench_drake.camera import Camera
+from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.crop import CLOSE_SIZE, Crop
 from kinebench_drake.grounding.localization import find_region, likeliest_gripper
-from kinebench_drake.grounding.registration.fit import finger_or_default, fit
+from kinebench_drake.grounding.registration.fit import UNSEEN_FINGER_M, finger_or_default, fit
 from kinebench_drake.grounding.tracker import CLOSE_MARGIN
 from kinebench_drake.grounding.view import DenseEstimator, Frames, GripperView
 from kinebench_drake.models.panda.robot import ARM, RobotPart
+from kinebench_drake.models.robot import N_JOINTS
 
 SEARCHED = 36
 """Number of frames of which the best seen ones are used."""
@@ -78,6 +86,30 @@ def find_robot(
         finger_m=np.array([finger_or_default(hands[row].finger_m) for row in chosen]),
         robot=wide[chosen[0]].to_frame(wide[chosen[0]].part > RobotPart.BACKGROUND, camera),
     )
+
+
+class DetectedViewEstimator(ViewEstimator):
+    """View estimator for known postures: cells of all frames, none of which needs a camera."""
+
+    def __init__(self, estimator: DenseEstimator) -> None:
+        """Set the source of dense estimates."""
+        self._estimator = estimator
+
+    @override
+    def estimate(self, frames: Frames, camera: Camera) -> LensView:
+        robot = find_robot(self._estimator, frames, camera, len(frames), searched=len(frames))
+        if robot is None:
+            raise UnmeasurableError(
+                f"no gripper is seen in the {len(frames)} frames used: is it a Panda with the Franka hand?"
+            )
+        finger_m = np.full(len(frames), UNSEEN_FINGER_M)
+        finger_m[robot.rows] = robot.finger_m
+        return LensView(
+            cells=replace(robot.cells, frame=robot.rows[robot.cells.frame]),
+            finger_m=finger_m,
+            q=np.full((len(frames), N_JOINTS), np.nan),
+            robot=robot.robot,
+        )
 
 
 def _visibility(view: GripperView) -> float:

@@ -36,6 +36,8 @@ _Ranked = TypeVar("_Ranked")
 
 FOV_DEG = (30.0, 42.0, 55.0, 72.0)
 """Fields of view along the longer side at which the search starts [degrees]."""
+JOINT_SIGMA_RAD = 0.01
+"""Standard deviation of known joint angles [rad]: offsets of the joints, and clocks."""
 MIN_FRAMES = 3
 """Least number of frames that must show hand and arm."""
 _FRAMES = 12
@@ -56,7 +58,7 @@ _ROUNDS = ((4, _COARSE, 4), (6, _MIDDLE, 1))
 _PASS_SIGMA_RAD = 0.5  # of joint angles about those of the pass before
 _SAME_RAD, _SAME_ZOOM = np.deg2rad(8.0), 0.1
 _PART_INDEPENDENT = 6.0  # independent measurements of the contours of a part, whose errors correlate
-_SIGMA_FACTOR = 1.0
+_SIGMA_FACTOR = 1.5  # errors over those of independent contours
 _LEAST_SHARE = 0.6  # of the median agreement, below which a frame is left out
 _FLOOR, _NEAREST_M = 1.5, 0.05
 _MOVE, _TURN = slice(0, 3), slice(3, 6)
@@ -83,6 +85,10 @@ class CameraEstimate:
     """(T,) numbers of the frames used."""
     scene: Scene
     """Camera and postures in these frames."""
+    contour_part: NDArray[np.uint8]
+    """(N,) values of `RobotPart` of the contour points used."""
+    contour_error_px: Array
+    """(N,) their distances from the image edges [px]."""
 
     def to_json(self) -> dict[str, Json]:
         """Serialize into `camera_estimate` of samples.jsonl."""
@@ -288,6 +294,32 @@ class CameraEstimator:
             cost=hypothesis.cost,
         )
 
+    def refine(
+        self, frames: Frames, camera: Camera, start: Candidate, *, focal_free: bool, centre_sigma_px: float = 0.0
+    ) -> CameraEstimate:
+        """Fit a camera to the contours of the robot at known joint angles.
+
+        Args:
+            frames: (T, H, W, 3) frames.
+            camera: expected intrinsics.
+            start: camera and joint angles in some of the frames.
+            focal_free: True to estimate the focal length.
+            centre_sigma_px: standard deviation of the principal point [px]; 0 for a fixed one.
+
+        Raises:
+            UnmeasurableError: the images show no edges where the arm should be.
+        """
+        prior = LensPrior(
+            lens=Lens(camera=camera, X_CB=np.eye(4)),
+            log_focal_sigma=_LOG_FOCAL_SIGMA if focal_free else 0.0,
+            centre_sigma_px=centre_sigma_px,
+        )
+        images = ContourImages(frames, camera, self._model, self._matcher)
+        own = images.take(start.rows)
+        scene, _ = self._fit_contours(start.scene, start.cells, own, prior, _COARSE, JOINT_SIGMA_RAD, start.scene.q)
+        candidate = replace(start, scene=replace(scene, q=start.scene.q))
+        return self.finish(candidate, images, prior, rows=np.arange(len(frames)), q_sigma=JOINT_SIGMA_RAD)
+
     def _fit_cells(self, start: Candidate, prior: LensPrior) -> Candidate:
         """Return a candidate fitted to its cells."""
         scene, cost = start.scene, 0.0
@@ -407,7 +439,7 @@ class CameraEstimator:
         if edges is None:
             raise UnmeasurableError("no camera can be estimated: the images show no edges where the arm should be")
         bundle = self._uncertainty(candidate.scene, edges, prior, q_sigma)
-        return _describe(bundle, self._model, float(np.median(agreement)), rows[candidate.rows])
+        return _describe(bundle, edges.part, self._model, float(np.median(agreement)), rows[candidate.rows])
 
     def _uncertainty(self, scene: Scene, edges: Observations, prior: LensPrior, q_sigma: float | None) -> Bundle:
         """Return the information of a scene, contours of one part in one frame and parts at rest counted once."""
@@ -473,7 +505,10 @@ def _alike(one: Lens, other: Lens) -> bool:
     return zoom <= _SAME_ZOOM and float(pose_difference(one.X_CB, other.X_CB)[1]) <= _SAME_RAD
 
 
-def _describe(bundle: Bundle, model: ArmModel, agreement: float, rows: NDArray[np.intp]) -> CameraEstimate:
+def _describe(
+    bundle: Bundle, part: NDArray[np.uint8], model: ArmModel, agreement: float, rows: NDArray[np.intp]
+) -> CameraEstimate:
+    """Return the estimate of a bundle adjustment."""
     scene, H = bundle.scene, bundle.information
     free = np.flatnonzero(np.diag(H) > 0)
     scale = np.sqrt(np.diag(H)[free])
@@ -497,4 +532,6 @@ def _describe(bundle: Bundle, model: ArmModel, agreement: float, rows: NDArray[n
         residual_px=float(np.median(bundle.error_px)),
         rows=rows,
         scene=scene,
+        contour_part=part,
+        contour_error_px=bundle.error_px,
     )

@@ -113,15 +113,35 @@ def find_consensus(cells: CalibrationCorrespondences, p_B: Array, cameras: Seque
     object_points, image_points = p_B[some], cells.uv_px[some]
     ranked = []
     for camera in cameras:
-        ok, rotation, translation, inliers = cv2.solvePnPRansac(
-            object_points, image_points, camera.K, None,
-            iterationsCount=_CONSENSUS_ROUNDS, flags=cv2.SOLVEPNP_SQPNP,
-            reprojectionError=_CONSENSUS_PX * camera.unit_px,
-        )  # fmt: skip
-        if ok and inliers is not None and np.isfinite(rotation).all() and np.isfinite(translation).all():
-            X_CB = make_pose(rotation_exp(rotation.ravel()), translation.ravel())
-            ranked.append((len(inliers), Lens(camera=camera, X_CB=X_CB)))
+        solution = solve_pnp(
+            object_points, image_points, camera, rounds=_CONSENSUS_ROUNDS, error_px=_CONSENSUS_PX * camera.unit_px
+        )
+        if solution is not None:
+            X_CB, inliers = solution
+            ranked.append((inliers, Lens(camera=camera, X_CB=X_CB)))
     return [lens for _, lens in sorted(ranked, key=lambda pair: -pair[0])]
+
+
+def solve_pnp(p: Array, uv_px: Array, camera: Camera, *, rounds: int, error_px: float) -> tuple[Array, int] | None:
+    """Return the pose (4, 4) of points (N, 3) in the camera frame [m] and the number of inliers; None if there is none.
+
+    Args:
+        p: (N, 3) points [m].
+        uv_px: (N, 2) their pixels.
+        camera: intrinsics.
+        rounds: random samples.
+        error_px: largest error of an inlier [px].
+    """
+    try:
+        ok, rotation, translation, inliers = cv2.solvePnPRansac(
+            p, uv_px, camera.K, None,
+            iterationsCount=rounds, flags=cv2.SOLVEPNP_SQPNP, reprojectionError=error_px,
+        )  # fmt: skip
+    except cv2.error:  # raised where the best sample has too few inliers
+        return None
+    if not ok or inliers is None or not (np.isfinite(rotation).all() and np.isfinite(translation).all()):
+        return None
+    return make_pose(rotation_exp(rotation.ravel()), translation.ravel()), len(inliers)
 
 
 def cauchy_loss(weight: Array, square: Array) -> Array:

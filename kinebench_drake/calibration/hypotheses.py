@@ -9,14 +9,13 @@ their postures, and the cells of their links say how well the camera explains th
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.calibration.correspondences import CalibrationCorrespondences
-from kinebench_drake.calibration.fit import Lens, with_focal
+from kinebench_drake.calibration.fit import Lens, solve_pnp, with_focal
 from kinebench_drake.camera import Camera
-from kinebench_drake.geometry import Array, invert, make_pose, rotation_exp
+from kinebench_drake.geometry import Array, invert, make_pose
 from kinebench_drake.grounding.registration.arm_model import OVER_LIMIT_RAD, ArmModel
 from kinebench_drake.kinematics.analytic import analytic_ik
 from kinebench_drake.models.panda.robot import ARM, GRIPPER, RobotPart
@@ -34,7 +33,8 @@ _ROLL_SIGMA_RAD = np.deg2rad(12.0)
 _USUAL_Q = np.array([0.0, 0.3, 0.0, -2.0, 0.0, 2.3, 0.8])
 _USUAL_SIGMA = np.array([1.2, 0.7, 0.6, 0.7, 0.7, 0.7, 1.3])
 _PRIOR_WEIGHT = 0.05
-_CONSENSUS_PX = 6.0
+_CONSENSUS_PX, _CONSENSUS_ROUNDS = 6.0, 100
+_DEPTH_M = (0.05, 20.0)  # of a hand
 _TIE = 1e-3  # difference of costs that says nothing
 _LAST_ANGLES = np.linspace(-np.pi, np.pi, 32, endpoint=False)
 _HALF_TURN = make_pose(np.diag([-1.0, -1.0, 1.0]), np.zeros(3))
@@ -86,13 +86,11 @@ class ChainSearch:
         p_H = cells.p_P + cells.opening_sign[:, None] * [0.0, self._finger_m[frame], 0.0]
         if used.sum() < _LEAST_CELLS:
             return None
-        ok, rotation, translation, inliers = cv2.solvePnPRansac(
-            p_H[used], cells.uv_px[used], camera.K, None, iterationsCount=100, flags=cv2.SOLVEPNP_SQPNP,
-            reprojectionError=_CONSENSUS_PX * camera.unit_px,
-        )  # fmt: skip
-        if not ok or inliers is None or not np.isfinite(rotation).all() or not 0.05 < translation[2, 0] < 20.0:
+        error_px = _CONSENSUS_PX * camera.unit_px
+        solution = solve_pnp(p_H[used], cells.uv_px[used], camera, rounds=_CONSENSUS_ROUNDS, error_px=error_px)
+        if solution is None or not _DEPTH_M[0] < solution[0][2, 3] < _DEPTH_M[1]:
             return None
-        return make_pose(rotation_exp(rotation.ravel()), translation.ravel())
+        return solution[0]
 
     def hands(self, camera: Camera) -> list[Array | None]:
         """Return the poses X_CH (4, 4) of the hand in all frames by perspective-n-point."""

@@ -17,6 +17,8 @@ MIN_MOTION_M = 0.10
 """Distance between hand positions below which the video counts as showing one posture [m]."""
 MIN_DEPTH_RATIO = 1.25
 """Ratio of farthest to nearest depth of the robot below which perspective hardly determines the focal length."""
+MIN_AGREEMENT = 0.45
+"""Least share of the contours on image edges."""
 _MIN_INLIERS = 0.5
 
 
@@ -28,8 +30,14 @@ def require_determined(calibration: CameraCalibration) -> None:
             quantity and the reason.
     """
     unit = calibration.camera.unit_px
-    misfit = calibration.part_px["gripper"]
-    if misfit > MISFIT_LIMIT_PX * unit or calibration.inlier_share < _MIN_INLIERS:
+    misfit, agreement = calibration.part_px["gripper"], calibration.agreement
+    if agreement is not None and agreement < MIN_AGREEMENT:
+        raise UnmeasurableError(
+            f"{calibration.source}: with no camera does the robot lie on the edges of the images ({agreement:.0%} of "
+            f"its contours do, at least {MIN_AGREEMENT:.0%} are needed): is it a Panda with the Franka hand, is the "
+            "camera static and its lens free of distortion, and do joint angles belong to these frames, in radians?"
+        )
+    if agreement is None and (misfit > MISFIT_LIMIT_PX * unit or calibration.inlier_share < _MIN_INLIERS):
         raise UnmeasurableError(
             f"{calibration.source} contradicts the images: the gripper is {misfit:.1f} px off (median, at most "
             f"{MISFIT_LIMIT_PX * unit:.1f}), {calibration.inlier_share:.0%} of the cells agree; do the angles belong "

@@ -7,10 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.calibration.correspondences import MIN_CELLS, CalibrationCorrespondences
+from kinebench_drake.calibration.estimate import CameraEstimate
 from kinebench_drake.calibration.fit import UNKNOWNS, LensFit, refine
 from kinebench_drake.calibration.solve import LensSolution
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, pose_difference
+from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.models.panda.robot import ARM, GRIPPER, RobotPart
 from kinebench_drake.types import Json
 
@@ -60,6 +62,8 @@ class CameraCalibration:
     """Depths of the nearest and farthest visible parts of the robot, 5th and 95th percentile [m]."""
     motion_m: float
     """Greatest distance between hand positions in the frames [m]."""
+    agreement: float | None = None
+    """Share of the contours of hand and arm on image edges; None if the camera was fitted to cells alone."""
     warnings: tuple[str, ...] = ()
     """Warnings for the user."""
 
@@ -86,6 +90,7 @@ class CameraCalibration:
             "part_median_px": {name: px if np.isfinite(px) else None for name, px in self.part_px.items()},
             "part_cells": dict(self.part_cells),
             "inlier_share": self.inlier_share,
+            "agreement": self.agreement,
             "frame_position_mm": quantiles(self.spread_m, 1e3),
             "frame_rotation_deg": quantiles(self.spread_rad, 180 / np.pi),
             "depth_m": list(self.depth_m),
@@ -136,6 +141,45 @@ def describe(
     )
 
 
+def describe_estimate(
+    estimate: CameraEstimate, model: ArmModel, *, method: CalibrationMethod, source: str, focal_free: bool
+) -> CameraCalibration:
+    """Return the calibration of a camera that was fitted to contours.
+
+    Args:
+        estimate: the camera, with postures.
+        model: link poses of the arm.
+        method: source of the postures.
+        source: description of the source.
+        focal_free: True if the focal length was estimated.
+    """
+    X_BP = model.poses(estimate.scene.q)
+    hands_B = X_BP[:, RobotPart.HAND, :3, 3]
+    z = (estimate.scene.lens.X_CB @ X_BP)[:, np.unique(estimate.contour_part), 2, 3]
+    groups = {name: np.isin(estimate.contour_part, parts) for name, parts in _GROUPS.items()}
+    error = estimate.contour_error_px
+    near, far = np.quantile(z, [0.05, 0.95])
+    return CameraCalibration(
+        camera=estimate.camera,
+        method=method,
+        source=source,
+        frames=estimate.rows,
+        focal_free=focal_free,
+        position_sigma_m=estimate.position_sigma_m,
+        rotation_sigma_rad=estimate.rotation_sigma_rad,
+        focal_sigma=estimate.focal_sigma,
+        residual_px=estimate.residual_px,
+        part_px={name: float(np.median(error[of])) if of.any() else float("nan") for name, of in groups.items()},
+        part_cells={name: int(of.sum()) for name, of in groups.items()},
+        inlier_share=estimate.agreement,
+        spread_m=np.zeros(0),
+        spread_rad=np.zeros(0),
+        depth_m=(float(near), float(far)),
+        motion_m=float(np.linalg.norm(hands_B[:, None] - hands_B[None], axis=-1).max()),
+        agreement=estimate.agreement,
+    )
+
+
 def _sigmas(fit: LensFit, free: int) -> tuple[float, float, float]:
     """Return standard deviations of camera position [m] and rotation [rad], and of the focal length (relative)."""
     H = fit.information[:free, :free]
@@ -168,15 +212,18 @@ def format_lines(calibration: CameraCalibration) -> list[str]:
     place = ", ".join(f"{1e3 * x:.0f}" for x in camera.X_BC[:3, 3])
     fov = np.rad2deg(2 * np.arctan(camera.width / 2 / camera.fx))
     sure = f" +- {100 * c.focal_sigma:.1f} %" if c.focal_free else ", given"
+    points = "cells" if c.agreement is None else "contour points"
     report = [
-        f"from: {c.source}; {len(c.frames)} frames, {sum(c.part_cells.values())} cells of the robot "
+        f"from: {c.source}; {len(c.frames)} frames, {sum(c.part_cells.values())} {points} of the robot "
         f"(gripper {c.part_cells['gripper']}, arm {c.part_cells['arm']}, base {c.part_cells['base']})",
         f"camera in the base frame: {place} mm, +- {1e3 * c.position_sigma_m:.0f} mm, "
         f"{np.rad2deg(c.rotation_sigma_rad):.2f} degrees",
         f"focal length: {camera.fx:.1f} px{sure} (field of view {fov:.1f} degrees across {camera.width} px)",
-        f"residual: {c.residual_px:.2f} px rms; medians "
+        f"residual: {c.residual_px:.2f} px {'rms' if c.agreement is None else 'median'}; medians "
         + ", ".join(f"{name} {px:.1f}" for name, px in c.part_px.items() if np.isfinite(px)),
     ]
+    if c.agreement is not None:
+        report.append(f"contours of hand and arm on image edges: {c.agreement:.0%}")
     if len(c.spread_m) > 1:
         report.append(
             f"single frames: {1e3 * np.median(c.spread_m):.0f} mm and {np.rad2deg(np.median(c.spread_rad)):.2f} "

@@ -58,6 +58,8 @@ def estimate(**changes):
         "residual_px": 0.4,
         "rows": np.arange(4),
         "scene": None,
+        "contour_part": np.zeros(0, np.uint8),
+        "contour_error_px": np.zeros(0),
     }
     return CameraEstimate(**{**fields, **changes})
 
