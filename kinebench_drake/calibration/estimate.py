@@ -53,7 +53,7 @@ _COARSE = ((14.0, 1.0), (14.0, 1.0), (10.0, 0.6), (6.0, 0.3), (4.0, 0.1))
 _MIDDLE = ((8.0, 0.3), (5.0, 0.2), (4.0, 0.1), (3.0, 0.0))
 _FINE = ((8.0, 0.3), (5.0, 0.1), (4.0, 0.0), (3.0, 0.0), (3.0, 0.0), (2.0, 0.0), (2.0, 0.0))
 """Successive reaches of the search for edges [px of an image of at most 640 px], and weights of the cells."""
-_ROUNDS = ((4, _COARSE, 4), (6, _MIDDLE, 1))
+_ROUNDS = ((4, _COARSE, 4), (6, _MIDDLE, 2))
 """Successive comparisons of candidates: frames, passes, candidates kept."""
 _PASS_SIGMA_RAD = 0.5  # of joint angles about those of the pass before
 _SAME_RAD, _SAME_ZOOM = np.deg2rad(8.0), 0.1
@@ -79,6 +79,8 @@ class CameraEstimate:
     """Likewise of its rotation [rad]."""
     agreement: float
     """Share of the contours of hand and arm on image edges, median over the frames."""
+    runner_up: float
+    """Likewise with the next best camera that differs from it; 0 if there is none."""
     residual_px: float
     """Median distance between contours and image edges [px]."""
     rows: NDArray[np.intp]
@@ -95,6 +97,7 @@ class CameraEstimate:
         return {
             "camera": self.camera.to_json(),
             "agreement": self.agreement,
+            "runner_up": self.runner_up,
             "residual_px": self.residual_px,
             "position_sigma_m": self.position_sigma_m,
             "rotation_sigma_rad": self.rotation_sigma_rad,
@@ -269,7 +272,10 @@ class CameraEstimator:
                 self._extend(candidate, detections, search)
                 for candidate in _distinct([(c.scene.lens, c) for c in compared])[:kept]
             ]
-        return self.finish(candidates[0], images, prior, rows=detections.rows)
+        estimates = [self.finish(candidate, images, prior, rows=detections.rows) for candidate in candidates]
+        estimates.sort(key=lambda estimate: -estimate.agreement)
+        best, *others = _distinct([(estimate.scene.lens, estimate) for estimate in estimates])
+        return replace(best, runner_up=max((other.agreement for other in others), default=0.0))
 
     def _candidates(
         self, detections: ArmDetections, hypotheses: Sequence[Hypothesis], prior: LensPrior
@@ -529,6 +535,7 @@ def _describe(
         gripper_sigma_m=position,
         gripper_sigma_rad=rotation,
         agreement=agreement,
+        runner_up=0.0,
         residual_px=float(np.median(bundle.error_px)),
         rows=rows,
         scene=scene,

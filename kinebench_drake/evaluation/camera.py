@@ -23,8 +23,10 @@ AUTO, BENCHMARK = "auto", "benchmark"
 """Values of `--camera` besides the path of a camera.json."""
 AGREEMENT = 0.45
 """Least share of the arm's contours on image edges at which the arm agrees with an assumed camera."""
-ESTIMATE_AGREEMENT = 0.52
+ESTIMATE_AGREEMENT = 0.58
 """Likewise with an estimated camera, which was fitted to them."""
+LEAD = 0.04
+"""Least difference between this agreement and that with another camera."""
 GRIPPER_SIGMA_M, GRIPPER_SIGMA_RAD = 0.05, float(np.deg2rad(6.0))
 """Greatest standard deviation of the gripper in the base frame, due to an estimated camera, with which it is judged."""
 
@@ -142,6 +144,11 @@ def _doubt(estimate: "CameraEstimate") -> str | None:
         return (
             f"no estimated camera agrees with the arm (best: {estimate.agreement:.0%} of its contours on image edges, "
             f"at least {ESTIMATE_AGREEMENT:.0%} are needed)"
+        )
+    if estimate.agreement < estimate.runner_up + LEAD:
+        return (
+            f"two different cameras explain the arm ({estimate.agreement:.0%} and {estimate.runner_up:.0%} of its "
+            "contours on image edges)"
         )
     if estimate.gripper_sigma_m > GRIPPER_SIGMA_M or estimate.gripper_sigma_rad > GRIPPER_SIGMA_RAD:
         return (

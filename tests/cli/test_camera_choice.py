@@ -55,6 +55,7 @@ def estimate(**changes):
         "gripper_sigma_m": 0.01,
         "gripper_sigma_rad": 0.01,
         "agreement": ESTIMATE_AGREEMENT + 0.1,
+        "runner_up": 0.0,
         "residual_px": 0.4,
         "rows": np.arange(4),
         "scene": None,
@@ -88,6 +89,7 @@ def test_a_camera_is_estimated_where_shape_or_arm_contradict_the_benchmarks(tmp_
     [
         (None, "nothing is seen"),
         (estimate(agreement=ESTIMATE_AGREEMENT - 0.01), "no estimated camera agrees"),
+        (estimate(runner_up=ESTIMATE_AGREEMENT + 0.09), "two different cameras"),
         (estimate(gripper_sigma_m=GRIPPER_SIGMA_M + 0.01), "uncertain by 60 mm"),
     ],
 )
