@@ -127,7 +127,7 @@ def choose_camera(
         assumed = replace(sample, camera=usual, camera_source=CameraSource.ESTIMATED)
         return CameraChoice(sample=assumed, agreement=agreement, reason=reason)
     chosen = replace(sample, camera=estimate.camera, camera_source=CameraSource.ESTIMATED)
-    doubt = _doubt(estimate)
+    doubt = find_doubt(estimate)
     unknown = None if doubt is None else f"the base frame is unknown: {against}, and {doubt}"
     return CameraChoice(sample=chosen, agreement=agreement, estimate=estimate, reason=unknown)
 
@@ -138,7 +138,7 @@ def _usual_camera(frames: NDArray[np.uint8]) -> Camera:
     return usual_camera(frames.shape[2], frames.shape[1])
 
 
-def _doubt(estimate: "CameraEstimate") -> str | None:
+def find_doubt(estimate: "CameraEstimate") -> str | None:
     """Return why an estimated camera gives no base frame; None if it does."""
     if estimate.agreement < ESTIMATE_AGREEMENT:
         return (
