@@ -384,21 +384,21 @@ def footage(
 
 
 @main.command(epilog="\b\nExample:\n  python -m benchmarks cameras ../videos --out cameras")
-@click.argument("folder", type=_EXISTING_FOLDER)
-@click.option("--out", type=_FOLDER, required=True, help="Folder for cameras.md and cameras.jsonl.")
+@click.argument("folder", type=EXISTING_FOLDER)
+@click.option("--out", type=FOLDER, required=True, help="Folder for cameras.md and cameras.jsonl.")
 @click.option("--videos", metavar="A,B", help="Ids of videos, comma-separated.  [default: all]")
-@click.option("--weights", type=_EXISTING_FILE, help="Network weights (safetensors).  [default: those shipped]")
+@click.option("--weights", type=EXISTING_FILE, help="Network weights (safetensors).  [default: those shipped]")
 def cameras(folder: Path, out: Path, videos: str | None, weights: Path | None) -> None:
     """Estimate the cameras of the videos in FOLDER from their frames, and compare with those of the manifest.
 
     FOLDER is as for `footage`; videos without reference poses are left out. The same command resumes.
     """
-    _one_thread()
+    one_thread()
     from benchmarks.cameras import measure
 
     names = None if videos is None else videos.split(",")
-    with _errors():
-        text = measure(folder, out, names, weights=weights, log=_log)
+    with errors():
+        text = measure(folder, out, names, weights=weights, log=log)
     click.echo(text)
 
 

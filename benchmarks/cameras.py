@@ -55,7 +55,8 @@ class CameraTrial:
     @classmethod
     def from_json(cls, data: dict[str, Any]) -> "CameraTrial":
         """Read the object that `to_json` returns."""
-        return cls(**{k: float("nan") if v is None and k != "reason" else v for k, v in data.items()})
+        values: dict[str, Any] = {k: float("nan") if v is None and k != "reason" else v for k, v in data.items()}
+        return cls(**values)
 
 
 def try_video(video: ReferenceVideo, estimator: CameraEstimator, model: ArmModel) -> CameraTrial:

@@ -26,12 +26,12 @@ MAY_IMPORT = {
     "metrics": IO | {"models", "kinematics"},
     "grounding": IO | {"models", "kinematics", "executors"},
     "suites": IO | {"models", "kinematics", "results", "executors"},
-    "calibration": IO | {"models", "datasets", "results", "grounding"},
+    "calibration": IO | {"models", "kinematics", "datasets", "results", "grounding"},
     "closed_loop": IO | {"models", "kinematics", "metrics", "executors", "grounding", "suites"},
     "report": IO | {"models", "kinematics", "metrics", "datasets", "results", "executors", "suites", "closed_loop"},
     "evaluation": IO
     | {"models", "kinematics", "metrics", "datasets", "results", "executors"}
-    | {"grounding", "suites", "closed_loop", "report"},
+    | {"grounding", "suites", "calibration", "closed_loop", "report"},
     "api": IO
     | {"models", "kinematics", "metrics", "datasets", "results", "executors"}
     | {"grounding", "suites", "closed_loop", "report", "evaluation"},

@@ -7,7 +7,7 @@ picture that a given mask covers its confidence.
 import os
 import signal
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from pathlib import Path
 
@@ -53,6 +53,7 @@ class FakeGrounding:
     camera_motion_px: float | None
     arm_consistency_px: float | None = 2.0
     first_frame: InitialStateUse = InitialStateUse.UNKNOWN
+    curves: dict[str, np.ndarray] = field(default_factory=dict)
 
 
 class FakeAnalyzer:
