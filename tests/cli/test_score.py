@@ -481,7 +481,9 @@ def test_a_manifest_in_a_folder_says_what_is_unused(film, config, tmp_path):
     manifest.write_text(json.dumps({"video": "a.mp4", "task": "t", "model": "m", "frame_period_s": 0.2}))
     ear = Ear()
     score_videos(config(), ear)
-    assert ear.warnings == [
+    ignored, assumed = ear.warnings
+    assert "the benchmark's was assumed" in assumed
+    assert [ignored] == [
         f"{manifest} ignored: its tasks, models and frame periods are unused (1 / fps is used unless --frame-period is "
         "given); score the manifest itself to use them"
     ]
