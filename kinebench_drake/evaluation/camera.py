@@ -65,8 +65,9 @@ class CameraChoice:
         data: dict[str, Json] = {}
         if self.agreement is not None:
             data["camera_agreement"] = round(self.agreement, 4)
-        if self.estimate is not None:
+        if self.sample.camera_source is CameraSource.ESTIMATED:
             data["camera_source"] = self.sample.camera_source.value
+        if self.estimate is not None:
             data["camera_estimate"] = self.estimate.to_json()
         if self.reason is not None:
             data["base_frame_reason"] = self.reason

@@ -62,8 +62,8 @@ def test_a_letter_boxed_video_is_measured_without_its_bars(film, config, tmp_pat
     assert (told["framing"]["changes"], told["framing"]["told_by"]) == (["letterbox"], "bars")
     with av.open(tmp_path / "out" / "overlays" / "boxed.mp4") as overlay:
         assert overlay.streams.video[0].width == 120
-    assert rows["wide"].status is Status.UNMEASURABLE
-    assert "130 x 80: the aspect ratios differ" in rows["wide"].reason
+    assert rows["wide"].feasible is None
+    assert "the shape of the video" in rows["wide"].extra["base_frame_reason"]
 
 
 def test_a_changed_first_frame_is_a_changed_sample(film, config, tmp_path):
