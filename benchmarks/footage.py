@@ -23,7 +23,7 @@ from kinebench_drake.camera import Camera
 from kinebench_drake.datasets.manifest import NAME, entry_camera, read_manifest
 from kinebench_drake.errors import InputError, UsageError
 from kinebench_drake.geometry import Array, invert, transform_points
-from kinebench_drake.grounding.confidence import CALIBRATION, Confidence
+from kinebench_drake.grounding.confidence import CALIBRATION, load_confidence
 from kinebench_drake.grounding.crop import GRIPPER_CENTRE_H, GRIPPER_RADIUS_M
 from kinebench_drake.grounding.estimator import NetworkEstimator
 from kinebench_drake.grounding.evaluation.errors import read_anomaly
@@ -206,7 +206,7 @@ class ObservedPipeline(GroundingPipeline):
             SetupError: weights, calibration, meshes or native libraries are missing.
         """
         tracker = CadTracker(NetworkEstimator(load_network(weights or WEIGHTS)))
-        return cls(tracker, Confidence.load(calibration or CALIBRATION))
+        return cls(tracker, load_confidence(calibration or CALIBRATION))
 
     def observe(self, frames: Frames, camera: Camera, t_s: Array, priors: Priors = NO_PRIORS) -> Observation:
         """Measure each frame, as `GroundingPipeline.observe`."""

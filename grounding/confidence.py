@@ -1,10 +1,11 @@
 """Confidence of a frame: probability that its pose is within 10 mm and 5 degrees of the truth.
 
-Two logistic regressions, fitted by `kinebench-drake perception calibrate`: on features of the frame alone, then on the
-result and the deviation from the neighbouring frames.
+Two logistic regressions for each domain, fitted by `kinebench-drake perception calibrate`: on features of the frame
+alone, then on the result and the deviation from the neighbouring frames.
 """
 
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,18 +16,19 @@ from scipy.special import expit, logit
 from kinebench_drake.errors import SetupError
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.pose import FramePose
+from kinebench_drake.types import Domain
 
 GOOD_M, GOOD_RAD = 0.010, float(np.deg2rad(5.0))
 """Error bounds [m, rad] whose probability the confidence is."""
 CALIBRATION = Path(__file__).parents[1] / "models" / "perception" / "confidence.json"
 FRAME_FEATURES = (
     *("log_sigma", "log_residual", "log_cells", "overlap", "log_level"),
-    *("log_position_sigma", "arm_agrees", "log_arm_consistency", "icp_fitness", "log_icp_rmse"),
+    *("log_position_sigma", "arm_agrees", "log_arm_consistency", "edge_agreement", "icp_fitness", "log_icp_rmse"),
 )
 """Features of a single frame: the network's own uncertainty, the residual of its coordinates against one rigid pose,
 the visible cells, the overlap with the rendered gripper, the disagreement of depth and apparent size, the standard
-deviation of the position, whether the arm is consistent with the hand, and how closely, and how well the depth matches
-the CAD surface."""
+deviation of the position, whether the arm is consistent with the hand, and how closely, the share of the contour on
+edges of the image where the pose was fitted to them, and how well the depth matches the CAD surface."""
 TRACK_FEATURES = ("frame_logit", "log_distance", "log_angle", "alone")
 """Features of a frame in its track: the log-odds of the frame alone, its deviation from the pose predicted by its
 neighbours, and whether there are too few of them for a prediction."""
@@ -34,7 +36,7 @@ _CERTAIN = 1e-3  # least distance of a single frame's confidence from 0 and 1
 
 
 def frame_features(pose: FramePose) -> Array:
-    """Return the features (10,) of a single frame, each of order one."""
+    """Return the features (11,) of a single frame, each of order one."""
     icp = None if pose.icp is None else pose.icp.registration
     arm = pose.arm if pose.arm is not None and pose.arm.agrees else None
     return np.array(
@@ -47,6 +49,7 @@ def frame_features(pose: FramePose) -> Array:
             np.log(max(float(np.trace(pose.covariance[3:, 3:])) ** 0.5, 1e-4) / 0.005),
             float(arm is not None),
             np.log(max(arm.consistency_px, 0.1) / 2.5) if arm is not None else 0.0,
+            4.0 * float(np.nan_to_num(arm.edge_agreement)) if arm is not None else 0.0,
             10.0 * (icp.fitness - 0.9) if icp is not None else -5.0,
             np.log(max(icp.rmse_m, 1e-4) / 0.002) if icp is not None else 0.0,
         ]
@@ -83,42 +86,47 @@ class LogisticRegression:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Confidence:
-    """Calibrated confidence of frames."""
+    """Calibrated confidence of frames of one domain."""
 
     frame: LogisticRegression
     """Regression on FRAME_FEATURES."""
     track: LogisticRegression
     """Regression on TRACK_FEATURES."""
 
-    @classmethod
-    def load(cls, path: Path = CALIBRATION) -> "Confidence":
-        """Read the shipped calibration.
 
-        Raises:
-            SetupError: the file is missing or is not a calibration of these features.
-        """
-        try:
-            data = json.loads(path.read_text())
-            return cls(frame=_read(data["frame"], FRAME_FEATURES), track=_read(data["track"], TRACK_FEATURES))
-        except (OSError, ValueError, KeyError, TypeError) as error:
-            raise SetupError(f"{path.name}: no usable calibration ({error}); run `perception calibrate`") from None
+def load_confidence(path: Path = CALIBRATION) -> Mapping[Domain, Confidence]:
+    """Read a calibration, by default the shipped one.
 
-    def save(self, path: Path) -> None:
-        """Write the calibration."""
-        steps = (("frame", self.frame, FRAME_FEATURES), ("track", self.track, TRACK_FEATURES))
-        data = {
-            name: {"features": names, "intercept": step.intercept, "weights": step.weights.tolist()}
-            for name, step, names in steps
+    Raises:
+        SetupError: the file is missing or is not a calibration of these features.
+    """
+    try:
+        data = json.loads(path.read_text())
+        return {
+            domain: Confidence(
+                frame=_read(data[domain.value]["frame"], FRAME_FEATURES),
+                track=_read(data[domain.value]["track"], TRACK_FEATURES),
+            )
+            for domain in Domain
         }
-        path.write_text(json.dumps(data, indent=1) + "\n")
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise SetupError(f"{path.name}: no usable calibration ({error}); run `perception calibrate`") from None
+
+
+def save_confidence(confidence: Mapping[Domain, Confidence], path: Path) -> None:
+    """Write a calibration."""
+    data = {
+        domain.value: {
+            name: {"features": names, "intercept": step.intercept, "weights": step.weights.tolist()}
+            for name, step, names in (("frame", c.frame, FRAME_FEATURES), ("track", c.track, TRACK_FEATURES))
+        }
+        for domain, c in confidence.items()
+    }
+    path.write_text(json.dumps(data, indent=1) + "\n")
 
 
 def _read(data: dict[str, object], features: tuple[str, ...]) -> LogisticRegression:
-    """Read a regression; features that its calibration did not have yet count nothing."""
-    names, weights = data["features"], np.array(data["weights"], dtype=np.float64)
-    if not isinstance(names, list) or names != [f for f in features if f in names] or weights.shape != (len(names),):
-        raise ValueError(f"has {weights.size} weights for the features {names}")
-    of_feature = dict(zip(names, weights.tolist(), strict=True))
-    return LogisticRegression(
-        intercept=float(str(data["intercept"])), weights=np.array([of_feature.get(name, 0.0) for name in features])
-    )
+    weights = np.array(data["weights"], dtype=np.float64)
+    if data["features"] != list(features) or weights.shape != (len(features),):
+        raise ValueError(f"has {weights.size} weights for the features {data['features']}")
+    return LogisticRegression(intercept=float(str(data["intercept"])), weights=weights)

@@ -12,7 +12,7 @@ from kinebench_drake.geometry import Array, invert, pose_difference
 from kinebench_drake.grounding.anomaly.camera_motion import measure_camera_motion
 from kinebench_drake.grounding.anomaly.detect import SURE_CONFIDENCE, AnomalyEvidence, find_anomalies, gather_evidence
 from kinebench_drake.grounding.anomaly.detection import AnomalyDetections
-from kinebench_drake.grounding.confidence import GOOD_M, GOOD_RAD, Confidence, frame_features
+from kinebench_drake.grounding.confidence import GOOD_M, GOOD_RAD, Confidence, frame_features, load_confidence
 from kinebench_drake.grounding.estimator import NetworkEstimator
 from kinebench_drake.grounding.flips import X_HALF_TURN, resolve_flips
 from kinebench_drake.grounding.gripper_width import smooth_gripper_width
@@ -22,7 +22,7 @@ from kinebench_drake.grounding.tracker import CadTracker, PoseTracker
 from kinebench_drake.grounding.view import Frames, GripperView
 from kinebench_drake.models.panda.robot import RobotPart, hand_from_tcp
 from kinebench_drake.models.perception.network import WEIGHTS, load_network
-from kinebench_drake.types import NO_PRIORS, Anomaly, GripperTrack, InitialState, InitialStateUse, Priors
+from kinebench_drake.types import NO_PRIORS, Anomaly, Domain, GripperTrack, InitialState, InitialStateUse, Priors
 
 TRACKED_CONFIDENCE = 0.3
 """Least confidence at which a frame counts as tracked."""
@@ -35,6 +35,7 @@ class GroundingResult:
     """Result of `GroundingPipeline.ground`."""
 
     track: GripperTrack
+    domain: Domain
     from_prior: NDArray[np.bool_]
     """(T,) frames whose pose was taken from priors."""
     first_frame: InitialStateUse
@@ -67,14 +68,15 @@ class Observation:
     """Input of the anomaly detectors."""
     wide: tuple[GripperView, ...]
     """(T,) views of whole images."""
+    domain: Domain
 
 
 class GroundingPipeline:
     """Tracker, confidence, smoothing and anomaly detectors; one instance serves any number of videos."""
 
-    def __init__(self, tracker: PoseTracker, confidence: Confidence) -> None:
-        """Compose the pipeline of `tracker` and the calibrated `confidence` of its poses."""
-        self._tracker, self.confidence = tracker, confidence
+    def __init__(self, tracker: PoseTracker, confidence: Mapping[Domain, Confidence]) -> None:
+        """Compose the pipeline of `tracker` and the calibrated `confidence` of its poses in each domain."""
+        self._tracker, self._confidence = tracker, confidence
 
     @classmethod
     def create(cls, device: str | None = None, weights: Path | None = None) -> "GroundingPipeline":
@@ -83,7 +85,7 @@ class GroundingPipeline:
         Raises:
             SetupError: weights, calibration, meshes or native libraries are missing.
         """
-        return cls(CadTracker(NetworkEstimator(load_network(weights or WEIGHTS), device)), Confidence.load())
+        return cls(CadTracker(NetworkEstimator(load_network(weights or WEIGHTS), device)), load_confidence())
 
     def warm_up(self) -> None:
         """Ground a blank video, since the first use of the network and of the ray caster is slow."""
@@ -115,7 +117,9 @@ class GroundingPipeline:
         no_poses = np.full((len(frames), 4, 4), np.nan)
         X_prior = no_poses if priors.X_CH is None else motion.X_AC @ priors.X_CH
         raw = RawTrack.from_poses(poses, observation.evidence.confidence, detections.anomalies, motion.lost, X_prior)
-        confidence = np.where(raw.from_prior, 1.0, self.confidence.track.probability(raw.features()))
+        confidence = np.where(
+            raw.from_prior, 1.0, self._confidence[observation.domain].track.probability(raw.features())
+        )
         confidence = np.where(raw.has_pose, confidence, 0.0)
         tracked = confidence >= TRACKED_CONFIDENCE
         X_AH = raw.smooth(tracked, confidence)
@@ -131,6 +135,7 @@ class GroundingPipeline:
         )
         return GroundingResult(
             track=track,
+            domain=observation.domain,
             from_prior=raw.from_prior,
             first_frame=InitialStateUse.of(initial_state, priors.initial_state),
             detections=detections,
@@ -142,18 +147,19 @@ class GroundingPipeline:
 
     def _contradicts(self, state: InitialState, frames: Frames, camera: Camera) -> bool:
         """Return whether the first frame confidently shows the gripper elsewhere; a 180-degree flip is tolerated."""
-        pose = self._tracker.track(frames[:1], camera).poses[0]
-        if self._frame_confidence(pose) < SURE_CONFIDENCE or pose is None:
+        tracking = self._tracker.track(frames[:1], camera)
+        pose = tracking.poses[0]
+        if self._frame_confidence(pose, tracking.domain) < SURE_CONFIDENCE or pose is None:
             return False
         distance, angle = pose_difference(
             _initial_hand_pose(state, camera), np.stack([pose.X_CH, pose.X_CH @ X_HALF_TURN])
         )
         return not bool(((distance <= FIRST_M) & (angle <= FIRST_RAD)).any())
 
-    def _frame_confidence(self, pose: FramePose | None) -> float:
+    def _frame_confidence(self, pose: FramePose | None, domain: Domain) -> float:
         if pose is None:
             return 0.0
-        return 1.0 if pose.from_prior else float(self.confidence.frame.probability(frame_features(pose)))
+        return 1.0 if pose.from_prior else float(self._confidence[domain].frame.probability(frame_features(pose)))
 
     def observe(self, frames: Frames, camera: Camera, t_s: Array, priors: Priors = NO_PRIORS) -> Observation:
         """Measure each frame, without confidence and smoothing along the video.
@@ -174,11 +180,12 @@ class GroundingPipeline:
         poses = resolve_flips(tracking.poses)
         if not stabilized:
             poses = [p and replace(p, X_CH=X_AC @ p.X_CH) for p, X_AC in zip(poses, motion.X_AC, strict=True)]
-        confidence = np.array([self._frame_confidence(p) for p in poses])
+        confidence = np.array([self._frame_confidence(p, tracking.domain) for p in poses])
         return Observation(
             poses=tuple(poses),
-            evidence=gather_evidence(frames, camera, t_s, tracking.wide, poses, confidence, motion),
+            evidence=gather_evidence(frames, camera, t_s, tracking.wide, poses, confidence, motion, tracking.domain),
             wide=tracking.wide,
+            domain=tracking.domain,
         )
 
 

@@ -21,7 +21,7 @@ _MIN_COVERAGE = 0.6  # least share of a refined gripper that shows the robot: ed
 _SEARCHED_FRAMES = 8  # frames of a video in which the gripper's distance is searched
 _SAMPLES = 7  # frames in which the edges are compared with the network's poses
 _CONTRADICTION, _CONFIRMATION = 0.35, 0.6  # median agreement below and from which edges decide without a fit
-_SMALL_M = 0.005  # median change by fits to the edges up to which they confirm the network's poses, too
+_SMALL_M = 0.0025  # median change by fits to the edges alone up to which they confirm the network's poses, too
 _BEST_QUANTILE, _BEST_SHARE = 0.75, 0.9  # frames that agree nearly as well as the best ones are not tried again
 
 
@@ -72,8 +72,9 @@ class EdgeRefinement:
     """Refinement of the poses of a video by the edges of its images.
 
     Where the edges contradict the network's poses, its look or viewpoint is unfamiliar to the network, whose depth is
-    then off by several percent although hand and arm agree: all frames are fitted to the edges. In familiar videos
-    only doubtful frames are. Each fit starts from the posture of the frame itself, then from those of its neighbours.
+    then off by several percent although hand and arm agree: all frames are fitted to the edges alone. In familiar
+    videos only doubtful frames are, and all others to edges and network together. Each fit starts from the posture of
+    the frame itself, then from those of its neighbours.
     """
 
     def __init__(
@@ -98,15 +99,16 @@ class EdgeRefinement:
         self._poses, self._wide, self._frames, self._camera = poses, wide, frames, camera
         self._fitter, self._silhouette = arm_fitter, silhouette
         self._images: dict[int, GradientImage] = {}
+        self._sharp: dict[int, tuple[ArmFit, ArmFit]] = {}  # by frame: fit to the cells, and to cells and edges
 
     @cached_property
     def is_familiar(self) -> bool:
-        """True if the edges confirm the network's poses: they agree, or fits to them in some frames change little."""
+        """True if the edges agree with the poses of network and edges together, or alone change these little."""
         numbers = [i for i, pose in sorted(self._poses.items()) if pose.arm_agrees and not pose.from_prior]
         if not numbers:
-            return all(pose.from_prior for pose in self._poses.values())
+            return bool(self._poses) and all(pose.from_prior for pose in self._poses.values())
         sample = [numbers[k] for k in np.unique(np.linspace(0, len(numbers) - 1, _SAMPLES).round().astype(int))]
-        arms = {i: arm for i in sample if (arm := self._poses[i].arm) is not None}
+        arms = {i: arm for i in sample if (arm := self._sharpened(i)) is not None}
         agreement = float(np.median([self._fitter.edge_agreement(arm.q, self._image(i)) for i, arm in arms.items()]))
         if not _CONTRADICTION <= agreement < _CONFIRMATION:
             return agreement >= _CONFIRMATION
@@ -117,8 +119,28 @@ class EdgeRefinement:
     def run(self) -> None:
         """Replace the poses: all of an unfamiliar video, else the doubtful ones."""
         self.fit([i for i, pose in self._poses.items() if _is_doubtful(pose) or not self.is_familiar])
-        if not self.is_familiar:
+        if self.is_familiar:
+            self._sharpen()
+        else:
             self._search()
+
+    def _sharpen(self) -> None:
+        """Fit the poses whose arm agrees to cells and edges together."""
+        for i, pose in self._poses.items():
+            arm = self._sharpened(i)
+            if arm is not None and pose.arm_agrees and not pose.from_prior:
+                self._poses[i] = pose.with_arm(arm, pose.overlap)
+
+    def _sharpened(self, number: int) -> ArmFit | None:
+        """Return the arm of a frame fitted to cells and edges together; None without an arm."""
+        pose = self._poses[number]
+        if pose.arm is None:
+            return None
+        known = self._sharp.get(number)
+        if known is None or known[0] is not pose.arm:
+            arm = self._fitter.sharpen(pose.arm, pose.hand, pose.view, self._wide[number], self._image(number))
+            known = self._sharp[number] = pose.arm, arm
+        return known[1]
 
     def reject(self) -> None:
         """Mark the poses of an unfamiliar video that the edges do not confirm: hand and arm do not agree in them."""

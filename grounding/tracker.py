@@ -21,7 +21,7 @@ from kinebench_drake.grounding.registration.icp import IcpRefiner
 from kinebench_drake.grounding.registration.silhouette import SilhouetteMatcher
 from kinebench_drake.grounding.view import DenseEstimator, Frames, GripperView
 from kinebench_drake.models.panda.cad import GripperCad
-from kinebench_drake.types import NO_PRIORS, Priors
+from kinebench_drake.types import NO_PRIORS, Domain, Priors
 
 CLOSE_MARGIN = 1.3
 """Half width of the gripper's crop over the gripper's radius."""
@@ -41,6 +41,7 @@ class Tracking:
     """(T,) views of the whole images."""
     robot: NDArray[np.bool_]
     """(H, W) pixels of the first frame that show the robot."""
+    domain: Domain = Domain.FAMILIAR
 
 
 class PoseTracker(Protocol):
@@ -105,6 +106,7 @@ class CadTracker:
         measure(crops)
         measure(self._corrected_crops(poses))
         measure(self._proposed_crops(len(frames), poses))
+        domain = Domain.FAMILIAR
         if not priors.has_exact_depth:
             propagate(poses, wide, arm, self._silhouette)
             refinement = EdgeRefinement(poses, wide, frames, camera, arm, self._silhouette)
@@ -117,11 +119,13 @@ class CadTracker:
                 refinement.fit(again)
             if not refinement.is_familiar:
                 refinement.reject()
+                domain = Domain.UNFAMILIAR
         poses = {i: self._register(pose) for i, pose in poses.items()}
         return Tracking(
             poses=tuple(poses.get(i) for i in range(len(frames))),
             wide=tuple(wide[i] for i in range(len(frames))),
             robot=wide[0].to_frame(wide[0].part > 0, camera),
+            domain=domain,
         )
 
     def _calibrate(self, frames: Frames, camera: Camera, priors: Priors) -> Priors:

@@ -194,6 +194,15 @@ class InitialState:
     """Gap between the finger pads [m]; NaN where unknown."""
 
 
+class Domain(Enum):
+    """Whether a video looks like those that the networks can measure without help."""
+
+    FAMILIAR = "familiar"
+    """The edges of its images confirm the poses of the networks."""
+    UNFAMILIAR = "unfamiliar"
+    """They do not: poses are fitted to the edges, and what these do not confirm is doubtful."""
+
+
 class InitialStateUse(Enum):
     """Whether the initial state of a sample was used."""
 

@@ -18,6 +18,7 @@ from kinebench_drake.grounding.crop import GRIPPER_CENTRE_H
 from kinebench_drake.grounding.gripper_width import SHARP_M
 from kinebench_drake.grounding.pose import FramePose
 from kinebench_drake.grounding.view import Frames, GripperView
+from kinebench_drake.types import Domain
 
 FAIR_CONFIDENCE = 0.1
 """Least confidence at which a frame's position and shape count; a deformed gripper has a low confidence ..."""
@@ -30,11 +31,18 @@ WIDTH_SIGMA_M = 0.006
 MAX_SIDE_COSINE = 0.5
 """Largest cosine between fingers' axis and line of sight at which the size counts: seen edge-on the gripper is narrow
 and its fingers hide each other."""
+MEASURABLE_SHARE = 0.9
+"""Least share of the frames with a fair position, apart from those without a gripper, of an unfamiliar video in which a
+gripper that is not found has vanished."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AnomalyEvidence:
-    """Input of the detectors: series over the T frames of a video; NaN where unknown."""
+    """Input of the detectors: series over the T frames of a video; NaN where unknown.
+
+    In an unfamiliar video the shape of the gripper and things like grippers are unknown: the network's measurements of
+    them mean nothing there.
+    """
 
     t_s: Array
     """(T,) task time [s]."""
@@ -58,6 +66,7 @@ class AnomalyEvidence:
     """(T,) frames that repeat the one before."""
     motion: CameraMotion
     camera: Camera
+    domain: Domain = Domain.FAMILIAR
 
     def __post_init__(self) -> None:
         """Check that all series have the same length.
@@ -89,6 +98,7 @@ def gather_evidence(
     poses: Sequence[FramePose | None],
     confidence: Array,
     motion: CameraMotion,
+    domain: Domain,
 ) -> AnomalyEvidence:
     """Compute the input of the detectors.
 
@@ -100,6 +110,7 @@ def gather_evidence(
         poses: (T,) poses with flips resolved, in the camera frame of the first frame.
         confidence: (T,) confidence of the poses, 0 where there is none.
         motion: motion of the camera.
+        domain: whether the video is familiar.
     """
     n = len(frames)
     p_C = np.full((n, 3), np.nan)
@@ -121,23 +132,29 @@ def gather_evidence(
             cosine = abs(float(pose.X_CH[:3, 1] @ p_C[i])) / float(np.linalg.norm(p_C[i]))
             if cosine <= MAX_SIDE_COSINE and pose.arm is not None and confidence[i] >= GOOD_CONFIDENCE:
                 scale[i] = pose.arm.scale
-    other = [
-        second_gripper(view, None if pose is None else pose.X_CH, camera)
-        for view, pose in zip(wide, poses, strict=True)
-    ]
+    other = np.array(
+        [
+            second_gripper(view, None if pose is None else pose.X_CH, camera)
+            for view, pose in zip(wide, poses, strict=True)
+        ]
+    )
+    if domain is Domain.UNFAMILIAR:
+        for series in (width, misfit, residual, scale, other):
+            series[:] = np.nan
     return AnomalyEvidence(
         t_s=t_s,
         p_C=p_C,
         confidence=confidence,
         explained=explained,
         finger_width_m=width,
-        other=np.array(other),
+        other=other,
         misfit=misfit,
         residual=residual,
         scale=scale,
         still=still_frames(frames),
         motion=motion,
         camera=camera,
+        domain=domain,
     )
 
 
@@ -146,7 +163,7 @@ def find_anomalies(evidence: AnomalyEvidence) -> AnomalyDetections:
     e = evidence
     freezes = find_freezes(e.p_C, e.fair, e.still, e.t_s)
     detections = (
-        find_vanishing(e.p_C, e.confidence, e.explained, e.fair, e.camera),
+        _find_vanishing(e),
         find_duplicates(e.other),
         _without(find_teleports(e.p_C, e.fair, e.good), {a.frame_end + 1 for a in freezes.anomalies}),
         freezes,
@@ -156,6 +173,18 @@ def find_anomalies(evidence: AnomalyEvidence) -> AnomalyDetections:
         find_finger_faults(e.finger_width_m, e.t_s),
     )
     return AnomalyDetections(by_kind={detection.kind: detection for detection in detections})
+
+
+def _find_vanishing(e: AnomalyEvidence) -> Detection:
+    """Detect a vanished gripper; in an unfamiliar video a doubtful pose is none, unless most others are fair."""
+    if e.domain is Domain.FAMILIAR:
+        return find_vanishing(e.p_C, e.confidence, e.explained, e.fair, e.camera)
+    detected = (e.confidence > 0.0).astype(np.float64)
+    detection = find_vanishing(e.p_C, detected, e.explained, e.fair, e.camera)
+    others = e.fair[detection.score <= 1.0]
+    if len(others) and others.mean() >= MEASURABLE_SHARE:
+        return detection
+    return Detection(kind=detection.kind, score=np.zeros(len(e.t_s)))
 
 
 def _without(detection: Detection, frames: set[int]) -> Detection:

@@ -9,7 +9,7 @@ import numpy as np
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array
-from kinebench_drake.grounding.confidence import Confidence
+from kinebench_drake.grounding.confidence import load_confidence
 from kinebench_drake.grounding.crop import Crop
 from kinebench_drake.grounding.estimator import NetworkEstimator
 from kinebench_drake.grounding.evaluation.clip import TruthClip
@@ -42,7 +42,7 @@ class VariantTools:
             SetupError: one of them is missing.
         """
         estimator, cad = NetworkEstimator(load_network(weights or WEIGHTS)), GripperCad()
-        pipeline = GroundingPipeline(CadTracker(estimator, cad), Confidence.load())
+        pipeline = GroundingPipeline(CadTracker(estimator, cad), load_confidence())
         pipeline.warm_up()
         return cls(estimator=estimator, cad=cad, shipped=pipeline)
 
@@ -145,7 +145,7 @@ def degraded(degradation: Degradation, seed: int) -> Ground:
     def ground(tools: VariantTools, clip: TruthClip, frames: Frames) -> GroundingResult:
         rng = np.random.default_rng([seed, *clip.id.encode()])
         estimator = DegradedEstimator(tools.estimator, len(clip.t_s), degradation, rng)
-        pipeline = GroundingPipeline(CadTracker(estimator, tools.cad), tools.shipped.confidence)
+        pipeline = GroundingPipeline(CadTracker(estimator, tools.cad), load_confidence())
         return pipeline.ground(frames, clip.camera, clip.t_s)
 
     return ground

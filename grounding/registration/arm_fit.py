@@ -35,6 +35,8 @@ _LINKS_ONLY_WEIGHT = 0.03  # weight of the hand's cells where the links alone de
 _NEIGHBOUR_GATES = (8.0, 5.0, 3.0)  # farthest silhouette pairs in successive passes [cells]
 _EDGE_REACHES_PX = (10.0, 6.0, 4.0, 3.0, 2.0)  # farthest image edges in successive passes
 _CELLS_REACH_PX = 6.0  # from which on the cells count in a pass, too
+_SHARPENING_PX, _SHARPENING_POINTS = 4.0, 300  # farthest image edges of a posture that is nearly right
+_SHARPENING_M = 0.02  # largest change of such a pose
 _RIM_SIGMA_CELLS, _RIM_SIGMA_PX = 0.7, 0.7  # of the segmented rim of the hand
 _DISTANCE_FACTORS = np.exp(np.arange(-0.24, 0.25, 0.03))  # distances of a search over that of the hand
 _SEARCHED = 6  # distances at which a search looks at the edges
@@ -191,8 +193,7 @@ class ArmFitter:
             image: gradients of the frame.
         """
         cells = Correspondences.join([gripper_cells(close), self._link_cells(close, wide)])
-        cell_px = close.stride * self._camera.fx / close.crop.focal
-        image = image.with_hand(close.to_frame(close.gripper, self._camera), _RIM_SIGMA_CELLS * cell_px + _RIM_SIGMA_PX)
+        image = self._with_rim(image, close)
 
         def fit(arm: ArmHandModel, reaches_px: tuple[float, ...]) -> Solution[ArmHandModel] | None:
             log_depth_factor, solution = float(np.log(hand.depth_factor)), None
@@ -218,6 +219,38 @@ class ArmFitter:
         agreement = self._edges.agreement(image, self._poses(solution.model))
         fitted = self._arm_fit(solution, cells, hand, scale=float("nan"), evidence=evidence, agrees=True)
         return replace(fitted, agrees=agreement >= _MIN_AGREEMENT, edge_agreement=agreement)
+
+    def sharpen(
+        self, arm: ArmFit, hand: HandFit, close: GripperView, wide: GripperView, image: GradientImage
+    ) -> ArmFit:
+        """Fit a posture that is right within a few pixels to cells and edges together.
+
+        The edges are more precise, above all in depth, and the cells keep to the right ones among them.
+
+        Args:
+            arm: fit to the cells, which is returned if too few edges are near or the fit moves far away.
+            hand: fit of the hand alone.
+            close: view of the gripper's crop.
+            wide: view that shows the arm.
+            image: gradients of the frame.
+        """
+        start, links = self._start(arm.q, arm.finger_m, hand), self._link_cells(close, wide)
+        image = self._with_rim(image, close)
+        edges = self._edges.match(image, self._poses(start), _SHARPENING_PX, RIGID, _SHARPENING_POINTS)
+        if edges is None:
+            return arm
+        joined = Correspondences.join([gripper_cells(close), links, edges])
+        solution = solve(start, joined, close.depth_factor_sigma, float(np.log(hand.depth_factor)), iterations=3)
+        if solution is None:
+            return arm
+        fitted = self._arm_fit(solution, links, hand, scale=arm.scale, evidence=arm.evidence, agrees=True)
+        moved_m = pose_difference(fitted.X_CH, arm.X_CH)[0]
+        return fitted if fitted.agrees and moved_m <= _SHARPENING_M else arm
+
+    def _with_rim(self, image: GradientImage, close: GripperView) -> GradientImage:
+        """Return the image with the rim of the segmented gripper."""
+        cell_px = close.stride * self._camera.fx / close.crop.focal
+        return image.with_hand(close.to_frame(close.gripper, self._camera), _RIM_SIGMA_CELLS * cell_px + _RIM_SIGMA_PX)
 
     def _edge_evidence(self, arm: ArmHandModel, image: GradientImage) -> float:
         """Return the log-likelihood ratio of a posture against half a turn of the last joint, from the edges."""

@@ -23,7 +23,6 @@ from kinebench_drake.models.panda.robot import OPENING_SIGN, RobotPart
 
 _CREASE_RAD = 0.6  # angle between faces from which their common edge is a crease
 _SPACING_PX = 2.0  # distance of the points along an edge
-_MAX_POINTS = 700
 _BEHIND_M = 0.01  # a point farther than this behind the surface is hidden
 _BULGE_M = 0.03  # greatest difference of depth between a contour and the surface beside it
 _JUMP_M = 0.015  # least jump of the depth at a contour
@@ -40,6 +39,8 @@ _BAND_PX, _OUTER_SHARE = 4.0, 0.45  # how far outside and how strong an outline 
 _OFF_RIM = 0.1  # weight of edges of the hand far from its segmented rim
 _MIN_POINTS = 20
 _SEARCH_PX, _ON_CONTOUR_PX = 8.0, 1.0  # where the agreement looks for the strongest edge, and how near it must lie
+MAX_POINTS = 700
+"""Points on the contours of an image."""
 ROBOT = tuple(part for part in RobotPart if part is not RobotPart.BACKGROUND)
 """Hand, fingers and links."""
 RIGID = tuple(part for part in ROBOT if not OPENING_SIGN.get(part))
@@ -183,13 +184,16 @@ class EdgeMatcher:
         """
         self._caster = PartCaster(_meshes())
 
-    def project(self, X_CP: Array, camera: Camera, parts: tuple[RobotPart, ...] = ROBOT) -> EdgePoints | None:
+    def project(
+        self, X_CP: Array, camera: Camera, parts: tuple[RobotPart, ...] = ROBOT, points: int = MAX_POINTS
+    ) -> EdgePoints | None:
         """Return the visible contour points of `parts`; None if there are none.
 
         Args:
             X_CP: (PARTS, 4, 4) poses of the parts in the camera frame [m].
             camera: camera of the image.
             parts: parts whose contours count; all parts hide them.
+            points: greatest number of points.
         """
         ends_C, ends_P, part = [], [], []
         for p in parts:
@@ -211,7 +215,7 @@ class EdgeMatcher:
             return None
         # Points evenly spaced along all edges laid end to end.
         ends_at = np.cumsum(length)
-        at = np.arange(0.5 * _SPACING_PX, total, max(_SPACING_PX, total / (4 * _MAX_POINTS)))
+        at = np.arange(0.5 * _SPACING_PX, total, max(_SPACING_PX, total / (4 * points)))
         edge = np.searchsorted(ends_at, at).clip(max=len(length) - 1)
         t = (1.0 - (ends_at[edge] - at) / np.maximum(length[edge], 1e-9)).clip(0, 1)[:, None]
         p_C = a[edge, 0] + t * (a[edge, 1] - a[edge, 0])
@@ -220,8 +224,8 @@ class EdgeMatcher:
         side = self._outer_side(X_CP, p_C, normal, camera)
         contour = side != 0
         edge, t, p_C, normal = edge[contour], t[contour], p_C[contour], (side[:, None] * normal)[contour]
-        if len(edge) > _MAX_POINTS:
-            subset = np.linspace(0, len(edge) - 1, _MAX_POINTS).astype(int)
+        if len(edge) > points:
+            subset = np.linspace(0, len(edge) - 1, points).astype(int)
             edge, t, p_C, normal = edge[subset], t[subset], p_C[subset], normal[subset]
         if not len(edge):
             return None
@@ -274,7 +278,12 @@ class EdgeMatcher:
         return np.asarray(np.exp(-0.5 * (offset / _ON_CONTOUR_PX) ** 2) * (strength > LEAST_GRADIENT))
 
     def match(
-        self, image: GradientImage, X_CP: Array, reach_px: float, parts: tuple[RobotPart, ...] = ROBOT
+        self,
+        image: GradientImage,
+        X_CP: Array,
+        reach_px: float,
+        parts: tuple[RobotPart, ...] = ROBOT,
+        max_points: int = MAX_POINTS,
     ) -> Correspondences | None:
         """Return correspondences of the visible contours of `parts` with the image; None if there are too few.
 
@@ -283,8 +292,9 @@ class EdgeMatcher:
             X_CP: (PARTS, 4, 4) poses of the parts in the camera frame [m].
             reach_px: farthest edge in the image [px].
             parts: parts whose contours count.
+            max_points: greatest number of points of the contours.
         """
-        points = self.project(X_CP, image.camera, parts)
+        points = self.project(X_CP, image.camera, parts, max_points)
         if points is None:
             return None
         move, strength = image.find_edges(points, reach_px)

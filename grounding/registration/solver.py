@@ -97,7 +97,7 @@ def solve(
         _, _, H, g = _normal_equations(model, cells, depth_factor_sigma, log_depth_factor)
         step: Array = np.asarray(-np.linalg.solve(H + 1e-6 * np.diag(np.diag(H)) + 1e-9 * np.eye(len(H)), g))
         model, log_depth_factor = model.updated(step[:-1]), log_depth_factor + step[-1]
-        if np.abs(step).max() < 2e-5:
+        if np.abs(step).max() < 1e-4:
             break
     p_C, _ = model.predict(cells)
     if not np.isfinite(p_C).all() or (p_C[:, 2] < _NEAREST_M).any():

@@ -1,121 +1,270 @@
-"""Calibration of the confidence on held-out frames and videos (`kinebench-drake perception calibrate`)."""
+"""Calibration of the confidence on held-out videos (`kinebench-drake perception calibrate`)."""
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from enum import Enum
 from pathlib import Path
+from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.special import expit
 
+from kinebench_drake.camera import Camera
+from kinebench_drake.errors import UsageError
+from kinebench_drake.executors.base import Executor
+from kinebench_drake.executors.progress import Observer
 from kinebench_drake.geometry import Array, pose_difference
-from kinebench_drake.grounding.anomaly.detect import find_anomalies
 from kinebench_drake.grounding.confidence import (
+    FRAME_FEATURES,
     GOOD_M,
     GOOD_RAD,
-    TRACK_FEATURES,
     Confidence,
     LogisticRegression,
     frame_features,
 )
-from kinebench_drake.grounding.estimator import NetworkEstimator
 from kinebench_drake.grounding.evaluation.clip import TruthClip, TruthClipFile, find_clips
+from kinebench_drake.grounding.evaluation.store import MeasurementStore, fingerprint
 from kinebench_drake.grounding.evaluation.summary import OFF_M
-from kinebench_drake.grounding.pipeline import TRACKED_CONFIDENCE, GroundingPipeline
-from kinebench_drake.grounding.smoothing import RawTrack
-from kinebench_drake.grounding.tracker import CadTracker
+from kinebench_drake.grounding.pipeline import TRACKED_CONFIDENCE, GroundingPipeline, Observation
+from kinebench_drake.grounding.smoothing import MIN_CONFIDENCE, RawTrack
 from kinebench_drake.grounding.training.augment import degrade, occlude
-from kinebench_drake.grounding.training.crops import Shards, frame_camera
-from kinebench_drake.grounding.training.render import render
 from kinebench_drake.grounding.view import Frames
 from kinebench_drake.io.reader import read_video
-from kinebench_drake.models.perception.frame import DEPTH_UNIT_M
-from kinebench_drake.models.perception.network import WEIGHTS, load_network
+from kinebench_drake.models.panda.cad import GripperCad
+from kinebench_drake.types import Domain
 
-HOLDOUT_SEED = 1_000_000
-"""First seed of held-out scenes; training uses seeds from 0."""
-_MIN_VISIBLE_PX = 150
 _PENALTY = 1.0  # ridge
 _NEAR_PX = 40.0  # distance of occluders to the path of the gripper
+_REMOVED_PX = 9  # width of the strip around a removed gripper that is painted over, too
+_FOCAL_ERROR = (0.05, 0.3)  # logarithm of the factor by which a wrong focal length is off
+
+
+class VideoDegradation(Enum):
+    """Degradation of held-out videos."""
+
+    NONE = "none"
+    DEGRADED = "degraded"
+    """Degraded like training images, with the same draw for all frames."""
+    OCCLUDED = "occluded"
+    """Static occluders on the path of the gripper."""
+    ABSENT = "absent"
+    """Gripper painted over with its surroundings: every pose is wrong."""
+    CAMERA = "camera"
+    """Wrong focal length."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class FrameErrors:
-    """Errors of one held-out frame in which a gripper was detected."""
+class CalibrationItem:
+    """Held-out video under a degradation."""
 
-    kind: str
-    """Name of the folder that holds it."""
-    scene: int
-    """Number of the scene or the demonstration."""
+    clip: TruthClipFile
+    degradation: VideoDegradation
+    number: int
+    """Number of the video, which seeds the degradation; odd and even ones are the halves of the validation."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MeasuredPoses:
+    """Poses of the T frames of a video before confidence and smoothing; NaN where no gripper was detected."""
+
+    domain: Domain
     features: Array
-    """(8,) features of the confidence."""
-    position_m: float
-    """Position error of panda_hand [m]; inf where there is no gripper."""
-    rotation_rad: float
-    """Rotation error [rad]; inf where there is no gripper."""
-    mask_iou: float
-    """Intersection over union of estimated and true gripper cells in the close crop; NaN if there is no gripper."""
-    depth_error: float
-    """Median relative depth error over cells that are gripper in estimate and truth; NaN if there are none."""
+    """(T, 11) FRAME_FEATURES."""
+    X_AH: Array
+    """(T, 4, 4) poses in the camera frame of the first frame [m]."""
+    covariance: Array
+    """(T, 6, 6) covariances: rotation about the axes of A [rad], then position [m]."""
+    X_true: Array
+    """(T, 4, 4) true poses; NaN without a gripper."""
+
+    @classmethod
+    def from_observation(cls, observation: Observation, X_true: Array) -> "MeasuredPoses":
+        """Collect what the confidence is fitted to."""
+        poses, n = observation.poses, len(X_true)
+        features, X_AH = np.full((n, len(FRAME_FEATURES)), np.nan), np.full((n, 4, 4), np.nan)
+        covariance = np.zeros((n, 6, 6))
+        for i, pose in enumerate(poses):
+            if pose is not None and not observation.evidence.motion.lost[i]:
+                features[i], X_AH[i], covariance[i] = frame_features(pose), pose.X_CH, pose.covariance
+        return cls(domain=observation.domain, features=features, X_AH=X_AH, covariance=covariance, X_true=X_true)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the JSON object."""
+        arrays = {name: getattr(self, name) for name in _ARRAYS}
+        return {"domain": self.domain.value, **{name: _to_lists(array) for name, array in arrays.items()}}
+
+    @classmethod
+    def from_json(cls, data: dict[str, Any], /) -> "MeasuredPoses":
+        """Read the object that `to_json` returns."""
+        arrays = {name: np.array(data[name], dtype=np.float64).reshape(-1, *shape) for name, shape in _ARRAYS.items()}
+        return cls(domain=Domain(data["domain"]), **arrays)
 
     @property
-    def good(self) -> bool:
-        """True if the pose is as accurate as the confidence states."""
-        return self.position_m <= GOOD_M and self.rotation_rad <= GOOD_RAD
+    def detected(self) -> NDArray[np.bool_]:
+        """(T,) frames with a pose."""
+        return np.asarray(np.isfinite(self.X_AH).all(axis=(1, 2)))
+
+    def good(self, X: Array) -> NDArray[np.bool_]:
+        """Return which poses X (T, 4, 4) are as accurate as the confidence states."""
+        distance, angle = pose_difference(self.X_true, X)
+        return np.asarray((distance <= GOOD_M) & (angle <= GOOD_RAD))
+
+    def track(self, frame: LogisticRegression) -> RawTrack:
+        """Return the raw track with the confidence `frame` of each frame by itself."""
+        confidence = np.where(self.detected, frame.probability(np.nan_to_num(self.features)), 0.0)
+        return RawTrack(
+            X_AH=np.where((confidence >= MIN_CONFIDENCE)[:, None, None], self.X_AH, np.nan),
+            covariance=self.covariance,
+            confidence=confidence,
+            from_prior=np.zeros(len(confidence), dtype=bool),
+            breaks=(),
+        )
+
+
+_ARRAYS: Mapping[str, tuple[int, ...]] = {
+    "features": (len(FRAME_FEATURES),),
+    "X_AH": (4, 4),
+    "covariance": (6, 6),
+    "X_true": (4, 4),
+}
+
+
+def _to_lists(array: Array) -> list[float | None]:
+    return [float(f"{v:.7g}") if np.isfinite(v) else None for v in array.ravel()]
+
+
+def degrade_video(frames: Frames, clip: TruthClip, degradation: VideoDegradation, seed: Sequence[int]) -> Frames:
+    """Return the degraded frames (T, H, W, 3) of a clip; the same `seed` gives the same frames."""
+    if degradation in (VideoDegradation.NONE, VideoDegradation.CAMERA):
+        return frames
+    if degradation is VideoDegradation.DEGRADED:
+        return np.stack([degrade(frame, np.random.default_rng(seed)) for frame in frames])
+    if degradation is VideoDegradation.ABSENT:
+        masks, strip = clip.masks(GripperCad()), np.ones((_REMOVED_PX, _REMOVED_PX), np.uint8)
+        widened = [np.asarray(cv2.dilate(mask.astype(np.uint8), strip)) for mask in masks]
+        return np.stack([cv2.inpaint(f, m, 3.0, cv2.INPAINT_TELEA) for f, m in zip(frames, widened, strict=True)])
+    rng = np.random.default_rng(seed)
+    shown = np.flatnonzero(np.isfinite(clip.X_CH).all(axis=(1, 2)))
+    places = clip.camera.resized(frames.shape[2], frames.shape[1]).project(clip.X_CH[rng.choice(shown, 3), :3, 3])
+    y, x = np.mgrid[0 : frames.shape[1], 0 : frames.shape[2]]
+    near = np.min([np.hypot(x - p[0], y - p[1]) for p in places], axis=0) <= _NEAR_PX
+    occluded, draw = frames.copy(), int(rng.integers(2**32))
+    for image in occluded:
+        occlude(image, near.astype(np.uint8), frames[0], np.random.default_rng(draw))
+    return occluded
+
+
+def wrong_camera(camera: Camera, seed: Sequence[int]) -> Camera:
+    """Return a camera whose focal length is off by 5 to 35 %."""
+    rng = np.random.default_rng(seed)
+    factor = float(np.exp(rng.choice([-1.0, 1.0]) * rng.uniform(*_FOCAL_ERROR)))
+    return replace(camera, fx=camera.fx * factor, fy=camera.fy * factor)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Holdout:
-    """Errors of all held-out frames."""
+class CalibrationWorkerFactory:
+    """Creates, in each process, the function that measures a video."""
 
-    errors: tuple[FrameErrors, ...]
-    visible: int
-    """Frames that show at least 150 px of the gripper."""
-    missed: int
-    """Those of them in which it was not detected."""
+    weights: Path | None
+    """Weights in place of those shipped."""
+
+    def __call__(self) -> Callable[[CalibrationItem], MeasuredPoses]:
+        """Return the function that measures one item.
+
+        Raises:
+            SetupError: weights, CAD model or native libraries are missing.
+        """
+        pipeline = GroundingPipeline.create(weights=self.weights)
+
+        def measure(item: CalibrationItem) -> MeasuredPoses:
+            clip, frames = item.clip.load(), read_video(item.clip.video).frames
+            video = degrade_video(frames, clip, item.degradation, [0, item.number])
+            camera = clip.camera.resized(frames.shape[2], frames.shape[1])
+            if item.degradation is VideoDegradation.CAMERA:
+                camera = wrong_camera(camera, [0, item.number])
+            absent = item.degradation is VideoDegradation.ABSENT
+            X_true = np.full_like(clip.X_CH, np.nan) if absent else clip.X_CH
+            return MeasuredPoses.from_observation(pipeline.observe(video, camera, clip.t_s), X_true)
+
+        return measure
 
 
-def measure_frames(tracker: CadTracker, shards: Shards, seed: int = 0) -> Holdout:
-    """Detect the gripper in every held-out frame separately; every other frame is degraded as in training."""
-    rng = np.random.default_rng([seed, HOLDOUT_SEED])
-    errors: list[FrameErrors] = []
-    visible = missed = 0
-    for i in range(len(shards)):
-        frame = shards[i]
-        rgb = degrade(frame.rgb, rng) if i % 2 else frame.rgb
-        gripper = frame.gripper
-        shown = bool(gripper.sum() >= _MIN_VISIBLE_PX)
-        visible += shown
-        pose = tracker.track(rgb[None], frame_camera(frame)).poses[0]
-        if pose is None:
-            missed += shown
-            continue
-        position, rotation, iou, depth_error = np.inf, np.inf, np.nan, np.nan
-        if gripper.any():
-            d, a = pose_difference(frame.X_CH, pose.X_CH)
-            view, camera = pose.view, frame_camera(frame)
-            true = np.asarray(view.crop.warp(gripper.astype(np.uint8), camera, view.stride, nearest=True)) > 0
-            both = true & view.gripper
-            depth_C = np.asarray(view.crop.warp(frame.depth, camera, view.stride, nearest=True), dtype=np.float64)
-            z = depth_C * DEPTH_UNIT_M / (view.rays() @ view.crop.R_CV.T)[..., 2]
-            position, rotation = float(d), float(a)
-            iou = float(both.sum() / max(1, (true | view.gripper).sum()))
-            if both.any():
-                depth_error = float(np.median(np.abs(view.depth_m[both] / z[both] - 1.0)))
-        errors.append(
-            FrameErrors(
-                kind=shards.folder(i),
-                scene=shards.number(i),
-                features=frame_features(pose),
-                position_m=position,
-                rotation_rad=rotation,
-                mask_iou=iou,
-                depth_error=depth_error,
-            )
-        )
-    return Holdout(errors=tuple(errors), visible=visible, missed=missed)
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ConfidenceCalibration:
+    """Inputs of a calibration."""
+
+    videos: tuple[Path, ...]
+    """Folders of held-out videos with ground truth."""
+    weights: Path | None = None
+    """Weights in place of those shipped."""
+    limit: int | None = None
+    """Number of videos of each folder; all if None."""
+    keep: Path | None = None
+    """File of finished measurements."""
+
+    def items(self) -> list[CalibrationItem]:
+        """Return every video as it is, and under one of the degradations in turn."""
+        clips = [clip for folder in self.videos for clip in find_clips(folder)[: self.limit]]
+        others = [d for d in VideoDegradation if d is not VideoDegradation.NONE]
+        return [
+            CalibrationItem(clip=clip, degradation=degradation, number=number)
+            for number, clip in enumerate(clips)
+            # Two videos in turn under each, so that both halves have all of them.
+            for degradation in (VideoDegradation.NONE, others[number // 2 % len(others)])
+        ]
+
+
+def calibrate_confidence(
+    config: ConfidenceCalibration, executor: Executor, observer: Observer
+) -> tuple[dict[Domain, Confidence], list[str]]:
+    """Measure held-out videos and fit the confidence; return it with the lines of a report.
+
+    The reported reliability is that of a fit to half of the videos, measured on the other half. The calibration that is
+    returned is fitted to all.
+
+    Raises:
+        UsageError: a folder holds no videos with ground truth, or the videos of a domain do not suffice.
+        SetupError: weights or libraries are missing, or a worker died.
+    """
+    items = config.items()
+    weights = [config.weights] if config.weights else []
+    base = fingerprint(modules=[CalibrationWorkerFactory.__module__], files=weights)
+    digests = {item.clip.id: item.clip.digest() for item in items}
+    store = MeasurementStore(config.keep, MeasuredPoses)
+    measured = store.complete(
+        items,
+        lambda item: f"{base}-{digests[item.clip.id]}-{item.number}-{item.degradation.value}",
+        executor,
+        CalibrationWorkerFactory(weights=config.weights),
+        observer,
+        lambda item: f"{item.clip.id}  {item.degradation.value}",
+    )
+    confidence, lines = {}, list[str]()
+    for domain in Domain:
+        chosen = [(i, m) for i, m in zip(items, measured, strict=True) if m.domain is domain]
+        halves = [[m for i, m in chosen if i.number % 2 == odd] for odd in (0, 1)]
+        if any(len({bool(g) for m in half for g in m.good(m.X_AH)[m.detected]}) < 2 for half in halves):
+            raise UsageError(f"{len(chosen)} videos of the domain {domain.value} do not suffice; add some")
+        confidence[domain] = fit_confidence([m for _, m in chosen])
+        tested = [(i, m) for i, m in chosen if i.number % 2 == 1]
+        lines += _reliability(domain, tested, fit_confidence(halves[0]))
+    return confidence, lines
+
+
+def fit_confidence(videos: Sequence[MeasuredPoses]) -> Confidence:
+    """Fit the confidence of frames by themselves, then that within their track, to videos of one domain."""
+    detected = [m.detected for m in videos]
+    frame = fit_logistic(
+        np.concatenate([m.features[d] for m, d in zip(videos, detected, strict=True)]),
+        np.concatenate([m.good(m.X_AH)[d] for m, d in zip(videos, detected, strict=True)]),
+    )
+    tracks = [m.track(frame) for m in videos]
+    features = np.concatenate([t.features()[t.has_pose] for t in tracks])
+    good = [m.good(t.smooth(t.has_pose, t.confidence))[t.has_pose] for m, t in zip(videos, tracks, strict=True)]
+    return Confidence(frame=frame, track=fit_logistic(features, np.concatenate(good)))
 
 
 def fit_logistic(features: Array, good: NDArray[np.bool_]) -> LogisticRegression:
@@ -139,160 +288,26 @@ def calibration_bins(probability: Array, good: NDArray[np.bool_], bins: int = 5)
             yield float(probability[part].mean()), float(good[part].mean()), len(part)
 
 
-class VideoDegradation(Enum):
-    """Degradation of held-out videos."""
-
-    NONE = "none"
-    DEGRADED = "degraded"
-    """Degraded like training images, with the same draw for all frames."""
-    OCCLUDED = "occluded"
-    """Static occluders on the path of the gripper."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PosedFrames:
-    """N frames of held-out videos in which a gripper was detected."""
-
-    clip: NDArray[np.int64]
-    """(N,) number of the video."""
-    kind: NDArray[np.str_]
-    """(N,) name of the folder that holds the video."""
-    features: Array
-    """(N, 4) features of the confidence within a track."""
-    position_m: Array
-    """(N,) position error of the smoothed track [m]; inf where there is no gripper."""
-    good: NDArray[np.bool_]
-    """(N,) True if the smoothed pose is within 10 mm and 5 degrees."""
-
-    @staticmethod
-    def join(videos: "Sequence[PosedFrames]") -> "PosedFrames":
-        """Concatenate the frames of several videos."""
-        return PosedFrames(
-            **{f.name: np.concatenate([getattr(v, f.name) for v in videos]) for f in fields(PosedFrames)}
+def _reliability(
+    domain: Domain, tested: Sequence[tuple[CalibrationItem, MeasuredPoses]], confidence: Confidence
+) -> Iterator[str]:
+    """Yield how well `confidence` holds on videos that it was not fitted to, by folder and degradation."""
+    kinds: dict[str, list[tuple[Array, NDArray[np.bool_], Array]]] = {}
+    for item, m in tested:
+        raw = m.track(confidence.frame)
+        probability = np.where(raw.has_pose, confidence.track.probability(np.nan_to_num(raw.features())), 0.0)
+        X_AH = raw.smooth(probability >= TRACKED_CONFIDENCE, probability)
+        distance = pose_difference(m.X_true, X_AH)[0]
+        row = probability, m.good(X_AH), np.where(np.isfinite(distance), distance, np.inf)
+        for kind in (item.clip.video.parent.name, item.degradation.value):
+            kinds.setdefault(kind, []).append(row)
+    for kind, rows in kinds.items():
+        probability, good, distance = (np.concatenate(values) for values in zip(*rows, strict=True))
+        tracked = probability >= TRACKED_CONFIDENCE
+        off = float((distance[tracked] > OFF_M).mean()) if tracked.any() else 0.0
+        yield (
+            f"{domain.value}, {kind}: {tracked.mean():.1%} of {len(tracked)} frames are tracked, of these {off:.2%} "
+            f"are off by more than {1e2 * OFF_M:.0f} cm"
         )
-
-
-def measure_video(pipeline: GroundingPipeline, file: TruthClipFile, number: int, seed: int = 0) -> PosedFrames:
-    """Track the gripper in a clip under every degradation; `number` identifies the clip among others."""
-    clip, frames = file.load(), read_video(file.video).frames
-    nothing = np.full((len(frames), 4, 4), np.nan)
-    features, position, good = [], [], []
-    for degradation in VideoDegradation:
-        video = degrade_video(frames, clip, degradation, [seed, number])
-        observation = pipeline.observe(video, clip.camera, clip.t_s)
-        poses, evidence = observation.poses, observation.evidence
-        anomalies = find_anomalies(evidence).anomalies
-        raw = RawTrack.from_poses(poses, evidence.confidence, anomalies, evidence.motion.lost, nothing)
-        distance, angle = pose_difference(clip.X_CH, raw.smooth(raw.has_pose, raw.confidence))
-        features.append(raw.features()[raw.has_pose])
-        position.append(np.where(np.isfinite(distance), distance, np.inf)[raw.has_pose])
-        good.append(((distance <= GOOD_M) & (angle <= GOOD_RAD))[raw.has_pose])
-    n = sum(map(len, good))
-    return PosedFrames(
-        clip=np.full(n, number),
-        kind=np.full(n, file.video.parent.name),
-        features=np.concatenate(features),
-        position_m=np.concatenate(position),
-        good=np.concatenate(good),
-    )
-
-
-def degrade_video(frames: Frames, clip: TruthClip, degradation: VideoDegradation, seed: Sequence[int]) -> Frames:
-    """Return the degraded frames (T, S, S, 3) of a clip; the same `seed` gives the same frames."""
-    if degradation is VideoDegradation.NONE:
-        return frames
-    if degradation is VideoDegradation.DEGRADED:
-        return np.stack([degrade(frame, np.random.default_rng(seed)) for frame in frames])
-    rng = np.random.default_rng(seed)
-    shown = np.flatnonzero(np.isfinite(clip.X_CH).all(axis=(1, 2)))
-    places = clip.camera.resized(frames.shape[2], frames.shape[1]).project(clip.X_CH[rng.choice(shown, 3), :3, 3])
-    y, x = np.mgrid[0 : frames.shape[1], 0 : frames.shape[2]]
-    near = np.min([np.hypot(x - p[0], y - p[1]) for p in places], axis=0) <= _NEAR_PX
-    occluded, draw = frames.copy(), int(rng.integers(2**32))
-    for image in occluded:
-        occlude(image, near.astype(np.uint8), frames[0], np.random.default_rng(draw))
-    return occluded
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ConfidenceCalibration:
-    """Inputs and output of a calibration."""
-
-    scenes: Path
-    """Folder of held-out scenes; missing ones are rendered into it."""
-    count: int
-    """Number of scenes of 20 frames each."""
-    demos: tuple[Path, ...]
-    """Folders of rendered frames of held-out demonstrations and of other renderers."""
-    videos: tuple[Path, ...]
-    """Folders of held-out videos with ground truth; without any the shipped confidence within a track is kept."""
-    weights: Path | None
-    """Weights in place of those shipped."""
-    out: Path | None
-    """File for the calibration."""
-    jobs: int
-    """Rendering processes."""
-
-
-def calibrate_confidence(config: ConfidenceCalibration) -> Iterator[str]:
-    """Measure held-out frames and videos, fit the confidence and yield the lines of a report.
-
-    The reported reliability is that of a fit to half of the scenes, demonstrations and videos, measured on the other
-    half. The calibration that is written is fitted to all.
-    """
-    messages: list[str] = []
-    render(config.scenes, range(HOLDOUT_SEED, HOLDOUT_SEED + config.count), config.jobs, messages.append)
-    yield from messages
-    tracker = CadTracker(NetworkEstimator(load_network(config.weights or WEIGHTS)))
-    holdout = measure_frames(tracker, Shards([config.scenes, *config.demos]))
-    good = [f for f in holdout.errors if np.isfinite(f.position_m)]
-    position, rotation = np.array([f.position_m for f in good]) * 1e3, np.rad2deg([f.rotation_rad for f in good])
-    yield f"frames with a gripper {holdout.visible}, missed {holdout.missed}, detected {len(holdout.errors)}"
-    yield f"mask IoU          median {np.nanmedian([f.mask_iou for f in good]):.3f}"
-    yield f"depth error       median {100 * np.nanmedian([f.depth_error for f in good]):.2f} %"
-    yield f"position error    {_spread(position)} mm (median, 90 %, 95 %)"
-    yield f"rotation error    {_spread(rotation)} degrees (median, 90 %, 95 %)"
-    scene = np.array([f.scene for f in holdout.errors])
-    features = np.stack([f.features for f in holdout.errors])
-    kind = np.array([f.kind for f in holdout.errors])
-    frame, lines = _fit("single frames", kind, scene, features, np.array([f.good for f in holdout.errors]))
-    yield from lines
-    if not config.videos:
-        track = Confidence.load().track
-    else:
-        initial = Confidence(
-            frame=frame, track=LogisticRegression(intercept=0.0, weights=np.zeros(len(TRACK_FEATURES)))
-        )
-        pipeline, parts = GroundingPipeline(tracker, initial), list[PosedFrames]()
-        clips = [clip for folder in config.videos for clip in find_clips(folder)]
-        for number, clip in enumerate(clips):
-            parts.append(measure_video(pipeline, clip, number))
-            yield f"[{number + 1}/{len(clips)}] {clip.id}"
-        videos = PosedFrames.join(parts)
-        track, lines = _fit("videos", videos.kind, videos.clip, videos.features, videos.good)
-        yield from lines
-        tracked = track.probability(videos.features) >= TRACKED_CONFIDENCE
-        off = float((videos.position_m[tracked] > OFF_M).mean())
-        yield f"{tracked.mean():.1%} of the frames of videos are tracked, of these {off:.2%} are off by more than 3 cm"
-    if config.out is not None:
-        Confidence(frame=frame, track=track).save(config.out)
-        yield f"calibration of all frames written to {config.out.name}"
-
-
-def _fit(
-    name: str, kind: NDArray[np.str_], group: NDArray[np.int64], features: Array, good: NDArray[np.bool_]
-) -> tuple[LogisticRegression, list[str]]:
-    """Fit a regression to all frames; report the reliability on odd groups of one fitted to even groups, by kind."""
-    odd = group % 2 == 1
-    half, lines = fit_logistic(features[~odd], good[~odd]), []
-    for value in np.unique(kind):
-        tested = odd & (kind == value)
-        lines += [
-            f"confidence {mean:.2f} of {name} in {value}: within 10 mm and 5 degrees in {share:.2f} of {n} frames"
-            for mean, share, n in calibration_bins(half.probability(features[tested]), good[tested])
-        ]
-    return fit_logistic(features, good), lines
-
-
-def _spread(values: Array) -> str:
-    return " ".join(f"{v:.2f}" for v in np.percentile(values, [50, 90, 95]))
+        for mean, share, n in calibration_bins(probability[tracked], good[tracked]):
+            yield f"  confidence {mean:.2f}: within 10 mm and 5 degrees in {share:.2f} of {n} frames"

@@ -4,14 +4,12 @@ import multiprocessing
 import os
 import queue
 from collections.abc import Callable, Iterable, Iterator
-from enum import Enum
 from pathlib import Path
 
 import numpy as np
 
 from kinebench_drake.errors import SetupError
 from kinebench_drake.grounding.training.scene import TrainingScene
-from kinebench_drake.grounding.training.vtk import VtkScene
 from kinebench_drake.models.perception.frame import FILES, save_shard
 
 FRAMES_PER_SCENE = 20
@@ -22,25 +20,16 @@ _REPORT_EVERY = 20
 _STREAM = 0x4B42  # separates these random streams from others with the same seed
 
 
-class Renderer(Enum):
-    """Renderer of scenes."""
-
-    SAPIEN = "sapien"
-    """That of training."""
-    VTK = "vtk"
-    """Drake's, for measurements on unfamiliar images."""
-
-
-def render_shards(folder: Path, seeds: Iterable[int], renderer: Renderer = Renderer.SAPIEN) -> Iterator[int]:
+def render_shards(folder: Path, seeds: Iterable[int]) -> Iterator[int]:
     """Render the frames of one scene per seed into `folder`; yield each finished seed.
 
     The same seed gives the same scene.
     """
-    create = TrainingScene if renderer is Renderer.SAPIEN else VtkScene
     for seed in seeds:
         # The variable keeps the last scene alive until the next is built: SAPIEN compiles its shaders again, for
         # seconds, whenever no scene exists.
-        scene = create(np.random.default_rng([seed, _STREAM]), handless=seed % HANDLESS_EVERY == HANDLESS_EVERY - 1)
+        rng = np.random.default_rng([seed, _STREAM])
+        scene = TrainingScene(rng, handless=seed % HANDLESS_EVERY == HANDLESS_EVERY - 1)
         save_shard([scene.frame() for _ in range(FRAMES_PER_SCENE)], _shard(folder, seed))
         yield seed
 
@@ -49,19 +38,13 @@ def _shard(folder: Path, seed: int) -> Path:
     return folder / f"{seed:06d}"
 
 
-def _work(folder: Path, seeds: list[int], renderer: Renderer, done: "multiprocessing.Queue[int | None]") -> None:
-    for seed in render_shards(folder, seeds, renderer):
+def _work(folder: Path, seeds: list[int], done: "multiprocessing.Queue[int | None]") -> None:
+    for seed in render_shards(folder, seeds):
         done.put(seed)
     done.put(None)
 
 
-def render(
-    folder: Path,
-    seeds: Iterable[int],
-    jobs: int,
-    report: Callable[[str], None],
-    renderer: Renderer = Renderer.SAPIEN,
-) -> None:
+def render(folder: Path, seeds: Iterable[int], jobs: int, report: Callable[[str], None]) -> None:
     """Render the scenes of `seeds` that `folder` lacks, in `jobs` processes; call `report` with lines on the progress.
 
     Raises:
@@ -76,7 +59,7 @@ def render(
     done: multiprocessing.Queue[int | None] = context.Queue()
     os.environ.setdefault("LP_NUM_THREADS", "1")  # lavapipe: one thread per process
     workers = [
-        context.Process(target=_work, args=(folder, missing[k::jobs], renderer, done), daemon=True)
+        context.Process(target=_work, args=(folder, missing[k::jobs], done), daemon=True)
         for k in range(min(jobs, len(missing)))
     ]
     for worker in workers:

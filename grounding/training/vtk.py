@@ -21,8 +21,6 @@ from pydrake.geometry import (
     ClippingRange,
     ColorRenderCamera,
     Cylinder,
-    DepthRange,
-    DepthRenderCamera,
     FramePoseVector,
     GeometryFrame,
     GeometryInstance,
@@ -50,7 +48,6 @@ from kinebench_drake.grounding.training.layout import (
     SolidKind,
     Surface,
     random_attachments,
-    random_finger,
     random_grasp,
     random_paint,
     random_places,
@@ -65,7 +62,6 @@ from kinebench_drake.grounding.view import Frames
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.models.panda.cad import FINGER_ORIGIN_H, visual_file
 from kinebench_drake.models.panda.robot import GRIPPER, HAND_LINK, LINK_OF, OPENING_SIGN, RobotPart, panda
-from kinebench_drake.models.perception.frame import RenderedFrame
 
 SIZES = ((384, 384), (320, 240), (640, 480), (512, 512), (640, 360), (480, 640), (256, 256), (960, 540))
 """Width and height of images [px]."""
@@ -133,8 +129,8 @@ class RenderedVideo:
 class VtkScene:
     """Table, walls, loose things, lights and a Panda in Drake's VTK renderer, with random poses of all of them."""
 
-    def __init__(self, rng: np.random.Generator, *, handless: bool = False) -> None:
-        """Build the scene from `rng`; a `handless` scene shows neither hand nor fingers."""
+    def __init__(self, rng: np.random.Generator) -> None:
+        """Build the scene from `rng`."""
         self._rng = rng
         self._graph = SceneGraph()
         self._graph.AddRenderer(_RENDERER, MakeRenderEngineVtk(self._draw_look()))
@@ -151,8 +147,8 @@ class VtkScene:
                 self._add(f"object{k}", _shape(random_solid(rng, half)), random_surface(rng))
             self._payload_m = float(rng.uniform(0.008, 0.036))
             self._add("payload", _shape(random_solid(rng, self._payload_m)), random_surface(rng))
-            self._add_robot(handless)
-            self._attachments = [] if handless else random_attachments(rng)
+            self._add_robot()
+            self._attachments = random_attachments(rng)
             for k, a in enumerate(self._attachments):
                 self._add(f"attachment{k}", Box(*(2 * h for h in a.half)), a.surface)
             self._context = self._graph.CreateDefaultContext()
@@ -218,13 +214,12 @@ class VtkScene:
         instance.set_perception_properties(self._properties(random_surface(self._rng), _SCENERY))
         self._graph.RegisterAnchoredGeometry(self._source, instance)
 
-    def _add_robot(self, handless: bool) -> None:
+    def _add_robot(self) -> None:
         paint = random_paint(self._rng)
         for part, link in LINK_OF.items():
             mesh = _painted(part, paint)
-            if not (handless and part in GRIPPER):
-                turned = _HALF_TURN @ _Z_UP if part is RobotPart.RIGHT_FINGER else _Z_UP
-                self._add(link, mesh, None, int(part), turned)
+            turned = _HALF_TURN @ _Z_UP if part is RobotPart.RIGHT_FINGER else _Z_UP
+            self._add(link, mesh, None, int(part), turned)
 
     def _move(self, X_BL: Mapping[str, Array], X_BO: Sequence[Array], X_BP: Array) -> None:
         """Move links, objects and payload to poses (4, 4) in the base frame."""
@@ -244,29 +239,15 @@ class VtkScene:
         links_B = np.concatenate([[X[:3, 3] for X in poses.values()] for poses in motion])
         return random_camera(self._rng, centre_B, links_B, self._bounds, self._size)
 
-    def _render(self, camera: Camera) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.uint8]]:
-        """Return image (H, W, 3), depth (H, W) [m] and parts (H, W)."""
+    def _render(self, camera: Camera) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+        """Return image (H, W, 3) and parts (H, W)."""
         info = CameraInfo(camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)
         core = RenderCameraCore(_RENDERER, info, ClippingRange(0.01, _FAR_M), RigidTransform())
         query = self._graph.get_query_output_port().Eval(self._context)
         pose = self._graph.world_frame_id(), RigidTransform(camera.X_BC)
         rgb = query.RenderColorImage(ColorRenderCamera(core, False), *pose).data[..., :3].copy()
         label = query.RenderLabelImage(ColorRenderCamera(core, False), *pose).data[..., 0]
-        depth = query.RenderDepthImage(DepthRenderCamera(core, DepthRange(0.011, _FAR_M - 0.1)), *pose).data[..., 0]
-        part = np.where(label < _SCENERY, label, 0).astype(np.uint8)
-        return rgb, np.where(np.isfinite(depth), depth, 0.0), part
-
-    def frame(self) -> RenderedFrame:
-        """Draw new poses and render a frame."""
-        rng = self._rng
-        holds = bool(rng.random() < 0.35)
-        finger = self._payload_m if holds else random_finger(rng)
-        X_BL = _link_poses(self._postures.draw(rng), finger)
-        payload = X_BL[HAND_LINK] @ random_grasp(rng) if holds else make_pose(np.eye(3), FAR_AWAY)
-        self._move(X_BL, self._draw_objects(X_BL[HAND_LINK]), payload)
-        camera = self._draw_camera(X_BL, [X_BL])
-        rgb, depth_m, part = self._render(camera)
-        return RenderedFrame.from_image(rgb, depth_m, part, camera, X_BL, finger)
+        return rgb, np.where(label < _SCENERY, label, 0).astype(np.uint8)
 
     def video(self) -> RenderedVideo:
         """Draw a motion, maybe with a grasp, and a static camera that sees it, and render it."""
@@ -283,7 +264,7 @@ class VtkScene:
             # The thing lies where it is grasped before, and where it is released afterwards.
             hidden = make_pose(np.eye(3), FAR_AWAY)
             self._move(X, objects, X_BH[np.clip(t, grasp[0], grasp[-1])] @ X_HP if len(grasp) else hidden)
-            rgb, _, part = self._render(camera)
+            rgb, part = self._render(camera)
             frames.append(rgb)
             visible.append(np.isin(part, GRIPPER).sum())
         return RenderedVideo(

@@ -124,7 +124,7 @@ def ground_video(
         `track`: (T,) times [s], poses (T, 4, 4) of panda_hand in the camera frame and of panda_hand_tcp in the base
         frame [m], NaN where not tracked, confidence, gap between the pads [m]; `anomalies`; `camera_motion_px`;
         `arm_consistency_px`; `robot` (T, H, W), the pixels that show the robot; `first_frame`;
-        `curves`, the fitness and distance [m] of ICP in each frame and its weight.
+        `domain`; `curves`, the fitness and distance [m] of ICP in each frame and its weight.
 
     Raises:
         UsageError: an argument cannot be used, or the path holds no video or several.

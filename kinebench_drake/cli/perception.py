@@ -23,7 +23,7 @@ _WEIGHTS = click.option("--weights", type=_FILE, help="Network weights (safetens
 def _demos(purpose: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     return click.option(
         "--demos", multiple=True, type=_EXISTING_FOLDER,
-        help=f"Folder of `suite demos --format frames` or `perception render` {purpose} as well; repeatable.",
+        help=f"Folder of `suite demos --format frames` {purpose} as well; repeatable.",
     )  # fmt: skip
 
 
@@ -82,68 +82,51 @@ def train(
 
 @perception.command(
     epilog="\b\nExample:\n"
-    "  kinebench-drake suite demos --suite 2 --split seen --episodes 2 --format frames --out data/held-out-demos\n"
-    "  kinebench-drake suite demos --suite 2 --split seen --episodes 3 --out data/held-out-videos\n"
-    "  kinebench-drake perception render data/vtk\n"
-    "  kinebench-drake perception calibrate --demos data/held-out-demos --demos data/vtk/vtk-scenes \\\n"
-    "      --videos data/held-out-videos --videos data/vtk/vtk-videos \\\n"
-    "      --out models/perception/confidence.json"
+    "  kinebench-drake suite demos --suite 2 --split seen --episodes 3 --out data/held-out\n"
+    "  kinebench-drake perception render data/vtk --videos 40\n"
+    "  kinebench-drake perception calibrate data/held-out data/vtk --out models/perception/confidence.json --jobs 2"
 )
-@click.option(
-    "--data", type=_FOLDER, default=Path("data/held-out"), show_default=True,
-    help="Folder of held-out frames; missing ones are rendered into it.",
-)  # fmt: skip
-@_demos("to evaluate")
-@click.option(
-    "--videos", multiple=True, type=_EXISTING_FOLDER,
-    help="Folder of `suite demos` or `perception render` videos to fit the confidence within a track; repeatable.  "
-    "[default: keep the shipped one]",
-)  # fmt: skip
+@click.argument("folders", nargs=-1, required=True, type=_EXISTING_FOLDER)
 @_WEIGHTS
+@click.option("--limit", type=click.IntRange(2), help="Number of videos of each folder.  [default: all]")
 @click.option(
-    "--scenes", type=click.IntRange(2), default=40, show_default=True, help="Number of held-out scenes of 20 frames."
+    "--out", type=_FILE, help="File for the calibration; measurements are kept beside it, so that a run resumes."
 )
-@click.option("--out", type=_FILE, help="File for the calibration.")
-@_JOBS
-def calibrate(
-    data: Path,
-    demos: tuple[Path, ...],
-    videos: tuple[Path, ...],
-    weights: Path | None,
-    scenes: int,
-    out: Path | None,
-    jobs: int,
-) -> None:
-    """Fit the confidence to errors on frames of unseen scenes and demonstrations, and on videos.
+@click.option("--jobs", type=click.IntRange(1), default=1, show_default=True, help="Worker processes.")
+def calibrate(folders: tuple[Path, ...], weights: Path | None, limit: int | None, out: Path | None, jobs: int) -> None:
+    """Fit the confidence to the errors on held-out videos of FOLDERS, of `suite demos` or `perception render`.
 
-    The printed reliability is that of a fit to half of the data, measured on the other half, for each folder.
+    Each video is measured as it is, and degraded, occluded, without its gripper or with a wrong camera. The printed
+    reliability is that of a fit to half of the videos, measured on the other half.
     """
+    from kinebench_drake.cli.run import ProgressView
+    from kinebench_drake.executors.base import ExecutorKind, create_executor
+    from kinebench_drake.grounding.confidence import save_confidence
     from kinebench_drake.grounding.training.calibration import ConfidenceCalibration, calibrate_confidence
 
-    config = ConfidenceCalibration(
-        scenes=data, count=scenes, demos=demos, videos=videos, weights=weights, out=out, jobs=jobs
-    )
-    for line in calibrate_confidence(config):
+    keep = None if out is None else out.with_name(f"{out.stem}_poses.jsonl")
+    config = ConfidenceCalibration(videos=folders, weights=weights, limit=limit, keep=keep)
+    with ProgressView("measurements") as view:
+        confidence, lines = calibrate_confidence(config, create_executor(ExecutorKind.LOCAL, jobs), view)
+    for line in lines:
         click.echo(line)
+    if out is not None:
+        save_confidence(confidence, out)
+        click.echo(f"calibration fitted to all videos: {out}")
 
 
-@perception.command(epilog="\b\nExample:\n  kinebench-drake perception render data/vtk --scenes 40 --videos 20")
+@perception.command(epilog="\b\nExample:\n  kinebench-drake perception render data/vtk --videos 40")
 @click.argument("out", type=_FOLDER)
-@click.option("--scenes", type=click.IntRange(0), default=20, show_default=True, help="Number of scenes of 20 frames.")
-@click.option("--videos", type=click.IntRange(0), default=10, show_default=True, help="Number of videos.")
-@_JOBS
-def render(out: Path, scenes: int, videos: int, jobs: int) -> None:
-    """Render labelled frames and videos with Drake's VTK renderer, on which the networks are not trained.
+@click.option("--videos", type=click.IntRange(1), default=20, show_default=True, help="Number of videos.")
+def render(out: Path, videos: int) -> None:
+    """Render videos with ground truth with Drake's VTK renderer, on which the networks are not trained.
 
-    OUT/vtk-scenes and OUT/vtk-videos are written; what they hold already is kept. Cameras stand anywhere around the
-    arm, and images have several sizes and shapes.
+    Videos that OUT holds already are kept. Cameras stand anywhere around the arm, and images have several sizes and
+    shapes.
     """
-    from kinebench_drake.grounding.training.render import Renderer
-    from kinebench_drake.grounding.training.render import render as run
     from kinebench_drake.grounding.training.video import render_videos
 
-    run(out / "vtk-scenes", range(scenes), jobs, click.echo, Renderer.VTK)
-    render_videos(out / "vtk-videos", range(videos), click.echo)
+    render_videos(out, range(videos), click.echo)
 
 
 @perception.group(epilog="\b\nExample:\n  kinebench-drake perception baseline train --data demos/ --out baseline/")

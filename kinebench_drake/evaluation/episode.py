@@ -47,7 +47,7 @@ from kinebench_drake.suites.suite import EpisodeSpec
 from kinebench_drake.suites.worldmodels.factory import LazyWorldModel
 from kinebench_drake.suites.worldmodels.remote import png
 from kinebench_drake.suites.worldmodels.worldmodel import OfflineModel
-from kinebench_drake.types import GripperTrack, Json
+from kinebench_drake.types import Domain, GripperTrack, Json
 
 SIZE_PX = 384
 """Width and height of conditioning images."""
@@ -159,6 +159,7 @@ class EpisodeEvaluator(Evaluator[EpisodeSample, EpisodeResources]):
             extra={
                 "success": run.outcome.success,
                 "progress": run.outcome.progress,
+                "domain": _domain(run).value,
                 "rounds": len(run.rounds),
                 "verdict": None if cause is None else cause.verdict.value,
                 "cause": None if cause is None else cause.to_json(),
@@ -315,6 +316,12 @@ def _visual_metrics(run: EpisodeRun, track: GripperTrack) -> dict[str, Json]:
             for anomaly in g.anomalies
         ],
     }
+
+
+def _domain(run: EpisodeRun) -> Domain:
+    """Return whether all clips are familiar."""
+    familiar = all(r.grounding.domain is Domain.FAMILIAR for r in run.rounds)
+    return Domain.FAMILIAR if familiar else Domain.UNFAMILIAR
 
 
 def _rejections(run: EpisodeRun) -> list[Json]:

@@ -47,7 +47,7 @@ from kinebench_drake.results.store import artifact_path
 from kinebench_drake.results.trackfile import write_track
 from kinebench_drake.suites.clock import CLIP_S, ClipTiming, sample_uniformly
 from kinebench_drake.suites.start import START_WIDTH_M, start_q
-from kinebench_drake.types import InitialState, InitialStateUse, Json, Priors
+from kinebench_drake.types import Domain, InitialState, InitialStateUse, Json, Priors
 
 if TYPE_CHECKING:  # OpenCV, torch, Open3D and Drake take seconds to load
     from kinebench_drake.grounding.framing.framing import Framing
@@ -178,6 +178,12 @@ def score_videos(config: ScoreConfig, observer: RunObserver | None = None) -> Ru
             f"no frame rate in {count_noun(without_clock, 'sample')}: {BENCHMARK_PERIOD_S} s between frames was "
             "assumed, as in the benchmark; set --frame-period SECONDS if it differs"
         )
+    unfamiliar = sum(row.extra.get("domain") == Domain.UNFAMILIAR.value for row in summary.rows)
+    if unfamiliar:
+        observer.warn(
+            f"{count_noun(unfamiliar, 'sample')} of unfamiliar look or viewpoint: poses are fitted to edges, with "
+            "a confidence of their own, and anomalies of the gripper's shape and number are not looked for"
+        )
     return summary
 
 
@@ -262,6 +268,7 @@ class VideoEvaluator(Evaluator[VideoSample, Analyzer]):
             reasons=reasons,
             extra={
                 "first_frame": grounding.first_frame.value,
+                "domain": grounding.domain.value,
                 "frames": len(track.t_s),
                 "width": video.width,
                 "height": video.height,

@@ -1,6 +1,5 @@
 """Calibration of the confidence."""
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -15,9 +14,12 @@ from kinebench_drake.grounding.confidence import (
     TRACK_FEATURES,
     Confidence,
     LogisticRegression,
+    load_confidence,
+    save_confidence,
     track_features,
 )
 from kinebench_drake.grounding.training.calibration import calibration_bins, fit_logistic
+from kinebench_drake.types import Domain
 
 LAW = [-1.0, -0.5, 0.8, 0.0, 0.3, -0.2, 0.5, -0.7]
 
@@ -60,33 +62,26 @@ def test_save_and_load(tmp_path: Path) -> None:
     path = tmp_path / "confidence.json"
     frame = LogisticRegression(intercept=0.5, weights=np.arange(float(len(FRAME_FEATURES))))
     track = LogisticRegression(intercept=-1.5, weights=np.arange(float(len(TRACK_FEATURES))))
-    Confidence(frame=frame, track=track).save(path)
-    loaded = Confidence.load(path)
-    for step, before in ((loaded.frame, frame), (loaded.track, track)):
-        assert step.intercept == before.intercept
-        assert step.weights.tolist() == before.weights.tolist()
+    other = LogisticRegression(intercept=2.0, weights=-frame.weights)
+    saved = {
+        Domain.FAMILIAR: Confidence(frame=frame, track=track),
+        Domain.UNFAMILIAR: Confidence(frame=other, track=track),
+    }
+    save_confidence(saved, path)
+    loaded = load_confidence(path)
+    for domain, before in saved.items():
+        for step in ("frame", "track"):
+            assert getattr(loaded[domain], step).intercept == getattr(before, step).intercept
+            assert getattr(loaded[domain], step).weights.tolist() == getattr(before, step).weights.tolist()
 
 
-@pytest.mark.parametrize("text", ["", "{}", '{"frame": {"features": ["a"], "intercept": 0, "weights": [1]}}'])
+@pytest.mark.parametrize(
+    "text", ["", "{}", '{"familiar": {"frame": {"features": ["a"], "intercept": 0, "weights": [1]}}}']
+)
 def test_what_is_no_calibration_is_refused(tmp_path: Path, text: str) -> None:
     path = tmp_path / "confidence.json"
     path.write_text(text)
     with pytest.raises(SetupError, match="no usable calibration"):
-        Confidence.load(path)
+        load_confidence(path)
     with pytest.raises(SetupError, match="no usable calibration"):
-        Confidence.load(tmp_path / "absent.json")
-
-
-def test_features_that_a_calibration_did_not_have_count_nothing(tmp_path: Path) -> None:
-    path = tmp_path / "confidence.json"
-    frame = LogisticRegression(intercept=0.5, weights=np.ones(len(FRAME_FEATURES)))
-    track = LogisticRegression(intercept=0.0, weights=np.ones(len(TRACK_FEATURES)))
-    Confidence(frame=frame, track=track).save(path)
-    data = json.loads(path.read_text())
-    data["frame"] |= {"features": list(FRAME_FEATURES[:-2]), "weights": [1.0] * (len(FRAME_FEATURES) - 2)}
-    path.write_text(json.dumps(data))
-    np.testing.assert_array_equal(Confidence.load(path).frame.weights[-2:], 0.0)
-    data["frame"]["features"][0] = "another"
-    path.write_text(json.dumps(data))
-    with pytest.raises(SetupError):
-        Confidence.load(path)
+        load_confidence(tmp_path / "absent.json")

@@ -8,7 +8,7 @@ import pytest
 
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.geometry import make_pose
-from kinebench_drake.grounding.confidence import Confidence
+from kinebench_drake.grounding.confidence import load_confidence
 from kinebench_drake.grounding.estimator import NetworkEstimator
 from kinebench_drake.grounding.evaluation.clip import TruthClip, find_clips
 from kinebench_drake.grounding.evaluation.errors import ClipErrors
@@ -34,7 +34,7 @@ def estimator() -> NetworkEstimator:
 
 @pytest.fixture(scope="session")
 def pipeline(estimator: NetworkEstimator, cad: GripperCad) -> GroundingPipeline:
-    return GroundingPipeline(CadTracker(estimator, cad), Confidence.load())
+    return GroundingPipeline(CadTracker(estimator, cad), load_confidence())
 
 
 @pytest.fixture(scope="session")

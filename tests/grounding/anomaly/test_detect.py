@@ -8,7 +8,7 @@ from kinebench_drake.errors import InputError
 from kinebench_drake.grounding.anomaly.camera_motion import CameraMotion
 from kinebench_drake.grounding.anomaly.detect import AnomalyEvidence, find_anomalies
 from kinebench_drake.grounding.anomaly.detection import AnomalyDetections
-from kinebench_drake.types import AnomalyKind
+from kinebench_drake.types import AnomalyKind, Domain
 
 
 @pytest.fixture
@@ -48,6 +48,18 @@ def test_anomalies_are_reported_exactly_where_scores_reach_one(clean):
     assert {kind for kind, score in result.scores.items() if score >= 1.0} == {a.kind for a in result.anomalies}
     assert result.by_kind[AnomalyKind.TELEPORT].score[29:32].max() >= 1.0
     assert result.by_kind[AnomalyKind.TELEPORT].score[:26].max() < 1.0
+
+
+def test_where_the_look_is_unfamiliar_shapes_and_doubtful_poses_are_no_anomalies(clean):
+    confidence, explained = clean.confidence.copy(), clean.explained.copy()
+    confidence[20:26] = 0.005
+    unfamiliar = replace(clean, domain=Domain.UNFAMILIAR)
+    assert not find_anomalies(replace(unfamiliar, confidence=confidence)).anomalies
+    confidence[20:26], explained[20:26] = 0.0, 0.0
+    gone = replace(unfamiliar, confidence=confidence, explained=explained)
+    assert [a.kind for a in find_anomalies(gone).anomalies] == [AnomalyKind.VANISH]
+    confidence[:10] = 0.05
+    assert not find_anomalies(replace(gone, confidence=confidence)).anomalies
 
 
 def test_the_jump_at_the_end_of_a_freeze_is_part_of_it(clean):

@@ -6,25 +6,14 @@ import pytest
 from kinebench_drake.geometry import pose_difference, transform_points
 from kinebench_drake.grounding.crop import GRIPPER_CENTRE_H
 from kinebench_drake.grounding.evaluation.clip import find_clips
-from kinebench_drake.grounding.training.crops import frame_camera
 from kinebench_drake.grounding.training.video import render_videos
-from kinebench_drake.grounding.training.vtk import VtkScene
 from kinebench_drake.io.npz import open_npz
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.kinematics.plant import ArmPlant
-from kinebench_drake.models.panda.cad import GripperCad, link_meshes
-from kinebench_drake.models.panda.robot import ARM, GRIPPER, HAND_LINK, RobotPart, panda
-from kinebench_drake.models.perception.frame import DEPTH_UNIT_M
+from kinebench_drake.models.panda.cad import GripperCad
+from kinebench_drake.models.panda.robot import HAND_LINK, panda
 
 CLEAR_PX = 1500
-
-
-@pytest.fixture(scope="module")
-def clear_frames():
-    scene = VtkScene(np.random.default_rng(0))
-    frames = [frame for frame in (scene.frame() for _ in range(5)) if frame.gripper.sum() > CLEAR_PX]
-    assert len(frames) >= 2
-    return frames
 
 
 @pytest.fixture(scope="module")
@@ -34,38 +23,17 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_the_cad_model_lies_where_the_renderer_draws_the_gripper(clear_frames, cad: GripperCad) -> None:
-    for frame in clear_frames:
-        v, u = np.nonzero(frame.gripper)
-        hit = cad.cast(frame.X_CH, frame_camera(frame).rays()[v, u], frame.finger_m)
-        assert (hit.part == frame.part[v, u]).mean() > 0.9
-        both = hit.part > 0
-        difference = np.abs(hit.distance[both] - frame.depth[v, u][both] * DEPTH_UNIT_M)
-        assert np.median(difference) < 2e-4
-
-
-def test_links_lie_inside_the_boxes_of_their_meshes(clear_frames) -> None:
-    seen = 0
-    for frame in clear_frames:
-        for part, X_CL in zip(ARM, frame.X_CL, strict=True):
-            v, u = np.nonzero(frame.part == part)
-            p_C = frame_camera(frame).rays()[v, u] * (frame.depth[v, u] * DEPTH_UNIT_M)[:, None]
-            p_L = transform_points(np.linalg.inv(X_CL), p_C)
-            low, high = link_meshes()[part].bounds
-            assert ((p_L > low - 1e-3) & (p_L < high + 1e-3)).all()
-            seen += len(v) > 100
-    assert seen >= 4
-
-
-def test_a_handless_scene_shows_no_gripper() -> None:
-    frame = VtkScene(np.random.default_rng(0), handless=True).frame()
-    assert not np.isin(frame.part, GRIPPER).any()
-
-
-def test_the_same_seed_renders_the_same_frame() -> None:
-    first, again = (VtkScene(np.random.default_rng(3)).frame() for _ in range(2))
-    np.testing.assert_array_equal(first.rgb, again.rgb)
-    np.testing.assert_array_equal(first.X_CH, again.X_CH)
+def test_the_renderer_draws_the_gripper_where_the_cad_model_lies(folder: Path, cad: GripperCad) -> None:
+    (file,) = find_clips(folder)
+    clip = file.load()
+    with open_npz(file.truth) as truth:
+        visible = truth["visible"]
+    silhouette = clip.masks(cad).sum(axis=(1, 2))
+    clear = visible > CLEAR_PX
+    assert clear.sum() >= 5
+    share = visible[clear] / silhouette[clear]
+    assert share.max() < 1.05  # silhouettes ignore what hides the gripper
+    assert np.median(share) > 0.7
 
 
 def test_truth_of_a_video_is_that_of_its_joint_angles(folder: Path) -> None:
@@ -99,7 +67,3 @@ def test_a_second_run_renders_nothing(folder: Path) -> None:
     render_videos(folder, [1], lines.append)
     assert not lines
     assert (folder / "manifest.jsonl").read_bytes() == before
-
-
-def test_parts_are_those_of_the_robot(clear_frames) -> None:
-    assert {int(p) for frame in clear_frames for p in np.unique(frame.part)} <= {int(p) for p in RobotPart}
