@@ -125,10 +125,10 @@ class EdgeRefinement:
             self._search()
 
     def _sharpen(self) -> None:
-        """Fit the poses whose arm agrees to cells and edges together."""
+        """Fit poses whose arm agrees to cells and edges together; those fitted to edges alone had doubtful cells."""
         for i, pose in self._poses.items():
-            arm = self._sharpened(i)
-            if arm is not None and pose.arm_agrees and not pose.from_prior:
+            arm = self._sharpened(i) if pose.arm_agrees and not pose.from_prior and not _agreement(pose) else None
+            if arm is not None:
                 self._poses[i] = pose.with_arm(arm, pose.overlap)
 
     def _sharpened(self, number: int) -> ArmFit | None:

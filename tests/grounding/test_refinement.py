@@ -15,6 +15,7 @@ from tests.grounding.conftest import fitted_pose, hand_pose, perfect_view
 
 CAMERA = benchmark_camera().resized(64, 64)
 FRAMES = 12
+SHARPENED = 1e-3
 WRONG, RIGHT = 1.0, 0.0
 """First joint angle of a wrong posture, which the edges contradict, and of the right one."""
 
@@ -40,9 +41,14 @@ class Fitter:
     def __init__(self, reach: float = 0.5, network_agreement: float = 0.2) -> None:
         self.reach, self.network_agreement = reach, network_agreement
         self.refined = self.searched = 0
+        self.sharpened: list[float] = []
 
     def edge_agreement(self, q: Array, image: object) -> float:
         return self.network_agreement
+
+    def sharpen(self, arm: ArmFit, *views: object) -> ArmFit:
+        self.sharpened.append(float(arm.q[0]))
+        return replace(arm, q=arm.q + SHARPENED)
 
     def refine(self, q: Array, *views: object) -> ArmFit | None:
         self.refined += 1
@@ -95,14 +101,24 @@ def test_where_no_posture_leads_to_the_right_one_the_distance_is_searched(poses:
     assert set(unfamiliar.confirmed) == set(range(FRAMES))
 
 
-def test_only_doubtful_frames_of_a_familiar_video_are_fitted(poses: dict[int, FramePose]) -> None:
+def test_only_doubtful_frames_of_a_familiar_video_are_fitted_to_edges_alone(poses: dict[int, FramePose]) -> None:
     poses[3] = replace(poses[3], overlap=0.5)
+    poses[7] = replace(poses[7], arm=arm_fit(WRONG, agrees=False), overlap=0.9)
     before, fitter = dict(poses), Fitter(reach=2.0, network_agreement=0.6)
     familiar = refinement(poses, fitter)
     familiar.run()
     assert familiar.is_familiar
-    assert {i for i in poses if poses[i] is not before[i]} == {3}
     assert fitter.searched == 0
+    for i, pose in poses.items():
+        assert pose.arm is not None
+        expected = RIGHT if i in (3, 7) else before[i].arm.q[0] + SHARPENED  # type: ignore[union-attr]
+        assert pose.arm.q[0] == expected
+
+
+def test_each_frame_is_sharpened_once(poses: dict[int, FramePose]) -> None:
+    fitter = Fitter(network_agreement=0.6)
+    refinement(poses, fitter).run()
+    assert len(fitter.sharpened) == FRAMES
 
 
 def test_poses_from_priors_are_kept(poses: dict[int, FramePose]) -> None:
