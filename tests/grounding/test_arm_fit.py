@@ -5,17 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
+from numpy.typing import NDArray
 
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.geometry import Array, invert, make_pose, pose_difference, rotation_exp, transform_points
 from kinebench_drake.grounding.crop import CLOSE_SIZE, Crop
 from kinebench_drake.grounding.registration.arm_fit import ArmFitter
 from kinebench_drake.grounding.registration.arm_model import ArmModel
-from kinebench_drake.grounding.registration.edges import EdgeMatcher
+from kinebench_drake.grounding.registration.edges import EdgeMatcher, GradientImage
 from kinebench_drake.grounding.registration.fit import fit
 from kinebench_drake.grounding.registration.silhouette import SilhouetteMatcher
 from kinebench_drake.grounding.view import GripperView
-from kinebench_drake.models.panda.cad import GripperCad, link_meshes, part_meshes
+from kinebench_drake.models.panda.cad import GripperCad, PartCaster, link_meshes, open_fingers, part_meshes
 from kinebench_drake.models.panda.robot import OPENING_SIGN, RobotPart
 
 CAMERA = benchmark_camera()
@@ -98,6 +99,32 @@ def test_the_arm_determines_the_distance_of_the_hand(
     assert distance < 0.004
     assert np.rad2deg(angle) < 0.7
     np.testing.assert_allclose(CAMERA.X_BC @ arm.X_CH, model.poses(arm.q[None])[0, RobotPart.HAND], atol=1e-9)
+
+
+def drawn(model: ArmModel, q: Array) -> NDArray[np.uint8]:
+    """An image of the robot in one grey, before a darker one."""
+    X_CP = open_fingers(invert(CAMERA.X_BC) @ model.poses(q[None])[0], FINGER_M)
+    hit = PartCaster({**part_meshes(), **link_meshes()}).cast(X_CP, CAMERA.rays().reshape(-1, 3))
+    # A grey of its own for each part: contours between parts count as well.
+    grey = np.where(hit.part > 0, 120 + 12 * hit.part.astype(int), 50).astype(np.uint8)
+    return np.repeat(grey.reshape(CAMERA.height, CAMERA.width, 1), 3, axis=2)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_edges_sharpen_a_fit_whose_coordinates_are_all_off_alike(model: ArmModel, seed: int) -> None:
+    q = posture(seed)
+    X_CH, close, wide = views(model, q, seed)
+    shift = 0.004 * np.array([1.0, 0.0, 1.0])  # of the coordinates, which noise would not average
+    close, wide = (replace(v, coordinates_P=v.coordinates_P + shift) for v in (close, wide))
+    hand, fitter = fit(close), ArmFitter(CAMERA, model, EdgeMatcher())
+    assert hand is not None
+    arm = fitter.fit(hand, close, wide)
+    assert arm is not None
+    before = pose_difference(arm.X_CH, X_CH)[0]
+    sharp = fitter.sharpen(arm, hand, close, wide, GradientImage(drawn(model, q), CAMERA))
+    assert pose_difference(sharp.X_CH, X_CH)[0] < 0.75 * before
+    blank = np.full((CAMERA.height, CAMERA.width, 3), 90, np.uint8)
+    assert fitter.sharpen(arm, hand, close, wide, GradientImage(blank, CAMERA)) is arm
 
 
 def test_a_hand_that_is_elsewhere_than_its_arm_disagrees(
