@@ -97,7 +97,8 @@ def calibrate(folders: tuple[Path, ...], weights: Path | None, limit: int | None
     """Fit the confidence to the errors on held-out videos of FOLDERS, of `suite demos` or `perception render`.
 
     Each video is measured as it is, and degraded, occluded, without its gripper or with a wrong camera. The printed
-    reliability is that of a fit to half of the videos, measured on the other half.
+    reliability is that of a fit to half of the videos, measured on the other half; videos with a wrong camera are only
+    measured.
     """
     from kinebench_drake.cli.run import ProgressView
     from kinebench_drake.executors.base import ExecutorKind, create_executor
