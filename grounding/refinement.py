@@ -19,6 +19,7 @@ _SOURCE_OVERLAP, _GOOD_OVERLAP = 0.6, 0.8  # overlap from which a pose is propag
 _OVERLAP_GAIN = 0.03  # least improvement of the overlap by a propagated pose
 _MIN_COVERAGE = 0.6  # least share of a refined gripper that shows the robot: edge-on, a hand may be taken for a link
 _SEARCHED_FRAMES = 8  # frames of a video in which the gripper's distance is searched
+_AGREEING_SHARE = 0.5  # least share of poses whose hand and arm agree, of a familiar video
 _SAMPLES = 7  # frames in which the edges are compared with the network's poses
 _CONTRADICTION, _CONFIRMATION = 0.35, 0.6  # median agreement below and from which edges decide without a fit
 _SMALL_M = 0.0025  # median change by fits to the edges alone up to which they confirm the network's poses, too
@@ -105,8 +106,9 @@ class EdgeRefinement:
     def is_familiar(self) -> bool:
         """True if the edges agree with the poses of network and edges together, or alone change these little."""
         numbers = [i for i, pose in sorted(self._poses.items()) if pose.arm_agrees and not pose.from_prior]
-        if not numbers:
-            return bool(self._poses) and all(pose.from_prior for pose in self._poses.values())
+        estimated = sum(not pose.from_prior for pose in self._poses.values())
+        if not numbers or len(numbers) < _AGREEING_SHARE * estimated:
+            return bool(self._poses) and estimated == 0
         sample = [numbers[k] for k in np.unique(np.linspace(0, len(numbers) - 1, _SAMPLES).round().astype(int))]
         arms = {i: arm for i in sample if (arm := self._sharpened(i)) is not None}
         agreement = float(np.median([self._fitter.edge_agreement(arm.q, self._image(i)) for i, arm in arms.items()]))

@@ -31,6 +31,9 @@ WIDTH_SIGMA_M = 0.006
 MAX_SIDE_COSINE = 0.5
 """Largest cosine between fingers' axis and line of sight at which the size counts: seen edge-on the gripper is narrow
 and its fingers hide each other."""
+HAND_AGREEMENT = 0.4
+"""Share of the hand's contour on edges of the image from which on a hand fitted to them is present, however few cells
+show it."""
 MEASURABLE_SHARE = 0.9
 """Least share of the frames with a fair position, apart from those without a gripper, of an unfamiliar video in which a
 gripper that is not found has vanished."""
@@ -51,7 +54,7 @@ class AnomalyEvidence:
     confidence: Array
     """(T,) confidence 0..1, 0 without a detection."""
     explained: Array
-    """(T,) cells of the crop explained by the posed gripper, 0 without a detection."""
+    """(T,) cells of the crop explained by the posed gripper; 0 without a detection, infinite where edges confirm it."""
     finger_width_m: Array
     """(T,) gripper width [m] where it is measured precisely."""
     other: Array
@@ -120,6 +123,8 @@ def gather_evidence(
         if pose is None:
             continue
         explained[i] = pose.hand.points * pose.overlap
+        if pose.arm_agrees and pose.arm is not None and pose.arm.hand_agreement >= HAND_AGREEMENT:
+            explained[i] = np.inf
         p_C[i] = transform_points(pose.X_CH, GRIPPER_CENTRE_H[None])[0]
         if confidence[i] >= FAIR_CONFIDENCE:
             hand = pose.hand_without_silhouette

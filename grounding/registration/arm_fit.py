@@ -20,7 +20,7 @@ from kinebench_drake.grounding.registration.solver import Solution, solve
 from kinebench_drake.grounding.view import GripperView
 from kinebench_drake.kinematics.analytic import analytic_ik
 from kinebench_drake.models.panda.cad import open_fingers
-from kinebench_drake.models.panda.robot import ARM, GRIPPER
+from kinebench_drake.models.panda.robot import ARM, GRIPPER, RobotPart
 
 _LAST_ANGLES = np.linspace(-np.pi, np.pi, 32, endpoint=False)
 _MAX_CELLS, _SCORED_CELLS = 300, 48
@@ -69,6 +69,8 @@ class ArmFit:
     """(6, 6) covariance of the hand's rotation about the camera's axes [rad] and position [m]."""
     edge_agreement: float = float("nan")
     """Share of the contour of hand and wrist that lies on edges of the image; NaN if not measured."""
+    hand_agreement: float = float("nan")
+    """The same of the contour of the hand alone."""
 
 
 class ArmFitter:
@@ -216,9 +218,15 @@ class ArmFitter:
         flipped = fit(_half_turn(solution.model), _EDGE_REACHES_PX[-2:]) if evidence < 0 else None
         if flipped is not None and (other := self._edge_evidence(flipped.model, image)) > 0:
             solution, evidence = flipped, other
-        agreement = self._edges.agreement(image, self._poses(solution.model))
+        X_CP = self._poses(solution.model)
+        agreement = self._edges.agreement(image, X_CP)
         fitted = self._arm_fit(solution, cells, hand, scale=float("nan"), evidence=evidence, agrees=True)
-        return replace(fitted, agrees=agreement >= _MIN_AGREEMENT, edge_agreement=agreement)
+        return replace(
+            fitted,
+            agrees=agreement >= _MIN_AGREEMENT,
+            edge_agreement=agreement,
+            hand_agreement=self._edges.agreement(image, X_CP, (RobotPart.HAND,)),
+        )
 
     def sharpen(
         self, arm: ArmFit, hand: HandFit, close: GripperView, wide: GripperView, image: GradientImage

@@ -145,6 +145,15 @@ def test_fits_that_change_little_show_a_familiar_video(poses: dict[int, FramePos
     assert not refinement(far, Fitter(network_agreement=0.45)).is_familiar
 
 
+def test_a_video_in_which_hand_and_arm_mostly_disagree_is_unfamiliar(poses: dict[int, FramePose]) -> None:
+    for i in range(7):
+        poses[i] = replace(poses[i], arm=arm_fit(WRONG, agrees=False))
+    assert not refinement(poses, Fitter(network_agreement=0.7)).is_familiar
+    poses[6] = replace(poses[6], arm=arm_fit(WRONG))
+    assert refinement(poses, Fitter(network_agreement=0.7)).is_familiar
+    assert not refinement({}, Fitter()).is_familiar
+
+
 def test_poses_that_the_edges_do_not_confirm_are_rejected(poses: dict[int, FramePose]) -> None:
     unfamiliar = refinement(poses, Fitter(), coverage=0.3)
     unfamiliar.run()

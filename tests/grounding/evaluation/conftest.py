@@ -16,7 +16,7 @@ from kinebench_drake.grounding.evaluation.errors import ClipErrors, Expense, com
 from kinebench_drake.grounding.pipeline import GroundingResult
 from kinebench_drake.io.camerafile import save_camera
 from kinebench_drake.io.container import write_video
-from kinebench_drake.types import Anomaly, AnomalyKind, GripperTrack, InitialStateUse
+from kinebench_drake.types import Anomaly, AnomalyKind, Domain, GripperTrack, InitialStateUse
 
 FRAMES, SIDE = 12, 96
 
@@ -69,6 +69,7 @@ def grounded() -> Callable[..., GroundingResult]:
             track=track,
             from_prior=np.zeros(n, dtype=bool),
             first_frame=InitialStateUse.UNKNOWN,
+            domain=Domain.FAMILIAR,
             detections=AnomalyDetections(by_kind={k: Detection(kind=k, score=np.zeros(n)) for k in AnomalyKind}),
             camera_motion_px=None,
             arm_consistency_px=None,
