@@ -138,11 +138,11 @@ class EdgeRefinement:
         pose = self._poses[number]
         if pose.arm is None:
             return None
-        known = self._sharp.get(number)
-        if known is None or known[0] is not pose.arm:
+        entry = self._sharp.get(number)
+        if entry is None or entry[0] is not pose.arm:
             arm = self._fitter.sharpen(pose.arm, pose.hand, pose.view, self._wide[number], self._image(number))
-            known = self._sharp[number] = pose.arm, arm
-        return known[1]
+            entry = self._sharp[number] = pose.arm, arm
+        return entry[1]
 
     def reject(self) -> None:
         """Mark the poses of an unfamiliar video that the edges do not confirm: hand and arm do not agree in them."""
