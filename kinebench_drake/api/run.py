@@ -53,6 +53,8 @@ class ScoreOptions(RunOptions, total=False):
     """Task time that each video shows, whatever its number of frames [s]."""
     camera_key: str | None
     """Camera to use of datasets that have several."""
+    camera: PathName
+    """Camera of videos that name none: "auto" or "benchmark"; or the camera.json of all videos. Default "auto"."""
     pixels_only: bool
     """Ignore the initial state that the manifest states."""
     overlay: bool
@@ -222,6 +224,7 @@ def _parsed(options: Mapping[str, Any]) -> dict[str, Any]:
         "masks": Path,
         "poses": Path,
         "depth": str,
+        "camera": str,
         "prompts": lambda prompts: dict(prompts) if isinstance(prompts, Mapping) else Path(prompts),
         "shard": Shard.parse,
         "engine": lambda engine: member_of(ExecutorKind, engine, "--engine"),

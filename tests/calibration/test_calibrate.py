@@ -1,11 +1,12 @@
+import functools
 import json
 
 import numpy as np
 import pytest
 
 from kinebench_drake import cli
+from kinebench_drake.calibration import calibrate as calibration
 from kinebench_drake.calibration.calibrate import CalibrationConfig, calibrate
-from kinebench_drake.calibration.correspondences import NetworkViewEstimator
 from kinebench_drake.calibration.fit import with_focal
 from kinebench_drake.calibration.overlay import render_part_map
 from kinebench_drake.calibration.result import CalibrationMethod
@@ -35,7 +36,7 @@ def video(tmp_path):
 
 @pytest.fixture
 def program(monkeypatch, capsys, estimator):
-    monkeypatch.setattr(NetworkViewEstimator, "create", lambda: estimator)
+    monkeypatch.setattr(calibration, "calibrate", functools.partial(calibrate, estimator=estimator))
 
     def run(*arguments):
         with pytest.raises(SystemExit) as ended:

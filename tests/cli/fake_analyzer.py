@@ -19,6 +19,7 @@ from kinebench_drake.metrics.result import KinematicResult
 from kinebench_drake.types import (
     Anomaly,
     AnomalyKind,
+    Domain,
     GripperTrack,
     IkStatus,
     InitialStateUse,
@@ -53,6 +54,7 @@ class FakeGrounding:
     camera_motion_px: float | None
     arm_consistency_px: float | None = 2.0
     first_frame: InitialStateUse = InitialStateUse.UNKNOWN
+    domain: Domain = Domain.FAMILIAR
     curves: dict[str, np.ndarray] = field(default_factory=dict)
 
 

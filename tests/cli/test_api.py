@@ -178,7 +178,7 @@ def test_a_trajectory_by_itself_has_the_numbers_of_the_command(program, tmp_path
         (lambda at: ground_video(at / "videos" / "a.mp4", frame_period_s=0.0), UsageError, "0.0001 to 1000"),
         (lambda at: ground_video(np.zeros((4, 96, 96, 3))), InputError, "expected uint8"),
         (lambda at: ground_video(np.zeros((1, 96, 96, 3), np.uint8)), UnmeasurableError, "at least 2"),
-        (lambda at: ground_video(NOISE, frame_period_s=1.0), UnmeasurableError, "aspect"),
+        (lambda at: ground_video(NOISE, frame_period_s=1.0, camera=benchmark_camera()), UnmeasurableError, "aspect"),
         (lambda at: ground_video(np.zeros((4, 96, 96, 3), np.uint8), camera_key="front"), UsageError, "camera_key"),
         (lambda at: audit_trajectory(np.zeros((4, 7))), InputError, "no times"),
         (lambda at: audit_trajectory(np.zeros(7), rate_hz=10), InputError, r"shape \(7,\)"),
