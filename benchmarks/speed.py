@@ -189,6 +189,27 @@ def simulation(results: Path, tasks: str | None) -> None:
 
 
 @click.command(
+    epilog="\b\nExample:\n"
+    "  python -m benchmarks accuracy --heldout heldout --others robosuite --others clips --work accuracy"
+)
+@results_option
+@click.option("--heldout", type=EXISTING_FOLDER, required=True, help="Output folder of `suite demos`.")
+@click.option(
+    "--others", type=EXISTING_FOLDER, multiple=True, help="Videos of others, as `footage` takes them; repeatable."
+)
+@click.option("--work", type=FOLDER, required=True, help="Results; an earlier run is resumed.")
+def accuracy(results: Path, heldout: Path, others: tuple[Path, ...], work: Path) -> None:
+    """Measure the errors of poses on held-out renderings and on videos of other programs and cameras."""
+    one_thread()
+    from benchmarks.accuracy import figures, measure, section
+
+    with errors():
+        work.mkdir(parents=True, exist_ok=True)
+        measured = measure(heldout, others, work, log)
+    _record("accuracy", results, figures(*measured), section(*measured))
+
+
+@click.command(
     epilog="\b\nExamples:\n  python -m benchmarks figures\n  python -m benchmarks figures --measure",
 )
 @results_option
@@ -210,4 +231,4 @@ def figures(results: Path, measure: bool) -> None:
             click.echo(line)
 
 
-COMMANDS = (ik, audit, throughput, streaming, scale, cluster, driver, simulation, figures)
+COMMANDS = (accuracy, ik, audit, throughput, streaming, scale, cluster, driver, simulation, figures)

@@ -16,7 +16,7 @@ from kinebench_drake.grounding.registration.silhouette import SilhouetteMatcher
 from kinebench_drake.grounding.view import Frames, GripperView
 
 _SOURCE_OVERLAP, _GOOD_OVERLAP = 0.6, 0.8  # overlap from which a pose is propagated, and from which it is not replaced
-_OVERLAP_GAIN = 0.03  # least improvement of the overlap by a propagated pose
+_OVERLAP_GAIN = 0.03  # least improvement of the overlap by a propagated pose, where the arm agreed before
 _MIN_COVERAGE = 0.6  # least share of a refined gripper that shows the robot: edge-on, a hand may be taken for a link
 _SEARCHED_FRAMES = 8  # frames of a video in which the gripper's distance is searched
 _AGREEING_SHARE = 0.5  # least share of poses whose hand and arm agree, of a familiar video
@@ -55,7 +55,8 @@ def _refit_from(
     if arm is None or not arm.agrees:
         return pose
     overlap = silhouette.overlap(pose.view, arm.X_CH, finger_or_default(arm.finger_m))
-    if overlap < max(_SOURCE_OVERLAP, pose.overlap + _OVERLAP_GAIN):
+    gain = _OVERLAP_GAIN if pose.arm_agrees else -_OVERLAP_GAIN  # a hand that its arm confirms may match a little less
+    if overlap < max(_SOURCE_OVERLAP, pose.overlap + gain):
         return pose
     return pose.with_arm(arm, overlap)
 

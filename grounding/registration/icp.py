@@ -101,9 +101,7 @@ class IcpRefiner:
     """Open3D ICP against the visible surface of the gripper."""
 
     def __init__(self, cad: GripperCad) -> None:
-        native.prepare_open3d()
-        import open3d
-
+        open3d = native.load_open3d()
         self._cad = cad
         self._geometry: Any = open3d.geometry
         self._vector = open3d.utility.Vector3dVector

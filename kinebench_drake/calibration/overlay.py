@@ -33,9 +33,7 @@ def render_part_map(camera: Camera, X_BP: Array, finger_m: float) -> NDArray[np.
     Raises:
         SetupError: Open3D's native libraries or mani_skill's meshes are missing.
     """
-    native.prepare_open3d()
-    import open3d
-
+    open3d = native.load_open3d()
     core: Any = open3d.core
     scene = open3d.t.geometry.RaycastingScene(nthreads=1)
     part_of_mesh = {}

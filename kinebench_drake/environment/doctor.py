@@ -148,8 +148,7 @@ def _torch() -> str:
 def _open3d() -> str:
     return _probe(
         "from kinebench_drake.environment import native\n"
-        "native.prepare_open3d()\n"
-        "import open3d\n"
+        "open3d = native.load_open3d()\n"
         "open3d.t.geometry.RaycastingScene()\n"
         "print(open3d.__version__)"
     )

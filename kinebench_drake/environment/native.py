@@ -12,6 +12,7 @@ import sys
 import warnings
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 from kinebench_drake.errors import SetupError
 
@@ -63,13 +64,23 @@ def prepare_drake() -> None:
 
 
 @cache
-def prepare_open3d() -> None:
-    """Make `import open3d` work on a system without libusb, libGL or libEGL; call before importing it.
+def load_open3d() -> Any:
+    """Import Open3D, also on a system without libusb, libGL or libEGL, with one thread.
+
+    Its thread pool (TBB) adds in an order that depends on timing. It has as many threads as the process may use cores
+    when it is loaded; with one, sums are reproducible to the bit.
 
     Raises:
         SetupError: an unpacked library cannot be loaded.
     """
     _preload("open3d")
+    cores = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {min(cores)})
+    try:
+        import open3d
+    finally:
+        os.sched_setaffinity(0, cores)
+    return open3d
 
 
 def has_nvidia_vulkan() -> bool:

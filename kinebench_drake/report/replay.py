@@ -206,9 +206,7 @@ def _simplify(link: str, mesh: Any) -> LinkMesh:
     """
     vertices, faces = mesh.vertices, mesh.faces
     if len(faces) > MAX_TRIANGLES:
-        native.prepare_open3d()
-        import open3d
-
+        open3d = native.load_open3d()
         full = open3d.geometry.TriangleMesh(
             open3d.utility.Vector3dVector(vertices), open3d.utility.Vector3iVector(faces)
         )

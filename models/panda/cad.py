@@ -81,9 +81,7 @@ class PartCaster:
         Raises:
             SetupError: Open3D's native libraries are missing.
         """
-        native.prepare_open3d()
-        import open3d
-
+        open3d = native.load_open3d()
         core: Any = open3d.core
         self._scenes: dict[RobotPart, Any] = {}
         self._bounds: dict[RobotPart, tuple[Array, float]] = {}

@@ -171,10 +171,29 @@ def test_wheels_find_their_libraries() -> None:
     """The modules load in a fresh process after their prepare function, in one process together."""
     code = (
         "from kinebench_drake.environment import native\n"
-        "native.prepare_drake(), native.prepare_open3d(), native.prepare_vulkan()\n"
+        "native.prepare_drake(), native.load_open3d(), native.prepare_vulkan()\n"
         "import pydrake.multibody.plant, open3d, sapien\n"
     )
     assert Path(sysconfig.get_path("platlib")).is_dir()
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert "libvulkan" not in done.stderr
+
+
+def test_open3d_adds_in_one_thread() -> None:
+    """Its thread pool has the size of the machine otherwise, and sums depend on who finishes first."""
+    code = (
+        "import os\n"
+        "from kinebench_drake.environment import native\n"
+        "cores = os.sched_getaffinity(0)\n"
+        "open3d = native.load_open3d()\n"
+        "assert os.sched_getaffinity(0) == cores\n"
+        "before = len(os.listdir('/proc/self/task'))\n"
+        "points = open3d.utility.Vector3dVector([[i % 7, i % 11, i % 13] for i in range(2000)])\n"
+        "cloud = open3d.geometry.PointCloud(points)\n"
+        "open3d.pipelines.registration.registration_icp(cloud, cloud, 1.0)\n"
+        "print(len(os.listdir('/proc/self/task')) - before)\n"
+    )
+    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment)
+    assert done.stdout.strip() == "0"

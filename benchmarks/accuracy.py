@@ -1,0 +1,165 @@
+"""Accuracy of the grounding on renderings with exact poses and on videos of other programs and cameras."""
+
+from collections.abc import Callable, Mapping, Sequence
+from itertools import chain
+from pathlib import Path
+from textwrap import wrap
+from typing import Any
+
+from benchmarks import footage_report
+from benchmarks.footage import ReferenceKind
+from benchmarks.markdown import table
+from benchmarks.process import run_program
+from kinebench_drake.io.jsonl import read_json
+
+_TITLES = {
+    ReferenceKind.SIMULATOR.value: "other simulator, cameras from anywhere; exact poses",
+    ReferenceKind.EDGES.value: "stock tasks of ManiSkill at their own cameras; poses fitted to edges",
+    ReferenceKind.JOINTS.value: "real arm seen from the side; poses from its joint angles",
+}
+_WIDTH = 140
+_INTRODUCTION = (
+    "Poses of panda_hand from pixels and a known camera, compared with references: median / 95th percentile of the",
+    "tracked frames. A pose is good within 10 mm and 5 degrees; `confidence` is the probability of that, and its mean",
+    "is what was claimed.",
+)
+_COMMANDS = (
+    "",
+    "    kinebench-drake suite demos --suite 2 --split unseen --episodes 1 --with-depth --out heldout",
+    "    python -m benchmarks accuracy --heldout heldout --others FOLDER --work accuracy",
+)
+_HEAD = (
+    "videos",
+    "number",
+    "tracked",
+    "position",
+    "rotation",
+    "tracked, but off by 30 mm or 15 degrees",
+    "good / claimed",
+)
+
+
+def measure(
+    heldout: Path, others: Sequence[Path], work: Path, log: Callable[[str], None]
+) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+    """Ground held-out renderings and videos of others.
+
+    Args:
+        heldout: output folder of `suite demos`.
+        others: folders as `python -m benchmarks footage` takes them.
+        work: results; an earlier run is resumed.
+        log: receives a line per video.
+
+    Returns:
+        Result of `perception evaluate`, and one of `footage` for each folder.
+
+    Raises:
+        UsageError: a folder cannot be used.
+    """
+    result = work / "heldout.json"
+    run_program(["perception", "evaluate", str(heldout), "--json", str(result)])
+    for folder in others:
+        out = work / folder.name
+        footage_report.measure(folder, out, None, weights=None, calibration=None, window=False, log=log)
+    return _read(result), [_read(work / folder.name / "footage.json") for folder in others]
+
+
+def _read(path: Path) -> dict[str, Any]:
+    data: Any = read_json(path)
+    return dict(data)
+
+
+def figures(heldout: Mapping[str, Any], others: Sequence[Mapping[str, Any]]) -> dict[str, float]:
+    """Return errors and shares of failures by name; of all of them less is better."""
+    summary = heldout["summary"]
+    result = {
+        "heldout, position median [mm]": summary["position_median_mm"],
+        "heldout, position p95 [mm]": summary["position_p95_mm"],
+        "heldout, rotation median [deg]": summary["rotation_median_deg"],
+        "heldout, not tracked": 1.0 - summary["tracked_fraction"],
+        "heldout, processor time of a video [s]": summary["cpu_median_s"],
+    }
+    for kind, f in _kinds(others).items():
+        result[f"{kind}, position median [mm]"] = f["hand_mm_median"]
+        result[f"{kind}, rotation median [deg]"] = f["rotation_deg_median"]
+        result[f"{kind}, not tracked"] = 1.0 - f["tracked"]
+        result[f"{kind}, off by 30 mm or 15 degrees"] = f["silent"]
+    return result
+
+
+def section(heldout: Mapping[str, Any], others: Sequence[Mapping[str, Any]]) -> str:
+    """Return the section of the page, in Markdown: videos of others first."""
+    rows = [_footage_row(_TITLES[kind], f) for kind, f in _kinds(others).items()]
+    rows.append(_heldout_row(heldout["summary"], heldout["intervals"]))
+    texts = [_other_text(others), _heldout_text(heldout["summary"])]
+    return "\n".join(
+        ["## Accuracy", "", *_INTRODUCTION, "", *table(_HEAD, rows), *chain.from_iterable(texts), *_COMMANDS]
+    )
+
+
+def _other_text(others: Sequence[Mapping[str, Any]]) -> list[str]:
+    sentences = []
+    for other in others:
+        if "labels" in other:
+            f = other["labels"]["all"]
+            sentences += [
+                f"Labelled by eye ({f['frames']} frames of clips of others, most of their cameras guessed):",
+                f"{_percent(f['tracked'])} are tracked; the projected hand is off by",
+                f"{_percent(f['error_median'])} of its length (95 %: {_percent(f['error_p95'])}),",
+                f"by more than a fifth of it in {_percent(f['silent'])}.",
+            ]
+        a = other["anomalies"]
+        if a["clean_videos"]:
+            found = f"{a['clean_videos_with_anomalies']} of {a['clean_videos']}"
+            sentences.append(f"Anomalies are reported in {found} clips of others that show none.")
+    return _paragraph(sentences)
+
+
+def _heldout_text(s: Mapping[str, Any]) -> list[str]:
+    return _paragraph(
+        [
+            f"On renderings of this project {_percent(s['tracked_frames_off_by_3_cm'])} of the tracked frames are off",
+            "by more than 3 cm. The gap between the finger pads is known in",
+            f"{_percent(s['finger_width_known'])} of the frames, with a median error of",
+            f"{s['finger_width_median_mm']:.1f} mm (95 %: {s['finger_width_p95_mm']:.1f} mm).",
+            f"False anomalies: {s['anomalies_not_planted']:.0f} in {s['videos']:.0f} videos. The commands:",
+        ]
+    )
+
+
+def _paragraph(sentences: Sequence[str]) -> list[str]:
+    return ["", *wrap(" ".join(sentences), width=_WIDTH)] if sentences else []
+
+
+def _kinds(others: Sequence[Mapping[str, Any]]) -> dict[str, Mapping[str, Any]]:
+    return {kind: other["kinds"][kind] for kind in _TITLES for other in others if kind in other["kinds"]}
+
+
+def _footage_row(title: str, f: Mapping[str, Any]) -> list[str]:
+    return [
+        title,
+        str(f["videos"]),
+        _percent(f["tracked"]),
+        f"{f['hand_mm_median']:.1f} / {f['hand_mm_p95']:.1f} mm",
+        f"{f['rotation_deg_median']:.1f} / {f['rotation_deg_p95']:.1f} degrees",
+        _percent(f["silent"]),
+        f"{_percent(f['good'])} / {_percent(f['confidence_mean'])}",
+    ]
+
+
+def _heldout_row(s: Mapping[str, Any], intervals: Mapping[str, Any]) -> list[str]:
+    position, rotation = intervals["position_median_mm"], intervals["rotation_median_deg"]
+    return [
+        "this project's renderer and camera, assets and looks that no network has seen; exact poses",
+        f"{s['videos']:.0f}",
+        _percent(s["tracked_fraction"]),
+        f"{position['value']:.1f} [{position['low']:.1f}, {position['high']:.1f}] / {s['position_p95_mm']:.1f} mm",
+        f"{rotation['value']:.1f} [{rotation['low']:.1f}, {rotation['high']:.1f}] / "
+        f"{s['rotation_p95_deg']:.1f} degrees",
+        f"{_percent(s['tracked_frames_off_by_3_cm'])} (3 cm)",
+        f"calibration error {s['calibration_error']:.3f}",
+    ]
+
+
+def _percent(value: float) -> str:
+    return f"{100.0 * value:.1f} %"
