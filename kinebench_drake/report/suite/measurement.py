@@ -71,7 +71,7 @@ class Study(BaseModel):
         return any(d.group == LEARNED for d in self.distributions.values())
 
 
-class Evaluation(BaseModel):
+class PipelineErrors(BaseModel):
     """Errors of one pipeline."""
 
     pipeline: str
@@ -98,7 +98,7 @@ class Measurements(BaseModel):
     """Names of the files."""
     baseline: list[BaselineGroup] = []
     studies: dict[str, Study] = {}
-    evaluations: list[Evaluation] = []
+    evaluations: list[PipelineErrors] = []
 
 
 def is_measurement(path: Path) -> bool:
@@ -126,7 +126,7 @@ def read_measurements(paths: Sequence[Path]) -> Measurements:
                 _require_first(file, study.study, study.study not in files.studies)
                 files.studies[study.study] = study
             else:
-                files.evaluations.append(Evaluation.model_validate(content))
+                files.evaluations.append(PipelineErrors.model_validate(content))
         except (OSError, ValueError, ValidationError):
             raise UsageError(f"{path}: cannot be read; {_EXPECTED} of this version") from None
     return files
