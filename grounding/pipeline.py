@@ -22,6 +22,7 @@ from kinebench_drake.grounding.tracker import CadTracker, PoseTracker
 from kinebench_drake.grounding.view import Frames, GripperView
 from kinebench_drake.models.panda.robot import RobotPart, hand_from_tcp
 from kinebench_drake.models.perception.network import WEIGHTS, load_network
+from kinebench_drake.models.robot import N_JOINTS
 from kinebench_drake.types import NO_PRIORS, Anomaly, Domain, GripperTrack, InitialState, InitialStateUse, Priors
 
 TRACKED_CONFIDENCE = 0.3
@@ -49,6 +50,9 @@ class GroundingResult:
     the video]; None if too little of the arm is visible."""
     robot: NDArray[np.bool_]
     """(T, H, W) pixels that show the robot."""
+    arm_q: Array = field(default_factory=lambda: np.zeros((0, N_JOINTS)))
+    """(T, 7) fitted joint angles with the assumed camera [rad]; NaN where hand and arm do not agree; empty without a
+    fit."""
     curves: Mapping[str, Array] = field(default_factory=dict)
     """Curves (T,) of the track file: share of matched points, their distance [m] and weight of ICP; NaN without it."""
 
@@ -142,6 +146,7 @@ class GroundingPipeline:
             camera_motion_px=motion.largest_px,
             arm_consistency_px=_arm_consistency_px(poses, tracked),
             robot=np.stack([view.to_frame(view.part > RobotPart.BACKGROUND, camera) for view in observation.wide]),
+            arm_q=np.stack([_arm_posture(pose) for pose in poses]),
             curves=_icp_curves(poses),
         )
 
@@ -197,6 +202,11 @@ def _initial_hand_pose(state: InitialState, camera: Camera) -> Array:
 def _arm_consistency_px(poses: Sequence[FramePose | None], tracked: NDArray[np.bool_]) -> float | None:
     distances = [p.arm.consistency_px for p, ok in zip(poses, tracked, strict=True) if ok and p and p.arm is not None]
     return float(np.median(distances)) if distances else None
+
+
+def _arm_posture(pose: FramePose | None) -> Array:
+    """Return the fitted joint angles (7,) [rad]; NaN where hand and arm do not agree."""
+    return np.full(N_JOINTS, np.nan) if pose is None or pose.arm is None or not pose.arm_agrees else pose.arm.q
 
 
 def _icp_curves(poses: Sequence[FramePose | None]) -> dict[str, Array]:

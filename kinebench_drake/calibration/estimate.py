@@ -20,7 +20,7 @@ from kinebench_drake.calibration.bundle import (
 from kinebench_drake.calibration.contours import ContourImages
 from kinebench_drake.calibration.correspondences import LINK_SIGMAS, CalibrationCorrespondences, locate_points
 from kinebench_drake.calibration.detections import ArmDetections, find_robot
-from kinebench_drake.calibration.fit import PIXEL_SIGMA, Lens
+from kinebench_drake.calibration.fit import PIXEL_SIGMA, Lens, with_focal
 from kinebench_drake.calibration.hypotheses import ChainSearch, Hypothesis
 from kinebench_drake.camera import Camera, benchmark_camera
 from kinebench_drake.errors import UnmeasurableError
@@ -28,7 +28,7 @@ from kinebench_drake.geometry import Array, invert, make_pose, pose_difference, 
 from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.grounding.registration.edges import EdgeMatcher
 from kinebench_drake.grounding.view import DenseEstimator, Frames
-from kinebench_drake.models.panda.robot import ARM, HAND_TO_TCP_M, RobotPart
+from kinebench_drake.models.panda.robot import ARM, HAND_TO_TCP_M, RobotPart, hand_from_tcp
 from kinebench_drake.models.robot import N_JOINTS
 from kinebench_drake.types import Json
 
@@ -53,6 +53,9 @@ _COARSE = ((14.0, 1.0), (14.0, 1.0), (10.0, 0.6), (6.0, 0.3), (4.0, 0.1))
 _MIDDLE = ((8.0, 0.3), (5.0, 0.2), (4.0, 0.1), (3.0, 0.0))
 _FINE = ((8.0, 0.3), (5.0, 0.1), (4.0, 0.0), (3.0, 0.0), (3.0, 0.0), (2.0, 0.0), (2.0, 0.0))
 """Successive reaches of the search for edges [px of an image of at most 640 px], and weights of the cells."""
+_ZOOMS, _ZOOMS_FITTED = (0.63, 0.72, 0.85, 1.0, 1.2, 1.4, 1.6), 3  # focal lengths over that of a camera in doubt
+CONTRADICTING, CLEARLY = 0.5, 0.1
+"""Least agreement with another camera that contradicts the assumed one, and how much better it has to be."""
 _ROUNDS = ((4, _COARSE, 4), (6, _MIDDLE, 2))
 """Successive comparisons of candidates: frames, passes, candidates kept."""
 _PASS_SIGMA_RAD = 0.5  # of joint angles about those of the pass before
@@ -60,6 +63,7 @@ _SAME_RAD, _SAME_ZOOM = np.deg2rad(8.0), 0.1
 _PART_INDEPENDENT = 6.0  # independent measurements of the contours of a part, whose errors correlate
 _SIGMA_FACTOR = 1.5  # errors over those of independent contours
 _LEAST_SHARE = 0.6  # of the median agreement, below which a frame is left out
+_LEAST_EXPLAINED = 0.75  # of the frames that show the robot: a camera that explains fewer agrees less
 _FLOOR, _NEAREST_M = 1.5, 0.05
 _MOVE, _TURN = slice(0, 3), slice(3, 6)
 _ALIKE_M, _ALIKE_RAD = 0.01, np.deg2rad(2.0)
@@ -78,7 +82,7 @@ class CameraEstimate:
     gripper_sigma_rad: float
     """Likewise of its rotation [rad]."""
     agreement: float
-    """Share of the contours of hand and arm on image edges, median over the frames."""
+    """Share of the contours of hand and arm on image edges, median over the frames; less where few frames fit."""
     runner_up: float
     """Likewise with the next best camera that differs from it; 0 if there is none."""
     residual_px: float
@@ -124,6 +128,26 @@ class CameraEstimate:
     def focal_sigma(self) -> float:
         """Relative standard deviation of the focal length; 0 if it was fixed."""
         return float(self.covariance[6, 6] ** 0.5)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CameraContradiction:
+    """Camera that explains the arm clearly better than the assumed one."""
+
+    agreement: float
+    """Share of the contours of hand and arm on image edges with the assumed camera."""
+    better: float
+    """The same with the other one."""
+    focal_ratio: float
+    """Focal length of the assumed camera over that of the other one."""
+    gripper_m: float
+    """Distance between the TCPs that the two give in the base frame, median over the frames [m]."""
+    gripper_rad: float
+    """Angle between them [rad]."""
+
+    def to_json(self) -> dict[str, Json]:
+        """Serialize into `camera_contradiction` of samples.jsonl."""
+        return {name: round(getattr(self, name), 4) for name in self.__slots__}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -209,17 +233,83 @@ class CameraEstimator:
         detections = find_robot(self._estimator, frames, camera, _CHECKED, searched=_CHECK_SEARCHED)
         if detections is None or len(detections.rows) < MIN_FRAMES:
             return None
+        fixed = self._fit_postures(detections, frames[detections.rows], camera)
+        return 0.0 if fixed is None else fixed.agreement
+
+    def posture_agreement(self, frames: Frames, camera: Camera, q: Array, finger_m: Array) -> float:
+        """Return the share of the arm's contours on image edges at postures already fitted, median over frames.
+
+        Args:
+            frames: (T, H, W, 3) RGB.
+            camera: camera of the frames.
+            q: (T, 7) joint angles [rad].
+            finger_m: (T,) opening of each finger [m].
+        """
+        scene = Scene(lens=Lens(camera=camera, X_CB=invert(camera.X_BC)), q=q, finger_m=finger_m)
+        return float(np.median(ContourImages(frames, camera, self._model, self._matcher).agreement(scene)))
+
+    def find_contradiction(self, frames: Frames, camera: Camera) -> CameraContradiction | None:
+        """Return another camera under which the arm agrees clearly better with the images; None if there is none.
+
+        Focal lengths within a factor of 1.6 are tried at the place of the camera, and both are then fitted. The arm has
+        to agree with the result, in all frames that show it.
+
+        Args:
+            frames: (T, H, W, 3) RGB.
+            camera: camera of the frames.
+        """
+        detections = find_robot(self._estimator, frames, camera, _CHECKED + 1, searched=2 * _CHECK_SEARCHED)
+        if detections is None or len(detections.rows) < MIN_FRAMES:
+            return None
+        frames = frames[detections.rows]
+        fixed = self._fit_postures(detections, frames, camera)
+        images = ContourImages(frames, camera, self._model, self._matcher)
+        prior = LensPrior(lens=Lens(camera=camera, X_CB=np.eye(4)), log_focal_sigma=_LOG_FOCAL_SIGMA)
+        search = ChainSearch(detections.cells, detections.finger_m, self._model)
+        X_CB = invert(camera.X_BC)
+        lenses = [Lens(camera=with_focal(camera, zoom * camera.fx), X_CB=X_CB) for zoom in _ZOOMS]
+        starts = [self._start(detections, search.explain(lens, search.hands(lens.camera))) for lens in lenses]
+        enough = _LEAST_EXPLAINED * len(detections.rows)
+        likely = sorted((s for s in starts if s is not None and len(s.rows) >= enough), key=lambda start: start.cost)
+        passes = (*_COARSE, *_MIDDLE[1:])
+        fitted = [self._compare(start, images, prior, len(start.rows), passes) for start in likely[:_ZOOMS_FITTED]]
+        best = max(fitted, key=lambda candidate: candidate.agreement, default=None)
+        agreement = 0.0 if fixed is None else fixed.agreement
+        if best is None or best.agreement < CONTRADICTING or best.agreement < agreement + CLEARLY:
+            return None
+        X_CB = best.scene.lens.X_CB
+        X_CG = X_CB @ self._model.poses(best.scene.q)[:, RobotPart.HAND] @ hand_from_tcp()
+        # What the assumed camera makes of the pose of the gripper that its focal length gives.
+        zoom = camera.fx / best.scene.lens.camera.fx
+        X_assumed = X_CG.copy()
+        X_assumed[:, :3, 3] *= zoom
+        moved_m, turned_rad = pose_difference(camera.X_BC @ X_assumed, invert(X_CB) @ X_CG)
+        return CameraContradiction(
+            agreement=agreement,
+            better=best.agreement,
+            focal_ratio=zoom,
+            gripper_m=float(np.median(moved_m)),
+            gripper_rad=float(np.median(turned_rad)),
+        )
+
+    def _fit_postures(self, detections: ArmDetections, frames: Frames, camera: Camera) -> Candidate | None:
+        """Return the postures that explain the robot with a camera, and their agreement; None if they explain too few.
+
+        Args:
+            detections: robot in T frames.
+            frames: (T, H, W, 3) these frames.
+            camera: camera, which is kept.
+        """
         lens = Lens(camera=camera, X_CB=invert(camera.X_BC))
         search = ChainSearch(detections.cells, detections.finger_m, self._model)
         start = self._start(detections, search.explain(lens, search.hands(camera)))
         if start is None:
-            return 0.0
-        images = ContourImages(frames[detections.rows[start.rows]], camera, self._model, self._matcher)
+            return None
+        images = ContourImages(frames[start.rows], camera, self._model, self._matcher)
         prior = LensPrior(lens=lens, log_focal_sigma=0.0, place_free=False)
-        scene, _ = self._fit_contours(
-            start.scene, start.cells, images, prior, (*_COARSE, *_MIDDLE[1:]), _PASS_SIGMA_RAD
-        )
-        return float(np.median(images.agreement(scene)))
+        passes = (*_COARSE, *_MIDDLE[1:])
+        scene, _ = self._fit_contours(start.scene, start.cells, images, prior, passes, _PASS_SIGMA_RAD)
+        return replace(start, scene=scene, agreement=float(np.median(images.agreement(scene))))
 
     def estimate(self, frames: Frames, camera: Camera | None = None, *, focal_free: bool = True) -> CameraEstimate:
         """Estimate place and focal length of the static camera of a video.
@@ -432,20 +522,21 @@ class CameraEstimator:
         sigma = _PASS_SIGMA_RAD if q_sigma is None else q_sigma
         edges, agreement = None, np.zeros(0)
         rounds: tuple[Sequence[tuple[float, float]], ...] = (_FINE, _FINE[-3:])
-        for passes in rounds:
+        for number, passes in enumerate(rounds):
             own = images.take(candidate.rows)
             q = None if q_sigma is None else candidate.scene.q
             scene, edges = self._fit_contours(candidate.scene, candidate.cells, own, prior, passes, sigma, q)
             candidate = replace(candidate, scene=scene)
             agreement = own.agreement(scene)
             good = np.flatnonzero(agreement >= _LEAST_SHARE * np.median(agreement))
-            if len(good) == len(agreement) or len(good) < MIN_FRAMES:
+            if number + 1 == len(rounds) or len(good) == len(agreement) or len(good) < MIN_FRAMES:
                 break
             candidate = candidate.take(good)
         if edges is None:
             raise UnmeasurableError("no camera can be estimated: the images show no edges where the arm should be")
         bundle = self._uncertainty(candidate.scene, edges, prior, q_sigma)
-        return _describe(bundle, edges.part, self._model, float(np.median(agreement)), rows[candidate.rows])
+        share = float(np.median(agreement)) * min(1.0, len(candidate.rows) / (_LEAST_EXPLAINED * len(rows)))
+        return _describe(bundle, edges.part, self._model, share, rows[candidate.rows])
 
     def _uncertainty(self, scene: Scene, edges: Observations, prior: LensPrior, q_sigma: float | None) -> Bundle:
         """Return the information of a scene, contours of one part in one frame and parts at rest counted once."""

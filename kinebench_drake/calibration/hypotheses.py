@@ -7,7 +7,7 @@ their postures, and the cells of their links say how well the camera explains th
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +36,9 @@ _PRIOR_WEIGHT = 0.05
 _CONSENSUS_PX, _CONSENSUS_ROUNDS = 6.0, 100
 _DEPTH_M = (0.05, 20.0)  # of a hand
 _TIE = 1e-3  # difference of costs that says nothing
+_DISTANCES = np.exp(np.array([0.0, -0.16, -0.08, 0.08, 0.16]))  # of the hand, over that of its pose
+_COMPARED_FRAMES, _KEPT = 6, 32  # frames in which all chains are compared, and chains compared in all frames
+_FLIP_COST = 0.5  # of a gripper turned against its cells
 _LAST_ANGLES = np.linspace(-np.pi, np.pi, 32, endpoint=False)
 _HALF_TURN = make_pose(np.diag([-1.0, -1.0, 1.0]), np.zeros(3))
 
@@ -66,10 +69,19 @@ class ChainSearch:
         """
         self._model, self._finger_m, self._frames = model, finger_m, len(finger_m)
         self._cells = [cells.take(cells.frame == t) for t in range(self._frames)]
+        self._gripper = [self._hand_cells(t) for t in range(self._frames)]
         zero = model.poses(np.zeros((1, N_JOINTS)))[0]
         self._X_H7 = invert(zero[RobotPart.HAND]) @ zero[RobotPart.LINK7]
         self._grids = [self._relative(joint, _ANGLES) for joint in range(N_JOINTS)]
         self._coarse = [self._relative(joint, _COARSE_ANGLES) for joint in range(N_JOINTS)]
+
+    def _hand_cells(self, frame: int) -> CalibrationCorrespondences | None:
+        """Return some cells of the gripper in a frame, opened, in the hand's frame; None if there are too few."""
+        cells = self._cells[frame].take(np.isin(self._cells[frame].part, GRIPPER))
+        if len(cells) < _LEAST_CELLS:
+            return None
+        cells = cells.take(np.linspace(0, len(cells) - 1, min(len(cells), 2 * _CELLS)).astype(int))
+        return replace(cells, p_P=cells.p_P + cells.opening_sign[:, None] * [0.0, self._finger_m[frame], 0.0])
 
     def _relative(self, joint: int, count: int) -> tuple[Array, Array]:
         """Return angles (G,) of a joint [rad] and poses (G, 4, 4) of the link before it in the link after it."""
@@ -160,45 +172,60 @@ class ChainSearch:
             links = self._links(t)
             if not links:
                 continue
-            cost = _CAP
-            for flip in (False, True):
-                X = X_CH @ _HALF_TURN if flip else X_CH
-                fit = self._posture(invert(lens.X_CB) @ X, links, lens)
-                if fit is not None and fit[1] < cost - 0.5 * flip:
-                    q[t], cost = fit
-                    flipped[t] = flip
+            fit = self._posture(X_CH, t, links, lens)
+            if fit is None:
+                costs.append(_CAP)
+                continue
+            q[t], flipped[t], cost = fit
             costs.append(cost)
         return Hypothesis(lens=lens, q=q, flipped=flipped, cost=float(np.mean(costs)) if costs else _CAP)
 
     def _posture(
-        self, X_BH: Array, links: dict[int, CalibrationCorrespondences], lens: Lens
-    ) -> tuple[Array, float] | None:
-        q = analytic_ik(X_BH @ self._model.X_HF, _LAST_ANGLES).reshape(-1, N_JOINTS)
+        self, X_CH: Array, frame: int, links: dict[int, CalibrationCorrespondences], lens: Lens
+    ) -> tuple[Array, bool, float] | None:
+        """Return the posture (7,) that explains hand and links of a frame best, whether its hand is flipped, its cost.
+
+        The distance of a small hand is the least certain part of its pose: others than that of `X_CH` are tried.
+        """
+        X = np.repeat(X_CH[None], len(_DISTANCES), axis=0)
+        X[:, :3, 3] *= _DISTANCES[:, None]
+        hand = self._gripper[frame]
+        hand_cost = np.zeros(len(X)) if hand is None else self._errors(X, hand, lens.camera).mean(axis=1)
+        X_BH = invert(lens.X_CB) @ np.concatenate([X, X @ _HALF_TURN])
+        q = analytic_ik((X_BH @ self._model.X_HF)[:, None], _LAST_ANGLES).reshape(-1, N_JOINTS)
+        start = np.repeat(np.tile(hand_cost, 2) + _FLIP_COST * (np.arange(len(X_BH)) >= len(X)), len(q) // len(X_BH))
+        flipped = np.repeat(np.arange(len(X_BH)) >= len(X), len(q) // len(X_BH))
         lower, upper = self._model.lower - OVER_LIMIT_RAD, self._model.upper + OVER_LIMIT_RAD
         with np.errstate(invalid="ignore"):
-            q = q[((q >= lower) & (q <= upper)).all(axis=1)]
-        if not len(q):
+            possible = np.flatnonzero(((q >= lower) & (q <= upper)).all(axis=1))
+        if not len(possible):
             return None
+        q, start, flipped = q[possible], start[possible], flipped[possible]
         X_CP = lens.X_CB @ self._model.poses(q)
         errors = [self._errors(X_CP[:, part], cells, lens.camera).mean(axis=1) for part, cells in links.items()]
-        cost = np.mean(errors, axis=0) + self._prior(np.repeat(lens.X_CB[None], len(q), axis=0), q)
+        cost = (np.sum(errors, axis=0) + start) / (len(links) + 1)
+        cost = cost + self._prior(np.repeat(lens.X_CB[None], len(q), axis=0), q)
         best = int(cost.argmin())
-        return q[best], float(cost[best])
+        return q[best], bool(flipped[best]), float(cost[best])
 
-    def run(self, camera: Camera, focals: Sequence[float], anchors: int = 6) -> list[Hypothesis]:
-        """Return hypotheses for several focal lengths [px], the best first."""
-        hypotheses = []
+    def run(self, camera: Camera, focals: Sequence[float]) -> list[Hypothesis]:
+        """Return hypotheses for several focal lengths [px], the best first.
+
+        The chains of all frames are compared in some of them, and the best ones in all.
+        """
+        few = np.unique(np.linspace(0, self._frames - 1, _COMPARED_FRAMES).round().astype(int))
+        compared = []
         for focal in focals:
             lens_camera = with_focal(camera, focal)
             hands = self.hands(lens_camera)
-            chains = []
+            some = [X_CH if t in few else None for t, X_CH in enumerate(hands)]
             for t, X_CH in enumerate(hands):
                 if X_CH is not None and len(self._links(t)) >= 2:
-                    X_CB, cost = self.follow(t, X_CH, lens_camera)
-                    chains.append((cost, X_CB))
-            for _, X_CB in sorted(chains, key=lambda chain: chain[0])[:anchors]:
-                hypotheses.append(self.explain(Lens(camera=lens_camera, X_CB=X_CB), hands))
-        return sorted(hypotheses, key=lambda h: h.cost)
+                    X_CB, _ = self.follow(t, X_CH, lens_camera)
+                    lens = Lens(camera=lens_camera, X_CB=X_CB)
+                    compared.append((self.explain(lens, some).cost, lens, hands))
+        best = sorted(compared, key=lambda entry: entry[0])[:_KEPT]
+        return sorted((self.explain(lens, hands) for _, lens, hands in best), key=lambda h: h.cost)
 
 
 def _spread(total: Array, most: int) -> NDArray[np.intp]:
