@@ -18,7 +18,7 @@ from kinebench_drake.models.robot import Robot
 from kinebench_drake.types import GripperTrack, Priors
 
 if TYPE_CHECKING:  # Drake, torch and Open3D take seconds to load
-    from kinebench_drake.calibration.estimate import CameraEstimate, CameraEstimator
+    from kinebench_drake.calibration.estimate import CameraContradiction, CameraEstimate, CameraEstimator
     from kinebench_drake.grounding.pipeline import GroundingPipeline, GroundingResult
     from kinebench_drake.metrics.result import KinematicResult
 
@@ -118,6 +118,22 @@ class Analyzer:
             SetupError: weights or libraries are missing.
         """
         return self._cameras.estimate(frames)
+
+    def posture_agreement(self, frames: NDArray[np.uint8], camera: Camera, q: Array, finger_m: Array) -> float:
+        """Return the share of the arm's contours on image edges at postures (T, 7) [rad], openings (T,) [m].
+
+        Raises:
+            SetupError: weights or libraries are missing.
+        """
+        return self._cameras.posture_agreement(frames, camera, q, finger_m)
+
+    def camera_contradiction(self, frames: NDArray[np.uint8], camera: Camera) -> "CameraContradiction | None":
+        """Return another camera under which the arm agrees clearly better with the images; None if there is none.
+
+        Raises:
+            SetupError: weights or libraries are missing.
+        """
+        return self._cameras.find_contradiction(frames, camera)
 
     def judge(self, track: GripperTrack) -> "KinematicResult":
         """Judge a track of poses: infeasible only if no joint path follows it."""

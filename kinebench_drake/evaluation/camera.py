@@ -1,4 +1,4 @@
-"""Choice of a video's camera: the input's, the benchmark's where the arm agrees with it, else an estimated one."""
+"""Choice and check of a video's camera: the input's, the benchmark's where the arm agrees, else an estimated one."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -17,7 +17,8 @@ from kinebench_drake.results.row import SampleRow
 from kinebench_drake.types import GripperTrack, Json
 
 if TYPE_CHECKING:  # loads torch and Open3D
-    from kinebench_drake.calibration.estimate import CameraEstimate
+    from kinebench_drake.calibration.estimate import CameraContradiction, CameraEstimate
+    from kinebench_drake.grounding.pipeline import GroundingResult
 
 AUTO, BENCHMARK = "auto", "benchmark"
 """Values of `--camera` besides the path of a camera.json."""
@@ -27,6 +28,9 @@ ESTIMATE_AGREEMENT = 0.58
 """Likewise with an estimated camera, which was fitted to them."""
 LEAD = 0.04
 """Least difference between this agreement and that with another camera."""
+_INPUT_SOURCES = (CameraSource.MANIFEST, CameraSource.FOLDER, CameraSource.OPTION)
+_USUAL_WIDTH_M = 0.04  # gap between the pads where none is measured
+_CHECKED = 5  # frames whose postures check a camera of the input
 GRIPPER_SIGMA_M, GRIPPER_SIGMA_RAD = 0.05, float(np.deg2rad(6.0))
 """Greatest standard deviation of the gripper in the base frame, due to an estimated camera, with which it is judged."""
 
@@ -46,6 +50,14 @@ class CameraJudge(Protocol):
         """
         ...
 
+    def posture_agreement(self, frames: NDArray[np.uint8], camera: Camera, q: Array, finger_m: Array) -> float:
+        """Return the share of the arm's contours on image edges at postures (T, 7) [rad], openings (T,) [m]."""
+        ...
+
+    def camera_contradiction(self, frames: NDArray[np.uint8], camera: Camera) -> "CameraContradiction | None":
+        """Return another camera under which the arm agrees clearly better with the images; None if there is none."""
+        ...
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraChoice:
@@ -54,14 +66,16 @@ class CameraChoice:
     sample: VideoSample
     """The sample with this camera and its source."""
     agreement: float | None = None
-    """Share of the arm's contours on image edges with the benchmark camera; None if that was not measured."""
+    """Share of the arm's contours on image edges with the benchmark's or the input's camera; None if not measured."""
     estimate: "CameraEstimate | None" = None
     """Estimated camera; None if none was estimated."""
+    contradiction: "CameraContradiction | None" = None
+    """Camera that explains the arm better than that of the input; None if none was found."""
     reason: str | None = None
     """Why there is no base frame; None if there is one."""
 
     def to_json(self) -> dict[str, Json]:
-        """Serialize into keys of the row; none for a camera of the input."""
+        """Serialize into keys of the row."""
         data: dict[str, Json] = {}
         if self.agreement is not None:
             data["camera_agreement"] = round(self.agreement, 4)
@@ -69,6 +83,8 @@ class CameraChoice:
             data["camera_source"] = self.sample.camera_source.value
         if self.estimate is not None:
             data["camera_estimate"] = self.estimate.to_json()
+        if self.contradiction is not None:
+            data["camera_contradiction"] = self.contradiction.to_json()
         if self.reason is not None:
             data["base_frame_reason"] = self.reason
         return data
@@ -133,6 +149,54 @@ def choose_camera(
     return CameraChoice(sample=chosen, agreement=agreement, estimate=estimate, reason=unknown)
 
 
+def check_camera(
+    choice: CameraChoice,
+    frames: NDArray[np.uint8],
+    camera: Camera,
+    grounding: "GroundingResult",
+    judge: CameraJudge,
+) -> CameraChoice:
+    """Check a camera of the input against the arm: a wrong one is said, and where it is far off there is no base frame.
+
+    Where hand and arm lie on edges of the image in the postures of the track, the camera is right, and nothing else is
+    computed. Elsewhere a camera that explains the arm clearly better contradicts it.
+
+    Args:
+        choice: the camera.
+        frames: (T, H, W, 3) as grounded.
+        camera: the camera of these frames.
+        grounding: track with this camera.
+        judge: checks cameras.
+    """
+    if choice.sample.camera_source not in _INPUT_SOURCES:
+        return choice
+    q, track = grounding.arm_q, grounding.track
+    fitted = np.flatnonzero(np.isfinite(q).all(axis=1) & track.tracked) if len(q) else np.zeros(0, dtype=np.intp)
+    agreement = None
+    if len(fitted):
+        chosen = fitted[np.unique(np.linspace(0, len(fitted) - 1, _CHECKED).round().astype(int))]
+        finger_m = np.nan_to_num(track.finger_width_m[chosen], nan=_USUAL_WIDTH_M) / 2
+        agreement = judge.posture_agreement(frames[chosen], camera, q[chosen], finger_m)
+    choice = replace(choice, agreement=agreement)
+    if agreement is not None and agreement >= AGREEMENT:
+        return choice
+    found = judge.camera_contradiction(frames, camera)
+    if found is None:
+        return choice
+    far = found.gripper_m > GRIPPER_SIGMA_M or found.gripper_rad > GRIPPER_SIGMA_RAD
+    reason = f"the base frame is unknown: {describe_contradiction(found)}"
+    return replace(choice, contradiction=found, reason=reason if far else None)
+
+
+def describe_contradiction(found: "CameraContradiction") -> str:
+    """Return what the arm says about a camera of the input."""
+    return (
+        f"the arm contradicts the camera of the input: {found.agreement:.0%} of its contours lie on image edges, "
+        f"{found.better:.0%} with a focal length {1 / found.focal_ratio:.2f} times as long, which moves the gripper by "
+        f"{1e3 * found.gripper_m:.0f} mm and {np.rad2deg(found.gripper_rad):.0f} degrees in the base frame"
+    )
+
+
 def _usual_camera(frames: NDArray[np.uint8]) -> Camera:
     from kinebench_drake.calibration.estimate import usual_camera
 
@@ -176,6 +240,13 @@ def camera_warnings(rows: Sequence[SampleRow]) -> list[str]:
         warnings.append(
             f"no camera is named for {count_noun(estimated, 'sample')}: it was estimated from the arm; a camera.json "
             "beside the videos, or `calibrate` with joint angles, is more accurate"
+        )
+    contradicted = sum("camera_contradiction" in row.extra for row in rows)
+    if contradicted:
+        warnings.append(
+            f"the arm contradicts the camera of {count_noun(contradicted, 'sample')}: see camera_contradiction in the "
+            "rows; check width, height and focal length of camera.json, leave it out to have the camera estimated, or "
+            "fit it with `calibrate --joints`"
         )
     if lost:
         warnings.append(

@@ -25,6 +25,7 @@ from kinebench_drake.evaluation.camera import (
     CameraChoice,
     camera_frame_metrics,
     camera_warnings,
+    check_camera,
     choose_camera,
     is_assumed,
     with_camera_option,
@@ -239,6 +240,8 @@ class VideoEvaluator(Evaluator[VideoSample, Analyzer]):
             video, choice.sample, config.frame_period_s, self.overrides, duration_s=config.duration_s
         )
         grounding = ground_prepared(prepared, analyzer)
+        if self.overrides.poses is None:
+            choice = check_camera(choice, prepared.frames, prepared.camera, grounding, analyzer)
         track = choice.without_base(grounding.track)
         kinematics = analyzer.judge(track) if self.config.kind.judges and choice.reason is None else None
         smoothness: Mapping[str, Json] = {}

@@ -113,7 +113,7 @@ def test_a_camera_is_found_without_any_start(model, zoom):
     camera = replace(CAMERA, fx=CAMERA.fx * zoom, fy=CAMERA.fy * zoom)
     cells = project_robot(camera, q, model, parts=PARTS, cells=20)
     search = ChainSearch(cells, np.full(FRAMES, 0.01), model)
-    best = search.run(CAMERA, [250.0, 330.0, 430.0], anchors=3)[0]
+    best = search.run(CAMERA, [250.0, 330.0, 430.0])[0]
     assert best.lens.camera.fx == (330.0 if zoom == 1.0 else 430.0)
     start = Scene(lens=best.lens, q=best.q, finger_m=np.full(FRAMES, 0.01))
     observations = observe(cells.flip(best.flipped), 0.5)

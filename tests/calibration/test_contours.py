@@ -3,17 +3,21 @@
 import numpy as np
 import pytest
 
+from kinebench_drake.calibration import estimate as estimate_module
 from kinebench_drake.calibration.bundle import Scene
 from kinebench_drake.calibration.contours import ContourImages
-from kinebench_drake.calibration.estimate import CameraEstimator, Candidate
-from kinebench_drake.calibration.fit import Lens, solve_pnp
+from kinebench_drake.calibration.detections import ArmDetections
+from kinebench_drake.calibration.estimate import CLEARLY, JOINT_SIGMA_RAD, CameraEstimator, Candidate
+from kinebench_drake.calibration.fit import Lens, solve_pnp, with_focal
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.geometry import invert, pose_difference
 from kinebench_drake.models.panda.cad import PartCaster, link_meshes, open_fingers, part_meshes
+from kinebench_drake.models.panda.robot import RobotPart, hand_from_tcp
 from tests.calibration.robot import postures, project_robot
 
 CAMERA = benchmark_camera().resized(320, 320)
 FINGER_M = 0.03
+EDGES_M = 3e-3  # of the camera, by the edges of these images alone
 
 
 @pytest.fixture(scope="module")
@@ -44,14 +48,20 @@ def start(q, model, step):
     return Candidate(scene=scene, rows=np.arange(len(q)), cells=cells, cost=0.0)
 
 
-def test_contours_give_the_camera_at_known_joint_angles(estimator, model, film):
+@pytest.mark.parametrize("joint_sigma_rad", [JOINT_SIGMA_RAD, 0.1 * JOINT_SIGMA_RAD])
+def test_contours_give_the_camera_as_precisely_as_the_joint_angles_are_known(
+    estimator, model, film, monkeypatch, joint_sigma_rad
+):
+    """If all joints may be off, so may the camera's turn about the robot: by their error times its distance."""
+    monkeypatch.setattr(estimate_module, "JOINT_SIGMA_RAD", joint_sigma_rad)
     q, frames = film
     wrong = start(q, model, [0.01, -0.01, 0.01, 0.01, -0.01, 0.02, 0.0])
     estimate = estimator.refine(frames, CAMERA, wrong, focal_free=False)
     distance, angle = pose_difference(estimate.camera.X_BC, CAMERA.X_BC)
-    assert distance < 8e-3
-    assert angle < np.deg2rad(0.3)
-    assert distance < 3 * estimate.position_sigma_m
+    lever_m = joint_sigma_rad * np.linalg.norm(CAMERA.X_BC[:3, 3])
+    assert distance < max(lever_m, EDGES_M)
+    assert angle < np.deg2rad(0.35)
+    assert distance < 2 * estimate.position_sigma_m < 3 * max(lever_m, EDGES_M)
     assert estimate.agreement > 0.6
     assert estimate.camera.fx == CAMERA.fx
 
@@ -70,3 +80,21 @@ def test_points_without_a_pose_give_none():
     rng = np.random.default_rng(0)
     p, uv = rng.normal(size=(12, 3)), rng.uniform(0, 320, (12, 2))
     assert solve_pnp(p, uv, CAMERA, rounds=20, error_px=1e-6) is None
+
+
+def test_another_focal_length_that_explains_the_arm_better_contradicts_a_camera(estimator, model, film, monkeypatch):
+    q, frames = film
+    cells = project_robot(CAMERA, q, model, finger_m=FINGER_M)
+    robot = ArmDetections(
+        rows=np.arange(len(q)), cells=cells, finger_m=np.full(len(q), FINGER_M), robot=np.zeros((320, 320), dtype=bool)
+    )
+    monkeypatch.setattr(estimate_module, "find_robot", lambda *_, **__: robot)
+    assert estimator.find_contradiction(frames, CAMERA) is None
+    X_CG = invert(CAMERA.X_BC) @ model.poses(q)[:, RobotPart.HAND] @ hand_from_tcp()
+    distance_m = float(np.median(np.linalg.norm(X_CG[:, :3, 3], axis=1)))  # it grows with the focal length
+    for zoom in (0.7, 1.4):
+        found = estimator.find_contradiction(frames, with_focal(CAMERA, zoom * CAMERA.fx))
+        assert found.focal_ratio == pytest.approx(zoom, rel=0.05)
+        assert found.better > found.agreement + CLEARLY
+
+        assert found.gripper_m == pytest.approx(abs(zoom - 1.0) * distance_m, rel=0.15)

@@ -55,6 +55,7 @@ class FakeGrounding:
     arm_consistency_px: float | None = 2.0
     first_frame: InitialStateUse = InitialStateUse.UNKNOWN
     domain: Domain = Domain.FAMILIAR
+    arm_q: np.ndarray = field(default_factory=lambda: np.zeros((0, 7)))
     curves: dict[str, np.ndarray] = field(default_factory=dict)
 
 
@@ -112,6 +113,12 @@ class FakeAnalyzer:
 
     def estimate_camera(self, frames):
         raise UnmeasurableError("no camera can be estimated: a gripper is seen in 0 of the frames searched")
+
+    def posture_agreement(self, frames, camera, q, finger_m):
+        return 0.7
+
+    def camera_contradiction(self, frames, camera):
+        return None
 
     def judge(self, track):
         n = len(track.t_s)

@@ -1,9 +1,10 @@
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from kinebench_drake.calibration.estimate import CameraEstimate, usual_camera
+from kinebench_drake.calibration.estimate import CameraContradiction, CameraEstimate, usual_camera
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.datasets.videos.sample import CameraSource, VideoSample
 from kinebench_drake.errors import UnmeasurableError
@@ -11,6 +12,8 @@ from kinebench_drake.evaluation.camera import (
     AGREEMENT,
     ESTIMATE_AGREEMENT,
     GRIPPER_SIGMA_M,
+    CameraChoice,
+    check_camera,
     choose_camera,
     with_camera_option,
 )
@@ -36,11 +39,20 @@ def sample(tmp_path):
 class Judge:
     """Checks and estimates of a camera that are known in advance."""
 
-    def __init__(self, agreement=None, estimate=None):
-        self.agreement, self.estimate = agreement, estimate
+    def __init__(self, agreement=None, estimate=None, contradiction=None):
+        self.agreement, self.estimate, self.contradiction = agreement, estimate, contradiction
+        self.searched = 0
 
     def camera_agreement(self, frames, camera):
         return self.agreement
+
+    def posture_agreement(self, frames, camera, q, finger_m):
+        assert len(frames) == len(q) == len(finger_m) <= 5
+        return self.agreement
+
+    def camera_contradiction(self, frames, camera):
+        self.searched += 1
+        return self.contradiction
 
     def estimate_camera(self, frames):
         if self.estimate is None:
@@ -131,3 +143,44 @@ def test_the_benchmark_camera_can_be_insisted_on(film, config, tmp_path):
     row = read_rows(tmp_path / "out")["wide"]
     assert row.status is Status.UNMEASURABLE
     assert "aspect ratios differ" in row.reason
+
+
+def checked(tmp_path, judge, *, source=CameraSource.FOLDER, fitted=True):
+    """Check a camera of the input with a track of twelve frames."""
+    n = 12
+    track = SimpleNamespace(tracked=np.arange(n) != 3, finger_width_m=np.full(n, np.nan))
+    grounding = SimpleNamespace(track=track, arm_q=np.full((n, 7), 0.1 if fitted else np.nan))
+    choice = CameraChoice(sample=replace(sample(tmp_path), camera_source=source))
+    return check_camera(choice, np.repeat(SQUARE[:1], n, axis=0), benchmark_camera(), grounding, judge)
+
+
+def contradiction(gripper_m):
+    return CameraContradiction(agreement=0.3, better=0.7, focal_ratio=0.7, gripper_m=gripper_m, gripper_rad=0.01)
+
+
+def test_a_camera_that_the_arm_confirms_costs_no_search(tmp_path):
+    judge = Judge(AGREEMENT + 0.01, contradiction=contradiction(0.2))
+    choice = checked(tmp_path, judge)
+    assert judge.searched == 0
+    assert choice.to_json() == {"camera_agreement": AGREEMENT + 0.01}
+
+
+@pytest.mark.parametrize("fitted", [True, False])
+def test_a_wrong_camera_of_the_input_is_said_and_costs_the_base_frame_where_it_is_far_off(tmp_path, fitted):
+    near = checked(tmp_path, Judge(0.3, contradiction=contradiction(0.5 * GRIPPER_SIGMA_M)), fitted=fitted)
+    far = checked(tmp_path, Judge(0.3, contradiction=contradiction(2 * GRIPPER_SIGMA_M)), fitted=fitted)
+    assert near.reason is None
+    assert near.to_json()["camera_contradiction"]["focal_ratio"] == 0.7
+    assert "1.43 times as long" in far.reason
+    assert "100 mm" in far.reason
+    assert far.sample.camera_source is CameraSource.FOLDER
+
+
+def test_a_doubtful_camera_stays_where_no_other_explains_the_arm_better(tmp_path):
+    choice = checked(tmp_path, Judge(0.2))
+    assert choice.reason is None
+    assert choice.to_json() == {"camera_agreement": 0.2}
+
+
+def test_an_estimated_camera_is_not_checked_again(tmp_path):
+    assert checked(tmp_path, Judge(0.2), source=CameraSource.ESTIMATED).agreement is None
