@@ -180,20 +180,20 @@ def check_camera(
     choice = replace(choice, agreement=agreement)
     if agreement is not None and agreement >= AGREEMENT:
         return choice
-    found = judge.camera_contradiction(frames, camera)
-    if found is None:
+    other = judge.camera_contradiction(frames, camera)
+    if other is None:
         return choice
-    far = found.gripper_m > GRIPPER_SIGMA_M or found.gripper_rad > GRIPPER_SIGMA_RAD
-    reason = f"the base frame is unknown: {describe_contradiction(found)}"
-    return replace(choice, contradiction=found, reason=reason if far else None)
+    far = other.gripper_m > GRIPPER_SIGMA_M or other.gripper_rad > GRIPPER_SIGMA_RAD
+    reason = f"the base frame is unknown: {describe_contradiction(other)}"
+    return replace(choice, contradiction=other, reason=reason if far else None)
 
 
-def describe_contradiction(found: "CameraContradiction") -> str:
+def describe_contradiction(other: "CameraContradiction") -> str:
     """Return what the arm says about a camera of the input."""
     return (
-        f"the arm contradicts the camera of the input: {found.agreement:.0%} of its contours lie on image edges, "
-        f"{found.better:.0%} with a focal length {1 / found.focal_ratio:.2f} times as long, which moves the gripper by "
-        f"{1e3 * found.gripper_m:.0f} mm and {np.rad2deg(found.gripper_rad):.0f} degrees in the base frame"
+        f"the arm contradicts the camera of the input: {other.agreement:.0%} of its contours lie on image edges, "
+        f"{other.better:.0%} with a focal length {1 / other.focal_ratio:.2f} times as long, which moves the gripper by "
+        f"{1e3 * other.gripper_m:.0f} mm and {np.rad2deg(other.gripper_rad):.0f} degrees in the base frame"
     )
 
 
