@@ -61,7 +61,7 @@ _ROUNDS = ((4, _COARSE, 4), (6, _MIDDLE, 2))
 _PASS_SIGMA_RAD = 0.5  # of joint angles about those of the pass before
 _SAME_RAD, _SAME_ZOOM = np.deg2rad(8.0), 0.1
 _PART_INDEPENDENT = 6.0  # independent measurements of the contours of a part, whose errors correlate
-_SIGMA_FACTOR = 1.5  # errors over those of independent contours
+_SIGMA_FACTOR = 1.2  # errors over those of independent contours
 _LEAST_SHARE = 0.6  # of the median agreement, below which a frame is left out
 _LEAST_EXPLAINED = 0.75  # of the frames that show the robot: a camera that explains fewer agrees less
 _FLOOR, _NEAREST_M = 1.5, 0.05
@@ -263,6 +263,8 @@ class CameraEstimator:
             return None
         frames = frames[detections.rows]
         fixed = self._fit_postures(detections, frames, camera)
+        if fixed is None:  # the hand is not where an arm of any posture has it: it is detected wrongly
+            return None
         images = ContourImages(frames, camera, self._model, self._matcher)
         prior = LensPrior(lens=Lens(camera=camera, X_CB=np.eye(4)), log_focal_sigma=_LOG_FOCAL_SIGMA)
         search = ChainSearch(detections.cells, detections.finger_m, self._model)
@@ -274,8 +276,7 @@ class CameraEstimator:
         passes = (*_COARSE, *_MIDDLE[1:])
         fitted = [self._compare(start, images, prior, len(start.rows), passes) for start in likely[:_ZOOMS_FITTED]]
         best = max(fitted, key=lambda candidate: candidate.agreement, default=None)
-        agreement = 0.0 if fixed is None else fixed.agreement
-        if best is None or best.agreement < CONTRADICTING or best.agreement < agreement + CLEARLY:
+        if best is None or best.agreement < max(CONTRADICTING, fixed.agreement + CLEARLY):
             return None
         X_CB = best.scene.lens.X_CB
         X_CG = X_CB @ self._model.poses(best.scene.q)[:, RobotPart.HAND] @ hand_from_tcp()
@@ -285,7 +286,7 @@ class CameraEstimator:
         X_assumed[:, :3, 3] *= zoom
         moved_m, turned_rad = pose_difference(camera.X_BC @ X_assumed, invert(X_CB) @ X_CG)
         return CameraContradiction(
-            agreement=agreement,
+            agreement=fixed.agreement,
             better=best.agreement,
             focal_ratio=zoom,
             gripper_m=float(np.median(moved_m)),

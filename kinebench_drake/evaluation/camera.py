@@ -24,8 +24,8 @@ AUTO, BENCHMARK = "auto", "benchmark"
 """Values of `--camera` besides the path of a camera.json."""
 AGREEMENT = 0.45
 """Least share of the arm's contours on image edges at which the arm agrees with an assumed camera."""
-ESTIMATE_AGREEMENT = 0.58
-"""Likewise with an estimated camera, which was fitted to them."""
+ESTIMATE_AGREEMENT = 0.64
+"""Likewise with an estimated camera, which was fitted to them: more than with any wrong one of our own renders."""
 LEAD = 0.04
 """Least difference between this agreement and that with another camera."""
 _INPUT_SOURCES = (CameraSource.MANIFEST, CameraSource.FOLDER, CameraSource.OPTION)
@@ -248,11 +248,25 @@ def camera_warnings(rows: Sequence[SampleRow]) -> list[str]:
             "rows; check width, height and focal length of camera.json, leave it out to have the camera estimated, or "
             "fit it with `calibrate --joints`"
         )
+    doubtful = sum(_is_unconfirmed(row) for row in rows)
+    if doubtful:
+        warnings.append(
+            f"the arm confirms the camera in all but {count_noun(doubtful, 'sample')}, where its contours are not on "
+            "image edges: look at the overlays"
+        )
     if lost:
         warnings.append(
             f"no base frame in {count_noun(lost, 'sample')}: reach, limits and verdicts are null there, with the reason"
         )
     return warnings
+
+
+def _is_unconfirmed(row: SampleRow) -> bool:
+    """Return whether the arm neither confirms nor contradicts a camera of the input."""
+    agreement = row.extra.get("camera_agreement")
+    of_input = row.extra.get("camera_source") in [source.value for source in _INPUT_SOURCES]
+    low = isinstance(agreement, float) and agreement < AGREEMENT
+    return of_input and low and "camera_contradiction" not in row.extra
 
 
 def camera_frame_metrics(track: GripperTrack, reason: str) -> tuple[Mapping[str, Json], Mapping[str, str]]:
