@@ -402,6 +402,31 @@ def cameras(folder: Path, out: Path, videos: str | None, weights: Path | None) -
     click.echo(text)
 
 
+@main.command(epilog="\b\nExample:\n  python -m benchmarks views --out views")
+@click.option("--out", type=FOLDER, required=True, help="Folder for clips, views.jsonl and views.md.")
+@click.option("--changes", default="turn,move", show_default=True, help="Of still, turn, move, zoom; in turn.")
+@click.option("--episodes", type=COUNT, default=1, show_default=True, help="Episodes of each task.", metavar="K")
+@click.option("--seed", type=click.IntRange(min=0), default=40, show_default=True, help="First seed of the split.")
+@click.option("--limit", type=COUNT, help="Number of clips.")
+def views(out: Path, changes: str, episodes: int, seed: int, limit: int | None) -> None:
+    """Ground clips whose camera turns by 10 degrees, moves by 10 cm or zooms by 5 %, and compare with true poses.
+
+    The scenes are those of suite 2, unseen, with the expert's first clip. The same command resumes.
+    """
+    one_thread()
+    from benchmarks.views import CHANGES, measure
+    from kinebench_drake.suites.suite import load_suite
+
+    names = changes.split(",")
+    if unknown := sorted(set(names) - set(CHANGES)):
+        raise click.UsageError(f"--changes {','.join(unknown)}: there are {', '.join(CHANGES)}")
+    suite = load_suite(2)
+    specs = [s for task in suite.tasks_of("unseen") for s in suite.specs("unseen", task, episodes, offset=seed)]
+    with errors():
+        text = measure(specs[:limit], names, out, log=log)
+    click.echo(text)
+
+
 @main.command(epilog="\b\nExample:\n  python -m benchmarks equivalence results-before results-after")
 @click.argument("before", type=EXISTING_FOLDER)
 @click.argument("after", type=EXISTING_FOLDER)

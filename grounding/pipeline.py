@@ -12,13 +12,14 @@ from kinebench_drake.geometry import Array, invert, pose_difference
 from kinebench_drake.grounding.anomaly.camera_motion import measure_camera_motion
 from kinebench_drake.grounding.anomaly.detect import SURE_CONFIDENCE, AnomalyEvidence, find_anomalies, gather_evidence
 from kinebench_drake.grounding.anomaly.detection import AnomalyDetections
+from kinebench_drake.grounding.camera_path import CameraPath, follow_camera
 from kinebench_drake.grounding.confidence import GOOD_M, GOOD_RAD, Confidence, frame_features, load_confidence
 from kinebench_drake.grounding.estimator import NetworkEstimator
 from kinebench_drake.grounding.flips import X_HALF_TURN, resolve_flips
 from kinebench_drake.grounding.gripper_width import smooth_gripper_width
 from kinebench_drake.grounding.pose import FramePose
 from kinebench_drake.grounding.smoothing import RawTrack
-from kinebench_drake.grounding.tracker import CadTracker, PoseTracker
+from kinebench_drake.grounding.tracker import CadTracker, PoseTracker, Tracking
 from kinebench_drake.grounding.view import Frames, GripperView
 from kinebench_drake.models.panda.robot import RobotPart, hand_from_tcp
 from kinebench_drake.models.perception.network import WEIGHTS, load_network
@@ -27,6 +28,8 @@ from kinebench_drake.types import NO_PRIORS, Anomaly, Domain, GripperTrack, Init
 
 TRACKED_CONFIDENCE = 0.3
 """Least confidence at which a frame counts as tracked."""
+MIN_AGREEING = 0.9
+"""Least number of frames in which hand and arm agree once a moving camera is followed, relative to before."""
 FIRST_M, FIRST_RAD = 0.015, np.deg2rad(6.0)
 """Largest deviation of the initial state from a confident estimate of the first frame, to be used."""
 
@@ -43,6 +46,8 @@ class GroundingResult:
     """Whether the initial state was used."""
     detections: AnomalyDetections
     """Scores and anomalies by kind."""
+    camera_path: CameraPath | None = None
+    """Camera of each frame, if it moves and was followed."""
     camera_motion_px: float | None
     """Largest displacement of the background [px]; None if it has too few features."""
     arm_consistency_px: float | None
@@ -78,18 +83,29 @@ class Observation:
 class GroundingPipeline:
     """Tracker, confidence, smoothing and anomaly detectors; one instance serves any number of videos."""
 
-    def __init__(self, tracker: PoseTracker, confidence: Mapping[Domain, Confidence]) -> None:
-        """Compose the pipeline of `tracker` and the calibrated `confidence` of its poses in each domain."""
-        self._tracker, self._confidence = tracker, confidence
+    def __init__(
+        self, tracker: PoseTracker, confidence: Mapping[Domain, Confidence], table_height_m: float = 0.0
+    ) -> None:
+        """Compose the pipeline.
+
+        Args:
+            tracker: estimator of poses.
+            confidence: calibrated confidence of its poses in each domain.
+            table_height_m: height of the table top in the robot base frame, which tells how far a camera moves [m].
+        """
+        self._tracker, self._confidence, self._table_height_m = tracker, confidence, table_height_m
 
     @classmethod
-    def create(cls, device: str | None = None, weights: Path | None = None) -> "GroundingPipeline":
+    def create(
+        cls, device: str | None = None, weights: Path | None = None, table_height_m: float = 0.0
+    ) -> "GroundingPipeline":
         """Create the pipeline, with `weights` in place of those shipped.
 
         Raises:
             SetupError: weights, calibration, meshes or native libraries are missing.
         """
-        return cls(CadTracker(NetworkEstimator(load_network(weights or WEIGHTS), device)), load_confidence())
+        tracker = CadTracker(NetworkEstimator(load_network(weights or WEIGHTS), device))
+        return cls(tracker, load_confidence(), table_height_m)
 
     def warm_up(self) -> None:
         """Ground a blank video, since the first use of the network and of the ray caster is slow."""
@@ -120,6 +136,8 @@ class GroundingPipeline:
         detections = find_anomalies(observation.evidence)
         no_poses = np.full((len(frames), 4, 4), np.nan)
         X_prior = no_poses if priors.X_CH is None else motion.X_AC @ priors.X_CH
+        if priors.initial_state is not None and priors.X_CH is not None:
+            X_prior[0] = priors.X_CH[0]
         raw = RawTrack.from_poses(poses, observation.evidence.confidence, detections.anomalies, motion.lost, X_prior)
         confidence = np.where(
             raw.from_prior, 1.0, self._confidence[observation.domain].track.probability(raw.features())
@@ -143,6 +161,7 @@ class GroundingPipeline:
             from_prior=raw.from_prior,
             first_frame=InitialStateUse.of(initial_state, priors.initial_state),
             detections=detections,
+            camera_path=motion.path,
             camera_motion_px=motion.largest_px,
             arm_consistency_px=_arm_consistency_px(poses, tracked),
             robot=np.stack([view.to_frame(view.part > RobotPart.BACKGROUND, camera) for view in observation.wide]),
@@ -169,7 +188,7 @@ class GroundingPipeline:
     def observe(self, frames: Frames, camera: Camera, t_s: Array, priors: Priors = NO_PRIORS) -> Observation:
         """Measure each frame, without confidence and smoothing along the video.
 
-        If the camera moves a little, the frames are warped into the first frame's camera and measured again.
+        If the camera moves, it is followed, and frames warped into the orientation of the first camera are measured.
 
         Args:
             frames: (T, H, W, 3) RGB.
@@ -179,12 +198,21 @@ class GroundingPipeline:
         """
         tracking = self._tracker.track(frames, camera, priors)
         motion = measure_camera_motion(frames, tracking.robot, camera)
-        stabilized = motion.moves and not priors.replaces_stage
-        if stabilized:
-            tracking = self._tracker.track(motion.stabilize(frames, camera), camera, priors)
-        poses = resolve_flips(tracking.poses)
-        if not stabilized:
-            poses = [p and replace(p, X_CH=X_AC @ p.X_CH) for p, X_AC in zip(poses, motion.X_AC, strict=True)]
+        reference = self._reference(frames, tracking.robot, camera, priors)
+        if motion.moves or motion.is_unknown or reference is not None:
+            start = frames[0] if reference is None else reference
+            path = follow_camera(frames, start, tracking.robot, camera, self._table_height_m)
+            motion = motion.with_path(path)
+        stabilized = not priors.replaces_stage
+        if stabilized and (motion.moves or motion.path is not None):
+            steady, wide = motion.stabilize(frames, camera)
+            again = self._tracker.track(steady, wide, priors, motion.places)
+            if motion.path is not None and _agreeing(again) < MIN_AGREEING * _agreeing(tracking):
+                motion = replace(motion, path=None)  # what moves is the background, not the camera
+                again = self._tracker.track(*motion.stabilize(frames, camera), priors)
+            tracking = again
+        X_AC = motion.X_AS if stabilized else motion.X_AC
+        poses = [p and replace(p, X_CH=X @ p.X_CH) for p, X in zip(resolve_flips(tracking.poses), X_AC, strict=True)]
         confidence = np.array([self._frame_confidence(p, tracking.domain) for p in poses])
         return Observation(
             poses=tuple(poses),
@@ -192,6 +220,21 @@ class GroundingPipeline:
             wide=tracking.wide,
             domain=tracking.domain,
         )
+
+    @staticmethod
+    def _reference(
+        frames: Frames, robot: NDArray[np.bool_], camera: Camera, priors: Priors
+    ) -> NDArray[np.uint8] | None:
+        """Return the image of the camera, if it is known and the first frame does not show the same view."""
+        if priors.image is None or priors.image.shape != frames.shape[1:]:
+            return None
+        motion = measure_camera_motion(np.stack([priors.image, frames[0]]), robot, camera)
+        return priors.image if motion.moves or motion.is_unknown else None
+
+
+def _agreeing(tracking: Tracking) -> int:
+    """Return the number of frames whose hand and arm agree."""
+    return sum(pose is not None and pose.arm_agrees for pose in tracking.poses)
 
 
 def _initial_hand_pose(state: InitialState, camera: Camera) -> Array:

@@ -45,7 +45,7 @@ def propagate(
         for i in sorted(poses)[::step]:
             near = poses.get(i - step)
             if near is not None and _is_doubtful(poses[i]) and near.arm_agrees and near.overlap >= _SOURCE_OVERLAP:
-                poses[i] = _refit_from(poses[i], near, wide[i], arm_fitter, silhouette)
+                poses[i] = _refit_from(poses[i], near, wide[i], arm_fitter.at(i), silhouette)
 
 
 def _refit_from(
@@ -112,7 +112,8 @@ class EdgeRefinement:
             return bool(self._poses) and estimated == 0
         sample = [numbers[k] for k in np.unique(np.linspace(0, len(numbers) - 1, _SAMPLES).round().astype(int))]
         arms = {i: arm for i in sample if (arm := self._sharpened(i)) is not None}
-        agreement = float(np.median([self._fitter.edge_agreement(arm.q, self._image(i)) for i, arm in arms.items()]))
+        agreements = [self._fitter.at(i).edge_agreement(arm.q, self._image(i)) for i, arm in arms.items()]
+        agreement = float(np.median(agreements))
         if not _CONTRADICTION <= agreement < _CONFIRMATION:
             return agreement >= _CONFIRMATION
         fits = [(self._refine(i, arm), arm) for i, arm in arms.items()]
@@ -141,7 +142,8 @@ class EdgeRefinement:
             return None
         entry = self._sharp.get(number)
         if entry is None or entry[0] is not pose.arm:
-            arm = self._fitter.sharpen(pose.arm, pose.hand, pose.view, self._wide[number], self._image(number))
+            fitter, image = self._fitter.at(number), self._image(number)
+            arm = fitter.sharpen(pose.arm, pose.hand, pose.view, self._wide[number], image)
             entry = self._sharp[number] = pose.arm, arm
         return entry[1]
 
@@ -174,7 +176,7 @@ class EdgeRefinement:
         rest = {i: pose for i, pose in self._poses.items() if i not in self.confirmed and not pose.from_prior}
         for i in sorted(rest, key=lambda i: -rest[i].overlap)[:_SEARCHED_FRAMES]:
             pose = rest[i]
-            self._keep_better(i, self._fitter.search(pose.hand, pose.view, self._wide[i], self._image(i)))
+            self._keep_better(i, self._fitter.at(i).search(pose.hand, pose.view, self._wide[i], self._image(i)))
         if any(i in self.confirmed for i in rest):
             self.fit(i for i in rest if i not in self.confirmed)
 
@@ -185,7 +187,7 @@ class EdgeRefinement:
 
     def _refine(self, number: int, start: ArmFit) -> ArmFit | None:
         pose = self._poses[number]
-        return self._fitter.refine(start.q, pose.hand, pose.view, self._wide[number], self._image(number))
+        return self._fitter.at(number).refine(start.q, pose.hand, pose.view, self._wide[number], self._image(number))
 
     def _keep_better(self, number: int, arm: ArmFit | None) -> None:
         """Replace the pose of a frame by a fit that the edges agree with better."""

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera
-from kinebench_drake.geometry import interpolate_pose, transform_points
+from kinebench_drake.geometry import Array, interpolate_pose, transform_points
 from kinebench_drake.grounding.crop import CLOSE_SIZE, GRIPPER_CENTRE_H, Crop
 from kinebench_drake.grounding.localization import find_region, likeliest_gripper
 from kinebench_drake.grounding.override_estimator import OverrideEstimator, calibrate_depth
@@ -47,8 +47,12 @@ class Tracking:
 class PoseTracker(Protocol):
     """Estimator of hand poses from frames: `CadTracker` or another program."""
 
-    def track(self, frames: Frames, camera: Camera, priors: Priors = NO_PRIORS) -> Tracking:
+    def track(
+        self, frames: Frames, camera: Camera, priors: Priors = NO_PRIORS, places: Array | None = None
+    ) -> Tracking:
         """Measure the gripper in each of `frames` (T, H, W, 3); `priors` replace estimates.
+
+        A moving camera has `places` (T, 3) in the frame of `camera` [m]; poses are in the camera of each frame.
 
         Raises:
             InputError: the priors do not fit the video.
@@ -71,7 +75,9 @@ class CadTracker:
         self._silhouette = SilhouetteMatcher(self._cad)
         self._arm, self._edges = ArmModel(), EdgeMatcher()
 
-    def track(self, frames: Frames, camera: Camera, priors: Priors = NO_PRIORS) -> Tracking:
+    def track(
+        self, frames: Frames, camera: Camera, priors: Priors = NO_PRIORS, places: Array | None = None
+    ) -> Tracking:
         """Measure the gripper in each of `frames` (T, H, W, 3).
 
         Raises:
@@ -93,13 +99,13 @@ class CadTracker:
                 X_CH = detection.X_CH
             if X_CH is not None:
                 crops[i] = Crop.of_gripper(X_CH, CLOSE_MARGIN, CLOSE_SIZE)
-        arm = ArmFitter(camera, self._arm, self._edges)
+        arm = ArmFitter(camera, self._arm, self._edges, places)
         poses: dict[int, FramePose] = {}
 
         def measure(crops: dict[int, Crop]) -> None:
             """Measure the frames of `crops` and store their poses in `poses`."""
             for i, view in estimator.estimate(frames, camera, crops):
-                pose = self._measure(view, wide[i], arm, priors, i)
+                pose = self._measure(view, wide[i], arm.at(i), priors, i)
                 if pose is not None:
                     poses[i] = pose
 

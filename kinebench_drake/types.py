@@ -236,6 +236,8 @@ class Priors:
 
     initial_state: InitialState | None = None
     """State of the robot in the first frame."""
+    image: NDArray[np.uint8] | None = None
+    """(H, W, 3) RGB image of the video's camera before the first frame, from which its view may differ."""
     mask: NDArray[np.bool_] | None = None
     """(T, H, W) pixels of hand and fingers."""
     depth: ExternalDepth | None = None
@@ -259,7 +261,8 @@ class Priors:
     def crop(self, rows: slice, columns: slice) -> "Priors":
         """Return the priors of frames reduced to these rows and columns."""
         depth = self.depth and replace(self.depth, depth_m=self.depth.depth_m[:, rows, columns])
-        return replace(self, mask=None if self.mask is None else self.mask[:, rows, columns], depth=depth)
+        image = None if self.image is None else self.image[rows, columns]
+        return replace(self, image=image, mask=None if self.mask is None else self.mask[:, rows, columns], depth=depth)
 
     def at(self, frames: NDArray[np.intp]) -> "Priors":
         """Return the priors at a selection of the frames."""

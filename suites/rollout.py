@@ -157,3 +157,13 @@ def render_video(simulator: Simulator, snapshots: Sequence[Snapshot], *, first_f
         mask=np.stack([image.mask for image in images]),
         robot=np.stack([image.robot for image in images]),
     )
+
+
+def join_videos(parts: Sequence[RolloutVideo], camera: Camera) -> RolloutVideo:
+    """Return the frames of several videos one after the other, as the video of one camera."""
+    joined = {
+        field.name: np.concatenate([getattr(part, field.name) for part in parts])
+        for field in fields(RolloutVideo)
+        if field.name != "camera"
+    }
+    return RolloutVideo(camera=camera, **joined)

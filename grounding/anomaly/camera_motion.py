@@ -1,6 +1,6 @@
 """Motion of the camera relative to the first frame, from features of the background."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, make_pose, orthonormalize
 from kinebench_drake.grounding.anomaly.detection import Detection, sustained
+from kinebench_drake.grounding.camera_path import CameraPath, CameraWay
 from kinebench_drake.grounding.view import Frames
 from kinebench_drake.types import AnomalyKind
 
@@ -17,7 +18,10 @@ MOVING_PX = 1.2
 LEAST_PX = 0.5
 """Largest motion below which the camera counts as fixed and nothing is compensated [px, likewise]."""
 COMPENSABLE_PX = 8.0
-"""Largest motion that is compensated; beyond it the base frame is lost [px, likewise]."""
+"""Largest motion that is compensated where the camera cannot be followed; beyond it the base frame is lost [px,
+likewise]."""
+MAX_UNKNOWN = 0.5
+"""Largest share of frames with unknown motion of a camera that counts as fixed."""
 MIN_FEATURES = 12
 """Least number of features for a measurement."""
 SHARE = 0.3
@@ -41,14 +45,21 @@ class CameraMotion:
     """(T,) displacement of the background [px of the video]; NaN where too few features are tracked, or where they do
     not move according to one rotation."""
     R_AC: Array
-    """(T, 3, 3) rotation of the camera in A, the camera frame of the first frame; the identity where unknown."""
+    """(T, 3, 3) rotation of the camera in A, the camera of the first frame; the identity where unknown."""
     unit_px: float
     """Pixels of the video per pixel of an image 384 px wide."""
+    path: CameraPath | None = None
+    """Camera of each frame, followed; None for a fixed camera, or one that could not be followed."""
 
     @property
     def moves(self) -> bool:
         """True if the motion is large enough to be compensated."""
         return (self.largest_px or 0.0) >= LEAST_PX * self.unit_px
+
+    @property
+    def is_unknown(self) -> bool:
+        """True if the background is lost in most frames, though the first one has features."""
+        return bool(np.isfinite(self.px[0]) and np.isnan(self.px).mean() > MAX_UNKNOWN)
 
     @property
     def largest_px(self) -> float | None:
@@ -57,31 +68,63 @@ class CameraMotion:
 
     @property
     def lost(self) -> NDArray[np.bool_]:
-        """(T,) frames whose motion is too large to be compensated."""
-        return np.asarray(np.nan_to_num(self.px, nan=0.0) > COMPENSABLE_PX * self.unit_px)
+        """(T,) frames whose camera is unknown, as it moved too far and was not followed."""
+        far = np.asarray(np.nan_to_num(self.px, nan=0.0) > COMPENSABLE_PX * self.unit_px)
+        if self.path is None:
+            return far
+        return (far | np.isnan(self.px)) & ~self.path.followed
 
     @property
     def X_AC(self) -> Array:
-        """(T, 4, 4) pose of the camera in A [m]: a pure rotation, the identity if the camera counts as fixed.
+        """(T, 4, 4) pose of the camera in A [m]; the identity if the camera counts as fixed.
 
-        For the few pixels that are compensated, a translation of the camera looks nearly the same as a rotation.
+        Where the camera was not followed it is a pure rotation: for the few pixels that are compensated, a translation
+        of the camera looks nearly the same.
         """
         R_AC = self.R_AC if self.moves else np.repeat(np.eye(3)[None], len(self.px), axis=0)
-        return make_pose(R_AC, np.zeros(3))
+        X_AC = make_pose(R_AC, np.zeros(3))
+        if self.path is not None:
+            X_AC[self.path.followed] = self.path.X_AC[self.path.followed]
+        return X_AC
 
-    def stabilize(self, frames: Frames, camera: Camera) -> Frames:
-        """Warp the frames (T, H, W, 3) into the camera of the first frame; lost frames stay as they are."""
-        if not self.moves:
-            return frames
-        shift = np.array([[1.0, 0.0, 0.5], [0.0, 1.0, 0.5], [0.0, 0.0, 1.0]])  # OpenCV's pixel centres are integers
-        K = np.linalg.inv(shift) @ camera.K
-        stabilized = frames.copy()
-        for i in np.flatnonzero(~self.lost & (np.nan_to_num(self.px) > 0)):
-            homography = K @ self.R_AC[i] @ np.linalg.inv(K)
-            stabilized[i] = cv2.warpPerspective(
-                frames[i], homography, (camera.width, camera.height), borderMode=cv2.BORDER_REPLICATE
+    @property
+    def X_AS(self) -> Array:
+        """(T, 4, 4) pose in A of S, the camera of the stabilized frames: a translation [m]."""
+        return make_pose(np.eye(3), np.zeros((len(self.px), 3)) if self.path is None else self.path.p_AC)
+
+    @property
+    def places(self) -> Array | None:
+        """(T, 3) places of S in A [m]; None if the camera only turns."""
+        return None if self.path is None or not self.path.p_AC.any() else self.path.p_AC
+
+    def with_path(self, path: CameraPath) -> "CameraMotion":
+        """Return the motion with the camera followed where that was possible, unless it hardly moves."""
+        px = np.where(np.isnan(self.px) & path.followed, path.px, self.px)
+        far = np.nanmax(np.where(path.followed, path.px, 0.0), initial=0.0) >= LEAST_PX * self.unit_px
+        return replace(self, px=px, path=path) if far else self
+
+    def stabilize(self, frames: Frames, camera: Camera) -> tuple[Frames, Camera]:
+        """Warp the frames (T, H, W, 3) into the orientation of the first camera; lost frames stay as they are.
+
+        Returns:
+            The frames, and their camera: that of the first frame, at larger images where the camera turns far.
+        """
+        path = self.path
+        if path is None:
+            if not self.moves:
+                return frames, camera
+            still, n = self.lost | (np.nan_to_num(self.px) <= 0), len(frames)
+            path = CameraPath(
+                way=CameraWay.ROTATION,
+                R_AC=np.where(still[:, None, None], np.eye(3), self.R_AC),
+                p_AC=np.zeros((n, 3)),
+                zoom=np.ones(n),
+                followed=~still,
+                px=self.px,
             )
-        return stabilized
+            return path.stabilize(frames, camera)
+        R_AC = np.where((path.followed | self.lost)[:, None, None], path.R_AC, self.R_AC)
+        return replace(path, R_AC=R_AC).stabilize(frames, camera)
 
 
 def measure_camera_motion(frames: Frames, robot: NDArray[np.bool_], camera: Camera) -> CameraMotion:

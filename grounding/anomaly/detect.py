@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import InputError
-from kinebench_drake.geometry import Array, transform_points
+from kinebench_drake.geometry import Array, invert, transform_points
 from kinebench_drake.grounding.anomaly.camera_motion import CameraMotion, find_camera_motion
 from kinebench_drake.grounding.anomaly.detection import AnomalyDetections, Detection
 from kinebench_drake.grounding.anomaly.jumps import find_finger_faults, find_freezes, find_teleports, still_frames
@@ -139,8 +139,8 @@ def gather_evidence(
                 scale[i] = pose.arm.scale
     other = np.array(
         [
-            second_gripper(view, None if pose is None else pose.X_CH, camera)
-            for view, pose in zip(wide, poses, strict=True)
+            second_gripper(view, None if pose is None else X_SA @ pose.X_CH, camera)
+            for view, pose, X_SA in zip(wide, poses, invert(motion.X_AS), strict=True)
         ]
     )
     if domain is Domain.UNFAMILIAR:

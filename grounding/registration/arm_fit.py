@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from kinebench_drake.camera import Camera
-from kinebench_drake.geometry import Array, invert, pose_difference
+from kinebench_drake.geometry import Array, invert, make_pose, pose_difference
 from kinebench_drake.grounding.registration.arm_model import OVER_LIMIT_RAD, ArmHandModel, ArmModel
 from kinebench_drake.grounding.registration.correspondences import Correspondences
 from kinebench_drake.grounding.registration.edges import FLANGE, RIGID, ROBOT, EdgeMatcher, GradientImage
@@ -76,10 +76,19 @@ class ArmFit:
 class ArmFitter:
     """Fitter of the arm to views of one camera."""
 
-    def __init__(self, camera: Camera, model: ArmModel, edges: EdgeMatcher) -> None:
+    def __init__(self, camera: Camera, model: ArmModel, edges: EdgeMatcher, places: Array | None = None) -> None:
+        """Create the fitter; a moving camera has `places` (T, 3) in the frame of `camera` [m]."""
         self._model, self._X_CB, self._edges = model, invert(camera.X_BC), edges
+        self._places = places
         self._camera = camera
         self._tolerance_px = _MAX_CONSISTENCY_PX * camera.unit_px
+
+    def at(self, number: int) -> "ArmFitter":
+        """Return the fitter of one frame: this one, unless the camera moves."""
+        if self._places is None:
+            return self
+        X_BC = self._camera.X_BC @ make_pose(np.eye(3), self._places[number])
+        return ArmFitter(replace(self._camera, X_BC=X_BC), self._model, self._edges)
 
     def fit(
         self, hand: HandFit, close: GripperView, wide: GripperView, rim: Correspondences | None = None

@@ -79,13 +79,14 @@ class Analyzer:
         from kinebench_drake.kinematics.plant import ArmPlant
         from kinebench_drake.metrics.judge import TrackJudge
 
+        self._table_height_m = options.table_height_m
         self._judge = TrackJudge(ArmPlant(options.load()), table_height_m=options.table_height_m)
 
     @cached_property
     def _pipeline(self) -> "GroundingPipeline":
         from kinebench_drake.grounding.pipeline import GroundingPipeline
 
-        return GroundingPipeline.create()
+        return GroundingPipeline.create(table_height_m=self._table_height_m)
 
     def ground(self, frames: NDArray[np.uint8], camera: Camera, t_s: Array, priors: Priors) -> "GroundingResult":
         """Track the gripper through frames (T, H, W, 3) at times (T,) [s]; priors replace estimates.

@@ -1,15 +1,14 @@
 """Recording of a rollout into which faults are planted, and re-rendering of parts of it."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from kinebench_drake.camera import Camera
 from kinebench_drake.errors import InputError
 from kinebench_drake.suites.faults.fault import FaultForm, PlantedFault
 from kinebench_drake.suites.faults.fault_simulator import FaultSimulator
-from kinebench_drake.suites.rollout import Rollout, RolloutVideo, render_video
+from kinebench_drake.suites.rollout import Rollout, RolloutVideo, join_videos, render_video
 from kinebench_drake.types import AnomalyKind
 
 LEAST_VISIBLE = 0.01
@@ -41,7 +40,7 @@ class Recording:
                 parts.append(render_video(self.simulator, [self.rollout.snapshots[i]], first_frame=i))
         finally:
             self.simulator.clear_faults(self.video.camera)
-        return _join(parts, self.video.camera)
+        return join_videos(parts, self.video.camera)
 
     def splice(self, part: RolloutVideo, start: int) -> RolloutVideo:
         """Return the video with the frames from `start` on replaced by those of `part`."""
@@ -85,12 +84,3 @@ class Recording:
             )
         path = {i: float(np.linalg.norm(np.diff(p[i - 1 : i + frames + 1], axis=0), axis=1).sum()) for i in starts}
         return sorted(starts, key=lambda i: (-path[i], i))
-
-
-def _join(parts: Sequence[RolloutVideo], camera: Camera) -> RolloutVideo:
-    joined = {
-        field.name: np.concatenate([getattr(part, field.name) for part in parts])
-        for field in fields(RolloutVideo)
-        if field.name != "camera"
-    }
-    return RolloutVideo(camera=camera, **joined)

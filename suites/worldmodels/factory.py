@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import Any, Literal, cast
 
 from pydantic import Field
 
@@ -27,6 +27,12 @@ class OracleOptions(Options):
         False, alias="told", description="report the true track of each clip, so that no pose is read from pixels"
     )
     delay: int = Field(0, ge=0, le=48, description="frames by which the motion comes late")
+
+
+class ViewOptions(Options):
+    """Options of the oracle with a changing view."""
+
+    form: Literal["growing", "constant"] = Field("growing", description="course of the change along each clip")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -73,6 +79,32 @@ def _make_faulty_oracle(spec: Spec) -> WorldModel:
     return OracleModel(spec.read(Options).name or f"{_FAULTY}{grades[0].label}", grades[0])
 
 
+def _make_view_oracle(spec: Spec) -> WorldModel:
+    """Create the oracle of a spec such as "oracle+zoom:0.05".
+
+    Raises:
+        UsageError: the size is no number, or out of range.
+    """
+    from kinebench_drake.suites.faults.fault import FaultForm
+    from kinebench_drake.suites.faults.view import ViewChange, ViewKind
+    from kinebench_drake.suites.worldmodels.reference import OracleModel
+
+    limit, options = _VIEWS[spec.kind], spec.read(ViewOptions)
+    try:
+        size = float(spec.rest)
+    except ValueError:
+        size = float("nan")
+    if not 0.0 < abs(size) <= limit:
+        raise spec.unusable(f"expected one size other than 0, up to {limit:g}, such as {spec.kind}:{limit / 10:g}")
+    kind, form = ViewKind(spec.kind.removeprefix(_FAULTY)), FaultForm(options.form)
+    constant = "" if form is FaultForm.GROWING else f", {form.value}"
+    name = options.name or f"{spec.kind}_{size:g}{constant}"
+    return OracleModel(name, view=ViewChange(kind=kind, size=size, form=form))
+
+
+_VIEWS = {f"{_FAULTY}zoom": 0.5, f"{_FAULTY}turn": 50.0, f"{_FAULTY}move": 0.5}
+"""Changes of the view, with their largest size: relative, in degrees and in metres."""
+_VIEW_FORM = SpecForm(usage=f"{_FAULTY}VIEW:SIZE (VIEW: zoom turn move)", make=_make_view_oracle)
 _HTTP = SpecForm(usage="http://HOST:PORT/PATH", make=HttpModel)
 _FAULTY_FORM = SpecForm(
     usage=f"{_FAULTY}KIND:SIZE (KIND: {' '.join(kind.value for kind in AnomalyKind)})", make=_make_faulty_oracle
@@ -87,6 +119,7 @@ FORMS: Mapping[str, SpecForm] = {
     "still": SpecForm(usage="still", make=_make_unscripted),
     "oracle": SpecForm(usage="oracle", make=_make_oracle),
     **{f"{_FAULTY}{kind.value}": _FAULTY_FORM for kind in AnomalyKind},
+    **dict.fromkeys(_VIEWS, _VIEW_FORM),
     "random": SpecForm(usage="random", make=_make_unscripted),
 }
 """World models by the kind of their spec."""

@@ -16,7 +16,9 @@ from kinebench_drake.suites.faults.fault import FaultGrade
 from kinebench_drake.suites.faults.fault_simulator import FaultSimulator
 from kinebench_drake.suites.faults.plant import plant
 from kinebench_drake.suites.faults.recording import Recording
+from kinebench_drake.suites.faults.view import ViewChange, render_view
 from kinebench_drake.suites.rollout import Rollout, continue_expert, render_video
+from kinebench_drake.suites.seeding import generator
 from kinebench_drake.suites.simulator_cache import SimulatorCache
 from kinebench_drake.suites.tasks.task import Scene
 from kinebench_drake.suites.worldmodels.videofile import encode_answer
@@ -52,9 +54,14 @@ class StillModel:
 class OracleRenderer:
     """Simulator of its own in which an expert continues from a given state and is rendered."""
 
-    def __init__(self, delay: int = 0) -> None:
-        """Create the renderer; its clips show the first frame for `delay` further frames before the motion."""
-        self._delay = delay
+    def __init__(self, delay: int = 0, view: ViewChange | None = None) -> None:
+        """Create the renderer.
+
+        Args:
+            delay: further frames for which its clips show the first frame before the motion.
+            view: change of the view in each clip.
+        """
+        self._delay, self._view = delay, view
         self._simulators: SimulatorCache[FaultSimulator] | None = None
         self._state: tuple[Episode, SimulatorState] | None = None
         self.truth: TrueTrack | None = None
@@ -90,7 +97,10 @@ class OracleRenderer:
         snapshots, controls = continue_expert(simulator, episode, state, expert)
         snapshots = snapshots[: request.num_frames]
         outcome = simulator.outcome()
-        video = render_video(simulator, snapshots)
+        if self._view is None:
+            video = render_video(simulator, snapshots)
+        else:
+            video = render_view(simulator, snapshots, self._view, generator("view", episode.id, request.round))
         if fault is not None and controls is not None:
             rollout = Rollout(episode=episode, snapshots=snapshots, controls=controls, outcome=outcome)
             video, _ = plant(Recording(simulator=simulator, rollout=rollout, video=video), fault)
@@ -103,7 +113,13 @@ class OracleModel(OracleRenderer):
     """World model that renders what the task's expert does next: a perfect model, unless a fault is planted."""
 
     def __init__(
-        self, name: str = "oracle", fault: FaultGrade | None = None, *, discloses: bool = False, delay: int = 0
+        self,
+        name: str = "oracle",
+        fault: FaultGrade | None = None,
+        *,
+        discloses: bool = False,
+        delay: int = 0,
+        view: ViewChange | None = None,
     ) -> None:
         """Create the model.
 
@@ -112,8 +128,9 @@ class OracleModel(OracleRenderer):
             fault: fault to plant into the first clip of each episode.
             discloses: whether it reports the true track of its clips, so that no pose is estimated from pixels.
             delay: frames by which the motion comes late.
+            view: change of the view in every clip.
         """
-        super().__init__(delay)
+        super().__init__(delay, view)
         self.name = name
         self._fault, self._discloses = fault, discloses
 
