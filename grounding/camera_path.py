@@ -83,11 +83,11 @@ class CameraPath:
             "followed_fraction": round(float(self.followed.mean()), 4),
         }
 
-    def stabilize(self, frames: Frames, camera: Camera) -> tuple[Frames, Camera]:
+    def stabilize(self, frames: Frames, camera: Camera, *, extends: bool = True) -> tuple[Frames, Camera]:
         """Warp the frames (T, H, W, 3) into cameras oriented like A, with its focal length.
 
-        The images are extended at all sides where the camera shows more than A does; the principal point of the camera
-        that is returned moves accordingly.
+        Where cameras show more than A does the images are extended at all sides, if `extends`; the principal point of
+        the camera that is returned moves accordingly.
         """
         size, K, n = np.array([camera.width, camera.height]), camera.K, len(frames)
         K_C = K * np.stack([np.stack([self.zoom, np.ones(n), np.ones(n)], axis=-1)] * 2 + [np.ones((n, 3))], axis=1)
@@ -96,7 +96,8 @@ class CameraPath:
         shown = np.einsum("tij,nj->tni", M_AC[self.followed], corners)
         shown = shown[..., :2] / shown[..., 2:]
         over = max(0.0, float(-shown.min(initial=0.0)), float((shown - size).max(initial=0.0)))
-        margin = 0 if over <= _LEAST_MARGIN_PX * camera.unit_px else int(np.ceil(min(over, _MAX_MARGIN * size.max())))
+        extends = extends and over > _LEAST_MARGIN_PX * camera.unit_px
+        margin = 0 if not extends else int(np.ceil(min(over, _MAX_MARGIN * size.max())))
         wide = replace(
             camera,
             width=camera.width + 2 * margin,

@@ -1,6 +1,7 @@
 """Overlay of the tracked CAD model on the video."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -67,12 +68,18 @@ def draw_caption(image: Image, text: str, colour: tuple[int, int, int] = (255, 2
     cv2.putText(image, text, (5, height + 5), cv2.FONT_HERSHEY_SIMPLEX, size, colour, 1, cv2.LINE_AA)
 
 
-def draw_overlay(frames: NDArray[np.uint8], camera: Camera, track: GripperTrack) -> Iterator[Image]:
-    """Yield each of `frames` (T, H, W, 3) with the tracked gripper, frame number, time and confidence."""
+def draw_overlay(
+    frames: NDArray[np.uint8], camera: Camera, track: GripperTrack, zoom: Array | None = None
+) -> Iterator[Image]:
+    """Yield each of `frames` (T, H, W, 3) with the tracked gripper, frame number, time and confidence.
+
+    A zooming camera has the focal length of `camera` times `zoom` (T,).
+    """
     cad = GripperCad()
     for i, frame in enumerate(frames):
+        own = camera if zoom is None else replace(camera, fx=camera.fx * zoom[i], fy=camera.fy * zoom[i])
         if track.tracked[i]:
-            image = draw_pose(frame, camera, track.X_CH[i], float(track.finger_width_m[i]), cad)
+            image = draw_pose(frame, own, track.X_CH[i], float(track.finger_width_m[i]), cad)
             draw_caption(image, f"{i}  t {track.t_s[i]:.1f} s  confidence {track.confidence[i]:.2f}")
         else:
             image = frame.copy()

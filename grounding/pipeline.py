@@ -229,7 +229,7 @@ class GroundingPipeline:
         if priors.image is None or priors.image.shape != frames.shape[1:]:
             return None
         motion = measure_camera_motion(np.stack([priors.image, frames[0]]), robot, camera)
-        return priors.image if motion.moves or motion.is_unknown else None
+        return priors.image if motion.moves or np.isnan(motion.px[1]) else None
 
 
 def _agreeing(tracking: Tracking) -> int:

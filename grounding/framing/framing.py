@@ -212,3 +212,18 @@ def undo_framing(framing: Framing, images: NDArray[ImageType]) -> NDArray[ImageT
     flags = (cv2.INTER_LINEAR if smooth else cv2.INTER_NEAREST) | cv2.WARP_INVERSE_MAP
     source = images if smooth else images.astype(np.uint8)
     return np.stack([cv2.warpAffine(image, M, size, flags=flags) for image in source]).astype(images.dtype)
+
+
+def apply_framing(framing: Framing, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Warp the conditioning image (h, w, 3) to the frames without their bars; its border is repeated beyond it."""
+    import cv2  # as above
+
+    rows, columns = framing.window
+    scale = [framing.image_width / image.shape[1], framing.image_height / image.shape[0]]
+    M = framing.map - [[0.0, 0.0, columns.start], [0.0, 0.0, rows.start]]
+    M[:, :2] *= scale
+    M[:, 2] += 0.5 * np.diag(M) - 0.5  # OpenCV's pixel centres are integers
+    size = columns.stop - columns.start, rows.stop - rows.start
+    if size == image.shape[1::-1] and not framing.changes:
+        return image
+    return np.asarray(cv2.warpAffine(image, M, size, borderMode=cv2.BORDER_REPLICATE), np.uint8)

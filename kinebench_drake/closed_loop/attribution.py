@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 
 from kinebench_drake.closed_loop.loop import EpisodeRun, Round
 from kinebench_drake.geometry import Array, pose_difference
+from kinebench_drake.grounding.pipeline import GroundingResult
 from kinebench_drake.metrics.executable import LOST_FRAMES, LOST_SHARE
 from kinebench_drake.metrics.result import KinematicResult
 from kinebench_drake.segments import segments
-from kinebench_drake.types import Anomaly
+from kinebench_drake.types import Anomaly, AnomalyKind
 
 ASTRAY_M, ASTRAY_RAD = 0.03, float(np.deg2rad(15.0))
 """Deviation of the executed from the generated gripper that counts as failed execution; servos err by 5 mm at most."""
@@ -100,12 +101,22 @@ def _evidence(done: Round, result: KinematicResult) -> ClipEvidence:
     frames = len(track.t_s) if execution is None else len(execution.snapshots)
     return ClipEvidence(
         tracked=track.tracked[:frames],
-        anomalies=done.grounding.anomalies,
+        anomalies=_unexplained(done.grounding),
         X_BG_generated=track.X_BG[:frames],
         X_BG_executed=np.full((frames, 4, 4), np.nan) if execution is None else execution.X_BG,
         finger_width_generated_m=track.finger_width_m[:frames],
         finger_width_executed_m=np.full(frames, np.nan) if execution is None else execution.finger_width_m,
         violations=tuple((v.kind.value, v.frame_start, v.frame_end) for v in result.violations),
+    )
+
+
+def _unexplained(grounding: GroundingResult) -> tuple[Anomaly, ...]:
+    """Return the anomalies without the motion of a camera that was followed: it does no harm."""
+    path = grounding.camera_path
+    return tuple(
+        a
+        for a in grounding.anomalies
+        if a.kind is not AnomalyKind.CAMERA or path is None or not path.followed[a.frame_start : a.frame_end + 1].all()
     )
 
 

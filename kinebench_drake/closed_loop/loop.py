@@ -16,7 +16,7 @@ from kinebench_drake.closed_loop.commands import CommandPlanner, Commands, Robot
 from kinebench_drake.closed_loop.execution import Execution, execute
 from kinebench_drake.errors import InputError, UnmeasurableError, UsageError
 from kinebench_drake.geometry import Array
-from kinebench_drake.grounding.framing.framing import undo_framing
+from kinebench_drake.grounding.framing.framing import apply_framing, undo_framing
 from kinebench_drake.grounding.framing.search import find_framing
 from kinebench_drake.grounding.pipeline import GroundingResult
 from kinebench_drake.io.atomic import disk_errors, remove
@@ -123,7 +123,7 @@ class Round:
     generated_frames: int
     """Number of its frames."""
     frames: NDArray[np.uint8]
-    """(T, H, W, 3) those that are used, with the aspect ratio of the camera."""
+    """(T, H, W, 3) those that are used, with aspect ratio and view of the camera."""
     robot: NDArray[np.bool_]
     """(T, H, W) pixels of the robot in them."""
     grounding: GroundingResult
@@ -271,8 +271,11 @@ class ClosedLoop:
             framing = find_framing(frames, camera, first_frame)
         except UnmeasurableError as error:
             raise InputError(f"{video.name}: {error}") from None
-        cropped = framing.crop(frames)
-        grounding = self._ground(cropped, framing.camera(camera), t_s, self._priors(state, chosen))
+        cropped, own_camera = framing.crop(frames), framing.camera(camera)
+        priors = replace(self._priors(state, chosen), image=apply_framing(framing, first_frame))
+        grounding = self._ground(cropped, own_camera, t_s, priors)
+        if grounding.camera_path is not None:
+            cropped, _ = grounding.camera_path.stabilize(cropped, own_camera, extends=False)
         return Round(
             video=video,
             timing=timing,

@@ -150,11 +150,13 @@ class Analyzer:
         """
         return self._judge.judge_joints(t_s, q, finger_width_m)
 
-    def overlay(self, frames: NDArray[np.uint8], camera: Camera, track: GripperTrack) -> Iterator[NDArray[np.uint8]]:
-        """Draw the posed gripper on the frames."""
+    def overlay(
+        self, frames: NDArray[np.uint8], camera: Camera, track: GripperTrack, zoom: Array | None = None
+    ) -> Iterator[NDArray[np.uint8]]:
+        """Draw the posed gripper on the frames; `zoom` (T,) is their focal length over that of the camera."""
         from kinebench_drake.grounding.overlay import draw_overlay
 
-        return draw_overlay(frames, camera, track)
+        return draw_overlay(frames, camera, track, zoom)
 
 
 AnalyzerFactory = Callable[[RobotOptions], Analyzer]

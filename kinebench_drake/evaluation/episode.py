@@ -170,6 +170,7 @@ class EpisodeEvaluator(Evaluator[EpisodeSample, EpisodeResources]):
                 "clip_timing": run.rounds[0].timing.value,
                 "clip_frames": [r.generated_frames for r in run.rounds],
                 "frames": len(track.t_s),
+                **_camera_paths(run),
             },
         )
 
@@ -316,6 +317,12 @@ def _visual_metrics(run: EpisodeRun, track: GripperTrack) -> dict[str, Json]:
             for anomaly in g.anomalies
         ],
     }
+
+
+def _camera_paths(run: EpisodeRun) -> dict[str, Json]:
+    """Return how the view of each clip changes, null where it does not; no key if it never does."""
+    paths = [None if r.grounding.camera_path is None else r.grounding.camera_path.to_json() for r in run.rounds]
+    return {"camera_paths": paths} if any(paths) else {}
 
 
 def _domain(run: EpisodeRun) -> Domain:

@@ -240,22 +240,23 @@ class VideoEvaluator(Evaluator[VideoSample, Analyzer]):
             video, choice.sample, config.frame_period_s, self.overrides, duration_s=config.duration_s
         )
         grounding = ground_prepared(prepared, analyzer)
-        if self.overrides.poses is None:
+        if self.overrides.poses is None and grounding.camera_path is None:
             choice = check_camera(choice, prepared.frames, prepared.camera, grounding, analyzer)
-        track = choice.without_base(grounding.track)
+        track, path = choice.without_base(grounding.track), grounding.camera_path
         kinematics = analyzer.judge(track) if self.config.kind.judges and choice.reason is None else None
         smoothness: Mapping[str, Json] = {}
         reasons: Mapping[str, str] = {}
         if self.config.kind.judges and choice.reason is not None:
             smoothness, reasons = camera_frame_metrics(track, choice.reason)
+        zoom = np.ones(len(track.t_s)) if path is None else path.zoom
         if self.config.overlay:
-            path = artifact_path(self.config.out, "overlays", sample.id)
+            file = artifact_path(self.config.out, "overlays", sample.id)
             native = len(prepared.frames) == len(video.frames)
             rate = float(np.clip((native and video.fps) or 1.0 / prepared.period_s, 1.0, 60.0))
-            with disk_errors(f"overlays/{path.name}"):
-                write_video(path, analyzer.overlay(prepared.frames, prepared.camera, track), rate)
+            with disk_errors(f"overlays/{file.name}"):
+                write_video(file, analyzer.overlay(prepared.frames, prepared.camera, track, zoom), rate)
         shown = np.unique([0, worst_frame(track, kinematics)])
-        images = list(analyzer.overlay(prepared.frames[shown], prepared.camera, track.at(shown)))
+        images = list(analyzer.overlay(prepared.frames[shown], prepared.camera, track.at(shown), zoom[shown]))
         write_atomically(artifact_path(self.config.out, "thumbnails", sample.id), encode_strip(images))
         joints, curves = (kinematics.joints, kinematics.curves) if kinematics else (None, {})
         write_track(artifact_path(self.config.out, "tracks", sample.id), track, joints, {**curves, **grounding.curves})
@@ -281,6 +282,7 @@ class VideoEvaluator(Evaluator[VideoSample, Analyzer]):
                 "frame_period_source": prepared.period_source.value,
                 "clip_timing": prepared.timing.value,
                 "clip_frames": len(video.frames),
+                **({} if path is None else {"camera_path": path.to_json()}),
                 **choice.to_json(),
             },
         )

@@ -57,6 +57,7 @@ class FakeGrounding:
     domain: Domain = Domain.FAMILIAR
     arm_q: np.ndarray = field(default_factory=lambda: np.zeros((0, 7)))
     curves: dict[str, np.ndarray] = field(default_factory=dict)
+    camera_path: None = None
 
 
 class FakeAnalyzer:
@@ -163,7 +164,7 @@ class FakeAnalyzer:
         self._infeasible = False
         return replace(judgement, joints=replace(judgement.joints, q=q), details={"given": "q"})
 
-    def overlay(self, frames, camera, track):
+    def overlay(self, frames, camera, track, zoom=None):
         for frame, X in zip(frames, track.X_BG, strict=True):
             image = frame.copy()
             if np.isfinite(X).all():
