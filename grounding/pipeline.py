@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera, benchmark_camera
 from kinebench_drake.geometry import Array, invert, pose_difference
-from kinebench_drake.grounding.anomaly.camera_motion import measure_camera_motion
+from kinebench_drake.grounding.anomaly.camera_motion import CameraMotion, measure_camera_motion
 from kinebench_drake.grounding.anomaly.detect import SURE_CONFIDENCE, AnomalyEvidence, find_anomalies, gather_evidence
 from kinebench_drake.grounding.anomaly.detection import AnomalyDetections
 from kinebench_drake.grounding.camera_path import CameraPath, follow_camera
@@ -19,7 +19,7 @@ from kinebench_drake.grounding.flips import X_HALF_TURN, resolve_flips
 from kinebench_drake.grounding.gripper_width import smooth_gripper_width
 from kinebench_drake.grounding.pose import FramePose
 from kinebench_drake.grounding.smoothing import RawTrack
-from kinebench_drake.grounding.tracker import CadTracker, PoseTracker, Tracking
+from kinebench_drake.grounding.tracker import CadTracker, PoseTracker
 from kinebench_drake.grounding.view import Frames, GripperView
 from kinebench_drake.models.panda.robot import RobotPart, hand_from_tcp
 from kinebench_drake.models.perception.network import WEIGHTS, load_network
@@ -28,8 +28,8 @@ from kinebench_drake.types import NO_PRIORS, Anomaly, Domain, GripperTrack, Init
 
 TRACKED_CONFIDENCE = 0.3
 """Least confidence at which a frame counts as tracked."""
-MIN_AGREEING = 0.9
-"""Least number of frames in which hand and arm agree once a moving camera is followed, relative to before."""
+CHECKED_FRAMES = 5
+"""Number of frames that check by the arm whether the camera or the background moves."""
 FIRST_M, FIRST_RAD = 0.015, np.deg2rad(6.0)
 """Largest deviation of the initial state from a confident estimate of the first frame, to be used."""
 
@@ -196,21 +196,13 @@ class GroundingPipeline:
             t_s: (T,) task times [s].
             priors: quantities that replace their estimates.
         """
-        tracking = self._tracker.track(frames, camera, priors)
-        motion = measure_camera_motion(frames, tracking.robot, camera)
-        reference = self._reference(frames, tracking.robot, camera, priors)
-        if motion.moves or motion.is_unknown or reference is not None:
-            start = frames[0] if reference is None else reference
-            path = follow_camera(frames, start, tracking.robot, camera, self._table_height_m)
-            motion = motion.with_path(path)
-        stabilized = not priors.replaces_stage
-        if stabilized and (motion.moves or motion.path is not None):
-            steady, wide = motion.stabilize(frames, camera)
-            again = self._tracker.track(steady, wide, priors, motion.places)
-            if motion.path is not None and _agreeing(again) < MIN_AGREEING * _agreeing(tracking):
-                motion = replace(motion, path=None)  # what moves is the background, not the camera
-                again = self._tracker.track(*motion.stabilize(frames, camera), priors)
-            tracking = again
+        stabilized, tracking = not priors.replaces_stage, None
+        motion = self._follow(frames, camera, priors) if stabilized else None
+        if motion is None:
+            tracking = self._tracker.track(frames, camera, priors)
+            motion = self._measure_motion(frames, tracking.robot, camera, priors)
+        if stabilized and (tracking is None or motion.moves or motion.path is not None):
+            tracking = self._tracker.track(*motion.stabilize(frames, camera), priors, motion.places)
         X_AC = motion.X_AS if stabilized else motion.X_AC
         poses = [p and replace(p, X_CH=X @ p.X_CH) for p, X in zip(resolve_flips(tracking.poses), X_AC, strict=True)]
         confidence = np.array([self._frame_confidence(p, tracking.domain) for p in poses])
@@ -221,6 +213,43 @@ class GroundingPipeline:
             domain=tracking.domain,
         )
 
+    def _follow(self, frames: Frames, camera: Camera, priors: Priors) -> CameraMotion | None:
+        """Return the motion of a camera that clearly moves and can be followed; None otherwise.
+
+        In some frames hand and arm must agree as often as without following it: else the background moves.
+        """
+        nothing = np.zeros(frames.shape[1:3], dtype=bool)
+        if not self._measure_motion(frames, nothing, camera, priors, follows=False).is_clear:
+            return None
+        robot = self._tracker.track(frames[:1], camera).robot
+        motion = self._measure_motion(frames, robot, camera, priors)
+        if motion.path is None:
+            return None
+        steady, wide = motion.stabilize(frames, camera)
+        chosen = np.unique(np.linspace(0, len(frames) - 1, CHECKED_FRAMES).round().astype(int))
+        places = None if motion.places is None else motion.places[chosen]
+        followed, fixed = (
+            sum(pose is not None and pose.arm_agrees for pose in tracking.poses)
+            for tracking in (
+                self._tracker.track(steady[chosen], wide, places=places),
+                self._tracker.track(frames[chosen], camera),
+            )
+        )
+        return motion if followed >= fixed else replace(motion, path=None)
+
+    def _measure_motion(
+        self, frames: Frames, robot: NDArray[np.bool_], camera: Camera, priors: Priors, *, follows: bool = True
+    ) -> CameraMotion:
+        """Measure the motion of the camera, and follow it if it moves and `follows`."""
+        motion = measure_camera_motion(frames, robot, camera)
+        reference = self._reference(frames, robot, camera, priors)
+        if not motion.moves and not motion.is_unknown and reference is None:
+            return motion
+        if not follows:
+            return motion if reference is None else replace(motion, px=np.full(len(frames), np.inf))
+        start = frames[0] if reference is None else reference
+        return motion.with_path(follow_camera(frames, start, robot, camera, self._table_height_m))
+
     @staticmethod
     def _reference(
         frames: Frames, robot: NDArray[np.bool_], camera: Camera, priors: Priors
@@ -230,11 +259,6 @@ class GroundingPipeline:
             return None
         motion = measure_camera_motion(np.stack([priors.image, frames[0]]), robot, camera)
         return priors.image if motion.moves or np.isnan(motion.px[1]) else None
-
-
-def _agreeing(tracking: Tracking) -> int:
-    """Return the number of frames whose hand and arm agree."""
-    return sum(pose is not None and pose.arm_agrees for pose in tracking.poses)
 
 
 def _initial_hand_pose(state: InitialState, camera: Camera) -> Array:

@@ -17,6 +17,8 @@ MOVING_PX = 1.2
 """Least motion of a moving camera [px of an image 384 px wide]."""
 LEAST_PX = 0.5
 """Largest motion below which the camera counts as fixed and nothing is compensated [px, likewise]."""
+CLEAR_PX = 2.0
+"""Motion from which on a camera is followed before anything else is measured [px, likewise]."""
 COMPENSABLE_PX = 8.0
 """Largest motion that is compensated where the camera cannot be followed; beyond it the base frame is lost [px,
 likewise]."""
@@ -55,6 +57,11 @@ class CameraMotion:
     def moves(self) -> bool:
         """True if the motion is large enough to be compensated."""
         return (self.largest_px or 0.0) >= LEAST_PX * self.unit_px
+
+    @property
+    def is_clear(self) -> bool:
+        """True if the camera clearly moves, or its motion is unknown."""
+        return self.is_unknown or (self.largest_px or 0.0) >= CLEAR_PX * self.unit_px
 
     @property
     def is_unknown(self) -> bool:
