@@ -427,6 +427,27 @@ def views(out: Path, changes: str, episodes: int, seed: int, limit: int | None) 
     click.echo(text)
 
 
+@main.command(epilog="\b\nExample:\n  python -m benchmarks flange heldout --out flange")
+@click.argument("demos", type=EXISTING_FOLDER)
+@click.option("--out", type=FOLDER, required=True, help="Folder for flange.jsonl and flange.md.")
+@click.option("--count", type=COUNT, default=12, show_default=True, help="Demonstrations, and as many random scenes.")
+@click.option("--calibrate", is_flag=True, help="Fit the confidence of the arm alone and write it into the package.")
+def flange(demos: Path, out: Path, count: int, calibrate: bool) -> None:
+    """Track the flange by the arm alone, in DEMOS (of `suite demos`) and in scenes with boxes for a gripper.
+
+    The same command resumes.
+    """
+    one_thread()
+    from benchmarks.flange import measure, write_confidence
+
+    with errors():
+        text, measured = measure(demos, out, count=count, log=log)
+        if calibrate:
+            write_confidence(measured)
+            text, _ = measure(demos, out, count=count, log=lambda _: None)
+    click.echo(text)
+
+
 @main.command(epilog="\b\nExample:\n  python -m benchmarks equivalence results-before results-after")
 @click.argument("before", type=EXISTING_FOLDER)
 @click.argument("after", type=EXISTING_FOLDER)

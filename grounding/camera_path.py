@@ -37,7 +37,7 @@ _NOISE = 2.0  # grey levels of 255
 _RANSAC_PX, _MIN_INLIERS = 3.0, 0.3  # of the homography that all features of a plane follow
 _TUKEY_PX = 2.5
 _STEPS, _SWEEPS = 8, 40
-_LEAST_MARGIN_PX, _MAX_MARGIN = 8.0, 0.25  # by which stabilized images are extended; the largest relative to the image
+_LEAST_MARGIN_PX, _MAX_MARGIN = 16.0, 0.25  # by which stabilized images are extended; the largest relative to the image
 _FAR_M = 4.0  # depth of features that do not look at the table; its inverse is a weak prior
 _TABLE_SIGMA = 0.02  # relative standard deviation of the inverse depth of a feature on the table
 

@@ -39,10 +39,10 @@ def _part_map(camera: Camera, X_CH: Array, finger_m: float, cad: GripperCad) -> 
     return labels
 
 
-def draw_pose(frame: Image, camera: Camera, X_CH: Array, finger_width_m: float, cad: GripperCad) -> Image:
-    """Return `frame` (H, W, 3) with the tinted and outlined gripper at `X_CH` (4, 4) and the axes of its TCP."""
+def draw_pose(frame: Image, camera: Camera, X_CH: Array, finger_width_m: float, cad: GripperCad | None) -> Image:
+    """Return `frame` (H, W, 3) with the axes of the TCP at `X_CH` (4, 4) of the hand and the gripper, tinted."""
     finger_m = finger_width_m / 2 if np.isfinite(finger_width_m) else 0.02
-    labels = _part_map(camera, X_CH, finger_m, cad)
+    labels = np.zeros(frame.shape[:2], np.uint8) if cad is None else _part_map(camera, X_CH, finger_m, cad)
     out = frame.astype(np.float32)
     for label, colour in _COLOURS.items():
         region = labels == label
@@ -69,13 +69,18 @@ def draw_caption(image: Image, text: str, colour: tuple[int, int, int] = (255, 2
 
 
 def draw_overlay(
-    frames: NDArray[np.uint8], camera: Camera, track: GripperTrack, zoom: Array | None = None
+    frames: NDArray[np.uint8],
+    camera: Camera,
+    track: GripperTrack,
+    zoom: Array | None = None,
+    *,
+    hand: bool = True,
 ) -> Iterator[Image]:
     """Yield each of `frames` (T, H, W, 3) with the tracked gripper, frame number, time and confidence.
 
-    A zooming camera has the focal length of `camera` times `zoom` (T,).
+    A zooming camera has the focal length of `camera` times `zoom` (T,). Without `hand` only the axes are drawn.
     """
-    cad = GripperCad()
+    cad = GripperCad() if hand else None
     for i, frame in enumerate(frames):
         own = camera if zoom is None else replace(camera, fx=camera.fx * zoom[i], fy=camera.fy * zoom[i])
         if track.tracked[i]:

@@ -15,6 +15,7 @@ from kinebench_drake.grounding.anomaly.detection import AnomalyDetections
 from kinebench_drake.grounding.camera_path import CameraPath, follow_camera
 from kinebench_drake.grounding.confidence import GOOD_M, GOOD_RAD, Confidence, frame_features, load_confidence
 from kinebench_drake.grounding.estimator import NetworkEstimator
+from kinebench_drake.grounding.flange_tracker import FlangeTracker
 from kinebench_drake.grounding.flips import X_HALF_TURN, resolve_flips
 from kinebench_drake.grounding.gripper_width import smooth_gripper_width
 from kinebench_drake.grounding.pose import FramePose
@@ -24,7 +25,16 @@ from kinebench_drake.grounding.view import Frames, GripperView
 from kinebench_drake.models.panda.robot import RobotPart, hand_from_tcp
 from kinebench_drake.models.perception.network import WEIGHTS, load_network
 from kinebench_drake.models.robot import N_JOINTS
-from kinebench_drake.types import NO_PRIORS, Anomaly, Domain, GripperTrack, InitialState, InitialStateUse, Priors
+from kinebench_drake.types import (
+    NO_PRIORS,
+    Anomaly,
+    Domain,
+    GripperKind,
+    GripperTrack,
+    InitialState,
+    InitialStateUse,
+    Priors,
+)
 
 TRACKED_CONFIDENCE = 0.3
 """Least confidence at which a frame counts as tracked."""
@@ -97,14 +107,19 @@ class GroundingPipeline:
 
     @classmethod
     def create(
-        cls, device: str | None = None, weights: Path | None = None, table_height_m: float = 0.0
+        cls,
+        device: str | None = None,
+        weights: Path | None = None,
+        table_height_m: float = 0.0,
+        gripper: GripperKind = GripperKind.FRANKA,
     ) -> "GroundingPipeline":
-        """Create the pipeline, with `weights` in place of those shipped.
+        """Create the pipeline, with `weights` in place of those shipped; of other grippers the arm alone is measured.
 
         Raises:
             SetupError: weights, calibration, meshes or native libraries are missing.
         """
-        tracker = CadTracker(NetworkEstimator(load_network(weights or WEIGHTS), device))
+        estimator = NetworkEstimator(load_network(weights or WEIGHTS), device)
+        tracker = CadTracker(estimator) if gripper is GripperKind.FRANKA else FlangeTracker(estimator)
         return cls(tracker, load_confidence(), table_height_m)
 
     def warm_up(self) -> None:
@@ -203,8 +218,9 @@ class GroundingPipeline:
             motion = self._measure_motion(frames, tracking.robot, camera, priors)
         if stabilized and (tracking is None or motion.moves or motion.path is not None):
             tracking = self._tracker.track(*motion.stabilize(frames, camera), priors, motion.places)
+        resolved = tracking.poses if tracking.domain is Domain.ARM else resolve_flips(tracking.poses)
         X_AC = motion.X_AS if stabilized else motion.X_AC
-        poses = [p and replace(p, X_CH=X @ p.X_CH) for p, X in zip(resolve_flips(tracking.poses), X_AC, strict=True)]
+        poses = [p and replace(p, X_CH=X @ p.X_CH) for p, X in zip(resolved, X_AC, strict=True)]
         confidence = np.array([self._frame_confidence(p, tracking.domain) for p in poses])
         return Observation(
             poses=tuple(poses),

@@ -201,6 +201,21 @@ class Domain(Enum):
     """The edges of its images confirm the poses of the networks."""
     UNFAMILIAR = "unfamiliar"
     """They do not: poses are fitted to the edges, and what these do not confirm is doubtful."""
+    ARM = "arm_alone"
+    """The links alone are measured, whatever the gripper."""
+
+
+class GripperKind(Enum):
+    """Gripper of a Panda."""
+
+    FRANKA = "franka"
+    """The Franka hand."""
+    ROBOTIQ_2F85 = "robotiq-2f85"
+    """Measured as `NONE`: the links give the flange, the opening is unknown."""
+    NONE = "none"
+    """None, or an unknown one."""
+    AUTO = "auto"
+    """The Franka hand, unless the arm is seen without it."""
 
 
 class InitialStateUse(Enum):

@@ -129,7 +129,8 @@ def gather_evidence(
         if confidence[i] >= FAIR_CONFIDENCE:
             hand = pose.hand_without_silhouette
             sharp = 2 * hand.finger_sigma_m <= SHARP_M
-            misfit[i] = shape_misfit(pose.view, hand.X_CH, hand.finger_m if sharp else np.nan)
+            if domain is not Domain.ARM:
+                misfit[i] = shape_misfit(pose.view, hand.X_CH, hand.finger_m if sharp else np.nan)
             residual[i] = hand.residual
         if confidence[i] >= SURE_CONFIDENCE:
             sigma_m = 2 * pose.hand.finger_sigma_m
@@ -143,7 +144,7 @@ def gather_evidence(
             for view, pose, X_SA in zip(wide, poses, invert(motion.X_AS), strict=True)
         ]
     )
-    if domain is Domain.UNFAMILIAR:
+    if domain is not Domain.FAMILIAR:
         for series in (width, misfit, residual, scale, other):
             series[:] = np.nan
     return AnomalyEvidence(

@@ -14,7 +14,13 @@ from kinebench_drake.geometry import Array, invert, make_pose, pose_difference
 from kinebench_drake.grounding.registration.arm_model import OVER_LIMIT_RAD, ArmHandModel, ArmModel
 from kinebench_drake.grounding.registration.correspondences import Correspondences
 from kinebench_drake.grounding.registration.edges import FLANGE, RIGID, ROBOT, EdgeMatcher, GradientImage
-from kinebench_drake.grounding.registration.fit import HandFit, HandModel, finger_or_default, gripper_cells
+from kinebench_drake.grounding.registration.fit import (
+    UNSEEN_FINGER_M,
+    HandFit,
+    HandModel,
+    finger_or_default,
+    gripper_cells,
+)
 from kinebench_drake.grounding.registration.silhouette import SilhouetteMatcher
 from kinebench_drake.grounding.registration.solver import Solution, solve
 from kinebench_drake.grounding.view import GripperView
@@ -43,6 +49,14 @@ _SEARCHED = 6  # distances at which a search looks at the edges
 _EDGE_NATS = 25.0  # log-likelihood ratio per difference of edge agreement of hand and flange
 _MIN_AGREEMENT = 0.4  # of a posture that the edges confirm
 _MAX_GROWTH, _MAX_GROWTH_SIGMAS = 1.4, 0.3  # largest increase of the hand's residual by the arm
+
+
+LINKS_DEPTH_SIGMA = 0.1
+"""Relative standard deviation of the depth factor where only links are measured: looks are often unfamiliar."""
+LINK_REACHES_PX = (5.0, 3.0)
+"""Farthest edges of links in successive passes [px]."""
+LAST_LINKS = (RobotPart.LINK5, RobotPart.LINK6, RobotPart.LINK7)
+"""Links that show where the flange is."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -102,7 +116,7 @@ class ArmFitter:
             rim: correspondences of the hand's silhouette (`SilhouetteMatcher.match`).
         """
         links = self._link_cells(close, wide)
-        initial = self._initial_posture(hand, links) if len(links) >= _MIN_CELLS else None
+        initial = self._initial_posture(hand.X_CH, links) if len(links) >= _MIN_CELLS else None
         if initial is None:
             return None
         q, cost, flipped_cost = initial
@@ -163,6 +177,51 @@ class ArmFitter:
         evidence = _evidence(*self._costs(np.stack([arm.q, _half_turn(arm).q]), _subsample(links)))
         return self._arm_fit(solution, links, hand, scale=float("nan"), evidence=evidence, agrees=True)
 
+    def fit_links(self, X_CH: Array, links: Correspondences, image: GradientImage) -> ArmFit | None:
+        """Fit the arm to cells and edges of its links alone, near a pose of panda_hand; None if that diverges.
+
+        Args:
+            X_CH: (4, 4) initial pose of panda_hand [m].
+            links: cells of the links.
+            image: gradients of the frame.
+        """
+        initial = self._initial_posture(X_CH, links) if len(links) >= _MIN_CELLS else None
+        if initial is None:
+            return None
+        arm = ArmHandModel(
+            model=self._model,
+            X_CB=self._X_CB,
+            q=initial[0],
+            q_start=initial[0],
+            finger_m=UNSEEN_FINGER_M,
+            finger_free=False,
+        )
+        joined, solution = links, None
+        for reach_px in (np.inf, *LINK_REACHES_PX):
+            if solution is not None:
+                edges = self._edges.match(image, without_gripper(self._poses(arm)), reach_px, ARM, _SHARPENING_POINTS)
+                joined = links if edges is None else Correspondences.join([links, edges])
+            log_depth_factor = 0.0 if solution is None else solution.log_depth_factor
+            solution = solve(arm, joined, LINKS_DEPTH_SIGMA, log_depth_factor)
+            if solution is None:
+                return None
+            arm = solution.model
+        X_fitted, J = arm.hand()
+        covariance = np.linalg.inv(solution.information + 1e-6 * np.eye(8))
+        consistency = self._consistency_px(arm, links)
+        return ArmFit(
+            q=arm.q,
+            X_CH=X_fitted,
+            finger_m=float("nan"),
+            finger_sigma_m=float("nan"),
+            agrees=consistency <= self._tolerance_px,
+            consistency_px=consistency,
+            scale=float("nan"),
+            evidence=0.0,
+            covariance=J @ covariance[:7, :7] @ J.T,
+            edge_agreement=self._edges.agreement(image, without_gripper(self._poses(arm)), LAST_LINKS),
+        )
+
     def search(self, hand: HandFit, close: GripperView, wide: GripperView, image: GradientImage) -> ArmFit | None:
         """Fit the arm to edges from the distance of the hand at which links and edges agree best with its direction.
 
@@ -179,7 +238,7 @@ class ArmFitter:
         for factor in _DISTANCE_FACTORS:
             X_CH = hand.X_CH.copy()
             X_CH[:3, 3] *= factor
-            initial = self._initial_posture(replace(hand, X_CH=X_CH), links)
+            initial = self._initial_posture(X_CH, links)
             if initial is not None:
                 candidates.append((initial[1], initial[0]))
         likeliest = sorted(candidates, key=lambda candidate: candidate[0])[:_SEARCHED]
@@ -342,12 +401,12 @@ class ArmFitter:
         by_links_m = np.linalg.norm(links_solution.model.hand()[0][:3, 3])
         return float(by_links_m / np.linalg.norm(size_solution.model.X_CH[:3, 3]))
 
-    def _initial_posture(self, hand: HandFit, links: Correspondences) -> tuple[Array, float, float] | None:
+    def _initial_posture(self, X_CH: Array, links: Correspondences) -> tuple[Array, float, float] | None:
         """Return the inverse kinematics solution (7,) that matches the links best, its cost and that of the flip.
 
         The flipped hand, rotated by 180 degrees about its axis, has the same postures except for the last joint.
         """
-        X_BF = invert(self._X_CB) @ hand.X_CH @ self._model.X_HF
+        X_BF = invert(self._X_CB) @ X_CH @ self._model.X_HF
         q = analytic_ik(X_BF, _LAST_ANGLES).reshape(-1, 7)
         q = q[np.isfinite(q).all(axis=1)]
         flipped = q.copy()
@@ -400,3 +459,10 @@ def _split(difference: Array, direction: Array) -> tuple[float, float]:
     """Return the lengths of a difference (3,) along and across a direction (3,)."""
     along = float(difference @ direction / np.linalg.norm(direction))
     return abs(along), max(0.0, float(difference @ difference) - along**2) ** 0.5
+
+
+def without_gripper(X_CP: Array) -> Array:
+    """Return poses (PARTS, 4, 4) of parts in the camera frame with the gripper behind the camera, unseen [m]."""
+    X_CP = X_CP.copy()
+    X_CP[list(GRIPPER)] = make_pose(np.eye(3), [0.0, 0.0, -10.0])
+    return X_CP

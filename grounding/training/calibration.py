@@ -24,6 +24,7 @@ from kinebench_drake.grounding.confidence import (
     Confidence,
     LogisticRegression,
     frame_features,
+    load_confidence,
 )
 from kinebench_drake.grounding.evaluation.clip import TruthClip, TruthClipFile, find_clips
 from kinebench_drake.grounding.evaluation.store import MeasurementStore, fingerprint
@@ -243,8 +244,8 @@ def calibrate_confidence(
         observer,
         lambda item: f"{item.clip.id}  {item.degradation.value}",
     )
-    confidence, lines = {}, list[str]()
-    for domain in Domain:
+    confidence, lines = {Domain.ARM: load_confidence()[Domain.ARM]}, list[str]()
+    for domain in (Domain.FAMILIAR, Domain.UNFAMILIAR):
         chosen = [(i, m) for i, m in zip(items, measured, strict=True) if m.domain is domain]
         fitted = [(i, m) for i, m in chosen if i.degradation is not VideoDegradation.CAMERA]
         halves = [[m for i, m in fitted if i.number % 2 == odd] for odd in (0, 1)]

@@ -55,6 +55,8 @@ class ScoreOptions(RunOptions, total=False):
     """Camera to use of datasets that have several."""
     camera: PathName
     """Camera of videos that name none: "auto" or "benchmark"; or the camera.json of all videos. Default "auto"."""
+    gripper: str
+    """ "franka", "robotiq-2f85", "none" or "auto", the default: other grippers than Franka's leave the arm alone."""
     pixels_only: bool
     """Ignore the initial state that the manifest states."""
     overlay: bool

@@ -19,7 +19,7 @@ from kinebench_drake.datasets.trajectories.source import find_trajectories, read
 from kinebench_drake.datasets.trajectories.trajectory import RawTrajectory, TrajectoryOptions
 from kinebench_drake.datasets.videos.find import find_samples
 from kinebench_drake.datasets.videos.sample import CameraSource, VideoSample
-from kinebench_drake.errors import InputError, UsageError
+from kinebench_drake.errors import InputError, UsageError, member_of
 from kinebench_drake.evaluation.analyzer import Analyzer, AnalyzerFactory, RobotOptions, load_analyzer
 from kinebench_drake.evaluation.audit import judge_trajectory
 from kinebench_drake.evaluation.camera import AUTO
@@ -39,7 +39,7 @@ from kinebench_drake.io.camerafile import load_camera
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.io.video import Video
 from kinebench_drake.results.inputs import PeriodSource
-from kinebench_drake.types import GripperTrack, InitialState
+from kinebench_drake.types import GripperKind, GripperTrack, InitialState
 
 if TYPE_CHECKING:  # torch, Open3D and Drake take seconds to load
     from kinebench_drake.grounding.pipeline import GroundingResult
@@ -97,6 +97,7 @@ def ground_video(
     camera_key: str | None = None,
     frame_period_s: float | None = None,
     first: InitialState | None = None,
+    gripper: str = "auto",
     pixels_only: bool = False,
     masks: PathName | None = None,
     depth: PathName | None = None,
@@ -114,6 +115,7 @@ def ground_video(
         camera_key: camera to take of datasets that have several.
         frame_period_s: task time between two frames [s], where no manifest tells; None: 1 / fps, 0.2 without a clock.
         first: state of the robot in the first frame, in place of the input's (`X_BG`: TCP in the robot base frame [m]).
+        gripper: "franka", "robotiq-2f85", "none" or "auto"; other grippers than Franka's leave the arm alone.
         pixels_only: ignore the initial state that the input states.
         masks: folder of masks that replace the network's.
         depth: folder of depth maps [m], `moge:CHECKPOINT` or `module:Class` that replaces the network's depth.
@@ -172,7 +174,7 @@ def ground_video(
         prepared = prepare_video(decoded, choice.sample, frame_period_s, overrides)
         if prepared.period_source is PeriodSource.BENCHMARK:
             _warn(f"the video has no frame rate: {BENCHMARK_PERIOD_S} s between frames was taken; give frame_period_s")
-        grounding = ground_prepared(prepared, analyzer)
+        grounding = ground_prepared(prepared, analyzer, member_of(GripperKind, gripper, "--gripper"))
         return replace(grounding, track=choice.without_base(grounding.track))
 
 

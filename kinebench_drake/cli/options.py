@@ -126,6 +126,14 @@ video_options = _combine(
         metavar="auto|benchmark|FILE",
     ),
     click.option(
+        "--gripper",
+        type=click.Choice(["auto", "franka", "robotiq-2f85", "none"]),
+        default="auto",
+        show_default=True,
+        help="Gripper on the arm. With another one than Franka's the links alone give the flange, its opening is "
+        "unknown; auto does so where the arm is seen without a Franka hand.",
+    ),
+    click.option(
         "--dry-run",
         is_flag=True,
         help="List samples, frame periods and cameras; measure and write nothing.",

@@ -15,7 +15,7 @@ from kinebench_drake.geometry import Array
 from kinebench_drake.io.files import absence
 from kinebench_drake.models.arm import choose_robot
 from kinebench_drake.models.robot import Robot
-from kinebench_drake.types import GripperTrack, Priors
+from kinebench_drake.types import GripperKind, GripperTrack, Priors
 
 if TYPE_CHECKING:  # Drake, torch and Open3D take seconds to load
     from kinebench_drake.calibration.estimate import CameraContradiction, CameraEstimate, CameraEstimator
@@ -98,6 +98,20 @@ class Analyzer:
         return self._pipeline.ground(frames, camera, t_s, priors)
 
     @cached_property
+    def _arm_pipeline(self) -> "GroundingPipeline":
+        from kinebench_drake.grounding.pipeline import GroundingPipeline
+
+        return GroundingPipeline.create(table_height_m=self._table_height_m, gripper=GripperKind.NONE)
+
+    def ground_arm(self, frames: NDArray[np.uint8], camera: Camera, t_s: Array, priors: Priors) -> "GroundingResult":
+        """Track the flange by the arm alone, as `ground` does the gripper.
+
+        Raises:
+            SetupError: weights or libraries are missing.
+        """
+        return self._arm_pipeline.ground(frames, camera, t_s, priors)
+
+    @cached_property
     def _cameras(self) -> "CameraEstimator":
         from kinebench_drake.calibration.estimate import CameraEstimator
 
@@ -151,12 +165,21 @@ class Analyzer:
         return self._judge.judge_joints(t_s, q, finger_width_m)
 
     def overlay(
-        self, frames: NDArray[np.uint8], camera: Camera, track: GripperTrack, zoom: Array | None = None
+        self,
+        frames: NDArray[np.uint8],
+        camera: Camera,
+        track: GripperTrack,
+        zoom: Array | None = None,
+        *,
+        hand: bool = True,
     ) -> Iterator[NDArray[np.uint8]]:
-        """Draw the posed gripper on the frames; `zoom` (T,) is their focal length over that of the camera."""
+        """Draw the posed gripper on the frames, or without `hand` its axes alone.
+
+        `zoom` (T,) is the focal length of the frames over that of the camera.
+        """
         from kinebench_drake.grounding.overlay import draw_overlay
 
-        return draw_overlay(frames, camera, track, zoom)
+        return draw_overlay(frames, camera, track, zoom, hand=hand)
 
 
 AnalyzerFactory = Callable[[RobotOptions], Analyzer]

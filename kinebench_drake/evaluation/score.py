@@ -48,12 +48,14 @@ from kinebench_drake.results.store import artifact_path
 from kinebench_drake.results.trackfile import write_track
 from kinebench_drake.suites.clock import CLIP_S, ClipTiming, sample_uniformly
 from kinebench_drake.suites.start import START_WIDTH_M, start_q
-from kinebench_drake.types import Domain, InitialState, InitialStateUse, Json, Priors
+from kinebench_drake.types import Domain, GripperKind, InitialState, InitialStateUse, Json, Priors
 
 if TYPE_CHECKING:  # OpenCV, torch, Open3D and Drake take seconds to load
     from kinebench_drake.grounding.framing.framing import Framing
     from kinebench_drake.grounding.pipeline import GroundingResult
 
+HAND_SHARE, ARM_SHARE = 0.1, 0.5
+"""Share of tracked frames below which a hand counts as not seen, and from which on an arm does."""
 BENCHMARK_PERIOD_S = 0.2
 """Task time between two frames of a benchmark video (4 control steps at 20 Hz) [s]."""
 VISUAL_METRICS = ("tracked_fraction", "camera_motion_px", "arm_consistency_px", "anomalies")
@@ -87,6 +89,8 @@ class ScoreConfig(RunConfig):
     """Folder of poses that replace the tracker's."""
     camera: str = AUTO
     """`auto`, `benchmark`, or the path of a camera.json for all videos."""
+    gripper: str = GripperKind.AUTO.value
+    """Name of a `GripperKind`."""
     pixels_only: bool = False
     """Ignore the initial state of the manifest."""
     depth_exact: bool = False
@@ -101,7 +105,7 @@ class ScoreConfig(RunConfig):
         RunConfig.__post_init__(self)
         check_period(self.frame_period_s)
         self.overrides()
-        _ = self.duration_s
+        _ = self.duration_s, self.gripper_kind
 
     @property
     def duration_s(self) -> float | None:
@@ -123,6 +127,15 @@ class ScoreConfig(RunConfig):
             )
         return duration_s
 
+    @property
+    def gripper_kind(self) -> GripperKind:
+        """Gripper of the videos.
+
+        Raises:
+            UsageError: there is no such gripper.
+        """
+        return member_of(GripperKind, self.gripper, "--gripper")
+
     def overrides(self) -> Overrides:
         """Return the stages of the grounding that are replaced.
 
@@ -141,6 +154,7 @@ class ScoreConfig(RunConfig):
             "task_duration_s": self.duration_s,
             "camera_key": self.camera_key,
             "camera": self.camera if self.camera in (AUTO, BENCHMARK) else Path(self.camera).name,
+            "gripper": self.gripper,
             "overlay": self.overlay,
             "pixels_only": self.pixels_only,
             **dict.fromkeys(("masks", "depth", "poses")),
@@ -239,8 +253,9 @@ class VideoEvaluator(Evaluator[VideoSample, Analyzer]):
         prepared = prepare_video(
             video, choice.sample, config.frame_period_s, self.overrides, duration_s=config.duration_s
         )
-        grounding = ground_prepared(prepared, analyzer)
-        if self.overrides.poses is None and grounding.camera_path is None:
+        grounding = ground_prepared(prepared, analyzer, config.gripper_kind)
+        draws_hand = grounding.domain is not Domain.ARM
+        if self.overrides.poses is None and grounding.camera_path is None and draws_hand:
             choice = check_camera(choice, prepared.frames, prepared.camera, grounding, analyzer)
         track, path = choice.without_base(grounding.track), grounding.camera_path
         kinematics = analyzer.judge(track) if self.config.kind.judges and choice.reason is None else None
@@ -254,9 +269,12 @@ class VideoEvaluator(Evaluator[VideoSample, Analyzer]):
             native = len(prepared.frames) == len(video.frames)
             rate = float(np.clip((native and video.fps) or 1.0 / prepared.period_s, 1.0, 60.0))
             with disk_errors(f"overlays/{file.name}"):
-                write_video(file, analyzer.overlay(prepared.frames, prepared.camera, track, zoom), rate)
+                write_video(
+                    file, analyzer.overlay(prepared.frames, prepared.camera, track, zoom, hand=draws_hand), rate
+                )
         shown = np.unique([0, worst_frame(track, kinematics)])
-        images = list(analyzer.overlay(prepared.frames[shown], prepared.camera, track.at(shown), zoom[shown]))
+        chosen = prepared.frames[shown], prepared.camera, track.at(shown), zoom[shown]
+        images = list(analyzer.overlay(*chosen, hand=draws_hand))
         write_atomically(artifact_path(self.config.out, "thumbnails", sample.id), encode_strip(images))
         joints, curves = (kinematics.joints, kinematics.curves) if kinematics else (None, {})
         write_track(artifact_path(self.config.out, "tracks", sample.id), track, joints, {**curves, **grounding.curves})
@@ -273,6 +291,7 @@ class VideoEvaluator(Evaluator[VideoSample, Analyzer]):
             extra={
                 "first_frame": grounding.first_frame.value,
                 "domain": grounding.domain.value,
+                **({} if draws_hand else {"gripper": _gripper_found(config.gripper_kind).value}),
                 "frames": len(track.t_s),
                 "width": video.width,
                 "height": video.height,
@@ -309,6 +328,7 @@ class VideoEvaluator(Evaluator[VideoSample, Analyzer]):
             "given": self._replaced(sample),
             "first": None if initial is None else [*initial.X_BG.ravel().tolist(), str(initial.finger_width_m)],
             "depth_exact": self.overrides.depth_exact,
+            **({} if self.config.gripper_kind is GripperKind.AUTO else {"gripper": self.config.gripper}),
             **({"camera_option": AUTO} if is_assumed(sample, self.config.camera) else {}),
             "labels": [sample.seed, sample.prompt, sample.fps, sample.frame_period_s, sample.problem],
             "part": [*dataclasses.astuple(sample.part), sample.camera_key, sample.dataset_period_s],
@@ -455,22 +475,38 @@ def prepare_video(
     )
 
 
-def ground_prepared(video: PreparedVideo, analyzer: Analyzer) -> "GroundingResult":
-    """Track the gripper through a prepared video.
+def ground_prepared(
+    video: PreparedVideo, analyzer: Analyzer, gripper: GripperKind = GripperKind.AUTO
+) -> "GroundingResult":
+    """Track the gripper through a prepared video, or the flange by the arm alone.
+
+    Automatically the arm alone is measured where the hand is found in next to no frame, and the arm in most.
 
     Raises:
         InputError: the priors do not fit the video.
         UnmeasurableError: the gripper was found in too few frames.
         SetupError: weights or libraries are missing.
     """
-    grounding = analyzer.ground(video.frames, video.camera, video.t_s, video.priors)
+    inputs = video.frames, video.camera, video.t_s, video.priors
+    measures_hand = gripper in (GripperKind.FRANKA, GripperKind.AUTO)
+    grounding = analyzer.ground(*inputs) if measures_hand else analyzer.ground_arm(*inputs)
     tracked = int(grounding.track.tracked.sum())
+    if gripper is GripperKind.AUTO and tracked < max(MIN_TRACKED, HAND_SHARE * len(video.t_s)):
+        arm = analyzer.ground_arm(*inputs)
+        if arm.track.tracked.mean() >= ARM_SHARE:
+            return arm
     if tracked < MIN_TRACKED:
         raise UnmeasurableError(
             f"the gripper was found in {tracked} of {len(video.t_s)} frames, a path needs {MIN_TRACKED}: is the "
             "robot in view, and is this the video's camera?"
+            + (" With another gripper than Franka's take --gripper none." if gripper is GripperKind.FRANKA else "")
         )
     return grounding
+
+
+def _gripper_found(option: GripperKind) -> GripperKind:
+    """Return the gripper of a video whose arm alone was measured."""
+    return GripperKind.NONE if option is GripperKind.AUTO else option
 
 
 def with_initial_states(samples: Iterable[VideoSample]) -> list[VideoSample]:

@@ -164,7 +164,9 @@ class FakeAnalyzer:
         self._infeasible = False
         return replace(judgement, joints=replace(judgement.joints, q=q), details={"given": "q"})
 
-    def overlay(self, frames, camera, track, zoom=None):
+    ground_arm = ground
+
+    def overlay(self, frames, camera, track, zoom=None, *, hand=True):
         for frame, X in zip(frames, track.X_BG, strict=True):
             image = frame.copy()
             if np.isfinite(X).all():

@@ -7,6 +7,7 @@ import pytest
 
 from kinebench_drake.errors import UsageError
 from kinebench_drake.io.files import VIDEO_SUFFIXES
+from kinebench_drake.suites.faults.view import ViewKind
 from kinebench_drake.suites.worldmodels.factory import FORMS, create
 from kinebench_drake.suites.worldmodels.spec import Spec, parse
 from kinebench_drake.suites.worldmodels.videofile import _DEMUXERS, suffix_of
@@ -40,6 +41,8 @@ def test_still_shows_the_first_frame_and_nothing_else(request_: Request, out: Pa
         ("oracle?told=true", "oracle, true track"),
         ("oracle?delay=2", "oracle, 2 frames late"),
         ("oracle+teleport:0.15", "oracle+teleport_15cm"),
+        ("oracle+zoom:0.05", "oracle+zoom_0.05"),
+        ("oracle+turn:5?form=constant", "oracle+turn_5, constant"),
         ("random?name=walk", "walk"),
     ],
 )
@@ -63,6 +66,7 @@ def test_every_adapter_is_named_and_told_apart(tmp_path: Path, keys: str) -> Non
         "command": "true",
         "diffusers": "x",
         **{f"oracle+{kind.value}": "3" for kind in AnomalyKind},
+        **{f"oracle+{kind.value}": "0.1" for kind in ViewKind},
     }
     for kind in FORMS:
         with pytest.raises(UsageError, match="zzz is not an option; options are name"):
@@ -84,6 +88,9 @@ def test_every_adapter_is_named_and_told_apart(tmp_path: Path, keys: str) -> Non
         ("minimax:?resolution=4K", "resolution=4K: Input should be '512P', '768P' or '1080P'"),
         ("folder:/nonexistent", "expected folder:DIR"),
         ("oracle+teleport:gated", "expected one size, such as oracle.teleport:0.05"),
+        ("oracle+zoom:much", "expected one size other than 0, up to 0.5, such as oracle.zoom:0.05"),
+        ("oracle+turn:90", "expected one size other than 0, up to 50, such as oracle.turn:5"),
+        ("oracle+turn:5?form=late", "form=late: Input should be 'growing' or 'constant'"),
     ],
 )
 def test_specs_that_cannot_be_used(text: str, message: str, keys: str) -> None:

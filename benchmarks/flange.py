@@ -1,0 +1,131 @@
+"""The arm alone: tracking of the flange with the hand left out, and with boxes in its place; fit of its confidence."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+from pydrake.geometry import Box
+from typing_extensions import override
+
+from benchmarks.markdown import table
+from kinebench_drake.geometry import Array, invert, make_pose, pose_difference
+from kinebench_drake.grounding.confidence import load_confidence, save_confidence
+from kinebench_drake.grounding.evaluation.clip import find_clips
+from kinebench_drake.grounding.evaluation.store import MeasurementStore, fingerprint
+from kinebench_drake.grounding.pipeline import TRACKED_CONFIDENCE, GroundingPipeline
+from kinebench_drake.grounding.training.calibration import MeasuredPoses, fit_confidence
+from kinebench_drake.grounding.training.layout import random_surface
+from kinebench_drake.grounding.training.vtk import VtkScene
+from kinebench_drake.io.atomic import make_folder, write_atomically
+from kinebench_drake.io.reader import read_video
+from kinebench_drake.models.panda.robot import GRIPPER, LINK_OF
+from kinebench_drake.types import Domain, GripperKind
+
+FRAMES = 16
+"""Frames of a video that are measured, evenly spaced."""
+_HALVES = ((0.05, 0.08, 0.05), (0.012, 0.02, 0.06), (0.012, 0.02, 0.06))  # of palm and fingers [m]
+_CENTRES = ((0.0, 0.0, 0.05), (0.0, 0.06, 0.15), (0.0, -0.06, 0.15))
+
+
+class BoxGripperScene(VtkScene):
+    """Random scene of a Panda with a gripper of boxes."""
+
+    @override
+    def _add_robot(self) -> None:
+        super()._add_robot()
+        for k, (part, half, centre) in enumerate(zip(GRIPPER, _HALVES, _CENTRES, strict=True)):
+            link = LINK_OF[part]
+            self._graph.RemoveGeometry(self._source, self._graph.model_inspector().GetGeometries(self._frames[link])[0])
+            del self._frames[link]
+            size = np.array(half) * self._rng.uniform(0.7, 1.3)
+            self._add(f"box{k}", Box(*(2 * size)), random_surface(self._rng), X=make_pose(np.eye(3), centre))
+
+    @override
+    def _move(self, X_BL, X_BO, X_BP):  # type: ignore[no-untyped-def]
+        super()._move({**X_BL, **{f"box{k}": X_BL[LINK_OF[GRIPPER[0]]] for k in range(len(GRIPPER))}}, X_BO, X_BP)
+
+
+def measure(demos: Path, out: Path, *, count: int, log: Callable[[str], None]) -> tuple[str, Sequence[MeasuredPoses]]:
+    """Track the flange in demonstrations and in random scenes with a box for a gripper; write flange.md.
+
+    Args:
+        demos: folder of `suite demos`; of its Franka hand nothing is used.
+        out: output folder; finished videos are kept.
+        count: videos of each of the two.
+        log: receives a line per video.
+
+    Returns:
+        The table, and the measurements.
+    """
+    make_folder(out)
+    base = fingerprint(modules=["kinebench_drake.grounding.flange_tracker"])
+    store = MeasurementStore(out / "flange.jsonl", MeasuredPoses)
+    pipeline = GroundingPipeline.create(gripper=GripperKind.NONE)
+    videos: list[tuple[str, Callable[[], MeasuredPoses]]] = []
+    clips = find_clips(demos)
+    for file in clips[:: max(1, len(clips) // count)][:count]:
+
+        def of_demo(file=file) -> MeasuredPoses:  # type: ignore[no-untyped-def]
+            clip = file.load()
+            return _measure(pipeline, read_video(file.video).frames, clip.camera, clip.X_CH)
+
+        videos.append((f"demos/{file.id}", of_demo))
+    for seed in range(count):
+
+        def of_scene(seed=seed) -> MeasuredPoses:  # type: ignore[no-untyped-def]
+            video = BoxGripperScene(np.random.default_rng([88, seed])).video()
+            return _measure(pipeline, video.frames, video.camera, invert(video.camera.X_BC) @ video.X_BH)
+
+        videos.append((f"boxes/{seed:03d}", of_scene))
+    measured = []
+    for id, run in videos:
+        key = f"{base}-{id}"
+        if key not in store:
+            store.put(key, run())
+        measured.append((id, store[key]))
+        distance, angle = pose_difference(store[key].X_true, store[key].X_AH)
+        log(
+            f"{id}: {store[key].detected.mean():.2f} detected, {1e3 * np.nanmedian(distance):.1f} mm, "
+            f"{np.rad2deg(np.nanmedian(angle)):.1f} degrees"
+        )
+    rows = [_row(kind, [m for id, m in measured if id.startswith(kind)]) for kind in ("demos", "boxes")]
+    head = ("videos", "frames", "tracked", "right among tracked", "median [mm]", "95 % [mm]", "median [degrees]")
+    text = "\n".join(table(head, rows)) + "\n"
+    write_atomically(out / "flange.md", text.encode())
+    return text, [m for _, m in measured]
+
+
+def write_confidence(measured: Sequence[MeasuredPoses]) -> None:
+    """Fit the confidence of the arm alone and write it into the shipped calibration."""
+    save_confidence({**load_confidence(), Domain.ARM: fit_confidence(measured)})
+
+
+def _measure(pipeline: GroundingPipeline, frames: Array, camera, X_CH: Array) -> MeasuredPoses:  # type: ignore[no-untyped-def]
+    chosen = np.unique(np.linspace(0, len(frames) - 1, FRAMES).round().astype(int))
+    camera = camera.resized(frames.shape[2], frames.shape[1])
+    observation = pipeline.observe(frames[chosen], camera, 0.2 * chosen)  # type: ignore[arg-type]
+    return MeasuredPoses.from_observation(observation, X_CH[chosen])
+
+
+def _row(kind: str, measured: Sequence[MeasuredPoses]) -> list[str]:
+    confidence = load_confidence()[Domain.ARM]
+    distances, angles, frames = list[float](), list[float](), 0
+    for m in measured:
+        raw = m.track(confidence.frame)
+        probability = np.where(raw.has_pose, confidence.track.probability(raw.features()), 0.0)
+        tracked = probability >= TRACKED_CONFIDENCE
+        distance, angle = pose_difference(m.X_true, raw.smooth(tracked, probability))
+        distances += distance[tracked].tolist()
+        angles += angle[tracked].tolist()
+        frames += len(tracked)
+    d, a = np.array(distances), np.array(angles)
+    right = (d <= 0.01) & (a <= np.deg2rad(5.0))
+    return [
+        kind,
+        str(frames),
+        f"{len(d) / frames:.2f}",
+        f"{right.mean():.2f}",
+        f"{1e3 * np.median(d):.1f}",
+        f"{1e3 * np.quantile(d, 0.95):.1f}",
+        f"{np.rad2deg(np.median(a)):.1f}",
+    ]

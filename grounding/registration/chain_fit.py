@@ -1,0 +1,146 @@
+"""Fit of the last links of the arm alone: pose of the flange where gripper, base or both are unknown.
+
+One link's CAD coordinates and depth give its pose in closed form; its neighbours give the joint angles between them one
+after the other. Then the pose of the hand's frame, which is fixed to the flange, and all joint angles are fitted to the
+cells of the links together, the angles with a prior: links that are not seen are left where they usually are.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+
+from kinebench_drake.geometry import Array, invert, make_pose, rotation_exp
+from kinebench_drake.grounding.registration.arm_fit import LINKS_DEPTH_SIGMA
+from kinebench_drake.grounding.registration.arm_model import OVER_LIMIT_RAD, ArmModel
+from kinebench_drake.grounding.registration.correspondences import Correspondences
+from kinebench_drake.grounding.registration.fit import align
+from kinebench_drake.grounding.registration.solver import Solution, solve
+from kinebench_drake.models.panda.robot import ARM, RobotPart
+from kinebench_drake.models.robot import N_JOINTS
+
+MIN_ROOT_CELLS, MIN_FLANGE_CELLS = 30, 10
+"""Least number of cells of the link that a fit begins with, and of the last link."""
+_ROOTS = (RobotPart.LINK6, RobotPart.LINK5)
+_ANGLES = 72
+_LEAST_CELLS, _COMPARED = 8, 60  # cells of a link that determine a joint, and greatest number of them compared
+_CAP = 25.0  # of a cell's squared residual
+_USUAL_Q = np.array([0.0, 0.3, 0.0, -2.0, 0.0, 2.3, 0.8])
+_POSTURE_SIGMA_RAD = 0.7
+_ALIGN_PASSES = 6
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ChainModel:
+    """`FitModel` of an arm with a free base; 13 parameters: pose of the hand as in `HandModel`, joint angles."""
+
+    model: ArmModel
+    X_CH: Array
+    """(4, 4) pose of panda_hand in the camera frame [m], whatever gripper is there."""
+    q: Array
+    """(7,) joint angles [rad]."""
+    q_start: Array
+    """(7,) mean of their prior [rad]."""
+
+    @property
+    def X_CP(self) -> Array:
+        """(PARTS, 4, 4) poses of the parts in the camera frame [m]."""
+        X_BP = self.model.poses(self.q[None])[0]
+        return np.asarray(self.X_CH @ invert(X_BP[RobotPart.HAND]) @ X_BP)
+
+    def predict(self, cells: Correspondences) -> tuple[Array, Array]:
+        """Return the CAD points (N, 3) in the camera frame [m] and their derivatives (N, 3, 13)."""
+        X_BP, axis, point = self.model.poses_and_axes(self.q)
+        X = X_BP[cells.part]
+        p_B = np.einsum("nij,nj->ni", X[:, :3, :3], cells.p_P) + X[:, :3, 3]
+        X_CB = self.X_CH @ invert(X_BP[RobotPart.HAND])
+        p_C = p_B @ X_CB[:3, :3].T + X_CB[:3, 3]
+        offset = p_C - self.X_CH[:3, 3]
+        d_p = np.zeros((len(cells), 3, 6 + N_JOINTS))
+        d_p[:, 0, 1], d_p[:, 0, 2] = offset[:, 2], -offset[:, 1]
+        d_p[:, 1, 0], d_p[:, 1, 2] = -offset[:, 2], offset[:, 0]
+        d_p[:, 2, 0], d_p[:, 2, 1] = offset[:, 1], -offset[:, 0]
+        d_p[:, :, 3:6] = np.eye(3)
+        moved = np.cross(axis[None], p_B[:, None] - point[None])  # a joint turns what is behind it against the hand
+        moved *= (self.model.moves[cells.part] - 1.0)[..., None]
+        d_p[:, :, 6:] = np.einsum("ij,nkj->nik", X_CB[:3, :3], moved)
+        return p_C, d_p
+
+    def prior(self) -> tuple[Array, Array]:
+        """Return the information (13, 13) that keeps unobserved joints near `q_start`, and its gradient (13,)."""
+        information = np.diag([*[0.0] * 6, *[1.0 / _POSTURE_SIGMA_RAD**2] * N_JOINTS])
+        gradient = np.zeros(6 + N_JOINTS)
+        gradient[6:] = (self.q - self.q_start) / _POSTURE_SIGMA_RAD**2
+        return information, gradient
+
+    def updated(self, step: Array) -> Self:
+        """Return the chain after a change (13,) of its parameters, within the joint limits."""
+        X_CH = make_pose(rotation_exp(step[:3]) @ self.X_CH[:3, :3], self.X_CH[:3, 3] + step[3:6])
+        q = np.clip(self.q + step[6:], self.model.lower - OVER_LIMIT_RAD, self.model.upper + OVER_LIMIT_RAD)
+        return replace(self, X_CH=X_CH, q=q)
+
+
+class ChainFitter:
+    """Fitter of the last links to cells."""
+
+    def __init__(self, model: ArmModel) -> None:
+        self._model = model
+        q = np.repeat(_USUAL_Q[None, None], N_JOINTS, axis=0).repeat(_ANGLES, axis=1)
+        for joint in range(N_JOINTS):
+            q[joint, :, joint] = np.linspace(model.lower[joint], model.upper[joint], _ANGLES)
+        self._angle = q[np.arange(N_JOINTS), :, np.arange(N_JOINTS)]
+        X = model.poses(q.reshape(-1, N_JOINTS)).reshape(N_JOINTS, _ANGLES, -1, 4, 4)
+        self._X_after = np.stack([invert(X[j, :, ARM[j]]) @ X[j, :, ARM[j + 1]] for j in range(N_JOINTS)])
+        self._X_7H = invert(X[0, 0, RobotPart.LINK7]) @ X[0, 0, RobotPart.HAND]
+
+    def fit(self, cells: Correspondences) -> Solution[ChainModel] | None:
+        """Fit the chain to cells of links; None if the last links are not seen."""
+        if (cells.part == RobotPart.LINK7).sum() < MIN_FLANGE_CELLS:
+            return None
+        solutions = []
+        for root in _ROOTS:
+            own = cells.take(cells.part == root)
+            if len(own) < MIN_ROOT_CELLS:
+                continue
+            solution = solve(self._follow(root, own, cells), cells, LINKS_DEPTH_SIGMA, iterations=15)
+            if solution is not None:
+                square = np.minimum((solution.residual[:, :2] ** 2).sum(axis=1), _CAP)
+                solutions.append((float(square.mean()), solution))
+        return min(solutions, key=lambda pair: pair[0])[1] if solutions else None
+
+    def _follow(self, root: RobotPart, own: Correspondences, cells: Correspondences) -> ChainModel:
+        """Return the chain from the pose of one link, joint by joint to both sides."""
+        X_root, q = _align_robustly(own), _USUAL_Q.copy()
+        X = X_root
+        for part in range(root + 1, RobotPart.LINK7 + 1):
+            joint = part - ARM[1]
+            k = self._best(cells, part, X @ self._X_after[joint], joint)
+            q[joint], X = self._angle[joint, k], X @ self._X_after[joint, k]
+        X_CH, X = X @ self._X_7H, X_root
+        for part in range(root - 1, RobotPart.LINK0 - 1, -1):
+            joint = part - ARM[0]
+            k = self._best(cells, part, X @ invert(self._X_after[joint]), joint)
+            q[joint], X = self._angle[joint, k], X @ invert(self._X_after[joint, k])
+        return ChainModel(model=self._model, X_CH=X_CH, q=q, q_start=q)
+
+    def _best(self, cells: Correspondences, part: int, X_CP: Array, joint: int) -> int:
+        """Return the number of the angle at which a link at poses `X_CP` (M, 4, 4) matches its cells best."""
+        own = cells.take(cells.part == part)
+        if len(own) < _LEAST_CELLS:
+            return int(np.abs(self._angle[joint] - _USUAL_Q[joint]).argmin())
+        own = own.take(np.linspace(0, len(own) - 1, min(len(own), _COMPARED)).astype(int))
+        p_C = np.einsum("mij,nj->mni", X_CP[:, :3, :3], own.p_P) + X_CP[:, None, :3, 3]
+        p_L = np.einsum("nij,mnj->mni", own.R_LC, p_C)
+        square = (p_L[..., :2] ** 2).sum(axis=-1) / own.sigma_m[:, 0] ** 2
+        return int(np.where(p_L[..., 2] > 0, np.minimum(square, _CAP), _CAP).mean(axis=1).argmin())
+
+
+def _align_robustly(cells: Correspondences) -> Array:
+    """Return the pose (4, 4) of the part in the camera frame that matches its cells, by reweighted least squares."""
+    weight = 1.0 / (cells.sigma_m[:, 0] ** 2 + (cells.range_sigma * cells.range_m) ** 2)
+    robust, X = np.ones(len(cells)), np.eye(4)
+    for _ in range(_ALIGN_PASSES):
+        X = align(cells.p_C, cells.p_P, weight * robust)
+        error = np.linalg.norm(cells.p_C - cells.p_P @ X[:3, :3].T - X[:3, 3], axis=1)
+        robust = 1.0 / (1.0 + (error / (2 * max(float(np.median(error)), 1e-4))) ** 2)
+    return X
