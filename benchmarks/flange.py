@@ -36,7 +36,6 @@ class BoxGripperScene(VtkScene):
         for k, (part, half, centre) in enumerate(zip(GRIPPER, _HALVES, _CENTRES, strict=True)):
             link = LINK_OF[part]
             self._graph.RemoveGeometry(self._source, self._graph.model_inspector().GetGeometries(self._frames[link])[0])
-            del self._frames[link]
             size = np.array(half) * self._rng.uniform(0.7, 1.3)
             self._add(f"box{k}", Box(*(2 * size)), random_surface(self._rng), X=make_pose(np.eye(3), centre))
 

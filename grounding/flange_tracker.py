@@ -15,7 +15,6 @@ from kinebench_drake.grounding.registration.arm_fit import (
     LINKS_DEPTH_SIGMA,
     ArmFit,
     ArmFitter,
-    without_gripper,
 )
 from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.grounding.registration.chain_fit import ChainFitter, ChainModel
@@ -81,7 +80,7 @@ class FlangeTracker:
         chain = self._chain.fit(cells)
         if chain is None:
             return None
-        arm = fitter.fit_links(chain.model.X_CH, cells, image) if refines else None
+        arm = fitter.fit_links(chain.model.X_CH, chain.model.q, cells, image) if refines else None
         if arm is not None:
             distance, angle = pose_difference(arm.X_CH, chain.model.X_CH)
             if arm.agrees and distance <= _SAME_M and angle <= _SAME_RAD:
@@ -95,7 +94,7 @@ class FlangeTracker:
     ) -> Solution[ChainModel]:
         """Fit the chain to cells and edges together."""
         for reach_px in LINK_REACHES_PX:
-            edges = self._edges.match(image, without_gripper(chain.model.X_CP), reach_px, ARM, _POINTS)
+            edges = self._edges.match(image, chain.model.X_CP, reach_px, ARM, _POINTS)
             if edges is None:
                 break
             joined = Correspondences.join([cells, edges])
@@ -114,7 +113,7 @@ class FlangeTracker:
             scale=float("nan"),
             evidence=0.0,
             covariance=np.linalg.inv(chain.information + 1e-6 * np.eye(len(chain.information)))[:6, :6],
-            edge_agreement=self._edges.agreement(image, without_gripper(chain.model.X_CP), LAST_LINKS),
+            edge_agreement=self._edges.agreement(image, chain.model.X_CP, LAST_LINKS),
         )
 
 

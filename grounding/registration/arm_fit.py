@@ -177,35 +177,40 @@ class ArmFitter:
         evidence = _evidence(*self._costs(np.stack([arm.q, _half_turn(arm).q]), _subsample(links)))
         return self._arm_fit(solution, links, hand, scale=float("nan"), evidence=evidence, agrees=True)
 
-    def fit_links(self, X_CH: Array, links: Correspondences, image: GradientImage) -> ArmFit | None:
-        """Fit the arm to cells and edges of its links alone, near a pose of panda_hand; None if that diverges.
+    def fit_links(self, X_CH: Array, q: Array, links: Correspondences, image: GradientImage) -> ArmFit | None:
+        """Fit the arm to cells and edges of its links alone; None if that diverges.
+
+        The hand still hides what is behind it: other grippers are as large.
 
         Args:
             X_CH: (4, 4) initial pose of panda_hand [m].
+            q: (7,) joint angles near it [rad]; those that no link shows are arbitrary.
             links: cells of the links.
             image: gradients of the frame.
         """
-        initial = self._initial_posture(X_CH, links) if len(links) >= _MIN_CELLS else None
-        if initial is None:
+        if len(links) < _MIN_CELLS:
             return None
-        arm = ArmHandModel(
-            model=self._model,
-            X_CB=self._X_CB,
-            q=initial[0],
-            q_start=initial[0],
-            finger_m=UNSEEN_FINGER_M,
-            finger_free=False,
+        initial = self._initial_posture(X_CH, links)
+        solutions = []
+        for start in [q] if initial is None else [q, initial[0]]:
+            found = solve(self._links_at(start), links, LINKS_DEPTH_SIGMA, iterations=12)
+            if found is not None:
+                solutions.append(found)
+        if not solutions:
+            return None
+        solution = min(
+            solutions, key=lambda s: float(np.minimum((s.residual[:, :2] ** 2).sum(axis=1), _COST_CAP).mean())
         )
-        joined, solution = links, None
-        for reach_px in (np.inf, *LINK_REACHES_PX):
-            if solution is not None:
-                edges = self._edges.match(image, without_gripper(self._poses(arm)), reach_px, ARM, _SHARPENING_POINTS)
-                joined = links if edges is None else Correspondences.join([links, edges])
-            log_depth_factor = 0.0 if solution is None else solution.log_depth_factor
-            solution = solve(arm, joined, LINKS_DEPTH_SIGMA, log_depth_factor)
-            if solution is None:
-                return None
-            arm = solution.model
+        for reach_px in LINK_REACHES_PX:
+            edges = self._edges.match(image, self._poses(solution.model), reach_px, ARM, _SHARPENING_POINTS)
+            if edges is None:
+                break
+            joined = Correspondences.join([links, edges])
+            sharper = solve(self._links_at(solution.model.q), joined, LINKS_DEPTH_SIGMA, solution.log_depth_factor)
+            if sharper is None:
+                break
+            solution = sharper
+        arm = solution.model
         X_fitted, J = arm.hand()
         covariance = np.linalg.inv(solution.information + 1e-6 * np.eye(8))
         consistency = self._consistency_px(arm, links)
@@ -219,7 +224,12 @@ class ArmFitter:
             scale=float("nan"),
             evidence=0.0,
             covariance=J @ covariance[:7, :7] @ J.T,
-            edge_agreement=self._edges.agreement(image, without_gripper(self._poses(arm)), LAST_LINKS),
+            edge_agreement=self._edges.agreement(image, self._poses(arm), LAST_LINKS),
+        )
+
+    def _links_at(self, q: Array) -> ArmHandModel:
+        return ArmHandModel(
+            model=self._model, X_CB=self._X_CB, q=q, q_start=q, finger_m=UNSEEN_FINGER_M, finger_free=False
         )
 
     def search(self, hand: HandFit, close: GripperView, wide: GripperView, image: GradientImage) -> ArmFit | None:
@@ -459,10 +469,3 @@ def _split(difference: Array, direction: Array) -> tuple[float, float]:
     """Return the lengths of a difference (3,) along and across a direction (3,)."""
     along = float(difference @ direction / np.linalg.norm(direction))
     return abs(along), max(0.0, float(difference @ difference) - along**2) ** 0.5
-
-
-def without_gripper(X_CP: Array) -> Array:
-    """Return poses (PARTS, 4, 4) of parts in the camera frame with the gripper behind the camera, unseen [m]."""
-    X_CP = X_CP.copy()
-    X_CP[list(GRIPPER)] = make_pose(np.eye(3), [0.0, 0.0, -10.0])
-    return X_CP

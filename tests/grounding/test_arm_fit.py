@@ -12,12 +12,14 @@ from kinebench_drake.geometry import Array, invert, make_pose, pose_difference, 
 from kinebench_drake.grounding.crop import CLOSE_SIZE, Crop
 from kinebench_drake.grounding.registration.arm_fit import ArmFitter
 from kinebench_drake.grounding.registration.arm_model import ArmModel
+from kinebench_drake.grounding.registration.chain_fit import ChainFitter, ChainModel
+from kinebench_drake.grounding.registration.correspondences import Correspondences
 from kinebench_drake.grounding.registration.edges import EdgeMatcher, GradientImage
 from kinebench_drake.grounding.registration.fit import fit
 from kinebench_drake.grounding.registration.silhouette import SilhouetteMatcher
 from kinebench_drake.grounding.view import GripperView
 from kinebench_drake.models.panda.cad import GripperCad, PartCaster, link_meshes, open_fingers, part_meshes
-from kinebench_drake.models.panda.robot import OPENING_SIGN, RobotPart
+from kinebench_drake.models.panda.robot import ARM, OPENING_SIGN, RobotPart
 
 CAMERA = benchmark_camera()
 FINGER_M = 0.025
@@ -194,3 +196,54 @@ def test_a_misread_hand_is_found_from_the_frame_before(model: ArmModel, seed: in
     assert distance < 0.01
     assert np.rad2deg(angle) < 8.0
     assert np.isnan(arm.scale)
+
+
+def link_cells(*views: GripperView) -> Correspondences:
+    """The cells of the links alone, as with a gripper that is not Franka's."""
+    return Correspondences.join([Correspondences.of_view(v, np.isin(v.part, ARM), 300, 30.0) for v in views])
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_last_links_give_the_flange_without_gripper_and_base(model: ArmModel, seed: int) -> None:
+    X_CH, close, wide = views(model, posture(seed), seed)
+    solution = ChainFitter(model).fit(link_cells(close, wide))
+    assert solution is not None
+    distance, angle = pose_difference(solution.model.X_CH, X_CH)
+    assert distance < 0.025
+    assert np.rad2deg(angle) < 3.0
+    hidden = link_cells(close, wide)
+    assert ChainFitter(model).fit(hidden.take(hidden.part != RobotPart.LINK7)) is None
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_base_and_edges_of_the_links_sharpen_the_flange(model: ArmModel, seed: int) -> None:
+    q = posture(seed)
+    X_CH, close, wide = views(model, q, seed)
+    start = X_CH @ make_pose(rotation_exp([0.03, 0.0, 0.05]), [0.01, 0.0, 0.01])
+    image = GradientImage(drawn(model, q), CAMERA)
+    arm = ArmFitter(CAMERA, model, EdgeMatcher()).fit_links(start, q + 0.05, link_cells(close, wide), image)
+    assert arm is not None
+    assert arm.agrees
+    distance, angle = pose_difference(arm.X_CH, X_CH)
+    assert distance < 0.005
+    assert np.rad2deg(angle) < 1.0
+
+
+def test_derivatives_of_the_chain(model: ArmModel) -> None:
+    q = posture(0)
+    X_CH, close, _ = views(model, q, 0)
+    cells = link_cells(close)
+    chain = ChainModel(model=model, X_CH=X_CH, q=q, q_start=q)
+    p_C, d_p = chain.predict(cells)
+    for k in range(13):
+        step = 1e-6 * np.eye(13)[k]
+        moved = chain.updated(step).predict(cells)[0]
+        np.testing.assert_allclose((moved - p_C) / 1e-6, d_p[..., k], atol=1e-4)
+
+
+def test_a_moving_camera_has_a_fitter_for_each_frame(model: ArmModel) -> None:
+    places = np.array([[0.0, 0.0, 0.0], [0.05, -0.02, 0.03]])
+    fitter = ArmFitter(CAMERA, model, EdgeMatcher(), places)
+    q = posture(0)
+    image = GradientImage(drawn(model, q), CAMERA)
+    assert fitter.at(0).edge_agreement(q, image) > 2 * fitter.at(1).edge_agreement(q, image)

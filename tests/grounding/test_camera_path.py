@@ -95,7 +95,7 @@ def test_without_features_nothing_is_followed():
     grey = np.full((3, 384, 384, 3), 90, np.uint8)
     followed = follow_camera(grey, grey[0], ROBOT, CAMERA)
     assert not followed.followed.any()
-    assert (followed.X_AC == np.eye(4)).all()
+    assert (np.eye(4) == followed.X_AC).all()
 
 
 def test_stabilized_frames_look_like_the_first():
