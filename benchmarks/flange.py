@@ -9,7 +9,7 @@ from typing_extensions import override
 
 from benchmarks.markdown import table
 from kinebench_drake.geometry import Array, invert, make_pose, pose_difference
-from kinebench_drake.grounding.confidence import load_confidence, save_confidence
+from kinebench_drake.grounding.confidence import CALIBRATION, load_confidence, save_confidence
 from kinebench_drake.grounding.evaluation.clip import find_clips
 from kinebench_drake.grounding.evaluation.store import MeasurementStore, fingerprint
 from kinebench_drake.grounding.pipeline import TRACKED_CONFIDENCE, GroundingPipeline
@@ -22,7 +22,7 @@ from kinebench_drake.models.panda.robot import GRIPPER, LINK_OF
 from kinebench_drake.types import Domain, GripperKind
 
 FRAMES = 16
-"""Frames of a video that are measured, evenly spaced."""
+"""Frames of a video that are measured, from its middle."""
 _HALVES = ((0.05, 0.08, 0.05), (0.012, 0.02, 0.06), (0.012, 0.02, 0.06))  # of palm and fingers [m]
 _CENTRES = ((0.0, 0.0, 0.05), (0.0, 0.06, 0.15), (0.0, -0.06, 0.15))
 
@@ -96,11 +96,12 @@ def measure(demos: Path, out: Path, *, count: int, log: Callable[[str], None]) -
 
 def write_confidence(measured: Sequence[MeasuredPoses]) -> None:
     """Fit the confidence of the arm alone and write it into the shipped calibration."""
-    save_confidence({**load_confidence(), Domain.ARM: fit_confidence(measured)})
+    save_confidence({**load_confidence(), Domain.ARM: fit_confidence(measured)}, CALIBRATION)
 
 
 def _measure(pipeline: GroundingPipeline, frames: Array, camera, X_CH: Array) -> MeasuredPoses:  # type: ignore[no-untyped-def]
-    chosen = np.unique(np.linspace(0, len(frames) - 1, FRAMES).round().astype(int))
+    first = max(0, (len(frames) - FRAMES) // 2)
+    chosen = np.arange(first, min(first + FRAMES, len(frames)))
     camera = camera.resized(frames.shape[2], frames.shape[1])
     observation = pipeline.observe(frames[chosen], camera, 0.2 * chosen)  # type: ignore[arg-type]
     return MeasuredPoses.from_observation(observation, X_CH[chosen])

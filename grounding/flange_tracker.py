@@ -1,7 +1,5 @@
 """Tracking of the flange by the arm alone, whatever gripper it carries."""
 
-from dataclasses import replace
-
 import numpy as np
 
 from kinebench_drake.camera import Camera
@@ -11,7 +9,6 @@ from kinebench_drake.grounding.localization import find_region
 from kinebench_drake.grounding.pose import FramePose
 from kinebench_drake.grounding.registration.arm_fit import (
     LAST_LINKS,
-    LINK_REACHES_PX,
     LINKS_DEPTH_SIGMA,
     ArmFit,
     ArmFitter,
@@ -27,12 +24,16 @@ from kinebench_drake.grounding.view import DenseEstimator, Frames, GripperView
 from kinebench_drake.models.panda.robot import ARM, RobotPart
 from kinebench_drake.types import NO_PRIORS, Domain, Priors
 
-_SEEN = (*LAST_LINKS, RobotPart.HAND)  # cells of a gripper are taken for a hand, and lie where the wrist is
+# Cells of a gripper are taken for a hand, and lie where the wrist is.
+_SEEN = (RobotPart.LINK5, *LAST_LINKS, RobotPart.HAND)
 _MIN_CELLS = 12
 _QUANTILES, _MARGIN = (5.0, 95.0), 0.8  # of the cells of the wrist; half size of its crop over their extent
 _WRIST_H, _WRIST_RADIUS_M = np.array([0.044, 0.0, -0.15]), 0.17  # sphere around the last links, in the hand's frame
 _LINK_CELLS, _INDEPENDENT = 300, 30.0
+_LINKS = ARM[-4:]  # links whose edges are matched
 _POINTS = 300
+_REACHES_PX = (8.0, 5.0, 3.0)  # farthest edges of the last links in successive passes
+_GAIN = 0.05  # least lead of a neighbour's agreement with edges that makes its posture worth a try
 _UNSEEN_SIGMA_M = 0.1
 _SAME_M, _SAME_RAD = 0.06, np.deg2rad(20.0)  # from the chain with a free base to the arm on the base
 
@@ -56,14 +57,24 @@ class FlangeTracker:
             wide = dict(self._estimator.estimate(frames, camera, dict.fromkeys(whole, region)))
         fitter = ArmFitter(camera, self._model, self._edges, places)
         crops = {i: crop for i, view in wide.items() if (crop := _wrist_crop(view)) is not None}
+        for i, view in self._estimator.estimate(frames, camera, dict(crops)):
+            chain = self._chain.fit(_link_cells(view, wide[i]))
+            if chain is not None:
+                crops[i] = _crop_at(chain.model.X_CH)
+        closes = dict(self._estimator.estimate(frames, camera, crops))
+        images = {i: GradientImage(frames[i], camera) for i in closes}
         poses: dict[int, FramePose] = {}
-        for last in (False, True):
-            better: dict[int, Crop] = {}
-            for i, view in self._estimator.estimate(frames, camera, crops):
-                pose = self._measure(view, wide[i], fitter.at(i), GradientImage(frames[i], camera), refines=last)
-                if pose is not None:
-                    poses[i], better[i] = pose, _crop_at(pose.X_CH)
-            crops = better if not last else crops
+        for i, close in sorted(closes.items()):
+            pose = self._measure(close, wide[i], fitter.at(i), images[i])
+            if pose is not None:
+                poses[i] = pose
+        for step in (1, -1):
+            for i in sorted(closes)[::step]:
+                near = poses.get(i - step)
+                if near is not None and _agreement(near) > _agreement(poses.get(i)) + _GAIN:
+                    pose = self._measure(closes[i], wide[i], fitter.at(i), images[i], near)
+                    if pose is not None and _agreement(pose) > _agreement(poses.get(i)):
+                        poses[i] = pose
         return Tracking(
             poses=tuple(poses.get(i) for i in range(len(frames))),
             wide=tuple(wide[i] for i in range(len(frames))),
@@ -72,29 +83,35 @@ class FlangeTracker:
         )
 
     def _measure(
-        self, view: GripperView, wide: GripperView, fitter: ArmFitter, image: GradientImage, *, refines: bool
+        self,
+        close: GripperView,
+        wide: GripperView,
+        fitter: ArmFitter,
+        image: GradientImage,
+        near: FramePose | None = None,
     ) -> FramePose | None:
-        close = replace(view, part=np.where(view.gripper, RobotPart.BACKGROUND, view.part))
-        links = [Correspondences.of_view(v, np.isin(v.part, ARM), _LINK_CELLS, _INDEPENDENT) for v in (close, wide)]
-        cells = Correspondences.join(links)
-        chain = self._chain.fit(cells)
+        """Return the pose of a frame, from its cells or from the posture of a neighbouring frame; None without one."""
+        cells = _link_cells(close, wide)
+        if near is None or near.arm is None:
+            chain = self._chain.fit(cells)
+        else:
+            chain = solve(self._chain.at(near.X_CH, near.arm.q), cells, LINKS_DEPTH_SIGMA)
         if chain is None:
             return None
-        arm = fitter.fit_links(chain.model.X_CH, chain.model.q, cells, image) if refines else None
+        arm = fitter.fit_links(chain.model.X_CH, chain.model.q, cells, image)
         if arm is not None:
             distance, angle = pose_difference(arm.X_CH, chain.model.X_CH)
             if arm.agrees and distance <= _SAME_M and angle <= _SAME_RAD:
                 return _frame_pose(arm, chain, close)
-        if refines:
-            chain = self._sharpen(chain, cells, image)
+        chain = self._sharpen(chain, cells, image)
         return _frame_pose(self._free_arm(chain, image), chain, close)
 
     def _sharpen(
         self, chain: Solution[ChainModel], cells: Correspondences, image: GradientImage
     ) -> Solution[ChainModel]:
         """Fit the chain to cells and edges together."""
-        for reach_px in LINK_REACHES_PX:
-            edges = self._edges.match(image, chain.model.X_CP, reach_px, ARM, _POINTS)
+        for reach_px in _REACHES_PX:
+            edges = self._edges.match(image, chain.model.X_CP, reach_px, _LINKS, _POINTS)
             if edges is None:
                 break
             joined = Correspondences.join([cells, edges])
@@ -115,6 +132,16 @@ class FlangeTracker:
             covariance=np.linalg.inv(chain.information + 1e-6 * np.eye(len(chain.information)))[:6, :6],
             edge_agreement=self._edges.agreement(image, chain.model.X_CP, LAST_LINKS),
         )
+
+
+def _agreement(pose: FramePose | None) -> float:
+    return 0.0 if pose is None or pose.arm is None else pose.arm.edge_agreement
+
+
+def _link_cells(close: GripperView, wide: GripperView) -> Correspondences:
+    return Correspondences.join(
+        [Correspondences.of_view(v, np.isin(v.part, ARM), _LINK_CELLS, _INDEPENDENT) for v in (close, wide)]
+    )
 
 
 def _wrist_crop(view: GripperView) -> Crop | None:

@@ -55,8 +55,8 @@ LINKS_DEPTH_SIGMA = 0.1
 """Relative standard deviation of the depth factor where only links are measured: looks are often unfamiliar."""
 LINK_REACHES_PX = (5.0, 3.0)
 """Farthest edges of links in successive passes [px]."""
-LAST_LINKS = (RobotPart.LINK5, RobotPart.LINK6, RobotPart.LINK7)
-"""Links that show where the flange is."""
+LAST_LINKS = (RobotPart.LINK6, RobotPart.LINK7)
+"""Links whose contours say whether the flange is right; those before them may be wrong, or hidden."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

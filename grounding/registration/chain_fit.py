@@ -93,6 +93,10 @@ class ChainFitter:
         self._X_after = np.stack([invert(X[j, :, ARM[j]]) @ X[j, :, ARM[j + 1]] for j in range(N_JOINTS)])
         self._X_7H = invert(X[0, 0, RobotPart.LINK7]) @ X[0, 0, RobotPart.HAND]
 
+    def at(self, X_CH: Array, q: Array) -> ChainModel:
+        """Return the chain at a pose (4, 4) of panda_hand in the camera frame [m] and joint angles (7,) [rad]."""
+        return ChainModel(model=self._model, X_CH=X_CH, q=q, q_start=q)
+
     def fit(self, cells: Correspondences) -> Solution[ChainModel] | None:
         """Fit the chain to cells of links; None if the last links are not seen."""
         if (cells.part == RobotPart.LINK7).sum() < MIN_FLANGE_CELLS:
@@ -121,7 +125,7 @@ class ChainFitter:
             joint = part - ARM[0]
             k = self._best(cells, part, X @ invert(self._X_after[joint]), joint)
             q[joint], X = self._angle[joint, k], X @ invert(self._X_after[joint, k])
-        return ChainModel(model=self._model, X_CH=X_CH, q=q, q_start=q)
+        return self.at(X_CH, q)
 
     def _best(self, cells: Correspondences, part: int, X_CP: Array, joint: int) -> int:
         """Return the number of the angle at which a link at poses `X_CP` (M, 4, 4) matches its cells best."""
