@@ -1,6 +1,6 @@
 """The arm alone: tracking of the flange with the hand left out, and with boxes in its place; fit of its confidence."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -8,14 +8,16 @@ from pydrake.geometry import Box
 from typing_extensions import override
 
 from benchmarks.markdown import table
+from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, invert, make_pose, pose_difference
 from kinebench_drake.grounding.confidence import CALIBRATION, load_confidence, save_confidence
-from kinebench_drake.grounding.evaluation.clip import find_clips
+from kinebench_drake.grounding.evaluation.clip import TruthClipFile, find_clips
 from kinebench_drake.grounding.evaluation.store import MeasurementStore, fingerprint
 from kinebench_drake.grounding.pipeline import TRACKED_CONFIDENCE, GroundingPipeline
 from kinebench_drake.grounding.training.calibration import MeasuredPoses, fit_confidence
 from kinebench_drake.grounding.training.layout import random_surface
 from kinebench_drake.grounding.training.vtk import VtkScene
+from kinebench_drake.grounding.view import Frames
 from kinebench_drake.io.atomic import make_folder, write_atomically
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.models.panda.robot import GRIPPER, LINK_OF
@@ -40,7 +42,7 @@ class BoxGripperScene(VtkScene):
             self._add(f"box{k}", Box(*(2 * size)), random_surface(self._rng), X=make_pose(np.eye(3), centre))
 
     @override
-    def _move(self, X_BL, X_BO, X_BP):  # type: ignore[no-untyped-def]
+    def _move(self, X_BL: Mapping[str, Array], X_BO: Sequence[Array], X_BP: Array) -> None:
         super()._move({**X_BL, **{f"box{k}": X_BL[LINK_OF[GRIPPER[0]]] for k in range(len(GRIPPER))}}, X_BO, X_BP)
 
 
@@ -64,14 +66,14 @@ def measure(demos: Path, out: Path, *, count: int, log: Callable[[str], None]) -
     clips = find_clips(demos)
     for file in clips[:: max(1, len(clips) // count)][:count]:
 
-        def of_demo(file=file) -> MeasuredPoses:  # type: ignore[no-untyped-def]
+        def of_demo(file: TruthClipFile = file) -> MeasuredPoses:
             clip = file.load()
             return _measure(pipeline, read_video(file.video).frames, clip.camera, clip.X_CH)
 
         videos.append((f"demos/{file.id}", of_demo))
     for seed in range(count):
 
-        def of_scene(seed=seed) -> MeasuredPoses:  # type: ignore[no-untyped-def]
+        def of_scene(seed: int = seed) -> MeasuredPoses:
             video = BoxGripperScene(np.random.default_rng([88, seed])).video()
             return _measure(pipeline, video.frames, video.camera, invert(video.camera.X_BC) @ video.X_BH)
 
@@ -99,11 +101,11 @@ def write_confidence(measured: Sequence[MeasuredPoses]) -> None:
     save_confidence({**load_confidence(), Domain.ARM: fit_confidence(measured)}, CALIBRATION)
 
 
-def _measure(pipeline: GroundingPipeline, frames: Array, camera, X_CH: Array) -> MeasuredPoses:  # type: ignore[no-untyped-def]
+def _measure(pipeline: GroundingPipeline, frames: Frames, camera: Camera, X_CH: Array) -> MeasuredPoses:
     first = max(0, (len(frames) - FRAMES) // 2)
     chosen = np.arange(first, min(first + FRAMES, len(frames)))
     camera = camera.resized(frames.shape[2], frames.shape[1])
-    observation = pipeline.observe(frames[chosen], camera, 0.2 * chosen)  # type: ignore[arg-type]
+    observation = pipeline.observe(frames[chosen], camera, 0.2 * chosen)
     return MeasuredPoses.from_observation(observation, X_CH[chosen])
 
 

@@ -184,7 +184,7 @@ def _track_features(
     start = np.empty((0, 2), np.float32) if found is None else found[:, 0]
     tracks = np.full((len(frames), len(start), 2), np.nan)
     if len(start) < MIN_FEATURES:
-        return start + 0.5, tracks
+        return np.asarray(start + 0.5, np.float64), tracks
     before, last, alive = first, start.copy(), np.ones(len(start), dtype=bool)
     for i, frame in enumerate(frames):
         image = _even_contrast(frame, unit)
@@ -215,7 +215,7 @@ def _even_contrast(frame: NDArray[np.uint8], unit: float) -> NDArray[np.uint8]:
     grey = cv2.cvtColor(frame, cv2.COLOR_RGB2GRAY).astype(np.float32)
     detail = cv2.GaussianBlur(grey, (0, 0), 0.7 * unit) - cv2.GaussianBlur(grey, (0, 0), _DETAIL_PX * unit)
     contrast = np.sqrt(cv2.GaussianBlur(detail**2, (0, 0), 2 * _DETAIL_PX * unit))
-    return np.clip(128.0 + 48.0 * detail / (contrast + _NOISE), 0, 255).astype(np.uint8)
+    return np.asarray(np.clip(128.0 + 48.0 * detail / (contrast + _NOISE), 0, 255), np.uint8)
 
 
 def _flow(

@@ -129,7 +129,7 @@ class FlangeTracker:
             consistency_px=float("nan"),
             scale=float("nan"),
             evidence=0.0,
-            covariance=np.linalg.inv(chain.information + 1e-6 * np.eye(len(chain.information)))[:6, :6],
+            covariance=np.asarray(np.linalg.inv(chain.information + 1e-6 * np.eye(len(chain.information)))[:6, :6]),
             edge_agreement=self._edges.agreement(image, chain.model.X_CP, LAST_LINKS),
         )
 

@@ -20,7 +20,7 @@ from kinebench_drake.grounding.flips import X_HALF_TURN, resolve_flips
 from kinebench_drake.grounding.gripper_width import smooth_gripper_width
 from kinebench_drake.grounding.pose import FramePose
 from kinebench_drake.grounding.smoothing import RawTrack
-from kinebench_drake.grounding.tracker import CadTracker, PoseTracker
+from kinebench_drake.grounding.tracker import CadTracker, PoseTracker, Tracking
 from kinebench_drake.grounding.view import Frames, GripperView
 from kinebench_drake.models.panda.robot import RobotPart, hand_from_tcp
 from kinebench_drake.models.perception.network import WEIGHTS, load_network
@@ -211,13 +211,15 @@ class GroundingPipeline:
             t_s: (T,) task times [s].
             priors: quantities that replace their estimates.
         """
-        stabilized, tracking = not priors.replaces_stage, None
+        stabilized = not priors.replaces_stage
         motion = self._follow(frames, camera, priors) if stabilized else None
-        if motion is None:
+        if motion is not None:
+            tracking = self._track_steady(frames, camera, priors, motion)
+        else:
             tracking = self._tracker.track(frames, camera, priors)
             motion = self._measure_motion(frames, tracking.robot, camera, priors)
-        if stabilized and (tracking is None or motion.moves or motion.path is not None):
-            tracking = self._tracker.track(*motion.stabilize(frames, camera), priors, motion.places)
+            if stabilized and (motion.moves or motion.path is not None):
+                tracking = self._track_steady(frames, camera, priors, motion)
         resolved = tracking.poses if tracking.domain is Domain.ARM else resolve_flips(tracking.poses)
         X_AC = motion.X_AS if stabilized else motion.X_AC
         poses = [p and replace(p, X_CH=X @ p.X_CH) for p, X in zip(resolved, X_AC, strict=True)]
@@ -228,6 +230,10 @@ class GroundingPipeline:
             wide=tracking.wide,
             domain=tracking.domain,
         )
+
+    def _track_steady(self, frames: Frames, camera: Camera, priors: Priors, motion: CameraMotion) -> Tracking:
+        """Track in frames without the motion of the camera."""
+        return self._tracker.track(*motion.stabilize(frames, camera), priors, motion.places)
 
     def _follow(self, frames: Frames, camera: Camera, priors: Priors) -> CameraMotion | None:
         """Return the motion of a camera that clearly moves and can be followed; None otherwise.
