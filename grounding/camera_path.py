@@ -180,8 +180,8 @@ def _track_features(
     first = _even_contrast(reference, unit)
     margin = 2 * round(_ROBOT_MARGIN_PX * unit) + 1
     free = cv2.dilate(robot.astype(np.uint8), np.ones((margin, margin), np.uint8)) == 0
-    found = cv2.goodFeaturesToTrack(first, _MAX_FEATURES, 0.005, _SPACING_PX * unit, mask=free.astype(np.uint8) * 255)
-    start = np.empty((0, 2), np.float32) if found is None else found[:, 0]
+    corners = cv2.goodFeaturesToTrack(first, _MAX_FEATURES, 0.005, _SPACING_PX * unit, mask=free.astype(np.uint8) * 255)
+    start = np.empty((0, 2), np.float32) if corners is None else corners[:, 0]
     tracks = np.full((len(frames), len(start), 2), np.nan)
     if len(start) < MIN_FEATURES:
         return np.asarray(start + 0.5, np.float64), tracks
@@ -301,9 +301,9 @@ class _Problem:
 
     def has_scale(self, fit: _Fit) -> bool:
         """Return whether enough features that look at the table have its depth."""
-        seen = self._seen.any(axis=0) & self._on_table
+        used = self._seen.any(axis=0) & self._on_table
         near = np.abs(fit.inverse_depth / self._table - 1.0) < 3 * _TABLE_SIGMA
-        return bool(seen.sum() >= MIN_FEATURES and near[seen].mean() >= MIN_ON_TABLE)
+        return bool(used.sum() >= MIN_FEATURES and near[used].mean() >= MIN_ON_TABLE)
 
     def _error(self, cameras: Array, rho: Array) -> Array:
         """Return predicted less tracked pixels (T, N, 2)."""

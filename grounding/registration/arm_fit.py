@@ -193,9 +193,9 @@ class ArmFitter:
         initial = self._initial_posture(X_CH, links)
         solutions = []
         for start in [q] if initial is None else [q, initial[0]]:
-            found = solve(self._links_at(start), links, LINKS_DEPTH_SIGMA, iterations=12)
-            if found is not None:
-                solutions.append(found)
+            fitted = solve(self._links_at(start), links, LINKS_DEPTH_SIGMA, iterations=12)
+            if fitted is not None:
+                solutions.append(fitted)
         if not solutions:
             return None
         solution = min(

@@ -66,6 +66,7 @@ def test_save_and_load(tmp_path: Path) -> None:
     saved = {
         Domain.FAMILIAR: Confidence(frame=frame, track=track),
         Domain.UNFAMILIAR: Confidence(frame=other, track=track),
+        Domain.ARM: Confidence(frame=frame, track=track),
     }
     save_confidence(saved, path)
     loaded = load_confidence(path)
