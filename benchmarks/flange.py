@@ -105,7 +105,8 @@ def _measure(pipeline: GroundingPipeline, frames: Frames, camera: Camera, X_CH: 
     first = max(0, (len(frames) - FRAMES) // 2)
     chosen = np.arange(first, min(first + FRAMES, len(frames)))
     camera = camera.resized(frames.shape[2], frames.shape[1])
-    observation = pipeline.observe(frames[chosen], camera, 0.2 * chosen)
+    t_s = 0.2 * chosen.astype(np.float64)
+    observation = pipeline.observe(frames[chosen], camera, np.asarray(t_s, np.float64))
     return MeasuredPoses.from_observation(observation, X_CH[chosen])
 
 
