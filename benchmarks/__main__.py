@@ -438,14 +438,13 @@ def flange(demos: Path, out: Path, count: int, calibrate: bool) -> None:
     The same command resumes.
     """
     one_thread()
-    from benchmarks.flange import measure, write_confidence
+    from benchmarks.flange import measure, summarize, write_confidence
 
     with errors():
-        text, measured = measure(demos, out, count=count, log=log)
+        measured = measure(demos, out, count=count, log=log)
         if calibrate:
             write_confidence(measured)
-            text, _ = measure(demos, out, count=count, log=lambda _: None)
-    click.echo(text)
+        click.echo(summarize(measured, out))
 
 
 @main.command(epilog="\b\nExample:\n  python -m benchmarks equivalence results-before results-after")

@@ -46,8 +46,8 @@ class BoxGripperScene(VtkScene):
         super()._move({**X_BL, **{f"box{k}": X_BL[LINK_OF[GRIPPER[0]]] for k in range(len(GRIPPER))}}, X_BO, X_BP)
 
 
-def measure(demos: Path, out: Path, *, count: int, log: Callable[[str], None]) -> tuple[str, Sequence[MeasuredPoses]]:
-    """Track the flange in demonstrations and in random scenes with a box for a gripper; write flange.md.
+def measure(demos: Path, out: Path, *, count: int, log: Callable[[str], None]) -> Mapping[str, MeasuredPoses]:
+    """Track the flange in demonstrations and in random scenes with a gripper of boxes.
 
     Args:
         demos: folder of `suite demos`; of its Franka hand nothing is used.
@@ -56,7 +56,7 @@ def measure(demos: Path, out: Path, *, count: int, log: Callable[[str], None]) -
         log: receives a line per video.
 
     Returns:
-        The table, and the measurements.
+        The measurements by video.
     """
     make_folder(out)
     base = fingerprint(modules=["kinebench_drake.grounding.flange_tracker"])
@@ -78,27 +78,32 @@ def measure(demos: Path, out: Path, *, count: int, log: Callable[[str], None]) -
             return _measure(pipeline, video.frames, video.camera, invert(video.camera.X_BC) @ video.X_BH)
 
         videos.append((f"boxes/{seed:03d}", of_scene))
-    measured = []
+    measured = {}
     for id, run in videos:
         key = f"{base}-{id}"
         if key not in store:
             store.put(key, run())
-        measured.append((id, store[key]))
+        measured[id] = store[key]
         distance, angle = pose_difference(store[key].X_true, store[key].X_AH)
         log(
             f"{id}: {store[key].detected.mean():.2f} detected, {1e3 * np.nanmedian(distance):.1f} mm, "
             f"{np.rad2deg(np.nanmedian(angle)):.1f} degrees"
         )
-    rows = [_row(kind, [m for id, m in measured if id.startswith(kind)]) for kind in ("demos", "boxes")]
+    return measured
+
+
+def summarize(measured: Mapping[str, MeasuredPoses], out: Path) -> str:
+    """Write flange.md into a folder, a table of errors with the shipped confidence, and return it."""
+    rows = [_row(kind, [m for id, m in measured.items() if id.startswith(kind)]) for kind in ("demos", "boxes")]
     head = ("videos", "frames", "tracked", "right among tracked", "median [mm]", "95 % [mm]", "median [degrees]")
     text = "\n".join(table(head, rows)) + "\n"
     write_atomically(out / "flange.md", text.encode())
-    return text, [m for _, m in measured]
+    return text
 
 
-def write_confidence(measured: Sequence[MeasuredPoses]) -> None:
+def write_confidence(measured: Mapping[str, MeasuredPoses]) -> None:
     """Fit the confidence of the arm alone and write it into the shipped calibration."""
-    save_confidence({**load_confidence(), Domain.ARM: fit_confidence(measured)}, CALIBRATION)
+    save_confidence({**load_confidence(), Domain.ARM: fit_confidence(list(measured.values()))}, CALIBRATION)
 
 
 def _measure(pipeline: GroundingPipeline, frames: Frames, camera: Camera, X_CH: Array) -> MeasuredPoses:
