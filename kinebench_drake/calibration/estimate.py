@@ -53,7 +53,7 @@ _COARSE = ((14.0, 1.0), (14.0, 1.0), (10.0, 0.6), (6.0, 0.3), (4.0, 0.1))
 _MIDDLE = ((8.0, 0.3), (5.0, 0.2), (4.0, 0.1), (3.0, 0.0))
 _FINE = ((8.0, 0.3), (5.0, 0.1), (4.0, 0.0), (3.0, 0.0), (3.0, 0.0), (2.0, 0.0), (2.0, 0.0))
 """Successive reaches of the search for edges [px of an image of at most 640 px], and weights of the cells."""
-_SUFFICIENT = 0.45  # agreement of a camera that is not in doubt
+_SUFFICIENT = 0.5  # agreement, after a fit of the postures, of a camera that is not in doubt
 _ZOOMS, _ZOOMS_FITTED = (0.63, 0.72, 0.85, 1.0, 1.2, 1.4, 1.6), 3  # focal lengths over that of a camera in doubt
 CONTRADICTING, CLEARLY = 0.5, 0.1
 """Least agreement with another camera that contradicts the assumed one, and how much better it has to be."""
@@ -62,7 +62,7 @@ _ROUNDS = ((4, _COARSE, 4), (6, _MIDDLE, 2))
 _PASS_SIGMA_RAD = 0.5  # of joint angles about those of the pass before
 _SAME_RAD, _SAME_ZOOM = np.deg2rad(8.0), 0.1
 _PART_INDEPENDENT = 6.0  # independent measurements of the contours of a part, whose errors correlate
-_SIGMA_FACTOR = 1.2  # errors over those of independent contours
+_SIGMA_FACTOR, _JOINTS_SIGMA_FACTOR = 1.2, 1.5  # errors over those of independent contours; at known joint angles
 _LEAST_SHARE = 0.6  # of the median agreement, below which a frame is left out
 _LEAST_EXPLAINED = 0.75  # of the frames that show the robot: a camera that explains fewer agrees less
 _FLOOR, _NEAREST_M = 1.5, 0.05
@@ -551,7 +551,8 @@ class CameraEstimator:
         np.add.at(count, (edges.frame, edges.part), 1.0)
         weight = np.minimum(1.0, _PART_INDEPENDENT / count[edges.frame, edges.part]) / alike[edges.frame, edges.part]
         posture_sigma = POSTURE_SIGMA_RAD if q_sigma is None else q_sigma
-        honest = replace(edges, weight=weight / _SIGMA_FACTOR**2)
+        factor = _SIGMA_FACTOR if q_sigma is None else _JOINTS_SIGMA_FACTOR
+        honest = replace(edges, weight=weight / factor**2)
         return adjust(honest, scene, prior.with_postures(scene.q, posture_sigma), self._model, iterations=0)
 
 
