@@ -40,6 +40,8 @@ TRACKED_CONFIDENCE = 0.3
 """Least confidence at which a frame counts as tracked."""
 CHECKED_FRAMES = 5
 """Number of frames that check by the arm whether the camera or the background moves."""
+LEAST_AGREEING = 0.5
+"""Least number of them in which hand and arm agree, relative to that without following the camera."""
 FIRST_M, FIRST_RAD = 0.015, np.deg2rad(6.0)
 """Largest deviation of the initial state from a confident estimate of the first frame, to be used."""
 
@@ -238,7 +240,7 @@ class GroundingPipeline:
     def _follow(self, frames: Frames, camera: Camera, priors: Priors) -> CameraMotion | None:
         """Return the motion of a camera that clearly moves and can be followed; None otherwise.
 
-        In some frames hand and arm must agree as often as without following it: else the background moves.
+        In some frames hand and arm must agree nearly as often as without following it: else the background moves.
         """
         nothing = np.zeros(frames.shape[1:3], dtype=bool)
         if not self._measure_motion(frames, nothing, camera, priors, follows=False).is_clear:
@@ -257,7 +259,7 @@ class GroundingPipeline:
                 self._tracker.track(frames[chosen], camera),
             )
         )
-        return motion if followed >= fixed else replace(motion, path=None)
+        return motion if followed >= LEAST_AGREEING * fixed else replace(motion, path=None)
 
     def _measure_motion(
         self, frames: Frames, robot: NDArray[np.bool_], camera: Camera, priors: Priors, *, follows: bool = True

@@ -72,6 +72,10 @@ class FakeAnalyzer:
         if LOG in os.environ:
             with Path(os.environ[LOG]).open("a") as log:
                 log.write(f"{act.name} {os.getpid()}\n")
+        return self.ground_arm(frames, camera, t_s, known)
+
+    def ground_arm(self, frames, camera, t_s, known):
+        act = act_of(frames)
         if act is Act.RAISE:
             raise RuntimeError("the fake\nfell over")
         if act is Act.DIE:
@@ -163,8 +167,6 @@ class FakeAnalyzer:
         judgement = self.judge(track)
         self._infeasible = False
         return replace(judgement, joints=replace(judgement.joints, q=q), details={"given": "q"})
-
-    ground_arm = ground
 
     def overlay(self, frames, camera, track, zoom=None, *, hand=True):
         for frame, X in zip(frames, track.X_BG, strict=True):

@@ -14,7 +14,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from fake_analyzer import LOG, Act, broken
+from fake_analyzer import LOG, Act, FakeAnalyzer, broken
 from PIL import Image
 
 from kinebench_drake.camera import benchmark_camera
@@ -33,6 +33,7 @@ from kinebench_drake.results.inputs import input_lines, list_inputs
 from kinebench_drake.results.metadata import Shard
 from kinebench_drake.results.row import Status
 from kinebench_drake.results.store import read_rows
+from kinebench_drake.types import Domain
 
 
 @pytest.fixture
@@ -518,3 +519,30 @@ def test_no_empty_folder_is_left_behind(film, config, tmp_path):
     with pytest.raises(UsageError):
         score_videos(config(source=film("others/b.mp4").parent, out=tmp_path / "out"))
     assert [p for p in (tmp_path / "out").iterdir() if p.is_dir()] == []
+
+
+class HandlessAnalyzer(FakeAnalyzer):
+    """Sees the arm, but no Franka hand."""
+
+    def ground(self, frames, camera, t_s, known):
+        grounding = super().ground(frames, camera, t_s, known)
+        lost = replace(grounding.track, tracked=np.zeros(len(t_s), dtype=bool))
+        return replace(grounding, track=lost)
+
+    def ground_arm(self, frames, camera, t_s, known):
+        return replace(super().ground_arm(frames, camera, t_s, known), domain=Domain.ARM)
+
+
+def test_another_gripper_leaves_the_arm_alone(film, config, tmp_path):
+    film("videos/a.mp4")
+    rows = {}
+    for option in ("auto", "none", "robotiq-2f85", "franka"):
+        out = tmp_path / option
+        score_videos(config(out=out, gripper=option, make_analyzer=HandlessAnalyzer))
+        (rows[option],) = read_rows(out).values()
+    assert [rows[o].extra.get("gripper") for o in rows] == ["none", "none", "robotiq-2f85", None]
+    assert rows["auto"].extra["domain"] == "arm_alone"
+    assert rows["franka"].status is Status.UNMEASURABLE
+    assert "--gripper none" in rows["franka"].reason
+    with pytest.raises(UsageError, match="--gripper is 'claw', expected 'franka'"):
+        config(gripper="claw")
