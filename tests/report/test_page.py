@@ -208,6 +208,19 @@ def test_priors_are_named_beside_the_video(tmp_path, used, words):
         assert (sentence in text) == (sentence == words)
 
 
+def test_source_and_uncertainty_of_the_camera_and_its_contradiction_are_shown(tmp_path):
+    estimate = {"residual_px": 0.34, "gripper_sigma_m": 0.0551, "gripper_sigma_rad": 0.1}
+    contradiction = {"agreement": 0.3, "better": 0.7, "focal_ratio": 0.8, "gripper_m": 0.21, "gripper_rad": 0.02}
+    reason = {"base_frame_reason": "the base frame is unknown: the gripper's place is uncertain"}
+    with ResultStore(tmp_path) as store:
+        store.append(row("a", extra={"camera_source": "estimated", "camera_estimate": estimate} | reason), 0.1)
+        store.append(row("b", extra={"camera_source": "folder", "camera_contradiction": contradiction}), 0.1)
+    html = write_report(tmp_path).read_text()
+    assert "camera: estimated (residual 0.34 px; one sigma at the gripper: 55.1 mm, 5.7 degrees)" in html
+    assert "The base frame is unknown: the gripper" in html
+    assert "70 % with 1.25 times the focal length, which moves the gripper by 210 mm and 1 degrees" in html
+
+
 def test_executable_samples_come_first_and_green_is_theirs(tmp_path):
     good = {"sparc": -1.5, "anomalies": []}
     with ResultStore(tmp_path) as store:
