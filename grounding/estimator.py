@@ -19,6 +19,8 @@ from kinebench_drake.models.perception.network import (
     DenseOutput,
     GripperNetwork,
     fold_batch_normalisation,
+    reduce_precision,
+    supports_bfloat16,
 )
 
 _BATCH, _BATCH_ON_GPU = 8, 64
@@ -31,9 +33,15 @@ class NetworkEstimator:
     """Trained network as a `DenseEstimator`."""
 
     def __init__(self, network: GripperNetwork, device: str | None = None) -> None:
-        """Move `network` to `device` (default: the GPU if there is one)."""
+        """Move `network` to `device` (default: the GPU if there is one).
+
+        Processors that multiply in bfloat16 need half the time for it, with errors far below the network's own.
+        """
         self._device = torch.device(device or ("cuda" if torch.cuda.is_available() else "cpu"))
-        self._network = fold_batch_normalisation(network).to(self._device).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        folded = fold_batch_normalisation(network)
+        if self._device.type == "cpu" and supports_bfloat16(self._device):
+            folded = reduce_precision(folded)
+        self._network = folded.to(self._device).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
     @torch.inference_mode()
     def _run(self, images: list[NDArray[np.generic]]) -> DenseOutput:

@@ -21,29 +21,28 @@ _L1_PASSES, _TUKEY_PASSES = 4, 2
 _FLOOR = np.array([1e-2] * 3 + [1e-3] * 3)  # least standard deviations of a frame [rad, m]
 
 
-def _local_value(offset: Array, values: Array, weight: Array, information: Array) -> Array:
-    """Return the value (6,) at offset 0 of a polynomial fitted to `values` (n, 6) at `offset` (n,).
+def _local_values(offset: Array, values: Array, weight: Array, information: Array) -> Array:
+    """Return the values (M, 6) at offset 0 of polynomials fitted to `values` (M, n, 6) at `offset` (n,).
 
-    Generalised least squares with `information` (n, 6, 6): least absolute deviations first, robust to outliers, then
-    Tukey's weights about that fit.
+    Generalised least squares with `information` (M, n, 6, 6): least absolute deviations first, robust to outliers, then
+    Tukey's weights about that fit. Points of weight 0 in `weight` (M, n) do not count; at least four of each row do.
     """
-    degree = min(_DEGREE, int((weight > 0).sum()) - 1)
-    A = np.vander(offset, degree + 1, increasing=True)
-    robust = np.ones(len(offset))
-    coefficients: Array = np.zeros((degree + 1, 6))
+    A = np.vander(offset, _DEGREE + 1, increasing=True)
+    count, size = len(values), 6 * (_DEGREE + 1)
+    robust, coefficients = np.ones_like(weight), np.zeros((count, _DEGREE + 1, 6))
     for number in range(1 + _L1_PASSES + _TUKEY_PASSES):
-        weighted = (weight * robust)[:, None, None] * information
-        H = np.einsum("na,nb,nij->aibj", A, A, weighted).reshape(6 * (degree + 1), -1)
-        g = np.einsum("na,nij,nj->ai", A, weighted, values).reshape(-1)
-        coefficients = np.linalg.solve(H, g).reshape(degree + 1, 6)
+        weighted = (weight * robust)[..., None, None] * information
+        H = np.einsum("na,nb,mnij->maibj", A, A, weighted, optimize=True).reshape(count, size, size)
+        g = np.einsum("na,mni->mai", A, (weighted @ values[..., None])[..., 0]).reshape(count, size, 1)
+        coefficients = np.linalg.solve(H, g).reshape(count, _DEGREE + 1, 6)
         error = values - A @ coefficients
-        residual = np.sqrt(np.einsum("ni,nij,nj->n", error, information, error) / 6)
+        residual = np.sqrt(np.einsum("mni,mnij,mnj->mn", error, information, error, optimize=True) / 6)
         if number < _L1_PASSES:
             robust = 1.0 / np.maximum(residual, 0.1)
         else:
-            cut = max(6.0 * float(np.median(residual)), 3.0)
-            robust = np.clip(1.0 - (residual / cut) ** 2, 0.0, 1.0) ** 2 + 1e-9
-    return np.asarray(coefficients[0])
+            median = np.nanmedian(np.where(weight > 0, residual, np.nan), axis=1, keepdims=True)
+            robust = np.clip(1.0 - (residual / np.maximum(6.0 * median, 3.0)) ** 2, 0.0, 1.0) ** 2 + 1e-9
+    return np.asarray(coefficients[:, 0])
 
 
 def smooth_track(
@@ -66,16 +65,22 @@ def smooth_track(
     for frame in breaks:
         segment[frame:] += 1
     smoothed = np.full_like(X, np.nan) if leave_out else X.copy()
-    for i in np.flatnonzero(has_pose).tolist():
-        near = np.arange(max(0, i - HALF_WINDOW), min(len(X), i + HALF_WINDOW + 1))
-        near = near[has_pose[near] & (segment[near] == segment[i]) & ~(leave_out & (near == i))]
-        if len(near) < _MIN_NEIGHBOURS:
-            continue
-        offset = (near - i).astype(np.float64)
-        w = (1.0 - np.abs(offset / (HALF_WINDOW + 1)) ** 3) ** 3 * np.maximum(weight[near], 1e-3)
-        rotation = rotation_log(X[near, :3, :3] @ X[i, :3, :3].T)
-        value = _local_value(offset, np.hstack([rotation, X[near, :3, 3]]), w, information[near])
-        smoothed[i] = make_pose(rotation_exp(value[:3]) @ X[i, :3, :3], value[3:])
+    offset = np.arange(-HALF_WINDOW, HALF_WINDOW + 1)
+    near = np.arange(len(X))[:, None] + offset
+    counts = (near >= 0) & (near < len(X))
+    near = np.where(counts, near, np.arange(len(X))[:, None])
+    counts &= has_pose[near] & (segment[near] == segment[:, None]) & ~(leave_out & (offset == 0))
+    rows = np.flatnonzero(has_pose & (counts.sum(axis=1) >= _MIN_NEIGHBOURS))
+    if not len(rows):
+        return smoothed
+    near, counts = np.where(counts, near, np.arange(len(X))[:, None])[rows], counts[rows]
+    kernel = (1.0 - np.abs(offset / (HALF_WINDOW + 1)) ** 3) ** 3
+    weight_near = np.where(counts, kernel * np.maximum(weight[near], 1e-3), 0.0)
+    R = X[rows, :3, :3]
+    rotation = rotation_log(X[near, :3, :3] @ R[:, None].swapaxes(-1, -2))
+    values = np.concatenate([rotation, X[near, :3, 3]], axis=-1)
+    value = _local_values(offset.astype(np.float64), values, weight_near, information[near])
+    smoothed[rows] = make_pose(rotation_exp(value[:, :3]) @ R, value[:, 3:])
     return smoothed
 
 

@@ -10,10 +10,12 @@ from numpy.typing import NDArray
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.crop import Crop
-from kinebench_drake.models.panda.robot import GRIPPER, RobotPart
+from kinebench_drake.models.panda.robot import GRIPPER, OPENING_SIGN, RobotPart
 
 Frames = NDArray[np.uint8]
 """(T, H, W, 3) RGB."""
+OPENING_SIGNS = np.array([OPENING_SIGN.get(part, 0.0) for part in RobotPart])
+"""(PARTS,) `OPENING_SIGN` by value of `RobotPart`; 0 where a part does not move along the hand."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -41,18 +43,27 @@ class GripperView:
     @property
     def gripper(self) -> NDArray[np.bool_]:
         """(h, w) cells that show hand or fingers."""
-        return np.isin(self.part, GRIPPER)
+        return (self.part >= GRIPPER[0]) & (self.part <= GRIPPER[-1])
+
+    @property
+    def arm(self) -> NDArray[np.bool_]:
+        """(h, w) cells that show a link of the arm."""
+        return self.part >= RobotPart.LINK0
 
     @property
     def opening_sign(self) -> Array:
         """(h, w) direction along the hand's y axis as the fingers open: 1 (left finger), -1 (right finger) or 0."""
-        return np.asarray(
-            (self.part == RobotPart.LEFT_FINGER).astype(np.float64) - (self.part == RobotPart.RIGHT_FINGER)
-        )
+        return OPENING_SIGNS[self.part]
 
     def rays(self) -> Array:
         """Return the viewing directions (h, w, 3) of the cells in the crop's frame, scaled to z = 1."""
         return self.crop.rays(self.stride)
+
+    def rays_at(self, v: NDArray[np.intp], u: NDArray[np.intp]) -> Array:
+        """Return the viewing directions (N, 3) of the cells in rows `v` and columns `u`, like `rays`."""
+        centre = self.crop.size / 2
+        columns = [((index + 0.5) * self.stride - centre) / self.crop.focal for index in (u, v)]
+        return np.column_stack([*columns, np.ones(len(u))])
 
     def to_frame(self, cells: NDArray[np.bool_], camera: Camera) -> NDArray[np.bool_]:
         """Return the pixels (H, W) of the camera image that are covered by `cells` (h, w)."""

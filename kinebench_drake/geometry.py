@@ -55,6 +55,14 @@ def transform_points(X: ArrayLike, points: ArrayLike) -> Array:
     return np.asarray(points @ np.swapaxes(X[..., :3, :3], -1, -2) + X[..., None, :3, 3])
 
 
+def cross(a: Array, b: Array) -> Array:
+    """Return the cross products (..., 3) of vectors (..., 3); several times as fast as `np.cross` for short arrays."""
+    product = np.empty(np.broadcast_shapes(a.shape, b.shape))
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        product[..., i] = a[..., j] * b[..., k] - a[..., k] * b[..., j]
+    return product
+
+
 def rotation_angle(R: ArrayLike) -> Array:
     """Return the angle [rad] in [0, pi] of rotation matrices (..., 3, 3), accurate near 0 and near pi."""
     R = np.asarray(R, dtype=np.float64)

@@ -11,6 +11,11 @@ def random_poses(seed: int, n: int = 20) -> g.Array:
     return g.make_pose(g.rotation_exp(rng.normal(0, 1.5, (n, 3))), rng.normal(0, 1, (n, 3)))
 
 
+def test_cross_products_are_those_of_numpy() -> None:
+    a, b = np.random.default_rng(5).normal(size=(2, 4, 1, 3))
+    np.testing.assert_allclose(g.cross(a, b[:, 0]), np.cross(a, b[:, 0]), atol=1e-15)
+
+
 def test_inverse_undoes_a_pose() -> None:
     X = random_poses(0)
     np.testing.assert_allclose(g.invert(X) @ X, np.broadcast_to(np.eye(4), X.shape), atol=1e-12)

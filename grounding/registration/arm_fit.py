@@ -43,6 +43,7 @@ _EDGE_REACHES_PX = (10.0, 6.0, 4.0, 3.0, 2.0)  # farthest image edges in success
 _CELLS_REACH_PX = 6.0  # from which on the cells count in a pass, too
 _SHARPENING_PX, _SHARPENING_POINTS = 4.0, 300  # farthest image edges of a posture that is nearly right
 _SHARPENING_M = 0.02  # largest change of such a pose
+_SHARPENING_GROWTH_PX = 1.0  # largest increase of the distance of the links, likewise: edges beside the right ones
 _RIM_SIGMA_CELLS, _RIM_SIGMA_PX = 0.7, 0.7  # of the segmented rim of the hand
 _DISTANCE_FACTORS = np.exp(np.arange(-0.24, 0.25, 0.03))  # distances of a search over that of the hand
 _SEARCHED = 6  # distances at which a search looks at the edges
@@ -331,7 +332,9 @@ class ArmFitter:
             return arm
         fitted = self._arm_fit(solution, links, hand, scale=arm.scale, evidence=arm.evidence, agrees=True)
         moved_m = pose_difference(fitted.X_CH, arm.X_CH)[0]
-        return fitted if fitted.agrees and moved_m <= _SHARPENING_M else arm
+        away_px = fitted.consistency_px - arm.consistency_px
+        near = moved_m <= _SHARPENING_M and away_px <= _SHARPENING_GROWTH_PX * self._camera.unit_px
+        return fitted if fitted.agrees and near else arm
 
     def _with_rim(self, image: GradientImage, close: GripperView) -> GradientImage:
         """Return the image with the rim of the segmented gripper."""
@@ -354,7 +357,7 @@ class ArmFitter:
     @staticmethod
     def _link_cells(close: GripperView, wide: GripperView) -> Correspondences:
         return Correspondences.join(
-            [Correspondences.of_view(v, np.isin(v.part, ARM), _MAX_CELLS, _INDEPENDENT) for v in (close, wide)]
+            [Correspondences.of_view(v, v.arm, _MAX_CELLS, _INDEPENDENT) for v in (close, wide)]
         )
 
     def _start(self, q: Array, finger_m: float, hand: HandFit) -> ArmHandModel:

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.geometry import Array
-from kinebench_drake.grounding.view import GripperView
+from kinebench_drake.grounding.view import OPENING_SIGNS, GripperView
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,7 +38,7 @@ class Correspondences:
     @property
     def p_C(self) -> Array:
         """(N, 3) points in the camera frame according to their ranges [m]."""
-        return np.asarray(self.R_LC[:, 2] * self.range_m[:, None])
+        return np.asarray(self.R_LC[..., 2, :] * self.range_m[..., None])
 
     def take(self, index: NDArray[np.generic]) -> "Correspondences":
         """Return a subset, by index or mask."""
@@ -65,8 +65,8 @@ class Correspondences:
         if len(v) > limit:
             subset = np.linspace(0, len(v) - 1, limit).astype(int)
             v, u = v[subset], u[subset]
-        rays = view.rays()[v, u] @ view.crop.R_CV.T
-        length = np.linalg.norm(rays, axis=1)
+        rays = view.rays_at(v, u) @ view.crop.R_CV.T
+        length = np.sqrt((rays**2).sum(axis=1))
         return Correspondences(
             R_LC=_line_frames(rays / length[:, None]),
             range_m=view.depth_m[v, u] * length,
@@ -74,13 +74,17 @@ class Correspondences:
             p_P=view.coordinates_P[v, u],
             sigma_m=np.repeat(view.coordinates_sigma_m[v, u, None], 2, axis=1),
             part=view.part[v, u],
-            opening_sign=view.opening_sign[v, u],
+            opening_sign=OPENING_SIGNS[view.part[v, u]],
             weight=np.full(len(v), min(1.0, independent / max(1, len(v)))),
         )
 
 
 def _line_frames(z: Array) -> Array:
     """Return rotations (N, 3, 3) whose third rows are the unit vectors `z` (N, 3)."""
-    x = np.cross([0.0, 1.0, 0.0], z)  # a line of sight is never parallel to the camera's y axis
-    x /= np.linalg.norm(x, axis=1, keepdims=True)
-    return np.stack([x, np.cross(z, x), z], axis=1)
+    # y x z as first axis: a line of sight is never parallel to the camera's y axis.
+    length = np.sqrt(z[:, 0] ** 2 + z[:, 2] ** 2)
+    R = np.empty((len(z), 3, 3))
+    R[:, 0, 0], R[:, 0, 1], R[:, 0, 2] = z[:, 2] / length, 0.0, -z[:, 0] / length
+    R[:, 1, 0], R[:, 1, 1], R[:, 1, 2] = z[:, 1] * R[:, 0, 2], length, -z[:, 1] * R[:, 0, 0]
+    R[:, 2] = z
+    return R

@@ -1,6 +1,6 @@
 """Edges of the robot's CAD model matched to edges of the image.
 
-Outlines and creases of hand and links are projected at a posture; each visible point searches the image across the
+Outlines of hand and links are projected at a posture; each visible point searches the image across the
 projected edge for the strongest gradient nearby, and the distance to it is a residual across the edge (Harris and
 Stennett, "RAPID", BMVC 1990; Drummond and Cipolla, PAMI 2002). It needs no network, so it also works on looks that the
 network was not trained on, from a posture that is right within a few pixels.
@@ -13,15 +13,16 @@ from functools import cache
 import cv2
 import numpy as np
 import trimesh
+from cv2.typing import MatLike
 from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera
-from kinebench_drake.geometry import Array, invert
+from kinebench_drake.geometry import Array, cross, invert
 from kinebench_drake.grounding.registration.correspondences import Correspondences
 from kinebench_drake.models.panda.cad import PartCaster, link_meshes, part_meshes
 from kinebench_drake.models.panda.robot import OPENING_SIGN, RobotPart
 
-_CREASE_RAD = 0.6  # angle between faces from which their common edge is a crease
+_HIDDEN = 3  # points on edges per point that is seen
 _SPACING_PX = 2.0  # distance of the points along an edge
 _BEHIND_M = 0.01  # a point farther than this behind the surface is hidden
 _BULGE_M = 0.03  # greatest difference of depth between a contour and the surface beside it
@@ -56,20 +57,17 @@ class EdgeMesh:
 
     ends: Array
     """(E, 2, 3) end points in the frame of the part [m]."""
-    faces: NDArray[np.int64]
-    """(E, 2) adjacent faces."""
-    crease: NDArray[np.bool_]
-    """(E,) edges where the surface bends sharply."""
+    faces: NDArray[np.int32]
+    """(2, E) adjacent faces."""
     normals: Array
     """(F, 3) unit normals of the faces."""
     offsets: Array
     """(F,) distances of the faces' planes from the origin, along their normals [m]."""
 
     def contour(self, eye: Array) -> Array:
-        """Return the edges (M, 2, 3) that an eye at `eye` (3,) in the frame of the part can see as lines."""
+        """Return the edges (M, 2, 3) at which the surface turns away from an eye at `eye` (3,) in the part's frame."""
         front = self.normals @ eye > self.offsets
-        first, second = front[self.faces[:, 0]], front[self.faces[:, 1]]
-        return np.asarray(self.ends[(first != second) | (self.crease & (first | second))])
+        return np.asarray(self.ends[front.take(self.faces[0]) ^ front.take(self.faces[1])])
 
 
 def _meshes() -> dict[RobotPart, trimesh.Trimesh]:
@@ -81,8 +79,7 @@ def _edge_meshes() -> dict[RobotPart, EdgeMesh]:
     return {
         part: EdgeMesh(
             ends=np.asarray(mesh.vertices, dtype=np.float64)[mesh.face_adjacency_edges],
-            faces=np.asarray(mesh.face_adjacency),
-            crease=np.asarray(mesh.face_adjacency_angles > _CREASE_RAD),
+            faces=np.ascontiguousarray(mesh.face_adjacency.T, dtype=np.int32),
             normals=np.asarray(mesh.face_normals, dtype=np.float64),
             offsets=np.asarray((mesh.face_normals * mesh.triangles_center).sum(axis=1)),
         )
@@ -117,11 +114,12 @@ class GradientImage:
             image = np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), dtype=np.uint8)
             camera = camera.resized(width, height)
         self.camera = camera
-        smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), _SMOOTHING_PX)
-        dx, dy = (np.asarray(cv2.Sobel(smooth, cv2.CV_32F, *order, ksize=3, scale=0.125)) for order in ((1, 0), (0, 1)))
-        strongest = (dx**2 + dy**2).argmax(axis=2)[..., None]
-        self._dx = np.take_along_axis(dx, strongest, axis=2)[..., 0]
-        self._dy = np.take_along_axis(dy, strongest, axis=2)[..., 0]
+        first, *others = (_gradient(plane) for plane in cv2.split(image))
+        for other in others:  # the channel of the strongest gradient counts
+            stronger = cv2.compare(other[2], first[2], cv2.CMP_GT)
+            for strongest, values in zip(first, other, strict=True):
+                cv2.copyTo(values, stronger, strongest)
+        self._dx, self._dy, _ = first
         self._near_rim: NDArray[np.float32] | None = None
 
     def with_hand(self, gripper: NDArray[np.bool_], sigma_px: float) -> "GradientImage":
@@ -173,6 +171,16 @@ class GradientImage:
         return np.asarray(cv2.remap(values, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT), np.float32)
 
 
+def _gradient(plane: MatLike) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+    """Return the derivatives (H, W) of a channel (H, W) along x and y [1/px], and their squared length."""
+    smooth = cv2.GaussianBlur(plane.astype(np.float32), (0, 0), _SMOOTHING_PX)
+    dx, dy = (
+        np.asarray(cv2.Sobel(smooth, cv2.CV_32F, *order, ksize=3, scale=0.125), np.float32)
+        for order in ((1, 0), (0, 1))
+    )
+    return dx, dy, dx * dx + dy * dy
+
+
 class EdgeMatcher:
     """Projection of the robot's edges and their search in images."""
 
@@ -215,7 +223,7 @@ class EdgeMatcher:
             return None
         # Points evenly spaced along all edges laid end to end.
         ends_at = np.cumsum(length)
-        at = np.arange(0.5 * _SPACING_PX, total, max(_SPACING_PX, total / (4 * points)))
+        at = np.arange(0.5 * _SPACING_PX, total, max(_SPACING_PX, total / (_HIDDEN * points)))
         edge = np.searchsorted(ends_at, at).clip(max=len(length) - 1)
         t = (1.0 - (ends_at[edge] - at) / np.maximum(length[edge], 1e-9)).clip(0, 1)[:, None]
         p_C = a[edge, 0] + t * (a[edge, 1] - a[edge, 0])
@@ -245,14 +253,13 @@ class EdgeMatcher:
         """
         side = np.zeros(len(p_C))
         directions = p_C / p_C[:, 2:]
-        visible = np.flatnonzero(self._caster.cast(X_CP, directions).distance > p_C[:, 2] - _BEHIND_M)
+        visible = np.flatnonzero(self._caster.first_hits(X_CP, directions)[0] > p_C[:, 2] - _BEHIND_M)
         if not len(visible):
             return side
         depth, directions = p_C[visible, 2], directions[visible]
         beside = np.column_stack([_BESIDE_PX * normal[visible] / [camera.fx, camera.fy], np.zeros(len(visible))])
-        against, along = self._caster.cast(
-            X_CP, np.concatenate([directions - beside, directions + beside])
-        ).distance.reshape(2, -1)
+        sides = np.concatenate([directions - beside, directions + beside])
+        against, along = self._caster.first_hits(X_CP, sides)[0].reshape(2, -1)
         surface, beyond = np.minimum(against, along), np.maximum(against, along)
         is_contour = (np.abs(surface - depth) < _BULGE_M) & (beyond > np.maximum(surface, depth) + _JUMP_M)
         side[visible] = np.where(is_contour, np.where(along > against, 1.0, -1.0), 0.0)
@@ -312,7 +319,7 @@ class EdgeMatcher:
         unconstrained = np.full(n, np.inf)
         part = points.part[strong]
         return Correspondences(
-            R_LC=np.stack([x, np.cross(z, x), z], axis=1),
+            R_LC=np.stack([x, cross(z, x), z], axis=1),
             range_m=np.ones(n),
             range_sigma=unconstrained,
             p_P=points.p_P[strong],

@@ -27,6 +27,7 @@ from scipy.linalg import eigh
 from kinebench_drake.environment import native
 from kinebench_drake.geometry import (
     Array,
+    cross,
     invert,
     make_pose,
     rotation_angle,
@@ -180,8 +181,14 @@ class IcpRefiner:
 
 def _gate(residual: Array, largest_m: float) -> float:
     """Return the distance up to which points match, from the spread of the residuals (N,) [m]."""
-    spread = 1.4826 * float(np.median(np.abs(residual - np.median(residual))))
+    spread = 1.4826 * _median(np.abs(residual - _median(residual)))
     return float(np.clip(_GATE_SIGMAS * spread, _GATE_M[0], largest_m))
+
+
+def _median(values: Array) -> float:
+    """Return the median of values (N,), in a third of the time of `np.median` for some hundreds of them."""
+    ordered = np.sort(values)
+    return float(ordered[(len(ordered) - 1) // 2] + ordered[len(ordered) // 2]) / 2
 
 
 def _change_m(X_1: Array, X_2: Array) -> float:
@@ -200,7 +207,7 @@ def _log_depth_factor(ratio: Array, prior_sigma: float, position: Array, covaria
         covariance: (6, 6) covariance of the fit.
     """
     variance = float(position @ covariance[3:, 3:] @ position) / float(position @ position) ** 2
-    return float(np.log(np.median(ratio))) * prior_sigma**2 / (prior_sigma**2 + variance)
+    return float(np.log(_median(ratio))) * prior_sigma**2 / (prior_sigma**2 + variance)
 
 
 def _covariance(
@@ -222,7 +229,7 @@ def _covariance(
     mean = np.bincount(number, residual) / count
     left = 1.0 - _DEGREES_OF_FREEDOM / len(count)  # share of the variance that the registration leaves
     variance = float((count * mean**2).sum() / count.sum()) / left / _INDEPENDENT + _LEAST_VARIANCE_M2
-    J = np.hstack([np.cross(offset, normal), normal])
+    J = np.hstack([cross(offset, normal), normal])
     inverse = np.linalg.inv(J.T @ J / len(J) + _REGULARIZATION)
     by_factor = inverse @ (J.T @ (points * normal).sum(axis=1)) / len(J) * depth_factor_sigma
     return np.asarray(variance * inverse + np.outer(by_factor, by_factor))

@@ -11,11 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
-from kinebench_drake.geometry import Array, invert, transform_points
+from kinebench_drake.geometry import Array, cross, invert, transform_points
 from kinebench_drake.grounding.registration.correspondences import Correspondences
 from kinebench_drake.grounding.view import GripperView
-from kinebench_drake.models.panda.cad import CadSurface, GripperCad
-from kinebench_drake.models.panda.robot import ARM
+from kinebench_drake.models.panda.cad import GripperCad
 
 GATE_CELLS = 4.0
 """Farthest pairs of rendered and segmented rim, for a pose near the true one [cells]."""
@@ -33,15 +32,14 @@ class SilhouetteMatcher:
 
     def overlap(self, view: GripperView, X_CH: Array, finger_m: float) -> float:
         """Return the intersection over union of the segmented and the rendered gripper, links in front excluded."""
-        surface = self._render(view, X_CH, finger_m)
-        part = surface.part.reshape(view.part.shape)
+        _, part = self._render(view, X_CH, finger_m)
         rendered, segmented = (part > 0) & view.in_image, view.gripper & view.in_image
-        union = (rendered & ~np.isin(view.part, ARM)) | segmented
+        union = (rendered & ~view.arm) | segmented
         return float((rendered & segmented).sum() / max(1, union.sum()))
 
     def coverage(self, view: GripperView, X_CH: Array, finger_m: float) -> float:
         """Return the share of the rendered gripper that is segmented as any part of the robot."""
-        rendered = (self._render(view, X_CH, finger_m).part.reshape(view.part.shape) > 0) & view.in_image
+        rendered = (self._render(view, X_CH, finger_m)[1] > 0) & view.in_image
         return float((rendered & (view.part > 0)).sum() / max(1, rendered.sum()))
 
     def match(
@@ -56,18 +54,15 @@ class SilhouetteMatcher:
             gate: farthest pairs [cells].
         """
         X_VH = invert(view.crop.X_CV) @ X_CH
-        rays = view.rays()
         shape = view.part.shape
-        surface = self._render(view, X_CH, finger_m)
-        part = surface.part.reshape(shape)
+        depth, part = self._render(view, X_CH, finger_m)
         rendered, segmented = (part > 0) & view.in_image, view.gripper & view.in_image
-        arm = np.isin(view.part, ARM)
         if not segmented.any() or not rendered.any():
             return None
         distance, target = _signed_distance(rendered), _signed_distance(segmented)
         normal_rendered, normal_segmented = _outward_normal(distance), _outward_normal(target)
         inner = np.pad(np.ones(np.subtract(shape, 4), bool), 2)
-        rim = rendered & (distance > -1.0) & ~_dilated(arm) & ~_dilated(~view.in_image) & inner
+        rim = rendered & (distance > -1.0) & ~_dilated(view.arm) & ~_dilated(~view.in_image) & inner
         step = target - distance
         agree = (normal_rendered * normal_segmented).sum(axis=-1) > _MIN_COSINE
         rim &= agree & (np.abs(step) <= gate)
@@ -77,15 +72,15 @@ class SilhouetteMatcher:
         normal, move = normal_segmented[v, u], step[v, u]
         normal = normal / np.linalg.norm(normal, axis=1, keepdims=True)
         focal = view.crop.focal / view.stride
-        p_V = rays[v, u] * surface.distance.reshape(shape)[v, u, None]
+        line = view.rays_at(v, u)
+        p_V = line * depth[v, u, None]
         p_P = transform_points(invert(X_VH), p_V)
-        line = rays[v, u].copy()
         line[:, :2] -= normal * move[:, None] / focal
         z = line / np.linalg.norm(line, axis=1, keepdims=True)
         x = np.column_stack([normal, np.zeros(len(v))])
         x -= (x * z).sum(axis=1, keepdims=True) * z
         x /= np.linalg.norm(x, axis=1, keepdims=True)
-        R_LV = np.stack([x, np.cross(z, x), z], axis=1)
+        R_LV = np.stack([x, cross(z, x), z], axis=1)
         sigma = _SIGMA_CELLS / focal * p_V[:, 2]
         unconstrained = np.full(len(v), np.inf)
         return Correspondences(
@@ -99,12 +94,16 @@ class SilhouetteMatcher:
             weight=np.full(len(v), min(1.0, _INDEPENDENT / len(v))),
         )
 
-    def _render(self, view: GripperView, X_CH: Array, finger_m: float) -> CadSurface:
-        return self._cad.cast(invert(view.crop.X_CV) @ X_CH, view.rays().reshape(-1, 3), finger_m)
+    def _render(self, view: GripperView, X_CH: Array, finger_m: float) -> tuple[Array, NDArray[np.uint8]]:
+        """Return depth [m] and part of each cell (h, w) of the rendered gripper."""
+        X_VH, rays = invert(view.crop.X_CV) @ X_CH, view.rays().reshape(-1, 3)
+        depth, part = self._cad.first_hits(X_VH, rays, finger_m)
+        return depth.reshape(view.part.shape), part.reshape(view.part.shape)
 
 
 def _signed_distance(mask: NDArray[np.bool_]) -> Array:
     """Return the distance (h, w) of each cell's centre from the rim of a mask [cells], negative inside."""
+    # OpenCV's transform differs in the last digits from call to call.
     return np.asarray(np.where(mask, 0.5 - distance_transform_edt(mask), distance_transform_edt(~mask) - 0.5))
 
 

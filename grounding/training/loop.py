@@ -20,6 +20,7 @@ from torch import Tensor, nn
 
 from kinebench_drake.errors import UsageError
 from kinebench_drake.io.atomic import atomic_path
+from kinebench_drake.models.perception.network import supports_bfloat16
 
 Output = TypeVar("Output")
 Batch = dict[str, Tensor]
@@ -74,11 +75,6 @@ class LossTerms:
 def pick_device() -> torch.device:
     """Return the GPU if there is one, else the CPU."""
     return torch.device("cuda" if torch.cuda.is_available() else "cpu")
-
-
-def supports_bfloat16(device: torch.device) -> bool:
-    """Return whether bfloat16 is fast: always on a GPU, on a CPU only with AVX-512 BF16 instructions."""
-    return device.type == "cuda" or bool(torch.cpu._is_avx512_bf16_supported())
 
 
 def update_average(average: nn.Module, network: nn.Module, step: int, decay: float) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydrake.multibody.tree import BodyIndex
 
-from kinebench_drake.geometry import Array, invert, make_pose
+from kinebench_drake.geometry import Array, cross, invert, make_pose
 from kinebench_drake.models.robot import N_JOINTS, Robot
 
 Positions = Callable[[ArrayLike, ArrayLike | None], Array]
@@ -131,5 +131,5 @@ class LinkChain:
         tcp = self._tcp_link
         p = (M[:, self.stage[tcp]] @ self.home[tcp])[:, None, :3, 3]
         axis, point = self.axes(M)
-        J = np.concatenate([axis, np.cross(axis, p - point)], axis=-1)
+        J = np.concatenate([axis, cross(axis, p - point)], axis=-1)
         return np.ascontiguousarray(np.swapaxes(J, -1, -2))

@@ -101,6 +101,7 @@ class ArmPlant:
         self._links = {name: plant.GetFrameByName(name) for name in self.robot.links}
         self._origin = np.zeros(3)
         self._rates = np.zeros((2, plant.num_velocities()))
+        self._no_forces = MultibodyForces(plant)
 
     def set_posture(self, q: ArrayLike, finger_width_m: float | None = None) -> None:
         """Set the context to posture `q` (7,) [rad] and finger gap `finger_width_m` [m].
@@ -172,7 +173,7 @@ class ArmPlant:
         self.set_posture(q)
         self._rates[:, self.arm_rates] = v, a
         self.drake.SetVelocities(self.context, self._rates[0])
-        inverse = self.drake.CalcInverseDynamics(self.context, self._rates[1], MultibodyForces(self.drake))
+        inverse = self.drake.CalcInverseDynamics(self.context, self._rates[1], self._no_forces)
         gravity = self.drake.CalcGravityGeneralizedForces(self.context)
         return np.asarray((inverse - gravity)[self.arm_rates])
 

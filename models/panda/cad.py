@@ -84,7 +84,6 @@ class PartCaster:
         open3d = native.load_open3d()
         core: Any = open3d.core
         self._scenes: dict[RobotPart, Any] = {}
-        self._bounds: dict[RobotPart, tuple[Array, float]] = {}
         self._tensor = core.Tensor
         for part, mesh in meshes.items():
             scene = open3d.t.geometry.RaycastingScene(nthreads=1)
@@ -92,8 +91,9 @@ class PartCaster:
             faces = np.asarray(mesh.faces, np.uint32)
             scene.add_triangles(self._tensor(vertices), self._tensor(faces))
             self._scenes[part] = scene
-            centre = mesh.bounding_box.centroid
-            self._bounds[part] = centre, float(np.linalg.norm(mesh.vertices - centre, axis=1).max())
+        self._centre = np.array([mesh.bounding_box.centroid for mesh in meshes.values()])
+        reach = [mesh.vertices - centre for mesh, centre in zip(meshes.values(), self._centre, strict=True)]
+        self._radius = np.array([np.linalg.norm(offset, axis=1).max() for offset in reach])
 
     def cast(self, X_VP: Array, rays_V: ArrayLike) -> CadSurface:
         """Cast rays `rays_V` (N, 3) from the origin of V against the parts at poses `X_VP` (PARTS, 4, 4).
@@ -101,33 +101,44 @@ class PartCaster:
         `distance` is in units of the ray length: for rays with z = 1 it is the depth along the z axis of V [m].
         """
         rays_V = np.asarray(rays_V, dtype=np.float64)
-        n = len(rays_V)
-        distance = np.full(n, np.inf)
-        parts, normal = np.zeros(n, np.uint8), np.zeros((n, 3))
-        square = np.einsum("ni,ni->n", rays_V, rays_V)
-        for part, scene in self._scenes.items():
-            towards = self._towards(part, X_VP[part], rays_V, square)
-            X_PV = invert(X_VP[part])
-            rays = np.empty((len(towards), 6), np.float32)
-            rays[:, :3], rays[:, 3:] = X_PV[:3, 3], rays_V[towards] @ X_PV[:3, :3].T
-            hits = scene.cast_rays(self._tensor(rays), nthreads=1)
-            t = hits["t_hit"].numpy()
-            nearer = t < distance[towards]
-            index = towards[nearer]
-            distance[index], parts[index] = t[nearer], part
-            normal[index] = hits["primitive_normals"].numpy()[nearer] @ X_PV[:3, :3]
+        normal = np.zeros((len(rays_V), 3))
+        distance, parts = self._trace(X_VP, rays_V, normal)
         norm = np.linalg.norm(normal, axis=1, keepdims=True)
         normal = np.divide(normal, norm, out=normal, where=norm > 0)
         normal[(normal * rays_V).sum(axis=1) > 0] *= -1.0
         return CadSurface(distance=distance, part=parts, normal=normal)
 
-    def _towards(self, part: RobotPart, X_VP: Array, rays_V: Array, square: Array) -> NDArray[np.intp]:
-        """Return the indices of rays (N, 3), of squared lengths `square` (N,), that meet a part's bounding sphere."""
-        centre, radius = self._bounds[part]
-        centre_V = X_VP[:3, :3] @ centre + X_VP[:3, 3]
-        along = rays_V @ centre_V
-        away = float(centre_V @ centre_V) - radius**2
-        return np.flatnonzero((away <= 0) | ((along > 0) & (along**2 >= away * square)))
+    def first_hits(self, X_VP: Array, rays_V: ArrayLike) -> tuple[Array, NDArray[np.uint8]]:
+        """Return `distance` and `part` of `cast`, without the normals, which take longer."""
+        return self._trace(X_VP, np.asarray(rays_V, dtype=np.float64), None)
+
+    def _trace(self, X_VP: Array, rays_V: Array, normal: Array | None) -> tuple[Array, NDArray[np.uint8]]:
+        """Return distances (N,) and parts (N,) of first hits; fill `normal` (N, 3), not normalized, if there is one."""
+        distance, parts = np.full(len(rays_V), np.inf, np.float32), np.zeros(len(rays_V), np.uint8)
+        X_PV = invert(X_VP)
+        for (part, scene), towards in zip(self._scenes.items(), self._towards(X_VP, rays_V), strict=True):
+            index = np.flatnonzero(towards)
+            if not len(index):
+                continue
+            rays = np.empty((len(index), 6), np.float32)
+            rays[:, :3], rays[:, 3:] = X_PV[part, :3, 3], rays_V[index] @ X_PV[part, :3, :3].T
+            hits = scene.cast_rays(self._tensor(rays), nthreads=1)
+            t = hits["t_hit"].numpy()
+            nearer = t < distance[index]
+            index = index[nearer]
+            distance[index], parts[index] = t[nearer], part
+            if normal is not None:
+                normal[index] = hits["primitive_normals"].numpy()[nearer] @ X_PV[part, :3, :3]
+        return distance.astype(np.float64), parts
+
+    def _towards(self, X_VP: Array, rays_V: Array) -> NDArray[np.bool_]:
+        """Return which rays (N, 3) meet the bounding sphere of each part, (scenes, N)."""
+        parts = list(self._scenes)
+        centre = (X_VP[parts, :3, :3] @ self._centre[..., None])[..., 0] + X_VP[parts, :3, 3]
+        along = centre @ rays_V.T
+        away = (centre**2).sum(axis=1, keepdims=True) - self._radius[:, None] ** 2
+        square = (rays_V**2).sum(axis=1)
+        return np.asarray((away <= 0) | ((along > 0) & (along**2 >= away * square)))
 
 
 class GripperCad:
@@ -143,13 +154,20 @@ class GripperCad:
 
     def cast(self, X_VH: ArrayLike, rays_V: ArrayLike, finger_m: float) -> CadSurface:
         """Cast rays `rays_V` (N, 3) from the origin of V against the gripper at pose `X_VH` (4, 4)."""
-        X_VP = np.tile(np.asarray(X_VH, dtype=np.float64), (len(RobotPart), 1, 1))
-        return self._caster.cast(open_fingers(X_VP, finger_m), rays_V)
+        return self._caster.cast(self._parts(X_VH, finger_m), rays_V)
+
+    def first_hits(self, X_VH: ArrayLike, rays_V: ArrayLike, finger_m: float) -> tuple[Array, NDArray[np.uint8]]:
+        """Return `distance` and `part` of `cast`, without the normals."""
+        return self._caster.first_hits(self._parts(X_VH, finger_m), rays_V)
+
+    @staticmethod
+    def _parts(X_VH: ArrayLike, finger_m: float) -> Array:
+        return open_fingers(np.tile(np.asarray(X_VH, dtype=np.float64), (len(RobotPart), 1, 1)), finger_m)
 
 
-def open_fingers(X_VP: Array, finger_m: float) -> Array:
-    """Return the poses (PARTS, 4, 4) of parts with the fingers moved apart by `finger_m` each [m]."""
-    opened = X_VP.copy()
+def open_fingers(X_VP: Array, finger_m: ArrayLike) -> Array:
+    """Return the poses (..., PARTS, 4, 4) of parts with the fingers moved apart by `finger_m` (...) each [m]."""
+    opened, travel = X_VP.copy(), np.asarray(finger_m, dtype=np.float64)[..., None]
     for part in GRIPPER:
-        opened[part, :3, 3] += OPENING_SIGN[part] * finger_m * X_VP[part, :3, 1]
+        opened[..., part, :3, 3] += OPENING_SIGN[part] * travel * X_VP[..., part, :3, 1]
     return opened

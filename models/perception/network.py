@@ -154,12 +154,12 @@ class GripperNetwork(nn.Module):
 
     def forward(self, images: Tensor) -> DenseOutput:
         """Run the network; log scales are clamped to -5..2."""
-        *skips, x = self.encoder(images * 2.0 - 1.0)
+        *skips, x = self.encoder((images * 2.0 - 1.0).to(self.squeeze.weight.dtype))
         x = self.squeeze(x)
         for fuse, skip in zip(self.decoder, reversed(skips), strict=True):
             x = functional.interpolate(x, size=skip.shape[-2:], mode="bilinear", align_corners=False)
             x = fuse(torch.cat([x, skip], dim=1))
-        y = self.head(x).float()
+        y = self.head(x.to(self.head.weight.dtype)).float()
         parts, coordinates, depth = y.split([PARTS, 2 * 4, 2], dim=1)
         coordinates = coordinates.unflatten(1, (2, 4))
         return DenseOutput(
@@ -201,3 +201,16 @@ def fold_batch_normalisation(network: GripperNetwork) -> GripperNetwork:
                 setattr(module, before, fuse_conv_bn_eval(convolution, normalisation))
                 setattr(module, after, nn.Identity())
     return network
+
+
+def reduce_precision(network: GripperNetwork) -> GripperNetwork:
+    """Return a copy whose layers compute in bfloat16, except the last one, whose outputs are coordinates."""
+    network = deepcopy(network)
+    for module in (network.encoder, network.squeeze, network.decoder):
+        module.to(torch.bfloat16)
+    return network
+
+
+def supports_bfloat16(device: torch.device) -> bool:
+    """Return whether bfloat16 is fast: always on a GPU, on a CPU only with AVX-512 BF16 instructions."""
+    return device.type == "cuda" or bool(torch.cpu._is_avx512_bf16_supported())

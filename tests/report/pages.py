@@ -55,11 +55,12 @@ def row(id, status=Status.OK, **changes):
 def probe(page, script, profile, width=WIDTH):
     """Open a page with a script added to it; returns the state that the script leaves."""
     text = page.read_text().replace("<title>", f"{WATCH}<title>", 1).replace("</body>", f"{script}</body>")
-    page.write_text(text)
+    probed = page.with_name(f"probed-{page.name}")
+    probed.write_text(text)
     done = subprocess.run(
         [BROWSER, "--headless", "--no-sandbox", "--disable-gpu", f"--window-size={width},844",
          "--enable-logging=stderr",
-         "--virtual-time-budget=5000", f"--user-data-dir={profile}", "--dump-dom", page.as_uri()],
+         "--virtual-time-budget=5000", f"--user-data-dir={profile}", "--dump-dom", probed.as_uri()],
         capture_output=True, text=True, timeout=120, check=True,
     )  # fmt: skip
     assert "CONSOLE" not in done.stderr

@@ -370,8 +370,7 @@ def test_the_same_arguments_give_the_same_bytes(complete, tmp_path):
 
 
 @pytest.mark.skipif(BROWSER is None, reason="no chromium is installed")
-@pytest.mark.parametrize("width", [WIDTH, 1400])
-def test_the_page_fits_its_window(complete, measurements, tmp_path, width):
+def test_the_page_fits_its_window(complete, measurements, tmp_path):
     script = """<script>addEventListener("load", () => {
       const room = document.documentElement.clientWidth;
       const wide = [...document.querySelectorAll("main > *")].filter(p => p.getBoundingClientRect().right > room);
@@ -379,5 +378,6 @@ def test_the_page_fits_its_window(complete, measurements, tmp_path, width):
       document.documentElement.setAttribute("data-state", JSON.stringify(state));
     });</script>"""
     page = write_paper_report([complete[0], *measurements], tmp_path / "paper")
-    state = probe(page, script, tmp_path / "profile", width)
-    assert (state["errors"], state["overflow"], state["wide"]) == ([], 0, 0)
+    for width in (WIDTH, 1400):
+        state = probe(page, script, tmp_path / "profile", width)
+        assert (state["errors"], state["overflow"], state["wide"]) == ([], 0, 0), width

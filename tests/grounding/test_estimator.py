@@ -1,0 +1,60 @@
+"""The network as an estimator: in reduced precision and on a GPU it estimates what it does in single precision."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from kinebench_drake.camera import benchmark_camera
+from kinebench_drake.grounding import estimator as module
+from kinebench_drake.grounding.crop import Crop
+from kinebench_drake.grounding.estimator import NetworkEstimator
+from kinebench_drake.grounding.view import GripperView
+from kinebench_drake.io.reader import read_video
+from kinebench_drake.models.perception.network import load_network
+
+VIDEO = Path(__file__).parents[2] / "examples" / "videos" / "StackCube-v1_s0010_unseen.mp4"
+
+
+def estimate(device: str) -> GripperView:
+    camera = benchmark_camera()
+    frames = read_video(VIDEO).frames[:1]
+    estimates = NetworkEstimator(load_network(), device).estimate(frames, camera, {0: Crop.of_frame(camera)})
+    return next(iter(estimates))[1]
+
+
+def assert_alike(view: GripperView, exact: GripperView) -> None:
+    """Differences are a fraction of the errors that the network itself expects."""
+    robot = (view.part > 0) & (exact.part > 0)
+    assert robot.sum() > 200
+    assert (view.part != exact.part).sum() < 0.03 * robot.sum()
+    robot &= view.part == exact.part
+    off = np.linalg.norm(view.coordinates_P - exact.coordinates_P, axis=-1)[robot]
+    assert np.median(off / exact.coordinates_sigma_m[robot]) < 0.25
+    assert np.abs((view.coordinates_P - exact.coordinates_P)[robot].mean(axis=0)).max() < 2e-4
+    relative = np.abs(view.depth_m / exact.depth_m - 1.0)[robot]
+    assert np.median(relative / exact.depth_sigma[robot]) < 0.25
+
+
+@pytest.fixture
+def exact(monkeypatch: pytest.MonkeyPatch) -> GripperView:
+    """Estimates on the CPU in single precision."""
+    with monkeypatch.context() as patch:
+        patch.setattr(module, "supports_bfloat16", lambda device: False)
+        return estimate("cpu")
+
+
+def test_reduced_precision_changes_estimates_less_than_their_errors(
+    monkeypatch: pytest.MonkeyPatch, exact: GripperView
+) -> None:
+    monkeypatch.setattr(module, "supports_bfloat16", lambda device: True)
+    reduced = estimate("cpu")
+    assert not np.array_equal(reduced.depth_m, exact.depth_m)
+    assert_alike(reduced, exact)
+
+
+@pytest.mark.gpu
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU")
+def test_a_gpu_estimates_what_the_processor_does(exact: GripperView) -> None:
+    assert_alike(estimate("cuda"), exact)
