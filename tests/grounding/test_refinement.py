@@ -43,6 +43,9 @@ class Fitter:
         self.refined = self.searched = 0
         self.sharpened: list[float] = []
 
+    def at(self, number: int) -> "Fitter":
+        return self
+
     def edge_agreement(self, q: Array, image: object) -> float:
         return self.network_agreement
 
