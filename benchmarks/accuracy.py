@@ -110,8 +110,8 @@ def _other_text(others: Sequence[Mapping[str, Any]]) -> list[str]:
             ]
         a = other["anomalies"]
         if a["clean_videos"]:
-            found = f"{a['clean_videos_with_anomalies']} of {a['clean_videos']}"
-            sentences.append(f"Anomalies are reported in {found} clips of others that show none.")
+            share = f"{a['clean_videos_with_anomalies']} of {a['clean_videos']}"
+            sentences.append(f"Anomalies are reported in {share} clips of others that show none.")
     return _paragraph(sentences)
 
 
