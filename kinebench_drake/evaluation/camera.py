@@ -26,7 +26,7 @@ AGREEMENT = 0.45
 """Least share of the arm's contours on image edges at which the arm agrees with an assumed camera."""
 ESTIMATE_AGREEMENT = 0.64
 """Likewise with an estimated camera, which was fitted to them: more than with any wrong one of our own renders."""
-LEAD = 0.04
+LEAD = 0.08
 """Least difference between this agreement and that with another camera."""
 _INPUT_SOURCES = (CameraSource.MANIFEST, CameraSource.FOLDER, CameraSource.OPTION)
 _USUAL_WIDTH_M = 0.04  # gap between the pads where none is measured
