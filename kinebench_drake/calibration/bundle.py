@@ -65,7 +65,7 @@ class Observations:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Scene:
+class ArmScene:
     """Unknowns of a bundle adjustment."""
 
     lens: Lens
@@ -74,7 +74,7 @@ class Scene:
     finger_m: Array
     """(T,) opening of each finger [m]."""
 
-    def take(self, rows: NDArray[np.intp]) -> "Scene":
+    def take(self, rows: NDArray[np.intp]) -> "ArmScene":
         """Select frames."""
         return replace(self, q=self.q[rows], finger_m=self.finger_m[rows])
 
@@ -109,7 +109,7 @@ class Prior:
 class Bundle:
     """Result of a bundle adjustment."""
 
-    scene: Scene
+    scene: ArmScene
     cost: float
     """Weighted mean of Cauchy's loss."""
     error_px: Array
@@ -122,7 +122,9 @@ class Bundle:
     """(T, 7, 7) covariance of the joint angles for a given camera [rad^2]."""
 
 
-def adjust(observations: Observations, start: Scene, prior: Prior, model: ArmModel, *, iterations: int = 20) -> Bundle:
+def adjust(
+    observations: Observations, start: ArmScene, prior: Prior, model: ArmModel, *, iterations: int = 20
+) -> Bundle:
     """Minimise Cauchy's loss of all errors by Levenberg-Marquardt.
 
     Args:
@@ -150,14 +152,14 @@ def adjust(observations: Observations, start: Scene, prior: Prior, model: ArmMod
     return current.bundle()
 
 
-def _update(scene: Scene, lens_step: Array, frame_steps: Array, model: ArmModel) -> Scene:
+def _update(scene: ArmScene, lens_step: Array, frame_steps: Array, model: ArmModel) -> ArmScene:
     unit = 0.1 * scene.lens.camera.width
     bound = np.array([*[_LARGEST_STEP_RAD] * 3, *[_LARGEST_STEP_M] * 3, _LARGEST_ZOOM, unit, unit])
     lens_step = lens_step / max(1.0, float((np.abs(lens_step) / bound).max()))
     lens = scene.lens.displace(lens_step[:CENTRED_UNKNOWNS])
     camera = replace(lens.camera, cx=lens.camera.cx + float(lens_step[-2]), cy=lens.camera.cy + float(lens_step[-1]))
     q = scene.q + np.clip(frame_steps[:, :N_JOINTS], -_LARGEST_STEP_RAD, _LARGEST_STEP_RAD)
-    return Scene(
+    return ArmScene(
         lens=replace(lens, camera=camera),
         q=np.clip(q, model.lower - OVER_LIMIT_RAD, model.upper + OVER_LIMIT_RAD),
         finger_m=np.clip(scene.finger_m + frame_steps[:, N_JOINTS], 0.0, MAX_FINGER_M),
@@ -167,7 +169,7 @@ def _update(scene: Scene, lens_step: Array, frame_steps: Array, model: ArmModel)
 class _Linearization:
     """Cost and normal equations at one scene."""
 
-    def __init__(self, observations: Observations, scene: Scene, prior: Prior, model: ArmModel) -> None:
+    def __init__(self, observations: Observations, scene: ArmScene, prior: Prior, model: ArmModel) -> None:
         o, lens = observations, scene.lens
         self._scene, self._o = scene, o
         X_BP, axis, point = model.poses_and_axes_of(scene.q)

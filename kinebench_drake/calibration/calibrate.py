@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from kinebench_drake.calibration.bundle import Scene
+from kinebench_drake.calibration.bundle import ArmScene
 from kinebench_drake.calibration.correspondences import LensView, NetworkViewEstimator, ViewEstimator
 from kinebench_drake.calibration.detections import DetectedViewEstimator
 from kinebench_drake.calibration.estimate import CameraEstimate, CameraEstimator, Candidate
@@ -168,7 +168,7 @@ def _fit_contours(
     focal_free: bool,
 ) -> CameraEstimate:
     """Refine a camera by the contours of the robot; the principal point is free unless a camera file states it."""
-    scene = Scene(lens=solved.fit.lens, q=states.q[solved.rows], finger_m=solved.finger_m)
+    scene = ArmScene(lens=solved.fit.lens, q=states.q[solved.rows], finger_m=solved.finger_m)
     start = Candidate(scene=scene, rows=solved.rows, cells=solved.cells, cost=solved.fit.cost)
     centre_sigma_px = _CENTRE_SIGMA * guess.width if config.camera is None else 0.0
     return cameras.refine(frames, guess, start, focal_free=focal_free, centre_sigma_px=centre_sigma_px)

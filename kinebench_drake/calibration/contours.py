@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from kinebench_drake.calibration.bundle import Observations, Scene
+from kinebench_drake.calibration.bundle import ArmScene, Observations
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.registration.arm_model import ArmModel
@@ -42,12 +42,12 @@ class ContourImages:
         chosen._model, chosen._matcher = self._model, self._matcher
         return chosen
 
-    def _poses(self, scene: Scene) -> list[Array]:
+    def _poses(self, scene: ArmScene) -> list[Array]:
         """Return for each frame the poses (PARTS, 4, 4) of the parts in the camera frame [m]."""
         X_CP = scene.lens.X_CB @ self._model.poses(scene.q)
         return [open_fingers(X, finger_m) for X, finger_m in zip(X_CP, scene.finger_m, strict=True)]
 
-    def observe(self, scene: Scene, reach_px: float) -> Observations | None:
+    def observe(self, scene: ArmScene, reach_px: float) -> Observations | None:
         """Return the visible contour points of a scene with the image edges nearby; None if there are too few.
 
         Args:
@@ -83,14 +83,14 @@ class ContourImages:
             )
         return Observations.join(observed) if observed else None
 
-    def agreement(self, scene: Scene) -> Array:
+    def agreement(self, scene: ArmScene) -> Array:
         """Return the share (T,) of the contours of hand and arm that lies on image edges, frame by frame.
 
         Mean of the share of all contours and of the mean over the parts: the base is short of contours, but decides.
         """
         return np.array([self._agreement(*pair, scene) for pair in zip(self._images, self._poses(scene), strict=True)])
 
-    def _agreement(self, image: GradientImage, X_CP: Array, scene: Scene) -> float:
+    def _agreement(self, image: GradientImage, X_CP: Array, scene: ArmScene) -> float:
         camera = scene.lens.camera.resized(image.camera.width, image.camera.height)
         points = self._matcher.project(X_CP, camera, RIGID)
         if points is None:

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from kinebench_drake.calibration.bundle import (
     POSTURE_SIGMA_RAD,
     UNKNOWNS,
+    ArmScene,
     Bundle,
     Observations,
     Prior,
-    Scene,
     adjust,
 )
 from kinebench_drake.calibration.contours import ContourImages
@@ -90,7 +90,7 @@ class CameraEstimate:
     """Median distance between contours and image edges [px]."""
     rows: NDArray[np.intp]
     """(T,) numbers of the frames used."""
-    scene: Scene
+    scene: ArmScene
     """Camera and postures in these frames."""
     contour_part: NDArray[np.uint8]
     """(N,) values of `RobotPart` of the contour points used."""
@@ -180,7 +180,7 @@ class LensPrior:
 class Candidate:
     """Camera and postures of some of the frames that show the robot."""
 
-    scene: Scene
+    scene: ArmScene
     rows: NDArray[np.intp]
     """(T,) rows of the detections."""
     cells: CalibrationCorrespondences
@@ -246,7 +246,7 @@ class CameraEstimator:
             q: (T, 7) joint angles [rad].
             finger_m: (T,) opening of each finger [m].
         """
-        scene = Scene(lens=Lens(camera=camera, X_CB=invert(camera.X_BC)), q=q, finger_m=finger_m)
+        scene = ArmScene(lens=Lens(camera=camera, X_CB=invert(camera.X_BC)), q=q, finger_m=finger_m)
         return float(np.median(ContourImages(frames, camera, self._model, self._matcher).agreement(scene)))
 
     def find_contradiction(self, frames: Frames, camera: Camera) -> CameraContradiction | None:
@@ -387,7 +387,7 @@ class CameraEstimator:
         if len(rows) < MIN_FRAMES:
             return None
         return Candidate(
-            scene=Scene(lens=hypothesis.lens, q=hypothesis.q[rows], finger_m=detections.finger_m[rows]),
+            scene=ArmScene(lens=hypothesis.lens, q=hypothesis.q[rows], finger_m=detections.finger_m[rows]),
             rows=rows,
             cells=detections.cells.flip(hypothesis.flipped).of_frames(rows).thin(_THIN),
             cost=hypothesis.cost,
@@ -445,7 +445,7 @@ class CameraEstimator:
         change = (costs.min() - costs[-1]) * _TURN_WEIGHT
         return [fit] if best == 0.0 else [fit, replace(fit, scene=_turned(scene, best), cost=fit.cost + change)]
 
-    def _base_cost(self, scene: Scene, base: CalibrationCorrespondences) -> float:
+    def _base_cost(self, scene: ArmScene, base: CalibrationCorrespondences) -> float:
         """Return the mean loss of the cells of the base link."""
         lens = scene.lens
         uv, z = lens.project(base.p_P)
@@ -474,7 +474,7 @@ class CameraEstimator:
         q[candidate.rows], finger_m[candidate.rows] = scene.q, scene.finger_m
         rows = np.flatnonzero(np.isfinite(q).all(axis=1))
         return Candidate(
-            scene=Scene(lens=scene.lens, q=q[rows], finger_m=finger_m[rows]),
+            scene=ArmScene(lens=scene.lens, q=q[rows], finger_m=finger_m[rows]),
             rows=rows,
             cells=detections.cells.flip(hypothesis.flipped).of_frames(rows).thin(_THIN),
             cost=candidate.cost,
@@ -482,14 +482,14 @@ class CameraEstimator:
 
     def _fit_contours(
         self,
-        scene: Scene,
+        scene: ArmScene,
         cells: CalibrationCorrespondences,
         images: ContourImages,
         prior: LensPrior,
         passes: Sequence[tuple[float, float]],
         q_sigma: float,
         q: Array | None = None,
-    ) -> tuple[Scene, Observations | None]:
+    ) -> tuple[ArmScene, Observations | None]:
         """Fit camera and postures to the image edges in passes; `q` (T, 7) are known joint angles [rad]."""
         edges = None
         for reach_px, weight in passes:
@@ -541,7 +541,7 @@ class CameraEstimator:
         share = float(np.median(agreement)) * min(1.0, len(candidate.rows) / (_LEAST_EXPLAINED * len(rows)))
         return _describe(bundle, edges.part, self._model, share, rows[candidate.rows])
 
-    def _uncertainty(self, scene: Scene, edges: Observations, prior: LensPrior, q_sigma: float | None) -> Bundle:
+    def _uncertainty(self, scene: ArmScene, edges: Observations, prior: LensPrior, q_sigma: float | None) -> Bundle:
         """Return the information of a scene, contours of one part in one frame and parts at rest counted once."""
         X_BP = self._model.poses(scene.q)
         near = np.linalg.norm(X_BP[:, None, :, :3, 3] - X_BP[None, ..., :3, 3], axis=-1) <= _ALIKE_M
@@ -556,7 +556,7 @@ class CameraEstimator:
         return adjust(honest, scene, prior.with_postures(scene.q, posture_sigma), self._model, iterations=0)
 
 
-def _turned(scene: Scene, angle: float) -> Scene:
+def _turned(scene: ArmScene, angle: float) -> ArmScene:
     """Return a scene with the base turned by -`angle` [rad] about joint 1, and joint 1 by `angle`: same links."""
     X_CB = scene.lens.X_CB @ make_pose(rotation_z(-angle), np.zeros(3))
     return replace(scene, lens=replace(scene.lens, X_CB=X_CB), q=scene.q + angle * (np.arange(N_JOINTS) == 0))
@@ -573,7 +573,7 @@ def focal_px(camera: Camera, fov_deg: float) -> float:
     return max(camera.width, camera.height) / 2 / float(np.tan(np.deg2rad(fov_deg) / 2))
 
 
-def cell_observations(cells: CalibrationCorrespondences, scene: Scene, model: ArmModel) -> Observations:
+def cell_observations(cells: CalibrationCorrespondences, scene: ArmScene, model: ArmModel) -> Observations:
     """Return the cells of the networks' views as observations, with standard deviations at a scene."""
     lens = scene.lens
     p_B = locate_points(cells, model.poses(scene.q), scene.finger_m)

@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kinebench_drake.calibration.bundle import Observations, Prior, Scene, adjust
+from kinebench_drake.calibration.bundle import ArmScene, Observations, Prior, adjust
 from kinebench_drake.calibration.fit import Lens
 from kinebench_drake.calibration.hypotheses import ChainSearch
 from kinebench_drake.camera import benchmark_camera
@@ -34,7 +34,7 @@ def prior(q, **changes):
 
 
 def truth(q):
-    return Scene(lens=Lens(camera=CAMERA, X_CB=invert(CAMERA.X_BC)), q=q, finger_m=np.full(len(q), 0.01))
+    return ArmScene(lens=Lens(camera=CAMERA, X_CB=invert(CAMERA.X_BC)), q=q, finger_m=np.full(len(q), 0.01))
 
 
 def test_camera_focal_length_and_postures_are_recovered_together(model):
@@ -115,7 +115,7 @@ def test_a_camera_is_found_without_any_start(model, zoom):
     search = ChainSearch(cells, np.full(FRAMES, 0.01), model)
     best = search.run(CAMERA, [250.0, 330.0, 430.0])[0]
     assert best.lens.camera.fx == (330.0 if zoom == 1.0 else 430.0)
-    start = Scene(lens=best.lens, q=best.q, finger_m=np.full(FRAMES, 0.01))
+    start = ArmScene(lens=best.lens, q=best.q, finger_m=np.full(FRAMES, 0.01))
     observations = observe(cells.flip(best.flipped), 0.5)
     loose = prior(start.q, q_sigma=np.full(q.shape, 100.0))
     fitted = adjust(observations, start, loose, model, iterations=60).scene.lens

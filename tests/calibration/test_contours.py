@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from kinebench_drake.calibration import estimate as estimate_module
-from kinebench_drake.calibration.bundle import Scene
+from kinebench_drake.calibration.bundle import ArmScene
 from kinebench_drake.calibration.contours import ContourImages
 from kinebench_drake.calibration.detections import ArmDetections
 from kinebench_drake.calibration.estimate import CLEARLY, JOINT_SIGMA_RAD, CameraEstimator, Candidate
@@ -43,7 +43,7 @@ def film(model):
 
 def start(q, model, step):
     lens = Lens(camera=CAMERA, X_CB=invert(CAMERA.X_BC)).displace(np.array(step))
-    scene = Scene(lens=lens, q=q, finger_m=np.full(len(q), FINGER_M))
+    scene = ArmScene(lens=lens, q=q, finger_m=np.full(len(q), FINGER_M))
     cells = project_robot(CAMERA, q, model, finger_m=FINGER_M)
     return Candidate(scene=scene, rows=np.arange(len(q)), cells=cells, cost=0.0)
 
