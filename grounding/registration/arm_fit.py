@@ -211,22 +211,8 @@ class ArmFitter:
             if sharper is None:
                 break
             solution = sharper
-        arm = solution.model
-        X_fitted, J = arm.hand()
-        covariance = np.linalg.inv(solution.information + 1e-6 * np.eye(8))
-        consistency = self._consistency_px(arm, links)
-        return ArmFit(
-            q=arm.q,
-            X_CH=X_fitted,
-            finger_m=float("nan"),
-            finger_sigma_m=float("nan"),
-            agrees=consistency <= self._tolerance_px,
-            consistency_px=consistency,
-            scale=float("nan"),
-            evidence=0.0,
-            covariance=J @ covariance[:7, :7] @ J.T,
-            edge_agreement=self._edges.agreement(image, self._poses(arm), LAST_LINKS),
-        )
+        arm = self._arm_fit(solution, links, None, scale=float("nan"), evidence=0.0, agrees=True)
+        return replace(arm, edge_agreement=self._edges.agreement(image, self._poses(solution.model), LAST_LINKS))
 
     def _links_at(self, q: Array) -> ArmHandModel:
         return ArmHandModel(
@@ -374,12 +360,13 @@ class ArmFitter:
         self,
         solution: Solution[ArmHandModel],
         links: Correspondences,
-        hand: HandFit,
+        hand: HandFit | None,
         *,
         scale: float,
         evidence: float,
         agrees: bool,
     ) -> ArmFit:
+        """Return the fit of a posture; without a hand its fingers are unknown."""
         arm = solution.model
         X_CH, J = arm.hand()
         covariance = np.linalg.inv(solution.information + 1e-6 * np.eye(8))
@@ -387,8 +374,8 @@ class ArmFitter:
         return ArmFit(
             q=arm.q,
             X_CH=X_CH,
-            finger_m=arm.finger_m if hand.finger_free else hand.finger_m,
-            finger_sigma_m=float(covariance[7, 7] ** 0.5),
+            finger_m=float("nan") if hand is None else arm.finger_m if hand.finger_free else hand.finger_m,
+            finger_sigma_m=float("nan") if hand is None else float(covariance[7, 7] ** 0.5),
             agrees=agrees and consistency <= self._tolerance_px,
             consistency_px=consistency,
             scale=scale,
