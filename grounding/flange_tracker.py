@@ -9,16 +9,15 @@ from kinebench_drake.grounding.localization import find_region
 from kinebench_drake.grounding.pose import FramePose
 from kinebench_drake.grounding.registration.arm_fit import (
     LAST_LINKS,
-    LINKS_DEPTH_SIGMA,
     ArmFit,
     ArmFitter,
 )
 from kinebench_drake.grounding.registration.arm_model import ArmModel
-from kinebench_drake.grounding.registration.chain_fit import ChainFitter, ChainModel
+from kinebench_drake.grounding.registration.chain_fit import UNKNOWNS, ChainFitter, ChainModel
 from kinebench_drake.grounding.registration.correspondences import Correspondences
 from kinebench_drake.grounding.registration.edges import EdgeMatcher, GradientImage
 from kinebench_drake.grounding.registration.fit import HandFit
-from kinebench_drake.grounding.registration.solver import Solution, solve
+from kinebench_drake.grounding.registration.solver import Solution
 from kinebench_drake.grounding.tracker import Tracking
 from kinebench_drake.grounding.view import DenseEstimator, Frames, GripperView
 from kinebench_drake.models.panda.robot import ARM, RobotPart
@@ -60,19 +59,19 @@ class FlangeTracker:
         for i, view in self._estimator.estimate(frames, camera, dict(crops)):
             chain = self._chain.fit(_link_cells(view, wide[i]))
             if chain is not None:
-                crops[i] = _crop_at(chain.model.X_CH)
+                crops[i] = _crop_at(chain.model.X_CH[0])
         closes = dict(self._estimator.estimate(frames, camera, crops))
         images = {i: GradientImage(frames[i], camera) for i in closes}
         poses: dict[int, FramePose] = {}
         for i, close in sorted(closes.items()):
-            pose = self._measure(close, wide[i], fitter.at(i), images[i])
+            pose = self._measure(close, wide[i], fitter.at([i]), images[i])
             if pose is not None:
                 poses[i] = pose
         for step in (1, -1):
             for i in sorted(closes)[::step]:
                 near = poses.get(i - step)
                 if near is not None and _agreement(near) > _agreement(poses.get(i)) + _GAIN:
-                    pose = self._measure(closes[i], wide[i], fitter.at(i), images[i], near)
+                    pose = self._measure(closes[i], wide[i], fitter.at([i]), images[i], near)
                     if pose is not None and _agreement(pose) > _agreement(poses.get(i)):
                         poses[i] = pose
         return Tracking(
@@ -95,12 +94,12 @@ class FlangeTracker:
         if near is None or near.arm is None:
             chain = self._chain.fit(cells)
         else:
-            chain = solve(self._chain.at(near.X_CH, near.arm.q), cells, LINKS_DEPTH_SIGMA)
+            chain = self._chain.refit(self._chain.at(near.X_CH, near.arm.q), cells)
         if chain is None:
             return None
-        arm = fitter.fit_links(chain.model.X_CH, chain.model.q, cells, image)
+        arm = fitter.fit_links(chain.model.X_CH[0], chain.model.q[0], cells, image)
         if arm is not None:
-            distance, angle = pose_difference(arm.X_CH, chain.model.X_CH)
+            distance, angle = pose_difference(arm.X_CH, chain.model.X_CH[0])
             if arm.agrees and distance <= _SAME_M and angle <= _SAME_RAD:
                 return _frame_pose(arm, chain, close)
         chain = self._sharpen(chain, cells, image)
@@ -111,26 +110,26 @@ class FlangeTracker:
     ) -> Solution[ChainModel]:
         """Fit the chain to cells and edges together."""
         for reach_px in _REACHES_PX:
-            edges = self._edges.match(image, chain.model.X_CP, reach_px, _LINKS, _POINTS)
+            edges = self._edges.match(image, chain.model.place().X_CP[0], reach_px, _LINKS, _POINTS)
             if edges is None:
                 break
             joined = Correspondences.join([cells, edges])
-            chain = solve(chain.model, joined, LINKS_DEPTH_SIGMA, chain.log_depth_factor) or chain
+            chain = self._chain.refit(chain.model, joined, chain.log_depth_factor) or chain
         return chain
 
     def _free_arm(self, chain: Solution[ChainModel], image: GradientImage) -> ArmFit:
         """Return the fit of a chain whose base is not that of the camera."""
         return ArmFit(
-            q=chain.model.q,
-            X_CH=chain.model.X_CH,
+            q=chain.model.q[0],
+            X_CH=chain.model.X_CH[0],
             finger_m=float("nan"),
             finger_sigma_m=float("nan"),
             agrees=False,
             consistency_px=float("nan"),
             scale=float("nan"),
             evidence=0.0,
-            covariance=np.asarray(np.linalg.inv(chain.information + 1e-6 * np.eye(len(chain.information)))[:6, :6]),
-            edge_agreement=self._edges.agreement(image, chain.model.X_CP, LAST_LINKS),
+            covariance=np.asarray(np.linalg.inv(chain.information[0] + 1e-6 * np.eye(UNKNOWNS))[:6, :6]),
+            edge_agreement=self._edges.agreement(image, chain.model.place().X_CP[0], LAST_LINKS),
         )
 
 
@@ -139,9 +138,7 @@ def _agreement(pose: FramePose | None) -> float:
 
 
 def _link_cells(close: GripperView, wide: GripperView) -> Correspondences:
-    return Correspondences.join(
-        [Correspondences.of_view(v, np.isin(v.part, ARM), _LINK_CELLS, _INDEPENDENT) for v in (close, wide)]
-    )
+    return Correspondences.join([Correspondences.of_view(v, v.arm, _LINK_CELLS, _INDEPENDENT) for v in (close, wide)])
 
 
 def _wrist_crop(view: GripperView) -> Crop | None:
@@ -164,14 +161,14 @@ def _crop_at(X_CH: Array) -> Crop:
 
 def _frame_pose(arm: ArmFit, chain: Solution[ChainModel], close: GripperView) -> FramePose:
     """Return the pose of a frame; in place of a hand it has the last link and the residual of the free chain."""
-    flange, robust = close.part == RobotPart.LINK7, chain.robust[:, :2]
+    flange = close.part == RobotPart.LINK7
     hand = HandFit(
-        X_CH=chain.model.X_CH,
+        X_CH=chain.model.X_CH[0],
         finger_m=float("nan"),
         finger_free=False,
         finger_sigma_m=float("nan"),
-        depth_factor=float(np.exp(chain.log_depth_factor)),
-        residual=float(np.sqrt((robust * chain.residual[:, :2] ** 2).sum() / robust.sum())),
+        depth_factor=float(np.exp(chain.log_depth_factor[0])),
+        residual=chain.growth(0),
         points=int(flange.sum()),
         sigma_m=float(np.median(close.coordinates_sigma_m[flange])) if flange.any() else _UNSEEN_SIGMA_M,
         covariance=arm.covariance,

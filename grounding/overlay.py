@@ -34,7 +34,7 @@ def _part_map(camera: Camera, X_CH: Array, finger_m: float, cad: GripperCad) -> 
     top, bottom = (int(np.clip(y, 0, camera.height)) for y in (v - reach, v + reach))
     if left < right and top < bottom:
         rays = camera.rays()[top:bottom, left:right]
-        part = cad.cast(X_CH, rays.reshape(-1, 3), finger_m).part
+        _, part = cad.first_hits(X_CH, rays.reshape(-1, 3), finger_m)
         labels[top:bottom, left:right] = part.reshape(bottom - top, right - left)
     return labels
 

@@ -1,6 +1,6 @@
 """Refinement of poses along a video: refits from neighbouring frames, and fits to the edges of the images."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import cached_property
 
@@ -13,6 +13,7 @@ from kinebench_drake.grounding.registration.arm_fit import ArmFit, ArmFitter
 from kinebench_drake.grounding.registration.edges import GradientImage
 from kinebench_drake.grounding.registration.fit import finger_or_default
 from kinebench_drake.grounding.registration.silhouette import SilhouetteMatcher
+from kinebench_drake.grounding.registration.solver import BATCH
 from kinebench_drake.grounding.view import Frames, GripperView
 
 _SOURCE_OVERLAP, _GOOD_OVERLAP = 0.6, 0.8  # overlap from which a pose is propagated, and from which it is not replaced
@@ -45,7 +46,7 @@ def propagate(
         for i in sorted(poses)[::step]:
             near = poses.get(i - step)
             if near is not None and _is_doubtful(poses[i]) and near.arm_agrees and near.overlap >= _SOURCE_OVERLAP:
-                poses[i] = _refit_from(poses[i], near, wide[i], arm_fitter.at(i), silhouette)
+                poses[i] = _refit_from(poses[i], near, wide[i], arm_fitter.at([i]), silhouette)
 
 
 def _refit_from(
@@ -111,8 +112,8 @@ class EdgeRefinement:
         if not numbers or len(numbers) < _AGREEING_SHARE * estimated:
             return bool(self._poses) and estimated == 0
         sample = [numbers[k] for k in np.unique(np.linspace(0, len(numbers) - 1, _SAMPLES).round().astype(int))]
-        arms = {i: arm for i in sample if (arm := self._sharpened(i)) is not None}
-        agreements = [self._fitter.at(i).edge_agreement(arm.q, self._image(i)) for i, arm in arms.items()]
+        arms = self._sharpened(sample)
+        agreements = [self._fitter.at([i]).edge_agreement(arm.q, self._image(i)) for i, arm in arms.items()]
         agreement = float(np.median(agreements))
         if not _CONTRADICTION <= agreement < _CONFIRMATION:
             return agreement >= _CONFIRMATION
@@ -130,22 +131,28 @@ class EdgeRefinement:
 
     def _sharpen(self) -> None:
         """Fit poses whose arm agrees to cells and edges together; those fitted to edges alone had doubtful cells."""
-        for i, pose in self._poses.items():
-            arm = self._sharpened(i) if pose.arm_agrees and not pose.from_prior and not _agreement(pose) else None
-            if arm is not None:
-                self._poses[i] = pose.with_arm(arm, pose.overlap)
+        rest = [
+            i for i, pose in self._poses.items() if pose.arm_agrees and not pose.from_prior and not _agreement(pose)
+        ]
+        for i, arm in self._sharpened(rest).items():
+            self._poses[i] = self._poses[i].with_arm(arm, self._poses[i].overlap)
 
-    def _sharpened(self, number: int) -> ArmFit | None:
-        """Return the arm of a frame fitted to cells and edges together; None without an arm."""
-        pose = self._poses[number]
-        if pose.arm is None:
-            return None
-        entry = self._sharp.get(number)
-        if entry is None or entry[0] is not pose.arm:
-            fitter, image = self._fitter.at(number), self._image(number)
-            arm = fitter.sharpen(pose.arm, pose.hand, pose.view, self._wide[number], image)
-            entry = self._sharp[number] = pose.arm, arm
-        return entry[1]
+    def _sharpened(self, numbers: Sequence[int]) -> dict[int, ArmFit]:
+        """Return the arms of frames fitted to cells and edges together, by frame number."""
+        arms = {i: arm for i in numbers if (arm := self._poses[i].arm) is not None}
+        old = [i for i, arm in arms.items() if i not in self._sharp or self._sharp[i][0] is not arm]
+        for start in range(0, len(old), BATCH):
+            batch = old[start : start + BATCH]
+            poses = [self._poses[i] for i in batch]
+            fits = self._fitter.at(batch).sharpen_all(
+                [arms[i] for i in batch],
+                [pose.hand for pose in poses],
+                [pose.view for pose in poses],
+                [self._wide[i] for i in batch],
+                [self._image(i) for i in batch],
+            )
+            self._sharp.update({i: (arms[i], fit) for i, fit in zip(batch, fits, strict=True)})
+        return {i: self._sharp[i][1] for i in arms}
 
     def reject(self) -> None:
         """Mark the poses of an unfamiliar video that the edges do not confirm: hand and arm do not agree in them."""
@@ -176,7 +183,7 @@ class EdgeRefinement:
         rest = {i: pose for i, pose in self._poses.items() if i not in self.confirmed and not pose.from_prior}
         for i in sorted(rest, key=lambda i: -rest[i].overlap)[:_SEARCHED_FRAMES]:
             pose = rest[i]
-            self._keep_better(i, self._fitter.at(i).search(pose.hand, pose.view, self._wide[i], self._image(i)))
+            self._keep_better(i, self._fitter.at([i]).search(pose.hand, pose.view, self._wide[i], self._image(i)))
         if any(i in self.confirmed for i in rest):
             self.fit(i for i in rest if i not in self.confirmed)
 
@@ -187,7 +194,7 @@ class EdgeRefinement:
 
     def _refine(self, number: int, start: ArmFit) -> ArmFit | None:
         pose = self._poses[number]
-        return self._fitter.at(number).refine(start.q, pose.hand, pose.view, self._wide[number], self._image(number))
+        return self._fitter.at([number]).refine(start.q, pose.hand, pose.view, self._wide[number], self._image(number))
 
     def _keep_better(self, number: int, arm: ArmFit | None) -> None:
         """Replace the pose of a frame by a fit that the edges agree with better."""

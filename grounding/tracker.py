@@ -1,6 +1,8 @@
 """Tracking of the gripper: detection in the whole image, pose estimation in a crop, refits along the video."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from itertools import islice
 from typing import Protocol
 
 import numpy as np
@@ -15,10 +17,12 @@ from kinebench_drake.grounding.pose import FramePose
 from kinebench_drake.grounding.refinement import EdgeRefinement, propagate
 from kinebench_drake.grounding.registration.arm_fit import ArmFitter
 from kinebench_drake.grounding.registration.arm_model import ArmModel
+from kinebench_drake.grounding.registration.correspondences import Correspondences
 from kinebench_drake.grounding.registration.edges import EdgeMatcher
-from kinebench_drake.grounding.registration.fit import UNSEEN_FINGER_M, finger_or_default, fit, refit
+from kinebench_drake.grounding.registration.fit import UNSEEN_FINGER_M, HandFit, finger_or_default, fit_all, refit_all
 from kinebench_drake.grounding.registration.icp import IcpRefiner
 from kinebench_drake.grounding.registration.silhouette import SilhouetteMatcher
+from kinebench_drake.grounding.registration.solver import BATCH
 from kinebench_drake.grounding.view import DenseEstimator, Frames, GripperView
 from kinebench_drake.models.panda.cad import GripperCad
 from kinebench_drake.types import NO_PRIORS, Domain, Priors
@@ -91,23 +95,15 @@ class CadTracker:
         region = find_region(estimator, frames, camera, wide)
         if region is not None:
             wide = dict(estimator.estimate(frames, camera, dict.fromkeys(whole, region)))
-        crops: dict[int, Crop] = {}
-        for i, view in wide.items():
-            X_CH = priors.pose(i)
-            detection = None if X_CH is not None else fit(likeliest_gripper(view))
-            if detection is not None:
-                X_CH = detection.X_CH
-            if X_CH is not None:
-                crops[i] = Crop.of_gripper(X_CH, CLOSE_MARGIN, CLOSE_SIZE)
+        crops = self._detected_crops(wide, priors)
         arm = ArmFitter(camera, self._arm, self._edges, places)
         poses: dict[int, FramePose] = {}
 
         def measure(crops: dict[int, Crop]) -> None:
             """Measure the frames of `crops` and store their poses in `poses`."""
-            for i, view in estimator.estimate(frames, camera, crops):
-                pose = self._measure(view, wide[i], arm.at(i), priors, i)
-                if pose is not None:
-                    poses[i] = pose
+            estimates = estimator.estimate(frames, camera, crops)
+            while views := dict(islice(estimates, BATCH)):
+                poses.update(self._measure(views, wide, arm, priors))
 
         measure(crops)
         measure(self._corrected_crops(poses))
@@ -147,31 +143,54 @@ class CadTracker:
         finger_m = UNSEEN_FINGER_M if finger_m is None else finger_m
         return replace(priors, depth=calibrate_depth(depth, view, X_CH, finger_m))
 
+    @staticmethod
+    def _detected_crops(wide: Mapping[int, GripperView], priors: Priors) -> dict[int, Crop]:
+        """Return crops around the gripper where it is detected in views of whole images, or known from priors."""
+        poses = {i: X_CH for i in wide if (X_CH := priors.pose(i)) is not None}
+        rest = [i for i in wide if i not in poses]
+        for start in range(0, len(rest), BATCH):
+            numbers = rest[start : start + BATCH]
+            none = [None] * len(numbers)
+            hands = fit_all([likeliest_gripper(wide[i]) for i in numbers], none, none)
+            poses |= {i: hand.X_CH for i, hand in zip(numbers, hands, strict=True) if hand is not None}
+        return {i: Crop.of_gripper(poses[i], CLOSE_MARGIN, CLOSE_SIZE) for i in wide if i in poses}
+
     def _measure(
-        self, view: GripperView, wide: GripperView, arm_fitter: ArmFitter, priors: Priors, number: int
-    ) -> FramePose | None:
-        prior = priors.pose(number)
-        without_silhouette = fit(view, X_CH=prior, finger_m=priors.finger_m(number))
-        if without_silhouette is None:
-            return None
-        hand, rim = without_silhouette, None
-        if prior is None and not priors.has_exact_depth:
-            rim = self._silhouette.match(view, hand.X_CH, finger_or_default(hand.finger_m))
-        if rim is not None:
-            hand = refit(hand, view, rim)
-        arm = arm_fitter.fit(hand, view, wide, rim)
-        best = arm if arm is not None and arm.agrees and prior is None else hand
-        return FramePose(
-            X_CH=best.X_CH,
-            finger_m=best.finger_m,
-            finger_sigma_m=best.finger_sigma_m,
-            hand=hand,
-            hand_without_silhouette=without_silhouette,
-            arm=arm,
-            view=view,
-            overlap=self._silhouette.overlap(view, best.X_CH, finger_or_default(best.finger_m)),
-            from_prior=prior is not None,
+        self, views: Mapping[int, GripperView], wide: Mapping[int, GripperView], arm_fitter: ArmFitter, priors: Priors
+    ) -> dict[int, FramePose]:
+        """Return the poses in frames whose crops show the gripper, by frame number."""
+        numbers = list(views)
+        fits = fit_all(list(views.values()), [priors.pose(i) for i in numbers], [priors.finger_m(i) for i in numbers])
+        cells_only = {i: hand for i, hand in zip(numbers, fits, strict=True) if hand is not None}
+        rims = {i: self._rim(views[i], hand, priors, i) for i, hand in cells_only.items()}
+        with_rim = {i: rim for i, rim in rims.items() if rim is not None}
+        refitted = refit_all([cells_only[i] for i in with_rim], [views[i] for i in with_rim], list(with_rim.values()))
+        hands = {**cells_only, **dict(zip(with_rim, refitted, strict=True))}
+        arms = arm_fitter.at(list(hands)).fit_all(
+            list(hands.values()), [views[i] for i in hands], [wide[i] for i in hands], [rims[i] for i in hands]
         )
+        poses = {}
+        for (i, hand), arm in zip(hands.items(), arms, strict=True):
+            from_prior = priors.pose(i) is not None
+            best = arm if arm is not None and arm.agrees and not from_prior else hand
+            poses[i] = FramePose(
+                X_CH=best.X_CH,
+                finger_m=best.finger_m,
+                finger_sigma_m=best.finger_sigma_m,
+                hand=hand,
+                hand_without_silhouette=cells_only[i],
+                arm=arm,
+                view=views[i],
+                overlap=self._silhouette.overlap(views[i], best.X_CH, finger_or_default(best.finger_m)),
+                from_prior=from_prior,
+            )
+        return poses
+
+    def _rim(self, view: GripperView, hand: HandFit, priors: Priors, number: int) -> Correspondences | None:
+        """Return the correspondences of the silhouette where the pose depends on it."""
+        if priors.pose(number) is not None or priors.has_exact_depth:
+            return None
+        return self._silhouette.match(view, hand.X_CH, finger_or_default(hand.finger_m))
 
     def _register(self, pose: FramePose) -> FramePose:
         """Return the pose combined with its registration by ICP."""

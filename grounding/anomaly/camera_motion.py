@@ -47,7 +47,8 @@ class CameraMotion:
     """(T,) displacement of the background [px of the video]; NaN where too few features are tracked, or where they do
     not move according to one rotation."""
     R_AC: Array
-    """(T, 3, 3) rotation of the camera in A, the camera of the first frame; the identity where unknown."""
+    """(T, 3, 3) rotation of the camera in A, the camera of the first frame; the identity where unknown, and if it does
+    not move."""
     unit_px: float
     """Pixels of the video per pixel of an image 384 px wide."""
     path: CameraPath | None = None
@@ -154,6 +155,7 @@ def measure_camera_motion(frames: Frames, robot: NDArray[np.bool_], camera: Came
     start = cv2.goodFeaturesToTrack(grey[0], _MAX_FEATURES, 0.01, 6, mask=mask)
     if start is not None and len(start) >= MIN_FEATURES:
         px[0] = 0.0
+        places: dict[int, tuple[Array, Array]] = {}
         for i, image in enumerate(grey[1:], 1):
             forth, ok, _ = cv2.calcOpticalFlowPyrLK(grey[0], image, start, None)
             back, ok_back, _ = cv2.calcOpticalFlowPyrLK(image, grey[0], forth, None)
@@ -161,10 +163,15 @@ def measure_camera_motion(frames: Frames, robot: NDArray[np.bool_], camera: Came
             good = (ok[:, 0] > 0) & (ok_back[:, 0] > 0) & returned
             if good.sum() >= MIN_FEATURES:
                 first, now = (np.asarray(p[good, 0], dtype=np.float64) + 0.5 for p in (start, forth))
+                px[i] = np.quantile(np.linalg.norm(now - first, axis=1), SHARE)
+                places[i] = first, now
+        if np.nanmax(px) >= LEAST_PX * camera.unit_px:  # else it counts as fixed
+            for i, (first, now) in places.items():
                 R, share = _rotation(first, now, camera)
-                moved = float(np.quantile(np.linalg.norm(now - first, axis=1), SHARE))
-                if share >= _MIN_AGREEING or moved < LEAST_PX * camera.unit_px:
-                    px[i], R_AC[i] = moved, R
+                if share >= _MIN_AGREEING or px[i] < LEAST_PX * camera.unit_px:
+                    R_AC[i] = R
+                else:
+                    px[i] = np.nan
     return CameraMotion(px=px, R_AC=R_AC, unit_px=camera.unit_px)
 
 

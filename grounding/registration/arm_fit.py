@@ -5,6 +5,8 @@ the hand alone determines poorly. The initial posture comes from closed-form inv
 over the angles of the last joint; then all joints are fitted to the cells of links and gripper together.
 """
 
+from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,13 +22,14 @@ from kinebench_drake.grounding.registration.fit import (
     HandModel,
     finger_or_default,
     gripper_cells,
+    masked_median,
 )
 from kinebench_drake.grounding.registration.silhouette import SilhouetteMatcher
-from kinebench_drake.grounding.registration.solver import Solution, solve
+from kinebench_drake.grounding.registration.solver import CellRows, Solution, solve
 from kinebench_drake.grounding.view import GripperView
 from kinebench_drake.kinematics.analytic import analytic_ik
 from kinebench_drake.models.panda.cad import open_fingers
-from kinebench_drake.models.panda.robot import ARM, GRIPPER, RobotPart
+from kinebench_drake.models.panda.robot import ARM, RobotPart
 
 _LAST_ANGLES = np.linspace(-np.pi, np.pi, 32, endpoint=False)
 _MAX_CELLS, _SCORED_CELLS = 300, 48
@@ -93,56 +96,73 @@ class ArmFitter:
 
     def __init__(self, camera: Camera, model: ArmModel, edges: EdgeMatcher, places: Array | None = None) -> None:
         """Create the fitter; a moving camera has `places` (T, 3) in the frame of `camera` [m]."""
-        self._model, self._X_CB, self._edges = model, invert(camera.X_BC), edges
-        self._places = places
-        self._camera = camera
+        X_BC = camera.X_BC if places is None else camera.X_BC @ make_pose(np.eye(3), places)
+        self._model, self._edges, self._camera = model, edges, camera
+        self._X_CB = invert(X_BC).reshape(-1, 4, 4)  # of each frame, or of all
         self._tolerance_px = _MAX_CONSISTENCY_PX * camera.unit_px
 
-    def at(self, number: int) -> "ArmFitter":
-        """Return the fitter of one frame: this one, unless the camera moves."""
-        if self._places is None:
+    def at(self, numbers: Sequence[int]) -> "ArmFitter":
+        """Return the fitter of some frames, in their order: this one, unless the camera moves."""
+        if len(self._X_CB) == 1:
             return self
-        X_BC = self._camera.X_BC @ make_pose(np.eye(3), self._places[number])
-        return ArmFitter(replace(self._camera, X_BC=X_BC), self._model, self._edges)
+        fitter = copy(self)
+        fitter._X_CB = self._X_CB[list(numbers)]
+        return fitter
 
     def fit(
         self, hand: HandFit, close: GripperView, wide: GripperView, rim: Correspondences | None = None
     ) -> ArmFit | None:
-        """Fit the arm behind a hand; None if too little of the arm is visible.
+        """Fit the arm behind one hand; see `fit_all`."""
+        return self.fit_all([hand], [close], [wide], [rim])[0]
+
+    def fit_all(
+        self,
+        hands: Sequence[HandFit],
+        close: Sequence[GripperView],
+        wide: Sequence[GripperView],
+        rims: Sequence[Correspondences | None],
+    ) -> list[ArmFit | None]:
+        """Fit the arms behind the hands of B frames; None where too little of the arm is visible.
 
         Args:
-            hand: fit of the hand alone to `close`.
-            close: view of the gripper's crop.
-            wide: view of the whole image.
-            rim: correspondences of the hand's silhouette (`SilhouetteMatcher.match`).
+            hands: fits of the hands alone to `close`.
+            close: views of the gripper's crop.
+            wide: views of the whole image.
+            rims: correspondences of the hands' silhouettes (`SilhouetteMatcher.match`).
         """
-        links = self._link_cells(close, wide)
-        initial = self._initial_posture(hand.X_CH, links) if len(links) >= _MIN_CELLS else None
-        if initial is None:
-            return None
-        q, cost, flipped_cost = initial
-        gripper = gripper_cells(close)
-        cells = Correspondences.join([gripper, links])
-        start = self._start(q, hand.finger_m, hand)
-        joined = cells if rim is None else Correspondences.join([cells, rim])
-        solution = solve(start, joined, close.depth_factor_sigma, float(np.log(hand.depth_factor)))
-        if solution is None:
-            return None
-        arm = solution.model
-        X_CH = arm.hand()[0]
-        n = len(gripper)
-        r, robust = solution.residual[:n, :2], solution.robust[:n, :2]
-        growth = float(np.sqrt((robust * r**2).sum() / robust.sum()))
-        along, across = _split(X_CH[:3, 3] - hand.X_CH[:3, 3], hand.X_CH[:3, 3])
-        agrees = (
-            along <= _MAX_ALONG_M
-            and across <= _MAX_ACROSS_M
-            and pose_difference(X_CH, hand.X_CH)[1] <= _MAX_ANGLE_RAD
-            and growth <= _MAX_GROWTH * hand.residual + _MAX_GROWTH_SIGMAS
-        )
-        scale = self._scale(solution, cells, close.depth_factor_sigma, hand)
-        evidence = _evidence(cost, flipped_cost)
-        return self._arm_fit(solution, links, hand, scale=scale, evidence=evidence, agrees=bool(agrees))
+        fits: list[ArmFit | None] = [None] * len(hands)
+        X_CB = self._bases(len(hands))
+        links = [self._link_cells(*views) for views in zip(close, wide, strict=True)]
+        initial = {
+            b: posture
+            for b, cells in enumerate(links)
+            if len(cells) >= _MIN_CELLS
+            and (posture := self._initial_posture(hands[b].X_CH, cells, X_CB[b])) is not None
+        }
+        if not initial:
+            return fits
+        shown = list(initial)
+        hands, links = [hands[b] for b in shown], [links[b] for b in shown]
+        gripper = [gripper_cells(close[b]) for b in shown]
+        cells = [Correspondences.join(pair) for pair in zip(gripper, links, strict=True)]
+        joined = [
+            own if (rim := rims[b]) is None else Correspondences.join([own, rim])
+            for b, own in zip(shown, cells, strict=True)
+        ]
+        sigma = np.array([close[b].depth_factor_sigma for b in shown])
+        q = np.stack([q for q, _, _ in initial.values()])
+        start = self._start(q, [h.finger_m for h in hands], hands, X_CB[shown])
+        solution = solve(start, Correspondences.stack(joined), sigma, _log_depth_factors(hands))
+        X_CH, J = solution.model.hand()
+        scale = self._scale(solution, cells, gripper, sigma, hands)
+        fitted = self._arm_fits(solution, X_CH, J, links, hands)
+        for row, (b, arm) in enumerate(zip(shown, fitted, strict=True)):
+            hand, (_, cost, flipped_cost) = hands[row], initial[b]
+            if arm is not None:
+                agrees = arm.agrees and _is_consistent(arm.X_CH, hand, solution.growth(row, len(gripper[row])))
+                evidence = _evidence(cost, flipped_cost)
+                fits[b] = replace(arm, agrees=agrees, scale=float(scale[row]), evidence=evidence)
+        return fits
 
     def fit_from_neighbour(
         self, near: ArmFit, hand: HandFit, close: GripperView, wide: GripperView, silhouette: SilhouetteMatcher
@@ -162,21 +182,23 @@ class ArmFitter:
         if len(links) < _MIN_CELLS:
             return None
         cells = Correspondences.join([gripper_cells(close), links])
-        arm, log_depth_factor = self._start(near.q, near.finger_m, hand), float(np.log(hand.depth_factor))
+        arm = self._start(near.q[None], [near.finger_m], [hand], self._X_CB)
+        log_depth_factor = _log_depth_factors([hand])
         solution = None
         for gate in _NEIGHBOUR_GATES:
-            rim = silhouette.match(close, arm.hand()[0], arm.finger_m, gate)
+            rim = silhouette.match(close, arm.hand()[0][0], float(arm.finger_m[0]), gate)
             if rim is None:
                 return None
-            joined = Correspondences.join([cells, rim])
-            solution = solve(arm, joined, close.depth_factor_sigma, log_depth_factor, iterations=4)
-            if solution is None:
+            joined = Correspondences.stack([Correspondences.join([cells, rim])])
+            solution = solve(arm, joined, np.array([close.depth_factor_sigma]), log_depth_factor, iterations=4)
+            if not solution.valid[0]:
                 return None
             arm, log_depth_factor = solution.model, solution.log_depth_factor
         if solution is None:
             return None
-        evidence = _evidence(*self._costs(np.stack([arm.q, _half_turn(arm).q]), _subsample(links)))
-        return self._arm_fit(solution, links, hand, scale=float("nan"), evidence=evidence, agrees=True)
+        evidence = _evidence(*self._costs(np.concatenate([arm.q, _half_turn(arm).q]), _subsample(links), self._X_CB[0]))
+        fitted = self._arm_fits(solution, *arm.hand(), [links], [hand])[0]
+        return None if fitted is None else replace(fitted, evidence=evidence)
 
     def fit_links(self, X_CH: Array, q: Array, links: Correspondences, image: GradientImage) -> ArmFit | None:
         """Fit the arm to cells and edges of its links alone; None if that diverges.
@@ -191,32 +213,35 @@ class ArmFitter:
         """
         if len(links) < _MIN_CELLS:
             return None
-        initial = self._initial_posture(X_CH, links)
-        solutions = []
-        for start in [q] if initial is None else [q, initial[0]]:
-            fitted = solve(self._links_at(start), links, LINKS_DEPTH_SIGMA, iterations=12)
-            if fitted is not None:
-                solutions.append(fitted)
-        if not solutions:
+        initial = self._initial_posture(X_CH, links, self._X_CB[0])
+        start, sigma = self._links_at(np.stack([q] if initial is None else [q, initial[0]])), [LINKS_DEPTH_SIGMA]
+        solutions = solve(start, Correspondences.stack([links] * len(start.q)), sigma * len(start.q), iterations=12)
+        if not solutions.valid.any():
             return None
-        solution = min(
-            solutions, key=lambda s: float(np.minimum((s.residual[:, :2] ** 2).sum(axis=1), _COST_CAP).mean())
-        )
+        cost = np.minimum((solutions.residual[:, :2] ** 2).sum(axis=1), _COST_CAP).mean(axis=1)
+        solution = solutions.take(np.array([np.where(solutions.valid, cost, np.inf).argmin()]))
         for reach_px in LINK_REACHES_PX:
-            edges = self._edges.match(image, self._poses(solution.model), reach_px, ARM, _SHARPENING_POINTS)
+            edges = self._edges.match(image, self._poses(solution.model)[0], reach_px, ARM, _SHARPENING_POINTS)
             if edges is None:
                 break
-            joined = Correspondences.join([links, edges])
-            sharper = solve(self._links_at(solution.model.q), joined, LINKS_DEPTH_SIGMA, solution.log_depth_factor)
-            if sharper is None:
+            joined = Correspondences.stack([Correspondences.join([links, edges])])
+            sharper = solve(self._links_at(solution.model.q), joined, sigma, solution.log_depth_factor)
+            if not sharper.valid[0]:
                 break
             solution = sharper
-        arm = self._arm_fit(solution, links, None, scale=float("nan"), evidence=0.0, agrees=True)
-        return replace(arm, edge_agreement=self._edges.agreement(image, self._poses(solution.model), LAST_LINKS))
+        arm = self._arm_fits(solution, *solution.model.hand(), [links], [None])[0]
+        agreement = self._edges.agreement(image, self._poses(solution.model)[0], LAST_LINKS)
+        return None if arm is None else replace(arm, edge_agreement=agreement)
 
     def _links_at(self, q: Array) -> ArmHandModel:
+        """Return postures (B, 7) of one frame with fixed fingers."""
         return ArmHandModel(
-            model=self._model, X_CB=self._X_CB, q=q, q_start=q, finger_m=UNSEEN_FINGER_M, finger_free=False
+            model=self._model,
+            X_CB=self._bases(len(q)),
+            q=q,
+            q_start=q,
+            finger_m=np.full(len(q), UNSEEN_FINGER_M),
+            finger_free=np.zeros(len(q), dtype=bool),
         )
 
     def search(self, hand: HandFit, close: GripperView, wide: GripperView, image: GradientImage) -> ArmFit | None:
@@ -235,7 +260,7 @@ class ArmFitter:
         for factor in _DISTANCE_FACTORS:
             X_CH = hand.X_CH.copy()
             X_CH[:3, 3] *= factor
-            initial = self._initial_posture(X_CH, links)
+            initial = self._initial_posture(X_CH, links, self._X_CB[0])
             if initial is not None:
                 candidates.append((initial[1], initial[0]))
         likeliest = sorted(candidates, key=lambda candidate: candidate[0])[:_SEARCHED]
@@ -263,32 +288,35 @@ class ArmFitter:
         image = self._with_rim(image, close)
 
         def fit(arm: ArmHandModel, reaches_px: tuple[float, ...]) -> Solution[ArmHandModel] | None:
-            log_depth_factor, solution = float(np.log(hand.depth_factor)), None
+            log_depth_factor, solution = _log_depth_factors([hand]), None
             for reach_px in reaches_px:
                 with_cells = reach_px > _CELLS_REACH_PX
-                edges = self._edges.match(image, self._poses(arm), reach_px, ROBOT if with_cells else RIGID)
+                edges = self._edges.match(image, self._poses(arm)[0], reach_px, ROBOT if with_cells else RIGID)
                 if edges is None:
                     return None
-                joined = Correspondences.join([cells, edges]) if with_cells else edges
-                solution = solve(arm, joined, close.depth_factor_sigma, log_depth_factor, iterations=4)
-                if solution is None:
+                joined = Correspondences.stack([Correspondences.join([cells, edges]) if with_cells else edges])
+                solution = solve(arm, joined, np.array([close.depth_factor_sigma]), log_depth_factor, iterations=4)
+                if not solution.valid[0]:
                     return None
                 arm, log_depth_factor = solution.model, solution.log_depth_factor
             return solution
 
-        solution = fit(self._start(q, hand.finger_m, hand), _EDGE_REACHES_PX)
+        solution = fit(self._start(q[None], [hand.finger_m], [hand], self._X_CB), _EDGE_REACHES_PX)
         if solution is None:
             return None
         evidence = self._edge_evidence(solution.model, image)
         flipped = fit(_half_turn(solution.model), _EDGE_REACHES_PX[-2:]) if evidence < 0 else None
         if flipped is not None and (other := self._edge_evidence(flipped.model, image)) > 0:
             solution, evidence = flipped, other
-        X_CP = self._poses(solution.model)
+        X_CP = self._poses(solution.model)[0]
         agreement = self._edges.agreement(image, X_CP)
-        fitted = self._arm_fit(solution, cells, hand, scale=float("nan"), evidence=evidence, agrees=True)
+        fitted = self._arm_fits(solution, *solution.model.hand(), [cells], [hand])[0]
+        if fitted is None:
+            return None
         return replace(
             fitted,
             agrees=agreement >= _MIN_AGREEMENT,
+            evidence=evidence,
             edge_agreement=agreement,
             hand_agreement=self._edges.agreement(image, X_CP, (RobotPart.HAND,)),
         )
@@ -296,31 +324,62 @@ class ArmFitter:
     def sharpen(
         self, arm: ArmFit, hand: HandFit, close: GripperView, wide: GripperView, image: GradientImage
     ) -> ArmFit:
-        """Fit a posture that is right within a few pixels to cells and edges together.
+        """Fit one posture to cells and edges together; see `sharpen_all`."""
+        return self.sharpen_all([arm], [hand], [close], [wide], [image])[0]
+
+    def sharpen_all(
+        self,
+        arms: Sequence[ArmFit],
+        hands: Sequence[HandFit],
+        close: Sequence[GripperView],
+        wide: Sequence[GripperView],
+        images: Sequence[GradientImage],
+    ) -> list[ArmFit]:
+        """Fit postures of B frames that are right within a few pixels to cells and edges together.
 
         The edges are more precise, above all in depth, and the cells keep to the right ones among them.
 
         Args:
-            arm: fit to the cells, which is returned if too few edges are near or the fit moves far away.
-            hand: fit of the hand alone.
-            close: view of the gripper's crop.
-            wide: view that shows the arm.
-            image: gradients of the frame.
+            arms: fits to the cells, which are returned where too few edges are near or the fit moves far away.
+            hands: fits of the hands alone.
+            close: views of the gripper's crop.
+            wide: views that show the arm.
+            images: gradients of the frames.
         """
-        start, links = self._start(arm.q, arm.finger_m, hand), self._link_cells(close, wide)
-        image = self._with_rim(image, close)
-        edges = self._edges.match(image, self._poses(start), _SHARPENING_PX, RIGID, _SHARPENING_POINTS)
-        if edges is None:
-            return arm
-        joined = Correspondences.join([gripper_cells(close), links, edges])
-        solution = solve(start, joined, close.depth_factor_sigma, float(np.log(hand.depth_factor)), iterations=3)
-        if solution is None:
-            return arm
-        fitted = self._arm_fit(solution, links, hand, scale=arm.scale, evidence=arm.evidence, agrees=True)
-        moved_m = pose_difference(fitted.X_CH, arm.X_CH)[0]
-        away_px = fitted.consistency_px - arm.consistency_px
-        near = moved_m <= _SHARPENING_M and away_px <= _SHARPENING_GROWTH_PX * self._camera.unit_px
-        return fitted if fitted.agrees and near else arm
+        sharpened = list(arms)
+        q, X_CB = np.stack([arm.q for arm in arms]), self._bases(len(arms))
+        start = self._start(q, [arm.finger_m for arm in arms], hands, X_CB)
+        edges = self._edges.match_all(
+            [self._with_rim(*pair) for pair in zip(images, close, strict=True)],
+            self._poses(start),
+            _SHARPENING_PX,
+            RIGID,
+            _SHARPENING_POINTS,
+        )
+        matched = {b: own for b, own in enumerate(edges) if own is not None}
+        if not matched:
+            return sharpened
+        frames = np.array(list(matched))
+        hands, links = [hands[b] for b in frames], [self._link_cells(close[b], wide[b]) for b in frames]
+        joined = [
+            Correspondences.join([gripper_cells(close[b]), own, matched[b]])
+            for b, own in zip(frames, links, strict=True)
+        ]
+        sigma = np.array([close[b].depth_factor_sigma for b in frames])
+        solution = solve(
+            start.take(frames), Correspondences.stack(joined), sigma, _log_depth_factors(hands), iterations=3
+        )
+        fits = self._arm_fits(solution, *solution.model.hand(), links, hands)
+        for b, fitted in zip(frames, fits, strict=True):
+            if fitted is None or not fitted.agrees:
+                continue
+            grown_px = fitted.consistency_px - arms[b].consistency_px
+            if (
+                pose_difference(fitted.X_CH, arms[b].X_CH)[0] <= _SHARPENING_M
+                and grown_px <= _SHARPENING_GROWTH_PX * self._camera.unit_px
+            ):
+                sharpened[b] = replace(fitted, scale=arms[b].scale, evidence=arms[b].evidence)
+        return sharpened
 
     def _with_rim(self, image: GradientImage, close: GripperView) -> GradientImage:
         """Return the image with the rim of the segmented gripper."""
@@ -329,16 +388,20 @@ class ArmFitter:
 
     def _edge_evidence(self, arm: ArmHandModel, image: GradientImage) -> float:
         """Return the log-likelihood ratio of a posture against half a turn of the last joint, from the edges."""
-        as_fitted, flipped = (self._edges.agreement(image, self._poses(a), FLANGE) for a in (arm, _half_turn(arm)))
+        as_fitted, flipped = (self._edges.agreement(image, self._poses(a)[0], FLANGE) for a in (arm, _half_turn(arm)))
         return float(np.clip(_EDGE_NATS * (as_fitted - flipped), -_EVIDENCE_CAP, _EVIDENCE_CAP))
 
     def edge_agreement(self, q: Array, image: GradientImage) -> float:
         """Return the share of the contour of hand and wrist at a posture (7,) that lies on edges of the image."""
-        return self._edges.agreement(image, self._X_CB @ self._model.poses(q[None])[0])
+        return self._edges.agreement(image, self._X_CB[0] @ self._model.poses(q[None])[0])
+
+    def _bases(self, count: int) -> Array:
+        """Return the poses (count, 4, 4) of the base in the camera frames of `count` frames [m]."""
+        return np.broadcast_to(self._X_CB, (count, 4, 4))
 
     def _poses(self, arm: ArmHandModel) -> Array:
-        """Return the poses (PARTS, 4, 4) of the parts in the camera frame [m]."""
-        return open_fingers(self._X_CB @ self._model.poses(arm.q[None])[0], arm.finger_m)
+        """Return the poses (B, PARTS, 4, 4) of the parts in the camera frame [m]."""
+        return open_fingers(arm.X_CB[:, None] @ self._model.poses(arm.q), arm.finger_m)
 
     @staticmethod
     def _link_cells(close: GripperView, wide: GripperView) -> Correspondences:
@@ -346,67 +409,90 @@ class ArmFitter:
             [Correspondences.of_view(v, v.arm, _MAX_CELLS, _INDEPENDENT) for v in (close, wide)]
         )
 
-    def _start(self, q: Array, finger_m: float, hand: HandFit) -> ArmHandModel:
+    def _start(self, q: Array, finger_m: Sequence[float], hands: Sequence[HandFit], X_CB: Array) -> ArmHandModel:
         return ArmHandModel(
             model=self._model,
-            X_CB=self._X_CB,
+            X_CB=X_CB,
             q=q,
             q_start=q,
-            finger_m=finger_or_default(finger_m),
-            finger_free=hand.finger_free,
+            finger_m=np.array([finger_or_default(travel) for travel in finger_m]),
+            finger_free=np.array([hand.finger_free for hand in hands]),
         )
 
-    def _arm_fit(
+    def _arm_fits(
         self,
         solution: Solution[ArmHandModel],
-        links: Correspondences,
-        hand: HandFit | None,
-        *,
-        scale: float,
-        evidence: float,
-        agrees: bool,
-    ) -> ArmFit:
-        """Return the fit of a posture; without a hand its fingers are unknown."""
-        arm = solution.model
-        X_CH, J = arm.hand()
+        X_CH: Array,
+        J: Array,
+        links: Sequence[Correspondences],
+        hands: Sequence[HandFit | None],
+    ) -> list[ArmFit | None]:
+        """Return the fits of B frames, without scale and evidence; None where they diverged.
+
+        Args:
+            solution: solution of the frames.
+            X_CH: (B, 4, 4) poses of the hands.
+            J: (B, 6, 7) their derivatives.
+            links: correspondences whose distance is the consistency.
+            hands: fits of the hands alone; None where the fingers are unknown.
+        """
+        arm, unknown = solution.model, float("nan")
         covariance = np.linalg.inv(solution.information + 1e-6 * np.eye(8))
+        of_hand = J @ covariance[:, :7, :7] @ J.swapaxes(1, 2)
         consistency = self._consistency_px(arm, links)
-        return ArmFit(
-            q=arm.q,
-            X_CH=X_CH,
-            finger_m=float("nan") if hand is None else arm.finger_m if hand.finger_free else hand.finger_m,
-            finger_sigma_m=float("nan") if hand is None else float(covariance[7, 7] ** 0.5),
-            agrees=agrees and consistency <= self._tolerance_px,
-            consistency_px=consistency,
-            scale=scale,
-            evidence=evidence,
-            covariance=J @ covariance[:7, :7] @ J.T,
-        )
+        return [
+            ArmFit(
+                q=arm.q[b],
+                X_CH=X_CH[b],
+                finger_m=unknown if hand is None else float(arm.finger_m[b]) if hand.finger_free else hand.finger_m,
+                finger_sigma_m=unknown if hand is None else float(covariance[b, 7, 7] ** 0.5),
+                agrees=bool(consistency[b] <= self._tolerance_px),
+                consistency_px=float(consistency[b]),
+                scale=unknown,
+                evidence=0.0,
+                covariance=of_hand[b],
+            )
+            if solution.valid[b]
+            else None
+            for b, hand in enumerate(hands)
+        ]
 
     @staticmethod
     def _scale(
-        solution: Solution[ArmHandModel], cells: Correspondences, depth_factor_sigma: float, hand: HandFit
-    ) -> float:
-        """Return the hand's distance according to the links over its distance according to its apparent size."""
+        solution: Solution[ArmHandModel],
+        cells: Sequence[Correspondences],
+        gripper: Sequence[Correspondences],
+        depth_factor_sigma: Array,
+        hands: Sequence[HandFit],
+    ) -> Array:
+        """Return the hands' distances (B,) according to the links over those according to their apparent sizes."""
         arm = solution.model
-        of_hand = np.isin(cells.part, GRIPPER)
-        by_links = replace(cells, weight=np.where(of_hand, _LINKS_ONLY_WEIGHT, 1.0) * cells.weight)
-        links_solution = solve(arm, by_links, depth_factor_sigma, solution.log_depth_factor, iterations=4)
-        hand_cells = cells.take(of_hand)
-        free = HandModel(X_CH=hand.X_CH, finger_m=arm.finger_m, finger_free=arm.finger_free)
-        by_size = replace(hand_cells, range_sigma=np.full(len(hand_cells), _NO_RANGE_SIGMA))
+        stacked = Correspondences.stack(cells)
+        by_links = np.where(stacked.part >= RobotPart.LINK0, 1.0, _LINKS_ONLY_WEIGHT) * stacked.weight
+        links_solution = solve(
+            arm, replace(stacked, weight=by_links), depth_factor_sigma, solution.log_depth_factor, iterations=4
+        )
+        free = HandModel(
+            X_CH=np.stack([hand.X_CH for hand in hands]),
+            finger_m=arm.finger_m,
+            finger_free=arm.finger_free,
+            pose_free=np.ones(len(hands), dtype=bool),
+        )
+        by_size = Correspondences.stack(gripper)
+        by_size = replace(by_size, range_sigma=np.full_like(by_size.range_sigma, _NO_RANGE_SIGMA))
         size_solution = solve(free, by_size, depth_factor_sigma, iterations=4)
-        if links_solution is None or size_solution is None:
-            return float("nan")
-        by_links_m = np.linalg.norm(links_solution.model.hand()[0][:3, 3])
-        return float(by_links_m / np.linalg.norm(size_solution.model.X_CH[:3, 3]))
+        distances = [
+            np.linalg.norm(X_CH[:, :3, 3], axis=1)
+            for X_CH in (links_solution.model.hand()[0], size_solution.model.X_CH)
+        ]
+        return np.where(links_solution.valid & size_solution.valid, distances[0] / distances[1], np.nan)
 
-    def _initial_posture(self, X_CH: Array, links: Correspondences) -> tuple[Array, float, float] | None:
+    def _initial_posture(self, X_CH: Array, links: Correspondences, X_CB: Array) -> tuple[Array, float, float] | None:
         """Return the inverse kinematics solution (7,) that matches the links best, its cost and that of the flip.
 
         The flipped hand, rotated by 180 degrees about its axis, has the same postures except for the last joint.
         """
-        X_BF = invert(self._X_CB) @ X_CH @ self._model.X_HF
+        X_BF = invert(X_CB) @ X_CH @ self._model.X_HF
         q = analytic_ik(X_BF, _LAST_ANGLES).reshape(-1, 7)
         q = q[np.isfinite(q).all(axis=1)]
         flipped = q.copy()
@@ -419,30 +505,47 @@ class ArmFitter:
             if not len(candidates):
                 best.append((_COST_CAP, None))
                 continue
-            costs = self._costs(candidates, scored)
+            costs = self._costs(candidates, scored, X_CB)
             best.append((float(costs.min()), candidates[costs.argmin()]))
         (cost, posture), (flipped_cost, _) = best
         if posture is None:
             return None
         return posture, cost, flipped_cost
 
-    def _costs(self, q: Array, cells: Correspondences) -> Array:
+    def _costs(self, q: Array, cells: Correspondences, X_CB: Array) -> Array:
         """Return the mean capped squared residual (M,) of the cells for postures `q` (M, 7)."""
-        X = (self._X_CB @ self._model.poses(q))[:, cells.part]
-        p_C = np.einsum("mnij,nj->mni", X[..., :3, :3], cells.p_P) + X[..., :3, 3]
-        p_L = np.einsum("nij,mnj->mni", cells.R_LC, p_C)
-        square = (p_L[..., :2] ** 2).sum(axis=-1) / cells.sigma_m[:, 0] ** 2
-        return np.asarray(np.where(p_L[..., 2] > 0, np.minimum(square, _COST_CAP), _COST_CAP).mean(axis=1))
+        rows = CellRows.of(Correspondences.stack([cells]))
+        p_L = rows.in_line_frames(rows.place_closed(X_CB @ self._model.poses(q)))
+        square = (p_L[:, :2] ** 2).sum(axis=1) * rows.inverse_sigma[:, 0] ** 2
+        return np.asarray(np.where(p_L[:, 2] > 0, np.minimum(square, _COST_CAP), _COST_CAP).mean(axis=1))
 
-    def _consistency_px(self, arm: ArmHandModel, links: Correspondences) -> float:
-        p_C, _ = arm.predict(links)
-        p_L = np.einsum("nij,nj->ni", links.R_LC, p_C)
-        return float(self._camera.fx * np.median(np.linalg.norm(p_L[:, :2], axis=1) / p_L[:, 2]))
+    def _consistency_px(self, arm: ArmHandModel, links: Sequence[Correspondences]) -> Array:
+        """Return the median distances (B,) between links as estimated and as posed [px of the frame]."""
+        cells = Correspondences.stack(links)
+        rows = CellRows.of(cells)
+        p_L = rows.in_line_frames(rows.place_closed(arm.X_CB[:, None] @ self._model.poses(arm.q)))
+        distance = np.hypot(p_L[:, 0], p_L[:, 1]) / p_L[:, 2]
+        return self._camera.fx * masked_median(distance, cells.weight > 0)
+
+
+def _log_depth_factors(hands: Sequence[HandFit]) -> Array:
+    return np.log([hand.depth_factor for hand in hands])
+
+
+def _is_consistent(X_CH: Array, hand: HandFit, residual: float) -> bool:
+    """Return whether a hand posed by its arm, with the `residual` of its cells there, is near the pose of its own."""
+    along, across = _split(X_CH[:3, 3] - hand.X_CH[:3, 3], hand.X_CH[:3, 3])
+    return bool(
+        along <= _MAX_ALONG_M
+        and across <= _MAX_ACROSS_M
+        and pose_difference(X_CH, hand.X_CH)[1] <= _MAX_ANGLE_RAD
+        and residual <= _MAX_GROWTH * hand.residual + _MAX_GROWTH_SIGMAS
+    )
 
 
 def _half_turn(arm: ArmHandModel) -> ArmHandModel:
     """Return the arm with its last joint turned by 180 degrees."""
-    q = arm.q + np.pi * (np.arange(7) == 6) * (1.0 if arm.q[6] < 0 else -1.0)
+    q = arm.q + np.pi * (np.arange(7) == 6) * np.where(arm.q[:, 6:] < 0, 1.0, -1.0)
     return replace(arm, q=q, q_start=q)
 
 

@@ -4,10 +4,11 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
+from numpy.typing import NDArray
 
-from kinebench_drake.geometry import Array, invert
-from kinebench_drake.grounding.registration.correspondences import Correspondences
+from kinebench_drake.geometry import Array, cross, invert
 from kinebench_drake.grounding.registration.fit import clip_finger, finger_information
+from kinebench_drake.grounding.registration.solver import Placement
 from kinebench_drake.kinematics.plant import ArmPlant
 from kinebench_drake.models.panda.robot import ARM_LINKS, GRIPPER, HAND_LINK, LINK_OF, RobotPart
 
@@ -55,53 +56,54 @@ class ArmModel:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ArmHandModel:
-    """`FitModel` of an arm with its hand; 8 parameters: joint angles, finger travel."""
+    """`FitModel` of arms with their hands; 8 parameters: joint angles, finger travel."""
 
     model: ArmModel
     X_CB: Array
-    """(4, 4) pose of the base in the camera frame [m]."""
+    """(B, 4, 4) pose of the base in the camera frame [m]."""
     q: Array
-    """(7,) joint angles [rad]."""
+    """(B, 7) joint angles [rad]."""
     q_start: Array
-    """(7,) mean of their prior [rad]."""
-    finger_m: float
-    """Travel of each finger [m]."""
-    finger_free: bool
-    """True if the travel is estimated."""
+    """(B, 7) mean of their prior [rad]."""
+    finger_m: Array
+    """(B,) travel of each finger [m]."""
+    finger_free: NDArray[np.bool_]
+    """(B,) whether the travel is estimated."""
 
-    def predict(self, cells: Correspondences) -> tuple[Array, Array]:
-        """Return the CAD points (N, 3) in the camera frame [m] and their derivatives (N, 3, 8)."""
-        X_BP, axis, point = self.model.poses_and_axes(self.q)
-        X = X_BP[cells.part]
-        opened_P = cells.p_P + cells.opening_sign[:, None] * np.array([0.0, self.finger_m, 0.0])
-        p_B = np.einsum("nij,nj->ni", X[:, :3, :3], opened_P) + X[:, :3, 3]
-        arm = p_B[:, None] - point
-        d_B = np.empty((len(p_B), 3, 8))
-        d_B[:, 0, :7] = axis[:, 1] * arm[..., 2] - axis[:, 2] * arm[..., 1]
-        d_B[:, 1, :7] = axis[:, 2] * arm[..., 0] - axis[:, 0] * arm[..., 2]
-        d_B[:, 2, :7] = axis[:, 0] * arm[..., 1] - axis[:, 1] * arm[..., 0]
-        d_B[:, :, :7] *= self.model.moves[cells.part][:, None]
-        d_B[:, :, 7] = cells.opening_sign[:, None] * X[:, :3, 1]
-        R_CB = self.X_CB[:3, :3]
-        return p_B @ R_CB.T + self.X_CB[:3, 3], R_CB @ d_B
+    def place(self) -> Placement:
+        """Return the poses of the parts, each moved by the joints between it and the base."""
+        X_BP, axis, point = self.model.poses_and_axes_of(self.q)
+        R_BC = self.X_CB[:, :3, :3].swapaxes(1, 2)
+        axis_C, point_C = axis @ R_BC, point @ R_BC + self.X_CB[:, None, :3, 3]
+        return Placement(
+            X_CP=self.X_CB[:, None] @ X_BP,
+            finger_m=self.finger_m,
+            twist=np.concatenate([axis_C, cross(point_C, axis_C)], axis=2).swapaxes(1, 2),
+            moves=self.model.moves,
+        )
 
     def prior(self) -> tuple[Array, Array]:
-        """Return the information (8, 8) that keeps unobserved joints near `q_start`, and its gradient (8,)."""
-        information = np.eye(8) / _POSTURE_SIGMA_RAD**2
-        information[7, 7] = finger_information(self.finger_free)
-        gradient = np.zeros(8)
-        gradient[:7] = (self.q - self.q_start) / _POSTURE_SIGMA_RAD**2
+        """Return the information (B, 8, 8) that keeps unobserved joints near `q_start`, and its gradient (B, 8)."""
+        information = np.tile(np.eye(8) / _POSTURE_SIGMA_RAD**2, (len(self.q), 1, 1))
+        information[:, 7, 7] = finger_information(self.finger_free)
+        gradient = np.zeros((len(self.q), 8))
+        gradient[:, :7] = (self.q - self.q_start) / _POSTURE_SIGMA_RAD**2
         return information, gradient
 
     def updated(self, step: Array) -> Self:
-        """Return the arm after a change (8,) of its parameters, within the joint limits."""
-        q = np.clip(self.q + step[:7], self.model.lower - OVER_LIMIT_RAD, self.model.upper + OVER_LIMIT_RAD)
-        return replace(self, q=q, finger_m=clip_finger(self.finger_m + step[7]))
+        """Return the arms after a change (B, 8) of their parameters, within the joint limits."""
+        q = np.clip(self.q + step[:, :7], self.model.lower - OVER_LIMIT_RAD, self.model.upper + OVER_LIMIT_RAD)
+        return replace(self, q=q, finger_m=clip_finger(self.finger_m + step[:, 7]))
+
+    def take(self, index: NDArray[np.generic]) -> Self:
+        """Return the arms of some of the frames, by index or mask."""
+        names = ("X_CB", "q", "q_start", "finger_m", "finger_free")
+        return replace(self, **{name: getattr(self, name)[index] for name in names})
 
     def hand(self) -> tuple[Array, Array]:
-        """Return the pose (4, 4) of the hand in C [m] and its derivatives (6, 7) by the joints, rotation first."""
-        X_BP, axis, point = self.model.poses_and_axes(self.q)
-        p = X_BP[RobotPart.HAND, :3, 3]
-        J_B = np.concatenate([axis.T, np.cross(axis, p - point).T])
-        R_CB = self.X_CB[:3, :3]
-        return self.X_CB @ X_BP[RobotPart.HAND], np.concatenate([R_CB @ J_B[:3], R_CB @ J_B[3:]])
+        """Return the hands' poses (B, 4, 4) in C [m] and their derivatives (B, 6, 7) by the joints, rotation first."""
+        placement = self.place()
+        X_CH, twist = placement.X_CP[:, RobotPart.HAND], placement.twist
+        rotation = twist[:, :3]
+        velocity = twist[:, 3:] + cross(rotation.swapaxes(1, 2), X_CH[:, None, :3, 3]).swapaxes(1, 2)
+        return X_CH, np.concatenate([rotation, velocity], axis=1)

@@ -9,13 +9,14 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
+from numpy.typing import NDArray
 
-from kinebench_drake.geometry import Array, invert, make_pose, rotation_exp
+from kinebench_drake.geometry import Array, cross, invert, make_pose, rotation_exp
 from kinebench_drake.grounding.registration.arm_fit import LINKS_DEPTH_SIGMA
 from kinebench_drake.grounding.registration.arm_model import OVER_LIMIT_RAD, ArmModel
 from kinebench_drake.grounding.registration.correspondences import Correspondences
-from kinebench_drake.grounding.registration.fit import align
-from kinebench_drake.grounding.registration.solver import Solution, solve
+from kinebench_drake.grounding.registration.fit import align, pose_twist
+from kinebench_drake.grounding.registration.solver import Placement, Solution, solve
 from kinebench_drake.models.panda.robot import ARM, RobotPart
 from kinebench_drake.models.robot import N_JOINTS
 
@@ -27,57 +28,53 @@ _LEAST_CELLS, _COMPARED = 8, 60  # cells of a link that determine a joint, and g
 _CAP = 25.0  # of a cell's squared residual
 _USUAL_Q = np.array([0.0, 0.3, 0.0, -2.0, 0.0, 2.3, 0.8])
 _POSTURE_SIGMA_RAD = 0.7
+UNKNOWNS = 6 + N_JOINTS
+"""Number of parameters of a `ChainModel`."""
 _ALIGN_PASSES = 6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ChainModel:
-    """`FitModel` of an arm with a free base; 13 parameters: pose of the hand as in `HandModel`, joint angles."""
+    """`FitModel` of arms with free bases; 13 parameters: pose of the hand as in `HandModel`, joint angles."""
 
     model: ArmModel
     X_CH: Array
-    """(4, 4) pose of panda_hand in the camera frame [m], whatever gripper is there."""
+    """(B, 4, 4) poses of panda_hand in the camera frame [m], whatever gripper is there."""
     q: Array
-    """(7,) joint angles [rad]."""
+    """(B, 7) joint angles [rad]."""
     q_start: Array
-    """(7,) mean of their prior [rad]."""
+    """(B, 7) mean of their prior [rad]."""
 
-    @property
-    def X_CP(self) -> Array:
-        """(PARTS, 4, 4) poses of the parts in the camera frame [m]."""
-        X_BP = self.model.poses(self.q[None])[0]
-        return np.asarray(self.X_CH @ invert(X_BP[RobotPart.HAND]) @ X_BP)
-
-    def predict(self, cells: Correspondences) -> tuple[Array, Array]:
-        """Return the CAD points (N, 3) in the camera frame [m] and their derivatives (N, 3, 13)."""
-        X_BP, axis, point = self.model.poses_and_axes(self.q)
-        X = X_BP[cells.part]
-        p_B = np.einsum("nij,nj->ni", X[:, :3, :3], cells.p_P) + X[:, :3, 3]
-        X_CB = self.X_CH @ invert(X_BP[RobotPart.HAND])
-        p_C = p_B @ X_CB[:3, :3].T + X_CB[:3, 3]
-        offset = p_C - self.X_CH[:3, 3]
-        d_p = np.zeros((len(cells), 3, 6 + N_JOINTS))
-        d_p[:, 0, 1], d_p[:, 0, 2] = offset[:, 2], -offset[:, 1]
-        d_p[:, 1, 0], d_p[:, 1, 2] = -offset[:, 2], offset[:, 0]
-        d_p[:, 2, 0], d_p[:, 2, 1] = offset[:, 1], -offset[:, 0]
-        d_p[:, :, 3:6] = np.eye(3)
-        moved = np.cross(axis[None], p_B[:, None] - point[None])  # a joint turns what is behind it against the hand
-        moved *= (self.model.moves[cells.part] - 1.0)[..., None]
-        d_p[:, :, 6:] = np.einsum("ij,nkj->nik", X_CB[:3, :3], moved)
-        return p_C, d_p
+    def place(self) -> Placement:
+        """Return the poses of the parts; a joint turns what is behind it against the hand."""
+        X_BP, axis, point = self.model.poses_and_axes_of(self.q)
+        X_CB = self.X_CH @ invert(X_BP[:, RobotPart.HAND])
+        R_BC = X_CB[:, :3, :3].swapaxes(1, 2)
+        axis_C, point_C = axis @ R_BC, point @ R_BC + X_CB[:, None, :3, 3]
+        joints = np.concatenate([axis_C, cross(point_C, axis_C)], axis=2).swapaxes(1, 2)
+        return Placement(
+            X_CP=X_CB[:, None] @ X_BP,
+            finger_m=None,
+            twist=np.concatenate([pose_twist(self.X_CH), joints], axis=2),
+            moves=np.hstack([np.ones((len(RobotPart), 6)), self.model.moves - 1.0]),
+        )
 
     def prior(self) -> tuple[Array, Array]:
-        """Return the information (13, 13) that keeps unobserved joints near `q_start`, and its gradient (13,)."""
+        """Return the information (B, 13, 13) that keeps unobserved joints near `q_start`, and its gradient (B, 13)."""
         information = np.diag([*[0.0] * 6, *[1.0 / _POSTURE_SIGMA_RAD**2] * N_JOINTS])
-        gradient = np.zeros(6 + N_JOINTS)
-        gradient[6:] = (self.q - self.q_start) / _POSTURE_SIGMA_RAD**2
-        return information, gradient
+        gradient = np.zeros((len(self.q), 6 + N_JOINTS))
+        gradient[:, 6:] = (self.q - self.q_start) / _POSTURE_SIGMA_RAD**2
+        return np.tile(information, (len(self.q), 1, 1)), gradient
 
     def updated(self, step: Array) -> Self:
-        """Return the chain after a change (13,) of its parameters, within the joint limits."""
-        X_CH = make_pose(rotation_exp(step[:3]) @ self.X_CH[:3, :3], self.X_CH[:3, 3] + step[3:6])
-        q = np.clip(self.q + step[6:], self.model.lower - OVER_LIMIT_RAD, self.model.upper + OVER_LIMIT_RAD)
-        return replace(self, X_CH=X_CH, q=q)
+        """Return the chains after a change (B, 13) of their parameters, within the joint limits."""
+        R = rotation_exp(step[:, :3]) @ self.X_CH[:, :3, :3]
+        q = np.clip(self.q + step[:, 6:], self.model.lower - OVER_LIMIT_RAD, self.model.upper + OVER_LIMIT_RAD)
+        return replace(self, X_CH=make_pose(R, self.X_CH[:, :3, 3] + step[:, 3:6]), q=q)
+
+    def take(self, index: NDArray[np.generic]) -> Self:
+        """Return the chains of some of the frames, by index or mask."""
+        return replace(self, X_CH=self.X_CH[index], q=self.q[index], q_start=self.q_start[index])
 
 
 class ChainFitter:
@@ -95,7 +92,7 @@ class ChainFitter:
 
     def at(self, X_CH: Array, q: Array) -> ChainModel:
         """Return the chain at a pose (4, 4) of panda_hand in the camera frame [m] and joint angles (7,) [rad]."""
-        return ChainModel(model=self._model, X_CH=X_CH, q=q, q_start=q)
+        return ChainModel(model=self._model, X_CH=X_CH[None], q=q[None], q_start=q[None])
 
     def fit(self, cells: Correspondences) -> Solution[ChainModel] | None:
         """Fit the chain to cells of links; None if the last links are not seen."""
@@ -106,11 +103,20 @@ class ChainFitter:
             own = cells.take(cells.part == root)
             if len(own) < MIN_ROOT_CELLS:
                 continue
-            solution = solve(self._follow(root, own, cells), cells, LINKS_DEPTH_SIGMA, iterations=15)
+            solution = self.refit(self._follow(root, own, cells), cells, iterations=15)
             if solution is not None:
                 square = np.minimum((solution.residual[:, :2] ** 2).sum(axis=1), _CAP)
                 solutions.append((float(square.mean()), solution))
         return min(solutions, key=lambda pair: pair[0])[1] if solutions else None
+
+    @staticmethod
+    def refit(
+        chain: ChainModel, cells: Correspondences, log_depth_factor: Array | None = None, iterations: int = 8
+    ) -> Solution[ChainModel] | None:
+        """Fit a chain, from its present state, to cells of one frame; None if that diverges."""
+        stacked = Correspondences.stack([cells])
+        solution = solve(chain, stacked, [LINKS_DEPTH_SIGMA], log_depth_factor, iterations=iterations)
+        return solution if solution.valid[0] else None
 
     def _follow(self, root: RobotPart, own: Correspondences, cells: Correspondences) -> ChainModel:
         """Return the chain from the pose of one link, joint by joint to both sides."""

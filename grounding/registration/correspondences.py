@@ -12,7 +12,10 @@ from kinebench_drake.grounding.view import OPENING_SIGNS, GripperView
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Correspondences:
-    """N correspondences, from one view or several that share the camera's centre."""
+    """N correspondences, from one view or several that share the camera's centre.
+
+    Those of several frames (`stack`) have a leading dimension of frames in every field.
+    """
 
     R_LC: Array
     """(N, 3, 3) rotation from the camera frame C to a frame L whose z axis is the line of sight."""
@@ -32,7 +35,7 @@ class Correspondences:
     """(N,) number of independent measurements that it counts as: adjacent cells have correlated errors."""
 
     def __len__(self) -> int:
-        """Return the number N of correspondences."""
+        """Return the number N of correspondences, or of frames."""
         return len(self.range_m)
 
     @property
@@ -49,6 +52,17 @@ class Correspondences:
         """Concatenate correspondences."""
         return Correspondences(
             **{f.name: np.concatenate([getattr(c, f.name) for c in parts]) for f in fields(Correspondences)}
+        )
+
+    @staticmethod
+    def stack(frames: "Sequence[Correspondences]") -> "Correspondences":
+        """Stack the correspondences of frames; shorter ones are filled up with copies of their first, of no weight."""
+        index = np.arange(max(len(cells) for cells in frames))
+        padded = [cells.take(np.where(index < len(cells), index, 0)) for cells in frames]
+        for cells, filled in zip(frames, padded, strict=True):
+            filled.weight[len(cells) :] = 0.0
+        return Correspondences(
+            **{f.name: np.stack([getattr(cells, f.name) for cells in padded]) for f in fields(Correspondences)}
         )
 
     @staticmethod

@@ -6,6 +6,7 @@ Stennett, "RAPID", BMVC 1990; Drummond and Cipolla, PAMI 2002). It needs no netw
 network was not trained on, from a posture that is right within a few pixels.
 """
 
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass
 from functools import cache
@@ -283,6 +284,17 @@ class EdgeMatcher:
         """Return how surely (N,) contour points lie on the strongest image edge nearby, 0..1."""
         offset, strength = image.find_edges(points, _SEARCH_PX)
         return np.asarray(np.exp(-0.5 * (offset / _ON_CONTOUR_PX) ** 2) * (strength > LEAST_GRADIENT))
+
+    def match_all(
+        self,
+        images: Sequence[GradientImage],
+        X_CP: Array,
+        reach_px: float,
+        parts: tuple[RobotPart, ...] = ROBOT,
+        max_points: int = MAX_POINTS,
+    ) -> list[Correspondences | None]:
+        """Return the correspondences of B images with parts at `X_CP` (B, PARTS, 4, 4); see `match`."""
+        return [self.match(image, X, reach_px, parts, max_points) for image, X in zip(images, X_CP, strict=True)]
 
     def match(
         self,

@@ -1,15 +1,18 @@
 """Fit of the gripper's pose to one view, from CAD coordinates and depth: closed form, then robust least squares."""
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
 from typing import Self
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
-from kinebench_drake.geometry import Array, make_pose, orthonormalize, rotation_exp
+from kinebench_drake.geometry import Array, cross, make_pose, orthonormalize, rotation_exp
 from kinebench_drake.grounding.registration.correspondences import Correspondences
-from kinebench_drake.grounding.registration.solver import Solution, solve
+from kinebench_drake.grounding.registration.solver import Placement, Solution, solve
 from kinebench_drake.grounding.view import GripperView
 from kinebench_drake.models.panda.cad import MAX_FINGER_M
+from kinebench_drake.models.panda.robot import RobotPart
 
 MIN_CELLS = 12
 """Least number of gripper cells for a fit."""
@@ -24,37 +27,50 @@ _FIXED = 1e12  # information of a fixed parameter
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HandModel:
-    """`FitModel` of a free hand; 7 parameters: rotation about the camera's axes, translation, finger travel."""
+    """`FitModel` of free hands; 7 parameters: rotation about the camera's axes, translation, finger travel."""
 
     X_CH: Array
-    """(4, 4) pose of panda_hand in the camera frame [m]."""
-    finger_m: float
-    """Travel of each finger, 0..0.04 [m]."""
-    finger_free: bool
-    """True if the travel is estimated; False if it comes from priors or too little of the fingers is visible."""
-    pose_free: bool = True
-    """True if the pose is estimated."""
+    """(B, 4, 4) poses of panda_hand in the camera frame [m]."""
+    finger_m: Array
+    """(B,) travel of each finger, 0..0.04 [m]."""
+    finger_free: NDArray[np.bool_]
+    """(B,) whether the travel is estimated; not if it comes from priors or too little of the fingers is visible."""
+    pose_free: NDArray[np.bool_]
+    """(B,) whether the pose is estimated."""
 
-    def predict(self, cells: Correspondences) -> tuple[Array, Array]:
-        """Return the CAD points (N, 3) in the camera frame [m] and their derivatives (N, 3, 7)."""
-        p_C, offset = place_hand(self.X_CH, self.finger_m, cells)
-        d_p = np.zeros((len(cells), 3, 7))
-        d_p[:, 0, 1], d_p[:, 0, 2] = offset[:, 2], -offset[:, 1]
-        d_p[:, 1, 0], d_p[:, 1, 2] = -offset[:, 2], offset[:, 0]
-        d_p[:, 2, 0], d_p[:, 2, 1] = offset[:, 1], -offset[:, 0]
-        d_p[:, :, 3:6] = np.eye(3)
-        d_p[:, :, 6] = cells.opening_sign[:, None] * self.X_CH[:3, 1]
-        return p_C, d_p
+    def place(self) -> Placement:
+        """Return the poses of the parts: all of them move with the hand."""
+        return Placement(
+            X_CP=np.repeat(self.X_CH[:, None], len(RobotPart), axis=1),
+            finger_m=self.finger_m,
+            twist=pose_twist(self.X_CH),
+            moves=np.ones((len(RobotPart), 6)),
+        )
 
     def prior(self) -> tuple[Array, Array]:
-        """Return the information (7, 7) that fixes what is not free, and its gradient, 0."""
-        pose = 0.0 if self.pose_free else _FIXED
-        return np.diag([*[pose] * 6, finger_information(self.finger_free)]), np.zeros(7)
+        """Return the information (B, 7, 7) that fixes what is not free, and its gradient, 0."""
+        information = np.zeros((len(self.X_CH), 7, 7))
+        information[:, range(6), range(6)] = np.where(self.pose_free, 0.0, _FIXED)[:, None]
+        information[:, 6, 6] = finger_information(self.finger_free)
+        return information, np.zeros((len(self.X_CH), 7))
 
     def updated(self, step: Array) -> Self:
-        """Return the hand after a change (7,) of its parameters, fingers within their range."""
-        X_CH = make_pose(rotation_exp(step[:3]) @ self.X_CH[:3, :3], self.X_CH[:3, 3] + step[3:6])
-        return replace(self, X_CH=X_CH, finger_m=clip_finger(self.finger_m + step[6]))
+        """Return the hands after a change (B, 7) of their parameters, fingers within their range."""
+        R = rotation_exp(step[:, :3]) @ self.X_CH[:, :3, :3]
+        X_CH = make_pose(R, self.X_CH[:, :3, 3] + step[:, 3:6])
+        return replace(self, X_CH=X_CH, finger_m=clip_finger(self.finger_m + step[:, 6]))
+
+    def take(self, index: NDArray[np.generic]) -> Self:
+        """Return the hands of some of the frames, by index or mask."""
+        return type(self)(**{f.name: getattr(self, f.name)[index] for f in fields(self)})
+
+
+def pose_twist(X_CH: Array) -> Array:
+    """Return the twists (B, 6, 6), as in `Placement`, of hands (B, 4, 4): turn about the camera's axes, shift."""
+    twist = np.zeros((len(X_CH), 6, 6))
+    twist[:, :3, :3] = twist[:, 3:, 3:] = np.eye(3)
+    twist[:, 3:, :3] = cross(X_CH[:, None, :3, 3], np.eye(3)).swapaxes(1, 2)
+    return twist
 
 
 def place_hand(X_CH: Array, finger_m: float, cells: Correspondences) -> tuple[Array, Array]:
@@ -64,9 +80,9 @@ def place_hand(X_CH: Array, finger_m: float, cells: Correspondences) -> tuple[Ar
     return offset + X_CH[:3, 3], offset
 
 
-def clip_finger(finger_m: float) -> float:
-    """Clip a finger travel to the gripper's range [m]."""
-    return float(np.clip(finger_m, 0.0, MAX_FINGER_M))
+def clip_finger(finger_m: ArrayLike) -> Array:
+    """Clip finger travels (...) to the gripper's range [m]."""
+    return np.clip(np.asarray(finger_m, dtype=np.float64), 0.0, MAX_FINGER_M)
 
 
 def finger_or_default(finger_m: float) -> float:
@@ -74,9 +90,9 @@ def finger_or_default(finger_m: float) -> float:
     return finger_m if np.isfinite(finger_m) else UNSEEN_FINGER_M
 
 
-def finger_information(free: bool) -> float:
-    """Return the prior information about the finger travel [1/m^2]."""
-    return 1.0 / _FINGER_SIGMA_M**2 if free else _FIXED
+def finger_information(free: NDArray[np.bool_]) -> Array:
+    """Return the prior information (B,) about the finger travel [1/m^2]."""
+    return np.where(free, 1.0 / _FINGER_SIGMA_M**2, _FIXED)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -109,83 +125,133 @@ def gripper_cells(view: GripperView) -> Correspondences:
 
 
 def align(p_A: Array, p_B: Array, weight: Array) -> Array:
-    """Return the pose X_AB (4, 4) of least weighted squares |p_A - X_AB p_B| (Umeyama 1991, without scale)."""
-    w = weight / weight.sum()
-    mean_A, mean_B = w @ p_A, w @ p_B
-    covariance = ((p_A - mean_A) * w[:, None]).T @ (p_B - mean_B)
+    """Return the poses X_AB (..., 4, 4) of least weighted squares |p_A - X_AB p_B| (Umeyama 1991, without scale).
+
+    Args:
+        p_A: (..., N, 3) points in frame A [m].
+        p_B: (..., N, 3) the same points in frame B [m].
+        weight: (..., N) their weights.
+    """
+    w = (weight / weight.sum(axis=-1, keepdims=True))[..., None]
+    mean_A, mean_B = (w * p_A).sum(axis=-2), (w * p_B).sum(axis=-2)
+    covariance = np.swapaxes((p_A - mean_A[..., None, :]) * w, -1, -2) @ (p_B - mean_B[..., None, :])
     R = orthonormalize(covariance)
-    return make_pose(R, mean_A - R @ mean_B)
+    return make_pose(R, mean_A - (R @ mean_B[..., None])[..., 0])
 
 
-def _closed_form(cells: Correspondences, finger_m: float | None) -> HandModel:
-    """Estimate pose and finger travel by iteratively reweighted 3-D to 3-D alignment."""
-    cloud = cells.p_C
-    weight = 1.0 / (cells.sigma_m[:, 0] ** 2 + (cells.range_sigma * cells.range_m) ** 2)
-    finger, robust = UNSEEN_FINGER_M if finger_m is None else finger_m, np.ones(len(cloud))
-    X_CH = np.eye(4)
+def _closed_form(cells: Correspondences, finger_m: Array) -> HandModel:
+    """Estimate poses and finger travels of B frames by iteratively reweighted 3-D to 3-D alignment.
+
+    Args:
+        cells: cells (B, N) of the gripper.
+        finger_m: (B,) travel of each finger from priors [m]; NaN where there is none.
+    """
+    cloud, sign, exists = cells.p_C, cells.opening_sign, cells.weight > 0
+    weight = exists / (cells.sigma_m[..., 0] ** 2 + (cells.range_sigma * cells.range_m) ** 2)
+    unknown = np.isnan(finger_m)
+    finger, robust = np.where(unknown, UNSEEN_FINGER_M, finger_m), np.ones(exists.shape)
+    X_CH = np.tile(np.eye(4), (len(cloud), 1, 1))
     for _ in range(6):
-        model_H = cells.p_P + cells.opening_sign[:, None] * [0.0, finger, 0.0]
+        model_H = cells.p_P.copy()
+        model_H[..., 1] += sign * finger[:, None]
         X_CH = align(cloud, model_H, weight * robust)
-        cloud_H = (cloud - X_CH[:3, 3]) @ X_CH[:3, :3]
-        error = np.linalg.norm(cloud_H - model_H, axis=1)
-        scale = max(float(np.median(error)), 1e-4)
+        cloud_H = (cloud - X_CH[:, None, :3, 3]) @ X_CH[:, :3, :3]
+        error = np.sqrt(((cloud_H - model_H) ** 2).sum(axis=-1))
+        scale = np.maximum(masked_median(error, exists), 1e-4)[:, None]
         robust = 1.0 / (1.0 + (error / (2 * scale)) ** 2)
-        w = weight * robust * np.abs(cells.opening_sign)
-        if finger_m is None and w.sum() > 0:
-            finger = clip_finger(float((w * cells.opening_sign * (cloud_H - cells.p_P)[:, 1]).sum() / w.sum()))
-    fingers_visible = (cells.opening_sign != 0).sum() >= _MIN_FINGER_CELLS
-    return HandModel(X_CH=X_CH, finger_m=finger, finger_free=bool(finger_m is None and fingers_visible))
-
-
-def _fit_of(solution: Solution[HandModel], cells: Correspondences, points: int, *, finger_known: bool) -> HandFit:
-    hand, n = solution.model, len(cells)
-    robust, r = solution.robust[:n], solution.residual[:n]
-    covariance = np.linalg.inv(solution.information + 1e-6 * np.eye(7))
-    return HandFit(
-        X_CH=hand.X_CH,
-        finger_m=hand.finger_m if hand.finger_free or finger_known else float("nan"),
-        finger_free=hand.finger_free,
-        finger_sigma_m=float(covariance[6, 6] ** 0.5),
-        depth_factor=float(np.exp(solution.log_depth_factor)),
-        residual=float(np.sqrt((robust[:, :2] * r[:, :2] ** 2).sum() / robust[:, :2].sum())),
-        points=points,
-        sigma_m=float(np.median(cells.sigma_m[:, 0])),
-        covariance=np.asarray(covariance[:6, :6]),
+        w = weight * robust * np.abs(sign)
+        travel = (w * sign * (cloud_H - cells.p_P)[..., 1]).sum(axis=1) / np.maximum(w.sum(axis=1), 1e-9)
+        finger = np.where(unknown & (w.sum(axis=1) > 0), clip_finger(travel), finger)
+    visible = (exists & (sign != 0)).sum(axis=1) >= _MIN_FINGER_CELLS
+    return HandModel(
+        X_CH=X_CH, finger_m=finger, finger_free=unknown & visible, pose_free=np.ones(len(cloud), dtype=bool)
     )
 
 
+def masked_median(values: Array, exists: NDArray[np.bool_]) -> Array:
+    """Return the medians (B,) of the `values` (B, N) that exist; each row has one at least."""
+    ordered = np.sort(np.where(exists, values, np.inf), axis=1)
+    count = exists.sum(axis=1)[:, None]
+    middle = [np.take_along_axis(ordered, (count - offset) // 2, axis=1) for offset in (0, 1)]
+    return np.asarray(0.5 * (middle[0] + middle[1])[:, 0])
+
+
+def _fits_of(
+    solution: Solution[HandModel], cells: Sequence[Correspondences], points: Sequence[int], has_finger: Sequence[bool]
+) -> list[HandFit | None]:
+    """Return the fits of B frames; None where they diverged."""
+    hand = solution.model
+    covariance = np.linalg.inv(solution.information + 1e-6 * np.eye(7))
+    return [
+        HandFit(
+            X_CH=hand.X_CH[b],
+            finger_m=float(hand.finger_m[b]) if hand.finger_free[b] or has_finger[b] else float("nan"),
+            finger_free=bool(hand.finger_free[b]),
+            finger_sigma_m=float(covariance[b, 6, 6] ** 0.5),
+            depth_factor=float(np.exp(solution.log_depth_factor[b])),
+            residual=solution.growth(b, len(cells[b])),
+            points=points[b],
+            sigma_m=float(np.median(cells[b].sigma_m[:, 0])),
+            covariance=np.asarray(covariance[b, :6, :6]),
+        )
+        if solution.valid[b]
+        else None
+        for b in range(len(cells))
+    ]
+
+
 def fit(view: GripperView, *, X_CH: Array | None = None, finger_m: float | None = None) -> HandFit | None:
-    """Fit the gripper to one view; None if fewer than `MIN_CELLS` cells show it.
+    """Fit the gripper to one view; see `fit_all`."""
+    return fit_all([view], [X_CH], [finger_m])[0]
+
+
+def fit_all(
+    views: Sequence[GripperView], X_CH: Sequence[Array | None], finger_m: Sequence[float | None]
+) -> list[HandFit | None]:
+    """Fit the gripper to one view each of B frames; None where fewer than `MIN_CELLS` cells show it.
 
     Args:
-        view: dense estimates.
-        X_CH: (4, 4) pose of panda_hand in the camera frame from priors [m].
-        finger_m: travel of each finger from priors [m].
+        views: dense estimates.
+        X_CH: (4, 4) poses of panda_hand in the camera frame from priors [m].
+        finger_m: travels of each finger from priors [m].
     """
-    cells = gripper_cells(view)
-    if len(cells) < MIN_CELLS:
-        return None
-    start = _closed_form(cells, finger_m)
-    if X_CH is not None:
-        start = replace(start, X_CH=X_CH, pose_free=False)
-    solution = solve(start, cells, view.depth_factor_sigma)
-    if solution is None:
-        return None
-    return _fit_of(solution, cells, int(view.gripper.sum()), finger_known=finger_m is not None)
+    fits: list[HandFit | None] = [None] * len(views)
+    cells = {b: own for b, view in enumerate(views) if len(own := gripper_cells(view)) >= MIN_CELLS}
+    if not cells:
+        return fits
+    stacked = Correspondences.stack(list(cells.values()))
+    start = _closed_form(stacked, np.array([np.nan if finger_m[b] is None else finger_m[b] for b in cells], float))
+    fixed = {row: X for row, b in enumerate(cells) if (X := X_CH[b]) is not None}
+    for row, X in fixed.items():
+        start.X_CH[row], start.pose_free[row] = X, False
+    solution = solve(start, stacked, np.array([views[b].depth_factor_sigma for b in cells]))
+    points = [int(views[b].gripper.sum()) for b in cells]
+    solved = _fits_of(solution, list(cells.values()), points, [finger_m[b] is not None for b in cells])
+    for b, hand in zip(cells, solved, strict=True):
+        fits[b] = hand
+    return fits
 
 
-def refit(hand: HandFit, view: GripperView, rim: Correspondences) -> HandFit:
-    """Repeat a fit with the silhouette; return `hand` unchanged if that diverges.
+def refit_all(hands: Sequence[HandFit], views: Sequence[GripperView], rims: Sequence[Correspondences]) -> list[HandFit]:
+    """Repeat the fits of B frames with the silhouette; those that diverge stay unchanged.
 
     Args:
-        hand: fit to the view without the silhouette.
-        view: dense estimates.
-        rim: correspondences of the silhouette.
+        hands: fits to the views without the silhouette.
+        views: dense estimates.
+        rims: correspondences of the silhouettes.
     """
-    start = HandModel(X_CH=hand.X_CH, finger_m=finger_or_default(hand.finger_m), finger_free=hand.finger_free)
-    cells = gripper_cells(view)
-    joined = Correspondences.join([cells, rim])
-    solution = solve(start, joined, view.depth_factor_sigma, float(np.log(hand.depth_factor)))
-    if solution is None:
-        return hand
-    return _fit_of(solution, cells, hand.points, finger_known=bool(np.isfinite(hand.finger_m)))
+    if not hands:
+        return []
+    cells = [gripper_cells(view) for view in views]
+    joined = Correspondences.stack([Correspondences.join(pair) for pair in zip(cells, rims, strict=True)])
+    start = HandModel(
+        X_CH=np.stack([hand.X_CH for hand in hands]),
+        finger_m=np.array([finger_or_default(hand.finger_m) for hand in hands]),
+        finger_free=np.array([hand.finger_free for hand in hands]),
+        pose_free=np.ones(len(hands), dtype=bool),
+    )
+    log_depth_factor = np.log([hand.depth_factor for hand in hands])
+    solution = solve(start, joined, np.array([view.depth_factor_sigma for view in views]), log_depth_factor)
+    has_finger = [bool(np.isfinite(hand.finger_m)) for hand in hands]
+    fits = _fits_of(solution, cells, [hand.points for hand in hands], has_finger)
+    return [hand if refitted is None else refitted for hand, refitted in zip(hands, fits, strict=True)]

@@ -12,7 +12,7 @@ from kinebench_drake.geometry import Array, invert, make_pose, pose_difference, 
 from kinebench_drake.grounding.crop import CLOSE_SIZE, Crop
 from kinebench_drake.grounding.registration.arm_fit import ArmFitter
 from kinebench_drake.grounding.registration.arm_model import ArmModel
-from kinebench_drake.grounding.registration.chain_fit import ChainFitter, ChainModel
+from kinebench_drake.grounding.registration.chain_fit import ChainFitter
 from kinebench_drake.grounding.registration.correspondences import Correspondences
 from kinebench_drake.grounding.registration.edges import EdgeMatcher, GradientImage
 from kinebench_drake.grounding.registration.fit import fit
@@ -208,7 +208,7 @@ def test_the_last_links_give_the_flange_without_gripper_and_base(model: ArmModel
     X_CH, close, wide = views(model, posture(seed), seed)
     solution = ChainFitter(model).fit(link_cells(close, wide))
     assert solution is not None
-    distance, angle = pose_difference(solution.model.X_CH, X_CH)
+    distance, angle = pose_difference(solution.model.X_CH[0], X_CH)
     assert distance < 0.025
     assert np.rad2deg(angle) < 3.0
     hidden = link_cells(close, wide)
@@ -229,21 +229,34 @@ def test_the_base_and_edges_of_the_links_sharpen_the_flange(model: ArmModel, see
     assert np.rad2deg(angle) < 1.0
 
 
-def test_derivatives_of_the_chain(model: ArmModel) -> None:
-    q = posture(0)
-    X_CH, close, _ = views(model, q, 0)
-    cells = link_cells(close)
-    chain = ChainModel(model=model, X_CH=X_CH, q=q, q_start=q)
-    p_C, d_p = chain.predict(cells)
-    for k in range(13):
-        step = 1e-6 * np.eye(13)[k]
-        moved = chain.updated(step).predict(cells)[0]
-        np.testing.assert_allclose((moved - p_C) / 1e-6, d_p[..., k], atol=1e-4)
-
-
 def test_a_moving_camera_has_a_fitter_for_each_frame(model: ArmModel) -> None:
     places = np.array([[0.0, 0.0, 0.0], [0.05, -0.02, 0.03]])
     fitter = ArmFitter(CAMERA, model, EdgeMatcher(), places)
     q = posture(0)
     image = GradientImage(drawn(model, q), CAMERA)
-    assert fitter.at(0).edge_agreement(q, image) > 2 * fitter.at(1).edge_agreement(q, image)
+    assert fitter.at([0]).edge_agreement(q, image) > 2 * fitter.at([1]).edge_agreement(q, image)
+
+
+def test_frames_of_a_moving_camera_are_fitted_together_like_alone(model: ArmModel) -> None:
+    """The camera of the second frame is at the place of the first one's, so that both see the same."""
+    _, close, wide = views(model, posture(0), 0)
+    hand, image = fit(close), GradientImage(drawn(model, posture(0)), CAMERA)
+    assert hand is not None
+    places = np.array([[0.05, -0.02, 0.03], [0.0, 0.0, 0.0], [0.01, 0.0, 0.01]])
+    moving = ArmFitter(CAMERA, model, EdgeMatcher(), places)
+    numbers, count = [1, 2], 2
+    arms = moving.at(numbers).fit_all([hand] * count, [close] * count, [wide] * count, [None] * count)
+    fixed = ArmFitter(CAMERA, model, EdgeMatcher()).fit(hand, close, wide)
+    assert fixed is not None
+    assert arms[0] is not None
+    np.testing.assert_allclose(arms[0].X_CH, fixed.X_CH, atol=1e-8)
+    both = [arm for arm in arms if arm is not None]
+    sharp = moving.at(numbers).sharpen_all(both, [hand] * count, [close] * count, [wide] * count, [image] * count)
+    for number, arm, one in zip(numbers, arms, sharp, strict=True):
+        alone = moving.at([number])
+        same = alone.fit(hand, close, wide)
+        assert arm is not None
+        assert same is not None
+        np.testing.assert_allclose(arm.q, same.q, atol=1e-8)
+        np.testing.assert_allclose(one.q, alone.sharpen(same, hand, close, wide, image).q, atol=1e-8)
+    assert pose_difference(both[1].X_CH, both[0].X_CH)[0] > 1e-3

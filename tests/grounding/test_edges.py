@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from kinebench_drake.camera import Camera, benchmark_camera
 from kinebench_drake.geometry import Array, invert, pose_difference
 from kinebench_drake.grounding.registration.arm_model import ArmHandModel, ArmModel
+from kinebench_drake.grounding.registration.correspondences import Correspondences
 from kinebench_drake.grounding.registration.edges import EdgeMatcher, EdgePoints, GradientImage
 from kinebench_drake.grounding.registration.solver import solve
 from kinebench_drake.models.panda.cad import PartCaster, link_meshes, open_fingers, part_meshes
@@ -49,18 +50,25 @@ def test_contours_pull_a_wrong_posture_to_the_true_one(
 ) -> None:
     q = np.array(posture)
     image = GradientImage(draw(part_poses(model, q), 0), CAMERA)
-    arm = ArmHandModel(model=model, X_CB=invert(CAMERA.X_BC), q=q, q_start=q, finger_m=FINGER_M, finger_free=False)
-    X_true = arm.hand()[0]
-    start = q + 0.01 * np.array([1, -1, 1, 1, -1, 1, -1])
+    arm = ArmHandModel(
+        model=model,
+        X_CB=invert(CAMERA.X_BC)[None],
+        q=q[None],
+        q_start=q[None],
+        finger_m=np.array([FINGER_M]),
+        finger_free=np.array([False]),
+    )
+    X_true = arm.hand()[0][0]
+    start = (q + 0.01 * np.array([1, -1, 1, 1, -1, 1, -1]))[None]
     arm = replace(arm, q=start, q_start=start)
-    before = pose_difference(arm.hand()[0], X_true)
+    before = pose_difference(arm.hand()[0][0], X_true)
     for reach in (10.0, 6.0, 4.0, 3.0):
-        edges = matcher.match(image, part_poses(model, arm.q), reach)
+        edges = matcher.match(image, part_poses(model, arm.q[0]), reach)
         assert edges is not None
-        solution = solve(arm, edges, 0.1, iterations=4)
-        assert solution is not None
+        solution = solve(arm, Correspondences.stack([edges]), np.array([0.1]), iterations=4)
+        assert solution.valid.all()
         arm = solution.model
-    after = pose_difference(arm.hand()[0], X_true)
+    after = pose_difference(arm.hand()[0][0], X_true)
     assert before[0] > 0.008
     assert after[0] < 0.004
     assert after[1] < np.deg2rad(2.5)

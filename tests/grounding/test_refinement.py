@@ -49,9 +49,9 @@ class Fitter:
     def edge_agreement(self, q: Array, image: object) -> float:
         return self.network_agreement
 
-    def sharpen(self, arm: ArmFit, *views: object) -> ArmFit:
-        self.sharpened.append(float(arm.q[0]))
-        return replace(arm, q=arm.q + SHARPENED)
+    def sharpen_all(self, arms: list[ArmFit], *views: object) -> list[ArmFit]:
+        self.sharpened += [float(arm.q[0]) for arm in arms]
+        return [replace(arm, q=arm.q + SHARPENED) for arm in arms]
 
     def refine(self, q: Array, *views: object) -> ArmFit | None:
         self.refined += 1

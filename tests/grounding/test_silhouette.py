@@ -6,7 +6,7 @@ import pytest
 from kinebench_drake.geometry import Array, invert, make_pose, pose_difference, rotation_exp
 from kinebench_drake.grounding.crop import CLOSE_SIZE, Crop
 from kinebench_drake.grounding.registration.correspondences import Correspondences
-from kinebench_drake.grounding.registration.fit import HandModel, gripper_cells
+from kinebench_drake.grounding.registration.fit import HandModel, gripper_cells, place_hand
 from kinebench_drake.grounding.registration.silhouette import SilhouetteMatcher
 from kinebench_drake.grounding.registration.solver import solve
 from kinebench_drake.grounding.view import GripperView
@@ -45,6 +45,12 @@ def moved(turn: list[float], shift: list[float]) -> Array:
     return X_CH @ make_pose(rotation_exp(turn), shift)
 
 
+def hand_model(X: Array) -> HandModel:
+    """One hand at `X` (4, 4), its pose free."""
+    one = np.ones(1, dtype=bool)
+    return HandModel(X_CH=X[None], finger_m=np.array([FINGER_M]), finger_free=~one, pose_free=one)
+
+
 @pytest.mark.parametrize(
     ("turn", "shift"), [([0.0, 0.0, 0.12], [0.006, 0.0, 0.0]), ([0.1, 0.0, 0.1], [0.0, 0.012, -0.012])]
 )
@@ -53,18 +59,18 @@ def test_a_silhouette_alone_leads_back_to_the_pose(
 ) -> None:
     """Across the line of sight: the distance is poorly determined."""
     view = mask_view(X_CH)
-    hand = HandModel(X_CH=moved(turn, shift), finger_m=FINGER_M, finger_free=False)
-    before = silhouette.overlap(view, hand.X_CH, FINGER_M)
+    X = moved(turn, shift)
+    before = silhouette.overlap(view, X, FINGER_M)
     for _ in range(4):
-        rim = silhouette.match(view, hand.X_CH, FINGER_M, 8.0)
+        rim = silhouette.match(view, X, FINGER_M, 8.0)
         assert rim is not None
-        solution = solve(hand, rim, view.depth_factor_sigma)
-        assert solution is not None
-        hand = solution.model
-    distance, angle = pose_difference(hand.X_CH, X_CH)
-    across = np.linalg.norm((hand.X_CH - X_CH)[:2, 3])
+        solution = solve(hand_model(X), Correspondences.stack([rim]), np.array([view.depth_factor_sigma]))
+        assert solution.valid.all()
+        X = solution.model.X_CH[0]
+    distance, angle = pose_difference(X, X_CH)
+    across = np.linalg.norm((X - X_CH)[:2, 3])
     assert before < 0.9
-    assert silhouette.overlap(view, hand.X_CH, FINGER_M) > 0.95
+    assert silhouette.overlap(view, X, FINGER_M) > 0.95
     assert across < 0.003
     assert distance < 0.03
     assert np.rad2deg(angle) < 3.0
@@ -74,7 +80,7 @@ def test_a_pose_that_fits_is_left_where_it_is(silhouette: SilhouetteMatcher) -> 
     view = mask_view(X_CH)
     rim = silhouette.match(view, X_CH, FINGER_M)
     assert rim is not None
-    p_C, _ = HandModel(X_CH=X_CH, finger_m=FINGER_M, finger_free=False).predict(rim)
+    p_C, _ = place_hand(X_CH, FINGER_M, rim)
     off = np.einsum("nij,nj->ni", rim.R_LC, p_C)[:, 0] / p_C[:, 2]
     assert np.abs(off).max() < 1e-9
 
@@ -88,9 +94,9 @@ def test_the_image_border_is_no_silhouette(silhouette: SilhouetteMatcher, side: 
     view.part[~view.in_image] = 0
     rim = silhouette.match(view, X_CH, FINGER_M)
     assert rim is not None
-    solution = solve(HandModel(X_CH=X_CH, finger_m=FINGER_M, finger_free=False), rim, view.depth_factor_sigma)
-    assert solution is not None
-    assert np.linalg.norm((solution.model.X_CH - X_CH)[:2, 3]) < 1e-6
+    solution = solve(hand_model(X_CH), Correspondences.stack([rim]), np.array([view.depth_factor_sigma]))
+    assert solution.valid.all()
+    assert np.linalg.norm((solution.model.X_CH[0] - X_CH)[:2, 3]) < 1e-6
     assert silhouette.overlap(view, X_CH, FINGER_M) == 1.0
 
 
