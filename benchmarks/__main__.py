@@ -402,6 +402,24 @@ def cameras(folder: Path, out: Path, videos: str | None, weights: Path | None) -
     click.echo(text)
 
 
+@main.command(epilog="\b\nExample:\n  python -m benchmarks focal heldout --limit 8 --out focal")
+@click.argument("folder", type=EXISTING_FOLDER)
+@click.option("--out", type=FOLDER, required=True, help="Folder for focal.md and focal.jsonl.")
+@click.option("--factors", default="1,0.7,1.4", show_default=True, help="Focal lengths over the true one.")
+@click.option("--limit", type=COUNT, help="Maximum number of videos, tasks in turn.", metavar="N")
+def focal(folder: Path, out: Path, factors: str, limit: int | None) -> None:
+    """Give right and wrong focal lengths as the cameras of videos, and count those that the arm contradicts.
+
+    FOLDER is as `suite demos` or `perception render` write it. The same command resumes.
+    """
+    one_thread()
+    from benchmarks.contradiction import measure
+
+    with errors():
+        text = measure(folder, out, [float(f) for f in factors.split(",")], limit=limit, log=log)
+    click.echo(text)
+
+
 @main.command(epilog="\b\nExample:\n  python -m benchmarks views --out views")
 @click.option("--out", type=FOLDER, required=True, help="Folder for clips, views.jsonl and views.md.")
 @click.option("--changes", default="turn,move", show_default=True, help="Of still, turn, move, zoom; in turn.")

@@ -22,15 +22,13 @@ from kinebench_drake.datasets.videos.sample import CameraSource, VideoSample
 from kinebench_drake.errors import InputError, UsageError, member_of
 from kinebench_drake.evaluation.analyzer import Analyzer, AnalyzerFactory, RobotOptions, load_analyzer
 from kinebench_drake.evaluation.audit import judge_trajectory
-from kinebench_drake.evaluation.camera import AUTO
+from kinebench_drake.evaluation.camera import describe_contradiction
 from kinebench_drake.evaluation.evaluator import SampleInfo
 from kinebench_drake.evaluation.score import (
     BENCHMARK_PERIOD_S,
     check_period,
-    choose_video_camera,
-    ground_prepared,
+    ground_with_camera,
     period_warnings,
-    prepare_video,
     with_initial_states,
 )
 from kinebench_drake.executors.local import one_thread
@@ -168,13 +166,20 @@ def ground_video(
         sample = replace(sample, initial_state=first)
     with one_thread():
         analyzer = _analyzer_for(RobotOptions())
-        choice = choose_video_camera(decoded, sample, AUTO, overrides, analyzer)
+        choice, prepared, grounding = ground_with_camera(
+            decoded,
+            sample,
+            overrides,
+            analyzer,
+            period_s=frame_period_s,
+            gripper=member_of(GripperKind, gripper, "--gripper"),
+        )
         if choice.reason is not None:
             _warn(choice.reason)
-        prepared = prepare_video(decoded, choice.sample, frame_period_s, overrides)
+        elif choice.contradiction is not None:
+            _warn(describe_contradiction(choice.contradiction))
         if prepared.period_source is PeriodSource.BENCHMARK:
             _warn(f"the video has no frame rate: {BENCHMARK_PERIOD_S} s between frames was taken; give frame_period_s")
-        grounding = ground_prepared(prepared, analyzer, member_of(GripperKind, gripper, "--gripper"))
         return replace(grounding, track=choice.without_base(grounding.track))
 
 

@@ -28,7 +28,7 @@ ESTIMATE_AGREEMENT = 0.64
 """Likewise with an estimated camera, which was fitted to them: more than with any wrong one of our own renders."""
 LEAD = 0.08
 """Least difference between this agreement and that with another camera."""
-_INPUT_SOURCES = (CameraSource.MANIFEST, CameraSource.FOLDER, CameraSource.OPTION)
+_INPUT_SOURCES = (CameraSource.GIVEN, CameraSource.MANIFEST, CameraSource.FOLDER, CameraSource.OPTION)
 _USUAL_WIDTH_M = 0.04  # gap between the pads where none is measured
 _CHECKED = 5  # frames whose postures check a camera of the input
 GRIPPER_SIGMA_M, GRIPPER_SIGMA_RAD = 0.05, float(np.deg2rad(6.0))

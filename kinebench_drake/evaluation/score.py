@@ -249,14 +249,11 @@ class VideoEvaluator(Evaluator[VideoSample, Analyzer]):
             raise InputError(sample.problem)
         video = read_video(sample.path, sample.part)
         config = self.config
-        choice = choose_video_camera(video, sample, config.camera, self.overrides, analyzer)
-        prepared = prepare_video(
-            video, choice.sample, config.frame_period_s, self.overrides, duration_s=config.duration_s
-        )
-        grounding = ground_prepared(prepared, analyzer, config.gripper_kind)
+        choice, prepared, grounding = ground_with_camera(
+            video, sample, self.overrides, analyzer, config.camera, config.frame_period_s, config.gripper_kind,
+            duration_s=config.duration_s,
+        )  # fmt: skip
         draws_hand = grounding.domain is not Domain.ARM
-        if self.overrides.poses is None and grounding.camera_path is None and draws_hand:
-            choice = check_camera(choice, prepared.frames, prepared.camera, grounding, analyzer)
         track, path = choice.without_base(grounding.track), grounding.camera_path
         kinematics = analyzer.judge(track) if self.config.kind.judges and choice.reason is None else None
         smoothness: Mapping[str, Json] = {}
@@ -502,6 +499,42 @@ def ground_prepared(
             + (" With another gripper than Franka's take --gripper none." if gripper is GripperKind.FRANKA else "")
         )
     return grounding
+
+
+def ground_with_camera(
+    video: Video,
+    sample: VideoSample,
+    overrides: Overrides,
+    analyzer: Analyzer,
+    option: str = AUTO,
+    period_s: float | None = None,
+    gripper: GripperKind = GripperKind.AUTO,
+    *,
+    duration_s: float | None = None,
+) -> tuple[CameraChoice, PreparedVideo, "GroundingResult"]:
+    """Choose the camera of a video, ground the video, and check a camera of the input against the arm.
+
+    Args:
+        video: as decoded.
+        sample: labels and camera of the video.
+        overrides: stages of the grounding that are replaced; poses leave a camera unchecked.
+        analyzer: checks and estimates cameras, grounds.
+        option: value of `--camera`.
+        period_s: task time between two frames [s]; None: the video's own.
+        gripper: value of `--gripper`.
+        duration_s: task time over which the frames lie evenly [s]; None: they are one period apart.
+
+    Raises:
+        InputError: an override does not fit the video.
+        UnmeasurableError: the video is too small or too short, or the gripper was found in too few frames.
+        SetupError: weights or libraries are missing.
+    """
+    choice = choose_video_camera(video, sample, option, overrides, analyzer)
+    prepared = prepare_video(video, choice.sample, period_s, overrides, duration_s=duration_s)
+    grounding = ground_prepared(prepared, analyzer, gripper)
+    if overrides.poses is None and grounding.camera_path is None and grounding.domain is not Domain.ARM:
+        choice = check_camera(choice, prepared.frames, prepared.camera, grounding, analyzer)
+    return choice, prepared, grounding
 
 
 def _gripper_found(option: GripperKind) -> GripperKind:
