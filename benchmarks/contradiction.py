@@ -5,7 +5,6 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-
 from benchmarks.markdown import table
 from kinebench_drake.calibration.fit import with_focal
 from kinebench_drake.datasets.videos.sample import CameraSource, VideoSample
