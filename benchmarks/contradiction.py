@@ -38,7 +38,7 @@ class FocalTrial:
     @property
     def is_noticed(self) -> bool:
         """Whether the row says that the arm contradicts the camera."""
-        return self.contradiction is not None
+        return self.contradiction is not None or "the arm contradicts" in (self.reason or "")
 
     def to_json(self) -> dict[str, Any]:
         """Return the JSON object."""

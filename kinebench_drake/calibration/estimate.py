@@ -53,7 +53,7 @@ _COARSE = ((14.0, 1.0), (14.0, 1.0), (10.0, 0.6), (6.0, 0.3), (4.0, 0.1))
 _MIDDLE = ((8.0, 0.3), (5.0, 0.2), (4.0, 0.1), (3.0, 0.0))
 _FINE = ((8.0, 0.3), (5.0, 0.1), (4.0, 0.0), (3.0, 0.0), (3.0, 0.0), (2.0, 0.0), (2.0, 0.0))
 """Successive reaches of the search for edges [px of an image of at most 640 px], and weights of the cells."""
-_SUFFICIENT = 0.5  # agreement, after a fit of the postures, of a camera that is not in doubt
+_SUFFICIENT = 0.6  # agreement, after a fit of the postures, of a camera that is not in doubt
 _ZOOMS, _ZOOMS_FITTED = (0.63, 0.72, 0.85, 1.0, 1.2, 1.4, 1.6), 3  # focal lengths over that of a camera in doubt
 CONTRADICTING, CLEARLY = 0.5, 0.1
 """Least agreement with another camera that contradicts the assumed one, and how much better it has to be."""

@@ -27,6 +27,7 @@ from kinebench_drake.evaluation.camera import (
     camera_warnings,
     check_camera,
     choose_camera,
+    explain_loss,
     is_assumed,
     with_camera_option,
 )
@@ -531,7 +532,10 @@ def ground_with_camera(
     """
     choice = choose_video_camera(video, sample, option, overrides, analyzer)
     prepared = prepare_video(video, choice.sample, period_s, overrides, duration_s=duration_s)
-    grounding = ground_prepared(prepared, analyzer, gripper)
+    try:
+        grounding = ground_prepared(prepared, analyzer, gripper)
+    except UnmeasurableError as error:
+        raise UnmeasurableError(f"{error}{explain_loss(choice, prepared.frames, prepared.camera, analyzer)}") from None
     if overrides.poses is None and grounding.camera_path is None and grounding.domain is not Domain.ARM:
         choice = check_camera(choice, prepared.frames, prepared.camera, grounding, analyzer)
     return choice, prepared, grounding
