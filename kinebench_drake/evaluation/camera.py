@@ -187,7 +187,7 @@ def check_camera(
     reason = None
     if other is not None and (other.gripper_m > GRIPPER_SIGMA_M or other.gripper_rad > GRIPPER_SIGMA_RAD):
         reason = f"the base frame is unknown: {describe_contradiction(other)}"
-    elif other is None and agreement is None and grounding.arm_consistency_px is not None:
+    elif other is None and agreement is None and len(q) and grounding.arm_consistency_px is not None:
         reason = (
             "the base frame is unknown: the camera of the input cannot be checked, since the arm is seen, but agrees "
             "with the hand in no tracked frame"
@@ -196,7 +196,7 @@ def check_camera(
 
 
 def explain_loss(choice: CameraChoice, frames: NDArray[np.uint8], camera: Camera, judge: CameraJudge) -> str:
-    """Return what the arm says about a camera of the input with which no gripper is tracked; empty without an objection.
+    """Return how the arm contradicts a camera of the input with which no gripper is tracked; empty if it does not.
 
     Args:
         choice: the camera.
@@ -205,7 +205,7 @@ def explain_loss(choice: CameraChoice, frames: NDArray[np.uint8], camera: Camera
         judge: checks cameras.
     """
     other = judge.camera_contradiction(frames, camera) if choice.sample.camera_source in _INPUT_SOURCES else None
-    return "" if other is None else f" By another check {describe_contradiction(other)}."
+    return "" if other is None else f" This is not its camera: {describe_contradiction(other)}."
 
 
 def describe_contradiction(other: "CameraContradiction") -> str:

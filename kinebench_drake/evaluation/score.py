@@ -535,6 +535,8 @@ def ground_with_camera(
     try:
         grounding = ground_prepared(prepared, analyzer, gripper)
     except UnmeasurableError as error:
+        if overrides.poses is not None:
+            raise
         raise UnmeasurableError(f"{error}{explain_loss(choice, prepared.frames, prepared.camera, analyzer)}") from None
     if overrides.poses is None and grounding.camera_path is None and grounding.domain is not Domain.ARM:
         choice = check_camera(choice, prepared.frames, prepared.camera, grounding, analyzer)

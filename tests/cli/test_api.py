@@ -12,6 +12,7 @@ from fake_analyzer import Act, FakeAnalyzer
 import kinebench_drake
 from kinebench_drake import audit_trajectory, ground_video, run_suite, score_videos
 from kinebench_drake.api import single
+from kinebench_drake.calibration.estimate import CameraContradiction
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.cli import cli
 from kinebench_drake.errors import InputError, KinebenchError, UnmeasurableError, UsageError
@@ -140,6 +141,16 @@ def test_a_video_by_itself_has_the_track_of_the_command(program, film, tmp_path)
     ):
         for name in ("t_s", "X_CH", "X_BG", "tracked", "confidence", "finger_width_m"):
             np.testing.assert_array_equal(getattr(grounded.track, name), getattr(written, name))
+
+
+@pytest.mark.usefixtures("quick")
+def test_a_camera_that_the_arm_contradicts_is_said_and_gives_no_base_frame(film, monkeypatch):
+    other = CameraContradiction(agreement=0.3, better=0.7, focal_ratio=0.7, gripper_m=0.2, gripper_rad=0.0)
+    monkeypatch.setattr(FakeAnalyzer, "camera_contradiction", lambda *_: other)
+    with pytest.warns(UserWarning, match="1.43 times as long"):
+        track = ground_video(film("clip.mp4"), camera=benchmark_camera()).track
+    assert np.isnan(track.X_BG).all()
+    assert np.isfinite(track.X_CH).all()
 
 
 @pytest.mark.usefixtures("quick")

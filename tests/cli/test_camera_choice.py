@@ -10,11 +10,13 @@ from kinebench_drake.datasets.videos.sample import CameraSource, VideoSample
 from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.evaluation.camera import (
     AGREEMENT,
+    CONFIRMED,
     ESTIMATE_AGREEMENT,
     GRIPPER_SIGMA_M,
     CameraChoice,
     check_camera,
     choose_camera,
+    explain_loss,
     with_camera_option,
 )
 from kinebench_drake.evaluation.score import score_videos
@@ -145,11 +147,13 @@ def test_the_benchmark_camera_can_be_insisted_on(film, config, tmp_path):
     assert "aspect ratios differ" in row.reason
 
 
-def checked(tmp_path, judge, *, source=CameraSource.FOLDER, fitted=True):
+def checked(tmp_path, judge, *, source=CameraSource.FOLDER, fitted=True, arm_seen=True):
     """Check a camera of the input with a track of twelve frames."""
     n = 12
     track = SimpleNamespace(tracked=np.arange(n) != 3, finger_width_m=np.full(n, np.nan))
-    grounding = SimpleNamespace(track=track, arm_q=np.full((n, 7), 0.1 if fitted else np.nan))
+    grounding = SimpleNamespace(
+        track=track, arm_q=np.full((n, 7), 0.1 if fitted else np.nan), arm_consistency_px=2.0 if arm_seen else None
+    )
     choice = CameraChoice(sample=replace(sample(tmp_path), camera_source=source))
     return check_camera(choice, np.repeat(SQUARE[:1], n, axis=0), benchmark_camera(), grounding, judge)
 
@@ -159,10 +163,12 @@ def contradiction(gripper_m):
 
 
 def test_a_camera_that_the_arm_confirms_costs_no_search(tmp_path):
-    judge = Judge(AGREEMENT + 0.01, contradiction=contradiction(0.2))
-    choice = checked(tmp_path, judge)
-    assert judge.searched == 0
-    assert choice.to_json() == {"camera_agreement": AGREEMENT + 0.01}
+    for source in (CameraSource.FOLDER, CameraSource.GIVEN):
+        sure, unsure = (Judge(CONFIRMED + step, contradiction=contradiction(0.2)) for step in (0.01, -0.01))
+        choice = checked(tmp_path, sure, source=source)
+        assert sure.searched == 0
+        assert choice.to_json() == {"camera_agreement": CONFIRMED + 0.01}
+        assert checked(tmp_path, unsure, source=source).contradiction is not None
 
 
 @pytest.mark.parametrize("fitted", [True, False])
@@ -184,3 +190,18 @@ def test_a_doubtful_camera_stays_where_no_other_explains_the_arm_better(tmp_path
 
 def test_an_estimated_camera_is_not_checked_again(tmp_path):
     assert checked(tmp_path, Judge(0.2), source=CameraSource.ESTIMATED).agreement is None
+
+
+@pytest.mark.parametrize("arm_seen", [True, False])
+def test_a_camera_with_which_a_visible_arm_never_agrees_gives_no_base_frame(tmp_path, arm_seen):
+    choice = checked(tmp_path, Judge(0.2), fitted=False, arm_seen=arm_seen)
+    assert (choice.reason is not None) == arm_seen
+    assert not arm_seen or "cannot be checked" in choice.reason
+
+
+def test_where_no_gripper_is_tracked_the_arm_may_still_contradict_the_camera(tmp_path):
+    choice = CameraChoice(sample=replace(sample(tmp_path), camera_source=CameraSource.FOLDER))
+    assert explain_loss(choice, SQUARE, benchmark_camera(), Judge()) == ""
+    wrong = Judge(contradiction=contradiction(0.2))
+    assert "1.43 times as long" in explain_loss(choice, SQUARE, benchmark_camera(), wrong)
+    assert explain_loss(CameraChoice(sample=sample(tmp_path)), SQUARE, benchmark_camera(), wrong) == ""
