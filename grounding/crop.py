@@ -21,6 +21,8 @@ WIDE_SIZE = 192
 """Width of the crop that holds the whole image, for detection [px]."""
 CLOSE_SIZE = 128
 """Width of the crop around the gripper, for pose estimation [px]."""
+CLOSE_MARGIN = 1.3
+"""Half width of that crop over the gripper's radius."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

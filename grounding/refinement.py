@@ -1,6 +1,6 @@
 """Refinement of poses along a video: refits from neighbouring frames, and fits to the edges of the images."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import cached_property
 
@@ -8,6 +8,7 @@ import numpy as np
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import pose_difference
+from kinebench_drake.grounding.crop import CLOSE_MARGIN, CLOSE_SIZE, Crop
 from kinebench_drake.grounding.pose import FramePose
 from kinebench_drake.grounding.registration.arm_fit import ArmFit, ArmFitter
 from kinebench_drake.grounding.registration.edges import GradientImage
@@ -24,6 +25,7 @@ _AGREEING_SHARE = 0.5  # least share of poses whose hand and arm agree, of a fam
 _SAMPLES = 7  # frames in which the edges are compared with the network's poses
 _CONTRADICTION, _CONFIRMATION = 0.35, 0.6  # median agreement below and from which edges decide without a fit
 _SMALL_M = 0.0025  # median change by fits to the edges alone up to which they confirm the network's poses, too
+_FOLLOWED_FRAMES = 3  # frames without a sure pose across which the surface is followed at once
 _BEST_QUANTILE, _BEST_SHARE = 0.75, 0.9  # frames that agree nearly as well as the best ones are not tried again
 
 
@@ -121,13 +123,54 @@ class EdgeRefinement:
         distance = [np.inf if fit is None else float(pose_difference(fit.X_CH, arm.X_CH)[0]) for fit, arm in fits]
         return bool(np.median(distance) <= _SMALL_M)
 
-    def run(self) -> None:
-        """Replace the poses: all of an unfamiliar video, else the doubtful ones."""
+    def run(self, measure: Callable[[dict[int, Crop]], None]) -> None:
+        """Replace the poses: all of an unfamiliar video, else the doubtful ones.
+
+        Args:
+            measure: measures frames in these crops, and stores the poses of those that show a gripper.
+        """
         self.fit([i for i, pose in self._poses.items() if _is_doubtful(pose) or not self.is_familiar])
+        if not self.is_familiar:
+            self._search()
+        self._follow(measure)
         if self.is_familiar:
             self._sharpen()
         else:
-            self._search()
+            self._reject()
+
+    def _follow(self, measure: Callable[[dict[int, Crop]], None]) -> None:
+        """Follow the arm from sure frames into those beside them that are not, forwards and back."""
+        for step in (1, -1):
+            near: int | None = None
+            for i in range(len(self._frames))[::step]:
+                if not self._is_sure(i) and near is not None and abs(i - near) <= _FOLLOWED_FRAMES:
+                    self._follow_from(near, i, measure)
+                if self._is_sure(i):
+                    near = i
+
+    def _follow_from(self, near: int, number: int, measure: Callable[[dict[int, Crop]], None]) -> None:
+        before, fitter = self._poses[near].arm, self._fitter.at([number])
+        if before is None:
+            return
+        X_CP, images = self._fitter.at([near]).poses(before), (self._image(near), self._image(number))
+        arm = fitter.follow(before, X_CP, *images)
+        if arm is None:
+            return
+        old = self._poses.get(number)
+        measure({number: Crop.of_gripper(arm.X_CH, CLOSE_MARGIN, CLOSE_SIZE)})
+        pose = self._poses.get(number)
+        if pose is None or pose is old:
+            return
+        self._keep_better(number, fitter.refine(arm.q, pose.hand, pose.view, self._wide[number], images[1], arm.points))
+        if not self._is_sure(number):
+            self._poses.pop(number)
+            if old is not None:
+                self._poses[number] = old
+
+    def _is_sure(self, number: int) -> bool:
+        """Return whether the arm of a frame agrees with its hand and, in unfamiliar videos, with its edges."""
+        pose = self._poses.get(number)
+        return pose is not None and pose.arm_agrees and (self.is_familiar or _agreement(pose) > 0.0)
 
     def _sharpen(self) -> None:
         """Fit poses whose arm agrees to cells and edges together; those fitted to edges alone had doubtful cells."""
@@ -154,7 +197,7 @@ class EdgeRefinement:
             self._sharp.update({i: (arms[i], fit) for i, fit in zip(batch, fits, strict=True)})
         return {i: self._sharp[i][1] for i in arms}
 
-    def reject(self) -> None:
+    def _reject(self) -> None:
         """Mark the poses of an unfamiliar video that the edges do not confirm: hand and arm do not agree in them."""
         for i, pose in self._poses.items():
             if i not in self.confirmed and pose.arm is not None and not pose.from_prior:

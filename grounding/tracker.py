@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, interpolate_pose, transform_points
-from kinebench_drake.grounding.crop import CLOSE_SIZE, GRIPPER_CENTRE_H, Crop
+from kinebench_drake.grounding.crop import CLOSE_MARGIN, CLOSE_SIZE, GRIPPER_CENTRE_H, Crop
 from kinebench_drake.grounding.localization import find_region, likeliest_gripper
 from kinebench_drake.grounding.override_estimator import OverrideEstimator, calibrate_depth
 from kinebench_drake.grounding.pose import FramePose
@@ -27,12 +27,9 @@ from kinebench_drake.grounding.view import DenseEstimator, Frames, GripperView
 from kinebench_drake.models.panda.cad import GripperCad
 from kinebench_drake.types import NO_PRIORS, Domain, Priors
 
-CLOSE_MARGIN = 1.3
-"""Half width of the gripper's crop over the gripper's radius."""
 _RECENTRE = 0.2  # offset of the gripper from the crop's centre, over half the crop, beyond which a new crop is taken
 _RESCALE = 1.25  # likewise the factor between its size in the crop and the desired one
 _MAX_GAP = 12  # frames over which the crop of a lost gripper is interpolated
-_NEXT_FRAMES = 4  # likewise from poses that the edges confirm, where the network mistakes other things for the gripper
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -112,15 +109,8 @@ class CadTracker:
         if not priors.has_exact_depth:
             propagate(poses, wide, arm, self._silhouette)
             refinement = EdgeRefinement(poses, wide, frames, camera, arm, self._silhouette)
-            refinement.run()
-            confirmed: dict[int, FramePose] = {}
-            while not refinement.is_familiar and len(refinement.confirmed) > len(confirmed):
-                confirmed = refinement.confirmed
-                again = self._proposed_crops(len(frames), confirmed, _NEXT_FRAMES)
-                measure(again)
-                refinement.fit(again)
+            refinement.run(measure)
             if not refinement.is_familiar:
-                refinement.reject()
                 domain = Domain.UNFAMILIAR
         poses = {i: self._register(pose) for i, pose in poses.items()}
         return Tracking(
@@ -215,13 +205,13 @@ class CadTracker:
         return crops
 
     @staticmethod
-    def _proposed_crops(n: int, poses: dict[int, FramePose], max_gap: int = _MAX_GAP) -> dict[int, Crop]:
+    def _proposed_crops(n: int, poses: dict[int, FramePose]) -> dict[int, Crop]:
         """Return crops for frames without a pose, between the nearest frames that have one."""
         crops = {}
         measured = sorted(poses)
         for i in set(range(n)) - set(measured):
-            before = max((k for k in measured if i - max_gap <= k < i), default=None)
-            after = min((k for k in measured if i < k <= i + max_gap), default=None)
+            before = max((k for k in measured if i - _MAX_GAP <= k < i), default=None)
+            after = min((k for k in measured if i < k <= i + _MAX_GAP), default=None)
             if before is not None and after is not None:
                 s = (i - before) / (after - before)
                 X_CH = interpolate_pose(poses[before].X_CH, poses[after].X_CH, s)

@@ -24,6 +24,7 @@ from kinebench_drake.grounding.registration.fit import (
     gripper_cells,
     masked_median,
 )
+from kinebench_drake.grounding.registration.flow import follow_surface
 from kinebench_drake.grounding.registration.silhouette import SilhouetteMatcher
 from kinebench_drake.grounding.registration.solver import CellRows, Solution, solve
 from kinebench_drake.grounding.view import GripperView
@@ -35,6 +36,7 @@ _LAST_ANGLES = np.linspace(-np.pi, np.pi, 32, endpoint=False)
 _MAX_CELLS, _SCORED_CELLS = 300, 48
 _INDEPENDENT = 30.0  # independent measurements that the arm cells of a view count as
 _MIN_CELLS = 60
+_SHOULDER_SIGMA_RAD = 1.0  # of joints 1 and 3 about zero: half a turn of both, joint 2 reversed, looks alike
 _COST_CAP = 25.0  # cap of a cell's squared residual
 _EVIDENCE_CAP = 6.0
 _MAX_CONSISTENCY_PX = 6.0  # of an image 384 px wide
@@ -43,6 +45,7 @@ _NO_RANGE_SIGMA = 1e3  # relative standard deviation of an ignored range
 _LINKS_ONLY_WEIGHT = 0.03  # weight of the hand's cells where the links alone determine its distance
 _NEIGHBOUR_GATES = (8.0, 5.0, 3.0)  # farthest silhouette pairs in successive passes [cells]
 _EDGE_REACHES_PX = (10.0, 6.0, 4.0, 3.0, 2.0)  # farthest image edges in successive passes
+_FOLLOWED_REACHES_PX = (6.0, 4.0, 3.0, 2.0)  # likewise from a posture that followed the surface
 _CELLS_REACH_PX = 6.0  # from which on the cells count in a pass, too
 _SHARPENING_PX, _SHARPENING_POINTS = 4.0, 300  # farthest image edges of a posture that is nearly right
 _SHARPENING_M = 0.02  # largest change of such a pose
@@ -89,6 +92,18 @@ class ArmFit:
     """Share of the contour of hand and wrist that lies on edges of the image; NaN if not measured."""
     hand_agreement: float = float("nan")
     """The same of the contour of the hand alone."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FollowedArm:
+    """Posture that followed the surface of the arm from another frame."""
+
+    q: Array
+    """(7,) joint angles [rad]."""
+    X_CH: Array
+    """(4, 4) pose of panda_hand in the camera frame [m]."""
+    points: Correspondences
+    """Points of the surface."""
 
 
 class ArmFitter:
@@ -269,8 +284,33 @@ class ArmFitter:
         q = max((q for _, q in likeliest), key=lambda q: self.edge_agreement(q, image))
         return self.refine(q, hand, close, wide, image)
 
+    def follow(
+        self, near: ArmFit, X_CP: Array, before: GradientImage, after: GradientImage
+    ) -> FollowedArm | None:
+        """Return where the surface of the arm went since a neighbouring frame; None if it cannot be followed.
+
+        Args:
+            near: arm of the neighbouring frame.
+            X_CP: (PARTS, 4, 4) poses of its parts in the camera frame of that frame [m].
+            before: gradients of the neighbouring frame.
+            after: gradients of this frame.
+        """
+        points = follow_surface(self._edges.caster, X_CP, before, after)
+        if points is None:
+            return None
+        solution = solve(self._links_at(near.q[None]), Correspondences.stack([points]), np.array([LINKS_DEPTH_SIGMA]))
+        if not solution.valid[0]:
+            return None
+        return FollowedArm(q=solution.model.q[0], X_CH=solution.model.hand()[0][0], points=points)
+
     def refine(
-        self, q: Array, hand: HandFit, close: GripperView, wide: GripperView, image: GradientImage
+        self,
+        q: Array,
+        hand: HandFit,
+        close: GripperView,
+        wide: GripperView,
+        image: GradientImage,
+        followed: Correspondences | None = None,
     ) -> ArmFit | None:
         """Fit the arm to the edges of the image, from a posture; None if that diverges.
 
@@ -283,6 +323,7 @@ class ArmFitter:
             close: view of the gripper's crop.
             wide: view that shows the arm.
             image: gradients of the frame.
+            followed: points of the surface that led to `q`; they count in place of the cells, in all passes.
         """
         cells = Correspondences.join([gripper_cells(close), self._link_cells(close, wide)])
         image = self._with_rim(image, close)
@@ -290,18 +331,20 @@ class ArmFitter:
         def fit(arm: ArmHandModel, reaches_px: tuple[float, ...]) -> Solution[ArmHandModel] | None:
             log_depth_factor, solution = _log_depth_factors([hand]), None
             for reach_px in reaches_px:
-                with_cells = reach_px > _CELLS_REACH_PX
+                with_cells = followed is None and reach_px > _CELLS_REACH_PX
                 edges = self._edges.match(image, self._poses(arm)[0], reach_px, ROBOT if with_cells else RIGID)
                 if edges is None:
                     return None
-                joined = Correspondences.stack([Correspondences.join([cells, edges]) if with_cells else edges])
+                extra = cells if with_cells else followed
+                joined = Correspondences.stack([edges if extra is None else Correspondences.join([extra, edges])])
                 solution = solve(arm, joined, np.array([close.depth_factor_sigma]), log_depth_factor, iterations=4)
                 if not solution.valid[0]:
                     return None
                 arm, log_depth_factor = solution.model, solution.log_depth_factor
             return solution
 
-        solution = fit(self._start(q[None], [hand.finger_m], [hand], self._X_CB), _EDGE_REACHES_PX)
+        reaches_px = _EDGE_REACHES_PX if followed is None else _FOLLOWED_REACHES_PX
+        solution = fit(self._start(q[None], [hand.finger_m], [hand], self._X_CB), reaches_px)
         if solution is None:
             return None
         evidence = self._edge_evidence(solution.model, image)
@@ -398,6 +441,10 @@ class ArmFitter:
     def _bases(self, count: int) -> Array:
         """Return the poses (count, 4, 4) of the base in the camera frames of `count` frames [m]."""
         return np.broadcast_to(self._X_CB, (count, 4, 4))
+
+    def poses(self, arm: ArmFit) -> Array:
+        """Return the poses (PARTS, 4, 4) of the parts of an arm in the camera frame [m]."""
+        return open_fingers(self._X_CB[0] @ self._model.poses(arm.q[None])[0], finger_or_default(arm.finger_m))
 
     def _poses(self, arm: ArmHandModel) -> Array:
         """Return the poses (B, PARTS, 4, 4) of the parts in the camera frame [m]."""
@@ -505,7 +552,7 @@ class ArmFitter:
             if not len(candidates):
                 best.append((_COST_CAP, None))
                 continue
-            costs = self._costs(candidates, scored, X_CB)
+            costs = self._costs(candidates, scored, X_CB) + _shoulder_cost(candidates)
             best.append((float(costs.min()), candidates[costs.argmin()]))
         (cost, posture), (flipped_cost, _) = best
         if posture is None:
@@ -547,6 +594,11 @@ def _half_turn(arm: ArmHandModel) -> ArmHandModel:
     """Return the arm with its last joint turned by 180 degrees."""
     q = arm.q + np.pi * (np.arange(7) == 6) * np.where(arm.q[:, 6:] < 0, 1.0, -1.0)
     return replace(arm, q=q, q_start=q)
+
+
+def _shoulder_cost(q: Array) -> Array:
+    """Return the cost (M,) of how far the shoulder is turned at postures `q` (M, 7), in the unit of a cell's."""
+    return np.asarray(((q[:, [0, 2]] / _SHOULDER_SIGMA_RAD) ** 2).sum(axis=1) / _INDEPENDENT)
 
 
 def _subsample(links: Correspondences) -> Correspondences:

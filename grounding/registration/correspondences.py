@@ -82,7 +82,7 @@ class Correspondences:
         rays = view.rays_at(v, u) @ view.crop.R_CV.T
         length = np.sqrt((rays**2).sum(axis=1))
         return Correspondences(
-            R_LC=_line_frames(rays / length[:, None]),
+            R_LC=line_frames(rays / length[:, None]),
             range_m=view.depth_m[v, u] * length,
             range_sigma=view.depth_sigma[v, u],
             p_P=view.coordinates_P[v, u],
@@ -93,7 +93,7 @@ class Correspondences:
         )
 
 
-def _line_frames(z: Array) -> Array:
+def line_frames(z: Array) -> Array:
     """Return rotations (N, 3, 3) whose third rows are the unit vectors `z` (N, 3)."""
     # y x z as first axis: a line of sight is never parallel to the camera's y axis.
     length = np.sqrt(z[:, 0] ** 2 + z[:, 2] ** 2)

@@ -114,7 +114,7 @@ class GradientImage:
             width, height = round(camera.width * scale), round(camera.height * scale)
             image = np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), dtype=np.uint8)
             camera = camera.resized(width, height)
-        self.camera = camera
+        self.camera, self.gray = camera, cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
         first, *others = (_gradient(plane) for plane in cv2.split(image))
         for other in others:  # the channel of the strongest gradient counts
             stronger = cv2.compare(other[2], first[2], cv2.CMP_GT)
@@ -191,7 +191,7 @@ class EdgeMatcher:
         Raises:
             SetupError: Open3D's native libraries or mani_skill's meshes are missing.
         """
-        self._caster = PartCaster(_meshes())
+        self.caster = PartCaster(_meshes())
 
     def project(
         self, X_CP: Array, camera: Camera, parts: tuple[RobotPart, ...] = ROBOT, points: int = MAX_POINTS
@@ -254,13 +254,13 @@ class EdgeMatcher:
         """
         side = np.zeros(len(p_C))
         directions = p_C / p_C[:, 2:]
-        visible = np.flatnonzero(self._caster.first_hits(X_CP, directions)[0] > p_C[:, 2] - _BEHIND_M)
+        visible = np.flatnonzero(self.caster.first_hits(X_CP, directions)[0] > p_C[:, 2] - _BEHIND_M)
         if not len(visible):
             return side
         depth, directions = p_C[visible, 2], directions[visible]
         beside = np.column_stack([_BESIDE_PX * normal[visible] / [camera.fx, camera.fy], np.zeros(len(visible))])
         sides = np.concatenate([directions - beside, directions + beside])
-        against, along = self._caster.first_hits(X_CP, sides)[0].reshape(2, -1)
+        against, along = self.caster.first_hits(X_CP, sides)[0].reshape(2, -1)
         surface, beyond = np.minimum(against, along), np.maximum(against, along)
         is_contour = (np.abs(surface - depth) < _BULGE_M) & (beyond > np.maximum(surface, depth) + _JUMP_M)
         side[visible] = np.where(is_contour, np.where(along > against, 1.0, -1.0), 0.0)

@@ -21,10 +21,9 @@ from kinebench_drake.calibration.correspondences import (
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.geometry import Array
-from kinebench_drake.grounding.crop import CLOSE_SIZE, Crop
+from kinebench_drake.grounding.crop import CLOSE_MARGIN, CLOSE_SIZE, Crop
 from kinebench_drake.grounding.localization import find_region, likeliest_gripper
 from kinebench_drake.grounding.registration.fit import UNSEEN_FINGER_M, finger_or_default, fit
-from kinebench_drake.grounding.tracker import CLOSE_MARGIN
 from kinebench_drake.grounding.view import DenseEstimator, Frames, GripperView
 from kinebench_drake.models.panda.robot import ARM, RobotPart
 from kinebench_drake.models.robot import N_JOINTS
