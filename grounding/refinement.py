@@ -139,11 +139,11 @@ class EdgeRefinement:
             self._reject()
 
     def _follow(self, measure: Callable[[dict[int, Crop]], None]) -> None:
-        """Follow the arm from sure frames into those beside them that are not, forwards and back."""
+        """Follow the arm from sure frames into those beside them that are less sure, forwards and back."""
         for step in (1, -1):
             near: int | None = None
             for i in range(len(self._frames))[::step]:
-                if not self._is_sure(i) and near is not None and abs(i - near) <= _FOLLOWED_FRAMES:
+                if near is not None and abs(i - near) <= _FOLLOWED_FRAMES and self._is_less_sure(i, near):
                     self._follow_from(near, i, measure)
                 if self._is_sure(i):
                     near = i
@@ -162,10 +162,16 @@ class EdgeRefinement:
         if pose is None or pose is old:
             return
         self._keep_better(number, fitter.refine(arm.q, pose.hand, pose.view, self._wide[number], images[1], arm.points))
-        if not self._is_sure(number):
-            self._poses.pop(number)
+        if not self._is_sure(number) or (old is not None and _agreement(self._poses[number]) < _agreement(old)):
+            del self._poses[number]
             if old is not None:
                 self._poses[number] = old
+
+    def _is_less_sure(self, number: int, near: int) -> bool:
+        """Return whether a frame is not sure, or the edges agree less with its arm than with that of a sure frame."""
+        if not self._is_sure(number):
+            return True
+        return _agreement(self._poses[number]) < _BEST_SHARE * _agreement(self._poses[near]) and not self.is_familiar
 
     def _is_sure(self, number: int) -> bool:
         """Return whether the arm of a frame agrees with its hand and, in unfamiliar videos, with its edges."""
