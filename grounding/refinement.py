@@ -79,7 +79,7 @@ class EdgeRefinement:
     Where the edges contradict the network's poses, its look or viewpoint is unfamiliar to the network, whose depth is
     then off by several percent although hand and arm agree: all frames are fitted to the edges alone. In familiar
     videos only doubtful frames are, and all others to edges and network together. Each fit starts from the posture of
-    the frame itself, then from those of its neighbours.
+    the frame itself, then from those of its neighbours, then from where the arm's surface went since a sure frame.
     """
 
     def __init__(
@@ -90,6 +90,7 @@ class EdgeRefinement:
         camera: Camera,
         arm_fitter: ArmFitter,
         silhouette: SilhouetteMatcher,
+        measure: Callable[[dict[int, Crop]], None],
     ) -> None:
         """Refine `poses`.
 
@@ -100,7 +101,9 @@ class EdgeRefinement:
             camera: camera of the frames.
             arm_fitter: fitter of the arm.
             silhouette: comparison of the rendered with the segmented gripper.
+            measure: measures frames in these crops, and stores the poses of those that show a gripper in `poses`.
         """
+        self._measure = measure
         self._poses, self._wide, self._frames, self._camera = poses, wide, frames, camera
         self._fitter, self._silhouette = arm_fitter, silhouette
         self._images: dict[int, GradientImage] = {}
@@ -123,32 +126,29 @@ class EdgeRefinement:
         distance = [np.inf if fit is None else float(pose_difference(fit.X_CH, arm.X_CH)[0]) for fit, arm in fits]
         return bool(np.median(distance) <= _SMALL_M)
 
-    def run(self, measure: Callable[[dict[int, Crop]], None]) -> None:
-        """Replace the poses: all of an unfamiliar video, else the doubtful ones.
-
-        Args:
-            measure: measures frames in these crops, and stores the poses of those that show a gripper.
-        """
+    def run(self) -> None:
+        """Replace the poses: all of an unfamiliar video, else the doubtful ones."""
         self.fit([i for i, pose in self._poses.items() if _is_doubtful(pose) or not self.is_familiar])
         if not self.is_familiar:
             self._search()
-        self._follow(measure)
+        self._follow()
         if self.is_familiar:
             self._sharpen()
         else:
             self._reject()
 
-    def _follow(self, measure: Callable[[dict[int, Crop]], None]) -> None:
+    def _follow(self) -> None:
         """Follow the arm from sure frames into those beside them that are less sure, forwards and back."""
         for step in (1, -1):
             near: int | None = None
             for i in range(len(self._frames))[::step]:
                 if near is not None and abs(i - near) <= _FOLLOWED_FRAMES and self._is_less_sure(i, near):
-                    self._follow_from(near, i, measure)
+                    self._follow_from(near, i)
                 if self._is_sure(i):
                     near = i
 
-    def _follow_from(self, near: int, number: int, measure: Callable[[dict[int, Crop]], None]) -> None:
+    def _follow_from(self, near: int, number: int) -> None:
+        """Measure a frame again where the arm of a sure frame went, and keep the pose that the edges confirm more."""
         before, fitter = self._poses[near].arm, self._fitter.at([number])
         if before is None:
             return
@@ -157,11 +157,12 @@ class EdgeRefinement:
         if arm is None:
             return
         old = self._poses.get(number)
-        measure({number: Crop.of_gripper(arm.X_CH, CLOSE_MARGIN, CLOSE_SIZE)})
+        self._measure({number: Crop.of_gripper(arm.X_CH, CLOSE_MARGIN, CLOSE_SIZE)})
         pose = self._poses.get(number)
         if pose is None or pose is old:
             return
-        self._keep_better(number, fitter.refine(arm.q, pose.hand, pose.view, self._wide[number], images[1], arm.points))
+        views = pose.hand, pose.view, self._wide[number], images[1]
+        self._keep_better(number, fitter.refine(arm.q, *views, followed=arm.points))
         if not self._is_sure(number) or (old is not None and _agreement(self._poses[number]) < _agreement(old)):
             del self._poses[number]
             if old is not None:
@@ -169,9 +170,10 @@ class EdgeRefinement:
 
     def _is_less_sure(self, number: int, near: int) -> bool:
         """Return whether a frame is not sure, or the edges agree less with its arm than with that of a sure frame."""
-        if not self._is_sure(number):
-            return True
-        return _agreement(self._poses[number]) < _BEST_SHARE * _agreement(self._poses[near]) and not self.is_familiar
+        pose = self._poses.get(number)
+        if not self._is_sure(number) or pose is None:
+            return pose is None or not pose.from_prior
+        return not self.is_familiar and _agreement(pose) < _BEST_SHARE * _agreement(self._poses[near])
 
     def _is_sure(self, number: int) -> bool:
         """Return whether the arm of a frame agrees with its hand and, in unfamiliar videos, with its edges."""

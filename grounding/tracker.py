@@ -64,8 +64,9 @@ class PoseTracker(Protocol):
 class CadTracker:
     """Detection in the whole image, fit of the hand in its crop, fit of hand and arm, ICP.
 
-    Every frame is measured independently, so errors do not accumulate; neighbours only propose crops for frames in
-    which the gripper was not detected, and initial postures for doubtful ones.
+    Every frame is measured independently, so errors do not accumulate; neighbours propose crops for frames in which
+    the gripper was not detected, and initial postures for doubtful ones. Only a frame that shows no sure pose is reached
+    by following the arm from its neighbours, and its edges must confirm it.
     """
 
     def __init__(self, estimator: DenseEstimator, cad: GripperCad | None = None) -> None:
@@ -108,8 +109,8 @@ class CadTracker:
         domain = Domain.FAMILIAR
         if not priors.has_exact_depth:
             propagate(poses, wide, arm, self._silhouette)
-            refinement = EdgeRefinement(poses, wide, frames, camera, arm, self._silhouette)
-            refinement.run(measure)
+            refinement = EdgeRefinement(poses, wide, frames, camera, arm, self._silhouette, measure)
+            refinement.run()
             if not refinement.is_familiar:
                 domain = Domain.UNFAMILIAR
         poses = {i: self._register(pose) for i, pose in poses.items()}

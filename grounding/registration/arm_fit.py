@@ -284,9 +284,7 @@ class ArmFitter:
         q = max((q for _, q in likeliest), key=lambda q: self.edge_agreement(q, image))
         return self.refine(q, hand, close, wide, image)
 
-    def follow(
-        self, near: ArmFit, X_CP: Array, before: GradientImage, after: GradientImage
-    ) -> FollowedArm | None:
+    def follow(self, near: ArmFit, X_CP: Array, before: GradientImage, after: GradientImage) -> FollowedArm | None:
         """Return where the surface of the arm went since a neighbouring frame; None if it cannot be followed.
 
         Args:
