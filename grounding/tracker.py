@@ -65,8 +65,8 @@ class CadTracker:
     """Detection in the whole image, fit of the hand in its crop, fit of hand and arm, ICP.
 
     Every frame is measured independently, so errors do not accumulate; neighbours propose crops for frames in which
-    the gripper was not detected, and initial postures for doubtful ones. Only a frame that shows no sure pose is reached
-    by following the arm from its neighbours, and its edges must confirm it.
+    the gripper was not detected, and initial postures for doubtful ones. Only a frame without a sure pose is reached by
+    following the arm from its neighbours, and its edges must confirm it.
     """
 
     def __init__(self, estimator: DenseEstimator, cad: GripperCad | None = None) -> None:

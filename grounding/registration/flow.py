@@ -41,10 +41,10 @@ def follow_surface(
     if corners is None:
         return None
     options = {"winSize": (_WINDOW_PX, _WINDOW_PX), "maxLevel": _LEVELS}
-    moved, found, _ = cv2.calcOpticalFlowPyrLK(before.gray, after.gray, corners, None, **options)  # type: ignore[call-overload]
-    back, found_back, _ = cv2.calcOpticalFlowPyrLK(after.gray, before.gray, moved, None, **options)  # type: ignore[call-overload]
+    moved, status, _ = cv2.calcOpticalFlowPyrLK(before.gray, after.gray, corners, None, **options)  # type: ignore[call-overload]
+    back, status_back, _ = cv2.calcOpticalFlowPyrLK(after.gray, before.gray, moved, None, **options)  # type: ignore[call-overload]
     returned = np.linalg.norm((back - corners)[:, 0], axis=1) < _RETURN_PX
-    kept = returned & (found[:, 0] == 1) & (found_back[:, 0] == 1)
+    kept = returned & (status[:, 0] == 1) & (status_back[:, 0] == 1)
     rays = _rays(corners[kept, 0] + 0.5, before.camera)
     depth, part = caster.first_hits(X_CP, rays)
     hit = np.isfinite(depth) & ~np.isin(part, GRIPPER[1:])  # fingers move in the hand
