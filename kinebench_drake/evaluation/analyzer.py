@@ -18,7 +18,8 @@ from kinebench_drake.models.robot import Robot
 from kinebench_drake.types import GripperKind, GripperTrack, Priors
 
 if TYPE_CHECKING:  # Drake, torch and Open3D take seconds to load
-    from kinebench_drake.calibration.estimate import CameraContradiction, CameraEstimate, CameraEstimator
+    from kinebench_drake.calibration.contradiction import CameraChecker, CameraContradiction
+    from kinebench_drake.calibration.estimate import CameraEstimate, CameraEstimator
     from kinebench_drake.grounding.pipeline import GroundingPipeline, GroundingResult
     from kinebench_drake.metrics.result import KinematicResult
 
@@ -117,13 +118,19 @@ class Analyzer:
 
         return CameraEstimator.create()
 
+    @cached_property
+    def _checker(self) -> "CameraChecker":
+        from kinebench_drake.calibration.contradiction import CameraChecker
+
+        return CameraChecker(self._cameras.estimator, self._cameras.fitter)
+
     def camera_agreement(self, frames: NDArray[np.uint8], camera: Camera) -> float | None:
         """Return the share of the arm's contours on image edges with this camera; None if no arm is seen.
 
         Raises:
             SetupError: weights or libraries are missing.
         """
-        return self._cameras.measure_agreement(frames, camera)
+        return self._checker.measure_agreement(frames, camera)
 
     def estimate_camera(self, frames: NDArray[np.uint8]) -> "CameraEstimate":
         """Estimate the camera of frames (T, H, W, 3).
@@ -140,7 +147,7 @@ class Analyzer:
         Raises:
             SetupError: weights or libraries are missing.
         """
-        return self._cameras.posture_agreement(frames, camera, q, finger_m)
+        return self._checker.posture_agreement(frames, camera, q, finger_m)
 
     def camera_contradiction(self, frames: NDArray[np.uint8], camera: Camera) -> "CameraContradiction | None":
         """Return another camera under which the arm agrees clearly better with the images; None if there is none.
@@ -148,7 +155,7 @@ class Analyzer:
         Raises:
             SetupError: weights or libraries are missing.
         """
-        return self._cameras.find_contradiction(frames, camera)
+        return self._checker.find_contradiction(frames, camera)
 
     def judge(self, track: GripperTrack) -> "KinematicResult":
         """Judge a track of poses: infeasible only if no joint path follows it."""

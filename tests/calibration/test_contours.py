@@ -3,11 +3,14 @@
 import numpy as np
 import pytest
 
+from kinebench_drake.calibration import contradiction
 from kinebench_drake.calibration import estimate as estimate_module
 from kinebench_drake.calibration.bundle import ArmScene
+from kinebench_drake.calibration.candidate import Candidate
 from kinebench_drake.calibration.contours import ContourImages
+from kinebench_drake.calibration.contradiction import CLEARLY, CameraChecker
 from kinebench_drake.calibration.detections import ArmDetections
-from kinebench_drake.calibration.estimate import CLEARLY, JOINT_SIGMA_RAD, CameraEstimator, Candidate
+from kinebench_drake.calibration.estimate import JOINT_SIGMA_RAD, CameraEstimator
 from kinebench_drake.calibration.fit import Lens, solve_pnp, with_focal
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.geometry import invert, pose_difference
@@ -68,7 +71,7 @@ def test_contours_give_the_camera_as_precisely_as_the_joint_angles_are_known(
 
 def test_agreement_tells_a_wrong_camera_from_the_right_one(estimator, model, film):
     q, frames = film
-    images = ContourImages(frames, CAMERA, model, estimator._matcher)
+    images = ContourImages(frames, CAMERA, model, estimator.fitter.matcher)
     right = images.agreement(start(q, model, np.zeros(7)).scene)
     wrong = images.agreement(start(q, model, [0.0, 0.1, 0.0, 0.05, 0.0, 0.0, 0.0]).scene)
     assert right.shape == (3,)
@@ -88,12 +91,13 @@ def test_another_focal_length_that_explains_the_arm_better_contradicts_a_camera(
     robot = ArmDetections(
         rows=np.arange(len(q)), cells=cells, finger_m=np.full(len(q), FINGER_M), robot=np.zeros((320, 320), dtype=bool)
     )
-    monkeypatch.setattr(estimate_module, "find_robot", lambda *_, **__: robot)
-    assert estimator.find_contradiction(frames, CAMERA) is None
+    monkeypatch.setattr(contradiction, "find_robot", lambda *_, **__: robot)
+    checker = CameraChecker(None, estimator.fitter)
+    assert checker.find_contradiction(frames, CAMERA) is None
     X_CG = invert(CAMERA.X_BC) @ model.poses(q)[:, RobotPart.HAND] @ hand_from_tcp()
     distance_m = float(np.median(np.linalg.norm(X_CG[:, :3, 3], axis=1)))  # it grows with the focal length
     for zoom in (0.7, 1.4):
-        found = estimator.find_contradiction(frames, with_focal(CAMERA, zoom * CAMERA.fx))
+        found = checker.find_contradiction(frames, with_focal(CAMERA, zoom * CAMERA.fx))
         assert found.focal_ratio == pytest.approx(zoom, rel=0.05)
         assert found.better > found.agreement + CLEARLY
 

@@ -12,7 +12,7 @@ from fake_analyzer import Act, FakeAnalyzer
 import kinebench_drake
 from kinebench_drake import audit_trajectory, ground_video, run_suite, score_videos
 from kinebench_drake.api import single
-from kinebench_drake.calibration.estimate import CameraContradiction
+from kinebench_drake.calibration.contradiction import CameraContradiction
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.cli import cli
 from kinebench_drake.errors import InputError, KinebenchError, UnmeasurableError, UsageError
