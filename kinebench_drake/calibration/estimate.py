@@ -245,7 +245,7 @@ class CameraEstimator:
         scene, _ = self.fitter.fit_contours(
             start.scene, start.cells, own, prior, COARSE, JOINT_SIGMA_RAD, start.scene.q
         )
-        candidate = replace(start, scene=replace(scene, q=q))
+        candidate = replace(start, scene=replace(scene, q=start.scene.q))
         return self.finish(candidate, images, prior, rows=np.arange(len(frames)), q_sigma=JOINT_SIGMA_RAD)
 
     def _turn(self, fit: Candidate) -> list[Candidate]:
