@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from kinebench_drake.camera import Camera, benchmark_camera
 from kinebench_drake.geometry import Array, invert, pose_difference
-from kinebench_drake.grounding.anomaly.camera_motion import CameraMotion, measure_camera_motion
+from kinebench_drake.grounding.anomaly.camera_motion import CameraMotion, FeatureTracks, measure_camera_motion
 from kinebench_drake.grounding.anomaly.detect import SURE_CONFIDENCE, AnomalyEvidence, find_anomalies, gather_evidence
 from kinebench_drake.grounding.anomaly.detection import AnomalyDetections
 from kinebench_drake.grounding.camera_path import CameraPath, follow_camera
@@ -213,13 +213,13 @@ class GroundingPipeline:
             t_s: (T,) task times [s].
             priors: quantities that replace their estimates.
         """
-        stabilized = not priors.replaces_stage
-        motion = self._follow(frames, camera, priors) if stabilized else None
+        stabilized, tracks = not priors.replaces_stage, FeatureTracks(frames)
+        motion = self._follow(frames, tracks, camera, priors) if stabilized else None
         if motion is not None:
             tracking = self._track_steady(frames, camera, priors, motion)
         else:
             tracking = self._tracker.track(frames, camera, priors)
-            motion = self._measure_motion(frames, tracking.robot, camera, priors)
+            motion = self._measure_motion(frames, tracks, tracking.robot, camera, priors)
             if stabilized and (motion.moves or motion.path is not None):
                 tracking = self._track_steady(frames, camera, priors, motion)
         resolved = tracking.poses if tracking.domain is Domain.ARM else resolve_flips(tracking.poses)
@@ -237,16 +237,16 @@ class GroundingPipeline:
         """Track in frames without the motion of the camera."""
         return self._tracker.track(*motion.stabilize(frames, camera), priors, motion.places)
 
-    def _follow(self, frames: Frames, camera: Camera, priors: Priors) -> CameraMotion | None:
+    def _follow(self, frames: Frames, tracks: FeatureTracks, camera: Camera, priors: Priors) -> CameraMotion | None:
         """Return the motion of a camera that clearly moves and can be followed; None otherwise.
 
         In some frames hand and arm must agree nearly as often as without following it: else the background moves.
         """
         nothing = np.zeros(frames.shape[1:3], dtype=bool)
-        if not self._measure_motion(frames, nothing, camera, priors, follows=False).is_clear:
+        if not self._measure_motion(frames, tracks, nothing, camera, priors, follows=False).is_clear:
             return None
         robot = self._tracker.track(frames[:1], camera).robot
-        motion = self._measure_motion(frames, robot, camera, priors)
+        motion = self._measure_motion(frames, tracks, robot, camera, priors)
         if motion.path is None:
             return None
         steady, wide = motion.stabilize(frames, camera)
@@ -262,10 +262,17 @@ class GroundingPipeline:
         return motion if followed >= LEAST_AGREEING * fixed else replace(motion, path=None)
 
     def _measure_motion(
-        self, frames: Frames, robot: NDArray[np.bool_], camera: Camera, priors: Priors, *, follows: bool = True
+        self,
+        frames: Frames,
+        tracks: FeatureTracks,
+        robot: NDArray[np.bool_],
+        camera: Camera,
+        priors: Priors,
+        *,
+        follows: bool = True,
     ) -> CameraMotion:
         """Measure the motion of the camera, and follow it if it moves and `follows`."""
-        motion = measure_camera_motion(frames, robot, camera)
+        motion = measure_camera_motion(tracks, robot, camera)
         reference = self._reference(frames, robot, camera, priors)
         if not motion.moves and not motion.is_unknown and reference is None:
             return motion
@@ -281,7 +288,7 @@ class GroundingPipeline:
         """Return the image of the camera, if it is known and the first frame does not show the same view."""
         if priors.image is None or priors.image.shape != frames.shape[1:]:
             return None
-        motion = measure_camera_motion(np.stack([priors.image, frames[0]]), robot, camera)
+        motion = measure_camera_motion(FeatureTracks(np.stack([priors.image, frames[0]])), robot, camera)
         return priors.image if motion.moves or np.isnan(motion.px[1]) else None
 
 

@@ -135,36 +135,70 @@ class CameraMotion:
         return replace(path, R_AC=R_AC).stabilize(frames, camera)
 
 
-def measure_camera_motion(frames: Frames, robot: NDArray[np.bool_], camera: Camera) -> CameraMotion:
+class FeatureTracks:
+    """Features of a video's first frame, tracked to every other one; each once, whatever the mask."""
+
+    def __init__(self, frames: Frames) -> None:
+        """Create the tracks of `frames` (T, H, W, 3), RGB; none is computed yet."""
+        self._grey = [cv2.cvtColor(f, cv2.COLOR_RGB2GRAY) for f in frames]
+        self._column: dict[tuple[float, float], int] = {}
+        self._now = np.zeros((len(frames) - 1, 0, 2), np.float32)
+        self._good = np.zeros(self._now.shape[:2], dtype=bool)
+
+    def __len__(self) -> int:
+        """Return the number T of frames."""
+        return len(self._grey)
+
+    def track(self, mask: NDArray[np.uint8]) -> tuple[Array, Array, NDArray[np.bool_]]:
+        """Track the features (Shi and Tomasi 1994) in `mask` (H, W) by pyramidal Lucas-Kanade, forth and back.
+
+        Returns:
+            Places (N, 2) in the first frame and (T - 1, N, 2) in the others [px]; whether (T - 1, N) they are there.
+        """
+        start = cv2.goodFeaturesToTrack(self._grey[0], _MAX_FEATURES, 0.01, 6, mask=mask)
+        if start is None:
+            return np.zeros((0, 2)), np.zeros((len(self) - 1, 0, 2)), np.zeros((len(self) - 1, 0), dtype=bool)
+        places = [(float(u), float(v)) for u, v in start[:, 0]]
+        new = [k for k, place in enumerate(places) if place not in self._column]
+        if new and len(self) > 1:
+            self._column.update({places[k]: len(self._column) + n for n, k in enumerate(new)})
+            tracked = [self._flow(image, start[new]) for image in self._grey[1:]]
+            self._now = np.concatenate([self._now, np.stack([now for now, _ in tracked])], axis=1)
+            self._good = np.concatenate([self._good, np.stack([good for _, good in tracked])], axis=1)
+        columns = [self._column[place] for place in places] if len(self) > 1 else []
+        first = np.asarray(start[:, 0], dtype=np.float64) + 0.5
+        return first, np.asarray(self._now[:, columns], dtype=np.float64) + 0.5, self._good[:, columns]
+
+    def _flow(self, image: NDArray[np.uint8], start: NDArray[np.float32]) -> tuple[Array, NDArray[np.bool_]]:
+        forth, ok, _ = cv2.calcOpticalFlowPyrLK(self._grey[0], image, start, None)
+        back, ok_back, _ = cv2.calcOpticalFlowPyrLK(image, self._grey[0], forth, None)
+        returned = np.linalg.norm((back - start)[:, 0], axis=1) < _ROUND_TRIP_PX
+        return forth[:, 0], (ok[:, 0] > 0) & (ok_back[:, 0] > 0) & returned
+
+
+def measure_camera_motion(tracks: FeatureTracks, robot: NDArray[np.bool_], camera: Camera) -> CameraMotion:
     """Measure the motion of the camera by tracking the background.
 
-    Features (Shi and Tomasi 1994) off the robot are tracked by pyramidal Lucas-Kanade from the first frame to every
-    other one, forth and back. Their displacement, at the quantile `SHARE`, is the motion of the camera if at least half
-    of them move according to one rotation of the camera.
+    The displacement of features off the robot, at the quantile `SHARE`, is the motion of the camera if at least half of
+    them move according to one rotation of the camera.
 
     Args:
-        frames: (T, H, W, 3) RGB.
+        tracks: features of the video.
         robot: (H, W) pixels of the first frame that show the robot.
         camera: camera of the first frame.
     """
-    n = len(frames)
+    n = len(tracks)
     px, R_AC = np.full(n, np.nan), np.repeat(np.eye(3)[None], n, axis=0)
-    grey = [cv2.cvtColor(f, cv2.COLOR_RGB2GRAY) for f in frames]
     margin = np.ones((_MARGIN_PX, _MARGIN_PX), np.uint8)
     mask = np.where(cv2.dilate(robot.astype(np.uint8), margin) > 0, 0, 255).astype(np.uint8)
-    start = cv2.goodFeaturesToTrack(grey[0], _MAX_FEATURES, 0.01, 6, mask=mask)
-    if start is not None and len(start) >= MIN_FEATURES:
+    start, there, good = tracks.track(mask)
+    if len(start) >= MIN_FEATURES:
         px[0] = 0.0
         places: dict[int, tuple[Array, Array]] = {}
-        for i, image in enumerate(grey[1:], 1):
-            forth, ok, _ = cv2.calcOpticalFlowPyrLK(grey[0], image, start, None)
-            back, ok_back, _ = cv2.calcOpticalFlowPyrLK(image, grey[0], forth, None)
-            returned = np.linalg.norm((back - start)[:, 0], axis=1) < _ROUND_TRIP_PX
-            good = (ok[:, 0] > 0) & (ok_back[:, 0] > 0) & returned
-            if good.sum() >= MIN_FEATURES:
-                first, now = (np.asarray(p[good, 0], dtype=np.float64) + 0.5 for p in (start, forth))
-                px[i] = np.quantile(np.linalg.norm(now - first, axis=1), SHARE)
-                places[i] = first, now
+        for i in (1 + np.flatnonzero(good.sum(axis=1) >= MIN_FEATURES)).tolist():
+            first, now = start[good[i - 1]], there[i - 1, good[i - 1]]
+            px[i] = np.quantile(np.linalg.norm(now - first, axis=1), SHARE)
+            places[i] = first, now
         if np.nanmax(px) >= LEAST_PX * camera.unit_px:  # else it counts as fixed
             for i, (first, now) in places.items():
                 R, share = _rotation(first, now, camera)

@@ -25,7 +25,12 @@ from kinebench_drake.calibration.states import (
 from kinebench_drake.camera import Camera, benchmark_camera
 from kinebench_drake.errors import UnmeasurableError, UsageError
 from kinebench_drake.geometry import Array, invert, pose_difference
-from kinebench_drake.grounding.anomaly.camera_motion import COMPENSABLE_PX, MOVING_PX, measure_camera_motion
+from kinebench_drake.grounding.anomaly.camera_motion import (
+    COMPENSABLE_PX,
+    MOVING_PX,
+    FeatureTracks,
+    measure_camera_motion,
+)
 from kinebench_drake.grounding.estimator import NetworkEstimator
 from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.grounding.tracker import CadTracker
@@ -259,7 +264,7 @@ def _camera_shift(frames: Frames, view: LensView, camera: Camera) -> tuple[str, 
     """
     if len(frames) < 2:
         return ()
-    moved_px = measure_camera_motion(frames, view.robot, camera).largest_px
+    moved_px = measure_camera_motion(FeatureTracks(frames), view.robot, camera).largest_px
     unit = camera.unit_px
     if moved_px is None:
         return ("it is unknown whether the camera is static: the background has too few features",)

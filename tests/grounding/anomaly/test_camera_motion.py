@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.geometry import rotation_angle, rotation_exp
-from kinebench_drake.grounding.anomaly.camera_motion import find_camera_motion, measure_camera_motion
+from kinebench_drake.grounding.anomaly.camera_motion import FeatureTracks, find_camera_motion, measure_camera_motion
 
 CAMERA = benchmark_camera().resized(192, 192)
 ROBOT = np.zeros((192, 192), dtype=bool)
@@ -29,7 +29,7 @@ def recorded(turns, robot_px=0) -> NDArray[np.uint8]:
 
 
 def test_a_fixed_camera_does_not_move_whatever_the_robot_does():
-    motion = measure_camera_motion(recorded(np.zeros((8, 3)), robot_px=4), ROBOT, CAMERA)
+    motion = measure_camera_motion(FeatureTracks(recorded(np.zeros((8, 3)), robot_px=4)), ROBOT, CAMERA)
     assert motion.largest_px < 0.1
     assert not motion.moves
     assert (np.eye(4) == motion.X_AC).all()
@@ -40,7 +40,7 @@ def test_a_fixed_camera_does_not_move_whatever_the_robot_does():
 def test_a_turning_camera_is_measured_named_and_compensated(step_px):
     turns = np.arange(6)[:, None] * [0.0, step_px / CAMERA.fx, 0.0]
     frames = recorded(turns)
-    motion = measure_camera_motion(frames, ROBOT, CAMERA)
+    motion = measure_camera_motion(FeatureTracks(frames), ROBOT, CAMERA)
     assert motion.largest_px == pytest.approx(5 * step_px, rel=0.15, abs=0.1)
     assert rotation_angle(motion.R_AC[5].T @ rotation_exp(turns[5])) < 0.15 / CAMERA.fx
     assert find_camera_motion(motion).anomalies[-1].frame_end == 5
@@ -52,11 +52,24 @@ def test_a_turning_camera_is_measured_named_and_compensated(step_px):
 
 def test_a_camera_that_moves_far_loses_the_base():
     turns = np.arange(6)[:, None] * [0.0, 1.6 / CAMERA.fx, 0.0]
-    motion = measure_camera_motion(recorded(turns), ROBOT, CAMERA)
+    motion = measure_camera_motion(FeatureTracks(recorded(turns)), ROBOT, CAMERA)
     assert motion.lost.tolist() == [False] * 3 + [True] * 3  # 8 px of a picture twice as wide
 
 
 def test_motion_is_unknown_without_features():
-    motion = measure_camera_motion(np.full((4, 192, 192, 3), 90, np.uint8), ROBOT, CAMERA)
+    motion = measure_camera_motion(FeatureTracks(np.full((4, 192, 192, 3), 90, np.uint8)), ROBOT, CAMERA)
     assert motion.largest_px is None
     assert find_camera_motion(motion).peak == 0.0
+
+
+def test_tracks_do_not_depend_on_the_masks_before():
+    frames = recorded(np.arange(5)[:, None] * [0.0, 0.5 / CAMERA.fx, 0.0], robot_px=2)
+    again = FeatureTracks(frames)
+    measure_camera_motion(again, np.zeros_like(ROBOT), CAMERA)
+    after, alone = (measure_camera_motion(tracks, ROBOT, CAMERA) for tracks in (again, FeatureTracks(frames)))
+    np.testing.assert_array_equal(after.px, alone.px)
+    np.testing.assert_array_equal(after.R_AC, alone.R_AC)
+
+
+def test_one_frame_does_not_move():
+    assert measure_camera_motion(FeatureTracks(recorded(np.zeros((1, 3)))), ROBOT, CAMERA).largest_px == 0.0
