@@ -24,10 +24,10 @@ if TYPE_CHECKING:  # loads torch and Open3D
 AUTO, BENCHMARK = "auto", "benchmark"
 """Values of `--camera` besides the path of a camera.json."""
 AGREEMENT = 0.45
-"""Least share of the arm's contours on image edges at which the arm agrees with the benchmark camera."""
+"""Least share of the arm's contours on image edges with a camera of the benchmark or the input that the arm bears out."""
 CONFIRMED = 0.6
-"""Likewise with a camera of the input. On eight unseen demonstrations right cameras have 0.69 or more, cameras with 0.7
-or 1.4 times the focal length 0.51 or less."""
+"""Share from which on no camera is searched that explains the arm better than that of the input. On eight unseen
+demonstrations right cameras have 0.69 or more, cameras with 0.7 or 1.4 times the focal length 0.51 or less."""
 ESTIMATE_AGREEMENT = 0.64
 """Likewise with an estimated camera, which was fitted to them: more than with any wrong one of our own renders."""
 LEAD = 0.08
@@ -188,12 +188,22 @@ def check_camera(
     reason = None
     if other is not None and (other.gripper_m > GRIPPER_SIGMA_M or other.gripper_rad > GRIPPER_SIGMA_RAD):
         reason = f"the base frame is unknown: {describe_contradiction(other)}"
-    elif other is None and agreement is None and len(q) and grounding.arm_consistency_px is not None:
-        reason = (
-            "the base frame is unknown: the camera of the input cannot be checked, since the arm is seen, but agrees "
-            "with the hand in no tracked frame"
-        )
+    elif other is None and len(q):
+        reason = _explain_disagreement(agreement, arm_is_seen=grounding.arm_consistency_px is not None)
     return replace(choice, contradiction=other, reason=reason)
+
+
+def _explain_disagreement(agreement: float | None, *, arm_is_seen: bool) -> str | None:
+    """Return why a camera that no other explains better gives no base frame; None if it does."""
+    if agreement is None:
+        never = "the arm contradicts the camera of the input: it is seen, but agrees with the hand in no tracked frame"
+        return f"the base frame is unknown: {never}" if arm_is_seen else None
+    if agreement >= AGREEMENT:
+        return None
+    return (
+        f"the base frame is unknown: the arm contradicts the camera of the input: {agreement:.0%} of its contours lie "
+        f"on image edges, at least {AGREEMENT:.0%} are needed"
+    )
 
 
 def explain_loss(choice: CameraChoice, frames: NDArray[np.uint8], camera: Camera, judge: CameraJudge) -> str:
