@@ -24,7 +24,7 @@ if TYPE_CHECKING:  # loads torch and Open3D
 AUTO, BENCHMARK = "auto", "benchmark"
 """Values of `--camera` besides the path of a camera.json."""
 AGREEMENT = 0.45
-"""Least share of the arm's contours on image edges with a camera of the benchmark or the input that the arm bears out."""
+"""Least share of the contours on image edges at which the arm agrees with a camera of the benchmark or the input."""
 CONFIRMED = 0.6
 """Share from which on no camera is searched that explains the arm better than that of the input. On eight unseen
 demonstrations right cameras have 0.69 or more, cameras with 0.7 or 1.4 times the focal length 0.51 or less."""
