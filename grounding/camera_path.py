@@ -90,7 +90,8 @@ class CameraPath:
         the camera that is returned moves accordingly.
         """
         size, K, n = np.array([camera.width, camera.height]), camera.K, len(frames)
-        K_C = K * np.stack([np.stack([self.zoom, np.ones(n), np.ones(n)], axis=-1)] * 2 + [np.ones((n, 3))], axis=1)
+        K_C = np.repeat(K[None], n, axis=0)
+        K_C[:, [0, 1], [0, 1]] *= self.zoom[:, None]
         M_AC = K @ self.R_AC @ np.linalg.inv(K_C)
         corners = np.array([[x, y, 1.0] for x in (0.0, size[0]) for y in (0.0, size[1])])
         shown = np.einsum("tij,nj->tni", M_AC[self.followed], corners)

@@ -6,7 +6,7 @@ import pytest
 
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.geometry import invert, make_pose, rotation_angle, rotation_exp
-from kinebench_drake.grounding.camera_path import CameraWay, follow_camera
+from kinebench_drake.grounding.camera_path import CameraPath, CameraWay, follow_camera
 
 CAMERA = benchmark_camera()
 FRAMES = 12
@@ -112,3 +112,24 @@ def test_stabilized_frames_look_like_the_first():
     same, camera = followed.stabilize(images, CAMERA, extends=False)
     assert same.shape == images.shape
     assert (camera.width, camera.cx) == (384, CAMERA.cx)
+
+
+def test_a_zoom_is_undone_in_both_directions():
+    rng = np.random.default_rng(0)
+    camera = benchmark_camera().resized(128, 128)
+    image = cv2.GaussianBlur(rng.uniform(0, 255, (128, 128, 3)).astype(np.float32), (0, 0), 4.0)
+    image = cv2.normalize(image, None, 0, 255, cv2.NORM_MINMAX)
+    centre = np.array([camera.cx, camera.cy]) - 0.5  # OpenCV's pixel centres are integers
+    M = np.column_stack([1.2 * np.eye(2), -0.2 * centre])
+    frames = np.stack([image, cv2.warpAffine(image, M, (128, 128))]).astype(np.uint8)
+    path = CameraPath(
+        way=CameraWay.ZOOM,
+        R_AC=np.tile(np.eye(3), (2, 1, 1)),
+        p_AC=np.zeros((2, 3)),
+        zoom=np.array([1.0, 1.2]),
+        followed=np.ones(2, dtype=bool),
+        px=np.zeros(2),
+    )
+    steady, _ = path.stabilize(frames, camera)
+    inside = np.abs(steady[1, 20:-20, 20:-20].astype(float) - steady[0, 20:-20, 20:-20])
+    assert inside.mean() < 3.0
