@@ -16,6 +16,7 @@ from kinebench_drake.grounding.registration.fit import finger_or_default
 from kinebench_drake.grounding.registration.silhouette import SilhouetteMatcher
 from kinebench_drake.grounding.registration.solver import BATCH
 from kinebench_drake.grounding.view import Frames, GripperView
+from kinebench_drake.types import Domain
 
 _SOURCE_OVERLAP, _GOOD_OVERLAP = 0.6, 0.8  # overlap from which a pose is propagated, and from which it is not replaced
 _OVERLAP_GAIN = 0.03  # least improvement of the overlap by a propagated pose, where the arm agreed before
@@ -25,6 +26,7 @@ _AGREEING_SHARE = 0.5  # least share of poses whose hand and arm agree, of a fam
 _SAMPLES = 7  # frames in which the edges are compared with the network's poses
 _CONTRADICTION, _CONFIRMATION = 0.35, 0.6  # median agreement below and from which edges decide without a fit
 _SMALL_M = 0.0025  # median change by fits to the edges alone up to which they confirm the network's poses, too
+_MISSED_SHARE = 0.1  # greatest share of frames of a familiar video that are only reached by following the arm
 _FOLLOWED_FRAMES = 3  # frames without a sure pose across which the surface is followed at once
 _BEST_QUANTILE, _BEST_SHARE = 0.75, 0.9  # frames that agree nearly as well as the best ones are not tried again
 
@@ -108,6 +110,7 @@ class EdgeRefinement:
         self._fitter, self._silhouette = arm_fitter, silhouette
         self._images: dict[int, GradientImage] = {}
         self._sharp: dict[int, tuple[ArmFit, ArmFit]] = {}  # by frame: fit to the cells, and to cells and edges
+        self._reached: set[int] = set()  # frames whose pose comes from following the arm
 
     @cached_property
     def is_familiar(self) -> bool:
@@ -125,6 +128,12 @@ class EdgeRefinement:
         fits = [(self._refine(i, arm), arm) for i, arm in arms.items()]
         distance = [np.inf if fit is None else float(pose_difference(fit.X_CH, arm.X_CH)[0]) for fit, arm in fits]
         return bool(np.median(distance) <= _SMALL_M)
+
+    @property
+    def domain(self) -> Domain:
+        """Domain of the video, after `run`: where the network missed the gripper in many frames, its views mislead."""
+        missed = len(self._reached) > _MISSED_SHARE * len(self._poses)
+        return Domain.FAMILIAR if self.is_familiar and not missed else Domain.UNFAMILIAR
 
     def run(self) -> None:
         """Replace the poses: all of an unfamiliar video, else the doubtful ones."""
@@ -167,6 +176,8 @@ class EdgeRefinement:
             del self._poses[number]
             if old is not None:
                 self._poses[number] = old
+        else:
+            self._reached.add(number)
 
     def _is_less_sure(self, number: int, near: int) -> bool:
         """Return whether a frame is not sure, or the edges agree less with its arm than with that of a sure frame."""

@@ -111,8 +111,7 @@ class CadTracker:
             propagate(poses, wide, arm, self._silhouette)
             refinement = EdgeRefinement(poses, wide, frames, camera, arm, self._silhouette, measure)
             refinement.run()
-            if not refinement.is_familiar:
-                domain = Domain.UNFAMILIAR
+            domain = refinement.domain
         poses = {i: self._register(pose) for i, pose in poses.items()}
         return Tracking(
             poses=tuple(poses.get(i) for i in range(len(frames))),

@@ -13,6 +13,7 @@ from kinebench_drake.grounding.pose import FramePose
 from kinebench_drake.grounding.refinement import EdgeRefinement
 from kinebench_drake.grounding.registration.arm_fit import ArmFit, FollowedArm
 from kinebench_drake.models.panda.cad import GripperCad
+from kinebench_drake.types import Domain
 from tests.grounding.conftest import fitted_pose, hand_pose, perfect_view
 
 CAMERA = benchmark_camera().resized(64, 64)
@@ -135,6 +136,22 @@ def test_the_arm_is_followed_from_a_sure_frame_past_a_few_without_gripper(
     reached = set(range(FRAMES)) - ({8} if hidden == [8] else {7, 8, 9, 10, 11})
     assert set(unfamiliar.confirmed) == reached
     assert all(poses[i].X_CH is before[i].X_CH for i in range(FRAMES) if i not in reached)
+
+
+@pytest.mark.parametrize(("missed", "domain"), [(1, Domain.FAMILIAR), (3, Domain.UNFAMILIAR)])
+def test_a_video_whose_gripper_the_network_misses_in_many_frames_is_unfamiliar(
+    poses: dict[int, FramePose], missed: int, domain: Domain
+) -> None:
+    def measure(crops: dict[int, Crop]) -> None:
+        poses.update({i: replace(poses[5], arm=arm_fit(WRONG)) for i in crops})
+
+    for i in range(missed):
+        poses[i] = replace(poses[i], arm=arm_fit(WRONG, agrees=False))
+    familiar = refinement(poses, Fitter(reach=0.0, network_agreement=0.6, follows=True), measure=measure)
+    familiar.run()
+    assert familiar.is_familiar
+    assert all(pose.arm_agrees for pose in poses.values())
+    assert familiar.domain is domain
 
 
 def test_only_doubtful_frames_of_a_familiar_video_are_fitted_to_edges_alone(poses: dict[int, FramePose]) -> None:
