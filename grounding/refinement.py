@@ -24,8 +24,9 @@ _MIN_COVERAGE = 0.6  # least share of a refined gripper that shows the robot: ed
 _SEARCHED_FRAMES = 8  # frames of a video in which the gripper's distance is searched
 _AGREEING_SHARE = 0.5  # least share of poses whose hand and arm agree, of a familiar video
 _SAMPLES = 7  # frames in which the edges are compared with the network's poses
-_CONTRADICTION, _CONFIRMATION = 0.35, 0.6  # median agreement below and from which edges decide without a fit
+_CONFIRMATION = 0.6  # median agreement from which on the edges confirm the network's poses without a fit
 _SMALL_M = 0.0025  # median change by fits to the edges alone up to which they confirm the network's poses, too
+_FAR_M, _GAIN = 0.02, 0.18  # above which the change, or the gain of agreement by it, contradicts the network's poses
 _MISSED_SHARE = 0.1  # greatest share of frames of a familiar video that are only reached by following the arm
 _FOLLOWED_FRAMES = 3  # frames without a sure pose across which the surface is followed at once
 _BEST_QUANTILE, _BEST_SHARE = 0.75, 0.9  # frames that agree nearly as well as the best ones are not tried again
@@ -114,7 +115,10 @@ class EdgeRefinement:
 
     @cached_property
     def is_familiar(self) -> bool:
-        """True if the edges agree with the poses of network and edges together, or alone change these little."""
+        """True if the edges agree with the poses of network and edges together, or alone agree hardly better elsewhere.
+
+        A gripper that is too large for its arm agrees with its edges nowhere.
+        """
         numbers = [i for i, pose in sorted(self._poses.items()) if pose.arm_agrees and not pose.from_prior]
         estimated = sum(not pose.from_prior for pose in self._poses.values())
         if not numbers or len(numbers) < _AGREEING_SHARE * estimated:
@@ -123,11 +127,14 @@ class EdgeRefinement:
         arms = self._sharpened(sample)
         agreements = [self._fitter.at([i]).edge_agreement(arm.q, self._image(i)) for i, arm in arms.items()]
         agreement = float(np.median(agreements))
-        if not _CONTRADICTION <= agreement < _CONFIRMATION:
-            return agreement >= _CONFIRMATION
-        fits = [(self._refine(i, arm), arm) for i, arm in arms.items()]
-        distance = [np.inf if fit is None else float(pose_difference(fit.X_CH, arm.X_CH)[0]) for fit, arm in fits]
-        return bool(np.median(distance) <= _SMALL_M)
+        if agreement >= _CONFIRMATION:
+            return True
+        fits = [(fit, arms[i]) for i in arms if (fit := self._refine(i, arms[i])) is not None]
+        if 2 * len(fits) < len(arms):
+            return False
+        distance = float(np.median([pose_difference(fit.X_CH, arm.X_CH)[0] for fit, arm in fits]))
+        gain = float(np.median([fit.edge_agreement for fit, _ in fits])) - agreement
+        return distance <= _SMALL_M or (distance <= _FAR_M and gain <= _GAIN)
 
     @property
     def domain(self) -> Domain:
