@@ -46,6 +46,8 @@ class CameraTrial:
     gripper_sigma_rad: float
     agreement: float
     runner_up: float
+    base_agreement: float
+    base_runner_up: float
     cpu_s: float
 
     def to_json(self) -> dict[str, Any]:
@@ -86,6 +88,8 @@ def try_video(video: ReferenceVideo, estimator: CameraEstimator, model: ArmModel
         gripper_sigma_rad=estimate.gripper_sigma_rad,
         agreement=estimate.agreement,
         runner_up=estimate.runner_up,
+        base_agreement=estimate.base_agreement,
+        base_runner_up=estimate.base_runner_up,
         cpu_s=time.process_time() - start,
     )
 
@@ -168,10 +172,12 @@ def _rows(trials: Sequence[CameraTrial]) -> list[str]:
             f"{100 * t.focal:+.1f} ({100 * t.focal_sigma:.1f})",
             f"{1e3 * t.tcp_m:.0f} ({1e3 * t.gripper_sigma_m:.0f})",
             f"{np.rad2deg(t.tcp_rad):.1f} ({np.rad2deg(t.gripper_sigma_rad):.1f})",
-            f"{t.agreement:.2f} / {t.runner_up:.2f}",
+            f"{t.agreement:.2f}",
+            f"{t.base_agreement:.2f} / {t.base_runner_up:.2f}",
+            f"{(t.agreement + t.base_agreement) / 2:.2f} / {t.runner_up:.2f}",
             "yes" if t.reason is None else f"no: {t.reason}",
         ]
         for t in trials
     ]
     head = ("error (sigma)", "camera [mm]", "[degrees]", "focal length [%]", "TCP [mm]", "[degrees]")
-    return table((*head, "agreement, next", "base frame"), rows)
+    return table((*head, "agreement, next", "base link, next turn", "base frame"), rows)

@@ -175,7 +175,9 @@ def _fit_contours(
 ) -> CameraEstimate:
     """Refine a camera by the contours of the robot; the principal point is free unless a camera file states it."""
     scene = ArmScene(lens=solved.fit.lens, q=states.q[solved.rows], finger_m=solved.finger_m)
-    start = Candidate(scene=scene, rows=solved.rows, cells=solved.cells, cost=solved.fit.cost)
+    start = Candidate(
+        scene=scene, rows=solved.rows, cells=solved.cells, costs=np.zeros(len(solved.rows)), cost=solved.fit.cost
+    )
     centre_sigma_px = _CENTRE_SIGMA * guess.width if config.camera is None else 0.0
     return cameras.refine(frames, guess, start, focal_free=focal_free, centre_sigma_px=centre_sigma_px)
 

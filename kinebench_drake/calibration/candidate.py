@@ -36,6 +36,7 @@ NEAREST_M = 0.05
 """Least depth of a point [m]."""
 _LINK_FACTOR = 1.5  # of the networks' standard deviations for links
 _FLOOR = 1.5
+_LEAST_COMPARED = 4  # frames
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -72,6 +73,8 @@ class Candidate:
     """(T,) rows of the detections."""
     cells: CalibrationCorrespondences
     """Cells in these frames."""
+    costs: Array
+    """(T,) how badly the hypothesis explains the cells of each frame (`Hypothesis.costs`)."""
     cost: float
     """Weighted mean loss of the cells."""
     agreement: float = 0.0
@@ -79,7 +82,13 @@ class Candidate:
 
     def take(self, chosen: NDArray[np.intp]) -> "Candidate":
         """Select frames."""
-        return replace(self, scene=self.scene.take(chosen), rows=self.rows[chosen], cells=self.cells.of_frames(chosen))
+        return replace(
+            self,
+            scene=self.scene.take(chosen),
+            rows=self.rows[chosen],
+            cells=self.cells.of_frames(chosen),
+            costs=self.costs[chosen],
+        )
 
 
 class CandidateFitter:
@@ -102,6 +111,7 @@ class CandidateFitter:
             scene=ArmScene(lens=hypothesis.lens, q=hypothesis.q[rows], finger_m=detections.finger_m[rows]),
             rows=rows,
             cells=detections.cells.flip(hypothesis.flipped).of_frames(rows).thin(THIN),
+            costs=hypothesis.costs[rows],
             cost=hypothesis.cost,
         )
 
@@ -122,8 +132,18 @@ class CandidateFitter:
         frames: int,
         passes: Sequence[tuple[float, float]],
     ) -> Candidate:
-        """Return a candidate fitted to the contours of some of its frames, with its agreement."""
-        candidate = fit.take(np.unique(np.linspace(0, len(fit.rows) - 1, frames).round().astype(int)))
+        """Return a candidate fitted to the contours of the frames that it explains best, with its agreement.
+
+        Args:
+            fit: the candidate.
+            images: images of the detections.
+            prior: prior of the lens.
+            frames: greatest number of frames.
+            passes: reaches of the search for edges, and weights of the cells.
+        """
+        # Hands that the hypothesis explains badly are often none.
+        likely = np.sort(np.argsort(fit.costs, kind="stable")[: max(_LEAST_COMPARED, len(fit.rows) // 2)])
+        candidate = fit.take(likely[np.unique(np.linspace(0, len(likely) - 1, frames).round().astype(int))])
         images = images.take(candidate.rows)
         scene, _ = self.fit_contours(candidate.scene, candidate.cells, images, prior, passes, PASS_SIGMA_RAD)
         return replace(candidate, scene=scene, agreement=float(np.median(images.agreement(scene))))

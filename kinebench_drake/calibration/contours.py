@@ -34,13 +34,20 @@ class ContourImages:
         """Compute the gradients of `frames` (T, H, W, 3); only the size of `camera` matters."""
         self._images = [GradientImage(frame, camera) for frame in frames]
         self._model, self._matcher = model, matcher
+        self._left_out: tuple[RobotPart, ...] = ()
 
     def take(self, rows: Sequence[int] | NDArray[np.intp]) -> "ContourImages":
         """Select frames."""
         chosen = object.__new__(ContourImages)
         chosen._images = [self._images[row] for row in rows]
-        chosen._model, chosen._matcher = self._model, self._matcher
+        chosen._model, chosen._matcher, chosen._left_out = self._model, self._matcher, self._left_out
         return chosen
+
+    def without_base(self) -> "ContourImages":
+        """Return the images with the contours of hand and arm alone, without those of the base link."""
+        arm = self.take(range(len(self._images)))
+        arm._left_out = (RobotPart.LINK0,)
+        return arm
 
     def _poses(self, scene: ArmScene) -> list[Array]:
         """Return for each frame the poses (PARTS, 4, 4) of the parts in the camera frame [m]."""
@@ -54,7 +61,7 @@ class ContourImages:
             scene: camera and postures.
             reach_px: farthest edge in an image of at most 640 px.
         """
-        parts = ROBOT if reach_px > _WITH_FINGERS_PX else RIGID
+        parts = self._used(ROBOT if reach_px > _WITH_FINGERS_PX else RIGID)
         observed = []
         for t, (image, X_CP) in enumerate(zip(self._images, self._poses(scene), strict=True)):
             camera = scene.lens.camera.resized(image.camera.width, image.camera.height)
@@ -83,6 +90,20 @@ class ContourImages:
             )
         return Observations.join(observed) if observed else None
 
+    def base_share(self, scene: ArmScene) -> float:
+        """Return the share of the visible contours of the base link that lies on image edges; 0 if too few are seen."""
+        found, seen = 0.0, 0
+        for image, X_CP in zip(self._images, self._poses(scene), strict=True):
+            camera = scene.lens.camera.resized(image.camera.width, image.camera.height)
+            points = self._matcher.project(X_CP, camera, (RobotPart.LINK0,))
+            if points is not None and len(points.part) >= _MIN_POINTS:
+                found += float(self._matcher.edge_shares(image, points).sum())
+                seen += len(points.part)
+        return found / seen if seen else 0.0
+
+    def _used(self, parts: tuple[RobotPart, ...]) -> tuple[RobotPart, ...]:
+        return tuple(part for part in parts if part not in self._left_out)
+
     def agreement(self, scene: ArmScene) -> Array:
         """Return the share (T,) of the contours of hand and arm that lies on image edges, frame by frame.
 
@@ -92,7 +113,7 @@ class ContourImages:
 
     def _agreement(self, image: GradientImage, X_CP: Array, scene: ArmScene) -> float:
         camera = scene.lens.camera.resized(image.camera.width, image.camera.height)
-        points = self._matcher.project(X_CP, camera, RIGID)
+        points = self._matcher.project(X_CP, camera, self._used(RIGID))
         if points is None:
             return 0.0
         on_edge = self._matcher.edge_shares(image, points)

@@ -23,7 +23,7 @@ from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.crop import CLOSE_MARGIN, CLOSE_SIZE, Crop
 from kinebench_drake.grounding.localization import find_region, likeliest_gripper
-from kinebench_drake.grounding.registration.fit import UNSEEN_FINGER_M, finger_or_default, fit
+from kinebench_drake.grounding.registration.fit import UNSEEN_FINGER_M, HandFit, finger_or_default, fit
 from kinebench_drake.grounding.view import DenseEstimator, Frames, GripperView
 from kinebench_drake.models.panda.robot import ARM, RobotPart
 from kinebench_drake.models.robot import N_JOINTS
@@ -31,6 +31,10 @@ from kinebench_drake.models.robot import N_JOINTS
 SEARCHED = 36
 """Number of frames of which the best seen ones are used."""
 _PART_CELLS = 40  # cells from which a part counts as seen
+_TRIED = 2  # frames tried for each one used
+_OWN_ROUNDS, _NEARBY_ROUNDS = 2, 2  # close views of a hand: where its frame shows it, then where another one does
+_CLOSE_HAND_CELLS = 120  # cells of the hand in a close view from which it is surely a hand
+_CLOSE_WEIGHT = 6.0  # of a hand seen from close by, in parts of the arm
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,24 +71,54 @@ def find_robot(
     if region is not None:
         wide = dict(estimator.estimate(frames, camera, dict.fromkeys(whole, region)))
     hands = {row: hand for row, view in wide.items() if (hand := fit(likeliest_gripper(view))) is not None}
-    chosen = _best_seen({row: _visibility(wide[row]) for row in hands}, len(frames), most)
-    close: dict[int, GripperView] = {}
-    for _ in range(2):
-        crops = {row: Crop.of_gripper(hands[row].X_CH, CLOSE_MARGIN, CLOSE_SIZE) for row in chosen}
-        for row, view in estimator.estimate(frames, camera, crops):
-            hand = fit(view)
-            if hand is not None:
-                close[row], hands[row] = view, hand
+    close = _approach(estimator, frames, camera, wide, hands, _TRIED * most)
+    # A hand that is not where the wide view found it shows few of its cells from close by.
+    seen = {row: _visibility(wide[row]) + _CLOSE_WEIGHT * _hand_share(close[row]) for row in close}
+    chosen = _best_seen(seen, len(frames), most)
     if not chosen:
         return None
     number = {row: k for k, row in enumerate(chosen)}
-    views = [(number[row], view) for row, view in close.items()] + [(number[row], wide[row]) for row in chosen]
+    views = [(number[row], views[row]) for views in (close, wide) for row in chosen]
     return ArmDetections(
         rows=np.array(chosen, dtype=np.intp),
         cells=find_correspondences(views, camera),
         finger_m=np.array([finger_or_default(hands[row].finger_m) for row in chosen]),
         robot=wide[chosen[0]].to_frame(wide[chosen[0]].part > RobotPart.BACKGROUND, camera),
     )
+
+
+def _approach(
+    estimator: DenseEstimator,
+    frames: Frames,
+    camera: Camera,
+    wide: Mapping[int, GripperView],
+    hands: dict[int, HandFit],
+    most: int,
+) -> dict[int, GripperView]:
+    """Return close views of hands: where the wide view finds one, then where it stands in a frame nearby.
+
+    Args:
+        estimator: source of dense estimates.
+        frames: (T, H, W, 3) RGB.
+        camera: assumed camera.
+        wide: wide views by frame.
+        hands: fits to them by frame; those to the close views replace them.
+        most: greatest number of frames whose hand is looked at first.
+    """
+    first = _best_seen({row: _visibility(wide[row]) for row in hands}, len(frames), most)
+    close: dict[int, GripperView] = {}
+    for number in range(_OWN_ROUNDS + _NEARBY_ROUNDS):
+        own = number < _OWN_ROUNDS
+        sure = [row for row, view in close.items() if _hand_share(view) == 1.0]
+        unsure = [row for row in wide if row not in sure] if sure else []
+        starts = first if own else unsure
+        nearest = {row: row if own else min(sure, key=lambda other: abs(other - row)) for row in starts}
+        crops = {row: Crop.of_gripper(hands[at].X_CH, CLOSE_MARGIN, CLOSE_SIZE) for row, at in nearest.items()}
+        for row, view in estimator.estimate(frames, camera, crops):
+            hand = fit(view)
+            if hand is not None and (own or row not in close or _hand_share(view) > _hand_share(close[row])):
+                close[row], hands[row] = view, hand
+    return close
 
 
 class DetectedViewEstimator(ViewEstimator):
@@ -116,6 +150,11 @@ def _visibility(view: GripperView) -> float:
     cells = np.bincount(view.part.ravel(), minlength=len(RobotPart))
     parts = (np.minimum(cells[list(ARM)], _PART_CELLS) / _PART_CELLS).sum()
     return float(parts + 2 * min(int(view.gripper.sum()), _PART_CELLS) / _PART_CELLS)
+
+
+def _hand_share(view: GripperView) -> float:
+    """Return how much of the hand a close view shows, 0..1."""
+    return min(1.0, int((view.part == RobotPart.HAND).sum()) / _CLOSE_HAND_CELLS)
 
 
 def _best_seen(visibility: Mapping[int, float], frames: int, most: int) -> list[int]:

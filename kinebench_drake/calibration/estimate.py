@@ -18,11 +18,9 @@ from kinebench_drake.calibration.bundle import (
 )
 from kinebench_drake.calibration.candidate import (
     COARSE,
-    LEAST_EXPLAINED,
     LOG_FOCAL_SIGMA,
     MIDDLE,
     MIN_FRAMES,
-    NEAREST_M,
     PASS_SIGMA_RAD,
     THIN,
     Candidate,
@@ -30,18 +28,17 @@ from kinebench_drake.calibration.candidate import (
     LensPrior,
 )
 from kinebench_drake.calibration.contours import ContourImages
-from kinebench_drake.calibration.correspondences import CalibrationCorrespondences
 from kinebench_drake.calibration.detections import ArmDetections, find_robot
 from kinebench_drake.calibration.fit import Lens
 from kinebench_drake.calibration.hypotheses import ChainSearch, Hypothesis
+from kinebench_drake.calibration.turn import find_turn, is_same_arm, turned
 from kinebench_drake.camera import Camera, benchmark_camera
 from kinebench_drake.errors import UnmeasurableError
-from kinebench_drake.geometry import Array, make_pose, pose_difference, rotation_z
+from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.grounding.registration.edges import EdgeMatcher
 from kinebench_drake.grounding.view import DenseEstimator, Frames
 from kinebench_drake.models.panda.robot import HAND_TO_TCP_M, RobotPart
-from kinebench_drake.models.robot import N_JOINTS
 from kinebench_drake.types import Json
 
 _Ranked = TypeVar("_Ranked")
@@ -51,18 +48,18 @@ FOV_DEG = (30.0, 42.0, 55.0, 72.0)
 JOINT_SIGMA_RAD = 0.01
 """Standard deviation of known joint angles [rad]: offsets of the joints, and clocks."""
 _FRAMES = 12
-_CANDIDATES, _FITTED, _TURNED, _COMPARED = 16, 6, 3, 16
-"""Numbers of hypotheses, of those fitted to the cells, of these also turned about joint 1, and of all compared."""
-_LEAST_BASE_CELLS, _BASE_SIGMA_M = 10, 0.04
-_TURN_STEP_RAD, _TURN_WEIGHT = np.deg2rad(10.0), 0.1
+_CANDIDATES, _FITTED, _COMPARED = 16, 6, 16
+"""Numbers of hypotheses, of those fitted to the cells, and of all compared."""
 _FINE = ((8.0, 0.3), (5.0, 0.1), (4.0, 0.0), (3.0, 0.0), (3.0, 0.0), (2.0, 0.0), (2.0, 0.0))
 """Successive reaches of the search for edges [px of an image of at most 640 px], and weights of the cells."""
-_ROUNDS = ((4, COARSE, 4), (6, MIDDLE, 2))
+_ROUNDS = ((4, COARSE, 8), (6, MIDDLE, 5))
 """Successive comparisons of candidates: frames, passes, candidates kept."""
-_SAME_RAD, _SAME_ZOOM = np.deg2rad(8.0), 0.1
+_CLEARLY = 3.0  # of the tolerances within which cameras are the same: beyond, they contradict each other
 _PART_INDEPENDENT = 6.0  # independent measurements of the contours of a part, whose errors correlate
 _SIGMA_FACTOR, _JOINTS_SIGMA_FACTOR = 1.2, 1.5  # errors over those of independent contours; at known joint angles
-_LEAST_SHARE = 0.6  # of the median agreement, below which a frame is left out
+_LEAST_SHARE = 0.75  # of the agreement of the better frames, below which a frame is left out
+_BETTER = 75  # percentile of these
+_LEAST_EXPLAINED = 0.5  # share of the frames with the robot below which a camera that explains no more is unlikely
 _MOVE, _TURN = slice(0, 3), slice(3, 6)
 _ALIKE_M, _ALIKE_RAD = 0.01, np.deg2rad(2.0)
 
@@ -80,9 +77,15 @@ class CameraEstimate:
     gripper_sigma_rad: float
     """Likewise of its rotation [rad]."""
     agreement: float
-    """Share of the contours of hand and arm on image edges, median over the frames; less where few frames fit."""
+    """Share of the contours of hand and arm on image edges, median over the frames; less where few frames fit.
+
+    Without the base link, unless the joint angles are known."""
+    base_agreement: float
+    """Share of the contours of the base link on image edges, all frames together."""
+    base_runner_up: float
+    """The same with the base turned elsewhere about joint 1; 0 if no other turn agrees."""
     runner_up: float
-    """Likewise with the next best camera that differs from it; 0 if there is none."""
+    """Mean of the two agreements with the next best camera under which the arm stands elsewhere; 0 if there is none."""
     residual_px: float
     """Median distance between contours and image edges [px]."""
     rows: NDArray[np.intp]
@@ -100,6 +103,8 @@ class CameraEstimate:
             "camera": self.camera.to_json(),
             "agreement": self.agreement,
             "runner_up": self.runner_up,
+            "base_agreement": self.base_agreement,
+            "base_runner_up": self.base_runner_up,
             "residual_px": self.residual_px,
             "position_sigma_m": self.position_sigma_m,
             "rotation_sigma_rad": self.rotation_sigma_rad,
@@ -108,6 +113,11 @@ class CameraEstimate:
             "gripper_sigma_rad": self.gripper_sigma_rad,
             "frames": self.rows.tolist(),
         }
+
+    @property
+    def support(self) -> float:
+        """Mean of the agreements of arm and base link."""
+        return (self.agreement + self.base_agreement) / 2
 
     @property
     def position_sigma_m(self) -> float:
@@ -192,33 +202,47 @@ class CameraEstimator:
         )
         search = ChainSearch(detections.cells, detections.finger_m, self.fitter.model)
         focals = [focal_px(camera, fov) for fov in FOV_DEG] if focal_free else [camera.fx]
-        candidates = self._candidates(detections, search.run(camera, focals), prior)
+        hypotheses = search.run(camera, focals)
+        candidates = self._candidates(detections, hypotheses, prior)
         if not candidates:
             raise UnmeasurableError(
                 f"no camera can be estimated: the arm behind the gripper is seen in fewer than {MIN_FRAMES} frames"
             )
+        arm_images = images.without_base()
         for frames_used, passes, kept in _ROUNDS:
-            compared = [self.fitter.compare(candidate, images, prior, frames_used, passes) for candidate in candidates]
+            compared = [self.fitter.compare(c, arm_images, prior, frames_used, passes) for c in candidates]
             compared.sort(key=lambda candidate: -candidate.agreement)
             candidates = [
                 self._extend(candidate, detections, search)
                 for candidate in _distinct([(c.scene.lens, c) for c in compared])[:kept]
             ]
-        estimates = [self.finish(candidate, images, prior, rows=detections.rows) for candidate in candidates]
-        estimates.sort(key=lambda estimate: -estimate.agreement)
-        best, *others = _distinct([(estimate.scene.lens, estimate) for estimate in estimates])
-        return replace(best, runner_up=max((other.agreement for other in others), default=0.0))
+        # A hand from which no chain leads to a base is none.
+        total = int(np.any([np.isfinite(h.q).all(axis=1) for h in hypotheses], axis=0).sum())
+        arms = [self._settle(candidate, arm_images, prior, total)[0] for candidate in candidates]
+        arms.sort(key=lambda arm: -arm.agreement)
+        arms = _distinct([(arm.scene.lens, arm) for arm in arms], _CLEARLY)
+        lower, upper = self.fitter.model.lower[0], self.fitter.model.upper[0]
+        turns = [find_turn(arm.scene, images.take(arm.rows), lower, upper) for arm in arms]
+        ranked = sorted(zip(arms, turns, strict=True), key=lambda pair: -(pair[0].agreement + pair[1].share))
+        best, turn = ranked[0]
+        start = replace(best, scene=turned(best.scene, turn.angle_rad))
+        return replace(
+            self.finish(start, images, prior, rows=detections.rows, total=total),
+            agreement=best.agreement,
+            base_agreement=turn.share,
+            base_runner_up=turn.runner_up,
+            runner_up=max(((arm.agreement + other.share) / 2 for arm, other in ranked[1:]), default=0.0),
+        )
 
     def _candidates(
         self, detections: ArmDetections, hypotheses: Sequence[Hypothesis], prior: LensPrior
     ) -> list[Candidate]:
         """Return different cameras that explain the cells, as hypothesized and fitted to the cells."""
         starts = _distinct([(h.lens, h) for h in hypotheses])[:_CANDIDATES]
-        raw = [start for h in starts if (start := self.fitter.start(detections, h)) is not None]
+        raw = [_without_base(start) for h in starts if (start := self.fitter.start(detections, h)) is not None]
         fits = [self.fitter.fit_cells(candidate, prior) for candidate in raw[:_FITTED]]
         fits.sort(key=lambda fit: fit.cost)
-        turned = [turn for fit in _distinct([(f.scene.lens, f) for f in fits])[:_TURNED] for turn in self._turn(fit)]
-        return _distinct([(c.scene.lens, c) for c in (*turned, *raw)])[:_COMPARED]
+        return _distinct([(c.scene.lens, c) for c in (*fits, *raw)])[:_COMPARED]
 
     def refine(
         self, frames: Frames, camera: Camera, start: Candidate, *, focal_free: bool, centre_sigma_px: float = 0.0
@@ -246,34 +270,9 @@ class CameraEstimator:
             start.scene, start.cells, own, prior, COARSE, JOINT_SIGMA_RAD, start.scene.q
         )
         candidate = replace(start, scene=replace(scene, q=start.scene.q))
-        return self.finish(candidate, images, prior, rows=np.arange(len(frames)), q_sigma=JOINT_SIGMA_RAD)
-
-    def _turn(self, fit: Candidate) -> list[Candidate]:
-        """Return a candidate, and the same with the base turned about joint 1 to where its cells agree best.
-
-        The links look the same if base and joint 1 turn against each other, so that a wrong turn is a local minimum.
-        """
-        scene = fit.scene
-        base = fit.cells.take(fit.cells.part == RobotPart.LINK0)
-        if len(base) < _LEAST_BASE_CELLS:
-            return [fit]
-        lower, upper = (
-            self.fitter.model.lower[0] - scene.q[:, 0].min(),
-            self.fitter.model.upper[0] - scene.q[:, 0].max(),
+        return self.finish(
+            candidate, images, prior, rows=np.arange(len(frames)), total=len(frames), q_sigma=JOINT_SIGMA_RAD
         )
-        angles = np.arange(lower, upper, _TURN_STEP_RAD)
-        angles = np.concatenate([angles[np.abs(angles) > _TURN_STEP_RAD], [0.0]])
-        costs = np.array([self._base_cost(_turned(scene, angle), base) for angle in angles])
-        best = float(angles[costs.argmin()])
-        change = (costs.min() - costs[-1]) * _TURN_WEIGHT
-        return [fit] if best == 0.0 else [fit, replace(fit, scene=_turned(scene, best), cost=fit.cost + change)]
-
-    def _base_cost(self, scene: ArmScene, base: CalibrationCorrespondences) -> float:
-        """Return the mean loss of the cells of the base link."""
-        lens = scene.lens
-        uv, z = lens.project(base.p_P)
-        sigma = _BASE_SIGMA_M * lens.camera.fx / np.maximum(z, NEAREST_M)
-        return float(np.log1p(((uv - base.uv_px) ** 2).sum(axis=1) / sigma**2).mean())
 
     def _extend(self, candidate: Candidate, detections: ArmDetections, search: ChainSearch) -> Candidate:
         """Return a candidate with all frames that its camera explains."""
@@ -282,12 +281,14 @@ class CameraEstimator:
         q, finger_m = hypothesis.q.copy(), detections.finger_m.copy()
         q[candidate.rows], finger_m[candidate.rows] = scene.q, scene.finger_m
         rows = np.flatnonzero(np.isfinite(q).all(axis=1))
-        return Candidate(
+        extended = Candidate(
             scene=ArmScene(lens=scene.lens, q=q[rows], finger_m=finger_m[rows]),
             rows=rows,
             cells=detections.cells.flip(hypothesis.flipped).of_frames(rows).thin(THIN),
+            costs=hypothesis.costs[rows],
             cost=candidate.cost,
         )
+        return _without_base(extended)
 
     def finish(
         self,
@@ -296,6 +297,7 @@ class CameraEstimator:
         prior: LensPrior,
         *,
         rows: NDArray[np.intp],
+        total: int,
         q_sigma: float | None = None,
     ) -> CameraEstimate:
         """Fit a candidate to the contours of all its frames; leave out frames that disagree, and compute sigmas.
@@ -305,26 +307,40 @@ class CameraEstimator:
             images: images of the detections.
             prior: prior of the lens.
             rows: numbers of the frames of the detections.
+            total: number of frames that show the robot.
             q_sigma: standard deviation of known joint angles [rad]; None if they are unknown.
         """
+        candidate, edges = self._settle(candidate, images, prior, total, q_sigma)
+        if edges is None:
+            raise UnmeasurableError("no camera can be estimated: the images show no edges where the arm should be")
+        scene = candidate.scene
+        estimate = _describe(
+            self._uncertainty(scene, edges, prior, q_sigma), edges.part, self.fitter.model, rows[candidate.rows]
+        )
+        return replace(estimate, agreement=candidate.agreement)
+
+    def _settle(
+        self, candidate: Candidate, images: ContourImages, prior: LensPrior, total: int, q_sigma: float | None = None
+    ) -> tuple[Candidate, Observations | None]:
+        """Fit a candidate to the contours of its frames without those that disagree; return it and the contours.
+
+        Its agreement is less where it explains few of the `total` frames.
+        """
         sigma = PASS_SIGMA_RAD if q_sigma is None else q_sigma
-        edges, agreement = None, np.zeros(0)
-        rounds: tuple[Sequence[tuple[float, float]], ...] = (_FINE, _FINE[-3:])
+        edges = None
+        rounds: tuple[Sequence[tuple[float, float]], ...] = (_FINE, _FINE[1:], _FINE[-3:])
         for number, passes in enumerate(rounds):
             own = images.take(candidate.rows)
             q = None if q_sigma is None else candidate.scene.q
             scene, edges = self.fitter.fit_contours(candidate.scene, candidate.cells, own, prior, passes, sigma, q)
-            candidate = replace(candidate, scene=scene)
             agreement = own.agreement(scene)
-            good = np.flatnonzero(agreement >= _LEAST_SHARE * np.median(agreement))
+            share = float(np.median(agreement)) * min(1.0, len(candidate.rows) / (_LEAST_EXPLAINED * total))
+            candidate = replace(candidate, scene=scene, agreement=share)
+            good = np.flatnonzero(agreement >= _LEAST_SHARE * np.percentile(agreement, _BETTER))
             if number + 1 == len(rounds) or len(good) == len(agreement) or len(good) < MIN_FRAMES:
                 break
             candidate = candidate.take(good)
-        if edges is None:
-            raise UnmeasurableError("no camera can be estimated: the images show no edges where the arm should be")
-        bundle = self._uncertainty(candidate.scene, edges, prior, q_sigma)
-        share = float(np.median(agreement)) * min(1.0, len(candidate.rows) / (LEAST_EXPLAINED * len(rows)))
-        return _describe(bundle, edges.part, self.fitter.model, share, rows[candidate.rows])
+        return candidate, edges
 
     def _uncertainty(self, scene: ArmScene, edges: Observations, prior: LensPrior, q_sigma: float | None) -> Bundle:
         """Return the information of a scene, contours of one part in one frame and parts at rest counted once."""
@@ -341,12 +357,6 @@ class CameraEstimator:
         return adjust(honest, scene, prior.with_postures(scene.q, posture_sigma), self.fitter.model, iterations=0)
 
 
-def _turned(scene: ArmScene, angle: float) -> ArmScene:
-    """Return a scene with the base turned by -`angle` [rad] about joint 1, and joint 1 by `angle`: same links."""
-    X_CB = scene.lens.X_CB @ make_pose(rotation_z(-angle), np.zeros(3))
-    return replace(scene, lens=replace(scene.lens, X_CB=X_CB), q=scene.q + angle * (np.arange(N_JOINTS) == 0))
-
-
 def usual_camera(width: int, height: int, fov_deg: float = 55.0) -> Camera:
     """Return a centred camera of unknown place with a usual field of view along the longer side [degrees]."""
     focal = max(width, height) / 2 / float(np.tan(np.deg2rad(fov_deg) / 2))
@@ -358,23 +368,21 @@ def focal_px(camera: Camera, fov_deg: float) -> float:
     return max(camera.width, camera.height) / 2 / float(np.tan(np.deg2rad(fov_deg) / 2))
 
 
-def _distinct(ranked: Sequence[tuple[Lens, _Ranked]]) -> list[_Ranked]:
-    """Return what belongs to lenses that differ from all before them."""
+def _distinct(ranked: Sequence[tuple[Lens, _Ranked]], factor: float = 1.0) -> list[_Ranked]:
+    """Return what belongs to cameras that see another arm than all before them; see `is_same_arm`."""
     kept: list[tuple[Lens, _Ranked]] = []
     for lens, item in ranked:
-        if not any(_alike(lens, other) for other, _ in kept):
+        if not any(is_same_arm(lens, other, factor) for other, _ in kept):
             kept.append((lens, item))
     return [item for _, item in kept]
 
 
-def _alike(one: Lens, other: Lens) -> bool:
-    zoom = abs(float(np.log(one.camera.fx / other.camera.fx)))
-    return zoom <= _SAME_ZOOM and float(pose_difference(one.X_CB, other.X_CB)[1]) <= _SAME_RAD
+def _without_base(candidate: Candidate) -> Candidate:
+    """Return a candidate without the cells of the base link, which a wrong turn of the base puts elsewhere."""
+    return replace(candidate, cells=candidate.cells.take(candidate.cells.part != RobotPart.LINK0))
 
 
-def _describe(
-    bundle: Bundle, part: NDArray[np.uint8], model: ArmModel, agreement: float, rows: NDArray[np.intp]
-) -> CameraEstimate:
+def _describe(bundle: Bundle, part: NDArray[np.uint8], model: ArmModel, rows: NDArray[np.intp]) -> CameraEstimate:
     """Return the estimate of a bundle adjustment."""
     scene, H = bundle.scene, bundle.information
     free = np.flatnonzero(np.diag(H) > 0)
@@ -395,8 +403,10 @@ def _describe(
         covariance=covariance,
         gripper_sigma_m=position,
         gripper_sigma_rad=rotation,
-        agreement=agreement,
+        agreement=0.0,
         runner_up=0.0,
+        base_agreement=0.0,
+        base_runner_up=0.0,
         residual_px=float(np.median(bundle.error_px)),
         rows=rows,
         scene=scene,

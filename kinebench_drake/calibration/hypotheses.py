@@ -26,6 +26,7 @@ _BEAM = 100
 _CELLS = 8  # cells of a link that are compared
 _LEAST_CELLS = 10
 _CAP = 16.0  # of a cell's squared error in standard deviations
+_EXPLAINED = 9.0  # mean capped error of a frame above which its hand is no hand, or the camera another
 _SLACK_M, _SLACK_PX = 0.02, 2.0  # standard deviation that the start of the chain adds, and of the cells
 _LINK_FACTOR = 0.4  # of the cells' standard deviations: a wrong chain is farther off than they are
 _DEPTH_SIGMA = 0.04
@@ -52,8 +53,13 @@ class Hypothesis:
     """(T, 7) joint angles [rad]; NaN in frames that it does not explain."""
     flipped: NDArray[np.bool_]
     """(T,) frames whose gripper is turned by 180 degrees against its cells."""
-    cost: float
-    """Mean capped squared error of the links' cells over all frames."""
+    costs: Array
+    """(T,) mean capped squared errors of the cells of hand and links; NaN in frames without them."""
+
+    @property
+    def cost(self) -> float:
+        """Mean of `costs`."""
+        return float(np.nanmean(self.costs)) if np.isfinite(self.costs).any() else _CAP
 
 
 class ChainSearch:
@@ -165,7 +171,7 @@ class ChainSearch:
         """Return the postures of all frames that a camera explains, by inverse kinematics of their hands."""
         q = np.full((self._frames, N_JOINTS), np.nan)
         flipped = np.zeros(self._frames, dtype=bool)
-        costs = []
+        costs = np.full(self._frames, np.nan)
         for t, X_CH in enumerate(hands):
             if X_CH is None:
                 continue
@@ -173,12 +179,10 @@ class ChainSearch:
             if not links:
                 continue
             fit = self._posture(X_CH, t, links, lens)
-            if fit is None:
-                costs.append(_CAP)
-                continue
-            q[t], flipped[t], cost = fit
-            costs.append(cost)
-        return Hypothesis(lens=lens, q=q, flipped=flipped, cost=float(np.mean(costs)) if costs else _CAP)
+            costs[t] = _CAP
+            if fit is not None and fit[2] <= _EXPLAINED:
+                q[t], flipped[t], costs[t] = fit
+        return Hypothesis(lens=lens, q=q, flipped=flipped, costs=costs)
 
     def _posture(
         self, X_CH: Array, frame: int, links: dict[int, CalibrationCorrespondences], lens: Lens

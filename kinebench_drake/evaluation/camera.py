@@ -28,10 +28,12 @@ AGREEMENT = 0.45
 CONFIRMED = 0.6
 """Share from which on no camera is searched that explains the arm better than that of the input. On eight unseen
 demonstrations right cameras have 0.69 or more, cameras with 0.7 or 1.4 times the focal length 0.51 or less."""
-ESTIMATE_AGREEMENT = 0.64
-"""Likewise with an estimated camera, which was fitted to them: more than with any wrong one of our own renders."""
-LEAD = 0.08
-"""Least difference between this agreement and that with another camera."""
+ESTIMATE_AGREEMENT, BASE_AGREEMENT = 0.64, 0.4
+"""Likewise of arm and base link with an estimated camera, which was fitted to them: no wrong camera of our own renders
+reaches both."""
+LEAD, BASE_LEAD = 0.08, 0.08
+"""Least differences between the mean of both and that with another camera, and between the share of the base link and
+that with the base turned elsewhere about joint 1."""
 _INPUT_SOURCES = (CameraSource.GIVEN, CameraSource.MANIFEST, CameraSource.FOLDER, CameraSource.OPTION)
 _USUAL_WIDTH_M = 0.04  # gap between the pads where none is measured
 _CHECKED = 5  # frames whose postures check a camera of the input
@@ -241,9 +243,20 @@ def find_doubt(estimate: "CameraEstimate") -> str | None:
             f"no estimated camera agrees with the arm (best: {estimate.agreement:.0%} of its contours on image edges, "
             f"at least {ESTIMATE_AGREEMENT:.0%} are needed)"
         )
-    if estimate.agreement < estimate.runner_up + LEAD:
+    if estimate.base_agreement < BASE_AGREEMENT:
         return (
-            f"two different cameras explain the arm ({estimate.agreement:.0%} and {estimate.runner_up:.0%} of its "
+            "how the base is turned about joint 1 cannot be seen (best: "
+            f"{estimate.base_agreement:.0%} of the contours of the base link on image edges, at least "
+            f"{BASE_AGREEMENT:.0%} are needed)"
+        )
+    if estimate.base_agreement < estimate.base_runner_up + BASE_LEAD:
+        return (
+            f"two turns of the base about joint 1 explain its contours ({estimate.base_agreement:.0%} and "
+            f"{estimate.base_runner_up:.0%} on image edges)"
+        )
+    if estimate.support < estimate.runner_up + LEAD:
+        return (
+            f"two different cameras explain arm and base ({estimate.support:.0%} and {estimate.runner_up:.0%} of their "
             "contours on image edges)"
         )
     if estimate.gripper_sigma_m > GRIPPER_SIGMA_M or estimate.gripper_sigma_rad > GRIPPER_SIGMA_RAD:

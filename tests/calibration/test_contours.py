@@ -10,8 +10,9 @@ from kinebench_drake.calibration.candidate import Candidate
 from kinebench_drake.calibration.contours import ContourImages
 from kinebench_drake.calibration.contradiction import CLEARLY, CameraChecker
 from kinebench_drake.calibration.detections import ArmDetections
-from kinebench_drake.calibration.estimate import JOINT_SIGMA_RAD, CameraEstimator
+from kinebench_drake.calibration.estimate import JOINT_SIGMA_RAD, CameraEstimator, usual_camera
 from kinebench_drake.calibration.fit import Lens, solve_pnp, with_focal
+from kinebench_drake.calibration.turn import find_turn, is_same_arm, turned
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.geometry import invert, pose_difference
 from kinebench_drake.models.panda.cad import PartCaster, link_meshes, open_fingers, part_meshes
@@ -48,7 +49,7 @@ def start(q, model, step):
     lens = Lens(camera=CAMERA, X_CB=invert(CAMERA.X_BC)).displace(np.array(step))
     scene = ArmScene(lens=lens, q=q, finger_m=np.full(len(q), FINGER_M))
     cells = project_robot(CAMERA, q, model, finger_m=FINGER_M)
-    return Candidate(scene=scene, rows=np.arange(len(q)), cells=cells, cost=0.0)
+    return Candidate(scene=scene, rows=np.arange(len(q)), cells=cells, costs=np.zeros(len(q)), cost=0.0)
 
 
 @pytest.mark.parametrize("joint_sigma_rad", [JOINT_SIGMA_RAD, 0.1 * JOINT_SIGMA_RAD])
@@ -77,6 +78,44 @@ def test_agreement_tells_a_wrong_camera_from_the_right_one(estimator, model, fil
     assert right.shape == (3,)
     assert right.min() > 0.6
     assert wrong.max() < right.min() - 0.2
+
+
+@pytest.mark.parametrize("turn_deg", [-50.0, 30.0])
+def test_the_contours_of_the_base_show_how_it_is_turned(estimator, model, film, turn_deg):
+    q, frames = film
+    images = ContourImages(frames, CAMERA, model, estimator.fitter.matcher)
+    right = start(q, model, np.zeros(7)).scene
+    wrong = turned(right, np.deg2rad(turn_deg))
+    X_CP, same = right.lens.X_CB @ model.poses(right.q), wrong.lens.X_CB @ model.poses(wrong.q)
+    arm = [part for part in RobotPart if part > RobotPart.LINK0 or part == RobotPart.HAND]
+    assert np.allclose(X_CP[:, arm], same[:, arm])
+    found = find_turn(wrong, images, model.lower[0], model.upper[0])
+    assert np.rad2deg(found.angle_rad) == pytest.approx(-turn_deg, abs=2.0)
+    assert found.share > found.runner_up + 0.2
+
+
+def test_cameras_are_the_same_arm_whatever_the_turn_but_not_from_elsewhere(model, film):
+    scene = start(film[0], model, np.zeros(7)).scene
+    assert is_same_arm(scene.lens, turned(scene, 1.0).lens)
+    for step in ([0.0, 0.1, 0.0, 0.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 0.0, 0.1, 0.0, 0.0]):
+        moved = start(film[0], model, step).scene.lens
+        assert not is_same_arm(scene.lens, moved)
+        assert is_same_arm(scene.lens, moved, 4.0)
+
+
+def test_a_camera_is_found_from_cells_and_contours_alone(estimator, model, film):
+    q, frames = film
+    cells = project_robot(CAMERA, q, model, finger_m=FINGER_M, noise_px=1.0)
+    robot = ArmDetections(
+        rows=np.arange(len(q)), cells=cells, finger_m=np.full(len(q), FINGER_M), robot=np.zeros((320, 320), dtype=bool)
+    )
+    estimate = estimator.solve(robot, frames, usual_camera(320, 320), focal_free=True)
+    distance, angle = pose_difference(estimate.camera.X_BC, CAMERA.X_BC)
+    assert distance < 2 * estimate.position_sigma_m
+    assert distance < 0.06
+    assert angle < np.deg2rad(3.0)
+    assert estimate.camera.fx == pytest.approx(CAMERA.fx, rel=0.05)
+    assert estimate.base_agreement > estimate.base_runner_up + 0.1
 
 
 def test_points_without_a_pose_give_none():

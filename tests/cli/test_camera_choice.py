@@ -11,6 +11,7 @@ from kinebench_drake.datasets.videos.sample import CameraSource, VideoSample
 from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.evaluation.camera import (
     AGREEMENT,
+    BASE_AGREEMENT,
     CONFIRMED,
     ESTIMATE_AGREEMENT,
     GRIPPER_SIGMA_M,
@@ -71,6 +72,8 @@ def estimate(**changes):
         "gripper_sigma_rad": 0.01,
         "agreement": ESTIMATE_AGREEMENT + 0.1,
         "runner_up": 0.0,
+        "base_agreement": BASE_AGREEMENT + 0.1,
+        "base_runner_up": 0.0,
         "residual_px": 0.4,
         "rows": np.arange(4),
         "scene": None,
@@ -104,7 +107,9 @@ def test_a_camera_is_estimated_where_shape_or_arm_contradict_the_benchmarks(tmp_
     [
         (None, "nothing is seen"),
         (estimate(agreement=ESTIMATE_AGREEMENT - 0.01), "no estimated camera agrees"),
-        (estimate(runner_up=ESTIMATE_AGREEMENT + 0.09), "two different cameras"),
+        (estimate(runner_up=0.9), "two different cameras"),
+        (estimate(base_agreement=BASE_AGREEMENT - 0.01), "cannot be seen"),
+        (estimate(base_runner_up=BASE_AGREEMENT + 0.09), "two turns"),
         (estimate(gripper_sigma_m=GRIPPER_SIGMA_M + 0.01), "uncertain by 60 mm"),
     ],
 )
