@@ -387,9 +387,8 @@ def footage(
 @click.argument("folder", type=EXISTING_FOLDER)
 @click.option("--out", type=FOLDER, required=True, help="Folder for cameras.md and cameras.jsonl.")
 @click.option("--videos", metavar="A,B", help="Ids of videos, comma-separated.  [default: all]")
-@click.option("--weights", type=EXISTING_FILE, help="Network weights (safetensors).  [default: those shipped]")
-def cameras(folder: Path, out: Path, videos: str | None, weights: Path | None) -> None:
-    """Estimate the cameras of the videos in FOLDER from their frames, and compare with those of the manifest.
+def cameras(folder: Path, out: Path, videos: str | None) -> None:
+    """Score the videos in FOLDER as if nobody named their cameras, and compare cameras and tracks with the true ones.
 
     FOLDER is as for `footage`; videos without reference poses are left out. The same command resumes.
     """
@@ -398,7 +397,7 @@ def cameras(folder: Path, out: Path, videos: str | None, weights: Path | None) -
 
     names = None if videos is None else videos.split(",")
     with errors():
-        text = measure(folder, out, names, weights=weights, log=log)
+        text = measure(folder, out, names, log=log)
     click.echo(text)
 
 

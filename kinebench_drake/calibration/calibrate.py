@@ -7,10 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.calibration.bundle import ArmScene
+from kinebench_drake.calibration.camera_estimate import CameraEstimate
 from kinebench_drake.calibration.candidate import Candidate
 from kinebench_drake.calibration.correspondences import LensView, NetworkViewEstimator, ViewEstimator
 from kinebench_drake.calibration.detections import DetectedViewEstimator
-from kinebench_drake.calibration.estimate import CameraEstimate, CameraEstimator
+from kinebench_drake.calibration.estimate import CameraEstimator
 from kinebench_drake.calibration.fit import Lens, with_focal
 from kinebench_drake.calibration.observability import require_determined, warnings_of
 from kinebench_drake.calibration.result import CalibrationMethod, CameraCalibration, describe, describe_estimate

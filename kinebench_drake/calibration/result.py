@@ -6,8 +6,8 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
+from kinebench_drake.calibration.camera_estimate import CameraEstimate
 from kinebench_drake.calibration.correspondences import MIN_CELLS, CalibrationCorrespondences
-from kinebench_drake.calibration.estimate import CameraEstimate
 from kinebench_drake.calibration.fit import UNKNOWNS, LensFit, refine
 from kinebench_drake.calibration.solve import LensSolution
 from kinebench_drake.camera import Camera

@@ -18,8 +18,9 @@ from kinebench_drake.models.robot import Robot
 from kinebench_drake.types import GripperKind, GripperTrack, Priors
 
 if TYPE_CHECKING:  # Drake, torch and Open3D take seconds to load
+    from kinebench_drake.calibration.camera_estimate import CameraEstimate
     from kinebench_drake.calibration.contradiction import CameraChecker, CameraContradiction
-    from kinebench_drake.calibration.estimate import CameraEstimate, CameraEstimator
+    from kinebench_drake.calibration.estimate import CameraEstimator
     from kinebench_drake.grounding.pipeline import GroundingPipeline, GroundingResult
     from kinebench_drake.metrics.result import KinematicResult
 

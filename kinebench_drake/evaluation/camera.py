@@ -17,8 +17,8 @@ from kinebench_drake.results.row import SampleRow
 from kinebench_drake.types import GripperTrack, Json
 
 if TYPE_CHECKING:  # loads torch and Open3D
+    from kinebench_drake.calibration.camera_estimate import CameraEstimate
     from kinebench_drake.calibration.contradiction import CameraContradiction
-    from kinebench_drake.calibration.estimate import CameraEstimate
     from kinebench_drake.grounding.pipeline import GroundingResult
 
 AUTO, BENCHMARK = "auto", "benchmark"

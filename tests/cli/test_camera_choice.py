@@ -4,8 +4,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from kinebench_drake.calibration.camera_estimate import CameraEstimate
 from kinebench_drake.calibration.contradiction import CameraContradiction
-from kinebench_drake.calibration.estimate import CameraEstimate, usual_camera
+from kinebench_drake.calibration.estimate import usual_camera
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.datasets.videos.sample import CameraSource, VideoSample
 from kinebench_drake.errors import UnmeasurableError

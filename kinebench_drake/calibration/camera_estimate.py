@@ -1,0 +1,122 @@
+"""Camera estimated from the arm, with its uncertainty."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinebench_drake.calibration.bundle import UNKNOWNS, ArmScene, Bundle
+from kinebench_drake.camera import Camera
+from kinebench_drake.geometry import Array
+from kinebench_drake.grounding.registration.arm_model import ArmModel
+from kinebench_drake.models.panda.robot import HAND_TO_TCP_M, RobotPart
+from kinebench_drake.types import Json
+
+_MOVE, _TURN = slice(0, 3), slice(3, 6)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CameraEstimate:
+    """Camera estimated from the arm, with its uncertainty."""
+
+    camera: Camera
+    covariance: Array
+    """(9, 9) of the base's rotation about the camera's axes [rad], its position in the camera frame [m], the logarithm
+    of the focal length and the principal point [px]."""
+    gripper_sigma_m: float
+    """Standard deviation of the TCP's position in the base frame due to the camera: root of the sum over axes [m]."""
+    gripper_sigma_rad: float
+    """Likewise of its rotation [rad]."""
+    agreement: float
+    """Share of the contours of hand and arm on image edges, median over the frames; less where few frames fit.
+
+    Without the base link, unless the joint angles are known."""
+    base_agreement: float
+    """Share of the contours of the base link on image edges, all frames together."""
+    base_runner_up: float
+    """The same with the base turned elsewhere about joint 1; 0 if no other turn agrees."""
+    runner_up: float
+    """Mean of the two agreements with the next best camera under which the arm stands elsewhere; 0 if there is none."""
+    residual_px: float
+    """Median distance between contours and image edges [px]."""
+    rows: NDArray[np.intp]
+    """(T,) numbers of the frames used."""
+    scene: ArmScene
+    """Camera and postures in these frames."""
+    contour_part: NDArray[np.uint8]
+    """(N,) values of `RobotPart` of the contour points used."""
+    contour_error_px: Array
+    """(N,) their distances from the image edges [px]."""
+
+    def to_json(self) -> dict[str, Json]:
+        """Serialize into `camera_estimate` of samples.jsonl."""
+        return {
+            "camera": self.camera.to_json(),
+            "agreement": self.agreement,
+            "runner_up": self.runner_up,
+            "base_agreement": self.base_agreement,
+            "base_runner_up": self.base_runner_up,
+            "residual_px": self.residual_px,
+            "position_sigma_m": self.position_sigma_m,
+            "rotation_sigma_rad": self.rotation_sigma_rad,
+            "focal_sigma": self.focal_sigma,
+            "gripper_sigma_m": self.gripper_sigma_m,
+            "gripper_sigma_rad": self.gripper_sigma_rad,
+            "frames": self.rows.tolist(),
+        }
+
+    @property
+    def support(self) -> float:
+        """Mean of the agreements of arm and base link."""
+        return (self.agreement + self.base_agreement) / 2
+
+    @property
+    def position_sigma_m(self) -> float:
+        """Standard deviation of the camera's position in the base frame: root of the sum over axes [m]."""
+        x, y, z = self.scene.lens.X_CB[:3, 3]
+        by_turn = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])  # the camera's position is -R^T t
+        J = np.concatenate([by_turn, np.eye(3)], axis=1)
+        return float(np.trace(J @ self.covariance[:6, :6] @ J.T) ** 0.5)
+
+    @property
+    def rotation_sigma_rad(self) -> float:
+        """Standard deviation of the camera's rotation [rad]."""
+        return float(np.trace(self.covariance[:3, :3]) ** 0.5)
+
+    @property
+    def focal_sigma(self) -> float:
+        """Relative standard deviation of the focal length; 0 if it was fixed."""
+        return float(self.covariance[6, 6] ** 0.5)
+
+
+def describe(bundle: Bundle, part: NDArray[np.uint8], model: ArmModel, rows: NDArray[np.intp]) -> CameraEstimate:
+    """Return the estimate of a bundle adjustment."""
+    scene, H = bundle.scene, bundle.information
+    free = np.flatnonzero(np.diag(H) > 0)
+    scale = np.sqrt(np.diag(H)[free])
+    covariance = np.zeros((UNKNOWNS, UNKNOWNS))
+    inverse = np.linalg.pinv(H[np.ix_(free, free)] / np.outer(scale, scale) + 1e-9 * np.eye(len(free)))
+    covariance[np.ix_(free, free)] = inverse / np.outer(scale, scale)
+    spread = []
+    for q, response in zip(scene.q, bundle.response, strict=True):
+        X_BP, axis, point = model.poses_and_axes(q)
+        X_BH = X_BP[RobotPart.HAND]
+        tcp = X_BH[:3, 3] + HAND_TO_TCP_M * X_BH[:3, 2]
+        J = np.concatenate([np.cross(axis, tcp - point).T, axis.T]) @ response
+        spread.append(J @ covariance @ J.T)
+    position, rotation = (float(np.median([np.trace(V[k, k]) for V in spread])) ** 0.5 for k in (_MOVE, _TURN))
+    return CameraEstimate(
+        camera=scene.lens.to_camera(),
+        covariance=covariance,
+        gripper_sigma_m=position,
+        gripper_sigma_rad=rotation,
+        agreement=0.0,
+        runner_up=0.0,
+        base_agreement=0.0,
+        base_runner_up=0.0,
+        residual_px=float(np.median(bundle.error_px)),
+        rows=rows,
+        scene=scene,
+        contour_part=part,
+        contour_error_px=bundle.error_px,
+    )
