@@ -94,6 +94,8 @@ class EdgeRefinement:
         arm_fitter: ArmFitter,
         silhouette: SilhouetteMatcher,
         measure: Callable[[dict[int, Crop]], None],
+        *,
+        camera_is_fitted: bool = False,
     ) -> None:
         """Refine `poses`.
 
@@ -105,8 +107,9 @@ class EdgeRefinement:
             arm_fitter: fitter of the arm.
             silhouette: comparison of the rendered with the segmented gripper.
             measure: measures frames in these crops, and stores the poses of those that show a gripper in `poses`.
+            camera_is_fitted: True if the camera was fitted to the edges: they cannot confirm the network then.
         """
-        self._measure = measure
+        self._measure, self._camera_is_fitted = measure, camera_is_fitted
         self._poses, self._wide, self._frames, self._camera = poses, wide, frames, camera
         self._fitter, self._silhouette = arm_fitter, silhouette
         self._images: dict[int, GradientImage] = {}
@@ -119,6 +122,8 @@ class EdgeRefinement:
 
         A gripper that is too large for its arm agrees with its edges nowhere.
         """
+        if self._camera_is_fitted:
+            return False
         numbers = [i for i, pose in sorted(self._poses.items()) if pose.arm_agrees and not pose.from_prior]
         estimated = sum(not pose.from_prior for pose in self._poses.values())
         if not numbers or len(numbers) < _AGREEING_SHARE * estimated:

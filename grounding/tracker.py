@@ -109,7 +109,9 @@ class CadTracker:
         domain = Domain.FAMILIAR
         if not priors.has_exact_depth:
             propagate(poses, wide, arm, self._silhouette)
-            refinement = EdgeRefinement(poses, wide, frames, camera, arm, self._silhouette, measure)
+            refinement = EdgeRefinement(
+                poses, wide, frames, camera, arm, self._silhouette, measure, camera_is_fitted=priors.camera_is_fitted
+            )
             refinement.run()
             domain = refinement.domain
         poses = {i: self._register(pose) for i, pose in poses.items()}

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -261,6 +261,8 @@ class Priors:
     """(T, 4, 4) poses of panda_hand in the camera frame [m], used unchanged; NaN where there is none."""
     finger_width_m: Array | None = None
     """(T,) gap between the finger pads [m]; NaN where unknown."""
+    camera_is_fitted: bool = False
+    """True if the camera was fitted to the edges of the video itself, which then say little about the networks."""
 
     @property
     def replaces_stage(self) -> bool:
@@ -282,7 +284,7 @@ class Priors:
     def at(self, frames: NDArray[np.intp]) -> "Priors":
         """Return the priors at a selection of the frames."""
         arrays = {name: getattr(self, name) for name in ("mask", "X_CH", "finger_width_m")}
-        chosen = {name: None if array is None else array[frames] for name, array in arrays.items()}
+        chosen: dict[str, Any] = {name: None if array is None else array[frames] for name, array in arrays.items()}
         depth = self.depth and replace(self.depth, depth_m=self.depth.depth_m[frames])
         return replace(self, **chosen, depth=depth)
 

@@ -16,7 +16,7 @@ from kinebench_drake.camera import Camera
 from kinebench_drake.datasets.manifest import MAX_PERIOD_S, MIN_PERIOD_S
 from kinebench_drake.datasets.trajectories.trajectory import SLOW_STEP_S
 from kinebench_drake.datasets.videos.find import find_samples
-from kinebench_drake.datasets.videos.sample import VideoSample, VideoSamples
+from kinebench_drake.datasets.videos.sample import CameraSource, VideoSample, VideoSamples
 from kinebench_drake.errors import InputError, UnmeasurableError, UsageError, count_noun, member_of
 from kinebench_drake.evaluation.analyzer import Analyzer, load_analyzer
 from kinebench_drake.evaluation.camera import (
@@ -458,6 +458,7 @@ def prepare_video(
         period_s, source = duration_s / (len(t_s) - 1), PeriodSource.TASK_DURATION
     camera = framing.whole_camera(sample.camera)
     priors = overrides.priors(override_names(sample), video.frames, camera, sample.initial_state)
+    priors = replace(priors, camera_is_fitted=sample.camera_source is CameraSource.ESTIMATED)
     frames = video.frames
     if len(chosen) < len(frames):
         frames, priors = frames[chosen], priors.at(chosen)
