@@ -35,6 +35,7 @@ from kinebench_drake.results.provenance import weights_hash
 from kinebench_drake.results.row import SampleRow
 from kinebench_drake.results.store import artifact_path
 from kinebench_drake.results.trackfile import read_track
+from kinebench_drake.segments import finite_rows
 from kinebench_drake.suites.faults.fault import GRADES, FaultGrade
 from kinebench_drake.suites.simulator import Control, Simulator
 from kinebench_drake.suites.simulator_cache import SimulatorCache
@@ -152,7 +153,9 @@ class ExecutionWorker:
         now = simulator.snapshot()
         start = RobotState(q=now.q, finger_width_m=float(now.fingers_m.sum()), gripping=False)
         try:
-            commands = self._planner.plan(track.X_BG, track.finger_width_m, track.tracked, track.t_s, start)
+            # Where the arm contradicts the camera, a tracked gripper has no pose in the base frame.
+            tracked = track.tracked & finite_rows(track.X_BG.reshape(-1, 16))
+            commands = self._planner.plan(track.X_BG, track.finger_width_m, tracked, track.t_s, start)
         except UnmeasurableError as error:
             return TrackExecution(success=False, reason=str(error))
         outcome = execute(simulator, commands, Control.JOINTS).outcome
