@@ -92,14 +92,14 @@ class ContourImages:
 
     def base_share(self, scene: ArmScene) -> float:
         """Return the share of the visible contours of the base link that lies on image edges; 0 if too few are seen."""
-        found, seen = 0.0, 0
+        on_edges, points_visible = 0.0, 0
         for image, X_CP in zip(self._images, self._poses(scene), strict=True):
             camera = scene.lens.camera.resized(image.camera.width, image.camera.height)
             points = self._matcher.project(X_CP, camera, (RobotPart.LINK0,))
             if points is not None and len(points.part) >= _MIN_POINTS:
-                found += float(self._matcher.edge_shares(image, points).sum())
-                seen += len(points.part)
-        return found / seen if seen else 0.0
+                on_edges += float(self._matcher.edge_shares(image, points).sum())
+                points_visible += len(points.part)
+        return on_edges / points_visible if points_visible else 0.0
 
     def _used(self, parts: tuple[RobotPart, ...]) -> tuple[RobotPart, ...]:
         return tuple(part for part in parts if part not in self._left_out)

@@ -73,8 +73,8 @@ def find_robot(
     hands = {row: hand for row, view in wide.items() if (hand := fit(likeliest_gripper(view))) is not None}
     close = _approach(estimator, frames, camera, wide, hands, _TRIED * most)
     # A hand that is not where the wide view found it shows few of its cells from close by.
-    seen = {row: _visibility(wide[row]) + _CLOSE_WEIGHT * _hand_share(close[row]) for row in close}
-    chosen = _best_seen(seen, len(frames), most)
+    visibility = {row: _visibility(wide[row]) + _CLOSE_WEIGHT * _hand_share(close[row]) for row in close}
+    chosen = _best_seen(visibility, len(frames), most)
     if not chosen:
         return None
     number = {row: k for k, row in enumerate(chosen)}

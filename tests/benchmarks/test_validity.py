@@ -11,14 +11,14 @@ from scipy.stats import spearmanr
 from benchmarks import validity
 from benchmarks.__main__ import main
 from benchmarks.planted_videos import PlantingResult
-from benchmarks.validity import TrackExecution, ValidityTrial, study_grades, study_specs
+from benchmarks.validity import ExecutionWorker, TrackExecution, ValidityTrial, study_grades, study_specs
 from benchmarks.validity_report import FIGURES, write_report
 from benchmarks.validity_response import NUMBERS, Grade, Study, Verdict, correlate
 from kinebench_drake.grounding.evaluation.store import MeasurementStore
 from kinebench_drake.suites.faults.fault import GRADES, FaultGrade, PlantedFault
 from kinebench_drake.suites.split import Pool
 from kinebench_drake.suites.tasks.registry import TASKS
-from kinebench_drake.types import AnomalyKind
+from kinebench_drake.types import AnomalyKind, GripperTrack
 
 EPISODES = 24
 
@@ -182,6 +182,26 @@ def test_executions_are_read_back(tmp_path: Path) -> None:
     done = TrackExecution(success=True, reason="")
     MeasurementStore(tmp_path / "executions.jsonl", TrackExecution).put("key", done)
     assert MeasurementStore(tmp_path / "executions.jsonl", TrackExecution)["key"] == done
+
+
+@pytest.mark.sapien
+def test_a_track_without_a_base_frame_fails() -> None:
+    nowhere = np.full((5, 4, 4), np.nan)
+    track = GripperTrack(
+        t_s=0.2 * np.arange(5),
+        X_CH=np.tile(np.eye(4), (5, 1, 1)),
+        X_BG=nowhere,
+        tracked=np.ones(5, dtype=bool),
+        confidence=np.ones(5),
+        finger_width_m=np.full(5, 0.04),
+    )
+    worker = ExecutionWorker()
+    try:
+        done = worker.execute(next(study_specs()), track)
+    finally:
+        worker.close()
+    assert not done.success
+    assert "nothing to execute" in done.reason
 
 
 @pytest.mark.sapien
