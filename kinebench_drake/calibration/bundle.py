@@ -152,6 +152,25 @@ def adjust(
     return current.bundle()
 
 
+def displacement(observations: Observations, scene: ArmScene, prior: Prior, model: ArmModel, sigmas: float) -> Array:
+    """Return by how much the fitted camera (9,) changes if all contours lie farther out by so many standard deviations.
+
+    A first-order change of the solution, as `adjust` takes it: in the direction of steps of the camera.
+
+    Args:
+        observations: points on contours, whose whitening has one row each.
+        scene: the solution.
+        prior: prior of the unknowns.
+        model: link poses of the arm.
+        sigmas: common error along the normals, in standard deviations of one point.
+    """
+    rows = observations.whitening[:, 0]
+    outward = rows / (rows**2).sum(axis=1, keepdims=True)
+    moved = replace(observations, uv_px=observations.uv_px + sigmas * outward)
+    steps = [_Linearization(o, scene, prior, model).step(0.0)[0] for o in (observations, moved)]
+    return np.asarray(steps[1] - steps[0])
+
+
 def _update(scene: ArmScene, lens_step: Array, frame_steps: Array, model: ArmModel) -> ArmScene:
     unit = 0.1 * scene.lens.camera.width
     bound = np.array([*[_LARGEST_STEP_RAD] * 3, *[_LARGEST_STEP_M] * 3, _LARGEST_ZOOM, unit, unit])

@@ -14,6 +14,7 @@ from kinebench_drake.calibration.bundle import (
     Bundle,
     Observations,
     adjust,
+    displacement,
 )
 from kinebench_drake.calibration.camera_estimate import CameraEstimate, describe
 from kinebench_drake.calibration.candidate import (
@@ -35,7 +36,7 @@ from kinebench_drake.calibration.turn import find_turn, is_same_arm, turned
 from kinebench_drake.camera import Camera, benchmark_camera
 from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.grounding.registration.arm_model import ArmModel
-from kinebench_drake.grounding.registration.edges import EdgeMatcher
+from kinebench_drake.grounding.registration.edges import SIGMA_PX, EdgeMatcher
 from kinebench_drake.grounding.view import DenseEstimator, Frames
 from kinebench_drake.models.panda.robot import RobotPart
 
@@ -55,6 +56,7 @@ _ROUNDS = ((4, COARSE, 8), (6, MIDDLE, 5))
 _CLEARLY = 3.0  # of the tolerances within which cameras are the same: beyond, they contradict each other
 _PART_INDEPENDENT = 6.0  # independent measurements of the contours of a part, whose errors correlate
 _SIGMA_FACTOR, _JOINTS_SIGMA_FACTOR = 1.2, 1.5  # errors over those of independent contours; at known joint angles
+_COMMON_PX = 0.3  # common error of all contours along their normals: blur and compression; twice that of own renders
 _LEAST_SHARE = 0.75  # of the agreement of the better frames, below which a frame is left out
 _BETTER = 75  # percentile of these
 _LEAST_EXPLAINED = 0.5  # share of the frames with the robot below which a camera that explains no more is unlikely
@@ -277,7 +279,13 @@ class CameraEstimator:
         posture_sigma = POSTURE_SIGMA_RAD if q_sigma is None else q_sigma
         factor = _SIGMA_FACTOR if q_sigma is None else _JOINTS_SIGMA_FACTOR
         honest = replace(edges, weight=weight / factor**2)
-        return adjust(honest, scene, prior.with_postures(scene.q, posture_sigma), self.fitter.model, iterations=0)
+        postures = prior.with_postures(scene.q, posture_sigma)
+        bundle = adjust(honest, scene, postures, self.fitter.model, iterations=0)
+        # One more direction of error, with standard deviation 1 along `common` (Sherman and Morrison's formula).
+        common = displacement(honest, scene, postures, self.fitter.model, _COMMON_PX / SIGMA_PX)
+        along = bundle.information @ common
+        information = bundle.information - np.outer(along, along) / (1.0 + common @ along)
+        return replace(bundle, information=information)
 
 
 def usual_camera(width: int, height: int, fov_deg: float = 55.0) -> Camera:

@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kinebench_drake.calibration.bundle import ArmScene, Observations, Prior, adjust
+from kinebench_drake.calibration.bundle import ArmScene, Observations, Prior, adjust, displacement
 from kinebench_drake.calibration.fit import Lens
 from kinebench_drake.calibration.hypotheses import ChainSearch
 from kinebench_drake.camera import benchmark_camera
@@ -92,6 +92,24 @@ def test_what_is_fixed_stays_and_has_no_information(model):
     assert focal.scene.lens.camera.fx == CAMERA.fx
     assert not focal.information[6].any()
     assert (np.diag(focal.information)[:6] > 0).all()
+
+
+def test_the_displacement_by_a_common_error_is_that_of_a_new_fit(model):
+    q = postures(FRAMES)
+    points = observe(project_robot(CAMERA, q, model, parts=PARTS), 0.5)
+    normals = np.random.default_rng(0).normal(size=(len(points), 2))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    contours = replace(points, whitening=np.stack([normals / 0.5, np.zeros_like(normals)], axis=1))
+    moved = replace(contours, uv_px=contours.uv_px + 0.1 * normals)
+    wide = prior(q, q_sigma=np.full(q.shape, 100.0))
+    expected = displacement(contours, truth(q), wide, model, 0.2)
+    lens = adjust(moved, truth(q), wide, model).scene.lens
+    predicted = truth(q).lens.displace(expected[:7])
+    distance, angle = pose_difference(lens.to_camera().X_BC, predicted.to_camera().X_BC)
+    turned, _ = pose_difference(lens.to_camera().X_BC, CAMERA.X_BC)
+    assert distance < 0.05 * turned
+    assert angle < 1e-4
+    assert lens.camera.fx == pytest.approx(predicted.camera.fx, rel=1e-4)
 
 
 def test_without_the_base_the_turn_about_joint_1_is_not_determined(model):
