@@ -7,25 +7,20 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.markdown import table
-from kinebench_drake.calibration.calibrate import default_focal_px, solve_with_reestimate
-from kinebench_drake.calibration.correspondences import NetworkViewEstimator, ViewEstimator
+from kinebench_drake.calibration.calibrate import Calibrator
 from kinebench_drake.calibration.fit import with_focal
-from kinebench_drake.calibration.result import CalibrationMethod, CameraCalibration, describe
+from kinebench_drake.calibration.result import CalibrationMethod, CameraCalibration
+from kinebench_drake.calibration.solve import default_focal_px
 from kinebench_drake.calibration.states import RobotStates, unknown_states
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import UnmeasurableError, UsageError, cause
-from kinebench_drake.geometry import Array, make_pose, pose_difference, rotation_exp
-from kinebench_drake.grounding.estimator import NetworkEstimator
+from kinebench_drake.geometry import pose_difference
 from kinebench_drake.grounding.evaluation.clip import TruthClipFile, choose, find_clips
 from kinebench_drake.grounding.registration.arm_model import ArmModel
-from kinebench_drake.grounding.tracker import CadTracker
 from kinebench_drake.grounding.view import Frames
 from kinebench_drake.io.reader import read_video
 from kinebench_drake.models.panda.robot import RobotPart
-from kinebench_drake.models.perception.network import load_network
 from kinebench_drake.types import Json
-
-_START_OFFSET_RAD = 0.15  # about the axis of joint 1, which MOTION cannot observe: it may not start from the truth
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,14 +46,16 @@ class CalibrationTrial:
 
     clip: str
     condition: CalibrationCondition
-    distance_m: float
+    distance_m: float = float("nan")
     """Distance of estimated and true camera [m]; NaN if the calibration failed."""
-    angle_rad: float
+    angle_rad: float = float("nan")
     """Angle between them [rad]."""
-    focal: float
+    focal: float = float("nan")
     """Estimated / true focal length - 1."""
-    calibration: CameraCalibration | None
-    """Estimate with its standard deviations."""
+    calibration: CameraCalibration | None = None
+    """Estimate with its standard deviations; None if the calibration failed."""
+    reason: str | None = None
+    """Why it failed."""
 
     def to_json(self) -> dict[str, Json]:
         """Return all figures."""
@@ -73,6 +70,7 @@ class CalibrationTrial:
             "angle_rad": self.angle_rad,
             "focal": self.focal,
             "claimed": claimed,
+            "reason": self.reason,
         }
 
 
@@ -83,7 +81,7 @@ def measure(
     frames: int,
     part: float = 1.0,
     conditions: Sequence[CalibrationCondition] = CONDITIONS,
-    estimator: ViewEstimator | None = None,
+    calibrator: Calibrator | None = None,
 ) -> Iterator[CalibrationTrial]:
     """Calibrate the cameras of a demonstration folder's videos.
 
@@ -93,7 +91,7 @@ def measure(
         frames: frames of each video to use.
         part: share of each image's width and height to keep, in the middle: less is a longer focal length.
         conditions: prior information.
-        estimator: view estimator; the tracker's networks if None.
+        calibrator: with the tracker's networks if None.
 
     Yields:
         Trials, video by video.
@@ -101,38 +99,23 @@ def measure(
     Raises:
         UsageError: the folder holds no such videos, or their truth no joint angles.
     """
-    model = ArmModel()
-    clips = choose(find_clips(folder), limit)
-    estimator = estimator or NetworkViewEstimator(CadTracker(NetworkEstimator(load_network())))
-    for clip in clips:
-        video = read_video(clip.video).frames
-        rows = np.unique(np.linspace(0, len(video) - 1, min(frames, len(video))).round().astype(int))
-        truth = _states(clip, rows, model)
-        images, camera = _crop_middle(video[rows], clip.camera, part)
+    model, calibrator = ArmModel(), calibrator or Calibrator.load()
+    for clip in choose(find_clips(folder), limit):
+        truth = _states(clip, model)
+        images, camera = _crop_middle(read_video(clip.video).frames, clip.camera, part)
         usual = with_focal(camera, default_focal_px(camera.width))
-        own = estimator.estimate(images, camera)
-        views = {False: own, True: own if np.isclose(usual.fx, camera.fx) else estimator.estimate(images, usual)}
-        off = make_pose(rotation_exp([0.0, 0.0, _START_OFFSET_RAD]), np.zeros(3)) @ camera.X_BC
         for condition in conditions:
-            states = _prior_states(truth, condition.method)
-            moving = condition.method is CalibrationMethod.MOTION
-            free = condition.focal_free
-            guess = replace(usual if free else camera, X_BC=off if moving else camera.X_BC)
             try:
-                solved = solve_with_reestimate(estimator, images, views[free], states, guess, model, focal_free=free)
-            except UnmeasurableError:
-                nan = float("nan")
-                yield CalibrationTrial(
-                    clip=clip.id, condition=condition, distance_m=nan, angle_rad=nan, focal=nan, calibration=None
-                )
+                calibration = calibrator.calibrate(
+                    images,
+                    _prior_states(truth, condition.method),
+                    usual if condition.focal_free else camera,
+                    focal_free=condition.focal_free,
+                    most=frames,
+                ).calibration
+            except UnmeasurableError as error:
+                yield CalibrationTrial(clip=clip.id, condition=condition, reason=str(error))
                 continue
-            calibration = describe(
-                solved,
-                method=condition.method,
-                source=states.source,
-                frames=rows[solved.rows],
-                focal_free=free,
-            )
             distance, angle = pose_difference(calibration.camera.X_BC, camera.X_BC)
             yield CalibrationTrial(
                 clip=clip.id,
@@ -180,10 +163,10 @@ def _pair(values: Sequence[float], digits: int) -> str:
     return f"{np.median(values):.{digits}f} / {np.quantile(values, 0.95):.{digits}f}"
 
 
-def _states(clip: TruthClipFile, rows: Array, model: ArmModel) -> RobotStates:
+def _states(clip: TruthClipFile, model: ArmModel) -> RobotStates:
     try:
         with np.load(clip.truth, allow_pickle=False) as truth:
-            q, width = truth["q"][rows], truth["finger_width_m"][rows]
+            q, width = truth["q"], truth["finger_width_m"]
     except (OSError, ValueError, KeyError, IndexError) as error:
         raise UsageError(f"{clip.truth.name}: holds no joint angles of the frames ({cause(error)})") from None
     return RobotStates(q=q, X_BH=model.poses(q)[:, RobotPart.HAND], finger_m=width / 2, source="the truth")

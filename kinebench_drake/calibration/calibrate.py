@@ -12,10 +12,9 @@ from kinebench_drake.calibration.candidate import Candidate
 from kinebench_drake.calibration.correspondences import LensView, NetworkViewEstimator, ViewEstimator
 from kinebench_drake.calibration.detections import DetectedViewEstimator
 from kinebench_drake.calibration.estimate import CameraEstimator
-from kinebench_drake.calibration.fit import Lens, with_focal
 from kinebench_drake.calibration.observability import require_determined, warnings_of
 from kinebench_drake.calibration.result import CalibrationMethod, CameraCalibration, describe, describe_estimate
-from kinebench_drake.calibration.solve import MIN_MOVING_FRAMES, LensSolution, solve_lens, solve_lens_and_postures
+from kinebench_drake.calibration.solve import LensSolution, default_focal_px, solve_with_reestimate
 from kinebench_drake.calibration.states import (
     RobotStates,
     make_posture_states,
@@ -25,7 +24,7 @@ from kinebench_drake.calibration.states import (
 )
 from kinebench_drake.camera import Camera, benchmark_camera
 from kinebench_drake.errors import UnmeasurableError, UsageError
-from kinebench_drake.geometry import Array, invert, pose_difference
+from kinebench_drake.geometry import Array
 from kinebench_drake.grounding.anomaly.camera_motion import (
     COMPENSABLE_PX,
     MOVING_PX,
@@ -41,13 +40,11 @@ from kinebench_drake.io.reader import read_video
 from kinebench_drake.io.video import Video
 from kinebench_drake.models.perception.network import load_network
 
-FOV_DEG = (35.0, 45.0, 55.0, 65.0, 75.0, 90.0)
-"""Horizontal fields of view at which the search for the focal length starts [degrees]."""
 MAX_MOVING_FRAMES = 12
 """Greatest number of frames without joint angles: each adds eight unknowns."""
-_USUAL_FOV_DEG = 60.0
+DEFAULT_FRAMES = 24
+"""Greatest number of frames used by default."""
 _CENTRE_SIGMA = 0.06  # standard deviation of an unknown principal point over the image's width
-_AGAIN_ZOOM, _AGAIN_M, _AGAIN_RAD = 0.03, 0.03, np.deg2rad(3.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -69,7 +66,7 @@ class CalibrationConfig:
     """camera.json with the intrinsics; without joint angles its pose is the initial guess."""
     focal_px: float | None = None
     """Focal length of the video [px]; None to estimate it."""
-    frames: int = 24
+    frames: int = DEFAULT_FRAMES
     """Greatest number of frames used."""
 
     def __post_init__(self) -> None:
@@ -101,12 +98,98 @@ class CalibrationOutcome:
     """Opening of each finger in that frame [m]."""
 
 
-def calibrate(config: CalibrationConfig, estimator: ViewEstimator | None = None) -> CalibrationOutcome:
+class Calibrator:
+    """Calibration of cameras from decoded videos; one instance serves any number of them."""
+
+    def __init__(self, detected: ViewEstimator, tracked: ViewEstimator, cameras: CameraEstimator | None) -> None:
+        """Set the sources of measurements.
+
+        Args:
+            detected: views of frames whose postures are known.
+            tracked: views with postures, of frames of which one posture is known.
+            cameras: fit of cameras to contours; None for cells alone, which needs a known posture.
+        """
+        self._detected, self._tracked, self._cameras, self._model = detected, tracked, cameras, ArmModel()
+
+    @staticmethod
+    def load() -> "Calibrator":
+        """Return a calibrator with the networks of the tracker.
+
+        Raises:
+            SetupError: weights, meshes or native libraries are missing.
+        """
+        dense = NetworkEstimator(load_network())
+        tracked = NetworkViewEstimator(CadTracker(dense))
+        return Calibrator(DetectedViewEstimator(dense), tracked, CameraEstimator(dense))
+
+    def calibrate(
+        self,
+        frames: Frames,
+        states: RobotStates,
+        guess: Camera,
+        *,
+        focal_free: bool,
+        centre_free: bool = False,
+        most: int = DEFAULT_FRAMES,
+    ) -> CalibrationOutcome:
+        """Calibrate the camera of frames (T, H, W, 3).
+
+        Args:
+            frames: images.
+            states: robot states in these frames.
+            guess: initial camera.
+            focal_free: True to estimate the focal length.
+            centre_free: True if the principal point is not known exactly.
+            most: greatest number of frames used.
+
+        Raises:
+            UnmeasurableError: the camera moves, or the video does not determine it.
+        """
+        method = _method(states)
+        chosen = _chosen(states, most)
+        images, postures = frames[chosen], states.take(chosen)
+        estimator = self._tracked if method is CalibrationMethod.POSTURE else self._detected
+        view = estimator.estimate(images, guess)
+        shift = _camera_shift(images, view, guess)
+        if method is CalibrationMethod.MOTION:
+            estimate = self._require_cameras().estimate(frames, None if focal_free else guess, focal_free=focal_free)
+            fitted = _of_estimate(estimate, self._model, method, states.source, focal_free=focal_free)
+        else:
+            solved = solve_with_reestimate(estimator, images, view, postures, guess, self._model, focal_free=focal_free)
+            if self._cameras is not None and method is CalibrationMethod.JOINTS:
+                centre_sigma_px = _CENTRE_SIGMA * guess.width if centre_free else 0.0
+                estimate = self._cameras.refine(
+                    images, guess, _start(solved, postures), focal_free=focal_free, centre_sigma_px=centre_sigma_px
+                )
+                estimate = replace(estimate, rows=chosen[estimate.rows])
+                fitted = _of_estimate(estimate, self._model, method, states.source, focal_free=focal_free)
+            else:
+                calibration = describe(
+                    solved, method=method, source=states.source, frames=chosen[solved.rows], focal_free=focal_free
+                )
+                fitted = calibration, solved.X_BP, solved.finger_m
+        calibration, X_BP, finger_m = fitted
+        require_determined(calibration)
+        middle = len(calibration.frames) // 2
+        return CalibrationOutcome(
+            calibration=replace(calibration, warnings=(*shift, *warnings_of(calibration))),
+            frame=frames[calibration.frames[middle]],
+            X_BP=X_BP[middle],
+            finger_m=float(finger_m[middle]),
+        )
+
+    def _require_cameras(self) -> CameraEstimator:
+        if self._cameras is None:
+            raise UnmeasurableError("a camera cannot be fitted to cells alone without a known posture")
+        return self._cameras
+
+
+def calibrate(config: CalibrationConfig, calibrator: Calibrator | None = None) -> CalibrationOutcome:
     """Calibrate the camera of a video.
 
     Args:
         config: video and prior information.
-        estimator: view estimator; the tracker's networks if None.
+        calibrator: with the tracker's networks if None.
 
     Raises:
         UsageError: an option cannot be used.
@@ -114,7 +197,6 @@ def calibrate(config: CalibrationConfig, estimator: ViewEstimator | None = None)
         UnmeasurableError: the camera moves, or the video does not determine it.
         SetupError: weights, meshes or native libraries are missing.
     """
-    model = ArmModel()
     intrinsics = None if config.camera is None else load_camera(config.camera)
     if config.joints is not None and not Path(config.joints).exists():
         parse_posture(config.joints)  # raises a usage error before minutes of work
@@ -123,96 +205,30 @@ def calibrate(config: CalibrationConfig, estimator: ViewEstimator | None = None)
         video.require_measurable()
     except UnmeasurableError as error:
         raise UnmeasurableError(f"{config.video.name}: {error}") from None
-    states = _states(config, video, model)
-    guess = _guess(config, intrinsics, video.width, video.height)
-    focal_free = config.camera is None and config.focal_px is None
-    chosen = _chosen(states, config.frames)
-    frames = video.frames[chosen]
-    states = states.take(chosen)
-    method = _method(states)
-    cameras = None
-    if estimator is None:
-        dense = NetworkEstimator(load_network())
-        anchored = method is CalibrationMethod.POSTURE
-        estimator = NetworkViewEstimator(CadTracker(dense)) if anchored else DetectedViewEstimator(dense)
-        cameras = CameraEstimator(dense, model)
-    view = estimator.estimate(frames, guess)
-    shift = _camera_shift(frames, view, guess)
-    estimate, X_BP, finger_m = None, np.zeros(0), np.zeros(0)
-    if cameras is not None and method is CalibrationMethod.MOTION:
-        estimate = cameras.estimate(video.frames, None if focal_free else guess, focal_free=focal_free)
-    else:
-        solved = solve_with_reestimate(estimator, frames, view, states, guess, model, focal_free=focal_free)
-        if cameras is not None and method is CalibrationMethod.JOINTS:
-            estimate = _fit_contours(cameras, frames, states, guess, solved, config, focal_free=focal_free)
-            estimate = replace(estimate, rows=chosen[estimate.rows])
-    if estimate is not None:
-        calibration = describe_estimate(estimate, model, method=method, source=states.source, focal_free=focal_free)
-        X_BP, finger_m = model.poses(estimate.scene.q), estimate.scene.finger_m
-    else:
-        calibration = describe(
-            solved, method=method, source=states.source, frames=chosen[solved.rows], focal_free=focal_free
-        )
-        X_BP, finger_m = solved.X_BP, solved.finger_m
-    require_determined(calibration)
-    middle = len(calibration.frames) // 2
-    return CalibrationOutcome(
-        calibration=replace(calibration, warnings=(*shift, *warnings_of(calibration))),
-        frame=video.frames[calibration.frames[middle]],
-        X_BP=X_BP[middle],
-        finger_m=float(finger_m[middle]),
+    states = _states(config, video, ArmModel())
+    return (calibrator or Calibrator.load()).calibrate(
+        video.frames,
+        states,
+        _guess(config, intrinsics, video.width, video.height),
+        focal_free=config.camera is None and config.focal_px is None,
+        centre_free=config.camera is None,
+        most=config.frames,
     )
 
 
-def _fit_contours(
-    cameras: CameraEstimator,
-    frames: Frames,
-    states: RobotStates,
-    guess: Camera,
-    solved: LensSolution,
-    config: CalibrationConfig,
-    *,
-    focal_free: bool,
-) -> CameraEstimate:
-    """Refine a camera by the contours of the robot; the principal point is free unless a camera file states it."""
+def _of_estimate(
+    estimate: CameraEstimate, model: ArmModel, method: CalibrationMethod, source: str, *, focal_free: bool
+) -> tuple[CameraCalibration, Array, Array]:
+    """Return the calibration of an estimate, with the poses of the parts and the openings in its frames."""
+    calibration = describe_estimate(estimate, model, method=method, source=source, focal_free=focal_free)
+    return calibration, model.poses(estimate.scene.q), estimate.scene.finger_m
+
+
+def _start(solved: LensSolution, states: RobotStates) -> Candidate:
+    """Return the solution from the cells as the start of the fit to contours."""
     scene = ArmScene(lens=solved.fit.lens, q=states.q[solved.rows], finger_m=solved.finger_m)
-    start = Candidate(
-        scene=scene, rows=solved.rows, cells=solved.cells, costs=np.zeros(len(solved.rows)), cost=solved.fit.cost
-    )
-    centre_sigma_px = _CENTRE_SIGMA * guess.width if config.camera is None else 0.0
-    return cameras.refine(frames, guess, start, focal_free=focal_free, centre_sigma_px=centre_sigma_px)
-
-
-def solve_with_reestimate(
-    estimator: ViewEstimator,
-    frames: Frames,
-    view: LensView,
-    states: RobotStates,
-    guess: Camera,
-    model: ArmModel,
-    *,
-    focal_free: bool,
-) -> LensSolution:
-    """Solve the lens with the views of a guess; if the solution differs much, again with views of the solution.
-
-    Args:
-        estimator: view estimator.
-        frames: (T, H, W, 3) images.
-        view: views estimated with the guess.
-        states: robot states in the frames.
-        guess: initial camera.
-        model: link poses of the arm.
-        focal_free: True to estimate the focal length.
-
-    Raises:
-        UnmeasurableError: too little of the robot is visible, or it contradicts the postures.
-    """
-    solved = solve(view, states, guess, model, focal_free=focal_free)
-    camera = solved.fit.lens.to_camera()
-    distance, angle = pose_difference(camera.X_BC, guess.X_BC)
-    if abs(np.log(camera.fx / guess.fx)) > _AGAIN_ZOOM or distance > _AGAIN_M or angle > _AGAIN_RAD:
-        return solve(estimator.estimate(frames, camera), states, camera, model, focal_free=focal_free)
-    return solved
+    costs = np.zeros(len(solved.rows))
+    return Candidate(scene=scene, rows=solved.rows, cells=solved.cells, costs=costs, cost=solved.fit.cost)
 
 
 def _states(config: CalibrationConfig, video: Video, model: ArmModel) -> RobotStates:
@@ -238,11 +254,6 @@ def _guess(config: CalibrationConfig, intrinsics: Camera | None, width: int, hei
         return intrinsics.resized(width, height)
     focal = config.focal_px or default_focal_px(width)
     return replace(benchmark_camera(), width=width, height=height, fx=focal, fy=focal, cx=width / 2, cy=height / 2)
-
-
-def default_focal_px(width: int, fov_deg: float = _USUAL_FOV_DEG) -> float:
-    """Return an initial focal length [px] of an image of this width, by its horizontal field of view [degrees]."""
-    return width / 2 / float(np.tan(np.deg2rad(fov_deg) / 2))
 
 
 def _chosen(states: RobotStates, most: int) -> NDArray[np.intp]:
@@ -288,30 +299,3 @@ def _method(states: RobotStates) -> CalibrationMethod:
     if not np.isfinite(states.q).any():
         return CalibrationMethod.POSES
     return CalibrationMethod.POSTURE if count < len(states.q) or count == 1 else CalibrationMethod.JOINTS
-
-
-def solve(view: LensView, states: RobotStates, guess: Camera, model: ArmModel, *, focal_free: bool) -> LensSolution:
-    """Solve the lens that projects the robot to where the frames show it, with all known postures.
-
-    Args:
-        view: views of the frames.
-        states: robot states in the same frames.
-        guess: initial camera.
-        model: link poses of the arm.
-        focal_free: True to estimate the focal length.
-
-    Raises:
-        UnmeasurableError: too little of the robot is visible, or it contradicts the postures.
-    """
-    rows = np.flatnonzero(states.has_hand)
-    if not len(rows):
-        return solve_lens_and_postures(
-            view, states, Lens(camera=guess, X_CB=invert(guess.X_BC)), model, focal_free=focal_free
-        )
-    focal = [default_focal_px(guess.width, fov) for fov in FOV_DEG]
-    cameras = [guess, *(with_focal(guess, fx) for fx in focal)] if focal_free else [guess]
-    anchored = len(rows) == 1 and len(states.q) >= MIN_MOVING_FRAMES
-    solved = solve_lens(view.of_frames(rows), states.take(rows), cameras, model, focal_free=focal_free and not anchored)
-    if not anchored or np.isfinite(view.q).all(axis=1).sum() < MIN_MOVING_FRAMES:
-        return replace(solved, rows=rows)
-    return solve_lens_and_postures(view, states, solved.fit.lens, model, focal_free=focal_free)

@@ -1,23 +1,34 @@
 """Solution of the lens from views of the robot and its known postures."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kinebench_drake.calibration.articulated import refine_articulated
-from kinebench_drake.calibration.correspondences import MIN_CELLS, CalibrationCorrespondences, LensView, locate_points
-from kinebench_drake.calibration.fit import CAUCHY, Lens, LensFit, find_consensus, refine
+from kinebench_drake.calibration.correspondences import (
+    MIN_CELLS,
+    CalibrationCorrespondences,
+    LensView,
+    ViewEstimator,
+    locate_points,
+)
+from kinebench_drake.calibration.fit import CAUCHY, Lens, LensFit, find_consensus, refine, with_focal
 from kinebench_drake.calibration.states import RobotStates
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import UnmeasurableError
-from kinebench_drake.geometry import Array
+from kinebench_drake.geometry import Array, pose_difference
 from kinebench_drake.grounding.registration.arm_model import ArmModel
+from kinebench_drake.grounding.view import Frames
 
+FOV_DEG = (35.0, 45.0, 55.0, 65.0, 75.0, 90.0)
+"""Horizontal fields of view at which the search for the focal length starts [degrees]."""
 MIN_MOVING_FRAMES = 4
 """Least number of frames if postures are estimated too."""
 _STARTS = 2  # initial lenses that are refined
+_USUAL_FOV_DEG = 60.0  # of a camera of which nothing is known
+_AGAIN_ZOOM, _AGAIN_M, _AGAIN_RAD = 0.03, 0.03, np.deg2rad(3.0)
 _EVERY = 3  # one of so many cells is used if postures are estimated too
 
 
@@ -35,6 +46,66 @@ class LensSolution:
     """(T,) opening of each finger [m]."""
     rows: NDArray[np.intp]
     """(T,) rows of the view that were used."""
+
+
+def solve_with_reestimate(
+    estimator: ViewEstimator,
+    frames: Frames,
+    view: LensView,
+    states: RobotStates,
+    guess: Camera,
+    model: ArmModel,
+    *,
+    focal_free: bool,
+) -> LensSolution:
+    """Solve the lens with the views of a guess; if the solution differs much, again with views of the solution.
+
+    Args:
+        estimator: view estimator.
+        frames: (T, H, W, 3) images.
+        view: views estimated with the guess.
+        states: robot states in the frames.
+        guess: initial camera.
+        model: link poses of the arm.
+        focal_free: True to estimate the focal length.
+
+    Raises:
+        UnmeasurableError: too little of the robot is visible, or it contradicts the postures.
+    """
+    solved = solve(view, states, guess, model, focal_free=focal_free)
+    camera = solved.fit.lens.to_camera()
+    distance, angle = pose_difference(camera.X_BC, guess.X_BC)
+    if abs(np.log(camera.fx / guess.fx)) > _AGAIN_ZOOM or distance > _AGAIN_M or angle > _AGAIN_RAD:
+        return solve(estimator.estimate(frames, camera), states, camera, model, focal_free=focal_free)
+    return solved
+
+
+def solve(view: LensView, states: RobotStates, guess: Camera, model: ArmModel, *, focal_free: bool) -> LensSolution:
+    """Solve the lens that projects the robot to where the frames show it, with all known postures.
+
+    Args:
+        view: views of the frames.
+        states: robot states in the same frames.
+        guess: initial camera.
+        model: link poses of the arm.
+        focal_free: True to estimate the focal length.
+
+    Raises:
+        UnmeasurableError: too little of the robot is visible, or it contradicts the postures.
+    """
+    rows = np.flatnonzero(states.has_hand)
+    focal = [default_focal_px(guess.width, fov) for fov in FOV_DEG]
+    cameras = [guess, *(with_focal(guess, fx) for fx in focal)] if focal_free else [guess]
+    anchored = len(rows) == 1 and len(states.q) >= MIN_MOVING_FRAMES
+    solved = solve_lens(view.of_frames(rows), states.take(rows), cameras, model, focal_free=focal_free and not anchored)
+    if not anchored or np.isfinite(view.q).all(axis=1).sum() < MIN_MOVING_FRAMES:
+        return replace(solved, rows=rows)
+    return solve_lens_and_postures(view, states, solved.fit.lens, model, focal_free=focal_free)
+
+
+def default_focal_px(width: int, fov_deg: float = _USUAL_FOV_DEG) -> float:
+    """Return an initial focal length [px] of an image of this width, by its horizontal field of view [degrees]."""
+    return width / 2 / float(np.tan(np.deg2rad(fov_deg) / 2))
 
 
 def solve_lens(
@@ -77,7 +148,7 @@ def solve_lens(
 def solve_lens_and_postures(
     view: LensView, states: RobotStates, start: Lens, model: ArmModel, *, focal_free: bool
 ) -> LensSolution:
-    """Solve lens and postures jointly, where postures are known in few frames or none.
+    """Solve lens and postures jointly, where postures are known in few frames.
 
     Args:
         view: view of the frames.

@@ -6,10 +6,9 @@ import pytest
 
 from kinebench_drake import cli
 from kinebench_drake.calibration import calibrate as calibration
-from kinebench_drake.calibration.calibrate import CalibrationConfig, calibrate
+from kinebench_drake.calibration.calibrate import CalibrationConfig, Calibrator, calibrate
 from kinebench_drake.calibration.fit import with_focal
 from kinebench_drake.calibration.overlay import render_part_map
-from kinebench_drake.calibration.result import CalibrationMethod
 from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.geometry import invert, pose_difference, transform_points
 from kinebench_drake.io.camerafile import load_camera
@@ -36,7 +35,9 @@ def video(tmp_path):
 
 @pytest.fixture
 def program(monkeypatch, capsys, estimator):
-    monkeypatch.setattr(calibration, "calibrate", functools.partial(calibrate, estimator=estimator))
+    monkeypatch.setattr(
+        calibration, "calibrate", functools.partial(calibrate, calibrator=Calibrator(estimator, estimator, None))
+    )
 
     def run(*arguments):
         with pytest.raises(SystemExit) as ended:
@@ -101,14 +102,21 @@ def test_a_moving_camera_is_refused(video, estimator, tmp_path):
         frame[0, 0, 0] = i
     np.save(video, frames)
     with pytest.raises(UnmeasurableError, match="the camera moves"):
-        calibrate(CalibrationConfig(video=video, joints=str(tmp_path / "joints.npz")), estimator)
+        calibrate(
+            CalibrationConfig(video=video, joints=str(tmp_path / "joints.npz")), Calibrator(estimator, estimator, None)
+        )
 
 
-def test_without_joint_angles_the_motion_alone_is_used(video, estimator):
-    assert (
-        calibrate(CalibrationConfig(video=video, focal_px=400.0), estimator).calibration.method
-        is CalibrationMethod.MOTION
-    )
+@pytest.mark.parametrize("focal_px", [None, 400.0])
+def test_without_joint_angles_the_camera_is_estimated_from_the_arm(video, estimator, focal_px):
+    class Cameras:
+        def estimate(self, frames, camera, *, focal_free):
+            assert len(frames) == T
+            assert focal_free is (camera is None) is (focal_px is None)
+            raise UnmeasurableError("as the arm has it")
+
+    with pytest.raises(UnmeasurableError, match="as the arm has it"):
+        calibrate(CalibrationConfig(video=video, focal_px=focal_px), Calibrator(estimator, estimator, Cameras()))
 
 
 def test_the_drawn_robot_is_where_the_camera_has_it(camera, model):
