@@ -54,8 +54,8 @@ _FINE = ((8.0, 0.3), (5.0, 0.1), (4.0, 0.0), (3.0, 0.0), (3.0, 0.0), (2.0, 0.0),
 _ROUNDS = ((4, COARSE, 8), (6, MIDDLE, 5))
 """Successive comparisons of candidates: frames, passes, candidates kept."""
 _CLEARLY = 3.0  # of the tolerances within which cameras are the same: beyond, they contradict each other
-_PART_INDEPENDENT = 6.0  # independent measurements of the contours of a part, whose errors correlate
-_SIGMA_FACTOR, _JOINTS_SIGMA_FACTOR = 1.2, 1.5  # errors over those of independent contours; at known joint angles
+_PART_INDEPENDENT = 12.0  # independent measurements of the contours of a part, whose errors correlate
+_SIGMA_FACTOR, _JOINTS_SIGMA_FACTOR = 1.2, 2.1  # errors over those of independent contours; at known joint angles
 _COMMON_PX = 0.3  # common error of all contours along their normals: blur and compression; twice that of own renders
 _LEAST_SHARE = 0.75  # of the agreement of the better frames, below which a frame is left out
 _BETTER = 75  # percentile of these
