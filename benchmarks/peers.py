@@ -286,7 +286,12 @@ FRANKIK_FIXED_Q7 = "frankik, fixed joint 7, no sweep"
 """Not ranked, as it has no solution where joint 7 has to move: to be compared with ours with fixed joint 7."""
 
 PEERS = (
-    Peer(name=OURS, how="`kinematics.continuation.continue_path`, a track at a time, verified to 1e-6 m and 1e-6 rad", package=None, make=_ours),
+    Peer(
+        name=OURS,
+        how="`kinematics.continuation.continue_path`, a track at a time, verified to 1e-6 m and 1e-6 rad",
+        package=None,
+        make=_ours,
+    ),
     Peer(
         name=FIXED_Q7,
         how="closed form, `kinematics.analytic.analytic_ik`, a track at a time, joint 7 as at the start, no sweep",
