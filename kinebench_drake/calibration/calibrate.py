@@ -153,6 +153,11 @@ class Calibrator:
         shift = _camera_shift(images, view, guess)
         if method is CalibrationMethod.MOTION:
             estimate = self._require_cameras().estimate(frames, None if focal_free else guess, focal_free=focal_free)
+            if estimate.doubt is not None:
+                raise UnmeasurableError(
+                    f"base_from_camera is not determined without joint angles: {estimate.doubt}; give --joints FILE, "
+                    "or the posture of one frame (--joints q1,...,q7)"
+                )
             fitted = _of_estimate(estimate, self._model, method, states.source, focal_free=focal_free)
         else:
             solved = solve_with_reestimate(estimator, images, view, postures, guess, self._model, focal_free=focal_free)
@@ -169,7 +174,8 @@ class Calibrator:
                 )
                 fitted = calibration, solved.X_BP, solved.finger_m
         calibration, X_BP, finger_m = fitted
-        require_determined(calibration)
+        if method is not CalibrationMethod.MOTION:
+            require_determined(calibration)
         middle = len(calibration.frames) // 2
         return CalibrationOutcome(
             calibration=replace(calibration, warnings=(*shift, *warnings_of(calibration))),

@@ -12,6 +12,14 @@ from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.models.panda.robot import HAND_TO_TCP_M, RobotPart
 from kinebench_drake.types import Json
 
+AGREEMENT, BASE_AGREEMENT = 0.64, 0.4
+"""Least shares of the contours of hand and arm, and of the base link, on image edges at which a camera counts as found:
+no wrong camera of our own renders reaches both."""
+LEAD, BASE_LEAD = 0.08, 0.08
+"""Least differences between the mean of both and that with another camera, and between the share of the base link and
+that with the base turned elsewhere about joint 1."""
+GRIPPER_SIGMA_M, GRIPPER_SIGMA_RAD = 0.05, float(np.deg2rad(6.0))
+"""Greatest errors of the gripper in the base frame, due to its camera, with which it is judged [m, rad]."""
 _MOVE, _TURN = slice(0, 3), slice(3, 6)
 
 
@@ -64,6 +72,38 @@ class CameraEstimate:
             "gripper_sigma_rad": self.gripper_sigma_rad,
             "frames": self.rows.tolist(),
         }
+
+    @property
+    def doubt(self) -> str | None:
+        """Why the camera gives no base frame; None if it does."""
+        if self.agreement < AGREEMENT:
+            return (
+                f"no estimated camera agrees with the arm (best: {self.agreement:.0%} of its contours on image edges, "
+                f"at least {AGREEMENT:.0%} are needed)"
+            )
+        if self.base_agreement < BASE_AGREEMENT:
+            return (
+                "how the base is turned about joint 1 cannot be seen (best: "
+                f"{self.base_agreement:.0%} of the contours of the base link on image edges, at least "
+                f"{BASE_AGREEMENT:.0%} are needed)"
+            )
+        if self.base_agreement < self.base_runner_up + BASE_LEAD:
+            return (
+                f"two turns of the base about joint 1 explain its contours ({self.base_agreement:.0%} and "
+                f"{self.base_runner_up:.0%} on image edges)"
+            )
+        if self.support < self.runner_up + LEAD:
+            return (
+                f"two different cameras explain arm and base ({self.support:.0%} and {self.runner_up:.0%} of their "
+                "contours on image edges)"
+            )
+        if self.gripper_sigma_m > GRIPPER_SIGMA_M or self.gripper_sigma_rad > GRIPPER_SIGMA_RAD:
+            return (
+                "with the estimated camera the gripper's place in it is uncertain by "
+                f"{1e3 * self.gripper_sigma_m:.0f} mm and {np.rad2deg(self.gripper_sigma_rad):.1f} degrees (one "
+                f"sigma, at most {1e3 * GRIPPER_SIGMA_M:.0f} and {np.rad2deg(GRIPPER_SIGMA_RAD):.0f})"
+            )
+        return None
 
     @property
     def support(self) -> float:

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from kinebench_drake.calibration.bundle import ArmScene
+from kinebench_drake.calibration.camera_estimate import GRIPPER_SIGMA_M, GRIPPER_SIGMA_RAD
 from kinebench_drake.calibration.candidate import (
     COARSE,
     LEAST_EXPLAINED,
@@ -47,6 +48,11 @@ class CameraContradiction:
     """Distance between the TCPs that the two give in the base frame, median over the frames [m]."""
     gripper_rad: float
     """Angle between them [rad]."""
+
+    @property
+    def is_large(self) -> bool:
+        """True if no verdict bears it: the two put the gripper farther apart than an estimated camera may be wrong."""
+        return self.gripper_m > GRIPPER_SIGMA_M or self.gripper_rad > GRIPPER_SIGMA_RAD
 
     def to_json(self) -> dict[str, Json]:
         """Serialize into `camera_contradiction` of samples.jsonl."""

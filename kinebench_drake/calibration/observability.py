@@ -23,7 +23,7 @@ _MIN_INLIERS = 0.5
 
 
 def require_determined(calibration: CameraCalibration) -> None:
-    """Check that the camera is determined and consistent with the postures.
+    """Check that the camera is determined and consistent with the known postures.
 
     Raises:
         UnmeasurableError: the postures contradict the images, or the camera is not determined; the message names the
@@ -54,13 +54,6 @@ def require_determined(calibration: CameraCalibration) -> None:
             f"{1e3 * calibration.position_sigma_m:.0f} mm and {np.rad2deg(calibration.rotation_sigma_rad):.1f} degrees "
             f"standard deviation, at most {1e3 * POSITION_LIMIT_M:.0f} mm and {np.rad2deg(ROTATION_LIMIT_RAD):.0f}"
         )
-        if calibration.method is CalibrationMethod.MOTION:
-            raise UnmeasurableError(
-                f"base_from_camera is not determined without joint angles ({sigmas}): turned about the axis of joint 1 "
-                f"the camera would see the same arm, and the base link's {calibration.part_cells['base']} cells do not "
-                f"tell that turn well enough; what is determined: {_without_turn(calibration)}; give --joints FILE, or "
-                "the posture of one frame (--joints q1,...,q7)"
-            )
         raise UnmeasurableError(f"base_from_camera is not determined ({sigmas}): {_why(calibration)}")
 
 
@@ -87,15 +80,6 @@ def warnings_of(calibration: CameraCalibration) -> tuple[str, ...]:
             "that all frames have in common are not averaged out"
         )
     return tuple(warnings)
-
-
-def _without_turn(calibration: CameraCalibration) -> str:
-    """Describe the quantities that a rotation of the camera about the axis of joint 1 does not change."""
-    camera = calibration.camera
-    x, y, z = camera.X_BC[:3, 3]
-    down = np.rad2deg(np.arcsin(np.clip(-camera.X_BC[2, 2], -1.0, 1.0)))
-    focal = f", focal length {camera.fx:.0f} px" if calibration.focal_free else ""
-    return f"{1e3 * np.hypot(x, y):.0f} mm from that axis, height {1e3 * z:.0f} mm, {down:.0f} degrees down{focal}"
 
 
 def _why(calibration: CameraCalibration) -> str:

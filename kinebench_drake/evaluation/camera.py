@@ -28,17 +28,9 @@ AGREEMENT = 0.45
 CONFIRMED = 0.6
 """Share from which on no camera is searched that explains the arm better than that of the input. On eight unseen
 demonstrations right cameras have 0.69 or more, cameras with 0.7 or 1.4 times the focal length 0.51 or less."""
-ESTIMATE_AGREEMENT, BASE_AGREEMENT = 0.64, 0.4
-"""Likewise of arm and base link with an estimated camera, which was fitted to them: no wrong camera of our own renders
-reaches both."""
-LEAD, BASE_LEAD = 0.08, 0.08
-"""Least differences between the mean of both and that with another camera, and between the share of the base link and
-that with the base turned elsewhere about joint 1."""
 _INPUT_SOURCES = (CameraSource.GIVEN, CameraSource.MANIFEST, CameraSource.FOLDER, CameraSource.OPTION)
 _USUAL_WIDTH_M = 0.04  # gap between the pads where none is measured
 _CHECKED = 5  # frames whose postures check a camera of the input
-GRIPPER_SIGMA_M, GRIPPER_SIGMA_RAD = 0.05, float(np.deg2rad(6.0))
-"""Greatest standard deviation of the gripper in the base frame, due to an estimated camera, with which it is judged."""
 
 
 class CameraJudge(Protocol):
@@ -150,8 +142,7 @@ def choose_camera(
         assumed = replace(sample, camera=usual, camera_source=CameraSource.ESTIMATED)
         return CameraChoice(sample=assumed, agreement=agreement, reason=reason)
     chosen = replace(sample, camera=estimate.camera, camera_source=CameraSource.ESTIMATED)
-    doubt = find_doubt(estimate)
-    unknown = None if doubt is None else f"the base frame is unknown: {against}, and {doubt}"
+    unknown = None if estimate.doubt is None else f"the base frame is unknown: {against}, and {estimate.doubt}"
     return CameraChoice(sample=chosen, agreement=agreement, estimate=estimate, reason=unknown)
 
 
@@ -188,7 +179,7 @@ def check_camera(
         return choice
     other = judge.camera_contradiction(frames, camera)
     reason = None
-    if other is not None and (other.gripper_m > GRIPPER_SIGMA_M or other.gripper_rad > GRIPPER_SIGMA_RAD):
+    if other is not None and other.is_large:
         reason = f"the base frame is unknown: {describe_contradiction(other)}"
     elif other is None and len(q):
         reason = _explain_disagreement(agreement, arm_is_seen=grounding.arm_consistency_px is not None)
@@ -234,38 +225,6 @@ def _usual_camera(frames: NDArray[np.uint8]) -> Camera:
     from kinebench_drake.calibration.estimate import usual_camera
 
     return usual_camera(frames.shape[2], frames.shape[1])
-
-
-def find_doubt(estimate: "CameraEstimate") -> str | None:
-    """Return why an estimated camera gives no base frame; None if it does."""
-    if estimate.agreement < ESTIMATE_AGREEMENT:
-        return (
-            f"no estimated camera agrees with the arm (best: {estimate.agreement:.0%} of its contours on image edges, "
-            f"at least {ESTIMATE_AGREEMENT:.0%} are needed)"
-        )
-    if estimate.base_agreement < BASE_AGREEMENT:
-        return (
-            "how the base is turned about joint 1 cannot be seen (best: "
-            f"{estimate.base_agreement:.0%} of the contours of the base link on image edges, at least "
-            f"{BASE_AGREEMENT:.0%} are needed)"
-        )
-    if estimate.base_agreement < estimate.base_runner_up + BASE_LEAD:
-        return (
-            f"two turns of the base about joint 1 explain its contours ({estimate.base_agreement:.0%} and "
-            f"{estimate.base_runner_up:.0%} on image edges)"
-        )
-    if estimate.support < estimate.runner_up + LEAD:
-        return (
-            f"two different cameras explain arm and base ({estimate.support:.0%} and {estimate.runner_up:.0%} of their "
-            "contours on image edges)"
-        )
-    if estimate.gripper_sigma_m > GRIPPER_SIGMA_M or estimate.gripper_sigma_rad > GRIPPER_SIGMA_RAD:
-        return (
-            "with the estimated camera the gripper's place in it is uncertain by "
-            f"{1e3 * estimate.gripper_sigma_m:.0f} mm and {np.rad2deg(estimate.gripper_sigma_rad):.1f} degrees (one "
-            f"sigma, at most {1e3 * GRIPPER_SIGMA_M:.0f} and {np.rad2deg(GRIPPER_SIGMA_RAD):.0f})"
-        )
-    return None
 
 
 def camera_warnings(rows: Sequence[SampleRow]) -> list[str]:
