@@ -12,7 +12,7 @@ from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.models.panda.robot import HAND_TO_TCP_M, RobotPart
 from kinebench_drake.types import Json
 
-AGREEMENT, BASE_AGREEMENT = 0.64, 0.4
+ARM_AGREEMENT, BASE_AGREEMENT = 0.64, 0.4
 """Least shares of the contours of hand and arm, and of the base link, on image edges at which a camera counts as found:
 no wrong camera of our own renders reaches both."""
 LEAD, BASE_LEAD = 0.08, 0.08
@@ -76,10 +76,10 @@ class CameraEstimate:
     @property
     def doubt(self) -> str | None:
         """Why the camera gives no base frame; None if it does."""
-        if self.agreement < AGREEMENT:
+        if self.agreement < ARM_AGREEMENT:
             return (
                 f"no estimated camera agrees with the arm (best: {self.agreement:.0%} of its contours on image edges, "
-                f"at least {AGREEMENT:.0%} are needed)"
+                f"at least {ARM_AGREEMENT:.0%} are needed)"
             )
         if self.base_agreement < BASE_AGREEMENT:
             return (

@@ -4,8 +4,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from kinebench_drake.calibration.camera_estimate import AGREEMENT as LEAST_ESTIMATED
-from kinebench_drake.calibration.camera_estimate import BASE_AGREEMENT, GRIPPER_SIGMA_M, CameraEstimate
+from kinebench_drake.calibration.camera_estimate import (
+    ARM_AGREEMENT,
+    BASE_AGREEMENT,
+    GRIPPER_SIGMA_M,
+    CameraEstimate,
+)
 from kinebench_drake.calibration.contradiction import CameraContradiction
 from kinebench_drake.calibration.estimate import usual_camera
 from kinebench_drake.camera import benchmark_camera
@@ -69,7 +73,7 @@ def estimate(**changes):
         "covariance": 1e-6 * np.eye(9),
         "gripper_sigma_m": 0.01,
         "gripper_sigma_rad": 0.01,
-        "agreement": LEAST_ESTIMATED + 0.1,
+        "agreement": ARM_AGREEMENT + 0.1,
         "runner_up": 0.0,
         "base_agreement": BASE_AGREEMENT + 0.1,
         "base_runner_up": 0.0,
@@ -105,7 +109,7 @@ def test_a_camera_is_estimated_where_shape_or_arm_contradict_the_benchmarks(tmp_
     ("best", "words"),
     [
         (None, "nothing is seen"),
-        (estimate(agreement=LEAST_ESTIMATED - 0.01), "no estimated camera agrees"),
+        (estimate(agreement=ARM_AGREEMENT - 0.01), "no estimated camera agrees"),
         (estimate(runner_up=0.9), "two different cameras"),
         (estimate(base_agreement=BASE_AGREEMENT - 0.01), "cannot be seen"),
         (estimate(base_runner_up=BASE_AGREEMENT + 0.09), "two turns"),
