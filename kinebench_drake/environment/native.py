@@ -12,7 +12,6 @@ import sys
 import warnings
 from functools import cache
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 from kinebench_drake.errors import SetupError
@@ -24,7 +23,6 @@ RENDER_VARIABLE = "KINEBENCH_DRAKE_RENDER"
 """Environment variable; `cpu` selects the software driver although an NVIDIA driver is installed."""
 
 _DRIVER_FOLDERS = (Path("/usr/share/vulkan/icd.d"), Path("/etc/vulkan/icd.d"))
-_OPEN3D_PLOTS = "open3d.visualization.draw_plotly"
 _NVIDIA_CONTROL = Path("/dev/nvidiactl")
 _DRIVER_VARIABLES = ("VK_DRIVER_FILES", "VK_ICD_FILENAMES")
 
@@ -70,16 +68,12 @@ def load_open3d() -> Any:
     """Import Open3D, also on a system without libusb, libGL or libEGL, with one thread.
 
     Its thread pool (TBB) adds in an order that depends on timing. It has as many threads as the process may use cores
-    when it is loaded; with one, sums are reproducible to the bit. Its plots for notebooks, which import a web framework
-    (40 MB), are left out.
+    when it is loaded; with one, sums are reproducible to the bit.
 
     Raises:
         SetupError: an unpacked library cannot be loaded.
     """
     _preload("open3d")
-    plots = ModuleType(_OPEN3D_PLOTS)
-    vars(plots)["__getattr__"] = lambda name: None  # PEP 562: whatever is imported from it
-    sys.modules.setdefault(_OPEN3D_PLOTS, plots)
     cores = os.sched_getaffinity(0)
     os.sched_setaffinity(0, {min(cores)})
     try:
