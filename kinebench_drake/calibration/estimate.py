@@ -30,7 +30,7 @@ from kinebench_drake.calibration.candidate import (
 )
 from kinebench_drake.calibration.contours import ContourImages
 from kinebench_drake.calibration.detections import ArmDetections, find_robot
-from kinebench_drake.calibration.fit import Lens
+from kinebench_drake.calibration.fit import Lens, focal_px
 from kinebench_drake.calibration.hypotheses import ChainSearch, Hypothesis
 from kinebench_drake.calibration.turn import find_turn, is_same_arm, turned
 from kinebench_drake.camera import Camera, benchmark_camera
@@ -126,7 +126,8 @@ class CameraEstimator:
             lens=Lens(camera=camera, X_CB=np.eye(4)), log_focal_sigma=LOG_FOCAL_SIGMA if focal_free else 0.0
         )
         search = ChainSearch(detections.cells, detections.finger_m, self.fitter.model)
-        focals = [focal_px(camera, fov) for fov in FOV_DEG] if focal_free else [camera.fx]
+        side = max(camera.width, camera.height)
+        focals = [focal_px(side, fov) for fov in FOV_DEG] if focal_free else [camera.fx]
         hypotheses = search.run(camera, focals)
         candidates = self._candidates(detections, hypotheses, prior)
         if not candidates:
@@ -290,13 +291,8 @@ class CameraEstimator:
 
 def usual_camera(width: int, height: int, fov_deg: float = 55.0) -> Camera:
     """Return a centred camera of unknown place with a usual field of view along the longer side [degrees]."""
-    focal = max(width, height) / 2 / float(np.tan(np.deg2rad(fov_deg) / 2))
+    focal = focal_px(max(width, height), fov_deg)
     return replace(benchmark_camera(), width=width, height=height, fx=focal, fy=focal, cx=width / 2, cy=height / 2)
-
-
-def focal_px(camera: Camera, fov_deg: float) -> float:
-    """Return the focal length [px] of a field of view along the longer side [degrees]."""
-    return max(camera.width, camera.height) / 2 / float(np.tan(np.deg2rad(fov_deg) / 2))
 
 
 def _distinct(ranked: Sequence[tuple[Lens, _Ranked]], factor: float = 1.0) -> list[_Ranked]:

@@ -215,6 +215,11 @@ def _summarise(cells: CalibrationCorrespondences, p_B: Array, lens: Lens, free: 
     return LensFit(lens=lens, cost=cost, residual_px=residual_px, sigma_px=sigma[:, 0], information=information)
 
 
+def focal_px(side_px: int, fov_deg: float) -> float:
+    """Return the focal length [px] with which a field of view [degrees] fills a side of an image."""
+    return side_px / 2 / float(np.tan(np.deg2rad(fov_deg) / 2))
+
+
 def with_focal(camera: Camera, fx: float) -> Camera:
     """Return the camera with another focal length along x [px] and the same pixel aspect ratio."""
     return replace(camera, fx=fx, fy=camera.fy * fx / camera.fx)

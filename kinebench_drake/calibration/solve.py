@@ -14,7 +14,7 @@ from kinebench_drake.calibration.correspondences import (
     ViewEstimator,
     locate_points,
 )
-from kinebench_drake.calibration.fit import CAUCHY, Lens, LensFit, find_consensus, refine, with_focal
+from kinebench_drake.calibration.fit import CAUCHY, Lens, LensFit, find_consensus, focal_px, refine, with_focal
 from kinebench_drake.calibration.states import RobotStates
 from kinebench_drake.camera import Camera
 from kinebench_drake.errors import UnmeasurableError
@@ -94,7 +94,7 @@ def solve(view: LensView, states: RobotStates, guess: Camera, model: ArmModel, *
         UnmeasurableError: too little of the robot is visible, or it contradicts the postures.
     """
     rows = np.flatnonzero(states.has_hand)
-    focal = [default_focal_px(guess.width, fov) for fov in FOV_DEG]
+    focal = [focal_px(guess.width, fov) for fov in FOV_DEG]
     cameras = [guess, *(with_focal(guess, fx) for fx in focal)] if focal_free else [guess]
     anchored = len(rows) == 1 and len(states.q) >= MIN_MOVING_FRAMES
     solved = solve_lens(view.of_frames(rows), states.take(rows), cameras, model, focal_free=focal_free and not anchored)
@@ -103,9 +103,9 @@ def solve(view: LensView, states: RobotStates, guess: Camera, model: ArmModel, *
     return solve_lens_and_postures(view, states, solved.fit.lens, model, focal_free=focal_free)
 
 
-def default_focal_px(width: int, fov_deg: float = _USUAL_FOV_DEG) -> float:
-    """Return an initial focal length [px] of an image of this width, by its horizontal field of view [degrees]."""
-    return width / 2 / float(np.tan(np.deg2rad(fov_deg) / 2))
+def default_focal_px(width: int) -> float:
+    """Return an initial focal length [px] of an image of this width."""
+    return focal_px(width, _USUAL_FOV_DEG)
 
 
 def solve_lens(
