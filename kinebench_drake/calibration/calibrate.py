@@ -101,13 +101,13 @@ class CalibrationOutcome:
 class Calibrator:
     """Calibration of cameras from decoded videos; one instance serves any number of them."""
 
-    def __init__(self, detected: ViewEstimator, tracked: ViewEstimator, cameras: CameraEstimator | None) -> None:
+    def __init__(self, detected: ViewEstimator, tracked: ViewEstimator, cameras: CameraEstimator) -> None:
         """Set the sources of measurements.
 
         Args:
             detected: views of frames whose postures are known.
             tracked: views with postures, of frames of which one posture is known.
-            cameras: fit of cameras to contours; None for cells alone, which needs a known posture.
+            cameras: fit of cameras to contours.
         """
         self._detected, self._tracked, self._cameras, self._model = detected, tracked, cameras, ArmModel()
 
@@ -152,7 +152,7 @@ class Calibrator:
         view = estimator.estimate(images, guess)
         shift = _camera_shift(images, view, guess)
         if method is CalibrationMethod.MOTION:
-            estimate = self._require_cameras().estimate(frames, None if focal_free else guess, focal_free=focal_free)
+            estimate = self._cameras.estimate(frames, None if focal_free else guess, focal_free=focal_free)
             if estimate.doubt is not None:
                 raise UnmeasurableError(
                     f"base_from_camera is not determined without joint angles: {estimate.doubt}; give --joints FILE, "
@@ -161,7 +161,7 @@ class Calibrator:
             fitted = _of_estimate(estimate, self._model, method, states.source, focal_free=focal_free)
         else:
             solved = solve_with_reestimate(estimator, images, view, postures, guess, self._model, focal_free=focal_free)
-            if self._cameras is not None and method is CalibrationMethod.JOINTS:
+            if method is CalibrationMethod.JOINTS:
                 centre_sigma_px = _CENTRE_SIGMA * guess.width if centre_free else 0.0
                 estimate = self._cameras.refine(
                     images, guess, _start(solved, postures), focal_free=focal_free, centre_sigma_px=centre_sigma_px
@@ -183,11 +183,6 @@ class Calibrator:
             X_BP=X_BP[middle],
             finger_m=float(finger_m[middle]),
         )
-
-    def _require_cameras(self) -> CameraEstimator:
-        if self._cameras is None:
-            raise UnmeasurableError("a camera cannot be fitted to cells alone without a known posture")
-        return self._cameras
 
 
 def calibrate(config: CalibrationConfig, calibrator: Calibrator | None = None) -> CalibrationOutcome:

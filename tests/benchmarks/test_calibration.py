@@ -12,7 +12,7 @@ from kinebench_drake.geometry import invert
 from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.io.camerafile import save_camera
 from kinebench_drake.models.panda.robot import RobotPart
-from tests.calibration.robot import PerfectEstimator, postures
+from tests.calibration.robot import CellsAlone, PerfectEstimator, postures
 
 T = 5
 
@@ -23,7 +23,7 @@ def estimator():
 
 
 def cells_alone(estimator):
-    return Calibrator(estimator, estimator, None)
+    return Calibrator(estimator, estimator, CellsAlone())
 
 
 @pytest.fixture

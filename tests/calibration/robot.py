@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from kinebench_drake.calibration.camera_estimate import CameraEstimate
 from kinebench_drake.calibration.correspondences import CalibrationCorrespondences, LensView, locate_points
 from kinebench_drake.camera import Camera
 from kinebench_drake.geometry import Array, invert, transform_points
@@ -77,4 +78,25 @@ class PerfectEstimator:
             finger_m=np.full(T, 0.01),
             q=self.q[frames[:, 0, 0, 0]],
             robot=np.zeros(frames.shape[1:3], dtype=bool),
+        )
+
+
+class CellsAlone:
+    """Takes the camera that was fitted to cells as the one that fits the contours."""
+
+    def refine(self, frames, camera, start, *, focal_free, centre_sigma_px):
+        return CameraEstimate(
+            camera=start.scene.lens.to_camera(),
+            covariance=1e-8 * np.eye(9),
+            gripper_sigma_m=1e-4,
+            gripper_sigma_rad=1e-4,
+            agreement=1.0,
+            base_agreement=1.0,
+            base_runner_up=0.0,
+            runner_up=0.0,
+            residual_px=0.0,
+            rows=start.rows,
+            scene=start.scene,
+            contour_part=np.array(VISIBLE, np.uint8),
+            contour_error_px=np.zeros(len(VISIBLE)),
         )

@@ -14,7 +14,7 @@ from kinebench_drake.errors import UnmeasurableError
 from kinebench_drake.geometry import invert, pose_difference, transform_points
 from kinebench_drake.io.camerafile import load_camera
 from kinebench_drake.models.panda.robot import RobotPart
-from tests.calibration.robot import PerfectEstimator, postures
+from tests.calibration.robot import CellsAlone, PerfectEstimator, postures
 
 T = 6
 
@@ -37,7 +37,9 @@ def video(tmp_path):
 @pytest.fixture
 def program(monkeypatch, capsys, estimator):
     monkeypatch.setattr(
-        calibration, "calibrate", functools.partial(calibrate, calibrator=Calibrator(estimator, estimator, None))
+        calibration,
+        "calibrate",
+        functools.partial(calibrate, calibrator=Calibrator(estimator, estimator, CellsAlone())),
     )
 
     def run(*arguments):
@@ -104,7 +106,8 @@ def test_a_moving_camera_is_refused(video, estimator, tmp_path):
     np.save(video, frames)
     with pytest.raises(UnmeasurableError, match="the camera moves"):
         calibrate(
-            CalibrationConfig(video=video, joints=str(tmp_path / "joints.npz")), Calibrator(estimator, estimator, None)
+            CalibrationConfig(video=video, joints=str(tmp_path / "joints.npz")),
+            Calibrator(estimator, estimator, CellsAlone()),
         )
 
 
