@@ -12,6 +12,8 @@ from benchmarks.markdown import table
 from benchmarks.process import run_program
 from kinebench_drake.io.jsonl import read_json
 
+HELDOUT = ("suite", "demos", "--suite", "2", "--split", "unseen", "--episodes", "1", "--with-depth")
+"""Arguments of the program for the renderings; `--out` is to be added."""
 _TITLES = {
     ReferenceKind.SIMULATOR.value: "other simulator, cameras from anywhere; exact poses",
     ReferenceKind.EDGES.value: "stock tasks of ManiSkill at their own cameras; poses fitted to edges",
@@ -25,7 +27,7 @@ _INTRODUCTION = (
 )
 _COMMANDS = (
     "",
-    "    kinebench-drake suite demos --suite 2 --split unseen --episodes 1 --with-depth --out heldout",
+    f"    kinebench-drake {' '.join(HELDOUT)} --out heldout",
     "    python -m benchmarks accuracy --heldout heldout --others FOLDER --work accuracy",
 )
 _HEAD = (

@@ -28,6 +28,10 @@ template_option = click.option(
     "--template", type=EXISTING_FOLDER, help="Output folder of `score` whose rows are returned.  [default: made first]"
 )
 
+others_option = click.option(
+    "--others", type=EXISTING_FOLDER, multiple=True, help="Videos of others, as `footage` takes them; repeatable."
+)
+
 
 def _record(name: str, results: Path, figures: Mapping[str, float], section: str) -> None:
     """Print a section, write the result, and print what became worse since the result before."""
@@ -193,39 +197,48 @@ def simulation(results: Path, tasks: str | None) -> None:
     "  python -m benchmarks accuracy --heldout heldout --others robosuite --others clips --work accuracy"
 )
 @results_option
-@click.option("--heldout", type=EXISTING_FOLDER, required=True, help="Output folder of `suite demos`.")
-@click.option(
-    "--others", type=EXISTING_FOLDER, multiple=True, help="Videos of others, as `footage` takes them; repeatable."
-)
+@click.option("--heldout", type=EXISTING_FOLDER, help="Output folder of `suite demos`.  [default: made in --work]")
+@others_option
 @click.option("--work", type=FOLDER, required=True, help="Results; an earlier run is resumed.")
-def accuracy(results: Path, heldout: Path, others: tuple[Path, ...], work: Path) -> None:
+def accuracy(results: Path, heldout: Path | None, others: tuple[Path, ...], work: Path) -> None:
     """Measure the errors of poses on held-out renderings and on videos of other programs and cameras."""
     one_thread()
-    from benchmarks.accuracy import figures, measure, section
+    from benchmarks.accuracy import HELDOUT, figures, measure, section
+    from benchmarks.process import run_program
 
     with errors():
         work.mkdir(parents=True, exist_ok=True)
+        if heldout is None:
+            heldout = work / "heldout"
+            run_program([*HELDOUT, "--out", str(heldout)])
         measured = measure(heldout, others, work, log)
     _record("accuracy", results, figures(*measured), section(*measured))
 
 
 @click.command(
-    epilog="\b\nExamples:\n  python -m benchmarks figures\n  python -m benchmarks figures --measure",
+    epilog="\b\nExamples:\n"
+    "  python -m benchmarks figures\n"
+    "  python -m benchmarks figures --measure accuracy --others robosuite --others clips",
 )
 @results_option
-@click.option("--measure", is_flag=True, help="Measure first what was measured with other sources; hours.")
-def figures(results: Path, measure: bool) -> None:
+@click.option(
+    "--measure", type=FOLDER, metavar="WORK",
+    help="Measure first what was measured with other sources; hours. WORK keeps the poses of `accuracy`.",
+)  # fmt: skip
+@others_option
+def figures(results: Path, measure: Path | None, others: tuple[Path, ...]) -> None:
     """Write the tables of the pages from the result files.
 
     With --measure benchmarks run one after the other. Their results are kept: after an interruption the same command
     goes on with the next one.
     """
+    arguments = {"accuracy": ["--work", str(measure), *(part for path in others for part in ("--others", str(path)))]}
     with errors():
         for name in PAGES if measure else ():
             record = BenchmarkRecord.read(name, results)
             if record is None or record.sources_sha256 != sources_hash():
                 command = [sys.executable, "-m", "benchmarks", name, "--results", str(results)]
-                if subprocess.run(command).returncode:
+                if subprocess.run([*command, *arguments.get(name, [])]).returncode:
                     log(f"{name} failed")
         for line in write_pages(results):
             click.echo(line)

@@ -60,10 +60,9 @@ def resume(
             f"{len(unlisted)} earlier results are dropped: they are not among the {len(samples)} {noun} "
             f"named now (such as {unlisted[0]!r})"
         )
-    if waiting or unlisted:
+    if unlisted or any(s.id not in current for s in waiting):
         store.begin(metadata.to_json())
-    kept = current - {s.id for s in waiting}
-    store.keep_rows(lambda row: row.id in kept)
+    store.keep_rows(lambda row: row.id in current)
     return waiting
 
 

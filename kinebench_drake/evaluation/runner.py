@@ -22,10 +22,10 @@ from kinebench_drake.io.jsonl import as_object
 from kinebench_drake.report.sample import worst_samples
 from kinebench_drake.results.aggregate import Estimate, RunStatistics, estimate, normalize_run
 from kinebench_drake.results.inputs import list_inputs
-from kinebench_drake.results.metadata import RunMetadata
+from kinebench_drake.results.metadata import RunMetadata, read_metadata
 from kinebench_drake.results.provenance import code_hash, host, versions, weights_hash
 from kinebench_drake.results.row import SampleRow, Status
-from kinebench_drake.results.store import REPORT, RUN, ResultStore, artifact_path
+from kinebench_drake.results.store import REPORT, RESULTS, RUN, ResultStore, artifact_path
 from kinebench_drake.types import Json
 
 
@@ -92,11 +92,15 @@ def run_samples(
                         row, wall_s = evaluator.failed_row(outcome.item, Status.ERROR, outcome.reason), 0.0
                     else:
                         row, wall_s = outcome.result
-                    store.append(row, wall_s)
+                    if not store.holds(row):  # an error may have remained
+                        store.begin(metadata.to_json())
+                        store.append(row, wall_s)
                     observer.finish(row, wall_s)
                     done += 1
             if interrupted.is_set() and done < len(waiting):
                 raise KeyboardInterrupt
+            if _is_complete(config, metadata):
+                return summarize_run(store, config.kind, config.seed)
             worst = worst_samples(store.rows.values(), partial(artifact_path, store.out, "tracks"), config.replays or 0)
             if config.replays is not None:
                 store.keep_artifacts("replays", worst)
@@ -114,6 +118,15 @@ def _graceful(executor: Executor, observer: RunObserver) -> AbstractContextManag
     return nullcontext(threading.Event())
 
 
+def _is_complete(config: RunConfig, metadata: RunMetadata) -> bool:
+    """Return whether the folder holds the results and the report of this very run."""
+    from kinebench_drake.report.page import is_report_current
+
+    stored = read_metadata(config.out)
+    finished = stored is not None and stored.finished and stored.run.to_json() == metadata.to_json()
+    return finished and config.kind.judges and is_report_current(config.out)
+
+
 def _start_worker(evaluator: Evaluator[SampleT, ResourcesT]) -> Callable[[SampleT], tuple[SampleRow, float]]:
     """Load the resources of a worker process.
 
@@ -121,7 +134,7 @@ def _start_worker(evaluator: Evaluator[SampleT, ResourcesT]) -> Callable[[Sample
         SetupError: the process does not see the output folder, or something is missing.
     """
     out = evaluator.config.out
-    if not out.is_dir() or RUN not in os.listdir(out):  # a listing is fresh also over a network
+    if not out.is_dir() or not {RUN, RESULTS} & set(os.listdir(out)):  # a listing is fresh also over a network
         raise SetupError(f"{platform.node()} does not see the run in {out}: put --out in a folder that all nodes share")
     return SampleWorker(evaluator, evaluator.setup())
 
@@ -138,13 +151,23 @@ def close_run(store: ResultStore, kind: RunKind, seed: int, statistics: RunStati
     Raises:
         SetupError: writing failed.
     """
-    rows = store.sorted_rows()
-    report = None
     if kind.judges:
         from kinebench_drake.report.page import write_report
 
         with disk_errors(REPORT):
-            report = write_report(store.out, rows, statistics)
+            write_report(store.out, store.sorted_rows(), statistics)
+    return summarize_run(store, kind, seed)
+
+
+def summarize_run(store: ResultStore, kind: RunKind, seed: int) -> RunSummary:
+    """Return the summary of a finished output folder with its report.
+
+    Args:
+        store: the folder.
+        kind: kind of the run.
+        seed: seed of the bootstrap intervals.
+    """
+    rows = store.sorted_rows()
     measured = [r for r in rows if r.status is Status.OK]
     runs = [r.episode for r in rows]
     executable = estimate([r.executable is True for r in rows], total=len(rows), seed=seed, episodes=runs)
@@ -160,7 +183,7 @@ def close_run(store: ResultStore, kind: RunKind, seed: int, statistics: RunStati
         executable=executable if kind.judges and rows else None,
         feasible=feasible if feasible.n else None,
         success=success if success.n else None,
-        report=report,
+        report=store.out / REPORT if kind.judges else None,
     )
 
 

@@ -1,9 +1,9 @@
-"""Link poses and Jacobians of many postures at once, in NumPy, with the geometry of a Drake plant.
+"""Link poses, Jacobians and torques of many postures at once, in NumPy, with geometry and masses of a Drake plant.
 
 Drake computes one posture per call; for hundreds of postures the calls cost more than the arithmetic.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -79,6 +79,23 @@ class LinkChain:
         for i, parent in enumerate(self._parents):
             self._upstream[i + 1] = self._upstream[parent] | (np.array(self._arm) == i)
 
+        self._read_masses(drake, robot, bodies)
+
+    def _read_masses(self, drake: Any, robot: Robot, bodies: Sequence[Any]) -> None:
+        """Read what each arm joint moves and the next does not: one rigid body at the zero posture, fingers at rest."""
+        context = drake.CreateDefaultContext()
+        drake.SetPositions(context, self._positions(np.zeros((1, N_JOINTS)), None)[0])
+        last = {b.index(): int(self.carries(b.name()).sum()) for b in bodies if b.index() != drake.world_body().index()}
+        parts = [[body for body, count in last.items() if count == j + 1] for j in range(N_JOINTS)]
+        inertia = [drake.CalcSpatialInertia(context, drake.world_frame(), part).CopyToFullMatrix6() for part in parts]
+        self._inertia, self._center, self._mass = _split_inertia(np.array(inertia))
+        self._gravity = np.asarray(drake.gravity_field().gravity_vector())
+        self._reflected = np.zeros(N_JOINTS)
+        for index in drake.GetJointActuatorIndices():
+            actuator = drake.get_joint_actuator(index)
+            if actuator.joint().name() in robot.joints:
+                self._reflected[robot.joints.index(actuator.joint().name())] = actuator.default_reflected_inertia()
+
     def motions(self, q: ArrayLike, finger_width_m: ArrayLike | None = None) -> Array:
         """Return motions (N, stages, 4, 4) from the zero posture to postures `q` (N, 7) [rad]; stage 0 is at rest.
 
@@ -133,3 +150,44 @@ class LinkChain:
         axis, point = self.axes(M)
         J = np.concatenate([axis, cross(axis, p - point)], axis=-1)
         return np.ascontiguousarray(np.swapaxes(J, -1, -2))
+
+    def torques(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Array:
+        """Return the joint torques (N, 7) [N m] of motions without payload: those of `ArmPlant.torque`, all at once.
+
+        Newton-Euler equations of all links about the origin of B (R. Featherstone, "Rigid Body Dynamics Algorithms",
+        2008, sections 2.13 and 5.3), without friction, fingers and other joints at rest.
+
+        Args:
+            q: (N, 7) joint angles [rad].
+            v: (N, 7) speeds [rad/s].
+            a: (N, 7) accelerations [rad/s^2].
+        """
+        v, a = (np.asarray(rates, dtype=np.float64)[..., None] for rates in (v, a))
+        motions = self.motions(q)
+        axis, point = self.axes(motions)
+        lever = cross(point, axis)  # (axis, lever) is the twist of a joint about the origin
+        M = motions[:, [i + 1 for i in self._arm]]
+        R = M[..., :3, :3]
+        center = (R @ self._center[..., None])[..., 0] + M[..., :3, 3]
+        inertia = R @ self._inertia @ np.swapaxes(R, -1, -2)
+        turn, shift = np.cumsum(axis * v, axis=1), np.cumsum(lever * v, axis=1)
+        turn_rate = np.cumsum(axis * a + cross(turn, axis * v), axis=1)
+        shift_rate = np.cumsum(lever * a + cross(turn, lever * v) + cross(shift, axis * v), axis=1)
+        acceleration = shift_rate + cross(turn_rate, center) + cross(turn, shift + cross(turn, center))
+        force = self._mass[:, None] * (acceleration - self._gravity)
+        spin = (inertia @ turn[..., None])[..., 0]
+        moment = (inertia @ turn_rate[..., None])[..., 0] + cross(turn, spin) + cross(center, force)
+        force, moment = (np.cumsum(array[:, ::-1], axis=1)[:, ::-1] for array in (force, moment))
+        return np.asarray((axis * moment + lever * force).sum(axis=-1) + self._reflected * a[..., 0])
+
+
+def _split_inertia(spatial: Array) -> tuple[Array, Array, Array]:
+    """Return inertia about the centre of mass (K, 3, 3), centre (K, 3) and mass (K,) of spatial inertias (K, 6, 6).
+
+    A spatial inertia about the origin is [[I + m [c] [c]^T, m [c]], [m [c]^T, m 1]] (Featherstone, equation 2.63).
+    """
+    mass = spatial[:, 5, 5]
+    moment = spatial[:, :3, 3:]
+    c = np.divide(moment, mass[:, None, None], out=np.zeros_like(moment), where=mass[:, None, None] > 0.0)
+    center = np.stack([c[:, 2, 1], c[:, 0, 2], c[:, 1, 0]], axis=-1)
+    return spatial[:, :3, :3] - moment @ np.swapaxes(c, -1, -2), center, mass

@@ -119,11 +119,17 @@ class CollisionModel:
         self._centers = np.reshape([center for center, _ in balls], (-1, 3))
         self._radii = np.array([radius for _, radius in balls])
 
-    def self_distance(self, q: ArrayLike, finger_width_m: ArrayLike | None = None) -> Clearance:
-        """Return the least distance between two links that must not touch, at postures `q` (N, 7) [rad].
+    def self_distance(
+        self, q: ArrayLike, finger_width_m: ArrayLike | None = None, *, within_m: float = np.inf
+    ) -> Clearance:
+        """Return the least distance between two links that must not touch, by Drake's SceneGraph.
 
-        By Drake's SceneGraph; exact to 1e-6 m for polytopes, at any distance. Finger gap `finger_width_m` (N,) [m];
-        the plant's default where None or NaN.
+        Exact to 1e-6 m for polytopes, at any distance.
+
+        Args:
+            q: (N, 7) postures [rad].
+            finger_width_m: (N,) finger gap [m]; the plant's default where None or NaN.
+            within_m: greatest distance of interest [m]: greater ones take less time and are NaN.
 
         Raises:
             UsageError: `q` is not (N, 7), or `finger_width_m` not (N,).
@@ -131,15 +137,16 @@ class CollisionModel:
         q, width = _arguments(q, finger_width_m)
         rows = np.flatnonzero(np.isfinite(q).all(axis=-1))
         near: dict[tuple[Any, Any], list[tuple[int, Any]]] = {}
+        most = within_m + _DOUBT_M
         reach = _REACH_M
         for i, row in enumerate(rows):
             query = self._plant.query(q[row], None if np.isnan(width[row]) else float(width[row]))
             # Pairs that cannot be the nearest cost time. Along a motion the distance changes little from row to row.
             for reach_m in (reach, _REACH_M, np.inf):
-                results = query.ComputeSignedDistancePairwiseClosestPoints(reach_m)
+                results = query.ComputeSignedDistancePairwiseClosestPoints(min(reach_m, most))
                 distances = [pair.distance for pair in results]
                 farthest = min(distances, default=np.inf) + _DOUBT_M
-                if farthest <= reach_m:
+                if farthest <= reach_m or most <= reach_m:
                     break
             reach = min(farthest + _DOUBT_M, _REACH_M)
             for distance, pair in zip(distances, results, strict=True):
@@ -161,7 +168,7 @@ class CollisionModel:
                 if value < least[frame]:
                     least[frame] = value
                     pairs[rows[frame]] = _link_names(A, B)
-        least[np.isinf(least)] = np.nan
+        least[np.isinf(least) | (least > within_m)] = np.nan
         return Clearance(distance_m=spread(least, rows, len(q)), pair=tuple(pairs))
 
     def table_distance(self, q: ArrayLike, finger_width_m: ArrayLike | None = None) -> Clearance:

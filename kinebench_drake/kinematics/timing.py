@@ -232,9 +232,8 @@ def _usage(motion: _Motion, rate: Array, change: Array, spent: Array) -> tuple[A
         a = motion.a[points] * rate[points, None] ** 2 + motion.v[points] * change[:, None]
         if plant.acceleration_limits is not None:
             at_ends[i, :, 1] = a / plant.acceleration_limits
-        if i == 0:  # torques cost most: once per cell
-            v = motion.v * rate[:, None]
-            torque = np.array([plant.torque(motion.q[k], v[k], a[k]) for k in range(len(spent))])
+        if i == 0:  # torques cost most: once a cell
+            torque = plant.chain.torques(motion.q[points], motion.v[points] * rate[points, None], a)
             at_ends[:, :, 2] = torque / plant.effort_limits
     active = np.abs(at_ends) >= ACTIVE
     return np.einsum("k,ikcj->cj", 0.5 * spent / spent.sum(), active), np.asarray(active.any(axis=0))

@@ -182,14 +182,15 @@ class JointTrajectory:
     @cached_property
     def torque(self) -> Array:
         """Joint torques (N, 7) [N m] at the samples."""
-        return np.array([self.problem.plant.torque(*rows) for rows in zip(*self.motion, strict=True)])
+        return self.problem.plant.chain.torques(*self.motion)
 
     @cached_property
     def _distances(self) -> tuple[Array, Array]:
         """Distances (N,) of the arm from itself, NaN where not computed, and from the table [m], at the samples.
 
         The distance from the table is computed at every sample; that from itself, which costs more, twice per span, and
-        at every sample of those spans that come within `NEAR_M` of the least distance.
+        in those spans that come within `NEAR_M` of the least distance also at the samples between, where it is less
+        than that or than `NEAR_M`: others are of no interest.
         """
         collision = self.problem.collision
         t, q = self.samples_s, self.motion[0]
@@ -198,15 +199,17 @@ class JointTrajectory:
             return own, table
         widths = self.problem.widths(t)
 
-        def compute(samples: NDArray[np.intp]) -> None:
-            own[samples] = collision.self_distance(q[samples], None if widths is None else widths[samples]).distance_m
+        def compute(samples: NDArray[np.intp], within_m: float) -> None:
+            gaps = None if widths is None else widths[samples]
+            own[samples] = collision.self_distance(q[samples], gaps, within_m=within_m).distance_m
 
         half = np.arange(0, len(t), SAMPLES // 2)
-        compute(half)
+        compute(half, np.inf)
         if np.isfinite(own[half]).any():
-            near = own[half] <= np.nanmin(own) + NEAR_M
+            least = float(np.nanmin(own))
+            near = own[half] <= least + NEAR_M
             within = np.repeat(near[:-1] | near[1:], SAMPLES // 2)
-            compute(np.flatnonzero(within & np.isnan(own[:-1])))
+            compute(np.flatnonzero(within & np.isnan(own[:-1])), max(least, NEAR_M))
         return own, collision.table_distance(q, widths).distance_m
 
     @cached_property

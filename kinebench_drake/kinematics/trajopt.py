@@ -261,7 +261,7 @@ class _TubeSearch:
             q, _, a = trajectory.motion
             if acceleration is None:
                 acceleration = np.full_like(velocity, np.abs(a).max())
-            still = np.array([plant.torque(row, np.zeros_like(row), np.zeros_like(row)) for row in q])
+            still = plant.chain.torques(q, np.zeros_like(q), np.zeros_like(q))
             weight = float(np.abs(still / plant.effort_limits).max())
             if weight >= _TORQUE_AIM:
                 return None

@@ -176,10 +176,11 @@ def _check_torque(
     plant: ArmPlant, t_s: Array, q: Array, velocity: Derivative, acceleration: Derivative, z: float
 ) -> LimitCheck:
     torque, gravity, error = np.full((3, *q.shape), np.nan)
-    at_rest = np.zeros(q.shape[1])
-    for i in np.flatnonzero(finite_rows(acceleration.value)):
-        torque[i] = plant.torque(q[i], velocity.value[i], acceleration.value[i])
-        gravity[i] = plant.torque(q[i], at_rest, at_rest)
+    usable = finite_rows(acceleration.value)
+    at_rest = np.zeros_like(q[usable])
+    torque[usable] = plant.chain.torques(q[usable], velocity.value[usable], acceleration.value[usable])
+    gravity[usable] = plant.chain.torques(q[usable], at_rest, at_rest)
+    for i in np.flatnonzero(usable):
         error[i] = np.sqrt(plant.mass_matrix(q[i]) ** 2 @ acceleration.standard_error[i] ** 2)
     moving = torque - gravity
     limits, none = plant.effort_limits, np.zeros_like(error)

@@ -1,5 +1,6 @@
 """`report.html`: the self-contained page of one output folder."""
 
+import hashlib
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -31,8 +32,9 @@ from kinebench_drake.report.timeline import anomalies_of
 from kinebench_drake.results.aggregate import VERDICTS as VERDICT_SHARES
 from kinebench_drake.results.aggregate import Aggregate, RunStatistics, split_rows
 from kinebench_drake.results.inputs import input_lines
+from kinebench_drake.results.provenance import report_hash
 from kinebench_drake.results.row import SampleRow, Status
-from kinebench_drake.results.store import REPORT, RESULTS, read_rows
+from kinebench_drake.results.store import ARTIFACTS, REPORT, RESULTS, read_rows
 from kinebench_drake.types import Json
 
 DRAWN = 100
@@ -45,6 +47,8 @@ _SHOWN = 100
 """Samples in the table until all are requested."""
 _GALLERY = 6
 """Worst and best samples that are shown large."""
+_HEAD = 2048
+"""Characters at the beginning of the page that hold its stamp."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -72,6 +76,25 @@ def write_report(out: Path, rows: Iterable[SampleRow] | None = None, statistics:
     path = out / REPORT
     write_atomically(path, build_page(out, rows, statistics).encode())
     return path
+
+
+def is_report_current(out: Path) -> bool:
+    """Return whether `report.html` is that of the present `results.json`, files and code."""
+    path = out / REPORT
+    try:
+        written = path.stat().st_mtime_ns
+        with path.open(errors="replace") as page:
+            head = page.read(_HEAD)
+        folders = [folder for kind in ARTIFACTS if (folder := out / kind).is_dir()]
+        return _stamp(out) in head and all(folder.stat().st_mtime_ns < written for folder in folders)
+    except OSError:
+        return False
+
+
+def _stamp(out: Path) -> str:
+    """Return the SHA-256 of the code and of `results.json`, which a page is of."""
+    path = out / RESULTS
+    return hashlib.sha256(report_hash().encode() + (path.read_bytes() if path.is_file() else b"")).hexdigest()
 
 
 def build_page(out: Path, rows: Iterable[SampleRow] | None = None, statistics: RunStatistics | None = None) -> str:
@@ -111,6 +134,7 @@ def build_page(out: Path, rows: Iterable[SampleRow] | None = None, statistics: R
     templates.filters |= {"anomalies": anomalies_of, "scalar": to_number}
     return templates.get_template("page.html.j2").render(
         title=_title(results),
+        stamp=_stamp(out),
         results=results,
         inputs=input_lines(rows),
         total=total,

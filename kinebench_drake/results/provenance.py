@@ -74,6 +74,15 @@ def code_hash() -> str:
     return digest.hexdigest()
 
 
+@cache
+def report_hash() -> str:
+    """Return the SHA-256 of the sources and templates that shape statistics and reports."""
+    digest = hashlib.sha256()
+    for file in sorted(sources(("*.py", "*/*.py", "report/*.j2"))):
+        digest.update(file.relative_to(_TOP).as_posix().encode() + b"\0" + file.read_bytes() + b"\0")
+    return digest.hexdigest()
+
+
 def host() -> dict[str, Json]:
     """Return a summary of the machine without its owner's names: system, architecture, processor, cores."""
     return {"system": platform.system(), "machine": platform.machine(), "cpu": _cpu(), "cores": os.cpu_count()}

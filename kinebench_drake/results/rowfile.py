@@ -93,8 +93,7 @@ class PackedObject(Mapping[str, Json]):
     __slots__ = ("_places", "_values")
 
     def __init__(self, values: Mapping[str, Json]) -> None:
-        names = cast(tuple[str, ...], intern_text(tuple(values)))
-        self._places, self._values = _places(names), tuple(map(_pack_value, values.values()))
+        self._places, self._values = _places(tuple(values)), tuple(map(_pack_value, values.values()))
 
     def __getitem__(self, key: str) -> Json:
         return self._values[self._places[key]]
@@ -113,6 +112,8 @@ class PackedObject(Mapping[str, Json]):
 
 
 def _pack_value(value: Json) -> Json:
+    if value is None or isinstance(value, float | int):  # most values: what follows takes longer
+        return value
     if isinstance(value, Mapping | list):
         text = dump(value)
         return _shared(text) if len(text) <= _SHORT else cast(Json, intern_text(value))
@@ -121,7 +122,7 @@ def _pack_value(value: Json) -> Json:
 
 @lru_cache(maxsize=4096)
 def _places(names: tuple[str, ...]) -> dict[str, int]:
-    return {name: k for k, name in enumerate(names)}
+    return {intern_text(name): k for k, name in enumerate(names)}
 
 
 @lru_cache(maxsize=4096)

@@ -74,6 +74,7 @@ class ResultStore:
         """
         self.out = out
         self._lock = -1
+        self._begun = False
         try:
             out.mkdir(parents=True, exist_ok=True)
             self._lock = os.open(out, os.O_RDONLY)
@@ -138,12 +139,22 @@ class ResultStore:
     def begin(self, metadata: Mapping[str, Json]) -> None:
         """Write the metadata of the run that fills the folder from now on, and remove the outdated `results.json`.
 
+        Nothing happens if this run has begun already.
+
         Raises:
             SetupError: writing failed.
         """
+        if self._begun:
+            return
+        self._begun = True
         write_json(self.out / RUN, metadata)
         with disk_errors(RESULTS):
             (self.out / RESULTS).unlink(missing_ok=True)
+
+    def holds(self, row: SampleRow) -> bool:
+        """Return whether the stored row of the sample is the same."""
+        stored = self.rows.get(row.id)
+        return stored is not None and dump(stored.to_json()) == dump(row.to_json())
 
     def append(self, row: SampleRow, wall_s: float) -> None:
         """Store the row of a finished sample: once this returns, no crash loses it.

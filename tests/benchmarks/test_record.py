@@ -1,9 +1,10 @@
 from dataclasses import replace
+from subprocess import CompletedProcess
 
 import pytest
 from click.testing import CliRunner
 
-from benchmarks import record
+from benchmarks import record, speed
 from benchmarks.__main__ import main
 from benchmarks.record import PAGES, BenchmarkRecord, compare_records, write_pages
 from kinebench_drake.errors import InputError
@@ -42,6 +43,23 @@ def test_pages_have_the_sections_of_the_results(result, tmp_path, monkeypatch):
     by_name = dict(zip(PAGES, lines, strict=True))
     assert by_name.pop(result.name).endswith("with these sources")
     assert by_name == {name: f"{name}: no result" for name in by_name}
+
+
+def test_only_what_other_sources_measured_is_measured_again(result, tmp_path, monkeypatch):
+    calls = []
+    monkeypatch.setattr(record, "PAGES", {})
+    monkeypatch.setattr(speed, "PAGES", ("ik", "accuracy"))
+    monkeypatch.setattr(
+        "subprocess.run", lambda command, **_: calls.append(command[3:]) or CompletedProcess(command, 0)
+    )
+    result.write(tmp_path)
+    options = ["--results", str(tmp_path), "--measure", "w", "--others", str(tmp_path)]
+    assert CliRunner().invoke(main, ["figures", *options]).exit_code == 0
+    asked = ["accuracy", "--results", str(tmp_path), "--work", "w", "--others", str(tmp_path)]
+    assert calls == [asked]
+    replace(result, sources_sha256="others").write(tmp_path)
+    assert CliRunner().invoke(main, ["figures", "--results", str(tmp_path), "--measure", "w"]).exit_code == 0
+    assert calls[1:] == [["ik", "--results", str(tmp_path)], asked[:-2]]
 
 
 def test_every_benchmark_of_the_pages_is_a_command():

@@ -287,6 +287,36 @@ def test_changed_code_computes_anew(film, config, log, monkeypatch):
     assert len(log.read_text().splitlines()) == 2
 
 
+def test_a_finished_run_is_left_alone_until_something_changes(film, config, tmp_path, monkeypatch):
+    def written():
+        return [(tmp_path / "out" / name).stat().st_mtime_ns for name in ("results.json", "report.html")]
+
+    def again(**changes):
+        before = written()
+        told.append(score_videos(config(**changes)))
+        return [now != then for now, then in zip(written(), before, strict=True)]
+
+    film("videos/a.mp4")
+    film("videos/b.mp4", Act.INFEASIBLE)
+    (tmp_path / "videos" / "c.mp4").touch()  # an error, which is tried again and remains
+    told = [score_videos(config())]
+    first = content(tmp_path / "out")
+    assert again() == [False, False]
+    assert told[1] == told[0]
+    (tmp_path / "out" / "report.html").write_text("half a page")  # as if the run had been killed before it
+    assert again() == [True, True]
+    assert content(tmp_path / "out") == first
+    (tmp_path / "out" / "replays").mkdir()
+    (tmp_path / "out" / "replays" / "a.html").touch()  # as `view` writes one
+    assert again() == [True, True]
+    assert "replays/a.html" in (tmp_path / "out" / "report.html").read_text()
+    assert again(seed=1) == [True, True]
+    assert again(seed=1) == [False, False]
+    monkeypatch.setattr("kinebench_drake.report.page.report_hash", lambda: "another version")
+    assert again(seed=1) == [True, True]
+    assert told[-1].counts == told[0].counts
+
+
 def test_errors_are_tried_again(film, config, tmp_path):
     path = film("videos/a.mp4")
     data = path.read_bytes()

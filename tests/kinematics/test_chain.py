@@ -23,6 +23,18 @@ def test_jacobians_are_drakes(plant: ArmPlant, postures: np.ndarray) -> None:
     assert plant.chain.jacobians(postures[:0]).shape == (0, 6, 7)
 
 
+def test_torques_are_drakes(plant: ArmPlant, postures: np.ndarray) -> None:
+    rng = np.random.default_rng(1)
+    v, a = rng.normal(0.0, 2.0, postures.shape), rng.normal(0.0, 8.0, postures.shape)
+    expected = [plant.torque(*row) for row in zip(postures, v, a, strict=True)]
+    np.testing.assert_allclose(plant.chain.torques(postures, v, a), expected, atol=1e-11)
+    at_rest = np.zeros_like(v)
+    mass = [plant.mass_matrix(q)[:, 2] for q in postures]
+    third = plant.chain.torques(postures, at_rest, at_rest + np.eye(7)[2])
+    np.testing.assert_allclose(third - plant.chain.torques(postures, at_rest, at_rest), mass, atol=1e-11)
+    assert plant.chain.torques(*np.zeros((3, 0, 7))).shape == (0, 7)
+
+
 @pytest.mark.parametrize("width", [0.0, 0.03, 0.08])
 def test_motions_of_one_posture_are_drakes(plant: ArmPlant, postures: np.ndarray, width: float) -> None:
     chain = plant.chain

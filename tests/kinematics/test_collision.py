@@ -109,6 +109,16 @@ def test_distances_hold_where_drakes_iteration_stops_early(plant: ArmPlant, mode
     assert (raw - ours > 1e-5).any()
 
 
+def test_distances_beyond_those_of_interest_are_left_out(plant: ArmPlant, model: CollisionModel) -> None:
+    q = _random(plant, 200, seed=3)
+    all_of_them = model.self_distance(q).distance_m
+    for within_m in (-0.01, 0.0, 0.03, 0.1):
+        near = model.self_distance(q, within_m=within_m)
+        wanted = all_of_them <= within_m
+        assert 0 < wanted.sum() < len(q)
+        np.testing.assert_allclose(near.distance_m, np.where(wanted, all_of_them, np.nan), atol=1e-12)
+
+
 def test_distance_is_continuous(plant: ArmPlant, model: CollisionModel) -> None:
     """No point of the arm moves faster than its reach (1.2 m) times the rate of the joints, nor do two approach."""
     start, end = _random(plant, 2, seed=5)

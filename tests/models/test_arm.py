@@ -89,6 +89,7 @@ def test_joints_need_not_come_first_in_drakes_order(write_arm: Write) -> None:
     np.testing.assert_allclose(plant.jacobian(q), plain.jacobian(q), atol=1e-12)
     np.testing.assert_allclose(plant.chain.jacobians(q[None])[0], plain.jacobian(q), atol=1e-12)
     np.testing.assert_allclose(plant.torque(q, v, a), plain.torque(q, v, a), atol=1e-9)
+    np.testing.assert_allclose(plant.chain.torques(q[None], v[None], a[None])[0], plain.torque(q, v, a), atol=1e-9)
     np.testing.assert_allclose(plant.mass_matrix(q), plain.mass_matrix(q), atol=1e-9)
     assert (
         np.abs(plant.forward(solve_snopt(plant, plant.forward(q), plant.robot.rest_q)) - plant.forward(q)).max() < 1e-5
