@@ -12,6 +12,7 @@ from benchmarks.options import (
     EXISTING_FOLDER,
     FILE,
     FOLDER,
+    baseline_option,
     errors,
     jobs_option,
     log,
@@ -181,11 +182,10 @@ def validity_report(work: Path, out: Path | None) -> None:
 @main.command(
     epilog="\b\nExamples:\n"
     "  python -m benchmarks validity measure --work validity --jobs 2\n"
-    "  python -m benchmarks baseline --out baseline --jobs 2\n"
-    "  python -m benchmarks extractors validity --baseline baseline/baseline.safetensors --out docs/validity.md"
+    "  python -m benchmarks extractors validity --jobs 2 --out docs/validity.md"
 )
 @click.argument("work", type=EXISTING_FOLDER)
-@click.option("--baseline", "weights", type=EXISTING_FILE, required=True, help="Weights of the baseline.")
+@baseline_option
 @jobs_option
 @out_option
 def extractors(work: Path, weights: Path, jobs: int, out: Path | None) -> None:

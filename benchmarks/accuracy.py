@@ -19,7 +19,8 @@ _TITLES = {
     ReferenceKind.EDGES.value: "stock tasks of ManiSkill at their own cameras; poses fitted to edges",
     ReferenceKind.JOINTS.value: "real arm seen from the side; poses from its joint angles",
 }
-_WIDTH = 140
+WIDTH = 140
+"""Length of the lines of the page."""
 _INTRODUCTION = (
     "Poses of panda_hand from pixels and a known camera, compared with references: median / 95th percentile of the",
     "tracked frames. A pose is good within 10 mm and 5 degrees; `confidence` is the probability of that, and its mean",
@@ -130,7 +131,7 @@ def _heldout_text(s: Mapping[str, Any]) -> list[str]:
 
 
 def _paragraph(sentences: Sequence[str]) -> list[str]:
-    return ["", *wrap(" ".join(sentences), width=_WIDTH)] if sentences else []
+    return ["", *wrap(" ".join(sentences), width=WIDTH)] if sentences else []
 
 
 def _kinds(others: Sequence[Mapping[str, Any]]) -> dict[str, Mapping[str, Any]]:

@@ -13,6 +13,8 @@ from benchmarks.markdown import replace_section
 from kinebench_drake.errors import KinebenchError, UsageError
 
 EXAMPLES = Path("examples/videos")
+BASELINE = Path("benchmarks/baseline.safetensors")
+"""Weights that `python -m benchmarks baseline` made."""
 FOLDER = click.Path(path_type=Path, file_okay=False)
 FILE = click.Path(path_type=Path, dir_okay=False)
 EXISTING_FILE = click.Path(path_type=Path, dir_okay=False, exists=True)
@@ -22,6 +24,9 @@ COUNT = click.IntRange(min=1)
 out_option = click.option("--out", type=EXISTING_FILE, help="Markdown page to write a section into.")
 work_option = click.option("--work", type=FOLDER, help="Empty folder for input and results, which are kept.")
 jobs_option = click.option("--jobs", type=COUNT, default=1, show_default=True, help="Worker processes.")
+baseline_option = click.option(
+    "--baseline", "weights", type=EXISTING_FILE, default=BASELINE, show_default=True, help="Weights of the baseline."
+)
 log = partial(click.echo, err=True)
 
 

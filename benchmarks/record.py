@@ -18,7 +18,7 @@ ROOT = Path(__file__).parents[1]
 RESULTS = Path("benchmarks/results")
 """Folder of the result files."""
 PAGES = {
-    "accuracy": Path("README.md"),
+    **dict.fromkeys(("accuracy", "robustness"), Path("README.md")),
     **dict.fromkeys(("ik", "audit", "simulation", "throughput", "streaming", "scale"), Path("docs/benchmarks.md")),
     **dict.fromkeys(("cluster", "driver"), Path("docs/cluster.md")),
 }

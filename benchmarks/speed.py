@@ -1,4 +1,4 @@
-"""Commands that measure speed and memory; each writes its result to a file and compares it with the one before."""
+"""Commands that measure accuracy, speed and memory: each writes a result file and compares it with the one before."""
 
 import subprocess
 import sys
@@ -12,7 +12,9 @@ from benchmarks.options import (
     EXAMPLES,
     EXISTING_FOLDER,
     FOLDER,
+    baseline_option,
     errors,
+    jobs_option,
     log,
     one_thread,
     work_folder,
@@ -32,6 +34,10 @@ others_option = click.option(
     "--others", type=EXISTING_FOLDER, multiple=True, help="Videos of others, as `footage` takes them; repeatable."
 )
 
+heldout_option = click.option(
+    "--heldout", type=EXISTING_FOLDER, help="Output folder of `suite demos`.  [default: made in --work]"
+)
+
 
 def _record(name: str, results: Path, figures: Mapping[str, float], section: str) -> None:
     """Print a section, write the result, and print what became worse since the result before."""
@@ -48,6 +54,18 @@ def _score(videos: Path, out: Path) -> Path:
 
     run_program(["score", str(videos), "--out", str(out), "--replays", "0", "--frame-period", "0.2"])
     return out
+
+
+def _heldout(heldout: Path | None, work: Path) -> Path:
+    """Return the folder of held-out renderings, made in the work folder if none is named."""
+    from benchmarks.accuracy import HELDOUT
+    from benchmarks.process import run_program
+
+    work.mkdir(parents=True, exist_ok=True)
+    if heldout is None:
+        heldout = work / "heldout"
+        run_program([*HELDOUT, "--out", str(heldout)])
+    return heldout
 
 
 @click.command(epilog="\b\nExample:\n  python -m benchmarks ik")
@@ -197,22 +215,39 @@ def simulation(results: Path, tasks: str | None) -> None:
     "  python -m benchmarks accuracy --heldout heldout --others robosuite --others clips --work accuracy"
 )
 @results_option
-@click.option("--heldout", type=EXISTING_FOLDER, help="Output folder of `suite demos`.  [default: made in --work]")
+@heldout_option
 @others_option
 @click.option("--work", type=FOLDER, required=True, help="Results; an earlier run is resumed.")
 def accuracy(results: Path, heldout: Path | None, others: tuple[Path, ...], work: Path) -> None:
     """Measure the errors of poses on held-out renderings and on videos of other programs and cameras."""
     one_thread()
-    from benchmarks.accuracy import HELDOUT, figures, measure, section
-    from benchmarks.process import run_program
+    from benchmarks.accuracy import figures, measure, section
 
     with errors():
-        work.mkdir(parents=True, exist_ok=True)
-        if heldout is None:
-            heldout = work / "heldout"
-            run_program([*HELDOUT, "--out", str(heldout)])
-        measured = measure(heldout, others, work, log)
+        measured = measure(_heldout(heldout, work), others, work, log)
     _record("accuracy", results, figures(*measured), section(*measured))
+
+
+@click.command(epilog="\b\nExample:\n  python -m benchmarks robustness --heldout heldout --work robustness --jobs 2")
+@results_option
+@heldout_option
+@click.option("--work", type=FOLDER, required=True, help="Finished measurements; an earlier run is resumed.")
+@baseline_option
+@click.option("--limit", type=COUNT, help="Number of videos, tasks in turn.  [default: all]", metavar="N")
+@jobs_option
+def robustness(results: Path, heldout: Path | None, work: Path, weights: Path, limit: int | None, jobs: int) -> None:
+    """Measure grounding and inverse-dynamics baseline on held-out renderings, unchanged and perturbed."""
+    one_thread()
+    from benchmarks.robustness import FIGURE, draw, figures, measure, section
+    from kinebench_drake.cli.run import ProgressView
+    from kinebench_drake.grounding.baseline.network import Baseline
+    from kinebench_drake.io.figure import save
+
+    with errors(), ProgressView("measurements") as view:
+        outcome = measure(_heldout(heldout, work), weights, work / "robustness.jsonl", limit, jobs, view)
+        save(draw(outcome), FIGURE)
+    baseline = Baseline.load(weights)
+    _record("robustness", results, figures(outcome), section(outcome, baseline.tasks, baseline.training))
 
 
 @click.command(
@@ -223,7 +258,7 @@ def accuracy(results: Path, heldout: Path | None, others: tuple[Path, ...], work
 @results_option
 @click.option(
     "--measure", type=FOLDER, metavar="WORK",
-    help="Measure first what was measured with other sources; hours. WORK keeps the poses of `accuracy`.",
+    help="Measure first what was measured with other sources; hours. WORK keeps finished poses.",
 )  # fmt: skip
 @others_option
 def figures(results: Path, measure: Path | None, others: tuple[Path, ...]) -> None:
@@ -232,7 +267,10 @@ def figures(results: Path, measure: Path | None, others: tuple[Path, ...]) -> No
     With --measure benchmarks run one after the other. Their results are kept: after an interruption the same command
     goes on with the next one.
     """
-    arguments = {"accuracy": ["--work", str(measure), *(part for path in others for part in ("--others", str(path)))]}
+    arguments = {
+        "accuracy": ["--work", str(measure), *(part for path in others for part in ("--others", str(path)))],
+        "robustness": ["--work", str(measure)],
+    }
     with errors():
         for name in PAGES if measure else ():
             record = BenchmarkRecord.read(name, results)
@@ -244,4 +282,4 @@ def figures(results: Path, measure: Path | None, others: tuple[Path, ...]) -> No
             click.echo(line)
 
 
-COMMANDS = (accuracy, ik, audit, throughput, streaming, scale, cluster, driver, simulation, figures)
+COMMANDS = (accuracy, robustness, ik, audit, throughput, streaming, scale, cluster, driver, simulation, figures)

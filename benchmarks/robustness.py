@@ -1,0 +1,171 @@
+"""Errors of grounding and inverse-dynamics baseline on the same videos: unchanged, with true depth, and perturbed."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from textwrap import wrap
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from benchmarks.accuracy import HELDOUT, WIDTH
+from benchmarks.markdown import table
+from kinebench_drake.evaluation.runner import RunObserver
+from kinebench_drake.executors.local import LocalExecutor
+from kinebench_drake.grounding.baseline.network import Baseline
+from kinebench_drake.grounding.evaluation.clip import find_clips
+from kinebench_drake.grounding.evaluation.perturbation.catalogue import PerturbationKind
+from kinebench_drake.grounding.evaluation.study import (
+    CLEAN,
+    LEARNED,
+    StudyOutcome,
+    StudyPlan,
+    robustness,
+    run_study,
+)
+from kinebench_drake.grounding.evaluation.summary import intervals
+from kinebench_drake.grounding.evaluation.trial import TrialCondition
+from kinebench_drake.io.figure import POSITION, ROTATION, new_figure
+from kinebench_drake.stats import IntervalEstimate
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+TRUE_DEPTH = TrialCondition(name="true depth", variant="true-depth", group="true depth")
+FIGURE = Path("docs/robustness.png")
+"""Figure of the docs, named in the section."""
+_GROUNDING, _BASELINE = "grounding", "inverse dynamics"
+_STYLES = ((_GROUNDING, "", -0.15, POSITION), (_BASELINE, f", {LEARNED}", 0.15, ROTATION))
+_PANELS = (("position", "mm", 10.0), ("rotation", "deg", 5.0))  # with the errors within which a pose is good
+_INTRODUCTION = (
+    "Errors of panda_hand in the camera frame on the same held-out videos, median / 95th percentile over frames: of "
+    "the grounding those it tracks, of the network all. Medians have 95 % bootstrap intervals "
+    "over videos. Tracked: of the frames in which at least 30 % of the gripper is visible. No perturbation is used in "
+    "training. The network: [docs/grounding.md](docs/grounding.md#learned-baseline), trained on {training}. "
+    "All strengths: [{figure}]({figure})."
+)
+
+
+def measure(
+    heldout: Path, weights: Path, keep: Path, limit: int | None, jobs: int, observer: RunObserver
+) -> StudyOutcome:
+    """Ground the videos, unchanged, with true depth and perturbed, and pass the same frames through the baseline.
+
+    Args:
+        heldout: output folder of `suite demos --with-depth`.
+        weights: weights of the baseline.
+        keep: file of finished measurements; an earlier run is resumed.
+        limit: number of videos, tasks in turn; all if None.
+        jobs: worker processes.
+        observer: progress.
+
+    Raises:
+        UsageError: the folder cannot be used, or the baseline was trained for another camera.
+        SetupError: something is missing on this machine, or a worker died. What is finished is kept.
+    """
+    baseline = Baseline.load(weights)
+    for clip in find_clips(heldout):
+        baseline.require_camera(clip.camera)
+    study = robustness(tuple(PerturbationKind), weights)
+    study = replace(study, conditions=(TRUE_DEPTH, *study.conditions))
+    return run_study(study, StudyPlan(folder=heldout, limit=limit, keep=keep), LocalExecutor(jobs=jobs), observer)
+
+
+def figures(outcome: StudyOutcome) -> dict[str, float]:
+    """Return errors and shares of failures by name; of all of them less is better."""
+    names = (CLEAN.name, TRUE_DEPTH.name, *outcome.study.required)
+    result = {}
+    for extractor, suffix, *_ in _STYLES:
+        for name in names:
+            if (row := outcome.figures.get(name + suffix)) is not None:
+                result[f"{extractor}, {name}, position median [mm]"] = row["position_median_mm"].value
+                result[f"{extractor}, {name}, rotation median [deg]"] = row["rotation_median_deg"].value
+                result[f"{extractor}, {name}, not tracked"] = 1.0 - row["tracked_when_seen"].value
+    return result
+
+
+def section(outcome: StudyOutcome, tasks: Sequence[str], training: str) -> str:
+    """Return the section of the page, in Markdown.
+
+    Args:
+        outcome: result of `measure`.
+        tasks: tasks of the baseline's training.
+        training: description of that training.
+    """
+    videos = outcome.results[CLEAN.name]
+    head = ["frames", "videos"]
+    for extractor, *_ in _STYLES:
+        head += [f"{extractor}: tracked", "position", "rotation", "off by more than 3 cm"]
+    return "\n".join(
+        [
+            "## Perturbed frames, and inverse dynamics",
+            "",
+            *wrap(_INTRODUCTION.format(training=training, figure=FIGURE), width=WIDTH),
+            "",
+            *table(head, _rows(outcome, tasks)),
+            "",
+            f"The commands ({len(videos)} videos):",
+            "",
+            f"    kinebench-drake {' '.join(HELDOUT)} --out heldout",
+            "    python -m benchmarks robustness --heldout heldout --work robustness",
+        ]
+    )
+
+
+def _rows(outcome: StudyOutcome, tasks: Sequence[str]) -> Iterator[list[str]]:
+    videos = outcome.results[CLEAN.name]
+    for name in (CLEAN.name, TRUE_DEPTH.name):
+        yield _row(name, len(videos), [outcome.figures.get(name + suffix) for _, suffix, *_ in _STYLES])
+    for trained, label in ((True, "tasks of the network's training"), (False, "other tasks")):
+        groups = [
+            [e for e in outcome.results[CLEAN.name + suffix] if (e.task in tasks) is trained]
+            for _, suffix, *_ in _STYLES
+        ]
+        if groups[0]:
+            yield _row(f"{CLEAN.name}, {label}", len(groups[0]), [intervals(group) for group in groups])
+    for name in outcome.study.required:
+        yield _row(name, len(videos), [outcome.figures[name + suffix] for _, suffix, *_ in _STYLES])
+
+
+def _row(name: str, videos: int, columns: Sequence[Mapping[str, IntervalEstimate] | None]) -> list[str]:
+    cells = [name, str(videos)]
+    for figures in columns:
+        if figures is None:
+            cells += [""] * 4
+            continue
+        cells.append(f"{figures['tracked_when_seen'].value:.1%}")
+        for quantity, unit, _ in _PANELS:
+            median, p95 = (figures[f"{quantity}_{which}_{unit}"] for which in ("median", "p95"))
+            cells.append(f"{median.value:.1f} [{median.low:.1f}, {median.high:.1f}] / {p95.value:.1f} {unit}")
+        cells.append(f"{figures['tracked_frames_off_by_3_cm'].value:.1%}")
+    return cells
+
+
+def draw(outcome: StudyOutcome) -> "Figure":
+    """Draw median and 95th percentile of both errors, and the tracked share, by condition and extractor."""
+    names = [c.name for c in outcome.study.conditions if c.baseline is None]
+    figure, axes = new_figure(11.0, 0.3 * len(names) + 1.4, 1, 3, sharey=True)
+    for extractor, suffix, shift, color in _STYLES:
+        for row, name in enumerate(names):
+            figures = outcome.figures.get(name + suffix)
+            if figures is None:
+                continue
+            for ax, (quantity, unit, _) in zip(axes[0], _PANELS, strict=False):
+                median, p95 = (figures[f"{quantity}_{which}_{unit}"].value for which in ("median", "p95"))
+                ax.plot([median, p95], [row + shift] * 2, color=color, linewidth=1.2)
+                ax.plot(median, row + shift, marker="o", color=color, markersize=4)
+            share = figures["tracked_when_seen"]
+            axes[0][2].plot([share.low, share.high], [row + shift] * 2, color=color, linewidth=1.2)
+            axes[0][2].plot(share.value, row + shift, marker="o", color=color, markersize=4)
+        axes[0][0].plot([], [], marker="o", color=color, markersize=4, linewidth=1.2, label=extractor)
+    for ax, (quantity, unit, good) in zip(axes[0], _PANELS, strict=False):
+        ax.set_xscale("log")
+        ax.xaxis.set_major_formatter("{x:g}")
+        ax.axvline(good, color="#5b6470", linestyle="--", linewidth=1)
+        ax.set_xlabel(f"{quantity} error [{unit}], median to 95th percentile")
+    axes[0][2].set_xlabel("tracked, 95 % interval over videos")
+    required = set(outcome.study.required)
+    axes[0][0].set_yticks(np.arange(len(names)), [f"{name} *" if name in required else name for name in names])
+    axes[0][0].invert_yaxis()
+    figure.legend(loc="outside upper center", ncols=2, frameon=False)
+    return figure

@@ -1,0 +1,84 @@
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.robustness import TRUE_DEPTH, draw, figures, section
+from kinebench_drake.grounding.evaluation.errors import ClipErrors, Expense
+from kinebench_drake.grounding.evaluation.perturbation.catalogue import PerturbationKind
+from kinebench_drake.grounding.evaluation.study import GroundingStudy, StudyOutcome, robustness
+from kinebench_drake.grounding.evaluation.tables import compared
+from kinebench_drake.grounding.evaluation.trial import TrialCondition
+
+FRAMES = 10
+
+
+def clip_errors(task: str, position_m: float, tracked: int) -> ClipErrors:
+    n = np.full(FRAMES, np.nan)
+    followed = np.arange(FRAMES) < tracked
+    return ClipErrors(
+        id=f"{task}_s0",
+        task=task,
+        position_m=np.where(followed, position_m, np.nan),
+        rotation_rad=np.where(followed, 0.02, np.nan),
+        width_m=n,
+        true_width_m=n,
+        tracked=followed,
+        confidence=followed.astype(np.float64),
+        visible=np.ones(FRAMES, dtype=bool),
+        share=np.ones(FRAMES),
+        detected=(),
+        planted=(),
+        expense=Expense(wall_s=1.0, cpu_s=1.0, peak_mb=1.0),
+    )
+
+
+@pytest.fixture
+def study(tmp_path: Path) -> GroundingStudy:
+    weights = tmp_path / "baseline.safetensors"
+    weights.write_bytes(b"")
+    noise = robustness([PerturbationKind.NOISE], weights)
+    return replace(noise, conditions=(TRUE_DEPTH, *noise.conditions))
+
+
+def outcome(study: GroundingStudy, tracked: int = FRAMES) -> StudyOutcome:
+    """Grounding: 1 mm with true depth, else 2 mm; baseline: 10 mm on `Known-v1`, 50 mm on `Other-v1`."""
+
+    def of(condition: TrialCondition) -> list[ClipErrors]:
+        if condition.baseline is not None:
+            return [clip_errors("Known-v1", 0.010, FRAMES), clip_errors("Other-v1", 0.050, FRAMES)]
+        position_m = 0.001 if condition == TRUE_DEPTH else 0.002
+        return [clip_errors(task, position_m, tracked) for task in ("Known-v1", "Other-v1")]
+
+    results = {condition.name: of(condition) for condition in study.conditions}
+    return StudyOutcome(study=study, results=results, figures=compared(results, 0))
+
+
+def test_rows_hold_both_extractors_and_tell_tasks_of_the_training_apart(study: GroundingStudy) -> None:
+    text = section(outcome(study), ["Known-v1"], "few demonstrations")
+    rows = {line.split(" | ")[0].removeprefix("| "): line.split(" | ") for line in text.splitlines() if "| " in line}
+    assert "few demonstrations" in text
+    assert rows["true depth"][3].startswith("1.0 ")
+    assert not rows["true depth"][7].strip()
+    assert rows["as it is, tasks of the network's training"][7].startswith("10.0 ")
+    assert rows["as it is, other tasks"][7].startswith("50.0 ")
+    assert rows["as it is, other tasks"][9].startswith("100.0%")
+    assert {name for name in rows if name.startswith("noise")} == set(study.required)
+
+
+def test_figures_become_worse_with_lost_frames(study: GroundingStudy) -> None:
+    whole, half = figures(outcome(study)), figures(outcome(study, tracked=FRAMES // 2))
+    assert whole.keys() == half.keys()
+    assert {name for name in whole if whole[name] != half[name]} == {
+        name for name in whole if name.startswith("grounding") and name.endswith("not tracked")
+    }
+    assert half["grounding, as it is, not tracked"] == pytest.approx(0.5)
+
+
+def test_the_drawing_has_a_row_for_each_condition_of_the_grounding(study: GroundingStudy) -> None:
+    ax = draw(outcome(study)).axes[0]
+    labels = [label.get_text() for label in ax.get_yticklabels()]
+    assert labels[:2] == ["true depth", "as it is"]
+    assert len(labels) == 1 + 1 + 3
+    assert sum(label.endswith(" *") for label in labels) == len(study.required)
