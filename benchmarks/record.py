@@ -19,7 +19,9 @@ RESULTS = Path("benchmarks/results")
 """Folder of the result files."""
 PAGES = {
     **dict.fromkeys(("accuracy", "robustness"), Path("README.md")),
-    **dict.fromkeys(("ik", "audit", "simulation", "throughput", "streaming", "scale"), Path("docs/benchmarks.md")),
+    **dict.fromkeys(
+        ("ik", "audit", "simulation", "rounds", "throughput", "streaming", "scale"), Path("docs/benchmarks.md")
+    ),
     **dict.fromkeys(("cluster", "driver"), Path("docs/cluster.md")),
 }
 """Page with the section of each benchmark, in the order in which they are measured."""

@@ -210,6 +210,22 @@ def simulation(results: Path, tasks: str | None) -> None:
     _record("simulation", results, figures(timings), section(timings, steps, images))
 
 
+@click.command(epilog="\b\nExample:\n  python -m benchmarks rounds --tasks StackCube-v1,OpenDrawer-v1 --episodes 2")
+@results_option
+@work_option
+@click.option("--tasks", help="Tasks, comma-separated.  [default: all of suite 0]", metavar="A,B")
+@click.option("--episodes", type=COUNT, default=1, show_default=True, help="Episodes of each task.", metavar="K")
+def rounds(results: Path, work: Path | None, tasks: str | None, episodes: int) -> None:
+    """Measure the time of a round of the closed loop, stage by stage."""
+    one_thread()
+    from benchmarks.rounds import figures, measure, section
+    from kinebench_drake.cli.run import ProgressView
+
+    with errors(), work_folder(work) as folder, ProgressView("episodes") as view:
+        timing = measure(tasks, episodes, folder / "rounds", view)
+    _record("rounds", results, figures(timing), section(timing))
+
+
 @click.command(
     epilog="\b\nExample:\n"
     "  python -m benchmarks accuracy --heldout heldout --others robosuite --others clips --work accuracy"
@@ -282,4 +298,4 @@ def figures(results: Path, measure: Path | None, others: tuple[Path, ...]) -> No
             click.echo(line)
 
 
-COMMANDS = (accuracy, robustness, ik, audit, throughput, streaming, scale, cluster, driver, simulation, figures)
+COMMANDS = (accuracy, robustness, ik, audit, throughput, streaming, scale, cluster, driver, simulation, rounds, figures)

@@ -1,0 +1,168 @@
+"""Processor time of a round of the closed loop by stage: episodes of the oracle in one process, their stages timed."""
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from enum import Enum
+from functools import wraps
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+
+from benchmarks.markdown import table
+from kinebench_drake.closed_loop import loop
+from kinebench_drake.closed_loop.commands import CommandPlanner
+from kinebench_drake.errors import KinebenchError
+from kinebench_drake.evaluation import episode
+from kinebench_drake.evaluation.analyzer import Analyzer
+from kinebench_drake.evaluation.episode import EpisodeEvaluator, EpisodeResources, EpisodeSample
+from kinebench_drake.evaluation.evaluator import Evaluation
+from kinebench_drake.evaluation.runner import RunObserver
+from kinebench_drake.evaluation.suite import run_suite, suite_config
+from kinebench_drake.suites.simulator import Simulator
+from kinebench_drake.suites.worldmodels.reference import OracleModel
+
+
+class Stage(Enum):
+    """Stages of a round."""
+
+    RESET = "reset of the scene"
+    IMAGE = "first image"
+    MODEL = "world model (the oracle renders the expert)"
+    GROUNDING = "grounding"
+    COMMANDS = "commands"
+    EXECUTION = "execution"
+    EXECUTED_IMAGES = "images of the execution"
+    KINEMATICS = "kinematics"
+    GAP = "gap between video and execution"
+    FILM = "film of the round"
+    REST = "rest"
+
+
+_FUNCTIONS: tuple[tuple[Any, str, Stage], ...] = (
+    (Simulator, "reset", Stage.RESET),
+    (Simulator, "render", Stage.IMAGE),
+    (OracleModel, "generate", Stage.MODEL),
+    (Analyzer, "ground", Stage.GROUNDING),
+    (CommandPlanner, "plan", Stage.COMMANDS),
+    (loop, "execute", Stage.EXECUTION),
+    (episode, "render_video", Stage.EXECUTED_IMAGES),
+    (Analyzer, "judge", Stage.KINEMATICS),
+    (episode, "measure_gap", Stage.GAP),
+    (episode, "write_video", Stage.FILM),
+)
+"""Owner and name of the function of each stage; a stage that another one calls counts as part of that."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RoundTiming:
+    """Processor times of rounds."""
+
+    rounds: int
+    episodes: int
+    successes: int
+    seconds: dict[Stage, float]
+    """Sum over all rounds [s]."""
+
+
+class StageClock:
+    """Processor times of the stages of each episode."""
+
+    def __init__(self) -> None:
+        self.episodes: dict[str, dict[Stage, float]] = {}
+        """Seconds by stage, by id of the episode in the order in which they ran."""
+        self._seconds = dict.fromkeys(Stage, 0.0)
+        self._busy = False
+
+    @contextmanager
+    def running(self) -> Iterator[None]:
+        """Time all episodes that are evaluated in the meantime."""
+        with ExitStack() as stack:
+            for owner, name, stage in _FUNCTIONS:
+                stack.enter_context(patch.object(owner, name, self._timed(getattr(owner, name), stage)))
+            stack.enter_context(patch.object(EpisodeEvaluator, "evaluate", self._episode(EpisodeEvaluator.evaluate)))
+            yield
+
+    def _timed(self, function: Callable[..., Any], stage: Stage) -> Callable[..., Any]:
+        @wraps(function)
+        def timed(*arguments: Any, **options: Any) -> Any:
+            if self._busy:
+                return function(*arguments, **options)
+            self._busy, start = True, time.process_time()
+            try:
+                return function(*arguments, **options)
+            finally:
+                self._busy = False
+                self._seconds[stage] += time.process_time() - start
+
+        return timed
+
+    def _episode(self, evaluate: Callable[..., Evaluation]) -> Callable[..., Evaluation]:
+        @wraps(evaluate)
+        def timed(evaluator: EpisodeEvaluator, sample: EpisodeSample, resources: EpisodeResources) -> Evaluation:
+            self._seconds, start = dict.fromkeys(Stage, 0.0), time.process_time()
+            result = evaluate(evaluator, sample, resources)
+            self._seconds[Stage.REST] = time.process_time() - start - sum(self._seconds.values())
+            self.episodes[sample.id] = self._seconds
+            return result
+
+        return timed
+
+
+def measure(tasks: Sequence[str] | None, episodes: int, out: Path, observer: RunObserver) -> RoundTiming:
+    """Run episodes of suite 0 with the oracle in this process, one after the other.
+
+    Args:
+        tasks: plain task ids; None: all of the suite.
+        episodes: episodes of each task.
+        out: output folder of the run, which has to be new.
+        observer: progress.
+
+    Raises:
+        UsageError: a task or the folder cannot be used.
+        KinebenchError: an episode failed, or there is one only.
+    """
+    clock = StageClock()
+    config = suite_config(0, tasks=tasks, episodes=episodes, world_model="oracle", out=out, jobs=1)
+    with clock.running():
+        rows = {row.id: row for row in run_suite(config, observer).rows}
+    ids = list(clock.episodes)[1:]  # the first episode loads networks and simulator
+    rounds = [n for id in ids if isinstance(n := rows[id].extra.get("rounds"), int)]
+    if not ids or len(rounds) < len(rows) - 1:
+        raise KinebenchError(f"{len(rows) - 1 - len(rounds)} of {len(rows)} episodes failed; {out} has the reasons")
+    return RoundTiming(
+        rounds=sum(rounds),
+        episodes=len(ids),
+        successes=sum(rows[id].extra["success"] is True for id in ids),
+        seconds={stage: sum(clock.episodes[id][stage] for id in ids) for stage in Stage},
+    )
+
+
+def figures(timing: RoundTiming) -> dict[str, float]:
+    """Return the mean processor time of each stage in a round [s]."""
+    return {f"{stage.value} [s]": timing.seconds[stage] / timing.rounds for stage in Stage}
+
+
+def section(timing: RoundTiming) -> str:
+    """Return the section of the page, in Markdown."""
+    total = sum(timing.seconds.values())
+    rows = [
+        [stage.value, f"{timing.seconds[stage] / timing.rounds:.2f}", f"{timing.seconds[stage] / total:.0%}"]
+        for stage in Stage
+    ]
+    own_s = (total - timing.seconds[Stage.MODEL]) / timing.rounds
+    return "\n".join(
+        [
+            "## A round of the closed loop",
+            "",
+            f"Written by `python -m benchmarks rounds`: {timing.episodes} episodes of suite 0 with the oracle, "
+            f"{timing.successes} of them successful, {timing.rounds} rounds in one process, without the first "
+            "episode, which loads networks and simulator. Processor times of all threads: other load hardly counts, "
+            "and `--jobs 2` takes about half.",
+            "",
+            *table(("stage", "s a round", "share"), [*rows, ["all", f"{total / timing.rounds:.2f}", "100%"]]),
+            "",
+            f"Without the world model a round takes {own_s:.1f} s of processor time.",
+        ]
+    )
