@@ -1,7 +1,7 @@
 """Inverse kinematics of a whole track: one joint path for all poses, verified in Drake, free of collisions."""
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -70,7 +70,9 @@ def solve_track(
         path = solve_newton_path(plant, X_BG, planned)
     joints = verify_path(plant, t_s, X_BG, path)
     if collision is not None:
-        joints = _clear(plant, collision, X_BG, track.finger_width_m[frames], joints, contact_tolerance_m, noise_rad)
+        joints = _avoid_collisions(
+            plant, collision, X_BG, track.finger_width_m[frames], joints, contact_tolerance_m, noise_rad
+        )
     return _with_gaps(joints, track, frames)
 
 
@@ -102,7 +104,7 @@ def verify_path(plant: ArmPlant, t_s: Array, X_BG: Array, path: Array) -> JointT
     return JointTrack(t_s=t_s, q=q, status=tuple(status), position_error_m=position, rotation_error_rad=rotation)
 
 
-def _clear(
+def _avoid_collisions(
     plant: ArmPlant,
     collision: CollisionModel,
     X_BG: Array,
@@ -115,42 +117,66 @@ def _clear(
     widths = np.where(np.isfinite(finger_width_m), finger_width_m, plant.finger_width_m)
     allowed: dict[int, Callable[[Array], NDArray[np.bool_]]] = {}
     stuck: set[int] = set()
+    contacts = _find_contacts(plant, collision, joints, widths, tolerance_m)
 
-    def clear(frame: int, q: Array) -> NDArray[np.bool_]:
+    def free(frame: int, q: Array) -> NDArray[np.bool_]:
+        return _free(collision, q, widths[frame], tolerance_m)
+
+    def free_if_any(frame: int, q: Array) -> NDArray[np.bool_]:
         """Return which postures (N,) are free of collisions; all of them if none is."""
-        free = _free(collision, q, widths[frame], tolerance_m)
-        return free if free.any() else np.ones(len(q), dtype=bool)
+        some = free(frame, q)
+        return some if some.any() else np.ones(len(q), dtype=bool)
 
-    def hopeless(frame: int) -> bool:
+    def is_hopeless(frame: int) -> bool:
         """Return whether every posture on a grid of the frame collides."""
         [q] = grid_postures(plant, X_BG[[frame]], SAMPLES[1])
-        return bool(clear(frame, q).all())
+        return not free(frame, q).any()
 
     for _ in range(_DETOURS):
-        own = collision.self_distance(joints.q, widths)
-        table = collision.table_distance(joints.q, widths)
-        bad = joints.ok & (np.minimum(own.distance_m, table.distance_m) < -tolerance_m)
         # The pose fixes the tool: if the tool meets the table, no posture avoids it.
-        by_tool = np.array([pair is not None and pair[0] in plant.tool for pair in table.pair], dtype=bool)
-        stuck |= {int(i) for i in np.flatnonzero(bad & by_tool & (table.distance_m < -tolerance_m))}
-        fresh = {int(i) for i in np.flatnonzero(bad)} - stuck - set(allowed)
-        if not fresh:
-            break
+        stuck |= {int(i) for i in np.flatnonzero(contacts.colliding & contacts.of_tool)}
+        fresh = sorted({int(i) for i in np.flatnonzero(contacts.colliding)} - stuck - set(allowed))
         # Of many frames a sample is tested first: if none of it has a free posture, the rest is taken to have none.
-        order = np.array(sorted(fresh))
-        probes = order[np.linspace(0, len(order) - 1, min(len(order), _PROBES)).astype(int)]
-        lost = {int(i) for i in probes if hopeless(int(i))}
-        if len(lost) == len(set(probes.tolist())):
-            stuck |= fresh
-            continue
-        stuck |= lost
-        allowed |= {i: partial(clear, i) for i in fresh - lost}
+        probes = {fresh[k] for k in np.linspace(0, len(fresh) - 1, min(len(fresh), _PROBES)).astype(int)}
+        hopeless = {i for i in probes if is_hopeless(i)}
+        if hopeless == probes:
+            break
+        stuck |= hopeless
+        allowed |= {i: partial(free_if_any, i) for i in fresh if i not in hopeless}
         path = search_path(plant, joints.t_s, X_BG, plant.robot.rest_q, noise_rad, allowed)
         joints = verify_path(plant, joints.t_s, X_BG, path)
+        contacts = _find_contacts(plant, collision, joints, widths, tolerance_m)
     status = list(joints.status)
-    for i in np.flatnonzero(bad):
-        status[i] = IkStatus.SELF_COLLISION if own.distance_m[i] < table.distance_m[i] else IkStatus.TABLE_COLLISION
+    for i in np.flatnonzero(contacts.colliding):
+        status[i] = IkStatus.SELF_COLLISION if contacts.own_m[i] < contacts.table_m[i] else IkStatus.TABLE_COLLISION
     return replace(joints, status=tuple(status))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Contacts:
+    """Distances along a joint path; negative values are penetration depths."""
+
+    own_m: Array
+    """(n,) between links of the robot [m]."""
+    table_m: Array
+    """(n,) to the table [m]."""
+    colliding: NDArray[np.bool_]
+    """(n,) reached frames in which one of them is a collision."""
+    of_tool: NDArray[np.bool_]
+    """(n,) frames in which the tool collides with the table."""
+
+
+def _find_contacts(
+    plant: ArmPlant, collision: CollisionModel, joints: JointTrack, widths_m: Array, tolerance_m: float
+) -> _Contacts:
+    own, table = collision.self_distance(joints.q, widths_m), collision.table_distance(joints.q, widths_m)
+    tool = np.array([pair is not None and pair[0] in plant.tool for pair in table.pair], dtype=bool)
+    return _Contacts(
+        own_m=own.distance_m,
+        table_m=table.distance_m,
+        colliding=joints.ok & (np.minimum(own.distance_m, table.distance_m) < -tolerance_m),
+        of_tool=tool & (table.distance_m < -tolerance_m),
+    )
 
 
 def _free(collision: CollisionModel, q: Array, finger_width_m: float, tolerance_m: float) -> NDArray[np.bool_]:

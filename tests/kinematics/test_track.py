@@ -1,10 +1,12 @@
+from typing import cast
+
 import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array, make_pose, pose_difference, rotation_exp
-from kinebench_drake.kinematics.collision import CollisionModel
+from kinebench_drake.kinematics.collision import Clearance, CollisionModel
 from kinebench_drake.kinematics.continuation import continue_path
 from kinebench_drake.kinematics.path import is_sound, limit_excess, search_path, speed_ratios
 from kinebench_drake.kinematics.plant import ArmPlant
@@ -83,6 +85,37 @@ def test_one_frame_out_of_reach_does_not_spoil_its_neighbours(plant: ArmPlant) -
     assert joints.position_error_m[5] > 0.5
     assert np.delete(joints.ok, 5).all()
     assert speed_ratios(plant, np.delete(joints.t_s, 5), np.delete(joints.q, 5, axis=0)).max() < 1.0
+
+
+class _MovingObstacle:
+    """Self-collision of one posture of each path that is tested as a whole: that of its frame 0, 1, 2 and so on."""
+
+    def __init__(self, frames: int, limit: int) -> None:
+        self.frames, self.limit, self.paths = frames, limit, 0
+        self.colliding: list[Array] = []
+
+    def self_distance(self, q: Array, finger_width_m: Array) -> Clearance:
+        if len(q) == self.frames:
+            if self.paths < self.limit:
+                self.colliding.append(q[self.paths])
+            self.paths += 1
+        meets = [any(np.array_equal(row, posture) for posture in self.colliding) for row in q]
+        return Clearance(distance_m=np.where(meets, -0.01, 1.0), pair=(None,) * len(q))
+
+    def table_distance(self, q: Array, finger_width_m: Array) -> Clearance:
+        return Clearance(distance_m=np.ones(len(q)), pair=(None,) * len(q))
+
+
+@pytest.mark.parametrize("paths", [1, 2, 100])
+def test_the_status_of_a_frame_is_that_of_its_own_posture(plant: ArmPlant, paths: int) -> None:
+    track = _tabletop_track(12)
+    obstacle = _MovingObstacle(12, paths)
+    joints = solve_track(plant, track, cast(CollisionModel, obstacle))
+    distance_m = obstacle.self_distance(joints.q[:-1], track.finger_width_m[:-1]).distance_m
+    colliding = np.array([status is IkStatus.SELF_COLLISION for status in joints.status])
+    np.testing.assert_array_equal(colliding[:-1], distance_m < 0.0)
+    assert obstacle.paths > 1  # other postures of the frame are free, so the path is searched again
+    assert colliding.any() == (paths == 100)
 
 
 def _joint_paths(plant: ArmPlant, count: int, seed: int, share: float) -> list[tuple[Array, float]]:
