@@ -1,5 +1,6 @@
 """Difference between a generated clip and its execution, frame by frame."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -12,6 +13,14 @@ from kinebench_drake.geometry import Array, pose_difference
 from kinebench_drake.suites.rollout import RolloutVideo
 
 _RANGE = 255
+GAP_METRICS = {
+    "gap_robot_iou": "robot_iou",
+    "gap_gripper_m": "distance_m",
+    "gap_gripper_rad": "angle_rad",
+    "gap_psnr_db": "psnr_db",
+    "gap_ssim": "ssim",
+}
+"""Metrics of an episode and the fields of `Gap` that they average."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -60,3 +69,27 @@ def measure_gap(
         ssim[i] = structural_similarity(*grey, data_range=_RANGE)
     distance, angle = pose_difference(generated_X_BG[:frames], executed.X_BG)
     return Gap(robot_iou=iou, distance_m=distance, angle_rad=angle, psnr_db=psnr, ssim=ssim)
+
+
+def average_gaps(gaps: Sequence[Gap]) -> tuple[dict[str, float | None], dict[str, str]]:
+    """Return the metrics of an episode's clips, and why some are None, by name.
+
+    Means over all executed frames but each clip's first, which both videos share. Distance and angle of the grippers
+    are None if the generated one is lost in any of these frames, since the mean over the others may be smaller. Frames
+    that are equal to the last pixel, whose signal-to-noise ratio is infinite, are left out of its mean.
+    """
+    metrics, reasons = dict[str, float | None](), dict[str, str]()
+    for metric, name in GAP_METRICS.items():
+        values = np.concatenate([np.empty(0), *(getattr(gap, name)[1:] for gap in gaps)])
+        lost = int(np.isnan(values).sum())
+        finite = values[np.isfinite(values)]
+        metrics[metric] = None
+        if not values.size:
+            reasons[metric] = "nothing was executed"
+        elif lost and name in ("distance_m", "angle_rad"):
+            reasons[metric] = f"the generated gripper is lost in {lost} of {len(values)} executed frames"
+        elif not finite.size:
+            reasons[metric] = "the videos are equal" if not lost else "no frame shows the robot"
+        else:
+            metrics[metric] = float(finite.mean())
+    return metrics, reasons

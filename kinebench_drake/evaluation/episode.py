@@ -19,7 +19,7 @@ from kinebench_drake.closed_loop.actions import (
 )
 from kinebench_drake.closed_loop.attribution import find_cause
 from kinebench_drake.closed_loop.commands import CommandPlanner
-from kinebench_drake.closed_loop.gap import measure_gap
+from kinebench_drake.closed_loop.gap import GAP_METRICS, average_gaps, measure_gap
 from kinebench_drake.closed_loop.loop import ClosedLoop, Condition, EpisodeRun, LoopOptions, PendingRound
 from kinebench_drake.evaluation.analyzer import Analyzer, load_analyzer
 from kinebench_drake.evaluation.clips import clip_starts, combine, join_curves, join_tracks
@@ -51,14 +51,6 @@ from kinebench_drake.types import Domain, GripperTrack, Json
 
 SIZE_PX = 384
 """Width and height of conditioning images."""
-GAP_METRICS = {
-    "gap_robot_iou": "robot_iou",
-    "gap_gripper_m": "distance_m",
-    "gap_gripper_rad": "angle_rad",
-    "gap_psnr_db": "psnr_db",
-    "gap_ssim": "ssim",
-}
-"""Further metrics of an episode, null where nothing was executed, and the fields of the gap that they average."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -151,11 +143,19 @@ class EpisodeEvaluator(Evaluator[EpisodeSample, EpisodeResources]):
             with disk_errors(f"rollouts/{path.name}"):
                 write_video(path, _rollout_frames(run, executed, resources.analyzer), FPS, crf=20)
         cause = find_cause(run, results)
+        gap_metrics, gap_reasons = average_gaps(
+            [
+                measure_gap(done.frames, done.robot, done.grounding.track.X_BG, video)
+                for done, video in zip(run.rounds, executed, strict=True)
+                if video is not None
+            ]
+        )
         clips = [f"videos/{r.video.name}" for r in run.rounds]
         return Evaluation(
             kinematics=kinematics,
             video=clips[0],
-            metrics={**_visual_metrics(run, track), **_gap_metrics(run, executed), **self._action_metrics(sample, run)},
+            metrics={**_visual_metrics(run, track), **gap_metrics, **self._action_metrics(sample, run)},
+            reasons=gap_reasons,
             extra={
                 "success": run.outcome.success,
                 "progress": run.outcome.progress,
@@ -284,22 +284,6 @@ def _captioned(frame: NDArray[np.uint8], text: str) -> NDArray[np.uint8]:
     image = np.asarray(cv2.resize(frame, (SIZE_PX, SIZE_PX), interpolation=cv2.INTER_AREA), dtype=np.uint8)
     draw_caption(image, text)
     return image
-
-
-def _gap_metrics(run: EpisodeRun, executed: Sequence[RolloutVideo | None]) -> dict[str, Json]:
-    """Return the gap between generated and executed frames: means over all executed frames but each clip's first."""
-    gaps = [
-        measure_gap(r.frames, r.robot, r.grounding.track.X_BG, video)
-        for r, video in zip(run.rounds, executed, strict=True)
-        if video is not None
-    ]
-
-    def mean(name: str) -> float | None:
-        values = np.concatenate([np.empty(0), *(getattr(gap, name)[1:] for gap in gaps)])
-        values = values[np.isfinite(values)]
-        return float(values.mean()) if len(values) else None
-
-    return {metric: mean(name) for metric, name in GAP_METRICS.items()}
 
 
 def _visual_metrics(run: EpisodeRun, track: GripperTrack) -> dict[str, Json]:

@@ -84,7 +84,8 @@ class Evaluation:
     video: str | None = None
     """Name of the video where it differs from the sample's."""
     reasons: Mapping[str, str] = field(default_factory=dict)
-    """Why metrics are null where kinematics is not judged, by name; that of all others by ""."""
+    """Why metrics besides those of the kinematics are null, by name; where kinematics is not judged, that of all others
+    by ""."""
     unmeasurable: str | None = None
     """Reason why the sample cannot be measured, where the row still has further keys."""
 
@@ -248,8 +249,8 @@ def _executability(kinematics: "KinematicResult | None", anomalies: Json) -> tup
 def _null_reasons(
     metrics: Mapping[str, Json], kinematics: "KinematicResult | None", others: Mapping[str, str]
 ) -> dict[str, str]:
-    """Return why each null metric is null, in the metrics' order; `others` where kinematics is not judged."""
-    stated = kinematics.reasons if kinematics else others
+    """Return why each null metric is null, in the metrics' order."""
+    stated = {**others, **(kinematics.reasons if kinematics else {})}
     reasons = {}
     for name, value in metrics.items():
         if value is None:
