@@ -1,5 +1,6 @@
 """Time of the benchmark: control steps, frames, clips, and clips of other lengths brought to it."""
 
+import math
 from enum import Enum
 
 import numpy as np
@@ -45,7 +46,7 @@ def sample_uniformly(frames: int, duration_s: float, period_s: float) -> tuple[N
         Indices (T,) of the frames, and their task times (T,) [s].
     """
     count = max(round(duration_s / period_s), 1) + 1
-    if frames == count:
+    if frames == count and math.isclose(duration_s, (count - 1) * period_s):
         return np.arange(frames), np.arange(frames, dtype=np.float64) * period_s
     chosen = np.rint(np.linspace(0, frames - 1, min(count, frames))).astype(np.intp)
     return chosen, chosen.astype(np.float64) * (duration_s / (frames - 1))

@@ -3,6 +3,7 @@
 import io
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,8 +52,8 @@ def read_poses(folder: Path, entry: Path, frames: int) -> Priors:
                 X_CM = _numbers(pick(archive, ("camera_from_hand",))[1])
                 if "finger_width_m" in archive.files:
                     width = _checked_width(_numbers(archive["finger_width_m"]))
-                if "tracked" in archive.files and archive["tracked"].shape == X_CM.shape[:1]:
-                    X_CM[~archive["tracked"].astype(bool)] = np.nan
+                if "tracked" in archive.files:
+                    X_CM[~_checked_tracked(archive["tracked"], len(X_CM))] = np.nan
         if X_CM.ndim != 3 or X_CM.shape[1:] != (4, 4):
             raise InputError(f"the poses have shape {X_CM.shape}, expected (T, 4, 4)")
         X_CH = _checked(X_CM)
@@ -60,6 +61,12 @@ def read_poses(folder: Path, entry: Path, frames: int) -> Priors:
     if mesh.is_file():
         X_CH = X_CH @ _rigid(_read_text(mesh), mesh.name)
     return Priors(X_CH=X_CH, finger_width_m=width)
+
+
+def _checked_tracked(tracked: NDArray[Any], frames: int) -> NDArray[np.bool_]:
+    if tracked.dtype.kind not in "biu" or tracked.shape != (frames,):
+        raise InputError(f"tracked has shape {tracked.shape} of {tracked.dtype}, expected ({frames},) of bool")
+    return tracked.astype(bool)
 
 
 def _checked(X: Array) -> Array:

@@ -148,7 +148,10 @@ def _lost_poses(number: int, clip: ClipEvidence) -> Iterator[Cause]:
     longest = max(segments(lost), key=_length, default=None)
     if longest is not None and (_length(longest) >= LOST_FRAMES or lost.mean() > LOST_SHARE):
         text = f"no pose in {int(lost.sum())} of {len(lost)} frames, {_length(longest)} of them in a row"
-        yield _cause(FailureVerdict.GROUNDING, number, longest, text, float(lost.sum()), float(LOST_FRAMES - 1))
+        value, limit = float(_length(longest)), float(LOST_FRAMES - 1)
+        if value <= limit:
+            value, limit = float(lost.mean()), LOST_SHARE
+        yield _cause(FailureVerdict.GROUNDING, number, longest, text, value, limit)
 
 
 def _video_faults(number: int, clip: ClipEvidence) -> Iterator[Cause]:

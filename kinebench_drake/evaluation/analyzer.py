@@ -203,9 +203,9 @@ def load_analyzer(make: AnalyzerFactory, options: RobotOptions) -> Analyzer:
     """
     try:
         return make(options)
-    except (ImportError, OSError, AttributeError) as error:
+    except (ImportError, OSError) as error:
         raise SetupError(
             f"cannot load the robot ({error}); `kinebench-drake doctor --fix` repairs what is missing, or says how"
-        ) from None
+        ) from error
     except InputError as error:
         raise UsageError(f"--robot and --tcp-frame: {error}") from None

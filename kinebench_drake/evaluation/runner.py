@@ -119,12 +119,12 @@ def _graceful(executor: Executor, observer: RunObserver) -> AbstractContextManag
 
 
 def _is_complete(config: RunConfig, metadata: RunMetadata) -> bool:
-    """Return whether the folder holds the results and the report of this very run."""
+    """Return whether the folder holds the results of this very run, and its report if the kind of run has one."""
     from kinebench_drake.report.page import is_report_current
 
     stored = read_metadata(config.out)
     finished = stored is not None and stored.finished and stored.run.to_json() == metadata.to_json()
-    return finished and config.kind.judges and is_report_current(config.out)
+    return finished and (not config.kind.judges or is_report_current(config.out))
 
 
 def _start_worker(evaluator: Evaluator[SampleT, ResourcesT]) -> Callable[[SampleT], tuple[SampleRow, float]]:

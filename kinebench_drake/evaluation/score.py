@@ -311,8 +311,8 @@ class VideoEvaluator(Evaluator[VideoSample, Analyzer]):
 
     @property
     def artifacts(self) -> tuple[str, ...]:
-        """Tracks, and overlays where they are written."""
-        return ("tracks", *(["overlays"] if self.config.overlay else []))
+        """Tracks and thumbnails, and overlays where they are written."""
+        return ("tracks", "thumbnails", *(["overlays"] if self.config.overlay else []))
 
     def cache_key(self, sample: VideoSample) -> Mapping[str, Json]:
         """Return weights, camera, clock, overrides and labels."""

@@ -136,6 +136,8 @@ def _create_mp4(path: Path) -> Iterator[OutputContainer]:
         part.parent.mkdir(parents=True, exist_ok=True)
         with av.open(part, "w", format="mp4", container_options={"fflags": "+bitexact"}) as container:
             yield container
+        with part.open("rb") as file:
+            os.fsync(file.fileno())
         os.replace(part, path)
     finally:
         part.unlink(missing_ok=True)

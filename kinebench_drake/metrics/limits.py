@@ -34,13 +34,13 @@ class LimitCheck:
     """Check of one kind of limit along a track, in the unit of the kind: rad/s, rad/s^2, rad/s^3 or N m."""
 
     ratio_max: float
-    """Greatest |value| / limit of all joints, over the values that the noise does not hide."""
-    joint: str
-    """Joint of the greatest ratio."""
-    frame: int
-    """Frame of the greatest ratio."""
-    t_worst_s: float
-    """Time of that frame [s]."""
+    """Greatest |value| / limit of all joints, over the values that the noise does not hide; NaN where it hides all."""
+    joint: str | None
+    """Joint of the greatest ratio; None where there is none."""
+    frame: int | None
+    """Frame of the greatest ratio; None likewise."""
+    t_worst_s: float | None
+    """Time of that frame [s]; None likewise."""
     margins: Array
     """(7,) limit - greatest |value| of each joint; NaN where the noise hides all values."""
     ratios: Array
@@ -207,11 +207,12 @@ def _check(
     ratio = np.where(significant, magnitude / limits, -1.0)
     frame, joint = np.unravel_index(int(np.argmax(ratio)), ratio.shape)
     ratios = np.where(significant.any(axis=0), ratio.max(axis=0), np.nan)
+    some = bool(significant.any())
     return LimitCheck(
-        ratio_max=float(ratio[frame, joint]) if significant.any() else np.nan,
-        joint=plant.robot.joints[joint],
-        frame=int(frame),
-        t_worst_s=float(t_s[frame]),
+        ratio_max=float(ratio[frame, joint]) if some else np.nan,
+        joint=plant.robot.joints[joint] if some else None,
+        frame=int(frame) if some else None,
+        t_worst_s=float(t_s[frame]) if some else None,
         margins=limits * (1.0 - ratios),
         ratios=ratios,
         value=value,

@@ -145,6 +145,7 @@ def _even_speeds(t_s: Array, lengths: Array) -> Array:
 
 METRICS = ("sparc", "sparc_rotation", "ldlj", "sparc_filtered", "sparc_rotation_filtered")
 """Names of the metrics."""
+_OF_POSITION, _OF_ROTATION = ("sparc", "ldlj", "sparc_filtered"), ("sparc_rotation", "sparc_rotation_filtered")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -176,11 +177,16 @@ def measure_smoothness(track: GripperTrack, noise: TrackNoise | None = None, see
     lost, n = int((~track.tracked).sum()), len(track.t_s)
     if lost == 0:
         return alone
-    whole = {} if lost > MAX_LOST_SHARE * n else _least_values(track)
-    why = f"{lost} of {n} frames are lost" + (f", more than {MAX_LOST_SHARE:.0%}" if lost > MAX_LOST_SHARE * n else "")
+    whole = dict[str, float]()
+    reasons = dict.fromkeys(METRICS, f"{lost} of {n} frames are lost")
+    if lost > MAX_LOST_SHARE * n:
+        reasons = {name: f"{why}, more than {MAX_LOST_SHARE:.0%}" for name, why in reasons.items()}
+    else:
+        whole = _least_values(track)
+        reasons |= _stillness(track.X_BG[track.tracked])
     return Smoothness(
         metrics=MappingProxyType({name: whole.get(name) for name in alone.metrics}),
-        reasons=MappingProxyType(dict.fromkeys(METRICS, why)),
+        reasons=MappingProxyType(reasons),
         without_lost=MappingProxyType({name: alone.metrics[name] for name in METRICS}),
     )
 
@@ -200,6 +206,15 @@ def _least_values(track: GripperTrack) -> dict[str, float]:
     if _keeps_orientation(R[tracked]) is None:
         values["sparc_rotation"] = least_arc(turned, rate, bins, cutoff_hz)
     return values
+
+
+def _stillness(X_BG: Array) -> dict[str, str]:
+    """Return why poses (N, 4, 4) have no smoothness, by metric; empty if they move and turn."""
+    reasons = {
+        **dict.fromkeys(_OF_POSITION, _rests(X_BG[:, :3, 3])),
+        **dict.fromkeys(_OF_ROTATION, _keeps_orientation(X_BG[:, :3, :3])),
+    }
+    return {name: why for name, why in reasons.items() if why is not None}
 
 
 def _rests(p: Array) -> str | None:
@@ -235,22 +250,8 @@ def _measure_longest_run(track: GripperTrack, noise: TrackNoise | None, seed: in
     turned = np.concatenate([np.zeros((1, 3)), np.cumsum(rotation_steps(R), axis=0)])
     rng = np.random.default_rng(seed)
     results = {
-        **_measure(
-            ("sparc", "ldlj", "sparc_filtered"),
-            t_s,
-            p,
-            noise.position_m,
-            rng,
-            _rests(p),
-        ),
-        **_measure(
-            ("sparc_rotation", "sparc_rotation_filtered"),
-            t_s,
-            turned,
-            noise.rotation_rad,
-            rng,
-            _keeps_orientation(R),
-        ),
+        **_measure(_OF_POSITION, t_s, p, noise.position_m, rng, _rests(p)),
+        **_measure(_OF_ROTATION, t_s, turned, noise.rotation_rad, rng, _keeps_orientation(R)),
     }
     return _smoothness(results)
 

@@ -238,9 +238,7 @@ def estimate(
     if all(isinstance(v, bool) for v in values if v is not None):
         worst = 0.0
         low, high = share_interval(np.array(units), np.random.default_rng(seed))
-    elif len(units) > 1 and min(units) == max(units):
-        low = high = mean
-    elif len(units) > 1:
+    elif len(units) > 1 and min(units) < max(units):  # equal values do not mean a certain mean
         low, high = bootstrap_mean(np.array(units), np.random.default_rng(seed))
     missing = total - n
     bound = mean if missing == 0 else None if worst is None else (math.fsum(numbers) + missing * worst) / total

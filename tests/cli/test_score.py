@@ -317,6 +317,27 @@ def test_a_finished_run_is_left_alone_until_something_changes(film, config, tmp_
     assert told[-1].counts == told[0].counts
 
 
+@pytest.mark.parametrize("kind", [RunKind.GROUND, RunKind.SCORE])
+def test_the_same_command_again_writes_nothing(film, config, tmp_path, kind):
+    film("videos/a.mp4")
+    score_videos(config(kind=kind))
+    before = {path: path.stat().st_mtime_ns for path in (tmp_path / "out").rglob("*")}
+    score_videos(config(kind=kind))
+    assert {path: path.stat().st_mtime_ns for path in (tmp_path / "out").rglob("*")} == before
+
+
+def test_a_file_that_is_gone_is_made_again(film, config, tmp_path):
+    film("videos/a.mp4")
+    score_videos(config(overlay=True))
+    files = [path for path in (tmp_path / "out").glob("*/a.*") if path.parent.name != "videos"]
+    assert {path.parent.name for path in files} >= {"tracks", "thumbnails", "overlays"}
+    for path in files:
+        content = path.read_bytes()
+        path.unlink()
+        score_videos(config(overlay=True))
+        assert path.read_bytes() == content
+
+
 def test_errors_are_tried_again(film, config, tmp_path):
     path = film("videos/a.mp4")
     data = path.read_bytes()

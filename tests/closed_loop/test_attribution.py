@@ -7,6 +7,7 @@ import pytest
 
 from kinebench_drake.closed_loop.attribution import ClipEvidence, FailureVerdict, attribute
 from kinebench_drake.geometry import make_pose, rotation_exp
+from kinebench_drake.metrics.executable import LOST_FRAMES, LOST_SHARE
 from kinebench_drake.types import Anomaly, AnomalyKind
 
 FRAMES = 30
@@ -55,6 +56,15 @@ def test_frames_that_were_not_read_come_first() -> None:
     cause = attribute([clip(), lost(10, 14)], "")
     assert (cause.verdict, cause.round, cause.frame_start, cause.frame_end) == (FailureVerdict.GROUNDING, 1, 10, 14)
     assert attribute([lost(10, 10)], "").verdict is FailureVerdict.TASK
+
+
+def test_the_value_of_lost_poses_exceeds_its_limit() -> None:
+    in_a_row = attribute([lost(10, 14)], "")
+    assert (in_a_row.value, in_a_row.limit) == (5.0, LOST_FRAMES - 1.0)
+    scattered = replace(clip(), tracked=np.arange(FRAMES) % 4 > 0)
+    share = attribute([scattered], "")
+    assert share.value == pytest.approx(0.25, abs=0.05)
+    assert share.limit == LOST_SHARE
 
 
 @pytest.mark.parametrize(

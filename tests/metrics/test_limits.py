@@ -221,6 +221,14 @@ def test_noise_that_hides_a_limit_says_so(plant: ArmPlant) -> None:
     assert check.noise_ratio < 0.1
 
 
+def test_noise_that_hides_every_value_leaves_no_greatest_one(plant: ArmPlant) -> None:
+    t_s = 0.05 * np.arange(60)
+    check = check_limits(plant, t_s, _wave(t_s, plant), np.full((60, 7), 10.0)).checks[ViolationKind.VELOCITY]
+    assert np.isnan(check.ratio_max)
+    assert (check.joint, check.frame, check.t_worst_s) == (None, None, None)
+    assert check.violations == ()
+
+
 def test_unknown_noise_convicts_nothing(plant: ArmPlant) -> None:
     t_s = 0.1 * np.arange(4)
     q = np.tile(plant.robot.rest_q, (4, 1))

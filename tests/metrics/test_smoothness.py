@@ -292,3 +292,6 @@ def test_numbers_have_flat_names_and_what_is_missing_a_reason() -> None:
     assert set(short.metrics.values()) == {None}
     assert "45 of 50 frames are lost, more than 5%" in short.reasons["sparc"]
     assert measure_smoothness(_track()).reasons == {}
+    still = measure_smoothness(_with_gap(_track(size_m=0.0), slice(20, 21)))
+    assert still.reasons["sparc"] == "the gripper stays within 0.005 m"
+    assert still.reasons["sparc_rotation_filtered"] == "1 of 50 frames are lost"

@@ -14,18 +14,19 @@ def test_each_chosen_frame_keeps_its_own_time(frames: int, duration_s: float, pe
     assert chosen[-1] == frames - 1
     assert (np.diff(chosen) > 0).all()
     assert len(chosen) == min(frames, max(round(duration_s / period_s), 1) + 1)
-    if len(chosen) == frames == round(duration_s / period_s) + 1:
-        np.testing.assert_array_equal(t_s, period_s * np.arange(frames))
-    else:
-        np.testing.assert_allclose(t_s, chosen * duration_s / (frames - 1))
-        even = np.linspace(0.0, duration_s, len(chosen))
-        assert np.abs(t_s - even).max() <= 0.5 * duration_s / (frames - 1) + 1e-9
+    np.testing.assert_allclose(t_s, chosen * duration_s / (frames - 1))
+    even = np.linspace(0.0, duration_s, len(chosen))
+    assert np.abs(t_s - even).max() <= 0.5 * duration_s / (frames - 1) + 1e-9
 
 
 def test_a_clip_of_the_benchmark_is_left_as_it_is() -> None:
     chosen, t_s = sample_uniformly(49, CLIP_S, FRAME_PERIOD_S)
     assert chosen.tolist() == list(range(49))
     np.testing.assert_array_equal(t_s, FRAME_PERIOD_S * np.arange(49))
+
+
+def test_a_duration_holds_even_with_as_many_frames_as_periods() -> None:
+    assert sample_uniformly(34, 10.0, 0.3)[1][-1] == 10.0
 
 
 def test_150_frames_become_49_at_5_hz_and_25_stay() -> None:

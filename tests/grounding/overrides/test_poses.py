@@ -2,9 +2,11 @@
 
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from kinebench_drake.errors import InputError
 from kinebench_drake.geometry import Array, make_pose, rotation_exp
@@ -54,6 +56,13 @@ def test_of_a_track_the_tracked_frames_are_taken(tmp_path: Path) -> None:
     )
     write_track(tmp_path / "v.npz", track, None, {})
     np.testing.assert_allclose(read_poses(tmp_path, tmp_path / "v.npz", T).X_CH, without(5), atol=1e-12)
+
+
+@pytest.mark.parametrize("tracked", [np.ones(T - 1, dtype=bool), np.ones(T), np.array(["no"] * T)])
+def test_a_mask_of_tracked_frames_that_does_not_fit_is_refused(tmp_path: Path, tracked: NDArray[Any]) -> None:
+    np.savez(tmp_path / "v.npz", camera_from_hand=X_CH, tracked=tracked)
+    with pytest.raises(InputError, match=rf"tracked has shape .* expected \({T},\)"):
+        read_poses(tmp_path, tmp_path / "v.npz", T)
 
 
 @pytest.mark.parametrize(
