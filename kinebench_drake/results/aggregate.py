@@ -32,7 +32,7 @@ class Estimate:
     mean: float | None
     """Mean of the values, or share of true values; None without values."""
     low: float | None
-    """Lower end of the interval; None if there are too few samples."""
+    """Lower end of the interval; None with a single sample, and where all are equal: that makes no mean certain."""
     high: float | None
     """Upper end of the interval."""
     n: int

@@ -109,7 +109,7 @@ def test_numbers_come_with_interval_and_coverage(out):
         r"Feasible for the robot</span><b>67%</b> <div class=\"note\">95% interval 21% to 94%<br>3 of 6", tile
     )
     sparc = text[text.index('<span class="name">SPARC') :]
-    assert re.match(r'<span class="name">SPARC</span><b>-1.50</b> <div class="note">all samples equal<br>3 of 6', sparc)
+    assert re.match(r'<span class="name">SPARC</span><b>-1.50</b> <div class="note">no interval<br>3 of 6', sparc)
 
 
 def test_the_same_folder_gives_the_same_bytes(out):

@@ -272,7 +272,7 @@ def test_estimates_of_little():
     one = estimate([2.0], total=3)
     assert (one.mean, one.low, one.high, one.n, one.total) == (2.0, None, None, 1, 3)
     same = estimate([2.0, 2.0], total=2)
-    assert (same.low, same.high) == (2.0, 2.0)
+    assert (same.mean, same.low, same.high) == (2.0, None, None)
 
 
 def test_aggregates_count_everything_and_average_only_what_was_measured():
