@@ -1,6 +1,6 @@
 """Contact sheets: an overview image of tasks or looks."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -16,7 +16,7 @@ from kinebench_drake.suites.episode import Episode, compose
 from kinebench_drake.suites.experts.registry import find_expert
 from kinebench_drake.suites.rollout import run_expert
 from kinebench_drake.suites.simulator import Simulator
-from kinebench_drake.suites.simulator_cache import SimulatorCache
+from kinebench_drake.suites.simulator_cache import SimulatorCache, SimulatorWorker
 from kinebench_drake.suites.tasks.registry import find_task
 
 LOOKS_TASK = "StackCube-v1"
@@ -124,7 +124,7 @@ def _wrap(text: str, font: ImageFont.ImageFont | ImageFont.FreeTypeFont, width: 
 
 def _render_panels(executor: Executor, episodes: Sequence[Episode], *, with_expert: bool) -> list[Panel]:
     panels = {}
-    for done in executor.run(partial(_make_worker, with_expert), episodes):
+    for done in executor.run(partial(_PanelWorker, with_expert), episodes):
         if isinstance(done, WorkerCrash):
             panels[done.item.id] = Panel(title=_title(done.item, with_expert), text=done.reason, failed=True)
         else:
@@ -136,10 +136,15 @@ def _title(episode: Episode, with_expert: bool) -> str:
     return episode.task if with_expert else episode.id
 
 
-def _make_worker(with_expert: bool) -> Callable[[Episode], Panel]:
-    """Create, in each process, the function that renders a panel."""
-    simulators = SimulatorCache(Simulator, benchmark_camera().width)
-    return lambda episode: _render_panel(simulators.get(episode.task, episode.variant), episode, with_expert)
+class _PanelWorker(SimulatorWorker[Simulator]):
+    """Renders panels."""
+
+    def __init__(self, with_expert: bool) -> None:
+        super().__init__(SimulatorCache(Simulator, benchmark_camera().width))
+        self._with_expert = with_expert
+
+    def __call__(self, episode: Episode) -> Panel:
+        return _render_panel(self._simulators.get(episode.task, episode.variant), episode, self._with_expert)
 
 
 def _render_panel(simulator: Simulator, episode: Episode, with_expert: bool) -> Panel:

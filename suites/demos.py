@@ -10,7 +10,7 @@ import json
 import os
 import shutil
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -44,7 +44,7 @@ from kinebench_drake.suites.formats.stills import render_stills
 from kinebench_drake.suites.rollout import Rollout, render_video, run_expert
 from kinebench_drake.suites.seeding import generator
 from kinebench_drake.suites.simulator import Simulator
-from kinebench_drake.suites.simulator_cache import SimulatorCache, failure_reason
+from kinebench_drake.suites.simulator_cache import SimulatorCache, SimulatorWorker, failure_reason
 from kinebench_drake.suites.suite import EpisodeSpec
 
 RECORDS, SUMMARY = "demos.jsonl", "demos.json"
@@ -83,25 +83,27 @@ class _RecordingSimulator(Simulator):
         self.successes.append(self.outcome().success)
 
 
-def _make_worker(kind: FormatKind, options: RenderOptions, out: Path) -> Callable[[EpisodeSpec], Record]:
-    """Create, in each process, the function that makes a demonstration."""
-    form = find_format(kind)
-    make = _RecordingSimulator if Content.STATES in form.content else Simulator
-    renders = bool(form.content & (Content.VIDEO | Content.STILLS))
-    simulators = SimulatorCache(make, options.size, renders=renders)
+class _DemoWorker(SimulatorWorker[Simulator]):
+    """Makes demonstrations."""
 
-    def demonstrate(spec: EpisodeSpec) -> Record:
-        episode, simulator = spec.episode(), simulators.get(spec.task, spec.variant)
+    def __init__(self, kind: FormatKind, options: RenderOptions, out: Path) -> None:
+        self._form, self._options, self._out = find_format(kind), options, out
+        make = _RecordingSimulator if Content.STATES in self._form.content else Simulator
+        renders = bool(self._form.content & (Content.VIDEO | Content.STILLS))
+        super().__init__(SimulatorCache(make, options.size, renders=renders))
+
+    def __call__(self, spec: EpisodeSpec) -> Record:
+        episode, simulator = spec.episode(), self._simulators.get(spec.task, spec.variant)
         success, progress, reason, clips = False, 0.0, "", 0
         try:
-            rollout = run_expert(simulator, find_expert(spec.task), episode, every=options.every)
+            rollout = run_expert(simulator, find_expert(spec.task), episode, every=self._options.every)
             outcome, clips = rollout.outcome, len(rollout.controls) // CLIP_STEPS
             success, progress = outcome.success and clips > 0, outcome.progress
             reason = "" if success else outcome.reason or "done before anything moved"
         except Exception as error:
             reason = failure_reason(error)
         if success:
-            form.write_part(out, _demo(simulator, rollout, options, form.content))
+            self._form.write_part(self._out, _demo(simulator, rollout, self._options, self._form.content))
         return Record(
             id=episode.id,
             task=episode.task,
@@ -113,8 +115,6 @@ def _make_worker(kind: FormatKind, options: RenderOptions, out: Path) -> Callabl
             clips=clips,
             facts={name: fact for name, fact in episode_facts(episode).items() if name not in Record.__slots__},
         )
-
-    return demonstrate
 
 
 def _demo(simulator: Simulator, rollout: Rollout, options: RenderOptions, content: Content) -> Demo:
@@ -291,7 +291,7 @@ def _run_attempts(
     observer.start(config.wanted * len(config.tasks), completed)
     while todo := [spec for task in config.tasks for spec in _plan_task(config, records, task)[1]]:
         crashes = []
-        for done in executor.run(partial(_make_worker, config.kind, config.options, config.out), todo):
+        for done in executor.run(partial(_DemoWorker, config.kind, config.options, config.out), todo):
             if isinstance(done, WorkerCrash):
                 crashes.append(f"{done.item.task} seed {done.item.seed}: {done.reason}")
                 continue

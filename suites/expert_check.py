@@ -1,6 +1,6 @@
 """Success rates of scripted policies: the expert, a still robot, random motion."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from functools import partial
@@ -16,7 +16,7 @@ from kinebench_drake.suites.experts.registry import find_expert
 from kinebench_drake.suites.rollout import run_expert
 from kinebench_drake.suites.seeding import generator
 from kinebench_drake.suites.simulator import Simulator, TaskOutcome
-from kinebench_drake.suites.simulator_cache import SimulatorCache, failure_reason
+from kinebench_drake.suites.simulator_cache import SimulatorCache, SimulatorWorker, failure_reason
 
 RANDOM_STEP_RAD = 0.1
 """Largest step of each joint of the random policy per control step."""
@@ -45,24 +45,25 @@ class ExpertTrial:
     """Number of frames, including the first."""
 
 
-def _make_worker(policy: Policy) -> Callable[[Episode], ExpertTrial]:
-    """Create, in each process, the function that runs a trial."""
-    simulators = SimulatorCache(Simulator, benchmark_camera().width, renders=False)
+class _TrialWorker(SimulatorWorker[Simulator]):
+    """Runs trials of a policy."""
 
-    def run_trial(episode: Episode) -> ExpertTrial:
-        simulator = simulators.get(episode.task, episode.variant)
-        trial = partial(ExpertTrial, episode=episode, policy=policy)
+    def __init__(self, policy: Policy) -> None:
+        super().__init__(SimulatorCache(Simulator, benchmark_camera().width, renders=False))
+        self._policy = policy
+
+    def __call__(self, episode: Episode) -> ExpertTrial:
+        simulator = self._simulators.get(episode.task, episode.variant)
+        trial = partial(ExpertTrial, episode=episode, policy=self._policy)
         try:
-            if policy is Policy.EXPERT:
+            if self._policy is Policy.EXPERT:
                 rollout = run_expert(simulator, find_expert(episode.task), episode)
                 outcome, frames = rollout.outcome, len(rollout.snapshots)
             else:
-                outcome, frames = _run_open_loop(simulator, episode, policy)
+                outcome, frames = _run_open_loop(simulator, episode, self._policy)
         except Exception as error:
             return trial(reason=failure_reason(error), frames=1)
         return trial(success=outcome.success, progress=outcome.progress, reason=outcome.reason, frames=frames)
-
-    return run_trial
 
 
 def _run_open_loop(simulator: Simulator, episode: Episode, policy: Policy) -> tuple[TaskOutcome, int]:
@@ -86,7 +87,7 @@ def _run_open_loop(simulator: Simulator, episode: Episode, policy: Policy) -> tu
 
 def run_trials(executor: Executor, episodes: Sequence[Episode], policy: Policy) -> Iterator[ExpertTrial]:
     """Run every episode once and yield the trials in any order; a worker crash is a failed trial."""
-    for done in executor.run(partial(_make_worker, policy), list(episodes)):
+    for done in executor.run(partial(_TrialWorker, policy), list(episodes)):
         if isinstance(done, WorkerCrash):
             yield ExpertTrial(episode=done.item, policy=policy, reason=done.reason, frames=0)
         else:

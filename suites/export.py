@@ -1,6 +1,6 @@
 """Export of a suite's episodes for world models: first frames, prompts and camera."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from functools import partial
@@ -23,7 +23,7 @@ from kinebench_drake.suites.clock import CLIP_FRAMES, FRAME_PERIOD_S
 from kinebench_drake.suites.episode import Episode
 from kinebench_drake.suites.prompts import PromptTemplate
 from kinebench_drake.suites.simulator import Simulator
-from kinebench_drake.suites.simulator_cache import SimulatorCache
+from kinebench_drake.suites.simulator_cache import SimulatorCache, SimulatorWorker
 from kinebench_drake.suites.start import first_facts
 from kinebench_drake.suites.suite import VERSION, EpisodeSpec, Suite
 from kinebench_drake.suites.tasks.registry import TASKS
@@ -79,20 +79,21 @@ _FirstFrame = tuple[Episode, dict[str, Any]]
 """Episode and robot state of a first frame, as manifest keys."""
 
 
-def _make_worker(size: int, out: Path) -> Callable[[EpisodeSpec], _FirstFrame]:
-    """Create, in each process, the function that renders a first frame."""
-    simulators = SimulatorCache(Simulator, size)
+class _FirstFrameWorker(SimulatorWorker[Simulator]):
+    """Renders first frames."""
 
-    def render(spec: EpisodeSpec) -> _FirstFrame:
+    def __init__(self, size: int, out: Path) -> None:
+        super().__init__(SimulatorCache(Simulator, size))
+        self._out = out
+
+    def __call__(self, spec: EpisodeSpec) -> _FirstFrame:
         episode = spec.episode()
-        simulator = simulators.get(spec.task, spec.variant)
+        simulator = self._simulators.get(spec.task, spec.variant)
         simulator.reset(episode)
         rgb = simulator.render().rgb
-        with atomic_path(out / f"{episode.id}.png") as part:
+        with atomic_path(self._out / f"{episode.id}.png") as part:
             Image.fromarray(rgb).save(part, format="png")
         return episode, first_facts(simulator.link_pose(TCP_LINK), float(simulator.snapshot().fingers_m.sum()))
-
-    return render
 
 
 def export_suite(config: ExportConfig, executor: Executor, observer: Observer) -> int:
@@ -111,7 +112,7 @@ def export_suite(config: ExportConfig, executor: Executor, observer: Observer) -
     write_json(config.out / SUMMARY, _summary(config, len(specs)))
     observer.start(len(specs), 0)
     frames: dict[EpisodeSpec, _FirstFrame] = {}
-    for done in executor.run(partial(_make_worker, config.size, config.out), specs):
+    for done in executor.run(partial(_FirstFrameWorker, config.size, config.out), specs):
         if isinstance(done, WorkerCrash):
             raise SetupError(f"{done.item.task} seed {done.item.seed}: {done.reason}; run the same command again")
         frames[done.item] = done.result

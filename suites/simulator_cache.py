@@ -42,6 +42,18 @@ class SimulatorCache(Generic[S]):
             self._simulator = None
 
 
+class SimulatorWorker(Generic[S]):
+    """Base of the workers that handle episodes one after the other, each on the simulator of its task."""
+
+    def __init__(self, simulators: SimulatorCache[S]) -> None:
+        """Take over the cache."""
+        self._simulators = simulators
+
+    def close(self) -> None:
+        """Release the simulator."""
+        self._simulators.close()
+
+
 def failure_reason(error: Exception) -> str:
     """Return the reason of a failed episode; errors that are not of the episode (setup, usage, memory) are raised."""
     if isinstance(error, SetupError | UsageError | MemoryError):

@@ -47,13 +47,14 @@ class CameraCalibration:
     focal_sigma: float
     """Relative standard deviation of the focal length; 0 if it was fixed."""
     residual_px: float
-    """Root mean square of the reprojection error, weighted by the certainty of each cell [px]."""
+    """Of a fit to cells the root mean square of the reprojection error, weighted by the certainty of each cell; of one
+    to contours the median distance from edges [px]."""
     part_px: dict[str, float]
-    """Median reprojection error [px] of the cells of gripper, arm and base."""
+    """Median error [px] of the cells or contour points of gripper, arm and base."""
     part_cells: dict[str, int]
-    """Number of cells of gripper, arm and base."""
+    """Number of cells or contour points of gripper, arm and base."""
     inlier_share: float
-    """Share of the cells within four standard deviations."""
+    """Share of the cells within four standard deviations, or of the contour points on edges."""
     spread_m: Array
     """(K,) distances between the camera and those estimated from single frames [m]."""
     spread_rad: Array
@@ -66,6 +67,11 @@ class CameraCalibration:
     """Share of the contours of hand and arm on image edges; None if the camera was fitted to cells alone."""
     warnings: tuple[str, ...] = ()
     """Warnings for the user."""
+
+    @property
+    def fitted_to(self) -> str:
+        """Measurements of the fit: "cells" or "contours"."""
+        return "cells" if self.agreement is None else "contours"
 
     def to_json(self) -> dict[str, Json]:
         """Serialize all results; the camera as in `camera.json`."""
@@ -86,6 +92,7 @@ class CameraCalibration:
                 "rotation_deg": float(np.rad2deg(self.rotation_sigma_rad)),
                 "focal_percent": 100 * self.focal_sigma,
             },
+            "fitted_to": self.fitted_to,
             "residual_px": self.residual_px,
             "part_median_px": {name: px if np.isfinite(px) else None for name, px in self.part_px.items()},
             "part_cells": dict(self.part_cells),
@@ -212,9 +219,8 @@ def format_lines(calibration: CameraCalibration) -> list[str]:
     place = ", ".join(f"{1e3 * x:.0f}" for x in camera.X_BC[:3, 3])
     fov = np.rad2deg(2 * np.arctan(camera.width / 2 / camera.fx))
     sure = f" +- {100 * c.focal_sigma:.1f} %" if c.focal_free else ", given"
-    points = "cells" if c.agreement is None else "contour points"
     report = [
-        f"from: {c.source}; {len(c.frames)} frames, {sum(c.part_cells.values())} {points} of the robot "
+        f"from: {c.source}; {len(c.frames)} frames, {sum(c.part_cells.values())} points of the robot's {c.fitted_to} "
         f"(gripper {c.part_cells['gripper']}, arm {c.part_cells['arm']}, base {c.part_cells['base']})",
         f"camera in the base frame: {place} mm, +- {1e3 * c.position_sigma_m:.0f} mm, "
         f"{np.rad2deg(c.rotation_sigma_rad):.2f} degrees",

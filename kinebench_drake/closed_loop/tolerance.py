@@ -28,7 +28,7 @@ from kinebench_drake.suites.experts.registry import find_expert
 from kinebench_drake.suites.rollout import Rollout, run_expert
 from kinebench_drake.suites.seeding import generator
 from kinebench_drake.suites.simulator import Control, Simulator
-from kinebench_drake.suites.simulator_cache import SimulatorCache, failure_reason
+from kinebench_drake.suites.simulator_cache import SimulatorCache, SimulatorWorker, failure_reason
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -111,12 +111,12 @@ def _displace(X_BG: Array, p: Array, w: Array) -> Array:
     return make_pose(X_BG[:, :3, :3] @ rotation_exp(w), X_BG[:, :3, 3] + p)
 
 
-class _AttemptWorker:
+class _AttemptWorker(SimulatorWorker[Simulator]):
     """Runs the expert once per episode and executes its track with each error."""
 
     def __init__(self, errors: Sequence[PoseError]) -> None:
         self._grades = grades(errors)
-        self._simulators = SimulatorCache(Simulator, benchmark_camera().width, renders=False)
+        super().__init__(SimulatorCache(Simulator, benchmark_camera().width, renders=False))
         self._planner = CommandPlanner(ArmPlant())
 
     def __call__(self, episode: Episode) -> list[ToleranceAttempt]:

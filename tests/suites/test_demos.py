@@ -137,7 +137,7 @@ def broken_worker(
     monkeypatch.setattr(demos, "run_expert", fail)
     monkeypatch.setattr(SimulatorCache, "get", lambda self, task, variant: None)
     order = an_order(out, FormatKind.MANISKILL, 1)
-    return order, demos._make_worker(order.kind, order.options, order.out)
+    return order, demos._DemoWorker(order.kind, order.options, order.out)
 
 
 def test_an_error_of_a_seed_is_a_failed_attempt(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
