@@ -118,8 +118,6 @@ class Bundle:
     """(9, 9) inverse covariance of the camera, postures eliminated; 0 for what is fixed."""
     response: Array
     """(T, 7, 9) derivative of the fitted joint angles by the camera."""
-    q_covariance: Array
-    """(T, 7, 7) covariance of the joint angles for a given camera [rad^2]."""
 
 
 def adjust(
@@ -255,12 +253,10 @@ class _Linearization:
         W = self._o.whitening
         rows = np.maximum((np.abs(W).sum(axis=2) > 0).sum(axis=1), 1)
         per_px = np.sqrt((W**2).sum(axis=(1, 2)) / rows)
-        S = self._H[:, UNKNOWNS:, UNKNOWNS:] + 1e-9 * np.eye(_A_FRAME)
         return Bundle(
             scene=self._scene,
             cost=self._data_cost / max(float(self._o.weight.sum()), 1e-9),
             error_px=np.linalg.norm(self._residual, axis=1) / np.maximum(per_px, 1e-9),
             information=information,
             response=-back[:, :N_JOINTS],
-            q_covariance=np.asarray(np.linalg.inv(S)[:, :N_JOINTS, :N_JOINTS], dtype=np.float64),
         )
