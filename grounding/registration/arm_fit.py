@@ -124,12 +124,6 @@ class ArmFitter:
         fitter._X_CB = self._X_CB[list(numbers)]
         return fitter
 
-    def fit(
-        self, hand: HandFit, close: GripperView, wide: GripperView, rim: Correspondences | None = None
-    ) -> ArmFit | None:
-        """Fit the arm behind one hand; see `fit_all`."""
-        return self.fit_all([hand], [close], [wide], [rim])[0]
-
     def fit_all(
         self,
         hands: Sequence[HandFit],
@@ -361,12 +355,6 @@ class ArmFitter:
             edge_agreement=agreement,
             hand_agreement=self._edges.agreement(image, X_CP, (RobotPart.HAND,)),
         )
-
-    def sharpen(
-        self, arm: ArmFit, hand: HandFit, close: GripperView, wide: GripperView, image: GradientImage
-    ) -> ArmFit:
-        """Fit one posture to cells and edges together; see `sharpen_all`."""
-        return self.sharpen_all([arm], [hand], [close], [wide], [image])[0]
 
     def sharpen_all(
         self,

@@ -200,9 +200,9 @@ def _fits_of(
     ]
 
 
-def fit(view: GripperView, *, X_CH: Array | None = None, finger_m: float | None = None) -> HandFit | None:
-    """Fit the gripper to one view; see `fit_all`."""
-    return fit_all([view], [X_CH], [finger_m])[0]
+def fit(view: GripperView) -> HandFit | None:
+    """Fit the gripper to one view without priors; None where fewer than `MIN_CELLS` cells show it."""
+    return fit_all([view], [None], [None])[0]
 
 
 def fit_all(

@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 from kinebench_drake.camera import benchmark_camera
 from kinebench_drake.geometry import Array, invert, make_pose, pose_difference, rotation_exp, transform_points
 from kinebench_drake.grounding.crop import CLOSE_SIZE, Crop
-from kinebench_drake.grounding.registration.arm_fit import ArmFitter
+from kinebench_drake.grounding.registration.arm_fit import ArmFit, ArmFitter
 from kinebench_drake.grounding.registration.arm_model import ArmModel
 from kinebench_drake.grounding.registration.chain_fit import ChainFitter
 from kinebench_drake.grounding.registration.correspondences import Correspondences
 from kinebench_drake.grounding.registration.edges import EdgeMatcher, GradientImage
-from kinebench_drake.grounding.registration.fit import fit
+from kinebench_drake.grounding.registration.fit import HandFit, fit
 from kinebench_drake.grounding.registration.silhouette import SilhouetteMatcher
 from kinebench_drake.grounding.view import GripperView
 from kinebench_drake.models.panda.cad import GripperCad, PartCaster, link_meshes, open_fingers, part_meshes
@@ -84,13 +84,18 @@ def views(model: ArmModel, q: Array, seed: int) -> tuple[Array, GripperView, Gri
     return X_CH, close, wide
 
 
+def fit_arm(fitter: ArmFitter, hand: HandFit, close: GripperView, wide: GripperView) -> ArmFit | None:
+    """Fit the arm behind one hand, without silhouette."""
+    return fitter.fit_all([hand], [close], [wide], [None])[0]
+
+
 def test_the_arm_determines_the_distance_of_the_hand(
     scene: tuple[Array, GripperView, GripperView], model: ArmModel
 ) -> None:
     X_CH, close, wide = scene
     hand = fit(close)
     assert hand is not None
-    arm = ArmFitter(CAMERA, model, EdgeMatcher()).fit(hand, close, wide)
+    arm = fit_arm(ArmFitter(CAMERA, model, EdgeMatcher()), hand, close, wide)
     assert arm is not None
     assert arm.agrees
     assert arm.consistency_px < 3.0
@@ -120,13 +125,13 @@ def test_edges_sharpen_a_fit_whose_coordinates_are_all_off_alike(model: ArmModel
     close, wide = (replace(v, coordinates_P=v.coordinates_P + shift) for v in (close, wide))
     hand, fitter = fit(close), ArmFitter(CAMERA, model, EdgeMatcher())
     assert hand is not None
-    arm = fitter.fit(hand, close, wide)
+    arm = fit_arm(fitter, hand, close, wide)
     assert arm is not None
     before = pose_difference(arm.X_CH, X_CH)[0]
-    sharp = fitter.sharpen(arm, hand, close, wide, GradientImage(drawn(model, q), CAMERA))
+    sharp = fitter.sharpen_all([arm], [hand], [close], [wide], [GradientImage(drawn(model, q), CAMERA)])[0]
     assert pose_difference(sharp.X_CH, X_CH)[0] < 0.75 * before
     blank = np.full((CAMERA.height, CAMERA.width, 3), 90, np.uint8)
-    assert fitter.sharpen(arm, hand, close, wide, GradientImage(blank, CAMERA)) is arm
+    assert fitter.sharpen_all([arm], [hand], [close], [wide], [GradientImage(blank, CAMERA)])[0] is arm
 
 
 def test_a_hand_that_is_elsewhere_than_its_arm_disagrees(
@@ -139,7 +144,7 @@ def test_a_hand_that_is_elsewhere_than_its_arm_disagrees(
     away = hand_alone(close, moved)
     elsewhere = fit(away)
     assert elsewhere is not None
-    arm = ArmFitter(CAMERA, model, EdgeMatcher()).fit(elsewhere, away, wide)
+    arm = fit_arm(ArmFitter(CAMERA, model, EdgeMatcher()), elsewhere, away, wide)
     assert arm is None or not arm.agrees
 
 
@@ -151,13 +156,13 @@ def test_a_hand_that_is_drawn_too_large_shows_in_the_scale(
     fitter = ArmFitter(CAMERA, model, EdgeMatcher())
     hand = fit(close)
     assert hand is not None
-    usual = fitter.fit(hand, close, wide)
+    usual = fit_arm(fitter, hand, close, wide)
     near = Crop.of_gripper(X_CH, 1.3, CLOSE_SIZE)
     larger = Crop(R_CV=near.R_CV, focal=near.focal / 1.08, size=near.size)
     grown = hand_alone(close, larger)
     large_hand = fit(grown)
     assert large_hand is not None
-    large = fitter.fit(large_hand, grown, wide)
+    large = fit_arm(fitter, large_hand, grown, wide)
     assert usual is not None
     assert large is not None
     assert large.scale / usual.scale == pytest.approx(1.08, abs=0.04)
@@ -170,7 +175,7 @@ def test_too_little_of_an_arm_is_no_arm(scene: tuple[Array, GripperView, Gripper
     close, wide = (
         replace(v, part=np.where(v.part >= RobotPart.LINK0, 0, v.part).astype(np.uint8)) for v in (close, wide)
     )
-    assert ArmFitter(CAMERA, model, EdgeMatcher()).fit(hand, close, wide) is None
+    assert fit_arm(ArmFitter(CAMERA, model, EdgeMatcher()), hand, close, wide) is None
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -181,7 +186,7 @@ def test_a_misread_hand_is_found_from_the_frame_before(model: ArmModel, seed: in
     hand = fit(close)
     assert hand is not None
     fitter = ArmFitter(CAMERA, model, EdgeMatcher())
-    right = fitter.fit(hand, close, wide)
+    right = fit_arm(fitter, hand, close, wide)
     assert right is not None
     turned = close.coordinates_P @ make_pose(rotation_exp([0.0, 0.0, np.deg2rad(30.0)]), np.zeros(3))[:3, :3].T
     misread = replace(close, coordinates_P=np.where(close.gripper[..., None], turned, close.coordinates_P))
@@ -246,7 +251,7 @@ def test_frames_of_a_moving_camera_are_fitted_together_like_alone(model: ArmMode
     moving = ArmFitter(CAMERA, model, EdgeMatcher(), places)
     numbers, count = [1, 2], 2
     arms = moving.at(numbers).fit_all([hand] * count, [close] * count, [wide] * count, [None] * count)
-    fixed = ArmFitter(CAMERA, model, EdgeMatcher()).fit(hand, close, wide)
+    fixed = fit_arm(ArmFitter(CAMERA, model, EdgeMatcher()), hand, close, wide)
     assert fixed is not None
     assert arms[0] is not None
     np.testing.assert_allclose(arms[0].X_CH, fixed.X_CH, atol=1e-8)
@@ -254,9 +259,10 @@ def test_frames_of_a_moving_camera_are_fitted_together_like_alone(model: ArmMode
     sharp = moving.at(numbers).sharpen_all(both, [hand] * count, [close] * count, [wide] * count, [image] * count)
     for number, arm, one in zip(numbers, arms, sharp, strict=True):
         alone = moving.at([number])
-        same = alone.fit(hand, close, wide)
+        same = fit_arm(alone, hand, close, wide)
         assert arm is not None
         assert same is not None
         np.testing.assert_allclose(arm.q, same.q, atol=1e-8)
-        np.testing.assert_allclose(one.q, alone.sharpen(same, hand, close, wide, image).q, atol=1e-8)
+        sharp_alone = alone.sharpen_all([same], [hand], [close], [wide], [image])[0]
+        np.testing.assert_allclose(one.q, sharp_alone.q, atol=1e-8)
     assert pose_difference(both[1].X_CH, both[0].X_CH)[0] > 1e-3
