@@ -50,7 +50,7 @@ class PlantingOrder:
     spec: EpisodeSpec
     """The episode."""
     robot: str
-    """One of `simulator.ROBOTS`."""
+    """Panda of ManiSkill: "panda" or "panda_wristcam"."""
     grades: tuple[FaultGrade, ...]
     """Faults to plant, each in its own video."""
     with_clean: bool = False

@@ -27,8 +27,6 @@ from kinebench_drake.suites.tasks.task import Scene, TaskVariant
 
 GRIPPER_LINKS = (HAND_LINK, *FINGER_LINKS, *(f"{finger}_pad" for finger in FINGER_LINKS))
 """Links of the gripper in masks; some of ManiSkill's Pandas have no pad links."""
-ROBOTS = ("panda", "panda_wristcam")
-"""Robots of ManiSkill that the experts support."""
 
 _FINGER_RANGE_M = (-0.01, 0.04)  # of one finger joint's target, for actions -1 and 1 (ManiSkill's Panda)
 
@@ -124,7 +122,7 @@ class Simulator:
 
         Args:
             task: plain task id.
-            robot: one of `ROBOTS`.
+            robot: one of `KineBenchEnv.SUPPORTED_ROBOTS`: "panda" or "panda_wristcam".
             camera: camera; None: the benchmark camera.
             variant: version of the task's scene.
             renders: whether images can be rendered; physics alone needs no Vulkan.
