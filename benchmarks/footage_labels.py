@@ -2,7 +2,8 @@
 
 `footage_labels.json` lists clean videos (a Panda hand in view throughout, nothing edited or generated, so every anomaly
 is false) and, by video and frame, named points in pixels of the video as stored, pixel centres at half-integers.
-`"unsure": true` marks points that are partly hidden or blurred. Points come in pairs, left and right in the image:
+`"unsure": true` marks points that are partly hidden or blurred; they count like the others. Points come in pairs, left
+and right in the image:
 
 - `corner_left`, `corner_right`: ends of the lower edge of the wide face turned to the camera, in the middle of the
   rounding: `CORNER_H`;
@@ -54,8 +55,6 @@ class LabelledFrame:
     frame: int
     points_px: Mapping[str, Array]
     """(2,) pixel by name."""
-    unsure: frozenset[str]
-    """Names of points that are partly hidden or blurred."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -91,7 +90,6 @@ def _read_frame(data: Mapping[str, Any]) -> LabelledFrame:
     return LabelledFrame(
         frame=int(data["frame"]),
         points_px={name: np.array(point["px"], dtype=np.float64).reshape(2) for name, point in points.items()},
-        unsure=frozenset(name for name, point in points.items() if point.get("unsure")),
     )
 
 

@@ -48,7 +48,6 @@ class ViewTrial:
     median_m: float
     p95_m: float
     median_rad: float
-    p95_rad: float
     silent: float
     """Share of tracked frames that are off by more than 30 mm or 15 degrees."""
 
@@ -91,7 +90,7 @@ def try_clip(id: str, name: str, path: Path, pipeline: GroundingPipeline) -> Vie
     tracked = result.track.tracked
     distance, angle = (e[tracked] for e in pose_difference(result.track.X_BG, X_BG))
     median_m, p95_m = np.quantile(distance, (0.5, 0.95)) if tracked.any() else (np.nan, np.nan)
-    median_rad, p95_rad = np.quantile(angle, (0.5, 0.95)) if tracked.any() else (np.nan, np.nan)
+    median_rad = np.median(angle) if tracked.any() else np.nan
     return ViewTrial(
         id=id,
         change=name,
@@ -100,7 +99,6 @@ def try_clip(id: str, name: str, path: Path, pipeline: GroundingPipeline) -> Vie
         median_m=float(median_m),
         p95_m=float(p95_m),
         median_rad=float(median_rad),
-        p95_rad=float(p95_rad),
         silent=float(((distance > 0.03) | (angle > np.deg2rad(15.0))).mean()) if tracked.any() else 0.0,
     )
 

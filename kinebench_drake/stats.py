@@ -15,6 +15,7 @@ CONFIDENCE = 0.95
 PERCENTILES = (50.0 * (1.0 - CONFIDENCE), 50.0 * (1.0 + CONFIDENCE))
 """Percentiles of a bootstrap distribution at the ends of its interval."""
 RESAMPLES = 2000
+"""Resamples of a bootstrap distribution."""
 MANY = 1000
 """Values up to which a mean is resampled value by value."""
 _EXTREME = (
@@ -42,7 +43,7 @@ def wilson(hits: int, n: int, confidence: float = CONFIDENCE) -> tuple[float, fl
     return float(bounds.low), float(bounds.high)
 
 
-def bootstrap_mean(values: Array, rng: np.random.Generator, resamples: int = RESAMPLES) -> tuple[float, float]:
+def bootstrap_mean(values: Array, rng: np.random.Generator) -> tuple[float, float]:
     """Return the ends of the percentile bootstrap interval of the mean of `values` (N,), N > 1 (Efron 1979).
 
     Of more than MANY values only the extreme ones are resampled one by one (`_means_of_many`).
@@ -50,12 +51,12 @@ def bootstrap_mean(values: Array, rng: np.random.Generator, resamples: int = RES
     from scipy.stats import bootstrap
 
     if len(values) > MANY:
-        return percentile_interval(_means_of_many(values, rng, resamples))
+        return percentile_interval(_means_of_many(values, rng))
 
     result = bootstrap(
         (values,),
         np.mean,
-        n_resamples=resamples,
+        n_resamples=RESAMPLES,
         batch=max(1, _AT_ONCE // len(values)),
         confidence_level=CONFIDENCE,
         method="percentile",
@@ -64,8 +65,8 @@ def bootstrap_mean(values: Array, rng: np.random.Generator, resamples: int = RES
     return float(result.confidence_interval.low), float(result.confidence_interval.high)
 
 
-def _means_of_many(values: Array, rng: np.random.Generator, resamples: int) -> Array:
-    """Draw means (resamples,) of resamples of many values (N,), in a time that does not grow with their number.
+def _means_of_many(values: Array, rng: np.random.Generator) -> Array:
+    """Draw means (RESAMPLES,) of resamples of many values (N,), in a time that does not grow with their number.
 
     The values farthest from the mean are drawn one by one; the sum of the others, of which no single one matters, has
     its normal limit (Bickel and Freedman, Ann. Statist. 9, 1981, theorem 2.1).
@@ -73,25 +74,24 @@ def _means_of_many(values: Array, rng: np.random.Generator, resamples: int) -> A
     n = len(values)
     order = np.argsort(np.abs(values - values.mean()), kind="stable")
     middle, extreme = values[order[:-_EXTREME]], values[order[-_EXTREME:]]
-    counts = rng.multinomial(n, [*[1.0 / n] * _EXTREME, 1.0 - _EXTREME / n], size=resamples)
+    counts = rng.multinomial(n, [*[1.0 / n] * _EXTREME, 1.0 - _EXTREME / n], size=RESAMPLES)
     of_middle = counts[:, -1]
-    sums = of_middle * middle.mean() + np.sqrt(of_middle) * middle.std() * rng.standard_normal(resamples)
+    sums = of_middle * middle.mean() + np.sqrt(of_middle) * middle.std() * rng.standard_normal(RESAMPLES)
     return np.asarray((counts[:, :-1] @ extreme + sums) / n)
 
 
-def percentile_interval(draws: ArrayLike, percentiles: tuple[float, float] = PERCENTILES) -> tuple[float, float]:
+def percentile_interval(draws: ArrayLike) -> tuple[float, float]:
     """Return the ends of the percentile interval of a bootstrap distribution (Efron, Ann. Statist. 7, 1979).
 
     Args:
         draws: (D,) the statistic of each resample; those not finite are left out.
-        percentiles: of the draws, at the lower and upper end.
 
     Returns:
         NaN twice if no draw is finite.
     """
     values = np.asarray(draws, dtype=np.float64)
     values = values[np.isfinite(values)]
-    low, high = np.percentile(values, percentiles) if values.size else (np.nan, np.nan)
+    low, high = np.percentile(values, PERCENTILES) if values.size else (np.nan, np.nan)
     return float(low), float(high)
 
 
@@ -102,14 +102,14 @@ def resampled_indices(n: int, rng: np.random.Generator, resamples: int = RESAMPL
         yield rng.integers(n, size=(min(part, resamples - start), n))
 
 
-def resampled_means(values: Array, rng: np.random.Generator, resamples: int = RESAMPLES) -> Array:
-    """Return the means (resamples,) of resamples of `values` (N,) with replacement."""
-    return np.concatenate([values[drawn].mean(axis=1) for drawn in resampled_indices(len(values), rng, resamples)])
+def resampled_means(values: Array, rng: np.random.Generator) -> Array:
+    """Return the means (RESAMPLES,) of resamples of `values` (N,) with replacement."""
+    return np.concatenate([values[drawn].mean(axis=1) for drawn in resampled_indices(len(values), rng)])
 
 
-def resampled_counts(n: int, rng: np.random.Generator, resamples: int = RESAMPLES) -> Array:
-    """Return how often each of n units occurs in each resample with replacement (resamples, n)."""
-    return rng.multinomial(n, np.full(n, 1.0 / n), size=resamples).astype(np.float64)
+def resampled_counts(n: int, rng: np.random.Generator) -> Array:
+    """Return how often each of n units occurs in each resample with replacement (RESAMPLES, n)."""
+    return rng.multinomial(n, np.full(n, 1.0 / n), size=RESAMPLES).astype(np.float64)
 
 
 def group_means(values: Sequence[float], groups: Sequence[Hashable]) -> Array:

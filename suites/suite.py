@@ -182,17 +182,16 @@ class Suite:
         *,
         tasks: Sequence[str] | None = None,
         offset: int = 0,
-        variant: TaskVariant = TaskVariant.PLAIN,
     ) -> list[Episode]:
         """Return `count` episodes of each task of a split; a larger count begins with the episodes of a smaller one.
 
         Raises:
-            UsageError: split, tasks or seeds are not in the suite, or a task does not have the variant.
+            UsageError: split, tasks or seeds are not in the suite.
         """
         return [
             spec.episode()
             for task in self.tasks_of(split, tasks)
-            for spec in self.specs(split, task, count, offset=offset, variant=variant)
+            for spec in self.specs(split, task, count, offset=offset)
         ]
 
 

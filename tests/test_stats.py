@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from kinebench_drake.errors import InputError
 from kinebench_drake.stats import (
+    RESAMPLES,
     PairedOutcomes,
     PairedShares,
     bootstrap_mean,
@@ -86,20 +87,20 @@ def test_wilson_agrees_with_its_formula_and_its_limits():
 
 def test_resamples_in_parts_are_the_same_draws(monkeypatch):
     values = np.random.default_rng(2).normal(size=31)
-    whole = np.concatenate(list(resampled_indices(31, np.random.default_rng(3), 50)))
+    whole = np.concatenate(list(resampled_indices(31, np.random.default_rng(3))))
     for at_once in (2_000_000, 31, 100, 1):
         monkeypatch.setattr("kinebench_drake.stats._AT_ONCE", at_once)
-        parts = list(resampled_indices(31, np.random.default_rng(3), 50))
+        parts = list(resampled_indices(31, np.random.default_rng(3)))
         assert max(map(len, parts)) <= max(1, at_once // 31)
         assert np.array_equal(np.concatenate(parts), whole)
-        means = resampled_means(values, np.random.default_rng(3), 50)
+        means = resampled_means(values, np.random.default_rng(3))
         assert np.array_equal(means, values[whole].mean(axis=1))
     assert list(resampled_indices(0, np.random.default_rng(3), 0)) == []
 
 
 def test_counts_are_of_as_many_units_as_there_are():
-    counts = resampled_counts(7, np.random.default_rng(0), 40)
-    assert counts.shape == (40, 7)
+    counts = resampled_counts(7, np.random.default_rng(0))
+    assert counts.shape == (RESAMPLES, 7)
     assert (counts.sum(axis=1) == 7).all()
 
 

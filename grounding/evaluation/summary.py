@@ -217,7 +217,7 @@ def intervals(
     samples = [[results[i] for i in drawn] for part in parts for drawn in part]
     table = {}
     for name, statistic in statistics.items():
-        low, high = percentile_interval([statistic(sample) for sample in samples], (2.5, 97.5))
+        low, high = percentile_interval([statistic(sample) for sample in samples])
         table[name] = IntervalEstimate(value=statistic(results), low=low, high=high)
     return table
 

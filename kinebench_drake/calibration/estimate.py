@@ -60,21 +60,20 @@ _COMMON_PX = 0.3  # common error of all contours along their normals: blur and c
 _LEAST_SHARE = 0.75  # of the agreement of the better frames, below which a frame is left out
 _BETTER = 75  # percentile of these
 _LEAST_EXPLAINED = 0.5  # share of the frames with the robot below which a camera that explains no more is unlikely
+_USUAL_FOV_DEG = 55.0
 _ALIKE_M, _ALIKE_RAD = 0.01, np.deg2rad(2.0)
 
 
 class CameraEstimator:
     """Estimator of cameras; one instance serves any number of videos."""
 
-    def __init__(
-        self, estimator: DenseEstimator, model: ArmModel | None = None, matcher: EdgeMatcher | None = None
-    ) -> None:
+    def __init__(self, estimator: DenseEstimator) -> None:
         """Estimate with the dense estimates of `estimator`.
 
         Raises:
             SetupError: meshes, native libraries or the robot description are missing.
         """
-        self.estimator, self.fitter = estimator, CandidateFitter(model or ArmModel(), matcher or EdgeMatcher())
+        self.estimator, self.fitter = estimator, CandidateFitter(ArmModel(), EdgeMatcher())
 
     @classmethod
     def create(cls, weights: Path | None = None) -> "CameraEstimator":
@@ -289,9 +288,9 @@ class CameraEstimator:
         return replace(bundle, information=information)
 
 
-def usual_camera(width: int, height: int, fov_deg: float = 55.0) -> Camera:
-    """Return a centred camera of unknown place with a usual field of view along the longer side [degrees]."""
-    focal = focal_px(max(width, height), fov_deg)
+def usual_camera(width: int, height: int) -> Camera:
+    """Return a centred camera of unknown place with a usual field of view along the longer side."""
+    focal = focal_px(max(width, height), _USUAL_FOV_DEG)
     return replace(benchmark_camera(), width=width, height=height, fx=focal, fy=focal, cx=width / 2, cy=height / 2)
 
 

@@ -121,24 +121,23 @@ def _episodes(difference: float, null: float, variance: float, samples: int, pow
     return math.ceil(0.25 * n * (1.0 + math.sqrt(1.0 + 4.0 / (n * difference * samples))) ** 2 - 1e-9)
 
 
-def least_difference(paired: PairedShares, power: float = POWER) -> float | None:
-    """Return the least true difference that as many episodes would have shown with this probability.
+def least_difference(paired: PairedShares) -> float | None:
+    """Return the least true difference that as many episodes would have shown with probability POWER.
 
     Args:
         paired: outcomes, for the number of episodes and the variance of their differences.
-        power: probability of a p-value below 0.05.
 
     Returns:
         The difference, 0..1; None if the episodes are too few to show any.
     """
     differences = paired.first - paired.second
-    if paired.n < 2 or _paired(1.0, 0.0, paired.samples, power) > paired.n:
+    if paired.n < 2 or _paired(1.0, 0.0, paired.samples, POWER) > paired.n:
         return None
     variance = float(differences.var(ddof=1))
     low, high = 0.0, 1.0
-    if _paired(high, variance, paired.samples, power) > paired.n:
+    if _paired(high, variance, paired.samples, POWER) > paired.n:
         return None
     while high - low > 1e-4:
         middle = 0.5 * (low + high)
-        low, high = (low, middle) if _paired(middle, variance, paired.samples, power) <= paired.n else (middle, high)
+        low, high = (low, middle) if _paired(middle, variance, paired.samples, POWER) <= paired.n else (middle, high)
     return high

@@ -23,18 +23,17 @@ FREEZE_SPEED_M_S = 0.05
 _MAX_STEP_RAD = 0.6  # largest step of a joint between two frames on a displaced path
 
 
-def plant_vanish(recording: Recording, frames: int, start: int | None = None) -> tuple[RolloutVideo, PlantedFault]:
-    """Hide hand and fingers for some frames; poses and joints are NaN there.
+def plant_vanish(recording: Recording, frames: int) -> tuple[RolloutVideo, PlantedFault]:
+    """Hide hand and fingers where the gripper moves most; poses and joints are NaN there.
 
     Args:
         recording: recording to alter.
         frames: number of frames.
-        start: first frame; None: where the gripper moves most.
 
     Raises:
         InputError: the gripper is not in view long enough.
     """
-    start = recording.visible_starts(frames)[0] if start is None else start
+    start = recording.visible_starts(frames)[0]
     part = recording.render_again(
         range(start, start + frames), lambda _: recording.simulator.set_visible(GRIPPER_LINKS, visible=False)
     )
@@ -42,19 +41,19 @@ def plant_vanish(recording: Recording, frames: int, start: int | None = None) ->
     return recording.plant(replace(part, **gone), start, AnomalyKind.VANISH, float(frames))
 
 
-def plant_freeze(recording: Recording, frames: int, start: int | None = None) -> tuple[RolloutVideo, PlantedFault]:
+def plant_freeze(recording: Recording, frames: int) -> tuple[RolloutVideo, PlantedFault]:
     """Repeat a frame for some frames, after which the gripper jumps to its true pose.
+
+    The freeze begins where the gripper moves fastest before and through it.
 
     Args:
         recording: recording to alter.
         frames: number of frames.
-        start: first frozen frame; None: where the gripper moves fastest before and through the freeze.
 
     Raises:
         InputError: the gripper is slower than `FREEZE_SPEED_M_S` before or through the freeze.
     """
-    if start is None:
-        start = max(recording.visible_starts(frames), key=lambda s: (_freeze_speed(recording.video, s, frames), -s))
+    start = max(recording.visible_starts(frames), key=lambda s: (_freeze_speed(recording.video, s, frames), -s))
     speed = _freeze_speed(recording.video, start, frames)
     if speed < FREEZE_SPEED_M_S:
         raise InputError(
@@ -72,10 +71,8 @@ def _freeze_speed(clip: RolloutVideo, start: int, frames: int) -> float:
     return min(before, through) / FRAME_PERIOD_S
 
 
-def plant_teleport(
-    recording: Recording, distance_m: float, start: int | None = None
-) -> tuple[RolloutVideo, PlantedFault]:
-    """Displace the gripper from one frame to the end; the arm is rendered on the displaced path.
+def plant_teleport(recording: Recording, distance_m: float) -> tuple[RolloutVideo, PlantedFault]:
+    """Displace the gripper from the middle of the clip to the end; the arm is rendered on the displaced path.
 
     The direction is the first of inwards, outwards (along y, relative to the middle of the table), up and back that
     the arm can follow to the end, beginning with the gripper in view.
@@ -83,13 +80,12 @@ def plant_teleport(
     Args:
         recording: recording to alter.
         distance_m: length of the jump [m].
-        start: first displaced frame; None: the middle of the clip.
 
     Raises:
         InputError: no direction is feasible.
     """
     clip, snapshots = recording.video, recording.rollout.snapshots
-    start = len(recording) // 2 if start is None else start
+    start = len(recording) // 2
     inwards = -1.0 if clip.X_BG[start, 1, 3] > 0.0 else 1.0
     for direction in ((0.0, inwards, 0.0), (0.0, -inwards, 0.0), (0.0, 0.0, 1.0), (-1.0, 0.0, 0.0)):
         q = _solve_displaced(snapshots[start].q, clip.X_BG[start:], distance_m * np.array(direction))

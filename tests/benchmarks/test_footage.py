@@ -168,7 +168,7 @@ def labelled(X_CH, width_m, frame=0):
     for pair, p_C in pair_points(X_CH, width_m).items():
         px = CAMERA.project(p_C)
         points[f"{pair}_left"], points[f"{pair}_right"] = px[np.argsort(px[:, 0])]
-    return LabelledFrame(frame=frame, points_px=points, unsure=frozenset())
+    return LabelledFrame(frame=frame, points_px=points)
 
 
 angle = st.floats(-3.1, 3.1)
@@ -195,7 +195,7 @@ def test_the_hands_length_is_that_of_its_distance(yaw, pitch, width_m):
 
 def test_frames_with_few_points_take_the_length_of_those_in_between():
     whole = [labelled(pose(z=z), 0.04, frame) for z, frame in ((0.8, 0), (1.0, 10))]
-    bare = LabelledFrame(frame=5, points_px={"tip_left": np.zeros(2)}, unsure=frozenset())
+    bare = LabelledFrame(frame=5, points_px={"tip_left": np.zeros(2)})
     lengths = hand_lengths_px([whole[0], bare, whole[1]])
     assert lengths[1] == pytest.approx((lengths[0] + lengths[2]) / 2)
 
