@@ -83,9 +83,9 @@ def _by_task(episodes: Iterable[EpisodeResult]) -> dict[str, dict[object, list[E
 
 def _rate(samples: Samples, missing: float | None = None) -> float:
     """Return the share of successes among an episode's samples, unmeasured ones left out or counted as `missing`."""
-    values = [missing if e.hit is None else e.hit for e in samples]
-    values = [v for v in values if v is not None]
-    return float(np.mean([v for v in values if v is not None])) if values else float("nan")
+    outcomes = [missing if e.hit is None else e.hit for e in samples]
+    measured = [outcome for outcome in outcomes if outcome is not None]
+    return float(np.mean(measured)) if measured else float("nan")
 
 
 def _paired(suite: int, model: str, task: str, pairs: Sequence[tuple[Samples, Samples]], seed: int) -> SeenUnseenDrop:
@@ -194,8 +194,7 @@ def draw_drops(drops: Sequence[SeenUnseenDrop]) -> list[ReportFigure]:
     models = list(dict.fromkeys(d.model for d in drops))
     figures = []
     for suite, own in group_by(drops, lambda d: d.suite).items():
-        tasks = sorted({d.task for d in own}, key=lambda task: (task == ALL_TASKS, task), reverse=True)
-        tasks = [*(t for t in tasks if t != ALL_TASKS), *(t for t in tasks if t == ALL_TASKS)]
+        tasks = sorted({d.task for d in own}, key=lambda task: (task != ALL_TASKS, task), reverse=True)
         here = [m for m in models if any(d.model == m for d in own)]
         figure, axes = new_figure(7.2, 1.3 + len(tasks) * max(0.3, 0.1 + 0.1 * len(here)))
         ax, numbers = axes[0, 0], assign_numbers(models, here)
