@@ -9,7 +9,7 @@ Design", ICCMA 2021; here for arrays of poses and joint-7 angles. Joint limits a
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kinebench_drake.geometry import Array
+from kinebench_drake.geometry import Array, cross
 
 N_BRANCHES = 8
 """Greatest number of postures for a joint-7 angle."""
@@ -103,7 +103,7 @@ def analytic_ik(X_BF: ArrayLike, q7: ArrayLike) -> Array:
     # Frame 4: y4 = z5 and S-W = along_x x4 + along_y y4.
     with np.errstate(invalid="ignore", divide="ignore"):
         x4 = (SW[..., None, None, :] - along_y[..., None, None] * z5) / along_x[..., None, None]
-    z4 = _cross(x4, z5)
+    z4 = cross(x4, z5)
     # From frame 4 by q5 to frame 5, whose -y is z6; from there by q6 to x6.
     z6, x6 = z6[..., None, None, :], x6[..., None, None, :]
     q5 = np.arctan2(_dot(z6, x4), _dot(z6, z4))
@@ -138,12 +138,3 @@ def _wrist(X_BF: Array, q7: Array) -> tuple[Array, Array, Array, Array]:
 
 def _dot(a: Array, b: Array) -> Array:
     return np.asarray(a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2])
-
-
-def _cross(a: Array, b: Array) -> Array:
-    """Return cross products of (..., 3), several times faster here than by NumPy's general function."""
-    c = np.empty(np.broadcast_shapes(a.shape, b.shape))
-    c[..., 0] = a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1]
-    c[..., 1] = a[..., 2] * b[..., 0] - a[..., 0] * b[..., 2]
-    c[..., 2] = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
-    return c
