@@ -113,10 +113,7 @@ class CameraEstimate:
     @property
     def position_sigma_m(self) -> float:
         """Standard deviation of the camera's position in the base frame: root of the sum over axes [m]."""
-        x, y, z = self.scene.lens.X_CB[:3, 3]
-        by_turn = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])  # the camera's position is -R^T t
-        J = np.concatenate([by_turn, np.eye(3)], axis=1)
-        return float(np.trace(J @ self.covariance[:6, :6] @ J.T) ** 0.5)
+        return self.scene.lens.position_sigma_m(self.covariance[:6, :6])
 
     @property
     def rotation_sigma_rad(self) -> float:

@@ -59,6 +59,17 @@ class Lens:
         J[:, 0, 6], J[:, 1, 6] = fx * x / z, fy * y / z
         return J, by_C
 
+    def position_sigma_m(self, covariance: Array) -> float:
+        """Return the standard deviation of the camera's position in B: root of the sum over axes [m].
+
+        Args:
+            covariance: (6, 6) covariance of the base's rotation about the axes of C [rad] and its position in C [m].
+        """
+        x, y, z = self.X_CB[:3, 3]
+        by_turn = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])  # the camera's position is -R^T t
+        J = np.concatenate([by_turn, np.eye(3)], axis=1)
+        return float(np.trace(J @ covariance @ J.T) ** 0.5)
+
 
 CAUCHY = 2.0
 """Residual, in standard deviations, at which Cauchy's weight is one half."""

@@ -192,12 +192,8 @@ def _sigmas(fit: LensFit, free: int) -> tuple[float, float, float]:
     H = fit.information[:free, :free]
     scale = np.sqrt(np.maximum(np.diag(H), 1e-12))
     covariance = np.linalg.pinv(H / np.outer(scale, scale) + 1e-9 * np.eye(free)) / np.outer(scale, scale)
-    x, y, z = fit.lens.X_CB[:3, 3]
-    by_turn = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])  # the camera position is -R^T t
-    J = np.concatenate([by_turn, np.eye(3)], axis=1)
-    position = float(np.trace(J @ covariance[:6, :6] @ J.T)) ** 0.5
     focal = float(covariance[6, 6]) ** 0.5 if free == UNKNOWNS else 0.0
-    return position, float(np.trace(covariance[:3, :3])) ** 0.5, focal
+    return fit.lens.position_sigma_m(covariance[:6, :6]), float(np.trace(covariance[:3, :3])) ** 0.5, focal
 
 
 def _spread(fit: LensFit, cells: CalibrationCorrespondences, p_B: Array) -> tuple[Array, Array]:
